@@ -1,0 +1,1 @@
+"""Mathematics of the lock-in measurement, on arrays."""

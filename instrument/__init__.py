@@ -1,0 +1,1 @@
+"""Everything that talks to hardware or to a hardware file format."""

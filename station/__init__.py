@@ -1,0 +1,1 @@
+"""Where instruments and analysis meet: what people run."""

@@ -1,1 +1,51 @@
-"""Everything that talks to hardware or to a hardware file format."""
+"""Drivers for the bench: the TDS2014 oscilloscope family, its files, and the rate table.
+
+`TDS2014` gives records as `Waveform`; `read_waveform` reads the files that these scopes write.
+"""
+
+from instrument.discovery import FoundResource, find_resources
+from instrument.errors import (
+    CommandError,
+    DeviceError,
+    ExecutionError,
+    FileFormatError,
+    InstrumentError,
+    LinkError,
+    NoTrigger,
+    QueryError,
+    ScopeEvent,
+    SettingError,
+    TransferError,
+    WrongInstrument,
+)
+from instrument.identity import Identity
+from instrument.rate_table import ManualRateTable, RateTable
+from instrument.settings import ChannelSettings
+from instrument.tds2014 import TDS2014
+from instrument.tek_files import read_waveform
+from instrument.waveform import Preamble, Waveform
+
+__all__ = [
+    "TDS2014",
+    "ChannelSettings",
+    "CommandError",
+    "DeviceError",
+    "ExecutionError",
+    "FileFormatError",
+    "FoundResource",
+    "Identity",
+    "InstrumentError",
+    "LinkError",
+    "ManualRateTable",
+    "NoTrigger",
+    "Preamble",
+    "QueryError",
+    "RateTable",
+    "ScopeEvent",
+    "SettingError",
+    "TransferError",
+    "Waveform",
+    "WrongInstrument",
+    "find_resources",
+    "read_waveform",
+]

@@ -1,0 +1,92 @@
+"""Which instruments are there, and why one of them cannot be used."""
+
+from __future__ import annotations
+
+import importlib.util
+import warnings
+from dataclasses import dataclass
+
+import pyvisa
+
+from instrument.dialogue import Dialogue
+from instrument.errors import InstrumentError, LinkError
+from instrument.identity import Identity
+from instrument.link import Link
+
+# What PyVISA-py needs beyond itself for each kind of link, and what to install for it.
+_TRANSPORTS = (
+    ("USB", ("usb",), "install pyusb and libusb"),
+    ("GPIB", ("gpib", "gpib_ctypes"), "install linux-gpib, or gpib-ctypes with the vendor's driver"),
+    ("RS-232", ("serial",), "install pyserial"),
+)
+
+
+@dataclass(frozen=True)
+class FoundResource:
+    """One VISA resource: its identity if it is a scope of the family, else the problem in one sentence."""
+
+    resource_name: str
+    identity: Identity | None
+    problem: str | None
+
+
+def find_resources(resource_manager: pyvisa.ResourceManager | None = None) -> list[FoundResource]:
+    """List every VISA resource that the computer sees and try each one.
+
+    Each is opened, cleared and asked ``*IDN?``; a serial port costs a few seconds if nothing answers. Raw TCP
+    sockets cannot be listed by any VISA: use `check_resource` with the name.
+
+    Raises
+    ------
+    LinkError
+        If there is no VISA at all.
+    """
+    try:
+        manager = resource_manager or pyvisa.ResourceManager()
+        with warnings.catch_warnings():
+            # PyVISA-py warns about optional packages for network discovery; `missing_transports` tells more.
+            warnings.simplefilter("ignore")
+            names = manager.list_resources("?*")
+    except (pyvisa.Error, OSError, ValueError) as error:
+        raise LinkError(
+            f"VISA cannot list any resources: {error}; install pyvisa-py or a vendor's VISA"
+        ) from error
+    return [check_resource(name, manager) for name in dict.fromkeys(names)]
+
+
+def check_resource(
+    resource_name: str,
+    resource_manager: pyvisa.ResourceManager | None = None,
+    *,
+    baud_rate: int | None = None,
+) -> FoundResource:
+    """Try one resource: who answers there, or why nobody does."""
+    try:
+        link = Link(resource_name, resource_manager, baud_rate)
+    except InstrumentError as error:
+        return FoundResource(resource_name, None, str(error) + _permission_advice(error))
+    try:
+        dialogue = Dialogue(link)
+        try:
+            return FoundResource(resource_name, dialogue.identity, None)
+        finally:
+            dialogue.close()
+    except InstrumentError as error:
+        return FoundResource(resource_name, None, str(error))
+    finally:
+        link.close()
+
+
+def missing_transports() -> dict[str, str]:
+    """Kinds of links that PyVISA-py cannot use on this computer, and what to do about each."""
+    missing = {}
+    for kind, modules, advice in _TRANSPORTS:
+        if not any(importlib.util.find_spec(module) for module in modules):
+            missing[kind] = advice
+    return missing
+
+
+def _permission_advice(error: InstrumentError) -> str:
+    if "permission" not in str(error).lower():
+        return ""
+    return "; your user may not open this port: on Linux join the group that owns it (often dialout)"

@@ -1,0 +1,235 @@
+"""Waveform files of this family: the CSV that the scopes save themselves, and ISF written by PC software.
+
+A CSV holds volts, not codes. Every value is a whole number of codes times V/div over 25, so the codes come
+back exactly. The FFT that a scope saves as CSV is read as well: its preamble says ``Hz`` and ``dB``.
+"""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from instrument import scpi
+from instrument.errors import FileFormatError, TransferError
+from instrument.waveform import LEVELS_PER_DIVISION, Preamble, Waveform, decode_curve
+
+_LARGEST_FILE = 256 * 1024 * 1024  # bytes; a scope's CSV has about 100 kB, the longest ISF some 40 MB
+_NOT_A_CODE = 0.3  # a value farther than this from a whole code is not one that an 8-bit scope wrote
+_UNITS = {"V": "Volts"}  # the CSV says V where the preamble of the same record says Volts
+
+
+def read_waveform(path: str | os.PathLike[str]) -> Waveform:
+    """Read a Tektronix CSV or ISF file; the content decides which it is, not the name.
+
+    Parameters
+    ----------
+    path : path-like
+        CSV: as TDS1000/2000 (B, C), TPS2000 and TBS1000 save it. A title row above it, Windows line ends,
+        short numbers and missing key rows, as spreadsheets leave them, are accepted. ISF: ``WFMPre`` with
+        headers in long or short spelling, then ``CURVe`` with a binary block or a list of numbers.
+
+    Returns
+    -------
+    Waveform
+        With the codes as the converter gave them. An FFT (`preamble.xunit` is ``Hz``) has no time axis.
+
+    Raises
+    ------
+    FileFormatError
+        If it is neither; names the file, the place and what is wrong there.
+    OSError
+        If it cannot be read.
+    """
+    file = Path(path)
+    if file.stat().st_size > _LARGEST_FILE:
+        raise FileFormatError(
+            f"{file} is larger than any waveform file ({_LARGEST_FILE} bytes); is it the right one?"
+        )
+    content = file.read_bytes()
+    try:
+        if _is_isf(content):
+            return parse_isf(content)
+        return parse_csv(content.decode("utf-8-sig", errors="replace"))
+    except (FileFormatError, TransferError) as error:
+        reason = str(error).removesuffix("; ask again")
+        raise FileFormatError(f"{file}: {reason}") from None
+
+
+def parse_csv(text: str) -> Waveform:
+    """Read the text of a scope's CSV file. Errors as `read_waveform`."""
+    header, times, values = _csv_columns(text)
+    scale = _positive(header, "Vertical Scale")
+    interval = _positive(header, "Sample Interval")
+    ymult = scale / LEVELS_PER_DIVISION
+    yoff = _header_number(header, "Vertical Offset", 0.0) / ymult
+    # The position moves in whole levels; the file gives it with seven digits.
+    yoff = float(round(yoff)) if abs(yoff - round(yoff)) < 1e-3 else yoff
+    yzero = _header_number(header, "Yzero", 0.0)
+    # Adding 0.0 turns the -0 of a scan record into 0.
+    xzero = -_header_number(header, "Trigger Point", -times[0] / interval) * interval + 0.0
+    _check_times(times, xzero, interval)
+    x_unit = header.get("Horizontal Units", "s")
+    y_unit = header.get("Vertical Units", "V")
+    preamble = Preamble(
+        byt_nr=1,
+        bit_nr=8,
+        encdg="BIN",
+        bn_fmt="RI",
+        byt_or="MSB",
+        nr_pt=len(values),
+        wfid=_wfid(header, scale, y_unit, x_unit, len(values)),
+        pt_fmt=header.get("Pt Fmt", "Y"),
+        xincr=interval,
+        pt_off=0,
+        xzero=xzero,
+        xunit=x_unit,
+        ymult=ymult,
+        yzero=yzero,
+        yoff=yoff,
+        yunit=_UNITS.get(y_unit, y_unit),
+    )
+    return Waveform(_codes(values, preamble), preamble)
+
+
+def parse_isf(content: bytes) -> Waveform:
+    """Read the content of an ISF file. Errors as `read_waveform`."""
+    marker = _curve_position(content)
+    preamble = Preamble.parse(content[:marker].decode("latin-1").strip().rstrip(";"))
+    curve = content[marker:]
+    start = curve.find(b"#")
+    if preamble.encdg == "ASC" or start < 0:
+        words = curve.split(maxsplit=1)
+        return decode_curve(words[1] if len(words) > 1 else b"", preamble)
+    length = preamble.nr_pt * preamble.byt_nr
+    _, data = scpi.split_block(
+        curve[start:].rstrip(b"\r\n") if _ends_late(curve, start, length) else curve[start:], longest=length
+    )
+    return decode_curve(data, preamble)
+
+
+# ---------------------------------------------------------------------- CSV
+
+
+def _csv_columns(text: str) -> tuple[dict[str, str], NDArray[np.float64], NDArray[np.float64]]:
+    header: dict[str, str] = {}
+    times: list[float] = []
+    values: list[float] = []
+    for line_number, line in enumerate(text.splitlines(), start=1):
+        cells = [cell.strip().strip('"') for cell in line.split(",")]
+        if not any(cells):
+            continue
+        if len(cells) < 5 or not cells[3] or not cells[4]:
+            if not times:
+                continue  # a title row that somebody put on top
+            raise FileFormatError(
+                f"line {line_number} has no time and value ({line[:60]!r}); restore the file"
+            )
+        try:
+            time, value = float(cells[3]), float(cells[4])
+        except ValueError:
+            if not times:
+                continue
+            raise FileFormatError(
+                f"line {line_number} holds no numbers ({line[:60]!r}); restore the file"
+            ) from None
+        if not (np.isfinite(time) and np.isfinite(value)):
+            raise FileFormatError(f"line {line_number} holds a value that is not a number; restore the file")
+        times.append(time)
+        values.append(value)
+        if cells[0]:
+            header[cells[0]] = cells[1]
+    if not times or "Sample Interval" not in header:
+        raise FileFormatError(
+            "this is not a waveform file of a Tektronix TDS, TPS or TBS scope (no 'Sample Interval', "
+            "no rows of time and value); choose a file such as F0000CH1.CSV"
+        )
+    return header, np.array(times), np.array(values)
+
+
+def _codes(values: NDArray[np.float64], preamble: Preamble) -> NDArray[np.int8]:
+    levels = (values - preamble.yzero) / preamble.ymult + preamble.yoff
+    codes = np.round(levels)
+    worst = int(np.argmax(np.abs(levels - codes)))
+    # The file has five decimals, which is coarse against a level at 2 mV/div and a 1:1 probe.
+    if abs(levels[worst] - codes[worst]) > _NOT_A_CODE:
+        raise FileFormatError(
+            f"point {worst + 1} ({values[worst]:g}) is not a whole number of converter levels of "
+            f"{preamble.ymult:g}: the values were edited or come from another kind of scope"
+        )
+    if codes.min() < -128 or codes.max() > 127:
+        raise FileFormatError(
+            "values lie outside the range of an 8-bit converter at this vertical scale: the file was edited "
+            "or comes from another kind of scope"
+        )
+    return codes.astype(np.int8)
+
+
+def _check_times(times: NDArray[np.float64], xzero: float, interval: float) -> None:
+    """The time column must run evenly: a missing or doubled row would shift everything behind it."""
+    # Times have twelve decimals, and spreadsheets keep about five digits.
+    slack = 0.5 * interval + 2e-12 + 1e-5 * np.abs(times).max()
+    steps_off = np.abs(np.diff(times) - interval) > 0.5 * interval + 2e-12 + 1e-5 * np.abs(times[1:])
+    wrong = np.flatnonzero(steps_off)
+    if wrong.size:
+        raise FileFormatError(
+            f"the time does not go on evenly after point {wrong[0] + 1}: rows are missing or doubled; "
+            "restore the file"
+        )
+    if abs(times[0] - xzero) > slack:
+        raise FileFormatError("the time column does not begin where 'Trigger Point' says; restore the file")
+
+
+def _wfid(header: dict[str, str], scale: float, y_unit: str, x_unit: str, points: int) -> str:
+    source = header.get("Source", "?").capitalize()
+    horizontal = _header_number(header, "Horizontal Scale", 0.0)
+    scales = f"{scpi.nr3(scale)} {y_unit}/div, {scpi.nr3(horizontal)} {x_unit}/div"
+    return f"{source}, {scales}, {points} points, from a CSV file"
+
+
+def _header_number(header: dict[str, str], key: str, default: float | None = None) -> float:
+    text = header.get(key)
+    if text is None and default is not None:
+        return float(default)
+    try:
+        value = float(text or "")
+    except ValueError:
+        value = float("nan")
+    if not np.isfinite(value):
+        raise FileFormatError(f"the row {key!r} is missing or holds no number ({text!r}); restore the file")
+    return value
+
+
+def _positive(header: dict[str, str], key: str) -> float:
+    value = _header_number(header, key)
+    if value <= 0:
+        raise FileFormatError(
+            f"the row {key!r} holds {value:g} where a positive number belongs; restore the file"
+        )
+    return value
+
+
+# ---------------------------------------------------------------------- ISF
+
+
+def _is_isf(content: bytes) -> bool:
+    start = content[:64].lstrip().upper()
+    return start.startswith((b":WFMP", b"WFMP"))
+
+
+def _curve_position(content: bytes) -> int:
+    for spelling in (b":CURVE", b":CURV", b";CURVE", b";CURV"):
+        # Only the part before the block is text, so the first hit is the header.
+        position = content.upper().find(spelling)
+        if position >= 0:
+            return position
+    raise FileFormatError("the ISF file has a preamble but no curve; it is cut, save it again")
+
+
+def _ends_late(curve: bytes, start: int, length: int) -> bool:
+    """Whether more line ends than usual stand behind the block (some programs add them)."""
+    digits = curve[start + 1 : start + 2]
+    end = start + 2 + (int(digits) if digits.isdigit() else 0) + length
+    return len(curve) > end + 2 and not curve[end:].strip(b"\r\n")

@@ -1,0 +1,298 @@
+"""A record as the scope sent it: raw codes and their preamble, and how both become volts and seconds.
+
+The preamble is the answer to ``WFMPre?`` (programmer manual 071-1075-04, p. 2-243 to 2-260). Volts and times
+are computed when they are asked for; the codes stay what the analogue-digital converter gave.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields, replace
+from html import escape
+
+import numpy as np
+from numpy.typing import NDArray
+
+from instrument.errors import TransferError
+from instrument.scpi import integer, nr3, number, split_header, split_parts, unquote
+
+LEVELS_PER_DIVISION = 25
+"""Codes per vertical division, at one byte a point (071-1075-04, p. 2-84)."""
+
+CLIPPED_CODE = 127
+"""Channel codes stop at plus and minus this value."""
+
+NO_DATA_CODE = -128
+"""Stands where the scope has no data: the moving blank of scan mode, an empty reference."""
+
+
+@dataclass(frozen=True)
+class Preamble:
+    """The 16 fields of ``WFMPre?`` in the order in which the scope sends them.
+
+    Attributes
+    ----------
+    byt_nr, bit_nr : int
+        Bytes and bits per point, 1 and 8 or 2 and 16.
+    encdg, bn_fmt, byt_or : str
+        ``BIN`` or ``ASC``; ``RI`` signed or ``RP`` positive; ``MSB`` or ``LSB`` first.
+    nr_pt : int
+        Number of points.
+    wfid : str
+        Sentence with source, coupling, V/div, s/div and mode.
+    pt_fmt : str
+        ``Y`` one value a point, ``ENV`` pairs of minimum and maximum (Peak Detect).
+    xincr, xzero : float
+        Interval between points and time of the first one from the trigger, in `xunit`.
+    pt_off : int
+        Always 0 on this family.
+    xunit, yunit : str
+        ``s`` or ``Hz``; ``Volts``, ``V``, ``dB``, ``U`` (unknown)...
+    ymult, yzero, yoff : float
+        value = (code - yoff) * ymult + yzero, in `yunit`.
+    """
+
+    byt_nr: int
+    bit_nr: int
+    encdg: str
+    bn_fmt: str
+    byt_or: str
+    nr_pt: int
+    wfid: str
+    pt_fmt: str
+    xincr: float
+    pt_off: int
+    xzero: float
+    xunit: str
+    ymult: float
+    yzero: float
+    yoff: float
+    yunit: str
+
+    @classmethod
+    def parse(cls, text: str) -> Preamble:
+        """Read a preamble with or without headers, in long or short spelling.
+
+        With headers the fields may come in any order and among others that are not known here (newer scopes
+        add some); without headers there must be exactly 16.
+
+        Raises
+        ------
+        TransferError
+            If a field is missing, is not what it should be, or contradicts another.
+        """
+        parts = [split_header(part) for part in split_parts(text.strip().rstrip(";"))]
+        names = [field.name for field in fields(cls)]
+        if any(header for header, _ in parts):
+            values = _by_header(parts)
+            missing = [name for name in names if name not in values]
+            if missing:
+                raise TransferError(f"the preamble has no {missing[0].upper()} ({text[:60]!r}); ask again")
+        elif len(parts) == len(names):
+            values = dict(zip(names, (value for _, value in parts), strict=True))
+        else:
+            raise TransferError(
+                f"the preamble has {len(parts)} fields instead of {len(names)} ({text[:60]!r}); ask again"
+            )
+        return _checked(cls(**{name: _READERS[name](values[name]) for name in names}))
+
+    def to_text(self) -> str:
+        """The 16 fields without headers, as the scope writes them; `parse` of it gives an equal preamble."""
+        words = []
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if field.name in ("wfid", "xunit", "yunit"):
+                words.append('"' + value.replace('"', '""') + '"')
+            else:
+                words.append(nr3(value) if isinstance(value, float) else str(value))
+        return ";".join(words)
+
+
+@dataclass(frozen=True, eq=False)
+class Waveform:
+    """One record: raw codes and the preamble that belongs to them.
+
+    Attributes
+    ----------
+    codes : int8 array, shape (n,)
+        What the converter gave; -128 means "no data". Only a file from a newer scope with more than eight
+        bits gives int16.
+    preamble : Preamble
+        Describes `codes` (one signed byte a point, whatever the transfer format was).
+    """
+
+    codes: NDArray[np.int8] | NDArray[np.int16]
+    preamble: Preamble
+
+    def __post_init__(self) -> None:
+        if self.codes.shape != (self.preamble.nr_pt,):
+            raise TransferError(
+                f"{self.codes.shape} codes came with a preamble for {self.preamble.nr_pt} points; ask again"
+            )
+        self.codes.flags.writeable = False
+
+    def __eq__(self, other: object) -> bool:
+        """Equal when preamble and every code are equal."""
+        if not isinstance(other, Waveform):
+            return NotImplemented
+        return self.preamble == other.preamble and np.array_equal(self.codes, other.codes)
+
+    @property
+    def volts(self) -> NDArray[np.float64]:
+        """Values in the preamble's `yunit`, shape (n,); nan where the scope had no data."""
+        preamble = self.preamble
+        values = (self.codes.astype(np.float64) - preamble.yoff) * preamble.ymult + preamble.yzero
+        if self.codes.dtype == np.int8:
+            values[self.codes == NO_DATA_CODE] = np.nan
+        return values
+
+    @property
+    def times(self) -> NDArray[np.float64]:
+        """Times from the trigger in s, shape (n,); for an FFT frequencies in Hz, see the preamble's `xunit`.
+
+        In Peak Detect points 2k and 2k + 1 are the minimum and maximum of one interval that starts at 2k.
+        """
+        preamble = self.preamble
+        return preamble.xzero + preamble.xincr * (np.arange(preamble.nr_pt) - preamble.pt_off)
+
+    @property
+    def sample_interval(self) -> float:
+        """Time between two points in s."""
+        return self.preamble.xincr
+
+    @property
+    def clipped(self) -> bool:
+        """Whether any point lies at the end of the converter's range (codes +127 or -127)."""
+        limit = CLIPPED_CODE if self.codes.dtype == np.int8 else CLIPPED_CODE * 256
+        at_limit = np.abs(self.codes.astype(np.int32)) >= limit
+        if self.codes.dtype == np.int8:
+            at_limit &= self.codes != NO_DATA_CODE
+        return bool(at_limit.any())
+
+    def _repr_html_(self) -> str:
+        """Small table for a notebook."""
+        volts = self.volts[np.isfinite(self.volts)]
+        span = f"{volts.min():.4g} to {volts.max():.4g} {self.preamble.yunit}" if volts.size else "no data"
+        rows = (
+            ("record", self.preamble.wfid),
+            ("points", f"{self.preamble.nr_pt}, every {self.sample_interval:.4g} {self.preamble.xunit}"),
+            ("values", span + (", clipped" if self.clipped else "")),
+        )
+        cells = "".join(f"<tr><th>{name}</th><td>{escape(text)}</td></tr>" for name, text in rows)
+        return f"<table>{cells}</table>"
+
+
+def decode_curve(data: bytes, preamble: Preamble) -> Waveform:
+    """Turn the data of ``CURVe?`` into a waveform, whatever the transfer format.
+
+    Codes and preamble come out as one signed byte a point: positive integers are shifted to signed ones and
+    the empty low byte of two-byte points is dropped, with `yoff` and `ymult` changed to fit, so that the
+    volts are the same.
+
+    Parameters
+    ----------
+    data : bytes
+        Data of the binary block, or the comma-separated text of an ASCII curve.
+    preamble : Preamble
+        The preamble of the same record.
+
+    Raises
+    ------
+    TransferError
+        If the number of points or a value does not fit the preamble.
+    """
+    values = _ascii_codes(data, preamble) if preamble.encdg == "ASC" else _binary_codes(data, preamble)
+    if len(values) != preamble.nr_pt:
+        raise TransferError(
+            f"{len(values)} points came where the preamble announces {preamble.nr_pt}; ask again"
+        )
+    half_range = 128 if preamble.byt_nr == 1 else 32768
+    yoff, ymult = preamble.yoff, preamble.ymult
+    if preamble.encdg != "ASC" and preamble.bn_fmt == "RP":
+        # An ASCII curve is signed even though its preamble says RP, so only binary data are shifted.
+        values, yoff = values - half_range, yoff - half_range
+    signed = replace(preamble, encdg="BIN", bn_fmt="RI")
+    if preamble.byt_nr == 2 and not np.any(values % 256):
+        values, yoff, ymult = values // 256, yoff / 256, ymult * 256
+        signed = replace(signed, byt_nr=1, bit_nr=8)
+    wanted = np.int8 if signed.byt_nr == 1 else np.int16
+    if values.size and (values.min() < np.iinfo(wanted).min or values.max() > np.iinfo(wanted).max):
+        raise TransferError("the curve holds values outside the range of its preamble; ask again")
+    return Waveform(values.astype(wanted), replace(signed, yoff=yoff, ymult=ymult))
+
+
+def _binary_codes(data: bytes, preamble: Preamble) -> NDArray[np.int64]:
+    if len(data) != preamble.nr_pt * preamble.byt_nr:
+        raise TransferError(
+            f"the block holds {len(data)} bytes where the preamble announces {preamble.nr_pt} points "
+            f"of {preamble.byt_nr} byte(s); ask again"
+        )
+    order = ">" if preamble.byt_or == "MSB" else "<"
+    kind = "i" if preamble.bn_fmt == "RI" else "u"
+    return np.frombuffer(data, dtype=f"{order}{kind}{preamble.byt_nr}").astype(np.int64)
+
+
+def _ascii_codes(data: bytes, preamble: Preamble) -> NDArray[np.int64]:
+    words = data.decode("ascii", errors="replace").split(",")
+    return np.array([integer(word) for word in words], dtype=np.int64)
+
+
+def _checked(preamble: Preamble) -> Preamble:
+    """Refuse a preamble whose fields contradict each other: then a byte was lost in it."""
+    problems = (
+        (preamble.byt_nr in (1, 2), "BYT_NR is neither 1 nor 2"),
+        (preamble.bit_nr == 8 * preamble.byt_nr, "BIT_NR does not fit BYT_NR"),
+        (preamble.encdg in ("ASC", "BIN"), "ENCDG is neither ASC nor BIN"),
+        (preamble.bn_fmt in ("RI", "RP"), "BN_FMT is neither RI nor RP"),
+        (preamble.byt_or in ("MSB", "LSB"), "BYT_OR is neither MSB nor LSB"),
+        (preamble.nr_pt >= 1, "NR_PT is not positive"),
+        (preamble.pt_fmt in ("Y", "ENV"), "PT_FMT is neither Y nor ENV"),
+        (preamble.xincr > 0, "XINCR is not positive"),
+        (preamble.ymult >= 0, "YMULT is negative"),
+    )
+    for is_right, problem in problems:
+        if not is_right:
+            raise TransferError(f"the preamble contradicts itself, {problem}; ask again")
+    return preamble
+
+
+def _by_header(parts: list[tuple[str, str]]) -> dict[str, str]:
+    values: dict[str, str] = {}
+    for header, value in parts:
+        mnemonic = header.rsplit(":", 1)[-1].upper()
+        name = _MNEMONICS.get(mnemonic)
+        if name is not None:
+            values[name] = value
+    return values
+
+
+def _word(text: str) -> str:
+    word = text.strip().upper()
+    # A long spelling may come from other software that wrote the file.
+    return {"ASCII": "ASC", "BINARY": "BIN"}.get(word, word)
+
+
+_READERS = {
+    "byt_nr": integer,
+    "bit_nr": integer,
+    "encdg": _word,
+    "bn_fmt": _word,
+    "byt_or": _word,
+    "nr_pt": integer,
+    "wfid": unquote,
+    "pt_fmt": _word,
+    "xincr": number,
+    "pt_off": integer,
+    "xzero": number,
+    "xunit": unquote,
+    "ymult": number,
+    "yzero": number,
+    "yoff": number,
+    "yunit": unquote,
+}
+
+# Long and short spellings of the header mnemonics (capital letters of the manual's spelling, p. 2-243).
+_SHORT = (
+    *("BYT_N", "BIT_N", "ENC", "BN_F", "BYT_O", "NR_P", "WFI", "PT_F"),
+    *("XIN", "PT_O", "XZE", "XUN", "YMU", "YZE", "YOF", "YUN"),
+)
+_MNEMONICS = {name.upper(): name for name in _READERS} | dict(zip(_SHORT, _READERS, strict=True))

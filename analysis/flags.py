@@ -1,0 +1,66 @@
+"""Quality flags: what a record's estimate rests on, and what it cannot be trusted for."""
+
+from __future__ import annotations
+
+from enum import IntFlag
+
+
+class Flag(IntFlag):
+    """Bits of the `flags` field of an estimate. The lower-case name is the one used in JSON."""
+
+    CLIPPED = 1
+    DAMAGED = 2
+    FEW_PERIODS = 4
+    SECOND_HARMONIC_ABOVE_NYQUIST = 8
+    HARMONICS_ALIASED = 16
+    NO_BEAT = 32
+    CONSTANT = 64
+    MISFIT = 128
+    RATE_WANDER = 256
+    RATIO_NOT_SIGNIFICANT = 512
+    COLOURED_NOISE = 1024
+    TOO_FEW_SAMPLES = 2048
+    NOT_LOCK_IN_LIKE = 4096
+    AVERAGED_UNTRIGGERED = 8192
+
+
+FATAL = Flag.NO_BEAT | Flag.CONSTANT | Flag.TOO_FEW_SAMPLES | Flag.NOT_LOCK_IN_LIKE
+"""With any of these no lock-in rate can be given; the estimate's fields are nan."""
+
+_SENTENCES = {
+    Flag.CLIPPED: "Some samples stand at the end of the converter's range; they were left out of the fit.",
+    Flag.DAMAGED: "Single spikes or missing samples were found; they were left out of the fit.",
+    Flag.FEW_PERIODS: "Fewer than 3 periods of the beat are in the record: use a slower time base.",
+    Flag.SECOND_HARMONIC_ABOVE_NYQUIST: "The second harmonic lies above half the sampling rate and is "
+    "measured by its alias: use a faster time base.",
+    Flag.HARMONICS_ALIASED: "A harmonic folds back so close to another that they cannot be told apart by "
+    "frequency: change the time base or the rate.",
+    Flag.NO_BEAT: "No significant beat: the signal does not stand out of the noise.",
+    Flag.CONSTANT: "All samples are equal: nothing is connected, the channel is grounded or fully clipped.",
+    Flag.MISFIT: "The record departs from the lock-in waveform by more than its noise: distortion, a second "
+    "signal or a moving rate.",
+    Flag.RATE_WANDER: "The rate wandered during the record; a moving phase was fitted.",
+    Flag.RATIO_NOT_SIGNIFICANT: "The second harmonic does not stand out of the noise: the interval begins at "
+    "zero, the value itself means little.",
+    Flag.COLOURED_NOISE: "The noise is not white; the uncertainty uses its strength at the harmonics.",
+    Flag.TOO_FEW_SAMPLES: "Too few valid samples are left to fit the waveform.",
+    Flag.NOT_LOCK_IN_LIKE: "The waveform is not that of a gyro above lock-in; a lock-in rate would mean "
+    "nothing.",
+    Flag.AVERAGED_UNTRIGGERED: "The record was averaged over beats of different phase; its amplitude is lost.",
+}
+
+
+def flag_names(flags: int) -> list[str]:
+    """Names of the bits that are set, as they stand in JSON.
+
+    Examples
+    --------
+    >>> flag_names(Flag.CLIPPED | Flag.MISFIT)
+    ['clipped', 'misfit']
+    """
+    return [str(f.name).lower() for f in Flag if f & int(flags)]
+
+
+def describe_flag(name: str) -> str:
+    """One sentence for the person who reads the result; `name` as given by `flag_names`."""
+    return _SENTENCES[Flag[name.upper()]]

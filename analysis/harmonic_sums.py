@@ -1,0 +1,147 @@
+"""Sums of v[n] n^p exp(-i k w n) over a record, for many records, frequencies and harmonics at once.
+
+Every fit in this package rests on these sums and on their counterpart for v = 1, the Gram kernels. The sample
+index is counted from the middle of the record, m = n - (N-1)/2, in units of N/2, so that powers stay near 1.
+
+The trick of `data_sums`: with n = L i + j the exponential is an outer product exp(-i k w L i) exp(-i k w j)
+of two short vectors, and all sums of a record become one small matrix product.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+Complexes = NDArray[np.complex128]
+
+
+def centred_index(n_samples: int) -> Floats:
+    """Index of the samples from the middle of the record, in units of half its length; (n_samples,)."""
+    return (np.arange(n_samples) - (n_samples - 1) / 2) * (2 / n_samples)
+
+
+def harmonic_powers(omega: Floats, index: Floats, n_harmonics: int) -> Complexes:
+    """exp(-i k w x) for k = 1..n_harmonics; omega (R,), index (L,) in samples -> (R, L, n_harmonics)."""
+    first = np.exp(-1j * omega[:, np.newaxis] * index)
+    powers = np.empty((*first.shape, n_harmonics), dtype=np.complex128)
+    powers[..., 0] = first
+    for k in range(1, n_harmonics):
+        np.multiply(powers[..., k - 1], first, out=powers[..., k])
+    return powers
+
+
+def data_sums(volts: Floats, omega: Floats, n_harmonics: int, highest_power: int = 1) -> Complexes:
+    """Sums of v t^p exp(-i k w m), with m the centred sample index and t = 2 m / N.
+
+    Parameters
+    ----------
+    volts : (R, N)
+    omega : (R,)
+        Angular frequency of each record, rad per sample.
+    n_harmonics, highest_power : int
+        k = 0..n_harmonics, p = 0..highest_power.
+
+    Returns
+    -------
+    (R, highest_power + 1, n_harmonics + 1), complex
+    """
+    n_records, n_samples = volts.shape
+    length = math.isqrt(n_samples - 1) + 1
+    rows = -(-n_samples // length)
+    if rows * length != n_samples:
+        padded = np.zeros((n_records, rows * length))
+        padded[:, :n_samples] = volts
+        volts = padded
+    blocks = volts.reshape(n_records, rows, length)
+
+    middle = (n_samples - 1) / 2
+    inner = np.arange(length) - (length - 1) / 2
+    outer = length * np.arange(rows) + (length - 1) / 2 - middle
+    fine = np.ones((n_records, length, n_harmonics + 1), dtype=np.complex128)
+    fine[..., 1:] = harmonic_powers(omega, inner, n_harmonics)
+    coarse = np.ones((n_records, rows, n_harmonics + 1), dtype=np.complex128)
+    coarse[..., 1:] = harmonic_powers(omega, outer, n_harmonics)
+
+    # (inner + outer)^p is expanded, so each power of `inner` costs one product over the samples.
+    inner_scaled, outer_scaled = inner * (2 / n_samples), outer * (2 / n_samples)
+    partial = [
+        np.matmul(blocks, _as_real(fine * (inner_scaled**q)[:, np.newaxis])).view(np.complex128) * coarse
+        for q in range(highest_power + 1)
+    ]
+    sums = np.empty((n_records, highest_power + 1, n_harmonics + 1), dtype=np.complex128)
+    for p in range(highest_power + 1):
+        terms = [
+            math.comb(p, q) * np.einsum("rik,i->rk", partial[q], outer_scaled ** (p - q)) for q in range(p + 1)
+        ]
+        sums[:, p] = sum(terms)
+    return sums
+
+
+def _as_real(values: Complexes) -> Floats:
+    """Real view with real and imaginary parts interleaved: half the work of a complex product."""
+    return np.ascontiguousarray(values).view(np.float64)
+
+
+def uniform_kernels(omega: Floats, n_samples: int, n_orders: int) -> Complexes:
+    """`data_sums` of a record of ones, p = 0, 1, 2, in closed form (Dirichlet kernel and its derivatives).
+
+    Parameters
+    ----------
+    omega : (R,)
+        rad per sample.
+    n_samples, n_orders : int
+        N, and the highest k.
+
+    Returns
+    -------
+    (R, 3, n_orders + 1), complex
+        Sum over n of t^p exp(-i k w m): the entries of every Gram matrix of the harmonic model.
+    """
+    n = n_samples
+    angle = omega[:, np.newaxis] * np.arange(n_orders + 1)
+    # D(angle + 2 pi) = (-1)^(N-1) D(angle): reduce to the principal interval, where series and sign are safe.
+    turns = np.rint(angle / (2 * np.pi))
+    reduced = angle - 2 * np.pi * turns
+    sign = np.where((turns * (n - 1)) % 2 == 0, 1.0, -1.0)
+
+    half_sine, half_cosine = np.sin(reduced / 2), np.cos(reduced / 2)
+    sine_n, cosine_n = np.sin(n * reduced / 2), np.cos(n * reduced / 2)
+    near = np.abs(reduced) * n < 0.1
+    safe = np.where(near, 1.0, half_sine)
+    cotangent = half_cosine / safe
+    d0 = sine_n / safe
+    d1 = (n * cosine_n / safe - d0 * cotangent) / 2
+    # The kernel obeys D'' = (1 - N^2)/4 D - cot(angle/2) D'.
+    d2 = (1 - n * n) / 4 * d0 - cotangent * d1
+
+    e2 = reduced * reduced
+    s2, s4, s6 = _power_sums(n)
+    d0 = np.where(near, n - s2 * e2 / 2 + s4 * e2 * e2 / 24, d0)
+    d1 = np.where(near, reduced * (-s2 + s4 * e2 / 6 - s6 * e2 * e2 / 120), d1)
+    d2 = np.where(near, -s2 + s4 * e2 / 2 - s6 * e2 * e2 / 24, d2)
+
+    kernels = np.empty((omega.size, 3, n_orders + 1), dtype=np.complex128)
+    kernels[:, 0] = sign * d0
+    kernels[:, 1] = 1j * sign * d1 * (2 / n)
+    kernels[:, 2] = -sign * d2 * (2 / n) ** 2
+    return kernels
+
+
+def _power_sums(n: int) -> tuple[float, float, float]:
+    """Sums of m^2, m^4 and m^6 over the centred index m of n samples."""
+    q = float(n) * n
+    s2 = n * (q - 1) / 12
+    s4 = s2 * (3 * q - 7) / 20
+    s6 = s2 * (3 * q * q - 18 * q + 31) / 112
+    return s2, s4, s6
+
+
+def hermitian_toeplitz(kernel: Complexes) -> Complexes:
+    """Matrix T[k, l] = kernel(k - l), kernel(-m) = conj kernel(m); (R, M) -> (R, M, M)."""
+    size = kernel.shape[-1]
+    difference = np.arange(size)[:, np.newaxis] - np.arange(size)
+    both = np.concatenate([np.conj(kernel[..., :0:-1]), kernel], axis=-1)
+    return np.asarray(both[..., difference + size - 1])

@@ -1,0 +1,83 @@
+"""What a fit leaves: is it white noise, is there a beat at all, is it the lock-in waveform?"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.fft
+from numpy.typing import NDArray
+
+from analysis.flags import Flag
+
+Floats = NDArray[np.float64]
+
+NEIGHBOURS = 16
+"""Bins on either side of a harmonic from which the local noise is taken."""
+
+LINE_CHANCE = 1e-6
+"""A residual line that noise would produce in fewer than this share of records is a misfit."""
+
+GROSS_MISFIT = 0.05
+"""Share of the signal's power that a waveform may miss and still be called that of a gyro above lock-in."""
+
+
+@dataclass(frozen=True)
+class ResidualReport:
+    """flags : (R,); excess : (R, 3) variance factors of frequency, ratio size and ratio phase over white noise."""
+
+    flags: NDArray[np.uint32]
+    excess: Floats
+
+
+def examine_residual(
+    left: Floats, count: Floats, omega: Floats, first: Floats, residual_power: Floats
+) -> ResidualReport:
+    """Judge the residual of each record by its spectrum.
+
+    Parameters
+    ----------
+    left : (R, N)
+        Residual, 0 where missing.
+    count, omega, first, residual_power : (R,)
+        Valid samples, rad per sample, size of the fundamental, sum of squares of the residual.
+    """
+    n_records, n_samples = left.shape
+    flags = np.zeros(n_records, dtype=np.uint32)
+    spectrum = scipy.fft.rfft(left, axis=-1)[:, 1:]
+    power = spectrum.real**2 + spectrum.imag**2
+    mean = np.maximum(power.mean(axis=-1), 1e-300)
+    line = power.max(axis=-1) / mean
+    expected = np.log(power.shape[1] / LINE_CHANCE)
+
+    signal = first**2 / 2 * count
+    degrees = np.maximum(count - 6, 1)
+    noise = residual_power / degrees
+    # For noise alone the strongest of N/2 lines has an exponential tail: N/2 exp(-z).
+    strength = signal / 2 / np.maximum(noise, 1e-300)
+    flags[strength < np.log(n_samples / 2) + 18] |= Flag.NO_BEAT
+    rounding = residual_power < 1e-18 * signal
+    misfit = (line > expected) & ~rounding
+    flags[misfit] |= Flag.MISFIT
+    lines = np.where(power > mean[:, np.newaxis] * expected, power, 0.0).sum(axis=-1) * 2 / n_samples
+    flags[misfit & (lines > GROSS_MISFIT * signal)] |= Flag.NOT_LOCK_IN_LIKE
+
+    excess = np.ones((n_records, 3))
+    at_first = _local_level(power, omega, n_samples) / mean
+    at_second = _local_level(power, 2 * omega, n_samples) / mean
+    coloured = (np.maximum(at_first, at_second) > 1.8) | (np.minimum(at_first, at_second) < 0.45)
+    coloured &= ~rounding
+    flags[coloured] |= Flag.COLOURED_NOISE
+    excess[coloured, 0] = at_first[coloured]
+    excess[coloured, 1:] = at_second[coloured, np.newaxis]
+    return ResidualReport(flags, excess)
+
+
+def _local_level(power: Floats, omega: Floats, n_samples: int) -> Floats:
+    """Mean power of the bins around a (folded) frequency; (R,)."""
+    folded = np.abs((omega + np.pi) % (2 * np.pi) - np.pi)
+    centre = np.rint(folded * n_samples / (2 * np.pi)).astype(int) - 1
+    reach = min(NEIGHBOURS, (power.shape[1] - 1) // 2)
+    centre = np.clip(centre, reach, power.shape[1] - 1 - reach)
+    offsets = np.arange(-reach, reach + 1)
+    return np.asarray(power[np.arange(len(power))[:, np.newaxis], centre[:, np.newaxis] + offsets].mean(axis=-1))

@@ -48,7 +48,8 @@ def parse_identity(answer: str) -> Identity:
     """
     parts = [part.strip() for part in answer.strip().split(",", 3)]
     if len(parts) == 4 and parts[0].upper() == "TEKTRONIX" and _FAMILY_MODEL.fullmatch(parts[1].upper()):
-        return Identity(*parts, text=answer.strip())
+        manufacturer, model, serial, firmware = parts
+        return Identity(manufacturer, model, serial, firmware, answer.strip())
     raise WrongInstrument(
         f"the instrument calls itself {answer.strip()[:80]!r}, which is not a Tektronix {FAMILY}; "
         "check the resource name"

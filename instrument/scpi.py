@@ -6,6 +6,8 @@ manual 071-1075-04, pp. 2-4 to 2-14.
 
 from __future__ import annotations
 
+from decimal import Decimal
+
 from instrument.errors import TransferError
 
 
@@ -95,12 +97,12 @@ def nr3(value: float) -> str:
     """
     if value == 0:
         return "0.0E0"
-    # repr() gives the shortest exact digits; formatting with that many keeps them.
-    digits = len(repr(float(value)).lstrip("-").split("e")[0].replace(".", "").strip("0"))
-    mantissa, exponent = f"{value:.{max(digits - 1, 0)}e}".split("e")
-    if "." not in mantissa:
-        mantissa += ".0"
-    return f"{mantissa}E{int(exponent)}"
+    # repr() gives the shortest digits that read back to the same float; formatting would round them again.
+    sign, digits, exponent = Decimal(repr(float(value))).normalize().as_tuple()
+    if not isinstance(exponent, int):
+        raise ValueError(f"{value} cannot be sent to a scope; give a finite number")
+    first, rest = str(digits[0]), "".join(map(str, digits[1:])) or "0"
+    return f"{'-' if sign else ''}{first}.{rest}E{exponent + len(digits) - 1}"
 
 
 def block_start(message: bytes | bytearray) -> int:

@@ -63,6 +63,7 @@ def parse_csv(text: str) -> Waveform:
     header, times, values = _csv_columns(text)
     scale = _positive(header, "Vertical Scale")
     interval = _positive(header, "Sample Interval")
+    x_unit = header.get("Horizontal Units", "s")
     ymult = scale / LEVELS_PER_DIVISION
     yoff = _header_number(header, "Vertical Offset", 0.0) / ymult
     # The position moves in whole levels; the file gives it with seven digits.
@@ -71,7 +72,6 @@ def parse_csv(text: str) -> Waveform:
     # Adding 0.0 turns the -0 of a scan record into 0.
     xzero = -_header_number(header, "Trigger Point", -times[0] / interval) * interval + 0.0
     _check_times(times, xzero, interval)
-    x_unit = header.get("Horizontal Units", "s")
     y_unit = header.get("Vertical Units", "V")
     preamble = Preamble(
         byt_nr=1,
@@ -124,9 +124,7 @@ def _csv_columns(text: str) -> tuple[dict[str, str], NDArray[np.float64], NDArra
         if len(cells) < 5 or not cells[3] or not cells[4]:
             if not times:
                 continue  # a title row that somebody put on top
-            raise FileFormatError(
-                f"line {line_number} has no time and value ({line[:60]!r}); restore the file"
-            )
+            raise FileFormatError(f"line {line_number} has no time and value ({line[:60]!r}); restore the file")
         try:
             time, value = float(cells[3]), float(cells[4])
         except ValueError:
@@ -205,9 +203,7 @@ def _header_number(header: dict[str, str], key: str, default: float | None = Non
 def _positive(header: dict[str, str], key: str) -> float:
     value = _header_number(header, key)
     if value <= 0:
-        raise FileFormatError(
-            f"the row {key!r} holds {value:g} where a positive number belongs; restore the file"
-        )
+        raise FileFormatError(f"the row {key!r} holds {value:g} where a positive number belongs; restore the file")
     return value
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
 from html import escape
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -93,7 +94,8 @@ class Preamble:
             raise TransferError(
                 f"the preamble has {len(parts)} fields instead of {len(names)} ({text[:60]!r}); ask again"
             )
-        return _checked(cls(**{name: _READERS[name](values[name]) for name in names}))
+        read: dict[str, Any] = {name: _READERS[name](values[name]) for name in names}
+        return _checked(cls(**read))
 
     def to_text(self) -> str:
         """The 16 fields without headers, as the scope writes them; `parse` of it gives an equal preamble."""
@@ -152,7 +154,8 @@ class Waveform:
         In Peak Detect points 2k and 2k + 1 are the minimum and maximum of one interval that starts at 2k.
         """
         preamble = self.preamble
-        return preamble.xzero + preamble.xincr * (np.arange(preamble.nr_pt) - preamble.pt_off)
+        points = np.arange(preamble.nr_pt, dtype=np.float64) - preamble.pt_off
+        return preamble.xzero + preamble.xincr * points
 
     @property
     def sample_interval(self) -> float:
@@ -214,10 +217,11 @@ def decode_curve(data: bytes, preamble: Preamble) -> Waveform:
     if preamble.byt_nr == 2 and not np.any(values % 256):
         values, yoff, ymult = values // 256, yoff / 256, ymult * 256
         signed = replace(signed, byt_nr=1, bit_nr=8)
-    wanted = np.int8 if signed.byt_nr == 1 else np.int16
-    if values.size and (values.min() < np.iinfo(wanted).min or values.max() > np.iinfo(wanted).max):
+    limit = 128 if signed.byt_nr == 1 else 32768
+    if values.min() < -limit or values.max() >= limit:
         raise TransferError("the curve holds values outside the range of its preamble; ask again")
-    return Waveform(values.astype(wanted), replace(signed, yoff=yoff, ymult=ymult))
+    codes = values.astype(np.int8) if signed.byt_nr == 1 else values.astype(np.int16)
+    return Waveform(codes, replace(signed, yoff=yoff, ymult=ymult))
 
 
 def _binary_codes(data: bytes, preamble: Preamble) -> NDArray[np.int64]:

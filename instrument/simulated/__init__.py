@@ -1,1 +1,24 @@
-"""Simulated hardware."""
+"""Simulated hardware: an oscilloscope that a driver cannot tell from a real one, and a rate table."""
+
+from instrument.simulated.clock import Clock, RealClock, VirtualClock
+from instrument.simulated.faults import Fault, Faults
+from instrument.simulated.frontend import Signal
+from instrument.simulated.pty_server import PtyServer
+from instrument.simulated.rate_table import SimulatedRateTable
+from instrument.simulated.scope import SimulatedTDS2014
+from instrument.simulated.tcp_server import TcpServer
+from instrument.simulated.visa_library import resource_manager
+
+__all__ = [
+    "Clock",
+    "Fault",
+    "Faults",
+    "PtyServer",
+    "RealClock",
+    "Signal",
+    "SimulatedRateTable",
+    "SimulatedTDS2014",
+    "TcpServer",
+    "VirtualClock",
+    "resource_manager",
+]

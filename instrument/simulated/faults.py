@@ -1,0 +1,161 @@
+"""What can go wrong on demand: faults of the instrument, of its link, and of people near it."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+FaultKind = Literal[
+    "late answer",
+    "lost byte",
+    "inserted byte",
+    "cut answer",
+    "wrong block length",
+    "garbage",
+    "lost answer",
+    "link closed",
+    "power off",
+    "power cycle",
+    "knob turned",
+]
+_BLOCK_LENGTH = re.compile(rb"#([1-9])(\d+)")
+
+
+@dataclass(frozen=True)
+class Fault:
+    """One fault and the answers that it meets.
+
+    Attributes
+    ----------
+    kind : str
+        One of FaultKind. "link closed" and "power off" happen after the first `bytes_sent` bytes of the answer.
+    answer : int, optional
+        Number of the answer, counted from 1 since the fault was added. None: any answer.
+    probability : float
+        Chance that an answer that fits is hit.
+    in_answer : bytes
+        Only answers that hold this, for instance b"#42500".
+    shortest : int
+        Only answers with at least so many bytes: 1000 picks the curves.
+    bytes_sent : int, optional
+        Where the answer is hit; None: anywhere in it.
+    seconds : float
+        Delay of a late answer.
+    command : str
+        What the hand on the knob does, as a program message: `"CH1:SCALE 2"`.
+    """
+
+    kind: FaultKind
+    answer: int | None = None
+    probability: float = 1.0
+    in_answer: bytes = b""
+    shortest: int = 0
+    bytes_sent: int | None = None
+    seconds: float = 1.0
+    command: str = ""
+
+
+@dataclass(frozen=True)
+class Delivery:
+    """An answer on its way: its bytes, when it leaves, and what happens to the link after it."""
+
+    data: bytes
+    due: float = 0.0
+    closes_link: bool = False
+    power: Literal["", "off", "cycle"] = ""
+    command: str = ""
+
+
+class Faults:
+    """The faults of one instrument; change the attributes at any time, also while it is served.
+
+    Attributes
+    ----------
+    stuck_busy : bool
+        BUSY? answers 1 and *OPC? nothing for ever.
+    no_trigger : bool
+        The trigger never comes (NORMAL waits, AUTO runs free).
+    identity : str or None
+        Another unit answers `*IDN?` with this.
+    """
+
+    def __init__(self, *faults: Fault, seed: int = 0) -> None:
+        self.stuck_busy = False
+        self.no_trigger = False
+        self.identity: str | None = None
+        self.happened: list[Fault] = []
+        self._rng = np.random.default_rng([seed, 0xFA17])
+        self._armed: list[tuple[Fault, int]] = []
+        self._count = 0
+        self.add(*faults)
+
+    def add(self, *faults: Fault) -> None:
+        """Arm more faults; their answers count from here."""
+        self._armed.extend((fault, self._count) for fault in faults)
+
+    def clear(self) -> None:
+        """Heal everything."""
+        self._armed.clear()
+        self.stuck_busy = self.no_trigger = False
+        self.identity = None
+
+    @property
+    def armed(self) -> Sequence[Fault]:
+        """The faults that may still happen."""
+        return [fault for fault, _ in self._armed]
+
+    def deliver(self, answer: bytes, now: float) -> Delivery:
+        """What becomes of an answer."""
+        self._count += 1
+        for entry in self._armed:
+            fault, since = entry
+            if self._meets(fault, since, answer):
+                self.happened.append(fault)
+                if fault.answer is not None:
+                    self._armed.remove(entry)
+                return self._spoil(fault, answer, now)
+        return Delivery(answer, now)
+
+    def _meets(self, fault: Fault, since: int, answer: bytes) -> bool:
+        if fault.answer is not None and self._count - since != fault.answer:
+            return False
+        if fault.in_answer not in answer or len(answer) < fault.shortest:
+            return False
+        return fault.probability >= 1 or bool(self._rng.random() < fault.probability)
+
+    def _spoil(self, fault: Fault, answer: bytes, now: float) -> Delivery:
+        where = fault.bytes_sent
+        at = int(self._rng.integers(len(answer))) if where is None else min(where, len(answer) - 1)
+        match fault.kind:
+            case "late answer":
+                return Delivery(answer, now + fault.seconds)
+            case "lost byte":
+                return Delivery(answer[:at] + answer[at + 1 :], now)
+            case "inserted byte":
+                return Delivery(answer[:at] + self._rng.bytes(1) + answer[at:], now)
+            case "cut answer":
+                return Delivery(answer[:at] + answer[-1:], now)
+            case "wrong block length":
+                return Delivery(_BLOCK_LENGTH.sub(self._other_length, answer, count=1), now)
+            case "garbage":
+                return Delivery(self._rng.bytes(len(answer)), now)
+            case "lost answer":
+                return Delivery(b"", now)
+            case "link closed":
+                return Delivery(answer[:at], now, closes_link=True)
+            case "power off":
+                return Delivery(answer[:at], now, closes_link=True, power="off")
+            case "power cycle":
+                return Delivery(answer[:at], now, closes_link=True, power="cycle")
+            case "knob turned":
+                return Delivery(answer, now, command=fault.command)
+
+    def _other_length(self, match: re.Match[bytes]) -> bytes:
+        width = int(match[1])
+        digits, rest = match[2][:width], match[2][width:]
+        wrong = (int(digits) + int(self._rng.choice([-1, 1, 7]))) % 10**width
+        return b"#" + match[1] + str(wrong).zfill(width).encode() + rest

@@ -1,0 +1,98 @@
+"""From the volts at the BNC to eight-bit codes: coupling, probe, scale, position, noise, converter.
+
+Source: user manual 071-1064-00, pp. 151-157; programmer manual 071-1075-04, p. 2-68.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from instrument.simulated.panel import ChannelSettings
+
+Floats = NDArray[np.float64]
+Codes = NDArray[np.int8]
+Signal = Callable[[Floats], Floats]
+
+LEVELS_PER_DIVISION = 25
+HIGHEST_CODE = 127  # clipped records stop here, at either sign
+NO_DATA = -128
+AC_CORNER = 10.0  # Hz
+_SETTLING = 5 / (2 * math.pi * AC_CORNER)  # s of history after which the coupling has forgotten
+_AC_RATE = 51_283.7  # S/s for the slow part; an odd number, so that no round frequency beats with it
+_AC_POINTS = 1 << 17
+
+
+def ground(times: Floats) -> Floats:
+    """Signal of an open input."""
+    return np.zeros_like(times)
+
+
+def evaluate(signal: Signal, times: Floats) -> Floats:
+    """Volts of a signal; a constant answer is spread over all times."""
+    volts = np.asarray(signal(times), dtype=np.float64)
+    return volts if volts.shape == times.shape else np.broadcast_to(volts, times.shape)
+
+
+def shown_volts(signal: Signal, channel: ChannelSettings, times: Floats) -> Floats:
+    """Volts that the screen would show without noise: coupled, times probe, inverted.
+
+    Parameters
+    ----------
+    times : (n,) array
+        Absolute times in s, rising.
+
+    Returns
+    -------
+    (n,) array
+        Volts at the probe tip.
+    """
+    if channel.coupling == "GND":
+        return np.zeros_like(times)
+    volts = evaluate(signal, times)
+    if channel.coupling == "AC":
+        volts = volts - slow_part(signal, times)
+    return volts * (-channel.probe if channel.inverted else channel.probe)
+
+
+def slow_part(signal: Signal, times: Floats) -> Floats:
+    """What the AC coupling takes away: the signal through a one-pole low-pass of 10 Hz.
+
+    It is computed on a grid of its own that begins before the record, and interpolated: the low-pass moves
+    slowly, so a record of microseconds needs no grid of microseconds.
+    """
+    from scipy.signal import lfilter
+
+    start, stop = float(times[0]) - _SETTLING, float(times[-1])
+    step = max(1 / _AC_RATE, (stop - start) / _AC_POINTS)
+    grid = start + step * np.arange(math.ceil((stop - start) / step) + 2, dtype=np.float64)
+    volts = evaluate(signal, grid)
+    gain = -math.expm1(-2 * math.pi * AC_CORNER * step)
+    first = float(volts.mean()) if stop - start < 2 * _SETTLING else float(volts[: len(volts) // 8 + 1].mean())
+    slow, _ = lfilter([gain], [1, gain - 1], volts, zi=[(1 - gain) * first])
+    return np.interp(times, grid, np.asarray(slow, dtype=np.float64))
+
+
+def convert(volts: Floats, channel: ChannelSettings, noise: Floats | float = 0.0) -> Codes:
+    """Codes of the converter: 25 levels a division around the centre, rounded, clipped at +-127.
+
+    Parameters
+    ----------
+    volts : (n,) array
+        Volts at the probe tip.
+    noise : (n,) array or float
+        Noise in levels.
+
+    Examples
+    --------
+    >>> channel = ChannelSettings(0.5, 1.0, "DC", 1.0, limited=False, inverted=False)
+    >>> convert(np.array([0.0, 0.5, 9.0, -9.0]), channel).tolist()
+    [25, 50, 127, -127]
+    """
+    levels = volts * (LEVELS_PER_DIVISION / channel.scale) + LEVELS_PER_DIVISION * channel.position
+    levels += noise
+    np.rint(levels, out=levels)
+    return np.clip(levels, -HIGHEST_CODE, HIGHEST_CODE).astype(np.int8)

@@ -1,0 +1,92 @@
+"""The models of the family: what differs between a TDS1002 and a TPS2014."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from instrument.simulated.formats import Mnemonics
+
+
+@dataclass(frozen=True)
+class Model:
+    """One model: its answer to `*IDN?` and the sizes that shape its command set."""
+
+    name: str
+    identity: str
+    channels: int
+    references: str  # letters
+    sample_rate: float  # S/s, the highest
+    fastest: float  # s/div
+    probes: tuple[float, ...]
+    letter_series: bool  # B, C and TPS: other answers for PROBe, YUNit, MATH:VERtical
+
+    @property
+    def channel_names(self) -> Mnemonics:
+        """`CH1` and so on."""
+        return tuple(f"CH{number}" for number in range(1, self.channels + 1))
+
+    @property
+    def reference_names(self) -> Mnemonics:
+        """`REFA` and so on."""
+        return tuple(f"REF{letter}" for letter in self.references)
+
+    @property
+    def waveform_names(self) -> Mnemonics:
+        """Everything that can be shown on the screen."""
+        return (*self.channel_names, "MATH", *self.reference_names)
+
+
+_FIRST = (1.0, 10.0, 100.0, 1000.0)
+_LATER = (1.0, 10.0, 20.0, 50.0, 100.0, 500.0, 1000.0)
+
+
+def _model(name: str, serial: str, firmware: str, channels: int, rate: float = 1e9) -> Model:
+    brand, digits = name[:3], name[3:]
+    first = digits.isdigit() and brand == "TDS"
+    return Model(
+        name=name,
+        identity=f"TEKTRONIX,{brand} {digits},{serial},CF:91.1CT FV:{firmware}",
+        channels=channels,
+        references="ABCD" if channels == 4 else "AB",
+        sample_rate=rate,
+        fastest=2.5e-9 if rate > 1e9 else 5e-9,
+        probes=_FIRST if first else _LATER,
+        letter_series=not first,
+    )
+
+
+MODELS = {
+    model.name: model
+    for model in (
+        _model("TDS1002", "0", "v2.06 TDS2CM:CMV:v1.04", 2),
+        _model("TDS1012", "0", "v2.12 TDS2CM:CMV:v1.04", 2),
+        _model("TDS2002", "0", "v2.12 TDS2CM:CMV:v1.04", 2),
+        _model("TDS2004", "0", "v4.12 TDS2CM:CMV:v1.04", 4),
+        _model("TDS2012", "0", "v2.12 TDS2CM:CMV:v1.04", 2),
+        _model("TDS2014", "0", "v4.12 TDS2CM:CMV:v1.04", 4),
+        _model("TDS2022", "0", "v2.12 TDS2CM:CMV:v1.04", 2, 2e9),
+        _model("TDS2024", "0", "v4.12 TDS2CM:CMV:v1.04", 4, 2e9),
+        _model("TDS2012B", "C062851", "v22.01", 2),
+        _model("TDS2014B", "C010101", "v22.16", 4),
+        _model("TDS2024B", "C100044", "v22.16", 4, 2e9),
+        _model("TDS2014C", "C010102", "v24.26", 4, 2e9),
+        _model("TDS2024C", "C042765", "v24.26", 4, 2e9),
+        _model("TPS2012", "0", "v9.48 TPS2PWR1:v1.00", 2),
+        _model("TPS2014", "0", "v10.14", 4),
+    )
+}
+
+
+def find_model(name: str) -> Model:
+    """Look up a model by its name.
+
+    Raises
+    ------
+    ValueError
+        If the family has no such model.
+    """
+    try:
+        return MODELS[name.upper().replace(" ", "")]
+    except KeyError:
+        known = ", ".join(MODELS)
+        raise ValueError(f"there is no simulated model {name!r}; choose one of {known}") from None

@@ -1,0 +1,120 @@
+"""The front panel: the value of every setting, and typed views of it for the parts that acquire."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+
+from instrument.simulated.commands import Row, setting_rows
+from instrument.simulated.kinds import Value
+from instrument.simulated.models import Model
+
+POINTS = 2500
+DIVISIONS = 10
+POINTS_PER_DIVISION = POINTS // DIVISIONS
+SCAN_FROM = 0.1  # s/div: from here on the AUTO mode rolls instead of waiting for a trigger
+
+
+@dataclass(frozen=True)
+class ChannelSettings:
+    """Vertical settings of one channel. Volts include the probe factor, `position` is in divisions."""
+
+    scale: float
+    position: float
+    coupling: str
+    probe: float
+    limited: bool
+    inverted: bool
+
+
+@dataclass(frozen=True)
+class TriggerSettings:
+    """Settings of the main edge trigger."""
+
+    mode: str
+    source: str
+    coupling: str
+    slope: str
+    level: float
+    holdoff: float
+
+
+class Panel:
+    """Values of all settings by their full header in capitals (`CH1:SCALE`)."""
+
+    def __init__(self, model: Model) -> None:
+        self.model = model
+        self.rows = {row.header.upper(): row for row in setting_rows(model)}
+        self.values: dict[str, Value] = {key: row.default for key, row in self.rows.items()}
+
+    def text(self, key: str) -> str:
+        """Value of a setting that holds a word or a string."""
+        return str(self.values[key])
+
+    def number(self, key: str) -> float:
+        """Value of a setting that holds a number."""
+        return float(self.values[key])
+
+    def flag(self, key: str) -> bool:
+        """Value of a switch."""
+        return bool(self.values[key])
+
+    def factory(self) -> None:
+        """Factory values for every setting that *RST touches."""
+        self.values.update({key: row.default for key, row in self._recalled()})
+
+    def stored(self) -> dict[str, Value]:
+        """The values that a setup memory keeps."""
+        return {key: self.values[key] for key, _ in self._recalled()}
+
+    def recall(self, stored: Mapping[str, Value]) -> None:
+        """Bring back what `stored` gave."""
+        self.values.update(stored)
+
+    def _recalled(self) -> Iterator[tuple[str, Row]]:
+        return ((key, row) for key, row in self.rows.items() if not row.kept)
+
+    def channel(self, name: str) -> ChannelSettings:
+        """Vertical settings of `CH1` and so on."""
+        return ChannelSettings(
+            scale=self.number(f"{name}:SCALE"),
+            position=self.number(f"{name}:POSITION"),
+            coupling=self.text(f"{name}:COUPLING"),
+            probe=self.number(f"{name}:PROBE"),
+            limited=self.flag(f"{name}:BANDWIDTH"),
+            inverted=self.flag(f"{name}:INVERT"),
+        )
+
+    def trigger(self) -> TriggerSettings:
+        """Settings of the main edge trigger."""
+        return TriggerSettings(
+            mode=self.text("TRIGGER:MAIN:MODE"),
+            source=self.text("TRIGGER:MAIN:EDGE:SOURCE"),
+            coupling=self.text("TRIGGER:MAIN:EDGE:COUPLING"),
+            slope=self.text("TRIGGER:MAIN:EDGE:SLOPE"),
+            level=self.number("TRIGGER:MAIN:LEVEL"),
+            holdoff=self.number("TRIGGER:MAIN:HOLDOFF:VALUE"),
+        )
+
+    @property
+    def seconds_per_division(self) -> float:
+        """Main time base, or the window's when it is the view."""
+        window = self.text("HORIZONTAL:VIEW") == "WINDOW"
+        return self.number("HORIZONTAL:DELAY:SCALE" if window else "HORIZONTAL:MAIN:SCALE")
+
+    @property
+    def horizontal_position(self) -> float:
+        """Seconds from the trigger to the centre of the record."""
+        window = self.text("HORIZONTAL:VIEW") == "WINDOW"
+        return self.number("HORIZONTAL:DELAY:POSITION" if window else "HORIZONTAL:MAIN:POSITION")
+
+    @property
+    def scanning(self) -> bool:
+        """True when the record rolls over the screen (AUTO at 100 ms/div and slower)."""
+        auto = self.text("TRIGGER:MAIN:MODE") == "AUTO"
+        return auto and self.seconds_per_division >= SCAN_FROM * (1 - 1e-9)
+
+    @property
+    def displayed(self) -> frozenset[str]:
+        """Names of the waveforms that are turned on."""
+        return frozenset(name for name in self.model.waveform_names if self.flag(f"SELECT:{name}"))

@@ -1,0 +1,261 @@
+"""The simulated oscilloscope: a program message goes in, an answer comes out, time passes on a clock."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator, Mapping
+from functools import lru_cache
+
+from instrument.simulated import panel_rules
+from instrument.simulated.acquisition import Acquisition
+from instrument.simulated.actions import Action, all_actions, one_argument
+from instrument.simulated.clock import Clock, RealClock
+from instrument.simulated.command_tree import CommandTree, Node
+from instrument.simulated.commands import Row, setting_rows
+from instrument.simulated.digitizer import Digitizer
+from instrument.simulated.events import CME, Guess, Refusal, status_bit
+from instrument.simulated.faults import Faults
+from instrument.simulated.formats import Leaf, join_leaves
+from instrument.simulated.frontend import Signal
+from instrument.simulated.kinds import Value
+from instrument.simulated.models import Model, find_model
+from instrument.simulated.panel import Panel
+from instrument.simulated.parsing import Argument, Command, Malformed, parse_message
+from instrument.simulated.status import Status
+from instrument.simulated.traces import Trace, channel_trace
+
+MESSAGE_TIME = 0.02  # s that a message takes on a virtual clock; on a real one it takes what it takes
+
+
+@lru_cache(maxsize=16)
+def _command_set(model: Model) -> tuple[CommandTree, Mapping[str, Action]]:
+    actions = all_actions(model.channel_names, model.reference_names)
+    return CommandTree(setting_rows(model), actions), actions
+
+
+class SimulatedTDS2014:
+    """A TDS2014, or another model of its family, with signals at its inputs.
+
+    Parameters
+    ----------
+    signals : mapping of int to callable
+        By channel number, a function of absolute times in s (n,) that gives volts (n,) at the BNC. Key 0 is
+        the EXT TRIG input. A channel without a signal sees 0 V.
+    model : str
+        `"TDS2014"`, or another name in `models.MODELS`.
+    clock : Clock, optional
+        RealClock() if not given. On a VirtualClock waiting costs no time and every message takes 20 ms.
+    noise_levels : float
+        Standard deviation of the noise in converter levels (1/25 division).
+    seed : int
+        Seeds noise and trigger jitter. Same seed, messages and virtual times: same codes.
+    faults : Faults, optional
+        What shall go wrong.
+    identity : str, optional
+        Another answer to `*IDN?`.
+
+    Notes
+    -----
+    Messages are exchanged through `exchange.MessageExchange`, the in-process VISA library, or a server. All
+    methods are to be called with `lock` held when several threads use one instrument.
+    """
+
+    def __init__(
+        self,
+        signals: Mapping[int, Signal] | None = None,
+        *,
+        model: str = "TDS2014",
+        clock: Clock | None = None,
+        noise_levels: float = 0.4,
+        seed: int = 0,
+        faults: Faults | None = None,
+        identity: str | None = None,
+    ) -> None:
+        self.model = find_model(model)
+        self._identity = identity if identity is not None else self.model.identity
+        self.clock: Clock = clock if clock is not None else RealClock()
+        self.faults: Faults = faults if faults is not None else Faults()
+        self.lock = threading.RLock()
+        self.panel = Panel(self.model)
+        self.status: Status = Status()
+        self.acquisition: Acquisition = Acquisition(self.panel, signals or {}, self.clock, self.faults, seed)
+        self.digitizer = Digitizer(self.acquisition.signal, noise_levels, seed)
+        self.references: dict[str, Trace] = {}
+        self.completion_wanted = False  # *OPC was sent and waits for the end of the operation
+        self.message_available = False
+        self.powered = True
+        self._tree, self._actions = _command_set(self.model)
+
+    @property
+    def identity(self) -> str:
+        """What `*IDN?` answers."""
+        return self.faults.identity or self._identity
+
+    # Program messages
+
+    def execute(self, message: bytes) -> Iterator[bytes | None]:
+        """Carry out one program message.
+
+        Yields
+        ------
+        None
+            As often as the instrument has to wait; go on when the clock has moved.
+        bytes
+            At the end, the answer without terminator, if there is one.
+        """
+        if self.clock.virtual:
+            self.clock.sleep(MESSAGE_TIME)
+        branch = self._tree.root
+        leaves: list[list[Leaf]] = []
+        identified = False
+        for command in parse_message(message):
+            try:
+                if isinstance(command, Malformed):
+                    raise Refusal(command.event)
+                node = self._find(command, branch)
+                if not command.header.startswith("*"):
+                    branch = node.parent or self._tree.root
+                action = self._actions.get(node.action) if node.action else None
+                while self._waits(command, action):
+                    yield None
+                if identified and command.query:
+                    raise Refusal(440)
+                self.settle()
+                if command.query:
+                    leaves.append(self._answer(node, action, command))
+                    identified = bool(action and action.ends_message)
+                else:
+                    self._carry_out(node, action, command.arguments)
+            except Refusal as refusal:
+                self.status.post(refusal.event, command.source)
+                if status_bit(refusal.event) == CME:
+                    break
+        if leaves:
+            yield self._render(leaves)
+
+    def _find(self, command: Command, branch: Node) -> Node:
+        """The node of a header: from the root if absolute, else from the branch of the command before."""
+        root = self._tree.root
+        from_root = command.absolute or command.header.startswith("*")
+        node = (root if from_root else branch).find(command.header.lstrip(":"))
+        if node is None or node is root:
+            raise Refusal(Guess.UNKNOWN_HEADER)
+        return node
+
+    def _waits(self, command: Command, action: Action | None) -> bool:
+        """True while a query (or an order that is no query) has to wait for the acquisition."""
+        if action is None or action.waits is None or (action.query is not None and not command.query):
+            return False
+        return action.waits(self)
+
+    def _answer(self, node: Node, action: Action | None, command: Command) -> list[Leaf]:
+        if command.arguments:
+            raise Refusal(Guess.QUERY_WITH_ARGUMENT)
+        if action is not None and action.query is not None:
+            return action.query(self)
+        rows = [node.row] if node.row is not None else self._tree.rows_below(node)
+        if not rows:
+            raise Refusal(Guess.COMMAND_HAS_NO_QUERY)
+        return self.leaves(rows)
+
+    def _carry_out(self, node: Node, action: Action | None, arguments: tuple[Argument, ...]) -> None:
+        if action is not None and action.order is not None:
+            action.order(self, arguments)
+        elif node.row is not None:
+            self.set(node.row.header.upper(), node.row.kind.read(one_argument(arguments)))
+        else:
+            raise Refusal(Guess.QUERY_HAS_NO_COMMAND)
+
+    def leaves(self, rows: list[Row]) -> list[Leaf]:
+        """Headers and values of settings."""
+        verbose = self.panel.flag("VERBOSE")
+        return [
+            (tuple(row.header.split(":")), row.kind.write(self.panel.values[row.header.upper()], verbose))
+            for row in rows
+        ]
+
+    def _render(self, answers: list[list[Leaf]]) -> bytes:
+        header, verbose = self.panel.flag("HEADER"), self.panel.flag("VERBOSE")
+        parts = (join_leaves(leaves, header=header, verbose=verbose) for leaves in answers)
+        return ";".join(parts).encode("latin-1")
+
+    # What commands do
+
+    def set(self, key: str, value: Value) -> None:
+        """Change a setting as a command or a hand on the front panel would."""
+        self.acquisition.update()
+        if key == "ACQUIRE:STATE":
+            if value:
+                self.panel.values[key] = 1
+                self.acquisition.restart()
+            else:
+                self.acquisition.stop()
+            return
+        before = dict(self.panel.values)
+        panel_rules.store(self.panel, key, value)
+        if self.panel.values != before and panel_rules.restarts(key):
+            self.acquisition.restart()
+
+    def busy(self) -> bool:
+        """True while a single sequence is under way."""
+        self.acquisition.update()
+        return self.faults.stuck_busy or self.acquisition.single
+
+    def settle(self) -> None:
+        """Post the completion that *OPC asked for, once it is there."""
+        if self.completion_wanted and not self.busy():
+            self.completion_wanted = False
+            self.status.post(402)
+
+    def status_byte(self) -> int:
+        """What `*STB?` and a serial poll give."""
+        self.settle()
+        return self.status.status_byte(message_available=self.message_available)
+
+    def trace(self, name: str) -> Trace | None:
+        """What stands on the screen under a name; None if it is not displayed."""
+        if name not in self.panel.displayed:
+            return None
+        if name in self.references:
+            return self.references[name]
+        record = self.acquisition.latest()
+        if record is None or name not in self.model.channel_names:
+            return None
+        channel = record.channels.get(name, self.panel.channel(name))
+        codes = self.digitizer.codes(record, name)
+        return channel_trace(record, name, codes, channel, self._unit(name))
+
+    def _unit(self, name: str) -> str:
+        ampere = self.model.letter_series and self.panel.text(f"{name}:YUNIT") == "A"
+        return "A" if ampere else "Volts"
+
+    def reset(self) -> None:
+        """`*RST`: factory settings; header, masks, links and stored data stay."""
+        self.panel.factory()
+        self.acquisition.restart()
+
+    def factory(self) -> None:
+        """`FACtory`: `*RST`, and header, masks and DATa as at the factory."""
+        from instrument.simulated.waveform_commands import data_init
+
+        self.reset()
+        self.panel.values["HEADER"] = 1
+        self.status.esr_mask, self.status.service_mask, self.status.device_mask = 0, 0, 255
+        self.status.clear_masks_at_power_on = True
+        self.completion_wanted = False
+        data_init(self)
+
+    # Power
+
+    def power_off(self) -> None:
+        """Switch off: links close and nothing answers."""
+        self.powered = False
+
+    def power_on(self) -> None:
+        """Switch on again: settings are kept, events and records are not."""
+        self.powered = True
+        self.completion_wanted = False
+        self.status.power_on()
+        self.panel.values["ACQUIRE:STATE"] = 1
+        self.acquisition.record = None
+        self.acquisition.restart()

@@ -1,0 +1,108 @@
+"""The command ``gyrolock``. Each command is a function in :mod:`station.commands`, imported when it is run."""
+
+from __future__ import annotations
+
+import importlib
+import json
+import signal
+import sys
+from collections.abc import Sequence
+
+import click
+
+from station.errors import EXIT_INTERRUPTED, EXIT_USAGE, Failure, describe_failure
+
+# command: module, and the line that `gyrolock --help` shows without importing it
+_COMMANDS = {
+    "measure": ("measure", "Measure the lock-in rate: acquire, save, analyse, report."),
+    "acquire": ("acquire", "Acquire and save records only."),
+    "analyze": ("analyze", "Analyse saved runs and Tektronix CSV or ISF files again."),
+    "report": ("report", "Write the HTML report of a saved run."),
+    "simulate": ("simulate", "Serve the simulated oscilloscope on TCP or a serial terminal."),
+    "list": ("list", "List the instruments that VISA can see."),
+    "doctor": ("doctor", "Check this installation, and say what to do about what is missing."),
+    "settings": ("settings", "Print a commented settings file to copy."),
+}
+
+
+class _LazyGroup(click.Group):
+    """A group whose commands are imported only when they are run: ``gyrolock --help`` starts at once."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        return list(_COMMANDS)
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        if cmd_name not in _COMMANDS:
+            return None
+        module = importlib.import_module(f"station.commands.{_COMMANDS[cmd_name][0]}")
+        command: click.Command = module.command
+        return command
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        with formatter.section("Commands"):
+            formatter.write_dl([(name, text) for name, (_, text) in _COMMANDS.items()])
+
+
+@click.group(cls=_LazyGroup, context_settings={"help_option_names": ["-h", "--help"]})
+@click.version_option(package_name="gyrolock", prog_name="gyrolock")
+def gyrolock() -> None:
+    """Lock-in rate of a ring laser gyro from the records of a bench oscilloscope.
+
+    Without an instrument, `gyrolock measure` shows the whole measurement on a simulated bench.
+
+    Exit codes: 0 done, 2 usage or settings, 3 instrument or link, 4 no usable signal, 130 interrupted.
+    """
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line; every error becomes one line and an exit code.
+
+    Parameters
+    ----------
+    arguments : sequence of str, optional
+        By default those of the process.
+
+    Returns
+    -------
+    int
+        Exit code.
+    """
+    given = list(sys.argv[1:] if arguments is None else arguments)
+    # a program started in the background by a shell would otherwise not hear Ctrl-C
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        code = gyrolock.main(given, prog_name="gyrolock", standalone_mode=False)
+        return int(code or 0)
+    except click.exceptions.Exit as done:
+        return done.exit_code
+    except click.Abort:
+        return _tell(Failure("interrupted", "interrupted by the operator", EXIT_INTERRUPTED), given)
+    except click.ClickException as error:
+        return _tell(Failure("usage", _usage_line(error), EXIT_USAGE), given)
+    except BrokenPipeError:
+        sys.stderr.close()  # the reader of our output has gone; nobody is left to tell
+        return EXIT_USAGE
+    except (Exception, KeyboardInterrupt) as error:
+        failure = describe_failure(error)
+        if failure is None:
+            raise
+        return _tell(failure, given)
+
+
+def _tell(failure: Failure, arguments: Sequence[str]) -> int:
+    """Report a failure: one line on stderr, and with ``--json`` one document on stdout."""
+    if "--json" in arguments or "--jsonl" in arguments:
+        click.echo(json.dumps({"error": failure.as_json()}))
+    click.echo(f"gyrolock: {failure.message}", err=True)
+    return failure.exit_code
+
+
+def _usage_line(error: click.ClickException) -> str:
+    text = " ".join(error.format_message().split())
+    if isinstance(error, click.UsageError) and error.ctx is not None:
+        return f"{text} (see `{error.ctx.command_path} --help`)"
+    return text
+
+
+if __name__ == "__main__":
+    sys.exit(main())

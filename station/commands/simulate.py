@@ -1,0 +1,57 @@
+"""``gyrolock simulate``: serve the simulated oscilloscope."""
+
+from __future__ import annotations
+
+import signal
+import threading
+from pathlib import Path
+
+import click
+
+from station.commands.options import config_option, json_option, print_json
+
+
+@click.command("simulate")
+@click.option(
+    "--tcp", "tcp_port", type=click.IntRange(0, 65535), metavar="PORT", help="TCP on loopback; 0: any port."
+)
+@click.option("--pty", "use_pty", is_flag=True, help="A serial terminal (not on Windows).")
+@click.option("--baud", type=click.Choice(["300", "600", "1200", "2400", "4800", "9600", "19200"]), metavar="N",
+              help="Pace the serial terminal as RS-232 at N baud.")  # fmt: skip
+@click.option("--seed", type=click.IntRange(min=0), metavar="S", help="Seed of noise and phases.")
+@config_option
+@json_option
+def command(
+    tcp_port: int | None,
+    use_pty: bool,
+    baud: str | None,
+    seed: int | None,
+    config: Path | None,
+    as_json: bool,
+) -> int:
+    """Serve the simulated oscilloscope on TCP or a serial terminal.
+
+    CH1 shows the beat of the simulated gyro at the slow rate. The first line on stdout is the VISA resource name.
+    Ctrl-C or SIGTERM ends it.
+    """
+    from station.settings import load_settings
+    from station.simulated_bench import serve_scope
+
+    if (tcp_port is None) == (not use_pty):
+        raise click.UsageError("say where to serve: --tcp PORT (0 for any free one) or --pty")
+    if baud is not None and not use_pty:
+        raise click.UsageError("--baud paces a serial terminal: use it with --pty")
+    chosen = {} if seed is None else {"simulation": {"seed": seed}}
+    settings = load_settings(config, overrides=chosen)
+    ended = threading.Event()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: ended.set())
+    with serve_scope(settings, tcp_port=tcp_port, baud_rate=int(baud) if baud else None) as resource_name:
+        if as_json:
+            print_json({"resource": resource_name})
+        else:
+            click.echo(resource_name)
+        # a wait without end could not be interrupted on Windows
+        while not ended.wait(timeout=0.5):
+            pass
+    return 0

@@ -1,0 +1,124 @@
+"""What can go wrong, in the words and the exit codes that the command line uses."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+EXIT_OK = 0
+EXIT_USAGE = 2
+EXIT_INSTRUMENT = 3
+EXIT_NO_SIGNAL = 4
+EXIT_INTERRUPTED = 130
+
+
+class StationError(Exception):
+    """Base of the errors of this package; its text is one clear sentence for the user.
+
+    Attributes
+    ----------
+    kind : str
+        One word for programs: the ``kind`` in the JSON of an error.
+    exit_code : int
+        Exit code of the command that meets it.
+    """
+
+    kind = "error"
+    exit_code = EXIT_USAGE
+
+
+class UsageError(StationError):
+    """Something was asked for that cannot be done as asked."""
+
+    kind = "usage"
+
+
+class SettingsError(StationError):
+    """A settings file holds mistakes; the text names every one of them."""
+
+    kind = "settings"
+
+
+class RunError(StationError):
+    """A saved run cannot be read or written."""
+
+    kind = "run"
+
+
+class NoUsableSignal(StationError):
+    """The scope answers, but what it shows gives no lock-in rate."""
+
+    kind = "no_usable_signal"
+    exit_code = EXIT_NO_SIGNAL
+
+
+@dataclass(frozen=True)
+class Failure:
+    """An error as it is shown to a user or to a program.
+
+    Attributes
+    ----------
+    kind, message : str
+    exit_code : int
+    """
+
+    kind: str
+    message: str
+    exit_code: int
+
+    def as_json(self) -> dict[str, object]:
+        """Return the value of the key ``error`` of the JSON document."""
+        return {"kind": self.kind, "message": self.message, "exit_code": self.exit_code}
+
+
+def describe_failure(error: BaseException) -> Failure | None:
+    """Put an exception into words and an exit code.
+
+    Parameters
+    ----------
+    error : BaseException
+
+    Returns
+    -------
+    Failure or None
+        ``None`` for an exception that is a defect of the program, not of its surroundings.
+    """
+    if isinstance(error, StationError):
+        return Failure(error.kind, one_line(error), error.exit_code)
+    if isinstance(error, KeyboardInterrupt):
+        return Failure("interrupted", "interrupted by the operator", EXIT_INTERRUPTED)
+    if isinstance(error, OSError):
+        return Failure("file", one_line(error), EXIT_USAGE)
+    return _describe_instrument_failure(error)
+
+
+def _describe_instrument_failure(error: BaseException) -> Failure | None:
+    # imported here: `gyrolock --help` must not wait for PyVISA
+    from instrument import (
+        FileFormatError,
+        InstrumentError,
+        LinkError,
+        NoTrigger,
+        SettingError,
+        WrongInstrument,
+    )
+
+    if not isinstance(error, InstrumentError):
+        return None
+    kinds: tuple[tuple[type[InstrumentError], str, int], ...] = (
+        (LinkError, "link", EXIT_INSTRUMENT),
+        (WrongInstrument, "wrong_instrument", EXIT_INSTRUMENT),
+        (NoTrigger, "no_trigger", EXIT_NO_SIGNAL),
+        (SettingError, "setting", EXIT_USAGE),
+        (FileFormatError, "file", EXIT_USAGE),
+    )
+    for family, kind, exit_code in kinds:
+        if isinstance(error, family):
+            return Failure(kind, one_line(error), exit_code)
+    return Failure("instrument", one_line(error), EXIT_INSTRUMENT)
+
+
+def one_line(error: BaseException) -> str:
+    """Return the text of an error in one line, never empty."""
+    if isinstance(error, OSError) and error.strerror:
+        return f"{error.filename}: {error.strerror}" if error.filename else error.strerror
+    return " ".join(str(error).split()) or type(error).__name__

@@ -1,0 +1,93 @@
+"""The result as a JSON document, with the names that programs rely on."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from analysis import flag_names
+from station.evaluate import Evaluation
+from station.runs import SavedRun
+
+# name in JSON: field of the estimate
+_FIELDS = {
+    "lock_in_rate_dps": "lock_in_rate",
+    "lock_in_rate_u_dps": "lock_in_rate_u",
+    "lock_in_rate_low_95_dps": "lock_in_rate_low_95",
+    "lock_in_rate_high_95_dps": "lock_in_rate_high_95",
+    "input_rate_dps": "input_rate",
+    "beat_frequency_hz": "beat_frequency",
+    "beat_frequency_u_hz": "beat_frequency_u",
+    "ratio": "ratio",
+    "ratio_u": "ratio_u",
+    "backscatter_phase_rad": "backscatter_phase",
+    "amplitude_v": "amplitude",
+    "noise_rms_v": "noise_rms",
+}
+
+
+def result_document(evaluation: Evaluation, run: SavedRun | None = None) -> dict[str, Any]:
+    """Return the combined result as plain JSON.
+
+    Parameters
+    ----------
+    evaluation : Evaluation
+    run : SavedRun, optional
+        Where the records are saved.
+
+    Returns
+    -------
+    dict
+        Units stand in the names; uncertainties are standard ones unless the name says 95. A number that
+        cannot be given is ``None``.
+    """
+    combined = evaluation.combined
+    document: dict[str, Any] = {name: _number(getattr(combined, field)) for name, field in _FIELDS.items()}
+    document |= {
+        "records": len(evaluation.waveforms) + len(evaluation.damaged),
+        "records_rejected": evaluation.records_rejected,
+        "method": evaluation.method.text,
+        "noise_model": combined.noise_model,
+        "flags": evaluation.flags,
+        "scale_factor_pulses_per_deg": evaluation.method.scale_factor,
+        "run": str(run.path) if run is not None else None,
+    }
+    if evaluation.tilt is not None:
+        document |= {"tilt_deg": evaluation.tilt.tilt_deg, "tilt_u_deg": evaluation.tilt.tilt_u_deg}
+    if (check := evaluation.table_check) is not None:
+        document["table_check"] = {
+            "lock_in_rate_dps": check.lock_in_rate,
+            "lock_in_rate_u_dps": check.lock_in_rate_u,
+            "input_rate_dps": check.input_rate,
+            "beat_over_table": check.beat_over_table,
+        }
+    if evaluation.truth is not None:
+        document["truth"] = evaluation.truth
+    return document
+
+
+def record_documents(evaluation: Evaluation, source: str | None = None) -> list[dict[str, Any]]:
+    """Return one JSON object for each record, with the names of :func:`result_document`.
+
+    Parameters
+    ----------
+    evaluation : Evaluation
+    source : str, optional
+        Path of the run, for records of a run.
+
+    Returns
+    -------
+    list of dict
+    """
+    documents = []
+    for row, name in enumerate(evaluation.names):
+        document: dict[str, Any] = {"run": source, "record": name} if source else {"file": name}
+        document |= {key: _number(getattr(evaluation.each, field)[row]) for key, field in _FIELDS.items()}
+        document |= {"method": evaluation.method.text, "flags": flag_names(int(evaluation.each.flags[row]))}
+        documents.append(document)
+    return documents
+
+
+def _number(value: object) -> float | None:
+    number = float(value)  # type: ignore[arg-type]  # a zero-dimensional array or a scalar
+    return number if math.isfinite(number) else None

@@ -1,0 +1,249 @@
+"""Settings: commented TOML files, checked as a whole before anything moves.
+
+The defaults stand in ``config/simulated.toml`` and ``config/bench.toml`` and nowhere else. A user's file
+holds only what differs from one of them.
+"""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Mapping
+from functools import cache
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from station.errors import SettingsError
+
+ShippedName = Literal["simulated", "bench"]
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+
+
+class _Section(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class GyroSettings(_Section):
+    """The gyro under test, as far as it is known beforehand."""
+
+    name: str
+    scale_factor_pulses_per_deg: Positive
+    expected_lock_in_rate_dps: Positive
+
+
+class SiteSettings(_Section):
+    """Where the bench stands."""
+
+    latitude_deg: Annotated[float, Field(ge=-90, le=90)]
+
+
+class TableSettings(_Section):
+    """The rate table and what it is asked to do."""
+
+    kind: Literal["simulated", "manual", "none"]
+    fast_rate_dps: Positive
+    both_senses: bool
+    slow_rate_over_lock_in: Annotated[float, Field(gt=1.05, le=1000)]
+    settle_s: NotNegative
+    north_azimuth_deg: Finite
+
+
+class ScopeSettings(_Section):
+    """The oscilloscope and its input."""
+
+    resource: str
+    channel: Annotated[str, Field(pattern=r"^CH[1-4]$")]
+    coupling: Literal["DC", "AC"]
+    probe: Literal[1, 10, 100, 1000]
+    bandwidth_limit: bool
+    baud_rate: Literal[0, 300, 600, 1200, 2400, 4800, 9600, 19200]
+
+
+class MeasurementSettings(_Section):
+    """How many records of which shape."""
+
+    records: Annotated[int, Field(ge=1, le=1_000_000)]
+    tilt_records: Annotated[int, Field(ge=1, le=1000)]
+    periods_min: Annotated[float, Field(ge=3, le=500)]
+    samples_per_period_min: Annotated[float, Field(ge=5, le=500)]
+    fill_levels: Annotated[float, Field(ge=10, le=120)]
+
+
+class SimulationSettings(_Section):
+    """The truth of a simulated bench."""
+
+    seed: Annotated[int, Field(ge=0)]
+    link: Literal["auto", "pty", "tcp"]
+    scope_model: str
+    lock_in_rate_dps: NotNegative
+    tilt_deg: Annotated[float, Field(ge=0, lt=90)]
+    backscatter_phase_deg: Finite
+    readout_phase_deg: Finite
+    amplitude_v: NotNegative
+    offset_v: Finite
+    detector_noise_v: NotNegative
+    scope_noise_levels: NotNegative
+    table_acceleration_dps2: Positive
+
+
+class OutputSettings(_Section):
+    """Where results go."""
+
+    directory: Annotated[str, Field(min_length=1)]
+
+
+class Settings(_Section):
+    """All settings of a run. ``simulation`` is absent on a real bench."""
+
+    gyro: GyroSettings
+    site: SiteSettings
+    table: TableSettings
+    scope: ScopeSettings
+    measurement: MeasurementSettings
+    output: OutputSettings
+    simulation: SimulationSettings | None = None
+
+    @property
+    def simulated(self) -> bool:
+        """Whether the bench is simulated: no oscilloscope is named."""
+        return not self.scope.resource
+
+
+def shipped_settings(name: ShippedName) -> Path:
+    """Find a settings file that came with the package.
+
+    Parameters
+    ----------
+    name : {"simulated", "bench"}
+
+    Returns
+    -------
+    Path
+        In an installed package ``station/config``, in a source tree ``config`` beside the package.
+
+    Raises
+    ------
+    SettingsError
+        If the installation is incomplete.
+    """
+    here = Path(__file__).resolve().parent
+    for folder in (here / "config", here.parent / "config"):
+        if (file := folder / f"{name}.toml").is_file():
+            return file
+    raise SettingsError(
+        f"the settings file {name}.toml did not come with this installation: install gyrolock again"
+    )
+
+
+def load_settings(
+    path: Path | None = None,
+    *,
+    resource: str | None = None,
+    overrides: Mapping[str, Mapping[str, object]] | None = None,
+) -> Settings:
+    """Read the settings of a run.
+
+    Parameters
+    ----------
+    path : Path, optional
+        The user's file. Only what differs from the shipped file need stand in it.
+    resource : str, optional
+        VISA resource name from the command line. Where one is given, here or in the file, the defaults
+        are those of ``bench.toml``, else those of ``simulated.toml``.
+    overrides : mapping of mapping, optional
+        Values from the command line, by section and name; they win over the file.
+
+    Returns
+    -------
+    Settings
+
+    Raises
+    ------
+    SettingsError
+        With every mistake of the file in one text: file, place, what is wrong.
+    """
+    user = _read_toml(path) if path is not None else {}
+    scope = user.get("scope")
+    named = resource or (scope.get("resource") if isinstance(scope, dict) else None)
+    shipped = shipped_settings("bench" if named else "simulated")
+    values = _merge(_read_toml(shipped), user)
+    if named and path is not None:
+        # a file made for the simulated bench may be used with a real scope: its truth then means nothing
+        values.pop("simulation", None)
+        table = values.get("table")
+        if isinstance(table, dict) and table.get("kind") == "simulated":
+            table["kind"] = "none"
+    values = _merge(values, {section: dict(names) for section, names in (overrides or {}).items()})
+    if resource:
+        values = _merge(values, {"scope": {"resource": resource}})
+    try:
+        settings = Settings.model_validate(values)
+    except ValidationError as error:
+        raise SettingsError(_mistakes(path or shipped, error)) from None
+    _check_whole(path or shipped, settings)
+    return settings
+
+
+def default_settings(name: ShippedName = "simulated") -> Settings:
+    """Return the settings of a shipped file as they stand."""
+    return _shipped(name)
+
+
+@cache
+def _shipped(name: ShippedName) -> Settings:
+    return Settings.model_validate(_read_toml(shipped_settings(name)))
+
+
+def _read_toml(path: Path) -> dict[str, Any]:
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise SettingsError(f"{path}: cannot be read ({error.strerror})") from None
+    except UnicodeDecodeError as error:
+        raise SettingsError(f"{path}: is not a text file (byte {error.start} is not UTF-8)") from None
+    except tomllib.TOMLDecodeError as error:
+        raise SettingsError(f"{path}: is not valid TOML: {error}") from None
+
+
+def _merge(below: Mapping[str, Any], above: Mapping[str, Any]) -> dict[str, Any]:
+    """Lay one tree of values over another; neither is changed."""
+    merged: dict[str, Any] = {
+        key: _merge(value, {}) if isinstance(value, dict) else value for key, value in below.items()
+    }
+    for key, value in above.items():
+        if isinstance(value, dict) and isinstance(merged.get(key), dict):
+            merged[key] = _merge(merged[key], value)
+        else:
+            merged[key] = value
+    return merged
+
+
+def _mistakes(path: Path, error: ValidationError) -> str:
+    found = []
+    for mistake in error.errors(include_url=False):
+        place = ".".join(str(part) for part in mistake["loc"])
+        if mistake["type"] == "extra_forbidden":
+            text = "no such setting"
+        else:
+            text = f"{mistake['msg'][0].lower()}{mistake['msg'][1:]}, not {mistake['input']!r}"
+        found.append(f"{place}: {text}")
+    return f"{path}: " + "; ".join(found)
+
+
+def _check_whole(path: Path, settings: Settings) -> None:
+    """Check what no single value shows."""
+    if settings.simulated and settings.simulation is None:
+        raise SettingsError(
+            f"{path}: scope.resource is empty and there is no [simulation]: name the oscilloscope"
+        )
+    if settings.simulated and settings.table.kind == "manual":
+        raise SettingsError(
+            f'{path}: table.kind: an operator cannot turn a simulated table; use "simulated" or "none"'
+        )
+    if not settings.simulated and settings.table.kind == "simulated":
+        raise SettingsError(
+            f'{path}: table.kind: a simulated table cannot turn a real gyro; use "manual" or "none"'
+        )

@@ -1,0 +1,106 @@
+"""Numbers and findings as a person reads them."""
+
+from __future__ import annotations
+
+import math
+
+from analysis import describe_flag
+from station.evaluate import Evaluation
+
+_SECONDS_PER_HOUR = 3600.0
+
+
+def with_uncertainty(value: float, u: float, unit: str = "") -> str:
+    """Write a value with its standard uncertainty in the last digits.
+
+    Examples
+    --------
+    >>> with_uncertainty(0.0100023, 0.0000121, "deg/s")
+    '0.010002(12) deg/s'
+    >>> with_uncertainty(159.9912, 0.25, "Hz")
+    '159.99(25) Hz'
+    >>> with_uncertainty(36.1, 12.0)
+    '36(12)'
+    """
+    tail = f" {unit}" if unit else ""
+    if not math.isfinite(value):
+        return "none"
+    if not math.isfinite(u) or u <= 0:
+        return f"{value:.6g}{tail}"
+    digits = 1 - math.floor(math.log10(u))
+    if round(u * 10.0**digits) >= 100:  # 0.0996 is written with the digits of 0.10
+        digits -= 1
+    if digits <= 0:
+        return f"{value:.0f}({u:.0f}){tail}"
+    return f"{value:.{digits}f}({round(u * 10.0**digits)}){tail}"
+
+
+def with_prefix(value: float, unit: str) -> str:
+    """Write a value with the unit prefix that fits.
+
+    Examples
+    --------
+    >>> with_prefix(0.025, "s/div")
+    '25 ms/div'
+    >>> with_prefix(0.000004, "s")
+    '4 µs'
+    """
+    if value == 0 or not math.isfinite(value):
+        return f"{value:g} {unit}"
+    for factor, prefix in (
+        (1e9, "G"),
+        (1e6, "M"),
+        (1e3, "k"),
+        (1.0, ""),
+        (1e-3, "m"),
+        (1e-6, "µ"),
+        (1e-9, "n"),
+    ):
+        if abs(value) >= factor * 0.9999995:
+            return f"{value / factor:.4g} {prefix}{unit}"
+    return f"{value:.4g} {unit}"
+
+
+def lock_in_words(evaluation: Evaluation) -> tuple[str, str]:
+    """Return the lock-in rate in deg/s and in deg/h, each with its standard uncertainty."""
+    rate, u = float(evaluation.combined.lock_in_rate), float(evaluation.combined.lock_in_rate_u)
+    return with_uncertainty(rate, u, "deg/s"), with_uncertainty(
+        rate * _SECONDS_PER_HOUR, u * _SECONDS_PER_HOUR, "deg/h"
+    )
+
+
+def interval_words(evaluation: Evaluation) -> str:
+    """Return the 95 % interval of the lock-in rate in words."""
+    combined = evaluation.combined
+    low, high = float(combined.lock_in_rate_low_95), float(combined.lock_in_rate_high_95)
+    u = float(combined.lock_in_rate_u)
+    digits = max(0, 1 - math.floor(math.log10(u))) if math.isfinite(u) and u > 0 else 6
+    return f"{low:.{digits}f} to {high:.{digits}f} deg/s"
+
+
+def flag_sentences(evaluation: Evaluation) -> list[str]:
+    """Say in words what was noticed, of the combined result and of single records."""
+    said = []
+    for name in evaluation.flags:
+        sentence = describe_flag(name)
+        count = sum(name in names for names in record_flags(evaluation))
+        total = len(evaluation.waveforms)
+        said.append(f"{sentence} ({count} of {total} records)" if 0 < count < total else sentence)
+    if evaluation.damaged:
+        said.append(
+            f"Left out, since they are not what was once saved: record {', '.join(evaluation.damaged)}."
+        )
+    return said
+
+
+def record_flags(evaluation: Evaluation) -> list[list[str]]:
+    """Return the names of the flags of each record."""
+    from analysis import flag_names
+
+    return [flag_names(int(flags)) for flags in evaluation.each.flags]
+
+
+def no_result_words(evaluation: Evaluation) -> str:
+    """Say in one sentence why no lock-in rate is given."""
+    reasons = flag_sentences(evaluation)
+    return "no lock-in rate: " + (" ".join(reasons) if reasons else "the records show no beat")

@@ -1,1 +1,39 @@
-"""Mathematics of the lock-in measurement, on arrays."""
+"""Mathematics of the lock-in measurement, on arrays: no files, no instruments, no clock, no printing."""
+
+from analysis.combine import combine_estimates
+from analysis.flags import FATAL, Flag, describe_flag, flag_names
+from analysis.harmonics import HarmonicFit, fit_harmonics
+from analysis.lockin_equation import (
+    beat_frequency,
+    beat_signal,
+    harmonic_ratio,
+    input_rate_from_beat,
+    lock_in_from_beat,
+    lock_in_from_rate,
+    rate_varying_beat,
+)
+from analysis.lockin_rate import LockInEstimate, estimate_lock_in
+from analysis.rotation import EARTH_RATE_DPS, earth_rate_on_axis, rate_on_axis, tilt_from_fast_run
+
+__all__ = [
+    "EARTH_RATE_DPS",
+    "FATAL",
+    "Flag",
+    "HarmonicFit",
+    "LockInEstimate",
+    "beat_frequency",
+    "beat_signal",
+    "combine_estimates",
+    "describe_flag",
+    "earth_rate_on_axis",
+    "estimate_lock_in",
+    "fit_harmonics",
+    "flag_names",
+    "harmonic_ratio",
+    "input_rate_from_beat",
+    "lock_in_from_beat",
+    "lock_in_from_rate",
+    "rate_on_axis",
+    "rate_varying_beat",
+    "tilt_from_fast_run",
+]

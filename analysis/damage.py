@@ -30,7 +30,7 @@ class Damage:
 
     weights: Floats | None
     limits: Floats | None
-    flags: NDArray[np.uint32]
+    flags: NDArray[np.int64]
 
 
 def find_damage(values: Floats, weights: Floats | None, clipped: Bools | None) -> Damage:
@@ -45,7 +45,7 @@ def find_damage(values: Floats, weights: Floats | None, clipped: Bools | None) -
         The caller's own knowledge; replaces the search where it is given.
     """
     n_records = len(values)
-    flags = np.zeros(n_records, dtype=np.uint32)
+    flags = np.zeros(n_records, dtype=np.int64)
     if clipped is None:
         low, high = _crowded_ends(values, weights)
     else:
@@ -59,8 +59,8 @@ def find_damage(values: Floats, weights: Floats | None, clipped: Bools | None) -
         return Damage(None, None, flags)
     flags[hit] |= Flag.CLIPPED
     kept = (values > low[:, np.newaxis]) & (values < high[:, np.newaxis])
-    kept = kept * (1.0 if weights is None else weights)
-    return Damage(kept, np.stack([low, high], axis=-1), flags)
+    undamaged = kept.astype(np.float64) if weights is None else kept * weights
+    return Damage(undamaged, np.stack([low, high], axis=-1), flags)
 
 
 def _crowded_ends(values: Floats, weights: Floats | None) -> tuple[Floats, Floats]:

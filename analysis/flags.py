@@ -44,8 +44,7 @@ _SENTENCES = {
     "zero, the value itself means little.",
     Flag.COLOURED_NOISE: "The noise is not white; the uncertainty uses its strength at the harmonics.",
     Flag.TOO_FEW_SAMPLES: "Too few valid samples are left to fit the waveform.",
-    Flag.NOT_LOCK_IN_LIKE: "The waveform is not that of a gyro above lock-in; a lock-in rate would mean "
-    "nothing.",
+    Flag.NOT_LOCK_IN_LIKE: "The waveform is not that of a gyro above lock-in; a lock-in rate would mean nothing.",
     Flag.AVERAGED_UNTRIGGERED: "The record was averaged over beats of different phase; its amplitude is lost.",
 }
 

@@ -129,7 +129,9 @@ def _series_tangents(series: Series, n_harmonics: int) -> tuple[Complexes, Compl
     """Two-sided coefficients (R, 2K+1) and their derivatives by c0, Re H, Im H, Re q, Im q (R, 5, 2K+1)."""
     n_records = series.first.size
     powers = np.ones((n_records, n_harmonics), dtype=np.complex128)
-    np.cumprod(np.broadcast_to(series.ratio[:, np.newaxis], (n_records, n_harmonics - 1)), axis=1, out=powers[:, 1:])
+    np.cumprod(
+        np.broadcast_to(series.ratio[:, np.newaxis], (n_records, n_harmonics - 1)), axis=1, out=powers[:, 1:]
+    )
     by_ratio = np.zeros_like(powers)
     by_ratio[:, 1:] = series.first[:, np.newaxis] * np.arange(1, n_harmonics) * powers[:, :-1]
     coefficients = two_sided(series.offset, series.first[:, np.newaxis] * powers)
@@ -220,7 +222,9 @@ def _start_near_lock_in(values: Floats, weights: Floats | None, omega: Floats) -
     that leaves least is taken.
     """
     best = np.full(omega.shape, np.inf)
-    chosen = Series(np.zeros(omega.size), np.zeros(omega.size, complex), np.zeros(omega.size, complex), omega.copy())
+    chosen = Series(
+        np.zeros(omega.size), np.zeros(omega.size, complex), np.zeros(omega.size, complex), omega.copy()
+    )
     for candidate in other_candidates(values, omega).T:
         series = _equation_error_start(values, weights, np.ascontiguousarray(candidate))
         left = values - sampled_series(series, values.shape[1])

@@ -18,11 +18,6 @@ Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
 
 
-def centred_index(n_samples: int) -> Floats:
-    """Index of the samples from the middle of the record, in units of half its length; (n_samples,)."""
-    return (np.arange(n_samples) - (n_samples - 1) / 2) * (2 / n_samples)
-
-
 def harmonic_powers(omega: Floats, index: Floats, n_harmonics: int) -> Complexes:
     """exp(-i k w x) for k = 1..n_harmonics; omega (R,), index (L,) in samples -> (R, L, n_harmonics)."""
     first = np.exp(-1j * omega[:, np.newaxis] * index)
@@ -58,8 +53,8 @@ def data_sums(volts: Floats, omega: Floats, n_harmonics: int, highest_power: int
     blocks = volts.reshape(n_records, rows, length)
 
     middle = (n_samples - 1) / 2
-    inner = np.arange(length) - (length - 1) / 2
-    outer = length * np.arange(rows) + (length - 1) / 2 - middle
+    inner = np.arange(length, dtype=np.float64) - (length - 1) / 2
+    outer = length * np.arange(rows, dtype=np.float64) + (length - 1) / 2 - middle
     fine = np.ones((n_records, length, n_harmonics + 1), dtype=np.complex128)
     fine[..., 1:] = harmonic_powers(omega, inner, n_harmonics)
     coarse = np.ones((n_records, rows, n_harmonics + 1), dtype=np.complex128)

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from analysis.frequency_search import coarse_frequency
 from analysis.periodic_fit import Step, gauss_newton_step, record_sums, two_sided
-from analysis.records import Records, as_records
+from analysis.records import as_records
 
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]

@@ -65,7 +65,7 @@ def beat_signal(
     --------
     >>> import numpy as np
     >>> t = np.arange(5) / 2000.0
-    >>> beat_signal(t, scale_factor=2000, input_rate=0.25, lock_in_rate=0.0).round(6).tolist()
+    >>> beat_signal(t, scale_factor=2000, input_rate=0.125, lock_in_rate=0.0).round(6).tolist()
     [0.0, 0.707107, 1.0, 0.707107, 0.0]
     """
     t = np.asarray(times, dtype=np.float64)

@@ -7,20 +7,20 @@ from dataclasses import dataclass, fields
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from analysis.damage import find_damage, outliers
 from analysis.flags import FATAL, Flag
-from analysis.geometric_series import Series, fit_series, sampled_series
 from analysis.lockin_equation import Relation, input_rate_from_beat, lock_in_from_beat, lock_in_from_rate
-from analysis.periodic_fit import Step
 from analysis.ratio_interval import size_interval
 from analysis.records import Records, as_records
-from analysis.residuals import ResidualReport, examine_residual
+from analysis.waveform_fit import WaveformFit, fit_waveform
 
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
 
 FEWEST_PERIODS = 3.0
-N_PARAMETERS = 6
+
+SIGNIFICANT = 3.3
+"""Noise alone makes a ratio of more than this many of its standard uncertainties in 0.4 % of records."""
+
 WHITE = "white noise of the size that the fit leaves, in each record"
 COLOURED = "noise of the strength that the fit leaves near the fundamental and the second harmonic"
 
@@ -62,13 +62,13 @@ class LockInEstimate:
     periods: Floats
     records: NDArray[np.int64]
     records_rejected: NDArray[np.int64]
-    flags: NDArray[np.uint32]
+    flags: NDArray[np.int64]
     scale_factor: float
     relation: Relation
     rate_given: bool
     noise_model: str
 
-    def __getitem__(self, key: object) -> LockInEstimate:
+    def __getitem__(self, key: int | slice | NDArray[np.bool_] | NDArray[np.intp]) -> LockInEstimate:
         """Some of the records; indexes the leading axes of every field."""
         picked = {f.name: getattr(self, f.name) for f in fields(self)}
         for name, value in picked.items():
@@ -76,10 +76,19 @@ class LockInEstimate:
                 picked[name] = np.asarray(value[key])
         return LockInEstimate(**picked)
 
+    def reshaped(self, *shape: int) -> LockInEstimate:
+        """The same records in another leading shape."""
+        changed = {f.name: getattr(self, f.name) for f in fields(self)}
+        inner = self.flags.ndim
+        for name, value in changed.items():
+            if isinstance(value, np.ndarray):
+                changed[name] = value.reshape(*shape, *value.shape[inner:])
+        return LockInEstimate(**changed)
+
     @property
     def usable(self) -> NDArray[np.bool_]:
         """Where a lock-in rate could be given at all."""
-        return np.asarray((self.flags & np.uint32(FATAL)) == 0)
+        return np.asarray((self.flags & int(FATAL)) == 0)
 
 
 def estimate_lock_in(
@@ -129,12 +138,49 @@ def estimate_lock_in(
     lock_in_from_rate(0.0, 1.0, relation)  # an unknown relation is an error before any work is done
     records = as_records(volts, sample_interval)
     rate = _given_rate(input_rate, records)
-    parts = []
-    for part in records.parts(np.ones(len(records.values), dtype=bool)):
-        given = None if clipped is None else _mask_rows(clipped, records, part)
-        parts.append(_fit_part(records, part, given))
-    fit = _Fit.joined(parts)
-    return _estimate(fit, records, sample_interval, scale_factor, rate, relation)
+    mask = None
+    if clipped is not None:
+        full = np.broadcast_to(np.asarray(clipped, dtype=bool), (*records.shape, records.n_samples))
+        mask = full.reshape(-1, records.n_samples)
+    fit = fit_waveform(records, mask)
+    with np.errstate(all="ignore"):  # records without a beat divide by zero; their flags are fatal
+        beat = _Beat.of(fit, records, sample_interval)
+        value, value_u, low, high = _lock_in_rate(beat, scale_factor, rate, relation)
+    flags = fit.flags | _beat_flags(beat, records.n_samples)
+    fatal = (flags & int(FATAL)) != 0
+
+    def shaped(values: Floats) -> Floats:
+        return np.asarray(np.where(fatal, np.nan, values)).reshape(records.shape)
+
+    blank = np.where(fatal, np.nan, 1.0)
+    sense = 1.0 if rate is None else np.where(rate < 0, -1.0, 1.0)
+    own_rate = input_rate_from_beat(beat.ratio, beat.frequency / scale_factor)
+    return LockInEstimate(
+        lock_in_rate=shaped(value),
+        lock_in_rate_u=shaped(value_u),
+        lock_in_rate_low_95=shaped(low),
+        lock_in_rate_high_95=shaped(high),
+        input_rate=shaped(own_rate) if rate is None else rate.reshape(records.shape),
+        beat_frequency=shaped(beat.frequency),
+        beat_frequency_u=shaped(beat.frequency_u),
+        ratio=shaped(beat.ratio),
+        ratio_u=shaped(beat.ratio_u),
+        complex_ratio=(beat.rho * blank).reshape(records.shape),
+        complex_ratio_covariance=(beat.rho_covariance * blank[:, np.newaxis, np.newaxis]).reshape(
+            *records.shape, 2, 2
+        ),
+        backscatter_phase=shaped(np.angle(-beat.rho * sense) * sense),
+        amplitude=shaped(beat.amplitude * records.scale),
+        noise_rms=(fit.noise_rms * records.scale).reshape(records.shape),
+        periods=shaped(beat.periods),
+        records=(~fatal).astype(np.int64).reshape(records.shape),
+        records_rejected=fatal.astype(np.int64).reshape(records.shape),
+        flags=flags.reshape(records.shape),
+        scale_factor=float(scale_factor),
+        relation=relation,
+        rate_given=rate is not None,
+        noise_model=COLOURED if np.any(flags & int(Flag.COLOURED_NOISE)) else WHITE,
+    )
 
 
 def _given_rate(input_rate: ArrayLike | None, records: Records) -> Floats | None:
@@ -146,196 +192,113 @@ def _given_rate(input_rate: ArrayLike | None, records: Records) -> Floats | None
     return rate
 
 
-def _mask_rows(mask: ArrayLike, records: Records, part: NDArray[np.intp]) -> NDArray[np.bool_]:
-    full = (*records.shape, records.n_samples)
-    return np.asarray(np.broadcast_to(np.asarray(mask, dtype=bool), full).reshape(-1, records.n_samples)[part])
-
-
 @dataclass(frozen=True)
-class _Fit:
-    """Fit of a stack of records in volts: parameters, covariance for their own noise, flags."""
+class _Beat:
+    """Frequency and harmonic ratio of (R,) records, with their covariance.
 
-    series: Series
+    size is |q| as fitted, ratio the same freed of its bias; covariance (R, 3, 3) is that of frequency, size of
+    the ratio, and its part across (phase times size).
+    """
+
+    frequency: Floats
+    size: Floats
+    ratio: Floats
     covariance: Floats
-    noise_rms: Floats
-    excess: Floats
-    flags: NDArray[np.uint32]
+    rho: Complexes
+    rho_covariance: Floats
+    amplitude: Floats
+    omega: Floats
+    periods: Floats
+
+    @property
+    def frequency_u(self) -> Floats:
+        return np.sqrt(self.covariance[:, 0, 0])
+
+    @property
+    def ratio_u(self) -> Floats:
+        return np.sqrt(self.covariance[:, 1, 1])
 
     @staticmethod
-    def joined(parts: list[_Fit]) -> _Fit:
-        join = np.concatenate
-        series = Series(*(join([getattr(p.series, f.name) for p in parts]) for f in fields(Series)))
-        return _Fit(series, *(join([getattr(p, f.name) for p in parts]) for f in fields(_Fit)[1:]))
-
-
-def _fit_part(records: Records, part: NDArray[np.intp], clipped: NDArray[np.bool_] | None) -> _Fit:
-    values, weights = records.take(part)
-    damage = find_damage(values, weights, clipped)
-    flags = damage.flags.copy()
-    series, step, weights = _fit_undamaged(values, weights, damage.weights, damage.limits)
-    left = values - sampled_series(series, records.n_samples)
-    spikes = outliers(left, weights)
-    if spikes.any():
-        weights = (np.ones_like(values) if weights is None else weights) * ~spikes
-        hit = spikes.any(axis=-1)
-        again, new_step = fit_series(values[hit], weights[hit])
-        series.put(hit, again)
-        step.put(hit, new_step)
-        left = values - sampled_series(series, records.n_samples)
-        flags[hit] |= Flag.DAMAGED
-    if weights is not None:
-        left = left * weights
-    count = np.full(len(part), float(records.n_samples)) if weights is None else weights.sum(axis=-1)
-    degrees = np.maximum(count - N_PARAMETERS, 1)
-    variance = step.residual_power / degrees
-    report: ResidualReport = examine_residual(left, count, series.omega, np.abs(series.first), step.residual_power)
-    flags |= report.flags
-    flags[records.constant[part]] = Flag.CONSTANT
-    flags[(records.count[part] < 8) | (count < 12)] |= Flag.TOO_FEW_SAMPLES
-    scale = records.scale[part]
-    return _Fit(
-        Series(series.offset * scale, series.first * scale, series.ratio, series.omega),
-        step.covariance() * variance[:, np.newaxis, np.newaxis],
-        np.sqrt(variance) * scale,
-        report.excess,
-        flags,
-    )
-
-
-def _fit_undamaged(
-    values: Floats, weights: Floats | None, without_damage: Floats | None, limits: Floats | None
-) -> tuple[Series, Step, Floats | None]:
-    """Fit; near a clipping limit, samples are left out by what the model says of them, not by their own noise."""
-    if without_damage is None or limits is None:
-        series, step = fit_series(values, weights)
-        return series, step, weights
-    series, step = fit_series(values * without_damage, without_damage)
-    kept = without_damage
-    for _ in range(2):
-        model = sampled_series(series, values.shape[1])
-        noise = np.sqrt(step.residual_power / np.maximum(kept.sum(axis=-1) - N_PARAMETERS, 1))
-        margin = 4 * noise[:, np.newaxis]
-        inside = (model > limits[:, :1] + margin) & (model < limits[:, 1:] - margin)
-        kept = inside * (1.0 if weights is None else weights)
-        kept = np.where(kept.sum(axis=-1, keepdims=True) < 0.2 * values.shape[1], without_damage, kept)
-        series, step = fit_series(values * kept, kept)
-    return series, step, kept
-
-
-def _estimate(
-    fit: _Fit,
-    records: Records,
-    sample_interval: float,
-    scale_factor: float,
-    rate: Floats | None,
-    relation: Relation,
-) -> LockInEstimate:
-    n_samples, series = records.n_samples, fit.series
-    with np.errstate(all="ignore"):
-        frequency = series.omega / (2 * np.pi * sample_interval)
-        first, q = series.first, series.ratio
+    def of(fit: WaveformFit, records: Records, sample_interval: float) -> _Beat:
+        first, q, omega = fit.series.first, fit.series.ratio, fit.series.omega
         size = np.abs(q)
-        u, jacobian = _frame(first, q, frequency, records, sample_interval)
-        # Rows of the covariance: frequency, size of the ratio, its tangential part.
-        # The scale of `first` is volts; its columns in the covariance are of unit-scale records.
+        jacobian = _jacobian(first, q, 1 / (np.pi * records.n_samples * sample_interval))
         covariance = jacobian @ fit.covariance @ jacobian.swapaxes(-1, -2)
-        covariance = covariance * np.sqrt(fit.excess)[:, :, np.newaxis] * np.sqrt(fit.excess)[:, np.newaxis, :]
-        ratio_u, tangential_u = np.sqrt(covariance[:, 1, 1]), np.sqrt(covariance[:, 2, 2])
-        ratio = np.sqrt(np.maximum(size**2 - tangential_u**2, 0.0))
-        beat_rate = frequency / scale_factor
-        value, slope_r, slope_f = _rate_and_slopes(ratio, beat_rate, rate, relation)
-        variance = slope_r**2 * covariance[:, 1, 1] + (slope_f / scale_factor) ** 2 * covariance[:, 0, 0]
-        variance += 2 * slope_r * (slope_f / scale_factor) * covariance[:, 0, 1]
-        rate_u = np.sqrt(np.maximum(variance, 0.0))
-        raw = _rate_and_slopes(size, beat_rate, rate, relation)[0]
-        low, high = size_interval(np.where(rate_u > 0, raw / rate_u, np.inf))
-        exact = ~(rate_u > 0)
-        low, high = np.where(exact, raw, low * rate_u), np.where(exact, raw, high * rate_u)
-        direction = np.conj(first) / np.abs(first)
-        rho = q * direction
+        strength = np.sqrt(fit.excess)
+        covariance = covariance * strength[:, :, np.newaxis] * strength[:, np.newaxis, :]
+        rho = q * np.conj(first) / np.abs(first)
         turn = np.exp(1j * np.angle(rho))
         rotation = np.stack([np.stack([turn.real, -turn.imag], -1), np.stack([turn.imag, turn.real], -1)], -2)
-        rho_covariance = rotation @ covariance[:, 1:, 1:] @ rotation.swapaxes(-1, -2)
-        sense = 1.0 if rate is None else np.where(rate < 0, -1.0, 1.0)
-        phase = np.angle(-rho * sense) * sense
-        rate_out = input_rate_from_beat(ratio, beat_rate) if rate is None else rate
-        amplitude = np.abs(first) / (1 - size**2)
-
-    periods = series.omega * n_samples / (2 * np.pi)
-    flags = fit.flags.copy()
-    flags[periods < FEWEST_PERIODS] |= Flag.FEW_PERIODS
-    flags[2 * series.omega >= np.pi] |= Flag.SECOND_HARMONIC_ABOVE_NYQUIST
-    flags[_folds_onto_another(series.omega, size, n_samples)] |= Flag.HARMONICS_ALIASED
-    flags[~(size > 3.3 * ratio_u)] |= Flag.RATIO_NOT_SIGNIFICANT
-    fatal = (flags & np.uint32(FATAL)) != 0
-    shape = records.shape
-
-    def shaped(values: NDArray[np.float64], keep: bool = False) -> Floats:
-        return np.asarray(values if keep else np.where(fatal, np.nan, values)).reshape(shape)
-
-    blank = np.where(fatal, np.nan, 1.0)
-    return LockInEstimate(
-        lock_in_rate=shaped(value),
-        lock_in_rate_u=shaped(rate_u),
-        lock_in_rate_low_95=shaped(low),
-        lock_in_rate_high_95=shaped(high),
-        input_rate=shaped(np.asarray(rate_out), keep=rate is not None),
-        beat_frequency=shaped(frequency),
-        beat_frequency_u=shaped(np.sqrt(covariance[:, 0, 0])),
-        ratio=shaped(ratio),
-        ratio_u=shaped(ratio_u),
-        complex_ratio=(rho * blank).reshape(shape),
-        complex_ratio_covariance=(rho_covariance * blank[:, np.newaxis, np.newaxis]).reshape(*shape, 2, 2),
-        backscatter_phase=shaped(phase),
-        amplitude=shaped(amplitude),
-        noise_rms=shaped(fit.noise_rms, keep=True),
-        periods=shaped(periods),
-        records=(~fatal).astype(np.int64).reshape(shape),
-        records_rejected=fatal.astype(np.int64).reshape(shape),
-        flags=flags.reshape(shape),
-        scale_factor=float(scale_factor),
-        relation=relation,
-        rate_given=rate is not None,
-        noise_model=COLOURED if np.any(flags & Flag.COLOURED_NOISE) else WHITE,
-    )
+        return _Beat(
+            frequency=omega / (2 * np.pi * sample_interval),
+            size=size,
+            # |q|^2 is too large by the variance of its two parts; that along q is in the mean already.
+            ratio=np.sqrt(np.maximum(size**2 - covariance[:, 2, 2], 0.0)),
+            covariance=covariance,
+            rho=rho,
+            rho_covariance=rotation @ covariance[:, 1:, 1:] @ rotation.swapaxes(-1, -2),
+            amplitude=np.abs(first) / (1 - size**2),
+            omega=omega,
+            periods=omega * records.n_samples / (2 * np.pi),
+        )
 
 
-def _frame(
-    first: Complexes, q: Complexes, frequency: Floats, records: Records, sample_interval: float
-) -> tuple[Complexes, Floats]:
-    """Jacobian (R, 3, 6) of frequency and of the ratio's radial and tangential part by the fit's parameters.
+def _jacobian(first: Complexes, q: Complexes, hertz: float) -> Floats:
+    """Derivatives (R, 3, 6) of frequency and of the ratio along and across its direction by the fit's parameters.
 
-    The tangential part is that of rho = q exp(-i arg H), so the phase of H enters it; the radial part, the size
-    of the ratio, does not know H.
+    The part across is that of rho = q exp(-i arg H), so the phase of H enters it; the size of the ratio does not
+    know H.
     """
     size = np.abs(q)
     unit = np.where(size > 0, q / np.where(size > 0, size, 1.0), 1.0)
     jacobian = np.zeros((q.size, 3, 6))
-    jacobian[:, 0, 5] = 1 / (np.pi * records.n_samples * sample_interval)
+    jacobian[:, 0, 5] = hertz
     jacobian[:, 1, 3], jacobian[:, 1, 4] = unit.real, unit.imag
     jacobian[:, 2, 3], jacobian[:, 2, 4] = -unit.imag, unit.real
-    in_unit = first / records.scale
-    squared = np.abs(in_unit) ** 2
-    jacobian[:, 2, 1], jacobian[:, 2, 2] = size * in_unit.imag / squared, -size * in_unit.real / squared
-    return unit, jacobian
+    squared = np.abs(first) ** 2
+    jacobian[:, 2, 1], jacobian[:, 2, 2] = size * first.imag / squared, -size * first.real / squared
+    return jacobian
 
 
-def _rate_and_slopes(
+def _lock_in_rate(
+    beat: _Beat, scale_factor: float, rate: Floats | None, relation: Relation
+) -> tuple[Floats, Floats, Floats, Floats]:
+    """Lock-in rate, its standard uncertainty and its 95 % interval, deg/s."""
+    beat_rate = beat.frequency / scale_factor
+    value, by_ratio, by_beat_rate = rate_and_slopes(beat.ratio, beat_rate, rate, relation)
+    slopes = np.stack([by_beat_rate / scale_factor, by_ratio], axis=-1)
+    variance = np.einsum("ri,rij,rj->r", slopes, beat.covariance[:, :2, :2], slopes)
+    value_u = np.sqrt(np.maximum(variance, 0.0))
+    observed = rate_and_slopes(beat.size, beat_rate, rate, relation)[0]
+    low, high = size_interval(observed / value_u)
+    return value, value_u, low * value_u, high * value_u
+
+
+def rate_and_slopes(
     ratio: Floats, beat_rate: Floats, rate: Floats | None, relation: Relation
 ) -> tuple[Floats, Floats, Floats]:
-    """Lock-in rate, and its derivatives by the ratio and by f/K."""
+    """Lock-in rate, and its derivatives by the ratio and by f/K; `rate` None: the record is its own reference."""
     r = ratio
     if rate is None and relation == "exact":
         value = lock_in_from_beat(r, beat_rate)
         return value, beat_rate * 2 * (1 + r * r) / (1 - r * r) ** 2, 2 * r / (1 - r * r)
     if rate is None:
         w = beat_rate if relation == "paper-10" else input_rate_from_beat(r, beat_rate)
-        by_beat = lock_in_from_rate(r, w / beat_rate, relation)
+        by_beat_rate = lock_in_from_rate(r, w / beat_rate, relation)
     else:
-        w, by_beat = np.abs(rate), np.zeros_like(r)
-    small = 1e-6
-    slope = (lock_in_from_rate(r + small, w, relation) - lock_in_from_rate(r - small, w, relation)) / (2 * small)
-    return lock_in_from_rate(r, w, relation), slope, by_beat
+        w, by_beat_rate = np.abs(rate), np.zeros_like(r)
+    half = 1e-6
+    rise = lock_in_from_rate(r + half, w, relation) - lock_in_from_rate(r - half, w, relation)
+    return lock_in_from_rate(r, w, relation), rise / (2 * half), by_beat_rate
+
+
+def _beat_flags(beat: _Beat, n_samples: int) -> NDArray[np.int64]:
+    flags = np.zeros(beat.size.shape, dtype=np.int64)
+    flags[beat.periods < FEWEST_PERIODS] |= Flag.FEW_PERIODS
+    flags[2 * beat.omega >= np.pi] |= Flag.SECOND_HARMONIC_ABOVE_NYQUIST
+    flags[_folds_onto_another(beat.omega, beat.size, n_samples)] |= Flag.HARMONICS_ALIASED
+    flags[~(beat.size > SIGNIFICANT * beat.ratio_u)] |= Flag.RATIO_NOT_SIGNIFICANT
+    return flags
 
 
 def _folds_onto_another(omega: Floats, ratio: Floats, n_samples: int) -> NDArray[np.bool_]:

@@ -103,7 +103,8 @@ class Step:
         self.residual_power[part] = other.residual_power
 
     def _scaled(self) -> tuple[Floats, Floats]:
-        scale = 1 / np.sqrt(np.maximum(np.diagonal(self.normal, axis1=-2, axis2=-1), 1e-300))
+        diagonal = np.diagonal(self.normal, axis1=-2, axis2=-1)
+        scale = 1 / np.sqrt(np.where(diagonal > 1e-100, diagonal, 1.0))  # a constant record has zeros
         # The tiny ridge keeps an exactly singular case (a harmonic on another's alias) solvable; its variance
         # then comes out enormous, as it should.
         ridge = 1e-13 * np.eye(scale.shape[-1])

@@ -27,7 +27,7 @@ def size_interval(size: ArrayLike) -> tuple[Floats, Floats]:
     --------
     >>> low, high = size_interval([0.5, 20.0])
     >>> [round(float(v), 1) for v in (*low, *high)]
-    [0.0, 18.0, 2.1, 21.9]
+    [0.0, 18.0, 2.0, 21.9]
     """
     observed = np.asarray(size, dtype=np.float64)
     true, accepted_from, accepted_to = _acceptance()
@@ -43,8 +43,8 @@ def size_interval(size: ArrayLike) -> tuple[Floats, Floats]:
 def _acceptance() -> tuple[Floats, Floats, Floats]:
     """For true sizes 0..TABLE_END: the range of observed sizes that is accepted with 95 %."""
     step = 0.005
-    observed = (np.arange(int((TABLE_END + 5) / step)) + 0.5) * step
-    true = np.linspace(0.0, TABLE_END, 181)
+    observed: Floats = np.arange(step / 2, TABLE_END + 5, step, dtype=np.float64)
+    true: Floats = np.linspace(0.0, TABLE_END, 181)
     most_likely = np.sqrt(np.maximum(observed**2 - 1, 0))
     for _ in range(40):
         # Maximum-likelihood size of a Rice variable: its fixed point mu = t I1(t mu)/I0(t mu).
@@ -65,5 +65,6 @@ def _acceptance() -> tuple[Floats, Floats, Floats]:
 
 def _rice(observed: Floats, true: Floats) -> Floats:
     return np.asarray(
-        observed * np.exp(-((observed - true) ** 2) / 2) * scipy.special.i0e(observed * true), dtype=np.float64
+        observed * np.exp(-((observed - true) ** 2) / 2) * scipy.special.i0e(observed * true),
+        dtype=np.float64,
     )

@@ -40,7 +40,7 @@ class Records:
     @property
     def n_samples(self) -> int:
         """Samples per record, missing ones included."""
-        return self.values.shape[1]
+        return int(self.values.shape[1])
 
     def parts(self, wanted: Bools) -> Iterator[NDArray[np.intp]]:
         """Indices of the wanted records, in parts that fit into the cache."""

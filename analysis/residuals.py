@@ -18,6 +18,9 @@ NEIGHBOURS = 16
 LINE_CHANCE = 1e-6
 """A residual line that noise would produce in fewer than this share of records is a misfit."""
 
+ROUNDING = 1e-12
+"""A residual below this share of the power is arithmetic, not a measured signal: a synthetic record."""
+
 GROSS_MISFIT = 0.05
 """Share of the signal's power that a waveform may miss and still be called that of a gyro above lock-in."""
 
@@ -26,7 +29,7 @@ GROSS_MISFIT = 0.05
 class ResidualReport:
     """flags : (R,); excess : (R, 3) variance factors of frequency, ratio size and ratio phase over white noise."""
 
-    flags: NDArray[np.uint32]
+    flags: NDArray[np.int64]
     excess: Floats
 
 
@@ -43,7 +46,7 @@ def examine_residual(
         Valid samples, rad per sample, size of the fundamental, sum of squares of the residual.
     """
     n_records, n_samples = left.shape
-    flags = np.zeros(n_records, dtype=np.uint32)
+    flags = np.zeros(n_records, dtype=np.int64)
     spectrum = scipy.fft.rfft(left, axis=-1)[:, 1:]
     power = spectrum.real**2 + spectrum.imag**2
     mean = np.maximum(power.mean(axis=-1), 1e-300)
@@ -56,7 +59,7 @@ def examine_residual(
     # For noise alone the strongest of N/2 lines has an exponential tail: N/2 exp(-z).
     strength = signal / 2 / np.maximum(noise, 1e-300)
     flags[strength < np.log(n_samples / 2) + 18] |= Flag.NO_BEAT
-    rounding = residual_power < 1e-18 * signal
+    rounding = residual_power < ROUNDING * signal
     misfit = (line > expected) & ~rounding
     flags[misfit] |= Flag.MISFIT
     lines = np.where(power > mean[:, np.newaxis] * expected, power, 0.0).sum(axis=-1) * 2 / n_samples

@@ -1,0 +1,154 @@
+"""Several records at one rate, combined into one value."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import scipy.special
+from numpy.typing import NDArray
+
+from analysis.flags import Flag
+from analysis.lockin_rate import LockInEstimate, rate_and_slopes
+from analysis.ratio_interval import size_interval
+
+Floats = NDArray[np.float64]
+
+UNLIKELY = 0.001
+"""A scatter that the records' own noise would produce less often than this is taken as real."""
+
+
+def combine_estimates(estimates: LockInEstimate) -> LockInEstimate:
+    """Combine records at one rate, coherently: the complex values are averaged, not their sizes.
+
+    The size of a small complex number is biased upwards by its noise, and averaging sizes keeps that bias; the
+    mean of the complex values does not have it. Each record's value is the complex lock-in rate
+    WL exp(i beta'), with beta' the backscatter phase less the readout phase, which is the same for both senses
+    and for slightly different rates.
+
+    Parameters
+    ----------
+    estimates : LockInEstimate
+        Any leading shape; all records are taken together. Records with a fatal flag are left out and counted.
+
+    Returns
+    -------
+    LockInEstimate
+        Fields of shape (). The uncertainty follows from the records' own; where their scatter is larger than
+        their noise explains, from the scatter, and `noise_model` says so. `flags` holds every bit that any
+        record used has; `misfit` also if the phases disagree.
+
+    Raises
+    ------
+    ValueError
+        No record at all.
+    """
+    flat = estimates.reshaped(-1)
+    if flat.flags.size == 0:
+        raise ValueError("no record to combine")
+    usable = flat.usable
+    used = flat[np.asarray(usable)]
+    rejected = int((~usable).sum())
+    if not usable.any():
+        bits = int(np.bitwise_or.reduce(flat.flags))
+        return replace(
+            flat[0], flags=np.asarray(bits), records=np.asarray(0), records_rejected=np.asarray(rejected)
+        )
+
+    values, radial, tangential = _complex_rates(used)
+    weights = 1 / np.maximum((radial + tangential) / 2, 1e-300)
+    weights /= weights.sum()
+    mean = complex(np.sum(weights * values))
+    along = np.conj(mean / abs(mean)) if mean != 0 else 1.0
+    own = float(np.sqrt(np.sum(weights**2 * radial)))
+    across_u = float(np.sqrt(np.sum(weights**2 * tangential)))
+    turned = values * along
+    inflation, stretch, unequal = _scatter(turned.real - abs(mean), radial, weights)
+    phases_differ = _scatter(turned.imag, tangential, weights)[2]
+    rate_u = own * inflation
+
+    flags = int(np.bitwise_or.reduce(used.flags)) & ~int(Flag.RATIO_NOT_SIGNIFICANT)
+    value = float(np.sqrt(max(abs(mean) ** 2 - across_u**2, 0.0)))
+    if not abs(mean) > 3.3 * rate_u:
+        flags |= Flag.RATIO_NOT_SIGNIFICANT
+    if phases_differ:
+        flags |= Flag.MISFIT
+    low, high = (abs(mean), abs(mean)) if rate_u == 0 else _interval(abs(mean), rate_u, stretch)
+    ratio, ratio_u, rho, rho_covariance = _mean_ratio(used, weights)
+    frequency_weights = 1 / np.maximum(used.beat_frequency_u**2, 1e-300)
+    model = used.noise_model
+    if unequal:
+        model += "; enlarged to the scatter between records, which is more than that noise explains"
+    return replace(
+        used[0],
+        lock_in_rate=np.asarray(value),
+        lock_in_rate_u=np.asarray(rate_u),
+        lock_in_rate_low_95=np.asarray(low),
+        lock_in_rate_high_95=np.asarray(high),
+        input_rate=np.asarray(used.input_rate.mean()),
+        beat_frequency=np.asarray(np.average(used.beat_frequency, weights=frequency_weights)),
+        beat_frequency_u=np.asarray(1 / np.sqrt(frequency_weights.sum())),
+        ratio=ratio,
+        ratio_u=ratio_u,
+        complex_ratio=rho,
+        complex_ratio_covariance=rho_covariance,
+        backscatter_phase=np.asarray(np.angle(mean)),
+        amplitude=np.asarray(used.amplitude.mean()),
+        noise_rms=np.asarray(np.sqrt((used.noise_rms**2).mean())),
+        periods=np.asarray(used.periods.sum()),
+        flags=np.asarray(flags),
+        noise_model=model,
+        records=np.asarray(int(usable.sum())),
+        records_rejected=np.asarray(rejected),
+    )
+
+
+def _complex_rates(used: LockInEstimate) -> tuple[NDArray[np.complex128], Floats, Floats]:
+    """WL exp(i beta') of each record, and its variances along and across its own direction."""
+    size = np.abs(used.complex_ratio)
+    rate = used.input_rate if used.rate_given else None
+    value, slope, _ = rate_and_slopes(size, used.beat_frequency / used.scale_factor, rate, used.relation)
+    unit = used.complex_ratio / np.where(size > 0, size, 1.0)
+    turned = np.stack([-unit.imag, unit.real], axis=-1)
+    across = np.einsum("ri,rij,rj->r", turned, used.complex_ratio_covariance, turned)
+    scale = np.divide(value, size, out=np.asarray(slope, dtype=float).copy(), where=size > 0)
+    return value * np.exp(1j * used.backscatter_phase), used.lock_in_rate_u**2, across * scale**2
+
+
+def _scatter(deviation: Floats, variance: Floats, weights: Floats) -> tuple[float, float, bool]:
+    """Factor for the uncertainty, factor for the 95 % interval beyond it, and whether the scatter is real."""
+    degrees = deviation.size - 1
+    if degrees < 1 or not np.all(variance > 0):
+        return 1.0, 1.0, False
+    chi_square = float(np.sum(deviation**2 / variance))
+    if scipy.special.chdtrc(degrees, chi_square) > UNLIKELY:
+        return 1.0, 1.0, False
+    # Uncertainty of the weighted mean from the scatter itself, with Student's factor for the interval.
+    seen = float(np.sum(weights**2 * deviation**2)) * (degrees + 1) / degrees
+    expected = float(np.sum(weights**2 * variance))
+    student = float(scipy.special.stdtrit(degrees, 0.975)) / -float(scipy.special.ndtri(0.025))
+    return max(float(np.sqrt(seen / expected)), 1.0), student, True
+
+
+def _interval(size: float, rate_u: float, stretch: float) -> tuple[float, float]:
+    wide = rate_u * stretch
+    low, high = size_interval(size / wide)
+    return float(low) * wide, float(high) * wide
+
+
+def _mean_ratio(used: LockInEstimate, weights: Floats) -> tuple[Floats, Floats, NDArray[np.complex128], Floats]:
+    """Coherent mean of rho: its size freed of bias, uncertainty of the size, the mean and its covariance.
+
+    Records of the negative sense count with the value that the positive sense would have given.
+    """
+    negative = used.rate_given & (used.input_rate < 0)
+    rho = np.where(negative, -np.conj(used.complex_ratio), used.complex_ratio)
+    mean = complex(np.sum(weights * rho))
+    mirror = np.where(negative, -1.0, 1.0)[:, np.newaxis] * np.array([1.0, 0.0]) + np.array([0.0, 1.0])
+    turned = used.complex_ratio_covariance * mirror[:, :, np.newaxis] * mirror[:, np.newaxis, :]
+    covariance = np.einsum("r,rij->ij", weights**2, turned)
+    size = abs(mean)
+    along = np.array([mean.real, mean.imag]) / size if size > 0 else np.array([1.0, 0.0])
+    across = np.array([-along[1], along[0]])
+    ratio = np.sqrt(max(size**2 - float(across @ covariance @ across), 0.0))
+    return np.asarray(ratio), np.asarray(np.sqrt(along @ covariance @ along)), np.asarray(mean), covariance

@@ -1,0 +1,119 @@
+"""Fit of the lock-in waveform to records as they come: clipped, spiked, noisy, or no beat at all."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.damage import Bools, find_damage, outliers
+from analysis.flags import Flag
+from analysis.geometric_series import Series, fit_series, sampled_series
+from analysis.periodic_fit import Step
+from analysis.records import Records
+from analysis.residuals import examine_residual
+
+Floats = NDArray[np.float64]
+
+N_PARAMETERS = 6
+FEWEST_SAMPLES = 12
+"""Twice the number of parameters: with fewer valid samples the noise could not be told from the fit."""
+
+
+@dataclass(frozen=True)
+class WaveformFit:
+    """Fit of a stack of records.
+
+    series : parameters, in units of each record's `scale`, phases from the middle of the record
+    covariance : (R, 6, 6) for white noise, order c0, Re H, Im H, Re q, Im q, w (rad at the record's ends)
+    excess : (R, 3) variance factors of frequency, ratio size and ratio phase where the noise is not white
+    noise_rms : (R,) in units of `scale`
+    flags : (R,)
+    """
+
+    series: Series
+    covariance: Floats
+    excess: Floats
+    noise_rms: Floats
+    flags: NDArray[np.int64]
+
+
+def fit_waveform(records: Records, clipped: Bools | None) -> WaveformFit:
+    """Fit every record; `clipped` (R, N) marks samples known to stand at the converter's end, None: find them."""
+    parts = [
+        _fit_part(records, part, None if clipped is None else clipped[part])
+        for part in records.parts(np.ones(len(records.values), dtype=bool))
+    ]
+    series = Series(*(np.concatenate([getattr(p.series, f.name) for p in parts]) for f in fields(Series)))
+    others = (np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(WaveformFit)[1:])
+    return WaveformFit(series, *others)
+
+
+def _fit_part(records: Records, part: NDArray[np.intp], clipped: Bools | None) -> WaveformFit:
+    values, weights = records.take(part)
+    damage = find_damage(values, weights, clipped)
+    flags = damage.flags.copy()
+    series, step = fit_series(values, weights)
+    hit = (flags & int(Flag.CLIPPED)) != 0
+    if hit.any() and damage.weights is not None and damage.limits is not None:
+        weights = np.ones_like(values) if weights is None else weights.copy()
+        refitted, new_step, weights[hit] = _fit_between_limits(
+            values[hit], weights[hit], damage.weights[hit], damage.limits[hit]
+        )
+        series.put(hit, refitted)
+        step.put(hit, new_step)
+
+    left = values - sampled_series(series, records.n_samples)
+    spikes = outliers(left, weights)
+    hit = np.asarray(spikes.any(axis=-1))
+    if hit.any():
+        weights = (np.ones_like(values) if weights is None else weights) * ~spikes
+        refitted, new_step = fit_series(values[hit] * weights[hit], weights[hit])
+        series.put(hit, refitted)
+        step.put(hit, new_step)
+        left[hit] = values[hit] - sampled_series(refitted, records.n_samples)
+        flags[hit] |= Flag.DAMAGED
+    if weights is not None:
+        left *= weights
+    count = np.full(len(part), float(records.n_samples)) if weights is None else weights.sum(axis=-1)
+    return _judged(records, part, series, step, left, count, flags)
+
+
+def _judged(
+    records: Records,
+    part: NDArray[np.intp],
+    series: Series,
+    step: Step,
+    left: Floats,
+    count: Floats,
+    flags: NDArray[np.int64],
+) -> WaveformFit:
+    report = examine_residual(left, count, series.omega, np.abs(series.first), step.residual_power)
+    flags |= report.flags
+    flags[records.constant[part]] = Flag.CONSTANT
+    flags[count < FEWEST_SAMPLES] |= Flag.TOO_FEW_SAMPLES
+    variance = step.residual_power / np.maximum(count - N_PARAMETERS, 1)
+    covariance = step.covariance() * variance[:, np.newaxis, np.newaxis]
+    return WaveformFit(series, covariance, report.excess, np.sqrt(variance), flags)
+
+
+def _fit_between_limits(
+    values: Floats, weights: Floats, undamaged: Floats, limits: Floats
+) -> tuple[Series, Step, Floats]:
+    """Fit clipped records without their clipped samples.
+
+    Which samples are left out must not depend on their own noise, or the mean of the others is biased near the
+    limits. So after a first fit the model, not the sample, says what is too near to a limit.
+    """
+    series, step = fit_series(values * undamaged, undamaged)
+    kept = undamaged
+    for _ in range(2):
+        model = sampled_series(series, values.shape[1])
+        noise = np.sqrt(step.residual_power / np.maximum(kept.sum(axis=-1) - N_PARAMETERS, 1))
+        margin = 4 * noise[:, np.newaxis]
+        inside = weights * ((model > limits[:, :1] + margin) & (model < limits[:, 1:] - margin))
+        enough = inside.sum(axis=-1, keepdims=True) > 0.2 * values.shape[1]
+        kept = np.where(enough, inside, undamaged)
+        series, step = fit_series(values * kept, kept)
+    return series, step, kept

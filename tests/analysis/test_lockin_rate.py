@@ -1,0 +1,257 @@
+import numpy as np
+import pytest
+from reference import adler_beat, bound, random_records, slow_fit
+
+from analysis import FATAL, Flag, beat_signal, combine_estimates, estimate_lock_in, flag_names, harmonic_ratio
+
+N = np.arange(2500)
+
+
+def one_record(rng, *, periods=40.3, x=0.1, amplitude=90.0, noise=0.7, **more):
+    k = periods / 2500 / np.sqrt(1 - x * x)
+    volts = beat_signal(
+        N,
+        scale_factor=k,
+        input_rate=1.0,
+        lock_in_rate=x,
+        amplitude=amplitude,
+        initial_phase=rng.uniform(0, 6),
+        **more,
+    )
+    return k, np.rint(volts + rng.normal(scale=noise, size=2500))
+
+
+def test_the_error_stands_at_the_cramer_rao_bound():
+    rng = np.random.default_rng(20)
+    times, records, truths, noises = random_records(
+        rng, 200, x_range=(2, 50), noise_range=(0.3, 2), periods_range=(5, 300)
+    )
+    errors = []
+    for volts, truth, noise in zip(records, truths, noises, strict=True):
+        estimate = estimate_lock_in(volts, 1.0, scale_factor=truth["k"])
+        errors.append((float(estimate.lock_in_rate) - truth["wl"]) / bound(times, truth, noise))
+    assert np.sqrt(np.mean(np.square(errors))) < 1.1
+    assert abs(np.mean(errors)) < 0.25
+
+
+@pytest.mark.parametrize("x_range", [(1.02, 1.3), (1.5, 4), (10, 80)])
+def test_the_value_is_that_of_a_slow_maximum_likelihood_fit(x_range):
+    rng = np.random.default_rng(21)
+    times, records, truths, noises = random_records(
+        rng, 12, x_range=x_range, noise_range=(0.3, 2), periods_range=(2.6, 500)
+    )
+    for volts, truth, noise in zip(records, truths, noises, strict=True):
+        estimate = estimate_lock_in(volts, 1.0, scale_factor=truth["k"])
+        u = bound(times, truth, noise)
+        assert float(np.abs(estimate.complex_ratio)) >= 0
+        size = np.abs(estimate.complex_ratio)
+        raw = float(estimate.beat_frequency) / truth["k"] * 2 * size / (1 - size**2)
+        assert raw == pytest.approx(slow_fit(times, volts, truth), abs=0.02 * u)
+        assert float(estimate.lock_in_rate_u) == pytest.approx(u, rel=0.12)
+
+
+def test_the_interval_covers_also_where_the_ratio_drowns():
+    rng = np.random.default_rng(22)
+    for x in (0.0, 0.002, 0.005, 0.02, 0.3):
+        k = 0.0201 / np.sqrt(1 - x * x)
+        volts = beat_signal(
+            N,
+            scale_factor=k,
+            input_rate=1.0,
+            lock_in_rate=x,
+            amplitude=60,
+            initial_phase=rng.uniform(0, 6.3, 1000),
+            backscatter_phase=rng.uniform(0, 6.3, 1000),
+        )
+        e = estimate_lock_in(volts + rng.normal(size=volts.shape), 1.0, scale_factor=k)
+        covered = (e.lock_in_rate_low_95 <= x) & (x <= e.lock_in_rate_high_95)
+        # Binomial standard deviation 0.7 %: three of them.
+        assert abs(covered.mean() - 0.95) < 0.021, x
+
+
+def test_either_sense_and_both_references_agree():
+    rng = np.random.default_rng(23)
+    for rate in (0.2, -0.2):
+        volts = beat_signal(
+            N * 1e-5 * 4, scale_factor=2000, input_rate=rate, lock_in_rate=0.05, backscatter_phase=1.2
+        ) + rng.normal(scale=0.01, size=2500)
+        own = estimate_lock_in(volts, 4e-5, scale_factor=2000)
+        given = estimate_lock_in(volts, 4e-5, scale_factor=2000, input_rate=rate)
+        for e in (own, given):
+            assert abs(float(e.lock_in_rate) - 0.05) < 4 * float(e.lock_in_rate_u)
+        assert float(own.input_rate) == pytest.approx(0.2, rel=1e-3)
+        assert float(given.input_rate) == rate
+        assert float(given.backscatter_phase) == pytest.approx(1.2, abs=0.02)
+
+
+def test_the_papers_relations_carry_their_bias():
+    volts = beat_signal(N * 4e-5, scale_factor=2000, input_rate=0.2, lock_in_rate=0.1)
+    for relation, percent in (("paper-13", -5.5305), ("paper-10", 7.1797)):
+        e = estimate_lock_in(volts, 4e-5, scale_factor=2000, input_rate=0.2, relation=relation)
+        assert 100 * (float(e.lock_in_rate) / 0.1 - 1) == pytest.approx(percent, abs=1e-3)
+
+
+def test_a_stack_gives_what_each_record_gives_alone():
+    rng = np.random.default_rng(24)
+    pairs = [one_record(rng, x=x, periods=p) for x, p in ((0.02, 30.3), (0.7, 30.3), (0.97, 4.4), (0.2, 400.2))]
+    stack = np.array([volts for _, volts in pairs])
+    together = estimate_lock_in(stack.reshape(2, 2, -1), 1.0, scale_factor=0.02)
+    assert together.lock_in_rate.shape == (2, 2)
+    for value, volts in zip(together.lock_in_rate.ravel(), stack, strict=True):
+        alone = estimate_lock_in(volts, 1.0, scale_factor=0.02)
+        # The batch may carry more harmonics than the record needs: far below its uncertainty.
+        assert float(alone.lock_in_rate) == pytest.approx(value, abs=1e-3 * float(alone.lock_in_rate_u))
+
+
+@pytest.mark.parametrize("limit", [110.0, 95.0])
+def test_clipping_is_found_and_leaves_no_bias(limit):
+    rng = np.random.default_rng(25)
+    x, k = 0.2, 0.0201 / np.sqrt(1 - 0.04)
+    volts = beat_signal(
+        N,
+        scale_factor=k,
+        input_rate=1.0,
+        lock_in_rate=x,
+        amplitude=100 if limit < 100 else 120,
+        initial_phase=rng.uniform(0, 6, 200),
+        backscatter_phase=rng.uniform(0, 6, 200),
+    )
+    codes = np.clip(np.rint(volts + rng.normal(scale=0.8, size=volts.shape)), -limit, limit)
+    e = estimate_lock_in(codes, 1.0, scale_factor=k)
+    assert all("clipped" in flag_names(f) for f in e.flags)
+    z = (e.lock_in_rate - x) / e.lock_in_rate_u
+    assert abs(z.mean()) < 0.25
+    assert np.sqrt((z**2).mean()) < 1.15
+    # A fit that believes the clipped samples is wrong by far more.
+    told = estimate_lock_in(codes, 1.0, scale_factor=k, clipped=np.zeros(codes.shape, bool))
+    assert np.abs(told.lock_in_rate - x).mean() > 3 * np.abs(e.lock_in_rate - x).mean()
+
+
+def test_spikes_are_left_out():
+    rng = np.random.default_rng(26)
+    k, volts = one_record(rng)
+    clean = estimate_lock_in(volts, 1.0, scale_factor=k)
+    volts[[100, 1300, 2000]] += (60, -90, 40)
+    spiked = estimate_lock_in(volts, 1.0, scale_factor=k)
+    assert "damaged" in flag_names(int(spiked.flags))
+    assert float(spiked.lock_in_rate) == pytest.approx(
+        float(clean.lock_in_rate), abs=0.3 * float(clean.lock_in_rate_u)
+    )
+
+
+def flags_of(volts, **more):
+    return flag_names(int(estimate_lock_in(volts, 1.0, scale_factor=0.02, **more).flags))
+
+
+def test_each_flag_is_raised_by_its_cause_and_not_without():
+    rng = np.random.default_rng(27)
+    assert flags_of(one_record(rng)[1]) == []
+    assert "constant" in flags_of(np.full(2500, 3.0))
+    assert "no_beat" in flags_of(rng.normal(size=2500))
+    assert "few_periods" in flags_of(one_record(rng, periods=2.4)[1])
+    assert "second_harmonic_above_nyquist" in flags_of(one_record(rng, periods=700.3)[1])
+    assert "harmonics_aliased" in flags_of(one_record(rng, periods=833.4, x=0.5)[1])
+    assert "ratio_not_significant" in flags_of(one_record(rng, x=1e-5)[1])
+    second_tone = one_record(rng)[1] + 20 * np.cos(N * 0.777)
+    assert "misfit" in flags_of(second_tone)
+    missing = one_record(rng)[1]
+    missing[5:50] = np.nan
+    assert "damaged" in flags_of(missing)
+    square = np.where(np.sin(0.05 * N) > 0, 50.0, -50.0) + rng.normal(scale=0.5, size=2500)
+    assert "not_lock_in_like" in flags_of(square)
+
+
+def test_no_number_is_given_where_it_would_mean_nothing():
+    rng = np.random.default_rng(28)
+    e = estimate_lock_in(rng.normal(size=(3, 2500)), 1.0, scale_factor=0.02)
+    assert np.all(np.isnan(e.lock_in_rate)) and not e.usable.any()
+    combined = combine_estimates(e)
+    assert int(combined.records) == 0 and int(combined.records_rejected) == 3
+    assert int(combined.flags) & FATAL
+
+
+def test_combining_is_coherent_and_unbiased():
+    """Twenty records of ratio 1.4 u each: the mean of sizes would be 20 % high."""
+    rng = np.random.default_rng(29)
+    x, k = 0.0004, 0.0201
+    z, covered = [], []
+    for _ in range(150):
+        volts = beat_signal(
+            N, scale_factor=k, input_rate=1.0, lock_in_rate=x, amplitude=100, initial_phase=rng.uniform(0, 6, 20)
+        )
+        c = combine_estimates(
+            estimate_lock_in(volts + rng.normal(scale=0.5, size=volts.shape), 1.0, scale_factor=k)
+        )
+        z.append((float(c.lock_in_rate) - x) / float(c.lock_in_rate_u))
+        covered.append(float(c.lock_in_rate_low_95) <= x <= float(c.lock_in_rate_high_95))
+    assert abs(np.mean(z)) < 0.3
+    assert 0.9 <= np.mean(covered) <= 0.99
+    assert np.std(z) == pytest.approx(1.0, abs=0.2)
+
+
+def test_scatter_beyond_the_noise_enlarges_the_uncertainty():
+    rng = np.random.default_rng(30)
+    rates = 0.2 * (1 + 0.05 * rng.normal(size=15))
+    volts = beat_signal(
+        N * 4e-5, scale_factor=2000, input_rate=0.5, lock_in_rate=rates, initial_phase=rng.uniform(0, 6, 15)
+    )
+    volts = volts + rng.normal(scale=0.005, size=volts.shape)
+    c = combine_estimates(estimate_lock_in(volts, 4e-5, scale_factor=2000))
+    assert "scatter" in c.noise_model
+    assert float(c.lock_in_rate_u) == pytest.approx(0.01 / np.sqrt(15), rel=0.5)
+
+
+def test_records_of_both_senses_combine_when_the_rate_is_given():
+    senses = np.array([0.2, -0.2, 0.2, -0.2])
+    rng = np.random.default_rng(31)
+    volts = beat_signal(
+        N * 4e-5, scale_factor=2000, input_rate=senses, lock_in_rate=0.02, backscatter_phase=0.8
+    ) + rng.normal(scale=0.01, size=(4, 2500))
+    c = combine_estimates(estimate_lock_in(volts, 4e-5, scale_factor=2000, input_rate=senses))
+    assert abs(float(c.lock_in_rate) - 0.02) < 3 * float(c.lock_in_rate_u)
+    assert float(c.ratio) == pytest.approx(float(harmonic_ratio(0.1)), rel=0.02)
+
+
+def test_the_reference_waveform_is_ours():
+    """`adler_beat` and `beat_signal` were written independently; they must mean the same gyro."""
+    truth = {"f_over_k": 0.3, "wl": 0.4, "k": 0.05, "theta": 0.3, "delta": 0.9, "amplitude": 2.0, "offset": 0.0}
+    start = 2 * np.arctan(0.8 + 0.6 * np.tan(0.3))
+    ours = beat_signal(
+        N,
+        scale_factor=0.05,
+        input_rate=0.5,
+        lock_in_rate=0.4,
+        amplitude=2.0,
+        initial_phase=start,
+        readout_phase=0.9,
+    )
+    np.testing.assert_allclose(adler_beat(N.astype(float), **truth), ours, atol=1e-8)
+
+
+@pytest.mark.parametrize(
+    ("change", "word"),
+    [
+        ({"scale_factor": 0.0}, "scale_factor"),
+        ({"scale_factor": np.nan}, "scale_factor"),
+        ({"sample_interval": 0.0}, "sample_interval"),
+        ({"volts": np.zeros(5)}, "8 samples"),
+        ({"volts": np.full(100, -np.inf)}, "infinite"),
+        ({"input_rate": np.nan}, "input_rate"),
+        ({"input_rate": np.ones(3)}, "broadcast|shape"),
+        ({"relation": "exactly"}, "relation"),
+    ],
+)
+def test_bad_input_is_named(change, word):
+    good = {"volts": np.sin(N * 0.1), "sample_interval": 1.0, "scale_factor": 2000.0}
+    with pytest.raises(ValueError, match=word):
+        estimate_lock_in(**(good | change))
+
+
+def test_all_nan_and_nearly_all_nan_records_are_flagged_not_fatal_to_the_batch():
+    rng = np.random.default_rng(32)
+    _, good = one_record(rng)
+    nearly = np.full(2500, np.nan)
+    nearly[:9] = np.arange(9) % 2
+    e = estimate_lock_in(np.array([good, np.full(2500, np.nan), nearly]), 1.0, scale_factor=0.02)
+    assert e.usable.tolist() == [True, False, False]
+    assert int(e.flags[2]) & Flag.TOO_FEW_SAMPLES

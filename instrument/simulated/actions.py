@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 from instrument.simulated.events import Guess, Refusal
 from instrument.simulated.formats import Leaf
 from instrument.simulated.kinds import number
+from instrument.simulated.models import Model
 from instrument.simulated.parsing import Argument
 
 if TYPE_CHECKING:
@@ -58,12 +59,22 @@ def one_number(arguments: tuple[Argument, ...], low: int, high: int, event: int)
     return value
 
 
-def all_actions(model_channels: tuple[str, ...], references: tuple[str, ...]) -> Mapping[str, Action]:
-    """Every action of a model with these channels and references, by its header."""
-    from instrument.simulated import acquisition_commands, status_commands, waveform_commands
+def all_actions(model: Model) -> Mapping[str, Action]:
+    """Every action of a model by its header."""
+    from instrument.simulated import (
+        acquisition_commands,
+        hard_copy_commands,
+        measurement_commands,
+        setup_commands,
+        status_commands,
+        waveform_commands,
+    )
 
     return {
         **status_commands.ACTIONS,
         **acquisition_commands.ACTIONS,
-        **waveform_commands.actions(model_channels, references),
+        **setup_commands.ACTIONS,
+        **measurement_commands.ACTIONS,
+        **hard_copy_commands.ACTIONS,
+        **waveform_commands.actions(model),
     }

@@ -17,11 +17,11 @@ from instrument.simulated.kinds import (
     Real,
     Steps,
     Switch,
-    Text,
     Value,
     Whole,
     Words,
 )
+from instrument.simulated.math_expression import MathExpression
 from instrument.simulated.models import Model
 from instrument.simulated.parsing import Argument
 
@@ -173,7 +173,7 @@ def _measurement_and_math(model: Model) -> Iterator[Row]:
     immediate = "MEASUrement:IMMed"
     yield Row(f"{immediate}:TYPe", Words(*types), "PERIOD")
     yield Row(f"{immediate}:SOUrce", sources, "CH1", aliases=(f"{immediate}:SOUrce1",))
-    yield Row("MATH:DEFINE", Text(), "CH1 - CH2")
+    yield Row("MATH:DEFINE", MathExpression(model.channels), "CH1 - CH2")
     if model.letter_series:
         yield Row("MATH:VERtical:POSition", Real(-1000, 1000, step=0.04), 0.0)
         yield Row("MATH:VERtical:SCAle", Real(1e-6, 1e6, digits=3), 2.0)

@@ -25,6 +25,7 @@ class Guess(IntEnum):
     BLOCK_EXPECTED = 104
     UNKNOWN_WORD = 224
     MEMORY_NUMBER_OUT_OF_RANGE = 222
+    PICTURE_FORMAT_NOT_SIMULATED = 221
     TRIGGER_IGNORED = 0  # TRIGger FORCe outside READY: no event is known
 
 

@@ -13,7 +13,7 @@ from collections.abc import Iterator
 
 from instrument.simulated.faults import Delivery
 from instrument.simulated.parsing import StreamSplitter
-from instrument.simulated.scope import SimulatedTDS2014
+from instrument.simulated.scope import Picture, SimulatedTDS2014
 
 _TERMINATORS = {"LF": b"\n", "CR": b"\r", "CRLF": b"\r\n", "LFCR": b"\n\r"}
 
@@ -53,6 +53,11 @@ class MessageExchange:
             self._answers.clear()
             self._running = None
             self.scope.message_available = False
+
+    def break_signal(self) -> None:
+        """A break on RS-232: all is dropped and the unit answers `DCL`."""
+        self.clear()
+        self._answers.append(Delivery(b"DCL" + self._terminator()))
 
     @property
     def working(self) -> bool:
@@ -134,7 +139,8 @@ class MessageExchange:
             if answer is None:
                 return False
             now = self.scope.clock.now()
-            self._answers.append(self.scope.faults.deliver(answer + self._terminator(), now))
+            whole = answer if isinstance(answer, Picture) else answer + self._terminator()
+            self._answers.append(self.scope.faults.deliver(whole, now))
             self.scope.message_available = True
         self._running = None
         return True

@@ -18,19 +18,27 @@ from instrument.simulated.faults import Faults
 from instrument.simulated.formats import Leaf, join_leaves
 from instrument.simulated.frontend import Signal
 from instrument.simulated.kinds import Value
+from instrument.simulated.math_expression import operands
+from instrument.simulated.math_waveform import combine, spectrum
 from instrument.simulated.models import Model, find_model
 from instrument.simulated.panel import Panel
 from instrument.simulated.parsing import Argument, Command, Malformed, parse_message
+from instrument.simulated.reference_commands import empty_reference
 from instrument.simulated.status import Status
 from instrument.simulated.traces import Trace, channel_trace
+from instrument.simulated.waveform_commands import data_init
 
 MESSAGE_TIME = 0.02  # s that a message takes on a virtual clock; on a real one it takes what it takes
 
 
 @lru_cache(maxsize=16)
 def _command_set(model: Model) -> tuple[CommandTree, Mapping[str, Action]]:
-    actions = all_actions(model.channel_names, model.reference_names)
+    actions = all_actions(model)
     return CommandTree(setting_rows(model), actions), actions
+
+
+class Picture(bytes):
+    """An answer that no terminator follows."""
 
 
 class SimulatedTDS2014:
@@ -80,7 +88,10 @@ class SimulatedTDS2014:
         self.status: Status = Status()
         self.acquisition: Acquisition = Acquisition(self.panel, signals or {}, self.clock, self.faults, seed)
         self.digitizer = Digitizer(self.acquisition.signal, noise_levels, seed)
-        self.references: dict[str, Trace] = {}
+        self.references = {name: empty_reference(name) for name in self.model.reference_names}
+        self.setups: dict[int, dict[str, Value]] = {}
+        self.trigger_message: bytes = b""  # *DDT
+        self.picture: bytes = b""  # of a hard copy, on its way out
         self.completion_wanted = False  # *OPC was sent and waits for the end of the operation
         self.message_available = False
         self.powered = True
@@ -132,6 +143,9 @@ class SimulatedTDS2014:
                     break
         if leaves:
             yield self._render(leaves)
+        if self.picture:
+            picture, self.picture = self.picture, b""
+            yield Picture(picture)
 
     def _find(self, command: Command, branch: Node) -> Node:
         """The node of a header: from the root if absolute, else from the branch of the command before."""
@@ -165,6 +179,11 @@ class SimulatedTDS2014:
             self.set(node.row.header.upper(), node.row.kind.read(one_argument(arguments)))
         else:
             raise Refusal(Guess.QUERY_HAS_NO_COMMAND)
+
+    def rows_below(self, branch: str) -> list[Row]:
+        """Settings of a branch, in the order of the table."""
+        node = self._tree.root.find(branch)
+        return self._tree.rows_below(node) if node is not None else []
 
     def leaves(self, rows: list[Row]) -> list[Leaf]:
         """Headers and values of settings."""
@@ -201,6 +220,11 @@ class SimulatedTDS2014:
         self.acquisition.update()
         return self.faults.stuck_busy or self.acquisition.single
 
+    def awaits_record(self) -> bool:
+        """True while the first record with the present channels is on its way (a guess: the unit waits)."""
+        self.acquisition.update()
+        return self.acquisition.awaited
+
     def settle(self) -> None:
         """Post the completion that *OPC asked for, once it is there."""
         if self.completion_wanted and not self.busy():
@@ -218,12 +242,28 @@ class SimulatedTDS2014:
             return None
         if name in self.references:
             return self.references[name]
+        if name == "MATH":
+            return self._math_trace()
+        return self._channel_trace(name)
+
+    def _channel_trace(self, name: str) -> Trace | None:
         record = self.acquisition.latest()
-        if record is None or name not in self.model.channel_names:
+        if record is None:
             return None
         channel = record.channels.get(name, self.panel.channel(name))
         codes = self.digitizer.codes(record, name)
         return channel_trace(record, name, codes, channel, self._unit(name))
+
+    def _math_trace(self) -> Trace | None:
+        expression = self.panel.text("MATH:DEFINE")
+        sources = [self._channel_trace(name) for name in operands(expression)]
+        present = [trace for trace in sources if trace is not None]
+        if len(present) == 2:
+            return combine(expression, *present)
+        if len(sources) == 2 or not present:
+            return None
+        zoom = self.panel.number("MATH:FFT:VERTICAL:SCALE")
+        return spectrum(expression, present[0], zoom, self.panel.number("MATH:FFT:VERTICAL:POSITION"))
 
     def _unit(self, name: str) -> str:
         ampere = self.model.letter_series and self.panel.text(f"{name}:YUNIT") == "A"
@@ -236,8 +276,6 @@ class SimulatedTDS2014:
 
     def factory(self) -> None:
         """`FACtory`: `*RST`, and header, masks and DATa as at the factory."""
-        from instrument.simulated.waveform_commands import data_init
-
         self.reset()
         self.panel.values["HEADER"] = 1
         self.status.esr_mask, self.status.service_mask, self.status.device_mask = 0, 0, 255

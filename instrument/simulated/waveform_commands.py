@@ -12,7 +12,14 @@ from instrument.simulated.actions import Action, Query, one_argument
 from instrument.simulated.events import Refusal
 from instrument.simulated.formats import Leaf
 from instrument.simulated.kinds import Words
+from instrument.simulated.models import Model
 from instrument.simulated.parsing import Argument
+from instrument.simulated.reference_commands import (
+    preamble_orders,
+    save_waveform,
+    transmission_orders,
+    write_curve,
+)
 from instrument.simulated.traces import (
     PREAMBLE_FIELDS,
     TRANSMISSION_FIELDS,
@@ -91,6 +98,12 @@ def _preamble_of(source: str) -> Query:
     return query
 
 
+def _named_field(source: str, name: str) -> Query:
+    whole = _preamble_of(source)
+    at = _NAMED_FIELDS.index(name)
+    return lambda scope: [whole(scope)[at]]
+
+
 def _data_init(scope: SimulatedTDS2014, arguments: tuple[Argument, ...]) -> None:
     _INIT.read(one_argument(arguments))
     data_init(scope)
@@ -103,24 +116,26 @@ def data_init(scope: SimulatedTDS2014) -> None:
         scope.panel.values[f"DATA:{leaf}"] = row.default
 
 
-def actions(channels: tuple[str, ...], references: tuple[str, ...]) -> Mapping[str, Action]:
-    """The waveform commands of a model with these channels and references."""
-    awaited = scope_awaits_record
-    return {
-        "CURVe": Action(curve, waits=awaited),
-        "WAVFrm": Action(waveform, waits=awaited),
-        "WFMPre": Action(whole_preamble, waits=awaited),
-        **{f"WFMPre:{name}": Action(_field(name), waits=awaited) for name in PREAMBLE_FIELDS},
-        **{f"WFMPre:{name}": Action(_absent, _ignored) for name in _ABSENT_FIELDS},
-        **{
-            f"WFMPre:{name}": Action(_preamble_of(name), waits=awaited)
-            for name in (*channels, "MATH", *references)
-        },
+def _awaited(scope: SimulatedTDS2014) -> bool:
+    return scope.awaits_record()
+
+
+def actions(model: Model) -> Mapping[str, Action]:
+    """The waveform commands of a model."""
+    orders = {**preamble_orders(), **transmission_orders()}
+    table = {
+        "CURVe": Action(curve, write_curve, waits=_awaited),
+        "WAVFrm": Action(waveform, waits=_awaited),
+        "WFMPre": Action(whole_preamble, waits=_awaited),
         "DATa": Action(order=_data_init),
+        "SAVe:WAVEform": Action(order=save_waveform, waits=_awaited),
+        **{f"WFMPre:{name}": Action(_field(name), orders[name], _awaited) for name in PREAMBLE_FIELDS},
+        **{f"WFMPre:{name}": Action(_absent, _ignored) for name in _ABSENT_FIELDS},
     }
-
-
-def scope_awaits_record(scope: SimulatedTDS2014) -> bool:
-    """True while the first record with the present channels is still on its way (a guess: the unit waits)."""
-    scope.acquisition.update()
-    return scope.acquisition.awaited
+    for source in model.waveform_names:
+        table[f"WFMPre:{source}"] = Action(_preamble_of(source), waits=_awaited)
+        own = preamble_orders(source)
+        for name in _NAMED_FIELDS:
+            query = _named_field(source, name)
+            table[f"WFMPre:{source}:{name}"] = Action(query, own[name], _awaited)
+    return table

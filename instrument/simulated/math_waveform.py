@@ -1,0 +1,85 @@
+"""The MATH waveform: sum and difference of two channels, and the spectrum of one.
+
+Source: programmer manual 071-1075-04, pp. 2-148 and 2-252; user manual 071-1064-00, pp. 109-119.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from instrument.simulated.formats import nr3
+from instrument.simulated.frontend import HIGHEST_CODE, LEVELS_PER_DIVISION, NO_DATA
+from instrument.simulated.traces import Trace
+
+FFT_SAMPLES = 2048
+FFT_POINTS = 1024
+_FFT_STRETCH = 0.99  # Hz a point = sample rate / 2048 / 0.99, as real files have it
+_FFT_FLOOR = -100  # code of the lower screen edge
+_DECIBELS_PER_DIVISION = 10.0
+
+
+def combine(expression: str, first: Trace, second: Trace) -> Trace:
+    """Sum or difference; of channels with unequal volts per division the scale is unknown."""
+    equal = math.isclose(first.ymult, second.ymult)
+    sign = 1 if "+" in expression else -1
+    codes = first.codes - first.yoff + sign * (second.codes - second.yoff)
+    codes = np.clip(np.rint(codes), -HIGHEST_CODE, HIGHEST_CODE).astype(np.int8)
+    codes[(first.codes == NO_DATA) | (second.codes == NO_DATA)] = NO_DATA
+    parts = first.wfid.split(", ")
+    scale = nr3(first.ymult * LEVELS_PER_DIVISION)
+    return Trace(
+        codes=codes,
+        wfid=", ".join(["Math", "DC coupling", f"{scale} V/div", *parts[3:]]),
+        pt_fmt=first.pt_fmt,
+        xincr=first.xincr,
+        xzero=first.xzero,
+        xunit="s",
+        ymult=first.ymult if equal else 0.0,
+        yzero=0.0,
+        yoff=0.0,
+        yunit=first.yunit if equal else "U",
+    )
+
+
+def spectrum(expression: str, source: Trace, zoom: float, position: float) -> Trace:
+    """Levels in dB (0 dB = 1 V rms) at 1024 frequencies, from the centre 2048 points of the record."""
+    from scipy.signal import czt, get_window
+
+    volts = (source.codes.astype(np.float64) - source.yoff) * source.ymult
+    start = (len(volts) - FFT_SAMPLES) // 2
+    window = get_window(_window_name(expression), FFT_SAMPLES)
+    step = 2 * math.pi / FFT_SAMPLES / _FFT_STRETCH
+    lines = czt(volts[start : start + FFT_SAMPLES] * window, m=FFT_POINTS, w=np.exp(-1j * step))
+    rms = np.abs(lines) * math.sqrt(2) / float(window.sum())
+    rms[0] /= 2
+    decibels = 20 * np.log10(np.maximum(rms, 1e-12))
+    ymult = _DECIBELS_PER_DIVISION / zoom / LEVELS_PER_DIVISION
+    scale = source.ymult * LEVELS_PER_DIVISION
+    yzero = 20 * math.log10(4 * scale / math.sqrt(2)) - 30
+    yoff = LEVELS_PER_DIVISION * position
+    codes = np.clip(np.rint((decibels - yzero) / ymult + yoff), _FFT_FLOOR, HIGHEST_CODE)
+    xincr = 1 / source.xincr / FFT_SAMPLES / _FFT_STRETCH
+    mode = source.wfid.rsplit(", ", 1)[1]
+    wfid = (
+        f"Math, DC coupling, {nr3(_DECIBELS_PER_DIVISION / zoom)} dB/div, "
+        f"{nr3(xincr * FFT_POINTS / 10, 9)} Hz/div, {FFT_POINTS} points, {mode}"
+    )
+    return Trace(
+        codes=codes.astype(np.int8),
+        wfid=wfid,
+        pt_fmt="Y",
+        xincr=xincr,
+        xzero=0.0,
+        xunit="Hz",
+        ymult=ymult,
+        yzero=yzero,
+        yoff=yoff,
+        yunit="dB",
+    )
+
+
+def _window_name(expression: str) -> str:
+    name = expression.rstrip(")").split(",")[1]
+    return {"HANNING": "hann", "FLATTOP": "flattop", "RECTANGULAR": "boxcar"}[name]

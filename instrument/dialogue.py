@@ -21,7 +21,7 @@ from instrument.errors import (
 )
 from instrument.events import ERROR_BITS, POWER_ON, is_error, parse_events, scope_event
 from instrument.identity import Identity, parse_identity
-from instrument.link import ANSWER_TIME, Link, NoAnswer
+from instrument.link import Link, NoAnswer
 from instrument.waveform import Preamble, Waveform, decode_curve
 
 RECORD_LENGTH = 2500
@@ -31,6 +31,7 @@ _FORMAT_QUERY = ":HEADER?;:VERBOSE?;:DATA:ENCDG?;:DATA:SOURCE?;:DATA:START?;:DAT
 _OUR_FORMAT = (
     f":HEADER OFF;:VERBOSE ON;:DATA:ENCDG RIBINARY;:DATA:WIDTH 1;:DATA:START 1;:DATA:STOP {RECORD_LENGTH}"
 )
+_LINE_END = ":RS232:TRANSMIT:TERMINATOR"
 _TRANSMISSION_FIELDS = 5  # all that WFMPre? answers about a source that is not displayed
 
 
@@ -57,6 +58,7 @@ class Dialogue:
         if self.link.is_serial or self.link.framed:
             self.link.clear()
         self.identity = self._identify()
+        self._found_line_end = self._set_line_end()
         found = [scpi.split_header(part)[1] for part in self.ask(_FORMAT_QUERY, parts=7)]
         header, verbose, encoding, source, start, stop, width = found
         self._found_format = (
@@ -71,6 +73,9 @@ class Dialogue:
             return
         try:
             self.command(self._found_format)
+            if self._found_line_end != "LF":
+                # Its answer could not be read any more, so nothing is asked.
+                self.link.write(f"{_LINE_END} {self._found_line_end}")
         finally:
             self.link.close()
 
@@ -122,8 +127,8 @@ class Dialogue:
         """Send commands and ask for the record of `source`, all in one message.
 
         The status register is asked for with it, so that a command that was lost or refused on its way cannot
-        pass an old record off as a new one. On a stream a preamble that differs from the last one of this
-        source is asked for a second time, because a lost digit in it could not be noticed otherwise.
+        pass an old record off as a new one. A preamble that differs from the last one of this source is
+        asked for a second time, because a lost digit in it could not be noticed otherwise.
 
         Raises
         ------
@@ -147,7 +152,7 @@ class Dialogue:
             waveform = decode_curve(data, preamble)
         except TransferError as error:
             raise self.after_damage(error) from error
-        if not self.link.framed and self._confirmed.get(source) != preamble_text:
+        if self._confirmed.get(source) != preamble_text:
             self._confirm(source, preamble_text)
         return waveform
 
@@ -232,12 +237,16 @@ class Dialogue:
     def _identify(self) -> Identity:
         """Ask ``*IDN?`` and read until an identity comes: on a stream, older lines may come first."""
         self.link.write("*IDN?")
-        deadline = time.monotonic() + ANSWER_TIME + self.link.line_time(2 * RECORD_LENGTH)
+        deadline = time.monotonic() + self.link.answer_time + self.link.line_time(2 * RECORD_LENGTH)
         problem: InstrumentError | None = None
         while problem is None or (not self.link.framed and time.monotonic() < deadline):
             try:
                 return parse_identity(self.link.read_text(longest=8192))
             except (WrongInstrument, TransferError) as error:
+                if problem is None and isinstance(error, TransferError) and self.link.is_serial:
+                    # Text without a line feed: perhaps the scope is set to end its answers with CR alone.
+                    self.link.write(f"{_LINE_END} LF")
+                    self.link.write("*IDN?")
                 problem = error
             except NoAnswer:
                 # Silence after a line that was not an identity: that line was the answer.
@@ -245,6 +254,16 @@ class Dialogue:
                     raise
                 break
         raise problem
+
+    def _set_line_end(self) -> str:
+        """On RS-232, let answers end with LF; returns what they ended with."""
+        if not self.link.is_serial:
+            return "LF"
+        (part,) = self.ask(f"{_LINE_END}?")
+        found = scpi.split_header(part)[1]
+        if found != "LF":
+            self.command(f"{_LINE_END} LF")
+        return found
 
     def _confirm(self, source: str, preamble_text: str) -> None:
         """Ask for a new preamble a second time; TransferError if the two differ."""
@@ -312,9 +331,7 @@ def _check_format(text: str, preamble: Preamble, source: str) -> None:
     """TransferError if the record is not the whole record of `source` in our format."""
     form = (preamble.byt_nr, preamble.encdg, preamble.bn_fmt)
     if form != (1, "BIN", "RI") or text.lstrip().startswith(":"):
-        raise TransferError(
-            "somebody changed headers or the transfer format; it has been set again, ask again"
-        )
+        raise TransferError("somebody changed headers or the transfer format; it has been set again, ask again")
     named = preamble.wfid.split(",")[0].upper().replace(" ", "")
     if named != source:
         raise TransferError(f"the record is of {named} instead of {source}; ask again")

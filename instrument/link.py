@@ -77,6 +77,8 @@ class Link:
     ) -> None:
         self.name = resource_name
         self.closed = False
+        self.answer_time = ANSWER_TIME
+        """May be raised for an unusually slow unit."""
         self._timeout: float | None = None
         self._resource = _open(resource_name, resource_manager)
         interface = self._resource.interface_type
@@ -113,7 +115,7 @@ class Link:
     def write(self, text: str) -> None:
         """Send one message; the line feed is added here. LinkError if it cannot be sent."""
         message = text.encode("ascii") + b"\n"
-        self._set_timeout(ANSWER_TIME + self.line_time(len(message)))
+        self._set_timeout(self.answer_time + self.line_time(len(message)))
         with self._link_errors("writing to"):
             self._resource.write_raw(message)
 
@@ -153,7 +155,7 @@ class Link:
         ``DCL`` (071-1064-00, p. 142). A bare socket has nothing like it: there only late bytes are dropped.
         """
         if self.framed:
-            self._set_timeout(ANSWER_TIME)
+            self._set_timeout(self.answer_time)
             with self._link_errors("clearing"):
                 self._resource.clear()
             return
@@ -169,7 +171,7 @@ class Link:
         Raises LinkError if the other side keeps talking for longer than the longest answer could take.
         """
         late = bytearray()
-        deadline = time.monotonic() + ANSWER_TIME + self.line_time(16_384)
+        deadline = time.monotonic() + self.answer_time + self.line_time(16_384)
         while time.monotonic() < deadline:
             try:
                 late += self._first_byte(PAUSE_TIME)
@@ -186,22 +188,20 @@ class Link:
 
     def _read_framed(self, wait: float, longest: int) -> bytes:
         limit = longest + 1024
-        self._set_timeout(ANSWER_TIME + wait + self.line_time(limit))
+        self._set_timeout(self.answer_time + wait + self.line_time(limit))
         message = bytearray()
         ended = False
         while not ended:
             data, ended = self._visa_read(limit)
             message += data
             if len(message) > limit:
-                raise TransferError(
-                    f"{self.name} sent more than the {limit} bytes that were expected; ask again"
-                )
+                raise TransferError(f"{self.name} sent more than the {limit} bytes that were expected; ask again")
         return bytes(message)
 
     def _read_stream(self, wait: float, longest: int, has_block: bool) -> bytes:
         # A chunk is what the line carries in about one slice, so that a lost link is seen within that time.
         chunk = max(16, int(SLICE_TIME * self.baud_rate / BITS_PER_BYTE))
-        message = bytearray(self._first_byte(ANSWER_TIME + wait))
+        message = bytearray(self._first_byte(self.answer_time + wait))
         while True:
             if has_block:
                 missing = scpi.bytes_missing(bytes(message), longest=longest)
@@ -210,14 +210,12 @@ class Link:
             if missing == 0:
                 return bytes(message)
             if len(message) > longest + 1024:
-                raise TransferError(
-                    f"{self.name} sent more than {len(message)} bytes without an end; ask again"
-                )
+                raise TransferError(f"{self.name} sent more than {len(message)} bytes without an end; ask again")
             if has_block and scpi.block_start(message) >= 0:
                 message += self._more(min(missing, chunk), PAUSE_TIME, len(message))
             else:
                 # Between the parts of an answer, preamble and curve for one, the scope may think again.
-                message += self._more(chunk, ANSWER_TIME, len(message))
+                message += self._more(chunk, self.answer_time, len(message))
 
     def _more(self, count: int, pause: float, have: int) -> bytes:
         """Up to `count` more bytes of an answer that has begun; fewer if a line feed comes first."""
@@ -297,7 +295,7 @@ class Link:
             return
         resource = self._resource
         with self._link_errors("sending a break to"):
-            self._set_timeout(ANSWER_TIME)
+            self._set_timeout(self.answer_time)
             resource.end_output = constants.SerialTermination.termination_break
             try:
                 # The line feed first ends a half-sent command.
@@ -320,9 +318,7 @@ class Link:
             if error.error_code != StatusCode.error_timeout:
                 raise LinkError(f"{doing} {self.name} failed: {error.description}") from error
             if self._has_hung_up():
-                raise LinkError(
-                    f"{self.name} has closed the connection; switch it on and connect again"
-                ) from None
+                raise LinkError(f"{self.name} has closed the connection; switch it on and connect again") from None
             raise NoAnswer(f"{self.name} did not answer within {(self._timeout or 0) / 1000:g} s") from None
         except (pyvisa.Error, OSError) as error:
             raise LinkError(f"{doing} {self.name} failed, the link is lost: {error}") from error

@@ -146,10 +146,11 @@ def bytes_missing(message: bytes, *, longest: int) -> int:
     return max(0, end + 1 - len(message))
 
 
-def split_block(message: bytes, *, longest: int) -> tuple[str, bytes]:
+def split_block(message: bytes, *, longest: int, terminated: bool = True) -> tuple[str, bytes]:
     """Separate a complete answer into the text before its binary block and the data of the block.
 
-    The block is cut by its own length, so data may hold any byte. Behind it only a line end may follow.
+    The block is cut by its own length, so data may hold any byte. Behind it only a line end may follow, and on
+    a link it must: without it the last byte of the data would be the line end, and one byte before it lost.
 
     Returns
     -------
@@ -174,6 +175,8 @@ def split_block(message: bytes, *, longest: int) -> tuple[str, bytes]:
     data, rest = message[first : first + length], message[first + length :]
     if len(data) < length:
         raise TransferError(f"the binary block is cut: {len(data)} of {length} bytes came; ask again")
+    if terminated and not rest:
+        raise TransferError(f"no line end follows the binary block of {length} bytes: a byte was lost; ask again")
     if rest.strip(b"\r\n") or len(rest) > 2:
         raise TransferError(
             f"{len(rest)} bytes follow the binary block of {length} bytes where only a line end belongs: "
@@ -184,7 +187,7 @@ def split_block(message: bytes, *, longest: int) -> tuple[str, bytes]:
 
 def decode_text(message: bytes) -> str:
     """Text of an answer without its line end; TransferError for bytes that are not printable ASCII."""
-    stripped = message.rstrip(b"\r\n")
+    stripped = message.strip(b"\r\n")
     if any(not 0x20 <= byte < 0x7F for byte in stripped):
         raise TransferError(f"the answer holds bytes that are not text ({stripped[:40]!r}); ask again")
     return stripped.decode("ascii")
@@ -205,7 +208,5 @@ def _block_length(message: bytes, start: int, digits: int, longest: int) -> int:
         raise TransferError(f"the length of the binary block reads {field!r}; ask again")
     length = int(field)
     if length > longest:
-        raise TransferError(
-            f"the binary block claims {length} bytes where at most {longest} belong; ask again"
-        )
+        raise TransferError(f"the binary block claims {length} bytes where at most {longest} belong; ask again")
     return length

@@ -103,10 +103,13 @@ def parse_isf(content: bytes) -> Waveform:
     if preamble.encdg == "ASC" or start < 0:
         words = curve.split(maxsplit=1)
         return decode_curve(words[1] if len(words) > 1 else b"", preamble)
+    # Some programs put more line ends behind the block than one, and some none.
+    block = curve[start:]
     length = preamble.nr_pt * preamble.byt_nr
-    _, data = scpi.split_block(
-        curve[start:].rstrip(b"\r\n") if _ends_late(curve, start, length) else curve[start:], longest=length
-    )
+    end = len(b"#") + 1 + len(str(length)) + length
+    if not block[end:].strip(b"\r\n"):
+        block = block[:end]
+    _, data = scpi.split_block(block, longest=length, terminated=False)
     return decode_curve(data, preamble)
 
 
@@ -222,10 +225,3 @@ def _curve_position(content: bytes) -> int:
         if position >= 0:
             return position
     raise FileFormatError("the ISF file has a preamble but no curve; it is cut, save it again")
-
-
-def _ends_late(curve: bytes, start: int, length: int) -> bool:
-    """Whether more line ends than usual stand behind the block (some programs add them)."""
-    digits = curve[start + 1 : start + 2]
-    end = start + 2 + (int(digits) if digits.isdigit() else 0) + length
-    return len(curve) > end + 2 and not curve[end:].strip(b"\r\n")

@@ -205,9 +205,7 @@ def decode_curve(data: bytes, preamble: Preamble) -> Waveform:
     """
     values = _ascii_codes(data, preamble) if preamble.encdg == "ASC" else _binary_codes(data, preamble)
     if len(values) != preamble.nr_pt:
-        raise TransferError(
-            f"{len(values)} points came where the preamble announces {preamble.nr_pt}; ask again"
-        )
+        raise TransferError(f"{len(values)} points came where the preamble announces {preamble.nr_pt}; ask again")
     half_range = 128 if preamble.byt_nr == 1 else 32768
     yoff, ymult = preamble.yoff, preamble.ymult
     if preamble.encdg != "ASC" and preamble.bn_fmt == "RP":

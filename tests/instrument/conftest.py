@@ -10,6 +10,7 @@ import threading
 from collections.abc import Callable, Iterator
 
 import pytest
+import pyvisa
 
 IDENTITY = "TEKTRONIX,TDS 2014,0,CF:91.1CT FV:v4.12 TDS2CM:CMV:v1.04"
 # As a TDS2024 answered, with the channel of these tests (programmer manual 071-1075-04, p. 2-243).
@@ -184,3 +185,15 @@ def line_server(line_scope: LineScope) -> Iterator[LineServer]:
     server = LineServer(line_scope)
     yield server
     server.close()
+
+
+@pytest.fixture
+def manager() -> pyvisa.ResourceManager:
+    """PyVISA-py, whatever other VISA the computer has."""
+    return pyvisa.ResourceManager("@py")
+
+
+@pytest.fixture
+def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A peer on this computer answers at once, so silence need not be waited for as long as at the bench."""
+    monkeypatch.setattr("instrument.link.ANSWER_TIME", 0.8)

@@ -85,7 +85,7 @@ def test_quotes():
 def test_block_of_any_bytes_comes_back(data, end, prefix):
     digits = str(len(data)).encode()
     message = prefix.encode() + b"#%d" % len(digits) + digits + data + end
-    assert scpi.split_block(message, longest=600) == (prefix, data)
+    assert scpi.split_block(message, longest=600, terminated=bool(end)) == (prefix, data)
 
 
 @given(st.binary(min_size=1, max_size=300), st.data())
@@ -104,6 +104,7 @@ def test_block_is_read_by_length_however_it_is_cut(data, draw):
     [
         (b"#42500abc\n", "cut"),
         (b"#13abcd\n", "follow"),
+        (b"#13ab\n", "no line end follows"),
         (b"#0abc", "instead of"),
         (b"#x", "instead of"),
         (b"#2 3abc", "length"),

@@ -1,0 +1,152 @@
+"""Time limits, streams read by length, and what a link does when the other side misbehaves."""
+
+import os
+import sys
+import threading
+
+import pytest
+
+from instrument import TDS2014, LinkError, TransferError
+from instrument.link import BITS_PER_BYTE, LINE_MARGIN, Link
+from instrument.simulated import SimulatedTDS2014, resource_manager
+
+on_unix = pytest.mark.skipif(sys.platform == "win32", reason="there are no ptys on Windows")
+
+
+class PtyPeer:
+    """The other end of a serial line: writes what a test tells it for each line that it reads."""
+
+    def __init__(self, answers: dict[bytes, bytes]) -> None:
+        import tty
+
+        self.master, self._slave = os.openpty()
+        tty.setraw(self._slave)
+        self.name = f"ASRL{os.ttyname(self._slave)}::INSTR"
+        self._answers = answers
+        self._thread = threading.Thread(target=self._run, daemon=True)
+        self._thread.start()
+
+    def _run(self) -> None:
+        buffer = b""
+        while b"STOP" not in buffer:
+            buffer += os.read(self.master, 1024)
+            while b"\n" in buffer:
+                line, buffer = buffer.split(b"\n", 1)
+                os.write(self.master, self._answers.get(line, b""))
+
+    def close(self) -> None:
+        os.write(self._slave, b"STOP")
+        self._thread.join(5)
+        os.close(self.master)
+        os.close(self._slave)
+
+
+@pytest.fixture
+def peer():
+    made = []
+
+    def make(answers):
+        made.append(PtyPeer(answers))
+        return made[-1]
+
+    yield make
+    for one in made:
+        one.close()
+
+
+@on_unix
+def test_line_time_follows_baud_rate_and_bytes(peer, manager):
+    name = peer({}).name
+    with Link(name, manager, baud_rate=300) as link:
+        assert link.line_time(2507) == pytest.approx(2507 * BITS_PER_BYTE / 300 * LINE_MARGIN)
+        assert not link.framed
+    with Link(name, manager) as link:
+        # Twice the bytes, twice the time; 9600 baud is the factory setting.
+        assert link.line_time(5014) == pytest.approx(2 * link.line_time(2507))
+        assert link.line_time(960) == pytest.approx(LINE_MARGIN)
+
+
+@on_unix
+def test_block_with_every_byte_is_read_by_its_length_and_leaves_nothing(peer, manager):
+    data = bytes(range(256)) * 4 + b"\n\n#\n"
+    block = b"#4%04d" % len(data) + data + b"\n"
+    one = peer({b"BLOCK?": b'1;"#";' + block, b"NEXT?": b"2.5E0\n"})
+    with Link(one.name, manager, baud_rate=19200) as link:
+        for _ in range(2):
+            link.write("BLOCK?")
+            assert link.read_block(longest=5000) == ('1;"#";', data)
+            link.write("NEXT?")
+            assert link.read_text() == "2.5E0"
+
+
+@on_unix
+def test_late_bytes_are_drained(peer, manager):
+    one = peer({b"CURVE?": b"#10" + b"old\n" * 300, b"NEXT?": b"1\n"})
+    with Link(one.name, manager) as link:
+        link.write("CURVE?")
+        assert len(link.drain()) == 1203
+        link.write("NEXT?")
+        assert link.read_text() == "1"
+
+
+@on_unix
+def test_answer_that_does_not_end(peer, manager, impatient):
+    one = peer({b"A?": b"12", b"B?": b"x" * 8000})
+    with Link(one.name, manager, baud_rate=19200) as link:
+        link.write("A?")
+        with pytest.raises(TransferError, match="stopped after about 1 bytes"):
+            link.read_text()
+        link.write("B?")
+        with pytest.raises(TransferError, match="without an end"):
+            link.read_text(longest=100)
+
+
+@on_unix
+def test_clear_learns_from_dcl_that_a_break_works(peer, manager):
+    # A pty carries no break, but the line feed in front of it arrives, so this peer can answer it.
+    one = peer({b"": b"DCL\n"})
+    with Link(one.name, manager) as link:
+        assert not link.can_clear
+        link.clear()
+        assert link.can_clear
+    mute = peer({})
+    with Link(mute.name, manager) as link:
+        link.clear()
+        assert not link.can_clear
+
+
+def test_framed_link_needs_no_patience_for_its_baud_rate():
+    name = "GPIB0::1::INSTR"
+    visa = resource_manager(scopes={name: SimulatedTDS2014()})
+    with Link(name, visa) as link:
+        assert link.framed
+        assert link.can_clear
+        link.write("*IDN?")
+        assert link.read_text().startswith("TEKTRONIX,TDS 2014")
+    visa.close()
+
+
+@pytest.mark.parametrize("line_end", ["CR", "CRLF", "LFCR", "LF"])
+@on_unix
+def test_scope_with_any_line_end_setting(line_end, manager, impatient):
+    from instrument.simulated import PtyServer
+
+    scope = SimulatedTDS2014({})
+    list(scope.execute(f"RS232:TRANSMIT:TERMINATOR {line_end}".encode()))
+    with PtyServer(scope) as server, TDS2014(server.resource_name, resource_manager=manager) as driver:
+        first = driver.acquire("CH1")
+        assert driver.fetch("CH1") == first
+
+
+@on_unix
+def test_serial_line_that_goes_away(manager, impatient):
+    import tty
+
+    master, slave = os.openpty()
+    tty.setraw(slave)
+    name = f"ASRL{os.ttyname(slave)}::INSTR"
+    with Link(name, manager) as link:
+        os.close(slave)
+        os.close(master)
+        with pytest.raises(LinkError, match=r"lost|failed"):
+            link.read_text()

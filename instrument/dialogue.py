@@ -32,6 +32,8 @@ _OUR_FORMAT = (
     f":HEADER OFF;:VERBOSE ON;:DATA:ENCDG RIBINARY;:DATA:WIDTH 1;:DATA:START 1;:DATA:STOP {RECORD_LENGTH}"
 )
 _LINE_END = ":RS232:TRANSMIT:TERMINATOR"
+_SOFT_FLAGGING = ":RS232:SOFTFLAGGING"
+_HARD_FLAGGING = ":RS232:HARDFLAGGING"
 _TRANSMISSION_FIELDS = 5  # all that WFMPre? answers about a source that is not displayed
 
 
@@ -55,10 +57,13 @@ class Dialogue:
         """Source that ``DATa:SOUrce`` names now, None if not known."""
         self._confirmed: dict[str, str] = {}
         self._recovering = False
+        self._answer_due = False
+        self.unread_events = False
+        """Whether a question of the user's may have left events that are not about the next record."""
         if self.link.is_serial or self.link.framed:
             self.link.clear()
         self.identity = self._identify()
-        self._found_line_end = self._set_line_end()
+        self._found_line = self._set_line()
         found = [scpi.split_header(part)[1] for part in self.ask(_FORMAT_QUERY, parts=7)]
         header, verbose, encoding, source, start, stop, width = found
         self._found_format = (
@@ -73,9 +78,9 @@ class Dialogue:
             return
         try:
             self.command(self._found_format)
-            if self._found_line_end != "LF":
-                # Its answer could not be read any more, so nothing is asked.
-                self.link.write(f"{_LINE_END} {self._found_line_end}")
+            if self._found_line:
+                # An answer could not be read any more, so nothing is asked.
+                self.link.write(self._found_line)
         finally:
             self.link.close()
 
@@ -100,8 +105,9 @@ class Dialogue:
             If the scope answers nothing any more.
         """
         try:
-            self.link.write(text)
-            found = scpi.split_parts(self.link.read_text(wait=wait, longest=16_384))
+            with self._exchange():
+                self.link.write(text)
+                found = scpi.split_parts(self.link.read_text(wait=wait, longest=16_384))
             if parts is not None and len(found) != parts:
                 raise TransferError(
                     f"{parts} answers to {text!r} were expected, but {found!r:.80} came; ask again"
@@ -139,9 +145,12 @@ class Dialogue:
         TransferError
             If the record is damaged, or is not in the format asked for; it has been set again.
         """
-        self.link.write(f"{commands};*ESR?;:WAVF?".lstrip(";"))
+        clean = "*CLS;" if self.unread_events else ""
+        self.unread_events = False
         try:
-            text, data = self.link.read_block(wait=wait, longest=2 * RECORD_LENGTH)
+            with self._exchange():
+                self.link.write(f"{clean}{commands};*ESR?;:WAVF?".replace(";;", ";").lstrip(";"))
+                text, data = self.link.read_block(wait=wait, longest=2 * RECORD_LENGTH)
             register, _, preamble_text = text.partition(";")
             self._check_register(register)
             if not data and len(scpi.split_parts(preamble_text.rstrip(";"))) <= _TRANSMISSION_FIELDS:
@@ -224,6 +233,17 @@ class Dialogue:
         return error
 
     @contextlib.contextmanager
+    def _exchange(self) -> Iterator[None]:
+        """Around one question and its answer: if the last one was interrupted, get back into step first."""
+        if self._answer_due and not self._recovering:
+            with self._recovery():
+                self.resynchronise()
+                self.set_format()
+        self._answer_due = True
+        yield
+        self._answer_due = False
+
+    @contextlib.contextmanager
     def _recovery(self) -> Iterator[None]:
         # A fault during recovery ends it; it must not start another one.
         self._recovering = True
@@ -255,15 +275,21 @@ class Dialogue:
                 break
         raise problem
 
-    def _set_line_end(self) -> str:
-        """On RS-232, let answers end with LF; returns what they ended with."""
+    def _set_line(self) -> str:
+        """On RS-232, let answers end with LF and no byte value stop the line; returns how to undo it."""
         if not self.link.is_serial:
-            return "LF"
-        (part,) = self.ask(f"{_LINE_END}?")
-        found = scpi.split_header(part)[1]
-        if found != "LF":
+            return ""
+        answers = self.ask(f"{_LINE_END}?;{_SOFT_FLAGGING}?", parts=2)
+        line_end, soft = (scpi.split_header(part)[1] for part in answers)
+        undo = []
+        if soft != "0":
+            # XON and XOFF are also values of samples; hard flagging switches soft flagging off.
+            self.command(f"{_HARD_FLAGGING} ON")
+            undo.append(f"{_SOFT_FLAGGING} ON")
+        if line_end != "LF":
             self.command(f"{_LINE_END} LF")
-        return found
+            undo.append(f"{_LINE_END} {line_end}")
+        return ";".join(undo)
 
     def _confirm(self, source: str, preamble_text: str) -> None:
         """Ask for a new preamble a second time; TransferError if the two differ."""

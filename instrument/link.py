@@ -116,8 +116,13 @@ class Link:
         """Send one message; the line feed is added here. LinkError if it cannot be sent."""
         message = text.encode("ascii") + b"\n"
         self._set_timeout(self.answer_time + self.line_time(len(message)))
-        with self._link_errors("writing to"):
-            self._resource.write_raw(message)
+        try:
+            with self._link_errors("writing to"):
+                self._resource.write_raw(message)
+        except NoAnswer:
+            raise LinkError(
+                f"{self.name} takes no data; is the scope on, and does the cable carry the handshake wires?"
+            ) from None
 
     def read_text(self, *, wait: float = 0.0, longest: int = 4096) -> str:
         """Read one answer of text.

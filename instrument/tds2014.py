@@ -326,7 +326,10 @@ class TDS2014:
     def fetch(self, channel: str | int) -> Waveform:
         """Return the record that the scope holds now, without a new acquisition. Errors as `acquire`."""
         source = self._channel(channel)
-        return self._record(self._source_command(source), source)
+        try:
+            return self._record(self._source_command(source), source)
+        except NoAnswer as silence:
+            raise self._dialogue.explain_silence("WAVFrm?", silence) from None
 
     def _acquire_at_once(self, start: str, source: str, wait: float) -> Waveform:
         try:
@@ -352,11 +355,6 @@ class TDS2014:
     def _record(self, commands: str, source: str, *, wait: float = 0.0) -> Waveform:
         try:
             waveform = self._dialogue.record(commands.rstrip(";"), source, wait=wait)
-        except NoAnswer as silence:
-            self._forget()
-            if wait:
-                raise
-            raise self._dialogue.explain_silence("WAVFrm?", silence) from None
         except InstrumentError:
             self._forget()
             raise
@@ -381,7 +379,12 @@ class TDS2014:
         return self._dialogue.events()
 
     def query(self, text: str) -> str:
-        """Send a query of your own and return its answer as text."""
+        """Send a query of your own and return its answer as text.
+
+        Events that it causes without staying unanswered (a measurement that cannot be made, for example) are
+        there for `events` until the next record is read.
+        """
+        self._dialogue.unread_events = True
         return ";".join(self._dialogue.ask(text, parts=None))
 
     def write(self, text: str) -> None:

@@ -102,6 +102,8 @@ class LineScope:
         return []
 
     def _command(self, part: str) -> None:
+        if part == "*CLS":
+            self.register, self.queue = 0, []
         if part in ("", "*CLS", "*WAI"):
             return
         name, value = part.split(" ", 1)

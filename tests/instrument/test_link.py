@@ -150,3 +150,24 @@ def test_serial_line_that_goes_away(manager, impatient):
         os.close(master)
         with pytest.raises(LinkError, match=r"lost|failed"):
             link.read_text()
+
+
+@on_unix
+def test_soft_flagging_is_switched_off_and_on_again(manager, impatient):
+    from instrument.simulated import PtyServer
+
+    scope = SimulatedTDS2014({})
+    list(scope.execute(b"RS232:SOFTFLAGGING ON"))
+
+    def flagging():
+        return b"".join(answer or b"" for answer in scope.execute(b":HEADER OFF;:RS232:SOFTF?;HARDF?"))
+
+    assert flagging() == b"1;0"
+    with PtyServer(scope) as server:
+        with TDS2014(server.resource_name, resource_manager=manager) as driver:
+            assert driver.query("RS232:SOFTF?") == "0"
+            driver.acquire(1)
+        # The last command has no answer to wait for: ask over the line, behind it.
+        with Link(server.resource_name, manager) as link:
+            link.write("RS232:SOFTF?;HARDF?")
+            assert link.read_text() == "1;0"

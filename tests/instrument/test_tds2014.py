@@ -386,3 +386,37 @@ def test_resource_that_does_not_exist(manager, name):
 
 def test_codes_are_signed_bytes(scope):
     assert scope.acquire(1).codes.dtype == np.int8
+
+
+def test_interrupted_in_the_middle_of_a_record(line_server, line_scope, manager, monkeypatch):
+    before = dict(line_scope.settings)
+    with (
+        pytest.raises(KeyboardInterrupt) as caught,
+        TDS2014(line_server.resource_name, resource_manager=manager) as scope,
+    ):
+        scope.set_timebase(1e-3)
+        read = scope._dialogue.link._more
+
+        def interrupt(*_):
+            monkeypatch.setattr(scope._dialogue.link, "_more", read)
+            raise KeyboardInterrupt
+
+        monkeypatch.setattr(scope._dialogue.link, "_more", interrupt)
+        scope.acquire("CH1")
+    # The rest of the record was still under way when the settings were put back.
+    assert line_scope.settings == before
+    assert not hasattr(caught.value, "__notes__")
+
+
+def test_event_of_an_own_query_is_not_taken_for_one_about_the_record(scope, line_scope):
+    scope.acquire(1)
+    scope.query("CH1:SCALE?")
+    line_scope.register, line_scope.queue = 16, ['2202,"Measurement error, No period found; "']
+    assert scope.acquire(1).codes.shape == (2500,)
+
+
+def test_timeout_zero_is_a_timeout(scope, line_scope):
+    scope.set_trigger(mode="NORMAL")
+    line_scope.triggers = False
+    with pytest.raises(NoTrigger):
+        scope.acquire("CH1", timeout=0)

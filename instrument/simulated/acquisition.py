@@ -101,7 +101,8 @@ class Acquisition:
     @property
     def awaited(self) -> bool:
         """True while a record with all displayed channels is bound to come but is not there yet."""
-        if not self.running or self._panel.text("TRIGGER:MAIN:MODE") != "AUTO":
+        auto = self._panel.text("TRIGGER:MAIN:MODE") == "AUTO"
+        if not self.running or not auto or self._panel.scanning:
             return False
         shown = {name for name in self._panel.displayed if name in self._panel.model.channel_names}
         return bool(shown) and (self.record is None or not shown <= self.record.channels.keys())

@@ -91,7 +91,8 @@ def _display_and_acquire() -> Iterator[Row]:
     yield Row("DISplay:CONTRast", Whole(1, 100), 50, kept=True)
     yield Row("DISplay:INVert", Switch(words=True), 0, kept=True)
     yield Row("ACQuire:MODe", Words("SAMple", "PEAKdetect", "AVErage"), "SAMPLE")
-    yield Row("ACQuire:NUMAVg", Steps((4, 16, 64, 128), whole=True), 16)
+    averages = Steps((4, 16, 64, 128), whole=True)
+    yield Row("ACQuire:NUMAVg", averages, 16, aliases=("ACQuire:NUMA",))  # NUMA stands in an example, p. 2-7
     yield Row("ACQuire:STATE", AcquireState(), 1)
     yield Row("ACQuire:STOPAfter", Words("RUNSTop", "SEQuence"), "RUNSTOP")
 

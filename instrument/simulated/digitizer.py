@@ -11,7 +11,8 @@ from instrument.simulated.acquisition import Record
 from instrument.simulated.frontend import NO_DATA, Codes, Floats, Signal, convert, shown_volts
 from instrument.simulated.panel import POINTS, POINTS_PER_DIVISION, ChannelSettings
 
-_PEAK_SAMPLES = 16  # samples of which one pair of Peak Detect is the smallest and the largest
+_PEAK_RATE = 100e6  # S/s at which Peak Detect looks for the smallest and the largest sample
+_MOST_PEAK_SAMPLES = 64  # a pair
 _KEPT = 16  # records by channel
 
 
@@ -66,11 +67,14 @@ class Digitizer:
 
     def _peaks(self, record: Record, name: str, channel: ChannelSettings) -> Codes:
         """Pairs of the smallest and the largest sample of two intervals, p. 2-250."""
-        count = POINTS // 2 * _PEAK_SAMPLES
-        times = record.starts[-1] + 2 * record.xincr / _PEAK_SAMPLES * np.arange(count, dtype=np.float64)
+        samples = min(_MOST_PEAK_SAMPLES, max(2, round(2 * record.xincr * _PEAK_RATE)))
+        count = POINTS // 2 * samples
+        # irregular sampling, so that no frequency hides between the samples of a slow sweep
+        irregular = np.random.default_rng([self._seed, record.number]).random(count)
+        times = record.starts[-1] + 2 * record.xincr / samples * (np.arange(count) + irregular)
         volts = shown_volts(self._signal(name), channel, times)
         codes = convert(volts, channel, self._noise(record.number, name, count))
-        groups = codes.reshape(-1, _PEAK_SAMPLES)
+        groups = codes.reshape(-1, samples)
         return np.stack([groups.min(axis=1), groups.max(axis=1)], axis=1).ravel()
 
     def _scan(self, record: Record, name: str, channel: ChannelSettings) -> Codes:

@@ -22,7 +22,7 @@ HIGHEST_CODE = 127  # clipped records stop here, at either sign
 NO_DATA = -128
 AC_CORNER = 10.0  # Hz
 _SETTLING = 5 / (2 * math.pi * AC_CORNER)  # s of history after which the coupling has forgotten
-_AC_RATE = 51_283.7  # S/s for the slow part; an odd number, so that no round frequency beats with it
+_AC_RATES = (51_283.7, 47_013.1, 57_942.9)  # S/s for the slow part; a frequency can beat with one of them
 _AC_POINTS = 1 << 17
 
 
@@ -61,13 +61,18 @@ def shown_volts(signal: Signal, channel: ChannelSettings, times: Floats) -> Floa
 def slow_part(signal: Signal, times: Floats) -> Floats:
     """What the AC coupling takes away: the signal through a one-pole low-pass of 10 Hz.
 
-    It is computed on a grid of its own that begins before the record, and interpolated: the low-pass moves
-    slowly, so a record of microseconds needs no grid of microseconds.
+    It is computed on grids of its own that begin before the record, and interpolated: the low-pass moves
+    slowly, so a record of microseconds needs no grid of microseconds. A signal whose frequency is that of one
+    grid looks constant there; the median of three grids does not fall for it.
     """
+    return np.asarray(np.median([_slow_part_on_grid(signal, times, rate) for rate in _AC_RATES], axis=0))
+
+
+def _slow_part_on_grid(signal: Signal, times: Floats, rate: float) -> Floats:
     from scipy.signal import lfilter
 
     start, stop = float(times[0]) - _SETTLING, float(times[-1])
-    step = max(1 / _AC_RATE, (stop - start) / _AC_POINTS)
+    step = max(1 / rate, (stop - start) / _AC_POINTS * _AC_RATES[0] / rate)
     grid = start + step * np.arange(math.ceil((stop - start) / step) + 2, dtype=np.float64)
     volts = evaluate(signal, grid)
     gain = -math.expm1(-2 * math.pi * AC_CORNER * step)

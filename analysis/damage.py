@@ -8,12 +8,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.flags import Flag
+from analysis.records import Records
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
-SHARE_AT_END = 0.004
-"""A level that holds less than this share of the samples is not worth calling a clipping limit."""
+SHARE_AT_END = 0.012
+"""A level that holds less than this share of the samples is not worth calling a clipping limit: the wave would
+pass it by less than a thousandth of its amplitude."""
+
+THINNING = 5
+"""Every fifth sample is enough to see whether a level may be crowded."""
 
 CROWDING = 4.0
 """A smooth extremum of a quantised wave puts at most about 2.4 times as many samples into its last level as
@@ -33,28 +38,27 @@ class Damage:
     flags: NDArray[np.int64]
 
 
-def find_damage(values: Floats, weights: Floats | None, clipped: Bools | None) -> Damage:
+def find_damage(records: Records, clipped: Bools | None) -> Damage:
     """Find clipped samples, from the caller's mask or from levels that are too crowded.
 
     Parameters
     ----------
-    values : (R, N)
-    weights : (R, N) or None
-        0 for a missing sample.
+    records : Records
     clipped : (R, N) of bool or None
         The caller's own knowledge; replaces the search where it is given.
     """
-    n_records = len(values)
-    flags = np.zeros(n_records, dtype=np.int64)
+    values, weights = records.values, records.weights
+    flags = np.zeros(len(values), dtype=np.int64)
     if clipped is None:
-        low, high = _crowded_ends(values, weights)
+        high = _crowded_end(values, weights, records.highest, 1.0)
+        low = -_crowded_end(values, weights, records.lowest, -1.0)
     else:
         known = clipped if weights is None else clipped & (weights > 0)
         low = np.where(known & (values < 0), values, -np.inf).max(axis=-1)
         high = np.where(known & (values >= 0), values, np.inf).min(axis=-1)
     if weights is not None:
         flags[(weights == 0).any(axis=-1)] |= Flag.DAMAGED
-    hit = np.isfinite(low) | np.isfinite(high)
+    hit = (np.isfinite(low) | np.isfinite(high)) & ~records.constant
     if not hit.any():
         return Damage(None, None, flags)
     flags[hit] |= Flag.CLIPPED
@@ -63,34 +67,33 @@ def find_damage(values: Floats, weights: Floats | None, clipped: Bools | None) -
     return Damage(undamaged, np.stack([low, high], axis=-1), flags)
 
 
-def _crowded_ends(values: Floats, weights: Floats | None) -> tuple[Floats, Floats]:
-    """Lowest and highest level where they are clipping limits, else -inf and inf; (R,) each."""
-    low, high = np.full(len(values), -np.inf), np.full(len(values), np.inf)
-    top, bottom = values.max(axis=-1), values.min(axis=-1)
-    enough = SHARE_AT_END * values.shape[1]
-    at_top = (values == top[:, np.newaxis]).sum(axis=-1) > enough
-    at_bottom = (values == bottom[:, np.newaxis]).sum(axis=-1) > enough
-    for row in np.flatnonzero(at_top | at_bottom):
-        valid = values[row] if weights is None else values[row][weights[row] > 0]
-        levels, counts = np.unique(valid, return_counts=True)
-        if levels.size < 4:
-            continue
-        if counts[-1] > max(enough, CROWDING * counts[-2]):
-            high[row] = levels[-1]
-        if counts[0] > max(enough, CROWDING * counts[1]):
-            low[row] = levels[0]
-    return low, high
+def _crowded_end(values: Floats, weights: Floats | None, end: Floats, sign: float) -> Floats:
+    """`sign` times the end level where it is a clipping limit, else inf; (R,)."""
+    limit = np.full(len(values), np.inf)
+    thinned = values[:, ::THINNING] == end[:, np.newaxis]
+    suspects = np.flatnonzero(np.count_nonzero(thinned, axis=-1) > SHARE_AT_END * thinned.shape[1])
+    if suspects.size == 0:
+        return limit
+    some, top = sign * values[suspects], sign * end[suspects, np.newaxis]
+    valid = np.ones(some.shape, bool) if weights is None else weights[suspects] > 0
+    at_top = (some >= top) & valid
+    below = np.where(at_top | ~valid, -np.inf, some)
+    second = below.max(axis=-1, keepdims=True)
+    crowd, next_crowd = at_top.sum(axis=-1), (below == second).sum(axis=-1)
+    clipped = (crowd > SHARE_AT_END * some.shape[1]) & (crowd > CROWDING * next_crowd) & np.isfinite(second[:, 0])
+    limit[suspects[clipped]] = top[clipped, 0]
+    return limit
 
 
 def outliers(left: Floats, weights: Floats | None) -> Bools:
     """Residuals that are single spikes, (R, N). Many of them are a misfit, not spikes, and are kept."""
-    size = np.abs(left) if weights is None else np.abs(left) * weights
-    rms = np.sqrt(np.einsum("rn,rn->r", size, size) / size.shape[1])
-    spikes = np.zeros(size.shape, dtype=bool)
-    # A single spike cannot hide: it is at least 5 times the rms that it itself has raised.
-    for row in np.flatnonzero(size.max(axis=-1) > 5 * rms):
-        robust = 1.4826 * float(np.median(size[row])) + 1e-12
-        found = size[row] > SPIKE * robust
+    spikes = np.zeros(left.shape, dtype=bool)
+    # A single spike cannot hide: it stands out of the rms that it itself has raised. Missing samples are 0.
+    rms = np.sqrt(np.vecdot(left, left) / left.shape[1])
+    for row in np.flatnonzero(np.maximum(left.max(axis=-1), -left.min(axis=-1)) > 5 * rms):
+        size = np.abs(left[row])
+        valid = size if weights is None else size[weights[row] > 0]
+        found = size > SPIKE * 1.4826 * float(np.median(valid))
         if found.mean() <= 0.02:
-            spikes[row] = found
+            spikes[row] = found & (size > 1e-9 * rms[row])
     return spikes

@@ -1,65 +1,116 @@
-"""First value of the beat frequency of each record, good enough for every fit that follows to converge."""
+"""First values of frequency, fundamental and second harmonic from the spectrum of each record."""
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
+Complexes = NDArray[np.complex128]
+Spectrum = NDArray[np.complex64]
 
 
-def coarse_frequency(volts: Floats) -> Floats:
-    """Angular frequency of the strongest line of each record, rad per sample.
+@dataclass(frozen=True)
+class SpectralStart:
+    """omega (R,) rad per sample; first, second (R,) amplitudes of the strongest line and at twice its frequency,
+    phases from the middle of the record."""
 
-    The spectrum is windowed by the Hann window (as a convolution of three bins), whose low side lobes keep
-    the mean value, the negative frequency and the other harmonics from pulling the peak; the two highest
-    bins then give the fraction of a bin.
+    omega: Floats
+    first: Complexes
+    second: Complexes
+
+
+def spectrum_of(values: Floats) -> Spectrum:
+    """Spectrum of centred records, (R, N) -> (R, N//2 + 1).
+
+    Single precision: it only starts the fits, and eight-bit samples do not fill its 24 bits.
+    """
+    return np.asarray(scipy.fft.rfft(values.astype(np.float32), axis=-1))
+
+
+def spectral_start(spectrum: Spectrum, n_samples: int) -> SpectralStart:
+    """Frequency of the strongest line, its amplitude, and that at twice its frequency.
+
+    The lines are read through the Hann window (a convolution of three bins), whose low side lobes keep the mean
+    value, the negative frequency and the other harmonics away; the two highest bins give the fraction of a bin.
 
     Parameters
     ----------
-    volts : (R, N)
-        Finite values. The fundamental is taken to be the strongest line, as it is above lock-in.
-
-    Returns
-    -------
-    (R,)
+    spectrum : (R, N//2 + 1)
+        Of centred records. The fundamental is taken to be the strongest line, as it is above lock-in.
+    n_samples : int
+        N.
     """
-    spectrum = scipy.fft.rfft(volts - volts.mean(axis=-1, keepdims=True), axis=-1)
-    return _interpolated_peak(spectrum, volts.shape[-1])
+    power = spectrum.real**2 + spectrum.imag**2
+    power[:, 0] = 0.0
+    rough = power.argmax(axis=-1)
+    windowed, bins = _hann_bins(spectrum, rough, 2, n_samples)
+    size = np.abs(windowed)
+    rows = np.arange(len(rough))
+    peak = 1 + size[:, 1:-1].argmax(axis=-1)
+    here, below, above = size[rows, peak], size[rows, peak - 1], size[rows, peak + 1]
+    ratio = np.maximum(below, above) / np.where(here > 0, here, 1.0)
+    fraction = np.where(above >= below, 1.0, -1.0) * np.clip((2 * ratio - 1) / (ratio + 1), -0.5, 0.5)
+    line = np.clip(bins[rows, peak] + fraction, 0.5, n_samples / 2)
+    doubled = np.abs((2 * line + n_samples / 2) % n_samples - n_samples / 2)
+    second, second_bins = _hann_bins(spectrum, np.rint(doubled).astype(int), 1, n_samples)
+    second_amplitude = _amplitude(second, second_bins - doubled[:, np.newaxis], n_samples)
+    folded = 2 * line > n_samples / 2
+    # A folded line is the conjugate of the harmonic that it comes from.
+    second_amplitude = np.where(folded, np.conj(second_amplitude), second_amplitude)
+    return SpectralStart(
+        line * (2 * np.pi / n_samples),
+        _amplitude(windowed, bins - line[:, np.newaxis], n_samples),
+        second_amplitude,
+    )
 
 
-def _interpolated_peak(spectrum: NDArray[np.complex128], n_samples: int) -> Floats:
-    rows = np.arange(spectrum.shape[0])
-    windowed = np.zeros_like(spectrum)
-    windowed[:, 1:-1] = spectrum[:, 1:-1] - (spectrum[:, :-2] + spectrum[:, 2:]) / 2
-    power = windowed.real**2 + windowed.imag**2
-    peak = np.clip(power.argmax(axis=-1), 1, spectrum.shape[1] - 2)
-    here, below, above = (np.sqrt(power[rows, peak + d]) for d in (0, -1, 1))
-    side = np.where(above >= below, 1.0, -1.0)
-    ratio = np.divide(np.maximum(below, above), here, out=np.zeros_like(here), where=here > 0)
-    fraction = side * np.clip((2 * ratio - 1) / (ratio + 1), -0.5, 0.5)
-    return np.asarray((peak + fraction) * (2 * np.pi / n_samples))
+def _hann_bins(
+    spectrum: Spectrum, centre: NDArray[np.intp], reach: int, n_samples: int
+) -> tuple[Complexes, NDArray[np.intp]]:
+    """Hann-windowed spectrum in the bins around `centre`, phases from the middle of the record."""
+    centre = np.clip(centre, reach + 1, spectrum.shape[1] - reach - 2)
+    bins = centre[:, np.newaxis] + np.arange(-reach - 1, reach + 2)
+    picked = np.take_along_axis(spectrum, bins, axis=-1).astype(np.complex128)
+    picked *= np.exp(1j * np.pi * bins * ((n_samples - 1) / n_samples))
+    windowed = picked[:, 1:-1] / 2 + (picked[:, :-2] + picked[:, 2:]) / 4
+    return windowed, bins[:, 1:-1]
 
 
-def other_candidates(volts: Floats, omega: Floats, n_candidates: int = 6) -> Floats:
-    """Further frequencies worth a try where the strongest line may not be the fundamental.
+def _amplitude(windowed: Complexes, distance: Floats, n_samples: int) -> Complexes:
+    """Least-squares amplitude of one line seen in a few bins at `distance` (in bins) from it."""
+
+    def dirichlet(d: Floats) -> Floats:
+        return np.asarray(np.sinc(d) / np.sinc(d / n_samples))
+
+    response = dirichlet(distance) / 2 + (dirichlet(distance - 1) + dirichlet(distance + 1)) / 4
+    return np.asarray(2 / n_samples * np.sum(response * windowed, axis=-1) / np.sum(response**2, axis=-1))
+
+
+def coarse_frequency(values: Floats) -> Floats:
+    """Angular frequency of the strongest line of centred records, rad per sample; (R, N) -> (R,)."""
+    return spectral_start(spectrum_of(values), values.shape[-1]).omega
+
+
+def candidate_frequencies(spectrum: Spectrum, n_samples: int, n_candidates: int = 6) -> Floats:
+    """The strongest lines, for records in which the strongest may not be the fundamental.
 
     Close to lock-in the harmonics are nearly as strong as the fundamental, and where few samples fall into a
-    period several of them fold onto one line. The other strong lines of the spectrum are then candidates.
+    period several of them fold onto one line.
 
     Returns
     -------
     (R, n_candidates)
-        rad per sample; the first column is `omega`.
+        rad per sample, strongest first.
     """
-    n_records, n_samples = volts.shape
-    spectrum = scipy.fft.rfft(volts - volts.mean(axis=-1, keepdims=True), axis=-1)
-    candidates = np.empty((n_records, n_candidates))
-    candidates[:, 0] = omega
+    remaining = spectrum.copy()
     bins = np.arange(spectrum.shape[1])
-    for column in range(1, n_candidates):
-        taken = candidates[:, column - 1, np.newaxis] * (n_samples / (2 * np.pi))
-        spectrum = np.where(np.abs(bins - taken) < 2.5, 0.0, spectrum)
-        candidates[:, column] = _interpolated_peak(spectrum, n_samples)
+    candidates = np.empty((len(spectrum), n_candidates))
+    for column in range(n_candidates):
+        candidates[:, column] = spectral_start(remaining, n_samples).omega
+        taken = candidates[:, column, np.newaxis] * (n_samples / (2 * np.pi))
+        remaining[np.abs(bins - taken) < 2.5] = 0.0
     return candidates

@@ -19,11 +19,11 @@ Complexes = NDArray[np.complex128]
 
 
 def harmonic_powers(omega: Floats, index: Floats, n_harmonics: int) -> Complexes:
-    """exp(-i k w x) for k = 1..n_harmonics; omega (R,), index (L,) in samples -> (R, L, n_harmonics)."""
+    """exp(-i k w x) for k = 0..n_harmonics; omega (R,), index (L,) in samples -> (R, L, n_harmonics + 1)."""
     first = np.exp(-1j * omega[:, np.newaxis] * index)
-    powers = np.empty((*first.shape, n_harmonics), dtype=np.complex128)
-    powers[..., 0] = first
-    for k in range(1, n_harmonics):
+    powers = np.empty((*first.shape, n_harmonics + 1), dtype=np.complex128)
+    powers[..., 0] = 1.0
+    for k in range(1, n_harmonics + 1):
         np.multiply(powers[..., k - 1], first, out=powers[..., k])
     return powers
 
@@ -55,29 +55,24 @@ def data_sums(volts: Floats, omega: Floats, n_harmonics: int, highest_power: int
     middle = (n_samples - 1) / 2
     inner = np.arange(length, dtype=np.float64) - (length - 1) / 2
     outer = length * np.arange(rows, dtype=np.float64) + (length - 1) / 2 - middle
-    fine = np.ones((n_records, length, n_harmonics + 1), dtype=np.complex128)
-    fine[..., 1:] = harmonic_powers(omega, inner, n_harmonics)
-    coarse = np.ones((n_records, rows, n_harmonics + 1), dtype=np.complex128)
-    coarse[..., 1:] = harmonic_powers(omega, outer, n_harmonics)
+    fine = harmonic_powers(omega, inner, n_harmonics)
+    coarse = harmonic_powers(omega, outer, n_harmonics)
 
-    # (inner + outer)^p is expanded, so each power of `inner` costs one product over the samples.
-    inner_scaled, outer_scaled = inner * (2 / n_samples), outer * (2 / n_samples)
-    partial = [
-        np.matmul(blocks, _as_real(fine * (inner_scaled**q)[:, np.newaxis])).view(np.complex128) * coarse
-        for q in range(highest_power + 1)
-    ]
-    sums = np.empty((n_records, highest_power + 1, n_harmonics + 1), dtype=np.complex128)
-    for p in range(highest_power + 1):
-        terms = [
-            math.comb(p, q) * np.einsum("rik,i->rk", partial[q], outer_scaled ** (p - q)) for q in range(p + 1)
-        ]
-        sums[:, p] = sum(terms)
-    return sums
-
-
-def _as_real(values: Complexes) -> Floats:
-    """Real view with real and imaginary parts interleaved: half the work of a complex product."""
-    return np.ascontiguousarray(values).view(np.float64)
+    # (inner + outer)^p is expanded: each power of `inner` costs one product over the samples, those of `outer`
+    # only one over the rows.
+    powers = np.arange(highest_power + 1)
+    inner_powers = (inner * (2 / n_samples)) ** powers[:, np.newaxis]
+    outer_powers = (outer * (2 / n_samples)) ** powers[:, np.newaxis]
+    columns = fine[:, :, np.newaxis, :] * inner_powers.T[:, :, np.newaxis]
+    partial = np.matmul(blocks, columns.reshape(n_records, length, -1).view(np.float64)).view(np.complex128)
+    partial = partial.reshape(n_records, rows, highest_power + 1, n_harmonics + 1) * coarse[:, :, np.newaxis, :]
+    mixed = np.matmul(outer_powers, partial.reshape(n_records, rows, -1).view(np.float64)).view(np.complex128)
+    mixed = mixed.reshape(n_records, highest_power + 1, highest_power + 1, n_harmonics + 1)
+    sums = mixed[:, :, 0].copy()
+    for p in range(1, highest_power + 1):
+        for q in range(1, p + 1):
+            sums[:, p] += math.comb(p, q) * mixed[:, p - q, q]
+    return np.asarray(sums)
 
 
 def uniform_kernels(omega: Floats, n_samples: int, n_orders: int) -> Complexes:

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from analysis.frequency_search import coarse_frequency
 from analysis.periodic_fit import Step, gauss_newton_step, record_sums, two_sided
-from analysis.records import as_records
+from analysis.records import Records, as_stack
 
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
@@ -71,37 +71,35 @@ def fit_harmonics(volts: ArrayLike, sample_interval: float, *, harmonics: int = 
     """
     if harmonics < 1:
         raise ValueError(f"harmonics is {harmonics}: at least 1 is needed")
-    records = as_records(volts, sample_interval)
-    n_parameters = 2 * harmonics + 2
-    size = len(records.values)
-    omega, offset = np.full(size, np.nan), np.full(size, np.nan)
-    amplitudes = np.full((size, harmonics), np.nan, dtype=np.complex128)
-    covariance = np.full((size, n_parameters, n_parameters), np.nan)
-    residual = np.full(size, np.nan)
-    for part in records.parts(~records.constant):
-        values, weights = records.take(part)
-        omega[part], offset[part], amplitudes[part], step = fit_free_harmonics(
-            values, weights, coarse_frequency(values), harmonics
-        )
-        covariance[part], residual[part] = step.covariance(), step.residual_power
-
-    degrees = np.maximum(records.count - n_parameters, 1)
-    noise = np.sqrt(residual / degrees) * records.scale
-    variances = np.diagonal(covariance, axis1=-2, axis2=-1) * (residual / degrees)[:, np.newaxis]
-    per_sample = np.sqrt(variances[:, -1]) * (2 / records.n_samples)
+    stack = as_stack(volts, sample_interval)
+    fitted = [_fit_part(stack.take(part), harmonics) for part in stack.parts()]
+    omega, offset, noise, amplitudes, deviations = (np.concatenate(column) for column in zip(*fitted, strict=True))
     to_hertz = 1 / (2 * np.pi * sample_interval)
-    pairs = np.sqrt((variances[:, 1:-1:2] + variances[:, 2:-1:2]) / 2)
-    middle = (records.n_samples - 1) / 2
+    middle = (stack.n_samples - 1) / 2
     at_start = np.exp(-1j * np.outer(omega * middle, np.arange(1, harmonics + 1)))
-    shape = records.shape
+    shape = stack.shape
     return HarmonicFit(
         frequency=(omega * to_hertz).reshape(shape),
-        frequency_u=(per_sample * to_hertz).reshape(shape),
-        amplitudes=(amplitudes * at_start * records.scale[:, np.newaxis]).reshape(*shape, harmonics),
-        amplitudes_u=(pairs * records.scale[:, np.newaxis]).reshape(*shape, harmonics),
-        offset=(offset * records.scale + records.centre).reshape(shape),
+        frequency_u=(deviations[:, -1] * (2 / stack.n_samples) * to_hertz).reshape(shape),
+        amplitudes=(amplitudes * at_start).reshape(*shape, harmonics),
+        amplitudes_u=np.sqrt((deviations[:, 1:-1:2] ** 2 + deviations[:, 2:-1:2] ** 2) / 2).reshape(
+            *shape, harmonics
+        ),
+        offset=offset.reshape(shape),
         noise_rms=noise.reshape(shape),
     )
+
+
+def _fit_part(records: Records, harmonics: int) -> tuple[Floats, Floats, Floats, Complexes, Floats]:
+    """Frequency, offset, noise (R,), amplitudes (R, harmonics), and standard uncertainty of each parameter."""
+    omega, offset, amplitudes, step = fit_free_harmonics(
+        records.values, records.weights, coarse_frequency(records.values), harmonics
+    )
+    noise = np.sqrt(step.residual_power / np.maximum(records.count - 2 * harmonics - 2, 1))
+    deviations = np.sqrt(np.diagonal(step.covariance(), axis1=-2, axis2=-1)) * noise[:, np.newaxis]
+    blank = np.where(records.constant, np.nan, 1.0)
+    blanks = blank[:, np.newaxis]
+    return omega * blank, (offset + records.centre) * blank, noise, amplitudes * blanks, deviations * blanks
 
 
 def fit_free_harmonics(
@@ -120,27 +118,26 @@ def fit_free_harmonics(
     """
     n_records, n_samples = values.shape
     tangents = np.broadcast_to(_free_tangents(harmonics), (n_records, 2 * harmonics + 1, 2 * harmonics + 1))
-    omega = omega.copy()
     parameters = np.zeros((n_records, 2 * harmonics + 1))
     # With all amplitudes zero the frequency has no influence: the first step solves the linear part alone.
-    sums = record_sums(values, omega, harmonics, weights)
-    for iteration in range(iterations + 1):
-        amplitudes = parameters[:, 1::2] + 1j * parameters[:, 2::2]
-        step = gauss_newton_step(sums, two_sided(parameters[:, 0], amplitudes), tangents)
-        if iteration == iterations:
-            break
-        change = step.solve()
-        if iteration == 0:
-            change[:, -1] = 0.0
-        parameters += change[:, :-1]
+    moving = 0.0
+    for _ in range(iterations):
+        sums = record_sums(values, omega, harmonics, weights)
+        change = gauss_newton_step(sums, _free_coefficients(parameters), tangents).solve()
+        parameters = parameters + change[:, :-1]
         # Half a radian at the ends is the most that the linearisation can be trusted for.
-        moved = np.clip(change[:, -1], -0.5, 0.5)
-        omega = np.clip(omega + moved * (2 / n_samples), 0.5 / n_samples, np.pi)
-        if iteration > 0 and np.all(np.abs(moved) < 1e-9):
-            iterations = iteration + 1
-        if iteration > 0:
-            sums = record_sums(values, omega, harmonics, weights)
+        turn = moving * np.clip(change[:, -1], -0.5, 0.5)
+        omega = np.clip(omega + turn * (2 / n_samples), 0.5 / n_samples, np.pi)
+        if moving and np.all(np.abs(turn) < 1e-10):
+            break
+        moving = 1.0
+    sums = record_sums(values, omega, harmonics, weights)
+    step = gauss_newton_step(sums, _free_coefficients(parameters), tangents)
     return omega, parameters[:, 0], parameters[:, 1::2] + 1j * parameters[:, 2::2], step
+
+
+def _free_coefficients(parameters: Floats) -> Complexes:
+    return two_sided(parameters[:, 0], parameters[:, 1::2] + 1j * parameters[:, 2::2])
 
 
 def _free_tangents(harmonics: int) -> Complexes:

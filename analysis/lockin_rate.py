@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from analysis.flags import FATAL, Flag
 from analysis.lockin_equation import Relation, input_rate_from_beat, lock_in_from_beat, lock_in_from_rate
 from analysis.ratio_interval import size_interval
-from analysis.records import Records, as_records
+from analysis.records import as_stack
 from analysis.waveform_fit import WaveformFit, fit_waveform
 
 Floats = NDArray[np.float64]
@@ -136,21 +136,21 @@ def estimate_lock_in(
     if not np.isfinite(scale_factor) or scale_factor <= 0:
         raise ValueError(f"scale_factor must be positive (pulses per degree), not {scale_factor!r}")
     lock_in_from_rate(0.0, 1.0, relation)  # an unknown relation is an error before any work is done
-    records = as_records(volts, sample_interval)
-    rate = _given_rate(input_rate, records)
+    stack = as_stack(volts, sample_interval)
+    rate = _given_rate(input_rate, stack.shape)
     mask = None
     if clipped is not None:
-        full = np.broadcast_to(np.asarray(clipped, dtype=bool), (*records.shape, records.n_samples))
-        mask = full.reshape(-1, records.n_samples)
-    fit = fit_waveform(records, mask)
+        full = np.broadcast_to(np.asarray(clipped, dtype=bool), (*stack.shape, stack.n_samples))
+        mask = full.reshape(-1, stack.n_samples)
+    fit = fit_waveform(stack, mask)
     with np.errstate(all="ignore"):  # records without a beat divide by zero; their flags are fatal
-        beat = _Beat.of(fit, records, sample_interval)
+        beat = _Beat.of(fit, stack.n_samples, sample_interval)
         value, value_u, low, high = _lock_in_rate(beat, scale_factor, rate, relation)
-    flags = fit.flags | _beat_flags(beat, records.n_samples)
+    flags = fit.flags | _beat_flags(beat, stack.n_samples)
     fatal = (flags & int(FATAL)) != 0
 
     def shaped(values: Floats) -> Floats:
-        return np.asarray(np.where(fatal, np.nan, values)).reshape(records.shape)
+        return np.asarray(np.where(fatal, np.nan, values)).reshape(stack.shape)
 
     blank = np.where(fatal, np.nan, 1.0)
     sense = 1.0 if rate is None else np.where(rate < 0, -1.0, 1.0)
@@ -160,22 +160,22 @@ def estimate_lock_in(
         lock_in_rate_u=shaped(value_u),
         lock_in_rate_low_95=shaped(low),
         lock_in_rate_high_95=shaped(high),
-        input_rate=shaped(own_rate) if rate is None else rate.reshape(records.shape),
+        input_rate=shaped(own_rate) if rate is None else rate.reshape(stack.shape),
         beat_frequency=shaped(beat.frequency),
         beat_frequency_u=shaped(beat.frequency_u),
         ratio=shaped(beat.ratio),
         ratio_u=shaped(beat.ratio_u),
-        complex_ratio=(beat.rho * blank).reshape(records.shape),
+        complex_ratio=(beat.rho * blank).reshape(stack.shape),
         complex_ratio_covariance=(beat.rho_covariance * blank[:, np.newaxis, np.newaxis]).reshape(
-            *records.shape, 2, 2
+            *stack.shape, 2, 2
         ),
         backscatter_phase=shaped(np.angle(-beat.rho * sense) * sense),
-        amplitude=shaped(beat.amplitude * records.scale),
-        noise_rms=(fit.noise_rms * records.scale).reshape(records.shape),
+        amplitude=shaped(beat.amplitude),
+        noise_rms=fit.noise_rms.reshape(stack.shape),
         periods=shaped(beat.periods),
-        records=(~fatal).astype(np.int64).reshape(records.shape),
-        records_rejected=fatal.astype(np.int64).reshape(records.shape),
-        flags=flags.reshape(records.shape),
+        records=(~fatal).astype(np.int64).reshape(stack.shape),
+        records_rejected=fatal.astype(np.int64).reshape(stack.shape),
+        flags=flags.reshape(stack.shape),
         scale_factor=float(scale_factor),
         relation=relation,
         rate_given=rate is not None,
@@ -183,10 +183,10 @@ def estimate_lock_in(
     )
 
 
-def _given_rate(input_rate: ArrayLike | None, records: Records) -> Floats | None:
+def _given_rate(input_rate: ArrayLike | None, shape: tuple[int, ...]) -> Floats | None:
     if input_rate is None:
         return None
-    rate = np.broadcast_to(np.asarray(input_rate, dtype=np.float64), records.shape).ravel()
+    rate = np.broadcast_to(np.asarray(input_rate, dtype=np.float64), shape).ravel()
     if not np.all(np.isfinite(rate)):
         raise ValueError("input_rate must be finite (deg/s)")
     return rate
@@ -219,10 +219,10 @@ class _Beat:
         return np.sqrt(self.covariance[:, 1, 1])
 
     @staticmethod
-    def of(fit: WaveformFit, records: Records, sample_interval: float) -> _Beat:
+    def of(fit: WaveformFit, n_samples: int, sample_interval: float) -> _Beat:
         first, q, omega = fit.series.first, fit.series.ratio, fit.series.omega
         size = np.abs(q)
-        jacobian = _jacobian(first, q, 1 / (np.pi * records.n_samples * sample_interval))
+        jacobian = _jacobian(first, q, 1 / (np.pi * n_samples * sample_interval))
         covariance = jacobian @ fit.covariance @ jacobian.swapaxes(-1, -2)
         strength = np.sqrt(fit.excess)
         covariance = covariance * strength[:, :, np.newaxis] * strength[:, np.newaxis, :]
@@ -239,7 +239,7 @@ class _Beat:
             rho_covariance=rotation @ covariance[:, 1:, 1:] @ rotation.swapaxes(-1, -2),
             amplitude=np.abs(first) / (1 - size**2),
             omega=omega,
-            periods=omega * records.n_samples / (2 * np.pi),
+            periods=omega * n_samples / (2 * np.pi),
         )
 
 

@@ -60,7 +60,7 @@ def record_sums(volts: Floats, omega: Floats, n_harmonics: int, weights: Floats 
         hermitian_toeplitz(kernels[:, 1]),
         hermitian_toeplitz(kernels[:, 2]),
     )
-    return RecordSums(data, np.einsum("rn,rn->r", volts, volts), count, gram)
+    return RecordSums(data, np.vecdot(volts, volts), count, gram)
 
 
 def two_sided(offset: Floats, amplitudes: Complexes) -> Complexes:
@@ -89,6 +89,15 @@ class Step:
         scaled, scale = self._scaled()
         return np.asarray(np.linalg.inv(scaled) * scale[:, :, np.newaxis] * scale[:, np.newaxis, :])
 
+    def predicted_residual(self, change: Floats) -> Floats:
+        """Residual power after a full step, as the linear model predicts it, (R,)."""
+        gained = np.einsum("rp,rp->r", change, self.gradient)
+        return np.asarray(np.maximum(self.residual_power - gained, 0.0))
+
+    def take(self, part: NDArray[np.intp]) -> Step:
+        """Some of the records."""
+        return Step(self.normal[part], self.gradient[part], self.residual_power[part])
+
     def where(self, chosen: NDArray[np.bool_], other: Step) -> Step:
         """This step where chosen, the other elsewhere."""
         return Step(
@@ -97,7 +106,7 @@ class Step:
             np.where(chosen, self.residual_power, other.residual_power),
         )
 
-    def put(self, part: NDArray[np.bool_], other: Step) -> None:
+    def put(self, part: NDArray[np.intp] | NDArray[np.bool_], other: Step) -> None:
         """Write the other's records into the places `part` of this one."""
         self.normal[part], self.gradient[part] = other.normal, other.gradient
         self.residual_power[part] = other.residual_power
@@ -141,9 +150,9 @@ def gauss_newton_step(sums: RecordSums, coefficients: Complexes, tangents: Compl
     normal[:, :-1, :-1] = np.matmul(np.matmul(conjugate, t0), tangents.swapaxes(-1, -2)).real
     mixed = np.matmul(conjugate, np.matmul(t1, slope[..., np.newaxis]))[..., 0].real
     normal[:, :-1, -1] = normal[:, -1, :-1] = mixed
-    normal[:, -1, -1] = np.einsum("rk,rkl,rl->r", np.conj(slope), t2, slope, optimize=True).real
+    normal[:, -1, -1] = np.vecdot(slope, np.matmul(t2, slope[..., np.newaxis])[..., 0]).real
     gradient = np.empty((coefficients.shape[0], n_parameters + 1))
     gradient[:, :-1] = np.matmul(conjugate, left[..., np.newaxis])[..., 0].real
-    gradient[:, -1] = np.einsum("rk,rk->r", np.conj(slope), left1).real
-    residual = sums.power - np.einsum("rk,rk->r", np.conj(coefficients), sums.data[:, 0] + left).real
+    gradient[:, -1] = np.vecdot(slope, left1).real
+    residual = sums.power - np.vecdot(coefficients, sums.data[:, 0] + left).real
     return Step(normal, gradient, np.maximum(residual, 0.0))

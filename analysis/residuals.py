@@ -47,9 +47,9 @@ def examine_residual(
     """
     n_records, n_samples = left.shape
     flags = np.zeros(n_records, dtype=np.int64)
-    spectrum = scipy.fft.rfft(left, axis=-1)[:, 1:]
+    spectrum = scipy.fft.rfft(left.astype(np.float32), axis=-1)[:, 1:]
     power = spectrum.real**2 + spectrum.imag**2
-    mean = np.maximum(power.mean(axis=-1), 1e-300)
+    mean = np.maximum(power.mean(axis=-1), 1e-30)
     line = power.max(axis=-1) / mean
     expected = np.log(power.shape[1] / LINE_CHANCE)
 
@@ -59,11 +59,13 @@ def examine_residual(
     # For noise alone the strongest of N/2 lines has an exponential tail: N/2 exp(-z).
     strength = signal / 2 / np.maximum(noise, 1e-300)
     flags[strength < np.log(n_samples / 2) + 18] |= Flag.NO_BEAT
-    rounding = residual_power < ROUNDING * signal
+    rounding = residual_power <= ROUNDING * signal
     misfit = (line > expected) & ~rounding
     flags[misfit] |= Flag.MISFIT
-    lines = np.where(power > mean[:, np.newaxis] * expected, power, 0.0).sum(axis=-1) * 2 / n_samples
-    flags[misfit & (lines > GROSS_MISFIT * signal)] |= Flag.NOT_LOCK_IN_LIKE
+    for row in np.flatnonzero(misfit):
+        lines = power[row][power[row] > mean[row] * expected].sum() * 2 / n_samples
+        if lines > GROSS_MISFIT * signal[row]:
+            flags[row] |= Flag.NOT_LOCK_IN_LIKE
 
     excess = np.ones((n_records, 3))
     at_first = _local_level(power, omega, n_samples) / mean
@@ -80,7 +82,7 @@ def _local_level(power: Floats, omega: Floats, n_samples: int) -> Floats:
     """Mean power of the bins around a (folded) frequency; (R,)."""
     folded = np.abs((omega + np.pi) % (2 * np.pi) - np.pi)
     centre = np.rint(folded * n_samples / (2 * np.pi)).astype(int) - 1
-    reach = min(NEIGHBOURS, (power.shape[1] - 1) // 2)
-    centre = np.clip(centre, reach, power.shape[1] - 1 - reach)
-    offsets = np.arange(-reach, reach + 1)
-    return np.asarray(power[np.arange(len(power))[:, np.newaxis], centre[:, np.newaxis] + offsets].mean(axis=-1))
+    n_bins = power.shape[1]
+    reach = min(NEIGHBOURS, (n_bins - 1) // 2)
+    around = np.clip(centre, reach, n_bins - 1 - reach)[:, np.newaxis] + np.arange(-reach, reach + 1)
+    return np.asarray(np.take_along_axis(power, around, axis=-1).mean(axis=-1), dtype=np.float64)

@@ -9,10 +9,11 @@ from numpy.typing import NDArray
 
 from analysis.damage import Bools, find_damage, outliers
 from analysis.flags import Flag
-from analysis.geometric_series import Series, fit_series, sampled_series
+from analysis.geometric_series import Series, sampled_series
 from analysis.periodic_fit import Step
-from analysis.records import Records
+from analysis.records import Records, Stack
 from analysis.residuals import examine_residual
+from analysis.series_fit import fit_series
 
 Floats = NDArray[np.float64]
 
@@ -25,10 +26,10 @@ FEWEST_SAMPLES = 12
 class WaveformFit:
     """Fit of a stack of records.
 
-    series : parameters, in units of each record's `scale`, phases from the middle of the record
+    series : parameters (volts), phases from the middle of the record; the offset is less the record's mean
     covariance : (R, 6, 6) for white noise, order c0, Re H, Im H, Re q, Im q, w (rad at the record's ends)
     excess : (R, 3) variance factors of frequency, ratio size and ratio phase where the noise is not white
-    noise_rms : (R,) in units of `scale`
+    noise_rms : (R,) volts
     flags : (R,)
     """
 
@@ -39,20 +40,18 @@ class WaveformFit:
     flags: NDArray[np.int64]
 
 
-def fit_waveform(records: Records, clipped: Bools | None) -> WaveformFit:
+def fit_waveform(stack: Stack, clipped: Bools | None) -> WaveformFit:
     """Fit every record; `clipped` (R, N) marks samples known to stand at the converter's end, None: find them."""
-    parts = [
-        _fit_part(records, part, None if clipped is None else clipped[part])
-        for part in records.parts(np.ones(len(records.values), dtype=bool))
-    ]
+    parts = [_fit_part(stack.take(part), None if clipped is None else clipped[part]) for part in stack.parts()]
     series = Series(*(np.concatenate([getattr(p.series, f.name) for p in parts]) for f in fields(Series)))
     others = (np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(WaveformFit)[1:])
     return WaveformFit(series, *others)
 
 
-def _fit_part(records: Records, part: NDArray[np.intp], clipped: Bools | None) -> WaveformFit:
-    values, weights = records.take(part)
-    damage = find_damage(values, weights, clipped)
+def _fit_part(records: Records, clipped: Bools | None) -> WaveformFit:
+    values, weights = records.values, records.weights
+    n_samples = values.shape[1]
+    damage = find_damage(records, clipped)
     flags = damage.flags.copy()
     series, step = fit_series(values, weights)
     hit = (flags & int(Flag.CLIPPED)) != 0
@@ -64,7 +63,9 @@ def _fit_part(records: Records, part: NDArray[np.intp], clipped: Bools | None) -
         series.put(hit, refitted)
         step.put(hit, new_step)
 
-    left = values - sampled_series(series, records.n_samples)
+    left = values - sampled_series(series, n_samples)
+    if weights is not None:
+        left *= weights
     spikes = outliers(left, weights)
     hit = np.asarray(spikes.any(axis=-1))
     if hit.any():
@@ -72,17 +73,15 @@ def _fit_part(records: Records, part: NDArray[np.intp], clipped: Bools | None) -
         refitted, new_step = fit_series(values[hit] * weights[hit], weights[hit])
         series.put(hit, refitted)
         step.put(hit, new_step)
-        left[hit] = values[hit] - sampled_series(refitted, records.n_samples)
-        flags[hit] |= Flag.DAMAGED
-    if weights is not None:
+        left[hit] = values[hit] - sampled_series(refitted, n_samples)
         left *= weights
-    count = np.full(len(part), float(records.n_samples)) if weights is None else weights.sum(axis=-1)
-    return _judged(records, part, series, step, left, count, flags)
+        flags[hit] |= Flag.DAMAGED
+    count = records.count if weights is None else weights.sum(axis=-1)
+    return _judged(records, series, step, left, count, flags)
 
 
 def _judged(
     records: Records,
-    part: NDArray[np.intp],
     series: Series,
     step: Step,
     left: Floats,
@@ -91,7 +90,7 @@ def _judged(
 ) -> WaveformFit:
     report = examine_residual(left, count, series.omega, np.abs(series.first), step.residual_power)
     flags |= report.flags
-    flags[records.constant[part]] = Flag.CONSTANT
+    flags[records.constant] = Flag.CONSTANT
     flags[count < FEWEST_SAMPLES] |= Flag.TOO_FEW_SAMPLES
     variance = step.residual_power / np.maximum(count - N_PARAMETERS, 1)
     covariance = step.covariance() * variance[:, np.newaxis, np.newaxis]

@@ -6,9 +6,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
+from analysis import Flag, fit_harmonics
 from analysis.lockin_equation import Relation
 from instrument import Waveform, read_waveform
-from station.errors import UsageError
+from station.errors import NoUsableSignal
 from station.evaluate import Evaluation, Method, evaluate_run, evaluate_waveforms, saved_settings
 from station.results import record_documents, result_document
 from station.runs import SavedRun, is_run, open_run
@@ -53,9 +56,17 @@ class Analyzed:
         """Return the combined result as plain JSON, with the harmonics of a single file."""
         document = result_document(self.evaluation, self.run)
         if self.run is None:
-            document["file"] = str(self.path)
-            document["harmonics"] = harmonics_of(self.evaluation.waveforms[0])
+            harmonics = self.harmonics()
+            document |= {"file": str(self.path), "harmonics": harmonics}
+            if harmonics and document["beat_frequency_hz"] is None:
+                document["beat_frequency_hz"] = harmonics[0]["frequency_hz"]
         return document
+
+    def harmonics(self) -> list[dict[str, float]] | None:
+        """Return the harmonics of a single file, also where they are none of a gyro; ``None`` without any."""
+        if self.run is not None or int(self.evaluation.combined.flags) & int(Flag.NO_BEAT | Flag.CONSTANT):
+            return None
+        return harmonics_of(self.evaluation.waveforms[0])
 
     def record_documents(self) -> list[dict[str, Any]]:
         """Return one plain JSON object for each record."""
@@ -81,7 +92,7 @@ def analyze_path(path: Path, choices: Choices, settings: Settings) -> Analyzed:
     ------
     RunError, FileFormatError, OSError
         If it cannot be read.
-    UsageError
+    NoUsableSignal
         If the file holds no signal over time.
     """
     if is_run(path):
@@ -91,7 +102,9 @@ def analyze_path(path: Path, choices: Choices, settings: Settings) -> Analyzed:
     waveform = read_waveform(path)
     if waveform.preamble.xunit.lower() != "s":
         unit = waveform.preamble.xunit
-        raise UsageError(f"{path}: is a spectrum ({unit}), not a record over time: save the channel itself")
+        raise NoUsableSignal(
+            f"{path}: is a spectrum ({unit}), not a record over time: save the channel itself"
+        )
     scale_factor = choices.scale_factor or settings.gyro.scale_factor_pulses_per_deg
     evaluation = evaluate_waveforms([waveform], [str(path)], _method(choices, scale_factor))
     return Analyzed(path, None, evaluation)
@@ -110,10 +123,6 @@ def harmonics_of(waveform: Waveform, count: int = 5) -> list[dict[str, float]] |
     list of dict or None
         ``order``, ``frequency_hz``, ``amplitude_v``, ``phase_rad`` (at the first sample).
     """
-    import numpy as np
-
-    from analysis import fit_harmonics
-
     if np.nanmax(waveform.volts) == np.nanmin(waveform.volts):
         return None
     fit = fit_harmonics(waveform.volts, waveform.sample_interval, harmonics=count)

@@ -16,7 +16,9 @@ POINTS = 2500
 DIVISIONS = 10
 LEVELS_PER_DIVISION = 25
 _TRIALS_MAX = 30
-_SLOWEST_S = 5.0  # s/div: 50 s a record; a beat slower than that is no beat to measure with
+# Slowest time base of a trial, s/div: from 100 ms/div on the scope scans, without a trigger (user manual
+# 071-1064-00, p. 78). A beat of which this holds fewer than 3 periods, below 6 Hz, is not looked for.
+_SLOWEST_S = 0.05
 
 # 1-2.5-5 steps of the time base, s/div (programmer manual 071-1075-04, HORizontal:MAIn:SCAle)
 TIME_BASES = tuple(float(f"{mantissa}e{decade}") for decade in range(-9, 2) for mantissa in (1, 2.5, 5))
@@ -118,8 +120,11 @@ def next_vertical(
     scale = min(max(_two_digits_up(half_span * LEVELS_PER_DIVISION / fill_levels), low_limit), high_limit)
     # the position moves in steps of a level
     position = round(-(low + high) / 2 / scale * LEVELS_PER_DIVISION) / LEVELS_PER_DIVISION
-    reached = np.abs(waveform.codes.astype(int)).max()
-    well_filled = 0.85 * fill_levels <= reached <= 1.05 * fill_levels
+    lowest, highest = int(waveform.codes.min()), int(waveform.codes.max())
+    well_filled = (
+        0.85 * fill_levels <= (highest - lowest) / 2 <= 1.05 * fill_levels
+        and abs(highest + lowest) / 2 <= 0.1 * fill_levels
+    )
     wanted = VerticalSetting(scale, position)
     unchanged = math.isclose(scale, current.scale, rel_tol=0.02) and abs(position - current.position) < 0.1
     return None if well_filled or unchanged else wanted

@@ -1,16 +1,21 @@
-"""The command ``gyrolock``. Each command is a function in :mod:`station.commands`, imported when it is run."""
+"""The command ``gyrolock``. Each command is a module of :mod:`station.commands`, imported when it is run."""
 
 from __future__ import annotations
 
 import importlib
 import json
+import os
 import signal
 import sys
+import threading
+import traceback
 from collections.abc import Sequence
 
 import click
 
-from station.errors import EXIT_INTERRUPTED, EXIT_USAGE, Failure, describe_failure
+from station.errors import EXIT_DEFECT, EXIT_INTERRUPTED, EXIT_USAGE, Failure, describe_failure, one_line
+
+_TRACEBACK_VARIABLE = "GYROLOCK_TRACEBACK"
 
 # command: module, and the line that `gyrolock --help` shows without importing it
 _COMMANDS = {
@@ -68,8 +73,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         Exit code.
     """
     given = list(sys.argv[1:] if arguments is None else arguments)
-    # a program started in the background by a shell would otherwise not hear Ctrl-C
-    signal.signal(signal.SIGINT, signal.default_int_handler)
+    if threading.current_thread() is threading.main_thread():
+        # a program started in the background by a shell would otherwise not hear Ctrl-C
+        signal.signal(signal.SIGINT, signal.default_int_handler)
     try:
         code = gyrolock.main(given, prog_name="gyrolock", standalone_mode=False)
         return int(code or 0)
@@ -83,10 +89,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
         sys.stderr.close()  # the reader of our output has gone; nobody is left to tell
         return EXIT_USAGE
     except (Exception, KeyboardInterrupt) as error:
-        failure = describe_failure(error)
-        if failure is None:
-            raise
-        return _tell(failure, given)
+        return _tell(describe_failure(error) or _defect(error), given)
+
+
+def _defect(error: BaseException) -> Failure:
+    """Describe an error that should not have happened."""
+    if os.environ.get(_TRACEBACK_VARIABLE):
+        traceback.print_exception(error)
+    text = f"{type(error).__name__}: {one_line(error)}"
+    advice = f"this is a defect of gyrolock; {_TRACEBACK_VARIABLE}=1 in the environment shows where"
+    return Failure("defect", f"{text} ({advice})", EXIT_DEFECT)
 
 
 def _tell(failure: Failure, arguments: Sequence[str]) -> int:

@@ -97,9 +97,8 @@ def _summary(evaluation: Evaluation, simulated: bool) -> Table:
     return table
 
 
-def print_harmonics(harmonics: object) -> None:
+def print_harmonics(harmonics: list[dict[str, float]]) -> None:
     """Print the harmonics of a record, as :func:`station.analyze.harmonics_of` gives them."""
-    assert isinstance(harmonics, list)
     table = Table(box=None, header_style="dim", pad_edge=False, padding=(0, 2, 0, 0))
     for name in ("harmonic", "frequency", "amplitude", "of the first"):
         table.add_column(name, justify="right", no_wrap=True)
@@ -107,5 +106,5 @@ def print_harmonics(harmonics: object) -> None:
     for line in harmonics:
         share = f"{line['amplitude_v'] / first:.4f}" if first > 0 else ""
         frequency, amplitude = with_prefix(line["frequency_hz"], "Hz"), with_prefix(line["amplitude_v"], "V")
-        table.add_row(str(line["order"]), frequency, amplitude, share)
+        table.add_row(f"{line['order']:.0f}", frequency, amplitude, share)
     stdout_console().print(table)

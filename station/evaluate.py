@@ -19,12 +19,13 @@ from analysis import (
     flag_names,
 )
 from analysis.lockin_equation import Relation
-from analysis.rotation import earth_rate_on_axis, tilt_from_fast_run
+from analysis.rotation import earth_rate_on_axis
 from instrument import InstrumentError, Preamble, Waveform
 from instrument.waveform import CLIPPED_CODE
 from station.errors import RunError
 from station.runs import SavedRecord, SavedRun
 from station.settings import Settings
+from station.tilt import Tilt, azimuth_of, evaluate_tilt
 
 Array = NDArray[np.float64]
 _BATCH = 1000  # records analysed at once: 20 MB of samples
@@ -57,14 +58,6 @@ class Method:
         """Describe the method in words."""
         reference = "self-referenced" if self.input_rate is None else "input rate given"
         return f"{METHODS[self.relation]}, {reference}"
-
-
-@dataclass(frozen=True)
-class Tilt:
-    """Angle between gyro axis and table axis, deg, with its standard uncertainty."""
-
-    tilt_deg: float
-    tilt_u_deg: float
 
 
 @dataclass(frozen=True)
@@ -158,12 +151,14 @@ def evaluate_run(run: SavedRun, method: Method | None = None) -> Evaluation:
     method = method or Method(settings.gyro.scale_factor_pulses_per_deg)
     taken = run.taken_for("measure")
     records = [record for record in taken if record.intact]
-    damaged = tuple(str(record.number) for record in taken if not record.intact)
+    damaged = tuple(str(count) for count, record in enumerate(taken, start=1) if not record.intact)
     if not records:
         what = "only damaged records" if damaged else "no record at the slow rate"
         raise RunError(f"{run.path}: the run holds {what}")
     waveforms = tuple(saved_waveform(record, run) for record in records)
-    names = tuple(str(record.number) for record in records)
+    # counted among the records at the slow rate: those of the fast run have numbers too
+    number = {record.number: str(count) for count, record in enumerate(taken, start=1)}
+    names = tuple(number[record.number] for record in records)
     each, combined = _estimate(waveforms, method)
     tilt = evaluate_tilt(run.taken_for("tilt"), settings) if _has_tilt(run, settings) else None
     check = None
@@ -188,65 +183,6 @@ def evaluate_waveforms(waveforms: Sequence[Waveform], names: Sequence[str], meth
     """
     each, combined = _estimate(tuple(waveforms), method)
     return Evaluation(method, tuple(names), tuple(waveforms), each, combined)
-
-
-def evaluate_tilt(records: Sequence[SavedRecord], settings: Settings) -> Tilt:
-    """Find the tilt from the records of the fast run.
-
-    Parameters
-    ----------
-    records : sequence of SavedRecord
-        With ``table_rate_dps`` among their conditions.
-    settings : Settings
-
-    Returns
-    -------
-    Tilt
-
-    Raises
-    ------
-    RunError
-        If beat and table rate do not fit together.
-    """
-    scale_factor = settings.gyro.scale_factor_pulses_per_deg
-    runs: dict[float, list[FastRecord]] = {}
-    for record in records:
-        wave = Waveform(record.codes, Preamble.parse(record.preamble))
-        beat = estimate_lock_in(wave.volts, wave.sample_interval, scale_factor=scale_factor)
-        fast = FastRecord(
-            float(beat.beat_frequency), float(beat.beat_frequency_u), _mid_azimuth(record, settings)
-        )
-        runs.setdefault(float(record.conditions["table_rate_dps"]), []).append(fast)
-    try:
-        first = _tilt(runs, settings, None)
-        # the earth rate on the axis depends on the tilt, but so weakly that one more step is enough
-        return _tilt(runs, settings, first.tilt_deg)
-    except ValueError as error:
-        raise RunError(f"the fast run gives no tilt: {error}") from None
-
-
-@dataclass(frozen=True)
-class FastRecord:
-    """One record of the fast run: beat frequency and its uncertainty, Hz, and azimuth, deg from north or nan."""
-
-    frequency: float
-    frequency_u: float
-    azimuth_deg: float
-
-
-def _tilt(runs: dict[float, list[FastRecord]], settings: Settings, known_tilt_deg: float | None) -> Tilt:
-    """Tilt from all senses; with a tilt known roughly, free of the earth rate that the azimuth shows."""
-    scale_factor, latitude = settings.gyro.scale_factor_pulses_per_deg, settings.site.latitude_deg
-    means, us = [], []
-    for rate, found in runs.items():
-        frequencies = np.array([record.frequency for record in found])
-        azimuths = np.array([record.azimuth_deg for record in found])
-        if known_tilt_deg is not None and np.isfinite(azimuths).all():
-            earth = earth_rate_on_axis(latitude, known_tilt_deg, azimuths)
-            frequencies = frequencies - math.copysign(scale_factor, rate) * earth
-        means.append(float(np.mean(frequencies)))
-        us.append(_mean_u(frequencies, np.array([record.frequency_u for record in found])))
-    return Tilt(*tilt_from_fast_run(means, us, list(runs), scale_factor))
 
 
 def saved_settings(run: SavedRun) -> Settings:
@@ -330,7 +266,7 @@ def _table_check(
 ) -> TableCheck | None:
     table = np.array([float(record.conditions["table_rate_dps"]) for record in records])
     cosine = math.cos(math.radians(tilt.tilt_deg))
-    azimuths = np.array([_mid_azimuth(record, settings) for record in records])
+    azimuths = np.array([azimuth_of(record, settings).middle for record in records])
     earth = earth_rate_on_axis(settings.site.latitude_deg, tilt.tilt_deg, azimuths)
     if not np.isfinite(earth).all():
         vertical = earth_rate_on_axis(settings.site.latitude_deg, 0.0, 0.0) * cosine
@@ -358,22 +294,6 @@ def _has_tilt(run: SavedRun, settings: Settings) -> bool:
         record.conditions.get("table_rate_dps") is not None for record in run.taken_for("measure")
     )
     return slow_known and len(senses) == (2 if settings.table.both_senses else 1)
-
-
-def _mid_azimuth(record: SavedRecord, settings: Settings) -> float:
-    conditions = record.conditions
-    if "azimuth_start_deg" not in conditions:
-        return math.nan
-    middle = (float(conditions["azimuth_start_deg"]) + float(conditions["azimuth_end_deg"])) / 2
-    return middle - settings.table.north_azimuth_deg
-
-
-def _mean_u(values: Array, us: Array) -> float:
-    """Standard uncertainty of a mean: the larger of what the fits say and what the scatter says."""
-    fits = float(np.sqrt(np.sum(us**2))) / values.size
-    if values.size < 2:
-        return fits
-    return max(fits, float(np.std(values, ddof=1)) / math.sqrt(values.size))
 
 
 def _mean_truth(records: Sequence[SavedRecord]) -> dict[str, float] | None:

@@ -14,11 +14,11 @@ from instrument import InstrumentError, TransferError, Waveform
 from station.autoset import ScopeSetting, find_beat
 from station.bench import Bench, open_bench
 from station.errors import Failure, StationError, describe_failure
-from station.evaluate import Tilt, evaluate_tilt
 from station.progress import Progress
 from station.provenance import provenance
 from station.runs import RunWriter, open_run, utc_now
 from station.settings import Settings
+from station.tilt import Tilt, evaluate_tilt
 
 _ATTEMPTS = 3
 _SCAN_FROM_S = 0.1  # s/div, user manual 071-1064-00, p. 78: AUTO scans from 100 ms/div on
@@ -61,6 +61,7 @@ def take_run(settings: Settings, progress: Progress) -> Taken:
     writer: RunWriter | None = None
     try:
         with open_bench(settings) as bench:
+            _set_up(settings, bench)
             writer = RunWriter(Path(settings.output.directory), _facts(settings, bench))
             progress.note(f"{bench.scope.identity.model} ({settings.scope.resource or 'simulated'})")
             _experiment(settings, bench, writer, progress)
@@ -88,16 +89,21 @@ def _facts(settings: Settings, bench: Bench) -> dict[str, object]:
     }
 
 
-def _experiment(settings: Settings, bench: Bench, writer: RunWriter, progress: Progress) -> None:
-    scope, wanted = bench.scope, settings.scope
-    scope.set_channel(
+def _set_up(settings: Settings, bench: Bench) -> None:
+    """Set what the trial records do not choose; a channel that is not there shows here."""
+    wanted = settings.scope
+    bench.scope.set_channel(
         wanted.channel,
         coupling=wanted.coupling,
         probe=wanted.probe,
         bandwidth_limit=wanted.bandwidth_limit,
         invert=False,
     )
-    scope.set_acquisition(mode="SAMPLE")
+    bench.scope.set_acquisition(mode="SAMPLE")
+
+
+def _experiment(settings: Settings, bench: Bench, writer: RunWriter, progress: Progress) -> None:
+    scope, wanted = bench.scope, settings.scope
     gyro, table = settings.gyro, settings.table
     expected = gyro.expected_lock_in_rate_dps * table.slow_rate_over_lock_in
     if bench.table is None:

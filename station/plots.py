@@ -222,12 +222,8 @@ def _embeddable(svg: str, name: str) -> str:
     svg = re.sub(r"<metadata>.*?</metadata>\s*", "", svg, flags=re.DOTALL)
     svg = re.sub(r'\bid="', f'id="{name}-', svg)
     svg = re.sub(r'(href="#|url\(#)', rf"\g<1>{name}-", svg)
-    # the page chooses the font; matplotlib has laid the text out in a wider one
-    return re.sub(
-        r"font: ([^;\"]*?)'DejaVu Sans'[^;\"]*",
-        r"font: \1'Segoe UI', 'Helvetica Neue', Arial, sans-serif",
-        svg,
-    )
+    # the page's font; matplotlib has laid the text out in a wider one
+    return re.sub(r"font-family: 'DejaVu Sans'[^;\"]*", "font-family: inherit", svg)
 
 
 def _legend_above(axes: Axes) -> None:

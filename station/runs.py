@@ -124,15 +124,12 @@ class RunWriter:
     def __init__(self, directory: Path, facts: Mapping[str, object]) -> None:
         self.path = _new_run_directory(directory) / RUN_FILE
         try:
+            _create(self.path)
             self._db = sqlite3.connect(
                 self.path, isolation_level=None
             )  # every BEGIN and COMMIT is written here
-            self._db.execute("PRAGMA page_size = 16384")
             self._db.execute("PRAGMA journal_mode = WAL")
             self._db.execute("PRAGMA synchronous = FULL")
-            self._db.execute(f"PRAGMA application_id = {APPLICATION_ID}")
-            self._db.execute(f"PRAGMA user_version = {LAYOUT}")
-            self._db.executescript(f"BEGIN; {_SCHEMA} COMMIT;")
         except sqlite3.Error as error:
             raise RunError(f"{self.path}: cannot be written ({error})") from error
         self.save_facts({"started_at": utc_now(), **facts})
@@ -294,6 +291,17 @@ def _new_run_directory(parent: Path) -> Path:
             raise RunError(f"{parent}: runs cannot be saved there ({error.strerror})") from None
         return directory
     raise RunError(f"{parent}: too many runs in one second")
+
+
+def _create(path: Path) -> None:
+    """Make an empty run; it appears under its name only when it is whole."""
+    draft = path.with_name(f".{path.name}")
+    with closing(sqlite3.connect(draft, isolation_level=None)) as db:
+        db.execute("PRAGMA page_size = 16384")
+        db.execute(f"PRAGMA application_id = {APPLICATION_ID}")
+        db.execute(f"PRAGMA user_version = {LAYOUT}")
+        db.executescript(f"BEGIN; {_SCHEMA} COMMIT;")
+    draft.rename(path)
 
 
 def _check_layout(db: sqlite3.Connection, file: Path) -> None:

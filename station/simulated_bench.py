@@ -1,4 +1,4 @@
-"""The simulated bench: rate table, gyro and oscilloscope on one clock, the scope behind a real byte stream."""
+"""The simulated bench: table, gyro and oscilloscope on one clock, the scope behind a real byte stream."""
 
 from __future__ import annotations
 
@@ -19,6 +19,7 @@ from instrument.simulated import (
     VirtualClock,
 )
 from instrument.simulated.clock import Clock
+from station.autoset import LEVELS_PER_DIVISION, VERTICAL_SCALES, time_base_for
 from station.bench import Bench, open_scope
 from station.errors import UsageError
 from station.settings import Settings, SimulationSettings
@@ -248,9 +249,33 @@ def serve_scope(settings: Settings, *, tcp_port: int | None, baud_rate: int | No
         VISA resource name.
     """
     instruments = build_instruments(at_slow_rate(settings), RealClock())
+    _show_the_beat(instruments, settings)
     link = "pty" if tcp_port is None else "tcp"
     with serve(instruments.scope, link, tcp_port=tcp_port or 0, baud_rate=baud_rate) as resource:
         yield resource
+
+
+def _show_the_beat(instruments: SimulatedInstruments, settings: Settings) -> None:
+    """Turn the knobs as an operator would: a client that only reads finds a beat that fills the screen."""
+    gyro, scope, measurement = instruments.gyro, instruments.scope, settings.measurement
+    rate = settings.gyro.expected_lock_in_rate_dps * settings.table.slow_rate_over_lock_in
+    frequency = max(float(gyro.beat_frequency(np.array([rate]))[0]), 1.0)
+    base = time_base_for(frequency, measurement.periods_min, measurement.samples_per_period_min)
+    wanted = gyro.amplitude * LEVELS_PER_DIVISION / measurement.fill_levels
+    scale = next((step for step in VERTICAL_SCALES if step >= wanted), VERTICAL_SCALES[-1])
+    channel = settings.scope.channel
+    knobs = (
+        f":SELECT:{channel} ON",
+        f":{channel}:PROBE 1;SCALE {scale:g};POSITION {-gyro.offset / scale:.2f}",
+        f":HORIZONTAL:MAIN:SCALE {base:g}",
+        f":TRIGGER:MAIN:EDGE:SOURCE {channel};:TRIGGER:MAIN:LEVEL {gyro.offset:g}",
+    )
+    with scope.lock:
+        for _ in scope.execute(";".join(knobs).encode()):
+            pass
+        # what was taken with the knobs as they stood before is not for a client
+        while (record := scope.acquisition.latest()) is None or record.seconds_per_division != base:
+            instruments.clock.sleep(base)
 
 
 def true_values(instruments: SimulatedInstruments) -> dict[str, float]:

@@ -7,10 +7,11 @@ The gyro follows d(phi)/dt = 2 pi K [W(t) - WL sin(phi + beta)], the lock-in equ
 changes so little during one beat period that the solution for constant W holds with r and the beat frequency
 following W(t):
 
-    exp(i (phi + beta)) = i (r - u) / (1 - r u),    u = exp(i psi),    d(psi)/dt = 2 pi K sqrt(W^2 - WL^2).
+    exp(i (phi + beta)) = i (r - u) / (1 - r u),    u = exp(i psi),
+    d(psi)/dt = 2 pi K sqrt(W^2 - WL^2).
 
-While the table turns steadily, sqrt(W^2 - WL^2) is periodic in the azimuth: it is expanded once in harmonics of
-the azimuth and integrated term by term, so the phase is as exact after a day as after a second.
+While the table turns steadily, sqrt(W^2 - WL^2) is periodic in the azimuth: it is expanded once in harmonics
+of the azimuth and integrated term by term, so the phase is as exact after a day as after a second.
 """
 
 from __future__ import annotations

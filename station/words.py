@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from analysis import describe_flag
+from analysis import FATAL, describe_flag, flag_names
 from station.evaluate import Evaluation
 
 _SECONDS_PER_HOUR = 3600.0
@@ -95,12 +95,11 @@ def flag_sentences(evaluation: Evaluation) -> list[str]:
 
 def record_flags(evaluation: Evaluation) -> list[list[str]]:
     """Return the names of the flags of each record."""
-    from analysis import flag_names
-
     return [flag_names(int(flags)) for flags in evaluation.each.flags]
 
 
 def no_result_words(evaluation: Evaluation) -> str:
     """Say in one sentence why no lock-in rate is given."""
-    reasons = flag_sentences(evaluation)
-    return "no lock-in rate: " + (" ".join(reasons) if reasons else "the records show no beat")
+    fatal = [describe_flag(name) for name in flag_names(int(evaluation.combined.flags) & int(FATAL))]
+    reasons = fatal or flag_sentences(evaluation) or ["The records show no beat."]
+    return f"no lock-in rate: {' '.join(reasons)}"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -12,7 +12,9 @@ from station.commands.options import config_option, json_option, print_failure, 
 
 if TYPE_CHECKING:
     from analysis.lockin_equation import Relation
-    from station.analyze import Analyzed
+    from station.analyze import Analyzed, Choices
+    from station.errors import Failure
+    from station.settings import Settings
 
 
 @click.command("analyze")
@@ -43,45 +45,59 @@ def command(
 ) -> int:
     """Analyse saved runs and Tektronix CSV or ISF files again.
 
-    PATH is a run (its directory or its file), or a file that the scope or its PC software wrote. With --json and
-    several paths the document holds a list `results`. Exit code 4 if any of them gives no lock-in rate.
+    PATH is a run (its directory or its file), or a file that the scope or its PC software wrote. With --json
+    and several paths the document holds a list `results`. Exit code 4 if any of them gives no lock-in rate.
     """
-    from station.analyze import Choices, analyze_path
-    from station.errors import EXIT_NO_SIGNAL, EXIT_OK, Failure, NoUsableSignal
+    from station.analyze import Choices
     from station.settings import load_settings
-    from station.words import no_result_words
 
     if jsonl and as_json:
         raise click.UsageError("--json and --jsonl exclude each other")
     settings = load_settings(config)
     choices = Choices(scale_factor, input_rate, relation)
-    documents = []
-    failures = []
+    documents, failures = [], []
     for path in paths:
-        analyzed = analyze_path(path, choices, settings)
-        document = analyzed.document()
-        if not analyzed.evaluation.usable:
-            sentence = f"{path}: {no_result_words(analyzed.evaluation)}"
-            failures.append(Failure(NoUsableSignal.kind, sentence, EXIT_NO_SIGNAL))
-            document["error"] = failures[-1].as_json()
+        analyzed, failure = _analyze(path, choices, settings)
+        document: dict[str, Any] = analyzed.document() if analyzed is not None else {"file": str(path)}
+        if failure is not None:
+            failures.append(failure)
+            document["error"] = failure.as_json()
         documents.append(document)
         if jsonl:
-            for record in analyzed.record_documents():
-                click.echo(json.dumps(record, allow_nan=False))
-        elif not as_json:
-            _print(analyzed, document)
+            for line in analyzed.record_documents() if analyzed is not None else [document]:
+                click.echo(json.dumps(line, allow_nan=False))
+        elif analyzed is not None and not as_json:
+            _print(analyzed)
+        if failure is not None:
+            print_failure(failure)
     if as_json:
         print_json(documents[0] if len(documents) == 1 else {"results": documents})
-    for failure in failures:
-        print_failure(failure)
-    return failures[0].exit_code if failures else EXIT_OK
+    # what could not be read at all (2) comes before what holds no lock-in rate (4)
+    return min((failure.exit_code for failure in failures), default=0)
 
 
-def _print(analyzed: Analyzed, document: dict[str, object]) -> None:
+def _analyze(path: Path, choices: Choices, settings: Settings) -> tuple[Analyzed | None, Failure | None]:
+    """Analyse one path; one that cannot be read must not keep the others from being analysed."""
+    from instrument import InstrumentError
+    from station.analyze import analyze_path
+    from station.errors import EXIT_NO_SIGNAL, Failure, NoUsableSignal, StationError, describe_failure
+    from station.words import no_result_words
+
+    try:
+        analyzed = analyze_path(path, choices, settings)
+    except (InstrumentError, StationError, OSError) as error:
+        return None, describe_failure(error)
+    if analyzed.evaluation.usable:
+        return analyzed, None
+    sentence = f"{path}: {no_result_words(analyzed.evaluation)}"
+    return analyzed, Failure(NoUsableSignal.kind, sentence, EXIT_NO_SIGNAL)
+
+
+def _print(analyzed: Analyzed) -> None:
     from station.console import print_harmonics, print_result
 
     click.echo(f"{analyzed.path}")
-    if (harmonics := document.get("harmonics")) is not None:
+    if (harmonics := analyzed.harmonics()) is not None:
         print_harmonics(harmonics)
     run = analyzed.run
     print_result(analyzed.evaluation, simulated=run is not None and run.facts["simulated"])

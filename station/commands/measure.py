@@ -33,8 +33,8 @@ def command(
 ) -> int:
     """Measure the lock-in rate: acquire, save, analyse, report.
 
-    Without --resource the whole bench is simulated: rate table, gyro and oscilloscope. With --resource the gyro is
-    expected to turn already, unless the settings say that an operator sets the table.
+    Without --resource the whole bench is simulated: rate table, gyro and oscilloscope. With --resource the
+    gyro is expected to turn already, unless the settings say that an operator sets the table.
 
     Ctrl-C keeps the records taken so far.
     """

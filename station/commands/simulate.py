@@ -16,8 +16,12 @@ from station.commands.options import config_option, json_option, print_json
     "--tcp", "tcp_port", type=click.IntRange(0, 65535), metavar="PORT", help="TCP on loopback; 0: any port."
 )
 @click.option("--pty", "use_pty", is_flag=True, help="A serial terminal (not on Windows).")
-@click.option("--baud", type=click.Choice(["300", "600", "1200", "2400", "4800", "9600", "19200"]), metavar="N",
-              help="Pace the serial terminal as RS-232 at N baud.")  # fmt: skip
+@click.option(
+    "--baud",
+    type=click.Choice(["300", "600", "1200", "2400", "4800", "9600", "19200"]),
+    metavar="N",
+    help="Pace the serial terminal as RS-232 at N baud.",
+)
 @click.option("--seed", type=click.IntRange(min=0), metavar="S", help="Seed of noise and phases.")
 @config_option
 @json_option
@@ -31,8 +35,8 @@ def command(
 ) -> int:
     """Serve the simulated oscilloscope on TCP or a serial terminal.
 
-    CH1 shows the beat of the simulated gyro at the slow rate. The first line on stdout is the VISA resource name.
-    Ctrl-C or SIGTERM ends it.
+    CH1 shows the beat of the simulated gyro at the slow rate. The first line on stdout is the VISA resource
+    name. Ctrl-C or SIGTERM ends it.
     """
     from station.settings import load_settings
     from station.simulated_bench import serve_scope

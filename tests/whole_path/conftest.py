@@ -1,0 +1,116 @@
+"""The command line as a user runs it, and a simulated scope that somebody else serves."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+COMMAND = [sys.executable, "-m", "station.cli"]
+
+
+@dataclass(frozen=True)
+class Finished:
+    """What a command left: exit code, stdout and stderr."""
+
+    code: int
+    out: str
+    err: str
+
+    @property
+    def document(self) -> dict[str, Any]:
+        """The one JSON document on stdout."""
+        document: dict[str, Any] = json.loads(self.out)
+        return document
+
+
+Gyrolock = Callable[..., Finished]
+
+
+@pytest.fixture
+def gyrolock(tmp_path: Path) -> Gyrolock:
+    """Run `gyrolock` in an empty directory, and see that no traceback reaches the user."""
+
+    def run(*arguments: object, timeout: float = 60) -> Finished:
+        command = [*COMMAND, *map(str, arguments)]
+        done = subprocess.run(
+            command, cwd=tmp_path, capture_output=True, text=True, timeout=timeout, stdin=subprocess.DEVNULL
+        )
+        assert "Traceback" not in done.stderr, done.stderr
+        return Finished(done.returncode, done.stdout, done.stderr)
+
+    return run
+
+
+@dataclass(frozen=True)
+class ServedScope:
+    """A simulated scope in a process of its own."""
+
+    process: subprocess.Popen[str]
+    resource: str
+
+    def switch_off(self) -> None:
+        """Kill it, as a mains switch would."""
+        self.process.kill()
+        self.process.wait()
+
+
+@pytest.fixture
+def serve_scope(tmp_path: Path) -> Iterator[Callable[..., ServedScope]]:
+    """Start `gyrolock simulate ...`; it is ended with the test."""
+    started: list[subprocess.Popen[str]] = []
+
+    def serve(*arguments: str) -> ServedScope:
+        process = subprocess.Popen(
+            [*COMMAND, "simulate", *arguments],
+            cwd=tmp_path,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+            text=True,
+            # as from a shell script: a background process that would ignore Ctrl-C
+            preexec_fn=_ignore_interrupt if os.name == "posix" else None,
+        )
+        started.append(process)
+        assert process.stdout is not None
+        return ServedScope(process, process.stdout.readline().strip())
+
+    yield serve
+    for process in started:
+        process.terminate()
+        process.wait(timeout=20)
+        if process.stdout is not None:
+            process.stdout.close()
+
+
+def _ignore_interrupt() -> None:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+@pytest.fixture
+def start_gyrolock(tmp_path: Path) -> Iterator[Callable[..., subprocess.Popen[str]]]:
+    """Start a command that the test will interrupt."""
+    started: list[subprocess.Popen[str]] = []
+
+    def start(*arguments: object) -> subprocess.Popen[str]:
+        process = subprocess.Popen(
+            [*COMMAND, *map(str, arguments)],
+            cwd=tmp_path,
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+        started.append(process)
+        return process
+
+    yield start
+    for process in started:
+        if process.poll() is None:
+            process.kill()
+            process.communicate()

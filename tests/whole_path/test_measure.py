@@ -1,0 +1,170 @@
+"""`gyrolock measure` from the empty directory to the report, through real byte streams."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from station.evaluate import evaluate_run
+from station.runs import open_run
+from station.settings import shipped_settings
+
+KEYS = {
+    "lock_in_rate_dps",
+    "lock_in_rate_u_dps",
+    "lock_in_rate_low_95_dps",
+    "lock_in_rate_high_95_dps",
+    "input_rate_dps",
+    "beat_frequency_hz",
+    "ratio",
+    "records",
+    "records_rejected",
+    "method",
+    "flags",
+    "run",
+    "truth",
+}
+
+
+def test_one_command_gives_rate_run_and_report(gyrolock, tmp_path: Path) -> None:
+    done = gyrolock("measure", "--seed", 5, "--json")
+    assert done.code == 0, done.err
+    result = done.document
+    assert result.keys() >= KEYS
+    assert result["truth"]["lock_in_rate_dps"] == 0.01
+    u = result["lock_in_rate_u_dps"]
+    assert 0 < u < 0.005 * 0.01
+    assert abs(result["lock_in_rate_dps"] - 0.01) < 4 * u
+    assert result["lock_in_rate_low_95_dps"] < result["lock_in_rate_dps"] < result["lock_in_rate_high_95_dps"]
+    truth = result["truth"]
+    assert result["beat_frequency_hz"] == pytest.approx(truth["beat_frequency_hz"], rel=1e-4)
+    assert result["input_rate_dps"] == pytest.approx(truth["input_rate_dps"], rel=1e-4)
+    assert result["ratio"] == pytest.approx(truth["ratio"], abs=5 * result["ratio_u"])
+    assert result["backscatter_phase_rad"] == pytest.approx(truth["backscatter_phase_rad"], abs=0.01)
+    assert result["tilt_deg"] == pytest.approx(88.693, abs=5 * result["tilt_u_deg"])
+    assert result["table_check"]["beat_over_table"] == pytest.approx(1.0, abs=3e-4)
+    assert (result["records"], result["records_rejected"], result["flags"]) == (20, 0, [])
+    run = tmp_path / result["run"]
+    assert run.is_file()
+    assert (run.parent / "report.html").is_file()
+    assert "Traceback" not in done.err
+
+
+def test_the_saved_run_gives_the_same_numbers_again(gyrolock, tmp_path: Path) -> None:
+    first = gyrolock("measure", "--records", 4, "--json", "--no-report").document
+    again = gyrolock("analyze", first["run"], "--json")
+    assert again.code == 0
+    assert again.document["lock_in_rate_dps"] == first["lock_in_rate_dps"]
+    run = open_run(tmp_path / first["run"])
+    assert run.results is not None
+    assert run.results["lock_in_rate_dps"] == first["lock_in_rate_dps"]
+    assert not (run.path.parent / "report.html").exists()
+    assert run.facts["outcome"] == "complete"
+    assert run.facts["identity"]["model"].startswith("TDS")
+    assert run.facts["provenance"]["packages"]["numpy"] == np.__version__
+    assert len(run.taken_for("tilt")) == 8
+    record = run.taken_for("measure")[0]
+    assert record.codes.shape == (2500,)
+    assert 85 <= np.abs(record.codes.astype(int)).max() <= 110
+
+
+def test_the_same_seed_gives_the_same_codes(gyrolock, tmp_path: Path) -> None:
+    runs = [
+        open_run(tmp_path / gyrolock("measure", "--records", 2, "--seed", seed, "--json").document["run"])
+        for seed in (3, 3, 4)
+    ]
+    codes = [np.stack([record.codes for record in run.records]) for run in runs]
+    assert np.array_equal(codes[0], codes[1])
+    assert not np.array_equal(codes[0], codes[2])
+
+
+def test_a_person_reads_a_table_and_progress_stays_on_stderr(gyrolock) -> None:
+    done = gyrolock("measure", "--records", 3)
+    assert done.code == 0
+    assert "lock-in rate" in done.out
+    assert "95 % interval" in done.out
+    assert "the truth is 0.01 deg/s" in done.out
+    assert "run.sqlite" in done.out
+    assert "records 3/3" in done.err
+    assert "records 3/3" not in done.out
+
+
+@pytest.mark.parametrize("link", ["tcp", "pty"])
+def test_both_links_of_the_simulated_bench(gyrolock, tmp_path: Path, link: str) -> None:
+    (tmp_path / "my.toml").write_text(f'[simulation]\nlink = "{link}"\n[measurement]\nrecords = 2\n')
+    done = gyrolock("measure", "--config", "my.toml", "--json", "--no-report")
+    assert done.code == 0, done.err
+    assert done.document["records"] == 2
+
+
+@pytest.mark.parametrize(
+    ("changes", "lock_in_rate"),
+    [
+        ("[simulation]\nlock_in_rate_dps = 0.02\n[gyro]\nexpected_lock_in_rate_dps = 0.011\n", 0.02),
+        ('[simulation]\nscope_model = "TDS2014C"\n[scope]\nchannel = "CH3"\nprobe = 10\n', 0.01),
+        ("[simulation]\namplitude_v = 0.011\noffset_v = -0.02\ndetector_noise_v = 1e-4\n", 0.01),
+        ("[simulation]\namplitude_v = 9\noffset_v = 2.5\n", 0.01),
+        ("[simulation]\ntilt_deg = 60.0\n", 0.01),
+        ("[table]\nboth_senses = false\nfast_rate_dps = 80\n[site]\nlatitude_deg = -60\n", 0.01),
+        ('[table]\nkind = "none"\n', 0.01),
+    ],
+)
+def test_other_benches(gyrolock, tmp_path: Path, changes: str, lock_in_rate: float) -> None:
+    (tmp_path / "my.toml").write_text(changes)
+    done = gyrolock("measure", "--config", "my.toml", "--records", 6, "--json", "--no-report")
+    assert done.code == 0, done.err
+    result = done.document
+    assert result["truth"]["lock_in_rate_dps"] == lock_in_rate
+    assert abs(result["lock_in_rate_dps"] - lock_in_rate) < 4 * result["lock_in_rate_u_dps"]
+    assert result["lock_in_rate_u_dps"] < 0.02 * lock_in_rate
+
+
+def test_the_truth_lies_where_the_uncertainty_says(gyrolock, tmp_path: Path) -> None:
+    distances = []
+    for seed in range(8):
+        result = gyrolock("measure", "--seed", seed, "--json", "--no-report").document
+        distances.append((result["lock_in_rate_dps"] - 0.01) / result["lock_in_rate_u_dps"])
+    assert max(np.abs(distances)) < 4
+    assert 0.3 < np.sqrt(np.mean(np.square(distances))) < 1.8
+
+
+def test_a_gyro_that_stays_locked_is_no_usable_signal(gyrolock, tmp_path: Path) -> None:
+    (tmp_path / "my.toml").write_text("[simulation]\nlock_in_rate_dps = 5.0\n")
+    done = gyrolock("measure", "--config", "my.toml", "--json")
+    assert done.code == 4
+    assert done.document["error"]["kind"] == "no_usable_signal"
+    assert done.document["error"]["exit_code"] == 4
+    assert len(done.err.strip().splitlines()[-1]) < 250
+
+
+def test_acquire_only_saves(gyrolock, tmp_path: Path) -> None:
+    done = gyrolock("acquire", "--records", 2, "--json", "--out", "elsewhere")
+    assert done.code == 0
+    assert done.document["records"] == 2
+    run = open_run(tmp_path / done.document["run"])
+    assert run.path.parent.parent == tmp_path / "elsewhere"
+    assert run.results is None
+    assert evaluate_run(run).usable
+
+
+def test_a_real_scope_without_table_is_its_own_reference(gyrolock, serve_scope) -> None:
+    scope = serve_scope("--tcp", "0")
+    done = gyrolock("measure", "--resource", scope.resource, "--records", 3, "--json")
+    assert done.code == 0, done.err
+    result = done.document
+    assert "truth" not in result
+    assert "tilt_deg" not in result
+    assert abs(result["lock_in_rate_dps"] - 0.01) < 4 * result["lock_in_rate_u_dps"]
+    again = gyrolock("measure", "--resource", scope.resource, "--records", 1, "--json")
+    assert again.code == 0
+
+
+def test_settings_can_be_copied_and_used(gyrolock, tmp_path: Path) -> None:
+    printed = gyrolock("settings", "simulated")
+    assert printed.out == shipped_settings("simulated").read_text(encoding="utf-8")
+    (tmp_path / "copy.toml").write_text(printed.out, encoding="utf-8")
+    done = gyrolock("measure", "--config", "copy.toml", "--records", 1, "--json", "--no-report")
+    assert done.code == 0
+    values = json.loads(gyrolock("settings", "bench", "--json").out)
+    assert values["table"]["kind"] == "none"

@@ -1,0 +1,70 @@
+"""`gyrolock simulate` for a scope client that somebody else wrote."""
+
+import os
+import signal
+
+import numpy as np
+import pytest
+import pyvisa
+
+POSIX = pytest.mark.skipif(os.name != "posix", reason="there are serial terminals on POSIX only")
+
+
+def read_like_a_stranger(resource: str) -> tuple[str, np.ndarray, float]:
+    """Identity, volts and sample interval by the programmer manual, with PyVISA and nothing of ours."""
+    manager = pyvisa.ResourceManager("@py")
+    try:
+        scope = manager.open_resource(resource, read_termination="\n", write_termination="\n", timeout=15_000)
+        identity = scope.query("*IDN?")
+        scope.write("HEADER OFF")
+        scope.write("DATA:SOURCE CH1")
+        scope.write("DATA:ENCDG RIBINARY;WIDTH 1;START 1;STOP 2500")
+        preamble = scope.query("WFMPRE?").split(";")
+        codes = np.array(scope.query_binary_values("CURVE?", datatype="b"))
+        scope.close()
+    finally:
+        manager.close()
+    interval, scale, zero, offset = (float(preamble[i]) for i in (8, 12, 13, 14))
+    return identity, (codes - offset) * scale + zero, interval
+
+
+@pytest.mark.parametrize(
+    "where",
+    [
+        ("--tcp", "0"),
+        pytest.param(("--pty",), marks=POSIX),
+        pytest.param(("--pty", "--baud", "19200"), marks=POSIX),
+    ],
+)
+def test_a_plain_pyvisa_client_reads_the_beat(serve_scope, where: tuple[str, ...]) -> None:
+    scope = serve_scope(*where)
+    identity, volts, interval = read_like_a_stranger(scope.resource)
+    assert identity.startswith("TEKTRONIX,TDS 2014,")
+    assert volts.shape == (2500,)
+    assert np.ptp(volts) == pytest.approx(0.76, rel=0.05)
+    assert volts.mean() == pytest.approx(0.12, abs=0.05)
+    rising = np.flatnonzero((volts[:-1] < 0.12) & (volts[1:] >= 0.12))
+    periods = rising[rising - np.concatenate([[-100], rising[:-1]]) > 20]
+    frequency = (len(periods) - 1) / ((periods[-1] - periods[0]) * interval)
+    assert frequency == pytest.approx(2000 * np.sqrt(0.08**2 - 0.01**2), rel=0.06)
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+def test_it_ends_cleanly(serve_scope, number: int) -> None:
+    scope = serve_scope("--tcp", "0")
+    assert scope.resource.startswith("TCPIP0::127.0.0.1::")
+    scope.process.send_signal(number)
+    assert scope.process.wait(timeout=20) == 0
+
+
+def test_it_must_be_told_where(gyrolock) -> None:
+    assert gyrolock("simulate").code == 2
+    assert gyrolock("simulate", "--tcp", "0", "--pty").code == 2
+    assert gyrolock("simulate", "--tcp", "0", "--baud", "9600").code == 2
+
+
+def test_a_taken_port_is_told(gyrolock, serve_scope) -> None:
+    port = serve_scope("--tcp", "0").resource.split("::")[2]
+    done = gyrolock("simulate", "--tcp", port, "--json")
+    assert done.code == 2
+    assert "in use" in done.document["error"]["message"]

@@ -1,4 +1,10 @@
-"""Simulated hardware: an oscilloscope that a driver cannot tell from a real one, and a rate table."""
+"""Simulated hardware: an oscilloscope that a driver cannot tell from a real one, and a rate table.
+
+A program message runs through these files: `visa_library`, `tcp_server` or `pty_server` (links), `exchange`
+(message queues), `parsing` and `command_tree` (which command), `commands` and the `*_commands` files (what it
+does), `panel` and `panel_rules` (settings), `status` and `events` (what went wrong). A signal runs through
+`frontend` and `trigger`, `acquisition` (when), `digitizer` (codes) and `traces` (what is sent).
+"""
 
 from instrument.simulated.clock import Clock, RealClock, VirtualClock
 from instrument.simulated.faults import Fault, Faults

@@ -30,7 +30,8 @@ AUTO_WAIT = 0.05  # s that AUTO waits at least for a trigger (a guess)
 PEAK_DETECT_FROM = 5e-6  # s/div; faster sweeps sample without saying so, p. 76
 MAINS_FREQUENCY = 50.0  # Hz, of the trigger source AC LINE
 _FORGET_AFTER = 3  # acquisition times; of a longer silence only the end is simulated
-_POLL = 0.01  # s between two looks for a trigger while somebody waits
+_LONGEST_SEARCH_STEP = 20e-6  # s; the comparator is faster than the samples of a slow sweep
+_SHORTEST_POLL, _LONGEST_POLL = 1e-3, 0.1  # s between two looks for a trigger while somebody waits
 
 
 @dataclass(frozen=True)
@@ -124,13 +125,16 @@ class Acquisition:
     def next_change(self) -> float:
         """Clock time in s at which it is worth to look again."""
         now = self._clock.now()
+        if not self.running or not self._displayed_channels():
+            return now + _LONGEST_POLL
         if self._panel.scanning:
             return now + self._panel.seconds_per_division
         if self._completes_at is not None:
             return max(self._completes_at, now)
         if now < self._ready_at:
             return self._ready_at
-        poll = max(_POLL, self._panel.seconds_per_division)
+        waited = now - self._ready_at
+        poll = max(_SHORTEST_POLL, self._panel.seconds_per_division, min(waited / 10, _LONGEST_POLL))
         return min(now + poll, self._auto_at) if now < self._auto_at else now + poll
 
     def latest(self) -> Record | None:
@@ -233,7 +237,8 @@ class Acquisition:
         trigger = self._panel.trigger()
         edge = None
         if not self._faults.no_trigger:
-            edge = self._edge_search(trigger).advance(min(now, self._auto_at), self._step())
+            step = min(self._step(), _LONGEST_SEARCH_STEP)
+            edge = self._edge_search(trigger).advance(min(now, self._auto_at), step)
         if edge is not None:
             self._trigger(edge, forced=False)
         elif now >= self._auto_at:

@@ -14,6 +14,8 @@ from instrument.simulated.kinds import (
     Constant,
     Kind,
     NumberedWords,
+    PulseWidth,
+    QuotedWords,
     Real,
     Steps,
     Switch,
@@ -115,7 +117,7 @@ def _channel(name: str, model: Model) -> Iterator[Row]:
     yield Row(f"{name}:BANdwidth", Switch(words=True), 0)
     yield Row(f"{name}:INVert", Switch(words=True), 0)
     if model.letter_series:
-        yield Row(f"{name}:YUNit", Words("V", "A"), "V")
+        yield Row(f"{name}:YUNit", QuotedWords("V", "A"), "V")
 
 
 def _horizontal(model: Model) -> Iterator[Row]:
@@ -148,7 +150,7 @@ def _trigger(model: Model) -> Iterator[Row]:
     yield Row(f"{pulse}:SOUrce", Words(*sources), "CH1")
     yield Row(f"{pulse}:WIDth:POLarity", Words("POSITIVe", "NEGAtive"), "POSITIVE")
     yield Row(f"{pulse}:WIDth:WHEN", Words("EQual", "NOTEqual", "INside", "OUTside"), "EQUAL")
-    yield Row(f"{pulse}:WIDth:WIDth", Real(33e-9, 10.0), 1e-3)
+    yield Row(f"{pulse}:WIDth:WIDth", PulseWidth(33e-9, 10.0), 1e-3)
     yield Row(f"{main}:LEVel", Real(-UNBOUNDED, UNBOUNDED), 0.0)
 
 

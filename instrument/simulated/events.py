@@ -26,6 +26,7 @@ class Guess(IntEnum):
     UNKNOWN_WORD = 224
     MEMORY_NUMBER_OUT_OF_RANGE = 222
     PICTURE_FORMAT_NOT_SIMULATED = 221
+    DROPS_REST_OF_MESSAGE = 32  # status bit of the events after which the rest of a message is not read
     TRIGGER_IGNORED = 0  # TRIGger FORCe outside READY: no event is known
 
 

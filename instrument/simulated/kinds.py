@@ -72,6 +72,21 @@ class Words:
         return str(value) if verbose else spell(self._spellings[str(value)], verbose)
 
 
+@dataclass(frozen=True, init=False)
+class QuotedWords(Words):
+    """One word of a list that travels in quotes, as the unit of a probe does."""
+
+    def read(self, argument: Argument) -> str:
+        """The word in capitals."""
+        if not argument.quoted:
+            raise Refusal(Guess.STRING_EXPECTED)
+        return super().read(Argument(argument.text))
+
+    def write(self, value: Value, verbose: bool) -> str:
+        """In double quotes."""
+        return quoted(super().write(value, verbose))
+
+
 @dataclass(frozen=True)
 class Switch:
     """ON, OFF or a number; `words` chooses whether it answers `ON`/`OFF` or `1`/`0`."""
@@ -125,6 +140,18 @@ class Real:
     def write(self, value: Value, verbose: bool) -> str:
         """NR3."""
         return nr3(float(value), self.digits)
+
+
+@dataclass(frozen=True)
+class PulseWidth(Real):
+    """Multiples of 16.5 ns, and of 0.1 % where those are coarser, p. 2-232."""
+
+    def read(self, argument: Argument) -> float:
+        """The nearest multiple in the range."""
+        value = super().read(argument)
+        fine = max(value, self.low)
+        step = max(self.low / 2, 10.0 ** math.floor(math.log10(fine)) / 1e4)
+        return float(f"{round(fine / step) * step:.6e}")
 
 
 @dataclass(frozen=True)

@@ -49,8 +49,8 @@ def store(panel: Panel, key: str, value: Value) -> None:
         _limit_references(panel, leaf)
     elif key == "CURSOR:VBARS:UNITS" and value != old:
         _swap_cursor_units(panel)
-    elif head == "CURSOR":
-        _settle_cursor(panel, key)
+    if head in ("CURSOR", "HORIZONTAL", *panel.model.channel_names):
+        _settle_cursors(panel)
 
 
 def _conflicts(panel: Panel, key: str, value: Value) -> bool:
@@ -116,20 +116,19 @@ def _limit_references(panel: Panel, newest: str) -> None:
         panel.values[f"SELECT:{name}"] = 0
 
 
-def _settle_cursor(panel: Panel, key: str) -> None:
-    """Keep a cursor that was just moved within the graticule."""
-    if key.startswith("CURSOR:HBARS:"):
-        source = panel.text("CURSOR:SELECT:SOURCE")
-        if source not in panel.model.channel_names:
-            return
+def _settle_cursors(panel: Panel) -> None:
+    """Keep the cursors within the graticule."""
+    bounds = {}
+    source = panel.text("CURSOR:SELECT:SOURCE")
+    if source in panel.model.channel_names:
         scale, position = panel.number(f"{source}:SCALE"), panel.number(f"{source}:POSITION")
-        low, high = (-4 - position) * scale, (4 - position) * scale
-    elif key.startswith("CURSOR:VBARS:POSITION") and panel.text("CURSOR:VBARS:UNITS") == "SECONDS":
+        bounds["HBARS"] = (-4 - position) * scale, (4 - position) * scale
+    if panel.text("CURSOR:VBARS:UNITS") == "SECONDS":
         scale, middle = panel.seconds_per_division, panel.horizontal_position
-        low, high = middle - 5 * scale, middle + 5 * scale
-    else:
-        return
-    panel.values[key] = float(f"{_bounded(panel.number(key), low, high):.6e}")
+        bounds["VBARS"] = middle - 5 * scale, middle + 5 * scale
+    for bars, (low, high) in bounds.items():
+        for key in (f"CURSOR:{bars}:POSITION1", f"CURSOR:{bars}:POSITION2"):
+            panel.values[key] = float(f"{_bounded(panel.number(key), low, high):.6e}")
 
 
 def _swap_cursor_units(panel: Panel) -> None:

@@ -13,7 +13,7 @@ from instrument.simulated.clock import Clock, RealClock
 from instrument.simulated.command_tree import CommandTree, Node
 from instrument.simulated.commands import Row, setting_rows
 from instrument.simulated.digitizer import Digitizer
-from instrument.simulated.events import CME, Guess, Refusal, status_bit
+from instrument.simulated.events import Guess, Refusal, status_bit
 from instrument.simulated.faults import Faults
 from instrument.simulated.formats import Leaf, join_leaves
 from instrument.simulated.frontend import Signal
@@ -139,7 +139,7 @@ class SimulatedTDS2014:
                     self._carry_out(node, action, command.arguments)
             except Refusal as refusal:
                 self.status.post(refusal.event, command.source)
-                if status_bit(refusal.event) == CME:
+                if status_bit(refusal.event) == Guess.DROPS_REST_OF_MESSAGE:
                     break
         if leaves:
             yield self._render(leaves)

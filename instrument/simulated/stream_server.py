@@ -40,7 +40,7 @@ class Line:
             count = len(self._held)
         else:
             rate = self.baud_rate / 10  # bytes a second: start bit, 8 data bits, stop bit
-            count = min(int((now - self._free_at) * rate), len(self._held))
+            count = min(int((now - self._free_at) * rate + 1e-6), len(self._held))
             self._free_at += count / rate
         data = bytes(self._held[:count])
         del self._held[:count]

@@ -1,0 +1,184 @@
+"""Every setting of the table written and read back, and the parser under fire."""
+
+import random
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from instrument.simulated.commands import setting_rows
+from instrument.simulated.formats import abbreviations
+from instrument.simulated.kinds import Constant, NumberedWords, Real, Steps, Switch, Whole, Words
+from instrument.simulated.math_expression import MathExpression
+from instrument.simulated.models import MODELS, find_model
+
+ROWS = [row for row in setting_rows(find_model("TDS2014")) if not isinstance(row.kind, Constant)]
+RELAXED = settings(max_examples=300, deadline=None, suppress_health_check=list(HealthCheck), derandomize=True)
+IDENTITY = "TEKTRONIX,TDS 2014,0,CF:91.1CT FV:v4.12 TDS2CM:CMV:v1.04"
+
+
+def spelling(draw, header: str) -> str:
+    """Any accepted spelling of a header, in any letter case."""
+    parts = [draw(st.sampled_from(abbreviations(mnemonic))) for mnemonic in header.split(":")]
+    text = ":".join(parts)
+    return draw(st.sampled_from([text, text.lower(), text.title(), ":" + text]))
+
+
+@st.composite
+def assignments(draw):
+    """A row, a command that sets it, and the value that must be answered (None: the nearest allowed)."""
+    row = draw(st.sampled_from(ROWS))
+    kind = row.kind
+    header = spelling(draw, draw(st.sampled_from([row.header, *row.aliases])))
+    if isinstance(kind, Words):
+        word = draw(st.sampled_from(kind.words))
+        return row, f"{header} {draw(st.sampled_from(abbreviations(word)))}", word.upper()
+    if isinstance(kind, Switch):
+        value = draw(st.sampled_from(["ON", "off", "0", "1", "17", "0.2"]))
+        on = value in ("ON", "1", "17")
+        return row, f"{header} {value}", ("OFF", "ON")[on] if kind.words else str(int(on))
+    if isinstance(kind, MathExpression):
+        text = draw(st.sampled_from(["CH1 - CH2", "CH4 - CH3", "CH3 + CH4", "FFT(CH2,RECTANGULAR)"]))
+        return row, f"{header} '{text}'", f'"{text}"'
+    if isinstance(kind, NumberedWords):
+        word, number = draw(st.sampled_from(kind.words))
+        return row, f"{header} {word}", str(number)
+    if isinstance(kind, Whole):
+        number = draw(st.integers(kind.low, kind.high))
+        return row, f"{header} {number}", str(number)
+    if isinstance(kind, Steps):
+        step = draw(st.sampled_from(kind.steps))
+        return row, f"{header} {step!r}", step
+    assert isinstance(kind, Real)
+    return row, f"{header} {draw(st.floats(kind.low, kind.high, allow_nan=False))!r}", None
+
+
+def read_back(bench, row) -> str:
+    return bench.ask(f":HEADER OFF;:VERBOSE ON;:{row.header}?", timeout=100)
+
+
+@RELAXED
+@given(assignments())
+def test_every_setting_can_be_written_and_read_back(make_bench, assignment):
+    row, command, expected = assignment
+    bench = make_bench()
+    bench.write(command)
+    assert bench.events() == [401], command
+    header_wanted = row.header.upper() in ("HEADER", "VERBOSE")
+    answer = bench.ask(f":{row.header}?") if header_wanted else read_back(bench, row)
+    answer = answer.split(" ")[-1] if header_wanted else answer
+    if row.header == "DISplay:INVert":
+        expected = "OFF"
+    if isinstance(expected, float | int) and not isinstance(expected, str):
+        assert float(answer) == pytest.approx(expected)
+    elif expected is not None:
+        assert answer == expected, command
+    # what was answered can be sent back, and is then exactly what is answered
+    bench.write(f":{row.header} {answer}")
+    again = bench.ask(f":{row.header}?").split(" ")[-1] if header_wanted else read_back(bench, row)
+    assert again == answer, command
+
+
+@RELAXED
+@given(st.sampled_from([r for r in ROWS if isinstance(r.kind, Real | Whole | Steps)]), st.floats(-1e9, 1e9))
+def test_numbers_out_of_range_are_forced_silently(make_bench, row, value):
+    bench = make_bench()
+    bench.write(f":{row.header} {value!r}")
+    assert bench.events() == [401]
+    forced = read_back(bench, row)
+    bench.write(f":{row.header} {forced}")
+    assert read_back(bench, row) == forced
+
+
+@pytest.mark.parametrize("row", ROWS, ids=lambda row: row.header)
+def test_factory_value_survives_a_round_trip(fresh, row):
+    first = fresh.ask(f":{row.header}?")
+    header, value = first.split(" ", 1)
+    assert header == ":" + row.header.upper()
+    fresh.write(first)
+    assert fresh.events() == [401]
+    assert fresh.ask(f":{row.header}?") == f"{header} {value}"
+
+
+def test_setup_restores_itself_after_any_settings(make_bench):
+    source = random.Random(4)
+    for _ in range(25):
+        bench = make_bench()
+        for row in source.sample(ROWS, 30):
+            if isinstance(row.kind, Words):
+                bench.write(f":{row.header} {source.choice(row.kind.words)}")
+            elif isinstance(row.kind, Real | Steps | Whole):
+                bench.write(f":{row.header} {source.uniform(-3, 3)!r}")
+        bench.write(":TRIGGER:MAIN:EDGE:SOURCE CH2")  # with AC LINE the level cannot be set
+        setup = bench.ask(":SET?")
+        other = make_bench()
+        other.write(setup)
+        assert other.events() == [401]
+        assert other.ask(":SET?") == setup
+
+
+@pytest.mark.parametrize("model", MODELS)
+def test_every_model_answers_its_setup_and_only_its_channels(make_bench, model):
+    bench = make_bench(model=model)
+    assert bench.ask("*IDN?").startswith(f"TEKTRONIX,{model[:3]} {model[3:]},")
+    setup = bench.ask("SET?")
+    bench.write(setup)
+    assert bench.events() == [401]
+    assert bench.ask("SET?") == setup
+    four = find_model(model).channels == 4
+    assert ("CH4" in setup) == four == ("REFD" in setup)
+    bench.write("CH4:SCALE 1")
+    assert bench.events() == ([] if four else [113])
+
+
+def test_letter_series_differs_where_the_manual_says(make_bench):
+    bench = make_bench(model="TDS2014B")
+    assert bench.ask("CH1?") == (
+        ':CH1:PROBE 1.0E1;SCALE 1.0E0;POSITION 0.0E0;COUPLING DC;BANDWIDTH OFF;INVERT OFF;YUNIT "V"'
+    )
+    assert ";VERTICAL:POSITION 0.0E0;SCALE 2.0E0;:MATH:FFT:HORIZONTAL" in bench.ask("MATH?")
+
+
+PIECES = [
+    b"*IDN?", b"CH1", b":", b"SCALE", b"?", b" ", b";", b",", b"#", b"#42500", b"#0", b"#9999999999", b'"', b"'",
+    b"1E", b"e", b"-", b"CURVE", b"WFMPRE", b"DATA", b"SOU", b"REFA", b"MATH:DEFINE", b"FFT(CH1", b")", b"*",
+    b"ACQ:STATE RUN", b"STOPA SEQ", b"\t", b"\x00", b"\xff", b"*DDT", b"*TRG", b"\xc3\xa9", b"1E400", b"nan",
+    b"HOR:SCALE 50", b"inf", b"0x10", b"1_0", b"SET?", b"*RST", b"VERB OFF", b"BUSY?", b"EVENT?", b"*WAI",
+    b"TRIG:MAIN:MODE NORM", b"LEVEL", b"MEASU:IMM:VAL?", b"POSITION 1e30", b"\r", b"\n", b"::", b"*OPC",
+]  # fmt: skip
+
+
+def test_no_message_upsets_the_parser(make_bench):
+    bench = make_bench({})
+    source = random.Random(20090417)
+    for round_ in range(20_000):
+        if round_ % 2:
+            message = b"".join(source.choices(PIECES, k=source.randint(1, 8)))
+        else:
+            message = source.randbytes(source.randint(1, 24))
+        bench.link.receive(message)
+        bench.link.pump()
+        if round_ % 50 == 0:
+            bench.link.clear()
+            assert bench.ask("*IDN?") == IDENTITY
+    assert round_ == 19_999
+
+
+def test_no_stream_of_bytes_hides_the_next_good_query(make_bench):
+    from instrument.simulated.exchange import MessageExchange
+
+    source = random.Random(7)
+    for _ in range(300):
+        bench = make_bench({})
+        link = MessageExchange(bench.scope, message_ends=False)
+        link.receive(b"".join(source.choices(PIECES, k=30)) + b"\n")
+        link.receive(b"\n" * 3000)  # ends the longest block that was begun
+        link.receive(b"*IDN?\n")
+        link.pump()
+        while link.working:  # whatever *WAI or *OPC? waits for ends now
+            bench.scope.set("ACQUIRE:STATE", 0)
+            link.pump()
+        answers = []
+        while (answer := link.take()) is not None:
+            answers.append(answer)
+        assert answers and answers[-1] == IDENTITY.encode() + b"\n"

@@ -420,3 +420,12 @@ def test_timeout_zero_is_a_timeout(scope, line_scope):
     line_scope.triggers = False
     with pytest.raises(NoTrigger):
         scope.acquire("CH1", timeout=0)
+
+
+def test_hang_up_is_called_by_its_name(line_server, line_scope, manager):
+    scope = TDS2014(line_server.resource_name, resource_manager=manager)
+    line_scope.hang_up_after = 1500
+    with pytest.raises(LinkError, match="has closed the connection; switch it on"):
+        scope.fetch("CH1")
+    with pytest.raises(LinkError):
+        scope.close()

@@ -5,11 +5,12 @@
 
 from __future__ import annotations
 
+import contextlib
 from dataclasses import dataclass, field
 
 from instrument import scpi
 from instrument.dialogue import Dialogue
-from instrument.errors import InstrumentError, LinkError, SettingError
+from instrument.errors import ExecutionError, InstrumentError, LinkError, SettingError
 
 Value = str | int | float | bool
 
@@ -25,10 +26,12 @@ TRIGGER = (
     ":TRIGGER:MAIN:HOLDOFF:VALUE",
     ":TRIGGER:MAIN:LEVEL",
 )
+CURSOR = tuple(f":CURSOR:{bars}:POSITION{n}" for bars in ("VBARS", "HBARS") for n in (1, 2))
 ACQUIRE = (":ACQUIRE:MODE", ":ACQUIRE:NUMAVG", ":ACQUIRE:STOPAFTER", ":ACQUIRE:STATE")
 
 # The trigger level is given in volts of its channel, so it follows the channels; the acquisition starts last.
-_RESTORE_ORDER = ("CH1", "CH2", "CH3", "CH4", "HORIZONTAL", "TRIGGER", "ACQUIRE")
+# Cursors are kept on the screen, so other scales move them: they follow as well.
+_RESTORE_ORDER = ("CH1", "CH2", "CH3", "CH4", "HORIZONTAL", "TRIGGER", "CURSOR", "ACQUIRE")
 
 _TRUE, _FALSE = ("1", "ON", "RUN"), ("0", "OFF", "STOP")
 
@@ -72,7 +75,7 @@ class Change:
 
 def group_commands(group: str) -> tuple[str, ...]:
     """Commands of a group, ``"CH1"`` to ``"CH4"``, ``"HORIZONTAL"``, ``"TRIGGER"`` or ``"ACQUIRE"``."""
-    fixed = {"HORIZONTAL": HORIZONTAL, "TRIGGER": TRIGGER, "ACQUIRE": ACQUIRE}
+    fixed = {"HORIZONTAL": HORIZONTAL, "TRIGGER": TRIGGER, "CURSOR": CURSOR, "ACQUIRE": ACQUIRE}
     if group in fixed:
         return fixed[group]
     return (*(f":{group}:{leaf}" for leaf in CHANNEL_LEAVES), f":SELECT:{group}")
@@ -159,7 +162,11 @@ class FrontPanel:
         pairs = list(zip(group_commands(group), values, strict=True))
         if group == "TRIGGER" and "LINE" in values[2]:
             pairs.pop()  # the mains have no trigger level; setting one is refused (event 221)
-        self.dialogue.command(";".join(f"{command} {value}" for command, value in pairs))
+        commands = ";".join(f"{command} {value}" for command, value in pairs)
+        # A scope may refuse to move cursors that it does not show now; nobody misses those.
+        refusable = (ExecutionError,) if group == "CURSOR" else ()
+        with contextlib.suppress(*refusable):
+            self.dialogue.command(commands)
 
 
 def one_of(name: str, value: str, allowed: tuple[str, ...]) -> str:

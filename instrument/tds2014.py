@@ -187,7 +187,7 @@ class TDS2014:
         name = self._channel(channel)
         word = None if coupling is None else one_of("the coupling", coupling, ("DC", "AC", "GND"))
         # Changing a channel moves the trigger level, which is given in its volts.
-        self._panel.remember(name, "TRIGGER")
+        self._panel.remember(name, "TRIGGER", "CURSOR")
         self._forget()
         half_step = 0.5 / LEVELS_PER_DIVISION
         self._panel.change(
@@ -228,7 +228,7 @@ class TDS2014:
         """
         if not seconds_per_division > 0:
             raise SettingError(f"the time base cannot be {seconds_per_division} s/div; give a positive time")
-        self._panel.remember("HORIZONTAL")
+        self._panel.remember("HORIZONTAL", "CURSOR")
         self._forget()
         answers = self._panel.change(
             Change(":HORIZONTAL:MAIN:SCALE", seconds_per_division, 1e-3 * seconds_per_division),

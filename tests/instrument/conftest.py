@@ -39,6 +39,10 @@ SETTINGS = {
     "TRIGGER:MAIN:EDGE:SLOPE": "RISE",
     "TRIGGER:MAIN:HOLDOFF:VALUE": "5.0E-7",
     "TRIGGER:MAIN:LEVEL": "0.0E0",
+    "CURSOR:VBARS:POSITION1": "-2.0E-3",
+    "CURSOR:VBARS:POSITION2": "2.0E-3",
+    "CURSOR:HBARS:POSITION1": "-3.2E0",
+    "CURSOR:HBARS:POSITION2": "3.2E0",
     "BUSY": "0",
     "TRIGGER:STATE": "SAVE",
 }
@@ -198,4 +202,4 @@ def manager() -> pyvisa.ResourceManager:
 @pytest.fixture
 def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
     """A peer on this computer answers at once, so silence need not be waited for as long as at the bench."""
-    monkeypatch.setattr("instrument.link.ANSWER_TIME", 0.8)
+    monkeypatch.setattr("instrument.link.ANSWER_TIME", 1.5)

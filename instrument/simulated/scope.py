@@ -28,7 +28,7 @@ from instrument.simulated.status import Status
 from instrument.simulated.traces import Trace, channel_trace
 from instrument.simulated.waveform_commands import data_init
 
-MESSAGE_TIME = 0.02  # s that a message takes on a virtual clock; on a real one it takes what it takes
+MESSAGE_TIME = 0.02  # s, on a virtual clock (a guess: 20 to 100 ms on GPIB)
 
 
 @lru_cache(maxsize=16)
@@ -52,7 +52,7 @@ class SimulatedTDS2014:
     model : str
         `"TDS2014"`, or another name in `models.MODELS`.
     clock : Clock, optional
-        RealClock() if not given. On a VirtualClock waiting costs no time and every message takes 20 ms.
+        RealClock() if not given. On a VirtualClock waiting costs no time.
     noise_levels : float
         Standard deviation of the noise in converter levels (1/25 division).
     seed : int
@@ -61,6 +61,9 @@ class SimulatedTDS2014:
         What shall go wrong.
     identity : str, optional
         Another answer to `*IDN?`.
+    message_time : float, optional
+        Time in s that carrying out a message takes at least. If not given, 20 ms on a virtual clock, so that a
+        program that asks again and again sees time pass, and nothing on a real one.
 
     Notes
     -----
@@ -78,11 +81,14 @@ class SimulatedTDS2014:
         seed: int = 0,
         faults: Faults | None = None,
         identity: str | None = None,
+        message_time: float | None = None,
     ) -> None:
         self.model = find_model(model)
         self._identity = identity if identity is not None else self.model.identity
         self.clock: Clock = clock if clock is not None else RealClock()
         self.faults: Faults = faults if faults is not None else Faults()
+        default_time = MESSAGE_TIME if self.clock.virtual else 0.0
+        self._message_time = default_time if message_time is None else message_time
         self.lock = threading.RLock()
         self.panel = Panel(self.model)
         self.status: Status = Status()
@@ -114,8 +120,7 @@ class SimulatedTDS2014:
         bytes
             At the end, the answer without terminator, if there is one.
         """
-        if self.clock.virtual:
-            self.clock.sleep(MESSAGE_TIME)
+        self.clock.sleep(self._message_time)
         branch = self._tree.root
         leaves: list[list[Leaf]] = []
         identified = False

@@ -1,7 +1,8 @@
 """Simulated instruments behind PyVISA's own interface, in this process: no driver, no socket.
 
 GPIB, USB and other INSTR names carry whole messages. ASRL and SOCKET names carry a stream: LF or CR ends a
-message, and a read ends at the termination character, at its count, or in a time-out.
+message, and a read ends at the termination character, at its count, or in a time-out. On a virtual clock the
+bytes of an ASRL answer take ten bits each at RS232:BAUd.
 """
 
 from __future__ import annotations
@@ -290,10 +291,20 @@ def _read_stream(opened: _Session, count: int) -> tuple[bytes, StatusCode]:
         if len(opened.received) >= count:
             return _cut(opened.received, count), StatusCode.success_max_count_read
         answer = opened.exchange.wait_for_answer(deadline - clock.now())
-        if answer is None:
+        if answer is None or not _travels(opened, answer, deadline):
             opened.received.clear()
             return b"", StatusCode.error_timeout
         opened.received += answer
+
+
+def _travels(opened: _Session, answer: bytes, deadline: float) -> bool:
+    """Let the bytes of a serial answer take their time on a virtual clock; False if that is too long."""
+    clock = opened.exchange.scope.clock
+    if not (opened.serial and clock.virtual):
+        return True
+    needed = 10 * len(answer) / opened.exchange.scope.panel.number("RS232:BAUD")
+    clock.sleep(min(needed, deadline - clock.now()))
+    return clock.now() < deadline
 
 
 def _read_message(opened: _Session, count: int) -> tuple[bytes, StatusCode]:

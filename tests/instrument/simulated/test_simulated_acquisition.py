@@ -119,7 +119,10 @@ def test_auto_mode_runs_free_without_a_trigger_and_normal_waits(bench):
     bench.write("HEADER OFF;:TRIG:MAIN:LEVEL 7")
     bench.single()
     assert bench.ask("ACQ:NUMACQ?") == "1"
-    bench.write("TRIG:MAIN:MODE NORMAL;:ACQ:STATE RUN")
+    bench.write("ACQ:STOPAFTER RUNSTOP;STATE RUN")
+    bench.clock.sleep(1.0)
+    assert {bench.ask("TRIG:STATE?") for _ in range(20)} <= {"AUTO", "ARMED"}
+    bench.write("ACQ:STOPAFTER SEQUENCE;:TRIG:MAIN:MODE NORMAL;:ACQ:STATE RUN")
     bench.clock.sleep(3600)
     assert bench.ask("BUSY?;:TRIG:STATE?;:ACQ:NUMACQ?") == "1;READY;0"
 
@@ -158,11 +161,11 @@ def test_all_channels_are_sampled_at_the_same_time(make_bench):
     assert np.abs(first + volts(bench)).max() <= 0.081
 
 
-def test_inverted_channel_is_upside_down(bench):
-    bench.write("CH1:INVERT ON")
+def test_inverted_channel_is_upside_down(make_bench):
+    bench = make_bench({1: lambda t: np.full_like(t, 1.52)}, noise_levels=0.0)
+    bench.write("CH1:PROBE 1;SCALE 1;INVERT ON")
     bench.single()
-    axis = times(bench)
-    assert np.abs(volts(bench) - 2.0 * np.sin(2 * np.pi * 1000 * axis)).max() < 0.05
+    assert volts(bench) == pytest.approx(-1.52, abs=0.01)
 
 
 def test_ground_coupling_shows_a_flat_line(bench):
@@ -277,6 +280,8 @@ def test_level_to_half_and_frequency_counter(make_bench):
 def test_trigger_level_reaches_eight_divisions(fresh):
     fresh.write("HEADER OFF;:CH1:SCALE 1;POSITION 2;:TRIG:MAIN:LEVEL 100")
     assert fresh.ask("TRIG:MAIN:LEVEL?") == "6.0E0"
+    assert fresh.ask("TRIG:MAIN:EDGE:SOURCE EXT;:TRIG:MAIN:LEVEL?") == "1.6E0"
+    assert fresh.ask("TRIG:MAIN:EDGE:SOURCE EXT5;:TRIG:MAIN:LEVEL -9;LEVEL?") == "-8.0E0"
 
 
 def test_autoset_shows_a_few_periods_that_fill_the_screen(make_bench):

@@ -62,7 +62,7 @@ LINKS = [
 
 
 def open_plain(manager, name):
-    return manager.open_resource(name, read_termination="\n", write_termination="\n", timeout=5000)
+    return manager.open_resource(name, read_termination="\n", write_termination="\n", timeout=10_000)
 
 
 @pytest.mark.parametrize("link", LINKS)
@@ -149,6 +149,20 @@ def test_serial_terminator_follows_its_setting():
         scope.write("RS232:TRANSMIT:TERMINATOR CR")
         assert scope.query("*IDN?") == IDENTITY
         assert scope.query("RS232:TRAN:TERM?") == ":RS232:TRANSMIT:TERMINATOR CR"
+
+
+def test_serial_answers_take_their_bits_on_the_virtual_clock():
+    with in_process("ASRL1::INSTR") as (manager, name), open_plain(manager, name) as scope:
+        clock = manager.visalib._instruments[name].clock
+        scope.write("HEADER OFF")
+        before = clock.now()
+        scope.query_binary_values("CURVE?", datatype="b")
+        assert clock.now() - before == pytest.approx(2508 * 10 / 9600, abs=0.2)
+        scope.timeout = 2000
+        with pytest.raises(pyvisa.VisaIOError):
+            scope.query_binary_values("CURVE?", datatype="b")
+        scope.write("RS232:BAUD 19200")
+        assert len(scope.query_binary_values("CURVE?", datatype="b")) == 2500
 
 
 def test_resource_manager_lists_and_refuses():

@@ -63,6 +63,7 @@ def test_measurements_of_known_signals(measured, source, kind, value, unit):
         ("HOR:SCALE 0.25;:ACQ:STATE RUN", 221),
         ("CH1:COUPLING GND;:ACQ:STATE RUN;*WAI", 2204),
         ("HOR:SCALE 5E-5;:ACQ:STATE RUN;*WAI", 2202),
+        ("HOR:SCALE 1E-4;POSITION 2E-4;:ACQ:STATE RUN;*WAI", 2202),
     ],
 )
 def test_impossible_measurements_give_9_9e37_and_an_event(measured, setup, event):

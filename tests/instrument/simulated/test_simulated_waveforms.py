@@ -190,6 +190,8 @@ def test_block_written_at_width_two_loses_its_low_byte_and_too_much_is_cut(bench
     bench.write(b"CURVE #14\xff\x07\xff\x08")
     assert bench.ask("DATA:ENC ASCI;WIDTH 1;:CURVE?") == "7"
     assert bench.events() == [532]
+    assert bench.ask("CURVE -9;:CURVE?") == "-9"
+    assert bench.events() == []
 
 
 def test_preamble_set_forms_change_the_transmission(bench):

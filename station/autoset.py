@@ -16,8 +16,9 @@ POINTS = 2500
 DIVISIONS = 10
 LEVELS_PER_DIVISION = 25
 _TRIALS_MAX = 30
-# Slowest time base of a trial, s/div: from 100 ms/div on the scope scans, without a trigger (user manual
-# 071-1064-00, p. 78). A beat of which this holds fewer than 3 periods, below 6 Hz, is not looked for.
+# From here on, s/div, the scope scans in AUTO, without a trigger (user manual 071-1064-00, p. 78). The
+# slowest trial stays below; a beat of which it holds fewer than 3 periods, below 6 Hz, is not looked for.
+_SCAN_FROM_S = 0.1
 _SLOWEST_S = 0.05
 
 # 1-2.5-5 steps of the time base, s/div (programmer manual 071-1075-04, HORizontal:MAIn:SCAle)
@@ -153,35 +154,79 @@ def find_beat(
     NoUsableSignal
         If no beat is found.
     """
-    probe = settings.probe
+    search = _Search(scope, settings, measurement)
     if isinstance(start, ScopeSetting):
-        vertical = VerticalSetting(start.volts_per_division, start.position)
-        frequency = start.beat_frequency
+        search.vertical = VerticalSetting(start.volts_per_division, start.position)
+        highest = start.beat_frequency
     else:
-        vertical, frequency = VerticalSetting(1.0 * probe), start
+        search.fit_vertical()
+        highest = start
     # begin with few periods: at 500 samples a period nothing can be aliased
-    base = scope.set_timebase(time_base_for(frequency, 5, 100), position=0.0)
-    vertical = _set_vertical(scope, settings, vertical)
-    scope.set_trigger(source=settings.channel, level=_level(vertical), slope="RISE", mode="AUTO")
+    search.set_time_base(time_base_for(highest, 5, 100))
     for _ in range(_TRIALS_MAX):
         waveform = scope.acquire(settings.channel)
-        if (better := next_vertical(waveform, vertical, measurement.fill_levels, probe)) is not None:
-            chosen = _set_vertical(scope, settings, better)
-            if chosen != vertical:
-                vertical = chosen
-                continue
         seen = _beat_frequency(waveform)
         if seen is None:
-            base = scope.set_timebase(_slower(base))
+            search.set_time_base(_slower(search.base))
+            continue
+        if search.improve_vertical(waveform):
             continue
         wanted = time_base_for(seen, measurement.periods_min, measurement.samples_per_period_min)
-        if math.isclose(wanted, base, rel_tol=1e-3):
-            return ScopeSetting(base, vertical.scale, vertical.position, _level(vertical), seen)
-        base = scope.set_timebase(wanted)
+        if math.isclose(wanted, search.base, rel_tol=1e-3):
+            return search.found(seen)
+        search.set_time_base(wanted)
     raise NoUsableSignal(
         f"no steady beat on {settings.channel} after {_TRIALS_MAX} trial records: "
         "is the gyro running and the table turning?"
     )
+
+
+class _Search:
+    """The knobs as they stand while the beat is looked for."""
+
+    def __init__(self, scope: TDS2014, settings: ScopeSettings, measurement: MeasurementSettings) -> None:
+        self._scope, self._settings, self._measurement = scope, settings, measurement
+        self.vertical = VerticalSetting(1.0 * settings.probe)
+        self.base = _SLOWEST_S
+
+    def fit_vertical(self) -> None:
+        """Fit the vertical scale first: at a slow time base, where every beat shows its whole height."""
+        self.vertical = _set_vertical(self._scope, self._settings, self.vertical)
+        self.set_time_base(_SLOWEST_S)
+        for _ in range(_TRIALS_MAX):
+            if not self.improve_vertical(self._scope.acquire(self._settings.channel)):
+                return
+
+    def improve_vertical(self, waveform: Waveform) -> bool:
+        """Change the vertical setting if the record shows a better one; tell whether it was changed."""
+        fill, probe = self._measurement.fill_levels, self._settings.probe
+        better = next_vertical(waveform, self.vertical, fill, probe)
+        if better is None:
+            return False
+        chosen = _set_vertical(self._scope, self._settings, better)
+        changed, self.vertical = chosen != self.vertical, chosen
+        self._set_trigger()
+        return changed
+
+    def set_time_base(self, base: float) -> None:
+        """Set the time base, and a trigger that suits it."""
+        self.base = self._scope.set_timebase(base, position=0.0)
+        self._set_trigger()
+
+    def found(self, frequency: float) -> ScopeSetting:
+        """Return the knobs as they stand now."""
+        return ScopeSetting(
+            self.base, self.vertical.scale, self.vertical.position, _level(self.vertical), frequency
+        )
+
+    def _set_trigger(self) -> None:
+        """Trigger on the beat. A slow time base would scan in AUTO, and its records be patched."""
+        self._scope.set_trigger(
+            source=self._settings.channel,
+            level=_level(self.vertical),
+            slope="RISE",
+            mode="NORMAL" if self.base >= _SCAN_FROM_S else "AUTO",
+        )
 
 
 def _beat_frequency(waveform: Waveform) -> float | None:

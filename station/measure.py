@@ -21,7 +21,6 @@ from station.settings import Settings
 from station.tilt import Tilt, evaluate_tilt
 
 _ATTEMPTS = 3
-_SCAN_FROM_S = 0.1  # s/div, user manual 071-1064-00, p. 78: AUTO scans from 100 ms/div on
 
 
 @dataclass(frozen=True)
@@ -117,7 +116,6 @@ def _experiment(settings: Settings, bench: Bench, writer: RunWriter, progress: P
         table_rate = bench.turn_table(table_rate, table.settle_s)
         slower = gyro.scale_factor_pulses_per_deg * expected
         setting = find_beat(scope, wanted, settings.measurement, _for_frequency(setting, slower))
-    _ready(bench, settings, setting)
     writer.save_facts({"scope_setting": asdict(setting), "table_rate_dps": table_rate})
     count = settings.measurement.records
     progress.start("records", count)
@@ -140,7 +138,6 @@ def _find_tilt(
         progress.note(f"fast run at {wanted:+g} deg/s")
         rate = bench.turn_table(wanted, settings.table.settle_s)
         start = find_beat(bench.scope, settings.scope, settings.measurement, start)
-        _ready(bench, settings, start)
         progress.start("tilt", count)
         for _ in range(count):
             waveform, conditions = take_record(bench, settings.scope.channel)
@@ -192,14 +189,6 @@ def save_record(
     writer: RunWriter, purpose: str, waveform: Waveform, conditions: Mapping[str, object]
 ) -> None:
     writer.save_record(purpose, waveform.codes, waveform.preamble.to_text(), conditions)
-
-
-def _ready(bench: Bench, settings: Settings, setting: ScopeSetting) -> None:
-    """Trigger on the beat. A slow time base would scan without a trigger, and its records be patched."""
-    mode = "NORMAL" if setting.seconds_per_division >= _SCAN_FROM_S else "AUTO"
-    bench.scope.set_trigger(
-        source=settings.scope.channel, level=setting.trigger_level, slope="RISE", mode=mode
-    )
 
 
 def _for_frequency(setting: ScopeSetting, frequency: float) -> ScopeSetting:

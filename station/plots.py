@@ -72,9 +72,13 @@ def time_record_svg(waveform: Waveform) -> str:
 
     def draw(figure: Figure) -> None:
         axes = figure.add_subplot()
-        axes.plot(scale * fine, model, color=ACCENT, label="fit: offset and 4 harmonics")
+        axes.plot(
+            scale * fine, model, color=ACCENT, zorder=4, label=f"fit: offset and {_HARMONICS} harmonics"
+        )
         times = np.arange(shown) * waveform.sample_interval
-        axes.plot(scale * times, waveform.volts[:shown], ".", ms=3, color=SECOND, label="samples", zorder=3)
+        axes.plot(
+            scale * times, waveform.volts[:shown], ".", ms=4, color=SECOND, alpha=0.55, mew=0, label="samples"
+        )
         axes.set(xlabel=f"time from the first sample, {unit}", ylabel="V", xlim=(0, scale * fine[-1]))
         _legend_above(axes)
 

@@ -1,0 +1,72 @@
+"""Time base and vertical scale from trial records, on the simulated scope."""
+
+import numpy as np
+import pytest
+
+from instrument import TDS2014
+from instrument.simulated import SimulatedTDS2014, VirtualClock, resource_manager
+from station.autoset import TIME_BASES, find_beat, time_base_for
+from station.errors import NoUsableSignal
+from station.settings import default_settings
+
+SETTINGS = default_settings("simulated")
+NAME = "GPIB0::1::INSTR"
+
+
+def test_time_bases_are_the_steps_of_the_scope() -> None:
+    assert len(TIME_BASES) == 33
+    assert {0.001, 0.0025, 0.005, 0.01, 0.025, 50.0} <= set(TIME_BASES)
+
+
+@pytest.mark.parametrize(
+    ("frequency", "expected"), [(160.0, 0.01), (151.0, 0.01), (149.0, 0.025), (2281.0, 0.001), (2e6, 1e-6)]
+)
+def test_the_record_holds_enough_periods(frequency: float, expected: float) -> None:
+    assert time_base_for(frequency, periods_min=15, samples_per_period_min=20) == expected
+
+
+def test_sampling_goes_before_periods() -> None:
+    # 500 periods in 2500 points would be 5 samples a period
+    base = time_base_for(1000.0, periods_min=500, samples_per_period_min=20)
+    assert 2500 / (10 * base * 1000) >= 20
+    assert base == 0.01
+
+
+@pytest.mark.parametrize(
+    ("frequency", "amplitude", "offset"),
+    [
+        (160.0, 0.38, 0.12),
+        (160.0, 8.0, -1.5),
+        (37.0, 0.02, 0.3),
+        (2281.0, 1.0, 0.0),
+        (40e3, 0.2, -0.1),
+        (7.3, 1.0, 1.0),
+    ],
+)
+def test_any_beat_ends_up_filling_the_screen(frequency: float, amplitude: float, offset: float) -> None:
+    def signal(times: np.ndarray) -> np.ndarray:
+        phase = 2 * np.pi * frequency * times
+        return offset + amplitude * (np.sin(phase) + 0.06 * np.sin(2 * phase + 1))
+
+    simulated = SimulatedTDS2014({1: signal}, clock=VirtualClock())
+    manager = resource_manager(scopes={NAME: simulated})
+    with TDS2014(NAME, resource_manager=manager) as scope:
+        scope.set_channel(1, probe=1)
+        found = find_beat(scope, SETTINGS.scope, SETTINGS.measurement, start=100e3)
+        record = scope.acquire(1)
+    manager.close()
+    assert found.beat_frequency == pytest.approx(frequency, rel=2e-3)
+    assert not record.clipped
+    assert np.ptp(record.codes.astype(int)) / 2 == pytest.approx(100, abs=16)
+    periods = 2500 * record.sample_interval * frequency
+    assert 15 <= periods <= 40
+
+
+def test_no_beat_is_told() -> None:
+    simulated = SimulatedTDS2014({1: np.zeros_like}, clock=VirtualClock())
+    manager = resource_manager(scopes={NAME: simulated})
+    with TDS2014(NAME, resource_manager=manager) as scope:
+        scope.set_channel(1, probe=1)
+        with pytest.raises(NoUsableSignal, match="no beat"):
+            find_beat(scope, SETTINGS.scope, SETTINGS.measurement, start=1000.0)
+    manager.close()

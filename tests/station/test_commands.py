@@ -1,0 +1,106 @@
+"""The command line itself: help, version, list, doctor, and how numbers are written."""
+
+import json
+import subprocess
+import sys
+
+import pytest
+
+from station import cli
+from station.cli import main
+from station.doctor import examine
+from station.settings import default_settings
+from station.words import with_prefix, with_uncertainty
+
+HEAVY = ("numpy", "scipy", "pyvisa", "matplotlib", "pydantic", "rich", "jinja2")
+
+
+@pytest.mark.parametrize("command", list(cli._COMMANDS))
+def test_every_command_has_help_json_and_config(command: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main([command, "--help"]) == 0
+    text = capsys.readouterr().out
+    assert "--json" in text
+    assert "--config" in text
+    first = cli._COMMANDS[command][1].split(":")[0].rstrip(".")
+    assert first.split(",")[0] in " ".join(text.split())
+
+
+def test_help_names_every_command_and_imports_nothing_heavy() -> None:
+    program = (
+        "import sys; from station.cli import main; main(['--help']); "
+        f"print([name for name in {HEAVY} if name in sys.modules])"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert all(name in done.stdout for name in cli._COMMANDS)
+    assert done.stdout.splitlines()[-1] == "[]"
+
+
+def test_version(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["--version"]) == 0
+    assert capsys.readouterr().out.startswith("gyrolock, version ")
+
+
+def test_errors_are_json_too(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["measure", "--json", "--nonsense"]) == 2
+    captured = capsys.readouterr()
+    assert json.loads(captured.out)["error"]["exit_code"] == 2
+    assert captured.err.startswith("gyrolock: ")
+    assert main(["nonsense"]) == 2
+
+
+def test_a_defect_of_the_program_is_one_line_too(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def broken(*_: object, **__: object) -> None:
+        raise ZeroDivisionError("oh")
+
+    monkeypatch.setattr("station.settings.load_settings", broken)
+    assert main(["list", "--json"]) == 70
+    captured = capsys.readouterr()
+    assert json.loads(captured.out)["error"]["kind"] == "defect"
+    assert "Traceback" not in captured.err
+    monkeypatch.setenv("GYROLOCK_TRACEBACK", "1")
+    assert main(["list"]) == 70
+    assert "ZeroDivisionError" in capsys.readouterr().err
+
+
+def test_doctor_finds_a_whole_installation(capsys: pytest.CaptureFixture[str]) -> None:
+    checks = {
+        check.name: check for check in examine(default_settings(), resource="ASRL/dev/no-such-port::INSTR")
+    }
+    for name in ("Python", "packages", "settings", "VISA", "SQLite", "test record"):
+        assert checks[name].state == "ok", checks[name]
+    assert "2500 points" in checks["test record"].text
+    assert checks["resource"].state == "bad"
+    assert "no-such-port" in checks["resource"].text
+
+
+def test_doctor_command_tells_an_instrument_that_is_not_there(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["doctor", "--resource", "ASRL/dev/no-such-port::INSTR", "--json"]) == 3
+    document = json.loads(capsys.readouterr().out)
+    assert document["ok"] is False
+    assert {"name", "state", "text"} == document["checks"][0].keys()
+
+
+@pytest.mark.parametrize(
+    ("value", "u", "text"),
+    [
+        (0.01, 0.00001, "0.010000(10)"),
+        (0.01, 0.0000996, "0.01000(10)"),
+        (1234.5, 120.0, "1234(120)"),
+        (-3.25, 0.5, "-3.25(50)"),
+        (5.0, 0.0, "5"),
+        (float("nan"), 1.0, "none"),
+        (2.0, float("inf"), "2"),
+    ],
+)
+def test_values_with_uncertainty(value: float, u: float, text: str) -> None:
+    assert with_uncertainty(value, u) == text
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [(0.0, "0 V"), (-0.38, "-380 mV"), (2.5e-9, "2.5 nV"), (1e-12, "1e-12 V"), (3.2e6, "3.2 MV")],
+)
+def test_values_with_prefix(value: float, text: str) -> None:
+    assert with_prefix(value, "V") == text

@@ -1,0 +1,155 @@
+"""The report: one file, well-formed, with unique ids, and the numbers of the result in it."""
+
+import xml.etree.ElementTree as ET
+from collections import Counter
+from html.parser import HTMLParser
+from pathlib import Path
+
+import pytest
+
+from station.evaluate import Method, evaluate_run
+from station.measure import take_run
+from station.plots import line_svg, spectrum_svg, time_record_svg, values_svg
+from station.progress import Progress
+from station.report import render_report, write_report
+from station.results import result_document
+from station.runs import SavedRun, open_run
+from station.settings import load_settings
+from station.words import lock_in_words
+
+VOID = {"meta", "br", "img", "link", "hr", "input"}
+
+
+class Page(HTMLParser):
+    """Collects ids, links and texts, and sees that every element is closed."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.open: list[str] = []
+        self.ids: list[str] = []
+        self.used: set[str] = set()
+        self.addresses: list[str] = []
+        self.text = ""
+
+    def handle_starttag(self, tag: str, attributes: list[tuple[str, str | None]]) -> None:
+        if tag not in VOID:
+            self.open.append(tag)
+        for name, value in attributes:
+            value = value or ""
+            if name == "id":
+                self.ids.append(value)
+            if name in ("href", "src", "xlink:href"):
+                (self.used.add(value[1:]) if value.startswith("#") else self.addresses.append(value))
+            if "url(#" in value:
+                self.used.add(value.split("url(#")[1].split(")")[0])
+
+    def handle_startendtag(self, tag: str, attributes: list[tuple[str, str | None]]) -> None:
+        self.handle_starttag(tag, attributes)
+        if tag not in VOID:
+            self.open.pop()
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open.pop() == tag
+
+    def handle_data(self, data: str) -> None:
+        self.text += data
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> SavedRun:
+    folder = tmp_path_factory.mktemp("report")
+    (folder / "my.toml").write_text('[gyro]\nname = "<b>No. 7 & Söhne</b>"\n')
+    overrides = {"measurement": {"records": 3}, "output": {"directory": str(folder)}}
+    settings = load_settings(folder / "my.toml", overrides=overrides)
+    taken = take_run(settings, Progress(quiet=True))
+    assert taken.failure is None
+    return open_run(taken.path)
+
+
+def test_the_page_is_whole_and_stands_alone(run: SavedRun) -> None:
+    page = Page()
+    page.feed(render_report(evaluate_run(run), run))
+    page.close()
+    assert page.open == []
+    assert [name for name, count in Counter(page.ids).items() if count > 1] == []
+    assert page.used <= set(page.ids)
+    assert page.addresses == []
+
+
+def test_the_page_shows_result_settings_and_provenance(run: SavedRun) -> None:
+    evaluation = evaluate_run(run)
+    html = render_report(evaluation, run)
+    page = Page()
+    page.feed(html)
+    for value in (
+        *lock_in_words(evaluation),
+        "deg/h",
+        "95 % interval",
+        "2000 pulses/deg",
+        "TEKTRONIX,TDS 2014",
+    ):
+        assert value in page.text
+    for value in (
+        "white noise",
+        "seed",
+        "numpy",
+        "second harmonic",
+        "tilt of the axis",
+        run.facts["started_at"],
+    ):
+        assert value in page.text
+    assert "<b>No. 7" not in html
+    assert "<b>No. 7 & Söhne</b>" in page.text
+    assert "simulated bench" in page.text
+    assert html.count("<svg") == 5
+
+
+def test_the_same_run_gives_the_same_page(run: SavedRun) -> None:
+    assert render_report(evaluate_run(run), run) == render_report(evaluate_run(run), run)
+
+
+def test_every_figure_is_well_formed_and_names_what_it_shows(run: SavedRun) -> None:
+    evaluation = evaluate_run(run)
+    wave = evaluation.waveforms[0]
+    figures = (
+        time_record_svg(wave),
+        spectrum_svg(wave),
+        line_svg(wave, 1),
+        line_svg(wave, 2),
+        values_svg(evaluation),
+    )
+    for svg in figures:
+        assert ET.fromstring(svg).tag.endswith("svg")
+        assert len(svg) < 120_000
+        assert "Date" not in svg
+    assert ">2f<" in figures[1]
+    assert "truth of the simulation" in figures[4]
+
+
+def test_the_file_appears_whole_beside_the_run(run: SavedRun, tmp_path: Path) -> None:
+    path = write_report(evaluate_run(run), run)
+    assert path == run.path.parent / "report.html"
+    elsewhere = write_report(evaluate_run(run), run, tmp_path / "other.html")
+    assert elsewhere.read_text(encoding="utf-8") == path.read_text(encoding="utf-8")
+    assert sorted(file.name for file in tmp_path.iterdir()) == ["other.html"]
+
+
+def test_a_result_that_means_nothing_is_told_as_such(run: SavedRun) -> None:
+    cut = SavedRun(run.path, run.facts, tuple(_silenced(record) for record in run.records), None)
+    evaluation = evaluate_run(cut, Method(2000.0))
+    assert not evaluation.usable
+    page = Page()
+    page.feed(render_report(evaluation, cut))
+    assert "No lock-in rate" in page.text
+    assert "All samples are equal" in page.text
+    document = result_document(evaluation, cut)
+    assert document["lock_in_rate_dps"] is None
+    assert "constant" in document["flags"]
+
+
+def _silenced(record):
+    from dataclasses import replace
+
+    if record.purpose == "tilt":
+        return record
+    return replace(record, codes=record.codes * 0)

@@ -134,7 +134,8 @@ class MessageExchange:
                 self._answers.clear()
                 self.scope.status.post(410)
             self.scope.message_available = bool(self._answers)
-            self._running = self.scope.execute(self._waiting.popleft())
+            message = self._waiting.popleft()
+            self._running = self.scope.execute(message, stream=not self._message_ends)
         for answer in self._running:
             if answer is None:
                 return False

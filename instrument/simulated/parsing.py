@@ -106,7 +106,8 @@ class StreamSplitter:
                 messages.append(buffer[start:at])
                 start = at = at + 1
             elif byte == 0x23 and buffer[start:at].strip() and buffer[at - 1] in b"\t ,":
-                after = block_end(buffer, at, final=end)
+                indefinite = end and buffer[at + 1 : at + 2] == b"0"  # goes on to the END of the message
+                after = len(buffer) if indefinite else block_end(buffer, at, final=end)
                 if after is None:
                     break
                 at = after
@@ -122,15 +123,17 @@ class StreamSplitter:
 
 
 @lru_cache(maxsize=1024)
-def parse_message(message: bytes) -> tuple[Command | Malformed, ...]:
+def parse_message(message: bytes, *, stream: bool = False) -> tuple[Command | Malformed, ...]:
     """Split one program message at its semicolons and read each command.
+
+    On a stream nothing marks the end of an indefinite block, so it is refused there (event 161, p. 2-13).
 
     Examples
     --------
     >>> [c.header for c in parse_message(b" data:source ch1 ; width 1;; :CH1:SCALE? ")]
     ['data:source', 'width', ':CH1:SCALE']
     """
-    return tuple(_parse_command(unit) for unit in _split(message, 0x3B) if _trim(unit))
+    return tuple(_parse_command(unit, stream) for unit in _split(message, 0x3B) if _trim(unit))
 
 
 def _trim(piece: bytes) -> str:
@@ -160,7 +163,7 @@ def _split(message: bytes, separator: int) -> list[bytes]:
     return [*pieces, message[start:]]
 
 
-def _parse_command(unit: bytes) -> Command | Malformed:
+def _parse_command(unit: bytes, stream: bool) -> Command | Malformed:
     text = _trim(unit)
     match = _HEADER.match(unit.decode("latin-1").lstrip(_WHITE))
     if match is None:
@@ -169,14 +172,16 @@ def _parse_command(unit: bytes) -> Command | Malformed:
     if rest is None or not rest.strip(_WHITE):
         return Command(header, query, (), text)
     try:
-        arguments = tuple(_parse_argument(piece) for piece in _split(rest.encode("latin-1"), 0x2C))
+        arguments = tuple(_parse_argument(piece, stream) for piece in _split(rest.encode("latin-1"), 0x2C))
     except Refusal as refusal:
         return Malformed(text, refusal.event)
     return Command(header, query, arguments, text)
 
 
-def _parse_argument(piece: bytes) -> Argument:
+def _parse_argument(piece: bytes, stream: bool) -> Argument:
     bare = piece.lstrip(_WHITE.encode("latin-1"))
+    if stream and bare.startswith(b"#0"):
+        raise Refusal(161)
     if bare.startswith(b"#"):
         return Argument(data=_block_data(bare))
     text = _trim(piece)

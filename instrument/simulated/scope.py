@@ -110,8 +110,8 @@ class SimulatedTDS2014:
 
     # Program messages
 
-    def execute(self, message: bytes) -> Iterator[bytes | None]:
-        """Carry out one program message.
+    def execute(self, message: bytes, *, stream: bool = False) -> Iterator[bytes | None]:
+        """Carry out one program message; `stream` tells that it came without a message end.
 
         Yields
         ------
@@ -124,7 +124,7 @@ class SimulatedTDS2014:
         branch = self._tree.root
         leaves: list[list[Leaf]] = []
         identified = False
-        for command in parse_message(message):
+        for command in parse_message(message, stream=stream):
             try:
                 if isinstance(command, Malformed):
                     raise Refusal(command.event)

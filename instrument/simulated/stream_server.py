@@ -16,6 +16,7 @@ from instrument.simulated.scope import SimulatedTDS2014
 _CHUNK = 65_536
 _FULL = 1 << 20  # bytes of unread answers at which no more questions are taken
 _PACE = 0.004  # s of line time that travel in one piece
+_LOOK_UP = 0.2  # s after which an idle server looks whether the instrument is still on
 _LATE = 0.05  # s that a paced line may be behind and still catch up
 _VIRTUAL_POLL = 0.001  # s of real time between two jumps of a virtual clock
 
@@ -126,9 +127,9 @@ class StreamServer:
     def _released(self) -> None:
         """What a server has to close besides its ports."""
 
-    def _pause(self) -> float | None:
-        """Seconds until something has to be done even if no byte comes; None if nothing."""
-        pauses = []
+    def _pause(self) -> float:
+        """Seconds until something has to be done even if no byte comes."""
+        pauses = [_LOOK_UP]
         for port in self._ports:
             if len(port.outgoing) or len(port.incoming):
                 pauses.append(_PACE)
@@ -136,9 +137,7 @@ class StreamServer:
             if change < float("inf"):
                 wait = max(0.0, change - self.scope.clock.now())
                 pauses.append(_VIRTUAL_POLL if self.scope.clock.virtual else wait)
-        if not self.scope.powered:
-            pauses.append(_LATE)
-        return min(pauses, default=None)
+        return min(pauses)
 
     def _read(self, port: Port) -> None:
         try:

@@ -236,6 +236,20 @@ def test_tcp_closes_when_the_power_goes_in_the_middle_of_a_block():
         server.close()
 
 
+@pytest.mark.parametrize("server_class", [TcpServer, pytest.param(PtyServer, marks=NEEDS_PTY)])
+def test_instrument_switched_off_by_hand_hangs_up(server_class):
+    with server_class(make_scope()) as server:
+        manager = pyvisa.ResourceManager("@py")
+        with open_plain(manager, server.resource_name) as scope:
+            assert scope.query("*IDN?") == IDENTITY
+            with server.scope.lock:
+                server.scope.power_off()
+            scope.timeout = 300
+            with pytest.raises((pyvisa.VisaIOError, OSError)):
+                scope.query("*IDN?")
+        manager.close()
+
+
 def test_closing_a_server_frees_port_and_thread():
     before = threading.active_count()
     server = TcpServer(make_scope())

@@ -194,6 +194,19 @@ def test_block_written_at_width_two_loses_its_low_byte_and_too_much_is_cut(bench
     assert bench.events() == []
 
 
+def test_indefinite_block_needs_a_message_end(bench):
+    from instrument.simulated.exchange import MessageExchange
+
+    bench.write("DATA:DESTINATION REFA;SOURCE REFA;STOP 4;:SELECT:REFA ON;:HEADER OFF")
+    bench.write(b"CURVE #0\n;\r#")
+    assert bench.ask("DATA:ENC ASCI;:CURVE?") == "10,59,13,35"
+    serial = MessageExchange(bench.scope, message_ends=False, serial=True)
+    serial.receive(b"DATA:ENC RIB\nCURVE #0abcd\nDATA:ENC ASCI\nCURVE?\n")
+    serial.pump()
+    assert serial.take() == b"10,59,13,35\n"
+    assert bench.events() == [161]
+
+
 def test_preamble_set_forms_change_the_transmission(bench):
     bench.write("WFMPRE:BYT_NR 2;BN_FMT RP;BYT_OR LSB")
     assert bench.ask("HEADER OFF;:DATA?") == "SRPBINARY;REFA;CH1;1;2500;2"

@@ -106,22 +106,21 @@ def next_vertical(
         ``None`` if the record fills the screen well.
     """
     low_limit, high_limit = VERTICAL_SCALES[0] * probe, VERTICAL_SCALES[-1] * probe
+    valid = np.isfinite(waveform.volts)
+    if not valid.any():
+        return None
+    codes, volts = waveform.codes[valid].astype(int), waveform.volts[valid]
+    lowest, highest = int(codes.min()), int(codes.max())
     if waveform.clipped:
-        codes = waveform.codes.astype(int)
-        if codes.max() - codes.min() < 20:
-            # all of it beyond one edge: nothing is known but the side
-            scale = min(current.scale * 5, high_limit)
-        else:
-            scale = min(current.scale * 2, high_limit)
-        wider = VerticalSetting(scale, 0.0)
+        # all of it beyond one edge tells nothing but the side: look from much farther away
+        factor = 5 if highest - lowest < 20 else 2
+        wider = VerticalSetting(min(current.scale * factor, high_limit), 0.0)
         return None if wider == current else wider
-    volts = waveform.volts[np.isfinite(waveform.volts)]
     low, high = float(volts.min()), float(volts.max())
     half_span = max((high - low) / 2, 1.5 * current.scale / LEVELS_PER_DIVISION)
     scale = min(max(_two_digits_up(half_span * LEVELS_PER_DIVISION / fill_levels), low_limit), high_limit)
     # the position moves in steps of a level
     position = round(-(low + high) / 2 / scale * LEVELS_PER_DIVISION) / LEVELS_PER_DIVISION
-    lowest, highest = int(waveform.codes.min()), int(waveform.codes.max())
     well_filled = (
         0.85 * fill_levels <= (highest - lowest) / 2 <= 1.05 * fill_levels
         and abs(highest + lowest) / 2 <= 0.1 * fill_levels

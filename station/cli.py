@@ -86,7 +86,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except click.ClickException as error:
         return _tell(Failure("usage", _usage_line(error), EXIT_USAGE), given)
     except BrokenPipeError:
-        sys.stderr.close()  # the reader of our output has gone; nobody is left to tell
+        # the reader of our output has gone; what Python still holds back must not fail on the way out
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return EXIT_USAGE
     except (Exception, KeyboardInterrupt) as error:
         return _tell(describe_failure(error) or _defect(error), given)

@@ -25,7 +25,7 @@ from instrument.waveform import CLIPPED_CODE
 from station.errors import RunError
 from station.runs import SavedRecord, SavedRun
 from station.settings import Settings
-from station.tilt import Tilt, azimuth_of, evaluate_tilt
+from station.tilt import Tilt, azimuth_of, evaluate_tilt, horizontal_earth_rate
 
 Array = NDArray[np.float64]
 _BATCH = 1000  # records analysed at once: 20 MB of samples
@@ -234,15 +234,17 @@ def _estimate(
 def _estimate_batch(
     waveforms: Sequence[Waveform], interval: float, method: Method, input_rates: Array | None
 ) -> LockInEstimate:
-    codes = np.array([wave.codes for wave in waveforms]).astype(int)
+    volts = np.array([wave.volts for wave in waveforms])
+    codes = np.array([wave.codes for wave in waveforms])
+    highest = CLIPPED_CODE if codes.dtype == np.int8 else 256 * CLIPPED_CODE
     return estimate_lock_in(
-        np.array([wave.volts for wave in waveforms]),
+        volts,
         interval,
         scale_factor=method.scale_factor,
         input_rate=method.input_rate if input_rates is None else input_rates,
         relation=method.relation,
-        clipped=np.abs(codes)
-        >= (CLIPPED_CODE if waveforms[0].codes.dtype == np.int8 else 256 * CLIPPED_CODE),
+        # a sample without data is nan, not clipped, though its code is the lowest of all
+        clipped=(np.abs(codes.astype(np.int32)) >= highest) & np.isfinite(volts),
     )
 
 
@@ -267,18 +269,19 @@ def _table_check(
     table = np.array([float(record.conditions["table_rate_dps"]) for record in records])
     cosine = math.cos(math.radians(tilt.tilt_deg))
     azimuths = np.array([azimuth_of(record, settings).middle for record in records])
-    earth = earth_rate_on_axis(settings.site.latitude_deg, tilt.tilt_deg, azimuths)
-    if not np.isfinite(earth).all():
-        vertical = earth_rate_on_axis(settings.site.latitude_deg, 0.0, 0.0) * cosine
-        earth = np.where(np.isfinite(earth), earth, vertical)
-    rates = table * cosine + earth
+    # where nobody knows the azimuth, only the vertical part of the earth rate is left: that at east
+    known = np.where(np.isfinite(azimuths), azimuths, 90.0)
+    rates = table * cosine + earth_rate_on_axis(settings.site.latitude_deg, tilt.tilt_deg, known)
     _, by_table = _estimate(waveforms, method, rates)
     if not np.isfinite(by_table.lock_in_rate):
         return None
-    # the tilt is common to all records: its part does not average out
-    tilt_part = math.tan(math.radians(tilt.tilt_deg)) * math.radians(tilt.tilt_u_deg)
-    rate_u = float(by_table.lock_in_rate) * tilt_part
+    # tilt and unknown azimuth are common to all records: their parts do not average out
     mean = float(np.mean(rates))
+    tilt_part = math.tan(math.radians(tilt.tilt_deg)) * math.radians(tilt.tilt_u_deg)
+    earth_part = 0.0
+    if not np.isfinite(azimuths).all():
+        earth_part = horizontal_earth_rate(settings, tilt.tilt_deg) / math.sqrt(2) / abs(mean)
+    rate_u = float(by_table.lock_in_rate) * math.hypot(tilt_part, earth_part)
     return TableCheck(
         lock_in_rate=float(by_table.lock_in_rate),
         lock_in_rate_u=math.hypot(float(by_table.lock_in_rate_u), rate_u),

@@ -7,13 +7,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from instrument import InstrumentError, TransferError, Waveform
 from station.autoset import ScopeSetting, find_beat
 from station.bench import Bench, open_bench
-from station.errors import Failure, StationError, describe_failure
+from station.errors import Failure, RunError, StationError, describe_failure
 from station.progress import Progress
 from station.provenance import provenance
 from station.runs import RunWriter, open_run, utc_now
@@ -71,7 +72,8 @@ def take_run(settings: Settings, progress: Progress) -> Taken:
             raise
         failure = describe_failure(error)
         assert failure is not None  # all of these classes are known to it
-        writer.save_facts({"ended_at": utc_now(), "outcome": failure.as_json()})
+        with suppress(RunError):  # a full disk takes no more; the records it took are there
+            writer.save_facts({"ended_at": utc_now(), "outcome": failure.as_json()})
         return Taken(writer.path, failure)
     finally:
         progress.close()

@@ -90,6 +90,12 @@ def azimuth_of(record: SavedRecord, settings: Settings) -> Azimuth:
     return Azimuth((start + end) / 2 - settings.table.north_azimuth_deg, abs(end - start))
 
 
+def horizontal_earth_rate(settings: Settings, tilt_deg: float) -> float:
+    """Return the largest rate that the horizontal part of the earth's rotation gives on the axis, deg/s."""
+    north, east = (float(earth_rate_on_axis(settings.site.latitude_deg, tilt_deg, a)) for a in (0.0, 90.0))
+    return abs(north - east)
+
+
 def _at_rate(records: Sequence[SavedRecord], rate: float) -> list[SavedRecord]:
     return [record for record in records if float(record.conditions["table_rate_dps"]) == rate]
 
@@ -123,6 +129,9 @@ def _tilt(runs: dict[float, _FastRun], settings: Settings, known_tilt_deg: float
             # a record lies somewhere between two readings of the azimuth (a uniform distribution), and
             # every record of a run at the same place between them: this part does not average out
             between = float(np.mean(np.abs(slope) * np.radians(run.turned))) / math.sqrt(12)
+        elif known_tilt_deg is not None:
+            # the horizontal earth rate is in it with a phase that nobody knows
+            between = horizontal_earth_rate(settings, known_tilt_deg) / math.sqrt(2)
         means.append(scale_factor * float(np.mean(rates)))
         us.append(scale_factor * math.hypot(_mean_u(rates, run.rates_u), between))
     return Tilt(*tilt_from_fast_run(means, us, list(runs), scale_factor))

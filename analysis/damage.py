@@ -70,18 +70,24 @@ def find_damage(records: Records, clipped: Bools | None) -> Damage:
 def _crowded_end(values: Floats, weights: Floats | None, end: Floats, sign: float) -> Floats:
     """`sign` times the end level where it is a clipping limit, else inf; (R,)."""
     limit = np.full(len(values), np.inf)
-    thinned = values[:, ::THINNING] == end[:, np.newaxis]
-    suspects = np.flatnonzero(np.count_nonzero(thinned, axis=-1) > SHARE_AT_END * thinned.shape[1])
-    if suspects.size == 0:
-        return limit
-    some, top = sign * values[suspects], sign * end[suspects, np.newaxis]
-    valid = np.ones(some.shape, bool) if weights is None else weights[suspects] > 0
-    at_top = (some >= top) & valid
-    below = np.where(at_top | ~valid, -np.inf, some)
-    second = below.max(axis=-1, keepdims=True)
-    crowd, next_crowd = at_top.sum(axis=-1), (below == second).sum(axis=-1)
-    clipped = (crowd > SHARE_AT_END * some.shape[1]) & (crowd > CROWDING * next_crowd) & np.isfinite(second[:, 0])
-    limit[suspects[clipped]] = top[clipped, 0]
+    suspects = np.arange(len(values))
+    for thinning in (THINNING, 1):
+        some = sign * values[suspects, ::thinning]
+        top = sign * end[suspects, np.newaxis]
+        at_top = some >= top
+        crowd = np.count_nonzero(at_top, axis=-1)
+        many = crowd > SHARE_AT_END * some.shape[1]
+        suspects, some, top, at_top, crowd = (a[many] for a in (suspects, some, top, at_top, crowd))
+        if suspects.size == 0:
+            return limit
+        at_top |= False if weights is None else weights[suspects, ::thinning] == 0
+        below = np.where(at_top, -np.inf, some)
+        second = below.max(axis=-1, keepdims=True)
+        # Thinned counts are small numbers: only a clear crowd of the next level clears the suspicion.
+        factor = CROWDING if thinning == 1 else CROWDING / 2
+        crowded = crowd > factor * np.count_nonzero(below == second, axis=-1)
+        suspects, top = suspects[crowded], top[crowded]
+    limit[suspects] = top[:, 0]
     return limit
 
 

@@ -14,6 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from analysis.harmonic_sums import harmonic_powers, record_grid
+
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
 Selection = NDArray[np.intp] | NDArray[np.bool_]
@@ -23,6 +25,9 @@ LARGEST_RATIO = 0.995
 
 NEGLIGIBLE = 5e-6
 """Harmonics below this share of the fundamental cannot move an estimate from eight-bit samples."""
+
+MANY_HARMONICS = 24
+"""Beyond this many, the closed form on the samples is cheaper than the sum of the harmonics."""
 
 
 @dataclass(frozen=True)
@@ -76,35 +81,28 @@ def harmonics_needed(ratio: Complexes) -> int:
     return max(3, math.ceil(math.log(NEGLIGIBLE) / math.log(max(largest, 1e-3))))
 
 
-def carrier_grid(omega: Floats, n_samples: int) -> tuple[Complexes, Complexes]:
-    """exp(i w m) of a record as an outer product of two short vectors, (R, rows) and (R, length).
-
-    rows times length is at least n_samples: the surplus lies behind the record's end.
-    """
-    length = math.isqrt(n_samples - 1) + 1
-    rows = -(-n_samples // length)
-    middle = (n_samples - 1) / 2
-    coarse = np.exp(1j * omega[:, np.newaxis] * (np.arange(rows) * length - middle))
-    fine = np.exp(1j * omega[:, np.newaxis] * np.arange(length))
-    return coarse, fine
-
-
 def sampled_series(series: Series, n_samples: int) -> Floats:
     """The model on the samples, (R, N): from its harmonics where they are few, else in closed form."""
-    coarse, fine = carrier_grid(series.omega, n_samples)
+    outer, inner = record_grid(n_samples)
+    coarse = np.exp(1j * series.omega[:, np.newaxis] * outer)
+    fine = np.exp(1j * series.omega[:, np.newaxis] * inner)
     n_harmonics = harmonics_needed(series.ratio)
-    if n_harmonics > 24:
-        carrier = (coarse[:, :, np.newaxis] * fine[:, np.newaxis, :]).reshape(len(coarse), -1)[:, :n_samples]
+    if n_harmonics > MANY_HARMONICS:
+        carrier = carrier_of(coarse, fine, n_samples)
         wave = carrier / (1 - series.ratio[:, np.newaxis] * carrier)
         return np.asarray(series.offset[:, np.newaxis] + (series.first[:, np.newaxis] * wave).real)
-    left = np.empty((*coarse.shape, n_harmonics + 1), dtype=np.complex128)
-    right = np.empty((*fine.shape, n_harmonics + 1), dtype=np.complex128)
-    left[..., 0], right[..., 0] = series.offset[:, np.newaxis], 1.0
-    left[..., 1], right[..., 1] = coarse * series.first[:, np.newaxis], np.conj(fine)
-    step = coarse * series.ratio[:, np.newaxis]
-    for k in range(2, n_harmonics + 1):
-        np.multiply(left[..., k - 1], step, out=left[..., k])
-        np.multiply(right[..., k - 1], right[..., 1], out=right[..., k])
-    # The real part of a product is the real product of interleaved parts, one of them conjugate.
-    grid = np.matmul(left.view(np.float64), right.view(np.float64).swapaxes(-1, -2))
-    return np.asarray(grid.reshape(len(coarse), -1)[:, :n_samples])
+    left = harmonic_powers(coarse * series.ratio[:, np.newaxis], n_harmonics - 1)
+    left *= (series.first[:, np.newaxis] * coarse)[:, np.newaxis]
+    right = harmonic_powers(fine, n_harmonics)[:, 1:]
+    # The real part of the complex product, as one real product.
+    left_sides = np.concatenate([left.real, -left.imag], axis=1)
+    right_sides = np.concatenate([right.real, right.imag], axis=1)
+    grid = np.matmul(left_sides.swapaxes(-1, -2), right_sides).reshape(len(coarse), -1)[:, :n_samples]
+    grid += series.offset[:, np.newaxis]
+    return np.asarray(grid)
+
+
+def carrier_of(coarse: Complexes, fine: Complexes, n_samples: int) -> Complexes:
+    """exp(i w m) on the samples from its two short factors; (R, rows), (R, length) -> (R, N)."""
+    product = coarse[:, :, np.newaxis] * fine[:, np.newaxis, :]
+    return np.asarray(product.reshape(len(coarse), -1)[:, :n_samples])

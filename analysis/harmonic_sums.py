@@ -18,14 +18,26 @@ Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
 
 
-def harmonic_powers(omega: Floats, index: Floats, n_harmonics: int) -> Complexes:
-    """exp(-i k w x) for k = 0..n_harmonics; omega (R,), index (L,) in samples -> (R, L, n_harmonics + 1)."""
-    first = np.exp(-1j * omega[:, np.newaxis] * index)
-    powers = np.empty((*first.shape, n_harmonics + 1), dtype=np.complex128)
-    powers[..., 0] = 1.0
+def harmonic_powers(turn: Complexes, n_harmonics: int) -> Complexes:
+    """turn^k for k = 0..n_harmonics; (R, L) -> (R, n_harmonics + 1, L)."""
+    powers = np.empty((turn.shape[0], n_harmonics + 1, turn.shape[1]), dtype=np.complex128)
+    powers[:, 0] = 1.0
     for k in range(1, n_harmonics + 1):
-        np.multiply(powers[..., k - 1], first, out=powers[..., k])
+        np.multiply(powers[:, k - 1], turn, out=powers[:, k])
     return powers
+
+
+def record_grid(n_samples: int) -> tuple[Floats, Floats]:
+    """Centred sample index as a sum of two short ones, m = outer[i] + inner[j] for sample n = L i + j.
+
+    L times the number of rows is at least n_samples: the surplus lies behind the record's end.
+    """
+    length = math.isqrt(n_samples - 1) + 1
+    rows = -(-n_samples // length)
+    half = (length - 1) / 2
+    inner = np.arange(length, dtype=np.float64) - half
+    outer = length * np.arange(rows, dtype=np.float64) + half - (n_samples - 1) / 2
+    return outer, inner
 
 
 def data_sums(volts: Floats, omega: Floats, n_harmonics: int, highest_power: int = 1) -> Complexes:
@@ -44,34 +56,35 @@ def data_sums(volts: Floats, omega: Floats, n_harmonics: int, highest_power: int
     (R, highest_power + 1, n_harmonics + 1), complex
     """
     n_records, n_samples = volts.shape
-    length = math.isqrt(n_samples - 1) + 1
-    rows = -(-n_samples // length)
-    if rows * length != n_samples:
-        padded = np.zeros((n_records, rows * length))
+    outer, inner = record_grid(n_samples)
+    if outer.size * inner.size != n_samples:
+        padded = np.zeros((n_records, outer.size * inner.size))
         padded[:, :n_samples] = volts
         volts = padded
-    blocks = volts.reshape(n_records, rows, length)
+    blocks = volts.reshape(n_records, outer.size, inner.size)
+    turns = -1j * omega[:, np.newaxis]
+    fine = harmonic_powers(np.exp(turns * inner), n_harmonics)
+    coarse = harmonic_powers(np.exp(turns * outer), n_harmonics)
 
-    middle = (n_samples - 1) / 2
-    inner = np.arange(length, dtype=np.float64) - (length - 1) / 2
-    outer = length * np.arange(rows, dtype=np.float64) + (length - 1) / 2 - middle
-    fine = harmonic_powers(omega, inner, n_harmonics)
-    coarse = harmonic_powers(omega, outer, n_harmonics)
-
-    # (inner + outer)^p is expanded: each power of `inner` costs one product over the samples, those of `outer`
-    # only one over the rows.
-    powers = np.arange(highest_power + 1)
-    inner_powers = (inner * (2 / n_samples)) ** powers[:, np.newaxis]
-    outer_powers = (outer * (2 / n_samples)) ** powers[:, np.newaxis]
-    columns = fine[:, :, np.newaxis, :] * inner_powers.T[:, :, np.newaxis]
-    partial = np.matmul(blocks, columns.reshape(n_records, length, -1).view(np.float64)).view(np.complex128)
-    partial = partial.reshape(n_records, rows, highest_power + 1, n_harmonics + 1) * coarse[:, :, np.newaxis, :]
-    mixed = np.matmul(outer_powers, partial.reshape(n_records, rows, -1).view(np.float64)).view(np.complex128)
-    mixed = mixed.reshape(n_records, highest_power + 1, highest_power + 1, n_harmonics + 1)
-    sums = mixed[:, :, 0].copy()
-    for p in range(1, highest_power + 1):
+    # (inner + outer)^p is expanded: each power of `outer` costs one product over the samples, those of `inner`
+    # only one over the columns. Real and imaginary parts go through it side by side: half a complex product's
+    # work.
+    n_powers, n_orders = highest_power + 1, n_harmonics + 1
+    sides = np.empty((n_records, n_powers, 2, n_orders, outer.size))
+    sides[:, 0, 0], sides[:, 0, 1] = coarse.real, coarse.imag
+    for q in range(1, n_powers):
+        np.multiply(sides[:, q - 1], outer * (2 / n_samples), out=sides[:, q])
+    products = np.matmul(sides.reshape(n_records, -1, outer.size), blocks)
+    products = products.reshape(n_records, n_powers, 2, n_orders, inner.size)
+    partial = np.empty((n_records, n_powers, n_orders, inner.size), dtype=np.complex128)
+    partial.real, partial.imag = products[:, :, 0], products[:, :, 1]
+    partial *= fine[:, np.newaxis]
+    inner_powers = (inner[:, np.newaxis] * (2 / n_samples)) ** np.arange(n_powers)
+    mixed = np.matmul(partial, inner_powers.astype(np.complex128))
+    sums = mixed[:, 0].swapaxes(-1, -2).copy()
+    for p in range(1, n_powers):
         for q in range(1, p + 1):
-            sums[:, p] += math.comb(p, q) * mixed[:, p - q, q]
+            sums[:, p] += math.comb(p, q) * mixed[:, q, :, p - q]
     return np.asarray(sums)
 
 

@@ -14,7 +14,7 @@ Bools = NDArray[np.bool_]
 MINIMUM_SAMPLES = 8
 """The lock-in waveform has six parameters; two more samples are the least that leaves any noise estimate."""
 
-SAMPLES_AT_ONCE = 200_000
+SAMPLES_AT_ONCE = 400_000
 """Samples worked on together: about what stays in a core's cache, and what bounds the memory of any batch."""
 
 

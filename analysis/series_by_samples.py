@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.frequency_search import Spectrum, candidate_frequencies
-from analysis.geometric_series import Series, carrier_grid
-from analysis.harmonic_sums import data_sums, uniform_kernels
+from analysis.geometric_series import Series, carrier_of
+from analysis.harmonic_sums import data_sums, record_grid, uniform_kernels
 from analysis.periodic_fit import Step
 
 Floats = NDArray[np.float64]
@@ -76,9 +76,10 @@ def _normal_equations(values: Samples, weights: Samples | None, series: Series) 
     """Exact normal equations of (R,) records from their samples, in the precision of `values`."""
     n_records, n_samples = values.shape
     kind = np.result_type(values.dtype, np.complex64)
-    coarse, fine = carrier_grid(series.omega, n_samples)
-    carrier = coarse.astype(kind)[:, :, np.newaxis] * fine.astype(kind)[:, np.newaxis, :]
-    carrier = carrier.reshape(n_records, -1)[:, :n_samples]
+    outer, inner = record_grid(n_samples)
+    coarse = np.exp(1j * series.omega[:, np.newaxis] * outer).astype(kind)
+    fine = np.exp(1j * series.omega[:, np.newaxis] * inner).astype(kind)
+    carrier = carrier_of(coarse, fine, n_samples)
     first, ratio = (p.astype(kind)[:, np.newaxis] for p in (series.first, series.ratio))
     below = 1 - ratio * carrier
     wave = carrier * np.conj(below)

@@ -11,6 +11,7 @@ from analysis.damage import Bools, find_damage, outliers
 from analysis.flags import Flag
 from analysis.geometric_series import Series, sampled_series
 from analysis.periodic_fit import Step
+from analysis.phase_tracking import track_phase
 from analysis.records import Records, Stack
 from analysis.residuals import examine_residual
 from analysis.series_fit import fit_series
@@ -77,24 +78,45 @@ def _fit_part(records: Records, clipped: Bools | None) -> WaveformFit:
         left *= weights
         flags[hit] |= Flag.DAMAGED
     count = records.count if weights is None else weights.sum(axis=-1)
-    return _judged(records, series, step, left, count, flags)
+    return _judged(records, weights, series, step, left, count, flags)
 
 
 def _judged(
     records: Records,
+    weights: Floats | None,
     series: Series,
     step: Step,
     left: Floats,
     count: Floats,
     flags: NDArray[np.int64],
 ) -> WaveformFit:
-    report = examine_residual(left, count, series.omega, np.abs(series.first), step.residual_power)
+    """The fit with its noise and its flags; records that do not fit get a second chance with a moving phase."""
+    power, free = step.residual_power, count - N_PARAMETERS
+    report = examine_residual(left, count, series.omega, np.abs(series.first), power)
+    covariance = step.covariance()
     flags |= report.flags
+    excess = report.excess
+    for row in np.flatnonzero((report.flags & int(Flag.MISFIT)) != 0):
+        tracked = track_phase(
+            records.values[row], None if weights is None else weights[row], float(series.omega[row])
+        )
+        if tracked is None:
+            continue
+        here = slice(row, row + 1)
+        series.offset[row], series.first[row] = tracked.offset, tracked.first
+        series.ratio[row], series.omega[row] = tracked.ratio, tracked.omega
+        covariance[row], power[row] = tracked.covariance, tracked.left @ tracked.left
+        free[row] = count[row] - N_PARAMETERS + 1 - tracked.degree
+        again = examine_residual(
+            tracked.left[np.newaxis], count[here], series.omega[here], np.abs(series.first[here]), power[here]
+        )
+        flags[row] = (flags[row] & ~report.flags[row]) | again.flags[0] | int(Flag.RATE_WANDER)
+        excess[row] = again.excess[0]
     flags[records.constant] = Flag.CONSTANT
     flags[count < FEWEST_SAMPLES] |= Flag.TOO_FEW_SAMPLES
-    variance = step.residual_power / np.maximum(count - N_PARAMETERS, 1)
-    covariance = step.covariance() * variance[:, np.newaxis, np.newaxis]
-    return WaveformFit(series, covariance, report.excess, np.sqrt(variance), flags)
+    variance = power / np.maximum(free, 1)
+    covariance *= variance[:, np.newaxis, np.newaxis]
+    return WaveformFit(series, covariance, excess, np.sqrt(variance), flags)
 
 
 def _fit_between_limits(

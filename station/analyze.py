@@ -102,9 +102,7 @@ def analyze_path(path: Path, choices: Choices, settings: Settings) -> Analyzed:
     waveform = read_waveform(path)
     if waveform.preamble.xunit.lower() != "s":
         unit = waveform.preamble.xunit
-        raise NoUsableSignal(
-            f"{path}: is a spectrum ({unit}), not a record over time: save the channel itself"
-        )
+        raise NoUsableSignal(f"{path}: is a spectrum ({unit}), not a record over time: save the channel itself")
     scale_factor = choices.scale_factor or settings.gyro.scale_factor_pulses_per_deg
     evaluation = evaluate_waveforms([waveform], [str(path)], _method(choices, scale_factor))
     return Analyzed(path, None, evaluation)

@@ -293,9 +293,7 @@ def _table_check(
 def _has_tilt(run: SavedRun, settings: Settings) -> bool:
     """Whether the fast run is whole: all senses, and a table rate with every slow record."""
     senses = {record.conditions.get("table_rate_dps") for record in run.taken_for("tilt")}
-    slow_known = all(
-        record.conditions.get("table_rate_dps") is not None for record in run.taken_for("measure")
-    )
+    slow_known = all(record.conditions.get("table_rate_dps") is not None for record in run.taken_for("measure"))
     return slow_known and len(senses) == (2 if settings.table.both_senses else 1)
 
 

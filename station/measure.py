@@ -187,9 +187,7 @@ def take_record(bench: Bench, channel: str) -> tuple[Waveform, dict[str, object]
     return waveform, conditions
 
 
-def save_record(
-    writer: RunWriter, purpose: str, waveform: Waveform, conditions: Mapping[str, object]
-) -> None:
+def save_record(writer: RunWriter, purpose: str, waveform: Waveform, conditions: Mapping[str, object]) -> None:
     writer.save_record(purpose, waveform.codes, waveform.preamble.to_text(), conditions)
 
 

@@ -66,15 +66,11 @@ def time_record_svg(waveform: Waveform) -> str:
     scale, unit = _time_unit(shown * waveform.sample_interval)
     fine = np.linspace(0, (shown - 1) * waveform.sample_interval, 800)
     orders = np.arange(1, _HARMONICS + 1)
-    model = (
-        float(fit.offset) + (np.exp(2j * np.pi * frequency * np.outer(fine, orders)) @ fit.amplitudes).real
-    )
+    model = float(fit.offset) + (np.exp(2j * np.pi * frequency * np.outer(fine, orders)) @ fit.amplitudes).real
 
     def draw(figure: Figure) -> None:
         axes = figure.add_subplot()
-        axes.plot(
-            scale * fine, model, color=ACCENT, zorder=4, label=f"fit: offset and {_HARMONICS} harmonics"
-        )
+        axes.plot(scale * fine, model, color=ACCENT, zorder=4, label=f"fit: offset and {_HARMONICS} harmonics")
         times = np.arange(shown) * waveform.sample_interval
         axes.plot(
             scale * times, waveform.volts[:shown], ".", ms=4, color=SECOND, alpha=0.55, mew=0, label="samples"
@@ -195,9 +191,7 @@ def values_svg(evaluation: Evaluation) -> str:
         )
         if evaluation.truth is not None:
             true = evaluation.truth["lock_in_rate_dps"]
-            axes.axhline(
-                true, color=THIRD, linestyle=(0, (5, 3)), linewidth=1.2, label="truth of the simulation"
-            )
+            axes.axhline(true, color=THIRD, linestyle=(0, (5, 3)), linewidth=1.2, label="truth of the simulation")
         axes.set(xlabel="record", ylabel="lock-in rate, deg/s", xlim=(0.4, number.size + 0.6))
         axes.xaxis.set_major_locator(MaxNLocator(integer=True))
         axes.ticklabel_format(axis="y", useOffset=False)
@@ -240,9 +234,7 @@ def _windowed_spectrum(waveform: Waveform) -> tuple[Array, Array]:
     phase = 2 * np.pi * (np.arange(volts.size) + 0.5) / volts.size
     window = 0.35875 - 0.48829 * np.cos(phase) + 0.14128 * np.cos(2 * phase) - 0.01168 * np.cos(3 * phase)
     amplitudes = 2 * np.abs(np.fft.rfft(volts * window)) / window.sum()
-    return np.asarray(amplitudes), np.asarray(
-        np.fft.rfftfreq(volts.size, waveform.sample_interval), np.float64
-    )
+    return np.asarray(amplitudes), np.asarray(np.fft.rfftfreq(volts.size, waveform.sample_interval), np.float64)
 
 
 def _amplitude_at(waveform: Waveform, frequencies: Array) -> Array:
@@ -260,9 +252,7 @@ def _without_gaps(waveform: Waveform) -> Array:
 
 
 def _time_unit(span: float) -> tuple[float, str]:
-    return next(
-        (s, u) for limit, s, u in ((2.0, 1.0, "s"), (2e-3, 1e3, "ms"), (0.0, 1e6, "µs")) if span >= limit
-    )
+    return next((s, u) for limit, s, u in ((2.0, 1.0, "s"), (2e-3, 1e3, "ms"), (0.0, 1e6, "µs")) if span >= limit)
 
 
 def _frequency_unit(end: float) -> tuple[float, str]:

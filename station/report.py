@@ -124,17 +124,11 @@ def _headline(evaluation: Evaluation) -> Headline:
     if not evaluation.usable:
         return Headline(False, "No lock-in rate", "", (no_result_words(evaluation),))
     value, value_dph = lock_in_words(evaluation)
-    lines = [
-        f"95 % interval {interval_words(evaluation)}, from {counted} record{'s' if counted != 1 else ''}."
-    ]
+    lines = [f"95 % interval {interval_words(evaluation)}, from {counted} record{'s' if counted != 1 else ''}."]
     if evaluation.truth is not None:
         true = evaluation.truth["lock_in_rate_dps"]
-        distance = (float(evaluation.combined.lock_in_rate) - true) / float(
-            evaluation.combined.lock_in_rate_u
-        )
-        lines.append(
-            f"The simulation's truth is {true:.6g} deg/s: the result lies {distance:+.1f} u from it."
-        )
+        distance = (float(evaluation.combined.lock_in_rate) - true) / float(evaluation.combined.lock_in_rate_u)
+        lines.append(f"The simulation's truth is {true:.6g} deg/s: the result lies {distance:+.1f} u from it.")
     return Headline(True, value, value_dph, tuple(lines))
 
 

@@ -125,9 +125,7 @@ class RunWriter:
         self.path = _new_run_directory(directory) / RUN_FILE
         try:
             _create(self.path)
-            self._db = sqlite3.connect(
-                self.path, isolation_level=None
-            )  # every BEGIN and COMMIT is written here
+            self._db = sqlite3.connect(self.path, isolation_level=None)  # every BEGIN and COMMIT is written here
             self._db.execute("PRAGMA journal_mode = WAL")
             self._db.execute("PRAGMA synchronous = FULL")
         except sqlite3.Error as error:
@@ -173,9 +171,7 @@ class RunWriter:
 
     def close(self) -> None:
         """End the run: afterwards it is one plain file, fit for a read-only or a shared disk."""
-        with suppress(
-            sqlite3.Error
-        ):  # while a reader looks, the journal stays: the run is complete all the same
+        with suppress(sqlite3.Error):  # while a reader looks, the journal stays: the run is complete all the same
             self._db.execute("PRAGMA journal_mode = DELETE")
         self._db.close()
 

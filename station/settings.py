@@ -236,9 +236,7 @@ def _mistakes(path: Path, error: ValidationError) -> str:
 def _check_whole(path: Path, settings: Settings) -> None:
     """Check what no single value shows."""
     if settings.simulated and settings.simulation is None:
-        raise SettingsError(
-            f"{path}: scope.resource is empty and there is no [simulation]: name the oscilloscope"
-        )
+        raise SettingsError(f"{path}: scope.resource is empty and there is no [simulation]: name the oscilloscope")
     if settings.simulated and settings.table.kind == "manual":
         raise SettingsError(
             f'{path}: table.kind: an operator cannot turn a simulated table; use "simulated" or "none"'

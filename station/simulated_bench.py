@@ -169,9 +169,7 @@ def build_instruments(settings: Settings, clock: Clock) -> SimulatedInstruments:
 
 
 @contextmanager
-def serve(
-    scope: SimulatedTDS2014, link: str, *, tcp_port: int = 0, baud_rate: int | None = None
-) -> Iterator[str]:
+def serve(scope: SimulatedTDS2014, link: str, *, tcp_port: int = 0, baud_rate: int | None = None) -> Iterator[str]:
     """Put the simulated oscilloscope behind a byte stream.
 
     Parameters

@@ -121,9 +121,7 @@ def harmonic_ratio(axis_rate: Array, lock_in_rate: float) -> Array:
         r = A2/A1 = A3/A2 = ...
     """
     size = np.maximum(np.abs(axis_rate), lock_in_rate)
-    return lockin_equation.harmonic_ratio(
-        np.divide(lock_in_rate, size, out=np.zeros_like(size), where=size > 0)
-    )
+    return lockin_equation.harmonic_ratio(np.divide(lock_in_rate, size, out=np.zeros_like(size), where=size > 0))
 
 
 def detector_signal(gyro: Gyro, axis_rate: Array, beat_phase: Array) -> Array:
@@ -221,9 +219,7 @@ def with_detector_noise(signal: Callable[[Array], Array], rms: float, seed: int)
     return noisy
 
 
-def _split(
-    gyro: Gyro, motion: tuple[Segment, ...], times: Array
-) -> list[tuple[Segment, float, NDArray[np.intp]]]:
+def _split(gyro: Gyro, motion: tuple[Segment, ...], times: Array) -> list[tuple[Segment, float, NDArray[np.intp]]]:
     """Sort times into segments: each with its phase at the start and the indices that fall into it."""
     starts = np.array([segment.start for segment in motion])
     which = np.clip(np.searchsorted(starts, times, side="right") - 1, 0, None)

@@ -87,9 +87,7 @@ def flag_sentences(evaluation: Evaluation) -> list[str]:
         total = len(evaluation.waveforms)
         said.append(f"{sentence} ({count} of {total} records)" if 0 < count < total else sentence)
     if evaluation.damaged:
-        said.append(
-            f"Left out, since they are not what was once saved: record {', '.join(evaluation.damaged)}."
-        )
+        said.append(f"Left out, since they are not what was once saved: record {', '.join(evaluation.damaged)}.")
     return said
 
 

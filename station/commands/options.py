@@ -16,9 +16,9 @@ F = TypeVar("F", bound=Callable[..., Any])
 
 def json_option(function: F) -> F:
     """Add ``--json``."""
-    return click.option(
-        "--json", "as_json", is_flag=True, help="One JSON document on stdout, also for an error."
-    )(function)
+    return click.option("--json", "as_json", is_flag=True, help="One JSON document on stdout, also for an error.")(
+        function
+    )
 
 
 def config_option(function: F) -> F:
@@ -44,9 +44,7 @@ def bench_options(function: F) -> F:
         ),
         click.option("--channel", metavar="CHn", help="Input channel, CH1 to CH4."),
         click.option("--seed", type=click.IntRange(min=0), metavar="S", help="Seed of the simulated bench."),
-        click.option(
-            "--out", type=click.Path(path_type=Path), metavar="DIR", help="Directory of runs [./runs]."
-        ),
+        click.option("--out", type=click.Path(path_type=Path), metavar="DIR", help="Directory of runs [./runs]."),
     )
     for option in reversed(options):
         function = option(function)

@@ -65,9 +65,7 @@ def test_a_defect_of_the_program_is_one_line_too(
 
 
 def test_doctor_finds_a_whole_installation(capsys: pytest.CaptureFixture[str]) -> None:
-    checks = {
-        check.name: check for check in examine(default_settings(), resource="ASRL/dev/no-such-port::INSTR")
-    }
+    checks = {check.name: check for check in examine(default_settings(), resource="ASRL/dev/no-such-port::INSTR")}
     for name in ("Python", "packages", "settings", "VISA", "SQLite", "test record"):
         assert checks[name].state == "ok", checks[name]
     assert "2500 points" in checks["test record"].text

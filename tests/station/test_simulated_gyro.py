@@ -38,9 +38,7 @@ def start_phase_of_equation(gyro: Gyro, rate: float) -> float:
     return float(np.angle(z if rate > 0 else np.conj(z))) - gyro.backscatter_phase
 
 
-@pytest.mark.parametrize(
-    ("table_rate", "tolerance"), [(SLOW, 1e-6), (-SLOW, 1e-6), (0.0, 1e-9), (0.05, 1e-5)]
-)
+@pytest.mark.parametrize(("table_rate", "tolerance"), [(SLOW, 1e-6), (-SLOW, 1e-6), (0.0, 1e-9), (0.05, 1e-5)])
 def test_beat_follows_the_lock_in_equation_while_the_earth_turns_under_it(
     table_rate: float, tolerance: float
 ) -> None:

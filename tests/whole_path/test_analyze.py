@@ -25,21 +25,13 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_every_relation_and_reference(gyrolock, run: Path) -> None:
     exact = gyrolock("analyze", run, "--json").document
-    high = gyrolock(
-        "analyze", run, "--relation", "paper-10", "--input-rate", exact["input_rate_dps"], "--json"
-    )
-    low = gyrolock(
-        "analyze", run, "--relation", "paper-13", "--input-rate", exact["input_rate_dps"], "--json"
-    )
+    high = gyrolock("analyze", run, "--relation", "paper-10", "--input-rate", exact["input_rate_dps"], "--json")
+    low = gyrolock("analyze", run, "--relation", "paper-13", "--input-rate", exact["input_rate_dps"], "--json")
     # the paper's (10) and (13) are wrong by +x^2/4 and -x^2/4 to leading order
     x = 0.01 / exact["input_rate_dps"]
     given = gyrolock("analyze", run, "--input-rate", exact["input_rate_dps"], "--json").document
-    assert high.document["lock_in_rate_dps"] / given["lock_in_rate_dps"] - 1 == pytest.approx(
-        x**2 / 4, rel=0.05
-    )
-    assert low.document["lock_in_rate_dps"] / given["lock_in_rate_dps"] - 1 == pytest.approx(
-        -(x**2) / 4, rel=0.05
-    )
+    assert high.document["lock_in_rate_dps"] / given["lock_in_rate_dps"] - 1 == pytest.approx(x**2 / 4, rel=0.05)
+    assert low.document["lock_in_rate_dps"] / given["lock_in_rate_dps"] - 1 == pytest.approx(-(x**2) / 4, rel=0.05)
     assert "(13)" in low.document["method"]
     doubled = gyrolock("analyze", run, "--scale-factor", 4000, "--json").document
     assert doubled["lock_in_rate_dps"] == pytest.approx(exact["lock_in_rate_dps"] / 2, rel=1e-9)
@@ -89,14 +81,10 @@ def test_a_csv_file_of_the_beat_gives_the_lock_in_rate(gyrolock, run: Path, tmp_
         writer = csv.writer(file)
         for n, (name, code) in enumerate(zip(names, record.codes.astype(int), strict=True)):
             volts = (code - offset) * scale
-            writer.writerow(
-                [name, header.get(name, ""), "", f"{first + n * interval:.12f}", f"{volts:.5f}", ""]
-            )
+            writer.writerow([name, header.get(name, ""), "", f"{first + n * interval:.12f}", f"{volts:.5f}", ""])
     done = gyrolock("analyze", "F0000CH1.CSV", "--json")
     assert done.code == 0, done.err
-    assert done.document["lock_in_rate_dps"] == pytest.approx(
-        0.01, abs=5 * done.document["lock_in_rate_u_dps"]
-    )
+    assert done.document["lock_in_rate_dps"] == pytest.approx(0.01, abs=5 * done.document["lock_in_rate_u_dps"])
     first_line = done.document["harmonics"][0]
     assert first_line["amplitude_v"] == pytest.approx(0.38 * (1 - done.document["ratio"] ** 2), rel=0.01)
     assert first_line["frequency_hz"] == pytest.approx(done.document["beat_frequency_hz"], rel=1e-5)

@@ -137,12 +137,16 @@ class Acquisition:
         poll = max(_SHORTEST_POLL, self._panel.seconds_per_division, min(waited / 10, _LONGEST_POLL))
         return min(now + poll, self._auto_at) if now < self._auto_at else now + poll
 
-    def latest(self) -> Record | None:
-        """The record that CURVe? would send now."""
+    def latest(self) -> Record:
+        """The record that CURVe? would send now; one without data if there was no trigger yet."""
         self.update()
         if self.running and self._panel.scanning and self._displayed_channels():
             return self._rolling_record(self._clock.now())
-        return self.record
+        if self.record is not None:
+            return self.record
+        scale = self._panel.seconds_per_division
+        xzero = self._panel.horizontal_position - DIVISIONS / 2 * scale
+        return Record(0, (), xzero, scale, self._panel.text("ACQUIRE:MODE"), {})
 
     # What the rest of the instrument does
 
@@ -175,13 +179,12 @@ class Acquisition:
         if self._panel.scanning:
             self._update_scan(now)
             return
-        self._forget_long_silence(now)
         while self.running:
             if self._completes_at is None:
                 self._look_for_trigger(now)
             if self._completes_at is None or self._triggered_at is None or self._completes_at > now:
                 return
-            self._complete(self._triggered_at, self._completes_at)
+            self._complete(self._triggered_at, self._completes_at, now)
 
     def trigger_signal(self, trigger: TriggerSettings, times: Floats) -> Floats:
         """Volts that the trigger comparator sees at absolute times in s."""
@@ -220,16 +223,20 @@ class Acquisition:
         self._forced = False
         self._search: EdgeSearch | None = None
 
-    def _forget_long_silence(self, now: float) -> None:
-        """Of hours without a question only the last acquisitions are simulated."""
+    def _arm_again(self, at: float, now: float, waited: float) -> None:
+        """Arm after a record; of hours without a question only the last acquisitions are simulated.
+
+        A trigger that was `waited` for longer than an acquisition takes is rare: then nothing is left out.
+        """
         cycle = DIVISIONS * self._panel.seconds_per_division + AUTO_WAIT + DEAD_TIME
         wanted = _FORGET_AFTER
         if self._panel.text("ACQUIRE:MODE") == "AVERAGE":
             wanted += int(self._panel.number("ACQUIRE:NUMAVG"))
-        skipped = now - self._began - wanted * cycle
-        if skipped > cycle and self._completes_at is None and not self.single:
+        skipped = now - wanted * cycle - at
+        if skipped > cycle > waited and not self.single:
             self.acquisitions += int(skipped / cycle)
-            self._arm(self._began + skipped)
+            at += skipped
+        self._arm(at)
 
     def _look_for_trigger(self, now: float) -> None:
         if now < self._ready_at:
@@ -266,7 +273,7 @@ class Acquisition:
         self._triggered_at, self._forced = at, forced
         self._completes_at = at + max(0.0, after)
 
-    def _complete(self, triggered_at: float, at: float) -> None:
+    def _complete(self, triggered_at: float, at: float, now: float) -> None:
         """Keep the record; stop after a sequence, else arm again."""
         panel = self._panel
         jitter = self._jitter.uniform(-0.5, 0.5) * self._step()
@@ -289,7 +296,8 @@ class Acquisition:
         if self.single and self.acquisitions >= count:
             panel.values["ACQUIRE:STATE"] = 0
             return
-        self._arm(at + max(DEAD_TIME, panel.trigger().holdoff))
+        waited = triggered_at - self._ready_at
+        self._arm_again(at + max(DEAD_TIME, panel.trigger().holdoff), now, waited)
 
     def _update_scan(self, now: float) -> None:
         """A single sequence in scan mode ends when the screen is full."""

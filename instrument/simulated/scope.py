@@ -251,24 +251,19 @@ class SimulatedTDS2014:
             return self._math_trace()
         return self._channel_trace(name)
 
-    def _channel_trace(self, name: str) -> Trace | None:
+    def _channel_trace(self, name: str) -> Trace:
         record = self.acquisition.latest()
-        if record is None:
-            return None
         channel = record.channels.get(name, self.panel.channel(name))
         codes = self.digitizer.codes(record, name)
         return channel_trace(record, name, codes, channel, self._unit(name))
 
-    def _math_trace(self) -> Trace | None:
+    def _math_trace(self) -> Trace:
         expression = self.panel.text("MATH:DEFINE")
         sources = [self._channel_trace(name) for name in operands(expression)]
-        present = [trace for trace in sources if trace is not None]
-        if len(present) == 2:
-            return combine(expression, *present)
-        if len(sources) == 2 or not present:
-            return None
+        if len(sources) == 2:
+            return combine(expression, *sources)
         zoom = self.panel.number("MATH:FFT:VERTICAL:SCALE")
-        return spectrum(expression, present[0], zoom, self.panel.number("MATH:FFT:VERTICAL:POSITION"))
+        return spectrum(expression, sources[0], zoom, self.panel.number("MATH:FFT:VERTICAL:POSITION"))
 
     def _unit(self, name: str) -> str:
         ampere = self.model.letter_series and self.panel.text(f"{name}:YUNIT") == "A"

@@ -259,6 +259,39 @@ def test_a_record_of_a_running_scope_is_fresh_after_hours(make_bench):
     assert set(bench.codes().tolist()) == {25}
 
 
+def test_a_periodic_signal_is_followed_over_hours_without_work(make_bench):
+    asked = []
+
+    def counted(t):
+        asked.append(len(t))
+        return np.where(np.asarray(t) > 3000.0, 3.0, 1.0) * np.sin(2 * np.pi * 1000 * np.asarray(t))
+
+    bench = make_bench({1: counted}, noise_levels=0.0)
+    bench.write("HEADER OFF;:CH1:PROBE 1;SCALE 1")
+    while bench.ask("TRIG:STATE?") != "TRIGGER":
+        bench.clock.sleep(1.7e-3)
+    bench.clock.sleep(3600.0)
+    assert np.ptp(volts(bench)) == pytest.approx(6.0, abs=0.1)
+    assert sum(asked) < 300_000
+    assert int(bench.ask("ACQ:NUMACQ?")) > 10_000
+
+
+def test_normal_mode_sees_a_rare_event_however_seldom_it_is_asked(make_bench):
+    bench = make_bench({1: lambda t: np.where(np.abs(np.asarray(t) - 500.0) < 0.3, 1.0, -1.0)}, noise_levels=0.0)
+    bench.write("HEADER OFF;:CH1:PROBE 1;SCALE 1;:TRIG:MAIN:MODE NORMAL;:HOR:SCALE 5E-2")
+    bench.clock.sleep(1000.0)
+    assert bench.ask("ACQ:NUMACQ?") == "1"
+    assert volts(bench)[1400] == pytest.approx(1.0) and volts(bench)[1100] == pytest.approx(-1.0)
+
+
+def test_without_any_trigger_there_is_no_data(make_bench):
+    bench = make_bench()
+    bench.write("TRIG:MAIN:MODE NORMAL;*CLS")
+    assert set(bench.codes().tolist()) == {-128}
+    assert "Ch1, DC coupling" in bench.ask("WFMPRE:WFID?")
+    assert bench.events() == []
+
+
 def test_newly_displayed_channel_is_waited_for(make_bench):
     bench = make_bench({1: ramp, 2: lambda t: np.full_like(t, 1.0)}, noise_levels=0.0)
     bench.codes()

@@ -1,0 +1,66 @@
+"""Setup strings and curves that real instruments wrote go into the simulated one and come out the same."""
+
+from pathlib import Path
+
+import pytest
+
+FILES = Path(__file__).resolve().parents[4] / "shared" / "data" / "tek-files"
+pytestmark = pytest.mark.skipif(not FILES.is_dir(), reason="the collection of real files is not beside this tree")
+
+
+def leaves(setup: str) -> dict[str, str]:
+    """Full headers and values of a setup string."""
+    found, branch = {}, ""
+    for part in setup.strip().split(";"):
+        header, _, value = part.partition(" ")
+        header = header[1:] if header.startswith(":") else branch + header
+        branch = header[: header.rfind(":") + 1]
+        found[header] = value
+    return found
+
+
+def test_setup_of_a_first_series_instrument(make_bench):
+    setup = (FILES / "tds2mem_fft_F0000TEK.SET").read_text()
+    bench = make_bench(model="TDS2012")
+    bench.write(setup)
+    assert bench.events() == [401]
+    wanted, answered = leaves(setup), leaves(bench.ask("SET?"))
+    wanted.pop("HORIZONTAL:SCALE")  # a second name of MAIN:SCALE
+    assert {header: answered[header] for header in wanted} == wanted
+    # in the same order, too
+    assert [header for header in answered if header in wanted] == list(wanted)
+
+
+@pytest.mark.parametrize(
+    ("file", "model"),
+    [
+        ("tds2014c_F0000TEK.SET", "TDS2014C"),
+        ("tds2014c_pwm_F0000TEK.SET", "TDS2014C"),
+        ("tds1012b_trigpos_F0000TEK.SET", "TDS1012B"),
+        ("tds2022b_average4_F0000TEK.SET", "TDS2022B"),
+    ],
+)
+def test_vertical_horizontal_and_trigger_settings_of_later_models(make_bench, file, model):
+    wanted = leaves((FILES / file).read_text())
+    bench = make_bench(model=model)
+    for header, value in wanted.items():
+        bench.write(f":{header} {value}")
+    answered = leaves(bench.ask("SET?"))
+    checked = {
+        header: value
+        for header, value in wanted.items()
+        if header in answered
+        and header.split(":")[0] in ("CH1", "CH2", "CH3", "CH4", "HORIZONTAL", "TRIGGER", "SELECT")
+    }
+    assert len(checked) > 35
+    assert {header: answered[header] for header in checked} == checked
+
+
+def test_curve_of_a_real_tds2014b_comes_back_byte_for_byte(make_bench):
+    curve = (FILES / "tds2014b_curve_ribinary_width2.bin").read_bytes()
+    assert curve.startswith(b"#45000")
+    bench = make_bench()
+    bench.write("HEADER OFF;:DATA:ENC RIB;WIDTH 2;DEST REFA;SOURCE REFA;:SELECT:REFA ON")
+    bench.write(b"CURVE " + curve[:5006])
+    assert bench.events() == [401]
+    assert bench.ask_raw("CURVE?") == curve[:5006] + b"\n"

@@ -12,6 +12,7 @@ from analysis.flags import Flag
 from analysis.geometric_series import Series, sampled_series
 from analysis.periodic_fit import Step
 from analysis.phase_tracking import track_phase
+from analysis.quantisation import level_spacing, mean_rounding
 from analysis.records import Records, Stack
 from analysis.residuals import examine_residual
 from analysis.series_fit import fit_series
@@ -78,7 +79,35 @@ def _fit_part(records: Records, clipped: Bools | None) -> WaveformFit:
         left *= weights
         flags[hit] |= Flag.DAMAGED
     count = records.count if weights is None else weights.sum(axis=-1)
+    quiet, corrected = _without_rounding(values, weights, series, step, count)
+    if quiet.size:
+        left[quiet] = corrected - sampled_series(series.take(quiet), n_samples)
+        if weights is not None:
+            left[quiet] *= weights[quiet]
     return _judged(records, weights, series, step, left, count, flags)
+
+
+def _without_rounding(
+    values: Floats, weights: Floats | None, series: Series, step: Step, count: Floats
+) -> tuple[NDArray[np.intp], Floats]:
+    """Fit quiet records again with the mean rounding error taken out; which they are, and their values then.
+
+    `series` and `step` are changed in place.
+    """
+    rms = np.sqrt(step.residual_power / np.maximum(count - N_PARAMETERS, 1))
+    spacing = level_spacing(values, rms)
+    quiet = np.flatnonzero(spacing)
+    corrected = values[quiet]
+    if quiet.size == 0:
+        return quiet, corrected
+    mask = None if weights is None else weights[quiet]
+    for _ in range(2):
+        model = sampled_series(series.take(quiet), values.shape[1])
+        corrected = values[quiet] - mean_rounding(model, values[quiet], spacing[quiet], rms[quiet])
+        refitted, new_step = fit_series(corrected if mask is None else corrected * mask, mask)
+        series.put(quiet, refitted)
+        step.put(quiet, new_step)
+    return quiet, corrected
 
 
 def _judged(

@@ -1,0 +1,78 @@
+"""Rounding of the converter where it is not noise.
+
+With less than about a third of a level of noise, the error of rounding is a function of the waveform itself: it
+stands on the harmonics and does not average out. Its mean over the noise is known. For a waveform value v, in
+levels from a code, and Gaussian noise of s levels,
+
+    e(v) = sum over m >= 1 of (-1)^m / (pi m) exp(-2 pi^2 m^2 s^2) sin(2 pi m v)
+
+(the Fourier series of the sawtooth, damped by the noise). Taken out of the record, it leaves less than the twelfth
+of a squared level that white rounding would.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+
+QUIET = 0.45
+"""Residual rms in levels below which rounding is not white: 0.34 of noise and 0.29 of rounding."""
+
+TERMS = 8
+THINNING = 10
+
+
+def level_spacing(values: Floats, residual_rms: Floats) -> Floats:
+    """Spacing of the converter's levels where rounding is not white in a record, else 0; (R,).
+
+    Parameters
+    ----------
+    values : (R, N)
+    residual_rms : (R,)
+        In the unit of `values`.
+    """
+    few = np.sort(values[:, ::THINNING], axis=-1)
+    gaps = np.diff(few, axis=-1)
+    tiny = 1e-9 * (few[:, -1] - few[:, 0])[:, np.newaxis]
+    spacing = np.where(gaps > tiny, gaps, np.inf).min(axis=-1, initial=np.inf)
+    quiet = np.isfinite(spacing) & (residual_rms < QUIET * spacing)
+    for row in np.flatnonzero(quiet):
+        spacing[row] = _exact_spacing(values[row])
+        quiet[row] = residual_rms[row] < QUIET * spacing[row]
+    return np.where(quiet, spacing, 0.0)
+
+
+def _exact_spacing(values: Floats) -> float:
+    """Spacing of equidistant levels, 0 if the values do not lie on such."""
+    levels = np.unique(values)
+    span = float(levels[-1] - levels[0])
+    gaps = np.diff(levels)
+    gaps = gaps[gaps > 1e-9 * span]
+    if gaps.size < 2:
+        return 0.0
+    steps = span / np.rint(span / float(gaps.min()))
+    away = (levels - levels[0]) / steps
+    # More levels than an eight-bit converter has twice over: a finer one, or a file of decimals.
+    on_grid = span / steps < 600 and np.abs(away - np.rint(away)).max() < 0.02
+    return float(steps) if on_grid else 0.0
+
+
+def mean_rounding(model: Floats, values: Floats, spacing: Floats, residual_rms: Floats) -> Floats:
+    """Mean of the rounding error on each sample, (R, N), in the unit of `values`.
+
+    Parameters
+    ----------
+    model, values : (R, N)
+        The waveform without noise, and the record, whose values lie on the levels.
+    spacing, residual_rms : (R,)
+        Of the levels, and the rms that a fit left of the record as it is.
+    """
+    noise = np.sqrt(np.maximum((residual_rms / spacing) ** 2 - 1 / 12, 0.0))[:, np.newaxis]
+    phase = 2 * np.pi * (model - values[:, :1]) / spacing[:, np.newaxis]
+    error = np.zeros_like(model)
+    for m in range(1, TERMS + 1):
+        error += (-1) ** m / (np.pi * m) * np.exp(-2 * (np.pi * m * noise) ** 2) * np.sin(m * phase)
+    return np.asarray(error * spacing[:, np.newaxis])

@@ -1,0 +1,143 @@
+"""Time per record of the estimator against yardsticks that run in the same minute on the same machine."""
+
+from __future__ import annotations
+
+import multiprocessing
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+import scipy.fft
+from numpy.typing import NDArray
+from scipy.integrate import solve_ivp
+
+from analysis import beat_signal, estimate_lock_in
+from benchmarks.estimator.gyros import N_SAMPLES, codes_of, draw_gyros, white_noise
+from benchmarks.estimator.methods.general_fit import fit_curve
+from benchmarks.estimator.progress import Progress
+
+Floats = NDArray[np.float64]
+
+ROUNDS = 9
+FEW = 25
+"""Records given to the slow yardsticks."""
+
+TOLERANCE = 1e-12
+"""Of the integrator: its beat is then still further from the truth than the closed form, see `Speed.accuracy`."""
+
+
+@dataclass(frozen=True)
+class Speed:
+    """One comparison: seconds per record of ours and of the yardstick, and the ratio to quote.
+
+    accuracy is empty or says how far the two results are apart.
+    """
+
+    what: str
+    ours: float
+    yardstick: float
+    ratio: float
+    accuracy: str = ""
+
+
+def measure_speed(n_records: int, seed: int) -> list[Speed]:
+    """All comparisons, with batches of `n_records`."""
+    rng = np.random.default_rng([seed, 300])
+    far, near = (_codes(rng, n_records, limits) for limits in ((3.0, 100.0), (1.02, 3.0)))
+    with Progress("speed", 5) as progress:
+        results = []
+        for what, codes in (("W/WL 3 to 100", far), ("W/WL 1.02 to 3", near)):
+            ours, fft = _alternate([partial(_estimate, codes), partial(scipy.fft.rfft, codes, axis=1)])
+            results.append(Speed(f"estimate / rfft, {what}", ours / n_records, fft / n_records, ours / fft))
+            progress.done()
+        results.append(_against_curve_fit(far, results[0].ours))
+        progress.done()
+        results.append(_two_processes(far))
+        progress.done()
+        results.append(_synthesis(rng, n_records))
+        progress.done()
+    return results
+
+
+def _codes(rng: np.random.Generator, n_records: int, rate_over_lock_in: tuple[float, float]) -> Floats:
+    gyros = draw_gyros(rng, n_records, rate_over_lock_in=rate_over_lock_in)
+    return codes_of(gyros, white_noise(rng, gyros))
+
+
+def _estimate(codes: Floats) -> None:
+    estimate_lock_in(codes, 1.0, scale_factor=1.0)
+
+
+def _alternate(works: list[Callable[[], object]]) -> list[float]:
+    """Least seconds of each work over rounds in turn: what a busy neighbour disturbs least."""
+    for work in works:
+        work()
+    taken = np.empty((ROUNDS, len(works)))
+    for row in range(ROUNDS):
+        for column, work in enumerate(works):
+            before = time.perf_counter()
+            work()
+            taken[row, column] = time.perf_counter() - before
+    return [float(seconds) for seconds in taken.min(axis=0)]
+
+
+def _against_curve_fit(codes: Floats, ours: float) -> Speed:
+    before = time.perf_counter()
+    with np.errstate(all="ignore"):
+        fit_curve(codes[:FEW], np.ones(FEW))
+    theirs = (time.perf_counter() - before) / FEW
+    return Speed("curve_fit of the same six parameters / estimate, W/WL 3 to 100", ours, theirs, theirs / ours)
+
+
+def _two_processes(codes: Floats) -> Speed:
+    """The same work twice: one process after itself, and two processes at once."""
+    context = multiprocessing.get_context("spawn")
+    with context.Pool(2) as pool:
+        pool.map(_worker, [codes[:8]] * 8, chunksize=1)  # both have started and imported
+        singles, doubles = [], []
+        for _ in range(5):
+            singles.append(pool.apply(_worker, (codes,)))
+            doubles.append(max(pool.map(_worker, [codes, codes], chunksize=1)))
+    single, double = min(singles) / len(codes), min(doubles) / len(codes) / 2
+    return Speed("two processes against one (one process on the right)", double, single, single / double)
+
+
+def _worker(codes: Floats) -> float:
+    """Seconds of one of a few estimates; the codes have arrived before the clock starts."""
+    before = time.perf_counter()
+    for _ in range(4):
+        _estimate(codes)
+    return (time.perf_counter() - before) / 4
+
+
+def _synthesis(rng: np.random.Generator, n_records: int) -> Speed:
+    """`beat_signal` against an eighth-order integrator at a tolerance where it is no better."""
+    gyros = draw_gyros(rng, n_records, periods=(20.0, 200.0))
+    times = np.arange(float(N_SAMPLES))
+    rate, lock_in = np.abs(gyros.input_rate), gyros.lock_in_rate
+
+    def ours() -> Floats:
+        return beat_signal(times, scale_factor=1.0, input_rate=rate, lock_in_rate=lock_in)
+
+    seconds = _alternate([ours])[0] / n_records
+    signal = ours()
+    worst, before = 0.0, time.perf_counter()
+    for row in range(FEW):
+
+        def slope(_t: float, phi: Floats, row: int = row) -> Floats:
+            return np.asarray(2 * np.pi * (rate[row] - lock_in[row] * np.sin(phi)))
+
+        solved = solve_ivp(
+            slope, (0.0, times[-1]), [0.0], method="DOP853", t_eval=times, rtol=TOLERANCE, atol=TOLERANCE
+        )
+        worst = max(worst, float(np.abs(np.sin(solved.y[0]) - signal[row]).max()))
+    theirs = (time.perf_counter() - before) / FEW
+    return Speed(
+        "solve_ivp (DOP853) / beat_signal",
+        seconds,
+        theirs,
+        theirs / seconds,
+        f"the two beats differ by {worst:.0e} of the amplitude at most, by the integrator's error",
+    )

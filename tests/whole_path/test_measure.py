@@ -7,8 +7,10 @@ import numpy as np
 import pytest
 
 from station.evaluate import evaluate_run
-from station.runs import open_run
-from station.settings import shipped_settings
+from station.measure import take_run
+from station.progress import Progress
+from station.runs import SavedRun, open_run
+from station.settings import load_settings, shipped_settings
 
 KEYS = {
     "lock_in_rate_dps",
@@ -44,7 +46,9 @@ def test_one_command_gives_rate_run_and_report(gyrolock, tmp_path: Path) -> None
     assert result["backscatter_phase_rad"] == pytest.approx(truth["backscatter_phase_rad"], abs=0.01)
     assert result["tilt_deg"] == pytest.approx(88.693, abs=5 * result["tilt_u_deg"])
     assert result["table_check"]["beat_over_table"] == pytest.approx(1.0, abs=3e-4)
-    assert (result["records"], result["records_rejected"], result["flags"]) == (20, 0, [])
+    assert (result["records"], result["records_rejected"]) == (20, 0)
+    # white noise looks coloured in one record of some hundred
+    assert set(result["flags"]) <= {"coloured_noise"}
     run = tmp_path / result["run"]
     assert run.is_file()
     assert (run.parent / "report.html").is_file()
@@ -69,11 +73,20 @@ def test_the_saved_run_gives_the_same_numbers_again(gyrolock, tmp_path: Path) ->
     assert 85 <= np.abs(record.codes.astype(int)).max() <= 110
 
 
-def test_the_same_seed_gives_the_same_codes(gyrolock, tmp_path: Path) -> None:
-    runs = [
-        open_run(tmp_path / gyrolock("measure", "--records", 2, "--seed", seed, "--json").document["run"])
-        for seed in (3, 3, 4)
-    ]
+def measured(folder: Path, seed: int, records: int) -> SavedRun:
+    """Take a run in this process, which spares the time to start another."""
+    overrides = {
+        "measurement": {"records": records},
+        "simulation": {"seed": seed, "link": "tcp"},
+        "output": {"directory": str(folder)},
+    }
+    taken = take_run(load_settings(overrides=overrides), Progress(quiet=True))
+    assert taken.failure is None
+    return open_run(taken.path)
+
+
+def test_the_same_seed_gives_the_same_codes(tmp_path: Path) -> None:
+    runs = [measured(tmp_path, seed, records=2) for seed in (3, 3, 4)]
     codes = [np.stack([record.codes for record in run.records]) for run in runs]
     assert np.array_equal(codes[0], codes[1])
     assert not np.array_equal(codes[0], codes[2])
@@ -120,12 +133,12 @@ def test_other_benches(gyrolock, tmp_path: Path, changes: str, lock_in_rate: flo
     assert result["lock_in_rate_u_dps"] < 0.02 * lock_in_rate
 
 
-def test_the_truth_lies_where_the_uncertainty_says(gyrolock, tmp_path: Path) -> None:
+def test_the_truth_lies_where_the_uncertainty_says(tmp_path: Path) -> None:
     distances = []
-    for seed in range(8):
-        result = gyrolock("measure", "--seed", seed, "--json", "--no-report").document
-        distances.append((result["lock_in_rate_dps"] - 0.01) / result["lock_in_rate_u_dps"])
-    assert max(np.abs(distances)) < 4
+    for seed in range(6):
+        combined = evaluate_run(measured(tmp_path, seed, records=5)).combined
+        distances.append((combined.lock_in_rate - 0.01) / combined.lock_in_rate_u)
+    assert np.abs(distances).max() < 4
     assert 0.3 < np.sqrt(np.mean(np.square(distances))) < 1.8
 
 

@@ -14,6 +14,7 @@ from collections.abc import Iterator
 from instrument.simulated.faults import Delivery
 from instrument.simulated.parsing import StreamSplitter
 from instrument.simulated.scope import Picture, SimulatedTDS2014
+from instrument.simulated.serial_input import SerialInput
 
 _TERMINATORS = {"LF": b"\n", "CR": b"\r", "CRLF": b"\r\n", "LFCR": b"\n\r"}
 
@@ -34,15 +35,24 @@ class MessageExchange:
     def __init__(self, scope: SimulatedTDS2014, *, message_ends: bool, serial: bool = False) -> None:
         self.scope = scope
         self._message_ends, self._serial = message_ends, serial
+        self._input = SerialInput(scope.panel, scope.faults) if serial else None
         self._splitter = StreamSplitter()
         self._waiting: deque[bytes] = deque()
         self._running: Iterator[bytes | None] | None = None
         self._answers: deque[Delivery] = deque()
         self.closed = False  # a fault closed the link
+        self.output_dropped = False  # a server has to drop what it holds, too
 
-    def receive(self, data: bytes) -> None:
-        """Take in bytes: a whole message where messages have ends, any piece of one on a stream."""
+    def receive(self, data: bytes, now: float | None = None) -> None:
+        """Take in bytes: a whole message where messages have ends, any piece of one on a stream.
+
+        `now` is the time in s for the pauses between pieces on RS-232, if not that of the instrument's clock.
+        """
         with self.scope.lock:
+            if self._input is not None:
+                data, event = self._input.receive(data, self.scope.clock.now() if now is None else now)
+                if event:
+                    self._drop(event)
             self._waiting.extend(self._splitter.feed(data, end=self._message_ends))
 
     def clear(self) -> None:
@@ -54,10 +64,25 @@ class MessageExchange:
             self._running = None
             self.scope.message_available = False
 
+    def _drop(self, event: int) -> None:
+        """An input error: everything on its way in or out is lost."""
+        self.clear()
+        self.output_dropped = True
+        self.scope.status.post(event)
+
     def break_signal(self) -> None:
         """A break on RS-232: all is dropped and the unit answers `DCL`."""
-        self.clear()
-        self._answers.append(Delivery(b"DCL" + self._terminator()))
+        with self.scope.lock:
+            self.clear()
+            if self._input is not None:
+                self._input.clear()
+            self.output_dropped = True
+            self._answers.append(Delivery(b"DCL" + self._terminator()))
+
+    @property
+    def stopped(self) -> bool:
+        """True while an XOFF from the computer holds the answers back."""
+        return self._input is not None and self._input.output_stopped
 
     @property
     def working(self) -> bool:
@@ -73,7 +98,7 @@ class MessageExchange:
     def take(self) -> bytes | None:
         """The oldest answer whose time has come; sets `closed` if the link breaks with it."""
         with self.scope.lock:
-            if not self._answers or self._answers[0].due > self.scope.clock.now():
+            if not self._answers or self.stopped or self._answers[0].due > self.scope.clock.now():
                 return None
             delivery = self._answers.popleft()
             self.scope.message_available = bool(self._answers)
@@ -97,7 +122,7 @@ class MessageExchange:
     def next_change(self) -> float:
         """Clock time in s at which `pump` or `take` may have more to do; inf if only new bytes help."""
         times = [math.inf]
-        if self._answers:
+        if self._answers and not self.stopped:
             times.append(self._answers[0].due)
         if self._running is not None:
             times.append(self.scope.acquisition.next_change())

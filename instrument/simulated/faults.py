@@ -21,7 +21,11 @@ FaultKind = Literal[
     "power off",
     "power cycle",
     "knob turned",
+    "parity error",
+    "framing error",
+    "input overrun",
 ]
+_INPUT_ERRORS = {"parity error": 361, "framing error": 362, "input overrun": 363}
 _BLOCK_LENGTH = re.compile(rb"#([1-9])(\d+)")
 
 
@@ -34,7 +38,8 @@ class Fault:
     kind : str
         One of FaultKind. "link closed" and "power off" happen after the first `bytes_sent` bytes of the answer.
     answer : int, optional
-        Number of the answer, counted from 1 since the fault was added. None: any answer.
+        Number of the answer, counted from 1 since the fault was added. None: any answer. Errors of the RS-232
+        input ("parity error" and the two after it) count the pieces received instead.
     probability : float
         Chance that an answer that fits is hit.
     in_answer : bytes
@@ -81,26 +86,30 @@ class Faults:
         The trigger never comes (NORMAL waits, AUTO runs free).
     identity : str or None
         Another unit answers `*IDN?` with this.
+    no_flow_control : bool
+        On RS-232 the cable or the program heeds neither RTS nor XOFF, so that bursts overrun the input.
     """
 
     def __init__(self, *faults: Fault, seed: int = 0) -> None:
         self.stuck_busy = False
         self.no_trigger = False
         self.identity: str | None = None
+        self.no_flow_control = False
         self.happened: list[Fault] = []
         self._rng = np.random.default_rng([seed, 0xFA17])
         self._armed: list[tuple[Fault, int]] = []
-        self._count = 0
+        self._count = self._inputs = 0
         self.add(*faults)
 
     def add(self, *faults: Fault) -> None:
         """Arm more faults; their answers count from here."""
-        self._armed.extend((fault, self._count) for fault in faults)
+        for fault in faults:
+            self._armed.append((fault, self._inputs if fault.kind in _INPUT_ERRORS else self._count))
 
     def clear(self) -> None:
         """Heal everything."""
         self._armed.clear()
-        self.stuck_busy = self.no_trigger = False
+        self.stuck_busy = self.no_trigger = self.no_flow_control = False
         self.identity = None
 
     @property
@@ -108,20 +117,34 @@ class Faults:
         """The faults that may still happen."""
         return [fault for fault, _ in self._armed]
 
+    def input_error(self, data: bytes) -> int:
+        """Event that bytes from an RS-232 line cause, or 0."""
+        self._inputs += 1
+        for entry in self._armed:
+            fault, since = entry
+            if fault.kind in _INPUT_ERRORS and self._hits(fault, self._inputs - since, data):
+                self._note(entry)
+                return _INPUT_ERRORS[fault.kind]
+        return 0
+
     def deliver(self, answer: bytes, now: float) -> Delivery:
         """What becomes of an answer."""
         self._count += 1
         for entry in self._armed:
             fault, since = entry
-            if self._meets(fault, since, answer):
-                self.happened.append(fault)
-                if fault.answer is not None:
-                    self._armed.remove(entry)
+            if fault.kind not in _INPUT_ERRORS and self._hits(fault, self._count - since, answer):
+                self._note(entry)
                 return self._spoil(fault, answer, now)
         return Delivery(answer, now)
 
-    def _meets(self, fault: Fault, since: int, answer: bytes) -> bool:
-        if fault.answer is not None and self._count - since != fault.answer:
+    def _note(self, entry: tuple[Fault, int]) -> None:
+        """Remember what happened; a fault with a number happens once."""
+        self.happened.append(entry[0])
+        if entry[0].answer is not None:
+            self._armed.remove(entry)
+
+    def _hits(self, fault: Fault, number: int, answer: bytes) -> bool:
+        if fault.answer is not None and number != fault.answer:
             return False
         if fault.in_answer not in answer or len(answer) < fault.shortest:
             return False
@@ -153,6 +176,8 @@ class Faults:
                 return Delivery(answer[:at], now, closes_link=True, power="cycle")
             case "knob turned":
                 return Delivery(answer, now, command=fault.command)
+            case "parity error" | "framing error" | "input overrun":
+                return Delivery(answer, now)  # they spoil what comes in
 
     def _other_length(self, match: re.Match[bytes]) -> bytes:
         width = int(match[1])

@@ -1,7 +1,8 @@
 """The simulated instrument behind a serial port: a pseudo-terminal that programs open like a real one.
 
 A pseudo-terminal has no modem lines and carries no break, so RTS/CTS flagging always looks ready and the
-break that makes a real unit answer `DCL` cannot be sent; use the `clear` of the exchange in its place.
+break that makes a real unit answer `DCL` does not arrive; call `break_signal` in its place. XON and XOFF work on
+both sides when RS232:SOFTFlagging is on and the program opens the port with them.
 """
 
 from __future__ import annotations

@@ -98,6 +98,12 @@ class StreamServer:
         self._wake_in.send(b"x")
         self._thread.join()
 
+    def break_signal(self) -> None:
+        """Stand in for a break on the line, which these links cannot carry: every client is sent `DCL`."""
+        for port in list(self._ports):
+            port.exchange.break_signal()
+        self._wake_in.send(b"x")
+
     def _add(self, port: Port) -> None:
         self._ports.append(port)
         self._selector.register(port.descriptor, selectors.EVENT_READ, lambda: self._read(port))
@@ -158,7 +164,10 @@ class StreamServer:
             return
         now = time.monotonic()
         if len(port.outgoing) < _FULL and (arrived := port.incoming.take(now)):
-            port.exchange.receive(arrived)
+            port.exchange.receive(arrived, now)
+        if port.exchange.output_dropped:
+            port.exchange.output_dropped = False
+            port.outgoing.clear()
         self._skip_virtual_wait(port)
         port.exchange.pump()
         while (answer := port.exchange.take()) is not None:

@@ -23,6 +23,10 @@ class TcpServer(StreamServer):
         Address to listen on; only this computer unless told otherwise.
     port : int
         0 takes any free port.
+    serial : bool
+        True for an adapter between Ethernet and RS-232: the terminator, flow control and input errors of RS-232.
+    baud_rate : float, optional
+        Bytes take their time on that RS-232 line. Without it they are there at once.
 
     Raises
     ------
@@ -36,7 +40,16 @@ class TcpServer(StreamServer):
     True
     """
 
-    def __init__(self, scope: SimulatedTDS2014, host: str = "127.0.0.1", port: int = 0) -> None:
+    def __init__(
+        self,
+        scope: SimulatedTDS2014,
+        host: str = "127.0.0.1",
+        port: int = 0,
+        *,
+        serial: bool = False,
+        baud_rate: float | None = None,
+    ) -> None:
+        self._serial, self._baud_rate = serial, baud_rate
         self._listener = socket.create_server((host, port))
         super().__init__(scope)
         self._listener.setblocking(False)
@@ -59,8 +72,9 @@ class TcpServer(StreamServer):
             return
         client.setblocking(False)
         client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        exchange = MessageExchange(self.scope, message_ends=False)
-        self._add(Port(client.fileno(), exchange, client.recv, client.send, client.close, Line(), Line()))
+        exchange = MessageExchange(self.scope, message_ends=False, serial=self._serial)
+        lines = Line(self._baud_rate), Line(self._baud_rate)
+        self._add(Port(client.fileno(), exchange, client.recv, client.send, client.close, *lines))
 
     def _released(self) -> None:
         self._listener.close()

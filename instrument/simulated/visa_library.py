@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 import pyvisa
 from pyvisa import attributes, constants, rname
-from pyvisa.constants import InterfaceType, ResourceAttribute, SerialTermination, StatusCode
+from pyvisa.constants import ControlFlow, InterfaceType, ResourceAttribute, SerialTermination, StatusCode
 from pyvisa.highlevel import VisaLibraryBase
 from pyvisa.typing import VISARMSession, VISASession
 from pyvisa.util import LibraryPath
@@ -24,8 +24,11 @@ from pyvisa.util import LibraryPath
 from instrument.simulated.exchange import MessageExchange
 from instrument.simulated.frontend import Floats, Signal
 from instrument.simulated.scope import SimulatedTDS2014
+from instrument.simulated.serial_input import XOFF, XON
 
 DEFAULT_NAMES = ("GPIB0::1::INSTR", "USB0::0x0699::0x0368::C010101::INSTR")
+_BREAK = SerialTermination.termination_break
+_LONGEST_STOP = 60.0  # s that a stopped program waits which has no time-out
 _LIBRARY_NUMBERS = itertools.count(1)
 
 
@@ -84,6 +87,22 @@ class _Session:
     serial: bool
     attributes: dict[int, Any]
     received: bytearray = field(default_factory=bytearray)
+    sending_stopped: bool = False  # the computer's own XON/XOFF, set off by a byte in the data
+
+    @property
+    def obeys_xoff(self) -> bool:
+        """True when the program asked for XON/XOFF on its side of the line."""
+        flow = self.attributes.get(ResourceAttribute.asrl_flow_control, 0)
+        return self.serial and bool(flow & ControlFlow.xon_xoff)
+
+    def arrive(self, data: bytes) -> None:
+        """Bytes reach the computer, which obeys and removes XON and XOFF where it was told to."""
+        if self.obeys_xoff:
+            for byte in data:
+                if byte in (XON, XOFF):
+                    self.sending_stopped = byte == XOFF
+            data = data.translate(None, bytes((XON, XOFF)))
+        self.received += data
 
     def seconds(self) -> float:
         """Time-out in s."""
@@ -174,9 +193,19 @@ class SimulatedVisaLibrary(VisaLibraryBase):
         """Send bytes; where messages have ends this is one message."""
         opened = self._sessions[session]
         self._check_power(session, opened)
+        if opened.sending_stopped:
+            opened.exchange.scope.clock.sleep(min(opened.seconds(), _LONGEST_STOP))
+            self.handle_return_value(session, StatusCode.error_timeout)
         opened.exchange.receive(bytes(data))
         opened.exchange.pump()
+        if opened.serial and opened.attributes.get(ResourceAttribute.asrl_end_out) == _BREAK:
+            self._send_break(opened)
         return len(data), self.handle_return_value(session, StatusCode.success)
+
+    def _send_break(self, opened: _Session) -> None:
+        opened.received.clear()
+        opened.sending_stopped = False
+        opened.exchange.break_signal()
 
     def read(self, session: VISASession, count: int) -> tuple[bytes, StatusCode]:
         """Read up to `count` bytes of an answer."""
@@ -247,8 +276,11 @@ class SimulatedVisaLibrary(VisaLibraryBase):
         return opened.attributes[attribute], self.handle_return_value(session, StatusCode.success)
 
     def set_attribute(self, session: Any, attribute: Any, attribute_state: Any) -> StatusCode:
-        """Set an attribute of the session."""
-        self._sessions[session].attributes[attribute] = attribute_state
+        """Set an attribute of the session; the break state of a serial line sends a break."""
+        opened = self._sessions[session]
+        opened.attributes[attribute] = attribute_state
+        if opened.serial and attribute == ResourceAttribute.asrl_break_state and attribute_state:
+            self._send_break(opened)
         return self.handle_return_value(session, StatusCode.success)
 
     def disable_event(self, session: Any, event_type: Any, mechanism: Any) -> StatusCode:
@@ -281,7 +313,7 @@ def _attributes(name: str, parsed: rname.ResourceName, serial: bool) -> dict[int
 def _collect(opened: _Session) -> None:
     """Move the answers that have left a stream instrument into the receive buffer."""
     while (answer := opened.exchange.take()) is not None:
-        opened.received += answer
+        opened.arrive(answer)
 
 
 def _read_stream(opened: _Session, count: int) -> tuple[bytes, StatusCode]:
@@ -298,7 +330,7 @@ def _read_stream(opened: _Session, count: int) -> tuple[bytes, StatusCode]:
         if answer is None or not _travels(opened, answer, deadline):
             opened.received.clear()
             return b"", StatusCode.error_timeout
-        opened.received += answer
+        opened.arrive(answer)
 
 
 def _travels(opened: _Session, answer: bytes, deadline: float) -> bool:

@@ -18,6 +18,11 @@ UNLIKELY = 0.001
 """A scatter that the records' own noise would produce less often than this is taken as real."""
 
 
+BY_CHANCE = (Flag.COLOURED_NOISE, Flag.MISFIT, Flag.RATE_WANDER)
+BY_CHANCE_SHARE = 0.05
+"""Tests of the residual raise these flags in well under this share of faultless records."""
+
+
 def combine_estimates(estimates: LockInEstimate) -> LockInEstimate:
     """Combine records at one rate, coherently: the complex values are averaged, not their sizes.
 
@@ -35,8 +40,9 @@ def combine_estimates(estimates: LockInEstimate) -> LockInEstimate:
     -------
     LockInEstimate
         Fields of shape (). The uncertainty follows from the records' own; where their scatter is larger than
-        their noise explains, from the scatter, and `noise_model` says so. `flags` holds every bit that any
-        record used has; `misfit` also if the phases disagree.
+        their noise explains, from the scatter, and `noise_model` says so. `flags` holds the bits of the records
+        used, those that chance can raise only if more records have them than chance explains; `misfit` also
+        if the phases disagree.
 
     Raises
     ------
@@ -67,7 +73,7 @@ def combine_estimates(estimates: LockInEstimate) -> LockInEstimate:
     phases_differ = _scatter(turned.imag, tangential, weights)[2]
     rate_u = own * inflation
 
-    flags = int(np.bitwise_or.reduce(used.flags)) & ~int(Flag.RATIO_NOT_SIGNIFICANT)
+    flags = _common_flags(used.flags)
     value = float(np.sqrt(max(abs(mean) ** 2 - across_u**2, 0.0)))
     if not abs(mean) > 3.3 * rate_u:
         flags |= Flag.RATIO_NOT_SIGNIFICANT
@@ -101,6 +107,14 @@ def combine_estimates(estimates: LockInEstimate) -> LockInEstimate:
         records=np.asarray(int(usable.sum())),
         records_rejected=np.asarray(rejected),
     )
+
+
+def _common_flags(flags: NDArray[np.int64]) -> int:
+    common = int(np.bitwise_or.reduce(flags)) & ~int(Flag.RATIO_NOT_SIGNIFICANT)
+    for bit in BY_CHANCE:
+        if np.count_nonzero(flags & int(bit)) <= max(2, BY_CHANCE_SHARE * flags.size) and flags.size > 2:
+            common &= ~int(bit)
+    return common
 
 
 def _complex_rates(used: LockInEstimate) -> tuple[NDArray[np.complex128], Floats, Floats]:

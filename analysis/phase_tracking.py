@@ -32,6 +32,19 @@ DEGREES = (2, 3, 4, 6, 8, 11, 15, 20, 27, 36, 48)
 ITERATIONS = 20
 
 
+def looks_like_wander(left: Floats, omega: float) -> bool:
+    """Whether what a straight phase leaves stands about the fundamental, as the sidebands of a wander do.
+
+    Distortion leaves harmonics, a slow drift the lowest frequencies: no moving phase would mend those.
+    """
+    power = np.abs(np.fft.rfft(left)[1:]) ** 2
+    floor = float(np.median(power)) / np.log(2)
+    line = omega * left.size / (2 * np.pi)
+    bins = np.arange(1, power.size + 1)
+    beside = (bins > 0.5 * line) & (bins < 1.5 * line)
+    return float((power[beside] - floor).sum()) > 0.5 * float((power - floor).sum())
+
+
 @dataclass(frozen=True)
 class TrackedFit:
     """Fit of one record with a wandering phase.

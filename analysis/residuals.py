@@ -21,6 +21,8 @@ LINE_CHANCE = 1e-6
 ROUNDING = 1e-12
 """A residual below this share of the power is arithmetic, not a measured signal: a synthetic record."""
 
+FEW_PERIODS = 6.0
+
 GROSS_MISFIT = 0.05
 """Share of the signal's power that a waveform may miss and still be called that of a gyro above lock-in."""
 
@@ -73,9 +75,35 @@ def examine_residual(
     coloured = (np.maximum(at_first, at_second) > 1.8) | (np.minimum(at_first, at_second) < 0.45)
     coloured &= ~rounding
     flags[coloured] |= Flag.COLOURED_NOISE
-    excess[coloured, 0] = at_first[coloured]
-    excess[coloured, 1:] = at_second[coloured, np.newaxis]
+    for row in np.flatnonzero(coloured):
+        line = omega[row] * n_samples / (2 * np.pi)
+        first_level, second_level = float(at_first[row]), float(at_second[row])
+        if line < 2 * NEIGHBOURS:
+            first_level, second_level = _low_levels(power[row] / mean[row], line)
+        if line < FEW_PERIODS:
+            # So few periods do not keep the two lines apart: the stronger noise reaches both.
+            first_level = second_level = max(first_level, second_level)
+        excess[row] = first_level, second_level, second_level
     return ResidualReport(flags, excess)
+
+
+def _low_levels(power: Floats, line: float) -> tuple[float, float]:
+    """Noise level at a line of few periods and at its double: white and 1/f noise fitted to the lowest bins.
+
+    Near zero frequency the noise may change within a few bins, so that an average over neighbours would not do.
+    The bins of the lines themselves are left out: the fit has emptied them.
+    """
+    bins = np.arange(1, min(4 * NEIGHBOURS, power.size) + 1)
+    free = (np.abs(bins - line) > 1.5) & (np.abs(bins - 2 * line) > 1.5)
+    columns = np.stack([np.ones(bins.size), 1.0 / bins])[:, free]
+    seen = power[: bins.size][free]
+    level = np.full(seen.size, seen.mean())
+    for _ in range(8):
+        # Each bin's power scatters as much as its mean: weights 1/level^2.
+        solution = np.linalg.solve((columns / level**2) @ columns.T, (columns / level**2) @ seen)
+        solution = np.maximum(solution, [0.0, 0.0])
+        level = np.maximum(solution @ columns, 0.05 * seen.mean())
+    return float(solution[0] + solution[1] / line), float(solution[0] + solution[1] / (2 * line))
 
 
 def _local_level(power: Floats, omega: Floats, n_samples: int) -> Floats:

@@ -11,7 +11,7 @@ from analysis.damage import Bools, find_damage, outliers
 from analysis.flags import Flag
 from analysis.geometric_series import Series, sampled_series
 from analysis.periodic_fit import Step
-from analysis.phase_tracking import track_phase
+from analysis.phase_tracking import looks_like_wander, track_phase
 from analysis.quantisation import level_spacing, mean_rounding
 from analysis.records import Records, Stack
 from analysis.residuals import examine_residual
@@ -126,6 +126,8 @@ def _judged(
     flags |= report.flags
     excess = report.excess
     for row in np.flatnonzero((report.flags & int(Flag.MISFIT)) != 0):
+        if not looks_like_wander(left[row], float(series.omega[row])):
+            continue
         tracked = track_phase(
             records.values[row], None if weights is None else weights[row], float(series.omega[row])
         )

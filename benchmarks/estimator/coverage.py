@@ -44,24 +44,32 @@ class Coverage:
 
 @dataclass(frozen=True)
 class Case:
-    """One row of the table: gyros, their noise, and the division into cells by some quantity of theirs."""
+    """One row of the table: gyros, their noise, and the division into cells by some quantity of theirs.
+
+    share is that of the records asked for: less for records which the estimator examines at length.
+    """
 
     name: str
     draw: Callable[[np.random.Generator, int], Gyros]
     noise: Callable[[np.random.Generator, Gyros], Floats]
     cells: Callable[[Gyros], dict[str, Bools]]
     rate_given: bool = False
+    share: float = 1.0
+
+    def records(self, asked: int) -> int:
+        """How many records this case measures."""
+        return max(int(asked * self.share), 100)
 
 
 def measure_coverage(n_records: int, seed: int) -> list[Coverage]:
-    """Every case with `n_records` intervals; the combined ones with a tenth as many."""
+    """Every case with its share of `n_records` intervals; the combined ones with a tenth as many."""
     results = []
     n_groups = max(n_records // RECORDS_PER_GYRO, 1)
-    total = len(CASES) * n_records + len(COMBINED) * n_groups * RECORDS_PER_GYRO
+    total = sum(case.records(n_records) for case in CASES) + len(COMBINED) * n_groups * RECORDS_PER_GYRO
     with Progress("coverage", total) as progress:
         for number, case in enumerate(CASES):
             rng = np.random.default_rng([seed, number])
-            gyros, below, above = _intervals(case, rng, n_records, progress)
+            gyros, below, above = _intervals(case, rng, case.records(n_records), progress)
             results.append(_summary(case.name, gyros, below, above, case.cells))
         for number, (name, times_noise) in enumerate(COMBINED):
             rng = np.random.default_rng([seed, 100 + number])
@@ -187,6 +195,8 @@ def _divided(values: Floats, edges: tuple[float, ...], label: str) -> dict[str, 
     }
 
 
+SLOW = 0.05
+
 CASES = (
     Case("grid, the record its own reference", draw_gyros, white_noise, _by_periods_and_rate),
     Case("grid, input rate given, either sense", draw_gyros, white_noise, _by_periods_and_rate, rate_given=True),
@@ -197,10 +207,10 @@ CASES = (
         white_noise,
         _by_noise,
     ),
-    Case("no noise, exactly 50 samples per period", _whole_periods, white_noise, _by_periods),
-    Case("coloured: AR(1), memory 0.5", _coloured, _first_order(0.5), _by_periods),
-    Case("coloured: AR(1), memory 0.9", _coloured, _first_order(0.9), _by_periods),
-    Case("coloured: 1/f", _coloured, _one_over_f, _by_periods),
+    Case("no noise, exactly 50 samples per period", _whole_periods, white_noise, _by_periods, share=SLOW),
+    Case("coloured: AR(1), memory 0.5", _coloured, _first_order(0.5), _by_periods, share=SLOW),
+    Case("coloured: AR(1), memory 0.9", _coloured, _first_order(0.9), _by_periods, share=SLOW),
+    Case("coloured: 1/f", _coloured, _one_over_f, _by_periods, share=SLOW),
 )
 
 COMBINED = (

@@ -61,7 +61,7 @@ class Gyros:
     @property
     def rate_over_lock_in(self) -> Floats:
         """|W|/WL."""
-        return (1 + self.ratio**2) / np.maximum(2 * self.ratio, 1e-300)
+        return np.asarray((1 + self.ratio**2) / np.maximum(2 * self.ratio, 1e-300))
 
     @property
     def periods(self) -> Floats:
@@ -71,7 +71,7 @@ class Gyros:
     @property
     def total_noise(self) -> Floats:
         """Standard deviation of noise and rounding together, levels."""
-        return np.hypot(self.noise, ROUNDING_RMS)
+        return np.asarray(np.hypot(self.noise, ROUNDING_RMS))
 
 
 def draw_gyros(

@@ -108,9 +108,9 @@ def worst_cell(grid: GridResult) -> str:
     biased, biased_name = max(named, key=lambda item: abs(item[0].bias))
     chance = _largest_by_chance([c.records for c, _ in named])
     return (
-        f"Worst cell of gyrolock: {cell.rms:.3f} ± {cell.rms_u:.3f} ({name}, {cell.records} records); the worst of "
-        f"so many cells of a perfect estimator would be {chance:.3f} on average. Largest bias: {biased.bias:+.3f} ± "
-        f"{biased.bias_u:.3f} u ({biased_name}, {biased.records} records)."
+        f"Worst cell of gyrolock: {cell.rms:.3f} ± {cell.rms_u:.3f} ({name}, {cell.records} records); the worst "
+        f"of so many cells of a perfect estimator would be {chance:.3f} on average. Largest bias: {biased.bias:+.3f} "
+        f"± {biased.bias_u:.3f} u ({biased_name}, {biased.records} records)."
     )
 
 

@@ -13,21 +13,24 @@ import math
 from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import partial
 from typing import Literal
 
 import numpy as np
 
 from instrument.simulated.clock import Clock
 from instrument.simulated.faults import Faults
-from instrument.simulated.frontend import Floats, Signal, evaluate, ground, shown_volts, slow_part
+from instrument.simulated.frontend import Floats, Signal, evaluate, ground, low_pass, shown_volts, slow_part
 from instrument.simulated.panel import DIVISIONS, POINTS_PER_DIVISION, ChannelSettings, Panel, TriggerSettings
-from instrument.simulated.trigger import HYSTERESIS, EdgeSearch
+from instrument.simulated.trigger import HYSTERESIS, EdgeSearch, PulseSearch
 
 State = Literal["ARMED", "READY", "TRIGGER", "AUTO", "SAVE", "SCAN"]
 
 DEAD_TIME = 1 / 180  # s between two acquisitions: up to 180 waveforms a second, p. 151
 AUTO_WAIT = 0.05  # s that AUTO waits at least for a trigger (a guess)
 PEAK_DETECT_FROM = 5e-6  # s/div; faster sweeps sample without saying so, p. 76
+HIGH_FREQUENCY_REJECT = 1 / (2 * math.pi * 80e3)  # s, p. 101
+LOW_FREQUENCY_REJECT = 1 / (2 * math.pi * 300e3)  # s
 MAINS_FREQUENCY = 50.0  # Hz, of the trigger source AC LINE
 _FORGET_AFTER = 3  # acquisition times; of a longer silence only the end is simulated
 _LONGEST_SEARCH_STEP = 20e-6  # s; the comparator is faster than the samples of a slow sweep
@@ -191,13 +194,20 @@ class Acquisition:
         source = trigger.source
         if source in ("AC LINE", "LINE"):
             return np.sin(2 * math.pi * MAINS_FREQUENCY * times)
-        if source not in self._panel.model.channel_names:
-            return evaluate(self.signal(source), times)
-        channel, signal = self._panel.channel(source), self.signal(source)
-        volts = shown_volts(signal, channel, times)
-        if trigger.coupling in ("AC", "LFREJ") and channel.coupling == "DC":
-            volts = volts - slow_part(signal, times) * channel.probe * (-1 if channel.inverted else 1)
-        return volts
+        signal, gain = self.signal(source), 1.0
+        at_input, blocked = signal, False
+        if source in self._panel.model.channel_names:
+            channel = self._panel.channel(source)
+            signal, blocked = partial(shown_volts, signal, channel), channel.coupling != "DC"
+            gain = -channel.probe if channel.inverted else channel.probe
+        match trigger.coupling:
+            case "HFREJ":
+                return evaluate(low_pass(signal, HIGH_FREQUENCY_REJECT), times)
+            case "LFREJ":
+                return evaluate(signal, times) - evaluate(low_pass(signal, LOW_FREQUENCY_REJECT), times)
+            case "AC" if not blocked:
+                return evaluate(signal, times) - gain * slow_part(at_input, times)
+        return evaluate(signal, times)
 
     def signal(self, name: str) -> Signal:
         """Signal at the input of `CH1` and so on; 0 is the EXT TRIG input."""
@@ -221,7 +231,7 @@ class Acquisition:
         self._triggered_at: float | None = None
         self._completes_at: float | None = None
         self._forced = False
-        self._search: EdgeSearch | None = None
+        self._search: EdgeSearch | PulseSearch | None = None
 
     def _arm_again(self, at: float, now: float, waited: float) -> None:
         """Arm after a record; of hours without a question only the last acquisitions are simulated.
@@ -245,7 +255,13 @@ class Acquisition:
         edge = None
         if not self._faults.no_trigger:
             step = min(self._step(), _LONGEST_SEARCH_STEP)
-            edge = self._edge_search(trigger).advance(min(now, self._auto_at), step)
+            until = min(now, self._auto_at)
+            match trigger.kind:
+                case "EDGE":
+                    edge = self._edge_search(trigger).advance(until, step)
+                case "PULSE":
+                    edge = self._pulse_search(trigger).advance(until, step)
+                # VIDEO: its settings are kept, but no sync is looked for, so that AUTO runs free and NORMAL waits
         if edge is not None:
             self._trigger(edge, forced=False)
         elif now >= self._auto_at:
@@ -256,17 +272,29 @@ class Acquisition:
 
     def _edge_search(self, trigger: TriggerSettings) -> EdgeSearch:
         """The search of this acquisition, with the level of now."""
-        if self._search is None:
-            start = self._ready_at
-            self._search = EdgeSearch(lambda times: times, 0.0, True, 0.0, start)
         search = self._search
+        if not isinstance(search, EdgeSearch):
+            search = self._search = EdgeSearch(lambda times: times, 0.0, True, 0.0, self._ready_at)
+        search.volts_at = lambda times: self.trigger_signal(trigger, times)
+        search.level, search.rising = trigger.level, trigger.slope == "RISE"
+        search.hysteresis = self._hysteresis(trigger)
+        return search
+
+    def _pulse_search(self, trigger: TriggerSettings) -> PulseSearch:
+        """The search of this acquisition for a pulse, with the settings of now."""
+        search = self._search
+        if not isinstance(search, PulseSearch):
+            search = self._search = PulseSearch(trigger, lambda times: times, 0.0, self._ready_at)
+        search.trigger, search.hysteresis = trigger, self._hysteresis(trigger)
+        search.volts_at = lambda times: self.trigger_signal(trigger, times)
+        return search
+
+    def _hysteresis(self, trigger: TriggerSettings) -> float:
+        """Volts by which the signal has to leave the level; noise reject doubles them."""
         scale = 0.2  # V, external inputs
         if trigger.source in self._panel.model.channel_names:
             scale = self._panel.number(f"{trigger.source}:SCALE")
-        search.volts_at = lambda times: self.trigger_signal(trigger, times)
-        search.level, search.rising = trigger.level, trigger.slope == "RISE"
-        search.hysteresis = HYSTERESIS * scale * (2 if trigger.coupling == "NOISEREJ" else 1)
-        return search
+        return HYSTERESIS * scale * (2 if trigger.coupling == "NOISEREJ" else 1)
 
     def _trigger(self, at: float, *, forced: bool) -> None:
         after = DIVISIONS / 2 * self._panel.seconds_per_division + self._panel.horizontal_position

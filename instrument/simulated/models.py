@@ -17,6 +17,7 @@ class Model:
     references: str  # letters
     sample_rate: float  # S/s, the highest
     fastest: float  # s/div
+    bandwidth: float  # Hz
     probes: tuple[float, ...]
     letter_series: bool  # B, C and TPS: other answers for PROBe, YUNit, MATH:VERtical
 
@@ -36,6 +37,7 @@ class Model:
         return (*self.channel_names, "MATH", *self.reference_names)
 
 
+_BANDWIDTHS = {"0": 60e6, "1": 100e6, "2": 200e6}  # Hz, by the third digit of the name
 _FIRST = (1.0, 10.0, 100.0, 1000.0)
 _LATER = (1.0, 10.0, 20.0, 50.0, 100.0, 500.0, 1000.0)
 
@@ -50,6 +52,7 @@ def _model(name: str, serial: str, firmware: str, channels: int, rate: float = 1
         references="ABCD" if channels == 4 else "AB",
         sample_rate=rate,
         fastest=2.5e-9 if rate > 1e9 else 5e-9,
+        bandwidth=_BANDWIDTHS[digits[2]],
         probes=_FIRST if first else _LATER,
         letter_series=not first,
     )

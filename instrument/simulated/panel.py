@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
@@ -12,6 +13,9 @@ from instrument.simulated.models import Model
 POINTS = 2500
 DIVISIONS = 10
 POINTS_PER_DIVISION = POINTS // DIVISIONS
+LIMITED_BANDWIDTH = 20e6  # Hz, CH<x>:BANdwidth ON
+FULL_BANDWIDTH_FROM = 5e-3  # V/div at the BNC; more sensitive scales are limited, too
+FULL_BANDWIDTH_SWEEP = 2.5e-6  # s/div
 SCAN_FROM = 0.1  # s/div: from here on the AUTO mode rolls instead of waiting for a trigger
 
 
@@ -25,18 +29,23 @@ class ChannelSettings:
     probe: float
     limited: bool
     inverted: bool
+    time_constant: float = 0.0  # s, of the bandwidth as a single pole; 0 where no sample could show it
 
 
 @dataclass(frozen=True)
 class TriggerSettings:
-    """Settings of the main edge trigger."""
+    """Settings of the main trigger; the last three are those of the pulse width."""
 
     mode: str
+    kind: str
     source: str
     coupling: str
     slope: str
     level: float
     holdoff: float
+    polarity: str
+    when: str
+    width: float
 
 
 class Panel:
@@ -76,25 +85,45 @@ class Panel:
 
     def channel(self, name: str) -> ChannelSettings:
         """Vertical settings of `CH1` and so on."""
+        limited = self.flag(f"{name}:BANDWIDTH")
+        at_bnc = self.number(f"{name}:SCALE") / self.number(f"{name}:PROBE")
         return ChannelSettings(
             scale=self.number(f"{name}:SCALE"),
             position=self.number(f"{name}:POSITION"),
             coupling=self.text(f"{name}:COUPLING"),
             probe=self.number(f"{name}:PROBE"),
-            limited=self.flag(f"{name}:BANDWIDTH"),
+            limited=limited,
             inverted=self.flag(f"{name}:INVERT"),
+            time_constant=self._time_constant(limited=limited or at_bnc < FULL_BANDWIDTH_FROM * (1 - 1e-9)),
         )
 
+    def _time_constant(self, *, limited: bool) -> float:
+        """Time constant in s of a channel; the full bandwidth counts on sweeps of 100 MS/s and faster only."""
+        if limited:
+            return 1 / (2 * math.pi * LIMITED_BANDWIDTH)
+        fast = self.seconds_per_division <= FULL_BANDWIDTH_SWEEP * (1 + 1e-9)
+        return 1 / (2 * math.pi * self.model.bandwidth) if fast else 0.0
+
     def trigger(self) -> TriggerSettings:
-        """Settings of the main edge trigger."""
+        """Settings of the main trigger."""
+        pulse = "TRIGGER:MAIN:PULSE:WIDTH"
         return TriggerSettings(
             mode=self.text("TRIGGER:MAIN:MODE"),
-            source=self.text("TRIGGER:MAIN:EDGE:SOURCE"),
+            kind=self.text("TRIGGER:MAIN:TYPE"),
+            source=self.trigger_source,
             coupling=self.text("TRIGGER:MAIN:EDGE:COUPLING"),
             slope=self.text("TRIGGER:MAIN:EDGE:SLOPE"),
             level=self.number("TRIGGER:MAIN:LEVEL"),
             holdoff=self.number("TRIGGER:MAIN:HOLDOFF:VALUE"),
+            polarity=self.text(f"{pulse}:POLARITY"),
+            when=self.text(f"{pulse}:WHEN"),
+            width=self.number(f"{pulse}:WIDTH"),
         )
+
+    @property
+    def trigger_source(self) -> str:
+        """Source of the trigger type in use."""
+        return self.text(f"TRIGGER:MAIN:{self.text('TRIGGER:MAIN:TYPE')}:SOURCE")
 
     @property
     def seconds_per_division(self) -> float:

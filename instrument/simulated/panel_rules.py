@@ -56,7 +56,7 @@ def store(panel: Panel, key: str, value: Value) -> None:
 def _conflicts(panel: Panel, key: str, value: Value) -> bool:
     """True if the other settings forbid this one."""
     if key == "TRIGGER:MAIN:LEVEL":
-        return panel.text("TRIGGER:MAIN:EDGE:SOURCE") in ("AC LINE", "LINE")
+        return panel.trigger_source in ("AC LINE", "LINE")
     return key == "CURSOR:FUNCTION" and value != "OFF" and panel.text("DISPLAY:FORMAT") == "XY"
 
 
@@ -72,7 +72,7 @@ def _store_channel(panel: Panel, name: str, leaf: str, value: Value) -> None:
     probe = panel.number(f"{name}:PROBE")
     if leaf == "PROBE":
         panel.values[scale] = panel.number(scale) * probe / old_probe
-        if panel.text("TRIGGER:MAIN:EDGE:SOURCE") == name:
+        if panel.trigger_source == name:
             panel.values["TRIGGER:MAIN:LEVEL"] = panel.number("TRIGGER:MAIN:LEVEL") * probe / old_probe
     at_bnc = min(max(panel.number(scale) / probe, 2e-3), 5.0)
     panel.values[scale] = float(f"{at_bnc * probe:.6e}")
@@ -97,7 +97,7 @@ def _settle_horizontal(panel: Panel, key: str) -> None:
 
 
 def _settle_trigger(panel: Panel) -> None:
-    source = panel.text("TRIGGER:MAIN:EDGE:SOURCE")
+    source = panel.trigger_source
     level = panel.number("TRIGGER:MAIN:LEVEL")
     if source in panel.model.channel_names:
         scale = panel.number(f"{source}:SCALE")

@@ -124,7 +124,10 @@ class SimulatedTDS2014:
         branch = self._tree.root
         leaves: list[list[Leaf]] = []
         identified = False
+        unread = len(message)
+        deadlocked = False
         for command in parse_message(message, stream=stream):
+            unread -= len(command.source) + 1
             try:
                 if isinstance(command, Malformed):
                     raise Refusal(command.event)
@@ -138,8 +141,14 @@ class SimulatedTDS2014:
                     raise Refusal(440)
                 self.settle()
                 if command.query:
-                    leaves.append(self._answer(node, action, command))
+                    answer = self._answer(node, action, command)
                     identified = bool(action and action.ends_message)
+                    if not deadlocked:
+                        leaves.append(answer)
+                    if not stream and unread > Guess.INPUT_BUFFER and self._fills_output(leaves):
+                        deadlocked = True
+                        leaves.clear()
+                        raise Refusal(430)
                 else:
                     self._carry_out(node, action, command.arguments)
             except Refusal as refusal:
@@ -151,6 +160,10 @@ class SimulatedTDS2014:
         if self.picture:
             picture, self.picture = self.picture, b""
             yield Picture(picture)
+
+    def _fills_output(self, answers: list[list[Leaf]]) -> bool:
+        """True when the answers so far leave no room in the output queue: nobody can read or write (430)."""
+        return sum(len(value) for leaves in answers for _, value in leaves) > Guess.OUTPUT_QUEUE
 
     def _find(self, command: Command, branch: Node) -> Node:
         """The node of a header: from the root if absolute, else from the branch of the command before."""

@@ -175,3 +175,18 @@ def test_break_answers_dcl(bench):
     bench.write("CH1?")
     bench.link.break_signal()
     assert bench.read() == b"DCL\n"
+
+
+def test_a_message_with_more_questions_than_both_buffers_hold_is_a_deadlock(bench):
+    bench.write("HEADER OFF")
+    bench.write("CURVE?;" * 2 + ":CH1:SCALE 2;" + ":CH1:SCALE?;" * 100)
+    assert bench.read() is None
+    assert bench.events() == [430, 420]
+    assert bench.ask("CH1:SCALE?") == "2.0E0"
+
+
+def test_a_long_message_that_asks_last_is_no_deadlock(bench):
+    setup = bench.ask("SET?")
+    answer = bench.ask_raw(f"{setup};:HEADER OFF;:WAVFRM?;:DATA:WIDTH 2;:CURVE?")
+    assert answer is not None and len(answer) > 7500
+    assert bench.events() == []

@@ -1,4 +1,4 @@
-"""HARDCopy: the picture of the screen goes out on the link, as a BMP file without header or terminator.
+"""HARDCopy: the picture of the screen goes out on the link, as a file without header or terminator.
 
 Source: programmer manual 071-1075-04, pp. 2-126 to 2-131.
 """
@@ -11,7 +11,8 @@ from instrument.simulated.actions import Action
 from instrument.simulated.events import Guess, Refusal
 from instrument.simulated.kinds import Words
 from instrument.simulated.parsing import Argument
-from instrument.simulated.screen import bitmap, draw
+from instrument.simulated.picture_formats import FORMATS
+from instrument.simulated.screen import draw
 
 if TYPE_CHECKING:
     from instrument.simulated.scope import SimulatedTDS2014
@@ -20,16 +21,16 @@ _ORDERS = Words("STARt", "ABOrt")
 
 
 def _hard_copy(scope: SimulatedTDS2014, arguments: tuple[Argument, ...]) -> None:
-    """STARt sends the picture, if a link and not a printer is the port; only BMP is drawn."""
+    """STARt sends the picture, if a link and not a printer is the port; printer languages are refused."""
     if len(arguments) > 1:
         raise Refusal(Guess.SURPLUS_ARGUMENT)
     word = _ORDERS.read(arguments[0]) if arguments else "START"
     if word == "ABORT" or scope.panel.text("HARDCOPY:PORT") == "CENTRONICS":
         return
-    if scope.panel.text("HARDCOPY:FORMAT") != "BMP":
+    write = FORMATS.get(scope.panel.text("HARDCOPY:FORMAT"))
+    if write is None:
         raise Refusal(Guess.PICTURE_FORMAT_NOT_SIMULATED)
-    traces = {name: scope.trace(name) for name in scope.model.waveform_names}
-    scope.picture = bitmap(draw({name: trace for name, trace in traces.items() if trace is not None}))
+    scope.picture = write(draw(scope.screen_traces()))
 
 
 ACTIONS = {"HARDCopy": Action(order=_hard_copy, waits=lambda scope: scope.awaits_record())}

@@ -43,8 +43,26 @@ def combine(expression: str, first: Trace, second: Trace) -> Trace:
     )
 
 
-def spectrum(expression: str, source: Trace, zoom: float, position: float) -> Trace:
-    """Levels in dB (0 dB = 1 V rms) at 1024 frequencies, from the centre 2048 points of the record."""
+def visible_part(horizontal_zoom: float, position: float) -> slice:
+    """The points of a spectrum that the screen shows: zoomed about a position in percent of the whole.
+
+    Examples
+    --------
+    >>> visible_part(1, 50), visible_part(2, 50), visible_part(10, 0)
+    (slice(0, 1024, None), slice(256, 768, None), slice(0, 102, None))
+    """
+    width = int(FFT_POINTS / horizontal_zoom)
+    first = round(FFT_POINTS * position / 100 - width / 2)
+    first = min(max(first, 0), FFT_POINTS - width)
+    return slice(first, first + width)
+
+
+def spectrum(expression: str, source: Trace, zoom: float, position: float, horizontal_zoom: float = 1.0) -> Trace:
+    """Levels in dB (0 dB = 1 V rms) at 1024 frequencies, from the centre 2048 points of the record.
+
+    The horizontal zoom changes what the screen shows and the Hz/div of the description; the data stay the whole
+    spectrum (a guess: the manual calls it a display zoom, p. 2-150).
+    """
     from scipy.signal import czt, get_window
 
     volts = (source.codes.astype(np.float64) - source.yoff) * source.ymult
@@ -64,7 +82,7 @@ def spectrum(expression: str, source: Trace, zoom: float, position: float) -> Tr
     mode = source.wfid.rsplit(", ", 1)[1]
     wfid = (
         f"Math, DC coupling, {nr3(_DECIBELS_PER_DIVISION / zoom)} dB/div, "
-        f"{nr3(xincr * FFT_POINTS / 10, 9)} Hz/div, {FFT_POINTS} points, {mode}"
+        f"{nr3(xincr * FFT_POINTS / 10 / horizontal_zoom, 9)} Hz/div, {FFT_POINTS} points, {mode}"
     )
     return Trace(
         codes=codes.astype(np.int8),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from functools import lru_cache
 
 from instrument.simulated import panel_rules
@@ -19,7 +20,7 @@ from instrument.simulated.formats import Leaf, join_leaves
 from instrument.simulated.frontend import Signal
 from instrument.simulated.kinds import Value
 from instrument.simulated.math_expression import operands
-from instrument.simulated.math_waveform import combine, spectrum
+from instrument.simulated.math_waveform import combine, spectrum, visible_part
 from instrument.simulated.models import Model, find_model
 from instrument.simulated.panel import Panel
 from instrument.simulated.parsing import Argument, Command, Malformed, parse_message
@@ -276,7 +277,18 @@ class SimulatedTDS2014:
         if len(sources) == 2:
             return combine(expression, *sources)
         zoom = self.panel.number("MATH:FFT:VERTICAL:SCALE")
-        return spectrum(expression, sources[0], zoom, self.panel.number("MATH:FFT:VERTICAL:POSITION"))
+        position = self.panel.number("MATH:FFT:VERTICAL:POSITION")
+        return spectrum(expression, sources[0], zoom, position, self.panel.number("MATH:FFT:HORIZONTAL:SCALE"))
+
+    def screen_traces(self) -> dict[str, Trace]:
+        """What the screen shows; of a spectrum only the part that is zoomed in."""
+        traces = {name: self.trace(name) for name in self.model.waveform_names}
+        shown = {name: trace for name, trace in traces.items() if trace is not None}
+        if "MATH" in shown and shown["MATH"].xunit == "Hz":
+            zoom, position = "MATH:FFT:HORIZONTAL:SCALE", "MATH:FFT:HORIZONTAL:POSITION"
+            part = visible_part(self.panel.number(zoom), self.panel.number(position))
+            shown["MATH"] = replace(shown["MATH"], codes=shown["MATH"].codes[part])
+        return shown
 
     def _unit(self, name: str) -> str:
         ampere = self.model.letter_series and self.panel.text(f"{name}:YUNIT") == "A"

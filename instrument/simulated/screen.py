@@ -1,8 +1,7 @@
-"""The picture of the screen that HARDCopy sends: 320 x 240 pixels, 8 bit, as a BMP file."""
+"""The picture of the screen that HARDCopy sends: 320 x 240 colour numbers."""
 
 from __future__ import annotations
 
-import struct
 from collections.abc import Mapping
 
 import numpy as np
@@ -14,7 +13,7 @@ from instrument.simulated.traces import Trace
 WIDTH, HEIGHT = 320, 240
 _LEFT, _TOP, _DIVISION = 20, 16, 25  # pixels; ten by eight divisions
 _BLACK, _GREY, _FRAME = 0, 1, 2
-_COLOURS = (
+COLOURS = (
     (255, 255, 255), (176, 176, 176), (0, 0, 0), (200, 160, 0), (0, 120, 200), (200, 0, 160), (0, 150, 60),
     (200, 40, 0), (90, 90, 90),
 )  # fmt: skip
@@ -31,13 +30,14 @@ def draw(traces: Mapping[str, Trace]) -> Pixels:
     pixels[[_TOP, bottom], _LEFT : right + 1] = _FRAME
     pixels[_TOP : bottom + 1, [_LEFT, right]] = _FRAME
     for colour, trace in enumerate(traces.values(), start=3):
-        _draw_trace(pixels, trace, 3 + (colour - 3) % (len(_COLOURS) - 3))
+        _draw_trace(pixels, trace, 3 + (colour - 3) % (len(COLOURS) - 3))
     return pixels
 
 
 def _draw_trace(pixels: Pixels, trace: Trace, colour: int) -> None:
     """A vertical bar per column from its lowest to its highest code."""
-    columns = np.array_split(trace.codes, 10 * _DIVISION)
+    edges = np.arange(10 * _DIVISION + 1) * len(trace.codes) // (10 * _DIVISION)
+    columns = [trace.codes[start : max(stop, start + 1)] for start, stop in zip(edges, edges[1:], strict=False)]
     middle = _TOP + 4 * _DIVISION
     for x, codes in enumerate(columns, start=_LEFT):
         valid = codes[codes != NO_DATA]
@@ -45,14 +45,3 @@ def _draw_trace(pixels: Pixels, trace: Trace, colour: int) -> None:
             rows = middle - np.array([valid.max(), valid.min()], dtype=int) * _DIVISION // LEVELS_PER_DIVISION
             high, low = np.clip(rows, _TOP, _TOP + 8 * _DIVISION)
             pixels[high : low + 1, x] = colour
-
-
-def bitmap(pixels: Pixels) -> bytes:
-    """The pixels as a BMP file with a palette of 256 colours."""
-    palette = np.zeros((256, 4), dtype=np.uint8)
-    palette[: len(_COLOURS), :3] = np.array(_COLOURS)[:, ::-1]
-    body = np.ascontiguousarray(pixels[::-1]).tobytes()
-    offset = 14 + 40 + palette.nbytes
-    header = struct.pack("<2sIHHI", b"BM", offset + len(body), 0, 0, offset)
-    info = struct.pack("<IiiHHIIiiII", 40, WIDTH, HEIGHT, 1, 8, 0, len(body), 2835, 2835, 256, 0)
-    return header + info + palette.tobytes() + body

@@ -53,6 +53,7 @@ def time_steps(fastest: float) -> tuple[float, ...]:
     return tuple(step for step in steps if fastest <= step <= 50)
 
 
+CURRENT_PROBES = (0.2, 1.0, 2.0, 5.0, 10.0, 50.0, 100.0, 1000.0)  # A/V
 ENCODINGS = Words("ASCIi", "RIBinary", "RPBinary", "SRIbinary", "SRPbinary")
 UNBOUNDED = 1e12  # rows whose range depends on other settings are forced by panel_rules.py
 
@@ -111,6 +112,8 @@ class AcquireState(Switch):
 
 def _channel(name: str, model: Model) -> Iterator[Row]:
     yield Row(f"{name}:PRObe", Steps(model.probes, whole=not model.letter_series), 10.0)
+    if model.letter_series:
+        yield Row(f"{name}:CURRENTPRObe", Steps(CURRENT_PROBES), 10.0)
     yield Row(f"{name}:SCAle", Real(2e-3, 5e3, digits=3), 1.0, aliases=(f"{name}:VOLts",))
     yield Row(f"{name}:POSition", Real(-1000.0, 1000.0, step=0.04), 0.0)
     yield Row(f"{name}:COUPling", Words("DC", "AC", "GND"), "DC")
@@ -169,6 +172,8 @@ def _select_and_cursors(model: Model) -> Iterator[Row]:
 def _measurement_and_math(model: Model) -> Iterator[Row]:
     types: tuple[str, ...] = ("FREQuency", "MEAN", "PERIod", "PK2pk", "CRMs", "MINImum", "MAXImum")
     types = (*types, "RISe", "FALL", "PWIdth", "NWIdth")
+    if model.name.endswith("C"):
+        types = (*types, "RMS")
     sources = Words(*model.channel_names, *(("MATH",) if model.letter_series else ()))
     for number in range(1, 6):
         yield Row(f"MEASUrement:MEAS{number}:TYPe", Words(*types, "NONe"), "NONE")
@@ -176,7 +181,7 @@ def _measurement_and_math(model: Model) -> Iterator[Row]:
     immediate = "MEASUrement:IMMed"
     yield Row(f"{immediate}:TYPe", Words(*types), "PERIOD")
     yield Row(f"{immediate}:SOUrce", sources, "CH1", aliases=(f"{immediate}:SOUrce1",))
-    yield Row("MATH:DEFINE", MathExpression(model.channels), "CH1 - CH2")
+    yield Row("MATH:DEFINE", MathExpression(model.channels, products=model.letter_series), "CH1 - CH2")
     if model.letter_series:
         yield Row("MATH:VERtical:POSition", Real(-1000, 1000, step=0.04), 0.0)
         yield Row("MATH:VERtical:SCAle", Real(1e-6, 1e6, digits=3), 2.0)

@@ -1,4 +1,4 @@
-"""The expression of MATH:DEFINE: a sum or difference of two channels, or the spectrum of one.
+"""The expression of MATH:DEFINE: a sum, difference or product of two channels, or the spectrum of one.
 
 Source: programmer manual 071-1075-04, p. 2-148.
 """
@@ -17,9 +17,10 @@ _INVALID_EXPRESSION = 2235
 _WINDOWS = {
     spelling: word.upper() for word in ("HANning", "FLATtop", "RECTangular") for spelling in abbreviations(word)
 }
-_SUM = re.compile(r"CH(\d)([+-])CH(\d)")
+_SUM = re.compile(r"CH(\d)([+*-])CH(\d)")
 _FFT = re.compile(r"FFT\(CH(\d)(?:,([A-Z]+))?\)")
 _PAIRS = {"1+2", "3+4", "1-2", "2-1", "3-4", "4-3"}
+_PRODUCTS = {"1*2", "3*4"}
 
 
 @dataclass(frozen=True)
@@ -27,13 +28,15 @@ class MathExpression:
     """The quoted expression of MATH:DEFINE, written as the instrument answers it."""
 
     channels: int
+    products: bool = False  # B, C and TPS multiply, too
 
     def read(self, argument: Argument) -> str:
         """Canonical form; event 2235 if this family cannot calculate it."""
         if not argument.quoted:
             raise Refusal(Guess.STRING_EXPECTED)
+        pairs = _PAIRS | _PRODUCTS if self.products else _PAIRS
         text = re.sub(r"\s+", "", argument.text).upper()
-        if (match := _SUM.fullmatch(text)) and "".join(match.groups()) in _PAIRS:
+        if (match := _SUM.fullmatch(text)) and "".join(match.groups()) in pairs:
             first, sign, second = match.groups()
             if max(int(first), int(second)) <= self.channels:
                 return f"CH{first} {sign} CH{second}"

@@ -1,4 +1,4 @@
-"""The MATH waveform: sum and difference of two channels, and the spectrum of one.
+"""The MATH waveform: sum, difference and product of two channels, and the spectrum of one.
 
 Source: programmer manual 071-1075-04, pp. 2-148 and 2-252; user manual 071-1064-00, pp. 109-119.
 """
@@ -6,6 +6,7 @@ Source: programmer manual 071-1075-04, pp. 2-148 and 2-252; user manual 071-1064
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 
@@ -40,6 +41,25 @@ def combine(expression: str, first: Trace, second: Trace) -> Trace:
         yzero=0.0,
         yoff=0.0,
         yunit=first.yunit if equal else "U",
+    )
+
+
+def multiply(first: Trace, second: Trace, scale: float, position: float) -> Trace:
+    """Product of two channels in its own scale (units a division) and position (divisions)."""
+    volts = [(trace.codes.astype(np.float64) - trace.yoff) * trace.ymult for trace in (first, second)]
+    yoff = LEVELS_PER_DIVISION * position
+    codes = np.rint(volts[0] * volts[1] / scale * LEVELS_PER_DIVISION + yoff)
+    codes = np.clip(codes, -HIGHEST_CODE, HIGHEST_CODE).astype(np.int8)
+    codes[(first.codes == NO_DATA) | (second.codes == NO_DATA)] = NO_DATA
+    unit = "".join(sorted("A" if trace.yunit == "A" else "V" for trace in (first, second))[::-1])
+    parts = first.wfid.split(", ")
+    return replace(
+        first,
+        codes=codes,
+        wfid=", ".join(["Math", "DC coupling", f"{nr3(scale)} {unit}/div", *parts[3:]]),
+        ymult=scale / LEVELS_PER_DIVISION,
+        yoff=yoff,
+        yunit=unit,
     )
 
 

@@ -45,7 +45,7 @@ def measure(kind: str, trace: Trace) -> float:
     Parameters
     ----------
     kind : str
-        FREQUENCY, MEAN, PERIOD, PK2PK, CRMS, MINIMUM, MAXIMUM, RISE, FALL, PWIDTH or NWIDTH.
+        FREQUENCY, MEAN, PERIOD, PK2PK, CRMS, RMS, MINIMUM, MAXIMUM, RISE, FALL, PWIDTH or NWIDTH.
 
     Raises
     ------
@@ -56,6 +56,8 @@ def measure(kind: str, trace: Trace) -> float:
     if not len(codes):
         raise Refusal(2225)
     volts = (codes - trace.yoff) * trace.ymult + trace.yzero
+    if kind == "RMS":
+        return float(np.sqrt(np.mean(volts**2)))
     if kind in ("MEAN", "MINIMUM", "MAXIMUM", "PK2PK"):
         low, high, mean = float(volts.min()), float(volts.max()), float(volts.mean())
         return {"MEAN": mean, "MINIMUM": low, "MAXIMUM": high, "PK2PK": high - low}[kind]

@@ -20,7 +20,7 @@ from instrument.simulated.formats import Leaf, join_leaves
 from instrument.simulated.frontend import Signal
 from instrument.simulated.kinds import Value
 from instrument.simulated.math_expression import operands
-from instrument.simulated.math_waveform import combine, spectrum, visible_part
+from instrument.simulated.math_waveform import combine, multiply, spectrum, visible_part
 from instrument.simulated.models import Model, find_model
 from instrument.simulated.panel import Panel
 from instrument.simulated.parsing import Argument, Command, Malformed, parse_message
@@ -274,6 +274,10 @@ class SimulatedTDS2014:
     def _math_trace(self) -> Trace:
         expression = self.panel.text("MATH:DEFINE")
         sources = [self._channel_trace(name) for name in operands(expression)]
+        if "*" in expression:
+            vertical = "MATH:VERTICAL"
+            scale, position = self.panel.number(f"{vertical}:SCALE"), self.panel.number(f"{vertical}:POSITION")
+            return multiply(sources[0], sources[1], scale, position)
         if len(sources) == 2:
             return combine(expression, *sources)
         zoom = self.panel.number("MATH:FFT:VERTICAL:SCALE")

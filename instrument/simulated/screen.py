@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping
 
 import numpy as np
@@ -37,7 +38,7 @@ def draw(traces: Mapping[str, Trace]) -> Pixels:
 def _draw_trace(pixels: Pixels, trace: Trace, colour: int) -> None:
     """A vertical bar per column from its lowest to its highest code."""
     edges = np.arange(10 * _DIVISION + 1) * len(trace.codes) // (10 * _DIVISION)
-    columns = [trace.codes[start : max(stop, start + 1)] for start, stop in zip(edges, edges[1:], strict=False)]
+    columns = [trace.codes[start : max(stop, start + 1)] for start, stop in itertools.pairwise(edges)]
     middle = _TOP + 4 * _DIVISION
     for x, codes in enumerate(columns, start=_LEFT):
         valid = codes[codes != NO_DATA]

@@ -1,9 +1,10 @@
 """Simulated hardware: an oscilloscope that a driver cannot tell from a real one, and a rate table.
 
-A program message runs through these files: `visa_library`, `tcp_server` or `pty_server` (links), `exchange`
-(message queues), `parsing` and `command_tree` (which command), `commands` and the `*_commands` files (what it
-does), `panel` and `panel_rules` (settings), `status` and `events` (what went wrong). A signal runs through
-`frontend` and `trigger`, `acquisition` (when), `digitizer` (codes) and `traces` (what is sent).
+A program message runs through these files: `visa_library`, `tcp_server` or `pty_server` (links), `serial_input`
+(what RS-232 loses), `exchange` (message queues), `parsing` and `command_tree` (which command), `commands` and the
+`*_commands` files (what it does), `panel` and `panel_rules` (settings), `status` and `events` (what went wrong).
+A signal runs through `frontend` and `trigger`, `acquisition` (when), `digitizer` (codes) and `traces` (what is
+sent); `screen` and `picture_formats` make the hard copy.
 """
 
 from instrument.simulated.clock import Clock, RealClock, VirtualClock

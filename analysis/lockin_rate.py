@@ -147,9 +147,6 @@ def estimate_lock_in(
         beat = _Beat.of(fit, stack.n_samples, sample_interval)
         value, value_u, low, high = _lock_in_rate(beat, scale_factor, rate, relation)
     flags = fit.flags | _beat_flags(beat, stack.n_samples)
-    # With so few periods any slow curve passes for a beat of two harmonics.
-    curve = int(Flag.FEW_PERIODS | Flag.MISFIT)
-    flags[(flags & curve) == curve] |= Flag.NOT_LOCK_IN_LIKE
     fatal = (flags & int(FATAL)) != 0
 
     def shaped(values: Floats) -> Floats:

@@ -27,6 +27,11 @@ GROSS_MISFIT = 0.05
 """Share of the signal's power that a waveform may miss and still be called that of a gyro above lock-in."""
 
 
+FEWEST_PERIODS = 3.0
+GROSS_MISFIT_OF_A_CURVE = 0.002
+"""The same with fewer periods than that: any slow curve nearly passes for a beat of two harmonics."""
+
+
 @dataclass(frozen=True)
 class ResidualReport:
     """flags : (R,); excess : (R, 3) variance factors of frequency, ratio size and ratio phase over white noise."""
@@ -66,7 +71,8 @@ def examine_residual(
     flags[misfit] |= Flag.MISFIT
     for row in np.flatnonzero(misfit):
         lines = power[row][power[row] > mean[row] * expected].sum() * 2 / n_samples
-        if lines > GROSS_MISFIT * signal[row]:
+        few = omega[row] * n_samples < 2 * np.pi * FEWEST_PERIODS
+        if lines > (GROSS_MISFIT_OF_A_CURVE if few else GROSS_MISFIT) * signal[row]:
             flags[row] |= Flag.NOT_LOCK_IN_LIKE
 
     excess = np.ones((n_records, 3))
@@ -93,7 +99,7 @@ def _low_levels(power: Floats, line: float) -> tuple[float, float]:
     Near zero frequency the noise may change within a few bins, so that an average over neighbours would not do.
     The bins of the lines themselves are left out: the fit has emptied them.
     """
-    bins = np.arange(1, min(4 * NEIGHBOURS, power.size) + 1)
+    bins = np.arange(1, min(int(4 * line) + 12, power.size) + 1)
     free = (np.abs(bins - line) > 1.5) & (np.abs(bins - 2 * line) > 1.5)
     columns = np.stack([np.ones(bins.size), 1.0 / bins])[:, free]
     seen = power[: bins.size][free]

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from analysis import (
     FATAL,
+    Flag,
     LockInEstimate,
     combine_estimates,
     estimate_lock_in,
@@ -228,7 +229,23 @@ def _estimate(
             parts.append(_estimate_batch([waveforms[index] for index in batch], interval, method, rates))
             order += batch
     each = _joined(parts, np.argsort(order))
-    return each, combine_estimates(each)
+    return each, _if_a_beat(combine_estimates(each))
+
+
+def _if_a_beat(combined: LockInEstimate) -> LockInEstimate:
+    """Withhold a lock-in rate that rests on a piece of some curve: fewer than 3 periods that do not fit either."""
+    curve = int(Flag.FEW_PERIODS | Flag.MISFIT)
+    if int(combined.flags) & curve != curve:
+        return combined
+    nothing = np.asarray(np.nan)
+    return replace(
+        combined,
+        lock_in_rate=nothing,
+        lock_in_rate_u=nothing,
+        lock_in_rate_low_95=nothing,
+        lock_in_rate_high_95=nothing,
+        flags=np.asarray(int(combined.flags) | int(Flag.NOT_LOCK_IN_LIKE)),
+    )
 
 
 def _estimate_batch(

@@ -19,16 +19,20 @@ from instrument.errors import (
     WrongInstrument,
 )
 from instrument.identity import Identity
+from instrument.measurement import MEASUREMENTS, Cursors, Measurement
 from instrument.rate_table import ManualRateTable, RateTable
+from instrument.screen import ScreenPicture
 from instrument.settings import ChannelSettings
 from instrument.tds2014 import TDS2014
 from instrument.tek_files import read_waveform
 from instrument.waveform import Preamble, Waveform
 
 __all__ = [
+    "MEASUREMENTS",
     "TDS2014",
     "ChannelSettings",
     "CommandError",
+    "Cursors",
     "DeviceError",
     "ExecutionError",
     "FileFormatError",
@@ -37,11 +41,13 @@ __all__ = [
     "InstrumentError",
     "LinkError",
     "ManualRateTable",
+    "Measurement",
     "NoTrigger",
     "Preamble",
     "QueryError",
     "RateTable",
     "ScopeEvent",
+    "ScreenPicture",
     "SettingError",
     "TransferError",
     "Waveform",

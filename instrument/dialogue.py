@@ -129,6 +129,25 @@ class Dialogue:
             self._raise_errors(self._read_event_queue())
         return answers
 
+    def ask_with_events(self, text: str, *, parts: int, wait: float = 0.0) -> tuple[list[str], list[ScopeEvent]]:
+        """As `ask`; besides, every event that the message caused, warnings too."""
+        clean = "*CLS;" if self.unread_events else ""
+        self.unread_events = False
+        *answers, register = self.ask(f"{clean}{text};*ESR?", parts=parts + 1, wait=wait)
+        return answers, self._read_event_queue() if self._integer(register) & ERROR_BITS else []
+
+    def picture(self, *, wait: float) -> bytes:
+        """Let the scope send the picture of its screen and return the BMP file; errors as `ask`."""
+        try:
+            with self._exchange():
+                self.link.write(":HARDCOPY START")
+                picture = self.link.read_bitmap(wait=wait)
+        except NoAnswer as silence:
+            raise self.explain_silence("HARDCopy STARt", silence) from None
+        except TransferError as error:
+            raise self.after_damage(error) from error
+        return picture
+
     def record(self, commands: str, source: str, *, wait: float = 0.0) -> Waveform:
         """Send commands and ask for the record of `source`, all in one message.
 
@@ -339,7 +358,10 @@ class Dialogue:
             raise TransferError("the scope was switched off and on; check its settings and ask again")
         if not register & ERROR_BITS:
             return
-        found = [event for event in self._read_event_queue() if is_error(event)]
+        events = self._read_event_queue()
+        found = [event for event in events if is_error(event)]
+        if events and not found:
+            return  # warnings only: an earlier measurement of a clipped record, for example
         if found and self.link.framed:
             raise found[0]
         # Our own fixed commands are right, so on a stream it was the line that spoiled them.

@@ -45,6 +45,11 @@ BITS_PER_BYTE = 10
 GPIB_BYTES_PER_SECOND = 20_000.0
 """A tenth of the rate named in 071-1064-00, appendix E: the slowest that a framed link should ever be."""
 
+LONGEST_PICTURE = 1_000_000
+"""Bytes; a colour picture of 640 x 480 pixels fits."""
+
+_BITMAP_LENGTH_END = 6  # "BM" and four bytes with the length of the file
+
 
 class NoAnswer(LinkError):
     """Nothing, or nothing more, came in time. The caller finds out whether the instrument is still there."""
@@ -152,6 +157,30 @@ class Link:
         """
         message = self._read_message(wait, longest, has_block=True)
         return scpi.split_block(message, longest=longest)
+
+    def read_bitmap(self, *, wait: float = 0.0) -> bytes:
+        """Read a BMP file that comes without block header and line end; its own header tells its length.
+
+        Errors as `read_text`.
+        """
+        if self.framed:
+            picture = self._read_framed(wait, LONGEST_PICTURE)
+            length = _bitmap_length(picture)
+        else:
+            begun = bytearray(self._first_byte(self.answer_time + wait))
+            self._fill(begun, _BITMAP_LENGTH_END)
+            length = _bitmap_length(begun)
+            self._fill(begun, length)
+            picture = bytes(begun)
+            self.drain()  # some units send a line end after all
+        if not length <= len(picture) <= length + 2:
+            raise TransferError(f"the picture has {len(picture)} bytes instead of {length}; ask again")
+        return picture[:length]
+
+    def _fill(self, message: bytearray, length: int) -> None:
+        chunk = max(16, int(SLICE_TIME * self.baud_rate / BITS_PER_BYTE))
+        while len(message) < length:
+            message += self._more(min(chunk, length - len(message)), self.answer_time, len(message))
 
     def clear(self) -> None:
         """Bring both sides to rest: the instrument drops what it waits for, and late bytes are thrown away.
@@ -327,6 +356,13 @@ class Link:
             raise NoAnswer(f"{self.name} did not answer within {(self._timeout or 0) / 1000:g} s") from None
         except (pyvisa.Error, OSError) as error:
             raise LinkError(f"{doing} {self.name} failed, the link is lost: {error}") from error
+
+
+def _bitmap_length(picture: bytes | bytearray) -> int:
+    length = int.from_bytes(picture[2:_BITMAP_LENGTH_END], "little")
+    if picture[:2] != b"BM" or not _BITMAP_LENGTH_END < length <= LONGEST_PICTURE:
+        raise TransferError(f"a picture was expected, but {bytes(picture[:20])!r} came; ask again")
+    return length
 
 
 def _open(name: str, manager: pyvisa.ResourceManager | None) -> MessageBasedResource:

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 from instrument import scpi
 from instrument.dialogue import Dialogue
 from instrument.errors import ExecutionError, InstrumentError, LinkError, SettingError
+from instrument.setups import read_setup, write_setup
 
 Value = str | int | float | bool
 
@@ -27,11 +28,18 @@ TRIGGER = (
     ":TRIGGER:MAIN:LEVEL",
 )
 CURSOR = tuple(f":CURSOR:{bars}:POSITION{n}" for bars in ("VBARS", "HBARS") for n in (1, 2))
+CURSOR_KIND = (":CURSOR:FUNCTION", ":CURSOR:SELECT:SOURCE", ":CURSOR:VBARS:UNITS")
+MATH = (":MATH:DEFINE", ":SELECT:MATH")
+MEASUREMENT = (":MEASUREMENT:IMMED:TYPE", ":MEASUREMENT:IMMED:SOURCE")
+HARDCOPY = (":HARDCOPY:FORMAT", ":HARDCOPY:PORT")
 ACQUIRE = (":ACQUIRE:MODE", ":ACQUIRE:NUMAVG", ":ACQUIRE:STOPAFTER", ":ACQUIRE:STATE")
 
 # The trigger level is given in volts of its channel, so it follows the channels; the acquisition starts last.
 # Cursors are kept on the screen, so other scales move them: they follow as well.
-_RESTORE_ORDER = ("CH1", "CH2", "CH3", "CH4", "HORIZONTAL", "TRIGGER", "CURSOR", "ACQUIRE")
+_RESTORE_ORDER = (
+    *("CH1", "CH2", "CH3", "CH4", "HORIZONTAL", "TRIGGER", "CURSOR", "CURSOR KIND", "MATH"),
+    *("REFA", "REFB", "REFC", "REFD", "MEASUREMENT", "HARDCOPY", "ACQUIRE"),
+)
 
 _TRUE, _FALSE = ("1", "ON", "RUN"), ("0", "OFF", "STOP")
 
@@ -73,11 +81,24 @@ class Change:
     tolerance: float = 0.0
 
 
+_GROUPS = {
+    "HORIZONTAL": HORIZONTAL,
+    "TRIGGER": TRIGGER,
+    "CURSOR": CURSOR,
+    "CURSOR KIND": CURSOR_KIND,
+    "MATH": MATH,
+    "MEASUREMENT": MEASUREMENT,
+    "HARDCOPY": HARDCOPY,
+    "ACQUIRE": ACQUIRE,
+}
+
+
 def group_commands(group: str) -> tuple[str, ...]:
-    """Commands of a group, ``"CH1"`` to ``"CH4"``, ``"HORIZONTAL"``, ``"TRIGGER"`` or ``"ACQUIRE"``."""
-    fixed = {"HORIZONTAL": HORIZONTAL, "TRIGGER": TRIGGER, "CURSOR": CURSOR, "ACQUIRE": ACQUIRE}
-    if group in fixed:
-        return fixed[group]
+    """Commands of a group: ``"CH1"`` to ``"CH4"``, ``"REFA"`` to ``"REFD"``, ``"HORIZONTAL"``, ``"TRIGGER"``..."""
+    if group in _GROUPS:
+        return _GROUPS[group]
+    if group.startswith("REF"):
+        return (f":SELECT:{group}",)
     return (*(f":{group}:{leaf}" for leaf in CHANNEL_LEAVES), f":SELECT:{group}")
 
 
@@ -110,12 +131,18 @@ class FrontPanel:
 
     dialogue: Dialogue
     _found: dict[str, tuple[str, ...]] = field(default_factory=dict)
+    _found_setup: str | None = None
 
     def remember(self, *groups: str) -> None:
         """Read the groups that have not been changed yet, before they are."""
         for group in groups:
-            if group not in self._found:
+            if group not in self._found and self._found_setup is None:
                 self._found[group] = tuple(self.read(group_commands(group)))
+
+    def remember_all(self) -> None:
+        """Read the whole setup, before a command that changes any part of it."""
+        if self._found_setup is None:
+            self._found_setup = read_setup(self.dialogue)
 
     def read(self, commands: tuple[str, ...]) -> list[str]:
         """Values of these settings, in one exchange."""
@@ -147,6 +174,15 @@ class FrontPanel:
     def restore(self) -> None:
         """Put every remembered group back as it was found; all are tried, the first error is raised."""
         first_error: InstrumentError | None = None
+        # The setup holds what was changed before it was remembered; the groups, older, come after it.
+        setup, self._found_setup = self._found_setup, None
+        if setup is not None:
+            try:
+                write_setup(self.dialogue, setup)
+            except LinkError:
+                raise
+            except InstrumentError as error:
+                first_error = error
         for group in sorted(self._found, key=_RESTORE_ORDER.index):
             try:
                 self._restore_group(group, self._found[group])

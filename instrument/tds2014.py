@@ -10,14 +10,21 @@ and put back when the ``with`` block ends, also after an exception.
 
 from __future__ import annotations
 
+import contextlib
+import itertools
 import time
+from collections.abc import Iterator
+from typing import overload
 
-from instrument import scpi
+from instrument import scpi, setups
 from instrument.acquisition_time import INTERVALS_PER_DIVISION, AcquisitionTime
 from instrument.controls import Controls
-from instrument.errors import InstrumentError, NoTrigger
+from instrument.errors import InstrumentError, LinkError, NoTrigger, SettingError, TransferError
 from instrument.link import NoAnswer
-from instrument.settings import is_on
+from instrument.math_waveform import set_math
+from instrument.measurement import Cursors, Measurement, measure, read_cursors, set_cursors
+from instrument.screen import ScreenPicture, read_screen
+from instrument.settings import Change, is_on
 from instrument.waveform import Waveform
 
 _TIMING_COMMANDS = (
@@ -52,7 +59,17 @@ class TDS2014(Controls):
 
     # ------------------------------------------------------------------ records
 
-    def acquire(self, channel: str | int, *, timeout: float | None = None) -> Waveform:
+    @overload
+    def acquire(self, channel: str | int, *, timeout: float | None = None) -> Waveform: ...
+
+    @overload
+    def acquire(
+        self, channel: tuple[str | int, ...] | list[str | int], *, timeout: float | None = None
+    ) -> tuple[Waveform, ...]: ...
+
+    def acquire(
+        self, channel: str | int | tuple[str | int, ...] | list[str | int], *, timeout: float | None = None
+    ) -> Waveform | tuple[Waveform, ...]:
         """Make one single-sequence acquisition and return its record.
 
         Start, wait, preamble and curve are one exchange, except on a stream that could hang for ever waiting
@@ -60,6 +77,8 @@ class TDS2014(Controls):
 
         Parameters
         ----------
+        channel : str or int, or several of them
+            Of several channels the records of the same acquisition are returned, in their order.
         timeout : float, optional
             Time in s within which the acquisition must complete. Default: two record lengths for each
             acquisition of the sequence (see `AcquisitionTime.longest`).
@@ -75,6 +94,18 @@ class TDS2014(Controls):
         ExecutionError
             If the channel is not displayed.
         """
+        if isinstance(channel, str | int):
+            return self._acquire_one(channel, timeout)
+        names = [self._channel(name) for name in channel]
+        if not names:
+            raise SettingError("no channel to acquire; name at least one")
+        first = self._acquire_one(names[0], timeout)
+        waveforms = (first, *(self.fetch(name) for name in names[1:]))
+        if any(_time_axis(waveform) != _time_axis(first) for waveform in waveforms):
+            raise TransferError("the channels are not of one acquisition (was a knob turned?); ask again")
+        return waveforms
+
+    def _acquire_one(self, channel: str | int, timeout: float | None) -> Waveform:
         source = self._channel(channel)
         self._panel.remember("ACQUIRE")
         timing = self._read_timing()
@@ -88,8 +119,11 @@ class TDS2014(Controls):
         return waveform
 
     def fetch(self, channel: str | int) -> Waveform:
-        """Return the record that the scope holds now, without a new acquisition. Errors as `acquire`."""
-        source = self._channel(channel)
+        """Return the record that the scope holds now, without a new acquisition. Errors as `acquire`.
+
+        Besides channels, ``"MATH"`` and the references ``"REFA"``... can be read while they are displayed.
+        """
+        source = self._source(channel)
         try:
             return self._record(self._source_command(source), source)
         except NoAnswer as silence:
@@ -136,7 +170,113 @@ class TDS2014(Controls):
             "check signal, trigger source and level, or use trigger mode AUTO"
         )
 
+    def records(
+        self, channel: str | int, count: int | None = None, *, timeout: float | None = None, attempts: int = 3
+    ) -> Iterator[Waveform]:
+        """Fresh records one after the other, `count` of them or without end.
+
+        A record that is damaged on its way is taken anew, up to `attempts` times in a row; then its
+        `TransferError` is raised. Other errors as `acquire`.
+        """
+        numbers = itertools.count() if count is None else range(count)
+        for _ in numbers:
+            for attempt in range(1, attempts + 1):
+                try:
+                    waveform = self.acquire(channel, timeout=timeout)
+                except TransferError:
+                    if attempt == attempts:
+                        raise
+                else:
+                    yield waveform
+                    break
+
+    # ------------------------------------------------------------------ math, references, measurements
+
+    def set_math(self, expression: str, *, displayed: bool = True) -> None:
+        """Define the math waveform, ``"CH1 - CH2"`` or ``"FFT(CH1, HANNING)"``; read it with ``fetch("MATH")``."""
+        self._panel.remember("MATH")
+        self._forget()
+        set_math(self._dialogue, expression, displayed)
+
+    def save_reference(self, reference: str, source: str | int) -> None:
+        """Store a displayed waveform in ``REFA``..., over what was there, and show it. It stays stored."""
+        name = self._source(reference)
+        self._panel.remember(name)
+        self._forget()
+        self._dialogue.command(f":SAVE:WAVEFORM {self._source(source)},{name}")
+        self._panel.change(Change(f":SELECT:{name}", True))
+
+    def measure(self, kind: str, channel: str | int) -> Measurement:
+        """One of `MEASUREMENTS` on the record that the scope holds; ExecutionError says why there is none."""
+        self._panel.remember("MEASUREMENT")
+        source = "MATH" if channel == "MATH" else self._channel(channel)
+        return measure(self._dialogue, kind, source, wait=self._read_timing().longest)
+
+    def set_cursors(
+        self, bars: str, *, source: str | int = "CH1", positions: tuple[float, float] | None = None
+    ) -> Cursors:
+        """Show cursors: ``VBARS`` at two times in s, ``HBARS`` at two values in V, or ``OFF``."""
+        return set_cursors(self._panel, bars, self._source(source), positions)
+
+    def cursors(self) -> Cursors:
+        """The cursors as they stand now."""
+        return read_cursors(self._panel)
+
+    # ------------------------------------------------------------------ whole setups, screen, front panel
+
+    def read_setup(self) -> str:
+        """All settings as a text that `write_setup` takes."""
+        return setups.read_setup(self._dialogue)
+
+    def write_setup(self, setup: str) -> None:
+        """Make all settings as in a text from `read_setup`; SettingError if one cannot be made."""
+        self._panel.remember_all()
+        self._forget()
+        setups.write_setup(self._dialogue, setup)
+
+    def save_setup(self, memory: int) -> None:
+        """Keep the present settings in memory 1 to 10 of the scope, over what was there."""
+        setups.save_setup(self._dialogue, memory)
+
+    def recall_setup(self, memory: int | str) -> None:
+        """Make all settings as in memory 1 to 10, or as at the ``"FACTORY"``; put back on closing."""
+        self._panel.remember_all()
+        self._forget()
+        setups.recall_setup(self._dialogue, memory)
+
+    def autoset(self) -> None:
+        """Let the scope choose scales, time base and trigger; put back on closing."""
+        self._panel.remember_all()
+        self._forget()
+        setups.autoset(self._dialogue)
+
+    def screen(self) -> ScreenPicture:
+        """Picture of the screen, as PNG. Over RS-232 it takes about 80 s at 9600 baud."""
+        self._panel.remember("HARDCOPY")
+        return read_screen(self._dialogue)
+
+    @contextlib.contextmanager
+    def front_panel_locked(self) -> Iterator[None]:
+        """Lock the knobs while a ``with`` block runs; afterwards they are as found, also after an exception."""
+        (found,) = self._panel.read((":LOCK",))
+        self._panel.change(Change(":LOCK", "ALL"))
+        try:
+            yield
+        except LinkError:
+            raise  # a scope that is gone cannot be unlocked
+        except BaseException:
+            with contextlib.suppress(InstrumentError):
+                self._dialogue.command(f":LOCK {found}")
+            raise
+        self._dialogue.command(f":LOCK {found}")
+
     # ------------------------------------------------------------------ inside
+
+    def _source(self, name: str | int) -> str:
+        """A channel, MATH, or one of the references (as many as channels)."""
+        word = str(name).strip().upper()
+        references = [f"REF{letter}" for letter in "ABCD"[: self.identity.channel_count]]
+        return word if word in ("MATH", *references) else self._channel(name)
 
     def _single_commands(self, source: str) -> str:
         single = "" if self._single_is_set else ":ACQUIRE:STOPAFTER SEQUENCE;"
@@ -161,3 +301,7 @@ class TDS2014(Controls):
         taken_with = waveform.sample_interval * INTERVALS_PER_DIVISION
         if self._timing and abs(taken_with / self._timing.seconds_per_division - 1) > 1e-3:
             self._timing = None
+
+
+def _time_axis(waveform: Waveform) -> tuple[float, float]:
+    return waveform.preamble.xincr, waveform.preamble.xzero

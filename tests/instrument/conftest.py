@@ -9,8 +9,12 @@ import socket
 import threading
 from collections.abc import Callable, Iterator
 
+import numpy as np
 import pytest
 import pyvisa
+
+from instrument import TDS2014
+from instrument.simulated import Faults, SimulatedTDS2014, TcpServer, resource_manager
 
 IDENTITY = "TEKTRONIX,TDS 2014,0,CF:91.1CT FV:v4.12 TDS2CM:CMV:v1.04"
 # As a TDS2024 answered, with the channel of these tests (programmer manual 071-1075-04, p. 2-243).
@@ -203,3 +207,31 @@ def manager() -> pyvisa.ResourceManager:
 def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
     """A peer on this computer answers at once, so silence need not be waited for as long as at the bench."""
     monkeypatch.setattr("instrument.link.ANSWER_TIME", 1.5)
+
+
+@pytest.fixture
+def bench_scope() -> SimulatedTDS2014:
+    """The complete simulated scope: 1 kHz at channel 1 (0.8 V) and 2 (half of it), without noise."""
+
+    def sine(times):
+        return 0.8 * np.sin(2 * np.pi * 1000.0 * times)
+
+    return SimulatedTDS2014({1: sine, 2: lambda t: 0.5 * sine(t)}, noise_levels=0.0, seed=3, faults=Faults(seed=5))
+
+
+@pytest.fixture(params=["gpib", "tcp"])
+def bench(request, bench_scope, manager, impatient) -> Iterator[TDS2014]:
+    """A driver on `bench_scope`: 0.5 V/div, 250 us/div, triggered on the rising edge of channel 1."""
+    with contextlib.ExitStack() as stack:
+        if request.param == "gpib":
+            name = "GPIB0::1::INSTR"
+            manager = resource_manager(scopes={name: bench_scope})
+            stack.callback(manager.close)
+        else:
+            name = stack.enter_context(TcpServer(bench_scope)).resource_name
+        driver = stack.enter_context(TDS2014(name, resource_manager=manager))
+        for channel in (1, 2):
+            driver.set_channel(channel, probe=1, scale=0.5, position=0.0)
+        driver.set_timebase(2.5e-4)
+        driver.set_trigger(source=1, level=0.1, slope="RISE")
+        yield driver

@@ -202,6 +202,8 @@ class Dialogue:
         self.link.clear()
         identity = self._identify()
         if identity.text != self.identity.text:
+            identity = self._identify()  # damage on the way does not strike twice alike
+        if identity.text != self.identity.text:
             raise WrongInstrument(
                 f"another instrument answers on {self.link.name} now: {identity.text!r} instead of "
                 f"{self.identity.text!r}; connect again"
@@ -337,9 +339,8 @@ class Dialogue:
     def _raise_not_displayed(self, source: str) -> None:
         with contextlib.suppress(InstrumentError):
             self.events()
-        raise scope_event(
-            2244, f"{source} is not displayed", f"switch it on first: set_channel({source!r}, displayed=True)"
-        )
+        switch = f"set_channel({source!r})" if source.startswith("CH") else f"write('SELECT:{source} ON')"
+        raise scope_event(2244, f"{source} is not displayed", f"switch it on first: {switch}")
 
     def _integer(self, text: str) -> int:
         try:

@@ -201,6 +201,8 @@ class TDS2014(Controls):
     def save_reference(self, reference: str, source: str | int) -> None:
         """Store a displayed waveform in ``REFA``..., over what was there, and show it. It stays stored."""
         name = self._source(reference)
+        if not name.startswith("REF"):
+            raise SettingError(f"there is no reference {name}; choose REFA, REFB...")
         self._panel.remember(name)
         self._forget()
         self._dialogue.command(f":SAVE:WAVEFORM {self._source(source)},{name}")
@@ -209,8 +211,7 @@ class TDS2014(Controls):
     def measure(self, kind: str, channel: str | int) -> Measurement:
         """One of `MEASUREMENTS` on the record that the scope holds; ExecutionError says why there is none."""
         self._panel.remember("MEASUREMENT")
-        source = "MATH" if channel == "MATH" else self._channel(channel)
-        return measure(self._dialogue, kind, source, wait=self._read_timing().longest)
+        return measure(self._dialogue, kind, self._source(channel), wait=self._read_timing().longest)
 
     def set_cursors(
         self, bars: str, *, source: str | int = "CH1", positions: tuple[float, float] | None = None

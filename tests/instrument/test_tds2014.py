@@ -152,7 +152,8 @@ def test_position_may_differ_by_half_a_level(scope, line_scope):
     [
         (lambda scope: scope.set_channel(5), "no channel CH5"),
         (lambda scope: scope.acquire("CH0"), "no channel CH0"),
-        (lambda scope: scope.fetch("MATH"), "no channel MATH"),
+        (lambda scope: scope.acquire("MATH"), "no channel MATH"),
+        (lambda scope: scope.save_reference("CH1", 1), "no reference CH1"),
         (lambda scope: scope.set_channel(1, coupling="XX"), "DC, AC, GND"),
         (lambda scope: scope.set_trigger(slope="UP"), "RISE, FALL"),
         (lambda scope: scope.set_trigger(source="CH7"), "no channel CH7"),

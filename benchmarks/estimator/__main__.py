@@ -20,6 +20,7 @@ from benchmarks.estimator.gyros import N_SAMPLES
 
 QUICK_RECORDS = 1_500
 DEFAULT_RECORDS = 40_000
+PAGE_MARKS = ("<!-- tables of python -m benchmarks.estimator -->", "<!-- end of tables -->")
 
 
 @dataclass(frozen=True)
@@ -34,7 +35,7 @@ class Sizes:
     @staticmethod
     def of(records: int) -> Sizes:
         """The shares of a run of so many records on the grid."""
-        return Sizes(records, max(records // 5, 200), max(records // 10, 200), min(records // 2, 1000))
+        return Sizes(records, max(records // 5, 200), max(records // 10, 200), min(max(records // 6, 200), 1000))
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -46,7 +47,10 @@ def main(arguments: list[str] | None = None) -> int:
     grid = accuracy.measure_grid(sizes.grid, options.seed)
     covered = coverage.measure_coverage(sizes.coverage, options.seed)
     by_ratio = coverage.coverage_by_ratio(sizes.against_ratio, options.seed)
-    sys.stdout.write(_report(sizes, options.seed, speeds, grid, covered, by_ratio, time.monotonic() - began))
+    report = _report(sizes, options.seed, speeds, grid, covered, by_ratio, time.monotonic() - began)
+    sys.stdout.write(report)
+    if options.page:
+        _into_page(options.page, report)
     if options.json:
         options.json.write_text(
             json.dumps(_as_json(sizes, options.seed, speeds, grid, covered, by_ratio), indent=1)
@@ -71,7 +75,18 @@ def _options(arguments: list[str] | None) -> argparse.Namespace:
     parser.add_argument("--quick", action="store_true", help=f"{QUICK_RECORDS} records: a look, no proof")
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the results there too")
     parser.add_argument("--plots", type=Path, metavar="DIR", help="draw the pictures of docs/estimator.md there")
-    return parser.parse_args(arguments)
+    parser.add_argument("--page", type=Path, metavar="FILE", help="put the tables between the marks of this page")
+    options = parser.parse_args(arguments)
+    if options.page and not (options.page.is_file() and all(m in options.page.read_text() for m in PAGE_MARKS)):
+        parser.error(f"{options.page} is no file with the marks {PAGE_MARKS[0]} and {PAGE_MARKS[1]}")
+    return options
+
+
+def _into_page(page: Path, report: str) -> None:
+    """Replace what stands between the marks of the page."""
+    before, rest = page.read_text().split(PAGE_MARKS[0], 1)
+    after = rest.split(PAGE_MARKS[1], 1)[1]
+    page.write_text(f"{before}{PAGE_MARKS[0]}\n\n{report}\n{PAGE_MARKS[1]}{after}")
 
 
 def _at_least_200(text: str) -> int:

@@ -109,8 +109,8 @@ def worst_cell(grid: GridResult) -> str:
     chance = _largest_by_chance([c.records for c, _ in named])
     return (
         f"Worst cell of gyrolock: {cell.rms:.3f} ± {cell.rms_u:.3f} ({name}, {cell.records} records); the worst "
-        f"of so many cells of a perfect estimator would be {chance:.3f} on average. Largest bias: {biased.bias:+.3f} "
-        f"± {biased.bias_u:.3f} u ({biased_name}, {biased.records} records)."
+        f"of so many cells of a perfect estimator would be {chance:.3f} on average. Largest bias: "
+        f"{biased.bias:+.3f} ± {biased.bias_u:.3f} u ({biased_name}, {biased.records} records)."
     )
 
 

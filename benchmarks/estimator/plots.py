@@ -21,7 +21,7 @@ from benchmarks.estimator.speed import Speed
 Floats = NDArray[np.float64]
 
 EDGES = (1.02, 1.1, 1.3, 1.7, 2.5, 4.0, 7.0, 12.0, 25.0, 50.0, 100.0)
-FEWEST = 15
+FEWEST = 40
 COLOURS = (
     "#111111",
     "#c0392b",

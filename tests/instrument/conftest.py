@@ -6,6 +6,7 @@ damaged by a test. The complete simulated scope has its own package; this one sh
 
 import contextlib
 import socket
+import sys
 import threading
 from collections.abc import Callable, Iterator
 
@@ -14,7 +15,7 @@ import pytest
 import pyvisa
 
 from instrument import TDS2014
-from instrument.simulated import Faults, SimulatedTDS2014, TcpServer, resource_manager
+from instrument.simulated import Faults, PtyServer, SimulatedTDS2014, TcpServer, resource_manager
 
 IDENTITY = "TEKTRONIX,TDS 2014,0,CF:91.1CT FV:v4.12 TDS2CM:CMV:v1.04"
 # As a TDS2024 answered, with the channel of these tests (programmer manual 071-1075-04, p. 2-243).
@@ -219,7 +220,7 @@ def bench_scope() -> SimulatedTDS2014:
     return SimulatedTDS2014({1: sine, 2: lambda t: 0.5 * sine(t)}, noise_levels=0.0, seed=3, faults=Faults(seed=5))
 
 
-@pytest.fixture(params=["gpib", "tcp"])
+@pytest.fixture(params=["gpib", "tcp"] + ([] if sys.platform == "win32" else ["pty"]))
 def bench(request, bench_scope, manager, impatient) -> Iterator[TDS2014]:
     """A driver on `bench_scope`: 0.5 V/div, 250 us/div, triggered on the rising edge of channel 1."""
     with contextlib.ExitStack() as stack:
@@ -228,7 +229,8 @@ def bench(request, bench_scope, manager, impatient) -> Iterator[TDS2014]:
             manager = resource_manager(scopes={name: bench_scope})
             stack.callback(manager.close)
         else:
-            name = stack.enter_context(TcpServer(bench_scope)).resource_name
+            server = TcpServer(bench_scope) if request.param == "tcp" else PtyServer(bench_scope)
+            name = stack.enter_context(server).resource_name
         driver = stack.enter_context(TDS2014(name, resource_manager=manager))
         for channel in (1, 2):
             driver.set_channel(channel, probe=1, scale=0.5, position=0.0)

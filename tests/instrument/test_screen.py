@@ -31,7 +31,8 @@ def test_screen_over_the_link(bench, tmp_path):
 
 
 @pytest.mark.parametrize("kind", ["cut answer", "lost answer", "garbage"])
-def test_damaged_picture_is_refused(bench, bench_scope, kind):
+def test_damaged_picture_is_refused(bench, bench_scope, kind, monkeypatch):
+    monkeypatch.setattr("instrument.screen._PICTURE_TIME", 0.5)
     bench.screen()
     bench_scope.faults.add(Fault(kind, shortest=10_000, bytes_sent=2000))
     with pytest.raises(TransferError):

@@ -42,7 +42,12 @@ def bench_options(function: F) -> F:
         click.option(
             "--records", type=click.IntRange(1, 1_000_000), metavar="N", help="Records at the slow rate."
         ),
-        click.option("--channel", metavar="CHn", help="Input channel, CH1 to CH4."),
+        click.option(
+            "--channel",
+            type=click.Choice(["CH1", "CH2", "CH3", "CH4"], case_sensitive=False),
+            metavar="CHn",
+            help="Input channel, CH1 to CH4.",
+        ),
         click.option("--seed", type=click.IntRange(min=0), metavar="S", help="Seed of the simulated bench."),
         click.option("--out", type=click.Path(path_type=Path), metavar="DIR", help="Directory of runs [./runs]."),
     )

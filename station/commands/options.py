@@ -44,7 +44,7 @@ def bench_options(function: F) -> F:
         ),
         click.option(
             "--channel",
-            type=click.Choice(["CH1", "CH2", "CH3", "CH4"], case_sensitive=False),
+            type=click.Choice(["CH1", "CH2", "CH3", "CH4"]),
             metavar="CHn",
             help="Input channel, CH1 to CH4.",
         ),

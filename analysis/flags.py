@@ -21,7 +21,6 @@ class Flag(IntFlag):
     COLOURED_NOISE = 1024
     TOO_FEW_SAMPLES = 2048
     NOT_LOCK_IN_LIKE = 4096
-    AVERAGED_UNTRIGGERED = 8192
 
 
 FATAL = Flag.NO_BEAT | Flag.CONSTANT | Flag.TOO_FEW_SAMPLES | Flag.NOT_LOCK_IN_LIKE
@@ -45,7 +44,6 @@ _SENTENCES = {
     Flag.COLOURED_NOISE: "The noise is not white; the uncertainty uses its strength at the harmonics.",
     Flag.TOO_FEW_SAMPLES: "Too few valid samples are left to fit the waveform.",
     Flag.NOT_LOCK_IN_LIKE: "The waveform is not that of a gyro above lock-in; a lock-in rate would mean nothing.",
-    Flag.AVERAGED_UNTRIGGERED: "The record was averaged over beats of different phase; its amplitude is lost.",
 }
 
 

@@ -84,9 +84,7 @@ def beat_signal(
     n0, d0 = np.sin(half), np.cos(half)
     n = even * n0 + odd * (np.pi * k * (w * d0 - wl * n0))
     d = even * d0 + odd * (np.pi * k * (wl * d0 - w * n0))
-    turn = delta - beta
-    signal = 2 * n * d * np.cos(turn) + (d - n) * (d + n) * np.sin(turn)
-    return np.asarray(a * signal / (n * n + d * d), dtype=np.float64)
+    return _detected(n, d, a, delta - beta)
 
 
 def _parameter(name: str, value: ArrayLike) -> Floats:
@@ -95,6 +93,12 @@ def _parameter(name: str, value: ArrayLike) -> Floats:
     if not np.all(np.isfinite(array)):
         raise ValueError(f"{name} must be finite")
     return array
+
+
+def _detected(n: Floats, d: Floats, amplitude: Floats, turn: Floats) -> Floats:
+    """A sin(chi + turn) with tan(chi/2) = n/d."""
+    signal = 2 * n * d * np.cos(turn) + (d - n) * (d + n) * np.sin(turn)
+    return np.asarray(amplitude * signal / (n * n + d * d), dtype=np.float64)
 
 
 def _half_angle_propagator(t: Floats, a: Floats, b: Floats) -> tuple[Floats, Floats]:
@@ -159,9 +163,7 @@ def rate_varying_beat(
     first = np.broadcast_to(start[..., np.newaxis, :], (*nd.shape[:-2], 1, 2))
     nd = np.concatenate([first, nd], axis=-2)
     n, d = nd[..., 0], nd[..., 1]
-    turn = (delta - beta)[..., np.newaxis]
-    signal = 2 * n * d * np.cos(turn) + (d - n) * (d + n) * np.sin(turn)
-    return np.asarray(a[..., np.newaxis] * signal / (n * n + d * d), dtype=np.float64)
+    return _detected(n, d, a[..., np.newaxis], (delta - beta)[..., np.newaxis])
 
 
 def _running_products(steps: Floats) -> Floats:

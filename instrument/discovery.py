@@ -51,7 +51,9 @@ def find_resources(resource_manager: pyvisa.ResourceManager | None = None) -> li
         raise LinkError(
             f"VISA cannot list any resources: {error}; install pyvisa-py or a vendor's VISA"
         ) from error
-    return [check_resource(name, manager) for name in dict.fromkeys(names)]
+    # PyVISA-py offers every serial port once more as a GPIB adapter of Prologix: an interface, no instrument.
+    instruments = [name for name in dict.fromkeys(names) if not name.upper().endswith("::INTFC")]
+    return [check_resource(name, manager) for name in instruments]
 
 
 def check_resource(

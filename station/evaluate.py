@@ -228,24 +228,18 @@ def _estimate(
             rates = None if input_rates is None else input_rates[batch]
             parts.append(_estimate_batch([waveforms[index] for index in batch], interval, method, rates))
             order += batch
-    each = _joined(parts, np.argsort(order))
-    return each, _if_a_beat(combine_estimates(each))
+    each = _only_beats(_joined(parts, np.argsort(order)))
+    return each, combine_estimates(each)
 
 
-def _if_a_beat(combined: LockInEstimate) -> LockInEstimate:
-    """Withhold a lock-in rate that rests on a piece of some curve: fewer than 3 periods that do not fit either."""
+def _only_beats(each: LockInEstimate) -> LockInEstimate:
+    """Withhold what rests on a piece of some curve: fewer than 3 periods that do not fit either."""
     curve = int(Flag.FEW_PERIODS | Flag.MISFIT)
-    if int(combined.flags) & curve != curve:
-        return combined
-    nothing = np.asarray(np.nan)
-    return replace(
-        combined,
-        lock_in_rate=nothing,
-        lock_in_rate_u=nothing,
-        lock_in_rate_low_95=nothing,
-        lock_in_rate_high_95=nothing,
-        flags=np.asarray(int(combined.flags) | int(Flag.NOT_LOCK_IN_LIKE)),
-    )
+    pieces = (each.flags & curve) == curve
+    rates = ("lock_in_rate", "lock_in_rate_u", "lock_in_rate_low_95", "lock_in_rate_high_95")
+    withheld: dict[str, Any] = {name: np.where(pieces, np.nan, getattr(each, name)) for name in rates}
+    flags = np.where(pieces, each.flags | int(Flag.NOT_LOCK_IN_LIKE), each.flags)
+    return replace(each, flags=flags, **withheld)
 
 
 def _estimate_batch(

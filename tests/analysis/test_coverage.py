@@ -122,7 +122,7 @@ def test_where_rounding_is_larger_than_the_noise(noise_range):
         pytest.param(
             first_order(0.9),
             (2.5, 5),
-            marks=pytest.mark.xfail(reason="91 %: the level in so few bins is itself uncertain", strict=False),
+            marks=pytest.mark.xfail(reason="91 %: the level in so few bins is itself uncertain", strict=True),
         ),
         (one_over_f, (2.5, 5)),
     ],

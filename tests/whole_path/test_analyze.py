@@ -98,6 +98,8 @@ def test_a_csv_file_of_the_beat_gives_the_lock_in_rate(gyrolock, run: Path, tmp_
         ("tds1012b_cliphigh_F0001CH2.CSV", None),
         ("tds2014c_pwm_F0000CH1.CSV", 50.03),
         ("tds2mem_fft_F0000MTH.CSV", None),
+        ("tds1012b_trigpos_F0000CH1.CSV", None),
+        ("tds2022b_average4_F0000CH1.CSV", None),
     ],
 )
 def test_files_of_real_scopes_give_no_lock_in_rate(gyrolock, name: str, frequency: float | None) -> None:

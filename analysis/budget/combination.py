@@ -1,0 +1,123 @@
+"""Uncertainty budget after the GUM (JCGM 100): inputs, sensitivities, combination, coverage."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Literal
+
+import scipy.special
+
+Distribution = Literal["normal", "rectangular", "arcsine"]
+Reference = Literal["beat", "rate"]
+"""What WL is measured against: f/K of the record itself, or the rate given by a table."""
+
+
+@dataclass(frozen=True)
+class BudgetInput:
+    """One line of a budget.
+
+    Attributes
+    ----------
+    name : str
+        One word for programs.
+    quantity : str
+        In words.
+    unit : str
+        Of `value` and `u`.
+    value, u : float
+        Estimate and standard uncertainty (k = 1).
+    distribution : {"normal", "rectangular", "arcsine"}
+        What is known of the input.
+    sensitivity : float
+        Derivative of the lock-in rate by this input, deg/s per `unit`. 0: the input does not enter.
+    degrees_of_freedom : float
+        Of `u`; inf where it was not found by repeating.
+    note : str
+        Where the number comes from, or why it does not enter.
+    """
+
+    name: str
+    quantity: str
+    unit: str
+    value: float
+    u: float
+    distribution: Distribution
+    sensitivity: float
+    degrees_of_freedom: float = math.inf
+    note: str = ""
+
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.u) and self.u >= 0 and math.isfinite(self.sensitivity)):
+            raise ValueError(
+                f"{self.name}: the uncertainty must be finite and not negative and the sensitivity finite, "
+                f"not {self.u!r} and {self.sensitivity!r}"
+            )
+        if not self.degrees_of_freedom > 0:
+            raise ValueError(f"{self.name}: degrees of freedom must be positive, not {self.degrees_of_freedom!r}")
+
+    @property
+    def contribution(self) -> float:
+        """Standard uncertainty that this input gives to the lock-in rate, deg/s."""
+        return abs(self.sensitivity) * self.u
+
+
+@dataclass(frozen=True)
+class Budget:
+    """All inputs of a lock-in rate, the largest contribution first.
+
+    Attributes
+    ----------
+    lock_in_rate : float
+        deg/s.
+    reference : {"beat", "rate"}
+    inputs : tuple of BudgetInput
+        Independent of each other.
+    unstated : tuple of str
+        Quantities of which nothing was said: they stand in no line and count as nothing, so the budget is
+        too small by whatever they are.
+    """
+
+    lock_in_rate: float
+    reference: Reference
+    inputs: tuple[BudgetInput, ...]
+    unstated: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        ordered = tuple(sorted(self.inputs, key=lambda line: -line.contribution))
+        object.__setattr__(self, "inputs", ordered)
+
+    @property
+    def combined_u(self) -> float:
+        """Standard uncertainty of the lock-in rate, deg/s."""
+        return math.hypot(*(line.contribution for line in self.inputs))
+
+    @property
+    def effective_degrees_of_freedom(self) -> float:
+        """After Welch and Satterthwaite (JCGM 100, G.4); inf where no line has any."""
+        total = self.combined_u
+        terms = sum((line.contribution / total) ** 4 / line.degrees_of_freedom for line in self.inputs if total)
+        return 1 / terms if terms > 0 else math.inf
+
+    @property
+    def coverage_factor(self) -> float:
+        """k of the 95 % interval: Student's factor for the effective degrees of freedom, cut to an integer."""
+        freedom = self.effective_degrees_of_freedom
+        if freedom > 1e6:
+            return float(scipy.special.ndtri(0.975))
+        return float(scipy.special.stdtrit(max(math.floor(freedom), 1), 0.975))
+
+    @property
+    def expanded_u_95(self) -> float:
+        """Half width of the 95 % interval, deg/s."""
+        return self.coverage_factor * self.combined_u
+
+    @property
+    def relative_u(self) -> float:
+        """Combined standard uncertainty over the lock-in rate."""
+        return self.combined_u / self.lock_in_rate if self.lock_in_rate else math.inf
+
+    def share(self, line: BudgetInput) -> float:
+        """Share of one line in the variance, 0 to 1."""
+        total = self.combined_u
+        return (line.contribution / total) ** 2 if total else 0.0

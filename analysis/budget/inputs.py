@@ -1,0 +1,283 @@
+"""Every input of a lock-in rate: its standard uncertainty, and the derivative of the rate by it.
+
+With the record as its own reference WL = (f/K) 2r/(1-r^2): table, tilt and earth rate have no derivative. With the
+rate given WL = W 2r/(1+r^2): K and the time base have none.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+
+from analysis.budget.combination import Budget, BudgetInput, Reference
+from analysis.budget.knowledge import BenchKnowledge, Corner, OperatingPoint, TableGeometry, ratio_slope
+from analysis.rotation import EARTH_RATE_DPS, earth_rate_on_axis
+
+_OWN = "does not enter: the record is its own reference"
+_GIVEN = "does not enter: the rate is the reference"
+_RECTANGLE = math.sqrt(3.0)
+_DEGREE = math.pi / 180
+_EARTH_RATE_U_DPS = 1e-8 * EARTH_RATE_DPS
+
+
+def lock_in_budget(point: OperatingPoint, knowledge: BenchKnowledge, reference: Reference = "beat") -> Budget:
+    """Uncertainty budget of a lock-in rate.
+
+    Parameters
+    ----------
+    point : OperatingPoint
+    knowledge : BenchKnowledge
+    reference : {"beat", "rate"}
+        Whether WL was found with f/K of the record itself or with the rate of a table.
+
+    Returns
+    -------
+    Budget
+
+    Raises
+    ------
+    ValueError
+        The rate as reference without `knowledge.table`, or impossible values.
+
+    Examples
+    --------
+    Only 100 ppm of K and 50 ppm of time base: sqrt(100^2 + 50^2/3) = 104 ppm of 0.01 deg/s.
+
+    >>> point = OperatingPoint(2000.0, 0.08, 0.01, ratio_u=0.0)
+    >>> budget = lock_in_budget(point, BenchKnowledge(scale_factor_u_ppm=100.0))
+    >>> [line.name for line in budget.inputs[:2]], round(budget.relative_u * 1e6)
+    (['scale_factor', 'time_base'], 104)
+    """
+    if reference == "rate" and knowledge.table is None:
+        raise ValueError("a budget with the rate as reference needs the table's rate, tilt and latitude")
+    lines: list[BudgetInput] = [*_from_records(point, reference), *_from_reference(point, knowledge, reference)]
+    if knowledge.table is not None:
+        lines += _from_table(point, knowledge.table, reference)
+    unstated: list[str] = []
+    if math.isnan(knowledge.scale_factor_u_ppm) and reference == "beat":
+        unstated.append("uncertainty of the scale factor")
+    slope = _slope(point, reference)
+    for line, missing in (
+        _distortion(point, knowledge, slope),
+        _corner("bandwidth", "bandwidth of the channel", knowledge.bandwidth, _low_pass, point, slope),
+        _corner("high_pass", "AC coupling of the channel", knowledge.high_pass, _high_pass, point, slope),
+        _corner("gain_corner", "gain saturation of the laser", knowledge.gain, _gain, point, slope),
+    ):
+        if line is None:
+            unstated.append(missing)
+        else:
+            lines.append(line)
+    return Budget(point.lock_in_rate, reference, tuple(lines), tuple(unstated))
+
+
+def _slope(point: OperatingPoint, reference: Reference) -> float:
+    return ratio_slope(point.lock_in_rate, abs(point.input_rate), reference == "rate")
+
+
+def _from_records(point: OperatingPoint, reference: Reference) -> Iterator[BudgetInput]:
+    """Noise, rounding and scatter: what the records show themselves."""
+    slope, freedom = _slope(point, reference), point.noise_degrees_of_freedom
+    noise_u = point.ratio_u * math.sqrt(1 - point.rounding_share)
+    rounding_u = point.ratio_u * math.sqrt(point.rounding_share)
+    yield BudgetInput(
+        "noise",
+        "r = A2/A1: noise",
+        "1",
+        point.ratio,
+        noise_u,
+        "normal",
+        slope,
+        freedom,
+        "from what the fit leaves of the records",
+    )
+    yield BudgetInput(
+        "quantization",
+        "r = A2/A1: rounding to levels",
+        "1",
+        0.0,
+        rounding_u,
+        "normal",
+        slope,
+        note="a level of error over sqrt(12) in each sample",
+    )
+    own = reference == "beat"
+    yield BudgetInput(
+        "beat_frequency",
+        "beat frequency: noise",
+        "Hz",
+        point.beat_frequency,
+        point.beat_frequency_u,
+        "normal",
+        point.lock_in_rate / point.beat_frequency if own else 0.0,
+        freedom,
+        "" if own else _GIVEN,
+    )
+    yield BudgetInput(
+        "scatter",
+        "scatter between records beyond their noise",
+        "deg/s",
+        0.0,
+        point.scatter_u,
+        "normal",
+        1.0,
+        point.scatter_degrees_of_freedom,
+        "" if point.scatter_u else "none seen",
+    )
+
+
+def _from_reference(
+    point: OperatingPoint, knowledge: BenchKnowledge, reference: Reference
+) -> Iterator[BudgetInput]:
+    """Scale factor and time base: with f they make the rate of a record that is its own reference."""
+    own = reference == "beat"
+    if not math.isnan(knowledge.scale_factor_u_ppm):
+        yield BudgetInput(
+            "scale_factor",
+            "scale factor K",
+            "pulses/deg",
+            point.scale_factor,
+            point.scale_factor * knowledge.scale_factor_u_ppm * 1e-6,
+            "normal",
+            -point.lock_in_rate / point.scale_factor if own else 0.0,
+            note="" if own else _GIVEN,
+        )
+    yield BudgetInput(
+        "time_base",
+        "time base of the oscilloscope",
+        "ppm",
+        0.0,
+        knowledge.time_base_limit_ppm / _RECTANGLE,
+        "rectangular",
+        -point.lock_in_rate * 1e-6 if own else 0.0,
+        note=f"within ±{knowledge.time_base_limit_ppm:g} ppm" if own else _GIVEN,
+    )
+
+
+def _from_table(point: OperatingPoint, table: TableGeometry, reference: Reference) -> Iterator[BudgetInput]:
+    """Table rate, tilt, latitude, azimuth and earth rate: they make the rate on the axis."""
+    own = reference == "beat"
+    note = _OWN if own else ""
+    # d(WL)/dW of the rate on the axis, with its sign
+    by_rate = 0.0 if own else math.copysign(point.lock_in_rate / abs(point.input_rate), point.input_rate)
+    known = math.isfinite(table.azimuth_deg)
+    azimuth = table.azimuth_deg if known else 90.0  # east: the vertical part alone
+    tilt, latitude, turned = (v * _DEGREE for v in (table.tilt_deg, table.latitude_deg, azimuth))
+    north, sine = math.cos(latitude), math.sin(tilt)
+    by_tilt = -table.table_rate * sine + EARTH_RATE_DPS * (
+        -math.sin(latitude) * sine + north * math.cos(tilt) * math.cos(turned)
+    )
+    by_latitude = EARTH_RATE_DPS * (
+        math.cos(latitude) * math.cos(tilt) - math.sin(latitude) * sine * math.cos(turned)
+    )
+    for name, quantity, unit, value, u, slope in (
+        ("table_rate", "rate of the table", "deg/s", table.table_rate, table.table_rate_u, math.cos(tilt)),
+        ("tilt", "tilt of the axis", "deg", table.tilt_deg, table.tilt_u_deg, by_tilt * _DEGREE),
+        ("latitude", "latitude", "deg", table.latitude_deg, table.latitude_u_deg, by_latitude * _DEGREE),
+    ):
+        yield BudgetInput(name, quantity, unit, value, u, "normal", by_rate * slope, note=note)
+    along = float(earth_rate_on_axis(table.latitude_deg, table.tilt_deg, azimuth)) / EARTH_RATE_DPS
+    yield BudgetInput(
+        "earth_rate",
+        "rotation rate of the earth",
+        "deg/h",
+        EARTH_RATE_DPS * 3600,
+        _EARTH_RATE_U_DPS * 3600,
+        "normal",
+        by_rate * along / 3600,
+        note=note,
+    )
+    if known:
+        slope = -EARTH_RATE_DPS * north * sine * math.sin(turned) * _DEGREE * by_rate
+        u = table.azimuth_u_deg
+        yield BudgetInput(
+            "azimuth", "azimuth of the axis", "deg", table.azimuth_deg, u, "rectangular", slope, note=note
+        )
+    else:
+        yield BudgetInput(
+            "azimuth",
+            "horizontal earth rate, azimuth unknown",
+            "deg/s",
+            0.0,
+            EARTH_RATE_DPS * north * abs(sine) / math.sqrt(2),
+            "arcsine",
+            by_rate,
+            note=note,
+        )
+
+
+def _distortion(point: OperatingPoint, knowledge: BenchKnowledge, slope: float) -> tuple[BudgetInput | None, str]:
+    """Second-order distortion: a real number d within its limit, added to rho = -r exp(-i phase)."""
+    limit = knowledge.distortion_limit
+    name, quantity = "distortion", "second-order distortion d"
+    if knowledge.distortion_separated:
+        note = "does not enter: both senses or several rates separate it"
+        return BudgetInput(name, quantity, "1", 0.0, 0.0, "rectangular", 0.0, note=note), ""
+    if math.isnan(limit):
+        return None, "second-order distortion of detector and oscilloscope"
+    level = f"{20 * math.log10(limit):.0f} dBc" if limit > 0 else "none"
+    if math.isnan(point.phase):
+        # any phase: the mean of cos^2 is one half
+        note = f"within ±{limit:.2g} ({level}), phase unknown"
+        line = BudgetInput(
+            name, quantity, "1", 0.0, limit / _RECTANGLE, "rectangular", slope / math.sqrt(2), note=note
+        )
+        return line, ""
+    turned = -math.copysign(1.0, point.input_rate) * math.cos(point.phase)
+    note = f"within ±{limit:.2g} ({level}), at the phase measured"
+    return BudgetInput(name, quantity, "1", 0.0, limit / _RECTANGLE, "rectangular", slope * turned, note=note), ""
+
+
+def _corner(
+    name: str,
+    quantity: str,
+    corner: Corner,
+    response: Callable[[float, float], float],
+    point: OperatingPoint,
+    slope: float,
+) -> tuple[BudgetInput | None, str]:
+    """A first-order corner: `response(f, corner)` is the factor that it puts on r."""
+    if math.isnan(corner.hz):
+        return None, quantity
+    frequency, ratio = point.beat_frequency, point.ratio
+    try:
+        factor = response(frequency, corner.hz)
+    except ZeroDivisionError:
+        factor = math.nan
+    if not (corner.hz >= 0 and math.isfinite(factor)):
+        raise ValueError(f"{quantity}: a corner of {corner.hz!r} Hz lets no beat through")
+    if corner.corrected and 0 < corner.hz < math.inf:
+        step = 1e-4 * corner.hz
+        by_corner = (response(frequency, corner.hz + step) - response(frequency, corner.hz - step)) / (2 * step)
+        # r = (ratio seen) / factor
+        by_hz = -slope * ratio * by_corner / factor
+        note = f"corrected for, by {1 / factor - 1:+.2%} of r"
+        return BudgetInput(name, quantity, "Hz", corner.hz, corner.u_hz, "normal", by_hz, note=note), ""
+    lost = 1 - factor
+    text = (
+        "none" if abs(lost) < 1e-12 else f"corner {corner.hz:g} Hz, not corrected for: the whole effect is a limit"
+    )
+    return BudgetInput(
+        name,
+        f"{quantity}: share of r lost",
+        "1",
+        lost,
+        abs(lost) / _RECTANGLE,
+        "rectangular",
+        slope * ratio,
+        note=text,
+    ), ""
+
+
+def _low_pass(frequency: float, corner: float) -> float:
+    """|H(2f)/H(f)| of one pole."""
+    return math.sqrt((1 + (frequency / corner) ** 2) / (1 + (2 * frequency / corner) ** 2))
+
+
+def _high_pass(frequency: float, corner: float) -> float:
+    """|H(2f)/H(f)| of AC coupling."""
+    return math.sqrt((1 + (corner / frequency) ** 2) / (1 + (corner / (2 * frequency)) ** 2))
+
+
+def _gain(frequency: float, corner: float) -> float:
+    """Loss of the second harmonic by the laser's gain saturation, 1/|1 + i w/g_c|."""
+    return 1 / math.hypot(1.0, frequency / corner)

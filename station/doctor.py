@@ -155,7 +155,7 @@ def _test_record() -> Check:
     from station.evaluate import evaluate_run
     from station.measure import save_record, take_record
     from station.runs import RunWriter, open_run
-    from station.simulated_bench import at_slow_rate
+    from station.simulated_instruments import at_slow_rate
 
     settings = at_slow_rate(default_settings("simulated"))
     with tempfile.TemporaryDirectory() as folder, open_bench(settings) as bench:

@@ -10,106 +10,30 @@ import tomllib
 from collections.abc import Mapping
 from functools import cache
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import ValidationError
 
 from station.errors import SettingsError
+from station.settings_sections import (
+    MeasurementSettings,
+    ScopeSettings,
+    Settings,
+    SimulationSettings,
+)
+
+__all__ = [
+    "MeasurementSettings",
+    "ScopeSettings",
+    "Settings",
+    "ShippedName",
+    "SimulationSettings",
+    "default_settings",
+    "load_settings",
+    "shipped_settings",
+]
 
 ShippedName = Literal["simulated", "bench"]
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
-NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
-Finite = Annotated[float, Field(allow_inf_nan=False)]
-
-
-class _Section(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-
-class GyroSettings(_Section):
-    """The gyro under test, as far as it is known beforehand."""
-
-    name: str
-    scale_factor_pulses_per_deg: Positive
-    expected_lock_in_rate_dps: Positive
-
-
-class SiteSettings(_Section):
-    """Where the bench stands."""
-
-    latitude_deg: Annotated[float, Field(ge=-90, le=90)]
-
-
-class TableSettings(_Section):
-    """The rate table and what it is asked to do."""
-
-    kind: Literal["simulated", "manual", "none"]
-    fast_rate_dps: Positive
-    both_senses: bool
-    slow_rate_over_lock_in: Annotated[float, Field(gt=1.05, le=1000)]
-    settle_s: NotNegative
-    north_azimuth_deg: Finite
-
-
-class ScopeSettings(_Section):
-    """The oscilloscope and its input."""
-
-    resource: str
-    channel: Annotated[str, Field(pattern=r"^CH[1-4]$")]
-    coupling: Literal["DC", "AC"]
-    probe: Literal[1, 10, 100, 1000]
-    bandwidth_limit: bool
-    baud_rate: Literal[0, 300, 600, 1200, 2400, 4800, 9600, 19200]
-
-
-class MeasurementSettings(_Section):
-    """How many records of which shape."""
-
-    records: Annotated[int, Field(ge=1, le=1_000_000)]
-    tilt_records: Annotated[int, Field(ge=1, le=1000)]
-    periods_min: Annotated[float, Field(ge=3, le=500)]
-    samples_per_period_min: Annotated[float, Field(ge=5, le=500)]
-    fill_levels: Annotated[float, Field(ge=10, le=120)]
-
-
-class SimulationSettings(_Section):
-    """The truth of a simulated bench."""
-
-    seed: Annotated[int, Field(ge=0)]
-    link: Literal["auto", "pty", "tcp"]
-    scope_model: str
-    lock_in_rate_dps: NotNegative
-    tilt_deg: Annotated[float, Field(ge=0, lt=90)]
-    backscatter_phase_deg: Finite
-    readout_phase_deg: Finite
-    amplitude_v: NotNegative
-    offset_v: Finite
-    detector_noise_v: NotNegative
-    scope_noise_levels: NotNegative
-    table_acceleration_dps2: Positive
-
-
-class OutputSettings(_Section):
-    """Where results go."""
-
-    directory: Annotated[str, Field(min_length=1)]
-
-
-class Settings(_Section):
-    """All settings of a run. ``simulation`` is absent on a real bench."""
-
-    gyro: GyroSettings
-    site: SiteSettings
-    table: TableSettings
-    scope: ScopeSettings
-    measurement: MeasurementSettings
-    output: OutputSettings
-    simulation: SimulationSettings | None = None
-
-    @property
-    def simulated(self) -> bool:
-        """Whether the bench is simulated: no oscilloscope is named."""
-        return not self.scope.resource
 
 
 def shipped_settings(name: ShippedName) -> Path:
@@ -241,6 +165,13 @@ def _check_whole(path: Path, settings: Settings) -> None:
         raise SettingsError(
             f'{path}: table.kind: an operator cannot turn a simulated table; use "simulated" or "none"'
         )
+    if settings.measurement.rates_over_lock_in and settings.table.kind == "none":
+        raise SettingsError(
+            f"{path}: measurement.rates_over_lock_in: several rates need a table that can be set; "
+            'table.kind = "none" has none'
+        )
+    if settings.scope.quadrature_channel == settings.scope.channel:
+        raise SettingsError(f"{path}: scope.quadrature_channel: is the same as scope.channel")
     if not settings.simulated and settings.table.kind == "simulated":
         raise SettingsError(
             f'{path}: table.kind: a simulated table cannot turn a real gyro; use "manual" or "none"'

@@ -13,7 +13,8 @@ from station.bench import operator_table
 from station.errors import UsageError
 from station.runs import open_run
 from station.settings import default_settings
-from station.simulated_bench import build_instruments, serve
+from station.simulated_bench import serve
+from station.simulated_instruments import build_instruments
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="needs a pseudo-terminal for the operator")
 

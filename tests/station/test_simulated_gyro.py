@@ -7,6 +7,7 @@ import pytest
 
 from analysis.lockin_equation import rate_varying_beat
 from station.simulated_gyro import (
+    Detector,
     Gyro,
     Segment,
     axis_rate_on_table,
@@ -19,11 +20,11 @@ GYRO = Gyro(
     scale_factor=2000.0,
     lock_in_rate=0.01,
     backscatter_phase=0.6,
-    readout_phase=0.35,
     tilt_deg=88.693,
     latitude_deg=28.2,
     start_phase=0.3,
 )
+DETECTOR = Detector(readout_phase=0.35)
 SLOW = 0.08 / math.cos(math.radians(88.693))
 
 
@@ -55,7 +56,7 @@ def test_beat_follows_the_lock_in_equation_while_the_earth_turns_under_it(
         backscatter_phase=0.6,
         readout_phase=0.35,
     )
-    assert np.abs(beat_signal_on_table(GYRO, motion, times) - expected).max() < tolerance
+    assert np.abs(beat_signal_on_table(GYRO, DETECTOR, motion, times) - expected).max() < tolerance
 
 
 def test_rate_on_the_axis_swings_by_the_papers_13_deg_per_hour() -> None:
@@ -78,8 +79,8 @@ def test_the_phase_after_a_day_is_the_one_of_a_sum_over_whole_turns() -> None:
     turns = 800  # 23 hours
     times = turns * turn + np.arange(50) * 1e-4
     shifted = Gyro(**{**vars(GYRO), "start_phase": GYRO.start_phase + 2 * math.pi * ((turns * cycles) % 1.0)})
-    late = beat_signal_on_table(GYRO, motion, times)
-    early = beat_signal_on_table(shifted, motion, times - turns * turn)
+    late = beat_signal_on_table(GYRO, DETECTOR, motion, times)
+    early = beat_signal_on_table(shifted, DETECTOR, motion, times - turns * turn)
     assert np.abs(late - early).max() < 2e-4
 
 
@@ -93,13 +94,13 @@ def test_the_beat_has_no_jump_where_the_table_changes_its_rate() -> None:
     )
     for edge in (1.0, 1.0 + slew):
         times = edge + np.array([-1e-9, 0.0, 1e-9])
-        volts = beat_signal_on_table(GYRO, motion, times)
+        volts = beat_signal_on_table(GYRO, DETECTOR, motion, times)
         assert np.ptp(volts) < 1e-4
 
 
 def test_a_locked_gyro_gives_a_constant() -> None:
     times = np.linspace(0.0, 1.0, 100)
-    volts = beat_signal_on_table(GYRO, (Segment(0.0, 0.0, 0.0),), times)
+    volts = beat_signal_on_table(GYRO, DETECTOR, (Segment(0.0, 0.0, 0.0),), times)
     rate = float(axis_rate_on_table(GYRO, (Segment(0.0, 0.0, 0.0),), times[:1])[0])
     assert 0.003 < rate < 0.004
     assert np.ptp(volts) == 0.0
@@ -109,7 +110,7 @@ def test_a_locked_gyro_gives_a_constant() -> None:
 def test_a_gyro_without_lock_in_gives_a_pure_sine() -> None:
     free = Gyro(**{**vars(GYRO), "lock_in_rate": 0.0, "latitude_deg": 90.0, "tilt_deg": 90.0 - 1e-9})
     times = np.arange(1000) * 1e-4
-    volts = beat_signal_on_table(free, (Segment(0.0, 0.0, 0.0),), times)
+    volts = beat_signal_on_table(free, DETECTOR, (Segment(0.0, 0.0, 0.0),), times)
     assert np.ptp(volts) < 1e-6
     assert harmonic_ratio(np.array([0.0, 0.1]), 0.0).tolist() == [0.0, 0.0]
 

@@ -1,0 +1,153 @@
+"""What a photodiode and its amplifier make of the beat: readout phase, distortion, bandwidth, coupling.
+
+At a constant rate the detector's signal is a periodic function of the beat phase. Behind a filter its harmonic n
+is multiplied by the response at n f. The rate changes little in one period, so the harmonics are worked out on a
+grid of rates once and interpolated; without a filter the signal is computed sample by sample.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from station.simulated_gyro.gyro import Gyro, harmonic_ratio
+
+Array = NDArray[np.float64]
+Complexes = NDArray[np.complex128]
+
+_GRID = 0.02  # step of the grid in ln(f/K); cubic interpolation is then good to 1e-8 of a harmonic
+_FEWEST_POINTS, _MOST_POINTS = 128, 8192
+_NEGLIGIBLE = 1e-11
+_LOWEST_BEAT_DPS = 1e-9
+
+
+@dataclass(frozen=True)
+class Detector:
+    """A photodiode that looks at the fringes, with its amplifier.
+
+    Attributes
+    ----------
+    readout_phase : float
+        delta, where it reads the fringes, rad.
+    amplitude, offset : float
+        Of its signal, V.
+    second_order, third_order : float
+        Distortion: s + second_order s^2 + third_order s^3 of the signal s in units of the amplitude. The
+        harmonics of a pure beat are then second_order / 2 and third_order / 4 of it.
+    low_pass_hz, ac_corner_hz : float
+        Corners of one pole each; 0: there is none.
+    pump_ripple, pump_hz : float
+        The light swings by this share.
+    """
+
+    readout_phase: float
+    amplitude: float = 1.0
+    offset: float = 0.0
+    second_order: float = 0.0
+    third_order: float = 0.0
+    low_pass_hz: float = 0.0
+    ac_corner_hz: float = 0.0
+    pump_ripple: float = 0.0
+    pump_hz: float = 0.0
+
+    @property
+    def filtered(self) -> bool:
+        """Whether anything in it depends on the frequency."""
+        return self.low_pass_hz > 0 or self.ac_corner_hz > 0
+
+    def volts(self, fringe: Complexes, backscatter_phase: float) -> Array:
+        """Signal before any filter, V, for exp(i (phi + beta))."""
+        turned = fringe * np.exp(1j * (self.readout_phase - backscatter_phase))
+        s = turned.imag
+        distorted = s + self.second_order * s**2 + self.third_order * s**3
+        return np.asarray(self.offset + self.amplitude * distorted, dtype=np.float64)
+
+    def response(self, frequency: Array) -> Complexes:
+        """Gain of the filters at frequencies in Hz."""
+        gain = np.ones_like(frequency, dtype=np.complex128)
+        if self.low_pass_hz > 0:
+            gain /= 1 + 1j * frequency / self.low_pass_hz
+        if self.ac_corner_hz > 0:
+            gain *= 1j * frequency / (self.ac_corner_hz + 1j * frequency)
+        return gain
+
+    def swing(self, times: Array) -> Array:
+        """The light at absolute times in s over its mean."""
+        return np.asarray(1 + self.pump_ripple * np.sin(2 * np.pi * np.mod(self.pump_hz * times, 1.0)))
+
+
+def detector_signal(gyro: Gyro, detector: Detector, axis_rate: Array, beat_phase: Array) -> Array:
+    """Volts at the detector for given rate on the axis and slow beat phase.
+
+    Parameters
+    ----------
+    gyro : Gyro
+    detector : Detector
+    axis_rate : ndarray, shape (n,)
+        W, deg/s.
+    beat_phase : ndarray, shape (n,)
+        psi, rad, growing with positive and falling with negative rate.
+
+    Returns
+    -------
+    ndarray, shape (n,)
+        V. A locked gyro gives a constant.
+    """
+    if not detector.filtered:
+        return detector.volts(gyro.fringe(axis_rate, beat_phase), gyro.backscatter_phase)
+    # behind a filter a locked gyro's slow signal is what the filter leaves of a constant
+    still = detector.volts(gyro.fringe(axis_rate, beat_phase), gyro.backscatter_phase)
+    volts: Array = still * float(detector.response(np.zeros(1))[0].real)
+    for sense in (1, -1):
+        inside = np.flatnonzero(~gyro.locked(axis_rate) & (np.sign(axis_rate) == sense))
+        if inside.size:
+            volts[inside] = _by_harmonics(gyro, detector, axis_rate[inside], beat_phase[inside], sense)
+    return volts
+
+
+def _by_harmonics(gyro: Gyro, detector: Detector, rates: Array, phases: Array, sense: int) -> Array:
+    """Sum of the harmonics, cubic interpolation between four points of the grid of rates."""
+    beat_rate = np.sqrt((np.abs(rates) - gyro.lock_in_rate) * (np.abs(rates) + gyro.lock_in_rate))
+    place = np.log(np.maximum(beat_rate, _LOWEST_BEAT_DPS)) / _GRID
+    cell = np.floor(place).astype(int)
+    turning = np.exp(1j * sense * phases)
+    volts = np.empty_like(rates)
+    for number in np.unique(cell):
+        inside = cell == number
+        x = place[inside] - number
+        total = np.zeros(x.size)
+        for node, weight in enumerate(_cubic_weights(x), start=int(number) - 1):
+            series = _harmonics(gyro, detector, node, sense)
+            total += weight * np.polynomial.polynomial.polyval(turning[inside], series).real
+        volts[inside] = total
+    return volts
+
+
+def _cubic_weights(x: Array) -> tuple[Array, Array, Array, Array]:
+    """Weights of the points -1, 0, 1, 2 for a place x between 0 and 1 (Lagrange)."""
+    before, after, beyond = x + 1, x - 1, x - 2
+    first, second = -x * after * beyond / 6, before * after * beyond / 2
+    return first, second, -before * x * beyond / 2, before * x * after / 6
+
+
+@lru_cache(maxsize=4096)
+def _harmonics(gyro: Gyro, detector: Detector, node: int, sense: int) -> Complexes:
+    """Complex amplitudes of the harmonics 0, 1, ... behind the filters, V, at one point of the grid."""
+    beat_rate = math.exp(_GRID * node)
+    rate = sense * math.hypot(beat_rate, gyro.lock_in_rate)
+    ratio = float(harmonic_ratio(np.array(rate), gyro.lock_in_rate))
+    # the harmonics that the grid cannot hold would fold back: they shall be negligible
+    wanted = 4 * math.log(_NEGLIGIBLE) / math.log(min(max(ratio, 1e-9), 1 - 1e-9))
+    points = 1 << math.ceil(math.log2(min(max(wanted, _FEWEST_POINTS), _MOST_POINTS)))
+    phases = sense * np.arange(points, dtype=np.float64) * (2 * np.pi / points)
+    volts = detector.volts(gyro.fringe(np.full(points, rate), phases), gyro.backscatter_phase)
+    amplitudes: Complexes = np.fft.rfft(volts) / points
+    amplitudes[1:] *= 2
+    frequency = abs(float(gyro.beat_frequency(np.array([rate]))[0]))
+    amplitudes = amplitudes * detector.response(frequency * np.arange(amplitudes.size, dtype=np.float64))
+    kept = np.flatnonzero(np.abs(amplitudes) > _NEGLIGIBLE * np.abs(amplitudes).max())
+    return np.asarray(amplitudes[: kept[-1] + 1] if kept.size else amplitudes[:1])

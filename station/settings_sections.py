@@ -124,18 +124,6 @@ class BudgetSettings(_Section):
     latitude_u_deg: NotNegative
 
 
-class BudgetSettings(_Section):
-    """What is known of the bench besides what the records show; 0: not known."""
-
-    scale_factor_u_ppm: NotNegative = 0.0
-    time_base_limit_ppm: NotNegative = 50.0
-    distortion_limit_dbc: Dbc = 0.0
-    bandwidth_hz: NotNegative = 0.0
-    gain_corner_hz: NotNegative = 0.0
-    table_rate_u_ppm: NotNegative = 0.0
-    latitude_u_deg: NotNegative = 0.0
-
-
 class OutputSettings(_Section):
     """Where results go."""
 
@@ -152,7 +140,6 @@ class Settings(_Section):
     front_end: FrontEndSettings = FrontEndSettings()
     measurement: MeasurementSettings
     output: OutputSettings
-    budget: BudgetSettings = BudgetSettings()
     budget: BudgetSettings | None = None  # runs of earlier versions were saved without it
     simulation: SimulationSettings | None = None
 

@@ -123,7 +123,7 @@ def check_whole_turns(duration_s: float, rate_dps: float, *, tolerance_s: float)
 
 
 def horizontal_earth_leak(duration_s: ArrayLike, rate_dps: ArrayLike, latitude_deg: float) -> Floats:
-    """Largest mean of the horizontal earth rate over a window, deg/h, for a gyro that lies in the horizontal plane.
+    """Largest mean of the horizontal earth rate over a window, deg/h, for a gyro that lies horizontally.
 
     The mean of cos(azimuth) over a window of length T is sin(pi n)/(pi n) at most, n = T Omega / 360 turns. A gyro
     that is misaligned from the table axis by an angle m sees sin(m) times it.

@@ -1,0 +1,276 @@
+"""Figures of merit of a scale factor, in the style of GJB 2426A and of IEEE Std 952.
+
+"Style", since the formulas are those in common use under these names; no claim of conformity is made. K is
+output over input, counts per deg/s; the S of the IEEE texts is its inverse, input over output.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.stats
+from numpy.typing import ArrayLike, NDArray
+
+from analysis.fibre_gyro.staircase_calibration import SlopeFit, fit_slope
+
+Floats = NDArray[np.float64]
+
+_PPM = 1e6
+_SIGNIFICANT = 1e-3
+
+
+@dataclass(frozen=True)
+class ScaleFigures:
+    """Line through one run over the range, and how far the points lie from it.
+
+    Attributes
+    ----------
+    fit : SlopeFit
+        Over all rates.
+    scale_factor_positive, scale_factor_negative : float
+        K of the fits to the positive and to the negative rates alone, each with its own intercept; nan with fewer
+        than two rates in that sense.
+    deviation_of_full_scale_ppm : ndarray, shape (n,)
+        (fitted - measured) over the largest output of all points.
+    deviation_of_point_ppm : ndarray, shape (n,)
+        (measured - fitted) over the point's own fitted output without the intercept; nan at rate zero.
+    nonlinearity_ppm : float
+        Largest deviation, of full scale.
+    nonlinearity_of_point_ppm : float
+        Largest deviation, of the point.
+    nonlinearity_u_ppm : float
+        Standard uncertainty of the deviation that is the largest, of full scale; nan if none was given.
+    asymmetry_ppm, asymmetry_u_ppm : float
+    """
+
+    fit: SlopeFit
+    scale_factor_positive: float
+    scale_factor_negative: float
+    deviation_of_full_scale_ppm: Floats
+    deviation_of_point_ppm: Floats
+    nonlinearity_ppm: float
+    nonlinearity_of_point_ppm: float
+    nonlinearity_u_ppm: float
+    asymmetry_ppm: float
+    asymmetry_u_ppm: float
+
+
+def scale_figures(rates_dps: ArrayLike, outputs: ArrayLike, outputs_u: ArrayLike | None = None) -> ScaleFigures:
+    """Nonlinearity and asymmetry of one run.
+
+    GJB style, with F_j the net output (mean less the mean of the static outputs before and after):
+
+        K, F_0 by least squares;  fitted  F^_j = K w_j + F_0
+        deviation     alpha_j = (F^_j - F_j)/|F_max|
+        nonlinearity  K_n = max |alpha_j|
+        asymmetry     K_a = |K(+) - K(-)| / K,   K = [K(+) + K(-)]/2
+
+    IEEE style: the same line; the scale-factor (linearity) error is its deviation as ppm of full scale and as ppm
+    of the output: both are given and named.
+
+    Parameters
+    ----------
+    rates_dps, outputs : array_like, shape (n,)
+        deg/s and counts.
+    outputs_u : array_like, shape (n,), optional
+        Standard uncertainties; with them the fits are weighted by 1/u^2.
+
+    Raises
+    ------
+    ValueError
+        Fewer than three points.
+
+    Examples
+    --------
+    Slope 100 one way and 101 the other: the asymmetry is 1/100.5.
+
+    >>> figures = scale_figures([-2.0, -1.0, 1.0, 2.0], [-200.0, -100.0, 101.0, 202.0])
+    >>> round(figures.asymmetry_ppm), figures.scale_factor_positive, figures.scale_factor_negative
+    (9950, 101.0, 100.0)
+    """
+    rate, output = (np.asarray(v, dtype=np.float64) for v in (rates_dps, outputs))
+    u = None if outputs_u is None else np.broadcast_to(np.asarray(outputs_u, dtype=np.float64), rate.shape)
+    fit = fit_slope(rate, output, u)
+    full_scale = float(np.abs(output).max())
+    deviation = -_PPM * fit.residual / full_scale
+    of_point = np.full(rate.size, np.nan)
+    np.divide(_PPM * fit.residual, fit.slope * rate, out=of_point, where=rate != 0)
+    worst = int(np.argmax(np.abs(deviation)))
+    positive, positive_u = _slope_of(rate, output, u, rate > 0)
+    negative, negative_u = _slope_of(rate, output, u, rate < 0)
+    mean = (positive + negative) / 2
+    return ScaleFigures(
+        fit=fit,
+        scale_factor_positive=positive,
+        scale_factor_negative=negative,
+        deviation_of_full_scale_ppm=np.asarray(deviation, dtype=np.float64),
+        deviation_of_point_ppm=of_point,
+        nonlinearity_ppm=float(np.abs(deviation[worst])),
+        nonlinearity_of_point_ppm=float(np.nanmax(np.abs(of_point))),
+        nonlinearity_u_ppm=float("nan") if u is None else _PPM * float(u[worst]) / full_scale,
+        asymmetry_ppm=_PPM * abs(positive - negative) / abs(mean),
+        asymmetry_u_ppm=_PPM * float(np.hypot(positive_u, negative_u)) / abs(mean),
+    )
+
+
+def _slope_of(rate: Floats, output: Floats, u: Floats | None, kept: NDArray[np.bool_]) -> tuple[float, float]:
+    """Slope of some of the points and its standard uncertainty; two points give no uncertainty of their own."""
+    nan = float("nan")
+    if np.unique(rate[kept]).size < 2:
+        return nan, nan
+    if int(kept.sum()) == 2:
+        run = float(np.ptp(rate[kept]))
+        (first, last) = np.argsort(rate[kept])
+        slope = float(output[kept][last] - output[kept][first]) / run
+        return slope, nan if u is None else float(np.hypot(*u[kept])) / run
+    fit = fit_slope(rate[kept], output[kept], None if u is None else u[kept])
+    return fit.slope, fit.slope_u
+
+
+def repeatability_ppm(scale_factors: ArrayLike) -> float:
+    """Repeatability of the scale factor over Q runs with switching off and cooling between, ppm.
+
+    GJB style: K_r = (1/K) sqrt[ sum (K_i - K)^2 / (Q - 1) ],  K the mean of the K_i.
+
+    Parameters
+    ----------
+    scale_factors : array_like, shape (q,)
+
+    Raises
+    ------
+    ValueError
+        Fewer than two runs.
+
+    Examples
+    --------
+    >>> round(repeatability_ppm([100.0, 100.001, 99.999]), 6)
+    10.0
+    """
+    k = np.asarray(scale_factors, dtype=np.float64)
+    if k.size < 2:
+        raise ValueError("repeatability needs at least two runs")
+    return _PPM * float(np.std(k, ddof=1) / abs(np.mean(k)))
+
+
+def temperature_coefficient_ppm(
+    scale_factors: ArrayLike, temperatures: ArrayLike, *, reference: tuple[float, float]
+) -> float:
+    """Temperature coefficient of the scale factor, ppm per kelvin (or per deg C, the same).
+
+    GJB style: K_t = max_i |K_i - K_m| / ( |K_m| |T_i - T_m| ), with K_m at the reference temperature T_m.
+
+    Parameters
+    ----------
+    scale_factors, temperatures : array_like, shape (n,)
+        Points at the reference temperature itself are passed over.
+    reference : tuple of float
+        K_m and T_m.
+
+    Raises
+    ------
+    ValueError
+        No temperature differs from the reference.
+
+    Examples
+    --------
+    >>> round(temperature_coefficient_ppm([99.98, 100.03], [-5.0, 35.0], reference=(100.0, 15.0)), 6)
+    15.0
+    """
+    k, t = (np.asarray(v, dtype=np.float64) for v in (scale_factors, temperatures))
+    apart = np.abs(t - reference[1])
+    if not np.any(apart > 0):
+        raise ValueError("a temperature coefficient needs a second temperature")
+    each = np.abs(k - reference[0])[apart > 0] / (abs(reference[0]) * apart[apart > 0])
+    return _PPM * float(each.max())
+
+
+@dataclass(frozen=True)
+class ResidualPattern:
+    """Which shape the deviations from the line have; each part with the probability that noise alone makes it.
+
+    Attributes
+    ----------
+    odd_ppm, even_ppm : float
+        Root mean square of the odd and of the even part of the residuals at paired rates away from zero, ppm of
+        full scale. Odd: cubic, from resets or converter. Even: asymmetry.
+    near_zero_ppm : float
+        Largest deviation of the points near zero from the line through the others, ppm of the point itself: dead
+        zone, lock-in.
+    odd_p, even_p, near_zero_p : float
+        nan where there are too few points to tell.
+    names : tuple of str
+        What is significant (p below 0.001), of "odd", "even", "near zero".
+    """
+
+    odd_ppm: float
+    even_ppm: float
+    near_zero_ppm: float
+    odd_p: float
+    even_p: float
+    near_zero_p: float
+    names: tuple[str, ...]
+
+
+def residual_pattern(
+    rates_dps: ArrayLike, outputs: ArrayLike, outputs_u: ArrayLike, *, near_zero: float = 0.01
+) -> ResidualPattern:
+    """Find out whether the deviations are odd in the rate, even, or stand near zero.
+
+    The line is fitted to the points away from zero. Their residuals at +w and -w give the odd part
+    [r(w) - r(-w)]/2 and the even part [r(w) + r(-w)]/2; each is tested with chi-square, with as many degrees of
+    freedom as it has pairs less the one of the line's slope, or of its intercept.
+
+    Parameters
+    ----------
+    rates_dps, outputs, outputs_u : array_like, shape (n,)
+    near_zero : float, optional
+        Rates below this part of the largest are near zero.
+
+    Raises
+    ------
+    ValueError
+        Fewer than three points away from zero.
+    """
+    rate, output, u = (np.asarray(v, dtype=np.float64) for v in (rates_dps, outputs, outputs_u))
+    away = np.abs(rate) > near_zero * np.abs(rate).max()
+    fit = fit_slope(rate[away], output[away], u[away])
+    full_scale = float(np.abs(output).max())
+    odd, even, part_u = _paired(rate[away], fit.residual, u[away])
+    odd_p, even_p = (_chance(part / part_u, part.size - 1) for part in (odd, even))
+    near = ~away & (rate != 0)
+    left = output[near] - fit.intercept - fit.slope * rate[near]
+    # near zero the line itself is known as well as its intercept
+    near_p = _chance(left / np.hypot(u[near], fit.intercept_u), left.size)
+    near_ppm = _PPM * float(np.abs(left / (fit.slope * rate[near])).max()) if left.size else float("nan")
+    found = (("odd", odd_p), ("even", even_p), ("near zero", near_p))
+    return ResidualPattern(
+        _root_mean_square(odd) / full_scale * _PPM,
+        _root_mean_square(even) / full_scale * _PPM,
+        near_ppm,
+        odd_p,
+        even_p,
+        near_p,
+        tuple(name for name, p in found if p < _SIGNIFICANT),
+    )
+
+
+def _paired(rate: Floats, residual: Floats, u: Floats) -> tuple[Floats, Floats, Floats]:
+    """Odd and even parts of the residuals at rates that stand in both senses, and their uncertainty."""
+    rows = []
+    for size in np.unique(np.abs(rate).round(9)):
+        forward, backward = (np.abs(rate - sense * size) < 1e-8 for sense in (1, -1))
+        if forward.any() and backward.any():
+            up, down = residual[forward].mean(), residual[backward].mean()
+            part_u = np.hypot(*(np.sqrt(np.sum(u[k] ** 2)) / k.sum() for k in (forward, backward))) / 2
+            rows.append(((up - down) / 2, (up + down) / 2, part_u))
+    odd, even, part_u = np.array(rows, dtype=np.float64).reshape(-1, 3).T
+    return odd, even, part_u
+
+
+def _chance(normalised: Floats, freedom: int) -> float:
+    return float(scipy.stats.chi2.sf(float(np.sum(normalised**2)), freedom)) if freedom >= 1 else float("nan")
+
+
+def _root_mean_square(values: Floats) -> float:
+    return float(np.sqrt(np.mean(values**2))) if values.size else float("nan")

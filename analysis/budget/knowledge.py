@@ -126,6 +126,8 @@ class BenchKnowledge:
         Whether several rates or both senses freed the lock-in rate of it.
     bandwidth, high_pass, gain : Corner
         Of the channel (low pass), of its coupling, and of the laser's gain saturation (g_c / 2 pi).
+    response_u : float
+        Relative, of a measured response of the channel at 2f over that at f that the ratio was freed of.
     table : TableGeometry or None
         For the rate as reference.
     """
@@ -137,6 +139,7 @@ class BenchKnowledge:
     bandwidth: Corner = field(default_factory=Corner)
     high_pass: Corner = field(default_factory=Corner)
     gain: Corner = field(default_factory=Corner)
+    response_u: float = math.nan
     table: TableGeometry | None = None
 
 

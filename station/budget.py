@@ -40,17 +40,24 @@ def bench_knowledge(settings: Settings, table: TableGeometry | None = None) -> B
     BenchKnowledge
         With nan for whatever nobody stated.
     """
-    scope, stated = settings.scope, settings.budget
+    scope, stated, front_end = settings.scope, settings.budget, settings.front_end
+    share = 0.01 * (stated.front_end_u_percent if stated is not None else 0.0)
     coupling = Corner(_AC_CORNER_HZ / scope.probe if scope.coupling == "AC" else 0.0)
+    if front_end.ac_corner_hz:
+        coupling = Corner(front_end.ac_corner_hz, share * front_end.ac_corner_hz, corrected=True)
     if stated is None:
         return BenchKnowledge(high_pass=coupling, table=table)
+    bandwidth = Corner(stated.bandwidth_hz or math.nan)
+    if front_end.low_pass_hz:
+        bandwidth = Corner(front_end.low_pass_hz, share * front_end.low_pass_hz, corrected=True)
     return BenchKnowledge(
         scale_factor_u_ppm=stated.scale_factor_u_ppm or math.nan,
         time_base_limit_ppm=stated.time_base_limit_ppm,
         distortion_limit=10 ** (stated.distortion_limit_dbc / 20) if stated.distortion_limit_dbc else math.nan,
-        bandwidth=Corner(stated.bandwidth_hz or math.nan),
+        bandwidth=bandwidth,
         high_pass=coupling,
         gain=Corner(stated.gain_corner_hz or math.nan),
+        response_u=share if front_end.response or front_end.response_file else math.nan,
         table=table,
     )
 

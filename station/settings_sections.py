@@ -119,6 +119,7 @@ class BudgetSettings(_Section):
     time_base_limit_ppm: NotNegative
     distortion_limit_dbc: Annotated[float, Field(le=0, ge=-200)]
     bandwidth_hz: NotNegative
+    front_end_u_percent: NotNegative = 5.0
     gain_corner_hz: NotNegative
     table_rate_u_ppm: NotNegative
     latitude_u_deg: NotNegative

@@ -13,7 +13,9 @@ from analysis.lockin_equation import (
     rate_varying_beat,
 )
 from analysis.lockin_rate import LockInEstimate, estimate_lock_in
+from analysis.rates_result import RatesFit, RatesFlag
 from analysis.rotation import EARTH_RATE_DPS, earth_rate_on_axis, rate_on_axis, tilt_from_fast_run
+from analysis.several_rates import fit_rate_ratios, fit_rates
 
 __all__ = [
     "EARTH_RATE_DPS",
@@ -21,6 +23,8 @@ __all__ = [
     "Flag",
     "HarmonicFit",
     "LockInEstimate",
+    "RatesFit",
+    "RatesFlag",
     "beat_frequency",
     "beat_signal",
     "combine_estimates",
@@ -28,6 +32,8 @@ __all__ = [
     "earth_rate_on_axis",
     "estimate_lock_in",
     "fit_harmonics",
+    "fit_rate_ratios",
+    "fit_rates",
     "flag_names",
     "harmonic_ratio",
     "input_rate_from_beat",

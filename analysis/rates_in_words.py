@@ -1,0 +1,155 @@
+"""A fit over several rates in plain sentences: what the data tell, and what they cannot."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from analysis.rates_result import RatesFit, RatesFlag
+
+
+def describe_rates(fit: RatesFit) -> tuple[str, ...]:
+    """Sentences for the person who reads the result, the main one first."""
+    sentences = [_value(fit), _distortion(fit), _gain(fit), _test(fit), _left_out(fit), _phase(fit)]
+    sentences += [_locked(fit), _unused(fit), _mismatch(fit), _reference(fit)]
+    return tuple(s for s in sentences if s)
+
+
+def _has(fit: RatesFit, flag: RatesFlag) -> bool:
+    return bool(fit.flags & flag)
+
+
+def _value(fit: RatesFit) -> str:
+    senses = "one sense" if _has(fit, RatesFlag.ONE_SENSE) else "both senses"
+    n_rates = max(fit.left_out.rate.size, 1)
+    rates = f"{n_rates} rate{'s' if n_rates > 1 else ''}"
+    origin = f"from {int(fit.used.sum())} records at {rates} in {senses}"
+    if _has(fit, RatesFlag.NOT_SIGNIFICANT):
+        text = (
+            f"No lock-in stands out of the noise: below {fit.lock_in_rate_high_95:.3g} deg/s with 95 %, {origin}."
+        )
+    else:
+        text = f"Lock-in rate {fit.lock_in_rate:.6g} ± {fit.lock_in_rate_u:.2g} deg/s (k = 1) {origin}."
+    if _has(fit, RatesFlag.RATES_TOO_CLOSE):
+        text += (
+            f" The rates lie too close together: not knowing the distortion multiplies the uncertainty by"
+            f" {fit.cost:.3g}. Take the other sense as well, or rates that differ by a factor of two and more."
+        )
+    elif _has(fit, RatesFlag.NOT_DETERMINED) and not _has(fit, RatesFlag.NOT_SIGNIFICANT):
+        text += " These records do not determine it."
+    return text
+
+
+def _distortion(fit: RatesFit) -> str:
+    if np.isnan(fit.distortion):
+        return "Second-order distortion of the receiver was taken to be zero; it would go into the lock-in rate."
+    if abs(fit.distortion) > 3.3 * fit.distortion_u:
+        level = 20 * np.log10(abs(fit.distortion))
+        return f"The receiver makes a second harmonic of {level:.1f} dBc; it is taken out."
+    limit = 20 * np.log10(abs(fit.distortion) + 1.96 * fit.distortion_u)
+    return f"No second-order distortion is seen; it is below {limit:.0f} dBc with 95 %."
+
+
+def _gain(fit: RatesFit) -> str:
+    if not np.isnan(fit.gain_time):
+        low, high = fit.gain_corner_low_95_hz, fit.gain_corner_high_95_hz
+        if fit.gain_time > 3.3 * fit.gain_time_u:
+            span = f"{low:.4g} to {high:.4g} Hz"
+            return f"The gain corner of the laser is seen at {fit.gain_corner_hz:.4g} Hz ({span})."
+        if fit.gain_time < -3.3 * fit.gain_time_u:
+            return (
+                "The second harmonic runs ahead with the rate, which no gain corner does: look for a slow or "
+                "AC-coupled channel."
+            )
+        above = f"above {low:.3g} Hz" if np.isfinite(low) else "anywhere"
+        return f"The rates do not reach the gain corner of the laser: it lies {above} with 95 %."
+    if np.isnan(fit.gain_time_limit):
+        return "The gain corner of the laser was taken to be far above the beat; these records cannot show it."
+    corner = 1 / (2 * np.pi * fit.gain_time_limit)
+    fuller = next(m for m in fit.models if m.model == ("both" if fit.model == "distortion" else "gain"))
+    return (
+        f"The gain corner of the laser was taken to be far above the beat; these records only say that it lies "
+        f"above {corner:.3g} Hz. With a free corner the lock-in rate would be {fuller.lock_in_rate:.5g} ± "
+        f"{fuller.lock_in_rate_u:.2g} deg/s; faster rates, or both senses, settle it."
+    )
+
+
+def _test(fit: RatesFit) -> str:
+    if fit.degrees_of_freedom == 0:
+        return "Nothing is left over to test the model with: one more rate would do that."
+    numbers = f"chi-square {fit.chi_square:.3g} for {fit.degrees_of_freedom} degrees of freedom"
+    if _has(fit, RatesFlag.MISFIT):
+        return (
+            f"The records do not agree with the model within their noise ({numbers}); the uncertainty is enlarged "
+            "to their scatter. A rate that moves, a slow channel or a wrong rate does that."
+        )
+    return f"The records agree with the model within their noise ({numbers})."
+
+
+def _left_out(fit: RatesFit) -> str:
+    known = np.isfinite(fit.left_out.deviation)
+    if not known.any():
+        return "No rate can be left out as a check: the others would not determine the lock-in rate."
+    size = np.where(known, np.abs(fit.left_out.deviation), 0.0)
+    worst = int(np.argmax(size))
+    rate, change = fit.left_out.rate[worst], fit.left_out.lock_in_rate[worst] - fit.lock_in_rate
+    if _has(fit, RatesFlag.ONE_RATE_DISAGREES):
+        return (
+            f"Without the records at {rate:.4g} deg/s the lock-in rate changes by {change:+.2g} deg/s, "
+            f"{size[worst]:.1f} of its standard uncertainties: look at that rate."
+        )
+    return (
+        f"Leaving out any one rate changes the lock-in rate by at most {size[worst]:.1f} standard uncertainties."
+    )
+
+
+def _phase(fit: RatesFit) -> str:
+    if fit.model != "both" or _has(fit, RatesFlag.NOT_SIGNIFICANT):
+        return ""
+    if abs(np.cos(fit.backscatter_phase)) < 0.15:
+        return (
+            "The backscatter phase is near a right angle to the readout phase, where the first effect of a gain "
+            "corner looks like distortion: these two are told apart poorly, the lock-in rate suffers less."
+        )
+    return ""
+
+
+def _locked(fit: RatesFit) -> str:
+    text = ""
+    if _has(fit, RatesFlag.LOCKED_RECORDS):
+        text = (
+            f"No beat at {fit.at_least:.4g} deg/s: the lock-in rate is at least that; the interval begins there."
+        )
+    if _has(fit, RatesFlag.NO_BEAT_ABOVE_LOCK_IN):
+        above = np.abs(fit.rate[fit.locked & (np.abs(fit.rate) > fit.lock_in_rate_high_95)])
+        text += (
+            f" Records without a beat where the gyro should turn freely: {above.size}, at {above.min():.4g} deg/s"
+            " and above; look at cable, laser and table."
+        )
+    return text.strip()
+
+
+def _unused(fit: RatesFit) -> str:
+    n = int(np.sum(~fit.used & ~fit.locked))
+    if n == 0:
+        return ""
+    return (
+        f"{n} of {fit.used.size} records could not be used: no ratio, or a beat faster than the given rate allows."
+    )
+
+
+def _mismatch(fit: RatesFit) -> str:
+    if not _has(fit, RatesFlag.RATE_AND_BEAT_DISAGREE):
+        return ""
+    worst = fit.rate_mismatch[np.nanargmax(np.abs(fit.rate_mismatch))]
+    return (
+        f"Beat frequencies and given rates differ by up to {100 * worst:+.2g} %: table rate, tilt, earth rate or "
+        "scale factor is wrong. With the beat as reference only the scale factor matters."
+    )
+
+
+def _reference(fit: RatesFit) -> str:
+    if fit.reference == "beat":
+        return (
+            "The rate was taken from the beat itself: an error of the scale factor goes 1:1 into the lock-in rate."
+        )
+    return "The rates given were used: an error common to all of them goes 1:1 into the lock-in rate."

@@ -1,0 +1,155 @@
+"""What a fit over several rates gives back: values, checks, flags, sentences."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import IntFlag
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.ratio_model import Reference
+
+Floats = NDArray[np.float64]
+Complexes = NDArray[np.complex128]
+Bools = NDArray[np.bool_]
+Model = Literal["lock-in", "distortion", "gain", "both"]
+
+
+class RatesFlag(IntFlag):
+    """Bits of `RatesFit.flags`; the lower-case name is the one used in JSON."""
+
+    NOT_SIGNIFICANT = 1
+    """The lock-in rate does not stand out of its uncertainty."""
+    RATES_TOO_CLOSE = 2
+    """Distortion costs so much that the rates cannot tell it from lock-in."""
+    NOT_DETERMINED = 4
+    """The relative uncertainty of the lock-in rate is above 30 %."""
+    NOT_TESTED = 8
+    """As many unknowns as values."""
+    MISFIT = 16
+    """The records scatter more than their noise explains; the uncertainty is enlarged."""
+    ONE_RATE_DISAGREES = 32
+    """Without one of the rates the others give another lock-in rate."""
+    ONE_SENSE = 64
+    """Records of one sense of rotation only."""
+    GAIN_CORNER_ASSUMED_HIGH = 128
+    """The gain corner was not fitted although it may matter."""
+    LOCKED_RECORDS = 256
+    """Some records show no beat at a rate that fits lock-in; they bound the lock-in rate from below."""
+    NO_BEAT_ABOVE_LOCK_IN = 512
+    """Some records show no beat at a rate where there should be one."""
+    RECORDS_LEFT_OUT = 1024
+    """Some records could not be used."""
+    RATE_AND_BEAT_DISAGREE = 2048
+    """Rates given and beat frequencies do not fit together: rate, tilt, earth rate or scale factor is wrong."""
+    RATE_BELOW_LOCK_IN = 4096
+    """A record shows a beat at a rate, as given, at which the gyro should be locked."""
+
+
+@dataclass(frozen=True)
+class ModelFit:
+    """One model's answer: lock-in rate and its uncertainty (deg/s), chi-square, degrees of freedom."""
+
+    model: Model
+    lock_in_rate: float
+    lock_in_rate_u: float
+    chi_square: float
+    degrees_of_freedom: int
+
+
+@dataclass(frozen=True)
+class LeftOut:
+    """The fit repeated without each rate in turn; arrays of one value a rate.
+
+    rate : |W|, deg/s, mean of the records left out
+    lock_in_rate, lock_in_rate_u : deg/s, from the others
+    deviation : from the value of all, in standard uncertainties of that difference
+    """
+
+    rate: Floats
+    lock_in_rate: Floats
+    lock_in_rate_u: Floats
+    deviation: Floats
+
+
+@dataclass(frozen=True)
+class RatesFit:
+    """Lock-in rate of many records at several rates.
+
+    lock_in_rate, lock_in_rate_u, lock_in_rate_low_95, lock_in_rate_high_95 : deg/s
+    backscatter_phase, backscatter_phase_u : rad, beta less the readout phase
+    distortion, distortion_u : second harmonic that the receiver makes of a sine, over its fundamental, at the mean
+        amplitude of the records; negative where it is in antiphase
+    gain_time, gain_time_u : s, 1/g_c; noise may make it negative. What was not fitted is nan
+    gain_time_limit : s, upper 95 % limit where the gain corner was not fitted, nan where the data know none
+    gain_corner_hz, gain_corner_low_95_hz, gain_corner_high_95_hz : g_c/2 pi; inf where no end is seen
+    covariance : (4, 4) of lock_in_rate, backscatter_phase, distortion, gain_time; zero where not fitted
+    model, models : the one used, and what every model that the data allow gives
+    reference : "rate": r follows from the rates given; "beat": from f/K
+    chi_square, degrees_of_freedom, p_value : of the model used
+    cost : uncertainty over that of the same data with distortion and gain corner known
+    left_out : the leave-one-rate-out check; empty arrays where the others would not determine the lock-in rate
+    rate, ratio, residual, deviation : (n,) of every record as given: deg/s signed, rho, what the fit leaves of it,
+        the same in standard uncertainties (root of its chi-square); nan where not used
+    used, locked : (n,) records in the fit; records without a beat, which say WL >= |W|
+    rate_mismatch : (n,) f/(K sqrt(W^2 - WL^2)) - 1, nan where one is not known
+    at_least : deg/s, the fastest rate at which the gyro was seen locked, 0 if none
+    flags : bits of `RatesFlag`
+    sentences : what the data can and cannot tell, in plain words
+    noise_model : what the uncertainties rest on
+    """
+
+    lock_in_rate: float
+    lock_in_rate_u: float
+    lock_in_rate_low_95: float
+    lock_in_rate_high_95: float
+    backscatter_phase: float
+    backscatter_phase_u: float
+    distortion: float
+    distortion_u: float
+    gain_time: float
+    gain_time_u: float
+    gain_time_limit: float
+    covariance: Floats
+    model: Model
+    models: tuple[ModelFit, ...]
+    reference: Reference
+    chi_square: float
+    degrees_of_freedom: int
+    p_value: float
+    cost: float
+    left_out: LeftOut
+    rate: Floats
+    ratio: Complexes
+    residual: Complexes
+    deviation: Floats
+    used: Bools
+    locked: Bools
+    rate_mismatch: Floats
+    at_least: float
+    flags: int
+    sentences: tuple[str, ...]
+    noise_model: str
+
+    @property
+    def gain_corner_hz(self) -> float:
+        """g_c/2 pi."""
+        return _corner(self.gain_time)
+
+    @property
+    def gain_corner_low_95_hz(self) -> float:
+        """Lower end of the 95 % interval of g_c/2 pi."""
+        return _corner(self.gain_time + 1.96 * self.gain_time_u)
+
+    @property
+    def gain_corner_high_95_hz(self) -> float:
+        """Upper end of the 95 % interval of g_c/2 pi; inf where the data do not see the corner."""
+        return _corner(self.gain_time - 1.96 * self.gain_time_u)
+
+
+def _corner(gain_time: float) -> float:
+    if np.isnan(gain_time):
+        return float("nan")
+    return float(1 / (2 * np.pi * gain_time)) if gain_time > 0 else float("inf")

@@ -1,0 +1,151 @@
+"""Complex ratios of many records, gathered for a fit over several rates: which can be used, which are locked."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from analysis.flags import Flag
+from analysis.lockin_rate import LockInEstimate
+
+Floats = NDArray[np.float64]
+Complexes = NDArray[np.complex128]
+Bools = NDArray[np.bool_]
+
+SMALLEST_U = 1e-7
+"""Least uncertainty of a ratio, far below any converter's: noise-free records must not weigh without limit."""
+
+FASTER_THAN_POSSIBLE = 2e-3
+"""f may exceed K|W| by this share (conservative coupling, K, rate): more means a rate that is too low."""
+
+
+@dataclass(frozen=True)
+class RatioRecords:
+    """n records; nan where a record has no beat.
+
+    rate : deg/s, signed
+    beat_frequency, beat_frequency_u : Hz
+    ratio, covariance : rho (n,) and that of its two parts (n, 2, 2)
+    amplitude : over the mean of the usable records
+    usable, locked : records with a ratio; records that show no beat
+    """
+
+    rate: Floats
+    beat_frequency: Floats
+    beat_frequency_u: Floats
+    ratio: Complexes
+    covariance: Floats
+    amplitude: Floats
+    usable: Bools
+    locked: Bools
+    scale_factor: float
+    noise_model: str
+
+
+def records_of_estimates(
+    estimates: LockInEstimate | Sequence[LockInEstimate], input_rate: ArrayLike | None
+) -> RatioRecords:
+    """Records of one or several estimates.
+
+    Raises
+    ------
+    ValueError
+        No records; estimates without a given rate and none given here; different scale factors.
+    """
+    several = [estimates] if isinstance(estimates, LockInEstimate) else list(estimates)
+    flat = [e.reshaped(-1) for e in several]
+    if sum(e.flags.size for e in flat) == 0:
+        raise ValueError("no record to fit")
+    if len({e.scale_factor for e in flat}) > 1:
+        raise ValueError("the records have different scale factors: fit one gyro at a time")
+    if input_rate is None and not all(e.rate_given for e in flat):
+        raise ValueError(
+            "the sense of rotation must be known: estimate the records with their signed input_rate, or give "
+            "it here"
+        )
+    own = np.concatenate([e.input_rate for e in flat])
+    rate = own if input_rate is None else np.broadcast_to(np.asarray(input_rate, dtype=float).ravel(), own.shape)
+    flags = np.concatenate([e.flags for e in flat])
+    # A gyro inside lock-in gives a constant or nothing but noise; other faults say nothing about its rate.
+    no_beat = (flags & int(Flag.NO_BEAT | Flag.CONSTANT)) != 0
+    measured = [_as_measured(e) for e in flat]
+    return records_of_arrays(
+        rate,
+        np.concatenate([ratio for ratio, _ in measured]),
+        np.concatenate([covariance for _, covariance in measured]),
+        np.where(no_beat, 0.0, np.concatenate([e.beat_frequency for e in flat])),
+        scale_factor=flat[0].scale_factor,
+        beat_frequency_u=np.concatenate([e.beat_frequency_u for e in flat]),
+        amplitude=np.concatenate([e.amplitude for e in flat]),
+        noise_model="; ".join(dict.fromkeys(e.noise_model for e in flat)),
+    )
+
+
+def records_of_arrays(
+    rate: ArrayLike,
+    ratio: ArrayLike,
+    covariance: ArrayLike,
+    beat_frequency: ArrayLike,
+    *,
+    scale_factor: float,
+    beat_frequency_u: ArrayLike = 0.0,
+    amplitude: ArrayLike = 1.0,
+    noise_model: str = "the covariances given",
+) -> RatioRecords:
+    """Records of plain arrays of n values; a beat frequency of 0 marks a record without a beat.
+
+    Raises
+    ------
+    ValueError
+        Rates that are zero or not finite, shapes that do not fit, a scale factor that is not positive.
+    """
+    w = np.asarray(rate, dtype=np.float64).ravel()
+    if not np.all(np.isfinite(w)) or np.any(w == 0):
+        raise ValueError("every input rate must be finite and not zero (deg/s, signed): its sense is needed")
+    if not np.isfinite(scale_factor) or scale_factor <= 0:
+        raise ValueError(f"scale_factor must be positive (pulses per degree), not {scale_factor!r}")
+    rho = _column("ratio", ratio, w.size).astype(np.complex128)
+    f = _column("beat_frequency", beat_frequency, w.size).astype(np.float64)
+    fu = _column("beat_frequency_u", beat_frequency_u, w.size).astype(np.float64)
+    size = _column("amplitude", amplitude, w.size).astype(np.float64)
+    spread = np.asarray(covariance, dtype=np.float64)
+    if spread.shape not in ((w.size, 2, 2), (2, 2)):
+        raise ValueError(f"covariance must have shape ({w.size}, 2, 2), not {spread.shape}")
+    spread = np.broadcast_to(spread, (w.size, 2, 2))
+    locked = f == 0
+    usable = ~locked & (f > 0) & np.isfinite(rho) & np.isfinite(fu) & np.isfinite(size) & (size > 0)
+    usable &= np.isfinite(spread).all(axis=(-1, -2))
+    mean = size[usable].mean() if usable.any() else 1.0
+    return RatioRecords(w, f, fu, rho, spread, size / mean, usable, locked, float(scale_factor), noise_model)
+
+
+def inconsistent_rate(records: RatioRecords) -> Bools:
+    """Records whose beat is faster than their rate allows: f > K |W|."""
+    fastest = records.scale_factor * np.abs(records.rate) * (1 + FASTER_THAN_POSSIBLE)
+    return np.asarray(records.usable & (records.beat_frequency > fastest + 4 * records.beat_frequency_u))
+
+
+def _column(name: str, values: ArrayLike, n: int) -> NDArray[np.generic]:
+    array = np.asarray(values)
+    if array.ndim > 0 and array.size not in (1, n):
+        raise ValueError(f"{name} must hold {n} values, one for every rate, not {array.size}")
+    return np.broadcast_to(array.ravel(), (n,))
+
+
+def _as_measured(estimate: LockInEstimate) -> tuple[Complexes, Floats]:
+    """rho and its covariance as the record has them; a mean of records in the negative sense is turned back.
+
+    Such a mean holds the value of the positive sense. Which of the two it is shows in the backscatter phase, which
+    is the same in both senses: the angle of -rho in the positive one, the negative angle of rho in the other.
+    """
+    rho, phase = estimate.complex_ratio, np.exp(1j * estimate.backscatter_phase)
+    size = np.maximum(np.abs(rho), 1e-300)
+    as_it_is = np.abs(phase - np.conj(rho) / size)
+    mirrored = np.abs(phase + rho / size)
+    turned = estimate.rate_given & (estimate.input_rate < 0) & (mirrored < as_it_is)
+    off_diagonal = np.where(turned, -1.0, 1.0)[:, np.newaxis, np.newaxis]
+    covariance = estimate.complex_ratio_covariance * np.where(np.eye(2, dtype=bool), 1.0, off_diagonal)
+    return np.where(turned, -np.conj(rho), rho), covariance

@@ -22,7 +22,8 @@ from instrument.errors import (
 from instrument.events import ERROR_BITS, POWER_ON, is_error, parse_events, scope_event
 from instrument.identity import Identity, parse_identity
 from instrument.link import Link, NoAnswer
-from instrument.waveform import Preamble, Waveform, decode_curve
+from instrument.record_question import PREAMBLE_FIELDS, RecordQuestion
+from instrument.waveform import Waveform
 
 RECORD_LENGTH = 2500
 """Points of every record on this family."""
@@ -34,7 +35,6 @@ _OUR_FORMAT = (
 _LINE_END = ":RS232:TRANSMIT:TERMINATOR"
 _SOFT_FLAGGING = ":RS232:SOFTFLAGGING"
 _HARD_FLAGGING = ":RS232:HARDFLAGGING"
-_TRANSMISSION_FIELDS = 5  # all that WFMPre? answers about a source that is not displayed
 
 
 class Dialogue:
@@ -148,41 +148,58 @@ class Dialogue:
             raise self.after_damage(error) from error
         return picture
 
-    def record(self, commands: str, source: str, *, wait: float = 0.0) -> Waveform:
-        """Send commands and ask for the record of `source`, all in one message.
+    def records(
+        self, commands: str, sources: tuple[str, ...], *, wait: float = 0.0, afterwards: str = ""
+    ) -> tuple[Waveform, ...]:
+        """Send commands and ask for the records of `sources`, all in one message.
 
-        The status register is asked for with it, so that a command that was lost or refused on its way cannot
-        pass an old record off as a new one. A preamble that differs from the last one of this source is
-        asked for a second time, because a lost digit in it could not be noticed otherwise.
+        The status register is asked for with them, so that a command that was lost or refused on its way cannot
+        pass an old record off as a new one. A preamble that differs from the last one of its source is
+        asked for a second time, because a lost digit in it could not be noticed otherwise. Of several sources
+        the scope tells before and after them that it is stopped: then they are of one acquisition.
+
+        Parameters
+        ----------
+        commands, afterwards : str
+            Commands before and behind the records, without a ``;`` at either end.
+        sources : tuple of str
+            What to read, in this order.
+        wait : float
+            Time in s that the commands may take.
 
         Raises
         ------
         NoAnswer
             If nothing came in time: the caller knows what it waited for.
         ExecutionError
-            If the source is not displayed.
+            If a source is not displayed.
+        SettingError
+            If the scope acquires on, so that several sources would not be of one acquisition.
         TransferError
-            If the record is damaged, or is not in the format asked for; it has been set again.
+            If a record is damaged, or is not in the format asked for; it has been set again.
         """
-        clean = "*CLS;" if self.unread_events else ""
+        clean = "*CLS" if self.unread_events else ""
         self.unread_events = False
+        wanted = RecordQuestion(sources, selected=self.source)
+        message = ";".join(filter(None, (clean, commands, "*ESR?", wanted.text, afterwards)))
         try:
             with self._exchange():
-                self.link.write(f"{clean}{commands};*ESR?;:WAVF?".replace(";;", ";").lstrip(";"))
-                text, data = self.link.read_block(wait=wait, longest=2 * RECORD_LENGTH)
-            register, _, preamble_text = text.partition(";")
+                self.link.write(message)
+                self.source = None
+                answer = self.link.read_blocks(blocks=len(sources), wait=wait, longest=2 * RECORD_LENGTH)
+            register, texts, curves = wanted.split(*answer)
             self._check_register(register)
-            if not data and len(scpi.split_parts(preamble_text.rstrip(";"))) <= _TRANSMISSION_FIELDS:
-                self._raise_not_displayed(source)
-            preamble_text = _without_curve_header(preamble_text)
-            preamble = Preamble.parse(preamble_text)
-            _check_format(preamble_text, preamble, source)
-            waveform = decode_curve(data, preamble)
+            missing = wanted.not_displayed(texts)
+            if missing is not None:
+                self._raise_not_displayed(missing)
+            waveforms = wanted.decode(texts, curves)
         except TransferError as error:
             raise self.after_damage(error) from error
-        if self._confirmed.get(source) != preamble_text:
-            self._confirm(source, preamble_text)
-        return waveform
+        self.source = sources[-1]
+        new = {name: text for name, text in zip(sources, texts, strict=True) if self._confirmed.get(name) != text}
+        if new:
+            self._confirm(new)
+        return waveforms
 
     def events(self) -> list[ScopeEvent]:
         """Read and empty the event queue."""
@@ -312,15 +329,21 @@ class Dialogue:
             undo.append(f"{_LINE_END} {line_end}")
         return ";".join(undo)
 
-    def _confirm(self, source: str, preamble_text: str) -> None:
-        """Ask for a new preamble a second time; TransferError if the two differ."""
-        again = ";".join(self.ask(":WFMPRE?", parts=16))
-        if again != preamble_text:
-            self._confirmed.pop(source, None)
-            raise TransferError(
-                "the preamble changed while it was read (a lost byte, or a turned knob); ask again"
-            )
-        self._confirmed[source] = preamble_text
+    def _confirm(self, preambles: dict[str, str]) -> None:
+        """Ask for new preambles a second time; TransferError if one of them differs."""
+        question = ";".join(f":DATA:SOURCE {source};:WFMPRE?" for source in preambles)
+        if list(preambles) == [self.source]:
+            question = ":WFMPRE?"
+        answers = self.ask(question, parts=PREAMBLE_FIELDS * len(preambles))
+        self.source = list(preambles)[-1]
+        for number, (source, text) in enumerate(preambles.items()):
+            again = ";".join(answers[PREAMBLE_FIELDS * number : PREAMBLE_FIELDS * (number + 1)])
+            if again != text:
+                self._confirmed.pop(source, None)
+                raise TransferError(
+                    "the preamble changed while it was read (a lost byte, or a turned knob); ask again"
+                )
+            self._confirmed[source] = text
 
     def _read_event_queue(self) -> list[ScopeEvent]:
         answer = ";".join(self.ask(":ALLEV?", parts=None))
@@ -368,19 +391,3 @@ class Dialogue:
         # Our own fixed commands are right, so on a stream it was the line that spoiled them.
         told = f" ({found[0]})" if found else ""
         raise TransferError(f"the request for a record was damaged on its way{told}; ask again")
-
-
-def _without_curve_header(text: str) -> str:
-    """Drop the ``;`` and, with headers on, the ``:CURVE`` between preamble and block."""
-    head, _, tail = text.rstrip().rpartition(";")
-    return head if not tail or tail.lstrip(":").upper().startswith("CURV") else text
-
-
-def _check_format(text: str, preamble: Preamble, source: str) -> None:
-    """TransferError if the record is not the whole record of `source` in our format."""
-    form = (preamble.byt_nr, preamble.encdg, preamble.bn_fmt)
-    if form != (1, "BIN", "RI") or text.lstrip().startswith(":"):
-        raise TransferError("somebody changed headers or the transfer format; it has been set again, ask again")
-    named = preamble.wfid.split(",")[0].upper().replace(" ", "")
-    if named != source:
-        raise TransferError(f"the record is of {named} instead of {source}; ask again")

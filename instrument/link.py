@@ -48,6 +48,8 @@ GPIB_BYTES_PER_SECOND = 20_000.0
 LONGEST_PICTURE = 1_000_000
 """Bytes; a colour picture of 640 x 480 pixels fits."""
 
+_TEXT_BESIDE_BLOCKS = 1024  # bytes; four preambles and a margin
+
 _BITMAP_LENGTH_END = 6  # "BM" and four bytes with the length of the file
 
 
@@ -147,16 +149,18 @@ class Link:
         TransferError
             If it began and did not end, is longer than `longest`, or is not text.
         """
-        return scpi.decode_text(self._read_message(wait, longest, has_block=False))
+        return scpi.decode_text(self._read_message(wait, longest, blocks=0))
 
-    def read_block(self, *, wait: float = 0.0, longest: int) -> tuple[str, bytes]:
-        """Read one answer that ends with a binary block of at most `longest` bytes.
+    def read_blocks(
+        self, *, blocks: int = 1, wait: float = 0.0, longest: int
+    ) -> tuple[list[tuple[str, bytes]], str]:
+        """Read one answer with `blocks` binary blocks of at most `longest` bytes each.
 
-        Returns the text before the block and its data, which are empty if there was no block. Errors as
+        Returns what `scpi.split_blocks` does; there are fewer pieces if the answer ended before. Errors as
         `read_text`.
         """
-        message = self._read_message(wait, longest, has_block=True)
-        return scpi.split_block(message, longest=longest)
+        message = self._read_message(wait, longest, blocks=blocks)
+        return scpi.split_blocks(message, longest=longest, blocks=blocks)
 
     def read_bitmap(self, *, wait: float = 0.0) -> bytes:
         """Read a BMP file that comes without block header and line end; its own header tells its length.
@@ -215,13 +219,13 @@ class Link:
 
     # ------------------------------------------------------------------ reading
 
-    def _read_message(self, wait: float, longest: int, *, has_block: bool) -> bytes:
+    def _read_message(self, wait: float, longest: int, *, blocks: int) -> bytes:
         if self.framed:
-            return self._read_framed(wait, longest)
-        return self._read_stream(wait, longest, has_block)
+            return self._read_framed(wait, longest * max(1, blocks))
+        return self._read_stream(wait, longest, blocks)
 
     def _read_framed(self, wait: float, longest: int) -> bytes:
-        limit = longest + 1024
+        limit = longest + _TEXT_BESIDE_BLOCKS
         self._set_timeout(self.answer_time + wait + self.line_time(limit))
         message = bytearray()
         ended = False
@@ -232,23 +236,25 @@ class Link:
                 raise TransferError(f"{self.name} sent more than the {limit} bytes that were expected; ask again")
         return bytes(message)
 
-    def _read_stream(self, wait: float, longest: int, has_block: bool) -> bytes:
+    def _read_stream(self, wait: float, longest: int, blocks: int) -> bytes:
         # A chunk is what the line carries in about one slice, so that a lost link is seen within that time.
         chunk = max(16, int(SLICE_TIME * self.baud_rate / BITS_PER_BYTE))
         message = bytearray(self._first_byte(self.answer_time + wait))
         while True:
-            if has_block:
-                missing = scpi.bytes_missing(bytes(message), longest=longest)
+            if blocks:
+                missing = scpi.bytes_missing(message, longest=longest, blocks=blocks)
             else:
                 missing = 0 if message.endswith(b"\n") else 1
             if missing == 0:
                 return bytes(message)
-            if len(message) > longest + 1024:
+            if len(message) > longest * max(1, blocks) + _TEXT_BESIDE_BLOCKS:
                 raise TransferError(f"{self.name} sent more than {len(message)} bytes without an end; ask again")
-            if has_block and scpi.block_start(message) >= 0:
-                message += self._more(min(missing, chunk), PAUSE_TIME, len(message))
-            else:
+            begun, lacking = scpi.blocks_begun(message, longest=longest) if blocks else (0, 0)
+            if begun and lacking >= 0:
                 # Between the parts of an answer, preamble and curve for one, the scope may think again.
+                pause = PAUSE_TIME if lacking or begun == blocks else self.answer_time
+                message += self._more(min(lacking or 1, chunk), pause, len(message))
+            else:
                 message += self._more(chunk, self.answer_time, len(message))
 
     def _more(self, count: int, pause: float, have: int) -> bytes:

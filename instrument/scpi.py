@@ -105,22 +105,22 @@ def nr3(value: float) -> str:
     return f"{'-' if sign else ''}{first}.{rest}E{exponent + len(digits) - 1}"
 
 
-def block_start(message: bytes | bytearray) -> int:
-    """Index of the ``#`` that opens a binary block, not counting one inside a quoted string; -1 if none."""
-    quoted = False
-    for index, byte in enumerate(message):
-        if byte == 0x22:
-            quoted = not quoted
-        elif byte == 0x23 and not quoted:
-            return index
-    return -1
+def block_start(message: bytes | bytearray, position: int = 0) -> int:
+    """Index of the next ``#`` that opens a binary block, not counting one inside a quoted string; -1 if none."""
+    index, quotes = message.find(b"#", position), 0
+    while index >= 0:
+        quotes += message.count(b'"', position, index)
+        if quotes % 2 == 0:
+            break
+        position, index = index, message.find(b"#", index + 1)
+    return index
 
 
-def bytes_missing(message: bytes, *, longest: int) -> int:
-    """How many bytes must still come before a message with a binary block is complete.
+def bytes_missing(message: bytes | bytearray, *, longest: int, blocks: int = 1) -> int:
+    """How many bytes must still come before a message with binary blocks is complete.
 
-    Counts the line feed behind the block. 0 means complete; where the length is not known yet, the answer is
-    the number of bytes that are needed to know more.
+    Counts the line feed behind the last block. 0 means complete; where the length is not known yet, the answer
+    is the number of bytes that are needed to know more.
 
     Parameters
     ----------
@@ -128,29 +128,79 @@ def bytes_missing(message: bytes, *, longest: int) -> int:
         What has arrived so far, from the first byte of the answer.
     longest : int
         Longest block that can be meant; a larger length is a damaged length.
+    blocks : int
+        Number of blocks that are expected. A line feed outside a block ends the answer before them.
 
     Raises
     ------
     TransferError
-        If the block header is not ``#<n><n digits>`` or its length is not plausible.
+        If a block header is not ``#<n><n digits>`` or its length is not plausible.
     """
-    start = block_start(message)
-    if start < 0:
-        return 0 if message.endswith(b"\n") else 1
-    if len(message) < start + 2:
-        return start + 2 - len(message)
-    digits = _length_digits(message, start)
-    if len(message) < start + 2 + digits:
-        return start + 2 + digits - len(message)
-    end = start + 2 + digits + _block_length(message, start, digits, longest)
-    return max(0, end + 1 - len(message))
+    position = 0
+    for _ in range(blocks):
+        start = block_start(message, position)
+        if start < 0:
+            return 0 if message.endswith(b"\n") and len(message) > position else 1
+        missing = _header_bytes_missing(message, start)
+        if missing:
+            return missing
+        _, position = _block_span(message, start, longest)
+        if len(message) <= position:
+            return position + 1 - len(message)  # the byte behind this block tells what comes next
+    more_text = message[position : position + 1] == b";" and not message.endswith(b"\n")
+    return 1 if more_text or len(message) == position else 0
+
+
+def blocks_begun(message: bytes | bytearray, *, longest: int) -> tuple[int, int]:
+    """Number of blocks that have begun, and how many bytes the last of them still lacks.
+
+    The second number is 0 right behind that block and negative in the text after it; 0 without a block.
+    """
+    begun = position = 0
+    while (start := block_start(message, position)) >= 0 and not _header_bytes_missing(message, start):
+        _, position = _block_span(message, start, longest)
+        begun += 1
+    return begun, position - len(message) if begun else 0
+
+
+def split_blocks(
+    message: bytes, *, longest: int, blocks: int = 1, terminated: bool = True
+) -> tuple[list[tuple[str, bytes]], str]:
+    """Separate a complete answer into its binary blocks, each with the text before it, and the text behind them.
+
+    A block is cut by its own length, so data may hold any byte. Behind it only a ``;`` or the line end may
+    follow, and on a link one of them must: without it the last byte of the data would be the line end, and one
+    byte before it lost.
+
+    Returns
+    -------
+    pieces : list of (str, bytes)
+        Text before a block and its data; at most `blocks` of them, fewer if the answer holds fewer.
+    rest : str
+        Text behind the last block without the line end; the whole answer if there is no block.
+
+    Raises
+    ------
+    TransferError
+        If a block is cut, too long or followed by something else.
+    """
+    pieces: list[tuple[str, bytes]] = []
+    position = 0
+    while len(pieces) < blocks and (start := block_start(message, position)) >= 0:
+        if len(message) < start + 2:
+            raise TransferError("the binary block of the answer is cut in its header; ask again")
+        first, end = _block_span(message, start, longest)
+        data = message[first:end]
+        if len(data) < end - first:
+            raise TransferError(f"the binary block is cut: {len(data)} of {end - first} bytes came; ask again")
+        pieces.append((decode_text(message[position:start]), data))
+        _check_behind_block(message[end:], len(data), terminated)
+        position = end
+    return pieces, decode_text(message[position:])
 
 
 def split_block(message: bytes, *, longest: int, terminated: bool = True) -> tuple[str, bytes]:
-    """Separate a complete answer into the text before its binary block and the data of the block.
-
-    The block is cut by its own length, so data may hold any byte. Behind it only a line end may follow, and on
-    a link it must: without it the last byte of the data would be the line end, and one byte before it lost.
+    """Separate a complete answer that ends with one binary block; errors as `split_blocks`.
 
     Returns
     -------
@@ -158,31 +208,17 @@ def split_block(message: bytes, *, longest: int, terminated: bool = True) -> tup
         Everything before the ``#``; the whole message without its line end if there is no block.
     data : bytes
         The bytes of the block, empty if there is none.
-
-    Raises
-    ------
-    TransferError
-        If the block is cut, too long or followed by something else.
     """
-    start = block_start(message)
-    if start < 0:
-        return decode_text(message), b""
-    if len(message) < start + 2:
-        raise TransferError("the binary block of the answer is cut in its header; ask again")
-    digits = _length_digits(message, start)
-    length = _block_length(message, start, digits, longest)
-    first = start + 2 + digits
-    data, rest = message[first : first + length], message[first + length :]
-    if len(data) < length:
-        raise TransferError(f"the binary block is cut: {len(data)} of {length} bytes came; ask again")
-    if terminated and not rest:
-        raise TransferError(f"no line end follows the binary block of {length} bytes: a byte was lost; ask again")
-    if rest.strip(b"\r\n") or len(rest) > 2:
+    pieces, rest = split_blocks(message, longest=longest, terminated=terminated)
+    if not pieces:
+        return rest, b""
+    text, data = pieces[0]
+    if rest:
         raise TransferError(
-            f"{len(rest)} bytes follow the binary block of {length} bytes where only a line end belongs: "
+            f"{len(rest)} bytes follow the binary block of {len(data)} bytes where only a line end belongs: "
             "bytes were lost or added; ask again"
         )
-    return decode_text(message[:start]), data
+    return text, data
 
 
 def decode_text(message: bytes) -> str:
@@ -193,7 +229,32 @@ def decode_text(message: bytes) -> str:
     return stripped.decode("ascii")
 
 
-def _length_digits(message: bytes, start: int) -> int:
+def _header_bytes_missing(message: bytes | bytearray, start: int) -> int:
+    """Bytes that are missing of the ``#<n><n digits>`` that begins at `start`."""
+    if len(message) < start + 2:
+        return start + 2 - len(message)
+    return max(0, start + 2 + _length_digits(message, start) - len(message))
+
+
+def _block_span(message: bytes | bytearray, start: int, longest: int) -> tuple[int, int]:
+    """Where the data of a block begin and end whose whole header has come."""
+    digits = _length_digits(message, start)
+    first = start + 2 + digits
+    return first, first + _block_length(message, start, digits, longest)
+
+
+def _check_behind_block(rest: bytes, length: int, terminated: bool) -> None:
+    """TransferError unless another part of the answer or its line end follows a block."""
+    if terminated and not rest:
+        raise TransferError(f"no line end follows the binary block of {length} bytes: a byte was lost; ask again")
+    if rest[:1] != b";" and (rest.strip(b"\r\n") or len(rest) > 2):
+        raise TransferError(
+            f"{len(rest)} bytes follow the binary block of {length} bytes where only a line end belongs: "
+            "bytes were lost or added; ask again"
+        )
+
+
+def _length_digits(message: bytes | bytearray, start: int) -> int:
     digits = message[start + 1] - 0x30
     if not 1 <= digits <= 9:
         raise TransferError(
@@ -202,7 +263,7 @@ def _length_digits(message: bytes, start: int) -> int:
     return digits
 
 
-def _block_length(message: bytes, start: int, digits: int, longest: int) -> int:
+def _block_length(message: bytes | bytearray, start: int, digits: int, longest: int) -> int:
     field = message[start + 2 : start + 2 + digits]
     if not field.isdigit() or len(field) < digits:
         raise TransferError(f"the length of the binary block reads {field!r}; ask again")

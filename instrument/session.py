@@ -33,7 +33,8 @@ class Session:
             raise
         self._panel = FrontPanel(self._dialogue)
         self._timing: AcquisitionTime | None = None
-        self._single_is_set = False
+        self._lock: str | None = None
+        """What LOCk says outside our own exchanges, None if not known."""
         self._closed = False
 
     def __enter__(self) -> Self:
@@ -119,7 +120,7 @@ class Session:
     def _forget(self) -> None:
         """Settings may have changed: what was derived from them must be read again."""
         self._timing = None
-        self._single_is_set = False
+        self._lock = None
         self._dialogue.source = None
 
     def __repr__(self) -> str:

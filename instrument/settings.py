@@ -31,6 +31,7 @@ CURSOR = tuple(f":CURSOR:{bars}:POSITION{n}" for bars in ("VBARS", "HBARS") for 
 CURSOR_KIND = (":CURSOR:FUNCTION", ":CURSOR:SELECT:SOURCE", ":CURSOR:VBARS:UNITS")
 MATH = (":MATH:DEFINE", ":SELECT:MATH")
 MEASUREMENT = (":MEASUREMENT:IMMED:TYPE", ":MEASUREMENT:IMMED:SOURCE")
+LOCK = (":LOCK",)
 HARDCOPY = (":HARDCOPY:FORMAT", ":HARDCOPY:PORT")
 ACQUIRE = (":ACQUIRE:MODE", ":ACQUIRE:NUMAVG", ":ACQUIRE:STOPAFTER", ":ACQUIRE:STATE")
 
@@ -38,7 +39,7 @@ ACQUIRE = (":ACQUIRE:MODE", ":ACQUIRE:NUMAVG", ":ACQUIRE:STOPAFTER", ":ACQUIRE:S
 # Cursors are kept on the screen, so other scales move them: they follow as well.
 _RESTORE_ORDER = (
     *("CH1", "CH2", "CH3", "CH4", "HORIZONTAL", "TRIGGER", "CURSOR", "CURSOR KIND", "MATH"),
-    *("REFA", "REFB", "REFC", "REFD", "MEASUREMENT", "HARDCOPY", "ACQUIRE"),
+    *("REFA", "REFB", "REFC", "REFD", "MEASUREMENT", "HARDCOPY", "LOCK", "ACQUIRE"),
 )
 
 _TRUE, _FALSE = ("1", "ON", "RUN"), ("0", "OFF", "STOP")
@@ -89,6 +90,7 @@ _GROUPS = {
     "MATH": MATH,
     "MEASUREMENT": MEASUREMENT,
     "HARDCOPY": HARDCOPY,
+    "LOCK": LOCK,
     "ACQUIRE": ACQUIRE,
 }
 
@@ -136,7 +138,7 @@ class FrontPanel:
     def remember(self, *groups: str) -> None:
         """Read the groups that have not been changed yet, before they are."""
         for group in groups:
-            if group not in self._found and self._found_setup is None:
+            if group not in self._found and (self._found_setup is None or group == "LOCK"):  # no setup holds LOCK
                 self._found[group] = tuple(self.read(group_commands(group)))
 
     def remember_all(self) -> None:

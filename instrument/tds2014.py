@@ -13,8 +13,8 @@ from __future__ import annotations
 import contextlib
 import itertools
 import time
-from collections.abc import Iterator
-from typing import overload
+from collections.abc import Callable, Iterator
+from typing import cast, overload
 
 from instrument import scpi, setups
 from instrument.acquisition_time import INTERVALS_PER_DIVISION, AcquisitionTime
@@ -34,7 +34,12 @@ _TIMING_COMMANDS = (
     ":TRIGGER:MAIN:MODE",
     ":TRIGGER:MAIN:HOLDOFF:VALUE",
 )
+# A hand on RUN/STOP ends the single sequence, so it is asked for with every record: else an old one would come.
+_START = "ACQ:STOPA SEQ;STATE RUN"
 _POLLS_PER_RECORD = 10  # a finished acquisition is noticed within a tenth of its own length
+
+Several = tuple[str | int, ...] | list[str | int] | tuple[str, ...] | list[str] | list[int]
+"""Names or numbers of several channels."""
 
 
 class TDS2014(Controls):
@@ -63,12 +68,10 @@ class TDS2014(Controls):
     def acquire(self, channel: str | int, *, timeout: float | None = None) -> Waveform: ...
 
     @overload
-    def acquire(
-        self, channel: tuple[str | int, ...] | list[str | int], *, timeout: float | None = None
-    ) -> tuple[Waveform, ...]: ...
+    def acquire(self, channel: Several, *, timeout: float | None = None) -> tuple[Waveform, ...]: ...
 
     def acquire(
-        self, channel: str | int | tuple[str | int, ...] | list[str | int], *, timeout: float | None = None
+        self, channel: str | int | Several, *, timeout: float | None = None
     ) -> Waveform | tuple[Waveform, ...]:
         """Make one single-sequence acquisition and return its record.
 
@@ -78,7 +81,8 @@ class TDS2014(Controls):
         Parameters
         ----------
         channel : str or int, or several of them
-            Of several channels the records of the same acquisition are returned, in their order.
+            Of several channels the records of the same acquisition are returned, in their order and in the same
+            exchange; meanwhile the front panel is locked.
         timeout : float, optional
             Time in s within which the acquisition must complete. Default: two record lengths for each
             acquisition of the sequence (see `AcquisitionTime.longest`).
@@ -90,94 +94,149 @@ class TDS2014(Controls):
         LinkError
             If the scope does not answer.
         TransferError
-            If the record was damaged on its way: a wrong one is never returned; the caller may try again.
+            If a record was damaged on its way: a wrong one is never returned; the caller may try again.
         ExecutionError
-            If the channel is not displayed.
+            If a channel is not displayed.
         """
-        if isinstance(channel, str | int):
-            return self._acquire_one(channel, timeout)
-        names = [self._channel(name) for name in channel]
-        if not names:
-            raise SettingError("no channel to acquire; name at least one")
-        first = self._acquire_one(names[0], timeout)
-        waveforms = (first, *(self.fetch(name) for name in names[1:]))
-        if any(_time_axis(waveform) != _time_axis(first) for waveform in waveforms):
-            raise TransferError("the channels are not of one acquisition (was a knob turned?); ask again")
-        return waveforms
-
-    def _acquire_one(self, channel: str | int, timeout: float | None) -> Waveform:
-        source = self._channel(channel)
+        names = self._several(channel, self._channel)
         self._panel.remember("ACQUIRE")
         timing = self._read_timing()
         wait = timing.longest if timeout is None else timeout
-        start = f"{self._single_commands(source)}:ACQ:STATE RUN"
-        if self._dialogue.link.can_clear or timing.surely_ends:
-            waveform = self._acquire_at_once(start, source, wait)
-        else:
-            waveform = self._acquire_by_asking(start, source, wait, timing)
-        self._remember_timebase(waveform)
-        return waveform
+        with self._held_panel(names) as (lock, unlock):
+            try:
+                if self._dialogue.link.can_clear or timing.surely_ends:
+                    waveforms = self._acquire_at_once(names, wait, lock, unlock)
+                else:
+                    waveforms = self._acquire_by_asking(names, wait, timing, lock, unlock)
+            except SettingError as error:
+                raise TransferError(f"the scope was set running while it was read; ask again ({error})") from None
+        self._remember_timebase(waveforms[0])
+        return waveforms[0] if isinstance(channel, str | int) else waveforms
 
-    def fetch(self, channel: str | int) -> Waveform:
+    @overload
+    def fetch(self, channel: str | int) -> Waveform: ...
+
+    @overload
+    def fetch(self, channel: Several) -> tuple[Waveform, ...]: ...
+
+    def fetch(self, channel: str | int | Several) -> Waveform | tuple[Waveform, ...]:
         """Return the record that the scope holds now, without a new acquisition. Errors as `acquire`.
 
         Besides channels, ``"MATH"`` and the references ``"REFA"``... can be read while they are displayed.
+        Several of them are read in one exchange, and only from a scope that is stopped (SettingError else).
         """
-        source = self._source(channel)
+        names = self._several(channel, self._source)
+        with self._held_panel(names) as (lock, unlock):
+            waveforms = self._fetch(names, lock, unlock)
+        return waveforms[0] if isinstance(channel, str | int) else waveforms
+
+    def _several(self, channel: str | int | Several, name_of: Callable[[str | int], str]) -> tuple[str, ...]:
+        names = tuple(map(name_of, (channel,) if isinstance(channel, str | int) else channel))
+        if not names:
+            raise SettingError("no channel to acquire; name at least one")
+        if len(set(names)) < len(names):
+            raise SettingError(f"a channel is named twice in {', '.join(names)}; name each once")
+        return names
+
+    @contextlib.contextmanager
+    def _held_panel(self, names: tuple[str, ...]) -> Iterator[tuple[str, str]]:
+        """Commands that keep hands off the scope while several channels are read, and those that end it."""
+        if len(names) == 1:
+            yield "", ""
+            return
+        self._panel.remember("LOCK")
+        (found,) = self._panel.read((":LOCK",)) if self._lock is None else (self._lock,)
+        self._lock = found
+        if found == "ALL":
+            yield "", ""
+            return
         try:
-            return self._record(self._source_command(source), source)
+            yield ":LOCK ALL", f":LOCK {found}"
+        except LinkError:
+            raise
+        except InstrumentError:
+            with contextlib.suppress(InstrumentError):
+                self._dialogue.command(f":LOCK {found}")
+            raise
+
+    def _fetch(self, names: tuple[str, ...], lock: str = "", unlock: str = "") -> tuple[Waveform, ...]:
+        try:
+            return self._records(lock, names, unlock)
         except NoAnswer as silence:
             raise self._dialogue.explain_silence("WAVFrm?", silence) from None
 
-    def _acquire_at_once(self, start: str, source: str, wait: float) -> Waveform:
+    def _acquire_at_once(
+        self, names: tuple[str, ...], wait: float, lock: str, unlock: str
+    ) -> tuple[Waveform, ...]:
         try:
-            return self._record(f"{start};*WAI", source, wait=wait)
+            return self._records(";".join(filter(None, (lock, f"{_START};*WAI"))), names, unlock, wait=wait)
         except NoAnswer as silence:
             self._dialogue.resynchronise_or_raise(silence)
-            return self._finished_or_no_trigger(source, wait)
+            return self._finished_or_no_trigger(names, wait, lock, unlock)
 
-    def _acquire_by_asking(self, start: str, source: str, wait: float, timing: AcquisitionTime) -> Waveform:
+    def _acquire_by_asking(
+        self, names: tuple[str, ...], wait: float, timing: AcquisitionTime, lock: str, unlock: str
+    ) -> tuple[Waveform, ...]:
         deadline = time.monotonic() + wait
-        self._dialogue.command(start)
-        self._single_is_set = True
-        self._dialogue.source = source
+        self._dialogue.command(";".join(filter(None, (lock, _START))))
         pause = timing.record_time
         while True:
             time.sleep(max(0.0, min(pause, deadline - time.monotonic())))
             if not is_on(self._dialogue.ask(":BUSY?")[0]):
-                return self.fetch(source)
+                return self._fetch(names, "", unlock)
             if time.monotonic() >= deadline:
-                return self._finished_or_no_trigger(source, wait)
+                return self._finished_or_no_trigger(names, wait, "", unlock)
             pause = timing.record_time / _POLLS_PER_RECORD
 
-    def _record(self, commands: str, source: str, *, wait: float = 0.0) -> Waveform:
+    def _records(
+        self, commands: str, names: tuple[str, ...], unlock: str, *, wait: float = 0.0
+    ) -> tuple[Waveform, ...]:
         try:
-            waveform = self._dialogue.record(commands.rstrip(";"), source, wait=wait)
+            return self._dialogue.records(commands, names, wait=wait, afterwards=unlock)
         except InstrumentError:
             self._forget()
             raise
-        self._single_is_set = self._single_is_set or "STOPAFTER" in commands
-        self._dialogue.source = source
-        return waveform
 
-    def _finished_or_no_trigger(self, source: str, wait: float) -> Waveform:
+    def _finished_or_no_trigger(
+        self, names: tuple[str, ...], wait: float, lock: str, unlock: str
+    ) -> tuple[Waveform, ...]:
         running, state = self._dialogue.ask(":ACQUIRE:STATE?;:TRIGGER:STATE?", parts=2)
         if not is_on(running):
-            return self.fetch(source)  # it ended just now
+            return self._fetch(names, lock, unlock)  # it ended just now
         self._dialogue.command(":ACQUIRE:STATE STOP")
         raise NoTrigger(
             f"the acquisition did not complete within {wait:.3g} s (trigger state {state}); "
             "check signal, trigger source and level, or use trigger mode AUTO"
         )
 
+    @overload
     def records(
         self, channel: str | int, count: int | None = None, *, timeout: float | None = None, attempts: int = 3
-    ) -> Iterator[Waveform]:
+    ) -> Iterator[Waveform]: ...
+
+    @overload
+    def records(
+        self, channel: Several, count: int | None = None, *, timeout: float | None = None, attempts: int = 3
+    ) -> Iterator[tuple[Waveform, ...]]: ...
+
+    def records(
+        self,
+        channel: str | int | Several,
+        count: int | None = None,
+        *,
+        timeout: float | None = None,
+        attempts: int = 3,
+    ) -> Iterator[Waveform] | Iterator[tuple[Waveform, ...]]:
         """Fresh records one after the other, `count` of them or without end.
 
         A record that is damaged on its way is taken anew, up to `attempts` times in a row; then its
-        `TransferError` is raised. Other errors as `acquire`.
+        `TransferError` is raised. Of several channels each item is a tuple. Other errors as `acquire`.
         """
+        return cast("Iterator[Waveform]", self._fresh(channel, count, timeout, attempts))
+
+    def _fresh(
+        self, channel: str | int | Several, count: int | None, timeout: float | None, attempts: int
+    ) -> Iterator[Waveform | tuple[Waveform, ...]]:
         numbers = itertools.count() if count is None else range(count)
         for _ in numbers:
             for attempt in range(1, attempts + 1):
@@ -261,6 +320,7 @@ class TDS2014(Controls):
         """Lock the knobs while a ``with`` block runs; afterwards they are as found, also after an exception."""
         (found,) = self._panel.read((":LOCK",))
         self._panel.change(Change(":LOCK", "ALL"))
+        self._lock = "ALL"
         try:
             yield
         except LinkError:
@@ -269,6 +329,8 @@ class TDS2014(Controls):
             with contextlib.suppress(InstrumentError):
                 self._dialogue.command(f":LOCK {found}")
             raise
+        finally:
+            self._lock = None
         self._dialogue.command(f":LOCK {found}")
 
     # ------------------------------------------------------------------ inside
@@ -278,13 +340,6 @@ class TDS2014(Controls):
         word = str(name).strip().upper()
         references = [f"REF{letter}" for letter in "ABCD"[: self.identity.channel_count]]
         return word if word in ("MATH", *references) else self._channel(name)
-
-    def _single_commands(self, source: str) -> str:
-        single = "" if self._single_is_set else ":ACQUIRE:STOPAFTER SEQUENCE;"
-        return f"{single}{self._source_command(source)}"
-
-    def _source_command(self, source: str) -> str:
-        return "" if self._dialogue.source == source else f":DATA:SOURCE {source};"
 
     def _read_timing(self) -> AcquisitionTime:
         if self._timing is None:
@@ -302,7 +357,3 @@ class TDS2014(Controls):
         taken_with = waveform.sample_interval * INTERVALS_PER_DIVISION
         if self._timing and abs(taken_with / self._timing.seconds_per_division - 1) > 1e-3:
             self._timing = None
-
-
-def _time_axis(waveform: Waveform) -> tuple[float, float]:
-    return waveform.preamble.xincr, waveform.preamble.xzero

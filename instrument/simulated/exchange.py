@@ -103,8 +103,7 @@ class MessageExchange:
             delivery = self._answers.popleft()
             self.scope.message_available = bool(self._answers)
             if delivery.command:
-                for _ in self.scope.execute(delivery.command.encode()):
-                    pass
+                self.scope.turn_knob(delivery.command)
             if delivery.closes_link:
                 self.clear()
                 self.closed = True

@@ -21,11 +21,13 @@ FaultKind = Literal[
     "power off",
     "power cycle",
     "knob turned",
+    "knob turned within",
     "parity error",
     "framing error",
     "input overrun",
 ]
 _INPUT_ERRORS = {"parity error": 361, "framing error": 362, "input overrun": 363}
+_WITHIN = "knob turned within"
 _BLOCK_LENGTH = re.compile(rb"#([1-9])(\d+)")
 
 
@@ -36,14 +38,16 @@ class Fault:
     Attributes
     ----------
     kind : str
-        One of FaultKind. "link closed" and "power off" happen after the first `bytes_sent` bytes of the answer.
+        One of FaultKind. "link closed" and "power off" happen after the first `bytes_sent` bytes of the answer. A
+        knob is turned behind an answer, or "within" a message, before a query of it. A locked panel has no knobs.
     answer : int, optional
         Number of the answer, counted from 1 since the fault was added. None: any answer. Errors of the RS-232
-        input ("parity error" and the two after it) count the pieces received instead.
+        input ("parity error" and the two after it) count the pieces received instead, a knob turned within
+        messages counts queries.
     probability : float
         Chance that an answer that fits is hit.
     in_answer : bytes
-        Only answers that hold this, for instance b"#42500".
+        Only answers that hold this, for instance b"#42500"; within messages, only queries that hold it.
     shortest : int
         Only answers with at least so many bytes: 1000 picks the curves.
     bytes_sent : int, optional
@@ -98,13 +102,14 @@ class Faults:
         self.happened: list[Fault] = []
         self._rng = np.random.default_rng([seed, 0xFA17])
         self._armed: list[tuple[Fault, int]] = []
-        self._count = self._inputs = 0
+        self._count = self._inputs = self._queries = 0
         self.add(*faults)
 
     def add(self, *faults: Fault) -> None:
         """Arm more faults; their answers count from here."""
         for fault in faults:
-            self._armed.append((fault, self._inputs if fault.kind in _INPUT_ERRORS else self._count))
+            counted = self._inputs if fault.kind in _INPUT_ERRORS else self._count
+            self._armed.append((fault, self._queries if fault.kind == _WITHIN else counted))
 
     def clear(self) -> None:
         """Heal everything."""
@@ -127,12 +132,23 @@ class Faults:
                 return _INPUT_ERRORS[fault.kind]
         return 0
 
+    def hand(self, query: bytes) -> str:
+        """Command that a hand on the front panel gives just before a query, or ""."""
+        self._queries += 1
+        for entry in self._armed:
+            fault, since = entry
+            if fault.kind == _WITHIN and self._hits(fault, self._queries - since, query):
+                self._note(entry)
+                return fault.command
+        return ""
+
     def deliver(self, answer: bytes, now: float) -> Delivery:
         """What becomes of an answer."""
         self._count += 1
         for entry in self._armed:
             fault, since = entry
-            if fault.kind not in _INPUT_ERRORS and self._hits(fault, self._count - since, answer):
+            spoils = fault.kind not in _INPUT_ERRORS and fault.kind != _WITHIN
+            if spoils and self._hits(fault, self._count - since, answer):
                 self._note(entry)
                 return self._spoil(fault, answer, now)
         return Delivery(answer, now)
@@ -176,7 +192,7 @@ class Faults:
                 return Delivery(answer[:at], now, closes_link=True, power="cycle")
             case "knob turned":
                 return Delivery(answer, now, command=fault.command)
-            case "parity error" | "framing error" | "input overrun":
+            case "parity error" | "framing error" | "input overrun" | "knob turned within":
                 return Delivery(answer, now)  # they spoil what comes in
 
     def _other_length(self, match: re.Match[bytes]) -> bytes:

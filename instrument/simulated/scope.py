@@ -142,6 +142,8 @@ class SimulatedTDS2014:
                     raise Refusal(440)
                 self.settle()
                 if command.query:
+                    if hand := self.faults.hand(command.source.encode("latin-1")):
+                        self.turn_knob(hand)
                     answer = self._answer(node, action, command)
                     identified = bool(action and action.ends_message)
                     if not deadlocked:
@@ -218,6 +220,12 @@ class SimulatedTDS2014:
         return ";".join(parts).encode("latin-1")
 
     # What commands do
+
+    def turn_knob(self, command: str) -> None:
+        """What somebody at the front panel does, as a program message; nothing while it is locked."""
+        if self.panel.text("LOCK") == "NONE":
+            for _ in self.execute(command.encode("latin-1")):
+                pass
 
     def set(self, key: str, value: Value) -> None:
         """Change a setting as a command or a hand on the front panel would."""

@@ -48,6 +48,7 @@ SETTINGS = {
     "CURSOR:VBARS:POSITION2": "2.0E-3",
     "CURSOR:HBARS:POSITION1": "-3.2E0",
     "CURSOR:HBARS:POSITION2": "3.2E0",
+    "LOCK": "NONE",
     "BUSY": "0",
     "TRIGGER:STATE": "SAVE",
 }
@@ -106,7 +107,7 @@ class LineScope:
             return [self._preamble()] + ([self._block()] if part == "WAVF?" and self._shown() else [])
         if part.endswith("?"):
             header = f":{part[:-1]} " if self.settings["HEADER"] == "1" else ""
-            return [(header + self.settings[part[:-1]]).encode()]
+            return [(header + self.settings[part[:-1].replace("ACQ:", "ACQUIRE:")]).encode()]
         self._command(part)
         return []
 
@@ -116,7 +117,7 @@ class LineScope:
         if part in ("", "*CLS", "*WAI"):
             return
         name, value = part.split(" ", 1)
-        name = name.replace("ACQ:", "ACQUIRE:")
+        name = {"ACQ:STOPA": "ACQUIRE:STOPAFTER", "STATE": "ACQUIRE:STATE"}.get(name, name)
         if name not in self.settings:
             raise LookupError(name)
         if value in ("ON", "OFF") and not name.startswith("CH"):

@@ -74,7 +74,7 @@ def test_block_with_every_byte_is_read_by_its_length_and_leaves_nothing(peer, ma
     with Link(one.name, manager, baud_rate=19200) as link:
         for _ in range(2):
             link.write("BLOCK?")
-            assert link.read_block(longest=5000) == ('1;"#";', data)
+            assert link.read_blocks(longest=5000) == ([('1;"#";', data)], "")
             link.write("NEXT?")
             assert link.read_text() == "2.5E0"
 

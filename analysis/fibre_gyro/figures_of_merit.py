@@ -195,8 +195,8 @@ class ResidualPattern:
         Root mean square of the odd and of the even part of the residuals at paired rates away from zero, ppm of
         full scale. Odd: cubic, from resets or converter. Even: asymmetry.
     near_zero_ppm : float
-        Largest deviation of the points near zero from the line through the others, ppm of the point itself: dead
-        zone, lock-in.
+        Largest deviation of the points near zero from a smooth curve through the others, ppm of the point itself:
+        dead zone, lock-in.
     odd_p, even_p, near_zero_p : float
         nan where there are too few points to tell.
     names : tuple of str
@@ -219,7 +219,8 @@ def residual_pattern(
 
     The line is fitted to the points away from zero. Their residuals at +w and -w give the odd part
     [r(w) - r(-w)]/2 and the even part [r(w) + r(-w)]/2; each is tested with chi-square, with as many degrees of
-    freedom as it has pairs less the one of the line's slope, or of its intercept.
+    freedom as it has pairs less the one of the line's slope, or of its intercept. The points near zero are
+    compared with a curve 1, w, |w|, w^3 through the others, so that an asymmetry does not look like a dead zone.
 
     Parameters
     ----------
@@ -239,9 +240,8 @@ def residual_pattern(
     odd, even, part_u = _paired(rate[away], fit.residual, u[away])
     odd_p, even_p = (_chance(part / part_u, part.size - 1) for part in (odd, even))
     near = ~away & (rate != 0)
-    left = output[near] - fit.intercept - fit.slope * rate[near]
-    # near zero the line itself is known as well as its intercept
-    near_p = _chance(left / np.hypot(u[near], fit.intercept_u), left.size)
+    left, left_u = _beside_the_smooth_curve(rate, output, u, away, near)
+    near_p = _chance(left / left_u, left.size)
     near_ppm = _PPM * float(np.abs(left / (fit.slope * rate[near])).max()) if left.size else float("nan")
     found = (("odd", odd_p), ("even", even_p), ("near zero", near_p))
     return ResidualPattern(
@@ -253,6 +253,20 @@ def residual_pattern(
         near_p,
         tuple(name for name, p in found if p < _SIGNIFICANT),
     )
+
+
+def _beside_the_smooth_curve(
+    rate: Floats, output: Floats, u: Floats, away: NDArray[np.bool_], near: NDArray[np.bool_]
+) -> tuple[Floats, Floats]:
+    """Output of the points near zero less a smooth curve through the others, and its standard uncertainty."""
+    scaled = rate / np.abs(rate).max()
+    columns = [np.ones_like(rate), scaled, np.abs(scaled), scaled**3]
+    enough = int(away.sum()) >= 6 and bool(np.any(rate[away] > 0) and np.any(rate[away] < 0))
+    design = np.column_stack(columns if enough else columns[:2])
+    inverse = np.linalg.pinv(design[away] / u[away, np.newaxis])
+    curve = design @ (inverse @ (output[away] / u[away]))
+    curve_variance = np.sum((design[near] @ inverse) ** 2, axis=1)
+    return output[near] - curve[near], np.sqrt(u[near] ** 2 + curve_variance)
 
 
 def _paired(rate: Floats, residual: Floats, u: Floats) -> tuple[Floats, Floats, Floats]:

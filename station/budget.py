@@ -16,6 +16,7 @@ from analysis.budget import (
     lock_in_budget,
     operating_point,
 )
+from analysis.rotation import earth_rate_on_axis
 from station.words import with_uncertainty
 
 if TYPE_CHECKING:
@@ -62,6 +63,43 @@ def bench_knowledge(settings: Settings, table: TableGeometry | None = None) -> B
     )
 
 
+def table_geometry(
+    evaluation: Evaluation, settings: Settings, *, azimuth_deg: float = math.nan, azimuth_u_deg: float = 0.0
+) -> TableGeometry | None:
+    """Say how the rate on the axis came about in an evaluated run.
+
+    Parameters
+    ----------
+    evaluation : Evaluation
+    settings : Settings
+        Those of the run.
+    azimuth_deg, azimuth_u_deg : float, optional
+        Of the axis from north, where it is known.
+
+    Returns
+    -------
+    TableGeometry or None
+        ``None`` where no table with a known rate was used.
+    """
+    tilt, check = evaluation.tilt, evaluation.table_check
+    if tilt is None or check is None:
+        return None
+    latitude = settings.site.latitude_deg
+    vertical = float(earth_rate_on_axis(latitude, tilt.tilt_deg, 90.0))
+    table_rate = (check.input_rate - vertical) / math.cos(math.radians(tilt.tilt_deg))
+    stated = settings.budget
+    return TableGeometry(
+        table_rate=table_rate,
+        table_rate_u=1e-6 * stated.table_rate_u_ppm * abs(table_rate) if stated is not None else 0.0,
+        tilt_deg=tilt.tilt_deg,
+        tilt_u_deg=tilt.tilt_u_deg,
+        latitude_deg=latitude,
+        latitude_u_deg=stated.latitude_u_deg if stated is not None else 0.0,
+        azimuth_deg=azimuth_deg,
+        azimuth_u_deg=azimuth_u_deg,
+    )
+
+
 def budget_of(evaluation: Evaluation, settings: Settings, table: TableGeometry | None = None) -> Budget:
     """Make the budget of an evaluated run.
 
@@ -72,7 +110,8 @@ def budget_of(evaluation: Evaluation, settings: Settings, table: TableGeometry |
     settings : Settings
         Those of the run.
     table : TableGeometry, optional
-        Rate, tilt and azimuth of the table; needed where the evaluation's reference is a rate that was given.
+        Rate, tilt and azimuth of the table; by default what the evaluation knows of them. Needed where the
+        evaluation's reference is a rate that was given.
 
     Returns
     -------
@@ -89,6 +128,7 @@ def budget_of(evaluation: Evaluation, settings: Settings, table: TableGeometry |
     spacing = float(np.mean([abs(wave.preamble.ymult) for wave in evaluation.waveforms]))
     samples = min(wave.codes.size for wave in evaluation.waveforms)
     point = operating_point(evaluation.each, evaluation.combined, samples=samples, level_spacing=spacing)
+    table = table or table_geometry(evaluation, settings)
     return lock_in_budget(point, bench_knowledge(settings, table), reference)
 
 

@@ -4,13 +4,17 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from analysis.budget import Budget
-from station.plots import ACCENT, INK, SECOND, SOFT, _svg
+from analysis.budget import Budget, BudgetInput
+from station.picture import svg_element
+from station.plots import ACCENT, INK, SECOND
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 _LINES_SHOWN = 12
+_SMALLEST_SHOWN = 1e-4
+"""Contributions below this share of the combined uncertainty are too small to be drawn."""
 
 
 def budget_svg(budget: Budget, name: str = "budget") -> str:
@@ -27,20 +31,34 @@ def budget_svg(budget: Budget, name: str = "budget") -> str:
     str
         SVG element.
     """
-    lines = [line for line in budget.inputs if line.contribution > 0][:_LINES_SHOWN]
-    labels = ["combined", *(line.quantity for line in lines)]
-    percent = [100 * u / budget.lock_in_rate for u in (budget.combined_u, *(line.contribution for line in lines))]
 
     def draw(figure: Figure) -> None:
-        axes = figure.add_subplot()
-        places = range(len(labels), 0, -1)
-        bars = axes.barh(list(places), percent, height=0.62, color=[SECOND, *[ACCENT] * len(lines)])
-        axes.bar_label(bars, labels=[f"{value:.2g} %" for value in percent], padding=4, color=INK, fontsize=8.5)
-        axes.set_yticks(list(places), labels, color=INK)
-        axes.tick_params(axis="y", length=0)
-        axes.grid(visible=False, axis="y")
-        axes.set_xscale("log")
-        axes.set_xlim(max(min(percent), max(percent) * 1e-6) * 0.4, max(percent) * 4)
-        axes.set_xlabel("standard uncertainty, % of the lock-in rate", color=SOFT)
+        draw_budget(figure.add_subplot(), budget)
 
-    return _svg(name, (10.0, 0.9 + 0.3 * len(labels)), draw)
+    return svg_element(name, (10.0, budget_height(budget)), draw)
+
+
+def budget_height(budget: Budget) -> float:
+    """Height in inches that the bars of a budget need."""
+    return 1.0 + 0.29 * (len(_shown(budget)) + 1)
+
+
+def draw_budget(axes: Axes, budget: Budget) -> None:
+    """Draw the bars on given axes."""
+    lines = _shown(budget)
+    labels = ["combined", *(line.quantity for line in lines)]
+    percent = [100 * u / budget.lock_in_rate for u in (budget.combined_u, *(line.contribution for line in lines))]
+    places = list(range(len(labels), 0, -1))
+    bars = axes.barh(places, percent, height=0.62, color=[SECOND, *[ACCENT] * len(lines)])
+    axes.bar_label(bars, labels=[f"{value:.2g} %" for value in percent], padding=4, color=INK, fontsize=8.5)
+    axes.set_yticks(places, labels, color=INK)
+    axes.tick_params(axis="y", length=0)
+    axes.grid(visible=False, axis="y")
+    axes.set_xscale("log")
+    axes.set_xlim(min(percent) * 0.4, max(percent) * 4)
+    axes.set_xlabel("standard uncertainty, % of the lock-in rate")
+
+
+def _shown(budget: Budget) -> list[BudgetInput]:
+    least = _SMALLEST_SHOWN * budget.combined_u
+    return [line for line in budget.inputs if line.contribution > least][:_LINES_SHOWN]

@@ -1,0 +1,262 @@
+"""Frames out of a stream of bytes that may have holes, extra bytes and flipped bits.
+
+What is delivered passed every check that its format has. What is not is counted. After damage the search for the
+next frame begins one byte behind the place where the damaged one began, so that no good frame inside the damaged
+stretch is lost, and never more than two frames' bytes are held.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from instrument.fibre_gyro.frame_format import FrameFormat
+from instrument.fibre_gyro.frames import Damaged, Frame, decode_frame
+
+_MOST_ANSWERS = 8  # an old one that still comes is rubbish
+_STRONG_CHECK = 2  # bytes of a checksum that lets less than one damaged frame in 65 000 pass
+
+
+@dataclass(frozen=True)
+class Answer:
+    """One of the expected answers came; `message` is its bytes."""
+
+    message: bytes
+
+
+@dataclass(frozen=True)
+class Damage:
+    """So many frames came damaged here, or what is left of them; `reason` in a few words."""
+
+    frames: int
+    reason: str
+
+
+Event = Frame | Answer | Damage
+
+
+@dataclass
+class Tally:
+    """What became of the bytes so far.
+
+    Attributes
+    ----------
+    good, damaged, unusable : int
+        Frames: delivered as usable; damaged; whole, but with a bad status or a value out of range.
+    received, discarded : int
+        Bytes that came, and those that belong to no frame and no answer.
+    """
+
+    good: int = 0
+    damaged: int = 0
+    unusable: int = 0
+    received: int = 0
+    discarded: int = 0
+
+
+class FrameStream:
+    """Takes bytes as they come and gives what is in them, in order: frames, answers, damage.
+
+    Parameters
+    ----------
+    layout : FrameFormat
+    """
+
+    def __init__(self, layout: FrameFormat) -> None:
+        self._layout = layout
+        self._lines = layout.kind == "ascii"
+        self._buffer = bytearray()
+        self._answers: dict[bytes, None] = {}  # in the order in which they were expected
+        self.tally = Tally()
+        weak = layout.check is None or layout.check.size < _STRONG_CHECK
+        # A lost byte makes the next header's first byte stand in for the last of the frame. A weak checksum
+        # may let that pass, but then the next header is not where it should be.
+        self._confirm = weak and not self._lines
+        self.restart()
+
+    def expect(self, message: bytes) -> bytes:
+        """From now on `message` is an answer; returns what `Answer.message` will be."""
+        answer = message.removesuffix(self._layout.ending).rstrip(b" \r\n") if self._lines else message
+        while answer not in self._answers and len(self._answers) >= _MOST_ANSWERS:
+            del self._answers[next(iter(self._answers))]
+        self._answers[answer] = None
+        return answer
+
+    def restart(self) -> None:
+        """Drop what is held and begin anew, in the middle of a frame perhaps."""
+        self.tally.discarded += len(self._buffer)
+        self._buffer.clear()
+        self._joined = False  # whether a frame was found since
+        self._bad_bytes, self._reason = 0, ""
+        self._too_long = False
+
+    @property
+    def held(self) -> int:
+        """Bytes that may yet become a frame."""
+        return len(self._buffer)
+
+    def feed(self, data: bytes, *, silent: bool = False) -> list[Event]:
+        """Take bytes.
+
+        Parameters
+        ----------
+        data : bytes
+        silent : bool
+            Nothing more will follow for a while: a frame that waits for its successor is given now.
+
+        Returns
+        -------
+        list of Frame, Answer or Damage
+        """
+        self.tally.received += len(data)
+        self._buffer += data
+        self._found: list[Event] = []
+        if self._lines:
+            self._take_lines()
+        else:
+            self._take_binary(silent)
+        return self._found
+
+    # ------------------------------------------------------------------ binary frames
+
+    def _take_binary(self, silent: bool) -> None:
+        position = 0
+        while position < len(self._buffer):
+            rest = self._buffer[position : position + self._longest()]
+            answer = self._answer_at(rest)
+            if answer is not None:
+                self._end_of_damage()
+                self._found.append(Answer(answer))
+                position += len(answer)
+            elif self._may_continue(rest, silent):
+                break
+            elif self._take_frame(rest):
+                position += self._layout.frame_bytes
+            else:
+                behind = self._next_candidate(position)
+                self._bad_bytes += behind - position
+                self.tally.discarded += behind - position
+                position = behind
+        del self._buffer[:position]
+
+    def _longest(self) -> int:
+        layout = self._layout
+        return max(layout.frame_bytes + len(layout.header), *map(len, self._answers), 1)
+
+    def _answer_at(self, rest: bytes | bytearray) -> bytes | None:
+        return next((answer for answer in self._answers if rest.startswith(answer)), None)
+
+    def _may_continue(self, rest: bytearray, silent: bool) -> bool:
+        """Whether more bytes are needed to tell what begins here."""
+        layout = self._layout
+        if any(len(rest) < len(answer) and answer.startswith(rest) for answer in self._answers):
+            return True
+        have = min(len(rest), len(layout.header))
+        if rest[:have] != layout.header[:have]:
+            return False
+        if len(rest) < layout.frame_bytes:
+            return True
+        behind = rest[layout.frame_bytes :]
+        return self._confirm and not silent and len(behind) < len(layout.header) and self._begins(behind)
+
+    def _begins(self, behind: bytearray) -> bool:
+        """Whether these bytes can be the begin of a frame or an answer."""
+        starts = [self._layout.header, *self._answers]
+        return any(start[: len(behind)] == behind[: len(start)] for start in starts)
+
+    def _take_frame(self, rest: bytearray) -> bool:
+        """Whether a whole frame stands here; if so it is given."""
+        length = self._layout.frame_bytes
+        try:
+            frame = decode_frame(bytes(rest[:length]), self._layout)
+            if self._confirm and not self._begins(rest[length:]):
+                raise Damaged("no header behind it")
+        except Damaged as damaged:
+            self._reason = self._reason or str(damaged)
+            return False
+        self._end_of_damage()
+        self._give(frame)
+        return True
+
+    def _next_candidate(self, position: int) -> int:
+        starts = [self._layout.header, *self._answers]
+        places = [self._buffer.find(start, position + 1) for start in starts]
+        if any(place >= 0 for place in places):
+            return min(place for place in places if place >= 0)
+        # The last bytes may be the begin of a header.
+        return max(position + 1, len(self._buffer) - max(map(len, starts)) + 1)
+
+    def _end_of_damage(self) -> None:
+        """A frame or an answer begins here: what was discarded before were damaged frames, or the end of one."""
+        length = self._layout.frame_bytes
+        if self._bad_bytes and (self._joined or self._bad_bytes >= length):
+            self._give_damage(max(1, round(self._bad_bytes / length)))
+        self._joined, self._bad_bytes, self._reason = True, 0, ""
+
+    # ------------------------------------------------------------------ lines
+
+    def _take_lines(self) -> None:
+        *lines, rest = bytes(self._buffer).split(self._layout.ending)
+        for line in lines:
+            self._too_long = self._too_long or len(line) > self._longest()
+            if not self._take_line(line):
+                self.tally.discarded += len(line) + len(self._layout.ending)
+            self._too_long = False
+        if len(rest) > self._longest():
+            # No line is so long: hold only what could be the first byte of an ending.
+            cut = len(rest) - (len(self._layout.ending) - 1)
+            self.tally.discarded += cut
+            rest = rest[cut:]
+            self._too_long = True
+        self._buffer[:] = rest
+
+    def _take_line(self, line: bytes) -> bool:
+        """Give what is in a line; False if that is nothing."""
+        text = line.rstrip(b" \r\n")
+        if text in self._answers:
+            self._found.append(Answer(text))
+        elif text or self._too_long:
+            self._reason = "line too long"
+            frame = None if self._too_long else self._frame_in(text)
+            if frame is None:
+                if self._joined:
+                    self._give_damage(1)
+                self._joined = True
+                return False
+            self._give(frame)
+        else:
+            return False
+        self._joined = True
+        return True
+
+    def _frame_in(self, text: bytes) -> Frame | None:
+        """The frame of a line; of one that lost its line end, the frame at its end if a checksum proves it."""
+        if not self._joined and not self._layout.header:
+            return None  # it may have lost its beginning, and nothing would show that
+        try:
+            return decode_frame(text, self._layout)
+        except Damaged as damaged:
+            self._reason = str(damaged)
+        begin = text.rfind(self._layout.header, 1) if self._layout.header else -1
+        if begin < 0 or self._layout.check is None:
+            return None
+        try:
+            frame = decode_frame(text[begin:], self._layout)
+        except Damaged:
+            return None
+        self.tally.discarded += begin
+        if self._joined:
+            self._give_damage(1)
+        return frame
+
+    # ------------------------------------------------------------------ what is given
+
+    def _give(self, frame: Frame) -> None:
+        if frame.problem:
+            self.tally.unusable += 1
+        else:
+            self.tally.good += 1
+        self._found.append(frame)
+
+    def _give_damage(self, frames: int) -> None:
+        self.tally.damaged += frames
+        self._found.append(Damage(frames, self._reason or "bytes between frames"))

@@ -1,0 +1,290 @@
+"""The link to a fibre gyro: its output as it comes, and the commands of the self-calibration, on a serial port.
+
+Every time limit is made of named ingredients: the bytes of a frame at the baud rate, the interval of the output,
+the time that the gyro takes to answer (from its format), and the delay of the host.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import time
+from collections.abc import Callable, Iterator
+from types import TracebackType
+from typing import Any
+
+import serial
+
+from instrument.errors import LinkError, SettingError
+from instrument.fibre_gyro.counter_clock import HOST_DELAY_S, CounterClock
+from instrument.fibre_gyro.errors import CommandRefused, NoAcknowledgement
+from instrument.fibre_gyro.frame_format import FrameFormat
+from instrument.fibre_gyro.frame_stream import Answer, Event, FrameStream
+from instrument.fibre_gyro.messages import compose
+from instrument.fibre_gyro.record_builder import RecordBuilder
+from instrument.fibre_gyro.recording import Losses, Recording
+
+SLICE_S = 0.02
+"""Time in s that one read of the port waits for its bytes."""
+
+ATTEMPTS = 3
+"""How often a command is sent that is not acknowledged. Every command sets a state, so twice is as good as once."""
+
+_CHUNK = 4096
+_BACKLOG = 1 << 20  # bytes that an operating system may have kept for us; more means that nobody paces them
+_UNPACED_S = 10.0  # an answer waits behind frames that were sent before, if they come as fast as they are read
+
+
+class FibreGyroLink:
+    """One open link to a fibre gyro; a context manager.
+
+    Parameters
+    ----------
+    port : str
+        What pySerial opens: "/dev/ttyUSB0", "COM3", "socket://host:port" behind a serial-to-Ethernet adapter.
+    layout : FrameFormat
+        Frames, commands and line settings, from `parse_frame_format`.
+    speed : float
+        Seconds of the gyro's time in one second; other than 1 for simulated gyros only, inf if they send as fast
+        as they are read.
+    longest_silence_s : float
+        Time in s after which a gyro that sends no good frame is given up.
+
+    Raises
+    ------
+    LinkError
+        If the port cannot be opened.
+    """
+
+    def __init__(
+        self, port: str, layout: FrameFormat, *, speed: float = 1.0, longest_silence_s: float = 5.0
+    ) -> None:
+        self.name, self.layout, self.speed = port, layout, speed
+        frame_s = layout.frame_bytes * layout.byte_time_s
+        self._patience_s = longest_silence_s + 2 * (layout.interval_s / max(speed, 1e-9)) + frame_s
+        self._stream = FrameStream(layout)
+        self._session = Losses()
+        self._port = _open(port, layout)
+
+    def __enter__(self) -> FibreGyroLink:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Close the port; never raises."""
+        with contextlib.suppress(serial.SerialException, OSError):
+            self._port.close()
+
+    @property
+    def acknowledges(self) -> bool:
+        """Whether the gyro answers commands; without answers nothing proves that one arrived."""
+        return self.layout.has_answers
+
+    @property
+    def losses(self) -> Losses:
+        """What became of all frames of all recordings since the link was opened."""
+        return self._session
+
+    # ------------------------------------------------------------------ output
+
+    def record(
+        self, seconds: float, *, skip_s: float = 0.0, progress: Callable[[float], None] | None = None
+    ) -> Recording:
+        """Record the gyro's output from now on.
+
+        Parameters
+        ----------
+        seconds : float
+            Of the gyro's own time; frames that are lost shorten the columns, not the time.
+        skip_s : float
+            Time that is left out first, for the loop to settle.
+        progress : callable, optional
+            Called a few times a second with the seconds of the gyro's time that have passed, `skip_s` included.
+
+        Raises
+        ------
+        LinkError
+            If the link is lost, or no good frame comes for too long; the text tells silence from rubbish.
+        """
+        interval_s = self.layout.interval_s
+        wanted, skip = round(seconds / interval_s), math.ceil(skip_s / interval_s - 1e-6)
+        if wanted < 1:
+            raise SettingError(
+                f"{seconds:g} s is less than one output of the gyro ({interval_s:g} s); record longer"
+            )
+        self._catch_up()
+        builder = RecordBuilder(self.layout, skip, wanted)
+        discarded = self._stream.tally.discarded
+        for events, host_s, silent_s in self._arrivals(lambda: builder.index):
+            builder.take(events, host_s=host_s, silent_s=silent_s)
+            if progress is not None and events:
+                progress(min((builder.index + 1) * interval_s, (skip + wanted) * interval_s))
+            if builder.done:
+                break
+        recording = builder.recording(self._stream.tally.discarded - discarded)
+        self._session += recording.losses
+        return recording
+
+    def _arrivals(self, reached: Callable[[], int]) -> Iterator[tuple[list[Event], float, float]]:
+        """What comes, when, and after how much silence, until `reached` has stood still for too long."""
+        received = self._stream.tally.received
+        moved_at, place = time.monotonic(), reached()
+        while True:
+            began = time.monotonic()
+            data = self._read()
+            now = time.monotonic()
+            events = self._stream.feed(data, silent=not data)
+            yield events, self._gyro_time(now), 0.0 if data else self._gyro_time(now - began)
+            if reached() != place:
+                moved_at, place = now, reached()
+            elif now - moved_at > self._patience_s:
+                raise LinkError(self._why_nothing(self._stream.tally.received - received, place))
+
+    def _gyro_time(self, seconds: float) -> float:
+        # A gyro that sends as fast as it is read keeps no pace that silence could be measured against.
+        return seconds * self.speed if math.isfinite(self.speed) else 0.0
+
+    def _why_nothing(self, received: int, place: int) -> str:
+        waited = f"for {self._patience_s:.3g} s"
+        if received == 0:
+            return (
+                f"{self.name} sent nothing {waited}; is the gyro on, is it the right port, and are transmit and "
+                "receive the right way round?"
+            )
+        if place >= 0:
+            return f"{self.name} stopped sending good frames {waited}; look at the gyro and its cable"
+        return (
+            f"{self.name} sent {received} bytes {waited}, but not one good frame; compare baud rate "
+            f"({self.layout.baud_rate}), header, fields and checksum of the frame format with the data sheet"
+        )
+
+    def _catch_up(self) -> None:
+        """Throw away what came while nobody listened: it is old, and the rest of it may be lost."""
+        if math.isfinite(self.speed):
+            with self._lost_link("reading from"):
+                self._port.timeout = 0
+                dropped = 0
+                while dropped < _BACKLOG and (late := self._port.read(_CHUNK)):
+                    dropped += len(late)
+                self._port.timeout = SLICE_S
+        self._stream.restart()
+
+    # ------------------------------------------------------------------ commands
+
+    def inject(self, step_codes: float) -> float:
+        """Inject a staircase.
+
+        Parameters
+        ----------
+        step_codes : float
+            Height of a step per transit time in codes of the modulator's converter.
+
+        Returns
+        -------
+        float
+            The step that was sent: `step_codes` rounded to what the format can express.
+
+        Raises
+        ------
+        SettingError
+            If the step is beyond the converter or the format, or the gyro has no such command.
+        CommandRefused, NoAcknowledgement, LinkError
+        """
+        lowest, highest = self.layout.step_range
+        if not lowest <= step_codes <= highest:
+            raise SettingError(
+                f"a step of {step_codes:g} codes cannot be injected, the gyro takes {lowest:g} to {highest:g}; "
+                "choose a smaller rate"
+            )
+        number = round(step_codes * self.layout.step_scale)
+        self._tell("inject", number)
+        return number / self.layout.step_scale
+
+    def close_loop(self) -> None:
+        """Let the feedback null the phase. Errors as `inject`."""
+        self._tell("close_loop", 0)
+
+    def open_loop(self) -> None:
+        """Take the feedback away. Errors as `inject`."""
+        self._tell("open_loop", 0)
+
+    def hold_feedback(self) -> None:
+        """Freeze the feedback at its present step. Errors as `inject`."""
+        self._tell("hold_feedback", 0)
+
+    def _tell(self, name: str, number: int) -> None:
+        message = self.layout.commands.get(name)
+        if message is None:
+            raise SettingError(f"the frame format of this gyro has no command {name}; add it under commands")
+        self._catch_up()
+        check, accepted, refused = self.layout.check, self.layout.accepted, self.layout.refused
+        for attempt in range(ATTEMPTS):
+            self._write(compose(message, number, check))
+            if accepted is None:
+                return
+            yes = self._stream.expect(compose(accepted, number, check))
+            no = self._stream.expect(compose(refused, number, check)) if refused is not None else None
+            answer = self._await_answer({yes, no})
+            if answer == no and answer is not None:
+                raise CommandRefused(f"{self.name}: the gyro refused {name} ({number}); is it in the right mode?")
+            if answer == yes:
+                if attempt:
+                    self._await_answer(set())  # the answer to an earlier attempt may still come
+                return
+        raise NoAcknowledgement(
+            f"{self.name}: the gyro did not acknowledge {name} in {ATTEMPTS} attempts; check the wire from the "
+            "computer to the gyro and the answers in the frame format"
+        )
+
+    def _await_answer(self, answers: set[bytes | None]) -> bytes | None:
+        """One of the answers, None if none comes in time."""
+        limit = self.layout.answer_time_s + HOST_DELAY_S + 2 * self.layout.frame_bytes * self.layout.byte_time_s
+        deadline = time.monotonic() + limit + (0.0 if math.isfinite(self.speed) else _UNPACED_S)
+        while time.monotonic() < deadline:
+            data = self._read()
+            for event in self._stream.feed(data, silent=not data):
+                if isinstance(event, Answer) and event.message in answers:
+                    return event.message
+        return None
+
+    # ------------------------------------------------------------------ the port
+
+    def _read(self) -> bytes:
+        with self._lost_link("reading from"):
+            return bytes(self._port.read(_CHUNK))
+
+    def _write(self, data: bytes) -> None:
+        with self._lost_link("writing to"):
+            self._port.write_timeout = (
+                self.layout.answer_time_s + HOST_DELAY_S + len(data) * self.layout.byte_time_s
+            )
+            self._port.write(data)
+
+    @contextlib.contextmanager
+    def _lost_link(self, doing: str) -> Iterator[None]:
+        try:
+            yield
+        except (serial.SerialException, OSError) as error:
+            raise LinkError(f"{doing} {self.name} failed, the link is lost: {error}") from error
+
+
+def _open(port: str, layout: FrameFormat) -> serial.SerialBase:
+    options: dict[str, Any] = {"exclusive": True} if port.startswith("/") else {}
+    try:
+        return serial.serial_for_url(
+            port,
+            baudrate=layout.baud_rate,
+            bytesize=layout.data_bits,
+            parity=layout.parity,
+            stopbits=layout.stop_bits,
+            timeout=SLICE_S,
+            **options,
+        )
+    except (serial.SerialException, OSError, ValueError) as error:
+        raise LinkError(
+            f"cannot open {port} for the fibre gyro: {error}; is it the right port, and is it free?"
+        ) from None

@@ -1,0 +1,121 @@
+"""Makes one recording out of what the stream gives: what belongs to its time, and what is missing there."""
+
+from __future__ import annotations
+
+from collections import Counter
+
+import numpy as np
+
+from instrument.fibre_gyro.counter_clock import CounterClock
+from instrument.fibre_gyro.frame_format import COUNTS, STATUS, TEMPERATURE, FrameFormat
+from instrument.fibre_gyro.frame_stream import Damage, Event
+from instrument.fibre_gyro.frames import Frame
+from instrument.fibre_gyro.recording import Floats, Gap, Losses, Recording
+
+_WORST_LAST = ("", "frames lost", "silence", "counter jump")
+
+
+class RecordBuilder:
+    """Takes events until the time that was asked for is over.
+
+    Parameters
+    ----------
+    layout : FrameFormat
+    skip, wanted : int
+        Intervals from the first frame on that are left out, and those that are recorded after them.
+
+    Attributes
+    ----------
+    done : bool
+        Whether the last interval has passed.
+    index : int
+        Intervals that have passed, the left out ones included; -1 before the first frame.
+    """
+
+    def __init__(self, layout: FrameFormat, skip: int, wanted: int) -> None:
+        self._layout, self._skip, self._wanted = layout, skip, wanted
+        self._clock = CounterClock(layout.counter, layout.interval_s)
+        self._places: list[int] = []  # intervals since the begin of the recording
+        self._rows: list[tuple[float, ...]] = []
+        self._gaps: list[Gap] = []
+        self._damaged_before, self._silent_s = 0, 0.0  # since the last frame
+        self._cause = ""
+        self._damaged = self._unusable = 0
+        self._reasons: Counter[str] = Counter()
+        self.index = -1
+        self.done = False
+
+    def take(self, events: list[Event], *, host_s: float, silent_s: float) -> None:
+        """Take what came at `host_s` (s of the gyro's time), or nothing for `silent_s`."""
+        self._silent_s += silent_s
+        for event in events:
+            if self.done:
+                return
+            if isinstance(event, Damage):
+                self._take_damage(event)
+            elif isinstance(event, Frame):
+                self._take_frame(event, host_s)
+
+    def recording(self, discarded_bytes: int) -> Recording:
+        """What was recorded; call it when it is done."""
+        self._close_gap(self._wanted)
+        step = self._layout.interval_s
+        names = self._layout.names
+        table = np.array(self._rows, dtype=np.float64).reshape(-1, len(names))
+        columns: dict[str, Floats] = dict(zip(names, table.T.copy(), strict=True))
+        counts, temperature = columns.pop(COUNTS), columns.pop(TEMPERATURE, None)
+        status = columns.pop(STATUS, None)
+        missing = sum(gap.missing for gap in self._gaps)
+        return Recording(
+            times=np.array(self._places, dtype=np.float64) * step,
+            counts=counts,
+            temperature=temperature,
+            status=None if status is None else status.astype(np.int64),
+            extra=columns,
+            gaps=tuple(self._gaps),
+            losses=Losses(
+                len(self._rows), missing, self._damaged, self._unusable, discarded_bytes, dict(self._reasons)
+            ),
+            interval_s=step,
+            clock="counter" if self._layout.has_counter else "frames",
+        )
+
+    def _in_window(self) -> bool:
+        return self.index >= self._skip - 1
+
+    def _take_damage(self, damage: Damage) -> None:
+        self._damaged_before += damage.frames
+        if self._in_window():
+            self._damaged += damage.frames
+            self._reasons[damage.reason] += damage.frames
+
+    def _take_frame(self, frame: Frame, host_s: float) -> None:
+        tick = self._clock.place(
+            frame.counter, host_s=host_s, silent_s=self._silent_s, damaged=self._damaged_before
+        )
+        self._damaged_before, self._silent_s = 0, 0.0
+        if tick is not None:
+            self.index = tick.index
+            self._cause = max(self._cause, tick.cause, key=_WORST_LAST.index)
+        place = self.index - self._skip
+        self.done = place >= self._wanted - 1
+        if not 0 <= place < self._wanted:
+            return
+        problem = frame.problem if tick is not None else "counter stands still"
+        if problem:
+            self._unusable += 1
+            self._reasons[problem] += 1
+            return
+        self._close_gap(place)
+        self._places.append(place)
+        self._rows.append(frame.values)
+
+    def _close_gap(self, place: int) -> None:
+        """Note the gap between the last output and `place`, if there is one."""
+        begin = self._places[-1] + 1 if self._places else 0
+        if place > begin:
+            step = self._layout.interval_s
+            after = len(self._places) - 1
+            cause = self._cause or "frames lost"
+            self._gaps.append(Gap(after, begin * step, (place - begin) * step, place - begin, cause))
+        self._cause = ""

@@ -1,0 +1,135 @@
+"""The output of a fibre gyro over some time: columns, and what is missing in them."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Gap:
+    """A place where outputs are missing.
+
+    Attributes
+    ----------
+    after : int
+        Index of the last output before it, -1 if the first ones are missing.
+    start_s, duration_s : float
+        Time of the first output that is missing, and how long they would have lasted.
+    missing : int
+        Outputs that are missing.
+    cause : str
+        "frames lost"; "counter jump": the counter went on where it could not, its length is that of the host's
+        clock and approximate; "silence": frames are not counted, the length is approximate; "rows missing".
+    """
+
+    after: int
+    start_s: float
+    duration_s: float
+    missing: int
+    cause: str
+
+    def describe(self) -> str:
+        """Say it in a few words."""
+        about = "about " if self.cause in ("counter jump", "silence") else ""
+        outputs = "1 output" if self.missing == 1 else f"{self.missing} outputs"
+        return f"{self.cause}: {about}{outputs} missing {self.start_s:.6g} s after the begin"
+
+
+@dataclass(frozen=True)
+class Losses:
+    """What became of the frames of a recording or of a whole session.
+
+    Attributes
+    ----------
+    good : int
+        Frames that were used.
+    missing : int
+        Frames that the clock says were sent and that were not used; damaged and unusable ones are among them.
+    damaged : int
+        Frames that came damaged; in frame lengths where more than one in succession was unreadable.
+    unusable : int
+        Frames that came whole, but with a bad status, a value out of range or a counter that stood still.
+    discarded_bytes : int
+        Bytes that belong to no whole frame.
+    reasons : dict of str to int
+        Why frames were damaged or unusable.
+    """
+
+    good: int = 0
+    missing: int = 0
+    damaged: int = 0
+    unusable: int = 0
+    discarded_bytes: int = 0
+    reasons: dict[str, int] = field(default_factory=dict)
+
+    def __add__(self, other: Losses) -> Losses:
+        """The losses of both."""
+        return Losses(
+            self.good + other.good,
+            self.missing + other.missing,
+            self.damaged + other.damaged,
+            self.unusable + other.unusable,
+            self.discarded_bytes + other.discarded_bytes,
+            dict(Counter(self.reasons) + Counter(other.reasons)),
+        )
+
+    def describe(self) -> str:
+        """Say it in one clause."""
+        if not (self.missing or self.damaged or self.unusable):
+            return f"{self.good} frames, none lost"
+        why = ", ".join(f"{count} {reason}" for reason, count in sorted(self.reasons.items()))
+        parts = (
+            f"{self.good} frames used, {self.missing} missing, {self.damaged} damaged, {self.unusable} unusable"
+        )
+        return f"{parts} ({why})" if why else parts
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """Outputs of a gyro in the order in which they were made.
+
+    Attributes
+    ----------
+    times : (n,)
+        s since the begin of the recording by the gyro's own clock, gaps included.
+    counts : (n,)
+        The output as the gyro gives it.
+    temperature : (n,) or None
+        As the format scales it, usually deg C.
+    status : (n,) integers or None
+    extra : dict of str to (n,)
+        Further columns by name.
+    gaps : tuple of Gap
+    losses : Losses
+    interval_s : float
+        Time between two outputs.
+    clock : str
+        What `times` rests on: "counter", "frames" (arrival of frames without a counter, gaps approximate) or
+        "time column".
+    """
+
+    times: Floats
+    counts: Floats
+    temperature: Floats | None
+    status: NDArray[np.int64] | None
+    extra: dict[str, Floats]
+    gaps: tuple[Gap, ...]
+    losses: Losses
+    interval_s: float
+    clock: str
+
+    @property
+    def duration_s(self) -> float:
+        """From the first output to the end of the last in s, gaps included; 0 without any."""
+        return float(self.times[-1] - self.times[0]) + self.interval_s if self.times.size else 0.0
+
+    @property
+    def complete(self) -> bool:
+        """Whether nothing is missing from its begin to its end."""
+        return not self.gaps

@@ -180,6 +180,35 @@ def find_beat(
     )
 
 
+def fit_channel(
+    scope: TDS2014, channel: str, settings: ScopeSettings, measurement: MeasurementSettings, setting: ScopeSetting
+) -> VerticalSetting:
+    """Fit the vertical scale of a second channel; time base and trigger stay as they are.
+
+    Parameters
+    ----------
+    scope : TDS2014
+    channel : str
+    settings : ScopeSettings
+    measurement : MeasurementSettings
+    setting : ScopeSetting
+        That of the first channel: where to begin.
+
+    Returns
+    -------
+    VerticalSetting
+    """
+    begin = VerticalSetting(setting.volts_per_division, setting.position)
+    vertical = _set_vertical(scope, settings, begin, channel)
+    for _ in range(_TRIALS_MAX):
+        better = next_vertical(scope.acquire(channel), vertical, measurement.fill_levels, settings.probe)
+        chosen = vertical if better is None else _set_vertical(scope, settings, better, channel)
+        if chosen == vertical:
+            break
+        vertical = chosen
+    return vertical
+
+
 class _Search:
     """The knobs as they stand while the beat is looked for."""
 
@@ -246,17 +275,20 @@ def _slower(base: float) -> float:
     return slower
 
 
-def _set_vertical(scope: TDS2014, settings: ScopeSettings, wanted: VerticalSetting) -> VerticalSetting:
+def _set_vertical(
+    scope: TDS2014, settings: ScopeSettings, wanted: VerticalSetting, channel: str = ""
+) -> VerticalSetting:
     """Set scale and position; a scope without fine steps gets the next coarse one above."""
+    name = channel or settings.channel
     steps = (scale * settings.probe for scale in VERTICAL_SCALES)
     coarse = next((scale for scale in steps if scale >= wanted.scale * 0.999), wanted.scale)
     try:
-        taken = scope.set_channel(settings.channel, scale=wanted.scale, position=wanted.position)
+        taken = scope.set_channel(name, scale=wanted.scale, position=wanted.position)
     except SettingError:
         if math.isclose(coarse, wanted.scale):
             raise
         position = round(wanted.position * wanted.scale / coarse * LEVELS_PER_DIVISION) / LEVELS_PER_DIVISION
-        taken = scope.set_channel(settings.channel, scale=coarse, position=position)
+        taken = scope.set_channel(name, scale=coarse, position=position)
     return VerticalSetting(taken.scale, taken.position)
 
 

@@ -153,7 +153,7 @@ def _test_record() -> Check:
     """Send one record of the simulated scope through a real link, the store and the analysis."""
     from station.bench import open_bench
     from station.evaluate import evaluate_run
-    from station.measure import save_record, take_record
+    from station.measure import save_acquisition, take_record
     from station.runs import RunWriter, open_run
     from station.simulated_instruments import at_slow_rate
 
@@ -163,13 +163,13 @@ def _test_record() -> Check:
         with RunWriter(Path(folder), facts) as writer:
             bench.scope.set_channel(1, scale=0.1)
             bench.scope.set_timebase(0.025)
-            waveform, conditions = take_record(bench, "CH1")
-            save_record(writer, "measure", waveform, conditions)
+            waveforms, conditions = take_record(bench, ("CH1",))
+            save_acquisition(writer, "measure", waveforms, ("CH1",), conditions)
         evaluation = evaluate_run(open_run(writer.path))
         name = bench.scope.resource_name
     if not evaluation.usable:
         return Check("test record", "bad", f"the simulated scope at {name} gave no lock-in rate")
-    return Check("test record", "ok", f"{waveform.codes.size} points from the simulated scope at {name}")
+    return Check("test record", "ok", f"{waveforms[0].codes.size} points from the simulated scope at {name}")
 
 
 def _resource(name: str, settings: Settings) -> Check:

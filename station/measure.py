@@ -1,4 +1,4 @@
-"""The paper's experiment: find the tilt on a fast table, go to a slow rate, take records, keep every one.
+"""The paper's experiment: find the tilt on a fast table, go to one slow rate or several, keep every record.
 
 What is measured is only saved here; numbers come from :mod:`station.evaluate`, which reads the saved run.
 """
@@ -6,18 +6,19 @@ What is measured is only saved here; numbers come from :mod:`station.evaluate`, 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from instrument import InstrumentError, TransferError, Waveform
-from station.autoset import ScopeSetting, find_beat
+from station.autoset import ScopeSetting, find_beat, fit_channel
 from station.bench import Bench, open_bench
-from station.errors import Failure, RunError, StationError, describe_failure
+from station.errors import Failure, NoUsableSignal, RunError, StationError, describe_failure
 from station.progress import Progress
 from station.provenance import provenance
-from station.runs import RunWriter, open_run, utc_now
+from station.rate_plan import RateStep, rate_plan
+from station.runs import NewRecord, Purpose, RunWriter, open_run, utc_now
 from station.settings import Settings
 from station.tilt import Tilt, evaluate_tilt
 
@@ -93,38 +94,85 @@ def _facts(settings: Settings, bench: Bench) -> dict[str, object]:
 def _set_up(settings: Settings, bench: Bench) -> None:
     """Set what the trial records do not choose; a channel that is not there shows here."""
     wanted = settings.scope
-    bench.scope.set_channel(
-        wanted.channel,
-        coupling=wanted.coupling,
-        probe=wanted.probe,
-        bandwidth_limit=wanted.bandwidth_limit,
-        invert=False,
-    )
+    for channel in _channels(settings):
+        bench.scope.set_channel(
+            channel,
+            coupling=wanted.coupling,
+            probe=wanted.probe,
+            bandwidth_limit=wanted.bandwidth_limit,
+            invert=False,
+        )
     bench.scope.set_acquisition(mode="SAMPLE")
 
 
+def _channels(settings: Settings) -> tuple[str, ...]:
+    """The channels of one acquisition: the sine, and the cosine if there is a second photodiode."""
+    scope = settings.scope
+    return (scope.channel, scope.quadrature_channel) if scope.quadrature_channel else (scope.channel,)
+
+
 def _experiment(settings: Settings, bench: Bench, writer: RunWriter, progress: Progress) -> None:
-    scope, wanted = bench.scope, settings.scope
-    gyro, table = settings.gyro, settings.table
-    expected = gyro.expected_lock_in_rate_dps * table.slow_rate_over_lock_in
-    if bench.table is None:
-        progress.note("looking for the beat")
-        setting = find_beat(scope, wanted, settings.measurement, gyro.scale_factor_pulses_per_deg * expected)
-        table_rate = None
-    else:
+    plan = rate_plan(settings)
+    setting, cosine = None, 1.0
+    if bench.table is not None:
         tilt, setting = _find_tilt(settings, bench, writer, progress)
-        table_rate = expected / math.cos(math.radians(tilt.tilt_deg))
-        progress.note(f"tilt {tilt.tilt_deg:.3f}°, slow rate {table_rate:.4g} deg/s on the table")
-        table_rate = bench.turn_table(table_rate, table.settle_s)
-        slower = gyro.scale_factor_pulses_per_deg * expected
-        setting = find_beat(scope, wanted, settings.measurement, _for_frequency(setting, slower))
+        cosine = math.cos(math.radians(tilt.tilt_deg))
+        progress.note(f"tilt {tilt.tilt_deg:.3f}°")
+    taken: list[dict[str, object]] = []
+    without_beat: list[str] = []
+    for step in plan:
+        table_rate = step.rate_dps / cosine if bench.table is not None else None
+        try:
+            setting, facts = _take_step(settings, bench, writer, progress, step, table_rate, setting)
+        except NoUsableSignal as error:
+            if len(plan) == 1:
+                raise
+            # the other rates may do: which one gave nothing stands in the run and in the result
+            without_beat.append(f"{step.sense * step.over_lock_in:+g} expected lock-in rates: {error}")
+            progress.note(f"no record at {without_beat[-1]}")
+            writer.save_facts({"rates_without_beat": without_beat})
+            continue
+        taken.append(facts)
+        writer.save_facts({"rates": taken})
+    if not taken:
+        raise NoUsableSignal(without_beat[0])
+
+
+def _take_step(
+    settings: Settings,
+    bench: Bench,
+    writer: RunWriter,
+    progress: Progress,
+    step: RateStep,
+    table_rate: float | None,
+    start: ScopeSetting | None,
+) -> tuple[ScopeSetting, dict[str, object]]:
+    """Go to one rate, find the beat there and take the records; `table_rate` None: the table turns already."""
+    frequency = settings.gyro.scale_factor_pulses_per_deg * abs(step.rate_dps)
+    if table_rate is None:
+        progress.note("looking for the beat")
+    else:
+        progress.note(f"slow rate {table_rate:.4g} deg/s on the table")
+        table_rate = bench.turn_table(table_rate, settings.table.settle_s)
+    begin = frequency if start is None else _for_frequency(start, frequency)
+    setting = find_beat(bench.scope, settings.scope, settings.measurement, begin)
+    channels = _channels(settings)
+    for channel in channels[1:]:
+        fit_channel(bench.scope, channel, settings.scope, settings.measurement, setting)
+    facts: dict[str, object] = {
+        "over_lock_in": step.over_lock_in,
+        "table_rate_dps": table_rate,
+        "scope_setting": asdict(setting),
+    }
     writer.save_facts({"scope_setting": asdict(setting), "table_rate_dps": table_rate})
     count = settings.measurement.records
     progress.start("records", count)
     for _ in range(count):
-        waveform, conditions = take_record(bench, wanted.channel)
-        save_record(writer, "measure", waveform, {**conditions, "table_rate_dps": table_rate})
+        waveforms, conditions = take_record(bench, channels)
+        known = {**conditions, "table_rate_dps": table_rate, "over_lock_in": step.over_lock_in}
+        save_acquisition(writer, "measure", waveforms, channels, known)
         progress.advance()
+    return setting, facts
 
 
 def _find_tilt(
@@ -142,53 +190,68 @@ def _find_tilt(
         start = find_beat(bench.scope, settings.scope, settings.measurement, start)
         progress.start("tilt", count)
         for _ in range(count):
-            waveform, conditions = take_record(bench, settings.scope.channel)
-            save_record(writer, "tilt", waveform, {**conditions, "table_rate_dps": rate})
+            channels = (settings.scope.channel,)
+            waveforms, conditions = take_record(bench, channels)
+            save_acquisition(writer, "tilt", waveforms, channels, {**conditions, "table_rate_dps": rate})
             progress.advance()
     assert isinstance(start, ScopeSetting)  # there is at least one sense
     tilt = evaluate_tilt(open_run(writer.path).taken_for("tilt"), settings)
     return tilt, start
 
 
-def take_record(bench: Bench, channel: str) -> tuple[Waveform, dict[str, object]]:
-    """Acquire one record and the conditions under which it was taken.
+def take_record(bench: Bench, channels: tuple[str, ...]) -> tuple[tuple[Waveform, ...], dict[str, object]]:
+    """Acquire the records of one acquisition and the conditions under which they were taken.
 
     Parameters
     ----------
     bench : Bench
-    channel : str
+    channels : tuple of str
 
     Returns
     -------
-    Waveform
+    tuple of Waveform
+        One for each channel.
     dict
-        Plain JSON: channel, azimuth before and after where it is known, truth on a simulated bench.
+        Plain JSON: azimuth before and after where it is known, truth on a simulated bench.
 
     Raises
     ------
     InstrumentError
-        If it does not come, a damaged transfer after some attempts.
+        If they do not come, a damaged transfer after some attempts.
     """
     for attempt in range(1, _ATTEMPTS + 1):
         azimuth = bench.azimuth()
         try:
-            waveform = bench.scope.acquire(channel)
+            waveforms = bench.scope.acquire(channels)
         except TransferError:
             if attempt == _ATTEMPTS:
                 raise
             continue
         azimuth_after = bench.azimuth()
         break
-    conditions: dict[str, object] = {"channel": channel}
+    conditions: dict[str, object] = {}
     if azimuth is not None and azimuth_after is not None:
         conditions |= {"azimuth_start_deg": azimuth, "azimuth_end_deg": azimuth_after}
     if bench.truth is not None:
         conditions["truth"] = bench.truth()
-    return waveform, conditions
+    return waveforms, conditions
 
 
-def save_record(writer: RunWriter, purpose: str, waveform: Waveform, conditions: Mapping[str, object]) -> None:
-    writer.save_record(purpose, waveform.codes, waveform.preamble.to_text(), conditions)
+def save_acquisition(
+    writer: RunWriter,
+    purpose: Purpose,
+    waveforms: Sequence[Waveform],
+    channels: Sequence[str],
+    conditions: Mapping[str, object],
+) -> None:
+    """Save the records of one acquisition in one commit; a second channel is the quadrature of the first."""
+    purposes: tuple[Purpose, ...] = (purpose, "quadrature")
+    writer.save_records(
+        [
+            NewRecord(kind, wave.codes, wave.preamble.to_text(), {"channel": channel, **conditions})
+            for kind, wave, channel in zip(purposes, waveforms, channels, strict=False)
+        ]
+    )
 
 
 def _for_frequency(setting: ScopeSetting, frequency: float) -> ScopeSetting:

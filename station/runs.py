@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Self
+from typing import Any, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +26,7 @@ RUN_FILE = "run.sqlite"
 REPORT_FILE = "report.html"
 APPLICATION_ID = 0x47_59_4C_4B  # "GYLK": `file run.sqlite` and open_run tell our files from others
 LAYOUT = 1
+Purpose = Literal["tilt", "measure", "quadrature"]
 
 _SCHEMA = """
 CREATE TABLE run (
@@ -35,7 +36,7 @@ CREATE TABLE run (
 CREATE TABLE record (
     number     INTEGER PRIMARY KEY,
     taken_at   TEXT NOT NULL,     -- UTC, ISO 8601
-    purpose    TEXT NOT NULL,     -- 'tilt' or 'measure'
+    purpose    TEXT NOT NULL,     -- 'tilt', 'measure' or 'quadrature'
     codes      BLOB NOT NULL,     -- as the scope sent them: signed bytes
     preamble   TEXT NOT NULL,     -- as the scope sent it
     sha256     TEXT NOT NULL,     -- of codes followed by preamble
@@ -60,7 +61,8 @@ class SavedRecord:
     taken_at : str
         UTC, ISO 8601.
     purpose : str
-        ``"tilt"`` for the fast run, ``"measure"`` for the slow rate.
+        ``"tilt"`` for the fast run, ``"measure"`` for the slow rates, ``"quadrature"`` for the second photodiode:
+        such a record belongs to the one before it.
     codes : ndarray, int8, shape (n,)
     preamble : str
         As the scope sent it.
@@ -105,8 +107,18 @@ class SavedRun:
         return tuple(record for record in self.records if record.purpose == purpose)
 
 
+@dataclass(frozen=True)
+class NewRecord:
+    """A record that is to be saved; the fields as in :class:`SavedRecord`, the conditions plain JSON."""
+
+    purpose: Purpose
+    codes: NDArray[np.integer[Any]]
+    preamble: str
+    conditions: Mapping[str, object]
+
+
 class RunWriter:
-    """Writes one run. A record that :meth:`save_record` returned for survives a killed process.
+    """Writes one run. Records that :meth:`save_records` returned for survives a killed process.
 
     Parameters
     ----------
@@ -146,28 +158,31 @@ class RunWriter:
         self._commit("INSERT OR REPLACE INTO run VALUES (?, ?)", rows)
 
     def save_record(
-        self, purpose: str, codes: NDArray[np.integer[Any]], preamble: str, conditions: Mapping[str, object]
+        self, purpose: Purpose, codes: NDArray[np.integer[Any]], preamble: str, conditions: Mapping[str, object]
     ) -> None:
-        """Save one record durably: when this returns, the record is on the disk.
+        """Save one record durably; arguments as the fields of :class:`NewRecord`."""
+        self.save_records([NewRecord(purpose, codes, preamble, conditions)])
+
+    def save_records(self, records: Sequence[NewRecord]) -> None:
+        """Save the records of one acquisition durably: when this returns, all of them are on the disk.
 
         Parameters
         ----------
-        purpose : {"tilt", "measure"}
-        codes : ndarray, int8, shape (n,)
-        preamble : str
-        conditions : mapping
-            Plain JSON values.
+        records : sequence of NewRecord
 
         Raises
         ------
         RunError
-            If the disk does not take it.
+            If the disk does not take them: then it holds none of them.
         """
-        blob = codes.astype(np.int8, casting="same_kind", copy=False).tobytes()
-        circumstances = json.dumps(dict(conditions), allow_nan=False)
-        row = (utc_now(), purpose, blob, preamble, _checksum(blob, preamble), circumstances)
+        rows = []
+        for record in records:
+            blob = record.codes.astype(np.int8, casting="same_kind", copy=False).tobytes()
+            circumstances = json.dumps(dict(record.conditions), allow_nan=False)
+            checksum = _checksum(blob, record.preamble)
+            rows.append((utc_now(), record.purpose, blob, record.preamble, checksum, circumstances))
         columns = "taken_at, purpose, codes, preamble, sha256, conditions"
-        self._commit(f"INSERT INTO record ({columns}) VALUES (?, ?, ?, ?, ?, ?)", [row])
+        self._commit(f"INSERT INTO record ({columns}) VALUES (?, ?, ?, ?, ?, ?)", rows)
 
     def close(self) -> None:
         """End the run: afterwards it is one plain file, fit for a read-only or a shared disk."""

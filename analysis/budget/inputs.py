@@ -214,8 +214,11 @@ def _from_table(point: OperatingPoint, table: TableGeometry, reference: Referenc
 
 
 def _distortion(point: OperatingPoint, knowledge: BenchKnowledge, slope: float) -> tuple[BudgetInput | None, str]:
-    """Second-order distortion: a real number d within its limit, added to rho = -r exp(-i phase)."""
-    limit = knowledge.distortion_limit
+    """Second-order distortion d, a real number within its limit.
+
+    A square law adds d to rho = -r exp(-i phase); what it makes of the higher harmonics takes r^2 of it away again.
+    """
+    limit, slope = knowledge.distortion_limit, slope * (1 - point.ratio**2)
     name, quantity = "distortion", "second-order distortion d"
     if knowledge.distortion_separated:
         note = "does not enter: both senses or several rates separate it"

@@ -351,6 +351,6 @@ def _check_line(table: Description, read: FrameFormat) -> None:
     if read.output_rate_hz > fits:
         raise table.error(
             "output_rate_hz",
-            f"is {read.output_rate_hz:g}, but a line of {read.baud_rate} baud carries at most {fits:.4g} such frames "
-            "a second; correct one of the two",
+            f"is {read.output_rate_hz:g}, but a line of {read.baud_rate} baud carries at most {fits:.4g} such "
+            "frames a second; correct one of the two",
         )

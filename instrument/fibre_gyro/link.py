@@ -16,7 +16,7 @@ from typing import Any
 import serial
 
 from instrument.errors import LinkError, SettingError
-from instrument.fibre_gyro.counter_clock import HOST_DELAY_S, CounterClock
+from instrument.fibre_gyro.counter_clock import HOST_DELAY_S
 from instrument.fibre_gyro.errors import CommandRefused, NoAcknowledgement
 from instrument.fibre_gyro.frame_format import FrameFormat
 from instrument.fibre_gyro.frame_stream import Answer, Event, FrameStream
@@ -28,7 +28,7 @@ SLICE_S = 0.02
 """Time in s that one read of the port waits for its bytes."""
 
 ATTEMPTS = 3
-"""How often a command is sent that is not acknowledged. Every command sets a state, so twice is as good as once."""
+"""How often a command is sent that is not acknowledged. Each sets a state, so twice is as good as once."""
 
 _CHUNK = 4096
 _BACKLOG = 1 << 20  # bytes that an operating system may have kept for us; more means that nobody paces them

@@ -22,7 +22,7 @@ from instrument.fibre_gyro.recording import Floats, Gap, Losses, Recording
 
 TIME = "time"
 DEFAULT_COLUMNS = (TIME, COUNTS, TEMPERATURE)
-_LARGEST_FILE = 2 << 30  # bytes; a day at 1 kHz has about 2 GB
+_LARGEST_FILE = 256 << 20  # bytes; a day at 100 Hz has about 200 MB
 _COMMENTS = ("#", "%", "!", "//")
 _SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "min": 60.0, "h": 3600.0}
 _SYNONYMS = {
@@ -32,8 +32,7 @@ _SYNONYMS = {
     STATUS: ("status",),
 }
 _UNIT = re.compile(r"[\[(]\s*(\w+)[^\])]*[\])]\s*$|_(s|ms|us|min)$")
-_SLACK = 0.5  # of an interval by which a row may come late before the one before it counts as missing
-_JITTER = 0.05  # of an interval
+_SLACK = 0.5  # of an interval by which a row may come late before one counts as missing
 
 
 @dataclass(frozen=True)
@@ -228,7 +227,7 @@ def _recording(table: dict[str, Floats], rows: _Rows, unit: float, interval_s: f
     if backward.size:
         line = rows.lines[int(backward[0]) + 1]
         raise FileFormatError(
-            f"line {line}: the time does not grow ({times[backward[0] + 1]:.9g} s after {times[backward[0]]:.9g} s); "
+            f"line {line}: {times[backward[0] + 1]:.9g} s comes after {times[backward[0]]:.9g} s; "
             "rows are doubled, out of order, or two runs stand in one file"
         )
     if interval_s is None:
@@ -267,7 +266,7 @@ def _gaps(times: Floats, interval_s: float, rows: _Rows) -> tuple[Gap, ...]:
             int(after),
             float(times[after] + interval_s),
             float(times[after + 1] - times[after] - interval_s),
-            int(round(steps[after])) - 1,
+            round(float(steps[after])) - 1,
             "rows missing",
         )
         for after in np.flatnonzero(steps > 1 + _SLACK)

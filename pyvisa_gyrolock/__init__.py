@@ -1,8 +1,8 @@
 """The simulated oscilloscope as a PyVISA backend: ``pyvisa.ResourceManager("@gyrolock")``.
 
 A program that knows nothing of this package uses it when PYVISA_LIBRARY is ``@gyrolock``. The instrument answers
-as ``GPIB0::1::INSTR``, ``USB0::0x0699::0x0368::C010101::INSTR`` and ``ASRL1::INSTR``, with a sine of 1 kHz at
-channel 1 that stands well on the screen with factory settings. Before the ``@`` another model of the family
+as ``GPIB0::1::INSTR``, ``USB0::0x0699::0x0368::C010101::INSTR`` and ``ASRL1::INSTR``, with sines of 1 kHz
+at channels 1 and 2 that stand well on the screen with factory settings. Before the ``@`` another model of the family
 may stand: ``TDS2024B@gyrolock``.
 """
 
@@ -11,18 +11,10 @@ from __future__ import annotations
 from pyvisa.util import DebugInfo, LibraryPath
 
 from instrument.simulated import SimulatedTDS2014
-from instrument.simulated.frontend import Floats
-from instrument.simulated.visa_library import DEFAULT_NAMES, SimulatedVisaLibrary, demonstration_signal
+from instrument.simulated.visa_library import DEFAULT_NAMES, SimulatedVisaLibrary, demonstration_signals
 
 DEFAULT_MODEL = "TDS2014"
 RESOURCE_NAMES = (*DEFAULT_NAMES, "ASRL1::INSTR")
-
-_FACTORY_PROBE = 10
-
-
-def signal_behind_a_probe(times: Floats) -> Floats:
-    """The demonstration signal through the 10X probe that the factory settings expect."""
-    return demonstration_signal(times) / _FACTORY_PROBE
 
 
 class GyrolockVisaLibrary(SimulatedVisaLibrary):
@@ -42,7 +34,7 @@ class GyrolockVisaLibrary(SimulatedVisaLibrary):
         super()._init()
         model = str(self.library_path)
         try:
-            scope = SimulatedTDS2014({1: signal_behind_a_probe}, model=model)
+            scope = SimulatedTDS2014(demonstration_signals(), model=model)
         except ValueError as error:
             # PyVISA's word for a library that cannot be opened.
             raise OSError(str(error)) from None

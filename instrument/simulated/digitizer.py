@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from collections import OrderedDict
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 
@@ -12,6 +14,7 @@ from instrument.simulated.frontend import NO_DATA, Codes, Floats, Signal, conver
 from instrument.simulated.panel import POINTS, POINTS_PER_DIVISION, ChannelSettings
 
 _PEAK_RATE = 100e6  # S/s at which Peak Detect looks for the smallest and the largest sample
+_PEAK_TIME_CONSTANT = 1 / (2 * math.pi * 75e6)  # s, bandwidth of Peak Detect, user manual p. 151
 _MOST_PEAK_SAMPLES = 64  # a pair
 _KEPT = 16  # records by channel
 
@@ -72,7 +75,8 @@ class Digitizer:
         # irregular sampling, so that no frequency hides between the samples of a slow sweep
         irregular = np.random.default_rng([self._seed, record.number]).random(count)
         times = record.starts[-1] + 2 * record.xincr / samples * (np.arange(count) + irregular)
-        volts = shown_volts(self._signal(name), channel, times)
+        slower = replace(channel, time_constant=max(channel.time_constant, _PEAK_TIME_CONSTANT))
+        volts = shown_volts(self._signal(name), slower, times)
         codes = convert(volts, channel, self._noise(record.number, name, count))
         groups = codes.reshape(-1, samples)
         return np.stack([groups.min(axis=1), groups.max(axis=1)], axis=1).ravel()

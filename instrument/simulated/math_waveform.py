@@ -9,9 +9,10 @@ import math
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from instrument.simulated.formats import nr3
-from instrument.simulated.frontend import HIGHEST_CODE, LEVELS_PER_DIVISION, NO_DATA
+from instrument.simulated.frontend import HIGHEST_CODE, LEVELS_PER_DIVISION, NO_DATA, Floats
 from instrument.simulated.traces import Trace
 
 FFT_SAMPLES = 2048
@@ -83,13 +84,10 @@ def spectrum(expression: str, source: Trace, zoom: float, position: float, horiz
     The horizontal zoom changes what the screen shows and the Hz/div of the description; the data stay the whole
     spectrum (a guess: the manual calls it a display zoom, p. 2-150).
     """
-    from scipy.signal import czt, get_window
-
     volts = (source.codes.astype(np.float64) - source.yoff) * source.ymult
     start = (len(volts) - FFT_SAMPLES) // 2
-    window = get_window(_window_name(expression), FFT_SAMPLES)
-    step = 2 * math.pi / FFT_SAMPLES / _FFT_STRETCH
-    lines = czt(volts[start : start + FFT_SAMPLES] * window, m=FFT_POINTS, w=np.exp(-1j * step))
+    window = fft_window(expression)
+    lines = stretched_spectrum(volts[start : start + FFT_SAMPLES] * window)
     rms = np.abs(lines) * math.sqrt(2) / float(window.sum())
     rms[0] /= 2
     decibels = 20 * np.log10(np.maximum(rms, 1e-12))
@@ -118,6 +116,34 @@ def spectrum(expression: str, source: Trace, zoom: float, position: float, horiz
     )
 
 
-def _window_name(expression: str) -> str:
-    name = expression.rstrip(")").split(",")[1]
-    return {"HANNING": "hann", "FLATTOP": "flattop", "RECTANGULAR": "boxcar"}[name]
+# Cosine series of the windows. The flat top is the one of five terms that instruments use.
+_WINDOWS = {
+    "HANNING": (0.5, 0.5),
+    "FLATTOP": (0.21557895, 0.41663158, 0.277263158, 0.083578947, 0.006947368),
+    "RECTANGULAR": (1.0,),
+}
+
+
+def fft_window(expression: str) -> Floats:
+    """The window that an FFT expression names, shape (2048,), periodic."""
+    terms = _WINDOWS[expression.rstrip(")").split(",")[1]]
+    angles = 2 * math.pi * np.arange(FFT_SAMPLES) / FFT_SAMPLES
+    waves = [(-1) ** n * term * np.cos(n * angles) for n, term in enumerate(terms)]
+    return np.asarray(sum(waves), dtype=np.float64)
+
+
+def stretched_spectrum(samples: Floats) -> NDArray[np.complex128]:
+    """Sums of samples times exp(-2 pi i k n / 2048 / 0.99) for k = 0 to 1023.
+
+    The frequencies do not fall on those of an FFT, so the sum is written as a convolution with a chirp
+    (Bluestein), n k = (n**2 + k**2 - (k - n)**2) / 2.
+    """
+    step = 2 * math.pi / FFT_SAMPLES / _FFT_STRETCH
+    n = np.arange(FFT_SAMPLES, dtype=np.float64)
+    chirp = np.exp(-0.5j * step * n**2)
+    size = 4 * FFT_POINTS
+    kernel = np.zeros(size, dtype=np.complex128)
+    kernel[:FFT_POINTS] = chirp[:FFT_POINTS].conj()
+    kernel[-FFT_SAMPLES + 1 :] = chirp[:0:-1].conj()
+    product = np.fft.fft(samples * chirp, size) * np.fft.fft(kernel)
+    return np.asarray(np.fft.ifft(product)[:FFT_POINTS] * chirp[:FFT_POINTS])

@@ -32,9 +32,16 @@ _LONGEST_STOP = 60.0  # s that a stopped program waits which has no time-out
 _LIBRARY_NUMBERS = itertools.count(1)
 
 
-def demonstration_signal(times: Floats) -> Floats:
-    """A sine of 1 kHz and 2 V amplitude."""
-    return np.asarray(2.0 * np.sin(2 * math.pi * 1000.0 * times), dtype=np.float64)
+def demonstration_signals() -> dict[int, Signal]:
+    """Two sines of 1 kHz, a quarter of a period apart, that fill half the screen with factory settings.
+
+    They have 0.2 V at the BNC: the factory settings expect a 10X probe, and show 2 V at 1 V/div.
+    """
+
+    def sine(times: Floats) -> Floats:
+        return np.asarray(0.2 * np.sin(2 * math.pi * 1000.0 * times), dtype=np.float64)
+
+    return {1: sine, 2: lambda times: sine(times - 0.25e-3)}
 
 
 def resource_manager(
@@ -49,7 +56,8 @@ def resource_manager(
     ----------
     signals : mapping of int to callable, or callable, optional
         Signals of one TDS2014 by channel, or the one of channel 1; see SimulatedTDS2014. Without it channel 1
-        shows a sine of 1 kHz. The instrument answers on a GPIB and on a USB name.
+        shows a sine of 1 kHz, and channel 2 has one a quarter of a period later. The instrument answers on a GPIB
+        and on a USB name.
     scopes : mapping of str to SimulatedTDS2014, optional
         Instruments by resource name, in place of that one.
     **scope_options
@@ -65,7 +73,7 @@ def resource_manager(
     """
     if scopes is None:
         inputs = {1: signals} if callable(signals) else signals
-        scope = SimulatedTDS2014({1: demonstration_signal} if inputs is None else inputs, **scope_options)
+        scope = SimulatedTDS2014(demonstration_signals() if inputs is None else inputs, **scope_options)
         scopes = dict.fromkeys(DEFAULT_NAMES, scope)
     library = SimulatedVisaLibrary(_library_path())
     library.connect(scopes)

@@ -54,6 +54,48 @@ def test_sensitive_scales_have_20_mhz_only(make_bench):
     assert swing(bench) == pytest.approx(20 / np.hypot(1, 0.2), abs=1.0)
 
 
+def test_peak_detect_has_75_mhz(make_bench):
+    bench = make_bench({1: tone(75e6)}, noise_levels=0.0)
+    bench.write("CH1:PROBE 1;SCALE 1;:HOR:SCALE 1E-3;:TRIG:MAIN:EDGE:SOURCE LINE;:ACQ:MODE PEAK")
+    assert swing(bench) == pytest.approx(50 / np.sqrt(2), abs=1.5)
+    bench.write("CH1:BANDWIDTH ON")
+    assert swing(bench) == pytest.approx(50 / np.hypot(1, 75 / 20), abs=1.5)
+
+
+@pytest.mark.parametrize("interval", [1e-9, 3.3e-8, 1e-7, 1.3e-6, 1e-4])
+@pytest.mark.parametrize("frequency", [1e3, 1e5, 1.1e6, 3.7e6, 21e6])
+def test_filter_is_a_pole_however_far_apart_the_samples_lie(interval, frequency):
+    constant = 1 / (2 * np.pi * 20e6)
+    times = 5.0 + interval * np.arange(400)
+    gain = 1 / (1 + 1j * frequency / 20e6)
+    expected = np.imag(gain * np.exp(2j * np.pi * frequency * times))
+    assert np.abs(low_pass(tone(frequency, 1.0), constant)(times) - expected).max() < 0.006
+
+
+@pytest.mark.parametrize("interval", [1e-9, 4e-8, 1e-6])
+def test_filter_answers_a_step_with_an_exponential(interval):
+    """Also where a single sample among many sees what is left of the step."""
+    constant = 1 / (2 * np.pi * 20e6)
+    times = interval * (np.arange(200) - 100.0)
+    for part in (0.3, 1.0, 2.2, 3.0, 3.9, 5.0):
+        edge = -part * constant
+        expected = np.where(times > edge, 1 - np.exp(-np.maximum(times - edge, 0) / constant), 0.0)
+        filtered = low_pass(lambda t, edge=edge: np.where(t > edge, 1.0, 0.0), constant)(times)
+        assert np.abs(filtered - expected).max() < 0.01
+
+
+def test_filter_hardly_costs_anything_on_slow_signals():
+    looks = 0
+
+    def slow(times):
+        nonlocal looks
+        looks += len(times)
+        return np.sin(2 * np.pi * 800.0 * times)
+
+    low_pass(slow, 8e-9)(1e-6 * np.arange(2500))
+    assert looks <= 4 * 2500
+
+
 def test_filter_delays_a_ramp_by_its_time_constant():
     times = np.linspace(0.0, 1e-6, 7)
     assert low_pass(lambda t: 1e6 * t, 8e-9)(times) == pytest.approx(1e6 * (times - 8e-9), abs=1e-4)

@@ -13,6 +13,7 @@ from analysis.lockin_equation import (
     rate_varying_beat,
 )
 from analysis.lockin_rate import LockInEstimate, estimate_lock_in
+from analysis.quadratures import QuadratureEstimate, QuadratureFlag, estimate_quadratures
 from analysis.rates_result import RatesFit, RatesFlag
 from analysis.rotation import EARTH_RATE_DPS, earth_rate_on_axis, rate_on_axis, tilt_from_fast_run
 from analysis.several_rates import fit_rate_ratios, fit_rates
@@ -23,6 +24,8 @@ __all__ = [
     "Flag",
     "HarmonicFit",
     "LockInEstimate",
+    "QuadratureEstimate",
+    "QuadratureFlag",
     "RatesFit",
     "RatesFlag",
     "beat_frequency",
@@ -31,6 +34,7 @@ __all__ = [
     "describe_flag",
     "earth_rate_on_axis",
     "estimate_lock_in",
+    "estimate_quadratures",
     "fit_harmonics",
     "fit_rate_ratios",
     "fit_rates",

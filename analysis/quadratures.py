@@ -1,0 +1,385 @@
+"""Lock-in rate from a sine and a cosine photodiode, free of second-order distortion in one record.
+
+The true beat has lines on one side of the spectrum only: with complex amplitudes s_n of the sine and c_n of the
+cosine signal, g = s_n/c_n is one number for all harmonics, whatever gain and phase the two channels have. So
+s_2 - g c_2 holds nothing but what the receivers made. For square laws, in terms of rho = c2 |c1|/c1^2,
+
+    (rho_s - D_s B_s) exp(i arg g) = rho_c - D_c B_c,    B = 1 - |rho|^2 - 2i rho Im rho               (1)
+
+two real equations for the two distortions D_s, D_c. For equal channels in perfect quadrature this is the
+subtraction of the image, c_2 - c_-2 (c_1/|c_1|)^4 of Z = cosine + i sine (docs/several_rates.md).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from enum import IntFlag
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from analysis.flags import FATAL, Flag
+from analysis.lockin_equation import Relation, input_rate_from_beat
+from analysis.lockin_rate import SIGNIFICANT, LockInEstimate, estimate_lock_in, rate_and_slopes
+from analysis.ratio_interval import size_interval
+
+Floats = NDArray[np.float64]
+Complexes = NDArray[np.complex128]
+Integers = NDArray[np.int64]
+
+HARMONICS = 5
+"""Fitted at the frequency found, for the phase between the channels and for the images."""
+
+POOR_QUADRATURE = 0.35
+"""rad from a right angle, where a correction costs 6 % in uncertainty."""
+NO_QUADRATURE = 0.1
+"""Sine of the angle between the channels below which the sense of rotation and the correction mean nothing."""
+LARGE_DISTORTION = 0.02
+IMAGE_LIMIT = 4.0
+"""In standard uncertainties: images of the third harmonic above this are real."""
+
+
+class QuadratureFlag(IntFlag):
+    """Bits of `QuadratureEstimate.checks`; the lower-case name is the one used in JSON."""
+
+    NOT_IN_QUADRATURE = 1
+    """The channels are so nearly in phase that they hold one signal twice."""
+    POOR_QUADRATURE = 2
+    """Far from 90 degrees: still corrected, with a larger uncertainty."""
+    FREQUENCIES_DIFFER = 4
+    """The channels show two beats."""
+    SENSE_DISAGREES = 8
+    """The sense seen is not that of the input rate given: channels exchanged, one inverted, or the rate."""
+    LARGE_DISTORTION = 16
+    """Second harmonic of a receiver above -34 dBc: terms of higher order are left."""
+    IMAGE_LEFT = 32
+    """The third harmonic has an image that neither imbalance nor second-order distortion makes."""
+
+
+@dataclass(frozen=True)
+class QuadratureEstimate:
+    """Estimate from two channels; arrays have the leading shape of the records.
+
+    estimate : the corrected one; its complex ratio and backscatter phase are those of the sine channel
+    sine, cosine : each channel alone, with its distortion in it
+    sense : +1 where the cosine leads the sine by 90 deg (a phase that grows), -1, or 0 where that cannot be told
+    gain_ratio, gain_ratio_u : amplitude of the sine over that of the cosine
+    phase_error, phase_error_u : rad, by which the sine lags the cosine beyond 90 deg, for a growing phase
+    distortion, distortion_u : (..., 2) second harmonic that the receivers of sine and cosine make, over the
+        fundamental
+    images : (..., 3) |c_-1/c_1| of Z = cosine + i sine; then, with gain and phase corrected, |c_-2/c_1| and
+        |c_-3/c_1|, which an ideal bench does not have
+    image_u : (..., 2) standard uncertainty that noise gives to the last two
+    checks : bits of `QuadratureFlag`
+    """
+
+    estimate: LockInEstimate
+    sine: LockInEstimate
+    cosine: LockInEstimate
+    sense: Integers
+    gain_ratio: Floats
+    gain_ratio_u: Floats
+    phase_error: Floats
+    phase_error_u: Floats
+    distortion: Floats
+    distortion_u: Floats
+    images: Floats
+    image_u: Floats
+    checks: Integers
+
+
+def estimate_quadratures(
+    sine: ArrayLike,
+    cosine: ArrayLike,
+    sample_interval: float,
+    *,
+    scale_factor: float,
+    input_rate: ArrayLike | None = None,
+    relation: Relation = "exact",
+    clipped: tuple[ArrayLike, ArrayLike] | None = None,
+) -> QuadratureEstimate:
+    """Lock-in rate from two channels of one acquisition.
+
+    Parameters
+    ----------
+    sine, cosine : (..., n_samples)
+        Volts of the two photodiodes, sampled at the same instants. nan marks a missing sample.
+    sample_interval : float
+        Seconds.
+    scale_factor : float
+        K, pulses per degree.
+    input_rate : (...), optional
+        deg/s, signed. Without it the record is its own reference and ``estimate.input_rate`` has the sign seen.
+    relation : {"exact", "paper-13", "paper-10"}
+    clipped : two arrays (..., n_samples) of bool, optional
+
+    Returns
+    -------
+    QuadratureEstimate
+        nan where either channel shows no beat.
+
+    Raises
+    ------
+    ValueError
+        Channels of different shape, and what `estimate_lock_in` refuses.
+    """
+    both = (np.asarray(sine), np.asarray(cosine))
+    if both[0].shape != both[1].shape:
+        raise ValueError(f"sine and cosine must have the same shape, not {both[0].shape} and {both[1].shape}")
+    masks = (None, None) if clipped is None else clipped
+    channels = [
+        estimate_lock_in(
+            volts,
+            sample_interval,
+            scale_factor=scale_factor,
+            input_rate=input_rate,
+            relation=relation,
+            clipped=mask,
+        )
+        for volts, mask in zip(both, masks, strict=True)
+    ]
+    frequency = _mean_frequency(*channels)[0]
+    omega = 2 * np.pi * frequency.ravel() * sample_interval
+    lines = [_lines_at(volts, omega) for volts in both]
+    with np.errstate(invalid="ignore", divide="ignore"):  # records without a beat are nan throughout
+        return _combine(channels[0], channels[1], lines[0], lines[1], both[0].shape[-1], relation)
+
+
+def _mean_frequency(sine: LockInEstimate, cosine: LockInEstimate) -> tuple[Floats, Floats]:
+    """Weighted mean of the channels' beat frequencies and its standard uncertainty."""
+    weights = np.stack([1 / np.maximum(e.beat_frequency_u**2, 1e-300) for e in (sine, cosine)])
+    values = np.stack([sine.beat_frequency, cosine.beat_frequency])
+    total = weights.sum(axis=0)
+    return np.asarray((weights * values).sum(axis=0) / total), np.asarray(1 / np.sqrt(total))
+
+
+def _lines_at(volts: NDArray[np.generic], omega: Floats) -> Complexes:
+    """Complex amplitudes (R, HARMONICS) at a known frequency (rad per sample), phases from the middle."""
+    values = np.asarray(volts, dtype=np.float64).reshape(-1, volts.shape[-1])
+    place = np.arange(values.shape[1]) - (values.shape[1] - 1) / 2
+    lines = np.full((len(values), HARMONICS), np.nan, dtype=np.complex128)
+    for row in np.flatnonzero(np.isfinite(omega)):
+        valid = np.isfinite(values[row])
+        # More harmonics than are wanted: those left out would leak into the others in a short record.
+        turned = np.outer(place[valid], omega[row] * np.arange(1, 3 * HARMONICS + 1))
+        design = np.concatenate([np.ones((len(turned), 1)), np.cos(turned), np.sin(turned)], axis=1)
+        solved = np.linalg.lstsq(design, values[row, valid], rcond=1e-6)[0]
+        cosines, sines = solved[1 : 1 + 3 * HARMONICS], solved[1 + 3 * HARMONICS :]
+        lines[row] = (cosines - 1j * sines)[:HARMONICS]
+    return lines
+
+
+@dataclass(frozen=True)
+class _Pair:
+    """(R,) values of the two channels, sine first where there are two."""
+
+    ratio: tuple[Complexes, Complexes]
+    covariance: tuple[Floats, Floats]
+    lines: tuple[Complexes, Complexes]
+    lines_u: tuple[Floats, Floats]
+
+    @property
+    def angle(self) -> Floats:
+        """Phase of the sine's fundamental less that of the cosine, rad."""
+        return np.angle(self.lines[0][:, 0] / self.lines[1][:, 0])
+
+    @property
+    def angle_u(self) -> Floats:
+        return np.hypot(*(u / np.abs(c[:, 0]) for u, c in zip(self.lines_u, self.lines, strict=True)))
+
+
+def _combine(
+    sine: LockInEstimate,
+    cosine: LockInEstimate,
+    sine_lines: Complexes,
+    cosine_lines: Complexes,
+    n_samples: int,
+    relation: Relation,
+) -> QuadratureEstimate:
+    shape, flat = sine.flags.shape, (sine.reshaped(-1), cosine.reshaped(-1))
+    pair = _Pair(
+        ratio=(flat[0].complex_ratio, flat[1].complex_ratio),
+        covariance=(flat[0].complex_ratio_covariance, flat[1].complex_ratio_covariance),
+        lines=(sine_lines, cosine_lines),
+        lines_u=(flat[0].noise_rms * np.sqrt(2 / n_samples), flat[1].noise_rms * np.sqrt(2 / n_samples)),
+    )
+    rho, distortion, angle = _without_distortion(pair)
+    covariance, distortion_u = _propagated(pair)
+    across = np.abs(np.sin(pair.angle)) > NO_QUADRATURE
+    sense = np.where(across, -np.sign(np.sin(pair.angle)), 0.0)
+    sense = np.where(np.isfinite(sense), sense, 0.0)
+    gain = np.abs(sine_lines[:, 0] / cosine_lines[:, 0])
+    # A growing phase puts the sine 90 deg behind the cosine; what is beyond that is the error.
+    phase_error = np.angle(-1j * np.exp(-1j * np.where(sense == 0, 1.0, sense) * angle))
+    images, image_u = _images(pair, sense, distortion, distortion_u)
+    estimate = _corrected(flat, rho, covariance, sense, relation)
+    checks = _checks(flat, pair, sense, distortion, images, image_u)
+    return QuadratureEstimate(
+        estimate=estimate.reshaped(*shape),
+        sine=sine,
+        cosine=cosine,
+        sense=sense.astype(np.int64).reshape(shape),
+        gain_ratio=gain.reshape(shape),
+        gain_ratio_u=(gain * pair.angle_u).reshape(shape),
+        phase_error=phase_error.reshape(shape),
+        phase_error_u=pair.angle_u.reshape(shape),
+        distortion=distortion.reshape(*shape, 2),
+        distortion_u=distortion_u.reshape(*shape, 2),
+        images=images.reshape(*shape, 3),
+        image_u=image_u.reshape(*shape, 2),
+        checks=checks.reshape(shape),
+    )
+
+
+def _bracket(rho: Complexes) -> Complexes:
+    """What a square law of unit second harmonic adds to rho, to first order: 1 far above lock-in."""
+    return np.asarray(1 - np.abs(rho) ** 2 - 2j * rho * rho.imag)
+
+
+def _without_distortion(pair: _Pair) -> tuple[Complexes, Floats, Floats]:
+    """rho of the sine channel, (R, 2) the distortion of sine and cosine, and the angle between the channels.
+
+    Equation (1), solved for D_s and D_c.
+    """
+    angle, inner = pair.angle, pair.ratio
+    for _ in range(4):
+        turn = np.exp(1j * angle)
+        difference = pair.ratio[0] * turn - pair.ratio[1]
+        by_sine, by_cosine = _bracket(inner[0]) * turn, -_bracket(inner[1])
+        determinant = by_sine.real * by_cosine.imag - by_sine.imag * by_cosine.real
+        d_sine = (difference.real * by_cosine.imag - difference.imag * by_cosine.real) / determinant
+        d_cosine = (by_sine.real * difference.imag - by_sine.imag * difference.real) / determinant
+        inner = (
+            pair.ratio[0] - d_sine * _bracket(inner[0]),
+            pair.ratio[1] - d_cosine * _bracket(inner[1]),
+        )
+        # The square law mixes first and second harmonic back into the first and turns its phase by 2 D Im rho.
+        angle = pair.angle - 2 * (d_sine * inner[0].imag - d_cosine * inner[1].imag)
+    return inner[0], np.stack([d_sine, d_cosine], axis=-1), angle
+
+
+def _propagated(pair: _Pair) -> tuple[Floats, Floats]:
+    """Covariance (R, 2, 2) of the corrected rho, and (R, 2) uncertainty of the distortions."""
+    sin, cos = np.sin(pair.angle), np.cos(pair.angle)
+    zero, one = np.zeros_like(sin), np.ones_like(sin)
+    turned = pair.ratio[0] * np.exp(1j * pair.angle)
+    by_angle = turned.real / sin - (turned - pair.ratio[1]).imag * cos / sin**2
+    # d(D_s), d(D_c) by the two parts of rho_s, of rho_c, and by the angle, with B = 1.
+    d_sine = np.stack([one, cos / sin, zero, -1 / sin, by_angle], axis=-1)
+    d_cosine = np.stack([zero, 1 / sin, one, -cos / sin, cos * by_angle + turned.imag], axis=-1)
+    inputs = np.zeros((*sin.shape, 5, 5))
+    inputs[:, :2, :2], inputs[:, 2:4, 2:4] = pair.covariance
+    inputs[:, 4, 4] = pair.angle_u**2
+    for k, share in enumerate((-2.0, 2.0)):
+        # The phase of the fundamental enters rho too: twice what it would alone, since q leans on it in the fit.
+        phase_u2 = (pair.lines_u[k] / np.abs(pair.lines[k][:, 0])) ** 2
+        common = share * (1 - np.abs(pair.ratio[k]) ** 2) * phase_u2 * 1j * pair.ratio[k]
+        for part, place in ((common.real, 2 * k), (common.imag, 2 * k + 1)):
+            inputs[:, place, 4] = inputs[:, 4, place] = part
+    rho = np.zeros((*sin.shape, 2, 5))
+    rho[:, 0, 0], rho[:, 1, 1] = 1.0, 1.0
+    rho[:, 0] -= d_sine
+    covariance = rho @ inputs @ rho.swapaxes(-1, -2)
+    us = [
+        np.sqrt(np.einsum("ri,rij,rj->r", d, inputs, d)) / (1 - np.abs(ratio) ** 2)
+        for d, ratio in zip((d_sine, d_cosine), pair.ratio, strict=True)
+    ]
+    return covariance, np.stack(us, axis=-1)
+
+
+def _images(pair: _Pair, sense: Floats, distortion: Floats, distortion_u: Floats) -> tuple[Floats, Floats]:
+    s, c = pair.lines
+    first = np.abs(c[:, 0])
+    raw = np.abs(c[:, 0] + 1j * np.stack([s[:, 0], -s[:, 0]])) / 2
+    g = s[:, 0] / c[:, 0]
+    by_sine = -sense / g.imag
+    by_cosine = -by_sine * g.real
+
+    def image(sines: Complexes, cosines: Complexes) -> Floats:
+        balanced = by_sine * sines + by_cosine * cosines
+        return np.asarray(np.abs(cosines - 1j * sense * balanced) / 2 / first)
+
+    # The square law's own part of the third harmonic is no sign of anything else.
+    square_law = [
+        2 * (1 - np.abs(rho) ** 2) * line[:, 1] for rho, line in zip(pair.ratio, pair.lines, strict=True)
+    ]
+    s3, c3 = (
+        line[:, 2] - distortion[:, k] * square_law[k] * np.exp(1j * np.angle(line[:, 0]))
+        for k, line in enumerate(pair.lines)
+    )
+    noise = np.hypot(by_sine * pair.lines_u[0], np.hypot(1.0, by_cosine) * pair.lines_u[1]) / 2 / first
+    noise_3 = np.hypot(noise, np.linalg.norm(distortion_u * np.abs(square_law).T, axis=-1) / 2 / first)
+    images = [raw.min(axis=0) / raw.max(axis=0), image(s[:, 1], c[:, 1]), image(s3, c3)]
+    return np.stack(images, axis=-1), np.stack([noise, noise_3], axis=-1)
+
+
+def _corrected(
+    flat: tuple[LockInEstimate, LockInEstimate],
+    rho: Complexes,
+    covariance: Floats,
+    sense: Floats,
+    relation: Relation,
+) -> LockInEstimate:
+    """The sine channel's estimate with the corrected ratio, and the frequency of both."""
+    sine, cosine = flat
+    fatal = ((sine.flags | cosine.flags) & int(FATAL)) != 0
+    blank = np.where(fatal, np.nan, 1.0)
+    frequency, frequency_u = _mean_frequency(sine, cosine)
+    size = np.abs(rho)
+    unit = rho / np.where(size > 0, size, 1.0)
+    along = np.stack([unit.real, unit.imag], axis=-1)
+    across = np.stack([-unit.imag, unit.real], axis=-1)
+    radial, tangential = (np.einsum("ri,rij,rj->r", v, covariance, v) for v in (along, across))
+    ratio = np.sqrt(np.maximum(size**2 - tangential, 0.0))
+    beat_rate = frequency / sine.scale_factor
+    rate = sine.input_rate if sine.rate_given else None
+    value, by_ratio, by_beat_rate = rate_and_slopes(ratio, beat_rate, rate, relation)
+    value_u = np.hypot(by_ratio * np.sqrt(radial), by_beat_rate * frequency_u / sine.scale_factor)
+    low, high = size_interval(rate_and_slopes(size, beat_rate, rate, relation)[0] / value_u)
+    turning = np.where(sense == 0, 1.0, sense)
+    flags = (sine.flags | cosine.flags) & ~int(Flag.RATIO_NOT_SIGNIFICANT)
+    flags = flags | np.where(size > SIGNIFICANT * np.sqrt(radial), 0, int(Flag.RATIO_NOT_SIGNIFICANT))
+    return replace(
+        sine,
+        lock_in_rate=value * blank,
+        lock_in_rate_u=value_u * blank,
+        lock_in_rate_low_95=low * value_u * blank,
+        lock_in_rate_high_95=high * value_u * blank,
+        input_rate=turning * input_rate_from_beat(ratio, beat_rate) * blank if rate is None else rate,
+        beat_frequency=frequency * blank,
+        beat_frequency_u=frequency_u * blank,
+        ratio=ratio * blank,
+        ratio_u=np.sqrt(radial) * blank,
+        complex_ratio=rho * blank,
+        complex_ratio_covariance=covariance * blank[:, np.newaxis, np.newaxis],
+        backscatter_phase=np.angle(-rho * turning) * turning * blank,
+        periods=sine.periods * blank,
+        records=(~fatal).astype(np.int64),
+        records_rejected=fatal.astype(np.int64),
+        flags=flags.astype(np.int64),
+    )
+
+
+def _checks(
+    flat: tuple[LockInEstimate, LockInEstimate],
+    pair: _Pair,
+    sense: Floats,
+    distortion: Floats,
+    images: Floats,
+    image_u: Floats,
+) -> Integers:
+    sine, cosine = flat
+    from_right_angle = np.abs(np.abs(pair.angle) - np.pi / 2)
+    apart = np.abs(sine.beat_frequency - cosine.beat_frequency)
+    apart_u = np.hypot(sine.beat_frequency_u, cosine.beat_frequency_u)
+    conditions = {
+        QuadratureFlag.NOT_IN_QUADRATURE: sense == 0,
+        QuadratureFlag.POOR_QUADRATURE: from_right_angle > POOR_QUADRATURE,
+        # Distortion and rounding of noise-free records shift a frequency by far less than this share of a bin.
+        QuadratureFlag.FREQUENCIES_DIFFER: apart > 5 * apart_u + 1e-3 * sine.beat_frequency / sine.periods,
+        QuadratureFlag.SENSE_DISAGREES: (sense != 0) & sine.rate_given & (sense * sine.input_rate < 0),
+        QuadratureFlag.LARGE_DISTORTION: np.abs(distortion).max(axis=-1) > LARGE_DISTORTION,
+        QuadratureFlag.IMAGE_LEFT: images[:, 2] > IMAGE_LIMIT * image_u[:, 1] + 1e-4,
+    }
+    bits = [np.where(raised, int(bit), 0) for bit, raised in conditions.items()]
+    return np.asarray(np.bitwise_or.reduce(bits), dtype=np.int64)

@@ -17,18 +17,16 @@ def split_parts(text: str, separator: str = ";") -> list[str]:
     >>> split_parts('1;"Ch1; DC";Y')
     ['1', '"Ch1; DC"', 'Y']
     """
-    parts: list[str] = []
-    current: list[str] = []
-    quoted = False
-    for character in text:
-        if character == '"':
-            quoted = not quoted
-        if character == separator and not quoted:
-            parts.append("".join(current))
-            current = []
+    parts = [""]
+    for number, stretch in enumerate(text.split('"')):
+        if number:
+            parts[-1] += '"'
+        if number % 2:  # inside quotes
+            parts[-1] += stretch
         else:
-            current.append(character)
-    parts.append("".join(current))
+            first, *rest = stretch.split(separator)
+            parts[-1] += first
+            parts += rest
     return parts
 
 

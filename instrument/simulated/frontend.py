@@ -22,10 +22,10 @@ HIGHEST_CODE = 127  # clipped records stop here, at either sign
 NO_DATA = -128
 AC_CORNER = 10.0  # Hz
 _DELAYS = -np.log1p(-(np.arange(64) + 0.5) / 64)  # in time constants: quantiles of the exponential
-_SPARSE = 4.0  # time constants between samples, from which on smooth places are filtered the short way
+_SPARSE = 4.0  # time constants between samples, from which on each counts for itself
 _TWO_DELAYS = ((2 - math.sqrt(2), (2 + math.sqrt(2)) / 4), (2 + math.sqrt(2), (2 - math.sqrt(2)) / 4))
 _FAR_DELAY = 6.0  # time constants; what happened before that does not count any more
-_STRAIGHT = 0.02  # of the peak to peak value: how far a smooth signal may leave a straight line
+_STRAIGHT = 0.02  # of all that was seen from peak to peak: how far a smooth signal may leave a straight line
 _SETTLING = 5 / (2 * math.pi * AC_CORNER)  # s of history after which the coupling has forgotten
 _AC_RATES = (51_283.7, 47_013.1, 57_942.9)  # S/s for the slow part; a frequency can beat with one of them
 _AC_POINTS = 1 << 17
@@ -41,9 +41,9 @@ def low_pass(signal: Signal, time_constant: float) -> Signal:
 
     The pole is an average over the past with exponential weights. It is taken at 64 delays of equal weight, so
     it costs 64 looks at the signal and needs no grid in time; the gain is right to 0.02 up to five times the
-    corner. Where samples lie far apart compared with the time constant, a formula of two delays (Gauss and
-    Laguerre) is tried first. Where the signal runs straight through them, on both sides, it is smooth, and that
-    formula is right to a hundredth of a level on a full screen.
+    corner. A formula of two delays (Gauss and Laguerre) is tried first. Where the signal runs straight through
+    them, on both sides, it is smooth, and that formula is right to a hundredth of a level on a full screen. Samples
+    that lie close together are all taken the long way if one of them is: a short pulse may fall between the looks.
 
     Parameters
     ----------
@@ -60,8 +60,6 @@ def low_pass(signal: Signal, time_constant: float) -> Signal:
         return total / len(_DELAYS)
 
     def filtered(times: Floats) -> Floats:
-        if len(times) < 2 or times[-1] - times[0] < _SPARSE * time_constant * (len(times) - 1):
-            return whole(times)
         (late, much), (early, little) = _TWO_DELAYS
         now, near, back, far = (
             evaluate(signal, times - time_constant * delay) for delay in (0.0, late, early, _FAR_DELAY)
@@ -69,8 +67,10 @@ def low_pass(signal: Signal, time_constant: float) -> Signal:
         fine = much * near + little * back
         slope = (back - near) / (early - late)
         bends = np.maximum(np.abs(now - near + late * slope), np.abs(far - back - (_FAR_DELAY - early) * slope))
-        edgy = bends > _STRAIGHT * np.ptp(fine)
+        edgy = bends > _STRAIGHT * np.ptp((now, near, back, far))
         if edgy.any():
+            if times[-1] - times[0] < _SPARSE * time_constant * (len(times) - 1):
+                return whole(times)
             fine[edgy] = whole(times[edgy])
         return fine
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 from instrument.simulated.formats import Mnemonics
 
@@ -21,17 +22,17 @@ class Model:
     probes: tuple[float, ...]
     letter_series: bool  # B, C and TPS: other answers for PROBe, YUNit, MATH:VERtical
 
-    @property
+    @cached_property
     def channel_names(self) -> Mnemonics:
         """`CH1` and so on."""
         return tuple(f"CH{number}" for number in range(1, self.channels + 1))
 
-    @property
+    @cached_property
     def reference_names(self) -> Mnemonics:
         """`REFA` and so on."""
         return tuple(f"REF{letter}" for letter in self.references)
 
-    @property
+    @cached_property
     def waveform_names(self) -> Mnemonics:
         """Everything that can be shown on the screen."""
         return (*self.channel_names, "MATH", *self.reference_names)

@@ -216,7 +216,7 @@ def _from_table(point: OperatingPoint, table: TableGeometry, reference: Referenc
 def _distortion(point: OperatingPoint, knowledge: BenchKnowledge, slope: float) -> tuple[BudgetInput | None, str]:
     """Second-order distortion d, a real number within its limit.
 
-    A square law adds d to rho = -r exp(-i phase); what it makes of the higher harmonics takes r^2 of it away again.
+    A square law adds d to rho = -r exp(-i phase); what it makes of the higher harmonics takes r^2 of it away.
     """
     limit, slope = knowledge.distortion_limit, slope * (1 - point.ratio**2)
     name, quantity = "distortion", "second-order distortion d"

@@ -1,0 +1,124 @@
+"""What somebody who plans a measurement knows and wants."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from analysis.budget import BenchKnowledge, Reference, TableGeometry
+from analysis.plan.oscilloscope_steps import OscilloscopeSteps
+from analysis.rotation import earth_rate_on_axis
+
+SAFE_ABOVE_LOCK_IN = 1.5
+"""The rate stays so far above the largest lock-in rate to be expected: no table turns perfectly steadily."""
+
+FASTEST_OVER_LOCK_IN = 100.0
+
+
+@dataclass(frozen=True)
+class TableSpread:
+    """How well the rate on the axis is known where it is the reference; see `TableGeometry`."""
+
+    tilt_deg: float
+    tilt_u_deg: float
+    latitude_deg: float
+    latitude_u_deg: float
+    rate_u_ppm: float
+    azimuth_deg: float = math.nan
+    azimuth_u_deg: float = 0.0
+
+    def at(self, input_rate: float) -> TableGeometry:
+        """The geometry that gives a rate on the axis, deg/s."""
+        azimuth = self.azimuth_deg if math.isfinite(self.azimuth_deg) else 90.0
+        earth = float(earth_rate_on_axis(self.latitude_deg, self.tilt_deg, azimuth))
+        table_rate = (input_rate - earth) / math.cos(math.radians(self.tilt_deg))
+        return TableGeometry(
+            table_rate=table_rate,
+            table_rate_u=1e-6 * self.rate_u_ppm * abs(table_rate),
+            tilt_deg=self.tilt_deg,
+            tilt_u_deg=self.tilt_u_deg,
+            latitude_deg=self.latitude_deg,
+            latitude_u_deg=self.latitude_u_deg,
+            azimuth_deg=self.azimuth_deg,
+            azimuth_u_deg=self.azimuth_u_deg,
+        )
+
+
+@dataclass(frozen=True)
+class PlanRequest:
+    """What is wanted, and what is known beforehand.
+
+    Attributes
+    ----------
+    lock_in_rate : float
+        As expected, deg/s.
+    lock_in_factor : float
+        It may be this factor larger or smaller.
+    wanted_u : float
+        Relative standard uncertainty of the lock-in rate that is wanted.
+    scale_factor : float
+        K, pulses per degree.
+    amplitude, noise_rms : float
+        Of the beat, and of the white noise in each sample, at the input, V.
+    noise_levels : float
+        Noise of the oscilloscope itself, rms, levels.
+    oscilloscope : OscilloscopeSteps
+    knowledge : BenchKnowledge
+        Its `table` is made from `table` below.
+    reference : {"beat", "rate"}
+    table : TableSpread or None
+    rates_over_lock_in : tuple of float
+        W/WL to measure at; empty: the best one is looked for.
+    both_senses : bool
+        Every rate in both senses of rotation.
+    phase : float
+        Readout phase less backscatter phase, rad; nan: unknown.
+    scatter : float
+        Standard deviation of the lock-in rate itself from record to record, relative.
+    periods_min, samples_per_period_min, fill_levels : float
+        How a record is to be taken.
+    seconds_between_records : float
+        For the transfer.
+    """
+
+    lock_in_rate: float
+    wanted_u: float
+    scale_factor: float
+    amplitude: float
+    noise_rms: float
+    oscilloscope: OscilloscopeSteps
+    knowledge: BenchKnowledge
+    lock_in_factor: float = 2.0
+    noise_levels: float = 0.0
+    reference: Reference = "beat"
+    table: TableSpread | None = None
+    rates_over_lock_in: tuple[float, ...] = ()
+    both_senses: bool = False
+    phase: float = math.nan
+    scatter: float = 0.0
+    periods_min: float = 15.0
+    samples_per_period_min: float = 20.0
+    fill_levels: float = 100.0
+    seconds_between_records: float = 0.0
+
+    def __post_init__(self) -> None:
+        for name in ("lock_in_rate", "wanted_u", "scale_factor", "amplitude"):
+            if not (getattr(self, name) > 0 and math.isfinite(getattr(self, name))):
+                raise ValueError(f"{name} must be a positive number, not {getattr(self, name)!r}")
+        if not 1 <= self.lock_in_factor <= FASTEST_OVER_LOCK_IN / 2:
+            raise ValueError(f"the lock-in rate can be wrong by a factor of 1 to 50, not {self.lock_in_factor!r}")
+        for ratio in self.rates_over_lock_in:
+            if not 1.05 <= ratio <= 1000:
+                raise ValueError(f"a rate must be 1.05 to 1000 times the lock-in rate, not {ratio:g} times")
+        if self.reference == "rate" and self.table is None:
+            raise ValueError("with the rate as reference, say how well table rate and tilt are known")
+
+    @property
+    def slowest_over_lock_in(self) -> float:
+        """W/WL below which the gyro could be locked, WL being known only within its factor."""
+        return SAFE_ABOVE_LOCK_IN * self.lock_in_factor
+
+    @property
+    def distortion_separated(self) -> bool:
+        """Whether the rates can tell distortion from lock-in: two rates, or both senses."""
+        return self.both_senses or len(set(self.rates_over_lock_in)) > 1

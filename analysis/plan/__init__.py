@@ -1,7 +1,13 @@
 """Plan a measurement of the lock-in rate before it is made."""
 
 from analysis.plan.curve import UncertaintyCurve, uncertainty_curve
-from analysis.plan.measurement_plan import Plan, PlannedRate, plan_measurement, predicted_budget
+from analysis.plan.measurement_plan import (
+    Plan,
+    PlannedRate,
+    budget_elsewhere,
+    plan_measurement,
+    predicted_budget,
+)
 from analysis.plan.oscilloscope_steps import OscilloscopeSteps
 from analysis.plan.request import PlanRequest, TableSpread
 from analysis.plan.several_rates import expected_joint_u
@@ -13,6 +19,7 @@ __all__ = [
     "PlannedRate",
     "TableSpread",
     "UncertaintyCurve",
+    "budget_elsewhere",
     "expected_joint_u",
     "plan_measurement",
     "predicted_budget",

@@ -108,6 +108,19 @@ def predicted_budget(request: PlanRequest, over_lock_in: float, records: int) ->
     return _budget(request, rates)
 
 
+def budget_elsewhere(plan: Plan, lock_in_rate: float) -> Budget:
+    """Budget of the same rates and records if the lock-in rate is another than expected, deg/s.
+
+    Raises
+    ------
+    ValueError
+        The gyro would be locked, or too close to it, at one of the rates.
+    """
+    ratios = tuple(abs(rate.input_rate) / lock_in_rate for rate in plan.rates)
+    request = replace(plan.request, lock_in_rate=lock_in_rate, rates_over_lock_in=ratios)
+    return _budget(request, _rates(request, ratios, plan.records))
+
+
 def _best_rate(request: PlanRequest) -> float:
     slowest = request.slowest_over_lock_in
     candidates = np.geomspace(slowest, max(FASTEST_OVER_LOCK_IN, 2 * slowest), _CANDIDATES)

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from analysis.budget import Budget, BudgetInput
 from station.picture import svg_element
-from station.plots import ACCENT, INK, SECOND
+from station.plot_style import ACCENT, INK, SECOND
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -68,6 +68,16 @@ class Evaluation:
         return bool(np.isfinite(self.combined.lock_in_rate)) and not int(self.combined.flags) & int(FATAL)
 
     @property
+    def method_text(self) -> str:
+        """Describe in words how the lock-in rate was found."""
+        if self.several is None:
+            return self.method.text
+        fitted = {"lock-in": "", "distortion": " and distortion", "gain": " and gain corner"}
+        fit = self.several.by_beat
+        what = "" if fit is None else fitted.get(fit.model, ", distortion and gain corner")
+        return f"{self.method.text}; lock-in rate{what} fitted to {len(self.several.groups)} rates"
+
+    @property
     def flags(self) -> list[str]:
         """Names of the flags of the combined result, and of the store."""
         names = flag_names(int(self.combined.flags))

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from station.errors import UsageError
-from station.plots import _STYLE, _embeddable
+from station.plot_style import STYLE, embeddable
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -35,7 +35,7 @@ def svg_element(name: str, size: tuple[float, float], draw: Callable[[Figure], N
         The same for the same data.
     """
     drawn = _drawn(name, size, draw, "svg", transparent=True, metadata={"Date": None, "Creator": None})
-    return _embeddable(drawn.decode(), name)
+    return embeddable(drawn.decode(), name)
 
 
 def write_picture(path: Path, name: str, size: tuple[float, float], draw: Callable[[Figure], None]) -> None:
@@ -79,7 +79,7 @@ def _drawn(name: str, size: tuple[float, float], draw: Callable[[Figure], None],
     import matplotlib
     from matplotlib.figure import Figure
 
-    style: Any = _STYLE | {"svg.hashsalt": f"gyrolock-{name}"}
+    style: Any = STYLE | {"svg.hashsalt": f"gyrolock-{name}"}
     with matplotlib.rc_context(style):
         figure = Figure(figsize=size, layout="constrained")
         draw(figure)

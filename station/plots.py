@@ -5,10 +5,7 @@ matplotlib is imported inside the functions: it takes half a second, and only a 
 
 from __future__ import annotations
 
-import io
-import re
-from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,33 +13,14 @@ from numpy.typing import NDArray
 from analysis import fit_harmonics
 from instrument import Waveform
 from station.evaluate import Evaluation
+from station.picture import svg_element
+from station.plot_style import ACCENT, HALF, INK, SECOND, THIRD, WIDE, legend_above
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 Array = NDArray[np.float64]
 
-INK, SOFT, LINE, ACCENT, SECOND, THIRD = "#1d2733", "#5b6875", "#dfe4ea", "#1f5f99", "#c8642b", "#2c7a4b"
-WIDE, HALF = (10.0, 3.1), (5.0, 3.1)
-_STYLE: dict[str, Any] = {
-    "svg.fonttype": "none",  # text stays text: small, searchable, in the font of the page
-    "font.size": 9.5,
-    "axes.edgecolor": SOFT,
-    "axes.labelcolor": SOFT,
-    "axes.linewidth": 0.7,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.axisbelow": True,
-    "axes.grid": True,
-    "grid.color": LINE,
-    "grid.linewidth": 0.6,
-    "xtick.color": SOFT,
-    "ytick.color": SOFT,
-    "legend.frameon": False,
-    "legend.fontsize": 9,
-    "lines.linewidth": 1.2,
-}
 _PERIODS_SHOWN = 4
 _HARMONICS = 4
 
@@ -76,9 +54,9 @@ def time_record_svg(waveform: Waveform) -> str:
             scale * times, waveform.volts[:shown], ".", ms=4, color=SECOND, alpha=0.55, mew=0, label="samples"
         )
         axes.set(xlabel=f"time from the first sample, {unit}", ylabel="V", xlim=(0, scale * fine[-1]))
-        _legend_above(axes)
+        legend_above(axes)
 
-    return _svg("record", WIDE, draw)
+    return svg_element("record", WIDE, draw)
 
 
 def spectrum_svg(waveform: Waveform) -> str:
@@ -115,7 +93,7 @@ def spectrum_svg(waveform: Waveform) -> str:
                     color=SECOND,
                 )
 
-    return _svg("spectrum", WIDE, draw)
+    return svg_element("spectrum", WIDE, draw)
 
 
 def line_svg(waveform: Waveform, order: int) -> str:
@@ -159,9 +137,9 @@ def line_svg(waveform: Waveform, order: int) -> str:
         axes.set_xlim(scale * around[0], scale * around[-1])
         axes.set_ylim(0, milli * max(height + 2 * height_u, float(line.max())) * 1.12)
         axes.ticklabel_format(useOffset=False)
-        _legend_above(axes)
+        legend_above(axes)
 
-    return _svg(f"line{order}", HALF, draw)
+    return svg_element(f"line{order}", HALF, draw)
 
 
 def values_svg(evaluation: Evaluation) -> str:
@@ -195,37 +173,9 @@ def values_svg(evaluation: Evaluation) -> str:
         axes.set(xlabel="record", ylabel="lock-in rate, deg/s", xlim=(0.4, number.size + 0.6))
         axes.xaxis.set_major_locator(MaxNLocator(integer=True))
         axes.ticklabel_format(axis="y", useOffset=False)
-        _legend_above(axes)
+        legend_above(axes)
 
-    return _svg("values", WIDE, draw)
-
-
-def _svg(name: str, size: tuple[float, float], draw: Callable[[Figure], None]) -> str:
-    """Draw a figure and return it as an SVG element that can stand beside others in one page."""
-    import matplotlib
-    from matplotlib.figure import Figure
-
-    style: Any = _STYLE | {"svg.hashsalt": f"gyrolock-{name}"}
-    with matplotlib.rc_context(style):
-        figure = Figure(figsize=size, layout="constrained")
-        draw(figure)
-        file = io.StringIO()
-        figure.savefig(file, format="svg", transparent=True, metadata={"Date": None, "Creator": None})
-    return _embeddable(file.getvalue(), name)
-
-
-def _embeddable(svg: str, name: str) -> str:
-    """Cut off the XML prologue and make every id of the figure its own."""
-    svg = svg[svg.index("<svg") :]
-    svg = re.sub(r"<metadata>.*?</metadata>\s*", "", svg, flags=re.DOTALL)
-    svg = re.sub(r'\bid="', f'id="{name}-', svg)
-    svg = re.sub(r'(href="#|url\(#)', rf"\g<1>{name}-", svg)
-    # the page's font; matplotlib has laid the text out in a wider one
-    return re.sub(r"font-family: 'DejaVu Sans'[^;\"]*", "font-family: inherit", svg)
-
-
-def _legend_above(axes: Axes) -> None:
-    axes.legend(loc="lower left", bbox_to_anchor=(0, 1.0), ncols=3, borderaxespad=0.2, handlelength=1.6)
+    return svg_element("values", WIDE, draw)
 
 
 def _windowed_spectrum(waveform: Waveform) -> tuple[Array, Array]:

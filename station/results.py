@@ -7,6 +7,7 @@ from typing import Any
 
 from analysis import flag_names
 from station.evaluate import Evaluation
+from station.rates_document import several_rates_document
 from station.runs import SavedRun
 
 # name in JSON: field of the estimate
@@ -46,7 +47,7 @@ def result_document(evaluation: Evaluation, run: SavedRun | None = None) -> dict
     document |= {
         "records": len(evaluation.waveforms) + len(evaluation.damaged),
         "records_rejected": evaluation.records_rejected,
-        "method": evaluation.method.text,
+        "method": evaluation.method_text,
         "noise_model": combined.noise_model,
         "flags": evaluation.flags,
         "scale_factor_pulses_per_deg": evaluation.method.scale_factor,
@@ -61,6 +62,8 @@ def result_document(evaluation: Evaluation, run: SavedRun | None = None) -> dict
             "input_rate_dps": check.input_rate,
             "beat_over_table": check.beat_over_table,
         }
+    if evaluation.several is not None:
+        document["several_rates"] = several_rates_document(evaluation.several)
     if evaluation.truth is not None:
         document["truth"] = evaluation.truth
     return document

@@ -9,7 +9,7 @@ import numpy as np
 
 from station.picture import svg_element, write_picture
 from station.plan import PAPER_OVER_LOCK_IN, PlannedMeasurement
-from station.plots import ACCENT, INK, SECOND, SOFT, THIRD
+from station.plot_style import ACCENT, INK, SECOND, SOFT, THIRD, legend_above
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -61,7 +61,7 @@ def _draw(figure: Figure, planned: PlannedMeasurement) -> None:
     axes.minorticks_off()
     axes.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
     _mark(axes, planned)
-    axes.legend(loc="lower left", bbox_to_anchor=(0, 1.0), ncols=5, borderaxespad=0.2, handlelength=1.6)
+    legend_above(axes, columns=5)
 
 
 def _mark(axes: Axes, planned: PlannedMeasurement) -> None:

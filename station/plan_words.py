@@ -60,13 +60,13 @@ def duration_words(seconds: float) -> str:
 def _outcome(plan: Plan) -> str:
     wanted, got = 100 * plan.request.wanted_u, 100 * plan.budget.relative_u
     total = plan.records * len(plan.rates)
-    taken = f"{total} record{'s' if total > 1 else ''} in about {duration_words(plan.duration_s)}"
+    taken = f"{total} record{'s' if total > 1 else ''}, about {duration_words(plan.duration_s)}"
     if plan.reached:
-        return f"{taken} give the lock-in rate to {got:.2g} % (k = 1); {wanted:.3g} % are wanted."
+        return f"{taken}: the lock-in rate to {got:.2g} % (k = 1), where {wanted:.3g} % is wanted."
     line = next(iter(plan.budget.inputs))
     return (
         f"{wanted:.3g} % cannot be reached: no number of records goes below {100 * plan.floor_u:.2g} %, "
-        f"most of it from this: {line.quantity}. {taken} come to {got:.2g} %."
+        f"most of it from this: {line.quantity}. {taken}: {got:.2g} %."
     )
 
 
@@ -93,7 +93,7 @@ def _why_not_faster(plan: Plan) -> list[str]:
     low = float(lock_in_from_rate(here, 1.0, "paper-13")) * chosen - 1
     said.append(
         "The advice to stay far away belongs to the approximate formula, equation (13) of Zhan et al. (2009), "
-        f"which would be wrong by {100 * low:+.2g} % here; the exact relation is right at every rate above lock-in. "
+        f"which would be wrong by {100 * low:+.2g} % here; the exact relation holds at every rate above lock-in. "
         "What limits the slow side is that the lock-in rate is only guessed and that no table turns perfectly "
         "steadily."
     )
@@ -149,7 +149,7 @@ def _warnings(plan: Plan) -> list[str]:
         swing = EARTH_RATE_DPS * math.cos(latitude) * abs(math.sin(tilt)) / abs(slowest.input_rate)
         if swing > _LARGE_SWING:
             said.append(
-                f"The earth's rotation changes the rate on the axis by ±{100 * swing:.0f} % in a turn of the table: "
+                f"The earth's rotation changes the rate on the axis by ±{100 * swing:.0f} % in a table turn: "
                 "take the records at one azimuth, and let each be its own reference."
             )
         if abs(slowest.input_rate) * (1 - swing) < 1.05 * plan.request.lock_in_rate:

@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from analysis.fibre_gyro.rate_table_run import RateDifferences
 
 Floats = NDArray[np.float64]
-Path = Literal["shared", "second electrode"]
+Path = Literal["shared", "separate"]
 
 _PPM = 1e6
 
@@ -240,7 +240,9 @@ class ScaleComparison:
     against_numbers_u_ppm: float
 
 
-def compare_scale(self_fit: SlopeFit, numbers: SlopeFit, table: tuple[float, float]) -> ScaleComparison:
+def compare_scale(
+    self_fit: SlopeFit, numbers: SlopeFit, table: tuple[float, float], *, numbers_u: float = 0.0
+) -> ScaleComparison:
     """Compare the slope of the outputs with the table's scale factor and with the slope of the numbers.
 
     Parameters
@@ -251,11 +253,13 @@ def compare_scale(self_fit: SlopeFit, numbers: SlopeFit, table: tuple[float, flo
         Of the injected numbers, with the same weights.
     table : tuple of float
         K of the rate table, counts per deg/s, and its standard uncertainty.
+    numbers_u : float, optional
+        Standard uncertainty of the slope of the numbers, counts per deg/s: how well they stand for the rates.
     """
     ratio, relative_u = self_fit.slope / table[0], self_fit.slope_u / abs(self_fit.slope)
     return ScaleComparison(
         _PPM * (ratio - 1),
-        _PPM * float(np.hypot(relative_u, table[1] / table[0])),
+        _PPM * float(np.linalg.norm([relative_u, table[1] / table[0], numbers_u / numbers.slope])),
         _PPM * (self_fit.slope / numbers.slope - 1),
         _PPM * relative_u,
     )
@@ -291,7 +295,7 @@ def predicted_self_scale(
 
     Parameters
     ----------
-    path : {"shared", "second electrode"}
+    path : {"shared", "separate"}
         Through the feedback's own converter and electrode, or through another of its own gain.
     two_pi_error : float, optional
         eps of the feedback path.
@@ -304,7 +308,7 @@ def predicted_self_scale(
     --------
     >>> predicted_self_scale("shared", 0.01, gated=True)
     1.0
-    >>> round(1e6 * (predicted_self_scale("second electrode", 0.003, gated=True) - 1), 1)
+    >>> round(1e6 * (predicted_self_scale("separate", 0.003, gated=True) - 1), 1)
     -2991.0
     """
     if path == "shared":

@@ -131,9 +131,9 @@ def test_predicted_scale_of_the_table(eps: float, gated: bool, table_ppm: float)
 
 def test_predictions_of_the_second_electrode_and_of_the_optics() -> None:
     table = predicted_table_scale(0.0, 0.003, gated=True)
-    second = predicted_self_scale("second electrode", 0.003, gated=True)
+    second = predicted_self_scale("separate", 0.003, gated=True)
     assert predicted_difference_ppm(1.0, second, table) == pytest.approx(0, abs=1e-9)
-    drifted = predicted_self_scale("second electrode", 0.003, 1e-4, gated=True)
+    drifted = predicted_self_scale("separate", 0.003, 1e-4, gated=True)
     assert predicted_difference_ppm(1.0, drifted, table) == pytest.approx(100)
     warmer = predicted_table_scale(100e-6, gated=True)
     assert predicted_difference_ppm(1.0, 1.0, warmer) == pytest.approx(-99.99, abs=0.01)

@@ -1,0 +1,216 @@
+"""Settings of ``gyrolock fog``: ``config/fibre_gyro.toml``, and a user's file that holds what differs."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any, Literal, cast
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from analysis.fibre_gyro.coil import FibreCoil
+from station.errors import SettingsError
+from station.settings import ShippedName, _merge, _mistakes, _read_toml, shipped_settings
+
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+Rates = Annotated[list[Positive], Field(min_length=1)]
+Name = Annotated[str, Field(min_length=1, pattern=r"^\S+$")]
+Limit = Annotated[float, Field(gt=0, allow_inf_nan=False)] | None
+
+
+class _Section(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class GyroSettings(_Section):
+    """The gyro by design."""
+
+    name: str
+    coil_length_m: Positive
+    coil_diameter_m: Positive
+    wavelength_um: Positive
+    fibre_index: Annotated[float, Field(ge=1, le=3)]
+    dac_bits: Annotated[int, Field(ge=8, le=20)]
+    fraction_bits: Annotated[int, Field(ge=0, le=24)]
+    counts_per_code: Positive
+    output_resolution: NotNegative
+    gated_resets: bool
+
+
+class SiteSettings(_Section):
+    """Where the bench stands."""
+
+    latitude_deg: Annotated[float, Field(ge=-90, le=90)]
+
+
+class LinkSettings(_Section):
+    """The gyro's serial port."""
+
+    port: str
+    frame_format: str
+    frame_format_file: str
+    speed: Positive
+
+
+class TableSettings(_Section):
+    """The rate-table run."""
+
+    kind: Literal["simulated", "manual"]
+    axes: Annotated[list[Name], Field(min_length=1)]
+    rates_dps: Rates
+    both_ends_up: bool
+    turns: Annotated[int, Field(ge=1, le=100_000)]
+    window_s: NotNegative
+    settle_s: NotNegative
+    rate_tolerance_ppm: Positive
+    irreproducibility_ppm: NotNegative
+
+
+class SelfcalSettings(_Section):
+    """The self-calibration by injected staircase."""
+
+    axis: Name
+    rates_dps: Annotated[list[Positive], Field(min_length=2)]
+    numbers: Literal["differences", "fit", "nominal"]
+    path: Literal["shared", "separate"]
+    step_s: Positive
+    static_s: Positive
+    settle_s: NotNegative
+
+
+class EpsSettings(_Section):
+    """The open-loop measurement of the 2 pi error."""
+
+    steps_codes: Annotated[list[Positive], Field(min_length=1)]
+    record_s: Positive
+    settle_s: NotNegative
+
+
+class FiguresSettings(_Section):
+    """Runs for the figures of merit."""
+
+    axis: Name
+    rates_dps: Annotated[list[Positive], Field(min_length=2)]
+    runs: Annotated[int, Field(ge=1, le=1000)]
+    temperatures_c: list[Finite]
+    reference_temperature_c: Finite
+    seconds: Positive
+    static_s: Positive
+    settle_s: NotNegative
+
+
+class SimulationSettings(_Section):
+    """The truth of the simulated gyro and table."""
+
+    model: Literal["auto", "output", "transit"]
+    seed: Annotated[int, Field(ge=0)]
+    output_rate_hz: Positive
+    angle_random_walk: NotNegative
+    bias_dph: Finite
+    two_pi_error: Annotated[float, Field(ge=-0.1, le=0.1)]
+    injection_error: Annotated[float, Field(ge=-0.1, le=0.1)]
+    scale_change_ppm: Finite
+    misalignment_mrad: Finite
+    table_irreproducibility_ppm: NotNegative
+    switch_on_scatter_ppm: NotNegative
+    temperature_coefficient_ppm: Finite
+    asymmetry_ppm: Finite
+    cubic_ppm: Finite
+    dead_zone_dps: NotNegative
+
+
+class LimitSettings(_Section):
+    """Limits; one that is absent is not tested."""
+
+    nominal_difference_ppm: Limit = None
+    scale_factor_u_ppm: Limit = None
+    scatter_ppm: Limit = None
+    self_minus_table_ppm: Limit = None
+    self_minus_numbers_ppm: Limit = None
+    two_pi_error_ppm: Limit = None
+    nonlinearity_ppm: Limit = None
+    nonlinearity_of_point_ppm: Limit = None
+    asymmetry_ppm: Limit = None
+    repeatability_ppm: Limit = None
+    temperature_coefficient_ppm: Limit = None
+
+
+class OutputSettings(_Section):
+    """Where results go."""
+
+    directory: Annotated[str, Field(min_length=1)]
+
+
+class FogSettings(_Section):
+    """All settings of ``gyrolock fog``."""
+
+    gyro: GyroSettings
+    site: SiteSettings
+    link: LinkSettings
+    table: TableSettings
+    selfcal: SelfcalSettings
+    eps: EpsSettings
+    figures: FiguresSettings
+    simulation: SimulationSettings
+    limits: LimitSettings
+    output: OutputSettings
+
+    @property
+    def simulated(self) -> bool:
+        """Whether the gyro is simulated: no port is named."""
+        return not self.link.port
+
+    @property
+    def nominal_scale_factor(self) -> float:
+        """Scale factor by design, counts per deg/s."""
+        return self.coil.nominal_scale(self.gyro.dac_bits) * self.gyro.counts_per_code
+
+    @property
+    def coil(self) -> FibreCoil:
+        """The coil by design."""
+        gyro = self.gyro
+        return FibreCoil(gyro.coil_length_m, gyro.coil_diameter_m, 1e-6 * gyro.wavelength_um, gyro.fibre_index)
+
+
+def load_fog_settings(
+    path: Path | None = None, overrides: Mapping[str, Mapping[str, object]] | None = None
+) -> FogSettings:
+    """Read the settings.
+
+    Parameters
+    ----------
+    path : Path, optional
+        The user's file. Only what differs from ``fibre_gyro.toml`` need stand in it.
+    overrides : mapping of mapping, optional
+        Values from the command line, by section and name; they win over the file.
+
+    Raises
+    ------
+    SettingsError
+        With every mistake of the file in one text.
+    """
+    shipped = shipped_settings(cast(ShippedName, "fibre_gyro"))
+    user: dict[str, Any] = _read_toml(path) if path is not None else {}
+    values = _merge(_merge(_read_toml(shipped), user), {name: dict(v) for name, v in (overrides or {}).items()})
+    table, link = values.get("table"), values.get("link")
+    named = isinstance(link, dict) and link.get("port")
+    if named and isinstance(table, dict) and table.get("kind") == "simulated":
+        table["kind"] = "manual"  # a simulated table cannot turn a real gyro
+    settings = fog_settings_from(values, str(path or shipped))
+    if settings.simulated and settings.table.kind == "manual":
+        raise SettingsError(f'{path}: table.kind = "manual": an operator cannot turn a simulated gyro')
+    return settings
+
+
+def fog_settings_from(values: Mapping[str, Any], name: str) -> FogSettings:
+    """Check values, for instance those that are saved with a run; `name` stands in the text of the error."""
+    try:
+        settings = FogSettings.model_validate(dict(values))
+    except ValidationError as error:
+        raise SettingsError(_mistakes(Path(name), error)) from None
+    axes = settings.table.axes
+    if len(set(axes)) != len(axes):
+        raise SettingsError(f"{name}: table.axes: {', '.join(axes)}: an axis stands there twice")
+    return settings

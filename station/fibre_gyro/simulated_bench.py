@@ -1,0 +1,153 @@
+"""The simulated bench of a fibre gyro: gyro and rate table, in as little time as the computation takes.
+
+Every segment begins with a gyro and a noise of its own, made from the seed and the segment's key: a run that is
+resumed gives the same numbers as one in one go.
+"""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.fibre_gyro.closed_loop import ClosedLoop
+from analysis.fibre_gyro.coil import FibreCoil
+from analysis.fibre_gyro.loop_settings import LoopSettings
+from analysis.fibre_gyro.output_block import OutputBlock
+from analysis.fibre_gyro.output_model import OutputModel
+from analysis.rotation import EARTH_RATE_DPS
+from instrument.fibre_gyro import Losses, Recording
+from station.fibre_gyro.campaign import PlannedSegment
+from station.fibre_gyro.settings import FogSettings
+
+Floats = NDArray[np.float64]
+
+_PPM = 1e6
+_OPEN_LOOP_PERIOD_S = 0.05
+
+
+class SimulatedFogBench:
+    """Gyro and rate table of the settings' [simulation].
+
+    Parameters
+    ----------
+    settings : FogSettings
+    """
+
+    def __init__(self, settings: FogSettings) -> None:
+        self._settings = settings
+
+    def prepare(self, planned: PlannedSegment) -> dict[str, Any]:
+        """The table reads what it was asked for: its own error from run to run is not on its display."""
+        reached: dict[str, Any] = {"model": self._model(planned)}
+        if planned.conditions["rate_dps"]:
+            reached["table_rate_dps"] = planned.conditions["rate_dps"]
+        return reached
+
+    def record(self, planned: PlannedSegment, progress: Callable[[float], None]) -> Recording:
+        """Compute the output of one segment."""
+        held = planned.conditions.get("loop") == "held"
+        period = min(_OPEN_LOOP_PERIOD_S, 1 / self._settings.simulation.output_rate_hz) if held else (
+            1 / self._settings.simulation.output_rate_hz
+        )  # fmt: skip
+        count = max(2, round(planned.seconds / period))
+        block = self._output(planned, count, period, held=held)
+        progress(planned.seconds + planned.settle_s)
+        return self._recording(planned, block, count, held=held)
+
+    def _model(self, planned: PlannedSegment) -> str:
+        chosen = self._settings.simulation.model
+        return ("transit" if planned.conditions.get("loop") == "held" else "output") if chosen == "auto" else chosen
+
+    def _output(self, planned: PlannedSegment, count: int, period: float, *, held: bool) -> OutputBlock:
+        """Run the gyro; one output more than is kept, the first holds the settling of the loop."""
+        rng = self._random(planned.key)
+        coil = self._coil(planned, rng)
+        loop = loop_settings(self._settings)
+        seed = int(rng.integers(2**31))
+        gyro: ClosedLoop | OutputModel
+        gyro = ClosedLoop(coil, loop, seed) if self._model(planned) == "transit" else OutputModel(coil, loop, seed)
+        return gyro.run(
+            count + 1,
+            output_period_s=period,
+            rate_dps=self._rates(planned, count + 1, period, rng),
+            injected_step=float(planned.conditions.get("step_codes", 0.0)),
+            closed=False if held else None,
+        )
+
+    def _random(self, key: str) -> np.random.Generator:
+        return np.random.default_rng([self._settings.simulation.seed, zlib.crc32(key.encode())])
+
+    def _coil(self, planned: PlannedSegment, rng: np.random.Generator) -> FibreCoil:
+        """The coil of one segment: drifted, warm, and with its own scatter at every switch-on."""
+        simulation, conditions = self._settings.simulation, planned.conditions
+        change = simulation.scale_change_ppm
+        if (run := conditions.get("run")) is not None:
+            change += float(self._random(f"switch-on {run}").normal(0, simulation.switch_on_scatter_ppm))
+        if (temperature := conditions.get("temperature_c")) is not None:
+            warm = temperature - self._settings.figures.reference_temperature_c
+            change += simulation.temperature_coefficient_ppm * warm
+        return self._settings.coil.scaled(1 + change / _PPM)
+
+    def _rates(self, planned: PlannedSegment, count: int, period: float, rng: np.random.Generator) -> Floats:
+        """Rate on the gyro's axis in each output period, deg/s, as the gyro's nonlinearity changes it."""
+        simulation, conditions = self._settings.simulation, planned.conditions
+        table = float(conditions["rate_dps"]) * (1 + rng.normal(0, simulation.table_irreproducibility_ppm) / _PPM)
+        end = int(conditions.get("end_up", 1))
+        latitude, tilt = np.deg2rad(self._settings.site.latitude_deg), 1e-3 * simulation.misalignment_mrad
+        edges = np.arange(count + 1) * period
+        azimuth = np.deg2rad(table * edges) + rng.uniform(0, 2 * np.pi)
+        # mean of the cosine over each period
+        north = np.diff(np.sin(azimuth)) / np.diff(azimuth) if table else np.full(count, np.cos(azimuth[0]))
+        vertical = table + EARTH_RATE_DPS * np.sin(latitude)
+        on_axis = end * np.cos(tilt) * vertical + np.sin(tilt) * EARTH_RATE_DPS * np.cos(latitude) * north
+        return self._distorted(on_axis)
+
+    def _distorted(self, rates: Floats) -> Floats:
+        simulation = self._settings.simulation
+        full = max(self._settings.figures.rates_dps)
+        shape = 1 + simulation.cubic_ppm / _PPM * (rates / full) ** 2 + simulation.asymmetry_ppm / _PPM / 2 * np.sign(rates)
+        return np.where(np.abs(rates) < simulation.dead_zone_dps, 0.0, rates * shape)
+
+    def _recording(self, planned: PlannedSegment, block: OutputBlock, count: int, *, held: bool) -> Recording:
+        gyro = self._settings.gyro
+        counts = gyro.counts_per_code * np.asarray(block.counts[1:], dtype=np.float64)
+        if gyro.output_resolution:
+            counts = gyro.output_resolution * np.round(counts / gyro.output_resolution)
+        extra = {"normal_error": block.normal_error[1:], "reset_error": block.reset_error[1:]} if held else {}
+        temperature = planned.conditions.get("temperature_c")
+        return Recording(
+            times=np.arange(count) * block.interval_s,
+            counts=counts,
+            temperature=None if temperature is None else np.full(count, float(temperature)),
+            status=None,
+            extra={name: np.asarray(values, dtype=np.float64) for name, values in extra.items()},
+            gaps=(),
+            losses=Losses(good=count),
+            interval_s=block.interval_s,
+            clock="counter",
+        )
+
+
+def loop_settings(settings: FogSettings) -> LoopSettings:
+    """Electronics of the simulated gyro."""
+    gyro, simulation = settings.gyro, settings.simulation
+    return LoopSettings(
+        dac_bits=gyro.dac_bits,
+        fractional_bits=gyro.fraction_bits,
+        two_pi_error=simulation.two_pi_error,
+        gated=gyro.gated_resets,
+        injection_path=settings.selfcal.path,
+        injection_two_pi_error=simulation.injection_error,
+        angle_random_walk_deg_per_sqrt_h=simulation.angle_random_walk,
+        bias_dph=simulation.bias_dph,
+    )
+
+
+def quiet(settings: LoopSettings) -> LoopSettings:
+    """The same electronics without noise, for a picture of the signals."""
+    return replace(settings, angle_random_walk_deg_per_sqrt_h=0.0)

@@ -1,0 +1,279 @@
+"""The run store of the fibre gyro: one SQLite file a run, one durable commit a segment.
+
+A segment is one stretch of the gyro's output under constant conditions: a table rate, an injected step, rest. Its
+key says which, so that a run that was cut short goes on with the segments that are missing.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import sqlite3
+import zlib
+from collections.abc import Iterator, Mapping
+from contextlib import closing, suppress
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from instrument.fibre_gyro import Gap, Losses, Recording
+from station.errors import RunError
+from station.runs import _new_run_directory, utc_now
+
+FOG_RUN_FILE = "fog.sqlite"
+FOG_REPORT_FILE = "report.html"
+APPLICATION_ID = 0x47_59_4C_46  # "GYLF"
+LAYOUT = 1
+
+_SCHEMA = """
+CREATE TABLE run (
+    name  TEXT PRIMARY KEY,       -- command, settings, provenance, truth, started_at, ended_at, outcome, ...
+    value TEXT NOT NULL           -- JSON
+) WITHOUT ROWID;
+CREATE TABLE segment (
+    number     INTEGER PRIMARY KEY,
+    key        TEXT NOT NULL UNIQUE,
+    taken_at   TEXT NOT NULL,     -- UTC, ISO 8601
+    conditions TEXT NOT NULL,     -- JSON
+    recording  TEXT NOT NULL,     -- JSON: names of the columns, interval, clock, gaps, losses
+    samples    BLOB NOT NULL,     -- zlib: the columns one after the other, little-endian float64
+    sha256     TEXT NOT NULL      -- of samples, conditions and recording
+);
+CREATE TABLE result (             -- computed from the segments; never the truth
+    number      INTEGER PRIMARY KEY,
+    computed_at TEXT NOT NULL,
+    value       TEXT NOT NULL     -- JSON
+);
+"""
+
+
+@dataclass(frozen=True)
+class Segment:
+    """One segment as it was saved.
+
+    Attributes
+    ----------
+    key : str
+        What it is, unique in its run: ``"Z +20"``.
+    taken_at : str
+        UTC, ISO 8601.
+    conditions : dict
+        Plain JSON: rates, injected step, axis, ...
+    recording : Recording
+    intact : bool
+        Whether it still has the checksum that it was saved with.
+    """
+
+    key: str
+    taken_at: str
+    conditions: dict[str, Any]
+    recording: Recording
+    intact: bool
+
+
+@dataclass(frozen=True)
+class FogRun:
+    """A run as it was read from its file.
+
+    Attributes
+    ----------
+    path : Path
+        The SQLite file.
+    facts : dict
+        What was known beside the segments: command, settings, provenance, truth, times, outcome.
+    segments : tuple of Segment
+        In the order in which they were taken.
+    """
+
+    path: Path
+    facts: dict[str, Any]
+    segments: tuple[Segment, ...]
+
+    def taken_for(self, purpose: str) -> tuple[Segment, ...]:
+        """Segments of one purpose: ``"table"``, ``"selfcal"``, ``"eps"`` or ``"figures"``."""
+        return tuple(segment for segment in self.segments if segment.conditions.get("purpose") == purpose)
+
+
+class FogRunWriter:
+    """Writes one run; a segment that :meth:`save_segment` returned for survives a killed process.
+
+    Use :meth:`create` or :meth:`resume`.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        try:
+            self._db = sqlite3.connect(path, isolation_level=None)  # every BEGIN and COMMIT is written here
+            self._db.execute("PRAGMA journal_mode = WAL")
+            self._db.execute("PRAGMA synchronous = FULL")
+        except sqlite3.Error as error:
+            raise RunError(f"{path}: cannot be written ({error})") from error
+
+    @classmethod
+    def create(cls, parent: Path, facts: Mapping[str, object]) -> Self:
+        """Begin a run in a new directory below `parent`; RunError if nothing can be written there."""
+        path = _new_run_directory(parent) / FOG_RUN_FILE
+        try:
+            draft = path.with_name(f".{path.name}")
+            with closing(sqlite3.connect(draft, isolation_level=None)) as db:
+                db.execute(f"PRAGMA application_id = {APPLICATION_ID}")
+                db.execute(f"PRAGMA user_version = {LAYOUT}")
+                db.executescript(f"BEGIN; {_SCHEMA} COMMIT;")
+            draft.rename(path)
+        except sqlite3.Error as error:
+            raise RunError(f"{path}: cannot be written ({error})") from error
+        writer = cls(path)
+        writer.save_facts({"started_at": utc_now(), **facts})
+        return writer
+
+    @classmethod
+    def resume(cls, path: Path) -> Self:
+        """Go on with a run that :func:`open_fog_run` can read."""
+        return cls(path)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self.close()
+
+    def save_facts(self, facts: Mapping[str, object]) -> None:
+        """Save or replace what is known about the run, by name, in one commit."""
+        rows = [(name, json.dumps(value, allow_nan=False)) for name, value in facts.items()]
+        self._commit("INSERT OR REPLACE INTO run VALUES (?, ?)", rows)
+
+    def save_segment(self, key: str, conditions: Mapping[str, object], recording: Recording) -> None:
+        """Save one segment durably: when this returns, it is on the disk.
+
+        Raises
+        ------
+        RunError
+            If the disk does not take it, or the run has a segment of this key.
+        """
+        columns = _columns_of(recording)
+        blob = zlib.compress(np.stack(list(columns.values())).astype("<f8").tobytes(), 1)
+        circumstances = json.dumps(dict(conditions), allow_nan=False)
+        described = json.dumps(
+            {
+                "columns": list(columns),
+                "interval_s": recording.interval_s,
+                "clock": recording.clock,
+                "gaps": [asdict(gap) for gap in recording.gaps],
+                "losses": asdict(recording.losses),
+            }
+        )
+        row = (key, utc_now(), circumstances, described, blob, _checksum(blob, circumstances, described))
+        names = "key, taken_at, conditions, recording, samples, sha256"
+        self._commit(f"INSERT INTO segment ({names}) VALUES (?, ?, ?, ?, ?, ?)", [row])
+
+    def save_result(self, document: Mapping[str, object]) -> None:
+        """Keep what was computed from the segments beside them."""
+        row = (utc_now(), json.dumps(dict(document), allow_nan=False))
+        self._commit("INSERT INTO result (computed_at, value) VALUES (?, ?)", [row])
+
+    def close(self) -> None:
+        """End the run: afterwards it is one plain file."""
+        with suppress(sqlite3.Error):  # while a reader looks, the journal stays: the run is complete all the same
+            self._db.execute("PRAGMA journal_mode = DELETE")
+        self._db.close()
+
+    def _commit(self, statement: str, rows: list[tuple[Any, ...]]) -> None:
+        try:
+            self._db.execute("BEGIN IMMEDIATE")
+            try:
+                self._db.executemany(statement, rows)
+                self._db.execute("COMMIT")
+            except BaseException:
+                self._db.execute("ROLLBACK")
+                raise
+        except sqlite3.Error as error:
+            raise RunError(f"{self.path}: the disk does not take it ({error})") from error
+
+
+def is_fog_run(path: Path) -> bool:
+    """Tell whether a path looks like a run: its directory, or an SQLite file."""
+    if path.is_dir():
+        return True
+    try:
+        with path.open("rb") as file:
+            return file.read(16) == b"SQLite format 3\x00"
+    except OSError:
+        return False
+
+
+def open_fog_run(path: Path) -> FogRun:
+    """Read a run, finished or cut short.
+
+    Parameters
+    ----------
+    path : Path
+        The SQLite file or its directory.
+
+    Raises
+    ------
+    RunError
+        If there is no such run, or it is damaged.
+    """
+    file = path / FOG_RUN_FILE if path.is_dir() else path
+    if not file.is_file():
+        raise RunError(f"{path}: holds no run of a fibre gyro (there is no {FOG_RUN_FILE} in it)")
+    if not is_fog_run(file):
+        raise RunError(f"{file}: is not a saved run")
+    try:
+        with closing(sqlite3.connect(f"{file.resolve().as_uri()}?mode=ro", uri=True)) as db:
+            (application,) = db.execute("PRAGMA application_id").fetchone()
+            (layout,) = db.execute("PRAGMA user_version").fetchone()
+            if application != APPLICATION_ID:
+                raise RunError(f"{file}: is a database, but not a run of `gyrolock fog`")
+            if layout > LAYOUT:
+                raise RunError(f"{file}: was written by a newer gyrolock (layout {layout}): update this one")
+            facts = {name: json.loads(value) for name, value in db.execute("SELECT name, value FROM run")}
+            return FogRun(file, facts, tuple(_read_segments(db)))
+    except (sqlite3.Error, ValueError, zlib.error) as error:
+        raise RunError(f"{file}: is damaged and cannot be read ({error})") from error
+
+
+def _read_segments(db: sqlite3.Connection) -> Iterator[Segment]:
+    names = "key, taken_at, conditions, recording, samples, sha256"
+    for key, taken_at, conditions, described, blob, sha256 in db.execute(
+        f"SELECT {names} FROM segment ORDER BY number"
+    ):
+        intact = _checksum(blob, conditions, described) == sha256
+        recording = _recording_from(json.loads(described), blob) if intact else _EMPTY
+        yield Segment(key, taken_at, json.loads(conditions), recording, intact)
+
+
+def _columns_of(recording: Recording) -> dict[str, NDArray[np.float64]]:
+    columns = {"times": recording.times, "counts": recording.counts}
+    if recording.temperature is not None:
+        columns["temperature"] = recording.temperature
+    if recording.status is not None:
+        columns["status"] = recording.status.astype(np.float64)
+    return columns | {f"extra {name}": values for name, values in recording.extra.items()}
+
+
+def _recording_from(described: dict[str, Any], blob: bytes) -> Recording:
+    table = np.frombuffer(zlib.decompress(blob), dtype="<f8").reshape(len(described["columns"]), -1)
+    columns = dict(zip(described["columns"], table.astype(np.float64), strict=True))
+    status = columns.get("status")
+    return Recording(
+        times=columns["times"],
+        counts=columns["counts"],
+        temperature=columns.get("temperature"),
+        status=None if status is None else status.astype(np.int64),
+        extra={name[6:]: values for name, values in columns.items() if name.startswith("extra ")},
+        gaps=tuple(Gap(**gap) for gap in described["gaps"]),
+        losses=Losses(**described["losses"]),
+        interval_s=described["interval_s"],
+        clock=described["clock"],
+    )
+
+
+_EMPTY = Recording(np.empty(0), np.empty(0), None, None, {}, (), Losses(), 1.0, "counter")
+
+
+def _checksum(blob: bytes, conditions: str, described: str) -> str:
+    return hashlib.sha256(blob + conditions.encode() + described.encode()).hexdigest()

@@ -113,9 +113,7 @@ class FibreGyroLink:
         interval_s = self.layout.interval_s
         wanted, skip = round(seconds / interval_s), math.ceil(skip_s / interval_s - 1e-6)
         if wanted < 1:
-            raise SettingError(
-                f"{seconds:g} s is less than one output of the gyro ({interval_s:g} s); record longer"
-            )
+            raise SettingError(f"{seconds:g} s is shorter than one output ({interval_s:g} s); record longer")
         self._catch_up()
         builder = RecordBuilder(self.layout, skip, wanted)
         discarded = self._stream.tally.discarded

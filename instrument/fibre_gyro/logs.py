@@ -32,6 +32,7 @@ _SYNONYMS = {
     STATUS: ("status",),
 }
 _UNIT = re.compile(r"[\[(]\s*(\w+)[^\])]*[\])]\s*$|_(s|ms|us|min)$")
+_SAMPLE = 100  # lines from which the separator is found
 _SLACK = 0.5  # of an interval by which a row may come late before one counts as missing
 
 
@@ -143,14 +144,15 @@ def _split(text: str) -> tuple[_Rows, bool]:
     ]
     if not lines:
         raise FileFormatError("there is not one row of numbers; is it the right file?")
-    # The last line is the one that is surely no header.
-    sample = lines[len(lines) // 2][1]
-    separator = next((mark for mark in (";", "\t", ",") if mark in sample), None)
+    sample = [line for _, line in lines[:: max(1, len(lines) // _SAMPLE)]]
+    separator = next(
+        (mark for mark in (";", "\t", ",") if 2 * sum(mark in line for line in sample) > len(sample)), None
+    )
     cells = [[cell.strip().strip('"') for cell in line.split(separator)] for _, line in lines]
     if separator != "," and separator is not None:
         # A row may end with a separator.
         cells = [row[:-1] if len(row) > 1 and row[-1] == "" else row for row in cells]
-    decimal_comma = separator != "," and "," in sample
+    decimal_comma = separator != "," and any("," in line for line in sample)
     header = None
     if not any(_is_number(cell, decimal_comma) for cell in cells[0]):
         header, cells, first = cells[0], cells[1:], lines[0][0]
@@ -254,7 +256,7 @@ def _recording(table: dict[str, Floats], rows: _Rows, unit: float, interval_s: f
 
 def _gaps(times: Floats, interval_s: float, rows: _Rows) -> tuple[Gap, ...]:
     steps = np.diff(times) / interval_s
-    early = np.flatnonzero(steps < 1 - _SLACK)
+    early = np.flatnonzero(steps <= 1 - _SLACK)
     if early.size > 0.01 * steps.size:
         line = rows.lines[int(early[0]) + 1]
         raise FileFormatError(

@@ -90,8 +90,10 @@ class _GyroServer:
         """Hang up and stop; a second call does nothing. Raises what the model raised, if it did."""
         if not self._closing:
             self._closing = True
-            self._wake_in.send(b"x")
+            with contextlib.suppress(OSError):  # the thread may have ended by itself
+                self._wake_in.send(b"x")
             self._thread.join()
+            self._wake_in.close()
             if self.error is not None:
                 raise self.error
 
@@ -126,7 +128,6 @@ class _GyroServer:
             self._release()
             self._selector.close()
             self._wake_out.close()
-            self._wake_in.close()
 
     def _wait(self) -> None:
         descriptor = self._descriptor()
@@ -307,14 +308,24 @@ class TcpGyroServer(_GyroServer):
     def _accept(self) -> None:
         with contextlib.suppress(OSError):
             client, _ = self._listener.accept()
-            if self._client is not None:
+            if self._client is not None and not self._has_hung_up(self._client):
                 client.close()
                 return
+            self._hang_up()
             client.setblocking(False)
             client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
             self._unsent.clear()
             self._client = client
             self._selector.register(client, selectors.EVENT_READ)
+
+    @staticmethod
+    def _has_hung_up(client: socket.socket) -> bool:
+        try:
+            return client.recv(1, socket.MSG_PEEK) == b""
+        except BlockingIOError:
+            return False
+        except OSError:
+            return True
 
     def _descriptor(self) -> int | None:
         return None if self._client is None else self._client.fileno()

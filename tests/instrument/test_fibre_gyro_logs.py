@@ -1,0 +1,156 @@
+"""Logs as other programs write them, and what is said about a bad one."""
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from instrument import FileFormatError
+from instrument.fibre_gyro import Gap, Losses, Recording, read_gyro_log, write_gyro_log
+from instrument.fibre_gyro.logs import parse_gyro_log
+
+PLAIN = "0.00,10,25.1\n0.01,11,25.2\n0.02,-12,25.3\n"
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        PLAIN,
+        "Time,Counts,Temperature\n" + PLAIN,
+        "time_s,counts,temp\n" + PLAIN,
+        "# FOG run 12\n% more\n\nTime [s],Counts (LSB),Temp (degC)\n" + PLAIN + "\n# end\n",
+        PLAIN.replace(",", ";"),
+        PLAIN.replace(",", "\t").replace("\n", "\r\n"),
+        PLAIN.replace(",", "   "),
+        PLAIN.replace(",", ";").replace(".", ","),
+        "t;n;t_c\n" + PLAIN.replace(",", ";").replace(".", ",").replace("\n", ";\n"),
+        "\ufefftime (ms),counts,temperature\n0,10,25.1\n10,11,25.2\n20,-12,25.3\n",
+        "time,counts,temperature\n5e2,1e1,25.1\n500.01,+11,25.2\n500.02,-12.,25.3\n",
+        '"time","counts","temperature"\n"0.00","10","25.1"\n"0.01","11","25.2"\n"0.02","-12","25.3"\n',
+        "temperature,time,counts\n25.1,0,10\n25.2,0.01,11\n25.3,0.02,-12\n",
+    ],
+)
+def test_same_log_in_many_spellings(text, tmp_path):
+    path = tmp_path / "log.csv"
+    path.write_text(text, "utf-8", newline="")
+    log = read_gyro_log(path)
+    assert log.counts.tolist() == [10, 11, -12]
+    assert log.temperature.tolist() == [25.1, 25.2, 25.3]
+    assert log.times == pytest.approx([0, 0.01, 0.02], abs=1e-9)
+    assert log.interval_s == pytest.approx(0.01)
+    assert log.complete and log.clock == "time column"
+
+
+def test_two_columns_and_more_than_three():
+    log = parse_gyro_log("0,5\n1,6\n2,7\n")
+    assert log.temperature is None and log.extra == {} and log.duration_s == 3.0
+    log = parse_gyro_log("time,counts,normal_error,status\n0,5,1.5,3\n1,6,2.5,4\n")
+    assert log.extra["normal_error"].tolist() == [1.5, 2.5]
+    assert log.status.tolist() == [3, 4]
+    log = parse_gyro_log("7,0,5\n8,1,6\n", columns=("", "time", "counts"))
+    assert log.counts.tolist() == [5, 6]
+    assert parse_gyro_log("1.0,3\n3.0,4\n", time_unit="min").times.tolist() == [0, 120]
+
+
+def test_gaps_come_from_the_time_column():
+    kept = [0, 1, 2, 6, 7, 9]
+    text = "".join(f"{0.02 * n + 1e-4 * (n % 2)},{n}\n" for n in kept)
+    log = parse_gyro_log(text)
+    assert [(gap.after, gap.missing, gap.cause) for gap in log.gaps] == [
+        (2, 3, "rows missing"),
+        (4, 1, "rows missing"),
+    ]
+    assert log.gaps[0].start_s == pytest.approx(0.06, abs=3e-4)
+    assert log.gaps[0].duration_s == pytest.approx(0.06, abs=3e-4)
+    assert (log.losses.good, log.losses.missing) == (6, 4)
+    assert "3 outputs missing" in log.gaps[0].describe()
+    # With every second row missing only the caller can know.
+    sparse = "".join(f"{n},{n}\n" for n in range(0, 20, 2))
+    assert parse_gyro_log(sparse).complete
+    assert parse_gyro_log(sparse, interval_s=1.0).losses.missing == 9
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("", "not one row of numbers"),
+        ("# nothing\n", "not one row of numbers"),
+        ("time,counts\n", "a header, but not one row"),
+        ("time,angle\n0,1\n1,2\n", "must be one column 'counts', but the columns are time, angle"),
+        ("a,b\n0,1\n1,2\n", "must be one column 'time'"),
+        ("5\n6\n", "must be one column 'counts', but the columns are time"),
+        ("0,1\n1,x\n2,3\n", "line 2: the counts is 'x', no number"),
+        ("time,counts\n\n# c\n0,1\n1,nan\n2,3\n", "line 5: the counts is 'nan'"),
+        ("0,1\n1,\n2,3\n", "line 2: the counts is '', no number"),
+        ("0,1\n1\n2,3\n", "line 2 has 1 columns where 2"),
+        ("0,1\n1,2,3\n2,3\n", "line 2 has 3 columns where 2"),
+        ("0,1\n1,2\n1,3\n", "line 3: 1 s comes after 1 s; rows are doubled"),
+        ("0,1\n2,2\n1,3\n", "line 3: 1 s comes after 2 s"),
+        ("0,1\n", "one row alone does not tell the interval"),
+        ("time [days],counts\n0,1\n1,2\n", "unit of time must be one of s, ms"),
+        ("time,time,counts\n0,1,2\n1,2,3\n", "must be one column 'time'"),
+    ],
+)
+def test_mistakes_are_named_with_their_line(text, said, tmp_path):
+    path = tmp_path / "bad.csv"
+    path.write_text(text)
+    with pytest.raises(FileFormatError) as caught:
+        read_gyro_log(path)
+    assert said in str(caught.value)
+    assert str(caught.value).startswith(str(path)) and "\n" not in str(caught.value)
+
+
+def test_rows_that_come_too_often():
+    text = "".join(f"{n * 0.5},1\n" for n in range(20))
+    with pytest.raises(FileFormatError, match=r"line 2: the rows do not come every 1 s"):
+        parse_gyro_log(text, interval_s=1.0)
+    with pytest.raises(FileFormatError, match="must be positive, not 0 s"):
+        parse_gyro_log(text, interval_s=0.0)
+
+
+VALUES = st.floats(-1e9, 1e9) | st.integers(-(2**31), 2**31).map(float)
+
+
+@settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None)
+@given(st.lists(st.tuples(VALUES, VALUES, st.integers(0, 255)), min_size=2, max_size=20), st.booleans())
+def test_what_is_written_comes_back_exactly(tmp_path, rows, with_temperature):
+    counts, extra, status = (np.array(column, dtype=float) for column in zip(*rows, strict=True))
+    times = np.arange(len(rows)) * 0.005
+    made = Recording(
+        times=times,
+        counts=counts,
+        temperature=extra / 3 if with_temperature else None,
+        status=status.astype(np.int64),
+        extra={"normal_error": extra},
+        gaps=(),
+        losses=Losses(),
+        interval_s=0.005,
+        clock="counter",
+    )
+    write_gyro_log(tmp_path / "log.csv", made)
+    back = read_gyro_log(tmp_path / "log.csv")
+    assert np.array_equal(back.times, times) and np.array_equal(back.counts, counts)
+    assert np.array_equal(back.extra["normal_error"], extra) and np.array_equal(back.status, made.status)
+    if with_temperature:
+        assert np.array_equal(back.temperature, made.temperature)
+    else:
+        assert back.temperature is None
+
+
+@settings(max_examples=200, deadline=None)
+@given(st.text(alphabet="0123456789.,;-+eE \t\n\"'#nainftimecous", max_size=200))
+def test_random_text_gives_a_recording_or_one_clear_error(text):
+    try:
+        log = parse_gyro_log(text)
+    except FileFormatError as error:
+        assert "\n" not in str(error)
+    else:
+        assert len(log.times) == len(log.counts) > 1
+
+
+def test_losses_in_words():
+    assert Losses(good=10).describe() == "10 frames, none lost"
+    losses = Losses(5, 3, 2, 1, 40, {"bad status": 1}) + Losses(5, 0, 1, 0, 2, {"bad status": 1, "no header": 1})
+    assert losses == Losses(10, 3, 3, 1, 42, {"bad status": 2, "no header": 1})
+    assert losses.describe() == "10 frames used, 3 missing, 3 damaged, 1 unusable (2 bad status, 1 no header)"
+    assert Gap(4, 1.5, 0.01, 1, "frames lost").describe() == "frames lost: 1 output missing 1.5 s after the begin"

@@ -16,8 +16,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _SIZE = (8.4, 4.8)
-_LEAST_SHARE = 0.02
-"""A part that nowhere makes this much of the total is not drawn."""
+_DEPTH = 12.0
+"""The plot reaches this factor below the smallest uncertainty."""
 
 
 def plan_svg(planned: PlannedMeasurement) -> str:
@@ -39,6 +39,7 @@ def _draw(figure: Figure, planned: PlannedMeasurement) -> None:
     axes = figure.add_subplot()
     curve, plan = planned.curve, planned.plan
     over, total = curve.over_lock_in, 100 * curve.total
+    lowest = float(total.min()) / _DEPTH
     axes.plot(over, total, color=INK, linewidth=2.2, label="all together", zorder=5)
     reference = "scale factor, time base" if plan.request.reference == "beat" else "rate on the axis"
     for name, label, color in (
@@ -48,10 +49,9 @@ def _draw(figure: Figure, planned: PlannedMeasurement) -> None:
         ("channel", "bandwidth, gain", SOFT),
     ):
         part = 100 * getattr(curve, name)
-        if np.any(part > _LEAST_SHARE * total):
+        if np.any(part > lowest):
             axes.plot(over, part, color=color, label=label)
-    axes.set(xscale="log", yscale="log", xlim=(1, float(over[-1])))
-    axes.set_ylim(max(float(total.min()) / 8, 1e-4), float(total.max()) * 1.5)
+    axes.set(xscale="log", yscale="log", xlim=(1, float(over[-1])), ylim=(lowest, float(total.max()) * 1.5))
     axes.set_xlabel("rate on the axis over lock-in rate, W/WL")
     each = f"{curve.records} record{'s' if curve.records > 1 else ''} at one rate"
     senses = " in each sense" if plan.request.both_senses else ""
@@ -67,21 +67,32 @@ def _draw(figure: Figure, planned: PlannedMeasurement) -> None:
 def _mark(axes: Axes, planned: PlannedMeasurement) -> None:
     """Mark the wanted uncertainty, the plan's rates and the paper's advice."""
     plan, curve = planned.plan, planned.curve
-    wanted = 100 * plan.request.wanted_u
-    axes.axhline(wanted, color=SOFT, linewidth=0.9, linestyle=(0, (5, 3)))
-    right = axes.get_yaxis_transform()
-    axes.text(0.995, wanted, "wanted", transform=right, ha="right", va="bottom", color=SOFT, fontsize=8.5)
-    for place in sorted({rate.over_lock_in for rate in plan.rates}):
-        axes.axvline(place, color=ACCENT, linewidth=0.9, linestyle=(0, (2, 2)))
-    at = [float(np.interp(np.log(x), np.log(curve.over_lock_in), 100 * curve.total)) for x in _places(planned)]
-    axes.plot(_places(planned), at, "o", color=INK, ms=6, zorder=6)
-    axes.axvline(PAPER_OVER_LOCK_IN, color=SECOND, linewidth=0.9, linestyle=(0, (2, 2)))
-    top = axes.get_xaxis_transform()
-    axes.text(plan.rates[0].over_lock_in * 1.03, 0.97, "plan", transform=top, va="top", color=ACCENT, fontsize=8.5)
-    axes.text(
-        PAPER_OVER_LOCK_IN * 1.03, 0.97, "20, as in the paper", transform=top, va="top", color=SECOND, fontsize=8.5
-    )
-
-
-def _places(planned: PlannedMeasurement) -> list[float]:
-    return [*sorted({rate.over_lock_in for rate in planned.plan.rates}), PAPER_OVER_LOCK_IN]
+    rates = sorted({rate.over_lock_in for rate in plan.rates})
+    lines = [(100 * plan.request.wanted_u, "wanted", SOFT)]
+    if len(rates) > 1:
+        lines.append((100 * plan.budget.relative_u, "all rates together", ACCENT))
+    box = {"facecolor": "white", "edgecolor": "none", "alpha": 0.85, "pad": 1.0}
+    for percent, text, color in lines:
+        axes.axhline(percent, color=color, linewidth=0.9, linestyle=(0, (5, 3)))
+        at = axes.get_yaxis_transform()
+        axes.text(
+            0.99,
+            percent,
+            text,
+            transform=at,
+            ha="right",
+            va="center",
+            color=color,
+            fontsize=8.5,
+            bbox=box,
+            zorder=7,
+        )
+    verticals = [(rates[0], "plan", ACCENT, 0.97), *((rate, "", ACCENT, 0.97) for rate in rates[1:])]
+    verticals.append((PAPER_OVER_LOCK_IN, "20, as in the paper", SECOND, 0.91))
+    for rate, text, color, height in verticals:
+        axes.axvline(rate, color=color, linewidth=0.9, linestyle=(0, (2, 2)))
+        at = axes.get_xaxis_transform()
+        axes.text(rate * 1.03, height, text, transform=at, va="top", color=color, fontsize=8.5, bbox=box, zorder=7)
+    places = [*rates, PAPER_OVER_LOCK_IN]
+    values = np.interp(np.log(places), np.log(curve.over_lock_in), 100 * curve.total)
+    axes.plot(places, values, "o", color=INK, ms=6, zorder=6)

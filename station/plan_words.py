@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 from analysis import harmonic_ratio, lock_in_from_rate
-from analysis.plan import Plan, PlannedRate, PlanRequest, predicted_budget
+from analysis.plan import Plan, PlannedRate, PlanRequest, plan_measurement, predicted_budget
 from analysis.rotation import EARTH_RATE_DPS
 from station.plan import PAPER_OVER_LOCK_IN, PlannedMeasurement
 from station.words import with_prefix
@@ -84,7 +85,7 @@ def _why_not_faster(plan: Plan) -> list[str]:
         f"at {chosen:.3g} times it is {100 * here:.2g} %. The same noise weighs {noise_there / noise_here:.1f} "
         f"times as much at 20, so that it takes {more:.0f} times as many records"
         + (
-            f"; distortion of {20 * math.log10(limit):.0f} dBc can falsify a single rate by "
+            f"; distortion of {20 * math.log10(limit):.0f} dBc can falsify records of one sense by "
             f"±{100 * _largest(limit, there):.2g} % there and by ±{100 * _largest(limit, here):.2g} % here."
             if limit > 0 and math.isfinite(limit)
             else "; distortion of detector and oscilloscope weighs as much more."
@@ -111,6 +112,19 @@ def _largest(limit: float, ratio: float) -> float:
 
 
 def _senses(plan: Plan) -> list[str]:
+    request = plan.request
+    if request.reference == "rate":
+        own = plan_measurement(replace(request, reference="beat", rates_over_lock_in=()))
+        said = (
+            "The table's rate is the reference, so tilt and earth rate weigh more the slower it turns. With each "
+            f"record as its own reference {own.records * len(own.rates)} records at "
+            f"{own.rates[0].over_lock_in:.3g} times lock-in give {100 * own.budget.relative_u:.2g} %."
+        )
+        return [said, *_separation(plan)]
+    return _separation(plan)
+
+
+def _separation(plan: Plan) -> list[str]:
     request = plan.request
     if request.both_senses:
         return [

@@ -14,7 +14,7 @@ from analysis.plan.request import PlanRequest
 
 Floats = NDArray[np.float64]
 
-_POINTS = 80
+_POINTS = 160
 _GROUPS: dict[str, tuple[str, ...]] = {
     "noise": ("noise", "quantization", "beat_frequency", "scatter"),
     "distortion": ("distortion",),

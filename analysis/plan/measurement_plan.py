@@ -18,6 +18,9 @@ Floats = NDArray[np.float64]
 
 MOST_RECORDS = 100_000
 
+FEWEST_RECORDS = 3
+"""In all: fewer would not show whether they scatter by more than their noise."""
+
 _FLOOR_SHARE = 3.0
 """Where the wanted uncertainty is out of reach, noise is brought to this fraction of what remains."""
 
@@ -141,7 +144,8 @@ def _planned(request: PlanRequest, ratios: tuple[float, ...]) -> Plan:
     room = wanted**2 - fixed**2
     if room <= 0:
         room = (fixed / _FLOOR_SHARE) ** 2
-    records = min(max(math.ceil(averaging**2 / room * (1 - 1e-9)), 1), MOST_RECORDS)
+    least = math.ceil(FEWEST_RECORDS / len(_rates(request, ratios, 1)))
+    records = min(max(math.ceil(averaging**2 / room * (1 - 1e-9)), least), MOST_RECORDS)
     rates = _rates(request, ratios, records)
     budget = _budget(request, rates)
     seconds = sum(rate.shape.records * (rate.shape.duration + request.seconds_between_records) for rate in rates)

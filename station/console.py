@@ -9,10 +9,14 @@ from rich.console import Console
 from rich.table import Table
 
 from station.evaluate import Evaluation
+from station.several_rates import SeveralRates
 from station.words import (
+    GROUP_COLUMNS,
     flag_sentences,
+    group_rows,
     interval_words,
     lock_in_words,
+    rates_sentences,
     record_flags,
     with_prefix,
     with_uncertainty,
@@ -36,11 +40,24 @@ def print_result(evaluation: Evaluation, *, simulated: bool = False) -> None:
         Say that the bench was simulated.
     """
     console = stdout_console()
-    if len(evaluation.names) > 1:
+    if evaluation.several is not None:
+        console.print(_rate_table(evaluation.several))
+    elif len(evaluation.names) > 1:
         console.print(_record_table(evaluation))
     console.print(_summary(evaluation, simulated))
+    for sentence in rates_sentences(evaluation):
+        console.print(f"• {sentence}", markup=False)
     for sentence in flag_sentences(evaluation):
         console.print(f"• {sentence}", markup=False, style="yellow")
+
+
+def _rate_table(several: SeveralRates) -> Table:
+    table = Table(box=None, header_style="dim", pad_edge=False, padding=(0, 2, 0, 0))
+    for name in GROUP_COLUMNS:
+        table.add_column(name, justify="right", no_wrap=True)
+    for row in group_rows(several):
+        table.add_row(*row)
+    return table
 
 
 def _record_table(evaluation: Evaluation) -> Table:
@@ -88,7 +105,7 @@ def _summary(evaluation: Evaluation, simulated: bool) -> Table:
         table.add_row("by the table's rate", f"{by_table}, beat over table {check.beat_over_table:.5f}")
     if math.isfinite(combined.noise_rms):
         table.add_row("noise", f"{with_prefix(float(combined.noise_rms), 'V')} rms; {combined.noise_model}")
-    table.add_row("method", evaluation.method.text)
+    table.add_row("method", evaluation.method_text)
     table.add_row("records", f"{len(evaluation.names)}, left out {evaluation.records_rejected}")
     if simulated:
         truth = evaluation.truth

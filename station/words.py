@@ -6,6 +6,7 @@ import math
 
 from analysis import FATAL, describe_flag, flag_names
 from station.evaluate import Evaluation
+from station.several_rates import SeveralRates
 
 _SECONDS_PER_HOUR = 3600.0
 
@@ -91,6 +92,39 @@ def flag_sentences(evaluation: Evaluation) -> list[str]:
     return said
 
 
+def rates_sentences(evaluation: Evaluation) -> list[str]:
+    """Say what records at several rates can tell and what they cannot; empty for one rate."""
+    several = evaluation.several
+    if several is None:
+        return []
+    fitted = [several.problem] if several.by_beat is None else list(several.by_beat.sentences)
+    return [*fitted, *(f"No record at {text}" for text in several.without_beat)]
+
+
+GROUP_COLUMNS = ("rate/WL", "table, deg/s", "axis, deg/s", "beat, Hz", "r = A2/A1", "WL alone, deg/s", "records")
+
+
+def group_rows(several: SeveralRates) -> list[tuple[str, ...]]:
+    """Return what each rate of a run says alone, under `GROUP_COLUMNS`."""
+    rows: list[tuple[str, ...]] = []
+    for group in several.groups:
+        one, sense = group.combined, "-" if group.input_rate < 0 else "+"
+        asked = "" if group.over_lock_in is None else f"{sense}{group.over_lock_in:g}"
+        left_out = int(one.records_rejected)
+        rows.append(
+            (
+                asked,
+                f"{group.table_rate:+.4f}",
+                f"{group.input_rate:+.5f}",
+                with_uncertainty(float(one.beat_frequency), float(one.beat_frequency_u)),
+                with_uncertainty(float(one.ratio), float(one.ratio_u)),
+                with_uncertainty(float(one.lock_in_rate), float(one.lock_in_rate_u)),
+                f"{len(group.rows)}, left out {left_out}" if left_out else f"{len(group.rows)}",
+            )
+        )
+    return rows
+
+
 def record_flags(evaluation: Evaluation) -> list[list[str]]:
     """Return the names of the flags of each record."""
     return [flag_names(int(flags)) for flags in evaluation.each.flags]
@@ -98,6 +132,8 @@ def record_flags(evaluation: Evaluation) -> list[list[str]]:
 
 def no_result_words(evaluation: Evaluation) -> str:
     """Say in one sentence why no lock-in rate is given."""
+    if evaluation.several is not None and evaluation.several.problem:
+        return f"no lock-in rate: {evaluation.several.problem}"
     fatal = [describe_flag(name) for name in flag_names(int(evaluation.combined.flags) & int(FATAL))]
     reasons = fatal or flag_sentences(evaluation) or ["The records show no beat."]
     return f"no lock-in rate: {' '.join(reasons)}"

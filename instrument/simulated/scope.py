@@ -136,7 +136,7 @@ class SimulatedTDS2014:
                 if not command.header.startswith("*"):
                     branch = node.parent or self._tree.root
                 action = self._actions.get(node.action) if node.action else None
-                while self._waits(command, action):
+                while self._waits(command, action) or self._stops_too_early(command, node):
                     yield None
                 if identified and command.query:
                     raise Refusal(440)
@@ -182,6 +182,11 @@ class SimulatedTDS2014:
         if action is None or action.waits is None or (action.query is not None and not command.query):
             return False
         return action.waits(self)
+
+    def _stops_too_early(self, command: Command, node: Node) -> bool:
+        """True for an order to stop before there ever was a record: a real unit has long been running by then."""
+        stops = node.row is not None and node.row.header == "ACQuire:STATE" and not command.query
+        return stops and self.acquisition.record is None and self.awaits_record()
 
     def _answer(self, node: Node, action: Action | None, command: Command) -> list[Leaf]:
         if command.arguments:

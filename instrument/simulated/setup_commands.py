@@ -157,6 +157,9 @@ ACTIONS = {
     "AUTOSet:VIEW": Action(answer("AUTOSet:VIEW", lambda scope: "NONE"), _refuse_view),
     "*CAL": Action(answer("", lambda scope: "0")),
     "CALibrate:INTERNAL": Action(order=_nothing),
+    "CALibrate:ABOrt": Action(order=_nothing),
+    "CALibrate:CONTINUE": Action(order=_nothing),
+    "CALibrate:FACtory": Action(order=_nothing),
     "CALibrate:STATUS": Action(answer("CALibrate:STATUS", lambda scope: "PASS")),
     "DIAg:RESUlt:FLAg": Action(answer("DIAg:RESUlt:FLAg", lambda scope: "PASS")),
     "DIAg:RESUlt:LOG": Action(

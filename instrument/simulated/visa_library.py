@@ -252,6 +252,7 @@ class SimulatedVisaLibrary(VisaLibraryBase):
         """Serial poll."""
         opened = self._sessions[session]
         self._check_power(session, opened)
+        opened.exchange.pump()  # the instrument works on while it is polled
         with opened.exchange.scope.lock:
             status_byte = opened.exchange.scope.status_byte()
         return status_byte, self.handle_return_value(session, StatusCode.success)

@@ -1,0 +1,179 @@
+"""Electronics of a digital closed-loop fibre gyro: converters, loop, 2 pi reset, injection and noise.
+
+1 + eps = V_FS/(2 V_pi)       2 pi error: the 2^N codes of the converter span 2 pi (1 + eps)              (3)
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.fibre_gyro.coil import FibreCoil
+
+Floats = NDArray[np.float64]
+InjectionPath = Literal["shared", "separate"]
+
+GUARD_BITS = 16
+"""Bits of the loop's accumulator below the smallest step, so that no error of a sample pair is ever lost."""
+
+_WORD_BITS = 60
+
+
+@dataclass(frozen=True)
+class LoopSettings:
+    """Settings of the electronics; the errors are those of the real hardware, unknown to the digital part.
+
+    Attributes
+    ----------
+    dac_bits : int
+        N of the phase converter.
+    fractional_bits : int
+        Bits of the step below one code.
+    adc_bits : int
+        The detector's converter; its range is the full fringe of a contrast of 1.
+    loop_gain : float
+        Part of the phase error that one sample pair takes away; stable between 0 and 2, time constant about
+        2 tau/loop_gain.
+    two_pi_error : float
+        eps of equation (3).
+    gated : bool
+        Sample pairs with a reset are left out of the loop; else all of them enter.
+    bias_in_wrap : bool
+        The square-wave bias is added before the modulo, so that the converter needs no codes beyond 2 pi.
+    inl_quadratic : float
+        Bow of the converter, inl (1 - 4 x^2) of full scale, x = code/2^N - 1/2.
+    inl_cubic : float
+        S-shape of the converter, inl x (x^2 - 1/4) of full scale.
+    injection_path : {"shared", "separate"}
+        The injected staircase goes through the feedback's own adder and converter, or through a second electrode
+        with a converter of its own.
+    injection_two_pi_error : float
+        eps of that second path.
+    closed : bool
+        The feedback follows the error; else its step stays as it is.
+    angle_random_walk_deg_per_sqrt_h : float
+        White noise of the detector.
+    bias_dph : float
+        Constant false rate of the optics, deg/h.
+    contrast : float
+        Of the fringe, 0 to 1.
+    light_level : float
+        Peak intensity over the one that the loop gain was set for.
+    two_pi_loop_gain : float
+        Second loop: part of the 2 pi error that one reset takes away, by trimming the converter's reference;
+        0: off.
+    wrap_codes : int, optional
+        Codes at which the staircase falls back; 2^N if not given.
+
+    Raises
+    ------
+    ValueError
+        A setting is out of its range.
+    """
+
+    dac_bits: int = 16
+    fractional_bits: int = 14
+    adc_bits: int = 14
+    loop_gain: float = 0.2
+    two_pi_error: float = 0.0
+    gated: bool = True
+    bias_in_wrap: bool = False
+    inl_quadratic: float = 0.0
+    inl_cubic: float = 0.0
+    injection_path: InjectionPath = "shared"
+    injection_two_pi_error: float = 0.0
+    closed: bool = True
+    angle_random_walk_deg_per_sqrt_h: float = 0.005
+    bias_dph: float = 0.0
+    contrast: float = 1.0
+    light_level: float = 1.0
+    two_pi_loop_gain: float = 0.0
+    wrap_codes: int | None = None
+
+    def __post_init__(self) -> None:
+        for name, lowest, highest in _RANGES:
+            value = getattr(self, name)
+            if not lowest <= value <= highest:
+                raise ValueError(f"{name} must be from {lowest:g} to {highest:g}, not {value!r}")
+        if self.dac_bits + self.fractional_bits + GUARD_BITS > _WORD_BITS:
+            raise ValueError(
+                f"dac_bits + fractional_bits must be at most {_WORD_BITS - GUARD_BITS}, "
+                f"not {self.dac_bits + self.fractional_bits}"
+            )
+        if self.injection_path not in ("shared", "separate"):
+            raise ValueError(f"injection_path must be 'shared' or 'separate', not {self.injection_path!r}")
+        if not 0.9 * self.codes <= self.wrap <= 1.1 * self.codes:
+            raise ValueError(
+                f"wrap_codes must be within 10 % of 2^dac_bits = {self.codes}, not {self.wrap_codes!r}"
+            )
+
+    @property
+    def codes(self) -> int:
+        """Number of codes of the converter, 2^N."""
+        return 1 << self.dac_bits
+
+    @property
+    def wrap(self) -> int:
+        """Codes at which the staircase falls back."""
+        return self.codes if self.wrap_codes is None else self.wrap_codes
+
+    @property
+    def step_resolution(self) -> float:
+        """Smallest step, codes."""
+        return 2.0**-self.fractional_bits
+
+    @property
+    def largest_step(self) -> float:
+        """Largest step, codes: just less than half of the staircase's range, a phase of pi."""
+        return (self.wrap // 2) - self.step_resolution
+
+    @property
+    def adc_half_range(self) -> float:
+        """Half of the range of the detector's converter, its counts: the level A of the mean intensity."""
+        return 2.0 ** (self.adc_bits - 1)
+
+    def converter_phase(self) -> Floats:
+        """Modulator phase of every code in turns, without the 2 pi error; the bias reaches up to 5/4 of the range.
+
+        Returns
+        -------
+        ndarray, shape (codes * 3/2,)
+        """
+        code = np.arange(self.codes + self.codes // 2)
+        x = code / self.codes - 0.5
+        bow = self.inl_quadratic * (1.0 - 4.0 * x * x) + self.inl_cubic * x * (x * x - 0.25)
+        return np.asarray(code / self.codes + bow, dtype=np.float64)
+
+    def error_gain(self) -> int:
+        """Change of the accumulator per ADC count of the demodulated error; the accumulator has guard bits."""
+        per_count = self.loop_gain * self.codes / (2.0 * np.pi) / (2.0 * self.adc_half_range)
+        return round(per_count * 2.0 ** (self.fractional_bits + GUARD_BITS))
+
+    def detector_noise(self, coil: FibreCoil) -> float:
+        """Standard deviation of one detector sample in ADC counts, from the angle random walk.
+
+        White phase noise sigma_phi per sample pair is a rate noise of sigma_phi/(sagnac factor), and pairs come
+        every 2 tau; the difference of two samples of noise sigma is 2 A sigma_phi.
+        """
+        walk = np.deg2rad(self.angle_random_walk_deg_per_sqrt_h) / 60.0
+        per_pair = coil.sagnac_factor * walk / np.sqrt(2.0 * coil.transit_time)
+        return float(np.sqrt(2.0) * self.adc_half_range * self.light_level * self.contrast * per_pair)
+
+
+_RANGES = (
+    ("dac_bits", 8, 20),
+    ("fractional_bits", 0, 24),
+    ("adc_bits", 8, 24),
+    ("loop_gain", 0.0, 2.0),
+    ("two_pi_error", -0.1, 0.1),
+    ("injection_two_pi_error", -0.1, 0.1),
+    ("inl_quadratic", -0.1, 0.1),
+    ("inl_cubic", -0.1, 0.1),
+    ("angle_random_walk_deg_per_sqrt_h", 0.0, 100.0),
+    ("contrast", 0.01, 1.0),
+    ("light_level", 0.01, 1.0),
+    ("two_pi_loop_gain", 0.0, 1.0),
+)

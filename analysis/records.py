@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike, DTypeLike, NDArray
 
 Floats = NDArray[np.float64]
+Samples = NDArray[Any]
+"""float32 or float64"""
 Bools = NDArray[np.bool_]
 
 MINIMUM_SAMPLES = 8
@@ -17,25 +20,30 @@ MINIMUM_SAMPLES = 8
 SAMPLES_AT_ONCE = 400_000
 """Samples worked on together: about what stays in a core's cache, and what bounds the memory of any batch."""
 
+# The C library of Linux gives large blocks back to the system as soon as they are free, and a block asked for again
+# is then made of fresh pages, which takes longer than the arithmetic on it. Once it has seen a block of this size
+# come and go it keeps them. Nothing is written to it, so it costs no memory.
+np.empty(30 << 20, dtype=np.uint8)
+
 
 @dataclass(frozen=True)
 class Records:
     """Some records of a stack, ready to be fitted.
 
     values : (R, N) volts less `centre`, 0 where missing
-    weights : (R, N) 1 or 0, or None where nothing is missing
+    weights : (R, N) 1 or 0 in the same precision, or None where nothing is missing
     centre, count : (R,) volts, and valid samples
     constant : (R,) all valid samples equal, or none valid
     highest, lowest : (R,) of `values`
     """
 
-    values: Floats
-    weights: Floats | None
+    values: Samples
+    weights: Samples | None
     centre: Floats
     count: Floats
     constant: Bools
-    highest: Floats
-    lowest: Floats
+    highest: Samples
+    lowest: Samples
 
 
 @dataclass(frozen=True)
@@ -56,7 +64,7 @@ class Stack:
         for start in range(0, max(len(self.volts), 1), at_once):
             yield slice(start, start + at_once)
 
-    def take(self, part: slice) -> Records:
+    def take(self, part: slice | NDArray[np.intp], precision: DTypeLike = np.float64) -> Records:
         """Centre some records.
 
         Raises
@@ -64,22 +72,25 @@ class Stack:
         ValueError
             Infinite values.
         """
-        values = np.array(self.volts[part], dtype=np.float64)
-        count = np.full(len(values), float(self.n_samples))
-        total = values.sum(axis=-1)
-        weights = None
+        raw = self.volts[part]
+        count = np.full(len(raw), float(self.n_samples))
+        total = raw.sum(axis=-1, dtype=np.float64)
+        missing = None
         if not np.all(np.isfinite(total)):
-            missing = np.isnan(values)
-            values[missing] = 0.0
-            total = values.sum(axis=-1)
+            missing = np.isnan(raw)
+            raw = np.where(missing, raw.dtype.type(0), raw)
+            total = raw.sum(axis=-1, dtype=np.float64)
             if not np.all(np.isfinite(total)):
                 raise ValueError("volts holds infinite values")
-            weights = (~missing).astype(np.float64)
-            count = weights.sum(axis=-1)
+            count -= missing.sum(axis=-1)
         centre = total / np.maximum(count, 1)
-        values -= centre[:, np.newaxis]
-        if weights is not None:
-            values *= weights
+        values = np.empty(raw.shape, dtype=precision)
+        with np.errstate(over="ignore"):  # in single precision; those records are then fitted in double
+            np.subtract(raw, centre[:, np.newaxis], out=values, casting="same_kind")
+        weights = None
+        if missing is not None:
+            weights = (~missing).astype(precision)
+            values[missing] = 0.0
         highest, lowest = values.max(axis=-1, initial=-np.inf), values.min(axis=-1, initial=np.inf)
         # Rounding of the mean leaves about 1e-16 of the level in a record that is really constant.
         constant = (highest - lowest <= 1e-12 * np.abs(centre)) | (count < 1)

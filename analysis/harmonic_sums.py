@@ -67,14 +67,14 @@ def data_sums(values: Samples, omega: Floats, n_harmonics: int, highest_power: i
     values : (R, N)
         The sums are computed in its precision. Single is twice as fast, and good to about 1e-8 of N times the
         largest value.
-    omega : (R,)
-        Angular frequency of each record, rad per sample.
+    omega : (R,) or (R, C)
+        Angular frequency of each record, or C of them, rad per sample.
     n_harmonics, highest_power : int
         k = 0..n_harmonics, p = 0..highest_power.
 
     Returns
     -------
-    (R, highest_power + 1, n_harmonics + 1), complex128
+    (R, highest_power + 1, n_harmonics + 1) or (R, C, highest_power + 1, n_harmonics + 1), complex128
     """
     n_records, n_samples = values.shape
     outer, inner = record_grid(n_samples)
@@ -83,21 +83,21 @@ def data_sums(values: Samples, omega: Floats, n_harmonics: int, highest_power: i
         padded[:, :n_samples] = values
         values = padded
     blocks = values.reshape(n_records, outer.size, inner.size)
-    fine = harmonic_powers(phasors(-omega, inner, values.dtype), n_harmonics)
-    coarse = harmonic_powers(phasors(-omega, outer, values.dtype), n_harmonics)
+    fine = harmonic_powers(phasors(-omega.ravel(), inner, values.dtype), n_harmonics)
+    coarse = harmonic_powers(phasors(-omega.ravel(), outer, values.dtype), n_harmonics)
 
     # (inner + outer)^p is expanded: each power of `outer` costs one product over the samples, those of `inner`
     # only one over the columns. Real and imaginary parts go through it side by side: half a complex product's
     # work.
     n_powers, n_orders = highest_power + 1, n_harmonics + 1
-    sides = np.empty((n_records, n_powers, 2, n_orders, outer.size), dtype=values.dtype)
+    sides = np.empty((omega.size, n_powers, 2, n_orders, outer.size), dtype=values.dtype)
     sides[:, 0, 0], sides[:, 0, 1] = coarse.real, coarse.imag
     far = (outer * (2 / n_samples)).astype(values.dtype)
     for q in range(1, n_powers):
         np.multiply(sides[:, q - 1], far, out=sides[:, q])
     products = np.matmul(sides.reshape(n_records, -1, outer.size), blocks)
-    products = products.reshape(n_records, n_powers, 2, n_orders, inner.size)
-    partial = np.empty((n_records, n_powers, n_orders, inner.size), dtype=fine.dtype)
+    products = products.reshape(omega.size, n_powers, 2, n_orders, inner.size)
+    partial = np.empty((omega.size, n_powers, n_orders, inner.size), dtype=fine.dtype)
     partial.real, partial.imag = products[:, :, 0], products[:, :, 1]
     partial *= fine[:, np.newaxis]
     near_powers = (inner[:, np.newaxis] * (2 / n_samples)) ** np.arange(n_powers)
@@ -106,7 +106,7 @@ def data_sums(values: Samples, omega: Floats, n_harmonics: int, highest_power: i
     for p in range(1, n_powers):
         for q in range(1, p + 1):
             sums[:, p] += math.comb(p, q) * mixed[:, q, :, p - q]
-    return np.asarray(sums)
+    return np.asarray(sums.reshape(*omega.shape, n_powers, n_orders))
 
 
 def uniform_kernels(omega: Floats, n_samples: int, n_orders: int) -> Complexes:

@@ -17,8 +17,9 @@ Bools = NDArray[np.bool_]
 MINIMUM_SAMPLES = 8
 """The lock-in waveform has six parameters; two more samples are the least that leaves any noise estimate."""
 
-SAMPLES_AT_ONCE = 400_000
-"""Samples worked on together: about what stays in a core's cache, and what bounds the memory of any batch."""
+SAMPLES_AT_ONCE = 2_000_000
+"""Samples worked on together: enough that the cost of calling NumPy does not count, and a bound on the memory of any
+batch."""
 
 # The C library of Linux gives large blocks back to the system as soon as they are free, and a block asked for again
 # is then made of fresh pages, which takes longer than the arithmetic on it. Once it has seen a block of this size

@@ -9,6 +9,7 @@ sampling rate are part of the model instead of an error.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -26,9 +27,12 @@ Selection = NDArray[np.intp] | NDArray[np.bool_]
 LARGEST_RATIO = 0.995
 """|q| is kept below this: x = 0.99999, where a record of a few periods holds no more information."""
 
-NEGLIGIBLE = {np.dtype(np.float32): 5e-6, np.dtype(np.float64): 1e-12}
+NEGLIGIBLE = {np.dtype(np.float32): 2e-5, np.dtype(np.float64): 1e-12}
 """Harmonics below this share of the fundamental are left out. The first cannot move an estimate from eight-bit
 samples, which single precision is for."""
+
+RATIO_CLASSES = (0.03, 0.09, 0.2, 0.45, 0.7, 0.86)
+"""Records are worked on together up to these ratios, since the largest one says how many harmonics all need."""
 
 MANY_HARMONICS = 40
 """Beyond this many, the closed form on the samples is cheaper than the sum of the harmonics."""
@@ -85,8 +89,25 @@ def harmonics_needed(ratio: Complexes, precision: np.dtype[Any]) -> int:
     return max(3, math.ceil(math.log(NEGLIGIBLE[precision]) / math.log(max(largest, 1e-3))))
 
 
+def ratio_classes(ratio: Complexes) -> Iterator[tuple[int, NDArray[np.intp]]]:
+    """Number of each class that occurs, and its records."""
+    numbers = np.searchsorted(RATIO_CLASSES, np.abs(ratio))
+    for number in np.unique(numbers):
+        yield int(number), np.flatnonzero(numbers == number)
+
+
 def sampled_series(series: Series, n_samples: int, precision: DTypeLike = np.float64) -> Samples:
-    """The model on the samples, (R, N): from its harmonics where they are few, else in closed form."""
+    """The model on the samples, (R, N)."""
+    grid: Samples = np.empty((series.omega.size, n_samples), dtype=precision)
+    for _, part in ratio_classes(series.ratio):
+        if part.size == series.omega.size:
+            return _sampled(series, n_samples, precision)
+        grid[part] = _sampled(series.take(part), n_samples, precision)
+    return grid
+
+
+def _sampled(series: Series, n_samples: int, precision: DTypeLike) -> Samples:
+    """From the harmonics where they are few, else in closed form."""
     kind = np.dtype(precision)
     outer, inner = record_grid(n_samples)
     coarse, fine = phasors(series.omega, outer, kind), phasors(series.omega, inner, kind)

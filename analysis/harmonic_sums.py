@@ -22,6 +22,10 @@ Complexes = NDArray[Any]
 """complex64 or complex128"""
 
 
+SUMS_AT_ONCE = 1500
+"""Sums computed together, so that what they need stays in the second-level cache."""
+
+
 def harmonic_powers(turn: Complexes, n_harmonics: int) -> Complexes:
     """turn^k for k = 0..n_harmonics; (R, L) -> (R, n_harmonics + 1, L)."""
     powers = np.empty((turn.shape[0], n_harmonics + 1, turn.shape[1]), dtype=turn.dtype)
@@ -83,30 +87,44 @@ def data_sums(values: Samples, omega: Floats, n_harmonics: int, highest_power: i
         padded[:, :n_samples] = values
         values = padded
     blocks = values.reshape(n_records, outer.size, inner.size)
-    fine = harmonic_powers(phasors(-omega.ravel(), inner, values.dtype), n_harmonics)
-    coarse = harmonic_powers(phasors(-omega.ravel(), outer, values.dtype), n_harmonics)
+    n_powers, n_orders = highest_power + 1, n_harmonics + 1
+    sums = np.empty((*omega.shape, n_powers, n_orders), dtype=np.complex128)
+    per_record = n_powers * n_orders * omega.size // max(n_records, 1)
+    at_once = max(1, SUMS_AT_ONCE // per_record)
+    for start in range(0, n_records, at_once):
+        part = slice(start, start + at_once)
+        found = _sums_of_blocks(blocks[part], omega[part].ravel(), (outer, inner), 2 / n_samples, (n_powers, n_orders))
+        sums[part] = found.reshape(sums[part].shape)
+    return sums
 
+
+def _sums_of_blocks(
+    blocks: Samples, omega: Floats, grid: tuple[Floats, Floats], unit: float, shape: tuple[int, int]
+) -> Complexes:
+    """`data_sums` of samples in rows, (R, rows, length), at R or several times R frequencies."""
+    kind, (outer, inner), (n_powers, n_orders) = blocks.dtype, grid, shape
+    fine = harmonic_powers(phasors(-omega, inner, kind), n_orders - 1)
+    coarse = harmonic_powers(phasors(-omega, outer, kind), n_orders - 1)
     # (inner + outer)^p is expanded: each power of `outer` costs one product over the samples, those of `inner`
     # only one over the columns. Real and imaginary parts go through it side by side: half a complex product's
     # work.
-    n_powers, n_orders = highest_power + 1, n_harmonics + 1
-    sides = np.empty((omega.size, n_powers, 2, n_orders, outer.size), dtype=values.dtype)
+    sides = np.empty((omega.size, n_powers, 2, n_orders, outer.size), dtype=kind)
     sides[:, 0, 0], sides[:, 0, 1] = coarse.real, coarse.imag
-    far = (outer * (2 / n_samples)).astype(values.dtype)
     for q in range(1, n_powers):
-        np.multiply(sides[:, q - 1], far, out=sides[:, q])
-    products = np.matmul(sides.reshape(n_records, -1, outer.size), blocks)
+        np.multiply(sides[:, q - 1], (outer * unit).astype(kind), out=sides[:, q])
+    products = np.matmul(sides.reshape(len(blocks), -1, outer.size), blocks)
     products = products.reshape(omega.size, n_powers, 2, n_orders, inner.size)
     partial = np.empty((omega.size, n_powers, n_orders, inner.size), dtype=fine.dtype)
     partial.real, partial.imag = products[:, :, 0], products[:, :, 1]
     partial *= fine[:, np.newaxis]
-    near_powers = (inner[:, np.newaxis] * (2 / n_samples)) ** np.arange(n_powers)
-    mixed = np.matmul(partial, near_powers.astype(fine.dtype)).astype(np.complex128)
+    near_powers = (inner[:, np.newaxis] * unit) ** np.arange(n_powers)
+    mixed = (partial.reshape(-1, inner.size) @ near_powers.astype(fine.dtype)).astype(np.complex128)
+    mixed = mixed.reshape(omega.size, n_powers, n_orders, n_powers)
     sums = mixed[:, 0].swapaxes(-1, -2).copy()
     for p in range(1, n_powers):
         for q in range(1, p + 1):
             sums[:, p] += math.comb(p, q) * mixed[:, q, :, p - q]
-    return np.asarray(sums.reshape(*omega.shape, n_powers, n_orders))
+    return np.asarray(sums)
 
 
 def uniform_kernels(omega: Floats, n_samples: int, n_orders: int) -> Complexes:

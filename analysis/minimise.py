@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.geometric_series import LARGEST_RATIO, Series
+from analysis.geometric_series import LARGEST_RATIO, RATIO_CLASSES, Series, ratio_classes
 from analysis.normal_equations import Step
 from analysis.sampled_equations import equations_by_samples
 from analysis.tied_equations import equations_by_sums
@@ -25,10 +25,6 @@ MARQUARDT_ITERATIONS = 40
 CURVATURE = 0.03
 """A Gauss-Newton step is wrong by about the square of its length. It is the last one when that square is below
 this share of the standard uncertainty."""
-
-RATIO_CLASSES = (0.2, 0.45, 0.7, 0.86)
-"""Records are worked on together up to these ratios, since the largest one says how many harmonics all need;
-beyond the last one the samples are cheaper than so many harmonics."""
 
 ROUNDING = {np.dtype(np.float32): 3e-6, np.dtype(np.float64): 1e-12}
 """Share of the power of a record to which its residual power is computed."""
@@ -69,21 +65,16 @@ class Task:
 
     def equations(self, series: Series) -> Step:
         """Normal equations at the given parameters."""
-        kind = np.searchsorted(RATIO_CLASSES, np.abs(series.ratio))
-        classes = np.unique(kind)
-        if classes.size == 1:
-            return self._equations_of(int(classes[0]), series)
-        n_records = kind.size
+        n_records = series.omega.size
         step = Step(np.empty((n_records, 6, 6)), np.empty((n_records, 6)), np.empty(n_records))
-        for number in classes:
-            part = np.flatnonzero(kind == number)
-            step.put(part, self.take(part)._equations_of(int(number), series.take(part)))
+        for number, part in ratio_classes(series.ratio):
+            some, here = self.take(part), series.take(part)
+            if number == len(RATIO_CLASSES):
+                # the samples are cheaper than so many harmonics
+                step.put(part, equations_by_samples(some.values, some.weights, here))
+            else:
+                step.put(part, equations_by_sums(some.values, some.weights, some.power, here))
         return step
-
-    def _equations_of(self, kind: int, series: Series) -> Step:
-        if kind == len(RATIO_CLASSES):
-            return equations_by_samples(self.values, self.weights, series)
-        return equations_by_sums(self.values, self.weights, self.power, series)
 
 
 def gauss_newton(task: Task, start: Series) -> tuple[Series, Step, Bools]:

@@ -45,26 +45,25 @@ def level_spacing(values: Samples, residual_rms: Floats) -> Floats:
     tiny = 1e-6 * np.abs(values[:, :RUN]).max(axis=-1, keepdims=True)
     suspects = np.flatnonzero(~((differences > tiny) & (differences < limit)).any(axis=-1))
     spacing = np.zeros(len(values))
-    for row in suspects:
-        exact = _exact_spacing(values[row])
-        if residual_rms[row] < QUIET * exact:
-            spacing[row] = exact
+    if suspects.size:
+        exact = _exact_spacing(values[suspects])
+        spacing[suspects] = np.where(residual_rms[suspects] < QUIET * exact, exact, 0.0)
     return spacing
 
 
-def _exact_spacing(values: Samples) -> float:
-    """Spacing of equidistant levels, 0 if the values do not lie on such."""
-    levels = np.unique(values).astype(np.float64)
-    span = float(levels[-1] - levels[0])
-    gaps = np.diff(levels)
-    gaps = gaps[gaps > 1e-6 * span]
-    if gaps.size < 2:
-        return 0.0
-    steps = span / np.rint(span / float(gaps.min()))
-    away = (levels - levels[0]) / steps
+def _exact_spacing(values: Samples) -> Floats:
+    """Spacing of equidistant levels, 0 where the values do not lie on such; (R, N) -> (R,)."""
+    lowest = values.min(axis=-1, keepdims=True)
+    span = (values.max(axis=-1, keepdims=True) - lowest).astype(np.float64)
+    gaps = np.abs(np.diff(values, axis=-1))
+    gaps[gaps < 1e-6 * span] = np.inf
+    smallest = gaps.min(axis=-1, keepdims=True)
+    steps = np.rint(span / smallest)
+    spacing = span / np.maximum(steps, 1)
+    away = (values - lowest) / spacing.astype(values.dtype)
     # More levels than an eight-bit converter has twice over: a finer one, or a file of decimals.
-    on_grid = span / steps < 600 and np.abs(away - np.rint(away)).max() < 0.02
-    return float(steps) if on_grid else 0.0
+    on_grid = (steps >= 2) & (steps < 600) & (np.abs(away - np.rint(away)).max(axis=-1, keepdims=True) < 0.02)
+    return np.asarray(np.where(on_grid, spacing, 0.0)[:, 0])
 
 
 def mean_rounding(model: Samples, values: Samples, spacing: Floats, residual_rms: Floats) -> Samples:

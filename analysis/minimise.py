@@ -22,7 +22,7 @@ Samples = NDArray[Any]
 NEWTON_ITERATIONS = 10
 MARQUARDT_ITERATIONS = 40
 
-CURVATURE = 0.03
+CURVATURE = 0.06
 """A Gauss-Newton step is wrong by about the square of its length. It is the last one when that square is below
 this share of the standard uncertainty."""
 
@@ -114,7 +114,7 @@ def _must_go_on(change: Floats, series: Series, step: Step, n_samples: int) -> B
     by_ratio = np.hypot(change[:, 3], change[:, 4])
     # Near lock-in the waveform is a narrow spike, which bends the more.
     narrowness = 1 / np.maximum(1 - np.abs(series.ratio) ** 2, 1e-3)
-    curvature = (change[:, 5] ** 2 + by_ratio * (by_ratio + by_first)) * narrowness**3
+    curvature = (change[:, 5] ** 2 + by_ratio * (by_ratio + by_first)) * narrowness**6
     noise = np.sqrt(step.residual_power * 2) / (n_samples * size)
     return np.asarray(curvature > CURVATURE * noise + 1e-22)
 

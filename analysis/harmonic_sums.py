@@ -93,7 +93,9 @@ def data_sums(values: Samples, omega: Floats, n_harmonics: int, highest_power: i
     at_once = max(1, SUMS_AT_ONCE // per_record)
     for start in range(0, n_records, at_once):
         part = slice(start, start + at_once)
-        found = _sums_of_blocks(blocks[part], omega[part].ravel(), (outer, inner), 2 / n_samples, (n_powers, n_orders))
+        found = _sums_of_blocks(
+            blocks[part], omega[part].ravel(), (outer, inner), 2 / n_samples, (n_powers, n_orders)
+        )
         sums[part] = found.reshape(sums[part].shape)
     return sums
 

@@ -18,8 +18,8 @@ MINIMUM_SAMPLES = 8
 """The lock-in waveform has six parameters; two more samples are the least that leaves any noise estimate."""
 
 SAMPLES_AT_ONCE = 2_500_000
-"""Samples worked on together: enough that the cost of calling NumPy does not count, and a bound on the memory of any
-batch."""
+"""Samples worked on together: enough that the cost of calling NumPy does not count, and a bound on the memory of
+any batch."""
 
 RECORDS_AT_ONCE = 40
 """Records centred together: 1 MB, which the second-level cache holds until all passes over them are done."""
@@ -27,9 +27,9 @@ RECORDS_AT_ONCE = 40
 LIFTED = 10.0
 """Mean over swing beyond which a record must be centred in double precision."""
 
-# The C library of Linux gives large blocks back to the system as soon as they are free, and a block asked for again
-# is then made of fresh pages, which takes longer than the arithmetic on it. Once it has seen a block of this size
-# come and go it keeps them. Nothing is written to it, so it costs no memory.
+# The C library of Linux gives large blocks back to the system as soon as they are free, and a block asked for
+# again is then made of fresh pages, which takes longer than the arithmetic on it. Once it has seen a block of this
+# size come and go it keeps them. Nothing is written to it, so it costs no memory.
 np.empty(30 << 20, dtype=np.uint8)
 
 
@@ -57,7 +57,7 @@ class Records:
 class Stack:
     """A checked stack of records, (R, N) of any real type, and the leading shape of the caller's array."""
 
-    volts: NDArray[np.generic]
+    volts: NDArray[Any]
     shape: tuple[int, ...]
 
     @property
@@ -97,8 +97,8 @@ class Stack:
         return Records(values, weights, centre, count, constant, highest, lowest)
 
 
-def _centred(raw: NDArray[np.generic], count: Floats, precision: np.dtype[Any]) -> tuple[Samples, Floats]:
-    """Records less their mean, and the mean; blockwise, so that a record is still in the cache for the next pass."""
+def _centred(raw: NDArray[Any], count: Floats, precision: np.dtype[Any]) -> tuple[Samples, Floats]:
+    """Records less their mean, and the mean; in blocks that are still in the cache for the next pass."""
     values: Samples = np.empty(raw.shape, dtype=precision)
     centre = np.empty(len(raw))
     ones = np.ones(raw.shape[1])

@@ -19,6 +19,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+import scipy.special
 from numpy.typing import NDArray
 
 from analysis.geometric_series import Series, harmonics_needed
@@ -27,7 +28,8 @@ from analysis.normal_equations import Step
 
 Floats = NDArray[np.float64]
 Samples = NDArray[Any]
-Complexes = NDArray[np.complex128]
+Complexes = NDArray[Any]
+"""complex128"""
 
 
 def equations_by_sums(values: Samples, weights: Samples | None, power: Floats, series: Series) -> Step:
@@ -60,20 +62,12 @@ def _powers_of_g(ratio: Complexes, n_orders: int) -> Complexes:
     """Coefficients C(k-1, j-1) q^(k-j) of e^k in g^j; k = 1..n_orders, j = 1..4; (R, n_orders, 4)."""
     coefficients = np.zeros((ratio.size, n_orders, 4), dtype=np.complex128)
     coefficients[:, 0, 0] = 1.0
-    for k in range(1, n_orders):
-        np.multiply(coefficients[:, k - 1, 0], ratio, out=coefficients[:, k, 0])
-    k = np.arange(1, n_orders + 1)
+    for row in range(1, n_orders):
+        np.multiply(coefficients[:, row - 1, 0], ratio, out=coefficients[:, row, 0])
     for j in range(1, 4):
-        # C(k-1, j) q^(k-1-j): the column before, shifted by one order, times (k-1)/j
-        coefficients[:, j:, j] = coefficients[:, : n_orders - j, 0] * _binomial(k[j:] - 1, j)
+        binomial = scipy.special.comb(np.arange(j, n_orders), j)
+        coefficients[:, j:, j] = coefficients[:, : n_orders - j, 0] * binomial
     return coefficients
-
-
-def _binomial(n: NDArray[np.intp], j: int) -> Floats:
-    value = np.ones(n.shape)
-    for i in range(j):
-        value *= (n - i) / (i + 1)
-    return value
 
 
 def _assembled(
@@ -97,7 +91,8 @@ def _assembled(
     s_s, s_cs = s_g + column * s_gg, (s_cg + np.conj(column) * s_cgg).real
 
     normal = np.empty((first.size, 6, 6))
-    h_gg, h_squared, turn = first * two[:, 0], first * first, 1j * first
+    h_gg, turn = first * two[:, 0], 1j * first
+    h_squared: Complexes = first * first
     normal[:, 0, 0] = counts[:, 0]
     normal[:, 0, 1], normal[:, 0, 2] = one[:, 0].real, -one[:, 0].imag
     normal[:, 0, 3], normal[:, 0, 4] = h_gg.real, -h_gg.imag

@@ -93,7 +93,7 @@ def test_no_frequency_is_a_wrong_line(grid):
     ("periods", "x"), [((2.5, 2.8), (1.02, 1.06)), ((2.5, 5.0), (1.02, 1.1)), ((400, 590), (1.02, 1.1))]
 )
 def test_the_start_is_found_in_the_hard_corners_next_to_lock_in(periods, x):
-    """Lines that are not apart yet; and harmonics folded almost onto each other, near 4.5, 5 and 6 samples a period."""
+    """Lines not yet apart; harmonics folded almost onto each other, at 4.5, 5 and 6 samples a period."""
     rng = np.random.default_rng(42)
     _, codes, truths, _ = random_records(rng, 1000, x_range=x, noise_range=(0.3, 4), periods_range=periods)
     found = estimate_lock_in(codes, 1.0, scale_factor=1.0)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +12,8 @@ from analysis.flags import Flag
 from analysis.records import Records
 
 Floats = NDArray[np.float64]
+Samples = NDArray[Any]
+"""float32 or float64"""
 Bools = NDArray[np.bool_]
 
 SHARE_AT_END = 0.012
@@ -33,7 +36,7 @@ class Damage:
     """weights : (R, N) with clipped samples left out, or None if none is; limits : (R, 2) the range between the
     clipping limits, +-inf where not clipped; flags : (R,)."""
 
-    weights: Floats | None
+    weights: Samples | None
     limits: Floats | None
     flags: NDArray[np.int64]
 
@@ -63,35 +66,35 @@ def find_damage(records: Records, clipped: Bools | None) -> Damage:
         return Damage(None, None, flags)
     flags[hit] |= Flag.CLIPPED
     kept = (values > low[:, np.newaxis]) & (values < high[:, np.newaxis])
-    undamaged = kept.astype(np.float64) if weights is None else kept * weights
+    undamaged = kept.astype(values.dtype) if weights is None else kept * weights
     return Damage(undamaged, np.stack([low, high], axis=-1), flags)
 
 
-def _crowded_end(values: Floats, weights: Floats | None, end: Floats, sign: float) -> Floats:
+def _crowded_end(values: Samples, weights: Samples | None, end: Samples, sign: float) -> Floats:
     """`sign` times the end level where it is a clipping limit, else inf; (R,)."""
     limit = np.full(len(values), np.inf)
-    suspects = np.arange(len(values))
+    few = values[:, ::THINNING]
+    at_end = few >= end[:, np.newaxis] if sign > 0 else few <= end[:, np.newaxis]
+    suspects = np.flatnonzero(np.count_nonzero(at_end, axis=-1) > SHARE_AT_END * few.shape[1])
     for thinning in (THINNING, 1):
-        some = sign * values[suspects, ::thinning]
-        top = sign * end[suspects, np.newaxis]
-        at_top = some >= top
-        crowd = np.count_nonzero(at_top, axis=-1)
-        many = crowd > SHARE_AT_END * some.shape[1]
-        suspects, some, top, at_top, crowd = (a[many] for a in (suspects, some, top, at_top, crowd))
         if suspects.size == 0:
             return limit
+        some, top = sign * values[suspects, ::thinning], sign * end[suspects, np.newaxis]
+        at_top = some >= top
+        crowd = np.count_nonzero(at_top, axis=-1)
         at_top |= False if weights is None else weights[suspects, ::thinning] == 0
         below = np.where(at_top, -np.inf, some)
         second = below.max(axis=-1, keepdims=True)
         # Thinned counts are small numbers: only a clear crowd of the next level clears the suspicion.
         factor = CROWDING if thinning == 1 else CROWDING / 2
         crowded = crowd > factor * np.count_nonzero(below == second, axis=-1)
-        suspects, top = suspects[crowded], top[crowded]
-    limit[suspects] = top[:, 0]
+        crowded &= crowd > SHARE_AT_END * some.shape[1]
+        suspects = suspects[crowded]
+    limit[suspects] = sign * end[suspects]
     return limit
 
 
-def outliers(left: Floats, weights: Floats | None) -> Bools:
+def outliers(left: Samples, weights: Samples | None) -> Bools:
     """Residuals that are single spikes, (R, N). Many of them are a misfit, not spikes, and are kept."""
     spikes = np.zeros(left.shape, dtype=bool)
     # A single spike cannot hide: it stands out of the rms that it itself has raised. Missing samples are 0.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import scipy.fft
@@ -10,6 +11,8 @@ from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
+Samples = NDArray[Any]
+"""float32 or float64"""
 Spectrum = NDArray[np.complex64]
 
 
@@ -23,12 +26,19 @@ class SpectralStart:
     second: Complexes
 
 
-def spectrum_of(values: Floats) -> Spectrum:
+def spectrum_of(values: Samples) -> Spectrum:
     """Spectrum of centred records, (R, N) -> (R, N//2 + 1).
 
     Single precision: it only starts the fits, and eight-bit samples do not fill its 24 bits.
     """
-    return np.asarray(scipy.fft.rfft(values.astype(np.float32), axis=-1))
+    return np.asarray(scipy.fft.rfft(values.astype(np.float32, copy=False), axis=-1))
+
+
+def power_of(spectrum: Spectrum) -> NDArray[np.float32]:
+    """Squared size of each line."""
+    power = np.square(spectrum.real)
+    power += np.square(spectrum.imag)
+    return np.asarray(power)
 
 
 def spectral_start(spectrum: Spectrum, n_samples: int) -> SpectralStart:
@@ -44,7 +54,7 @@ def spectral_start(spectrum: Spectrum, n_samples: int) -> SpectralStart:
     n_samples : int
         N.
     """
-    power = spectrum.real**2 + spectrum.imag**2
+    power = power_of(spectrum)
     power[:, 0] = 0.0
     rough = power.argmax(axis=-1)
     windowed, bins = _hann_bins(spectrum, rough, 2, n_samples)
@@ -90,7 +100,7 @@ def _amplitude(windowed: Complexes, distance: Floats, n_samples: int) -> Complex
     return np.asarray(2 / n_samples * np.sum(response * windowed, axis=-1) / np.sum(response**2, axis=-1))
 
 
-def coarse_frequency(values: Floats) -> Floats:
+def coarse_frequency(values: Samples) -> Floats:
     """Angular frequency of the strongest line of centred records, rad per sample; (R, N) -> (R,)."""
     return spectral_start(spectrum_of(values), values.shape[-1]).omega
 

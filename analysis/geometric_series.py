@@ -9,24 +9,32 @@ sampling rate are part of the model instead of an error.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import DTypeLike, NDArray
 
-from analysis.harmonic_sums import harmonic_powers, record_grid
+from analysis.harmonic_sums import harmonic_powers, phasors, record_grid
 
 Floats = NDArray[np.float64]
+Samples = NDArray[Any]
+"""float32 or float64"""
 Complexes = NDArray[np.complex128]
 Selection = NDArray[np.intp] | NDArray[np.bool_]
 
 LARGEST_RATIO = 0.995
 """|q| is kept below this: x = 0.99999, where a record of a few periods holds no more information."""
 
-NEGLIGIBLE = 5e-6
-"""Harmonics below this share of the fundamental cannot move an estimate from eight-bit samples."""
+NEGLIGIBLE = {np.dtype(np.float32): 2e-5, np.dtype(np.float64): 1e-12}
+"""Harmonics below this share of the fundamental are left out. The first cannot move an estimate from eight-bit
+samples, which single precision is for."""
 
-MANY_HARMONICS = 24
+RATIO_CLASSES = (0.03, 0.09, 0.2, 0.45, 0.7, 0.86)
+"""Records are worked on together up to these ratios, since the largest one says how many harmonics all need."""
+
+MANY_HARMONICS = 40
 """Beyond this many, the closed form on the samples is cheaper than the sum of the harmonics."""
 
 
@@ -75,34 +83,57 @@ class Series:
         self.ratio[part], self.omega[part] = other.ratio, other.omega
 
 
-def harmonics_needed(ratio: Complexes) -> int:
+def harmonics_needed(ratio: Complexes, precision: np.dtype[Any]) -> int:
     """How many harmonics of the largest ratio are not negligible, at least 3."""
     largest = min(float(np.abs(ratio).max(initial=0.0)), LARGEST_RATIO)
-    return max(3, math.ceil(math.log(NEGLIGIBLE) / math.log(max(largest, 1e-3))))
+    return max(3, math.ceil(math.log(NEGLIGIBLE[precision]) / math.log(max(largest, 1e-3))))
 
 
-def sampled_series(series: Series, n_samples: int) -> Floats:
-    """The model on the samples, (R, N): from its harmonics where they are few, else in closed form."""
+def ratio_classes(ratio: Complexes) -> Iterator[tuple[int, NDArray[np.intp]]]:
+    """Number of each class that occurs, and its records."""
+    numbers = np.searchsorted(RATIO_CLASSES, np.abs(ratio))
+    for number in np.unique(numbers):
+        yield int(number), np.flatnonzero(numbers == number)
+
+
+def sampled_series(series: Series, n_samples: int, precision: DTypeLike = np.float64) -> Samples:
+    """The model on the samples, (R, N)."""
+    grid: Samples = np.empty((series.omega.size, n_samples), dtype=precision)
+    for _, part in ratio_classes(series.ratio):
+        if part.size == series.omega.size:
+            return _sampled(series, n_samples, precision)
+        grid[part] = _sampled(series.take(part), n_samples, precision)
+    return grid
+
+
+def _sampled(series: Series, n_samples: int, precision: DTypeLike) -> Samples:
+    """From the harmonics where they are few, else in closed form."""
+    kind = np.dtype(precision)
     outer, inner = record_grid(n_samples)
-    coarse = np.exp(1j * series.omega[:, np.newaxis] * outer)
-    fine = np.exp(1j * series.omega[:, np.newaxis] * inner)
-    n_harmonics = harmonics_needed(series.ratio)
+    coarse, fine = phasors(series.omega, outer, kind), phasors(series.omega, inner, kind)
+    first, ratio = (p.astype(coarse.dtype)[:, np.newaxis] for p in (series.first, series.ratio))
+    offset = series.offset.astype(kind)[:, np.newaxis]
+    n_harmonics = harmonics_needed(series.ratio, kind)
     if n_harmonics > MANY_HARMONICS:
         carrier = carrier_of(coarse, fine, n_samples)
-        wave = carrier / (1 - series.ratio[:, np.newaxis] * carrier)
-        return np.asarray(series.offset[:, np.newaxis] + (series.first[:, np.newaxis] * wave).real)
-    left = harmonic_powers(coarse * series.ratio[:, np.newaxis], n_harmonics - 1)
-    left *= (series.first[:, np.newaxis] * coarse)[:, np.newaxis]
+        return np.asarray(offset + (first * carrier / (1 - ratio * carrier)).real)
+    left = harmonic_powers(coarse * ratio, n_harmonics - 1)
+    left *= (first * coarse)[:, np.newaxis]
     right = harmonic_powers(fine, n_harmonics)[:, 1:]
-    # The real part of the complex product, as one real product.
-    left_sides = np.concatenate([left.real, -left.imag], axis=1)
-    right_sides = np.concatenate([right.real, right.imag], axis=1)
-    grid = np.matmul(left_sides.swapaxes(-1, -2), right_sides).reshape(len(coarse), -1)[:, :n_samples]
-    grid += series.offset[:, np.newaxis]
-    return np.asarray(grid)
+    # The real part of the complex product and the offset, as one real product.
+    rows = 2 * n_harmonics + 1
+    left_sides = np.empty((len(coarse), rows, outer.size), dtype=kind)
+    left_sides[:, :n_harmonics], left_sides[:, n_harmonics:-1] = left.real, left.imag
+    left_sides[:, -1] = offset
+    right_sides = np.empty((len(coarse), rows, inner.size), dtype=kind)
+    right_sides[:, :n_harmonics] = right.real
+    np.negative(right.imag, out=right_sides[:, n_harmonics:-1])
+    right_sides[:, -1] = 1.0
+    grid = np.matmul(left_sides.swapaxes(-1, -2), right_sides)
+    return np.asarray(grid.reshape(len(coarse), -1)[:, :n_samples])
 
 
-def carrier_of(coarse: Complexes, fine: Complexes, n_samples: int) -> Complexes:
+def carrier_of(coarse: NDArray[Any], fine: NDArray[Any], n_samples: int) -> NDArray[Any]:
     """exp(i w m) on the samples from its two short factors; (R, rows), (R, length) -> (R, N)."""
     product = coarse[:, :, np.newaxis] * fine[:, np.newaxis, :]
     return np.asarray(product.reshape(len(coarse), -1)[:, :n_samples])

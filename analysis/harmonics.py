@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from analysis.frequency_search import coarse_frequency
-from analysis.periodic_fit import Step, gauss_newton_step, record_sums, two_sided
+from analysis.normal_equations import Step
+from analysis.periodic_fit import gauss_newton_step, record_sums, two_sided
 from analysis.records import Records, as_stack
 
 Floats = NDArray[np.float64]

@@ -21,7 +21,7 @@ from numpy.polynomial import legendre
 from numpy.typing import NDArray
 
 from analysis.geometric_series import LARGEST_RATIO
-from analysis.periodic_fit import Step
+from analysis.normal_equations import Step
 
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]

@@ -12,20 +12,25 @@ of a squared level that white rounding would.
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
-Bools = NDArray[np.bool_]
+Samples = NDArray[Any]
+"""float32 or float64"""
 
 QUIET = 0.45
 """Residual rms in levels below which rounding is not white: 0.34 of noise and 0.29 of rounding."""
 
 TERMS = 8
-THINNING = 10
+SMALLEST_TERM = 1e-4
+RUN = 250
+"""Neighbouring samples of a record that are compared to see whether rounding might matter at all."""
 
 
-def level_spacing(values: Floats, residual_rms: Floats) -> Floats:
+def level_spacing(values: Samples, residual_rms: Floats) -> Floats:
     """Spacing of the converter's levels where rounding is not white in a record, else 0; (R,).
 
     Parameters
@@ -34,33 +39,34 @@ def level_spacing(values: Floats, residual_rms: Floats) -> Floats:
     residual_rms : (R,)
         In the unit of `values`.
     """
-    few = np.sort(values[:, ::THINNING], axis=-1)
-    gaps = np.diff(few, axis=-1)
-    tiny = 1e-9 * (few[:, -1] - few[:, 0])[:, np.newaxis]
-    spacing = np.where(gaps > tiny, gaps, np.inf).min(axis=-1, initial=np.inf)
-    quiet = np.isfinite(spacing) & (residual_rms < QUIET * spacing)
-    for row in np.flatnonzero(quiet):
-        spacing[row] = _exact_spacing(values[row])
-        quiet[row] = residual_rms[row] < QUIET * spacing[row]
-    return np.where(quiet, spacing, 0.0)
+    # No two different values are closer than the spacing, so any small difference clears a record.
+    differences = np.abs(np.diff(values[:, :RUN], axis=-1))
+    limit = (residual_rms / QUIET).astype(values.dtype)[:, np.newaxis]
+    tiny = 1e-6 * np.abs(values[:, :RUN]).max(axis=-1, keepdims=True)
+    suspects = np.flatnonzero(~((differences > tiny) & (differences < limit)).any(axis=-1))
+    spacing = np.zeros(len(values))
+    if suspects.size:
+        exact = _exact_spacing(values[suspects])
+        spacing[suspects] = np.where(residual_rms[suspects] < QUIET * exact, exact, 0.0)
+    return spacing
 
 
-def _exact_spacing(values: Floats) -> float:
-    """Spacing of equidistant levels, 0 if the values do not lie on such."""
-    levels = np.unique(values)
-    span = float(levels[-1] - levels[0])
-    gaps = np.diff(levels)
-    gaps = gaps[gaps > 1e-9 * span]
-    if gaps.size < 2:
-        return 0.0
-    steps = span / np.rint(span / float(gaps.min()))
-    away = (levels - levels[0]) / steps
+def _exact_spacing(values: Samples) -> Floats:
+    """Spacing of equidistant levels, 0 where the values do not lie on such; (R, N) -> (R,)."""
+    lowest = values.min(axis=-1, keepdims=True)
+    span = (values.max(axis=-1, keepdims=True) - lowest).astype(np.float64)
+    gaps = np.abs(np.diff(values, axis=-1))
+    gaps[gaps < 1e-6 * span] = np.inf
+    smallest = gaps.min(axis=-1, keepdims=True)
+    steps = np.rint(span / smallest)
+    spacing = span / np.maximum(steps, 1)
+    away = (values - lowest) / spacing.astype(values.dtype)
     # More levels than an eight-bit converter has twice over: a finer one, or a file of decimals.
-    on_grid = span / steps < 600 and np.abs(away - np.rint(away)).max() < 0.02
-    return float(steps) if on_grid else 0.0
+    on_grid = (steps >= 2) & (steps < 600) & (np.abs(away - np.rint(away)).max(axis=-1, keepdims=True) < 0.02)
+    return np.asarray(np.where(on_grid, spacing, 0.0)[:, 0])
 
 
-def mean_rounding(model: Floats, values: Floats, spacing: Floats, residual_rms: Floats) -> Floats:
+def mean_rounding(model: Samples, values: Samples, spacing: Floats, residual_rms: Floats) -> Samples:
     """Mean of the rounding error on each sample, (R, N), in the unit of `values`.
 
     Parameters
@@ -70,9 +76,15 @@ def mean_rounding(model: Floats, values: Floats, spacing: Floats, residual_rms: 
     spacing, residual_rms : (R,)
         Of the levels, and the rms that a fit left of the record as it is.
     """
-    noise = np.sqrt(np.maximum((residual_rms / spacing) ** 2 - 1 / 12, 0.0))[:, np.newaxis]
-    phase = 2 * np.pi * (model - values[:, :1]) / spacing[:, np.newaxis]
+    noise = np.sqrt(np.maximum((residual_rms / spacing) ** 2 - 1 / 12, 0.0))
+    step = spacing.astype(values.dtype)[:, np.newaxis]
+    level = (model - values[:, :1]) / step
+    level -= np.rint(level)
+    angle = 2 * np.pi * level
     error = np.zeros_like(model)
     for m in range(1, TERMS + 1):
-        error += (-1) ** m / (np.pi * m) * np.exp(-2 * (np.pi * m * noise) ** 2) * np.sin(m * phase)
-    return np.asarray(error * spacing[:, np.newaxis])
+        size = (-1) ** m / (np.pi * m) * np.exp(-2 * (np.pi * m * noise) ** 2)
+        if np.abs(size).max() < SMALLEST_TERM:
+            break
+        error += size.astype(values.dtype)[:, np.newaxis] * np.sin(m * angle)
+    return np.asarray(error * step)

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
-import scipy.fft
 from numpy.typing import NDArray
 
 from analysis.flags import Flag
+from analysis.frequency_search import power_of, spectrum_of
 
 Floats = NDArray[np.float64]
+Samples = NDArray[Any]
+"""float32 or float64"""
 
 NEIGHBOURS = 16
 """Bins on either side of a harmonic from which the local noise is taken."""
@@ -41,7 +44,7 @@ class ResidualReport:
 
 
 def examine_residual(
-    left: Floats, count: Floats, omega: Floats, first: Floats, residual_power: Floats
+    left: Samples, count: Floats, omega: Floats, first: Floats, residual_power: Floats
 ) -> ResidualReport:
     """Judge the residual of each record by its spectrum.
 
@@ -54,11 +57,12 @@ def examine_residual(
     """
     n_records, n_samples = left.shape
     flags = np.zeros(n_records, dtype=np.int64)
-    spectrum = scipy.fft.rfft(left.astype(np.float32), axis=-1)[:, 1:]
-    power = spectrum.real**2 + spectrum.imag**2
-    mean = np.maximum(power.mean(axis=-1), 1e-30)
+    power = power_of(spectrum_of(left))
+    power[:, 0] = 0.0
+    n_lines = power.shape[1] - 1
+    mean = np.maximum(power.sum(axis=-1) / n_lines, 1e-30)
     line = power.max(axis=-1) / mean
-    expected = np.log(power.shape[1] / LINE_CHANCE)
+    expected = np.log(n_lines / LINE_CHANCE)
 
     signal = first**2 / 2 * count
     degrees = np.maximum(count - 6, 1)
@@ -85,7 +89,7 @@ def examine_residual(
         line = omega[row] * n_samples / (2 * np.pi)
         first_level, second_level = float(at_first[row]), float(at_second[row])
         if line < 2 * NEIGHBOURS:
-            first_level, second_level = _low_levels(power[row] / mean[row], line)
+            first_level, second_level = _low_levels(power[row, 1:] / mean[row], line)
         if line < FEW_PERIODS:
             # So few periods do not keep the two lines apart: the stronger noise reaches both.
             first_level = second_level = max(first_level, second_level)
@@ -93,7 +97,7 @@ def examine_residual(
     return ResidualReport(flags, excess)
 
 
-def _low_levels(power: Floats, line: float) -> tuple[float, float]:
+def _low_levels(power: Samples, line: float) -> tuple[float, float]:
     """Noise level at a line of few periods and at its double: white and 1/f noise fitted to the lowest bins.
 
     Near zero frequency the noise may change within a few bins, so that an average over neighbours would not do.
@@ -112,11 +116,11 @@ def _low_levels(power: Floats, line: float) -> tuple[float, float]:
     return float(solution[0] + solution[1] / line), float(solution[0] + solution[1] / (2 * line))
 
 
-def _local_level(power: Floats, omega: Floats, n_samples: int) -> Floats:
+def _local_level(power: Samples, omega: Floats, n_samples: int) -> Floats:
     """Mean power of the bins around a (folded) frequency; (R,)."""
     folded = np.abs((omega + np.pi) % (2 * np.pi) - np.pi)
-    centre = np.rint(folded * n_samples / (2 * np.pi)).astype(int) - 1
-    n_bins = power.shape[1]
-    reach = min(NEIGHBOURS, (n_bins - 1) // 2)
-    around = np.clip(centre, reach, n_bins - 1 - reach)[:, np.newaxis] + np.arange(-reach, reach + 1)
+    centre = np.rint(folded * n_samples / (2 * np.pi)).astype(int)
+    n_lines = power.shape[1] - 1
+    reach = min(NEIGHBOURS, (n_lines - 1) // 2)
+    around = np.clip(centre, reach + 1, n_lines - reach)[:, np.newaxis] + np.arange(-reach, reach + 1)
     return np.asarray(np.take_along_axis(power, around, axis=-1).mean(axis=-1), dtype=np.float64)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,7 +11,8 @@ from numpy.typing import NDArray
 from analysis.damage import Bools, find_damage, outliers
 from analysis.flags import Flag
 from analysis.geometric_series import Series, sampled_series
-from analysis.periodic_fit import Step
+from analysis.minimise import Task, gauss_newton, sums_of_squares
+from analysis.normal_equations import Step
 from analysis.phase_tracking import looks_like_wander, track_phase
 from analysis.quantisation import level_spacing, mean_rounding
 from analysis.records import Records, Stack
@@ -18,6 +20,17 @@ from analysis.residuals import examine_residual
 from analysis.series_fit import fit_series
 
 Floats = NDArray[np.float64]
+Samples = NDArray[Any]
+"""float32 or float64"""
+
+SINGLE_PRECISION_SWING = 1e-12, 1e12
+"""Volts between which squares are safe in single precision."""
+
+SINGLE_PRECISION_NOISE = 1e-4
+"""Noise over swing below which single precision would show: less than a fiftieth of an eight-bit level."""
+
+SETTLED = 0.36
+"""Residual rms in levels above which one correction of the rounding error is enough: 0.2 of noise."""
 
 N_PARAMETERS = 6
 FEWEST_SAMPLES = 12
@@ -41,18 +54,40 @@ class WaveformFit:
     noise_rms: Floats
     flags: NDArray[np.int64]
 
+    def put(self, part: NDArray[np.intp], other: WaveformFit) -> None:
+        """Write the other's records into the places `part` of this one."""
+        self.series.put(part, other.series)
+        for field in fields(WaveformFit)[1:]:
+            getattr(self, field.name)[part] = getattr(other, field.name)
+
 
 def fit_waveform(stack: Stack, clipped: Bools | None) -> WaveformFit:
     """Fit every record; `clipped` (R, N) marks samples known to stand at the converter's end, None: find them."""
-    parts = [_fit_part(stack.take(part), None if clipped is None else clipped[part]) for part in stack.parts()]
+    parts = [_fit_part(stack, part, clipped) for part in stack.parts()]
     series = Series(*(np.concatenate([getattr(p.series, f.name) for p in parts]) for f in fields(Series)))
     others = (np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(WaveformFit)[1:])
     return WaveformFit(series, *others)
 
 
-def _fit_part(records: Records, clipped: Bools | None) -> WaveformFit:
+def _fit_part(stack: Stack, part: slice, clipped: Bools | None) -> WaveformFit:
+    """Single precision, and double where single would show."""
+    records = stack.take(part, np.float32)
+    known = None if clipped is None else clipped[part]
+    with np.errstate(over="ignore", under="ignore", invalid="ignore"):
+        fit = _fit_records(records, known)
+    swing = records.highest - records.lowest
+    good = (swing > SINGLE_PRECISION_SWING[0]) & (swing < SINGLE_PRECISION_SWING[1])
+    good &= fit.noise_rms > SINGLE_PRECISION_NOISE * swing
+    fine = np.flatnonzero(~(good | records.constant))
+    if fine.size:
+        again = stack.take(fine + part.start, np.float64)
+        fit.put(fine, _fit_records(again, None if known is None else known[fine]))
+    return fit
+
+
+def _fit_records(records: Records, clipped: Bools | None) -> WaveformFit:
     values, weights = records.values, records.weights
-    n_samples = values.shape[1]
+    n_samples, precision = values.shape[1], values.dtype
     damage = find_damage(records, clipped)
     flags = damage.flags.copy()
     series, step = fit_series(values, weights)
@@ -65,72 +100,81 @@ def _fit_part(records: Records, clipped: Bools | None) -> WaveformFit:
         series.put(hit, refitted)
         step.put(hit, new_step)
 
-    left = values - sampled_series(series, n_samples)
+    left = values - sampled_series(series, n_samples, precision)
     if weights is not None:
         left *= weights
     spikes = outliers(left, weights)
     hit = np.asarray(spikes.any(axis=-1))
     if hit.any():
-        weights = (np.ones_like(values) if weights is None else weights) * ~spikes
+        weights = np.ones_like(values) if weights is None else weights
+        weights = np.where(spikes, precision.type(0), weights)
         refitted, new_step = fit_series(values[hit] * weights[hit], weights[hit])
         series.put(hit, refitted)
         step.put(hit, new_step)
-        left[hit] = values[hit] - sampled_series(refitted, n_samples)
+        left[hit] = values[hit] - sampled_series(refitted, n_samples, precision)
         left *= weights
         flags[hit] |= Flag.DAMAGED
-    count = records.count if weights is None else weights.sum(axis=-1)
-    quiet, corrected = _without_rounding(values, weights, series, step, count)
-    if quiet.size:
-        left[quiet] = corrected - sampled_series(series.take(quiet), n_samples)
-        if weights is not None:
-            left[quiet] *= weights[quiet]
-    return _judged(records, weights, series, step, left, count, flags)
+    count = records.count if weights is None else weights.sum(axis=-1, dtype=np.float64)
+    power = sums_of_squares(left)
+    _take_out_rounding(values, weights, series, step, left, power, count)
+    return _judged(records, weights, series, step.covariance(), left, power, count, flags)
 
 
-def _without_rounding(
-    values: Floats, weights: Floats | None, series: Series, step: Step, count: Floats
-) -> tuple[NDArray[np.intp], Floats]:
-    """Fit quiet records again with the mean rounding error taken out; which they are, and their values then.
-
-    `series` and `step` are changed in place.
-    """
-    rms = np.sqrt(step.residual_power / np.maximum(count - N_PARAMETERS, 1))
+def _take_out_rounding(
+    values: Samples,
+    weights: Samples | None,
+    series: Series,
+    step: Step,
+    left: Samples,
+    power: Floats,
+    count: Floats,
+) -> None:
+    """Fit quiet records again with the mean rounding error taken out; all but the first two are changed."""
+    rms = np.sqrt(power / np.maximum(count - N_PARAMETERS, 1))
     spacing = level_spacing(values, rms)
     quiet = np.flatnonzero(spacing)
-    corrected = values[quiet]
     if quiet.size == 0:
-        return quiet, corrected
-    mask = None if weights is None else weights[quiet]
-    for _ in range(2):
-        model = sampled_series(series.take(quiet), values.shape[1])
-        corrected = values[quiet] - mean_rounding(model, values[quiet], spacing[quiet], rms[quiet])
-        refitted, new_step = fit_series(corrected if mask is None else corrected * mask, mask)
-        series.put(quiet, refitted)
-        step.put(quiet, new_step)
-    return quiet, corrected
+        return
+    some, mask = values[quiet], None if weights is None else weights[quiet]
+    n_samples = values.shape[1]
+    fitted = series.take(quiet)
+    # The rounding error is taken where the first fit has put the waveform. That fit was moved by it by little, but
+    # with next to no noise the error changes within a small part of a level.
+    for _ in range(1 if np.all(rms[quiet] > SETTLED * spacing[quiet]) else 2):
+        model = sampled_series(fitted, n_samples, values.dtype)
+        corrected = some - mean_rounding(model, some, spacing[quiet], rms[quiet])
+        if mask is not None:
+            corrected *= mask
+        fitted, new_step, _ = gauss_newton(Task.of(corrected, mask), fitted)
+    rest = corrected - sampled_series(fitted, n_samples, values.dtype)
+    if mask is not None:
+        rest *= mask
+    series.put(quiet, fitted)
+    step.put(quiet, new_step)
+    left[quiet], power[quiet] = rest, sums_of_squares(rest)
 
 
 def _judged(
     records: Records,
-    weights: Floats | None,
+    weights: Samples | None,
     series: Series,
-    step: Step,
-    left: Floats,
+    covariance: Floats,
+    left: Samples,
+    power: Floats,
     count: Floats,
     flags: NDArray[np.int64],
 ) -> WaveformFit:
     """The fit with its noise and its flags; records that do not fit get a second chance with a moving phase."""
-    power, free = step.residual_power, count - N_PARAMETERS
+    free = count - N_PARAMETERS
     report = examine_residual(left, count, series.omega, np.abs(series.first), power)
-    covariance = step.covariance()
     flags |= report.flags
     excess = report.excess
     for row in np.flatnonzero((report.flags & int(Flag.MISFIT)) != 0):
-        if not looks_like_wander(left[row], float(series.omega[row])):
+        omega = float(series.omega[row])
+        if not looks_like_wander(left[row], omega):
             continue
-        tracked = track_phase(
-            records.values[row], None if weights is None else weights[row], float(series.omega[row])
-        )
+        mask = None if weights is None else weights[row].astype(np.float64)
+        tracked = track_phase(records.values[row].astype(np.float64), mask, omega)
         if tracked is None:
             continue
         here = slice(row, row + 1)
@@ -151,8 +195,8 @@ def _judged(
 
 
 def _fit_between_limits(
-    values: Floats, weights: Floats, undamaged: Floats, limits: Floats
-) -> tuple[Series, Step, Floats]:
+    values: Samples, weights: Samples, undamaged: Samples, limits: Floats
+) -> tuple[Series, Step, Samples]:
     """Fit clipped records without their clipped samples.
 
     Which samples are left out must not depend on their own noise, or the mean of the others is biased near the
@@ -161,11 +205,11 @@ def _fit_between_limits(
     series, step = fit_series(values * undamaged, undamaged)
     kept = undamaged
     for _ in range(2):
-        model = sampled_series(series, values.shape[1])
+        model = sampled_series(series, values.shape[1], values.dtype)
         noise = np.sqrt(step.residual_power / np.maximum(kept.sum(axis=-1) - N_PARAMETERS, 1))
         margin = 4 * noise[:, np.newaxis]
         inside = weights * ((model > limits[:, :1] + margin) & (model < limits[:, 1:] - margin))
         enough = inside.sum(axis=-1, keepdims=True) > 0.2 * values.shape[1]
-        kept = np.where(enough, inside, undamaged)
+        kept = np.where(enough, inside, undamaged).astype(values.dtype)
         series, step = fit_series(values * kept, kept)
     return series, step, kept

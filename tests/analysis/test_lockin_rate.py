@@ -99,8 +99,8 @@ def test_a_stack_gives_what_each_record_gives_alone():
     assert together.lock_in_rate.shape == (2, 2)
     for value, volts in zip(together.lock_in_rate.ravel(), stack, strict=True):
         alone = estimate_lock_in(volts, 1.0, scale_factor=0.02)
-        # The batch may carry more harmonics than the record needs: far below its uncertainty.
-        assert float(alone.lock_in_rate) == pytest.approx(value, abs=1e-3 * float(alone.lock_in_rate_u))
+        # The batch may carry more harmonics than the record needs, and sums round: far below its uncertainty.
+        assert float(alone.lock_in_rate) == pytest.approx(value, abs=1e-2 * float(alone.lock_in_rate_u))
 
 
 @pytest.mark.parametrize("limit", [110.0, 95.0])

@@ -28,7 +28,9 @@ def sine(times):
 @pytest.fixture
 def scope():
     simulated = SimulatedTDS2014({1: sine, 2: lambda t: 0.5 * sine(t)}, noise_levels=0.0, seed=2)
-    for command in (b"CH1:PROBE 1", b"CH2:PROBE 1", b"CH1:SCALE 1", b"HORIZONTAL:SCALE 2.5E-4", b"*ESR?"):
+    # Set by hand and long running when the program comes.
+    shown = b"ACQ:STOPA SEQ;STATE RUN;*WAI;:ACQ:STOPA RUNSTOP;STATE RUN"
+    for command in (b"CH1:PROBE 1", b"CH2:PROBE 1", b"CH1:SCALE 1", b"HORIZONTAL:SCALE 2.5E-4", shown, b"*ESR?"):
         for _ in simulated.execute(command):
             pass
     return simulated

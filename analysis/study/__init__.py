@@ -1,0 +1,27 @@
+"""The simulations of Zhan et al., Acta Optica Sinica 29, 960 (2009), beside the exact method."""
+
+from analysis.study.causes import Causes, PeakReading, find_causes, peak_readings
+from analysis.study.figures import (
+    ErrorStudy,
+    WaveformStudy,
+    lock_in_study,
+    phase_study,
+    rate_study,
+    waveform_study,
+)
+from analysis.study.formula_bias import BiasTable, bias_table
+
+__all__ = [
+    "BiasTable",
+    "Causes",
+    "ErrorStudy",
+    "PeakReading",
+    "WaveformStudy",
+    "bias_table",
+    "find_causes",
+    "lock_in_study",
+    "peak_readings",
+    "phase_study",
+    "rate_study",
+    "waveform_study",
+]

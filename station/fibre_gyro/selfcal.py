@@ -69,8 +69,8 @@ class SelfcalEvaluation:
     reference : TableReference or None
     comparison : ScaleComparison
         Against the table, or where there is none against the design.
-    static_missing : str
-        Which static output is missing, if one is: "" else.
+    static_missing : {"", "before", "after"}
+        Which static output is missing, if one is.
     left_out : tuple of LeftOut
     """
 
@@ -128,9 +128,12 @@ def plan_selfcal(settings: FogSettings, numbers: InjectionPlan) -> tuple[list[Pl
     beyond = steps_beyond_dac(numbers.number / gyro.counts_per_code, gyro.dac_bits)
 
     def segment(key: str, seconds: float, rate: float, number: float, number_u: float) -> PlannedSegment:
+        static = {BEFORE: "before", AFTER: "after"}.get(key)
         conditions = {
             "purpose": PURPOSE,
-            "rate_dps": rate,
+            "static": static,
+            "rate_dps": 0.0,
+            "stands_for_dps": rate,
             "number": number,
             "number_u": number_u,
             "step_codes": number / gyro.counts_per_code,
@@ -179,19 +182,19 @@ def evaluate_selfcal(run: FogRun, settings: FogSettings, table: TableEvaluation 
     """
     rows, left_out = _usable(run.taken_for(PURPOSE), settings)
     left_out += [LeftOut(**entry) for entry in run.facts.get("left_out_of_plan", [])]
-    static = {key: mean for key, mean, conditions in rows if conditions["number"] == 0}
-    steps = [row for row in rows if row[2]["number"] != 0]
-    missing = [name for name in (BEFORE, AFTER) if name not in static]
+    static = {conditions["static"]: mean for _, mean, conditions in rows if conditions["static"]}
+    steps = [row for row in rows if not row[2]["static"]]
+    missing = [name for name in ("before", "after") if name not in static]
     if len(missing) == 2 or len(steps) < 3:
         reasons = "; ".join(one.sentence for one in left_out)
         raise NoUsableSignal(
             f"a self-calibration needs a static output and at least three steps, there are {len(static)} and "
             f"{len(steps)}{': ' + reasons if reasons else ''}"
         )
-    before = static.get(BEFORE, static.get(AFTER))
-    after = static.get(AFTER, before)
+    before = static.get("before", static.get("after"))
+    after = static.get("after", before)
     assert before is not None and after is not None  # at least one is there
-    rates = np.array([conditions["rate_dps"] for _, _, conditions in steps], dtype=np.float64)
+    rates = np.array([conditions["stands_for_dps"] for _, _, conditions in steps], dtype=np.float64)
     given = np.array([conditions["number"] for _, _, conditions in steps], dtype=np.float64)
     u = np.maximum([mean[1] for _, mean, _ in steps], 1e-12 * np.abs(given).max())
     net = net_outputs([mean[0] for _, mean, _ in steps], u, before, after)

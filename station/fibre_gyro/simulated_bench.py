@@ -61,7 +61,9 @@ class SimulatedFogBench:
 
     def _model(self, planned: PlannedSegment) -> str:
         chosen = self._settings.simulation.model
-        return ("transit" if planned.conditions.get("loop") == "held" else "output") if chosen == "auto" else chosen
+        return (
+            ("transit" if planned.conditions.get("loop") == "held" else "output") if chosen == "auto" else chosen
+        )
 
     def _output(self, planned: PlannedSegment, count: int, period: float, *, held: bool) -> OutputBlock:
         """Run the gyro; one output more than is kept, the first holds the settling of the loop."""
@@ -110,7 +112,11 @@ class SimulatedFogBench:
     def _distorted(self, rates: Floats) -> Floats:
         simulation = self._settings.simulation
         full = max(self._settings.figures.rates_dps)
-        shape = 1 + simulation.cubic_ppm / _PPM * (rates / full) ** 2 + simulation.asymmetry_ppm / _PPM / 2 * np.sign(rates)
+        shape = (
+            1
+            + simulation.cubic_ppm / _PPM * (rates / full) ** 2
+            + simulation.asymmetry_ppm / _PPM / 2 * np.sign(rates)
+        )
         return np.where(np.abs(rates) < simulation.dead_zone_dps, 0.0, rates * shape)
 
     def _recording(self, planned: PlannedSegment, block: OutputBlock, count: int, *, held: bool) -> Recording:
@@ -121,7 +127,7 @@ class SimulatedFogBench:
         extra = {"normal_error": block.normal_error[1:], "reset_error": block.reset_error[1:]} if held else {}
         temperature = planned.conditions.get("temperature_c")
         return Recording(
-            times=np.arange(count) * block.interval_s,
+            times=np.arange(count, dtype=np.float64) * block.interval_s,
             counts=counts,
             temperature=None if temperature is None else np.full(count, float(temperature)),
             status=None,

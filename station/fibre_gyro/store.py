@@ -169,11 +169,6 @@ class FogRunWriter:
         names = "key, taken_at, conditions, recording, samples, sha256"
         self._commit(f"INSERT INTO segment ({names}) VALUES (?, ?, ?, ?, ?, ?)", [row])
 
-    def save_result(self, document: Mapping[str, object]) -> None:
-        """Keep what was computed from the segments beside them."""
-        row = (utc_now(), json.dumps(dict(document), allow_nan=False))
-        self._commit("INSERT INTO result (computed_at, value) VALUES (?, ?)", [row])
-
     def close(self) -> None:
         """End the run: afterwards it is one plain file."""
         with suppress(sqlite3.Error):  # while a reader looks, the journal stays: the run is complete all the same
@@ -191,6 +186,23 @@ class FogRunWriter:
                 raise
         except sqlite3.Error as error:
             raise RunError(f"{self.path}: the disk does not take it ({error})") from error
+
+
+def save_fog_result(path: Path, document: Mapping[str, object]) -> None:
+    """Keep what was computed from the segments of a run beside them.
+
+    Raises
+    ------
+    RunError
+        If the disk does not take it.
+    """
+    try:
+        with closing(sqlite3.connect(path)) as db, db:
+            db.execute("PRAGMA synchronous = FULL")
+            row = (utc_now(), json.dumps(dict(document), allow_nan=False))
+            db.execute("INSERT INTO result (computed_at, value) VALUES (?, ?)", row)
+    except sqlite3.Error as error:
+        raise RunError(f"{path}: the result cannot be saved ({error})") from error
 
 
 def is_fog_run(path: Path) -> bool:

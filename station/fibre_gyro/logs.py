@@ -1,0 +1,229 @@
+"""Saved logs as a run: a list in CSV says which file was taken under which conditions.
+
+The list has one line for each stretch of output and a header with the names of its columns:
+
+    file               CSV of the gyro's output (time, counts, temperature), beside the list
+    start_s, stop_s    optional: the part of the file; for a table rate it must be whole turns
+    axis, rate_dps     table and figures: which axis, at which signed rate of the table; 0 at rest
+    table_rate_dps     optional: the rate that the table really had
+    end_up             optional: -1 where the axis pointed down
+    stands_for_dps     selfcal: the rate that the injected step stands for, 0 at rest
+    number             selfcal: the injected step in counts, 0 at rest
+    step_codes         eps: the injected step in codes
+    run, temperature_c optional, figures: name of the run and its temperature
+"""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from instrument.fibre_gyro import Losses, Recording, read_gyro_log
+from station.errors import UsageError
+from station.fibre_gyro import eps, figures, selfcal, table
+from station.fibre_gyro.settings import FogSettings
+
+_NUMBERS = (
+    "start_s",
+    "stop_s",
+    "rate_dps",
+    "table_rate_dps",
+    "stands_for_dps",
+    "number",
+    "step_codes",
+    "temperature_c",
+)
+_COLUMNS = ("file", "axis", "end_up", "run", *_NUMBERS)
+_NEEDED = {
+    table.PURPOSE: ("rate_dps",),
+    selfcal.PURPOSE: ("stands_for_dps", "number"),
+    eps.PURPOSE: ("step_codes",),
+    figures.PURPOSE: ("rate_dps",),
+}
+_SAME_TEMPERATURE_K = 5.0
+
+Row = dict[str, Any]
+
+
+Log = tuple[str, dict[str, Any], Recording]
+
+
+def read_logs(lists: Sequence[Path], purpose: str, settings: FogSettings) -> list[Log]:
+    """Read every log that the lists name: key, conditions and recording of its segment.
+
+    Parameters
+    ----------
+    lists : sequence of Path
+    purpose : {"table", "selfcal", "eps", "figures"}
+    settings : FogSettings
+
+    Raises
+    ------
+    UsageError
+        A list is not usable: the text names file, line and column.
+    FileFormatError
+        A log cannot be read.
+    """
+    rows = [row for path in lists for row in read_list(path, purpose)]
+    conditions_of: Callable[[Sequence[Row], FogSettings], list[tuple[str, Row]]] = _CONDITIONS[purpose]
+    logs: list[Log] = []
+    taken: set[str] = set()
+    for row, (name, conditions) in zip(rows, conditions_of(rows, settings), strict=True):
+        recording = _part(read_gyro_log(row["path"]), row.get("start_s"), row.get("stop_s"), row["place"])
+        key, count = f"{name} ({row['file']})", 1
+        while key in taken:
+            count += 1
+            key = f"{name} ({row['file']}, {count})"
+        taken.add(key)
+        logs.append((key, {"purpose": purpose, "source": str(row["path"]), **conditions}, recording))
+    return logs
+
+
+def read_list(path: Path, purpose: str) -> list[Row]:
+    """Read one list; errors as :func:`read_logs`."""
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+    except UnicodeDecodeError:
+        raise UsageError(f"{path}: is neither a saved run nor a list of logs (not a text file)") from None
+    lines = [line for line in text.splitlines() if line.strip() and not line.lstrip().startswith("#")]
+    if not lines:
+        raise UsageError(f"{path}: is empty; a list of logs has a header and one line for each log")
+    reader = csv.DictReader(lines, delimiter=";" if ";" in lines[0] else ",", skipinitialspace=True)
+    header = [name.strip() for name in reader.fieldnames or []]
+    reader.fieldnames = header
+    for needed in ("file", *_NEEDED[purpose]):
+        if needed not in header:
+            raise UsageError(f"{path}: its header has no column {needed}, which {purpose} needs")
+    if unknown := [name for name in header if name not in _COLUMNS]:
+        raise UsageError(f"{path}: no such column: {', '.join(unknown)}; known are {', '.join(_COLUMNS)}")
+    rows = [_row(path, number, entry, purpose) for number, entry in enumerate(reader, start=1)]
+    if not rows:
+        raise UsageError(f"{path}: has a header but names no log")
+    return rows
+
+
+def _row(path: Path, number: int, entry: dict[str, str | None], purpose: str) -> Row:
+    place = f"{path}, log {number}"
+    row: Row = {"place": place}
+    for name, value in entry.items():
+        text = (value or "").strip() if isinstance(value, str | None) else ""
+        if name is None or name == "" or not text:
+            continue
+        row[name] = _number(text, f"{place}, {name}") if name in _NUMBERS else text
+    if missing := [name for name in ("file", *_NEEDED[purpose]) if name not in row]:
+        raise UsageError(f"{place}: {', '.join(missing)} is missing")
+    if row.setdefault("end_up", "1") not in ("1", "+1", "-1"):
+        raise UsageError(f"{place}, end_up: 1 or -1, not {row['end_up']}")
+    row["end_up"] = int(row["end_up"])
+    row["path"] = path.parent / row["file"]
+    return row
+
+
+def _number(text: str, place: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise UsageError(f"{place}: {text!r} is not a number")
+    return value
+
+
+def _part(recording: Recording, start_s: float | None, stop_s: float | None, place: str) -> Recording:
+    """Cut a part out of a recording, with the gaps that lie in it."""
+    if start_s is None and stop_s is None:
+        return recording
+    first, last = start_s or 0.0, math.inf if stop_s is None else stop_s
+    half = recording.interval_s / 2
+    times = recording.times - recording.times[0]
+    kept = (times >= first - half) & (times < last - half)
+    if kept.sum() < 2:
+        raise UsageError(f"{place}: from {first:g} s to {last:g} s the log holds no output")
+    gaps = tuple(gap for gap in recording.gaps if first <= gap.start_s - recording.times[0] < last)
+    missing = sum(gap.missing for gap in gaps)
+    return replace(
+        recording,
+        times=recording.times[kept],
+        counts=recording.counts[kept],
+        temperature=None if recording.temperature is None else recording.temperature[kept],
+        status=None if recording.status is None else recording.status[kept],
+        extra={name: values[kept] for name, values in recording.extra.items()},
+        gaps=gaps,
+        losses=Losses(good=int(kept.sum()), missing=missing),
+    )
+
+
+def _table_conditions(rows: Sequence[Row], settings: FogSettings) -> list[tuple[str, Row]]:
+    named = []
+    for row in rows:
+        axis, end = row.get("axis", settings.table.axes[-1]), row["end_up"]
+        if row["rate_dps"] == 0:
+            raise UsageError(f"{row['place']}, rate_dps: a rate-table run has no log at rest")
+        conditions = {"axis": axis, "end_up": end, "rate_dps": row["rate_dps"], **_of_log(row)}
+        named.append((table.table_key(axis, row["rate_dps"], end), conditions))
+    return named
+
+
+def _of_log(row: Row) -> Row:
+    """What a log may say of its own: the table's true rate, and the window that was cut out."""
+    found = {"table_rate_dps": row["table_rate_dps"]} if "table_rate_dps" in row else {}
+    if "start_s" in row and "stop_s" in row and row["rate_dps"]:
+        found["window_s"] = row["stop_s"] - row["start_s"]
+    return found
+
+
+def _selfcal_conditions(rows: Sequence[Row], settings: FogSettings) -> list[tuple[str, Row]]:
+    at_rest = [place for place, row in enumerate(rows) if row["number"] == 0]
+    named = []
+    for place, row in enumerate(rows):
+        static = None
+        if place in at_rest:
+            static = "before" if place == at_rest[0] and place < len(rows) - 1 else "after"
+        conditions = {
+            "static": static,
+            "rate_dps": 0.0,
+            "stands_for_dps": row["stands_for_dps"],
+            "number": row["number"],
+            "step_codes": row["number"] / settings.gyro.counts_per_code,
+        }
+        named.append((f"static {static}" if static else selfcal.injection_key(row["stands_for_dps"]), conditions))
+    return named
+
+
+def _eps_conditions(rows: Sequence[Row], settings: FogSettings) -> list[tuple[str, Row]]:
+    return [
+        (
+            f"open loop {row['step_codes']:+.10g}",
+            {"loop": "held", "step_codes": row["step_codes"], "rate_dps": 0.0},
+        )
+        for row in rows
+    ]
+
+
+def _figures_conditions(rows: Sequence[Row], settings: FogSettings) -> list[tuple[str, Row]]:
+    reference, named = settings.figures.reference_temperature_c, []
+    for row in rows:
+        temperature = row.get("temperature_c")
+        conditions = {
+            "run": row.get("run", "run 1"),
+            "temperature_c": temperature,
+            "reference": temperature is None or abs(temperature - reference) <= _SAME_TEMPERATURE_K,
+            "rate_dps": row["rate_dps"],
+            "end_up": row["end_up"],
+            **_of_log(row),
+        }
+        name = "static" if row["rate_dps"] == 0 else f"{row['rate_dps']:+.10g} deg/s"
+        named.append((f"{conditions['run']}, {name}", conditions))
+    return named
+
+
+_CONDITIONS = {
+    table.PURPOSE: _table_conditions,
+    selfcal.PURPOSE: _selfcal_conditions,
+    eps.PURPOSE: _eps_conditions,
+    figures.PURPOSE: _figures_conditions,
+}

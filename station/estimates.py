@@ -9,8 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis import Flag, LockInEstimate, combine_estimates, estimate_lock_in
+from analysis import Flag, LockInEstimate, estimate_lock_in
 from analysis.lockin_equation import Relation
+from analysis.lockin_rate import rate_and_slopes
+from analysis.ratio_interval import size_interval
 from instrument import Preamble, Waveform
 from instrument.errors import InstrumentError
 from instrument.waveform import CLIPPED_CODE
@@ -64,40 +66,68 @@ def saved_waveform(record: SavedRecord, run: SavedRun) -> Waveform:
         raise RunError(f"{run.path}: record {record.number} cannot be read: {error}") from None
 
 
-def estimate_records(
-    waveforms: Sequence[Waveform], method: Method, input_rates: Array | None = None
-) -> tuple[LockInEstimate, LockInEstimate]:
-    """Estimate each record and combine them, those of one time base and length together.
+def estimate_records(waveforms: Sequence[Waveform], method: Method) -> LockInEstimate:
+    """Estimate each record, those of one time base and length together.
 
     Parameters
     ----------
     waveforms : sequence of Waveform
     method : Method
-    input_rates : ndarray, shape (n,), optional
-        Rates on the gyro's axis in deg/s, signed, instead of the one of the method.
 
     Returns
     -------
+    LockInEstimate
+        Fields of shape (n,).
+    """
+    parts, order = [], []
+    for indices in batches(waveforms):
+        parts.append(_estimate_batch([waveforms[index] for index in indices], method))
+        order += indices
+    return only_beats(joined(parts, np.argsort(order)))
+
+
+def at_known_rates(each: LockInEstimate, rates: Array) -> LockInEstimate:
+    """Take the rates of the table as reference instead of the beat.
+
+    Parameters
+    ----------
     each : LockInEstimate
         Fields of shape (n,).
-    combined : LockInEstimate
-        Fields of shape ().
+    rates : ndarray, shape (n,)
+        On the gyro's axis, deg/s, signed.
+
+    Returns
+    -------
+    LockInEstimate
+        The same ratios, with the lock-in rates that follow from these rates.
     """
+    beat_rate = each.beat_frequency / each.scale_factor
+    value, slope, _ = rate_and_slopes(each.ratio, beat_rate, rates, each.relation)
+    value_u = slope * each.ratio_u
+    observed, _, _ = rate_and_slopes(np.abs(each.complex_ratio), beat_rate, rates, each.relation)
+    low, high = size_interval(observed / value_u)
+    sense = np.where(rates < 0, -1.0, 1.0)
+    return replace(
+        each,
+        lock_in_rate=value,
+        lock_in_rate_u=value_u,
+        lock_in_rate_low_95=low * value_u,
+        lock_in_rate_high_95=high * value_u,
+        input_rate=rates,
+        backscatter_phase=np.angle(-each.complex_ratio * sense) * sense,
+        rate_given=True,
+    )
+
+
+def batches(waveforms: Sequence[Waveform]) -> list[list[int]]:
+    """Sort waveforms into batches of one time base and length, small enough for the memory."""
     groups: dict[tuple[float, int], list[int]] = {}
     for index, wave in enumerate(waveforms):
         groups.setdefault((wave.sample_interval, wave.codes.size), []).append(index)
-    parts, order = [], []
-    for (interval, _), indices in groups.items():
-        for first in range(0, len(indices), _BATCH):
-            batch = indices[first : first + _BATCH]
-            rates = None if input_rates is None else input_rates[batch]
-            parts.append(_estimate_batch([waveforms[index] for index in batch], interval, method, rates))
-            order += batch
-    each = _only_beats(_joined(parts, np.argsort(order)))
-    return each, combine_estimates(each)
+    return [rows[first : first + _BATCH] for rows in groups.values() for first in range(0, len(rows), _BATCH)]
 
 
-def _only_beats(each: LockInEstimate) -> LockInEstimate:
+def only_beats(each: LockInEstimate) -> LockInEstimate:
     """Withhold what rests on a piece of some curve: fewer than 3 periods that do not fit either."""
     curve = int(Flag.FEW_PERIODS | Flag.MISFIT)
     pieces = (each.flags & curve) == curve
@@ -107,28 +137,31 @@ def _only_beats(each: LockInEstimate) -> LockInEstimate:
     return replace(each, flags=flags, **withheld)
 
 
-def _estimate_batch(
-    waveforms: Sequence[Waveform], interval: float, method: Method, input_rates: Array | None
-) -> LockInEstimate:
-    volts = np.array([wave.volts for wave in waveforms])
+def clipped_samples(waveforms: Sequence[Waveform]) -> NDArray[np.bool_]:
+    """Samples that stand at the end of the converter's range, shape (n_records, n_samples)."""
     codes = np.array([wave.codes for wave in waveforms])
     highest = CLIPPED_CODE if codes.dtype == np.int8 else 256 * CLIPPED_CODE
+    # a sample without data is nan, not clipped, though its code is the lowest of all
+    valid = np.isfinite(np.array([wave.volts for wave in waveforms]))
+    return np.asarray((np.abs(codes.astype(np.int32)) >= highest) & valid)
+
+
+def _estimate_batch(waveforms: Sequence[Waveform], method: Method) -> LockInEstimate:
     return estimate_lock_in(
-        volts,
-        interval,
+        np.array([wave.volts for wave in waveforms]),
+        waveforms[0].sample_interval,
         scale_factor=method.scale_factor,
-        input_rate=method.input_rate if input_rates is None else input_rates,
+        input_rate=method.input_rate,
         relation=method.relation,
-        # a sample without data is nan, not clipped, though its code is the lowest of all
-        clipped=(np.abs(codes.astype(np.int32)) >= highest) & np.isfinite(volts),
+        clipped=clipped_samples(waveforms),
     )
 
 
-def _joined(parts: list[LockInEstimate], order: NDArray[np.intp]) -> LockInEstimate:
+def joined(parts: list[LockInEstimate], order: NDArray[np.intp]) -> LockInEstimate:
     """Put estimates of several batches behind each other, in the order of the records."""
-    joined: dict[str, Any] = {}
+    values: dict[str, Any] = {}
     for field in fields(LockInEstimate):
-        values = [getattr(part, field.name) for part in parts]
-        if np.ndim(values[0]):
-            joined[field.name] = np.concatenate(values)[order]
-    return replace(parts[0], **joined)
+        each = [getattr(part, field.name) for part in parts]
+        if np.ndim(each[0]):
+            values[field.name] = np.concatenate(each)[order]
+    return replace(parts[0], **values)

@@ -8,10 +8,12 @@ from statistics import fmean
 
 import numpy as np
 
-from analysis import FATAL, LockInEstimate, flag_names
+from analysis import FATAL, LockInEstimate, combine_estimates, flag_names
 from instrument import Waveform
+from station.acquisitions import Acquisition, acquisitions_of
 from station.errors import RunError, UsageError
-from station.estimates import Method, estimate_records, saved_waveform
+from station.estimates import Method, at_known_rates, estimate_records, saved_waveform
+from station.quadratures import QuadratureResult, estimate_pairs, quadrature_result
 from station.runs import SavedRecord, SavedRun
 from station.settings import Settings
 from station.several_rates import (
@@ -49,6 +51,8 @@ class Evaluation:
         The true values of a simulated run.
     several : SeveralRates or None
         Where records were taken at several rates or in both senses.
+    quadratures : QuadratureResult or None
+        Where a second photodiode was recorded.
     """
 
     method: Method
@@ -61,6 +65,7 @@ class Evaluation:
     table_check: TableCheck | None = None
     truth: dict[str, float] | None = None
     several: SeveralRates | None = None
+    quadratures: QuadratureResult | None = None
 
     @property
     def usable(self) -> bool:
@@ -70,12 +75,13 @@ class Evaluation:
     @property
     def method_text(self) -> str:
         """Describe in words how the lock-in rate was found."""
+        text = f"{self.method.text}, sine and cosine channel" if self.quadratures is not None else self.method.text
         if self.several is None:
-            return self.method.text
+            return text
         fitted = {"lock-in": "", "distortion": " and distortion", "gain": " and gain corner"}
         fit = self.several.by_beat
         what = "" if fit is None else fitted.get(fit.model, ", distortion and gain corner")
-        return f"{self.method.text}; lock-in rate{what} fitted to {len(self.several.groups)} rates"
+        return f"{text}; lock-in rate{what} fitted to {len(self.several.groups)} rates"
 
     @property
     def flags(self) -> list[str]:
@@ -111,21 +117,34 @@ def evaluate_run(run: SavedRun, method: Method | None = None) -> Evaluation:
     """
     settings = saved_settings(run)
     method = method or Method(settings.gyro.scale_factor_pulses_per_deg)
-    taken = run.taken_for("measure")
-    records = [record for record in taken if record.intact]
-    damaged = tuple(str(count) for count, record in enumerate(taken, start=1) if not record.intact)
-    if not records:
-        what = "only damaged records" if damaged else "no record at the slow rate"
+    acquisitions = acquisitions_of(run)
+    if not any(taken.intact for taken in acquisitions):
+        what = "only damaged records" if acquisitions else "no record at the slow rate"
         raise RunError(f"{run.path}: the run holds {what}")
+    damaged = tuple(taken.name for taken in acquisitions if not taken.intact)
+    intact = [taken for taken in acquisitions if taken.intact]
+    records = [taken.sine for taken in intact]
     waveforms = tuple(saved_waveform(record, run) for record in records)
-    # counted among the records at the slow rate: those of the fast run have numbers too
-    number = {record.number: str(count) for count, record in enumerate(taken, start=1)}
-    names = tuple(number[record.number] for record in records)
+    each, quadratures = _estimates(intact, waveforms, run, method)
     tilt = evaluate_tilt(run.taken_for("tilt"), settings) if fast_run_is_whole(run, settings) else None
-    one = Evaluation(method, names, waveforms, *estimate_records(waveforms, method), damaged, tilt)
+    names = tuple(taken.name for taken in intact)
+    combined = combine_estimates(each)
+    one = Evaluation(method, names, waveforms, each, combined, damaged, tilt, quadratures=quadratures)
     if tilt is not None and at_several_rates(records):
         return _with_rates(one, records, settings, tuple(run.facts.get("rates_without_beat", ())))
     return _with_table(one, records, settings)
+
+
+def _estimates(
+    acquisitions: Sequence[Acquisition], waveforms: Sequence[Waveform], run: SavedRun, method: Method
+) -> tuple[LockInEstimate, QuadratureResult | None]:
+    """Estimate the records, with the help of the second photodiode where there is one."""
+    seconds = [taken.cosine for taken in acquisitions if taken.cosine is not None]
+    if len(seconds) < len(acquisitions):
+        return estimate_records(waveforms, method), None
+    cosines = [saved_waveform(record, run) for record in seconds]
+    each, pairs = estimate_pairs(waveforms, cosines, method)
+    return each, quadrature_result(pairs)
 
 
 def _with_table(one: Evaluation, records: Sequence[SavedRecord], settings: Settings) -> Evaluation:
@@ -133,7 +152,7 @@ def _with_table(one: Evaluation, records: Sequence[SavedRecord], settings: Setti
     check = None
     if one.tilt is not None and one.method.input_rate is None:
         axis = axis_rates(records, one.tilt, settings)
-        _, by_table = estimate_records(one.waveforms, one.method, axis.rates)
+        by_table = combine_estimates(at_known_rates(one.each, axis.rates))
         check = table_check(one.combined, by_table, axis)
     return replace(one, table_check=check, truth=_mean_truth(records))
 
@@ -170,8 +189,8 @@ def evaluate_waveforms(waveforms: Sequence[Waveform], names: Sequence[str], meth
     -------
     Evaluation
     """
-    each, combined = estimate_records(waveforms, method)
-    return Evaluation(method, tuple(names), tuple(waveforms), each, combined)
+    each = estimate_records(waveforms, method)
+    return Evaluation(method, tuple(names), tuple(waveforms), each, combine_estimates(each))
 
 
 def saved_settings(run: SavedRun) -> Settings:

@@ -84,6 +84,10 @@ class ContaminantSettings(_Section):
     third_harmonic_dbc: Dbc | None = None
     bandwidth_hz: NotNegative = 0.0
     ac_corner_hz: NotNegative = 0.0
+    gain_corner_hz: NotNegative = 0.0
+    cross_saturation: Annotated[float, Field(ge=0, lt=1)] = 0.5
+    backscatter_phase_sum_deg: Annotated[float, Field(gt=-170, lt=170)] = 0.0
+    single_beams: Annotated[float, Field(ge=0, le=10)] = 0.0
     rate_ripple_dps: NotNegative = 0.0
     rate_ripple_hz: NotNegative = 1.0
     pump_ripple: Annotated[float, Field(ge=0, lt=1)] = 0.0

@@ -17,6 +17,7 @@ from station.settings_sections import ContaminantSettings
 from station.simulated_gyro import (
     Detector,
     Gyro,
+    Winking,
     axis_rate_on_table,
     beat_signal_on_table,
     harmonic_ratio,
@@ -102,8 +103,18 @@ def build_instruments(settings: Settings, clock: Clock) -> SimulatedInstruments:
 
 def _gyro(settings: Settings, simulation: SimulationSettings, start_phase: float) -> Gyro:
     added = simulation.contaminants
+    scale_factor = settings.gyro.scale_factor_pulses_per_deg * (1 + 1e-6 * added.scale_factor_error_ppm)
+    winking = None
+    if added.gain_corner_hz > 0 and simulation.lock_in_rate_dps > 0:
+        winking = Winking(
+            scale_factor,
+            simulation.lock_in_rate_dps,
+            gain_corner_hz=added.gain_corner_hz,
+            phase_sum=math.radians(added.backscatter_phase_sum_deg),
+            cross_saturation=added.cross_saturation,
+        )
     return Gyro(
-        scale_factor=settings.gyro.scale_factor_pulses_per_deg * (1 + 1e-6 * added.scale_factor_error_ppm),
+        scale_factor=scale_factor,
         lock_in_rate=simulation.lock_in_rate_dps,
         backscatter_phase=math.radians(simulation.backscatter_phase_deg),
         tilt_deg=simulation.tilt_deg,
@@ -113,6 +124,7 @@ def _gyro(settings: Settings, simulation: SimulationSettings, start_phase: float
         scale_factor_drift_ppm_per_hour=added.scale_factor_drift_ppm_per_hour,
         ripple_dps=added.rate_ripple_dps,
         ripple_hz=added.rate_ripple_hz,
+        winking=winking,
     )
 
 
@@ -129,6 +141,7 @@ def _detector(simulation: SimulationSettings) -> Detector:
         ac_corner_hz=added.ac_corner_hz,
         pump_ripple=added.pump_ripple,
         pump_hz=added.pump_ripple_hz,
+        single_beams=added.single_beams,
     )
 
 

@@ -142,7 +142,8 @@ def _frequency_series(
 
 
 def _advance_by_quadrature(gyro: Gyro, segment: Segment, times: Array) -> Array:
-    """Advance while the table slews: cumulative trapezoidal rule; slews are short."""
+    """Advance while the table slews: cumulative trapezoidal rule; slews are short, nobody measures in one."""
+    gyro = gyro.without_winking()
     if times.size == 0:
         return np.empty(0)
     end = max(float(times.max()), segment.start + 1e-9)

@@ -15,14 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from station.simulated_gyro.gyro import Gyro, harmonic_ratio
+from station.simulated_gyro.rate_grid import interpolate, rate_at
 
 Array = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
 
-_GRID = 0.02  # step of the grid in ln(f/K); cubic interpolation is then good to 1e-8 of a harmonic
 _FEWEST_POINTS, _MOST_POINTS = 128, 8192
 _NEGLIGIBLE = 1e-11
-_LOWEST_BEAT_DPS = 1e-9
 
 
 @dataclass(frozen=True)
@@ -42,6 +41,8 @@ class Detector:
         Corners of one pole each; 0: there is none.
     pump_ripple, pump_hz : float
         The light swings by this share.
+    single_beams : float
+        Light of the single beams over that of the fringes: how much of their winking is seen.
     """
 
     readout_phase: float
@@ -53,6 +54,7 @@ class Detector:
     ac_corner_hz: float = 0.0
     pump_ripple: float = 0.0
     pump_hz: float = 0.0
+    single_beams: float = 0.0
 
     @property
     def filtered(self) -> bool:
@@ -97,11 +99,11 @@ def detector_signal(gyro: Gyro, detector: Detector, axis_rate: Array, beat_phase
     ndarray, shape (n,)
         V. A locked gyro gives a constant.
     """
-    if not detector.filtered:
-        return detector.volts(gyro.fringe(axis_rate, beat_phase), gyro.backscatter_phase)
-    # behind a filter a locked gyro's slow signal is what the filter leaves of a constant
-    still = detector.volts(gyro.fringe(axis_rate, beat_phase), gyro.backscatter_phase)
-    volts: Array = still * float(detector.response(np.zeros(1))[0].real)
+    at_once = detector.volts(gyro.fringe(axis_rate, beat_phase), gyro.backscatter_phase)
+    if not detector.filtered and gyro.winking is None:
+        return at_once
+    # behind a filter a locked gyro's signal is what the filter leaves of a constant
+    volts: Array = at_once * float(detector.response(np.zeros(1))[0].real)
     for sense in (1, -1):
         inside = np.flatnonzero(~gyro.locked(axis_rate) & (np.sign(axis_rate) == sense))
         if inside.size:
@@ -110,44 +112,42 @@ def detector_signal(gyro: Gyro, detector: Detector, axis_rate: Array, beat_phase
 
 
 def _by_harmonics(gyro: Gyro, detector: Detector, rates: Array, phases: Array, sense: int) -> Array:
-    """Sum of the harmonics, cubic interpolation between four points of the grid of rates."""
-    beat_rate = np.sqrt((np.abs(rates) - gyro.lock_in_rate) * (np.abs(rates) + gyro.lock_in_rate))
-    place = np.log(np.maximum(beat_rate, _LOWEST_BEAT_DPS)) / _GRID
-    cell = np.floor(place).astype(int)
+    """Sum of the harmonics, each interpolated between points of the grid of rates."""
     turning = np.exp(1j * sense * phases)
-    volts = np.empty_like(rates)
-    for number in np.unique(cell):
-        inside = cell == number
-        x = place[inside] - number
-        total = np.zeros(x.size)
-        for node, weight in enumerate(_cubic_weights(x), start=int(number) - 1):
-            series = _harmonics(gyro, detector, node, sense)
-            total += weight * np.polynomial.polynomial.polyval(turning[inside], series).real
-        volts[inside] = total
-    return volts
 
+    def at_point(point: int, inside: NDArray[np.intp]) -> Array:
+        series = _harmonics(gyro, detector, point, sense)
+        return np.asarray(np.polynomial.polynomial.polyval(turning[inside], series).real, dtype=np.float64)
 
-def _cubic_weights(x: Array) -> tuple[Array, Array, Array, Array]:
-    """Weights of the points -1, 0, 1, 2 for a place x between 0 and 1 (Lagrange)."""
-    before, after, beyond = x + 1, x - 1, x - 2
-    first, second = -x * after * beyond / 6, before * after * beyond / 2
-    return first, second, -before * x * beyond / 2, before * x * after / 6
+    return interpolate(rates, gyro.lock_in_rate, at_point)
 
 
 @lru_cache(maxsize=4096)
-def _harmonics(gyro: Gyro, detector: Detector, node: int, sense: int) -> Complexes:
+def _harmonics(gyro: Gyro, detector: Detector, point: int, sense: int) -> Complexes:
     """Complex amplitudes of the harmonics 0, 1, ... behind the filters, V, at one point of the grid."""
-    beat_rate = math.exp(_GRID * node)
-    rate = sense * math.hypot(beat_rate, gyro.lock_in_rate)
-    ratio = float(harmonic_ratio(np.array(rate), gyro.lock_in_rate))
-    # the harmonics that the grid cannot hold would fold back: they shall be negligible
-    wanted = 4 * math.log(_NEGLIGIBLE) / math.log(min(max(ratio, 1e-9), 1 - 1e-9))
-    points = 1 << math.ceil(math.log2(min(max(wanted, _FEWEST_POINTS), _MOST_POINTS)))
-    phases = sense * np.arange(points, dtype=np.float64) * (2 * np.pi / points)
-    volts = detector.volts(gyro.fringe(np.full(points, rate), phases), gyro.backscatter_phase)
-    amplitudes: Complexes = np.fft.rfft(volts) / points
+    rate = sense * rate_at(point, gyro.lock_in_rate)
+    volts = _one_period(gyro, detector, point, sense)
+    amplitudes: Complexes = np.fft.rfft(volts) / volts.size
     amplitudes[1:] *= 2
     frequency = abs(float(gyro.beat_frequency(np.array([rate]))[0]))
     amplitudes = amplitudes * detector.response(frequency * np.arange(amplitudes.size, dtype=np.float64))
     kept = np.flatnonzero(np.abs(amplitudes) > _NEGLIGIBLE * np.abs(amplitudes).max())
     return np.asarray(amplitudes[: kept[-1] + 1] if kept.size else amplitudes[:1])
+
+
+def _one_period(gyro: Gyro, detector: Detector, point: int, sense: int) -> Array:
+    """Volts before any filter, evenly over one period of the beat."""
+    if gyro.winking is not None:
+        fringe, pedestal = gyro.winking.fringe(point), gyro.winking.pedestal(point)
+        # the equations of equal beams are the same for the other sense, with the phase turned round
+        fringe = fringe if sense > 0 else np.conj(fringe)
+        return (
+            detector.volts(fringe, gyro.backscatter_phase) + detector.amplitude * detector.single_beams * pedestal
+        )
+    rate = sense * rate_at(point, gyro.lock_in_rate)
+    ratio = float(harmonic_ratio(np.array(rate), gyro.lock_in_rate))
+    # the harmonics that the grid cannot hold would fold back: they shall be negligible
+    wanted = 4 * math.log(_NEGLIGIBLE) / math.log(min(max(ratio, 1e-9), 1 - 1e-9))
+    points = 1 << math.ceil(math.log2(min(max(wanted, _FEWEST_POINTS), _MOST_POINTS)))
+    phases = sense * np.arange(points, dtype=np.float64) * (2 * np.pi / points)
+    return detector.volts(gyro.fringe(np.full(points, rate), phases), gyro.backscatter_phase)

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from analysis import lockin_equation
 from analysis.rotation import rate_on_axis
+from station.simulated_gyro.winking import Winking
 
 Array = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
@@ -35,6 +36,8 @@ class Gyro:
         K grows by so much.
     ripple_dps, ripple_hz : float
         A swing of the rate on the axis. Its frequency has to be far below that of the beat.
+    winking : Winking or None
+        Gain saturation; ``None``: the lock-in equation holds.
     """
 
     scale_factor: float
@@ -47,6 +50,7 @@ class Gyro:
     scale_factor_drift_ppm_per_hour: float = 0.0
     ripple_dps: float = 0.0
     ripple_hz: float = 0.0
+    winking: Winking | None = None
 
     def axis_rate(self, table_rate_dps: ArrayLike, azimuth_deg: ArrayLike, ripple_phase: ArrayLike = 0.0) -> Array:
         """Rate W on the gyro's axis in deg/s, from rate and azimuth of the table and the phase of the ripple."""
@@ -70,6 +74,9 @@ class Gyro:
     def beat_frequency(self, axis_rate: Array) -> Array:
         """Beat frequency in Hz at time zero, with the sign of the rate; zero where the gyro is locked."""
         frequency = lockin_equation.beat_frequency(self.scale_factor, axis_rate, self.lock_in_rate)
+        turning = ~self.locked(axis_rate)
+        if self.winking is not None:
+            frequency[turning] *= self.winking.frequency_factor(axis_rate[turning])
         return np.asarray(np.sign(axis_rate) * frequency)
 
     def fringe(self, axis_rate: Array, beat_phase: Array) -> Complexes:
@@ -98,6 +105,10 @@ class Gyro:
             sine = np.clip(axis_rate / self.lock_in_rate, -1.0, 1.0)
             fringe = np.where(self.locked(axis_rate), np.exp(1j * np.arcsin(sine)), fringe)
         return np.asarray(fringe, dtype=np.complex128)
+
+    def without_winking(self) -> Gyro:
+        """The same gyro with a laser that follows at once."""
+        return self if self.winking is None else replace(self, winking=None)
 
     def locked(self, axis_rate: Array) -> NDArray[np.bool_]:
         """Where the beat stands still."""

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from station.simulated_gyro.beat import beat_phase_on_table
 from station.simulated_gyro.detector import Detector, detector_signal
 from station.simulated_gyro.gyro import Gyro
-from station.simulated_gyro.motion import Segment
+from station.simulated_gyro.motion import Segment, split
 
 Array = NDArray[np.float64]
 
@@ -33,7 +33,11 @@ def beat_signal_on_table(gyro: Gyro, detector: Detector, motion: Sequence[Segmen
         V, without noise.
     """
     rates, phases = beat_phase_on_table(gyro, motion, times)
-    volts = detector_signal(gyro, detector, rates, phases)
+    volts = np.empty_like(times)
+    for number, inside in split(tuple(motion), times):
+        steady = motion[number].acceleration_dps2 == 0.0
+        laser = gyro if steady else gyro.without_winking()
+        volts[inside] = detector_signal(laser, detector, rates[inside], phases[inside])
     return np.asarray(volts * detector.swing(times)) if detector.pump_ripple else volts
 
 

@@ -1,0 +1,66 @@
+"""A grid of rates, at whose points a beat is worked out once, and the interpolation between them.
+
+The grid is even in the logarithm of sqrt(W^2 - WL^2), on which everything about a beat depends smoothly.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+STEP = 0.05
+_OFFSETS = np.arange(-2.0, 4.0)  # six points around a place between 0 and 1
+_LOWEST_DPS = 1e-9
+
+
+def rate_at(point: int, lock_in_rate: float) -> float:
+    """Rate W in deg/s, positive, at a point of the grid."""
+    return math.hypot(math.exp(STEP * point), lock_in_rate)
+
+
+def interpolate(
+    rates: Array, lock_in_rate: float, at_point: Callable[[int, NDArray[np.intp]], Array | float]
+) -> Array:
+    """Interpolate between the points of the grid, by polynomials of the fifth degree.
+
+    Parameters
+    ----------
+    rates : ndarray, shape (n,)
+        deg/s, either sign, all beyond the lock-in rate.
+    lock_in_rate : float
+        deg/s.
+    at_point : callable
+        Gets the number of a point and the indices of the rates that need it; gives their values there, or one
+        value for all of them.
+
+    Returns
+    -------
+    ndarray, shape (n,)
+    """
+    size = np.abs(rates)
+    beat_rate = np.sqrt((size - lock_in_rate) * (size + lock_in_rate))
+    place = np.log(np.maximum(beat_rate, _LOWEST_DPS)) / STEP
+    cells = np.floor(place).astype(np.intp)
+    values = np.empty(rates.shape)
+    for cell in np.unique(cells):
+        inside = np.flatnonzero(cells == cell)
+        weights = _lagrange(place[inside] - cell)
+        values[inside] = sum(
+            weight * at_point(int(cell + offset), inside) for offset, weight in zip(_OFFSETS, weights, strict=True)
+        )
+    return values
+
+
+def _lagrange(x: Array) -> Array:
+    """Weights (6, n) of the points around places x between 0 and 1."""
+    weights = np.ones((_OFFSETS.size, x.size))
+    for row, own in enumerate(_OFFSETS):
+        for other in _OFFSETS:
+            if other != own:
+                weights[row] *= (x - other) / (own - other)
+    return weights

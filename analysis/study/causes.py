@@ -36,7 +36,7 @@ from analysis.study.simulation import (
 Floats = NDArray[np.float64]
 
 POINTS = ((0.2, 0.01), (1.0, 0.05), (2.0, 0.1), (0.5, 0.01), (0.5, 0.03), (0.2, 0.15), (1.0, 0.1), (1.0, 0.5))
-"""Input rate and lock-in rate, deg/s: three at 20 times lock-in, the paper's Fig. 4, and ends of its Figs. 5 and 6."""
+"""Input rate and lock-in rate, deg/s: three at 20 times lock-in, the paper's Fig. 4, ends of its Figs. 5 and 6."""
 
 LEVELS = 100
 _PHASES = 8

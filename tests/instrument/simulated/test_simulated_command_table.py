@@ -6,6 +6,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from benchmarks import fuzz
 from instrument.simulated.commands import setting_rows
 from instrument.simulated.formats import abbreviations
 from instrument.simulated.kinds import Constant, NumberedWords, Real, Steps, Switch, Whole, Words
@@ -14,7 +15,6 @@ from instrument.simulated.models import MODELS, find_model
 
 ROWS = [row for row in setting_rows(find_model("TDS2014")) if not isinstance(row.kind, Constant)]
 RELAXED = settings(max_examples=300, deadline=None, suppress_health_check=list(HealthCheck), derandomize=True)
-IDENTITY = "TEKTRONIX,TDS 2014,0,CF:91.1CT FV:v4.12 TDS2CM:CMV:v1.04"
 
 
 def spelling(draw, header: str) -> str:
@@ -140,46 +140,17 @@ def test_letter_series_differs_where_the_manual_says(make_bench):
     assert ";VERTICAL:POSITION 0.0E0;SCALE 2.0E0;:MATH:FFT:HORIZONTAL" in bench.ask("MATH?")
 
 
-PIECES = [
-    b"*IDN?", b"CH1", b":", b"SCALE", b"?", b" ", b";", b",", b"#", b"#42500", b"#0", b"#9999999999", b'"', b"'",
-    b"1E", b"e", b"-", b"CURVE", b"WFMPRE", b"DATA", b"SOU", b"REFA", b"MATH:DEFINE", b"FFT(CH1", b")", b"*",
-    b"ACQ:STATE RUN", b"STOPA SEQ", b"\t", b"\x00", b"\xff", b"*DDT", b"*TRG", b"\xc3\xa9", b"1E400", b"nan",
-    b"HOR:SCALE 50", b"inf", b"0x10", b"1_0", b"SET?", b"*RST", b"VERB OFF", b"BUSY?", b"EVENT?", b"*WAI",
-    b"TRIG:MAIN:MODE NORM", b"LEVEL", b"MEASU:IMM:VAL?", b"POSITION 1e30", b"\r", b"\n", b"::", b"*OPC",
-]  # fmt: skip
+@pytest.mark.parametrize("model", ["TDS2014", "TPS2014", "TDS1002"])
+def test_no_string_upsets_the_parser(model):
+    outcome = fuzz.run(8000, seed=20090417, model=model)
+    assert outcome.failures == []
+    assert outcome.strings == 8000
 
 
-def test_no_message_upsets_the_parser(make_bench):
-    bench = make_bench({})
-    source = random.Random(20090417)
-    for round_ in range(20_000):
-        if round_ % 2:
-            message = b"".join(source.choices(PIECES, k=source.randint(1, 8)))
-        else:
-            message = source.randbytes(source.randint(1, 24))
-        bench.link.receive(message)
-        bench.link.pump()
-        if round_ % 50 == 0:
-            bench.link.clear()
-            assert bench.ask("*IDN?") == IDENTITY
-    assert round_ == 19_999
+def test_fuzzing_notices_a_scope_that_stumbles(monkeypatch, capsys):
+    def stumble(scope):
+        raise ZeroDivisionError
 
-
-def test_no_stream_of_bytes_hides_the_next_good_query(make_bench):
-    from instrument.simulated.exchange import MessageExchange
-
-    source = random.Random(7)
-    for _ in range(300):
-        bench = make_bench({})
-        link = MessageExchange(bench.scope, message_ends=False)
-        link.receive(b"".join(source.choices(PIECES, k=30)) + b"\n")
-        link.receive(b"\n" * 3000)  # ends the longest block that was begun
-        link.receive(b"*IDN?\n")
-        link.pump()
-        while link.working:  # whatever *WAI or *OPC? waits for ends now
-            bench.scope.set("ACQUIRE:STATE", 0)
-            link.pump()
-        answers = []
-        while (answer := link.take()) is not None:
-            answers.append(answer)
-        assert answers and answers[-1] == IDENTITY.encode() + b"\n"
+    monkeypatch.setattr("instrument.simulated.scope.SimulatedTDS2014.settle", stumble)
+    assert fuzz.main(["--count", "20"]) == 1
+    assert "ZeroDivisionError" in capsys.readouterr().out

@@ -36,6 +36,7 @@ from analysis.fibre_gyro.loop_words import (
     loop_constants,
 )
 from analysis.fibre_gyro.output_block import OutputBlock, Trace
+from analysis.fibre_gyro.output_clock import OutputClock
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -89,12 +90,12 @@ class ClosedLoop:
         self._phases = np.zeros((runs, 3))
         self._phases[:, SPAN] = 1.0 + settings.two_pi_error
         self._phases[:, PHASE] = self._phase[0] * self._phases[:, SPAN]
-        self._time, self._pairs = 0.0, 0
+        self._clock = OutputClock(coil)
 
     @property
     def time_s(self) -> float:
         """End of the last output period since the start."""
-        return self._time
+        return self._clock.time
 
     @property
     def injection_resolution(self) -> float:
@@ -142,29 +143,22 @@ class ClosedLoop:
         Raises
         ------
         ValueError
-            A period shorter than one sample pair, an injected step beyond half of the converter's range, or shapes
-            that do not fit.
+            No output, a period shorter than one sample pair, an injected step beyond half of the converter's
+            range, or shapes that do not fit.
         """
-        pair_time = 2.0 * self.coil.transit_time
-        if not output_period_s >= pair_time:
-            raise ValueError(
-                f"the output period must be at least 2 tau = {pair_time:.4g} s, not {output_period_s!r}"
-            )
-        ends: Floats = self._time + output_period_s * np.arange(1, n_outputs + 1, dtype=np.float64)
-        last = np.rint(ends / pair_time).astype(np.int64)
-        in_output: Ints = last - np.concatenate(([self._pairs], last[:-1]))
         rate = rate_dps if callable(rate_dps) else self._by_output(rate_dps, n_outputs)
-        steps = self.injected_units(self._by_output(injected_step, n_outputs))
+        steps = self.settings.injected_units(self._by_output(injected_step, n_outputs))
+        pair = self._clock.pairs
+        ends, in_output = self._clock.next_outputs(n_outputs, output_period_s)
         constants = loop_constants(self.settings, closed=self.settings.closed if closed is None else closed)
         total = np.zeros((self.runs, n_outputs, 4), dtype=np.int64)
         for chunk in _chunks(in_output, max(1, _CHUNK_SAMPLES // (2 * self.runs))):
-            drive = self._drive(chunk, rate, steps)
+            drive = self._drive(chunk, rate, steps, pair)
             sums = np.zeros((self.runs, chunk.output.size, 4), dtype=np.int64)
             self._run_pairs(constants, self._phase, self._words, self._phases, drive, sums)
             for place, output in enumerate(chunk.output.tolist()):
                 total[:, output] += sums[:, place]
-            self._pairs += int(chunk.pairs.sum())
-        self._time = float(ends[-1]) if n_outputs else self._time
+            pair += int(chunk.pairs.sum())
         return self._block(ends, output_period_s, in_output, total)
 
     def trace(
@@ -185,46 +179,30 @@ class ClosedLoop:
             As in :meth:`run`, constant.
         """
         chunk = _Chunk(np.zeros(1, dtype=np.intp), np.array([(n_samples + 1) // 2]))
-        steps = self.injected_units(np.full((self.runs, 1), float(injected_step)))
-        drive = self._drive(chunk, np.full((self.runs, 1), float(rate_dps)), steps)
+        steps = self.settings.injected_units(np.full((self.runs, 1), float(injected_step)))
+        first = self._clock.pairs
+        drive = self._drive(chunk, np.full((self.runs, 1), float(rate_dps)), steps, first)
         constants = loop_constants(self.settings, closed=self.settings.closed if closed is None else closed)
         seen: list[closed_loop_numpy.PairSignals] = []
         sums = np.zeros((self.runs, 1, 4), dtype=np.int64)
-        first = 2 * self._pairs + 1
 
         def watch(pair: closed_loop_numpy.PairSignals) -> None:
             seen.append(pair.of_run(0))
 
         closed_loop_numpy.run_pairs(constants, self._phase, self._words, self._phases, drive, sums, watch)
-        self._pairs += int(chunk.pairs[0])
-        self._time = self._pairs * 2.0 * self.coil.transit_time
-        return _trace(seen, first, self.coil, self.settings)
-
-    def injected_units(self, step: ArrayLike) -> Ints:
-        """Injected steps in whole units of 2^-F codes.
-
-        Raises
-        ------
-        ValueError
-            A step beyond half of the converter's range.
-        """
-        codes = np.asarray(step, dtype=np.float64)
-        worst = float(np.abs(codes).max(initial=0.0))
-        if not worst <= self.largest_step:
-            raise ValueError(
-                f"an injected step of {worst:.7g} codes is beyond half of the range of a "
-                f"{self.settings.dac_bits}-bit converter: at most {self.largest_step:.7g} codes"
-            )
-        return np.rint(codes * 2.0**self.settings.fractional_bits).astype(np.int64)
+        self._clock.next_pairs(int(chunk.pairs[0]))
+        return _trace(seen, 2 * first + 1, self.coil, self.settings)
 
     def _by_output(self, value: ArrayLike, n_outputs: int) -> Floats:
         return np.broadcast_to(np.asarray(value, dtype=np.float64), (self.runs, n_outputs))
 
-    def _drive(self, chunk: _Chunk, rate: Floats | Callable[[Floats], ArrayLike], steps: Ints) -> LoopInput:
+    def _drive(
+        self, chunk: _Chunk, rate: Floats | Callable[[Floats], ArrayLike], steps: Ints, first: int
+    ) -> LoopInput:
         """Noise, Sagnac phase and injected steps of one chunk."""
         n_pairs = int(chunk.pairs.sum())
         if callable(rate):
-            times = (self._pairs + 0.5 + np.arange(n_pairs, dtype=np.float64)) * 2.0 * self.coil.transit_time
+            times = (first + 0.5 + np.arange(n_pairs, dtype=np.float64)) * self._clock.pair_time
             rates = np.broadcast_to(np.asarray(rate(times), dtype=np.float64), (self.runs, n_pairs))
         else:
             rates = rate[:, chunk.output]

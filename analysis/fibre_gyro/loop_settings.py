@@ -9,11 +9,12 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from analysis.fibre_gyro.coil import FibreCoil
 
 Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
 InjectionPath = Literal["shared", "separate"]
 
 GUARD_BITS = 16
@@ -134,6 +135,23 @@ class LoopSettings:
     def adc_half_range(self) -> float:
         """Half of the range of the detector's converter, its counts: the level A of the mean intensity."""
         return 2.0 ** (self.adc_bits - 1)
+
+    def injected_units(self, steps: ArrayLike) -> Ints:
+        """Injected steps, given in codes, in whole units of 2^-fractional_bits codes.
+
+        Raises
+        ------
+        ValueError
+            A step beyond half of the converter's range.
+        """
+        codes = np.asarray(steps, dtype=np.float64)
+        beyond = codes[~(np.abs(codes) <= self.largest_step)]
+        if beyond.size:
+            raise ValueError(
+                f"an injected step of {beyond[0]:.7g} codes is beyond half of the range of a {self.dac_bits}-bit "
+                f"converter: at most {self.largest_step:.7g} codes"
+            )
+        return np.rint(codes * 2.0**self.fractional_bits).astype(np.int64)
 
     def converter_phase(self) -> Floats:
         """Modulator phase of every code in turns, without the 2 pi error; the bias reaches up to 5/4 of the range.

@@ -7,7 +7,7 @@ length is whole turns at one rate only, so every rate has a window of its own: M
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -30,8 +30,8 @@ class WindowMean:
     mean_u : float
         Standard uncertainty of the mean, counts, from the scatter of the block means.
     samples : int
+        Whole samples; the window may hold a part of one more.
     duration_s : float
-        ``samples`` times the sample interval.
     turns : int
         Whole turns in the window; 0 for a window at rest.
     """
@@ -154,7 +154,8 @@ def mean_over_turns(
 ) -> WindowMean:
     """Sum and mean of the output over the first `turns` whole turns of a record.
 
-    The window is a whole number of samples, so it may miss whole turns by half a sample at most.
+    The window ends within a sample, which counts with the part of it that lies inside: an output word is the mean
+    over its sample interval.
 
     Parameters
     ----------
@@ -169,18 +170,30 @@ def mean_over_turns(
     ------
     ValueError
         The record is too short, or holds values that are not finite.
+
+    Examples
+    --------
+    One turn at 80 deg/s is 4.5 s: four words and half of the fifth.
+
+    >>> mean_over_turns([1.0, 1.0, 1.0, 1.0, 10.0], 1.0, 80.0, turns=1).mean
+    2.0
     """
     values = np.asarray(counts, dtype=np.float64)
     wanted = turns * turn_time(rate_dps)
-    samples = round(wanted / sample_interval_s)
-    if turns < 1 or samples < 2 or samples > values.size:
+    length = round(wanted / sample_interval_s, 6)
+    if turns < 1 or length < 2 or length - values.size >= 1:
         raise ValueError(
             f"{turns} turns at {abs(rate_dps):g} deg/s take {wanted:.6g} s; the record has "
             f"{values.size * sample_interval_s:.6g} s: record longer or use fewer turns"
         )
+    length = min(length, float(values.size))
+    whole = int(length)
     # one block a turn: the sine of the horizontal earth rate does not count as scatter
-    blocks = turns if turns >= _BLOCKS_FOR_SCATTER else 0
-    return _window(values[:samples], sample_interval_s, turns, blocks, resolution)
+    window = _window(values[:whole], sample_interval_s, turns if turns >= _BLOCKS_FOR_SCATTER else 0, resolution)
+    if length > whole and not np.isfinite(values[whole]):
+        raise ValueError("the last output word of the window is missing")
+    total = window.total + (length - whole) * float(values[whole] if length > whole else 0.0)
+    return replace(window, total=total, mean=total / length, duration_s=length * sample_interval_s, turns=turns)
 
 
 def mean_at_rest(
@@ -204,10 +217,10 @@ def mean_at_rest(
     values = np.asarray(counts, dtype=np.float64)
     if values.size < 2:
         raise ValueError(f"a mean with an uncertainty needs at least 2 samples, not {values.size}")
-    return _window(values, sample_interval_s, 0, blocks if values.size >= 2 * blocks else 0, resolution)
+    return _window(values, sample_interval_s, blocks if values.size >= 2 * blocks else 0, resolution)
 
 
-def _window(values: Floats, interval: float, turns: int, blocks: int, resolution: float) -> WindowMean:
+def _window(values: Floats, interval: float, blocks: int, resolution: float) -> WindowMean:
     if not np.all(np.isfinite(values)):
         raise ValueError(f"{int(np.sum(~np.isfinite(values)))} of {values.size} output words are missing")
     mean = float(values.mean())
@@ -220,4 +233,4 @@ def _window(values: Floats, interval: float, turns: int, blocks: int, resolution
     # a word that hardly moves has a rounding error that does not average out
     stuck = float(np.std(values)) < 0.3 * resolution
     u = float(np.hypot(scatter, resolution / np.sqrt(12.0) if stuck else 0.0))
-    return WindowMean(float(values.sum()), mean, u, values.size, values.size * interval, turns)
+    return WindowMean(float(values.sum()), mean, u, values.size, values.size * interval, 0)

@@ -24,6 +24,7 @@ from station.errors import NoUsableSignal
 from station.fibre_gyro.campaign import PlannedSegment
 from station.fibre_gyro.settings import FogSettings
 from station.fibre_gyro.store import FogRun, Segment
+from station.fibre_gyro.table import MARGIN_S
 from station.fibre_gyro.windows import LeftOut, check_table_rate, window_at_rest, window_over_turns
 
 PURPOSE = "figures"
@@ -103,7 +104,7 @@ def plan_figures(settings: FogSettings) -> list[PlannedSegment]:
             for rate in (size, -size):
                 turns = max(1, round(chosen.seconds / turn_time(rate)))
                 key, conditions = f"{name}, {rate:+.10g} deg/s", {**common, "rate_dps": rate}
-                plan.append(PlannedSegment(key, turns * turn_time(rate), chosen.settle_s, conditions))
+                plan.append(PlannedSegment(key, turns * turn_time(rate) + MARGIN_S, chosen.settle_s, conditions))
         plan.append(PlannedSegment(f"{name}, static after", chosen.static_s, chosen.settle_s, rest))
     return plan
 

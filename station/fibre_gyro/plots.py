@@ -59,16 +59,16 @@ def residuals_svg(evaluation: TableEvaluation) -> str:
             forward = result.runs.nominal_dps > 0
             offset = (2 * index - len(evaluation.axes) + np.where(forward, 1.5, 0.5)) * width
             u = _PPM * result.runs.mean_u / np.abs(result.runs.mean)
-            for sense, chosen in (("+", forward), ("−", ~forward)):  # noqa: RUF001
+            for chosen, filled in ((forward, True), (~forward, False)):
                 axes.errorbar(
                     (place + offset)[chosen], result.fit.residual_ppm[chosen], yerr=u[chosen], fmt="o", ms=4,
-                    mfc=_COLOURS[index % 7] if sense == "+" else "white", color=_COLOURS[index % 7], capsize=2,
-                    linewidth=0.9, label=f"{result.axis} {sense}",
+                    mfc=_COLOURS[index % 7] if filled else "white", color=_COLOURS[index % 7], capsize=2,
+                    linewidth=0.9, label=f"axis {result.axis}" if filled else None,
                 )  # fmt: skip
         axes.axhline(0, color=SOFT, linewidth=0.8)
         axes.set_xticks(range(len(sizes)), [f"{size:g}" for size in sizes])
-        axes.set(xlabel="rate of the table, deg/s (+ filled, − open)", ylabel="residual, ppm of output")  # noqa: RUF001
-        legend_above(axes, columns=6)
+        axes.set(xlabel="rate of the table, deg/s", ylabel="residual, ppm of output")
+        legend_above(axes)
 
     return svg_element("residuals", HALF, draw)
 
@@ -251,6 +251,7 @@ def staircase_svg(trace: Trace, interval_s: float) -> str:
         ):
             axes.step(begin, values, where="post", color=colour, linewidth=0.9)
             axes.set_ylabel(label)
+            axes.ticklabel_format(axis="y", useOffset=False)
             for at in begin[trace.reset]:
                 axes.axvline(at, color=SOFT, linewidth=0.6, linestyle=(0, (3, 3)), zorder=0)
         bottom.set_xlabel(f"time, µs (one sample every {micro * interval_s:.3f} µs)")

@@ -45,7 +45,8 @@ def _table_sections(found: TableEvaluation, result: FogResult) -> list[Section]:
                 ),
                 PlacedFigure(
                     plots.residuals_svg(found),
-                    "Output less fit; the bars are the standard uncertainty of each mean. Filled: positive sense.",
+                    "Output less fit; the bars are the standard uncertainty of each mean. Filled: positive "
+                    "sense; open: negative.",
                 ),
             ),
         ),
@@ -115,8 +116,8 @@ def _difference_table(found: TableEvaluation) -> Table:
                 (
                     f"{one.axis}, {differences.delta_dps[place]:.6g} deg/s",
                     with_uncertainty(number, float(differences.number_u[place])),
-                    f"{_PPM * differences.noise_u[place] / abs(number):.3g} ppm",
-                    f"{_PPM * differences.irreproducibility_u[place] / abs(number):.3g} ppm",
+                    f"{_PPM * differences.noise_u[place] / abs(number):.4g} ppm",
+                    f"{_PPM * differences.irreproducibility_u[place] / abs(number):.4g} ppm",
                     f"{_PPM * (number / (one.fit.scale_factor * differences.delta_dps[place]) - 1):+.3g} ppm",
                 )
             )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -124,11 +125,13 @@ def _facts(command: str, settings: FogSettings) -> dict[str, Any]:
 def _truth(settings: FogSettings) -> dict[str, float]:
     """What a simulated run should find."""
     simulation = settings.simulation
+    tilt = 1e-3 * simulation.misalignment_mrad
     scale = predicted_table_scale(
         simulation.scale_change_ppm / _PPM, simulation.two_pi_error, gated=settings.gyro.gated_resets
     )
     return {
-        "scale_factor_counts_per_dps": scale * settings.nominal_scale_factor,
+        # about the table's axis, which the gyro's axis is tilted from
+        "scale_factor_counts_per_dps": scale * settings.nominal_scale_factor * math.cos(tilt),
         "two_pi_error_ppm": _PPM * simulation.two_pi_error,
         "bias_dph": simulation.bias_dph,
         "angle_random_walk_deg_per_sqrt_h": simulation.angle_random_walk,

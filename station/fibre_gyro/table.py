@@ -26,6 +26,8 @@ from station.fibre_gyro.store import FogRun, Segment
 from station.fibre_gyro.windows import LeftOut, check_table_rate, window_over_turns
 
 PURPOSE = "table"
+MARGIN_S = 1.0
+"""So much longer than its window is a recording: the window ends within an output word."""
 
 
 @dataclass(frozen=True)
@@ -103,7 +105,7 @@ def plan_table(settings: FogSettings, axes: Sequence[str] | None = None) -> list
         for end_up in (1, -1) if table.both_ends_up else (1,):
             for size in table.rates_dps:
                 for rate in (size, -size):
-                    seconds = table.window_s or table.turns * turn_time(rate)
+                    seconds = (table.window_s or table.turns * turn_time(rate)) + MARGIN_S
                     conditions = {"purpose": PURPOSE, "axis": axis, "end_up": end_up, "rate_dps": rate}
                     plan.append(PlannedSegment(table_key(axis, rate, end_up), seconds, table.settle_s, conditions))
     return plan

@@ -124,7 +124,8 @@ def _two_pi_words(table_scale: float, gated: bool) -> str:
             f"samples out, and K_self by nothing, K_self/K_table - 1 = {difference:+.5g} ppm."
         )
     return (
-        f"{size} changes K of the table by {_PPM * (table_scale - 1):+.2g} ppm only, since this gyro uses the "
+        f"{size} changes K of the table by {_small_words(_PPM * (table_scale - 1))} only, since this gyro uses "
+        "the "
         "reset "
         "samples too, and K_self by nothing; it shows as a ripple at the reset frequency."
     )
@@ -193,10 +194,14 @@ def eps_sentences(evaluation: EpsEvaluation, settings: FogSettings) -> list[str]
         "detector's amplitude is the only calibration, and it comes from the same data.",
         f"In closed loop such an eps changes K of the rate table by {gated:+.5g} ppm where reset samples are "
         "left out, "
-        f"and by {ungated:+.2g} ppm where all are used; this gyro {used}.",
+        f"and by {_small_words(ungated)} where all are used; this gyro {used}.",
         "It does not see L·D/λ: for that it takes the table. A self-calibration through the shared path sees "
         "neither.",
     ]
+
+
+def _small_words(value: float) -> str:
+    return f"{value:+.2g} ppm" if abs(value) >= 0.01 else "less than 0.01 ppm"
 
 
 def eps_flags(evaluation: EpsEvaluation) -> list[str]:

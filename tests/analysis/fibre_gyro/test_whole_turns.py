@@ -57,12 +57,22 @@ def test_whole_turns_lose_the_horizontal_earth_rate_and_540_s_does_not(rate: flo
     leak = float(horizontal_earth_leak(540.0, rate, 45.78))
     assert max(fixed) == pytest.approx(leak, rel=0.01, abs=1e-6)
     for phase in phases[::6]:
-        window = mean_over_turns(
-            earth_on_axis(rate, 540.0, interval, phase), interval, rate, turns=30 if rate < 21 else 31
-        )
-        # half a sample of 10 ms in 540 s
-        assert abs(window.mean) < 10.5 * 0.5 * interval / 514
-        assert window.samples * interval == pytest.approx(window.turns * 360 / rate, abs=interval / 2)
+        turns = 30 if rate < 21 else 31
+        window = mean_over_turns(earth_on_axis(rate, 540.0, interval, phase), interval, rate, turns=turns)
+        # the last sample is cut in proportion, although the sine bends within it: (10 ms)^2/8 of its slope
+        assert abs(window.mean) < 1e-7
+        assert window.duration_s == pytest.approx(turns * 360 / rate, abs=1e-6)
+
+
+def test_a_window_ends_within_a_sample() -> None:
+    words = np.arange(540.0)
+    window = mean_over_turns(words, 1.0, 20.01, turns=30)
+    assert window.total == pytest.approx(sum(range(539)) + (10800 / 20.01 - 539) * 539)
+    assert window.mean == pytest.approx(window.total / (10800 / 20.01))
+    # a record that ends less than one sample early is taken as it is
+    assert mean_over_turns(words[:539], 1.0, 20.01, turns=30).duration_s == 539.0
+    with pytest.raises(ValueError, match="record longer"):
+        mean_over_turns(words[:538], 1.0, 20.01, turns=30)
 
 
 def test_the_uncertainty_is_the_scatter_of_the_means() -> None:

@@ -8,6 +8,7 @@ import sys
 from rich.console import Console
 from rich.table import Table
 
+from station.budget import budget_sentences
 from station.evaluate import Evaluation
 from station.several_rates import SeveralRates
 from station.words import (
@@ -16,6 +17,7 @@ from station.words import (
     group_rows,
     interval_words,
     lock_in_words,
+    quadrature_sentences,
     rates_sentences,
     record_flags,
     with_prefix,
@@ -45,7 +47,8 @@ def print_result(evaluation: Evaluation, *, simulated: bool = False) -> None:
     elif len(evaluation.names) > 1:
         console.print(_record_table(evaluation))
     console.print(_summary(evaluation, simulated))
-    for sentence in rates_sentences(evaluation):
+    budget = [] if evaluation.budget is None else budget_sentences(evaluation.budget)
+    for sentence in (*rates_sentences(evaluation), *quadrature_sentences(evaluation), *budget):
         console.print(f"• {sentence}", markup=False)
     for sentence in flag_sentences(evaluation):
         console.print(f"• {sentence}", markup=False, style="yellow")

@@ -9,11 +9,13 @@ from statistics import fmean
 import numpy as np
 
 from analysis import FATAL, LockInEstimate, combine_estimates, flag_names
+from analysis.budget import Budget
 from instrument import Waveform
 from station.acquisitions import Acquisition, acquisitions_of
 from station.errors import RunError, UsageError
 from station.estimates import Method, at_known_rates, estimate_records, saved_waveform
 from station.quadratures import QuadratureResult, estimate_pairs, quadrature_result
+from station.run_budget import run_budget
 from station.runs import SavedRecord, SavedRun
 from station.settings import Settings
 from station.several_rates import (
@@ -53,6 +55,8 @@ class Evaluation:
         Where records were taken at several rates or in both senses.
     quadratures : QuadratureResult or None
         Where a second photodiode was recorded.
+    budget : Budget or None
+        Of a usable result of a run.
     """
 
     method: Method
@@ -66,6 +70,7 @@ class Evaluation:
     truth: dict[str, float] | None = None
     several: SeveralRates | None = None
     quadratures: QuadratureResult | None = None
+    budget: Budget | None = None
 
     @property
     def usable(self) -> bool:
@@ -131,8 +136,10 @@ def evaluate_run(run: SavedRun, method: Method | None = None) -> Evaluation:
     combined = combine_estimates(each)
     one = Evaluation(method, names, waveforms, each, combined, damaged, tilt, quadratures=quadratures)
     if tilt is not None and at_several_rates(records):
-        return _with_rates(one, records, settings, tuple(run.facts.get("rates_without_beat", ())))
-    return _with_table(one, records, settings)
+        whole = _with_rates(one, records, settings, tuple(run.facts.get("rates_without_beat", ())))
+    else:
+        whole = _with_table(one, records, settings)
+    return replace(whole, budget=run_budget(whole, settings))
 
 
 def _estimates(

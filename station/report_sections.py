@@ -5,12 +5,15 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 
+from analysis.budget import Budget
 from station import plots, rates_plots
+from station.budget import BUDGET_COLUMNS, budget_rows, budget_sentences
+from station.budget_plot import budget_svg
 from station.evaluate import Evaluation
 from station.report_parts import PlacedFigure, Section, Table
 from station.runs import SavedRun
 from station.several_rates import SeveralRates
-from station.words import group_rows, rates_sentences
+from station.words import group_rows, quadrature_sentences, rates_sentences
 
 
 def report_sections(evaluation: Evaluation, run: SavedRun) -> list[Section]:
@@ -34,7 +37,18 @@ def report_sections(evaluation: Evaluation, run: SavedRun) -> list[Section]:
         sections.append(Section("Records and combined value", figures=(figure,)))
     if evaluation.several is not None and evaluation.several.by_beat is not None:
         sections.append(_checks(evaluation.several))
+    if evaluation.quadratures is not None:
+        sections.append(Section("Sine and cosine", sentences=tuple(quadrature_sentences(evaluation))))
+    if evaluation.budget is not None:
+        sections.append(_budget(evaluation.budget))
     return sections + _one_record(evaluation)
+
+
+def _budget(budget: Budget) -> Section:
+    figure = PlacedFigure(budget_svg(budget), "What each input gives to the standard uncertainty.")
+    shown = [budget_rows(budget)[-1], *budget_rows(budget)[:-1]]
+    table = Table(BUDGET_COLUMNS, tuple(shown))
+    return Section("Uncertainty budget", figures=(figure,), sentences=tuple(budget_sentences(budget)), table=table)
 
 
 def _several_rates(evaluation: Evaluation, several: SeveralRates) -> Section:

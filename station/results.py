@@ -6,7 +6,9 @@ import math
 from typing import Any
 
 from analysis import flag_names
+from station.budget import budget_document
 from station.evaluate import Evaluation
+from station.quadratures import QuadratureResult
 from station.rates_document import several_rates_document
 from station.runs import SavedRun
 
@@ -64,9 +66,40 @@ def result_document(evaluation: Evaluation, run: SavedRun | None = None) -> dict
         }
     if evaluation.several is not None:
         document["several_rates"] = several_rates_document(evaluation.several)
+    if evaluation.quadratures is not None:
+        document["quadratures"] = quadratures_document(evaluation.quadratures)
+    if evaluation.budget is not None:
+        document["budget"] = budget_document(evaluation.budget)
     if evaluation.truth is not None:
         document["truth"] = evaluation.truth
     return document
+
+
+def quadratures_document(found: QuadratureResult) -> dict[str, Any]:
+    """Return what sine and cosine channel say of each other as plain JSON.
+
+    Parameters
+    ----------
+    found : QuadratureResult
+
+    Returns
+    -------
+    dict
+    """
+    return {
+        "records": found.records,
+        "sense": found.sense,
+        "gain_ratio": found.gain_ratio,
+        "gain_ratio_u": found.gain_ratio_u,
+        "phase_error_rad": found.phase_error,
+        "phase_error_u_rad": found.phase_error_u,
+        "distortion": list(found.distortion),
+        "distortion_u": list(found.distortion_u),
+        "images": list(found.images),
+        "sine_alone_dps": _number(found.sine_alone),
+        "cosine_alone_dps": _number(found.cosine_alone),
+        "flags": list(found.flags),
+    }
 
 
 def record_documents(evaluation: Evaluation, source: str | None = None) -> list[dict[str, Any]]:

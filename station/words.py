@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import math
+from typing import TYPE_CHECKING
 
 from analysis import FATAL, describe_flag, flag_names
-from station.evaluate import Evaluation
-from station.several_rates import SeveralRates
+
+if TYPE_CHECKING:
+    from station.evaluate import Evaluation
+    from station.several_rates import SeveralRates
 
 _SECONDS_PER_HOUR = 3600.0
 
@@ -99,6 +102,33 @@ def rates_sentences(evaluation: Evaluation) -> list[str]:
         return []
     fitted = [several.problem] if several.by_beat is None else list(several.by_beat.sentences)
     return [*fitted, *(f"No record at {text}" for text in several.without_beat)]
+
+
+def quadrature_sentences(evaluation: Evaluation) -> list[str]:
+    """Say what sine and cosine channel show of each other; empty for one channel."""
+    found = evaluation.quadratures
+    if found is None:
+        return []
+    sense = {1: "positive", -1: "negative"}.get(found.sense, "unknown")
+    error = with_uncertainty(math.degrees(found.phase_error), math.degrees(found.phase_error_u), "°")
+    first = (
+        f"Sine and cosine channel: amplitudes {with_uncertainty(found.gain_ratio, found.gain_ratio_u)} to 1, "
+        f"{error} beyond a right angle, {sense} sense of rotation."
+    )
+    levels = [_level_words(d, u) for d, u in zip(found.distortion, found.distortion_u, strict=True)]
+    second = (
+        f"Second harmonic made by the receivers: sine {levels[0]}, cosine {levels[1]}; taken out. Alone "
+        f"the sine would give {found.sine_alone:.6g} deg/s and the cosine {found.cosine_alone:.6g} deg/s."
+    )
+    third = f"Image of the third harmonic that is left: {found.images[2]:.2g} of the first."
+    return [first, second, third, *found.sentences]
+
+
+def _level_words(distortion: float, u: float) -> str:
+    """Level of a second harmonic in dBc, or the limit below which it is."""
+    if abs(distortion) > 3 * u:
+        return f"{20 * math.log10(abs(distortion)):.1f} dBc"
+    return f"below {20 * math.log10(abs(distortion) + 2 * u):.0f} dBc"
 
 
 GROUP_COLUMNS = ("rate/WL", "table, deg/s", "axis, deg/s", "beat, Hz", "r = A2/A1", "WL alone, deg/s", "records")

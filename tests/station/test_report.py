@@ -101,7 +101,8 @@ def test_the_page_shows_result_settings_and_provenance(run: SavedRun) -> None:
     assert "<b>No. 7" not in html
     assert "<b>No. 7 & Söhne</b>" in page.text
     assert "simulated bench" in page.text
-    assert html.count("<svg") == 5
+    assert html.count("<svg") == 6
+    assert "lock-in rate, combined" in page.text
 
 
 def test_the_same_run_gives_the_same_page(run: SavedRun) -> None:

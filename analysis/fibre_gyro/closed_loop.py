@@ -45,7 +45,7 @@ Kernel = Literal["auto", "numba", "numpy"]
 RunPairs = Callable[[LoopConstants, Floats, Ints, Floats, LoopInput, Ints], None]
 
 _CHUNK_SAMPLES = 1 << 19
-_MANY_RUNS = 8  # from here on NumPy is faster than plain Python
+_MANY_RUNS = 12  # from here on NumPy is faster than plain Python
 
 
 class ClosedLoop:

@@ -181,7 +181,6 @@ class _Loops:
         np.add(level, noise, out=u)
         np.maximum(u, 0.0, out=u)
         np.minimum(u, self.constants.adc_top, out=u)
-        np.rint(u, out=u)
         self.adc[:] = u
 
     def _react(self, error: Ints, falls: Ints) -> None:

@@ -58,7 +58,7 @@ def _converted(constants: LoopConstants, turns: float, noise: float) -> int:
     w = u * u
     cosine = ((((((w * _C6 + _C5) * w + _C4) * w + _C3) * w + _C2) * w + _C1) * w + _C0) * u
     level = constants.amplitude * cosine + constants.mean_level
-    return round(min(max(level + noise, 0.0), constants.adc_top))
+    return int(min(max(level + noise, 0.0), constants.adc_top))
 
 
 @_compiled

@@ -20,8 +20,6 @@ InjectionPath = Literal["shared", "separate"]
 GUARD_BITS = 16
 """Bits of the loop's accumulator below the smallest step, so that no error of a sample pair is ever lost."""
 
-_WORD_BITS = 60
-
 
 @dataclass(frozen=True)
 class LoopSettings:
@@ -35,6 +33,9 @@ class LoopSettings:
         Bits of the step below one code.
     adc_bits : int
         The detector's converter; its range is the full fringe of a contrast of 1.
+    adc_offset : float
+        Mean light level above a threshold of that converter, in its steps. At 0.5 it lies in the middle of a step,
+        and without noise small errors are not seen at all.
     loop_gain : float
         Part of the phase error that one sample pair takes away; stable between 0 and 2, time constant about
         2 tau/loop_gain.
@@ -78,6 +79,7 @@ class LoopSettings:
     dac_bits: int = 16
     fractional_bits: int = 14
     adc_bits: int = 14
+    adc_offset: float = 0.0
     loop_gain: float = 0.2
     two_pi_error: float = 0.0
     gated: bool = True
@@ -99,11 +101,6 @@ class LoopSettings:
             value = getattr(self, name)
             if not lowest <= value <= highest:
                 raise ValueError(f"{name} must be from {lowest:g} to {highest:g}, not {value!r}")
-        if self.dac_bits + self.fractional_bits + GUARD_BITS > _WORD_BITS:
-            raise ValueError(
-                f"dac_bits + fractional_bits must be at most {_WORD_BITS - GUARD_BITS}, "
-                f"not {self.dac_bits + self.fractional_bits}"
-            )
         if self.injection_path not in ("shared", "separate"):
             raise ValueError(f"injection_path must be 'shared' or 'separate', not {self.injection_path!r}")
         if not 0.9 * self.codes <= self.wrap <= 1.1 * self.codes:
@@ -181,10 +178,12 @@ class LoopSettings:
         return float(np.sqrt(2.0) * self.adc_half_range * self.light_level * self.contrast * per_pair)
 
 
+# the bits are such that 64 hold the sums over an hour
 _RANGES = (
-    ("dac_bits", 8, 20),
-    ("fractional_bits", 0, 24),
+    ("dac_bits", 8, 18),
+    ("fractional_bits", 0, 18),
     ("adc_bits", 8, 24),
+    ("adc_offset", -0.5, 0.5),
     ("loop_gain", 0.0, 2.0),
     ("two_pi_error", -0.1, 0.1),
     ("injection_two_pi_error", -0.1, 0.1),

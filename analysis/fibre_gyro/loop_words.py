@@ -72,7 +72,7 @@ def loop_constants(settings: LoopSettings, *, closed: bool) -> LoopConstants:
         separate=settings.injection_path == "separate",
         error_gain=settings.error_gain() if closed else 0,
         register_limit=(wrap_steps // 2 - 1) << GUARD_BITS,
-        mean_level=half_range * settings.light_level,
+        mean_level=half_range * settings.light_level + settings.adc_offset,
         amplitude=half_range * settings.light_level * settings.contrast,
         adc_top=2.0 * half_range - 1.0,
         second_span=(1.0 + settings.injection_two_pi_error) / settings.codes,

@@ -104,7 +104,7 @@ class OutputModel:
             As there, and for a rate with a Sagnac phase beyond pi: there the loop settles on another fringe.
         """
         steps = self.settings.injected_units(np.broadcast_to(np.asarray(injected_step), (self.runs, n_outputs)))
-        injected = steps * self.settings.step_resolution
+        injected = np.asarray(steps * self.settings.step_resolution, dtype=np.float64)
         start = self._clock.time
         ends, pairs = self._clock.next_outputs(n_outputs, output_period_s)
         codes_per_dps = self.coil.nominal_scale(self.settings.dac_bits)

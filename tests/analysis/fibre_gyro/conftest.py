@@ -1,0 +1,6 @@
+"""The plain loop that the tests compare with lies beside them."""
+
+import sys
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).parent))

@@ -110,10 +110,10 @@ def quadrature_sentences(evaluation: Evaluation) -> list[str]:
     if found is None:
         return []
     sense = {1: "positive", -1: "negative"}.get(found.sense, "unknown")
-    error = with_uncertainty(math.degrees(found.phase_error), math.degrees(found.phase_error_u), "°")
+    error = with_uncertainty(math.degrees(found.phase_error), math.degrees(found.phase_error_u))
     first = (
         f"Sine and cosine channel: amplitudes {with_uncertainty(found.gain_ratio, found.gain_ratio_u)} to 1, "
-        f"{error} beyond a right angle, {sense} sense of rotation."
+        f"{error}° beyond a right angle, {sense} sense of rotation."
     )
     levels = [_level_words(d, u) for d, u in zip(found.distortion, found.distortion_u, strict=True)]
     second = (

@@ -15,6 +15,7 @@ from typing import Any, Literal
 from pydantic import ValidationError
 
 from station.errors import SettingsError
+from station.response_file import check_response, read_response
 from station.settings_sections import (
     MeasurementSettings,
     ScopeSettings,
@@ -108,7 +109,21 @@ def load_settings(
     except ValidationError as error:
         raise SettingsError(_mistakes(path or shipped, error)) from None
     _check_whole(path or shipped, settings)
-    return settings
+    return _with_response(path or shipped, settings)
+
+
+def _with_response(path: Path, settings: Settings) -> Settings:
+    """Read the response of the channel from the file that is named, so that a run carries it along."""
+    front_end = settings.front_end
+    if not front_end.response_file:
+        if front_end.response:
+            check_response(front_end.response, f"{path}: front_end.response")
+        return settings
+    if front_end.response:
+        raise SettingsError(f"{path}: front_end: give either response or response_file, not both")
+    # a relative name is meant from where the settings stand
+    rows = read_response(path.parent / front_end.response_file)
+    return settings.model_copy(update={"front_end": front_end.model_copy(update={"response": rows})})
 
 
 def default_settings(name: ShippedName = "simulated") -> Settings:

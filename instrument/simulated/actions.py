@@ -51,6 +51,14 @@ def one_argument(arguments: tuple[Argument, ...]) -> Argument:
     return arguments[0]
 
 
+def one_string(arguments: tuple[Argument, ...]) -> str:
+    """The only argument, in quotes."""
+    argument = one_argument(arguments)
+    if not argument.quoted:
+        raise Refusal(Guess.STRING_EXPECTED)
+    return argument.text
+
+
 def one_number(arguments: tuple[Argument, ...], low: int, high: int, event: int) -> int:
     """The only argument as a whole number; `event` refuses one out of range."""
     value = round(number(one_argument(arguments)))
@@ -63,6 +71,7 @@ def all_actions(model: Model) -> Mapping[str, Action]:
     """Every action of a model by its header."""
     from instrument.simulated import (
         acquisition_commands,
+        file_commands,
         hard_copy_commands,
         measurement_commands,
         setup_commands,
@@ -77,4 +86,5 @@ def all_actions(model: Model) -> Mapping[str, Action]:
         **measurement_commands.ACTIONS,
         **hard_copy_commands.ACTIONS,
         **waveform_commands.actions(model),
+        **(file_commands.ACTIONS if model.has_storage else {}),
     }

@@ -58,7 +58,7 @@ ENCODINGS = Words("ASCIi", "RIBinary", "RPBinary", "SRIbinary", "SRPbinary")
 UNBOUNDED = 1e12  # rows whose range depends on other settings are forced by panel_rules.py
 
 
-@lru_cache(maxsize=16)
+@lru_cache(maxsize=32)
 def setting_rows(model: Model) -> tuple[Row, ...]:
     """All settings of a model, in the order of `SET?`."""
     return (
@@ -68,8 +68,10 @@ def setting_rows(model: Model) -> tuple[Row, ...]:
         *_horizontal(model),
         *_trigger(model),
         *_select_and_cursors(model),
+        *data_logging(model),
         *_measurement_and_math(model),
-        *_hard_copy_and_links(),
+        *limit_test(model),
+        *_hard_copy_and_links(model),
     )
 
 
@@ -137,7 +139,7 @@ def _horizontal(model: Model) -> Iterator[Row]:
 
 def _trigger(model: Model) -> Iterator[Row]:
     main = "TRIGger:MAIn"
-    sources = (*model.channel_names, "EXT", "EXT5")
+    sources = (*model.channel_names, "EXT", "EXT5", *(("EXT10",) if model.series == "TPS" else ()))
     yield Row(f"{main}:MODe", Words("AUTO", "NORMal"), "AUTO")
     yield Row(f"{main}:TYPe", Words("EDGE", "VIDeo", "PULse"), "EDGE")
     yield Row(f"{main}:HOLDOff:VALue", Real(5e-7, 10.0), 5e-7)
@@ -172,15 +174,24 @@ def _select_and_cursors(model: Model) -> Iterator[Row]:
 def _measurement_and_math(model: Model) -> Iterator[Row]:
     types: tuple[str, ...] = ("FREQuency", "MEAN", "PERIod", "PK2pk", "CRMs", "MINImum", "MAXImum")
     types = (*types, "RISe", "FALL", "PWIdth", "NWIdth")
-    if model.name.endswith("C"):
-        types = (*types, "RMS")
+    if model.series == "C":
+        types = (*types, "RMS", "CURSORRMS")
+    if model.has_power_key:
+        types = (*types, "PHAse")
     sources = Words(*model.channel_names, *(("MATH",) if model.letter_series else ()))
     for number in range(1, 6):
         yield Row(f"MEASUrement:MEAS{number}:TYPe", Words(*types, "NONe"), "NONE")
         yield Row(f"MEASUrement:MEAS{number}:SOUrce", sources, "CH1")
+    if model.series == "C":
+        yield Row("MEASUrement:METHod", Words("AUTO", "HISTOgram", "MINMax"), "AUTO")
     immediate = "MEASUrement:IMMed"
     yield Row(f"{immediate}:TYPe", Words(*types), "PERIOD")
-    yield Row(f"{immediate}:SOUrce", sources, "CH1", aliases=(f"{immediate}:SOUrce1",))
+    first, second = f"{immediate}:SOUrce", f"{immediate}:SOUrce1"
+    if model.letter_series:
+        first, second = second, first  # the answer says SOURCE1 there
+    yield Row(first, sources, "CH1", aliases=(second,))
+    if model.has_power_key:
+        yield Row(f"{immediate}:SOUrce2", sources, "CH2")
     yield Row("MATH:DEFINE", MathExpression(model.channels, products=model.letter_series), "CH1 - CH2")
     if model.letter_series:
         yield Row("MATH:VERtical:POSition", Real(-1000, 1000, step=0.04), 0.0)
@@ -189,14 +200,43 @@ def _measurement_and_math(model: Model) -> Iterator[Row]:
     yield Row("MATH:FFT:HORizontal:SCAle", Steps((1, 2, 5, 10)), 1.0)
     yield Row("MATH:FFT:VERtical:POSition", Real(-1000, 1000, step=0.04), 0.0)
     yield Row("MATH:FFT:VERtical:SCAle", Steps((0.5, 1, 2, 5, 10)), 1.0)
+    if model.letter_series:
+        yield Row("AUTORange:STATE", Switch(), 0, in_set=False)
+        yield Row("AUTORange:SETTings", Words("HORizontal", "VERTical", "BOTH"), "BOTH")
 
 
-def _hard_copy_and_links() -> Iterator[Row]:
+def data_logging(model: Model) -> Iterator[Row]:
+    """Settings that setup files of the C series show (their words beyond those are guesses)."""
+    if model.series == "C":
+        yield Row("DATALOGging:DURAtion", Whole(30, 1440), 30)
+        yield Row("DATALOGging:SOUrce", Words(*model.channel_names, "MATH"), "CH1")
+
+
+def limit_test(model: Model) -> Iterator[Row]:
+    """The same of the limit test; its settings are kept, no test is made."""
+    if model.series != "C":
+        return
+    sources = Words(*model.channel_names, "MATH")
+    yield Row("LIMit:SOUrce", sources, "CH1")
+    yield Row("LIMit:COMPARE", Words(*model.reference_names), "REFA")
+    yield Row("LIMit:SAVEIMAge", Switch(), 0)
+    yield Row("LIMit:SAVEWFM", Switch(), 0)
+    yield Row("LIMit:STOPAfter:MODe", Words("MANual", "TIMe", "VIOLation", "WAVEform"), "MANUAL")
+    yield Row("LIMit:TEMPLate:DESTination", Words(*model.reference_names), "REFA")
+    yield Row("LIMit:TEMPLate:SOUrce", sources, "CH1")
+    yield Row("LIMit:TEMPLate:TOLerance:HORizontal", Whole(0, 500), 0)
+    yield Row("LIMit:TEMPLate:TOLerance:VERTical", Whole(0, 5000), 0)
+
+
+def _hard_copy_and_links(model: Model) -> Iterator[Row]:
     printers = ("BUBBLEJet", "DESKJet", "DPU3445", "DPU411", "DPU412", "EPSC60", "EPSC80", "EPSImage")
     formats = ("BMP", *printers, "EPSOn", "INTERLEAF", "LASERJet", "PCX", "RLE", "THINKjet", "TIFf")
+    ports = ("CENtronics", "RS232", "GPIb", *(("USB",) if model.series in ("B", "C") else ()))
     languages = ("ENGLish", "FRENch", "GERMan", "ITALian", "SPANish", "JAPAnese", "PORTUguese", "KOREan")
     yield Row("HARDCopy:FORMat", Words(*formats), "EPSON", kept=True)
-    yield Row("HARDCopy:PORT", Words("CENtronics", "RS232", "GPIb"), "CENTRONICS", kept=True)
+    yield Row("HARDCopy:PORT", Words(*ports), "CENTRONICS", kept=True)
+    if model.has_storage:
+        yield Row("SAVe:IMAge:FILEFormat", Words(*formats), "BMP", kept=True, in_set=False, in_branch=False)
     yield Row("HARDCopy:LAYout", Words("PORTRait", "LANdscape"), "PORTRAIT", kept=True)
     yield Row("HARDCopy:INKSaver", Switch(words=True), 1, kept=True)
     yield Row(

@@ -26,6 +26,10 @@ class Guess(IntEnum):
     UNKNOWN_WORD = 224
     MEMORY_NUMBER_OUT_OF_RANGE = 222
     PICTURE_FORMAT_NOT_SIMULATED = 221
+    FOLDER_NOT_EMPTY = 250
+    FILE_IS_NO_SETUP = 253
+    FILE_IS_NO_WAVEFORM = 253
+    DATE_IS_NONE = 224
     INPUT_BUFFER = 1024  # bytes of a message that may wait behind a full output queue
     OUTPUT_QUEUE = 4096  # bytes of answers that may wait while the rest of the message is still coming
     DROPS_REST_OF_MESSAGE = 32  # status bit of the events after which the rest of a message is not read

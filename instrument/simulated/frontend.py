@@ -42,8 +42,9 @@ def low_pass(signal: Signal, time_constant: float) -> Signal:
     The pole is an average over the past with exponential weights. It is taken at 64 delays of equal weight, so
     it costs 64 looks at the signal and needs no grid in time; the gain is right to 0.02 up to five times the
     corner. A formula of two delays (Gauss and Laguerre) is tried first. Where the signal runs straight through
-    them, on both sides, it is smooth, and that formula is right to a hundredth of a level on a full screen. Samples
-    that lie close together are all taken the long way if one of them is: a short pulse may fall between the looks.
+    them, on both sides, it is smooth, and that formula is right to a hundredth of a level on a full screen.
+    Samples that lie close together are all taken the long way if one of them is: a short pulse may fall between
+    the looks.
 
     Parameters
     ----------

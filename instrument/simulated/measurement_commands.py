@@ -5,12 +5,14 @@ Source: programmer manual 071-1075-04, pp. 2-75 to 2-83 and 2-159 to 2-170.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from instrument.simulated.actions import Action, Query, answer
 from instrument.simulated.events import Refusal
 from instrument.simulated.formats import INVALID, Leaf, nr3, quoted
-from instrument.simulated.measurements import clipping_event, measure, unit
+from instrument.simulated.measurements import clipping_event, measure, phase, unit
+from instrument.simulated.traces import Trace
 
 if TYPE_CHECKING:
     from instrument.simulated.scope import SimulatedTDS2014
@@ -24,7 +26,7 @@ def _value(branch: str) -> Query:
 
     def query(scope: SimulatedTDS2014) -> list[Leaf]:
         try:
-            value = _measured(scope, scope.panel.text(f"{key}:TYPE"), scope.panel.text(f"{key}:SOURCE"))
+            value = _measured(scope, scope.panel.text(f"{key}:TYPE"), _source(scope, key))
         except Refusal as refusal:
             scope.status.post(refusal.event)
             value = INVALID
@@ -41,9 +43,38 @@ def _measured(scope: SimulatedTDS2014, kind: str, source: str) -> float:
     trace = scope.trace(source)
     if trace is None or trace.yunit == "dB":
         raise Refusal(2225)
-    value = measure(kind, trace)
+    if kind == "PHASE":
+        value = _phase(scope, trace)
+    elif kind == "CURSORRMS":
+        value = measure("RMS", _between_cursors(scope, trace))
+    else:
+        value = measure(kind, trace)
     scope.status.post(clipping_event(trace))
     return value
+
+
+def _source(scope: SimulatedTDS2014, key: str) -> str:
+    """What a measurement looks at; later models call the one of IMMed SOURCE1."""
+    values = scope.panel.values
+    return str(values[f"{key}:SOURCE1" if f"{key}:SOURCE1" in values else f"{key}:SOURCE"])
+
+
+def _phase(scope: SimulatedTDS2014, first: Trace) -> float:
+    """Degrees by which the first source leads the second, -180 to 180."""
+    second = scope.trace(scope.panel.text("MEASUREMENT:IMMED:SOURCE2"))
+    if second is None:
+        raise Refusal(2225)
+    return phase(first, second)
+
+
+def _between_cursors(scope: SimulatedTDS2014, trace: Trace) -> Trace:
+    """The part of a trace between the vertical bars; event 2302 while they are off."""
+    if scope.panel.text("CURSOR:FUNCTION") != "VBARS":
+        raise Refusal(2302)
+    times = sorted(scope.panel.number(f"CURSOR:VBARS:POSITION{n}") for n in (1, 2))
+    first, last = (round((time - trace.xzero) / trace.xincr) for time in times)
+    part = slice(max(first, 0), max(last, 0) + 1)
+    return replace(trace, codes=trace.codes[part])
 
 
 def _branch(branch: str) -> Query:
@@ -51,13 +82,9 @@ def _branch(branch: str) -> Query:
     path, key = tuple(branch.split(":")), branch.upper()
 
     def query(scope: SimulatedTDS2014) -> list[Leaf]:
-        kind, source = (row for row in scope.rows_below(branch))
-        (_, word), (_, name) = scope.leaves([kind, source])
-        return [
-            ((*path, "TYPe"), word),
-            ((*path, "UNIts"), quoted(unit(scope.panel.text(f"{key}:TYPE")))),
-            ((*path, "SOUrce"), name),
-        ]
+        kind, *sources = scope.leaves(scope.rows_below(branch))
+        units = quoted(unit(scope.panel.text(f"{key}:TYPE")))
+        return [kind, ((*path, "UNIts"), units), *sources]
 
     return query
 

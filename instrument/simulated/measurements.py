@@ -16,7 +16,8 @@ from instrument.simulated.traces import Trace
 
 Floats = NDArray[np.float64]
 
-UNITS = {"FREQUENCY": "Hz", "PERIOD": "s", "RISE": "s", "FALL": "s", "PWIDTH": "s", "NWIDTH": "s"}
+UNITS = {"FREQUENCY": "Hz", "PERIOD": "s", "RISE": "s", "FALL": "s", "PWIDTH": "s", "NWIDTH": "s",
+         "PHASE": "deg"}  # fmt: skip
 _LEVELS_OF_A_SIGNAL = 10  # peak to peak, below which no edge counts (a guess)
 
 
@@ -76,6 +77,29 @@ def measure(kind: str, trace: Trace) -> float:
         return float(np.sqrt(np.mean(cycle**2)))
     period = (last - first) * trace.xincr
     return 1 / period if kind == "FREQUENCY" else period
+
+
+def phase(first: Trace, second: Trace) -> float:
+    """Degrees by which the first trace leads the second, by their first rising crossings of the middle.
+
+    Raises
+    ------
+    Refusal
+        With the event that says why there is no value.
+    """
+    edges = []
+    for trace, no_period in ((first, 2202), (second, 2203)):
+        codes = trace.codes[trace.codes != NO_DATA].astype(np.float64)
+        if not len(codes) or np.ptp(codes) < _LEVELS_OF_A_SIGNAL:
+            raise Refusal(2204 if no_period == 2202 else 2205)
+        found = middle_crossings(codes)
+        rising = found.times[found.rising]
+        if len(rising) < 2:
+            raise Refusal(no_period)
+        edges.append(rising)
+    period = float(edges[0][1] - edges[0][0])
+    turns = float(edges[1][0] - edges[0][0]) / period
+    return 360.0 * (turns - round(turns))
 
 
 def middle_crossings(volts: Floats) -> Edges:

@@ -23,6 +23,21 @@ class Model:
     letter_series: bool  # B, C and TPS: other answers for PROBe, YUNit, MATH:VERtical
 
     @cached_property
+    def series(self) -> str:
+        """`TPS`, `B` or `C`; empty for the first series."""
+        return "TPS" if self.name.startswith("TPS") else self.name[-1] if self.letter_series else ""
+
+    @cached_property
+    def has_storage(self) -> bool:
+        """Whether a memory card or a USB stick fits in; the first series needs the module TDS2MEM for it."""
+        return self.letter_series or "TDS2MEM" in self.identity
+
+    @cached_property
+    def has_power_key(self) -> bool:
+        """Whether the application key for power measurements is in (TPS)."""
+        return "TPS2PWR1" in self.identity
+
+    @cached_property
     def channel_names(self) -> Mnemonics:
         """`CH1` and so on."""
         return tuple(f"CH{number}" for number in range(1, self.channels + 1))
@@ -44,11 +59,11 @@ _LATER = (1.0, 10.0, 20.0, 50.0, 100.0, 500.0, 1000.0)
 
 
 def _model(name: str, serial: str, firmware: str, channels: int, rate: float = 1e9) -> Model:
-    brand, digits = name[:3], name[3:]
+    brand, digits = name[:3], name[3:].partition("+")[0]
     first = digits.isdigit() and brand == "TDS"
     return Model(
         name=name,
-        identity=f"TEKTRONIX,{brand} {digits},{serial},CF:91.1CT FV:{firmware}",
+        identity=f"TEKTRONIX,{brand} {digits},{serial},CF:91.1CT {firmware}",
         channels=channels,
         references="ABCD" if channels == 4 else "AB",
         sample_rate=rate,
@@ -62,23 +77,25 @@ def _model(name: str, serial: str, firmware: str, channels: int, rate: float = 1
 MODELS = {
     model.name: model
     for model in (
-        _model("TDS1002", "0", "v2.06 TDS2CM:CMV:v1.04", 2),
-        _model("TDS1012", "0", "v2.12 TDS2CM:CMV:v1.04", 2),
-        _model("TDS2002", "0", "v2.12 TDS2CM:CMV:v1.04", 2),
-        _model("TDS2004", "0", "v4.12 TDS2CM:CMV:v1.04", 4),
-        _model("TDS2012", "0", "v2.12 TDS2CM:CMV:v1.04", 2),
-        _model("TDS2014", "0", "v4.12 TDS2CM:CMV:v1.04", 4),
-        _model("TDS2022", "0", "v2.12 TDS2CM:CMV:v1.04", 2, 2e9),
-        _model("TDS2024", "0", "v4.12 TDS2CM:CMV:v1.04", 4, 2e9),
-        _model("TDS1012B", "C010103", "v22.01", 2),
-        _model("TDS2012B", "C062851", "v22.01", 2),
-        _model("TDS2022B", "C010104", "v22.01", 2, 2e9),
-        _model("TDS2014B", "C010101", "v22.16", 4),
-        _model("TDS2024B", "C100044", "v22.16", 4, 2e9),
-        _model("TDS2014C", "C010102", "v24.26", 4, 2e9),
-        _model("TDS2024C", "C042765", "v24.26", 4, 2e9),
-        _model("TPS2012", "0", "v9.48 TPS2PWR1:v1.00", 2),
-        _model("TPS2014", "0", "v10.14", 4),
+        _model("TDS1002", "0", "FV:v2.06 TDS2CM:CMV:v1.04", 2),
+        _model("TDS1012", "0", "FV:v2.12 TDS2CM:CMV:v1.04", 2),
+        _model("TDS2002", "0", "FV:v2.12 TDS2CM:CMV:v1.04", 2),
+        _model("TDS2004", "0", "FV:v4.12 TDS2CM:CMV:v1.04", 4),
+        _model("TDS2012", "0", "FV:v2.12 TDS2CM:CMV:v1.04", 2),
+        _model("TDS2014", "0", "FV:v4.12 TDS2CM:CMV:v1.04", 4),
+        _model("TDS2022", "0", "FV:v2.12 TDS2CM:CMV:v1.04", 2, 2e9),
+        _model("TDS2024", "0", "FV:v4.12 TDS2CM:CMV:v1.04", 4, 2e9),
+        _model("TDS2012+TDS2MEM", "0", "TDS2MEM:FV:v6.08", 2),
+        _model("TDS2014+TDS2MEM", "0", "TDS2MEM:FV:v6.08", 4),
+        _model("TDS1012B", "C010103", "FV:v22.01", 2),
+        _model("TDS2012B", "C062851", "FV:v22.01", 2),
+        _model("TDS2022B", "C010104", "FV:v22.01", 2, 2e9),
+        _model("TDS2014B", "C010101", "FV:v22.16", 4),
+        _model("TDS2024B", "C100044", "FV:v22.16", 4, 2e9),
+        _model("TDS2014C", "C010102", "FV:v24.26", 4, 2e9),
+        _model("TDS2024C", "C042765", "FV:v24.26", 4, 2e9),
+        _model("TPS2012", "0", "FV:v9.48 TPS2PWR1:v1.00", 2),
+        _model("TPS2014", "0", "FV:v10.14", 4),
     )
 }
 

@@ -15,7 +15,7 @@ POSITION_RANGES = {
     200e-3: 10.0, 500e-3: 100.0, 1.0: 50.0, 2.0: 25.0, 5.0: 10.0,
 }  # fmt: skip
 TRIGGER_DIVISIONS = 8.0  # the level reaches this far from the centre of the screen
-EXTERNAL_LEVEL = {"EXT": 1.6, "EXT5": 8.0}  # V
+EXTERNAL_LEVEL = {"EXT": 1.6, "EXT5": 8.0, "EXT10": 16.0}  # V
 RESTARTING = ("ACQUIRE:", "HORIZONTAL:", "CH", "TRIGGER:", "SELECT:")
 NOT_RESTARTING = ("TRIGGER:MAIN:LEVEL", "TRIGGER:MAIN:HOLDOFF:VALUE")
 

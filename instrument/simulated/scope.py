@@ -19,6 +19,7 @@ from instrument.simulated.faults import Faults
 from instrument.simulated.formats import Leaf, join_leaves
 from instrument.simulated.frontend import Signal
 from instrument.simulated.kinds import Value
+from instrument.simulated.mass_storage import MassStorage
 from instrument.simulated.math_expression import operands
 from instrument.simulated.math_waveform import combine, multiply, spectrum, visible_part
 from instrument.simulated.models import Model, find_model
@@ -32,7 +33,7 @@ from instrument.simulated.waveform_commands import data_init
 MESSAGE_TIME = 0.02  # s, on a virtual clock (a guess: 20 to 100 ms on GPIB)
 
 
-@lru_cache(maxsize=16)
+@lru_cache(maxsize=32)
 def _command_set(model: Model) -> tuple[CommandTree, Mapping[str, Action]]:
     actions = all_actions(model)
     return CommandTree(setting_rows(model), actions), actions
@@ -97,6 +98,8 @@ class SimulatedTDS2014:
         self.digitizer = Digitizer(self.acquisition.signal, noise_levels, seed)
         self.references = {name: empty_reference(name) for name in self.model.reference_names}
         self.setups: dict[int, dict[str, Value]] = {}
+        self.storage: MassStorage = MassStorage()  # of models that have one
+        self.clock_offset: float = 0.0  # s that DATE and TIMe moved the clock
         self.trigger_message: bytes = b""  # *DDT
         self.picture: bytes = b""  # of a hard copy, on its way out
         self.completion_wanted = False  # *OPC was sent and waits for the end of the operation

@@ -36,7 +36,8 @@ def whole_setup(scope: SimulatedTDS2014) -> str:
     return join_leaves(scope.leaves(rows), header=True, verbose=scope.panel.flag("VERBOSE"))
 
 
-def _save(scope: SimulatedTDS2014, arguments: tuple[Argument, ...]) -> None:
+def save(scope: SimulatedTDS2014, arguments: tuple[Argument, ...]) -> None:
+    """Keep the setup in memory 1 to 10."""
     number = one_number(arguments, 1, MEMORIES, Guess.MEMORY_NUMBER_OUT_OF_RANGE)
     scope.setups[number] = scope.panel.stored()
 
@@ -51,7 +52,8 @@ def _recall(scope: SimulatedTDS2014, arguments: tuple[Argument, ...]) -> None:
         scope.reset()  # a memory never written holds the factory setup
 
 
-def _recall_setup(scope: SimulatedTDS2014, arguments: tuple[Argument, ...]) -> None:
+def recall_setup(scope: SimulatedTDS2014, arguments: tuple[Argument, ...]) -> None:
+    """Bring back the factory setup or that of memory 1 to 10."""
     if one_argument(arguments).text[:1].isalpha():
         _FACTORY.read(arguments[0])
         scope.reset()
@@ -146,10 +148,10 @@ def _refuse_view(scope: SimulatedTDS2014, arguments: tuple[Argument, ...]) -> No
 ACTIONS = {
     "SET": Action(answer("", whole_setup)),
     "*LRN": Action(answer("", whole_setup)),
-    "*SAV": Action(order=_save),
+    "*SAV": Action(order=save),
     "*RCL": Action(order=_recall),
-    "SAVe:SETUp": Action(order=_save),
-    "RECAll:SETUp": Action(order=_recall_setup),
+    "SAVe:SETUp": Action(order=save),
+    "RECAll:SETUp": Action(order=recall_setup),
     "*DDT": Action(answer("", lambda scope: block(scope.trigger_message).decode("latin-1")), _define_trigger),
     "*TRG": Action(order=_trigger),
     "AUTOSet": Action(order=_autoset),

@@ -74,7 +74,8 @@ def scale_figures(rates_dps: ArrayLike, outputs: ArrayLike, outputs_u: ArrayLike
     rates_dps, outputs : array_like, shape (n,)
         deg/s and counts.
     outputs_u : array_like, shape (n,), optional
-        Standard uncertainties; with them the fits are weighted by 1/u^2.
+        Standard uncertainties. They do not weight the fits, whose sums have equal weights in either style; they
+        say how well the largest deviation is known.
 
     Raises
     ------
@@ -91,7 +92,7 @@ def scale_figures(rates_dps: ArrayLike, outputs: ArrayLike, outputs_u: ArrayLike
     """
     rate, output = (np.asarray(v, dtype=np.float64) for v in (rates_dps, outputs))
     u = None if outputs_u is None else np.broadcast_to(np.asarray(outputs_u, dtype=np.float64), rate.shape)
-    fit = fit_slope(rate, output, u)
+    fit = fit_slope(rate, output)
     full_scale = float(np.abs(output).max())
     deviation = -_PPM * fit.residual / full_scale
     of_point = np.full(rate.size, np.nan)
@@ -124,7 +125,7 @@ def _slope_of(rate: Floats, output: Floats, u: Floats | None, kept: NDArray[np.b
         (first, last) = np.argsort(rate[kept])
         slope = float(output[kept][last] - output[kept][first]) / run
         return slope, nan if u is None else float(np.hypot(*u[kept])) / run
-    fit = fit_slope(rate[kept], output[kept], None if u is None else u[kept])
+    fit = fit_slope(rate[kept], output[kept])
     return fit.slope, fit.slope_u
 
 
@@ -217,10 +218,10 @@ def residual_pattern(
 ) -> ResidualPattern:
     """Find out whether the deviations are odd in the rate, even, or stand near zero.
 
-    The line is fitted to the points away from zero. Their residuals at +w and -w give the odd part
-    [r(w) - r(-w)]/2 and the even part [r(w) + r(-w)]/2; each is tested with chi-square, with as many degrees of
-    freedom as it has pairs less the one of the line's slope, or of its intercept. The points near zero are
-    compared with a curve 1, w, |w|, w^3 through the others, so that an asymmetry does not look like a dead zone.
+    Away from zero the outputs at +w and -w give an odd part [F(w) - F(-w)]/2, which a straight line through zero
+    is fitted to, and an even part [F(w) + F(-w)]/2, which a constant is fitted to. What is left of each is tested
+    with chi-square, one degree of freedom less than there are pairs. The points near zero are compared with a curve
+    1, w, |w|, w^3 through the others, so that an asymmetry does not look like a dead zone.
 
     Parameters
     ----------
@@ -235,14 +236,16 @@ def residual_pattern(
     """
     rate, output, u = (np.asarray(v, dtype=np.float64) for v in (rates_dps, outputs, outputs_u))
     away = np.abs(rate) > near_zero * np.abs(rate).max()
-    fit = fit_slope(rate[away], output[away], u[away])
+    if int(away.sum()) < 3:
+        raise ValueError("a pattern of the deviations needs at least three points away from zero")
+    slope = fit_slope(rate[away], output[away], u[away]).slope
     full_scale = float(np.abs(output).max())
-    odd, even, part_u = _paired(rate[away], fit.residual, u[away])
+    odd, even, part_u = _odd_and_even_left(rate[away], output[away], u[away])
     odd_p, even_p = (_chance(part / part_u, part.size - 1) for part in (odd, even))
     near = ~away & (rate != 0)
     left, left_u = _beside_the_smooth_curve(rate, output, u, away, near)
     near_p = _chance(left / left_u, left.size)
-    near_ppm = _PPM * float(np.abs(left / (fit.slope * rate[near])).max()) if left.size else float("nan")
+    near_ppm = _PPM * float(np.abs(left / (slope * rate[near])).max()) if left.size else float("nan")
     found = (("odd", odd_p), ("even", even_p), ("near zero", near_p))
     return ResidualPattern(
         _root_mean_square(odd) / full_scale * _PPM,
@@ -269,17 +272,21 @@ def _beside_the_smooth_curve(
     return output[near] - curve[near], np.sqrt(u[near] ** 2 + curve_variance)
 
 
-def _paired(rate: Floats, residual: Floats, u: Floats) -> tuple[Floats, Floats, Floats]:
-    """Odd and even parts of the residuals at rates that stand in both senses, and their uncertainty."""
+def _odd_and_even_left(rate: Floats, output: Floats, u: Floats) -> tuple[Floats, Floats, Floats]:
+    """What a line through zero leaves of the odd parts and a constant of the even parts, and their uncertainty."""
     rows = []
     for size in np.unique(np.abs(rate).round(9)):
         forward, backward = (np.abs(rate - sense * size) < 1e-8 for sense in (1, -1))
         if forward.any() and backward.any():
-            up, down = residual[forward].mean(), residual[backward].mean()
+            up, down = output[forward].mean(), output[backward].mean()
             part_u = np.hypot(*(np.sqrt(np.sum(u[k] ** 2)) / k.sum() for k in (forward, backward))) / 2
-            rows.append(((up - down) / 2, (up + down) / 2, part_u))
-    odd, even, part_u = np.array(rows, dtype=np.float64).reshape(-1, 3).T
-    return odd, even, part_u
+            rows.append((size, (up - down) / 2, (up + down) / 2, part_u))
+    if not rows:
+        return np.empty(0), np.empty(0), np.empty(0)
+    size, odd, even, part_u = np.array(rows, dtype=np.float64).T
+    weight = part_u**-2.0
+    odd = odd - size * float(np.sum(weight * size * odd) / np.sum(weight * size**2))
+    return odd, even - float(np.average(even, weights=weight)), part_u
 
 
 def _chance(normalised: Floats, freedom: int) -> float:

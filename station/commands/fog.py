@@ -79,6 +79,31 @@ def figures(**given: Any) -> int:
     return _run("figures", **given)
 
 
+@command.command("serve")
+@click.option("--tcp", type=click.IntRange(0, 65535), metavar="PORT", help="On TCP, 0: any free port.")
+@click.option("--speed", type=click.FloatRange(min=0, min_open=True), default=1.0, help="Faster than real time.")
+@click.option("--rate", type=float, default=0.0, metavar="W", help="Rate of the table, deg/s.")
+@config_option
+def serve(tcp: int | None, speed: float, rate: float, config: Path | None) -> int:
+    """Serve the simulated gyro on a serial terminal (or TCP); the first line on stdout is its port."""
+    import threading
+
+    from station.errors import EXIT_OK
+    from station.fibre_gyro.bench import read_frame_format
+    from station.fibre_gyro.served_gyro import serve_gyro
+    from station.fibre_gyro.settings import load_fog_settings
+
+    settings = load_fog_settings(config)
+    layout = read_frame_format(settings)
+    with serve_gyro(settings, layout, tcp_port=tcp, speed=speed, rate_dps=rate) as port:
+        click.echo(port)
+        try:
+            threading.Event().wait()
+        except KeyboardInterrupt:
+            return EXIT_OK
+    return EXIT_OK
+
+
 def _run(
     name: str,
     *,

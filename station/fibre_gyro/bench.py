@@ -41,6 +41,20 @@ class SerialFogBench:
         self._step = 0.0
         self._held = False
 
+    def refuses(self, planned: PlannedSegment) -> str:
+        """Steps beyond what the frame format can express, commands that the gyro does not have."""
+        layout, wanted = self._link.layout, planned.conditions
+        if "loop" in wanted and "hold_feedback" not in layout.commands:
+            return "the frame format of this gyro has no command hold_feedback"
+        step = float(wanted.get("step_codes", 0.0))
+        lowest, highest = layout.step_range
+        if not lowest <= step <= highest:
+            return (
+                f"a step of {step:+.6g} codes cannot be injected, the gyro takes {lowest:g} to {highest:g}: "
+                "choose a smaller rate"
+            )
+        return ""
+
     def prepare(self, planned: PlannedSegment) -> dict[str, Any]:
         """Turn, inject, hold the feedback; return the rate and the step that were reached."""
         wanted = planned.conditions

@@ -39,6 +39,9 @@ class PlannedSegment:
 class FogBench(Protocol):
     """What a campaign works with: a gyro with its output and its injection, and a table that can be turned."""
 
+    def refuses(self, planned: PlannedSegment) -> str:
+        """Why the bench cannot bring the conditions about; empty if it can."""
+
     def prepare(self, planned: PlannedSegment) -> dict[str, Any]:
         """Bring the conditions about; return those that were really reached, as plain JSON."""
 
@@ -108,6 +111,10 @@ def _take(
         progress.note(f"{len(plan) - len(left)} of {len(plan)} segments are saved already")
     if not left:
         return
+    refused = {planned.key: reason for planned in left if (reason := bench.refuses(planned))}
+    if refused:
+        _note_refused(writer, refused)
+        left = [planned for planned in left if planned.key not in refused]
     progress.start("seconds of output", sum(_whole_seconds(planned) for planned in left))
     for planned in left:
         reached = bench.prepare(planned)
@@ -115,6 +122,13 @@ def _take(
         recording = bench.record(planned, counted.reach)
         writer.save_segment(planned.key, {**planned.conditions, **reached}, recording)
         counted.finish()
+
+
+def _note_refused(writer: FogRunWriter, refused: Mapping[str, str]) -> None:
+    """Save what the bench cannot do, so that the result names it."""
+    noted = {one["name"]: one for one in open_fog_run(writer.path).facts.get("left_out_of_plan", [])}
+    noted |= {key: {"name": key, "reason": reason} for key, reason in refused.items()}
+    writer.save_facts({"left_out_of_plan": list(noted.values())})
 
 
 def _whole_seconds(planned: PlannedSegment) -> int:

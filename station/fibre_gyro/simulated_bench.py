@@ -41,6 +41,10 @@ class SimulatedFogBench:
     def __init__(self, settings: FogSettings) -> None:
         self._settings = settings
 
+    def refuses(self, planned: PlannedSegment) -> str:
+        """The simulated bench can do everything that is planned."""
+        return ""
+
     def prepare(self, planned: PlannedSegment) -> dict[str, Any]:
         """The table reads what it was asked for: its own error from run to run is not on its display."""
         reached: dict[str, Any] = {"model": self._model(planned)}

@@ -28,7 +28,10 @@ Complexes = NDArray[np.complex128]
 Integers = NDArray[np.int64]
 
 HARMONICS = 5
-"""Fitted at the frequency found, for the phase between the channels and for the images."""
+"""Of the two channels, compared at the frequency found: the phase between them, and the images."""
+
+SAMPLES_AT_ONCE = 400_000
+"""Bounds the memory of a large batch."""
 
 POOR_QUADRATURE = 0.35
 """rad from a right angle, where a correction costs 6 % in uncertainty."""
@@ -64,7 +67,8 @@ class QuadratureEstimate:
     sine, cosine : each channel alone, with its distortion in it
     sense : +1 where the cosine leads the sine by 90 deg (a phase that grows), -1, or 0 where that cannot be told
     gain_ratio, gain_ratio_u : amplitude of the sine over that of the cosine
-    phase_error, phase_error_u : rad, by which the sine lags the cosine beyond 90 deg, for a growing phase
+    phase_error, phase_error_u : rad, by which the readout phases of the channels differ more than 90 deg; what is
+        optical in it has one sign for both senses of rotation, a delay between the channels has two
     distortion, distortion_u : (..., 2) second harmonic that the receivers of sine and cosine make, over the
         fundamental
     images : (..., 3) |c_-1/c_1| of Z = cosine + i sine; then, with gain and phase corrected, |c_-2/c_1| and
@@ -154,19 +158,40 @@ def _mean_frequency(sine: LockInEstimate, cosine: LockInEstimate) -> tuple[Float
 
 
 def _lines_at(volts: NDArray[np.generic], omega: Floats) -> Complexes:
-    """Complex amplitudes (R, HARMONICS) at a known frequency (rad per sample), phases from the middle."""
+    """Complex amplitudes (R, HARMONICS) by least squares at a known frequency; phases from the middle.
+
+    More harmonics are fitted than are wanted: in a short record those left out would leak into the others.
+    """
     values = np.asarray(volts, dtype=np.float64).reshape(-1, volts.shape[-1])
-    place = np.arange(values.shape[1]) - (values.shape[1] - 1) / 2
     lines = np.full((len(values), HARMONICS), np.nan, dtype=np.complex128)
-    for row in np.flatnonzero(np.isfinite(omega)):
-        valid = np.isfinite(values[row])
-        # More harmonics than are wanted: those left out would leak into the others in a short record.
-        turned = np.outer(place[valid], omega[row] * np.arange(1, 3 * HARMONICS + 1))
-        design = np.concatenate([np.ones((len(turned), 1)), np.cos(turned), np.sin(turned)], axis=1)
-        solved = np.linalg.lstsq(design, values[row, valid], rcond=1e-6)[0]
-        cosines, sines = solved[1 : 1 + 3 * HARMONICS], solved[1 + 3 * HARMONICS :]
-        lines[row] = (cosines - 1j * sines)[:HARMONICS]
+    rows = np.flatnonzero(np.isfinite(omega))
+    for part in np.array_split(rows, max(1, rows.size * values.shape[1] // SAMPLES_AT_ONCE)):
+        lines[part] = _lines_of(values[part], omega[part])
     return lines
+
+
+def _lines_of(values: Floats, omega: Floats) -> Complexes:
+    size = 3 * HARMONICS
+    weights = np.isfinite(values).astype(np.float64)
+    values = np.where(weights > 0, values, 0.0)
+    place = np.arange(values.shape[1]) - (values.shape[1] - 1) / 2
+    turn = np.exp(-1j * omega[:, np.newaxis] * place)
+    power = np.ones_like(turn)
+    kernels = np.empty((len(values), 4 * size + 1), dtype=np.complex128)
+    sums = np.empty((len(values), 2 * size + 1), dtype=np.complex128)
+    for order in range(2 * size + 1):
+        kernel = np.einsum("rn,rn->r", weights, power)
+        kernels[:, 2 * size + order], kernels[:, 2 * size - order] = kernel, np.conj(kernel)
+        if order <= size:
+            product = np.einsum("rn,rn->r", values, power)
+            sums[:, size + order], sums[:, size - order] = product, np.conj(product)
+        power *= turn
+    place_of = np.arange(2 * size + 1)
+    gram = kernels[:, 2 * size + place_of[:, np.newaxis] - place_of]
+    # Harmonics that fold onto each other share what they cannot divide.
+    gram += 1e-9 * values.shape[1] * np.eye(2 * size + 1)
+    two_sided = np.linalg.solve(gram, sums[..., np.newaxis])[..., 0]
+    return np.asarray(2 * two_sided[:, size + 1 : size + 1 + HARMONICS], dtype=np.complex128)
 
 
 @dataclass(frozen=True)
@@ -204,7 +229,7 @@ def _combine(
         lines_u=(flat[0].noise_rms * np.sqrt(2 / n_samples), flat[1].noise_rms * np.sqrt(2 / n_samples)),
     )
     rho, distortion, angle = _without_distortion(pair)
-    covariance, distortion_u = _propagated(pair)
+    covariance, distortion_u, angle_u = _propagated(pair)
     across = np.abs(np.sin(pair.angle)) > NO_QUADRATURE
     sense = np.where(across, -np.sign(np.sin(pair.angle)), 0.0)
     sense = np.where(np.isfinite(sense), sense, 0.0)
@@ -215,14 +240,14 @@ def _combine(
     estimate = _corrected(flat, rho, covariance, sense, relation)
     checks = _checks(flat, pair, sense, distortion, images, image_u)
     return QuadratureEstimate(
-        estimate=estimate.reshaped(*shape),
+        estimate=estimate.reshaped(*shape) if shape else estimate[0],
         sine=sine,
         cosine=cosine,
         sense=sense.astype(np.int64).reshape(shape),
         gain_ratio=gain.reshape(shape),
         gain_ratio_u=(gain * pair.angle_u).reshape(shape),
         phase_error=phase_error.reshape(shape),
-        phase_error_u=pair.angle_u.reshape(shape),
+        phase_error_u=angle_u.reshape(shape),
         distortion=distortion.reshape(*shape, 2),
         distortion_u=distortion_u.reshape(*shape, 2),
         images=images.reshape(*shape, 3),
@@ -258,8 +283,8 @@ def _without_distortion(pair: _Pair) -> tuple[Complexes, Floats, Floats]:
     return inner[0], np.stack([d_sine, d_cosine], axis=-1), angle
 
 
-def _propagated(pair: _Pair) -> tuple[Floats, Floats]:
-    """Covariance (R, 2, 2) of the corrected rho, and (R, 2) uncertainty of the distortions."""
+def _propagated(pair: _Pair) -> tuple[Floats, Floats, Floats]:
+    """Covariance (R, 2, 2) of the corrected rho; uncertainties of the distortions (R, 2) and of the angle."""
     sin, cos = np.sin(pair.angle), np.cos(pair.angle)
     zero, one = np.zeros_like(sin), np.ones_like(sin)
     turned = pair.ratio[0] * np.exp(1j * pair.angle)
@@ -280,11 +305,14 @@ def _propagated(pair: _Pair) -> tuple[Floats, Floats]:
     rho[:, 0, 0], rho[:, 1, 1] = 1.0, 1.0
     rho[:, 0] -= d_sine
     covariance = rho @ inputs @ rho.swapaxes(-1, -2)
-    us = [
-        np.sqrt(np.einsum("ri,rij,rj->r", d, inputs, d)) / (1 - np.abs(ratio) ** 2)
+    rows = [
+        d / (1 - np.abs(ratio) ** 2)[:, np.newaxis]
         for d, ratio in zip((d_sine, d_cosine), pair.ratio, strict=True)
     ]
-    return covariance, np.stack(us, axis=-1)
+    turned_back = [2 * ratio.imag[:, np.newaxis] * row for row, ratio in zip(rows, pair.ratio, strict=True)]
+    rows.append(np.array([0.0, 0.0, 0.0, 0.0, 1.0]) - turned_back[0] + turned_back[1])
+    us = [np.sqrt(np.einsum("ri,rij,rj->r", row, inputs, row)) for row in rows]
+    return covariance, np.stack(us[:2], axis=-1), us[2]
 
 
 def _images(pair: _Pair, sense: Floats, distortion: Floats, distortion_u: Floats) -> tuple[Floats, Floats]:

@@ -143,8 +143,9 @@ def _as_measured(estimate: LockInEstimate) -> tuple[Complexes, Floats]:
     """
     rho, phase = estimate.complex_ratio, np.exp(1j * estimate.backscatter_phase)
     size = np.maximum(np.abs(rho), 1e-300)
-    as_it_is = np.abs(phase - np.conj(rho) / size)
-    mirrored = np.abs(phase + rho / size)
+    with np.errstate(invalid="ignore"):  # records without a beat are nan
+        as_it_is = np.abs(phase - np.conj(rho) / size)
+        mirrored = np.abs(phase + rho / size)
     turned = estimate.rate_given & (estimate.input_rate < 0) & (mirrored < as_it_is)
     off_diagonal = np.where(turned, -1.0, 1.0)[:, np.newaxis, np.newaxis]
     covariance = estimate.complex_ratio_covariance * np.where(np.eye(2, dtype=bool), 1.0, off_diagonal)

@@ -166,8 +166,10 @@ def _fit(records: RatioRecords, rate_u: Floats, reference: Reference, model: Mod
     if not used.any():
         raise ValueError("no record with a usable beat: nothing can be fitted")
     data = _data(records, used, rate_u, reference)
-    # Fewer values than unknowns and unknowns that the rates cannot tell apart both show as a singular fit.
-    fits = {name: fit for name in FREE if not (fit := fit_ratios(data, FREE[name])).singular[0]}
+    # Two points of rate and sense are the least that tells anything from lock-in, however many records there are.
+    points = len(set(zip(rate_groups(data.rate), np.sign(data.rate), strict=True)))
+    possible: list[Model] = list(FREE) if points > 1 else ["lock-in"]
+    fits = {name: fit for name in possible if not (fit := fit_ratios(data, FREE[name])).singular[0]}
     chosen = _choose(fits, model)
     return _result(records, used, data, fits, chosen)
 

@@ -1,0 +1,126 @@
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from analysis import fit_harmonics, harmonic_ratio
+from analysis.winking import WinkingLaser, steady_beat, symmetric_laser
+
+K = 2000.0
+
+
+def integrated_fields(laser, rate, duration, n_samples):
+    """Complex fields of the two beams in the time domain, by an eighth-order integrator.
+
+    dE1/dt = (gain + i s)/2 E1 + a2 exp(-i eps/2) E2,  dE2/dt = (gain - i s)/2 E2 + a1 exp(-i eps/2) E1:
+    intensities and the phase psi = arg E1 - arg E2 follow without a division by an intensity.
+    """
+    a1, a2 = laser.backscatter
+    half, g, xi = np.exp(0.5j * laser.phase_sum), laser.gain_rate, laser.cross_saturation
+    sagnac = 2 * np.pi * laser.scale_factor * rate
+
+    def slope(_t, y):
+        e1, e2 = y[0] + 1j * y[1], y[2] + 1j * y[3]
+        i1, i2 = abs(e1) ** 2, abs(e2) ** 2
+        d1 = (0.5 * g * (1 - (i1 + xi * i2) / (1 + xi)) + 0.5j * sagnac) * e1 + a2 * np.conj(half) * e2
+        d2 = (0.5 * g * (1 - (i2 + xi * i1) / (1 + xi)) - 0.5j * sagnac) * e2 + a1 * np.conj(half) * e1
+        return [d1.real, d1.imag, d2.real, d2.imag]
+
+    settle = 40 / laser.differential_rate
+    times = np.linspace(settle, settle + duration, n_samples, endpoint=False)
+    solved = solve_ivp(slope, (0, times[-1]), [1, 0, 1, 0], method="DOP853", t_eval=times, rtol=1e-10, atol=1e-12)
+    return solved.y[0] + 1j * solved.y[1], solved.y[2] + 1j * solved.y[3]
+
+
+@pytest.mark.parametrize(("rate", "phase_sum"), [(0.2, 0.0), (0.2, 1.1), (-0.2, 1.1), (0.1, 2.1)])
+def test_the_steady_beat_is_that_of_the_fields_in_time(rate, phase_sum):
+    laser = WinkingLaser(K, (200.0, 350.0), phase_sum, 2 * np.pi * 150, 0.6)
+    beat = steady_beat(laser, rate)
+    duration, n = 12.3 / beat.frequency, 3000
+    first, second = integrated_fields(laser, rate, duration, n)
+    field = first * np.conj(second)
+    middle = beat.beat.size // 2
+    fit = fit_harmonics(np.stack([field.imag, np.abs(first) ** 2]), duration / n, harmonics=8)
+    assert fit.frequency[0] == pytest.approx(beat.frequency, rel=1e-7)
+    made = beat.signal(np.arange(n) * duration / n)
+    ours = fit_harmonics(made, duration / n, harmonics=8)
+    np.testing.assert_allclose(np.abs(ours.amplitudes), np.abs(fit.amplitudes[0]), atol=1e-6)
+    ratio, expected = (c[1] * abs(c[0]) / c[0] ** 2 for c in (ours.amplitudes, fit.amplitudes[0]))
+    assert ratio == pytest.approx(expected, abs=1e-6)
+    wink = 2 * np.abs(beat.beams[:, middle + 1])
+    assert fit.amplitudes[1, 0].__abs__() == pytest.approx(wink[0], rel=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("slowness", "factor"),
+    [(0.01, 1.0000), (0.03, 0.9996), (0.1, 0.9950), (0.3, 0.9579), (1, 0.7073), (3, 0.3164), (10, 0.0996)],
+)
+def test_a_slow_gain_weakens_the_second_harmonic(slowness, factor):
+    """Factors found by another integration of the same equations; the phase lag is atan(w/g)."""
+    rate, lock_in = 1.0, 0.05
+    frequency = K * np.sqrt(rate**2 - lock_in**2)
+    laser = symmetric_laser(lock_in, scale_factor=K, gain_corner_hz=frequency / slowness)
+    beat = steady_beat(laser, rate)
+    middle = beat.beat.size // 2
+    first, second = beat.beat[middle + 1 : middle + 3]
+    rho = second * abs(first) / first**2
+    assert abs(rho) / harmonic_ratio(0.05) == pytest.approx(factor, abs=5e-4)
+    # With fast gain the line of exp(i psi) has the phase i (r - u)/(1 - r u): +90 degrees.
+    assert np.angle(rho) - np.pi / 2 == pytest.approx(-np.arctan(slowness), abs=1e-3)
+
+
+def test_conservative_coupling_pushes_the_frequency_up():
+    """eps = 120 deg, w = g, xi = 0.6: +5.7e-4 where the lock-in equation says -3.1e-4."""
+    lock_in = 0.025
+    laser = symmetric_laser(
+        lock_in, scale_factor=K, gain_corner_hz=K, phase_sum=np.deg2rad(120), cross_saturation=0.6
+    )
+    assert np.sqrt(1 - lock_in**2) - 1 == pytest.approx(-3.1e-4, abs=0.05e-4)
+    assert steady_beat(laser, 1.0).frequency / K - 1 == pytest.approx(5.7e-4, abs=0.05e-4)
+
+
+def test_the_laser_locks_where_it_says():
+    laser = WinkingLaser(K, (300.0, 200.0), 0.8, 2 * np.pi * 5e4, 0.5)
+    assert abs(laser.coupling) == pytest.approx(2 * np.pi * K * laser.lock_in_rate)
+    # Strong gain: the threshold is that of the lock-in equation.
+    assert steady_beat(laser, 1.01 * laser.lock_in_rate).frequency < 0.2 * K * laser.lock_in_rate
+    with pytest.raises(ValueError, match="locked"):
+        steady_beat(laser, 0.97 * laser.lock_in_rate)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"gain_rate": 0.0}, "positive"),
+        ({"cross_saturation": 1.0}, "cross_saturation"),
+        ({"backscatter": (1.0, np.nan)}, "finite"),
+        ({"backscatter": (-1.0, 1.0)}, "negative"),
+    ],
+)
+def test_an_impossible_laser_is_refused(change, message):
+    good = {
+        "scale_factor": K,
+        "backscatter": (1.0, 1.0),
+        "phase_sum": 0.0,
+        "gain_rate": 1e4,
+        "cross_saturation": 0.5,
+    }
+    with pytest.raises(ValueError, match=message):
+        WinkingLaser(**{**good, **change})
+
+
+def test_the_light_of_single_beams_adds_little():
+    """Contrast 0.8, w/g = 0.1, eps = 86 deg, x = 0.05: the ratio changes by 0.13 % at most."""
+    laser = symmetric_laser(
+        0.05, scale_factor=K, gain_corner_hz=10 * K, phase_sum=np.deg2rad(86), cross_saturation=0.5
+    )
+    beat = steady_beat(laser, 1.0)
+    times = np.arange(4000) / (K * 50)
+    changes = []
+    for readout in np.linspace(0, 2 * np.pi, 12, endpoint=False):
+        pure, mixed = (
+            fit_harmonics(beat.signal(times, readout_phase=readout, contrast=c), times[1], harmonics=4)
+            for c in (np.inf, 0.8)
+        )
+        ratios = [abs(f.amplitudes[1] / f.amplitudes[0]) for f in (pure, mixed)]
+        changes.append(ratios[1] / ratios[0] - 1)
+    assert np.max(np.abs(changes)) == pytest.approx(1.3e-3, rel=0.3)

@@ -91,7 +91,7 @@ def _draw_errors(figure: Figure, number: int, errors: ErrorStudy) -> None:
     ):
         for place, values in enumerate(found):
             name = curve_name(errors.curves[place])
-            axes.plot(errors.axis, _size_percent(values), color=_COLOURS[place % 4], label=name)
+            axes.plot(errors.axis, 100 * np.abs(values), color=_COLOURS[place % 4], label=name)
         axes.set_title(title, fontsize=9.5, color=INK)
         axes.set(yscale="log", xlabel=axis_name(number), xlim=(float(errors.axis[0]), float(errors.axis[-1])))
         axes.set_ylim(_FLOOR_PERCENT, 100)
@@ -136,6 +136,7 @@ def _draw_causes(figure: Figure, causes: Causes) -> None:
     axes.set_xticks(places, [f"W = {w:g}\nWL = {wl:g}\nx{w / wl:.2g}" for w, wl in causes.points])
     axes.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
     axes.grid(visible=False, axis="x")
+    axes.text(0.995, 0.97, "spectrum without a window", transform=axes.transAxes, ha="right", va="top", color=SOFT)
     legend_above(axes, columns=6)
 
 

@@ -17,9 +17,8 @@ def slow_outputs(
     rng = np.random.default_rng(np.random.SeedSequence(seed).spawn(1)[0])
     unit = 2**s.fractional_bits
     full = 2**s.dac_bits * unit if s.wrap_codes is None else s.wrap_codes * unit
-    sagnac = (
-        2 * math.pi * coil.length_m * coil.diameter_m / (coil.wavelength_m * 299792458.0) * math.radians(rate_dps)
-    )
+    factor = 2 * math.pi * coil.length_m * coil.diameter_m / (coil.wavelength_m * 299792458.0)
+    sagnac = factor * math.radians(rate_dps)
     walk = math.radians(s.angle_random_walk_deg_per_sqrt_h) / 60 / math.sqrt(2 * coil.transit_time)
     phase_noise = factor * walk
     half = 2 ** (s.adc_bits - 1)

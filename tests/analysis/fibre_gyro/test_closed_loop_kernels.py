@@ -121,7 +121,7 @@ def test_cosine_polynomial_is_the_cosine() -> None:
 
 def test_settings_out_of_range_and_impossible_requests_are_named() -> None:
     for change, words in (
-        ({"dac_bits": 4}, "dac_bits must be from 8 to 20"),
+        ({"dac_bits": 4}, "dac_bits must be from 8 to 18"),
         ({"fractional_bits": 24}, "fractional_bits must be from 0 to 18"),
         ({"injection_path": "third"}, "'shared' or 'separate'"),
         ({"wrap_codes": 40_000}, "within 10 %"),

@@ -14,7 +14,7 @@ from analysis.geometric_series import Series, sampled_series
 from analysis.minimise import Task, gauss_newton, sums_of_squares
 from analysis.normal_equations import Step
 from analysis.phase_tracking import looks_like_wander, track_phase
-from analysis.quantisation import level_spacing, mean_rounding, rounding_excess
+from analysis.quantisation import FEW_ERRORS, LOCKED, leftover_excess, level_spacing, mean_rounding, repetition
 from analysis.records import Records, Stack
 from analysis.residuals import examine_residual
 from analysis.series_fit import fit_series
@@ -117,6 +117,7 @@ def _fit_records(records: Records, clipped: Bools | None) -> WaveformFit:
     count = records.count if weights is None else weights.sum(axis=-1, dtype=np.float64)
     power = sums_of_squares(left)
     rounding = _take_out_rounding(values, weights, series, step, left, power, count)
+    flags[rounding > LOCKED] |= Flag.ROUNDING_REPEATS
     covariance = step.covariance() * rounding[:, np.newaxis, np.newaxis]
     return _judged(records, weights, series, covariance, left, power, count, flags)
 
@@ -137,6 +138,11 @@ def _take_out_rounding(
     rms = np.sqrt(power / np.maximum(count - N_PARAMETERS, 1))
     spacing = level_spacing(values, rms)
     quiet, excess = np.flatnonzero(spacing), np.ones(len(values))
+    if quiet.size:
+        repeated = repetition(left[quiet])
+        locked = repeated > LOCKED
+        excess[quiet[locked]] = repeated[locked] * FEW_ERRORS
+        quiet = quiet[~locked]
     if quiet.size == 0:
         return excess
     some, mask = values[quiet], None if weights is None else weights[quiet]
@@ -156,7 +162,7 @@ def _take_out_rounding(
     series.put(quiet, fitted)
     step.put(quiet, new_step)
     left[quiet], power[quiet] = rest, sums_of_squares(rest)
-    excess[quiet] = rounding_excess(rest, spacing[quiet])
+    excess[quiet] = leftover_excess(rest, spacing[quiet])
     return excess
 
 
@@ -172,10 +178,11 @@ def _judged(
 ) -> WaveformFit:
     """The fit with its noise and its flags; records that do not fit get a second chance with a moving phase."""
     free = count - N_PARAMETERS
-    report = examine_residual(left, count, series.omega, np.abs(series.first), power)
+    repeated = (flags & int(Flag.ROUNDING_REPEATS)) != 0
+    report = examine_residual(left, count, series.omega, np.abs(series.first), power, repeated)
     flags |= report.flags
     excess = report.excess
-    for row in np.flatnonzero((report.flags & int(Flag.MISFIT)) != 0):
+    for row in np.flatnonzero(report.uneven):
         omega = float(series.omega[row])
         if not looks_like_wander(left[row], omega):
             continue
@@ -189,7 +196,12 @@ def _judged(
         covariance[row], power[row] = tracked.covariance, tracked.left @ tracked.left
         free[row] = count[row] - N_PARAMETERS + 1 - tracked.degree
         again = examine_residual(
-            tracked.left[np.newaxis], count[here], series.omega[here], np.abs(series.first[here]), power[here]
+            tracked.left[np.newaxis],
+            count[here],
+            series.omega[here],
+            np.abs(series.first[here]),
+            power[here],
+            repeated[here],
         )
         flags[row] = (flags[row] & ~report.flags[row]) | again.flags[0] | int(Flag.RATE_WANDER)
         excess[row] = again.excess[0]

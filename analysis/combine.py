@@ -18,6 +18,10 @@ UNLIKELY = 0.001
 """A scatter that the records' own noise would produce less often than this is taken as real."""
 
 
+AMPLITUDE_SCATTER = 0.1
+"""Range of the amplitudes, over the largest, that a steady laser never has; averages over a phase that was not
+triggered differ by more."""
+
 BY_CHANCE = (Flag.COLOURED_NOISE, Flag.MISFIT, Flag.RATE_WANDER)
 BY_CHANCE_SHARE = 0.05
 """Tests of the residual raise these flags in well under this share of faultless records."""
@@ -79,6 +83,8 @@ def combine_estimates(estimates: LockInEstimate) -> LockInEstimate:
         flags |= Flag.RATIO_NOT_SIGNIFICANT
     if phases_differ:
         flags |= Flag.MISFIT
+    if np.ptp(used.amplitude) > AMPLITUDE_SCATTER * used.amplitude.max():
+        flags |= Flag.AMPLITUDE_LOST
     low, high = (abs(mean), abs(mean)) if rate_u == 0 else _interval(abs(mean), rate_u, stretch)
     ratio, ratio_u, rho, rho_covariance = _mean_ratio(used, weights)
     frequency_weights = 1 / np.maximum(used.beat_frequency_u**2, 1e-300)

@@ -21,6 +21,8 @@ class Flag(IntFlag):
     COLOURED_NOISE = 1024
     TOO_FEW_SAMPLES = 2048
     NOT_LOCK_IN_LIKE = 4096
+    ROUNDING_REPEATS = 8192
+    AMPLITUDE_LOST = 16384
 
 
 FATAL = Flag.NO_BEAT | Flag.CONSTANT | Flag.TOO_FEW_SAMPLES | Flag.NOT_LOCK_IN_LIKE
@@ -44,6 +46,10 @@ _SENTENCES = {
     Flag.COLOURED_NOISE: "The noise is not white; the uncertainty uses its strength at the harmonics.",
     Flag.TOO_FEW_SAMPLES: "Too few valid samples are left to fit the waveform.",
     Flag.NOT_LOCK_IN_LIKE: "The waveform is not that of a gyro above lock-in; a lock-in rate would mean nothing.",
+    Flag.ROUNDING_REPEATS: "The sampling is locked to the beat and there is hardly any noise: a few rounding "
+    "errors repeat over the whole record. Change the time base by one step.",
+    Flag.AMPLITUDE_LOST: "The beat is weaker than it should be, or its amplitude differs between records: it was "
+    "averaged over a phase that was not triggered, which spoils the ratio. Use SAMPLE mode.",
 }
 
 

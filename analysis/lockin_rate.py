@@ -21,6 +21,9 @@ FEWEST_PERIODS = 3.0
 SIGNIFICANT = 3.3
 """Noise alone makes a ratio of more than this many of its standard uncertainties in 0.4 % of records."""
 
+LOSS = 0.01
+"""Share of the amplitude that may be missing; an averaged moving phase that costs it costs the ratio 3 %."""
+
 WHITE = "white noise of the size that the fit leaves, in each record"
 COLOURED = "noise of the strength that the fit leaves near the fundamental and the second harmonic"
 
@@ -99,6 +102,7 @@ def estimate_lock_in(
     input_rate: ArrayLike | None = None,
     relation: Relation = "exact",
     clipped: ArrayLike | None = None,
+    full_amplitude: ArrayLike | None = None,
 ) -> LockInEstimate:
     """Lock-in rate from each record of the beat.
 
@@ -121,6 +125,10 @@ def estimate_lock_in(
         the exact W of the record for (13).
     clipped : (..., n_samples) of bool, optional
         Samples known to stand at the end of the converter's range.
+    full_amplitude : (...), optional
+        Volts: A as a single acquisition shows it. A record that the scope has averaged over a phase that was not
+        triggered is weaker, and its second harmonic is weaker still (three times as much, at first): it is
+        flagged.
 
     Returns
     -------
@@ -147,6 +155,9 @@ def estimate_lock_in(
         beat = _Beat.of(fit, stack.n_samples, sample_interval)
         value, value_u, low, high = _lock_in_rate(beat, scale_factor, rate, relation)
     flags = fit.flags | _beat_flags(beat, stack.n_samples)
+    if full_amplitude is not None:
+        full = np.broadcast_to(np.asarray(full_amplitude, dtype=np.float64), stack.shape).ravel()
+        flags[_weaker(beat, fit, full, stack.n_samples)] |= Flag.AMPLITUDE_LOST
     fatal = (flags & int(FATAL)) != 0
 
     def shaped(values: Floats) -> Floats:
@@ -299,6 +310,12 @@ def _beat_flags(beat: _Beat, n_samples: int) -> NDArray[np.int64]:
     flags[_folds_onto_another(beat.omega, beat.size, n_samples)] |= Flag.HARMONICS_ALIASED
     flags[~(beat.size > SIGNIFICANT * beat.ratio_u)] |= Flag.RATIO_NOT_SIGNIFICANT
     return flags
+
+
+def _weaker(beat: _Beat, fit: WaveformFit, full: Floats, n_samples: int) -> NDArray[np.bool_]:
+    """Where the amplitude falls short of `full` by more than noise and the stability of a laser explain."""
+    amplitude_u = fit.noise_rms * np.sqrt(2 / n_samples)
+    return np.asarray(full - beat.amplitude > np.maximum(LOSS * full, 5 * amplitude_u))
 
 
 def _folds_onto_another(omega: Floats, ratio: Floats, n_samples: int) -> NDArray[np.bool_]:

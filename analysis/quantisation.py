@@ -17,6 +17,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from analysis.frequency_search import power_of, spectrum_of
+
 Floats = NDArray[np.float64]
 Samples = NDArray[Any]
 """float32 or float64"""
@@ -26,6 +28,20 @@ QUIET = 0.45
 
 TERMS = 8
 SMALLEST_TERM = 1e-4
+
+LEAST_RMS = 0.08
+"""Residual rms in levels that the truncated series leaves of a record without any noise."""
+
+LEFTOVER, LEFTOVER_FALL = 0.3, 0.075
+"""Relative surplus of the uncertainty there, and the rms over which it falls to a third."""
+
+REPEATED = 1.3
+LOCKED = 6.0
+"""Repetition from which on the rounding errors are too few to be told from the waveform itself."""
+
+FEW_ERRORS = 1.25
+"""Factor of the variance for so few errors, which are not Gaussian, from random records as above."""
+
 RUN = 250
 """Neighbouring samples of a record that are compared to see whether rounding might matter at all."""
 
@@ -88,3 +104,33 @@ def mean_rounding(model: Samples, values: Samples, spacing: Floats, residual_rms
             break
         error += size.astype(values.dtype)[:, np.newaxis] * np.sin(m * angle)
     return np.asarray(error * step)
+
+
+def repetition(left: Samples) -> Floats:
+    """How many times over the same errors occur in a residual, (R, N) -> (R,): 1 for white noise.
+
+    Where the sampling is locked to the beat, a few rounding errors repeat over the whole record. Their spectrum is
+    then a few lines, while the lines of white noise scatter as much as their mean.
+    """
+    power = power_of(spectrum_of(left))[:, 1:].astype(np.float64)
+    total = np.maximum(power.sum(axis=-1), 1e-300)
+    return np.asarray(np.vecdot(power, power) * power.shape[1] / (2 * total**2))
+
+
+def leftover_excess(left: Samples, spacing: Floats) -> Floats:
+    """Factor by which the variance of the estimates exceeds that of white noise of the residual's strength, (R,).
+
+    What the correction leaves of the rounding error is not white noise: it sits on the few samples next to a
+    change of level, and follows the waveform. The factor is calibrated on random records (`benchmarks.estimator`).
+
+    Parameters
+    ----------
+    left : (R, N)
+        Residual of quiet records after the correction.
+    spacing : (R,)
+        Of the levels.
+    """
+    rms = np.sqrt(np.vecdot(left, left) / left.shape[1]) / spacing
+    along = 1 + LEFTOVER * np.exp((LEAST_RMS - rms) / LEFTOVER_FALL)
+    repeated = repetition(left)
+    return np.asarray(along**2 * np.where(repeated > REPEATED, repeated, 1.0))

@@ -17,6 +17,9 @@ Bools = NDArray[np.bool_]
 MINIMUM_SAMPLES = 8
 """The lock-in waveform has six parameters; two more samples are the least that leaves any noise estimate."""
 
+NO_DATA = -128
+LARGEST_INTEGER = 2**52
+
 SAMPLES_AT_ONCE = 2_500_000
 """Samples worked on together: enough that the cost of calling NumPy does not count, and a bound on the memory of
 any batch."""
@@ -123,7 +126,8 @@ def as_stack(volts: ArrayLike, sample_interval: float) -> Stack:
     Parameters
     ----------
     volts : (..., n_samples)
-        nan marks a missing sample.
+        nan marks a missing sample; so does -128 in raw codes of int8, which a scope sends where scan mode has no
+        sample yet.
     sample_interval : float
         Seconds.
 
@@ -140,4 +144,8 @@ def as_stack(volts: ArrayLike, sample_interval: float) -> Stack:
         raise ValueError(f"a record needs at least {MINIMUM_SAMPLES} samples, this one has {found}")
     if np.ndim(sample_interval) != 0 or not np.isfinite(sample_interval) or sample_interval <= 0:
         raise ValueError(f"sample_interval must be one positive number of seconds, not {sample_interval!r}")
+    if array.dtype == np.int8 and (array == NO_DATA).any():
+        array = np.where(array == NO_DATA, np.float32(np.nan), array)
+    elif array.dtype.kind in "iu" and array.size and max(int(array.max()), -int(array.min())) > LARGEST_INTEGER:
+        raise ValueError("volts holds integers beyond 2^52: raw codes that have overflowed?")
     return Stack(array.reshape(-1, array.shape[-1]), array.shape[:-1])

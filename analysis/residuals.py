@@ -6,16 +6,18 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import scipy.special
 from numpy.typing import NDArray
 
 from analysis.flags import Flag
 from analysis.frequency_search import power_of, spectrum_of
 
 Floats = NDArray[np.float64]
+Bools = NDArray[np.bool_]
 Samples = NDArray[Any]
 """float32 or float64"""
 
-NEIGHBOURS = 16
+NEIGHBOURS = 24
 """Bins on either side of a harmonic from which the local noise is taken."""
 
 LINE_CHANCE = 1e-6
@@ -25,6 +27,11 @@ ROUNDING = 1e-12
 """A residual below this share of the power is arithmetic, not a measured signal: a synthetic record."""
 
 FEW_PERIODS = 6.0
+VERY_FEW_PERIODS = 3.5
+
+STEEPNESS = np.array([0.0, 0.5, 4.0])
+"""Reciprocal variances of slope and curvature of a noise spectrum, on logarithmic scales, before it is seen: a
+slope of -1 is common, a curve is rarely sharp."""
 
 GROSS_MISFIT = 0.05
 """Share of the signal's power that a waveform may miss and still be called that of a gyro above lock-in."""
@@ -37,14 +44,16 @@ GROSS_MISFIT_OF_A_CURVE = 0.002
 
 @dataclass(frozen=True)
 class ResidualReport:
-    """flags : (R,); excess : (R, 3) variance factors of frequency, ratio size and ratio phase over white noise."""
+    """flags : (R,); excess : (R, 3) variance factors of frequency, ratio size and ratio phase over white noise;
+    uneven : (R,) where the spectrum is not flat, by lines or by broad humps."""
 
     flags: NDArray[np.int64]
     excess: Floats
+    uneven: Bools
 
 
 def examine_residual(
-    left: Samples, count: Floats, omega: Floats, first: Floats, residual_power: Floats
+    left: Samples, count: Floats, omega: Floats, first: Floats, residual_power: Floats, repeated: Bools
 ) -> ResidualReport:
     """Judge the residual of each record by its spectrum.
 
@@ -54,6 +63,8 @@ def examine_residual(
         Residual, 0 where missing.
     count, omega, first, residual_power : (R,)
         Valid samples, rad per sample, size of the fundamental, sum of squares of the residual.
+    repeated : (R,) of bool
+        Where the residual is known to be rounding that repeats with the beat: neither noise nor misfit.
     """
     n_records, n_samples = left.shape
     flags = np.zeros(n_records, dtype=np.int64)
@@ -71,7 +82,11 @@ def examine_residual(
     strength = signal / 2 / np.maximum(noise, 1e-300)
     flags[strength < np.log(n_samples / 2) + 18] |= Flag.NO_BEAT
     rounding = residual_power <= ROUNDING * signal
-    misfit = (line > expected) & ~rounding
+    rounding |= repeated
+    uneven = (line > expected) & ~rounding
+    misfit = uneven.copy()
+    for row in np.flatnonzero(uneven):
+        misfit[row] = _line_stands_out(power[row, 1:], expected)
     flags[misfit] |= Flag.MISFIT
     for row in np.flatnonzero(misfit):
         lines = power[row][power[row] > mean[row] * expected].sum() * 2 / n_samples
@@ -82,38 +97,61 @@ def examine_residual(
     excess = np.ones((n_records, 3))
     at_first = _local_level(power, omega, n_samples) / mean
     at_second = _local_level(power, 2 * omega, n_samples) / mean
-    coloured = (np.maximum(at_first, at_second) > 1.8) | (np.minimum(at_first, at_second) < 0.45)
+    coloured = (np.maximum(at_first, at_second) > 1.6) | (np.minimum(at_first, at_second) < 0.6)
     coloured &= ~rounding
     flags[coloured] |= Flag.COLOURED_NOISE
     for row in np.flatnonzero(coloured):
         line = omega[row] * n_samples / (2 * np.pi)
         first_level, second_level = float(at_first[row]), float(at_second[row])
         if line < 2 * NEIGHBOURS:
-            first_level, second_level = _low_levels(power[row, 1:] / mean[row], line)
-        if line < FEW_PERIODS:
-            # So few periods do not keep the two lines apart: the stronger noise reaches both.
-            first_level = second_level = max(first_level, second_level)
+            levels = _low_levels(power[row, 1:] / mean[row], line)
+            first_level, second_level = levels[1:]
+            if line < FEW_PERIODS:
+                # So few periods do not keep the lines apart: the stronger noise reaches both, and what is below.
+                first_level = second_level = levels[0 if line < VERY_FEW_PERIODS else 1 :].max()
         excess[row] = first_level, second_level, second_level
-    return ResidualReport(flags, excess)
+    return ResidualReport(flags, excess, uneven)
 
 
-def _low_levels(power: Samples, line: float) -> tuple[float, float]:
-    """Noise level at a line of few periods and at its double: white and 1/f noise fitted to the lowest bins.
+def _line_stands_out(power: Samples, expected: float) -> bool:
+    """Whether some line stands out of its neighbours, and not only of the mean, as any does in coloured noise."""
+    width = 2 * NEIGHBOURS + 1
+    if power.size < 2 * width:
+        return True
+    around = np.convolve(power.astype(np.float64), np.ones(width) / (width - 1), mode="same")
+    # Below the first whole window the noise may rise as 1/f: its neighbours are then those on the same side.
+    bins = np.arange(1, NEIGHBOURS)
+    around[: bins.size] = np.maximum(around[NEIGHBOURS], around[: bins.size]) * NEIGHBOURS / bins
+    others = np.maximum(around - power / (width - 1), 1e-300)
+    return bool((power / others).max() > expected)
+
+
+def _low_levels(power: Samples, line: float) -> Floats:
+    """Noise level at half a line of few periods, at the line and at its double, (3,).
 
     Near zero frequency the noise may change within a few bins, so that an average over neighbours would not do.
-    The bins of the lines themselves are left out: the fit has emptied them.
+    Instead its logarithm is fitted by a parabola in the logarithm of the frequency, by maximum likelihood: the
+    power of each bin scatters about the level as an exponential variable. White and 1/f noise are exact cases.
+    The bins of the lines themselves are left out: the fit has emptied them. A level that rests on few bins is
+    raised by what Student's distribution asks for.
     """
     bins = np.arange(1, min(int(4 * line) + 12, power.size) + 1)
     free = (np.abs(bins - line) > 1.5) & (np.abs(bins - 2 * line) > 1.5)
-    columns = np.stack([np.ones(bins.size), 1.0 / bins])[:, free]
-    seen = power[: bins.size][free]
-    level = np.full(seen.size, seen.mean())
-    for _ in range(8):
-        # Each bin's power scatters as much as its mean: weights 1/level^2.
-        solution = np.linalg.solve((columns / level**2) @ columns.T, (columns / level**2) @ seen)
-        solution = np.maximum(solution, [0.0, 0.0])
-        level = np.maximum(solution @ columns, 0.05 * seen.mean())
-    return float(solution[0] + solution[1] / line), float(solution[0] + solution[1] / (2 * line))
+    position = np.log(bins / line)
+    columns = np.stack([np.ones(bins.size), position, position**2], axis=-1)[free]
+    seen = power[: bins.size][free].astype(np.float64)
+    curve = np.array([np.log(seen.mean() + 1e-300), 0.0, 0.0])
+    information = columns.T @ columns + np.diag(STEEPNESS)
+    for _ in range(12):
+        surplus = np.clip(seen / np.exp(columns @ curve) - 1, -1.0, 3.0)
+        curve = curve + np.linalg.solve(information, columns.T @ surplus - STEEPNESS * curve)
+    levels = []
+    for place in np.log([0.5, 1.0, 2.0])[:, np.newaxis] ** np.arange(3):
+        # a power estimated with v degrees of freedom has a relative variance of 2/v
+        degrees = 2 / float(place @ np.linalg.solve(information, place))
+        student = float(scipy.special.stdtrit(degrees, 0.975) / scipy.special.ndtri(0.975))
+        levels.append(float(np.exp(curve @ place)) * student**2)
+    return np.array(levels)
 
 
 def _local_level(power: Samples, omega: Floats, n_samples: int) -> Floats:

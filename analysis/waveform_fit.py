@@ -14,7 +14,7 @@ from analysis.geometric_series import Series, sampled_series
 from analysis.minimise import Task, gauss_newton, sums_of_squares
 from analysis.normal_equations import Step
 from analysis.phase_tracking import looks_like_wander, track_phase
-from analysis.quantisation import level_spacing, mean_rounding
+from analysis.quantisation import FEW_ERRORS, LOCKED, leftover_excess, level_spacing, mean_rounding, repetition
 from analysis.records import Records, Stack
 from analysis.residuals import examine_residual
 from analysis.series_fit import fit_series
@@ -116,8 +116,10 @@ def _fit_records(records: Records, clipped: Bools | None) -> WaveformFit:
         flags[hit] |= Flag.DAMAGED
     count = records.count if weights is None else weights.sum(axis=-1, dtype=np.float64)
     power = sums_of_squares(left)
-    _take_out_rounding(values, weights, series, step, left, power, count)
-    return _judged(records, weights, series, step.covariance(), left, power, count, flags)
+    rounding = _take_out_rounding(values, weights, series, step, left, power, count)
+    flags[rounding > LOCKED] |= Flag.ROUNDING_REPEATS
+    covariance = step.covariance() * rounding[:, np.newaxis, np.newaxis]
+    return _judged(records, weights, series, covariance, left, power, count, flags)
 
 
 def _take_out_rounding(
@@ -128,13 +130,21 @@ def _take_out_rounding(
     left: Samples,
     power: Floats,
     count: Floats,
-) -> None:
-    """Fit quiet records again with the mean rounding error taken out; all but the first two are changed."""
+) -> Floats:
+    """Fit quiet records again with the mean rounding error taken out; series, step, left and power are changed.
+
+    Returns the factor (R,) of the variance by what is left of the rounding.
+    """
     rms = np.sqrt(power / np.maximum(count - N_PARAMETERS, 1))
     spacing = level_spacing(values, rms)
-    quiet = np.flatnonzero(spacing)
+    quiet, excess = np.flatnonzero(spacing), np.ones(len(values))
+    if quiet.size:
+        repeated = repetition(left[quiet])
+        locked = repeated > LOCKED
+        excess[quiet[locked]] = repeated[locked] * FEW_ERRORS
+        quiet = quiet[~locked]
     if quiet.size == 0:
-        return
+        return excess
     some, mask = values[quiet], None if weights is None else weights[quiet]
     n_samples = values.shape[1]
     fitted = series.take(quiet)
@@ -152,6 +162,8 @@ def _take_out_rounding(
     series.put(quiet, fitted)
     step.put(quiet, new_step)
     left[quiet], power[quiet] = rest, sums_of_squares(rest)
+    excess[quiet] = leftover_excess(rest, spacing[quiet])
+    return excess
 
 
 def _judged(
@@ -166,10 +178,11 @@ def _judged(
 ) -> WaveformFit:
     """The fit with its noise and its flags; records that do not fit get a second chance with a moving phase."""
     free = count - N_PARAMETERS
-    report = examine_residual(left, count, series.omega, np.abs(series.first), power)
+    repeated = (flags & int(Flag.ROUNDING_REPEATS)) != 0
+    report = examine_residual(left, count, series.omega, np.abs(series.first), power, repeated)
     flags |= report.flags
     excess = report.excess
-    for row in np.flatnonzero((report.flags & int(Flag.MISFIT)) != 0):
+    for row in np.flatnonzero(report.uneven):
         omega = float(series.omega[row])
         if not looks_like_wander(left[row], omega):
             continue
@@ -183,7 +196,12 @@ def _judged(
         covariance[row], power[row] = tracked.covariance, tracked.left @ tracked.left
         free[row] = count[row] - N_PARAMETERS + 1 - tracked.degree
         again = examine_residual(
-            tracked.left[np.newaxis], count[here], series.omega[here], np.abs(series.first[here]), power[here]
+            tracked.left[np.newaxis],
+            count[here],
+            series.omega[here],
+            np.abs(series.first[here]),
+            power[here],
+            repeated[here],
         )
         flags[row] = (flags[row] & ~report.flags[row]) | again.flags[0] | int(Flag.RATE_WANDER)
         excess[row] = again.excess[0]

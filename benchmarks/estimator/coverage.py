@@ -195,7 +195,7 @@ def _divided(values: Floats, edges: tuple[float, ...], label: str) -> dict[str, 
     }
 
 
-SLOW = 0.25
+SLOW = 1.0
 
 CASES = (
     Case("grid, the record its own reference", draw_gyros, white_noise, _by_periods_and_rate),

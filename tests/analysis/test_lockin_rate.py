@@ -5,6 +5,7 @@ from reference import adler_beat, bound, random_records, slow_fit
 from analysis import FATAL, Flag, beat_signal, combine_estimates, estimate_lock_in, flag_names, harmonic_ratio
 
 N = np.arange(2500)
+R = 0.05  # ratio of the hand-made beats
 
 
 def one_record(rng, *, periods=40.3, x=0.1, amplitude=90.0, noise=0.7, **more):
@@ -161,6 +162,64 @@ def test_each_flag_is_raised_by_its_cause_and_not_without():
     assert "not_lock_in_like" in flags_of(square)
 
 
+def averaged(rng, jitter):
+    """Sixteen beats whose phase at the start scatters by `jitter` rad, averaged as AVErage mode does."""
+    k, w = 0.02, 2 * np.pi * 30.3 / 2500
+    u = np.exp(1j * (w * N + rng.normal(scale=jitter, size=(16, 1))))
+    beats = 80 * (1j * (R - u) / (1 - R * u)).imag + rng.normal(scale=1.0, size=(16, 2500))
+    return k, np.rint(beats.mean(axis=0))
+
+
+def test_an_average_over_a_moving_phase_is_known_by_its_amplitude():
+    """A phase that scatters by s costs the fundamental 1 - exp(-s^2/2), and the ratio three times as much."""
+    rng = np.random.default_rng(30)
+    k, steady = averaged(rng, 0.0)
+    k, moving = averaged(rng, 0.3)
+    good, bad = (estimate_lock_in(v, 1.0, scale_factor=k, full_amplitude=80.0) for v in (steady, moving))
+    assert "amplitude_lost" not in flag_names(int(good.flags))
+    assert "amplitude_lost" in flag_names(int(bad.flags))
+    assert float(good.ratio) == pytest.approx(R, abs=4 * float(good.ratio_u))
+    assert float(bad.ratio) < R - 10 * float(bad.ratio_u)
+    assert float(bad.amplitude) == pytest.approx(80 * np.exp(-(0.3**2) / 2), rel=0.05)
+
+
+def test_averages_over_a_random_phase_are_known_by_their_scatter():
+    rng = np.random.default_rng(31)
+    steady = np.array([averaged(rng, 0.0)[1] for _ in range(6)])
+    moving = np.array([averaged(rng, 2.0)[1] for _ in range(6)])
+    names = [
+        flag_names(int(combine_estimates(estimate_lock_in(v, 1.0, scale_factor=0.02)).flags))
+        for v in (steady, moving)
+    ]
+    assert "amplitude_lost" not in names[0]
+    assert "amplitude_lost" in names[1]
+
+
+def test_rounding_that_repeats_with_the_beat_is_flagged_and_paid_for():
+    """Fifty samples a period and no noise: the same fifty rounding errors in each of fifty periods."""
+    rng = np.random.default_rng(32)
+    theta, delta = rng.uniform(0, 6.28, (2, 300, 1))
+    u = np.exp(1j * (2 * np.pi * N / 50 + theta))
+    z = 1j * (R - u) / (1 - R * u)
+    codes = np.rint(60.3 * (z.real * np.sin(delta) + z.imag * np.cos(delta)))
+    e = estimate_lock_in(codes, 1.0, scale_factor=0.02)
+    assert all("rounding_repeats" in flag_names(f) for f in e.flags)
+    wl = 1.0 * 2 * R / (1 - R**2)
+    inside = (e.lock_in_rate_low_95 <= wl) & (wl <= e.lock_in_rate_high_95)
+    assert inside.mean() > 0.9
+    by_hand = 12**-0.5 * np.sqrt(2 / 50) / 60.3 / R
+    assert np.median(e.lock_in_rate_u / wl) == pytest.approx(by_hand, rel=0.2)
+
+
+def test_the_blank_of_scan_mode_is_a_missing_sample():
+    codes = one_record(np.random.default_rng(33))[1].astype(np.int8)
+    floats = codes.astype(float)
+    codes[100:140], floats[100:140] = -128, np.nan
+    raw, told = (estimate_lock_in(v, 1.0, scale_factor=0.02) for v in (codes, floats))
+    assert "damaged" in flag_names(int(raw.flags))
+    assert float(raw.lock_in_rate) == pytest.approx(float(told.lock_in_rate), rel=1e-9)
+
+
 def test_no_number_is_given_where_it_would_mean_nothing():
     rng = np.random.default_rng(28)
     e = estimate_lock_in(rng.normal(size=(3, 2500)), 1.0, scale_factor=0.02)
@@ -236,6 +295,8 @@ def test_the_reference_waveform_is_ours():
         ({"sample_interval": 0.0}, "sample_interval"),
         ({"volts": np.zeros(5)}, "8 samples"),
         ({"volts": np.full(100, -np.inf)}, "infinite"),
+        ({"volts": np.full(100, 2**60)}, "overflow"),
+        ({"sample_interval": np.inf}, "sample_interval"),
         ({"input_rate": np.nan}, "input_rate"),
         ({"input_rate": np.ones(3)}, "broadcast|shape"),
         ({"relation": "exactly"}, "relation"),

@@ -10,8 +10,8 @@ from numpy.typing import ArrayLike, NDArray
 from analysis.flags import FATAL, Flag
 from analysis.lockin_equation import Relation, input_rate_from_beat, lock_in_from_beat, lock_in_from_rate
 from analysis.ratio_interval import size_interval
-from analysis.records import as_stack
-from analysis.waveform_fit import WaveformFit, fit_waveform
+from analysis.waveform.records import as_stack
+from analysis.waveform.waveform_fit import WaveformFit, fit_waveform
 
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]

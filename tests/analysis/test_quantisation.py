@@ -25,7 +25,7 @@ def test_quiet_records_are_better_than_with_white_rounding(noise):
 
 def test_the_mean_rounding_error_is_that_of_a_simulation():
     """Against ten thousand noisy roundings of one waveform."""
-    from analysis.quantisation import mean_rounding
+    from analysis.waveform.quantisation import mean_rounding
 
     truth = {"f_over_k": 1.0, "wl": 0.3, "k": 0.01, "theta": 0.2, "delta": 1.0, "amplitude": 6.0, "offset": 0.3}
     wave = adler_beat(np.arange(200.0), **truth)

@@ -8,16 +8,23 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.damage import Bools, find_damage, outliers
 from analysis.flags import Flag
-from analysis.geometric_series import Series, sampled_series
-from analysis.minimise import Task, gauss_newton, sums_of_squares
-from analysis.normal_equations import Step
-from analysis.phase_tracking import looks_like_wander, track_phase
-from analysis.quantisation import FEW_ERRORS, LOCKED, leftover_excess, level_spacing, mean_rounding, repetition
-from analysis.records import Records, Stack
-from analysis.residuals import examine_residual
-from analysis.series_fit import fit_series
+from analysis.waveform.damage import Bools, find_damage, outliers
+from analysis.waveform.geometric_series import Series, sampled_series
+from analysis.waveform.minimise import Task, gauss_newton, sums_of_squares
+from analysis.waveform.normal_equations import Step
+from analysis.waveform.phase_tracking import looks_like_wander, track_phase
+from analysis.waveform.quantisation import (
+    FEW_ERRORS,
+    LOCKED,
+    leftover_excess,
+    level_spacing,
+    mean_rounding,
+    repetition,
+)
+from analysis.waveform.records import Records, Stack
+from analysis.waveform.residuals import examine_residual
+from analysis.waveform.series_fit import fit_series
 
 Floats = NDArray[np.float64]
 Samples = NDArray[Any]

@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.frequency_search import spectral_start, spectrum_of
-from analysis.geometric_series import Series
-from analysis.minimise import Task, gauss_newton, levenberg_marquardt
-from analysis.normal_equations import Step
-from analysis.series_start import start_of_series
+from analysis.waveform.frequency_search import spectral_start, spectrum_of
+from analysis.waveform.geometric_series import Series
+from analysis.waveform.minimise import Task, gauss_newton, levenberg_marquardt
+from analysis.waveform.normal_equations import Step
+from analysis.waveform.series_start import start_of_series
 
 Samples = NDArray[Any]
 """float32 or float64"""

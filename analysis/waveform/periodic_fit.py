@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.harmonic_sums import data_sums, hermitian_toeplitz, uniform_kernels
-from analysis.normal_equations import Step
+from analysis.waveform.harmonic_sums import data_sums, hermitian_toeplitz, uniform_kernels
+from analysis.waveform.normal_equations import Step
 
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]

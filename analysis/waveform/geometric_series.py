@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
-from analysis.harmonic_sums import harmonic_powers, phasors, record_grid
+from analysis.waveform.harmonic_sums import harmonic_powers, phasors, record_grid
 
 Floats = NDArray[np.float64]
 Samples = NDArray[Any]

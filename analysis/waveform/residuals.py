@@ -10,7 +10,7 @@ import scipy.special
 from numpy.typing import NDArray
 
 from analysis.flags import Flag
-from analysis.frequency_search import power_of, spectrum_of
+from analysis.waveform.frequency_search import power_of, spectrum_of
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]

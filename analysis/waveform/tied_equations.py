@@ -22,9 +22,9 @@ import numpy as np
 import scipy.special
 from numpy.typing import NDArray
 
-from analysis.geometric_series import Series, harmonics_needed
-from analysis.harmonic_sums import data_sums, uniform_kernels
-from analysis.normal_equations import Step
+from analysis.waveform.geometric_series import Series, harmonics_needed
+from analysis.waveform.harmonic_sums import data_sums, uniform_kernels
+from analysis.waveform.normal_equations import Step
 
 Floats = NDArray[np.float64]
 Samples = NDArray[Any]

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.flags import Flag
-from analysis.records import Records
+from analysis.waveform.records import Records
 
 Floats = NDArray[np.float64]
 Samples = NDArray[Any]

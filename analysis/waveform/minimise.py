@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.geometric_series import LARGEST_RATIO, RATIO_CLASSES, Series, ratio_classes
-from analysis.normal_equations import Step
-from analysis.sampled_equations import equations_by_samples
-from analysis.tied_equations import equations_by_sums
+from analysis.waveform.geometric_series import LARGEST_RATIO, RATIO_CLASSES, Series, ratio_classes
+from analysis.waveform.normal_equations import Step
+from analysis.waveform.sampled_equations import equations_by_samples
+from analysis.waveform.tied_equations import equations_by_sums
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]

@@ -20,8 +20,8 @@ import numpy as np
 from numpy.polynomial import legendre
 from numpy.typing import NDArray
 
-from analysis.geometric_series import LARGEST_RATIO
-from analysis.normal_equations import Step
+from analysis.waveform.geometric_series import LARGEST_RATIO
+from analysis.waveform.normal_equations import Step
 
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]

@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.frequency_search import Spectrum, candidate_frequencies
-from analysis.geometric_series import Series
-from analysis.harmonic_sums import data_sums, uniform_kernels
-from analysis.normal_equations import Step
+from analysis.waveform.frequency_search import Spectrum, candidate_frequencies
+from analysis.waveform.geometric_series import Series
+from analysis.waveform.harmonic_sums import data_sums, uniform_kernels
+from analysis.waveform.normal_equations import Step
 
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]

@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.geometric_series import Series, carrier_of
-from analysis.harmonic_sums import phasors, record_grid
-from analysis.normal_equations import Step
+from analysis.waveform.geometric_series import Series, carrier_of
+from analysis.waveform.harmonic_sums import phasors, record_grid
+from analysis.waveform.normal_equations import Step
 
 Samples = NDArray[Any]
 """float32 or float64"""

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.frequency_search import power_of, spectrum_of
+from analysis.waveform.frequency_search import power_of, spectrum_of
 
 Floats = NDArray[np.float64]
 Samples = NDArray[Any]

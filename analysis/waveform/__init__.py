@@ -1,0 +1,12 @@
+"""Maximum-likelihood fit of the lock-in waveform to records as they come.
+
+A record meets, in this order: `records` (checked, centred), `damage` (clipped samples), `frequency_search` (first
+guess), `series_fit` (the fit: `series_start` where the guess is not plain, `minimise` on the normal equations of
+`tied_equations` or `sampled_equations`), `quantisation` (rounding that is not noise), `residuals` (is it white, is
+it a beat at all), `phase_tracking` (a rate that moved), and `waveform_fit` leads it through.
+"""
+
+from analysis.waveform.records import Stack, as_stack
+from analysis.waveform.waveform_fit import WaveformFit, fit_waveform
+
+__all__ = ["Stack", "WaveformFit", "as_stack", "fit_waveform"]

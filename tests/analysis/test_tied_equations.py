@@ -1,0 +1,73 @@
+"""Closed normal equations against plain sums over the samples."""
+
+import numpy as np
+import pytest
+
+from analysis.waveform.geometric_series import Series, sampled_series
+from analysis.waveform.harmonic_sums import data_sums, uniform_kernels
+from analysis.waveform.sampled_equations import equations_by_samples
+from analysis.waveform.tied_equations import equations_by_sums
+
+
+def direct_sums(values, omega, n_harmonics, highest_power):
+    n = values.shape[1]
+    m = np.arange(n) - (n - 1) / 2
+    return np.array(
+        [
+            [
+                [np.sum(v * (2 * m / n) ** p * np.exp(-1j * k * w * m)) for k in range(n_harmonics + 1)]
+                for p in range(highest_power + 1)
+            ]
+            for v, w in zip(values, omega, strict=True)
+        ]
+    )
+
+
+@pytest.mark.parametrize("n_samples", [2500, 1003, 64])
+def test_sums_are_those_written_out(n_samples):
+    rng = np.random.default_rng(60)
+    values = rng.normal(size=(6, n_samples))
+    omega = rng.uniform(0.01, 3.0, 6)
+    expected = direct_sums(values, omega, 5, 2)
+    np.testing.assert_allclose(data_sums(values, omega, 5, 2), expected, atol=1e-9 * n_samples)
+    single = data_sums(values.astype(np.float32), omega, 5, 2)
+    np.testing.assert_allclose(single, expected, atol=1e-6 * n_samples)
+    several = data_sums(values, np.stack([omega, omega / 2], axis=-1), 5, 2)
+    np.testing.assert_allclose(several[:, 0], expected, atol=1e-9 * n_samples)
+
+
+@pytest.mark.parametrize("n_samples", [2500, 2501])
+def test_kernels_are_sums_of_ones_also_where_harmonics_fold_onto_a_constant(n_samples):
+    omega = np.array([0.00503, 0.4, 2 * np.pi / 5, 2 * np.pi / 6, 2 * np.pi / 5 + 1e-5, 2 * np.pi / 6 - 3e-6])
+    expected = direct_sums(np.ones((omega.size, n_samples)), omega, 20, 2)
+    np.testing.assert_allclose(uniform_kernels(omega, n_samples, 20), expected, atol=1e-7 * n_samples)
+
+
+def a_record_and_a_trial(rng, n_records, n_samples):
+    def phasor(size):
+        return size * np.exp(1j * rng.uniform(-np.pi, np.pi, n_records))
+
+    omega = np.exp(rng.uniform(np.log(2.6), np.log(550), n_records)) * 2 * np.pi / n_samples
+    omega[:3] = 2 * np.pi / 5, 2 * np.pi / 6, 2 * np.pi / 5 + 1e-5
+    truth = Series(rng.normal(size=n_records), phasor(60.0), phasor(rng.uniform(0.01, 0.8, n_records)), omega)
+    values = sampled_series(truth, n_samples) + rng.normal(size=(n_records, n_samples))
+    trial = Series(truth.offset + 0.1, truth.first * 1.01, truth.ratio * 0.99, omega + 0.01 / n_samples)
+    return values, trial
+
+
+@pytest.mark.parametrize("share_missing", [0.0, 0.2])
+def test_normal_equations_in_closed_form_are_those_of_the_samples(share_missing):
+    """From 2.6 periods on, and where five samples a period make the harmonics fold onto each other."""
+    rng = np.random.default_rng(61)
+    values, trial = a_record_and_a_trial(rng, 60, 2500)
+    weights = None
+    if share_missing:
+        weights = (rng.uniform(size=values.shape) > share_missing).astype(float)
+        values = values * weights
+    closed = equations_by_sums(values, weights, np.sum(values**2, axis=-1), trial)
+    plain = equations_by_samples(values, weights, trial)
+    size = np.sqrt(np.diagonal(plain.normal, axis1=1, axis2=2))
+    both = size[:, :, np.newaxis] * size[:, np.newaxis, :]
+    np.testing.assert_allclose(closed.normal / both, plain.normal / both, atol=1e-7)
+    np.testing.assert_allclose(closed.gradient / size, plain.gradient / size, atol=1e-5)
+    np.testing.assert_allclose(closed.residual_power, plain.residual_power, rtol=1e-5)

@@ -15,6 +15,7 @@ from analysis.study import (
     rate_study,
     waveform_study,
 )
+from analysis.study.figures import largest_over_phases
 from analysis.study.simulation import Gyros, errors_by_peaks, peak_ratio, records, spectrum
 
 # x, r = A2/A1, bias of (13) and (10) in percent: from amplitudes of an eighth-order integration
@@ -122,3 +123,7 @@ def test_figs_5_and_6_have_the_largest_over_the_phase() -> None:
     some = errors_by_peaks(Gyros.of(1.0, 0.05, np.linspace(0, 2 * np.pi, 8, endpoint=False)))["boxcar"]
     assert abs(fifth.by_peaks["boxcar"][0, 1]) == pytest.approx(np.abs(some).max())
     assert np.abs(fifth.ours).max() < 1e-7
+
+
+def test_largest_over_phases_keeps_the_sign() -> None:
+    np.testing.assert_array_equal(largest_over_phases(np.array([[0.1, -0.3], [0.2, 0.1]])), [-0.3, 0.2])

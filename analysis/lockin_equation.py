@@ -16,6 +16,7 @@ matrix exponential is one formula for a gyro that turns either way, is locked or
 
 from __future__ import annotations
 
+import math
 from typing import Literal
 
 import numpy as np
@@ -153,28 +154,57 @@ def rate_varying_beat(
     )
     up, down = np.pi * scale_factor * rates, np.pi * scale_factor * wl[..., np.newaxis]
     even, odd = _half_angle_propagator(np.asarray(sample_interval), up, np.broadcast_to(down, up.shape))
-    steps = np.empty((*up.shape, 2, 2))
-    steps[..., 0, 0], steps[..., 0, 1] = even - odd * down, odd * up
-    steps[..., 1, 0], steps[..., 1, 1] = -odd * up, even + odd * down
-    products = _running_products(steps)
     half = (phi0 + beta) / 2
-    start = np.stack([np.sin(half), np.cos(half)], axis=-1)
-    nd = np.einsum("...tij,...j->...ti", products, start)
-    first = np.broadcast_to(start[..., np.newaxis, :], (*nd.shape[:-2], 1, 2))
-    nd = np.concatenate([first, nd], axis=-2)
-    n, d = nd[..., 0], nd[..., 1]
+    n, d = _chained(even, odd * down, odd * up, np.sin(half), np.cos(half))
     return _detected(n, d, a[..., np.newaxis], (delta - beta)[..., np.newaxis])
 
 
-def _running_products(steps: Floats) -> Floats:
-    """P[t] = steps[t] ... steps[0] up to a positive factor, by doubling: log2(n) batched products."""
-    products = steps.copy()
-    shift = 1
-    while shift < products.shape[-3]:
-        products[..., shift:, :, :] = products[..., shift:, :, :] @ products[..., :-shift, :, :]
-        products /= np.abs(products).max(axis=(-1, -2), keepdims=True)
-        shift *= 2
-    return products
+def _chained(even: Floats, down: Floats, up: Floats, n0: Floats, d0: Floats) -> tuple[Floats, Floats]:
+    """(N, D) after each of a chain of steps [[even - down, up], [-up, even + down]], and before the first.
+
+    The chain is cut into runs. All runs are multiplied out at the same time, step by step; then they are joined.
+
+    Parameters
+    ----------
+    even, down, up : (..., n_steps)
+    n0, d0 : (...)
+        At the start.
+
+    Returns
+    -------
+    n, d : (..., n_steps + 1)
+        Up to a common positive factor.
+    """
+    n_steps = up.shape[-1]
+    length = math.isqrt(max(n_steps - 1, 0)) + 1
+    runs = -(-n_steps // length)
+    # A step of identities fills the last run. Each step is scaled, so that a locked gyro does not overflow.
+    scale = np.maximum(np.abs(even) + np.abs(down), np.abs(up))
+    shape = np.broadcast_shapes(even.shape, down.shape, up.shape)
+    padded = np.zeros((3, *shape[:-1], runs * length))
+    padded[0, ..., n_steps:] = 1.0
+    for place, values in zip(padded, (even, down, up), strict=True):
+        place[..., :n_steps] = values / scale
+    # the place in the run comes first, so that each step of all runs lies together in memory
+    e, w, u = np.moveaxis(padded.reshape(3, *shape[:-1], runs, length), -1, 1).copy()
+    product = np.empty((4, length, *shape[:-1], runs))
+    product[:, 0] = e[0] - w[0], u[0], -u[0], e[0] + w[0]
+    for j in range(1, length):
+        p, q, r, s = product[:, j - 1]
+        less, more = e[j] - w[j], e[j] + w[j]
+        product[:, j] = less * p + u[j] * r, less * q + u[j] * s, more * r - u[j] * p, more * s - u[j] * q
+    n, d = (np.empty((length, *shape[:-1], runs)) for _ in range(2))
+    n_now, d_now = (np.broadcast_to(v, shape[:-1]) for v in (n0, d0))
+    for run in range(runs):
+        p, q, r, s = product[..., run]
+        n[..., run], d[..., run] = p * n_now + q * d_now, r * n_now + s * d_now
+        size = np.hypot(n[-1, ..., run], d[-1, ..., run])
+        n_now, d_now = n[-1, ..., run] / size, d[-1, ..., run] / size
+    joined = (np.moveaxis(v, 0, -1).reshape(*shape[:-1], -1)[..., :n_steps] for v in (n, d))
+    after_n, after_d = joined
+    first = (np.broadcast_to(v, shape[:-1])[..., np.newaxis] for v in (n0, d0))
+    before_n, before_d = first
+    return np.concatenate([before_n, after_n], axis=-1), np.concatenate([before_d, after_d], axis=-1)
 
 
 def harmonic_ratio(rate_ratio: ArrayLike) -> Floats:

@@ -19,7 +19,7 @@ from benchmarks.estimator import accuracy, coverage, speed, tables
 from benchmarks.estimator.gyros import N_SAMPLES
 
 QUICK_RECORDS = 1_500
-DEFAULT_RECORDS = 40_000
+DEFAULT_RECORDS = 100_000
 PAGE_MARKS = ("<!-- tables of python -m benchmarks.estimator -->", "<!-- end of tables -->")
 
 
@@ -35,7 +35,7 @@ class Sizes:
     @staticmethod
     def of(records: int) -> Sizes:
         """The shares of a run of so many records on the grid."""
-        return Sizes(records, max(records // 5, 200), max(records // 10, 200), min(max(records // 6, 200), 1000))
+        return Sizes(records, max(records // 10, 200), max(records // 20, 200), min(max(records // 6, 200), 1000))
 
 
 def main(arguments: list[str] | None = None) -> int:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import multiprocessing
 import time
+import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
@@ -12,10 +13,12 @@ import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
+from scipy.optimize import OptimizeWarning, curve_fit
 
-from analysis import beat_signal, estimate_lock_in
+from analysis import beat_signal, estimate_lock_in, rate_varying_beat
 from benchmarks.estimator.gyros import N_SAMPLES, codes_of, draw_gyros, white_noise
 from benchmarks.estimator.methods.general_fit import fit_curve
+from benchmarks.estimator.methods.sine_fits import peak_frequency
 from benchmarks.estimator.progress import Progress
 
 Floats = NDArray[np.float64]
@@ -46,7 +49,7 @@ def measure_speed(n_records: int, seed: int) -> list[Speed]:
     """All comparisons, with batches of `n_records`."""
     rng = np.random.default_rng([seed, 300])
     far, near = (_codes(rng, n_records, limits) for limits in ((3.0, 100.0), (1.02, 3.0)))
-    with Progress("speed", 5) as progress:
+    with Progress("speed", 7) as progress:
         results = []
         for what, codes in (("W/WL 3 to 100", far), ("W/WL 1.02 to 3", near)):
             ours, fft = _alternate([partial(_estimate, codes), partial(scipy.fft.rfft, codes, axis=1)])
@@ -54,9 +57,13 @@ def measure_speed(n_records: int, seed: int) -> list[Speed]:
             progress.done()
         results.append(_against_curve_fit(far, results[0].ours))
         progress.done()
+        results.append(_against_physical_fit(far, results[0].ours))
+        progress.done()
         results.append(_two_processes(far))
         progress.done()
         results.append(_synthesis(rng, n_records))
+        progress.done()
+        results.append(_synthesis_of_a_moving_rate(rng, n_records))
         progress.done()
     return results
 
@@ -89,6 +96,44 @@ def _against_curve_fit(codes: Floats, ours: float) -> Speed:
         fit_curve(codes[:FEW], np.ones(FEW))
     theirs = (time.perf_counter() - before) / FEW
     return Speed("curve_fit of the same six parameters / estimate, W/WL 3 to 100", ours, theirs, theirs / ours)
+
+
+def _against_physical_fit(codes: Floats, ours: float) -> Speed:
+    """The fit as a user of `beat_signal` would write it: rate, lock-in rate, amplitude, two phases, offset."""
+    times = np.arange(float(N_SAMPLES))
+
+    def beat(
+        times: Floats, rate: float, lock_in: float, amplitude: float, phase: float, readout: float, offset: float
+    ) -> Floats:
+        signal = beat_signal(
+            times,
+            scale_factor=1.0,
+            input_rate=rate,
+            lock_in_rate=abs(lock_in),
+            amplitude=amplitude,
+            initial_phase=phase,
+            readout_phase=readout,
+        )
+        return np.asarray(offset + signal)
+
+    gave_up, omega, before = 0, peak_frequency(codes[:FEW]), time.perf_counter()
+    for record, w in zip(codes[:FEW], omega, strict=True):
+        phase = float(np.angle(np.sum(record * np.exp(-1j * w * times)))) + np.pi / 2
+        start = [w / (2 * np.pi) * 1.01, w / (2 * np.pi) * 0.1, np.ptp(record) / 2, phase, 0.0, record.mean()]
+        try:
+            with warnings.catch_warnings(), np.errstate(all="ignore"):
+                warnings.simplefilter("ignore", OptimizeWarning)
+                curve_fit(beat, times, record, p0=start)
+        except RuntimeError:
+            gave_up += 1
+    theirs = (time.perf_counter() - before) / FEW
+    return Speed(
+        "curve_fit of beat_signal, from the FFT peak / estimate, W/WL 3 to 100",
+        ours,
+        theirs,
+        theirs / ours,
+        f"curve_fit gave up on {gave_up} of {FEW} records",
+    )
 
 
 def _two_processes(codes: Floats) -> Speed:
@@ -125,19 +170,41 @@ def _synthesis(rng: np.random.Generator, n_records: int) -> Speed:
     signal = ours()
     worst, before = 0.0, time.perf_counter()
     for row in range(FEW):
-
-        def slope(_t: float, phi: Floats, row: int = row) -> Floats:
-            return np.asarray(2 * np.pi * (rate[row] - lock_in[row] * np.sin(phi)))
-
-        solved = solve_ivp(
-            slope, (0.0, times[-1]), [0.0], method="DOP853", t_eval=times, rtol=TOLERANCE, atol=TOLERANCE
-        )
-        worst = max(worst, float(np.abs(np.sin(solved.y[0]) - signal[row]).max()))
+        solved = _integrated(lambda _t, row=row: rate[row], lock_in[row], times)
+        worst = max(worst, float(np.abs(solved - signal[row]).max()))
     theirs = (time.perf_counter() - before) / FEW
-    return Speed(
-        "solve_ivp (DOP853) / beat_signal",
-        seconds,
-        theirs,
-        theirs / seconds,
-        f"the two beats differ by {worst:.0e} of the amplitude at most, by the integrator's error",
-    )
+    return Speed("solve_ivp (DOP853) / beat_signal", seconds, theirs, theirs / seconds, _differ(worst))
+
+
+def _synthesis_of_a_moving_rate(rng: np.random.Generator, n_records: int) -> Speed:
+    """`rate_varying_beat` on a rate that ripples by a tenth, with the exact mean rate of each step."""
+    gyros = draw_gyros(rng, n_records, periods=(20.0, 200.0), rate_over_lock_in=(1.5, 100.0))
+    times = np.arange(float(N_SAMPLES))
+    rate, lock_in, ripple = np.abs(gyros.input_rate), gyros.lock_in_rate, 2 * np.pi * 3 / N_SAMPLES
+    means = 1 - 0.1 * np.diff(np.cos(ripple * times)) / ripple
+
+    def ours() -> Floats:
+        return rate_varying_beat(rate[:, np.newaxis] * means, 1.0, scale_factor=1.0, lock_in_rate=lock_in)
+
+    seconds = _alternate([ours])[0] / n_records
+    signal = ours()
+    worst, before = 0.0, time.perf_counter()
+    for row in range(FEW):
+        solved = _integrated(lambda t, row=row: rate[row] * (1 + 0.1 * np.sin(ripple * t)), lock_in[row], times)
+        worst = max(worst, float(np.abs(solved - signal[row]).max()))
+    theirs = (time.perf_counter() - before) / FEW
+    what = "solve_ivp (DOP853) / rate_varying_beat, the rate moving by a tenth"
+    return Speed(what, seconds, theirs, theirs / seconds, _differ(worst))
+
+
+def _integrated(rate: Callable[[float], float], lock_in: float, times: Floats) -> Floats:
+    def slope(t: float, phi: Floats) -> Floats:
+        return np.asarray(2 * np.pi * (rate(t) - lock_in * np.sin(phi)))
+
+    span = (0.0, float(times[-1]))
+    solved = solve_ivp(slope, span, [0.0], method="DOP853", t_eval=times, rtol=TOLERANCE, atol=TOLERANCE)
+    return np.asarray(np.sin(solved.y[0]))
+
+
+def _differ(worst: float) -> str:
+    return f"the two beats differ by {worst:.0e} of the amplitude at most"

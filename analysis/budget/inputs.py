@@ -155,7 +155,7 @@ def _from_table(point: OperatingPoint, table: TableGeometry, reference: Referenc
 
 
 def _rate_slopes(table: TableGeometry) -> tuple[float, float, float, float, float]:
-    """Derivatives of the rate on the axis by table rate, tilt, latitude, azimuth (deg/s per deg) and earth rate."""
+    """Derivatives of the axis rate by table rate, tilt, latitude, azimuth (deg/s per deg) and earth rate."""
     azimuth = table.azimuth_deg if math.isfinite(table.azimuth_deg) else 90.0  # east: the vertical part alone
     tilt, latitude, turned = (math.radians(v) for v in (table.tilt_deg, table.latitude_deg, azimuth))
     up, north, sine, cosine = math.sin(latitude), math.cos(latitude), math.sin(tilt), math.cos(tilt)

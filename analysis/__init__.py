@@ -2,6 +2,8 @@
 
 from analysis.combine import combine_estimates
 from analysis.flags import FATAL, Flag, describe_flag, flag_names
+from analysis.frequency_method import FrequencyFit, fit_frequencies
+from analysis.front_end import ChannelResponse, correct_response
 from analysis.harmonics import HarmonicFit, fit_harmonics
 from analysis.lockin_equation import (
     beat_frequency,
@@ -21,7 +23,9 @@ from analysis.several_rates import fit_rate_ratios, fit_rates
 __all__ = [
     "EARTH_RATE_DPS",
     "FATAL",
+    "ChannelResponse",
     "Flag",
+    "FrequencyFit",
     "HarmonicFit",
     "LockInEstimate",
     "QuadratureEstimate",
@@ -31,10 +35,12 @@ __all__ = [
     "beat_frequency",
     "beat_signal",
     "combine_estimates",
+    "correct_response",
     "describe_flag",
     "earth_rate_on_axis",
     "estimate_lock_in",
     "estimate_quadratures",
+    "fit_frequencies",
     "fit_harmonics",
     "fit_rate_ratios",
     "fit_rates",

@@ -75,7 +75,8 @@ def test_a_record_on_the_turning_table_has_the_mean_rate():
     )
     made = estimate_lock_in(volts, interval, scale_factor=scale / 8)
     expected = mean_rate_in_record(2499 * interval, table, 88.693, 28.2, start + table * 2499 * interval / 2)
-    assert float(made.input_rate) == pytest.approx(float(expected.mean), rel=1e-4)
+    # A frequency fit weighs the middle of the record more than its ends.
+    assert float(made.input_rate) == pytest.approx(float(expected.mean), rel=4e-4)
     # The earth's swing, ignored, would be an error of over 1 % of W.
     assert abs(float(made.input_rate) / (table * np.cos(np.deg2rad(88.693))) - 1) > 0.005
 

@@ -1,0 +1,305 @@
+"""Lock-in rate from beat frequency against rate: f^2 = K^2 [(W - W0)^2 - WL^2], the route without harmonics.
+
+The equation is a parabola in W, f^2 = a W^2 + b W + c, so the fit is linear; W0 is the bias rate of the gyro
+(earth rate included). A given scale factor is one more observation, a = K^2.
+
+What it sees is not quite the lock-in rate. Backscatter that moves energy between the beams (dissipative) pulls the
+frequency down; the part that only shifts their phases (conservative) pushes it up once the beat is faster than the
+gain can follow the difference of the beams. WL^2 of this method is the difference of the two and may be negative.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from enum import IntFlag
+
+import numpy as np
+import scipy.special
+from numpy.typing import ArrayLike, NDArray
+
+Floats = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+
+ROUNDS = 20
+UNLIKELY = 0.001
+NORMAL_95 = 1.959964
+
+CAVEAT = (
+    "The beat frequency shows the lock-in rate only where the coupling of the beams is dissipative: a "
+    "conservative part pushes the frequency up when the beat is fast against the gain, and WL comes out too "
+    "small, zero or imaginary. Compare with the harmonics first."
+)
+
+
+class FrequencyFlag(IntFlag):
+    """Bits of `FrequencyFit.flags`; the lower-case name is the one used in JSON."""
+
+    NEGATIVE_SQUARE = 1
+    """WL^2 came out below zero."""
+    NOT_SIGNIFICANT = 2
+    """WL^2 does not stand out of its uncertainty."""
+    MISFIT = 4
+    """The frequencies scatter more than their uncertainties say; those of the result are enlarged."""
+    NOT_TESTED = 8
+    """As many unknowns as observations."""
+    LOCKED_RECORDS = 16
+    """Records without a beat agree with the lock-in rate found, and bound it from below."""
+    NO_BEAT_ABOVE_LOCK_IN = 32
+    """Records without a beat at a rate where there should be one."""
+    RECORDS_LEFT_OUT = 64
+    """Records with a frequency or rate that is not a number."""
+
+
+@dataclass(frozen=True)
+class FrequencyFit:
+    """Fit of f^2 = K^2 [(W - W0)^2 - WL^2].
+
+    lock_in_rate, lock_in_rate_u : deg/s; nan where WL^2 is not positive. The uncertainty is that of WL^2 over 2 WL
+    lock_in_rate_low_95, lock_in_rate_high_95 : deg/s, from the ends of the interval of WL^2: 0 where the lower end
+        is negative, nan where even the upper one is
+    lock_in_square, lock_in_square_u : WL^2 in (deg/s)^2, of either sign
+    scale_factor, scale_factor_u, bias_rate, bias_rate_u : pulses per degree; deg/s
+    covariance : (3, 3) of WL^2, W0 and K
+    chi_square, degrees_of_freedom, p_value : a given scale factor counts as an observation
+    residual : (n,) Hz, f less the fitted one; nan where not used
+    used, locked : (n,)
+    flags : bits of `FrequencyFlag`
+    sentences : in plain words, the caveat of the method among them
+    """
+
+    lock_in_rate: float
+    lock_in_rate_u: float
+    lock_in_rate_low_95: float
+    lock_in_rate_high_95: float
+    lock_in_square: float
+    lock_in_square_u: float
+    scale_factor: float
+    scale_factor_u: float
+    bias_rate: float
+    bias_rate_u: float
+    covariance: Floats
+    chi_square: float
+    degrees_of_freedom: int
+    p_value: float
+    residual: Floats
+    used: Bools
+    locked: Bools
+    flags: int
+    sentences: tuple[str, ...]
+
+
+def fit_frequencies(
+    input_rate: ArrayLike,
+    beat_frequency: ArrayLike,
+    beat_frequency_u: ArrayLike,
+    *,
+    input_rate_u: ArrayLike = 0.0,
+    scale_factor: float | None = None,
+    scale_factor_u: float = 0.0,
+    bias: bool = True,
+) -> FrequencyFit:
+    """Lock-in rate, bias rate and scale factor from beat frequencies at several rates.
+
+    Parameters
+    ----------
+    input_rate, input_rate_u : (n,)
+        deg/s, signed; the uncertainty of each rate is independent of the others.
+    beat_frequency, beat_frequency_u : (n,)
+        Hz; 0 where there was no beat.
+    scale_factor, scale_factor_u : float, optional
+        K in pulses per degree, if known. Without it K is fitted too.
+    bias : bool
+        Whether W0 is fitted; otherwise it is zero.
+
+    Returns
+    -------
+    FrequencyFit
+
+    Raises
+    ------
+    ValueError
+        Too few different rates for the unknowns, uncertainties that are not positive, shapes that do not fit.
+
+    Examples
+    --------
+    >>> rates = np.array([0.1, 0.2, 0.4, -0.1, -0.2, -0.4])
+    >>> fit = fit_frequencies(rates, 2000 * np.sqrt(rates**2 - 0.05**2), 0.01)
+    >>> round(fit.lock_in_rate, 6), round(fit.scale_factor, 3)
+    (0.05, 2000.0)
+    """
+    rate, f, fu, rate_u = _checked(input_rate, beat_frequency, beat_frequency_u, input_rate_u)
+    if scale_factor is not None and not (np.isfinite(scale_factor) and scale_factor > 0 and scale_factor_u >= 0):
+        raise ValueError("scale_factor must be positive (pulses per degree), its uncertainty not negative")
+    finite = np.isfinite(rate) & np.isfinite(f) & np.isfinite(fu) & np.isfinite(rate_u)
+    used, locked = finite & (f > 0), finite & (f == 0)
+    if not used.any() or not np.any(rate[used]):
+        raise ValueError("no beat frequency at a rate other than zero: nothing can be fitted")
+    point, covariance, chi_square = _parabola(
+        rate[used], f[used], fu[used], rate_u[used], scale_factor, scale_factor_u, bias
+    )
+    degrees = int(used.sum()) + (scale_factor is not None) - point.size
+    p_value = float(scipy.special.chdtrc(degrees, chi_square)) if degrees > 0 else float("nan")
+    widen, quantile = 1.0, NORMAL_95
+    if p_value < UNLIKELY:
+        widen, quantile = chi_square / degrees, float(scipy.special.stdtrit(degrees, 0.975))
+    values, covariance = _physical(point, covariance * widen, bias)
+    square, square_u = float(values[0]), float(np.sqrt(covariance[0, 0]))
+    ends = np.array([square - quantile * square_u, square + quantile * square_u])
+    low, high = (float(np.sqrt(v)) if v > 0 else float("nan") for v in ends)
+    expected = values[2] * np.sqrt(np.maximum((rate - values[1]) ** 2 - square, 0.0))
+    flags = _flags(rate, used, locked, values, square_u, high, p_value, degrees)
+    held = np.abs(rate[locked] - values[1]) if flags & FrequencyFlag.LOCKED_RECORDS else np.empty(0)
+    low = max([0.0 if np.isnan(low) else low, *held[held <= (0.0 if np.isnan(high) else high)]])
+    root = float(np.sqrt(square)) if square > 0 else float("nan")
+    fit = FrequencyFit(
+        lock_in_rate=root,
+        lock_in_rate_u=square_u / (2 * root),
+        lock_in_rate_low_95=low,
+        lock_in_rate_high_95=high,
+        lock_in_square=square,
+        lock_in_square_u=square_u,
+        scale_factor=float(values[2]),
+        scale_factor_u=float(np.sqrt(covariance[2, 2])),
+        bias_rate=float(values[1]),
+        bias_rate_u=float(np.sqrt(covariance[1, 1])),
+        covariance=covariance,
+        chi_square=chi_square,
+        degrees_of_freedom=degrees,
+        p_value=p_value,
+        residual=np.where(used, f - expected, np.nan),
+        used=used,
+        locked=locked,
+        flags=flags,
+        sentences=(),
+    )
+    return replace(fit, sentences=_words(fit, scale_factor is not None))
+
+
+def _checked(
+    input_rate: ArrayLike, beat_frequency: ArrayLike, beat_frequency_u: ArrayLike, input_rate_u: ArrayLike
+) -> tuple[Floats, Floats, Floats, Floats]:
+    rate = np.atleast_1d(np.asarray(input_rate, dtype=np.float64))
+    if rate.ndim != 1:
+        raise ValueError("input_rate must be a list of rates (deg/s)")
+    columns = [rate]
+    for name, values in (
+        ("beat_frequency", beat_frequency),
+        ("beat_frequency_u", beat_frequency_u),
+        ("input_rate_u", input_rate_u),
+    ):
+        array = np.asarray(values, dtype=np.float64)
+        if array.ndim > 1 or array.size not in (1, rate.size):
+            raise ValueError(f"{name} must hold {rate.size} values, one for every rate, not {array.size}")
+        columns.append(np.broadcast_to(array, rate.shape))
+    _, f, fu, rate_u = columns
+    if np.any(f < 0) or np.any(fu < 0) or np.any(rate_u < 0):
+        raise ValueError("frequencies and uncertainties must not be negative")
+    if np.any((f > 0) & (fu == 0) & (rate_u == 0)):
+        raise ValueError("every frequency needs an uncertainty, of its own (Hz) or of its rate (deg/s)")
+    return rate, f, fu, rate_u
+
+
+def _parabola(
+    rate: Floats,
+    f: Floats,
+    fu: Floats,
+    rate_u: Floats,
+    scale_factor: float | None,
+    scale_factor_u: float,
+    bias: bool,
+) -> tuple[Floats, Floats, float]:
+    """a, (b,) c of f^2 = a W^2 + b W + c, their covariance, and chi-square."""
+    columns = [rate**2, rate, np.ones_like(rate)] if bias else [rate**2, np.ones_like(rate)]
+    design, target = np.stack(columns, axis=-1), f**2
+    if scale_factor is not None:
+        design = np.concatenate([design, np.eye(1, len(columns))])
+        target = np.append(target, scale_factor**2)
+    slope = 2 * (scale_factor or float(np.max(f) / np.max(np.abs(rate)))) ** 2 * rate
+    for _ in range(ROUNDS):
+        us = np.hypot(2 * f * fu, slope * rate_u)
+        if scale_factor is not None:
+            # An exact K is one known far better than any frequency can show.
+            us = np.append(us, max(2 * scale_factor * scale_factor_u, 1e-12 * scale_factor**2))
+        white = design / us[:, np.newaxis]
+        size = np.linalg.norm(white, axis=0)
+        if white.shape[0] < white.shape[1] or np.any(size == 0) or np.linalg.cond(white / size) > 1e8:
+            raise ValueError(
+                "these rates do not determine the unknowns: without a bias rate two different |W| are needed, "
+                "with it also both senses or a third rate; a known scale factor saves one"
+            )
+        inverse = np.linalg.pinv(white / size) / size[:, np.newaxis]
+        point = inverse @ (target / us)
+        new = 2 * point[0] * rate + (point[1] if bias else 0.0)
+        if not np.any(rate_u) or np.allclose(new, slope, rtol=1e-12, atol=0):
+            break
+        slope = new
+    return point, inverse @ inverse.T, float(np.sum(((target - design @ point) / us) ** 2))
+
+
+def _physical(point: Floats, covariance: Floats, bias: bool) -> tuple[Floats, Floats]:
+    """WL^2, W0 and K, and their covariance, from a, (b,) c."""
+    a, c = point[0], point[-1]
+    if a <= 0:
+        raise ValueError("the frequencies do not rise with the rate: no gyro beat")
+    b = point[1] if bias else 0.0
+    center, root = -b / (2 * a), np.sqrt(a)
+    by_a = [-(b**2) / (2 * a**3) + c / a**2, b / (2 * a**2), 1 / (2 * root)]
+    by_b = [b / (2 * a**2), -1 / (2 * a), 0.0]
+    by_c = [-1 / a, 0.0, 0.0]
+    jacobian = np.array([by_a, by_b, by_c] if bias else [by_a, by_c]).T
+    return np.array([center**2 - c / a, center, root]), jacobian @ covariance @ jacobian.T
+
+
+def _flags(
+    rate: Floats,
+    used: Bools,
+    locked: Bools,
+    values: Floats,
+    square_u: float,
+    high: float,
+    p_value: float,
+    degrees: int,
+) -> int:
+    above = np.abs(rate[locked] - values[1]) > (0.0 if np.isnan(high) else high)
+    conditions = {
+        FrequencyFlag.NEGATIVE_SQUARE: values[0] <= 0,
+        FrequencyFlag.NOT_SIGNIFICANT: values[0] < 3.3 * square_u,
+        FrequencyFlag.MISFIT: p_value < UNLIKELY,
+        FrequencyFlag.NOT_TESTED: degrees <= 0,
+        FrequencyFlag.LOCKED_RECORDS: bool(np.any(~above)),
+        FrequencyFlag.NO_BEAT_ABOVE_LOCK_IN: bool(np.any(above)),
+        FrequencyFlag.RECORDS_LEFT_OUT: not bool(np.all(used | locked)),
+    }
+    return int(sum(bit for bit, raised in conditions.items() if raised))
+
+
+def _words(fit: FrequencyFit, scale_given: bool) -> tuple[str, ...]:
+    origin = f"from {int(fit.used.sum())} beat frequencies, scale factor {'given' if scale_given else 'fitted'}"
+    high = fit.lock_in_rate_high_95
+    if np.isnan(high):
+        value = (
+            f"WL^2 is {fit.lock_in_square:.3g} ± {fit.lock_in_square_u:.2g} (deg/s)^2, below zero beyond its "
+            f"uncertainty, {origin}: the frequency is pushed up, not pulled down. There is no lock-in rate in it."
+        )
+    elif fit.flags & FrequencyFlag.NOT_SIGNIFICANT:
+        value = (
+            f"WL^2 is {fit.lock_in_square:.3g} ± {fit.lock_in_square_u:.2g} (deg/s)^2 and does not stand out, "
+            f"{origin}; the frequencies alone would say WL below {high:.3g} deg/s with 95 %."
+        )
+    else:
+        value = f"Lock-in rate {fit.lock_in_rate:.5g} ± {fit.lock_in_rate_u:.2g} deg/s (k = 1) {origin}."
+    others = (
+        f"Scale factor {fit.scale_factor:.8g} ± {fit.scale_factor_u:.2g} pulses per degree, bias rate "
+        f"{fit.bias_rate:.3g} ± {fit.bias_rate_u:.2g} deg/s."
+    )
+    sentences = [value, others]
+    if fit.flags & FrequencyFlag.MISFIT:
+        sentences.append(
+            f"The frequencies scatter more than their uncertainties say (chi-square {fit.chi_square:.3g} for "
+            f"{fit.degrees_of_freedom} degrees of freedom); the result's are enlarged to that."
+        )
+    if fit.flags & FrequencyFlag.NO_BEAT_ABOVE_LOCK_IN:
+        sentences.append("There are records without a beat at rates where the gyro should turn freely.")
+    if fit.flags & FrequencyFlag.LOCKED_RECORDS:
+        sentences.append("Records without a beat bound the lock-in rate from below; the interval begins there.")
+    return (*sentences, CAVEAT)

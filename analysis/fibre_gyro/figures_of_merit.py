@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.stats
+import scipy.special
 from numpy.typing import ArrayLike, NDArray
 
 from analysis.fibre_gyro.staircase_calibration import SlopeFit, fit_slope
@@ -290,7 +290,7 @@ def _odd_and_even_left(rate: Floats, output: Floats, u: Floats) -> tuple[Floats,
 
 
 def _chance(normalised: Floats, freedom: int) -> float:
-    return float(scipy.stats.chi2.sf(float(np.sum(normalised**2)), freedom)) if freedom >= 1 else float("nan")
+    return float(scipy.special.chdtrc(freedom, float(np.sum(normalised**2)))) if freedom >= 1 else float("nan")
 
 
 def _root_mean_square(values: Floats) -> float:

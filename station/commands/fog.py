@@ -79,6 +79,20 @@ def figures(**given: Any) -> int:
     return _run("figures", **given)
 
 
+@command.command("settings")
+@click.option("--serial", is_flag=True, help="The example for a gyro on a serial port.")
+def settings_file(serial: bool) -> int:
+    """Print the commented settings file to copy."""
+    from typing import cast
+
+    from station.errors import EXIT_OK
+    from station.settings import ShippedName, shipped_settings
+
+    name = cast("ShippedName", "fibre_gyro_serial" if serial else "fibre_gyro")
+    click.echo(shipped_settings(name).read_text(encoding="utf-8"), nl=False)
+    return EXIT_OK
+
+
 @command.command("serve")
 @click.option("--tcp", type=click.IntRange(0, 65535), metavar="PORT", help="On TCP, 0: any free port.")
 @click.option("--speed", type=click.FloatRange(min=0, min_open=True), default=1.0, help="Faster than real time.")

@@ -171,6 +171,8 @@ def figures_document(evaluation: FiguresEvaluation) -> dict[str, Any]:
         "style": "GJB and IEEE style; nonlinearity is of full scale unless its name says of_point",
         "scale_factor_counts_per_dps": number(evaluation.scale_factor),
         "scale_factor_u_counts_per_dps": number(evaluation.scale_factor_u),
+        # IEEE texts give input over output
+        "input_per_count_dph": number(3600 / evaluation.scale_factor),
         "nonlinearity_ppm": number(evaluation.nonlinearity_ppm),
         "nonlinearity_of_point_ppm": number(evaluation.nonlinearity_of_point_ppm),
         "asymmetry_ppm": number(evaluation.asymmetry_ppm),

@@ -52,13 +52,13 @@ def test_a_table_run_in_one_command(gyrolock, tmp_path: Path) -> None:
 def test_a_self_calibration_says_what_it_cannot_see(gyrolock, tmp_path: Path) -> None:
     table = gyrolock("fog", "table", "--json", "--no-report").document["run"]
     (tmp_path / "warm.toml").write_text("[simulation]\nscale_change_ppm = 500.0\n")
-    done = gyrolock("fog", "selfcal", "--table", table, "--config", "warm.toml")
+    done = gyrolock("fog", "selfcal", "--table", table, "--config", "warm.toml", "--no-report")
     assert done.code == 0, done.err
     assert "returns the mapping of numbers to rates that it was given" in " ".join(done.out.split())
     assert "blind to L·D/λ" in done.out
     assert "K_self" in done.out
     run = next(path for path in (tmp_path / "runs").iterdir() if path.name not in table)
-    found = json.loads(gyrolock("fog", "selfcal", run, "--json").out)
+    found = json.loads(gyrolock("fog", "selfcal", run, "--json", "--no-report").out)
     # the coil has changed by 500 ppm since the table run: K_self does not know
     assert abs(found["self_minus_table_ppm"]) < 4 * found["self_minus_table_u_ppm"]
     assert found["table_source"].startswith("rate-table run")
@@ -67,16 +67,16 @@ def test_a_self_calibration_says_what_it_cannot_see(gyrolock, tmp_path: Path) ->
 def test_limits_decide_the_exit_code(gyrolock, tmp_path: Path) -> None:
     text = "[simulation]\ntwo_pi_error = 0.002\n[eps]\nrecord_s = 0.5\n[limits]\ntwo_pi_error_ppm = 1000\n"
     (tmp_path / "eps.toml").write_text(text)
-    failed = gyrolock("fog", "eps", "--config", "eps.toml", "--json")
+    failed = gyrolock("fog", "eps", "--config", "eps.toml", "--json", "--no-report")
     assert failed.code == 1
     assert failed.document["verdict"] == "FAIL"
     (limit,) = failed.document["limits"]
     assert limit["value"] == pytest.approx(2000, abs=20)
     (tmp_path / "wide.toml").write_text("[limits]\ntwo_pi_error_ppm = 3000\n")
-    passed = gyrolock("fog", "eps", failed.document["run"], "--config", "wide.toml")
+    passed = gyrolock("fog", "eps", failed.document["run"], "--config", "wide.toml", "--no-report")
     assert passed.code == 0
     assert "PASS two pi error: " in passed.out
-    assert gyrolock("fog", "eps", failed.document["run"]).code == 1
+    assert gyrolock("fog", "eps", failed.document["run"], "--no-report").code == 1
 
 
 @pytest.mark.parametrize(
@@ -146,7 +146,7 @@ def served(tmp_path: Path) -> Iterator[Callable[[], str]]:
 def test_a_killed_process_loses_nothing_and_goes_on(gyrolock, served, tmp_path: Path, kill: bool) -> None:
     port = served()
     process = subprocess.Popen(
-        [*COMMAND, "selfcal", "--port", port, "--config", "served.toml"],
+        [*COMMAND, "selfcal", "--port", port, "--config", "served.toml", "--no-report"],
         cwd=tmp_path, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True,
     )  # fmt: skip
     run = _wait_for_segments(tmp_path, 3)
@@ -158,7 +158,7 @@ def test_a_killed_process_loses_nothing_and_goes_on(gyrolock, served, tmp_path: 
         assert "Traceback" not in error
     there = open_fog_run(run).segments
     assert len(there) >= 3
-    done = gyrolock("fog", "selfcal", "--resume", run.parent, "--json")
+    done = gyrolock("fog", "selfcal", "--resume", run.parent, "--json", "--no-report")
     assert done.code == 0, done.err
     after = open_fog_run(run)
     assert [(s.key, s.taken_at) for s in after.segments[: len(there)]] == [(s.key, s.taken_at) for s in there]

@@ -127,6 +127,22 @@ def test_words_of_the_output_model_are_those_of_every_transit_time(taken, fog_se
     assert 1e6 * (found["table_scale_factor_counts_per_dps"] / K0 - 1) == pytest.approx(-999.0, abs=1.0)
 
 
+def test_the_converters_error_is_in_the_table_and_not_in_the_injection(fog_settings) -> None:
+    """What the report says of a cubic error of 0.4 % of full scale."""
+    settings = fog_settings()
+    rate, step = np.array([[20.0], [-20.0], [0.0], [0.0]]), np.array([[0.0], [0.0], [20 * K0], [-20 * K0]])
+    off = {}
+    for gated in (True, False):
+        loop = replace(loop_settings(settings), inl_cubic=4e-3, gated=gated, angle_random_walk_deg_per_sqrt_h=5e-4)
+        gyro = ClosedLoop(settings.coil, loop, 1, runs=4)
+        plus, minus, injected, opposite = (
+            gyro.run(3, output_period_s=0.1, rate_dps=rate, injected_step=step).counts[:, 1:].mean(axis=1)
+        )
+        off[gated] = 1e6 * np.array([plus - minus, injected - opposite]) / (40 * K0) - 1e6
+    assert off[True][0] == pytest.approx(250, abs=10)
+    assert np.abs([off[False][0], off[True][1], off[False][1]]).max() < 4
+
+
 @pytest.mark.parametrize("eps", [0.0, 1e-3, -5e-3])
 def test_open_loop_finds_the_two_pi_error(taken, eps: float) -> None:
     result, run = taken("eps", simulation={"seed": 3, "two_pi_error": eps}, eps={"record_s": 0.5})

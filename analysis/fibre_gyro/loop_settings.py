@@ -46,7 +46,7 @@ class LoopSettings:
     bias_in_wrap : bool
         The square-wave bias is added before the modulo, so that the converter needs no codes beyond 2 pi.
     inl_quadratic : float
-        Bow of the converter, inl (1 - 4 x^2) of full scale, x = code/2^N - 1/2.
+        Bow of the converter, inl (x^2 - 1/4) of full scale, x = code/2^N - 1/2.
     inl_cubic : float
         S-shape of the converter, inl x (x^2 - 1/4) of full scale.
     injection_path : {"shared", "separate"}
@@ -159,7 +159,7 @@ class LoopSettings:
         """
         code = np.arange(self.codes + self.codes // 2)
         x = code / self.codes - 0.5
-        bow = self.inl_quadratic * (1.0 - 4.0 * x * x) + self.inl_cubic * x * (x * x - 0.25)
+        bow = (self.inl_quadratic + self.inl_cubic * x) * (x * x - 0.25)
         return np.asarray(code / self.codes + bow, dtype=np.float64)
 
     def error_gain(self) -> int:

@@ -29,7 +29,7 @@ def slow_outputs(
         if s.bias_in_wrap:
             code %= full // unit
         x = code / 2**s.dac_bits - 0.5
-        bow = s.inl_quadratic * (1 - 4 * x * x) + s.inl_cubic * x * (x * x - 0.25)
+        bow = s.inl_quadratic * (x * x - 0.25) + s.inl_cubic * x * (x * x - 0.25)
         own = 2 * math.pi * (code / 2**s.dac_bits + bow) * (1 + s.two_pi_error)
         other = (second % full) // unit / 2**s.dac_bits * 2 * math.pi * (1 + s.injection_two_pi_error)
         return own + other

@@ -18,10 +18,10 @@ from enum import IntFlag
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from analysis.flags import FATAL, Flag
-from analysis.lockin_equation import Relation, input_rate_from_beat
-from analysis.lockin_rate import SIGNIFICANT, LockInEstimate, estimate_lock_in, rate_and_slopes
-from analysis.ratio_interval import size_interval
+from analysis.changed_ratio import with_ratio
+from analysis.flags import FATAL
+from analysis.lockin_equation import Relation
+from analysis.lockin_rate import LockInEstimate, estimate_lock_in
 
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
@@ -146,7 +146,7 @@ def estimate_quadratures(
     omega = 2 * np.pi * frequency.ravel() * sample_interval
     lines = [_lines_at(volts, omega) for volts in both]
     with np.errstate(invalid="ignore", divide="ignore"):  # records without a beat are nan throughout
-        return _combine(channels[0], channels[1], lines[0], lines[1], both[0].shape[-1], relation)
+        return _combine(channels[0], channels[1], lines[0], lines[1], both[0].shape[-1])
 
 
 def _mean_frequency(sine: LockInEstimate, cosine: LockInEstimate) -> tuple[Floats, Floats]:
@@ -219,7 +219,6 @@ def _combine(
     sine_lines: Complexes,
     cosine_lines: Complexes,
     n_samples: int,
-    relation: Relation,
 ) -> QuadratureEstimate:
     shape, flat = sine.flags.shape, (sine.reshaped(-1), cosine.reshaped(-1))
     pair = _Pair(
@@ -237,7 +236,7 @@ def _combine(
     # A growing phase puts the sine 90 deg behind the cosine; what is beyond that is the error.
     phase_error = np.angle(-1j * np.exp(-1j * np.where(sense == 0, 1.0, sense) * angle))
     images, image_u = _images(pair, sense, distortion, distortion_u)
-    estimate = _corrected(flat, rho, covariance, sense, relation)
+    estimate = _corrected(flat, rho, covariance, sense)
     checks = _checks(flat, pair, sense, distortion, images, image_u)
     return QuadratureEstimate(
         estimate=estimate.reshaped(*shape) if shape else estimate[0],
@@ -342,50 +341,23 @@ def _images(pair: _Pair, sense: Floats, distortion: Floats, distortion_u: Floats
 
 
 def _corrected(
-    flat: tuple[LockInEstimate, LockInEstimate],
-    rho: Complexes,
-    covariance: Floats,
-    sense: Floats,
-    relation: Relation,
+    flat: tuple[LockInEstimate, LockInEstimate], rho: Complexes, covariance: Floats, sense: Floats
 ) -> LockInEstimate:
     """The sine channel's estimate with the corrected ratio, and the frequency of both."""
     sine, cosine = flat
     fatal = ((sine.flags | cosine.flags) & int(FATAL)) != 0
-    blank = np.where(fatal, np.nan, 1.0)
     frequency, frequency_u = _mean_frequency(sine, cosine)
-    size = np.abs(rho)
-    unit = rho / np.where(size > 0, size, 1.0)
-    along = np.stack([unit.real, unit.imag], axis=-1)
-    across = np.stack([-unit.imag, unit.real], axis=-1)
-    radial, tangential = (np.einsum("ri,rij,rj->r", v, covariance, v) for v in (along, across))
-    ratio = np.sqrt(np.maximum(size**2 - tangential, 0.0))
-    beat_rate = frequency / sine.scale_factor
-    rate = sine.input_rate if sine.rate_given else None
-    value, by_ratio, by_beat_rate = rate_and_slopes(ratio, beat_rate, rate, relation)
-    value_u = np.hypot(by_ratio * np.sqrt(radial), by_beat_rate * frequency_u / sine.scale_factor)
-    low, high = size_interval(rate_and_slopes(size, beat_rate, rate, relation)[0] / value_u)
-    turning = np.where(sense == 0, 1.0, sense)
-    flags = (sine.flags | cosine.flags) & ~int(Flag.RATIO_NOT_SIGNIFICANT)
-    flags = flags | np.where(size > SIGNIFICANT * np.sqrt(radial), 0, int(Flag.RATIO_NOT_SIGNIFICANT))
-    return replace(
+    blank = np.where(fatal, np.nan, 1.0)
+    both = replace(
         sine,
-        lock_in_rate=value * blank,
-        lock_in_rate_u=value_u * blank,
-        lock_in_rate_low_95=low * value_u * blank,
-        lock_in_rate_high_95=high * value_u * blank,
-        input_rate=turning * input_rate_from_beat(ratio, beat_rate) * blank if rate is None else rate,
         beat_frequency=frequency * blank,
         beat_frequency_u=frequency_u * blank,
-        ratio=ratio * blank,
-        ratio_u=np.sqrt(radial) * blank,
-        complex_ratio=rho * blank,
-        complex_ratio_covariance=covariance * blank[:, np.newaxis, np.newaxis],
-        backscatter_phase=np.angle(-rho * turning) * turning * blank,
         periods=sine.periods * blank,
         records=(~fatal).astype(np.int64),
         records_rejected=fatal.astype(np.int64),
-        flags=flags.astype(np.int64),
+        flags=sine.flags | cosine.flags,
     )
+    return with_ratio(both, rho, covariance, np.where(sense == 0, 1.0, sense))
 
 
 def _checks(

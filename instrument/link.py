@@ -11,7 +11,6 @@ longest pause inside one, the bytes at the baud rate, and the time that an acqui
 from __future__ import annotations
 
 import contextlib
-import select
 import socket
 import time
 from collections.abc import Iterator
@@ -307,28 +306,17 @@ class Link:
             resource.flow_control = constants.ControlFlow.rts_cts
             resource.end_input = constants.SerialTermination.termination_char
         else:
-            self._disable_nagle()
+            self._tune_socket()
 
-    def _disable_nagle(self) -> None:
-        # PyVISA-py 0.8 has no attribute for it; with another VISA the attribute exists or it does not matter.
-        peer = self._python_socket()
-        if peer is not None:
-            peer.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-
-    def _python_socket(self) -> socket.socket | None:
-        """The socket under a PyVISA-py session, None with any other VISA."""
+    def _tune_socket(self) -> None:
+        """Send without delay, and notice a closed connection; another VISA than PyVISA-py does both by itself."""
         sessions = getattr(self._resource.visalib, "sessions", None)
         session = sessions.get(self._resource.session) if isinstance(sessions, dict) else None
-        interface = getattr(session, "interface", None)
-        return interface if isinstance(interface, socket.socket) else None
-
-    def _has_hung_up(self) -> bool:
-        # PyVISA-py reads an ended connection as silence, over and over; a peek tells the two apart.
-        peer = self._python_socket()
-        if peer is None:
-            return False
-        readable, _, _ = select.select([peer], [], [], 0)
-        return bool(readable) and peer.recv(1, socket.MSG_PEEK) == b""
+        peer = getattr(session, "interface", None)
+        if session is not None and isinstance(peer, socket.socket):
+            # PyVISA-py 0.8 has no attribute for it.
+            peer.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            session.interface = _WatchfulSocket(fileno=peer.detach())
 
     def _send_break(self) -> None:
         if not isinstance(self._resource, SerialInstrument):
@@ -357,11 +345,25 @@ class Link:
         except pyvisa.VisaIOError as error:
             if error.error_code != StatusCode.error_timeout:
                 raise LinkError(f"{doing} {self.name} failed: {error.description}") from error
-            if self._has_hung_up():
-                raise LinkError(f"{self.name} has closed the connection; switch it on and connect again") from None
             raise NoAnswer(f"{self.name} did not answer within {(self._timeout or 0) / 1000:g} s") from None
+        except _HungUp:
+            raise LinkError(f"{self.name} has closed the connection; switch it on and connect again") from None
         except (pyvisa.Error, OSError) as error:
             raise LinkError(f"{doing} {self.name} failed, the link is lost: {error}") from error
+
+
+class _HungUp(ConnectionError):
+    """The other side has closed the connection."""
+
+
+class _WatchfulSocket(socket.socket):
+    """A socket that raises where an ended connection would read as silence, over and over, in PyVISA-py."""
+
+    def recv(self, bufsize: int, flags: int = 0, /) -> bytes:
+        data = super().recv(bufsize, flags)
+        if not data and bufsize > 0:
+            raise _HungUp
+        return data
 
 
 def _bitmap_length(picture: bytes | bytearray) -> int:

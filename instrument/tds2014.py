@@ -18,13 +18,13 @@ from typing import cast, overload
 
 from instrument import scpi, setups
 from instrument.acquisition_time import INTERVALS_PER_DIVISION, AcquisitionTime
-from instrument.controls import Controls
 from instrument.errors import InstrumentError, LinkError, NoTrigger, SettingError, TransferError
 from instrument.link import NoAnswer
 from instrument.math_waveform import set_math
 from instrument.measurement import Cursors, Measurement, measure, read_cursors, set_cursors
 from instrument.screen import ScreenPicture, read_screen
 from instrument.settings import Change, is_on
+from instrument.snapshots import Snapshots
 from instrument.waveform import Waveform
 
 _TIMING_COMMANDS = (
@@ -42,7 +42,7 @@ Several = tuple[str | int, ...] | list[str | int] | tuple[str, ...] | list[str] 
 """Names or numbers of several channels."""
 
 
-class TDS2014(Controls):
+class TDS2014(Snapshots):
     """An oscilloscope of the TDS1000/TDS2000 family (also B and C, TPS2000); a context manager.
 
     Parameters

@@ -25,6 +25,8 @@ CLIPPED_CODE = 127
 NO_DATA_CODE = -128
 """Stands where the scope has no data: the moving blank of scan mode, an empty reference."""
 
+_PLOT_UNITS = {"Volts": "V"}
+
 
 @dataclass(frozen=True)
 class Preamble:
@@ -171,8 +173,30 @@ class Waveform:
             at_limit &= self.codes != NO_DATA_CODE
         return bool(at_limit.any())
 
+    def plot(self, axes: Any = None) -> Any:
+        """Draw the record with Matplotlib, into `axes` or a new figure; returns the axes.
+
+        Raises
+        ------
+        ImportError
+            If Matplotlib is not installed.
+        """
+        if axes is None:
+            import matplotlib.pyplot as plt
+
+            _, axes = plt.subplots()
+        source = self.preamble.wfid.split(",")[0]
+        spectrum = self.preamble.xunit == "Hz"
+        axes.plot(self.times, self.volts, linewidth=1.0, label=source)
+        axes.set_xlabel(f"{'frequency' if spectrum else 'time from trigger'} / {self.preamble.xunit}")
+        axes.set_ylabel(f"{source} / {_PLOT_UNITS.get(self.preamble.yunit, self.preamble.yunit)}")
+        axes.grid(True, alpha=0.3)
+        return axes
+
     def _repr_html_(self) -> str:
-        """Small table for a notebook."""
+        """Small table and picture for a notebook."""
+        from instrument.waveform_picture import waveform_svg
+
         volts = self.volts[np.isfinite(self.volts)]
         span = f"{volts.min():.4g} to {volts.max():.4g} {self.preamble.yunit}" if volts.size else "no data"
         rows = (
@@ -181,7 +205,7 @@ class Waveform:
             ("values", span + (", clipped" if self.clipped else "")),
         )
         cells = "".join(f"<tr><th>{name}</th><td>{escape(text)}</td></tr>" for name, text in rows)
-        return f"<table>{cells}</table>"
+        return f"<table>{cells}</table>{waveform_svg(self)}"
 
 
 def decode_curve(data: bytes, preamble: Preamble) -> Waveform:

@@ -25,7 +25,7 @@ _COMMANDS = {
     "report": ("report", "Write the HTML report of a saved run."),
     "plan": ("plan", "Plan a measurement: rate, time base, scale and records for a wanted uncertainty."),
     "fog": ("fog", "Scale factor of a fibre gyro: rate table, self-calibration, 2π error, figures of merit."),
-    "study": ("study", "Compute the paper's simulations with its method and with the exact one."),
+    "study": ("study", "Compute the paper's simulations, with its method and with the exact one."),
     "simulate": ("simulate", "Serve the simulated oscilloscope on TCP or a serial terminal."),
     "list": ("list", "List the instruments that VISA can see."),
     "doctor": ("doctor", "Check this installation, and say what to do about what is missing."),

@@ -84,53 +84,22 @@ def _slope(point: OperatingPoint, reference: Reference) -> float:
 
 def _from_records(point: OperatingPoint, reference: Reference) -> Iterator[BudgetInput]:
     """Noise, rounding and scatter: what the records show themselves."""
-    slope, freedom = _slope(point, reference), point.noise_degrees_of_freedom
+    slope, freedom, own = _slope(point, reference), point.noise_degrees_of_freedom, reference == "beat"
     noise_u = point.ratio_u * math.sqrt(1 - point.rounding_share)
+    note = "from what the fit leaves of the records"
+    yield BudgetInput("noise", "r = A2/A1: noise", "1", point.ratio, noise_u, "normal", slope, freedom, note)
     rounding_u = point.ratio_u * math.sqrt(point.rounding_share)
+    quantity, note = "r = A2/A1: rounding to levels", "a level of error over sqrt(12) in each sample"
+    yield BudgetInput("quantization", quantity, "1", 0.0, rounding_u, "normal", slope, note=note)
+    frequency, u = point.beat_frequency, point.beat_frequency_u
+    by_frequency = point.lock_in_rate / frequency if own else 0.0
+    note = "" if own else _GIVEN
     yield BudgetInput(
-        "noise",
-        "r = A2/A1: noise",
-        "1",
-        point.ratio,
-        noise_u,
-        "normal",
-        slope,
-        freedom,
-        "from what the fit leaves of the records",
+        "beat_frequency", "beat frequency: noise", "Hz", frequency, u, "normal", by_frequency, freedom, note
     )
-    yield BudgetInput(
-        "quantization",
-        "r = A2/A1: rounding to levels",
-        "1",
-        0.0,
-        rounding_u,
-        "normal",
-        slope,
-        note="a level of error over sqrt(12) in each sample",
-    )
-    own = reference == "beat"
-    yield BudgetInput(
-        "beat_frequency",
-        "beat frequency: noise",
-        "Hz",
-        point.beat_frequency,
-        point.beat_frequency_u,
-        "normal",
-        point.lock_in_rate / point.beat_frequency if own else 0.0,
-        freedom,
-        "" if own else _GIVEN,
-    )
-    yield BudgetInput(
-        "scatter",
-        "scatter between records beyond their noise",
-        "deg/s",
-        0.0,
-        point.scatter_u,
-        "normal",
-        1.0,
-        point.scatter_degrees_of_freedom,
-        "" if point.scatter_u else "none seen",
-    )
+    quantity, note = "scatter between records beyond their noise", "" if point.scatter_u else "none seen"
+    freedom = point.scatter_degrees_of_freedom
+    yield BudgetInput("scatter", quantity, "deg/s", 0.0, point.scatter_u, "normal", 1.0, freedom, note)
 
 
 def _from_reference(
@@ -167,50 +136,34 @@ def _from_table(point: OperatingPoint, table: TableGeometry, reference: Referenc
     note = _OWN if own else ""
     # d(WL)/dW of the rate on the axis, with its sign
     by_rate = 0.0 if own else math.copysign(point.lock_in_rate / abs(point.input_rate), point.input_rate)
-    known = math.isfinite(table.azimuth_deg)
-    azimuth = table.azimuth_deg if known else 90.0  # east: the vertical part alone
-    tilt, latitude, turned = (v * _DEGREE for v in (table.tilt_deg, table.latitude_deg, azimuth))
-    north, sine = math.cos(latitude), math.sin(tilt)
-    by_tilt = -table.table_rate * sine + EARTH_RATE_DPS * (
-        -math.sin(latitude) * sine + north * math.cos(tilt) * math.cos(turned)
-    )
-    by_latitude = EARTH_RATE_DPS * (
-        math.cos(latitude) * math.cos(tilt) - math.sin(latitude) * sine * math.cos(turned)
-    )
+    by_table, by_tilt, by_latitude, by_azimuth, along = _rate_slopes(table)
+    earth, earth_u = EARTH_RATE_DPS * 3600, _EARTH_RATE_U_DPS * 3600
     for name, quantity, unit, value, u, slope in (
-        ("table_rate", "rate of the table", "deg/s", table.table_rate, table.table_rate_u, math.cos(tilt)),
-        ("tilt", "tilt of the axis", "deg", table.tilt_deg, table.tilt_u_deg, by_tilt * _DEGREE),
-        ("latitude", "latitude", "deg", table.latitude_deg, table.latitude_u_deg, by_latitude * _DEGREE),
+        ("table_rate", "rate of the table", "deg/s", table.table_rate, table.table_rate_u, by_table),
+        ("tilt", "tilt of the axis", "deg", table.tilt_deg, table.tilt_u_deg, by_tilt),
+        ("latitude", "latitude", "deg", table.latitude_deg, table.latitude_u_deg, by_latitude),
+        ("earth_rate", "rotation rate of the earth", "deg/h", earth, earth_u, along / 3600),
     ):
         yield BudgetInput(name, quantity, unit, value, u, "normal", by_rate * slope, note=note)
-    along = float(earth_rate_on_axis(table.latitude_deg, table.tilt_deg, azimuth)) / EARTH_RATE_DPS
-    yield BudgetInput(
-        "earth_rate",
-        "rotation rate of the earth",
-        "deg/h",
-        EARTH_RATE_DPS * 3600,
-        _EARTH_RATE_U_DPS * 3600,
-        "normal",
-        by_rate * along / 3600,
-        note=note,
-    )
-    if known:
-        slope = -EARTH_RATE_DPS * north * sine * math.sin(turned) * _DEGREE * by_rate
-        u = table.azimuth_u_deg
-        yield BudgetInput(
-            "azimuth", "azimuth of the axis", "deg", table.azimuth_deg, u, "rectangular", slope, note=note
-        )
+    if math.isfinite(table.azimuth_deg):
+        value, u, slope = table.azimuth_deg, table.azimuth_u_deg, by_rate * by_azimuth
+        yield BudgetInput("azimuth", "azimuth of the axis", "deg", value, u, "rectangular", slope, note=note)
     else:
-        yield BudgetInput(
-            "azimuth",
-            "horizontal earth rate, azimuth unknown",
-            "deg/s",
-            0.0,
-            EARTH_RATE_DPS * north * abs(sine) / math.sqrt(2),
-            "arcsine",
-            by_rate,
-            note=note,
-        )
+        horizontal = math.cos(math.radians(table.latitude_deg)) * abs(math.sin(math.radians(table.tilt_deg)))
+        quantity, u = "horizontal earth rate, azimuth unknown", EARTH_RATE_DPS * horizontal / math.sqrt(2)
+        yield BudgetInput("azimuth", quantity, "deg/s", 0.0, u, "arcsine", by_rate, note=note)
+
+
+def _rate_slopes(table: TableGeometry) -> tuple[float, float, float, float, float]:
+    """Derivatives of the axis rate by table rate, tilt, latitude, azimuth (deg/s per deg) and earth rate."""
+    azimuth = table.azimuth_deg if math.isfinite(table.azimuth_deg) else 90.0  # east: the vertical part alone
+    tilt, latitude, turned = (math.radians(v) for v in (table.tilt_deg, table.latitude_deg, azimuth))
+    up, north, sine, cosine = math.sin(latitude), math.cos(latitude), math.sin(tilt), math.cos(tilt)
+    by_tilt = -table.table_rate * sine + EARTH_RATE_DPS * (-up * sine + north * cosine * math.cos(turned))
+    by_latitude = EARTH_RATE_DPS * (north * cosine - up * sine * math.cos(turned))
+    by_azimuth = -EARTH_RATE_DPS * north * sine * math.sin(turned)
+    along = float(earth_rate_on_axis(table.latitude_deg, table.tilt_deg, azimuth)) / EARTH_RATE_DPS
+    return cosine, by_tilt * _DEGREE, by_latitude * _DEGREE, by_azimuth * _DEGREE, along
 
 
 def _distortion(point: OperatingPoint, knowledge: BenchKnowledge, slope: float) -> tuple[BudgetInput | None, str]:

@@ -220,8 +220,8 @@ def residual_pattern(
 
     Away from zero the outputs at +w and -w give an odd part [F(w) - F(-w)]/2, which a straight line through zero
     is fitted to, and an even part [F(w) + F(-w)]/2, which a constant is fitted to. What is left of each is tested
-    with chi-square, one degree of freedom less than there are pairs. The points near zero are compared with a curve
-    1, w, |w|, w^3 through the others, so that an asymmetry does not look like a dead zone.
+    with chi-square, one degree of freedom less than there are pairs. The points near zero are compared with a
+    curve 1, w, |w|, w^3 through the others, so that an asymmetry does not look like a dead zone.
 
     Parameters
     ----------

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 @config_option
 @json_option
 def command(figures: tuple[int, ...], out: Path | None, kind: str, config: Path | None, as_json: bool) -> int:
-    """Compute the simulations of the paper, its Figs. 2 to 6, with its method and with the exact one.
+    """Compute the paper's simulations, its Figs. 2 to 6, with its method and with the exact one.
 
     Zhan et al., Acta Optica Sinica 29, 960 (2009): K = 2000 pulses per degree, 20 kHz, 3 s. Without --figure the
     bias of its formulas and the causes of its error are told as well. Nothing in a settings file changes this.

@@ -1,6 +1,7 @@
 """The driver against recorded sentences over a real TCP connection: exchanges, read-back, faults, restoring."""
 
 import socket
+import time
 
 import numpy as np
 import pytest
@@ -306,7 +307,10 @@ def test_scope_switched_off_in_the_middle_of_a_record(line_server, line_scope, m
     ):
         scope.acquire("CH1")
         line_scope.hang_up_after = sent
+        asked = time.monotonic()
         scope.acquire("CH1")
+    # At once, wherever in the answer it happens: closing does not wait for a scope that is gone either.
+    assert time.monotonic() - asked < 1.0
     assert line_server.resource_name in str(caught.value)
 
 

@@ -112,6 +112,16 @@ def test_long_output_is_the_mean_of_short_ones() -> None:
     assert long.reset_pairs[0] == short.reset_pairs.sum()
 
 
+def test_moving_rate_goes_on_from_piece_to_piece(monkeypatch: pytest.MonkeyPatch) -> None:
+    def words() -> np.ndarray:
+        gyro = ClosedLoop(COIL, LoopSettings(), seed=3, kernel="numpy")
+        return gyro.run(3, output_period_s=1e-3, rate_dps=lambda t: 1e4 * t).counts
+
+    whole = words()
+    monkeypatch.setattr("analysis.fibre_gyro.closed_loop._CHUNK_SAMPLES", 74)
+    np.testing.assert_array_equal(words(), whole)
+
+
 def test_cosine_polynomial_is_the_cosine() -> None:
     turns = np.linspace(-3.0, 3.0, 20_001)
     result, u, w = np.empty((3, turns.size))

@@ -26,6 +26,7 @@ def test_scale_follows_length_diameter_and_wavelength_but_not_the_index() -> Non
     assert twice.nominal_scale(16) == pytest.approx(2 * COIL.nominal_scale(16))
     assert FibreCoil(1000.0, 0.1, 0.775e-6, 1.468).nominal_scale(16) == pytest.approx(2 * COIL.nominal_scale(16))
     assert FibreCoil(1000.0, 0.1, 1.55e-6, 1.5).nominal_scale(16) == COIL.nominal_scale(16)
+    assert COIL.scaled(1.5).nominal_scale(16) == pytest.approx(1.5 * COIL.nominal_scale(16))
     assert COIL.scaled(1.5).transit_time == COIL.transit_time
 
 

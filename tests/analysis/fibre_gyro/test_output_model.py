@@ -55,6 +55,22 @@ def test_model_has_mean_spread_and_correlation_of_the_loop(name: str, drive: str
     assert falls == pytest.approx(model.reset_pairs.sum(axis=1).mean(), abs=1.5, rel=0.02)
 
 
+def test_spread_of_short_outputs_and_of_many_falls() -> None:
+    """Thirty pairs: the end of the loop's memory counts. At 40 deg/s three of ten pairs hold a fall."""
+    spread = {}
+    for kind in (ClosedLoop, OutputModel):
+        gyro = kind(COIL, LoopSettings(), seed=7, runs=RUNS)
+        for rate in (0.5, 40.0):
+            gyro.run(3, output_period_s=3e-4, rate_dps=rate)
+            words = gyro.run(600, output_period_s=3e-4, rate_dps=rate).counts
+            spread[kind, rate] = float(words.std(axis=1).mean())
+    for rate in (0.5, 40.0):
+        # 4800 words each: 1.5 %
+        assert spread[ClosedLoop, rate] == pytest.approx(spread[OutputModel, rate], rel=0.05)
+    # where the loop holds its step, pairs are lost
+    assert spread[ClosedLoop, 40.0] > 1.1 * spread[ClosedLoop, 0.5]
+
+
 def correlation(words: np.ndarray) -> float:
     left = words - words.mean(axis=1, keepdims=True)
     return float((left[:, 1:] * left[:, :-1]).sum() / (left**2).sum())
@@ -101,10 +117,10 @@ def test_noise_of_a_long_run_is_the_angle_random_walk() -> None:
 
 
 def test_rounding_does_not_add_up() -> None:
-    settings = LoopSettings(fractional_bits=0, angle_random_walk_deg_per_sqrt_h=0.0)
+    settings = LoopSettings(fractional_bits=0, adc_bits=24, angle_random_walk_deg_per_sqrt_h=0.0)
     gyro = OutputModel(COIL, settings)
     gyro.run(1)
-    words = gyro.run(20_000, rate_dps=0.01234).counts
+    words = np.concatenate([gyro.run(1, rate_dps=0.01234).counts for _ in range(1000)])
     assert np.ptp(words * 1021) > 0.5  # rounded to a code in a sample pair
     # half a code in each would be 5e-4
     assert words.mean() == pytest.approx(0.01234 * K0, abs=1e-4)

@@ -1,4 +1,4 @@
-"""The event queue after each of more than three hundred good and bad messages, from a table made from the manuals."""
+"""The event queue after each of nearly four hundred good and bad messages, from a table made from the manuals."""
 
 from pathlib import Path
 

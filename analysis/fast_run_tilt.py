@@ -1,0 +1,131 @@
+"""Tilt between the sensitive axis and the table axis, from fast table runs, with the earth rate in the model."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from analysis.rotation import EARTH_RATE_DPS
+
+Floats = NDArray[np.float64]
+
+ROUNDS = 50
+SMALLEST_U_DPS = 1e-15
+FASTER_THAN_POSSIBLE = 1e-3
+"""Earth rate and noise may make the beat so much faster than K times the table rate."""
+
+
+@dataclass(frozen=True)
+class TiltFit:
+    """Tilt between sensitive axis and table axis, deg, from fast runs.
+
+    tilt_deg, tilt_u_deg : with all that was given to the fit
+    chi_square, degrees_of_freedom : of the runs about it
+    earth_rate_part_deg : what leaving the earth rate away would change
+    """
+
+    tilt_deg: float
+    tilt_u_deg: float
+    chi_square: float
+    degrees_of_freedom: int
+    earth_rate_part_deg: float
+
+
+def tilt_from_fast_runs(
+    beat_frequency: ArrayLike,
+    beat_frequency_u: ArrayLike,
+    table_rate: ArrayLike,
+    *,
+    scale_factor: float,
+    latitude_deg: float,
+    azimuth_deg: ArrayLike | None = None,
+    turned_deg: ArrayLike = 0.0,
+    lock_in_rate: float = 0.0,
+    scale_factor_u: float = 0.0,
+    table_rate_u: float = 0.0,
+) -> TiltFit:
+    """Tilt from fast runs in one or both senses, earth rate and lock-in taken into account.
+
+    Each run measures W = sign(table rate) sqrt((f/K)^2 + WL^2) = (table rate + vertical earth rate) cos(tilt)
+    + horizontal earth rate sin(tilt) cos(azimuth); the tilt is found by weighted least squares.
+
+    Parameters
+    ----------
+    beat_frequency, beat_frequency_u, table_rate : (n_runs,)
+        Hz; deg/s, signed.
+    scale_factor, scale_factor_u : float
+        K in pulses per degree; its uncertainty is common to all runs.
+    latitude_deg : float
+    azimuth_deg : (n_runs,), optional
+        In the middle of each run. Without it, the horizontal earth rate is an uncertainty of each run.
+    turned_deg : (n_runs,)
+        Angle that the table turned in each run; whole turns need no azimuth.
+    lock_in_rate : float
+        deg/s, roughly; it matters by half its square.
+    table_rate_u : float
+        Relative, common to all runs.
+
+    Raises
+    ------
+    ValueError
+        A beat faster than the table could make it: K or the table rate is wrong. Runs that do not fit in shape.
+    """
+    f, fu, table = (
+        np.atleast_1d(np.asarray(v, dtype=np.float64)) for v in (beat_frequency, beat_frequency_u, table_rate)
+    )
+    if not f.shape == fu.shape == table.shape or not np.all(np.isfinite(f + fu + table)) or np.any(table == 0):
+        raise ValueError(
+            "every fast run needs a beat frequency, its uncertainty and a table rate that is not zero"
+        )
+    measured = np.sign(table) * np.hypot(f / scale_factor, lock_in_rate)
+    first = _first_tilt(measured, table)
+    share = np.sinc(np.broadcast_to(np.asarray(turned_deg, dtype=np.float64), f.shape) / 360)
+    latitude = np.deg2rad(latitude_deg)
+    turning = table + EARTH_RATE_DPS * np.sin(latitude)
+    crossing, unknown = np.zeros(f.shape), np.zeros(f.shape)
+    if azimuth_deg is None:
+        # A cosine at a phase that nobody knows has a mean square of one half.
+        unknown = EARTH_RATE_DPS * np.cos(latitude) * np.abs(share) * np.sin(first) / np.sqrt(2)
+    else:
+        pointing = np.cos(np.deg2rad(np.broadcast_to(np.asarray(azimuth_deg, dtype=np.float64), f.shape)))
+        crossing = EARTH_RATE_DPS * np.cos(latitude) * share * pointing
+    us = np.hypot(np.maximum(fu / scale_factor, SMALLEST_U_DPS), unknown)
+    tilt = _least_squares(measured, us, turning, crossing, first)
+    left = measured - turning * np.cos(tilt) - crossing * np.sin(tilt)
+    common = np.hypot(scale_factor_u / scale_factor, table_rate_u) * np.cos(tilt)
+    cosine_u = float(np.hypot(1 / np.sqrt(np.sum((turning / us) ** 2)), common))
+    return TiltFit(
+        tilt_deg=float(np.rad2deg(tilt)),
+        # Near zero tilt the cosine is flat: what is left is how far the axis may lean unseen.
+        tilt_u_deg=float(np.rad2deg(np.sqrt(np.sin(tilt) ** 2 + 2 * cosine_u) - np.sin(tilt))),
+        chi_square=float(np.sum((left / us) ** 2)),
+        degrees_of_freedom=f.size - 1,
+        earth_rate_part_deg=float(np.rad2deg(tilt - first)),
+    )
+
+
+def _first_tilt(measured: Floats, table: Floats) -> float:
+    """Tilt, rad, without the earth rate."""
+    cosine = float(np.sum(measured * table) / np.sum(table**2))
+    if cosine > 1 + FASTER_THAN_POSSIBLE:
+        raise ValueError(
+            f"the beat is {cosine:.4f} times K times the table rate; at most 1 is possible: "
+            "check the scale factor and the table rate"
+        )
+    return float(np.arccos(min(cosine, 1.0)))
+
+
+def _least_squares(measured: Floats, us: Floats, turning: Floats, crossing: Floats, start: float) -> float:
+    """Tilt, rad, of measured = turning cos(tilt) + crossing sin(tilt)."""
+    tilt = start
+    for _ in range(ROUNDS):
+        left = measured - turning * np.cos(tilt) - crossing * np.sin(tilt)
+        slope = crossing * np.cos(tilt) - turning * np.sin(tilt)
+        power = float(np.sum((slope / us) ** 2))
+        change = float(np.sum(slope * left / us**2)) / power if power > 0 else 0.0
+        tilt = float(np.clip(tilt + np.clip(change, -0.1, 0.1), 0.0, np.pi / 2))
+        if abs(change) < 1e-14:
+            break
+    return tilt

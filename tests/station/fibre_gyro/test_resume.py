@@ -1,0 +1,95 @@
+"""A run that was cut short goes on where it stopped, and ends with the numbers of one in one go."""
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from instrument import LinkError
+from station.errors import EXIT_INSTRUMENT, RunError, UsageError
+from station.fibre_gyro import simulated_bench
+from station.fibre_gyro.campaign import PlannedSegment
+from station.fibre_gyro.results import evaluate_fog_run
+from station.fibre_gyro.session import resume_run, start_run
+from station.fibre_gyro.simulated_bench import SimulatedFogBench
+from station.fibre_gyro.store import open_fog_run
+from station.progress import Progress
+
+QUIET = Progress(quiet=True)
+
+
+class FailingBench(SimulatedFogBench):
+    """Loses the link, or is interrupted, at one segment."""
+
+    at, error = "Z -20.1", LinkError("the cable is out")
+
+    def prepare(self, planned: PlannedSegment) -> dict[str, Any]:
+        if planned.key == self.at:
+            raise self.error
+        return super().prepare(planned)
+
+
+@pytest.fixture
+def cut_short(monkeypatch: pytest.MonkeyPatch, fog_settings):
+    """Start a run that ends early."""
+
+    def run(command: str, at: str, error: BaseException, **sections: Any) -> Any:
+        monkeypatch.setattr(FailingBench, "at", at)
+        monkeypatch.setattr(FailingBench, "error", error)
+        with monkeypatch.context() as patched:
+            patched.setattr(simulated_bench, "SimulatedFogBench", FailingBench)
+            return start_run(command, fog_settings(**sections), QUIET)
+
+    return run
+
+
+def points(document: dict[str, Any]) -> Any:
+    return document["axes"] if "axes" in document else document["points"]
+
+
+@pytest.mark.parametrize(
+    ("command", "at"),
+    [("table", "X -20.1"), ("selfcal", "inject -1"), ("selfcal", "Z +20.1"), ("eps", "open loop -2000")],
+)
+def test_resumed_equals_uninterrupted(cut_short, taken, command: str, at: str) -> None:
+    sections: dict[str, Any] = {"simulation": {"seed": 9}, "eps": {"record_s": 0.3}}
+    campaign = cut_short(command, at, LinkError("the cable is out"), **sections)
+    assert campaign.failure.exit_code == EXIT_INSTRUMENT
+    before = open_fog_run(campaign.path)
+    assert before.segments
+    assert at not in {segment.key for segment in before.segments}
+    assert before.facts["outcome"]["message"] == "the cable is out"
+    resumed = resume_run(command, campaign.path.parent, QUIET)
+    assert resumed.failure is None
+    assert resumed.path == campaign.path
+    after = open_fog_run(resumed.path)
+    assert [s.taken_at for s in after.segments[: len(before.segments)]] == [s.taken_at for s in before.segments]
+    assert after.facts["outcome"] == "complete"
+    assert len(after.facts["resumed_at"]) == 1
+    whole, _ = taken(command, **sections)
+    assert points(evaluate_fog_run(after).document) == points(whole.document)
+
+
+def test_an_interrupted_run_keeps_what_it_has(cut_short) -> None:
+    campaign = cut_short("table", "Y +20", KeyboardInterrupt())
+    assert campaign.failure.exit_code == 130
+    result = evaluate_fog_run(open_fog_run(campaign.path))
+    assert [axis["axis"] for axis in result.document["axes"]] == ["X"]
+
+
+def test_a_complete_run_has_nothing_to_resume(taken) -> None:
+    _, run = taken("table", table={"axes": ["Z"], "turns": 2})
+    assert resume_run("table", run.path, QUIET).failure is None
+    assert open_fog_run(run.path).segments[0].taken_at == run.segments[0].taken_at
+    with pytest.raises(UsageError, match="is a run of `gyrolock fog table`: resume it with that"):
+        resume_run("selfcal", run.path, QUIET)
+
+
+def test_a_directory_that_cannot_be_made_is_said(fog_settings, tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    settings = fog_settings()
+    settings = settings.model_copy(
+        update={"output": settings.output.model_copy(update={"directory": str(tmp_path / "file")})}
+    )
+    with pytest.raises(RunError, match="runs cannot be saved there"):
+        start_run("table", settings, QUIET)

@@ -1,0 +1,206 @@
+"""The real bench's code on a gyro that is served on a serial line, with frames, counter, checksum and faults."""
+
+import tomllib
+from collections.abc import Callable
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from instrument.fibre_gyro import FibreGyroLink, Recording, parse_frame_format
+from instrument.simulated.fibre_gyro import TcpGyroServer
+from instrument.simulated.fibre_gyro_faults import GyroFault, GyroFaults
+from station.fibre_gyro import eps, selfcal, table
+from station.fibre_gyro.bench import SerialFogBench, read_frame_format
+from station.fibre_gyro.campaign import PlannedSegment, take_segments
+from station.fibre_gyro.results import FogResult, evaluate_fog_run
+from station.fibre_gyro.served_gyro import ServedGyro
+from station.fibre_gyro.store import FogRunWriter, open_fog_run
+from station.progress import Progress
+from station.settings import shipped_settings
+
+QUIET = Progress(quiet=True)
+GYRO = {"counts_per_code": 256.0, "output_resolution": 1.0}
+SPEED = 20.0
+
+
+class TableUnderTheGyro:
+    """A rate table that turns the served gyro; `reaches` is the rate over the one that was asked for."""
+
+    def __init__(self, gyro: ServedGyro, reaches: float = 1.0) -> None:
+        self._gyro, self._reaches, self._rate = gyro, reaches, 0.0
+
+    def set_rate(self, rate_dps: float) -> None:
+        self._rate = rate_dps * self._reaches
+        self._gyro.rate_dps = self._rate
+
+    def rate(self) -> float:
+        return self._rate
+
+    def azimuth(self) -> float:
+        return 0.0
+
+    def close(self) -> None:
+        self.set_rate(0.0)
+
+
+class ServedBench:
+    """Server, link and bench of one test, and what the operator was asked."""
+
+    def __init__(
+        self, settings: Any, stack: ExitStack, *, faults: GyroFaults | None = None, reaches: float = 1.0
+    ) -> None:
+        values = tomllib.loads(shipped_settings("fibre_gyro_frames").read_text())["formats"]["binary_frames"]
+        names = [{"name": name, "bytes": 4, "type": "float"} for name in ("normal_error", "reset_error")]
+        self.layout = parse_frame_format({**values, "fields": values["fields"] + names}, where="test")
+        self.gyro = ServedGyro(settings, self.layout.interval_s)
+        self.server = stack.enter_context(TcpGyroServer(self.gyro, self.layout, speed=SPEED, faults=faults))
+        self.link = stack.enter_context(FibreGyroLink(self.server.port, self.layout, speed=SPEED))
+        self.asked: list[str] = []
+        self.table = TableUnderTheGyro(self.gyro, reaches)
+        self.bench = SerialFogBench(self.link, self.table, self._answer)
+
+    def _answer(self, question: str) -> str:
+        self.asked.append(question)
+        return ""
+
+
+def result_of(command: str, settings: Any, served: ServedBench, plan: list[Any], folder: Path) -> FogResult:
+    facts = {"command": command, "settings": settings.model_dump(mode="json"), "simulated": False}
+    writer = FogRunWriter.create(folder, facts)
+    campaign = take_segments(writer, served.bench, [lambda run: plan], QUIET)
+    served.bench.leave()
+    assert campaign.failure is None, campaign.failure
+    return evaluate_fog_run(open_fog_run(campaign.path))
+
+
+@pytest.fixture
+def served(fog_settings):
+    with ExitStack() as stack:
+        yield lambda settings, **how: ServedBench(settings, stack, **how)
+
+
+def test_a_table_run_over_the_link(served, fog_settings, tmp_path: Path) -> None:
+    settings = fog_settings(
+        gyro=GYRO,
+        table={"axes": ["Z"], "rates_dps": [60.0, 66.0], "turns": 2, "settle_s": 0.5, "both_ends_up": False},
+        simulation={"angle_random_walk": 1e-3},
+    )
+    bench = served(settings)
+    result = result_of("table", settings, bench, table.plan_table(settings), tmp_path)
+    (axis,) = result.document["axes"]
+    assert abs(axis["nominal_difference_ppm"]) < 5 * axis["scale_factor_u_ppm"] < 10
+    assert result.document["left_out"] == []
+    assert bench.asked == ["Bring axis Z of the gyro to the table's axis, up.\nPress Enter when done: "]
+    assert bench.gyro.rate_dps == 0.0
+
+
+def test_lost_frames_and_a_slow_table_leave_points_out(served, fog_settings, tmp_path: Path) -> None:
+    settings = fog_settings(
+        gyro=GYRO, table={"axes": ["Z"], "rates_dps": [60.0, 66.0, 70.0], "turns": 1, "settle_s": 0.0}
+    )
+    faults = GyroFaults()
+    bench = served(settings, faults=faults)
+    record = bench.bench.record
+
+    def record_with_a_fault(planned: PlannedSegment, progress: Callable[[float], None]) -> Recording:
+        """One frame is lost after 2 s of the first segment."""
+
+        def watch(seconds: float) -> None:
+            if seconds > 2.0 and planned.key == "Z +60" and not faults.happened:
+                faults.add(GyroFault("lost frame"))
+            progress(seconds)
+
+        return record(planned, watch)
+
+    bench.bench.record = record_with_a_fault
+    result = result_of("table", settings, bench, table.plan_table(settings), tmp_path / "a")
+    left_out = {one["name"]: one["reason"] for one in result.document["left_out"]}
+    assert "outputs missing" in left_out["Z +60"] or "1 output missing" in left_out["Z +60"]
+    assert set(left_out) == {"Z +60", "Z -60"}
+    assert len(result.document["axes"][0]["points"]) == 4
+    slow = served(settings, reaches=0.999)
+    with pytest.raises(Exception, match="instead of"):
+        result_of("table", settings, slow, table.plan_table(settings), tmp_path / "b")
+
+
+def test_a_self_calibration_over_the_link(served, fog_settings, tmp_path: Path) -> None:
+    settings = fog_settings(
+        gyro=GYRO,
+        selfcal={"numbers": "nominal", "rates_dps": [1.0, 20.0, 140.0], "step_s": 4.0, "static_s": 4.0},
+        simulation={"angle_random_walk": 1e-3, "two_pi_error": 1e-3, "scale_change_ppm": 300.0},
+    )
+    bench = served(settings)
+    plan, _ = selfcal.plan_selfcal(settings, selfcal.numbers_for(settings, None))
+    result = result_of("selfcal", settings, bench, plan, tmp_path)
+    found = result.document
+    # neither the 2 pi error nor the coil's change is seen
+    assert abs(found["self_minus_numbers_ppm"]) < 5 * found["self_minus_numbers_u_ppm"] < 10
+    assert abs(found["self_minus_design_ppm"]) < 10
+    assert found["compared_with"] == "design"
+    assert bench.server.commands[-1] == ("inject", 0.0)
+    steps = [step for name, step in bench.server.commands if name == "inject"]
+    # what the link sends has the resolution of the format, 2^-14 codes
+    assert all(step * 16384 == round(step * 16384) for step in steps)
+
+
+def test_steps_that_the_format_cannot_send_are_named(served, fog_settings, tmp_path: Path) -> None:
+    settings = fog_settings(
+        gyro=GYRO, selfcal={"numbers": "nominal", "rates_dps": [1.0, 2.0, 100.0], "step_s": 1.0, "static_s": 1.0}
+    )
+    bench = served(settings)
+    lowest, highest = bench.layout.step_range
+    plan, _ = selfcal.plan_selfcal(settings, selfcal.numbers_for(settings, None))
+    result = result_of("selfcal", settings, bench, plan, tmp_path)
+    step = 100 * settings.nominal_scale_factor / 256
+    beyond = not lowest <= step <= highest
+    assert [one["name"] for one in result.document["left_out"]] == (
+        ["inject +100", "inject -100"] if beyond else []
+    )
+    assert len(result.document["points"]) == (4 if beyond else 6)
+
+
+def test_the_two_pi_error_over_the_link(served, fog_settings, tmp_path: Path) -> None:
+    settings = fog_settings(
+        gyro=GYRO,
+        eps={"record_s": 4.0, "settle_s": 0.1, "steps_codes": [2000.0, 5000.0]},
+        simulation={"two_pi_error": 2e-3},
+    )
+    bench = served(settings)
+    result = result_of("eps", settings, bench, eps.plan_eps(settings)[0], tmp_path)
+    found = result.document
+    assert abs(found["two_pi_error"] - 2e-3) < 5 * found["two_pi_error_u"] < 1e-4
+    assert {name for name, _ in bench.server.commands} == {"inject", "hold_feedback", "close_loop"}
+    assert bench.server.commands[-1][0] == "close_loop"
+
+
+def test_the_operator_is_asked_for_every_run_and_temperature(served, fog_settings, tmp_path: Path) -> None:
+    from station.fibre_gyro import figures
+
+    settings = fog_settings(
+        gyro=GYRO,
+        figures={"rates_dps": [90.0, 100.0], "runs": 2, "temperatures_c": [60.0], "seconds": 3.6, "static_s": 1.0,
+                 "settle_s": 0.0},
+        simulation={"angle_random_walk": 1e-3},
+    )  # fmt: skip
+    bench = served(settings)
+    result = result_of("figures", settings, bench, figures.plan_figures(settings), tmp_path)
+    assert [question.splitlines()[1] for question in bench.asked] == [
+        "For run 1: switch the gyro off, let it take 20 deg C, switch it on.",
+        "For run 2: switch the gyro off, let it take 20 deg C, switch it on.",
+        "For run at +60 deg C: switch the gyro off, let it take 60 deg C, switch it on.",
+    ]
+    assert len(result.document["runs"]) == 2
+
+
+def test_frame_formats_are_found_by_name(fog_settings, tmp_path: Path) -> None:
+    from station.errors import SettingsError
+
+    assert read_frame_format(fog_settings()).kind == "ascii"
+    with pytest.raises(
+        SettingsError, match=r"there is no \[formats.mine\]; link.frame_format can be: ascii_lines"
+    ):
+        read_frame_format(fog_settings(link={"frame_format": "mine"}))
+    with pytest.raises(SettingsError, match="cannot be read"):
+        read_frame_format(fog_settings(link={"frame_format_file": str(tmp_path / "no.toml")}))

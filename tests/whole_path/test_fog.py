@@ -1,0 +1,180 @@
+"""`gyrolock fog` as a user runs it: simulated, from logs, and on a gyro served on a serial terminal."""
+
+import json
+import os
+import signal
+import sqlite3
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from station.cli import main
+from station.fibre_gyro.store import open_fog_run
+
+COMMAND = [sys.executable, "-m", "station.cli", "fog"]
+SERVED = """
+[gyro]
+counts_per_code = 256.0
+output_resolution = 1.0
+[link]
+speed = 20.0
+[selfcal]
+numbers = "nominal"
+rates_dps = [1.0, 20.0, 60.0]
+step_s = 5.0
+static_s = 5.0
+"""
+
+
+def test_a_table_run_in_one_command(gyrolock, tmp_path: Path) -> None:
+    began = time.monotonic()
+    done = gyrolock("fog", "table", "--seed", 3, "--json")
+    assert done.code == 0, done.err
+    # 3.6 hours of output; some seconds on a free machine
+    assert time.monotonic() - began < 40
+    result = done.document
+    assert [axis["axis"] for axis in result["axes"]] == ["X", "Y", "Z"]
+    for axis in result["axes"]:
+        off = axis["scale_factor_counts_per_dps"] - result["truth"]["scale_factor_counts_per_dps"]
+        assert abs(off) < 4 * axis["scale_factor_u_counts_per_dps"]
+    assert (tmp_path / result["run"]).is_file()
+    assert (tmp_path / result["report"]).is_file()
+    assert "seconds of output 13290/13290" in done.err
+    again = gyrolock("fog", "table", result["run"], "--json", "--no-report")
+    assert again.code == 0
+    assert again.document["axes"] == result["axes"]
+
+
+def test_a_self_calibration_says_what_it_cannot_see(gyrolock, tmp_path: Path) -> None:
+    table = gyrolock("fog", "table", "--json", "--no-report").document["run"]
+    (tmp_path / "warm.toml").write_text("[simulation]\nscale_change_ppm = 500.0\n")
+    done = gyrolock("fog", "selfcal", "--table", table, "--config", "warm.toml")
+    assert done.code == 0, done.err
+    assert "returns the mapping of numbers to rates that it was given" in " ".join(done.out.split())
+    assert "blind to L·D/λ" in done.out
+    assert "K_self" in done.out
+    run = next(path for path in (tmp_path / "runs").iterdir() if path.name not in table)
+    found = json.loads(gyrolock("fog", "selfcal", run, "--json").out)
+    # the coil has changed by 500 ppm since the table run: K_self does not know
+    assert abs(found["self_minus_table_ppm"]) < 4 * found["self_minus_table_u_ppm"]
+    assert found["table_source"].startswith("rate-table run")
+
+
+def test_limits_decide_the_exit_code(gyrolock, tmp_path: Path) -> None:
+    text = "[simulation]\ntwo_pi_error = 0.002\n[eps]\nrecord_s = 0.5\n[limits]\ntwo_pi_error_ppm = 1000\n"
+    (tmp_path / "eps.toml").write_text(text)
+    failed = gyrolock("fog", "eps", "--config", "eps.toml", "--json")
+    assert failed.code == 1
+    assert failed.document["verdict"] == "FAIL"
+    (limit,) = failed.document["limits"]
+    assert limit["value"] == pytest.approx(2000, abs=20)
+    (tmp_path / "wide.toml").write_text("[limits]\ntwo_pi_error_ppm = 3000\n")
+    passed = gyrolock("fog", "eps", failed.document["run"], "--config", "wide.toml")
+    assert passed.code == 0
+    assert "PASS two pi error: " in passed.out
+    assert gyrolock("fog", "eps", failed.document["run"]).code == 1
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "text"),
+    [
+        (("table", "--config", "no.toml"), 2, "no.toml: cannot be read"),
+        (("table", "--config", "bad.toml"), 2, "table.turns: input should be greater than or equal to 1, not 0"),
+        (("table", "nowhere"), 2, "nowhere"),
+        (("table", "--port", "/dev/does-not-exist"), 3, "/dev/does-not-exist"),
+        (("selfcal", "--port", "/dev/does-not-exist"), 2, "--table RUN"),
+        (("table", "--resume", "nowhere"), 2, "holds no run of a fibre gyro"),
+        (("table", "--resume", "a", "--seed", "3"), 2, "--resume takes everything from the run"),
+        (("table", "--port", "x", "--seed", "3"), 2, "--seed belongs to the simulated gyro"),
+        (("eps", "list.csv"), 2, "has no column step_codes"),
+        (("table", "list.csv"), 2, "log.csv"),
+    ],
+)
+def test_mistakes_are_one_line(
+    tmp_path: Path, monkeypatch, capsys, arguments: tuple[str, ...], code: int, text: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "bad.toml").write_text("[table]\nturns = 0\n")
+    (tmp_path / "list.csv").write_text("file,rate_dps\nlog.csv,20\n")
+    assert main(["fog", *arguments, "--json"]) == code
+    said = capsys.readouterr()
+    assert json.loads(said.out)["error"]["exit_code"] == code
+    assert text in said.err
+    assert len([line for line in said.err.splitlines() if line.startswith("gyrolock:")]) == 1
+    assert "Traceback" not in said.err
+    assert not (tmp_path / "runs").exists()
+
+
+def test_points_left_out_are_one_line_each(gyrolock, tmp_path: Path) -> None:
+    (tmp_path / "my.toml").write_text('[table]\nwindow_s = 540.0\naxes = ["Z"]\n')
+    done = gyrolock("fog", "table", "--config", "my.toml", "--json", "--no-report")
+    assert done.code == 0
+    lines = [line for line in done.err.splitlines() if "is left out" in line]
+    assert len(lines) == 6 == len(done.document["left_out"])
+    assert "not a whole number: use 30 turns = 539.730 s or 31 turns = 557.721 s" in done.err
+
+
+@pytest.fixture
+def served(tmp_path: Path) -> Iterator[Callable[[], str]]:
+    """A simulated gyro in a process of its own, on a serial terminal."""
+    started: list[subprocess.Popen[str]] = []
+    (tmp_path / "served.toml").write_text(SERVED)
+
+    def serve() -> str:
+        process = subprocess.Popen(
+            [*COMMAND, "serve", "--config", "served.toml", "--speed", "20"],
+            cwd=tmp_path, stdout=subprocess.PIPE, text=True,
+        )  # fmt: skip
+        started.append(process)
+        assert process.stdout is not None
+        return process.stdout.readline().strip()
+
+    yield serve
+    for process in started:
+        process.send_signal(signal.SIGINT)
+        assert process.wait(timeout=20) == 0
+        assert process.stdout is not None
+        process.stdout.close()
+
+
+@pytest.mark.skipif(os.name != "posix", reason="serial terminals of this kind are POSIX")
+@pytest.mark.parametrize("kill", [True, False])
+def test_a_killed_process_loses_nothing_and_goes_on(gyrolock, served, tmp_path: Path, kill: bool) -> None:
+    port = served()
+    process = subprocess.Popen(
+        [*COMMAND, "selfcal", "--port", port, "--config", "served.toml"],
+        cwd=tmp_path, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True,
+    )  # fmt: skip
+    run = _wait_for_segments(tmp_path, 3)
+    process.send_signal(signal.SIGKILL if kill else signal.SIGINT)
+    _, error = process.communicate(timeout=20)
+    assert process.returncode == (-signal.SIGKILL if kill else 130)
+    if not kill:
+        assert "--resume" in error
+        assert "Traceback" not in error
+    there = open_fog_run(run).segments
+    assert len(there) >= 3
+    done = gyrolock("fog", "selfcal", "--resume", run.parent, "--json")
+    assert done.code == 0, done.err
+    after = open_fog_run(run)
+    assert [(s.key, s.taken_at) for s in after.segments[: len(there)]] == [(s.key, s.taken_at) for s in there]
+    assert len(after.segments) == 8
+    assert abs(done.document["self_minus_numbers_ppm"]) < 5 * done.document["self_minus_numbers_u_ppm"] < 20
+    assert done.document["left_out"] == []
+
+
+def _wait_for_segments(folder: Path, count: int) -> Path:
+    deadline = time.monotonic() + 40
+    while time.monotonic() < deadline:
+        for file in folder.glob("runs/*/fog.sqlite"):
+            with sqlite3.connect(f"file:{file}?mode=ro", uri=True) as db:
+                (there,) = db.execute("SELECT count(*) FROM segment").fetchone()
+            db.close()
+            if there >= count:
+                return file
+        time.sleep(0.05)
+    raise AssertionError(f"there were no {count} segments in time")

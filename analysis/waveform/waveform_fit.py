@@ -113,7 +113,7 @@ def _fit_records(records: Records, clipped: Bools | None) -> WaveformFit:
     left = values - sampled_series(series, n_samples, precision)
     if weights is not None:
         left *= weights
-    spikes = outliers(left, weights)
+    spikes = outliers(left, weights, records.highest - records.lowest)
     hit = np.asarray(spikes.any(axis=-1))
     if hit.any():
         weights = np.ones_like(values) if weights is None else weights

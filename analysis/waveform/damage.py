@@ -27,6 +27,8 @@ CROWDING = 4.0
 """A smooth extremum of a quantised wave puts at most about 2.4 times as many samples into its last level as
 into the one before, a clipped one many times more."""
 
+NOTHING = 1e-8
+
 SPIKE = 7.0
 """Residuals beyond this many (robust) standard deviations are no noise: once in 10^12 samples."""
 
@@ -94,8 +96,15 @@ def _crowded_end(values: Samples, weights: Samples | None, end: Samples, sign: f
     return limit
 
 
-def outliers(left: Samples, weights: Samples | None) -> Bools:
-    """Residuals that are single spikes, (R, N). Many of them are a misfit, not spikes, and are kept."""
+def outliers(left: Samples, weights: Samples | None, swing: Samples) -> Bools:
+    """Residuals that are single spikes, (R, N). Many of them are a misfit, not spikes, and are kept.
+
+    Parameters
+    ----------
+    left : (R, N); weights : (R, N) or None
+    swing : (R,)
+        Range of the record itself: what is next to nothing beside it is arithmetic.
+    """
     spikes = np.zeros(left.shape, dtype=bool)
     # A single spike cannot hide: it stands out of the rms that it itself has raised. Missing samples are 0.
     rms = np.sqrt(np.vecdot(left, left) / left.shape[1])
@@ -104,5 +113,5 @@ def outliers(left: Samples, weights: Samples | None) -> Bools:
         valid = size if weights is None else size[weights[row] > 0]
         found = size > SPIKE * 1.4826 * float(np.median(valid))
         if found.mean() <= 0.02:
-            spikes[row] = found & (size > 1e-9 * rms[row])
+            spikes[row] = found & (size > NOTHING * swing[row])
     return spikes

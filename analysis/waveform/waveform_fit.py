@@ -39,6 +39,9 @@ SINGLE_PRECISION_NOISE = 1e-4
 SETTLED = 0.36
 """Residual rms in levels above which one correction of the rounding error is enough: 0.2 of noise."""
 
+TRACKED_FROM = 1e-4
+"""Residual over fundamental below which no moving phase is tried: a wander of s rad leaves about s."""
+
 N_PARAMETERS = 6
 FEWEST_SAMPLES = 12
 """Twice the number of parameters: with fewer valid samples the noise could not be told from the fit."""
@@ -110,7 +113,7 @@ def _fit_records(records: Records, clipped: Bools | None) -> WaveformFit:
     left = values - sampled_series(series, n_samples, precision)
     if weights is not None:
         left *= weights
-    spikes = outliers(left, weights)
+    spikes = outliers(left, weights, records.highest - records.lowest)
     hit = np.asarray(spikes.any(axis=-1))
     if hit.any():
         weights = np.ones_like(values) if weights is None else weights
@@ -189,7 +192,9 @@ def _judged(
     report = examine_residual(left, count, series.omega, np.abs(series.first), power, repeated)
     flags |= report.flags
     excess = report.excess
-    for row in np.flatnonzero(report.uneven):
+    # A residual as small as this cannot come from a wander that would move the ratio.
+    worth_it = power > TRACKED_FROM**2 * np.abs(series.first) ** 2 * count
+    for row in np.flatnonzero(report.uneven & worth_it):
         omega = float(series.omega[row])
         if not looks_like_wander(left[row], omega):
             continue

@@ -1,3 +1,5 @@
+import tracemalloc
+
 import numpy as np
 import pytest
 from reference import adler_beat, bound, random_records, slow_fit
@@ -285,6 +287,26 @@ def test_the_reference_waveform_is_ours():
         readout_phase=0.9,
     )
     np.testing.assert_allclose(adler_beat(N.astype(float), **truth), ours, atol=1e-8)
+
+
+def test_single_precision_input_gives_the_same():
+    volts = 0.01 * one_record(np.random.default_rng(34))[1]
+    double, single = (estimate_lock_in(v, 1.0, scale_factor=0.02) for v in (volts, volts.astype(np.float32)))
+    assert float(single.lock_in_rate) == pytest.approx(
+        float(double.lock_in_rate), abs=0.01 * float(double.lock_in_rate_u)
+    )
+
+
+def test_memory_does_not_grow_with_the_batch():
+    """Beyond what one part of the batch needs, a record adds a few hundred bytes of results."""
+    volts = np.tile(one_record(np.random.default_rng(35))[1].astype(np.float32), (6000, 1))
+    peaks = []
+    for n_records in (2000, 6000):
+        tracemalloc.start()
+        estimate_lock_in(volts[:n_records], 1.0, scale_factor=0.02)
+        peaks.append(tracemalloc.get_traced_memory()[1])
+        tracemalloc.stop()
+    assert peaks[1] - peaks[0] < 4000 * 2000
 
 
 @pytest.mark.parametrize(

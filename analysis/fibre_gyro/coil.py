@@ -1,11 +1,12 @@
 """The fibre coil: Sagnac phase, transit time and nominal scale factor.
 
-    phi_s = (2 pi L D)/(lambda c) Omega           Sagnac phase, Omega in rad/s                            (1)
+    phi_s = (2 pi L D)/(lambda c) Omega           Sagnac phase, Omega in rad/s                           (13)
     tau   = n L / c                               time that the light takes through the coil
-    K0    = 2^N L D/(lambda c) (pi/180)           codes per deg/s, when the 2^N codes span exactly 2 pi   (2)
+    K0    = 2^N L D/(lambda c) (pi/180)           codes per deg/s, when the 2^N codes span exactly 2 pi  (14)
 
 L length of the fibre, D mean diameter of the coil, lambda wavelength in vacuum, n group index, N bits of the
-converter. The index is in the transit time only, not in the Sagnac phase.
+converter. The index is in the transit time only, not in the Sagnac phase. Equations are numbered as in
+docs/fibre_gyro.md.
 """
 
 from __future__ import annotations
@@ -83,7 +84,7 @@ class FibreCoil:
         return 0.5 / self.turns_per_dps
 
     def nominal_scale(self, dac_bits: int) -> float:
-        """K0 of equation (2), codes per deg/s."""
+        """K0 of equation (14), codes per deg/s."""
         return 2.0**dac_bits * self.turns_per_dps
 
     def scaled(self, factor: float) -> FibreCoil:

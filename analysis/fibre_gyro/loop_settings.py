@@ -1,6 +1,8 @@
 """Electronics of a digital closed-loop fibre gyro: converters, loop, 2 pi reset, injection and noise.
 
-1 + eps = V_FS/(2 V_pi)       2 pi error: the 2^N codes of the converter span 2 pi (1 + eps)              (3)
+    1 + eps = V_FS/(2 V_pi)       2 pi error: the 2^N codes of the converter span 2 pi (1 + eps)             (15)
+
+V_FS is the range of the converter, V_pi the half-wave voltage of the phase modulator.
 """
 
 from __future__ import annotations
@@ -40,7 +42,7 @@ class LoopSettings:
         Part of the phase error that one sample pair takes away; stable between 0 and 2, time constant about
         2 tau/loop_gain.
     two_pi_error : float
-        eps of equation (3).
+        eps of equation (15).
     gated : bool
         Sample pairs with a reset are left out of the loop; else all of them enter.
     bias_in_wrap : bool

@@ -2,7 +2,7 @@
 
 Per transit time, with every quantity in codes, the mean of what the beams see is driven to zero:
 
-    (1 + eps) S + K0 Omega + (1 + eps_inj) S_inj' - P F = 0                                                 (8)
+    (1 + eps) S + K0 Omega + (1 + eps_inj) S_inj' - P F = 0                                                (20)
 
 S the step of the staircase, S_inj' an injected step on a second electrode. F are the falls of the staircase per
 transit time: where all sample pairs enter the loop, each fall is seen as the pulse P = 2^N sin(2 pi d)/(2 pi), d
@@ -158,7 +158,7 @@ class OutputModel:
         return _Fields(counts, nan, nan, np.minimum(resets, drive.pairs))
 
     def _open(self, drive: _Drive) -> _Fields:
-        """Feedback held: the errors of pairs without and with a fall, by equations (6) and (7)."""
+        """Feedback held: the errors of pairs without and with a fall, by equations (18) and (19)."""
         laws = self._laws
         feedback = np.broadcast_to(self._feedback[:, None], drive.optical.shape)
         staircase = feedback + (0.0 if laws.separate else drive.injected)
@@ -232,7 +232,7 @@ class _Fields(NamedTuple):
 
 
 class _Laws(NamedTuple):
-    """Numbers of equation (8) in codes; noises of one sample pair; decay of the loop in one transit time."""
+    """Numbers of equation (20) in codes; noises of one sample pair; decay of the loop in one transit time."""
 
     codes: int
     span: float

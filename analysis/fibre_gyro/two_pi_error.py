@@ -3,8 +3,8 @@
 The feedback is held, and steps large enough to make the staircase fall are injected. With the phase of a step
 phi = 2 pi s (1 + eps)/2^N + phi_0, phi_0 the phase at rest, the mean errors of the demodulated sample pairs are
 
-    without a fall    e_n = -2 A sin(phi)                                                                   (6)
-    with one          e_r = -A [ sin(phi) + sin(phi -+ 2 pi eps) ]      - for s > 0, + for s < 0            (7)
+    without a fall    e_n = -2 A sin(phi)                                                                  (18)
+    with one          e_r = -A [ sin(phi) + sin(phi -+ 2 pi eps) ]      - for s > 0, + for s < 0           (19)
 
 Their ratio does not hold A, so that the light level need not be known; both senses separate phi_0. A, eps and
 phi_0 are fitted to all segments by weighted least squares.
@@ -141,7 +141,7 @@ def _check(step: Floats, turns: Floats, error: Floats, error_u: Floats) -> None:
 
 
 def _model(parameters: Floats, turns: Floats) -> tuple[Floats, Floats]:
-    """Equations (6) and (7), shape (2, n), and their derivatives to A, eps, phi_0, shape (2, n, 3)."""
+    """Equations (18) and (19), shape (2, n), and their derivatives to A, eps, phi_0, shape (2, n, 3)."""
     amplitude, eps, rest = parameters
     two_pi, sense = 2.0 * np.pi, np.sign(turns)
     phase = two_pi * turns * (1.0 + eps) + rest

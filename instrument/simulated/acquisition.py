@@ -12,7 +12,7 @@ import itertools
 import math
 from collections import deque
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Literal
 
@@ -23,6 +23,7 @@ from instrument.simulated.faults import Faults
 from instrument.simulated.frontend import Floats, Signal, evaluate, ground, low_pass, shown_volts, slow_part
 from instrument.simulated.panel import DIVISIONS, POINTS_PER_DIVISION, ChannelSettings, Panel, TriggerSettings
 from instrument.simulated.trigger import HYSTERESIS, EdgeSearch, PulseSearch
+from instrument.simulated.video_trigger import VideoSearch
 
 State = Literal["ARMED", "READY", "TRIGGER", "AUTO", "SAVE", "SCAN"]
 
@@ -231,7 +232,7 @@ class Acquisition:
         self._triggered_at: float | None = None
         self._completes_at: float | None = None
         self._forced = False
-        self._search: EdgeSearch | PulseSearch | None = None
+        self._search: EdgeSearch | PulseSearch | VideoSearch | None = None
 
     def _arm_again(self, at: float, now: float, waited: float) -> None:
         """Arm after a record; of hours without a question only the last acquisitions are simulated.
@@ -261,7 +262,8 @@ class Acquisition:
                     edge = self._edge_search(trigger).advance(until, step)
                 case "PULSE":
                     edge = self._pulse_search(trigger).advance(until, step)
-                # VIDEO: its settings are kept, but no sync is looked for, so that AUTO runs free and NORMAL waits
+                case "VIDEO":
+                    edge = self._video_search(trigger).advance(until)
         if edge is not None:
             self._trigger(edge, forced=False)
         elif now >= self._auto_at:
@@ -287,6 +289,17 @@ class Acquisition:
             search = self._search = PulseSearch(trigger, lambda times: times, 0.0, self._ready_at)
         search.trigger, search.hysteresis = trigger, self._hysteresis(trigger)
         search.volts_at = lambda times: self.trigger_signal(trigger, times)
+        return search
+
+    def _video_search(self, trigger: TriggerSettings) -> VideoSearch:
+        """The search of this acquisition for a sync pulse, with the settings of now."""
+        search = self._search
+        if not isinstance(search, VideoSearch) or search.trigger != trigger:
+            since = search.searched_until if search is not None else self._ready_at
+            search = self._search = VideoSearch(trigger, lambda times: times, 0.0, since)
+        search.smallest = 2 * self._hysteresis(trigger)
+        direct = replace(trigger, coupling="DC")  # the coupling belongs to the edge trigger
+        search.volts_at = lambda times: self.trigger_signal(direct, times)
         return search
 
     def _hysteresis(self, trigger: TriggerSettings) -> float:

@@ -34,7 +34,7 @@ class ChannelSettings:
 
 @dataclass(frozen=True)
 class TriggerSettings:
-    """Settings of the main trigger; the last three are those of the pulse width."""
+    """Settings of the main trigger; `polarity`, `when` and `width` are those of a pulse, the rest of video."""
 
     mode: str
     kind: str
@@ -46,6 +46,10 @@ class TriggerSettings:
     polarity: str
     when: str
     width: float
+    sync: str = "LINE"
+    video_inverted: bool = False
+    line: int = 1
+    standard: str = "NTSC"
 
 
 class Panel:
@@ -106,7 +110,7 @@ class Panel:
 
     def trigger(self) -> TriggerSettings:
         """Settings of the main trigger."""
-        pulse = "TRIGGER:MAIN:PULSE:WIDTH"
+        pulse, video = "TRIGGER:MAIN:PULSE:WIDTH", "TRIGGER:MAIN:VIDEO"
         return TriggerSettings(
             mode=self.text("TRIGGER:MAIN:MODE"),
             kind=self.text("TRIGGER:MAIN:TYPE"),
@@ -118,6 +122,10 @@ class Panel:
             polarity=self.text(f"{pulse}:POLARITY"),
             when=self.text(f"{pulse}:WHEN"),
             width=self.number(f"{pulse}:WIDTH"),
+            sync=self.text(f"{video}:SYNC"),
+            video_inverted=self.text(f"{video}:POLARITY") == "INVERT",
+            line=int(self.number(f"{video}:LINE")),
+            standard=self.text(f"{video}:STANDARD"),
         )
 
     @property

@@ -4,7 +4,7 @@ Each tau the staircase rises by the feedback step S and by the injected step, an
 the converter when it runs over. The two beams see the difference of the modulator's phase now and one tau ago:
 
     difference = phi_s + [phi_m(t) - phi_m(t - tau)] + square-wave bias of +-pi/2                           (16)
-    intensity  = A [1 + V cos(difference)] + noise, rounded by the detector's converter                     (17)
+    intensity  = A [1 + V cos(difference)] + noise, cut to whole steps of the detector's converter          (17)
 
 Every second tau the difference of the last two samples, -2 A V sin(phi_s + step), moves S; the output is the mean
 of S over the output period with its sign reversed. Everything after the converters is integer arithmetic, as in

@@ -29,11 +29,14 @@ class Choices:
     input_rate : float or None
         Rate on the gyro's axis, deg/s.
     relation : {"exact", "paper-13", "paper-10"}
+    known : Settings or None
+        What is known of channel and bench now (``front_end``, ``budget``); ``None``: what a run was taken with.
     """
 
     scale_factor: float | None = None
     input_rate: float | None = None
     relation: Relation = "exact"
+    known: Settings | None = None
 
 
 @dataclass(frozen=True)
@@ -98,7 +101,7 @@ def analyze_path(path: Path, choices: Choices, settings: Settings) -> Analyzed:
     if is_run(path):
         run = open_run(path)
         scale_factor = choices.scale_factor or saved_settings(run).gyro.scale_factor_pulses_per_deg
-        return Analyzed(path, run, evaluate_run(run, _method(choices, scale_factor)))
+        return Analyzed(path, run, evaluate_run(run, _method(choices, scale_factor), choices.known))
     waveform = read_waveform(path)
     if waveform.preamble.xunit.lower() != "s":
         unit = waveform.preamble.xunit

@@ -10,9 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis import Flag, LockInEstimate, estimate_lock_in
+from analysis.changed_ratio import with_ratio
 from analysis.lockin_equation import Relation
-from analysis.lockin_rate import rate_and_slopes
-from analysis.ratio_interval import size_interval
 from instrument import Preamble, Waveform
 from instrument.errors import InstrumentError
 from instrument.waveform import CLIPPED_CODE
@@ -101,22 +100,8 @@ def at_known_rates(each: LockInEstimate, rates: Array) -> LockInEstimate:
     LockInEstimate
         The same ratios, with the lock-in rates that follow from these rates.
     """
-    beat_rate = each.beat_frequency / each.scale_factor
-    value, slope, _ = rate_and_slopes(each.ratio, beat_rate, rates, each.relation)
-    value_u = slope * each.ratio_u
-    observed, _, _ = rate_and_slopes(np.abs(each.complex_ratio), beat_rate, rates, each.relation)
-    low, high = size_interval(observed / value_u)
-    sense = np.where(rates < 0, -1.0, 1.0)
-    return replace(
-        each,
-        lock_in_rate=value,
-        lock_in_rate_u=value_u,
-        lock_in_rate_low_95=low * value_u,
-        lock_in_rate_high_95=high * value_u,
-        input_rate=rates,
-        backscatter_phase=np.angle(-each.complex_ratio * sense) * sense,
-        rate_given=True,
-    )
+    given = replace(each, input_rate=rates, rate_given=True)
+    return with_ratio(given, each.complex_ratio, each.complex_ratio_covariance)
 
 
 def batches(waveforms: Sequence[Waveform]) -> list[list[int]]:

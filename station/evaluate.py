@@ -14,6 +14,7 @@ from instrument import Waveform
 from station.acquisitions import Acquisition, acquisitions_of
 from station.errors import RunError, UsageError
 from station.estimates import Method, at_known_rates, estimate_records, saved_waveform
+from station.front_end import channel_response, without_channel
 from station.quadratures import QuadratureResult, estimate_pairs, quadrature_result
 from station.run_budget import run_budget
 from station.runs import SavedRecord, SavedRun
@@ -100,7 +101,7 @@ class Evaluation:
         return int(self.combined.records_rejected) + len(self.damaged)
 
 
-def evaluate_run(run: SavedRun, method: Method | None = None) -> Evaluation:
+def evaluate_run(run: SavedRun, method: Method | None = None, known: Settings | None = None) -> Evaluation:
     """Evaluate the records that a run took at its slow rate, or at its slow rates.
 
     Parameters
@@ -108,6 +109,8 @@ def evaluate_run(run: SavedRun, method: Method | None = None) -> Evaluation:
     run : SavedRun
     method : Method, optional
         By default the run's own scale factor, exact, self-referenced.
+    known : Settings, optional
+        What is known of channel and bench now, ``front_end`` and ``budget``, instead of what was known then.
 
     Returns
     -------
@@ -121,6 +124,8 @@ def evaluate_run(run: SavedRun, method: Method | None = None) -> Evaluation:
         If the method is one for a single rate, and the run has several.
     """
     settings = saved_settings(run)
+    if known is not None:
+        settings = settings.model_copy(update={"front_end": known.front_end, "budget": known.budget})
     method = method or Method(settings.gyro.scale_factor_pulses_per_deg)
     acquisitions = acquisitions_of(run)
     if not any(taken.intact for taken in acquisitions):
@@ -131,6 +136,8 @@ def evaluate_run(run: SavedRun, method: Method | None = None) -> Evaluation:
     records = [taken.sine for taken in intact]
     waveforms = tuple(saved_waveform(record, run) for record in records)
     each, quadratures = _estimates(intact, waveforms, run, method)
+    if (response := channel_response(settings.front_end)) is not None:
+        each = without_channel(each, response)
     tilt = evaluate_tilt(run.taken_for("tilt"), settings) if fast_run_is_whole(run, settings) else None
     names = tuple(taken.name for taken in intact)
     combined = combine_estimates(each)

@@ -17,6 +17,7 @@ from station.settings_sections import ContaminantSettings
 from station.simulated_gyro import (
     Detector,
     Gyro,
+    Segment,
     Winking,
     axis_rate_on_table,
     beat_signal_on_table,
@@ -28,6 +29,7 @@ from station.turning_table import TurningTable
 Array = NDArray[np.float64]
 
 _TRUTH_POINTS = 201
+_TURN_POINTS = 181
 
 
 @dataclass(frozen=True)
@@ -84,6 +86,8 @@ def build_instruments(settings: Settings, clock: Clock) -> SimulatedInstruments:
     )
     gyro = _gyro(settings, simulation, float(start.uniform(0.0, 2 * math.pi)))
     detector = _detector(simulation)
+    if detector.filtered or gyro.winking is not None:
+        table.when_steady = lambda segment: _prepare(gyro, detector, table, segment)
     signals = {settings.scope.channel: _signal(gyro, detector, table, simulation, 0)}
     if settings.scope.quadrature_channel:
         cosine = _cosine_detector(detector, simulation.contaminants)
@@ -99,6 +103,12 @@ def build_instruments(settings: Settings, clock: Clock) -> SimulatedInstruments:
     except ValueError as error:
         raise UsageError(f"simulation.scope_model: {error}") from None
     return SimulatedInstruments(clock, table, gyro, detector, scope)
+
+
+def _prepare(gyro: Gyro, detector: Detector, table: TurningTable, segment: Segment) -> None:
+    """Work out the beat of a whole turn beforehand: the scope must not keep a program waiting for it."""
+    turn_s = 360.0 / max(abs(segment.rate_dps), 1e-3)
+    beat_signal_on_table(gyro, detector, table.motion, segment.start + np.linspace(0.0, turn_s, _TURN_POINTS))
 
 
 def _gyro(settings: Settings, simulation: SimulationSettings, start_phase: float) -> Gyro:

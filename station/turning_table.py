@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 from instrument.simulated import SimulatedRateTable
 from instrument.simulated.clock import Clock
@@ -13,6 +14,8 @@ _STEP_S = 0.05
 
 class TurningTable:
     """The simulated rate table, and the history of its motion for the gyro that stands on it.
+
+    ``when_steady``, if it is set, is called with the new piece of motion whenever the table turns steadily again.
 
     Parameters
     ----------
@@ -29,6 +32,7 @@ class TurningTable:
         self._clock, self._acceleration = clock, acceleration
         self._table = SimulatedRateTable(clock, acceleration=acceleration, azimuth=azimuth)
         self.motion: tuple[Segment, ...] = (Segment(clock.now(), azimuth, 0.0),)
+        self.when_steady: Callable[[Segment], None] | None = None
         if rate:
             self.set_rate(rate)
 
@@ -46,6 +50,8 @@ class TurningTable:
         self.motion = (*self.motion, slew, Segment(steady, reached, rate_dps))
         while (left := steady - self._clock.now()) > 0:
             self._clock.sleep(min(left, _STEP_S) + 1e-9)
+        if self.when_steady is not None:
+            self.when_steady(self.motion[-1])
 
     def rate(self) -> float:
         """Rate in deg/s now."""

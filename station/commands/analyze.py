@@ -47,6 +47,9 @@ def command(
 
     PATH is a run (its directory or its file), or a file that the scope or its PC software wrote. With --json
     and several paths the document holds a list `results`. Exit code 4 if any of them gives no lock-in rate.
+
+    A run is analysed with the settings that it was taken with; with --config its [front_end] and [budget] are
+    those of FILE, for a channel that was measured later.
     """
     from station.analyze import Choices
     from station.settings import load_settings
@@ -54,7 +57,7 @@ def command(
     if jsonl and as_json:
         raise click.UsageError("--json and --jsonl exclude each other")
     settings = load_settings(config)
-    choices = Choices(scale_factor, input_rate, relation)
+    choices = Choices(scale_factor, input_rate, relation, None if config is None else settings)
     documents, failures = [], []
     for path in paths:
         analyzed, failure = _analyze(path, choices, settings)

@@ -17,7 +17,6 @@ second.
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Sequence
 from functools import lru_cache
@@ -62,7 +61,7 @@ def beat_phase_on_table(gyro: Gyro, motion: Sequence[Segment], times: Array) -> 
     for number, inside in split(segments, times):
         at = times[inside]
         rates[inside] = _rate(gyro, segments[number], at)
-        phases[inside] = start_phases[number] + _advance(gyro, segments[number], at)
+        phases[inside] = start_phases[number] + _advance(gyro, segments, number, at)
     return rates, phases
 
 
@@ -82,15 +81,16 @@ def _rate(gyro: Gyro, segment: Segment, times: Array) -> Array:
 def _start_phases(gyro: Gyro, motion: tuple[Segment, ...]) -> tuple[float, ...]:
     """Return psi at the start of each segment."""
     phases = [gyro.start_phase]
-    for segment, following in itertools.pairwise(motion):
-        phases.append(phases[-1] + float(_advance(gyro, segment, np.array([following.start]))[0]))
+    for number, following in enumerate(motion[1:]):
+        phases.append(phases[-1] + float(_advance(gyro, motion, number, np.array([following.start]))[0]))
     return tuple(phases)
 
 
-def _advance(gyro: Gyro, segment: Segment, times: Array) -> Array:
-    """Advance of psi in rad since the start of the segment."""
+def _advance(gyro: Gyro, motion: tuple[Segment, ...], number: int, times: Array) -> Array:
+    """Advance of psi in rad since the start of a segment."""
+    segment = motion[number]
     if segment.acceleration_dps2 != 0.0:
-        return _advance_by_quadrature(gyro, segment, times)
+        return np.interp(times, *_slew_phase(gyro.without_winking(), segment, motion[number + 1].start))
     turn_rate = segment.rate_dps if abs(segment.rate_dps) >= _REST_DPS else 0.0
     resting_at = segment.azimuth_deg % 360.0 if turn_rate == 0.0 else None
     mean, orders, terms = _frequency_series(gyro, segment.rate_dps, resting_at)
@@ -141,15 +141,10 @@ def _frequency_series(
     return float(spectrum[0, 0].real), orders, np.asarray(2.0 * spectrum[kept])
 
 
-def _advance_by_quadrature(gyro: Gyro, segment: Segment, times: Array) -> Array:
-    """Advance while the table slews: cumulative trapezoidal rule; slews are short, nobody measures in one."""
-    gyro = gyro.without_winking()
-    if times.size == 0:
-        return np.empty(0)
-    end = max(float(times.max()), segment.start + 1e-9)
-    begin = min(float(times.min()), segment.start)
-    grid = np.unique(np.append(np.linspace(begin, end, _SLEW_POINTS), segment.start))
+@lru_cache(maxsize=64)
+def _slew_phase(gyro: Gyro, segment: Segment, end: float) -> tuple[Array, Array]:
+    """Times in a slew and psi since its start: cumulative trapezoidal rule; nobody measures in a slew."""
+    grid = np.linspace(segment.start, end, _SLEW_POINTS)
     frequency = gyro.beat_frequency(_rate(gyro, segment, grid)) * gyro.drift(grid)
     steps = 0.5 * (frequency[1:] + frequency[:-1]) * np.diff(grid)
-    phase = 2 * np.pi * np.concatenate([[0.0], np.cumsum(steps)])
-    return np.interp(times, grid, phase) - np.interp(segment.start, grid, phase)
+    return grid, 2 * np.pi * np.concatenate([[0.0], np.cumsum(steps)])

@@ -8,20 +8,21 @@ grid of rates once and interpolated; without a filter the signal is computed sam
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
 from station.simulated_gyro.gyro import Gyro, harmonic_ratio
-from station.simulated_gyro.rate_grid import interpolate, rate_at
+from station.simulated_gyro.rate_grid import FINER, beat_rate_at, grid_place, interpolate, rate_at, weights_at
 
 Array = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
 
 _FEWEST_POINTS, _MOST_POINTS = 128, 8192
-_NEGLIGIBLE = 1e-11
+_NEGLIGIBLE = 1e-9
+_FEW_CELLS = 6
 
 
 @dataclass(frozen=True)
@@ -61,6 +62,10 @@ class Detector:
         """Whether anything in it depends on the frequency."""
         return self.low_pass_hz > 0 or self.ac_corner_hz > 0
 
+    def without_filters(self) -> Detector:
+        """The same detector with an amplifier for all frequencies."""
+        return replace(self, low_pass_hz=0.0, ac_corner_hz=0.0) if self.filtered else self
+
     def volts(self, fringe: Complexes, backscatter_phase: float) -> Array:
         """Signal before any filter, V, for exp(i (phi + beta))."""
         turned = fringe * np.exp(1j * (self.readout_phase - backscatter_phase))
@@ -99,13 +104,16 @@ def detector_signal(gyro: Gyro, detector: Detector, axis_rate: Array, beat_phase
     ndarray, shape (n,)
         V. A locked gyro gives a constant.
     """
-    at_once = detector.volts(gyro.fringe(axis_rate, beat_phase), gyro.backscatter_phase)
     if not detector.filtered and gyro.winking is None:
-        return at_once
+        return detector.volts(gyro.fringe(axis_rate, beat_phase), gyro.backscatter_phase)
+    volts = np.empty(axis_rate.shape)
+    locked = gyro.locked(axis_rate)
     # behind a filter a locked gyro's signal is what the filter leaves of a constant
-    volts: Array = at_once * float(detector.response(np.zeros(1))[0].real)
+    if locked.any():
+        still = detector.volts(gyro.fringe(axis_rate[locked], beat_phase[locked]), gyro.backscatter_phase)
+        volts[locked] = still * float(detector.response(np.zeros(1))[0].real)
     for sense in (1, -1):
-        inside = np.flatnonzero(~gyro.locked(axis_rate) & (np.sign(axis_rate) == sense))
+        inside = np.flatnonzero(~locked & (np.sign(axis_rate) == sense))
         if inside.size:
             volts[inside] = _by_harmonics(gyro, detector, axis_rate[inside], beat_phase[inside], sense)
     return volts
@@ -114,22 +122,53 @@ def detector_signal(gyro: Gyro, detector: Detector, axis_rate: Array, beat_phase
 def _by_harmonics(gyro: Gyro, detector: Detector, rates: Array, phases: Array, sense: int) -> Array:
     """Sum of the harmonics, each interpolated between points of the grid of rates."""
     turning = np.exp(1j * sense * phases)
+    place = grid_place(np.abs(rates), gyro.lock_in_rate) * FINER
+    cells = np.floor(place).astype(np.intp)
+    if np.ptp(cells) > _FEW_CELLS:
 
-    def at_point(point: int, inside: NDArray[np.intp]) -> Array:
-        series = _harmonics(gyro, detector, point, sense)
-        return np.asarray(np.polynomial.polynomial.polyval(turning[inside], series).real, dtype=np.float64)
+        def at_point(point: int, inside: NDArray[np.intp]) -> Array:
+            return _real_series(_harmonics(gyro, detector, point, sense), turning[inside])
 
-    return interpolate(rates, gyro.lock_in_rate, at_point)
+        return interpolate(rates, gyro.lock_in_rate, at_point)
+    # in a record the rate hardly changes: straight lines between the points of a finer grid are good enough
+    volts = np.empty(rates.shape)
+    for cell in range(int(cells.min()), int(cells.max()) + 1):
+        inside = cells == cell
+        if inside.any():
+            low, high = (_between(gyro, detector, finer, sense) for finer in (cell, cell + 1))
+            left, turned = _real_series(low, turning[inside]), turning[inside]
+            volts[inside] = left + (place[inside] - cell) * (_real_series(high, turned) - left)
+    return volts
+
+
+@lru_cache(maxsize=8192)
+def _between(gyro: Gyro, detector: Detector, finer: int, sense: int) -> Complexes:
+    """Harmonics at a point of the finer grid."""
+    found = [(_harmonics(gyro, detector, point, sense), weight) for point, weight in weights_at(finer / FINER)]
+    total = np.zeros(max(series.size for series, _ in found), dtype=np.complex128)
+    for series, weight in found:
+        total[: series.size] += weight * series
+    return total
+
+
+def _real_series(amplitudes: Complexes, turning: Complexes) -> Array:
+    """Real part of sum amplitudes_n turning^n."""
+    total = np.full(turning.shape, amplitudes[-1])
+    for amplitude in amplitudes[-2::-1]:
+        total *= turning
+        total += amplitude
+    return np.ascontiguousarray(total.real)
 
 
 @lru_cache(maxsize=4096)
 def _harmonics(gyro: Gyro, detector: Detector, point: int, sense: int) -> Complexes:
     """Complex amplitudes of the harmonics 0, 1, ... behind the filters, V, at one point of the grid."""
-    rate = sense * rate_at(point, gyro.lock_in_rate)
     volts = _one_period(gyro, detector, point, sense)
     amplitudes: Complexes = np.fft.rfft(volts) / volts.size
     amplitudes[1:] *= 2
-    frequency = abs(float(gyro.beat_frequency(np.array([rate]))[0]))
+    frequency = gyro.scale_factor * beat_rate_at(point)
+    if gyro.winking is not None:
+        frequency = gyro.winking.frequency(point)
     amplitudes = amplitudes * detector.response(frequency * np.arange(amplitudes.size, dtype=np.float64))
     kept = np.flatnonzero(np.abs(amplitudes) > _NEGLIGIBLE * np.abs(amplitudes).max())
     return np.asarray(amplitudes[: kept[-1] + 1] if kept.size else amplitudes[:1])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import bisect
 from dataclasses import dataclass
 
 import numpy as np
@@ -37,7 +38,10 @@ class Segment:
         return self.rate_dps + self.acceleration_dps2 * (times - self.start)
 
 
-def split(motion: tuple[Segment, ...], times: Array) -> list[tuple[int, NDArray[np.intp]]]:
+Inside = NDArray[np.intp] | slice
+
+
+def split(motion: tuple[Segment, ...], times: Array) -> list[tuple[int, Inside]]:
     """Sort times into segments: number of the segment, and the indices of the times that fall into it.
 
     Parameters
@@ -47,6 +51,11 @@ def split(motion: tuple[Segment, ...], times: Array) -> list[tuple[int, NDArray[
     times : ndarray, shape (n,)
         Absolute times, s.
     """
-    starts = np.array([segment.start for segment in motion])
+    if times.size == 0:
+        return []
+    starts = [segment.start for segment in motion]
+    first, last = (max(bisect.bisect_right(starts, t) - 1, 0) for t in (float(times.min()), float(times.max())))
+    if first == last:
+        return [(first, slice(None))]
     which = np.clip(np.searchsorted(starts, times, side="right") - 1, 0, None)
     return [(int(i), np.flatnonzero(which == i)) for i in np.unique(which)]

@@ -14,13 +14,20 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 STEP = 0.05
+FINER = 100
+"""Points of a finer grid in one step: between them straight lines are good to 1e-7 of a second harmonic."""
 _OFFSETS = np.arange(-2.0, 4.0)  # six points around a place between 0 and 1
 _LOWEST_DPS = 1e-9
 
 
+def beat_rate_at(point: int) -> float:
+    """Value of sqrt(W^2 - WL^2) in deg/s at a point of the grid."""
+    return math.exp(STEP * point)
+
+
 def rate_at(point: int, lock_in_rate: float) -> float:
     """Rate W in deg/s, positive, at a point of the grid."""
-    return math.hypot(math.exp(STEP * point), lock_in_rate)
+    return math.hypot(beat_rate_at(point), lock_in_rate)
 
 
 def interpolate(
@@ -42,9 +49,7 @@ def interpolate(
     -------
     ndarray, shape (n,)
     """
-    size = np.abs(rates)
-    beat_rate = np.sqrt((size - lock_in_rate) * (size + lock_in_rate))
-    place = np.log(np.maximum(beat_rate, _LOWEST_DPS)) / STEP
+    place = grid_place(np.abs(rates), lock_in_rate)
     cells = np.floor(place).astype(np.intp)
     values = np.empty(rates.shape)
     for cell in np.unique(cells):
@@ -54,6 +59,19 @@ def interpolate(
             weight * at_point(int(cell + offset), inside) for offset, weight in zip(_OFFSETS, weights, strict=True)
         )
     return values
+
+
+def weights_at(place: float) -> list[tuple[int, float]]:
+    """Points of the grid around one place, and their weights."""
+    cell = math.floor(place)
+    weights = _lagrange(np.array([place - cell]))[:, 0]
+    return [(int(cell + offset), float(weight)) for offset, weight in zip(_OFFSETS, weights, strict=True)]
+
+
+def grid_place(size: Array, lock_in_rate: float) -> Array:
+    """Places on the grid, in steps of it, of rates (deg/s, positive) beyond the lock-in rate."""
+    beat_rate = np.sqrt((size - lock_in_rate) * (size + lock_in_rate))
+    return np.asarray(np.log(np.maximum(beat_rate, _LOWEST_DPS)) / STEP)
 
 
 def _lagrange(x: Array) -> Array:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,13 +33,30 @@ def beat_signal_on_table(gyro: Gyro, detector: Detector, motion: Sequence[Segmen
     ndarray, shape (n,)
         V, without noise.
     """
-    rates, phases = beat_phase_on_table(gyro, motion, times)
-    volts = np.empty_like(times)
-    for number, inside in split(tuple(motion), times):
-        steady = motion[number].acceleration_dps2 == 0.0
-        laser = gyro if steady else gyro.without_winking()
-        volts[inside] = detector_signal(laser, detector, rates[inside], phases[inside])
+    segments, volts = tuple(motion), np.empty_like(times)
+    for number, inside in split(segments, times):
+        resting = _resting_volts(gyro, detector, segments[number])
+        if resting is not None:
+            volts[inside] = resting
+            continue
+        rates, phases = beat_phase_on_table(gyro, segments, times[inside])
+        seen_by = (gyro, detector)
+        if segments[number].acceleration_dps2 != 0.0:
+            # nobody measures in a slew, and its rates are too many to work out all of their beats
+            seen_by = (gyro.without_winking(), detector.without_filters())
+        volts[inside] = detector_signal(*seen_by, rates, phases)
     return np.asarray(volts * detector.swing(times)) if detector.pump_ripple else volts
+
+
+@lru_cache(maxsize=64)
+def _resting_volts(gyro: Gyro, detector: Detector, segment: Segment) -> float | None:
+    """The constant of a locked gyro on a table at rest; ``None`` where the beat moves."""
+    if segment.rate_dps or segment.acceleration_dps2 or gyro.ripple_dps:
+        return None
+    rate = np.atleast_1d(gyro.axis_rate(0.0, segment.azimuth_deg))
+    if not gyro.locked(rate).all():
+        return None
+    return float(detector_signal(gyro, detector, rate, np.zeros(1))[0])
 
 
 def with_detector_noise(

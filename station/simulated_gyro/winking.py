@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.winking import SteadyBeat, steady_beat, symmetric_laser
-from station.simulated_gyro.rate_grid import interpolate, rate_at
+from station.simulated_gyro.rate_grid import beat_rate_at, interpolate, rate_at
 
 Array = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
@@ -43,11 +43,13 @@ class Winking:
         """Beat frequency at rates in deg/s over that of the lock-in equation; all beyond the lock-in rate."""
 
         def factor(point: int, _: NDArray[np.intp]) -> float:
-            rate = rate_at(point, self.lock_in_rate)
-            by_equation = self.scale_factor * np.sqrt((rate - self.lock_in_rate) * (rate + self.lock_in_rate))
-            return float(_beat(self, point).frequency / by_equation)
+            return self.frequency(point) / (self.scale_factor * beat_rate_at(point))
 
         return interpolate(rates, self.lock_in_rate, factor)
+
+    def frequency(self, point: int) -> float:
+        """Beat frequency in Hz at a point of the grid."""
+        return _beat(self, point).frequency
 
     def fringe(self, point: int) -> Complexes:
         """Light of the fringes sqrt(I1 I2) exp(i psi) over one period, evenly in time, at a point of the grid."""

@@ -241,7 +241,7 @@ class ScaleComparison:
 
 
 def compare_scale(
-    self_fit: SlopeFit, numbers: SlopeFit, table: tuple[float, float], *, numbers_u: float = 0.0
+    self_fit: SlopeFit, excess: SlopeFit, table: tuple[float, float], *, numbers_u: float = 0.0
 ) -> ScaleComparison:
     """Compare the slope of the outputs with the table's scale factor and with the slope of the numbers.
 
@@ -249,19 +249,21 @@ def compare_scale(
     ----------
     self_fit : SlopeFit
         Of the net outputs.
-    numbers : SlopeFit
-        Of the injected numbers, with the same weights.
+    excess : SlopeFit
+        Of the net outputs less the injected numbers, with the same weights: it does not matter there that numbers
+        rounded to what can be injected do not lie on a line.
     table : tuple of float
         K of the rate table, counts per deg/s, and its standard uncertainty.
     numbers_u : float, optional
         Standard uncertainty of the slope of the numbers, counts per deg/s: how well they stand for the rates.
     """
     ratio, relative_u = self_fit.slope / table[0], self_fit.slope_u / abs(self_fit.slope)
+    numbers = self_fit.slope - excess.slope
     return ScaleComparison(
         _PPM * (ratio - 1),
-        _PPM * float(np.linalg.norm([relative_u, table[1] / table[0], numbers_u / numbers.slope])),
-        _PPM * (self_fit.slope / numbers.slope - 1),
-        _PPM * relative_u,
+        _PPM * float(np.linalg.norm([relative_u, table[1] / table[0], numbers_u / numbers])),
+        _PPM * excess.slope / numbers,
+        _PPM * excess.slope_u / abs(numbers),
     )
 
 

@@ -211,7 +211,9 @@ def evaluate_selfcal(run: FogRun, settings: FogSettings, table: TableEvaluation 
         fit=fit,
         numbers=numbers,
         reference=reference,
-        comparison=compare_scale(fit, numbers, against, numbers_u=_mapping_u(steps, rates, u)),
+        comparison=compare_scale(
+            fit, fit_slope(rates, net.output - given, u), against, numbers_u=_mapping_u(steps, rates, u)
+        ),
         static_missing=missing[0] if missing else "",
         left_out=tuple(left_out),
     )

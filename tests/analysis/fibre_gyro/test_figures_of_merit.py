@@ -64,6 +64,7 @@ def pattern_of(shape: np.ndarray, seed: int = 1) -> tuple[str, ...]:
 
 def test_patterns_are_told_apart() -> None:
     assert pattern_of(1e-6 * RATES**3) == ("odd",)
+    assert pattern_of(1e-4 * RATES**3) == ("odd",)
     assert pattern_of(0.003 * np.abs(RATES)) == ("even",)
     assert pattern_of(np.where(np.abs(RATES) < 0.3, -246.0 * RATES, 0.0)) == ("near zero",)
     assert set(pattern_of(1e-6 * RATES**3 + 0.003 * np.abs(RATES))) == {"odd", "even"}

@@ -140,10 +140,12 @@ def test_predictions_of_the_second_electrode_and_of_the_optics() -> None:
 
 
 def test_comparison_with_the_table() -> None:
-    numbers = fit_slope(RATES, K * RATES)
-    found = fit_slope(RATES, K * (1 + 5e-6) * RATES, np.full(8, 0.001))
-    compared = compare_scale(found, numbers, (K * (1 + 2e-6), K * 4e-6))
+    u = np.full(8, 0.001)
+    found = fit_slope(RATES, K * (1 + 5e-6) * RATES, u)
+    excess = fit_slope(RATES, K * 5e-6 * RATES, u)
+    compared = compare_scale(found, excess, (K * (1 + 2e-6), K * 4e-6), numbers_u=K * 3e-6)
     assert compared.difference_ppm == pytest.approx(3.0, abs=1e-3)
     assert compared.against_numbers_ppm == pytest.approx(5.0, abs=1e-3)
     assert compared.against_numbers_u_ppm == pytest.approx(1e6 * found.slope_u / K, rel=1e-4)
-    assert compared.difference_u_ppm == pytest.approx(np.hypot(4.0, compared.against_numbers_u_ppm), rel=1e-4)
+    expected = np.hypot(5.0, compared.against_numbers_u_ppm)
+    assert compared.difference_u_ppm == pytest.approx(expected, rel=1e-4)

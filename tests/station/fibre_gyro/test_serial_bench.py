@@ -49,9 +49,16 @@ class ServedBench:
     """Server, link and bench of one test, and what the operator was asked."""
 
     def __init__(
-        self, settings: Any, stack: ExitStack, *, faults: GyroFaults | None = None, reaches: float = 1.0
+        self,
+        settings: Any,
+        stack: ExitStack,
+        *,
+        faults: GyroFaults | None = None,
+        reaches: float = 1.0,
+        step_scale: int = 16384,
     ) -> None:
         values = tomllib.loads(shipped_settings("fibre_gyro_frames").read_text())["formats"]["binary_frames"]
+        values["commands"]["step_scale"] = step_scale
         names = [{"name": name, "bytes": 4, "type": "float"} for name in ("normal_error", "reset_error")]
         self.layout = parse_frame_format({**values, "fields": values["fields"] + names}, where="test")
         self.gyro = ServedGyro(settings, self.layout.interval_s)
@@ -143,6 +150,31 @@ def test_a_self_calibration_over_the_link(served, fog_settings, tmp_path: Path) 
     steps = [step for name, step in bench.server.commands if name == "inject"]
     # what the link sends has the resolution of the format, 2^-14 codes
     assert all(step * 16384 == round(step * 16384) for step in steps)
+
+
+def test_the_number_is_the_step_that_was_really_sent(served, fog_settings, tmp_path: Path) -> None:
+    """A format with steps of 1/4 code: 1 deg/s is 246.25 codes on the line, 395 ppm more than wanted."""
+    settings = fog_settings(
+        gyro=GYRO,
+        selfcal={"numbers": "nominal", "rates_dps": [1.0, 2.0], "step_s": 1.0, "static_s": 1.0, "settle_s": 0.1},
+        simulation={"angle_random_walk": 1e-3},
+    )
+    bench = served(settings, step_scale=4)
+    plan, _ = selfcal.plan_selfcal(settings, selfcal.numbers_for(settings, None))
+    found = result_of("selfcal", settings, bench, plan, tmp_path).document
+    given = {point["name"]: point["number_counts"] / 256 for point in found["points"]}
+    assert given["inject +1"] == 246.25
+    assert abs(found["self_minus_numbers_ppm"]) < 5 * found["self_minus_numbers_u_ppm"] < 100
+
+
+def test_the_injection_is_taken_away_after_an_interrupt(served, fog_settings, tmp_path: Path) -> None:
+    settings = fog_settings(gyro=GYRO, selfcal={"numbers": "nominal"})
+    bench = served(settings)
+    plan, _ = selfcal.plan_selfcal(settings, selfcal.numbers_for(settings, None))
+    bench.bench.prepare(plan[3])
+    assert bench.server.commands[-1][1] > 200
+    bench.bench.leave()
+    assert bench.server.commands[-1] == ("inject", 0.0)
 
 
 def test_steps_that_the_format_cannot_send_are_named(served, fog_settings, tmp_path: Path) -> None:

@@ -4,8 +4,8 @@ A program message runs through these files: `visa_library`, `tcp_server` or `pty
 (what RS-232 loses), `exchange` (message queues), `parsing` and `command_tree` (which command), `commands` and the
 `*_commands` files (what it does), `panel` and `panel_rules` (settings), `status` and `events` (what went wrong).
 A signal runs through `frontend`, `trigger` and `video_trigger`, `acquisition` (when), `digitizer` (codes) and
-`traces` (what is sent); `screen` and `picture_formats` make the hard copy, `mass_storage` and `waveform_file` the files
-of the models that have a memory card.
+`traces` (what is sent); `screen` and `picture_formats` make the hard copy, `mass_storage` and `waveform_file` the
+files of the models that have a memory card.
 """
 
 from instrument.simulated.clock import Clock, RealClock, VirtualClock

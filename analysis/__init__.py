@@ -1,6 +1,7 @@
 """Mathematics of the lock-in measurement, on arrays: no files, no instruments, no clock, no printing."""
 
 from analysis.combine import combine_estimates
+from analysis.dead_band import DeadBand, find_dead_band
 from analysis.flags import FATAL, Flag, describe_flag, flag_names
 from analysis.frequency_method import FrequencyFit, fit_frequencies
 from analysis.front_end import ChannelResponse, correct_response
@@ -16,6 +17,7 @@ from analysis.lockin_equation import (
 )
 from analysis.lockin_rate import LockInEstimate, estimate_lock_in
 from analysis.quadratures import QuadratureEstimate, QuadratureFlag, estimate_quadratures
+from analysis.rate_sweep import simulate_sweep
 from analysis.rates_result import RatesFit, RatesFlag
 from analysis.rotation import EARTH_RATE_DPS, earth_rate_on_axis, rate_on_axis, tilt_from_fast_run
 from analysis.several_rates import fit_rate_ratios, fit_rates
@@ -24,6 +26,7 @@ __all__ = [
     "EARTH_RATE_DPS",
     "FATAL",
     "ChannelResponse",
+    "DeadBand",
     "Flag",
     "FrequencyFit",
     "HarmonicFit",
@@ -40,6 +43,7 @@ __all__ = [
     "earth_rate_on_axis",
     "estimate_lock_in",
     "estimate_quadratures",
+    "find_dead_band",
     "fit_frequencies",
     "fit_harmonics",
     "fit_rate_ratios",
@@ -51,5 +55,6 @@ __all__ = [
     "lock_in_from_rate",
     "rate_on_axis",
     "rate_varying_beat",
+    "simulate_sweep",
     "tilt_from_fast_run",
 ]

@@ -1,0 +1,277 @@
+"""Lock-in rate by the search for the dead band: the rate at which pulses begin and end, as test stands do it.
+
+The table steps through rates up and down in both senses; the lock-in rate is half the width of the band without
+pulses, its middle is the bias rate. Steps of the table, the difference between up and down, and noise that lets
+the gyro slip inside the band limit it. A fit of the whole corner with its noise (equation (1) of `rate_sweep`)
+shows what the last of these is worth.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from enum import IntFlag
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from analysis.rate_sweep import LEAST_WALK, falling, rounded_pulse_rate
+
+Floats = NDArray[np.float64]
+Integers = NDArray[np.int64]
+
+FEWEST_FOR_CORNER = 6
+ROUNDING_MATTERS = 2.0
+"""Noise counts where edge and fitted lock-in rate differ by more than this many standard uncertainties."""
+
+
+class DeadBandFlag(IntFlag):
+    """Bits of `DeadBand.flags`; the lower-case name is the one used in JSON."""
+
+    NO_SILENT_RATE = 1
+    """On some branch there are pulses at every rate: the steps are too coarse or the noise too strong."""
+    NO_PULSES = 2
+    """On some branch there are no pulses at all: the sweep ends too early."""
+    ONE_SENSE = 4
+    """Only one sense was swept, so the bias rate is in the lock-in rate."""
+    HYSTERESIS = 8
+    """Up and down differ by more than the steps of the table."""
+    ROUNDED = 16
+    """Noise moves the edges: the fitted corner is the better value."""
+    PULSES_INSIDE = 32
+    """Beyond the first rate with pulses there are silent ones again."""
+
+
+@dataclass(frozen=True)
+class DeadBand:
+    """What a sweep shows.
+
+    lock_in_rate, lock_in_rate_u : deg/s, mean of the edges; with the steps, half the hysteresis and the noise
+    edges, edge_half_widths : (2, 2) deg/s, |W| of positive and negative sense, rising and falling; nan if not
+        swept
+    bias_rate, bias_rate_u : deg/s, middle of the band; nan with one sense
+    hysteresis, hysteresis_u : deg/s, rising less falling; nan if only one of them was swept
+    corner_rate, corner_rate_u, random_walk, random_walk_u : fitted corner, deg/s and deg/sqrt(s); nan where not
+        fitted
+    noise_part : deg/s, share of the noise in the uncertainty
+    flags : bits of `DeadBandFlag`
+    sentences : in plain words
+    """
+
+    lock_in_rate: float
+    lock_in_rate_u: float
+    edges: Floats
+    edge_half_widths: Floats
+    bias_rate: float
+    bias_rate_u: float
+    hysteresis: float
+    hysteresis_u: float
+    corner_rate: float
+    corner_rate_u: float
+    random_walk: float
+    random_walk_u: float
+    noise_part: float
+    flags: int
+    sentences: tuple[str, ...]
+
+
+class Corner(NamedTuple):
+    """Fitted corner: lock-in rate (deg/s) and random walk (deg/sqrt(s)) with their uncertainties."""
+
+    rate: float
+    rate_u: float
+    random_walk: float
+    random_walk_u: float
+
+
+NO_CORNER = Corner(*(float("nan"),) * 4)
+
+
+def find_dead_band(
+    input_rates: ArrayLike,
+    pulses: ArrayLike,
+    dwell: float,
+    *,
+    scale_factor: float,
+    least_pulses: int = 1,
+    fit_corner: bool = True,
+) -> DeadBand:
+    """Dead band of a sweep.
+
+    Parameters
+    ----------
+    input_rates : (n,)
+        deg/s, signed, in the order in which the table took them.
+    pulses : (n,)
+        Counted at each.
+    dwell : float
+        Seconds at each rate.
+    scale_factor : float
+        Pulses per degree.
+    least_pulses : int
+        Fewer count as silence.
+    fit_corner : bool
+        Whether to fit the rounded corner too.
+
+    Returns
+    -------
+    DeadBand
+
+    Raises
+    ------
+    ValueError
+        No edge on any branch; arrays that do not fit together, counts or a dwell that cannot be.
+
+    Examples
+    --------
+    >>> rates = np.concatenate([np.arange(0, 0.1, 0.01), -np.arange(0, 0.1, 0.01)])
+    >>> pulses = 2000 * 10 * np.sqrt(np.maximum(rates**2 - 0.055**2, 0))
+    >>> band = find_dead_band(rates, pulses.round(), 10.0, scale_factor=2000)
+    >>> round(band.lock_in_rate, 4), round(band.lock_in_rate_u, 4)
+    (0.055, 0.002)
+    """
+    rates, counts = _checked(input_rates, pulses, dwell, scale_factor, least_pulses)
+    edges, halves, flags = _edges(rates, counts, least_pulses)
+    known = np.isfinite(edges)
+    if not known.any():
+        raise ValueError(
+            "no edge of the dead band: the sweep must hold silent rates and rates with pulses, in order"
+        )
+    # A rate somewhere between two steps: uniform, with standard deviation of the gap over sqrt(12).
+    us = halves / np.sqrt(3)
+    senses = np.array([_mean(edges[k][known[k]]) for k in range(2)])
+    # Up and down take the same steps and so share their error; the senses do not, unless the bias is zero.
+    senses_u = np.array([_mean(us[k][known[k]]) for k in range(2)])
+    swept = np.isfinite(senses)
+    directions = [edges[:, k][known.all(axis=1)] for k in range(2)]
+    difference = directions[0] - directions[1]
+    hysteresis = float(difference.mean()) if difference.size else float("nan")
+    hysteresis_u = float(np.sqrt(np.sum(us[known.all(axis=1)] ** 2))) / max(difference.size, 1)
+    both = bool(swept.all())
+    value, steps_u = float(senses[swept].mean()), _mean_u(senses_u[swept])
+    corner = _corner(rates, counts, dwell, scale_factor, value) if fit_corner else NO_CORNER
+    apart = abs(value - corner.rate)
+    noise_part = apart if apart > ROUNDING_MATTERS * np.hypot(corner.rate_u, steps_u) else 0.0
+    half_hysteresis = abs(hysteresis) / 2 / np.sqrt(3) if difference.size else 0.0
+    if difference.size and abs(hysteresis) > 3 * hysteresis_u:
+        flags |= DeadBandFlag.HYSTERESIS
+    flags |= (0 if both else DeadBandFlag.ONE_SENSE) | (DeadBandFlag.ROUNDED if noise_part else 0)
+    band = DeadBand(
+        lock_in_rate=value,
+        lock_in_rate_u=float(np.sqrt(steps_u**2 + half_hysteresis**2 + noise_part**2)),
+        edges=edges,
+        edge_half_widths=halves,
+        bias_rate=float(senses[0] - senses[1]) / 2 if both else float("nan"),
+        bias_rate_u=steps_u if both else float("nan"),
+        hysteresis=hysteresis,
+        hysteresis_u=hysteresis_u if difference.size else float("nan"),
+        corner_rate=corner.rate,
+        corner_rate_u=corner.rate_u,
+        random_walk=corner.random_walk,
+        random_walk_u=corner.random_walk_u,
+        noise_part=noise_part,
+        flags=int(flags),
+        sentences=(),
+    )
+    return replace(band, sentences=_words(band))
+
+
+def _checked(
+    input_rates: ArrayLike, pulses: ArrayLike, dwell: float, scale_factor: float, least_pulses: int
+) -> tuple[Floats, Floats]:
+    rates, counts = np.asarray(input_rates, dtype=np.float64), np.asarray(pulses, dtype=np.float64)
+    if rates.ndim != 1 or rates.shape != counts.shape:
+        raise ValueError(f"rates and pulses must be lists of one length, not {rates.shape} and {counts.shape}")
+    if not np.all(np.isfinite(rates)) or not np.all(np.isfinite(counts)) or np.any(counts < 0):
+        raise ValueError("rates and pulses must be finite, pulses not negative")
+    if not (np.isfinite(dwell) and dwell > 0 and scale_factor > 0 and least_pulses >= 1):
+        raise ValueError("dwell, scale_factor and least_pulses must be positive")
+    return rates, counts
+
+
+def _edges(rates: Floats, counts: Floats, least_pulses: int) -> tuple[Floats, Floats, int]:
+    """|W| of the edge and half the gap it lies in, (2, 2): positive, negative; rising, falling."""
+    edges, halves = np.full((2, 2), np.nan), np.full((2, 2), np.nan)
+    flags = 0
+    down = falling(rates)
+    for k, sense in enumerate((1, -1)):
+        for m, direction in enumerate((False, True)):
+            branch = (rates * sense > 0) & (down == direction)
+            if branch.sum() < 2:
+                continue
+            order = np.argsort(np.abs(rates[branch]))
+            size, moving = np.abs(rates[branch])[order], counts[branch][order] >= least_pulses
+            if moving.all() or not moving.any():
+                flags |= DeadBandFlag.NO_SILENT_RATE if moving.all() else DeadBandFlag.NO_PULSES
+                continue
+            first = int(np.argmax(moving))
+            if not moving[first:].all():
+                flags |= DeadBandFlag.PULSES_INSIDE
+            # Below the slowest step swept there is nothing but standstill.
+            below = size[first - 1] if first else 0.0
+            edges[k, m], halves[k, m] = (size[first] + below) / 2, (size[first] - below) / 2
+    return edges, halves, flags
+
+
+def _mean(values: Floats) -> float:
+    return float(values.mean()) if values.size else float("nan")
+
+
+def _mean_u(us: Floats) -> float:
+    return float(np.sqrt(np.sum(us**2))) / us.size if us.size else float("nan")
+
+
+def _corner(rates: Floats, pulses: Floats, dwell: float, scale_factor: float, start: float) -> Corner:
+    """Lock-in rate, bias and random walk from equation (1) of `rate_sweep`, fitted to the steps below 3 WL."""
+    from scipy.optimize import least_squares  # costs more to import than all else here
+
+    near = np.abs(rates) < 3 * start
+    if near.sum() < FEWEST_FOR_CORNER:
+        return NO_CORNER
+    kept, place = np.unique(rates[near], return_inverse=True)
+    seen, usual_walk = pulses[near], np.sqrt(start / scale_factor)
+
+    def left(point: Floats) -> Floats:
+        expected = rounded_pulse_rate(
+            kept - float(point[1]) * start,
+            scale_factor=scale_factor,
+            lock_in_rate=float(point[0]) * start,
+            random_walk=float(np.exp(point[2])) * usual_walk,
+        )
+        return np.asarray(np.abs(expected)[place] * dwell - seen)
+
+    limits = ([0.1, -1.0, np.log(LEAST_WALK)], [3.0, 1.0, np.log(10.0)])
+    fit = least_squares(
+        left, [1.0, 0.0, np.log(0.02)], bounds=limits, x_scale=[0.01, 0.01, 0.3], diff_step=[1e-5] * 3, max_nfev=80
+    )
+    jacobian = np.asarray(fit.jac)
+    # Slips scatter most at the corner itself: each step's own residual says how much, and a count no less than a
+    # count's rounding.
+    inverse = np.linalg.pinv(jacobian.T @ jacobian)
+    spread = np.maximum(fit.fun**2, 1 / 6) * near.sum() / max(int(near.sum()) - 3, 1)
+    us = np.sqrt(np.diagonal(inverse @ (jacobian.T * spread) @ jacobian @ inverse))
+    walk = float(np.exp(fit.x[2])) * usual_walk
+    return Corner(float(fit.x[0]) * start, float(us[0]) * start, walk, walk * float(us[2]))
+
+
+def _words(band: DeadBand) -> tuple[str, ...]:
+    half = np.nanmax(band.edge_half_widths)
+    sentences = [
+        f"The dead band ends at {band.lock_in_rate:.5g} ± {band.lock_in_rate_u:.2g} deg/s (k = 1); an edge is "
+        f"known to ± {half:.2g} deg/s by the steps of the table."
+    ]
+    corner = (
+        f"the whole corner fits a lock-in rate of {band.corner_rate:.5g} ± {band.corner_rate_u:.2g} deg/s with a "
+        f"random walk of {60 * band.random_walk:.2g} deg/sqrt(h)"
+    )
+    texts = {
+        DeadBandFlag.ONE_SENSE: "Only one sense was swept: bias and earth rate are in this number.",
+        DeadBandFlag.HYSTERESIS: f"Pulses end {band.hysteresis:.2g} deg/s below the rate at which they begin; "
+        "that is part of the uncertainty, and no single lock-in rate fits both ways.",
+        DeadBandFlag.ROUNDED: f"Noise lets the gyro slip inside the band: {corner}.",
+        DeadBandFlag.NO_SILENT_RATE: "On some branch no rate was silent: take smaller steps about zero.",
+        DeadBandFlag.NO_PULSES: "On some branch no rate gave pulses: sweep further.",
+        DeadBandFlag.PULSES_INSIDE: "Silent rates lie beyond the first one with pulses: noise, or a table that "
+        "does not hold its rate.",
+    }
+    return (*sentences, *(text for bit, text in texts.items() if band.flags & bit))

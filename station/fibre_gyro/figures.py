@@ -72,7 +72,7 @@ class FiguresEvaluation:
     scale_factor, scale_factor_u : float
         Mean of the runs, and its standard uncertainty; counts per deg/s.
     nonlinearity_ppm, nonlinearity_of_point_ppm, asymmetry_ppm : float
-        Of the first run.
+        The largest of the runs; nan where no run gives one.
     repeatability_ppm, temperature_coefficient_ppm : float
         nan where there are too few runs.
     left_out : tuple of LeftOut
@@ -130,20 +130,25 @@ def evaluate_figures(run: FogRun, settings: FogSettings) -> FiguresEvaluation:
         raise NoUsableSignal(f"no run has enough points for a scale factor{': ' + reasons if reasons else ''}")
     others = tuple(one for name, one in good.items() if name not in reference)
     k = np.array([one.figures.fit.slope for one in runs])
-    first = runs[0].figures
-    scale_u = float(np.std(k, ddof=1) / math.sqrt(k.size)) if k.size > 1 else first.fit.slope_u
+    each = [one.figures for one in runs]
+    scale_u = float(np.std(k, ddof=1) / math.sqrt(k.size)) if k.size > 1 else each[0].fit.slope_u
     return FiguresEvaluation(
         runs=runs,
         at_temperatures=others,
         scale_factor=float(k.mean()),
         scale_factor_u=scale_u,
-        nonlinearity_ppm=first.nonlinearity_ppm,
-        nonlinearity_of_point_ppm=first.nonlinearity_of_point_ppm,
-        asymmetry_ppm=first.asymmetry_ppm,
+        nonlinearity_ppm=_largest([one.nonlinearity_ppm for one in each]),
+        nonlinearity_of_point_ppm=_largest([one.nonlinearity_of_point_ppm for one in each]),
+        asymmetry_ppm=_largest([one.asymmetry_ppm for one in each]),
         repeatability_ppm=repeatability_ppm(k) if k.size > 1 else math.nan,
         temperature_coefficient_ppm=_temperature_coefficient(runs, others),
         left_out=tuple(left_out),
     )
+
+
+def _largest(values: Sequence[float]) -> float:
+    known = [value for value in values if math.isfinite(value)]
+    return max(known, default=math.nan)
 
 
 def _temperature_coefficient(runs: Sequence[FiguresRun], others: Sequence[FiguresRun]) -> float:

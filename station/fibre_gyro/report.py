@@ -68,7 +68,7 @@ def render_fog_report(result: FogResult, run: FogRun) -> str:
         style=style.group() if style else "",
         simulated=run.facts["simulated"],
         verdict=result.verdict,
-        headline=Headline(True, result.value, "", result.lines),
+        headline=Headline(True, result.value, "", (*result.lines, *(f"{one.sentence}." for one in result.tested))),
         sections=sections.sections_of(result),
         fact_columns=[tables[:middle], tables[middle:]],
         footer=_footer(result, run),

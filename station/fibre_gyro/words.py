@@ -136,13 +136,20 @@ def _two_pi_words(table_scale: float, gated: bool) -> str:
 
 def _second_path_words(evaluation: SelfcalEvaluation, settings: FogSettings) -> list[str]:
     compared, gated = evaluation.comparison, settings.gyro.gated_resets
+    implied = -compared.against_numbers_ppm / (1 + compared.against_numbers_ppm / _PPM)
+    implied_words = (
+        f" With an exact injection path that is a 2π error of the feedback of "
+        f"{ppm_words(implied, compared.against_numbers_u_ppm)}."
+        if gated
+        else ""
+    )
     own = _PPM * (predicted_self_scale("separate", 0.0, _EXAMPLE_EPS, gated=gated) - 1)
     feedback = _PPM * (predicted_self_scale("separate", _EXAMPLE_EPS, gated=gated) - 1)
     return [
         "The injection goes through a second electrode with a converter of its own; the feedback answers with its "
         "own converter. K_self is the mapping of numbers to rates times the ratio of both paths' gains.",
         f"K_self differs from the slope of the injected numbers by "
-        f"{ppm_words(compared.against_numbers_ppm, compared.against_numbers_u_ppm)}.",
+        f"{ppm_words(compared.against_numbers_ppm, compared.against_numbers_u_ppm)}.{implied_words}",
         f"It does see V_2π of the feedback path: +{_PPM * _EXAMPLE_EPS:.0f} ppm there changes K_self by "
         f"{feedback:+.5g} ppm, as K of the table, so with a stable injection path K_self follows the table."
         if gated

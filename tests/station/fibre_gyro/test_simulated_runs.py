@@ -89,6 +89,8 @@ def test_what_the_self_calibration_sees(taken, simulation, gyro, path, table_ppm
     text = " ".join(result.sentences)
     assert ("returns the mapping" in text) == (path == "shared")
     assert "blind to L·D/λ" in text
+    if path == "separate" and "two_pi_error" in simulation:
+        assert "a 2π error of the feedback of +3000" in text or "a 2π error of the feedback of +2999" in text
 
 
 def test_numbers_from_the_same_table_run_hide_every_error(taken) -> None:

@@ -26,7 +26,6 @@ CANDIDATES = 4
 HARMONICS = 6
 _PADDING = 8
 _WIDTH = 0.02  # relative half width of the search around a step time that the caller knows
-_COARSE = 0.25  # samples by which the last edge moves between two trial periods of the first search
 
 
 @dataclass(frozen=True)
@@ -133,7 +132,11 @@ def _candidates(volts: Floats) -> list[float]:
             break
     longest = len(volts) / MINIMUM_STEPS
     related = [period * m for period in found for m in (2, 3)] + [period / 2 for period in found]
-    return found + [period for period in related if MINIMUM_PERIOD <= period <= longest]
+    for period in related:
+        is_new = all(abs(period / other - 1) > 0.5 * period / len(volts) for other in found)
+        if is_new and MINIMUM_PERIOD <= period <= longest:
+            found.append(period)
+    return found
 
 
 def _scatter(volts: Floats, cut: Cut) -> float:
@@ -151,13 +154,13 @@ def _best_cut(volts: Floats, period: float, half_width: float) -> Cut:
     """The cut with the least scatter within its pieces."""
     n = len(volts)
     sums = np.concatenate([[0.0], np.cumsum(volts - volts.mean())])
-    step = _COARSE * period / n
+    pitch = max(0.5, period / 64)
+    step = pitch / 2 * period / n  # so that the last edge moves by half a pitch
     periods = np.arange(max(period - half_width, 0.98 * MINIMUM_PERIOD), period + half_width, step)
     best = (-np.inf, period, 0.0)
     for trial in periods:
-        best = max(best, _best_start(sums, n, trial, np.arange(0.0, trial, max(0.5, trial / 200))))
+        best = max(best, _best_start(sums, n, trial, np.arange(0.0, trial, pitch)))
     # One sample on the wrong side of a reset outweighs all noise: the last search is fine and follows both.
-    pitch = max(0.5, best[1] / 200)
     for _ in range(3):
         _, period, start = best
         middle = n // (2 * period)
@@ -221,7 +224,10 @@ def _true_edges(edges: Ints, jumps: Floats, noise: float, parts: int) -> int | N
         here = here[(here >= later) & (here + parts - later < len(jumps))]
         false = jumps[here]
         real = np.stack([jumps[here - later], jumps[here + parts - later]], axis=-1)
-        left = false - real @ np.linalg.lstsq(real, false, rcond=None)[0]
+        shares = np.linalg.lstsq(real, false, rcond=None)[0]
+        if shares[1] < 0:  # no sample on the wrong side does that, but resets at even intervals can
+            shares = np.array([np.sum(real[:, 0] * false) / np.sum(real[:, 0] ** 2), 0.0])
+        left = false - real @ shares
         if np.mean(left**2) > 0.25 * np.mean(false**2) + (3 * noise) ** 2:
             return None
     return true

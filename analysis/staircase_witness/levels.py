@@ -11,6 +11,7 @@ from analysis.staircase_witness.cut import Cut, Floats, Ints, piece_means, round
 
 _SETTLED = 1e-3  # part of a jump that may be left where a level counts as settled
 _SHY = 0.75  # samples before an edge that are never used: so uncertain is its position
+_ENOUGH = 0.3  # of the usual number of samples that a level must have
 _SPIKE = 6.0  # times the noise; a sample farther away does not belong to its level
 
 
@@ -45,6 +46,9 @@ def read_levels(volts: Floats, cut: Cut) -> Levels:
     after, before, settled = _disturbed(volts, cut.period, number, phase)
     usable = np.isfinite(volts) & (phase >= after) & (cut.period - phase > before)
     usable = _without_spikes(volts, number, usable)
+    numbers, counts, heights = piece_means(volts, number, usable)
+    # A piece of a level at the ends of the record, or between missing samples, says little and may be all edge.
+    usable &= np.isin(number, numbers[counts >= _ENOUGH * np.median(counts)])
     numbers, counts, heights = piece_means(volts, number, usable)
     noise, slope = _within(volts, number, phase, usable, cut.period)
     return Levels(numbers, heights, counts, noise, int(after), settled, slope)

@@ -21,6 +21,7 @@ _SEED = 20150513
 _SAME = 1e-6  # of the span: two values closer than this are the same
 _ON_LEVEL = 0.02  # of the spacing
 _EUCLID = 8
+_BEYOND = 0.01  # squared levels of scatter over more than two of them: 0.3 of noise
 _MOST_LEVELS = 600  # twice as many as an eight-bit converter has: what stands on more was not rounded by one
 
 
@@ -76,11 +77,11 @@ def converter_spacing(values: Floats) -> float:
         return 0.0
     spacing = float(gaps.min())
     for _ in range(_EUCLID):
-        spacing = span / round(span / spacing)
         places = (levels - levels[0]) / spacing
         rest = float(np.abs(places - np.rint(places)).max())
         if rest < _ON_LEVEL:
-            return spacing if span / spacing < _MOST_LEVELS else 0.0
+            steps = round(span / spacing)
+            return span / steps if steps < _MOST_LEVELS else 0.0
         # No two levels were neighbours yet: as in Euclid's algorithm, the spacing divides what is left over.
         spacing *= rest
     return 0.0
@@ -91,11 +92,22 @@ def rounding_left(dither: float) -> float:
     return float(np.exp(-2 * (np.pi * dither) ** 2) / np.sqrt(12))
 
 
-def dither_of(noise: float) -> float:
-    """Noise before a converter, from the rms that is seen behind it, averaged over where it stands; in levels."""
-    variance = noise**2
-    # Little noise flips the last bit only near a threshold: s / sqrt(pi) of the time and level.
-    return float(variance * np.sqrt(np.pi) if variance < 0.173 else np.sqrt(variance - 1 / 12))
+def dither_of(noise: float, means: Floats, counts: Floats) -> float:
+    """Noise before a converter, 0 where it is so small that only two neighbouring levels ever alternate.
+
+    Parameters
+    ----------
+    noise : float
+        Rms behind it about constant values, pooled over them.
+    means, counts : (K,)
+        Mean of what came for each constant value, and of how many. All in levels, from a level on.
+    """
+    part = means - np.floor(means)
+    # Two levels scatter by p (1 - p), however small the noise is that flips between them near their threshold; a
+    # mean of n samples takes its share of that.
+    alternating = part * (1 - part) * counts / np.maximum(counts - 1, 1)
+    beyond = noise**2 - float(np.average(alternating, weights=counts))
+    return float(np.sqrt(beyond + 1 / 12)) if beyond > _BEYOND else 0.0
 
 
 def fit_rounded(

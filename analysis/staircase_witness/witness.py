@@ -36,7 +36,7 @@ FEW_SAMPLES_PER_STEP = 6
 MISFIT = 4.0
 """Variance of the levels, over that of noise and rounding, beyond which they are no even staircase."""
 
-_QUIET = 0.45  # noise in levels behind the converter below which rounding is not white: 0.34 before it
+_WHITE = 0.5  # noise in levels before the converter from which on rounding is white to two per cent
 _EDGE_TO_POLE = 2.2  # width of the edge of a single pole from 10 % to 90 %, over its time constant
 _CLEAR = 20.0  # times the noise: jumps that show which samples lie on an edge
 
@@ -226,13 +226,13 @@ def _check_steps(levels: Levels) -> None:
     noise = levels.noise * float(np.sqrt(2 / np.median(levels.counts)))
     if jump < 3 * noise:
         raise ValueError(
-            f"no steps stand out of the noise, or fewer than {MINIMUM_STEPS} are in the record: inject a larger step, "
-            "use fewer volts per division or a slower time base, or give the step time"
+            f"no steps stand out of the noise, or fewer than {MINIMUM_STEPS} are in the record: inject a larger "
+            "step, use fewer volts per division or a slower time base, or give the step time"
         )
     if abs(levels.slope) > 0.5 * jump:
         raise ValueError(
-            "the signal moves on between the edges, like a ramp, a sine or steps that never settle: inject a larger "
-            "step or use a faster time base"
+            "the signal moves on between the edges, like a ramp, a sine or steps that never settle: inject a "
+            "larger step or use a faster time base"
         )
 
 
@@ -276,8 +276,10 @@ def _fit_heights(record: Floats, levels: Levels, wraps: Ints, sign: float) -> tu
     """Fit "c", "h", "b" and "R", the last two where there is a bias and a reset; and the converter's spacing."""
     valid = record[np.isfinite(record)]
     spacing = converter_spacing(valid)
-    spacing = spacing if levels.noise < _QUIET * spacing else 0.0
-    dither = dither_of(levels.noise / spacing) if spacing else 0.0
+    dither = 0.0
+    if spacing:
+        dither = dither_of(levels.noise / spacing, (levels.heights - valid[0]) / spacing, levels.counts)
+    spacing = spacing if dither < _WHITE else 0.0
     smallest = 1e-9 * float(np.ptp(valid))
     variance = levels.noise**2 / levels.counts + (rounding_left(dither) * spacing) ** 2 + smallest**2
     columns: dict[str, Floats] = {
@@ -297,18 +299,23 @@ def _fit_heights(record: Floats, levels: Levels, wraps: Ints, sign: float) -> tu
     if abs(found.values["b"]) < 4 * found.u_of(b=1.0):
         del columns["b"]
         found = fit()
-    height, span = found.values["h"], found.values.get("R", np.inf)
-    if abs(height) < 4 * found.u_of(h=1.0):
+    _check_heights(found, levels.heights)
+    return found, spacing
+
+
+def _check_heights(fit: RoundedFit, heights: Floats) -> None:
+    """Refuse what the model fits but does not mean. Raises ValueError."""
+    height, span, bias = fit.values["h"], fit.values.get("R", np.inf), fit.values.get("b", 0.0)
+    if abs(height) < 4 * fit.u_of(h=1.0):
         raise ValueError("the levels neither rise nor fall from step to step: no staircase is injected")
     # With so few steps a larger step the other way and half a span of bias would look the same.
-    if abs(height) > span / 5 or abs(found.values.get("b", 0.0)) > 0.4 * span:
+    if abs(height) > span / 5 or abs(bias) > 0.4 * span:
         raise ValueError(_TOO_FEW_STEPS)
-    left = float(np.sqrt(np.mean((levels.heights - found.model) ** 2)))
-    if left > 0.3 * max(abs(found.values["h"]), abs(found.values.get("b", 0.0))):
+    left = float(np.sqrt(np.mean((heights - fit.model) ** 2)))
+    if left > 0.3 * max(abs(height), abs(bias)):
         raise ValueError(
             "the levels do not follow a staircase with resets: look at the signal and at the range of the scope"
         )
-    return found, spacing
 
 
 def _fit_times(record: Floats, cut: Cut, levels: Levels) -> tuple[float, float, float]:

@@ -143,18 +143,14 @@ def find_dead_band(
     # Up and down take the same steps and so share their error; the senses do not, unless the bias is zero.
     senses_u = np.array([_mean(us[k][known[k]]) for k in range(2)])
     swept = np.isfinite(senses)
-    directions = [edges[:, k][known.all(axis=1)] for k in range(2)]
-    difference = directions[0] - directions[1]
-    hysteresis = float(difference.mean()) if difference.size else float("nan")
-    hysteresis_u = float(np.sqrt(np.sum(us[known.all(axis=1)] ** 2))) / max(difference.size, 1)
     both = bool(swept.all())
+    hysteresis, hysteresis_u = _hysteresis(edges, us)
     value, steps_u = float(senses[swept].mean()), _mean_u(senses_u[swept])
     corner = _corner(rates, counts, dwell, scale_factor, value) if fit_corner else NO_CORNER
     apart = abs(value - corner.rate)
     noise_part = apart if apart > ROUNDING_MATTERS * np.hypot(corner.rate_u, steps_u) else 0.0
-    half_hysteresis = abs(hysteresis) / 2 / np.sqrt(3) if difference.size else 0.0
-    if difference.size and abs(hysteresis) > 3 * hysteresis_u:
-        flags |= DeadBandFlag.HYSTERESIS
+    half_hysteresis = 0.0 if np.isnan(hysteresis) else abs(hysteresis) / 2 / np.sqrt(3)
+    flags |= DeadBandFlag.HYSTERESIS if abs(hysteresis) > 3 * hysteresis_u else 0
     flags |= (0 if both else DeadBandFlag.ONE_SENSE) | (DeadBandFlag.ROUNDED if noise_part else 0)
     band = DeadBand(
         lock_in_rate=value,
@@ -164,7 +160,7 @@ def find_dead_band(
         bias_rate=float(senses[0] - senses[1]) / 2 if both else float("nan"),
         bias_rate_u=steps_u if both else float("nan"),
         hysteresis=hysteresis,
-        hysteresis_u=hysteresis_u if difference.size else float("nan"),
+        hysteresis_u=hysteresis_u,
         corner_rate=corner.rate,
         corner_rate_u=corner.rate_u,
         random_walk=corner.random_walk,
@@ -211,6 +207,15 @@ def _edges(rates: Floats, counts: Floats, least_pulses: int) -> tuple[Floats, Fl
             below = size[first - 1] if first else 0.0
             edges[k, m], halves[k, m] = (size[first] + below) / 2, (size[first] - below) / 2
     return edges, halves, flags
+
+
+def _hysteresis(edges: Floats, us: Floats) -> tuple[float, float]:
+    """Mean of rising less falling edges, and its uncertainty; nan where no sense has both."""
+    both = np.isfinite(edges).all(axis=1)
+    if not both.any():
+        return float("nan"), float("nan")
+    difference = edges[both, 0] - edges[both, 1]
+    return float(difference.mean()), float(np.sqrt(np.sum(us[both] ** 2))) / difference.size
 
 
 def _mean(values: Floats) -> float:

@@ -138,19 +138,13 @@ def fit_frequencies(
         rate[used], f[used], fu[used], rate_u[used], scale_factor, scale_factor_u, bias
     )
     degrees = int(used.sum()) + (scale_factor is not None) - point.size
-    p_value = float(scipy.special.chdtrc(degrees, chi_square)) if degrees > 0 else float("nan")
-    widen, quantile = 1.0, NORMAL_95
-    if p_value < UNLIKELY:
-        widen, quantile = chi_square / degrees, float(scipy.special.stdtrit(degrees, 0.975))
+    p_value, widen, quantile = _test(chi_square, degrees)
     values, covariance = _physical(point, covariance * widen, bias)
     square, square_u = float(values[0]), float(np.sqrt(covariance[0, 0]))
-    ends = np.array([square - quantile * square_u, square + quantile * square_u])
-    low, high = (float(np.sqrt(v)) if v > 0 else float("nan") for v in ends)
+    low, high = _interval(square, quantile * square_u, np.abs(rate[locked] - values[1]))
     expected = values[2] * np.sqrt(np.maximum((rate - values[1]) ** 2 - square, 0.0))
     flags = _flags(rate, used, locked, values, square_u, high, p_value, degrees)
-    held = np.abs(rate[locked] - values[1]) if flags & FrequencyFlag.LOCKED_RECORDS else np.empty(0)
-    low = max([0.0 if np.isnan(low) else low, *held[held <= (0.0 if np.isnan(high) else high)]])
-    root = float(np.sqrt(square)) if square > 0 else float("nan")
+    root, us = float(np.sqrt(square)) if square > 0 else float("nan"), np.sqrt(np.diagonal(covariance))
     fit = FrequencyFit(
         lock_in_rate=root,
         lock_in_rate_u=square_u / (2 * root),
@@ -159,9 +153,9 @@ def fit_frequencies(
         lock_in_square=square,
         lock_in_square_u=square_u,
         scale_factor=float(values[2]),
-        scale_factor_u=float(np.sqrt(covariance[2, 2])),
+        scale_factor_u=float(us[2]),
         bias_rate=float(values[1]),
-        bias_rate_u=float(np.sqrt(covariance[1, 1])),
+        bias_rate_u=float(us[1]),
         covariance=covariance,
         chi_square=chi_square,
         degrees_of_freedom=degrees,
@@ -197,6 +191,23 @@ def _checked(
     if np.any((f > 0) & (fu == 0) & (rate_u == 0)):
         raise ValueError("every frequency needs an uncertainty, of its own (Hz) or of its rate (deg/s)")
     return rate, f, fu, rate_u
+
+
+def _test(chi_square: float, degrees: int) -> tuple[float, float, float]:
+    """Probability of chi-square, factor for the variances where chance does not explain it, 95 % quantile."""
+    if degrees <= 0:
+        return float("nan"), 1.0, NORMAL_95
+    p_value = float(scipy.special.chdtrc(degrees, chi_square))
+    if p_value < UNLIKELY:
+        return p_value, chi_square / degrees, float(scipy.special.stdtrit(degrees, 0.975))
+    return p_value, 1.0, NORMAL_95
+
+
+def _interval(square: float, half: float, locked: Floats) -> tuple[float, float]:
+    """95 % interval of WL from that of WL^2; rates seen locked bound it from below, as far as they lie inside."""
+    high = float(np.sqrt(square + half)) if square + half > 0 else float("nan")
+    low = float(np.sqrt(max(square - half, 0.0)))
+    return max([low, *locked[locked <= high]]), high
 
 
 def _parabola(

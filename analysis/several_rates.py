@@ -42,6 +42,7 @@ FREE: dict[Model, tuple[bool, bool]] = {
 
 MORE_RECORDS = "take the other sense of rotation as well, or rates that differ by a factor of two and more"
 
+ENLARGED = "; enlarged to the scatter between records, which is more than that noise explains"
 UNLIKELY = 0.001
 SIGNIFICANT = 3.3
 GAIN_COST = 2.0
@@ -215,18 +216,13 @@ def _choose(fits: dict[Model, RatioFit], model: Model | Literal["auto"]) -> Mode
 def _result(
     records: RatioRecords, used: Bools, data: RatioData, fits: dict[Model, RatioFit], chosen: Model
 ) -> RatesFit:
-    fit = fits[chosen]
-    chi_square, degrees = float(fit.chi_square[0]), _degrees(chosen, used)
-    p_value = float(scipy.special.chdtrc(degrees, chi_square)) if degrees else float("nan")
-    misfit = degrees > 0 and p_value < UNLIKELY
-    widen = chi_square / degrees if misfit else 1.0
+    fit, degrees = fits[chosen], _degrees(chosen, used)
+    chi_square, p_value, widen = _test(fit, degrees)
     covariance = _polar_covariance(fit) * widen
-    value, low, high = _lock_in_rate(fit, widen, degrees if misfit else 0)
-    us = np.sqrt(np.diagonal(covariance))
-    with_distortion, with_gain = FREE[chosen]
+    value, low, high = _lock_in_rate(fit, widen, degrees if widen > 1 else 0)
+    us, fitted = np.sqrt(np.diagonal(covariance)), np.where([True, True, *FREE[chosen]], 1.0, np.nan)
     at_least = _at_least(records, high)
     left, deviation = _residuals(fit, data, used)
-    noise = "; enlarged to the scatter between records, which is more than that noise explains" if misfit else ""
     result = RatesFit(
         lock_in_rate=max(value, at_least),
         lock_in_rate_u=float(us[0]),
@@ -234,10 +230,10 @@ def _result(
         lock_in_rate_high_95=max(high, at_least),
         backscatter_phase=float(np.arctan2(fit.parameters[0, 1], fit.parameters[0, 0])),
         backscatter_phase_u=float(us[1]),
-        distortion=float(fit.parameters[0, 2]) if with_distortion else float("nan"),
-        distortion_u=float(us[2]) if with_distortion else float("nan"),
-        gain_time=float(fit.parameters[0, 3]) if with_gain else float("nan"),
-        gain_time_u=float(us[3]) if with_gain else float("nan"),
+        distortion=float(fit.parameters[0, 2] * fitted[2]),
+        distortion_u=float(us[2] * fitted[2]),
+        gain_time=float(fit.parameters[0, 3] * fitted[3]),
+        gain_time_u=float(us[3] * fitted[3]),
         gain_time_limit=_gain_time_limit(fits, chosen),
         covariance=covariance,
         model=chosen,
@@ -258,10 +254,19 @@ def _result(
         at_least=at_least,
         flags=0,
         sentences=(),
-        noise_model=records.noise_model + noise,
+        noise_model=records.noise_model + (ENLARGED if widen > 1 else ""),
     )
     result = replace(result, flags=_flags(result, inconsistent_rate(records)))
     return replace(result, sentences=describe_rates(result))
+
+
+def _test(fit: RatioFit, degrees: int) -> tuple[float, float, float]:
+    """Chi-square, its probability, and the factor by which the variances grow where chance does not explain it."""
+    chi_square = float(fit.chi_square[0])
+    if degrees == 0:
+        return chi_square, float("nan"), 1.0
+    p_value = float(scipy.special.chdtrc(degrees, chi_square))
+    return chi_square, p_value, chi_square / degrees if p_value < UNLIKELY else 1.0
 
 
 def _degrees(model: Model, used: Bools) -> int:

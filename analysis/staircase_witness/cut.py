@@ -23,6 +23,7 @@ MINIMUM_PERIOD = 3.0
 
 MINIMUM_STEPS = 8
 CANDIDATES = 4
+_FINALISTS = 3
 HARMONICS = 6
 _PADDING = 8
 _WIDTH = 0.02  # relative half width of the search around a step time that the caller knows
@@ -59,15 +60,15 @@ def find_cut(volts: Floats, period: float | None) -> Cut:
     n = len(filled)
     if period is not None:
         check_period(period, n)
-        return _best_cut(filled, period, _WIDTH * period)
+        return _fine_cut(filled, _coarse_cut(filled, period, _WIDTH * period))
     floor = rounding_variance(filled)
-    found = []
-    for candidate in _candidates(filled):
-        cut = _best_cut(filled, candidate, candidate**2 / n)
-        # Schwarz's criterion: more pieces must pay for themselves.
-        found.append((n * np.log(_scatter(filled, cut) + floor) + n / cut.period * np.log(n), cut))
-    cut = min(found, key=lambda one: one[0])[1]
-    return _without_false_edges(filled, cut)
+
+    def criterion(cut: Cut) -> float:
+        """Schwarz's: more pieces must pay for themselves."""
+        return float(n * np.log(_scatter(filled, cut) + floor) + n / cut.period * np.log(n))
+
+    cuts = sorted((_coarse_cut(filled, one, one**2 / n) for one in _candidates(filled)), key=criterion)
+    return _without_false_edges(filled, min((_fine_cut(filled, cut) for cut in cuts[:_FINALISTS]), key=criterion))
 
 
 def check_period(period: float, n: int) -> None:
@@ -150,17 +151,22 @@ def _scatter(volts: Floats, cut: Cut) -> float:
     return float(np.mean(np.sort(squares)[: int(0.9 * len(squares))]))
 
 
-def _best_cut(volts: Floats, period: float, half_width: float) -> Cut:
-    """The cut with the least scatter within its pieces."""
-    n = len(volts)
-    sums = np.concatenate([[0.0], np.cumsum(volts - volts.mean())])
-    pitch = max(0.5, period / 64)
+def _coarse_cut(volts: Floats, period: float, half_width: float) -> Cut:
+    """The cut with the least scatter within its pieces, on a coarse grid of periods and starts."""
+    n, sums = len(volts), _sums(volts)
+    pitch = _pitch(period)
     step = pitch / 2 * period / n  # so that the last edge moves by half a pitch
     periods = np.arange(max(period - half_width, 0.98 * MINIMUM_PERIOD), period + half_width, step)
-    best = (-np.inf, period, 0.0)
-    for trial in periods:
-        best = max(best, _best_start(sums, n, trial, np.arange(0.0, trial, pitch)))
-    # One sample on the wrong side of a reset outweighs all noise: the last search is fine and follows both.
+    tried = [_best_start(sums, n, trial, np.arange(0.0, trial, pitch)) for trial in periods]
+    return Cut(*max(tried)[1:])
+
+
+def _fine_cut(volts: Floats, cut: Cut) -> Cut:
+    """The best cut near another: one sample on the wrong side of a reset outweighs all noise."""
+    n, sums = len(volts), _sums(volts)
+    pitch = _pitch(cut.period)
+    step = pitch / 2 * cut.period / n
+    best = (-np.inf, cut.period, cut.start)
     for _ in range(3):
         _, period, start = best
         middle = n // (2 * period)
@@ -169,7 +175,16 @@ def _best_cut(volts: Floats, period: float, half_width: float) -> Cut:
             starts = start + middle * (period - trial) + np.linspace(-1, 1, 17) * pitch
             best = max(best, _best_start(sums, n, trial, starts))
         step, pitch = step / 4, pitch / 4
-    return Cut(best[1], best[2])
+    return Cut(*best[1:])
+
+
+def _pitch(period: float) -> float:
+    """Distance of the starts on the coarse grid."""
+    return max(0.5, period / 64)
+
+
+def _sums(volts: Floats) -> Floats:
+    return np.concatenate([[0.0], np.cumsum(volts - volts.mean())])
 
 
 def _best_start(sums: Floats, n: int, period: float, starts: Floats) -> tuple[float, float, float]:

@@ -22,11 +22,11 @@ EXIT_FAIL = 1
 
 @click.group("fog")
 def command() -> None:
-    """Scale factor of a fibre gyro: rate-table run, self-calibration, 2π error, figures of merit.
+    """Scale factor of a fibre gyro: rate table, self-calibration, 2π error, figures of merit.
 
-    Without --port gyro and rate table are simulated. PATH is a saved run, or a list of logs in CSV (see
-    docs/fibre_gyro.md). Exit codes: 0 done or PASS, 1 FAIL against a limit, 2 usage or settings, 3 link,
-    4 no usable signal, 130 interrupted; --resume goes on with a run that was cut short.
+    Every test takes --json and --config FILE. Without --port gyro and rate table are simulated. PATH is a saved
+    run, or a list of logs in CSV (see docs/fibre_gyro.md). Exit codes: 0 done or PASS, 1 FAIL against a limit,
+    2 usage or settings, 3 link, 4 no usable signal, 130 interrupted. --resume goes on with a run cut short.
     """
 
 

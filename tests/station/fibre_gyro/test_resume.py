@@ -49,7 +49,7 @@ def points(document: dict[str, Any]) -> Any:
 
 @pytest.mark.parametrize(
     ("command", "at"),
-    [("table", "X -20.1"), ("selfcal", "inject -1"), ("selfcal", "Z +20.1"), ("eps", "open loop -2000")],
+    [("table", "X -20.1"), ("selfcal", "inject -1"), ("selfcal", "Z +20.1"), ("eps", "open loop -2001")],
 )
 def test_resumed_equals_uninterrupted(cut_short, taken, command: str, at: str) -> None:
     sections: dict[str, Any] = {"simulation": {"seed": 9}, "eps": {"record_s": 0.3}}

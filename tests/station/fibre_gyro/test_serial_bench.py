@@ -196,7 +196,7 @@ def test_steps_that_the_format_cannot_send_are_named(served, fog_settings, tmp_p
 def test_the_two_pi_error_over_the_link(served, fog_settings, tmp_path: Path) -> None:
     settings = fog_settings(
         gyro=GYRO,
-        eps={"record_s": 4.0, "settle_s": 0.1, "steps_codes": [2000.0, 5000.0]},
+        eps={"record_s": 4.0, "settle_s": 0.1, "steps_codes": [2001.0, 5001.0]},
         simulation={"two_pi_error": 2e-3},
     )
     bench = served(settings)

@@ -34,6 +34,9 @@ samples, which single precision is for."""
 RATIO_CLASSES = (0.03, 0.09, 0.2, 0.45, 0.7, 0.86)
 """Records are worked on together up to these ratios, since the largest one says how many harmonics all need."""
 
+WORTH_A_CLASS = 64
+"""Fewer records cost less with too many harmonics than with calls of their own."""
+
 MANY_HARMONICS = 40
 """Beyond this many, the closed form on the samples is cheaper than the sum of the harmonics."""
 
@@ -90,10 +93,17 @@ def harmonics_needed(ratio: Complexes, precision: np.dtype[Any]) -> int:
 
 
 def ratio_classes(ratio: Complexes) -> Iterator[tuple[int, NDArray[np.intp]]]:
-    """Number of each class that occurs, and its records."""
+    """Number of each class that occurs, and its records; a class of few records goes along with the next."""
     numbers = np.searchsorted(RATIO_CLASSES, np.abs(ratio))
-    for number in np.unique(numbers):
-        yield int(number), np.flatnonzero(numbers == number)
+    counts = np.bincount(numbers, minlength=len(RATIO_CLASSES) + 1)
+    first = 0
+    for number in range(len(RATIO_CLASSES)):
+        members = int(counts[first : number + 1].sum())
+        if members >= WORTH_A_CLASS or (members and number == len(RATIO_CLASSES) - 1):
+            yield number, np.flatnonzero((numbers >= first) & (numbers <= number))
+            first = number + 1
+    if counts[-1]:
+        yield len(RATIO_CLASSES), np.flatnonzero(numbers == len(RATIO_CLASSES))
 
 
 def sampled_series(series: Series, n_samples: int, precision: DTypeLike = np.float64) -> Samples:

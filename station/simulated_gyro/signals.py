@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from functools import lru_cache
 
@@ -14,6 +15,7 @@ from station.simulated_gyro.gyro import Gyro
 from station.simulated_gyro.motion import Segment, split
 
 Array = NDArray[np.float64]
+_SAME_NOISE_S = 20e-6
 
 
 def beat_signal_on_table(gyro: Gyro, detector: Detector, motion: Sequence[Segment], times: Array) -> Array:
@@ -86,8 +88,8 @@ def with_detector_noise(
     def noisy(times: Array) -> Array:
         if times.size == 0:
             return signal(times)
-        # picoseconds of the first sample: another acquisition, another noise
-        stamp = round(float(times.flat[0]) * 1e12) & (2**63 - 1)
+        # another acquisition, another noise; but an input stage that looks at delays of nanoseconds sees one noise
+        stamp = math.floor(float(times.flat[0]) / _SAME_NOISE_S) & (2**63 - 1)
         rng = np.random.default_rng([seed, stamp, times.size, stream] if stream else [seed, stamp, times.size])
         return signal(times) + rms * rng.standard_normal(times.shape)
 

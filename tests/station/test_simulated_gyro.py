@@ -123,7 +123,9 @@ def test_detector_noise_is_the_same_for_the_same_samples_and_seed() -> None:
     noisy = with_detector_noise(silent, 0.01, seed=3)
     assert np.array_equal(noisy(times), noisy(times))
     assert not np.array_equal(noisy(times), with_detector_noise(silent, 0.01, seed=4)(times))
-    assert not np.array_equal(noisy(times), noisy(times + 1e-6))
+    assert not np.array_equal(noisy(times), noisy(times + 1e-4))
+    assert np.array_equal(noisy(times + 2e-9), noisy(times + 1e-8))
+    assert not np.array_equal(noisy(times), with_detector_noise(silent, 0.01, seed=3, stream=1)(times))
     assert noisy(times).std() == pytest.approx(0.01, rel=0.03)
     assert with_detector_noise(silent, 0.0, seed=1) is silent
     assert noisy(np.empty(0)).size == 0

@@ -64,9 +64,11 @@ def drifting_sine(times: NDArray[np.float64]) -> NDArray[np.float64]:
 
 def random_faults() -> list[Fault]:
     """Faults that together spoil `FAULT_PROBABILITY` of all answers."""
-    share = FAULT_PROBABILITY / len(KINDS)
+    share = FAULT_PROBABILITY / (len(KINDS) + 1)
     # A late answer comes later than the driver waits for it.
-    return [Fault(kind, probability=share, seconds=30.0, command="CH1:POSITION 0.4") for kind in KINDS]
+    faults = [Fault(kind, probability=share, seconds=30.0, command="CH1:POSITION 0.4") for kind in KINDS]
+    # RUN/STOP ends the single sequence: a record that is there already must not pass for a new one.
+    return [*faults, Fault("knob turned", probability=share, command="ACQUIRE:STOPAFTER RUNSTOP;STATE STOP")]
 
 
 def run(records: int, *, seed: int = 11) -> Outcome:

@@ -2,8 +2,8 @@
 
 A program that knows nothing of this package uses it when PYVISA_LIBRARY is ``@gyrolock``. The instrument answers
 as ``GPIB0::1::INSTR``, ``USB0::0x0699::0x0368::C010101::INSTR`` and ``ASRL1::INSTR``, with sines of 1 kHz
-at channels 1 and 2 that stand well on the screen with factory settings. Before the ``@`` another model of the family
-may stand: ``TDS2024B@gyrolock``.
+at channels 1 and 2 that stand well on the screen with factory settings. Before the ``@`` another model of the
+family may stand: ``TDS2024B@gyrolock``.
 """
 
 from __future__ import annotations

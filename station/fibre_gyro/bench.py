@@ -184,5 +184,5 @@ def ask_operator(question: str) -> str:
     sys.stderr.flush()
     answer = sys.stdin.readline()
     if not answer:
-        raise EOFError
+        raise UsageError("the terminal was closed while the operator was asked")
     return answer

@@ -18,6 +18,7 @@ from station.fibre_gyro.campaign import Campaign, Plan, PlannedSegment, take_seg
 from station.fibre_gyro.logs import read_logs
 from station.fibre_gyro.settings import FogSettings, fog_settings_from
 from station.fibre_gyro.store import FogRun, FogRunWriter, open_fog_run
+from station.fibre_gyro.windows import unusable
 from station.progress import Progress
 from station.provenance import provenance
 from station.runs import utc_now
@@ -67,6 +68,10 @@ def resume_run(command: str, path: Path, progress: Progress) -> Campaign:
     with open_fog_bench(settings) as bench:
         writer = FogRunWriter.resume(run.path)
         writer.save_facts({"resumed_at": [*run.facts.get("resumed_at", []), utc_now()]})
+        for segment in run.taken_for(table.PURPOSE) + (run.taken_for(command) if command != table.PURPOSE else ()):
+            if reason := unusable(segment, settings.table.rate_tolerance_ppm):
+                progress.note(f"{segment.key} is taken again: {reason}")
+                writer.set_aside(segment.key)
         return take_segments(writer, bench, _stages(command, settings, writer), progress)
 
 

@@ -25,6 +25,7 @@ from station.runs import _new_run_directory, utc_now
 
 FOG_RUN_FILE = "fog.sqlite"
 FOG_REPORT_FILE = "report.html"
+_ASIDE = " (set aside "
 APPLICATION_ID = 0x47_59_4C_46  # "GYLF"
 LAYOUT = 1
 
@@ -93,8 +94,12 @@ class FogRun:
     segments: tuple[Segment, ...]
 
     def taken_for(self, purpose: str) -> tuple[Segment, ...]:
-        """Segments of one purpose: ``"table"``, ``"selfcal"``, ``"eps"`` or ``"figures"``."""
-        return tuple(segment for segment in self.segments if segment.conditions.get("purpose") == purpose)
+        """Segments of one purpose, ``"table"``, ``"selfcal"``, ``"eps"`` or ``"figures"``, that are not set aside."""
+        return tuple(
+            segment
+            for segment in self.segments
+            if segment.conditions.get("purpose") == purpose and _ASIDE not in segment.key
+        )
 
 
 class FogRunWriter:
@@ -168,6 +173,13 @@ class FogRunWriter:
         row = (key, utc_now(), circumstances, described, blob, _checksum(blob, circumstances, described))
         names = "key, taken_at, conditions, recording, samples, sha256"
         self._commit(f"INSERT INTO segment ({names}) VALUES (?, ?, ?, ?, ?, ?)", [row])
+
+    def set_aside(self, key: str) -> None:
+        """Keep a segment out of the results under another key, so that it can be taken again."""
+        (before,) = self._db.execute(
+            "SELECT count(*) FROM segment WHERE key LIKE ?", (f"{key}{_ASIDE}%",)
+        ).fetchone()
+        self._commit("UPDATE segment SET key = ? WHERE key = ?", [(f"{key}{_ASIDE}{before + 1})", key)])
 
     def close(self) -> None:
         """End the run: afterwards it is one plain file."""

@@ -97,6 +97,17 @@ def checked(segment: Segment) -> Recording:
     return recording
 
 
+def unusable(segment: Segment, tolerance_ppm: float) -> str:
+    """Why a segment would be left out for what happened while it was taken; empty if for nothing."""
+    try:
+        if segment.conditions.get("rate_dps"):
+            check_table_rate(segment.conditions, tolerance_ppm)
+        checked(segment)
+    except ValueError as error:
+        return str(error)
+    return ""
+
+
 def check_table_rate(conditions: dict[str, Any], tolerance_ppm: float) -> None:
     """Refuse a table rate that is not the one that was asked for; ValueError as above."""
     wanted = float(conditions["rate_dps"])

@@ -1,11 +1,14 @@
 """A run that was cut short goes on where it stopped, and ends with the numbers of one in one go."""
 
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from instrument import LinkError
+from instrument.fibre_gyro import Gap, Recording
 from station.errors import EXIT_INSTRUMENT, RunError, UsageError
 from station.fibre_gyro import simulated_bench
 from station.fibre_gyro.campaign import PlannedSegment
@@ -83,6 +86,30 @@ def test_a_complete_run_has_nothing_to_resume(taken) -> None:
     assert open_fog_run(run.path).segments[0].taken_at == run.segments[0].taken_at
     with pytest.raises(UsageError, match="is a run of `gyrolock fog table`: resume it with that"):
         resume_run("selfcal", run.path, QUIET)
+
+
+def test_what_was_left_out_is_taken_again(taken, fog_settings, monkeypatch: pytest.MonkeyPatch) -> None:
+    class GappyBench(SimulatedFogBench):
+        def record(self, planned: PlannedSegment, progress: Callable[[float], None]) -> Recording:
+            recording = super().record(planned, progress)
+            gap = Gap(9, 1.0, 0.1, 1, "frames lost")
+            return replace(recording, gaps=(gap,)) if planned.key == "Z +20.1" else recording
+
+    with monkeypatch.context() as patched:
+        patched.setattr(simulated_bench, "SimulatedFogBench", GappyBench)
+        campaign = start_run("table", fog_settings(table={"axes": ["Z"], "turns": 8}), QUIET)
+    before = evaluate_fog_run(open_fog_run(campaign.path))
+    assert {one["name"] for one in before.document["left_out"]} == {"Z +20.1", "Z -20.1"}
+    assert resume_run("table", campaign.path, QUIET).failure is None
+    run = open_fog_run(campaign.path)
+    assert [s.key for s in run.segments if "aside" in s.key] == ["Z +20.1 (set aside 1)"]
+    assert all(segment.intact for segment in run.segments)
+    after = evaluate_fog_run(run)
+    assert after.document["left_out"] == []
+    whole, _ = taken("table", table={"axes": ["Z"], "turns": 8})
+    assert after.document["axes"][0]["scale_factor_counts_per_dps"] == pytest.approx(
+        whole.document["axes"][0]["scale_factor_counts_per_dps"], rel=1e-12
+    )
 
 
 def test_a_directory_that_cannot_be_made_is_said(fog_settings, tmp_path: Path) -> None:

@@ -159,9 +159,10 @@ def _interval(size: float, rate_u: float, stretch: float) -> tuple[float, float]
 def _mean_ratio(used: LockInEstimate, weights: Floats) -> tuple[Floats, Floats, NDArray[np.complex128], Floats]:
     """Coherent mean of rho: its size freed of bias, uncertainty of the size, the mean and its covariance.
 
-    Records of the negative sense count with the value that the positive sense would have given.
+    Where both senses are there, records of the negative one count with the value that the positive would have given.
     """
     negative = used.rate_given & (used.input_rate < 0)
+    negative = negative & ~negative.all()
     rho = np.where(negative, -np.conj(used.complex_ratio), used.complex_ratio)
     mean = complex(np.sum(weights * rho))
     mirror = np.where(negative, -1.0, 1.0)[:, np.newaxis] * np.array([1.0, 0.0]) + np.array([0.0, 1.0])

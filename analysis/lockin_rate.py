@@ -85,7 +85,7 @@ class LockInEstimate:
         inner = self.flags.ndim
         for name, value in changed.items():
             if isinstance(value, np.ndarray):
-                changed[name] = value.reshape(*shape, *value.shape[inner:])
+                changed[name] = value.reshape((*shape, *value.shape[inner:]))
         return LockInEstimate(**changed)
 
     @property

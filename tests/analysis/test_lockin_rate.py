@@ -273,6 +273,22 @@ def test_records_of_both_senses_combine_when_the_rate_is_given():
     assert float(c.ratio) == pytest.approx(float(harmonic_ratio(0.1)), rel=0.02)
 
 
+def test_records_of_the_negative_sense_alone_keep_their_ratio():
+    rng = np.random.default_rng(36)
+    k, w = 0.02, -30.3 / 2500 / 0.02 / np.sqrt(1 - 0.01)
+    volts = np.array(
+        [
+            beat_signal(N, scale_factor=k, input_rate=w, lock_in_rate=-0.1 * w, amplitude=90, readout_phase=0.7)
+            + rng.normal(size=2500)
+            for _ in range(5)
+        ]
+    )
+    each = estimate_lock_in(volts, 1.0, scale_factor=k, input_rate=w)
+    together = combine_estimates(each)
+    assert complex(together.complex_ratio) == pytest.approx(complex(each.complex_ratio.mean()), abs=1e-4)
+    assert float(each[0].reshaped().lock_in_rate) == float(each.lock_in_rate[0])
+
+
 def test_the_reference_waveform_is_ours():
     """`adler_beat` and `beat_signal` were written independently; they must mean the same gyro."""
     truth = {"f_over_k": 0.3, "wl": 0.4, "k": 0.05, "theta": 0.3, "delta": 0.9, "amplitude": 2.0, "offset": 0.0}

@@ -94,7 +94,7 @@ class FogRun:
     segments: tuple[Segment, ...]
 
     def taken_for(self, purpose: str) -> tuple[Segment, ...]:
-        """Segments of one purpose, ``"table"``, ``"selfcal"``, ``"eps"`` or ``"figures"``, that are not set aside."""
+        """Segments of ``"table"``, ``"selfcal"``, ``"eps"`` or ``"figures"`` that are not set aside."""
         return tuple(
             segment
             for segment in self.segments

@@ -1,0 +1,177 @@
+"""`gyrolock measure` at several rates and with two photodiodes: saved, fitted, told, kept when it ends early."""
+
+import re
+import sqlite3
+from contextlib import closing
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from station.evaluate import evaluate_run
+from station.measure import take_run
+from station.progress import Progress
+from station.report import render_report
+from station.results import result_document
+from station.runs import SavedRun, open_run
+from station.settings import load_settings
+
+PLAN = "[measurement]\nrates_over_lock_in = [4, 15]\nboth_senses = true\nrecords = 2\ntilt_records = 2\n"
+SPOILT = "[simulation.contaminants]\nsecond_harmonic_dbc = -46.0\n"
+
+
+class Interrupting(Progress):
+    """An operator who presses Ctrl-C after so many records at the slow rates."""
+
+    def __init__(self, after: int) -> None:
+        super().__init__(quiet=True)
+        self._left, self._counting = after, False
+
+    def start(self, what: str, total: int) -> None:
+        self._counting = what == "records"
+
+    def advance(self) -> None:
+        self._left -= self._counting
+        if self._left < 0:
+            raise KeyboardInterrupt
+
+
+def taken(folder: Path, progress: Progress | None = None, **sections: dict[str, Any]) -> SavedRun:
+    overrides: dict[str, dict[str, Any]] = {
+        "simulation": {"seed": 5, "link": "tcp"},
+        "output": {"directory": str(folder)},
+        "measurement": {"records": 2, "tilt_records": 2},
+    }
+    for section, names in sections.items():
+        overrides[section] = overrides.get(section, {}) | names
+    return open_run(take_run(load_settings(overrides=overrides), progress or Progress(quiet=True)).path)
+
+
+def test_rates_are_saved_fitted_and_told(gyrolock, tmp_path: Path) -> None:
+    (tmp_path / "my.toml").write_text(PLAN + SPOILT)
+    done = gyrolock("measure", "--config", "my.toml", "--json")
+    assert done.code == 0, done.err
+    result = done.document
+    assert abs(result["lock_in_rate_dps"] - 0.01) < 4 * result["lock_in_rate_u_dps"]
+    assert result["records"] == 8
+    several = result["several_rates"]
+    assert [rate["over_expected_lock_in"] for rate in several["rates"]] == [15, 4, 4, 15]
+    assert [rate["table_rate_dps"] > 0 for rate in several["rates"]] == [True, True, False, False]
+    for rate in several["rates"]:
+        assert rate["records"] == 2
+        size = rate["over_expected_lock_in"] * 0.01
+        assert abs(rate["input_rate_by_table_dps"]) == pytest.approx(size, abs=0.0045)
+        # one rate alone is wrong by some of 2 W/WL times the distortion, the other way in the other sense
+        error = rate["lock_in_rate_dps"] / 0.01 - 1
+        assert 0.5 < abs(error) / (2 * size / 0.01 * 0.005) < 1.1
+        assert (error < 0) == (rate["table_rate_dps"] > 0)
+    for fit in (several["by_beat"], several["by_table"]):
+        assert abs(fit["lock_in_rate_dps"] - 0.01) < 4 * fit["lock_in_rate_u_dps"]
+        assert fit["distortion_dbc"] == pytest.approx(-46.0, abs=0.5)
+        assert fit["degrees_of_freedom"] == 12
+        assert len(fit["left_out"]) >= 2
+    assert result["lock_in_rate_dps"] == several["by_beat"]["lock_in_rate_dps"]
+    assert "distortion" in result["method"]
+    names = [line["name"] for line in result["budget"]["inputs"] if line["contribution_dps"] > 0]
+    assert names[0] == "noise"
+    assert {"scale_factor", "time_base", "separation"} <= set(names)
+    assert result["budget"]["combined_u_dps"] > result["lock_in_rate_u_dps"]
+    again = gyrolock("analyze", result["run"], "--json").document
+    assert again["several_rates"] == several
+    page = (tmp_path / result["report"]).read_text()
+    for text in (
+        "Several rates",
+        "Does the model hold?",
+        "Uncertainty budget",
+        several["by_beat"]["sentences"][1],
+    ):
+        assert text in page
+    refused = gyrolock("analyze", result["run"], "--input-rate", 0.08, "--json")
+    assert refused.code == 2
+    assert "several rates" in refused.document["error"]["message"]
+
+
+@pytest.mark.parametrize(("after", "groups"), [(1, 0), (3, 2), (5, 3)])
+def test_a_campaign_that_is_interrupted_gives_what_it_has(tmp_path: Path, after: int, groups: int) -> None:
+    plan = {"rates_over_lock_in": [6.0, 15.0], "both_senses": True}
+    run = taken(tmp_path, Interrupting(after), measurement=plan)
+    assert run.facts["outcome"]["exit_code"] == 130
+    assert len(run.taken_for("measure")) == after + 1
+    evaluation = evaluate_run(run)
+    assert (0 if evaluation.several is None else len(evaluation.several.groups)) == groups
+    assert evaluation.usable
+    assert abs(float(evaluation.combined.lock_in_rate) - 0.01) < 5 * float(evaluation.combined.lock_in_rate_u)
+
+
+def test_a_rate_inside_lock_in_is_told_and_does_not_end_the_campaign(tmp_path: Path) -> None:
+    plan = {"rates_over_lock_in": [2.0, 4.5, 9.0]}
+    run = taken(tmp_path, measurement=plan, simulation={"lock_in_rate_dps": 0.026})
+    evaluation = evaluate_run(run)
+    assert evaluation.several is not None
+    assert len(evaluation.several.groups) == 2
+    (missing,) = evaluation.several.without_beat
+    assert missing.startswith("+2 ")
+    assert abs(float(evaluation.combined.lock_in_rate) - 0.026) < 4 * float(evaluation.combined.lock_in_rate_u)
+    document = result_document(evaluation, run)
+    assert document["several_rates"]["rates_without_beat"] == [missing]
+    assert "No record at +2" in render_report(evaluation, run)
+
+
+def test_two_photodiodes_are_one_acquisition(tmp_path: Path) -> None:
+    run = taken(tmp_path, scope={"quadrature_channel": "CH2"}, measurement={"records": 3})
+    purposes = [record.purpose for record in run.records if record.purpose != "tilt"]
+    assert purposes == ["measure", "quadrature"] * 3
+    assert [record.conditions["channel"] for record in run.records[-2:]] == ["CH1", "CH2"]
+    evaluation = evaluate_run(run)
+    assert evaluation.quadratures is not None
+    assert evaluation.quadratures.records == 3
+    document = result_document(evaluation, run)
+    assert document["records"] == 3
+    assert document["quadratures"]["sense"] == 1
+    assert "Sine and cosine" in render_report(evaluation, run)
+    # one byte of a cosine record changes: its acquisition is left out, the others stay
+    with closing(sqlite3.connect(run.path)) as db, db:
+        (number,) = db.execute("SELECT max(number) FROM record").fetchone()
+        (blob,) = db.execute("SELECT codes FROM record WHERE number = ?", (number,)).fetchone()
+        changed = bytes([blob[0] ^ 1]) + blob[1:]
+        db.execute("UPDATE record SET codes = ? WHERE number = ?", (changed, number))
+    damaged = evaluate_run(open_run(run.path))
+    assert damaged.damaged == ("3",)
+    assert damaged.quadratures is not None
+    assert damaged.quadratures.records == 2
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ('[table]\nkind = "none"\n[measurement]\nrates_over_lock_in = [3, 8]\n', "needs? a table"),
+        ('[scope]\nquadrature_channel = "CH1"\n', "quadrature_channel"),
+        ("[measurement]\nrates_over_lock_in = [0.5, 3]\n", "rates_over_lock_in"),
+        ('[front_end]\nresponse_file = "absent.csv"\n', "cannot be read"),
+        ('[front_end]\nresponse_file = "bad.csv"\n', "line 3"),
+        ("[front_end]\nresponse = [[100, 1.0, 0.0]]\n", "two frequencies"),
+        ("[front_end]\nresponse = [[200, 1.0, 0.0], [100, 1.0, 0.0]]\n", "must rise"),
+        ("[simulation.contaminants]\nsecond_harmonic_dbc = 3\n", "second_harmonic_dbc"),
+    ],
+)
+def test_mistakes_in_the_settings(gyrolock, tmp_path: Path, text: str, said: str) -> None:
+    (tmp_path / "my.toml").write_text(text)
+    (tmp_path / "bad.csv").write_text("frequency_hz,gain,phase_deg\n100,1,0\n200,many,0\n")
+    done = gyrolock("measure", "--config", "my.toml", "--json")
+    assert done.code == 2
+    assert re.search(said, done.document["error"]["message"])
+    assert not (tmp_path / "runs").exists()
+
+
+def test_a_measured_response_travels_with_the_run(tmp_path: Path) -> None:
+    (tmp_path / "channel.csv").write_text(
+        "# measured with a generator\nfrequency_hz, gain, phase_deg\n50, 1.0, 0\n2000, 1.0, 0\n"
+    )
+    (tmp_path / "my.toml").write_text('[front_end]\nresponse_file = "channel.csv"\n')
+    overrides = {"output": {"directory": str(tmp_path)}, "measurement": {"records": 2, "tilt_records": 2}}
+    run = open_run(take_run(load_settings(tmp_path / "my.toml", overrides=overrides), Progress(quiet=True)).path)
+    (tmp_path / "channel.csv").unlink()
+    evaluation = evaluate_run(run)
+    assert "corrected for the response" in evaluation.combined.noise_model
+    assert evaluation.budget is not None
+    assert "response" in [line.name for line in evaluation.budget.inputs]

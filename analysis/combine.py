@@ -159,7 +159,7 @@ def _interval(size: float, rate_u: float, stretch: float) -> tuple[float, float]
 def _mean_ratio(used: LockInEstimate, weights: Floats) -> tuple[Floats, Floats, NDArray[np.complex128], Floats]:
     """Coherent mean of rho: its size freed of bias, uncertainty of the size, the mean and its covariance.
 
-    Where both senses are there, records of the negative one count with the value that the positive would have given.
+    Where both senses are there, records of the negative one count with the value that the positive would give.
     """
     negative = used.rate_given & (used.input_rate < 0)
     negative = negative & ~negative.all()

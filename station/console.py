@@ -106,6 +106,12 @@ def _summary(evaluation: Evaluation, simulated: bool) -> Table:
     if (check := evaluation.table_check) is not None:
         by_table = with_uncertainty(check.lock_in_rate, check.lock_in_rate_u, "deg/s")
         table.add_row("by the table's rate", f"{by_table}, beat over table {check.beat_over_table:.5f}")
+    several = evaluation.several
+    if several is not None and (other := several.by_frequency) is not None:
+        by_frequency = with_uncertainty(other.lock_in_rate, other.lock_in_rate_u, "deg/s")
+        table.add_row(
+            "by the frequencies", f"{by_frequency}, beat frequency against table rate, without harmonics"
+        )
     if math.isfinite(combined.noise_rms):
         table.add_row("noise", f"{with_prefix(float(combined.noise_rms), 'V')} rms; {combined.noise_model}")
     table.add_row("method", evaluation.method_text)

@@ -6,6 +6,7 @@ import math
 from typing import Any
 
 from analysis import RatesFit, RatesFlag, flag_names
+from analysis.frequency_method import FrequencyFit, FrequencyFlag
 from station.several_rates import RateGroup, SeveralRates
 
 
@@ -25,6 +26,7 @@ def several_rates_document(several: SeveralRates) -> dict[str, Any]:
         "rates": [_group(group) for group in several.groups],
         "by_beat": None if several.by_beat is None else fit_document(several.by_beat),
         "by_table": None if several.by_table is None else fit_document(several.by_table),
+        "by_frequency": None if several.by_frequency is None else frequency_document(several.by_frequency),
         "problem": several.problem or None,
         "rates_without_beat": list(several.without_beat),
     }
@@ -86,6 +88,34 @@ def fit_document(fit: RatesFit) -> dict[str, Any]:
         ],
         "locked_up_to_dps": _number(fit.at_least) or None,
         "flags": [str(flag.name).lower() for flag in RatesFlag if flag & fit.flags],
+        "sentences": list(fit.sentences),
+    }
+
+
+def frequency_document(fit: FrequencyFit) -> dict[str, Any]:
+    """Return the fit of beat frequency against rate as plain JSON.
+
+    Parameters
+    ----------
+    fit : FrequencyFit
+
+    Returns
+    -------
+    dict
+    """
+    return {
+        "lock_in_rate_dps": _number(fit.lock_in_rate),
+        "lock_in_rate_u_dps": _number(fit.lock_in_rate_u),
+        "lock_in_rate_low_95_dps": _number(fit.lock_in_rate_low_95),
+        "lock_in_rate_high_95_dps": _number(fit.lock_in_rate_high_95),
+        "scale_factor_pulses_per_deg": _number(fit.scale_factor),
+        "scale_factor_u_pulses_per_deg": _number(fit.scale_factor_u),
+        "bias_rate_dps": _number(fit.bias_rate),
+        "bias_rate_u_dps": _number(fit.bias_rate_u),
+        "chi_square": _number(fit.chi_square),
+        "degrees_of_freedom": fit.degrees_of_freedom,
+        "p_value": _number(fit.p_value),
+        "flags": [str(flag.name).lower() for flag in FrequencyFlag if flag & fit.flags],
         "sentences": list(fit.sentences),
     }
 

@@ -18,6 +18,7 @@ from analysis import (
     combine_estimates,
     fit_rates,
 )
+from analysis.frequency_method import FrequencyFit, fit_frequencies
 from analysis.ratio_model import Reference
 from station.runs import SavedRecord
 from station.table_check import AxisRates, TableCheck
@@ -58,6 +59,8 @@ class SeveralRates:
         From the fastest in the positive sense to the fastest in the negative one.
     by_beat, by_table : RatesFit or None
         Fit with the beat frequency, and with the table, as reference; ``None`` where it is not possible.
+    by_frequency : FrequencyFit or None
+        The other route: beat frequency against rate, without harmonics, scale factor free.
     problem : str
         Why there is no fit by the beat.
     without_beat : tuple of str
@@ -67,6 +70,7 @@ class SeveralRates:
     groups: tuple[RateGroup, ...]
     by_beat: RatesFit | None
     by_table: RatesFit | None
+    by_frequency: FrequencyFit | None = None
     problem: str = ""
     without_beat: tuple[str, ...] = ()
 
@@ -116,7 +120,19 @@ def evaluate_rates(
         groups.append(RateGroup(float(rate), mean, asked, tuple(rows.tolist()), combine_estimates(each[rows])))
     by_beat, problem = _fit(each, axis, "beat")
     by_table, _ = _fit(each, axis, "rate")
-    return SeveralRates(tuple(groups), by_beat, by_table, problem, tuple(without_beat))
+    by_frequency = _frequencies(each, axis)
+    return SeveralRates(tuple(groups), by_beat, by_table, by_frequency, problem, tuple(without_beat))
+
+
+def _frequencies(each: LockInEstimate, axis: AxisRates) -> FrequencyFit | None:
+    """Fit the beat frequencies; with one sense alone a bias rate cannot be told from the rest."""
+    usable = each.usable
+    both = len(set(np.sign(axis.rates[usable]))) == 2
+    frequency = np.where(usable, each.beat_frequency, np.nan)
+    try:
+        return fit_frequencies(axis.rates, frequency, each.beat_frequency_u, bias=both)
+    except ValueError:
+        return None
 
 
 def _fit(each: LockInEstimate, axis: AxisRates, reference: Reference) -> tuple[RatesFit | None, str]:

@@ -70,6 +70,10 @@ def test_rates_are_saved_fitted_and_told(gyrolock, tmp_path: Path) -> None:
         assert fit["distortion_dbc"] == pytest.approx(-46.0, abs=0.5)
         assert fit["degrees_of_freedom"] == 12
         assert len(fit["left_out"]) >= 2
+    # f^2 = K^2 [(W - W0)^2 - WL^2]: no harmonic in it, so no distortion either
+    other = several["by_frequency"]
+    assert abs(other["lock_in_rate_dps"] - 0.01) < max(4 * other["lock_in_rate_u_dps"], 2e-5)
+    assert other["scale_factor_pulses_per_deg"] == pytest.approx(2000, rel=5e-4)
     assert result["lock_in_rate_dps"] == several["by_beat"]["lock_in_rate_dps"]
     assert "distortion" in result["method"]
     names = [line["name"] for line in result["budget"]["inputs"] if line["contribution_dps"] > 0]

@@ -109,9 +109,7 @@ def _summary(evaluation: Evaluation, simulated: bool) -> Table:
     several = evaluation.several
     if several is not None and (other := several.by_frequency) is not None:
         by_frequency = with_uncertainty(other.lock_in_rate, other.lock_in_rate_u, "deg/s")
-        table.add_row(
-            "by the frequencies", f"{by_frequency}, beat frequency against table rate, without harmonics"
-        )
+        table.add_row("by the frequencies", f"{by_frequency}, beat frequency against rate, without harmonics")
     if math.isfinite(combined.noise_rms):
         table.add_row("noise", f"{with_prefix(float(combined.noise_rms), 'V')} rms; {combined.noise_model}")
     table.add_row("method", evaluation.method_text)

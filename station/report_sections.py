@@ -89,7 +89,9 @@ def _checks(several: SeveralRates) -> Section:
     if any(math.isfinite(value) for value in fit.left_out.lock_in_rate):
         figures.append(PlacedFigure(rates_plots.left_out_svg(fit), "The fit again, without each rate in turn."))
     other = several.by_frequency
-    sentences = () if other is None else ("The other route, beat frequency against rate:", *other.sentences)
+    sentences: tuple[str, ...] = ()
+    if other is not None:
+        sentences = (f"The other route, beat frequency against rate: {other.sentences[0]}", *other.sentences[1:])
     return Section("Does the model hold?", figures=tuple(figures), sentences=sentences)
 
 

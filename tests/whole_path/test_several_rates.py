@@ -3,6 +3,7 @@
 import re
 import sqlite3
 from contextlib import closing
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -179,3 +180,18 @@ def test_a_measured_response_travels_with_the_run(tmp_path: Path) -> None:
     assert "corrected for the response" in evaluation.combined.noise_model
     assert evaluation.budget is not None
     assert "response" in [line.name for line in evaluation.budget.inputs]
+
+
+def test_a_run_of_an_earlier_version_can_still_be_read(tmp_path: Path) -> None:
+    run = taken(tmp_path)
+    settings = {section: dict(names) for section, names in run.facts["settings"].items()}
+    for section in ("front_end", "budget"):
+        del settings[section]
+    del settings["scope"]["quadrature_channel"], settings["simulation"]["contaminants"]
+    del settings["measurement"]["rates_over_lock_in"], settings["measurement"]["both_senses"]
+    old = replace(run, facts={**run.facts, "settings": settings})
+    now, then = evaluate_run(run), evaluate_run(old)
+    assert float(then.combined.lock_in_rate) == float(now.combined.lock_in_rate)
+    assert then.budget is not None
+    assert "scale factor" in " ".join(then.budget.unstated)
+    assert "Uncertainty budget" in render_report(then, old)

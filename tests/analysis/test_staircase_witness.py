@@ -107,6 +107,17 @@ def test_uncertainty_is_not_too_large():
     assert np.median(relative) < 3e-4
 
 
+def test_settling_leaves_no_common_error():
+    rng = np.random.default_rng(14)
+    pulls = []
+    for _ in range(16):
+        volts, _ = staircase(rng, **vary(rng, {"pole": 2.0}))
+        found = witness_staircase(volts, DT)
+        pulls.append((found.two_pi_voltage - SPAN) / found.two_pi_voltage_u)
+    # Sixteen scatter about their mean by a quarter; a tail cut off where it is no longer seen makes it -0.9.
+    assert abs(np.mean(pulls)) < 0.6
+
+
 @pytest.mark.parametrize("samples", [25.0, 25.02])
 @pytest.mark.parametrize("steps", [20.0, 20.05, 25.0])
 def test_even_numbers_without_noise_are_not_trusted_too_much(samples, steps):

@@ -16,6 +16,9 @@ from instrument.fibre_gyro import CommandRefused, FibreGyroLink, NoAcknowledgeme
 from instrument.simulated.fibre_gyro import PtyGyroServer, TcpGyroServer
 from instrument.simulated.fibre_gyro_faults import GyroFault, GyroFaults
 
+if sys.platform != "win32":
+    import tty
+
 no_pty = pytest.mark.skipif(sys.platform == "win32", reason="this system has no pseudo-terminals")
 
 TEXT = {
@@ -310,3 +313,29 @@ def test_over_loop_with_frames_by_hand():
     assert recording.counts.tolist() == list(range(-70_000, -69_990))
     assert recording.clock == "frames"
     assert recording.temperature is None
+
+
+@no_pty
+def test_late_answer_is_not_taken_for_that_of_the_next_command():
+    master, slave = os.openpty()
+    tty.setraw(slave)
+
+    def slow_gyro():
+        os.read(master, 100)
+        time.sleep(0.8)  # the link has asked again by then
+        os.write(master, b"$ACK*49\r\n")
+        os.read(master, 100)
+        time.sleep(0.2)
+        os.write(master, b"$ACK*49\r\n")
+
+    thread = threading.Thread(target=slow_gyro)
+    thread.start()
+    try:
+        with FibreGyroLink(os.ttyname(slave), parse_frame_format(TEXT)) as link:
+            link.inject(1.0)
+            with pytest.raises(NoAcknowledgement):  # this one is never answered
+                link.inject(2.0)
+    finally:
+        thread.join()
+        os.close(master)
+        os.close(slave)

@@ -10,6 +10,7 @@ import numpy as np
 
 from analysis import FATAL, LockInEstimate, combine_estimates, flag_names
 from analysis.budget import Budget
+from analysis.front_end import ChannelResponse
 from instrument import Waveform
 from station.acquisitions import Acquisition, acquisitions_of
 from station.errors import RunError, UsageError
@@ -135,9 +136,8 @@ def evaluate_run(run: SavedRun, method: Method | None = None, known: Settings | 
     intact = [taken for taken in acquisitions if taken.intact]
     records = [taken.sine for taken in intact]
     waveforms = tuple(saved_waveform(record, run) for record in records)
-    each, quadratures = _estimates(intact, waveforms, run, method)
-    if (response := channel_response(settings.front_end)) is not None:
-        each = without_channel(each, response)
+    response = channel_response(settings.front_end)
+    each, quadratures = _estimates(intact, waveforms, run, method, response)
     tilt = evaluate_tilt(run.taken_for("tilt"), settings) if fast_run_is_whole(run, settings) else None
     names = tuple(taken.name for taken in intact)
     combined = combine_estimates(each)
@@ -150,14 +150,19 @@ def evaluate_run(run: SavedRun, method: Method | None = None, known: Settings | 
 
 
 def _estimates(
-    acquisitions: Sequence[Acquisition], waveforms: Sequence[Waveform], run: SavedRun, method: Method
+    acquisitions: Sequence[Acquisition],
+    waveforms: Sequence[Waveform],
+    run: SavedRun,
+    method: Method,
+    response: ChannelResponse | None,
 ) -> tuple[LockInEstimate, QuadratureResult | None]:
-    """Estimate the records, with the help of the second photodiode where there is one."""
+    """Estimate the records as before the channel, with the help of the second photodiode where there is one."""
     seconds = [taken.cosine for taken in acquisitions if taken.cosine is not None]
     if len(seconds) < len(acquisitions):
-        return estimate_records(waveforms, method), None
+        each = estimate_records(waveforms, method)
+        return each if response is None else without_channel(each, response), None
     cosines = [saved_waveform(record, run) for record in seconds]
-    each, pairs = estimate_pairs(waveforms, cosines, method)
+    each, pairs = estimate_pairs(waveforms, cosines, method, response)
     return each, quadrature_result(pairs)
 
 

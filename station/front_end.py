@@ -5,10 +5,16 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
-from analysis import LockInEstimate
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis import LockInEstimate, fit_harmonics
 from analysis.front_end import ChannelResponse, correct_response
 from station.errors import RunError
 from station.settings_sections import FrontEndSettings
+
+Array = NDArray[np.float64]
+_HARMONICS = 5
 
 
 def channel_response(front_end: FrontEndSettings) -> ChannelResponse | None:
@@ -57,4 +63,50 @@ def without_channel(each: LockInEstimate, response: ChannelResponse) -> LockInEs
         corrected = correct_response(each, response)
     except ValueError as error:
         raise RunError(f"front_end.response: {error}") from None
-    return replace(corrected, noise_model=f"{each.noise_model}; corrected for the response of the channel")
+    return replace(corrected, noise_model=noise_model_without_channel(each))
+
+
+def noise_model_without_channel(each: LockInEstimate) -> str:
+    """Say what the uncertainties rest on, and that the channel is taken out."""
+    return f"{each.noise_model}; corrected for the response of the channel"
+
+
+def equalised(volts: Array, sample_interval: float, response: ChannelResponse) -> Array:
+    """Give the harmonics of records the size and phase that they had before the channel; noise stays as it is.
+
+    For two channels that are corrected with each other: distortion arises before the filters, and is a real share
+    of the beat only there.
+
+    Parameters
+    ----------
+    volts : ndarray, shape (n_records, n_samples)
+    sample_interval : float
+        s.
+    response : ChannelResponse
+
+    Returns
+    -------
+    ndarray, shape (n_records, n_samples)
+        Records without a beat come back as they are.
+
+    Raises
+    ------
+    RunError
+        If a beat or its second harmonic lies outside a measured table.
+    """
+    fit = fit_harmonics(volts, sample_interval, harmonics=_HARMONICS)
+    beating = np.isfinite(fit.frequency)
+    frequency = np.where(beating, fit.frequency, 1.0)
+    times, restored = np.arange(volts.shape[-1]) * sample_interval, volts.copy()
+    for order in range(1, _HARMONICS + 1):
+        inside = beating & response.reach(order * frequency)
+        if order <= 2 and not np.all(inside | ~beating):
+            raise RunError(
+                f"front_end.response: {order * frequency[beating & ~inside][0]:.6g} Hz lies outside the table"
+            )
+        gain = np.ones(frequency.shape, dtype=np.complex128)
+        gain[inside] = response.at(order * frequency[inside])
+        change = np.where(inside, fit.amplitudes[..., order - 1] * (1 / gain - 1), 0.0)
+        turns = 2 * np.pi * order * frequency[:, np.newaxis] * times
+        restored += (change[:, np.newaxis] * np.exp(1j * turns)).real
+    return restored

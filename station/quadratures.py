@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from analysis import LockInEstimate
+from analysis.front_end import ChannelResponse
 from analysis.quadratures import QuadratureEstimate, QuadratureFlag, estimate_quadratures
 from instrument import Waveform
 from station.estimates import Method, batches, clipped_samples, joined, only_beats
+from station.front_end import equalised, noise_model_without_channel
 
 Array = NDArray[np.float64]
 
@@ -71,7 +73,10 @@ class QuadratureResult:
 
 
 def estimate_pairs(
-    sines: Sequence[Waveform], cosines: Sequence[Waveform], method: Method
+    sines: Sequence[Waveform],
+    cosines: Sequence[Waveform],
+    method: Method,
+    response: ChannelResponse | None = None,
 ) -> tuple[LockInEstimate, QuadratureEstimate]:
     """Estimate records of two channels, each pair corrected for distortion.
 
@@ -80,6 +85,8 @@ def estimate_pairs(
     sines, cosines : sequence of Waveform
         Of the same acquisitions.
     method : Method
+    response : ChannelResponse, optional
+        Of both channels: taken out first.
 
     Returns
     -------
@@ -87,16 +94,24 @@ def estimate_pairs(
         Fields of shape (n,).
     QuadratureEstimate
         Of the same shape.
+
+    Raises
+    ------
+    RunError
+        If a beat or its second harmonic lies outside a measured response.
     """
     parts, order = [], []
     for indices in batches(sines):
         pair = [np.array([waves[index].volts for index in indices]) for waves in (sines, cosines)]
+        interval = sines[indices[0]].sample_interval
+        if response is not None:
+            pair = [equalised(volts, interval, response) for volts in pair]
         masks = [clipped_samples([waves[index] for index in indices]) for waves in (sines, cosines)]
         parts.append(
             estimate_quadratures(
                 pair[0],
                 pair[1],
-                sines[indices[0]].sample_interval,
+                interval,
                 scale_factor=method.scale_factor,
                 input_rate=method.input_rate,
                 relation=method.relation,
@@ -105,7 +120,10 @@ def estimate_pairs(
         )
         order += indices
     whole = _joined(parts, np.argsort(order))
-    return only_beats(whole.estimate), whole
+    each = only_beats(whole.estimate)
+    if response is not None:
+        each = replace(each, noise_model=noise_model_without_channel(each))
+    return each, whole
 
 
 def quadrature_result(pairs: QuadratureEstimate) -> QuadratureResult | None:

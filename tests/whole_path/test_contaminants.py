@@ -239,3 +239,27 @@ def test_a_pump_that_swings_is_seen_and_does_not_move_the_result(tmp_path: Path)
     swinging = measured(tmp_path, {"pump_ripple": 0.01, "pump_ripple_hz": 37.0})
     assert abs(float(swinging.combined.lock_in_rate) / LOCK_IN - 1) < 0.02
     assert {"coloured_noise", "misfit"} & set(swinging.flags)
+
+
+def test_everything_at_once(tmp_path: Path) -> None:
+    spoilt = {
+        "second_harmonic_dbc": -46.0,
+        "bandwidth_hz": 3000.0,
+        "ac_corner_hz": 5.0,
+        "gain_corner_hz": 2000.0,
+        "quadrature_gain_error": 0.05,
+        "quadrature_phase_error_deg": 4.0,
+        "rate_ripple_dps": 2e-4,
+    }
+    plan = {"rates_over_lock_in": [3.0, 8.0, 25.0], "both_senses": True, "records": 3}
+    channel = {"low_pass_hz": 3000.0, "ac_corner_hz": 5.0}
+    two = {"quadrature_channel": "CH2"}
+    corrected = measured(tmp_path, spoilt, measurement=plan, front_end=channel, scope=two)
+    assert distance(corrected) < 4
+    assert float(corrected.combined.lock_in_rate_u) < 0.0015 * LOCK_IN
+    assert corrected.quadratures is not None
+    assert corrected.quadratures.distortion == pytest.approx((10 ** (-46 / 20),) * 2, abs=2e-4)
+    assert "misfit" not in corrected.flags
+    (run,) = tmp_path.glob("*/run.sqlite")
+    as_it_is = evaluate_run(open_run(run), known=load_settings())
+    assert "misfit" in as_it_is.flags

@@ -22,6 +22,7 @@ from analysis.waveform.frequency_search import power_of, spectrum_of
 Floats = NDArray[np.float64]
 Samples = NDArray[Any]
 """float32 or float64"""
+Bools = NDArray[np.bool_]
 
 QUIET = 0.45
 """Residual rms in levels below which rounding is not white: 0.34 of noise and 0.29 of rounding."""
@@ -38,6 +39,12 @@ LEFTOVER, LEFTOVER_FALL = 0.3, 0.075
 REPEATED = 1.3
 LOCKED = 6.0
 """Repetition from which on the rounding errors are too few to be told from the waveform itself."""
+
+SAME_PHASE = 0.05
+"""Beat periods by which a cycle may drift over the record and still repeat."""
+
+AS_OFTEN = 2.5
+"""The spectrum's lines scatter, so the repetition found may exceed the number of cycles by this factor."""
 
 FEW_ERRORS = 1.25
 """Factor of the variance for so few errors, which are not Gaussian, from random records as above."""
@@ -115,6 +122,29 @@ def repetition(left: Samples) -> Floats:
     power = power_of(spectrum_of(left))[:, 1:].astype(np.float64)
     total = np.maximum(power.sum(axis=-1), 1e-300)
     return np.asarray(np.vecdot(power, power) * power.shape[1] / (2 * total**2))
+
+
+def locked_to_the_beat(omega: Floats, repeated: Floats, n_samples: int) -> Bools:
+    """Whether a residual that repeats (R,) does so because the sampling is locked to the beat.
+
+    After some number of samples the beat must stand at the same phase again, all through the record; its errors
+    can then repeat no more often than the record holds such cycles. A waveform of another shape repeats too, but
+    with every beat, and so more often.
+
+    Parameters
+    ----------
+    omega : (R,)
+        rad per sample.
+    repeated : (R,)
+        From `repetition`.
+    n_samples : int
+    """
+    cycles = np.arange(2, n_samples // 2)
+    turns = omega[:, np.newaxis] / (2 * np.pi) * cycles
+    drift = np.abs(turns - np.rint(turns)) * (n_samples / cycles)
+    in_phase = (drift < SAME_PHASE) & (turns > 0.5)
+    most = np.where(in_phase.any(axis=-1), n_samples / cycles[in_phase.argmax(axis=-1)], 0.0)
+    return np.asarray((repeated > LOCKED) & (repeated < AS_OFTEN * most))
 
 
 def leftover_excess(left: Samples, spacing: Floats) -> Floats:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -86,9 +87,11 @@ def examine_residual(
     uneven = (line > expected) & ~rounding
     misfit = uneven.copy()
     for row in np.flatnonzero(uneven):
-        misfit[row] = _line_stands_out(power[row, 1:], expected)
+        # So few periods leave a slow curve, which no neighbours tell from noise that rises to low frequencies.
+        few = omega[row] * n_samples < 2 * np.pi * FEW_PERIODS
+        misfit[row] = few or _line_stands_out(power[row, 1:], expected)
     flags[misfit] |= Flag.MISFIT
-    for row in np.flatnonzero(misfit):
+    for row in np.flatnonzero(uneven):
         lines = power[row][power[row] > mean[row] * expected].sum() * 2 / n_samples
         few = omega[row] * n_samples < 2 * np.pi * FEWEST_PERIODS
         if lines > (GROSS_MISFIT_OF_A_CURVE if few else GROSS_MISFIT) * signal[row]:
@@ -118,12 +121,13 @@ def _line_stands_out(power: Samples, expected: float) -> bool:
     width = 2 * NEIGHBOURS + 1
     if power.size < 2 * width:
         return True
-    around = np.convolve(power.astype(np.float64), np.ones(width) / (width - 1), mode="same")
+    # The median, since a wrong waveform leaves a comb of lines.
+    padded = np.pad(power.astype(np.float64), NEIGHBOURS, mode="reflect")
+    around = np.median(np.lib.stride_tricks.sliding_window_view(padded, width), axis=-1) / math.log(2)
     # Below the first whole window the noise may rise as 1/f: its neighbours are then those on the same side.
     bins = np.arange(1, NEIGHBOURS)
     around[: bins.size] = np.maximum(around[NEIGHBOURS], around[: bins.size]) * NEIGHBOURS / bins
-    others = np.maximum(around - power / (width - 1), 1e-300)
-    return bool((power / others).max() > expected)
+    return bool((power / np.maximum(around, 1e-300)).max() > expected)
 
 
 def _low_levels(power: Samples, line: float) -> Floats:

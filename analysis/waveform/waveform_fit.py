@@ -16,9 +16,9 @@ from analysis.waveform.normal_equations import Step
 from analysis.waveform.phase_tracking import looks_like_wander, track_phase
 from analysis.waveform.quantisation import (
     FEW_ERRORS,
-    LOCKED,
     leftover_excess,
     level_spacing,
+    locked_to_the_beat,
     mean_rounding,
     repetition,
 )
@@ -126,8 +126,8 @@ def _fit_records(records: Records, clipped: Bools | None) -> WaveformFit:
         flags[hit] |= Flag.DAMAGED
     count = records.count if weights is None else weights.sum(axis=-1, dtype=np.float64)
     power = sums_of_squares(left)
-    rounding = _take_out_rounding(values, weights, series, step, left, power, count)
-    flags[rounding > LOCKED] |= Flag.ROUNDING_REPEATS
+    rounding, repeats = _take_out_rounding(values, weights, series, step, left, power, count)
+    flags[repeats] |= Flag.ROUNDING_REPEATS
     covariance = step.covariance() * rounding[:, np.newaxis, np.newaxis]
     return _judged(records, weights, series, covariance, left, power, count, flags)
 
@@ -140,21 +140,23 @@ def _take_out_rounding(
     left: Samples,
     power: Floats,
     count: Floats,
-) -> Floats:
+) -> tuple[Floats, Bools]:
     """Fit quiet records again with the mean rounding error taken out; series, step, left and power are changed.
 
-    Returns the factor (R,) of the variance by what is left of the rounding.
+    Returns the factor (R,) of the variance by what is left of the rounding, and where it repeats with the beat.
     """
     rms = np.sqrt(power / np.maximum(count - N_PARAMETERS, 1))
     spacing = level_spacing(values, rms)
     quiet, excess = np.flatnonzero(spacing), np.ones(len(values))
+    is_locked = np.zeros(len(values), dtype=bool)
     if quiet.size:
         repeated = repetition(left[quiet])
-        locked = repeated > LOCKED
+        locked = locked_to_the_beat(series.omega[quiet], repeated, values.shape[1])
         excess[quiet[locked]] = repeated[locked] * FEW_ERRORS
+        is_locked[quiet[locked]] = True
         quiet = quiet[~locked]
     if quiet.size == 0:
-        return excess
+        return excess, is_locked
     some, mask = values[quiet], None if weights is None else weights[quiet]
     n_samples = values.shape[1]
     fitted = series.take(quiet)
@@ -173,7 +175,7 @@ def _take_out_rounding(
     step.put(quiet, new_step)
     left[quiet], power[quiet] = rest, sums_of_squares(rest)
     excess[quiet] = leftover_excess(rest, spacing[quiet])
-    return excess
+    return excess, is_locked
 
 
 def _judged(

@@ -139,12 +139,14 @@ def locked_to_the_beat(omega: Floats, repeated: Floats, n_samples: int) -> Bools
         From `repetition`.
     n_samples : int
     """
+    locked = repeated > LOCKED
     cycles = np.arange(2, n_samples // 2)
-    turns = omega[:, np.newaxis] / (2 * np.pi) * cycles
+    turns = omega[locked, np.newaxis] / (2 * np.pi) * cycles
     drift = np.abs(turns - np.rint(turns)) * (n_samples / cycles)
     in_phase = (drift < SAME_PHASE) & (turns > 0.5)
     most = np.where(in_phase.any(axis=-1), n_samples / cycles[in_phase.argmax(axis=-1)], 0.0)
-    return np.asarray((repeated > LOCKED) & (repeated < AS_OFTEN * most))
+    locked[locked] = repeated[locked] < AS_OFTEN * most
+    return locked
 
 
 def leftover_excess(left: Samples, spacing: Floats) -> Floats:

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from analysis import (
     FATAL,
@@ -22,6 +23,8 @@ from analysis.frequency_method import FrequencyFit, fit_frequencies
 from analysis.ratio_model import Reference
 from station.runs import SavedRecord
 from station.table_check import AxisRates, TableCheck
+
+Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -118,26 +121,31 @@ def evaluate_rates(
         asked = records[rows[0]].conditions.get("over_lock_in")
         mean = float(np.mean(axis.rates[rows]))
         groups.append(RateGroup(float(rate), mean, asked, tuple(rows.tolist()), combine_estimates(each[rows])))
-    by_beat, problem = _fit(each, axis, "beat")
-    by_table, _ = _fit(each, axis, "rate")
-    by_frequency = _frequencies(each, axis)
+    # shared by the records at one rate: their mean is no better than one of them
+    counts = np.array([np.count_nonzero(table == rate) for rate in table])
+    rates_u = axis.azimuth_u * np.sqrt(counts)
+    by_beat, problem = _fit(each, axis, rates_u, "beat")
+    by_table, _ = _fit(each, axis, rates_u, "rate")
+    by_frequency = _frequencies(each, axis, rates_u)
     return SeveralRates(tuple(groups), by_beat, by_table, by_frequency, problem, tuple(without_beat))
 
 
-def _frequencies(each: LockInEstimate, axis: AxisRates) -> FrequencyFit | None:
+def _frequencies(each: LockInEstimate, axis: AxisRates, rates_u: Array) -> FrequencyFit | None:
     """Fit the beat frequencies; with one sense alone a bias rate cannot be told from the rest."""
     usable = each.usable
     both = len(set(np.sign(axis.rates[usable]))) == 2
     frequency = np.where(usable, each.beat_frequency, np.nan)
     try:
-        return fit_frequencies(axis.rates, frequency, each.beat_frequency_u, bias=both)
+        return fit_frequencies(axis.rates, frequency, each.beat_frequency_u, input_rate_u=rates_u, bias=both)
     except ValueError:
         return None
 
 
-def _fit(each: LockInEstimate, axis: AxisRates, reference: Reference) -> tuple[RatesFit | None, str]:
+def _fit(
+    each: LockInEstimate, axis: AxisRates, rates_u: Array, reference: Reference
+) -> tuple[RatesFit | None, str]:
     try:
-        return fit_rates(each, input_rate=axis.rates, reference=reference), ""
+        return fit_rates(each, input_rate=axis.rates, input_rate_u=rates_u, reference=reference), ""
     except ValueError as error:
         return None, str(error)
 

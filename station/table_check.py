@@ -48,10 +48,14 @@ class AxisRates:
         deg/s, signed, one for each record.
     common_u : ndarray, shape (n,)
         Relative standard uncertainty of them that all records share: tilt, and an azimuth that nobody knows.
+    azimuth_u : ndarray, shape (n,)
+        deg/s; standard uncertainty from the place of a record between two readings of the azimuth. It is much the
+        same for all records at one rate.
     """
 
     rates: Array
     common_u: Array
+    azimuth_u: Array
 
 
 def axis_rates(records: Sequence[SavedRecord], tilt: Tilt, settings: Settings) -> AxisRates:
@@ -69,15 +73,21 @@ def axis_rates(records: Sequence[SavedRecord], tilt: Tilt, settings: Settings) -
     AxisRates
     """
     table = np.array([float(record.conditions["table_rate_dps"]) for record in records])
-    azimuths = np.array([azimuth_of(record, settings).middle for record in records])
+    read = [azimuth_of(record, settings) for record in records]
+    azimuths = np.array([azimuth.middle for azimuth in read])
+    turned_deg = np.array([azimuth.turned for azimuth in read])
     # where nobody knows the azimuth, only the vertical part of the earth rate is left: that at east
     known = np.where(np.isfinite(azimuths), azimuths, 90.0)
     turned = table * math.cos(math.radians(tilt.tilt_deg))
-    rates = turned + earth_rate_on_axis(settings.site.latitude_deg, tilt.tilt_deg, known)
+    latitude = settings.site.latitude_deg
+    rates = turned + earth_rate_on_axis(latitude, tilt.tilt_deg, known)
+    vertical = earth_rate_on_axis(latitude, tilt.tilt_deg, 90.0)
+    slope = np.abs(earth_rate_on_axis(latitude, tilt.tilt_deg, known + 90.0) - vertical)
+    between = np.where(np.isfinite(azimuths), slope * np.radians(turned_deg) / math.sqrt(12), 0.0)
     tilt_part = math.tan(math.radians(tilt.tilt_deg)) * math.radians(tilt.tilt_u_deg)
     swing = horizontal_earth_rate(settings, tilt.tilt_deg) / math.sqrt(2)
     earth_part = np.where(np.isfinite(azimuths), 0.0, swing / np.abs(rates))
-    return AxisRates(rates, np.hypot(tilt_part, earth_part))
+    return AxisRates(rates, np.hypot(tilt_part, earth_part), between)
 
 
 def table_check(own: LockInEstimate, by_table: LockInEstimate, axis: AxisRates) -> TableCheck | None:
@@ -98,9 +108,10 @@ def table_check(own: LockInEstimate, by_table: LockInEstimate, axis: AxisRates) 
     if not np.isfinite(by_table.lock_in_rate):
         return None
     mean, value = float(np.mean(axis.rates)), float(by_table.lock_in_rate)
+    shared = math.hypot(float(np.max(axis.common_u)), float(np.max(axis.azimuth_u)) / abs(mean))
     return TableCheck(
         lock_in_rate=value,
-        lock_in_rate_u=math.hypot(float(by_table.lock_in_rate_u), value * float(np.max(axis.common_u))),
+        lock_in_rate_u=math.hypot(float(by_table.lock_in_rate_u), value * shared),
         input_rate=mean,
         beat_over_table=float(own.input_rate) / abs(mean),
     )

@@ -18,9 +18,9 @@ from analysis.lockin_equation import (
 from analysis.lockin_rate import LockInEstimate, estimate_lock_in
 from analysis.quadratures import QuadratureEstimate, QuadratureFlag, estimate_quadratures
 from analysis.rate_sweep import simulate_sweep
-from analysis.rates_result import RatesFit, RatesFlag
 from analysis.rotation import EARTH_RATE_DPS, earth_rate_on_axis, rate_on_axis, tilt_from_fast_run
 from analysis.several_rates import fit_rate_ratios, fit_rates
+from analysis.several_rates.result import RatesFit, RatesFlag
 
 __all__ = [
     "EARTH_RATE_DPS",

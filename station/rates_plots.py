@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from analysis import RatesFit
 from analysis.lockin_equation import beat_frequency, lock_in_from_rate
-from analysis.ratio_model import RatioData, predicted_ratio
+from analysis.several_rates.ratio_model import RatioData, predicted_ratio
 from station.picture import svg_element
 from station.plot_style import ACCENT, HALF, INK, SECOND, SOFT, THIRD, WIDE, legend_above
 from station.several_rates import RateGroup, SeveralRates

@@ -20,7 +20,7 @@ from analysis import (
     fit_rates,
 )
 from analysis.frequency_method import FrequencyFit, fit_frequencies
-from analysis.ratio_model import Reference
+from analysis.several_rates.ratio_model import Reference
 from station.runs import SavedRecord
 from station.table_check import AxisRates, TableCheck
 

@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.ratio_model import Reference
+from analysis.several_rates.ratio_model import Reference
 
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]

@@ -16,17 +16,24 @@ import scipy.special
 from numpy.typing import ArrayLike, NDArray
 
 from analysis.lockin_rate import LockInEstimate
-from analysis.rates_in_words import describe_rates
-from analysis.rates_result import LeftOut, Model, ModelFit, RatesFit, RatesFlag
 from analysis.ratio_interval import size_interval
-from analysis.ratio_model import RatioData, RatioFit, Reference, fit_ratios, predicted_ratio, whitening_factor
-from analysis.ratio_records import (
+from analysis.several_rates.ratio_model import (
+    RatioData,
+    RatioFit,
+    Reference,
+    fit_ratios,
+    predicted_ratio,
+    whitening_factor,
+)
+from analysis.several_rates.ratio_records import (
     SMALLEST_U,
     RatioRecords,
     inconsistent_rate,
     records_of_arrays,
     records_of_estimates,
 )
+from analysis.several_rates.result import LeftOut, Model, ModelFit, RatesFit, RatesFlag
+from analysis.several_rates.words import describe_rates
 
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from analysis.rates_result import RatesFit, RatesFlag
+from analysis.several_rates.result import RatesFit, RatesFlag
 
 
 def describe_rates(fit: RatesFit) -> tuple[str, ...]:

@@ -58,7 +58,8 @@ def gyrolock() -> None:
 
     Without an instrument, `gyrolock measure` shows the whole measurement on a simulated bench.
 
-    Exit codes: 0 done, 2 usage or settings, 3 instrument or link, 4 no usable signal, 130 interrupted.
+    Exit codes: 0 done, 1 FAIL against a limit or a wanted uncertainty out of reach, 2 usage or settings,
+    3 instrument or link, 4 no usable signal, 130 interrupted.
     """
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 EXIT_OK = 0
+EXIT_FAIL = 1  # against a limit, or a wanted uncertainty out of reach
 EXIT_USAGE = 2
 EXIT_INSTRUMENT = 3
 EXIT_NO_SIGNAL = 4

@@ -21,12 +21,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from station.errors import RunError
+from station.run_directories import new_run_directory
 
 RUN_FILE = "run.sqlite"
 REPORT_FILE = "report.html"
 APPLICATION_ID = 0x47_59_4C_4B  # "GYLK": `file run.sqlite` and open_run tell our files from others
 LAYOUT = 1
-Purpose = Literal["tilt", "measure", "quadrature"]
+Purpose = Literal["tilt", "measure", "quadrature", "witness"]
 
 _SCHEMA = """
 CREATE TABLE run (
@@ -36,7 +37,7 @@ CREATE TABLE run (
 CREATE TABLE record (
     number     INTEGER PRIMARY KEY,
     taken_at   TEXT NOT NULL,     -- UTC, ISO 8601
-    purpose    TEXT NOT NULL,     -- 'tilt', 'measure' or 'quadrature'
+    purpose    TEXT NOT NULL,     -- 'tilt', 'measure', 'quadrature' or 'witness'
     codes      BLOB NOT NULL,     -- as the scope sent them: signed bytes
     preamble   TEXT NOT NULL,     -- as the scope sent it
     sha256     TEXT NOT NULL,     -- of codes followed by preamble
@@ -62,7 +63,7 @@ class SavedRecord:
         UTC, ISO 8601.
     purpose : str
         ``"tilt"`` for the fast run, ``"measure"`` for the slow rates, ``"quadrature"`` for the second photodiode:
-        such a record belongs to the one before it.
+        such a record belongs to the one before it; ``"witness"`` for the modulator staircase of a fibre gyro.
     codes : ndarray, int8, shape (n,)
     preamble : str
         As the scope sent it.
@@ -134,7 +135,7 @@ class RunWriter:
     """
 
     def __init__(self, directory: Path, facts: Mapping[str, object]) -> None:
-        self.path = _new_run_directory(directory) / RUN_FILE
+        self.path = new_run_directory(directory) / RUN_FILE
         try:
             _create(self.path)
             self._db = sqlite3.connect(self.path, isolation_level=None)  # every BEGIN and COMMIT is written here
@@ -286,22 +287,6 @@ def is_run(path: Path) -> bool:
 def utc_now() -> str:
     """Return the time of day as ISO 8601, UTC, to the millisecond."""
     return datetime.now(UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")
-
-
-def _new_run_directory(parent: Path) -> Path:
-    stamp = datetime.now(UTC).strftime("%Y-%m-%dT%H%M%SZ")
-    for count in range(1, 10_000):
-        directory = parent / f"{stamp}_{count:03d}"
-        try:
-            directory.mkdir(parents=True)
-        except FileExistsError:
-            if not parent.is_dir():
-                raise RunError(f"{parent}: is not a directory, runs cannot be saved there") from None
-            continue
-        except OSError as error:
-            raise RunError(f"{parent}: runs cannot be saved there ({error.strerror})") from None
-        return directory
-    raise RunError(f"{parent}: too many runs in one second")
 
 
 def _create(path: Path) -> None:

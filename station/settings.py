@@ -6,11 +6,10 @@ holds only what differs from one of them.
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Mapping
 from functools import cache
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 from pydantic import ValidationError
 
@@ -22,6 +21,7 @@ from station.settings_sections import (
     Settings,
     SimulationSettings,
 )
+from station.toml_files import merged, mistakes, read_toml
 
 __all__ = [
     "MeasurementSettings",
@@ -34,7 +34,8 @@ __all__ = [
     "shipped_settings",
 ]
 
-ShippedName = Literal["simulated", "bench"]
+ShippedName = Literal["simulated", "bench", "fibre_gyro", "fibre_gyro_serial", "fibre_gyro_frames"]
+BenchName = Literal["simulated", "bench"]
 
 
 def shipped_settings(name: ShippedName) -> Path:
@@ -42,7 +43,7 @@ def shipped_settings(name: ShippedName) -> Path:
 
     Parameters
     ----------
-    name : {"simulated", "bench"}
+    name : {"simulated", "bench", "fibre_gyro", "fibre_gyro_serial", "fibre_gyro_frames"}
 
     Returns
     -------
@@ -90,24 +91,24 @@ def load_settings(
     SettingsError
         With every mistake of the file in one text: file, place, what is wrong.
     """
-    user = _read_toml(path) if path is not None else {}
+    user = read_toml(path) if path is not None else {}
     scope = user.get("scope")
     named = resource or (scope.get("resource") if isinstance(scope, dict) else None)
     shipped = shipped_settings("bench" if named else "simulated")
-    values = _merge(_read_toml(shipped), user)
+    values = merged(read_toml(shipped), user)
     if named and path is not None:
         # a file made for the simulated bench may be used with a real scope: its truth then means nothing
         values.pop("simulation", None)
         table = values.get("table")
         if isinstance(table, dict) and table.get("kind") == "simulated":
             table["kind"] = "none"
-    values = _merge(values, {section: dict(names) for section, names in (overrides or {}).items()})
+    values = merged(values, {section: dict(names) for section, names in (overrides or {}).items()})
     if resource:
-        values = _merge(values, {"scope": {"resource": resource}})
+        values = merged(values, {"scope": {"resource": resource}})
     try:
         settings = Settings.model_validate(values)
     except ValidationError as error:
-        raise SettingsError(_mistakes(path or shipped, error)) from None
+        raise SettingsError(mistakes(path or shipped, error)) from None
     _check_whole(path or shipped, settings)
     return _with_response(path or shipped, settings)
 
@@ -126,50 +127,14 @@ def _with_response(path: Path, settings: Settings) -> Settings:
     return settings.model_copy(update={"front_end": front_end.model_copy(update={"response": rows})})
 
 
-def default_settings(name: ShippedName = "simulated") -> Settings:
+def default_settings(name: BenchName = "simulated") -> Settings:
     """Return the settings of a shipped file as they stand."""
     return _shipped(name)
 
 
 @cache
-def _shipped(name: ShippedName) -> Settings:
-    return Settings.model_validate(_read_toml(shipped_settings(name)))
-
-
-def _read_toml(path: Path) -> dict[str, Any]:
-    try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise SettingsError(f"{path}: cannot be read ({error.strerror})") from None
-    except UnicodeDecodeError as error:
-        raise SettingsError(f"{path}: is not a text file (byte {error.start} is not UTF-8)") from None
-    except tomllib.TOMLDecodeError as error:
-        raise SettingsError(f"{path}: is not valid TOML: {error}") from None
-
-
-def _merge(below: Mapping[str, Any], above: Mapping[str, Any]) -> dict[str, Any]:
-    """Lay one tree of values over another; neither is changed."""
-    merged: dict[str, Any] = {
-        key: _merge(value, {}) if isinstance(value, dict) else value for key, value in below.items()
-    }
-    for key, value in above.items():
-        if isinstance(value, dict) and isinstance(merged.get(key), dict):
-            merged[key] = _merge(merged[key], value)
-        else:
-            merged[key] = value
-    return merged
-
-
-def _mistakes(path: Path, error: ValidationError) -> str:
-    found = []
-    for mistake in error.errors(include_url=False):
-        place = ".".join(str(part) for part in mistake["loc"])
-        if mistake["type"] == "extra_forbidden":
-            text = "no such setting"
-        else:
-            text = f"{mistake['msg'][0].lower()}{mistake['msg'][1:]}, not {mistake['input']!r}"
-        found.append(f"{place}: {text}")
-    return f"{path}: " + "; ".join(found)
+def _shipped(name: BenchName) -> Settings:
+    return Settings.model_validate(read_toml(shipped_settings(name)))
 
 
 def _check_whole(path: Path, settings: Settings) -> None:

@@ -17,8 +17,6 @@ if TYPE_CHECKING:
 
 F = TypeVar("F", bound=Callable[..., Any])
 
-EXIT_FAIL = 1
-
 
 @click.group("fog")
 def command() -> None:
@@ -83,13 +81,12 @@ def figures(**given: Any) -> int:
 @click.option("--serial", is_flag=True, help="The example for a gyro on a serial port.")
 def settings_file(serial: bool) -> int:
     """Print the commented settings file to copy."""
-    from typing import cast
-
     from station.errors import EXIT_OK
-    from station.settings import ShippedName, shipped_settings
+    from station.settings import shipped_settings
 
-    name = cast("ShippedName", "fibre_gyro_serial" if serial else "fibre_gyro")
-    click.echo(shipped_settings(name).read_text(encoding="utf-8"), nl=False)
+    click.echo(
+        shipped_settings("fibre_gyro_serial" if serial else "fibre_gyro").read_text(encoding="utf-8"), nl=False
+    )
     return EXIT_OK
 
 
@@ -179,7 +176,7 @@ def _overrides(port: str | None, seed: int | None, out: Path | None) -> dict[str
 
 def _finish(campaign: Campaign, limits: FogSettings | None, *, report: bool, as_json: bool) -> int:
     """Say what the saved segments say, also when they are fewer than planned."""
-    from station.errors import EXIT_OK, Failure, NoUsableSignal
+    from station.errors import EXIT_FAIL, EXIT_OK, Failure, NoUsableSignal
     from station.fibre_gyro.results import evaluate_fog_run
     from station.fibre_gyro.store import open_fog_run
 

@@ -13,8 +13,6 @@ from station.commands.options import config_option, json_option, print_json
 if TYPE_CHECKING:
     from station.plan import PlannedMeasurement
 
-EXIT_NOT_REACHED = 1
-
 _positive = click.FloatRange(min=0, min_open=True)
 
 
@@ -110,6 +108,7 @@ def command(plot: Path | None, config: Path | None, as_json: bool, **options: An
 
     Exit code 1 if the wanted uncertainty cannot be reached; the plan then is the best there is.
     """
+    from station.errors import EXIT_FAIL, EXIT_OK
     from station.picture import check_picture_name
     from station.plan import PlanOptions, make_plan, plan_document
     from station.plan_words import plan_sentences
@@ -127,7 +126,7 @@ def command(plot: Path | None, config: Path | None, as_json: bool, **options: An
         print_json({**plan_document(planned, sentences), "plot": str(plot) if plot is not None else None})
     else:
         _print(planned, sentences, plot)
-    return 0 if planned.plan.reached else EXIT_NOT_REACHED
+    return EXIT_OK if planned.plan.reached else EXIT_FAIL
 
 
 def _print(planned: PlannedMeasurement, sentences: list[str], plot: Path | None) -> None:

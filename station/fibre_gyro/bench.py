@@ -7,7 +7,7 @@ import tomllib
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 from instrument import InstrumentError
 from instrument.fibre_gyro import FibreGyroLink, FrameFormat, Recording, parse_frame_format
@@ -15,7 +15,7 @@ from instrument.rate_table import ManualRateTable, RateTable
 from station.errors import SettingsError, UsageError
 from station.fibre_gyro.campaign import FogBench, PlannedSegment
 from station.fibre_gyro.settings import FogSettings
-from station.settings import ShippedName, shipped_settings
+from station.settings import shipped_settings
 
 Ask = Callable[[str], str]
 
@@ -131,7 +131,7 @@ def read_frame_format(settings: FogSettings) -> FrameFormat:
         The description is wrong.
     """
     name, given = settings.link.frame_format, settings.link.frame_format_file
-    file = Path(given) if given else shipped_settings(cast(ShippedName, "fibre_gyro_frames"))
+    file = Path(given) if given else shipped_settings("fibre_gyro_frames")
     try:
         formats = tomllib.loads(file.read_text(encoding="utf-8")).get("formats", {})
     except OSError as error:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import re
 from pathlib import Path
 from typing import Any
 
@@ -51,13 +50,13 @@ def render_fog_report(result: FogResult, run: FogRun) -> str:
     """Return the report as HTML text; arguments as :func:`write_fog_report`."""
     from jinja2 import Environment, PackageLoader, StrictUndefined
 
-    loader = PackageLoader("station")
     environment = Environment(
-        loader=loader, autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
+        loader=PackageLoader("station"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
     )
-    # one style for all reports: the one of the lock-in report
-    source = loader.get_source(environment, "report.html.j2")[0]
-    style = re.search(r"<style>.*?</style>", source, flags=re.DOTALL)
     name = result.settings.gyro.name
     tables = _fact_tables(result, run)
     middle = (len(tables) + 1) // 2
@@ -65,7 +64,6 @@ def render_fog_report(result: FogResult, run: FogRun) -> str:
         title=f"{_TITLES[result.command]}: {name}, {run.facts['started_at'][:10]}",
         heading=f"{_TITLES[result.command]}: {name}",
         version=version("gyrolock"),
-        style=style.group() if style else "",
         simulated=run.facts["simulated"],
         verdict=result.verdict,
         headline=Headline(True, result.value, "", (*result.lines, *(f"{one.sentence}." for one in result.tested))),

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, Literal, cast
+from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from analysis.fibre_gyro.coil import FibreCoil
 from station.errors import SettingsError
-from station.settings import ShippedName, _merge, _mistakes, _read_toml, shipped_settings
+from station.settings import shipped_settings
+from station.toml_files import merged, mistakes, read_toml
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
@@ -191,9 +192,9 @@ def load_fog_settings(
     SettingsError
         With every mistake of the file in one text.
     """
-    shipped = shipped_settings(cast(ShippedName, "fibre_gyro"))
-    user: dict[str, Any] = _read_toml(path) if path is not None else {}
-    values = _merge(_merge(_read_toml(shipped), user), {name: dict(v) for name, v in (overrides or {}).items()})
+    shipped = shipped_settings("fibre_gyro")
+    user: dict[str, Any] = read_toml(path) if path is not None else {}
+    values = merged(merged(read_toml(shipped), user), {name: dict(v) for name, v in (overrides or {}).items()})
     table, link = values.get("table"), values.get("link")
     named = isinstance(link, dict) and link.get("port")
     if named and isinstance(table, dict) and table.get("kind") == "simulated":
@@ -209,7 +210,7 @@ def fog_settings_from(values: Mapping[str, Any], name: str) -> FogSettings:
     try:
         settings = FogSettings.model_validate(dict(values))
     except ValidationError as error:
-        raise SettingsError(_mistakes(Path(name), error)) from None
+        raise SettingsError(mistakes(Path(name), error)) from None
     axes = settings.table.axes
     if len(set(axes)) != len(axes):
         raise SettingsError(f"{name}: table.axes: {', '.join(axes)}: an axis stands there twice")

@@ -21,7 +21,8 @@ from numpy.typing import NDArray
 
 from instrument.fibre_gyro import Gap, Losses, Recording
 from station.errors import RunError
-from station.runs import _new_run_directory, utc_now
+from station.run_directories import new_run_directory
+from station.runs import utc_now
 
 FOG_RUN_FILE = "fog.sqlite"
 FOG_REPORT_FILE = "report.html"
@@ -120,7 +121,7 @@ class FogRunWriter:
     @classmethod
     def create(cls, parent: Path, facts: Mapping[str, object]) -> Self:
         """Begin a run in a new directory below `parent`; RunError if nothing can be written there."""
-        path = _new_run_directory(parent) / FOG_RUN_FILE
+        path = new_run_directory(parent) / FOG_RUN_FILE
         try:
             draft = path.with_name(f".{path.name}")
             with closing(sqlite3.connect(draft, isolation_level=None)) as db:

@@ -194,7 +194,7 @@ def _chained(even: Floats, down: Floats, up: Floats, n0: Floats, d0: Floats) -> 
 
 
 def _products_in_runs(even: Floats, down: Floats, up: Floats, length: int) -> Floats:
-    """Products of the steps of each run up to each place in it, up to a positive factor: (4, length, ..., runs)."""
+    """Products of a run's steps up to each place in it, up to a positive factor; (4, length, ..., runs)."""
     n_steps = up.shape[-1]
     runs = -(-n_steps // length)
     # Each step is scaled, so that a locked gyro does not overflow. Steps of identity fill the last run.

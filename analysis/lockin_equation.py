@@ -153,6 +153,7 @@ def rate_varying_beat(
         for p in (lock_in_rate, amplitude, initial_phase, backscatter_phase, readout_phase)
     )
     up, down = np.pi * scale_factor * rates, np.pi * scale_factor * wl[..., np.newaxis]
+    up = np.broadcast_to(up, np.broadcast_shapes(up.shape, down.shape))
     even, odd = _half_angle_propagator(np.asarray(sample_interval), up, np.broadcast_to(down, up.shape))
     half = (phi0 + beta) / 2
     n, d = _chained(even, odd * down, odd * up, np.sin(half), np.cos(half))
@@ -177,34 +178,40 @@ def _chained(even: Floats, down: Floats, up: Floats, n0: Floats, d0: Floats) -> 
     """
     n_steps = up.shape[-1]
     length = math.isqrt(max(n_steps - 1, 0)) + 1
+    products = _products_in_runs(even, down, up, length)
+    runs = products.shape[-1]
+    n, d = (np.empty((*up.shape[:-1], runs * length + 1)) for _ in range(2))
+    n[..., 0], d[..., 0] = n0, d0
+    for run in range(runs):
+        start = run * length
+        p, q, r, s = np.moveaxis(products[..., run], 1, -1)
+        n_now, d_now = n[..., start : start + 1], d[..., start : start + 1]
+        size = np.hypot(n_now, d_now)
+        after = slice(start + 1, start + length + 1)
+        n[..., after] = (p * n_now + q * d_now) / size
+        d[..., after] = (r * n_now + s * d_now) / size
+    return n[..., : n_steps + 1], d[..., : n_steps + 1]
+
+
+def _products_in_runs(even: Floats, down: Floats, up: Floats, length: int) -> Floats:
+    """Products of a run's steps up to each place in it, up to a positive factor; (4, length, ..., runs)."""
+    n_steps = up.shape[-1]
     runs = -(-n_steps // length)
-    # A step of identities fills the last run. Each step is scaled, so that a locked gyro does not overflow.
+    # Each step is scaled, so that a locked gyro does not overflow. Steps of identity fill the last run.
     scale = np.maximum(np.abs(even) + np.abs(down), np.abs(up))
-    shape = np.broadcast_shapes(even.shape, down.shape, up.shape)
-    padded = np.zeros((3, *shape[:-1], runs * length))
+    padded = np.zeros((3, *up.shape[:-1], runs * length))
     padded[0, ..., n_steps:] = 1.0
     for place, values in zip(padded, (even, down, up), strict=True):
         place[..., :n_steps] = values / scale
-    # the place in the run comes first, so that each step of all runs lies together in memory
-    e, w, u = np.moveaxis(padded.reshape(3, *shape[:-1], runs, length), -1, 1).copy()
-    product = np.empty((4, length, *shape[:-1], runs))
-    product[:, 0] = e[0] - w[0], u[0], -u[0], e[0] + w[0]
+    # The place in the run comes first, so that one step of all runs lies together in memory.
+    e, w, u = np.moveaxis(padded.reshape(3, *up.shape[:-1], runs, length), -1, 1).copy()
+    products = np.empty((4, *e.shape))
+    products[:, 0] = e[0] - w[0], u[0], -u[0], e[0] + w[0]
     for j in range(1, length):
-        p, q, r, s = product[:, j - 1]
+        p, q, r, s = products[:, j - 1]
         less, more = e[j] - w[j], e[j] + w[j]
-        product[:, j] = less * p + u[j] * r, less * q + u[j] * s, more * r - u[j] * p, more * s - u[j] * q
-    n, d = (np.empty((length, *shape[:-1], runs)) for _ in range(2))
-    n_now, d_now = (np.broadcast_to(v, shape[:-1]) for v in (n0, d0))
-    for run in range(runs):
-        p, q, r, s = product[..., run]
-        n[..., run], d[..., run] = p * n_now + q * d_now, r * n_now + s * d_now
-        size = np.hypot(n[-1, ..., run], d[-1, ..., run])
-        n_now, d_now = n[-1, ..., run] / size, d[-1, ..., run] / size
-    joined = (np.moveaxis(v, 0, -1).reshape(*shape[:-1], -1)[..., :n_steps] for v in (n, d))
-    after_n, after_d = joined
-    first = (np.broadcast_to(v, shape[:-1])[..., np.newaxis] for v in (n0, d0))
-    before_n, before_d = first
-    return np.concatenate([before_n, after_n], axis=-1), np.concatenate([before_d, after_d], axis=-1)
+        products[:, j] = less * p + u[j] * r, less * q + u[j] * s, more * r - u[j] * p, more * s - u[j] * q
+    return products
 
 
 def harmonic_ratio(rate_ratio: ArrayLike) -> Floats:

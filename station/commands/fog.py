@@ -8,10 +8,11 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
-from station.commands.options import config_option, json_option, print_failure, print_json
+from station.commands.fog_output import finish
+from station.commands.fog_witness import witness
+from station.commands.options import config_option, json_option
 
 if TYPE_CHECKING:
-    from station.errors import Failure
     from station.fibre_gyro.campaign import Campaign
     from station.fibre_gyro.settings import FogSettings
 
@@ -20,12 +21,15 @@ F = TypeVar("F", bound=Callable[..., Any])
 
 @click.group("fog")
 def command() -> None:
-    """Scale factor of a fibre gyro: rate table, self-calibration, 2π error, figures of merit.
+    """Scale factor of a fibre gyro: rate table, self-calibration, 2π error, figures of merit, oscilloscope.
 
     Every test takes --json and --config FILE. Without --port gyro and rate table are simulated. PATH is a saved
     run, or a list of logs in CSV (see docs/fibre_gyro.md). Exit codes: 0 done or PASS, 1 FAIL against a limit,
     2 usage or settings, 3 link, 4 no usable signal, 130 interrupted. --resume goes on with a run cut short.
     """
+
+
+command.add_command(witness)
 
 
 def _run_options(function: F) -> F:
@@ -132,14 +136,24 @@ def _run(
         raise click.UsageError("--resume takes everything from the run; give it with --json and --no-report only")
     if paths and (port or seed is not None):
         raise click.UsageError("a saved run or a list of logs needs neither --port nor --seed")
+    from station.fibre_gyro.results import evaluate_fog_run
     from station.fibre_gyro.settings import load_fog_settings
+    from station.fibre_gyro.store import open_fog_run
 
     settings = load_fog_settings(config, _overrides(port, seed, out))
     if seed is not None and not settings.simulated:
         raise click.UsageError("--seed belongs to the simulated gyro; a real one has none")
     campaign, given_limits = _campaign(name, settings, paths, resume, table_run)
     limits = settings if config is not None and given_limits else None
-    return _finish(campaign, limits, report=report, as_json=as_json)
+    run = open_fog_run(campaign.path)
+    return finish(
+        run,
+        lambda: evaluate_fog_run(run, limits),
+        campaign.failure,
+        report=report,
+        as_json=as_json,
+        resumable=None if campaign.failure is None else run.path.parent,
+    )
 
 
 def _campaign(
@@ -172,61 +186,3 @@ def _overrides(port: str | None, seed: int | None, out: Path | None) -> dict[str
     if out is not None:
         chosen["output"] = {"directory": str(out)}
     return chosen
-
-
-def _finish(campaign: Campaign, limits: FogSettings | None, *, report: bool, as_json: bool) -> int:
-    """Say what the saved segments say, also when they are fewer than planned."""
-    from station.errors import EXIT_FAIL, EXIT_OK, Failure, NoUsableSignal
-    from station.fibre_gyro.results import evaluate_fog_run
-    from station.fibre_gyro.store import open_fog_run
-
-    run = open_fog_run(campaign.path)
-    failure: Failure | None = campaign.failure
-    document: dict[str, Any] = {"command": run.facts.get("command")}
-    verdict = None
-    try:
-        result = evaluate_fog_run(run, limits)
-    except NoUsableSignal as error:
-        failure = failure or Failure(error.kind, str(error), error.exit_code)
-    else:
-        document, verdict = _show(result, run, report=report, as_json=as_json)
-    document["run"] = str(run.path)
-    if failure is not None:
-        document["error"] = failure.as_json()
-    if as_json:
-        print_json(document)
-    else:
-        click.echo(f"\nsaved   {run.path}")
-        if "report" in document:
-            click.echo(f"report  {document['report']}")
-    if failure is not None:
-        print_failure(_with_way_on(failure, campaign))
-        return failure.exit_code
-    return EXIT_FAIL if verdict == "FAIL" else EXIT_OK
-
-
-def _show(result: Any, run: Any, *, report: bool, as_json: bool) -> tuple[dict[str, Any], str | None]:
-    """Save, report and print a result; return its document and its verdict."""
-    from station.fibre_gyro.console import print_fog_result
-    from station.fibre_gyro.report import write_fog_report
-    from station.fibre_gyro.store import save_fog_result
-
-    document = dict(result.document)
-    save_fog_result(run.path, document)
-    if report:
-        document["report"] = str(write_fog_report(result, run))
-    if not as_json:
-        print_fog_result(result, simulated=run.facts["simulated"], truth=run.facts.get("truth"))
-    for one in result.evaluation.left_out:
-        click.echo(f"gyrolock: {one.sentence}", err=True)
-    return document, result.verdict
-
-
-def _with_way_on(failure: Failure, campaign: Campaign) -> Failure:
-    """Add how to go on to the line of a run that was cut short."""
-    from station.errors import Failure
-
-    if campaign.failure is None:
-        return failure
-    way_on = f"{failure.message} (go on with --resume {campaign.path.parent})"
-    return Failure(failure.kind, way_on, failure.exit_code)

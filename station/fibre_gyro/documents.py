@@ -12,6 +12,7 @@ from station.fibre_gyro.figures import FiguresEvaluation, FiguresRun
 from station.fibre_gyro.selfcal import SelfcalEvaluation
 from station.fibre_gyro.settings import FogSettings
 from station.fibre_gyro.table import AxisResult, TableEvaluation
+from station.fibre_gyro.witness import WitnessedRecord, WitnessEvaluation
 
 _PPM = 1e6
 
@@ -209,4 +210,54 @@ def _figures_run(run: FiguresRun) -> dict[str, Any]:
         "net_counts": numbers(run.output),
         "deviation_of_full_scale_ppm": numbers(figures.deviation_of_full_scale_ppm),
         "deviation_of_point_ppm": numbers(figures.deviation_of_point_ppm),
+    }
+
+
+def witness_document(evaluation: WitnessEvaluation, settings: FogSettings) -> dict[str, Any]:
+    """Return what the oscilloscope shows of the staircase as plain JSON."""
+    named = (
+        ("step_height", evaluation.step_height, "_v"),
+        ("step_time", evaluation.step_time, "_s"),
+        ("reset_height", evaluation.reset_height, "_v"),
+        ("two_pi_voltage", evaluation.two_pi_voltage, "_v"),
+        ("bias_height", evaluation.bias_height, "_v"),
+        ("step", evaluation.step_codes, "_codes"),
+        ("step_time_difference", evaluation.step_time_ppm, "_ppm"),
+        ("two_pi_error", evaluation.two_pi_error, ""),
+    )
+    document: dict[str, Any] = {}
+    for name, measured, unit in named:
+        document |= {f"{name}{unit}": number(measured.value), f"{name}_u{unit}": number(measured.u)}
+    error = evaluation.two_pi_error
+    return document | {
+        "two_pi_error_ppm": number(_PPM * error.value),
+        "two_pi_error_u_ppm": number(_PPM * error.u),
+        "two_pi_voltage_u_without_gain_v": number(evaluation.two_pi_voltage_record_u),
+        "half_wave_v": evaluation.half_wave_v or None,
+        "gain_u": settings.witness.gain_u,
+        "time_base_u": settings.witness.time_base_u,
+        "records": [_witnessed(one) for one in evaluation.records],
+        "left_out": [one.as_json() for one in evaluation.left_out],
+    }
+
+
+def _witnessed(record: WitnessedRecord) -> dict[str, Any]:
+    found = record.found
+    return {
+        "name": record.name,
+        "step_height_v": number(found.step_height),
+        "step_height_u_v": number(found.step_height_u),
+        "step_time_s": number(found.step_time),
+        "step_time_u_s": number(found.step_time_u),
+        "reset_height_v": number(found.reset_height),
+        "reset_height_u_v": number(found.reset_height_u),
+        "two_pi_voltage_v": number(found.two_pi_voltage),
+        "two_pi_voltage_u_v": number(found.two_pi_voltage_u),
+        "bias_height_v": number(found.bias_height),
+        "bias_height_u_v": number(found.bias_height_u),
+        "steps": found.steps,
+        "resets": found.resets,
+        "noise_rms_v": number(found.noise_rms),
+        "step_time_given": record.step_time_given,
+        "flags": list(found.flags),
     }

@@ -10,24 +10,28 @@ from station.fibre_gyro import sections
 from station.fibre_gyro.results import FogResult
 from station.fibre_gyro.settings import FogSettings
 from station.fibre_gyro.store import FOG_REPORT_FILE, FogRun
+from station.fibre_gyro.witness_sections import condition_rows as scope_rows
 from station.provenance import version
 from station.report_parts import FactTable, Headline, Rows
+from station.runs import SavedRun
 
 _TITLES = {
     "table": "Scale factor by rate table",
     "selfcal": "Self-calibration by injected staircase",
     "eps": "2π error by open-loop injection",
     "figures": "Figures of merit of the scale factor",
+    "witness": "Modulator staircase by oscilloscope",
 }
 
 
-def write_fog_report(result: FogResult, run: FogRun, path: Path | None = None) -> Path:
+def write_fog_report(result: FogResult, run: FogRun | SavedRun, path: Path | None = None) -> Path:
     """Write the report of a run; the file appears whole or not at all.
 
     Parameters
     ----------
     result : FogResult
-    run : FogRun
+    run : FogRun or SavedRun
+        The latter of the oscilloscope on the modulator.
     path : Path, optional
         By default ``report.html`` beside the run's file.
 
@@ -46,7 +50,7 @@ def write_fog_report(result: FogResult, run: FogRun, path: Path | None = None) -
     return path
 
 
-def render_fog_report(result: FogResult, run: FogRun) -> str:
+def render_fog_report(result: FogResult, run: FogRun | SavedRun) -> str:
     """Return the report as HTML text; arguments as :func:`write_fog_report`."""
     from jinja2 import Environment, PackageLoader, StrictUndefined
 
@@ -73,12 +77,13 @@ def render_fog_report(result: FogResult, run: FogRun) -> str:
     )
 
 
-def _fact_tables(result: FogResult, run: FogRun) -> list[FactTable]:
+def _fact_tables(result: FogResult, run: FogRun | SavedRun) -> list[FactTable]:
     settings = result.settings
+    conditions = scope_rows(run, settings) if isinstance(run, SavedRun) else _condition_rows(result, run)
     tables = [
         FactTable("Gyro by design", _gyro_rows(settings)),
         FactTable("Limits", [(one.name, one.sentence) for one in result.tested]),
-        FactTable("Conditions", _condition_rows(result, run)),
+        FactTable("Conditions", conditions),
         FactTable("Truth of the simulation", _truth_rows(run)),
         FactTable("Provenance", _provenance_rows(run)),
     ]
@@ -121,12 +126,12 @@ def _condition_rows(result: FogResult, run: FogRun) -> Rows:
     return rows
 
 
-def _truth_rows(run: FogRun) -> Rows:
+def _truth_rows(run: FogRun | SavedRun) -> Rows:
     truth: dict[str, Any] = run.facts.get("truth", {})
     return [(name.replace("_", " "), f"{value:.9g}") for name, value in truth.items()]
 
 
-def _provenance_rows(run: FogRun) -> Rows:
+def _provenance_rows(run: FogRun | SavedRun) -> Rows:
     facts, made = run.facts, run.facts["provenance"]
     outcome = facts.get("outcome", "cut short: the program was killed")
     rows: Rows = [
@@ -142,7 +147,7 @@ def _provenance_rows(run: FogRun) -> Rows:
     return rows
 
 
-def _footer(result: FogResult, run: FogRun) -> str:
+def _footer(result: FogResult, run: FogRun | SavedRun) -> str:
     return (
         f"Made by gyrolock {version('gyrolock')} from the saved output of {run.path.parent.name}. "
         f"`gyrolock fog {result.command} {run.path.parent.name}` computes the numbers again."

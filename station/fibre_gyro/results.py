@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from station.errors import NoUsableSignal, RunError
-from station.fibre_gyro import documents, eps, figures, selfcal, table, words
+from station.fibre_gyro import documents, eps, figures, selfcal, staircase_records, table, witness_words, words
 from station.fibre_gyro.eps import EpsEvaluation
 from station.fibre_gyro.figures import FiguresEvaluation
 from station.fibre_gyro.limits import Tested, check_limits, verdict
@@ -14,9 +14,11 @@ from station.fibre_gyro.selfcal import SelfcalEvaluation
 from station.fibre_gyro.settings import FogSettings, fog_settings_from
 from station.fibre_gyro.store import FogRun
 from station.fibre_gyro.table import TableEvaluation
+from station.fibre_gyro.witness import WitnessEvaluation, evaluate_witness
+from station.runs import SavedRun
 from station.words import with_uncertainty
 
-Evaluation = TableEvaluation | SelfcalEvaluation | EpsEvaluation | FiguresEvaluation
+Evaluation = TableEvaluation | SelfcalEvaluation | EpsEvaluation | FiguresEvaluation | WitnessEvaluation
 COMMANDS = (table.PURPOSE, selfcal.PURPOSE, eps.PURPOSE, figures.PURPOSE)
 
 
@@ -26,9 +28,9 @@ class FogResult:
 
     Attributes
     ----------
-    command : {"table", "selfcal", "eps", "figures"}
+    command : {"table", "selfcal", "eps", "figures", "witness"}
     settings : FogSettings
-    evaluation : TableEvaluation, SelfcalEvaluation, EpsEvaluation or FiguresEvaluation
+    evaluation : TableEvaluation, SelfcalEvaluation, EpsEvaluation, FiguresEvaluation or WitnessEvaluation
     table : TableEvaluation or None
         Of the rate-table segments in a self-calibration's run.
     document : dict
@@ -91,20 +93,46 @@ def evaluate_fog_run(run: FogRun, limits_of: FogSettings | None = None) -> FogRe
         figures.PURPOSE: _of_figures,
     }
     made = makers[command](run, settings, of_table)
-    return _with_common(made, run)
+    return _with_common(made, run.facts)
 
 
-def _with_common(result: FogResult, run: FogRun) -> FogResult:
+def evaluate_witness_run(run: SavedRun, known: FogSettings | None = None) -> FogResult:
+    """Evaluate a run of the oscilloscope on the modulator with the settings that are saved with it.
+
+    Parameters
+    ----------
+    run : SavedRun
+    known : FogSettings, optional
+        Limits, half-wave voltage and the oscilloscope's uncertainties of these settings instead of the saved ones.
+
+    Raises
+    ------
+    NoUsableSignal
+        It gives no result.
+    RunError
+        It is not such a run.
+    """
+    if run.facts.get("command") != staircase_records.PURPOSE:
+        raise RunError(f"{run.path}: is not a run of `gyrolock fog witness`")
+    settings = fog_settings_from(run.facts["settings"], str(run.path))
+    if known is not None:
+        names = ("half_wave_v", "half_wave_u_v", "gain_u", "time_base_u")
+        updated = settings.witness.model_copy(update={name: getattr(known.witness, name) for name in names})
+        settings = settings.model_copy(update={"limits": known.limits, "witness": updated})
+    return _with_common(_of_witness(run, settings), run.facts)
+
+
+def _with_common(result: FogResult, facts: dict[str, Any]) -> FogResult:
     """Add what every document has."""
     common: dict[str, Any] = {"command": result.command, "gyro": result.settings.gyro.name}
-    common |= {"simulated": run.facts["simulated"]}
+    common |= {"simulated": facts["simulated"]}
     tail: dict[str, Any] = {
         "flags": list(result.flags),
         "limits": [one.as_json() for one in result.tested],
         "verdict": result.verdict,
     }
-    if "truth" in run.facts:
-        tail["truth"] = run.facts["truth"]
+    if "truth" in facts:
+        tail["truth"] = facts["truth"]
     return FogResult(**{**vars(result), "document": {**common, **result.document, **tail}})
 
 
@@ -172,6 +200,21 @@ def _of_figures(run: FogRun, settings: FogSettings, of_table: TableEvaluation | 
     values = {name: _or_nan(document[name]) for name in (*names, "temperature_coefficient_ppm")}
     sentences, flags = words.figures_sentences(found), words.figures_flags(found)
     return _result(figures.PURPOSE, settings, found, of_table, document, value, lines, sentences, flags, values)
+
+
+def _of_witness(run: SavedRun, settings: FogSettings) -> FogResult:
+    found = evaluate_witness(run, settings)
+    document = documents.witness_document(found, settings)
+    values = {
+        "witness_two_pi_error_ppm": 1e6 * found.two_pi_error.value,
+        "witness_step_time_ppm": found.step_time_ppm.value,
+    }
+    value, lines = witness_words.headline(found)
+    injected = run.facts.get("injected", {}).get("step_codes")
+    sentences = witness_words.sentences(found, settings, injected)
+    flags = witness_words.flags(found, settings)
+    name = staircase_records.PURPOSE
+    return _result(name, settings, found, None, document, value, lines, sentences, flags, values)
 
 
 def _result(

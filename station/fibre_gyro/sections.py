@@ -11,6 +11,8 @@ from station.fibre_gyro.results import FogResult
 from station.fibre_gyro.selfcal import SelfcalEvaluation
 from station.fibre_gyro.settings import FogSettings
 from station.fibre_gyro.table import AxisResult, TableEvaluation
+from station.fibre_gyro.witness import WitnessEvaluation
+from station.fibre_gyro.witness_sections import witness_sections
 from station.report_parts import PlacedFigure, Section, Table
 from station.words import with_uncertainty
 
@@ -27,6 +29,8 @@ def sections_of(result: FogResult) -> list[Section]:
         made = _selfcal_sections(found, result)
     elif isinstance(found, EpsEvaluation):
         made = _eps_sections(found, result)
+    elif isinstance(found, WitnessEvaluation):
+        made = witness_sections(found, result.sentences)
     else:
         made = _figures_sections(found, result)
     if result.flags:

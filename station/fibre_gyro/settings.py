@@ -102,6 +102,21 @@ class FiguresSettings(_Section):
     settle_s: NotNegative
 
 
+class WitnessSettings(_Section):
+    """The oscilloscope on the phase modulator."""
+
+    resource: str
+    baud_rate: Annotated[int, Field(ge=0)]
+    channel: Literal["CH1", "CH2", "CH3", "CH4"]
+    probe: Literal[1, 10, 100, 1000]
+    records: Annotated[int, Field(ge=1, le=10_000)]
+    step_codes: Finite
+    half_wave_v: NotNegative
+    half_wave_u_v: NotNegative
+    gain_u: NotNegative
+    time_base_u: NotNegative
+
+
 class SimulationSettings(_Section):
     """The truth of the simulated gyro and table."""
 
@@ -120,6 +135,8 @@ class SimulationSettings(_Section):
     asymmetry_ppm: Finite
     cubic_ppm: Finite
     dead_zone_dps: NotNegative
+    half_wave_v: Positive
+    scope_gain_error: Annotated[float, Field(ge=-0.1, le=0.1)]
 
 
 class LimitSettings(_Section):
@@ -136,6 +153,8 @@ class LimitSettings(_Section):
     asymmetry_ppm: Limit = None
     repeatability_ppm: Limit = None
     temperature_coefficient_ppm: Limit = None
+    witness_two_pi_error_ppm: Limit = None
+    witness_step_time_ppm: Limit = None
 
 
 class OutputSettings(_Section):
@@ -154,6 +173,7 @@ class FogSettings(_Section):
     selfcal: SelfcalSettings
     eps: EpsSettings
     figures: FiguresSettings
+    witness: WitnessSettings
     simulation: SimulationSettings
     limits: LimitSettings
     output: OutputSettings
@@ -207,6 +227,9 @@ def load_fog_settings(
 
 def fog_settings_from(values: Mapping[str, Any], name: str) -> FogSettings:
     """Check values, for instance those that are saved with a run; `name` stands in the text of the error."""
+    if values:
+        # a run of an earlier version knows nothing of settings that came later
+        values = merged(read_toml(shipped_settings("fibre_gyro")), values)
     try:
         settings = FogSettings.model_validate(dict(values))
     except ValidationError as error:

@@ -1,0 +1,194 @@
+"""What the oscilloscope says of the modulator staircase: each record, their mean, the 2 pi error."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from analysis.staircase_witness import StaircaseWitness, two_pi_error, witness_staircase
+from instrument import Preamble, TransferError, Waveform
+from station.errors import NoUsableSignal
+from station.fibre_gyro.settings import FogSettings
+from station.fibre_gyro.staircase_records import PURPOSE
+from station.fibre_gyro.windows import LeftOut
+from station.runs import SavedRecord, SavedRun
+
+_PPM = 1e6
+
+
+@dataclass(frozen=True)
+class Measured:
+    """A value and its standard uncertainty; nan where there is none."""
+
+    value: float
+    u: float
+
+
+@dataclass(frozen=True, eq=False)
+class WitnessedRecord:
+    """One record.
+
+    Attributes
+    ----------
+    name : str
+        Its number, or the name of its file.
+    waveform : Waveform
+    found : StaircaseWitness
+        Without the uncertainty of the oscilloscope's gain and time base.
+    step_time_given : bool
+        Its steps were found with the transit time of the coil only.
+    """
+
+    name: str
+    waveform: Waveform
+    found: StaircaseWitness
+    step_time_given: bool
+
+
+@dataclass(frozen=True, eq=False)
+class WitnessEvaluation:
+    """Means over the records; gain and time base are in every `u` but those of `record_u`.
+
+    Attributes
+    ----------
+    records : tuple of WitnessedRecord
+    step_height, step_time, reset_height, two_pi_voltage, bias_height : Measured
+        V and s.
+    two_pi_voltage_record_u : float
+        Without the gain: for comparison with another run with the same settings of the oscilloscope.
+    step_codes : Measured
+        Step over 2-pi voltage, times the codes of the converter; free of the gain.
+    step_time_ppm : Measured
+        Step time over transit time of the coil by design, less one.
+    half_wave_v : float
+        0 if it is not known.
+    two_pi_error : Measured
+        V_2pi/(2 V_pi) - 1.
+    flags : tuple of str
+        Of `analysis.staircase_witness`, of any record.
+    left_out : tuple of LeftOut
+    """
+
+    records: tuple[WitnessedRecord, ...]
+    step_height: Measured
+    step_time: Measured
+    reset_height: Measured
+    two_pi_voltage: Measured
+    bias_height: Measured
+    two_pi_voltage_record_u: float
+    step_codes: Measured
+    step_time_ppm: Measured
+    half_wave_v: float
+    two_pi_error: Measured
+    flags: tuple[str, ...]
+    left_out: tuple[LeftOut, ...]
+
+
+def evaluate_witness(run: SavedRun, settings: FogSettings) -> WitnessEvaluation:
+    """Evaluate the records of a run.
+
+    Parameters
+    ----------
+    run : SavedRun
+    settings : FogSettings
+        Coil, converter, half-wave voltage and the oscilloscope's uncertainties.
+
+    Raises
+    ------
+    NoUsableSignal
+        No record shows a staircase.
+    """
+    records, left_out = [], []
+    for saved in run.taken_for(PURPOSE):
+        name = str(saved.conditions.get("file") or f"record {saved.number}")
+        try:
+            records.append(_witnessed(name, saved, settings))
+        except (ValueError, TransferError) as error:
+            left_out.append(LeftOut(name, str(error)))
+    if not records:
+        reasons = "; ".join(dict.fromkeys(one.reason for one in left_out)) or "there are no records"
+        raise NoUsableSignal(f"no record shows the staircase of a modulator: {reasons}")
+    return _evaluation(tuple(records), tuple(left_out), settings, simulated=run.facts["simulated"])
+
+
+def _witnessed(name: str, saved: SavedRecord, settings: FogSettings) -> WitnessedRecord:
+    """Evaluate one record; ValueError says why it cannot be used."""
+    if not saved.intact:
+        raise ValueError("it is not what was once saved")
+    waveform = Waveform(saved.codes, Preamble.parse(saved.preamble))
+    preamble = waveform.preamble
+    if preamble.xunit.lower() != "s":
+        raise ValueError(f"it is a spectrum ({preamble.xunit}), not a record over time: save the channel itself")
+    if preamble.pt_fmt != "Y":
+        raise ValueError("it was taken in Peak Detect, which has no levels: use Sample mode")
+    if waveform.clipped:
+        raise ValueError("it is clipped: use more volts per division, or shift the position")
+    volts, interval = waveform.volts, waveform.sample_interval
+    try:
+        return WitnessedRecord(name, waveform, witness_staircase(volts, interval), False)
+    except ValueError as alone:
+        try:
+            found = witness_staircase(volts, interval, step_time=settings.coil.transit_time)
+        except ValueError:
+            raise alone from None
+        return WitnessedRecord(name, waveform, found, True)
+
+
+def _evaluation(
+    records: tuple[WitnessedRecord, ...], left_out: tuple[LeftOut, ...], settings: FogSettings, *, simulated: bool
+) -> WitnessEvaluation:
+    found, chosen = [one.found for one in records], settings.witness
+    gain, seconds = chosen.gain_u, chosen.time_base_u
+    alone = _mean(found, "two_pi_voltage")
+    voltage = _widened(alone, gain)
+    time = _widened(_mean(found, "step_time"), seconds)
+    step = _mean(found, "step_height")
+    ratio = step.value / alone.value
+    codes = (1 << settings.gyro.dac_bits) * ratio
+    half_wave = chosen.half_wave_v or (settings.simulation.half_wave_v if simulated else 0.0)
+    error = Measured(math.nan, math.nan)
+    if half_wave and math.isfinite(voltage.value):
+        error = Measured(*two_pi_error(voltage.value, voltage.u, half_wave, chosen.half_wave_u_v))
+    transit = settings.coil.transit_time
+    return WitnessEvaluation(
+        records=records,
+        step_height=_widened(step, gain),
+        step_time=time,
+        reset_height=_widened(_mean(found, "reset_height"), gain),
+        two_pi_voltage=voltage,
+        bias_height=_widened(_mean(found, "bias_height"), gain),
+        two_pi_voltage_record_u=alone.u,
+        # both rise together where the fit is unsure of them, so this is rather too wide
+        step_codes=Measured(codes, abs(codes) * math.hypot(step.u / step.value, alone.u / alone.value)),
+        step_time_ppm=Measured(_PPM * (time.value / transit - 1), _PPM * time.u / transit),
+        half_wave_v=half_wave,
+        two_pi_error=error,
+        flags=tuple(dict.fromkeys(flag for one in found for flag in one.flags)),
+        left_out=left_out,
+    )
+
+
+def _mean(found: Sequence[StaircaseWitness], name: str) -> Measured:
+    """Weighted mean; where the records scatter by more than their uncertainties, those grow.
+
+    Records whose rounding is not white share its error and do not average.
+    """
+    rows = np.array([(getattr(one, name), getattr(one, f"{name}_u")) for one in found], dtype=np.float64)
+    rows = rows[np.isfinite(rows).all(axis=1)]
+    if not len(rows):
+        return Measured(math.nan, math.nan)
+    values, u = rows.T
+    weights = 1 / np.maximum(u, 1e-15 * max(float(np.abs(values).max()), 1e-300)) ** 2
+    mean = float(np.average(values, weights=weights))
+    chi_square = float(np.sum(weights * (values - mean) ** 2)) / max(len(rows) - 1, 1)
+    mean_u = float(np.sqrt(max(1.0, chi_square) / weights.sum()))
+    if any(one.level_spacing for one in found):
+        mean_u = max(mean_u, float(u.min()))
+    return Measured(mean, mean_u)
+
+
+def _widened(measured: Measured, relative_u: float) -> Measured:
+    return Measured(measured.value, math.hypot(measured.u, relative_u * measured.value))

@@ -220,6 +220,8 @@ def saved_settings(run: SavedRun) -> Settings:
     RunError
         If the run holds none that this version understands.
     """
+    if run.facts.get("command") == "witness":
+        raise RunError(f"{run.path}: shows a fibre gyro's modulator: `gyrolock fog witness` evaluates it")
     try:
         return Settings.model_validate(run.facts["settings"])
     except (KeyError, ValueError):

@@ -20,13 +20,14 @@ def headline(found: WitnessEvaluation) -> tuple[str, list[str]]:
     if math.isfinite(voltage.value):
         value = f"V_2π = {with_uncertainty(voltage.value, voltage.u, 'V')}"
     lines = [
-        f"Step {with_uncertainty(step.value, step.u, 'V')} every {with_uncertainty(1e6 * time.value, 1e6 * time.u)} "
-        f"µs; fall at a reset {with_uncertainty(fall.value, fall.u, 'V')}."
+        f"Step {with_uncertainty(step.value, step.u, 'V')} every "
+        f"{with_uncertainty(1e6 * time.value, 1e6 * time.u, 'µs')}; fall at a reset "
+        f"{with_uncertainty(fall.value, fall.u, 'V')}."
     ]
     if math.isfinite(found.two_pi_error.value):
         error = found.two_pi_error
         lines.append(
-            f"2π error {_percent(error.value, error.u)} against 2 × {found.half_wave_v:g} V; from "
+            f"2π error {_percent(error.value, error.u)} against twice {found.half_wave_v:g} V; from "
             f"{len(found.records)} records."
         )
     return value, lines
@@ -42,8 +43,9 @@ def sentences(found: WitnessEvaluation, settings: FogSettings, injected: float |
     ]
     if math.isfinite(alone):
         said.append(
-            f"Without the gain V_2π is known to {1000 * alone:.2g} mV ({_PPM * alone / found.two_pi_voltage.value:.2g} "
-            "ppm): so well two runs with the same settings of the oscilloscope compare."
+            f"Without the gain V_2π is known to {1000 * alone:.2g} mV, "
+            f"{100 * alone / found.two_pi_voltage.value:.2g} %: so well two runs with the same settings of the "
+            "oscilloscope compare."
         )
         said.append(_step_sentence(found, injected))
     difference = found.step_time_ppm
@@ -77,8 +79,8 @@ def flags(found: WitnessEvaluation, settings: FogSettings) -> list[str]:
     limit, u = settings.limits.witness_two_pi_error_ppm, _PPM * found.two_pi_error.u
     if limit is not None and u > limit:
         said.append(
-            f"The 2π error is uncertain by {u:.3g} ppm, more than its limit of {limit:g} ppm: neither PASS nor FAIL "
-            "is proved. Compare the oscilloscope with a voltmeter and set witness.gain_u."
+            f"The 2π error is uncertain by {u:.3g} ppm, more than its limit of {limit:g} ppm: neither PASS nor "
+            "FAIL is proved. Compare the oscilloscope with a voltmeter and set witness.gain_u."
         )
     return said
 

@@ -11,7 +11,7 @@ import numpy as np
 from analysis import Flag, fit_harmonics
 from analysis.lockin_equation import Relation
 from instrument import Waveform, read_waveform
-from station.errors import NoUsableSignal
+from station.estimates import check_over_time
 from station.evaluate import Evaluation, Method, evaluate_run, evaluate_waveforms, saved_settings
 from station.results import record_documents, result_document
 from station.runs import SavedRun, is_run, open_run
@@ -103,9 +103,7 @@ def analyze_path(path: Path, choices: Choices, settings: Settings) -> Analyzed:
         scale_factor = choices.scale_factor or saved_settings(run).gyro.scale_factor_pulses_per_deg
         return Analyzed(path, run, evaluate_run(run, _method(choices, scale_factor), choices.known))
     waveform = read_waveform(path)
-    if waveform.preamble.xunit.lower() != "s":
-        unit = waveform.preamble.xunit
-        raise NoUsableSignal(f"{path}: is a spectrum ({unit}), not a record over time: save the channel itself")
+    check_over_time(waveform, str(path))
     scale_factor = choices.scale_factor or settings.gyro.scale_factor_pulses_per_deg
     evaluation = evaluate_waveforms([waveform], [str(path)], _method(choices, scale_factor))
     return Analyzed(path, None, evaluation)

@@ -15,7 +15,7 @@ from analysis.lockin_equation import Relation
 from instrument import Preamble, Waveform
 from instrument.errors import InstrumentError
 from instrument.waveform import CLIPPED_CODE
-from station.errors import RunError
+from station.errors import NoUsableSignal, RunError
 from station.runs import SavedRecord, SavedRun
 
 Array = NDArray[np.float64]
@@ -58,11 +58,32 @@ def saved_waveform(record: SavedRecord, run: SavedRun) -> Waveform:
     ------
     RunError
         If codes and preamble do not belong together.
+    NoUsableSignal
+        If it is no record over time.
     """
     try:
-        return Waveform(record.codes, Preamble.parse(record.preamble))
+        waveform = Waveform(record.codes, Preamble.parse(record.preamble))
     except InstrumentError as error:
         raise RunError(f"{run.path}: record {record.number} cannot be read: {error}") from None
+    check_over_time(waveform, f"{run.path}: record {record.number}")
+    return waveform
+
+
+def check_over_time(waveform: Waveform, name: str) -> None:
+    """Refuse what only looks like a record.
+
+    Raises
+    ------
+    NoUsableSignal
+        A spectrum, or pairs of minima and maxima.
+    """
+    unit = waveform.preamble.xunit
+    if unit.lower() != "s":
+        raise NoUsableSignal(f"{name}: is a spectrum ({unit}), not a record over time: save the channel itself")
+    if waveform.preamble.pt_fmt == "ENV" or "pk detect" in waveform.preamble.wfid.lower():
+        raise NoUsableSignal(
+            f"{name}: was taken with Peak Detect: it holds minima and maxima, not samples; use SAMPLE mode"
+        )
 
 
 def estimate_records(waveforms: Sequence[Waveform], method: Method) -> LockInEstimate:

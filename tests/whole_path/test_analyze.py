@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from station.runs import open_run
+from station.runs import SavedRecord, open_run
 
 TEK_FILES = Path(__file__).resolve().parents[3] / "shared" / "data" / "tek-files"
 
@@ -54,9 +54,8 @@ def test_the_report_again(gyrolock, run: Path, tmp_path: Path) -> None:
     assert gyrolock("report", run).out.strip() == str(run.parent / "report.html")
 
 
-def test_a_csv_file_of_the_beat_gives_the_lock_in_rate(gyrolock, run: Path, tmp_path: Path) -> None:
+def write_csv(file: Path, record: SavedRecord, point_format: str) -> None:
     """A record of the run, written the way the scope saves it on its card."""
-    record = open_run(run).taken_for("measure")[0]
     fields = record.preamble.split(";")
     interval, first, scale, offset = (float(fields[i]) for i in (8, 10, 12, 14))
     header = {
@@ -69,7 +68,7 @@ def test_a_csv_file_of_the_beat_gives_the_lock_in_rate(gyrolock, run: Path, tmp_
         "Vertical Offset": f"{offset / 25 * scale * 25:.6e}",
         "Horizontal Units": "s",
         "Horizontal Scale": f"{interval * 250:.6e}",
-        "Pt Fmt": "Y",
+        "Pt Fmt": point_format,
         "Yzero": "0.000000e+00",
         "Probe Atten": "1.000000e+00",
         "Model Number": "TDS2014C",
@@ -77,17 +76,29 @@ def test_a_csv_file_of_the_beat_gives_the_lock_in_rate(gyrolock, run: Path, tmp_
         "Firmware Version": "FV:v24.26",
     }
     names = [*header, *[""] * (2500 - len(header))]
-    with (tmp_path / "F0000CH1.CSV").open("w", newline="") as file:
-        writer = csv.writer(file)
+    with file.open("w", newline="") as out:
+        writer = csv.writer(out)
         for n, (name, code) in enumerate(zip(names, record.codes.astype(int), strict=True)):
             volts = (code - offset) * scale
             writer.writerow([name, header.get(name, ""), "", f"{first + n * interval:.12f}", f"{volts:.5f}", ""])
+
+
+def test_a_csv_file_of_the_beat_gives_the_lock_in_rate(gyrolock, run: Path, tmp_path: Path) -> None:
+    write_csv(tmp_path / "F0000CH1.CSV", open_run(run).taken_for("measure")[0], "Y")
     done = gyrolock("analyze", "F0000CH1.CSV", "--json")
     assert done.code == 0, done.err
     assert done.document["lock_in_rate_dps"] == pytest.approx(0.01, abs=5 * done.document["lock_in_rate_u_dps"])
     first_line = done.document["harmonics"][0]
     assert first_line["amplitude_v"] == pytest.approx(0.38 * (1 - done.document["ratio"] ** 2), rel=0.01)
     assert first_line["frequency_hz"] == pytest.approx(done.document["beat_frequency_hz"], rel=1e-5)
+
+
+def test_a_peak_detect_record_is_refused(gyrolock, run: Path, tmp_path: Path) -> None:
+    write_csv(tmp_path / "F0001CH1.CSV", open_run(run).taken_for("measure")[0], "ENV")
+    done = gyrolock("analyze", "F0001CH1.CSV", "--json")
+    assert done.code == 4
+    assert "Peak Detect" in done.document["error"]["message"]
+    assert done.document.get("lock_in_rate_dps") is None
 
 
 @pytest.mark.skipif(not TEK_FILES.is_dir(), reason="the files of real scopes are not here")

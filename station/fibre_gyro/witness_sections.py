@@ -27,7 +27,7 @@ def witness_sections(found: WitnessEvaluation, sentences: tuple[str, ...]) -> li
         Section("What this result shows, and what it cannot", sentences=sentences),
         Section(
             "Staircase on the oscilloscope",
-            figures=(PlacedFigure(staircase_record_svg(first), f"{first.name}: samples and the fitted levels."),),
+            figures=(PlacedFigure(staircase_record_svg(first), f"Samples and fitted levels of {first.name}."),),
         ),
         Section(
             "Levels less the even staircase",

@@ -30,10 +30,13 @@ QUIET = 0.45
 TERMS = 8
 SMALLEST_TERM = 1e-4
 
+SILENT = 0.36
+"""Residual rms in levels above which no rounding error repeats, and one correction is enough: 0.2 of noise."""
+
 LEAST_RMS = 0.08
 """Residual rms in levels that the truncated series leaves of a record without any noise."""
 
-LEFTOVER, LEFTOVER_FALL = 0.3, 0.075
+LEFTOVER, LEFTOVER_FALL = 0.22, 0.075
 """Relative surplus of the uncertainty there, and the rms over which it falls to a third."""
 
 REPEATED = 1.3
@@ -164,5 +167,7 @@ def leftover_excess(left: Samples, spacing: Floats) -> Floats:
     """
     rms = np.sqrt(np.vecdot(left, left) / left.shape[1]) / spacing
     along = 1 + LEFTOVER * np.exp((LEAST_RMS - rms) / LEFTOVER_FALL)
-    repeated = repetition(left)
+    silent = np.flatnonzero(rms < SILENT)
+    repeated = np.ones(rms.size)
+    repeated[silent] = repetition(left[silent])
     return np.asarray(along**2 * np.where(repeated > REPEATED, repeated, 1.0))

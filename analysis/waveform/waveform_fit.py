@@ -16,6 +16,7 @@ from analysis.waveform.normal_equations import Step
 from analysis.waveform.phase_tracking import looks_like_wander, track_phase
 from analysis.waveform.quantisation import (
     FEW_ERRORS,
+    SILENT,
     leftover_excess,
     level_spacing,
     locked_to_the_beat,
@@ -35,9 +36,6 @@ SINGLE_PRECISION_SWING = 1e-12, 1e12
 
 SINGLE_PRECISION_NOISE = 1e-4
 """Noise over swing below which single precision would show: less than a fiftieth of an eight-bit level."""
-
-SETTLED = 0.36
-"""Residual rms in levels above which one correction of the rounding error is enough: 0.2 of noise."""
 
 TRACKED_FROM = 1e-4
 """Residual over fundamental below which no moving phase is tried: a wander of s rad leaves about s."""
@@ -150,11 +148,12 @@ def _take_out_rounding(
     quiet, excess = np.flatnonzero(spacing), np.ones(len(values))
     is_locked = np.zeros(len(values), dtype=bool)
     if quiet.size:
-        repeated = repetition(left[quiet])
-        locked = locked_to_the_beat(series.omega[quiet], repeated, values.shape[1])
-        excess[quiet[locked]] = repeated[locked] * FEW_ERRORS
-        is_locked[quiet[locked]] = True
-        quiet = quiet[~locked]
+        silent = quiet[rms[quiet] < SILENT * spacing[quiet]]
+        repeated = repetition(left[silent])
+        locked = locked_to_the_beat(series.omega[silent], repeated, values.shape[1])
+        excess[silent[locked]] = repeated[locked] * FEW_ERRORS
+        is_locked[silent[locked]] = True
+        quiet = quiet[~is_locked[quiet]]
     if quiet.size == 0:
         return excess, is_locked
     some, mask = values[quiet], None if weights is None else weights[quiet]
@@ -162,7 +161,7 @@ def _take_out_rounding(
     fitted = series.take(quiet)
     # The rounding error is taken where the first fit has put the waveform. That fit was moved by it by little, but
     # with next to no noise the error changes within a small part of a level.
-    for _ in range(1 if np.all(rms[quiet] > SETTLED * spacing[quiet]) else 2):
+    for _ in range(1 if np.all(rms[quiet] > SILENT * spacing[quiet]) else 2):
         model = sampled_series(fitted, n_samples, values.dtype)
         corrected = some - mean_rounding(model, some, spacing[quiet], rms[quiet])
         if mask is not None:

@@ -30,7 +30,17 @@ NEGLIGIBLE = 1e-9
 STANDSTILL = 1e-4
 """A phase that turns by less than this share of its free speed counts as locked; no integrator gets through."""
 
-SHOTS = 30
+FEWEST = 33
+"""Points of the phase to begin with; twice as many until the last harmonics are `NEGLIGIBLE_LINE`."""
+
+NEGLIGIBLE_LINE = 1e-13
+ROUNDS = 30
+LONGEST_STEP = 0.5
+CONVERGED = 1e-8
+"""Newton's method squares its error: the next step would be rounding."""
+
+DETOUR = (4.0, 2.0, 1.5, 1.2, 1.1, 1.05, 1.02, 1.01, 1.0)
+"""Rates, over the one wanted, by which a solution is reached that Newton's method does not find at once."""
 
 
 @dataclass(frozen=True)
@@ -159,8 +169,9 @@ def _mirrored(lines: Complexes) -> Complexes:
 def steady_beat(laser: WinkingLaser, input_rate: float) -> SteadyBeat:
     """Periodic solution of equations (1) at a constant rate.
 
-    The phase is the independent variable: over one turn of it the intensities must come back to where they were.
-    Newton's method finds the start for which they do, however slow the transients are.
+    The phase is the independent variable, and the intensities are periodic in it: their values at even steps over
+    one turn follow from Newton's method with the derivative of their Fourier series. Neither slow transients nor a
+    gain far faster than the beat (a stiff equation) matter.
 
     Parameters
     ----------
@@ -171,7 +182,7 @@ def steady_beat(laser: WinkingLaser, input_rate: float) -> SteadyBeat:
     Raises
     ------
     ValueError
-        The phase does not turn at this rate: the gyro is locked.
+        The phase does not turn at this rate: the gyro is locked, or the beat has no steady form.
 
     Examples
     --------
@@ -183,62 +194,115 @@ def steady_beat(laser: WinkingLaser, input_rate: float) -> SteadyBeat:
     >>> round(float(abs(beat.beat[middle + 2] / beat.beat[middle + 1])), 4), round(beat.frequency, 2)
     (0.2679, 173.21)
     """
-    turn = 2 * np.pi * np.sign(input_rate)
-    start = np.zeros(2)
-    for _ in range(SHOTS):
-        end = _one_turn(laser, input_rate, start, turn)[:2, -1]
-        if np.max(np.abs(end - start)) < 1e-12:
-            break
-        jacobian = np.empty((2, 2))
-        for place in range(2):
-            moved = start + 1e-6 * (np.arange(2) == place)
-            jacobian[:, place] = (_one_turn(laser, input_rate, moved, turn)[:2, -1] - end) / 1e-6
-        start = start - np.linalg.solve(jacobian - np.eye(2), end - start)
-    else:
-        raise ValueError("no steady beat was found: backscatter is too strong for its gain")
-    return _harmonics(_one_turn(laser, input_rate, start, turn), turn)
-
-
-def _one_turn(laser: WinkingLaser, input_rate: float, start: Floats, turn: float) -> Floats:
-    """ln I1, ln I2 and time (3, POINTS + 1) at equal steps of the phase over one turn."""
-    from scipy.integrate import solve_ivp  # costs as much to import as the whole of NumPy
-
-    a1, a2 = laser.backscatter
-    half, gain, xi = laser.phase_sum / 2, laser.gain_rate, laser.cross_saturation
-    sagnac = 2 * np.pi * laser.scale_factor * input_rate
-
-    def slopes(psi: float, state: Floats) -> list[float]:
-        first, second = np.exp(state[:2])
-        ratio = np.exp((state[0] - state[1]) / 2)
-        speed = sagnac - a1 * ratio * np.sin(psi - half) - a2 / ratio * np.sin(psi + half)
-        if speed * turn <= STANDSTILL * abs(sagnac * turn):
-            raise ValueError(f"the gyro is locked at {input_rate:.6g} deg/s: there is no beat")
-        by_first = gain * (1 - (first + xi * second) / (1 + xi)) + 2 * a2 / ratio * np.cos(psi + half)
-        by_second = gain * (1 - (second + xi * first) / (1 + xi)) + 2 * a1 * ratio * np.cos(psi - half)
-        return [by_first / speed, by_second / speed, 1 / speed]
-
-    solved = solve_ivp(
-        slopes,
-        (0.0, turn),
-        [*start, 0.0],
-        method="LSODA",
-        t_eval=np.linspace(0.0, turn, POINTS + 1),
-        rtol=1e-11,
-        atol=1e-13,
+    values = np.zeros((2, FEWEST))
+    for rate in [input_rate, *(input_rate * np.array(DETOUR))]:
+        found = _periodic(laser, float(rate), values)
+        if found is not None:
+            values = found
+        if found is not None and rate == input_rate:
+            return _harmonics(laser, input_rate, values)
+    raise ValueError(
+        f"the gyro is locked at {input_rate:.6g} deg/s, or its backscatter is too strong for its gain: "
+        "there is no steady beat"
     )
-    return np.asarray(solved.y)
 
 
-def _harmonics(path: Floats, turn: float) -> SteadyBeat:
+def _periodic(laser: WinkingLaser, input_rate: float, start: Floats) -> Floats | None:
+    """ln I1 and ln I2 (2, n) at n even steps of the phase over one turn, n as large as it must be; or None."""
+    n = start.shape[1]
+    while (values := _newton(laser, input_rate, start)) is not None:
+        lines = np.abs(np.fft.rfft(values)) / n
+        if n >= POINTS or np.max(lines[:, -n // 8 :]) < NEGLIGIBLE_LINE:
+            return values
+        n = 2 * n - 1
+        start = _resampled(values, n)
+    return None
+
+
+def _newton(laser: WinkingLaser, input_rate: float, values: Floats) -> Floats | None:
+    """Solution of the equations at all points at once; None where the phase stands still or nothing converges."""
+    n = values.shape[1]
+    psi = _phases(n, input_rate)
+    derive = _derivative(n) * np.sign(input_rate)
+    sagnac = 2 * np.pi * laser.scale_factor * abs(input_rate)
+    for _ in range(ROUNDS):
+        speed, growth, speed_by, growth_by = _slopes(laser, input_rate, psi, values)
+        if np.min(speed * np.sign(input_rate)) <= STANDSTILL * sagnac:
+            return None
+        slopes = values @ derive.T
+        jacobian = np.zeros((2, n, 2, n))
+        for beam in range(2):
+            jacobian[beam, :, beam] = speed[:, np.newaxis] * derive
+            for other in range(2):
+                part = slopes[beam] * speed_by[other] - growth_by[beam, other]
+                jacobian[beam, np.arange(n), other, np.arange(n)] += part
+        missing = (growth - speed * slopes).ravel()
+        step = np.linalg.solve(jacobian.reshape(2 * n, 2 * n), missing).reshape(2, n)
+        size = float(np.max(np.abs(step)))
+        values = values + step * min(1.0, LONGEST_STEP / max(size, 1e-300))
+        if size < CONVERGED:
+            return values
+    return None
+
+
+def _slopes(
+    laser: WinkingLaser, input_rate: float, psi: Floats, values: Floats
+) -> tuple[Floats, Floats, Floats, Floats]:
+    """d psi/dt (n,) and d ln I/dt (2, n); of both, the derivatives (2, n) and (2, 2, n) by the two ln I."""
+    a1, a2 = laser.backscatter
+    half, xi = laser.phase_sum / 2, laser.cross_saturation
+    gain = laser.gain_rate / (1 + xi)
+    first, second = np.exp(values)
+    ratio = np.exp((values[0] - values[1]) / 2)
+    pull = a1 * ratio * np.sin(psi - half), a2 / ratio * np.sin(psi + half)
+    feed = 2 * a2 / ratio * np.cos(psi + half), 2 * a1 * ratio * np.cos(psi - half)
+    speed = 2 * np.pi * laser.scale_factor * input_rate - pull[0] - pull[1]
+    growth = [gain * (1 + xi - first - xi * second) + feed[0], gain * (1 + xi - second - xi * first) + feed[1]]
+    turned = (pull[1] - pull[0]) / 2
+    by_beams = [
+        [-gain * first - feed[0] / 2, -gain * xi * second + feed[0] / 2],
+        [-gain * xi * first + feed[1] / 2, -gain * second - feed[1] / 2],
+    ]
+    return np.asarray(speed), np.array(growth), np.array([turned, -turned]), np.array(by_beams)
+
+
+def _phases(n: int, input_rate: float) -> Floats:
+    """n phases over one turn, in the order of time."""
+    return np.asarray(np.sign(input_rate) * 2 * np.pi * np.arange(n) / n)
+
+
+def _derivative(n: int) -> Floats:
+    """Matrix (n, n) of the derivative of a periodic function at n (odd) even steps over one turn; exact for its
+    trigonometric polynomial."""
+    steps = np.subtract.outer(np.arange(n), np.arange(n))
+    with np.errstate(divide="ignore"):
+        matrix = 0.5 * np.where(steps % 2 == 0, 1.0, -1.0) / np.sin(np.pi * steps / n)
+    np.fill_diagonal(matrix, 0.0)
+    return np.asarray(matrix)
+
+
+def _resampled(values: Floats, n: int) -> Floats:
+    """The same trigonometric polynomial at n even steps, n no smaller than before."""
+    return np.asarray(np.fft.irfft(np.fft.rfft(values), n) * n / values.shape[1])
+
+
+def _harmonics(laser: WinkingLaser, input_rate: float, values: Floats) -> SteadyBeat:
     """Harmonics in time from a path in phase: c_n = (1/T) integral of x exp(-i n w t) (dt/dpsi) over psi."""
-    times = path[2]
-    period = times[-1]
-    psi = np.linspace(0.0, turn, POINTS + 1)[:-1]
-    # dt/dpsi of a periodic function, from its own Fourier series: exact to rounding for a smooth path.
-    ripple = np.fft.fft(times[:-1] - period * psi / turn)
-    orders = np.fft.fftfreq(POINTS, 1 / POINTS)
-    weight = 1 + np.fft.ifft(1j * orders * ripple).real * (2 * np.pi / turn) * turn / period
-    kernel = np.exp(-2j * np.pi * np.outer(np.arange(POINTS) - POINTS // 2, times[:-1] / period)) * weight / POINTS
-    intensities = np.exp(path[:2, :-1])
+    psi = _phases(POINTS, input_rate)
+    # An even number of points has no place for the highest line of the longest solution; it is rounding.
+    lines = np.fft.rfft(values)[:, : POINTS // 2] * (POINTS / values.shape[1])
+    logs = np.fft.irfft(lines, POINTS)
+    slowness = 1 / np.abs(_slopes(laser, input_rate, psi, logs)[0])
+    period = 2 * np.pi * float(np.mean(slowness))
+    weight = slowness / np.mean(slowness)
+    orders = np.fft.rfftfreq(POINTS, 1 / POINTS)
+    ripple = np.fft.rfft(weight)
+    ripple[1:] /= 1j * orders[1:]
+    ripple[0] = 0
+    # Phase of the fundamental: the integral of its own speed, from 0 at psi = 0.
+    wave = np.fft.irfft(ripple, POINTS)
+    turned = np.abs(psi) + wave - wave[0]
+    kernel = np.exp(-1j * np.outer(np.arange(POINTS) - POINTS // 2, turned)) * weight / POINTS
+    intensities = np.exp(logs)
     field = np.sqrt(intensities[0] * intensities[1]) * np.exp(1j * psi)
-    return SteadyBeat(float(1 / abs(period)), kernel @ field, intensities @ kernel.T)
+    return SteadyBeat(1 / period, kernel @ field, np.asarray(intensities @ kernel.T))

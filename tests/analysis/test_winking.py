@@ -1,3 +1,5 @@
+import time
+
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
@@ -106,6 +108,34 @@ def test_an_impossible_laser_is_refused(change, message):
     }
     with pytest.raises(ValueError, match=message):
         WinkingLaser(**{**good, **change})
+
+
+@pytest.mark.parametrize("corner", [1e5, 3e5, 1e7])
+def test_a_gain_far_faster_than_the_beat_is_quick(corner):
+    """A stiff equation: an integrator in time takes many seconds, or never ends."""
+    begun = time.perf_counter()
+    beat = steady_beat(symmetric_laser(0.01, scale_factor=K, gain_corner_hz=corner, phase_sum=1.0), 0.0806225775)
+    assert time.perf_counter() - begun < 2
+    middle = beat.beat.size // 2
+    first, second = beat.beat[middle + 1 : middle + 3]
+    expected = 1j * harmonic_ratio(0.01 / 0.0806225775) / (1 + 1j * beat.frequency / corner)
+    assert second * abs(first) / first**2 == pytest.approx(expected, rel=1e-5)
+    assert beat.frequency == pytest.approx(160, rel=1e-6)
+
+
+@pytest.mark.parametrize(("multiple", "turns"), [(2.0, False), (2.5, True)])
+def test_conservative_coupling_locks_beyond_the_lock_in_rate_of_fast_gain(multiple, turns):
+    """eps = 143 deg and a difference of the beams that relaxes slowly, against the fields in time."""
+    laser = symmetric_laser(0.01, scale_factor=K, gain_corner_hz=1e3, phase_sum=2.5, cross_saturation=0.8)
+    first, second = integrated_fields(laser, 0.01 * multiple, 1.0, 4000)
+    phase = np.unwrap(np.angle(first * np.conj(second)))
+    if turns:
+        beat = steady_beat(laser, 0.01 * multiple).frequency
+        assert (phase[-1] - phase[0]) / (2 * np.pi) == pytest.approx(beat, abs=0.1)
+    else:
+        assert abs(phase[-1] - phase[0]) < 1
+        with pytest.raises(ValueError, match="locked"):
+            steady_beat(laser, 0.01 * multiple)
 
 
 def test_the_light_of_single_beams_adds_little():

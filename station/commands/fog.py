@@ -10,7 +10,7 @@ import click
 
 from station.commands.fog_output import finish
 from station.commands.fog_witness import witness
-from station.commands.options import config_option, json_option
+from station.commands.options import config_option, json_option, print_json
 
 if TYPE_CHECKING:
     from station.fibre_gyro.campaign import Campaign
@@ -83,14 +83,23 @@ def figures(**given: Any) -> int:
 
 @command.command("settings")
 @click.option("--serial", is_flag=True, help="The example for a gyro on a serial port.")
-def settings_file(serial: bool) -> int:
-    """Print the commented settings file to copy."""
+@config_option
+@json_option
+def settings_file(serial: bool, config: Path | None, as_json: bool) -> int:
+    """Print the commented settings file to copy.
+
+    With --json, or with --config FILE, the values that would be used are printed instead of the file.
+    """
     from station.errors import EXIT_OK
     from station.settings import shipped_settings
 
-    click.echo(
-        shipped_settings("fibre_gyro_serial" if serial else "fibre_gyro").read_text(encoding="utf-8"), nl=False
-    )
+    shipped = shipped_settings("fibre_gyro_serial" if serial else "fibre_gyro")
+    if config is not None or as_json:
+        from station.fibre_gyro.settings import load_fog_settings
+
+        print_json(load_fog_settings(config or shipped).model_dump(mode="json"))
+    else:
+        click.echo(shipped.read_text(encoding="utf-8"), nl=False)
     return EXIT_OK
 
 
@@ -99,7 +108,8 @@ def settings_file(serial: bool) -> int:
 @click.option("--speed", type=click.FloatRange(min=0, min_open=True), default=1.0, help="Faster than real time.")
 @click.option("--rate", type=float, default=0.0, metavar="W", help="Rate of the table, deg/s.")
 @config_option
-def serve(tcp: int | None, speed: float, rate: float, config: Path | None) -> int:
+@json_option
+def serve(tcp: int | None, speed: float, rate: float, config: Path | None, as_json: bool) -> int:
     """Serve the simulated gyro on a serial terminal (or TCP); the first line on stdout is its port."""
     import threading
 
@@ -111,9 +121,13 @@ def serve(tcp: int | None, speed: float, rate: float, config: Path | None) -> in
     settings = load_fog_settings(config)
     layout = read_frame_format(settings)
     with serve_gyro(settings, layout, tcp_port=tcp, speed=speed, rate_dps=rate) as port:
-        click.echo(port)
+        if as_json:
+            print_json({"port": port})
+        else:
+            click.echo(port)
         try:
-            threading.Event().wait()
+            while True:  # a wait without end could not be interrupted on Windows
+                threading.Event().wait(timeout=0.5)
         except KeyboardInterrupt:
             return EXIT_OK
     return EXIT_OK

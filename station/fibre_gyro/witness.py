@@ -19,8 +19,8 @@ from station.runs import SavedRecord, SavedRun
 
 _PPM = 1e6
 _SHARED = 0.5
-"""Of the uncertainty of one record, what all records of a run share: 24 simulated runs of 5 records scatter 1.4 times
-as much as records that share nothing."""
+"""Of the uncertainty of one record, what all records of a run share: 24 simulated runs of 5 records scatter 1.4
+times as much as records that share nothing."""
 
 
 @dataclass(frozen=True)
@@ -195,7 +195,7 @@ def _mean(records: Sequence[WitnessedRecord], name: str) -> Measured:
 
 
 def _shared(record: WitnessedRecord) -> float:
-    """Part of the uncertainty that every record of a run has in common: with little noise all that rounding does."""
+    """Part of the uncertainty that all records of a run have in common: with little noise what rounding does."""
     found = record.found
     if not found.level_spacing:
         return _SHARED

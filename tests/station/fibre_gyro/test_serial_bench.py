@@ -57,10 +57,9 @@ class ServedBench:
         reaches: float = 1.0,
         step_scale: int = 16384,
     ) -> None:
-        values = tomllib.loads(shipped_settings("fibre_gyro_frames").read_text())["formats"]["binary_frames"]
+        values = tomllib.loads(shipped_settings("fibre_gyro_frames").read_text())["formats"]["binary_open_loop"]
         values["commands"]["step_scale"] = step_scale
-        names = [{"name": name, "bytes": 4, "type": "float"} for name in ("normal_error", "reset_error")]
-        self.layout = parse_frame_format({**values, "fields": values["fields"] + names}, where="test")
+        self.layout = parse_frame_format(values, where="test")
         self.gyro = ServedGyro(settings, self.layout.interval_s)
         self.server = stack.enter_context(TcpGyroServer(self.gyro, self.layout, speed=SPEED, faults=faults))
         self.link = stack.enter_context(FibreGyroLink(self.server.port, self.layout, speed=SPEED))

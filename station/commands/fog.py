@@ -112,6 +112,7 @@ def settings_file(serial: bool, config: Path | None, as_json: bool) -> int:
 def serve(tcp: int | None, speed: float, rate: float, config: Path | None, as_json: bool) -> int:
     """Serve the simulated gyro on a serial terminal (or TCP); the first line on stdout is its port."""
     import threading
+    from contextlib import suppress
 
     from station.errors import EXIT_OK
     from station.fibre_gyro.bench import read_frame_format
@@ -119,17 +120,16 @@ def serve(tcp: int | None, speed: float, rate: float, config: Path | None, as_js
     from station.fibre_gyro.settings import load_fog_settings
 
     settings = load_fog_settings(config)
-    layout = read_frame_format(settings)
+    layout, ended = read_frame_format(settings), threading.Event()
     with serve_gyro(settings, layout, tcp_port=tcp, speed=speed, rate_dps=rate) as port:
         if as_json:
             print_json({"port": port})
         else:
             click.echo(port)
-        try:
-            while True:  # a wait without end could not be interrupted on Windows
-                threading.Event().wait(timeout=0.5)
-        except KeyboardInterrupt:
-            return EXIT_OK
+        with suppress(KeyboardInterrupt):
+            # a wait without end could not be interrupted on Windows
+            while not ended.wait(timeout=0.5):
+                pass
     return EXIT_OK
 
 

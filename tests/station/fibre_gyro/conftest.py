@@ -1,5 +1,6 @@
 """A run of `gyrolock fog` in this process, which spares the time to start another."""
 
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -11,6 +12,8 @@ from station.fibre_gyro.session import start_run
 from station.fibre_gyro.settings import FogSettings, load_fog_settings
 from station.fibre_gyro.store import FogRun, open_fog_run
 from station.progress import Progress
+
+sys.path.insert(0, str(Path(__file__).parent))  # staircases.py
 
 Settings = Callable[..., FogSettings]
 Taken = Callable[..., tuple[FogResult, FogRun]]

@@ -10,10 +10,13 @@ import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from instrument.simulated import SimulatedTDS2014, TcpServer
 from station.cli import main
 from station.fibre_gyro.store import open_fog_run
+from station.runs import open_run
 
 COMMAND = [sys.executable, "-m", "station.cli", "fog"]
 SERVED = """
@@ -92,6 +95,12 @@ def test_limits_decide_the_exit_code(gyrolock, tmp_path: Path) -> None:
         (("table", "--port", "x", "--seed", "3"), 2, "--seed belongs to the simulated gyro"),
         (("eps", "list.csv"), 2, "has no column step_codes"),
         (("table", "list.csv"), 2, "log.csv"),
+        (("witness", "nowhere.csv"), 2, "nowhere.csv"),
+        (("witness", "list.csv"), 2, "is not a waveform file"),
+        (("witness", "list.csv", "--channel", "CH2"), 2, "saved records and --channel exclude each other"),
+        (("witness", "--port", "/dev/ttyUSB7"), 2, "witness.resource no oscilloscope"),
+        (("witness", "--resource", "TCPIP::127.0.0.1::1::SOCKET"), 3, "TCPIP::127.0.0.1::1::SOCKET"),
+        (("witness", "--resource", "x", "--seed", "3"), 2, "--seed belongs to the simulated oscilloscope"),
     ],
 )
 def test_mistakes_are_one_line(
@@ -118,13 +127,100 @@ def test_points_left_out_are_one_line_each(gyrolock, tmp_path: Path) -> None:
     assert "not a whole number: use 30 turns = 539.730 s or 31 turns = 557.721 s" in done.err
 
 
+@pytest.mark.parametrize("name", ["table", "selfcal", "eps", "figures", "witness", "settings", "serve"])
+def test_every_subcommand_has_help_json_and_config(name: str, capsys) -> None:
+    assert main(["fog", name, "--help"]) == 0
+    text = capsys.readouterr().out
+    assert "--json" in text
+    assert "--config" in text
+
+
+def test_settings_as_they_would_be_used(capsys, tmp_path: Path) -> None:
+    (tmp_path / "my.toml").write_text("[witness]\nhalf_wave_v = 3.7\n")
+    assert main(["fog", "settings", "--config", str(tmp_path / "my.toml"), "--json"]) == 0
+    values = json.loads(capsys.readouterr().out)
+    assert values["witness"]["half_wave_v"] == 3.7
+    assert values["eps"]["steps_codes"] == [2001.0, 5001.0]
+
+
+ISF_NAMES = "BYT_NR BIT_NR ENCDG BN_FMT BYT_OR NR_PT WFID PT_FMT XINCR PT_OFF XZERO XUNIT YMULT YZERO YOFF YUNIT"
+
+
+def test_the_witness_in_one_command_and_again_from_its_files(gyrolock, tmp_path: Path) -> None:
+    (tmp_path / "modulator.toml").write_text("[simulation]\ntwo_pi_error = 0.05\n")
+    began = time.monotonic()
+    done = gyrolock("fog", "witness", "--config", "modulator.toml", "--records", 3, "--json")
+    assert done.code == 0, done.err
+    assert time.monotonic() - began < 20
+    found, truth = done.document, done.document["truth"]
+    off = found["two_pi_voltage_v"] - truth["two_pi_voltage_v"]
+    assert abs(off) < 4 * found["two_pi_voltage_u_without_gain_v"] < 0.02
+    assert found["two_pi_error"] == pytest.approx(0.05, abs=2e-3)
+    assert found["half_wave_v"] == 4.0
+    assert "records 3/3" in done.err
+    page = (tmp_path / found["report"]).read_text(encoding="utf-8")
+    assert page.count("<svg") == 2
+    assert "neither" not in page
+
+    limits = "[limits]\nwitness_two_pi_error_ppm = 20000\n[witness]\ngain_u = 0.001\nhalf_wave_v = 4.0\n"
+    (tmp_path / "limits.toml").write_text(limits)
+    judged = gyrolock("fog", "witness", found["run"], "--config", "limits.toml", "--no-report")
+    assert judged.code == 1
+    assert "FAIL witness two pi error: 5" in judged.out
+    for number, saved in enumerate(open_run(tmp_path / found["run"]).records):
+        pairs = zip(ISF_NAMES.split(), saved.preamble.split(";"), strict=True)
+        head = ";".join(f"{name} {value}" for name, value in pairs)
+        curve = saved.codes.tobytes()
+        (tmp_path / f"{number}.isf").write_bytes(f":WFMPRE:{head};:CURVE #4{len(curve)}".encode() + curve)
+    again = gyrolock("fog", "witness", "0.isf", "1.isf", "2.isf", "--config", "limits.toml", "--json")
+    assert again.code == 1
+    assert again.document["two_pi_voltage_v"] == pytest.approx(found["two_pi_voltage_v"], rel=1e-12)
+    assert [one["name"] for one in again.document["records"]] == ["0.isf", "1.isf", "2.isf"]
+    assert "truth" not in again.document
+
+
+def test_the_witness_on_a_scope_that_somebody_else_serves(gyrolock, tmp_path: Path) -> None:
+    def staircase(times):
+        # a converter of 12 bits that spans 5.5 V, 331 codes down every 2.4 us, and nothing of the program in it
+        return np.mod(-331 * np.floor(np.asarray(times) / 2.4e-6), 4096) * 5.5 / 4096
+
+    coil = "[gyro]\ndac_bits = 12\ncoil_length_m = 490.0\n[witness]\nhalf_wave_v = 2.5\n"
+    (tmp_path / "mine.toml").write_text(coil)
+    server = TcpServer(SimulatedTDS2014({4: staircase}, seed=4))
+    try:
+        arguments = ("--resource", server.resource_name, "--channel", "ch4", "--records", 2)
+        done = gyrolock("fog", "witness", *arguments, "--config", "mine.toml", "--json")
+    finally:
+        server.close()
+    assert done.code == 0, done.err
+    found = done.document
+    assert found["two_pi_voltage_v"] == pytest.approx(5.5, abs=4 * found["two_pi_voltage_u_without_gain_v"])
+    assert found["two_pi_error"] == pytest.approx(0.1, abs=2e-3)
+    assert found["two_pi_error_u"] == pytest.approx(1.1 * 0.0173, rel=0.02)
+    assert found["step_height_v"] == pytest.approx(-331 * 5.5 / 4096, rel=2e-3)
+    assert found["step_time_s"] == pytest.approx(2.4e-6, abs=4 * found["step_time_u_s"])
+    assert found["step_codes"] == pytest.approx(-331, abs=4 * found["step_u_codes"])
+    assert found["bias_height_v"] == 0
+    assert not found["simulated"]
+
+
+@pytest.mark.skipif(os.name != "posix", reason="serial terminals of this kind are POSIX")
+def test_open_loop_over_a_serial_line_with_a_format_that_comes_along(gyrolock, served, tmp_path: Path) -> None:
+    port = served('[link]\nspeed = 20.0\nframe_format = "binary_open_loop"\n[simulation]\ntwo_pi_error = 0.001\n')
+    done = gyrolock("fog", "eps", "--port", port, "--config", "served.toml", "--json", "--no-report")
+    assert done.code == 0, done.err
+    assert done.document["two_pi_error_ppm"] == pytest.approx(1000, abs=5 * done.document["two_pi_error_u_ppm"])
+    assert done.document["two_pi_error_u_ppm"] < 3
+    assert done.document["left_out"] == []
+
+
 @pytest.fixture
-def served(tmp_path: Path) -> Iterator[Callable[[], str]]:
+def served(tmp_path: Path) -> Iterator[Callable[..., str]]:
     """A simulated gyro in a process of its own, on a serial terminal."""
     started: list[subprocess.Popen[str]] = []
-    (tmp_path / "served.toml").write_text(SERVED)
 
-    def serve() -> str:
+    def serve(settings: str = SERVED) -> str:
+        (tmp_path / "served.toml").write_text(settings)
         process = subprocess.Popen(
             [*COMMAND, "serve", "--config", "served.toml", "--speed", "20"],
             cwd=tmp_path, stdout=subprocess.PIPE, text=True,

@@ -41,15 +41,17 @@ def tilt_from_fast_runs(
     scale_factor: float,
     latitude_deg: float,
     azimuth_deg: ArrayLike | None = None,
+    azimuth_u_deg: ArrayLike = 0.0,
     turned_deg: ArrayLike = 0.0,
-    lock_in_rate: float = 0.0,
+    lock_in_rate: ArrayLike = 0.0,
     scale_factor_u: float = 0.0,
     table_rate_u: float = 0.0,
 ) -> TiltFit:
     """Tilt from fast runs in one or both senses, earth rate and lock-in taken into account.
 
     Each run measures W = sign(table rate) sqrt((f/K)^2 + WL^2) = (table rate + vertical earth rate) cos(tilt)
-    + horizontal earth rate sin(tilt) cos(azimuth); the tilt is found by weighted least squares.
+    + horizontal earth rate sin(tilt) cos(azimuth); the tilt is found by weighted least squares. What the azimuth
+    leaves open does not average out over runs at one table rate: they may all stand at the same azimuth.
 
     Parameters
     ----------
@@ -60,9 +62,11 @@ def tilt_from_fast_runs(
     latitude_deg : float
     azimuth_deg : (n_runs,), optional
         In the middle of each run. Without it, the horizontal earth rate is an uncertainty of each run.
+    azimuth_u_deg : (n_runs,)
+        Standard uncertainty of the azimuths.
     turned_deg : (n_runs,)
         Angle that the table turned in each run; whole turns need no azimuth.
-    lock_in_rate : float
+    lock_in_rate : float or (n_runs,)
         deg/s, roughly; it matters by half its square.
     table_rate_u : float
         Relative, common to all runs.
@@ -81,21 +85,23 @@ def tilt_from_fast_runs(
         )
     measured = np.sign(table) * np.hypot(f / scale_factor, lock_in_rate)
     first = _first_tilt(measured, table)
-    share = np.sinc(np.broadcast_to(np.asarray(turned_deg, dtype=np.float64), f.shape) / 360)
+    turned = np.broadcast_to(np.asarray(turned_deg, dtype=np.float64), f.shape)
     latitude = np.deg2rad(latitude_deg)
+    swing = EARTH_RATE_DPS * np.cos(latitude) * np.sinc(turned / 360)
     turning = table + EARTH_RATE_DPS * np.sin(latitude)
-    crossing, unknown = np.zeros(f.shape), np.zeros(f.shape)
     if azimuth_deg is None:
         # A cosine at a phase that nobody knows has a mean square of one half.
-        unknown = EARTH_RATE_DPS * np.cos(latitude) * np.abs(share) * np.sin(first) / np.sqrt(2)
+        crossing, unknown = np.zeros(f.shape), np.abs(swing) * np.sin(first) / np.sqrt(2)
     else:
-        pointing = np.cos(np.deg2rad(np.broadcast_to(np.asarray(azimuth_deg, dtype=np.float64), f.shape)))
-        crossing = EARTH_RATE_DPS * np.cos(latitude) * share * pointing
-    us = np.hypot(np.maximum(fu / scale_factor, SMALLEST_U_DPS), unknown)
+        azimuth = np.deg2rad(np.broadcast_to(np.asarray(azimuth_deg, dtype=np.float64), f.shape))
+        crossing = swing * np.cos(azimuth)
+        unknown = np.abs(swing * np.sin(azimuth)) * np.sin(first) * np.deg2rad(azimuth_u_deg)
+    own = np.maximum(fu / scale_factor, SMALLEST_U_DPS)
+    us = np.hypot(own, unknown)
     tilt = _least_squares(measured, us, turning, crossing, first)
     left = measured - turning * np.cos(tilt) - crossing * np.sin(tilt)
     common = np.hypot(scale_factor_u / scale_factor, table_rate_u) * np.cos(tilt)
-    cosine_u = float(np.hypot(1 / np.sqrt(np.sum((turning / us) ** 2)), common))
+    cosine_u = float(np.hypot(_mean_u(turning, us, own, unknown, table), common))
     return TiltFit(
         tilt_deg=float(np.rad2deg(tilt)),
         # Near zero tilt the cosine is flat: what is left is how far the axis may lean unseen.
@@ -104,6 +110,13 @@ def tilt_from_fast_runs(
         degrees_of_freedom=f.size - 1,
         earth_rate_part_deg=float(np.rad2deg(tilt - first)),
     )
+
+
+def _mean_u(turning: Floats, us: Floats, own: Floats, unknown: Floats, table: Floats) -> float:
+    """Standard uncertainty of the cosine; `own` is independent in each run, `unknown` common at one table rate."""
+    weights = turning / us**2
+    shared = [np.sum(np.abs(weights[table == rate]) * unknown[table == rate]) for rate in np.unique(table)]
+    return float(np.hypot(np.linalg.norm(weights * own), np.linalg.norm(shared)) / np.sum(weights * turning))
 
 
 def _first_tilt(measured: Floats, table: Floats) -> float:

@@ -1,4 +1,4 @@
-"""Rotation geometry: earth rate on a tilted sensitive axis, and the tilt from fast table runs.
+"""Rotation geometry: earth rate on a tilted sensitive axis, and the rate on it during a record.
 
 The table axis is vertical. The gyro's sensitive axis makes the angle `tilt` with it and points, in the
 horizontal plane, to the azimuth that the table has turned to: 0 = north, growing with a positive table rate. The
@@ -41,41 +41,6 @@ def rate_on_axis(
     """Input rate of the gyro, deg/s: W = W_table cos(tilt) + earth rate along the axis."""
     turned = np.asarray(table_rate, dtype=np.float64) * np.cos(np.deg2rad(tilt_deg))
     return np.asarray(turned + earth_rate_on_axis(latitude_deg, tilt_deg, azimuth_deg), dtype=np.float64)
-
-
-def tilt_from_fast_run(
-    beat_frequency: ArrayLike, beat_frequency_u: ArrayLike, table_rate: ArrayLike, scale_factor: float
-) -> tuple[float, float]:
-    """Tilt between sensitive axis and table axis, deg, and its standard uncertainty, from fast table runs.
-
-    f = K W, since WL does not matter at a fast rate (it changes f by x^2/2). Runs in both senses at the same
-    azimuth cancel the earth rate, which adds to one and subtracts from the other.
-
-    Parameters
-    ----------
-    beat_frequency, beat_frequency_u : (n_runs,)
-        Hz, one value a run, and its standard uncertainty.
-    table_rate : (n_runs,)
-        deg/s, signed.
-    scale_factor : float
-        Pulses per degree.
-
-    Raises
-    ------
-    ValueError
-        The beat is faster than the table could make it: K or the table rate is wrong.
-    """
-    f, fu = np.atleast_1d(beat_frequency).astype(float), np.atleast_1d(beat_frequency_u).astype(float)
-    fastest = scale_factor * np.abs(np.atleast_1d(table_rate).astype(float))
-    cosine = float(np.mean(f / fastest))
-    if not 0 <= cosine <= 1:
-        raise ValueError(
-            f"the beat is {cosine:.4f} times K times the table rate; at most 1 is possible: "
-            "check the scale factor and the table rate"
-        )
-    cosine_u = float(np.sqrt(np.sum((fu / fastest) ** 2)) / f.size)
-    tilt = np.arccos(cosine)
-    return float(np.rad2deg(tilt)), float(np.rad2deg(cosine_u / max(np.sin(tilt), 1e-9)))
 
 
 def earth_rate_swing(latitude_deg: ArrayLike, tilt_deg: ArrayLike) -> Floats:

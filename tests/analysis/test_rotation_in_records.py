@@ -141,6 +141,27 @@ def test_scale_factor_and_table_enter_by_the_cotangent():
         assert np.deg2rad(fit.tilt_u_deg) == pytest.approx(5e-4 / np.tan(np.deg2rad(tilt)), rel=1e-2)
 
 
+def test_azimuths_known_roughly_do_not_average_out_at_one_rate():
+    """Eight records at one rate, all 20 deg past the azimuth given: the error is that of one, and so is u."""
+    table, given = np.full(8, 100.0), np.full(8, 70.0)
+    beats = runs(table, given + 20.0)
+    fit = tilt_from_fast_runs(
+        beats,
+        [1e-3] * 8,
+        table,
+        scale_factor=2000.0,
+        latitude_deg=28.2,
+        azimuth_deg=given,
+        azimuth_u_deg=20.0,
+        lock_in_rate=0.1,
+    )
+    horizontal = 15.041067 / 3600 * np.cos(np.deg2rad(28.2))
+    assert np.deg2rad(fit.tilt_u_deg) * 100 == pytest.approx(
+        horizontal * np.sin(np.deg2rad(70)) * np.deg2rad(20), rel=1e-3
+    )
+    assert 0.9 < abs(fit.tilt_deg - 88.693) / fit.tilt_u_deg < 1.1
+
+
 def test_an_upright_axis_has_a_finite_uncertainty():
     beats = runs([50.0, -50.0], [0.0, 0.0], tilt=0.0, lock_in=0.0)
     fit = tilt_from_fast_runs(

@@ -16,6 +16,7 @@ from station.fibre_gyro.report import render_fog_report
 from station.fibre_gyro.results import evaluate_fog_run, evaluate_witness_run
 from station.fibre_gyro.served_gyro import ServedGyro
 from station.fibre_gyro.settings import fog_settings_from
+from station.fibre_gyro.simulated_modulator import modulator_voltage
 from station.fibre_gyro.staircase_records import staircase_run_from_files, take_staircase_run
 from station.fibre_gyro.witness import evaluate_witness
 from station.progress import Progress
@@ -61,6 +62,18 @@ def test_the_simulated_scope_finds_the_modulator(fog_settings, step: float) -> N
     assert found.step_time.value == pytest.approx(4.896721e-6, rel=1e-4)
     assert found.flags == ()
     assert {saved.conditions["channel"] for saved in run.records} == {"CH3"}
+
+
+def test_the_simulated_staircase_goes_on_for_ever(fog_settings) -> None:
+    settings = fog_settings(simulation={"half_wave_v": 3.0}, witness={"step_codes": 2401.0})
+    voltage = modulator_voltage(settings)
+    number = np.arange(400_000, 403_000)
+    levels = voltage((number + 0.9) * settings.coil.transit_time)
+    rise = (levels[2:] - levels[:-2]) / 6.0 * 65536  # of equal bias
+    np.testing.assert_allclose(np.mod(rise - 2 * 2401 + 100, 65536), 100, atol=1e-6)
+    bias = np.mod(np.diff(levels) / 6.0 * 65536 - 2401 + 100, 65536) - 100
+    np.testing.assert_allclose(np.sort(np.unique(np.round(bias))), [16384, 3 * 16384])
+    assert levels.min() >= 0 and levels.max() <= 6.0 * 1.25
 
 
 def test_an_error_of_the_gain_is_in_every_volt_and_in_no_ratio(fog_settings) -> None:

@@ -14,7 +14,8 @@ from instrument import Waveform, read_waveform
 from station.estimates import check_over_time
 from station.evaluate import Evaluation, Method, evaluate_run, evaluate_waveforms, saved_settings
 from station.results import record_documents, result_document
-from station.runs import SavedRun, is_run, open_run
+from station.run_database import is_database
+from station.runs import SavedRun, open_run
 from station.settings import Settings
 
 
@@ -98,7 +99,7 @@ def analyze_path(path: Path, choices: Choices, settings: Settings) -> Analyzed:
     NoUsableSignal
         If the file holds no signal over time.
     """
-    if is_run(path):
+    if is_database(path):
         run = open_run(path)
         scale_factor = choices.scale_factor or saved_settings(run).gyro.scale_factor_pulses_per_deg
         return Analyzed(path, run, evaluate_run(run, _method(choices, scale_factor), choices.known))

@@ -18,7 +18,8 @@ from station.errors import Failure, NoUsableSignal, RunError, StationError, desc
 from station.progress import Progress
 from station.provenance import provenance
 from station.rate_plan import RateStep, rate_plan
-from station.runs import NewRecord, Purpose, RunWriter, open_run, utc_now
+from station.run_database import utc_now
+from station.runs import NewRecord, Purpose, RunWriter, open_run
 from station.settings import Settings
 from station.tilt import Tilt, evaluate_tilt
 

@@ -10,30 +10,25 @@ import hashlib
 import json
 import sqlite3
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import closing, suppress
 from dataclasses import dataclass
-from datetime import UTC, datetime
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Literal, Self
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from station.errors import RunError
+from station.run_database import DatabaseWriter, Layout, create_database, read_facts, reading, utc_now
 from station.run_directories import new_run_directory
 
 RUN_FILE = "run.sqlite"
 REPORT_FILE = "report.html"
-APPLICATION_ID = 0x47_59_4C_4B  # "GYLK": `file run.sqlite` and open_run tell our files from others
-LAYOUT = 1
 Purpose = Literal["tilt", "measure", "quadrature", "witness"]
 
-_SCHEMA = """
-CREATE TABLE run (
-    name  TEXT PRIMARY KEY,       -- settings, identity, provenance, truth, started_at, ended_at, outcome, ...
-    value TEXT NOT NULL           -- JSON
-) WITHOUT ROWID;
+LAYOUT = Layout(
+    application_id=0x47_59_4C_4B,  # "GYLK"
+    version=1,
+    tables="""
 CREATE TABLE record (
     number     INTEGER PRIMARY KEY,
     taken_at   TEXT NOT NULL,     -- UTC, ISO 8601
@@ -43,12 +38,9 @@ CREATE TABLE record (
     sha256     TEXT NOT NULL,     -- of codes followed by preamble
     conditions TEXT NOT NULL      -- JSON
 );
-CREATE TABLE result (             -- computed from the records; never the truth
-    number      INTEGER PRIMARY KEY,
-    computed_at TEXT NOT NULL,
-    value       TEXT NOT NULL     -- JSON
-);
-"""
+""",
+    name="a saved run of gyrolock",
+)
 
 
 @dataclass(frozen=True)
@@ -118,7 +110,7 @@ class NewRecord:
     conditions: Mapping[str, object]
 
 
-class RunWriter:
+class RunWriter(DatabaseWriter):
     """Writes one run. Records that :meth:`save_records` returned for survives a killed process.
 
     Parameters
@@ -135,28 +127,10 @@ class RunWriter:
     """
 
     def __init__(self, directory: Path, facts: Mapping[str, object]) -> None:
-        self.path = new_run_directory(directory) / RUN_FILE
-        try:
-            _create(self.path)
-            self._db = sqlite3.connect(self.path, isolation_level=None)  # every BEGIN and COMMIT is written here
-            self._db.execute("PRAGMA journal_mode = WAL")
-            self._db.execute("PRAGMA synchronous = FULL")
-        except sqlite3.Error as error:
-            raise RunError(f"{self.path}: cannot be written ({error})") from error
+        path = new_run_directory(directory) / RUN_FILE
+        create_database(path, LAYOUT)
+        super().__init__(path)
         self.save_facts({"started_at": utc_now(), **facts})
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
-
-    def save_facts(self, facts: Mapping[str, object]) -> None:
-        """Save or replace what is known about the run, by name, in one commit."""
-        rows = [(name, json.dumps(value, allow_nan=False)) for name, value in facts.items()]
-        self._commit("INSERT OR REPLACE INTO run VALUES (?, ?)", rows)
 
     def save_record(
         self, purpose: Purpose, codes: NDArray[np.integer[Any]], preamble: str, conditions: Mapping[str, object]
@@ -185,24 +159,6 @@ class RunWriter:
         columns = "taken_at, purpose, codes, preamble, sha256, conditions"
         self._commit(f"INSERT INTO record ({columns}) VALUES (?, ?, ?, ?, ?, ?)", rows)
 
-    def close(self) -> None:
-        """End the run: afterwards it is one plain file, fit for a read-only or a shared disk."""
-        with suppress(sqlite3.Error):  # while a reader looks, the journal stays: the run is complete all the same
-            self._db.execute("PRAGMA journal_mode = DELETE")
-        self._db.close()
-
-    def _commit(self, statement: str, rows: Sequence[tuple[object, ...]]) -> None:
-        try:
-            self._db.execute("BEGIN IMMEDIATE")
-            try:
-                self._db.executemany(statement, rows)
-                self._db.execute("COMMIT")
-            except BaseException:
-                self._db.execute("ROLLBACK")
-                raise
-        except sqlite3.Error as error:
-            raise RunError(f"{self.path}: the disk does not take the record ({error})") from error
-
 
 def open_run(path: Path) -> SavedRun:
     """Read a run, finished or not, whole or cut short by a crash.
@@ -222,41 +178,10 @@ def open_run(path: Path) -> SavedRun:
         If there is no run at ``path``.
     """
     file = run_file(path)
-    if not is_run(file):
-        raise RunError(f"{file}: is not a saved run")
-    try:
-        with closing(sqlite3.connect(f"{file.resolve().as_uri()}?mode=ro", uri=True)) as db:
-            _check_layout(db, file)
-            facts = {name: json.loads(value) for name, value in db.execute("SELECT name, value FROM run")}
-            records = tuple(_read_records(db))
-            results = db.execute("SELECT value FROM result ORDER BY number DESC LIMIT 1").fetchone()
-    except (sqlite3.Error, ValueError) as error:
-        raise RunError(f"{file}: is damaged and cannot be read ({error})") from error
-    return SavedRun(file, facts, records, json.loads(results[0]) if results else None)
-
-
-def save_results(path: Path, results: Mapping[str, object]) -> None:
-    """Keep what was computed from the records of a finished run beside them.
-
-    Parameters
-    ----------
-    path : Path
-        The SQLite file.
-    results : mapping
-        Plain JSON values.
-
-    Raises
-    ------
-    RunError
-        If the disk does not take it.
-    """
-    try:
-        with closing(sqlite3.connect(path)) as db, db:
-            db.execute("PRAGMA synchronous = FULL")
-            row = (utc_now(), json.dumps(dict(results), allow_nan=False))
-            db.execute("INSERT INTO result (computed_at, value) VALUES (?, ?)", row)
-    except sqlite3.Error as error:
-        raise RunError(f"{path}: the result cannot be saved ({error})") from error
+    with reading(file, LAYOUT) as db:
+        facts, records = read_facts(db), tuple(_read_records(db))
+        results = db.execute("SELECT value FROM result ORDER BY number DESC LIMIT 1").fetchone()
+        return SavedRun(file, facts, records, json.loads(results[0]) if results else None)
 
 
 def run_file(path: Path) -> Path:
@@ -274,39 +199,6 @@ def run_file(path: Path) -> Path:
     if not path.exists():
         raise RunError(f"{path}: there is no such file")
     return path
-
-
-def is_run(path: Path) -> bool:
-    """Tell whether a path looks like a run: a directory that holds one, or an SQLite file."""
-    if path.is_dir():
-        return True
-    with path.open("rb") as file:
-        return file.read(16) == b"SQLite format 3\x00"
-
-
-def utc_now() -> str:
-    """Return the time of day as ISO 8601, UTC, to the millisecond."""
-    return datetime.now(UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")
-
-
-def _create(path: Path) -> None:
-    """Make an empty run; it appears under its name only when it is whole."""
-    draft = path.with_name(f".{path.name}")
-    with closing(sqlite3.connect(draft, isolation_level=None)) as db:
-        db.execute("PRAGMA page_size = 16384")
-        db.execute(f"PRAGMA application_id = {APPLICATION_ID}")
-        db.execute(f"PRAGMA user_version = {LAYOUT}")
-        db.executescript(f"BEGIN; {_SCHEMA} COMMIT;")
-    draft.rename(path)
-
-
-def _check_layout(db: sqlite3.Connection, file: Path) -> None:
-    (application,) = db.execute("PRAGMA application_id").fetchone()
-    (layout,) = db.execute("PRAGMA user_version").fetchone()
-    if application != APPLICATION_ID:
-        raise RunError(f"{file}: is a database, but not a saved run of gyrolock")
-    if layout > LAYOUT:
-        raise RunError(f"{file}: was written by a newer gyrolock (layout {layout}): update this one")
 
 
 def _read_records(db: sqlite3.Connection) -> Iterator[SavedRecord]:

@@ -77,10 +77,10 @@ def _show(
     """Save, report and print a result; return its document and its verdict."""
     from station.fibre_gyro.console import print_fog_result
     from station.fibre_gyro.report import write_fog_report
-    from station.fibre_gyro.store import save_fog_result
+    from station.run_database import save_result
 
     document = dict(result.document)
-    save_fog_result(run.path, document)
+    save_result(run.path, document)
     if report:
         document["report"] = str(write_fog_report(result, run))
     if not as_json:

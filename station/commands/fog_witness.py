@@ -75,11 +75,12 @@ def _campaign(settings: FogSettings, paths: tuple[Path, ...]) -> tuple[Campaign,
     from station.fibre_gyro.campaign import Campaign
     from station.fibre_gyro.staircase_records import staircase_run_from_files, take_staircase_run
     from station.progress import Progress
-    from station.runs import is_run, run_file
+    from station.run_database import is_database
+    from station.runs import run_file
 
     if not paths:
         return take_staircase_run(settings, Progress()), False
-    if not any(is_run(path) for path in paths):
+    if not any(is_database(path) for path in paths):
         return staircase_run_from_files(settings, paths), False
     if len(paths) > 1:
         raise click.UsageError("give one saved run, or files of an oscilloscope")

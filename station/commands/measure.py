@@ -56,7 +56,8 @@ def _finish(path: Path, failure: object, *, report: bool, as_json: bool) -> int:
     from station.evaluate import evaluate_run
     from station.report import write_report
     from station.results import result_document
-    from station.runs import open_run, save_results
+    from station.run_database import save_result
+    from station.runs import open_run
     from station.words import no_result_words
 
     assert failure is None or isinstance(failure, Failure)
@@ -68,7 +69,7 @@ def _finish(path: Path, failure: object, *, report: bool, as_json: bool) -> int:
         failure = failure or Failure(error.kind, str(error), EXIT_NO_SIGNAL)
     else:
         document = result_document(evaluation, run)
-        save_results(path, document)
+        save_result(path, document)
         if report:
             document["report"] = str(write_report(evaluation, run))
         if not evaluation.usable:

@@ -13,7 +13,7 @@ from instrument.fibre_gyro import Recording
 from station.errors import Failure, RunError, StationError, describe_failure
 from station.fibre_gyro.store import FogRun, FogRunWriter, open_fog_run
 from station.progress import Progress
-from station.runs import utc_now
+from station.run_database import utc_now
 
 
 @dataclass(frozen=True)

@@ -21,7 +21,7 @@ from station.fibre_gyro.store import FogRun, FogRunWriter, open_fog_run
 from station.fibre_gyro.windows import unusable
 from station.progress import Progress
 from station.provenance import provenance
-from station.runs import utc_now
+from station.run_database import utc_now
 
 _PPM = 1e6
 

@@ -23,7 +23,8 @@ from station.fibre_gyro.selfcal import beyond_words
 from station.fibre_gyro.settings import FogSettings
 from station.progress import Progress
 from station.provenance import provenance
-from station.runs import RunWriter, utc_now
+from station.run_database import utc_now
+from station.runs import RunWriter
 from station.settings import default_settings
 
 PURPOSE: Final = "witness"

@@ -11,7 +11,7 @@ import json
 import sqlite3
 import zlib
 from collections.abc import Iterator, Mapping
-from contextlib import closing, suppress
+from contextlib import suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Self
@@ -21,20 +21,17 @@ from numpy.typing import NDArray
 
 from instrument.fibre_gyro import Gap, Losses, Recording
 from station.errors import RunError
+from station.run_database import DatabaseWriter, Layout, create_database, is_database, read_facts, reading, utc_now
 from station.run_directories import new_run_directory
-from station.runs import utc_now
 
 FOG_RUN_FILE = "fog.sqlite"
 FOG_REPORT_FILE = "report.html"
 _ASIDE = " (set aside "
-APPLICATION_ID = 0x47_59_4C_46  # "GYLF"
-LAYOUT = 1
 
-_SCHEMA = """
-CREATE TABLE run (
-    name  TEXT PRIMARY KEY,       -- command, settings, provenance, truth, started_at, ended_at, outcome, ...
-    value TEXT NOT NULL           -- JSON
-) WITHOUT ROWID;
+LAYOUT = Layout(
+    application_id=0x47_59_4C_46,  # "GYLF"
+    version=1,
+    tables="""
 CREATE TABLE segment (
     number     INTEGER PRIMARY KEY,
     key        TEXT NOT NULL UNIQUE,
@@ -44,12 +41,9 @@ CREATE TABLE segment (
     samples    BLOB NOT NULL,     -- zlib: the columns one after the other, little-endian float64
     sha256     TEXT NOT NULL      -- of samples, conditions and recording
 );
-CREATE TABLE result (             -- computed from the segments; never the truth
-    number      INTEGER PRIMARY KEY,
-    computed_at TEXT NOT NULL,
-    value       TEXT NOT NULL     -- JSON
-);
-"""
+""",
+    name="a run of `gyrolock fog`",
+)
 
 
 @dataclass(frozen=True)
@@ -103,34 +97,17 @@ class FogRun:
         )
 
 
-class FogRunWriter:
+class FogRunWriter(DatabaseWriter):
     """Writes one run; a segment that :meth:`save_segment` returned for survives a killed process.
 
     Use :meth:`create` or :meth:`resume`.
     """
 
-    def __init__(self, path: Path) -> None:
-        self.path = path
-        try:
-            self._db = sqlite3.connect(path, isolation_level=None)  # every BEGIN and COMMIT is written here
-            self._db.execute("PRAGMA journal_mode = WAL")
-            self._db.execute("PRAGMA synchronous = FULL")
-        except sqlite3.Error as error:
-            raise RunError(f"{path}: cannot be written ({error})") from error
-
     @classmethod
     def create(cls, parent: Path, facts: Mapping[str, object]) -> Self:
         """Begin a run in a new directory below `parent`; RunError if nothing can be written there."""
         path = new_run_directory(parent) / FOG_RUN_FILE
-        try:
-            draft = path.with_name(f".{path.name}")
-            with closing(sqlite3.connect(draft, isolation_level=None)) as db:
-                db.execute(f"PRAGMA application_id = {APPLICATION_ID}")
-                db.execute(f"PRAGMA user_version = {LAYOUT}")
-                db.executescript(f"BEGIN; {_SCHEMA} COMMIT;")
-            draft.rename(path)
-        except sqlite3.Error as error:
-            raise RunError(f"{path}: cannot be written ({error})") from error
+        create_database(path, LAYOUT)
         writer = cls(path)
         writer.save_facts({"started_at": utc_now(), **facts})
         return writer
@@ -139,17 +116,6 @@ class FogRunWriter:
     def resume(cls, path: Path) -> Self:
         """Go on with a run that :func:`open_fog_run` can read."""
         return cls(path)
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        self.close()
-
-    def save_facts(self, facts: Mapping[str, object]) -> None:
-        """Save or replace what is known about the run, by name, in one commit."""
-        rows = [(name, json.dumps(value, allow_nan=False)) for name, value in facts.items()]
-        self._commit("INSERT OR REPLACE INTO run VALUES (?, ?)", rows)
 
     def save_segment(self, key: str, conditions: Mapping[str, object], recording: Recording) -> None:
         """Save one segment durably: when this returns, it is on the disk.
@@ -182,51 +148,12 @@ class FogRunWriter:
         ).fetchone()
         self._commit("UPDATE segment SET key = ? WHERE key = ?", [(f"{key}{_ASIDE}{before + 1})", key)])
 
-    def close(self) -> None:
-        """End the run: afterwards it is one plain file."""
-        with suppress(sqlite3.Error):  # while a reader looks, the journal stays: the run is complete all the same
-            self._db.execute("PRAGMA journal_mode = DELETE")
-        self._db.close()
-
-    def _commit(self, statement: str, rows: list[tuple[Any, ...]]) -> None:
-        try:
-            self._db.execute("BEGIN IMMEDIATE")
-            try:
-                self._db.executemany(statement, rows)
-                self._db.execute("COMMIT")
-            except BaseException:
-                self._db.execute("ROLLBACK")
-                raise
-        except sqlite3.Error as error:
-            raise RunError(f"{self.path}: the disk does not take it ({error})") from error
-
-
-def save_fog_result(path: Path, document: Mapping[str, object]) -> None:
-    """Keep what was computed from the segments of a run beside them.
-
-    Raises
-    ------
-    RunError
-        If the disk does not take it.
-    """
-    try:
-        with closing(sqlite3.connect(path)) as db, db:
-            db.execute("PRAGMA synchronous = FULL")
-            row = (utc_now(), json.dumps(dict(document), allow_nan=False))
-            db.execute("INSERT INTO result (computed_at, value) VALUES (?, ?)", row)
-    except sqlite3.Error as error:
-        raise RunError(f"{path}: the result cannot be saved ({error})") from error
-
 
 def is_fog_run(path: Path) -> bool:
     """Tell whether a path looks like a run: its directory, or an SQLite file."""
-    if path.is_dir():
-        return True
-    try:
-        with path.open("rb") as file:
-            return file.read(16) == b"SQLite format 3\x00"
-    except OSError:
-        return False
+    with suppress(OSError):
+        return is_database(path)
+    return False
 
 
 def open_fog_run(path: Path) -> FogRun:
@@ -245,20 +172,11 @@ def open_fog_run(path: Path) -> FogRun:
     file = path / FOG_RUN_FILE if path.is_dir() else path
     if not file.is_file():
         raise RunError(f"{path}: holds no run of a fibre gyro (there is no {FOG_RUN_FILE} in it)")
-    if not is_fog_run(file):
-        raise RunError(f"{file}: is not a saved run")
-    try:
-        with closing(sqlite3.connect(f"{file.resolve().as_uri()}?mode=ro", uri=True)) as db:
-            (application,) = db.execute("PRAGMA application_id").fetchone()
-            (layout,) = db.execute("PRAGMA user_version").fetchone()
-            if application != APPLICATION_ID:
-                raise RunError(f"{file}: is a database, but not a run of `gyrolock fog`")
-            if layout > LAYOUT:
-                raise RunError(f"{file}: was written by a newer gyrolock (layout {layout}): update this one")
-            facts = {name: json.loads(value) for name, value in db.execute("SELECT name, value FROM run")}
-            return FogRun(file, facts, tuple(_read_segments(db)))
-    except (sqlite3.Error, ValueError, zlib.error) as error:
-        raise RunError(f"{file}: is damaged and cannot be read ({error})") from error
+    with reading(file, LAYOUT) as db:
+        try:
+            return FogRun(file, read_facts(db), tuple(_read_segments(db)))
+        except zlib.error as error:
+            raise RunError(f"{file}: is damaged and cannot be read ({error})") from error
 
 
 def _read_segments(db: sqlite3.Connection) -> Iterator[Segment]:

@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 
 from station.errors import RunError
-from station.runs import RunWriter, is_run, open_run, save_results
+from station.run_database import is_database, save_result
+from station.runs import RunWriter, open_run
 
 PREAMBLE = '1;8;BIN;RI;MSB;5;"Ch1";Y;1.0E-4;0;0.0E0;"s";4.0E-3;0.0E0;0.0E0;"Volts"'
 CODES = np.array([-128, -127, 0, 1, 127], dtype=np.int8)
@@ -56,14 +57,14 @@ def test_runs_of_one_second_do_not_meet(tmp_path: Path) -> None:
 def test_a_directory_or_a_file_names_the_run(tmp_path: Path) -> None:
     path = new_run(tmp_path)
     assert open_run(path.parent).path == path
-    assert is_run(path)
-    assert is_run(path.parent)
+    assert is_database(path)
+    assert is_database(path.parent)
 
 
 def test_results_are_added_to_a_closed_run(tmp_path: Path) -> None:
     path = new_run(tmp_path)
-    save_results(path, {"lock_in_rate_dps": 0.01})
-    save_results(path, {"lock_in_rate_dps": 0.02})
+    save_result(path, {"lock_in_rate_dps": 0.01})
+    save_result(path, {"lock_in_rate_dps": 0.02})
     assert open_run(path).results == {"lock_in_rate_dps": 0.02}
 
 

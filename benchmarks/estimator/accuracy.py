@@ -15,7 +15,7 @@ from benchmarks.estimator.progress import Progress
 
 Floats = NDArray[np.float64]
 
-BATCH = 200
+BATCH = 1000
 SIGNIFICANT = 5.0
 """Records whose ratio is below so many of its own bounds do not count: their errors are not Gaussian."""
 

@@ -1,12 +1,15 @@
 """The complex harmonic ratio as a function of rate, and its weighted fit to many records at once.
 
-    rho = -r e^(+i b) F + D [1 - r^2 - 2i rho0 Im rho0]      W > 0                       (1)
-    rho = +r e^(-i b) F + D [1 - r^2 - 2i rho0 Im rho0]      W < 0,    F = 1/(1 + 2 pi i f T)
+    rho = rho0 + D [1 - r^2 - 2i rho0 Im rho0],    rho0 = q G |c|/c                          (1)
+    q = -r e^(+i b)  W > 0,     q = +r e^(-i b)  W < 0
 
 r harmonic ratio of the lock-in equation, b backscatter phase less readout phase, D second-order distortion of the
-receiver (its second harmonic over the fundamental of a pure sine of the same amplitude), T = 1/g_c the time that
-the gain needs to follow the intensity; rho0 is the first term. The bracket is 1 far above lock-in: it is what a
-square law makes of the whole series of harmonics, to first order in D.
+receiver (its second harmonic over the fundamental of a pure sine of the same amplitude). The bracket is 1 far
+above lock-in: it is what a square law makes of the whole series of harmonics, to first order in D.
+
+G and c are what the time T = 1/g_c does that the gain needs to follow the intensity: 1 for fast gain, and F =
+1/(1 + 2 pi i f T) and 1 far above lock-in. `gain_factors` has them at any rate: with equal backscatter of both
+beams and no phase between them, the equations of a two-mode laser have an exact solution (docs/several_rates.md).
 
 Fitted in the real and imaginary part of z = WL e^(i b), which are without a singular point at WL = 0, in D and T.
 """
@@ -84,9 +87,36 @@ def predicted_ratio(parameters: Floats, data: RatioData) -> Complexes:
         # Below the threshold there is no beat; r stays 1 there, so that the fit can find its way out.
         rate = np.maximum(np.abs(data.rate), np.sqrt(square))
         per_rate = 1 / (rate + np.sqrt((rate - np.sqrt(square)) * (rate + np.sqrt(square))))
-    own = np.where(data.rate > 0, -z, np.conj(z)) * per_rate / (1 + 1j * data.angular * gain_time)
+    fast = np.where(data.rate > 0, -z, np.conj(z)) * per_rate
+    gain, turn = gain_factors(fast, data.angular * gain_time)
+    own = fast * gain * turn
     bracket = 1 - square * per_rate**2 - 2j * own * own.imag
     return np.asarray(own + distortion * data.amplitude * bracket)
+
+
+def gain_factors(fast_ratio: Complexes, slowness: Floats) -> tuple[Complexes, Complexes]:
+    """What slow gain makes of the ratio q that a laser with fast gain has: G and |c|/c of equation (1).
+
+    With F = 1/(1 + i w T) and q e^(...) of size r, the lines of the beat stay a geometric series, of ratio p = r G
+    with |p|/(1 + |p|^2) = |F| r/(1 + r^2) and the phase of F. Its image makes the fundamental
+    c = (1 - r^2 G)^2 + q^2 (1 - G)^2.
+
+    Parameters
+    ----------
+    fast_ratio : (...)
+        q.
+    slowness : (...)
+        w T, of the beat's angular frequency w.
+    """
+    square = np.abs(fast_ratio) ** 2
+    follow = 1 / (1 + 1j * slowness)
+    steepness = 4 * square * np.abs(follow) ** 2 / (1 + square) ** 2
+    gain = follow * 2 / ((1 + square) * (1 + np.sqrt(np.maximum(1 - steepness, 0.0))))
+    fundamental = (1 - square * gain) ** 2 + (fast_ratio * (1 - gain)) ** 2
+    size = np.abs(fundamental)
+    # At the threshold there is no fundamental left to turn.
+    turn = np.where(size > 0, size / np.where(size > 0, fundamental, 1.0), 1.0)
+    return np.asarray(gain), np.asarray(turn)
 
 
 def fit_ratios(data: RatioData, free: tuple[bool, bool], start: Floats | None = None) -> RatioFit:

@@ -6,6 +6,11 @@ import numpy as np
 
 from analysis.several_rates.result import RatesFit, RatesFlag
 
+COUPLING_DEG = 60
+COUPLING = 0.27
+"""The gain corner comes out too high by this times (WL/slowest rate)^2 where the backscatter of the beams is
+`COUPLING_DEG` apart and cross over self saturation 0.5 (integrated equations; docs/several_rates.md)."""
+
 
 def describe_rates(fit: RatesFit) -> tuple[str, ...]:
     """Sentences for the person who reads the result, the main one first."""
@@ -54,7 +59,7 @@ def _gain(fit: RatesFit) -> str:
         low, high = fit.gain_corner_low_95_hz, fit.gain_corner_high_95_hz
         if fit.gain_time > 3.3 * fit.gain_time_u:
             span = f"{low:.4g} to {high:.4g} Hz"
-            return f"The gain corner of the laser is seen at {fit.gain_corner_hz:.4g} Hz ({span})."
+            return f"The gain corner of the laser is seen at {fit.gain_corner_hz:.4g} Hz ({span}).{_coupling(fit)}"
         if fit.gain_time < -3.3 * fit.gain_time_u:
             return (
                 "The second harmonic runs ahead with the rate, which no gain corner does: look for a slow or "
@@ -70,6 +75,18 @@ def _gain(fit: RatesFit) -> str:
         f"The gain corner of the laser was taken to be far above the beat; these records only say that it lies "
         f"above {corner:.3g} Hz. With a free corner the lock-in rate would be {fuller.lock_in_rate:.5g} ± "
         f"{fuller.lock_in_rate_u:.2g} deg/s; faster rates, or both senses, settle it."
+    )
+
+
+def _coupling(fit: RatesFit) -> str:
+    """What coupling without loss would do to the gain corner, where that is more than its uncertainty."""
+    slowest = float(np.min(np.abs(fit.rate[fit.used])))
+    share = COUPLING * (fit.lock_in_rate / slowest) ** 2
+    if share * fit.gain_time < fit.gain_time_u:
+        return ""
+    return (
+        f" It holds for backscatter of the two beams in phase; {COUPLING_DEG} deg between them would make it "
+        f"about {100 * share:.1g} % too high, through the slowest rate. Without that rate it would show less."
     )
 
 

@@ -10,6 +10,7 @@ from analysis import (
     fit_rate_ratios,
     fit_rates,
 )
+from analysis.winking import steady_beat, symmetric_laser
 
 RATES = (8, 15, 30, 60)
 FASTEST_BEAT = K * 60 * WL
@@ -45,6 +46,45 @@ def test_a_gain_corner_at_twice_the_highest_beat_costs_less_than_a_percent(hd2):
     blind = fit_rates(made, model="distortion")
     assert blind.flags & RatesFlag.MISFIT
     assert blind.lock_in_rate_u > 5 * fit.lock_in_rate_u
+
+
+def ratios_of_slow_gain(multiples, corner, phase_sum=0.0, readout=0.4):
+    """Rates, exact complex ratios and beat frequencies of lines that the integrated equations give."""
+    rates, ratios, beats = np.array(multiples) * WL, [], []
+    laser = symmetric_laser(WL, scale_factor=K, gain_corner_hz=corner, phase_sum=phase_sum)
+    for rate in rates:
+        steady = steady_beat(laser, rate)
+        middle = steady.beat.size // 2
+        turned = steady.beat * np.exp(1j * readout)
+        first, second = ((turned[middle + n] - np.conj(turned[middle - n])) / 2j for n in (1, 2))
+        ratios.append(second * abs(first) / first**2)
+        beats.append(steady.frequency)
+    return rates, np.array(ratios), np.array(beats)
+
+
+@pytest.mark.parametrize("corner", [0.05 * K * WL * 25, 0.3 * K * WL * 25, 2 * K * WL * 25])
+@pytest.mark.parametrize("reference", ["rate", "beat"])
+def test_slow_gain_near_lock_in_is_exact(corner, reference):
+    """One pole, the limit far above lock-in, would put the corner 2 to 18 % low."""
+    rates, ratios, beats = ratios_of_slow_gain(both_senses(1.5, 3, 8, 25), corner)
+    fit = fit_rate_ratios(
+        rates, ratios, np.eye(2) * 1e-12, beats, scale_factor=K, reference=reference, model="both"
+    )
+    assert fit.gain_corner_hz == pytest.approx(corner, rel=1e-6)
+    assert fit.lock_in_rate == pytest.approx(WL, rel=1e-6)
+    assert fit.backscatter_phase == pytest.approx(-0.4, abs=1e-6)
+    assert abs(fit.distortion) < 1e-8 and fit.chi_square < 1e-3
+
+
+def test_conservative_coupling_moves_the_gain_corner_by_what_the_words_say():
+    """60 deg between the backscatter of the beams; the corner is known to better than what that does to it."""
+    corner = 2 * K * WL * 25
+    rates, ratios, beats = ratios_of_slow_gain(both_senses(3, 8, 25), corner, np.pi / 3)
+    fit = fit_rate_ratios(rates, ratios, np.eye(2) * 1e-9, beats, scale_factor=K, reference="beat", model="both")
+    assert fit.gain_corner_hz / corner - 1 == pytest.approx(0.03, rel=0.15)
+    assert "about 3 % too high" in fit.sentences[2]
+    blurred = fit_rate_ratios(rates, ratios, np.eye(2) * 1e-6, beats, scale_factor=K, reference="beat")
+    assert "too high" not in blurred.sentences[2]
 
 
 @pytest.mark.parametrize("sense", [1, -1])

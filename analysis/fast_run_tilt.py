@@ -97,7 +97,8 @@ def tilt_from_fast_runs(
         crossing = swing * np.cos(azimuth)
         unknown = np.abs(swing * np.sin(azimuth)) * np.sin(first) * np.deg2rad(azimuth_u_deg)
     own = np.maximum(fu / scale_factor, SMALLEST_U_DPS)
-    us = np.hypot(own, unknown)
+    # Weights alike for all azimuths: a run at a lucky one must not stand for both senses, or a drift would count.
+    us = np.hypot(own, np.sqrt(np.mean(unknown**2)))
     tilt = _least_squares(measured, us, turning, crossing, first)
     left = measured - turning * np.cos(tilt) - crossing * np.sin(tilt)
     common = np.hypot(scale_factor_u / scale_factor, table_rate_u) * np.cos(tilt)
@@ -106,7 +107,7 @@ def tilt_from_fast_runs(
         tilt_deg=float(np.rad2deg(tilt)),
         # Near zero tilt the cosine is flat: what is left is how far the axis may lean unseen.
         tilt_u_deg=float(np.rad2deg(np.sqrt(np.sin(tilt) ** 2 + 2 * cosine_u) - np.sin(tilt))),
-        chi_square=float(np.sum((left / us) ** 2)),
+        chi_square=float(np.sum((left / np.hypot(own, unknown)) ** 2)),
         degrees_of_freedom=f.size - 1,
         earth_rate_part_deg=float(np.rad2deg(tilt - first)),
     )

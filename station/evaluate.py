@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from statistics import fmean
@@ -138,9 +139,11 @@ def evaluate_run(run: SavedRun, method: Method | None = None, known: Settings | 
     waveforms = tuple(saved_waveform(record, run) for record in records)
     response = channel_response(settings.front_end)
     each, quadratures = _estimates(intact, waveforms, run, method, response)
-    tilt = evaluate_tilt(run.taken_for("tilt"), settings) if fast_run_is_whole(run, settings) else None
     names = tuple(taken.name for taken in intact)
     combined = combine_estimates(each)
+    tilt = None
+    if fast_run_is_whole(run, settings):
+        tilt = evaluate_tilt(run.taken_for("tilt"), settings, _best_shown(each))
     one = Evaluation(method, names, waveforms, each, combined, damaged, tilt, quadratures=quadratures)
     if tilt is not None and at_several_rates(records):
         whole = _with_rates(one, records, settings, tuple(run.facts.get("rates_without_beat", ())))
@@ -164,6 +167,12 @@ def _estimates(
     cosines = [saved_waveform(record, run) for record in seconds]
     each, pairs = estimate_pairs(waveforms, cosines, method, response)
     return each, quadrature_result(pairs)
+
+
+def _best_shown(each: LockInEstimate) -> float:
+    """Lock-in rate, deg/s, of the record that shows it best (at several rates a slow one); nan if none does."""
+    relative = np.where(each.usable, each.lock_in_rate_u / each.lock_in_rate, np.nan)
+    return float(each.lock_in_rate[np.nanargmin(relative)]) if np.isfinite(relative).any() else math.nan
 
 
 def _with_table(one: Evaluation, records: Sequence[SavedRecord], settings: Settings) -> Evaluation:

@@ -41,7 +41,7 @@ class Azimuth:
     turned: float
 
 
-def evaluate_tilt(records: Sequence[SavedRecord], settings: Settings) -> Tilt:
+def evaluate_tilt(records: Sequence[SavedRecord], settings: Settings, lock_in_rate: float = math.nan) -> Tilt:
     """Find the tilt from the records of the fast run.
 
     Parameters
@@ -49,6 +49,8 @@ def evaluate_tilt(records: Sequence[SavedRecord], settings: Settings) -> Tilt:
     records : sequence of SavedRecord
         With ``table_rate_dps`` among their conditions.
     settings : Settings
+    lock_in_rate : float, optional
+        deg/s, from slower records. Without it that of each fast record counts, which the laser's gain weakens.
 
     Returns
     -------
@@ -60,7 +62,8 @@ def evaluate_tilt(records: Sequence[SavedRecord], settings: Settings) -> Tilt:
         If beat and table rate do not fit together.
     """
     beats = [_beat(record, settings) for record in records]
-    frequency, frequency_u, lock_in_rate = np.array(beats).T
+    frequency, frequency_u, rate_u, own = np.array(beats).T
+    known_lock_in = math.isfinite(lock_in_rate)
     azimuths = [azimuth_of(record, settings) for record in records]
     middle = np.array([azimuth.middle for azimuth in azimuths])
     turned = np.array([azimuth.turned for azimuth in azimuths])
@@ -68,14 +71,14 @@ def evaluate_tilt(records: Sequence[SavedRecord], settings: Settings) -> Tilt:
     try:
         fit = tilt_from_fast_runs(
             frequency,
-            frequency_u,
+            frequency_u if known_lock_in else rate_u,
             [float(record.conditions["table_rate_dps"]) for record in records],
             scale_factor=settings.gyro.scale_factor_pulses_per_deg,
             latitude_deg=settings.site.latitude_deg,
             azimuth_deg=middle if known else None,
             # a record lies somewhere between two readings of the azimuth: a uniform distribution
             azimuth_u_deg=turned / math.sqrt(12) if known else 0.0,
-            lock_in_rate=lock_in_rate,
+            lock_in_rate=lock_in_rate if known_lock_in else own,
         )
     except ValueError as error:
         raise RunError(f"the fast run gives no tilt: {error}") from None
@@ -99,15 +102,12 @@ def horizontal_earth_rate(settings: Settings, tilt_deg: float) -> float:
     return abs(north - east)
 
 
-def _beat(record: SavedRecord, settings: Settings) -> tuple[float, float, float]:
-    """Beat frequency and its uncertainty, Hz, and the lock-in rate that the record shows, deg/s."""
+def _beat(record: SavedRecord, settings: Settings) -> tuple[float, float, float, float]:
+    """Beat frequency, its uncertainty, that with the ratio's part, Hz; the record's lock-in rate, deg/s."""
     wave = Waveform(record.codes, Preamble.parse(record.preamble))
     scale_factor = settings.gyro.scale_factor_pulses_per_deg
     beat = estimate_lock_in(wave.volts, wave.sample_interval, scale_factor=scale_factor)
-    frequency, ratio = float(beat.beat_frequency), float(beat.ratio)
+    frequency, frequency_u, ratio = float(beat.beat_frequency), float(beat.beat_frequency_u), float(beat.ratio)
     # lock-in pulls the beat down by (WL/W)^2 / 2
-    parts = (float(beat.beat_frequency_u) / frequency, 4 * ratio * float(beat.ratio_u))
-    # by the rate of the beat, which knows what to do where no ratio stands out of the noise
-    rate = max(float(beat.input_rate), frequency / scale_factor)
-    lock_in_rate = math.sqrt(rate**2 - (frequency / scale_factor) ** 2)
-    return frequency, frequency * math.hypot(*parts), lock_in_rate
+    both_u = math.hypot(frequency_u, frequency * 4 * ratio * float(beat.ratio_u))
+    return frequency, frequency_u, both_u, float(beat.lock_in_rate)

@@ -116,6 +116,9 @@ def test_a_laser_whose_intensity_is_slow(tmp_path: Path) -> None:
     assert distance(several) < 4
     assert float(several.combined.lock_in_rate_u) < 0.005 * LOCK_IN
     assert fit.gain_corner_low_95_hz < 1000 < fit.gain_corner_high_95_hz
+    # the fast records have lost their second harmonic: what lock-in does to them (5e-5 deg), the slow ones know
+    assert several.tilt is not None
+    assert several.tilt.tilt_deg == pytest.approx(88.693, abs=2e-5)
     # the fastest rate alone, both senses, would still be low by this
     fastest = [group for group in several.several.groups if group.over_lock_in == 25.0]
     pair = [complex(group.combined.complex_ratio) for group in fastest]

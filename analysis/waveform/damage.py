@@ -77,7 +77,8 @@ def _crowded_end(values: Samples, weights: Samples | None, end: Samples, sign: f
     limit = np.full(len(values), np.inf)
     few = values[:, ::THINNING]
     at_end = few >= end[:, np.newaxis] if sign > 0 else few <= end[:, np.newaxis]
-    suspects = np.flatnonzero(np.count_nonzero(at_end, axis=-1) > SHARE_AT_END * few.shape[1])
+    crowds = at_end.view(np.uint8).sum(axis=-1, dtype=np.uint32)  # several times faster than counting booleans
+    suspects = np.flatnonzero(crowds > SHARE_AT_END * few.shape[1])
     for thinning in (THINNING, 1):
         if suspects.size == 0:
             return limit

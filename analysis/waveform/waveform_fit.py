@@ -108,7 +108,8 @@ def _fit_records(records: Records, clipped: Bools | None) -> WaveformFit:
         series.put(hit, refitted)
         step.put(hit, new_step)
 
-    left = values - sampled_series(series, n_samples, precision)
+    left = sampled_series(series, n_samples, precision)
+    np.subtract(values, left, out=left)
     if weights is not None:
         left *= weights
     spikes = outliers(left, weights, records.highest - records.lowest)

@@ -76,7 +76,10 @@ def _rate_rows(evaluation: Evaluation, run: SavedRun) -> Rows:
                 with_uncertainty(check.lock_in_rate, check.lock_in_rate_u, "deg/s"),
             ),
         ]
-    if (table_rate := run.facts.get("table_rate_dps")) is not None:
+    several = evaluation.several
+    # the rate of the other rows, which is not the last one that the table was set to
+    table_rate = run.facts.get("table_rate_dps") if several is None else several.reference_group.table_rate
+    if table_rate is not None:
         rows.append(("table rate", f"{table_rate:.5f} deg/s"))
     if evaluation.tilt is not None:
         rows.append(

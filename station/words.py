@@ -109,11 +109,13 @@ def quadrature_sentences(evaluation: Evaluation) -> list[str]:
     found = evaluation.quadratures
     if found is None:
         return []
-    sense = {1: "positive", -1: "negative"}.get(found.sense, "unknown")
+    sense = {1: "positive sense", -1: "negative sense"}.get(found.sense, "unknown sense")
+    if found.sense == 0 and evaluation.several is not None:
+        sense = "both senses" if len({g.table_rate > 0 for g in evaluation.several.groups}) > 1 else sense
     error = with_uncertainty(math.degrees(found.phase_error), math.degrees(found.phase_error_u))
     first = (
         f"Sine and cosine channel: amplitudes {with_uncertainty(found.gain_ratio, found.gain_ratio_u)} to 1, "
-        f"{error}° beyond a right angle, {sense} sense of rotation."
+        f"{error}° beyond a right angle, {sense} of rotation."
     )
     levels = [_level_words(d, u) for d, u in zip(found.distortion, found.distortion_u, strict=True)]
     second = (

@@ -65,7 +65,7 @@ def ratios_of_slow_gain(multiples, corner, phase_sum=0.0, readout=0.4):
 @pytest.mark.parametrize("corner", [0.05 * K * WL * 25, 0.3 * K * WL * 25, 2 * K * WL * 25])
 @pytest.mark.parametrize("reference", ["rate", "beat"])
 def test_slow_gain_near_lock_in_is_exact(corner, reference):
-    """One pole, the limit far above lock-in, would put the corner 2 to 18 % low."""
+    """One pole, the limit far above lock-in, would put the corner 9 to 31 % low."""
     rates, ratios, beats = ratios_of_slow_gain(both_senses(1.5, 3, 8, 25), corner)
     fit = fit_rate_ratios(
         rates, ratios, np.eye(2) * 1e-12, beats, scale_factor=K, reference=reference, model="both"

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 
 from station.evaluate import Evaluation
+from station.html_pages import render_page, write_page
 from station.provenance import version
 from station.report_facts import fact_tables, record_table
 from station.report_parts import Headline
@@ -34,31 +34,16 @@ def write_report(evaluation: Evaluation, run: SavedRun, path: Path | None = None
     OSError
         If it cannot be written.
     """
-    path = path or run.path.parent / REPORT_FILE
-    draft = path.with_name(f".{path.name}.{os.getpid()}")
-    try:
-        draft.write_text(render_report(evaluation, run), encoding="utf-8")
-        draft.replace(path)
-    finally:
-        draft.unlink(missing_ok=True)
-    return path
+    return write_page(path or run.path.parent / REPORT_FILE, render_report(evaluation, run))
 
 
 def render_report(evaluation: Evaluation, run: SavedRun) -> str:
     """Return the report as HTML text; arguments as :func:`write_report`."""
-    from jinja2 import Environment, PackageLoader, StrictUndefined
-
-    environment = Environment(
-        loader=PackageLoader("station"),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
     gyro = run.facts["settings"]["gyro"]["name"]
     tables = fact_tables(evaluation, run)
     middle = (len(tables) + 1) // 2
-    return environment.get_template("report.html.j2").render(
+    return render_page(
+        "report.html.j2",
         title=f"Lock-in rate of {gyro}, {run.facts['started_at'][:10]}",
         version=version("gyrolock"),
         gyro=gyro,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +10,7 @@ from station.fibre_gyro.results import FogResult
 from station.fibre_gyro.settings import FogSettings
 from station.fibre_gyro.store import FOG_REPORT_FILE, FogRun
 from station.fibre_gyro.witness_sections import condition_rows as scope_rows
+from station.html_pages import render_page, write_page
 from station.provenance import version
 from station.report_parts import FactTable, Headline, Rows
 from station.runs import SavedRun
@@ -40,31 +40,16 @@ def write_fog_report(result: FogResult, run: FogRun | SavedRun, path: Path | Non
     OSError
         If it cannot be written.
     """
-    path = path or run.path.parent / FOG_REPORT_FILE
-    draft = path.with_name(f".{path.name}.{os.getpid()}")
-    try:
-        draft.write_text(render_fog_report(result, run), encoding="utf-8")
-        draft.replace(path)
-    finally:
-        draft.unlink(missing_ok=True)
-    return path
+    return write_page(path or run.path.parent / FOG_REPORT_FILE, render_fog_report(result, run))
 
 
 def render_fog_report(result: FogResult, run: FogRun | SavedRun) -> str:
     """Return the report as HTML text; arguments as :func:`write_fog_report`."""
-    from jinja2 import Environment, PackageLoader, StrictUndefined
-
-    environment = Environment(
-        loader=PackageLoader("station"),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
     name = result.settings.gyro.name
     tables = _fact_tables(result, run)
     middle = (len(tables) + 1) // 2
-    return environment.get_template("fibre_gyro.html.j2").render(
+    return render_page(
+        "fibre_gyro.html.j2",
         title=f"{_TITLES[result.command]}: {name}, {run.facts['started_at'][:10]}",
         heading=f"{_TITLES[result.command]}: {name}",
         version=version("gyrolock"),

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from analysis.flags import Flag
 from analysis.waveform.records import Records
+from analysis.waveform.residuals import Residual
 
 Floats = NDArray[np.float64]
 Samples = NDArray[Any]
@@ -97,20 +98,21 @@ def _crowded_end(values: Samples, weights: Samples | None, end: Samples, sign: f
     return limit
 
 
-def outliers(left: Samples, weights: Samples | None, swing: Samples) -> Bools:
+def outliers(left: Residual, weights: Samples | None, swing: Samples) -> Bools:
     """Residuals that are single spikes, (R, N). Many of them are a misfit, not spikes, and are kept.
 
     Parameters
     ----------
-    left : (R, N); weights : (R, N) or None
+    left : Residual
+    weights : (R, N) or None
     swing : (R,)
         Range of the record itself: what is next to nothing beside it is arithmetic.
     """
-    spikes = np.zeros(left.shape, dtype=bool)
+    spikes = np.zeros(left.samples.shape, dtype=bool)
     # A single spike cannot hide: it stands out of the rms that it itself has raised. Missing samples are 0.
-    rms = np.sqrt(np.vecdot(left, left) / left.shape[1])
-    for row in np.flatnonzero(np.maximum(left.max(axis=-1), -left.min(axis=-1)) > 5 * rms):
-        size = np.abs(left[row])
+    rms = np.sqrt(left.power / left.samples.shape[1])
+    for row in np.flatnonzero(left.largest > 5 * rms):
+        size = np.abs(left.samples[row])
         valid = size if weights is None else size[weights[row] > 0]
         found = size > SPIKE * 1.4826 * float(np.median(valid))
         if found.mean() <= 0.02:

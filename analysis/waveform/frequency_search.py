@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -9,11 +10,14 @@ import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
 
+from analysis.waveform.records import records_at_once
+
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
 Samples = NDArray[Any]
 """float32 or float64"""
 Spectrum = NDArray[np.complex64]
+Sizes = NDArray[np.float32]
 
 
 @dataclass(frozen=True)
@@ -31,14 +35,36 @@ def spectrum_of(values: Samples) -> Spectrum:
 
     Single precision: it only starts the fits, and eight-bit samples do not fill its 24 bits.
     """
-    return np.asarray(scipy.fft.rfft(values.astype(np.float32, copy=False), axis=-1))
+    spectrum: Spectrum = np.empty((len(values), values.shape[1] // 2 + 1), dtype=np.complex64)
+    for here, lines in _spectra(values):
+        spectrum[here] = lines
+    return spectrum
 
 
-def power_of(spectrum: Spectrum) -> NDArray[np.float32]:
-    """Squared size of each line."""
-    power = np.square(spectrum.real)
-    power += np.square(spectrum.imag)
-    return np.asarray(power)
+def line_sizes(values: Samples) -> Sizes:
+    """Size of each line of the spectrum, (R, N) -> (R, N//2 + 1)."""
+    sizes: Sizes = np.empty((len(values), values.shape[1] // 2 + 1), dtype=np.float32)
+    for here, lines in _spectra(values):
+        np.abs(lines, out=sizes[here])
+    return sizes
+
+
+def _spectra(values: Samples) -> Iterator[tuple[slice, Spectrum]]:
+    """Some records' spectra at a time, while they are in the cache."""
+    at_once = records_at_once(values.shape[1], np.float32)
+    for start in range(0, len(values), at_once):
+        here = slice(start, start + at_once)
+        yield here, np.asarray(scipy.fft.rfft(values[here].astype(np.float32, copy=False), axis=-1))
+
+
+def _strongest(spectrum: Spectrum) -> NDArray[np.intp]:
+    """Bin of the strongest line beside the mean value, (R,)."""
+    strongest = np.empty(len(spectrum), dtype=np.intp)
+    at_once = records_at_once(spectrum.shape[1], spectrum.dtype)
+    for start in range(0, len(spectrum), at_once):
+        here = slice(start, start + at_once)
+        strongest[here] = 1 + np.abs(spectrum[here, 1:]).argmax(axis=-1)
+    return strongest
 
 
 def spectral_start(spectrum: Spectrum, n_samples: int) -> SpectralStart:
@@ -54,9 +80,7 @@ def spectral_start(spectrum: Spectrum, n_samples: int) -> SpectralStart:
     n_samples : int
         N.
     """
-    power = power_of(spectrum)
-    power[:, 0] = 0.0
-    rough = power.argmax(axis=-1)
+    rough = _strongest(spectrum)
     windowed, bins = _hann_bins(spectrum, rough, 2, n_samples)
     size = np.abs(windowed)
     rows = np.arange(len(rough))

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from analysis.waveform.harmonic_sums import harmonic_powers, phasors, record_grid
+from analysis.waveform.records import records_at_once
 
 Floats = NDArray[np.float64]
 Samples = NDArray[Any]
@@ -86,10 +87,10 @@ class Series:
         self.ratio[part], self.omega[part] = other.ratio, other.omega
 
 
-def harmonics_needed(ratio: Complexes, precision: np.dtype[Any]) -> int:
-    """How many harmonics of the largest ratio are not negligible, at least 3."""
+def orders_needed(ratio: Complexes, negligible: float, fewest: int) -> int:
+    """How many powers of the largest ratio are not negligible, at least `fewest`."""
     largest = min(float(np.abs(ratio).max(initial=0.0)), LARGEST_RATIO)
-    return max(3, math.ceil(math.log(NEGLIGIBLE[precision]) / math.log(max(largest, 1e-3))))
+    return max(fewest, math.ceil(math.log(negligible) / math.log(max(largest, 1e-3))))
 
 
 def ratio_classes(ratio: Complexes) -> Iterator[tuple[int, NDArray[np.intp]]]:
@@ -109,38 +110,60 @@ def ratio_classes(ratio: Complexes) -> Iterator[tuple[int, NDArray[np.intp]]]:
 def sampled_series(series: Series, n_samples: int, precision: DTypeLike = np.float64) -> Samples:
     """The model on the samples, (R, N)."""
     grid: Samples = np.empty((series.omega.size, n_samples), dtype=precision)
-    for _, part in ratio_classes(series.ratio):
-        if part.size == series.omega.size:
-            return _sampled(series, n_samples, precision)
-        grid[part] = _sampled(series.take(part), n_samples, precision)
+    for rows, model in sampled_blocks(series, n_samples, np.dtype(precision)):
+        grid[rows] = model
     return grid
 
 
-def _sampled(series: Series, n_samples: int, precision: DTypeLike) -> Samples:
-    """From the harmonics where they are few, else in closed form."""
-    kind = np.dtype(precision)
+def sampled_blocks(
+    series: Series, n_samples: int, precision: np.dtype[Any]
+) -> Iterator[tuple[slice | NDArray[np.intp], Samples]]:
+    """The model on the samples, a few records (r,) at a time, (r, N): they stay in the cache for the next pass."""
+    at_once = records_at_once(n_samples, precision)
+    for _, part in ratio_classes(series.ratio):
+        some = series.take(part)
+        n_harmonics = orders_needed(some.ratio, NEGLIGIBLE[precision], 3)
+        closed = n_harmonics > MANY_HARMONICS
+        sides = None if closed else _sides(some, n_samples, precision, n_harmonics)
+        for start in range(0, part.size, at_once):
+            here = slice(start, start + at_once)
+            rows = here if part.size == series.omega.size else part[here]
+            if sides is None:
+                yield rows, _in_closed_form(series.take(part[here]), n_samples, precision)
+            else:
+                product = np.matmul(sides[0][here], sides[1][here])
+                yield rows, product.reshape(len(product), -1)[:, :n_samples]
+
+
+def _in_closed_form(series: Series, n_samples: int, precision: np.dtype[Any]) -> Samples:
     outer, inner = record_grid(n_samples)
-    coarse, fine = phasors(series.omega, outer, kind), phasors(series.omega, inner, kind)
+    carrier = carrier_of(
+        phasors(series.omega, outer, precision), phasors(series.omega, inner, precision), n_samples
+    )
+    first, ratio = (p.astype(carrier.dtype)[:, np.newaxis] for p in (series.first, series.ratio))
+    return np.asarray(series.offset.astype(precision)[:, np.newaxis] + (first * carrier / (1 - ratio * carrier)).real)
+
+
+def _sides(series: Series, n_samples: int, precision: np.dtype[Any], n_harmonics: int) -> tuple[Samples, Samples]:
+    """Two real matrices per record, (R, rows, 2K + 2) and (R, 2K + 2, length), whose product is the waveform.
+
+    The real parts of K complex products of a coarse and a fine phasor, and the offset.
+    """
+    outer, inner = record_grid(n_samples)
+    coarse, fine = phasors(series.omega, outer, precision), phasors(series.omega, inner, precision)
     first, ratio = (p.astype(coarse.dtype)[:, np.newaxis] for p in (series.first, series.ratio))
-    offset = series.offset.astype(kind)[:, np.newaxis]
-    n_harmonics = harmonics_needed(series.ratio, kind)
-    if n_harmonics > MANY_HARMONICS:
-        carrier = carrier_of(coarse, fine, n_samples)
-        return np.asarray(offset + (first * carrier / (1 - ratio * carrier)).real)
-    left = harmonic_powers(coarse * ratio, n_harmonics - 1)
-    left *= (first * coarse)[:, np.newaxis]
-    right = harmonic_powers(fine, n_harmonics)[:, 1:]
-    # The real part of the complex product and the offset, as one real product.
-    rows = 2 * n_harmonics + 1
-    left_sides = np.empty((len(coarse), rows, outer.size), dtype=kind)
-    left_sides[:, :n_harmonics], left_sides[:, n_harmonics:-1] = left.real, left.imag
-    left_sides[:, -1] = offset
-    right_sides = np.empty((len(coarse), rows, inner.size), dtype=kind)
-    right_sides[:, :n_harmonics] = right.real
-    np.negative(right.imag, out=right_sides[:, n_harmonics:-1])
-    right_sides[:, -1] = 1.0
-    grid = np.matmul(left_sides.swapaxes(-1, -2), right_sides)
-    return np.asarray(grid.reshape(len(coarse), -1)[:, :n_samples])
+    left = np.empty((*coarse.shape, n_harmonics + 1), dtype=coarse.dtype)
+    left[..., 0] = first * coarse
+    turn = ratio * coarse
+    for k in range(1, n_harmonics):
+        np.multiply(left[..., k - 1], turn, out=left[..., k])
+    left[..., -1] = series.offset[:, np.newaxis]
+    powers = harmonic_powers(fine, n_harmonics, 1, axis=1)
+    right = np.zeros((len(fine), 2 * n_harmonics + 2, inner.size), dtype=precision)
+    right[:, :-2:2] = powers.real
+    np.negative(powers.imag, out=right[:, 1:-2:2])
+    right[:, -2] = 1.0
+    return left.view(precision), right
 
 
 def carrier_of(coarse: NDArray[Any], fine: NDArray[Any], n_samples: int) -> NDArray[Any]:

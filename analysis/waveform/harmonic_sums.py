@@ -10,6 +10,7 @@ of two short vectors, and all sums of a record become one small matrix product.
 from __future__ import annotations
 
 import math
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -26,21 +27,24 @@ SUMS_AT_ONCE = 1500
 """Sums computed together, so that what they need stays in the second-level cache."""
 
 
-def harmonic_powers(turn: Complexes, n_harmonics: int) -> Complexes:
-    """turn^k for k = 0..n_harmonics; (R, L) -> (R, n_harmonics + 1, L)."""
-    powers = np.empty((turn.shape[0], n_harmonics + 1, turn.shape[1]), dtype=turn.dtype)
-    powers[:, 0] = 1.0
-    for k in range(1, n_harmonics + 1):
-        np.multiply(powers[:, k - 1], turn, out=powers[:, k])
+def harmonic_powers(turn: Complexes, highest: int, lowest: int = 0, axis: int = -1) -> Complexes:
+    """turn^k for k = lowest..highest, lowest 0 or 1, on a new axis of the result."""
+    shape = list(turn.shape)
+    shape.insert(axis if axis >= 0 else len(shape) + 1 + axis, highest - lowest + 1)
+    powers = np.empty(shape, dtype=turn.dtype)
+    by_order = np.moveaxis(powers, axis, 0)
+    by_order[0] = turn if lowest else 1.0
+    for before, after in pairwise(by_order):
+        np.multiply(before, turn, out=after)
     return powers
 
 
 def phasors(omega: Floats, index: Floats, precision: np.dtype[Any]) -> Complexes:
-    """exp(i w m), (R,) and (L,) -> (R, L), in single or double precision.
+    """exp(i w m), (R,) or (R, C) and (L,) -> (R, L) or (R, L, C), in single or double precision.
 
     The angle may be thousands of turns: it is reduced in double precision before it is rounded to single.
     """
-    angle = omega[:, np.newaxis] * index
+    angle = omega[:, np.newaxis] * (index if omega.ndim == 1 else index[:, np.newaxis])
     if precision == np.float32:
         angle -= 2 * np.pi * np.rint(angle / (2 * np.pi))
         angle = angle.astype(np.float32)
@@ -63,7 +67,9 @@ def record_grid(n_samples: int) -> tuple[Floats, Floats]:
     return outer, inner
 
 
-def data_sums(values: Samples, omega: Floats, n_harmonics: int, highest_power: int = 1) -> Complexes:
+def data_sums(
+    values: Samples, omega: Floats, n_harmonics: int, highest_power: int = 1, lowest: int = 0
+) -> Complexes:
     """Sums of v t^p exp(-i k w m), with m the centred sample index and t = 2 m / N.
 
     Parameters
@@ -73,12 +79,12 @@ def data_sums(values: Samples, omega: Floats, n_harmonics: int, highest_power: i
         largest value.
     omega : (R,) or (R, C)
         Angular frequency of each record, or C of them, rad per sample.
-    n_harmonics, highest_power : int
-        k = 0..n_harmonics, p = 0..highest_power.
+    n_harmonics, highest_power, lowest : int
+        k = lowest..n_harmonics with lowest 0 or 1, p = 0..highest_power.
 
     Returns
     -------
-    (R, highest_power + 1, n_harmonics + 1) or (R, C, highest_power + 1, n_harmonics + 1), complex128
+    (R, p, k) or (R, C, p, k), complex128
     """
     n_records, n_samples = values.shape
     outer, inner = record_grid(n_samples)
@@ -87,46 +93,44 @@ def data_sums(values: Samples, omega: Floats, n_harmonics: int, highest_power: i
         padded[:, :n_samples] = values
         values = padded
     blocks = values.reshape(n_records, outer.size, inner.size)
-    n_powers, n_orders = highest_power + 1, n_harmonics + 1
-    sums = np.empty((*omega.shape, n_powers, n_orders), dtype=np.complex128)
-    per_record = n_powers * n_orders * omega.size // max(n_records, 1)
-    at_once = max(1, SUMS_AT_ONCE // per_record)
+    n_powers, n_orders = highest_power + 1, n_harmonics + 1 - lowest
+    columns = omega.reshape(n_records, -1)
+    sums = np.empty((*columns.shape, n_powers, n_orders), dtype=np.complex128)
+    at_once = max(1, SUMS_AT_ONCE // max(columns.shape[1] * n_powers * n_orders, 1))
     for start in range(0, n_records, at_once):
         part = slice(start, start + at_once)
         found = _sums_of_blocks(
-            blocks[part], omega[part].ravel(), (outer, inner), 2 / n_samples, (n_powers, n_orders)
+            blocks[part], columns[part], (outer, inner), 2 / n_samples, n_powers, (lowest, n_harmonics)
         )
-        sums[part] = found.reshape(sums[part].shape)
-    return sums
+        sums[part] = found.reshape(*found.shape[:2], -1, n_orders).swapaxes(1, 2)
+    return sums.reshape(*omega.shape, n_powers, n_orders)
 
 
 def _sums_of_blocks(
-    blocks: Samples, omega: Floats, grid: tuple[Floats, Floats], unit: float, shape: tuple[int, int]
+    blocks: Samples,
+    omega: Floats,
+    grid: tuple[Floats, Floats],
+    unit: float,
+    n_powers: int,
+    orders: tuple[int, int],
 ) -> Complexes:
-    """`data_sums` of samples in rows, (R, rows, length), at R or several times R frequencies."""
-    kind, (outer, inner), (n_powers, n_orders) = blocks.dtype, grid, shape
-    fine = harmonic_powers(phasors(-omega, inner, kind), n_orders - 1)
-    coarse = harmonic_powers(phasors(-omega, outer, kind), n_orders - 1)
-    # (inner + outer)^p is expanded: each power of `outer` costs one product over the samples, those of `inner`
-    # only one over the columns. Real and imaginary parts go through it side by side: half a complex product's
-    # work.
-    sides = np.empty((omega.size, n_powers, 2, n_orders, outer.size), dtype=kind)
-    sides[:, 0, 0], sides[:, 0, 1] = coarse.real, coarse.imag
-    for q in range(1, n_powers):
-        np.multiply(sides[:, q - 1], (outer * unit).astype(kind), out=sides[:, q])
-    products = np.matmul(sides.reshape(len(blocks), -1, outer.size), blocks)
-    products = products.reshape(omega.size, n_powers, 2, n_orders, inner.size)
-    partial = np.empty((omega.size, n_powers, n_orders, inner.size), dtype=fine.dtype)
-    partial.real, partial.imag = products[:, :, 0], products[:, :, 1]
-    partial *= fine[:, np.newaxis]
-    near_powers = (inner[:, np.newaxis] * unit) ** np.arange(n_powers)
-    mixed = (partial.reshape(-1, inner.size) @ near_powers.astype(fine.dtype)).astype(np.complex128)
-    mixed = mixed.reshape(omega.size, n_powers, n_orders, n_powers)
-    sums = mixed[:, 0].swapaxes(-1, -2).copy()
-    for p in range(1, n_powers):
-        for q in range(1, p + 1):
-            sums[:, p] += math.comb(p, q) * mixed[:, q, :, p - q]
-    return np.asarray(sums)
+    """`data_sums` of samples in rows, (R, rows, length), at (R, C) frequencies: (R, p, C * K)."""
+    kind, (outer, inner), (lowest, highest) = blocks.dtype, grid, orders
+    fine = harmonic_powers(phasors(-omega, inner, kind), highest, lowest).reshape(len(omega), inner.size, -1)
+    coarse = harmonic_powers(phasors(-omega, outer, kind), highest, lowest).reshape(len(omega), outer.size, -1)
+    far_powers = ((outer * unit) ** np.arange(n_powers)[:, np.newaxis]).astype(kind)
+    near = np.broadcast_to((inner * unit).astype(kind)[:, np.newaxis], fine.shape[1:]).copy()
+    sums = np.zeros((len(blocks), n_powers, fine.shape[2]), dtype=np.complex128)
+    # (outer + inner)^p is expanded. Each power of `inner` costs one product over the samples, those of `outer`
+    # only one over the rows. Real and imaginary parts are columns side by side: half a complex product's work.
+    for q in range(n_powers):
+        side = fine if q == 0 else side * near
+        turned = np.matmul(blocks, side.view(kind)).view(fine.dtype)
+        turned *= coarse
+        mixed = np.matmul(far_powers[: n_powers - q], turned.view(kind)).view(fine.dtype)
+        for p in range(q, n_powers):
+            sums[:, p] += math.comb(p, q) * mixed[:, p - q]
+    return sums
 
 
 def uniform_kernels(omega: Floats, n_samples: int, n_orders: int) -> Complexes:
@@ -145,8 +149,8 @@ def uniform_kernels(omega: Floats, n_samples: int, n_orders: int) -> Complexes:
         Sum over n of t^p exp(-i k w m): the entries of every Gram matrix of the harmonic model.
     """
     n = n_samples
-    half = harmonic_powers(np.exp(0.5j * omega[:, np.newaxis]), n_orders)[..., 0]
-    many = harmonic_powers(np.exp(0.5j * n * omega[:, np.newaxis]), n_orders)[..., 0]
+    half = harmonic_powers(np.exp(0.5j * omega), n_orders)
+    many = harmonic_powers(np.exp(0.5j * n * omega), n_orders)
     # A harmonic on a multiple of the sampling rate is a constant; the quotients then need their limits.
     near = np.nonzero((np.abs(half.imag) * n < 0.05) & (half.real * many.real != 0))
     inverse = half.imag.copy()

@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.waveform.geometric_series import LARGEST_RATIO, RATIO_CLASSES, Series, ratio_classes
-from analysis.waveform.normal_equations import Step
+from analysis.waveform.normal_equations import Step, empty_matrices
+from analysis.waveform.records import sums_of_squares
 from analysis.waveform.sampled_equations import equations_by_samples
 from analysis.waveform.tied_equations import equations_by_sums
 
@@ -30,27 +31,24 @@ ROUNDING = {np.dtype(np.float32): 3e-6, np.dtype(np.float64): 1e-12}
 """Share of the power of a record to which its residual power is computed."""
 
 
-def sums_of_squares(values: Samples) -> Floats:
-    """Sum over the last axis; (R, N) -> (R,)."""
-    return np.asarray(np.vecdot(values, values).astype(np.float64))
-
-
 @dataclass(frozen=True)
 class Task:
     """Records to fit.
 
     values : (R, N) centred, 0 where missing; weights : (R, N) or None, of the same precision
-    power : (R,) sum of squares
+    power, total : (R,) sums of squares, and of the samples (what single precision leaves of the mean)
     """
 
     values: Samples
     weights: Samples | None
     power: Floats
+    total: Floats
 
     @staticmethod
     def of(values: Samples, weights: Samples | None) -> Task:
-        """A task with its power."""
-        return Task(values, weights, sums_of_squares(values))
+        """A task with its sums."""
+        total = values @ np.ones(values.shape[1], dtype=values.dtype)
+        return Task(values, weights, sums_of_squares(values), total.astype(np.float64))
 
     @property
     def rounding(self) -> Floats:
@@ -61,65 +59,90 @@ class Task:
         """Some of the records; all of them without a copy."""
         if part.size == len(self.power):
             return self
-        return Task(self.values[part], None if self.weights is None else self.weights[part], self.power[part])
+        weights = None if self.weights is None else self.weights[part]
+        return Task(self.values[part], weights, self.power[part], self.total[part])
 
     def equations(self, series: Series) -> Step:
         """Normal equations at the given parameters."""
         n_records = series.omega.size
-        step = Step(np.empty((n_records, 6, 6)), np.empty((n_records, 6)), np.empty(n_records))
+        step = Step(empty_matrices(n_records, 6), np.empty((n_records, 6)), np.empty(n_records))
         for number, part in ratio_classes(series.ratio):
             some, here = self.take(part), series.take(part)
             if number == len(RATIO_CLASSES):
                 # the samples are cheaper than so many harmonics
-                step.put(part, equations_by_samples(some.values, some.weights, here))
+                found = equations_by_samples(some.values, some.weights, here)
             else:
-                step.put(part, equations_by_sums(some.values, some.weights, some.power, here))
+                found = equations_by_sums(some.values, some.weights, some.power, some.total, here)
+            if part.size == n_records:
+                return found
+            step.put(part, found)
         return step
 
 
-def gauss_newton(task: Task, start: Series) -> tuple[Series, Step, Bools]:
+@dataclass(frozen=True)
+class SeriesFit:
+    """Fitted series, with the covariance (R, 6, 6) for unit noise and the residual power (R,) that go with it.
+
+    The order is c0, Re H, Im H, Re q, Im q, w (rad at the record's ends).
+    """
+
+    series: Series
+    covariance: Floats
+    residual_power: Floats
+
+    @staticmethod
+    def empty(series: Series) -> SeriesFit:
+        """Room for the fit that starts at `series`."""
+        n_records = series.omega.size
+        return SeriesFit(series, empty_matrices(n_records, 6), np.zeros(n_records))
+
+    def put(self, part: Indices | Bools, other: SeriesFit) -> None:
+        """Write the other's records into the places `part` of this one."""
+        self.series.put(part, other.series)
+        self.covariance[part], self.residual_power[part] = other.covariance, other.residual_power
+
+
+def gauss_newton(task: Task, start: Series) -> tuple[SeriesFit, Bools]:
     """From a start that is close already: mostly one step.
 
     Returns
     -------
-    Series, Step, converged (R,) of bool
-        The step is that from which the last change came, with the residual power expected after it.
+    SeriesFit, converged (R,) of bool
+        The covariance is that where the last step began, the residual power that expected after it.
     """
     n_records, n_samples = task.values.shape
-    series = start
-    step = Step(np.zeros((n_records, 6, 6)), np.zeros((n_records, 6)), np.zeros(n_records))
+    fit = SeriesFit.empty(start.take(np.arange(n_records)))
     active = np.arange(n_records)
     for _ in range(NEWTON_ITERATIONS):
-        here = series.take(active)
-        now = task.take(active).equations(here)
-        change = now.solve()
-        moved = here.moved(change, n_samples)
-        now = Step(now.normal, now.gradient, now.predicted_residual(change))
+        step = task.take(active).equations(fit.series.take(active))
+        change, covariance = step.solve_and_invert()
+        moved = fit.series.take(active).moved(change, n_samples)
+        now = SeriesFit(moved, covariance, step.predicted_residual(change))
         if active.size == n_records:
-            series, step = moved, now
+            fit = now
         else:
-            series.put(active, moved)
-            step.put(active, now)
-        active = active[_must_go_on(change, moved, now, n_samples)]
+            fit.put(active, now)
+        active = active[_must_go_on(change, now, n_samples)]
         if active.size == 0:
             break
-    converged = np.abs(series.ratio) < LARGEST_RATIO
+    converged = np.abs(fit.series.ratio) < LARGEST_RATIO
     converged[active] = False
-    return series, step, converged
+    return fit, converged
 
 
-def _must_go_on(change: Floats, series: Series, step: Step, n_samples: int) -> Bools:
+def _must_go_on(change: Floats, fit: SeriesFit, n_samples: int) -> Bools:
+    series = fit.series
     size = np.maximum(np.abs(series.first), 1e-300)
     by_first = np.hypot(change[:, 1], change[:, 2]) / size
     by_ratio = np.hypot(change[:, 3], change[:, 4])
     # Near lock-in the waveform is a narrow spike, which bends the more.
     narrowness = 1 / np.maximum(1 - np.abs(series.ratio) ** 2, 1e-3)
     curvature = (change[:, 5] ** 2 + by_ratio * (by_ratio + by_first)) * narrowness**6
-    noise = np.sqrt(step.residual_power * 2) / (n_samples * size)
+    noise = np.sqrt(fit.residual_power * 2) / (n_samples * size)
     return np.asarray(curvature > CURVATURE * noise + 1e-22)
 
 
-def levenberg_marquardt(task: Task, start: Series) -> tuple[Series, Step]:
+def levenberg_marquardt(task: Task, start: Series) -> SeriesFit:
     """From a start that may be far: each record keeps its own damping and stops by itself."""
     n_samples = task.values.shape[1]
     series = start.take(np.arange(start.omega.size))
@@ -145,4 +168,4 @@ def levenberg_marquardt(task: Task, start: Series) -> tuple[Series, Step]:
         active = active[~((small & better) | (damping[active] > 1e9))]
         if active.size == 0:
             break
-    return series, best
+    return SeriesFit(series, best.covariance(), best.residual_power)

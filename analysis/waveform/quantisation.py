@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.waveform.frequency_search import power_of, spectrum_of
+from analysis.waveform.frequency_search import line_sizes
 
 Floats = NDArray[np.float64]
 Samples = NDArray[Any]
@@ -122,7 +122,7 @@ def repetition(left: Samples) -> Floats:
     Where the sampling is locked to the beat, a few rounding errors repeat over the whole record. Their spectrum is
     then a few lines, while the lines of white noise scatter as much as their mean.
     """
-    power = power_of(spectrum_of(left))[:, 1:].astype(np.float64)
+    power = np.square(line_sizes(left)[:, 1:], dtype=np.float64)
     total = np.maximum(power.sum(axis=-1), 1e-300)
     return np.asarray(np.vecdot(power, power) * power.shape[1] / (2 * total**2))
 

@@ -24,8 +24,9 @@ SAMPLES_AT_ONCE = 2_500_000
 """Samples worked on together: enough that the cost of calling NumPy does not count, and a bound on the memory of
 any batch."""
 
-RECORDS_AT_ONCE = 40
-"""Records centred together: 1 MB, which the second-level cache holds until all passes over them are done."""
+CACHED = 2**19
+"""Bytes of samples that go through several passes together, so that the second-level cache holds them until all
+passes are done."""
 
 LIFTED = 10.0
 """Mean over swing beyond which a record must be centred in double precision."""
@@ -34,6 +35,16 @@ LIFTED = 10.0
 # again is then made of fresh pages, which takes longer than the arithmetic on it. Once it has seen a block of this
 # size come and go it keeps them. Nothing is written to it, so it costs no memory.
 np.empty(30 << 20, dtype=np.uint8)
+
+
+def records_at_once(n_samples: int, precision: DTypeLike) -> int:
+    """How many records to work on together so that they stay in the cache."""
+    return max(1, CACHED // (n_samples * np.dtype(precision).itemsize))
+
+
+def sums_of_squares(values: Samples) -> Floats:
+    """Sum over the last axis; (R, N) -> (R,)."""
+    return np.asarray(np.vecdot(values, values).astype(np.float64))
 
 
 @dataclass(frozen=True)
@@ -83,41 +94,50 @@ class Stack:
             Infinite values.
         """
         raw, kind = self.volts[part], np.dtype(precision)
+        missing, weights = None, None
         count = np.full(len(raw), float(self.n_samples))
-        weights = None
-        values, centre = _centred(raw, count, kind)
+        values, centre, lowest, highest = _centred(raw, missing, count, kind)
         if not np.all(np.isfinite(centre)):
             missing = np.isnan(raw)
+            weights = (~missing).astype(kind)
             count -= missing.sum(axis=-1)
-            values, centre = _centred(np.where(missing, raw.dtype.type(0), raw), count, kind)
+            values, centre, lowest, highest = _centred(raw, missing, count, kind)
             if not np.all(np.isfinite(centre)):
                 raise ValueError("volts holds infinite values")
-            values[missing] = 0.0
-            weights = (~missing).astype(kind)
-        highest, lowest = values.max(axis=-1, initial=-np.inf), values.min(axis=-1, initial=np.inf)
         # Rounding of the mean leaves about 1e-16 of the level in a record that is really constant.
         constant = (highest - lowest <= 1e-12 * np.abs(centre)) | (count < 1)
         return Records(values, weights, centre, count, constant, highest, lowest)
 
 
-def _centred(raw: NDArray[Any], count: Floats, precision: np.dtype[Any]) -> tuple[Samples, Floats]:
-    """Records less their mean, and the mean; in blocks that are still in the cache for the next pass."""
+def _centred(
+    raw: NDArray[Any], missing: Bools | None, count: Floats, precision: np.dtype[Any]
+) -> tuple[Samples, Floats, Samples, Samples]:
+    """Records less their mean, 0 where missing; the mean; the lowest and the highest value."""
+    n_records, n_samples = raw.shape
     values: Samples = np.empty(raw.shape, dtype=precision)
-    centre = np.empty(len(raw))
-    ones = np.ones(raw.shape[1])
-    with np.errstate(over="ignore", invalid="ignore"):  # infinite: the caller's concern
-        for start in range(0, len(raw), RECORDS_AT_ONCE):
-            here = slice(start, start + RECORDS_AT_ONCE)
-            some = raw[here]
-            centre[here] = some @ ones / np.maximum(count[here], 1)
-            values[here] = some
-            values[here] -= centre[here, np.newaxis].astype(precision)
-        if precision == np.float32 and len(raw):
-            # Where the mean is large beside the swing, single precision must begin after the subtraction.
-            swing = values.max(axis=-1) - values.min(axis=-1)
-            lifted = np.flatnonzero(~(np.abs(centre) < LIFTED * swing))
-            values[lifted] = raw[lifted] - centre[lifted, np.newaxis]
-    return values, centre
+    centre = np.empty(n_records)
+    lowest, highest = np.empty(n_records, dtype=precision), np.empty(n_records, dtype=precision)
+    ones, at_once = np.ones(n_samples), records_at_once(n_samples, raw.dtype)
+    for start in range(0, n_records, at_once):
+        here = slice(start, start + at_once)
+        some, block = raw[here], values[here]
+        if missing is not None:
+            some = np.where(missing[here], raw.dtype.type(0), some)
+        with np.errstate(over="ignore", invalid="ignore"):  # infinite: the caller's concern
+            mean = some @ ones / np.maximum(count[here], 1)
+            block[...] = some
+            block -= mean[:, np.newaxis].astype(precision)
+        if missing is not None:
+            block[missing[here]] = 0.0
+        centre[here], lowest[here], highest[here] = mean, block.min(axis=-1), block.max(axis=-1)
+    if precision == np.float32:
+        # Where the mean is large beside the swing, single precision must begin after the subtraction.
+        lifted = np.flatnonzero(np.isfinite(centre) & ~(np.abs(centre) < LIFTED * (highest - lowest)))
+        if lifted.size:
+            absent = None if missing is None else missing[lifted]
+            fine, _, low, high = _centred(raw[lifted], absent, count[lifted], np.dtype(np.float64))
+            values[lifted], lowest[lifted], highest[lifted] = fine, low, high
+    return values, centre, lowest, highest
 
 
 def as_stack(volts: ArrayLike, sample_interval: float) -> Stack:

@@ -11,7 +11,9 @@ import scipy.special
 from numpy.typing import NDArray
 
 from analysis.flags import Flag
-from analysis.waveform.frequency_search import power_of, spectrum_of
+from analysis.waveform.frequency_search import Sizes, line_sizes
+from analysis.waveform.geometric_series import Series, sampled_blocks
+from analysis.waveform.records import sums_of_squares
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -44,6 +46,32 @@ GROSS_MISFIT_OF_A_CURVE = 0.002
 
 
 @dataclass(frozen=True)
+class Residual:
+    """What a series leaves of records: samples (R, N), 0 where missing; sum of squares and largest size (R,)."""
+
+    samples: Samples
+    power: Floats
+    largest: Samples
+
+    def put(self, part: NDArray[np.intp], other: Residual) -> None:
+        """Write the other's records into the places `part` of this one."""
+        self.samples[part], self.power[part] = other.samples, other.power
+        self.largest[part] = other.largest
+
+
+def residual_of(values: Samples, weights: Samples | None, series: Series) -> Residual:
+    """Subtract the waveform from (R, N) records."""
+    left = Residual(np.empty_like(values), np.empty(len(values)), np.empty(len(values), dtype=values.dtype))
+    for rows, model in sampled_blocks(series, values.shape[1], values.dtype):
+        np.subtract(values[rows], model, out=model)
+        if weights is not None:
+            model *= weights[rows]
+        left.samples[rows], left.power[rows] = model, sums_of_squares(model)
+        left.largest[rows] = np.maximum(model.max(axis=-1), -model.min(axis=-1))
+    return left
+
+
+@dataclass(frozen=True)
 class ResidualReport:
     """flags : (R,); excess : (R, 3) variance factors of frequency, ratio size and ratio phase over white noise;
     uneven : (R,) where the spectrum is not flat, by lines or by broad humps."""
@@ -69,11 +97,14 @@ def examine_residual(
     """
     n_records, n_samples = left.shape
     flags = np.zeros(n_records, dtype=np.int64)
-    power = power_of(spectrum_of(left))
-    power[:, 0] = 0.0
-    n_lines = power.shape[1] - 1
-    mean = np.maximum(power.sum(axis=-1) / n_lines, 1e-30)
-    line = power.max(axis=-1) / mean
+    sizes = line_sizes(left)
+    n_lines = sizes.shape[1] - 1
+    # Parseval: the sum over the lines from the sum over the samples
+    total = n_samples * residual_power - np.square(sizes[:, 0], dtype=np.float64)
+    if n_samples % 2 == 0:
+        total += np.square(sizes[:, -1], dtype=np.float64)
+    mean = np.maximum(total / (2 * n_lines), 1e-30)
+    line = np.square(sizes[:, 1:].max(axis=-1), dtype=np.float64) / mean
     expected = np.log(n_lines / LINE_CHANCE)
 
     signal = first**2 / 2 * count
@@ -89,17 +120,18 @@ def examine_residual(
     for row in np.flatnonzero(uneven):
         # So few periods leave a slow curve, which no neighbours tell from noise that rises to low frequencies.
         few = omega[row] * n_samples < 2 * np.pi * FEW_PERIODS
-        misfit[row] = few or _line_stands_out(power[row, 1:], expected)
+        misfit[row] = few or _line_stands_out(np.square(sizes[row, 1:]), expected)
     flags[misfit] |= Flag.MISFIT
     for row in np.flatnonzero(uneven):
-        lines = power[row][power[row] > mean[row] * expected].sum() * 2 / n_samples
+        power = np.square(sizes[row, 1:])
+        lines = power[power > mean[row] * expected].sum() * 2 / n_samples
         few = omega[row] * n_samples < 2 * np.pi * FEWEST_PERIODS
         if lines > (GROSS_MISFIT_OF_A_CURVE if few else GROSS_MISFIT) * signal[row]:
             flags[row] |= Flag.NOT_LOCK_IN_LIKE
 
     excess = np.ones((n_records, 3))
-    at_first = _local_level(power, omega, n_samples) / mean
-    at_second = _local_level(power, 2 * omega, n_samples) / mean
+    at_first = _local_level(sizes, omega, n_samples) / mean
+    at_second = _local_level(sizes, 2 * omega, n_samples) / mean
     coloured = (np.maximum(at_first, at_second) > 1.6) | (np.minimum(at_first, at_second) < 0.6)
     coloured &= ~rounding
     flags[coloured] |= Flag.COLOURED_NOISE
@@ -107,7 +139,7 @@ def examine_residual(
         line = omega[row] * n_samples / (2 * np.pi)
         first_level, second_level = float(at_first[row]), float(at_second[row])
         if line < 2 * NEIGHBOURS:
-            levels = _low_levels(power[row, 1:] / mean[row], line)
+            levels = _low_levels(np.square(sizes[row, 1:]) / mean[row], line)
             first_level, second_level = levels[1:]
             if line < FEW_PERIODS:
                 # So few periods do not keep the lines apart: the stronger noise reaches both, and what is below.
@@ -158,11 +190,12 @@ def _low_levels(power: Samples, line: float) -> Floats:
     return np.array(levels)
 
 
-def _local_level(power: Samples, omega: Floats, n_samples: int) -> Floats:
+def _local_level(sizes: Sizes, omega: Floats, n_samples: int) -> Floats:
     """Mean power of the bins around a (folded) frequency; (R,)."""
     folded = np.abs((omega + np.pi) % (2 * np.pi) - np.pi)
     centre = np.rint(folded * n_samples / (2 * np.pi)).astype(int)
-    n_lines = power.shape[1] - 1
+    n_lines = sizes.shape[1] - 1
     reach = min(NEIGHBOURS, (n_lines - 1) // 2)
     around = np.clip(centre, reach + 1, n_lines - reach)[:, np.newaxis] + np.arange(-reach, reach + 1)
-    return np.asarray(np.take_along_axis(power, around, axis=-1).mean(axis=-1), dtype=np.float64)
+    found = np.take_along_axis(sizes, around, axis=-1)
+    return np.asarray(np.vecdot(found, found) / around.shape[1], dtype=np.float64)

@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 
 from analysis.waveform.frequency_search import spectral_start, spectrum_of
 from analysis.waveform.geometric_series import Series
-from analysis.waveform.minimise import Task, gauss_newton, levenberg_marquardt
-from analysis.waveform.normal_equations import Step
+from analysis.waveform.minimise import SeriesFit, Task, gauss_newton, levenberg_marquardt
 from analysis.waveform.series_start import start_of_series
 
 Samples = NDArray[Any]
@@ -24,7 +23,7 @@ UNEXPLAINED = 0.12
 of the harmonics of a gyro close to lock-in would explain less than half of it."""
 
 
-def fit_series(values: Samples, weights: Samples | None) -> tuple[Series, Step]:
+def fit_series(values: Samples, weights: Samples | None) -> SeriesFit:
     """Fit the waveform to each record.
 
     Parameters
@@ -33,12 +32,6 @@ def fit_series(values: Samples, weights: Samples | None) -> tuple[Series, Step]:
         Centred, 0 where missing. The fit is as precise as they are: single precision is enough for eight bits.
     weights : (R, N) or None
         1 for a valid sample, 0 for a missing one.
-
-    Returns
-    -------
-    Series, Step
-        Parameters, and the normal equations in the order c0, Re H, Im H, Re q, Im q, w (w in rad at the
-        record's ends) with the residual power that goes with the parameters.
     """
     n_records, n_samples = values.shape
     task = Task.of(values, weights)
@@ -49,19 +42,16 @@ def fit_series(values: Samples, weights: Samples | None) -> tuple[Series, Step]:
     explained = size**2 / 2 * n_samples / (1 - np.minimum(np.abs(ratio), 0.9) ** 2)
     plain = (np.abs(ratio) < PLAIN_RATIO) & (np.abs(explained - task.power) < UNEXPLAINED * task.power)
 
-    series = Series(np.zeros(n_records), line.first, np.where(plain, ratio, 0.0), line.omega)
+    start = Series(np.zeros(n_records), line.first, np.where(plain, ratio, 0.0), line.omega)
     chosen = np.flatnonzero(plain)
     if chosen.size == n_records:
-        series, step, plain = gauss_newton(task, series)
+        fit, plain = gauss_newton(task, start)
     else:
-        step = Step(np.zeros((n_records, 6, 6)), np.zeros((n_records, 6)), np.zeros(n_records))
-        fitted, fitted_step, plain[chosen] = gauss_newton(task.take(chosen), series.take(chosen))
-        series.put(chosen, fitted)
-        step.put(chosen, fitted_step)
+        fit = SeriesFit.empty(start)
+        fitted, plain[chosen] = gauss_newton(task.take(chosen), start.take(chosen))
+        fit.put(chosen, fitted)
     hard = np.flatnonzero(~plain)
     if hard.size:
         some = task.take(hard)
-        fitted, fitted_step = levenberg_marquardt(some, start_of_series(some.values, some.weights, spectrum[hard]))
-        series.put(hard, fitted)
-        step.put(hard, fitted_step)
-    return series, step
+        fit.put(hard, levenberg_marquardt(some, start_of_series(some.values, some.weights, spectrum[hard])))
+    return fit

@@ -22,40 +22,45 @@ import numpy as np
 import scipy.special
 from numpy.typing import NDArray
 
-from analysis.waveform.geometric_series import Series, harmonics_needed
+from analysis.waveform.geometric_series import NEGLIGIBLE, Series, orders_needed
 from analysis.waveform.harmonic_sums import data_sums, uniform_kernels
-from analysis.waveform.normal_equations import Step
+from analysis.waveform.normal_equations import Step, empty_matrices
 
 Floats = NDArray[np.float64]
 Samples = NDArray[Any]
 Complexes = NDArray[Any]
 """complex128"""
 
+LEFT_OUT = {np.dtype(np.float32): 1e-8, np.dtype(np.float64): 1e-17}
+"""Powers of the ratio below this are left out of the kernels. A harmonic that folds onto zero frequency has a large
+kernel, and the coefficients hold binomials up to hundreds, so they must be small indeed."""
 
-def equations_by_sums(values: Samples, weights: Samples | None, power: Floats, series: Series) -> Step:
+
+def equations_by_sums(
+    values: Samples, weights: Samples | None, power: Floats, total: Floats, series: Series
+) -> Step:
     """Normal equations of (R,) records at the given parameters.
 
     Parameters
     ----------
     values : (R, N); weights : (R, N) or None
         0 where missing.
-    power : (R,)
-        Sum of squares of `values`.
+    power, total : (R,)
+        Sums of squares of `values`, and of `values`.
     series : Series
     """
-    n_samples = values.shape[1]
-    n_harmonics = harmonics_needed(series.ratio, values.dtype)
-    # The kernels belong to products of two harmonics: twice the order, and what lies beyond is as negligible.
-    n_orders = 2 * n_harmonics
+    n_samples, kind = values.shape[1], values.dtype
+    n_harmonics = orders_needed(series.ratio, NEGLIGIBLE[kind], 3)
+    n_orders = orders_needed(series.ratio, LEFT_OUT[kind], 6)
     if weights is None:
         kernels = np.conj(uniform_kernels(series.omega, n_samples, n_orders))
     else:
         kernels = np.conj(data_sums(weights, series.omega, n_orders, 2))
     of_powers = _powers_of_g(series.ratio, n_orders)
-    of_data = np.conj(data_sums(values, series.omega, n_harmonics, 1))
+    of_data = np.conj(data_sums(values, series.omega, n_harmonics, 1, lowest=1))
     g_sums = np.matmul(kernels[:, :, 1:], of_powers)
-    v_sums = np.matmul(of_data[:, :, 1:], of_powers[:, :n_harmonics, :2])
-    return _assembled(series, kernels[:, :, 0].real, g_sums, of_data[:, 0, 0].real, v_sums, power)
+    v_sums = np.matmul(of_data, of_powers[:, :n_harmonics, :2])
+    return _assembled(series, kernels[:, :, 0].real, g_sums, total, v_sums, power)
 
 
 def _powers_of_g(ratio: Complexes, n_orders: int) -> Complexes:
@@ -90,7 +95,7 @@ def _assembled(
     s_cg, s_cgg = g_g + column * gg_g, np.conj(gg_g) + column * gg_gg
     s_s, s_cs = s_g + column * s_gg, (s_cg + np.conj(column) * s_cgg).real
 
-    normal = np.empty((first.size, 6, 6))
+    normal = empty_matrices(first.size, 6)
     h_gg, turn = first * two[:, 0], 1j * first
     h_squared: Complexes = first * first
     normal[:, 0, 0] = counts[:, 0]

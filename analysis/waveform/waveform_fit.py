@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 from analysis.flags import Flag
 from analysis.waveform.damage import Bools, find_damage, outliers
 from analysis.waveform.geometric_series import Series, sampled_series
-from analysis.waveform.minimise import Task, gauss_newton, sums_of_squares
-from analysis.waveform.normal_equations import Step
+from analysis.waveform.minimise import SeriesFit, Task, gauss_newton
 from analysis.waveform.phase_tracking import looks_like_wander, track_phase
 from analysis.waveform.quantisation import (
     FEW_ERRORS,
@@ -24,7 +23,7 @@ from analysis.waveform.quantisation import (
     repetition,
 )
 from analysis.waveform.records import Records, Stack
-from analysis.waveform.residuals import examine_residual
+from analysis.waveform.residuals import Residual, examine_residual, residual_of
 from analysis.waveform.series_fit import fit_series
 
 Floats = NDArray[np.float64]
@@ -95,86 +94,69 @@ def _fit_part(stack: Stack, part: slice, clipped: Bools | None) -> WaveformFit:
 
 def _fit_records(records: Records, clipped: Bools | None) -> WaveformFit:
     values, weights = records.values, records.weights
-    n_samples, precision = values.shape[1], values.dtype
     damage = find_damage(records, clipped)
     flags = damage.flags.copy()
-    series, step = fit_series(values, weights)
+    fit = fit_series(values, weights)
     hit = (flags & int(Flag.CLIPPED)) != 0
     if hit.any() and damage.weights is not None and damage.limits is not None:
         weights = np.ones_like(values) if weights is None else weights.copy()
-        refitted, new_step, weights[hit] = _fit_between_limits(
+        refitted, weights[hit] = _fit_between_limits(
             values[hit], weights[hit], damage.weights[hit], damage.limits[hit]
         )
-        series.put(hit, refitted)
-        step.put(hit, new_step)
+        fit.put(hit, refitted)
 
-    left = sampled_series(series, n_samples, precision)
-    np.subtract(values, left, out=left)
-    if weights is not None:
-        left *= weights
+    left = residual_of(values, weights, fit.series)
     spikes = outliers(left, weights, records.highest - records.lowest)
-    hit = np.asarray(spikes.any(axis=-1))
-    if hit.any():
+    spiked = np.flatnonzero(spikes.any(axis=-1))
+    if spiked.size:
         weights = np.ones_like(values) if weights is None else weights
-        weights = np.where(spikes, precision.type(0), weights)
-        refitted, new_step = fit_series(values[hit] * weights[hit], weights[hit])
-        series.put(hit, refitted)
-        step.put(hit, new_step)
-        left[hit] = values[hit] - sampled_series(refitted, n_samples, precision)
-        left *= weights
-        flags[hit] |= Flag.DAMAGED
+        weights = np.where(spikes, values.dtype.type(0), weights)
+        refitted = fit_series(values[spiked] * weights[spiked], weights[spiked])
+        fit.put(spiked, refitted)
+        left.put(spiked, residual_of(values[spiked], weights[spiked], refitted.series))
+        flags[spiked] |= Flag.DAMAGED
     count = records.count if weights is None else weights.sum(axis=-1, dtype=np.float64)
-    power = sums_of_squares(left)
-    rounding, repeats = _take_out_rounding(values, weights, series, step, left, power, count)
+    rounding, repeats = _take_out_rounding(values, weights, fit, left, count)
     flags[repeats] |= Flag.ROUNDING_REPEATS
-    covariance = step.covariance() * rounding[:, np.newaxis, np.newaxis]
-    return _judged(records, weights, series, covariance, left, power, count, flags)
+    covariance = fit.covariance * rounding[:, np.newaxis, np.newaxis]
+    return _judged(records, weights, fit.series, covariance, left, count, flags)
 
 
 def _take_out_rounding(
-    values: Samples,
-    weights: Samples | None,
-    series: Series,
-    step: Step,
-    left: Samples,
-    power: Floats,
-    count: Floats,
+    values: Samples, weights: Samples | None, fit: SeriesFit, left: Residual, count: Floats
 ) -> tuple[Floats, Bools]:
-    """Fit quiet records again with the mean rounding error taken out; series, step, left and power are changed.
+    """Fit quiet records again with the mean rounding error taken out; fit and left are changed.
 
     Returns the factor (R,) of the variance by what is left of the rounding, and where it repeats with the beat.
     """
-    rms = np.sqrt(power / np.maximum(count - N_PARAMETERS, 1))
+    rms = np.sqrt(left.power / np.maximum(count - N_PARAMETERS, 1))
     spacing = level_spacing(values, rms)
     quiet, excess = np.flatnonzero(spacing), np.ones(len(values))
     is_locked = np.zeros(len(values), dtype=bool)
     if quiet.size:
         silent = quiet[rms[quiet] < SILENT * spacing[quiet]]
-        repeated = repetition(left[silent])
-        locked = locked_to_the_beat(series.omega[silent], repeated, values.shape[1])
+        repeated = repetition(left.samples[silent])
+        locked = locked_to_the_beat(fit.series.omega[silent], repeated, values.shape[1])
         excess[silent[locked]] = repeated[locked] * FEW_ERRORS
         is_locked[silent[locked]] = True
         quiet = quiet[~is_locked[quiet]]
     if quiet.size == 0:
         return excess, is_locked
     some, mask = values[quiet], None if weights is None else weights[quiet]
-    n_samples = values.shape[1]
-    fitted = series.take(quiet)
+    fitted = fit.series.take(quiet)
     # The rounding error is taken where the first fit has put the waveform. That fit was moved by it by little, but
     # with next to no noise the error changes within a small part of a level.
     for _ in range(1 if np.all(rms[quiet] > SILENT * spacing[quiet]) else 2):
-        model = sampled_series(fitted, n_samples, values.dtype)
+        model = sampled_series(fitted, values.shape[1], values.dtype)
         corrected = some - mean_rounding(model, some, spacing[quiet], rms[quiet])
         if mask is not None:
             corrected *= mask
-        fitted, new_step, _ = gauss_newton(Task.of(corrected, mask), fitted)
-    rest = corrected - sampled_series(fitted, n_samples, values.dtype)
-    if mask is not None:
-        rest *= mask
-    series.put(quiet, fitted)
-    step.put(quiet, new_step)
-    left[quiet], power[quiet] = rest, sums_of_squares(rest)
-    excess[quiet] = leftover_excess(rest, spacing[quiet])
+        refitted, _ = gauss_newton(Task.of(corrected, mask), fitted)
+        fitted = refitted.series
+    rest = residual_of(corrected, mask, fitted)
+    fit.put(quiet, refitted)
+    left.put(quiet, rest)
+    excess[quiet] = leftover_excess(rest.samples, spacing[quiet])
     return excess, is_locked
 
 
@@ -183,22 +165,21 @@ def _judged(
     weights: Samples | None,
     series: Series,
     covariance: Floats,
-    left: Samples,
-    power: Floats,
+    left: Residual,
     count: Floats,
     flags: NDArray[np.int64],
 ) -> WaveformFit:
     """The fit with its noise and its flags; records that do not fit get a second chance with a moving phase."""
-    free = count - N_PARAMETERS
+    free, power = count - N_PARAMETERS, left.power
     repeated = (flags & int(Flag.ROUNDING_REPEATS)) != 0
-    report = examine_residual(left, count, series.omega, np.abs(series.first), power, repeated)
+    report = examine_residual(left.samples, count, series.omega, np.abs(series.first), power, repeated)
     flags |= report.flags
     excess = report.excess
     # A residual as small as this cannot come from a wander that would move the ratio.
     worth_it = power > TRACKED_FROM**2 * np.abs(series.first) ** 2 * count
     for row in np.flatnonzero(report.uneven & worth_it):
         omega = float(series.omega[row])
-        if not looks_like_wander(left[row], omega):
+        if not looks_like_wander(left.samples[row], omega):
             continue
         mask = None if weights is None else weights[row].astype(np.float64)
         tracked = track_phase(records.values[row].astype(np.float64), mask, omega)
@@ -228,20 +209,20 @@ def _judged(
 
 def _fit_between_limits(
     values: Samples, weights: Samples, undamaged: Samples, limits: Floats
-) -> tuple[Series, Step, Samples]:
+) -> tuple[SeriesFit, Samples]:
     """Fit clipped records without their clipped samples.
 
     Which samples are left out must not depend on their own noise, or the mean of the others is biased near the
     limits. So after a first fit the model, not the sample, says what is too near to a limit.
     """
-    series, step = fit_series(values * undamaged, undamaged)
+    fit = fit_series(values * undamaged, undamaged)
     kept = undamaged
     for _ in range(2):
-        model = sampled_series(series, values.shape[1], values.dtype)
-        noise = np.sqrt(step.residual_power / np.maximum(kept.sum(axis=-1) - N_PARAMETERS, 1))
+        model = sampled_series(fit.series, values.shape[1], values.dtype)
+        noise = np.sqrt(fit.residual_power / np.maximum(kept.sum(axis=-1) - N_PARAMETERS, 1))
         margin = 4 * noise[:, np.newaxis]
         inside = weights * ((model > limits[:, :1] + margin) & (model < limits[:, 1:] - margin))
         enough = inside.sum(axis=-1, keepdims=True) > 0.2 * values.shape[1]
         kept = np.where(enough, inside, undamaged).astype(values.dtype)
-        series, step = fit_series(values * kept, kept)
-    return series, step, kept
+        fit = fit_series(values * kept, kept)
+    return fit, kept

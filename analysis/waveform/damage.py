@@ -9,13 +9,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.flags import Flag
-from analysis.waveform.records import Records
-from analysis.waveform.residuals import Residual
+from analysis.waveform.geometric_series import Series
+from analysis.waveform.records import Records, records_at_once
+from analysis.waveform.residuals import Residual, residual_samples
 
 Floats = NDArray[np.float64]
 Samples = NDArray[Any]
 """float32 or float64"""
 Bools = NDArray[np.bool_]
+Indices = NDArray[np.intp]
 
 SHARE_AT_END = 0.012
 """A level that holds less than this share of the samples is not worth calling a clipping limit: the wave would
@@ -56,8 +58,9 @@ def find_damage(records: Records, clipped: Bools | None) -> Damage:
     values, weights = records.values, records.weights
     flags = np.zeros(len(values), dtype=np.int64)
     if clipped is None:
-        high = _crowded_end(values, weights, records.highest, 1.0)
-        low = -_crowded_end(values, weights, records.lowest, -1.0)
+        at_lowest, at_highest = _crowded_records(records)
+        high = _crowded_end(values, weights, records.highest, at_highest, 1.0)
+        low = -_crowded_end(values, weights, records.lowest, at_lowest, -1.0)
     else:
         known = clipped if weights is None else clipped & (weights > 0)
         low = np.where(known & (values < 0), values, -np.inf).max(axis=-1)
@@ -73,13 +76,9 @@ def find_damage(records: Records, clipped: Bools | None) -> Damage:
     return Damage(undamaged, np.stack([low, high], axis=-1), flags)
 
 
-def _crowded_end(values: Samples, weights: Samples | None, end: Samples, sign: float) -> Floats:
+def _crowded_end(values: Samples, weights: Samples | None, end: Samples, suspects: Indices, sign: float) -> Floats:
     """`sign` times the end level where it is a clipping limit, else inf; (R,)."""
     limit = np.full(len(values), np.inf)
-    few = values[:, ::THINNING]
-    at_end = few >= end[:, np.newaxis] if sign > 0 else few <= end[:, np.newaxis]
-    crowds = at_end.view(np.uint8).sum(axis=-1, dtype=np.uint32)  # several times faster than counting booleans
-    suspects = np.flatnonzero(crowds > SHARE_AT_END * few.shape[1])
     for thinning in (THINNING, 1):
         if suspects.size == 0:
             return limit
@@ -98,23 +97,44 @@ def _crowded_end(values: Samples, weights: Samples | None, end: Samples, sign: f
     return limit
 
 
-def outliers(left: Residual, weights: Samples | None, swing: Samples) -> Bools:
-    """Residuals that are single spikes, (R, N). Many of them are a misfit, not spikes, and are kept.
+def _crowded_records(records: Records) -> tuple[Indices, Indices]:
+    """Records of which some of the samples crowd at the lowest, and at the highest value."""
+    n_records, n_samples = records.values.shape
+    crowds = np.empty((2, n_records), dtype=np.uint32)
+    at_once = records_at_once(n_samples, records.values.dtype)
+    for start in range(0, n_records, at_once):
+        here = slice(start, start + at_once)
+        few = np.ascontiguousarray(records.values[here, ::THINNING])
+        for end, at_end in enumerate(
+            (few <= records.lowest[here, np.newaxis], few >= records.highest[here, np.newaxis])
+        ):
+            # several times faster than counting booleans
+            crowds[end, here] = at_end.view(np.uint8).sum(axis=-1, dtype=np.uint32)
+    low, high = (np.flatnonzero(crowd > SHARE_AT_END * (n_samples / THINNING)) for crowd in crowds)
+    return low, high
+
+
+def outliers(
+    values: Samples, weights: Samples | None, series: Series, residual: Residual, swing: Samples
+) -> dict[int, Bools]:
+    """Samples (N,) that are single spikes, by record. Many of them are a misfit, not spikes, and are kept.
 
     Parameters
     ----------
-    left : Residual
-    weights : (R, N) or None
+    values : (R, N); weights : (R, N) or None
+    series, residual : Series, Residual
+        Fitted to them, and what that leaves.
     swing : (R,)
         Range of the record itself: what is next to nothing beside it is arithmetic.
     """
-    spikes = np.zeros(left.samples.shape, dtype=bool)
+    spikes = {}
     # A single spike cannot hide: it stands out of the rms that it itself has raised. Missing samples are 0.
-    rms = np.sqrt(left.power / left.samples.shape[1])
-    for row in np.flatnonzero(left.largest > 5 * rms):
-        size = np.abs(left.samples[row])
+    rms = np.sqrt(residual.power / values.shape[1])
+    for row in map(int, np.flatnonzero(residual.largest > 5 * rms)):
+        size = np.abs(residual_samples(values, weights, series, row))
         valid = size if weights is None else size[weights[row] > 0]
         found = size > SPIKE * 1.4826 * float(np.median(valid))
-        if found.mean() <= 0.02:
-            spikes[row] = found & (size > NOTHING * swing[row])
+        found &= size > NOTHING * swing[row]
+        if found.any() and found.mean() <= 0.02:
+            spikes[row] = found
     return spikes

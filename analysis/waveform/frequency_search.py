@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -30,44 +30,51 @@ class SpectralStart:
     second: Complexes
 
 
-def spectrum_of(values: Samples) -> Spectrum:
-    """Spectrum of centred records, (R, N) -> (R, N//2 + 1).
+@dataclass(frozen=True)
+class Spectra:
+    """lines (R, N//2 + 1); strongest (R,) the bin of the strongest line beside the mean value."""
 
-    Single precision: it only starts the fits, and eight-bit samples do not fill its 24 bits.
-    """
-    spectrum: Spectrum = np.empty((len(values), values.shape[1] // 2 + 1), dtype=np.complex64)
-    for here, lines in _spectra(values):
-        spectrum[here] = lines
-    return spectrum
+    lines: Spectrum
+    strongest: NDArray[np.intp]
+
+    @staticmethod
+    def of(values: Samples) -> Spectra:
+        """Spectra of centred records, (R, N).
+
+        Single precision: they only start the fits, and eight-bit samples do not fill its 24 bits.
+        """
+        n_records, n_samples = values.shape
+        spectra = Spectra(
+            np.empty((n_records, n_samples // 2 + 1), dtype=np.complex64), np.empty(n_records, dtype=np.intp)
+        )
+        at_once = records_at_once(n_samples, np.float32)
+        for start in range(0, n_records, at_once):
+            here = slice(start, start + at_once)
+            spectra.lines[here] = lines = _transformed(values[here])
+            spectra.strongest[here] = _strongest(lines)
+        return spectra
+
+    def take(self, part: NDArray[np.intp]) -> Spectra:
+        """Some of the records."""
+        return Spectra(self.lines[part], self.strongest[part])
 
 
 def line_sizes(values: Samples) -> Sizes:
-    """Size of each line of the spectrum, (R, N) -> (R, N//2 + 1)."""
-    sizes: Sizes = np.empty((len(values), values.shape[1] // 2 + 1), dtype=np.float32)
-    for here, lines in _spectra(values):
-        np.abs(lines, out=sizes[here])
-    return sizes
+    """Size of each line of the spectra, (R, N) -> (R, N//2 + 1)."""
+    return np.asarray(np.abs(_transformed(values)))
 
 
-def _spectra(values: Samples) -> Iterator[tuple[slice, Spectrum]]:
-    """Some records' spectra at a time, while they are in the cache."""
-    at_once = records_at_once(values.shape[1], np.float32)
-    for start in range(0, len(values), at_once):
-        here = slice(start, start + at_once)
-        yield here, np.asarray(scipy.fft.rfft(values[here].astype(np.float32, copy=False), axis=-1))
+def _transformed(values: Samples) -> Spectrum:
+    return np.asarray(scipy.fft.rfft(values.astype(np.float32, copy=False), axis=-1))
 
 
-def _strongest(spectrum: Spectrum) -> NDArray[np.intp]:
-    """Bin of the strongest line beside the mean value, (R,)."""
-    strongest = np.empty(len(spectrum), dtype=np.intp)
-    at_once = records_at_once(spectrum.shape[1], spectrum.dtype)
-    for start in range(0, len(spectrum), at_once):
-        here = slice(start, start + at_once)
-        strongest[here] = 1 + np.abs(spectrum[here, 1:]).argmax(axis=-1)
-    return strongest
+def _strongest(lines: Spectrum) -> NDArray[np.intp]:
+    sizes = np.abs(lines)
+    sizes[:, 0] = 0.0
+    return np.asarray(sizes.argmax(axis=-1))
 
 
-def spectral_start(spectrum: Spectrum, n_samples: int) -> SpectralStart:
+def spectral_start(spectra: Spectra, n_samples: int) -> SpectralStart:
     """Frequency of the strongest line, its amplitude, and that at twice its frequency.
 
     The lines are read through the Hann window (a convolution of three bins), whose low side lobes keep the mean
@@ -75,22 +82,21 @@ def spectral_start(spectrum: Spectrum, n_samples: int) -> SpectralStart:
 
     Parameters
     ----------
-    spectrum : (R, N//2 + 1)
+    spectra : Spectra
         Of centred records. The fundamental is taken to be the strongest line, as it is above lock-in.
     n_samples : int
         N.
     """
-    rough = _strongest(spectrum)
-    windowed, bins = _hann_bins(spectrum, rough, 2, n_samples)
+    windowed, bins = _hann_bins(spectra.lines, spectra.strongest, 2, n_samples)
     size = np.abs(windowed)
-    rows = np.arange(len(rough))
+    rows = np.arange(len(size))
     peak = 1 + size[:, 1:-1].argmax(axis=-1)
     here, below, above = size[rows, peak], size[rows, peak - 1], size[rows, peak + 1]
     ratio = np.maximum(below, above) / np.where(here > 0, here, 1.0)
     fraction = np.where(above >= below, 1.0, -1.0) * np.clip((2 * ratio - 1) / (ratio + 1), -0.5, 0.5)
     line = np.clip(bins[rows, peak] + fraction, 0.5, n_samples / 2)
     doubled = np.abs((2 * line + n_samples / 2) % n_samples - n_samples / 2)
-    second, second_bins = _hann_bins(spectrum, np.rint(doubled).astype(int), 1, n_samples)
+    second, second_bins = _hann_bins(spectra.lines, np.rint(doubled).astype(int), 1, n_samples)
     second_amplitude = _amplitude(second, second_bins - doubled[:, np.newaxis], n_samples)
     folded = 2 * line > n_samples / 2
     # A folded line is the conjugate of the harmonic that it comes from.
@@ -103,15 +109,29 @@ def spectral_start(spectrum: Spectrum, n_samples: int) -> SpectralStart:
 
 
 def _hann_bins(
-    spectrum: Spectrum, centre: NDArray[np.intp], reach: int, n_samples: int
+    lines: Spectrum, centre: NDArray[np.intp], reach: int, n_samples: int
 ) -> tuple[Complexes, NDArray[np.intp]]:
     """Hann-windowed spectrum in the bins around `centre`, phases from the middle of the record."""
-    centre = np.clip(centre, reach + 1, spectrum.shape[1] - reach - 2)
-    bins = centre[:, np.newaxis] + np.arange(-reach - 1, reach + 2)
-    picked = np.take_along_axis(spectrum, bins, axis=-1).astype(np.complex128)
-    picked *= np.exp(1j * np.pi * bins * ((n_samples - 1) / n_samples))
+    n_bins = 2 * reach + 3
+    first = np.clip(centre - reach - 1, 0, max(lines.shape[1] - n_bins, 0))
+    bins = first[:, np.newaxis] + np.arange(n_bins)
+    picked = neighbours(lines, first, n_bins) * _to_the_middle(n_samples)[bins]
     windowed = picked[:, 1:-1] / 2 + (picked[:, :-2] + picked[:, 2:]) / 4
     return windowed, bins[:, 1:-1]
+
+
+def neighbours(lines: NDArray[Any], first: NDArray[np.intp], n_bins: int) -> NDArray[Any]:
+    """`n_bins` bins of each row from bin `first` (R,) on, (R, n_bins); zeros behind the end of a short row."""
+    if lines.shape[1] < n_bins:
+        lines = np.pad(lines, ((0, 0), (0, n_bins - lines.shape[1])))
+    windows = np.lib.stride_tricks.sliding_window_view(lines, n_bins, axis=-1)
+    return np.asarray(windows[np.arange(len(first)), first])
+
+
+@cache
+def _to_the_middle(n_samples: int) -> Complexes:
+    """Factors that make the phases of a spectrum count from the middle of the record."""
+    return np.asarray(np.exp(1j * np.pi * np.arange(n_samples) * ((n_samples - 1) / n_samples)))
 
 
 def _amplitude(windowed: Complexes, distance: Floats, n_samples: int) -> Complexes:
@@ -125,10 +145,10 @@ def _amplitude(windowed: Complexes, distance: Floats, n_samples: int) -> Complex
 
 def coarse_frequency(values: Samples) -> Floats:
     """Angular frequency of the strongest line of centred records, rad per sample; (R, N) -> (R,)."""
-    return spectral_start(spectrum_of(values), values.shape[-1]).omega
+    return spectral_start(Spectra.of(values), values.shape[-1]).omega
 
 
-def candidate_frequencies(spectrum: Spectrum, n_samples: int, n_candidates: int = 6) -> Floats:
+def candidate_frequencies(spectra: Spectra, n_samples: int, n_candidates: int = 6) -> Floats:
     """The strongest lines, for records in which the strongest may not be the fundamental.
 
     Close to lock-in the harmonics are nearly as strong as the fundamental, and where few samples fall into a
@@ -139,11 +159,12 @@ def candidate_frequencies(spectrum: Spectrum, n_samples: int, n_candidates: int 
     (R, n_candidates)
         rad per sample, strongest first.
     """
-    remaining = spectrum.copy()
-    bins = np.arange(spectrum.shape[1])
-    candidates = np.empty((len(spectrum), n_candidates))
+    remaining = spectra.lines.copy()
+    bins = np.arange(remaining.shape[1])
+    candidates = np.empty((len(remaining), n_candidates))
     for column in range(n_candidates):
-        candidates[:, column] = spectral_start(remaining, n_samples).omega
+        strongest = spectra.strongest if column == 0 else _strongest(remaining)
+        candidates[:, column] = spectral_start(Spectra(remaining, strongest), n_samples).omega
         taken = candidates[:, column, np.newaxis] * (n_samples / (2 * np.pi))
         remaining[np.abs(bins - taken) < 2.5] = 0.0
     return candidates

@@ -32,7 +32,7 @@ NEGLIGIBLE = {np.dtype(np.float32): 2e-5, np.dtype(np.float64): 1e-12}
 """Harmonics below this share of the fundamental are left out. The first cannot move an estimate from eight-bit
 samples, which single precision is for."""
 
-RATIO_CLASSES = (0.03, 0.09, 0.2, 0.45, 0.7, 0.86)
+RATIO_CLASSES = (0.2, 0.45, 0.7, 0.86)
 """Records are worked on together up to these ratios, since the largest one says how many harmonics all need."""
 
 WORTH_A_CLASS = 64

@@ -17,7 +17,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.waveform.frequency_search import line_sizes
+from analysis.waveform.frequency_search import Sizes
+from analysis.waveform.residuals import Residual
 
 Floats = NDArray[np.float64]
 Samples = NDArray[Any]
@@ -52,8 +53,9 @@ AS_OFTEN = 2.5
 FEW_ERRORS = 1.25
 """Factor of the variance for so few errors, which are not Gaussian, from random records as above."""
 
-RUN = 250
-"""Neighbouring samples of a record that are compared to see whether rounding might matter at all."""
+RUNS = (50, 400)
+"""So many neighbouring samples of a record are compared to see whether rounding might matter at all; then more of
+those of which the first have not cleared it."""
 
 
 def level_spacing(values: Samples, residual_rms: Floats) -> Floats:
@@ -66,10 +68,13 @@ def level_spacing(values: Samples, residual_rms: Floats) -> Floats:
         In the unit of `values`.
     """
     # No two different values are closer than the spacing, so any small difference clears a record.
-    differences = np.abs(np.diff(values[:, :RUN], axis=-1))
-    limit = (residual_rms / QUIET).astype(values.dtype)[:, np.newaxis]
-    tiny = 1e-6 * np.abs(values[:, :RUN]).max(axis=-1, keepdims=True)
-    suspects = np.flatnonzero(~((differences > tiny) & (differences < limit)).any(axis=-1))
+    suspects = np.arange(len(values))
+    for run in RUNS:
+        some = values[suspects, :run]
+        differences = np.abs(np.diff(some, axis=-1))
+        limit = (residual_rms[suspects] / QUIET).astype(values.dtype)[:, np.newaxis]
+        tiny = 1e-6 * np.abs(some).max(axis=-1, keepdims=True)
+        suspects = suspects[~((differences > tiny) & (differences < limit)).any(axis=-1)]
     spacing = np.zeros(len(values))
     if suspects.size:
         exact = _exact_spacing(values[suspects])
@@ -116,13 +121,13 @@ def mean_rounding(model: Samples, values: Samples, spacing: Floats, residual_rms
     return np.asarray(error * step)
 
 
-def repetition(left: Samples) -> Floats:
-    """How many times over the same errors occur in a residual, (R, N) -> (R,): 1 for white noise.
+def repetition(lines: Sizes) -> Floats:
+    """How many times over the same errors occur in a residual, from its lines, (R, L) -> (R,): 1 for white noise.
 
     Where the sampling is locked to the beat, a few rounding errors repeat over the whole record. Their spectrum is
     then a few lines, while the lines of white noise scatter as much as their mean.
     """
-    power = np.square(line_sizes(left)[:, 1:], dtype=np.float64)
+    power = np.square(lines[:, 1:], dtype=np.float64)
     total = np.maximum(power.sum(axis=-1), 1e-300)
     return np.asarray(np.vecdot(power, power) * power.shape[1] / (2 * total**2))
 
@@ -152,7 +157,7 @@ def locked_to_the_beat(omega: Floats, repeated: Floats, n_samples: int) -> Bools
     return locked
 
 
-def leftover_excess(left: Samples, spacing: Floats) -> Floats:
+def leftover_excess(residual: Residual, n_samples: int, spacing: Floats) -> Floats:
     """Factor by which the variance of the estimates exceeds that of white noise of the residual's strength, (R,).
 
     What the correction leaves of the rounding error is not white noise: it sits on the few samples next to a
@@ -160,14 +165,15 @@ def leftover_excess(left: Samples, spacing: Floats) -> Floats:
 
     Parameters
     ----------
-    left : (R, N)
-        Residual of quiet records after the correction.
+    residual : Residual
+        Of quiet records after the correction.
+    n_samples : int
     spacing : (R,)
         Of the levels.
     """
-    rms = np.sqrt(np.vecdot(left, left) / left.shape[1]) / spacing
+    rms = np.sqrt(residual.power / n_samples) / spacing
     along = 1 + LEFTOVER * np.exp((LEAST_RMS - rms) / LEFTOVER_FALL)
     silent = np.flatnonzero(rms < SILENT)
     repeated = np.ones(rms.size)
-    repeated[silent] = repetition(left[silent])
+    repeated[silent] = repetition(residual.lines[silent])
     return np.asarray(along**2 * np.where(repeated > REPEATED, repeated, 1.0))

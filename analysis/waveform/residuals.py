@@ -11,8 +11,8 @@ import scipy.special
 from numpy.typing import NDArray
 
 from analysis.flags import Flag
-from analysis.waveform.frequency_search import Sizes, line_sizes
-from analysis.waveform.geometric_series import Series, sampled_blocks
+from analysis.waveform.frequency_search import Sizes, line_sizes, neighbours
+from analysis.waveform.geometric_series import Series, sampled_blocks, sampled_series
 from analysis.waveform.records import sums_of_squares
 
 Floats = NDArray[np.float64]
@@ -47,28 +47,50 @@ GROSS_MISFIT_OF_A_CURVE = 0.002
 
 @dataclass(frozen=True)
 class Residual:
-    """What a series leaves of records: samples (R, N), 0 where missing; sum of squares and largest size (R,)."""
+    """What a series leaves of (R,) records, without the samples themselves.
 
-    samples: Samples
+    power, largest : (R,) sum of squares and largest size
+    lines : (R, N//2 + 1) sizes of the lines of its spectrum
+    """
+
     power: Floats
     largest: Samples
+    lines: Sizes
 
-    def put(self, part: NDArray[np.intp], other: Residual) -> None:
+    @staticmethod
+    def of(samples: Samples) -> Residual:
+        """From the samples (R, N), 0 where missing."""
+        largest = np.maximum(samples.max(axis=-1), -samples.min(axis=-1))
+        return Residual(sums_of_squares(samples), largest, line_sizes(samples))
+
+    @staticmethod
+    def empty(n_records: int, n_samples: int, precision: np.dtype[Any]) -> Residual:
+        """Room for the residuals of so many records."""
+        lines: Sizes = np.empty((n_records, n_samples // 2 + 1), dtype=np.float32)
+        return Residual(np.empty(n_records), np.empty(n_records, dtype=precision), lines)
+
+    def put(self, part: slice | NDArray[np.intp], other: Residual) -> None:
         """Write the other's records into the places `part` of this one."""
-        self.samples[part], self.power[part] = other.samples, other.power
-        self.largest[part] = other.largest
+        self.power[part], self.largest[part], self.lines[part] = other.power, other.largest, other.lines
 
 
 def residual_of(values: Samples, weights: Samples | None, series: Series) -> Residual:
-    """Subtract the waveform from (R, N) records."""
-    left = Residual(np.empty_like(values), np.empty(len(values)), np.empty(len(values), dtype=values.dtype))
-    for rows, model in sampled_blocks(series, values.shape[1], values.dtype):
+    """Subtract the waveform from (R, N) records; a few at a time, since the samples left are used up at once."""
+    n_records, n_samples = values.shape
+    residual = Residual.empty(n_records, n_samples, values.dtype)
+    for rows, model in sampled_blocks(series, n_samples, values.dtype):
         np.subtract(values[rows], model, out=model)
         if weights is not None:
             model *= weights[rows]
-        left.samples[rows], left.power[rows] = model, sums_of_squares(model)
-        left.largest[rows] = np.maximum(model.max(axis=-1), -model.min(axis=-1))
-    return left
+        residual.put(rows, Residual.of(model))
+    return residual
+
+
+def residual_samples(values: Samples, weights: Samples | None, series: Series, row: int) -> Samples:
+    """What the waveform leaves of one record, (N,)."""
+    here = np.array([row])
+    left = values[row] - sampled_series(series.take(here), values.shape[1], values.dtype)[0]
+    return np.asarray(left if weights is None else left * weights[row])
 
 
 @dataclass(frozen=True)
@@ -82,22 +104,21 @@ class ResidualReport:
 
 
 def examine_residual(
-    left: Samples, count: Floats, omega: Floats, first: Floats, residual_power: Floats, repeated: Bools
+    residual: Residual, n_samples: int, count: Floats, omega: Floats, first: Floats, repeated: Bools
 ) -> ResidualReport:
     """Judge the residual of each record by its spectrum.
 
     Parameters
     ----------
-    left : (R, N)
-        Residual, 0 where missing.
-    count, omega, first, residual_power : (R,)
-        Valid samples, rad per sample, size of the fundamental, sum of squares of the residual.
+    residual : Residual
+    n_samples : int
+    count, omega, first : (R,)
+        Valid samples, rad per sample, size of the fundamental.
     repeated : (R,) of bool
         Where the residual is known to be rounding that repeats with the beat: neither noise nor misfit.
     """
-    n_records, n_samples = left.shape
+    sizes, residual_power, n_records = residual.lines, residual.power, len(count)
     flags = np.zeros(n_records, dtype=np.int64)
-    sizes = line_sizes(left)
     n_lines = sizes.shape[1] - 1
     # Parseval: the sum over the lines from the sum over the samples
     total = n_samples * residual_power - np.square(sizes[:, 0], dtype=np.float64)
@@ -178,13 +199,17 @@ def _low_levels(power: Samples, line: float) -> Floats:
     seen = power[: bins.size][free].astype(np.float64)
     curve = np.array([np.log(seen.mean() + 1e-300), 0.0, 0.0])
     information = columns.T @ columns + np.diag(STEEPNESS)
+    spread = np.linalg.inv(information)
     for _ in range(12):
         surplus = np.clip(seen / np.exp(columns @ curve) - 1, -1.0, 3.0)
-        curve = curve + np.linalg.solve(information, columns.T @ surplus - STEEPNESS * curve)
+        change = spread @ (columns.T @ surplus - STEEPNESS * curve)
+        curve = curve + change
+        if np.abs(change).max() < 1e-3:
+            break
     levels = []
     for place in np.log([0.5, 1.0, 2.0])[:, np.newaxis] ** np.arange(3):
         # a power estimated with v degrees of freedom has a relative variance of 2/v
-        degrees = 2 / float(place @ np.linalg.solve(information, place))
+        degrees = 2 / float(place @ spread @ place)
         student = float(scipy.special.stdtrit(degrees, 0.975) / scipy.special.ndtri(0.975))
         levels.append(float(np.exp(curve @ place)) * student**2)
     return np.array(levels)
@@ -196,6 +221,5 @@ def _local_level(sizes: Sizes, omega: Floats, n_samples: int) -> Floats:
     centre = np.rint(folded * n_samples / (2 * np.pi)).astype(int)
     n_lines = sizes.shape[1] - 1
     reach = min(NEIGHBOURS, (n_lines - 1) // 2)
-    around = np.clip(centre, reach + 1, n_lines - reach)[:, np.newaxis] + np.arange(-reach, reach + 1)
-    found = np.take_along_axis(sizes, around, axis=-1)
-    return np.asarray(np.vecdot(found, found) / around.shape[1], dtype=np.float64)
+    found = neighbours(sizes, np.clip(centre, reach + 1, n_lines - reach) - reach, 2 * reach + 1)
+    return np.asarray(np.vecdot(found, found) / found.shape[1], dtype=np.float64)

@@ -22,8 +22,8 @@ from analysis.waveform.quantisation import (
     mean_rounding,
     repetition,
 )
-from analysis.waveform.records import Records, Stack
-from analysis.waveform.residuals import Residual, examine_residual, residual_of
+from analysis.waveform.records import Records, Stack, sums_of_squares
+from analysis.waveform.residuals import Residual, examine_residual, residual_of, residual_samples
 from analysis.waveform.series_fit import fit_series
 
 Floats = NDArray[np.float64]
@@ -106,14 +106,16 @@ def _fit_records(records: Records, clipped: Bools | None) -> WaveformFit:
         fit.put(hit, refitted)
 
     left = residual_of(values, weights, fit.series)
-    spikes = outliers(left, weights, records.highest - records.lowest)
-    spiked = np.flatnonzero(spikes.any(axis=-1))
-    if spiked.size:
-        weights = np.ones_like(values) if weights is None else weights
-        weights = np.where(spikes, values.dtype.type(0), weights)
-        refitted = fit_series(values[spiked] * weights[spiked], weights[spiked])
+    spikes = outliers(values, weights, fit.series, left, records.highest - records.lowest)
+    if spikes:
+        weights = np.ones_like(values) if weights is None else weights.copy()
+        for row, found in spikes.items():
+            weights[row, found] = 0.0
+        spiked = np.array(list(spikes))
+        some, mask = values[spiked] * weights[spiked], weights[spiked]
+        refitted = fit_series(some, mask)
         fit.put(spiked, refitted)
-        left.put(spiked, residual_of(values[spiked], weights[spiked], refitted.series))
+        left.put(spiked, residual_of(some, mask, refitted.series))
         flags[spiked] |= Flag.DAMAGED
     count = records.count if weights is None else weights.sum(axis=-1, dtype=np.float64)
     rounding, repeats = _take_out_rounding(values, weights, fit, left, count)
@@ -135,7 +137,7 @@ def _take_out_rounding(
     is_locked = np.zeros(len(values), dtype=bool)
     if quiet.size:
         silent = quiet[rms[quiet] < SILENT * spacing[quiet]]
-        repeated = repetition(left.samples[silent])
+        repeated = repetition(left.lines[silent])
         locked = locked_to_the_beat(fit.series.omega[silent], repeated, values.shape[1])
         excess[silent[locked]] = repeated[locked] * FEW_ERRORS
         is_locked[silent[locked]] = True
@@ -156,7 +158,7 @@ def _take_out_rounding(
     rest = residual_of(corrected, mask, fitted)
     fit.put(quiet, refitted)
     left.put(quiet, rest)
-    excess[quiet] = leftover_excess(rest.samples, spacing[quiet])
+    excess[quiet] = leftover_excess(rest, values.shape[1], spacing[quiet])
     return excess, is_locked
 
 
@@ -172,14 +174,15 @@ def _judged(
     """The fit with its noise and its flags; records that do not fit get a second chance with a moving phase."""
     free, power = count - N_PARAMETERS, left.power
     repeated = (flags & int(Flag.ROUNDING_REPEATS)) != 0
-    report = examine_residual(left.samples, count, series.omega, np.abs(series.first), power, repeated)
+    n_samples = records.values.shape[1]
+    report = examine_residual(left, n_samples, count, series.omega, np.abs(series.first), repeated)
     flags |= report.flags
     excess = report.excess
     # A residual as small as this cannot come from a wander that would move the ratio.
     worth_it = power > TRACKED_FROM**2 * np.abs(series.first) ** 2 * count
-    for row in np.flatnonzero(report.uneven & worth_it):
+    for row in map(int, np.flatnonzero(report.uneven & worth_it)):
         omega = float(series.omega[row])
-        if not looks_like_wander(left.samples[row], omega):
+        if not looks_like_wander(residual_samples(records.values, weights, series, row), omega):
             continue
         mask = None if weights is None else weights[row].astype(np.float64)
         tracked = track_phase(records.values[row].astype(np.float64), mask, omega)
@@ -188,14 +191,14 @@ def _judged(
         here = slice(row, row + 1)
         series.offset[row], series.first[row] = tracked.offset, tracked.first
         series.ratio[row], series.omega[row] = tracked.ratio, tracked.omega
-        covariance[row], power[row] = tracked.covariance, tracked.left @ tracked.left
+        covariance[row], power[row] = tracked.covariance, sums_of_squares(tracked.left)
         free[row] = count[row] - N_PARAMETERS + 1 - tracked.degree
         again = examine_residual(
-            tracked.left[np.newaxis],
+            Residual.of(tracked.left[np.newaxis]),
+            n_samples,
             count[here],
             series.omega[here],
             np.abs(series.first[here]),
-            power[here],
             repeated[here],
         )
         flags[row] = (flags[row] & ~report.flags[row]) | again.flags[0] | int(Flag.RATE_WANDER)

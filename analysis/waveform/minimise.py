@@ -23,9 +23,9 @@ Samples = NDArray[Any]
 NEWTON_ITERATIONS = 10
 MARQUARDT_ITERATIONS = 40
 
-CURVATURE = 0.06
-"""A Gauss-Newton step is wrong by about the square of its length. It is the last one when that square is below
-this share of the standard uncertainty."""
+CURVATURE = 0.25
+"""A Gauss-Newton step is wrong by about a fifth of the square of its length. It is the last one when that square
+is below this share of the standard uncertainty."""
 
 ROUNDING = {np.dtype(np.float32): 3e-6, np.dtype(np.float64): 1e-12}
 """Share of the power of a record to which its residual power is computed."""

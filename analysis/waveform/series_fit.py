@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.waveform.frequency_search import Spectra, spectral_start
+from analysis.waveform.frequency_search import Spectra
 from analysis.waveform.geometric_series import Series
 from analysis.waveform.minimise import SeriesFit, Task, gauss_newton, levenberg_marquardt
 from analysis.waveform.series_start import start_of_series
@@ -36,7 +36,7 @@ def fit_series(values: Samples, weights: Samples | None) -> SeriesFit:
     n_records, n_samples = values.shape
     task = Task.of(values, weights)
     spectra = Spectra.of(values)
-    line = spectral_start(spectra, n_samples)
+    line = spectra.start()
     size = np.abs(line.first)
     ratio = line.second / np.where(size > 0, line.first, 1.0)
     explained = size**2 / 2 * n_samples / (1 - np.minimum(np.abs(ratio), 0.9) ** 2)

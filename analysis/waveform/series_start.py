@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.waveform.frequency_search import Spectra, candidate_frequencies
+from analysis.waveform.frequency_search import Spectra
 from analysis.waveform.geometric_series import Series
 from analysis.waveform.harmonic_sums import data_sums, uniform_kernels
 from analysis.waveform.normal_equations import Step
@@ -44,7 +44,7 @@ def start_of_series(values: Samples, weights: Samples | None, spectra: Spectra) 
     n_samples = values.shape[1]
     one_bin = 2 * np.pi / n_samples
     search = _Search(values, weights)
-    lines = candidate_frequencies(spectra, n_samples, LINES)
+    lines = spectra.candidates(LINES)
     beside = lines[:, : LINES // 2, np.newaxis] + np.array(BESIDE) * one_bin
     search.try_at(np.concatenate([lines, beside.reshape(len(lines), -1)], axis=1))
     slow = np.flatnonzero(lines[:, 0] < FEW_PERIODS * one_bin)

@@ -10,21 +10,17 @@ from numpy.typing import NDArray
 
 from analysis.flags import Flag
 from analysis.waveform.geometric_series import Series
-from analysis.waveform.records import Records, records_at_once
+from analysis.waveform.records import THINNING, Counts, Records
 from analysis.waveform.residuals import Residual, residual_samples
 
 Floats = NDArray[np.float64]
 Samples = NDArray[Any]
 """float32 or float64"""
 Bools = NDArray[np.bool_]
-Indices = NDArray[np.intp]
 
 SHARE_AT_END = 0.012
 """A level that holds less than this share of the samples is not worth calling a clipping limit: the wave would
 pass it by less than a thousandth of its amplitude."""
-
-THINNING = 5
-"""Every fifth sample is enough to see whether a level may be crowded."""
 
 CROWDING = 4.0
 """A smooth extremum of a quantised wave puts at most about 2.4 times as many samples into its last level as
@@ -58,9 +54,8 @@ def find_damage(records: Records, clipped: Bools | None) -> Damage:
     values, weights = records.values, records.weights
     flags = np.zeros(len(values), dtype=np.int64)
     if clipped is None:
-        at_lowest, at_highest = _crowded_records(records)
-        high = _crowded_end(values, weights, records.highest, at_highest, 1.0)
-        low = -_crowded_end(values, weights, records.lowest, at_lowest, -1.0)
+        high = _crowded_end(records, records.highest, records.at_highest, 1.0)
+        low = -_crowded_end(records, records.lowest, records.at_lowest, -1.0)
     else:
         known = clipped if weights is None else clipped & (weights > 0)
         low = np.where(known & (values < 0), values, -np.inf).max(axis=-1)
@@ -76,9 +71,11 @@ def find_damage(records: Records, clipped: Bools | None) -> Damage:
     return Damage(undamaged, np.stack([low, high], axis=-1), flags)
 
 
-def _crowded_end(values: Samples, weights: Samples | None, end: Samples, suspects: Indices, sign: float) -> Floats:
+def _crowded_end(records: Records, end: Samples, at_end: Counts, sign: float) -> Floats:
     """`sign` times the end level where it is a clipping limit, else inf; (R,)."""
+    values, weights = records.values, records.weights
     limit = np.full(len(values), np.inf)
+    suspects = np.flatnonzero(at_end > SHARE_AT_END * (values.shape[1] / THINNING))
     for thinning in (THINNING, 1):
         if suspects.size == 0:
             return limit
@@ -95,23 +92,6 @@ def _crowded_end(values: Samples, weights: Samples | None, end: Samples, suspect
         suspects = suspects[crowded]
     limit[suspects] = sign * end[suspects]
     return limit
-
-
-def _crowded_records(records: Records) -> tuple[Indices, Indices]:
-    """Records of which some of the samples crowd at the lowest, and at the highest value."""
-    n_records, n_samples = records.values.shape
-    crowds = np.empty((2, n_records), dtype=np.uint32)
-    at_once = records_at_once(n_samples, records.values.dtype)
-    for start in range(0, n_records, at_once):
-        here = slice(start, start + at_once)
-        few = np.ascontiguousarray(records.values[here, ::THINNING])
-        for end, at_end in enumerate(
-            (few <= records.lowest[here, np.newaxis], few >= records.highest[here, np.newaxis])
-        ):
-            # several times faster than counting booleans
-            crowds[end, here] = at_end.view(np.uint8).sum(axis=-1, dtype=np.uint32)
-    low, high = (np.flatnonzero(crowd > SHARE_AT_END * (n_samples / THINNING)) for crowd in crowds)
-    return low, high
 
 
 def outliers(

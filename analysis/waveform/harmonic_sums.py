@@ -23,7 +23,7 @@ Complexes = NDArray[Any]
 """complex64 or complex128"""
 
 
-SUMS_AT_ONCE = 1500
+SUMS_AT_ONCE = 4500
 """Sums computed together, so that what they need stays in the second-level cache."""
 
 

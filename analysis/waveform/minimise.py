@@ -36,7 +36,7 @@ class Task:
     """Records to fit.
 
     values : (R, N) centred, 0 where missing; weights : (R, N) or None, of the same precision
-    power, total : (R,) sums of squares, and of the samples (what single precision leaves of the mean)
+    power, total : (R,) sums of squares, and of the samples
     """
 
     values: Samples
@@ -66,7 +66,7 @@ class Task:
         """Normal equations at the given parameters."""
         n_records = series.omega.size
         step = Step(empty_matrices(n_records, 6), np.empty((n_records, 6)), np.empty(n_records))
-        for number, part in ratio_classes(series.ratio):
+        for number, part in ratio_classes(series.ratio, RATIO_CLASSES):
             some, here = self.take(part), series.take(part)
             if number == len(RATIO_CLASSES):
                 # the samples are cheaper than so many harmonics

@@ -13,6 +13,7 @@ Floats = NDArray[np.float64]
 Samples = NDArray[Any]
 """float32 or float64"""
 Bools = NDArray[np.bool_]
+Counts = NDArray[np.uint32]
 
 MINIMUM_SAMPLES = 8
 """The lock-in waveform has six parameters; two more samples are the least that leaves any noise estimate."""
@@ -24,9 +25,12 @@ SAMPLES_AT_ONCE = 2_500_000
 """Samples worked on together: enough that the cost of calling NumPy does not count, and a bound on the memory of
 any batch."""
 
-CACHED = 2**19
+CACHED = 2**21
 """Bytes of samples that go through several passes together, so that the second-level cache holds them until all
 passes are done."""
+
+THINNING = 5
+"""Every fifth sample is enough to see whether a level may be crowded."""
 
 LIFTED = 10.0
 """Mean over swing beyond which a record must be centred in double precision."""
@@ -55,7 +59,8 @@ class Records:
     weights : (R, N) 1 or 0 in the same precision, or None where nothing is missing
     centre, count : (R,) volts, and valid samples
     constant : (R,) all valid samples equal, or none valid
-    highest, lowest : (R,) of `values`
+    lowest, highest : (R,) of `values`
+    at_lowest, at_highest : (R,) how many of every `THINNING`th sample have that value
     """
 
     values: Samples
@@ -63,8 +68,10 @@ class Records:
     centre: Floats
     count: Floats
     constant: Bools
-    highest: Samples
     lowest: Samples
+    highest: Samples
+    at_lowest: Counts
+    at_highest: Counts
 
 
 @dataclass(frozen=True)
@@ -96,48 +103,63 @@ class Stack:
         raw, kind = self.volts[part], np.dtype(precision)
         missing, weights = None, None
         count = np.full(len(raw), float(self.n_samples))
-        values, centre, lowest, highest = _centred(raw, missing, count, kind)
-        if not np.all(np.isfinite(centre)):
+        centred = _Centred.of(raw, missing, count, kind)
+        if not np.all(np.isfinite(centred.centre)):
             missing = np.isnan(raw)
             weights = (~missing).astype(kind)
             count -= missing.sum(axis=-1)
-            values, centre, lowest, highest = _centred(raw, missing, count, kind)
-            if not np.all(np.isfinite(centre)):
+            centred = _Centred.of(raw, missing, count, kind)
+            if not np.all(np.isfinite(centred.centre)):
                 raise ValueError("volts holds infinite values")
         # Rounding of the mean leaves about 1e-16 of the level in a record that is really constant.
-        constant = (highest - lowest <= 1e-12 * np.abs(centre)) | (count < 1)
-        return Records(values, weights, centre, count, constant, highest, lowest)
+        constant = centred.highest - centred.lowest <= 1e-12 * np.abs(centred.centre)
+        return Records(weights=weights, count=count, constant=constant | (count < 1), **vars(centred))
 
 
-def _centred(
-    raw: NDArray[Any], missing: Bools | None, count: Floats, precision: np.dtype[Any]
-) -> tuple[Samples, Floats, Samples, Samples]:
-    """Records less their mean, 0 where missing; the mean; the lowest and the highest value."""
-    n_records, n_samples = raw.shape
-    values: Samples = np.empty(raw.shape, dtype=precision)
-    centre = np.empty(n_records)
-    lowest, highest = np.empty(n_records, dtype=precision), np.empty(n_records, dtype=precision)
-    ones, at_once = np.ones(n_samples), records_at_once(n_samples, raw.dtype)
-    for start in range(0, n_records, at_once):
-        here = slice(start, start + at_once)
-        some, block = raw[here], values[here]
-        if missing is not None:
-            some = np.where(missing[here], raw.dtype.type(0), some)
-        with np.errstate(over="ignore", invalid="ignore"):  # infinite: the caller's concern
-            mean = some @ ones / np.maximum(count[here], 1)
-            block[...] = some
-            block -= mean[:, np.newaxis].astype(precision)
-        if missing is not None:
-            block[missing[here]] = 0.0
-        centre[here], lowest[here], highest[here] = mean, block.min(axis=-1), block.max(axis=-1)
-    if precision == np.float32:
-        # Where the mean is large beside the swing, single precision must begin after the subtraction.
-        lifted = np.flatnonzero(np.isfinite(centre) & ~(np.abs(centre) < LIFTED * (highest - lowest)))
-        if lifted.size:
-            absent = None if missing is None else missing[lifted]
-            fine, _, low, high = _centred(raw[lifted], absent, count[lifted], np.dtype(np.float64))
-            values[lifted], lowest[lifted], highest[lifted] = fine, low, high
-    return values, centre, lowest, highest
+@dataclass(frozen=True)
+class _Centred:
+    """The part of `Records` that is found in passes over the samples."""
+
+    values: Samples
+    centre: Floats
+    lowest: Samples
+    highest: Samples
+    at_lowest: Counts
+    at_highest: Counts
+
+    @staticmethod
+    def of(raw: NDArray[Any], missing: Bools | None, count: Floats, precision: np.dtype[Any]) -> _Centred:
+        n_records, n_samples = raw.shape
+        ends: Samples = np.empty((2, n_records), dtype=precision)
+        at_ends: Counts = np.empty((2, n_records), dtype=np.uint32)
+        found = _Centred(np.empty(raw.shape, dtype=precision), np.empty(n_records), *ends, *at_ends)
+        ones, at_once = np.ones(n_samples), records_at_once(n_samples, raw.dtype)
+        for start in range(0, n_records, at_once):
+            here = slice(start, start + at_once)
+            some, block = raw[here], found.values[here]
+            if missing is not None:
+                some = np.where(missing[here], raw.dtype.type(0), some)
+            with np.errstate(over="ignore", invalid="ignore"):  # infinite: the caller's concern
+                mean = some @ ones / np.maximum(count[here], 1)
+                block[...] = some
+                block -= mean[:, np.newaxis].astype(precision)
+            if missing is not None:
+                block[missing[here]] = 0.0
+            found.centre[here], ends[0, here], ends[1, here] = mean, block.min(axis=-1), block.max(axis=-1)
+            few = np.ascontiguousarray(block[:, ::THINNING])
+            low, high = few <= ends[0, here, np.newaxis], few >= ends[1, here, np.newaxis]
+            # several times faster than counting booleans
+            at_ends[0, here] = low.view(np.uint8).sum(axis=-1, dtype=np.uint32)
+            at_ends[1, here] = high.view(np.uint8).sum(axis=-1, dtype=np.uint32)
+        if precision == np.float32:
+            # Where the mean is large beside the swing, single precision must begin after the subtraction.
+            lifted = np.flatnonzero(np.isfinite(found.centre) & ~(np.abs(found.centre) < LIFTED * (ends[1] - ends[0])))
+            if lifted.size:
+                absent = None if missing is None else missing[lifted]
+                again = _Centred.of(raw[lifted], absent, count[lifted], np.dtype(np.float64))
+                for name, fine in vars(again).items():
+                    getattr(found, name)[lifted] = fine
+        return found
 
 
 def as_stack(volts: ArrayLike, sample_interval: float) -> Stack:

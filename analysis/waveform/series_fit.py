@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from analysis.waveform.frequency_search import Spectra
 from analysis.waveform.geometric_series import Series
 from analysis.waveform.minimise import SeriesFit, Task, gauss_newton, levenberg_marquardt
+from analysis.waveform.records import sums_of_squares
 from analysis.waveform.series_start import start_of_series
 
 Samples = NDArray[Any]
@@ -34,8 +35,8 @@ def fit_series(values: Samples, weights: Samples | None) -> SeriesFit:
         1 for a valid sample, 0 for a missing one.
     """
     n_records, n_samples = values.shape
-    task = Task.of(values, weights)
     spectra = Spectra.of(values)
+    task = Task(values, weights, sums_of_squares(values), spectra.lines[:, 0].real.astype(np.float64))
     line = spectra.start()
     size = np.abs(line.first)
     ratio = line.second / np.where(size > 0, line.first, 1.0)

@@ -35,9 +35,6 @@ samples, which single precision is for."""
 RATIO_CLASSES = (0.2, 0.45, 0.7, 0.86)
 """Records are fitted together up to these ratios, since the largest one says how many harmonics all need."""
 
-SAMPLED_CLASSES = (0.06, *RATIO_CLASSES)
-"""The same where the model is sampled, which needs no copy of the records."""
-
 WORTH_A_CLASS = 64
 """Fewer records cost less with too many harmonics than with calls of their own."""
 
@@ -96,21 +93,18 @@ def orders_needed(ratio: Complexes, negligible: float, fewest: int) -> int:
     return max(fewest, math.ceil(math.log(negligible) / math.log(max(largest, 1e-3))))
 
 
-def ratio_classes(ratio: Complexes, limits: tuple[float, ...]) -> Iterator[tuple[int, NDArray[np.intp]]]:
-    """Number of each class up to the next limit that occurs, and its records.
-
-    A class of few records goes along with the next; those beyond the last limit keep to themselves.
-    """
-    numbers = np.searchsorted(limits, np.abs(ratio))
-    counts = np.bincount(numbers, minlength=len(limits) + 1)
+def ratio_classes(ratio: Complexes) -> Iterator[tuple[int, NDArray[np.intp]]]:
+    """Number of each class that occurs, and its records; a class of few records goes along with the next."""
+    numbers = np.searchsorted(RATIO_CLASSES, np.abs(ratio))
+    counts = np.bincount(numbers, minlength=len(RATIO_CLASSES) + 1)
     first = 0
-    for number in range(len(limits)):
+    for number in range(len(RATIO_CLASSES)):
         members = int(counts[first : number + 1].sum())
-        if members >= WORTH_A_CLASS or (members and number == len(limits) - 1):
+        if members >= WORTH_A_CLASS or (members and number == len(RATIO_CLASSES) - 1):
             yield number, np.flatnonzero((numbers >= first) & (numbers <= number))
             first = number + 1
     if counts[-1]:
-        yield len(limits), np.flatnonzero(numbers == len(limits))
+        yield len(RATIO_CLASSES), np.flatnonzero(numbers == len(RATIO_CLASSES))
 
 
 def sampled_series(series: Series, n_samples: int, precision: DTypeLike = np.float64) -> Samples:
@@ -126,7 +120,7 @@ def sampled_blocks(
 ) -> Iterator[tuple[slice | NDArray[np.intp], Samples]]:
     """The model on the samples, a few records (r,) at a time, (r, N): they stay in the cache for the next pass."""
     at_once = records_at_once(n_samples, precision)
-    for _, part in ratio_classes(series.ratio, SAMPLED_CLASSES):
+    for _, part in ratio_classes(series.ratio):
         some = series.take(part)
         n_harmonics = orders_needed(some.ratio, NEGLIGIBLE[precision], 3)
         closed = n_harmonics > MANY_HARMONICS

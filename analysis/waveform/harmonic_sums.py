@@ -27,6 +27,10 @@ SUMS_AT_ONCE = 4500
 """Sums computed together, so that what they need stays in the second-level cache."""
 
 
+UNIFORM_PHASES = np.array([1, 1j, 1])[:, np.newaxis]
+"""Factors of `uniform_kernels` for p = 0, 1, 2."""
+
+
 def harmonic_powers(turn: Complexes, highest: int, lowest: int = 0, axis: int = -1) -> Complexes:
     """turn^k for k = lowest..highest, lowest 0 or 1, on a new axis of the result."""
     shape = list(turn.shape)
@@ -133,8 +137,10 @@ def _sums_of_blocks(
     return sums
 
 
-def uniform_kernels(omega: Floats, n_samples: int, n_orders: int) -> Complexes:
+def uniform_kernels(omega: Floats, n_samples: int, n_orders: int) -> Floats:
     """`data_sums` of a record of ones, p = 0, 1, 2, in closed form (Dirichlet kernel and its derivatives).
+
+    The sums are real for p = 0 and 2, and imaginary for p = 1: the factor i is left out there.
 
     Parameters
     ----------
@@ -145,36 +151,40 @@ def uniform_kernels(omega: Floats, n_samples: int, n_orders: int) -> Complexes:
 
     Returns
     -------
-    (R, 3, n_orders + 1), complex
-        Sum over n of t^p exp(-i k w m): the entries of every Gram matrix of the harmonic model.
+    (R, 3, n_orders + 1)
+        Sum over n of t^p exp(-i k w m), without the factor i: the entries of every Gram matrix of the harmonic
+        model.
     """
     n = n_samples
-    half = harmonic_powers(np.exp(0.5j * omega), n_orders)
-    many = harmonic_powers(np.exp(0.5j * n * omega), n_orders)
+    angle = 0.5 * omega[:, np.newaxis] * np.arange(n_orders + 1)
+    sine, cosine = np.sin(angle), np.cos(angle)
+    angle *= n
+    many_sine, many_cosine = np.sin(angle), np.cos(angle)
     # A harmonic on a multiple of the sampling rate is a constant; the quotients then need their limits.
-    near = np.nonzero((np.abs(half.imag) * n < 0.05) & (half.real * many.real != 0))
-    inverse = half.imag.copy()
+    near = np.nonzero(np.abs(sine) * n < 0.05)
+    inverse = sine.copy()
     inverse[near] = 1.0
     np.divide(1.0, inverse, out=inverse)
-    cotangent = half.real * inverse
-    d0 = many.imag * inverse
-    d1 = (n * many.real * inverse - d0 * cotangent) / 2
+    cotangent = cosine * inverse
+    kernels = np.empty((omega.size, 3, n_orders + 1))
+    d0 = np.multiply(many_sine, inverse, out=kernels[:, 0])
+    d1 = np.multiply(n * many_cosine * inverse - d0 * cotangent, 0.5, out=kernels[:, 1])
     # The kernel obeys D'' = (1 - N^2)/4 D - cot(angle/2) D'.
-    d2 = (1 - n * n) / 4 * d0 - cotangent * d1
-    d0[near], d1[near], d2[near] = _near_a_constant(half[near], many[near], n)
-
-    kernels = np.zeros((omega.size, 3, n_orders + 1), dtype=np.complex128)
-    kernels.real[:, 0] = d0
-    kernels.imag[:, 1] = d1 * (2 / n)
-    kernels.real[:, 2] = d2 * -((2 / n) ** 2)
+    d2 = np.subtract((1 - n * n) / 4 * d0, cotangent * d1, out=kernels[:, 2])
+    d0[near], d1[near], d2[near] = _near_a_constant(
+        sine[near] * np.sign(cosine[near]), np.sign(cosine[near] * many_cosine[near]), n
+    )
+    d1 *= 2 / n
+    d2 *= -((2 / n) ** 2)
     return kernels
 
 
-def _near_a_constant(half: Complexes, many: Complexes, n: int) -> tuple[Floats, Floats, Floats]:
-    """The kernel and its two derivatives by their power series, at angles close to a multiple of 2 pi."""
-    # D(angle + 2 pi) = (-1)^(N-1) D(angle)
-    sign = np.sign(half.real * many.real)
-    e = 2 * half.imag * np.sign(half.real)
+def _near_a_constant(half_angle: Floats, sign: Floats, n: int) -> tuple[Floats, Floats, Floats]:
+    """The kernel and its two derivatives by their power series, at angles close to a multiple of 2 pi.
+
+    `sign` is what the kernel takes on from there to here: D(angle + 2 pi) = (-1)^(N-1) D(angle).
+    """
+    e = 2 * half_angle
     e2 = e * e
     s2, s4, s6 = _power_sums(n)
     return (

@@ -23,7 +23,7 @@ Samples = NDArray[Any]
 NEWTON_ITERATIONS = 10
 MARQUARDT_ITERATIONS = 40
 
-CURVATURE = 0.25
+CURVATURE = 0.06
 """A Gauss-Newton step is wrong by about a fifth of the square of its length. It is the last one when that square
 is below this share of the standard uncertainty."""
 
@@ -66,7 +66,7 @@ class Task:
         """Normal equations at the given parameters."""
         n_records = series.omega.size
         step = Step(empty_matrices(n_records, 6), np.empty((n_records, 6)), np.empty(n_records))
-        for number, part in ratio_classes(series.ratio, RATIO_CLASSES):
+        for number, part in ratio_classes(series.ratio):
             some, here = self.take(part), series.take(part)
             if number == len(RATIO_CLASSES):
                 # the samples are cheaper than so many harmonics

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.waveform.harmonic_sums import data_sums, hermitian_toeplitz, uniform_kernels
+from analysis.waveform.harmonic_sums import UNIFORM_PHASES, data_sums, hermitian_toeplitz, uniform_kernels
 from analysis.waveform.normal_equations import Step
 
 Floats = NDArray[np.float64]
@@ -51,7 +51,7 @@ def record_sums(volts: Floats, omega: Floats, n_harmonics: int, weights: Floats 
     one_sided = data_sums(volts, omega, n_harmonics, 1)
     data = np.concatenate([np.conj(one_sided[..., :0:-1]), one_sided], axis=-1)
     if weights is None:
-        kernels = uniform_kernels(omega, n_samples, 2 * n_harmonics)
+        kernels = uniform_kernels(omega, n_samples, 2 * n_harmonics) * UNIFORM_PHASES
         count = np.full(omega.shape, float(n_samples))
     else:
         kernels = data_sums(weights, omega, 2 * n_harmonics, 2)

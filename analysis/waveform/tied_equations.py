@@ -16,6 +16,7 @@ not orthogonal, and folded harmonics, which fall onto each other, are exact.
 
 from __future__ import annotations
 
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -23,7 +24,7 @@ import scipy.special
 from numpy.typing import NDArray
 
 from analysis.waveform.geometric_series import NEGLIGIBLE, Series, orders_needed
-from analysis.waveform.harmonic_sums import data_sums, uniform_kernels
+from analysis.waveform.harmonic_sums import UNIFORM_PHASES, data_sums, uniform_kernels
 from analysis.waveform.normal_equations import Step, empty_matrices
 
 Floats = NDArray[np.float64]
@@ -52,27 +53,38 @@ def equations_by_sums(
     n_samples, kind = values.shape[1], values.dtype
     n_harmonics = orders_needed(series.ratio, NEGLIGIBLE[kind], 3)
     n_orders = orders_needed(series.ratio, LEFT_OUT[kind], 6)
-    if weights is None:
-        kernels = np.conj(uniform_kernels(series.omega, n_samples, n_orders))
-    else:
-        kernels = np.conj(data_sums(weights, series.omega, n_orders, 2))
     of_powers = _powers_of_g(series.ratio, n_orders)
+    if weights is None:
+        kernels = uniform_kernels(series.omega, n_samples, n_orders)
+        counts = kernels[:, :, 0]
+        # real matrices times complex ones, as two real ones side by side
+        g_sums = np.matmul(kernels[:, :, 1:], of_powers.view(np.float64)).view(np.complex128)
+        g_sums *= np.conj(UNIFORM_PHASES)
+    else:
+        of_weights = np.conj(data_sums(weights, series.omega, n_orders, 2))
+        counts = of_weights[:, :, 0].real
+        g_sums = np.matmul(of_weights[:, :, 1:], of_powers)
     of_data = np.conj(data_sums(values, series.omega, n_harmonics, 1, lowest=1))
-    g_sums = np.matmul(kernels[:, :, 1:], of_powers)
     v_sums = np.matmul(of_data, of_powers[:, :n_harmonics, :2])
-    return _assembled(series, kernels[:, :, 0].real, g_sums, total, v_sums, power)
+    return _assembled(series, counts, g_sums, total, v_sums, power)
 
 
 def _powers_of_g(ratio: Complexes, n_orders: int) -> Complexes:
     """Coefficients C(k-1, j-1) q^(k-j) of e^k in g^j; k = 1..n_orders, j = 1..4; (R, n_orders, 4)."""
+    powers = np.empty((ratio.size, n_orders), dtype=np.complex128)
+    powers[:, 0] = 1.0
+    powers[:, 1:] = ratio[:, np.newaxis]
+    np.multiply.accumulate(powers, axis=1, out=powers)
     coefficients = np.zeros((ratio.size, n_orders, 4), dtype=np.complex128)
-    coefficients[:, 0, 0] = 1.0
-    for row in range(1, n_orders):
-        np.multiply(coefficients[:, row - 1, 0], ratio, out=coefficients[:, row, 0])
-    for j in range(1, 4):
-        binomial = scipy.special.comb(np.arange(j, n_orders), j)
-        coefficients[:, j:, j] = coefficients[:, : n_orders - j, 0] * binomial
+    for j, binomials in enumerate(_binomials(n_orders)):
+        np.multiply(powers[:, : n_orders - j], binomials, out=coefficients[:, j:, j])
     return coefficients
+
+
+@cache
+def _binomials(n_orders: int) -> list[Floats]:
+    """C(k-1, j-1), k = j..n_orders, for j = 1..4."""
+    return [np.asarray(scipy.special.comb(np.arange(j, n_orders), j)) for j in range(4)]
 
 
 def _assembled(

@@ -10,7 +10,6 @@ of two short vectors, and all sums of a record become one small matrix product.
 from __future__ import annotations
 
 import math
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -33,13 +32,13 @@ UNIFORM_PHASES = np.array([1, 1j, 1])[:, np.newaxis]
 
 def harmonic_powers(turn: Complexes, highest: int, lowest: int = 0, axis: int = -1) -> Complexes:
     """turn^k for k = lowest..highest, lowest 0 or 1, on a new axis of the result."""
-    shape = list(turn.shape)
-    shape.insert(axis if axis >= 0 else len(shape) + 1 + axis, highest - lowest + 1)
+    axis %= turn.ndim + 1
+    shape = (*turn.shape[:axis], highest - lowest + 1, *turn.shape[axis:])
     powers = np.empty(shape, dtype=turn.dtype)
-    by_order = np.moveaxis(powers, axis, 0)
+    by_order = powers.transpose(axis, *(n for n in range(powers.ndim) if n != axis))
     by_order[0] = turn if lowest else 1.0
-    for before, after in pairwise(by_order):
-        np.multiply(before, turn, out=after)
+    for row in range(1, len(by_order)):
+        np.multiply(by_order[row - 1], turn, out=by_order[row])
     return powers
 
 
@@ -156,26 +155,26 @@ def uniform_kernels(omega: Floats, n_samples: int, n_orders: int) -> Floats:
         model.
     """
     n = n_samples
-    angle = 0.5 * omega[:, np.newaxis] * np.arange(n_orders + 1)
-    sine, cosine = np.sin(angle), np.cos(angle)
-    angle *= n
-    many_sine, many_cosine = np.sin(angle), np.cos(angle)
+    half = harmonic_powers(np.exp(0.5j * omega), n_orders, 1)
+    many = harmonic_powers(np.exp(0.5j * n * omega), n_orders, 1)
+    sine, cosine = half.imag, half.real
     # A harmonic on a multiple of the sampling rate is a constant; the quotients then need their limits.
-    near = np.nonzero(np.abs(sine) * n < 0.05)
-    inverse = sine.copy()
-    inverse[near] = 1.0
-    np.divide(1.0, inverse, out=inverse)
+    near = np.abs(sine) * n < 0.05
+    inverse = 1 / np.where(near, 1.0, sine)
     cotangent = cosine * inverse
-    kernels = np.empty((omega.size, 3, n_orders + 1))
-    d0 = np.multiply(many_sine, inverse, out=kernels[:, 0])
-    d1 = np.multiply(n * many_cosine * inverse - d0 * cotangent, 0.5, out=kernels[:, 1])
+    d0 = many.imag * inverse
+    d1 = (n * many.real * inverse - d0 * cotangent) / 2
     # The kernel obeys D'' = (1 - N^2)/4 D - cot(angle/2) D'.
-    d2 = np.subtract((1 - n * n) / 4 * d0, cotangent * d1, out=kernels[:, 2])
-    d0[near], d1[near], d2[near] = _near_a_constant(
-        sine[near] * np.sign(cosine[near]), np.sign(cosine[near] * many_cosine[near]), n
-    )
-    d1 *= 2 / n
-    d2 *= -((2 / n) ** 2)
+    d2 = (1 - n * n) / 4 * d0 - cotangent * d1
+    if near.any():
+        sign = np.sign(cosine[near])
+        d0[near], d1[near], d2[near] = _near_a_constant(sine[near] * sign, sign * np.sign(many.real[near]), n)
+
+    kernels = np.empty((omega.size, 3, n_orders + 1))
+    kernels[:, 0, 1:] = d0
+    np.multiply(d1, 2 / n, out=kernels[:, 1, 1:])
+    np.multiply(d2, -((2 / n) ** 2), out=kernels[:, 2, 1:])
+    kernels[:, :, 0] = n, 0.0, _power_sums(n)[0] * (2 / n) ** 2
     return kernels
 
 

@@ -119,7 +119,8 @@ def _assembled(
     _put_block(normal, 3, 3, np.abs(first) ** 2 * gg_gg[:, 0] + 0j, h_squared * four[:, 0])
     _put_column(normal, 1, turn * s_cg[:, 1], turn * s_g[:, 1])
     _put_column(normal, 3, turn * np.conj(first) * s_cgg[:, 1], turn * first * s_gg[:, 1])
-    normal[:, 5, 5] = (np.abs(first) ** 2 * s_cs[:, 2] - (h_squared * s_s[:, 2]).real) / 2
+    normal[:, 5, 5] = np.abs(first) ** 2 * s_cs[:, 2] - (h_squared * s_s[:, 2]).real
+    normal[:, 1:, 1:] /= 2
     for row in range(1, 6):
         normal[:, row, :row] = normal[:, :row, row]
 
@@ -139,14 +140,15 @@ def _assembled(
 
 
 def _put_block(normal: Floats, row: int, column: int, with_conjugate: Complexes, without: Complexes) -> None:
-    """Inner products of Re a, -Im a with Re b, -Im b, from the sums of a conj(b) and of a b."""
-    normal[:, row, column] = (with_conjugate.real + without.real) / 2
-    normal[:, row, column + 1] = (with_conjugate.imag - without.imag) / 2
-    normal[:, row + 1, column] = (-with_conjugate.imag - without.imag) / 2
-    normal[:, row + 1, column + 1] = (with_conjugate.real - without.real) / 2
+    """Inner products of Re a, -Im a with Re b, -Im b, twice, from the sums of a conj(b) and of a b."""
+    sum_, difference = with_conjugate + without, with_conjugate - without
+    normal[:, row, column], normal[:, row, column + 1] = sum_.real, difference.imag
+    np.negative(sum_.imag, out=normal[:, row + 1, column])
+    normal[:, row + 1, column + 1] = difference.real
 
 
 def _put_column(normal: Floats, row: int, with_conjugate: Complexes, without: Complexes) -> None:
-    """Inner products of Re a, -Im a with Re b, from the sums of b conj(a) and of b a."""
-    normal[:, row, 5] = (with_conjugate.real + without.real) / 2
-    normal[:, row + 1, 5] = (with_conjugate.imag - without.imag) / 2
+    """Inner products of Re a, -Im a with Re b, twice, from the sums of b conj(a) and of b a."""
+    sum_ = with_conjugate + without
+    normal[:, row, 5] = sum_.real
+    np.subtract(with_conjugate.imag, without.imag, out=normal[:, row + 1, 5])

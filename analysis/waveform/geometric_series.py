@@ -141,7 +141,8 @@ def _in_closed_form(series: Series, n_samples: int, precision: np.dtype[Any]) ->
         phasors(series.omega, outer, precision), phasors(series.omega, inner, precision), n_samples
     )
     first, ratio = (p.astype(carrier.dtype)[:, np.newaxis] for p in (series.first, series.ratio))
-    return np.asarray(series.offset.astype(precision)[:, np.newaxis] + (first * carrier / (1 - ratio * carrier)).real)
+    beat = (first * carrier / (1 - ratio * carrier)).real
+    return np.asarray(beat + series.offset.astype(precision)[:, np.newaxis])
 
 
 def _sides(series: Series, n_samples: int, precision: np.dtype[Any], n_harmonics: int) -> tuple[Samples, Samples]:

@@ -89,46 +89,37 @@ def data_sums(
     -------
     (R, p, k) or (R, C, p, k), complex128
     """
-    n_records, n_samples = values.shape
-    outer, inner = record_grid(n_samples)
-    if outer.size * inner.size != n_samples:
-        padded = np.zeros((n_records, outer.size * inner.size), dtype=values.dtype)
-        padded[:, :n_samples] = values
-        values = padded
-    blocks = values.reshape(n_records, outer.size, inner.size)
+    n_records = len(values)
     n_powers, n_orders = highest_power + 1, n_harmonics + 1 - lowest
     columns = omega.reshape(n_records, -1)
     sums = np.empty((*columns.shape, n_powers, n_orders), dtype=np.complex128)
     at_once = max(1, SUMS_AT_ONCE // max(columns.shape[1] * n_powers * n_orders, 1))
     for start in range(0, n_records, at_once):
         part = slice(start, start + at_once)
-        found = _sums_of_blocks(
-            blocks[part], columns[part], (outer, inner), 2 / n_samples, n_powers, (lowest, n_harmonics)
-        )
+        found = _some_sums(values[part], columns[part], n_powers, lowest, n_harmonics)
         sums[part] = found.reshape(*found.shape[:2], -1, n_orders).swapaxes(1, 2)
     return sums.reshape(*omega.shape, n_powers, n_orders)
 
 
-def _sums_of_blocks(
-    blocks: Samples,
-    omega: Floats,
-    grid: tuple[Floats, Floats],
-    unit: float,
-    n_powers: int,
-    orders: tuple[int, int],
-) -> Complexes:
-    """`data_sums` of samples in rows, (R, rows, length), at (R, C) frequencies: (R, p, C * K)."""
-    kind, (outer, inner), (lowest, highest) = blocks.dtype, grid, orders
-    fine = harmonic_powers(phasors(-omega, inner, kind), highest, lowest).reshape(len(omega), inner.size, -1)
-    coarse = harmonic_powers(phasors(-omega, outer, kind), highest, lowest).reshape(len(omega), outer.size, -1)
-    far_powers = ((outer * unit) ** np.arange(n_powers)[:, np.newaxis]).astype(kind)
-    near = np.broadcast_to((inner * unit).astype(kind)[:, np.newaxis], fine.shape[1:]).copy()
-    sums = np.zeros((len(blocks), n_powers, fine.shape[2]), dtype=np.complex128)
+def _some_sums(values: Samples, omega: Floats, n_powers: int, lowest: int, highest: int) -> Complexes:
+    """`data_sums` of records (R, N) at (R, C) frequencies, (R, p, C * K)."""
+    (n_records, n_samples), kind = values.shape, values.dtype
+    outer, inner = record_grid(n_samples)
+    if outer.size * inner.size != n_samples:
+        values = np.pad(values, ((0, 0), (0, outer.size * inner.size - n_samples)))
+    rows = values.reshape(n_records, outer.size, inner.size)
+    fine = harmonic_powers(phasors(-omega, inner, kind), highest, lowest).reshape(n_records, inner.size, -1)
+    coarse = harmonic_powers(phasors(-omega, outer, kind), highest, lowest).reshape(n_records, outer.size, -1)
+    outer, inner = outer * (2 / n_samples), inner * (2 / n_samples)
+    far_powers = (outer ** np.arange(n_powers)[:, np.newaxis]).astype(kind)
+    near = np.broadcast_to(inner.astype(kind)[:, np.newaxis], fine.shape[1:]).copy()
+    sums = np.zeros((n_records, n_powers, fine.shape[2]), dtype=np.complex128)
     # (outer + inner)^p is expanded. Each power of `inner` costs one product over the samples, those of `outer`
     # only one over the rows. Real and imaginary parts are columns side by side: half a complex product's work.
+    side = fine
     for q in range(n_powers):
-        side = fine if q == 0 else side * near
-        turned = np.matmul(blocks, side.view(kind)).view(fine.dtype)
+        side = side * near if q else fine
+        turned = np.matmul(rows, side.view(kind)).view(fine.dtype)
         turned *= coarse
         mixed = np.matmul(far_powers[: n_powers - q], turned.view(kind)).view(fine.dtype)
         for p in range(q, n_powers):

@@ -153,7 +153,8 @@ class _Centred:
             at_ends[1, here] = high.view(np.uint8).sum(axis=-1, dtype=np.uint32)
         if precision == np.float32:
             # Where the mean is large beside the swing, single precision must begin after the subtraction.
-            lifted = np.flatnonzero(np.isfinite(found.centre) & ~(np.abs(found.centre) < LIFTED * (ends[1] - ends[0])))
+            size, swing = np.abs(found.centre), ends[1] - ends[0]
+            lifted = np.flatnonzero(np.isfinite(size) & ~(size < LIFTED * swing))
             if lifted.size:
                 absent = None if missing is None else missing[lifted]
                 again = _Centred.of(raw[lifted], absent, count[lifted], np.dtype(np.float64))

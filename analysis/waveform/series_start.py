@@ -72,7 +72,7 @@ class _Search:
         omega = np.clip(omega, np.pi / n_samples, np.pi)
         of_values, of_squares = (data_sums(v, omega, 2, 0)[:, :, 0] for v in (self.values, self.squares))
         if self.weights is None:
-            ones = uniform_kernels(omega.ravel(), n_samples, 2)[:, 0].reshape(of_values.shape)
+            ones = uniform_kernels(omega.ravel(), n_samples, 2)[:, 0].astype(np.complex128)
         else:
             ones = data_sums(self.weights, omega, 2, 0)[:, :, 0]
         sums = (part.reshape(-1, 3) for part in (ones, of_values, of_squares))

@@ -33,8 +33,8 @@ Complexes = NDArray[Any]
 """complex128"""
 
 LEFT_OUT = {np.dtype(np.float32): 1e-8, np.dtype(np.float64): 1e-17}
-"""Powers of the ratio below this are left out of the kernels. A harmonic that folds onto zero frequency has a large
-kernel, and the coefficients hold binomials up to hundreds, so they must be small indeed."""
+"""Powers of the ratio below this are left out of the kernels. A harmonic that folds onto zero frequency has a
+large kernel, and the coefficients hold binomials up to hundreds, so they must be small indeed."""
 
 
 def equations_by_sums(

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from analysis.waveform.frequency_search import coarse_frequency
 from analysis.waveform.normal_equations import Step
 from analysis.waveform.periodic_fit import gauss_newton_step, record_sums, two_sided
-from analysis.waveform.records import Records, as_stack
+from analysis.waveform.records import NanPolicy, Records, as_stack
 
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
@@ -37,7 +37,9 @@ class HarmonicFit:
     noise_rms: Floats
 
 
-def fit_harmonics(volts: ArrayLike, sample_interval: float, *, harmonics: int = 3) -> HarmonicFit:
+def fit_harmonics(
+    volts: ArrayLike, sample_interval: float, *, harmonics: int = 3, nan_policy: NanPolicy = "raise"
+) -> HarmonicFit:
     """Fit offset, frequency and harmonics of each record by least squares on its samples.
 
     The frequency is fitted, not read from a spectrum: an error of 2 % of a bin would already change A2/A1 by
@@ -46,11 +48,13 @@ def fit_harmonics(volts: ArrayLike, sample_interval: float, *, harmonics: int = 
     Parameters
     ----------
     volts : (..., n_samples)
-        nan marks a missing sample.
+        Or raw codes, in which -128 marks a missing sample.
     sample_interval : float
         Seconds.
     harmonics : int
         How many harmonics, at least 1.
+    nan_policy : {"raise", "omit"}
+        Whether nan in `volts` is an error, or a missing sample that is left out.
 
     Returns
     -------
@@ -60,7 +64,7 @@ def fit_harmonics(volts: ArrayLike, sample_interval: float, *, harmonics: int = 
     Raises
     ------
     ValueError
-        Fewer than 8 samples, an interval that is not positive, infinite values, harmonics < 1.
+        Fewer than 8 samples, an interval that is not positive, nan or infinite values, harmonics < 1.
 
     Examples
     --------
@@ -72,7 +76,7 @@ def fit_harmonics(volts: ArrayLike, sample_interval: float, *, harmonics: int = 
     """
     if harmonics < 1:
         raise ValueError(f"harmonics is {harmonics}: at least 1 is needed")
-    stack = as_stack(volts, sample_interval)
+    stack = as_stack(volts, sample_interval, nan_policy)
     fitted = [_fit_part(stack.take(part), harmonics) for part in stack.parts()]
     omega, offset, noise, amplitudes, deviations = (np.concatenate(column) for column in zip(*fitted, strict=True))
     to_hertz = 1 / (2 * np.pi * sample_interval)

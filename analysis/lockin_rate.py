@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from analysis.flags import FATAL, Flag
 from analysis.lockin_equation import Relation, input_rate_from_beat, lock_in_from_beat, lock_in_from_rate
 from analysis.ratio_interval import size_interval
-from analysis.waveform.records import as_stack
+from analysis.waveform.records import NanPolicy, as_stack
 from analysis.waveform.waveform_fit import WaveformFit, fit_waveform
 
 Floats = NDArray[np.float64]
@@ -103,6 +103,7 @@ def estimate_lock_in(
     relation: Relation = "exact",
     clipped: ArrayLike | None = None,
     full_amplitude: ArrayLike | None = None,
+    nan_policy: NanPolicy = "raise",
 ) -> LockInEstimate:
     """Lock-in rate from each record of the beat.
 
@@ -113,7 +114,8 @@ def estimate_lock_in(
     Parameters
     ----------
     volts : (..., n_samples)
-        nan marks a missing sample. Clipped samples are found by themselves where they are many.
+        Or raw codes, in which -128 marks a missing sample. Clipped samples are found by themselves where they are
+        many.
     sample_interval : float
         Seconds.
     scale_factor : float
@@ -129,6 +131,8 @@ def estimate_lock_in(
         Volts: A as a single acquisition shows it. A record that the scope has averaged over a phase that was not
         triggered is weaker, and its second harmonic is weaker still (three times as much, at first): it is
         flagged.
+    nan_policy : {"raise", "omit"}
+        Whether nan in `volts` is an error, or a missing sample that is left out.
 
     Returns
     -------
@@ -138,13 +142,13 @@ def estimate_lock_in(
     Raises
     ------
     ValueError
-        Fewer than 8 samples, wrong shapes, infinite values, interval or scale factor not positive, unknown
+        Fewer than 8 samples, wrong shapes, nan or infinite values, interval or scale factor not positive, unknown
         relation.
     """
     if not np.isfinite(scale_factor) or scale_factor <= 0:
         raise ValueError(f"scale_factor must be positive (pulses per degree), not {scale_factor!r}")
     lock_in_from_rate(0.0, 1.0, relation)  # an unknown relation is an error before any work is done
-    stack = as_stack(volts, sample_interval)
+    stack = as_stack(volts, sample_interval, nan_policy)
     rate = _given_rate(input_rate, stack.shape)
     mask = None
     if clipped is not None:

@@ -22,6 +22,7 @@ from analysis.changed_ratio import with_ratio
 from analysis.flags import FATAL
 from analysis.lockin_equation import Relation
 from analysis.lockin_rate import LockInEstimate, estimate_lock_in
+from analysis.waveform.records import NanPolicy
 
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
@@ -101,13 +102,14 @@ def estimate_quadratures(
     input_rate: ArrayLike | None = None,
     relation: Relation = "exact",
     clipped: tuple[ArrayLike, ArrayLike] | None = None,
+    nan_policy: NanPolicy = "raise",
 ) -> QuadratureEstimate:
     """Lock-in rate from two channels of one acquisition.
 
     Parameters
     ----------
     sine, cosine : (..., n_samples)
-        Volts of the two photodiodes, sampled at the same instants. nan marks a missing sample.
+        Volts of the two photodiodes, sampled at the same instants.
     sample_interval : float
         Seconds.
     scale_factor : float
@@ -116,6 +118,8 @@ def estimate_quadratures(
         deg/s, signed. Without it the record is its own reference and ``estimate.input_rate`` has the sign seen.
     relation : {"exact", "paper-13", "paper-10"}
     clipped : two arrays (..., n_samples) of bool, optional
+    nan_policy : {"raise", "omit"}
+        Whether nan is an error, or a missing sample that is left out.
 
     Returns
     -------
@@ -139,6 +143,7 @@ def estimate_quadratures(
             input_rate=input_rate,
             relation=relation,
             clipped=mask,
+            nan_policy=nan_policy,
         )
         for volts, mask in zip(both, masks, strict=True)
     ]

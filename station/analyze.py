@@ -125,7 +125,7 @@ def harmonics_of(waveform: Waveform, count: int = 5) -> list[dict[str, float]] |
     """
     if np.nanmax(waveform.volts) == np.nanmin(waveform.volts):
         return None
-    fit = fit_harmonics(waveform.volts, waveform.sample_interval, harmonics=count)
+    fit = fit_harmonics(waveform.volts, waveform.sample_interval, harmonics=count, nan_policy="omit")
     if not np.isfinite(fit.frequency):
         return None
     return [

@@ -259,7 +259,7 @@ class _Search:
 
 def _beat_frequency(waveform: Waveform) -> float | None:
     """Beat frequency of a trial record in Hz; ``None`` if it holds too little of a beat."""
-    estimate = estimate_lock_in(waveform.volts, waveform.sample_interval, scale_factor=1.0)
+    estimate = estimate_lock_in(waveform.volts, waveform.sample_interval, scale_factor=1.0, nan_policy="omit")
     if int(estimate.flags) & int(FATAL | Flag.FEW_PERIODS) or not np.isfinite(estimate.beat_frequency):
         return None
     return float(estimate.beat_frequency)

@@ -160,6 +160,7 @@ def _estimate_batch(waveforms: Sequence[Waveform], method: Method) -> LockInEsti
         input_rate=method.input_rate,
         relation=method.relation,
         clipped=clipped_samples(waveforms),
+        nan_policy="omit",
     )
 
 

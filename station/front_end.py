@@ -94,7 +94,7 @@ def equalised(volts: Array, sample_interval: float, response: ChannelResponse) -
     RunError
         If a beat or its second harmonic lies outside a measured table.
     """
-    fit = fit_harmonics(volts, sample_interval, harmonics=_HARMONICS)
+    fit = fit_harmonics(volts, sample_interval, harmonics=_HARMONICS, nan_policy="omit")
     beating = np.isfinite(fit.frequency)
     frequency = np.where(beating, fit.frequency, 1.0)
     times, restored = np.arange(volts.shape[-1]) * sample_interval, volts.copy()

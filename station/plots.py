@@ -38,7 +38,7 @@ def time_record_svg(waveform: Waveform) -> str:
     str
         SVG element.
     """
-    fit = fit_harmonics(waveform.volts, waveform.sample_interval, harmonics=_HARMONICS)
+    fit = fit_harmonics(waveform.volts, waveform.sample_interval, harmonics=_HARMONICS, nan_policy="omit")
     frequency = float(fit.frequency)
     shown = min(waveform.codes.size, int(np.ceil(_PERIODS_SHOWN / frequency / waveform.sample_interval)))
     scale, unit = _time_unit(shown * waveform.sample_interval)
@@ -61,7 +61,7 @@ def time_record_svg(waveform: Waveform) -> str:
 
 def spectrum_svg(waveform: Waveform) -> str:
     """Draw the spectrum of a record in dB of its fundamental, harmonics marked; argument as above."""
-    frequency = float(fit_harmonics(waveform.volts, waveform.sample_interval).frequency)
+    frequency = float(fit_harmonics(waveform.volts, waveform.sample_interval, nan_policy="omit").frequency)
     amplitudes, frequencies = _windowed_spectrum(waveform)
     level = 20 * np.log10(np.maximum(amplitudes, 1e-12) / amplitudes.max())
     end = min(8.6 * frequency, float(frequencies[-1]))
@@ -110,7 +110,7 @@ def line_svg(waveform: Waveform, order: int) -> str:
     str
         SVG element.
     """
-    fit = fit_harmonics(waveform.volts, waveform.sample_interval, harmonics=_HARMONICS)
+    fit = fit_harmonics(waveform.volts, waveform.sample_interval, harmonics=_HARMONICS, nan_policy="omit")
     centre = order * float(fit.frequency)
     height, height_u = float(np.abs(fit.amplitudes[order - 1])), float(fit.amplitudes_u[order - 1])
     duration = waveform.codes.size * waveform.sample_interval

@@ -116,6 +116,7 @@ def estimate_pairs(
                 input_rate=method.input_rate,
                 relation=method.relation,
                 clipped=(masks[0], masks[1]),
+                nan_policy="omit",
             )
         )
         order += indices

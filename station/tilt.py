@@ -106,7 +106,7 @@ def _beat(record: SavedRecord, settings: Settings) -> tuple[float, float, float,
     """Beat frequency, its uncertainty, that with the ratio's part, Hz; the record's lock-in rate, deg/s."""
     wave = Waveform(record.codes, Preamble.parse(record.preamble))
     scale_factor = settings.gyro.scale_factor_pulses_per_deg
-    beat = estimate_lock_in(wave.volts, wave.sample_interval, scale_factor=scale_factor)
+    beat = estimate_lock_in(wave.volts, wave.sample_interval, scale_factor=scale_factor, nan_policy="omit")
     frequency, frequency_u, ratio = float(beat.beat_frequency), float(beat.beat_frequency_u), float(beat.ratio)
     # lock-in pulls the beat down by (WL/W)^2 / 2
     both_u = math.hypot(frequency_u, frequency * 4 * ratio * float(beat.ratio_u))

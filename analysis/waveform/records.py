@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
@@ -14,11 +14,12 @@ Samples = NDArray[Any]
 """float32 or float64"""
 Bools = NDArray[np.bool_]
 Counts = NDArray[np.uint32]
+NanPolicy = Literal["raise", "omit"]
 
 MINIMUM_SAMPLES = 8
 """The lock-in waveform has six parameters; two more samples are the least that leaves any noise estimate."""
 
-NO_DATA = -128
+NO_DATA, LARGEST_CODE = -128, 127
 LARGEST_INTEGER = 2**52
 
 SAMPLES_AT_ONCE = 2_500_000
@@ -80,6 +81,7 @@ class Stack:
 
     volts: NDArray[Any]
     shape: tuple[int, ...]
+    nan_policy: NanPolicy
 
     @property
     def n_samples(self) -> int:
@@ -98,22 +100,41 @@ class Stack:
         Raises
         ------
         ValueError
-            Infinite values.
+            Infinite values; nan, unless `nan_policy` is "omit".
         """
-        raw, kind = self.volts[part], np.dtype(precision)
-        missing, weights = None, None
-        count = np.full(len(raw), float(self.n_samples))
-        centred = _Centred.of(raw, missing, count, kind)
+        raw, kind, missing = self.volts[part], np.dtype(precision), None
+        centred = _Centred.of(raw, missing, kind)
         if not np.all(np.isfinite(centred.centre)):
             missing = np.isnan(raw)
-            weights = (~missing).astype(kind)
-            count -= missing.sum(axis=-1)
-            centred = _Centred.of(raw, missing, count, kind)
+            if self.nan_policy == "raise" and missing.any():
+                where = np.argwhere(missing)[0]
+                raise ValueError(
+                    f"volts holds nan ({missing.sum()} samples, the first is sample {where[1]} of its record): "
+                    'nan_policy="omit" leaves such samples out'
+                )
+            centred = _Centred.of(raw, missing, kind)
             if not np.all(np.isfinite(centred.centre)):
                 raise ValueError("volts holds infinite values")
+        blank = _blank_samples(raw, centred)
+        if blank is not None:
+            missing = blank if missing is None else missing | blank
+            centred = _Centred.of(raw, missing, kind)
+        weights = None if missing is None else (~missing).astype(kind)
         # Rounding of the mean leaves about 1e-16 of the level in a record that is really constant.
         constant = centred.highest - centred.lowest <= 1e-12 * np.abs(centred.centre)
-        return Records(weights=weights, count=count, constant=constant | (count < 1), **vars(centred))
+        constant |= centred.count < 1
+        return Records(weights=weights, constant=constant, **vars(centred))
+
+
+def _blank_samples(raw: NDArray[Any], centred: _Centred) -> Bools | None:
+    """Where records of raw codes, of whatever type, hold what a scope sends where scan mode has no sample yet."""
+    blank = None
+    for row in np.flatnonzero(np.abs(centred.centre + centred.lowest - NO_DATA) < 1e-3):
+        codes = raw[row][np.isfinite(raw[row])]
+        if codes.max() <= LARGEST_CODE and np.array_equal(codes, np.rint(codes)):
+            blank = np.zeros(raw.shape, dtype=bool) if blank is None else blank
+            blank[row] = raw[row] == NO_DATA
+    return blank
 
 
 @dataclass(frozen=True)
@@ -122,17 +143,21 @@ class _Centred:
 
     values: Samples
     centre: Floats
+    count: Floats
     lowest: Samples
     highest: Samples
     at_lowest: Counts
     at_highest: Counts
 
     @staticmethod
-    def of(raw: NDArray[Any], missing: Bools | None, count: Floats, precision: np.dtype[Any]) -> _Centred:
+    def of(raw: NDArray[Any], missing: Bools | None, precision: np.dtype[Any]) -> _Centred:
         n_records, n_samples = raw.shape
         ends: Samples = np.empty((2, n_records), dtype=precision)
         at_ends: Counts = np.empty((2, n_records), dtype=np.uint32)
-        found = _Centred(np.empty(raw.shape, dtype=precision), np.empty(n_records), *ends, *at_ends)
+        count = np.full(n_records, float(n_samples))
+        if missing is not None:
+            count -= missing.sum(axis=-1)
+        found = _Centred(np.empty(raw.shape, dtype=precision), np.empty(n_records), count, *ends, *at_ends)
         ones, at_once = np.ones(n_samples), records_at_once(n_samples, raw.dtype)
         for start in range(0, n_records, at_once):
             here = slice(start, start + at_once)
@@ -157,22 +182,23 @@ class _Centred:
             lifted = np.flatnonzero(np.isfinite(size) & ~(size < LIFTED * swing))
             if lifted.size:
                 absent = None if missing is None else missing[lifted]
-                again = _Centred.of(raw[lifted], absent, count[lifted], np.dtype(np.float64))
+                again = _Centred.of(raw[lifted], absent, np.dtype(np.float64))
                 for name, fine in vars(again).items():
                     getattr(found, name)[lifted] = fine
         return found
 
 
-def as_stack(volts: ArrayLike, sample_interval: float) -> Stack:
+def as_stack(volts: ArrayLike, sample_interval: float, nan_policy: NanPolicy = "raise") -> Stack:
     """Check an array of records.
 
     Parameters
     ----------
     volts : (..., n_samples)
-        nan marks a missing sample; so does -128 in raw codes of int8, which a scope sends where scan mode has no
-        sample yet.
+        In raw codes, -128 marks a missing sample: a scope sends it where scan mode has no sample yet.
     sample_interval : float
         Seconds.
+    nan_policy : {"raise", "omit"}
+        Whether nan is an error or a missing sample.
 
     Raises
     ------
@@ -187,8 +213,8 @@ def as_stack(volts: ArrayLike, sample_interval: float) -> Stack:
         raise ValueError(f"a record needs at least {MINIMUM_SAMPLES} samples, this one has {found}")
     if np.ndim(sample_interval) != 0 or not np.isfinite(sample_interval) or sample_interval <= 0:
         raise ValueError(f"sample_interval must be one positive number of seconds, not {sample_interval!r}")
-    if array.dtype == np.int8 and (array == NO_DATA).any():
-        array = np.where(array == NO_DATA, np.float32(np.nan), array)
-    elif array.dtype.kind in "iu" and array.size and max(int(array.max()), -int(array.min())) > LARGEST_INTEGER:
+    if nan_policy not in ("raise", "omit"):
+        raise ValueError(f"nan_policy must be 'raise' or 'omit', not {nan_policy!r}")
+    if array.dtype.kind in "iu" and array.size and max(int(array.max()), -int(array.min())) > LARGEST_INTEGER:
         raise ValueError("volts holds integers beyond 2^52: raw codes that have overflowed?")
-    return Stack(array.reshape(-1, array.shape[-1]), array.shape[:-1])
+    return Stack(array.reshape(-1, array.shape[-1]), array.shape[:-1], nan_policy)

@@ -159,7 +159,7 @@ def test_each_flag_is_raised_by_its_cause_and_not_without():
     assert "misfit" in flags_of(second_tone)
     missing = one_record(rng)[1]
     missing[5:50] = np.nan
-    assert "damaged" in flags_of(missing)
+    assert "damaged" in flags_of(missing, nan_policy="omit")
     square = np.where(np.sin(0.05 * N) > 0, 50.0, -50.0) + rng.normal(scale=0.5, size=2500)
     assert "not_lock_in_like" in flags_of(square)
 
@@ -217,9 +217,18 @@ def test_the_blank_of_scan_mode_is_a_missing_sample():
     codes = one_record(np.random.default_rng(33))[1].astype(np.int8)
     floats = codes.astype(float)
     codes[100:140], floats[100:140] = -128, np.nan
-    raw, told = (estimate_lock_in(v, 1.0, scale_factor=0.02) for v in (codes, floats))
-    assert "damaged" in flag_names(int(raw.flags))
-    assert float(raw.lock_in_rate) == pytest.approx(float(told.lock_in_rate), rel=1e-9)
+    told = estimate_lock_in(floats, 1.0, scale_factor=0.02, nan_policy="omit")
+    for kind in (np.int8, np.int16, np.float32, np.float64):
+        raw = estimate_lock_in(codes.astype(kind), 1.0, scale_factor=0.02)
+        assert "damaged" in flag_names(int(raw.flags))
+        assert float(raw.lock_in_rate) == pytest.approx(float(told.lock_in_rate), rel=1e-9)
+
+
+def test_volts_that_happen_to_reach_minus_128_are_no_blank():
+    volts = one_record(np.random.default_rng(33))[1] + 0.25
+    volts *= -128 / volts.min()
+    e = estimate_lock_in(volts, 1.0, scale_factor=0.02)
+    assert flag_names(int(e.flags)) == []
 
 
 def test_no_number_is_given_where_it_would_mean_nothing():
@@ -333,6 +342,8 @@ def test_memory_does_not_grow_with_the_batch():
         ({"sample_interval": 0.0}, "sample_interval"),
         ({"volts": np.zeros(5)}, "8 samples"),
         ({"volts": np.full(100, -np.inf)}, "infinite"),
+        ({"volts": np.where(np.arange(100) == 37, np.nan, np.sin(N[:100] * 0.5))}, "nan .* sample 37 "),
+        ({"volts": np.zeros(100), "nan_policy": "ignore"}, "nan_policy"),
         ({"volts": np.full(100, 2**60)}, "overflow"),
         ({"sample_interval": np.inf}, "sample_interval"),
         ({"input_rate": np.nan}, "input_rate"),
@@ -351,6 +362,7 @@ def test_all_nan_and_nearly_all_nan_records_are_flagged_not_fatal_to_the_batch()
     _, good = one_record(rng)
     nearly = np.full(2500, np.nan)
     nearly[:9] = np.arange(9) % 2
-    e = estimate_lock_in(np.array([good, np.full(2500, np.nan), nearly]), 1.0, scale_factor=0.02)
+    records = np.array([good, np.full(2500, np.nan), nearly])
+    e = estimate_lock_in(records, 1.0, scale_factor=0.02, nan_policy="omit")
     assert e.usable.tolist() == [True, False, False]
     assert int(e.flags[2]) & Flag.TOO_FEW_SAMPLES

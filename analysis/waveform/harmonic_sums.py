@@ -23,7 +23,8 @@ Complexes = NDArray[Any]
 
 
 SUMS_AT_ONCE = 4500
-"""Sums computed together, so that what they need stays in the second-level cache."""
+"""Sums computed together: so few that a cache holds what they need, so many that the cost of calling NumPy does
+not count."""
 
 
 UNIFORM_PHASES = np.array([1, 1j, 1])[:, np.newaxis]

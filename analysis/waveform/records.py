@@ -26,9 +26,9 @@ SAMPLES_AT_ONCE = 2_500_000
 """Samples worked on together: enough that the cost of calling NumPy does not count, and a bound on the memory of
 any batch."""
 
-CACHED = 2**21
-"""Bytes of samples that go through several passes together, so that the second-level cache holds them until all
-passes are done."""
+AT_ONCE_BYTES = 2**21
+"""Bytes of samples that go through several passes together: so few that a cache holds them until all passes are
+done, so many that the cost of calling NumPy does not count."""
 
 THINNING = 5
 """Every fifth sample is enough to see whether a level may be crowded."""
@@ -44,7 +44,7 @@ np.empty(30 << 20, dtype=np.uint8)
 
 def records_at_once(n_samples: int, precision: DTypeLike) -> int:
     """How many records to work on together so that they stay in the cache."""
-    return max(1, CACHED // (n_samples * np.dtype(precision).itemsize))
+    return max(1, AT_ONCE_BYTES // (n_samples * np.dtype(precision).itemsize))
 
 
 def sums_of_squares(values: Samples) -> Floats:

@@ -23,6 +23,9 @@ from benchmarks.estimator.progress import Progress
 Floats = NDArray[np.float64]
 
 ROUNDS = 9
+SMALL_BATCH = 200
+"""Records for which the cost of calling NumPy shows."""
+
 FEW = 25
 """Records given to the slow yardsticks."""
 
@@ -48,11 +51,16 @@ def measure_speed(n_records: int, seed: int) -> list[Speed]:
     """All comparisons, with batches of `n_records`."""
     rng = np.random.default_rng([seed, 300])
     far, near = (_codes(rng, n_records, limits) for limits in ((3.0, 100.0), (1.02, 3.0)))
-    with Progress("speed", 8) as progress:
+    with Progress("speed", 9) as progress:
         results = []
-        for what, codes in (("W/WL 3 to 100", far), ("W/WL 1.02 to 3", near)):
+        few = min(n_records, SMALL_BATCH)
+        for what, codes in (
+            ("W/WL 3 to 100", far),
+            ("W/WL 1.02 to 3", near),
+            (f"W/WL 3 to 100, batches of {few}", far[:few]),
+        ):
             ours, fft = _alternate([partial(_estimate, codes), partial(scipy.fft.rfft, codes, axis=1)])
-            results.append(Speed(f"estimate / rfft, {what}", ours / n_records, fft / n_records, ours / fft))
+            results.append(Speed(f"estimate / rfft, {what}", ours / len(codes), fft / len(codes), ours / fft))
             progress.done()
         results.append(_against_curve_fit(far, results[0].ours))
         progress.done()

@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.flags import Flag
-from analysis.waveform.geometric_series import Series
-from analysis.waveform.records import THINNING, Counts, Records
+from analysis.waveform.geometric_series import Series, sampled_series
+from analysis.waveform.minimise import SeriesFit
+from analysis.waveform.records import LARGEST_CODE, THINNING, Counts, Records
 from analysis.waveform.residuals import Residual, residual_samples
 
 Floats = NDArray[np.float64]
@@ -18,15 +19,27 @@ Samples = NDArray[Any]
 """float32 or float64"""
 Bools = NDArray[np.bool_]
 
-SHARE_AT_END = 0.012
-"""A level that holds less than this share of the samples is not worth calling a clipping limit: the wave would
-pass it by less than a thousandth of its amplitude."""
+SHARE_AT_END = 0.006
+"""A level that holds less than this share of the samples is not worth calling a clipping limit."""
 
-CROWDING = 4.0
-"""A smooth extremum of a quantised wave puts at most about 2.4 times as many samples into its last level as
-into the one before, a clipped one many times more."""
+SHARE_AT_LAST_CODE = 0.001
+"""The same where the level is the last one of eight-bit codes, which no smooth wave need explain."""
+
+CROWDING, CROWDING_IN_NOISE = 4.0, 1.5
+"""A smooth extremum of a quantised wave puts at most about 2.4 times as many samples into its last level as into
+the one before, and less than as many if there is noise; one clipped by some levels many times more."""
+
+NOISY = 0.6
+"""Levels of residual rms from which on the last one holds less than the one before."""
+
+EXCESS = 0.12
+"""Levels by which the fitted wave may lie beyond the samples in its last level, in the mean: that of a smooth
+extremum is less in 999 of 1000 records, that of one clipped by as little as one level more in 99 of 100."""
 
 NOTHING = 1e-8
+
+NEARLY_WHOLE = 1e-3
+"""Single precision and the mean that was taken off leave codes whole to much better than this."""
 
 SPIKE = 7.0
 """Residuals beyond this many (robust) standard deviations are no noise: once in 10^12 samples."""
@@ -42,20 +55,22 @@ class Damage:
     flags: NDArray[np.int64]
 
 
-def find_damage(records: Records, clipped: Bools | None) -> Damage:
-    """Find clipped samples, from the caller's mask or from levels that are too crowded.
+def find_damage(records: Records, fit: SeriesFit, clipped: Bools | None) -> Damage:
+    """Find clipped samples, from the caller's mask, in raw codes, or at levels that are too crowded.
 
     Parameters
     ----------
     records : Records
+    fit : SeriesFit
+        Of them as they are.
     clipped : (R, N) of bool or None
         The caller's own knowledge; replaces the search where it is given.
     """
     values, weights = records.values, records.weights
     flags = np.zeros(len(values), dtype=np.int64)
     if clipped is None:
-        high = _crowded_end(records, records.highest, records.at_highest, 1.0)
-        low = -_crowded_end(records, records.lowest, records.at_lowest, -1.0)
+        high = _limit(records, fit, records.highest, records.at_highest, 1)
+        low = -_limit(records, fit, records.lowest, records.at_lowest, -1)
     else:
         known = clipped if weights is None else clipped & (weights > 0)
         low = np.where(known & (values < 0), values, -np.inf).max(axis=-1)
@@ -71,26 +86,34 @@ def find_damage(records: Records, clipped: Bools | None) -> Damage:
     return Damage(undamaged, np.stack([low, high], axis=-1), flags)
 
 
-def _crowded_end(records: Records, end: Samples, at_end: Counts, sign: float) -> Floats:
-    """`sign` times the end level where it is a clipping limit, else inf; (R,)."""
-    values, weights = records.values, records.weights
-    limit = np.full(len(values), np.inf)
-    suspects = np.flatnonzero(at_end > SHARE_AT_END * (values.shape[1] / THINNING))
-    for thinning in (THINNING, 1):
-        if suspects.size == 0:
-            return limit
-        some, top = sign * values[suspects, ::thinning], sign * end[suspects, np.newaxis]
-        at_top = some >= top
-        crowd = np.count_nonzero(at_top, axis=-1)
-        at_top |= False if weights is None else weights[suspects, ::thinning] == 0
-        below = np.where(at_top, -np.inf, some)
-        second = below.max(axis=-1, keepdims=True)
-        # Thinned counts are small numbers: only a clear crowd of the next level clears the suspicion.
-        factor = CROWDING if thinning == 1 else CROWDING / 2
-        crowded = crowd > factor * np.count_nonzero(below == second, axis=-1)
-        crowded &= crowd > SHARE_AT_END * some.shape[1]
-        suspects = suspects[crowded]
-    limit[suspects] = sign * end[suspects]
+def _limit(records: Records, fit: SeriesFit, end: Samples, at_end: Counts, sign: int) -> Floats:
+    """`sign` times the lowest or highest value where that is a clipping limit, else inf; (R,)."""
+    n_samples = records.values.shape[1]
+    limit = np.full(len(end), np.inf)
+    last_code = np.abs(np.abs(end + records.centre) - LARGEST_CODE) < NEARLY_WHOLE
+    suspects = np.flatnonzero((at_end > SHARE_AT_END * n_samples / THINNING) | last_code)
+    if suspects.size == 0:
+        return limit
+    values, top = sign * records.values[suspects], sign * end[suspects]
+    at_top = values >= top[:, np.newaxis]
+    crowd = at_top.view(np.uint8).sum(axis=-1, dtype=np.uint32)
+    if records.weights is not None:
+        values = np.where(records.weights[suspects] > 0, values, -np.inf)
+    below = np.where(at_top, -np.inf, values)
+    second = below.max(axis=-1)
+    level = top - second
+    in_second = np.count_nonzero(below == second[:, np.newaxis], axis=-1)
+    noisy = np.sqrt(fit.residual_power[suspects] / n_samples) > NOISY * level
+    found = crowd > np.where(noisy, CROWDING_IN_NOISE, CROWDING) * in_second
+    # what one level of clipping does to the counts, a smooth extremum may nearly do
+    for place in np.flatnonzero(~found & (crowd > CROWDING_IN_NOISE * in_second)):
+        model = sign * sampled_series(fit.series.take(suspects[[place]]), n_samples)[0]
+        found[place] = np.mean(model[at_top[place]]) - top[place] > EXCESS * level[place]
+    found &= crowd > SHARE_AT_END * n_samples
+    for place in np.flatnonzero(last_code[suspects] & (crowd > SHARE_AT_LAST_CODE * n_samples)):
+        codes = values[place] + sign * records.centre[suspects[place]]
+        found[place] = np.abs(codes - np.rint(codes)).max() < NEARLY_WHOLE
+    limit[suspects[found]] = top[found]
     return limit
 
 

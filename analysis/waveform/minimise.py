@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from analysis.waveform.geometric_series import LARGEST_RATIO, RATIO_CLASSES, Series, ratio_classes
 from analysis.waveform.normal_equations import Step, empty_matrices
-from analysis.waveform.records import sums_of_squares
+from analysis.waveform.records import sums, sums_of_squares
 from analysis.waveform.sampled_equations import equations_by_samples
 from analysis.waveform.tied_equations import equations_by_sums
 
@@ -47,8 +47,7 @@ class Task:
     @staticmethod
     def of(values: Samples, weights: Samples | None) -> Task:
         """A task with its sums."""
-        total = values @ np.ones(values.shape[1], dtype=values.dtype)
-        return Task(values, weights, sums_of_squares(values), total.astype(np.float64))
+        return Task(values, weights, sums_of_squares(values), sums(values))
 
     @property
     def rounding(self) -> Floats:

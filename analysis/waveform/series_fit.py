@@ -56,3 +56,13 @@ def fit_series(values: Samples, weights: Samples | None) -> SeriesFit:
         some = task.take(hard)
         fit.put(hard, levenberg_marquardt(some, start_of_series(some.values, some.weights, spectra.take(hard))))
     return fit
+
+
+def fit_series_again(values: Samples, weights: Samples | None, before: Series) -> SeriesFit:
+    """Fit records of which a few samples have changed since `before` was found."""
+    task = Task.of(values, weights)
+    fit, converged = gauss_newton(task, before)
+    far = np.flatnonzero(~converged)
+    if far.size:
+        fit.put(far, levenberg_marquardt(task.take(far), before.take(far)))
+    return fit

@@ -24,7 +24,7 @@ from analysis.waveform.quantisation import (
 )
 from analysis.waveform.records import Records, Stack, sums_of_squares
 from analysis.waveform.residuals import Residual, examine_residual, residual_of, residual_samples
-from analysis.waveform.series_fit import fit_series
+from analysis.waveform.series_fit import fit_series, fit_series_again
 
 Floats = NDArray[np.float64]
 Samples = NDArray[Any]
@@ -94,9 +94,9 @@ def _fit_part(stack: Stack, part: slice, clipped: Bools | None) -> WaveformFit:
 
 def _fit_records(records: Records, clipped: Bools | None) -> WaveformFit:
     values, weights = records.values, records.weights
-    damage = find_damage(records, clipped)
-    flags = damage.flags.copy()
     fit = fit_series(values, weights)
+    damage = find_damage(records, fit, clipped)
+    flags = damage.flags
     hit = (flags & int(Flag.CLIPPED)) != 0
     if hit.any() and damage.weights is not None and damage.limits is not None:
         weights = np.ones_like(values) if weights is None else weights.copy()
@@ -113,7 +113,7 @@ def _fit_records(records: Records, clipped: Bools | None) -> WaveformFit:
             weights[row, found] = 0.0
         spiked = np.array(list(spikes))
         some, mask = values[spiked] * weights[spiked], weights[spiked]
-        refitted = fit_series(some, mask)
+        refitted = fit_series_again(some, mask, fit.series.take(spiked))
         fit.put(spiked, refitted)
         left.put(spiked, residual_of(some, mask, refitted.series))
         flags[spiked] |= Flag.DAMAGED
@@ -227,5 +227,5 @@ def _fit_between_limits(
         inside = weights * ((model > limits[:, :1] + margin) & (model < limits[:, 1:] - margin))
         enough = inside.sum(axis=-1, keepdims=True) > 0.2 * values.shape[1]
         kept = np.where(enough, inside, undamaged).astype(values.dtype)
-        fit = fit_series(values * kept, kept)
+        fit = fit_series_again(values * kept, kept, fit.series)
     return fit, kept

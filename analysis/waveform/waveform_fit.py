@@ -113,7 +113,7 @@ def _fit_records(records: Records, clipped: Bools | None) -> WaveformFit:
             weights[row, found] = 0.0
         spiked = np.array(list(spikes))
         some, mask = values[spiked] * weights[spiked], weights[spiked]
-        refitted = fit_series_again(some, mask, fit.series.take(spiked))
+        refitted = fit_series(some, mask)  # anew: the spikes may have led the first fit astray
         fit.put(spiked, refitted)
         left.put(spiked, residual_of(some, mask, refitted.series))
         flags[spiked] |= Flag.DAMAGED

@@ -14,6 +14,10 @@ RIDGE = 1e-13
 variance comes out enormous, as it should."""
 
 
+WORTH_IN_STEP = 40
+"""Records from which on it is faster to invert their matrices in step."""
+
+
 def empty_matrices(n_records: int, size: int) -> Floats:
     """Room for (R, P, P) matrices of which each element lies side by side for all records."""
     return np.empty((size, size, n_records)).transpose(2, 0, 1)
@@ -76,9 +80,12 @@ class Step:
 def _invert(matrix: Floats) -> None:
     """Replace positive definite matrices with a unit diagonal, (P, P, R), by their inverses.
 
-    Gauss-Jordan elimination of all records in step: for such small matrices it is several times faster than a
+    Gauss-Jordan elimination of all records in step: for many small matrices it is several times faster than a
     call of LAPACK for each. Positive definite matrices need no pivoting.
     """
+    if matrix.shape[2] < WORTH_IN_STEP:
+        matrix[...] = np.linalg.inv(matrix.transpose(2, 0, 1)).transpose(1, 2, 0)
+        return
     for row in range(len(matrix)):
         reciprocal = 1 / np.maximum(matrix[row, row], RIDGE / 10)
         column = matrix[:, row].copy()

@@ -15,6 +15,7 @@ criterion), and each of them costs its degree of freedom: the covariance is that
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from numpy.polynomial import legendre
@@ -30,19 +31,25 @@ DEGREES = (2, 3, 4, 6, 8, 11, 15, 20, 27, 36, 48)
 """Numbers of polynomials tried in turn."""
 
 ITERATIONS = 20
+NEAR, CLOSE = 1e-4, 1e-7
+"""Share of the residual power that a last step may gain: enough to compare numbers of polynomials, and enough for
+the result."""
 
 
-def looks_like_wander(left: Floats, omega: float) -> bool:
+def looks_like_wander(left: Floats, omega: float, ratio: float) -> bool:
     """Whether what a straight phase leaves stands about the fundamental, as the sidebands of a wander do.
 
-    Distortion leaves harmonics, a slow drift the lowest frequencies: no moving phase would mend those.
+    Distortion leaves harmonics, a slow drift the lowest frequencies: no moving phase would mend those. A wander of
+    s rad wanders by k s at the k-th harmonic, so its sidebands there have k^2 r^(2k-2) of the power of those about
+    the fundamental. The ratio found on a straight phase is too small, which the power 1.5 allows for.
     """
     power = np.abs(np.fft.rfft(left)[1:]) ** 2
     floor = float(np.median(power)) / np.log(2)
     line = omega * left.size / (2 * np.pi)
     bins = np.arange(1, power.size + 1)
     beside = (bins > 0.5 * line) & (bins < 1.5 * line)
-    return float((power[beside] - floor).sum()) > 0.5 * float((power - floor).sum())
+    of_fundamental = (1 - ratio**2) ** 3 / (1 + ratio**2)
+    return float((power[beside] - floor).sum()) > 0.5 * of_fundamental**1.5 * float((power - floor).sum())
 
 
 @dataclass(frozen=True)
@@ -82,37 +89,40 @@ def track_phase(values: Floats, weights: Floats | None, omega: float) -> Tracked
     """
     n_samples = values.size
     mask = np.ones(n_samples) if weights is None else weights
-    time = (np.arange(n_samples) - (n_samples - 1) / 2) * (2 / n_samples)
     highest = min(DEGREES[-1], n_samples // 20)
-    basis = legendre.legvander(time, highest).T[1:]
+    basis, slopes = _polynomials(n_samples, highest)
     seen = _fundamental_phase(values, omega)
     centred = seen - seen.mean()
     # The filter rings where the record's ends meet: one period at either end says nothing.
     edge = int(2 * np.pi / omega)
     trusted = mask.copy()
     trusted[:edge] = trusted[n_samples - edge :] = 0.0
-    slopes = np.stack([legendre.legval(time, legendre.legder(row)) for row in np.eye(highest + 1)[1:]])
     problem = _Problem(values, mask, basis, slopes)
-    best: TrackedFit | None = None
-    best_criterion, worse = np.inf, 0
-    parameters = None
+    best, best_criterion, worse = None, np.inf, 0
+    parameters, count = None, float(mask.sum())
     for degree in (1, *(d for d in DEGREES if d <= highest)):
         columns = np.concatenate([np.ones((1, n_samples)), basis[:degree]]) * trusted
-        seen_start = problem.start(np.linalg.lstsq(columns.T, centred * trusted, rcond=None)[0][1:])
-        starts = [seen_start]
+        starts = [problem.start(np.linalg.lstsq(columns.T, centred * trusted, rcond=None)[0][1:])]
         if parameters is not None:
             starts.append(np.concatenate([parameters, np.zeros(5 + degree - parameters.size)]))
-        parameters, step, left = problem.fit(min(starts, key=problem.residual_power))
-        count = float(mask.sum())
+        parameters, step, _ = problem.fit(min(starts, key=problem.residual_power), NEAR)
         criterion = count * np.log(max(step.residual_power[0], 1e-300)) + (degree + 5) * np.log(count)
         if criterion < best_criterion:
-            best, best_criterion, worse = _tracked(parameters, step, left), criterion, 0
+            best, best_criterion, worse = parameters, criterion, 0
         else:
             worse += 1
             # A ripple of several turns may need ten polynomials before the first of them helps.
-            if worse == 3 and best is not None and best.degree > 1:
+            if worse == 3 and best is not None and best.size > 6:
                 break
-    return best if best is not None and best.degree > 1 else None
+    return None if best is None or best.size == 6 else _tracked(*problem.fit(best, CLOSE))
+
+
+@cache
+def _polynomials(n_samples: int, highest: int) -> tuple[Floats, Floats]:
+    """Legendre polynomials of degree 1 to `highest` over a record, and their derivatives; (highest, N) each."""
+    time = (np.arange(n_samples) - (n_samples - 1) / 2) * (2 / n_samples)
+    derivatives = [legendre.legval(time, legendre.legder(row)) for row in np.eye(highest + 1)[1:]]
+    return legendre.legvander(time, highest).T[1:], np.stack(derivatives)
 
 
 def _tracked(parameters: Floats, step: Step, left: Floats) -> TrackedFit:
@@ -165,7 +175,7 @@ class _Problem:
         left = self._model(parameters)[0]
         return float(left @ left)
 
-    def fit(self, parameters: Floats) -> tuple[Floats, Step, Floats]:
+    def fit(self, parameters: Floats, tolerance: float) -> tuple[Floats, Step, Floats]:
         """Levenberg-Marquardt: parameters, normal equations and residual at the minimum."""
         damping = 0.0
         step, left = self._normal_equations(parameters)
@@ -178,7 +188,7 @@ class _Problem:
             gain = float(step.residual_power[0] - trial_step.residual_power[0])
             if gain >= 0:
                 parameters, step, left, damping = trial, trial_step, trial_left, damping / 10
-                if gain < 1e-7 * step.residual_power[0]:
+                if gain < tolerance * step.residual_power[0]:
                     break
             else:
                 damping = max(10 * damping, 1e-3)

@@ -182,7 +182,8 @@ def _judged(
     worth_it = power > TRACKED_FROM**2 * np.abs(series.first) ** 2 * count
     for row in map(int, np.flatnonzero(report.uneven & worth_it)):
         omega = float(series.omega[row])
-        if not looks_like_wander(residual_samples(records.values, weights, series, row), omega):
+        left_samples = residual_samples(records.values, weights, series, row)
+        if not looks_like_wander(left_samples, omega, float(np.abs(series.ratio[row]))):
             continue
         mask = None if weights is None else weights[row].astype(np.float64)
         tracked = track_phase(records.values[row].astype(np.float64), mask, omega)

@@ -26,15 +26,16 @@ SHARE_AT_LAST_CODE = 0.001
 """The same where the level is the last one of eight-bit codes, which no smooth wave need explain."""
 
 CROWDING, CROWDING_IN_NOISE = 4.0, 1.5
-"""A smooth extremum of a quantised wave puts at most about 2.4 times as many samples into its last level as into
-the one before, and less than as many if there is noise; one clipped by some levels many times more."""
+"""A smooth crest of a quantised wave puts at most about 2.4 times as many samples into its last level as into the
+one before, and less than as many if there is noise; one clipped by some levels many times more. Where a crest is
+sampled at a few of its phases only, again and again, it may look clipped: a few good samples are then left out."""
 
 NOISY = 0.6
-"""Levels of residual rms from which on the last one holds less than the one before."""
+"""Levels of residual rms from which on there is noise in this sense."""
 
-EXCESS = 0.12
-"""Levels by which the fitted wave may lie beyond the samples in its last level, in the mean: that of a smooth
-extremum is less in 999 of 1000 records, that of one clipped by as little as one level more in 99 of 100."""
+EXCESS = 0.17
+"""Levels by which the fitted wave may lie beyond the samples in its last level, in the mean: a crest that just
+fills its level lies 1/6 beyond, one clipped by a level mostly twice as far."""
 
 NOTHING = 1e-8
 
@@ -105,7 +106,7 @@ def _limit(records: Records, fit: SeriesFit, end: Samples, at_end: Counts, sign:
     in_second = np.count_nonzero(below == second[:, np.newaxis], axis=-1)
     noisy = np.sqrt(fit.residual_power[suspects] / n_samples) > NOISY * level
     found = crowd > np.where(noisy, CROWDING_IN_NOISE, CROWDING) * in_second
-    # what one level of clipping does to the counts, a smooth extremum may nearly do
+    # What one level of clipping does to the counts, a smooth crest may nearly do.
     for place in np.flatnonzero(~found & (crowd > CROWDING_IN_NOISE * in_second)):
         model = sign * sampled_series(fit.series.take(suspects[[place]]), n_samples)[0]
         found[place] = np.mean(model[at_top[place]]) - top[place] > EXCESS * level[place]

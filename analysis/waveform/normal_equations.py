@@ -14,6 +14,9 @@ RIDGE = 1e-13
 variance comes out enormous, as it should."""
 
 
+ROUNDING = 1e-3
+"""Relative error of an inverse that is still no sign of a singular matrix."""
+
 WORTH_IN_STEP = 40
 """Records from which on it is faster to invert their matrices in step."""
 
@@ -48,7 +51,11 @@ class Step:
         inverse = normal * scale
         inverse *= scale[:, np.newaxis]
         inverse[each, each] += RIDGE if damping is None else RIDGE + damping
+        smallest = (1 - ROUNDING) / inverse[each, each]
         _invert(inverse)
+        # No diagonal element of the inverse is less than the reciprocal; rounding breaks that in singular cases.
+        variances = inverse[each, each]
+        inverse[each, each] = np.where(variances > smallest, variances, 1 / RIDGE)
         inverse *= scale
         inverse *= scale[:, np.newaxis]
         change = np.einsum("pqr,rq->rp", inverse, self.gradient)

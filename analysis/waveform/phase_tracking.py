@@ -49,7 +49,8 @@ def looks_like_wander(left: Floats, omega: float, ratio: float) -> bool:
     bins = np.arange(1, power.size + 1)
     beside = (bins > 0.5 * line) & (bins < 1.5 * line)
     of_fundamental = (1 - ratio**2) ** 3 / (1 + ratio**2)
-    return float((power[beside] - floor).sum()) > 0.5 * of_fundamental**1.5 * float((power - floor).sum())
+    surplus, of_all = float((power[beside] - floor).sum()), float((power - floor).sum())
+    return bool(surplus > 0.5 * of_fundamental**1.5 * of_all)
 
 
 @dataclass(frozen=True)

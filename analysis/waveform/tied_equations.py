@@ -23,7 +23,7 @@ import numpy as np
 import scipy.special
 from numpy.typing import NDArray
 
-from analysis.waveform.geometric_series import NEGLIGIBLE, Series, orders_needed
+from analysis.waveform.geometric_series import Series, orders_needed
 from analysis.waveform.harmonic_sums import UNIFORM_PHASES, data_sums, uniform_kernels
 from analysis.waveform.normal_equations import Step, empty_matrices
 
@@ -32,9 +32,11 @@ Samples = NDArray[Any]
 Complexes = NDArray[Any]
 """complex128"""
 
-LEFT_OUT = {np.dtype(np.float32): 1e-8, np.dtype(np.float64): 1e-17}
-"""Powers of the ratio below this are left out of the kernels. A harmonic that folds onto zero frequency has a
-large kernel, and the coefficients hold binomials up to hundreds, so they must be small indeed."""
+LEFT_OUT_OF_DATA = {np.dtype(np.float32): 1e-6, np.dtype(np.float64): 1e-14}
+LEFT_OUT_OF_KERNELS = {np.dtype(np.float32): 1e-9, np.dtype(np.float64): 1e-18}
+"""Powers of the ratio below these are left out of the sums. A harmonic that folds onto the fundamental, or onto
+zero frequency, has a large sum, and the coefficients hold factors up to its order, or binomials up to thousands:
+so they must be small indeed."""
 
 
 def equations_by_sums(
@@ -51,8 +53,8 @@ def equations_by_sums(
     series : Series
     """
     n_samples, kind = values.shape[1], values.dtype
-    n_harmonics = orders_needed(series.ratio, NEGLIGIBLE[kind], 3)
-    n_orders = orders_needed(series.ratio, LEFT_OUT[kind], 6)
+    n_harmonics = orders_needed(series.ratio, LEFT_OUT_OF_DATA[kind], 3)
+    n_orders = orders_needed(series.ratio, LEFT_OUT_OF_KERNELS[kind], 6)
     of_powers = _powers_of_g(series.ratio, n_orders)
     if weights is None:
         kernels = uniform_kernels(series.omega, n_samples, n_orders)

@@ -11,7 +11,16 @@ from numpy.typing import NDArray
 
 from analysis import combine_estimates, estimate_lock_in
 from benchmarks.estimator.accuracy import PERIOD_EDGES, RATE_EDGES, within
-from benchmarks.estimator.gyros import N_SAMPLES, Gyros, codes_of, draw_gyros, white_noise, with_ratio
+from benchmarks.estimator.damage import (
+    as_volts,
+    clean,
+    many_periods,
+    spiked,
+    too_large,
+    with_gap,
+    with_ripple,
+)
+from benchmarks.estimator.gyros import N_SAMPLES, Gyros, codes_of, draw_gyros, with_ratio
 from benchmarks.estimator.noise import first_order, one_over_f
 from benchmarks.estimator.progress import Progress
 
@@ -44,19 +53,19 @@ class Coverage:
 
 @dataclass(frozen=True)
 class Case:
-    """One row of the table: gyros, their noise, and the division into cells by some quantity of theirs.
+    """One row of the table: gyros, their records, and the division into cells by some quantity of theirs.
 
     share is that of the records asked for: less for records which the estimator examines at length.
     """
 
     name: str
     draw: Callable[[np.random.Generator, int], Gyros]
-    noise: Callable[[np.random.Generator, Gyros], Floats]
+    records: Callable[[np.random.Generator, Gyros], Floats]
     cells: Callable[[Gyros], dict[str, Bools]]
     rate_given: bool = False
     share: float = 1.0
 
-    def records(self, asked: int) -> int:
+    def count(self, asked: int) -> int:
         """How many records this case measures."""
         return max(int(asked * self.share), 100)
 
@@ -65,11 +74,11 @@ def measure_coverage(n_records: int, seed: int) -> list[Coverage]:
     """Every case with its share of `n_records` intervals; the combined ones with a tenth as many."""
     results = []
     n_groups = max(n_records // RECORDS_PER_GYRO, 1)
-    total = sum(case.records(n_records) for case in CASES) + len(COMBINED) * n_groups * RECORDS_PER_GYRO
+    total = sum(case.count(n_records) for case in CASES) + len(COMBINED) * n_groups * RECORDS_PER_GYRO
     with Progress("coverage", total) as progress:
         for number, case in enumerate(CASES):
             rng = np.random.default_rng([seed, number])
-            gyros, below, above = _intervals(case, rng, case.records(n_records), progress)
+            gyros, below, above = _intervals(case, rng, case.count(n_records), progress)
             results.append(_summary(case.name, gyros, below, above, case.cells))
         for number, (name, times_noise) in enumerate(COMBINED):
             rng = np.random.default_rng([seed, 100 + number])
@@ -88,7 +97,7 @@ def coverage_by_ratio(n_records: int, seed: int) -> tuple[Floats, Floats, Floats
             hit, near = [], []
             for start in range(0, n_records, BATCH):
                 part = gyros.take(slice(start, start + BATCH))
-                found = estimate_lock_in(codes_of(part, white_noise(rng, part)), 1.0, scale_factor=1.0)
+                found = estimate_lock_in(clean(rng, part), 1.0, scale_factor=1.0)
                 truth = part.lock_in_rate
                 hit.append((found.lock_in_rate_low_95 <= truth) & (truth <= found.lock_in_rate_high_95))
                 near.append(np.abs(found.lock_in_rate - truth) <= 1.96 * found.lock_in_rate_u)
@@ -105,7 +114,7 @@ def _intervals(
     for start in range(0, n_records, BATCH):
         part = gyros.take(slice(start, start + BATCH))
         rate = part.input_rate if case.rate_given else None
-        found = estimate_lock_in(codes_of(part, case.noise(rng, part)), 1.0, scale_factor=1.0, input_rate=rate)
+        found = estimate_lock_in(case.records(rng, part), 1.0, scale_factor=1.0, input_rate=rate)
         below.append(part.lock_in_rate < found.lock_in_rate_low_95)
         # A record without an interval has not covered its truth: nan compares as false.
         above.append(~(part.lock_in_rate <= found.lock_in_rate_high_95))
@@ -139,7 +148,7 @@ def _combined(
     for number in range(n_groups):
         same = groups.take(np.full(RECORDS_PER_GYRO, number))
         same = replace(same, theta=rng.uniform(-np.pi, np.pi, RECORDS_PER_GYRO))
-        found = combine_estimates(estimate_lock_in(codes_of(same, white_noise(rng, same)), 1.0, scale_factor=1.0))
+        found = combine_estimates(estimate_lock_in(clean(rng, same), 1.0, scale_factor=1.0))
         truth = same.lock_in_rate[0]
         below[number] = truth < float(found.lock_in_rate_low_95)
         above[number] = not truth <= float(found.lock_in_rate_high_95)
@@ -168,11 +177,13 @@ def _coloured(rng: np.random.Generator, n_records: int) -> Gyros:
 
 
 def _first_order(memory: float) -> Callable[[np.random.Generator, Gyros], Floats]:
-    return lambda rng, gyros: first_order(rng, len(gyros), N_SAMPLES, memory) * gyros.noise[:, np.newaxis]
+    return lambda rng, gyros: codes_of(
+        gyros, first_order(rng, len(gyros), N_SAMPLES, memory) * gyros.noise[:, np.newaxis]
+    )
 
 
 def _one_over_f(rng: np.random.Generator, gyros: Gyros) -> Floats:
-    return one_over_f(rng, len(gyros), N_SAMPLES) * gyros.noise[:, np.newaxis]
+    return codes_of(gyros, one_over_f(rng, len(gyros), N_SAMPLES) * gyros.noise[:, np.newaxis])
 
 
 def _by_periods(gyros: Gyros) -> dict[str, Bools]:
@@ -195,22 +206,26 @@ def _divided(values: Floats, edges: tuple[float, ...], label: str) -> dict[str, 
     }
 
 
-SLOW = 1.0
+def _quiet(rng: np.random.Generator, n_records: int) -> Gyros:
+    return draw_gyros(rng, n_records, noise=(0.0, 0.2))
+
+
+SLOW = 0.1
 
 CASES = (
-    Case("grid, the record its own reference", draw_gyros, white_noise, _by_periods_and_rate),
-    Case("grid, input rate given, either sense", draw_gyros, white_noise, _by_periods_and_rate, rate_given=True),
-    Case("true ratio 0 to 5 of its uncertainty", _near_its_noise, white_noise, _by_periods),
-    Case(
-        "noise 0 to 0.2 levels: rounding rules",
-        lambda rng, n: draw_gyros(rng, n, noise=(0.0, 0.2)),
-        white_noise,
-        _by_noise,
-    ),
-    Case("no noise, exactly 50 samples per period", _whole_periods, white_noise, _by_periods, share=SLOW),
-    Case("coloured: AR(1), memory 0.5", _coloured, _first_order(0.5), _by_periods, share=SLOW),
-    Case("coloured: AR(1), memory 0.9", _coloured, _first_order(0.9), _by_periods, share=SLOW),
-    Case("coloured: 1/f", _coloured, _one_over_f, _by_periods, share=SLOW),
+    Case("grid, the record its own reference", draw_gyros, clean, _by_periods_and_rate),
+    Case("grid, input rate given, either sense", draw_gyros, clean, _by_periods_and_rate, rate_given=True),
+    Case("true ratio 0 to 5 of its uncertainty", _near_its_noise, clean, _by_periods),
+    Case("noise 0 to 0.2 levels: rounding rules", _quiet, clean, _by_noise),
+    Case("no noise, exactly 50 samples per period", _whole_periods, clean, _by_periods),
+    Case("coloured: AR(1), memory 0.5", _coloured, _first_order(0.5), _by_periods),
+    Case("coloured: AR(1), memory 0.9", _coloured, _first_order(0.9), _by_periods),
+    Case("coloured: 1/f", _coloured, _one_over_f, _by_periods),
+    Case("clipped, amplitude 126 to 133 codes", too_large, clean, _by_periods_and_rate),
+    Case("the same in volts, limit unknown", too_large, as_volts, _by_periods_and_rate),
+    Case("five spikes of 20 to 200 codes", draw_gyros, spiked, _by_periods_and_rate),
+    Case("a tenth of the record without data", draw_gyros, with_gap, _by_periods_and_rate),
+    Case("phase wanders by 0.1 to 3 rad", many_periods, with_ripple, _by_periods_and_rate, share=SLOW),
 )
 
 COMBINED = (

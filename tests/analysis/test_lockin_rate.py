@@ -130,6 +130,49 @@ def test_clipping_is_found_and_leaves_no_bias(limit):
     assert np.abs(told.lock_in_rate - x).mean() > 3 * np.abs(e.lock_in_rate - x).mean()
 
 
+@pytest.mark.parametrize(
+    ("amplitude", "volts_per_code"), [(127.9, 1.0), (130.0, 1.0), (136.0, 1.0), (129.0, 0.0371), (136.0, 0.0371)]
+)
+def test_clipping_by_a_level_is_found_whatever_the_sampling(amplitude, volts_per_code):
+    """In codes from less than half a code on, in volts from 1.5; also at 10, 15, 20 and 25 samples per period."""
+    rng = np.random.default_rng(34)
+    codes, truths = [], []
+    for periods in (250.05, 166.62, 125.02, 100.03, 77.7):
+        for x in (0.05, 0.2, 0.6):
+            k = periods / 2500 / np.sqrt(1 - x * x)
+            beat = beat_signal(
+                N,
+                scale_factor=k,
+                input_rate=1.0,
+                lock_in_rate=x,
+                amplitude=amplitude,
+                initial_phase=rng.uniform(0, 6, 20),
+                backscatter_phase=rng.uniform(0, 6, 20),
+            )
+            codes.append(np.clip(np.rint(beat + rng.normal(scale=0.4, size=beat.shape)), -127, 127))
+            truths += [2 * np.pi * periods / 2500 * x / np.sqrt(1 - x * x)] * 20
+    volts = np.concatenate(codes) * volts_per_code
+    e = estimate_lock_in(volts, 1.0, scale_factor=1 / (2 * np.pi))
+    z = (e.lock_in_rate - truths) / e.lock_in_rate_u
+    assert np.sqrt((z**2).mean()) < 1.15
+    assert np.abs(z).max() < 5
+
+
+def test_a_crest_in_the_last_but_one_code_is_not_called_clipped():
+    rng = np.random.default_rng(35)
+    beat = beat_signal(
+        N,
+        scale_factor=0.0213,
+        input_rate=1.0,
+        lock_in_rate=0.1,
+        amplitude=120.45,
+        initial_phase=rng.uniform(0, 6, 50),
+    )
+    codes = np.rint(beat + rng.normal(scale=0.1, size=beat.shape))
+    e = estimate_lock_in(codes * 0.0371, 1.0, scale_factor=0.0213)
+    assert not any("clipped" in flag_names(f) for f in e.flags)
+
+
 def test_spikes_are_left_out():
     rng = np.random.default_rng(26)
     k, volts = one_record(rng)
@@ -211,6 +254,20 @@ def test_rounding_that_repeats_with_the_beat_is_flagged_and_paid_for():
     assert inside.mean() > 0.9
     by_hand = 12**-0.5 * np.sqrt(2 / 50) / 60.3 / R
     assert np.median(e.lock_in_rate_u / wl) == pytest.approx(by_hand, rel=0.2)
+
+
+@pytest.mark.parametrize("samples_per_period", [5, 6, 7, 8, 9, 10, 12, 15])
+@pytest.mark.parametrize("r", [0.03, 0.17, 1 / 3, 0.6])
+def test_harmonics_that_fold_almost_onto_the_fundamental_do_no_harm(samples_per_period, r):
+    """Each batch of its own, since the largest ratio of a batch says how many harmonics are summed."""
+    rng = np.random.default_rng(36)
+    periods = 2500 / samples_per_period + 0.4
+    u = np.exp(1j * (2 * np.pi * periods / 2500 * N + rng.uniform(0, 2 * np.pi, (60, 1))))
+    turned = 1j * (r - u) / (1 - r * u) * np.exp(1j * rng.uniform(0, 2 * np.pi, (60, 1)))
+    codes = np.rint(120 * turned.imag + rng.normal(scale=0.4, size=(60, 2500)))
+    e = estimate_lock_in(codes, 1.0, scale_factor=1.0)
+    z = (e.ratio - r) / e.ratio_u
+    assert np.sqrt((z**2).mean()) < 1.35
 
 
 def test_the_blank_of_scan_mode_is_a_missing_sample():

@@ -112,7 +112,7 @@ def _limit(records: Records, fit: SeriesFit, end: Samples, at_end: Counts, sign:
         found[place] = np.mean(model[at_top[place]]) - top[place] > EXCESS * level[place]
     found &= crowd > SHARE_AT_END * n_samples
     for place in np.flatnonzero(last_code[suspects] & (crowd > SHARE_AT_LAST_CODE * n_samples)):
-        codes = values[place] + sign * records.centre[suspects[place]]
+        codes = values[place][np.isfinite(values[place])] + sign * records.centre[suspects[place]]
         found[place] = np.abs(codes - np.rint(codes)).max() < NEARLY_WHOLE
     limit[suspects[found]] = top[found]
     return limit

@@ -283,6 +283,17 @@ def test_the_blank_of_scan_mode_is_a_missing_sample():
         assert float(raw.lock_in_rate) == pytest.approx(float(told.lock_in_rate), rel=1e-9)
 
 
+def test_a_blank_does_not_hide_the_last_code():
+    rng = np.random.default_rng(37)
+    u = np.exp(1j * (2 * np.pi * 47.3 / 2500 * N + rng.uniform(0, 2 * np.pi, (100, 1))))
+    codes = np.rint(127.8 * (1j * (0.1 - u) / (1 - 0.1 * u)).imag + rng.normal(scale=0.4, size=(100, 2500)))
+    codes = np.clip(codes, -127, 127)
+    codes[:, 1000:1200] = -128
+    e = estimate_lock_in(codes, 1.0, scale_factor=1.0)
+    assert all({"clipped", "damaged"} <= set(flag_names(f)) for f in e.flags)
+    assert np.sqrt((((e.ratio - 0.1) / e.ratio_u) ** 2).mean()) < 1.25
+
+
 def test_volts_that_happen_to_reach_minus_128_are_no_blank():
     volts = one_record(np.random.default_rng(33))[1] + 0.25
     volts *= -128 / volts.min()

@@ -18,6 +18,7 @@ Floats = NDArray[np.float64]
 Samples = NDArray[Any]
 """float32 or float64"""
 Bools = NDArray[np.bool_]
+Indices = NDArray[np.intp]
 
 SHARE_AT_END = 0.006
 """A level that holds less than this share of the samples is not worth calling a clipping limit."""
@@ -70,8 +71,11 @@ def find_damage(records: Records, fit: SeriesFit, clipped: Bools | None) -> Dama
     values, weights = records.values, records.weights
     flags = np.zeros(len(values), dtype=np.int64)
     if clipped is None:
-        high = _limit(records, fit, records.highest, records.at_highest, 1)
-        low = -_limit(records, fit, records.lowest, records.at_lowest, -1)
+        high = _limit(records, fit, _crowded(records, records.highest, records.at_highest), 1)
+        low = _limit(records, fit, _crowded(records, records.lowest, records.at_lowest), -1)
+        # One clipped end makes the other suspect, however few samples a narrow crest leaves there.
+        high = np.minimum(high, _limit(records, fit, np.flatnonzero(np.isfinite(low) & ~np.isfinite(high)), 1))
+        low = -np.minimum(low, _limit(records, fit, np.flatnonzero(np.isfinite(high) & ~np.isfinite(low)), -1))
     else:
         known = clipped if weights is None else clipped & (weights > 0)
         low = np.where(known & (values < 0), values, -np.inf).max(axis=-1)
@@ -87,14 +91,23 @@ def find_damage(records: Records, fit: SeriesFit, clipped: Bools | None) -> Dama
     return Damage(undamaged, np.stack([low, high], axis=-1), flags)
 
 
-def _limit(records: Records, fit: SeriesFit, end: Samples, at_end: Counts, sign: int) -> Floats:
-    """`sign` times the lowest or highest value where that is a clipping limit, else inf; (R,)."""
+def _crowded(records: Records, end: Samples, at_end: Counts) -> Indices:
+    """Records of which many samples have the extreme value `end` (R,), or whose extreme value is the last code."""
+    many = at_end > SHARE_AT_END * records.values.shape[1] / THINNING
+    return np.flatnonzero(many | _is_last_code(end + records.centre))
+
+
+def _is_last_code(value: Floats) -> Bools:
+    return np.asarray(np.abs(np.abs(value) - LARGEST_CODE) < NEARLY_WHOLE)
+
+
+def _limit(records: Records, fit: SeriesFit, suspects: Indices, sign: int) -> Floats:
+    """`sign` times the highest (1) or lowest (-1) value where that is a clipping limit, else inf; (R,)."""
     n_samples = records.values.shape[1]
-    limit = np.full(len(end), np.inf)
-    last_code = np.abs(np.abs(end + records.centre) - LARGEST_CODE) < NEARLY_WHOLE
-    suspects = np.flatnonzero((at_end > SHARE_AT_END * n_samples / THINNING) | last_code)
+    limit = np.full(len(records.values), np.inf)
     if suspects.size == 0:
         return limit
+    end = records.highest if sign > 0 else records.lowest
     values, top = sign * records.values[suspects], sign * end[suspects]
     at_top = values >= top[:, np.newaxis]
     crowd = at_top.view(np.uint8).sum(axis=-1, dtype=np.uint32)
@@ -111,7 +124,8 @@ def _limit(records: Records, fit: SeriesFit, end: Samples, at_end: Counts, sign:
         model = sign * sampled_series(fit.series.take(suspects[[place]]), n_samples)[0]
         found[place] = np.mean(model[at_top[place]]) - top[place] > EXCESS * level[place]
     found &= crowd > SHARE_AT_END * n_samples
-    for place in np.flatnonzero(last_code[suspects] & (crowd > SHARE_AT_LAST_CODE * n_samples)):
+    last_code = _is_last_code(end[suspects] + records.centre[suspects])
+    for place in np.flatnonzero(last_code & (crowd > SHARE_AT_LAST_CODE * n_samples)):
         codes = values[place][np.isfinite(values[place])] + sign * records.centre[suspects[place]]
         found[place] = np.abs(codes - np.rint(codes)).max() < NEARLY_WHOLE
     limit[suspects[found]] = top[found]

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from analysis.waveform.frequency_search import Spectra
 from analysis.waveform.geometric_series import Series
 from analysis.waveform.minimise import SeriesFit, Task, gauss_newton, levenberg_marquardt
-from analysis.waveform.records import sums_of_squares
 from analysis.waveform.series_start import start_of_series
 
 Samples = NDArray[Any]
@@ -36,7 +35,7 @@ def fit_series(values: Samples, weights: Samples | None) -> SeriesFit:
     """
     n_records, n_samples = values.shape
     spectra = Spectra.of(values)
-    task = Task(values, weights, sums_of_squares(values), spectra.lines[:, 0].real.astype(np.float64))
+    task = Task.of(values, weights)
     line = spectra.start()
     size = np.abs(line.first)
     ratio = line.second / np.where(size > 0, line.first, 1.0)

@@ -24,6 +24,16 @@ def one_record(rng, *, periods=40.3, x=0.1, amplitude=90.0, noise=0.7, **more):
     return k, np.rint(volts + rng.normal(scale=noise, size=2500))
 
 
+@pytest.mark.parametrize("periods", [2.7, 5.3, 41.7])
+def test_without_noise_the_value_is_exact(periods):
+    """Double precision to the end: single would show at 1e-10."""
+    u = np.exp(1j * (2 * np.pi * periods / 2500 * N + 0.7))
+    volts = 0.3 + (1j * (0.2 - u) / (1 - 0.2 * u) * np.exp(0.4j)).imag
+    e = estimate_lock_in(volts, 1.0, scale_factor=1.0)
+    assert float(e.ratio) == pytest.approx(0.2, rel=2e-12)
+    assert float(e.noise_rms) < 2e-12
+
+
 def test_the_error_stands_at_the_cramer_rao_bound():
     rng = np.random.default_rng(20)
     times, records, truths, noises = random_records(

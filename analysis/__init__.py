@@ -1,11 +1,11 @@
 """Mathematics of the lock-in measurement, on arrays: no files, no instruments, no clock, no printing."""
 
+from analysis.channel import ChannelResponse, correct_response
 from analysis.combine import combine_estimates
 from analysis.dead_band import DeadBand, find_dead_band
 from analysis.fast_run_tilt import TiltFit, tilt_from_fast_runs
 from analysis.flags import FATAL, Flag, describe_flag, flag_names
 from analysis.frequency_method import FrequencyFit, fit_frequencies
-from analysis.front_end import ChannelResponse, correct_response
 from analysis.harmonics import HarmonicFit, fit_harmonics
 from analysis.lockin_equation import (
     beat_frequency,

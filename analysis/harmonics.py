@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from analysis.waveform.frequency_search import coarse_frequency
-from analysis.waveform.normal_equations import Step
-from analysis.waveform.periodic_fit import gauss_newton_step, record_sums, two_sided
 from analysis.waveform.records import NanPolicy, Records, as_stack
+from analysis.waveform.series.frequency_search import coarse_frequency
+from analysis.waveform.series.normal_equations import Step
+from analysis.waveform.series.periodic_fit import gauss_newton_step, record_sums, two_sided
 
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]

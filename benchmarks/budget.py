@@ -16,9 +16,9 @@ from typing import Any
 import numpy as np
 
 from analysis.budget import BenchKnowledge, Corner, Reference, TableGeometry, lock_in_budget
-from analysis.expected_noise import RecordShape, expected_point
-from analysis.monte_carlo import simulate_measurements
+from analysis.budget.expected_noise import RecordShape, expected_point
 from analysis.rotation import rate_on_axis
+from benchmarks.monte_carlo import simulate_measurements
 
 SCALE_FACTOR, LOCK_IN_RATE, PERIODS = 2000.0, 0.01, 20.0
 TILT_DEG, LATITUDE_DEG = 88.693, 28.2

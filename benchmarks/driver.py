@@ -24,7 +24,7 @@ from pyvisa.resources import MessageBasedResource
 from benchmarks.delaying_proxy import DelayingProxy, Traffic
 from instrument import TDS2014
 from instrument.simulated import PtyServer, SimulatedTDS2014, TcpServer, VirtualClock, resource_manager
-from instrument.simulated.exchange import MessageExchange
+from instrument.simulated.links.exchange import MessageExchange
 
 BAUD_RATE = 19_200
 BITS_PER_BYTE = 10

@@ -19,10 +19,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from analysis.fibre_gyro.closed_loop import ClosedLoop, Kernel
 from analysis.fibre_gyro.coil import FibreCoil
-from analysis.fibre_gyro.loop_settings import LoopSettings
-from analysis.fibre_gyro.output_model import OutputModel
+from analysis.fibre_gyro.loop.closed_loop import ClosedLoop, Kernel
+from analysis.fibre_gyro.loop.design import LoopSettings
+from analysis.fibre_gyro.loop.output_model import OutputModel
 from analysis.fibre_gyro.rate_table_run import (
     odd_even_parts,
     rate_differences,
@@ -89,7 +89,7 @@ def print_speed(seconds: float) -> None:
     out = sys.stdout.write
     out("Steps (transit times of one gyro) per second of computing\n\n")
     out("| kernel | gyros | steps/s |\n|---|---|---|\n")
-    if importlib.import_module("analysis.fibre_gyro.closed_loop_scalar").COMPILED:
+    if importlib.import_module("analysis.fibre_gyro.loop.scalar_kernel").COMPILED:
         out(f"| compiled by Numba | 1 | {steps_per_second('numba', 1, seconds):.3g} |\n")
     hidden = (
         "import sys; sys.modules['numba'] = None; from benchmarks.fibre_gyro import steps_per_second; "

@@ -15,8 +15,8 @@ import time
 from dataclasses import dataclass, field
 
 from instrument.simulated import SimulatedTDS2014, VirtualClock
-from instrument.simulated.exchange import MessageExchange
-from instrument.simulated.parsing import LONGEST_BLOCK
+from instrument.simulated.links.exchange import MessageExchange
+from instrument.simulated.panel.parsing import LONGEST_BLOCK
 
 DEFAULT_COUNT = 1_000_000
 LONGEST = 1.0  # s of real time that one string may take

@@ -3,6 +3,7 @@
 `TDS2014` gives records as `Waveform`; `read_waveform` reads the files that these scopes write.
 """
 
+from instrument.dialogue.identity import Identity
 from instrument.discovery import FoundResource, find_resources
 from instrument.errors import (
     CommandError,
@@ -18,12 +19,11 @@ from instrument.errors import (
     TransferError,
     WrongInstrument,
 )
-from instrument.identity import Identity
-from instrument.measurement import MEASUREMENTS, Cursors, Measurement
 from instrument.rate_table import ManualRateTable, RateTable
-from instrument.screen import ScreenPicture
-from instrument.settings import ChannelSettings
-from instrument.tds2014 import TDS2014
+from instrument.tds2014.front_panel import ChannelSettings
+from instrument.tds2014.measurement import MEASUREMENTS, Cursors, Measurement
+from instrument.tds2014.scope import TDS2014
+from instrument.tds2014.screen import ScreenPicture
 from instrument.tek_files import read_waveform
 from instrument.waveform import Preamble, Waveform
 

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 
 import pyvisa
 
-from instrument.dialogue import Dialogue
+from instrument.dialogue.dialogue import Dialogue
+from instrument.dialogue.identity import Identity
+from instrument.dialogue.link import Link
 from instrument.errors import InstrumentError, LinkError
-from instrument.identity import Identity
-from instrument.link import Link
 
 # What PyVISA-py needs beyond itself for each kind of link, and what to install for it.
 _TRANSPORTS = (

@@ -195,7 +195,7 @@ class Waveform:
 
     def _repr_html_(self) -> str:
         """Small table and picture for a notebook."""
-        from instrument.waveform_picture import waveform_svg
+        from instrument.waveform_svg import waveform_svg
 
         volts = self.volts[np.isfinite(self.volts)]
         span = f"{volts.min():.4g} to {volts.max():.4g} {self.preamble.yunit}" if volts.size else "no data"

@@ -11,7 +11,7 @@ from __future__ import annotations
 from pyvisa.util import DebugInfo, LibraryPath
 
 from instrument.simulated import SimulatedTDS2014
-from instrument.simulated.visa_library import DEFAULT_NAMES, SimulatedVisaLibrary, demonstration_signals
+from instrument.simulated.links.visa_library import DEFAULT_NAMES, SimulatedVisaLibrary, demonstration_signals
 
 DEFAULT_MODEL = "TDS2014"
 RESOURCE_NAMES = (*DEFAULT_NAMES, "ASRL1::INSTR")

@@ -19,17 +19,20 @@ _TRACEBACK_VARIABLE = "GYROLOCK_TRACEBACK"
 
 # command: module, and the line that `gyrolock --help` shows without importing it
 _COMMANDS = {
-    "measure": ("measure", "Measure the lock-in rate: acquire, save, analyse, report."),
-    "acquire": ("acquire", "Acquire and save records only."),
-    "analyze": ("analyze", "Analyse saved runs and Tektronix CSV or ISF files again."),
-    "report": ("report", "Write the HTML report of a saved run."),
-    "plan": ("plan", "Plan a measurement: rate, time base, scale and records for a wanted uncertainty."),
-    "fog": ("fog", "Scale factor of a fibre gyro: rate table, self-calibration, 2π error, figures of merit."),
-    "study": ("study", "Compute the paper's simulations, with its method and with the exact one."),
-    "simulate": ("simulate", "Serve the simulated oscilloscope on TCP or a serial terminal."),
-    "list": ("list", "List the instruments that VISA can see."),
-    "doctor": ("doctor", "Check this installation, and say what to do about what is missing."),
-    "settings": ("settings", "Print a commented settings file to copy."),
+    "measure": ("lock_in.command", "Measure the lock-in rate: acquire, save, analyse, report."),
+    "acquire": ("lock_in.acquire_command", "Acquire and save records only."),
+    "analyze": ("commands.analyze", "Analyse saved runs and Tektronix CSV or ISF files again."),
+    "report": ("commands.report", "Write the HTML report of a saved run."),
+    "plan": ("plan.command", "Plan a measurement: rate, time base, scale and records for a wanted uncertainty."),
+    "fog": (
+        "fibre_gyro.command",
+        "Scale factor of a fibre gyro: rate table, self-calibration, 2π error, figures of merit.",
+    ),
+    "study": ("study.command", "Compute the paper's simulations, with its method and with the exact one."),
+    "simulate": ("commands.simulate", "Serve the simulated oscilloscope on TCP or a serial terminal."),
+    "list": ("commands.list", "List the instruments that VISA can see."),
+    "doctor": ("commands.doctor", "Check this installation, and say what to do about what is missing."),
+    "settings": ("commands.settings", "Print a commented settings file to copy."),
 }
 
 
@@ -42,7 +45,7 @@ class _LazyGroup(click.Group):
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         if cmd_name not in _COMMANDS:
             return None
-        module = importlib.import_module(f"station.commands.{_COMMANDS[cmd_name][0]}")
+        module = importlib.import_module(f"station.{_COMMANDS[cmd_name][0]}")
         command: click.Command = module.command
         return command
 

@@ -14,7 +14,7 @@ from pathlib import Path
 
 from station.errors import SettingsError, StationError, one_line
 from station.provenance import version
-from station.settings import Settings, default_settings, shipped_settings
+from station.settings.load import Settings, default_settings, shipped_settings
 
 _PACKAGES = (
     "numpy",
@@ -151,11 +151,11 @@ def _sqlite() -> Check:
 
 def _test_record() -> Check:
     """Send one record of the simulated scope through a real link, the store and the analysis."""
-    from station.bench import open_bench
-    from station.evaluate import evaluate_run
-    from station.measure import save_acquisition, take_record
-    from station.runs import RunWriter, open_run
-    from station.simulated_instruments import at_slow_rate
+    from station.lock_in.bench.bench import open_bench
+    from station.lock_in.bench.instruments import at_slow_rate
+    from station.lock_in.evaluate import evaluate_run
+    from station.lock_in.take import save_acquisition, take_record
+    from station.runs.store import RunWriter, open_run
 
     settings = at_slow_rate(default_settings("simulated"))
     with tempfile.TemporaryDirectory() as folder, open_bench(settings) as bench:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.budget import Reference
-from analysis.expected_noise import RecordShape, expected_noise
+from analysis.budget.expected_noise import RecordShape, expected_noise
 from analysis.lockin_equation import beat_frequency, harmonic_ratio
 from analysis.several_rates.ratio_model import RatioData, fit_ratios, predicted_ratio, whitening_factor
 

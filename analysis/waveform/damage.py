@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.flags import Flag
-from analysis.waveform.geometric_series import Series, sampled_series
-from analysis.waveform.minimise import SeriesFit
 from analysis.waveform.records import LARGEST_CODE, THINNING, Counts, Records
 from analysis.waveform.residuals import Residual, residual_samples
+from analysis.waveform.series.geometric_series import Series, sampled_series
+from analysis.waveform.series.minimise import SeriesFit
 
 Floats = NDArray[np.float64]
 Samples = NDArray[Any]

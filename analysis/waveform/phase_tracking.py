@@ -21,8 +21,8 @@ import numpy as np
 from numpy.polynomial import legendre
 from numpy.typing import NDArray
 
-from analysis.waveform.geometric_series import LARGEST_RATIO
-from analysis.waveform.normal_equations import Step
+from analysis.waveform.series.geometric_series import LARGEST_RATIO
+from analysis.waveform.series.normal_equations import Step
 
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]

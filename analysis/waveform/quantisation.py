@@ -17,8 +17,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.waveform.frequency_search import Sizes
 from analysis.waveform.residuals import Residual
+from analysis.waveform.series.frequency_search import Sizes
 
 Floats = NDArray[np.float64]
 Samples = NDArray[Any]

@@ -11,9 +11,9 @@ import scipy.special
 from numpy.typing import NDArray
 
 from analysis.flags import Flag
-from analysis.waveform.frequency_search import Sizes, line_sizes, neighbours
-from analysis.waveform.geometric_series import Series, sampled_blocks, sampled_series
 from analysis.waveform.records import sums_of_squares
+from analysis.waveform.series.frequency_search import Sizes, line_sizes, neighbours
+from analysis.waveform.series.geometric_series import Series, sampled_blocks, sampled_series
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]

@@ -10,8 +10,6 @@ from numpy.typing import NDArray
 
 from analysis.flags import Flag
 from analysis.waveform.damage import Bools, find_damage, outliers
-from analysis.waveform.geometric_series import Series, sampled_series
-from analysis.waveform.minimise import SeriesFit, Task, gauss_newton
 from analysis.waveform.phase_tracking import looks_like_wander, track_phase
 from analysis.waveform.quantisation import (
     FEW_ERRORS,
@@ -24,7 +22,9 @@ from analysis.waveform.quantisation import (
 )
 from analysis.waveform.records import Records, Stack, sums_of_squares
 from analysis.waveform.residuals import Residual, examine_residual, residual_of, residual_samples
-from analysis.waveform.series_fit import fit_series, fit_series_again
+from analysis.waveform.series.geometric_series import Series, sampled_series
+from analysis.waveform.series.minimise import SeriesFit, Task, gauss_newton
+from analysis.waveform.series.series_fit import fit_series, fit_series_again
 
 Floats = NDArray[np.float64]
 Samples = NDArray[Any]

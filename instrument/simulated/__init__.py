@@ -10,12 +10,12 @@ files of the models that have a memory card.
 
 from instrument.simulated.clock import Clock, RealClock, VirtualClock
 from instrument.simulated.faults import Fault, Faults
-from instrument.simulated.frontend import Signal
-from instrument.simulated.pty_server import PtyServer
+from instrument.simulated.front_end.frontend import Signal
+from instrument.simulated.links.pty_server import PtyServer
+from instrument.simulated.links.tcp_server import TcpServer
+from instrument.simulated.links.visa_library import resource_manager
 from instrument.simulated.rate_table import SimulatedRateTable
 from instrument.simulated.scope import SimulatedTDS2014
-from instrument.simulated.tcp_server import TcpServer
-from instrument.simulated.visa_library import resource_manager
 
 __all__ = [
     "Clock",

@@ -7,28 +7,28 @@ from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from functools import lru_cache
 
-from instrument.simulated import panel_rules
-from instrument.simulated.acquisition import Acquisition
-from instrument.simulated.actions import Action, all_actions, one_argument
 from instrument.simulated.clock import Clock, RealClock
-from instrument.simulated.command_tree import CommandTree, Node
-from instrument.simulated.commands import Row, setting_rows
-from instrument.simulated.digitizer import Digitizer
-from instrument.simulated.events import Guess, Refusal, status_bit
+from instrument.simulated.commands.action import Action, all_actions, one_argument
+from instrument.simulated.commands.command_tree import CommandTree, Node
+from instrument.simulated.commands.reference import empty_reference
+from instrument.simulated.commands.waveform import data_init
 from instrument.simulated.faults import Faults
-from instrument.simulated.formats import Leaf, join_leaves
-from instrument.simulated.frontend import Signal
-from instrument.simulated.kinds import Value
-from instrument.simulated.mass_storage import MassStorage
-from instrument.simulated.math_expression import operands
-from instrument.simulated.math_waveform import combine, multiply, spectrum, visible_part
-from instrument.simulated.models import Model, find_model
-from instrument.simulated.panel import Panel
-from instrument.simulated.parsing import Argument, Command, Malformed, parse_message
-from instrument.simulated.reference_commands import empty_reference
-from instrument.simulated.status import Status
-from instrument.simulated.traces import Trace, channel_trace
-from instrument.simulated.waveform_commands import data_init
+from instrument.simulated.files.mass_storage import MassStorage
+from instrument.simulated.front_end.acquisition import Acquisition
+from instrument.simulated.front_end.digitizer import Digitizer
+from instrument.simulated.front_end.frontend import Signal
+from instrument.simulated.front_end.math_waveform import combine, multiply, spectrum, visible_part
+from instrument.simulated.front_end.traces import Trace, channel_trace
+from instrument.simulated.panel import panel_rules
+from instrument.simulated.panel.event_table import Guess, Refusal, status_bit
+from instrument.simulated.panel.formats import Leaf, join_leaves
+from instrument.simulated.panel.kinds import Value
+from instrument.simulated.panel.math_expression import operands
+from instrument.simulated.panel.models import Model, find_model
+from instrument.simulated.panel.panel import Panel
+from instrument.simulated.panel.parsing import Argument, Command, Malformed, parse_message
+from instrument.simulated.panel.settings_table import Row, setting_rows
+from instrument.simulated.panel.status import Status
 
 MESSAGE_TIME = 0.02  # s, on a virtual clock (a guess: 20 to 100 ms on GPIB)
 

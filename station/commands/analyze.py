@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from station.commands.options import config_option, json_option, print_failure, print_json
+from station.shell.options import config_option, json_option, print_failure, print_json
 
 if TYPE_CHECKING:
     from analysis.lockin_equation import Relation
-    from station.analyze import Analyzed, Choices
     from station.errors import Failure
-    from station.settings import Settings
+    from station.lock_in.analyze import Analyzed, Choices
+    from station.settings.load import Settings
 
 
 @click.command("analyze")
@@ -51,8 +51,8 @@ def command(
     A run is analysed with the settings that it was taken with; with --config its [front_end] and [budget] are
     those of FILE, for a channel that was measured later.
     """
-    from station.analyze import Choices
-    from station.settings import load_settings
+    from station.lock_in.analyze import Choices
+    from station.settings.load import load_settings
 
     if jsonl and as_json:
         raise click.UsageError("--json and --jsonl exclude each other")
@@ -82,9 +82,9 @@ def command(
 def _analyze(path: Path, choices: Choices, settings: Settings) -> tuple[Analyzed | None, Failure | None]:
     """Analyse one path; one that cannot be read must not keep the others from being analysed."""
     from instrument import InstrumentError
-    from station.analyze import analyze_path
     from station.errors import EXIT_NO_SIGNAL, Failure, NoUsableSignal, StationError, describe_failure
-    from station.words import no_result_words
+    from station.lock_in.analyze import analyze_path
+    from station.lock_in.sentences import no_result_words
 
     try:
         analyzed = analyze_path(path, choices, settings)
@@ -97,7 +97,7 @@ def _analyze(path: Path, choices: Choices, settings: Settings) -> tuple[Analyzed
 
 
 def _print(analyzed: Analyzed) -> None:
-    from station.console import print_harmonics, print_result
+    from station.lock_in.console import print_harmonics, print_result
 
     click.echo(f"{analyzed.path}")
     if (harmonics := analyzed.harmonics()) is not None:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from station.commands.options import config_option, json_option, print_json
+from station.shell.options import config_option, json_option, print_json
 
 
 @click.command("doctor")
@@ -21,7 +21,7 @@ def command(resource: str | None, config: Path | None, as_json: bool) -> int:
     """
     from station.doctor import examine
     from station.errors import EXIT_INSTRUMENT, EXIT_OK
-    from station.settings import load_settings
+    from station.settings.load import load_settings
 
     settings = load_settings(config, resource=resource)
     checks = examine(settings, resource or settings.scope.resource or None)

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from station.commands.options import config_option, json_option, print_json
+from station.shell.options import config_option, json_option, print_json
 
 
 @click.command("report")
@@ -21,10 +21,10 @@ def command(run: Path, output: Path | None, config: Path | None, as_json: bool) 
 
     RUN is the directory of the run or its file.
     """
-    from station.evaluate import evaluate_run
-    from station.report import write_report
-    from station.runs import open_run
-    from station.settings import load_settings
+    from station.lock_in.evaluate import evaluate_run
+    from station.lock_in.report import write_report
+    from station.runs.store import open_run
+    from station.settings.load import load_settings
 
     load_settings(config)  # a mistake in it is told, though a saved run carries its own settings
     saved = open_run(run)

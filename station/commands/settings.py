@@ -7,7 +7,7 @@ from typing import Literal
 
 import click
 
-from station.commands.options import config_option, json_option, print_json
+from station.shell.options import config_option, json_option, print_json
 
 
 @click.command("settings")
@@ -19,7 +19,7 @@ def command(name: Literal["simulated", "bench"], config: Path | None, as_json: b
 
     With --json, or with --config FILE, the values that would be used are printed instead of the file.
     """
-    from station.settings import default_settings, load_settings, shipped_settings
+    from station.settings.load import default_settings, load_settings, shipped_settings
 
     if config is not None or as_json:
         settings = load_settings(config) if config is not None else default_settings(name)

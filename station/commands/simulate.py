@@ -8,7 +8,7 @@ from pathlib import Path
 
 import click
 
-from station.commands.options import config_option, json_option, print_json
+from station.shell.options import config_option, json_option, print_json
 
 
 @click.command("simulate")
@@ -38,8 +38,8 @@ def command(
     CH1 shows the beat of the simulated gyro at the slow rate. The first line on stdout is the VISA resource
     name. Ctrl-C or SIGTERM ends it.
     """
-    from station.settings import load_settings
-    from station.simulated_bench import serve_scope
+    from station.lock_in.bench.simulated import serve_scope
+    from station.settings.load import load_settings
 
     if (tcp_port is None) == (not use_pty):
         raise click.UsageError("say where to serve: --tcp PORT (0 for any free one) or --pty")

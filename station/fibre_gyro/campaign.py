@@ -12,8 +12,8 @@ from instrument import InstrumentError
 from instrument.fibre_gyro import Recording
 from station.errors import Failure, RunError, StationError, describe_failure
 from station.fibre_gyro.store import FogRun, FogRunWriter, open_fog_run
-from station.progress import Progress
-from station.run_database import utc_now
+from station.runs.database import utc_now
+from station.runs.progress import Progress
 
 
 @dataclass(frozen=True)

@@ -6,12 +6,12 @@ import math
 
 from rich.table import Table as Printed
 
-from station.console import stdout_console
 from station.fibre_gyro import words
 from station.fibre_gyro.results import FogResult
-from station.fibre_gyro.selfcal import SelfcalEvaluation
-from station.fibre_gyro.table import TableEvaluation
-from station.words import with_uncertainty
+from station.fibre_gyro.selfcal.measurement import SelfcalEvaluation
+from station.fibre_gyro.table.measurement import TableEvaluation
+from station.lock_in.console import stdout_console
+from station.lock_in.sentences import with_uncertainty
 
 
 def print_fog_result(result: FogResult, *, simulated: bool, truth: dict[str, float] | None) -> None:

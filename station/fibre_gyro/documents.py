@@ -7,12 +7,12 @@ from collections.abc import Sequence
 from typing import Any
 
 from analysis.fibre_gyro.rate_table_run import RateDifferences
-from station.fibre_gyro.eps import EpsEvaluation
-from station.fibre_gyro.figures import FiguresEvaluation, FiguresRun
-from station.fibre_gyro.selfcal import SelfcalEvaluation
+from station.fibre_gyro.eps.measurement import EpsEvaluation
+from station.fibre_gyro.figures.measurement import FiguresEvaluation, FiguresRun
+from station.fibre_gyro.selfcal.measurement import SelfcalEvaluation
 from station.fibre_gyro.settings import FogSettings
-from station.fibre_gyro.table import AxisResult, TableEvaluation
-from station.fibre_gyro.witness import WitnessedRecord, WitnessEvaluation
+from station.fibre_gyro.table.measurement import AxisResult, TableEvaluation
+from station.fibre_gyro.witness.measurement import WitnessedRecord, WitnessEvaluation
 
 _PPM = 1e6
 

@@ -24,8 +24,11 @@ from typing import Any
 
 from instrument.fibre_gyro import Losses, Recording, read_gyro_log
 from station.errors import UsageError
-from station.fibre_gyro import eps, figures, selfcal, table
+from station.fibre_gyro.eps import measurement as eps
+from station.fibre_gyro.figures import measurement as figures
+from station.fibre_gyro.selfcal import measurement as selfcal
 from station.fibre_gyro.settings import FogSettings
+from station.fibre_gyro.table import measurement as table
 
 _NUMBERS = (
     "start_s",

@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from analysis.fibre_gyro.output_block import Trace
-from station.fibre_gyro.eps import EpsEvaluation
-from station.fibre_gyro.figures import FiguresEvaluation
-from station.fibre_gyro.selfcal import SelfcalEvaluation
-from station.fibre_gyro.table import TableEvaluation
-from station.picture import svg_element
-from station.plot_style import ACCENT, HALF, INK, SECOND, SOFT, THIRD, WIDE, legend_above
+from analysis.fibre_gyro.loop.output import Trace
+from station.fibre_gyro.eps.measurement import EpsEvaluation
+from station.fibre_gyro.figures.measurement import FiguresEvaluation
+from station.fibre_gyro.selfcal.measurement import SelfcalEvaluation
+from station.fibre_gyro.table.measurement import TableEvaluation
+from station.report.picture import svg_element
+from station.report.plot_style import ACCENT, HALF, INK, SECOND, SOFT, THIRD, WIDE, legend_above
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -9,11 +9,11 @@ from station.fibre_gyro import sections
 from station.fibre_gyro.results import FogResult
 from station.fibre_gyro.settings import FogSettings
 from station.fibre_gyro.store import FOG_REPORT_FILE, FogRun
-from station.fibre_gyro.witness_sections import condition_rows as scope_rows
-from station.html_pages import render_page, write_page
+from station.fibre_gyro.witness.sections import condition_rows as scope_rows
 from station.provenance import version
-from station.report_parts import FactTable, Headline, Rows
-from station.runs import SavedRun
+from station.report.page import render_page, write_page
+from station.results.parts import FactTable, Headline, Rows
+from station.runs.store import SavedRun
 
 _TITLES = {
     "table": "Scale factor by rate table",

@@ -6,17 +6,23 @@ from dataclasses import dataclass
 from typing import Any
 
 from station.errors import NoUsableSignal, RunError
-from station.fibre_gyro import documents, eps, figures, selfcal, staircase_records, table, witness_words, words
-from station.fibre_gyro.eps import EpsEvaluation
-from station.fibre_gyro.figures import FiguresEvaluation
+from station.fibre_gyro import documents, words
+from station.fibre_gyro.eps import measurement as eps
+from station.fibre_gyro.eps.measurement import EpsEvaluation
+from station.fibre_gyro.figures import measurement as figures
+from station.fibre_gyro.figures.measurement import FiguresEvaluation
 from station.fibre_gyro.limits import Tested, check_limits, verdict
-from station.fibre_gyro.selfcal import SelfcalEvaluation
+from station.fibre_gyro.selfcal import measurement as selfcal
+from station.fibre_gyro.selfcal.measurement import SelfcalEvaluation
 from station.fibre_gyro.settings import FogSettings, fog_settings_from
 from station.fibre_gyro.store import FogRun
-from station.fibre_gyro.table import TableEvaluation
-from station.fibre_gyro.witness import WitnessEvaluation, evaluate_witness
-from station.runs import SavedRun
-from station.words import with_uncertainty
+from station.fibre_gyro.table import measurement as table
+from station.fibre_gyro.table.measurement import TableEvaluation
+from station.fibre_gyro.witness import result as witness_words
+from station.fibre_gyro.witness import take as staircase_records
+from station.fibre_gyro.witness.measurement import WitnessEvaluation, evaluate_witness
+from station.lock_in.sentences import with_uncertainty
+from station.runs.store import SavedRun
 
 Evaluation = TableEvaluation | SelfcalEvaluation | EpsEvaluation | FiguresEvaluation | WitnessEvaluation
 COMMANDS = (table.PURPOSE, selfcal.PURPOSE, eps.PURPOSE, figures.PURPOSE)

@@ -5,16 +5,16 @@ from __future__ import annotations
 import math
 
 from station.fibre_gyro import plots, words
-from station.fibre_gyro.eps import EpsEvaluation
-from station.fibre_gyro.figures import FiguresEvaluation
+from station.fibre_gyro.eps.measurement import EpsEvaluation
+from station.fibre_gyro.figures.measurement import FiguresEvaluation
 from station.fibre_gyro.results import FogResult
-from station.fibre_gyro.selfcal import SelfcalEvaluation
+from station.fibre_gyro.selfcal.measurement import SelfcalEvaluation
 from station.fibre_gyro.settings import FogSettings
-from station.fibre_gyro.table import AxisResult, TableEvaluation
-from station.fibre_gyro.witness import WitnessEvaluation
-from station.fibre_gyro.witness_sections import witness_sections
-from station.report_parts import PlacedFigure, Section, Table
-from station.words import with_uncertainty
+from station.fibre_gyro.table.measurement import AxisResult, TableEvaluation
+from station.fibre_gyro.witness.measurement import WitnessEvaluation
+from station.fibre_gyro.witness.sections import witness_sections
+from station.lock_in.sentences import with_uncertainty
+from station.results.parts import PlacedFigure, Section, Table
 
 _PPM = 1e6
 _TRACE_RATE_DPS = 20.0
@@ -264,7 +264,7 @@ def _figures_sections(found: FiguresEvaluation, result: FogResult) -> list[Secti
 
 def _staircase_section(settings: FogSettings, open_loop_step: float | None = None) -> Section:
     """Staircase and detector signal over a few resets, computed from the design."""
-    from analysis.fibre_gyro.closed_loop import ClosedLoop
+    from analysis.fibre_gyro.loop.closed_loop import ClosedLoop
     from station.fibre_gyro.simulated_bench import loop_settings, quiet
 
     loop, coil = quiet(loop_settings(settings)), settings.coil

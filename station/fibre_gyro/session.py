@@ -12,16 +12,19 @@ import numpy as np
 
 from analysis.fibre_gyro.staircase_calibration import InjectionPlan, predicted_table_scale
 from station.errors import UsageError
-from station.fibre_gyro import eps, figures, selfcal, table
-from station.fibre_gyro.bench import open_fog_bench
 from station.fibre_gyro.campaign import Campaign, Plan, PlannedSegment, take_segments
+from station.fibre_gyro.eps import measurement as eps
+from station.fibre_gyro.figures import measurement as figures
 from station.fibre_gyro.logs import read_logs
+from station.fibre_gyro.segments import unusable
+from station.fibre_gyro.selfcal import measurement as selfcal
+from station.fibre_gyro.serial_bench import open_fog_bench
 from station.fibre_gyro.settings import FogSettings, fog_settings_from
 from station.fibre_gyro.store import FogRun, FogRunWriter, open_fog_run
-from station.fibre_gyro.windows import unusable
-from station.progress import Progress
+from station.fibre_gyro.table import measurement as table
 from station.provenance import provenance
-from station.run_database import utc_now
+from station.runs.database import utc_now
+from station.runs.progress import Progress
 
 _PPM = 1e6
 

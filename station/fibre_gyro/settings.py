@@ -10,8 +10,8 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from analysis.fibre_gyro.coil import FibreCoil
 from station.errors import SettingsError
-from station.settings import shipped_settings
-from station.toml_files import merged, mistakes, read_toml
+from station.settings.load import shipped_settings
+from station.settings.toml_files import merged, mistakes, read_toml
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]

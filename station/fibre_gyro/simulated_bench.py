@@ -14,11 +14,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.fibre_gyro.closed_loop import ClosedLoop
 from analysis.fibre_gyro.coil import FibreCoil
-from analysis.fibre_gyro.loop_settings import LoopSettings
-from analysis.fibre_gyro.output_block import OutputBlock
-from analysis.fibre_gyro.output_model import OutputModel
+from analysis.fibre_gyro.loop.closed_loop import ClosedLoop
+from analysis.fibre_gyro.loop.design import LoopSettings
+from analysis.fibre_gyro.loop.output import OutputBlock
+from analysis.fibre_gyro.loop.output_model import OutputModel
 from analysis.rotation import EARTH_RATE_DPS
 from instrument.fibre_gyro import Losses, Recording
 from station.fibre_gyro.campaign import PlannedSegment

@@ -8,13 +8,13 @@ from contextlib import contextmanager
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.fibre_gyro.closed_loop import ClosedLoop
+from analysis.fibre_gyro.loop.closed_loop import ClosedLoop
 from instrument import TDS2014
 from instrument.simulated import SimulatedTDS2014, VirtualClock
-from station.bench import open_scope
 from station.fibre_gyro.settings import FogSettings
 from station.fibre_gyro.simulated_bench import loop_settings
-from station.simulated_bench import serve
+from station.lock_in.bench.bench import open_scope
+from station.lock_in.bench.simulated import serve
 
 Floats = NDArray[np.float64]
 

@@ -21,8 +21,16 @@ from numpy.typing import NDArray
 
 from instrument.fibre_gyro import Gap, Losses, Recording
 from station.errors import RunError
-from station.run_database import DatabaseWriter, Layout, create_database, is_database, read_facts, reading, utc_now
-from station.run_directories import new_run_directory
+from station.runs.database import (
+    DatabaseWriter,
+    Layout,
+    create_database,
+    is_database,
+    read_facts,
+    reading,
+    utc_now,
+)
+from station.runs.run_directories import new_run_directory
 
 FOG_RUN_FILE = "fog.sqlite"
 FOG_REPORT_FILE = "report.html"

@@ -10,12 +10,12 @@ from analysis.fibre_gyro.staircase_calibration import (
     predicted_self_scale,
     predicted_table_scale,
 )
-from station.fibre_gyro.eps import EpsEvaluation
-from station.fibre_gyro.figures import FiguresEvaluation
-from station.fibre_gyro.selfcal import SelfcalEvaluation
+from station.fibre_gyro.eps.measurement import EpsEvaluation
+from station.fibre_gyro.figures.measurement import FiguresEvaluation
+from station.fibre_gyro.selfcal.measurement import SelfcalEvaluation
 from station.fibre_gyro.settings import FogSettings
-from station.fibre_gyro.table import AxisResult, TableEvaluation
-from station.words import with_uncertainty
+from station.fibre_gyro.table.measurement import AxisResult, TableEvaluation
+from station.lock_in.sentences import with_uncertainty
 
 _PPM = 1e6
 _EXAMPLE_CHANGE = 100e-6

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from analysis import beat_signal, estimate_lock_in
-from analysis.winking import steady_beat, symmetric_laser
+from analysis.ring_laser.winking import steady_beat, symmetric_laser
 
 K = 2000.0
 WL = 0.05

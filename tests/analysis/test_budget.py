@@ -18,9 +18,9 @@ from analysis.budget import (
     lock_in_budget,
     operating_point,
 )
-from analysis.expected_noise import RecordShape, expected_noise, expected_point
-from analysis.monte_carlo import simulate_measurements
+from analysis.budget.expected_noise import RecordShape, expected_noise, expected_point
 from analysis.rotation import rate_on_axis
+from benchmarks.monte_carlo import simulate_measurements
 
 K, WL = 2000.0, 0.01
 SILENT = BenchKnowledge(time_base_limit_ppm=0.0)

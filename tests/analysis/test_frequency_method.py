@@ -4,7 +4,7 @@ from reference import integrated_beat
 
 from analysis import fit_harmonics
 from analysis.frequency_method import FrequencyFlag, fit_frequencies
-from analysis.winking import steady_beat, symmetric_laser
+from analysis.ring_laser.winking import steady_beat, symmetric_laser
 
 K, WL = 2000.0, 0.05
 

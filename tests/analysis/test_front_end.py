@@ -3,7 +3,7 @@ import pytest
 from scipy.signal import lsim, lti
 
 from analysis import beat_signal, estimate_lock_in, fit_rates
-from analysis.front_end import ChannelResponse, correct_response, ratio_factor
+from analysis.channel import ChannelResponse, correct_response, ratio_factor
 
 K, WL = 2000.0, 0.05
 FINE = 400

@@ -8,7 +8,6 @@ import pytest
 
 from analysis import beat_signal, estimate_lock_in
 from analysis.budget import BenchKnowledge, Corner
-from analysis.monte_carlo import simulate_measurements
 from analysis.plan import (
     OscilloscopeSteps,
     PlanRequest,
@@ -20,6 +19,7 @@ from analysis.plan import (
 )
 from analysis.plan.measurement_plan import _budget, _rates
 from analysis.several_rates import fit_rates
+from benchmarks.monte_carlo import simulate_measurements
 
 STEPS = OscilloscopeSteps(
     time_bases=tuple(float(f"{m}e{d}") for d in range(-9, 2) for m in (1, 2.5, 5)),
@@ -179,7 +179,7 @@ def test_signal_too_large_for_the_screen() -> None:
 
 
 def _point(request: PlanRequest, plan):
-    from analysis.expected_noise import expected_point
+    from analysis.budget.expected_noise import expected_point
 
     rate = plan.rates[0]
     return expected_point(

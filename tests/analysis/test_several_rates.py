@@ -10,7 +10,7 @@ from analysis import (
     fit_rate_ratios,
     fit_rates,
 )
-from analysis.winking import steady_beat, symmetric_laser
+from analysis.ring_laser.winking import steady_beat, symmetric_laser
 
 RATES = (8, 15, 30, 60)
 FASTEST_BEAT = K * 60 * WL

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from analysis.staircase_witness import describe_witness_flag, two_pi_error, witness_staircase
-from analysis.staircase_witness.rounded_fit import converter_spacing
+from analysis.fibre_gyro.staircase import describe_witness_flag, two_pi_error, witness_staircase
+from analysis.fibre_gyro.staircase.rounded_fit import converter_spacing
 
 SPAN = 8.0  # V for all codes of the converter
 DT = 0.2e-6

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from analysis.waveform.geometric_series import Series, sampled_series
-from analysis.waveform.harmonic_sums import UNIFORM_PHASES, data_sums, uniform_kernels
-from analysis.waveform.sampled_equations import equations_by_samples
-from analysis.waveform.tied_equations import equations_by_sums
+from analysis.waveform.series.geometric_series import Series, sampled_series
+from analysis.waveform.series.harmonic_sums import UNIFORM_PHASES, data_sums, uniform_kernels
+from analysis.waveform.series.sampled_equations import equations_by_samples
+from analysis.waveform.series.tied_equations import equations_by_sums
 
 
 def direct_sums(values, omega, n_harmonics, highest_power):

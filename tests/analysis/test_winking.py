@@ -5,7 +5,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from analysis import fit_harmonics, harmonic_ratio
-from analysis.winking import WinkingLaser, steady_beat, symmetric_laser
+from analysis.ring_laser.winking import WinkingLaser, steady_beat, symmetric_laser
 
 K = 2000.0
 

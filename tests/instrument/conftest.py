@@ -208,7 +208,7 @@ def manager() -> pyvisa.ResourceManager:
 @pytest.fixture
 def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
     """A peer on this computer answers at once, so silence need not be waited for as long as at the bench."""
-    monkeypatch.setattr("instrument.link.ANSWER_TIME", 1.5)
+    monkeypatch.setattr("instrument.dialogue.link.ANSWER_TIME", 1.5)
 
 
 @pytest.fixture

@@ -13,8 +13,8 @@ import pytest
 
 from instrument import LinkError, SettingError
 from instrument.fibre_gyro import CommandRefused, FibreGyroLink, NoAcknowledgement, parse_frame_format
-from instrument.simulated.fibre_gyro import PtyGyroServer, TcpGyroServer
-from instrument.simulated.fibre_gyro_faults import GyroFault, GyroFaults
+from instrument.simulated.fibre_gyro.faults import GyroFault, GyroFaults
+from instrument.simulated.fibre_gyro.server import PtyGyroServer, TcpGyroServer
 
 if sys.platform != "win32":
     import tty

@@ -7,7 +7,7 @@ import threading
 import pytest
 
 from instrument import TDS2014, LinkError, TransferError
-from instrument.link import BITS_PER_BYTE, LINE_MARGIN, Link
+from instrument.dialogue.link import BITS_PER_BYTE, LINE_MARGIN, Link
 from instrument.simulated import SimulatedTDS2014, resource_manager
 
 on_unix = pytest.mark.skipif(sys.platform == "win32", reason="there are no ptys on Windows")

@@ -5,7 +5,7 @@ import itertools
 import pytest
 
 from instrument import TDS2014, ExecutionError, NoTrigger, SettingError, TransferError
-from instrument.link import Link
+from instrument.dialogue.link import Link
 from instrument.simulated import Fault, SimulatedTDS2014, TcpServer
 
 

@@ -7,8 +7,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from instrument import scpi
+from instrument.dialogue.events import is_error, parse_events
 from instrument.errors import TransferError
-from instrument.events import is_error, parse_events
 
 
 @pytest.mark.parametrize(

@@ -8,8 +8,8 @@ import pytest
 from PIL import Image
 
 from instrument import TransferError
-from instrument.screen import png_from_bmp
 from instrument.simulated import Fault
+from instrument.tds2014.screen import png_from_bmp
 
 
 def test_screen_over_the_link(bench, tmp_path):
@@ -32,7 +32,7 @@ def test_screen_over_the_link(bench, tmp_path):
 
 @pytest.mark.parametrize("kind", ["cut answer", "lost answer", "garbage"])
 def test_damaged_picture_is_refused(bench, bench_scope, kind, monkeypatch):
-    monkeypatch.setattr("instrument.screen._PICTURE_TIME", 0.5)
+    monkeypatch.setattr("instrument.tds2014.screen._PICTURE_TIME", 0.5)
     bench.screen()
     bench_scope.faults.add(Fault(kind, shortest=10_000, bytes_sent=2000))
     with pytest.raises(TransferError):

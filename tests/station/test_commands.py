@@ -9,8 +9,8 @@ import pytest
 from station import cli
 from station.cli import main
 from station.doctor import examine
-from station.settings import default_settings
-from station.words import with_prefix, with_uncertainty
+from station.lock_in.sentences import with_prefix, with_uncertainty
+from station.settings.load import default_settings
 
 HEAVY = ("numpy", "scipy", "pyvisa", "matplotlib", "pydantic", "rich", "jinja2")
 
@@ -54,7 +54,7 @@ def test_a_defect_of_the_program_is_one_line_too(
     def broken(*_: object, **__: object) -> None:
         raise ZeroDivisionError("oh")
 
-    monkeypatch.setattr("station.settings.load_settings", broken)
+    monkeypatch.setattr("station.settings.load.load_settings", broken)
     assert main(["list", "--json"]) == 70
     captured = capsys.readouterr()
     assert json.loads(captured.out)["error"]["kind"] == "defect"

@@ -8,7 +8,7 @@ import pytest
 from scipy.signal import lfilter
 
 from analysis.lockin_equation import rate_varying_beat
-from station.simulated_gyro import (
+from analysis.ring_laser import (
     Detector,
     Gyro,
     Segment,

@@ -9,12 +9,12 @@ from pathlib import Path
 
 import pytest
 
-from station.bench import operator_table
 from station.errors import UsageError
-from station.runs import open_run
-from station.settings import default_settings
-from station.simulated_bench import serve
-from station.simulated_instruments import build_instruments
+from station.lock_in.bench.bench import operator_table
+from station.lock_in.bench.instruments import build_instruments
+from station.lock_in.bench.simulated import serve
+from station.runs.store import open_run
+from station.settings.load import default_settings
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="needs a pseudo-terminal for the operator")
 

@@ -7,10 +7,10 @@ from pathlib import Path
 import pytest
 
 from analysis.budget import BenchKnowledge, OperatingPoint, lock_in_budget
-from station.budget import BUDGET_COLUMNS, bench_knowledge, budget_document, budget_rows, budget_sentences
-from station.budget_plot import budget_svg
 from station.cli import main
-from station.settings import default_settings, load_settings
+from station.lock_in.budget import BUDGET_COLUMNS, bench_knowledge, budget_document, budget_rows, budget_sentences
+from station.lock_in.budget_plot import budget_svg
+from station.settings.load import default_settings, load_settings
 
 
 def planned(capsys: pytest.CaptureFixture[str], *options: str, code: int = 0) -> dict:

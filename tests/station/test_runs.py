@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from station.errors import RunError
-from station.run_database import is_database, save_result
-from station.runs import RunWriter, open_run
+from station.runs.database import is_database, save_result
+from station.runs.store import RunWriter, open_run
 
 PREAMBLE = '1;8;BIN;RI;MSB;5;"Ch1";Y;1.0E-4;0;0.0E0;"s";4.0E-3;0.0E0;0.0E0;"Volts"'
 CODES = np.array([-128, -127, 0, 1, 127], dtype=np.int8)
@@ -136,7 +136,7 @@ WRITER = """
 import sys
 from pathlib import Path
 import numpy as np
-from station.runs import RunWriter
+from station.runs.store import RunWriter
 run = RunWriter(Path(sys.argv[1]), {"simulated": True})
 print(run.path, flush=True)
 rng = np.random.default_rng(0)

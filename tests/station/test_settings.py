@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from station.errors import SettingsError
-from station.settings import default_settings, load_settings, shipped_settings
+from station.settings.load import default_settings, load_settings, shipped_settings
 
 
 def write(folder: Path, text: str) -> Path:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from analysis.lockin_equation import rate_varying_beat
-from station.simulated_gyro import (
+from analysis.ring_laser import (
     Detector,
     Gyro,
     Segment,

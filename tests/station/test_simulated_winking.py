@@ -8,7 +8,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from analysis import fit_harmonics
-from station.simulated_gyro import Detector, Gyro, Segment, Winking, beat_signal_on_table
+from analysis.ring_laser import Detector, Gyro, Segment, Winking, beat_signal_on_table
 
 K, LOCK_IN, CORNER, XI, EPS = 2000.0, 0.01, 300.0, 0.6, 1.0
 WINKING = Winking(K, LOCK_IN, gain_corner_hz=CORNER, phase_sum=EPS, cross_saturation=XI)

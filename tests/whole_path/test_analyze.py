@@ -7,16 +7,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from station.runs import SavedRecord, open_run
+from station.runs.store import SavedRecord, open_run
 
 TEK_FILES = Path(__file__).resolve().parents[3] / "shared" / "data" / "tek-files"
 
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    from station.measure import take_run
-    from station.progress import Progress
-    from station.settings import load_settings
+    from station.lock_in.take import take_run
+    from station.runs.progress import Progress
+    from station.settings.load import load_settings
 
     folder = tmp_path_factory.mktemp("analyze")
     overrides = {"measurement": {"records": 5}, "output": {"directory": str(folder)}}

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from station.runs import open_run
+from station.runs.store import open_run
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="signals and serial terminals are those of POSIX")
 

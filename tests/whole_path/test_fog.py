@@ -16,7 +16,7 @@ import pytest
 from instrument.simulated import SimulatedTDS2014, TcpServer
 from station.cli import main
 from station.fibre_gyro.store import open_fog_run
-from station.runs import open_run
+from station.runs.store import open_run
 
 COMMAND = [sys.executable, "-m", "station.cli", "fog"]
 SERVED = """

@@ -39,7 +39,9 @@ def differences(then: Any, now: Any, place: str = "") -> list[str]:
             return [f"{place}: {then!r} became {now!r}"]
         return [text for i, one in enumerate(then) for text in differences(one, now[i], f"{place}[{i}]")]
     if isinstance(then, float) and isinstance(now, int | float):
-        return [] if math.isclose(then, now, rel_tol=1e-9, abs_tol=1e-15) else [f"{place}: {then!r} became {now!r}"]
+        return (
+            [] if math.isclose(then, now, rel_tol=1e-9, abs_tol=1e-15) else [f"{place}: {then!r} became {now!r}"]
+        )
     return [] if then == now else [f"{place}: {then!r} became {now!r}"]
 
 

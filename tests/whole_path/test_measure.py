@@ -6,11 +6,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from station.evaluate import evaluate_run
-from station.measure import take_run
-from station.progress import Progress
-from station.runs import SavedRun, open_run
-from station.settings import load_settings, shipped_settings
+from station.lock_in.evaluate import evaluate_run
+from station.lock_in.take import take_run
+from station.runs.progress import Progress
+from station.runs.store import SavedRun, open_run
+from station.settings.load import load_settings, shipped_settings
 
 KEYS = {
     "lock_in_rate_dps",

@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from analysis.fibre_gyro.coil import FibreCoil
-from analysis.fibre_gyro.loop_settings import LoopSettings
+from analysis.fibre_gyro.loop.design import LoopSettings
 
 
 def slow_outputs(

@@ -10,9 +10,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from analysis.fibre_gyro.closed_loop import ClosedLoop
 from analysis.fibre_gyro.coil import FibreCoil
-from analysis.fibre_gyro.loop_settings import LoopSettings
+from analysis.fibre_gyro.loop.closed_loop import ClosedLoop
+from analysis.fibre_gyro.loop.design import LoopSettings
 
 COIL = FibreCoil()
 K0 = 246.152866

@@ -12,13 +12,13 @@ import numpy as np
 import pytest
 from slow_loop import slow_outputs
 
-from analysis.fibre_gyro.closed_loop import ClosedLoop
-from analysis.fibre_gyro.closed_loop_numpy import cosine_of_turns
 from analysis.fibre_gyro.coil import FibreCoil
-from analysis.fibre_gyro.loop_settings import LoopSettings
+from analysis.fibre_gyro.loop.closed_loop import ClosedLoop
+from analysis.fibre_gyro.loop.design import LoopSettings
+from analysis.fibre_gyro.loop.numpy_kernel import cosine_of_turns
 
 COIL = FibreCoil()
-SCALAR = "analysis.fibre_gyro.closed_loop_scalar"
+SCALAR = "analysis.fibre_gyro.loop.scalar_kernel"
 BUILDS = {
     "gated": LoopSettings(two_pi_error=0.01),
     "all samples": LoopSettings(two_pi_error=-0.01, gated=False),
@@ -118,7 +118,7 @@ def test_moving_rate_goes_on_from_piece_to_piece(monkeypatch: pytest.MonkeyPatch
         return gyro.run(3, output_period_s=1e-3, rate_dps=lambda t: 1e4 * t).counts
 
     whole = words()
-    monkeypatch.setattr("analysis.fibre_gyro.closed_loop._CHUNK_SAMPLES", 74)
+    monkeypatch.setattr("analysis.fibre_gyro.loop.closed_loop._CHUNK_SAMPLES", 74)
     np.testing.assert_array_equal(words(), whole)
 
 

@@ -5,7 +5,7 @@ import math
 import pytest
 
 from analysis.fibre_gyro.coil import FibreCoil
-from analysis.fibre_gyro.loop_settings import LoopSettings
+from analysis.fibre_gyro.loop.design import LoopSettings
 
 COIL = FibreCoil(length_m=1000.0, diameter_m=0.10, wavelength_m=1.55e-6, group_index=1.468)
 

@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from analysis.fibre_gyro.closed_loop import ClosedLoop
 from analysis.fibre_gyro.coil import FibreCoil
-from analysis.fibre_gyro.loop_settings import LoopSettings
-from analysis.fibre_gyro.output_block import OutputBlock
-from analysis.fibre_gyro.output_model import OutputModel
+from analysis.fibre_gyro.loop.closed_loop import ClosedLoop
+from analysis.fibre_gyro.loop.design import LoopSettings
+from analysis.fibre_gyro.loop.output import OutputBlock
+from analysis.fibre_gyro.loop.output_model import OutputModel
 
 COIL = FibreCoil()
 K0 = 246.152866

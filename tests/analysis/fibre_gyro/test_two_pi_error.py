@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from analysis.fibre_gyro.closed_loop import ClosedLoop
 from analysis.fibre_gyro.coil import FibreCoil
-from analysis.fibre_gyro.loop_settings import LoopSettings
+from analysis.fibre_gyro.loop.closed_loop import ClosedLoop
+from analysis.fibre_gyro.loop.design import LoopSettings
 from analysis.fibre_gyro.two_pi_error import TwoPiError, estimate_two_pi_error
 
 COIL = FibreCoil()

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from instrument.simulated import Faults, SimulatedTDS2014, VirtualClock
-from instrument.simulated.exchange import MessageExchange
+from instrument.simulated.links.exchange import MessageExchange
 
 
 def sine(times: np.ndarray) -> np.ndarray:

@@ -12,9 +12,9 @@ import pytest
 import serial
 
 from instrument.fibre_gyro import parse_frame_format
-from instrument.simulated.fibre_gyro import PtyGyroServer, TcpGyroServer
-from instrument.simulated.fibre_gyro_faults import GyroFault, GyroFaults
-from instrument.simulated.fibre_gyro_frames import CommandReader, encode_frame
+from instrument.simulated.fibre_gyro.faults import GyroFault, GyroFaults
+from instrument.simulated.fibre_gyro.frames import CommandReader, encode_frame
+from instrument.simulated.fibre_gyro.server import PtyGyroServer, TcpGyroServer
 
 BINARY = parse_frame_format(
     {

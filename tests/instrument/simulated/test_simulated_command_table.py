@@ -7,11 +7,20 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from benchmarks import fuzz
-from instrument.simulated.commands import setting_rows
-from instrument.simulated.formats import abbreviations
-from instrument.simulated.kinds import Constant, NumberedWords, QuotedWords, Real, Steps, Switch, Whole, Words
-from instrument.simulated.math_expression import MathExpression
-from instrument.simulated.models import MODELS, find_model
+from instrument.simulated.panel.formats import abbreviations
+from instrument.simulated.panel.kinds import (
+    Constant,
+    NumberedWords,
+    QuotedWords,
+    Real,
+    Steps,
+    Switch,
+    Whole,
+    Words,
+)
+from instrument.simulated.panel.math_expression import MathExpression
+from instrument.simulated.panel.models import MODELS, find_model
+from instrument.simulated.panel.settings_table import setting_rows
 
 
 def settable(model):

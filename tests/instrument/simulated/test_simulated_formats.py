@@ -2,8 +2,8 @@
 
 import pytest
 
-from instrument.simulated.formats import block, nr3
-from instrument.simulated.parsing import StreamSplitter, parse_message
+from instrument.simulated.panel.formats import block, nr3
+from instrument.simulated.panel.parsing import StreamSplitter, parse_message
 
 
 @pytest.mark.parametrize(

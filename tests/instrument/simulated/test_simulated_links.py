@@ -18,7 +18,7 @@ from instrument.simulated import (
     VirtualClock,
     resource_manager,
 )
-from instrument.simulated.stream_server import Line
+from instrument.simulated.links.stream_server import Line
 
 IDENTITY = "TEKTRONIX,TDS 2014,0,CF:91.1CT FV:v4.12 TDS2CM:CMV:v1.04"
 NEEDS_PTY = pytest.mark.skipif(not hasattr(__import__("os"), "openpty"), reason="no pseudo-terminals here")

@@ -6,8 +6,8 @@ import re
 import numpy as np
 import pytest
 
-from instrument.simulated.picture_formats import FORMATS, eps, packed_bitmap, pcx
-from instrument.simulated.screen import COLOURS
+from instrument.simulated.files.picture_formats import FORMATS, eps, packed_bitmap, pcx
+from instrument.simulated.files.screen import COLOURS
 
 image = pytest.importorskip("PIL.Image", reason="needs Pillow to read the pictures")
 

@@ -6,8 +6,8 @@ from pathlib import Path
 import pytest
 
 from instrument import read_waveform
-from instrument.simulated.traces import Trace
-from instrument.simulated.waveform_file import csv_file
+from instrument.simulated.files.waveform_file import csv_file
+from instrument.simulated.front_end.traces import Trace
 
 FILES = Path(__file__).resolve().parents[4] / "shared" / "data" / "tek-files"
 pytestmark = pytest.mark.skipif(not FILES.is_dir(), reason="the collection of real files is not beside this tree")

@@ -19,7 +19,7 @@ from instrument.simulated import (
     VirtualClock,
     resource_manager,
 )
-from instrument.simulated.exchange import MessageExchange
+from instrument.simulated.links.exchange import MessageExchange
 
 IDENTITY = "TEKTRONIX,TDS 2014,0,CF:91.1CT FV:v4.12 TDS2CM:CMV:v1.04"
 NEEDS_PTY = pytest.mark.skipif(not hasattr(os, "openpty"), reason="no pseudo-terminals here")

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from instrument.simulated.frontend import low_pass
-from instrument.simulated.models import MODELS
+from instrument.simulated.front_end.frontend import low_pass
+from instrument.simulated.panel.models import MODELS
 
 
 def tone(frequency, amplitude=2.0):

@@ -195,7 +195,7 @@ def test_block_written_at_width_two_loses_its_low_byte_and_too_much_is_cut(bench
 
 
 def test_indefinite_block_needs_a_message_end(bench):
-    from instrument.simulated.exchange import MessageExchange
+    from instrument.simulated.links.exchange import MessageExchange
 
     bench.write("DATA:DESTINATION REFA;SOURCE REFA;STOP 4;:SELECT:REFA ON;:HEADER OFF")
     bench.write(b"CURVE #0\n;\r#")

@@ -11,7 +11,7 @@ from station.fibre_gyro.results import FogResult, evaluate_fog_run
 from station.fibre_gyro.session import start_run
 from station.fibre_gyro.settings import FogSettings, load_fog_settings
 from station.fibre_gyro.store import FogRun, open_fog_run
-from station.progress import Progress
+from station.runs.progress import Progress
 
 sys.path.insert(0, str(Path(__file__).parent))  # staircases.py
 

@@ -12,7 +12,7 @@ from station.fibre_gyro.logs import read_list
 from station.fibre_gyro.results import FogResult, evaluate_fog_run
 from station.fibre_gyro.session import run_from_logs
 from station.fibre_gyro.store import FogRun, open_fog_run
-from station.progress import Progress
+from station.runs.progress import Progress
 
 QUIET = Progress(quiet=True)
 COLUMNS = {

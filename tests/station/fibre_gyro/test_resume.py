@@ -16,7 +16,7 @@ from station.fibre_gyro.results import evaluate_fog_run
 from station.fibre_gyro.session import resume_run, start_run
 from station.fibre_gyro.simulated_bench import SimulatedFogBench
 from station.fibre_gyro.store import open_fog_run
-from station.progress import Progress
+from station.runs.progress import Progress
 
 QUIET = Progress(quiet=True)
 

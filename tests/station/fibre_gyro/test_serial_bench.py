@@ -9,16 +9,18 @@ from typing import Any
 import pytest
 
 from instrument.fibre_gyro import FibreGyroLink, Recording, parse_frame_format
-from instrument.simulated.fibre_gyro import TcpGyroServer
-from instrument.simulated.fibre_gyro_faults import GyroFault, GyroFaults
-from station.fibre_gyro import eps, selfcal, table
-from station.fibre_gyro.bench import SerialFogBench, read_frame_format
+from instrument.simulated.fibre_gyro.faults import GyroFault, GyroFaults
+from instrument.simulated.fibre_gyro.server import TcpGyroServer
 from station.fibre_gyro.campaign import PlannedSegment, take_segments
+from station.fibre_gyro.eps import measurement as eps
 from station.fibre_gyro.results import FogResult, evaluate_fog_run
-from station.fibre_gyro.served_gyro import ServedGyro
+from station.fibre_gyro.selfcal import measurement as selfcal
+from station.fibre_gyro.serial_bench import SerialFogBench, read_frame_format
+from station.fibre_gyro.served import ServedGyro
 from station.fibre_gyro.store import FogRunWriter, open_fog_run
-from station.progress import Progress
-from station.settings import shipped_settings
+from station.fibre_gyro.table import measurement as table
+from station.runs.progress import Progress
+from station.settings.load import shipped_settings
 
 QUIET = Progress(quiet=True)
 GYRO = {"counts_per_code": 256.0, "output_resolution": 1.0}
@@ -207,7 +209,7 @@ def test_the_two_pi_error_over_the_link(served, fog_settings, tmp_path: Path) ->
 
 
 def test_the_operator_is_asked_for_every_run_and_temperature(served, fog_settings, tmp_path: Path) -> None:
-    from station.fibre_gyro import figures
+    from station.fibre_gyro.figures import measurement as figures
 
     settings = fog_settings(
         gyro=GYRO,

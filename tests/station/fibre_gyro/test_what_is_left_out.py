@@ -17,8 +17,8 @@ from station.fibre_gyro.results import FogResult, evaluate_fog_run
 from station.fibre_gyro.session import start_run
 from station.fibre_gyro.simulated_bench import SimulatedFogBench
 from station.fibre_gyro.store import FogRunWriter, open_fog_run
-from station.fibre_gyro.table import plan_table
-from station.progress import Progress
+from station.fibre_gyro.table.measurement import plan_table
+from station.runs.progress import Progress
 
 QUIET = Progress(quiet=True)
 ONE_AXIS = {"axes": ["Z"], "turns": 10}

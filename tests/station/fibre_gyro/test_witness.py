@@ -9,18 +9,18 @@ import pytest
 from staircases import counter_voltage, write_csv
 
 from instrument.simulated import SimulatedTDS2014, TcpServer, VirtualClock
-from instrument.simulated.fibre_gyro import TcpGyroServer
+from instrument.simulated.fibre_gyro.server import TcpGyroServer
 from station.errors import NoUsableSignal, UsageError
-from station.fibre_gyro.bench import read_frame_format
 from station.fibre_gyro.report import render_fog_report
 from station.fibre_gyro.results import evaluate_fog_run, evaluate_witness_run
-from station.fibre_gyro.served_gyro import ServedGyro
+from station.fibre_gyro.serial_bench import read_frame_format
+from station.fibre_gyro.served import ServedGyro
 from station.fibre_gyro.settings import fog_settings_from
 from station.fibre_gyro.simulated_modulator import modulator_voltage
-from station.fibre_gyro.staircase_records import staircase_run_from_files, take_staircase_run
-from station.fibre_gyro.witness import evaluate_witness
-from station.progress import Progress
-from station.runs import open_run
+from station.fibre_gyro.witness.measurement import evaluate_witness
+from station.fibre_gyro.witness.take import staircase_run_from_files, take_staircase_run
+from station.runs.progress import Progress
+from station.runs.store import open_run
 
 QUIET = Progress(quiet=True)
 DT = 0.2e-6

@@ -1,0 +1,1 @@
+"""The digital closed loop of a fibre gyro, at every transit time or by its output words."""

@@ -1,5 +1,0 @@
-"""Propagation of distributions through the whole measurement: the check of a budget by simulation."""
-
-from analysis.monte_carlo.propagation import MonteCarlo, simulate_measurements
-
-__all__ = ["MonteCarlo", "simulate_measurements"]

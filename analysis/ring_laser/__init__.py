@@ -1,0 +1,25 @@
+"""A simulated ring laser gyro on a turning table: its beat, and what detector and bench add to it.
+
+`motion` the table, `gyro` the fringes at a given rate, `winking` those of a laser with slow gain, `beat` the phase
+over time, `detector` the volts with distortion and filters, `signals` the whole as functions of absolute time.
+"""
+
+from analysis.ring_laser.beat import axis_rate_on_table, beat_phase_on_table
+from analysis.ring_laser.detector import Detector, detector_signal
+from analysis.ring_laser.gyro import Gyro, harmonic_ratio
+from analysis.ring_laser.motion import Segment
+from analysis.ring_laser.signals import beat_signal_on_table, with_detector_noise
+from analysis.ring_laser.winking_on_table import Winking
+
+__all__ = [
+    "Detector",
+    "Gyro",
+    "Segment",
+    "Winking",
+    "axis_rate_on_table",
+    "beat_phase_on_table",
+    "beat_signal_on_table",
+    "detector_signal",
+    "harmonic_ratio",
+    "with_detector_noise",
+]

@@ -1,0 +1,150 @@
+"""The phase of the beat of a gyro on a turning table, as a function of absolute time.
+
+The gyro follows d(phi)/dt = 2 pi K [W(t) - WL sin(phi + beta)], the lock-in equation. The rate on its axis,
+
+    W(t) = table rate * cos(tilt) + earth rate on the axis at azimuth(t) + ripple,
+
+changes so little during one beat period that the solution for constant W holds with r and the beat frequency
+following W(t):
+
+    exp(i (phi + beta)) = i (r - u) / (1 - r u),    u = exp(i psi),
+    d(psi)/dt = 2 pi K sqrt(W^2 - WL^2).
+
+While the table turns steadily, sqrt(W^2 - WL^2) is periodic in the azimuth and in the phase of the ripple: it is
+expanded once in harmonics of both and integrated term by term, so the phase is as exact after a day as after a
+second.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.ring_laser.gyro import Gyro
+from analysis.ring_laser.motion import Segment, split
+
+Array = NDArray[np.float64]
+Complexes = NDArray[np.complex128]
+
+_AZIMUTHS = 1024  # points of one turn in the expansion; the series falls as (earth rate / rate)^k
+_RIPPLE_PHASES = 64
+_SLEW_POINTS = 4097
+_REST_DPS = 1e-9
+_NEGLIGIBLE = 1e-13
+
+
+def beat_phase_on_table(gyro: Gyro, motion: Sequence[Segment], times: Array) -> tuple[Array, Array]:
+    """Rate on the axis and phase of the beat while the table moves.
+
+    Parameters
+    ----------
+    gyro : Gyro
+    motion : sequence of Segment
+        In order of time; the last one goes on for ever, the first one also holds before its start.
+    times : ndarray, shape (n,)
+        Absolute times, s.
+
+    Returns
+    -------
+    rates : ndarray, shape (n,)
+        deg/s.
+    phases : ndarray, shape (n,)
+        psi, rad.
+    """
+    segments = tuple(motion)
+    start_phases = _start_phases(gyro, segments)
+    rates, phases = np.empty_like(times), np.empty_like(times)
+    for number, inside in split(segments, times):
+        at = times[inside]
+        rates[inside] = _rate(gyro, segments[number], at)
+        phases[inside] = start_phases[number] + _advance(gyro, segments, number, at)
+    return rates, phases
+
+
+def axis_rate_on_table(gyro: Gyro, motion: Sequence[Segment], times: Array) -> Array:
+    """Rate on the gyro's axis in deg/s while the table moves; arguments as :func:`beat_phase_on_table`."""
+    segments, rates = tuple(motion), np.empty_like(times)
+    for number, inside in split(segments, times):
+        rates[inside] = _rate(gyro, segments[number], times[inside])
+    return rates
+
+
+def _rate(gyro: Gyro, segment: Segment, times: Array) -> Array:
+    return gyro.axis_rate(segment.rate_at(times), segment.azimuth_at(times), gyro.ripple_phase(times))
+
+
+@lru_cache(maxsize=64)
+def _start_phases(gyro: Gyro, motion: tuple[Segment, ...]) -> tuple[float, ...]:
+    """Return psi at the start of each segment."""
+    phases = [gyro.start_phase]
+    for number, following in enumerate(motion[1:]):
+        phases.append(phases[-1] + float(_advance(gyro, motion, number, np.array([following.start]))[0]))
+    return tuple(phases)
+
+
+def _advance(gyro: Gyro, motion: tuple[Segment, ...], number: int, times: Array) -> Array:
+    """Advance of psi in rad since the start of a segment."""
+    segment = motion[number]
+    if segment.acceleration_dps2 != 0.0:
+        return np.interp(times, *_slew_phase(gyro.without_winking(), segment, motion[number + 1].start))
+    turn_rate = segment.rate_dps if abs(segment.rate_dps) >= _REST_DPS else 0.0
+    resting_at = segment.azimuth_deg % 360.0 if turn_rate == 0.0 else None
+    mean, orders, terms = _frequency_series(gyro, segment.rate_dps, resting_at)
+    elapsed = (times - segment.start)[:, np.newaxis]
+    speeds = orders @ np.array([math.radians(turn_rate), 2 * np.pi * gyro.ripple_hz])
+    at_start = [math.radians(segment.azimuth_deg % 360.0), float(gyro.ripple_phase(segment.start))]
+    begun = terms * np.exp(1j * (orders @ np.array(at_start)))
+    cycles = mean * elapsed[:, 0] + (_integral(speeds, elapsed) @ begun).real
+    growth = gyro.drift_per_s
+    if growth:
+        moment = mean * elapsed[:, 0] ** 2 / 2 + (_first_moment(speeds, elapsed) @ begun).real
+        cycles = cycles * (1.0 + growth * segment.start) + growth * moment
+    return np.asarray(2 * np.pi * cycles)
+
+
+def _integral(speeds: Array, elapsed: Array) -> Complexes:
+    """Integral of exp(i speed t) from 0 to the time elapsed; this form keeps short times exact."""
+    half = 0.5 * speeds * elapsed
+    return np.asarray(elapsed * np.sinc(half / np.pi) * np.exp(1j * half))
+
+
+def _first_moment(speeds: Array, elapsed: Array) -> Complexes:
+    """Integral of t exp(i speed t) from 0 to the time elapsed, good to eight digits."""
+    turned = speeds * elapsed
+    small = np.abs(turned) < 1e-3
+    safe = np.where(small, 1.0, turned)
+    whole = (np.exp(1j * safe) * (1.0 - 1j * safe) - 1.0) / safe**2
+    return np.asarray(elapsed**2 * np.where(small, 0.5 + 1j * turned / 3.0, whole))
+
+
+@lru_cache(maxsize=64)
+def _frequency_series(
+    gyro: Gyro, table_rate_dps: float, resting_at_deg: float | None
+) -> tuple[float, Array, Complexes]:
+    """Beat frequency as mean + Re sum terms * exp(i (k azimuth + l ripple phase)), orders being the (k, l)."""
+    rows = _AZIMUTHS if resting_at_deg is None else 1
+    columns = _RIPPLE_PHASES if gyro.ripple_dps else 1
+    azimuth = np.arange(rows) * (360.0 / rows) + (resting_at_deg or 0.0)
+    ripple = np.arange(columns) * (2 * np.pi / columns)
+    rate = gyro.axis_rate(np.full((rows, columns), table_rate_dps), azimuth[:, np.newaxis], ripple)
+    # the half with k > 0, and of k = 0 the half with l > 0: the frequency is real
+    spectrum = np.fft.fft2(gyro.beat_frequency(rate)) / rate.size
+    k = np.fft.fftfreq(rows, 1 / rows)[:, np.newaxis] + np.zeros(columns)
+    el = np.fft.fftfreq(columns, 1 / columns) + np.zeros((rows, 1))
+    largest = max(float(np.abs(spectrum).max()), 1e-300)
+    kept = ((k > 0) | ((k == 0) & (el > 0))) & (np.abs(spectrum) > _NEGLIGIBLE * largest)
+    orders = np.stack([k[kept], el[kept]], axis=-1)
+    return float(spectrum[0, 0].real), orders, np.asarray(2.0 * spectrum[kept])
+
+
+@lru_cache(maxsize=64)
+def _slew_phase(gyro: Gyro, segment: Segment, end: float) -> tuple[Array, Array]:
+    """Times in a slew and psi since its start: cumulative trapezoidal rule; nobody measures in a slew."""
+    grid = np.linspace(segment.start, end, _SLEW_POINTS)
+    frequency = gyro.beat_frequency(_rate(gyro, segment, grid)) * gyro.drift(grid)
+    steps = 0.5 * (frequency[1:] + frequency[:-1]) * np.diff(grid)
+    return grid, 2 * np.pi * np.concatenate([[0.0], np.cumsum(steps)])

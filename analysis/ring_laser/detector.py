@@ -1,0 +1,192 @@
+"""What a photodiode and its amplifier make of the beat: readout phase, distortion, bandwidth, coupling.
+
+At a constant rate the detector's signal is a periodic function of the beat phase. Behind a filter its harmonic n
+is multiplied by the response at n f. The rate changes little in one period, so the harmonics are worked out on a
+grid of rates once and interpolated; without a filter the signal is computed sample by sample.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.ring_laser.gyro import Gyro, harmonic_ratio
+from analysis.ring_laser.rate_grid import FINER, beat_rate_at, grid_place, interpolate, rate_at, weights_at
+
+Array = NDArray[np.float64]
+Complexes = NDArray[np.complex128]
+
+_FEWEST_POINTS, _MOST_POINTS = 128, 8192
+_NEGLIGIBLE = 1e-9
+_FEW_CELLS = 6
+
+
+@dataclass(frozen=True)
+class Detector:
+    """A photodiode that looks at the fringes, with its amplifier.
+
+    Attributes
+    ----------
+    readout_phase : float
+        delta, where it reads the fringes, rad.
+    amplitude, offset : float
+        Of its signal, V.
+    second_order, third_order : float
+        Distortion: s + second_order s^2 + third_order s^3 of the signal s in units of the amplitude. The
+        harmonics of a pure beat are then second_order / 2 and third_order / 4 of it.
+    low_pass_hz, ac_corner_hz : float
+        Corners of one pole each; 0: there is none.
+    pump_ripple, pump_hz : float
+        The light swings by this share.
+    single_beams : float
+        Light of the single beams over that of the fringes: how much of their winking is seen.
+    """
+
+    readout_phase: float
+    amplitude: float = 1.0
+    offset: float = 0.0
+    second_order: float = 0.0
+    third_order: float = 0.0
+    low_pass_hz: float = 0.0
+    ac_corner_hz: float = 0.0
+    pump_ripple: float = 0.0
+    pump_hz: float = 0.0
+    single_beams: float = 0.0
+
+    @property
+    def filtered(self) -> bool:
+        """Whether anything in it depends on the frequency."""
+        return self.low_pass_hz > 0 or self.ac_corner_hz > 0
+
+    def without_filters(self) -> Detector:
+        """The same detector with an amplifier for all frequencies."""
+        return replace(self, low_pass_hz=0.0, ac_corner_hz=0.0) if self.filtered else self
+
+    def volts(self, fringe: Complexes, backscatter_phase: float) -> Array:
+        """Signal before any filter, V, for exp(i (phi + beta))."""
+        turned = fringe * np.exp(1j * (self.readout_phase - backscatter_phase))
+        s = turned.imag
+        distorted = s + self.second_order * s**2 + self.third_order * s**3
+        return np.asarray(self.offset + self.amplitude * distorted, dtype=np.float64)
+
+    def response(self, frequency: Array) -> Complexes:
+        """Gain of the filters at frequencies in Hz."""
+        gain = np.ones_like(frequency, dtype=np.complex128)
+        if self.low_pass_hz > 0:
+            gain /= 1 + 1j * frequency / self.low_pass_hz
+        if self.ac_corner_hz > 0:
+            gain *= 1j * frequency / (self.ac_corner_hz + 1j * frequency)
+        return gain
+
+    def swing(self, times: Array) -> Array:
+        """The light at absolute times in s over its mean."""
+        return np.asarray(1 + self.pump_ripple * np.sin(2 * np.pi * np.mod(self.pump_hz * times, 1.0)))
+
+
+def detector_signal(gyro: Gyro, detector: Detector, axis_rate: Array, beat_phase: Array) -> Array:
+    """Volts at the detector for given rate on the axis and slow beat phase.
+
+    Parameters
+    ----------
+    gyro : Gyro
+    detector : Detector
+    axis_rate : ndarray, shape (n,)
+        W, deg/s.
+    beat_phase : ndarray, shape (n,)
+        psi, rad, growing with positive and falling with negative rate.
+
+    Returns
+    -------
+    ndarray, shape (n,)
+        V. A locked gyro gives a constant.
+    """
+    if not detector.filtered and gyro.winking is None:
+        return detector.volts(gyro.fringe(axis_rate, beat_phase), gyro.backscatter_phase)
+    volts = np.empty(axis_rate.shape)
+    locked = gyro.locked(axis_rate)
+    # behind a filter a locked gyro's signal is what the filter leaves of a constant
+    if locked.any():
+        still = detector.volts(gyro.fringe(axis_rate[locked], beat_phase[locked]), gyro.backscatter_phase)
+        volts[locked] = still * float(detector.response(np.zeros(1))[0].real)
+    for sense in (1, -1):
+        inside = np.flatnonzero(~locked & (np.sign(axis_rate) == sense))
+        if inside.size:
+            volts[inside] = _by_harmonics(gyro, detector, axis_rate[inside], beat_phase[inside], sense)
+    return volts
+
+
+def _by_harmonics(gyro: Gyro, detector: Detector, rates: Array, phases: Array, sense: int) -> Array:
+    """Sum of the harmonics, each interpolated between points of the grid of rates."""
+    turning = np.exp(1j * sense * phases)
+    place = grid_place(np.abs(rates), gyro.lock_in_rate) * FINER
+    cells = np.floor(place).astype(np.intp)
+    if np.ptp(cells) > _FEW_CELLS:
+
+        def at_point(point: int, inside: NDArray[np.intp]) -> Array:
+            return _real_series(_harmonics(gyro, detector, point, sense), turning[inside])
+
+        return interpolate(rates, gyro.lock_in_rate, at_point)
+    # in a record the rate hardly changes: straight lines between the points of a finer grid are good enough
+    volts = np.empty(rates.shape)
+    for cell in range(int(cells.min()), int(cells.max()) + 1):
+        inside = cells == cell
+        if inside.any():
+            low, high = (_between(gyro, detector, finer, sense) for finer in (cell, cell + 1))
+            left, turned = _real_series(low, turning[inside]), turning[inside]
+            volts[inside] = left + (place[inside] - cell) * (_real_series(high, turned) - left)
+    return volts
+
+
+@lru_cache(maxsize=8192)
+def _between(gyro: Gyro, detector: Detector, finer: int, sense: int) -> Complexes:
+    """Harmonics at a point of the finer grid."""
+    found = [(_harmonics(gyro, detector, point, sense), weight) for point, weight in weights_at(finer / FINER)]
+    total = np.zeros(max(series.size for series, _ in found), dtype=np.complex128)
+    for series, weight in found:
+        total[: series.size] += weight * series
+    return total
+
+
+def _real_series(amplitudes: Complexes, turning: Complexes) -> Array:
+    """Real part of sum amplitudes_n turning^n."""
+    total = np.full(turning.shape, amplitudes[-1])
+    for amplitude in amplitudes[-2::-1]:
+        total *= turning
+        total += amplitude
+    return np.ascontiguousarray(total.real)
+
+
+@lru_cache(maxsize=4096)
+def _harmonics(gyro: Gyro, detector: Detector, point: int, sense: int) -> Complexes:
+    """Complex amplitudes of the harmonics 0, 1, ... behind the filters, V, at one point of the grid."""
+    volts = _one_period(gyro, detector, point, sense)
+    amplitudes: Complexes = np.fft.rfft(volts) / volts.size
+    amplitudes[1:] *= 2
+    frequency = gyro.scale_factor * beat_rate_at(point)
+    if gyro.winking is not None:
+        frequency = gyro.winking.frequency(point)
+    amplitudes = amplitudes * detector.response(frequency * np.arange(amplitudes.size, dtype=np.float64))
+    kept = np.flatnonzero(np.abs(amplitudes) > _NEGLIGIBLE * np.abs(amplitudes).max())
+    return np.asarray(amplitudes[: kept[-1] + 1] if kept.size else amplitudes[:1])
+
+
+def _one_period(gyro: Gyro, detector: Detector, point: int, sense: int) -> Array:
+    """Volts before any filter, evenly over one period of the beat."""
+    if gyro.winking is not None:
+        fringe, pedestal = gyro.winking.fringe(point), gyro.winking.pedestal(point)
+        # the equations of equal beams are the same for the other sense, with the phase turned round
+        fringe = fringe if sense > 0 else np.conj(fringe)
+        return (
+            detector.volts(fringe, gyro.backscatter_phase) + detector.amplitude * detector.single_beams * pedestal
+        )
+    rate = sense * rate_at(point, gyro.lock_in_rate)
+    ratio = float(harmonic_ratio(np.array(rate), gyro.lock_in_rate))
+    # the harmonics that the grid cannot hold would fold back: they shall be negligible
+    wanted = 4 * math.log(_NEGLIGIBLE) / math.log(min(max(ratio, 1e-9), 1 - 1e-9))
+    points = 1 << math.ceil(math.log2(min(max(wanted, _FEWEST_POINTS), _MOST_POINTS)))
+    phases = sense * np.arange(points, dtype=np.float64) * (2 * np.pi / points)
+    return detector.volts(gyro.fringe(np.full(points, rate), phases), gyro.backscatter_phase)

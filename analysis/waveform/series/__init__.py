@@ -1,0 +1,1 @@
+"""The geometric series of harmonics, fitted to the samples."""

@@ -1,0 +1,1 @@
+"""Bytes and questions in step with one instrument."""

@@ -1,0 +1,1 @@
+"""The commands of the simulated oscilloscope, one file a family."""

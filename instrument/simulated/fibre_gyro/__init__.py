@@ -1,0 +1,1 @@
+"""A fibre gyro on a serial line, simulated."""

@@ -1,0 +1,1 @@
+"""Files that the simulated oscilloscope writes: memory card, waveforms, pictures."""

@@ -1,0 +1,1 @@
+"""From the signal at the input to codes: front end, trigger, converter, acquisition."""

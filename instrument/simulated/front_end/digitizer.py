@@ -1,0 +1,104 @@
+"""The codes of a record: samples each channel of a completed acquisition when somebody asks for it."""
+
+from __future__ import annotations
+
+import math
+from collections import OrderedDict
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from instrument.simulated.front_end.acquisition import Record
+from instrument.simulated.front_end.frontend import NO_DATA, Codes, Floats, Signal, convert, shown_volts
+from instrument.simulated.panel.panel import POINTS, POINTS_PER_DIVISION, ChannelSettings
+
+_PEAK_RATE = 100e6  # S/s at which Peak Detect looks for the smallest and the largest sample
+_PEAK_TIME_CONSTANT = 1 / (2 * math.pi * 75e6)  # s, bandwidth of Peak Detect, user manual p. 151
+_MOST_PEAK_SAMPLES = 64  # a pair
+_KEPT = 16  # records by channel
+
+
+class Digitizer:
+    """Turns records into codes; the same record gives the same codes every time.
+
+    Parameters
+    ----------
+    signal : callable
+        Gives the signal at the input named `CH1` and so on.
+    noise_levels : float
+        Standard deviation of the noise in levels (1/25 division).
+    seed : int
+        Makes the noise repeatable; each acquisition and channel has its own noise.
+    """
+
+    def __init__(self, signal: Callable[[str], Signal], noise_levels: float, seed: int) -> None:
+        self._signal, self._noise_levels, self._seed = signal, noise_levels, seed
+        self._kept: OrderedDict[tuple[int, float, str], Codes] = OrderedDict()
+
+    def codes(self, record: Record, name: str) -> Codes:
+        """Codes of one channel of a record.
+
+        Returns
+        -------
+        (2500,) int8 array
+            -128 stands for "no data".
+        """
+        channel = record.channels.get(name)
+        if channel is None:
+            return np.full(POINTS, NO_DATA, dtype=np.int8)
+        key = (record.number, record.until, name)
+        codes = self._kept.get(key)
+        if codes is None:
+            codes = self._kept[key] = self._digitize(record, name, channel)
+            if len(self._kept) > _KEPT:
+                self._kept.popitem(last=False)
+        return codes
+
+    def _digitize(self, record: Record, name: str, channel: ChannelSettings) -> Codes:
+        if record.rolling:
+            return self._scan(record, name, channel)
+        if record.mode == "PEAKDETECT":
+            return self._peaks(record, name, channel)
+        times = record.xincr * np.arange(POINTS, dtype=np.float64)
+        volts = np.zeros(POINTS)
+        for start in record.starts:
+            volts = volts + shown_volts(self._signal(name), channel, start + times)
+        count = len(record.starts)
+        noise = self._noise(record.number, name, POINTS) / np.sqrt(count)
+        return convert(volts / count, channel, noise)
+
+    def _peaks(self, record: Record, name: str, channel: ChannelSettings) -> Codes:
+        """Pairs of the smallest and the largest sample of two intervals, p. 2-250."""
+        samples = min(_MOST_PEAK_SAMPLES, max(2, round(2 * record.xincr * _PEAK_RATE)))
+        count = POINTS // 2 * samples
+        # irregular sampling, so that no frequency hides between the samples of a slow sweep
+        irregular = np.random.default_rng([self._seed, record.number]).random(count)
+        times = record.starts[-1] + 2 * record.xincr / samples * (np.arange(count) + irregular)
+        slower = replace(channel, time_constant=max(channel.time_constant, _PEAK_TIME_CONSTANT))
+        volts = shown_volts(self._signal(name), slower, times)
+        codes = convert(volts, channel, self._noise(record.number, name, count))
+        groups = codes.reshape(-1, samples)
+        return np.stack([groups.min(axis=1), groups.max(axis=1)], axis=1).ravel()
+
+    def _scan(self, record: Record, name: str, channel: ChannelSettings) -> Codes:
+        """The rolling record at one moment: new samples up to the blank, old ones behind it."""
+        codes = np.full(POINTS, NO_DATA, dtype=np.int8)
+        taken = int((record.until - record.starts[0]) / record.xincr)  # samples since the scan began
+        if taken <= 0:
+            return codes
+        first = max(0, taken - POINTS)
+        indices = np.arange(first, taken)
+        times = record.starts[0] + record.xincr * indices.astype(np.float64)
+        volts = shown_volts(self._signal(name), channel, times)
+        sweeps = [self._noise(record.number, name, POINTS, s) for s in (first // POINTS, first // POINTS + 1)]
+        noise = np.concatenate(sweeps)[first % POINTS :][: len(indices)]
+        codes[indices % POINTS] = convert(volts, channel, noise)
+        if taken % POINTS or taken < POINTS:
+            codes[np.arange(taken, taken + POINTS_PER_DIVISION) % POINTS] = NO_DATA
+        return codes
+
+    def _noise(self, number: int, name: str, count: int, sweep: int = 0) -> Floats:
+        channel = int(name.removeprefix("CH"))
+        rng = np.random.default_rng([self._seed, number, channel, sweep])
+        return self._noise_levels * rng.standard_normal(count)

@@ -1,0 +1,168 @@
+"""From the volts at the BNC to eight-bit codes: coupling, probe, scale, position, noise, converter.
+
+Source: user manual 071-1064-00, pp. 151-157; programmer manual 071-1075-04, p. 2-68.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from instrument.simulated.panel.panel import ChannelSettings
+
+Floats = NDArray[np.float64]
+Codes = NDArray[np.int8]
+Signal = Callable[[Floats], Floats]
+
+LEVELS_PER_DIVISION = 25
+HIGHEST_CODE = 127  # clipped records stop here, at either sign
+NO_DATA = -128
+AC_CORNER = 10.0  # Hz
+_DELAYS = -np.log1p(-(np.arange(64) + 0.5) / 64)  # in time constants: quantiles of the exponential
+_SPARSE = 4.0  # time constants between samples, from which on each counts for itself
+_TWO_DELAYS = ((2 - math.sqrt(2), (2 + math.sqrt(2)) / 4), (2 + math.sqrt(2), (2 - math.sqrt(2)) / 4))
+_FAR_DELAY = 6.0  # time constants; what happened before that does not count any more
+_STRAIGHT = 0.02  # of all that was seen from peak to peak: how far a smooth signal may leave a straight line
+_SETTLING = 5 / (2 * math.pi * AC_CORNER)  # s of history after which the coupling has forgotten
+_AC_RATES = (51_283.7, 47_013.1, 57_942.9)  # S/s for the slow part; a frequency can beat with one of them
+_AC_POINTS = 1 << 17
+
+
+def ground(times: Floats) -> Floats:
+    """Signal of an open input."""
+    return np.zeros_like(times)
+
+
+def low_pass(signal: Signal, time_constant: float) -> Signal:
+    """The signal behind a single pole.
+
+    The pole is an average over the past with exponential weights. It is taken at 64 delays of equal weight, so
+    it costs 64 looks at the signal and needs no grid in time; the gain is right to 0.02 up to five times the
+    corner. A formula of two delays (Gauss and Laguerre) is tried first. Where the signal runs straight through
+    them, on both sides, it is smooth, and that formula is right to a hundredth of a level on a full screen.
+    Samples that lie close together are all taken the long way if one of them is: a short pulse may fall between
+    the looks.
+
+    Parameters
+    ----------
+    time_constant : float
+        In s; 0 leaves the signal alone.
+    """
+    if time_constant == 0:
+        return signal
+
+    def whole(times: Floats) -> Floats:
+        total = np.zeros_like(times)
+        for delay in _DELAYS:
+            total += evaluate(signal, times - time_constant * delay)
+        return total / len(_DELAYS)
+
+    def filtered(times: Floats) -> Floats:
+        (late, much), (early, little) = _TWO_DELAYS
+        now, near, back, far = (
+            evaluate(signal, times - time_constant * delay) for delay in (0.0, late, early, _FAR_DELAY)
+        )
+        fine = much * near + little * back
+        slope = (back - near) / (early - late)
+        bends = np.maximum(np.abs(now - near + late * slope), np.abs(far - back - (_FAR_DELAY - early) * slope))
+        edgy = bends > _STRAIGHT * np.ptp((now, near, back, far))
+        if edgy.any():
+            if times[-1] - times[0] < _SPARSE * time_constant * (len(times) - 1):
+                return whole(times)
+            fine[edgy] = whole(times[edgy])
+        return fine
+
+    return filtered
+
+
+def evaluate(signal: Signal, times: Floats) -> Floats:
+    """Volts of a signal; a constant answer is spread over all times."""
+    volts = np.asarray(signal(times), dtype=np.float64)
+    return volts if volts.shape == times.shape else np.broadcast_to(volts, times.shape)
+
+
+def shown_volts(signal: Signal, channel: ChannelSettings, times: Floats) -> Floats:
+    """Volts that the screen would show without noise: band-limited, coupled, times probe, inverted.
+
+    Parameters
+    ----------
+    times : (n,) array
+        Absolute times in s, rising.
+
+    Returns
+    -------
+    (n,) array
+        Volts at the probe tip.
+    """
+    if channel.coupling == "GND":
+        return np.zeros_like(times)
+    volts = evaluate(low_pass(signal, channel.time_constant), times)
+    if channel.coupling == "AC":
+        volts = volts - slow_part(signal, times)
+    return volts * (-channel.probe if channel.inverted else channel.probe)
+
+
+def slow_part(signal: Signal, times: Floats) -> Floats:
+    """What the AC coupling takes away: the signal through a one-pole low-pass of 10 Hz.
+
+    It is computed on grids of its own that begin before the record, and interpolated: the low-pass moves
+    slowly, so a record of microseconds needs no grid of microseconds. A signal whose frequency is that of one
+    grid looks constant there; the median of three grids does not fall for it.
+    """
+    return np.asarray(np.median([_slow_part_on_grid(signal, times, rate) for rate in _AC_RATES], axis=0))
+
+
+def _slow_part_on_grid(signal: Signal, times: Floats, rate: float) -> Floats:
+    start, stop = float(times[0]) - _SETTLING, float(times[-1])
+    step = max(1 / rate, (stop - start) / _AC_POINTS * _AC_RATES[0] / rate)
+    grid = start + step * np.arange(math.ceil((stop - start) / step) + 2, dtype=np.float64)
+    volts = evaluate(signal, grid)
+    gain = -math.expm1(-2 * math.pi * AC_CORNER * step)
+    first = float(volts.mean()) if stop - start < 2 * _SETTLING else float(volts[: len(volts) // 8 + 1].mean())
+    return np.interp(times, grid, smoothed(volts, gain, first))
+
+
+def smoothed(values: Floats, gain: float, first: float) -> Floats:
+    """The recursion y[n] = y[n-1] + gain (x[n] - y[n-1]), begun at y[-1] = first.
+
+    In a block, y[n] / (1 - gain)**n is a running sum; a block is as long as the powers stay within e**20.
+
+    Examples
+    --------
+    >>> smoothed(np.array([1.0, 1.0, 0.0]), 0.5, 0.0).tolist()
+    [0.5, 0.75, 0.375]
+    """
+    length = max(1, min(len(values), int(-20 / math.log1p(-gain))))
+    powers = (1 - gain) ** np.arange(1, length + 1, dtype=np.float64)
+    result = np.empty_like(values)
+    for start in range(0, len(values), length):
+        block = values[start : start + length]
+        decay = powers[: len(block)]
+        result[start : start + length] = decay * (first + gain * np.cumsum(block / decay))
+        first = float(result[start + len(block) - 1])
+    return result
+
+
+def convert(volts: Floats, channel: ChannelSettings, noise: Floats | float = 0.0) -> Codes:
+    """Codes of the converter: 25 levels a division around the centre, rounded, clipped at +-127.
+
+    Parameters
+    ----------
+    volts : (n,) array
+        Volts at the probe tip.
+    noise : (n,) array or float
+        Noise in levels.
+
+    Examples
+    --------
+    >>> channel = ChannelSettings(0.5, 1.0, "DC", 1.0, limited=False, inverted=False)
+    >>> convert(np.array([0.0, 0.5, 9.0, -9.0]), channel).tolist()
+    [25, 50, 127, -127]
+    """
+    levels = volts * (LEVELS_PER_DIVISION / channel.scale) + LEVELS_PER_DIVISION * channel.position
+    levels += noise
+    np.rint(levels, out=levels)
+    return np.clip(levels, -HIGHEST_CODE, HIGHEST_CODE).astype(np.int8)

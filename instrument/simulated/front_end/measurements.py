@@ -1,0 +1,154 @@
+"""Automatic measurements of one trace.
+
+Source: user manual 071-1064-00, p. 95; programmer manual 071-1075-04, pp. 2-159 to 2-170.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from instrument.simulated.front_end.frontend import HIGHEST_CODE, NO_DATA
+from instrument.simulated.front_end.traces import Trace
+from instrument.simulated.panel.event_table import Refusal
+
+Floats = NDArray[np.float64]
+
+UNITS = {"FREQUENCY": "Hz", "PERIOD": "s", "RISE": "s", "FALL": "s", "PWIDTH": "s", "NWIDTH": "s",
+         "PHASE": "deg"}  # fmt: skip
+_LEVELS_OF_A_SIGNAL = 10  # peak to peak, below which no edge counts (a guess)
+
+
+@dataclass(frozen=True)
+class Edges:
+    """Times in s at which a trace crosses its middle, and which of them rise."""
+
+    times: Floats
+    rising: NDArray[np.bool_]
+
+
+def unit(kind: str) -> str:
+    """Unit of a measurement's value."""
+    return UNITS.get(kind, "V")
+
+
+def clipping_event(trace: Trace) -> int:
+    """Warning 547, 548 or 549 for clipped codes, else 0."""
+    high, low = bool((trace.codes == HIGHEST_CODE).any()), bool((trace.codes == -HIGHEST_CODE).any())
+    return {(True, True): 547, (True, False): 548, (False, True): 549}.get((high, low), 0)
+
+
+def measure(kind: str, trace: Trace) -> float:
+    """Value of a measurement.
+
+    Parameters
+    ----------
+    kind : str
+        FREQUENCY, MEAN, PERIOD, PK2PK, CRMS, RMS, MINIMUM, MAXIMUM, RISE, FALL, PWIDTH or NWIDTH.
+
+    Raises
+    ------
+    Refusal
+        With the event that says why there is no value.
+    """
+    codes = trace.codes[trace.codes != NO_DATA].astype(np.float64)
+    if not len(codes):
+        raise Refusal(2225)
+    volts = (codes - trace.yoff) * trace.ymult + trace.yzero
+    if kind == "RMS":
+        return float(np.sqrt(np.mean(volts**2)))
+    if kind in ("MEAN", "MINIMUM", "MAXIMUM", "PK2PK"):
+        low, high, mean = float(volts.min()), float(volts.max()), float(volts.mean())
+        return {"MEAN": mean, "MINIMUM": low, "MAXIMUM": high, "PK2PK": high - low}[kind]
+    if np.ptp(codes) < _LEVELS_OF_A_SIGNAL:
+        raise Refusal(2204)
+    if kind in ("RISE", "FALL"):
+        return _edge_time(volts, rising=kind == "RISE") * trace.xincr
+    edges = middle_crossings(volts)
+    if kind in ("PWIDTH", "NWIDTH"):
+        return _width(edges, positive=kind == "PWIDTH") * trace.xincr
+    if len(edges.times) < 3:
+        raise Refusal(2202)
+    first, last = float(edges.times[0]), float(edges.times[2])
+    if kind == "CRMS":
+        cycle = volts[round(first) : max(round(last), round(first) + 1)]
+        return float(np.sqrt(np.mean(cycle**2)))
+    period = (last - first) * trace.xincr
+    return 1 / period if kind == "FREQUENCY" else period
+
+
+def phase(first: Trace, second: Trace) -> float:
+    """Degrees by which the first trace leads the second, by their first rising crossings of the middle.
+
+    Raises
+    ------
+    Refusal
+        With the event that says why there is no value.
+    """
+    edges = []
+    for trace, no_period in ((first, 2202), (second, 2203)):
+        codes = trace.codes[trace.codes != NO_DATA].astype(np.float64)
+        if not len(codes) or np.ptp(codes) < _LEVELS_OF_A_SIGNAL:
+            raise Refusal(2204 if no_period == 2202 else 2205)
+        found = middle_crossings(codes)
+        rising = found.times[found.rising]
+        if len(rising) < 2:
+            raise Refusal(no_period)
+        edges.append(rising)
+    period = float(edges[0][1] - edges[0][0])
+    turns = float(edges[1][0] - edges[0][0]) / period
+    return 360.0 * (turns - round(turns))
+
+
+def middle_crossings(volts: Floats) -> Edges:
+    """Crossings of the middle in samples, with a hysteresis of a tenth of the height.
+
+    Examples
+    --------
+    >>> edges = middle_crossings(np.array([0.0, 0.0, 1.0, 1.0, 0.0, 0.0]))
+    >>> edges.times.tolist(), edges.rising.tolist()
+    ([1.5, 3.5], [True, False])
+    """
+    low, high = float(volts.min()), float(volts.max())
+    middle, margin = (low + high) / 2, (high - low) / 10
+    side = np.where(volts > middle + margin, 1, np.where(volts < middle - margin, -1, 0))
+    known = np.flatnonzero(side)
+    changes = np.flatnonzero(np.diff(side[known]))
+    times = []
+    for before, after in zip(known[changes], known[changes + 1], strict=True):
+        part = volts[before : after + 1] - middle
+        step = int(np.flatnonzero(part[:-1] * part[-1] <= 0)[-1])
+        times.append(before + step + part[step] / (part[step] - part[step + 1]))
+    return Edges(np.array(times, dtype=np.float64), side[known[changes + 1]] > 0)
+
+
+def _width(edges: Edges, *, positive: bool) -> float:
+    """Samples from the first wanted edge to the next."""
+    starts = np.flatnonzero(edges.rising == positive)
+    if not len(starts):
+        raise Refusal(2213 if positive else 2212)
+    first = int(starts[0])
+    if first + 1 >= len(edges.times):
+        raise Refusal(2209)
+    return float(edges.times[first + 1] - edges.times[first])
+
+
+def _edge_time(volts: Floats, *, rising: bool) -> float:
+    """Samples from 10 % to 90 % of the first edge of that direction."""
+    turned = volts if rising else -volts
+    low, high = float(turned.min()), float(turned.max())
+    tenth = low + (high - low) / 10
+    ninety = high - (high - low) / 10
+    below = np.flatnonzero(turned < tenth)
+    if not len(below) or not (turned[below[0] :] > ninety).any():
+        raise Refusal(2213 if rising else 2212)
+    end = int(below[0] + np.argmax(turned[below[0] :] > ninety))
+    start = int(below[below < end][-1])
+    return _crossing(turned, ninety, end - 1) - _crossing(turned, tenth, start)
+
+
+def _crossing(volts: Floats, level: float, index: int) -> float:
+    """Where between two samples the level is crossed."""
+    return index + float((level - volts[index]) / (volts[index + 1] - volts[index]))

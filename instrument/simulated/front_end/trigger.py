@@ -1,0 +1,189 @@
+"""Looks for the trigger: the first edge of the real signal through the level, or the first pulse that fits.
+
+The comparator has to see the signal on the far side by the hysteresis before it fires, so that noise-free
+rest does not trigger and an amplitude below the sensitivity never does (user manual 071-1064-00, p. 157).
+A pulse triggers at its trailing edge, or when it has lasted too long (p. 159).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from instrument.simulated.front_end.frontend import Floats
+from instrument.simulated.panel.panel import TriggerSettings
+
+HYSTERESIS = 0.3  # divisions (a guess; the sensitivity is given as one division)
+_FIRST_CHUNK = 1024
+_LONGEST_CHUNK = 16_384
+_MOST_POINTS = 60_000  # samples of one search, however long the time
+_REFINEMENTS = 3
+GUARD_BAND = 0.05  # of the width, p. 159
+SHORTEST_GUARD_BAND = 16.5e-9  # s
+_SAMPLES_A_WIDTH = 16  # of a search for pulses
+
+
+@dataclass
+class EdgeSearch:
+    """A search that goes on where it stopped.
+
+    Attributes
+    ----------
+    volts_at : callable
+        Volts that the comparator sees at given absolute times (rising).
+    level, hysteresis : float
+        In the same volts; negative edges are searched on the negated signal.
+    searched_until : float
+        Absolute time in s up to which there was no edge.
+    """
+
+    volts_at: Callable[[Floats], Floats]
+    level: float
+    rising: bool
+    hysteresis: float
+    searched_until: float
+    armed: bool = False
+
+    def advance(self, until: float, step: float) -> float | None:
+        """Search on to `until` in steps of about `step`; the time of the edge, or None."""
+        span = until - self.searched_until
+        if span <= 0:
+            return None
+        step = max(step, span / _MOST_POINTS)
+        size = _FIRST_CHUNK
+        while self.searched_until < until:
+            count = min(size, int((until - self.searched_until) / step) + 1)
+            times = self.searched_until + step * np.arange(count + 1, dtype=np.float64)
+            times[-1] = min(times[-1], until)
+            edge = self._edge_in(times)
+            if edge is not None:
+                return edge
+            self.searched_until = float(times[-1])
+            size = min(size * 4, _LONGEST_CHUNK)
+        return None
+
+    def _above(self, times: Floats) -> Floats:
+        """Signal over the level, turned so that the wanted edge rises."""
+        above = self.volts_at(times) - self.level
+        return above if self.rising else -above
+
+    def _edge_in(self, times: Floats) -> float | None:
+        above = self._above(times)
+        first = 0
+        if not self.armed:
+            below = above < -self.hysteresis
+            first = int(below.argmax())
+            if not below[first]:
+                return None
+            self.armed = True
+        crossed = above[first:] >= 0
+        index = int(crossed.argmax())
+        if not crossed[index]:
+            return None
+        index += first
+        return self._refine(float(times[max(index - 1, 0)]), float(times[index]))
+
+    def _refine(self, low: float, high: float) -> float:
+        return refine(self._above, low, high)
+
+
+def refine(above: Callable[[Floats], Floats], low: float, high: float) -> float:
+    """Narrow the bracket in which a signal rises through zero by sampling it finely."""
+    for _ in range(_REFINEMENTS):
+        if high - low <= 1e-13 * max(1.0, abs(high)):
+            break
+        times = np.linspace(low, high, 33)
+        index = int((above(times) >= 0).argmax())
+        low, high = float(times[max(index - 1, 0)]), float(times[index])
+    return (low + high) / 2
+
+
+@dataclass
+class PulseSearch:
+    """A search for a pulse of the wanted width that goes on where it stopped.
+
+    Attributes
+    ----------
+    trigger : TriggerSettings
+        Level, polarity, condition and width.
+    volts_at, hysteresis, searched_until
+        As of EdgeSearch.
+    state : int
+        1 within a pulse, -1 outside, 0 as long as that is not known.
+    began : float or None
+        Absolute time in s of the leading edge of the pulse that is under way.
+    """
+
+    trigger: TriggerSettings
+    volts_at: Callable[[Floats], Floats]
+    hysteresis: float
+    searched_until: float
+    state: int = 0
+    began: float | None = None
+
+    def advance(self, until: float, step: float) -> float | None:
+        """Search on to `until` in steps of `step` or finer; the time of the trigger, or None."""
+        span = until - self.searched_until
+        if span <= 0:
+            return None
+        step = max(min(step, self.trigger.width / _SAMPLES_A_WIDTH), span / (4 * _MOST_POINTS))
+        while self.searched_until < until:
+            count = min(_LONGEST_CHUNK, int((until - self.searched_until) / step) + 1)
+            times = self.searched_until + step * np.arange(count + 1, dtype=np.float64)
+            times[-1] = min(times[-1], until)
+            found = self._pulse_in(times)
+            if found is not None:
+                return found
+            self.searched_until = float(times[-1])
+        return None
+
+    def _above(self, times: Floats) -> Floats:
+        """Signal over the level, turned so that the pulse points up."""
+        above = self.volts_at(times) - self.trigger.level
+        return above if self.trigger.polarity == "POSITIVE" else -above
+
+    def _pulse_in(self, times: Floats) -> float | None:
+        """Follow the edges among these times."""
+        above = self._above(times)
+        sides = np.where(above > self.hysteresis, 1, np.where(above < -self.hysteresis, -1, 0))
+        known = np.flatnonzero(sides)
+        previous = np.concatenate([[self.state], sides[known]])
+        changes = known[(previous[1:] != previous[:-1]) & (previous[:-1] != 0)]
+        for index in changes:
+            rising = bool(sides[index] > 0)
+            edge = self._edge_before(times, above, int(index), rising=rising)
+            if rising:
+                self.began = edge
+            elif self.began is not None:
+                found = self._judge(self.began, edge, ended=True)
+                self.began = None
+                if found is not None:
+                    return found
+        if len(known):
+            self.state = int(sides[known[-1]])
+        return None if self.began is None else self._judge(self.began, float(times[-1]), ended=False)
+
+    def _edge_before(self, times: Floats, above: Floats, index: int, *, rising: bool) -> float:
+        """The crossing of the level that led to the other side at `times[index]`."""
+        beyond = above[: index + 1] < 0 if rising else above[: index + 1] > 0
+        last = int(np.flatnonzero(beyond)[-1]) if beyond.any() else 0
+        after = min(last + 1, index)
+        sign = 1.0 if rising else -1.0
+        return refine(lambda when: sign * self._above(when), float(times[last]), float(times[after]))
+
+    def _judge(self, began: float, until: float, *, ended: bool) -> float | None:
+        """The time at which a pulse triggers that has lasted to `until`; None if it does not (yet)."""
+        width, lasted = self.trigger.width, until - began
+        guard = max(GUARD_BAND * width, SHORTEST_GUARD_BAND)
+        match self.trigger.when:
+            case "EQUAL":
+                return until if ended and abs(lasted - width) <= guard else None
+            case "INSIDE":
+                return until if ended and lasted < width else None
+            case "OUTSIDE":
+                return began + width if lasted > width else None
+        if lasted > width + guard:
+            return began + width + guard
+        return until if ended and lasted < width - guard else None

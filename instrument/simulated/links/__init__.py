@@ -1,0 +1,1 @@
+"""Byte streams and VISA sessions that lead to the simulated oscilloscope."""

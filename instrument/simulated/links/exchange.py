@@ -1,0 +1,176 @@
+"""The message exchange: program messages in, answers out, one after the other, waiting where *WAI says so.
+
+Two worlds use it. On links with message ends (GPIB, USB, in-process) a new message throws away an answer
+that nobody has read (event 410), and reading without a question is an error (420). On streams (RS-232, TCP)
+answers leave at once. Source: programmer manual 071-1075-04, pp. 2-8, 3-6 and 3-23.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Iterator
+
+from instrument.simulated.faults import Delivery
+from instrument.simulated.links.serial_input import SerialInput
+from instrument.simulated.panel.parsing import StreamSplitter
+from instrument.simulated.scope import Picture, SimulatedTDS2014
+
+_TERMINATORS = {"LF": b"\n", "CR": b"\r", "CRLF": b"\r\n", "LFCR": b"\n\r"}
+
+
+class MessageExchange:
+    """Input buffer, the message at work, and output queue of one link.
+
+    Parameters
+    ----------
+    scope : SimulatedTDS2014
+        The instrument.
+    message_ends : bool
+        True where each piece received is a whole message, False on a stream.
+    serial : bool
+        True for RS-232: answers end as RS232:TRANsmit:TERMinator says, else with LF.
+    """
+
+    def __init__(self, scope: SimulatedTDS2014, *, message_ends: bool, serial: bool = False) -> None:
+        self.scope = scope
+        self._message_ends, self._serial = message_ends, serial
+        self._input = SerialInput(scope.panel, scope.faults) if serial else None
+        self._splitter = StreamSplitter()
+        self._waiting: deque[bytes] = deque()
+        self._running: Iterator[bytes | None] | None = None
+        self._answers: deque[Delivery] = deque()
+        self.closed = False  # a fault closed the link
+        self.output_dropped = False  # a server has to drop what it holds, too
+
+    def receive(self, data: bytes, now: float | None = None) -> None:
+        """Take in bytes: a whole message where messages have ends, any piece of one on a stream.
+
+        `now` is the time in s for the pauses between pieces on RS-232, if not that of the instrument's clock.
+        """
+        with self.scope.lock:
+            if self._input is not None:
+                data, event = self._input.receive(data, self.scope.clock.now() if now is None else now)
+                if event:
+                    self._drop(event)
+            self._waiting.extend(self._splitter.feed(data, end=self._message_ends))
+
+    def clear(self) -> None:
+        """Device clear (or break): forget input, output and the message at work."""
+        with self.scope.lock:
+            self._splitter.clear()
+            self._waiting.clear()
+            self._answers.clear()
+            self._running = None
+            self.scope.message_available = False
+
+    def _drop(self, event: int) -> None:
+        """An input error: everything on its way in or out is lost."""
+        self.clear()
+        self.output_dropped = True
+        self.scope.status.post(event)
+
+    def break_signal(self) -> None:
+        """A break on RS-232: all is dropped and the unit answers `DCL`."""
+        with self.scope.lock:
+            self.clear()
+            if self._input is not None:
+                self._input.clear()
+            self.output_dropped = True
+            self._answers.append(Delivery(b"DCL" + self._terminator()))
+
+    @property
+    def stopped(self) -> bool:
+        """True while an XOFF from the computer holds the answers back."""
+        return self._input is not None and self._input.output_stopped
+
+    @property
+    def working(self) -> bool:
+        """True while a message waits or is at work."""
+        return self._running is not None or bool(self._waiting)
+
+    def pump(self) -> None:
+        """Carry out what has come in, as far as the clock allows."""
+        with self.scope.lock:
+            while self.scope.powered and self._advance():
+                pass
+
+    def take(self) -> bytes | None:
+        """The oldest answer whose time has come; sets `closed` if the link breaks with it."""
+        with self.scope.lock:
+            if not self._answers or self.stopped or self._answers[0].due > self.scope.clock.now():
+                return None
+            delivery = self._answers.popleft()
+            self.scope.message_available = bool(self._answers)
+            if delivery.command:
+                self.scope.turn_knob(delivery.command)
+            if delivery.closes_link:
+                self.clear()
+                self.closed = True
+            if delivery.power:
+                self.scope.power_off()
+            if delivery.power == "cycle":
+                self.scope.power_on()
+            return delivery.data
+
+    def put_back(self, rest: bytes) -> None:
+        """Keep the unread rest of an answer."""
+        self._answers.appendleft(Delivery(rest))
+        self.scope.message_available = True
+
+    def next_change(self) -> float:
+        """Clock time in s at which `pump` or `take` may have more to do; inf if only new bytes help."""
+        times = [math.inf]
+        if self._answers and not self.stopped:
+            times.append(self._answers[0].due)
+        if self._running is not None:
+            times.append(self.scope.acquisition.next_change())
+        return min(times)
+
+    def wait_for_answer(self, timeout: float) -> bytes | None:
+        """The next answer, or None after `timeout` s on the instrument's clock.
+
+        Where messages have ends, asking for an answer to nothing posts event 420.
+        """
+        clock = self.scope.clock
+        deadline = clock.now() + timeout
+        blamed = not self._message_ends
+        while True:
+            self.pump()
+            answer = self.take()
+            if answer is not None:
+                return answer
+            if not blamed and not self.working and not self._answers:
+                blamed = True
+                with self.scope.lock:
+                    self.scope.status.post(420)
+            now = clock.now()
+            if now >= deadline:
+                return None
+            clock.sleep(min(deadline, self.next_change()) - now + 1e-9)
+
+    def _advance(self) -> bool:
+        """One step of the message at work; False when it has to wait or nothing is left."""
+        if self._running is None:
+            if not self._waiting:
+                return False
+            if self._message_ends and self._answers:
+                self._answers.clear()
+                self.scope.status.post(410)
+            self.scope.message_available = bool(self._answers)
+            message = self._waiting.popleft()
+            self._running = self.scope.execute(message, stream=not self._message_ends)
+        for answer in self._running:
+            if answer is None:
+                return False
+            now = self.scope.clock.now()
+            whole = answer if isinstance(answer, Picture) else answer + self._terminator()
+            self._answers.append(self.scope.faults.deliver(whole, now))
+            self.scope.message_available = True
+        self._running = None
+        return True
+
+    def _terminator(self) -> bytes:
+        if not self._serial:
+            return b"\n"
+        return _TERMINATORS[self.scope.panel.text("RS232:TRANSMIT:TERMINATOR")]

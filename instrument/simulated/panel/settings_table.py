@@ -1,0 +1,254 @@
+"""The settings of the instrument: one row each, in the order in which `SET?` answers them.
+
+A row gives the header as the manual spells it, the kind of value, the factory value, and the places where
+this setting departs from the rule. Source: programmer manual 071-1075-04, chapter 2 and appendix B.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import lru_cache
+
+from instrument.simulated.panel.kinds import (
+    Constant,
+    Kind,
+    NumberedWords,
+    PulseWidth,
+    QuotedWords,
+    Real,
+    Steps,
+    Switch,
+    Value,
+    Whole,
+    Words,
+)
+from instrument.simulated.panel.math_expression import MathExpression
+from instrument.simulated.panel.models import Model
+from instrument.simulated.panel.parsing import Argument
+
+
+@dataclass(frozen=True)
+class Row:
+    """One setting."""
+
+    header: str
+    kind: Kind
+    default: Value = ""
+    aliases: tuple[str, ...] = ()
+    kept: bool = False  # *RST, FACtory and recalled setups leave it alone
+    in_set: bool = True  # part of the answer to SET?
+    in_branch: bool = True  # part of the answer to a branch query
+
+
+def time_steps(fastest: float) -> tuple[float, ...]:
+    """The 1-2.5-5 sequence of s/div from the fastest sweep to 50 s/div.
+
+    Examples
+    --------
+    >>> time_steps(5e-9)[:4], time_steps(5e-9)[-1]
+    ((5e-09, 1e-08, 2.5e-08, 5e-08), 50.0)
+    """
+    steps = (float(f"{digit}e{exponent}") for exponent in range(-9, 2) for digit in ("1", "2.5", "5"))
+    return tuple(step for step in steps if fastest <= step <= 50)
+
+
+CURRENT_PROBES = (0.2, 1.0, 2.0, 5.0, 10.0, 50.0, 100.0, 1000.0)  # A/V
+ENCODINGS = Words("ASCIi", "RIBinary", "RPBinary", "SRIbinary", "SRPbinary")
+UNBOUNDED = 1e12  # rows whose range depends on other settings are forced by panel_rules.py
+
+
+@lru_cache(maxsize=32)
+def setting_rows(model: Model) -> tuple[Row, ...]:
+    """All settings of a model, in the order of `SET?`."""
+    return (
+        *_answer_and_data(model),
+        *_display_and_acquire(),
+        *(row for name in model.channel_names for row in _channel(name, model)),
+        *_horizontal(model),
+        *_trigger(model),
+        *_select_and_cursors(model),
+        *data_logging(model),
+        *_measurement_and_math(model),
+        *limit_test(model),
+        *_hard_copy_and_links(model),
+    )
+
+
+def _answer_and_data(model: Model) -> Iterator[Row]:
+    yield Row("HEADer", Switch(), 1, kept=True)
+    yield Row("VERBose", Switch(), 1, kept=True)
+    yield Row("DATa:ENCdg", ENCODINGS, "RIBINARY", kept=True)
+    references = Words(*model.reference_names)
+    yield Row("DATa:DESTination", references, "REFA", aliases=("DATa:TARget",), kept=True)
+    yield Row("DATa:SOUrce", Words(*model.waveform_names), "CH1", kept=True)
+    yield Row("DATa:STARt", Whole(1, 2500), 1, kept=True)
+    yield Row("DATa:STOP", Whole(1, 2500), 2500, kept=True)
+    yield Row("DATa:WIDth", Whole(1, 2), 1, kept=True)
+    yield Row("LOCk", Words("ALL", "NONe"), "NONE", kept=True)
+
+
+def _display_and_acquire() -> Iterator[Row]:
+    persistence = (("OFF", 0), ("1", 1), ("2", 2), ("5", 5), ("INF", 99))
+    yield Row("DISplay:FORMat", Words("YT", "XY"), "YT")
+    yield Row("DISplay:STYle", Words("DOTs", "VECtors"), "VECTORS")
+    yield Row("DISplay:PERSistence", NumberedWords(persistence), 0)
+    yield Row("DISplay:CONTRast", Whole(1, 100), 50, kept=True)
+    yield Row("DISplay:INVert", Switch(words=True), 0, kept=True)
+    yield Row("ACQuire:MODe", Words("SAMple", "PEAKdetect", "AVErage"), "SAMPLE")
+    averages = Steps((4, 16, 64, 128), whole=True)
+    yield Row("ACQuire:NUMAVg", averages, 16, aliases=("ACQuire:NUMA",))  # NUMA stands in an example, p. 2-7
+    yield Row("ACQuire:STATE", AcquireState(), 1)
+    yield Row("ACQuire:STOPAfter", Words("RUNSTop", "SEQuence"), "RUNSTOP")
+
+
+@dataclass(frozen=True)
+class AcquireState(Switch):
+    """ON, OFF, RUN, STOP or a number."""
+
+    def read(self, argument: Argument) -> int:
+        """1 to run, 0 to stop."""
+        word = argument.text.upper()
+        return int(word == "RUN") if word in ("RUN", "STOP") else super().read(argument)
+
+
+def _channel(name: str, model: Model) -> Iterator[Row]:
+    yield Row(f"{name}:PRObe", Steps(model.probes, whole=not model.letter_series), 10.0)
+    if model.letter_series:
+        yield Row(f"{name}:CURRENTPRObe", Steps(CURRENT_PROBES), 10.0)
+    yield Row(f"{name}:SCAle", Real(2e-3, 5e3, digits=3), 1.0, aliases=(f"{name}:VOLts",))
+    yield Row(f"{name}:POSition", Real(-1000.0, 1000.0, step=0.04), 0.0)
+    yield Row(f"{name}:COUPling", Words("DC", "AC", "GND"), "DC")
+    yield Row(f"{name}:BANdwidth", Switch(words=True), 0)
+    yield Row(f"{name}:INVert", Switch(words=True), 0)
+    if model.letter_series:
+        yield Row(f"{name}:YUNit", QuotedWords("V", "A"), "V")
+
+
+def _horizontal(model: Model) -> Iterator[Row]:
+    steps = Steps(time_steps(model.fastest))
+    main, delay = "HORizontal:MAIn", "HORizontal:DELay"
+    scales = (f"{main}:SECdiv", "HORizontal:SCAle", "HORizontal:SECdiv")
+    yield Row("HORizontal:VIEW", Words("MAIn", "WINDOW", "ZONE"), "MAIN")
+    yield Row("HORizontal:RECOrdlength", Constant("2500"), in_set=False)
+    yield Row(f"{main}:SCAle", steps, 5e-4, aliases=scales)
+    yield Row(f"{main}:POSition", Real(-200, 50), 0.0, aliases=("HORizontal:POSition",))
+    yield Row(f"{delay}:SCAle", steps, 5e-5, aliases=(f"{delay}:SECdiv",))
+    yield Row(f"{delay}:POSition", Real(-200, 50), 0.0)
+
+
+def _trigger(model: Model) -> Iterator[Row]:
+    main = "TRIGger:MAIn"
+    sources = (*model.channel_names, "EXT", "EXT5", *(("EXT10",) if model.series == "TPS" else ()))
+    yield Row(f"{main}:MODe", Words("AUTO", "NORMal"), "AUTO")
+    yield Row(f"{main}:TYPe", Words("EDGE", "VIDeo", "PULse"), "EDGE")
+    yield Row(f"{main}:HOLDOff:VALue", Real(5e-7, 10.0), 5e-7)
+    yield Row(f"{main}:EDGE:SOUrce", Words(*sources, "AC LINE", "LINE"), "CH1")
+    yield Row(f"{main}:EDGE:COUPling", Words("DC", "AC", "HFRej", "LFRej", "NOISErej"), "DC")
+    yield Row(f"{main}:EDGE:SLOpe", Words("RISe", "FALL"), "RISE")
+    yield Row(f"{main}:VIDeo:SOUrce", Words(*sources), "CH1")
+    yield Row(f"{main}:VIDeo:SYNC", Words("LINE", "FIELD", "ODD", "EVEN", "LINENum"), "LINE")
+    yield Row(f"{main}:VIDeo:POLarity", Words("NORMal", "INVert"), "NORMAL")
+    yield Row(f"{main}:VIDeo:LINE", Whole(1, 625), 1)
+    yield Row(f"{main}:VIDeo:STANdard", Words("NTSc", "PAL"), "NTSC")
+    pulse = f"{main}:PULse"
+    yield Row(f"{pulse}:SOUrce", Words(*sources), "CH1")
+    yield Row(f"{pulse}:WIDth:POLarity", Words("POSITIVe", "NEGAtive"), "POSITIVE")
+    yield Row(f"{pulse}:WIDth:WHEN", Words("EQual", "NOTEqual", "INside", "OUTside"), "EQUAL")
+    yield Row(f"{pulse}:WIDth:WIDth", PulseWidth(33e-9, 10.0), 1e-3)
+    yield Row(f"{main}:LEVel", Real(-UNBOUNDED, UNBOUNDED), 0.0)
+
+
+def _select_and_cursors(model: Model) -> Iterator[Row]:
+    for name in model.waveform_names:
+        yield Row(f"SELect:{name}", Switch(), int(name == "CH1"))
+    yield Row("CURSor:FUNCtion", Words("OFF", "HBArs", "VBArs"), "OFF")
+    yield Row("CURSor:SELect:SOUrce", Words(*model.waveform_names), "CH1")
+    yield Row("CURSor:VBArs:UNIts", Words("SECOnds", "HERtz"), "SECONDS")
+    yield Row("CURSor:VBArs:POSITION1", Real(-UNBOUNDED, UNBOUNDED), -2e-3)
+    yield Row("CURSor:VBArs:POSITION2", Real(-UNBOUNDED, UNBOUNDED), 2e-3)
+    yield Row("CURSor:HBArs:POSITION1", Real(-UNBOUNDED, UNBOUNDED), -3.2)
+    yield Row("CURSor:HBArs:POSITION2", Real(-UNBOUNDED, UNBOUNDED), 3.2)
+
+
+def _measurement_and_math(model: Model) -> Iterator[Row]:
+    types: tuple[str, ...] = ("FREQuency", "MEAN", "PERIod", "PK2pk", "CRMs", "MINImum", "MAXImum")
+    types = (*types, "RISe", "FALL", "PWIdth", "NWIdth")
+    if model.series == "C":
+        types = (*types, "RMS", "CURSORRMS")
+    if model.has_power_key:
+        types = (*types, "PHAse")
+    sources = Words(*model.channel_names, *(("MATH",) if model.letter_series else ()))
+    for number in range(1, 6):
+        yield Row(f"MEASUrement:MEAS{number}:TYPe", Words(*types, "NONe"), "NONE")
+        yield Row(f"MEASUrement:MEAS{number}:SOUrce", sources, "CH1")
+    if model.series == "C":
+        yield Row("MEASUrement:METHod", Words("AUTO", "HISTOgram", "MINMax"), "AUTO")
+    immediate = "MEASUrement:IMMed"
+    yield Row(f"{immediate}:TYPe", Words(*types), "PERIOD")
+    first, second = f"{immediate}:SOUrce", f"{immediate}:SOUrce1"
+    if model.letter_series:
+        first, second = second, first  # the answer says SOURCE1 there
+    yield Row(first, sources, "CH1", aliases=(second,))
+    if model.has_power_key:
+        yield Row(f"{immediate}:SOUrce2", sources, "CH2")
+    yield Row("MATH:DEFINE", MathExpression(model.channels, products=model.letter_series), "CH1 - CH2")
+    if model.letter_series:
+        yield Row("MATH:VERtical:POSition", Real(-1000, 1000, step=0.04), 0.0)
+        yield Row("MATH:VERtical:SCAle", Real(1e-6, 1e6, digits=3), 2.0)
+    yield Row("MATH:FFT:HORizontal:POSition", Real(0, 100), 50.0)
+    yield Row("MATH:FFT:HORizontal:SCAle", Steps((1, 2, 5, 10)), 1.0)
+    yield Row("MATH:FFT:VERtical:POSition", Real(-1000, 1000, step=0.04), 0.0)
+    yield Row("MATH:FFT:VERtical:SCAle", Steps((0.5, 1, 2, 5, 10)), 1.0)
+    if model.letter_series:
+        yield Row("AUTORange:STATE", Switch(), 0, in_set=False)
+        yield Row("AUTORange:SETTings", Words("HORizontal", "VERTical", "BOTH"), "BOTH")
+
+
+def data_logging(model: Model) -> Iterator[Row]:
+    """Settings that setup files of the C series show (their words beyond those are guesses)."""
+    if model.series == "C":
+        yield Row("DATALOGging:DURAtion", Whole(30, 1440), 30)
+        yield Row("DATALOGging:SOUrce", Words(*model.channel_names, "MATH"), "CH1")
+
+
+def limit_test(model: Model) -> Iterator[Row]:
+    """The same of the limit test; its settings are kept, no test is made."""
+    if model.series != "C":
+        return
+    sources = Words(*model.channel_names, "MATH")
+    yield Row("LIMit:SOUrce", sources, "CH1")
+    yield Row("LIMit:COMPARE", Words(*model.reference_names), "REFA")
+    yield Row("LIMit:SAVEIMAge", Switch(), 0)
+    yield Row("LIMit:SAVEWFM", Switch(), 0)
+    yield Row("LIMit:STOPAfter:MODe", Words("MANual", "TIMe", "VIOLation", "WAVEform"), "MANUAL")
+    yield Row("LIMit:TEMPLate:DESTination", Words(*model.reference_names), "REFA")
+    yield Row("LIMit:TEMPLate:SOUrce", sources, "CH1")
+    yield Row("LIMit:TEMPLate:TOLerance:HORizontal", Whole(0, 500), 0)
+    yield Row("LIMit:TEMPLate:TOLerance:VERTical", Whole(0, 5000), 0)
+
+
+def _hard_copy_and_links(model: Model) -> Iterator[Row]:
+    printers = ("BUBBLEJet", "DESKJet", "DPU3445", "DPU411", "DPU412", "EPSC60", "EPSC80", "EPSImage")
+    formats = ("BMP", *printers, "EPSOn", "INTERLEAF", "LASERJet", "PCX", "RLE", "THINKjet", "TIFf")
+    ports = ("CENtronics", "RS232", "GPIb", *(("USB",) if model.series in ("B", "C") else ()))
+    languages = ("ENGLish", "FRENch", "GERMan", "ITALian", "SPANish", "JAPAnese", "PORTUguese", "KOREan")
+    yield Row("HARDCopy:FORMat", Words(*formats), "EPSON", kept=True)
+    yield Row("HARDCopy:PORT", Words(*ports), "CENTRONICS", kept=True)
+    if model.has_storage:
+        yield Row("SAVe:IMAge:FILEFormat", Words(*formats), "BMP", kept=True, in_set=False, in_branch=False)
+    yield Row("HARDCopy:LAYout", Words("PORTRait", "LANdscape"), "PORTRAIT", kept=True)
+    yield Row("HARDCopy:INKSaver", Switch(words=True), 1, kept=True)
+    yield Row(
+        "LANGuage",
+        Words(*languages, "TRADitionalchinese", "SIMPlifiedchinese"),
+        "ENGLISH",
+        kept=True,
+    )
+    yield Row(
+        "RS232:BAUd", Steps((300, 600, 1200, 2400, 4800, 9600, 19200), whole=True), 9600, kept=True, in_set=False
+    )
+    yield Row("RS232:SOFTFlagging", Switch(), 0, kept=True, in_set=False)
+    yield Row("RS232:HARDFlagging", Switch(), 1, kept=True, in_set=False)
+    yield Row("RS232:PARity", Words("NONe", "EVEN", "ODD"), "NONE", kept=True, in_set=False)
+    yield Row("RS232:TRANsmit:TERMinator", Words("LF", "CR", "CRLf", "LFCr"), "LF", kept=True, in_set=False)

@@ -1,0 +1,1 @@
+"""The driver of the TDS2014 and its family."""

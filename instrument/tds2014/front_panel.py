@@ -1,0 +1,221 @@
+"""What can be set on the scope: the commands of each group, the values read back, and how close is equal.
+
+`FrontPanel` remembers a group as it was found before the first change in it and can put it back.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from dataclasses import dataclass, field
+
+from instrument import scpi
+from instrument.dialogue.dialogue import Dialogue
+from instrument.errors import ExecutionError, InstrumentError, LinkError, SettingError
+from instrument.tds2014.setups import read_setup, write_setup
+
+Value = str | int | float | bool
+
+# In the order in which they must be put back: PROBE changes SCALE, SCALE limits POSITION.
+CHANNEL_LEAVES = ("PROBE", "SCALE", "POSITION", "COUPLING", "BANDWIDTH", "INVERT")
+HORIZONTAL = (":HORIZONTAL:MAIN:SCALE", ":HORIZONTAL:MAIN:POSITION")
+TRIGGER = (
+    ":TRIGGER:MAIN:MODE",
+    ":TRIGGER:MAIN:TYPE",
+    ":TRIGGER:MAIN:EDGE:SOURCE",
+    ":TRIGGER:MAIN:EDGE:COUPLING",
+    ":TRIGGER:MAIN:EDGE:SLOPE",
+    ":TRIGGER:MAIN:HOLDOFF:VALUE",
+    ":TRIGGER:MAIN:LEVEL",
+)
+CURSOR = tuple(f":CURSOR:{bars}:POSITION{n}" for bars in ("VBARS", "HBARS") for n in (1, 2))
+CURSOR_KIND = (":CURSOR:FUNCTION", ":CURSOR:SELECT:SOURCE", ":CURSOR:VBARS:UNITS")
+MATH = (":MATH:DEFINE", ":SELECT:MATH")
+MEASUREMENT = (":MEASUREMENT:IMMED:TYPE", ":MEASUREMENT:IMMED:SOURCE")
+LOCK = (":LOCK",)
+HARDCOPY = (":HARDCOPY:FORMAT", ":HARDCOPY:PORT")
+ACQUIRE = (":ACQUIRE:MODE", ":ACQUIRE:NUMAVG", ":ACQUIRE:STOPAFTER", ":ACQUIRE:STATE")
+
+# The trigger level is given in volts of its channel, so it follows the channels; the acquisition starts last.
+# Cursors are kept on the screen, so other scales move them: they follow as well.
+_RESTORE_ORDER = (
+    *("CH1", "CH2", "CH3", "CH4", "HORIZONTAL", "TRIGGER", "CURSOR", "CURSOR KIND", "MATH"),
+    *("REFA", "REFB", "REFC", "REFD", "MEASUREMENT", "HARDCOPY", "LOCK", "ACQUIRE"),
+)
+
+_TRUE, _FALSE = ("1", "ON", "RUN"), ("0", "OFF", "STOP")
+
+
+@dataclass(frozen=True)
+class ChannelSettings:
+    """One channel as read back.
+
+    Attributes
+    ----------
+    scale : float
+        V/div at the probe tip (the probe factor is in it).
+    position : float
+        Divisions above the centre.
+    coupling : str
+        ``DC``, ``AC`` or ``GND``.
+    probe : float
+        Attenuation factor, 1 or 10 usually.
+    bandwidth_limit, invert, displayed : bool
+        20 MHz limit; inverted; on the screen (only then can it be read).
+    """
+
+    channel: str
+    scale: float
+    position: float
+    coupling: str
+    probe: float
+    bandwidth_limit: bool
+    invert: bool
+    displayed: bool
+
+
+@dataclass(frozen=True)
+class Change:
+    """One setting to make: command, wanted value, and how far the value read back may differ."""
+
+    command: str
+    wanted: Value
+    tolerance: float = 0.0
+
+
+_GROUPS = {
+    "HORIZONTAL": HORIZONTAL,
+    "TRIGGER": TRIGGER,
+    "CURSOR": CURSOR,
+    "CURSOR KIND": CURSOR_KIND,
+    "MATH": MATH,
+    "MEASUREMENT": MEASUREMENT,
+    "HARDCOPY": HARDCOPY,
+    "LOCK": LOCK,
+    "ACQUIRE": ACQUIRE,
+}
+
+
+def group_commands(group: str) -> tuple[str, ...]:
+    """Commands of a group: ``"CH1"`` to ``"CH4"``, ``"REFA"`` to ``"REFD"``, ``"HORIZONTAL"``, ``"TRIGGER"``..."""
+    if group in _GROUPS:
+        return _GROUPS[group]
+    if group.startswith("REF"):
+        return (f":SELECT:{group}",)
+    return (*(f":{group}:{leaf}" for leaf in CHANNEL_LEAVES), f":SELECT:{group}")
+
+
+def write_value(value: Value) -> str:
+    """A value as the scope takes it: ON/OFF, NR3 or the word itself."""
+    if isinstance(value, bool):
+        return "ON" if value else "OFF"
+    return value if isinstance(value, str) else scpi.nr3(value)
+
+
+def is_on(text: str) -> bool:
+    """Read a boolean answer, which is 1/0 for some commands and ON/OFF for others."""
+    return text.strip().upper() in _TRUE
+
+
+def same_value(wanted: Value, got: str, tolerance: float) -> bool:
+    """Whether the value read back is the one that was set, within `tolerance` (absolute)."""
+    if isinstance(wanted, bool):
+        return got.strip().upper() in (_TRUE if wanted else _FALSE)
+    if isinstance(wanted, str):
+        # A short spelling such as PEAK is answered by the long one.
+        return got.strip().upper().startswith(wanted.upper())
+    # Settings are answered with about seven digits.
+    return abs(scpi.number(got) - wanted) <= tolerance + 1e-6 * abs(wanted)
+
+
+@dataclass
+class FrontPanel:
+    """Makes changes with read-back and remembers how each group was before its first change."""
+
+    dialogue: Dialogue
+    _found: dict[str, tuple[str, ...]] = field(default_factory=dict)
+    _found_setup: str | None = None
+
+    def remember(self, *groups: str) -> None:
+        """Read the groups that have not been changed yet, before they are."""
+        for group in groups:
+            if group not in self._found and (self._found_setup is None or group == "LOCK"):  # no setup holds LOCK
+                self._found[group] = tuple(self.read(group_commands(group)))
+
+    def remember_all(self) -> None:
+        """Read the whole setup, before a command that changes any part of it."""
+        if self._found_setup is None:
+            self._found_setup = read_setup(self.dialogue)
+
+    def read(self, commands: tuple[str, ...]) -> list[str]:
+        """Values of these settings, in one exchange."""
+        return self.dialogue.ask(";".join(f"{command}?" for command in commands), parts=len(commands))
+
+    def change(self, *changes: Change) -> list[str]:
+        """Make the changes and read them back, all in one exchange.
+
+        Raises
+        ------
+        SettingError
+            For the first value that came back different; names command, wanted and got.
+        ScopeEvent
+            If the scope refused a command.
+        """
+        if not changes:
+            return []
+        sets = ";".join(f"{change.command} {write_value(change.wanted)}" for change in changes)
+        queries = ";".join(f"{change.command}?" for change in changes)
+        answers = self.dialogue.checked(f"{sets};{queries};*ESR?", parts=len(changes))
+        for change, got in zip(changes, answers, strict=True):
+            if not same_value(change.wanted, got, change.tolerance):
+                raise SettingError(
+                    f"{change.command.lstrip(':')} was set to {write_value(change.wanted)} but the scope "
+                    f"holds {got}; choose a value that it can take"
+                )
+        return answers
+
+    def restore(self) -> None:
+        """Put every remembered group back as it was found; all are tried, the first error is raised."""
+        first_error: InstrumentError | None = None
+        # The setup holds what was changed before it was remembered; the groups, older, come after it.
+        setup, self._found_setup = self._found_setup, None
+        if setup is not None:
+            try:
+                write_setup(self.dialogue, setup)
+            except LinkError:
+                raise
+            except InstrumentError as error:
+                first_error = error
+        for group in sorted(self._found, key=_RESTORE_ORDER.index):
+            try:
+                self._restore_group(group, self._found[group])
+            except LinkError:
+                raise  # nothing more can be put back
+            except InstrumentError as error:
+                first_error = first_error or error
+        self._found.clear()
+        if first_error is not None:
+            raise first_error
+
+    def _restore_group(self, group: str, values: tuple[str, ...]) -> None:
+        pairs = list(zip(group_commands(group), values, strict=True))
+        if group == "TRIGGER" and "LINE" in values[2]:
+            pairs.pop()  # the mains have no trigger level; setting one is refused (event 221)
+        commands = ";".join(f"{command} {value}" for command, value in pairs)
+        # A scope may refuse to move cursors that it does not show now; nobody misses those.
+        refusable = (ExecutionError,) if group == "CURSOR" else ()
+        with contextlib.suppress(*refusable):
+            self.dialogue.command(commands)
+
+
+def one_of(name: str, value: str, allowed: tuple[str, ...]) -> str:
+    """The allowed word that `value` spells, full or in the scope's short form; SettingError if none."""
+    word = value.strip().upper()
+    for full in allowed:
+        if word and full.startswith(word) and len(word) >= min(3, len(full)):
+            return full
+    raise SettingError(f"{name} cannot be {value!r}; choose one of {', '.join(allowed)}")
+
+
+def optional(command: str, value: Value | None, tolerance: float = 0.0) -> list[Change]:
+    """A change if `value` is given, else none."""
+    return [] if value is None else [Change(command, value, tolerance)]

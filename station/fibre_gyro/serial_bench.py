@@ -1,0 +1,188 @@
+"""The real bench of a fibre gyro: its serial link, and a rate table that an operator turns."""
+
+from __future__ import annotations
+
+import sys
+import tomllib
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any
+
+from instrument import InstrumentError
+from instrument.fibre_gyro import FibreGyroLink, FrameFormat, Recording, parse_frame_format
+from instrument.rate_table import ManualRateTable, RateTable
+from station.errors import SettingsError, UsageError
+from station.fibre_gyro.campaign import FogBench, PlannedSegment
+from station.fibre_gyro.settings import FogSettings
+from station.settings.load import shipped_settings
+
+Ask = Callable[[str], str]
+
+
+class SerialFogBench:
+    """A gyro on a serial link, and a table.
+
+    Parameters
+    ----------
+    link : FibreGyroLink
+    table : RateTable
+        Turned only for segments that name a rate.
+    ask : callable
+        Asks the operator to change what cannot be commanded: the axis, the power, the temperature.
+    """
+
+    _BY_HAND = ("axis", "end_up", "run", "temperature_c")
+
+    def __init__(self, link: FibreGyroLink, table: RateTable, ask: Ask) -> None:
+        self._link, self._table, self._ask = link, table, ask
+        self._by_hand: tuple[Any, ...] = ()
+        self._rate = 0.0
+        self._step = 0.0
+        self._held = False
+
+    def refuses(self, planned: PlannedSegment) -> str:
+        """Steps beyond what the frame format can express, commands that the gyro does not have."""
+        layout, wanted = self._link.layout, planned.conditions
+        if "loop" in wanted and "hold_feedback" not in layout.commands:
+            return "the frame format of this gyro has no command hold_feedback"
+        step = float(wanted.get("step_codes", 0.0))
+        lowest, highest = layout.step_range
+        if not lowest <= step <= highest:
+            return (
+                f"a step of {step:+.6g} codes cannot be injected, the gyro takes {lowest:g} to {highest:g}: "
+                "choose a smaller rate"
+            )
+        return ""
+
+    def prepare(self, planned: PlannedSegment) -> dict[str, Any]:
+        """Turn, inject, hold the feedback; return the rate and the step that were reached."""
+        wanted = planned.conditions
+        self._set_by_hand(wanted)
+        reached: dict[str, Any] = {}
+        rate = float(wanted["rate_dps"])
+        if rate != self._rate:
+            self._table.set_rate(rate)
+            self._rate = rate
+        if rate:
+            reached["table_rate_dps"] = self._table.rate()
+        self._set_loop(wanted.get("loop") == "held")
+        if "step_codes" in wanted:
+            reached |= self._inject(float(wanted["step_codes"]), wanted)
+        if not self._link.acknowledges and ("step_codes" in wanted or "loop" in wanted):
+            reached["acknowledged"] = False
+        return reached
+
+    def record(self, planned: PlannedSegment, progress: Callable[[float], None]) -> Recording:
+        """Record from the link."""
+        return self._link.record(planned.seconds, skip_s=planned.settle_s, progress=progress)
+
+    def leave(self) -> None:
+        """Take the injection away, close the loop and stop the table; never raises."""
+        for undo in (self._stop_injecting, lambda: self._set_loop(False), self._stop_turning):
+            with suppress(InstrumentError, OSError):
+                undo()
+
+    def _set_by_hand(self, wanted: Any) -> None:
+        now = tuple(wanted.get(name) for name in self._BY_HAND)
+        if now == self._by_hand or now == (None,) * len(now):
+            return
+        self._by_hand = now
+        axis, end_up, run, temperature = now
+        asked = [f"Bring axis {axis} of the gyro to the table's axis, {'up' if end_up != -1 else 'upside down'}."]
+        if run is not None:
+            asked.append(f"For {run}: switch the gyro off, let it take {temperature:g} deg C, switch it on.")
+        self._ask("\n".join([*asked, "Press Enter when done: "]))
+
+    def _set_loop(self, held: bool) -> None:
+        if held != self._held:
+            if held:
+                self._link.hold_feedback()
+            else:
+                self._link.close_loop()
+            self._held = held
+
+    def _inject(self, step: float, wanted: Any) -> dict[str, float]:
+        """Inject a step; the number that was really sent replaces the one that was wanted."""
+        sent = self._link.inject(step) if step or self._step else 0.0
+        self._step = sent
+        reached = {"step_codes": sent}
+        if step and "number" in wanted:
+            reached["number"] = float(wanted["number"]) * sent / step
+        return reached
+
+    def _stop_injecting(self) -> None:
+        if self._step:
+            self._link.inject(0.0)
+
+    def _stop_turning(self) -> None:
+        if self._rate:
+            self._table.close()
+
+
+def read_frame_format(settings: FogSettings) -> FrameFormat:
+    """Find and parse the frame format that the settings name.
+
+    Raises
+    ------
+    SettingsError
+        There is no such file or no such format.
+    InstrumentError
+        The description is wrong.
+    """
+    name, given = settings.link.frame_format, settings.link.frame_format_file
+    file = Path(given) if given else shipped_settings("fibre_gyro_frames")
+    try:
+        formats = tomllib.loads(file.read_text(encoding="utf-8")).get("formats", {})
+    except OSError as error:
+        raise SettingsError(f"{file}: cannot be read ({error.strerror})") from None
+    except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise SettingsError(f"{file}: is not valid TOML: {error}") from None
+    if name not in formats:
+        there = ", ".join(formats) or "none"
+        raise SettingsError(f"{file}: there is no [formats.{name}]; link.frame_format can be: {there}")
+    return parse_frame_format(formats[name], where=f"formats.{name}")
+
+
+@contextmanager
+def open_fog_bench(settings: FogSettings) -> Iterator[FogBench]:
+    """Open the bench that the settings describe; afterwards the injection is off and the loop is closed.
+
+    Parameters
+    ----------
+    settings : FogSettings
+
+    Raises
+    ------
+    InstrumentError
+        The port cannot be opened.
+    SettingsError
+        The frame format cannot be read.
+    """
+    if settings.simulated:
+        from station.fibre_gyro.simulated_bench import SimulatedFogBench
+
+        yield SimulatedFogBench(settings)
+        return
+    layout = read_frame_format(settings)
+    with FibreGyroLink(settings.link.port, layout, speed=settings.link.speed) as link:
+        bench = SerialFogBench(link, ManualRateTable(ask=ask_operator), ask_operator)
+        try:
+            yield bench
+        finally:
+            bench.leave()
+
+
+def ask_operator(question: str) -> str:
+    """Ask on stderr, since stdout belongs to the result; UsageError if there is no terminal to ask on."""
+    if not sys.stdin.isatty():
+        raise UsageError(
+            "an operator must turn the table and the gyro, and there is no terminal to ask on: start it in a "
+            "terminal"
+        )
+    sys.stderr.write(f"\n{question}")
+    sys.stderr.flush()
+    answer = sys.stdin.readline()
+    if not answer:
+        raise UsageError("the terminal was closed while the operator was asked")
+    return answer

@@ -1,0 +1,118 @@
+"""The simulated gyro behind a serial port, for practice and for tests: the model of the output words as frames."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.fibre_gyro.loop.output_model import OutputModel
+from analysis.rotation import EARTH_RATE_DPS
+from instrument.fibre_gyro import FrameFormat
+from instrument.simulated.fibre_gyro.server import PtyGyroServer, TcpGyroServer
+from station.errors import UsageError
+from station.fibre_gyro.settings import FogSettings
+from station.fibre_gyro.simulated_bench import loop_settings
+
+
+class ServedGyro:
+    """What a gyro server asks for numbers: output words of the settings' gyro at a rate that can be changed.
+
+    Parameters
+    ----------
+    settings : FogSettings
+    interval_s : float
+        Between two output words.
+
+    Attributes
+    ----------
+    rate_dps : float
+        Rate of the table, deg/s; the vertical earth rate is added to it.
+    temperature_c : float
+    """
+
+    def __init__(self, settings: FogSettings, interval_s: float) -> None:
+        self.rate_dps = 0.0
+        self.temperature_c = settings.figures.reference_temperature_c
+        self._settings, self._interval_s = settings, interval_s
+        simulation = settings.simulation
+        self._loop = loop_settings(settings)
+        coil = settings.coil.scaled(1 + 1e-6 * simulation.scale_change_ppm)
+        self._model = OutputModel(coil, self._loop, simulation.seed)
+        self._earth = EARTH_RATE_DPS * np.sin(np.deg2rad(settings.site.latitude_deg))
+        self._step, self._held = 0.0, False
+
+    def samples(self, count: int) -> Mapping[str, NDArray[np.float64]]:
+        """The next output words, in counts."""
+        block = self._model.run(
+            count,
+            output_period_s=self._interval_s,
+            rate_dps=self.rate_dps + self._earth,
+            injected_step=self._step,
+            closed=not self._held,
+        )
+        gyro = self._settings.gyro
+        resolution = gyro.output_resolution or 1.0
+        counts = resolution * np.round(gyro.counts_per_code * block.counts / resolution)
+        return {
+            "counts": counts,
+            "temperature": np.full(count, self.temperature_c),
+            "normal_error": np.nan_to_num(block.normal_error),
+            "reset_error": np.nan_to_num(block.reset_error),
+        }
+
+    def command(self, name: str, step: float) -> None:
+        """Inject, hold the feedback, open or close the loop; ValueError for a step beyond the converter."""
+        if name != "inject":
+            self._held = name != "close_loop"
+        elif abs(step) > self._loop.largest_step:
+            raise ValueError(f"a step of {step:g} codes is beyond the converter")
+        else:
+            self._step = step
+
+
+@contextmanager
+def serve_gyro(
+    settings: FogSettings,
+    layout: FrameFormat,
+    *,
+    tcp_port: int | None = None,
+    speed: float = 1.0,
+    rate_dps: float = 0.0,
+) -> Iterator[str]:
+    """Serve the simulated gyro until the context ends.
+
+    Parameters
+    ----------
+    settings : FogSettings
+    layout : FrameFormat
+    tcp_port : int, optional
+        0: any free port. Without one a serial terminal.
+    speed : float, optional
+        Seconds of the gyro's time in one second.
+    rate_dps : float, optional
+        Of the table.
+
+    Yields
+    ------
+    str
+        What ``--port`` takes.
+
+    Raises
+    ------
+    UsageError
+        The system has no such terminal, or the port is taken.
+    """
+    model = ServedGyro(settings, layout.interval_s)
+    model.rate_dps = rate_dps
+    try:
+        if tcp_port is None:
+            server: PtyGyroServer | TcpGyroServer = PtyGyroServer(model, layout, speed=speed)
+        else:
+            server = TcpGyroServer(model, layout, tcp_port=tcp_port, speed=speed)
+    except OSError as error:
+        raise UsageError(f"the simulated gyro cannot be served: {error.strerror or error}") from None
+    with server:
+        yield server.port

@@ -1,0 +1,1 @@
+"""Rate-table run of a fibre gyro."""

@@ -1,0 +1,1 @@
+"""The modulator's staircase, seen by the oscilloscope."""

@@ -1,0 +1,1 @@
+"""Measurement 1: the lock-in rate of a ring laser gyro."""

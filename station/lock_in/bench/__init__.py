@@ -1,0 +1,1 @@
+"""The bench of the ring laser gyro: real or simulated."""

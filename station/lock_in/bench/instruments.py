@@ -1,0 +1,206 @@
+"""Gyro, rate table and oscilloscope of the simulated bench, on one clock."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.ring_laser import (
+    Detector,
+    Gyro,
+    Segment,
+    Winking,
+    axis_rate_on_table,
+    beat_signal_on_table,
+    harmonic_ratio,
+    with_detector_noise,
+)
+from instrument.simulated import SimulatedTDS2014
+from instrument.simulated.clock import Clock
+from station.errors import UsageError
+from station.lock_in.bench.turning_table import TurningTable
+from station.lock_in.settings import ContaminantSettings
+from station.settings.load import Settings, SimulationSettings
+
+Array = NDArray[np.float64]
+
+_TRUTH_POINTS = 201
+_TURN_POINTS = 181
+
+
+@dataclass(frozen=True)
+class SimulatedInstruments:
+    """Everything on the simulated bench, before it is put behind a link."""
+
+    clock: Clock
+    table: TurningTable
+    gyro: Gyro
+    detector: Detector
+    scope: SimulatedTDS2014
+
+
+def slow_table_rate(settings: Settings, simulation: SimulationSettings) -> float:
+    """Return the table rate in deg/s that gives the slow rate on the axis of the simulated gyro."""
+    wanted = settings.gyro.expected_lock_in_rate_dps * settings.table.slow_rate_over_lock_in
+    return wanted / math.cos(math.radians(simulation.tilt_deg))
+
+
+def at_slow_rate(settings: Settings) -> Settings:
+    """Return settings of a bench whose table turns at the slow rate from the beginning."""
+    return settings.model_copy(update={"table": settings.table.model_copy(update={"kind": "none"})})
+
+
+def build_instruments(settings: Settings, clock: Clock) -> SimulatedInstruments:
+    """Put gyro, table and oscilloscope together, as the settings and their seed say.
+
+    Parameters
+    ----------
+    settings : Settings
+        With ``simulation``; with ``table.kind = "none"`` the table turns at the slow rate already.
+    clock : Clock
+        The time of all of them.
+
+    Returns
+    -------
+    SimulatedInstruments
+
+    Raises
+    ------
+    UsageError
+        If the settings describe a real bench only, or a model that does not exist.
+    """
+    simulation = settings.simulation
+    if simulation is None:
+        raise UsageError("these settings describe a real bench: there is no [simulation] in them")
+    start = np.random.default_rng([simulation.seed, 0x6B])
+    turning = slow_table_rate(settings, simulation) if settings.table.kind == "none" else 0.0
+    table = TurningTable(
+        clock,
+        acceleration=simulation.table_acceleration_dps2,
+        azimuth=float(start.uniform(0.0, 360.0)),
+        rate=turning,
+    )
+    gyro = _gyro(settings, simulation, float(start.uniform(0.0, 2 * math.pi)))
+    detector = _detector(simulation)
+    if detector.filtered or gyro.winking is not None:
+        table.when_steady = lambda segment: _prepare(gyro, detector, table, segment)
+    signals = {settings.scope.channel: _signal(gyro, detector, table, simulation, 0)}
+    if settings.scope.quadrature_channel:
+        cosine = _cosine_detector(detector, simulation.contaminants)
+        signals[settings.scope.quadrature_channel] = _signal(gyro, cosine, table, simulation, 1)
+    try:
+        scope = SimulatedTDS2014(
+            {int(channel[2:]): signal for channel, signal in signals.items()},
+            model=simulation.scope_model,
+            clock=clock,
+            noise_levels=simulation.scope_noise_levels,
+            seed=simulation.seed,
+        )
+    except ValueError as error:
+        raise UsageError(f"simulation.scope_model: {error}") from None
+    return SimulatedInstruments(clock, table, gyro, detector, scope)
+
+
+def _prepare(gyro: Gyro, detector: Detector, table: TurningTable, segment: Segment) -> None:
+    """Work out the beat of a whole turn beforehand: the scope must not keep a program waiting for it."""
+    turn_s = 360.0 / max(abs(segment.rate_dps), 1e-3)
+    beat_signal_on_table(gyro, detector, table.motion, segment.start + np.linspace(0.0, turn_s, _TURN_POINTS))
+
+
+def _gyro(settings: Settings, simulation: SimulationSettings, start_phase: float) -> Gyro:
+    added = simulation.contaminants
+    scale_factor = settings.gyro.scale_factor_pulses_per_deg * (1 + 1e-6 * added.scale_factor_error_ppm)
+    winking = None
+    if added.gain_corner_hz > 0 and simulation.lock_in_rate_dps > 0:
+        winking = Winking(
+            scale_factor,
+            simulation.lock_in_rate_dps,
+            gain_corner_hz=added.gain_corner_hz,
+            phase_sum=math.radians(added.backscatter_phase_sum_deg),
+            cross_saturation=added.cross_saturation,
+        )
+    return Gyro(
+        scale_factor=scale_factor,
+        lock_in_rate=simulation.lock_in_rate_dps,
+        backscatter_phase=math.radians(simulation.backscatter_phase_deg),
+        tilt_deg=simulation.tilt_deg,
+        latitude_deg=settings.site.latitude_deg,
+        north_azimuth_deg=settings.table.north_azimuth_deg,
+        start_phase=start_phase,
+        scale_factor_drift_ppm_per_hour=added.scale_factor_drift_ppm_per_hour,
+        ripple_dps=added.rate_ripple_dps,
+        ripple_hz=added.rate_ripple_hz,
+        winking=winking,
+    )
+
+
+def _detector(simulation: SimulationSettings) -> Detector:
+    added = simulation.contaminants
+    return Detector(
+        readout_phase=math.radians(simulation.readout_phase_deg),
+        amplitude=simulation.amplitude_v,
+        offset=simulation.offset_v,
+        # s^2 of a sine of amplitude 1 has the second harmonic 1/2, s^3 the third harmonic 1/4
+        second_order=2 * _share(added.second_harmonic_dbc),
+        third_order=4 * _share(added.third_harmonic_dbc),
+        low_pass_hz=added.bandwidth_hz,
+        ac_corner_hz=added.ac_corner_hz,
+        pump_ripple=added.pump_ripple,
+        pump_hz=added.pump_ripple_hz,
+        single_beams=added.single_beams,
+    )
+
+
+def _cosine_detector(sine: Detector, added: ContaminantSettings) -> Detector:
+    """The second photodiode, a quarter of a fringe further, as unequal to the first one as the settings say."""
+    return replace(
+        sine,
+        readout_phase=sine.readout_phase + math.pi / 2 + math.radians(added.quadrature_phase_error_deg),
+        amplitude=sine.amplitude * (1 + added.quadrature_gain_error),
+    )
+
+
+def _share(dbc: float | None) -> float:
+    return 0.0 if dbc is None else 10 ** (dbc / 20)
+
+
+def _signal(
+    gyro: Gyro, detector: Detector, table: TurningTable, simulation: SimulationSettings, channel: int
+) -> Callable[[Array], Array]:
+    def silent(times: Array) -> Array:
+        return beat_signal_on_table(gyro, detector, table.motion, times)
+
+    return with_detector_noise(silent, simulation.detector_noise_v, simulation.seed, channel)
+
+
+def true_values(instruments: SimulatedInstruments) -> dict[str, float]:
+    """Return what the last record should give, with the names of the results.
+
+    Parameters
+    ----------
+    instruments : SimulatedInstruments
+
+    Returns
+    -------
+    dict
+        Means over the time of the record; empty if there is no record.
+    """
+    with instruments.scope.lock:
+        record = instruments.scope.acquisition.record
+    if record is None:
+        return {}
+    gyro, duration = instruments.gyro, 2500 * record.xincr
+    times = record.starts[-1] + np.linspace(0.0, duration, _TRUTH_POINTS)
+    rates = axis_rate_on_table(gyro, instruments.table.motion, times)
+    return {
+        "lock_in_rate_dps": gyro.lock_in_rate,
+        "input_rate_dps": float(np.mean(np.abs(rates))),
+        "beat_frequency_hz": float(np.mean(np.abs(gyro.beat_frequency(rates) * gyro.drift(times)))),
+        "ratio": float(np.mean(harmonic_ratio(rates, gyro.lock_in_rate))),
+        "backscatter_phase_rad": gyro.backscatter_phase - instruments.detector.readout_phase,
+        "amplitude_v": instruments.detector.amplitude,
+    }

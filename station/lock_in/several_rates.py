@@ -1,0 +1,225 @@
+"""Records of one run at several rates: each rate by itself, and one fit to all of them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis import (
+    FATAL,
+    Flag,
+    LockInEstimate,
+    RatesFit,
+    RatesFlag,
+    combine_estimates,
+    fit_rates,
+)
+from analysis.frequency_method import FrequencyFit, fit_frequencies
+from analysis.several_rates.ratio_model import Reference
+from station.lock_in.table_check import AxisRates, TableCheck
+from station.runs.store import SavedRecord
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class RateGroup:
+    """The records at one rate of the table.
+
+    Attributes
+    ----------
+    table_rate : float
+        deg/s, signed.
+    input_rate : float
+        Mean rate on the gyro's axis by the table, deg/s, signed.
+    over_lock_in : float or None
+        What was asked for, in expected lock-in rates.
+    rows : tuple of int
+        Which of the records they are.
+    combined : LockInEstimate
+        Fields of shape (): what this rate says alone.
+    """
+
+    table_rate: float
+    input_rate: float
+    over_lock_in: float | None
+    rows: tuple[int, ...]
+    combined: LockInEstimate
+
+
+@dataclass(frozen=True)
+class SeveralRates:
+    """What records at several rates, or in both senses, say together.
+
+    Attributes
+    ----------
+    groups : tuple of RateGroup
+        From the fastest in the positive sense to the fastest in the negative one.
+    by_beat, by_table : RatesFit or None
+        Fit with the beat frequency, and with the table, as reference; ``None`` where it is not possible.
+    by_frequency : FrequencyFit or None
+        The other route: beat frequency against rate, without harmonics, scale factor free.
+    problem : str
+        Why there is no fit by the beat.
+    without_beat : tuple of str
+        Rates that gave no record.
+    """
+
+    groups: tuple[RateGroup, ...]
+    by_beat: RatesFit | None
+    by_table: RatesFit | None
+    by_frequency: FrequencyFit | None = None
+    problem: str = ""
+    without_beat: tuple[str, ...] = ()
+
+    @property
+    def reference_group(self) -> RateGroup:
+        """The rate that determines the lock-in rate best; it stands for all where one value is asked for."""
+
+        def relative_u(group: RateGroup) -> float:
+            one = group.combined
+            relative = float(one.lock_in_rate_u) / max(float(one.lock_in_rate), 1e-300)
+            return relative if math.isfinite(relative) else math.inf
+
+        return min(self.groups, key=relative_u)
+
+
+def at_several_rates(records: Sequence[SavedRecord]) -> bool:
+    """Tell whether a run went through several rates, or through both senses of one."""
+    return len({record.conditions.get("table_rate_dps") for record in records}) > 1
+
+
+def evaluate_rates(
+    records: Sequence[SavedRecord], each: LockInEstimate, axis: AxisRates, without_beat: Sequence[str] = ()
+) -> SeveralRates:
+    """Combine the records at each rate, and fit all of them.
+
+    Parameters
+    ----------
+    records : sequence of SavedRecord
+        With ``table_rate_dps`` among their conditions.
+    each : LockInEstimate
+        Fields of shape (n_records,), self-referenced.
+    axis : AxisRates
+        Of the same records.
+    without_beat : sequence of str, optional
+        Rates that gave no record.
+
+    Returns
+    -------
+    SeveralRates
+    """
+    table = np.array([float(record.conditions["table_rate_dps"]) for record in records])
+    groups = []
+    for rate in sorted(set(table), reverse=True):
+        rows = np.flatnonzero(table == rate)
+        asked = records[rows[0]].conditions.get("over_lock_in")
+        mean = float(np.mean(axis.rates[rows]))
+        groups.append(RateGroup(float(rate), mean, asked, tuple(rows.tolist()), combine_estimates(each[rows])))
+    # shared by the records at one rate: their mean is no better than one of them
+    counts = np.array([np.count_nonzero(table == rate) for rate in table])
+    rates_u = axis.azimuth_u * np.sqrt(counts)
+    by_beat, problem = _fit(each, axis, rates_u, "beat")
+    by_table, _ = _fit(each, axis, rates_u, "rate")
+    by_frequency = _frequencies(each, axis, rates_u)
+    return SeveralRates(tuple(groups), by_beat, by_table, by_frequency, problem, tuple(without_beat))
+
+
+def _frequencies(each: LockInEstimate, axis: AxisRates, rates_u: Array) -> FrequencyFit | None:
+    """Fit the beat frequencies; with one sense alone a bias rate cannot be told from the rest."""
+    usable = each.usable
+    both = len(set(np.sign(axis.rates[usable]))) == 2
+    frequency = np.where(usable, each.beat_frequency, np.nan)
+    try:
+        return fit_frequencies(axis.rates, frequency, each.beat_frequency_u, input_rate_u=rates_u, bias=both)
+    except ValueError:
+        return None
+
+
+def _fit(
+    each: LockInEstimate, axis: AxisRates, rates_u: Array, reference: Reference
+) -> tuple[RatesFit | None, str]:
+    try:
+        return fit_rates(each, input_rate=axis.rates, input_rate_u=rates_u, reference=reference), ""
+    except ValueError as error:
+        return None, str(error)
+
+
+def combined_estimate(several: SeveralRates) -> LockInEstimate:
+    """Return the result of the fit in the form that a result at one rate has.
+
+    Parameters
+    ----------
+    several : SeveralRates
+
+    Returns
+    -------
+    LockInEstimate
+        Fields of shape (). Lock-in rate and phase are those of the fit by the beat; beat frequency, ratio and the
+        like those of the rate that determines it best.
+    """
+    one, fit = several.reference_group.combined, several.by_beat
+    rejected = sum(int(group.combined.records_rejected) for group in several.groups)
+    total = sum(len(group.rows) for group in several.groups)
+    counts: dict[str, Any] = {"records": np.asarray(total - rejected), "records_rejected": np.asarray(rejected)}
+    if fit is None:
+        nothing: dict[str, Any] = dict.fromkeys(
+            ("lock_in_rate", "lock_in_rate_u", "lock_in_rate_low_95", "lock_in_rate_high_95"), np.asarray(np.nan)
+        )
+        return replace(one, **nothing, **counts)
+    return replace(
+        one,
+        lock_in_rate=np.asarray(fit.lock_in_rate),
+        lock_in_rate_u=np.asarray(fit.lock_in_rate_u),
+        lock_in_rate_low_95=np.asarray(fit.lock_in_rate_low_95),
+        lock_in_rate_high_95=np.asarray(fit.lock_in_rate_high_95),
+        backscatter_phase=np.asarray(fit.backscatter_phase),
+        flags=np.asarray(_flags(several, fit)),
+        noise_model=fit.noise_model,
+        **counts,
+    )
+
+
+def _flags(several: SeveralRates, fit: RatesFit) -> int:
+    """Flags of the records, except those that the fit answers better than a record can."""
+    answered = int(Flag.MISFIT | Flag.RATIO_NOT_SIGNIFICANT | FATAL)
+    flags = 0
+    for group in several.groups:
+        flags |= int(group.combined.flags) & ~answered
+    if fit.flags & (RatesFlag.MISFIT | RatesFlag.ONE_RATE_DISAGREES):
+        flags |= Flag.MISFIT
+    if fit.flags & (RatesFlag.NOT_SIGNIFICANT | RatesFlag.NOT_DETERMINED | RatesFlag.RATES_TOO_CLOSE):
+        flags |= Flag.RATIO_NOT_SIGNIFICANT
+    return int(flags)
+
+
+def rates_table_check(several: SeveralRates, axis: AxisRates) -> TableCheck | None:
+    """Compare the fit by the beat with that by the table.
+
+    Parameters
+    ----------
+    several : SeveralRates
+    axis : AxisRates
+        Of the same records.
+
+    Returns
+    -------
+    TableCheck or None
+        ``None`` if one of the two is missing.
+    """
+    fit = several.by_table
+    if fit is None or several.by_beat is None:
+        return None
+    mismatch = fit.rate_mismatch[np.isfinite(fit.rate_mismatch)]
+    common = fit.lock_in_rate * float(np.median(axis.common_u))
+    return TableCheck(
+        lock_in_rate=fit.lock_in_rate,
+        lock_in_rate_u=math.hypot(fit.lock_in_rate_u, common),
+        input_rate=several.reference_group.input_rate,
+        beat_over_table=1.0 + float(np.median(mismatch)) if mismatch.size else math.nan,
+    )

@@ -1,0 +1,1 @@
+"""Showing a result: page, figures, terminal."""

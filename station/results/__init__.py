@@ -1,0 +1,1 @@
+"""What a result consists of, whatever was measured."""

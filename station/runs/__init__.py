@@ -1,0 +1,1 @@
+"""Saved runs: keeping what was taken, whatever happens."""

@@ -1,0 +1,303 @@
+"""Choose time base and vertical scale from trial records, as an operator would with the knobs."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from analysis import FATAL, Flag, estimate_lock_in
+from instrument import TDS2014, SettingError, Waveform
+from station.errors import NoUsableSignal
+from station.settings.load import MeasurementSettings, ScopeSettings
+
+POINTS = 2500
+DIVISIONS = 10
+LEVELS_PER_DIVISION = 25
+_TRIALS_MAX = 30
+# From here on, s/div, the scope scans in AUTO, without a trigger (user manual 071-1064-00, p. 78). The
+# slowest trial stays below; a beat of which it holds fewer than 3 periods, below 6 Hz, is not looked for.
+_SCAN_FROM_S = 0.1
+_SLOWEST_S = 0.05
+
+# 1-2.5-5 steps of the time base, s/div (programmer manual 071-1075-04, HORizontal:MAIn:SCAle)
+TIME_BASES = tuple(float(f"{mantissa}e{decade}") for decade in range(-9, 2) for mantissa in (1, 2.5, 5))
+# 1-2-5 steps of the vertical scale at the input, V/div (programmer manual 071-1075-04, CH<x>:SCAle)
+VERTICAL_SCALES = (0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0)
+
+
+@dataclass(frozen=True)
+class ScopeSetting:
+    """How the scope was set to see the beat.
+
+    Attributes
+    ----------
+    seconds_per_division, volts_per_division : float
+    position : float
+        Vertical position, divisions.
+    trigger_level : float
+        V.
+    beat_frequency : float
+        Hz, of the last trial record.
+    """
+
+    seconds_per_division: float
+    volts_per_division: float
+    position: float
+    trigger_level: float
+    beat_frequency: float
+
+
+@dataclass(frozen=True)
+class VerticalSetting:
+    """Vertical scale in V/div and position in divisions."""
+
+    scale: float
+    position: float = 0.0
+
+
+def time_base_for(frequency: float, periods_min: float, samples_per_period_min: float) -> float:
+    """Choose the time base for a beat.
+
+    Parameters
+    ----------
+    frequency : float
+        Hz.
+    periods_min : float
+        Periods that the record shall hold at least.
+    samples_per_period_min : float
+        Goes before ``periods_min``.
+
+    Returns
+    -------
+    float
+        s/div, the fastest step of the scope that holds the periods.
+
+    Examples
+    --------
+    >>> time_base_for(160.0, periods_min=30, samples_per_period_min=20)
+    0.025
+    """
+    longest = POINTS / (DIVISIONS * frequency * samples_per_period_min)
+    shortest = periods_min / (DIVISIONS * frequency)
+    sampled = [base for base in TIME_BASES if base <= longest * (1 + 1e-9)] or [TIME_BASES[0]]
+    return next((base for base in sampled if base >= shortest * (1 - 1e-9)), sampled[-1])
+
+
+def next_vertical(
+    waveform: Waveform, current: VerticalSetting, fill_levels: float, probe: int
+) -> VerticalSetting | None:
+    """Choose a better vertical setting, if there is one.
+
+    Parameters
+    ----------
+    waveform : Waveform
+        Taken with ``current``.
+    current : VerticalSetting
+    fill_levels : float
+        Levels that the signal shall reach on both sides of the screen's centre.
+    probe : int
+        Attenuation of the probe.
+
+    Returns
+    -------
+    VerticalSetting or None
+        ``None`` if the record fills the screen well.
+    """
+    low_limit, high_limit = VERTICAL_SCALES[0] * probe, VERTICAL_SCALES[-1] * probe
+    valid = np.isfinite(waveform.volts)
+    if not valid.any():
+        return None
+    codes, volts = waveform.codes[valid].astype(int), waveform.volts[valid]
+    lowest, highest = int(codes.min()), int(codes.max())
+    if waveform.clipped:
+        # all of it beyond one edge tells nothing but the side: look from much farther away
+        factor = 5 if highest - lowest < 20 else 2
+        wider = VerticalSetting(min(current.scale * factor, high_limit), 0.0)
+        return None if wider == current else wider
+    low, high = float(volts.min()), float(volts.max())
+    half_span = max((high - low) / 2, 1.5 * current.scale / LEVELS_PER_DIVISION)
+    scale = min(max(_two_digits_up(half_span * LEVELS_PER_DIVISION / fill_levels), low_limit), high_limit)
+    # the position moves in steps of a level
+    position = round(-(low + high) / 2 / scale * LEVELS_PER_DIVISION) / LEVELS_PER_DIVISION
+    well_filled = (
+        0.85 * fill_levels <= (highest - lowest) / 2 <= 1.05 * fill_levels
+        and abs(highest + lowest) / 2 <= 0.1 * fill_levels
+    )
+    wanted = VerticalSetting(scale, position)
+    unchanged = math.isclose(scale, current.scale, rel_tol=0.02) and abs(position - current.position) < 0.1
+    return None if well_filled or unchanged else wanted
+
+
+def find_beat(
+    scope: TDS2014, settings: ScopeSettings, measurement: MeasurementSettings, start: ScopeSetting | float
+) -> ScopeSetting:
+    """Set the scope so that a record shows the beat well.
+
+    Parameters
+    ----------
+    scope : TDS2014
+    settings : ScopeSettings
+    measurement : MeasurementSettings
+    start : ScopeSetting or float
+        Where to begin: an earlier setting, whose vertical part is kept and whose frequency is looked for, or
+        the highest frequency in Hz that the beat may have.
+
+    Returns
+    -------
+    ScopeSetting
+
+    Raises
+    ------
+    NoUsableSignal
+        If no beat is found.
+    """
+    search = _Search(scope, settings, measurement)
+    if isinstance(start, ScopeSetting):
+        search.vertical = VerticalSetting(start.volts_per_division, start.position)
+        highest = start.beat_frequency
+    else:
+        search.fit_vertical()
+        highest = start
+    # begin with few periods: at 500 samples a period nothing can be aliased
+    search.set_time_base(time_base_for(highest, 5, 100))
+    for _ in range(_TRIALS_MAX):
+        waveform = scope.acquire(settings.channel)
+        seen = _beat_frequency(waveform)
+        if seen is None:
+            search.set_time_base(_slower(search.base))
+            continue
+        if search.improve_vertical(waveform):
+            continue
+        wanted = time_base_for(seen, measurement.periods_min, measurement.samples_per_period_min)
+        if math.isclose(wanted, search.base, rel_tol=1e-3):
+            return search.found(seen)
+        search.set_time_base(wanted)
+    raise NoUsableSignal(
+        f"no steady beat on {settings.channel} after {_TRIALS_MAX} trial records: "
+        "is the gyro running and the table turning?"
+    )
+
+
+def fit_channel(
+    scope: TDS2014, channel: str, settings: ScopeSettings, measurement: MeasurementSettings, setting: ScopeSetting
+) -> VerticalSetting:
+    """Fit the vertical scale of a second channel; time base and trigger stay as they are.
+
+    Parameters
+    ----------
+    scope : TDS2014
+    channel : str
+    settings : ScopeSettings
+    measurement : MeasurementSettings
+    setting : ScopeSetting
+        That of the first channel: where to begin.
+
+    Returns
+    -------
+    VerticalSetting
+    """
+    begin = VerticalSetting(setting.volts_per_division, setting.position)
+    vertical = _set_vertical(scope, settings, begin, channel)
+    for _ in range(_TRIALS_MAX):
+        better = next_vertical(scope.acquire(channel), vertical, measurement.fill_levels, settings.probe)
+        chosen = vertical if better is None else _set_vertical(scope, settings, better, channel)
+        if chosen == vertical:
+            break
+        vertical = chosen
+    return vertical
+
+
+class _Search:
+    """The knobs as they stand while the beat is looked for."""
+
+    def __init__(self, scope: TDS2014, settings: ScopeSettings, measurement: MeasurementSettings) -> None:
+        self._scope, self._settings, self._measurement = scope, settings, measurement
+        self.vertical = VerticalSetting(1.0 * settings.probe)
+        self.base = _SLOWEST_S
+
+    def fit_vertical(self) -> None:
+        """Fit the vertical scale first: at a slow time base, where every beat shows its whole height."""
+        self.vertical = _set_vertical(self._scope, self._settings, self.vertical)
+        self.set_time_base(_SLOWEST_S)
+        for _ in range(_TRIALS_MAX):
+            if not self.improve_vertical(self._scope.acquire(self._settings.channel)):
+                return
+
+    def improve_vertical(self, waveform: Waveform) -> bool:
+        """Change the vertical setting if the record shows a better one; tell whether it was changed."""
+        fill, probe = self._measurement.fill_levels, self._settings.probe
+        better = next_vertical(waveform, self.vertical, fill, probe)
+        if better is None:
+            return False
+        chosen = _set_vertical(self._scope, self._settings, better)
+        changed, self.vertical = chosen != self.vertical, chosen
+        self._set_trigger()
+        return changed
+
+    def set_time_base(self, base: float) -> None:
+        """Set the time base, and a trigger that suits it."""
+        self.base = self._scope.set_timebase(base, position=0.0)
+        self._set_trigger()
+
+    def found(self, frequency: float) -> ScopeSetting:
+        """Return the knobs as they stand now."""
+        return ScopeSetting(
+            self.base, self.vertical.scale, self.vertical.position, _level(self.vertical), frequency
+        )
+
+    def _set_trigger(self) -> None:
+        """Trigger on the beat. A slow time base would scan in AUTO, and its records be patched."""
+        self._scope.set_trigger(
+            source=self._settings.channel,
+            level=_level(self.vertical),
+            slope="RISE",
+            mode="NORMAL" if self.base >= _SCAN_FROM_S else "AUTO",
+        )
+
+
+def _beat_frequency(waveform: Waveform) -> float | None:
+    """Beat frequency of a trial record in Hz; ``None`` if it holds too little of a beat."""
+    estimate = estimate_lock_in(waveform.volts, waveform.sample_interval, scale_factor=1.0, nan_policy="omit")
+    if int(estimate.flags) & int(FATAL | Flag.FEW_PERIODS) or not np.isfinite(estimate.beat_frequency):
+        return None
+    return float(estimate.beat_frequency)
+
+
+def _slower(base: float) -> float:
+    slower = next((step for step in TIME_BASES if step >= base * 4), math.inf)
+    if slower > _SLOWEST_S:
+        raise NoUsableSignal(
+            "no beat on the scope at any time base: "
+            "is the gyro running, the table turning, the cable on this channel?"
+        )
+    return slower
+
+
+def _set_vertical(
+    scope: TDS2014, settings: ScopeSettings, wanted: VerticalSetting, channel: str = ""
+) -> VerticalSetting:
+    """Set scale and position; a scope without fine steps gets the next coarse one above."""
+    name = channel or settings.channel
+    steps = (scale * settings.probe for scale in VERTICAL_SCALES)
+    coarse = next((scale for scale in steps if scale >= wanted.scale * 0.999), wanted.scale)
+    try:
+        taken = scope.set_channel(name, scale=wanted.scale, position=wanted.position)
+    except SettingError:
+        if math.isclose(coarse, wanted.scale):
+            raise
+        position = round(wanted.position * wanted.scale / coarse * LEVELS_PER_DIVISION) / LEVELS_PER_DIVISION
+        taken = scope.set_channel(name, scale=coarse, position=position)
+    return VerticalSetting(taken.scale, taken.position)
+
+
+def _level(vertical: VerticalSetting) -> float:
+    """Trigger level in V at the centre of the screen."""
+    return -vertical.position * vertical.scale
+
+
+def _two_digits_up(value: float) -> float:
+    """Round up to two significant digits."""
+    step = 10.0 ** (math.floor(math.log10(value)) - 1)
+    return float(f"{math.ceil(value / step - 1e-9) * step:.6g}")

@@ -1,0 +1,1 @@
+"""The paper's simulations beside the exact method."""

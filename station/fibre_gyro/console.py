@@ -11,7 +11,7 @@ from station.fibre_gyro.results import FogResult
 from station.fibre_gyro.selfcal.measurement import SelfcalEvaluation
 from station.fibre_gyro.table.measurement import TableEvaluation
 from station.lock_in.console import stdout_console
-from station.lock_in.sentences import with_uncertainty
+from station.results.numbers import with_uncertainty
 
 
 def print_fog_result(result: FogResult, *, simulated: bool, truth: dict[str, float] | None) -> None:
@@ -62,6 +62,6 @@ def _axes(found: TableEvaluation) -> Printed:
             with_uncertainty(fit.scale_factor, fit.scale_factor_u),
             with_uncertainty(*fit.even_dph),
             with_uncertainty(*one.bias_dph),
-            words.ppm_words(fit.scatter_ppm).lstrip("+"),
+            words.ppm(fit.scatter_ppm).lstrip("+"),
         )
     return table

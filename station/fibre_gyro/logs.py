@@ -24,11 +24,6 @@ from typing import Any
 
 from instrument.fibre_gyro import Losses, Recording, read_gyro_log
 from station.errors import UsageError
-from station.fibre_gyro.eps import measurement as eps
-from station.fibre_gyro.figures import measurement as figures
-from station.fibre_gyro.selfcal import measurement as selfcal
-from station.fibre_gyro.settings import FogSettings
-from station.fibre_gyro.table import measurement as table
 
 _NUMBERS = (
     "start_s",
@@ -41,28 +36,25 @@ _NUMBERS = (
     "temperature_c",
 )
 _COLUMNS = ("file", "axis", "end_up", "run", *_NUMBERS)
-_NEEDED = {
-    table.PURPOSE: ("rate_dps",),
-    selfcal.PURPOSE: ("stands_for_dps", "number"),
-    eps.PURPOSE: ("step_codes",),
-    figures.PURPOSE: ("rate_dps",),
-}
-_SAME_TEMPERATURE_K = 5.0
 
-Row = dict[str, Any]
+LogRow = dict[str, Any]
+Named = Callable[[Sequence[LogRow]], Sequence[tuple[str, dict[str, Any]]]]
+"""Gives each row of a list the name and the conditions of its segment."""
 
 
-Log = tuple[str, dict[str, Any], Recording]
-
-
-def read_logs(lists: Sequence[Path], purpose: str, settings: FogSettings) -> list[Log]:
+def read_logs(
+    lists: Sequence[Path], purpose: str, needed: Sequence[str], named: Named
+) -> list[tuple[str, dict[str, Any], Recording]]:
     """Read every log that the lists name: key, conditions and recording of its segment.
 
     Parameters
     ----------
     lists : sequence of Path
-    purpose : {"table", "selfcal", "eps", "figures"}
-    settings : FogSettings
+    purpose : str
+        Of the segments.
+    needed : sequence of str
+        Columns that must be there besides ``file``.
+    named : callable
 
     Raises
     ------
@@ -71,11 +63,10 @@ def read_logs(lists: Sequence[Path], purpose: str, settings: FogSettings) -> lis
     FileFormatError
         A log cannot be read.
     """
-    rows = [row for path in lists for row in read_list(path, purpose)]
-    conditions_of: Callable[[Sequence[Row], FogSettings], list[tuple[str, Row]]] = _CONDITIONS[purpose]
-    logs: list[Log] = []
+    rows = [row for path in lists for row in read_list(path, purpose, needed)]
+    logs = []
     taken: set[str] = set()
-    for row, (name, conditions) in zip(rows, conditions_of(rows, settings), strict=True):
+    for row, (name, conditions) in zip(rows, named(rows), strict=True):
         recording = _part(read_gyro_log(row["path"]), row.get("start_s"), row.get("stop_s"), row["place"])
         key, count = f"{name} ({row['file']})", 1
         while key in taken:
@@ -86,7 +77,7 @@ def read_logs(lists: Sequence[Path], purpose: str, settings: FogSettings) -> lis
     return logs
 
 
-def read_list(path: Path, purpose: str) -> list[Row]:
+def read_list(path: Path, purpose: str, needed: Sequence[str]) -> list[LogRow]:
     """Read one list; errors as :func:`read_logs`."""
     try:
         text = path.read_text(encoding="utf-8-sig")
@@ -98,26 +89,26 @@ def read_list(path: Path, purpose: str) -> list[Row]:
     reader = csv.DictReader(lines, delimiter=";" if ";" in lines[0] else ",", skipinitialspace=True)
     header = [name.strip() for name in reader.fieldnames or []]
     reader.fieldnames = header
-    for needed in ("file", *_NEEDED[purpose]):
-        if needed not in header:
-            raise UsageError(f"{path}: its header has no column {needed}, which {purpose} needs")
+    for name in ("file", *needed):
+        if name not in header:
+            raise UsageError(f"{path}: its header has no column {name}, which {purpose} needs")
     if unknown := [name for name in header if name not in _COLUMNS]:
         raise UsageError(f"{path}: no such column: {', '.join(unknown)}; known are {', '.join(_COLUMNS)}")
-    rows = [_row(path, number, entry, purpose) for number, entry in enumerate(reader, start=1)]
+    rows = [_row(path, number, entry, needed) for number, entry in enumerate(reader, start=1)]
     if not rows:
         raise UsageError(f"{path}: has a header but names no log")
     return rows
 
 
-def _row(path: Path, number: int, entry: dict[str, str | None], purpose: str) -> Row:
+def _row(path: Path, number: int, entry: dict[str, str | None], needed: Sequence[str]) -> LogRow:
     place = f"{path}, log {number}"
-    row: Row = {"place": place}
+    row: LogRow = {"place": place}
     for name, value in entry.items():
         text = (value or "").strip() if isinstance(value, str | None) else ""
         if name is None or name == "" or not text:
             continue
         row[name] = _number(text, f"{place}, {name}") if name in _NUMBERS else text
-    if missing := [name for name in ("file", *_NEEDED[purpose]) if name not in row]:
+    if missing := [name for name in ("file", *needed) if name not in row]:
         raise UsageError(f"{place}: {', '.join(missing)} is missing")
     if row.setdefault("end_up", "1") not in ("1", "+1", "-1"):
         raise UsageError(f"{place}, end_up: 1 or -1, not {row['end_up']}")
@@ -160,73 +151,9 @@ def _part(recording: Recording, start_s: float | None, stop_s: float | None, pla
     )
 
 
-def _table_conditions(rows: Sequence[Row], settings: FogSettings) -> list[tuple[str, Row]]:
-    named = []
-    for row in rows:
-        axis, end = row.get("axis", settings.table.axes[-1]), row["end_up"]
-        if row["rate_dps"] == 0:
-            raise UsageError(f"{row['place']}, rate_dps: a rate-table run has no log at rest")
-        conditions = {"axis": axis, "end_up": end, "rate_dps": row["rate_dps"], **_of_log(row)}
-        named.append((table.table_key(axis, row["rate_dps"], end), conditions))
-    return named
-
-
-def _of_log(row: Row) -> Row:
-    """What a log may say of its own: the table's true rate, and the window that was cut out."""
+def table_conditions(row: LogRow) -> dict[str, Any]:
+    """What a log at a rate of the table may say of its own: the true rate, and the window that was cut out."""
     found = {"table_rate_dps": row["table_rate_dps"]} if "table_rate_dps" in row else {}
     if "start_s" in row and "stop_s" in row and row["rate_dps"]:
         found["window_s"] = row["stop_s"] - row["start_s"]
     return found
-
-
-def _selfcal_conditions(rows: Sequence[Row], settings: FogSettings) -> list[tuple[str, Row]]:
-    at_rest = [place for place, row in enumerate(rows) if row["number"] == 0]
-    named = []
-    for place, row in enumerate(rows):
-        static = None
-        if place in at_rest:
-            static = "before" if place == at_rest[0] and place < len(rows) - 1 else "after"
-        conditions = {
-            "static": static,
-            "rate_dps": 0.0,
-            "stands_for_dps": row["stands_for_dps"],
-            "number": row["number"],
-            "step_codes": row["number"] / settings.gyro.counts_per_code,
-        }
-        named.append((f"static {static}" if static else selfcal.injection_key(row["stands_for_dps"]), conditions))
-    return named
-
-
-def _eps_conditions(rows: Sequence[Row], settings: FogSettings) -> list[tuple[str, Row]]:
-    return [
-        (
-            f"open loop {row['step_codes']:+.10g}",
-            {"loop": "held", "step_codes": row["step_codes"], "rate_dps": 0.0},
-        )
-        for row in rows
-    ]
-
-
-def _figures_conditions(rows: Sequence[Row], settings: FogSettings) -> list[tuple[str, Row]]:
-    reference, named = settings.figures.reference_temperature_c, []
-    for row in rows:
-        temperature = row.get("temperature_c")
-        conditions = {
-            "run": row.get("run", "run 1"),
-            "temperature_c": temperature,
-            "reference": temperature is None or abs(temperature - reference) <= _SAME_TEMPERATURE_K,
-            "rate_dps": row["rate_dps"],
-            "end_up": row["end_up"],
-            **_of_log(row),
-        }
-        name = "static" if row["rate_dps"] == 0 else f"{row['rate_dps']:+.10g} deg/s"
-        named.append((f"{conditions['run']}, {name}", conditions))
-    return named
-
-
-_CONDITIONS = {
-    table.PURPOSE: _table_conditions,
-    selfcal.PURPOSE: _selfcal_conditions,
-    eps.PURPOSE: _eps_conditions,
-    figures.PURPOSE: _figures_conditions,
-}

@@ -12,8 +12,7 @@ from station.fibre_gyro.eps.measurement import EpsEvaluation
 from station.fibre_gyro.figures.measurement import FiguresEvaluation
 from station.fibre_gyro.selfcal.measurement import SelfcalEvaluation
 from station.fibre_gyro.table.measurement import TableEvaluation
-from station.report.picture import svg_element
-from station.report.plot_style import ACCENT, HALF, INK, SECOND, SOFT, THIRD, WIDE, legend_above
+from station.report.figure import ACCENT, HALF, INK, SECOND, SOFT, THIRD, WIDE, legend_above, svg_element
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

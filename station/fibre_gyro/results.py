@@ -21,7 +21,7 @@ from station.fibre_gyro.table.measurement import TableEvaluation
 from station.fibre_gyro.witness import result as witness_words
 from station.fibre_gyro.witness import take as staircase_records
 from station.fibre_gyro.witness.measurement import WitnessEvaluation, evaluate_witness
-from station.lock_in.sentences import with_uncertainty
+from station.results.numbers import with_uncertainty
 from station.runs.store import SavedRun
 
 Evaluation = TableEvaluation | SelfcalEvaluation | EpsEvaluation | FiguresEvaluation | WitnessEvaluation
@@ -172,9 +172,9 @@ def _of_selfcal(run: FogRun, settings: FogSettings, of_table: TableEvaluation | 
     value = f"K_self = {with_uncertainty(found.fit.slope, found.fit.slope_u)} counts per deg/s"
     against = "K of the table" if found.reference else "K by design"
     lines = [
-        f"Against {against}: {words.ppm_words(compared.difference_ppm, compared.difference_u_ppm)}.",
+        f"Against {against}: {words.ppm(compared.difference_ppm, compared.difference_u_ppm)}.",
         "Against the slope of the injected numbers: "
-        f"{words.ppm_words(compared.against_numbers_ppm, compared.against_numbers_u_ppm)}.",
+        f"{words.ppm(compared.against_numbers_ppm, compared.against_numbers_u_ppm)}.",
     ]
     sentences = words.selfcal_sentences(found, settings)
     flags = words.selfcal_flags(found) + (words.table_sentences(of_table, settings) if of_table else [])
@@ -185,7 +185,7 @@ def _of_eps(run: FogRun, settings: FogSettings, of_table: TableEvaluation | None
     found = eps.evaluate_eps(run, settings)
     document = documents.eps_document(found)
     result = found.result
-    value = f"eps = {words.ppm_words(1e6 * result.two_pi_error, 1e6 * result.two_pi_error_u)}"
+    value = f"eps = {words.ppm(1e6 * result.two_pi_error, 1e6 * result.two_pi_error_u)}"
     lines = [f"The converter's range spans 2π (1 + eps); from {len(found.keys)} injected steps in open loop."]
     values = {"two_pi_error_ppm": 1e6 * result.two_pi_error}
     sentences = words.eps_sentences(found, settings)

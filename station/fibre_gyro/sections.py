@@ -13,7 +13,7 @@ from station.fibre_gyro.settings import FogSettings
 from station.fibre_gyro.table.measurement import AxisResult, TableEvaluation
 from station.fibre_gyro.witness.measurement import WitnessEvaluation
 from station.fibre_gyro.witness.sections import witness_sections
-from station.lock_in.sentences import with_uncertainty
+from station.results.numbers import with_uncertainty
 from station.results.parts import PlacedFigure, Section, Table
 
 _PPM = 1e6
@@ -100,7 +100,7 @@ def _axis_row(one: AxisResult, settings: FogSettings) -> tuple[str, ...]:
     return (
         one.axis,
         with_uncertainty(fit.scale_factor, fit.scale_factor_u),
-        words.ppm_words(_PPM * (fit.scale_factor / settings.nominal_scale_factor - 1), k_u),
+        words.ppm(_PPM * (fit.scale_factor / settings.nominal_scale_factor - 1), k_u),
         with_uncertainty(*fit.even_dph),
         with_uncertainty(*one.bias_dph),
         f"{fit.scatter_ppm:.2g} ppm",
@@ -235,7 +235,7 @@ def _figures_sections(found: FiguresEvaluation, result: FogResult) -> list[Secti
             with_uncertainty(run.figures.fit.slope, run.figures.fit.slope_u),
             f"{run.figures.nonlinearity_ppm:.3g} ppm",
             f"{run.figures.nonlinearity_of_point_ppm:.3g} ppm",
-            words.ppm_words(run.figures.asymmetry_ppm, run.figures.asymmetry_u_ppm).lstrip("+"),
+            words.ppm(run.figures.asymmetry_ppm, run.figures.asymmetry_u_ppm).lstrip("+"),
             ", ".join(run.pattern.names) or "none",
         )
         for run in (*found.runs, *found.at_temperatures)

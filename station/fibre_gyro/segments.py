@@ -1,120 +1,149 @@
-"""From a saved segment to its mean; a segment that cannot be used is left out by name, with the reason."""
+"""Stretches of output, taken one after the other and saved one by one; what is there is not taken again."""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
-from typing import Any
+from pathlib import Path
+from typing import Any, Protocol
 
-import numpy as np
-
-from analysis.fibre_gyro.whole_turns import (
-    WindowMean,
-    check_whole_turns,
-    mean_at_rest,
-    mean_over_turns,
-    whole_turns_in,
-)
 from instrument.fibre_gyro import Recording
-from station.fibre_gyro.store import Segment
+from station.fibre_gyro.recordings import new_record, segments_of
+from station.fibre_gyro.settings import FogSettings
+from station.fibre_gyro.windows import unusable
+from station.runs.progress import Progress
+from station.runs.store import RunWriter, SavedRun
+from station.runs.taking import Session
 
 
 @dataclass(frozen=True)
-class LeftOut:
-    """A segment that is not in the result.
+class PlannedSegment:
+    """What shall be recorded.
 
     Attributes
     ----------
-    name : str
-        Key of the segment.
-    reason : str
+    key : str
+        Unique in the run, short enough for a table: ``"Z +20.01"``.
+    seconds, settle_s : float
+        Of output that is kept, and that is left out before it.
+    conditions : mapping
+        Plain JSON: ``purpose`` and what the bench has to bring about (axis, rate_dps, number, ...).
     """
 
-    name: str
-    reason: str
-
-    @property
-    def sentence(self) -> str:
-        """One line."""
-        return f"{self.name} is left out: {self.reason}"
-
-    def as_json(self) -> dict[str, str]:
-        """Plain JSON."""
-        return {"name": self.name, "reason": self.reason}
+    key: str
+    seconds: float
+    settle_s: float
+    conditions: Mapping[str, Any]
 
 
-def window_over_turns(segment: Segment, *, turns: int, window_s: float, resolution: float) -> WindowMean:
-    """Mean over whole turns.
+class FogBench(Protocol):
+    """What segments are taken with: a gyro with its output and its injection, and a table that can be turned."""
+
+    def refuses(self, planned: PlannedSegment) -> str:
+        """Why the bench cannot bring the conditions about; empty if it can."""
+
+    def prepare(self, planned: PlannedSegment) -> dict[str, Any]:
+        """Bring the conditions about; return those that were really reached, as plain JSON."""
+
+    def record(self, planned: PlannedSegment, progress: Callable[[float], None]) -> Recording:
+        """Record; `progress` is called with the seconds that have passed, settling included."""
+
+
+Plan = Callable[[SavedRun], Sequence[PlannedSegment]]
+"""Makes its plan from the run as it stands: the numbers to inject come from the rate-table run before them."""
+
+
+def take_segments(
+    settings: FogSettings,
+    session: Session,
+    bench: AbstractContextManager[FogBench],
+    stages: Sequence[Plan],
+    facts: Mapping[str, object],
+    left_out: Mapping[str, str] | None = None,
+) -> None:
+    """Begin the run or go on with it, and take what is missing of every stage.
 
     Parameters
     ----------
-    segment : Segment
-        Its conditions hold ``rate_dps``; ``window_s`` where a log names its own window.
-    turns : int
-        At most so many whole turns; fewer where the record is shorter.
-    window_s : float
-        A window of fixed length instead, if not 0.
-    resolution : float
-        Of the output word, counts.
-
-    Raises
-    ------
-    ValueError
-        In words that follow "is left out:".
+    settings : FogSettings
+    session : Session
+    bench : context manager
+    stages : sequence of callable
+    facts : mapping
+        What is known of the run when the bench is open; plain JSON.
+    left_out : mapping, optional
+        What is not even planned, and why.
     """
-    recording, rate = checked(segment), float(segment.conditions["rate_dps"])
-    turning = float(segment.conditions.get("table_rate_dps", rate))
-    interval = recording.interval_s
-    chosen = float(segment.conditions.get("window_s", window_s))
-    if chosen > 0:
-        turns = check_whole_turns(chosen, turning, tolerance_s=interval)
-    else:
-        turns = min(turns, whole_turns_in(recording.counts.size * interval, turning, tolerance_s=interval))
-    return mean_over_turns(recording.counts, interval, turning, turns=turns, resolution=resolution)
+    opened = session.open(bench)
+    writer = session.begin(facts)
+    session.progress.note(f"{settings.gyro.name} ({settings.link.port or 'simulated'}), run {writer.path}")
+    if left_out:
+        session.note_left_out(left_out)
+    for stage in stages:
+        run = session.so_far()
+        _take(session, writer, opened, stage(run), {record.key for record in run.records})
 
 
-def window_at_rest(segment: Segment, *, resolution: float) -> WindowMean:
-    """Mean of a segment without rotation; ValueError as in :func:`window_over_turns`."""
-    recording = checked(segment)
-    return mean_at_rest(recording.counts, recording.interval_s, resolution=resolution)
+def take_logs(
+    session: Session, paths: Sequence[Path], logs: Sequence[tuple[str, Mapping[str, Any], Recording]]
+) -> None:
+    """Make a run of what was read from saved logs: key, conditions and recording of each."""
+    writer = session.begin({"logs": [str(path) for path in paths]})
+    session.progress.start("logs", len(logs))
+    for key, conditions, recording in logs:
+        writer.save_records([new_record(key, conditions, recording)])
+        session.progress.advance()
 
 
-def checked(segment: Segment) -> Recording:
-    """Return the recording of a segment whose every output is there.
-
-    Raises
-    ------
-    ValueError
-        It is damaged, or outputs are missing.
-    """
-    recording = segment.recording
-    if not segment.intact:
-        raise ValueError("what is saved is not what was once saved (its checksum is wrong)")
-    if recording.gaps:
-        more = f", and {len(recording.gaps) - 1} more gaps" if len(recording.gaps) > 1 else ""
-        raise ValueError(f"{recording.gaps[0].describe()}{more}: take it again")
-    if recording.counts.size < 2 or not np.all(np.isfinite(recording.counts)):
-        raise ValueError("the recording holds no usable output")
-    return recording
+def unusable_segments(run: SavedRun, settings: FogSettings, purposes: Sequence[str]) -> dict[str, str]:
+    """Return the keys of segments that would be left out for what happened while they were taken, and why."""
+    found = {}
+    for purpose in purposes:
+        for segment in segments_of(run, purpose):
+            if reason := unusable(segment, settings.table.rate_tolerance_ppm):
+                found[segment.key] = reason
+    return found
 
 
-def unusable(segment: Segment, tolerance_ppm: float) -> str:
-    """Why a segment would be left out for what happened while it was taken; empty if for nothing."""
-    try:
-        if segment.conditions.get("rate_dps"):
-            check_table_rate(segment.conditions, tolerance_ppm)
-        checked(segment)
-    except ValueError as error:
-        return str(error)
-    return ""
+def _take(
+    session: Session, writer: RunWriter, bench: FogBench, plan: Sequence[PlannedSegment], there: set[str]
+) -> None:
+    progress = session.progress
+    left = [planned for planned in plan if planned.key not in there]
+    if len(left) < len(plan):
+        progress.note(f"{len(plan) - len(left)} of {len(plan)} segments are saved already")
+    if refused := {planned.key: reason for planned in left if (reason := bench.refuses(planned))}:
+        session.note_left_out(refused)
+        left = [planned for planned in left if planned.key not in refused]
+    if not left:
+        return
+    progress.start("seconds of output", sum(_whole_seconds(planned) for planned in left))
+    for planned in left:
+        reached = bench.prepare(planned)
+        counted = _Seconds(progress, _whole_seconds(planned))
+        recording = bench.record(planned, counted.reach)
+        writer.save_records([new_record(planned.key, {**planned.conditions, **reached}, recording)])
+        counted.finish()
 
 
-def check_table_rate(conditions: dict[str, Any], tolerance_ppm: float) -> None:
-    """Refuse a table rate that is not the one that was asked for; ValueError as above."""
-    wanted = float(conditions["rate_dps"])
-    reached = float(conditions.get("table_rate_dps", wanted))
-    off_ppm = 1e6 * (reached / wanted - 1)
-    if abs(off_ppm) > tolerance_ppm:
-        raise ValueError(
-            f"the table turned at {reached:+.6g} deg/s instead of {wanted:+.6g}, {off_ppm:+.0f} ppm off "
-            f"(table.rate_tolerance_ppm = {tolerance_ppm:g})"
-        )
+def _whole_seconds(planned: PlannedSegment) -> int:
+    return max(1, round(planned.seconds + planned.settle_s))
+
+
+class _Seconds:
+    """Counts the seconds of one segment on the progress, no more and no less than were promised."""
+
+    def __init__(self, progress: Progress, total: int) -> None:
+        self._progress, self._total, self._done = progress, total, 0
+
+    def reach(self, seconds: float) -> None:
+        # the last second is counted when the segment is on the disk
+        while self._done < min(int(seconds), self._total - 1):
+            self._done += 1
+            self._progress.advance()
+
+    def finish(self) -> None:
+        while self._done < self._total:
+            self._done += 1
+            self._progress.advance()

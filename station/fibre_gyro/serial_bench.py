@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-import sys
 import tomllib
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
-from instrument import InstrumentError
+from instrument import InstrumentError, ManualRateTable, RateTable
 from instrument.fibre_gyro import FibreGyroLink, FrameFormat, Recording, parse_frame_format
-from instrument.rate_table import ManualRateTable, RateTable
-from station.errors import SettingsError, UsageError
-from station.fibre_gyro.campaign import FogBench, PlannedSegment
+from station.errors import SettingsError
+from station.fibre_gyro.segments import FogBench, PlannedSegment
 from station.fibre_gyro.settings import FogSettings
+from station.runs.operator import ask_operator
 from station.settings.load import shipped_settings
 
 Ask = Callable[[str], str]
@@ -171,18 +170,3 @@ def open_fog_bench(settings: FogSettings) -> Iterator[FogBench]:
             yield bench
         finally:
             bench.leave()
-
-
-def ask_operator(question: str) -> str:
-    """Ask on stderr, since stdout belongs to the result; UsageError if there is no terminal to ask on."""
-    if not sys.stdin.isatty():
-        raise UsageError(
-            "an operator must turn the table and the gyro, and there is no terminal to ask on: start it in a "
-            "terminal"
-        )
-    sys.stderr.write(f"\n{question}")
-    sys.stderr.flush()
-    answer = sys.stdin.readline()
-    if not answer:
-        raise UsageError("the terminal was closed while the operator was asked")
-    return answer

@@ -2,30 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import Field
 
 from analysis.fibre_gyro.coil import FibreCoil
 from station.errors import SettingsError
-from station.settings.load import shipped_settings
-from station.settings.toml_files import merged, mistakes, read_toml
+from station.settings.load import SettingsKind, Values, load
+from station.settings.parts import Finite, Limit, NotNegative, OutputSettings, Positive, Section, SiteSettings
 
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
-NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
-Finite = Annotated[float, Field(allow_inf_nan=False)]
 Rates = Annotated[list[Positive], Field(min_length=1)]
 Name = Annotated[str, Field(min_length=1, pattern=r"^\S+$")]
-Limit = Annotated[float, Field(gt=0, allow_inf_nan=False)] | None
 
 
-class _Section(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-
-class GyroSettings(_Section):
+class GyroSettings(Section):
     """The gyro by design."""
 
     name: str
@@ -40,13 +31,7 @@ class GyroSettings(_Section):
     gated_resets: bool
 
 
-class SiteSettings(_Section):
-    """Where the bench stands."""
-
-    latitude_deg: Annotated[float, Field(ge=-90, le=90)]
-
-
-class LinkSettings(_Section):
+class LinkSettings(Section):
     """The gyro's serial port."""
 
     port: str
@@ -55,7 +40,7 @@ class LinkSettings(_Section):
     speed: Positive
 
 
-class TableSettings(_Section):
+class TableSettings(Section):
     """The rate-table run."""
 
     kind: Literal["simulated", "manual"]
@@ -69,7 +54,7 @@ class TableSettings(_Section):
     irreproducibility_ppm: NotNegative
 
 
-class SelfcalSettings(_Section):
+class SelfcalSettings(Section):
     """The self-calibration by injected staircase."""
 
     axis: Name
@@ -81,7 +66,7 @@ class SelfcalSettings(_Section):
     settle_s: NotNegative
 
 
-class EpsSettings(_Section):
+class EpsSettings(Section):
     """The open-loop measurement of the 2 pi error."""
 
     steps_codes: Annotated[list[Positive], Field(min_length=1)]
@@ -89,7 +74,7 @@ class EpsSettings(_Section):
     settle_s: NotNegative
 
 
-class FiguresSettings(_Section):
+class FiguresSettings(Section):
     """Runs for the figures of merit."""
 
     axis: Name
@@ -102,7 +87,7 @@ class FiguresSettings(_Section):
     settle_s: NotNegative
 
 
-class WitnessSettings(_Section):
+class WitnessSettings(Section):
     """The oscilloscope on the phase modulator."""
 
     resource: str
@@ -117,7 +102,7 @@ class WitnessSettings(_Section):
     time_base_u: NotNegative
 
 
-class SimulationSettings(_Section):
+class SimulationSettings(Section):
     """The truth of the simulated gyro and table."""
 
     model: Literal["auto", "output", "transit"]
@@ -139,7 +124,7 @@ class SimulationSettings(_Section):
     scope_gain_error: Annotated[float, Field(ge=-0.1, le=0.1)]
 
 
-class LimitSettings(_Section):
+class LimitSettings(Section):
     """Limits; one that is absent is not tested."""
 
     nominal_difference_ppm: Limit = None
@@ -157,13 +142,7 @@ class LimitSettings(_Section):
     witness_step_time_ppm: Limit = None
 
 
-class OutputSettings(_Section):
-    """Where results go."""
-
-    directory: Annotated[str, Field(min_length=1)]
-
-
-class FogSettings(_Section):
+class FogSettings(Section):
     """All settings of ``gyrolock fog``."""
 
     gyro: GyroSettings
@@ -195,46 +174,32 @@ class FogSettings(_Section):
         return FibreCoil(gyro.coil_length_m, gyro.coil_diameter_m, 1e-6 * gyro.wavelength_um, gyro.fibre_index)
 
 
-def load_fog_settings(
-    path: Path | None = None, overrides: Mapping[str, Mapping[str, object]] | None = None
-) -> FogSettings:
-    """Read the settings.
+def load_fog_settings(path: Path | None = None, overrides: Values | None = None) -> FogSettings:
+    """Read the settings; arguments and errors as :func:`station.settings.load.load`."""
+    return load(FIBRE_GYRO, path, overrides)
 
-    Parameters
-    ----------
-    path : Path, optional
-        The user's file. Only what differs from ``fibre_gyro.toml`` need stand in it.
-    overrides : mapping of mapping, optional
-        Values from the command line, by section and name; they win over the file.
 
-    Raises
-    ------
-    SettingsError
-        With every mistake of the file in one text.
-    """
-    shipped = shipped_settings("fibre_gyro")
-    user: dict[str, Any] = read_toml(path) if path is not None else {}
-    values = merged(merged(read_toml(shipped), user), {name: dict(v) for name, v in (overrides or {}).items()})
+def _adapt(values: dict[str, Any]) -> None:
+    """Let an operator turn the table under a real gyro: a simulated table cannot."""
     table, link = values.get("table"), values.get("link")
     named = isinstance(link, dict) and link.get("port")
     if named and isinstance(table, dict) and table.get("kind") == "simulated":
-        table["kind"] = "manual"  # a simulated table cannot turn a real gyro
-    settings = fog_settings_from(values, str(path or shipped))
+        table["kind"] = "manual"
+
+
+def _check(settings: FogSettings, path: Path) -> FogSettings:
+    axes = settings.table.axes
+    if len(set(axes)) != len(axes):
+        raise SettingsError(f"{path}: table.axes: {', '.join(axes)}: an axis stands there twice")
     if settings.simulated and settings.table.kind == "manual":
         raise SettingsError(f'{path}: table.kind = "manual": an operator cannot turn a simulated gyro')
     return settings
 
 
-def fog_settings_from(values: Mapping[str, Any], name: str) -> FogSettings:
-    """Check values, for instance those that are saved with a run; `name` stands in the text of the error."""
-    if values:
-        # a run of an earlier version knows nothing of settings that came later
-        values = merged(read_toml(shipped_settings("fibre_gyro")), values)
-    try:
-        settings = FogSettings.model_validate(dict(values))
-    except ValidationError as error:
-        raise SettingsError(mistakes(Path(name), error)) from None
-    axes = settings.table.axes
-    if len(set(axes)) != len(axes):
-        raise SettingsError(f"{name}: table.axes: {', '.join(axes)}: an axis stands there twice")
-    return settings
+FIBRE_GYRO = SettingsKind(
+    model=FogSettings,
+    shipped=lambda given: "fibre_gyro",
+    adapt=_adapt,
+    check=_check,
+    later="fibre_gyro",
+)

@@ -21,7 +21,7 @@ from analysis.fibre_gyro.loop.output import OutputBlock
 from analysis.fibre_gyro.loop.output_model import OutputModel
 from analysis.rotation import EARTH_RATE_DPS
 from instrument.fibre_gyro import Losses, Recording
-from station.fibre_gyro.campaign import PlannedSegment
+from station.fibre_gyro.segments import PlannedSegment
 from station.fibre_gyro.settings import FogSettings
 
 Floats = NDArray[np.float64]

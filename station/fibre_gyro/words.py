@@ -15,7 +15,7 @@ from station.fibre_gyro.figures.measurement import FiguresEvaluation
 from station.fibre_gyro.selfcal.measurement import SelfcalEvaluation
 from station.fibre_gyro.settings import FogSettings
 from station.fibre_gyro.table.measurement import AxisResult, TableEvaluation
-from station.lock_in.sentences import with_uncertainty
+from station.results.numbers import ppm, with_uncertainty
 
 _PPM = 1e6
 _EXAMPLE_CHANGE = 100e-6
@@ -29,20 +29,6 @@ _INL_WORDS = (
     "left "
     "out; by less than 1 ppm where all are used; and K_self by nothing."
 )
-
-
-def ppm_words(value: float, u: float = math.nan) -> str:
-    """Write a signed value in ppm with its uncertainty.
-
-    Examples
-    --------
-    >>> ppm_words(999.9213, 0.43), ppm_words(float("nan"))
-    ('+999.92(43) ppm', 'none')
-    """
-    if not math.isfinite(value):
-        return "none"
-    text = with_uncertainty(value, u) if math.isfinite(u) and u > 0 else f"{value:.4g}"
-    return f"{'' if text.startswith('-') else '+'}{text} ppm"
 
 
 def table_sentences(evaluation: TableEvaluation, settings: FogSettings) -> list[str]:
@@ -107,7 +93,7 @@ def _shared_path_words(evaluation: SelfcalEvaluation, settings: FogSettings) -> 
         "rates "
         "that it was given. It is no measurement of the gyro's scale factor.",
         f"K_self differs from the slope of the injected numbers by "
-        f"{ppm_words(compared.against_numbers_ppm, compared.against_numbers_u_ppm)}. This is what was tested: the "
+        f"{ppm(compared.against_numbers_ppm, compared.against_numbers_u_ppm)}. This is what was tested: the "
         "digital arithmetic, the lock of the loop, its dead zone and the decimation of the output.",
         f"It is blind to L·D/λ, that is to the fibre, the coil's temperature and the wavelength: a change of "
         f"{_PPM * _EXAMPLE_CHANGE:+.0f} ppm after the numbers were made changes K of the table by "
@@ -139,7 +125,7 @@ def _second_path_words(evaluation: SelfcalEvaluation, settings: FogSettings) -> 
     implied = -compared.against_numbers_ppm / (1 + compared.against_numbers_ppm / _PPM)
     implied_words = (
         f" With an exact injection path that is a 2π error of the feedback of "
-        f"{ppm_words(implied, compared.against_numbers_u_ppm)}."
+        f"{ppm(implied, compared.against_numbers_u_ppm)}."
         if gated
         else ""
     )
@@ -149,7 +135,7 @@ def _second_path_words(evaluation: SelfcalEvaluation, settings: FogSettings) -> 
         "The injection goes through a second electrode with a converter of its own; the feedback answers with its "
         "own converter. K_self is the mapping of numbers to rates times the ratio of both paths' gains.",
         f"K_self differs from the slope of the injected numbers by "
-        f"{ppm_words(compared.against_numbers_ppm, compared.against_numbers_u_ppm)}.{implied_words}",
+        f"{ppm(compared.against_numbers_ppm, compared.against_numbers_u_ppm)}.{implied_words}",
         f"It does see V_2π of the feedback path: +{_PPM * _EXAMPLE_EPS:.0f} ppm there changes K_self by "
         f"{feedback:+.5g} ppm, as K of the table, so with a stable injection path K_self follows the table."
         if gated
@@ -200,7 +186,7 @@ def eps_sentences(evaluation: EpsEvaluation, settings: FogSettings) -> list[str]
     return [
         "The feedback is held and a large step injected: sample pairs with a reset differ from those without by "
         "the "
-        f"2π error alone. The converter's range spans 2π (1 + eps), eps = {ppm_words(_PPM * eps, _PPM * u)}; the "
+        f"2π error alone. The converter's range spans 2π (1 + eps), eps = {ppm(_PPM * eps, _PPM * u)}; the "
         "detector's amplitude is the only calibration, and it comes from the same data.",
         f"In closed loop such an eps changes K of the rate table by {gated:+.5g} ppm where reset samples are "
         "left out, "

@@ -17,7 +17,7 @@ from analysis.budget import (
     operating_point,
 )
 from analysis.rotation import earth_rate_on_axis
-from station.lock_in.sentences import with_uncertainty
+from station.results.numbers import with_uncertainty
 
 if TYPE_CHECKING:
     from station.lock_in.evaluate import Evaluation

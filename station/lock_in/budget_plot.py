@@ -5,8 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from analysis.budget import Budget, BudgetInput
-from station.report.picture import svg_element
-from station.report.plot_style import ACCENT, INK, SECOND
+from station.report.figure import ACCENT, INK, SECOND, svg_element
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

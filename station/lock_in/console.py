@@ -19,10 +19,9 @@ from station.lock_in.sentences import (
     quadrature_sentences,
     rates_sentences,
     record_flags,
-    with_prefix,
-    with_uncertainty,
 )
 from station.lock_in.several_rates import SeveralRates
+from station.results.numbers import with_prefix, with_uncertainty
 
 _RECORDS_SHOWN = 40
 

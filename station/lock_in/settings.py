@@ -1,25 +1,26 @@
-"""The sections of a settings file: every name, its unit and what it may hold.
+"""Settings of the ring laser: every name, its unit and what it may hold; which files they are read from.
 
 Sections that came later have defaults here as well: a run that was saved without them can still be read.
 """
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from functools import cache
+from pathlib import Path
+from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
-NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
-Finite = Annotated[float, Field(allow_inf_nan=False)]
+from station.errors import SettingsError
+from station.lock_in.response_file import check_response, read_response
+from station.settings.load import SettingsKind, Values, load, shipped_settings
+from station.settings.parts import Finite, Limit, NotNegative, OutputSettings, Positive, Section, SiteSettings
+from station.settings.toml_files import merged, read_toml
+
 Dbc = Annotated[float, Field(ge=-200, le=0)]
 
 
-class _Section(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-
-class GyroSettings(_Section):
+class GyroSettings(Section):
     """The gyro under test, as far as it is known beforehand."""
 
     name: str
@@ -27,13 +28,7 @@ class GyroSettings(_Section):
     expected_lock_in_rate_dps: Positive
 
 
-class SiteSettings(_Section):
-    """Where the bench stands."""
-
-    latitude_deg: Annotated[float, Field(ge=-90, le=90)]
-
-
-class TableSettings(_Section):
+class TableSettings(Section):
     """The rate table and what it is asked to do."""
 
     kind: Literal["simulated", "manual", "none"]
@@ -44,7 +39,7 @@ class TableSettings(_Section):
     north_azimuth_deg: Finite
 
 
-class ScopeSettings(_Section):
+class ScopeSettings(Section):
     """The oscilloscope and its input."""
 
     resource: str
@@ -56,7 +51,7 @@ class ScopeSettings(_Section):
     baud_rate: Literal[0, 300, 600, 1200, 2400, 4800, 9600, 19200]
 
 
-class FrontEndSettings(_Section):
+class FrontEndSettings(Section):
     """What is known of the channel between photodiode and converter; 0 and empty: nothing to correct."""
 
     low_pass_hz: NotNegative = 0.0
@@ -65,7 +60,7 @@ class FrontEndSettings(_Section):
     response: tuple[tuple[Positive, Positive, Finite], ...] = ()
 
 
-class MeasurementSettings(_Section):
+class MeasurementSettings(Section):
     """How many records of which shape, at which rates."""
 
     records: Annotated[int, Field(ge=1, le=1_000_000)]
@@ -77,7 +72,7 @@ class MeasurementSettings(_Section):
     fill_levels: Annotated[float, Field(ge=10, le=120)]
 
 
-class ContaminantSettings(_Section):
+class ContaminantSettings(Section):
     """What spoils the measurement on a simulated bench; everything is absent unless it is named."""
 
     second_harmonic_dbc: Dbc | None = None
@@ -98,7 +93,7 @@ class ContaminantSettings(_Section):
     quadrature_phase_error_deg: Annotated[float, Field(gt=-80, lt=80)] = 0.0
 
 
-class SimulationSettings(_Section):
+class SimulationSettings(Section):
     """The truth of a simulated bench."""
 
     seed: Annotated[int, Field(ge=0)]
@@ -116,7 +111,7 @@ class SimulationSettings(_Section):
     contaminants: ContaminantSettings = ContaminantSettings()
 
 
-class BudgetSettings(_Section):
+class BudgetSettings(Section):
     """What is known of the bench, for the uncertainty budget; 0 where a comment of the file says "not known"."""
 
     scale_factor_u_ppm: NotNegative
@@ -129,13 +124,17 @@ class BudgetSettings(_Section):
     latitude_u_deg: NotNegative
 
 
-class OutputSettings(_Section):
-    """Where results go."""
+class LimitSettings(Section):
+    """Limits; one that is absent is not tested. Names as in the JSON of a result."""
 
-    directory: Annotated[str, Field(min_length=1)]
+    lock_in_rate_dps: Limit = None
+    lock_in_rate_u_dps: Limit = None
+    lock_in_rate_high_95_dps: Limit = None
+    noise_rms_v: Limit = None
+    tilt_deg: Limit = None
 
 
-class Settings(_Section):
+class Settings(Section):
     """All settings of a run. ``simulation`` is absent on a real bench."""
 
     gyro: GyroSettings
@@ -147,8 +146,97 @@ class Settings(_Section):
     output: OutputSettings
     budget: BudgetSettings | None = None  # runs of earlier versions were saved without it
     simulation: SimulationSettings | None = None
+    limits: LimitSettings = LimitSettings()
 
     @property
     def simulated(self) -> bool:
         """Whether the bench is simulated: no oscilloscope is named."""
         return not self.scope.resource
+
+
+def load_settings(
+    path: Path | None = None, *, resource: str | None = None, overrides: Values | None = None
+) -> Settings:
+    """Read the settings of a run.
+
+    Parameters
+    ----------
+    path : Path, optional
+        The user's file. Only what differs from the shipped file need stand in it.
+    resource : str, optional
+        VISA resource name from the command line. Where one is given, here or in the file, the defaults
+        are those of ``bench.toml``, else those of ``simulated.toml``.
+    overrides : mapping of mapping, optional
+        Values from the command line, by section and name; they win over the file.
+
+    Raises
+    ------
+    SettingsError
+        With every mistake of the file in one text: file, place, what is wrong.
+    """
+    named = {"scope": {"resource": resource}} if resource else {}
+    return load(RING_LASER, path, merged(overrides or {}, named))
+
+
+@cache
+def default_settings(name: Literal["simulated", "bench"] = "simulated") -> Settings:
+    """Return the settings of a shipped file as they stand."""
+    return Settings.model_validate(read_toml(shipped_settings(name)))
+
+
+def _shipped(given: Any) -> str:
+    return "bench" if _resource(given) else "simulated"
+
+
+def _resource(values: Any) -> Any:
+    scope = values.get("scope")
+    return scope.get("resource") if isinstance(scope, dict) else None
+
+
+def _adapt(values: dict[str, Any]) -> None:
+    """Let a file that was made for the simulated bench be used with a real scope: its truth then means nothing."""
+    if _resource(values):
+        values.pop("simulation", None)
+        table = values.get("table")
+        if isinstance(table, dict) and table.get("kind") == "simulated":
+            table["kind"] = "none"
+
+
+def _check(settings: Settings, path: Path) -> Settings:
+    """Check what no single value shows, and read the channel's response, so that a run carries it along."""
+    if settings.simulated and settings.simulation is None:
+        raise SettingsError(f"{path}: scope.resource is empty and there is no [simulation]: name the oscilloscope")
+    if settings.simulated and settings.table.kind == "manual":
+        raise SettingsError(
+            f'{path}: table.kind: an operator cannot turn a simulated table; use "simulated" or "none"'
+        )
+    if settings.measurement.rates_over_lock_in and settings.table.kind == "none":
+        raise SettingsError(
+            f"{path}: measurement.rates_over_lock_in: several rates need a table that can be set; "
+            'table.kind = "none" has none'
+        )
+    if settings.scope.quadrature_channel == settings.scope.channel:
+        raise SettingsError(f"{path}: scope.quadrature_channel: is the same as scope.channel")
+    return _with_response(path, settings)
+
+
+def _with_response(path: Path, settings: Settings) -> Settings:
+    front_end = settings.front_end
+    if not front_end.response_file:
+        if front_end.response:
+            check_response(front_end.response, f"{path}: front_end.response")
+        return settings
+    if front_end.response:
+        raise SettingsError(f"{path}: front_end: give either response or response_file, not both")
+    # a relative name is meant from where the settings stand
+    rows = read_response(path.parent / front_end.response_file)
+    return settings.model_copy(update={"front_end": front_end.model_copy(update={"response": rows})})
+
+
+RING_LASER = SettingsKind(
+    model=Settings,
+    shipped=_shipped,
+    adapt=_adapt,
+    check=_check,
+    knowledge=("front_end", "budget", "limits"),
+)

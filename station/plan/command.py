@@ -111,7 +111,7 @@ def command(plot: Path | None, config: Path | None, as_json: bool, **options: An
     from station.errors import EXIT_FAIL, EXIT_OK
     from station.plan.plan import PlanOptions, make_plan, plan_document
     from station.plan.sentences import plan_sentences
-    from station.report.picture import check_picture_name
+    from station.report.figure import check_picture_name
     from station.settings.load import load_settings
 
     if plot is not None:

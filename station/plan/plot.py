@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from station.plan.plan import PAPER_OVER_LOCK_IN, PlannedMeasurement
-from station.report.picture import svg_element, write_picture
-from station.report.plot_style import ACCENT, INK, SECOND, SOFT, THIRD, legend_above
+from station.report.figure import ACCENT, INK, SECOND, SOFT, THIRD, legend_above, svg_element, write_picture
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -8,8 +8,8 @@ from dataclasses import replace
 from analysis import harmonic_ratio, lock_in_from_rate
 from analysis.plan import Plan, PlannedRate, PlanRequest, plan_measurement, predicted_budget
 from analysis.rotation import EARTH_RATE_DPS
-from station.lock_in.sentences import with_prefix
 from station.plan.plan import PAPER_OVER_LOCK_IN, PlannedMeasurement
+from station.results.numbers import with_prefix
 
 _LARGE_SWING = 0.05
 

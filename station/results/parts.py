@@ -1,20 +1,12 @@
-"""What a report is put together from."""
+"""What a report or a page on the terminal is put together from."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
-Rows = list[tuple[str, str]]
-
-
-@dataclass(frozen=True)
-class Headline:
-    """The result in large letters and the lines below it."""
-
-    usable: bool
-    value: str
-    value_dph: str
-    lines: tuple[str, ...]
+Rows = Sequence[tuple[str, str]]
+"""Names and values."""
 
 
 @dataclass(frozen=True)
@@ -26,7 +18,7 @@ class PlacedFigure:
 
 
 @dataclass(frozen=True)
-class Table:
+class TextTable:
     """Columns of text; in the first one stands what a row is about."""
 
     header: tuple[str, ...]
@@ -41,7 +33,7 @@ class Section:
     text: str = ""
     figures: tuple[PlacedFigure, ...] = ()
     sentences: tuple[str, ...] = ()
-    table: Table | None = None
+    table: TextTable | None = None
 
 
 @dataclass(frozen=True)

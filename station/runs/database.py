@@ -1,4 +1,4 @@
-"""A run as one SQLite file: facts by name, rows of one kind, results. A commit is on the disk when it returns."""
+"""A run as one SQLite file in a directory of its own. A commit is on the disk when it returns."""
 
 from __future__ import annotations
 
@@ -6,47 +6,13 @@ import json
 import sqlite3
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager, suppress
-from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
 from station.errors import RunError
-
-_TABLES = """
-CREATE TABLE run (
-    name  TEXT PRIMARY KEY,       -- settings, provenance, truth, started_at, ended_at, outcome, ...
-    value TEXT NOT NULL           -- JSON
-) WITHOUT ROWID;
-CREATE TABLE result (             -- computed from the rows; never the truth
-    number      INTEGER PRIMARY KEY,
-    computed_at TEXT NOT NULL,
-    value       TEXT NOT NULL     -- JSON
-);
-"""
-
-
-@dataclass(frozen=True)
-class Layout:
-    """How one kind of run is laid out.
-
-    Attributes
-    ----------
-    application_id : int
-        Four letters at the beginning of the file, by which ``file`` and we tell it from other databases.
-    version : int
-        Files of a higher one are refused.
-    tables : str
-        SQL of the table of rows.
-    name : str
-        What such a file is, in words.
-    """
-
-    application_id: int
-    version: int
-    tables: str
-    name: str
+from station.runs.layouts import TABLES, TODAY, Layout, layout_of
 
 
 def utc_now() -> str:
@@ -54,7 +20,30 @@ def utc_now() -> str:
     return datetime.now(UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")
 
 
-def create_database(path: Path, layout: Layout) -> None:
+def new_run_directory(parent: Path) -> Path:
+    """Make the directory of a new run below `parent`, named by the time of day; two runs never share one.
+
+    Raises
+    ------
+    RunError
+        If nothing can be written there.
+    """
+    stamp = datetime.now(UTC).strftime("%Y-%m-%dT%H%M%SZ")
+    for count in range(1, 10_000):
+        directory = parent / f"{stamp}_{count:03d}"
+        try:
+            directory.mkdir(parents=True)
+        except FileExistsError:
+            if not parent.is_dir():
+                raise RunError(f"{parent}: is not a directory, runs cannot be saved there") from None
+            continue
+        except OSError as error:
+            raise RunError(f"{parent}: runs cannot be saved there ({error.strerror})") from None
+        return directory
+    raise RunError(f"{parent}: too many runs in one second")
+
+
+def create_database(path: Path) -> None:
     """Make an empty run; it appears under its name only when it is whole.
 
     Raises
@@ -66,9 +55,9 @@ def create_database(path: Path, layout: Layout) -> None:
     try:
         with closing(sqlite3.connect(draft, isolation_level=None)) as db:
             db.execute("PRAGMA page_size = 16384")
-            db.execute(f"PRAGMA application_id = {layout.application_id}")
-            db.execute(f"PRAGMA user_version = {layout.version}")
-            db.executescript(f"BEGIN; {_TABLES} {layout.tables} COMMIT;")
+            db.execute(f"PRAGMA application_id = {TODAY.application_id}")
+            db.execute(f"PRAGMA user_version = {TODAY.version}")
+            db.executescript(f"BEGIN; {TABLES} COMMIT;")
         draft.rename(path)
     except (sqlite3.Error, OSError) as error:
         raise RunError(f"{path}: cannot be written ({error})") from error
@@ -80,7 +69,7 @@ class DatabaseWriter:
     Parameters
     ----------
     path : Path
-        A file that :func:`create_database` made.
+        A file that :func:`create_database` made, now or once.
 
     Raises
     ------
@@ -90,6 +79,8 @@ class DatabaseWriter:
 
     def __init__(self, path: Path) -> None:
         self.path = path
+        with reading(path) as (_, layout):
+            self._layout = layout
         try:
             self._db = sqlite3.connect(path, isolation_level=None)  # every BEGIN and COMMIT is written here
             self._db.execute("PRAGMA journal_mode = WAL")
@@ -116,7 +107,7 @@ class DatabaseWriter:
             self._db.execute("PRAGMA journal_mode = DELETE")
         self._db.close()
 
-    def _commit(self, statement: str, rows: Sequence[tuple[object, ...]]) -> None:
+    def _commit(self, statement: str, rows: Sequence[Sequence[object] | Mapping[str, object]]) -> None:
         try:
             self._db.execute("BEGIN IMMEDIATE")
             try:
@@ -130,13 +121,13 @@ class DatabaseWriter:
 
 
 @contextmanager
-def reading(file: Path, layout: Layout) -> Iterator[sqlite3.Connection]:
+def reading(file: Path) -> Iterator[tuple[sqlite3.Connection, Layout]]:
     """Open a run to read it, finished or cut short.
 
     Raises
     ------
     RunError
-        If it is no run of this kind, of a newer version, or damaged.
+        If it is no run, of a newer version, or damaged.
     """
     if not is_database(file):
         raise RunError(f"{file}: is not a saved run")
@@ -144,11 +135,13 @@ def reading(file: Path, layout: Layout) -> Iterator[sqlite3.Connection]:
         with closing(sqlite3.connect(f"{file.resolve().as_uri()}?mode=ro", uri=True)) as db:
             (application,) = db.execute("PRAGMA application_id").fetchone()
             (version,) = db.execute("PRAGMA user_version").fetchone()
-            if application != layout.application_id:
-                raise RunError(f"{file}: is a database, but not {layout.name}")
-            if version > layout.version:
-                raise RunError(f"{file}: was written by a newer gyrolock (layout {version}): update this one")
-            yield db
+            try:
+                layout = layout_of(application, version)
+            except ValueError as error:
+                raise RunError(f"{file}: was written by a newer gyrolock ({error}): update this one") from None
+            if layout is None:
+                raise RunError(f"{file}: is a database, but not a saved run of gyrolock")
+            yield db, layout
     except (sqlite3.Error, ValueError) as error:
         raise RunError(f"{file}: is damaged and cannot be read ({error})") from error
 
@@ -159,7 +152,7 @@ def read_facts(db: sqlite3.Connection) -> dict[str, Any]:
 
 
 def save_result(path: Path, document: Mapping[str, object]) -> None:
-    """Keep what was computed from the rows of a run beside them; `document` is plain JSON.
+    """Keep what was computed from the records of a run beside them; `document` is plain JSON.
 
     Raises
     ------

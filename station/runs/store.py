@@ -1,46 +1,38 @@
 """The record store: one SQLite file a run; what is acknowledged is on the disk.
 
-A record is raw codes, the preamble text as the scope sent it, and the conditions under which it was taken.
-Results are kept beside them as a convenience; they can always be computed again.
+A record is what the instrument sent, a header that tells how to read it, and the conditions under which it was
+taken: codes and preamble of an oscilloscope, or a stretch of a fibre gyro's output. Results are kept beside the
+records as a convenience; they can always be computed again.
 """
 
 from __future__ import annotations
 
-import hashlib
 import json
 import sqlite3
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from station.errors import RunError
-from station.runs.database import DatabaseWriter, Layout, create_database, read_facts, reading, utc_now
-from station.runs.run_directories import new_run_directory
+from station.runs.database import (
+    DatabaseWriter,
+    create_database,
+    new_run_directory,
+    read_facts,
+    reading,
+    utc_now,
+)
+from station.runs.facts import RunFacts
+from station.runs.layouts import Layout
 
 RUN_FILE = "run.sqlite"
 REPORT_FILE = "report.html"
-Purpose = Literal["tilt", "measure", "quadrature", "witness"]
-
-LAYOUT = Layout(
-    application_id=0x47_59_4C_4B,  # "GYLK"
-    version=1,
-    tables="""
-CREATE TABLE record (
-    number     INTEGER PRIMARY KEY,
-    taken_at   TEXT NOT NULL,     -- UTC, ISO 8601
-    purpose    TEXT NOT NULL,     -- 'tilt', 'measure', 'quadrature' or 'witness'
-    codes      BLOB NOT NULL,     -- as the scope sent them: signed bytes
-    preamble   TEXT NOT NULL,     -- as the scope sent it
-    sha256     TEXT NOT NULL,     -- of codes followed by preamble
-    conditions TEXT NOT NULL      -- JSON
-);
-""",
-    name="a saved run of gyrolock",
-)
+_RUN_FILES = (RUN_FILE, "fog.sqlite")  # the second is that of fibre-gyro runs of earlier versions
+_ASIDE = " (set aside "
 
 
 @dataclass(frozen=True)
@@ -51,27 +43,40 @@ class SavedRecord:
     ----------
     number : int
         Counts from 1 within the run.
+    key : str
+        What it is, unique in its run: ``"Z +20"``.
     taken_at : str
         UTC, ISO 8601.
     purpose : str
-        ``"tilt"`` for the fast run, ``"measure"`` for the slow rates, ``"quadrature"`` for the second photodiode:
-        such a record belongs to the one before it; ``"witness"`` for the modulator staircase of a fibre gyro.
-    codes : ndarray, int8, shape (n,)
-    preamble : str
-        As the scope sent it.
+        Which part of which measurement it was taken for: ``"tilt"``, ``"measure"``, ``"table"``, ...
+    header : str
+        Preamble as the scope sent it, or JSON that describes the columns of an output.
+    payload : bytes
+        Codes as the scope sent them, or the columns of an output.
     intact : bool
-        Whether codes and preamble still have the checksum they were saved with.
+        Whether it still has the checksum that it was saved with.
     conditions : dict
-        Channel, table rate (deg/s) and azimuth (deg) where they are known, truth of a simulated bench.
+        Channel, table rate, azimuth, injected step...: plain JSON.
     """
 
     number: int
+    key: str
     taken_at: str
     purpose: str
-    codes: NDArray[np.int8]
-    preamble: str
+    header: str
+    payload: bytes
     intact: bool
     conditions: dict[str, Any]
+
+    @property
+    def codes(self) -> NDArray[np.int8]:
+        """Codes of an oscilloscope's record, shape (n,)."""
+        return np.frombuffer(self.payload, dtype=np.int8)
+
+    @property
+    def preamble(self) -> str:
+        """Preamble of an oscilloscope's record, as the scope sent it."""
+        return self.header
 
 
 @dataclass(frozen=True)
@@ -82,8 +87,8 @@ class SavedRun:
     ----------
     path : Path
         The SQLite file.
-    facts : dict
-        Settings, identity, provenance, truth, times: what was known beside the records.
+    facts : RunFacts
+        What was known beside the records: command, settings, identity, provenance, truth, times, outcome.
     records : tuple of SavedRecord
         In the order in which they were taken.
     results : dict or None
@@ -91,73 +96,76 @@ class SavedRun:
     """
 
     path: Path
-    facts: dict[str, Any]
+    facts: RunFacts
     records: tuple[SavedRecord, ...]
     results: dict[str, Any] | None
 
     def taken_for(self, purpose: str) -> tuple[SavedRecord, ...]:
-        """Return the records of one purpose."""
-        return tuple(record for record in self.records if record.purpose == purpose)
+        """Return the records of one purpose that are not set aside."""
+        return tuple(one for one in self.records if one.purpose == purpose and _ASIDE not in one.key)
 
 
 @dataclass(frozen=True)
 class NewRecord:
     """A record that is to be saved; the fields as in :class:`SavedRecord`, the conditions plain JSON."""
 
-    purpose: Purpose
-    codes: NDArray[np.integer[Any]]
-    preamble: str
+    key: str
+    purpose: str
+    header: str
+    payload: bytes
     conditions: Mapping[str, object]
 
 
 class RunWriter(DatabaseWriter):
     """Writes one run. Records that :meth:`save_records` returned for survives a killed process.
 
-    Parameters
-    ----------
-    directory : Path
-        Directory of all runs; made if it is missing.
-    facts : mapping
-        What is known at the start, by name; values must be plain JSON.
-
-    Raises
-    ------
-    RunError
-        If nothing can be written there.
+    Use :meth:`create`, or the class itself for a run that is gone on with.
     """
 
-    def __init__(self, directory: Path, facts: Mapping[str, object]) -> None:
-        path = new_run_directory(directory) / RUN_FILE
-        create_database(path, LAYOUT)
-        super().__init__(path)
-        self.save_facts({"started_at": utc_now(), **facts})
-
-    def save_record(
-        self, purpose: Purpose, codes: NDArray[np.integer[Any]], preamble: str, conditions: Mapping[str, object]
-    ) -> None:
-        """Save one record durably; arguments as the fields of :class:`NewRecord`."""
-        self.save_records([NewRecord(purpose, codes, preamble, conditions)])
-
-    def save_records(self, records: Sequence[NewRecord]) -> None:
-        """Save the records of one acquisition durably: when this returns, all of them are on the disk.
+    @classmethod
+    def create(cls, parent: Path, facts: Mapping[str, object]) -> Self:
+        """Begin a run in a new directory.
 
         Parameters
         ----------
-        records : sequence of NewRecord
+        parent : Path
+            Directory of all runs; made if it is missing.
+        facts : mapping
+            What is known at the start, by name; values must be plain JSON.
 
         Raises
         ------
         RunError
-            If the disk does not take them: then it holds none of them.
+            If nothing can be written there.
+        """
+        path = new_run_directory(parent) / RUN_FILE
+        create_database(path)
+        writer = cls(path)
+        writer.save_facts({"started_at": utc_now(), **facts})
+        return writer
+
+    def save_records(self, records: Sequence[NewRecord]) -> None:
+        """Save the records of one acquisition durably: when this returns, all of them are on the disk.
+
+        Raises
+        ------
+        RunError
+            If the disk does not take them, or the run has a record of one of the keys: then it holds none of them.
         """
         rows = []
         for record in records:
-            blob = record.codes.astype(np.int8, casting="same_kind", copy=False).tobytes()
-            circumstances = json.dumps(dict(record.conditions), allow_nan=False)
-            checksum = _checksum(blob, record.preamble)
-            rows.append((utc_now(), record.purpose, blob, record.preamble, checksum, circumstances))
-        columns = "taken_at, purpose, codes, preamble, sha256, conditions"
-        self._commit(f"INSERT INTO record ({columns}) VALUES (?, ?, ?, ?, ?, ?)", rows)
+            conditions = json.dumps(dict(record.conditions), allow_nan=False)
+            row = {"key": record.key, "taken_at": utc_now(), "purpose": record.purpose, "header": record.header}
+            checksum = self._layout.checksum(record.payload, record.header, conditions)
+            rows.append({**row, "payload": record.payload, "sha256": checksum, "conditions": conditions})
+        self._commit(self._layout.insert, rows)
+
+    def set_aside(self, key: str) -> None:
+        """Keep a record out of the results under another key, so that it can be taken again."""
+        counted = f"SELECT count(*) FROM {self._layout.table} WHERE key LIKE ?"
+        (before,) = self._db.execute(counted, (f"{key}{_ASIDE}%",)).fetchone()
+        renamed = (f"{key}{_ASIDE}{before + 1})", key)
+        self._commit(f"UPDATE {self._layout.table} SET key = ? WHERE key = ?", [renamed])
 
 
 def open_run(path: Path) -> SavedRun:
@@ -168,18 +176,14 @@ def open_run(path: Path) -> SavedRun:
     path : Path
         The SQLite file or its directory.
 
-    Returns
-    -------
-    SavedRun
-
     Raises
     ------
     RunError
         If there is no run at ``path``.
     """
     file = run_file(path)
-    with reading(file, LAYOUT) as db:
-        facts, records = read_facts(db), tuple(_read_records(db))
+    with reading(file) as (db, layout):
+        facts, records = RunFacts(read_facts(db)), tuple(_read_records(db, layout))
         results = db.execute("SELECT value FROM result ORDER BY number DESC LIMIT 1").fetchone()
         return SavedRun(file, facts, records, json.loads(results[0]) if results else None)
 
@@ -193,29 +197,16 @@ def run_file(path: Path) -> Path:
         If there is none.
     """
     if path.is_dir():
-        if not (path / RUN_FILE).is_file():
-            raise RunError(f"{path}: holds no run (there is no {RUN_FILE} in it)")
-        return path / RUN_FILE
+        for name in _RUN_FILES:
+            if (path / name).is_file():
+                return path / name
+        raise RunError(f"{path}: holds no run (there is no {RUN_FILE} in it)")
     if not path.exists():
         raise RunError(f"{path}: there is no such file")
     return path
 
 
-def _read_records(db: sqlite3.Connection) -> Iterator[SavedRecord]:
-    columns = "number, taken_at, purpose, codes, preamble, sha256, conditions"
-    for number, taken_at, purpose, blob, preamble, sha256, conditions in db.execute(
-        f"SELECT {columns} FROM record ORDER BY number"
-    ):
-        yield SavedRecord(
-            number=number,
-            taken_at=taken_at,
-            purpose=purpose,
-            codes=np.frombuffer(blob, dtype=np.int8),
-            preamble=preamble,
-            intact=_checksum(blob, preamble) == sha256,
-            conditions=json.loads(conditions),
-        )
-
-
-def _checksum(codes: bytes, preamble: str) -> str:
-    return hashlib.sha256(codes + preamble.encode()).hexdigest()
+def _read_records(db: sqlite3.Connection, layout: Layout) -> Iterator[SavedRecord]:
+    for number, key, taken_at, purpose, header, payload, sha256, conditions in db.execute(layout.select):
+        intact = layout.checksum(payload, header, conditions) == sha256
+        yield SavedRecord(number, key, taken_at, purpose, header, payload, intact, json.loads(conditions))

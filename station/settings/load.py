@@ -1,49 +1,78 @@
-"""Settings: commented TOML files, checked as a whole before anything moves.
+"""Settings of any measurement: commented TOML files, checked as a whole before anything moves.
 
-The defaults stand in ``config/simulated.toml`` and ``config/bench.toml`` and nowhere else. A user's file
-holds only what differs from one of them.
+The defaults stand in the files of ``config/`` and nowhere else. A user's file holds only what differs from one.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from functools import cache
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Any, Generic, TypeVar
 
 from pydantic import ValidationError
 
-from station.errors import SettingsError
-from station.lock_in.response_file import check_response, read_response
-from station.lock_in.settings import (
-    MeasurementSettings,
-    ScopeSettings,
-    Settings,
-    SimulationSettings,
-)
+from station.errors import RunError, SettingsError, UsageError
+from station.settings.parts import Section
 from station.settings.toml_files import merged, mistakes, read_toml
 
-__all__ = [
-    "MeasurementSettings",
-    "ScopeSettings",
-    "Settings",
-    "ShippedName",
-    "SimulationSettings",
-    "default_settings",
-    "load_settings",
-    "shipped_settings",
-]
+S = TypeVar("S", bound=Section)
+Values = Mapping[str, Mapping[str, object]]
+"""Settings by section and name, as the command line gives them."""
 
-ShippedName = Literal["simulated", "bench", "fibre_gyro", "fibre_gyro_serial", "fibre_gyro_frames"]
-BenchName = Literal["simulated", "bench"]
+_FREE = ("limits", "output")
+"""Sections that say nothing of what is measured."""
 
 
-def shipped_settings(name: ShippedName) -> Path:
+@dataclass(frozen=True)
+class SettingsKind(Generic[S]):
+    """How the settings of one kind of measurement are read.
+
+    Attributes
+    ----------
+    model : type
+        What may stand in a file.
+    shipped : callable
+        Name of the shipped file that gives the defaults, for what the user has given.
+    adapt : callable
+        Changes defaults that do not go with what the user has given; gets all values.
+    check : callable
+        Checks what no single value shows, and completes the settings; gets them and the file's path. Raises
+        SettingsError.
+    later : str
+        Shipped file that gives what a run of an earlier version was saved without; empty: the model's defaults.
+    knowledge : tuple of str
+        Sections, or values as ``section.name``, that say what is known of the bench: a saved run can be evaluated
+        with those of today.
+    """
+
+    model: type[S]
+    shipped: Callable[[Mapping[str, Any]], str]
+    adapt: Callable[[dict[str, Any]], None]
+    check: Callable[[S, Path], S]
+    later: str = ""
+    knowledge: tuple[str, ...] = ("limits",)
+
+    def with_knowledge(self, saved: S, now: S) -> S:
+        """Return saved settings with what is known of the bench today."""
+        updates: dict[str, Any] = {}
+        for place in self.knowledge:
+            section, _, name = place.partition(".")
+            if name:
+                before = updates.get(section, getattr(saved, section))
+                updates[section] = before.model_copy(update={name: getattr(getattr(now, section), name)})
+            else:
+                updates[section] = getattr(now, section)
+        return saved.model_copy(update=updates)
+
+
+def shipped_settings(name: str) -> Path:
     """Find a settings file that came with the package.
 
     Parameters
     ----------
-    name : {"simulated", "bench", "fibre_gyro", "fibre_gyro_serial", "fibre_gyro_frames"}
+    name : str
+        ``"simulated"``, ``"bench"``, ``"fibre_gyro"``, ...
 
     Returns
     -------
@@ -55,8 +84,8 @@ def shipped_settings(name: ShippedName) -> Path:
     SettingsError
         If the installation is incomplete.
     """
-    here = Path(__file__).resolve().parent.parent
-    for folder in (here / "config", here.parent / "config"):
+    package = Path(__file__).resolve().parent.parent
+    for folder in (package / "config", package.parent / "config"):
         if (file := folder / f"{name}.toml").is_file():
             return file
     raise SettingsError(
@@ -64,95 +93,107 @@ def shipped_settings(name: ShippedName) -> Path:
     )
 
 
-def load_settings(
-    path: Path | None = None,
-    *,
-    resource: str | None = None,
-    overrides: Mapping[str, Mapping[str, object]] | None = None,
-) -> Settings:
+def load(kind: SettingsKind[S], path: Path | None = None, overrides: Values | None = None) -> S:
     """Read the settings of a run.
 
     Parameters
     ----------
+    kind : SettingsKind
     path : Path, optional
         The user's file. Only what differs from the shipped file need stand in it.
-    resource : str, optional
-        VISA resource name from the command line. Where one is given, here or in the file, the defaults
-        are those of ``bench.toml``, else those of ``simulated.toml``.
     overrides : mapping of mapping, optional
-        Values from the command line, by section and name; they win over the file.
-
-    Returns
-    -------
-    Settings
+        Values from the command line; they win over the file.
 
     Raises
     ------
     SettingsError
-        With every mistake of the file in one text: file, place, what is wrong.
+        With every mistake of the file in one text: file, place, line, what is wrong.
     """
-    user = read_toml(path) if path is not None else {}
-    scope = user.get("scope")
-    named = resource or (scope.get("resource") if isinstance(scope, dict) else None)
-    shipped = shipped_settings("bench" if named else "simulated")
-    values = merged(read_toml(shipped), user)
-    if named and path is not None:
-        # a file made for the simulated bench may be used with a real scope: its truth then means nothing
-        values.pop("simulation", None)
-        table = values.get("table")
-        if isinstance(table, dict) and table.get("kind") == "simulated":
-            table["kind"] = "none"
-    values = merged(values, {section: dict(names) for section, names in (overrides or {}).items()})
-    if resource:
-        values = merged(values, {"scope": {"resource": resource}})
+    given = _given(path, overrides)
+    shipped = shipped_settings(kind.shipped(given))
+    values = merged(read_toml(shipped), given)
+    kind.adapt(values)
+    return kind.check(_validated(kind, values, path or shipped), path or shipped)
+
+
+def saved_settings(kind: SettingsKind[S], values: Mapping[str, Any], place: str) -> S:
+    """Return the settings that a run was taken with.
+
+    Parameters
+    ----------
+    kind : SettingsKind
+    values : mapping
+        As the run holds them.
+    place : str
+        Its path, for the text of the error.
+
+    Raises
+    ------
+    RunError
+        If this version does not understand them.
+    """
+    if values and kind.later:
+        values = merged(read_toml(shipped_settings(kind.later)), values)
     try:
-        settings = Settings.model_validate(values)
+        return kind.model.model_validate(dict(values))
+    except ValidationError:
+        raise RunError(f"{place}: the settings of this run cannot be read") from None
+
+
+def settings_to_resume(
+    kind: SettingsKind[S], saved: S, path: Path | None, overrides: Values | None, run: Path
+) -> S:
+    """Return the settings of a run that is gone on with; what is given must not change what is measured.
+
+    Parameters
+    ----------
+    kind : SettingsKind
+    saved : Section
+        The run's own.
+    path : Path or None
+        A settings file that was given too.
+    overrides : mapping of mapping or None
+        Values from the command line that were given too.
+    run : Path
+
+    Raises
+    ------
+    SettingsError
+        The file holds mistakes.
+    UsageError
+        Something differs: the text names every value.
+    """
+    if path is not None or overrides:
+        load(kind, path, overrides)  # says what is wrong with the file
+    before = dict(_flat(saved.model_dump(mode="json")))
+    changed = [
+        f"{place} is {before.get(place)!r} in the run, not {value!r}"
+        for place, value in _flat(_given(path, overrides))
+        if place.split(".")[0] not in (*_FREE, *kind.knowledge) and before.get(place) != value
+    ]
+    if changed:
+        raise UsageError(
+            f"{run}: cannot be gone on with, other settings would change what is measured: {'; '.join(changed)}"
+        )
+    return saved
+
+
+def _given(path: Path | None, overrides: Values | None) -> dict[str, Any]:
+    user = read_toml(path) if path is not None else {}
+    return merged(user, {section: dict(names) for section, names in (overrides or {}).items()})
+
+
+def _validated(kind: SettingsKind[S], values: Mapping[str, Any], path: Path) -> S:
+    try:
+        return kind.model.model_validate(dict(values))
     except ValidationError as error:
-        raise SettingsError(mistakes(path or shipped, error)) from None
-    _check_whole(path or shipped, settings)
-    return _with_response(path or shipped, settings)
+        raise SettingsError(mistakes(path, error, kind.model)) from None
 
 
-def _with_response(path: Path, settings: Settings) -> Settings:
-    """Read the response of the channel from the file that is named, so that a run carries it along."""
-    front_end = settings.front_end
-    if not front_end.response_file:
-        if front_end.response:
-            check_response(front_end.response, f"{path}: front_end.response")
-        return settings
-    if front_end.response:
-        raise SettingsError(f"{path}: front_end: give either response or response_file, not both")
-    # a relative name is meant from where the settings stand
-    rows = read_response(path.parent / front_end.response_file)
-    return settings.model_copy(update={"front_end": front_end.model_copy(update={"response": rows})})
-
-
-def default_settings(name: BenchName = "simulated") -> Settings:
-    """Return the settings of a shipped file as they stand."""
-    return _shipped(name)
-
-
-@cache
-def _shipped(name: BenchName) -> Settings:
-    return Settings.model_validate(read_toml(shipped_settings(name)))
-
-
-def _check_whole(path: Path, settings: Settings) -> None:
-    """Check what no single value shows."""
-    if settings.simulated and settings.simulation is None:
-        raise SettingsError(f"{path}: scope.resource is empty and there is no [simulation]: name the oscilloscope")
-    if settings.simulated and settings.table.kind == "manual":
-        raise SettingsError(
-            f'{path}: table.kind: an operator cannot turn a simulated table; use "simulated" or "none"'
-        )
-    if settings.measurement.rates_over_lock_in and settings.table.kind == "none":
-        raise SettingsError(
-            f"{path}: measurement.rates_over_lock_in: several rates need a table that can be set; "
-            'table.kind = "none" has none'
-        )
-    if settings.scope.quadrature_channel == settings.scope.channel:
-        raise SettingsError(f"{path}: scope.quadrature_channel: is the same as scope.channel")
-    if not settings.simulated and settings.table.kind == "simulated":
-        raise SettingsError(
-            f'{path}: table.kind: a simulated table cannot turn a real gyro; use "manual" or "none"'
-        )
+def _flat(values: Mapping[str, Any], above: str = "") -> Iterator[tuple[str, Any]]:
+    """Walk through all values: dotted place, and value."""
+    for name, value in values.items():
+        if isinstance(value, Mapping):
+            yield from _flat(value, f"{above}{name}.")
+        else:
+            yield f"{above}{name}", value

@@ -1,16 +1,21 @@
-"""Settings in TOML files: read, laid over each other, and their mistakes put into words."""
+"""TOML files: read, laid over each other, and their mistakes put into words with line and suggestion."""
 
 from __future__ import annotations
 
+import difflib
+import re
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from station.errors import SettingsError
 
 if TYPE_CHECKING:
-    from pydantic import ValidationError
+    from pydantic import BaseModel, ValidationError
+
+_HEADER = re.compile(r"\s*\[\[?\s*([^\]]+?)\s*\]\]?")
+_KEY = re.compile(r"\s*([A-Za-z0-9_.\-\"' ]+?)\s*=")
 
 
 def read_toml(path: Path) -> dict[str, Any]:
@@ -50,14 +55,66 @@ def merged(below: Mapping[str, Any], above: Mapping[str, Any]) -> dict[str, Any]
     return both
 
 
-def mistakes(path: Path, error: ValidationError) -> str:
-    """Put every mistake of a file into one sentence: file, place, what is wrong."""
+def mistakes(path: Path, error: ValidationError, model: type[BaseModel]) -> str:
+    """Put every mistake of a file into one sentence: file, place, what is wrong, what was perhaps meant."""
     found = []
     for mistake in error.errors(include_url=False):
-        place = ".".join(str(part) for part in mistake["loc"])
+        place = [str(part) for part in mistake["loc"]]
         if mistake["type"] == "extra_forbidden":
-            text = "no such setting"
+            text = f"no such setting{_meant(place, model)}"
         else:
             text = f"{mistake['msg'][0].lower()}{mistake['msg'][1:]}, not {mistake['input']!r}"
-        found.append(f"{place}: {text}")
+        line = line_of(path, place)
+        found.append(f"{'.'.join(place)}{f' (line {line})' if line else ''}: {text}")
     return f"{path}: " + "; ".join(found)
+
+
+def _meant(place: Sequence[str], model: type[BaseModel]) -> str:
+    """Suggest a name like the one that is not known; of limits all, for there are few."""
+    section: type[BaseModel] | None = model
+    for name in place[:-1]:
+        field = section.model_fields.get(name) if section is not None else None
+        section = getattr(field, "annotation", None)
+        if not hasattr(section, "model_fields"):
+            return ""
+    known = list(section.model_fields) if section is not None else []
+    if like := difflib.get_close_matches(place[-1], known, 1):
+        return f"; did you mean {like[0]}?"
+    return f"; there are {', '.join(known)}" if place[0] == "limits" else ""
+
+
+def line_of(path: Path, place: Sequence[str]) -> int | None:
+    """Find the line of a TOML file that a value stands in.
+
+    Parameters
+    ----------
+    path : Path
+    place : sequence of str
+        Names from the outermost section to the value.
+
+    Returns
+    -------
+    int or None
+        Counts from 1; that of the section where the value has no line of its own.
+    """
+    try:
+        lines = path.read_text(encoding="utf-8").splitlines()
+    except (OSError, UnicodeDecodeError):
+        return None
+    section: list[str] = []
+    found, depth = None, 0
+    for number, line in enumerate(lines, start=1):
+        if header := _HEADER.match(line):
+            section = _names(header[1])
+            here = section
+        elif key := _KEY.match(line):
+            here = section + _names(key[1])
+        else:
+            continue
+        if len(here) > depth and list(place[: len(here)]) == here:
+            found, depth = number, len(here)
+    return found
+
+
+def _names(dotted: str) -> list[str]:
+    return [name.strip().strip("\"'") for name in dotted.split(".")]

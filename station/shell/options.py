@@ -1,17 +1,16 @@
-"""Options that several commands share, and how a command ends."""
+"""Options that several commands share."""
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, TypeVar
 
 import click
 
-from station.errors import Failure
-
 F = TypeVar("F", bound=Callable[..., Any])
+
+CHANNELS = click.Choice(["CH1", "CH2", "CH3", "CH4"], case_sensitive=False)
 
 
 def json_option(function: F) -> F:
@@ -31,62 +30,53 @@ def config_option(function: F) -> F:
     )(function)
 
 
-def bench_options(function: F) -> F:
-    """Add the options that say what to acquire with, and how much."""
+def report_option(function: F) -> F:
+    """Add ``--report`` and ``--no-report``."""
+    return click.option("--report/--no-report", default=True, help="Write report.html beside the run [yes].")(
+        function
+    )
+
+
+def run_options(function: F) -> F:
+    """Add what every command has that takes records: resume, labels, seed, directory, settings, JSON."""
     options = (
         click.option(
-            "--resource",
-            metavar="NAME",
-            help="VISA name of the oscilloscope. Without one the bench is simulated.",
+            "--resume",
+            type=click.Path(path_type=Path),
+            metavar="RUN",
+            help="Go on with this run.",
         ),
-        click.option(
-            "--records", type=click.IntRange(1, 1_000_000), metavar="N", help="Records at the slow rate."
-        ),
-        click.option(
-            "--channel",
-            type=click.Choice(["CH1", "CH2", "CH3", "CH4"]),
-            metavar="CHn",
-            help="Input channel, CH1 to CH4.",
-        ),
+        click.option("--unit", metavar="TEXT", help="Unit under test: stands in report and JSON."),
+        click.option("--operator", metavar="TEXT", help="Who measures."),
+        click.option("--note", metavar="TEXT", help="What should be remembered of this run."),
         click.option("--seed", type=click.IntRange(min=0), metavar="S", help="Seed of the simulated bench."),
         click.option("--out", type=click.Path(path_type=Path), metavar="DIR", help="Directory of runs [./runs]."),
+        config_option,
+        json_option,
     )
     for option in reversed(options):
         function = option(function)
     return function
 
 
-def overrides(
-    *, records: int | None, channel: str | None, seed: int | None, out: Path | None, simulated: bool
-) -> dict[str, dict[str, object]]:
+def overrides(given: Mapping[str, Any], places: Mapping[str, str]) -> dict[str, dict[str, object]]:
     """Turn options of the command line into settings; what was not given is left out.
 
     Parameters
     ----------
-    records, channel, seed, out
-        As the options of :func:`bench_options`.
-    simulated : bool
-        Whether the bench is simulated: only then has the seed a meaning.
+    given : mapping
+        Options and their values.
+    places : mapping
+        Option, and where it stands in the settings: ``"scope.channel"``.
+
+    Examples
+    --------
+    >>> overrides({"seed": 3, "channel": None}, {"seed": "simulation.seed", "channel": "scope.channel"})
+    {'simulation': {'seed': 3}}
     """
     chosen: dict[str, dict[str, object]] = {}
-    if records is not None:
-        chosen["measurement"] = {"records": records}
-    if channel is not None:
-        chosen["scope"] = {"channel": channel.upper()}
-    if out is not None:
-        chosen["output"] = {"directory": str(out)}
-    if seed is not None:
-        if not simulated:
-            raise click.UsageError("--seed belongs to the simulated bench; a real one has none")
-        chosen["simulation"] = {"seed": seed}
+    for name, place in places.items():
+        if (value := given.get(name)) is not None:
+            section, _, key = place.partition(".")
+            chosen.setdefault(section, {})[key] = str(value) if isinstance(value, Path) else value
     return chosen
-
-
-def print_json(document: Mapping[str, Any]) -> None:
-    """Print one JSON document; nan is never in it."""
-    click.echo(json.dumps(document, allow_nan=False))
-
-
-def print_failure(failure: Failure) -> None:
-    """Print the one line of an error to stderr."""
-    click.echo(f"gyrolock: {failure.message}", err=True)

@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.study import BiasTable, Causes, ErrorStudy, WaveformStudy
-from station.report.picture import write_picture
-from station.report.plot_style import ACCENT, INK, SECOND, SOFT, THIRD, legend_above
+from station.report.figure import ACCENT, INK, SECOND, SOFT, THIRD, legend_above, write_picture
 from station.study.study import WINDOW_NAMES, Study, axis_name, curve_name
 
 if TYPE_CHECKING:

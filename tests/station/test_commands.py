@@ -9,7 +9,7 @@ import pytest
 from station import cli
 from station.cli import main
 from station.doctor import examine
-from station.lock_in.sentences import with_prefix, with_uncertainty
+from station.results.numbers import with_prefix, with_uncertainty
 from station.settings.load import default_settings
 
 HEAVY = ("numpy", "scipy", "pyvisa", "matplotlib", "pydantic", "rich", "jinja2")

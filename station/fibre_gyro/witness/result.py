@@ -7,8 +7,8 @@ import math
 from analysis.fibre_gyro.staircase import describe_witness_flag
 from station.fibre_gyro.settings import FogSettings
 from station.fibre_gyro.witness.measurement import WitnessEvaluation
-from station.fibre_gyro.words import ppm_words
-from station.lock_in.sentences import with_uncertainty
+from station.fibre_gyro.words import ppm
+from station.results.numbers import with_uncertainty
 
 _PPM = 1e6
 
@@ -51,7 +51,7 @@ def sentences(found: WitnessEvaluation, settings: FogSettings, injected: float |
     difference = found.step_time_ppm
     said.append(
         "Step time against the transit time of the coil by design: "
-        f"{ppm_words(difference.value, difference.u)}, by the oscilloscope's time base."
+        f"{ppm(difference.value, difference.u)}, by the oscilloscope's time base."
     )
     if not found.half_wave_v:
         said.append("The half-wave voltage (witness.half_wave_v) is not known, so no 2π error is given.")

@@ -8,9 +8,8 @@ import numpy as np
 
 from station.fibre_gyro.settings import FogSettings
 from station.fibre_gyro.witness.measurement import WitnessedRecord, WitnessEvaluation
-from station.lock_in.sentences import with_uncertainty
-from station.report.picture import svg_element
-from station.report.plot_style import ACCENT, INK, SECOND, SOFT, WIDE, legend_above
+from station.report.figure import ACCENT, INK, SECOND, SOFT, WIDE, legend_above, svg_element
+from station.results.numbers import with_uncertainty
 from station.results.parts import PlacedFigure, Rows, Section, Table
 from station.runs.store import SavedRun
 

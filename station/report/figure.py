@@ -1,20 +1,41 @@
-"""A figure in the style of the reports, as an element of a page or as a file of its own."""
+"""Figures in the style of the reports: colours and type, an element of a page, a file of its own."""
 
 from __future__ import annotations
 
 import io
 import os
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from station.errors import UsageError
-from station.report.plot_style import STYLE, embeddable
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 FILE_KINDS = (".svg", ".png", ".pdf")
+INK, SOFT, LINE, ACCENT, SECOND, THIRD = "#1d2733", "#5b6875", "#dfe4ea", "#1f5f99", "#c8642b", "#2c7a4b"
+WIDE, HALF = (10.0, 3.1), (5.0, 3.1)
+STYLE: dict[str, Any] = {
+    "svg.fonttype": "none",  # text stays text: small, searchable, in the font of the page
+    "font.size": 9.5,
+    "axes.edgecolor": SOFT,
+    "axes.labelcolor": SOFT,
+    "axes.linewidth": 0.7,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.axisbelow": True,
+    "axes.grid": True,
+    "grid.color": LINE,
+    "grid.linewidth": 0.6,
+    "xtick.color": SOFT,
+    "ytick.color": SOFT,
+    "legend.frameon": False,
+    "legend.fontsize": 9,
+    "lines.linewidth": 1.2,
+}
 
 
 def svg_element(name: str, size: tuple[float, float], draw: Callable[[Figure], None]) -> str:
@@ -35,7 +56,7 @@ def svg_element(name: str, size: tuple[float, float], draw: Callable[[Figure], N
         The same for the same data.
     """
     drawn = _drawn(name, size, draw, "svg", transparent=True, metadata={"Date": None, "Creator": None})
-    return embeddable(drawn.decode(), name)
+    return _embeddable(drawn.decode(), name)
 
 
 def write_picture(path: Path, name: str, size: tuple[float, float], draw: Callable[[Figure], None]) -> None:
@@ -75,6 +96,11 @@ def check_picture_name(path: Path) -> None:
         raise UsageError(f"{path}: a picture's name ends with {', '.join(FILE_KINDS[:-1])} or {FILE_KINDS[-1]}")
 
 
+def legend_above(axes: Axes, columns: int = 3) -> None:
+    """Put the legend above the axes, where it hides nothing."""
+    axes.legend(loc="lower left", bbox_to_anchor=(0, 1.0), ncols=columns, borderaxespad=0.2, handlelength=1.6)
+
+
 def _drawn(name: str, size: tuple[float, float], draw: Callable[[Figure], None], kind: str, **how: Any) -> bytes:
     import matplotlib
     from matplotlib.figure import Figure
@@ -86,3 +112,13 @@ def _drawn(name: str, size: tuple[float, float], draw: Callable[[Figure], None],
         file = io.BytesIO()
         figure.savefig(file, format=kind, **how)
     return file.getvalue()
+
+
+def _embeddable(svg: str, name: str) -> str:
+    """Cut off the XML prologue and make every id of the figure its own."""
+    svg = svg[svg.index("<svg") :]
+    svg = re.sub(r"<metadata>.*?</metadata>\s*", "", svg, flags=re.DOTALL)
+    svg = re.sub(r'\bid="', f'id="{name}-', svg)
+    svg = re.sub(r'(href="#|url\(#)', rf"\g<1>{name}-", svg)
+    # the page's font; matplotlib has laid the text out in a wider one
+    return re.sub(r"font-family: 'DejaVu Sans'[^;\"]*", "font-family: inherit", svg)

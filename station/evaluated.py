@@ -1,0 +1,145 @@
+"""A saved run and what it says: evaluated by the measurement that it is of, judged by its limits."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from station.errors import RunError, UsageError
+from station.measurements import MEASUREMENTS, Measurement, measurement
+from station.results.as_json import plain
+from station.results.limits import Tested, check_limits, verdict
+from station.results.parts import FactTable, Section
+from station.results.result import Result
+from station.runs.store import SavedRun
+from station.settings.load import load, saved_settings
+
+SCHEMA_VERSION = 1
+
+
+@dataclass(frozen=True)
+class Evaluated:
+    """A run and what it says.
+
+    Attributes
+    ----------
+    kind : Measurement
+    run : SavedRun
+    settings : Section
+        Those of the run, with what is known of the bench now where that was given.
+    found : object
+        What the measurement computed.
+    result : Result
+    tested : tuple of Tested
+    """
+
+    kind: Measurement[Any, Any]
+    run: SavedRun
+    settings: Any
+    found: Any
+    result: Result
+    tested: tuple[Tested, ...]
+
+    @property
+    def verdict(self) -> str | None:
+        """``"PASS"``, ``"FAIL"`` or, without limits, ``None``."""
+        return verdict(self.tested)
+
+    def document(self) -> dict[str, Any]:
+        """Return everything as one JSON document, without report and error."""
+        facts = self.run.facts
+        document: dict[str, Any] = {
+            "schema": {"name": f"gyrolock {self.kind.name}", "version": SCHEMA_VERSION},
+            "command": self.kind.name,
+            "gyro": self.settings.gyro.name,
+            "simulated": facts.simulated,
+            **self.result.document,
+            "flags": self.result.flags,
+            "limits": [one.as_json() for one in self.tested],
+            "verdict": self.verdict,
+            **about_run(self.run),
+        }
+        if facts.truth is not None:
+            document["truth"] = facts.truth
+        return dict(plain(document))
+
+    def sections(self) -> list[Section]:
+        """Return figures and tables of the report."""
+        return self.kind.sections(self.found, self.run, self.settings, self.result)
+
+    def fact_tables(self) -> list[FactTable]:
+        """Return settings and conditions, for the end of the report."""
+        return self.kind.facts(self.found, self.run, self.settings)
+
+    def rows(self) -> list[dict[str, Any]]:
+        """Return one plain JSON object for each record; the whole document where there is none."""
+        rows = [dict(plain(row)) for row in self.kind.rows(self.found)]
+        return [{"run": str(self.run.path), **row} for row in rows] or [self.document()]
+
+
+def about_run(run: SavedRun) -> dict[str, Any]:
+    """Return what the JSON of every run says of it, whatever was measured."""
+    facts = run.facts
+    identity, made = facts.get("identity") or {}, facts.get("provenance") or {}
+    return {
+        "unit": facts.labels.get("unit"),
+        "operator": facts.labels.get("operator"),
+        "note": facts.labels.get("note"),
+        "started_at": facts.started_at or None,
+        "ended_at": facts.ended_at,
+        "resumed_at": list(facts.resumed_at),
+        "outcome": facts.outcome_text,
+        "instrument": {name: identity.get(name) for name in ("model", "serial", "firmware")} if identity else None,
+        "software": {name: made.get(name) for name in ("gyrolock", "git", "python")} if made else None,
+        "run": str(run.path),
+    }
+
+
+def evaluate_run(
+    run: SavedRun, *, config: Path | None = None, choices: Mapping[str, Any] | None = None
+) -> Evaluated:
+    """Evaluate a run by the measurement that it is of.
+
+    Parameters
+    ----------
+    run : SavedRun
+    config : Path, optional
+        Settings file: what is known of the bench is taken from it, and the limits.
+    choices : mapping, optional
+        What the user wants of the evaluation, by name; ``None`` is left out.
+
+    Raises
+    ------
+    RunError
+        The run cannot be evaluated by this version.
+    NoUsableSignal
+        It gives no result.
+    UsageError
+        This measurement has no such choice.
+    """
+    kind = kind_of(run)
+    settings = saved_settings(kind.kind, run.facts.settings, str(run.path))
+    if config is not None:
+        settings = kind.kind.with_knowledge(settings, load(kind.kind, config))
+    wanted = {name: value for name, value in (choices or {}).items() if value is not None}
+    for name in wanted:
+        if name not in kind.choices:
+            option = name.replace("_", "-")
+            raise UsageError(f"{run.path}: is a run of `{kind.command}`, for which --{option} means nothing")
+    found = kind.evaluate(run, settings, wanted)
+    result = kind.result(found, run, settings)
+    limits = settings.limits.model_dump()
+    return Evaluated(kind, run, settings, found, result, check_limits(result.measured, limits))
+
+
+def kind_of(run: SavedRun) -> Measurement[Any, Any]:
+    """Return the measurement that a run is of; RunError if this version does not know it."""
+    name = run.facts.command
+    if name not in MEASUREMENTS:
+        raise RunError(
+            f"{run.path}: is a run of {name!r}, which this gyrolock does not know "
+            f"(it knows {', '.join(MEASUREMENTS)}): update it"
+        )
+    return measurement(name)

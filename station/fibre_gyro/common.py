@@ -1,0 +1,160 @@
+"""What the measurements of a fibre gyro share: the truth of a simulation, facts for the report, a staircase."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from analysis.fibre_gyro.loop.closed_loop import ClosedLoop
+from analysis.fibre_gyro.staircase_calibration import largest_step, predicted_table_scale
+from station.fibre_gyro.recordings import segments_of
+from station.fibre_gyro.settings import FogSettings
+from station.fibre_gyro.simulated_bench import loop_settings, quiet
+from station.report.figure import ACCENT, SECOND, SOFT, THIRD, svg_element
+from station.results.parts import FactTable, PlacedFigure, Rows, Section
+from station.results.result import LeftOut
+from station.runs.store import SavedRun
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from analysis.fibre_gyro.loop.output import Trace
+
+PPM = 1e6
+COUNTS_PER_DPS = "counts per deg/s"
+_TRACE_RATE_DPS = 20.0
+_TALL = (10.0, 5.6)
+_SIMULATED_BY = {"output": "words by the output model", "transit": "every transit time computed"}
+
+
+def truth_of(settings: FogSettings) -> dict[str, dict[str, float]]:
+    """Return the fact ``truth`` of a simulated run, what it should find; nothing for a real gyro."""
+    if not settings.simulated:
+        return {}
+    simulation = settings.simulation
+    tilt = 1e-3 * simulation.misalignment_mrad
+    scale = predicted_table_scale(
+        simulation.scale_change_ppm / PPM, simulation.two_pi_error, gated=settings.gyro.gated_resets
+    )
+    truth = {
+        # about the table's axis, which the gyro's axis is tilted from
+        "scale_factor_counts_per_dps": scale * settings.nominal_scale_factor * math.cos(tilt),
+        "two_pi_error_ppm": PPM * simulation.two_pi_error,
+        "bias_dph": simulation.bias_dph,
+        "angle_random_walk_deg_per_sqrt_h": simulation.angle_random_walk,
+    }
+    return {"truth": truth}
+
+
+def reasons_of(left_out: Sequence[LeftOut], before: str = ": ") -> str:
+    """Return why something is left out, to follow the text of an error; empty if nothing is."""
+    reasons = "; ".join(one.sentence for one in left_out)
+    return f"{before}{reasons}" if reasons else ""
+
+
+def small_ppm(value: float) -> str:
+    """Write a change in ppm that may be too small to matter."""
+    return f"{value:+.2g} ppm" if abs(value) >= 0.01 else "less than 0.01 ppm"
+
+
+def beyond_converter(step_codes: float, dac_bits: int) -> str:
+    """Say that a step is beyond the converter."""
+    return (
+        f"a step of {step_codes:+.6g} codes is beyond the {dac_bits}-bit converter, which takes "
+        f"{largest_step(dac_bits):.0f} (half of its range): choose a smaller rate"
+    )
+
+
+def gyro_table(settings: FogSettings) -> FactTable:
+    """Return the gyro by design, for the facts of a report."""
+    gyro, coil = settings.gyro, settings.coil
+    rows = [
+        ("fibre, coil", f"{gyro.coil_length_m:g} m, mean diameter {1e3 * gyro.coil_diameter_m:g} mm"),
+        ("wavelength", f"{gyro.wavelength_um:g} µm"),
+        ("transit time", f"{1e6 * coil.transit_time:.4f} µs, bias at {1e-3 * coil.proper_frequency:.3f} kHz"),
+        ("converter", f"{gyro.dac_bits} bits, {gyro.fraction_bits} fractional bits below"),
+        ("nominal scale factor", f"{settings.nominal_scale_factor:.6f} {COUNTS_PER_DPS}"),
+        ("one code", f"{3600 * gyro.counts_per_code / settings.nominal_scale_factor:.4g} deg/h"),
+        ("samples with a reset", "left out of the integrator" if gyro.gated_resets else "used"),
+        ("fringe limit", f"{coil.fringe_limit_dps:.1f} deg/s"),
+    ]
+    return FactTable("Gyro by design", rows)
+
+
+def output_facts(found: object, run: SavedRun, settings: FogSettings) -> list[FactTable]:
+    """Return how the gyro's output was taken, for the facts of a report."""
+    return [gyro_table(settings), FactTable("Conditions", _condition_rows(run, settings))]
+
+
+def _condition_rows(run: SavedRun, settings: FogSettings) -> Rows:
+    purposes = dict.fromkeys(record.purpose for record in run.records)
+    segments = [segment for purpose in purposes for segment in segments_of(run, purpose)]
+    losses = [segment.recording.losses for segment in segments]
+    clocks = sorted({segment.recording.clock for segment in segments})
+    models = sorted({str(one.conditions["model"]) for one in segments if "model" in one.conditions})
+    rows = [
+        ("output from", ", ".join(run.facts.sources) or settings.link.port or "simulated gyro"),
+        ("segments", f"{len(segments)}, {sum(s.recording.duration_s for s in segments):.0f} s of output"),
+        ("frames", f"{sum(one.good for one in losses)} used, {sum(one.missing for one in losses)} missing"),
+        ("clock", ", ".join(clocks)),
+        ("latitude", f"{settings.site.latitude_deg:g}°"),
+    ]
+    if models:
+        rows.append(("simulation", ", ".join(_SIMULATED_BY[model] for model in models)))
+    if any(segment.conditions.get("acknowledged") is False for segment in segments):
+        rows.append(("commands", "sent once and not acknowledged: nothing proves that they arrived"))
+    return rows
+
+
+def staircase_section(settings: FogSettings, open_loop_step: float | None = None) -> Section:
+    """Return staircase and detector signal over a few resets, computed from the design.
+
+    Parameters
+    ----------
+    settings : FogSettings
+    open_loop_step : float, optional
+        Codes; by default the loop is closed and the gyro turns.
+    """
+    loop, coil = quiet(loop_settings(settings)), settings.coil
+    gyro = ClosedLoop(coil, loop, 0, kernel="numpy")
+    step = open_loop_step or coil.nominal_scale(loop.dac_bits) * _TRACE_RATE_DPS
+    samples = int(3.2 * loop.codes / step)
+    if open_loop_step is None:
+        rate = min(_TRACE_RATE_DPS, 0.5 * coil.fringe_limit_dps)
+        gyro.run(2, output_period_s=200 * coil.transit_time, rate_dps=rate)
+        trace = gyro.trace(samples, rate_dps=rate)
+        caption = (
+            f"At {rate:g} deg/s in closed loop: the feedback keeps the intensity at one level between resets."
+        )
+    else:
+        gyro.clear_feedback()
+        trace = gyro.trace(samples, injected_step=step, closed=False)
+        caption = f"A step of {step:g} codes in open loop: the intensity alternates with the bias."
+    figure = PlacedFigure(_staircase_svg(trace, coil.transit_time), f"{caption} Dashed: 2π resets.")
+    text = "Computed at every transit time from the design and, in a simulation, its errors; without noise."
+    return Section("Staircase and detector signal", text, figures=(figure,))
+
+
+def _staircase_svg(trace: Trace, interval_s: float) -> str:
+    """Draw the staircase, the phase difference and the detector signal over a few resets."""
+
+    def draw(figure: Figure) -> None:
+        top, middle, bottom = figure.subplots(3, 1, sharex=True)
+        begin = 1e6 * (trace.times_s - trace.times_s[0])
+        for axes, values, colour, label in (
+            (top, trace.staircase, ACCENT, "staircase,\ncodes"),
+            (middle, trace.difference_rad / np.pi, THIRD, "phase difference,\nπ"),
+            (bottom, trace.intensity, SECOND, "intensity,\npart of peak"),
+        ):
+            axes.step(begin, values, where="post", color=colour, linewidth=0.9)
+            axes.set_ylabel(label)
+            axes.ticklabel_format(axis="y", useOffset=False)
+            for at in begin[trace.reset]:
+                axes.axvline(at, color=SOFT, linewidth=0.6, linestyle=(0, (3, 3)), zorder=0)
+        bottom.set_xlabel(f"time, µs (one sample every {1e6 * interval_s:.3f} µs)")
+        bottom.set_xlim(0, begin[-1])
+
+    return svg_element("staircase", _TALL, draw)

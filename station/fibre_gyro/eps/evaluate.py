@@ -1,0 +1,92 @@
+"""What the open-loop segments of a run say: the 2 pi error."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.fibre_gyro.two_pi_error import TwoPiError, estimate_two_pi_error
+from station.errors import NoUsableSignal
+from station.fibre_gyro.common import reasons_of
+from station.fibre_gyro.recordings import Segment, segments_of
+from station.fibre_gyro.settings import FogSettings
+from station.fibre_gyro.windows import checked
+from station.results.result import LeftOut
+from station.runs.store import SavedRun
+from station.runs.taking import left_out_of_plan
+
+PURPOSE = "eps"
+NORMAL, RESET = "normal_error", "reset_error"
+
+
+@dataclass(frozen=True)
+class EpsFound:
+    """Result of the open-loop measurement.
+
+    Attributes
+    ----------
+    keys : tuple of str
+        Segments in the result, one for each element of the arrays.
+    step_codes : ndarray, shape (n,)
+    normal, normal_u, reset, reset_u : ndarray, shape (n,)
+        Mean demodulated error of the sample pairs without and with a reset, counts of the detector's converter.
+    error : TwoPiError
+    left_out : tuple of LeftOut
+    """
+
+    keys: tuple[str, ...]
+    step_codes: NDArray[np.float64]
+    normal: NDArray[np.float64]
+    normal_u: NDArray[np.float64]
+    reset: NDArray[np.float64]
+    reset_u: NDArray[np.float64]
+    error: TwoPiError
+    left_out: tuple[LeftOut, ...]
+
+
+def evaluate(run: SavedRun, settings: FogSettings, choices: Mapping[str, Any]) -> EpsFound:
+    """Evaluate the open-loop segments of a run.
+
+    Raises
+    ------
+    NoUsableSignal
+        Fewer than two steps are left.
+    """
+    rows, left_out = [], left_out_of_plan(run)
+    for segment in segments_of(run, PURPOSE):
+        try:
+            normal, reset = (_mean_of(segment, name) for name in (NORMAL, RESET))
+        except ValueError as error:
+            left_out.append(LeftOut(segment.key, str(error)))
+            continue
+        rows.append((segment.key, float(segment.conditions["step_codes"]), *normal, *reset))
+    if len(rows) < 2:
+        raise NoUsableSignal(
+            f"the 2 pi error needs two injected steps, there are {len(rows)}: {reasons_of(left_out, '')}"
+        )
+    step, normal, normal_u, reset, reset_u = np.array([row[1:] for row in rows], dtype=np.float64).T
+    try:
+        found = estimate_two_pi_error(step, normal, reset, normal_u, reset_u, dac_bits=settings.gyro.dac_bits)
+    except ValueError as error:
+        raise NoUsableSignal(f"the injected steps give no 2 pi error: {error}") from None
+    keys = tuple(row[0] for row in rows)
+    return EpsFound(keys, step, normal, normal_u, reset, reset_u, found, tuple(left_out))
+
+
+def _mean_of(segment: Segment, name: str) -> tuple[float, float]:
+    """Mean of a column and its standard uncertainty."""
+    recording = checked(segment)
+    if name not in recording.extra:
+        raise ValueError(
+            f"the output has no column {name}: name the demodulated error of the sample pairs "
+            f"{NORMAL} and {RESET} in the frame format or in the log"
+        )
+    values = recording.extra[name]
+    values = values[np.isfinite(values)]
+    if values.size < 3:
+        raise ValueError(f"{name} has {values.size} values: record longer, or inject a larger step")
+    return float(values.mean()), float(max(np.std(values, ddof=1) / np.sqrt(values.size), 1e-12))

@@ -1,0 +1,63 @@
+"""A result on a terminal: tables, values, what they mean, what to watch, the verdict."""
+
+from __future__ import annotations
+
+import sys
+from typing import TYPE_CHECKING
+
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+
+if TYPE_CHECKING:
+    from station.evaluated import Evaluated
+    from station.results.parts import Rows, TextTable
+    from station.results.result import Result
+
+
+def stdout_console() -> Console:
+    """Return a console on stdout; wide enough for a table also where there is no terminal."""
+    return Console(width=None if sys.stdout.isatty() else 100, highlight=False)
+
+
+def text_table(table: TextTable, *, left: int = 0) -> Table:
+    """Lay out a table of texts; numbers stand right, the first `left` columns and words left."""
+    shown = Table(box=None, header_style="dim", pad_edge=False, padding=(0, 2, 0, 0))
+    for place, name in enumerate(table.header):
+        words = place < left or name == "flags"
+        shown.add_column(name, justify="left" if words else "right", no_wrap=not words)
+    for row in table.rows:
+        shown.add_row(*map(escape, row))
+    return shown
+
+
+def print_result(evaluated: Evaluated) -> None:
+    """Print what a run says."""
+    console, facts = stdout_console(), evaluated.run.facts
+    rows = [*((name, text) for name, text in facts.labels.items())]
+    if facts.resumed_at:
+        rows.append(("resumed", ", ".join(facts.resumed_at)))
+    if facts.simulated:
+        known = (f"{name.replace('_', ' ')} {value:.9g}" for name, value in (facts.truth or {}).items())
+        told = evaluated.result.truth or ", ".join(known) or "no truth is saved"
+        rows.append(("bench", f"simulated; {told}"))
+    _print(console, evaluated.result, rows)
+    for tested in evaluated.tested:
+        console.print(tested.sentence, markup=False, style="green" if tested.passed else "bold red")
+
+
+def _print(console: Console, result: Result, more: Rows) -> None:
+    for table in result.tables:
+        console.print(text_table(table))
+    summary = Table(box=None, show_header=False, pad_edge=False, padding=(0, 2, 0, 0))
+    summary.add_column(style="dim", no_wrap=True)
+    summary.add_column()
+    summary.add_row("", "")
+    summary.add_row(result.name, f"[bold]{escape(result.value)}[/bold]")
+    for name, text in (*result.summary, *more):
+        summary.add_row(name, escape(text))
+    console.print(summary)
+    for sentence in result.sentences:
+        console.print(f"• {sentence}", markup=False)
+    for sentence in result.to_watch:
+        console.print(f"• {sentence}", markup=False, style="yellow")

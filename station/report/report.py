@@ -1,0 +1,112 @@
+"""One self-contained HTML file that shows a run: value, plots, tables, settings, conditions, provenance."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from station.evaluated import Evaluated
+from station.provenance import version
+from station.report.page import render_page, write_page
+from station.results.parts import FactTable, Rows, Section
+from station.runs.facts import RunFacts
+from station.runs.store import REPORT_FILE
+
+
+def write_report(evaluated: Evaluated, path: Path | None = None) -> Path:
+    """Write the report of a run.
+
+    Parameters
+    ----------
+    evaluated : Evaluated
+    path : Path, optional
+        By default ``report.html`` beside the run's file.
+
+    Returns
+    -------
+    Path
+        What was written. The file appears whole or not at all.
+
+    Raises
+    ------
+    OSError
+        If it cannot be written.
+    """
+    return write_page(path or evaluated.run.path.parent / REPORT_FILE, render_report(evaluated))
+
+
+def render_report(evaluated: Evaluated) -> str:
+    """Return the report as HTML text."""
+    facts, result = evaluated.run.facts, evaluated.result
+    heading = f"{evaluated.kind.title}: {evaluated.settings.gyro.name}"
+    tables = [*evaluated.fact_tables(), *_common_tables(evaluated)]
+    tables = [table for table in tables if table.rows]
+    middle = (len(tables) + 1) // 2
+    sections = evaluated.sections()
+    if result.to_watch:
+        sections = [*sections, Section("What to watch", sentences=result.to_watch)]
+    return render_page(
+        "report.html.j2",
+        title=f"{heading}, {facts.started_at[:10]}",
+        heading=heading,
+        version=version("gyrolock"),
+        simulated=facts.simulated,
+        state=_state(evaluated),
+        value=f"{evaluated.verdict} · {result.value}" if evaluated.verdict else result.value,
+        lines=(*result.lines, *(f"{one.sentence}." for one in evaluated.tested)),
+        labels=_labels(facts),
+        sections=sections,
+        fact_columns=[tables[:middle], tables[middle:]],
+        footer=_footer(evaluated),
+    )
+
+
+def _state(evaluated: Evaluated) -> str:
+    """Colour of the box: a verdict, no result at all, or a result that nothing was asked of."""
+    if evaluated.result.problem or evaluated.verdict == "FAIL":
+        return "bad"
+    return "good" if evaluated.verdict == "PASS" else "plain"
+
+
+def _labels(facts: RunFacts) -> Rows:
+    """What a person looks for first: which unit, who, when."""
+    taken = facts.started_at[:16].replace("T", " ")
+    rows = [*facts.labels.items(), ("taken", f"{taken} UTC")]
+    if facts.resumed_at:
+        rows.append(("resumed", f"{len(facts.resumed_at)} times" if len(facts.resumed_at) > 1 else "once"))
+    return rows
+
+
+def _common_tables(evaluated: Evaluated) -> list[FactTable]:
+    facts = evaluated.run.facts
+    truth = [(name.replace("_", " "), f"{value:.9g}") for name, value in (facts.truth or {}).items()]
+    return [
+        FactTable("Limits", [(one.name, one.sentence) for one in evaluated.tested]),
+        FactTable("Truth of the simulation", truth),
+        FactTable("Provenance", _provenance_rows(facts)),
+    ]
+
+
+def _provenance_rows(facts: RunFacts) -> Rows:
+    rows = [
+        ("taken", f"{facts.started_at} to {facts.ended_at or 'unknown'}"),
+        ("outcome", facts.outcome_text),
+    ]
+    if facts.resumed_at:
+        rows.insert(1, ("resumed", ", ".join(facts.resumed_at)))
+    if made := facts.get("provenance"):
+        rows += [
+            ("gyrolock", f"{made['gyrolock']}{', source ' + made['git'] if made['git'] else ''}"),
+            ("Python", f"{made['python']} on {made['platform']}"),
+            ("packages", ", ".join(f"{name} {number}" for name, number in made["packages"].items())),
+        ]
+    if facts.simulated:
+        rows.append(("seed", str(facts.settings["simulation"]["seed"])))
+    return rows
+
+
+def _footer(evaluated: Evaluated) -> str:
+    name = evaluated.run.path.parent.name
+    return (
+        f"Made by gyrolock {version('gyrolock')} from the saved records of {name}. "
+        f"`gyrolock analyze {name}` computes the numbers again."
+    )

@@ -1,0 +1,102 @@
+"""What every measurement gives, in one form: report, terminal, JSON and limits need to know no more."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from station.results.parts import Rows, TextTable
+
+UNITS = {"dps": "deg/s", "dph": "deg/h", "hz": "Hz", "v": "V", "s": "s", "deg": "deg", "rad": "rad", "ppm": "ppm"}
+"""Suffix of a name, and the unit that it stands for."""
+
+
+@dataclass(frozen=True)
+class Measured:
+    """A number that limits can be set on.
+
+    Attributes
+    ----------
+    name : str
+        With the unit at its end: the key in ``[limits]``.
+    value : float
+        nan where the run gives none.
+    of : str
+        What it is of, where there are several: ``"X"``.
+    """
+
+    name: str
+    value: float
+    of: str = ""
+
+    @property
+    def unit_suffix(self) -> str:
+        """End of the name that stands for the unit; empty for a pure number."""
+        end = self.name.rpartition("_")[2]
+        return end if end in UNITS else ""
+
+    @property
+    def unit(self) -> str:
+        """Unit as a person reads it."""
+        return UNITS.get(self.unit_suffix, "")
+
+
+@dataclass(frozen=True)
+class LeftOut:
+    """Something that was taken, or should have been, and is not in the result."""
+
+    name: str
+    reason: str
+
+    @property
+    def sentence(self) -> str:
+        """One line."""
+        return f"{self.name} is left out: {self.reason}"
+
+
+@dataclass(frozen=True)
+class Result:
+    """What a run says.
+
+    Attributes
+    ----------
+    name : str
+        Of the value: ``"lock-in rate"``.
+    value : str
+        In large letters.
+    document : dict
+        The body of the JSON document; arrays and nan may be in it.
+    measured : tuple of Measured
+        What limits can be set on.
+    lines : tuple of str
+        Below the value in the report.
+    summary : list of (str, str)
+        Below the value on the terminal.
+    sentences : tuple of str
+        What the result means.
+    to_watch : tuple of str
+        What spoils it or may spoil it.
+    flags : tuple of str
+        The same for programs.
+    left_out : tuple of LeftOut
+    tables : tuple of TextTable
+        Above the value on the terminal.
+    problem : str
+        Why there is no result; empty if there is one.
+    truth : str
+        Truth of a simulated run, in words; empty: the run's facts tell it.
+    """
+
+    name: str
+    value: str
+    document: dict[str, Any]
+    measured: tuple[Measured, ...] = ()
+    lines: tuple[str, ...] = ()
+    summary: Rows = ()
+    sentences: tuple[str, ...] = ()
+    to_watch: tuple[str, ...] = ()
+    flags: tuple[str, ...] = ()
+    left_out: tuple[LeftOut, ...] = ()
+    tables: tuple[TextTable, ...] = ()
+    problem: str = ""
+    truth: str = ""

@@ -1,0 +1,87 @@
+"""What is known of a run beside its records."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+
+class RunFacts(Mapping[str, Any]):
+    """Facts of a run by name, and the common ones as attributes.
+
+    Parameters
+    ----------
+    values : mapping
+        As they are saved: plain JSON.
+    """
+
+    def __init__(self, values: Mapping[str, Any]) -> None:
+        self._values = dict(values)
+
+    def __getitem__(self, name: str) -> Any:
+        return self._values[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._values)
+
+    def __len__(self) -> int:
+        return len(self._values)
+
+    @property
+    def command(self) -> str:
+        """Name of the measurement; the first layout was written by one measurement only and does not say."""
+        return str(self._values.get("command", "measure"))
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """Settings that the run was taken with; empty where none are saved."""
+        return dict(self._values.get("settings", {}))
+
+    @property
+    def simulated(self) -> bool:
+        """Whether the bench was simulated."""
+        return bool(self._values.get("simulated", False))
+
+    @property
+    def started_at(self) -> str:
+        """UTC, ISO 8601; empty if it is not known."""
+        return str(self._values.get("started_at", ""))
+
+    @property
+    def ended_at(self) -> str | None:
+        """UTC, ISO 8601; ``None`` for a run whose program was killed."""
+        return self._values.get("ended_at")
+
+    @property
+    def resumed_at(self) -> tuple[str, ...]:
+        """When the run was gone on with, UTC, ISO 8601."""
+        return tuple(self._values.get("resumed_at", ()))
+
+    @property
+    def complete(self) -> bool:
+        """Whether everything was taken that was wanted."""
+        return self._values.get("outcome") == "complete"
+
+    @property
+    def outcome_text(self) -> str:
+        """How the run ended, in words."""
+        outcome = self._values.get("outcome", "cut short: the program was killed")
+        return outcome if isinstance(outcome, str) else str(outcome["message"])
+
+    @property
+    def truth(self) -> dict[str, float] | None:
+        """True values of a simulated run, where the whole run has one truth."""
+        return self._values.get("truth")
+
+    @property
+    def labels(self) -> dict[str, str]:
+        """What the operator said of the run: ``unit``, ``operator`` and ``note``, those that were given."""
+        return {name: str(self._values[name]) for name in LABELS if self._values.get(name)}
+
+    @property
+    def sources(self) -> tuple[str, ...]:
+        """Files that the run was made of; empty if it was taken on a bench."""
+        return tuple(self._values.get("logs", ()))
+
+
+LABELS = ("unit", "operator", "note")

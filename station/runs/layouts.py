@@ -1,0 +1,120 @@
+"""How a run is laid out in its SQLite file: today's layout, and the two that earlier versions wrote.
+
+Every layout gives the same columns to a reader, so that nothing above knows which one a file has.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable
+from dataclasses import dataclass
+
+_RING_LASER = 0x47_59_4C_4B  # "GYLK"; every run today
+_FIBRE_GYRO = 0x47_59_4C_46  # "GYLF"; runs of the fibre gyro, once
+
+COLUMNS = ("number", "key", "taken_at", "purpose", "header", "payload", "sha256", "conditions")
+
+
+@dataclass(frozen=True)
+class Layout:
+    """One layout.
+
+    Attributes
+    ----------
+    application_id : int
+        Four letters at the beginning of the file, by which ``file`` and we tell it from other databases.
+    version : int
+    table : str
+        Table of the records.
+    columns : tuple of str
+        SQL that gives each of `COLUMNS`.
+    checksum : callable
+        SHA-256 of payload, header and conditions, as this layout makes it.
+    """
+
+    application_id: int
+    version: int
+    table: str
+    columns: tuple[str, ...]
+    checksum: Callable[[bytes, str, str], str]
+
+    @property
+    def select(self) -> str:
+        """SQL that reads all records in the order in which they were taken."""
+        return f"SELECT {', '.join(self.columns)} FROM {self.table} ORDER BY number"
+
+    @property
+    def insert(self) -> str:
+        """SQL that adds one record; its parameters are those of `COLUMNS` that the table holds, by name."""
+        held = [(c, name) for c, name in zip(self.columns, COLUMNS, strict=True) if c.isidentifier()]
+        names, values = zip(*((c, f":{name}") for c, name in held if name != "number"), strict=True)
+        return f"INSERT INTO {self.table} ({', '.join(names)}) VALUES ({', '.join(values)})"
+
+
+def _sha256(*parts: bytes) -> str:
+    return hashlib.sha256(b"".join(parts)).hexdigest()
+
+
+TODAY = Layout(
+    _RING_LASER,
+    2,
+    "record",
+    COLUMNS,
+    lambda payload, header, conditions: _sha256(payload, header.encode(), conditions.encode()),
+)
+TABLES = """
+CREATE TABLE run (
+    name  TEXT PRIMARY KEY,       -- command, settings, provenance, truth, started_at, ended_at, outcome, ...
+    value TEXT NOT NULL           -- JSON
+) WITHOUT ROWID;
+CREATE TABLE result (             -- computed from the records; never the truth
+    number      INTEGER PRIMARY KEY,
+    computed_at TEXT NOT NULL,
+    value       TEXT NOT NULL     -- JSON
+);
+CREATE TABLE record (
+    number     INTEGER PRIMARY KEY,
+    key        TEXT NOT NULL UNIQUE,  -- what it is: a run cut short goes on with the keys that are missing
+    taken_at   TEXT NOT NULL,         -- UTC, ISO 8601
+    purpose    TEXT NOT NULL,         -- which part of which measurement it was taken for
+    header     TEXT NOT NULL,         -- preamble as the scope sent it, or JSON on the columns of an output
+    payload    BLOB NOT NULL,         -- codes as the scope sent them, or the columns of an output (zlib)
+    sha256     TEXT NOT NULL,         -- of payload, header and conditions
+    conditions TEXT NOT NULL          -- JSON
+);
+"""
+_RING_LASER_1 = Layout(
+    _RING_LASER,
+    1,
+    "record",
+    ("number", "purpose || ' ' || number", "taken_at", "purpose", "preamble", "codes", "sha256", "conditions"),
+    lambda payload, header, conditions: _sha256(payload, header.encode()),
+)
+_FIBRE_GYRO_1 = Layout(
+    _FIBRE_GYRO,
+    1,
+    "segment",
+    (
+        "number", "key", "taken_at", "json_extract(conditions, '$.purpose')", "recording", "samples", "sha256",
+        "conditions",
+    ),
+    lambda payload, header, conditions: _sha256(payload, conditions.encode(), header.encode()),
+)  # fmt: skip
+LAYOUTS = (TODAY, _RING_LASER_1, _FIBRE_GYRO_1)
+
+
+def layout_of(application_id: int, version: int) -> Layout | None:
+    """Return the layout of a file, ``None`` if it is no run of ours.
+
+    Raises
+    ------
+    ValueError
+        It is one of ours, of a version that this program does not know.
+    """
+    ours = [layout for layout in LAYOUTS if layout.application_id == application_id]
+    if not ours:
+        return None
+    for layout in ours:
+        if layout.version == version:
+            return layout
+    raise ValueError(f"layout {version}")

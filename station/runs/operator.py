@@ -1,0 +1,41 @@
+"""Asking the operator on the terminal."""
+
+from __future__ import annotations
+
+import math
+import sys
+
+from instrument import ManualRateTable
+from station.errors import UsageError
+
+
+def ask_operator(question: str) -> str:
+    """Ask on stderr, since stdout belongs to the result.
+
+    Raises
+    ------
+    UsageError
+        There is no terminal to ask on, or it was closed meanwhile.
+    """
+    check_terminal()
+    sys.stderr.write(f"\n{question}")
+    sys.stderr.flush()
+    answer = sys.stdin.readline()
+    if not answer:
+        raise UsageError("the terminal was closed while the operator was asked")
+    return answer
+
+
+def check_terminal() -> None:
+    """See that there is somebody to ask, before anything moves; UsageError if there is not."""
+    if not sys.stdin.isatty():
+        raise UsageError(
+            "an operator must turn the table and the gyro, and there is no terminal to ask on: start it in a "
+            'terminal; with a table that turns already, set table.kind = "none"'
+        )
+
+
+def operator_table() -> ManualRateTable:
+    """Return a rate table that the operator sets by hand; its azimuth is not known. Raises as above."""
+    check_terminal()
+    return ManualRateTable(ask=ask_operator, azimuth_deg=math.nan)

@@ -1,0 +1,187 @@
+"""Taking a run: whatever happens, what was taken is kept, and the run says how it ended."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from contextlib import AbstractContextManager, ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, TypeVar
+
+from instrument import InstrumentError
+from station.errors import Failure, RunError, StationError, describe_failure
+from station.provenance import provenance
+from station.results.result import LeftOut
+from station.runs.database import utc_now
+from station.runs.facts import LABELS
+from station.runs.progress import Progress
+from station.runs.store import RunWriter, SavedRun, open_run
+
+T = TypeVar("T")
+_PLANNED_WITHOUT = "left_out_of_plan"
+
+
+@dataclass(frozen=True)
+class Taken:
+    """How the taking of a run ended.
+
+    Attributes
+    ----------
+    path : Path
+        The run's SQLite file; it holds every record that was acknowledged.
+    failure : Failure or None
+        What stopped it before its time.
+    """
+
+    path: Path
+    failure: Failure | None
+
+
+class Session:
+    """One taking of records, of a new run or of one that is gone on with: bench, writer, progress.
+
+    Parameters
+    ----------
+    facts : mapping
+        What is known before the bench is opened, or of the run that is gone on with; plain JSON.
+    directory : Path
+        Of all runs.
+    progress : Progress
+    resumed : SavedRun, optional
+        The run that is gone on with.
+    again : mapping, optional
+        Keys of its records that are to be taken again, and why.
+    """
+
+    def __init__(
+        self,
+        facts: Mapping[str, object],
+        directory: Path,
+        progress: Progress,
+        *,
+        resumed: SavedRun | None = None,
+        again: Mapping[str, str] | None = None,
+    ) -> None:
+        self.progress = progress
+        self.resumed = resumed
+        self.writer: RunWriter | None = None
+        self.facts = dict(facts)
+        self._directory, self._again = directory, dict(again or {})
+        self._bench = ExitStack()
+
+    def open(self, instruments: AbstractContextManager[T]) -> T:
+        """Open instruments; they are closed when the taking ends, before the run is."""
+        return self._bench.enter_context(instruments)
+
+    def close_bench(self) -> None:
+        """Close the instruments, in the opposite order."""
+        self._bench.close()
+
+    @property
+    def times_resumed(self) -> int:
+        """How often the run was gone on with, this time included."""
+        return 0 if self.resumed is None else len(self.resumed.facts.resumed_at) + 1
+
+    def begin(self, facts: Mapping[str, object] | None = None) -> RunWriter:
+        """Begin the run, or go on with it, when the bench is open: before that a failure leaves no run.
+
+        Parameters
+        ----------
+        facts : mapping, optional
+            What is known now besides; plain JSON.
+        """
+        if self.resumed is None:
+            self.writer = RunWriter.create(self._directory, {**self.facts, **(facts or {})})
+            return self.writer
+        self.writer = RunWriter(self.resumed.path)
+        labels = {name: self.facts[name] for name in LABELS if self.facts.get(name)}
+        self.writer.save_facts({"resumed_at": [*self.resumed.facts.resumed_at, utc_now()], **labels})
+        for key, reason in self._again.items():
+            self.progress.note(f"{key} is taken again: {reason}")
+            self.writer.set_aside(key)
+        return self.writer
+
+    def so_far(self) -> SavedRun:
+        """Return the run as it stands."""
+        if self.writer is None:
+            raise RunError("the run has not begun")
+        return open_run(self.writer.path)
+
+    def note_left_out(self, left_out: Mapping[str, str]) -> None:
+        """Save what is not taken and why, so that the result names it."""
+        if self.writer is not None:
+            noted = {one.name: one.reason for one in left_out_of_plan(self.so_far())} | dict(left_out)
+            listed = [{"name": name, "reason": reason} for name, reason in noted.items()]
+            self.writer.save_facts({_PLANNED_WITHOUT: listed})
+
+
+def left_out_of_plan(run: SavedRun) -> list[LeftOut]:
+    """Return what was not taken at all, as :meth:`Session.note_left_out` saved it."""
+    return [LeftOut(**entry) for entry in run.facts.get(_PLANNED_WITHOUT, [])]
+
+
+def facts_of(
+    command: str, settings: Mapping[str, Any], *, simulated: bool, labels: Mapping[str, str] | None = None
+) -> dict[str, object]:
+    """Return what every run knows of itself from the beginning, as plain JSON.
+
+    Parameters
+    ----------
+    command : str
+        Name of the measurement.
+    settings : mapping
+    simulated : bool
+    labels : mapping, optional
+        ``unit``, ``operator`` and ``note``, those that were given.
+    """
+    return {
+        "command": command,
+        "settings": dict(settings),
+        "simulated": simulated,
+        "provenance": provenance(),
+        **(labels or {}),
+    }
+
+
+def take(session: Session, work: Callable[[Session], None]) -> Taken:
+    """Take what is wanted and close the run.
+
+    Parameters
+    ----------
+    session : Session
+    work : callable
+        Opens the bench, begins the run and saves records; may be called for a run that was cut short.
+
+    Returns
+    -------
+    Taken
+        Also when it was interrupted or the link was lost: the run then holds the records so far.
+
+    Raises
+    ------
+    InstrumentError, StationError
+        If the bench cannot be opened or the run cannot be written: then there is no run.
+    """
+    failure: Failure | None = None
+    try:
+        try:
+            work(session)
+        finally:
+            session.close_bench()
+    except (InstrumentError, StationError, OSError, KeyboardInterrupt) as error:
+        failure = describe_failure(error)
+        if session.writer is None or failure is None:
+            raise
+    finally:
+        session.progress.close()
+    writer = session.writer
+    if writer is None:
+        raise RunError("nothing was taken")
+    ending = {"ended_at": utc_now(), "outcome": "complete" if failure is None else failure.as_json()}
+    try:
+        writer.save_facts(ending)
+    except RunError as error:  # a full disk takes no more; the records that it took are there
+        failure = failure or describe_failure(error)
+    finally:
+        writer.close()
+    return Taken(writer.path, failure)

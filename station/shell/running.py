@@ -1,0 +1,120 @@
+"""One run of a measurement from beginning to end: new, made of files, or gone on with."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from station.errors import UsageError
+from station.measurements import MEASUREMENTS, Measurement, measurement
+from station.runs.progress import Progress
+from station.runs.store import SavedRun, open_run
+from station.runs.taking import Session, Taken, facts_of, take
+from station.settings.load import Values, saved_settings, settings_to_resume
+
+
+def start_run(
+    kind: Measurement[Any, Any],
+    settings: Any,
+    progress: Progress,
+    *,
+    labels: Mapping[str, str] | None = None,
+    paths: Sequence[Path] = (),
+    known: Mapping[str, object] | None = None,
+) -> Taken:
+    """Take a new run on the bench, or make it of files.
+
+    Parameters
+    ----------
+    kind : Measurement
+    settings : Section
+        Of its kind; with an attribute ``simulated``, and a section ``output``.
+    progress : Progress
+    labels : mapping, optional
+        ``unit``, ``operator`` and ``note``, those that were given.
+    paths : sequence of Path, optional
+        Files to make the run of.
+    known : mapping, optional
+        Further facts of the run, plain JSON.
+
+    Raises
+    ------
+    InstrumentError, StationError, OSError
+        The bench cannot be opened, a file not read, the run not written, or what is wanted cannot be done: then
+        there is no run.
+    """
+    simulated = kind.simulated(settings) and not paths
+    facts = facts_of(kind.name, settings.model_dump(mode="json"), simulated=simulated, labels=labels)
+    session = Session({**facts, **(known or {})}, Path(settings.output.directory), progress)
+    if not paths:
+        return take(session, lambda of: kind.take(settings, of))
+    make = kind.take_files
+    if make is None:
+        raise UsageError(f"`{kind.command}` makes no run of files: `gyrolock analyze` reads them")
+    return take(session, lambda of: make(settings, paths, of))
+
+
+def resume_run(
+    path: Path,
+    progress: Progress,
+    *,
+    kind: Measurement[Any, Any],
+    config: Path | None = None,
+    overrides: Values | None = None,
+    labels: Mapping[str, str] | None = None,
+) -> Taken:
+    """Go on with a run that was cut short, with the settings that are saved with it.
+
+    Parameters
+    ----------
+    path : Path
+        The run's file or directory.
+    progress : Progress
+    kind : Measurement
+        Whose run it must be.
+    config, overrides
+        Settings that were given too: they must not change what is measured.
+    labels : mapping, optional
+        ``unit``, ``operator`` and ``note`` that take the place of the run's own.
+
+    Raises
+    ------
+    UsageError
+        It is another measurement's run, made of files, finished, or other settings are given.
+    InstrumentError, StationError
+        As for :func:`start_run`.
+    """
+    run = open_run(path)
+    check_kind(run, kind)
+    if run.facts.sources:
+        raise UsageError(f"{path}: was made of saved files, there is nothing to go on with")
+    saved = saved_settings(kind.kind, run.facts.settings, str(run.path))
+    settings = settings_to_resume(kind.kind, saved, config, overrides, path)
+    again = kind.unusable(run, settings)
+    if run.facts.complete and not again:
+        raise UsageError(
+            f"{path}: is finished, there is nothing to go on with; `gyrolock analyze {path}` reads it"
+        )
+
+    session = Session({}, run.path.parent, progress, resumed=run, again=again)
+    return take(session, lambda of: kind.take(settings, of))
+
+
+def saved_run(path: Path, kind: Measurement[Any, Any]) -> Path:
+    """Return the file of a saved run of one measurement; errors as :func:`check_kind`, or RunError."""
+    run = open_run(path)
+    check_kind(run, kind)
+    return run.path
+
+
+def check_kind(run: SavedRun, kind: Measurement[Any, Any]) -> None:
+    """See that a run is of one measurement; UsageError names the other."""
+    if run.facts.command != kind.name:
+        raise UsageError(f"{run.path}: is a run of `{command_of(run)}`, not of `{kind.command}`")
+
+
+def command_of(run: SavedRun) -> str:
+    """Return what a user types for the measurement that a run is of."""
+    name = run.facts.command
+    return measurement(name).command if name in MEASUREMENTS else name

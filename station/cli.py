@@ -19,8 +19,8 @@ _TRACEBACK_VARIABLE = "GYROLOCK_TRACEBACK"
 
 # command: module, and the line that `gyrolock --help` shows without importing it
 _COMMANDS = {
-    "measure": ("lock_in.command", "Measure the lock-in rate: acquire, save, analyse, report."),
-    "acquire": ("lock_in.acquire_command", "Acquire and save records only."),
+    "measure": ("lock_in.command:measure", "Measure the lock-in rate: acquire, save, analyse, report."),
+    "acquire": ("lock_in.command:acquire", "Acquire and save records only."),
     "analyze": ("commands.analyze", "Analyse saved runs and Tektronix CSV or ISF files again."),
     "report": ("commands.report", "Write the HTML report of a saved run."),
     "plan": ("plan.command", "Plan a measurement: rate, time base, scale and records for a wanted uncertainty."),

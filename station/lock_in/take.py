@@ -1,95 +1,49 @@
 """The paper's experiment: find the tilt on a fast table, go to one slow rate or several, keep every record.
 
-What is measured is only saved here; numbers come from :mod:`station.lock_in.evaluate`, which reads the saved run.
+What is measured is only saved here; numbers come from the saved run.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
-from dataclasses import asdict, dataclass
-from pathlib import Path
+from dataclasses import asdict, dataclass, field
+from typing import Any
 
-from instrument import InstrumentError, TransferError, Waveform
-from station.errors import Failure, NoUsableSignal, RunError, StationError, describe_failure
-from station.lock_in.bench.bench import Bench, open_bench
+from instrument import TransferError, Waveform
+from station.errors import NoUsableSignal
+from station.lock_in.bench.bench import Bench
+from station.lock_in.bench.open import open_bench
 from station.lock_in.rate_plan import RateStep, rate_plan
-from station.lock_in.tilt import Tilt, evaluate_tilt
-from station.provenance import provenance
-from station.runs.database import utc_now
+from station.lock_in.settings import Settings
+from station.lock_in.tilt import evaluate_tilt
 from station.runs.progress import Progress
-from station.runs.store import NewRecord, Purpose, RunWriter, open_run
-from station.scope.autoset import ScopeSetting, find_beat, fit_channel
-from station.settings.load import Settings
+from station.runs.store import NewRecord, RunWriter, SavedRecord
+from station.runs.taking import Session
+from station.scope.autoset import KnobPositions, find_beat, fit_channel
 
 _ATTEMPTS = 3
 
 
-@dataclass(frozen=True)
-class Taken:
-    """How the taking of records ended.
-
-    Attributes
-    ----------
-    path : Path
-        The run's SQLite file; it holds every record that was acknowledged.
-    failure : Failure or None
-        What stopped it before its time.
-    """
-
-    path: Path
-    failure: Failure | None
-
-
-def take_run(settings: Settings, progress: Progress) -> Taken:
-    """Do the whole experiment and save it.
+def take(settings: Settings, session: Session) -> None:
+    """Do the whole experiment and save it; of a run that was cut short, what is missing.
 
     Parameters
     ----------
     settings : Settings
-    progress : Progress
-
-    Returns
-    -------
-    Taken
-        Also when it was interrupted or the link was lost: the run then holds the records so far.
-
-    Raises
-    ------
-    InstrumentError, StationError
-        If the bench cannot be opened or the run cannot be written: then there is no run.
+    session : Session
     """
-    writer: RunWriter | None = None
-    try:
-        with open_bench(settings) as bench:
-            _set_up(settings, bench)
-            writer = RunWriter(Path(settings.output.directory), _facts(settings, bench))
-            progress.note(f"{bench.scope.identity.model} ({settings.scope.resource or 'simulated'})")
-            _experiment(settings, bench, writer, progress)
-        writer.save_facts({"ended_at": utc_now(), "outcome": "complete"})
-        return Taken(writer.path, None)
-    except (InstrumentError, StationError, OSError, KeyboardInterrupt) as error:
-        if writer is None:
-            raise
-        failure = describe_failure(error)
-        assert failure is not None  # all of these classes are known to it
-        with suppress(RunError):  # a full disk takes no more; the records it took are there
-            writer.save_facts({"ended_at": utc_now(), "outcome": failure.as_json()})
-        return Taken(writer.path, failure)
-    finally:
-        progress.close()
-        if writer is not None:
-            writer.close()
-
-
-def _facts(settings: Settings, bench: Bench) -> dict[str, object]:
-    return {
-        "settings": settings.model_dump(mode="json"),
-        "simulated": settings.simulated,
-        "identity": asdict(bench.scope.identity),
-        "provenance": provenance(),
-    }
+    bench = session.open(open_bench(settings, times_resumed=session.times_resumed))
+    _set_up(settings, bench)
+    writer = session.begin({"identity": asdict(bench.scope.identity)})
+    model = bench.scope.identity.model
+    session.progress.note(f"{model} ({settings.scope.resource or 'simulated'}), run {writer.path}")
+    taking = _Taking(settings, bench, session, writer, session.progress)
+    if session.resumed is not None:
+        taking.rates = list(session.facts.get("rates", []))
+        there = len(session.so_far().taken_for("measure"))
+        session.progress.note(f"{there} records are saved already")
+    taking.experiment()
 
 
 def _set_up(settings: Settings, bench: Bench) -> None:
@@ -112,92 +66,108 @@ def _channels(settings: Settings) -> tuple[str, ...]:
     return (scope.channel, scope.quadrature_channel) if scope.quadrature_channel else (scope.channel,)
 
 
-def _experiment(settings: Settings, bench: Bench, writer: RunWriter, progress: Progress) -> None:
-    plan = rate_plan(settings)
-    setting, cosine = None, 1.0
-    if bench.table is not None:
-        tilt, setting = _find_tilt(settings, bench, writer, progress)
-        cosine = math.cos(math.radians(tilt.tilt_deg))
-        progress.note(f"tilt {tilt.tilt_deg:.3f}°")
-    taken: list[dict[str, object]] = []
-    without_beat: list[str] = []
-    for step in plan:
-        table_rate = step.rate_dps / cosine if bench.table is not None else None
-        try:
-            setting, facts = _take_step(settings, bench, writer, progress, step, table_rate, setting)
-        except NoUsableSignal as error:
-            if len(plan) == 1:
-                raise
-            # the other rates may do: which one gave nothing stands in the run and in the result
-            without_beat.append(f"{step.sense * step.over_lock_in:+g} expected lock-in rates: {error}")
-            progress.note(f"no record at {without_beat[-1]}")
-            writer.save_facts({"rates_without_beat": without_beat})
-            continue
-        taken.append(facts)
-        writer.save_facts({"rates": taken})
-    if not taken:
-        raise NoUsableSignal(without_beat[0])
+@dataclass
+class _Taking:
+    """The experiment as it goes along: the knobs of the last rate, and the rates so far."""
 
+    settings: Settings
+    bench: Bench
+    session: Session
+    writer: RunWriter
+    progress: Progress
+    knobs: KnobPositions | None = None
+    rates: list[dict[str, Any]] = field(default_factory=list)
 
-def _take_step(
-    settings: Settings,
-    bench: Bench,
-    writer: RunWriter,
-    progress: Progress,
-    step: RateStep,
-    table_rate: float | None,
-    start: ScopeSetting | None,
-) -> tuple[ScopeSetting, dict[str, object]]:
-    """Go to one rate, find the beat there and take the records; `table_rate` None: the table turns already."""
-    frequency = settings.gyro.scale_factor_pulses_per_deg * abs(step.rate_dps)
-    if table_rate is None:
-        progress.note("looking for the beat")
-    else:
-        progress.note(f"slow rate {table_rate:.4g} deg/s on the table")
-        table_rate = bench.turn_table(table_rate, settings.table.settle_s)
-    begin = frequency if start is None else _for_frequency(start, frequency)
-    setting = find_beat(bench.scope, settings.scope, settings.measurement, begin)
-    channels = _channels(settings)
-    for channel in channels[1:]:
-        fit_channel(bench.scope, channel, settings.scope, settings.measurement, setting)
-    facts: dict[str, object] = {
-        "over_lock_in": step.over_lock_in,
-        "table_rate_dps": table_rate,
-        "scope_setting": asdict(setting),
-    }
-    writer.save_facts({"scope_setting": asdict(setting), "table_rate_dps": table_rate})
-    count = settings.measurement.records
-    progress.start("records", count)
-    for _ in range(count):
-        waveforms, conditions = take_record(bench, channels)
-        known = {**conditions, "table_rate_dps": table_rate, "over_lock_in": step.over_lock_in}
-        save_acquisition(writer, "measure", waveforms, channels, known)
-        progress.advance()
-    return setting, facts
+    def experiment(self) -> None:
+        cosine = 1.0
+        if self.bench.table is not None:
+            cosine = self._find_tilt()
+        plan = rate_plan(self.settings)
+        without_beat: list[str] = []
+        for step in plan:
+            try:
+                self._take_step(step, step.rate_dps / cosine if self.bench.table is not None else None)
+            except NoUsableSignal as error:
+                if len(plan) == 1:
+                    raise
+                # the other rates may do: which one gave nothing stands in the run and in the result
+                without_beat.append(f"{step.sense * step.over_lock_in:+g} expected lock-in rates: {error}")
+                self.progress.note(f"no record at {without_beat[-1]}")
+                self.writer.save_facts({"rates_without_beat": without_beat})
+        if len(without_beat) == len(plan):
+            raise NoUsableSignal(without_beat[0])
 
+    def _find_tilt(self) -> float:
+        """Turn fast, in both senses if asked for, and find the cosine of the tilt from the beat frequency."""
+        settings, fast = self.settings, self.settings.table.fast_rate_dps
+        count = settings.measurement.tilt_records
+        # with the axis along the table's the beat would be as fast as this
+        start: KnobPositions | float = settings.gyro.scale_factor_pulses_per_deg * fast
+        for wanted in (fast, -fast) if settings.table.both_senses else (fast,):
+            there = [one for one in self._saved("tilt") if one.conditions["table_rate_dps"] * wanted > 0]
+            if len(there) >= count:
+                continue
+            self.progress.note(f"fast run at {wanted:+g} deg/s")
+            rate = self.bench.turn_table(wanted, settings.table.settle_s)
+            self.knobs = start = find_beat(self.bench.scope, settings.scope, settings.measurement, start)
+            self._take_records("tilt", f"tilt {wanted:+g}", (settings.scope.channel,), len(there), count, rate)
+        tilt = evaluate_tilt(self._saved("tilt"), settings)
+        self.progress.note(f"tilt {tilt.tilt_deg:.3f}°")
+        return math.cos(math.radians(tilt.tilt_deg))
 
-def _find_tilt(
-    settings: Settings, bench: Bench, writer: RunWriter, progress: Progress
-) -> tuple[Tilt, ScopeSetting]:
-    """Turn fast, in both senses if asked for, and find the tilt from the beat frequency."""
-    fast = settings.table.fast_rate_dps
-    senses = (fast, -fast) if settings.table.both_senses else (fast,)
-    count = settings.measurement.tilt_records
-    # with the axis along the table's the beat would be as fast as this
-    start: ScopeSetting | float = settings.gyro.scale_factor_pulses_per_deg * fast
-    for wanted in senses:
-        progress.note(f"fast run at {wanted:+g} deg/s")
-        rate = bench.turn_table(wanted, settings.table.settle_s)
-        start = find_beat(bench.scope, settings.scope, settings.measurement, start)
-        progress.start("tilt", count)
-        for _ in range(count):
-            channels = (settings.scope.channel,)
-            waveforms, conditions = take_record(bench, channels)
-            save_acquisition(writer, "tilt", waveforms, channels, {**conditions, "table_rate_dps": rate})
-            progress.advance()
-    assert isinstance(start, ScopeSetting)  # there is at least one sense
-    tilt = evaluate_tilt(open_run(writer.path).taken_for("tilt"), settings)
-    return tilt, start
+    def _take_step(self, step: RateStep, table_rate: float | None) -> None:
+        """Go to one rate, find the beat there and take the records; without `table_rate` the table turns already."""
+        settings, channels = self.settings, _channels(self.settings)
+        there, count = self._taken_at(step), settings.measurement.records
+        if there >= count:
+            return
+        frequency = settings.gyro.scale_factor_pulses_per_deg * abs(step.rate_dps)
+        if table_rate is None:
+            self.progress.note("looking for the beat")
+        else:
+            self.progress.note(f"slow rate {table_rate:.4g} deg/s on the table")
+            table_rate = self.bench.turn_table(table_rate, settings.table.settle_s)
+        begin = frequency if self.knobs is None else _for_frequency(self.knobs, frequency)
+        self.knobs = find_beat(self.bench.scope, settings.scope, settings.measurement, begin)
+        for channel in channels[1:]:
+            fit_channel(self.bench.scope, channel, settings.scope, settings.measurement, self.knobs)
+        knobs = asdict(self.knobs)
+        self.rates.append({"over_lock_in": step.over_lock_in, "table_rate_dps": table_rate, "scope_setting": knobs})
+        self.writer.save_facts({"rates": self.rates, "scope_setting": knobs, "table_rate_dps": table_rate})
+        name = f"rate {step.sense * step.over_lock_in:+g}"
+        self._take_records("measure", name, channels, there, count, table_rate, {"over_lock_in": step.over_lock_in})
+
+    def _take_records(
+        self,
+        purpose: str,
+        name: str,
+        channels: tuple[str, ...],
+        there: int,
+        count: int,
+        table_rate: float | None,
+        known: Mapping[str, object] | None = None,
+    ) -> None:
+        """Take the records of one rate that are missing; each is on the disk before the next is asked for."""
+        self.progress.start("records" if purpose == "measure" else purpose, count - there)
+        for number in range(there + 1, count + 1):
+            waveforms, conditions = take_record(self.bench, channels)
+            conditions |= {"table_rate_dps": table_rate, **(known or {})}
+            self.writer.save_records(acquisition_records(purpose, f"{name}, {number}", waveforms, channels, conditions))
+            self.progress.advance()
+
+    def _saved(self, purpose: str) -> tuple[SavedRecord, ...]:
+        return self.session.so_far().taken_for(purpose)
+
+    def _taken_at(self, step: RateStep) -> int:
+        """Records that are there already of one rate and sense."""
+        if self.session.resumed is None:
+            return 0
+        conditions = [record.conditions for record in self._saved("measure")]
+        return sum(
+            one.get("over_lock_in", step.over_lock_in) == step.over_lock_in
+            and (one.get("table_rate_dps") or step.sense) * step.sense > 0
+            for one in conditions
+        )
 
 
 def take_record(bench: Bench, channels: tuple[str, ...]) -> tuple[tuple[Waveform, ...], dict[str, object]]:
@@ -238,22 +208,20 @@ def take_record(bench: Bench, channels: tuple[str, ...]) -> tuple[tuple[Waveform
     return waveforms, conditions
 
 
-def save_acquisition(
-    writer: RunWriter,
-    purpose: Purpose,
+def acquisition_records(
+    purpose: str,
+    key: str,
     waveforms: Sequence[Waveform],
     channels: Sequence[str],
     conditions: Mapping[str, object],
-) -> None:
-    """Save the records of one acquisition in one commit; a second channel is the quadrature of the first."""
-    purposes: tuple[Purpose, ...] = (purpose, "quadrature")
-    writer.save_records(
-        [
-            NewRecord(kind, wave.codes, wave.preamble.to_text(), {"channel": channel, **conditions})
-            for kind, wave, channel in zip(purposes, waveforms, channels, strict=False)
-        ]
-    )
+) -> list[NewRecord]:
+    """Return the records of one acquisition to be saved; a second channel is the quadrature of the first."""
+    kinds = ((purpose, key), ("quadrature", f"{key}, {channels[-1]}"))
+    return [
+        NewRecord(name, kind, wave.preamble.to_text(), wave.codes.tobytes(), {"channel": channel, **conditions})
+        for (kind, name), wave, channel in zip(kinds, waveforms, channels, strict=False)
+    ]
 
 
-def _for_frequency(setting: ScopeSetting, frequency: float) -> ScopeSetting:
-    return ScopeSetting(**{**asdict(setting), "beat_frequency": frequency})
+def _for_frequency(knobs: KnobPositions, frequency: float) -> KnobPositions:
+    return KnobPositions(**{**asdict(knobs), "beat_frequency": frequency})

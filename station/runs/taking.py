@@ -36,6 +36,14 @@ class Taken:
     path: Path
     failure: Failure | None
 
+    @property
+    def to_tell(self) -> Failure:
+        """The failure, with what to do next; only where there is one."""
+        if self.failure is None:
+            raise ValueError("nothing has failed")
+        told = f"{self.failure.message} (go on with --resume {self.path.parent})"
+        return Failure(self.failure.kind, told, self.failure.exit_code)
+
 
 class Session:
     """One taking of records, of a new run or of one that is gone on with: bench, writer, progress.

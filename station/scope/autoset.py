@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 
 from analysis import FATAL, Flag, estimate_lock_in
 from instrument import TDS2014, SettingError, Waveform
 from station.errors import NoUsableSignal
-from station.settings.load import MeasurementSettings, ScopeSettings
 
 POINTS = 2500
 DIVISIONS = 10
@@ -27,8 +27,36 @@ TIME_BASES = tuple(float(f"{mantissa}e{decade}") for decade in range(-9, 2) for 
 VERTICAL_SCALES = (0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0)
 
 
+class ScopeInput(Protocol):
+    """Where the signal comes in: channel, and attenuation of its probe."""
+
+    @property
+    def channel(self) -> str:
+        """``"CH1"`` to ``"CH4"``."""
+
+    @property
+    def probe(self) -> int:
+        """1, 10, 100 or 1000."""
+
+
+class RecordShape(Protocol):
+    """What a record shall look like."""
+
+    @property
+    def periods_min(self) -> float:
+        """Periods of the beat in a record, at least."""
+
+    @property
+    def samples_per_period_min(self) -> float:
+        """Goes before the periods."""
+
+    @property
+    def fill_levels(self) -> float:
+        """Levels that the signal shall reach on both sides of the screen's centre."""
+
+
 @dataclass(frozen=True)
-class ScopeSetting:
+class KnobPositions:
     """How the scope was set to see the beat.
 
     Attributes
@@ -131,22 +159,22 @@ def next_vertical(
 
 
 def find_beat(
-    scope: TDS2014, settings: ScopeSettings, measurement: MeasurementSettings, start: ScopeSetting | float
-) -> ScopeSetting:
+    scope: TDS2014, settings: ScopeInput, measurement: RecordShape, start: KnobPositions | float
+) -> KnobPositions:
     """Set the scope so that a record shows the beat well.
 
     Parameters
     ----------
     scope : TDS2014
-    settings : ScopeSettings
-    measurement : MeasurementSettings
-    start : ScopeSetting or float
+    settings : ScopeInput
+    measurement : RecordShape
+    start : KnobPositions or float
         Where to begin: an earlier setting, whose vertical part is kept and whose frequency is looked for, or
         the highest frequency in Hz that the beat may have.
 
     Returns
     -------
-    ScopeSetting
+    KnobPositions
 
     Raises
     ------
@@ -154,7 +182,7 @@ def find_beat(
         If no beat is found.
     """
     search = _Search(scope, settings, measurement)
-    if isinstance(start, ScopeSetting):
+    if isinstance(start, KnobPositions):
         search.vertical = VerticalSetting(start.volts_per_division, start.position)
         highest = start.beat_frequency
     else:
@@ -181,7 +209,7 @@ def find_beat(
 
 
 def fit_channel(
-    scope: TDS2014, channel: str, settings: ScopeSettings, measurement: MeasurementSettings, setting: ScopeSetting
+    scope: TDS2014, channel: str, settings: ScopeInput, measurement: RecordShape, setting: KnobPositions
 ) -> VerticalSetting:
     """Fit the vertical scale of a second channel; time base and trigger stay as they are.
 
@@ -189,9 +217,9 @@ def fit_channel(
     ----------
     scope : TDS2014
     channel : str
-    settings : ScopeSettings
-    measurement : MeasurementSettings
-    setting : ScopeSetting
+    settings : ScopeInput
+    measurement : RecordShape
+    setting : KnobPositions
         That of the first channel: where to begin.
 
     Returns
@@ -212,7 +240,7 @@ def fit_channel(
 class _Search:
     """The knobs as they stand while the beat is looked for."""
 
-    def __init__(self, scope: TDS2014, settings: ScopeSettings, measurement: MeasurementSettings) -> None:
+    def __init__(self, scope: TDS2014, settings: ScopeInput, measurement: RecordShape) -> None:
         self._scope, self._settings, self._measurement = scope, settings, measurement
         self.vertical = VerticalSetting(1.0 * settings.probe)
         self.base = _SLOWEST_S
@@ -241,9 +269,9 @@ class _Search:
         self.base = self._scope.set_timebase(base, position=0.0)
         self._set_trigger()
 
-    def found(self, frequency: float) -> ScopeSetting:
+    def found(self, frequency: float) -> KnobPositions:
         """Return the knobs as they stand now."""
-        return ScopeSetting(
+        return KnobPositions(
             self.base, self.vertical.scale, self.vertical.position, _level(self.vertical), frequency
         )
 
@@ -276,7 +304,7 @@ def _slower(base: float) -> float:
 
 
 def _set_vertical(
-    scope: TDS2014, settings: ScopeSettings, wanted: VerticalSetting, channel: str = ""
+    scope: TDS2014, settings: ScopeInput, wanted: VerticalSetting, channel: str = ""
 ) -> VerticalSetting:
     """Set scale and position; a scope without fine steps gets the next coarse one above."""
     name = channel or settings.channel

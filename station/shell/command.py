@@ -12,7 +12,7 @@ from station.shell.ending import finish
 from station.shell.options import overrides
 
 if TYPE_CHECKING:
-    from station.measurements import Measurement
+    from station.runs.taking import Taken
 
 _PLACES = {"seed": "simulation.seed", "out": "output.directory"}
 _LABELS = ("unit", "operator", "note")
@@ -22,7 +22,7 @@ def run_measurement(
     name: str,
     given: Mapping[str, Any],
     *,
-    places: Mapping[str, str] | None = None,
+    places: Mapping[str, str],
     paths: tuple[Path, ...] = (),
     known: Mapping[str, object] | None = None,
 ) -> int:
@@ -34,7 +34,7 @@ def run_measurement(
         Of the measurement.
     given : mapping
         Values of :func:`station.shell.options.run_options`, ``report``, and of the options in `places`.
-    places : mapping, optional
+    places : mapping
         Options of this command alone, and where they stand in the settings.
     paths : tuple of Path, optional
         A saved run, or files to make one of.
@@ -48,40 +48,42 @@ def run_measurement(
     """
     from station.measurements import measurement
     from station.runs.database import is_database
+    from station.shell.running import saved_run
+
+    report, as_json = given["report"], given["as_json"]
+    if not any(path.exists() and is_database(path) for path in paths):
+        taken = take_measurement(name, given, places=places, paths=paths, known=known)
+        return finish(taken, report=report, as_json=as_json)
+    _exclude(given, places, paths)
+    if len(paths) > 1:
+        raise click.UsageError("give one saved run, or files to make one of")
+    taken = saved_run(paths[0], measurement(name))
+    return finish(taken, report=report, as_json=as_json, saved=True, config=given["config"])
+
+
+def take_measurement(
+    name: str,
+    given: Mapping[str, Any],
+    *,
+    places: Mapping[str, str],
+    paths: tuple[Path, ...] = (),
+    known: Mapping[str, object] | None = None,
+) -> Taken:
+    """Take a new run, make one of files or go on with one; arguments as :func:`run_measurement`."""
+    from station.measurements import measurement
     from station.runs.progress import Progress
-    from station.runs.taking import Taken
-    from station.shell.running import resume_run, saved_run
+    from station.settings.load import load
+    from station.shell.running import resume_run, start_run
 
     kind, config = measurement(name), given["config"]
     labels = {label: given[label] for label in _LABELS if given[label] is not None}
-    chosen = overrides(given, {**_PLACES, **(places or {})})
-    _exclude(given, places or {}, paths)
+    chosen = overrides(given, {**_PLACES, **places})
+    _exclude(given, places, paths)
     if given["resume"] is not None:
-        progress = Progress()
-        taken = resume_run(given["resume"], progress, kind=kind, config=config, overrides=chosen, labels=labels)
-        return finish(taken, report=given["report"], as_json=given["as_json"])
-    if any(path.exists() and is_database(path) for path in paths):
-        if len(paths) > 1:
-            raise click.UsageError("give one saved run, or files to make one of")
-        taken = Taken(saved_run(paths[0], kind), None)
-        return finish(taken, report=given["report"], as_json=given["as_json"], saved=True, config=config)
-    taken = _new_run(kind, given, chosen, labels, paths, known)
-    return finish(taken, report=given["report"], as_json=given["as_json"])
-
-
-def _new_run(
-    kind: Measurement[Any, Any],
-    given: Mapping[str, Any],
-    chosen: Mapping[str, Mapping[str, object]],
-    labels: Mapping[str, str],
-    paths: tuple[Path, ...],
-    known: Mapping[str, object] | None,
-) -> Any:
-    from station.runs.progress import Progress
-    from station.settings.load import load
-    from station.shell.running import start_run
-
-    settings = load(kind.kind, given["config"], chosen)
+        return resume_run(
+            given["resume"], Progress(), kind=kind, config=config, overrides=chosen, labels=labels
+        )
+    settings = load(kind.kind, config, chosen)
     if given["seed"] is not None and not kind.simulated(settings):
         raise click.UsageError("--seed belongs to a simulated bench; a real one has none")
     return start_run(kind, settings, Progress(), labels=labels, paths=paths, known=known)

@@ -72,10 +72,7 @@ def finish(taken: Taken, *, report: bool, as_json: bool, saved: bool = False, co
             click.echo(f"report  {document['report']}")
     if failure is None:
         return EXIT_FAIL if verdict == "FAIL" else EXIT_OK
-    if taken.failure is not None:
-        told = f"{failure.message} (go on with --resume {run.path.parent})"
-        failure = Failure(failure.kind, told, failure.exit_code)
-    print_failure(failure)
+    print_failure(failure if taken.failure is None else taken.to_tell)
     return failure.exit_code
 
 

@@ -101,11 +101,11 @@ def resume_run(
     return take(session, lambda of: kind.take(settings, of))
 
 
-def saved_run(path: Path, kind: Measurement[Any, Any]) -> Path:
-    """Return the file of a saved run of one measurement; errors as :func:`check_kind`, or RunError."""
+def saved_run(path: Path, kind: Measurement[Any, Any]) -> Taken:
+    """Return a saved run of one measurement as if it had just been taken; errors as :func:`check_kind`, or RunError."""
     run = open_run(path)
     check_kind(run, kind)
-    return run.path
+    return Taken(run.path, None)
 
 
 def check_kind(run: SavedRun, kind: Measurement[Any, Any]) -> None:

@@ -41,6 +41,7 @@ class SimulatedInstruments:
     gyro: Gyro
     detector: Detector
     scope: SimulatedTDS2014
+    link: str
 
 
 def slow_table_rate(settings: Settings, simulation: SimulationSettings) -> float:
@@ -54,7 +55,7 @@ def at_slow_rate(settings: Settings) -> Settings:
     return settings.model_copy(update={"table": settings.table.model_copy(update={"kind": "none"})})
 
 
-def build_instruments(settings: Settings, clock: Clock) -> SimulatedInstruments:
+def build_instruments(settings: Settings, clock: Clock, *, times_resumed: int = 0) -> SimulatedInstruments:
     """Put gyro, table and oscilloscope together, as the settings and their seed say.
 
     Parameters
@@ -63,10 +64,8 @@ def build_instruments(settings: Settings, clock: Clock) -> SimulatedInstruments:
         With ``simulation``; with ``table.kind = "none"`` the table turns at the slow rate already.
     clock : Clock
         The time of all of them.
-
-    Returns
-    -------
-    SimulatedInstruments
+    times_resumed : int, optional
+        How often they were switched on before for the same run.
 
     Raises
     ------
@@ -76,6 +75,9 @@ def build_instruments(settings: Settings, clock: Clock) -> SimulatedInstruments:
     simulation = settings.simulation
     if simulation is None:
         raise UsageError("these settings describe a real bench: there is no [simulation] in them")
+    if times_resumed:
+        again = np.random.SeedSequence([simulation.seed, times_resumed]).generate_state(1)[0]
+        simulation = simulation.model_copy(update={"seed": int(again)})
     start = np.random.default_rng([simulation.seed, 0x6B])
     turning = slow_table_rate(settings, simulation) if settings.table.kind == "none" else 0.0
     table = TurningTable(
@@ -102,7 +104,7 @@ def build_instruments(settings: Settings, clock: Clock) -> SimulatedInstruments:
         )
     except ValueError as error:
         raise UsageError(f"simulation.scope_model: {error}") from None
-    return SimulatedInstruments(clock, table, gyro, detector, scope)
+    return SimulatedInstruments(clock, table, gyro, detector, scope, simulation.link)
 
 
 def _prepare(gyro: Gyro, detector: Detector, table: TurningTable, segment: Segment) -> None:

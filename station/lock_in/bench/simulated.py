@@ -16,58 +16,18 @@ from station.settings.load import Settings
 
 
 @contextmanager
-def serve(scope: SimulatedTDS2014, link: str, *, tcp_port: int = 0, baud_rate: int | None = None) -> Iterator[str]:
-    """Put the simulated oscilloscope behind a byte stream.
-
-    Parameters
-    ----------
-    scope : SimulatedTDS2014
-    link : {"auto", "pty", "tcp"}
-        ``"auto"``: a serial terminal where the system has one.
-    tcp_port : int, optional
-        0: any free one.
-    baud_rate : int, optional
-        Paces the serial terminal.
-
-    Yields
-    ------
-    str
-        VISA resource name.
-
-    Raises
-    ------
-    UsageError
-        If the system has no such link, or the port is taken.
-    """
-    server: PtyServer | TcpServer
-    try:
-        server = TcpServer(scope, port=tcp_port) if link == "tcp" else PtyServer(scope, baud_rate=baud_rate)
-    except OSError as error:
-        if link != "auto":
-            raise UsageError(f"the simulated scope cannot be served: {error.strerror or error}") from None
-        server = TcpServer(scope, port=tcp_port)
-    try:
-        yield server.resource_name
-    finally:
-        server.close()
-
-
-@contextmanager
-def open_simulated_bench(settings: Settings) -> Iterator[Bench]:
+def open_simulated_bench(settings: Settings, *, times_resumed: int = 0) -> Iterator[Bench]:
     """Open the simulated bench: on a clock that jumps instead of waiting, through a real link.
 
     Parameters
     ----------
     settings : Settings
-
-    Yields
-    ------
-    Bench
+    times_resumed : int, optional
+        How often it was switched on before for the same run: phases and noise are other ones each time.
     """
-    instruments = build_instruments(settings, VirtualClock())
-    assert settings.simulation is not None  # build_instruments has looked
+    instruments = build_instruments(settings, VirtualClock(), times_resumed=times_resumed)
     turning_already = settings.table.kind == "none"
-    with serve(instruments.scope, settings.simulation.link) as resource, open_scope(resource) as scope:
+    with serve(instruments.scope, instruments.link) as resource, open_scope(resource) as scope:
         yield Bench(
             scope,
             table=None if turning_already else instruments.table,

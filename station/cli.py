@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 import importlib
 import json
 import os
@@ -17,22 +18,19 @@ from station.errors import EXIT_DEFECT, EXIT_INTERRUPTED, EXIT_USAGE, Failure, d
 
 _TRACEBACK_VARIABLE = "GYROLOCK_TRACEBACK"
 
-# command: module, and the line that `gyrolock --help` shows without importing it
+# command: module and name in it, and the line that `gyrolock --help` shows without importing it
 _COMMANDS = {
-    "measure": ("lock_in.command:measure", "Measure the lock-in rate: acquire, save, analyse, report."),
-    "acquire": ("lock_in.command:acquire", "Acquire and save records only."),
-    "analyze": ("commands.analyze", "Analyse saved runs and Tektronix CSV or ISF files again."),
-    "report": ("commands.report", "Write the HTML report of a saved run."),
-    "plan": ("plan.command", "Plan a measurement: rate, time base, scale and records for a wanted uncertainty."),
-    "fog": (
-        "fibre_gyro.command",
-        "Scale factor of a fibre gyro: rate table, self-calibration, 2π error, figures of merit.",
-    ),
-    "study": ("study.command", "Compute the paper's simulations, with its method and with the exact one."),
-    "simulate": ("commands.simulate", "Serve the simulated oscilloscope on TCP or a serial terminal."),
-    "list": ("commands.list", "List the instruments that VISA can see."),
-    "doctor": ("commands.doctor", "Check this installation, and say what to do about what is missing."),
-    "settings": ("commands.settings", "Print a commented settings file to copy."),
+    "measure": ("station.lock_in.command:measure", "Measure the lock-in rate: acquire, save, analyse, report."),
+    "acquire": ("station.lock_in.command:acquire", "Acquire and save records only."),
+    "analyze": ("station.commands.analyze:command", "Analyse saved runs and Tektronix CSV or ISF files again."),
+    "report": ("station.commands.report:command", "Write the HTML report of saved runs."),
+    "plan": ("station.plan.command:command", "Plan a measurement: rate, scale and records for a wanted uncertainty."),
+    "fog": ("station.fibre_gyro.command:command", "Scale factor of a fibre gyro: rate table, self-calibration, ..."),
+    "study": ("station.study.command:command", "Compute the paper's simulations, with its method and exactly."),
+    "simulate": ("station.commands.simulate:command", "Serve the simulated oscilloscope on TCP or a serial terminal."),
+    "list": ("station.commands.list:command", "List the instruments that VISA can see."),
+    "doctor": ("station.commands.doctor:command", "Check this installation, and say what to do about what is missing."),
+    "settings": ("station.commands.settings:command", "Print a commented settings file to copy."),
 }
 
 
@@ -45,9 +43,18 @@ class _LazyGroup(click.Group):
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         if cmd_name not in _COMMANDS:
             return None
-        module = importlib.import_module(f"station.{_COMMANDS[cmd_name][0]}")
-        command: click.Command = module.command
+        module, _, name = _COMMANDS[cmd_name][0].partition(":")
+        command: click.Command = getattr(importlib.import_module(module), name)
         return command
+
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        if args and args[0] not in _COMMANDS and not args[0].startswith("-"):
+            like = difflib.get_close_matches(args[0], _COMMANDS, 1)
+            meant = f" Did you mean {like[0]!r}?" if like else ""
+            raise click.UsageError(f"No such command {args[0]!r}.{meant}", ctx)
+        return super().resolve_command(ctx, args)
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         with formatter.section("Commands"):

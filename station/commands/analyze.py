@@ -1,4 +1,4 @@
-"""``gyrolock analyze``: analyse saved records again."""
+"""``gyrolock analyze``: evaluate saved runs of any kind, and files of an oscilloscope."""
 
 from __future__ import annotations
 
@@ -8,13 +8,15 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from station.shell.options import config_option, json_option, print_failure, print_json
+from station.shell.ending import print_failure, print_json
+from station.shell.options import config_option, json_option
 
 if TYPE_CHECKING:
-    from analysis.lockin_equation import Relation
+    from collections.abc import Mapping
+
     from station.errors import Failure
-    from station.lock_in.analyze import Analyzed, Choices
-    from station.settings.load import Settings
+    from station.evaluated import Evaluated
+    from station.lock_in.files import AnalyzedFile
 
 
 @click.command("analyze")
@@ -29,78 +31,77 @@ if TYPE_CHECKING:
     help="Rate on the gyro's axis, deg/s. Without it the beat frequency is the reference.",
 )
 @click.option(
-    "--relation", type=click.Choice(["exact", "paper-13", "paper-10"]), default="exact", show_default=True
+    "--relation", type=click.Choice(["exact", "paper-13", "paper-10"]), help="Of ratio and rate.  [default: exact]"
 )
 @click.option("--jsonl", is_flag=True, help="One JSON object a record, one a line, on stdout.")
 @config_option
 @json_option
-def command(
-    paths: tuple[Path, ...],
-    scale_factor: float | None,
-    input_rate: float | None,
-    relation: Relation,
-    jsonl: bool,
-    config: Path | None,
-    as_json: bool,
-) -> int:
-    """Analyse saved runs and Tektronix CSV or ISF files again.
+def command(paths: tuple[Path, ...], jsonl: bool, config: Path | None, as_json: bool, **choices: Any) -> int:
+    """Evaluate saved runs of any kind again, and Tektronix CSV or ISF files.
 
     PATH is a run (its directory or its file), or a file that the scope or its PC software wrote. With --json
-    and several paths the document holds a list `results`. Exit code 4 if any of them gives no lock-in rate.
+    and several paths the document holds a list `results`. Exit code 4 if any of them gives no result, 1 if one is
+    beyond a limit.
 
-    A run is analysed with the settings that it was taken with; with --config its [front_end] and [budget] are
-    those of FILE, for a channel that was measured later.
+    A run is evaluated with the settings that it was taken with; with --config what is known of the bench, and the
+    [limits], are those of FILE, for a channel that was measured later.
     """
-    from station.lock_in.analyze import Choices
-    from station.settings.load import load_settings
+    from station.errors import EXIT_FAIL
 
     if jsonl and as_json:
         raise click.UsageError("--json and --jsonl exclude each other")
-    settings = load_settings(config)
-    choices = Choices(scale_factor, input_rate, relation, None if config is None else settings)
-    documents, failures = [], []
+    documents, failures, failed = [], [], False
     for path in paths:
-        analyzed, failure = _analyze(path, choices, settings)
+        analyzed, failure = _analyze(path, config, choices)
         document: dict[str, Any] = analyzed.document() if analyzed is not None else {"file": str(path)}
+        failed = failed or document.get("verdict") == "FAIL"
         if failure is not None:
             failures.append(failure)
             document["error"] = failure.as_json()
         documents.append(document)
         if jsonl:
-            for line in analyzed.record_documents() if analyzed is not None else [document]:
+            for line in analyzed.rows() if analyzed is not None else [document]:
                 click.echo(json.dumps(line, allow_nan=False))
         elif analyzed is not None and not as_json:
-            _print(analyzed)
+            _print(path, analyzed)
         if failure is not None:
             print_failure(failure)
     if as_json:
         print_json(documents[0] if len(documents) == 1 else {"results": documents})
-    # what could not be read at all (2) comes before what holds no lock-in rate (4)
-    return min((failure.exit_code for failure in failures), default=0)
+    # what could not be read at all (2) comes before what holds no result (4)
+    return min((failure.exit_code for failure in failures), default=EXIT_FAIL if failed else 0)
 
 
-def _analyze(path: Path, choices: Choices, settings: Settings) -> tuple[Analyzed | None, Failure | None]:
-    """Analyse one path; one that cannot be read must not keep the others from being analysed."""
+def _analyze(
+    path: Path, config: Path | None, choices: Mapping[str, Any]
+) -> tuple[Evaluated | AnalyzedFile | None, Failure | None]:
+    """Evaluate one path; one that cannot be read must not keep the others from being evaluated."""
     from instrument import InstrumentError
     from station.errors import EXIT_NO_SIGNAL, Failure, NoUsableSignal, StationError, describe_failure
-    from station.lock_in.analyze import analyze_path
-    from station.lock_in.sentences import no_result_words
+    from station.evaluated import evaluate_run
+    from station.lock_in.files import analyze_file
+    from station.runs.database import is_database
+    from station.runs.store import open_run
 
+    analyzed: Evaluated | AnalyzedFile
     try:
-        analyzed = analyze_path(path, choices, settings)
+        if is_database(path):
+            analyzed = evaluate_run(open_run(path), config=config, choices=choices)
+        else:
+            analyzed = analyze_file(path, config, choices)
     except (InstrumentError, StationError, OSError) as error:
         return None, describe_failure(error)
-    if analyzed.evaluation.usable:
+    if not analyzed.result.problem:
         return analyzed, None
-    sentence = f"{path}: {no_result_words(analyzed.evaluation)}"
-    return analyzed, Failure(NoUsableSignal.kind, sentence, EXIT_NO_SIGNAL)
+    return analyzed, Failure(NoUsableSignal.kind, f"{path}: {analyzed.result.problem}", EXIT_NO_SIGNAL)
 
 
-def _print(analyzed: Analyzed) -> None:
-    from station.lock_in.console import print_harmonics, print_result
+def _print(path: Path, analyzed: Evaluated | AnalyzedFile) -> None:
+    from station.evaluated import Evaluated
+    from station.report.console import print_result, print_values
 
-    click.echo(f"{analyzed.path}")
-    if (harmonics := analyzed.harmonics()) is not None:
-        print_harmonics(harmonics)
-    run = analyzed.run
-    print_result(analyzed.evaluation, simulated=run is not None and run.facts["simulated"])
+    click.echo(f"{path}")
+    if isinstance(analyzed, Evaluated):
+        print_result(analyzed)
+    else:
+        print_values(analyzed.result)

@@ -41,12 +41,14 @@ def print_result(evaluated: Evaluated) -> None:
         known = (f"{name.replace('_', ' ')} {value:.9g}" for name, value in (facts.truth or {}).items())
         told = evaluated.result.truth or ", ".join(known) or "no truth is saved"
         rows.append(("bench", f"simulated; {told}"))
-    _print(console, evaluated.result, rows)
+    print_values(evaluated.result, rows)
     for tested in evaluated.tested:
         console.print(tested.sentence, markup=False, style="green" if tested.passed else "bold red")
 
 
-def _print(console: Console, result: Result, more: Rows) -> None:
+def print_values(result: Result, more: Rows = ()) -> None:
+    """Print a result without a run: tables, values, what they mean, what to watch."""
+    console = stdout_console()
     for table in result.tables:
         console.print(text_table(table))
     summary = Table(box=None, show_header=False, pad_edge=False, padding=(0, 2, 0, 0))

@@ -9,8 +9,12 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 
+import numpy as np
+
+from analysis.arrays import Complexes
 from analysis.budget.combination import Budget, BudgetInput, Reference
 from analysis.budget.knowledge import BenchKnowledge, Corner, OperatingPoint, TableGeometry, ratio_slope
+from analysis.channel import gain_on_ratio, high_pass_on_ratio, low_pass_on_ratio
 from analysis.rotation import EARTH_RATE_DPS, earth_rate_on_axis
 
 _OWN = "does not enter: the record is its own reference"
@@ -18,6 +22,9 @@ _GIVEN = "does not enter: the rate is the reference"
 _RECTANGLE = math.sqrt(3.0)
 _DEGREE = math.pi / 180
 _EARTH_RATE_U_DPS = 1e-8 * EARTH_RATE_DPS
+
+Factor = Callable[[float, float], Complexes]
+"""On rho, of a beat frequency and a corner in Hz."""
 
 
 def lock_in_budget(point: OperatingPoint, knowledge: BenchKnowledge, reference: Reference = "beat") -> Budget:
@@ -59,9 +66,9 @@ def lock_in_budget(point: OperatingPoint, knowledge: BenchKnowledge, reference: 
     slope = _slope(point, reference)
     for line, missing in (
         _distortion(point, knowledge, slope),
-        _corner("bandwidth", "bandwidth of the channel", knowledge.bandwidth, _low_pass, point, slope),
-        _corner("high_pass", "AC coupling of the channel", knowledge.high_pass, _high_pass, point, slope),
-        _corner("gain_corner", "gain saturation of the laser", knowledge.gain, _gain, point, slope),
+        _corner("bandwidth", "bandwidth of the channel", knowledge.bandwidth, low_pass_on_ratio, point, slope),
+        _corner("high_pass", "AC coupling of the channel", knowledge.high_pass, high_pass_on_ratio, point, slope),
+        _corner("gain_corner", "gain saturation of the laser", knowledge.gain, gain_on_ratio, point, slope),
     ):
         if line is None:
             unstated.append(missing)
@@ -195,18 +202,16 @@ def _corner(
     name: str,
     quantity: str,
     corner: Corner,
-    response: Callable[[float, float], float],
+    response: Factor,
     point: OperatingPoint,
     slope: float,
 ) -> tuple[BudgetInput | None, str]:
-    """A first-order corner: `response(f, corner)` is the factor that it puts on r."""
+    """A first-order corner, whose `response` is the factor that it puts on rho."""
     if math.isnan(corner.hz):
         return None, quantity
     frequency, ratio = point.beat_frequency, point.ratio
-    try:
-        factor = response(frequency, corner.hz)
-    except ZeroDivisionError:
-        factor = math.nan
+    with np.errstate(divide="ignore", invalid="ignore"):
+        factor = float(abs(response(frequency, corner.hz)))
     if not (corner.hz >= 0 and math.isfinite(factor)):
         raise ValueError(f"{quantity}: a corner of {corner.hz!r} Hz lets no beat through")
     if corner.corrected and 0 < corner.hz < math.inf:
@@ -229,7 +234,7 @@ def _corner(
     ), ""
 
 
-def _relative_slope(response: Callable[[float, float], float], frequency: float, corner: Corner) -> float:
+def _relative_slope(response: Factor, frequency: float, corner: Corner) -> float:
     """Relative change of the response by the corner, per Hz, such that this times u is the standard deviation.
 
     The effect goes with the square of the corner: over an uncertainty of a tenth its slope is not constant, so the
@@ -240,22 +245,7 @@ def _relative_slope(response: Callable[[float, float], float], frequency: float,
         raise ValueError(
             f"a corner of {corner.hz:g} Hz with an uncertainty of {corner.u_hz:g} Hz is not known at all"
         )
-    low, middle, high = (response(frequency, corner.hz + side * reach) for side in (-1, 0, 1))
+    low, middle, high = (float(abs(response(frequency, corner.hz + side * reach))) for side in (-1, 0, 1))
     mean = (low + 4 * middle + high) / 6
     variance = ((low - mean) ** 2 + 4 * (middle - mean) ** 2 + (high - mean) ** 2) / 6
     return math.copysign(math.sqrt(3 * variance) / (reach * middle), high - low)
-
-
-def _low_pass(frequency: float, corner: float) -> float:
-    """|H(2f)/H(f)| of one pole."""
-    return math.sqrt((1 + (frequency / corner) ** 2) / (1 + (2 * frequency / corner) ** 2))
-
-
-def _high_pass(frequency: float, corner: float) -> float:
-    """|H(2f)/H(f)| of AC coupling."""
-    return math.sqrt((1 + (corner / frequency) ** 2) / (1 + (corner / (2 * frequency)) ** 2))
-
-
-def _gain(frequency: float, corner: float) -> float:
-    """Loss of the second harmonic by the laser's gain saturation, 1/|1 + i w/g_c|."""
-    return 1 / math.hypot(1.0, frequency / corner)

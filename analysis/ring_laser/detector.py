@@ -14,6 +14,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from analysis.channel import high_pass, low_pass
 from analysis.ring_laser.gyro import Gyro, harmonic_ratio
 from analysis.ring_laser.rate_grid import FINER, beat_rate_at, grid_place, interpolate, rate_at, weights_at
 
@@ -77,9 +78,9 @@ class Detector:
         """Gain of the filters at frequencies in Hz."""
         gain = np.ones_like(frequency, dtype=np.complex128)
         if self.low_pass_hz > 0:
-            gain /= 1 + 1j * frequency / self.low_pass_hz
+            gain *= low_pass(frequency, self.low_pass_hz)
         if self.ac_corner_hz > 0:
-            gain *= 1j * frequency / (self.ac_corner_hz + 1j * frequency)
+            gain *= high_pass(frequency, self.ac_corner_hz)
         return gain
 
     def swing(self, times: Array) -> Array:

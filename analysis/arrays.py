@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -10,3 +12,8 @@ Complexes = NDArray[np.complex128]
 Bools = NDArray[np.bool_]
 Ints = NDArray[np.int64]
 Indices = NDArray[np.intp]
+
+Samples = NDArray[Any]
+"""float32 or float64"""
+Phasors = NDArray[Any]
+"""complex64 or complex128"""

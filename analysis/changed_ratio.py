@@ -5,15 +5,12 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from analysis.arrays import Complexes, Floats
 from analysis.flags import Flag
 from analysis.lockin_equation import input_rate_from_beat
 from analysis.lockin_rate import SIGNIFICANT, LockInEstimate, rate_and_slopes
 from analysis.ratio_interval import size_interval
-
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
 
 
 def with_ratio(

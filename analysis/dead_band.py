@@ -13,12 +13,10 @@ from enum import IntFlag
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from analysis.arrays import Floats
 from analysis.rate_sweep import LEAST_WALK, falling, rounded_pulse_rate
-
-Floats = NDArray[np.float64]
-Integers = NDArray[np.int64]
 
 FEWEST_FOR_CORNER = 6
 ROUNDING_MATTERS = 2.0

@@ -5,11 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from analysis.arrays import Floats
 from analysis.rotation import EARTH_RATE_DPS
-
-Floats = NDArray[np.float64]
 
 ROUNDS = 50
 SMALLEST_U_DPS = 1e-15

@@ -15,10 +15,9 @@ from enum import IntFlag
 
 import numpy as np
 import scipy.special
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-Floats = NDArray[np.float64]
-Bools = NDArray[np.bool_]
+from analysis.arrays import Bools, Floats
 
 ROUNDS = 20
 UNLIKELY = 0.001

@@ -5,16 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass, fields
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from analysis.arrays import Bools, Complexes, Floats, Indices, Ints
 from analysis.flags import FATAL, Flag
 from analysis.lockin_equation import Relation, input_rate_from_beat, lock_in_from_beat, lock_in_from_rate
 from analysis.ratio_interval import size_interval
 from analysis.waveform.records import NanPolicy, as_stack
 from analysis.waveform.waveform_fit import WaveformFit, fit_waveform
-
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
 
 FEWEST_PERIODS = 3.0
 
@@ -63,15 +61,15 @@ class LockInEstimate:
     amplitude: Floats
     noise_rms: Floats
     periods: Floats
-    records: NDArray[np.int64]
-    records_rejected: NDArray[np.int64]
-    flags: NDArray[np.int64]
+    records: Ints
+    records_rejected: Ints
+    flags: Ints
     scale_factor: float
     relation: Relation
     rate_given: bool
     noise_model: str
 
-    def __getitem__(self, key: int | slice | NDArray[np.bool_] | NDArray[np.intp]) -> LockInEstimate:
+    def __getitem__(self, key: int | slice | Bools | Indices) -> LockInEstimate:
         """Some of the records; indexes the leading axes of every field."""
         picked = {f.name: getattr(self, f.name) for f in fields(self)}
         for name, value in picked.items():
@@ -89,7 +87,7 @@ class LockInEstimate:
         return LockInEstimate(**changed)
 
     @property
-    def usable(self) -> NDArray[np.bool_]:
+    def usable(self) -> Bools:
         """Where a lock-in rate could be given at all."""
         return np.asarray((self.flags & int(FATAL)) == 0)
 
@@ -307,7 +305,7 @@ def rate_and_slopes(
     return lock_in_from_rate(r, w, relation), rise / (2 * half), by_beat_rate
 
 
-def _beat_flags(beat: _Beat, n_samples: int) -> NDArray[np.int64]:
+def _beat_flags(beat: _Beat, n_samples: int) -> Ints:
     flags = np.zeros(beat.size.shape, dtype=np.int64)
     flags[beat.periods < FEWEST_PERIODS] |= Flag.FEW_PERIODS
     flags[2 * beat.omega >= np.pi] |= Flag.SECOND_HARMONIC_ABOVE_NYQUIST
@@ -316,13 +314,13 @@ def _beat_flags(beat: _Beat, n_samples: int) -> NDArray[np.int64]:
     return flags
 
 
-def _weaker(beat: _Beat, fit: WaveformFit, full: Floats, n_samples: int) -> NDArray[np.bool_]:
+def _weaker(beat: _Beat, fit: WaveformFit, full: Floats, n_samples: int) -> Bools:
     """Where the amplitude falls short of `full` by more than noise and the stability of a laser explain."""
     amplitude_u = fit.noise_rms * np.sqrt(2 / n_samples)
     return np.asarray(full - beat.amplitude > np.maximum(LOSS * full, 5 * amplitude_u))
 
 
-def _folds_onto_another(omega: Floats, ratio: Floats, n_samples: int) -> NDArray[np.bool_]:
+def _folds_onto_another(omega: Floats, ratio: Floats, n_samples: int) -> Bools:
     """Whether a strong harmonic folds to within one bin of the fundamental or of the second harmonic."""
     orders = np.arange(2, 13)
     folded = np.abs((orders * omega[:, np.newaxis] + np.pi) % (2 * np.pi) - np.pi)

@@ -14,10 +14,9 @@ A continued fraction gives the same to rounding and without the integral's narro
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-Floats = NDArray[np.float64]
-Integers = NDArray[np.int64]
+from analysis.arrays import Bools, Floats, Ints
 
 LARGEST_TURN = 0.4
 """rad, of the phase in one step of the simulation; the steps are exact but for the noise inside them."""
@@ -85,7 +84,7 @@ def simulate_sweep(
     bias_rate: float = 0.0,
     capture_rate: float | None = None,
     seed: int = 0,
-) -> Integers:
+) -> Ints:
     """Pulses counted at each step of a sweep, by integrating the equation with its noise.
 
     Parameters
@@ -129,7 +128,7 @@ def simulate_sweep(
     return np.asarray(np.floor(turns + rng.uniform(0, 1, rates.size)) * (turns > TREMBLE), dtype=np.int64)
 
 
-def falling(rates: Floats) -> NDArray[np.bool_]:
+def falling(rates: Floats) -> Bools:
     """Steps of a sweep at which |W| is smaller than at the step before; the first one counts as rising."""
     size = np.abs(rates)
     return np.concatenate([[False], np.diff(size) < 0])[: rates.size]

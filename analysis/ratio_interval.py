@@ -12,9 +12,9 @@ from functools import cache
 
 import numpy as np
 import scipy.special
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-Floats = NDArray[np.float64]
+from analysis.arrays import Floats
 
 TABLE_END = 9.0
 """Beyond this many standard uncertainties the Rice distribution is Gaussian to the accuracy of the table."""

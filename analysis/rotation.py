@@ -10,9 +10,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-Floats = NDArray[np.float64]
+from analysis.arrays import Bools, Floats
 
 EARTH_RATE_DPS = 15.041067 / 3600.0
 """Sidereal rotation rate of the earth, deg/s."""
@@ -137,7 +137,7 @@ def mean_rate_in_record(
     )
 
 
-def _passes(middle: Floats, half: Floats, angle: float) -> NDArray[np.bool_]:
+def _passes(middle: Floats, half: Floats, angle: float) -> Bools:
     """Whether middle - half .. middle + half, rad, holds the angle."""
     away = np.abs((middle - angle + np.pi) % (2 * np.pi) - np.pi)
     return np.asarray(away <= half)

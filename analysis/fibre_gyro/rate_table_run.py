@@ -15,12 +15,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from analysis.arrays import Floats, Ints
 from analysis.rotation import EARTH_RATE_DPS
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 _EARTH_RATE_DPH = 3600.0 * EARTH_RATE_DPS
 _SAME_RATE = 1e-9

@@ -10,11 +10,10 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from analysis.arrays import Floats
 from analysis.rotation import EARTH_RATE_DPS
-
-Floats = NDArray[np.float64]
 
 _BLOCKS_FOR_SCATTER = 8
 

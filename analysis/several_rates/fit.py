@@ -13,8 +13,9 @@ from typing import Literal
 
 import numpy as np
 import scipy.special
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from analysis.arrays import Bools, Complexes, Floats, Indices
 from analysis.lockin_rate import LockInEstimate
 from analysis.ratio_interval import size_interval
 from analysis.several_rates.ratio_model import (
@@ -34,10 +35,6 @@ from analysis.several_rates.ratio_records import (
 )
 from analysis.several_rates.result import LeftOut, Model, ModelFit, RatesFit, RatesFlag
 from analysis.several_rates.words import describe_rates
-
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
-Bools = NDArray[np.bool_]
 
 FREE: dict[Model, tuple[bool, bool]] = {
     "lock-in": (False, False),
@@ -327,7 +324,7 @@ def _residuals(fit: RatioFit, data: RatioData, used: Bools) -> tuple[Complexes, 
     return residual, deviation
 
 
-def rate_groups(rate: Floats) -> NDArray[np.intp]:
+def rate_groups(rate: Floats) -> Indices:
     """Which of the different |W| each rate belongs to, 0, 1, ...; |W| within 1 % count as one rate."""
     order = np.argsort(np.abs(rate))
     size = np.abs(rate)[order]

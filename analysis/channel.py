@@ -19,8 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from analysis.arrays import Bools, Complexes, Floats
-from analysis.changed_ratio import with_ratio
-from analysis.lockin_rate import LockInEstimate
+from analysis.lockin_rate import LockInEstimate, with_ratio
 
 HARMONICS = 24
 """Of the series that is fitted; 0.7^24 is 2e-4, and a slow channel passes less of them."""

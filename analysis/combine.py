@@ -9,8 +9,7 @@ import scipy.special
 
 from analysis.arrays import Complexes, Floats, Ints
 from analysis.flags import Flag
-from analysis.lockin_rate import LockInEstimate, rate_and_slopes
-from analysis.ratio_interval import size_interval
+from analysis.lockin_rate import LockInEstimate, rate_and_slopes, size_interval
 
 UNLIKELY = 0.001
 """A scatter that the records' own noise would produce less often than this is taken as real."""

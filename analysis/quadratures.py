@@ -19,10 +19,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from analysis.arrays import Complexes, Floats, Ints
-from analysis.changed_ratio import with_ratio
 from analysis.flags import FATAL
 from analysis.lockin_equation import Relation
-from analysis.lockin_rate import LockInEstimate, estimate_lock_in
+from analysis.lockin_rate import LockInEstimate, estimate_lock_in, with_ratio
 from analysis.waveform.records import NanPolicy
 
 HARMONICS = 5

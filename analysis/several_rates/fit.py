@@ -16,8 +16,7 @@ import scipy.special
 from numpy.typing import ArrayLike
 
 from analysis.arrays import Bools, Complexes, Floats, Indices
-from analysis.lockin_rate import LockInEstimate
-from analysis.ratio_interval import size_interval
+from analysis.lockin_rate import LockInEstimate, size_interval
 from analysis.several_rates.ratio_model import (
     RatioData,
     RatioFit,

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis import Flag, LockInEstimate, estimate_lock_in
-from analysis.changed_ratio import with_ratio
 from analysis.lockin_equation import Relation
+from analysis.lockin_rate import with_ratio
 from instrument import Preamble, Waveform
 from instrument.errors import InstrumentError
 from instrument.waveform import CLIPPED_CODE

@@ -237,25 +237,6 @@ def rate_differences(parts: OddEven, *, irreproducibility_ppm: float) -> RateDif
     return RateDifferences(rates - base, number, noise, spread, base, float(parts.odd_u[0]))
 
 
-def difference_noise_dps(angle_random_walk: float, window_s: ArrayLike) -> Floats:
-    """Standard uncertainty in deg/s of a difference of two odd parts, from white noise alone.
-
-    Each odd part averages two runs of length T, the difference holds two odd parts: (N/60)/sqrt(T).
-
-    Parameters
-    ----------
-    angle_random_walk : float
-        deg/sqrt(h).
-    window_s : array_like
-
-    Examples
-    --------
-    >>> f"{difference_noise_dps(0.005, 540.0):.3g}"
-    '3.59e-06'
-    """
-    return np.asarray(angle_random_walk / 60.0 / np.sqrt(np.asarray(window_s, dtype=np.float64)), np.float64)
-
-
 @dataclass(frozen=True)
 class AxisFit:
     """Scale factor of one axis by weighted least squares over all runs.

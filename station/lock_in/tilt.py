@@ -9,8 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from analysis import estimate_lock_in
-from analysis.fast_run_tilt import tilt_from_fast_runs
-from analysis.rotation import earth_rate_on_axis
+from analysis.rotation import earth_rate_on_axis, tilt_from_fast_runs
 from instrument import Preamble, Waveform
 from station.errors import RunError
 from station.runs.store import SavedRecord

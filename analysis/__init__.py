@@ -2,8 +2,7 @@
 
 from analysis.channel import ChannelResponse, correct_response
 from analysis.combine import combine_estimates
-from analysis.dead_band import DeadBand, find_dead_band
-from analysis.fast_run_tilt import TiltFit, tilt_from_fast_runs
+from analysis.dead_band import DeadBand, find_dead_band, simulate_sweep
 from analysis.flags import FATAL, Flag, describe_flag, flag_names
 from analysis.frequency_method import FrequencyFit, fit_frequencies
 from analysis.harmonics import HarmonicFit, fit_harmonics
@@ -18,8 +17,7 @@ from analysis.lockin_equation import (
 )
 from analysis.lockin_rate import LockInEstimate, estimate_lock_in
 from analysis.quadratures import QuadratureEstimate, QuadratureFlag, estimate_quadratures
-from analysis.rate_sweep import simulate_sweep
-from analysis.rotation import EARTH_RATE_DPS, earth_rate_on_axis, rate_on_axis
+from analysis.rotation import EARTH_RATE_DPS, TiltFit, earth_rate_on_axis, rate_on_axis, tilt_from_fast_runs
 from analysis.several_rates import fit_rate_ratios, fit_rates
 from analysis.several_rates.result import RatesFit, RatesFlag
 

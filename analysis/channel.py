@@ -6,6 +6,8 @@ A linear channel multiplies harmonic n of the beat by its response H(n f). Witho
 
 far above lock-in. Closer to it the fit of the waveform leans on the higher harmonics too; then the factor is that
 of the geometric series which fits H(n f) q^(n-1) best, found by the same least squares.
+
+The gain of the laser acts like one more pole, once for each step from a harmonic to the next.
 """
 
 from __future__ import annotations
@@ -14,19 +16,50 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from analysis.changed_ratio import with_ratio
-from analysis.lockin_rate import LockInEstimate
-
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
+from analysis.arrays import Bools, Complexes, Floats
+from analysis.errors import OutsideResponse
+from analysis.lockin_rate import LockInEstimate, with_ratio
 
 HARMONICS = 24
 """Of the series that is fitted; 0.7^24 is 2e-4, and a slow channel passes less of them."""
 
 ROUNDS = 40
 STEP = 1e-4
+
+
+def low_pass(frequency: float | Floats, corner_hz: float | Floats) -> Complexes:
+    """Gain of one pole at frequencies in Hz; an infinite corner passes everything."""
+    return np.asarray(1 / (1 + 1j * (np.asarray(frequency, dtype=np.float64) / corner_hz)))
+
+
+def high_pass(frequency: float | Floats, corner_hz: float | Floats) -> Complexes:
+    """Gain of AC coupling at frequencies in Hz; a corner at 0 passes everything."""
+    f = np.asarray(frequency, dtype=np.float64)
+    return np.asarray(f / (f - 1j * np.asarray(corner_hz)))
+
+
+def low_pass_on_ratio(frequency: float | Floats, corner_hz: float | Floats) -> Complexes:
+    """Factor (1) on rho of one pole, at a beat frequency in Hz; its size is that on r."""
+    f = np.asarray(frequency, dtype=np.float64)
+    return _on_ratio(low_pass(f, corner_hz), low_pass(2 * f, corner_hz))
+
+
+def high_pass_on_ratio(frequency: float | Floats, corner_hz: float | Floats) -> Complexes:
+    """Factor (1) on rho of AC coupling, at a beat frequency in Hz; its size is that on r."""
+    f = np.asarray(frequency, dtype=np.float64)
+    return _on_ratio(high_pass(f, corner_hz), high_pass(2 * f, corner_hz))
+
+
+def gain_on_ratio(frequency: float | Floats, corner_hz: float | Floats) -> Complexes:
+    """Factor on rho of the laser's gain, which follows the intensity up to g_c/2 pi = `corner_hz` only."""
+    return low_pass(frequency, corner_hz)
+
+
+def _on_ratio(first: Complexes, second: Complexes) -> Complexes:
+    """Equation (1): H(2f) |H(f)| / H(f)^2."""
+    return np.asarray(second / first * np.abs(first) / first)
 
 
 @dataclass(frozen=True)
@@ -73,18 +106,18 @@ class ChannelResponse:
 
         Raises
         ------
-        ValueError
+        OutsideResponse
             A frequency outside the table.
         """
         f = np.asarray(frequency, dtype=np.float64)
         gain = np.ones(f.shape, dtype=np.complex128)
         for corner in self.low_pass_hz:
-            gain = gain / (1 + 1j * f / corner)
+            gain = gain * low_pass(f, corner)
         for corner in self.high_pass_hz:
-            gain = gain / (1 - 1j * corner / f)
+            gain = gain * high_pass(f, corner)
         return gain * self._table_at(f) if len(self.table_hz) else gain
 
-    def reach(self, frequency: ArrayLike) -> NDArray[np.bool_]:
+    def reach(self, frequency: ArrayLike) -> Bools:
         """Whether a frequency lies inside the table; always, without one."""
         f = np.asarray(frequency, dtype=np.float64)
         if not len(self.table_hz):
@@ -97,7 +130,7 @@ class ChannelResponse:
         inside = self.reach(f)
         if not np.all(inside | np.isnan(f)):
             outside = f[~inside & ~np.isnan(f)]
-            raise ValueError(
+            raise OutsideResponse(
                 f"the response is known from {self.table_hz[0]:.6g} to {self.table_hz[-1]:.6g} Hz, but "
                 f"{float(outside.flat[0]):.6g} Hz is needed: beat and second harmonic must lie inside"
             )
@@ -133,10 +166,9 @@ def ratio_factor(response: ChannelResponse, frequency: ArrayLike, ratio: ArrayLi
     """
     f, r = np.broadcast_arrays(np.asarray(frequency, dtype=np.float64), np.asarray(ratio, dtype=np.float64))
     first = response.at(f)
-    second = response.at(2 * f) / first
-    start = second * np.abs(first) / first
+    start = _on_ratio(first, response.at(2 * f))
     if not np.any(r > 0.02):
-        return np.asarray(start)
+        return start
     orders = np.arange(1, HARMONICS + 1)
     harmonics = f[..., np.newaxis] * orders
     # Beyond a table nothing is known: those harmonics are taken to be shaped like the last known one.
@@ -144,7 +176,7 @@ def ratio_factor(response: ChannelResponse, frequency: ArrayLike, ratio: ArrayLi
     gains = response.at(np.minimum(harmonics, np.maximum(last, f[..., np.newaxis]))) / first[..., np.newaxis]
     true = np.minimum(r, 0.99)[..., np.newaxis]
     lines = gains * true ** (orders - 1)
-    q = _best_series(lines, second * true[..., 0])
+    q = _best_series(lines, lines[..., 1])
     head = np.sum(lines * np.conj(q[..., np.newaxis] ** (orders - 1)), axis=-1)
     # The fit's own fundamental turns with the rest, and with it the origin that rho is counted from.
     fitted = q * np.exp(-1j * np.angle(head * first))
@@ -187,7 +219,7 @@ def correct_response(estimate: LockInEstimate, response: ChannelResponse) -> Loc
 
     Raises
     ------
-    ValueError
+    OutsideResponse
         A record's beat or second harmonic lies outside the response table.
     """
     f = np.where(estimate.usable, estimate.beat_frequency, np.nan)

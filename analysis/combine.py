@@ -6,13 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 import scipy.special
-from numpy.typing import NDArray
 
+from analysis.arrays import Complexes, Floats, Ints
 from analysis.flags import Flag
-from analysis.lockin_rate import LockInEstimate, rate_and_slopes
-from analysis.ratio_interval import size_interval
-
-Floats = NDArray[np.float64]
+from analysis.lockin_rate import LockInEstimate, rate_and_slopes, size_interval
 
 UNLIKELY = 0.001
 """A scatter that the records' own noise would produce less often than this is taken as real."""
@@ -115,7 +112,7 @@ def combine_estimates(estimates: LockInEstimate) -> LockInEstimate:
     )
 
 
-def _common_flags(flags: NDArray[np.int64]) -> int:
+def _common_flags(flags: Ints) -> int:
     common = int(np.bitwise_or.reduce(flags)) & ~int(Flag.RATIO_NOT_SIGNIFICANT)
     for bit in BY_CHANCE:
         if np.count_nonzero(flags & int(bit)) <= max(2, BY_CHANCE_SHARE * flags.size) and flags.size > 2:
@@ -123,7 +120,7 @@ def _common_flags(flags: NDArray[np.int64]) -> int:
     return common
 
 
-def _complex_rates(used: LockInEstimate) -> tuple[NDArray[np.complex128], Floats, Floats]:
+def _complex_rates(used: LockInEstimate) -> tuple[Complexes, Floats, Floats]:
     """WL exp(i beta') of each record, and its variances along and across its own direction."""
     size = np.abs(used.complex_ratio)
     rate = used.input_rate if used.rate_given else None
@@ -156,7 +153,7 @@ def _interval(size: float, rate_u: float, stretch: float) -> tuple[float, float]
     return float(low) * wide, float(high) * wide
 
 
-def _mean_ratio(used: LockInEstimate, weights: Floats) -> tuple[Floats, Floats, NDArray[np.complex128], Floats]:
+def _mean_ratio(used: LockInEstimate, weights: Floats) -> tuple[Floats, Floats, Complexes, Floats]:
     """Coherent mean of rho: its size freed of bias, uncertainty of the size, the mean and its covariance.
 
     Where both senses are there, records of the negative one count with the value that the positive would give.

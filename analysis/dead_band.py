@@ -2,8 +2,20 @@
 
 The table steps through rates up and down in both senses; the lock-in rate is half the width of the band without
 pulses, its middle is the bias rate. Steps of the table, the difference between up and down, and noise that lets
-the gyro slip inside the band limit it. A fit of the whole corner with its noise (equation (1) of `rate_sweep`)
+the gyro slip inside the band limit it. A fit of the whole corner with its noise (equation (1))
 shows what the last of these is worth.
+
+With the noise the phase of the beat obeys
+
+    d(phi)/dt = 2 pi K [W - WL sin(phi)] + noise,    variance of the noise's angle: N^2 t
+
+N is the angle random walk in deg/sqrt(s). Noise lets the phase slip below lock-in; the mean rate of that is known
+in closed form for a particle that diffuses in a tilted periodic potential (Stratonovich, Topics in the Theory of
+Random Noise, vol. 2): with a = 2 pi K W, b = 2 pi K WL and D = (2 pi K N)^2/2,
+
+    <d(phi)/dt> = D (1 - exp(-2 pi a/D)) / integral over 0..2 pi of exp(-a s/D) I0((2 b/D) sin(s/2)) ds      (1)
+
+A continued fraction gives the same to rounding and without the integral's narrow peaks.
 """
 
 from __future__ import annotations
@@ -13,16 +25,22 @@ from enum import IntFlag
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from analysis.rate_sweep import LEAST_WALK, falling, rounded_pulse_rate
-
-Floats = NDArray[np.float64]
-Integers = NDArray[np.int64]
+from analysis.arrays import Bools, Floats, Ints
 
 FEWEST_FOR_CORNER = 6
 ROUNDING_MATTERS = 2.0
 """Noise counts where edge and fitted lock-in rate differ by more than this many standard uncertainties."""
+
+LARGEST_TURN = 0.4
+"""rad, of the phase in one step of the simulation; the steps are exact but for the noise inside them."""
+
+LEAST_WALK = 5e-4
+"""In sqrt(WL/K): less noise rounds nothing that a counter could show, and would need endless harmonics."""
+
+TREMBLE = 0.25
+"""Turns."""
 
 
 class DeadBandFlag(IntFlag):
@@ -227,7 +245,7 @@ def _mean_u(us: Floats) -> float:
 
 
 def _corner(rates: Floats, pulses: Floats, dwell: float, scale_factor: float, start: float) -> Corner:
-    """Lock-in rate, bias and random walk from equation (1) of `rate_sweep`, fitted to the steps below 3 WL."""
+    """Lock-in rate, bias and random walk from equation (1), fitted to the steps below 3 WL."""
     from scipy.optimize import least_squares  # costs more to import than all else here
 
     near = np.abs(rates) < 3 * start
@@ -280,3 +298,140 @@ def _words(band: DeadBand) -> tuple[str, ...]:
         "does not hold its rate.",
     }
     return (*sentences, *(text for bit, text in texts.items() if band.flags & bit))
+
+
+def rounded_pulse_rate(
+    input_rate: ArrayLike, *, scale_factor: float, lock_in_rate: float, random_walk: float
+) -> Floats:
+    """Mean pulse rate, Hz, with the sign of the rate: equation (1).
+
+    Parameters
+    ----------
+    input_rate : (...)
+        deg/s, bias taken off.
+    scale_factor, lock_in_rate : float
+        Pulses per degree; deg/s.
+    random_walk : float
+        N, deg/sqrt(s); 0 for the sharp corner f = K sqrt(W^2 - WL^2).
+
+    Examples
+    --------
+    At the corner itself noise gives pulses, where there should be none.
+
+    >>> rounded_pulse_rate([0.05, 0.2], scale_factor=2000, lock_in_rate=0.05, random_walk=1e-4).round(2).tolist()
+    [8.58, 387.3]
+    """
+    rate = np.asarray(input_rate, dtype=np.float64)
+    if not np.all(np.isfinite(rate)) or not lock_in_rate >= 0 or not random_walk >= 0 or not scale_factor > 0:
+        raise ValueError("rates must be finite, lock-in rate and random walk not negative, scale_factor positive")
+    sharp = scale_factor * np.sqrt(np.maximum(rate**2 - lock_in_rate**2, 0.0))
+    if random_walk == 0:
+        return np.asarray(np.sign(rate) * sharp)
+    walk = max(random_walk, LEAST_WALK * np.sqrt(lock_in_rate / scale_factor))
+    diffusion = (2 * np.pi * scale_factor * walk) ** 2 / 2
+    per_rate = 2 * np.pi * scale_factor / diffusion
+    turns = _slip_rate(per_rate * np.abs(rate).ravel(), per_rate * lock_in_rate) * diffusion / (2 * np.pi)
+    return np.asarray(np.sign(rate) * turns.reshape(rate.shape))
+
+
+def _slip_rate(drive: Floats, lock: float) -> Floats:
+    """<d(phi)/dt>/D for a/D (R,) and b/D, by the continued fraction of the stationary density's harmonics.
+
+    With p_n = <exp(-i n phi)> the density obeys (n + i a/D) p_n = (b/2D)(p_(n-1) - p_(n+1)).
+    """
+    orders = int(60 + 12 * np.sqrt(lock))
+    ratio = np.zeros(drive.shape, dtype=np.complex128)
+    for n in range(orders, 0, -1):
+        ratio = (lock / 2) / (n + 1j * drive + (lock / 2) * ratio)
+    return np.asarray(np.maximum(drive + lock * ratio.imag, 0.0))
+
+
+def simulate_sweep(
+    input_rates: ArrayLike,
+    dwell: float,
+    *,
+    scale_factor: float,
+    lock_in_rate: float,
+    random_walk: float = 0.0,
+    bias_rate: float = 0.0,
+    capture_rate: float | None = None,
+    seed: int = 0,
+) -> Ints:
+    """Pulses counted at each step of a sweep, by integrating the equation with its noise.
+
+    Parameters
+    ----------
+    input_rates : (n,)
+        deg/s, signed, in the order in which the table takes them.
+    dwell : float
+        Seconds at each rate.
+    scale_factor, lock_in_rate, random_walk : float
+        Pulses per degree; deg/s; deg/sqrt(s).
+    bias_rate : float
+        deg/s; the gyro sees input rate less bias rate.
+    capture_rate : float, optional
+        deg/s, where a turning gyro locks as the rate falls, if that is not where a locked one starts.
+    seed : int
+
+    Returns
+    -------
+    (n,) of int
+        Pulses of either sense, as a counter shows them.
+
+    Raises
+    ------
+    ValueError
+        Rates that are not finite, a dwell or scale factor that is not positive, negative rates of lock-in.
+    """
+    rates = np.asarray(input_rates, dtype=np.float64)
+    capture = lock_in_rate if capture_rate is None else capture_rate
+    if rates.ndim != 1 or not np.all(np.isfinite(rates)):
+        raise ValueError("input_rates must be a list of finite rates (deg/s)")
+    if not (dwell > 0 and scale_factor > 0 and min(lock_in_rate, capture, random_walk) >= 0):
+        raise ValueError("dwell and scale_factor must be positive, lock-in rates and random walk not negative")
+    seen = rates - bias_rate
+    threshold = np.where(falling(seen), capture, lock_in_rate)
+    rng = np.random.default_rng(seed)
+    if random_walk == 0:
+        turns = scale_factor * np.sqrt(np.maximum(seen**2 - threshold**2, 0.0)) * dwell
+    else:
+        turns = np.abs(_diffused_turns(seen, threshold, dwell, scale_factor, random_walk, rng))
+    # A locked phase that only trembles gives no pulse.
+    return np.asarray(np.floor(turns + rng.uniform(0, 1, rates.size)) * (turns > TREMBLE), dtype=np.int64)
+
+
+def falling(rates: Floats) -> Bools:
+    """Steps of a sweep at which |W| is smaller than at the step before; the first one counts as rising."""
+    size = np.abs(rates)
+    return np.concatenate([[False], np.diff(size) < 0])[: rates.size]
+
+
+def _diffused_turns(
+    rates: Floats,
+    threshold: Floats,
+    dwell: float,
+    scale_factor: float,
+    random_walk: float,
+    rng: np.random.Generator,
+) -> Floats:
+    """Turns of the phase in a dwell, all rates side by side: exact steps between kicks of noise."""
+    up, down = np.pi * scale_factor * rates, np.pi * scale_factor * threshold
+    fastest = 2 * float(np.max(np.abs(up) + down))
+    n_steps = int(np.ceil(dwell * fastest / LARGEST_TURN))
+    step = dwell / n_steps
+    kick = 2 * np.pi * scale_factor * random_walk * np.sqrt(step) / 2  # of the half angle
+    square = (up - down) * (up + down)
+    root = np.sqrt(np.abs(square)) * step
+    even = np.where(square > 0, np.cos(root), np.cosh(root))
+    odd = step * np.where(
+        root > 0, np.where(square > 0, np.sin(root), np.sinh(root)) / np.maximum(root, 1e-300), 1.0
+    )
+    half = 0.5 * np.arcsin(np.clip(rates / np.maximum(threshold, 1e-300), -1, 1))
+    start = half.copy()
+    for _ in range(n_steps):
+        sin, cos = np.sin(half), np.cos(half)
+        n = even * sin + odd * (up * cos - down * sin)
+        d = even * cos + odd * (down * cos - up * sin)
+        # The half angle turns by less than a quarter circle in a step, so the arc tangent of the difference is it.
+        half = half + np.arctan2(n * cos - d * sin, d * cos + n * sin) + rng.normal(scale=kick, size=half.size)
+    return np.asarray((half - start) / np.pi)

@@ -5,15 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from analysis.arrays import Complexes, Floats
 from analysis.waveform.records import NanPolicy, Records, as_stack
 from analysis.waveform.series.frequency_search import coarse_frequency
 from analysis.waveform.series.normal_equations import Step
 from analysis.waveform.series.periodic_fit import gauss_newton_step, record_sums, two_sided
-
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
 
 ITERATIONS = 12
 """Gauss-Newton converges quadratically here: 3 to 5 steps are used, the rest is for hopeless records."""

@@ -20,9 +20,10 @@ import math
 from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-Floats = NDArray[np.float64]
+from analysis.arrays import Floats
+
 Relation = Literal["exact", "paper-13", "paper-10"]
 
 

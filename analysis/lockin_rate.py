@@ -1,20 +1,27 @@
-"""Lock-in rate of a ring laser gyro from single records: the harmonic ratio, inverted exactly."""
+"""Lock-in rate of a ring laser gyro from single records: the harmonic ratio, inverted exactly.
+
+All that follows from a ratio stands here: the rate and its derivatives, the 95 % interval, the backscatter phase.
+
+The size t of a complex estimate follows the Rice distribution: it is never negative, it is biased upwards, and
+a symmetric error bar about it is wrong when it is comparable with its noise. The interval used here orders by
+likelihood ratio (Feldman and Cousins, Phys. Rev. D 57, 3873 (1998)): it covers 95 % for every true size and
+passes from an upper limit to the usual two-sided interval by itself.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
+from functools import cache
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+import scipy.special
+from numpy.typing import ArrayLike
 
+from analysis.arrays import Bools, Complexes, Floats, Indices, Ints
 from analysis.flags import FATAL, Flag
 from analysis.lockin_equation import Relation, input_rate_from_beat, lock_in_from_beat, lock_in_from_rate
-from analysis.ratio_interval import size_interval
 from analysis.waveform.records import NanPolicy, as_stack
 from analysis.waveform.waveform_fit import WaveformFit, fit_waveform
-
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
 
 FEWEST_PERIODS = 3.0
 
@@ -23,6 +30,9 @@ SIGNIFICANT = 3.3
 
 LOSS = 0.01
 """Share of the amplitude that may be missing; an averaged moving phase that costs it costs the ratio 3 %."""
+
+TABLE_END = 9.0
+"""Beyond this many standard uncertainties the Rice distribution is Gaussian to the accuracy of the table."""
 
 WHITE = "white noise of the size that the fit leaves, in each record"
 COLOURED = "noise of the strength that the fit leaves near the fundamental and the second harmonic"
@@ -63,15 +73,15 @@ class LockInEstimate:
     amplitude: Floats
     noise_rms: Floats
     periods: Floats
-    records: NDArray[np.int64]
-    records_rejected: NDArray[np.int64]
-    flags: NDArray[np.int64]
+    records: Ints
+    records_rejected: Ints
+    flags: Ints
     scale_factor: float
     relation: Relation
     rate_given: bool
     noise_model: str
 
-    def __getitem__(self, key: int | slice | NDArray[np.bool_] | NDArray[np.intp]) -> LockInEstimate:
+    def __getitem__(self, key: int | slice | Bools | Indices) -> LockInEstimate:
         """Some of the records; indexes the leading axes of every field."""
         picked = {f.name: getattr(self, f.name) for f in fields(self)}
         for name, value in picked.items():
@@ -89,7 +99,7 @@ class LockInEstimate:
         return LockInEstimate(**changed)
 
     @property
-    def usable(self) -> NDArray[np.bool_]:
+    def usable(self) -> Bools:
         """Where a lock-in rate could be given at all."""
         return np.asarray((self.flags & int(FATAL)) == 0)
 
@@ -157,7 +167,15 @@ def estimate_lock_in(
     fit = fit_waveform(stack, mask)
     with np.errstate(all="ignore"):  # records without a beat divide by zero; their flags are fatal
         beat = _Beat.of(fit, stack.n_samples, sample_interval)
-        value, value_u, low, high = _lock_in_rate(beat, scale_factor, rate, relation)
+        per_degree = np.array([scale_factor, 1.0])
+        value, value_u, low, high = _rate_of_ratio(
+            beat.size,
+            beat.ratio,
+            beat.frequency / scale_factor,
+            beat.covariance[:, :2, :2] / np.outer(per_degree, per_degree),
+            rate,
+            relation,
+        )
     flags = fit.flags | _beat_flags(beat, stack.n_samples)
     if full_amplitude is not None:
         full = np.broadcast_to(np.asarray(full_amplitude, dtype=np.float64), stack.shape).ravel()
@@ -168,7 +186,7 @@ def estimate_lock_in(
         return np.asarray(np.where(fatal, np.nan, values)).reshape(stack.shape)
 
     blank = np.where(fatal, np.nan, 1.0)
-    sense = 1.0 if rate is None else np.where(rate < 0, -1.0, 1.0)
+    sense = np.where(rate < 0, -1.0, 1.0) if rate is not None else np.ones(beat.size.shape)
     own_rate = input_rate_from_beat(beat.ratio, beat.frequency / scale_factor)
     return LockInEstimate(
         lock_in_rate=shaped(value),
@@ -184,7 +202,7 @@ def estimate_lock_in(
         complex_ratio_covariance=(beat.rho_covariance * blank[:, np.newaxis, np.newaxis]).reshape(
             *stack.shape, 2, 2
         ),
-        backscatter_phase=shaped(np.angle(-beat.rho * sense) * sense),
+        backscatter_phase=shaped(_backscatter_phase(beat.rho, sense)),
         amplitude=shaped(beat.amplitude),
         noise_rms=fit.noise_rms.reshape(stack.shape),
         periods=shaped(beat.periods),
@@ -275,16 +293,103 @@ def _jacobian(first: Complexes, q: Complexes, hertz: float) -> Floats:
     return jacobian
 
 
-def _lock_in_rate(
-    beat: _Beat, scale_factor: float, rate: Floats | None, relation: Relation
+def _beat_flags(beat: _Beat, n_samples: int) -> Ints:
+    flags = np.zeros(beat.size.shape, dtype=np.int64)
+    flags[beat.periods < FEWEST_PERIODS] |= Flag.FEW_PERIODS
+    flags[2 * beat.omega >= np.pi] |= Flag.SECOND_HARMONIC_ABOVE_NYQUIST
+    flags[_folds_onto_another(beat.omega, beat.size, n_samples)] |= Flag.HARMONICS_ALIASED
+    flags[~(beat.size > SIGNIFICANT * beat.ratio_u)] |= Flag.RATIO_NOT_SIGNIFICANT
+    return flags
+
+
+def _weaker(beat: _Beat, fit: WaveformFit, full: Floats, n_samples: int) -> Bools:
+    """Where the amplitude falls short of `full` by more than noise and the stability of a laser explain."""
+    amplitude_u = fit.noise_rms * np.sqrt(2 / n_samples)
+    return np.asarray(full - beat.amplitude > np.maximum(LOSS * full, 5 * amplitude_u))
+
+
+def _folds_onto_another(omega: Floats, ratio: Floats, n_samples: int) -> Bools:
+    """Whether a strong harmonic folds to within one bin of the fundamental or of the second harmonic."""
+    orders = np.arange(2, 13)
+    folded = np.abs((orders * omega[:, np.newaxis] + np.pi) % (2 * np.pi) - np.pi)
+    bin_width = 2 * np.pi / n_samples
+    strong = ratio[:, np.newaxis] ** (orders - 1) > 0.02 * ratio[:, np.newaxis]
+    on_first = np.abs(folded - omega[:, np.newaxis]) < bin_width
+    second = np.abs((2 * omega[:, np.newaxis] + np.pi) % (2 * np.pi) - np.pi)
+    on_second = (np.abs(folded - second) < bin_width) & (orders > 2)
+    at_edge = (np.abs(folded - np.pi) < bin_width) & (orders == 2)
+    at_zero = (folded < bin_width) & (orders == 2)
+    return np.asarray((strong & (on_first | on_second | at_edge | at_zero)).any(axis=-1))
+
+
+def with_ratio(
+    estimate: LockInEstimate,
+    ratio: Complexes,
+    covariance: Floats,
+    sense: Floats | None = None,
+) -> LockInEstimate:
+    """The estimate with a corrected rho: lock-in rate, interval and phase from it; frequency and noise stay.
+
+    Parameters
+    ----------
+    ratio : (...) complex, covariance : (..., 2, 2)
+        The corrected rho and the covariance of its two parts.
+    sense : (...), optional
+        Sign of the rate where the estimate was made without one; without it positive, as in the estimate.
+    """
+    size = np.abs(ratio)
+    unit = ratio / np.where(size > 0, size, 1.0)
+    along = np.stack([unit.real, unit.imag], axis=-1)
+    across = np.stack([-unit.imag, unit.real], axis=-1)
+    radial, tangential = (np.einsum("...i,...ij,...j->...", v, covariance, v) for v in (along, across))
+    unbiased = np.sqrt(np.maximum(size**2 - tangential, 0.0))
+    beat_rate = estimate.beat_frequency / estimate.scale_factor
+    given = estimate.input_rate if estimate.rate_given else None
+    beat_rate_u = estimate.beat_frequency_u / estimate.scale_factor
+    both = np.stack([beat_rate_u**2, radial], axis=-1)[..., np.newaxis] * np.eye(2)
+    value, value_u, low, high = _rate_of_ratio(size, unbiased, beat_rate, both, given, estimate.relation)
+    if given is not None:
+        turning = np.where(given < 0, -1.0, 1.0)
+    else:
+        turning = np.ones_like(size) if sense is None else sense
+    lost = np.where(size > SIGNIFICANT * np.sqrt(radial), 0, int(Flag.RATIO_NOT_SIGNIFICANT))
+    # Records without a beat stay nan, whatever the correction was.
+    blank = np.where(estimate.usable, 1.0, np.nan)
+    return replace(
+        estimate,
+        lock_in_rate=value * blank,
+        lock_in_rate_u=value_u * blank,
+        lock_in_rate_low_95=low * blank,
+        lock_in_rate_high_95=high * blank,
+        input_rate=turning * input_rate_from_beat(unbiased, beat_rate) * blank if given is None else given,
+        ratio=unbiased * blank,
+        ratio_u=np.sqrt(radial) * blank,
+        complex_ratio=ratio * blank,
+        complex_ratio_covariance=covariance * blank[..., np.newaxis, np.newaxis],
+        backscatter_phase=_backscatter_phase(ratio, turning) * blank,
+        flags=(estimate.flags & ~int(Flag.RATIO_NOT_SIGNIFICANT)) | lost,
+    )
+
+
+def _rate_of_ratio(
+    size: Floats, ratio: Floats, beat_rate: Floats, covariance: Floats, rate: Floats | None, relation: Relation
 ) -> tuple[Floats, Floats, Floats, Floats]:
-    """Lock-in rate, its standard uncertainty and its 95 % interval, deg/s."""
-    beat_rate = beat.frequency / scale_factor
-    value, by_ratio, by_beat_rate = rate_and_slopes(beat.ratio, beat_rate, rate, relation)
-    slopes = np.stack([by_beat_rate / scale_factor, by_ratio], axis=-1)
-    variance = np.einsum("ri,rij,rj->r", slopes, beat.covariance[:, :2, :2], slopes)
+    """Lock-in rate, its standard uncertainty and the ends of its 95 % interval, deg/s.
+
+    Parameters
+    ----------
+    size, ratio : (...)
+        |rho| as observed, and freed of its bias.
+    beat_rate, rate : (...)
+        f/K and the rate given, deg/s; `rate` None: the record is its own reference.
+    covariance : (..., 2, 2)
+        Of f/K and the ratio.
+    """
+    value, by_ratio, by_beat_rate = rate_and_slopes(ratio, beat_rate, rate, relation)
+    slopes = np.stack([by_beat_rate, by_ratio], axis=-1)
+    variance = np.einsum("...i,...ij,...j->...", slopes, covariance, slopes)
     value_u = np.sqrt(np.maximum(variance, 0.0))
-    observed = rate_and_slopes(beat.size, beat_rate, rate, relation)[0]
+    observed = rate_and_slopes(size, beat_rate, rate, relation)[0]
     low, high = size_interval(observed / value_u)
     return value, value_u, low * value_u, high * value_u
 
@@ -307,30 +412,56 @@ def rate_and_slopes(
     return lock_in_from_rate(r, w, relation), rise / (2 * half), by_beat_rate
 
 
-def _beat_flags(beat: _Beat, n_samples: int) -> NDArray[np.int64]:
-    flags = np.zeros(beat.size.shape, dtype=np.int64)
-    flags[beat.periods < FEWEST_PERIODS] |= Flag.FEW_PERIODS
-    flags[2 * beat.omega >= np.pi] |= Flag.SECOND_HARMONIC_ABOVE_NYQUIST
-    flags[_folds_onto_another(beat.omega, beat.size, n_samples)] |= Flag.HARMONICS_ALIASED
-    flags[~(beat.size > SIGNIFICANT * beat.ratio_u)] |= Flag.RATIO_NOT_SIGNIFICANT
-    return flags
+def _backscatter_phase(ratio: Complexes, sense: Floats) -> Floats:
+    """Beta less the readout phase, rad, from rho and the sign of the rate."""
+    return np.angle(-ratio * sense) * sense
 
 
-def _weaker(beat: _Beat, fit: WaveformFit, full: Floats, n_samples: int) -> NDArray[np.bool_]:
-    """Where the amplitude falls short of `full` by more than noise and the stability of a laser explain."""
-    amplitude_u = fit.noise_rms * np.sqrt(2 / n_samples)
-    return np.asarray(full - beat.amplitude > np.maximum(LOSS * full, 5 * amplitude_u))
+def size_interval(size: ArrayLike) -> tuple[Floats, Floats]:
+    """Lower and upper 95 % limit of a true size, given the observed one, both in standard uncertainties.
+
+    Examples
+    --------
+    >>> low, high = size_interval([0.5, 20.0])
+    >>> [round(float(v), 1) for v in (*low, *high)]
+    [0.0, 18.0, 2.0, 21.9]
+    """
+    observed = np.asarray(size, dtype=np.float64)
+    true, accepted_from, accepted_to = _acceptance()
+    low = np.interp(observed, accepted_to, true)
+    high = np.interp(observed, accepted_from, true)
+    centre = observed - 0.5 / np.maximum(observed, 1.0)
+    far = observed > TABLE_END - 2.5
+    width = -float(scipy.special.ndtri(0.025))
+    return np.where(far, centre - width, low), np.where(far, centre + width, high)
 
 
-def _folds_onto_another(omega: Floats, ratio: Floats, n_samples: int) -> NDArray[np.bool_]:
-    """Whether a strong harmonic folds to within one bin of the fundamental or of the second harmonic."""
-    orders = np.arange(2, 13)
-    folded = np.abs((orders * omega[:, np.newaxis] + np.pi) % (2 * np.pi) - np.pi)
-    bin_width = 2 * np.pi / n_samples
-    strong = ratio[:, np.newaxis] ** (orders - 1) > 0.02 * ratio[:, np.newaxis]
-    on_first = np.abs(folded - omega[:, np.newaxis]) < bin_width
-    second = np.abs((2 * omega[:, np.newaxis] + np.pi) % (2 * np.pi) - np.pi)
-    on_second = (np.abs(folded - second) < bin_width) & (orders > 2)
-    at_edge = (np.abs(folded - np.pi) < bin_width) & (orders == 2)
-    at_zero = (folded < bin_width) & (orders == 2)
-    return np.asarray((strong & (on_first | on_second | at_edge | at_zero)).any(axis=-1))
+@cache
+def _acceptance() -> tuple[Floats, Floats, Floats]:
+    """For true sizes 0..TABLE_END: the range of observed sizes that is accepted with 95 %."""
+    step = 0.005
+    observed: Floats = np.arange(step / 2, TABLE_END + 5, step, dtype=np.float64)
+    true: Floats = np.linspace(0.0, TABLE_END, 181)
+    most_likely = np.sqrt(np.maximum(observed**2 - 1, 0))
+    for _ in range(40):
+        # Maximum-likelihood size of a Rice variable: its fixed point mu = t I1(t mu)/I0(t mu).
+        argument = observed * most_likely
+        most_likely = observed * scipy.special.i1e(argument) / scipy.special.i0e(argument)
+    density = _rice(observed, true[:, np.newaxis])
+    order = density / np.maximum(_rice(observed, most_likely), 1e-300)
+    first, last = np.empty_like(true), np.empty_like(true)
+    for row, (weights, ranks) in enumerate(zip(density, order, strict=True)):
+        chosen = np.argsort(-ranks, kind="stable")
+        total = np.cumsum(weights[chosen]) * step
+        kept = chosen[: int(np.searchsorted(total, 0.95)) + 1]
+        first[row], last[row] = observed[kept.min()] - step / 2, observed[kept.max()] + step / 2
+    # Strictly rising, so that the inverse by interpolation is single-valued.
+    rise = np.arange(true.size) * 1e-9
+    return true, np.maximum.accumulate(first) + rise, np.maximum.accumulate(last) + rise
+
+
+def _rice(observed: Floats, true: Floats) -> Floats:
+    return np.asarray(
+        observed * np.exp(-((observed - true) ** 2) / 2) * scipy.special.i0e(observed * true),
+        dtype=np.float64,
+    )

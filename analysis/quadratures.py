@@ -18,15 +18,11 @@ from enum import IntFlag
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from analysis.changed_ratio import with_ratio
+from analysis.arrays import Complexes, Floats, Ints
 from analysis.flags import FATAL
 from analysis.lockin_equation import Relation
-from analysis.lockin_rate import LockInEstimate, estimate_lock_in
+from analysis.lockin_rate import LockInEstimate, estimate_lock_in, with_ratio
 from analysis.waveform.records import NanPolicy
-
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
-Integers = NDArray[np.int64]
 
 HARMONICS = 5
 """Of the two channels, compared at the frequency found: the phase between them, and the images."""
@@ -81,7 +77,7 @@ class QuadratureEstimate:
     estimate: LockInEstimate
     sine: LockInEstimate
     cosine: LockInEstimate
-    sense: Integers
+    sense: Ints
     gain_ratio: Floats
     gain_ratio_u: Floats
     phase_error: Floats
@@ -90,7 +86,7 @@ class QuadratureEstimate:
     distortion_u: Floats
     images: Floats
     image_u: Floats
-    checks: Integers
+    checks: Ints
 
 
 def estimate_quadratures(
@@ -372,7 +368,7 @@ def _checks(
     distortion: Floats,
     images: Floats,
     image_u: Floats,
-) -> Integers:
+) -> Ints:
     sine, cosine = flat
     from_right_angle = np.abs(np.abs(pair.angle) - np.pi / 2)
     apart = np.abs(sine.beat_frequency - cosine.beat_frequency)

@@ -1,4 +1,4 @@
-"""Rotation geometry: earth rate on a tilted sensitive axis, and the rate on it during a record.
+"""Rotation geometry: the rate on a tilted sensitive axis, earth rate included, and the tilt from fast table runs.
 
 The table axis is vertical. The gyro's sensitive axis makes the angle `tilt` with it and points, in the
 horizontal plane, to the azimuth that the table has turned to: 0 = north, growing with a positive table rate. The
@@ -10,12 +10,18 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-Floats = NDArray[np.float64]
+from analysis.arrays import Floats
+from analysis.errors import NoTilt
 
 EARTH_RATE_DPS = 15.041067 / 3600.0
 """Sidereal rotation rate of the earth, deg/s."""
+
+ROUNDS = 50
+SMALLEST_U_DPS = 1e-15
+FASTER_THAN_POSSIBLE = 1e-3
+"""Earth rate and noise may make the beat so much faster than K times the table rate."""
 
 
 def earth_rate_on_axis(latitude_deg: ArrayLike, tilt_deg: ArrayLike, azimuth_deg: ArrayLike) -> Floats:
@@ -43,116 +49,127 @@ def rate_on_axis(
     return np.asarray(turned + earth_rate_on_axis(latitude_deg, tilt_deg, azimuth_deg), dtype=np.float64)
 
 
-def earth_rate_swing(latitude_deg: ArrayLike, tilt_deg: ArrayLike) -> Floats:
-    """Amplitude of the earth rate on the axis over a turn of the table, deg/s: its horizontal part.
-
-    Examples
-    --------
-    >>> round(3600 * float(earth_rate_swing(28.2, 88.693)), 2)
-    13.25
-    """
-    north, tilt = np.cos(np.deg2rad(latitude_deg)), np.sin(np.deg2rad(tilt_deg))
-    return np.asarray(EARTH_RATE_DPS * np.abs(north * tilt), dtype=np.float64)
-
-
-def rate_in_record(
-    times: ArrayLike,
-    table_rate: ArrayLike,
-    tilt_deg: ArrayLike,
-    latitude_deg: ArrayLike,
-    start_azimuth_deg: ArrayLike,
-) -> Floats:
-    """W(t) on the axis while the table turns steadily, deg/s.
-
-    Parameters
-    ----------
-    times : (n,)
-        Seconds since the table stood at the azimuth `start_azimuth_deg`.
-    table_rate, tilt_deg, latitude_deg, start_azimuth_deg : (...)
-        Table rate in deg/s, signed.
-
-    Returns
-    -------
-    (..., n)
-    """
-    t = np.asarray(times, dtype=np.float64)
-    rate, tilt, latitude, start = (
-        np.asarray(v, dtype=np.float64)[..., np.newaxis]
-        for v in (table_rate, tilt_deg, latitude_deg, start_azimuth_deg)
-    )
-    return rate_on_axis(rate, tilt, latitude, start + rate * t)
-
-
 @dataclass(frozen=True)
-class RecordRate:
-    """Rate on the axis over records, deg/s: mean, and how far it moves.
+class TiltFit:
+    """Tilt between sensitive axis and table axis, deg, from fast runs.
 
-    mean : of W(t), exact
-    moved : largest less smallest W(t)
-    wander_rms : of W(t) about its mean
+    tilt_deg, tilt_u_deg : with all that was given to the fit
+    chi_square, degrees_of_freedom : of the runs about it
+    earth_rate_part_deg : what leaving the earth rate away would change
     """
 
-    mean: Floats
-    moved: Floats
-    wander_rms: Floats
+    tilt_deg: float
+    tilt_u_deg: float
+    chi_square: float
+    degrees_of_freedom: int
+    earth_rate_part_deg: float
 
 
-def mean_rate_in_record(
-    duration: ArrayLike,
+def tilt_from_fast_runs(
+    beat_frequency: ArrayLike,
+    beat_frequency_u: ArrayLike,
     table_rate: ArrayLike,
-    tilt_deg: ArrayLike,
-    latitude_deg: ArrayLike,
-    middle_azimuth_deg: ArrayLike,
-) -> RecordRate:
-    """Mean rate on the axis over records of some duration, in closed form; arguments broadcast.
+    *,
+    scale_factor: float,
+    latitude_deg: float,
+    azimuth_deg: ArrayLike | None = None,
+    azimuth_u_deg: ArrayLike = 0.0,
+    turned_deg: ArrayLike = 0.0,
+    lock_in_rate: ArrayLike = 0.0,
+    scale_factor_u: float = 0.0,
+    table_rate_u: float = 0.0,
+) -> TiltFit:
+    """Tilt from fast runs in one or both senses, earth rate and lock-in taken into account.
 
-    The swing of the earth rate is averaged over the angle D = |table rate| T that the table turns meanwhile: its
-    mean is cos(middle azimuth) sin(D/2)/(D/2), which is zero over whole turns.
+    Each run measures W = sign(table rate) sqrt((f/K)^2 + WL^2) = (table rate + vertical earth rate) cos(tilt)
+    + horizontal earth rate sin(tilt) cos(azimuth); the tilt is found by weighted least squares. What the azimuth
+    leaves open does not average out over runs at one table rate: they may all stand at the same azimuth.
 
     Parameters
     ----------
-    duration : (...)
-        Seconds.
-    table_rate, tilt_deg, latitude_deg, middle_azimuth_deg : (...)
-        The azimuth is that in the middle of the record.
+    beat_frequency, beat_frequency_u, table_rate : (n_runs,)
+        Hz; deg/s, signed.
+    scale_factor, scale_factor_u : float
+        K in pulses per degree; its uncertainty is common to all runs.
+    latitude_deg : float
+    azimuth_deg : (n_runs,), optional
+        In the middle of each run. Without it, the horizontal earth rate is an uncertainty of each run.
+    azimuth_u_deg : (n_runs,)
+        Standard uncertainty of the azimuths.
+    turned_deg : (n_runs,)
+        Angle that the table turned in each run; whole turns need no azimuth.
+    lock_in_rate : float or (n_runs,)
+        deg/s, roughly; it matters by half its square.
+    table_rate_u : float
+        Relative, common to all runs.
+
+    Raises
+    ------
+    NoTilt
+        A beat faster than the table could make it: K or the table rate is wrong. Runs that do not fit in shape.
     """
-    if np.any(np.asarray(duration) < 0):
-        raise ValueError("duration must not be negative (s)")
-    turned = np.abs(np.asarray(table_rate, dtype=np.float64) * np.asarray(duration, dtype=np.float64))
-    middle = np.deg2rad(np.asarray(middle_azimuth_deg, dtype=np.float64))
-    swing = earth_rate_swing(latitude_deg, tilt_deg) * np.sign(np.sin(np.deg2rad(tilt_deg)))
-    still = np.asarray(rate_on_axis(table_rate, tilt_deg, latitude_deg, 90.0))
-    first, second = np.sinc(turned / 360), np.sinc(turned / 180)
-    mean = np.cos(middle) * first
-    square = (1 + np.cos(2 * middle) * second) / 2 - mean**2
-    half = np.deg2rad(turned / 2)
-    largest = np.where(_passes(middle, half, 0.0), 1.0, np.maximum(np.cos(middle - half), np.cos(middle + half)))
-    smallest = np.where(
-        _passes(middle, half, np.pi), -1.0, np.minimum(np.cos(middle - half), np.cos(middle + half))
+    f, fu, table = (
+        np.atleast_1d(np.asarray(v, dtype=np.float64)) for v in (beat_frequency, beat_frequency_u, table_rate)
     )
-    return RecordRate(
-        mean=np.asarray(still + swing * mean),
-        moved=np.asarray(np.abs(swing) * (largest - smallest)),
-        wander_rms=np.asarray(np.abs(swing) * np.sqrt(np.maximum(square, 0.0))),
+    if not f.shape == fu.shape == table.shape or not np.all(np.isfinite(f + fu + table)) or np.any(table == 0):
+        raise NoTilt("every fast run needs a beat frequency, its uncertainty and a table rate that is not zero")
+    measured = np.sign(table) * np.hypot(f / scale_factor, lock_in_rate)
+    first = _first_tilt(measured, table)
+    turned = np.broadcast_to(np.asarray(turned_deg, dtype=np.float64), f.shape)
+    latitude = np.deg2rad(latitude_deg)
+    swing = EARTH_RATE_DPS * np.cos(latitude) * np.sinc(turned / 360)
+    turning = table + EARTH_RATE_DPS * np.sin(latitude)
+    if azimuth_deg is None:
+        # A cosine at a phase that nobody knows has a mean square of one half.
+        crossing, unknown = np.zeros(f.shape), np.abs(swing) * np.sin(first) / np.sqrt(2)
+    else:
+        azimuth = np.deg2rad(np.broadcast_to(np.asarray(azimuth_deg, dtype=np.float64), f.shape))
+        crossing = swing * np.cos(azimuth)
+        unknown = np.abs(swing * np.sin(azimuth)) * np.sin(first) * np.deg2rad(azimuth_u_deg)
+    own = np.maximum(fu / scale_factor, SMALLEST_U_DPS)
+    # Weights alike for all azimuths: a run at a lucky one must not stand for both senses, or a drift would count.
+    us = np.hypot(own, np.sqrt(np.mean(unknown**2)))
+    tilt = _least_squares(measured, us, turning, crossing, first)
+    left = measured - turning * np.cos(tilt) - crossing * np.sin(tilt)
+    common = np.hypot(scale_factor_u / scale_factor, table_rate_u) * np.cos(tilt)
+    cosine_u = float(np.hypot(_mean_u(turning, us, own, unknown, table), common))
+    return TiltFit(
+        tilt_deg=float(np.rad2deg(tilt)),
+        # Near zero tilt the cosine is flat: what is left is how far the axis may lean unseen.
+        tilt_u_deg=float(np.rad2deg(np.sqrt(np.sin(tilt) ** 2 + 2 * cosine_u) - np.sin(tilt))),
+        chi_square=float(np.sum((left / np.hypot(own, unknown)) ** 2)),
+        degrees_of_freedom=f.size - 1,
+        earth_rate_part_deg=float(np.rad2deg(tilt - first)),
     )
 
 
-def _passes(middle: Floats, half: Floats, angle: float) -> NDArray[np.bool_]:
-    """Whether middle - half .. middle + half, rad, holds the angle."""
-    away = np.abs((middle - angle + np.pi) % (2 * np.pi) - np.pi)
-    return np.asarray(away <= half)
+def _mean_u(turning: Floats, us: Floats, own: Floats, unknown: Floats, table: Floats) -> float:
+    """Standard uncertainty of the cosine; `own` is independent in each run, `unknown` common at one table rate."""
+    weights = turning / us**2
+    shared = [np.sum(np.abs(weights[table == rate]) * unknown[table == rate]) for rate in np.unique(table)]
+    return float(np.hypot(np.linalg.norm(weights * own), np.linalg.norm(shared)) / np.sum(weights * turning))
 
 
-def whole_turns(duration: float, table_rate: float) -> float:
-    """The longest time within `duration` in which the table makes whole turns, s; 0 if it makes none.
+def _first_tilt(measured: Floats, table: Floats) -> float:
+    """Tilt, rad, without the earth rate."""
+    cosine = float(np.sum(measured * table) / np.sum(table**2))
+    if cosine > 1 + FASTER_THAN_POSSIBLE:
+        raise NoTilt(
+            f"the beat is {cosine:.4f} times K times the table rate; at most 1 is possible: "
+            "check the scale factor and the table rate"
+        )
+    return float(np.arccos(min(cosine, 1.0)))
 
-    Examples
-    --------
-    >>> whole_turns(540.0, 21.0)
-    531.4285714285714
-    """
-    if table_rate == 0:
-        return 0.0
-    turn = 360 / abs(table_rate)
-    # A turn more where only rounding is missing.
-    return float(np.floor(duration / turn + 1e-9) * turn)
+
+def _least_squares(measured: Floats, us: Floats, turning: Floats, crossing: Floats, start: float) -> float:
+    """Tilt, rad, of measured = turning cos(tilt) + crossing sin(tilt)."""
+    tilt = start
+    for _ in range(ROUNDS):
+        left = measured - turning * np.cos(tilt) - crossing * np.sin(tilt)
+        slope = crossing * np.cos(tilt) - turning * np.sin(tilt)
+        power = float(np.sum((slope / us) ** 2))
+        change = float(np.sum(slope * left / us**2)) / power if power > 0 else 0.0
+        tilt = float(np.clip(tilt + np.clip(change, -0.1, 0.1), 0.0, np.pi / 2))
+        if abs(change) < 1e-14:
+            break
+    return tilt

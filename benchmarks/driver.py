@@ -18,9 +18,9 @@ from dataclasses import dataclass
 
 import numpy as np
 import pyvisa
-from numpy.typing import NDArray
 from pyvisa.resources import MessageBasedResource
 
+from analysis.arrays import Floats
 from benchmarks.delaying_proxy import DelayingProxy, Traffic
 from instrument import TDS2014
 from instrument.simulated import PtyServer, SimulatedTDS2014, TcpServer, VirtualClock, resource_manager
@@ -49,7 +49,7 @@ class Cost:
         return (self.traffic.up + self.traffic.down) * BITS_PER_BYTE / BAUD_RATE
 
 
-def sine(times: NDArray[np.float64]) -> NDArray[np.float64]:
+def sine(times: Floats) -> Floats:
     """The signal at the scope: 30 kHz, 2 V."""
     return np.asarray(2.0 * np.sin(2 * np.pi * 3e4 * times))
 
@@ -79,24 +79,24 @@ class PlainScope:
         names = ("YMULT", "YZERO", "YOFF", "XINCR", "XZERO")
         return [float(self.resource.query(f"WFMPRE:{name}?")) for name in names]
 
-    def curve(self, scaling: list[float]) -> NDArray[np.float64]:
+    def curve(self, scaling: list[float]) -> Floats:
         codes = np.array(self.resource.query_binary_values("CURVE?", datatype="b", container=np.ndarray))
         return np.asarray((codes - scaling[2]) * scaling[0] + scaling[1])
 
-    def lean_stored(self) -> NDArray[np.float64]:
+    def lean_stored(self) -> Floats:
         self.resource.write("DATA:SOURCE CH1")
         return self.curve(self.scaling)
 
-    def lean_fresh(self) -> NDArray[np.float64]:
+    def lean_fresh(self) -> Floats:
         self.resource.query("ACQUIRE:STATE RUN;*OPC?")
         return self.curve(self.scaling)
 
-    def usual_stored(self) -> NDArray[np.float64]:
+    def usual_stored(self) -> Floats:
         for message in ("DATA:SOURCE CH1", "DATA:ENCDG RIBINARY", "DATA:WIDTH 1"):
             self.resource.write(message)
         return self.curve(self.read_scaling())
 
-    def usual_fresh(self) -> NDArray[np.float64]:
+    def usual_fresh(self) -> Floats:
         self.resource.write("ACQUIRE:STATE RUN")
         self.resource.query("*OPC?")
         self.resource.write("DATA:SOURCE CH1")

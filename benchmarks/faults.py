@@ -16,8 +16,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import pyvisa
-from numpy.typing import NDArray
 
+from analysis.arrays import Floats
 from instrument import TDS2014, InstrumentError, LinkError, Waveform
 from instrument.simulated import Fault, Faults, SimulatedTDS2014, VirtualClock, resource_manager
 from instrument.simulated.faults import FaultKind
@@ -57,7 +57,7 @@ class Outcome:
         return self.right + self.wrong + self.refused.total()
 
 
-def drifting_sine(times: NDArray[np.float64]) -> NDArray[np.float64]:
+def drifting_sine(times: Floats) -> Floats:
     """A sine whose frequency is no multiple of anything: every record has its own phase."""
     return np.asarray(0.8 * np.sin(2 * np.pi * 997.13 * times))
 

@@ -1,6 +1,6 @@
 """Uncertainty budget of a lock-in rate."""
 
-from analysis.budget.combination import Budget, BudgetInput, Reference
+from analysis.budget.combination import Budget, BudgetInput, Distribution, Reference
 from analysis.budget.inputs import lock_in_budget
 from analysis.budget.knowledge import BenchKnowledge, Corner, OperatingPoint, TableGeometry, operating_point
 
@@ -9,6 +9,7 @@ __all__ = [
     "Budget",
     "BudgetInput",
     "Corner",
+    "Distribution",
     "OperatingPoint",
     "Reference",
     "TableGeometry",

@@ -18,12 +18,11 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from analysis.arrays import Floats
 from analysis.budget import OperatingPoint
 from analysis.lockin_equation import harmonic_ratio
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

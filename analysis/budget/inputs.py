@@ -9,8 +9,13 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 
+import numpy as np
+
+from analysis.arrays import Complexes
 from analysis.budget.combination import Budget, BudgetInput, Reference
 from analysis.budget.knowledge import BenchKnowledge, Corner, OperatingPoint, TableGeometry, ratio_slope
+from analysis.channel import gain_on_ratio, high_pass_on_ratio, low_pass_on_ratio
+from analysis.errors import NoBudget
 from analysis.rotation import EARTH_RATE_DPS, earth_rate_on_axis
 
 _OWN = "does not enter: the record is its own reference"
@@ -18,6 +23,9 @@ _GIVEN = "does not enter: the rate is the reference"
 _RECTANGLE = math.sqrt(3.0)
 _DEGREE = math.pi / 180
 _EARTH_RATE_U_DPS = 1e-8 * EARTH_RATE_DPS
+
+Factor = Callable[[float, float], Complexes]
+"""On rho, of a beat frequency and a corner in Hz."""
 
 
 def lock_in_budget(point: OperatingPoint, knowledge: BenchKnowledge, reference: Reference = "beat") -> Budget:
@@ -36,6 +44,8 @@ def lock_in_budget(point: OperatingPoint, knowledge: BenchKnowledge, reference: 
 
     Raises
     ------
+    NoBudget
+        A corner that lets no beat through or is not known at all.
     ValueError
         The rate as reference without `knowledge.table`, or impossible values.
 
@@ -59,9 +69,9 @@ def lock_in_budget(point: OperatingPoint, knowledge: BenchKnowledge, reference: 
     slope = _slope(point, reference)
     for line, missing in (
         _distortion(point, knowledge, slope),
-        _corner("bandwidth", "bandwidth of the channel", knowledge.bandwidth, _low_pass, point, slope),
-        _corner("high_pass", "AC coupling of the channel", knowledge.high_pass, _high_pass, point, slope),
-        _corner("gain_corner", "gain saturation of the laser", knowledge.gain, _gain, point, slope),
+        _corner("bandwidth", "bandwidth of the channel", knowledge.bandwidth, low_pass_on_ratio, point, slope),
+        _corner("high_pass", "AC coupling of the channel", knowledge.high_pass, high_pass_on_ratio, point, slope),
+        _corner("gain_corner", "gain saturation of the laser", knowledge.gain, gain_on_ratio, point, slope),
     ):
         if line is None:
             unstated.append(missing)
@@ -117,6 +127,7 @@ def _from_reference(
             "normal",
             -point.lock_in_rate / point.scale_factor if own else 0.0,
             note="" if own else _GIVEN,
+            common=True,
         )
     yield BudgetInput(
         "time_base",
@@ -127,6 +138,7 @@ def _from_reference(
         "rectangular",
         -point.lock_in_rate * 1e-6 if own else 0.0,
         note=f"within ±{knowledge.time_base_limit_ppm:g} ppm" if own else _GIVEN,
+        common=True,
     )
 
 
@@ -144,14 +156,15 @@ def _from_table(point: OperatingPoint, table: TableGeometry, reference: Referenc
         ("latitude", "latitude", "deg", table.latitude_deg, table.latitude_u_deg, by_latitude),
         ("earth_rate", "rotation rate of the earth", "deg/h", earth, earth_u, along / 3600),
     ):
-        yield BudgetInput(name, quantity, unit, value, u, "normal", by_rate * slope, note=note)
+        yield BudgetInput(name, quantity, unit, value, u, "normal", by_rate * slope, note=note, common=True)
     if math.isfinite(table.azimuth_deg):
         value, u, slope = table.azimuth_deg, table.azimuth_u_deg, by_rate * by_azimuth
-        yield BudgetInput("azimuth", "azimuth of the axis", "deg", value, u, "rectangular", slope, note=note)
+        quantity, unit = "azimuth of the axis", "deg"
+        yield BudgetInput("azimuth", quantity, unit, value, u, "rectangular", slope, note=note, common=True)
     else:
         horizontal = math.cos(math.radians(table.latitude_deg)) * abs(math.sin(math.radians(table.tilt_deg)))
         quantity, u = "horizontal earth rate, azimuth unknown", EARTH_RATE_DPS * horizontal / math.sqrt(2)
-        yield BudgetInput("azimuth", quantity, "deg/s", 0.0, u, "arcsine", by_rate, note=note)
+        yield BudgetInput("azimuth", quantity, "deg/s", 0.0, u, "arcsine", by_rate, note=note, common=True)
 
 
 def _rate_slopes(table: TableGeometry) -> tuple[float, float, float, float, float]:
@@ -175,40 +188,35 @@ def _distortion(point: OperatingPoint, knowledge: BenchKnowledge, slope: float) 
     name, quantity = "distortion", "second-order distortion d"
     if knowledge.distortion_separated:
         note = "does not enter: both senses or several rates separate it"
-        return BudgetInput(name, quantity, "1", 0.0, 0.0, "rectangular", 0.0, note=note), ""
+        return BudgetInput(name, quantity, "1", 0.0, 0.0, "rectangular", 0.0, note=note, common=True), ""
     if math.isnan(limit):
         return None, "second-order distortion of detector and oscilloscope"
     level = f"{20 * math.log10(limit):.0f} dBc" if limit > 0 else "none"
     if math.isnan(point.phase):
         # any phase: the mean of cos^2 is one half
-        note = f"within ±{limit:.2g} ({level}), phase unknown"
-        line = BudgetInput(
-            name, quantity, "1", 0.0, limit / _RECTANGLE, "rectangular", slope / math.sqrt(2), note=note
-        )
-        return line, ""
-    turned = -math.copysign(1.0, point.input_rate) * math.cos(point.phase)
-    note = f"within ±{limit:.2g} ({level}), at the phase measured"
-    return BudgetInput(name, quantity, "1", 0.0, limit / _RECTANGLE, "rectangular", slope * turned, note=note), ""
+        turned, known = 1 / math.sqrt(2), "phase unknown"
+    else:
+        turned, known = -math.copysign(1.0, point.input_rate) * math.cos(point.phase), "at the phase measured"
+    u, note = limit / _RECTANGLE, f"within ±{limit:.2g} ({level}), {known}"
+    return BudgetInput(name, quantity, "1", 0.0, u, "rectangular", slope * turned, note=note, common=True), ""
 
 
 def _corner(
     name: str,
     quantity: str,
     corner: Corner,
-    response: Callable[[float, float], float],
+    response: Factor,
     point: OperatingPoint,
     slope: float,
 ) -> tuple[BudgetInput | None, str]:
-    """A first-order corner: `response(f, corner)` is the factor that it puts on r."""
+    """A first-order corner, whose `response` is the factor that it puts on rho."""
     if math.isnan(corner.hz):
         return None, quantity
     frequency, ratio = point.beat_frequency, point.ratio
-    try:
-        factor = response(frequency, corner.hz)
-    except ZeroDivisionError:
-        factor = math.nan
+    with np.errstate(divide="ignore", invalid="ignore"):
+        factor = float(abs(response(frequency, corner.hz)))
     if not (corner.hz >= 0 and math.isfinite(factor)):
-        raise ValueError(f"{quantity}: a corner of {corner.hz!r} Hz lets no beat through")
+        raise NoBudget(f"{quantity}: a corner of {corner.hz!r} Hz lets no beat through")
     if corner.corrected and 0 < corner.hz < math.inf:
         by_hz = -slope * ratio * _relative_slope(response, frequency, corner)
         note = f"corrected for, by {1 / factor - 1:+.2%} of r"
@@ -229,7 +237,7 @@ def _corner(
     ), ""
 
 
-def _relative_slope(response: Callable[[float, float], float], frequency: float, corner: Corner) -> float:
+def _relative_slope(response: Factor, frequency: float, corner: Corner) -> float:
     """Relative change of the response by the corner, per Hz, such that this times u is the standard deviation.
 
     The effect goes with the square of the corner: over an uncertainty of a tenth its slope is not constant, so the
@@ -237,25 +245,10 @@ def _relative_slope(response: Callable[[float, float], float], frequency: float,
     """
     reach = math.sqrt(3) * corner.u_hz if corner.u_hz > 0 else 1e-4 * corner.hz
     if not reach < corner.hz:
-        raise ValueError(
+        raise NoBudget(
             f"a corner of {corner.hz:g} Hz with an uncertainty of {corner.u_hz:g} Hz is not known at all"
         )
-    low, middle, high = (response(frequency, corner.hz + side * reach) for side in (-1, 0, 1))
+    low, middle, high = (float(abs(response(frequency, corner.hz + side * reach))) for side in (-1, 0, 1))
     mean = (low + 4 * middle + high) / 6
     variance = ((low - mean) ** 2 + 4 * (middle - mean) ** 2 + (high - mean) ** 2) / 6
     return math.copysign(math.sqrt(3 * variance) / (reach * middle), high - low)
-
-
-def _low_pass(frequency: float, corner: float) -> float:
-    """|H(2f)/H(f)| of one pole."""
-    return math.sqrt((1 + (frequency / corner) ** 2) / (1 + (2 * frequency / corner) ** 2))
-
-
-def _high_pass(frequency: float, corner: float) -> float:
-    """|H(2f)/H(f)| of AC coupling."""
-    return math.sqrt((1 + (corner / frequency) ** 2) / (1 + (corner / (2 * frequency)) ** 2))
-
-
-def _gain(frequency: float, corner: float) -> float:
-    """Loss of the second harmonic by the laser's gain saturation, 1/|1 + i w/g_c|."""
-    return 1 / math.hypot(1.0, frequency / corner)

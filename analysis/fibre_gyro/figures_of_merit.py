@@ -10,11 +10,10 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy.special
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from analysis.arrays import Bools, Floats
 from analysis.fibre_gyro.staircase_calibration import SlopeFit, fit_slope
-
-Floats = NDArray[np.float64]
 
 _PPM = 1e6
 _SIGNIFICANT = 1e-3
@@ -115,7 +114,7 @@ def scale_figures(rates_dps: ArrayLike, outputs: ArrayLike, outputs_u: ArrayLike
     )
 
 
-def _slope_of(rate: Floats, output: Floats, u: Floats | None, kept: NDArray[np.bool_]) -> tuple[float, float]:
+def _slope_of(rate: Floats, output: Floats, u: Floats | None, kept: Bools) -> tuple[float, float]:
     """Slope of some of the points and its standard uncertainty; two points give no uncertainty of their own."""
     nan = float("nan")
     if np.unique(rate[kept]).size < 2:
@@ -259,7 +258,7 @@ def residual_pattern(
 
 
 def _beside_the_smooth_curve(
-    rate: Floats, output: Floats, u: Floats, away: NDArray[np.bool_], near: NDArray[np.bool_]
+    rate: Floats, output: Floats, u: Floats, away: Bools, near: Bools
 ) -> tuple[Floats, Floats]:
     """Output of the points near zero less a smooth curve through the others, and its standard uncertainty."""
     scaled = rate / np.abs(rate).max()

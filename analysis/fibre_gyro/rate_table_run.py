@@ -15,12 +15,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from analysis.arrays import Floats, Ints
 from analysis.rotation import EARTH_RATE_DPS
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 _EARTH_RATE_DPH = 3600.0 * EARTH_RATE_DPS
 _SAME_RATE = 1e-9
@@ -237,25 +235,6 @@ def rate_differences(parts: OddEven, *, irreproducibility_ppm: float) -> RateDif
     spread = irreproducibility_ppm / _PPM * slope * np.sqrt((rates**2 + base**2) / 2)
     noise = np.hypot(parts.odd_u[1:], parts.odd_u[0])
     return RateDifferences(rates - base, number, noise, spread, base, float(parts.odd_u[0]))
-
-
-def difference_noise_dps(angle_random_walk: float, window_s: ArrayLike) -> Floats:
-    """Standard uncertainty in deg/s of a difference of two odd parts, from white noise alone.
-
-    Each odd part averages two runs of length T, the difference holds two odd parts: (N/60)/sqrt(T).
-
-    Parameters
-    ----------
-    angle_random_walk : float
-        deg/sqrt(h).
-    window_s : array_like
-
-    Examples
-    --------
-    >>> f"{difference_noise_dps(0.005, 540.0):.3g}"
-    '3.59e-06'
-    """
-    return np.asarray(angle_random_walk / 60.0 / np.sqrt(np.asarray(window_s, dtype=np.float64)), np.float64)
 
 
 @dataclass(frozen=True)

@@ -13,11 +13,11 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from analysis.arrays import Bools, Floats
 from analysis.fibre_gyro.rate_table_run import RateDifferences
 
-Floats = NDArray[np.float64]
 Path = Literal["shared", "separate"]
 
 _PPM = 1e6
@@ -108,7 +108,7 @@ def largest_step(dac_bits: int) -> float:
     return float(2 ** (dac_bits - 1) - 1)
 
 
-def steps_beyond_dac(codes: ArrayLike, dac_bits: int) -> NDArray[np.bool_]:
+def steps_beyond_dac(codes: ArrayLike, dac_bits: int) -> Bools:
     """Tell which injected steps, in codes, the converter cannot make."""
     steps = np.abs(np.asarray(codes, dtype=np.float64))
     return np.asarray(steps > largest_step(dac_bits), dtype=np.bool_)

@@ -10,11 +10,9 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from analysis.rotation import EARTH_RATE_DPS
-
-Floats = NDArray[np.float64]
+from analysis.arrays import Floats
 
 _BLOCKS_FOR_SCATTER = 8
 
@@ -120,33 +118,6 @@ def check_whole_turns(duration_s: float, rate_dps: float, *, tolerance_s: float)
         f"a window of {duration_s:.6g} s at {abs(rate_dps):g} deg/s is {duration_s / turn:.3f} turns, not a whole "
         f"number: use {' or '.join(choices)}"
     )
-
-
-def horizontal_earth_leak(duration_s: ArrayLike, rate_dps: ArrayLike, latitude_deg: float) -> Floats:
-    """Largest mean of the horizontal earth rate over a window, deg/h, for a gyro that lies horizontally.
-
-    The mean of cos(azimuth) over a window of length T is sin(pi n)/(pi n) at most, n = T Omega / 360 turns. A gyro
-    that is misaligned from the table axis by an angle m sees sin(m) times it.
-
-    Parameters
-    ----------
-    duration_s, rate_dps : array_like
-        Broadcast.
-    latitude_deg : float
-
-    Returns
-    -------
-    ndarray
-        deg/h, 0 for whole turns.
-
-    Examples
-    --------
-    >>> horizontal_earth_leak(540.0, [20.01, 20.1, 21.0], 45.78).round(3).tolist()
-    [0.005, 0.05, 0.106]
-    """
-    turns = np.asarray(duration_s, dtype=np.float64) * np.abs(np.asarray(rate_dps, dtype=np.float64)) / 360.0
-    horizontal = 3600.0 * EARTH_RATE_DPS * np.cos(np.deg2rad(latitude_deg))
-    return np.asarray(horizontal * np.abs(np.sinc(turns)), dtype=np.float64)
 
 
 def mean_over_turns(

@@ -8,8 +8,7 @@ from analysis.plan.measurement_plan import (
     plan_measurement,
     predicted_budget,
 )
-from analysis.plan.oscilloscope_steps import OscilloscopeSteps
-from analysis.plan.request import PlanRequest, TableSpread
+from analysis.plan.request import OscilloscopeSteps, PlanRequest, TableSpread
 from analysis.plan.several_rates import expected_joint_u
 
 __all__ = [

@@ -6,13 +6,11 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from analysis.arrays import Floats
 from analysis.budget import Budget
 from analysis.plan.measurement_plan import predicted_budget
 from analysis.plan.request import PlanRequest
-
-Floats = NDArray[np.float64]
 
 _POINTS = 160
 _GROUPS: dict[str, tuple[str, ...]] = {

@@ -6,15 +6,12 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.budget import Budget, lock_in_budget
 from analysis.budget.expected_noise import RecordShape, expected_point
 from analysis.lockin_equation import beat_frequency
 from analysis.plan.request import FASTEST_OVER_LOCK_IN, PlanRequest
 from analysis.plan.several_rates import expected_joint_u
-
-Floats = NDArray[np.float64]
 
 MOST_RECORDS = 100_000
 

@@ -5,14 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from analysis.arrays import Complexes, Floats
 from analysis.budget import Reference
 from analysis.budget.expected_noise import RecordShape, expected_noise
 from analysis.lockin_equation import beat_frequency, harmonic_ratio
 from analysis.several_rates.ratio_model import RatioData, fit_ratios, predicted_ratio, whitening_factor
-
-Floats = NDArray[np.float64]
 
 _PHASES = 12
 
@@ -81,7 +79,7 @@ def expected_joint_u(
     return float(np.sqrt(variance.mean()))
 
 
-def _turned(rho: NDArray[np.complex128], along: Floats, across: Floats) -> Floats:
+def _turned(rho: Complexes, along: Floats, across: Floats) -> Floats:
     """Covariance (..., 2, 2) with given standard deviations along and across the direction of rho."""
     unit = rho / np.abs(rho)
     turn = np.stack([np.stack([unit.real, -unit.imag], -1), np.stack([unit.imag, unit.real], -1)], -2)

@@ -22,13 +22,10 @@ from collections.abc import Sequence
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
+from analysis.arrays import Complexes, Floats
 from analysis.ring_laser.gyro import Gyro
 from analysis.ring_laser.motion import Segment, split
-
-Array = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
 
 _AZIMUTHS = 1024  # points of one turn in the expansion; the series falls as (earth rate / rate)^k
 _RIPPLE_PHASES = 64
@@ -37,7 +34,7 @@ _REST_DPS = 1e-9
 _NEGLIGIBLE = 1e-13
 
 
-def beat_phase_on_table(gyro: Gyro, motion: Sequence[Segment], times: Array) -> tuple[Array, Array]:
+def beat_phase_on_table(gyro: Gyro, motion: Sequence[Segment], times: Floats) -> tuple[Floats, Floats]:
     """Rate on the axis and phase of the beat while the table moves.
 
     Parameters
@@ -65,7 +62,7 @@ def beat_phase_on_table(gyro: Gyro, motion: Sequence[Segment], times: Array) -> 
     return rates, phases
 
 
-def axis_rate_on_table(gyro: Gyro, motion: Sequence[Segment], times: Array) -> Array:
+def axis_rate_on_table(gyro: Gyro, motion: Sequence[Segment], times: Floats) -> Floats:
     """Rate on the gyro's axis in deg/s while the table moves; arguments as :func:`beat_phase_on_table`."""
     segments, rates = tuple(motion), np.empty_like(times)
     for number, inside in split(segments, times):
@@ -73,7 +70,7 @@ def axis_rate_on_table(gyro: Gyro, motion: Sequence[Segment], times: Array) -> A
     return rates
 
 
-def _rate(gyro: Gyro, segment: Segment, times: Array) -> Array:
+def _rate(gyro: Gyro, segment: Segment, times: Floats) -> Floats:
     return gyro.axis_rate(segment.rate_at(times), segment.azimuth_at(times), gyro.ripple_phase(times))
 
 
@@ -86,7 +83,7 @@ def _start_phases(gyro: Gyro, motion: tuple[Segment, ...]) -> tuple[float, ...]:
     return tuple(phases)
 
 
-def _advance(gyro: Gyro, motion: tuple[Segment, ...], number: int, times: Array) -> Array:
+def _advance(gyro: Gyro, motion: tuple[Segment, ...], number: int, times: Floats) -> Floats:
     """Advance of psi in rad since the start of a segment."""
     segment = motion[number]
     if segment.acceleration_dps2 != 0.0:
@@ -106,13 +103,13 @@ def _advance(gyro: Gyro, motion: tuple[Segment, ...], number: int, times: Array)
     return np.asarray(2 * np.pi * cycles)
 
 
-def _integral(speeds: Array, elapsed: Array) -> Complexes:
+def _integral(speeds: Floats, elapsed: Floats) -> Complexes:
     """Integral of exp(i speed t) from 0 to the time elapsed; this form keeps short times exact."""
     half = 0.5 * speeds * elapsed
     return np.asarray(elapsed * np.sinc(half / np.pi) * np.exp(1j * half))
 
 
-def _first_moment(speeds: Array, elapsed: Array) -> Complexes:
+def _first_moment(speeds: Floats, elapsed: Floats) -> Complexes:
     """Integral of t exp(i speed t) from 0 to the time elapsed, good to eight digits."""
     turned = speeds * elapsed
     small = np.abs(turned) < 1e-3
@@ -124,7 +121,7 @@ def _first_moment(speeds: Array, elapsed: Array) -> Complexes:
 @lru_cache(maxsize=64)
 def _frequency_series(
     gyro: Gyro, table_rate_dps: float, resting_at_deg: float | None
-) -> tuple[float, Array, Complexes]:
+) -> tuple[float, Floats, Complexes]:
     """Beat frequency as mean + Re sum terms * exp(i (k azimuth + l ripple phase)), orders being the (k, l)."""
     rows = _AZIMUTHS if resting_at_deg is None else 1
     columns = _RIPPLE_PHASES if gyro.ripple_dps else 1
@@ -142,7 +139,7 @@ def _frequency_series(
 
 
 @lru_cache(maxsize=64)
-def _slew_phase(gyro: Gyro, segment: Segment, end: float) -> tuple[Array, Array]:
+def _slew_phase(gyro: Gyro, segment: Segment, end: float) -> tuple[Floats, Floats]:
     """Times in a slew and psi since its start: cumulative trapezoidal rule; nobody measures in a slew."""
     grid = np.linspace(segment.start, end, _SLEW_POINTS)
     frequency = gyro.beat_frequency(_rate(gyro, segment, grid)) * gyro.drift(grid)

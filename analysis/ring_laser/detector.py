@@ -12,13 +12,11 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
+from analysis.arrays import Complexes, Floats, Indices
+from analysis.channel import high_pass, low_pass
 from analysis.ring_laser.gyro import Gyro, harmonic_ratio
 from analysis.ring_laser.rate_grid import FINER, beat_rate_at, grid_place, interpolate, rate_at, weights_at
-
-Array = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
 
 _FEWEST_POINTS, _MOST_POINTS = 128, 8192
 _NEGLIGIBLE = 1e-9
@@ -66,28 +64,28 @@ class Detector:
         """The same detector with an amplifier for all frequencies."""
         return replace(self, low_pass_hz=0.0, ac_corner_hz=0.0) if self.filtered else self
 
-    def volts(self, fringe: Complexes, backscatter_phase: float) -> Array:
+    def volts(self, fringe: Complexes, backscatter_phase: float) -> Floats:
         """Signal before any filter, V, for exp(i (phi + beta))."""
         turned = fringe * np.exp(1j * (self.readout_phase - backscatter_phase))
         s = turned.imag
         distorted = s + self.second_order * s**2 + self.third_order * s**3
         return np.asarray(self.offset + self.amplitude * distorted, dtype=np.float64)
 
-    def response(self, frequency: Array) -> Complexes:
+    def response(self, frequency: Floats) -> Complexes:
         """Gain of the filters at frequencies in Hz."""
         gain = np.ones_like(frequency, dtype=np.complex128)
         if self.low_pass_hz > 0:
-            gain /= 1 + 1j * frequency / self.low_pass_hz
+            gain *= low_pass(frequency, self.low_pass_hz)
         if self.ac_corner_hz > 0:
-            gain *= 1j * frequency / (self.ac_corner_hz + 1j * frequency)
+            gain *= high_pass(frequency, self.ac_corner_hz)
         return gain
 
-    def swing(self, times: Array) -> Array:
+    def swing(self, times: Floats) -> Floats:
         """The light at absolute times in s over its mean."""
         return np.asarray(1 + self.pump_ripple * np.sin(2 * np.pi * np.mod(self.pump_hz * times, 1.0)))
 
 
-def detector_signal(gyro: Gyro, detector: Detector, axis_rate: Array, beat_phase: Array) -> Array:
+def detector_signal(gyro: Gyro, detector: Detector, axis_rate: Floats, beat_phase: Floats) -> Floats:
     """Volts at the detector for given rate on the axis and slow beat phase.
 
     Parameters
@@ -119,14 +117,14 @@ def detector_signal(gyro: Gyro, detector: Detector, axis_rate: Array, beat_phase
     return volts
 
 
-def _by_harmonics(gyro: Gyro, detector: Detector, rates: Array, phases: Array, sense: int) -> Array:
+def _by_harmonics(gyro: Gyro, detector: Detector, rates: Floats, phases: Floats, sense: int) -> Floats:
     """Sum of the harmonics, each interpolated between points of the grid of rates."""
     turning = np.exp(1j * sense * phases)
     place = grid_place(np.abs(rates), gyro.lock_in_rate) * FINER
     cells = np.floor(place).astype(np.intp)
     if np.ptp(cells) > _FEW_CELLS:
 
-        def at_point(point: int, inside: NDArray[np.intp]) -> Array:
+        def at_point(point: int, inside: Indices) -> Floats:
             return _real_series(_harmonics(gyro, detector, point, sense), turning[inside])
 
         return interpolate(rates, gyro.lock_in_rate, at_point)
@@ -151,7 +149,7 @@ def _between(gyro: Gyro, detector: Detector, finer: int, sense: int) -> Complexe
     return total
 
 
-def _real_series(amplitudes: Complexes, turning: Complexes) -> Array:
+def _real_series(amplitudes: Complexes, turning: Complexes) -> Floats:
     """Real part of sum amplitudes_n turning^n."""
     total = np.full(turning.shape, amplitudes[-1])
     for amplitude in amplitudes[-2::-1]:
@@ -174,7 +172,7 @@ def _harmonics(gyro: Gyro, detector: Detector, point: int, sense: int) -> Comple
     return np.asarray(amplitudes[: kept[-1] + 1] if kept.size else amplitudes[:1])
 
 
-def _one_period(gyro: Gyro, detector: Detector, point: int, sense: int) -> Array:
+def _one_period(gyro: Gyro, detector: Detector, point: int, sense: int) -> Floats:
     """Volts before any filter, evenly over one period of the beat."""
     if gyro.winking is not None:
         fringe, pedestal = gyro.winking.fringe(point), gyro.winking.pedestal(point)

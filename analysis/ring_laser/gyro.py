@@ -5,14 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from analysis import lockin_equation
+from analysis.arrays import Bools, Complexes, Floats
 from analysis.ring_laser.winking_on_table import Winking
 from analysis.rotation import rate_on_axis
 
-Array = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
 _SECONDS_PER_HOUR = 3600.0
 
 
@@ -52,17 +51,19 @@ class Gyro:
     ripple_hz: float = 0.0
     winking: Winking | None = None
 
-    def axis_rate(self, table_rate_dps: ArrayLike, azimuth_deg: ArrayLike, ripple_phase: ArrayLike = 0.0) -> Array:
+    def axis_rate(
+        self, table_rate_dps: ArrayLike, azimuth_deg: ArrayLike, ripple_phase: ArrayLike = 0.0
+    ) -> Floats:
         """Rate W on the gyro's axis in deg/s, from rate and azimuth of the table and the phase of the ripple."""
         azimuth = np.subtract(azimuth_deg, self.north_azimuth_deg)
         steady = rate_on_axis(table_rate_dps, self.tilt_deg, self.latitude_deg, azimuth)
         return np.asarray(steady + self.ripple_dps * np.sin(ripple_phase)) if self.ripple_dps else steady
 
-    def ripple_phase(self, times: ArrayLike) -> Array:
+    def ripple_phase(self, times: ArrayLike) -> Floats:
         """Phase of the ripple in rad at absolute times in s."""
         return np.asarray(2 * np.pi * np.mod(self.ripple_hz * np.asarray(times, dtype=np.float64), 1.0))
 
-    def drift(self, times: ArrayLike) -> Array:
+    def drift(self, times: ArrayLike) -> Floats:
         """K at absolute times in s over K at time zero."""
         return np.asarray(1.0 + self.drift_per_s * np.asarray(times, dtype=np.float64))
 
@@ -71,7 +72,7 @@ class Gyro:
         """Relative growth of K in 1/s."""
         return 1e-6 * self.scale_factor_drift_ppm_per_hour / _SECONDS_PER_HOUR
 
-    def beat_frequency(self, axis_rate: Array) -> Array:
+    def beat_frequency(self, axis_rate: Floats) -> Floats:
         """Beat frequency in Hz at time zero, with the sign of the rate; zero where the gyro is locked."""
         frequency = lockin_equation.beat_frequency(self.scale_factor, axis_rate, self.lock_in_rate)
         turning = ~self.locked(axis_rate)
@@ -79,7 +80,7 @@ class Gyro:
             frequency[turning] *= self.winking.frequency_factor(axis_rate[turning])
         return np.asarray(np.sign(axis_rate) * frequency)
 
-    def fringe(self, axis_rate: Array, beat_phase: Array) -> Complexes:
+    def fringe(self, axis_rate: Floats, beat_phase: Floats) -> Complexes:
         """exp(i (phi + beta)) for given rate on the axis and slow beat phase.
 
         Parameters
@@ -110,12 +111,12 @@ class Gyro:
         """The same gyro with a laser that follows at once."""
         return self if self.winking is None else replace(self, winking=None)
 
-    def locked(self, axis_rate: Array) -> NDArray[np.bool_]:
+    def locked(self, axis_rate: Floats) -> Bools:
         """Where the beat stands still."""
         return np.asarray((self.lock_in_rate > 0) & (np.abs(axis_rate) <= self.lock_in_rate))
 
 
-def harmonic_ratio(axis_rate: Array, lock_in_rate: float) -> Array:
+def harmonic_ratio(axis_rate: Floats, lock_in_rate: float) -> Floats:
     """Ratio r of successive harmonics of the beat, 1 at and below the threshold.
 
     Parameters

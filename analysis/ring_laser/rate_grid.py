@@ -9,9 +9,8 @@ import math
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from analysis.arrays import Floats, Indices
 
 STEP = 0.05
 FINER = 100
@@ -30,9 +29,7 @@ def rate_at(point: int, lock_in_rate: float) -> float:
     return math.hypot(beat_rate_at(point), lock_in_rate)
 
 
-def interpolate(
-    rates: Array, lock_in_rate: float, at_point: Callable[[int, NDArray[np.intp]], Array | float]
-) -> Array:
+def interpolate(rates: Floats, lock_in_rate: float, at_point: Callable[[int, Indices], Floats | float]) -> Floats:
     """Interpolate between the points of the grid, by polynomials of the fifth degree.
 
     Parameters
@@ -68,13 +65,13 @@ def weights_at(place: float) -> list[tuple[int, float]]:
     return [(int(cell + offset), float(weight)) for offset, weight in zip(_OFFSETS, weights, strict=True)]
 
 
-def grid_place(size: Array, lock_in_rate: float) -> Array:
+def grid_place(size: Floats, lock_in_rate: float) -> Floats:
     """Places on the grid, in steps of it, of rates (deg/s, positive) beyond the lock-in rate."""
     beat_rate = np.sqrt((size - lock_in_rate) * (size + lock_in_rate))
     return np.asarray(np.log(np.maximum(beat_rate, _LOWEST_DPS)) / STEP)
 
 
-def _lagrange(x: Array) -> Array:
+def _lagrange(x: Floats) -> Floats:
     """Weights (6, n) of the points around places x between 0 and 1."""
     weights = np.ones((_OFFSETS.size, x.size))
     for row, own in enumerate(_OFFSETS):

@@ -7,18 +7,17 @@ from collections.abc import Callable, Sequence
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
+from analysis.arrays import Floats
 from analysis.ring_laser.beat import beat_phase_on_table
 from analysis.ring_laser.detector import Detector, detector_signal
 from analysis.ring_laser.gyro import Gyro
 from analysis.ring_laser.motion import Segment, split
 
-Array = NDArray[np.float64]
 _SAME_NOISE_S = 20e-6
 
 
-def beat_signal_on_table(gyro: Gyro, detector: Detector, motion: Sequence[Segment], times: Array) -> Array:
+def beat_signal_on_table(gyro: Gyro, detector: Detector, motion: Sequence[Segment], times: Floats) -> Floats:
     """Volts at the detector while the table moves.
 
     Parameters
@@ -62,8 +61,8 @@ def _resting_volts(gyro: Gyro, detector: Detector, segment: Segment) -> float | 
 
 
 def with_detector_noise(
-    signal: Callable[[Array], Array], rms: float, seed: int, stream: int = 0
-) -> Callable[[Array], Array]:
+    signal: Callable[[Floats], Floats], rms: float, seed: int, stream: int = 0
+) -> Callable[[Floats], Floats]:
     """Add white noise to a signal, the same for the same seed and the same sample times.
 
     Parameters
@@ -85,7 +84,7 @@ def with_detector_noise(
     if rms == 0:
         return signal
 
-    def noisy(times: Array) -> Array:
+    def noisy(times: Floats) -> Floats:
         if times.size == 0:
             return signal(times)
         # another acquisition, another noise; but an input stage that looks at delays of nanoseconds sees one noise

@@ -18,10 +18,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
+from analysis.arrays import Complexes, Floats
 
 POINTS = 512
 """Of one beat period; harmonics up to half of it, far more than a gyro at 1.05 times its threshold shows."""

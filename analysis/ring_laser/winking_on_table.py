@@ -6,13 +6,10 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
+from analysis.arrays import Complexes, Floats, Indices
 from analysis.ring_laser.rate_grid import beat_rate_at, interpolate, rate_at
 from analysis.ring_laser.winking import SteadyBeat, steady_beat, symmetric_laser
-
-Array = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
 
 
 @dataclass(frozen=True)
@@ -39,10 +36,10 @@ class Winking:
     phase_sum: float = 0.0
     cross_saturation: float = 0.5
 
-    def frequency_factor(self, rates: Array) -> Array:
+    def frequency_factor(self, rates: Floats) -> Floats:
         """Beat frequency at rates in deg/s over that of the lock-in equation; all beyond the lock-in rate."""
 
-        def factor(point: int, _: NDArray[np.intp]) -> float:
+        def factor(point: int, _: Indices) -> float:
             return self.frequency(point) / (self.scale_factor * beat_rate_at(point))
 
         return interpolate(rates, self.lock_in_rate, factor)
@@ -55,7 +52,7 @@ class Winking:
         """Light of the fringes sqrt(I1 I2) exp(i psi) over one period, evenly in time, at a point of the grid."""
         return _over_a_period(_beat(self, point).beat)
 
-    def pedestal(self, point: int) -> Array:
+    def pedestal(self, point: int) -> Floats:
         """Mean light (I1 + I2)/2 of the single beams over one period, less its mean."""
         light = _over_a_period(_beat(self, point).beams.sum(axis=0) / 2).real
         return np.asarray(light - light.mean())

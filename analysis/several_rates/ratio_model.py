@@ -20,12 +20,9 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
-Bools = NDArray[np.bool_]
-Places = NDArray[np.intp]
+from analysis.arrays import Bools, Complexes, Floats, Indices
+
 Reference = Literal["rate", "beat"]
 
 N_PARAMETERS = 4
@@ -150,7 +147,7 @@ def fit_ratios(data: RatioData, free: tuple[bool, bool], start: Floats | None = 
     return _finished(point, cost, data, chosen)
 
 
-def _finished(point: Floats, cost: Floats, data: RatioData, chosen: Places) -> RatioFit:
+def _finished(point: Floats, cost: Floats, data: RatioData, chosen: Indices) -> RatioFit:
     normal, _, unit = _normal_equations(point, data, chosen)
     eigenvalues, vectors = np.linalg.eigh(normal)
     inverse = np.einsum("bij,bj,bkj->bik", vectors, 1 / np.maximum(eigenvalues, 1e-15), vectors)
@@ -171,7 +168,7 @@ def _cost(parameters: Floats, data: RatioData) -> Floats:
     return np.asarray(np.sum(_residual(parameters, data) ** 2, axis=-1))
 
 
-def _normal_equations(point: Floats, data: RatioData, chosen: Places) -> tuple[Floats, Floats, Floats]:
+def _normal_equations(point: Floats, data: RatioData, chosen: Indices) -> tuple[Floats, Floats, Floats]:
     """Normal matrix scaled to a unit diagonal, gradient in the same units, and the units (B, P)."""
     scale = _scales(data)
     columns = []

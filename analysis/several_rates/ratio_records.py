@@ -8,12 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from analysis.arrays import Bools, Complexes, Floats
 from analysis.flags import Flag
 from analysis.lockin_rate import LockInEstimate
-
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
-Bools = NDArray[np.bool_]
 
 SMALLEST_U = 1e-7
 """Least uncertainty of a ratio, far below any converter's: noise-free records must not weigh without limit."""

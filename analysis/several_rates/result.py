@@ -7,13 +7,10 @@ from enum import IntFlag
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from analysis.arrays import Bools, Complexes, Floats
 from analysis.several_rates.ratio_model import Reference
 
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
-Bools = NDArray[np.bool_]
 Model = Literal["lock-in", "distortion", "gain", "both"]
 
 

@@ -15,8 +15,8 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy.signal
-from numpy.typing import NDArray
 
+from analysis.arrays import Floats
 from analysis.lockin_equation import beat_frequency, harmonic_ratio, lock_in_from_rate
 from analysis.lockin_rate import estimate_lock_in
 from analysis.study.figures import largest_over_phases
@@ -32,8 +32,6 @@ from analysis.study.simulation import (
     errors_by_peaks,
     records,
 )
-
-Floats = NDArray[np.float64]
 
 POINTS = ((0.2, 0.01), (1.0, 0.05), (2.0, 0.1), (0.5, 0.01), (0.5, 0.03), (0.2, 0.15), (1.0, 0.1), (1.0, 0.5))
 """Input rate and lock-in rate, deg/s: three at 20 times lock-in, the paper's Fig. 4, ends of its Figs. 5 and 6."""

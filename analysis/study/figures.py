@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from analysis.arrays import Floats
 from analysis.harmonics import fit_harmonics
 from analysis.lockin_equation import beat_frequency, harmonic_ratio, lock_in_from_rate
 from analysis.study.simulation import (
@@ -22,8 +22,6 @@ from analysis.study.simulation import (
     records,
     spectrum,
 )
-
-Floats = NDArray[np.float64]
 
 ORDERS = 5
 PHASES = 8

@@ -5,12 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from analysis.arrays import Floats
 from analysis.lockin_equation import harmonic_ratio, lock_in_from_rate
 from analysis.study.simulation import Gyros, errors_by_fit
-
-Floats = NDArray[np.float64]
 
 RATE_RATIOS = (0.01, 0.02, 0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 0.95, 0.98)
 

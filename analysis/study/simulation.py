@@ -12,12 +12,11 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.fft
 import scipy.signal
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from analysis.arrays import Floats
 from analysis.lockin_equation import Relation, beat_signal, lock_in_from_rate
 from analysis.lockin_rate import estimate_lock_in
-
-Floats = NDArray[np.float64]
 
 SCALE_FACTOR = 2000.0
 SAMPLING_HZ = 20_000.0

@@ -3,22 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from analysis.arrays import Bools, Floats, Indices, Ints, Samples
 from analysis.flags import Flag
 from analysis.waveform.records import LARGEST_CODE, THINNING, Counts, Records
 from analysis.waveform.residuals import Residual, residual_samples
 from analysis.waveform.series.geometric_series import Series, sampled_series
 from analysis.waveform.series.minimise import SeriesFit
-
-Floats = NDArray[np.float64]
-Samples = NDArray[Any]
-"""float32 or float64"""
-Bools = NDArray[np.bool_]
-Indices = NDArray[np.intp]
 
 SHARE_AT_END = 0.006
 """A level that holds less than this share of the samples is not worth calling a clipping limit."""
@@ -54,7 +47,7 @@ class Damage:
 
     weights: Samples | None
     limits: Floats | None
-    flags: NDArray[np.int64]
+    flags: Ints
 
 
 def find_damage(records: Records, fit: SeriesFit, clipped: Bools | None) -> Damage:

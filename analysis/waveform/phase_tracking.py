@@ -19,13 +19,10 @@ from functools import cache
 
 import numpy as np
 from numpy.polynomial import legendre
-from numpy.typing import NDArray
 
+from analysis.arrays import Complexes, Floats
 from analysis.waveform.series.geometric_series import LARGEST_RATIO
 from analysis.waveform.series.normal_equations import Step
-
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
 
 DEGREES = (2, 3, 4, 6, 8, 11, 15, 20, 27, 36, 48)
 """Numbers of polynomials tried in turn."""

@@ -12,18 +12,11 @@ of a squared level that white rounding would.
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
-from numpy.typing import NDArray
 
+from analysis.arrays import Bools, Floats, Samples
 from analysis.waveform.residuals import Residual
 from analysis.waveform.series.frequency_search import Sizes
-
-Floats = NDArray[np.float64]
-Samples = NDArray[Any]
-"""float32 or float64"""
-Bools = NDArray[np.bool_]
 
 QUIET = 0.42
 """Residual rms in levels below which rounding is taken out: 0.3 of noise and 0.29 of rounding. Above it would win

@@ -10,10 +10,8 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
 
-Floats = NDArray[np.float64]
-Samples = NDArray[Any]
-"""float32 or float64"""
-Bools = NDArray[np.bool_]
+from analysis.arrays import Bools, Floats, Indices, Samples
+
 Counts = NDArray[np.uint32]
 NanPolicy = Literal["raise", "omit"]
 
@@ -85,7 +83,7 @@ class Records:
 class Stack:
     """A checked stack of records, (R, N) of any real type, and the leading shape of the caller's array."""
 
-    volts: NDArray[Any]
+    volts: Samples
     shape: tuple[int, ...]
     nan_policy: NanPolicy
 
@@ -100,7 +98,7 @@ class Stack:
         for start in range(0, max(len(self.volts), 1), at_once):
             yield slice(start, start + at_once)
 
-    def take(self, part: slice | NDArray[np.intp], precision: DTypeLike = np.float64) -> Records:
+    def take(self, part: slice | Indices, precision: DTypeLike = np.float64) -> Records:
         """Centre some records.
 
         Raises
@@ -132,7 +130,7 @@ class Stack:
         return Records(weights=weights, constant=constant, **vars(centred))
 
 
-def _blank_samples(raw: NDArray[Any], centred: _Centred) -> Bools | None:
+def _blank_samples(raw: Samples, centred: _Centred) -> Bools | None:
     """Where records of raw codes, of whatever type, hold what a scope sends where scan mode has no sample yet."""
     blank = None
     for row in np.flatnonzero(np.abs(centred.centre + centred.lowest - NO_DATA) < 1e-3):
@@ -156,7 +154,7 @@ class _Centred:
     at_highest: Counts
 
     @staticmethod
-    def of(raw: NDArray[Any], missing: Bools | None, precision: np.dtype[Any]) -> _Centred:
+    def of(raw: Samples, missing: Bools | None, precision: np.dtype[Any]) -> _Centred:
         n_records, n_samples = raw.shape
         ends: Samples = np.empty((2, n_records), dtype=precision)
         at_ends: Counts = np.empty((2, n_records), dtype=np.uint32)
@@ -196,7 +194,7 @@ class _Centred:
 
 
 @cache
-def _some_places(n_samples: int) -> NDArray[np.intp]:
+def _some_places(n_samples: int) -> Indices:
     """One in `THINNING` samples, at random: at regular distances they might all fall on few phases of a beat."""
     order = np.random.default_rng(n_samples).permutation(n_samples)
     return np.sort(order[: -(-n_samples // THINNING)])

@@ -8,17 +8,12 @@ from typing import Any
 
 import numpy as np
 import scipy.special
-from numpy.typing import NDArray
 
+from analysis.arrays import Bools, Floats, Indices, Ints, Samples
 from analysis.flags import Flag
 from analysis.waveform.records import sums_of_squares
 from analysis.waveform.series.frequency_search import Sizes, line_sizes, neighbours
 from analysis.waveform.series.geometric_series import Series, sampled_blocks, sampled_series
-
-Floats = NDArray[np.float64]
-Bools = NDArray[np.bool_]
-Samples = NDArray[Any]
-"""float32 or float64"""
 
 NEIGHBOURS = 24
 """Bins on either side of a harmonic from which the local noise is taken."""
@@ -69,7 +64,7 @@ class Residual:
         lines: Sizes = np.empty((n_records, n_samples // 2 + 1), dtype=np.float32)
         return Residual(np.empty(n_records), np.empty(n_records, dtype=precision), lines)
 
-    def put(self, part: slice | NDArray[np.intp], other: Residual) -> None:
+    def put(self, part: slice | Indices, other: Residual) -> None:
         """Write the other's records into the places `part` of this one."""
         self.power[part], self.largest[part], self.lines[part] = other.power, other.largest, other.lines
 
@@ -98,7 +93,7 @@ class ResidualReport:
     """flags : (R,); excess : (R, 3) variance factors of frequency, ratio size and ratio phase over white noise;
     uneven : (R,) where the spectrum is not flat, by lines or by broad humps."""
 
-    flags: NDArray[np.int64]
+    flags: Ints
     excess: Floats
     uneven: Bools
 

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from analysis.arrays import Bools, Floats, Indices, Ints, Samples
 from analysis.flags import Flag
-from analysis.waveform.damage import Bools, find_damage, outliers
+from analysis.waveform.damage import find_damage, outliers
 from analysis.waveform.phase_tracking import looks_like_wander, track_phase
 from analysis.waveform.quantisation import (
     FEW_ERRORS,
@@ -25,10 +24,6 @@ from analysis.waveform.residuals import Residual, examine_residual, residual_of,
 from analysis.waveform.series.geometric_series import Series, sampled_series
 from analysis.waveform.series.minimise import SeriesFit, Task, gauss_newton
 from analysis.waveform.series.series_fit import fit_series, fit_series_again
-
-Floats = NDArray[np.float64]
-Samples = NDArray[Any]
-"""float32 or float64"""
 
 SINGLE_PRECISION_SWING = 1e-12, 1e12
 """Volts between which squares are safe in single precision."""
@@ -59,9 +54,9 @@ class WaveformFit:
     covariance: Floats
     excess: Floats
     noise_rms: Floats
-    flags: NDArray[np.int64]
+    flags: Ints
 
-    def put(self, part: NDArray[np.intp], other: WaveformFit) -> None:
+    def put(self, part: Indices, other: WaveformFit) -> None:
         """Write the other's records into the places `part` of this one."""
         self.series.put(part, other.series)
         for field in fields(WaveformFit)[1:]:
@@ -169,7 +164,7 @@ def _judged(
     covariance: Floats,
     left: Residual,
     count: Floats,
-    flags: NDArray[np.int64],
+    flags: Ints,
 ) -> WaveformFit:
     """The fit with its noise and its flags; records that do not fit get a second chance with a moving phase."""
     free, power = count - N_PARAMETERS, left.power

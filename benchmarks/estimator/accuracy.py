@@ -6,14 +6,12 @@ import time
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from analysis.arrays import Bools, Floats
 from benchmarks.estimator.bound import Bound, cramer_rao_bound
 from benchmarks.estimator.gyros import Gyros, codes_of, draw_gyros, white_noise
 from benchmarks.estimator.methods import METHODS, Method
 from benchmarks.estimator.progress import Progress
-
-Floats = NDArray[np.float64]
 
 BATCH = 1000
 SIGNIFICANT = 5.0
@@ -50,7 +48,7 @@ class GridResult:
     """The gyros of the grid, which of them count for efficiency, and the errors of each method."""
 
     gyros: Gyros
-    significant: NDArray[np.bool_]
+    significant: Bools
     errors: tuple[Errors, ...]
 
 
@@ -115,7 +113,7 @@ class _Tally:
         return Errors(self.method.name, normalised, frequency, relative, self._seconds / len(normalised))
 
 
-def cell_of(errors: Errors, chosen: NDArray[np.bool_]) -> Cell:
+def cell_of(errors: Errors, chosen: Bools) -> Cell:
     """Statistics of the chosen records, as far as the method has read them."""
     picked = np.flatnonzero(chosen[: len(errors.normalised)])
     given = picked[np.isfinite(errors.normalised[picked])]
@@ -152,7 +150,7 @@ def cells_of(result: GridResult, errors: Errors) -> list[list[Cell]]:
     ]
 
 
-def within(values: Floats, edges: tuple[float, ...], number: int) -> NDArray[np.bool_]:
+def within(values: Floats, edges: tuple[float, ...], number: int) -> Bools:
     """Which values lie between edge `number` and the next."""
     return np.asarray((values >= edges[number] * (1 - 1e-9)) & (values < edges[number + 1]))
 

@@ -9,11 +9,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from analysis.arrays import Complexes, Floats
 from benchmarks.estimator.gyros import N_SAMPLES, Gyros, phasor, unit_beat
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -56,7 +54,7 @@ def cramer_rao_bound(gyros: Gyros) -> Bound:
     return Bound(np.sqrt(covariance[:, 0, 0]), np.sqrt(covariance[:, 1, 1]), np.sqrt(variance))
 
 
-def _rotated(gyros: Gyros, z: NDArray[np.complex128]) -> Floats:
+def _rotated(gyros: Gyros, z: Complexes) -> Floats:
     """Im(z exp(i delta)), or of the conjugate of z for the negative sense; linear in the real and imaginary part.
 
     A multiplication by i before it is a derivative by delta only for the positive sense; for the negative one it

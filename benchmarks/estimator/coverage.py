@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis import combine_estimates, estimate_lock_in
+from analysis.arrays import Bools, Floats
 from benchmarks.estimator.accuracy import PERIOD_EDGES, RATE_EDGES, within
 from benchmarks.estimator.damage import (
     as_volts,
@@ -23,9 +23,6 @@ from benchmarks.estimator.damage import (
 from benchmarks.estimator.gyros import N_SAMPLES, Gyros, codes_of, draw_gyros, with_ratio
 from benchmarks.estimator.noise import first_order, one_over_f
 from benchmarks.estimator.progress import Progress
-
-Floats = NDArray[np.float64]
-Bools = NDArray[np.bool_]
 
 BATCH = 200
 LEVEL = 0.95

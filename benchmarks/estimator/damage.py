@@ -5,12 +5,10 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis import rate_varying_beat
+from analysis.arrays import Floats
 from benchmarks.estimator.gyros import CLIP, N_SAMPLES, Gyros, codes_of, draw_gyros, white_noise
-
-Floats = NDArray[np.float64]
 
 VOLTS_PER_CODE, VOLTS_AT_ZERO = 0.0371, 0.013
 """Volts whose clipping limit nobody would guess."""

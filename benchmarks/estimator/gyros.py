@@ -10,10 +10,8 @@ from __future__ import annotations
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
+from analysis.arrays import Bools, Complexes, Floats, Indices
 
 N_SAMPLES = 2500
 CLIP = 127
@@ -44,7 +42,7 @@ class Gyros:
     def __len__(self) -> int:
         return len(self.frequency)
 
-    def take(self, part: slice | NDArray[np.bool_] | NDArray[np.intp]) -> Gyros:
+    def take(self, part: slice | Bools | Indices) -> Gyros:
         """Some of the gyros."""
         return Gyros(**{f.name: getattr(self, f.name)[part] for f in fields(self)})
 

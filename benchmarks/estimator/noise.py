@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 import scipy.fft
 import scipy.signal
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from analysis.arrays import Floats
 
 _SETTLING = 500
 

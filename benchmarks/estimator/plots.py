@@ -12,13 +12,11 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
+from analysis.arrays import Floats
 from benchmarks.estimator.accuracy import GridResult, cell_of, within
 from benchmarks.estimator.methods import OURS
 from benchmarks.estimator.speed import Speed
-
-Floats = NDArray[np.float64]
 
 EDGES = (1.02, 1.1, 1.3, 1.7, 2.5, 4.0, 7.0, 12.0, 25.0, 50.0, 100.0)
 FEWEST = 40

@@ -11,16 +11,14 @@ from functools import partial
 
 import numpy as np
 import scipy.fft
-from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 from scipy.optimize import OptimizeWarning, curve_fit
 
 from analysis import beat_signal, estimate_lock_in, rate_varying_beat
+from analysis.arrays import Floats
 from benchmarks.estimator.gyros import N_SAMPLES, codes_of, draw_gyros, white_noise
 from benchmarks.estimator.methods.general_fit import fit_curve
 from benchmarks.estimator.progress import Progress
-
-Floats = NDArray[np.float64]
 
 ROUNDS = 9
 SMALL_BATCH = 200

@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from analysis.arrays import Floats
 from analysis.budget import BenchKnowledge, Corner, OperatingPoint, Reference, TableGeometry
+from analysis.channel import gain_on_ratio, high_pass_on_ratio, low_pass_on_ratio
 from analysis.rotation import rate_on_axis
-from benchmarks.monte_carlo.records import factor_on_ratio
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -100,15 +99,18 @@ def nominal_rate(table: TableGeometry) -> float:
 
 def corrected_factor(frequency: float, knowledge: BenchKnowledge) -> float:
     """Factor on r that the analysis takes out: that of the corners it corrects, at their nominal values."""
-    low, high, gain = knowledge.bandwidth, knowledge.high_pass, knowledge.gain
-    return float(
-        factor_on_ratio(
-            frequency,
-            low_pass=low.hz if low.corrected else math.inf,
-            high_pass=high.hz if high.corrected else 0.0,
-            gain=gain.hz if gain.corrected else math.inf,
-        )
-    )
+    return math.prod(factor for corner, factor in _corners(frequency, knowledge) if corner.corrected)
+
+
+def _corners(frequency: float, knowledge: BenchKnowledge) -> Iterator[tuple[Corner, float]]:
+    """Each corner that is known, and the factor that it puts on r."""
+    for corner, on_ratio in (
+        (knowledge.bandwidth, low_pass_on_ratio),
+        (knowledge.high_pass, high_pass_on_ratio),
+        (knowledge.gain, gain_on_ratio),
+    ):
+        if not math.isnan(corner.hz):
+            yield corner, float(abs(on_ratio(frequency, corner.hz)))
 
 
 def _axis_rates(table: TableGeometry, trials: int, rng: np.random.Generator) -> Floats:
@@ -126,11 +128,9 @@ def _axis_rates(table: TableGeometry, trials: int, rng: np.random.Generator) -> 
 def _shares_lost(frequency: float, knowledge: BenchKnowledge, trials: int, rng: np.random.Generator) -> Floats:
     """Effects that nobody corrects, each anywhere between its limits."""
     total = np.zeros(trials)
-    for name in ("bandwidth", "high_pass", "gain"):
-        corner: Corner = getattr(knowledge, name)
-        if not (corner.corrected or math.isnan(corner.hz)):
-            place = {"bandwidth": "low_pass"}.get(name, name)
-            total += (1 - float(factor_on_ratio(frequency, **{place: corner.hz}))) * rng.uniform(-1, 1, trials)
+    for corner, factor in _corners(frequency, knowledge):
+        if not corner.corrected:
+            total += (1 - factor) * rng.uniform(-1, 1, trials)
     if math.isfinite(knowledge.response_u):
         total += knowledge.response_u * rng.standard_normal(trials)
     return total

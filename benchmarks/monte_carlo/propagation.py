@@ -10,8 +10,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from analysis.arrays import Floats
 from analysis.budget import BenchKnowledge, OperatingPoint, Reference
 from analysis.budget.expected_noise import RecordShape
 from analysis.combine import combine_estimates
@@ -19,8 +19,6 @@ from analysis.lockin_equation import lock_in_from_beat, lock_in_from_rate
 from analysis.lockin_rate import LockInEstimate, estimate_lock_in
 from benchmarks.monte_carlo.draws import corrected_factor, draw_inputs, nominal_rate
 from benchmarks.monte_carlo.records import make_records
-
-Floats = NDArray[np.float64]
 
 _AT_ONCE = 400
 

@@ -7,19 +7,13 @@ rounding in the end.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
 
+from analysis.arrays import Complexes, Floats
 from analysis.budget.expected_noise import RecordShape
+from analysis.channel import gain_on_ratio, high_pass, low_pass
 from analysis.lockin_equation import beat_frequency, beat_signal
-
-if TYPE_CHECKING:
-    from benchmarks.monte_carlo.draws import Draws
-
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
+from benchmarks.monte_carlo.draws import Draws
 
 _POINTS = 128
 """Points of one period: the harmonics are then exact to r^64."""
@@ -28,15 +22,6 @@ _NEGLIGIBLE = 1e-6
 """Harmonics below this share of the amplitude are left out: 70 dB below one level of the converter."""
 
 _TOP_LEVEL = 127
-
-
-def factor_on_ratio(
-    frequency: ArrayLike, *, low_pass: ArrayLike = np.inf, high_pass: ArrayLike = 0.0, gain: ArrayLike = np.inf
-) -> Floats:
-    """Factor that first-order corners put on r = A2/A1; all in Hz."""
-    f = np.asarray(frequency, dtype=np.float64)
-    second, first = _response(2 * f, low_pass, high_pass), _response(f, low_pass, high_pass)
-    return np.asarray(np.abs(second / first / (1 + 1j * f / np.asarray(gain))))
 
 
 def make_records(draws: Draws, shape: RecordShape, rng: np.random.Generator) -> Floats:
@@ -75,19 +60,12 @@ def _harmonics(draws: Draws, amplitude: float, frequency: Floats) -> Complexes:
     f = frequency[:, np.newaxis] * np.maximum(order, 1)
     lines = np.fft.rfft(beat) / _POINTS
     # the laser: each further harmonic of the beat is one more step through the saturating gain
-    weaker = (1 - draws.share_lost[:, np.newaxis]) / (1 + 1j * frequency / draws.gain)[:, np.newaxis]
+    weaker = (1 - draws.share_lost[:, np.newaxis]) * gain_on_ratio(frequency, draws.gain)[:, np.newaxis]
     lines = lines * np.where(order > 1, weaker ** np.maximum(order - 1, 0), 1.0)
     volts = np.fft.irfft(lines * _POINTS, _POINTS)
     bent = volts + 2 * draws.distortion[:, np.newaxis] / amplitude * volts**2
-    low, high = draws.low_pass[:, np.newaxis], draws.high_pass[:, np.newaxis]
-    lines = np.fft.rfft(bent) / _POINTS * np.where(order > 0, _response(f, low, high), 1.0)
+    passed = low_pass(f, draws.low_pass[:, np.newaxis]) * high_pass(f, draws.high_pass[:, np.newaxis])
+    lines = np.fft.rfft(bent) / _POINTS * np.where(order > 0, passed, 1.0)
     lines[:, 1:] *= 2
     strong = np.flatnonzero(np.abs(lines).max(axis=0) > _NEGLIGIBLE * amplitude)
     return np.asarray(lines[:, : max(int(strong[-1]), 2) + 1])
-
-
-def _response(frequency: Floats, low_pass: ArrayLike, high_pass: ArrayLike) -> Complexes:
-    """One pole and one AC coupling."""
-    return np.asarray(
-        1 / (1 + 1j * frequency / np.asarray(low_pass)) / (1 - 1j * np.asarray(high_pass) / frequency)
-    )

@@ -1,33 +1,122 @@
-"""An uncertainty budget as a table on a terminal."""
+"""An uncertainty budget as JSON, as a table and in sentences."""
 
 from __future__ import annotations
 
-from rich.table import Table
+from typing import Any
 
 from analysis.budget import Budget
-from station.lock_in.budget import budget_rows
+from station.results.as_json import picked
+from station.results.numbers import with_uncertainty
+from station.results.parts import TextTable
 
-_SHOWN = ("quantity", "u (k = 1)", "sensitivity", "contribution, deg/s", "share")
-_PLACES = (0, 2, 4, 5, 6)
+_LINE = {
+    "name": "name",
+    "quantity": "quantity",
+    "unit": "unit",
+    "value": "value",
+    "u": "u",
+    "distribution": "distribution",
+    "sensitivity_dps_per_unit": "sensitivity",
+    "contribution_dps": "contribution",
+    "degrees_of_freedom": "degrees_of_freedom",
+    "note": "note",
+}
+BUDGET_COLUMNS = (
+    "quantity",
+    "value",
+    "u (k = 1)",
+    "distribution",
+    "sensitivity, deg/s per unit",
+    "contribution, deg/s",
+    "share",
+    "d.o.f.",
+)
+_SHORT = (0, 2, 4, 5, 6)
+"""Columns that a terminal has room for."""
 
 
-def budget_table(budget: Budget) -> Table:
-    """Lay out the lines of a budget that contribute, the largest first, and the combined uncertainty.
+def budget_document(budget: Budget) -> dict[str, Any]:
+    """Return a budget for the JSON document."""
+    return {
+        "reference": budget.reference,
+        "lock_in_rate_dps": budget.lock_in_rate,
+        "combined_u_dps": budget.combined_u,
+        "combined_u_percent": 100 * budget.relative_u,
+        "effective_degrees_of_freedom": budget.effective_degrees_of_freedom,
+        "coverage_factor": budget.coverage_factor,
+        "expanded_u_95_dps": budget.expanded_u_95,
+        "inputs": [
+            {**picked(line, _LINE), "share_of_variance": budget.share(line)} for line in budget.inputs
+        ],
+        "not_stated": budget.unstated,
+    }
 
-    Parameters
-    ----------
-    budget : Budget
 
-    Returns
-    -------
-    rich.table.Table
+def budget_rows(budget: Budget) -> list[tuple[str, ...]]:
+    """Return the lines of a budget as text under `BUDGET_COLUMNS`, the largest contribution first.
+
+    The last one is the combined uncertainty.
     """
-    table = Table(box=None, header_style="dim", pad_edge=False, padding=(0, 2, 0, 0))
-    for name in _SHOWN:
-        table.add_column(name, justify="left" if name == "quantity" else "right")
-    rows = budget_rows(budget)
-    for line, row in zip(budget.inputs, rows, strict=False):
-        if line.contribution > 0:
-            table.add_row(*(row[place] for place in _PLACES))
-    table.add_row(*(rows[-1][place] for place in _PLACES), style="bold")
-    return table
+    rows: list[tuple[str, ...]] = []
+    for line in budget.inputs:
+        unit = "" if line.unit == "1" else f" {line.unit}"
+        rows.append(
+            (
+                line.quantity,
+                f"{line.value:.6g}{unit}",
+                f"{line.u:.2g}{unit}",
+                line.distribution,
+                f"{line.sensitivity:.3g}" if line.sensitivity else "0",
+                f"{line.contribution:.2g}" if line.contribution else "0",
+                _percent(budget.share(line)),
+                _freedom(line.degrees_of_freedom),
+            )
+        )
+    rows.append(
+        (
+            "lock-in rate, combined",
+            f"{budget.lock_in_rate:.6g} deg/s",
+            f"{budget.combined_u:.2g} deg/s",
+            "",
+            "",
+            f"{budget.combined_u:.2g}",
+            "100 %",
+            _freedom(budget.effective_degrees_of_freedom),
+        )
+    )
+    return rows
+
+
+def short_budget_table(budget: Budget) -> TextTable:
+    """Return the lines that contribute, the largest first, and the combined uncertainty: for a terminal."""
+    *rows, combined = budget_rows(budget)
+    shown = [row for line, row in zip(budget.inputs, rows, strict=True) if line.contribution > 0]
+    header = [BUDGET_COLUMNS[place].replace(", deg/s per unit", "") for place in _SHORT]
+    return TextTable(tuple(header), tuple(tuple(row[place] for place in _SHORT) for row in (*shown, combined)))
+
+
+def budget_sentences(budget: Budget) -> list[str]:
+    """Say in words what the budget comes to, and what it does not hold.
+    """
+    value = with_uncertainty(budget.lock_in_rate, budget.combined_u, "deg/s")
+    said = [
+        f"Lock-in rate {value}, all inputs counted; U95 = {budget.expanded_u_95:.2g} deg/s "
+        f"({100 * budget.coverage_factor * budget.relative_u:.2g} %) with k = {budget.coverage_factor:.2f}."
+    ]
+    if budget.inputs and budget.inputs[0].contribution > 0:
+        first = budget.inputs[0]
+        said.append(f"The largest part is: {first.quantity} ({_percent(budget.share(first))} of the variance).")
+    if budget.unstated:
+        said.append(
+            f"Not counted, since nobody stated it: {'; '.join(budget.unstated)}. "
+            "The [budget] section of the settings is the place."
+        )
+    return said
+
+
+def _percent(share: float) -> str:
+    return "0" if share == 0 else "< 0.1 %" if share < 0.001 else f"{100 * share:.1f} %"
+
+
+def _freedom(value: float) -> str:
+    return "∞" if value > 1e6 else f"{value:.0f}"

@@ -1,129 +1,98 @@
-"""The result as a JSON document, with the names that programs rely on."""
+"""The lock-in rate as numbers and sentences."""
 
 from __future__ import annotations
 
 import math
-from typing import Any
 
-from analysis import flag_names
-from station.lock_in.budget import budget_document
-from station.lock_in.evaluate import Evaluation
-from station.lock_in.quadratures import QuadratureResult
-from station.lock_in.rates_document import several_rates_document
+from station.lock_in.budget_table import budget_sentences
+from station.lock_in.documents import result_document
+from station.lock_in.evaluation import Evaluation
+from station.lock_in.sentences import (
+    flag_sentences,
+    interval_words,
+    lock_in_words,
+    no_result_words,
+    quadrature_sentences,
+    rates_sentences,
+)
+from station.lock_in.settings import LimitSettings, Settings
+from station.lock_in.tables import rates_table, records_table
+from station.results.numbers import with_prefix, with_uncertainty
+from station.results.parts import Rows
+from station.results.result import Measured, Result
 from station.runs.store import SavedRun
 
-# name in JSON: field of the estimate
-_FIELDS = {
-    "lock_in_rate_dps": "lock_in_rate",
-    "lock_in_rate_u_dps": "lock_in_rate_u",
-    "lock_in_rate_low_95_dps": "lock_in_rate_low_95",
-    "lock_in_rate_high_95_dps": "lock_in_rate_high_95",
-    "input_rate_dps": "input_rate",
-    "beat_frequency_hz": "beat_frequency",
-    "beat_frequency_u_hz": "beat_frequency_u",
-    "ratio": "ratio",
-    "ratio_u": "ratio_u",
-    "backscatter_phase_rad": "backscatter_phase",
-    "amplitude_v": "amplitude",
-    "noise_rms_v": "noise_rms",
-}
+_RECORDS_SHOWN = 40
 
 
-def result_document(evaluation: Evaluation, run: SavedRun | None = None) -> dict[str, Any]:
-    """Return the combined result as plain JSON.
-
-    Parameters
-    ----------
-    evaluation : Evaluation
-    run : SavedRun, optional
-        Where the records are saved.
-
-    Returns
-    -------
-    dict
-        Units stand in the names; uncertainties are standard ones unless the name says 95. A number that
-        cannot be given is ``None``.
-    """
-    combined = evaluation.combined
-    document: dict[str, Any] = {name: _number(getattr(combined, field)) for name, field in _FIELDS.items()}
-    document |= {
-        "records": len(evaluation.waveforms) + len(evaluation.damaged),
-        "records_rejected": evaluation.records_rejected,
-        "method": evaluation.method_text,
-        "noise_model": combined.noise_model,
-        "flags": evaluation.flags,
-        "scale_factor_pulses_per_deg": evaluation.method.scale_factor,
-        "run": str(run.path) if run is not None else None,
-    }
-    if evaluation.tilt is not None:
-        document |= {"tilt_deg": evaluation.tilt.tilt_deg, "tilt_u_deg": evaluation.tilt.tilt_u_deg}
-    if (check := evaluation.table_check) is not None:
-        document["table_check"] = {
-            "lock_in_rate_dps": check.lock_in_rate,
-            "lock_in_rate_u_dps": check.lock_in_rate_u,
-            "input_rate_dps": check.input_rate,
-            "beat_over_table": check.beat_over_table,
-        }
-    if evaluation.several is not None:
-        document["several_rates"] = several_rates_document(evaluation.several)
-    if evaluation.quadratures is not None:
-        document["quadratures"] = quadratures_document(evaluation.quadratures)
-    if evaluation.budget is not None:
-        document["budget"] = budget_document(evaluation.budget)
-    if evaluation.truth is not None:
-        document["truth"] = evaluation.truth
-    return document
+def result(found: Evaluation, run: SavedRun | None = None, settings: Settings | None = None) -> Result:
+    """Put into numbers and sentences what was found; also for records that come from files, without a run."""
+    document = result_document(found)
+    budget = [] if found.budget is None else budget_sentences(found.budget)
+    tables = ()
+    if found.several is not None:
+        tables = (rates_table(found.several),)
+    elif len(found.names) > 1:
+        tables = (records_table(found, _RECORDS_SHOWN),)
+    return Result(
+        name="lock-in rate",
+        value=" = ".join(lock_in_words(found)) if found.usable else "none",
+        document=document,
+        measured=tuple(Measured(name, _number(document.get(name))) for name in LimitSettings.model_fields),
+        lines=tuple(_lines(found)),
+        summary=_summary(found),
+        sentences=(*rates_sentences(found), *quadrature_sentences(found), *budget),
+        to_watch=tuple(flag_sentences(found)),
+        flags=tuple(found.flags),
+        tables=tables,
+        problem="" if found.usable else no_result_words(found),
+        truth=_truth(found),
+    )
 
 
-def quadratures_document(found: QuadratureResult) -> dict[str, Any]:
-    """Return what sine and cosine channel say of each other as plain JSON.
-
-    Parameters
-    ----------
-    found : QuadratureResult
-
-    Returns
-    -------
-    dict
-    """
-    return {
-        "records": found.records,
-        "sense": found.sense,
-        "gain_ratio": found.gain_ratio,
-        "gain_ratio_u": found.gain_ratio_u,
-        "phase_error_rad": found.phase_error,
-        "phase_error_u_rad": found.phase_error_u,
-        "distortion": list(found.distortion),
-        "distortion_u": list(found.distortion_u),
-        "images": list(found.images),
-        "sine_alone_dps": _number(found.sine_alone),
-        "cosine_alone_dps": _number(found.cosine_alone),
-        "flags": list(found.flags),
-    }
+def _number(value: object) -> float:
+    return math.nan if value is None else float(value)  # type: ignore[arg-type]  # an array of no dimensions, or a number
 
 
-def record_documents(evaluation: Evaluation, source: str | None = None) -> list[dict[str, Any]]:
-    """Return one JSON object for each record, with the names of :func:`result_document`.
-
-    Parameters
-    ----------
-    evaluation : Evaluation
-    source : str, optional
-        Path of the run, for records of a run.
-
-    Returns
-    -------
-    list of dict
-    """
-    documents = []
-    for row, name in enumerate(evaluation.names):
-        document: dict[str, Any] = {"run": source, "record": name} if source else {"file": name}
-        document |= {key: _number(getattr(evaluation.each, field)[row]) for key, field in _FIELDS.items()}
-        document |= {"method": evaluation.method.text, "flags": flag_names(int(evaluation.each.flags[row]))}
-        documents.append(document)
-    return documents
+def _lines(found: Evaluation) -> list[str]:
+    """Below the value in the report."""
+    if not found.usable:
+        return [no_result_words(found)]
+    counted = len(found.waveforms) - int(found.combined.records_rejected)
+    at = f" at {len(found.several.groups)} rates" if found.several is not None else ""
+    lines = [f"95 % interval {interval_words(found)}, from {counted} record{'s' if counted != 1 else ''}{at}."]
+    if found.truth is not None:
+        true = found.truth["lock_in_rate_dps"]
+        distance = (float(found.combined.lock_in_rate) - true) / float(found.combined.lock_in_rate_u)
+        lines.append(f"The simulation's truth is {true:.6g} deg/s: the result lies {distance:+.1f} u from it.")
+    return lines
 
 
-def _number(value: object) -> float | None:
-    number = float(value)  # type: ignore[arg-type]  # a zero-dimensional array or a scalar
-    return number if math.isfinite(number) else None
+def _truth(found: Evaluation) -> str:
+    return f"the truth is {found.truth['lock_in_rate_dps']:.6g} deg/s" if found.truth is not None else ""
+
+
+def _summary(found: Evaluation) -> Rows:
+    """Below the value on the terminal."""
+    combined, rows = found.combined, []
+    if found.usable:
+        rows.append(("95 % interval", interval_words(found)))
+        rows.append(("r = A2/A1", with_uncertainty(float(combined.ratio), float(combined.ratio_u))))
+    if math.isfinite(combined.beat_frequency):
+        beat = with_uncertainty(float(combined.beat_frequency), float(combined.beat_frequency_u), "Hz")
+        rows.append(("beat", beat))
+    if math.isfinite(combined.input_rate):
+        rows.append(("rate on the axis", f"{float(combined.input_rate):.6f} deg/s"))
+    if found.tilt is not None:
+        rows.append(("tilt of the axis", with_uncertainty(found.tilt.tilt_deg, found.tilt.tilt_u_deg, "deg")))
+    if (check := found.table_check) is not None:
+        by_table = with_uncertainty(check.lock_in_rate, check.lock_in_rate_u, "deg/s")
+        rows.append(("by the table's rate", f"{by_table}, beat over table {check.beat_over_table:.5f}"))
+    if found.several is not None and (other := found.several.by_frequency) is not None:
+        by_frequency = with_uncertainty(other.lock_in_rate, other.lock_in_rate_u, "deg/s")
+        rows.append(("by the frequencies", f"{by_frequency}, beat frequency against rate, without harmonics"))
+    if math.isfinite(combined.noise_rms):
+        rows.append(("noise", f"{with_prefix(float(combined.noise_rms), 'V')} rms; {combined.noise_model}"))
+    rows.append(("method", found.method_text))
+    rows.append(("records", f"{len(found.names)}, left out {found.records_rejected}"))
+    return rows

@@ -1,4 +1,4 @@
-"""The sections of a report: figures with their captions, sentences, tables."""
+"""The report's figures and tables: rates or records, checks, budget, and one record."""
 
 from __future__ import annotations
 
@@ -6,69 +6,55 @@ import math
 from collections.abc import Iterable
 
 from analysis.budget import Budget
+from analysis.lock_in_run import SeveralRates
 from station.lock_in import plots, rates_plots
-from station.lock_in.budget import BUDGET_COLUMNS, budget_rows, budget_sentences
 from station.lock_in.budget_plot import budget_svg
-from station.lock_in.evaluate import Evaluation
-from station.lock_in.sentences import group_rows, quadrature_sentences, rates_sentences
-from station.lock_in.several_rates import SeveralRates
-from station.results.parts import PlacedFigure, Section, Table
+from station.lock_in.budget_table import BUDGET_COLUMNS, budget_rows, budget_sentences
+from station.lock_in.evaluation import Evaluation
+from station.lock_in.rates_sentences import describe_frequencies
+from station.lock_in.sentences import quadrature_sentences, rates_sentences
+from station.lock_in.settings import Settings
+from station.lock_in.tables import rates_table, records_table
+from station.results.parts import PlacedFigure, Section, TextTable
+from station.results.result import Result
 from station.runs.store import SavedRun
 
+_RECORDS_SHOWN = 200
 
-def report_sections(evaluation: Evaluation, run: SavedRun) -> list[Section]:
-    """Return the sections of a report in their order.
 
-    Parameters
-    ----------
-    evaluation : Evaluation
-    run : SavedRun
-
-    Returns
-    -------
-    list of Section
-    """
-    sections = []
-    if evaluation.several is not None:
-        sections.append(_several_rates(evaluation, evaluation.several))
-    elif evaluation.usable:
+def sections(found: Evaluation, run: SavedRun, settings: Settings, result: Result) -> list[Section]:
+    """Return the sections of the report in their order."""
+    made = []
+    if found.several is not None:
+        made.append(_several_rates(found, found.several))
+        made += _checks(found.several)
+    elif found.usable:
         caption = "Lock-in rate of every record with its standard uncertainty, and the combined value."
-        figure = PlacedFigure(plots.values_svg(evaluation), caption)
-        sections.append(Section("Records and combined value", figures=(figure,)))
-    if evaluation.several is not None and evaluation.several.by_beat is not None:
-        sections.append(_checks(evaluation.several))
-    if evaluation.quadratures is not None:
-        sections.append(Section("Sine and cosine", sentences=tuple(quadrature_sentences(evaluation))))
-    if evaluation.budget is not None:
-        sections.append(_budget(evaluation.budget))
-    return sections + _one_record(evaluation)
+        figure = PlacedFigure(plots.values_svg(found), caption)
+        made.append(Section("Records and combined value", figures=(figure,)))
+    if found.quadratures is not None:
+        made.append(Section("Sine and cosine", sentences=tuple(quadrature_sentences(found))))
+    if found.budget is not None:
+        made.append(_budget(found.budget))
+    return [*made, *_one_record(found), Section("Records", table=records_table(found, _RECORDS_SHOWN))]
 
 
 def _budget(budget: Budget) -> Section:
     figure = PlacedFigure(budget_svg(budget), "What each input gives to the standard uncertainty.")
     shown = [budget_rows(budget)[-1], *budget_rows(budget)[:-1]]
-    table = Table(BUDGET_COLUMNS, tuple(shown))
+    table = TextTable(BUDGET_COLUMNS, tuple(shown))
     return Section("Uncertainty budget", figures=(figure,), sentences=tuple(budget_sentences(budget)), table=table)
 
 
-def _several_rates(evaluation: Evaluation, several: SeveralRates) -> Section:
+def _several_rates(found: Evaluation, several: SeveralRates) -> Section:
     """Each rate alone, and the fit; without a fit the reason for that."""
-    header = (
-        "rate / WL",
-        "table, deg/s",
-        "axis, deg/s",
-        "beat, Hz",
-        "r = A2/A1",
-        "lock-in rate alone, deg/s",
-        "records",
-    )
-    table = Table(header, tuple(group_rows(several)))
-    sentences = tuple(rates_sentences(evaluation))
+    table = rates_table(several)
+    sentences = tuple(rates_sentences(found))
     if several.by_beat is None:
         return Section("Several rates", sentences=sentences, table=table)
-    truth = None if evaluation.truth is None else evaluation.truth["lock_in_rate_dps"]
+    truth = None if found.truth is None else found.truth["lock_in_rate_dps"]
     figure = PlacedFigure(
-        rates_plots.rates_svg(several, evaluation.method.scale_factor, truth),
+        rates_plots.rates_svg(several, found.method.scale_factor, truth),
         "Lock-in rate that each rate alone would give, with its standard uncertainty. Lock-in itself is the same "
         "at every rate and in both senses; what rises or falls is distortion of the detector, or the gain of the "
         "laser. The lines are what the fit expects at each rate.",
@@ -76,9 +62,10 @@ def _several_rates(evaluation: Evaluation, several: SeveralRates) -> Section:
     return Section("Several rates", figures=(figure,), sentences=sentences, table=table)
 
 
-def _checks(several: SeveralRates) -> Section:
+def _checks(several: SeveralRates) -> list[Section]:
     fit = several.by_beat
-    assert fit is not None  # the caller has looked
+    if fit is None:
+        return []
     figures = [
         PlacedFigure(
             rates_plots.deviations_svg(fit),
@@ -91,15 +78,16 @@ def _checks(several: SeveralRates) -> Section:
     other = several.by_frequency
     sentences: tuple[str, ...] = ()
     if other is not None:
-        sentences = (f"The other route, beat frequency against rate: {other.sentences[0]}", *other.sentences[1:])
-    return Section("Does the model hold?", figures=tuple(figures), sentences=sentences)
+        first, *rest = describe_frequencies(other)
+        sentences = (f"The other route, beat frequency against rate: {first}", *rest)
+    return [Section("Does the model hold?", figures=tuple(figures), sentences=sentences)]
 
 
-def _one_record(evaluation: Evaluation) -> list[Section]:
-    shown = _shown_record(evaluation)
+def _one_record(found: Evaluation) -> list[Section]:
+    shown = _shown_record(found)
     if shown is None:
         return []
-    wave, name = evaluation.waveforms[shown], evaluation.names[shown]
+    wave, name = found.waveforms[shown], found.names[shown]
     beat = PlacedFigure(plots.time_record_svg(wave), f"First periods of record {name}, and the fitted waveform.")
     spectrum = PlacedFigure(
         plots.spectrum_svg(wave),
@@ -121,12 +109,12 @@ def _one_record(evaluation: Evaluation) -> list[Section]:
     ]
 
 
-def _shown_record(evaluation: Evaluation) -> int | None:
+def _shown_record(found: Evaluation) -> int | None:
     """Pick the first record that gave a value, or else the first with a frequency."""
-    rows: Iterable[int] = range(len(evaluation.names))
-    if evaluation.several is not None:
-        rows = evaluation.several.reference_group.rows
-    for values in (evaluation.each.lock_in_rate, evaluation.each.beat_frequency):
+    rows: Iterable[int] = range(len(found.names))
+    if found.several is not None:
+        rows = found.several.reference_group.rows
+    for values in (found.each.lock_in_rate, found.each.beat_frequency):
         for row in rows:
             if math.isfinite(values[row]):
                 return row

@@ -1,18 +1,26 @@
-"""Numbers and findings as a person reads them."""
+"""What the records say, in sentences."""
 
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
 
-from analysis import FATAL, describe_flag, flag_names
+from analysis import FATAL, QuadratureFlag, describe_flag, flag_names
+from station.lock_in.evaluation import Evaluation
+from station.lock_in.rates_sentences import describe_rates
 from station.results.numbers import with_uncertainty
 
-if TYPE_CHECKING:
-    from station.lock_in.evaluate import Evaluation
-    from station.lock_in.several_rates import SeveralRates
-
 _SECONDS_PER_HOUR = 3600.0
+
+_QUADRATURE_FLAGS = {
+    QuadratureFlag.NOT_IN_QUADRATURE: "The two channels are nearly in phase: they hold one signal twice.",
+    QuadratureFlag.POOR_QUADRATURE: "The channels are far from a right angle: corrected, but less certain.",
+    QuadratureFlag.FREQUENCIES_DIFFER: "The two channels show two different beats.",
+    QuadratureFlag.SENSE_DISAGREES: "The channels see another sense of rotation than the table has: are they "
+    "exchanged, or is one inverted?",
+    QuadratureFlag.LARGE_DISTORTION: "The second harmonic of a receiver is above -34 dBc: a rest of it is left.",
+    QuadratureFlag.IMAGE_LEFT: "The third harmonic has an image that neither imbalance nor distortion of second "
+    "order makes: look for distortion of third order or stray light.",
+}
 
 
 def lock_in_words(evaluation: Evaluation) -> tuple[str, str]:
@@ -50,8 +58,8 @@ def rates_sentences(evaluation: Evaluation) -> list[str]:
     several = evaluation.several
     if several is None:
         return []
-    fitted = [several.problem] if several.by_beat is None else list(several.by_beat.sentences)
-    return [*fitted, *(f"No record at {text}" for text in several.without_beat)]
+    fitted = [several.problem] if several.by_beat is None else list(describe_rates(several.by_beat))
+    return [*fitted, *(f"No record at {text}" for text in evaluation.without_beat)]
 
 
 def quadrature_sentences(evaluation: Evaluation) -> list[str]:
@@ -73,7 +81,7 @@ def quadrature_sentences(evaluation: Evaluation) -> list[str]:
         f"the sine would give {found.sine_alone:.6g} deg/s and the cosine {found.cosine_alone:.6g} deg/s."
     )
     third = f"Image of the third harmonic that is left: {found.images[2]:.2g} of the first."
-    return [first, second, third, *found.sentences]
+    return [first, second, third, *(_QUADRATURE_FLAGS[QuadratureFlag[name.upper()]] for name in found.flags)]
 
 
 def _level_words(distortion: float, u: float) -> str:
@@ -81,30 +89,6 @@ def _level_words(distortion: float, u: float) -> str:
     if abs(distortion) > 3 * u:
         return f"{20 * math.log10(abs(distortion)):.1f} dBc"
     return f"below {20 * math.log10(abs(distortion) + 2 * u):.0f} dBc"
-
-
-GROUP_COLUMNS = ("rate/WL", "table, deg/s", "axis, deg/s", "beat, Hz", "r = A2/A1", "WL alone, deg/s", "records")
-
-
-def group_rows(several: SeveralRates) -> list[tuple[str, ...]]:
-    """Return what each rate of a run says alone, under `GROUP_COLUMNS`."""
-    rows: list[tuple[str, ...]] = []
-    for group in several.groups:
-        one, sense = group.combined, "-" if group.input_rate < 0 else "+"
-        asked = "" if group.over_lock_in is None else f"{sense}{group.over_lock_in:g}"
-        left_out = int(one.records_rejected)
-        rows.append(
-            (
-                asked,
-                f"{group.table_rate:+.4f}",
-                f"{group.input_rate:+.5f}",
-                with_uncertainty(float(one.beat_frequency), float(one.beat_frequency_u)),
-                with_uncertainty(float(one.ratio), float(one.ratio_u)),
-                with_uncertainty(float(one.lock_in_rate), float(one.lock_in_rate_u)),
-                f"{len(group.rows)}, left out {left_out}" if left_out else f"{len(group.rows)}",
-            )
-        )
-    return rows
 
 
 def record_flags(evaluation: Evaluation) -> list[list[str]]:

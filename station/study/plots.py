@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from analysis.arrays import Floats
 from analysis.study import BiasTable, Causes, ErrorStudy, WaveformStudy
 from station.report.figure import ACCENT, INK, SECOND, SOFT, THIRD, legend_above, write_picture
 from station.study.study import WINDOW_NAMES, Study, axis_name, curve_name
@@ -17,7 +17,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-Array = NDArray[np.float64]
 
 _COLOURS = (ACCENT, SECOND, THIRD, SOFT)
 _SHOWN_S = 2.0e-3
@@ -139,7 +138,7 @@ def _draw_causes(figure: Figure, causes: Causes) -> None:
     legend_above(axes, columns=6)
 
 
-def _size_percent(values: Array) -> Array:
+def _size_percent(values: Floats) -> Floats:
     return np.asarray(np.maximum(100 * np.abs(values), _FLOOR_PERCENT * 1.0001))
 
 

@@ -8,7 +8,6 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.study import (
     BiasTable,
@@ -25,8 +24,6 @@ from analysis.study import (
     waveform_study,
 )
 from station.runs.progress import Progress
-
-Array = NDArray[np.float64]
 
 FIGURES = (2, 3, 4, 5, 6)
 WINDOW_NAMES = {

@@ -5,8 +5,7 @@ import pytest
 from scipy.integrate import quad
 from scipy.special import i0e
 
-from analysis.dead_band import DeadBandFlag, find_dead_band
-from analysis.rate_sweep import falling, rounded_pulse_rate, simulate_sweep
+from analysis.dead_band import DeadBandFlag, falling, find_dead_band, rounded_pulse_rate, simulate_sweep
 
 K, WL = 2000.0, 0.0512
 

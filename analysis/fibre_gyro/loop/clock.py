@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from analysis.arrays import Floats, Ints
 from analysis.fibre_gyro.coil import FibreCoil
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 
 class OutputClock:

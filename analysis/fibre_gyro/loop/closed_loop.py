@@ -18,8 +18,9 @@ from importlib import import_module
 from typing import Literal, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from analysis.arrays import Floats, Indices, Ints
 from analysis.fibre_gyro.coil import FibreCoil
 from analysis.fibre_gyro.loop import numpy_kernel as closed_loop_numpy
 from analysis.fibre_gyro.loop.clock import OutputClock
@@ -38,8 +39,6 @@ from analysis.fibre_gyro.loop.registers import (
     loop_constants,
 )
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 Rate = ArrayLike | Callable[[Floats], ArrayLike]
 Kernel = Literal["auto", "numba", "numpy"]
 RunPairs = Callable[[LoopConstants, Floats, Ints, Floats, LoopInput, Ints], None]
@@ -228,7 +227,7 @@ class ClosedLoop:
 class _Chunk(NamedTuple):
     """Some segments of time: the output that each belongs to, and its sample pairs."""
 
-    output: NDArray[np.intp]
+    output: Indices
     pairs: Ints
 
 

@@ -11,12 +11,11 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from analysis.arrays import Floats, Ints
 from analysis.fibre_gyro.coil import FibreCoil
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 InjectionPath = Literal["shared", "separate"]
 
 GUARD_BITS = 16

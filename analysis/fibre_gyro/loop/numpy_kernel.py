@@ -6,8 +6,8 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from analysis.arrays import Floats, Ints
 from analysis.fibre_gyro.loop.registers import (
     COSINE,
     NORMAL,
@@ -23,9 +23,6 @@ from analysis.fibre_gyro.loop.registers import (
     LoopConstants,
     LoopInput,
 )
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 
 class PairSignals(NamedTuple):

@@ -4,11 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-from numpy.typing import NDArray
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
+from analysis.arrays import Bools, Floats, Ints
 
 
 @dataclass(frozen=True)
@@ -68,4 +64,4 @@ class Trace:
     difference_rad: Floats
     intensity: Floats
     adc: Ints
-    reset: NDArray[np.bool_]
+    reset: Bools

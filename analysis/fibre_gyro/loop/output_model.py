@@ -17,15 +17,14 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from analysis.arrays import Floats, Ints
 from analysis.fibre_gyro.coil import FibreCoil
 from analysis.fibre_gyro.loop.clock import OutputClock
 from analysis.fibre_gyro.loop.design import LoopSettings
 from analysis.fibre_gyro.loop.output import OutputBlock
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 Rate = ArrayLike | Callable[[Floats], ArrayLike]
 
 _ROUNDING_VARIANCE = 1.0 / 12.0

@@ -9,12 +9,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from analysis.arrays import Floats, Ints
 from analysis.fibre_gyro.loop.design import GUARD_BITS, LoopSettings
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 COSINE = (
     6.28318530717927,

@@ -9,9 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
+from analysis.arrays import Floats, Ints
 from analysis.fibre_gyro.loop.registers import (
     COSINE,
     NORMAL,
@@ -35,8 +33,6 @@ except ImportError:
 else:
     COMPILED = True
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 _C0, _C1, _C2, _C3, _C4, _C5, _C6 = COSINE
 

@@ -11,12 +11,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from analysis.arrays import Bools, Floats, Ints
 from analysis.fibre_gyro.staircase.rounded_fit import converter_spacing
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 MINIMUM_PERIOD = 3.0
 """Samples per step; with fewer no sample is surely free of an edge."""
@@ -83,7 +80,7 @@ def check_period(period: float, n: int) -> None:
         )
 
 
-def piece_means(volts: Floats, number: Ints, usable: NDArray[np.bool_]) -> tuple[Ints, Floats, Floats]:
+def piece_means(volts: Floats, number: Ints, usable: Bools) -> tuple[Ints, Floats, Floats]:
     """Numbers, sample counts and mean heights of the pieces, from the samples that may be used."""
     numbers, place = np.unique(number[usable], return_inverse=True)
     counts = np.bincount(place).astype(np.float64)

@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from analysis.fibre_gyro.staircase.cut import Cut, Floats, Ints, piece_means, rounding_variance
+from analysis.arrays import Bools, Floats, Ints
+from analysis.fibre_gyro.staircase.cut import Cut, piece_means, rounding_variance
 
 _SETTLED = 1e-3  # part of a jump that may be left where a level counts as settled
 _SHY = 0.75  # samples before an edge that are never used: so uncertain is its position
@@ -87,7 +87,7 @@ def _disturbed(volts: Floats, period: float, number: Ints, phase: Floats) -> tup
 
 
 def _response(
-    left: Floats, jump: Floats, distance: Floats, usable: NDArray[np.bool_], scatter: float
+    left: Floats, jump: Floats, distance: Floats, usable: Bools, scatter: float
 ) -> tuple[Floats, Floats]:
     """What is left of a jump at each whole distance from its edge, as a part of it, and four times its noise."""
     at = np.floor(distance[usable]).astype(np.int64)
@@ -96,7 +96,7 @@ def _response(
     return np.asarray(response, np.float64), np.asarray(4 * scatter / np.sqrt(weight))
 
 
-def _without_spikes(volts: Floats, number: Ints, usable: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def _without_spikes(volts: Floats, number: Ints, usable: Bools) -> Bools:
     kept = usable.copy()
     places = np.flatnonzero(usable)
     groups = np.split(places, np.flatnonzero(np.diff(number[places])) + 1)
@@ -110,9 +110,7 @@ def _without_spikes(volts: Floats, number: Ints, usable: NDArray[np.bool_]) -> N
     return kept
 
 
-def _within(
-    volts: Floats, number: Ints, phase: Floats, usable: NDArray[np.bool_], period: float
-) -> tuple[float, float]:
+def _within(volts: Floats, number: Ints, phase: Floats, usable: Bools, period: float) -> tuple[float, float]:
     """Rms of the samples about their levels, and the common slope of the levels from edge to edge."""
     numbers, _, heights = piece_means(volts, number, usable)
     _, _, middles = piece_means(phase, number, usable)

@@ -10,11 +10,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from analysis.arrays import Floats
 from analysis.waveform.quantisation import mean_rounding
-
-Floats = NDArray[np.float64]
 
 _DRAWS = 200
 _SEED = 20150513

@@ -16,8 +16,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from analysis.arrays import Floats, Ints
 from analysis.fibre_gyro.staircase.cut import MINIMUM_STEPS, Cut, check_period, find_cut
 from analysis.fibre_gyro.staircase.levels import Levels, read_levels
 from analysis.fibre_gyro.staircase.rounded_fit import (
@@ -27,9 +28,6 @@ from analysis.fibre_gyro.staircase.rounded_fit import (
     fit_rounded,
     rounding_left,
 )
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 FEW_RESETS = 3
 FEW_SAMPLES_PER_STEP = 6

@@ -4,20 +4,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cache
-from typing import Any
 
 import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
 
+from analysis.arrays import Complexes, Floats, Indices, Samples
 from analysis.waveform.records import records_at_once
 
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
-Samples = NDArray[Any]
-"""float32 or float64"""
 Sizes = NDArray[np.float32]
-Indices = NDArray[np.intp]
 
 TAKEN = 2.5
 """Bins on either side of a line that are taken to belong to it."""
@@ -123,7 +118,7 @@ def _strongest(lines: NDArray[np.complex64]) -> Indices:
     return np.asarray(sizes.argmax(axis=-1))
 
 
-def neighbours(lines: NDArray[Any], first: Indices, n_bins: int) -> NDArray[Any]:
+def neighbours(lines: Samples, first: Indices, n_bins: int) -> Samples:
     """`n_bins` bins of each row from bin `first` (R,) on, (R, n_bins)."""
     shape = (len(lines), lines.shape[1] - n_bins + 1, n_bins)
     windows = np.lib.stride_tricks.as_strided(lines, shape, (*lines.strides, lines.strides[1]), writeable=False)

@@ -14,16 +14,13 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import DTypeLike, NDArray
+from numpy.typing import DTypeLike
 
+from analysis.arrays import Bools, Complexes, Floats, Indices, Phasors, Samples
 from analysis.waveform.records import records_at_once
 from analysis.waveform.series.harmonic_sums import harmonic_powers, phasors, record_grid
 
-Floats = NDArray[np.float64]
-Samples = NDArray[Any]
-"""float32 or float64"""
-Complexes = NDArray[np.complex128]
-Selection = NDArray[np.intp] | NDArray[np.bool_]
+Selection = Indices | Bools
 
 LARGEST_RATIO = 0.995
 """|q| is kept below this: x = 0.99999, where a record of a few periods holds no more information."""
@@ -68,7 +65,7 @@ class Series:
             np.clip(self.omega + turned, 0.5 / n_samples, np.pi),
         )
 
-    def where(self, chosen: NDArray[np.bool_], other: Series) -> Series:
+    def where(self, chosen: Bools, other: Series) -> Series:
         """This series where chosen, the other elsewhere."""
         return Series(
             np.where(chosen, self.offset, other.offset),
@@ -93,7 +90,7 @@ def orders_needed(ratio: Complexes, negligible: float, fewest: int) -> int:
     return max(fewest, math.ceil(math.log(negligible) / math.log(max(largest, 1e-3))))
 
 
-def ratio_classes(ratio: Complexes) -> Iterator[tuple[int, NDArray[np.intp]]]:
+def ratio_classes(ratio: Complexes) -> Iterator[tuple[int, Indices]]:
     """Number of each class that occurs, and its records; a class of few records goes along with the next."""
     numbers = np.searchsorted(RATIO_CLASSES, np.abs(ratio))
     counts = np.bincount(numbers, minlength=len(RATIO_CLASSES) + 1)
@@ -117,7 +114,7 @@ def sampled_series(series: Series, n_samples: int, precision: DTypeLike = np.flo
 
 def sampled_blocks(
     series: Series, n_samples: int, precision: np.dtype[Any]
-) -> Iterator[tuple[slice | NDArray[np.intp], Samples]]:
+) -> Iterator[tuple[slice | Indices, Samples]]:
     """The model on the samples, a few records (r,) at a time, (r, N): they stay in the cache for the next pass."""
     at_once = records_at_once(n_samples, precision)
     for _, part in ratio_classes(series.ratio):
@@ -167,7 +164,7 @@ def _sides(series: Series, n_samples: int, precision: np.dtype[Any], n_harmonics
     return left.view(precision), right
 
 
-def carrier_of(coarse: NDArray[Any], fine: NDArray[Any], n_samples: int) -> NDArray[Any]:
+def carrier_of(coarse: Phasors, fine: Phasors, n_samples: int) -> Phasors:
     """exp(i w m) on the samples from its two short factors; (R, rows), (R, length) -> (R, N)."""
     product = coarse[:, :, np.newaxis] * fine[:, np.newaxis, :]
     return np.asarray(product.reshape(len(coarse), -1)[:, :n_samples])

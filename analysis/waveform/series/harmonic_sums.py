@@ -13,14 +13,8 @@ import math
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
-Samples = NDArray[Any]
-"""float32 or float64"""
-Complexes = NDArray[Any]
-"""complex64 or complex128"""
-
+from analysis.arrays import Floats, Phasors, Samples
 
 SUMS_AT_ONCE = 4500
 """Sums computed together: so few that a cache holds what they need, so many that the cost of calling NumPy does
@@ -31,7 +25,7 @@ UNIFORM_PHASES = np.array([1, 1j, 1])[:, np.newaxis]
 """Factors of `uniform_kernels` for p = 0, 1, 2."""
 
 
-def harmonic_powers(turn: Complexes, highest: int, lowest: int = 0, axis: int = -1) -> Complexes:
+def harmonic_powers(turn: Phasors, highest: int, lowest: int = 0, axis: int = -1) -> Phasors:
     """turn^k for k = lowest..highest, lowest 0 or 1, on a new axis of the result."""
     axis %= turn.ndim + 1
     shape = (*turn.shape[:axis], highest - lowest + 1, *turn.shape[axis:])
@@ -43,7 +37,7 @@ def harmonic_powers(turn: Complexes, highest: int, lowest: int = 0, axis: int = 
     return powers
 
 
-def phasors(omega: Floats, index: Floats, precision: np.dtype[Any]) -> Complexes:
+def phasors(omega: Floats, index: Floats, precision: np.dtype[Any]) -> Phasors:
     """exp(i w m), (R,) or (R, C) and (L,) -> (R, L) or (R, L, C), in single or double precision.
 
     The angle may be thousands of turns: it is reduced in double precision before it is rounded to single.
@@ -73,7 +67,7 @@ def record_grid(n_samples: int) -> tuple[Floats, Floats]:
 
 def data_sums(
     values: Samples, omega: Floats, n_harmonics: int, highest_power: int = 1, lowest: int = 0
-) -> Complexes:
+) -> Phasors:
     """Sums of v t^p exp(-i k w m), with m the centred sample index and t = 2 m / N.
 
     Parameters
@@ -102,7 +96,7 @@ def data_sums(
     return sums.reshape(*omega.shape, n_powers, n_orders)
 
 
-def _some_sums(values: Samples, omega: Floats, n_powers: int, lowest: int, highest: int) -> Complexes:
+def _some_sums(values: Samples, omega: Floats, n_powers: int, lowest: int, highest: int) -> Phasors:
     """`data_sums` of records (R, N) at (R, C) frequencies, (R, p, C * K)."""
     (n_records, n_samples), kind = values.shape, values.dtype
     outer, inner = record_grid(n_samples)
@@ -194,7 +188,7 @@ def _power_sums(n: int) -> tuple[float, float, float]:
     return s2, s4, s6
 
 
-def hermitian_toeplitz(kernel: Complexes) -> Complexes:
+def hermitian_toeplitz(kernel: Phasors) -> Phasors:
     """Matrix T[k, l] = kernel(k - l), kernel(-m) = conj kernel(m); (R, M) -> (R, M, M)."""
     size = kernel.shape[-1]
     difference = np.arange(size)[:, np.newaxis] - np.arange(size)

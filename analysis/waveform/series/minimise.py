@@ -3,22 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from analysis.arrays import Bools, Floats, Indices, Samples
 from analysis.waveform.records import sums, sums_of_squares
 from analysis.waveform.series.geometric_series import LARGEST_RATIO, RATIO_CLASSES, Series, ratio_classes
 from analysis.waveform.series.normal_equations import Step, empty_matrices
 from analysis.waveform.series.sampled_equations import equations_by_samples
 from analysis.waveform.series.tied_equations import equations_by_sums
-
-Floats = NDArray[np.float64]
-Bools = NDArray[np.bool_]
-Indices = NDArray[np.intp]
-Samples = NDArray[Any]
-"""float32 or float64"""
 
 NEWTON_ITERATIONS = 10
 MARQUARDT_ITERATIONS = 40

@@ -5,9 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from analysis.arrays import Bools, Floats, Indices
 
 RIDGE = 1e-13
 """Added to the scaled diagonal: an exactly singular case (a harmonic on another's alias) stays solvable, and its
@@ -66,11 +65,11 @@ class Step:
         gained = np.einsum("rp,rp->r", change, self.gradient)
         return np.asarray(np.maximum(self.residual_power - gained, 0.0))
 
-    def take(self, part: NDArray[np.intp]) -> Step:
+    def take(self, part: Indices) -> Step:
         """Some of the records."""
         return Step(self.normal[part], self.gradient[part], self.residual_power[part])
 
-    def where(self, chosen: NDArray[np.bool_], other: Step) -> Step:
+    def where(self, chosen: Bools, other: Step) -> Step:
         """This step where chosen, the other elsewhere."""
         return Step(
             np.where(chosen[:, np.newaxis, np.newaxis], self.normal, other.normal),
@@ -78,7 +77,7 @@ class Step:
             np.where(chosen, self.residual_power, other.residual_power),
         )
 
-    def put(self, part: NDArray[np.intp] | NDArray[np.bool_], other: Step) -> None:
+    def put(self, part: Indices | Bools, other: Step) -> None:
         """Write the other's records into the places `part` of this one."""
         self.normal[part], self.gradient[part] = other.normal, other.gradient
         self.residual_power[part] = other.residual_power

@@ -10,13 +10,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from analysis.arrays import Complexes, Floats
 from analysis.waveform.series.harmonic_sums import UNIFORM_PHASES, data_sums, hermitian_toeplitz, uniform_kernels
 from analysis.waveform.series.normal_equations import Step
-
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
 
 
 @dataclass(frozen=True)

@@ -2,17 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
-from numpy.typing import NDArray
 
+from analysis.arrays import Samples
 from analysis.waveform.series.geometric_series import Series, carrier_of
 from analysis.waveform.series.harmonic_sums import phasors, record_grid
 from analysis.waveform.series.normal_equations import Step
-
-Samples = NDArray[Any]
-"""float32 or float64"""
 
 
 def equations_by_samples(values: Samples, weights: Samples | None, series: Series) -> Step:

@@ -2,18 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
-from numpy.typing import NDArray
 
+from analysis.arrays import Samples
 from analysis.waveform.series.frequency_search import Spectra
 from analysis.waveform.series.geometric_series import Series
 from analysis.waveform.series.minimise import SeriesFit, Task, gauss_newton, levenberg_marquardt
 from analysis.waveform.series.series_start import start_of_series
-
-Samples = NDArray[Any]
-"""float32 or float64"""
 
 PLAIN_RATIO = 0.6
 """Up to this ratio of the two lines the spectrum's start is good enough for Gauss-Newton."""

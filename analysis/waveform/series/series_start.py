@@ -2,21 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
-from numpy.typing import NDArray
 
+from analysis.arrays import Complexes, Floats, Indices, Samples
 from analysis.waveform.series.frequency_search import Spectra
 from analysis.waveform.series.geometric_series import Series
 from analysis.waveform.series.harmonic_sums import data_sums, uniform_kernels
 from analysis.waveform.series.normal_equations import Step
-
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
-Samples = NDArray[Any]
-"""float32 or float64"""
-
 
 LINES = 6
 BESIDE = (-0.5, -0.25, 0.25, 0.5)
@@ -84,13 +76,13 @@ class _Search:
         self.best = best.where(better, self.best)
         self.left = np.where(better, left, self.left)
 
-    def take(self, part: NDArray[np.intp]) -> _Search:
+    def take(self, part: Indices) -> _Search:
         """The search of some of the records."""
         some = _Search(self.values[part], None if self.weights is None else self.weights[part])
         some.best, some.left = self.best.take(part), self.left[part]
         return some
 
-    def put(self, part: NDArray[np.intp], other: _Search) -> None:
+    def put(self, part: Indices, other: _Search) -> None:
         """What a search of some of the records has found."""
         self.best.put(part, other.best)
         self.left[part] = other.left

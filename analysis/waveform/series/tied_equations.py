@@ -17,20 +17,14 @@ not orthogonal, and folded harmonics, which fall onto each other, are exact.
 from __future__ import annotations
 
 from functools import cache
-from typing import Any
 
 import numpy as np
 import scipy.special
-from numpy.typing import NDArray
 
+from analysis.arrays import Floats, Phasors, Samples
 from analysis.waveform.series.geometric_series import Series, orders_needed
 from analysis.waveform.series.harmonic_sums import UNIFORM_PHASES, data_sums, uniform_kernels
 from analysis.waveform.series.normal_equations import Step, empty_matrices
-
-Floats = NDArray[np.float64]
-Samples = NDArray[Any]
-Complexes = NDArray[Any]
-"""complex128"""
 
 LEFT_OUT_OF_DATA = {np.dtype(np.float32): 1e-6, np.dtype(np.float64): 1e-14}
 LEFT_OUT_OF_KERNELS = {np.dtype(np.float32): 1e-9, np.dtype(np.float64): 1e-18}
@@ -71,7 +65,7 @@ def equations_by_sums(
     return _assembled(series, counts, g_sums, total, v_sums, power)
 
 
-def _powers_of_g(ratio: Complexes, n_orders: int) -> Complexes:
+def _powers_of_g(ratio: Phasors, n_orders: int) -> Phasors:
     """Coefficients C(k-1, j-1) q^(k-j) of e^k in g^j; k = 1..n_orders, j = 1..4; (R, n_orders, 4)."""
     powers = np.empty((ratio.size, n_orders), dtype=np.complex128)
     powers[:, 0] = 1.0
@@ -90,7 +84,7 @@ def _binomials(n_orders: int) -> list[Floats]:
 
 
 def _assembled(
-    series: Series, counts: Floats, g_sums: Complexes, v_sum: Floats, v_sums: Complexes, power: Floats
+    series: Series, counts: Floats, g_sums: Phasors, v_sum: Floats, v_sums: Phasors, power: Floats
 ) -> Step:
     """Put the sums together.
 
@@ -111,7 +105,7 @@ def _assembled(
 
     normal = empty_matrices(first.size, 6)
     h_gg, turn = first * two[:, 0], 1j * first
-    h_squared: Complexes = first * first
+    h_squared: Phasors = first * first
     normal[:, 0, 0] = counts[:, 0]
     normal[:, 0, 1], normal[:, 0, 2] = one[:, 0].real, -one[:, 0].imag
     normal[:, 0, 3], normal[:, 0, 4] = h_gg.real, -h_gg.imag
@@ -141,7 +135,7 @@ def _assembled(
     return Step(normal, gradient, np.maximum(power - explained, 0.0))
 
 
-def _put_block(normal: Floats, row: int, column: int, with_conjugate: Complexes, without: Complexes) -> None:
+def _put_block(normal: Floats, row: int, column: int, with_conjugate: Phasors, without: Phasors) -> None:
     """Inner products of Re a, -Im a with Re b, -Im b, twice, from the sums of a conj(b) and of a b."""
     sum_, difference = with_conjugate + without, with_conjugate - without
     normal[:, row, column], normal[:, row, column + 1] = sum_.real, difference.imag
@@ -149,7 +143,7 @@ def _put_block(normal: Floats, row: int, column: int, with_conjugate: Complexes,
     normal[:, row + 1, column + 1] = difference.real
 
 
-def _put_column(normal: Floats, row: int, with_conjugate: Complexes, without: Complexes) -> None:
+def _put_column(normal: Floats, row: int, with_conjugate: Phasors, without: Phasors) -> None:
     """Inner products of Re a, -Im a with Re b, twice, from the sums of b conj(a) and of b a."""
     sum_ = with_conjugate + without
     normal[:, row, 5] = sum_.real

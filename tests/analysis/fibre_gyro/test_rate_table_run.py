@@ -7,7 +7,6 @@ import scipy.optimize
 from analysis.fibre_gyro.rate_table_run import (
     TableRuns,
     bias_at_latitude,
-    difference_noise_dps,
     fit_axis,
     missing_senses,
     odd_even_parts,
@@ -88,8 +87,8 @@ def test_differences_scatter_as_predicted(white: float, irreproducible: float, p
     assert differences.relative_u_ppm == pytest.approx(predicted, rel=0.06)
 
 
-def test_white_noise_formula_is_what_the_scatter_gives() -> None:
-    assert float(difference_noise_dps(0.005, 540.0)) == pytest.approx(3.59e-6, rel=2e-3)
+def test_white_noise_of_four_runs_is_in_a_difference() -> None:
+    # each odd part averages two runs of length T, the difference holds two odd parts: (N/60)/sqrt(T)
     runs = simulated(np.random.default_rng(0), white_dps=0.005 / 60 / np.sqrt(540))
     differences = rate_differences(odd_even_parts(runs), irreproducibility_ppm=0)
     assert differences.noise_u / K == pytest.approx(np.full(3, 3.59e-6), rel=2e-3)

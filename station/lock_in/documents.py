@@ -1,0 +1,189 @@
+"""The result as the JSON document holds it, with the names that programs rely on."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from analysis import FrequencyFit, LockInEstimate, RatesFit, RatesFlag, flag_names
+from analysis.frequency_method import FrequencyFlag
+from analysis.lock_in_run import RateGroup
+from station.lock_in.budget_table import budget_document
+from station.lock_in.evaluation import Evaluation, describe_method
+from station.lock_in.rates_sentences import describe_frequencies, describe_rates
+from station.results.as_json import picked
+
+# name in JSON: field of the estimate
+_ESTIMATE = {
+    "lock_in_rate_dps": "lock_in_rate",
+    "lock_in_rate_u_dps": "lock_in_rate_u",
+    "lock_in_rate_low_95_dps": "lock_in_rate_low_95",
+    "lock_in_rate_high_95_dps": "lock_in_rate_high_95",
+    "input_rate_dps": "input_rate",
+    "beat_frequency_hz": "beat_frequency",
+    "beat_frequency_u_hz": "beat_frequency_u",
+    "ratio": "ratio",
+    "ratio_u": "ratio_u",
+    "backscatter_phase_rad": "backscatter_phase",
+    "amplitude_v": "amplitude",
+    "noise_rms_v": "noise_rms",
+}
+_TABLE_CHECK = {
+    "lock_in_rate_dps": "lock_in_rate",
+    "lock_in_rate_u_dps": "lock_in_rate_u",
+    "input_rate_dps": "input_rate",
+    "beat_over_table": "beat_over_table",
+}
+_FIT = {
+    "lock_in_rate_dps": "lock_in_rate",
+    "lock_in_rate_u_dps": "lock_in_rate_u",
+    "lock_in_rate_low_95_dps": "lock_in_rate_low_95",
+    "lock_in_rate_high_95_dps": "lock_in_rate_high_95",
+    "chi_square": "chi_square",
+    "degrees_of_freedom": "degrees_of_freedom",
+    "p_value": "p_value",
+}
+_RATES_FIT = _FIT | {
+    "backscatter_phase_rad": "backscatter_phase",
+    "backscatter_phase_u_rad": "backscatter_phase_u",
+    "distortion": "distortion",
+    "distortion_u": "distortion_u",
+    "gain_corner_hz": "gain_corner_hz",
+    "gain_corner_low_95_hz": "gain_corner_low_95_hz",
+    "gain_corner_high_95_hz": "gain_corner_high_95_hz",
+    "model": "model",
+    "u_over_u_with_distortion_known": "cost",
+}
+_MODEL = {
+    "model": "model",
+    "lock_in_rate_dps": "lock_in_rate",
+    "lock_in_rate_u_dps": "lock_in_rate_u",
+    "chi_square": "chi_square",
+    "degrees_of_freedom": "degrees_of_freedom",
+}
+_FREQUENCY_FIT = _FIT | {
+    "scale_factor_pulses_per_deg": "scale_factor",
+    "scale_factor_u_pulses_per_deg": "scale_factor_u",
+    "bias_rate_dps": "bias_rate",
+    "bias_rate_u_dps": "bias_rate_u",
+}
+_LEFT_OUT = {
+    "input_rate_dps": "rate",
+    "lock_in_rate_dps": "lock_in_rate",
+    "lock_in_rate_u_dps": "lock_in_rate_u",
+    "deviation_in_u": "deviation",
+}
+_GROUP = {
+    "input_rate_dps": "input_rate",
+    "beat_frequency_hz": "beat_frequency",
+    "ratio": "ratio",
+    "ratio_u": "ratio_u",
+    "lock_in_rate_dps": "lock_in_rate",
+    "lock_in_rate_u_dps": "lock_in_rate_u",
+}
+_QUADRATURES = {
+    "records": "records",
+    "sense": "sense",
+    "gain_ratio": "gain_ratio",
+    "gain_ratio_u": "gain_ratio_u",
+    "phase_error_rad": "phase_error",
+    "phase_error_u_rad": "phase_error_u",
+    "distortion": "distortion",
+    "distortion_u": "distortion_u",
+    "images": "images",
+    "sine_alone_dps": "sine_alone",
+    "cosine_alone_dps": "cosine_alone",
+    "flags": "flags",
+}
+
+
+def result_document(found: Evaluation) -> dict[str, Any]:
+    """Return the combined result.
+
+    Units stand in the names; uncertainties are standard ones unless the name says 95.
+    """
+    document = picked(found.combined, _ESTIMATE) | {
+        "records": len(found.waveforms) + len(found.damaged),
+        "records_rejected": found.records_rejected,
+        "method": found.method_text,
+        "noise_model": found.combined.noise_model,
+        "scale_factor_pulses_per_deg": found.method.scale_factor,
+    }
+    if found.tilt is not None:
+        document |= {"tilt_deg": found.tilt.tilt_deg, "tilt_u_deg": found.tilt.tilt_u_deg}
+    if found.table_check is not None:
+        document["table_check"] = picked(found.table_check, _TABLE_CHECK)
+    if found.several is not None:
+        document["several_rates"] = _several_rates(found)
+    if found.quadratures is not None:
+        document["quadratures"] = picked(found.quadratures, _QUADRATURES)
+    if found.budget is not None:
+        document["budget"] = budget_document(found.budget)
+    if found.truth is not None:
+        document["truth"] = found.truth
+    return document
+
+
+def record_documents(found: Evaluation, called: str) -> list[dict[str, Any]]:
+    """Return one document for each record, with the names of :func:`result_document`.
+
+    Parameters
+    ----------
+    found : Evaluation
+    called : str
+        Key of the record's name: ``"record"`` of a run, or ``"file"``.
+    """
+    method = describe_method(found.method)
+    columns = [getattr(found.each, attribute).tolist() for attribute in _ESTIMATE.values()]
+    rows = zip(found.names, found.each.flags.tolist(), *columns, strict=True)
+    return [
+        {called: name, **dict(zip(_ESTIMATE, values, strict=True)), "method": method, "flags": flag_names(flags)}
+        for name, flags, *values in rows
+    ]
+
+
+def _several_rates(found: Evaluation) -> dict[str, Any] | None:
+    """What each rate says, and what all of them say together."""
+    several = found.several
+    if several is None:
+        return None
+    by_frequency = several.by_frequency
+    return {
+        "rates": [_group(group) for group in several.groups],
+        "by_beat": None if several.by_beat is None else _rates_fit(several.by_beat),
+        "by_table": None if several.by_table is None else _rates_fit(several.by_table),
+        "by_frequency": None if by_frequency is None else _frequency_fit(by_frequency),
+        "problem": several.problem or None,
+        "rates_without_beat": found.without_beat,
+    }
+
+
+def _rates_fit(fit: RatesFit) -> dict[str, Any]:
+    columns = [getattr(fit.left_out, attribute) for attribute in _LEFT_OUT.values()]
+    return picked(fit, _RATES_FIT) | {
+        "distortion_dbc": 20 * math.log10(abs(fit.distortion)) if fit.distortion else None,
+        "models": [picked(one, _MODEL) for one in fit.models],
+        "left_out": [dict(zip(_LEFT_OUT, row, strict=True)) for row in zip(*columns, strict=True)],
+        "locked_up_to_dps": fit.at_least or None,
+        "flags": [str(flag.name).lower() for flag in RatesFlag if flag & fit.flags],
+        "sentences": describe_rates(fit),
+    }
+
+
+def _frequency_fit(fit: FrequencyFit) -> dict[str, Any]:
+    return picked(fit, _FREQUENCY_FIT) | {
+        "flags": [str(flag.name).lower() for flag in FrequencyFlag if flag & fit.flags],
+        "sentences": describe_frequencies(fit),
+    }
+
+
+def _group(group: RateGroup) -> dict[str, Any]:
+    one: LockInEstimate = group.combined
+    return picked(one, _GROUP) | {
+        "over_expected_lock_in": group.over_lock_in,
+        "table_rate_dps": group.table_rate,
+        "input_rate_by_table_dps": group.input_rate,
+        "records": len(group.rows),
+        "records_rejected": int(one.records_rejected),
+        "flags": flag_names(int(one.flags)),
+    }

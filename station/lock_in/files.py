@@ -1,0 +1,115 @@
+"""A single file that an oscilloscope wrote, analysed without a run."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from analysis import Flag, fit_harmonics
+from analysis.lock_in_run import Method
+from instrument import Waveform, read_waveform
+from station.lock_in.documents import record_documents
+from station.lock_in.evaluation import Evaluation
+from station.lock_in.read import check_over_time, evaluate_waveforms
+from station.lock_in.result import result
+from station.lock_in.settings import load_settings
+from station.results.as_json import plain
+from station.results.numbers import with_prefix
+from station.results.parts import TextTable
+from station.results.result import Result
+
+_HARMONICS = 5
+
+
+@dataclass(frozen=True)
+class AnalyzedFile:
+    """One file and what it says."""
+
+    path: Path
+    found: Evaluation
+    harmonics: list[dict[str, float]] | None
+    result: Result
+
+    def document(self) -> dict[str, Any]:
+        """Return the result as plain JSON, with the harmonics."""
+        document = {**self.result.document, "flags": self.result.flags, "run": None, "file": str(self.path)}
+        document["harmonics"] = self.harmonics
+        if self.harmonics and not np.isfinite(document["beat_frequency_hz"]):
+            document["beat_frequency_hz"] = self.harmonics[0]["frequency_hz"]
+        return dict(plain(document))
+
+    def rows(self) -> list[dict[str, Any]]:
+        """Return one plain JSON object for its record."""
+        return [dict(plain(row)) for row in record_documents(self.found, "file")]
+
+
+def analyze_file(path: Path, config: Path | None, choices: Mapping[str, Any]) -> AnalyzedFile:
+    """Analyse a Tektronix CSV file or an ISF file.
+
+    Parameters
+    ----------
+    path : Path
+    config : Path or None
+        Settings file: gives the scale factor that a file does not know.
+    choices : mapping
+        Of :class:`analysis.lock_in_run.Method`; ``None`` is left out.
+
+    Raises
+    ------
+    FileFormatError, OSError
+        If it cannot be read.
+    NoUsableSignal
+        If the file holds no signal over time.
+    """
+    waveform = read_waveform(path)
+    check_over_time(waveform, str(path))
+    chosen = {name: value for name, value in choices.items() if value is not None}
+    method = Method(**{"scale_factor": load_settings(config).gyro.scale_factor_pulses_per_deg, **chosen})
+    found = evaluate_waveforms([waveform], [str(path)], method)
+    harmonics = None
+    if not int(found.combined.flags) & int(Flag.NO_BEAT | Flag.CONSTANT):
+        harmonics = harmonics_of(waveform)
+    said = result(found)
+    tables = (*said.tables, _harmonics_table(harmonics)) if harmonics else said.tables
+    return AnalyzedFile(path, found, harmonics, Result(**{**vars(said), "tables": tables}))
+
+
+def harmonics_of(waveform: Waveform) -> list[dict[str, float]] | None:
+    """Return the harmonics of a record, also where they are none of a gyro; ``None`` if it has none.
+
+    Returns
+    -------
+    list of dict or None
+        ``order``, ``frequency_hz``, ``amplitude_v``, ``phase_rad`` (at the first sample).
+    """
+    if np.nanmax(waveform.volts) == np.nanmin(waveform.volts):
+        return None
+    fit = fit_harmonics(waveform.volts, waveform.sample_interval, harmonics=_HARMONICS, nan_policy="omit")
+    if not np.isfinite(fit.frequency):
+        return None
+    return [
+        {
+            "order": order,
+            "frequency_hz": order * float(fit.frequency),
+            "amplitude_v": float(np.abs(amplitude)),
+            "phase_rad": float(np.angle(amplitude)),
+        }
+        for order, amplitude in enumerate(fit.amplitudes, start=1)
+    ]
+
+
+def _harmonics_table(harmonics: list[dict[str, float]]) -> TextTable:
+    rows = tuple(
+        (
+            f"{one['order']}",
+            with_prefix(one["frequency_hz"], "Hz"),
+            with_prefix(one["amplitude_v"], "V"),
+            f"{one['phase_rad']:+.3f} rad",
+        )
+        for one in harmonics
+    )
+    return TextTable(("harmonic", "frequency", "amplitude", "phase"), rows)

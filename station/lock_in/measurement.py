@@ -1,0 +1,39 @@
+"""The lock-in rate of a ring laser gyro: the skeleton of measurements, filled in."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from analysis.lock_in_run import Method
+from station.lock_in.documents import record_documents
+from station.lock_in.evaluation import Evaluation
+from station.lock_in.read import evaluate_run
+from station.lock_in.result import result
+from station.lock_in.sections import sections
+from station.lock_in.settings import RING_LASER, Settings
+from station.lock_in.tables import fact_tables
+from station.lock_in.take import take
+from station.measurements import Measurement
+from station.runs.store import SavedRun
+
+
+def evaluate(run: SavedRun, settings: Settings, choices: Mapping[str, Any]) -> Evaluation:
+    """Evaluate a run; the choices are those of :class:`analysis.lock_in_run.Method`."""
+    chosen = {"scale_factor": settings.gyro.scale_factor_pulses_per_deg, **choices}
+    return evaluate_run(run, settings, Method(**chosen))
+
+
+MEASUREMENT = Measurement(
+    name="measure",
+    command="gyrolock measure",
+    title="Lock-in rate",
+    kind=RING_LASER,
+    take=take,
+    evaluate=evaluate,
+    choices=("scale_factor", "relation", "input_rate"),
+    result=result,
+    sections=sections,
+    facts=fact_tables,
+    rows=lambda found: record_documents(found, "record"),
+)

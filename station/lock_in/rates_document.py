@@ -7,6 +7,7 @@ from typing import Any
 
 from analysis import RatesFit, RatesFlag, flag_names
 from analysis.frequency_method import FrequencyFit, FrequencyFlag
+from station.lock_in.rates_sentences import describe_frequencies, describe_rates
 from station.lock_in.several_rates import RateGroup, SeveralRates
 
 
@@ -88,7 +89,7 @@ def fit_document(fit: RatesFit) -> dict[str, Any]:
         ],
         "locked_up_to_dps": _number(fit.at_least) or None,
         "flags": [str(flag.name).lower() for flag in RatesFlag if flag & fit.flags],
-        "sentences": list(fit.sentences),
+        "sentences": list(describe_rates(fit)),
     }
 
 
@@ -116,7 +117,7 @@ def frequency_document(fit: FrequencyFit) -> dict[str, Any]:
         "degrees_of_freedom": fit.degrees_of_freedom,
         "p_value": _number(fit.p_value),
         "flags": [str(flag.name).lower() for flag in FrequencyFlag if flag & fit.flags],
-        "sentences": list(fit.sentences),
+        "sentences": list(describe_frequencies(fit)),
     }
 
 

@@ -10,6 +10,7 @@ from station.lock_in import plots, rates_plots
 from station.lock_in.budget import BUDGET_COLUMNS, budget_rows, budget_sentences
 from station.lock_in.budget_plot import budget_svg
 from station.lock_in.evaluate import Evaluation
+from station.lock_in.rates_sentences import describe_frequencies
 from station.lock_in.sentences import group_rows, quadrature_sentences, rates_sentences
 from station.lock_in.several_rates import SeveralRates
 from station.results.parts import PlacedFigure, Section, Table
@@ -91,7 +92,8 @@ def _checks(several: SeveralRates) -> Section:
     other = several.by_frequency
     sentences: tuple[str, ...] = ()
     if other is not None:
-        sentences = (f"The other route, beat frequency against rate: {other.sentences[0]}", *other.sentences[1:])
+        first, *rest = describe_frequencies(other)
+        sentences = (f"The other route, beat frequency against rate: {first}", *rest)
     return Section("Does the model hold?", figures=tuple(figures), sentences=sentences)
 
 

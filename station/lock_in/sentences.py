@@ -6,6 +6,7 @@ import math
 from typing import TYPE_CHECKING
 
 from analysis import FATAL, describe_flag, flag_names
+from station.lock_in.rates_sentences import describe_rates
 
 if TYPE_CHECKING:
     from station.lock_in.evaluate import Evaluation
@@ -100,7 +101,7 @@ def rates_sentences(evaluation: Evaluation) -> list[str]:
     several = evaluation.several
     if several is None:
         return []
-    fitted = [several.problem] if several.by_beat is None else list(several.by_beat.sentences)
+    fitted = [several.problem] if several.by_beat is None else list(describe_rates(several.by_beat))
     return [*fitted, *(f"No record at {text}" for text in several.without_beat)]
 
 

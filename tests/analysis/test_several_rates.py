@@ -10,7 +10,7 @@ from analysis import (
     fit_rate_ratios,
     fit_rates,
 )
-from analysis.ring_laser.winking import steady_beat, symmetric_laser
+from analysis.ring_laser import steady_beat, symmetric_laser
 from station.lock_in.rates_sentences import describe_rates
 
 RATES = (8, 15, 30, 60)

@@ -16,7 +16,6 @@ from analysis.ring_laser import (
     Winking,
     axis_rate_on_table,
     beat_signal_on_table,
-    harmonic_ratio,
     with_detector_noise,
 )
 from instrument.simulated import SimulatedTDS2014
@@ -200,7 +199,7 @@ def true_values(instruments: SimulatedInstruments) -> dict[str, float]:
         "lock_in_rate_dps": gyro.lock_in_rate,
         "input_rate_dps": float(np.mean(np.abs(rates))),
         "beat_frequency_hz": float(np.mean(np.abs(gyro.beat_frequency(rates) * gyro.drift(times)))),
-        "ratio": float(np.mean(harmonic_ratio(rates, gyro.lock_in_rate))),
+        "ratio": float(np.mean(gyro.harmonic_ratio(rates))),
         "backscatter_phase_rad": gyro.backscatter_phase - instruments.detector.readout_phase,
         "amplitude_v": instruments.detector.amplitude,
     }

@@ -10,7 +10,7 @@ gain can follow the difference of the beams. WL^2 of this method is the differen
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from enum import IntFlag
 
 import numpy as np
@@ -23,12 +23,6 @@ from analysis.errors import NoFit
 ROUNDS = 20
 UNLIKELY = 0.001
 NORMAL_95 = 1.959964
-
-CAVEAT = (
-    "The beat frequency shows the lock-in rate only where the coupling of the beams is dissipative: a "
-    "conservative part pushes the frequency up when the beat is fast against the gain, and WL comes out too "
-    "small, zero or imaginary. Compare with the harmonics first."
-)
 
 
 class FrequencyFlag(IntFlag):
@@ -64,7 +58,7 @@ class FrequencyFit:
     residual : (n,) Hz, f less the fitted one; nan where not used
     used, locked : (n,)
     flags : bits of `FrequencyFlag`
-    sentences : in plain words, the caveat of the method among them
+    scale_factor_given : whether the scale factor was one of the observations
     """
 
     lock_in_rate: float
@@ -85,7 +79,7 @@ class FrequencyFit:
     used: Bools
     locked: Bools
     flags: int
-    sentences: tuple[str, ...]
+    scale_factor_given: bool
 
 
 def fit_frequencies(
@@ -147,7 +141,7 @@ def fit_frequencies(
     expected = values[2] * np.sqrt(np.maximum((rate - values[1]) ** 2 - square, 0.0))
     flags = _flags(rate, used, locked, values, square_u, high, p_value, degrees)
     root, us = float(np.sqrt(square)) if square > 0 else float("nan"), np.sqrt(np.diagonal(covariance))
-    fit = FrequencyFit(
+    return FrequencyFit(
         lock_in_rate=root,
         lock_in_rate_u=square_u / (2 * root),
         lock_in_rate_low_95=low,
@@ -166,9 +160,8 @@ def fit_frequencies(
         used=used,
         locked=locked,
         flags=flags,
-        sentences=(),
+        scale_factor_given=scale_factor is not None,
     )
-    return replace(fit, sentences=_words(fit, scale_factor is not None))
 
 
 def _checked(
@@ -284,35 +277,3 @@ def _flags(
         FrequencyFlag.RECORDS_LEFT_OUT: not bool(np.all(used | locked)),
     }
     return int(sum(bit for bit, raised in conditions.items() if raised))
-
-
-def _words(fit: FrequencyFit, scale_given: bool) -> tuple[str, ...]:
-    origin = f"from {int(fit.used.sum())} beat frequencies, scale factor {'given' if scale_given else 'fitted'}"
-    high = fit.lock_in_rate_high_95
-    if np.isnan(high):
-        value = (
-            f"WL^2 is {fit.lock_in_square:.3g} ± {fit.lock_in_square_u:.2g} (deg/s)^2, below zero beyond its "
-            f"uncertainty, {origin}: the frequency is pushed up, not pulled down. There is no lock-in rate in it."
-        )
-    elif fit.flags & FrequencyFlag.NOT_SIGNIFICANT:
-        value = (
-            f"WL^2 is {fit.lock_in_square:.3g} ± {fit.lock_in_square_u:.2g} (deg/s)^2 and does not stand out, "
-            f"{origin}; the frequencies alone would say WL below {high:.3g} deg/s with 95 %."
-        )
-    else:
-        value = f"Lock-in rate {fit.lock_in_rate:.5g} ± {fit.lock_in_rate_u:.2g} deg/s (k = 1) {origin}."
-    others = (
-        f"Scale factor {fit.scale_factor:.8g} ± {fit.scale_factor_u:.2g} pulses per degree, bias rate "
-        f"{fit.bias_rate:.3g} ± {fit.bias_rate_u:.2g} deg/s."
-    )
-    sentences = [value, others]
-    if fit.flags & FrequencyFlag.MISFIT:
-        sentences.append(
-            f"The frequencies scatter more than their uncertainties say (chi-square {fit.chi_square:.3g} for "
-            f"{fit.degrees_of_freedom} degrees of freedom); the result's are enlarged to that."
-        )
-    if fit.flags & FrequencyFlag.NO_BEAT_ABOVE_LOCK_IN:
-        sentences.append("There are records without a beat at rates where the gyro should turn freely.")
-    if fit.flags & FrequencyFlag.LOCKED_RECORDS:
-        sentences.append("Records without a beat bound the lock-in rate from below; the interval begins there.")
-    return (*sentences, CAVEAT)

@@ -20,17 +20,29 @@ _TRACEBACK_VARIABLE = "GYROLOCK_TRACEBACK"
 
 # command: module and name in it, and the line that `gyrolock --help` shows without importing it
 _COMMANDS = {
-    "measure": ("station.lock_in.command:measure", "Measure the lock-in rate: acquire, save, analyse, report."),
-    "acquire": ("station.lock_in.command:acquire", "Acquire and save records only."),
-    "analyze": ("station.commands.analyze:command", "Analyse saved runs and Tektronix CSV or ISF files again."),
-    "report": ("station.commands.report:command", "Write the HTML report of saved runs."),
-    "plan": ("station.plan.command:command", "Plan a measurement: rate, scale and records for a wanted uncertainty."),
-    "fog": ("station.fibre_gyro.command:command", "Scale factor of a fibre gyro: rate table, self-calibration, ..."),
-    "study": ("station.study.command:command", "Compute the paper's simulations, with its method and exactly."),
-    "simulate": ("station.commands.simulate:command", "Serve the simulated oscilloscope on TCP or a serial terminal."),
-    "list": ("station.commands.list:command", "List the instruments that VISA can see."),
-    "doctor": ("station.commands.doctor:command", "Check this installation, and say what to do about what is missing."),
-    "settings": ("station.commands.settings:command", "Print a commented settings file to copy."),
+    "measure": ("lock_in.command:measure", "Measure the lock-in rate: acquire, save, analyse, report."),
+    "acquire": ("lock_in.command:acquire", "Acquire and save records only."),
+    "analyze": ("commands.analyze:command", "Analyse saved runs and Tektronix CSV or ISF files again."),
+    "report": ("commands.report:command", "Write the HTML report of saved runs."),
+    "plan": (
+        "station.plan.command:command",
+        "Plan a measurement: rate, scale and records for a wanted uncertainty.",
+    ),
+    "fog": (
+        "station.fibre_gyro.command:command",
+        "Scale factor of a fibre gyro: rate table, self-calibration, ...",
+    ),
+    "study": ("study.command:command", "Compute the paper's simulations, with its method and exactly."),
+    "simulate": (
+        "station.commands.simulate:command",
+        "Serve the simulated oscilloscope on TCP or a serial terminal.",
+    ),
+    "list": ("commands.list:command", "List the instruments that VISA can see."),
+    "doctor": (
+        "station.commands.doctor:command",
+        "Check this installation, and say what to do about what is missing.",
+    ),
+    "settings": ("commands.settings:command", "Print a commented settings file to copy."),
 }
 
 
@@ -44,7 +56,7 @@ class _LazyGroup(click.Group):
         if cmd_name not in _COMMANDS:
             return None
         module, _, name = _COMMANDS[cmd_name][0].partition(":")
-        command: click.Command = getattr(importlib.import_module(module), name)
+        command: click.Command = getattr(importlib.import_module(f"station.{module}"), name)
         return command
 
     def resolve_command(

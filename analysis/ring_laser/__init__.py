@@ -6,20 +6,23 @@ over time, `detector` the volts with distortion and filters, `signals` the whole
 
 from analysis.ring_laser.beat import axis_rate_on_table, beat_phase_on_table
 from analysis.ring_laser.detector import Detector, detector_signal
-from analysis.ring_laser.gyro import Gyro, harmonic_ratio
+from analysis.ring_laser.gyro import Gyro
 from analysis.ring_laser.motion import Segment
 from analysis.ring_laser.signals import beat_signal_on_table, with_detector_noise
-from analysis.ring_laser.winking_on_table import Winking
+from analysis.ring_laser.winking import SteadyBeat, Winking, WinkingLaser, steady_beat, symmetric_laser
 
 __all__ = [
     "Detector",
     "Gyro",
     "Segment",
+    "SteadyBeat",
     "Winking",
+    "WinkingLaser",
     "axis_rate_on_table",
     "beat_phase_on_table",
     "beat_signal_on_table",
     "detector_signal",
-    "harmonic_ratio",
+    "steady_beat",
+    "symmetric_laser",
     "with_detector_noise",
 ]

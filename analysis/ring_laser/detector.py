@@ -15,7 +15,7 @@ import numpy as np
 
 from analysis.arrays import Complexes, Floats, Indices
 from analysis.channel import high_pass, low_pass
-from analysis.ring_laser.gyro import Gyro, harmonic_ratio
+from analysis.ring_laser.gyro import Gyro
 from analysis.ring_laser.rate_grid import FINER, beat_rate_at, grid_place, interpolate, rate_at, weights_at
 
 _FEWEST_POINTS, _MOST_POINTS = 128, 8192
@@ -182,7 +182,7 @@ def _one_period(gyro: Gyro, detector: Detector, point: int, sense: int) -> Float
             detector.volts(fringe, gyro.backscatter_phase) + detector.amplitude * detector.single_beams * pedestal
         )
     rate = sense * rate_at(point, gyro.lock_in_rate)
-    ratio = float(harmonic_ratio(np.array(rate), gyro.lock_in_rate))
+    ratio = float(gyro.harmonic_ratio(np.array(rate)))
     # the harmonics that the grid cannot hold would fold back: they shall be negligible
     wanted = 4 * math.log(_NEGLIGIBLE) / math.log(min(max(ratio, 1e-9), 1 - 1e-9))
     points = 1 << math.ceil(math.log2(min(max(wanted, _FEWEST_POINTS), _MOST_POINTS)))

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 
 from analysis import lockin_equation
 from analysis.arrays import Bools, Complexes, Floats
-from analysis.ring_laser.winking_on_table import Winking
+from analysis.ring_laser.winking import Winking
 from analysis.rotation import rate_on_axis
 
 _SECONDS_PER_HOUR = 3600.0
@@ -80,6 +80,12 @@ class Gyro:
             frequency[turning] *= self.winking.frequency_factor(axis_rate[turning])
         return np.asarray(np.sign(axis_rate) * frequency)
 
+    def harmonic_ratio(self, axis_rate: Floats) -> Floats:
+        """Ratio r of successive harmonics of the beat, 1 at and below the threshold."""
+        size = np.maximum(np.abs(axis_rate), self.lock_in_rate)
+        over_rate = np.divide(self.lock_in_rate, size, out=np.zeros_like(size), where=size > 0)
+        return lockin_equation.harmonic_ratio(over_rate)
+
     def fringe(self, axis_rate: Floats, beat_phase: Floats) -> Complexes:
         """exp(i (phi + beta)) for given rate on the axis and slow beat phase.
 
@@ -95,7 +101,7 @@ class Gyro:
         ndarray of complex, shape (...)
             A locked gyro rests where sin(phi + beta) = W/WL.
         """
-        ratio = harmonic_ratio(axis_rate, self.lock_in_rate)
+        ratio = self.harmonic_ratio(axis_rate)
         rotating = np.exp(1j * np.where(axis_rate < 0, -beat_phase, beat_phase))
         denominator = 1.0 - ratio * rotating
         at_threshold = np.abs(denominator) < 1e-12
@@ -114,22 +120,3 @@ class Gyro:
     def locked(self, axis_rate: Floats) -> Bools:
         """Where the beat stands still."""
         return np.asarray((self.lock_in_rate > 0) & (np.abs(axis_rate) <= self.lock_in_rate))
-
-
-def harmonic_ratio(axis_rate: Floats, lock_in_rate: float) -> Floats:
-    """Ratio r of successive harmonics of the beat, 1 at and below the threshold.
-
-    Parameters
-    ----------
-    axis_rate : ndarray
-        W, deg/s, either sign.
-    lock_in_rate : float
-        WL, deg/s.
-
-    Returns
-    -------
-    ndarray
-        r = A2/A1 = A3/A2 = ...
-    """
-    size = np.maximum(np.abs(axis_rate), lock_in_rate)
-    return lockin_equation.harmonic_ratio(np.divide(lock_in_rate, size, out=np.zeros_like(size), where=size > 0))

@@ -16,16 +16,16 @@ a2 backscatter of the beams (rad/s), eps the sum of their phases. With infinite 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from analysis.arrays import Complexes, Floats
+from analysis.arrays import Complexes, Floats, Indices
+from analysis.ring_laser.rate_grid import beat_rate_at, interpolate, rate_at
 
 POINTS = 512
 """Of one beat period; harmonics up to half of it, far more than a gyro at 1.05 times its threshold shows."""
 
-NEGLIGIBLE = 1e-9
 STANDSTILL = 1e-4
 """A phase that turns by less than this share of its free speed counts as locked; no integrator gets through."""
 
@@ -122,47 +122,6 @@ class SteadyBeat:
     frequency: float
     beat: Complexes
     beams: Complexes
-
-    def signal(
-        self,
-        times: ArrayLike,
-        *,
-        amplitude: float = 1.0,
-        readout_phase: float = 0.0,
-        start_phase: float = 0.0,
-        contrast: float = np.inf,
-    ) -> Floats:
-        """Detector signal A [sqrt(I1 I2) sin(psi + delta) + (I1 + I2)/(2 contrast)], the latter without its mean.
-
-        Parameters
-        ----------
-        times : (...)
-            Seconds.
-        amplitude, readout_phase : float
-            A, and delta in rad.
-        start_phase : float
-            Of the fundamental at time 0, rad.
-        contrast : float
-            Of the fringes; inf leaves out the light of the single beams.
-        """
-        orders = np.arange(self.beat.size) - self.beat.size // 2
-        # The imaginary part of a two-sided series, and the real part of another: one real series for both.
-        lines = self.beat * np.exp(1j * readout_phase)
-        lines = (lines - np.conj(_mirrored(lines))) / 2j + self.beams.sum(axis=0) / (2 * contrast)
-        keep = (orders > 0) & (np.abs(lines) > NEGLIGIBLE)
-        offset = float((self.beat[orders == 0] * np.exp(1j * readout_phase)).imag[0])
-        turns = np.multiply.outer(
-            2 * np.pi * self.frequency * np.asarray(times, dtype=float) + start_phase, orders[keep]
-        )
-        waves = 2 * (np.cos(turns) @ lines[keep].real - np.sin(turns) @ lines[keep].imag)
-        return np.asarray(amplitude * (offset + waves))
-
-
-def _mirrored(lines: Complexes) -> Complexes:
-    """c_-n in the place of c_n; the lowest order, which has no partner, is dropped."""
-    turned = np.zeros_like(lines)
-    turned[1:] = lines[:0:-1]
-    return turned
 
 
 def steady_beat(laser: WinkingLaser, input_rate: float) -> SteadyBeat:
@@ -305,3 +264,66 @@ def _harmonics(laser: WinkingLaser, input_rate: float, values: Floats) -> Steady
     intensities = np.exp(logs)
     field = np.sqrt(intensities[0] * intensities[1]) * np.exp(1j * psi)
     return SteadyBeat(1 / period, kernel @ field, np.asarray(intensities @ kernel.T))
+
+
+@dataclass(frozen=True)
+class Winking:
+    """Gain saturation of a laser with equal backscatter of both beams, its beat worked out on the grid of rates.
+
+    Attributes
+    ----------
+    scale_factor : float
+        Pulses per degree.
+    lock_in_rate : float
+        deg/s, at low rates.
+    gain_corner_hz : float
+        Relaxation rate of the common intensity over 2 pi.
+    phase_sum : float
+        Sum of the phases of the backscatter, rad: 0 is the dissipative kind, which locks.
+    cross_saturation : float
+        Over self saturation.
+    """
+
+    scale_factor: float
+    lock_in_rate: float
+    gain_corner_hz: float
+    phase_sum: float = 0.0
+    cross_saturation: float = 0.5
+
+    def frequency_factor(self, rates: Floats) -> Floats:
+        """Beat frequency at rates in deg/s over that of the lock-in equation; all beyond the lock-in rate."""
+
+        def factor(point: int, _: Indices) -> float:
+            return self.frequency(point) / (self.scale_factor * beat_rate_at(point))
+
+        return interpolate(rates, self.lock_in_rate, factor)
+
+    def frequency(self, point: int) -> float:
+        """Beat frequency in Hz at a point of the grid."""
+        return _beat(self, point).frequency
+
+    def fringe(self, point: int) -> Complexes:
+        """Light of the fringes sqrt(I1 I2) exp(i psi) over one period, evenly in time, at a point of the grid."""
+        return _over_a_period(_beat(self, point).beat)
+
+    def pedestal(self, point: int) -> Floats:
+        """Mean light (I1 + I2)/2 of the single beams over one period, less its mean."""
+        light = _over_a_period(_beat(self, point).beams.sum(axis=0) / 2).real
+        return np.asarray(light - light.mean())
+
+
+@lru_cache(maxsize=1024)
+def _beat(winking: Winking, point: int) -> SteadyBeat:
+    laser = symmetric_laser(
+        winking.lock_in_rate,
+        scale_factor=winking.scale_factor,
+        gain_corner_hz=winking.gain_corner_hz,
+        phase_sum=winking.phase_sum,
+        cross_saturation=winking.cross_saturation,
+    )
+    return steady_beat(laser, rate_at(point, winking.lock_in_rate))
+
+
+def _over_a_period(harmonics: Complexes) -> Complexes:
+    """Values of a series with the orders -n/2 ... n/2 - 1 at n even steps of one period."""
+    return np.asarray(np.fft.ifft(np.fft.ifftshift(harmonics)) * harmonics.size)

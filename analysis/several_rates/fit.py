@@ -34,7 +34,6 @@ from analysis.several_rates.ratio_records import (
     records_of_estimates,
 )
 from analysis.several_rates.result import LeftOut, Model, ModelFit, RatesFit, RatesFlag
-from analysis.several_rates.words import describe_rates
 
 FREE: dict[Model, tuple[bool, bool]] = {
     "lock-in": (False, False),
@@ -256,11 +255,9 @@ def _result(
         rate_mismatch=_rate_mismatch(records, value),
         at_least=at_least,
         flags=0,
-        sentences=(),
         noise_model=records.noise_model + (ENLARGED if widen > 1 else ""),
     )
-    result = replace(result, flags=_flags(result, inconsistent_rate(records)))
-    return replace(result, sentences=describe_rates(result))
+    return replace(result, flags=_flags(result, inconsistent_rate(records)))
 
 
 def _test(fit: RatioFit, degrees: int) -> tuple[float, float, float]:

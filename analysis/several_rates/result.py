@@ -94,7 +94,6 @@ class RatesFit:
     rate_mismatch : (n,) f/(K sqrt(W^2 - WL^2)) - 1, nan where one is not known
     at_least : deg/s, the fastest rate at which the gyro was seen locked, 0 if none
     flags : bits of `RatesFlag`
-    sentences : what the data can and cannot tell, in plain words
     noise_model : what the uncertainties rest on
     """
 
@@ -127,7 +126,6 @@ class RatesFit:
     rate_mismatch: Floats
     at_least: float
     flags: int
-    sentences: tuple[str, ...]
     noise_model: str
 
     @property

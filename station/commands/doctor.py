@@ -1,4 +1,4 @@
-"""``gyrolock doctor``: checks of an installation; each says what was found, and what to do about what is missing."""
+"""``gyrolock doctor``: checks of an installation; each says what was found, and what to do about it."""
 
 from __future__ import annotations
 
@@ -176,21 +176,20 @@ def _sqlite() -> Check:
 
 def _test_record() -> Check:
     """Send one record of the simulated scope through a real link, the store and the analysis."""
-    from station.lock_in.bench.bench import open_bench
     from station.lock_in.bench.instruments import at_slow_rate
-    from station.lock_in.evaluate import evaluate_run
-    from station.lock_in.take import save_acquisition, take_record
+    from station.lock_in.bench.open import open_bench
+    from station.lock_in.read import evaluate_run
+    from station.lock_in.take import acquisition_records, take_record
     from station.runs.store import RunWriter, open_run
 
     settings = at_slow_rate(default_settings("simulated"))
     with tempfile.TemporaryDirectory() as folder, open_bench(settings) as bench:
-        facts = {"settings": settings.model_dump(mode="json"), "simulated": True}
-        with RunWriter(Path(folder), facts) as writer:
+        with RunWriter.create(Path(folder), {"simulated": True}) as writer:
             bench.scope.set_channel(1, scale=0.1)
             bench.scope.set_timebase(0.025)
             waveforms, conditions = take_record(bench, ("CH1",))
-            save_acquisition(writer, "measure", waveforms, ("CH1",), conditions)
-        evaluation = evaluate_run(open_run(writer.path))
+            writer.save_records(acquisition_records("measure", "1", waveforms, ("CH1",), conditions))
+        evaluation = evaluate_run(open_run(writer.path), settings)
         name = bench.scope.resource_name
     if not evaluation.usable:
         return Check("test record", "bad", f"the simulated scope at {name} gave no lock-in rate")

@@ -6,7 +6,8 @@ from pathlib import Path
 
 import click
 
-from station.shell.options import config_option, json_option, print_json
+from station.shell.ending import print_json
+from station.shell.options import config_option, json_option
 
 
 @click.command("list")
@@ -18,7 +19,7 @@ def command(config: Path | None, as_json: bool) -> int:
     A name that is not listed may work all the same: raw TCP sockets cannot be found by looking.
     """
     from instrument import find_resources
-    from station.settings.load import load_settings
+    from station.lock_in.settings import load_settings
 
     load_settings(config)
     found = find_resources()

@@ -21,8 +21,8 @@ from station.shell.options import config_option, json_option
 def command(paths: tuple[Path, ...], output: Path | None, config: Path | None, as_json: bool) -> int:
     """Write the HTML report of saved runs of any kind: one file each, with its plots inside.
 
-    RUN is the directory of a run or its file. With --config what is known of the bench, and the limits, are those of
-    FILE.
+    RUN is the directory of a run or its file. With --config what is known of the bench, and the limits, are
+    those of FILE.
     """
     from instrument import InstrumentError
     from station.errors import StationError, describe_failure

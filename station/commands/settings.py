@@ -7,7 +7,8 @@ from typing import Literal
 
 import click
 
-from station.shell.options import config_option, json_option, print_json
+from station.shell.ending import print_json
+from station.shell.options import config_option, json_option
 
 
 @click.command("settings")
@@ -19,7 +20,8 @@ def command(name: Literal["simulated", "bench"], config: Path | None, as_json: b
 
     With --json, or with --config FILE, the values that would be used are printed instead of the file.
     """
-    from station.settings.load import default_settings, load_settings, shipped_settings
+    from station.lock_in.settings import default_settings, load_settings
+    from station.settings.load import shipped_settings
 
     if config is not None or as_json:
         settings = load_settings(config) if config is not None else default_settings(name)

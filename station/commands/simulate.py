@@ -8,7 +8,8 @@ from pathlib import Path
 
 import click
 
-from station.shell.options import config_option, json_option, print_json
+from station.shell.ending import print_json
+from station.shell.options import config_option, json_option
 
 
 @click.command("simulate")
@@ -39,7 +40,7 @@ def command(
     name. Ctrl-C or SIGTERM ends it.
     """
     from station.lock_in.bench.simulated import serve_scope
-    from station.settings.load import load_settings
+    from station.lock_in.settings import load_settings
 
     if (tcp_port is None) == (not use_pty):
         raise click.UsageError("say where to serve: --tcp PORT (0 for any free one) or --pty")

@@ -10,7 +10,7 @@ from station.fibre_gyro import words
 from station.fibre_gyro.results import FogResult
 from station.fibre_gyro.selfcal.measurement import SelfcalEvaluation
 from station.fibre_gyro.table.measurement import TableEvaluation
-from station.lock_in.console import stdout_console
+from station.report.console import stdout_console
 from station.results.numbers import with_uncertainty
 
 

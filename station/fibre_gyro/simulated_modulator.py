@@ -13,8 +13,8 @@ from instrument import TDS2014
 from instrument.simulated import SimulatedTDS2014, VirtualClock
 from station.fibre_gyro.settings import FogSettings
 from station.fibre_gyro.simulated_bench import loop_settings
-from station.lock_in.bench.bench import open_scope
-from station.lock_in.bench.simulated import serve
+from station.scope.open import open_scope
+from station.scope.serve import serve
 
 Floats = NDArray[np.float64]
 

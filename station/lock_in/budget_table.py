@@ -45,9 +45,7 @@ def budget_document(budget: Budget) -> dict[str, Any]:
         "effective_degrees_of_freedom": budget.effective_degrees_of_freedom,
         "coverage_factor": budget.coverage_factor,
         "expanded_u_95_dps": budget.expanded_u_95,
-        "inputs": [
-            {**picked(line, _LINE), "share_of_variance": budget.share(line)} for line in budget.inputs
-        ],
+        "inputs": [{**picked(line, _LINE), "share_of_variance": budget.share(line)} for line in budget.inputs],
         "not_stated": budget.unstated,
     }
 
@@ -96,8 +94,7 @@ def short_budget_table(budget: Budget) -> TextTable:
 
 
 def budget_sentences(budget: Budget) -> list[str]:
-    """Say in words what the budget comes to, and what it does not hold.
-    """
+    """Say in words what the budget comes to, and what it does not hold."""
     value = with_uncertainty(budget.lock_in_rate, budget.combined_u, "deg/s")
     said = [
         f"Lock-in rate {value}, all inputs counted; U95 = {budget.expanded_u_95:.2g} deg/s "

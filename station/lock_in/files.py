@@ -103,13 +103,14 @@ def harmonics_of(waveform: Waveform) -> list[dict[str, float]] | None:
 
 
 def _harmonics_table(harmonics: list[dict[str, float]]) -> TextTable:
+    first = harmonics[0]["amplitude_v"]
     rows = tuple(
         (
             f"{one['order']}",
             with_prefix(one["frequency_hz"], "Hz"),
             with_prefix(one["amplitude_v"], "V"),
-            f"{one['phase_rad']:+.3f} rad",
+            f"{one['amplitude_v'] / first:.4f}" if first > 0 else "",
         )
         for one in harmonics
     )
-    return TextTable(("harmonic", "frequency", "amplitude", "phase"), rows)
+    return TextTable(("harmonic", "frequency", "amplitude", "of the first"), rows)

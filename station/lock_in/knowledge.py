@@ -7,8 +7,7 @@ import math
 from analysis.budget import BenchKnowledge, Corner
 from analysis.channel import ChannelResponse
 from analysis.lock_in_run import RunKnowledge
-from station.lock_in.settings import FrontEndSettings
-from station.settings.load import Settings
+from station.lock_in.settings import FrontEndSettings, Settings
 
 _AC_CORNER_HZ = 10.0
 """Lower -3 dB corner of the AC coupling of a TDS2014 with a direct cable; a 10X probe makes it a tenth."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from station.settings.load import Settings
+from station.lock_in.settings import Settings
 
 
 @dataclass(frozen=True)

@@ -28,20 +28,20 @@ from instrument.waveform import CLIPPED_CODE
 from station.errors import NoUsableSignal, RunError, UsageError
 from station.lock_in.evaluation import Evaluation
 from station.lock_in.knowledge import run_knowledge
+from station.lock_in.settings import Settings
 from station.runs.store import SavedRecord, SavedRun
-from station.settings.load import Settings
 
 
-def evaluate_run(run: SavedRun, method: Method | None = None, known: Settings | None = None) -> Evaluation:
+def evaluate_run(run: SavedRun, settings: Settings, method: Method | None = None) -> Evaluation:
     """Evaluate the records that a run took at its slow rate, or at its slow rates.
 
     Parameters
     ----------
     run : SavedRun
+    settings : Settings
+        Those of the run, with what is known of channel and bench.
     method : Method, optional
         By default the run's own scale factor, exact, self-referenced.
-    known : Settings, optional
-        What is known of channel and bench now, ``front_end`` and ``budget``, instead of what was known then.
 
     Raises
     ------
@@ -50,9 +50,6 @@ def evaluate_run(run: SavedRun, method: Method | None = None, known: Settings | 
     UsageError
         If the method is one for a single rate, and the run has several.
     """
-    settings = saved_settings(run)
-    if known is not None:
-        settings = settings.model_copy(update={"front_end": known.front_end, "budget": known.budget})
     method = method or Method(settings.gyro.scale_factor_pulses_per_deg)
     acquisitions = acquisitions_of(run)
     intact = [taken for taken in acquisitions if taken.intact]
@@ -104,22 +101,6 @@ def fast_run_tilt(run: SavedRun, settings: Settings) -> Tilt:
         return find_tilt(_fast_run(run), run_knowledge(settings))
     except NoTilt as error:
         raise RunError(_no_tilt(error)) from None
-
-
-def saved_settings(run: SavedRun) -> Settings:
-    """Return the settings that a run was taken with.
-
-    Raises
-    ------
-    RunError
-        If the run holds none that this version understands.
-    """
-    if run.facts.get("command") == "witness":
-        raise RunError(f"{run.path}: shows a fibre gyro's modulator: `gyrolock fog witness` evaluates it")
-    try:
-        return Settings.model_validate(run.facts["settings"])
-    except (KeyError, ValueError):
-        raise RunError(f"{run.path}: the settings of this run cannot be read") from None
 
 
 def saved_waveform(record: SavedRecord, run: SavedRun) -> Waveform:

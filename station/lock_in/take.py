@@ -15,8 +15,8 @@ from station.errors import NoUsableSignal
 from station.lock_in.bench.bench import Bench
 from station.lock_in.bench.open import open_bench
 from station.lock_in.rate_plan import RateStep, rate_plan
+from station.lock_in.read import fast_run_tilt
 from station.lock_in.settings import Settings
-from station.lock_in.tilt import evaluate_tilt
 from station.runs.progress import Progress
 from station.runs.store import NewRecord, RunWriter, SavedRecord
 from station.runs.taking import Session
@@ -111,7 +111,7 @@ class _Taking:
             rate = self.bench.turn_table(wanted, settings.table.settle_s)
             self.knobs = start = find_beat(self.bench.scope, settings.scope, settings.measurement, start)
             self._take_records("tilt", f"tilt {wanted:+g}", (settings.scope.channel,), len(there), count, rate)
-        tilt = evaluate_tilt(self._saved("tilt"), settings)
+        tilt = fast_run_tilt(self.session.so_far(), settings)
         self.progress.note(f"tilt {tilt.tilt_deg:.3f}°")
         return math.cos(math.radians(tilt.tilt_deg))
 
@@ -132,10 +132,14 @@ class _Taking:
         for channel in channels[1:]:
             fit_channel(self.bench.scope, channel, settings.scope, settings.measurement, self.knobs)
         knobs = asdict(self.knobs)
-        self.rates.append({"over_lock_in": step.over_lock_in, "table_rate_dps": table_rate, "scope_setting": knobs})
+        self.rates.append(
+            {"over_lock_in": step.over_lock_in, "table_rate_dps": table_rate, "scope_setting": knobs}
+        )
         self.writer.save_facts({"rates": self.rates, "scope_setting": knobs, "table_rate_dps": table_rate})
         name = f"rate {step.sense * step.over_lock_in:+g}"
-        self._take_records("measure", name, channels, there, count, table_rate, {"over_lock_in": step.over_lock_in})
+        self._take_records(
+            "measure", name, channels, there, count, table_rate, {"over_lock_in": step.over_lock_in}
+        )
 
     def _take_records(
         self,
@@ -152,7 +156,9 @@ class _Taking:
         for number in range(there + 1, count + 1):
             waveforms, conditions = take_record(self.bench, channels)
             conditions |= {"table_rate_dps": table_rate, **(known or {})}
-            self.writer.save_records(acquisition_records(purpose, f"{name}, {number}", waveforms, channels, conditions))
+            self.writer.save_records(
+                acquisition_records(purpose, f"{name}, {number}", waveforms, channels, conditions)
+            )
             self.progress.advance()
 
     def _saved(self, purpose: str) -> tuple[SavedRecord, ...]:

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from station.shell.options import config_option, json_option, print_json
+from station.shell.ending import print_json
+from station.shell.options import config_option, json_option
 
 if TYPE_CHECKING:
     from station.plan.plan import PlannedMeasurement
@@ -109,10 +110,10 @@ def command(plot: Path | None, config: Path | None, as_json: bool, **options: An
     Exit code 1 if the wanted uncertainty cannot be reached; the plan then is the best there is.
     """
     from station.errors import EXIT_FAIL, EXIT_OK
+    from station.lock_in.settings import load_settings
     from station.plan.plan import PlanOptions, make_plan, plan_document
     from station.plan.sentences import plan_sentences
     from station.report.figure import check_picture_name
-    from station.settings.load import load_settings
 
     if plot is not None:
         check_picture_name(plot)
@@ -130,23 +131,19 @@ def command(plot: Path | None, config: Path | None, as_json: bool, **options: An
 
 
 def _print(planned: PlannedMeasurement, sentences: list[str], plot: Path | None) -> None:
-    from rich.table import Table
-
-    from station.lock_in.budget_table import budget_table
-    from station.lock_in.console import stdout_console
+    from station.lock_in.budget_table import short_budget_table
     from station.plan.sentences import rate_words
+    from station.report.console import stdout_console, text_table
+    from station.results.parts import TextTable
 
     console = stdout_console()
-    table = Table(box=None, header_style="dim", pad_edge=False, padding=(0, 2, 0, 0))
-    for name in ("rate", "beat", "time base", "vertical", "record", "records"):
-        table.add_column(name)
-    for rate in planned.plan.rates:
-        table.add_row(*rate_words(rate))
-    console.print(table)
+    header = ("rate", "beat", "time base", "vertical", "record", "records")
+    rates = TextTable(header, tuple(tuple(rate_words(rate)) for rate in planned.plan.rates))
+    console.print(text_table(rates, left=len(header)))
     console.print()
     for sentence in sentences:
         console.print(f"• {sentence}", markup=False)
     console.print()
-    console.print(budget_table(planned.plan.budget))
+    console.print(text_table(short_budget_table(planned.plan.budget), left=1))
     if plot is not None:
         console.print(f"\nplot    {plot}", markup=False, soft_wrap=True)

@@ -18,10 +18,10 @@ from analysis.plan import (
     uncertainty_curve,
 )
 from station.errors import UsageError
+from station.lock_in.budget_table import budget_document
 from station.lock_in.knowledge import bench_knowledge
-from station.lock_in.result import budget_document
+from station.lock_in.settings import Settings
 from station.scope.autoset import TIME_BASES, VERTICAL_SCALES
-from station.settings.load import Settings
 
 _BYTES_PER_RECORD = 2900
 """2500 points, their preamble, and the questions that bring them."""

@@ -80,9 +80,7 @@ def take_measurement(
     chosen = overrides(given, {**_PLACES, **places})
     _exclude(given, places, paths)
     if given["resume"] is not None:
-        return resume_run(
-            given["resume"], Progress(), kind=kind, config=config, overrides=chosen, labels=labels
-        )
+        return resume_run(given["resume"], Progress(), kind=kind, config=config, overrides=chosen, labels=labels)
     settings = load(kind.kind, config, chosen)
     if given["seed"] is not None and not kind.simulated(settings):
         raise click.UsageError("--seed belongs to a simulated bench; a real one has none")

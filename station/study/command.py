@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING
 
 import click
 
-from station.shell.options import config_option, json_option, print_json
+from station.shell.ending import print_json
+from station.shell.options import config_option, json_option
 
 if TYPE_CHECKING:
     from station.study.study import Study
@@ -34,8 +35,8 @@ def command(figures: tuple[int, ...], out: Path | None, kind: str, config: Path 
     Zhan et al., Acta Optica Sinica 29, 960 (2009): K = 2000 pulses per degree, 20 kHz, 3 s. Without --figure the
     bias of its formulas and the causes of its error are told as well. Nothing in a settings file changes this.
     """
+    from station.lock_in.settings import load_settings
     from station.runs.progress import Progress
-    from station.settings.load import load_settings
     from station.study.sentences import study_sentences
     from station.study.study import run_study, study_document
 
@@ -71,19 +72,14 @@ def _write(out: Path, study: Study, sentences: list[str], kind: str) -> list[str
 
 
 def _print(study: Study, sentences: list[str], files: list[str]) -> None:
-    from rich.table import Table
-
-    from station.lock_in.console import stdout_console
+    from station.report.console import stdout_console, text_table
+    from station.results.parts import TextTable
     from station.study.tables import study_tables
 
     console = stdout_console()
     for table in study_tables(study):
-        shown = Table(title=table.title, title_justify="left", title_style="bold", box=None, padding=(0, 2, 0, 0))
-        for column in table.columns:
-            shown.add_column(column, justify="right")
-        for row in table.texts():
-            shown.add_row(*row)
-        console.print(shown)
+        console.print(table.title, style="bold", markup=False)
+        console.print(text_table(TextTable(table.columns, tuple(map(tuple, table.texts())))))
         console.print()
     for sentence in sentences:
         console.print(f"• {sentence}", markup=False)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from analysis import beat_signal, estimate_lock_in
-from analysis.ring_laser.winking import steady_beat, symmetric_laser
+from analysis.ring_laser import SteadyBeat, steady_beat, symmetric_laser
 
 K = 2000.0
 WL = 0.05
@@ -34,7 +34,7 @@ def volts(
         )
     else:
         beat = steady_beat(symmetric_laser(WL, scale_factor=K, gain_corner_hz=gain_corner_hz), rate)
-        clean = np.array([beat.signal(times, readout_phase=-phase, start_phase=s) for s in starts])
+        clean = np.array([seen(beat, times, readout_phase=-phase, start_phase=s) for s in starts])
     return clean + 2 * hd2 * clean**2 + rng.normal(scale=noise, size=clean.shape), interval
 
 
@@ -45,3 +45,17 @@ def estimates(multiples, n_records, rng, **bench):
         records, interval = volts(multiple * WL, n_records, rng, **bench)
         made.append(estimate_lock_in(records, interval, scale_factor=K, input_rate=multiple * WL))
     return made
+
+
+def seen(beat: SteadyBeat, times, *, readout_phase=0.0, start_phase=0.0, contrast=np.inf):
+    """Detector signal sqrt(I1 I2) sin(psi + readout) + (I1 + I2)/(2 contrast), the latter without its mean."""
+    orders = np.arange(beat.beat.size) - beat.beat.size // 2
+    lines = beat.beat * np.exp(1j * readout_phase)
+    mirrored = np.zeros_like(lines)
+    mirrored[1:] = lines[:0:-1]  # c_-n in the place of c_n
+    # The imaginary part of a two-sided series, and the real part of another: one real series for both.
+    sides = (lines - np.conj(mirrored)) / 2j + beat.beams.sum(axis=0) / (2 * contrast)
+    keep = (orders > 0) & (np.abs(sides) > 1e-9)
+    turns = np.multiply.outer(2 * np.pi * beat.frequency * times + start_phase, orders[keep])
+    waves = 2 * (np.cos(turns) @ sides[keep].real - np.sin(turns) @ sides[keep].imag)
+    return lines[orders == 0].imag[0] + waves

@@ -6,8 +6,8 @@ import pytest
 from instrument import TDS2014
 from instrument.simulated import SimulatedTDS2014, VirtualClock, resource_manager
 from station.errors import NoUsableSignal
+from station.lock_in.settings import default_settings
 from station.scope.autoset import TIME_BASES, find_beat, time_base_for
-from station.settings.load import default_settings
 
 SETTINGS = default_settings("simulated")
 NAME = "GPIB0::1::INSTR"

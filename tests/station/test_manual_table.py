@@ -10,11 +10,11 @@ from pathlib import Path
 import pytest
 
 from station.errors import UsageError
-from station.lock_in.bench.bench import operator_table
 from station.lock_in.bench.instruments import build_instruments
-from station.lock_in.bench.simulated import serve
+from station.lock_in.settings import default_settings
+from station.runs.operator import operator_table
 from station.runs.store import open_run
-from station.settings.load import default_settings
+from station.scope.serve import serve
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="needs a pseudo-terminal for the operator")
 

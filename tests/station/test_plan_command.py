@@ -12,7 +12,7 @@ from station.lock_in.budget_plot import budget_svg
 from station.lock_in.knowledge import bench_knowledge
 from station.lock_in.result import budget_document
 from station.lock_in.sentences import BUDGET_COLUMNS, budget_rows, budget_sentences
-from station.settings.load import default_settings, load_settings
+from station.lock_in.settings import default_settings, load_settings
 
 
 def planned(capsys: pytest.CaptureFixture[str], *options: str, code: int = 0) -> dict:

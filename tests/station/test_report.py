@@ -6,17 +6,17 @@ from html.parser import HTMLParser
 from pathlib import Path
 
 import pytest
+from station.lock_in.report import render_report, write_report
 
 from analysis.lock_in_run import Method
 from station.lock_in.plots import line_svg, spectrum_svg, time_record_svg, values_svg
 from station.lock_in.read import evaluate_run
-from station.lock_in.report import render_report, write_report
 from station.lock_in.result import result_document
 from station.lock_in.sentences import lock_in_words
+from station.lock_in.settings import load_settings
 from station.lock_in.take import take_run
 from station.runs.progress import Progress
 from station.runs.store import SavedRun, open_run
-from station.settings.load import load_settings
 
 VOID = {"meta", "br", "img", "link", "hr", "input"}
 

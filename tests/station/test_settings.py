@@ -5,7 +5,8 @@ from pathlib import Path
 import pytest
 
 from station.errors import SettingsError
-from station.settings.load import default_settings, load_settings, shipped_settings
+from station.lock_in.settings import default_settings, load_settings
+from station.settings.load import shipped_settings
 
 
 def write(folder: Path, text: str) -> Path:

@@ -14,9 +14,9 @@ TEK_FILES = Path(__file__).resolve().parents[3] / "shared" / "data" / "tek-files
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    from station.lock_in.settings import load_settings
     from station.lock_in.take import take_run
     from station.runs.progress import Progress
-    from station.settings.load import load_settings
 
     folder = tmp_path_factory.mktemp("analyze")
     overrides = {"measurement": {"records": 5}, "output": {"directory": str(folder)}}

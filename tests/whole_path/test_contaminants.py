@@ -11,10 +11,10 @@ import pytest
 from analysis.lockin_equation import harmonic_ratio, lock_in_from_rate
 from station.lock_in.evaluation import Evaluation
 from station.lock_in.read import evaluate_run
+from station.lock_in.settings import load_settings
 from station.lock_in.take import take_run
 from station.runs.progress import Progress
 from station.runs.store import open_run
-from station.settings.load import load_settings
 
 LOCK_IN = 0.01
 PHASE = math.radians(20.0 - 35.0)  # readout phase less backscatter phase of the shipped settings

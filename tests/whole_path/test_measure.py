@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 
 from station.lock_in.read import evaluate_run
+from station.lock_in.settings import load_settings
 from station.lock_in.take import take_run
 from station.runs.progress import Progress
 from station.runs.store import SavedRun, open_run
-from station.settings.load import load_settings, shipped_settings
+from station.settings.load import shipped_settings
 
 KEYS = {
     "lock_in_rate_dps",

@@ -8,14 +8,14 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from station.lock_in.report import render_report
 
 from station.lock_in.read import evaluate_run
-from station.lock_in.report import render_report
 from station.lock_in.result import result_document
+from station.lock_in.settings import load_settings
 from station.lock_in.take import take_run
 from station.runs.progress import Progress
 from station.runs.store import SavedRun, open_run
-from station.settings.load import load_settings
 
 PLAN = "[measurement]\nrates_over_lock_in = [4, 15]\nboth_senses = true\nrecords = 2\ntilt_records = 2\n"
 SPOILT = "[simulation.contaminants]\nsecond_harmonic_dbc = -46.0\n"

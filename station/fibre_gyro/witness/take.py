@@ -19,13 +19,13 @@ from station.fibre_gyro.campaign import Campaign, PlannedSegment
 from station.fibre_gyro.selfcal.measurement import beyond_words
 from station.fibre_gyro.serial_bench import SerialFogBench, ask_operator, read_frame_format
 from station.fibre_gyro.settings import FogSettings
-from station.lock_in.bench.bench import open_scope
+from station.lock_in.settings import default_settings
 from station.provenance import provenance
 from station.runs.database import utc_now
 from station.runs.progress import Progress
 from station.runs.store import RunWriter
 from station.scope.autoset import ScopeSetting, fit_channel, time_base_for
-from station.settings.load import default_settings
+from station.scope.open import open_scope
 
 PURPOSE: Final = "witness"
 _STEPS, _SAMPLES_PER_STEP = 80, 20  # a record holds at least so many steps, if each has at least so many samples

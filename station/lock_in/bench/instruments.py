@@ -16,15 +16,13 @@ from analysis.ring_laser import (
     Winking,
     axis_rate_on_table,
     beat_signal_on_table,
-    harmonic_ratio,
     with_detector_noise,
 )
 from instrument.simulated import SimulatedTDS2014
 from instrument.simulated.clock import Clock
 from station.errors import UsageError
 from station.lock_in.bench.turning_table import TurningTable
-from station.lock_in.settings import ContaminantSettings
-from station.settings.load import Settings, SimulationSettings
+from station.lock_in.settings import ContaminantSettings, Settings, SimulationSettings
 
 Array = NDArray[np.float64]
 
@@ -202,7 +200,7 @@ def true_values(instruments: SimulatedInstruments) -> dict[str, float]:
         "lock_in_rate_dps": gyro.lock_in_rate,
         "input_rate_dps": float(np.mean(np.abs(rates))),
         "beat_frequency_hz": float(np.mean(np.abs(gyro.beat_frequency(rates) * gyro.drift(times)))),
-        "ratio": float(np.mean(harmonic_ratio(rates, gyro.lock_in_rate))),
+        "ratio": float(np.mean(gyro.harmonic_ratio(rates))),
         "backscatter_phase_rad": gyro.backscatter_phase - instruments.detector.readout_phase,
         "amplitude_v": instruments.detector.amplitude,
     }

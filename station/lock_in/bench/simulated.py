@@ -7,12 +7,13 @@ from contextlib import contextmanager
 
 import numpy as np
 
-from instrument.simulated import PtyServer, RealClock, SimulatedTDS2014, TcpServer, VirtualClock
-from station.errors import UsageError
-from station.lock_in.bench.bench import Bench, open_scope
+from instrument.simulated import RealClock, VirtualClock
+from station.lock_in.bench.bench import Bench
 from station.lock_in.bench.instruments import SimulatedInstruments, at_slow_rate, build_instruments, true_values
+from station.lock_in.settings import Settings
 from station.scope.autoset import LEVELS_PER_DIVISION, VERTICAL_SCALES, time_base_for
-from station.settings.load import Settings
+from station.scope.open import open_scope
+from station.scope.serve import serve
 
 
 @contextmanager

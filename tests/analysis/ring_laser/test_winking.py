@@ -2,10 +2,11 @@ import time
 
 import numpy as np
 import pytest
+from bench_signals import seen
 from scipy.integrate import solve_ivp
 
 from analysis import fit_harmonics, harmonic_ratio
-from analysis.ring_laser.winking import WinkingLaser, steady_beat, symmetric_laser
+from analysis.ring_laser import WinkingLaser, steady_beat, symmetric_laser
 
 K = 2000.0
 
@@ -43,7 +44,7 @@ def test_the_steady_beat_is_that_of_the_fields_in_time(rate, phase_sum):
     middle = beat.beat.size // 2
     fit = fit_harmonics(np.stack([field.imag, np.abs(first) ** 2]), duration / n, harmonics=8)
     assert fit.frequency[0] == pytest.approx(beat.frequency, rel=1e-7)
-    made = beat.signal(np.arange(n) * duration / n)
+    made = seen(beat, np.arange(n) * duration / n)
     ours = fit_harmonics(made, duration / n, harmonics=8)
     np.testing.assert_allclose(np.abs(ours.amplitudes), np.abs(fit.amplitudes[0]), atol=1e-6)
     ratio, expected = (c[1] * abs(c[0]) / c[0] ** 2 for c in (ours.amplitudes, fit.amplitudes[0]))
@@ -148,7 +149,7 @@ def test_the_light_of_single_beams_adds_little():
     changes = []
     for readout in np.linspace(0, 2 * np.pi, 12, endpoint=False):
         pure, mixed = (
-            fit_harmonics(beat.signal(times, readout_phase=readout, contrast=c), times[1], harmonics=4)
+            fit_harmonics(seen(beat, times, readout_phase=readout, contrast=c), times[1], harmonics=4)
             for c in (np.inf, 0.8)
         )
         ratios = [abs(f.amplitudes[1] / f.amplitudes[0]) for f in (pure, mixed)]

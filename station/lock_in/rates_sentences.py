@@ -1,15 +1,22 @@
-"""A fit over several rates in plain sentences: what the data tell, and what they cannot."""
+"""Fits over several rates in plain sentences: what the data tell, and what they cannot."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from analysis.several_rates.result import RatesFit, RatesFlag
+from analysis import FrequencyFit, RatesFit, RatesFlag
+from analysis.frequency_method import FrequencyFlag
 
 COUPLING_DEG = 60
 COUPLING = 0.27
 """The gain corner comes out too high by this times (WL/slowest rate)^2 where the backscatter of the beams is
 `COUPLING_DEG` apart and cross over self saturation 0.5 (integrated equations; docs/several_rates.md)."""
+
+CAVEAT = (
+    "The beat frequency shows the lock-in rate only where the coupling of the beams is dissipative: a "
+    "conservative part pushes the frequency up when the beat is fast against the gain, and WL comes out too "
+    "small, zero or imaginary. Compare with the harmonics first."
+)
 
 
 def describe_rates(fit: RatesFit) -> tuple[str, ...]:
@@ -170,3 +177,37 @@ def _reference(fit: RatesFit) -> str:
             "The rate was taken from the beat itself: an error of the scale factor goes 1:1 into the lock-in rate."
         )
     return "The rates given were used: an error common to all of them goes 1:1 into the lock-in rate."
+
+
+def describe_frequencies(fit: FrequencyFit) -> tuple[str, ...]:
+    """Say what beat frequencies against rate tell: the main sentence first, the caveat of the method last."""
+    known = "given" if fit.scale_factor_given else "fitted"
+    origin = f"from {int(fit.used.sum())} beat frequencies, scale factor {known}"
+    high = fit.lock_in_rate_high_95
+    if np.isnan(high):
+        value = (
+            f"WL^2 is {fit.lock_in_square:.3g} ± {fit.lock_in_square_u:.2g} (deg/s)^2, below zero beyond its "
+            f"uncertainty, {origin}: the frequency is pushed up, not pulled down. There is no lock-in rate in it."
+        )
+    elif fit.flags & FrequencyFlag.NOT_SIGNIFICANT:
+        value = (
+            f"WL^2 is {fit.lock_in_square:.3g} ± {fit.lock_in_square_u:.2g} (deg/s)^2 and does not stand out, "
+            f"{origin}; the frequencies alone would say WL below {high:.3g} deg/s with 95 %."
+        )
+    else:
+        value = f"Lock-in rate {fit.lock_in_rate:.5g} ± {fit.lock_in_rate_u:.2g} deg/s (k = 1) {origin}."
+    others = (
+        f"Scale factor {fit.scale_factor:.8g} ± {fit.scale_factor_u:.2g} pulses per degree, bias rate "
+        f"{fit.bias_rate:.3g} ± {fit.bias_rate_u:.2g} deg/s."
+    )
+    sentences = [value, others]
+    if fit.flags & FrequencyFlag.MISFIT:
+        sentences.append(
+            f"The frequencies scatter more than their uncertainties say (chi-square {fit.chi_square:.3g} for "
+            f"{fit.degrees_of_freedom} degrees of freedom); the result's are enlarged to that."
+        )
+    if fit.flags & FrequencyFlag.NO_BEAT_ABOVE_LOCK_IN:
+        sentences.append("There are records without a beat at rates where the gyro should turn freely.")
+    if fit.flags & FrequencyFlag.LOCKED_RECORDS:
+        sentences.append("Records without a beat bound the lock-in rate from below; the interval begins there.")
+    return (*sentences, CAVEAT)

@@ -14,16 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from instrument.errors import TransferError
+from instrument.facts import HIGHEST_CODE, NO_DATA
 from instrument.scpi import integer, nr3, number, split_header, split_parts, unquote
-
-LEVELS_PER_DIVISION = 25
-"""Codes per vertical division, at one byte a point (071-1075-04, p. 2-84)."""
-
-CLIPPED_CODE = 127
-"""Channel codes stop at plus and minus this value."""
-
-NO_DATA_CODE = -128
-"""Stands where the scope has no data: the moving blank of scan mode, an empty reference."""
 
 _PLOT_UNITS = {"Volts": "V"}
 
@@ -146,7 +138,7 @@ class Waveform:
         preamble = self.preamble
         values = (self.codes.astype(np.float64) - preamble.yoff) * preamble.ymult + preamble.yzero
         if self.codes.dtype == np.int8:
-            values[self.codes == NO_DATA_CODE] = np.nan
+            values[self.codes == NO_DATA] = np.nan
         return values
 
     @property
@@ -165,13 +157,17 @@ class Waveform:
         return self.preamble.xincr
 
     @property
-    def clipped(self) -> bool:
-        """Whether any point lies at the end of the converter's range (codes +127 or -127)."""
-        limit = CLIPPED_CODE if self.codes.dtype == np.int8 else CLIPPED_CODE * 256
-        at_limit = np.abs(self.codes.astype(np.int32)) >= limit
+    def clipped_samples(self) -> NDArray[np.bool_]:
+        """Which points lie at the end of the converter's range (codes +127 or -127), shape (n,)."""
+        codes = self.codes.astype(np.int32)
         if self.codes.dtype == np.int8:
-            at_limit &= self.codes != NO_DATA_CODE
-        return bool(at_limit.any())
+            return np.asarray((np.abs(codes) >= HIGHEST_CODE) & (codes != NO_DATA))
+        return np.asarray(np.abs(codes) >= HIGHEST_CODE * 256)
+
+    @property
+    def clipped(self) -> bool:
+        """Whether any point is clipped."""
+        return bool(self.clipped_samples.any())
 
     def plot(self, axes: Any = None) -> Any:
         """Draw the record with Matplotlib, into `axes` or a new figure; returns the axes.

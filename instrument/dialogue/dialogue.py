@@ -23,15 +23,11 @@ from instrument.errors import (
     TransferError,
     WrongInstrument,
 )
+from instrument.facts import POINTS
 from instrument.waveform import Waveform
 
-RECORD_LENGTH = 2500
-"""Points of every record on this family."""
-
 _FORMAT_QUERY = ":HEADER?;:VERBOSE?;:DATA:ENCDG?;:DATA:SOURCE?;:DATA:START?;:DATA:STOP?;:DATA:WIDTH?"
-_OUR_FORMAT = (
-    f":HEADER OFF;:VERBOSE ON;:DATA:ENCDG RIBINARY;:DATA:WIDTH 1;:DATA:START 1;:DATA:STOP {RECORD_LENGTH}"
-)
+_OUR_FORMAT = f":HEADER OFF;:VERBOSE ON;:DATA:ENCDG RIBINARY;:DATA:WIDTH 1;:DATA:START 1;:DATA:STOP {POINTS}"
 _LINE_END = ":RS232:TRANSMIT:TERMINATOR"
 _SOFT_FLAGGING = ":RS232:SOFTFLAGGING"
 _HARD_FLAGGING = ":RS232:HARDFLAGGING"
@@ -190,7 +186,7 @@ class Dialogue:
             with self._exchange():
                 self.link.write(message)
                 self.source = None
-                answer = self.link.read_blocks(blocks=len(sources), wait=wait, longest=2 * RECORD_LENGTH)
+                answer = self.link.read_blocks(blocks=len(sources), wait=wait, longest=2 * POINTS)
             register, texts, curves = wanted.split(*answer)
             self._check_register(register)
             missing = wanted.not_displayed(texts)
@@ -300,7 +296,7 @@ class Dialogue:
         """Ask ``*IDN?`` and read until an identity comes: on a stream, older lines may come first."""
         in_doubt, self._identity_due = self._identity_due, True
         self.link.write("*IDN?")
-        deadline = time.monotonic() + self.link.answer_time + self.link.line_time(2 * RECORD_LENGTH)
+        deadline = time.monotonic() + self.link.answer_time + self.link.line_time(2 * POINTS)
         problem: InstrumentError | None = None
         while problem is None or (not self.link.framed and time.monotonic() < deadline):
             try:

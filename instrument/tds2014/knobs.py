@@ -7,9 +7,9 @@ from typing import Any
 
 from instrument import scpi
 from instrument.errors import SettingError
+from instrument.facts import LEVELS_PER_DIVISION
 from instrument.tds2014.front_panel import Change, ChannelSettings, group_commands, is_on, one_of, optional
 from instrument.tds2014.session import Session
-from instrument.waveform import LEVELS_PER_DIVISION
 
 _TRIGGER_SOURCES = ("EXT", "EXT5", "EXT10", "LINE", "AC LINE")
 

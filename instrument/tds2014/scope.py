@@ -17,9 +17,10 @@ from collections.abc import Callable, Iterator
 from typing import cast, overload
 
 from instrument import scpi
-from instrument.dialogue.acquisition_time import INTERVALS_PER_DIVISION, AcquisitionTime
+from instrument.dialogue.acquisition_time import AcquisitionTime
 from instrument.dialogue.link import NoAnswer
 from instrument.errors import InstrumentError, LinkError, NoTrigger, SettingError, TransferError
+from instrument.facts import POINTS_PER_DIVISION
 from instrument.tds2014 import setups
 from instrument.tds2014.front_panel import Change, is_on
 from instrument.tds2014.math_waveform import set_math
@@ -355,6 +356,6 @@ class TDS2014(Snapshots):
 
     def _remember_timebase(self, waveform: Waveform) -> None:
         """Somebody may have turned the knob: the record tells the time base it was taken with."""
-        taken_with = waveform.sample_interval * INTERVALS_PER_DIVISION
+        taken_with = waveform.sample_interval * POINTS_PER_DIVISION
         if self._timing and abs(taken_with / self._timing.seconds_per_division - 1) > 1e-3:
             self._timing = None

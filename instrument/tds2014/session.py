@@ -8,10 +8,11 @@ from typing import Self
 import pyvisa
 
 from instrument.dialogue.acquisition_time import AcquisitionTime
-from instrument.dialogue.dialogue import RECORD_LENGTH, Dialogue
+from instrument.dialogue.dialogue import Dialogue
 from instrument.dialogue.identity import Identity
 from instrument.dialogue.link import Link
 from instrument.errors import InstrumentError, LinkError, ScopeEvent, SettingError
+from instrument.facts import POINTS
 from instrument.tds2014.front_panel import FrontPanel
 
 
@@ -124,4 +125,4 @@ class Session:
         self._dialogue.source = None
 
     def __repr__(self) -> str:
-        return f"<{self.identity.model} at {self.resource_name}, {RECORD_LENGTH} points>"
+        return f"<{self.identity.model} at {self.resource_name}, {POINTS} points>"

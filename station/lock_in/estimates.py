@@ -14,7 +14,6 @@ from analysis.changed_ratio import with_ratio
 from analysis.lockin_equation import Relation
 from instrument import Preamble, Waveform
 from instrument.errors import InstrumentError
-from instrument.waveform import CLIPPED_CODE
 from station.errors import NoUsableSignal, RunError
 from station.runs.store import SavedRecord, SavedRun
 
@@ -145,11 +144,7 @@ def only_beats(each: LockInEstimate) -> LockInEstimate:
 
 def clipped_samples(waveforms: Sequence[Waveform]) -> NDArray[np.bool_]:
     """Samples that stand at the end of the converter's range, shape (n_records, n_samples)."""
-    codes = np.array([wave.codes for wave in waveforms])
-    highest = CLIPPED_CODE if codes.dtype == np.int8 else 256 * CLIPPED_CODE
-    # a sample without data is nan, not clipped, though its code is the lowest of all
-    valid = np.isfinite(np.array([wave.volts for wave in waveforms]))
-    return np.asarray((np.abs(codes.astype(np.int32)) >= highest) & valid)
+    return np.array([wave.clipped_samples for wave in waveforms])
 
 
 def _estimate_batch(waveforms: Sequence[Waveform], method: Method) -> LockInEstimate:

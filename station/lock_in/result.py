@@ -18,7 +18,7 @@ from station.lock_in.sentences import (
 from station.lock_in.settings import LimitSettings, Settings
 from station.lock_in.tables import rates_table, records_table
 from station.results.numbers import with_prefix, with_uncertainty
-from station.results.parts import Rows
+from station.results.parts import Rows, TextTable
 from station.results.result import Measured, Result
 from station.runs.store import SavedRun
 
@@ -29,7 +29,7 @@ def result(found: Evaluation, run: SavedRun | None = None, settings: Settings | 
     """Put into numbers and sentences what was found; also for records that come from files, without a run."""
     document = result_document(found)
     budget = [] if found.budget is None else budget_sentences(found.budget)
-    tables = ()
+    tables: tuple[TextTable, ...] = ()
     if found.several is not None:
         tables = (rates_table(found.several),)
     elif len(found.names) > 1:

@@ -116,7 +116,7 @@ class _Taking:
         return math.cos(math.radians(tilt.tilt_deg))
 
     def _take_step(self, step: RateStep, table_rate: float | None) -> None:
-        """Go to one rate, find the beat there and take the records; without `table_rate` the table turns already."""
+        """Go to one rate, find the beat and take the records; without `table_rate` the table turns already."""
         settings, channels = self.settings, _channels(self.settings)
         there, count = self._taken_at(step), settings.measurement.records
         if there >= count:
@@ -131,15 +131,12 @@ class _Taking:
         self.knobs = find_beat(self.bench.scope, settings.scope, settings.measurement, begin)
         for channel in channels[1:]:
             fit_channel(self.bench.scope, channel, settings.scope, settings.measurement, self.knobs)
-        knobs = asdict(self.knobs)
-        self.rates.append(
-            {"over_lock_in": step.over_lock_in, "table_rate_dps": table_rate, "scope_setting": knobs}
-        )
-        self.writer.save_facts({"rates": self.rates, "scope_setting": knobs, "table_rate_dps": table_rate})
+        now = {"scope_setting": asdict(self.knobs), "table_rate_dps": table_rate}
+        asked = {"over_lock_in": step.over_lock_in}
+        self.rates.append({**asked, **now})
+        self.writer.save_facts({"rates": self.rates, **now})
         name = f"rate {step.sense * step.over_lock_in:+g}"
-        self._take_records(
-            "measure", name, channels, there, count, table_rate, {"over_lock_in": step.over_lock_in}
-        )
+        self._take_records("measure", name, channels, there, count, table_rate, asked)
 
     def _take_records(
         self,

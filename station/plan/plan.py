@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from analysis.plan import (
-    OscilloscopeSteps,
     Plan,
     PlannedRate,
     PlanRequest,
@@ -21,7 +20,7 @@ from station.errors import UsageError
 from station.lock_in.budget_table import budget_document
 from station.lock_in.knowledge import bench_knowledge
 from station.lock_in.settings import Settings
-from station.scope.autoset import TIME_BASES, VERTICAL_SCALES
+from station.scope.autoset import oscilloscope_steps
 
 _BYTES_PER_RECORD = 2900
 """2500 points, their preamble, and the questions that bring them."""
@@ -128,7 +127,7 @@ def plan_request(settings: Settings, options: PlanOptions) -> PlanRequest:
         amplitude=amplitude,
         noise_rms=_given(options.noise_v, simulated.detector_noise_v if simulated else 0.01 * amplitude),
         noise_levels=simulated.scope_noise_levels if simulated else 0.5,
-        oscilloscope=OscilloscopeSteps(TIME_BASES, tuple(scale * probe for scale in VERTICAL_SCALES)),
+        oscilloscope=oscilloscope_steps(probe),
         knowledge=knowledge,
         reference="rate" if options.reference == "rate" else "beat",
         table=_table(settings, options),

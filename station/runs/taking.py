@@ -73,7 +73,7 @@ class Session:
         self.progress = progress
         self.resumed = resumed
         self.writer: RunWriter | None = None
-        self.facts = dict(facts)
+        self.facts: dict[str, Any] = dict(facts)
         self._directory, self._again = directory, dict(again or {})
         self._bench = ExitStack()
 

@@ -102,7 +102,7 @@ def resume_run(
 
 
 def saved_run(path: Path, kind: Measurement[Any, Any]) -> Taken:
-    """Return a saved run of one measurement as if it had just been taken; errors as :func:`check_kind`, or RunError."""
+    """Return a saved run of one measurement as if it had just been taken; UsageError if it is another's."""
     run = open_run(path)
     check_kind(run, kind)
     return Taken(run.path, None)

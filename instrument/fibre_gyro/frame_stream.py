@@ -6,10 +6,10 @@ stretch is lost, and never more than two frames' bytes are held.
 
 Where the checksum is weak (one byte, or none), what follows has to bear a frame out. In step, where frame follows
 frame without a byte between them, the header of the next one does. Behind damage a header may be two numbers that
-only look like one: there the counter has to go on by as many frames as the bytes since the last one make, or the next
-frame has to be whole itself. More cannot be had. A byte lost in a frame, and one inserted before the next header,
-leave the very bytes of another whole frame in 1 of 256 cases (one byte of sum); nothing tells it from one that was
-sent.
+only look like one: there the counter has to go on by as many frames as the bytes since the last one make, or the
+next frame has to be whole itself. More cannot be had. A byte lost in a frame, and one inserted before the next
+header, leave the very bytes of another whole frame in 1 of 256 cases (one byte of sum); nothing tells it from one
+that was sent.
 """
 
 from __future__ import annotations

@@ -10,9 +10,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import cast
 
-from instrument.fibre_gyro.checksums import CHECKSUMS
 from instrument.fibre_gyro.description import Description
-from instrument.fibre_gyro.messages import ByteOrder, CheckRule, Message, read_message
+from instrument.fibre_gyro.messages import CHECKSUMS, ByteOrder, CheckRule, Message, read_message
 
 COMMANDS = ("inject", "close_loop", "open_loop", "hold_feedback")
 """Everything that a gyro can be told here; a format need not have them all."""

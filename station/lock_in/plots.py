@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 from analysis import fit_harmonics
 from instrument import Waveform
 from station.lock_in.evaluation import Evaluation
-from station.report.figure import svg_element
-from station.report.figure import ACCENT, HALF, INK, SECOND, THIRD, WIDE, legend_above
+from station.report.figure import ACCENT, HALF, INK, SECOND, THIRD, WIDE, legend_above, svg_element
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

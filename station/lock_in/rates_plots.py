@@ -11,8 +11,7 @@ from analysis import RatesFit
 from analysis.lock_in_run import RateGroup, SeveralRates
 from analysis.lockin_equation import beat_frequency, lock_in_from_rate
 from analysis.several_rates.ratio_model import RatioData, predicted_ratio
-from station.report.figure import svg_element
-from station.report.figure import ACCENT, HALF, INK, SECOND, SOFT, THIRD, WIDE, legend_above
+from station.report.figure import ACCENT, HALF, INK, SECOND, SOFT, THIRD, WIDE, legend_above, svg_element
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -24,7 +24,7 @@ from analysis.lock_in_run import (
 )
 from instrument import Preamble, Waveform
 from instrument.errors import InstrumentError
-from instrument.waveform import CLIPPED_CODE
+from instrument.facts import HIGHEST_CODE
 from station.errors import NoUsableSignal, RunError, UsageError
 from station.lock_in.evaluation import Evaluation
 from station.lock_in.knowledge import run_knowledge
@@ -192,7 +192,7 @@ class _Volts:
 
 def _clipped(codes: NDArray[np.integer[Any]], volts: NDArray[np.float64]) -> NDArray[np.bool_]:
     """Samples at the end of the converter's range; one without data is none, though its code is the lowest."""
-    highest = CLIPPED_CODE if codes.dtype == np.int8 else 256 * CLIPPED_CODE
+    highest = HIGHEST_CODE if codes.dtype == np.int8 else 256 * HIGHEST_CODE
     return np.asarray((np.abs(codes.astype(np.int32)) >= highest) & np.isfinite(volts))
 
 

@@ -8,8 +8,7 @@ import pytest
 
 from instrument import SettingError
 from instrument.fibre_gyro import FrameFormatError, parse_frame_format
-from instrument.fibre_gyro.checksums import CHECKSUMS
-from instrument.fibre_gyro.messages import compose
+from instrument.fibre_gyro.messages import CHECKSUMS, compose
 
 EXAMPLES = tomllib.loads((Path(__file__).parents[2] / "config/fibre_gyro_frames.toml").read_text())["formats"]
 

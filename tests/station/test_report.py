@@ -6,17 +6,16 @@ from html.parser import HTMLParser
 from pathlib import Path
 
 import pytest
-from station.lock_in.report import render_report, write_report
 
-from analysis.lock_in_run import Method
+from station.evaluated import evaluate_run
+from station.lock_in.measurement import MEASUREMENT
 from station.lock_in.plots import line_svg, spectrum_svg, time_record_svg, values_svg
-from station.lock_in.read import evaluate_run
-from station.lock_in.result import result_document
 from station.lock_in.sentences import lock_in_words
 from station.lock_in.settings import load_settings
-from station.lock_in.take import take_run
+from station.report.report import render_report, write_report
 from station.runs.progress import Progress
 from station.runs.store import SavedRun, open_run
+from station.shell.running import start_run
 
 VOID = {"meta", "br", "img", "link", "hr", "input"}
 
@@ -62,14 +61,14 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> SavedRun:
     (folder / "my.toml").write_text('[gyro]\nname = "<b>No. 7 & Söhne</b>"\n')
     overrides = {"measurement": {"records": 3}, "output": {"directory": str(folder)}}
     settings = load_settings(folder / "my.toml", overrides=overrides)
-    taken = take_run(settings, Progress(quiet=True))
+    taken = start_run(MEASUREMENT, settings, Progress(quiet=True))
     assert taken.failure is None
     return open_run(taken.path)
 
 
 def test_the_page_is_whole_and_stands_alone(run: SavedRun) -> None:
     page = Page()
-    page.feed(render_report(evaluate_run(run), run))
+    page.feed(render_report(evaluate_run(run)))
     page.close()
     assert page.open == []
     assert [name for name, count in Counter(page.ids).items() if count > 1] == []
@@ -78,8 +77,8 @@ def test_the_page_is_whole_and_stands_alone(run: SavedRun) -> None:
 
 
 def test_the_page_shows_result_settings_and_provenance(run: SavedRun) -> None:
-    evaluation = evaluate_run(run)
-    html = render_report(evaluation, run)
+    evaluation = evaluate_run(run).found
+    html = render_report(evaluate_run(run))
     page = Page()
     page.feed(html)
     for value in (
@@ -107,11 +106,11 @@ def test_the_page_shows_result_settings_and_provenance(run: SavedRun) -> None:
 
 
 def test_the_same_run_gives_the_same_page(run: SavedRun) -> None:
-    assert render_report(evaluate_run(run), run) == render_report(evaluate_run(run), run)
+    assert render_report(evaluate_run(run)) == render_report(evaluate_run(run))
 
 
 def test_every_figure_is_well_formed_and_names_what_it_shows(run: SavedRun) -> None:
-    evaluation = evaluate_run(run)
+    evaluation = evaluate_run(run).found
     wave = evaluation.waveforms[0]
     figures = (
         time_record_svg(wave),
@@ -129,22 +128,22 @@ def test_every_figure_is_well_formed_and_names_what_it_shows(run: SavedRun) -> N
 
 
 def test_the_file_appears_whole_beside_the_run(run: SavedRun, tmp_path: Path) -> None:
-    path = write_report(evaluate_run(run), run)
+    path = write_report(evaluate_run(run))
     assert path == run.path.parent / "report.html"
-    elsewhere = write_report(evaluate_run(run), run, tmp_path / "other.html")
+    elsewhere = write_report(evaluate_run(run), tmp_path / "other.html")
     assert elsewhere.read_text(encoding="utf-8") == path.read_text(encoding="utf-8")
     assert sorted(file.name for file in tmp_path.iterdir()) == ["other.html"]
 
 
 def test_a_result_that_means_nothing_is_told_as_such(run: SavedRun) -> None:
     cut = SavedRun(run.path, run.facts, tuple(_silenced(record) for record in run.records), None)
-    evaluation = evaluate_run(cut, Method(2000.0))
+    evaluation = evaluate_run(cut).found
     assert not evaluation.usable
     page = Page()
-    page.feed(render_report(evaluation, cut))
-    assert "No lock-in rate" in page.text
+    page.feed(render_report(evaluate_run(cut)))
+    assert "no lock-in rate" in page.text
     assert "All samples are equal" in page.text
-    document = result_document(evaluation, cut)
+    document = evaluate_run(cut).document()
     assert document["lock_in_rate_dps"] is None
     assert "constant" in document["flags"]
 
@@ -154,4 +153,4 @@ def _silenced(record):
 
     if record.purpose == "tilt":
         return record
-    return replace(record, codes=record.codes * 0)
+    return replace(record, payload=bytes(len(record.payload)))

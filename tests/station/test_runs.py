@@ -12,18 +12,21 @@ import pytest
 
 from station.errors import RunError
 from station.runs.database import is_database, save_result
-from station.runs.store import RunWriter, open_run
+from station.runs.store import NewRecord, RunWriter, open_run
 
 PREAMBLE = '1;8;BIN;RI;MSB;5;"Ch1";Y;1.0E-4;0;0.0E0;"s";4.0E-3;0.0E0;0.0E0;"Volts"'
 CODES = np.array([-128, -127, 0, 1, 127], dtype=np.int8)
 
 
+def record(number: int, purpose: str = "measure") -> NewRecord:
+    conditions = {"channel": "CH1", "azimuth_deg": number / 3}
+    return NewRecord(f"{purpose} {number}", purpose, PREAMBLE, np.roll(CODES, number).tobytes(), conditions)
+
+
 def new_run(folder: Path, records: int = 2) -> Path:
-    with RunWriter(folder / "runs", {"simulated": True, "name": "Kreisel Ω"}) as run:
+    with RunWriter.create(folder / "runs", {"simulated": True, "name": "Kreisel Ω"}) as run:
         for number in range(records):
-            run.save_record(
-                "measure", np.roll(CODES, number), PREAMBLE, {"channel": "CH1", "azimuth_deg": number / 3}
-            )
+            run.save_records([record(number)])
     return run.path
 
 
@@ -69,10 +72,10 @@ def test_results_are_added_to_a_closed_run(tmp_path: Path) -> None:
 
 
 def test_a_reader_sees_records_while_the_run_is_being_written(tmp_path: Path) -> None:
-    with RunWriter(tmp_path, {}) as writer:
-        writer.save_record("measure", CODES, PREAMBLE, {})
+    with RunWriter.create(tmp_path, {}) as writer:
+        writer.save_records([record(1)])
         assert len(open_run(writer.path).records) == 1
-        writer.save_record("tilt", CODES, PREAMBLE, {})
+        writer.save_records([record(1, "tilt")])
         run = open_run(writer.path)
     assert len(run.records) == 2
     assert len(run.taken_for("tilt")) == 1
@@ -81,7 +84,7 @@ def test_a_reader_sees_records_while_the_run_is_being_written(tmp_path: Path) ->
 def test_a_changed_byte_is_noticed(tmp_path: Path) -> None:
     path = new_run(tmp_path)
     db = sqlite3.connect(path)
-    db.execute("UPDATE record SET codes = X'0000000000' WHERE number = 1")
+    db.execute("UPDATE record SET payload = X'0000000000' WHERE number = 1")
     db.commit()
     db.close()
     assert [record.intact for record in open_run(path).records] == [False, True]
@@ -129,19 +132,20 @@ def test_a_cut_file_is_told(tmp_path: Path) -> None:
 def test_runs_cannot_be_saved_below_a_file(tmp_path: Path) -> None:
     (tmp_path / "taken").write_text("")
     with pytest.raises(RunError, match=r"cannot be saved there|is not a directory"):
-        RunWriter(tmp_path / "taken", {})
+        RunWriter.create(tmp_path / "taken", {})
 
 
 WRITER = """
 import sys
 from pathlib import Path
 import numpy as np
-from station.runs.store import RunWriter
-run = RunWriter(Path(sys.argv[1]), {"simulated": True})
+from station.runs.store import NewRecord, RunWriter
+run = RunWriter.create(Path(sys.argv[1]), {"simulated": True})
 print(run.path, flush=True)
 rng = np.random.default_rng(0)
 for number in range(1, 100_000):
-    run.save_record("measure", rng.integers(-100, 100, 2500).astype(np.int8), sys.argv[2], {"number": number})
+    codes = rng.integers(-100, 100, 2500).astype(np.int8)
+    run.save_records([NewRecord(str(number), "measure", sys.argv[2], codes.tobytes(), {"number": number})])
     print(number, flush=True)
 """
 

@@ -73,9 +73,9 @@ def test_every_mistake_is_named_with_its_place(tmp_path: Path) -> None:
     assert str(file) in text
     for place in (
         "table.fast_rate_dps",
-        "table.speed: no such setting",
+        "table.speed (line 3): no such setting",
         "measurement.records",
-        "motor: no such setting",
+        "motor (line 6): no such setting",
     ):
         assert place in text
     assert "\n" not in text

@@ -14,13 +14,14 @@ TEK_FILES = Path(__file__).resolve().parents[3] / "shared" / "data" / "tek-files
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    from station.lock_in.measurement import MEASUREMENT
     from station.lock_in.settings import load_settings
-    from station.lock_in.take import take_run
     from station.runs.progress import Progress
+    from station.shell.running import start_run
 
     folder = tmp_path_factory.mktemp("analyze")
     overrides = {"measurement": {"records": 5}, "output": {"directory": str(folder)}}
-    return take_run(load_settings(overrides=overrides), Progress(quiet=True)).path
+    return start_run(MEASUREMENT, load_settings(overrides=overrides), Progress(quiet=True)).path
 
 
 def test_every_relation_and_reference(gyrolock, run: Path) -> None:

@@ -9,12 +9,14 @@ import numpy as np
 import pytest
 
 from analysis.lockin_equation import harmonic_ratio, lock_in_from_rate
+from station.evaluated import evaluate_run
 from station.lock_in.evaluation import Evaluation
-from station.lock_in.read import evaluate_run
+from station.lock_in.measurement import MEASUREMENT
 from station.lock_in.settings import load_settings
-from station.lock_in.take import take_run
 from station.runs.progress import Progress
 from station.runs.store import open_run
+from station.settings.load import shipped_settings
+from station.shell.running import start_run
 
 LOCK_IN = 0.01
 PHASE = math.radians(20.0 - 35.0)  # readout phase less backscatter phase of the shipped settings
@@ -32,9 +34,9 @@ def measured(folder: Path, contaminants: dict[str, Any], **sections: dict[str, A
     overrides["scope"] = {"bandwidth_limit": False}
     for section, names in sections.items():
         overrides[section] = overrides.get(section, {}) | names
-    taken = take_run(load_settings(overrides=overrides), Progress(quiet=True))
+    taken = start_run(MEASUREMENT, load_settings(overrides=overrides), Progress(quiet=True))
     assert taken.failure is None
-    return evaluate_run(open_run(taken.path))
+    return evaluate_run(open_run(taken.path)).found
 
 
 def distance(evaluation: Evaluation, expected: float = LOCK_IN) -> float:
@@ -150,7 +152,7 @@ def test_a_slow_or_coupled_channel(
     assert distance(corrected) < 4
     assert corrected.budget is not None
     (run,) = tmp_path.glob("*/run.sqlite")
-    as_it_is = evaluate_run(open_run(run), known=load_settings())
+    as_it_is = evaluate_run(open_run(run), config=shipped_settings("simulated")).found
     assert as_it_is.truth is not None
     frequency = as_it_is.truth["beat_frequency_hz"]
     if "bandwidth_hz" in spoilt:
@@ -265,5 +267,5 @@ def test_everything_at_once(tmp_path: Path) -> None:
     assert corrected.quadratures.distortion == pytest.approx((10 ** (-46 / 20),) * 2, abs=2e-4)
     assert "misfit" not in corrected.flags
     (run,) = tmp_path.glob("*/run.sqlite")
-    as_it_is = evaluate_run(open_run(run), known=load_settings())
+    as_it_is = evaluate_run(open_run(run), config=shipped_settings("simulated")).found
     assert "misfit" in as_it_is.flags

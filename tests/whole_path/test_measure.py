@@ -6,12 +6,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from station.lock_in.read import evaluate_run
+from station.evaluated import evaluate_run
+from station.lock_in.measurement import MEASUREMENT
 from station.lock_in.settings import load_settings
-from station.lock_in.take import take_run
 from station.runs.progress import Progress
 from station.runs.store import SavedRun, open_run
 from station.settings.load import shipped_settings
+from station.shell.running import start_run
 
 KEYS = {
     "lock_in_rate_dps",
@@ -81,7 +82,7 @@ def measured(folder: Path, seed: int, records: int) -> SavedRun:
         "simulation": {"seed": seed, "link": "tcp"},
         "output": {"directory": str(folder)},
     }
-    taken = take_run(load_settings(overrides=overrides), Progress(quiet=True))
+    taken = start_run(MEASUREMENT, load_settings(overrides=overrides), Progress(quiet=True))
     assert taken.failure is None
     return open_run(taken.path)
 
@@ -137,7 +138,7 @@ def test_other_benches(gyrolock, tmp_path: Path, changes: str, lock_in_rate: flo
 def test_the_truth_lies_where_the_uncertainty_says(tmp_path: Path) -> None:
     distances = []
     for seed in range(6):
-        combined = evaluate_run(measured(tmp_path, seed, records=5)).combined
+        combined = evaluate_run(measured(tmp_path, seed, records=5)).found.combined
         distances.append((combined.lock_in_rate - 0.01) / combined.lock_in_rate_u)
     assert np.abs(distances).max() < 4
     assert 0.3 < np.sqrt(np.mean(np.square(distances))) < 1.8
@@ -159,7 +160,7 @@ def test_acquire_only_saves(gyrolock, tmp_path: Path) -> None:
     run = open_run(tmp_path / done.document["run"])
     assert run.path.parent.parent == tmp_path / "elsewhere"
     assert run.results is None
-    assert evaluate_run(run).usable
+    assert evaluate_run(run).found.usable
 
 
 def test_a_real_scope_without_table_is_its_own_reference(gyrolock, serve_scope) -> None:

@@ -8,14 +8,15 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from station.lock_in.report import render_report
 
-from station.lock_in.read import evaluate_run
-from station.lock_in.result import result_document
+from station.evaluated import evaluate_run
+from station.lock_in.measurement import MEASUREMENT
 from station.lock_in.settings import load_settings
-from station.lock_in.take import take_run
+from station.report.report import render_report
+from station.runs.facts import RunFacts
 from station.runs.progress import Progress
 from station.runs.store import SavedRun, open_run
+from station.shell.running import start_run
 
 PLAN = "[measurement]\nrates_over_lock_in = [4, 15]\nboth_senses = true\nrecords = 2\ntilt_records = 2\n"
 SPOILT = "[simulation.contaminants]\nsecond_harmonic_dbc = -46.0\n"
@@ -45,7 +46,8 @@ def taken(folder: Path, progress: Progress | None = None, **sections: dict[str, 
     }
     for section, names in sections.items():
         overrides[section] = overrides.get(section, {}) | names
-    return open_run(take_run(load_settings(overrides=overrides), progress or Progress(quiet=True)).path)
+    settings = load_settings(overrides=overrides)
+    return open_run(start_run(MEASUREMENT, settings, progress or Progress(quiet=True)).path)
 
 
 def test_rates_are_saved_fitted_and_told(gyrolock, tmp_path: Path) -> None:
@@ -102,7 +104,7 @@ def test_a_campaign_that_is_interrupted_gives_what_it_has(tmp_path: Path, after:
     run = taken(tmp_path, Interrupting(after), measurement=plan)
     assert run.facts["outcome"]["exit_code"] == 130
     assert len(run.taken_for("measure")) == after + 1
-    evaluation = evaluate_run(run)
+    evaluation = evaluate_run(run).found
     assert (0 if evaluation.several is None else len(evaluation.several.groups)) == groups
     assert evaluation.usable
     assert abs(float(evaluation.combined.lock_in_rate) - 0.01) < 5 * float(evaluation.combined.lock_in_rate_u)
@@ -111,15 +113,15 @@ def test_a_campaign_that_is_interrupted_gives_what_it_has(tmp_path: Path, after:
 def test_a_rate_inside_lock_in_is_told_and_does_not_end_the_campaign(tmp_path: Path) -> None:
     plan = {"rates_over_lock_in": [2.0, 4.5, 9.0]}
     run = taken(tmp_path, measurement=plan, simulation={"lock_in_rate_dps": 0.026})
-    evaluation = evaluate_run(run)
+    evaluation = evaluate_run(run).found
     assert evaluation.several is not None
     assert len(evaluation.several.groups) == 2
     (missing,) = evaluation.without_beat
     assert missing.startswith("+2 ")
     assert abs(float(evaluation.combined.lock_in_rate) - 0.026) < 4 * float(evaluation.combined.lock_in_rate_u)
-    document = result_document(evaluation, run)
+    document = evaluate_run(run).document()
     assert document["several_rates"]["rates_without_beat"] == [missing]
-    assert "No record at +2" in render_report(evaluation, run)
+    assert "No record at +2" in render_report(evaluate_run(run))
 
 
 def test_two_photodiodes_are_one_acquisition(tmp_path: Path) -> None:
@@ -127,20 +129,20 @@ def test_two_photodiodes_are_one_acquisition(tmp_path: Path) -> None:
     purposes = [record.purpose for record in run.records if record.purpose != "tilt"]
     assert purposes == ["measure", "quadrature"] * 3
     assert [record.conditions["channel"] for record in run.records[-2:]] == ["CH1", "CH2"]
-    evaluation = evaluate_run(run)
+    evaluation = evaluate_run(run).found
     assert evaluation.quadratures is not None
     assert evaluation.quadratures.records == 3
-    document = result_document(evaluation, run)
+    document = evaluate_run(run).document()
     assert document["records"] == 3
     assert document["quadratures"]["sense"] == 1
-    assert "Sine and cosine" in render_report(evaluation, run)
+    assert "Sine and cosine" in render_report(evaluate_run(run))
     # one byte of a cosine record changes: its acquisition is left out, the others stay
     with closing(sqlite3.connect(run.path)) as db, db:
         (number,) = db.execute("SELECT max(number) FROM record").fetchone()
-        (blob,) = db.execute("SELECT codes FROM record WHERE number = ?", (number,)).fetchone()
+        (blob,) = db.execute("SELECT payload FROM record WHERE number = ?", (number,)).fetchone()
         changed = bytes([blob[0] ^ 1]) + blob[1:]
-        db.execute("UPDATE record SET codes = ? WHERE number = ?", (changed, number))
-    damaged = evaluate_run(open_run(run.path))
+        db.execute("UPDATE record SET payload = ? WHERE number = ?", (changed, number))
+    damaged = evaluate_run(open_run(run.path)).found
     assert damaged.damaged == ("3",)
     assert damaged.quadratures is not None
     assert damaged.quadratures.records == 2
@@ -174,9 +176,10 @@ def test_a_measured_response_travels_with_the_run(tmp_path: Path) -> None:
     )
     (tmp_path / "my.toml").write_text('[front_end]\nresponse_file = "channel.csv"\n')
     overrides = {"output": {"directory": str(tmp_path)}, "measurement": {"records": 2, "tilt_records": 2}}
-    run = open_run(take_run(load_settings(tmp_path / "my.toml", overrides=overrides), Progress(quiet=True)).path)
+    settings = load_settings(tmp_path / "my.toml", overrides=overrides)
+    run = open_run(start_run(MEASUREMENT, settings, Progress(quiet=True)).path)
     (tmp_path / "channel.csv").unlink()
-    evaluation = evaluate_run(run)
+    evaluation = evaluate_run(run).found
     assert "corrected for the response" in evaluation.combined.noise_model
     assert evaluation.budget is not None
     assert "response" in [line.name for line in evaluation.budget.inputs]
@@ -189,9 +192,9 @@ def test_a_run_of_an_earlier_version_can_still_be_read(tmp_path: Path) -> None:
         del settings[section]
     del settings["scope"]["quadrature_channel"], settings["simulation"]["contaminants"]
     del settings["measurement"]["rates_over_lock_in"], settings["measurement"]["both_senses"]
-    old = replace(run, facts={**run.facts, "settings": settings})
-    now, then = evaluate_run(run), evaluate_run(old)
+    old = replace(run, facts=RunFacts({**run.facts, "settings": settings}))
+    now, then = evaluate_run(run).found, evaluate_run(old).found
     assert float(then.combined.lock_in_rate) == float(now.combined.lock_in_rate)
     assert then.budget is not None
     assert "scale factor" in " ".join(then.budget.unstated)
-    assert "Uncertainty budget" in render_report(then, old)
+    assert "Uncertainty budget" in render_report(evaluate_run(old))

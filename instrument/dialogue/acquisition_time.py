@@ -16,7 +16,6 @@ class AcquisitionTime:
 
     Attributes
     ----------
-    seconds_per_division : float
     acquisitions : int
         Number of averages; 1 in Sample and Peak Detect.
     automatic : bool

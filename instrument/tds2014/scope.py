@@ -129,36 +129,36 @@ class TDS2014:
 
     # ------------------------------------------------------------------ what the parts do
 
-    close = _of(lambda scope: scope._session, Session.close)
-    restore = _of(lambda scope: scope._session, Session.restore)
-    events = _of(lambda scope: scope._session, Session.events)
-    query = _of(lambda scope: scope._session, Session.query)
-    write = _of(lambda scope: scope._session, Session.write)
+    close = _of(lambda self: self._session, Session.close)
+    restore = _of(lambda self: self._session, Session.restore)
+    events = _of(lambda self: self._session, Session.events)
+    query = _of(lambda self: self._session, Session.query)
+    write = _of(lambda self: self._session, Session.write)
 
-    setup = _of(lambda scope: scope._knobs, Knobs.setup)
-    set_channel = _of(lambda scope: scope._knobs, Knobs.set_channel)
-    channel_settings = _of(lambda scope: scope._knobs, Knobs.channel_settings)
-    set_timebase = _of(lambda scope: scope._knobs, Knobs.set_timebase)
-    set_trigger = _of(lambda scope: scope._knobs, Knobs.set_trigger)
-    set_acquisition = _of(lambda scope: scope._knobs, Knobs.set_acquisition)
-    front_panel_locked = _of(lambda scope: scope._panel, FrontPanel.front_panel_locked)
+    setup = _of(lambda self: self._knobs, Knobs.setup)
+    set_channel = _of(lambda self: self._knobs, Knobs.set_channel)
+    channel_settings = _of(lambda self: self._knobs, Knobs.channel_settings)
+    set_timebase = _of(lambda self: self._knobs, Knobs.set_timebase)
+    set_trigger = _of(lambda self: self._knobs, Knobs.set_trigger)
+    set_acquisition = _of(lambda self: self._knobs, Knobs.set_acquisition)
+    front_panel_locked = _of(lambda self: self._panel, FrontPanel.front_panel_locked)
 
-    read_setup = _of(lambda scope: scope._setups, Setups.read_setup)
-    write_setup = _of(lambda scope: scope._setups, Setups.write_setup)
-    save_setup = _of(lambda scope: scope._setups, Setups.save_setup)
-    recall_setup = _of(lambda scope: scope._setups, Setups.recall_setup)
-    autoset = _of(lambda scope: scope._setups, Setups.autoset)
+    read_setup = _of(lambda self: self._setups, Setups.read_setup)
+    write_setup = _of(lambda self: self._setups, Setups.write_setup)
+    save_setup = _of(lambda self: self._setups, Setups.save_setup)
+    recall_setup = _of(lambda self: self._setups, Setups.recall_setup)
+    autoset = _of(lambda self: self._setups, Setups.autoset)
 
-    measure = _of(lambda scope: scope._measurements, Measurements.measure)
-    cursors = _of(lambda scope: scope._measurements, Measurements.cursors)
-    set_cursors = _of(lambda scope: scope._measurements, Measurements.set_cursors)
-    set_math = _of(lambda scope: scope._measurements, Measurements.set_math)
-    save_reference = _of(lambda scope: scope._measurements, Measurements.save_reference)
-    screen = _of(lambda scope: scope._screen, Screen.screen)
+    measure = _of(lambda self: self._measurements, Measurements.measure)
+    cursors = _of(lambda self: self._measurements, Measurements.cursors)
+    set_cursors = _of(lambda self: self._measurements, Measurements.set_cursors)
+    set_math = _of(lambda self: self._measurements, Measurements.set_math)
+    save_reference = _of(lambda self: self._measurements, Measurements.save_reference)
+    screen = _of(lambda self: self._screen, Screen.screen)
 
     # QCoDeS looks for name, get_idn and snapshot, PyMeasure for id, check_errors and shutdown.
-    snapshot = _of(lambda scope: scope._snapshot, Snapshot.snapshot)
-    get_idn = _of(lambda scope: scope._snapshot, Snapshot.get_idn)
+    snapshot = _of(lambda self: self._snapshot, Snapshot.snapshot)
+    get_idn = _of(lambda self: self._snapshot, Snapshot.get_idn)
     check_errors = events
     shutdown = close
 

@@ -109,7 +109,9 @@ def _to_watch(found: FiguresFound) -> list[str]:
     said = [f"{one.sentence}." for one in found.left_out]
     for one in found.all_runs:
         if not math.isfinite(one.static_drift):
-            said.append(f"{one.name}: a static output before or after is missing, a drift of the bias is not seen.")
+            said.append(
+                f"{one.name}: a static output before or after is missing, a drift of the bias is not seen."
+            )
         elif abs(one.static_drift) > 4 * one.static_drift_u:
             said.append(f"{one.name}: the static output drifted by {one.static_drift:+.3g} counts.")
         senses = [sum(1 for rate in set(one.rate_dps) if sense * rate > 0) for sense in (1, -1)]

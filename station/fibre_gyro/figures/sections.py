@@ -28,7 +28,8 @@ def sections(found: FiguresFound, run: SavedRun, settings: FogSettings, result: 
     return [
         Section(
             "Deviations from the line",
-            "Measured less fitted output. GJB style gives the nonlinearity of full scale, IEEE style names either.",
+            "Measured less fitted output. GJB style gives the nonlinearity of full scale, IEEE style names "
+            "either.",
             figures=(
                 PlacedFigure(_deviations_svg(found, of_point=False), "As ppm of the largest output."),
                 PlacedFigure(_deviations_svg(found, of_point=True), "As ppm of the point's own output."),
@@ -37,8 +38,8 @@ def sections(found: FiguresFound, run: SavedRun, settings: FogSettings, result: 
         ),
         Section(
             "Scale factor of each run",
-            "Repeatability is the standard deviation over the runs from cold starts; the temperature coefficient is "
-            "the largest change of K per kelvin from their mean.",
+            "Repeatability is the standard deviation over the runs from cold starts; the temperature coefficient "
+            "is the largest change of K per kelvin from their mean.",
             figures=(PlacedFigure(_scale_factors_svg(found), "Each run less the mean of the runs."),),
             table=TextTable(header, tuple(_row(one) for one in found.all_runs)),
         ),

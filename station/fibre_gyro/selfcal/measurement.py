@@ -40,7 +40,7 @@ def plan(settings: FogSettings, numbers: InjectionPlan) -> tuple[list[PlannedSeg
 
 def take(settings: FogSettings, session: Session) -> None:
     """Take the segments on the bench; a simulated one without the numbers of a table run takes that run first."""
-    if session.resumed is None and not settings.simulated and NUMBERS not in session.facts:
+    if not settings.simulated and NUMBERS not in session.facts:
         numbers_for(settings, None)  # says what is missing before anything moves
 
     def own_table(run: SavedRun) -> list[PlannedSegment]:

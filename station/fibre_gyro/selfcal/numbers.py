@@ -1,4 +1,4 @@
-"""The numbers that a self-calibration injects, and the rate-table result that they and the comparison come from."""
+"""The numbers that a self-calibration injects, and the rate-table result that they and the comparison rest on."""
 
 from __future__ import annotations
 

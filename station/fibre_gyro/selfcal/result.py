@@ -117,30 +117,30 @@ def _shared_path_sentences(found: SelfcalFound, *, gated: bool) -> list[str]:
         "The injection goes through the feedback's own adder, converter and electrode. The loop makes the sum of "
         "both staircases zero, so the output is the injected number itself: K_self returns the mapping of numbers "
         "to rates that it was given. It is no measurement of the gyro's scale factor.",
-        f"K_self differs from the slope of the injected numbers by {numbers}. This is what was tested: the digital "
-        "arithmetic, the lock of the loop, its dead zone and the decimation of the output.",
+        f"K_self differs from the slope of the injected numbers by {numbers}. This is what was tested: the "
+        "digital arithmetic, the lock of the loop, its dead zone and the decimation of the output.",
         "It is blind to L·D/λ, that is to the fibre, the coil's temperature and the wavelength: a change of "
         f"{PPM * _EXAMPLE_CHANGE:+.0f} ppm after the numbers were made changes K of the table by "
         f"{PPM * (scale - 1):+.4g} ppm and K_self by nothing, K_self/K_table - 1 = "
         f"{predicted_difference_ppm(1.0, 1.0, scale):+.4g} ppm.",
         _two_pi_sentence(gated=gated),
         "It is blind to the converter's nonlinearity: at rest the sum of both staircases stands still and the "
-        "converter does not even move. A cubic error of 0.4 % of full scale shifts K of the table by some +250 ppm "
-        "at a Sagnac phase of 0.47 rad (20 deg/s on a coil of 1000 m by 0.1 m), and by more at higher rates, where "
-        "reset samples are left out; by less than 1 ppm where all are used; and K_self by nothing.",
+        "converter does not even move. A cubic error of 0.4 % of full scale shifts K of the table by some +250 "
+        "ppm at a Sagnac phase of 0.47 rad (20 deg/s on a coil of 1000 m by 0.1 m), and by more at higher rates, "
+        "where reset samples are left out; by less than 1 ppm where all are used; and K_self by nothing.",
     ]
 
 
 def _two_pi_sentence(*, gated: bool) -> str:
     scale = predicted_table_scale(0.0, _EXAMPLE_EPS, gated=gated)
     begin = (
-        f"It is blind to V_2π: a 2π error of {PPM * _EXAMPLE_EPS:+.0f} ppm that comes up after the numbers were made "
-        "changes K of the table by"
+        f"It is blind to V_2π: a 2π error of {PPM * _EXAMPLE_EPS:+.0f} ppm that comes up after the numbers were "
+        "made changes K of the table by"
     )
     if gated:
         return (
-            f"{begin} {PPM * (scale - 1):+.5g} ppm, since this gyro leaves reset samples out, and K_self by nothing, "
-            f"K_self/K_table - 1 = {predicted_difference_ppm(1.0, 1.0, scale):+.5g} ppm."
+            f"{begin} {PPM * (scale - 1):+.5g} ppm, since this gyro leaves reset samples out, and K_self by "
+            f"nothing, K_self/K_table - 1 = {predicted_difference_ppm(1.0, 1.0, scale):+.5g} ppm."
         )
     return (
         f"{begin} {small_ppm(PPM * (scale - 1))} only, since this gyro uses the reset samples too, and K_self by "
@@ -170,10 +170,10 @@ def _second_path_sentences(found: SelfcalFound, *, gated: bool) -> list[str]:
         "own converter. K_self is the mapping of numbers to rates times the ratio of both paths' gains.",
         differs,
         sees,
-        f"It sees the gain of its own injection path as an error: +{PPM * _EXAMPLE_EPS:.0f} ppm there changes K_self "
-        f"by {own:+.5g} ppm and K of the table by nothing.",
-        "It is blind to L·D/λ, that is to the fibre, the coil's temperature and the wavelength: both staircases are "
-        "phases of the modulator, no rotation is compared with them. For that it takes the table.",
+        f"It sees the gain of its own injection path as an error: +{PPM * _EXAMPLE_EPS:.0f} ppm there changes "
+        f"K_self by {own:+.5g} ppm and K of the table by nothing.",
+        "It is blind to L·D/λ, that is to the fibre, the coil's temperature and the wavelength: both staircases "
+        "are phases of the modulator, no rotation is compared with them. For that it takes the table.",
     ]
 
 
@@ -189,9 +189,11 @@ def _to_watch(found: SelfcalFound, settings: FogSettings) -> list[str]:
         said.append(f"The static output moved by {drift} counts between before and after: the bias drifts.")
     if abs(fit.intercept) > 4 * _intercept_u(found):
         said.append(
-            f"The intercept F_0 is {with_uncertainty(fit.intercept, fit.intercept_u)} counts and not zero within its "
-            "uncertainty: a dead zone, a drift of the bias, or steps that are not equal in both senses."
+            f"The intercept F_0 is {with_uncertainty(fit.intercept, fit.intercept_u)} counts and not zero within "
+            "its uncertainty: a dead zone, a drift of the bias, or steps that are not equal in both senses."
         )
     if fit.chi_square > 4 * fit.degrees_of_freedom:
-        said.append("The points lie off the line by more than their noise; the uncertainties were widened to match.")
+        said.append(
+            "The points lie off the line by more than their noise; the uncertainties were widened to match."
+        )
     return said + (to_watch_of_table(found.table, settings) if found.table is not None else [])

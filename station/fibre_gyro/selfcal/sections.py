@@ -29,7 +29,9 @@ def sections(found: SelfcalFound, run: SavedRun, settings: FogSettings, result: 
             "Injected steps and output",
             figures=(
                 PlacedFigure(_steps_svg(found), "Net output against the rate that each step stands for."),
-                PlacedFigure(_residuals_svg(found), "Net output less the injected number, and less the fitted line."),
+                PlacedFigure(
+                    _residuals_svg(found), "Net output less the injected number, and less the fitted line."
+                ),
             ),
             table=_step_table(found),
         ),
@@ -73,9 +75,7 @@ def _steps_svg(found: SelfcalFound) -> str:
     def draw(figure: Figure) -> None:
         axes = figure.add_subplot()
         span = np.array([found.rate_dps.min(), found.rate_dps.max()]) * 1.04
-        axes.plot(
-            span, found.fit.intercept + found.fit.slope * span, color=ACCENT, linewidth=1.0, label="fit"
-        )
+        axes.plot(span, found.fit.intercept + found.fit.slope * span, color=ACCENT, linewidth=1.0, label="fit")
         axes.plot(found.rate_dps, found.net.output, "o", ms=5, color=SECOND, label="net output")
         axes.set(xlabel="rate that the injected step stands for, deg/s", ylabel="counts")
         legend_above(axes)

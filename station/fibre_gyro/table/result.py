@@ -104,8 +104,8 @@ def _even_part_sentence(settings: FogSettings) -> str:
     vertical = vertical_earth_rate_dph(settings.site.latitude_deg)
     if settings.table.both_ends_up:
         return (
-            "Each axis was turned with both ends up, so the vertical earth rate and the bias are told apart by the "
-            f"data; at latitude {settings.site.latitude_deg:g}° the earth rate is {vertical:.3f} deg/h."
+            "Each axis was turned with both ends up, so the vertical earth rate and the bias are told apart by "
+            f"the data; at latitude {settings.site.latitude_deg:g}° the earth rate is {vertical:.3f} deg/h."
         )
     return (
         "The even part holds the vertical earth rate and the bias together; the bias given here rests on the "
@@ -130,8 +130,8 @@ def _to_watch_of(one: AxisResult, settings: FogSettings) -> list[str]:
         if relative > 1e4:
             said.append(
                 f"{one.axis}: the number for {delta:.4g} deg/s is good to {relative / 1e4:.2g} % only; it is the "
-                f"difference of two numbers that are {made.base_dps / abs(delta):.0f} times larger. Use K by least "
-                "squares."
+                f"difference of two numbers that are {made.base_dps / abs(delta):.0f} times larger. Use K by "
+                "least squares."
             )
     if fit.degrees_of_freedom and fit.chi_square > 3 * fit.degrees_of_freedom:
         said.append(

@@ -75,12 +75,12 @@ def _axis_row(one: AxisResult, settings: FogSettings) -> tuple[str, ...]:
 def _difference_section(made: list[tuple[AxisResult, RateDifferences]], settings: FogSettings) -> Section:
     text = (
         "Differences of two large numbers, as the patent CN104634364A makes them. White noise hardly matters; "
-        f"{settings.table.irreproducibility_ppm:g} ppm of table rate and scale factor from run to run is multiplied "
-        "by base rate over difference."
+        f"{settings.table.irreproducibility_ppm:g} ppm of table rate and scale factor from run to run is "
+        "multiplied by base rate over difference."
     )
     caption = (
-        "Each number against K by least squares times the rate. Thick: standard uncertainty from noise; thin: with "
-        "the irreproducibility."
+        "Each number against K by least squares times the rate. Thick: standard uncertainty from noise; thin: "
+        "with the irreproducibility."
     )
     rows = []
     for one, differences in made:

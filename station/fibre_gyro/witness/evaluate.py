@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -12,19 +13,19 @@ from analysis.fibre_gyro.staircase import StaircaseWitness, two_pi_error, witnes
 from analysis.fibre_gyro.staircase.rounded_fit import rounding_left
 from instrument import Preamble, TransferError, Waveform
 from station.errors import NoUsableSignal
-from station.fibre_gyro.segments import LeftOut
+from station.fibre_gyro.common import PPM
 from station.fibre_gyro.settings import FogSettings
-from station.fibre_gyro.witness.take import PURPOSE
+from station.results.result import LeftOut
 from station.runs.store import SavedRecord, SavedRun
 
-_PPM = 1e6
+PURPOSE = "witness"
 _SHARED = 0.5
 """Of the uncertainty of one record, what all records of a run share: 24 simulated runs of 5 records scatter 1.4
 times as much as records that share nothing."""
 
 
 @dataclass(frozen=True)
-class Measured:
+class Uncertain:
     """A value and its standard uncertainty; nan where there is none."""
 
     value: float
@@ -53,23 +54,23 @@ class WitnessedRecord:
 
 
 @dataclass(frozen=True, eq=False)
-class WitnessEvaluation:
+class WitnessFound:
     """Means over the records; gain and time base are in every `u` but those of `record_u`.
 
     Attributes
     ----------
     records : tuple of WitnessedRecord
-    step_height, step_time, reset_height, two_pi_voltage, bias_height : Measured
+    step_height, step_time, reset_height, two_pi_voltage, bias_height : Uncertain
         V and s.
     two_pi_voltage_record_u : float
         Without the gain: for comparison with another run with the same settings of the oscilloscope.
-    step_codes : Measured
+    step_codes : Uncertain
         Step over 2-pi voltage, times the codes of the converter; free of the gain.
-    step_time_ppm : Measured
+    step_time_ppm : Uncertain
         Step time over transit time of the coil by design, less one.
     half_wave_v : float
         0 if it is not known.
-    two_pi_error : Measured
+    two_pi_error : Uncertain
         V_2pi/(2 V_pi) - 1.
     flags : tuple of str
         Of `analysis.fibre_gyro.staircase`, of any record.
@@ -77,28 +78,22 @@ class WitnessEvaluation:
     """
 
     records: tuple[WitnessedRecord, ...]
-    step_height: Measured
-    step_time: Measured
-    reset_height: Measured
-    two_pi_voltage: Measured
-    bias_height: Measured
+    step_height: Uncertain
+    step_time: Uncertain
+    reset_height: Uncertain
+    two_pi_voltage: Uncertain
+    bias_height: Uncertain
     two_pi_voltage_record_u: float
-    step_codes: Measured
-    step_time_ppm: Measured
+    step_codes: Uncertain
+    step_time_ppm: Uncertain
     half_wave_v: float
-    two_pi_error: Measured
+    two_pi_error: Uncertain
     flags: tuple[str, ...]
     left_out: tuple[LeftOut, ...]
 
 
-def evaluate_witness(run: SavedRun, settings: FogSettings) -> WitnessEvaluation:
+def evaluate(run: SavedRun, settings: FogSettings, choices: Mapping[str, Any]) -> WitnessFound:
     """Evaluate the records of a run.
-
-    Parameters
-    ----------
-    run : SavedRun
-    settings : FogSettings
-        Coil, converter, half-wave voltage and the oscilloscope's uncertainties.
 
     Raises
     ------
@@ -115,7 +110,7 @@ def evaluate_witness(run: SavedRun, settings: FogSettings) -> WitnessEvaluation:
     if not records:
         reasons = "; ".join(dict.fromkeys(one.reason for one in left_out)) or "there are no records"
         raise NoUsableSignal(f"no record shows the staircase of a modulator: {reasons}")
-    return _evaluation(tuple(records), tuple(left_out), settings, simulated=run.facts["simulated"])
+    return _found(tuple(records), tuple(left_out), settings, simulated=run.facts.simulated)
 
 
 def _witnessed(name: str, saved: SavedRecord, settings: FogSettings) -> WitnessedRecord:
@@ -141,9 +136,9 @@ def _witnessed(name: str, saved: SavedRecord, settings: FogSettings) -> Witnesse
         return WitnessedRecord(name, waveform, found, True)
 
 
-def _evaluation(
+def _found(
     records: tuple[WitnessedRecord, ...], left_out: tuple[LeftOut, ...], settings: FogSettings, *, simulated: bool
-) -> WitnessEvaluation:
+) -> WitnessFound:
     chosen = settings.witness
     gain, seconds = chosen.gain_u, chosen.time_base_u
     alone = _mean(records, "two_pi_voltage")
@@ -153,11 +148,11 @@ def _evaluation(
     ratio = step.value / alone.value
     codes = (1 << settings.gyro.dac_bits) * ratio
     half_wave = chosen.half_wave_v or (settings.simulation.half_wave_v if simulated else 0.0)
-    error = Measured(math.nan, math.nan)
+    error = Uncertain(math.nan, math.nan)
     if half_wave and math.isfinite(voltage.value):
-        error = Measured(*two_pi_error(voltage.value, voltage.u, half_wave, chosen.half_wave_u_v))
+        error = Uncertain(*two_pi_error(voltage.value, voltage.u, half_wave, chosen.half_wave_u_v))
     transit = settings.coil.transit_time
-    return WitnessEvaluation(
+    return WitnessFound(
         records=records,
         step_height=_widened(step, gain),
         step_time=time,
@@ -166,8 +161,8 @@ def _evaluation(
         bias_height=_widened(_mean(records, "bias_height"), gain),
         two_pi_voltage_record_u=alone.u,
         # both rise together where the fit is unsure of them, so this is rather too wide
-        step_codes=Measured(codes, abs(codes) * math.hypot(step.u / step.value, alone.u / alone.value)),
-        step_time_ppm=Measured(_PPM * (time.value / transit - 1), _PPM * time.u / transit),
+        step_codes=Uncertain(codes, abs(codes) * math.hypot(step.u / step.value, alone.u / alone.value)),
+        step_time_ppm=Uncertain(PPM * (time.value / transit - 1), PPM * time.u / transit),
         half_wave_v=half_wave,
         two_pi_error=error,
         flags=tuple(dict.fromkeys(flag for one in records for flag in one.found.flags)),
@@ -175,7 +170,7 @@ def _evaluation(
     )
 
 
-def _mean(records: Sequence[WitnessedRecord], name: str) -> Measured:
+def _mean(records: Sequence[WitnessedRecord], name: str) -> Uncertain:
     """Weighted mean; where the records scatter by more than their uncertainties, those grow.
 
     What rounding is wrong by is partly the same in every record, and does not average.
@@ -186,14 +181,14 @@ def _mean(records: Sequence[WitnessedRecord], name: str) -> Measured:
     )
     rows = rows[np.isfinite(rows).all(axis=1)]
     if not len(rows):
-        return Measured(math.nan, math.nan)
+        return Uncertain(math.nan, math.nan)
     values, u, share = rows.T
     if not u.all():  # a bias that is not there is 0 without an uncertainty
-        return Measured(float(values.mean()), float(np.std(values)))
+        return Uncertain(float(values.mean()), float(np.std(values)))
     weights = 1 / u**2
     mean = float(np.average(values, weights=weights))
     chi_square = float(np.sum(weights * (values - mean) ** 2)) / max(len(rows) - 1, 1)
-    return Measured(mean, math.hypot(math.sqrt(max(1.0, chi_square) / weights.sum()), float(np.min(share * u))))
+    return Uncertain(mean, math.hypot(math.sqrt(max(1.0, chi_square) / weights.sum()), float(np.min(share * u))))
 
 
 def _shared(record: WitnessedRecord) -> float:
@@ -207,5 +202,5 @@ def _shared(record: WitnessedRecord) -> float:
     return max(_SHARED, left / math.hypot(left, noise / math.sqrt(samples)))
 
 
-def _widened(measured: Measured, relative_u: float) -> Measured:
-    return Measured(measured.value, math.hypot(measured.u, relative_u * measured.value))
+def _widened(measured: Uncertain, relative_u: float) -> Uncertain:
+    return Uncertain(measured.value, math.hypot(measured.u, relative_u * measured.value))

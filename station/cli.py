@@ -25,21 +25,21 @@ _COMMANDS = {
     "analyze": ("commands.analyze:command", "Analyse saved runs and Tektronix CSV or ISF files again."),
     "report": ("commands.report:command", "Write the HTML report of saved runs."),
     "plan": (
-        "station.plan.command:command",
+        "plan.command:command",
         "Plan a measurement: rate, scale and records for a wanted uncertainty.",
     ),
     "fog": (
-        "station.fibre_gyro.command:command",
+        "fibre_gyro.command:command",
         "Scale factor of a fibre gyro: rate table, self-calibration, ...",
     ),
     "study": ("study.command:command", "Compute the paper's simulations, with its method and exactly."),
     "simulate": (
-        "station.commands.simulate:command",
+        "commands.simulate:command",
         "Serve the simulated oscilloscope on TCP or a serial terminal.",
     ),
     "list": ("commands.list:command", "List the instruments that VISA can see."),
     "doctor": (
-        "station.commands.doctor:command",
+        "commands.doctor:command",
         "Check this installation, and say what to do about what is missing.",
     ),
     "settings": ("commands.settings:command", "Print a commented settings file to copy."),

@@ -22,7 +22,7 @@ from station.fibre_gyro.witness.evaluate import PURPOSE
 from station.runs.operator import ask_operator
 from station.runs.store import NewRecord
 from station.runs.taking import Session
-from station.scope.autoset import KnobPositions, fit_channel, time_base_for
+from station.scope.autoset import KnobPositions, fit_channel, oscilloscope_steps
 from station.scope.open import open_scope
 
 _SETTING = "scope_setting"
@@ -151,7 +151,7 @@ def _set_up(scope: TDS2014, settings: FogSettings, before: KnobPositions | None)
     channel = witness.channel
     scope.set_channel(channel, coupling="DC", probe=witness.probe, bandwidth_limit=False, invert=False)
     scope.set_acquisition(mode="SAMPLE")
-    base = time_base_for(1 / transit, _SHAPE.periods_min, _SHAPE.samples_per_period_min)
+    base = oscilloscope_steps().time_base(1 / transit, _SHAPE.periods_min, _SHAPE.samples_per_period_min)
     knobs = before or KnobPositions(base, 1.0 * witness.probe, 0.0, 0.0, 1 / transit)
     base = scope.set_timebase(knobs.seconds_per_division, position=0.0)
     scope.set_trigger(source=channel, level=knobs.trigger_level, slope="FALL", mode="AUTO")

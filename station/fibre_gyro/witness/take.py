@@ -147,18 +147,21 @@ def _injecting(settings: FogSettings) -> Iterator[dict[str, Any]]:
 
 def _set_up(scope: TDS2014, settings: FogSettings, before: KnobPositions | None) -> KnobPositions:
     """Set the scope as it was set before, or so that a record holds enough steps and they fill the screen."""
-    witness, transit = settings.witness, settings.coil.transit_time
+    witness, beat = settings.witness, 1 / settings.coil.transit_time
     channel = witness.channel
     scope.set_channel(channel, coupling="DC", probe=witness.probe, bandwidth_limit=False, invert=False)
     scope.set_acquisition(mode="SAMPLE")
-    base = oscilloscope_steps().time_base(1 / transit, _SHAPE.periods_min, _SHAPE.samples_per_period_min)
-    knobs = before or KnobPositions(base, 1.0 * witness.probe, 0.0, 0.0, 1 / transit)
-    base = scope.set_timebase(knobs.seconds_per_division, position=0.0)
+    if before is None:
+        wanted = oscilloscope_steps().time_base(beat, _SHAPE.periods_min, _SHAPE.samples_per_period_min)
+        base = scope.set_timebase(wanted, position=0.0)
+        scope.set_trigger(source=channel, level=0.0, slope="FALL", mode="AUTO")
+        start = KnobPositions(base, 1.0 * witness.probe, 0.0, 0.0, beat)
+        vertical = fit_channel(scope, channel, witness, _SHAPE, start)
+        level = -vertical.position * vertical.scale
+        knobs = KnobPositions(base, vertical.scale, vertical.position, level, beat)
+    else:
+        knobs = before
+        scope.set_timebase(knobs.seconds_per_division, position=0.0)
+        scope.set_channel(channel, scale=knobs.volts_per_division, position=knobs.position)
     scope.set_trigger(source=channel, level=knobs.trigger_level, slope="FALL", mode="AUTO")
-    if before is not None:
-        scope.set_channel(channel, scale=before.volts_per_division, position=before.position)
-        return before
-    vertical = fit_channel(scope, channel, witness, _SHAPE, knobs)
-    level = -vertical.position * vertical.scale
-    scope.set_trigger(source=channel, level=level, slope="FALL", mode="AUTO")
-    return KnobPositions(base, vertical.scale, vertical.position, level, 1 / transit)
+    return knobs

@@ -49,15 +49,22 @@ def cut_short(monkeypatch: pytest.MonkeyPatch, fog_settings):
 
 
 def points(document: dict[str, Any]) -> Any:
-    return document["axes"] if "axes" in document else document["points"]
+    return next(document[name] for name in ("axes", "points", "runs") if name in document)
 
 
 @pytest.mark.parametrize(
     ("command", "at"),
-    [("table", "X -20.1"), ("selfcal", "inject -1"), ("selfcal", "Z +20.1"), ("eps", "open loop -2001")],
+    [
+        ("table", "X -20.1"),
+        ("selfcal", "inject -1"),
+        ("selfcal", "Z +20.1"),
+        ("eps", "open loop -2001"),
+        ("figures", "run 2, -50 deg/s"),
+    ],
 )
 def test_resumed_equals_uninterrupted(cut_short, taken, command: str, at: str) -> None:
     sections: dict[str, Any] = {"simulation": {"seed": 9}, "eps": {"record_s": 0.3}}
+    sections["figures"] = {"runs": 2, "rates_dps": [10.0, 50.0, 100.0], "temperatures_c": []}
     done = cut_short(command, at, LinkError("the cable is out"), **sections)
     assert done.failure.exit_code == EXIT_INSTRUMENT
     before = open_run(done.path)
@@ -125,3 +132,16 @@ def test_a_directory_that_cannot_be_made_is_said(fog_settings, tmp_path: Path) -
     )
     with pytest.raises(RunError, match="runs cannot be saved there"):
         start_run(TABLE, settings, QUIET)
+
+
+def test_only_what_is_not_measured_may_differ(cut_short, tmp_path: Path) -> None:
+    done = cut_short("eps", "open loop -2001", KeyboardInterrupt(), eps={"record_s": 0.3})
+    given = {"eps": {"record_s": 0.4}, "gyro": {"dac_bits": 14}}
+    with pytest.raises(UsageError, match=r"eps\.record_s is 0\.3 in the run, not 0\.4; gyro\.dac_bits is 16"):
+        resume_run(done.path, QUIET, kind=measurement("eps"), overrides=given)
+    assert open_run(done.path).facts.resumed_at == ()
+    config = tmp_path / "same.toml"
+    config.write_text("[eps]\nrecord_s = 0.3\n[limits]\ntwo_pi_error_ppm = 5.0\n")
+    labels = {"unit": "FG-7"}
+    assert resume_run(done.path, QUIET, kind=measurement("eps"), config=config, labels=labels).failure is None
+    assert open_run(done.path).facts.labels == labels

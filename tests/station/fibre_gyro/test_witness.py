@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from staircases import counter_voltage, write_csv
 
+from instrument import Preamble, Waveform
 from instrument.simulated import SimulatedTDS2014, TcpServer, VirtualClock
 from instrument.simulated.fibre_gyro.server import TcpGyroServer
 from station.errors import NoUsableSignal, UsageError
@@ -24,7 +25,7 @@ from station.runs.facts import RunFacts
 from station.runs.progress import Progress
 from station.runs.store import open_run
 from station.settings.load import saved_settings
-from station.shell.running import start_run
+from station.shell.running import resume_run, start_run
 
 QUIET = Progress(quiet=True)
 WITNESS = measurement("witness")
@@ -206,3 +207,42 @@ def test_runs_of_a_version_without_the_witness_can_still_be_read(taken, fog_sett
     old = replace(run, facts=RunFacts({**run.facts, "settings": settings}))
     assert saved_settings(FIBRE_GYRO, settings, "old").witness == fog_settings().witness
     assert evaluate_run(old).document()["two_pi_error"] == result.document()["two_pi_error"]
+
+
+class InterruptedProgress(Progress):
+    """Ctrl-C after so many records."""
+
+    def __init__(self, after: int) -> None:
+        super().__init__(quiet=True)
+        self._after = after
+
+    def advance(self) -> None:
+        super().advance()
+        self._after -= 1
+        if not self._after:
+            raise KeyboardInterrupt
+
+
+def test_a_run_cut_short_takes_the_records_that_are_missing_with_the_same_setting(fog_settings) -> None:
+    settings = fog_settings(witness={"records": 4}, simulation={"half_wave_v": 3.1, "seed": 5})
+    done = start_run(WITNESS, settings, InterruptedProgress(2))
+    assert done.failure is not None
+    assert done.failure.exit_code == 130
+    before = open_run(done.path)
+    assert [record.key for record in before.records] == ["record 1", "record 2"]
+    known = {"witness": {"half_wave_v": 3.1, "records": 4}}
+    with pytest.raises(UsageError, match=r"witness\.step_codes is 5001\.0 in the run, not 2001\.0"):
+        resume_run(done.path, QUIET, kind=WITNESS, overrides={"witness": {"step_codes": 2001.0}})
+    assert resume_run(done.path, QUIET, kind=WITNESS, overrides=known).failure is None
+    after = open_run(done.path)
+    assert [record.key for record in after.records] == [f"record {number}" for number in range(1, 5)]
+    assert [one.taken_at for one in after.records[:2]] == [one.taken_at for one in before.records]
+    scales = {Waveform(one.codes, Preamble.parse(one.preamble)).preamble for one in after.records}
+    assert len({(one.ymult, one.yoff, one.xincr) for one in scales}) == 1
+    # noise of its own: no record is a copy of another
+    assert len({one.payload for one in after.records}) == 4
+    assert len(after.facts.resumed_at) == 1
+    found = evaluate(after, settings, {})
+    assert found.two_pi_voltage.value == pytest.approx(6.2, abs=4 * found.two_pi_voltage_record_u)
+    with pytest.raises(UsageError, match="is finished, there is nothing to go on with"):
+        resume_run(done.path, QUIET, kind=WITNESS)

@@ -47,6 +47,20 @@ class Evaluated:
         """``"PASS"``, ``"FAIL"`` or, without limits, ``None``."""
         return verdict(self.tested)
 
+    @property
+    def not_tested(self) -> list[str]:
+        """Which limits are set that nothing was tested against, and why; one sentence each kind."""
+        measured, gives = {one.name for one in self.result.measured}, self.kind.gives
+        limits = [name for name in self.settings.limits.model_dump(exclude_none=True) if name not in measured]
+        others = [f"limits.{name}" for name in limits if name not in gives]
+        said = [f"limits.{name} is not tested: this run gives no such number" for name in limits if name in gives]
+        if others and gives:
+            verb = "is" if len(others) == 1 else "are"
+            said.append(
+                f"{', '.join(others)} {verb} not tested by `{self.kind.command}`, which gives {', '.join(gives)}"
+            )
+        return said
+
     def document(self) -> dict[str, Any]:
         """Return everything as one JSON document, without report and error."""
         facts = self.run.facts

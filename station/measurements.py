@@ -57,6 +57,8 @@ class Measurement(Generic[S, F]):
         Gets what was found, the run and the settings: settings and conditions, for the end of the report.
     rows : callable
         Gets what was found: one JSON object for each record, or none.
+    gives : tuple of str
+        Names of the numbers that limits can be set on.
     unusable : callable
         Gets a run and its settings: keys of records that are to be taken again when it is gone on with, and why.
     simulated : callable
@@ -75,6 +77,7 @@ class Measurement(Generic[S, F]):
     sections: Callable[[F, SavedRun, S, Result], list[Section]]
     facts: Callable[[F, SavedRun, S], list[FactTable]]
     rows: Callable[[F], list[dict[str, Any]]] = field(default=_no_rows)
+    gives: tuple[str, ...] = ()
     unusable: Callable[[SavedRun, S], Mapping[str, str]] = field(default=_nothing_unusable)
     simulated: Callable[[S], bool] = field(default=lambda settings: bool(settings.simulated))
 

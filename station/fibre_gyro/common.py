@@ -13,7 +13,7 @@ from analysis.fibre_gyro.staircase_calibration import largest_step, predicted_ta
 from station.fibre_gyro.recordings import segments_of
 from station.fibre_gyro.settings import FogSettings
 from station.fibre_gyro.simulated_bench import loop_settings, quiet
-from station.report.figure import ACCENT, SECOND, SOFT, THIRD, svg_element
+from station.report.figure import ACCENT, INK, SECOND, SOFT, THIRD, svg_element
 from station.results.parts import FactTable, PlacedFigure, Rows, Section
 from station.results.result import LeftOut
 from station.runs.store import SavedRun
@@ -25,6 +25,8 @@ if TYPE_CHECKING:
 
 PPM = 1e6
 COUNTS_PER_DPS = "counts per deg/s"
+COLOURS = (ACCENT, SECOND, THIRD, INK, "#8a5a9e", "#b0902c", SOFT)
+"""Of axes or runs side by side in one figure."""
 _TRACE_RATE_DPS = 20.0
 _TALL = (10.0, 5.6)
 _SIMULATED_BY = {"output": "words by the output model", "transit": "every transit time computed"}

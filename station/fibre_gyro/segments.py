@@ -16,6 +16,9 @@ from station.runs.progress import Progress
 from station.runs.store import RunWriter, SavedRun
 from station.runs.taking import Session
 
+MARGIN_S = 1.0
+"""So much longer than whole turns is a recording: they end within an output word."""
+
 
 @dataclass(frozen=True)
 class PlannedSegment:

@@ -169,7 +169,7 @@ def settings_to_resume(
     changed = [
         f"{place} is {before.get(place)!r} in the run, not {value!r}"
         for place, value in _flat(_given(path, overrides))
-        if place.split(".")[0] not in (*_FREE, *kind.knowledge) and before.get(place) != value
+        if not {place, place.split(".")[0]} & {*_FREE, *kind.knowledge} and before.get(place) != value
     ]
     if changed:
         raise UsageError(

@@ -95,6 +95,6 @@ def show(evaluated: Evaluated, *, report: bool, as_json: bool) -> dict[str, Any]
         document["report"] = str(write_report(evaluated))
     if not as_json:
         print_result(evaluated)
-    for one in evaluated.result.left_out:
-        click.echo(f"gyrolock: {one.sentence}", err=True)
+    for sentence in (*(one.sentence for one in evaluated.result.left_out), *evaluated.not_tested):
+        click.echo(f"gyrolock: {sentence}", err=True)
     return document

@@ -97,7 +97,7 @@ def resume_run(
             f"{path}: is finished, there is nothing to go on with; `gyrolock analyze {path}` reads it"
         )
 
-    session = Session({}, run.path.parent, progress, resumed=run, again=again)
+    session = Session({**run.facts, **(labels or {})}, run.path.parent, progress, resumed=run, again=again)
     return take(session, lambda of: kind.take(settings, of))
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from analysis.fibre_gyro.staircase_calibration import steps_beyond_dac
 from station.fibre_gyro.common import beyond_converter, output_facts, truth_of
 from station.fibre_gyro.eps.evaluate import PURPOSE, evaluate
-from station.fibre_gyro.eps.result import result
+from station.fibre_gyro.eps.result import LIMITED, result
 from station.fibre_gyro.eps.sections import sections
 from station.fibre_gyro.logs import LogRow, read_logs
 from station.fibre_gyro.segments import PlannedSegment, take_logs, take_segments, unusable_segments
@@ -66,5 +66,6 @@ MEASUREMENT = Measurement(
     result=result,
     sections=sections,
     facts=output_facts,
+    gives=LIMITED,
     unusable=lambda run, settings: unusable_segments(run, settings, [PURPOSE]),
 )

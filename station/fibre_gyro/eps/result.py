@@ -13,6 +13,7 @@ from station.results.numbers import ppm
 from station.results.result import Measured, Result
 from station.runs.store import SavedRun
 
+LIMITED = ("two_pi_error_ppm",)
 _NUMBERS = {
     "two_pi_error": "two_pi_error",
     "two_pi_error_u": "two_pi_error_u",

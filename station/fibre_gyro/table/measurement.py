@@ -1,97 +1,25 @@
-"""The rate-table run: its plan, and what its segments say."""
+"""The rate-table run: what is taken, and how it goes on from there."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from pathlib import Path
 
-import numpy as np
-
-from analysis.fibre_gyro.rate_table_run import (
-    AxisFit,
-    OddEven,
-    RateDifferences,
-    TableRuns,
-    bias_at_latitude,
-    fit_axis,
-    missing_senses,
-    odd_even_parts,
-    rate_differences,
-    table_runs,
-)
-from analysis.fibre_gyro.whole_turns import WindowMean, check_whole_turns, turn_time
-from station.fibre_gyro.campaign import PlannedSegment
-from station.fibre_gyro.segments import LeftOut, check_table_rate, window_over_turns
-from station.fibre_gyro.settings import FogSettings
-from station.fibre_gyro.store import FogRun, Segment
-
-PURPOSE = "table"
-MARGIN_S = 1.0
-"""So much longer than its window is a recording: the window ends within an output word."""
+from analysis.fibre_gyro.whole_turns import check_whole_turns, turn_time
+from station.errors import UsageError
+from station.fibre_gyro.common import output_facts, truth_of
+from station.fibre_gyro.logs import LogRow, read_logs, table_conditions
+from station.fibre_gyro.segments import MARGIN_S, PlannedSegment, take_logs, take_segments, unusable_segments
+from station.fibre_gyro.serial_bench import open_fog_bench
+from station.fibre_gyro.settings import FIBRE_GYRO, FogSettings
+from station.fibre_gyro.table.evaluate import PURPOSE, evaluate
+from station.fibre_gyro.table.result import LIMITED, result
+from station.fibre_gyro.table.sections import sections
+from station.measurements import Measurement
+from station.runs.taking import Session
 
 
-@dataclass(frozen=True)
-class AxisResult:
-    """What the table run says of one axis.
-
-    Attributes
-    ----------
-    axis : str
-    keys : tuple of str
-        Segments in the result, one for each element of ``runs``.
-    windows : tuple of WindowMean
-        One for each key.
-    runs : TableRuns
-    parts : OddEven or None
-        Of the runs with the upper end up (or, if there are none, the lower).
-    differences : RateDifferences or None
-        ``None`` with fewer than two rates.
-    fit : AxisFit
-    bias_dph : tuple of float
-        And its standard uncertainty: from the even part and the latitude, or from both ends up.
-    """
-
-    axis: str
-    keys: tuple[str, ...]
-    windows: tuple[WindowMean, ...]
-    runs: TableRuns
-    parts: OddEven
-    differences: RateDifferences | None
-    fit: AxisFit
-    bias_dph: tuple[float, float]
-
-
-@dataclass(frozen=True)
-class TableEvaluation:
-    """Results of all axes, and what was left out.
-
-    Attributes
-    ----------
-    axes : tuple of AxisResult
-        Those that give a result.
-    left_out : tuple of LeftOut
-    """
-
-    axes: tuple[AxisResult, ...]
-    left_out: tuple[LeftOut, ...]
-
-    def of(self, axis: str) -> AxisResult | None:
-        """Result of one axis, ``None`` if there is none."""
-        return next((result for result in self.axes if result.axis == axis), None)
-
-
-def table_key(axis: str, rate_dps: float, end_up: int = 1) -> str:
-    """Key of a segment.
-
-    Examples
-    --------
-    >>> table_key("Z", 20.01), table_key("Z", -20.0, -1)
-    ('Z +20.01', 'Z down -20')
-    """
-    return f"{axis}{'' if end_up > 0 else ' down'} {rate_dps:+.10g}"
-
-
-def plan_table(settings: FogSettings, axes: Sequence[str] | None = None) -> list[PlannedSegment]:
+def plan(settings: FogSettings, axes: Sequence[str] | None = None) -> list[PlannedSegment]:
     """List the segments of a run: each axis, each end up, each rate in both senses.
 
     Parameters
@@ -100,103 +28,68 @@ def plan_table(settings: FogSettings, axes: Sequence[str] | None = None) -> list
     axes : sequence of str, optional
         By default those of the settings.
     """
-    table, plan = settings.table, []
+    table, planned = settings.table, []
     for axis in axes or table.axes:
         for end_up in (1, -1) if table.both_ends_up else (1,):
             for size in table.rates_dps:
                 for rate in (size, -size):
                     seconds = (table.window_s or table.turns * turn_time(rate)) + MARGIN_S
                     conditions = {"purpose": PURPOSE, "axis": axis, "end_up": end_up, "rate_dps": rate}
-                    plan.append(PlannedSegment(table_key(axis, rate, end_up), seconds, table.settle_s, conditions))
-    return plan
+                    planned.append(PlannedSegment(_key(axis, rate, end_up), seconds, table.settle_s, conditions))
+    return planned
 
 
-def fixed_window_faults(settings: FogSettings, interval_s: float) -> list[str]:
+def take(settings: FogSettings, session: Session) -> None:
+    """Take the segments on the bench."""
+    for fault in _fixed_window_faults(settings):
+        session.progress.note(f"will be left out: {fault}")
+    take_segments(settings, session, open_fog_bench(settings), [lambda run: plan(settings)], truth_of(settings))
+
+
+def take_files(settings: FogSettings, paths: Sequence[Path], session: Session) -> None:
+    """Make a run of logs; each names the rate of the table, and the axis where there are several."""
+
+    def named(rows: Sequence[LogRow]) -> list[tuple[str, dict[str, object]]]:
+        return [_named(row, settings) for row in rows]
+
+    take_logs(session, paths, read_logs(paths, PURPOSE, ("rate_dps",), named))
+
+
+def _named(row: LogRow, settings: FogSettings) -> tuple[str, dict[str, object]]:
+    axis, rate, end_up = row.get("axis", settings.table.axes[-1]), row["rate_dps"], row["end_up"]
+    if rate == 0:
+        raise UsageError(f"{row['place']}, rate_dps: a rate-table run has no log at rest")
+    conditions = {"axis": axis, "end_up": end_up, "rate_dps": rate, **table_conditions(row)}
+    return _key(axis, rate, end_up), conditions
+
+
+def _key(axis: str, rate_dps: float, end_up: int) -> str:
+    """``"Z +20.01"``, ``"Z down -20"``."""
+    return f"{axis}{'' if end_up > 0 else ' down'} {rate_dps:+.10g}"
+
+
+def _fixed_window_faults(settings: FogSettings) -> list[str]:
     """Say which rates a window of fixed length is no whole number of turns at, before anything turns."""
     faults = []
     for rate in settings.table.rates_dps if settings.table.window_s else ():
         try:
-            check_whole_turns(settings.table.window_s, rate, tolerance_s=interval_s)
+            check_whole_turns(settings.table.window_s, rate, tolerance_s=1 / settings.simulation.output_rate_hz)
         except ValueError as error:
             faults.append(str(error))
     return faults
 
 
-def evaluate_table(run: FogRun, settings: FogSettings) -> TableEvaluation:
-    """Evaluate the rate-table segments of a run.
-
-    Parameters
-    ----------
-    run : FogRun
-    settings : FogSettings
-        Those of the run.
-    """
-    windows: dict[str, tuple[Segment, WindowMean]] = {}
-    left_out: list[LeftOut] = []
-    for segment in run.taken_for(PURPOSE):
-        try:
-            windows[segment.key] = segment, _window(segment, settings)
-        except ValueError as error:
-            left_out.append(LeftOut(segment.key, str(error)))
-    axes = dict.fromkeys(segment.conditions["axis"] for segment in run.taken_for(PURPOSE))
-    results = []
-    for axis in axes:
-        of_axis = {key: pair for key, pair in windows.items() if pair[0].conditions["axis"] == axis}
-        _leave_out_single_senses(of_axis, left_out)
-        if (result := _axis_result(axis, of_axis, settings)) is not None:
-            results.append(result)
-    return TableEvaluation(tuple(results), tuple(left_out))
-
-
-def _window(segment: Segment, settings: FogSettings) -> WindowMean:
-    table = settings.table
-    check_table_rate(segment.conditions, table.rate_tolerance_ppm)
-    return window_over_turns(
-        segment, turns=table.turns, window_s=table.window_s, resolution=settings.gyro.output_resolution
-    )
-
-
-def _runs_of(windows: dict[str, tuple[Segment, WindowMean]]) -> TableRuns:
-    conditions = [segment.conditions for segment, _ in windows.values()]
-    means = [mean for _, mean in windows.values()]
-    # words without any scatter (a simulation without noise) still need a weight
-    floor = [1e-12 * abs(mean.mean) + 1e-12 for mean in means]
-    return table_runs(
-        [c["rate_dps"] for c in conditions],
-        [mean.mean for mean in means],
-        np.maximum([mean.mean_u for mean in means], floor),
-        rate_dps=[c.get("table_rate_dps", c["rate_dps"]) for c in conditions],
-        duration_s=[mean.duration_s for mean in means],
-        end_up=[c.get("end_up", 1) for c in conditions],
-    )
-
-
-def _leave_out_single_senses(windows: dict[str, tuple[Segment, WindowMean]], left_out: list[LeftOut]) -> None:
-    """Take out, by name, every rate whose opposite is missing or was left out."""
-    for end_up in (1, -1):
-        of_end = {key: pair for key, pair in windows.items() if pair[0].conditions.get("end_up", 1) == end_up}
-        alone = missing_senses(_runs_of(of_end)) if of_end else []
-        for key, (segment, _) in of_end.items():
-            if float(segment.conditions["rate_dps"]) in alone:
-                opposite = -float(segment.conditions["rate_dps"])
-                left_out.append(
-                    LeftOut(key, f"the opposite sense ({opposite:+.10g} deg/s) is missing: take it too")
-                )
-                del windows[key]
-
-
-def _axis_result(
-    axis: str, windows: dict[str, tuple[Segment, WindowMean]], settings: FogSettings
-) -> AxisResult | None:
-    if len(windows) < 2:
-        return None
-    runs = _runs_of(windows)
-    parts = odd_even_parts(runs, end_up=1 if np.any(runs.end_up > 0) else -1)
-    irreproducibility = settings.table.irreproducibility_ppm
-    differences = None
-    if parts.rate_dps.size >= 2:
-        differences = rate_differences(parts, irreproducibility_ppm=irreproducibility)
-    fit = fit_axis(runs, irreproducibility_ppm=irreproducibility)
-    bias = bias_at_latitude(fit, settings.site.latitude_deg)
-    means = tuple(mean for _, mean in windows.values())
-    return AxisResult(axis, tuple(windows), means, runs, parts, differences, fit, bias)
+MEASUREMENT = Measurement(
+    name=PURPOSE,
+    command="gyrolock fog table",
+    title="Scale factor by rate table",
+    kind=FIBRE_GYRO,
+    take=take,
+    take_files=take_files,
+    evaluate=evaluate,
+    result=result,
+    sections=sections,
+    facts=output_facts,
+    gives=LIMITED,
+    unusable=lambda run, settings: unusable_segments(run, settings, [PURPOSE]),
+)

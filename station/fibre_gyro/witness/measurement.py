@@ -1,211 +1,29 @@
-"""What the oscilloscope says of the modulator staircase: each record, their mean, the 2 pi error."""
+"""The modulator staircase on an oscilloscope: what is taken, and how it goes on from there."""
 
 from __future__ import annotations
 
-import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import replace
 
-import numpy as np
+from station.fibre_gyro.settings import FIBRE_GYRO
+from station.fibre_gyro.witness.evaluate import PURPOSE, evaluate
+from station.fibre_gyro.witness.result import LIMITED, result
+from station.fibre_gyro.witness.sections import facts, sections
+from station.fibre_gyro.witness.take import is_simulated, take, take_files
+from station.measurements import Measurement
 
-from analysis.fibre_gyro.staircase import StaircaseWitness, two_pi_error, witness_staircase
-from analysis.fibre_gyro.staircase.rounded_fit import rounding_left
-from instrument import Preamble, TransferError, Waveform
-from station.errors import NoUsableSignal
-from station.fibre_gyro.segments import LeftOut
-from station.fibre_gyro.settings import FogSettings
-from station.fibre_gyro.witness.take import PURPOSE
-from station.runs.store import SavedRecord, SavedRun
+_KNOWN = ("half_wave_v", "half_wave_u_v", "gain_u", "time_base_u")
 
-_PPM = 1e6
-_SHARED = 0.5
-"""Of the uncertainty of one record, what all records of a run share: 24 simulated runs of 5 records scatter 1.4
-times as much as records that share nothing."""
-
-
-@dataclass(frozen=True)
-class Measured:
-    """A value and its standard uncertainty; nan where there is none."""
-
-    value: float
-    u: float
-
-
-@dataclass(frozen=True, eq=False)
-class WitnessedRecord:
-    """One record.
-
-    Attributes
-    ----------
-    name : str
-        Its number, or the name of its file.
-    waveform : Waveform
-    found : StaircaseWitness
-        Without the uncertainty of the oscilloscope's gain and time base.
-    step_time_given : bool
-        Its steps were found with the transit time of the coil only.
-    """
-
-    name: str
-    waveform: Waveform
-    found: StaircaseWitness
-    step_time_given: bool
-
-
-@dataclass(frozen=True, eq=False)
-class WitnessEvaluation:
-    """Means over the records; gain and time base are in every `u` but those of `record_u`.
-
-    Attributes
-    ----------
-    records : tuple of WitnessedRecord
-    step_height, step_time, reset_height, two_pi_voltage, bias_height : Measured
-        V and s.
-    two_pi_voltage_record_u : float
-        Without the gain: for comparison with another run with the same settings of the oscilloscope.
-    step_codes : Measured
-        Step over 2-pi voltage, times the codes of the converter; free of the gain.
-    step_time_ppm : Measured
-        Step time over transit time of the coil by design, less one.
-    half_wave_v : float
-        0 if it is not known.
-    two_pi_error : Measured
-        V_2pi/(2 V_pi) - 1.
-    flags : tuple of str
-        Of `analysis.fibre_gyro.staircase`, of any record.
-    left_out : tuple of LeftOut
-    """
-
-    records: tuple[WitnessedRecord, ...]
-    step_height: Measured
-    step_time: Measured
-    reset_height: Measured
-    two_pi_voltage: Measured
-    bias_height: Measured
-    two_pi_voltage_record_u: float
-    step_codes: Measured
-    step_time_ppm: Measured
-    half_wave_v: float
-    two_pi_error: Measured
-    flags: tuple[str, ...]
-    left_out: tuple[LeftOut, ...]
-
-
-def evaluate_witness(run: SavedRun, settings: FogSettings) -> WitnessEvaluation:
-    """Evaluate the records of a run.
-
-    Parameters
-    ----------
-    run : SavedRun
-    settings : FogSettings
-        Coil, converter, half-wave voltage and the oscilloscope's uncertainties.
-
-    Raises
-    ------
-    NoUsableSignal
-        No record shows a staircase.
-    """
-    records, left_out = [], []
-    for saved in run.taken_for(PURPOSE):
-        name = str(saved.conditions.get("file") or f"record {saved.number}")
-        try:
-            records.append(_witnessed(name, saved, settings))
-        except (ValueError, TransferError) as error:
-            left_out.append(LeftOut(name, str(error)))
-    if not records:
-        reasons = "; ".join(dict.fromkeys(one.reason for one in left_out)) or "there are no records"
-        raise NoUsableSignal(f"no record shows the staircase of a modulator: {reasons}")
-    return _evaluation(tuple(records), tuple(left_out), settings, simulated=run.facts["simulated"])
-
-
-def _witnessed(name: str, saved: SavedRecord, settings: FogSettings) -> WitnessedRecord:
-    """Evaluate one record; ValueError says why it cannot be used."""
-    if not saved.intact:
-        raise ValueError("it is not what was once saved")
-    waveform = Waveform(saved.codes, Preamble.parse(saved.preamble))
-    preamble = waveform.preamble
-    if preamble.xunit.lower() != "s":
-        raise ValueError(f"it is a spectrum ({preamble.xunit}), not a record over time: save the channel itself")
-    if preamble.pt_fmt != "Y":
-        raise ValueError("it was taken in Peak Detect, which has no levels: use Sample mode")
-    if waveform.clipped:
-        raise ValueError("it is clipped: use more volts per division, or shift the position")
-    volts, interval = waveform.volts, waveform.sample_interval
-    try:
-        return WitnessedRecord(name, waveform, witness_staircase(volts, interval), False)
-    except ValueError as alone:
-        try:
-            found = witness_staircase(volts, interval, step_time=settings.coil.transit_time)
-        except ValueError:
-            raise alone from None
-        return WitnessedRecord(name, waveform, found, True)
-
-
-def _evaluation(
-    records: tuple[WitnessedRecord, ...], left_out: tuple[LeftOut, ...], settings: FogSettings, *, simulated: bool
-) -> WitnessEvaluation:
-    chosen = settings.witness
-    gain, seconds = chosen.gain_u, chosen.time_base_u
-    alone = _mean(records, "two_pi_voltage")
-    voltage = _widened(alone, gain)
-    time = _widened(_mean(records, "step_time"), seconds)
-    step = _mean(records, "step_height")
-    ratio = step.value / alone.value
-    codes = (1 << settings.gyro.dac_bits) * ratio
-    half_wave = chosen.half_wave_v or (settings.simulation.half_wave_v if simulated else 0.0)
-    error = Measured(math.nan, math.nan)
-    if half_wave and math.isfinite(voltage.value):
-        error = Measured(*two_pi_error(voltage.value, voltage.u, half_wave, chosen.half_wave_u_v))
-    transit = settings.coil.transit_time
-    return WitnessEvaluation(
-        records=records,
-        step_height=_widened(step, gain),
-        step_time=time,
-        reset_height=_widened(_mean(records, "reset_height"), gain),
-        two_pi_voltage=voltage,
-        bias_height=_widened(_mean(records, "bias_height"), gain),
-        two_pi_voltage_record_u=alone.u,
-        # both rise together where the fit is unsure of them, so this is rather too wide
-        step_codes=Measured(codes, abs(codes) * math.hypot(step.u / step.value, alone.u / alone.value)),
-        step_time_ppm=Measured(_PPM * (time.value / transit - 1), _PPM * time.u / transit),
-        half_wave_v=half_wave,
-        two_pi_error=error,
-        flags=tuple(dict.fromkeys(flag for one in records for flag in one.found.flags)),
-        left_out=left_out,
-    )
-
-
-def _mean(records: Sequence[WitnessedRecord], name: str) -> Measured:
-    """Weighted mean; where the records scatter by more than their uncertainties, those grow.
-
-    What rounding is wrong by is partly the same in every record, and does not average.
-    """
-    rows = np.array(
-        [(getattr(one.found, name), getattr(one.found, f"{name}_u"), _shared(one)) for one in records],
-        dtype=np.float64,
-    )
-    rows = rows[np.isfinite(rows).all(axis=1)]
-    if not len(rows):
-        return Measured(math.nan, math.nan)
-    values, u, share = rows.T
-    if not u.all():  # a bias that is not there is 0 without an uncertainty
-        return Measured(float(values.mean()), float(np.std(values)))
-    weights = 1 / u**2
-    mean = float(np.average(values, weights=weights))
-    chi_square = float(np.sum(weights * (values - mean) ** 2)) / max(len(rows) - 1, 1)
-    return Measured(mean, math.hypot(math.sqrt(max(1.0, chi_square) / weights.sum()), float(np.min(share * u))))
-
-
-def _shared(record: WitnessedRecord) -> float:
-    """Part of the uncertainty that all records of a run have in common: with little noise what rounding does."""
-    found = record.found
-    if not found.level_spacing:
-        return _SHARED
-    noise = found.noise_rms / found.level_spacing  # behind the converter, in its levels
-    left = rounding_left(math.sqrt(max(noise**2 - 1 / 12, 0.0)))
-    samples = max(found.step_time / record.waveform.sample_interval - found.settling_samples, 1.0)
-    return max(_SHARED, left / math.hypot(left, noise / math.sqrt(samples)))
-
-
-def _widened(measured: Measured, relative_u: float) -> Measured:
-    return Measured(measured.value, math.hypot(measured.u, relative_u * measured.value))
+MEASUREMENT = Measurement(
+    name=PURPOSE,
+    command="gyrolock fog witness",
+    title="Modulator staircase by oscilloscope",
+    kind=replace(FIBRE_GYRO, knowledge=("limits", *(f"witness.{name}" for name in _KNOWN))),
+    take=take,
+    take_files=take_files,
+    evaluate=evaluate,
+    result=result,
+    sections=sections,
+    facts=facts,
+    gives=LIMITED,
+    simulated=is_simulated,
+)

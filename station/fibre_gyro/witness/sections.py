@@ -6,11 +6,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from instrument import Preamble
+from station.fibre_gyro.common import gyro_table
 from station.fibre_gyro.settings import FogSettings
-from station.fibre_gyro.witness.measurement import WitnessedRecord, WitnessEvaluation
+from station.fibre_gyro.witness.evaluate import WitnessedRecord, WitnessFound
 from station.report.figure import ACCENT, INK, SECOND, SOFT, WIDE, legend_above, svg_element
 from station.results.numbers import with_uncertainty
-from station.results.parts import PlacedFigure, Rows, Section, Table
+from station.results.parts import FactTable, PlacedFigure, Section, TextTable
+from station.results.result import Result
 from station.runs.store import SavedRun
 
 if TYPE_CHECKING:
@@ -19,26 +22,26 @@ if TYPE_CHECKING:
 _MICRO = 1e6
 
 
-def witness_sections(found: WitnessEvaluation, sentences: tuple[str, ...]) -> list[Section]:
+def sections(found: WitnessFound, run: SavedRun, settings: FogSettings, result: Result) -> list[Section]:
     """Return the sections of the report."""
     first = found.records[0]
     return [
-        Section("What this result shows, and what it cannot", sentences=sentences),
+        Section("What this result shows, and what it cannot", sentences=result.sentences),
         Section(
             "Staircase on the oscilloscope",
-            figures=(PlacedFigure(staircase_record_svg(first), f"Samples and fitted levels of {first.name}."),),
+            figures=(PlacedFigure(_record_svg(first), f"Samples and fitted levels of {first.name}."),),
         ),
         Section(
             "Levels less the even staircase",
             "Heights of the levels against what even steps and resets would give. A pattern over the height is "
             "converter nonlinearity, of the gyro's or of the oscilloscope's.",
-            figures=(PlacedFigure(level_residuals_svg(found), "Every level of every record."),),
+            figures=(PlacedFigure(_level_residuals_svg(found), "Every level of every record."),),
         ),
         Section("Records", "Without the uncertainty of gain and time base.", table=_record_table(found)),
     ]
 
 
-def staircase_record_svg(record: WitnessedRecord) -> str:
+def _record_svg(record: WitnessedRecord) -> str:
     """Draw the samples of a record and the levels that were fitted."""
     found, volts = record.found, record.waveform.volts
 
@@ -57,7 +60,7 @@ def staircase_record_svg(record: WitnessedRecord) -> str:
     return svg_element("witness-record", WIDE, draw)
 
 
-def level_residuals_svg(found: WitnessEvaluation) -> str:
+def _level_residuals_svg(found: WitnessFound) -> str:
     """Draw levels less fitted levels against their height."""
 
     def draw(figure: Figure) -> None:
@@ -71,9 +74,9 @@ def level_residuals_svg(found: WitnessEvaluation) -> str:
     return svg_element("witness-levels", WIDE, draw)
 
 
-def _record_table(found: WitnessEvaluation) -> Table:
+def _record_table(found: WitnessFound) -> TextTable:
     header = ("record", "step, V", "step time, µs", "fall, V", "V_2π, V", "bias, V", "resets", "noise, mV")
-    return Table(header, tuple(_row(one) for one in found.records))
+    return TextTable(header, tuple(_row(one) for one in found.records))
 
 
 def _row(record: WitnessedRecord) -> tuple[str, ...]:
@@ -90,25 +93,21 @@ def _row(record: WitnessedRecord) -> tuple[str, ...]:
     )
 
 
-def condition_rows(run: SavedRun, settings: FogSettings) -> Rows:
+def facts(found: WitnessFound, run: SavedRun, settings: FogSettings) -> list[FactTable]:
     """Return how the records were taken, for the facts of the report."""
-    facts, witness = run.facts, settings.witness
-    identity = facts.get("identity")
-    scope = f"{identity['manufacturer']} {identity['model']}" if identity else "not known"
-    step = facts.get("injected", {}).get("step_codes")
-    source = witness.resource or "simulated oscilloscope"
-    return [
-        ("records from", ", ".join(facts["logs"]) if facts.get("logs") else source),
-        ("oscilloscope", scope),
-        ("setting", _setting(run)),
+    known, witness = run.facts, settings.witness
+    identity, step = known.get("identity"), known.get("injected", {}).get("step_codes")
+    half_wave = "not known"
+    if witness.half_wave_v:
+        half_wave = f"{witness.half_wave_v:g} V, u {witness.half_wave_u_v:g} V"
+    elif known.simulated:
+        half_wave = f"{settings.simulation.half_wave_v:g} V of the simulation"
+    rows = [
+        ("records from", ", ".join(known.sources) or witness.resource or "simulated oscilloscope"),
+        ("oscilloscope", f"{identity['manufacturer']} {identity['model']}" if identity else "not known"),
+        ("setting", "; ".join(dict.fromkeys(Preamble.parse(record.preamble).wfid for record in run.records))),
         ("injected step", f"{step:g} codes, feedback held" if step else "not by this program"),
-        ("half-wave voltage", f"{witness.half_wave_v:g} V, u {witness.half_wave_u_v:g} V" if witness.half_wave_v
-         else f"{settings.simulation.half_wave_v:g} V of the simulation" if facts["simulated"] else "not known"),
+        ("half-wave voltage", half_wave),
         ("gain, time base", f"u {100 * witness.gain_u:.3g} %, {_MICRO * witness.time_base_u:.3g} ppm"),
-    ]  # fmt: skip
-
-
-def _setting(run: SavedRun) -> str:
-    from instrument import Preamble
-
-    return "; ".join(dict.fromkeys(Preamble.parse(record.preamble).wfid for record in run.records))
+    ]
+    return [gyro_table(settings), FactTable("Conditions", rows)]

@@ -1,34 +1,43 @@
-"""Records of the modulator staircase, from an oscilloscope or from its files, saved raw as a run."""
+"""Records of the modulator staircase: from an oscilloscope while the gyro injects, or from its files."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, suppress
-from dataclasses import asdict
+from contextlib import AbstractContextManager, contextmanager
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 
 from analysis.fibre_gyro.staircase_calibration import steps_beyond_dac
-from instrument import TDS2014, InstrumentError, Waveform, read_waveform
+from instrument import TDS2014, ManualRateTable, Waveform, read_waveform
 from instrument.fibre_gyro import FibreGyroLink
-from instrument.rate_table import ManualRateTable
-from station.errors import RunError, StationError, UsageError, describe_failure
-from station.fibre_gyro.campaign import Campaign, PlannedSegment
-from station.fibre_gyro.selfcal.measurement import beyond_words
-from station.fibre_gyro.serial_bench import SerialFogBench, ask_operator, read_frame_format
+from station.errors import UsageError
+from station.fibre_gyro.common import PPM, beyond_converter
+from station.fibre_gyro.segments import PlannedSegment
+from station.fibre_gyro.serial_bench import SerialFogBench, read_frame_format
 from station.fibre_gyro.settings import FogSettings
-from station.lock_in.settings import default_settings
-from station.provenance import provenance
-from station.runs.database import utc_now
-from station.runs.progress import Progress
-from station.runs.store import RunWriter
-from station.scope.autoset import ScopeSetting, fit_channel, oscilloscope_steps
+from station.fibre_gyro.witness.evaluate import PURPOSE
+from station.runs.operator import ask_operator
+from station.runs.store import NewRecord
+from station.runs.taking import Session
+from station.scope.autoset import KnobPositions, fit_channel, oscilloscope_steps
 from station.scope.open import open_scope
 
-PURPOSE: Final = "witness"
-_STEPS, _SAMPLES_PER_STEP = 80, 20  # a record holds at least so many steps, if each has at least so many samples
+_SETTING = "scope_setting"
+
+
+@dataclass(frozen=True)
+class _Shape:
+    """What a record shall hold: at least so many steps, if each has at least so many samples."""
+
+    periods_min: float = 80.0
+    samples_per_period_min: float = 20.0
+    fill_levels: float = 100.0
+
+
+_SHAPE = _Shape()
 
 
 def is_simulated(settings: FogSettings) -> bool:
@@ -36,65 +45,33 @@ def is_simulated(settings: FogSettings) -> bool:
     return not settings.witness.resource
 
 
-def take_staircase_run(settings: FogSettings, progress: Progress) -> Campaign:
-    """Record the staircase and save it.
-
-    Parameters
-    ----------
-    settings : FogSettings
-    progress : Progress
-
-    Returns
-    -------
-    Campaign
-        Also when it was interrupted or the link was lost: the run then holds the records so far.
-
-    Raises
-    ------
-    InstrumentError, StationError
-        Oscilloscope or gyro cannot be opened, or the run cannot be written: then there is no run.
-    """
+def take(settings: FogSettings, session: Session) -> None:
+    """Take the records; of a run that was cut short those that are missing, with the scope set as it was."""
     _check(settings)
-    writer: RunWriter | None = None
-    try:
-        with _injecting(settings) as reached, _open(settings) as scope:
-            _set_up(scope, settings)
-            writer = RunWriter(Path(settings.output.directory), _facts(settings, scope, reached))
-            source = settings.witness.resource or "simulated"
-            progress.note(f"{scope.identity.model} ({source}), run {writer.path}")
-            progress.start("records", settings.witness.records)
-            for _ in range(settings.witness.records):
-                _save(writer, scope.acquire(settings.witness.channel), {"channel": settings.witness.channel})
-                progress.advance()
-        writer.save_facts({"ended_at": utc_now(), "outcome": "complete"})
-        return Campaign(writer.path, None)
-    except (InstrumentError, StationError, OSError, KeyboardInterrupt) as error:
-        if writer is None:
-            raise
-        failure = describe_failure(error)
-        assert failure is not None  # all of these classes are known to it
-        with suppress(RunError):  # a full disk takes no more; the records it took are there
-            writer.save_facts({"ended_at": utc_now(), "outcome": failure.as_json()})
-        return Campaign(writer.path, failure)
-    finally:
-        progress.close()
-        if writer is not None:
-            writer.close()
+    witness, before = settings.witness, session.facts.get(_SETTING)
+    injected = session.open(_injecting(settings))
+    scope = session.open(_scope(settings, session.times_resumed))
+    knobs = _set_up(scope, settings, KnobPositions(**before) if before else None)
+    facts = {"injected": injected, "identity": asdict(scope.identity), _SETTING: asdict(knobs)}
+    writer = session.begin({**facts, **_truth(settings)})
+    session.progress.note(f"{scope.identity.model} ({witness.resource or 'simulated'}), run {writer.path}")
+    there = len(session.so_far().taken_for(PURPOSE))
+    if there:
+        session.progress.note(f"{there} of {witness.records} records are saved already")
+    session.progress.start("records", witness.records - there)
+    for number in range(there + 1, witness.records + 1):
+        waveform = scope.acquire(witness.channel)
+        writer.save_records([_record(f"record {number}", waveform, {"channel": witness.channel})])
+        session.progress.advance()
 
 
-def staircase_run_from_files(settings: FogSettings, paths: Sequence[Path]) -> Campaign:
+def take_files(settings: FogSettings, paths: Sequence[Path], session: Session) -> None:
     """Make a run of files that the oscilloscope or its PC software wrote.
 
-    Parameters
-    ----------
-    settings : FogSettings
-    paths : sequence of Path
-        Tektronix CSV or ISF files.
-
     Raises
     ------
-    FileFormatError, OSError, RunError
-        A file cannot be read, or the run cannot be written; then there is no run.
+    FileFormatError, OSError
+        A file cannot be read; then there is no run.
     UsageError
         A file holds more than eight bits a point.
     """
@@ -102,17 +79,18 @@ def staircase_run_from_files(settings: FogSettings, paths: Sequence[Path]) -> Ca
     for path, waveform in zip(paths, waveforms, strict=True):
         if waveform.codes.dtype != np.int8:
             raise UsageError(f"{path}: holds more than eight bits a point: save a single record, not an average")
-    facts = _facts(settings, None, {}) | {"simulated": False, "logs": [str(path) for path in paths]}
-    facts.pop("truth", None)
-    with RunWriter(Path(settings.output.directory), facts) as writer:
-        for path, waveform in zip(paths, waveforms, strict=True):
-            _save(writer, waveform, {"file": path.name})
-        writer.save_facts({"ended_at": utc_now(), "outcome": "complete"})
-    return Campaign(writer.path, None)
+    writer = session.begin({"injected": {}, "logs": [str(path) for path in paths]})
+    for number, (path, waveform) in enumerate(zip(paths, waveforms, strict=True), start=1):
+        writer.save_records([_record(f"record {number} ({path.name})", waveform, {"file": path.name})])
+
+
+def _record(key: str, waveform: Waveform, conditions: dict[str, object]) -> NewRecord:
+    return NewRecord(key, PURPOSE, waveform.preamble.to_text(), waveform.codes.tobytes(), conditions)
 
 
 def _check(settings: FogSettings) -> None:
-    witness = settings.witness
+    """Refuse what cannot be done, before anything moves."""
+    step, bits = settings.witness.step_codes, settings.gyro.dac_bits
     if is_simulated(settings) and settings.link.port:
         raise UsageError(
             f"link.port names a real gyro ({settings.link.port}) and witness.resource no oscilloscope: give both, "
@@ -120,48 +98,39 @@ def _check(settings: FogSettings) -> None:
         )
     if not (is_simulated(settings) or settings.link.port):
         return  # the operator brings a staircase about
-    if steps_beyond_dac(witness.step_codes, settings.gyro.dac_bits):
-        raise UsageError(f"witness.step_codes: {beyond_words(witness.step_codes, settings.gyro.dac_bits)}")
-    if not witness.step_codes:
+    if steps_beyond_dac(step, bits):
+        raise UsageError(f"witness.step_codes: {beyond_converter(step, bits)}")
+    if not step:
         raise UsageError("witness.step_codes: without a step there is no staircase; give 2^N/100 to 2^N/8 codes")
 
 
-def _facts(settings: FogSettings, scope: TDS2014 | None, reached: dict[str, Any]) -> dict[str, Any]:
-    simulated = scope is not None and is_simulated(settings)
-    facts: dict[str, Any] = {
-        "command": PURPOSE,
-        "settings": settings.model_dump(mode="json"),
-        "simulated": simulated,
-        "injected": reached,
-        "provenance": provenance(),
+def _truth(settings: FogSettings) -> dict[str, dict[str, float]]:
+    """Return the fact ``truth`` of a simulated run, what it should find."""
+    if not is_simulated(settings):
+        return {}
+    eps, half_wave = settings.simulation.two_pi_error, settings.simulation.half_wave_v
+    truth = {
+        "two_pi_voltage_v": 2 * half_wave * (1 + eps),
+        "two_pi_error_ppm": PPM * eps,
+        "step_time_s": settings.coil.transit_time,
+        "step_codes": settings.witness.step_codes,
     }
-    if scope is not None:
-        facts["identity"] = asdict(scope.identity)
-    if simulated:
-        eps, half_wave = settings.simulation.two_pi_error, settings.simulation.half_wave_v
-        facts["truth"] = {"two_pi_voltage_v": 2 * half_wave * (1 + eps), "two_pi_error_ppm": 1e6 * eps}
-        facts["truth"] |= {"step_time_s": settings.coil.transit_time, "step_codes": settings.witness.step_codes}
-    return facts
+    return {"truth": truth}
 
 
-@contextmanager
-def _open(settings: FogSettings) -> Iterator[TDS2014]:
-    if is_simulated(settings):
-        from station.fibre_gyro.simulated_modulator import open_simulated_scope
+def _scope(settings: FogSettings, times_resumed: int) -> AbstractContextManager[TDS2014]:
+    if not is_simulated(settings):
+        return open_scope(settings.witness.resource, settings.witness.baud_rate)
+    from station.fibre_gyro.witness.modulator import open_simulated_scope
 
-        with open_simulated_scope(settings) as scope:
-            yield scope
-        return
-    with open_scope(settings.witness.resource, settings.witness.baud_rate) as scope:
-        yield scope
+    return open_simulated_scope(settings, times_resumed=times_resumed)
 
 
 @contextmanager
 def _injecting(settings: FogSettings) -> Iterator[dict[str, Any]]:
     """Hold the feedback and inject the step, if the gyro's port is named; in closed loop the two would cancel."""
     if not settings.link.port:
-        step = settings.witness.step_codes
-        yield {"step_codes": step} if is_simulated(settings) else {}
+        yield {"step_codes": settings.witness.step_codes} if is_simulated(settings) else {}
         return
     wanted = {"loop": "held", "step_codes": settings.witness.step_codes, "rate_dps": 0.0}
     planned = PlannedSegment(PURPOSE, 0.0, 0.0, wanted)
@@ -176,20 +145,23 @@ def _injecting(settings: FogSettings) -> Iterator[dict[str, Any]]:
             bench.leave()
 
 
-def _set_up(scope: TDS2014, settings: FogSettings) -> None:
-    """Set the scope so that a record holds some eighty steps and the staircase fills the screen."""
-    witness, bench = settings.witness, default_settings("bench")
+def _set_up(scope: TDS2014, settings: FogSettings, before: KnobPositions | None) -> KnobPositions:
+    """Set the scope as it was set before, or so that a record holds enough steps and they fill the screen."""
+    witness, beat = settings.witness, 1 / settings.coil.transit_time
     channel = witness.channel
     scope.set_channel(channel, coupling="DC", probe=witness.probe, bandwidth_limit=False, invert=False)
     scope.set_acquisition(mode="SAMPLE")
-    wanted = oscilloscope_steps().time_base(1 / settings.coil.transit_time, _STEPS, _SAMPLES_PER_STEP)
-    base = scope.set_timebase(wanted, position=0.0)
-    scope.set_trigger(source=channel, level=0.0, slope="FALL", mode="AUTO")
-    knobs = bench.scope.model_copy(update={"channel": channel, "probe": witness.probe})
-    start = ScopeSetting(base, 1.0 * witness.probe, 0.0, 0.0, 1 / settings.coil.transit_time)
-    vertical = fit_channel(scope, channel, knobs, bench.measurement, start)
-    scope.set_trigger(source=channel, level=-vertical.position * vertical.scale, slope="FALL", mode="AUTO")
-
-
-def _save(writer: RunWriter, waveform: Waveform, conditions: dict[str, object]) -> None:
-    writer.save_record(PURPOSE, waveform.codes, waveform.preamble.to_text(), conditions)
+    if before is None:
+        wanted = oscilloscope_steps().time_base(beat, _SHAPE.periods_min, _SHAPE.samples_per_period_min)
+        base = scope.set_timebase(wanted, position=0.0)
+        scope.set_trigger(source=channel, level=0.0, slope="FALL", mode="AUTO")
+        start = KnobPositions(base, 1.0 * witness.probe, 0.0, 0.0, beat)
+        vertical = fit_channel(scope, channel, witness, _SHAPE, start)
+        level = -vertical.position * vertical.scale
+        knobs = KnobPositions(base, vertical.scale, vertical.position, level, beat)
+    else:
+        knobs = before
+        scope.set_timebase(knobs.seconds_per_division, position=0.0)
+        scope.set_channel(channel, scale=knobs.volts_per_division, position=knobs.position)
+    scope.set_trigger(source=channel, level=knobs.trigger_level, slope="FALL", mode="AUTO")
+    return knobs

@@ -8,11 +8,13 @@ import pytest
 from instrument import FileFormatError
 from instrument.fibre_gyro import write_gyro_log
 from station.errors import UsageError
+from station.evaluated import Evaluated, evaluate_run
 from station.fibre_gyro.logs import read_list
-from station.fibre_gyro.results import FogResult, evaluate_fog_run
-from station.fibre_gyro.session import run_from_logs
-from station.fibre_gyro.store import FogRun, open_fog_run
+from station.fibre_gyro.recordings import segments_of
+from station.measurements import measurement
 from station.runs.progress import Progress
+from station.runs.store import SavedRun, open_run
+from station.shell.running import start_run
 
 QUIET = Progress(quiet=True)
 COLUMNS = {
@@ -23,10 +25,10 @@ COLUMNS = {
 }
 
 
-def written(run: FogRun, command: str, folder: Path) -> Path:
+def written(run: SavedRun, command: str, folder: Path) -> Path:
     """Write the segments of a run as logs, and their list."""
     lines = [",".join(("file", *COLUMNS[command]))]
-    for number, segment in enumerate(run.taken_for(command)):
+    for number, segment in enumerate(segments_of(run, command)):
         name = f"log{number}.csv"
         write_gyro_log(folder / name, segment.recording)
         lines.append(",".join((name, *(str(segment.conditions[column]) for column in COLUMNS[command]))))
@@ -36,9 +38,9 @@ def written(run: FogRun, command: str, folder: Path) -> Path:
 
 @pytest.fixture
 def from_logs(fog_settings):
-    def evaluate(command: str, path: Path, **sections: Any) -> FogResult:
-        campaign = run_from_logs(command, fog_settings(**sections), [path], QUIET)
-        return evaluate_fog_run(open_fog_run(campaign.path))
+    def evaluate(command: str, path: Path, **sections: Any) -> Evaluated:
+        done = start_run(measurement(command), fog_settings(**sections), QUIET, paths=[path])
+        return evaluate_run(open_run(done.path))
 
     return evaluate
 
@@ -59,10 +61,10 @@ def test_logs_give_the_numbers_of_their_run(taken, from_logs, tmp_path: Path, co
         "eps": lambda d: d["two_pi_error"],
         "figures": lambda d: (d["scale_factor_counts_per_dps"], d["temperature_coefficient_ppm"]),
     }[command]
-    assert key(again.document) == pytest.approx(key(result.document), rel=1e-9)
-    assert again.document["simulated"] is False
-    assert "truth" not in again.document
-    assert again.document["left_out"] == []
+    assert key(again.document()) == pytest.approx(key(result.document()), rel=1e-9)
+    assert again.document()["simulated"] is False
+    assert "truth" not in again.document()
+    assert again.document()["left_out"] == []
 
 
 def test_a_part_of_a_log_must_be_whole_turns(taken, from_logs, tmp_path: Path) -> None:
@@ -78,12 +80,12 @@ def test_a_part_of_a_log_must_be_whole_turns(taken, from_logs, tmp_path: Path) -
     path.write_text("\n".join(parts))
     # 36 s are two turns but for 0.02 s, 53.7 s are three turns of 20.1 deg/s but for 0.03 s: less than one output
     result = from_logs("table", path)
-    assert result.document["left_out"] == []
-    turns = {point["name"].split(" (")[0]: point["turns"] for point in result.document["axes"][0]["points"]}
+    assert result.document()["left_out"] == []
+    turns = {point["name"].split(" (")[0]: point["turns"] for point in result.document()["axes"][0]["points"]}
     assert (turns["Z +20"], turns["Z +20.01"], turns["Z +20.1"]) == (3, 2, 3)
     path.write_text("\n".join(parts).replace("0,36.0", "0,30.0"))
     result = from_logs("table", path)
-    reasons = {one["name"]: one["reason"] for one in result.document["left_out"]}
+    reasons = {one["name"]: one["reason"] for one in result.document()["left_out"]}
     assert "30 s at 20.01 deg/s is 1.667 turns, not a whole number: use 1 turns" in reasons["Z +20.01 (log2.csv)"]
 
 
@@ -93,7 +95,7 @@ def test_missing_rows_of_a_log_are_a_gap(taken, from_logs, tmp_path: Path) -> No
     log = (tmp_path / "log0.csv").read_text().splitlines()
     (tmp_path / "log0.csv").write_text("\n".join(log[:200] + log[205:]))
     result = from_logs("table", path)
-    reasons = {one["name"]: one["reason"] for one in result.document["left_out"]}
+    reasons = {one["name"]: one["reason"] for one in result.document()["left_out"]}
     assert "rows missing: 5 outputs missing" in reasons["Z +20 (log0.csv)"]
     assert set(reasons) == {"Z +20 (log0.csv)", "Z -20 (log1.csv)"}
 
@@ -115,7 +117,7 @@ def test_a_bad_list_is_told_in_one_line(tmp_path: Path, text: str, message: str)
     path = tmp_path / "list.csv"
     path.write_text(text)
     with pytest.raises(UsageError, match=message):
-        read_list(path, "table")
+        read_list(path, "table", ("rate_dps",))
 
 
 def test_a_log_that_is_missing_or_broken_leaves_no_run(from_logs, tmp_path: Path) -> None:

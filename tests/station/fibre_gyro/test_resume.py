@@ -10,15 +10,17 @@ import pytest
 from instrument import LinkError
 from instrument.fibre_gyro import Gap, Recording
 from station.errors import EXIT_INSTRUMENT, RunError, UsageError
+from station.evaluated import evaluate_run
 from station.fibre_gyro import simulated_bench
-from station.fibre_gyro.campaign import PlannedSegment
-from station.fibre_gyro.results import evaluate_fog_run
-from station.fibre_gyro.session import resume_run, start_run
+from station.fibre_gyro.segments import PlannedSegment
 from station.fibre_gyro.simulated_bench import SimulatedFogBench
-from station.fibre_gyro.store import open_fog_run
+from station.measurements import measurement
 from station.runs.progress import Progress
+from station.runs.store import open_run
+from station.shell.running import resume_run, start_run
 
 QUIET = Progress(quiet=True)
+TABLE = measurement("table")
 
 
 class FailingBench(SimulatedFogBench):
@@ -41,51 +43,61 @@ def cut_short(monkeypatch: pytest.MonkeyPatch, fog_settings):
         monkeypatch.setattr(FailingBench, "error", error)
         with monkeypatch.context() as patched:
             patched.setattr(simulated_bench, "SimulatedFogBench", FailingBench)
-            return start_run(command, fog_settings(**sections), QUIET)
+            return start_run(measurement(command), fog_settings(**sections), QUIET)
 
     return run
 
 
 def points(document: dict[str, Any]) -> Any:
-    return document["axes"] if "axes" in document else document["points"]
+    return next(document[name] for name in ("axes", "points", "runs") if name in document)
 
 
 @pytest.mark.parametrize(
     ("command", "at"),
-    [("table", "X -20.1"), ("selfcal", "inject -1"), ("selfcal", "Z +20.1"), ("eps", "open loop -2001")],
+    [
+        ("table", "X -20.1"),
+        ("selfcal", "inject -1"),
+        ("selfcal", "Z +20.1"),
+        ("eps", "open loop -2001"),
+        ("figures", "run 2, -50 deg/s"),
+    ],
 )
 def test_resumed_equals_uninterrupted(cut_short, taken, command: str, at: str) -> None:
     sections: dict[str, Any] = {"simulation": {"seed": 9}, "eps": {"record_s": 0.3}}
-    campaign = cut_short(command, at, LinkError("the cable is out"), **sections)
-    assert campaign.failure.exit_code == EXIT_INSTRUMENT
-    before = open_fog_run(campaign.path)
-    assert before.segments
-    assert at not in {segment.key for segment in before.segments}
+    sections["figures"] = {"runs": 2, "rates_dps": [10.0, 50.0, 100.0], "temperatures_c": []}
+    done = cut_short(command, at, LinkError("the cable is out"), **sections)
+    assert done.failure.exit_code == EXIT_INSTRUMENT
+    before = open_run(done.path)
+    assert before.records
+    assert at not in {segment.key for segment in before.records}
     assert before.facts["outcome"]["message"] == "the cable is out"
-    resumed = resume_run(command, campaign.path.parent, QUIET)
+    resumed = resume_run(done.path.parent, QUIET, kind=measurement(command))
     assert resumed.failure is None
-    assert resumed.path == campaign.path
-    after = open_fog_run(resumed.path)
-    assert [s.taken_at for s in after.segments[: len(before.segments)]] == [s.taken_at for s in before.segments]
+    assert resumed.path == done.path
+    after = open_run(resumed.path)
+    assert [s.taken_at for s in after.records[: len(before.records)]] == [s.taken_at for s in before.records]
     assert after.facts["outcome"] == "complete"
     assert len(after.facts["resumed_at"]) == 1
     whole, _ = taken(command, **sections)
-    assert points(evaluate_fog_run(after).document) == points(whole.document)
+    assert points(evaluate_run(after).document()) == points(whole.document())
 
 
 def test_an_interrupted_run_keeps_what_it_has(cut_short) -> None:
-    campaign = cut_short("table", "Y +20", KeyboardInterrupt())
-    assert campaign.failure.exit_code == 130
-    result = evaluate_fog_run(open_fog_run(campaign.path))
-    assert [axis["axis"] for axis in result.document["axes"]] == ["X"]
+    done = cut_short("table", "Y +20", KeyboardInterrupt())
+    assert done.failure.exit_code == 130
+    result = evaluate_run(open_run(done.path))
+    assert [axis["axis"] for axis in result.document()["axes"]] == ["X"]
 
 
 def test_a_complete_run_has_nothing_to_resume(taken) -> None:
     _, run = taken("table", table={"axes": ["Z"], "turns": 2})
-    assert resume_run("table", run.path, QUIET).failure is None
-    assert open_fog_run(run.path).segments[0].taken_at == run.segments[0].taken_at
-    with pytest.raises(UsageError, match="is a run of `gyrolock fog table`: resume it with that"):
-        resume_run("selfcal", run.path, QUIET)
+    with pytest.raises(UsageError, match="is finished, there is nothing to go on with"):
+        resume_run(run.path, QUIET, kind=TABLE)
+    with pytest.raises(UsageError, match="is a run of `gyrolock fog table`, not of `gyrolock fog selfcal`"):
+        resume_run(run.path, QUIET, kind=measurement("selfcal"))
+    again = open_run(run.path)
+    assert again.facts.resumed_at == ()
+    assert again.records[0].taken_at == run.records[0].taken_at
 
 
 def test_what_was_left_out_is_taken_again(taken, fog_settings, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -97,18 +109,18 @@ def test_what_was_left_out_is_taken_again(taken, fog_settings, monkeypatch: pyte
 
     with monkeypatch.context() as patched:
         patched.setattr(simulated_bench, "SimulatedFogBench", GappyBench)
-        campaign = start_run("table", fog_settings(table={"axes": ["Z"], "turns": 8}), QUIET)
-    before = evaluate_fog_run(open_fog_run(campaign.path))
-    assert {one["name"] for one in before.document["left_out"]} == {"Z +20.1", "Z -20.1"}
-    assert resume_run("table", campaign.path, QUIET).failure is None
-    run = open_fog_run(campaign.path)
-    assert [s.key for s in run.segments if "aside" in s.key] == ["Z +20.1 (set aside 1)"]
-    assert all(segment.intact for segment in run.segments)
-    after = evaluate_fog_run(run)
-    assert after.document["left_out"] == []
+        done = start_run(TABLE, fog_settings(table={"axes": ["Z"], "turns": 8}), QUIET)
+    before = evaluate_run(open_run(done.path))
+    assert {one["name"] for one in before.document()["left_out"]} == {"Z +20.1", "Z -20.1"}
+    assert resume_run(done.path, QUIET, kind=TABLE).failure is None
+    run = open_run(done.path)
+    assert [s.key for s in run.records if "aside" in s.key] == ["Z +20.1 (set aside 1)"]
+    assert all(segment.intact for segment in run.records)
+    after = evaluate_run(run)
+    assert after.document()["left_out"] == []
     whole, _ = taken("table", table={"axes": ["Z"], "turns": 8})
-    assert after.document["axes"][0]["scale_factor_counts_per_dps"] == pytest.approx(
-        whole.document["axes"][0]["scale_factor_counts_per_dps"], rel=1e-12
+    assert after.document()["axes"][0]["scale_factor_counts_per_dps"] == pytest.approx(
+        whole.document()["axes"][0]["scale_factor_counts_per_dps"], rel=1e-12
     )
 
 
@@ -119,4 +131,17 @@ def test_a_directory_that_cannot_be_made_is_said(fog_settings, tmp_path: Path) -
         update={"output": settings.output.model_copy(update={"directory": str(tmp_path / "file")})}
     )
     with pytest.raises(RunError, match="runs cannot be saved there"):
-        start_run("table", settings, QUIET)
+        start_run(TABLE, settings, QUIET)
+
+
+def test_only_what_is_not_measured_may_differ(cut_short, tmp_path: Path) -> None:
+    done = cut_short("eps", "open loop -2001", KeyboardInterrupt(), eps={"record_s": 0.3})
+    given = {"eps": {"record_s": 0.4}, "gyro": {"dac_bits": 14}}
+    with pytest.raises(UsageError, match=r"eps\.record_s is 0\.3 in the run, not 0\.4; gyro\.dac_bits is 16"):
+        resume_run(done.path, QUIET, kind=measurement("eps"), overrides=given)
+    assert open_run(done.path).facts.resumed_at == ()
+    config = tmp_path / "same.toml"
+    config.write_text("[eps]\nrecord_s = 0.3\n[limits]\ntwo_pi_error_ppm = 5.0\n")
+    labels = {"unit": "FG-7"}
+    assert resume_run(done.path, QUIET, kind=measurement("eps"), config=config, labels=labels).failure is None
+    assert open_run(done.path).facts.labels == labels

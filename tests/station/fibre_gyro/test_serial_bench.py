@@ -11,18 +11,17 @@ import pytest
 from instrument.fibre_gyro import FibreGyroLink, Recording, parse_frame_format
 from instrument.simulated.fibre_gyro.faults import GyroFault, GyroFaults
 from instrument.simulated.fibre_gyro.server import TcpGyroServer
-from station.fibre_gyro.campaign import PlannedSegment, take_segments
+from station.evaluated import Evaluated
 from station.fibre_gyro.eps import measurement as eps
-from station.fibre_gyro.results import FogResult, evaluate_fog_run
+from station.fibre_gyro.figures import measurement as figures
+from station.fibre_gyro.segments import PlannedSegment
 from station.fibre_gyro.selfcal import measurement as selfcal
+from station.fibre_gyro.selfcal.numbers import numbers_for
 from station.fibre_gyro.serial_bench import SerialFogBench, read_frame_format
 from station.fibre_gyro.served import ServedGyro
-from station.fibre_gyro.store import FogRunWriter, open_fog_run
 from station.fibre_gyro.table import measurement as table
-from station.runs.progress import Progress
 from station.settings.load import shipped_settings
 
-QUIET = Progress(quiet=True)
 GYRO = {"counts_per_code": 256.0, "output_resolution": 1.0}
 SPEED = 20.0
 
@@ -74,13 +73,17 @@ class ServedBench:
         return ""
 
 
-def result_of(command: str, settings: Any, served: ServedBench, plan: list[Any], folder: Path) -> FogResult:
-    facts = {"command": command, "settings": settings.model_dump(mode="json"), "simulated": False}
-    writer = FogRunWriter.create(folder, facts)
-    campaign = take_segments(writer, served.bench, [lambda run: plan], QUIET)
-    served.bench.leave()
-    assert campaign.failure is None, campaign.failure
-    return evaluate_fog_run(open_fog_run(campaign.path))
+@pytest.fixture
+def result_of(taken_on):
+    """Take a plan on a served bench, leave it as it was, and evaluate the run."""
+
+    def take(command: str, settings: Any, served: ServedBench, plan: list[Any]) -> Evaluated:
+        try:
+            return taken_on(command, settings, served.bench, plan, simulated=False)
+        finally:
+            served.bench.leave()
+
+    return take
 
 
 @pytest.fixture
@@ -89,22 +92,22 @@ def served(fog_settings):
         yield lambda settings, **how: ServedBench(settings, stack, **how)
 
 
-def test_a_table_run_over_the_link(served, fog_settings, tmp_path: Path) -> None:
+def test_a_table_run_over_the_link(served, fog_settings, result_of) -> None:
     settings = fog_settings(
         gyro=GYRO,
         table={"axes": ["Z"], "rates_dps": [60.0, 66.0], "turns": 2, "settle_s": 0.5, "both_ends_up": False},
         simulation={"angle_random_walk": 1e-3},
     )
     bench = served(settings)
-    result = result_of("table", settings, bench, table.plan_table(settings), tmp_path)
-    (axis,) = result.document["axes"]
+    result = result_of("table", settings, bench, table.plan(settings))
+    (axis,) = result.document()["axes"]
     assert abs(axis["nominal_difference_ppm"]) < 5 * axis["scale_factor_u_ppm"] < 10
-    assert result.document["left_out"] == []
+    assert result.document()["left_out"] == []
     assert bench.asked == ["Bring axis Z of the gyro to the table's axis, up.\nPress Enter when done: "]
     assert bench.gyro.rate_dps == 0.0
 
 
-def test_lost_frames_and_a_slow_table_leave_points_out(served, fog_settings, tmp_path: Path) -> None:
+def test_lost_frames_and_a_slow_table_leave_points_out(served, fog_settings, result_of) -> None:
     settings = fog_settings(
         gyro=GYRO, table={"axes": ["Z"], "rates_dps": [60.0, 66.0, 70.0], "turns": 1, "settle_s": 0.0}
     )
@@ -123,26 +126,26 @@ def test_lost_frames_and_a_slow_table_leave_points_out(served, fog_settings, tmp
         return record(planned, watch)
 
     bench.bench.record = record_with_a_fault
-    result = result_of("table", settings, bench, table.plan_table(settings), tmp_path / "a")
-    left_out = {one["name"]: one["reason"] for one in result.document["left_out"]}
+    result = result_of("table", settings, bench, table.plan(settings))
+    left_out = {one["name"]: one["reason"] for one in result.document()["left_out"]}
     assert "outputs missing" in left_out["Z +60"] or "1 output missing" in left_out["Z +60"]
     assert set(left_out) == {"Z +60", "Z -60"}
-    assert len(result.document["axes"][0]["points"]) == 4
+    assert len(result.document()["axes"][0]["points"]) == 4
     slow = served(settings, reaches=0.999)
     with pytest.raises(Exception, match="instead of"):
-        result_of("table", settings, slow, table.plan_table(settings), tmp_path / "b")
+        result_of("table", settings, slow, table.plan(settings))
 
 
-def test_a_self_calibration_over_the_link(served, fog_settings, tmp_path: Path) -> None:
+def test_a_self_calibration_over_the_link(served, fog_settings, result_of) -> None:
     settings = fog_settings(
         gyro=GYRO,
         selfcal={"numbers": "nominal", "rates_dps": [1.0, 20.0, 140.0], "step_s": 4.0, "static_s": 4.0},
         simulation={"angle_random_walk": 1e-3, "two_pi_error": 1e-3, "scale_change_ppm": 300.0},
     )
     bench = served(settings)
-    plan, _ = selfcal.plan_selfcal(settings, selfcal.numbers_for(settings, None))
-    result = result_of("selfcal", settings, bench, plan, tmp_path)
-    found = result.document
+    plan, _ = selfcal.plan(settings, numbers_for(settings, None))
+    result = result_of("selfcal", settings, bench, plan)
+    found = result.document()
     # neither the 2 pi error nor the coil's change is seen
     assert abs(found["self_minus_numbers_ppm"]) < 5 * found["self_minus_numbers_u_ppm"] < 10
     assert abs(found["self_minus_design_ppm"]) < 10
@@ -153,7 +156,7 @@ def test_a_self_calibration_over_the_link(served, fog_settings, tmp_path: Path) 
     assert all(step * 16384 == round(step * 16384) for step in steps)
 
 
-def test_the_number_is_the_step_that_was_really_sent(served, fog_settings, tmp_path: Path) -> None:
+def test_the_number_is_the_step_that_was_really_sent(served, fog_settings, result_of) -> None:
     """A format with steps of 1/4 code: 1 deg/s is 246.25 codes on the line, 395 ppm more than wanted."""
     settings = fog_settings(
         gyro=GYRO,
@@ -161,56 +164,54 @@ def test_the_number_is_the_step_that_was_really_sent(served, fog_settings, tmp_p
         simulation={"angle_random_walk": 1e-3},
     )
     bench = served(settings, step_scale=4)
-    plan, _ = selfcal.plan_selfcal(settings, selfcal.numbers_for(settings, None))
-    found = result_of("selfcal", settings, bench, plan, tmp_path).document
+    plan, _ = selfcal.plan(settings, numbers_for(settings, None))
+    found = result_of("selfcal", settings, bench, plan).document()
     given = {point["name"]: point["number_counts"] / 256 for point in found["points"]}
     assert given["inject +1"] == 246.25
     assert abs(found["self_minus_numbers_ppm"]) < 5 * found["self_minus_numbers_u_ppm"] < 100
 
 
-def test_the_injection_is_taken_away_after_an_interrupt(served, fog_settings, tmp_path: Path) -> None:
+def test_the_injection_is_taken_away_after_an_interrupt(served, fog_settings) -> None:
     settings = fog_settings(gyro=GYRO, selfcal={"numbers": "nominal"})
     bench = served(settings)
-    plan, _ = selfcal.plan_selfcal(settings, selfcal.numbers_for(settings, None))
+    plan, _ = selfcal.plan(settings, numbers_for(settings, None))
     bench.bench.prepare(plan[3])
     assert bench.server.commands[-1][1] > 200
     bench.bench.leave()
     assert bench.server.commands[-1] == ("inject", 0.0)
 
 
-def test_steps_that_the_format_cannot_send_are_named(served, fog_settings, tmp_path: Path) -> None:
+def test_steps_that_the_format_cannot_send_are_named(served, fog_settings, result_of) -> None:
     settings = fog_settings(
         gyro=GYRO, selfcal={"numbers": "nominal", "rates_dps": [1.0, 2.0, 100.0], "step_s": 1.0, "static_s": 1.0}
     )
     bench = served(settings)
     lowest, highest = bench.layout.step_range
-    plan, _ = selfcal.plan_selfcal(settings, selfcal.numbers_for(settings, None))
-    result = result_of("selfcal", settings, bench, plan, tmp_path)
+    plan, _ = selfcal.plan(settings, numbers_for(settings, None))
+    result = result_of("selfcal", settings, bench, plan)
     step = 100 * settings.nominal_scale_factor / 256
     beyond = not lowest <= step <= highest
-    assert [one["name"] for one in result.document["left_out"]] == (
+    assert [one["name"] for one in result.document()["left_out"]] == (
         ["inject +100", "inject -100"] if beyond else []
     )
-    assert len(result.document["points"]) == (4 if beyond else 6)
+    assert len(result.document()["points"]) == (4 if beyond else 6)
 
 
-def test_the_two_pi_error_over_the_link(served, fog_settings, tmp_path: Path) -> None:
+def test_the_two_pi_error_over_the_link(served, fog_settings, result_of) -> None:
     settings = fog_settings(
         gyro=GYRO,
         eps={"record_s": 4.0, "settle_s": 0.1, "steps_codes": [2001.0, 5001.0]},
         simulation={"two_pi_error": 2e-3},
     )
     bench = served(settings)
-    result = result_of("eps", settings, bench, eps.plan_eps(settings)[0], tmp_path)
-    found = result.document
+    result = result_of("eps", settings, bench, eps.plan(settings)[0])
+    found = result.document()
     assert abs(found["two_pi_error"] - 2e-3) < 5 * found["two_pi_error_u"] < 1e-4
     assert {name for name, _ in bench.server.commands} == {"inject", "hold_feedback", "close_loop"}
     assert bench.server.commands[-1][0] == "close_loop"
 
 
-def test_the_operator_is_asked_for_every_run_and_temperature(served, fog_settings, tmp_path: Path) -> None:
-    from station.fibre_gyro.figures import measurement as figures
-
+def test_the_operator_is_asked_for_every_run_and_temperature(served, fog_settings, result_of) -> None:
     settings = fog_settings(
         gyro=GYRO,
         figures={"rates_dps": [90.0, 100.0], "runs": 2, "temperatures_c": [60.0], "seconds": 3.6, "static_s": 1.0,
@@ -218,13 +219,13 @@ def test_the_operator_is_asked_for_every_run_and_temperature(served, fog_setting
         simulation={"angle_random_walk": 1e-3},
     )  # fmt: skip
     bench = served(settings)
-    result = result_of("figures", settings, bench, figures.plan_figures(settings), tmp_path)
+    result = result_of("figures", settings, bench, figures.plan(settings))
     assert [question.splitlines()[1] for question in bench.asked] == [
         "For run 1: switch the gyro off, let it take 20 deg C, switch it on.",
         "For run 2: switch the gyro off, let it take 20 deg C, switch it on.",
         "For run at +60 deg C: switch the gyro off, let it take 60 deg C, switch it on.",
     ]
-    assert len(result.document["runs"]) == 2
+    assert len(result.document()["runs"]) == 2
 
 
 def test_frame_formats_are_found_by_name(fog_settings, tmp_path: Path) -> None:

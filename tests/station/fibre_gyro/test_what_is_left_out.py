@@ -12,13 +12,15 @@ import pytest
 
 from instrument.fibre_gyro import Gap, Losses, Recording
 from station.errors import NoUsableSignal, RunError, UsageError
-from station.fibre_gyro.campaign import PlannedSegment, take_segments
-from station.fibre_gyro.results import FogResult, evaluate_fog_run
-from station.fibre_gyro.session import start_run
+from station.evaluated import Evaluated, evaluate_run
+from station.fibre_gyro.recordings import new_record, segments_of
+from station.fibre_gyro.segments import PlannedSegment
 from station.fibre_gyro.simulated_bench import SimulatedFogBench
-from station.fibre_gyro.store import FogRunWriter, open_fog_run
-from station.fibre_gyro.table.measurement import plan_table
+from station.fibre_gyro.table.measurement import plan
+from station.measurements import measurement
 from station.runs.progress import Progress
+from station.runs.store import RunWriter, open_run
+from station.shell.running import start_run
 
 QUIET = Progress(quiet=True)
 ONE_AXIS = {"axes": ["Z"], "turns": 10}
@@ -52,20 +54,13 @@ def cut_short(recording: Recording) -> Recording:
 
 
 @pytest.fixture
-def table_result(fog_settings, tmp_path: Path):
-    def take(spoil=lambda recording: recording, reached=None, **table: Any) -> FogResult:
+def table_result(fog_settings, taken_on):
+    def take(spoil=lambda recording: recording, reached=None, **table: Any) -> Evaluated:
         settings = fog_settings(table={**ONE_AXIS, **table})
-        writer = FogRunWriter.create(tmp_path, facts_of(settings))
         bench = SpoiltBench(settings, "Z -20.01", spoil, reached or {})
-        campaign = take_segments(writer, bench, [lambda run: plan_table(settings)], QUIET)
-        assert campaign.failure is None
-        return evaluate_fog_run(open_fog_run(campaign.path))
+        return taken_on("table", settings, bench, plan(settings), simulated=True)
 
     return take
-
-
-def facts_of(settings: Any) -> dict[str, Any]:
-    return {"command": "table", "settings": settings.model_dump(mode="json"), "simulated": True}
 
 
 @pytest.mark.parametrize(
@@ -78,37 +73,37 @@ def facts_of(settings: Any) -> dict[str, Any]:
 )
 def test_a_spoilt_point_and_its_opposite_are_named(table_result, spoil, reached, reason: str) -> None:
     result = table_result(spoil, reached)
-    (axis,) = result.document["axes"]
-    left_out = {one["name"]: one["reason"] for one in result.document["left_out"]}
+    (axis,) = result.document()["axes"]
+    left_out = {one["name"]: one["reason"] for one in result.document()["left_out"]}
     assert reason in left_out["Z -20.01"]
     assert left_out["Z +20.01"].startswith("the opposite sense (-20.01 deg/s) is missing")
     assert set(left_out) == {"Z +20.01", "Z -20.01"}
     assert len(axis["points"]) == 6
     assert [one["delta_dps"] for one in axis["differences"]] == [0.1, 1.0]
     assert abs(axis["nominal_difference_ppm"]) < 5 * axis["scale_factor_u_ppm"]
-    assert all(len(flag) < 250 for flag in result.flags)
+    assert all(len(flag) < 250 for flag in result.result.flags)
 
 
 def test_a_window_that_is_not_whole_turns_is_refused_with_what_to_do(table_result) -> None:
     result = table_result(window_s=540.0)
-    left_out = {one["name"]: one["reason"] for one in result.document["left_out"]}
+    left_out = {one["name"]: one["reason"] for one in result.document()["left_out"]}
     assert set(left_out) == {f"Z {sense}{rate}" for sense in "+-" for rate in ("20.01", "20.1", "21")}
     assert (
         "30.015 turns, not a whole number: use 30 turns = 539.730 s or 31 turns = 557.721 s"
         in left_out["Z +20.01"]
     )
-    (axis,) = result.document["axes"]
+    (axis,) = result.document()["axes"]
     assert [point["name"] for point in axis["points"]] == ["Z +20", "Z -20"]
 
 
 def test_a_damaged_segment_is_left_out(taken) -> None:
     _, run = taken("table", table=ONE_AXIS)
     with sqlite3.connect(run.path) as db:
-        (blob,) = db.execute("SELECT samples FROM segment WHERE key = 'Z +21'").fetchone()
-        db.execute("UPDATE segment SET samples = ? WHERE key = 'Z +21'", (blob[:-3] + b"abc",))
-    result = evaluate_fog_run(open_fog_run(run.path))
-    assert "checksum" in next(one["reason"] for one in result.document["left_out"] if one["name"] == "Z +21")
-    assert len(result.document["axes"][0]["points"]) == 6
+        (blob,) = db.execute("SELECT payload FROM record WHERE key = 'Z +21'").fetchone()
+        db.execute("UPDATE record SET payload = ? WHERE key = 'Z +21'", (blob[:-3] + b"abc",))
+    result = evaluate_run(open_run(run.path))
+    assert "checksum" in next(one["reason"] for one in result.document()["left_out"] if one["name"] == "Z +21")
+    assert len(result.document()["axes"][0]["points"]) == 6
 
 
 def test_a_table_that_never_reaches_its_rate_gives_no_result(table_result) -> None:
@@ -120,9 +115,9 @@ def test_a_table_that_never_reaches_its_rate_gives_no_result(table_result) -> No
 
 def test_steps_beyond_the_converter_are_named_and_never_injected(taken) -> None:
     result, run = taken("selfcal", selfcal={"rates_dps": [1.0, 20.0, 140.0], "numbers": "nominal", "step_s": 5.0})
-    names = [one["name"] for one in result.document["left_out"]]
+    names = [one["name"] for one in result.document()["left_out"]]
     assert names == ["inject +140", "inject -140"]
-    reason = result.document["left_out"][0]["reason"]
+    reason = result.document()["left_out"][0]["reason"]
     assert reason.startswith("a step of +34461.4 codes is beyond the 16-bit converter, which takes 32767")
     assert len(run.taken_for("selfcal")) == 6
 
@@ -130,63 +125,62 @@ def test_steps_beyond_the_converter_are_named_and_never_injected(taken) -> None:
 def test_one_static_output_is_enough_and_said_and_none_is_not(taken) -> None:
     _, run = taken("selfcal", selfcal={"step_s": 5.0, "static_s": 5.0})
     with sqlite3.connect(run.path) as db:
-        db.execute("DELETE FROM segment WHERE key = 'static after'")
-    result = evaluate_fog_run(open_fog_run(run.path))
-    assert result.document["static_missing"] == "after"
-    assert any("There is no static output after the steps" in flag for flag in result.flags)
+        db.execute("DELETE FROM record WHERE key = 'static after'")
+    result = evaluate_run(open_run(run.path))
+    assert result.document()["static_missing"] == "after"
+    assert any("There is no static output after the steps" in flag for flag in result.result.flags)
     with sqlite3.connect(run.path) as db:
-        db.execute("DELETE FROM segment WHERE key = 'static before'")
+        db.execute("DELETE FROM record WHERE key = 'static before'")
     with pytest.raises(NoUsableSignal, match="needs a static output and at least three steps, there are 0 and 8"):
-        evaluate_fog_run(open_fog_run(run.path))
+        evaluate_run(open_run(run.path))
 
 
 def test_a_drifting_bias_is_told(taken) -> None:
     _, run = taken("selfcal", selfcal={"step_s": 5.0})
     with sqlite3.connect(run.path) as db:
-        db.execute("DELETE FROM segment WHERE key = 'static after'")
-    later = replace(
-        run.taken_for("selfcal")[0].recording, counts=run.taken_for("selfcal")[0].recording.counts + 0.1
-    )
-    conditions = {**run.taken_for("selfcal")[0].conditions, "static": "after"}
-    with FogRunWriter.resume(run.path) as writer:
-        writer.save_segment("static after", conditions, later)
-    flags = " ".join(evaluate_fog_run(open_fog_run(run.path)).flags)
+        db.execute("DELETE FROM record WHERE key = 'static after'")
+    first = segments_of(run, "selfcal")[0]
+    later = replace(first.recording, counts=first.recording.counts + 0.1)
+    with RunWriter(run.path) as writer:
+        writer.save_records([new_record("static after", {**first.conditions, "static": "after"}, later)])
+    flags = " ".join(evaluate_run(open_run(run.path)).result.flags)
     assert "the bias drifts" in flags
 
 
 def test_an_output_without_error_columns_gives_no_two_pi_error(taken) -> None:
     _, run = taken("eps", eps={"record_s": 0.2})
     with sqlite3.connect(run.path) as db:
-        db.execute("DELETE FROM segment")
-    with FogRunWriter.resume(run.path) as writer:
-        for segment in run.segments:
-            writer.save_segment(segment.key, segment.conditions, replace(segment.recording, extra={}))
+        db.execute("DELETE FROM record")
+    with RunWriter(run.path) as writer:
+        for segment in segments_of(run, "eps"):
+            bare = replace(segment.recording, extra={})
+            writer.save_records([new_record(segment.key, segment.conditions, bare)])
     with pytest.raises(NoUsableSignal, match="the output has no column normal_error"):
-        evaluate_fog_run(open_fog_run(run.path))
+        evaluate_run(open_run(run.path))
 
 
 def test_numbers_need_a_table_run_on_a_real_gyro(fog_settings, tmp_path: Path) -> None:
     settings = fog_settings(link={"port": "/dev/null"})
     with pytest.raises(UsageError, match="name one with --table RUN"):
-        start_run("selfcal", settings, QUIET)
+        start_run(measurement("selfcal"), settings, QUIET)
     assert not list(tmp_path.iterdir())
 
 
 def test_what_is_no_run_is_said(tmp_path: Path, taken) -> None:
-    with pytest.raises(RunError, match="holds no run of a fibre gyro"):
-        open_fog_run(tmp_path)
+    with pytest.raises(RunError, match="holds no run"):
+        open_run(tmp_path)
     other = tmp_path / "other.sqlite"
     with sqlite3.connect(other) as db:
         db.execute("CREATE TABLE t (x)")
-    with pytest.raises(RunError, match="not a run of `gyrolock fog`"):
-        open_fog_run(other)
+    with pytest.raises(RunError, match="is a database, but not a saved run of gyrolock"):
+        open_run(other)
     text = tmp_path / "text"
     text.write_text("hello")
     with pytest.raises(RunError, match="is not a saved run"):
-        open_fog_run(text)
+        open_run(text)
 
 
-def test_what_is_saved_comes_back_as_it_was(tmp_path: Path, fog_settings) -> None:
+def test_what_is_saved_comes_back_as_it_was(tmp_path: Path) -> None:
     rng = np.random.default_rng(0)
     recording = Recording(
         times=np.arange(50) / 10,
@@ -199,11 +193,12 @@ def test_what_is_saved_comes_back_as_it_was(tmp_path: Path, fog_settings) -> Non
         interval_s=0.1,
         clock="frames",
     )  # fmt: skip
-    with FogRunWriter.create(tmp_path, facts_of(fog_settings())) as writer:
-        writer.save_segment("one", {"purpose": "table", "rate_dps": 20.0}, recording)
+    record = new_record("one", {"purpose": "table", "rate_dps": 20.0}, recording)
+    with RunWriter.create(tmp_path, {"command": "table"}) as writer:
+        writer.save_records([record])
         with pytest.raises(RunError, match="UNIQUE"):
-            writer.save_segment("one", {}, recording)
-    (segment,) = open_fog_run(writer.path).segments
+            writer.save_records([record])
+    (segment,) = segments_of(open_run(writer.path), "table")
     again = segment.recording
     assert segment.intact
     assert np.array_equal(again.counts, recording.counts)

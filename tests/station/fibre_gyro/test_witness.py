@@ -2,38 +2,44 @@
 
 import math
 import sqlite3
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from staircases import counter_voltage, write_csv
 
+from instrument import Preamble, Waveform
 from instrument.simulated import SimulatedTDS2014, TcpServer, VirtualClock
 from instrument.simulated.fibre_gyro.server import TcpGyroServer
 from station.errors import NoUsableSignal, UsageError
-from station.fibre_gyro.report import render_fog_report
-from station.fibre_gyro.results import evaluate_fog_run, evaluate_witness_run
+from station.evaluated import evaluate_run
 from station.fibre_gyro.serial_bench import read_frame_format
 from station.fibre_gyro.served import ServedGyro
-from station.fibre_gyro.settings import fog_settings_from
-from station.fibre_gyro.simulated_modulator import modulator_voltage
-from station.fibre_gyro.witness.measurement import evaluate_witness
-from station.fibre_gyro.witness.take import staircase_run_from_files, take_staircase_run
+from station.fibre_gyro.settings import FIBRE_GYRO
+from station.fibre_gyro.witness.evaluate import evaluate
+from station.fibre_gyro.witness.modulator import modulator_voltage
+from station.measurements import measurement
+from station.report.report import render_report
+from station.runs.facts import RunFacts
 from station.runs.progress import Progress
 from station.runs.store import open_run
+from station.settings.load import saved_settings
+from station.shell.running import resume_run, start_run
 
 QUIET = Progress(quiet=True)
+WITNESS = measurement("witness")
 DT = 0.2e-6
 
 
 def scoped(settings):
-    campaign = take_staircase_run(settings, QUIET)
-    assert campaign.failure is None, campaign.failure
-    return open_run(campaign.path)
+    done = start_run(WITNESS, settings, QUIET)
+    assert done.failure is None, done.failure
+    return open_run(done.path)
 
 
 def from_files(settings, *paths: Path):
-    return open_run(staircase_run_from_files(settings, paths).path)
+    return open_run(start_run(WITNESS, settings, QUIET, paths=paths).path)
 
 
 def record(rng, step: int, *, span_v: float = 6.4, step_s: float = 4.8967e-6, n: int = 2500):
@@ -48,7 +54,7 @@ def test_the_simulated_scope_finds_the_modulator(fog_settings, step: float) -> N
         simulation={"two_pi_error": 0.02, "half_wave_v": 3.1, "seed": 7},
     )
     run = scoped(settings)
-    found = evaluate_witness(run, settings)
+    found = evaluate(run, settings, {})
     span = 2 * 3.1 * 1.02
     assert found.two_pi_voltage.value == pytest.approx(span, abs=4 * found.two_pi_voltage_record_u)
     assert found.two_pi_voltage_record_u < 5e-4 * span
@@ -78,7 +84,7 @@ def test_the_simulated_staircase_goes_on_for_ever(fog_settings) -> None:
 
 def test_an_error_of_the_gain_is_in_every_volt_and_in_no_ratio(fog_settings) -> None:
     settings = fog_settings(witness={"records": 3}, simulation={"scope_gain_error": 0.03})
-    found = evaluate_witness(scoped(settings), settings)
+    found = evaluate(scoped(settings), settings, {})
     assert found.two_pi_voltage.value == pytest.approx(8 * 1.03, rel=1e-3)
     assert found.step_codes.value == pytest.approx(5001, abs=4 * found.step_codes.u)
     assert abs(found.two_pi_error.value) < 2 * found.two_pi_error.u  # 3 % are within what is told
@@ -91,7 +97,7 @@ def test_more_records_do_not_take_the_rounding_away(fog_settings, tmp_path: Path
         write_csv(tmp_path / f"{n}.csv", record(rng, 4500), interval_s=DT, volts_per_division=1.0)
     settings = fog_settings()
     paths = [tmp_path / f"{n}.csv" for n in range(24)]
-    few, many = (evaluate_witness(from_files(settings, *some), settings) for some in (paths[:4], paths))
+    few, many = (evaluate(from_files(settings, *some), settings, {}) for some in (paths[:4], paths))
     one = float(np.median([each.found.two_pi_voltage_u for each in many.records]))
     assert 0.4 * one < many.two_pi_voltage_record_u < few.two_pi_voltage_record_u < one
     assert many.two_pi_voltage.value == pytest.approx(6.4, abs=4 * many.two_pi_voltage_record_u)
@@ -111,18 +117,18 @@ def test_records_that_cannot_be_used_are_left_out_by_name(fog_settings, tmp_path
     names = ("good", "clipped", "peaks", "sine", "spoilt")
     run = from_files(settings, *(tmp_path / f"{name}.csv" for name in names))
     with sqlite3.connect(run.path) as db:
-        db.execute("UPDATE record SET codes = zeroblob(2500) WHERE number = 5")
+        db.execute("UPDATE record SET payload = zeroblob(2500) WHERE number = 5")
     db.close()
-    result = evaluate_witness_run(open_run(run.path))
-    reasons = {one["name"]: one["reason"] for one in result.document["left_out"]}
+    result = evaluate_run(open_run(run.path))
+    reasons = {one["name"]: one["reason"] for one in result.document()["left_out"]}
     assert set(reasons) == {"clipped.csv", "peaks.csv", "sine.csv", "spoilt.csv"}
     assert "clipped" in reasons["clipped.csv"]
     assert "Peak Detect" in reasons["peaks.csv"]
     assert "not what was once saved" in reasons["spoilt.csv"]
-    assert [one["name"] for one in result.document["records"]] == ["good.csv"]
-    assert sum("is left out" in flag for flag in result.flags) == 4
+    assert [one["name"] for one in result.document()["records"]] == ["good.csv"]
+    assert sum("is left out" in flag for flag in result.result.flags) == 4
     with pytest.raises(NoUsableSignal, match="no record shows the staircase"):
-        evaluate_witness(from_files(settings, tmp_path / "sine.csv"), settings)
+        evaluate(from_files(settings, tmp_path / "sine.csv"), settings, {})
 
 
 def test_without_a_reset_no_two_pi_voltage_is_given(fog_settings, tmp_path: Path) -> None:
@@ -131,23 +137,24 @@ def test_without_a_reset_no_two_pi_voltage_is_given(fog_settings, tmp_path: Path
     write_csv(tmp_path / "slow.csv", volts, interval_s=DT, volts_per_division=1.0)
     settings = fog_settings(limits={"witness_two_pi_error_ppm": 1e5}, witness={"half_wave_v": 3.2})
     run = from_files(settings, tmp_path / "slow.csv")
-    result = evaluate_witness_run(run)
-    assert result.document["two_pi_voltage_v"] is None
-    assert result.document["two_pi_error"] is None
-    assert result.document["step_height_v"] == pytest.approx(0.4, abs=4e-3)
+    result = evaluate_run(run)
+    assert result.document()["two_pi_voltage_v"] is None
+    assert result.document()["two_pi_error"] is None
+    assert result.document()["step_height_v"] == pytest.approx(0.4, abs=4e-3)
     assert result.verdict == "FAIL"  # a limit that nothing can be said about is not kept
-    assert any("No reset is in the record" in flag for flag in result.flags)
-    assert "V_2π unknown" in render_fog_report(result, run)
+    assert any("No reset is in the record" in flag for flag in result.result.flags)
+    assert "V_2π unknown" in render_report(result)
 
 
-def test_a_limit_finer_than_the_gain_is_said_to_prove_nothing(fog_settings) -> None:
+def test_a_limit_finer_than_the_gain_is_said_to_prove_nothing(fog_settings, tmp_path: Path) -> None:
     settings = fog_settings(limits={"witness_two_pi_error_ppm": 5000.0}, witness={"records": 1})
     run = scoped(settings)
-    result = evaluate_witness_run(run)
+    result = evaluate_run(run)
     assert result.verdict == "PASS"
-    assert any("neither PASS nor FAIL is proved" in flag for flag in result.flags)
-    better = fog_settings(limits={"witness_two_pi_error_ppm": 5000.0}, witness={"gain_u": 0.001})
-    assert not any("is proved" in flag for flag in evaluate_witness_run(run, better).flags)
+    assert any("neither PASS nor FAIL is proved" in flag for flag in result.result.flags)
+    better = tmp_path / "better.toml"
+    better.write_text("[limits]\nwitness_two_pi_error_ppm = 5000.0\n[witness]\ngain_u = 0.001\n")
+    assert not any("is proved" in flag for flag in evaluate_run(run, config=better).result.flags)
 
 
 def test_the_gyro_on_its_port_is_injected_and_left_as_it_was(fog_settings) -> None:
@@ -172,10 +179,10 @@ def test_the_gyro_on_its_port_is_injected_and_left_as_it_was(fog_settings) -> No
     assert run.facts["injected"]["step_codes"] == 5001.0
     assert not run.facts["simulated"]
     assert "truth" not in run.facts
-    result = evaluate_witness_run(run)
-    assert result.document["two_pi_voltage_v"] == pytest.approx(7.7, rel=6e-4)
-    assert result.document["two_pi_error"] == pytest.approx(0.0, abs=6e-4)
-    assert "5001 were injected" in " ".join(result.sentences)
+    result = evaluate_run(run)
+    assert result.document()["two_pi_voltage_v"] == pytest.approx(7.7, rel=6e-4)
+    assert result.document()["two_pi_error"] == pytest.approx(0.0, abs=6e-4)
+    assert "5001 were injected" in " ".join(result.result.sentences)
 
 
 @pytest.mark.parametrize(
@@ -188,7 +195,7 @@ def test_the_gyro_on_its_port_is_injected_and_left_as_it_was(fog_settings) -> No
 )
 def test_what_cannot_be_done_is_said_before_anything_moves(fog_settings, tmp_path: Path, sections, said) -> None:
     with pytest.raises(UsageError, match=said):
-        take_staircase_run(fog_settings(**sections), QUIET)
+        start_run(WITNESS, fog_settings(**sections), QUIET)
     assert list(tmp_path.iterdir()) == []
 
 
@@ -197,6 +204,45 @@ def test_runs_of_a_version_without_the_witness_can_still_be_read(taken, fog_sett
     settings = dict(run.facts["settings"])
     del settings["witness"]
     del settings["simulation"]["half_wave_v"]
-    run.facts["settings"] = settings
-    assert fog_settings_from(settings, "old").witness == fog_settings().witness
-    assert evaluate_fog_run(run).document["two_pi_error"] == result.document["two_pi_error"]
+    old = replace(run, facts=RunFacts({**run.facts, "settings": settings}))
+    assert saved_settings(FIBRE_GYRO, settings, "old").witness == fog_settings().witness
+    assert evaluate_run(old).document()["two_pi_error"] == result.document()["two_pi_error"]
+
+
+class InterruptedProgress(Progress):
+    """Ctrl-C after so many records."""
+
+    def __init__(self, after: int) -> None:
+        super().__init__(quiet=True)
+        self._after = after
+
+    def advance(self) -> None:
+        super().advance()
+        self._after -= 1
+        if not self._after:
+            raise KeyboardInterrupt
+
+
+def test_a_run_cut_short_takes_the_records_that_are_missing_with_the_same_setting(fog_settings) -> None:
+    settings = fog_settings(witness={"records": 4}, simulation={"half_wave_v": 3.1, "seed": 5})
+    done = start_run(WITNESS, settings, InterruptedProgress(2))
+    assert done.failure is not None
+    assert done.failure.exit_code == 130
+    before = open_run(done.path)
+    assert [record.key for record in before.records] == ["record 1", "record 2"]
+    known = {"witness": {"half_wave_v": 3.1, "records": 4}}
+    with pytest.raises(UsageError, match=r"witness\.step_codes is 5001\.0 in the run, not 2001\.0"):
+        resume_run(done.path, QUIET, kind=WITNESS, overrides={"witness": {"step_codes": 2001.0}})
+    assert resume_run(done.path, QUIET, kind=WITNESS, overrides=known).failure is None
+    after = open_run(done.path)
+    assert [record.key for record in after.records] == [f"record {number}" for number in range(1, 5)]
+    assert [one.taken_at for one in after.records[:2]] == [one.taken_at for one in before.records]
+    scales = {Waveform(one.codes, Preamble.parse(one.preamble)).preamble for one in after.records}
+    assert len({(one.ymult, one.yoff, one.xincr) for one in scales}) == 1
+    # noise of its own: no record is a copy of another
+    assert len({one.payload for one in after.records}) == 4
+    assert len(after.facts.resumed_at) == 1
+    found = evaluate(after, settings, {})
+    assert found.two_pi_voltage.value == pytest.approx(6.2, abs=4 * found.two_pi_voltage_record_u)
+    with pytest.raises(UsageError, match="is finished, there is nothing to go on with"):
+        resume_run(done.path, QUIET, kind=WITNESS)

@@ -28,10 +28,6 @@ def modulator_voltage(settings: FogSettings) -> Callable[[Floats], Floats]:
     The loop is computed at every transit time for a while and its staircase then continued with the same steps:
     in open loop nothing else happens.
 
-    Parameters
-    ----------
-    settings : FogSettings
-
     Returns
     -------
     callable
@@ -63,23 +59,23 @@ def modulator_voltage(settings: FogSettings) -> Callable[[Floats], Floats]:
 
 
 @contextmanager
-def open_simulated_scope(settings: FogSettings) -> Iterator[TDS2014]:
+def open_simulated_scope(settings: FogSettings, *, times_resumed: int = 0) -> Iterator[TDS2014]:
     """Open a simulated oscilloscope on the modulator, through a real byte stream; its clock jumps over waiting.
 
     Parameters
     ----------
     settings : FogSettings
-
-    Yields
-    ------
-    TDS2014
+    times_resumed : int, optional
+        How often it was switched on before for the same run: its noise is another one each time.
     """
-    witness = settings.witness
+    witness, seed = settings.witness, settings.simulation.seed
+    if times_resumed:
+        seed = int(np.random.SeedSequence([seed, times_resumed]).generate_state(1)[0])
     voltage = modulator_voltage(settings)
     scope = SimulatedTDS2014(
         {int(witness.channel[2:]): lambda times: voltage(times) / witness.probe},
         clock=VirtualClock(),
-        seed=settings.simulation.seed,
+        seed=seed,
     )
     with serve(scope, "auto") as resource, open_scope(resource) as opened:
         yield opened

@@ -1,0 +1,123 @@
+"""The figures of merit as numbers and sentences."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from station.fibre_gyro.common import COUNTS_PER_DPS
+from station.fibre_gyro.figures.evaluate import FiguresFound, FiguresRun
+from station.fibre_gyro.settings import FogSettings
+from station.results.as_json import picked
+from station.results.numbers import with_uncertainty
+from station.results.result import Measured, Result
+from station.runs.store import SavedRun
+
+LIMITED = (
+    "nonlinearity_ppm",
+    "nonlinearity_of_point_ppm",
+    "asymmetry_ppm",
+    "repeatability_ppm",
+    "temperature_coefficient_ppm",
+)
+_GJB_RATES = 11
+_CAUSES = {
+    "odd": "odd in the rate (cubic: resets, converter)",
+    "even": "even in the rate (asymmetry)",
+    "near zero": "near zero (dead zone)",
+}
+_FIT = {
+    "scale_factor_counts_per_dps": "slope",
+    "scale_factor_u_counts_per_dps": "slope_u",
+    "intercept_counts": "intercept",
+    "intercept_u_counts": "intercept_u",
+}
+_FIGURES = {
+    "scale_factor_positive_counts_per_dps": "scale_factor_positive",
+    "scale_factor_negative_counts_per_dps": "scale_factor_negative",
+    "nonlinearity_ppm": "nonlinearity_ppm",
+    "nonlinearity_u_ppm": "nonlinearity_u_ppm",
+    "nonlinearity_of_point_ppm": "nonlinearity_of_point_ppm",
+    "asymmetry_ppm": "asymmetry_ppm",
+    "asymmetry_u_ppm": "asymmetry_u_ppm",
+    "deviation_of_full_scale_ppm": "deviation_of_full_scale_ppm",
+    "deviation_of_point_ppm": "deviation_of_point_ppm",
+}
+_PATTERN = {"pattern": "names", "odd_ppm": "odd_ppm", "even_ppm": "even_ppm", "near_zero_ppm": "near_zero_ppm"}
+
+
+def result(found: FiguresFound, run: SavedRun, settings: FogSettings) -> Result:
+    """Put into numbers and sentences what was found."""
+    lines = (
+        f"Asymmetry {_ppm(found.asymmetry_ppm)}, repeatability {_ppm(found.repeatability_ppm)} "
+        f"({len(found.runs)} runs), temperature coefficient {_ppm(found.temperature_coefficient_ppm)}/K.",
+        f"K = {with_uncertainty(found.scale_factor, found.scale_factor_u)} {COUNTS_PER_DPS}.",
+    )
+    watched = tuple(_to_watch(found))
+    return Result(
+        name="result",
+        value=f"Nonlinearity {found.nonlinearity_ppm:.3g} ppm of full scale",
+        document={
+            "style": "GJB and IEEE style; nonlinearity is of full scale unless its name says of_point",
+            "scale_factor_counts_per_dps": found.scale_factor,
+            "scale_factor_u_counts_per_dps": found.scale_factor_u,
+            # IEEE texts give input over output
+            "input_per_count_dph": 3600 / found.scale_factor,
+            **{name: getattr(found, name) for name in LIMITED},
+            "runs": [_run(one) for one in found.runs],
+            "at_temperatures": [_run(one) for one in found.at_temperatures],
+            "left_out": found.left_out,
+        },
+        measured=tuple(Measured(name, getattr(found, name)) for name in LIMITED),
+        lines=lines,
+        summary=[("", line) for line in lines],
+        sentences=tuple(_sentences(found)),
+        to_watch=watched,
+        flags=watched,
+        left_out=found.left_out,
+    )
+
+
+def _ppm(value: float) -> str:
+    return f"{value:.3g} ppm" if math.isfinite(value) else "none"
+
+
+def _run(one: FiguresRun) -> dict[str, Any]:
+    return {
+        "name": one.name,
+        "temperature_c": one.temperature_c,
+        **picked(one.figures.fit, _FIT),
+        "static_drift_counts": one.static_drift,
+        **picked(one.figures, _FIGURES),
+        **picked(one.pattern, _PATTERN),
+        "rate_dps": one.rate_dps,
+        "net_counts": one.output,
+    }
+
+
+def _sentences(found: FiguresFound) -> list[str]:
+    """Say which pattern the deviations have."""
+    said = [
+        f"{one.name}: the deviations are {', and '.join(_CAUSES[name] for name in one.pattern.names)}."
+        for one in found.all_runs
+        if one.pattern.names
+    ]
+    return said or ["The deviations from the line show no pattern beyond their noise."]
+
+
+def _to_watch(found: FiguresFound) -> list[str]:
+    said = [f"{one.sentence}." for one in found.left_out]
+    for one in found.all_runs:
+        if not math.isfinite(one.static_drift):
+            said.append(
+                f"{one.name}: a static output before or after is missing, a drift of the bias is not seen."
+            )
+        elif abs(one.static_drift) > 4 * one.static_drift_u:
+            said.append(f"{one.name}: the static output drifted by {one.static_drift:+.3g} counts.")
+        senses = [sum(1 for rate in set(one.rate_dps) if sense * rate > 0) for sense in (1, -1)]
+        if min(senses) < _GJB_RATES:
+            said.append(
+                f"{one.name}: {senses[0]} rates in one sense and {senses[1]} in the other; GJB style asks for "
+                f"{_GJB_RATES} in each."
+            )
+    return said

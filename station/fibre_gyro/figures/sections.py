@@ -1,0 +1,110 @@
+"""The figures of merit in the report: deviations from the line, and the scale factor of each run."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from station.fibre_gyro.common import COLOURS, COUNTS_PER_DPS, PPM
+from station.fibre_gyro.figures.evaluate import FiguresFound, FiguresRun
+from station.fibre_gyro.settings import FogSettings
+from station.report.figure import ACCENT, HALF, SECOND, SOFT, WIDE, legend_above, svg_element
+from station.results.numbers import ppm, with_uncertainty
+from station.results.parts import PlacedFigure, Section, TextTable
+from station.results.result import Result
+from station.runs.store import SavedRun
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+
+def sections(found: FiguresFound, run: SavedRun, settings: FogSettings, result: Result) -> list[Section]:
+    """Return the sections of the report."""
+    header = ("run", "°C", f"K, {COUNTS_PER_DPS}", "nonlin. FS", "nonlin. point", "asymmetry", "pattern")
+    return [
+        Section(
+            "Deviations from the line",
+            "Measured less fitted output. GJB style gives the nonlinearity of full scale, IEEE style names "
+            "either.",
+            figures=(
+                PlacedFigure(_deviations_svg(found, of_point=False), "As ppm of the largest output."),
+                PlacedFigure(_deviations_svg(found, of_point=True), "As ppm of the point's own output."),
+            ),
+            sentences=result.sentences,
+        ),
+        Section(
+            "Scale factor of each run",
+            "Repeatability is the standard deviation over the runs from cold starts; the temperature coefficient "
+            "is the largest change of K per kelvin from their mean.",
+            figures=(PlacedFigure(_scale_factors_svg(found), "Each run less the mean of the runs."),),
+            table=TextTable(header, tuple(_row(one) for one in found.all_runs)),
+        ),
+    ]
+
+
+def _row(one: FiguresRun) -> tuple[str, ...]:
+    return (
+        one.name,
+        f"{one.temperature_c:.1f}" if math.isfinite(one.temperature_c) else "",
+        with_uncertainty(one.figures.fit.slope, one.figures.fit.slope_u),
+        f"{one.figures.nonlinearity_ppm:.3g} ppm",
+        f"{one.figures.nonlinearity_of_point_ppm:.3g} ppm",
+        ppm(one.figures.asymmetry_ppm, one.figures.asymmetry_u_ppm).lstrip("+"),
+        ", ".join(one.pattern.names) or "none",
+    )
+
+
+def _deviations_svg(found: FiguresFound, *, of_point: bool) -> str:
+    """Draw the deviations from the line of every run, of full scale or of each point."""
+
+    def draw(figure: Figure) -> None:
+        axes = figure.add_subplot()
+        for index, one in enumerate(found.all_runs):
+            order = np.argsort(one.rate_dps)
+            values = one.figures.deviation_of_point_ppm if of_point else -one.figures.deviation_of_full_scale_ppm
+            hot = index >= len(found.runs)
+            axes.plot(
+                one.rate_dps[order], values[order], "s--" if hot else "o-", ms=3.5, linewidth=0.8,
+                color=COLOURS[index % 7], label=one.name,
+            )  # fmt: skip
+        axes.axhline(0, color=SOFT, linewidth=0.8)
+        axes.set(xlabel="rate, deg/s", ylabel="ppm of the point" if of_point else "ppm of full scale")
+        if of_point:
+            axes.set_xscale("symlog", linthresh=1.0)
+        else:
+            legend_above(axes, columns=4)
+
+    return svg_element("of-point" if of_point else "of-full-scale", HALF, draw)
+
+
+def _scale_factors_svg(found: FiguresFound) -> str:
+    """Draw the scale factor of every run against the temperature."""
+
+    def draw(figure: Figure) -> None:
+        axes = figure.add_subplot()
+        cold = ("from cold starts", found.runs, ACCENT)
+        for name, chosen, colour in (cold, ("at other temperatures", found.at_temperatures, SECOND)):
+            slopes = np.array([one.figures.fit.slope for one in chosen], dtype=np.float64)
+            u = PPM * np.array([one.figures.fit.slope_u for one in chosen]) / found.scale_factor
+            off = PPM * (slopes / found.scale_factor - 1)
+            if chosen:
+                _against_temperature(axes, name, [one.temperature_c for one in chosen], off, u, colour)
+        known = bool(np.all(np.isfinite([one.temperature_c for one in found.all_runs])))
+        axes.axhline(0, color=SOFT, linewidth=0.8)
+        axes.set(xlabel="temperature, °C" if known else "run", ylabel="K less mean, ppm")
+        legend_above(axes, columns=2)
+
+    return svg_element("scale-factors", WIDE, draw)
+
+
+def _against_temperature(
+    axes: Axes, name: str, temperature: ArrayLike, value: ArrayLike, u: ArrayLike, colour: str
+) -> None:
+    place = np.asarray(temperature, dtype=np.float64)
+    if not np.all(np.isfinite(place)):
+        place = np.arange(1.0, place.size + 1)
+    axes.errorbar(place, value, yerr=u, fmt="o", ms=4, capsize=2, color=colour, linewidth=0.9, label=name)

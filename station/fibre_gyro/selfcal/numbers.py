@@ -1,0 +1,110 @@
+"""The numbers that a self-calibration injects, and the rate-table result that they and the comparison rest on."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from analysis.fibre_gyro.staircase_calibration import InjectionPlan, scaled_numbers, superposed_numbers
+from station.errors import UsageError
+from station.fibre_gyro.settings import FIBRE_GYRO, FogSettings
+from station.fibre_gyro.table.evaluate import AxisResult, TableFound, find_axes
+from station.runs.store import SavedRun, open_run
+from station.settings.load import saved_settings
+
+REFERENCE, NUMBERS = "table_reference", "numbers"  # facts of a run whose numbers come from another
+
+
+@dataclass(frozen=True)
+class TableReference:
+    """The rate-table result that a self-calibration is compared with.
+
+    Attributes
+    ----------
+    scale_factor, scale_factor_u : float
+        Counts per deg/s.
+    source : str
+        Where it comes from, in words.
+    """
+
+    scale_factor: float
+    scale_factor_u: float
+    source: str
+
+
+def numbers_for(settings: FogSettings, table: AxisResult | None) -> InjectionPlan:
+    """Numbers to inject, in counts, for every rate of the settings in both senses.
+
+    Parameters
+    ----------
+    settings : FogSettings
+    table : AxisResult or None
+        Of the axis of the settings.
+
+    Raises
+    ------
+    UsageError
+        The settings want numbers from a table run and there is none.
+    """
+    chosen = settings.selfcal
+    rates = [sense * rate for rate in chosen.rates_dps for sense in (1.0, -1.0)]
+    if chosen.numbers == "nominal":
+        return scaled_numbers(rates, settings.nominal_scale_factor)
+    if table is not None and chosen.numbers == "fit":
+        return scaled_numbers(rates, table.fit.scale_factor, table.fit.scale_factor_u)
+    if table is None or table.differences is None:
+        raise UsageError(
+            f'selfcal.numbers = "{chosen.numbers}" takes the numbers from a rate-table run of axis {chosen.axis}: '
+            'name one with --table RUN, or set selfcal.numbers = "nominal"'
+        )
+    return superposed_numbers(rates, table.differences)
+
+
+def facts_of_table(settings: FogSettings, table_run: Path) -> dict[str, Any]:
+    """Return numbers and reference of another run, as facts of the one that uses them.
+
+    Parameters
+    ----------
+    settings : FogSettings
+        Of the run that uses them.
+    table_run : Path
+        A rate-table run, or a self-calibration with one of its own.
+
+    Raises
+    ------
+    UsageError
+        It gives no scale factor of the axis.
+    RunError
+        It is no run.
+    """
+    run = open_run(table_run)
+    saved = saved_settings(FIBRE_GYRO, run.facts.settings, str(run.path))
+    found = find_axes(run, saved).of(settings.selfcal.axis)
+    if found is None:
+        raise UsageError(f"{table_run}: gives no scale factor of axis {settings.selfcal.axis} (selfcal.axis)")
+    source = f"rate-table run {run.path.parent.name}, axis {found.axis}"
+    reference = TableReference(found.fit.scale_factor, found.fit.scale_factor_u, source)
+    numbers = {name: values.tolist() for name, values in asdict(numbers_for(settings, found)).items()}
+    return {REFERENCE: asdict(reference), NUMBERS: numbers}
+
+
+def numbers_of(run: SavedRun, settings: FogSettings) -> InjectionPlan:
+    """Return the numbers of a run: those that were saved with it, or those that its own table run gives."""
+    if (saved := run.facts.get(NUMBERS)) is not None:
+        return InjectionPlan(**{name: np.array(values, dtype=np.float64) for name, values in saved.items()})
+    return numbers_for(settings, find_axes(run, settings).of(settings.selfcal.axis))
+
+
+def reference_of(run: SavedRun, settings: FogSettings, table: TableFound | None) -> TableReference | None:
+    """Return the scale factor of the rate table that belongs to a run: saved with it, or of its own table run."""
+    if (saved := run.facts.get(REFERENCE)) is not None:
+        return TableReference(**saved)
+    result = table.of(settings.selfcal.axis) if table is not None else None
+    if result is None or not math.isfinite(result.fit.scale_factor):
+        return None
+    source = f"rate-table run of axis {result.axis} in the same run"
+    return TableReference(result.fit.scale_factor, result.fit.scale_factor_u, source)

@@ -1,0 +1,156 @@
+"""The rate-table run as numbers and sentences."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from analysis.fibre_gyro.rate_table_run import vertical_earth_rate_dph
+from station.fibre_gyro.common import COUNTS_PER_DPS, PPM
+from station.fibre_gyro.settings import FogSettings
+from station.fibre_gyro.table.evaluate import AxisResult, TableFound
+from station.results.as_json import picked
+from station.results.numbers import ppm, with_uncertainty
+from station.results.parts import TextTable
+from station.results.result import Measured, Result
+from station.runs.store import SavedRun
+
+LIMITED = ("nominal_difference_ppm", "scale_factor_u_ppm", "scatter_ppm")
+_FIT = {
+    "scale_factor_counts_per_dps": "scale_factor",
+    "scale_factor_u_counts_per_dps": "scale_factor_u",
+    "even_part_counts": "even",
+    "even_part_u_counts": "even_u",
+    "chi_square": "chi_square",
+    "degrees_of_freedom": "degrees_of_freedom",
+    "scatter_ppm": "scatter_ppm",
+    "angle_random_walk_deg_per_sqrt_h": "angle_random_walk",
+}
+_WINDOW = {
+    "turns": "turns",
+    "window_s": "duration_s",
+    "samples": "samples",
+    "sum_counts": "total",
+    "mean_counts": "mean",
+    "mean_u_counts": "mean_u",
+}
+
+
+def result(found: TableFound, run: SavedRun, settings: FogSettings) -> Result:
+    """Put into numbers and sentences what was found."""
+    axes = [_axis(one, settings) for one in found.axes]
+    fits = [(one.axis, one.fit) for one in found.axes]
+    lines = (
+        f"{COUNTS_PER_DPS}; by design {settings.nominal_scale_factor:.6f}.",
+        f"From {sum(len(one.keys) for one in found.axes)} runs over whole turns, by least squares.",
+    )
+    watched = tuple(to_watch(found, settings))
+    return Result(
+        name="result",
+        value="; ".join(f"K({axis}) = {with_uncertainty(f.scale_factor, f.scale_factor_u)}" for axis, f in fits),
+        document={
+            "axes": axes,
+            "nominal_scale_factor_counts_per_dps": settings.nominal_scale_factor,
+            "irreproducibility_ppm": settings.table.irreproducibility_ppm,
+            "left_out": found.left_out,
+        },
+        measured=tuple(Measured(name, axis[name], axis["axis"]) for axis in axes for name in LIMITED),
+        lines=lines,
+        summary=[("", line) for line in lines],
+        sentences=(_even_part_sentence(settings),),
+        to_watch=watched,
+        flags=watched,
+        left_out=found.left_out,
+        tables=(_axes_on_terminal(found),),
+    )
+
+
+def _axis(one: AxisResult, settings: FogSettings) -> dict[str, Any]:
+    fit, nominal = one.fit, settings.nominal_scale_factor
+    rates = {"even_part": fit.even_dph, "bias": one.bias_dph, "vertical_earth_rate": fit.earth_rate_dph}
+    rows = zip(one.keys, one.runs.rate_dps, one.windows, fit.residual_ppm, strict=True)
+    return {
+        "axis": one.axis,
+        **picked(fit, _FIT),
+        "scale_factor_u_ppm": PPM * fit.scale_factor_u / abs(fit.scale_factor),
+        "nominal_difference_ppm": PPM * (fit.scale_factor / nominal - 1),
+        "scale_factor_at_base_rate_counts_per_dps": one.parts.odd[0] / one.parts.rate_dps[0],
+        **{f"{name}_dph": value for name, (value, _) in rates.items()},
+        **{f"{name}_u_dph": u for name, (_, u) in rates.items()},
+        "differences": _differences(one),
+        "points": [
+            {"name": key, "table_rate_dps": rate, **picked(window, _WINDOW), "residual_ppm": residual}
+            for key, rate, window, residual in rows
+        ],
+    }
+
+
+def _differences(one: AxisResult) -> list[dict[str, Any]]:
+    made = one.differences
+    if made is None:
+        return []
+    columns = {
+        "delta_dps": made.delta_dps.round(9),
+        "number_counts": made.number,
+        "noise_u_counts": made.noise_u,
+        "irreproducibility_u_counts": made.irreproducibility_u,
+        "relative_u_ppm": made.relative_u_ppm,
+        "from_fit_ppm": PPM * (made.number / (one.fit.scale_factor * made.delta_dps) - 1),
+    }
+    return [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
+
+
+def _even_part_sentence(settings: FogSettings) -> str:
+    """Say what the even part is made of."""
+    vertical = vertical_earth_rate_dph(settings.site.latitude_deg)
+    if settings.table.both_ends_up:
+        return (
+            "Each axis was turned with both ends up, so the vertical earth rate and the bias are told apart by "
+            f"the data; at latitude {settings.site.latitude_deg:g}° the earth rate is {vertical:.3f} deg/h."
+        )
+    return (
+        "The even part holds the vertical earth rate and the bias together; the bias given here rests on the "
+        f"earth rate of {vertical:.3f} deg/h at latitude {settings.site.latitude_deg:g}°. Runs with both ends of "
+        "the axis up (table.both_ends_up) tell them apart."
+    )
+
+
+def to_watch(found: TableFound, settings: FogSettings) -> list[str]:
+    """Say what spoils a rate-table run or may spoil it, also one within a self-calibration."""
+    said = [f"{one.sentence}." for one in found.left_out]
+    for one in found.axes:
+        said += _to_watch_of(one, settings)
+    return said
+
+
+def _to_watch_of(one: AxisResult, settings: FogSettings) -> list[str]:
+    said, fit, made = [], one.fit, one.differences
+    if made is not None:
+        smallest = int(abs(made.delta_dps).argmin())
+        delta, relative = float(made.delta_dps[smallest]), float(made.relative_u_ppm[smallest])
+        if relative > 1e4:
+            said.append(
+                f"{one.axis}: the number for {delta:.4g} deg/s is good to {relative / 1e4:.2g} % only; it is the "
+                f"difference of two numbers that are {made.base_dps / abs(delta):.0f} times larger. Use K by "
+                "least squares."
+            )
+    if fit.degrees_of_freedom and fit.chi_square > 3 * fit.degrees_of_freedom:
+        said.append(
+            f"{one.axis}: the runs scatter by {fit.scatter_ppm:.2g} ppm, more than their noise and the "
+            f"{settings.table.irreproducibility_ppm:g} ppm of table.irreproducibility_ppm; the uncertainties were "
+            "widened to match."
+        )
+    return said
+
+
+def _axes_on_terminal(found: TableFound) -> TextTable:
+    rows = tuple(
+        (
+            one.axis,
+            with_uncertainty(one.fit.scale_factor, one.fit.scale_factor_u),
+            with_uncertainty(*one.fit.even_dph),
+            with_uncertainty(*one.bias_dph),
+            ppm(one.fit.scatter_ppm).lstrip("+"),
+        )
+        for one in found.axes
+    )
+    return TextTable(("axis", f"K, {COUNTS_PER_DPS}", "even part, deg/h", "bias, deg/h", "scatter"), rows)

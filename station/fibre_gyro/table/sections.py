@@ -1,0 +1,187 @@
+"""The rate-table run in the report: axes, output and residuals, numbers of small rates, runs."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from station.fibre_gyro.common import COLOURS, COUNTS_PER_DPS, PPM, staircase_section
+from station.fibre_gyro.settings import FogSettings
+from station.fibre_gyro.table.evaluate import AxisResult, TableFound
+from station.report.figure import HALF, SOFT, WIDE, legend_above, svg_element
+from station.results.numbers import ppm, with_uncertainty
+from station.results.parts import PlacedFigure, Section, TextTable
+from station.results.result import Result
+from station.runs.store import SavedRun
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from analysis.fibre_gyro.rate_table_run import RateDifferences
+
+_MARKERS = "osD^vP"
+
+
+def sections(found: TableFound, run: SavedRun, settings: FogSettings, result: Result) -> list[Section]:
+    """Return the sections of the report."""
+    residuals = (
+        "Output less fit; the bars are the standard uncertainty of each mean. Filled: positive sense; open: "
+        "negative."
+    )
+    made = [
+        Section("Scale factor of each axis", result.sentences[0], table=axis_table(found, settings)),
+        Section(
+            "Output and residuals",
+            figures=(
+                PlacedFigure(_output_svg(found), "Mean output over whole turns, and the fitted lines."),
+                PlacedFigure(_residuals_svg(found), residuals),
+            ),
+        ),
+    ]
+    if differences := [(one, one.differences) for one in found.axes if one.differences is not None]:
+        made.append(_difference_section(differences, settings))
+    return [*made, staircase_section(settings), Section("Runs", table=_run_table(found))]
+
+
+def axis_table(found: TableFound, settings: FogSettings) -> TextTable:
+    """Return what was found of each axis."""
+    header = (
+        "axis",
+        f"K, {COUNTS_PER_DPS}",
+        "less design",
+        "even part, deg/h",
+        "bias, deg/h",
+        "scatter",
+        "ARW, deg/√h",
+    )
+    return TextTable(header, tuple(_axis_row(one, settings) for one in found.axes))
+
+
+def _axis_row(one: AxisResult, settings: FogSettings) -> tuple[str, ...]:
+    fit = one.fit
+    k_u = PPM * fit.scale_factor_u / abs(fit.scale_factor)
+    return (
+        one.axis,
+        with_uncertainty(fit.scale_factor, fit.scale_factor_u),
+        ppm(PPM * (fit.scale_factor / settings.nominal_scale_factor - 1), k_u),
+        with_uncertainty(*fit.even_dph),
+        with_uncertainty(*one.bias_dph),
+        f"{fit.scatter_ppm:.2g} ppm",
+        f"{fit.angle_random_walk:.2g}",
+    )
+
+
+def _difference_section(made: list[tuple[AxisResult, RateDifferences]], settings: FogSettings) -> Section:
+    text = (
+        "Differences of two large numbers, as the patent CN104634364A makes them. White noise hardly matters; "
+        f"{settings.table.irreproducibility_ppm:g} ppm of table rate and scale factor from run to run is "
+        "multiplied by base rate over difference."
+    )
+    caption = (
+        "Each number against K by least squares times the rate. Thick: standard uncertainty from noise; thin: "
+        "with the irreproducibility."
+    )
+    rows = []
+    for one, differences in made:
+        for place in range(differences.delta_dps.size):
+            number, delta = float(differences.number[place]), float(differences.delta_dps[place])
+            rows.append(
+                (
+                    f"{one.axis}, {delta:.6g} deg/s",
+                    with_uncertainty(number, float(differences.number_u[place])),
+                    f"{PPM * differences.noise_u[place] / abs(number):.4g} ppm",
+                    f"{PPM * differences.irreproducibility_u[place] / abs(number):.4g} ppm",
+                    f"{PPM * (number / (one.fit.scale_factor * delta) - 1):+.3g} ppm",
+                )
+            )
+    header = ("difference for", "N, counts", "u from noise", "u from irreproducibility", "off the fit")
+    figure = PlacedFigure(_differences_svg(made), caption)
+    return Section("Numbers of small rates", text, figures=(figure,), table=TextTable(header, tuple(rows)))
+
+
+def _run_table(found: TableFound) -> TextTable:
+    rows = tuple(
+        (
+            key,
+            f"{window.turns}",
+            f"{window.duration_s:.3f}",
+            f"{window.total:.10g}",
+            with_uncertainty(window.mean, window.mean_u),
+            f"{residual:+.3g}",
+        )
+        for one in found.axes
+        for key, window, residual in zip(one.keys, one.windows, one.fit.residual_ppm, strict=True)
+    )
+    return TextTable(("run", "turns", "window, s", "sum, counts", "mean, counts", "residual, ppm"), rows)
+
+
+def _output_svg(found: TableFound) -> str:
+    """Draw the mean output of every run against the table's rate, with the fitted lines."""
+
+    def draw(figure: Figure) -> None:
+        axes = figure.add_subplot()
+        for index, one in enumerate(found.axes):
+            rate, sign = one.runs.rate_dps, one.runs.end_up
+            span = np.array([min(0.0, rate.min()), max(0.0, rate.max())]) * 1.04
+            colour, style = COLOURS[index % 7], (0, (6, 2 * index))
+            axes.plot(span, one.fit.scale_factor * span, color=colour, linestyle=style, linewidth=1.0)
+            axes.plot(
+                rate, sign * one.runs.mean, _MARKERS[index % 6], ms=8 - 2 * (index % 3), mfc="none",
+                color=colour, label=f"axis {one.axis}",
+            )  # fmt: skip
+        axes.set(xlabel="rate of the table, deg/s", ylabel="mean output, counts")
+        legend_above(axes)
+
+    return svg_element("output", HALF, draw)
+
+
+def _residuals_svg(found: TableFound) -> str:
+    """Draw the residuals of every run in ppm of its output, senses side by side."""
+
+    def draw(figure: Figure) -> None:
+        axes = figure.add_subplot()
+        sizes = sorted({round(float(abs(rate)), 9) for one in found.axes for rate in one.runs.nominal_dps})
+        width = 0.8 / (2 * len(found.axes))
+        for index, one in enumerate(found.axes):
+            place = np.array([sizes.index(round(float(abs(rate)), 9)) for rate in one.runs.nominal_dps])
+            forward = one.runs.nominal_dps > 0
+            offset = (2 * index - len(found.axes) + np.where(forward, 1.5, 0.5)) * width
+            u = PPM * one.runs.mean_u / np.abs(one.runs.mean)
+            for chosen, filled in ((forward, True), (~forward, False)):
+                axes.errorbar(
+                    (place + offset)[chosen], one.fit.residual_ppm[chosen], yerr=u[chosen], fmt="o", ms=4,
+                    mfc=COLOURS[index % 7] if filled else "white", color=COLOURS[index % 7], capsize=2,
+                    linewidth=0.9, label=f"axis {one.axis}" if filled else None,
+                )  # fmt: skip
+        axes.axhline(0, color=SOFT, linewidth=0.8)
+        axes.set_xticks(range(len(sizes)), [f"{size:g}" for size in sizes])
+        axes.set(xlabel="rate of the table, deg/s", ylabel="residual, ppm of output")
+        legend_above(axes)
+
+    return svg_element("residuals", HALF, draw)
+
+
+def _differences_svg(made: list[tuple[AxisResult, RateDifferences]]) -> str:
+    """Draw how far each difference is from K times the small rate, with both kinds of uncertainty."""
+
+    def draw(figure: Figure) -> None:
+        axes = figure.add_subplot()
+        for index, (one, differences) in enumerate(made):
+            expected = one.fit.scale_factor * differences.delta_dps
+            off = PPM * (differences.number / expected - 1)
+            place = np.arange(off.size) + 0.18 * (index - (len(made) - 1) / 2)
+            noise = PPM * differences.noise_u / np.abs(expected)
+            both = PPM * differences.number_u / np.abs(expected)
+            colour, label = COLOURS[index % 7], f"axis {one.axis}"
+            axes.errorbar(place, off, yerr=both, fmt="none", color=colour, capsize=4, linewidth=0.8)
+            axes.errorbar(place, off, yerr=noise, fmt="o", ms=4, color=colour, linewidth=2.6, label=label)
+        deltas = made[0][1].delta_dps
+        axes.axhline(0, color=SOFT, linewidth=0.8)
+        axes.set_yscale("symlog", linthresh=10.0)
+        axes.set_xticks(range(deltas.size), [f"N({delta:.3g})" for delta in deltas])
+        axes.set(xlabel="difference for so many deg/s", ylabel="off from K times the rate, ppm")
+        axes.set_xlim(-0.5, deltas.size - 0.5)
+        legend_above(axes)
+
+    return svg_element("differences", WIDE, draw)

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from analysis.arrays import Floats
-from analysis.budget import OperatingPoint
+from analysis.budget.knowledge import OperatingPoint
 from analysis.lockin_equation import harmonic_ratio
 
 

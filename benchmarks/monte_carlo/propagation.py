@@ -12,8 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from analysis.arrays import Floats
-from analysis.budget import BenchKnowledge, OperatingPoint, Reference
-from analysis.budget.expected_noise import RecordShape
+from analysis.budget import BenchKnowledge, OperatingPoint, RecordShape, Reference
 from analysis.combine import combine_estimates
 from analysis.lockin_equation import lock_in_from_beat, lock_in_from_rate
 from analysis.lockin_rate import LockInEstimate, estimate_lock_in

@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
-from analysis.fibre_gyro.rate_table_run import RateDifferences
+from analysis.fibre_gyro import RateDifferences
 from station.fibre_gyro.eps.measurement import EpsEvaluation
 from station.fibre_gyro.figures.measurement import FiguresEvaluation, FiguresRun
 from station.fibre_gyro.selfcal.measurement import SelfcalEvaluation

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from analysis.fibre_gyro.loop.output import Trace
+from analysis.fibre_gyro import Trace
 from station.fibre_gyro.eps.measurement import EpsEvaluation
 from station.fibre_gyro.figures.measurement import FiguresEvaluation
 from station.fibre_gyro.selfcal.measurement import SelfcalEvaluation

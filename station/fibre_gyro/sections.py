@@ -264,7 +264,7 @@ def _figures_sections(found: FiguresEvaluation, result: FogResult) -> list[Secti
 
 def _staircase_section(settings: FogSettings, open_loop_step: float | None = None) -> Section:
     """Staircase and detector signal over a few resets, computed from the design."""
-    from analysis.fibre_gyro.loop.closed_loop import ClosedLoop
+    from analysis.fibre_gyro import ClosedLoop
     from station.fibre_gyro.simulated_bench import loop_settings, quiet
 
     loop, coil = quiet(loop_settings(settings)), settings.coil

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from analysis.fibre_gyro.staircase_calibration import InjectionPlan, predicted_table_scale
+from analysis.fibre_gyro import InjectionPlan, predicted_table_scale
 from station.errors import UsageError
 from station.fibre_gyro.campaign import Campaign, Plan, PlannedSegment, take_segments
 from station.fibre_gyro.eps import measurement as eps

@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from analysis.fibre_gyro.coil import FibreCoil
+from analysis.fibre_gyro import FibreCoil
 from station.errors import SettingsError
 from station.settings.load import shipped_settings
 from station.settings.toml_files import merged, mistakes, read_toml

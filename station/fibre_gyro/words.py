@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import math
 
-from analysis.fibre_gyro.rate_table_run import vertical_earth_rate_dph
-from analysis.fibre_gyro.staircase_calibration import (
+from analysis.fibre_gyro import (
     predicted_difference_ppm,
     predicted_self_scale,
     predicted_table_scale,
+    vertical_earth_rate_dph,
 )
 from station.fibre_gyro.eps.measurement import EpsEvaluation
 from station.fibre_gyro.figures.measurement import FiguresEvaluation

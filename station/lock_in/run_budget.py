@@ -11,8 +11,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis import LockInEstimate, RatesFit, RatesFlag, fit_rates
-from analysis.budget import BenchKnowledge, Budget, BudgetInput, Corner, lock_in_budget, operating_point
-from analysis.budget.combination import Distribution
+from analysis.budget import (
+    BenchKnowledge,
+    Budget,
+    BudgetInput,
+    Corner,
+    Distribution,
+    lock_in_budget,
+    operating_point,
+)
 from station.lock_in.budget import bench_knowledge, table_geometry
 
 if TYPE_CHECKING:

@@ -20,7 +20,7 @@ from analysis import (
     fit_rates,
 )
 from analysis.frequency_method import FrequencyFit, fit_frequencies
-from analysis.several_rates.ratio_model import Reference
+from analysis.several_rates import Reference
 from station.lock_in.table_check import AxisRates, TableCheck
 from station.runs.store import SavedRecord
 

@@ -106,7 +106,7 @@ def describe_witness_flag(name: str) -> str:
     return _SENTENCES[name]
 
 
-def two_pi_error(
+def two_pi_error_of_drive(
     two_pi_voltage: float,
     two_pi_voltage_u: float,
     half_wave_voltage: float,
@@ -128,7 +128,7 @@ def two_pi_error(
 
     Examples
     --------
-    >>> two_pi_error(8.08, 0.08, 4.0)
+    >>> two_pi_error_of_drive(8.08, 0.08, 4.0)
     (0.01, 0.01)
     """
     if not half_wave_voltage > 0:

@@ -7,8 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.fibre_gyro.staircase_calibration import steps_beyond_dac
-from analysis.fibre_gyro.two_pi_error import TwoPiError, estimate_two_pi_error
+from analysis.fibre_gyro import TwoPiError, estimate_two_pi_error, steps_beyond_dac
 from station.errors import NoUsableSignal
 from station.fibre_gyro.campaign import PlannedSegment
 from station.fibre_gyro.segments import LeftOut, checked

@@ -10,16 +10,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.fibre_gyro.figures_of_merit import (
+from analysis.fibre_gyro import (
     ResidualPattern,
     ScaleFigures,
+    net_outputs,
     repeatability_ppm,
     residual_pattern,
     scale_figures,
     temperature_coefficient_ppm,
+    turn_time,
 )
-from analysis.fibre_gyro.staircase_calibration import net_outputs
-from analysis.fibre_gyro.whole_turns import turn_time
 from station.errors import NoUsableSignal
 from station.fibre_gyro.campaign import PlannedSegment
 from station.fibre_gyro.segments import LeftOut, check_table_rate, window_at_rest, window_over_turns

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.fibre_gyro.staircase_calibration import (
+from analysis.fibre_gyro import (
     InjectionPlan,
     NetOutputs,
     ScaleComparison,

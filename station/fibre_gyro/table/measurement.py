@@ -7,19 +7,21 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from analysis.fibre_gyro.rate_table_run import (
+from analysis.fibre_gyro import (
     AxisFit,
     OddEven,
     RateDifferences,
     TableRuns,
+    WindowMean,
     bias_at_latitude,
+    check_whole_turns,
     fit_axis,
     missing_senses,
     odd_even_parts,
     rate_differences,
     table_runs,
+    turn_time,
 )
-from analysis.fibre_gyro.whole_turns import WindowMean, check_whole_turns, turn_time
 from station.fibre_gyro.campaign import PlannedSegment
 from station.fibre_gyro.segments import LeftOut, check_table_rate, window_over_turns
 from station.fibre_gyro.settings import FogSettings

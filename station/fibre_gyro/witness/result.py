@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from analysis.fibre_gyro.staircase import describe_witness_flag
+from analysis.fibre_gyro import describe_witness_flag
 from station.fibre_gyro.settings import FogSettings
 from station.fibre_gyro.witness.measurement import WitnessEvaluation
 from station.fibre_gyro.words import ppm_words

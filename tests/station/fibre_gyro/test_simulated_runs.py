@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from analysis.fibre_gyro.loop.closed_loop import ClosedLoop
+from analysis.fibre_gyro import ClosedLoop
 from station.fibre_gyro.report import render_fog_report
 from station.fibre_gyro.simulated_bench import loop_settings
 

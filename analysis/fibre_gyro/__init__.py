@@ -5,7 +5,8 @@ modulator's drive on an oscilloscope; the rest evaluates runs.
 """
 
 from analysis.fibre_gyro.coil import FibreCoil
-from analysis.fibre_gyro.figures_of_merit import (
+from analysis.fibre_gyro.loop import ClosedLoop, Kernel, LoopDesign, OutputBlock, OutputModel, Trace
+from analysis.fibre_gyro.merit import (
     ResidualPattern,
     ScaleFigures,
     repeatability_ppm,
@@ -13,7 +14,6 @@ from analysis.fibre_gyro.figures_of_merit import (
     scale_figures,
     temperature_coefficient_ppm,
 )
-from analysis.fibre_gyro.loop import ClosedLoop, Kernel, LoopDesign, OutputBlock, OutputModel, Trace
 from analysis.fibre_gyro.rate_table_run import (
     AxisFit,
     OddEven,

@@ -2,16 +2,16 @@
 
 from analysis.several_rates.fit import fit_rate_ratios, fit_rates
 from analysis.several_rates.ratio_model import RatioData, Reference, predicted_ratio
-from analysis.several_rates.result import LeftOut, Model, ModelFit, RatesFit, RatesFlag
+from analysis.several_rates.result import Model, ModelFit, RatesFit, RatesFlag, WithoutOneRate
 
 __all__ = [
-    "LeftOut",
     "Model",
     "ModelFit",
     "RatesFit",
     "RatesFlag",
     "RatioData",
     "Reference",
+    "WithoutOneRate",
     "fit_rate_ratios",
     "fit_rates",
     "predicted_ratio",

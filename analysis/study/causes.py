@@ -19,7 +19,7 @@ import scipy.signal
 from analysis.arrays import Floats
 from analysis.lockin_equation import beat_frequency, harmonic_ratio, lock_in_from_rate
 from analysis.lockin_rate import estimate_lock_in
-from analysis.study.figures import largest_over_phases
+from analysis.study.paper_figures import largest_over_phases
 from analysis.study.simulation import (
     DURATION_S,
     OSCILLOSCOPE_SAMPLES,

@@ -141,7 +141,7 @@ def quadrature_result(pairs: QuadratureEstimate) -> QuadratureResult | None:
     count = int(used.sum())
     senses = set(pairs.sense[used].tolist())
     # what one record of many shows may be chance
-    seen = [flag for flag in QuadratureFlag if np.mean((pairs.checks[used] & flag) != 0) > 0.05]
+    seen = [flag for flag in QuadratureFlag if np.mean((pairs.flags[used] & flag) != 0) > 0.05]
     images = pairs.images[used].mean(axis=0)
     distortion = pairs.distortion[used].mean(axis=0)
     distortion_u = np.sqrt(np.mean(pairs.distortion_u[used] ** 2, axis=0) / count)

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from analysis.arrays import Bools, Complexes, Floats
+from analysis.errors import OutsideResponse
 from analysis.lockin_rate import LockInEstimate, with_ratio
 
 HARMONICS = 24
@@ -105,7 +106,7 @@ class ChannelResponse:
 
         Raises
         ------
-        ValueError
+        OutsideResponse
             A frequency outside the table.
         """
         f = np.asarray(frequency, dtype=np.float64)
@@ -129,7 +130,7 @@ class ChannelResponse:
         inside = self.reach(f)
         if not np.all(inside | np.isnan(f)):
             outside = f[~inside & ~np.isnan(f)]
-            raise ValueError(
+            raise OutsideResponse(
                 f"the response is known from {self.table_hz[0]:.6g} to {self.table_hz[-1]:.6g} Hz, but "
                 f"{float(outside.flat[0]):.6g} Hz is needed: beat and second harmonic must lie inside"
             )
@@ -218,7 +219,7 @@ def correct_response(estimate: LockInEstimate, response: ChannelResponse) -> Loc
 
     Raises
     ------
-    ValueError
+    OutsideResponse
         A record's beat or second harmonic lies outside the response table.
     """
     f = np.where(estimate.usable, estimate.beat_frequency, np.nan)

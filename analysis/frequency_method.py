@@ -18,6 +18,7 @@ import scipy.special
 from numpy.typing import ArrayLike
 
 from analysis.arrays import Bools, Floats
+from analysis.errors import NoFit
 
 ROUNDS = 20
 UNLIKELY = 0.001
@@ -110,8 +111,10 @@ def fit_frequencies(
 
     Raises
     ------
+    NoFit
+        Too few different rates for the unknowns, or frequencies that do not rise with the rate.
     ValueError
-        Too few different rates for the unknowns, uncertainties that are not positive, shapes that do not fit.
+        Uncertainties that are not positive, shapes that do not fit.
 
     Examples
     --------
@@ -126,7 +129,7 @@ def fit_frequencies(
     finite = np.isfinite(rate) & np.isfinite(f) & np.isfinite(fu) & np.isfinite(rate_u)
     used, locked = finite & (f > 0), finite & (f == 0)
     if not used.any() or not np.any(rate[used]):
-        raise ValueError("no beat frequency at a rate other than zero: nothing can be fitted")
+        raise NoFit("no beat frequency at a rate other than zero: nothing can be fitted")
     point, covariance, chi_square = _parabola(
         rate[used], f[used], fu[used], rate_u[used], scale_factor, scale_factor_u, bias
     )
@@ -226,7 +229,7 @@ def _parabola(
         white = design / us[:, np.newaxis]
         size = np.linalg.norm(white, axis=0)
         if white.shape[0] < white.shape[1] or np.any(size == 0) or np.linalg.cond(white / size) > 1e8:
-            raise ValueError(
+            raise NoFit(
                 "these rates do not determine the unknowns: without a bias rate two different |W| are needed, "
                 "with it also both senses or a third rate; a known scale factor saves one"
             )
@@ -243,7 +246,7 @@ def _physical(point: Floats, covariance: Floats, bias: bool) -> tuple[Floats, Fl
     """WL^2, W0 and K, and their covariance, from a, (b,) c."""
     a, c = point[0], point[-1]
     if a <= 0:
-        raise ValueError("the frequencies do not rise with the rate: no gyro beat")
+        raise NoFit("the frequencies do not rise with the rate: no gyro beat")
     b = point[1] if bias else 0.0
     center, root = -b / (2 * a), np.sqrt(a)
     by_a = [-(b**2) / (2 * a**3) + c / a**2, b / (2 * a**2), 1 / (2 * root)]

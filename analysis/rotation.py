@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from analysis.arrays import Floats
+from analysis.errors import NoTilt
 
 EARTH_RATE_DPS = 15.041067 / 3600.0
 """Sidereal rotation rate of the earth, deg/s."""
@@ -104,16 +105,14 @@ def tilt_from_fast_runs(
 
     Raises
     ------
-    ValueError
+    NoTilt
         A beat faster than the table could make it: K or the table rate is wrong. Runs that do not fit in shape.
     """
     f, fu, table = (
         np.atleast_1d(np.asarray(v, dtype=np.float64)) for v in (beat_frequency, beat_frequency_u, table_rate)
     )
     if not f.shape == fu.shape == table.shape or not np.all(np.isfinite(f + fu + table)) or np.any(table == 0):
-        raise ValueError(
-            "every fast run needs a beat frequency, its uncertainty and a table rate that is not zero"
-        )
+        raise NoTilt("every fast run needs a beat frequency, its uncertainty and a table rate that is not zero")
     measured = np.sign(table) * np.hypot(f / scale_factor, lock_in_rate)
     first = _first_tilt(measured, table)
     turned = np.broadcast_to(np.asarray(turned_deg, dtype=np.float64), f.shape)
@@ -155,7 +154,7 @@ def _first_tilt(measured: Floats, table: Floats) -> float:
     """Tilt, rad, without the earth rate."""
     cosine = float(np.sum(measured * table) / np.sum(table**2))
     if cosine > 1 + FASTER_THAN_POSSIBLE:
-        raise ValueError(
+        raise NoTilt(
             f"the beat is {cosine:.4f} times K times the table rate; at most 1 is possible: "
             "check the scale factor and the table rate"
         )

@@ -153,7 +153,7 @@ def _test_record() -> Check:
     """Send one record of the simulated scope through a real link, the store and the analysis."""
     from station.lock_in.bench.bench import open_bench
     from station.lock_in.bench.instruments import at_slow_rate
-    from station.lock_in.evaluate import evaluate_run
+    from station.lock_in.read import evaluate_run
     from station.lock_in.take import save_acquisition, take_record
     from station.runs.store import RunWriter, open_run
 

@@ -35,6 +35,8 @@ class BudgetInput:
         Of `u`; inf where it was not found by repeating.
     note : str
         Where the number comes from, or why it does not enter.
+    common : bool
+        Whether it acts on every rate alike: a fit over several rates leaves its share as it is at one.
     """
 
     name: str
@@ -46,6 +48,7 @@ class BudgetInput:
     sensitivity: float
     degrees_of_freedom: float = math.inf
     note: str = ""
+    common: bool = False
 
     def __post_init__(self) -> None:
         if not (math.isfinite(self.u) and self.u >= 0 and math.isfinite(self.sensitivity)):

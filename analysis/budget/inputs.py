@@ -15,6 +15,7 @@ from analysis.arrays import Complexes
 from analysis.budget.combination import Budget, BudgetInput, Reference
 from analysis.budget.knowledge import BenchKnowledge, Corner, OperatingPoint, TableGeometry, ratio_slope
 from analysis.channel import gain_on_ratio, high_pass_on_ratio, low_pass_on_ratio
+from analysis.errors import NoBudget
 from analysis.rotation import EARTH_RATE_DPS, earth_rate_on_axis
 
 _OWN = "does not enter: the record is its own reference"
@@ -43,6 +44,8 @@ def lock_in_budget(point: OperatingPoint, knowledge: BenchKnowledge, reference: 
 
     Raises
     ------
+    NoBudget
+        A corner that lets no beat through or is not known at all.
     ValueError
         The rate as reference without `knowledge.table`, or impossible values.
 
@@ -124,6 +127,7 @@ def _from_reference(
             "normal",
             -point.lock_in_rate / point.scale_factor if own else 0.0,
             note="" if own else _GIVEN,
+            common=True,
         )
     yield BudgetInput(
         "time_base",
@@ -134,6 +138,7 @@ def _from_reference(
         "rectangular",
         -point.lock_in_rate * 1e-6 if own else 0.0,
         note=f"within ±{knowledge.time_base_limit_ppm:g} ppm" if own else _GIVEN,
+        common=True,
     )
 
 
@@ -151,14 +156,15 @@ def _from_table(point: OperatingPoint, table: TableGeometry, reference: Referenc
         ("latitude", "latitude", "deg", table.latitude_deg, table.latitude_u_deg, by_latitude),
         ("earth_rate", "rotation rate of the earth", "deg/h", earth, earth_u, along / 3600),
     ):
-        yield BudgetInput(name, quantity, unit, value, u, "normal", by_rate * slope, note=note)
+        yield BudgetInput(name, quantity, unit, value, u, "normal", by_rate * slope, note=note, common=True)
     if math.isfinite(table.azimuth_deg):
         value, u, slope = table.azimuth_deg, table.azimuth_u_deg, by_rate * by_azimuth
-        yield BudgetInput("azimuth", "azimuth of the axis", "deg", value, u, "rectangular", slope, note=note)
+        quantity, unit = "azimuth of the axis", "deg"
+        yield BudgetInput("azimuth", quantity, unit, value, u, "rectangular", slope, note=note, common=True)
     else:
         horizontal = math.cos(math.radians(table.latitude_deg)) * abs(math.sin(math.radians(table.tilt_deg)))
         quantity, u = "horizontal earth rate, azimuth unknown", EARTH_RATE_DPS * horizontal / math.sqrt(2)
-        yield BudgetInput("azimuth", quantity, "deg/s", 0.0, u, "arcsine", by_rate, note=note)
+        yield BudgetInput("azimuth", quantity, "deg/s", 0.0, u, "arcsine", by_rate, note=note, common=True)
 
 
 def _rate_slopes(table: TableGeometry) -> tuple[float, float, float, float, float]:
@@ -182,20 +188,17 @@ def _distortion(point: OperatingPoint, knowledge: BenchKnowledge, slope: float) 
     name, quantity = "distortion", "second-order distortion d"
     if knowledge.distortion_separated:
         note = "does not enter: both senses or several rates separate it"
-        return BudgetInput(name, quantity, "1", 0.0, 0.0, "rectangular", 0.0, note=note), ""
+        return BudgetInput(name, quantity, "1", 0.0, 0.0, "rectangular", 0.0, note=note, common=True), ""
     if math.isnan(limit):
         return None, "second-order distortion of detector and oscilloscope"
     level = f"{20 * math.log10(limit):.0f} dBc" if limit > 0 else "none"
     if math.isnan(point.phase):
         # any phase: the mean of cos^2 is one half
-        note = f"within ±{limit:.2g} ({level}), phase unknown"
-        line = BudgetInput(
-            name, quantity, "1", 0.0, limit / _RECTANGLE, "rectangular", slope / math.sqrt(2), note=note
-        )
-        return line, ""
-    turned = -math.copysign(1.0, point.input_rate) * math.cos(point.phase)
-    note = f"within ±{limit:.2g} ({level}), at the phase measured"
-    return BudgetInput(name, quantity, "1", 0.0, limit / _RECTANGLE, "rectangular", slope * turned, note=note), ""
+        turned, known = 1 / math.sqrt(2), "phase unknown"
+    else:
+        turned, known = -math.copysign(1.0, point.input_rate) * math.cos(point.phase), "at the phase measured"
+    u, note = limit / _RECTANGLE, f"within ±{limit:.2g} ({level}), {known}"
+    return BudgetInput(name, quantity, "1", 0.0, u, "rectangular", slope * turned, note=note, common=True), ""
 
 
 def _corner(
@@ -213,7 +216,7 @@ def _corner(
     with np.errstate(divide="ignore", invalid="ignore"):
         factor = float(abs(response(frequency, corner.hz)))
     if not (corner.hz >= 0 and math.isfinite(factor)):
-        raise ValueError(f"{quantity}: a corner of {corner.hz!r} Hz lets no beat through")
+        raise NoBudget(f"{quantity}: a corner of {corner.hz!r} Hz lets no beat through")
     if corner.corrected and 0 < corner.hz < math.inf:
         by_hz = -slope * ratio * _relative_slope(response, frequency, corner)
         note = f"corrected for, by {1 / factor - 1:+.2%} of r"
@@ -242,7 +245,7 @@ def _relative_slope(response: Factor, frequency: float, corner: Corner) -> float
     """
     reach = math.sqrt(3) * corner.u_hz if corner.u_hz > 0 else 1e-4 * corner.hz
     if not reach < corner.hz:
-        raise ValueError(
+        raise NoBudget(
             f"a corner of {corner.hz:g} Hz with an uncertainty of {corner.u_hz:g} Hz is not known at all"
         )
     low, middle, high = (float(abs(response(frequency, corner.hz + side * reach))) for side in (-1, 0, 1))

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from analysis.errors import NoBudget
 from analysis.lockin_equation import beat_frequency, harmonic_ratio
 from analysis.lockin_rate import LockInEstimate
 
@@ -49,9 +50,9 @@ class OperatingPoint:
 
     def __post_init__(self) -> None:
         if not (self.scale_factor > 0 and self.lock_in_rate > 0 and math.isfinite(self.input_rate)):
-            raise ValueError("a budget needs a positive scale factor and lock-in rate, and a finite input rate")
+            raise NoBudget("a budget needs a positive scale factor and lock-in rate, and a finite input rate")
         if not abs(self.input_rate) > self.lock_in_rate:
-            raise ValueError(
+            raise NoBudget(
                 f"the input rate, {self.input_rate:g} deg/s, must be larger than the lock-in rate, "
                 f"{self.lock_in_rate:g} deg/s: below it there is no beat"
             )
@@ -161,12 +162,12 @@ def operating_point(
 
     Raises
     ------
-    ValueError
+    NoBudget
         The records gave no lock-in rate.
     """
     rate, rate_u = float(combined.lock_in_rate), float(combined.lock_in_rate_u)
     if not (math.isfinite(rate) and rate > 0):
-        raise ValueError("records without a lock-in rate have no budget")
+        raise NoBudget("records without a lock-in rate have no budget")
     used = each.reshaped(-1)
     used = used[np.asarray(used.usable)]
     count = int(used.flags.size)

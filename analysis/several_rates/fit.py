@@ -16,6 +16,7 @@ import scipy.special
 from numpy.typing import ArrayLike
 
 from analysis.arrays import Bools, Complexes, Floats, Indices
+from analysis.errors import NoFit
 from analysis.lockin_rate import LockInEstimate, size_interval
 from analysis.several_rates.ratio_model import (
     RatioData,
@@ -97,9 +98,10 @@ def fit_rates(
 
     Raises
     ------
+    NoFit
+        No usable record, rates that cannot tell the unknowns of the model apart (one rate in one sense).
     ValueError
-        No usable record, no sense of rotation, rates that cannot tell the unknowns of the model apart (one rate
-        in one sense), an unknown model or reference.
+        No sense of rotation, an unknown model or reference.
 
     Examples
     --------
@@ -167,7 +169,7 @@ def _fit(records: RatioRecords, rate_u: Floats, reference: Reference, model: Mod
     if reference == "rate":
         used &= ~inconsistent_rate(records)
     if not used.any():
-        raise ValueError("no record with a usable beat: nothing can be fitted")
+        raise NoFit("no record with a usable beat: nothing can be fitted")
     data = _data(records, used, rate_u, reference)
     # Two points of rate and sense are the least that tells anything from lock-in, however many records there are.
     points = len(set(zip(rate_groups(data.rate), np.sign(data.rate), strict=True)))
@@ -202,12 +204,10 @@ def _data(records: RatioRecords, used: Bools, rate_u: Floats, reference: Referen
 def _choose(fits: dict[Model, RatioFit], model: Model | Literal["auto"]) -> Model:
     if model != "auto":
         if model not in fits:
-            raise ValueError(
-                f"these records cannot tell the unknowns of the model {model!r} apart: {MORE_RECORDS}"
-            )
+            raise NoFit(f"these records cannot tell the unknowns of the model {model!r} apart: {MORE_RECORDS}")
         return model
     if "distortion" not in fits:
-        raise ValueError(f"these records cannot tell distortion of the receiver from lock-in: {MORE_RECORDS}")
+        raise NoFit(f"these records cannot tell distortion of the receiver from lock-in: {MORE_RECORDS}")
     if "both" not in fits:
         return "distortion"
     gain_time, u = fits["both"].parameters[0, 3], np.sqrt(fits["both"].covariance[0, 3, 3])

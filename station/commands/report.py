@@ -21,7 +21,7 @@ def command(run: Path, output: Path | None, config: Path | None, as_json: bool) 
 
     RUN is the directory of the run or its file.
     """
-    from station.lock_in.evaluate import evaluate_run
+    from station.lock_in.read import evaluate_run
     from station.lock_in.report import write_report
     from station.runs.store import open_run
     from station.settings.load import load_settings

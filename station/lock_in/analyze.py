@@ -6,13 +6,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-from analysis import Flag, fit_harmonics
+from analysis import Flag
+from analysis.lock_in_run import Method
 from analysis.lockin_equation import Relation
-from instrument import Waveform, read_waveform
-from station.lock_in.estimates import check_over_time
-from station.lock_in.evaluate import Evaluation, Method, evaluate_run, evaluate_waveforms, saved_settings
+from instrument import read_waveform
+from station.lock_in.evaluation import Evaluation
+from station.lock_in.harmonics import harmonics_of
+from station.lock_in.read import check_over_time, evaluate_run, evaluate_waveforms, saved_settings
 from station.lock_in.result import record_documents, result_document
 from station.runs.database import is_database
 from station.runs.store import SavedRun, open_run
@@ -108,35 +108,6 @@ def analyze_path(path: Path, choices: Choices, settings: Settings) -> Analyzed:
     scale_factor = choices.scale_factor or settings.gyro.scale_factor_pulses_per_deg
     evaluation = evaluate_waveforms([waveform], [str(path)], _method(choices, scale_factor))
     return Analyzed(path, None, evaluation)
-
-
-def harmonics_of(waveform: Waveform, count: int = 5) -> list[dict[str, float]] | None:
-    """Return frequency, amplitude and phase of the harmonics of a record; ``None`` if it has none.
-
-    Parameters
-    ----------
-    waveform : Waveform
-    count : int, optional
-
-    Returns
-    -------
-    list of dict or None
-        ``order``, ``frequency_hz``, ``amplitude_v``, ``phase_rad`` (at the first sample).
-    """
-    if np.nanmax(waveform.volts) == np.nanmin(waveform.volts):
-        return None
-    fit = fit_harmonics(waveform.volts, waveform.sample_interval, harmonics=count, nan_policy="omit")
-    if not np.isfinite(fit.frequency):
-        return None
-    return [
-        {
-            "order": order,
-            "frequency_hz": order * float(fit.frequency),
-            "amplitude_v": float(np.abs(amplitude)),
-            "phase_rad": float(np.angle(amplitude)),
-        }
-        for order, amplitude in enumerate(fit.amplitudes, start=1)
-    ]
 
 
 def _method(choices: Choices, scale_factor: float) -> Method:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from rich.table import Table
 
 from analysis.budget import Budget
-from station.lock_in.budget import budget_rows
+from station.lock_in.sentences import budget_rows
 
 _SHOWN = ("quantity", "u (k = 1)", "sensitivity", "contribution, deg/s", "share")
 _PLACES = (0, 2, 4, 5, 6)

@@ -53,7 +53,7 @@ def _finish(path: Path, failure: object, *, report: bool, as_json: bool) -> int:
     """Say what the saved records say, also when they are fewer than wanted."""
     from station.errors import EXIT_NO_SIGNAL, EXIT_OK, Failure, NoUsableSignal, RunError
     from station.lock_in.console import print_result
-    from station.lock_in.evaluate import evaluate_run
+    from station.lock_in.read import evaluate_run
     from station.lock_in.report import write_report
     from station.lock_in.result import result_document
     from station.lock_in.sentences import no_result_words

@@ -8,10 +8,11 @@ import sys
 from rich.console import Console
 from rich.table import Table
 
-from station.lock_in.budget import budget_sentences
-from station.lock_in.evaluate import Evaluation
+from analysis.lock_in_run import SeveralRates
+from station.lock_in.evaluation import Evaluation
 from station.lock_in.sentences import (
     GROUP_COLUMNS,
+    budget_sentences,
     flag_sentences,
     group_rows,
     interval_words,
@@ -22,7 +23,6 @@ from station.lock_in.sentences import (
     with_prefix,
     with_uncertainty,
 )
-from station.lock_in.several_rates import SeveralRates
 
 _RECORDS_SHOWN = 40
 
@@ -122,7 +122,7 @@ def _summary(evaluation: Evaluation, simulated: bool) -> Table:
 
 
 def print_harmonics(harmonics: list[dict[str, float]]) -> None:
-    """Print the harmonics of a record, as :func:`station.lock_in.analyze.harmonics_of` gives them."""
+    """Print the harmonics of a record, as :func:`station.lock_in.harmonics.harmonics_of` gives them."""
     table = Table(box=None, header_style="dim", pad_edge=False, padding=(0, 2, 0, 0))
     for name in ("harmonic", "frequency", "amplitude", "of the first"):
         table.add_column(name, justify="right", no_wrap=True)

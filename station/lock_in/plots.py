@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from analysis import fit_harmonics
 from instrument import Waveform
-from station.lock_in.evaluate import Evaluation
+from station.lock_in.evaluation import Evaluation
 from station.report.picture import svg_element
 from station.report.plot_style import ACCENT, HALF, INK, SECOND, THIRD, WIDE, legend_above
 

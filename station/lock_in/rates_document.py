@@ -3,20 +3,23 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Any
 
 from analysis import RatesFit, RatesFlag, flag_names
 from analysis.frequency_method import FrequencyFit, FrequencyFlag
+from analysis.lock_in_run import RateGroup, SeveralRates
 from station.lock_in.rates_sentences import describe_frequencies, describe_rates
-from station.lock_in.several_rates import RateGroup, SeveralRates
 
 
-def several_rates_document(several: SeveralRates) -> dict[str, Any]:
+def several_rates_document(several: SeveralRates, without_beat: Sequence[str] = ()) -> dict[str, Any]:
     """Return what each rate says, and what all of them say together.
 
     Parameters
     ----------
     several : SeveralRates
+    without_beat : sequence of str, optional
+        Rates that gave no record.
 
     Returns
     -------
@@ -29,7 +32,7 @@ def several_rates_document(several: SeveralRates) -> dict[str, Any]:
         "by_table": None if several.by_table is None else fit_document(several.by_table),
         "by_frequency": None if several.by_frequency is None else frequency_document(several.by_frequency),
         "problem": several.problem or None,
-        "rates_without_beat": list(several.without_beat),
+        "rates_without_beat": list(without_beat),
     }
 
 

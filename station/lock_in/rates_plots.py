@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis import RatesFit
+from analysis.lock_in_run import RateGroup, SeveralRates
 from analysis.lockin_equation import beat_frequency, lock_in_from_rate
 from analysis.several_rates import RatioData, predicted_ratio
-from station.lock_in.several_rates import RateGroup, SeveralRates
 from station.report.picture import svg_element
 from station.report.plot_style import ACCENT, HALF, INK, SECOND, SOFT, THIRD, WIDE, legend_above
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from station.lock_in.evaluate import Evaluation
+from station.lock_in.evaluation import Evaluation
 from station.lock_in.report_facts import fact_tables, record_table
 from station.lock_in.sections import report_sections
 from station.lock_in.sentences import flag_sentences, interval_words, lock_in_words, no_result_words

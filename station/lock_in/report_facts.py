@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from station.lock_in.evaluate import Evaluation
+from station.lock_in.evaluation import Evaluation
 from station.lock_in.sentences import record_flags, with_prefix, with_uncertainty
 from station.results.parts import FactTable, Rows, Table
 from station.runs.store import SavedRun

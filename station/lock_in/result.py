@@ -6,9 +6,9 @@ import math
 from typing import Any
 
 from analysis import flag_names
-from station.lock_in.budget import budget_document
-from station.lock_in.evaluate import Evaluation
-from station.lock_in.quadratures import QuadratureResult
+from analysis.budget import Budget
+from analysis.lock_in_run import QuadratureResult
+from station.lock_in.evaluation import Evaluation, describe_method
 from station.lock_in.rates_document import several_rates_document
 from station.runs.store import SavedRun
 
@@ -65,7 +65,7 @@ def result_document(evaluation: Evaluation, run: SavedRun | None = None) -> dict
             "beat_over_table": check.beat_over_table,
         }
     if evaluation.several is not None:
-        document["several_rates"] = several_rates_document(evaluation.several)
+        document["several_rates"] = several_rates_document(evaluation.several, evaluation.without_beat)
     if evaluation.quadratures is not None:
         document["quadratures"] = quadratures_document(evaluation.quadratures)
     if evaluation.budget is not None:
@@ -73,6 +73,36 @@ def result_document(evaluation: Evaluation, run: SavedRun | None = None) -> dict
     if evaluation.truth is not None:
         document["truth"] = evaluation.truth
     return document
+
+
+def budget_document(budget: Budget) -> dict[str, Any]:
+    """Return a budget as plain JSON; null stands for infinitely many degrees of freedom."""
+    return {
+        "reference": budget.reference,
+        "lock_in_rate_dps": budget.lock_in_rate,
+        "combined_u_dps": budget.combined_u,
+        "combined_u_percent": 100 * budget.relative_u,
+        "effective_degrees_of_freedom": _number(budget.effective_degrees_of_freedom),
+        "coverage_factor": budget.coverage_factor,
+        "expanded_u_95_dps": budget.expanded_u_95,
+        "inputs": [
+            {
+                "name": line.name,
+                "quantity": line.quantity,
+                "unit": line.unit,
+                "value": _number(line.value),
+                "u": line.u,
+                "distribution": line.distribution,
+                "sensitivity_dps_per_unit": line.sensitivity,
+                "contribution_dps": line.contribution,
+                "share_of_variance": budget.share(line),
+                "degrees_of_freedom": _number(line.degrees_of_freedom),
+                "note": line.note,
+            }
+            for line in budget.inputs
+        ],
+        "not_stated": list(budget.unstated),
+    }
 
 
 def quadratures_document(found: QuadratureResult) -> dict[str, Any]:
@@ -115,11 +145,11 @@ def record_documents(evaluation: Evaluation, source: str | None = None) -> list[
     -------
     list of dict
     """
-    documents = []
+    documents, method = [], describe_method(evaluation.method)
     for row, name in enumerate(evaluation.names):
         document: dict[str, Any] = {"run": source, "record": name} if source else {"file": name}
         document |= {key: _number(getattr(evaluation.each, field)[row]) for key, field in _FIELDS.items()}
-        document |= {"method": evaluation.method.text, "flags": flag_names(int(evaluation.each.flags[row]))}
+        document |= {"method": method, "flags": flag_names(int(evaluation.each.flags[row]))}
         documents.append(document)
     return documents
 

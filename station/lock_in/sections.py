@@ -6,13 +6,19 @@ import math
 from collections.abc import Iterable
 
 from analysis.budget import Budget
+from analysis.lock_in_run import SeveralRates
 from station.lock_in import plots, rates_plots
-from station.lock_in.budget import BUDGET_COLUMNS, budget_rows, budget_sentences
 from station.lock_in.budget_plot import budget_svg
-from station.lock_in.evaluate import Evaluation
+from station.lock_in.evaluation import Evaluation
 from station.lock_in.rates_sentences import describe_frequencies
-from station.lock_in.sentences import group_rows, quadrature_sentences, rates_sentences
-from station.lock_in.several_rates import SeveralRates
+from station.lock_in.sentences import (
+    BUDGET_COLUMNS,
+    budget_rows,
+    budget_sentences,
+    group_rows,
+    quadrature_sentences,
+    rates_sentences,
+)
 from station.results.parts import PlacedFigure, Section, Table
 from station.runs.store import SavedRun
 

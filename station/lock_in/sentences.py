@@ -3,16 +3,25 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
 
-from analysis import FATAL, describe_flag, flag_names
+from analysis import FATAL, QuadratureFlag, describe_flag, flag_names
+from analysis.budget import Budget
+from analysis.lock_in_run import SeveralRates
+from station.lock_in.evaluation import Evaluation
 from station.lock_in.rates_sentences import describe_rates
 
-if TYPE_CHECKING:
-    from station.lock_in.evaluate import Evaluation
-    from station.lock_in.several_rates import SeveralRates
-
 _SECONDS_PER_HOUR = 3600.0
+
+_QUADRATURE_FLAGS = {
+    QuadratureFlag.NOT_IN_QUADRATURE: "The two channels are nearly in phase: they hold one signal twice.",
+    QuadratureFlag.POOR_QUADRATURE: "The channels are far from a right angle: corrected, but less certain.",
+    QuadratureFlag.FREQUENCIES_DIFFER: "The two channels show two different beats.",
+    QuadratureFlag.SENSE_DISAGREES: "The channels see another sense of rotation than the table has: are they "
+    "exchanged, or is one inverted?",
+    QuadratureFlag.LARGE_DISTORTION: "The second harmonic of a receiver is above -34 dBc: a rest of it is left.",
+    QuadratureFlag.IMAGE_LEFT: "The third harmonic has an image that neither imbalance nor distortion of second "
+    "order makes: look for distortion of third order or stray light.",
+}
 
 
 def with_uncertainty(value: float, u: float, unit: str = "") -> str:
@@ -102,7 +111,7 @@ def rates_sentences(evaluation: Evaluation) -> list[str]:
     if several is None:
         return []
     fitted = [several.problem] if several.by_beat is None else list(describe_rates(several.by_beat))
-    return [*fitted, *(f"No record at {text}" for text in several.without_beat)]
+    return [*fitted, *(f"No record at {text}" for text in evaluation.without_beat)]
 
 
 def quadrature_sentences(evaluation: Evaluation) -> list[str]:
@@ -124,7 +133,7 @@ def quadrature_sentences(evaluation: Evaluation) -> list[str]:
         f"the sine would give {found.sine_alone:.6g} deg/s and the cosine {found.cosine_alone:.6g} deg/s."
     )
     third = f"Image of the third harmonic that is left: {found.images[2]:.2g} of the first."
-    return [first, second, third, *found.sentences]
+    return [first, second, third, *(_QUADRATURE_FLAGS[QuadratureFlag[name.upper()]] for name in found.flags)]
 
 
 def _level_words(distortion: float, u: float) -> str:
@@ -170,3 +179,92 @@ def no_result_words(evaluation: Evaluation) -> str:
     fatal = [describe_flag(name) for name in flag_names(int(evaluation.combined.flags) & int(FATAL))]
     reasons = fatal or flag_sentences(evaluation) or ["The records show no beat."]
     return f"no lock-in rate: {' '.join(reasons)}"
+
+
+BUDGET_COLUMNS = (
+    "quantity",
+    "value",
+    "u (k = 1)",
+    "distribution",
+    "sensitivity, deg/s per unit",
+    "contribution, deg/s",
+    "share",
+    "d.o.f.",
+)
+
+
+def budget_rows(budget: Budget) -> list[tuple[str, ...]]:
+    """Return the lines of a budget as text under `BUDGET_COLUMNS`, the largest contribution first.
+
+    Parameters
+    ----------
+    budget : Budget
+
+    Returns
+    -------
+    list of tuple of str
+        The last one is the combined uncertainty.
+    """
+    rows: list[tuple[str, ...]] = []
+    for line in budget.inputs:
+        unit = "" if line.unit == "1" else f" {line.unit}"
+        rows.append(
+            (
+                line.quantity,
+                f"{line.value:.6g}{unit}",
+                f"{line.u:.2g}{unit}",
+                line.distribution,
+                f"{line.sensitivity:.3g}" if line.sensitivity else "0",
+                f"{line.contribution:.2g}" if line.contribution else "0",
+                _percent(budget.share(line)),
+                _freedom(line.degrees_of_freedom),
+            )
+        )
+    rows.append(
+        (
+            "lock-in rate, combined",
+            f"{budget.lock_in_rate:.6g} deg/s",
+            f"{budget.combined_u:.2g} deg/s",
+            "",
+            "",
+            f"{budget.combined_u:.2g}",
+            "100 %",
+            _freedom(budget.effective_degrees_of_freedom),
+        )
+    )
+    return rows
+
+
+def budget_sentences(budget: Budget) -> list[str]:
+    """Say in words what the budget comes to, and what it does not hold.
+
+    Parameters
+    ----------
+    budget : Budget
+
+    Returns
+    -------
+    list of str
+    """
+    value = with_uncertainty(budget.lock_in_rate, budget.combined_u, "deg/s")
+    said = [
+        f"Lock-in rate {value}, all inputs counted; U95 = {budget.expanded_u_95:.2g} deg/s "
+        f"({100 * budget.coverage_factor * budget.relative_u:.2g} %) with k = {budget.coverage_factor:.2f}."
+    ]
+    if budget.inputs and budget.inputs[0].contribution > 0:
+        first = budget.inputs[0]
+        said.append(f"The largest part is: {first.quantity} ({_percent(budget.share(first))} of the variance).")
+    if budget.unstated:
+        said.append(
+            f"Not counted, since nobody stated it: {'; '.join(budget.unstated)}. "
+            "The [budget] section of the settings is the place."
+        )
+    return said
+
+
+def _percent(share: float) -> str:
+    return "0" if share == 0 else "< 0.1 %" if share < 0.001 else f"{100 * share:.1f} %"
+
+
+def _freedom(value: float) -> str:
+    return "∞" if value > 1e6 else f"{value:.0f}"

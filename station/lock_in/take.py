@@ -1,6 +1,6 @@
 """The paper's experiment: find the tilt on a fast table, go to one slow rate or several, keep every record.
 
-What is measured is only saved here; numbers come from :mod:`station.lock_in.evaluate`, which reads the saved run.
+What is measured is only saved here; numbers come from :mod:`station.lock_in.read`, which reads the saved run.
 """
 
 from __future__ import annotations
@@ -11,11 +11,12 @@ from contextlib import suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
+from analysis.lock_in_run import Tilt
 from instrument import InstrumentError, TransferError, Waveform
 from station.errors import Failure, NoUsableSignal, RunError, StationError, describe_failure
 from station.lock_in.bench.bench import Bench, open_bench
 from station.lock_in.rate_plan import RateStep, rate_plan
-from station.lock_in.tilt import Tilt, evaluate_tilt
+from station.lock_in.read import fast_run_tilt
 from station.provenance import provenance
 from station.runs.database import utc_now
 from station.runs.progress import Progress
@@ -196,7 +197,7 @@ def _find_tilt(
             save_acquisition(writer, "tilt", waveforms, channels, {**conditions, "table_rate_dps": rate})
             progress.advance()
     assert isinstance(start, ScopeSetting)  # there is at least one sense
-    tilt = evaluate_tilt(open_run(writer.path).taken_for("tilt"), settings)
+    tilt = fast_run_tilt(open_run(writer.path), settings)
     return tilt, start
 
 

@@ -18,7 +18,8 @@ from analysis.plan import (
     uncertainty_curve,
 )
 from station.errors import UsageError
-from station.lock_in.budget import bench_knowledge, budget_document
+from station.lock_in.knowledge import bench_knowledge
+from station.lock_in.result import budget_document
 from station.scope.autoset import TIME_BASES, VERTICAL_SCALES
 from station.settings.load import Settings
 

@@ -8,8 +8,10 @@ import pytest
 
 from analysis.budget import BenchKnowledge, OperatingPoint, lock_in_budget
 from station.cli import main
-from station.lock_in.budget import BUDGET_COLUMNS, bench_knowledge, budget_document, budget_rows, budget_sentences
 from station.lock_in.budget_plot import budget_svg
+from station.lock_in.knowledge import bench_knowledge
+from station.lock_in.result import budget_document
+from station.lock_in.sentences import BUDGET_COLUMNS, budget_rows, budget_sentences
 from station.settings.load import default_settings, load_settings
 
 

@@ -7,8 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from station.lock_in.evaluate import Method, evaluate_run
+from analysis.lock_in_run import Method
 from station.lock_in.plots import line_svg, spectrum_svg, time_record_svg, values_svg
+from station.lock_in.read import evaluate_run
 from station.lock_in.report import render_report, write_report
 from station.lock_in.result import result_document
 from station.lock_in.sentences import lock_in_words

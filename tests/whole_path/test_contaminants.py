@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from analysis.lockin_equation import harmonic_ratio, lock_in_from_rate
-from station.lock_in.evaluate import Evaluation, evaluate_run
+from station.lock_in.evaluation import Evaluation
+from station.lock_in.read import evaluate_run
 from station.lock_in.take import take_run
 from station.runs.progress import Progress
 from station.runs.store import open_run

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from station.lock_in.evaluate import evaluate_run
+from station.lock_in.read import evaluate_run
 from station.lock_in.take import take_run
 from station.runs.progress import Progress
 from station.runs.store import SavedRun, open_run

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from station.lock_in.evaluate import evaluate_run
+from station.lock_in.read import evaluate_run
 from station.lock_in.report import render_report
 from station.lock_in.result import result_document
 from station.lock_in.take import take_run
@@ -114,7 +114,7 @@ def test_a_rate_inside_lock_in_is_told_and_does_not_end_the_campaign(tmp_path: P
     evaluation = evaluate_run(run)
     assert evaluation.several is not None
     assert len(evaluation.several.groups) == 2
-    (missing,) = evaluation.several.without_beat
+    (missing,) = evaluation.without_beat
     assert missing.startswith("+2 ")
     assert abs(float(evaluation.combined.lock_in_rate) - 0.026) < 4 * float(evaluation.combined.lock_in_rate_u)
     document = result_document(evaluation, run)

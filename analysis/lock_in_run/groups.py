@@ -3,28 +3,20 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from analysis import (
-    FATAL,
-    Flag,
-    LockInEstimate,
-    RatesFit,
-    RatesFlag,
-    combine_estimates,
-    fit_rates,
-)
+from analysis.arrays import Floats
+from analysis.combine import combine_estimates
+from analysis.errors import NoFit, OneRateOnly
+from analysis.flags import FATAL, Flag
 from analysis.frequency_method import FrequencyFit, fit_frequencies
-from analysis.several_rates import Reference
-from station.lock_in.table_check import AxisRates, TableCheck
-from station.runs.store import SavedRecord
-
-Array = NDArray[np.float64]
+from analysis.lock_in_run.records import RecordArrays
+from analysis.lock_in_run.table_rate import AxisRates, TableCheck
+from analysis.lockin_rate import LockInEstimate
+from analysis.several_rates import RatesFit, RatesFlag, Reference, fit_rates
 
 
 @dataclass(frozen=True)
@@ -66,8 +58,6 @@ class SeveralRates:
         The other route: beat frequency against rate, without harmonics, scale factor free.
     problem : str
         Why there is no fit by the beat.
-    without_beat : tuple of str
-        Rates that gave no record.
     """
 
     groups: tuple[RateGroup, ...]
@@ -75,7 +65,6 @@ class SeveralRates:
     by_table: RatesFit | None
     by_frequency: FrequencyFit | None = None
     problem: str = ""
-    without_beat: tuple[str, ...] = ()
 
     @property
     def reference_group(self) -> RateGroup:
@@ -89,73 +78,74 @@ class SeveralRates:
         return min(self.groups, key=relative_u)
 
 
-def at_several_rates(records: Sequence[SavedRecord]) -> bool:
-    """Tell whether a run went through several rates, or through both senses of one."""
-    return len({record.conditions.get("table_rate_dps") for record in records}) > 1
+def at_several_rates(slow: RecordArrays) -> bool:
+    """Tell whether a run went through several rates of the table, or through both senses of one."""
+    return np.unique(slow.table_rate).size > 1
 
 
-def evaluate_rates(
-    records: Sequence[SavedRecord], each: LockInEstimate, axis: AxisRates, without_beat: Sequence[str] = ()
-) -> SeveralRates:
+def evaluate_rates(slow: RecordArrays, each: LockInEstimate, axis: AxisRates) -> SeveralRates:
     """Combine the records at each rate, and fit all of them.
 
     Parameters
     ----------
-    records : sequence of SavedRecord
-        With ``table_rate_dps`` among their conditions.
+    slow : RecordArrays
+        With their table rates.
     each : LockInEstimate
-        Fields of shape (n_records,), self-referenced.
+        Fields of shape (n,), with the beat as reference.
     axis : AxisRates
         Of the same records.
-    without_beat : sequence of str, optional
-        Rates that gave no record.
 
-    Returns
-    -------
-    SeveralRates
+    Raises
+    ------
+    OneRateOnly
+        If the estimates were made with a given rate, or with an approximation of the paper.
     """
-    table = np.array([float(record.conditions["table_rate_dps"]) for record in records])
+    if each.rate_given or each.relation != "exact":
+        raise OneRateOnly(
+            "this run has several rates: they are fitted with the exact relation and their own rates"
+        )
+    rates, place, counts = np.unique(slow.table_rate, return_inverse=True, return_counts=True)
     groups = []
-    for rate in sorted(set(table), reverse=True):
-        rows = np.flatnonzero(table == rate)
-        asked = records[rows[0]].conditions.get("over_lock_in")
-        mean = float(np.mean(axis.rates[rows]))
-        groups.append(RateGroup(float(rate), mean, asked, tuple(rows.tolist()), combine_estimates(each[rows])))
+    for index in range(rates.size)[::-1]:
+        rows = np.flatnonzero(place == index)
+        asked = float(slow.over_lock_in[rows[0]])
+        group = RateGroup(
+            table_rate=float(rates[index]),
+            input_rate=float(np.mean(axis.rates[rows])),
+            over_lock_in=asked if math.isfinite(asked) else None,
+            rows=tuple(rows.tolist()),
+            combined=combine_estimates(each[rows]),
+        )
+        groups.append(group)
     # shared by the records at one rate: their mean is no better than one of them
-    counts = np.array([np.count_nonzero(table == rate) for rate in table])
-    rates_u = axis.azimuth_u * np.sqrt(counts)
+    rates_u = axis.azimuth_u * np.sqrt(counts[place])
     by_beat, problem = _fit(each, axis, rates_u, "beat")
     by_table, _ = _fit(each, axis, rates_u, "rate")
-    by_frequency = _frequencies(each, axis, rates_u)
-    return SeveralRates(tuple(groups), by_beat, by_table, by_frequency, problem, tuple(without_beat))
+    return SeveralRates(tuple(groups), by_beat, by_table, _frequencies(each, axis, rates_u), problem)
 
 
-def _frequencies(each: LockInEstimate, axis: AxisRates, rates_u: Array) -> FrequencyFit | None:
+def _fit(
+    each: LockInEstimate, axis: AxisRates, rates_u: Floats, reference: Reference
+) -> tuple[RatesFit | None, str]:
+    try:
+        return fit_rates(each, input_rate=axis.rates, input_rate_u=rates_u, reference=reference), ""
+    except NoFit as reason:
+        return None, str(reason)
+
+
+def _frequencies(each: LockInEstimate, axis: AxisRates, rates_u: Floats) -> FrequencyFit | None:
     """Fit the beat frequencies; with one sense alone a bias rate cannot be told from the rest."""
     usable = each.usable
     both = len(set(np.sign(axis.rates[usable]))) == 2
     frequency = np.where(usable, each.beat_frequency, np.nan)
     try:
         return fit_frequencies(axis.rates, frequency, each.beat_frequency_u, input_rate_u=rates_u, bias=both)
-    except ValueError:
+    except NoFit:
         return None
 
 
-def _fit(
-    each: LockInEstimate, axis: AxisRates, rates_u: Array, reference: Reference
-) -> tuple[RatesFit | None, str]:
-    try:
-        return fit_rates(each, input_rate=axis.rates, input_rate_u=rates_u, reference=reference), ""
-    except ValueError as error:
-        return None, str(error)
-
-
 def combined_estimate(several: SeveralRates) -> LockInEstimate:
-    """Return the result of the fit in the form that a result at one rate has.
-
-    Parameters
-    ----------
-    several : SeveralRates
+    """The result of the fit in the form that a result at one rate has.
 
     Returns
     -------
@@ -199,19 +189,7 @@ def _flags(several: SeveralRates, fit: RatesFit) -> int:
 
 
 def rates_table_check(several: SeveralRates, axis: AxisRates) -> TableCheck | None:
-    """Compare the fit by the beat with that by the table.
-
-    Parameters
-    ----------
-    several : SeveralRates
-    axis : AxisRates
-        Of the same records.
-
-    Returns
-    -------
-    TableCheck or None
-        ``None`` if one of the two is missing.
-    """
+    """Compare the fit by the beat with that by the table; ``None`` if one of the two is missing."""
     fit = several.by_table
     if fit is None or several.by_beat is None:
         return None

@@ -1,0 +1,26 @@
+"""What all records of one run say together: arrays in, one result out."""
+
+from analysis.lock_in_run.estimates import Method
+from analysis.lock_in_run.evaluation import evaluate
+from analysis.lock_in_run.groups import RateGroup, SeveralRates
+from analysis.lock_in_run.pairs import QuadratureResult
+from analysis.lock_in_run.records import Batch, RecordArrays, RunArrays, RunKnowledge, rows_of_batches
+from analysis.lock_in_run.result import LockInRun
+from analysis.lock_in_run.table_rate import TableCheck, Tilt, find_tilt
+
+__all__ = [
+    "Batch",
+    "LockInRun",
+    "Method",
+    "QuadratureResult",
+    "RateGroup",
+    "RecordArrays",
+    "RunArrays",
+    "RunKnowledge",
+    "SeveralRates",
+    "TableCheck",
+    "Tilt",
+    "evaluate",
+    "find_tilt",
+    "rows_of_batches",
+]

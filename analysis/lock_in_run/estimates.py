@@ -1,0 +1,127 @@
+"""Each record by itself: those of one time base together, batch by batch."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, is_dataclass, replace
+from typing import Any, TypeVar
+
+import numpy as np
+
+from analysis.arrays import Floats, Indices
+from analysis.channel import ChannelResponse, correct_response
+from analysis.flags import Flag
+from analysis.lock_in_run.records import RecordArrays
+from analysis.lockin_equation import Relation
+from analysis.lockin_rate import LockInEstimate, estimate_lock_in, with_ratio
+
+Estimate = TypeVar("Estimate")
+
+
+@dataclass(frozen=True)
+class Method:
+    """How records are turned into a lock-in rate.
+
+    Attributes
+    ----------
+    scale_factor : float
+        K, pulses per degree.
+    relation : {"exact", "paper-13", "paper-10"}
+    input_rate : float or None
+        Rate on the gyro's axis in deg/s; ``None``: each record is its own reference.
+    """
+
+    scale_factor: float
+    relation: Relation = "exact"
+    input_rate: float | None = None
+
+
+def estimate_records(records: RecordArrays, method: Method) -> LockInEstimate:
+    """Estimate each record from its first channel.
+
+    Parameters
+    ----------
+    records : RecordArrays
+        At least one.
+    method : Method
+
+    Returns
+    -------
+    LockInEstimate
+        Fields of shape (n,), in the order of the records.
+    """
+    parts, rows = [], []
+    for batch in records.batches:
+        estimate = estimate_lock_in(
+            batch.volts[0],
+            batch.sample_interval,
+            scale_factor=method.scale_factor,
+            input_rate=method.input_rate,
+            relation=method.relation,
+            clipped=batch.clipped[0],
+            nan_policy="omit",
+        )
+        parts.append(estimate)
+        rows.append(batch.rows)
+    return joined(parts, rows)
+
+
+def only_beats(each: LockInEstimate) -> LockInEstimate:
+    """Withhold what rests on a piece of some curve: fewer than 3 periods that do not fit either."""
+    curve = int(Flag.FEW_PERIODS | Flag.MISFIT)
+    pieces = (each.flags & curve) == curve
+    rates = ("lock_in_rate", "lock_in_rate_u", "lock_in_rate_low_95", "lock_in_rate_high_95")
+    withheld: dict[str, Any] = {name: np.where(pieces, np.nan, getattr(each, name)) for name in rates}
+    flags = np.where(pieces, each.flags | int(Flag.NOT_LOCK_IN_LIKE), each.flags)
+    return replace(each, flags=flags, **withheld)
+
+
+def without_channel(each: LockInEstimate, response: ChannelResponse) -> LockInEstimate:
+    """The estimates that the records would have given without the channel.
+
+    Raises
+    ------
+    OutsideResponse
+        If a beat or its second harmonic lies outside a measured table.
+    """
+    return replace(correct_response(each, response), noise_model=without_channel_model(each))
+
+
+def without_channel_model(each: LockInEstimate) -> str:
+    """What the uncertainties rest on where the channel is taken out.
+
+    That of the response is not among it: all records share it, so it stands in the budget.
+    """
+    return f"{each.noise_model}; corrected for the response of the channel"
+
+
+def at_known_rates(each: LockInEstimate, rates: Floats) -> LockInEstimate:
+    """The same ratios with rates on the gyro's axis (n,), deg/s, signed, as reference instead of the beat."""
+    given = replace(each, input_rate=rates, rate_given=True)
+    return with_ratio(given, each.complex_ratio, each.complex_ratio_covariance)
+
+
+def joined(parts: Sequence[Estimate], rows: Sequence[Indices]) -> Estimate:
+    """Put estimates of several batches into the order of the records.
+
+    Parameters
+    ----------
+    parts : sequence of LockInEstimate or QuadratureEstimate
+        Fields of shape (n_batch, ...).
+    rows : sequence of ndarray
+        Which of the records are in each.
+    """
+    return _in_order(parts, np.argsort(np.concatenate(rows)))
+
+
+def _in_order(parts: Sequence[Estimate], order: Indices) -> Estimate:
+    first: Any = parts[0]
+    values: dict[str, Any] = {}
+    for field in fields(first):
+        each = [getattr(part, field.name) for part in parts]
+        if is_dataclass(each[0]):
+            values[field.name] = _in_order(each, order)
+        elif np.ndim(each[0]):
+            values[field.name] = np.concatenate(each)[order]
+    joint: Estimate = replace(first, **values)
+    return joint

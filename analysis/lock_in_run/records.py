@@ -1,0 +1,147 @@
+"""The records of one run as arrays, and what is known of the bench that they were taken on."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from analysis.arrays import Bools, Floats, Indices, Ints
+from analysis.budget import BenchKnowledge
+from analysis.channel import ChannelResponse
+
+_RECORDS_AT_ONCE = 1000
+"""20 MB of samples."""
+
+
+@dataclass(frozen=True)
+class Batch:
+    """Records of one time base and length.
+
+    Attributes
+    ----------
+    rows : ndarray of int, shape (n,)
+        Which of the records they are.
+    sample_interval : float
+        s.
+    volts : ndarray, shape (n_channels, n, n_samples)
+        nan where there is no sample. The first channel is that of the measurement, a second one that of the
+        other photodiode.
+    clipped : ndarray of bool, shape as `volts`
+        Samples at the end of the converter's range.
+    """
+
+    rows: Indices
+    sample_interval: float
+    volts: Floats
+    clipped: Bools
+
+
+@dataclass(frozen=True)
+class RecordArrays:
+    """Records that were taken for one purpose, in their order; a number that nobody knows is nan.
+
+    Attributes
+    ----------
+    batches : iterable of Batch
+        Every record once. It may make the volts as it goes: those of a long run need much memory.
+    n_channels : int
+        1, or 2 where every record has a second photodiode.
+    samples : ndarray of int, shape (n,)
+        Of each record.
+    level_spacing : ndarray, shape (n,)
+        Volts per level of the converter.
+    table_rate : ndarray, shape (n,)
+        deg/s, signed.
+    azimuth_start, azimuth_end : ndarray, shape (n,)
+        deg, as the table counts, read before and after each record.
+    over_lock_in : ndarray, shape (n,)
+        Rate that was asked for, in expected lock-in rates.
+    """
+
+    batches: Iterable[Batch]
+    n_channels: int
+    samples: Ints
+    level_spacing: Floats
+    table_rate: Floats
+    azimuth_start: Floats
+    azimuth_end: Floats
+    over_lock_in: Floats
+
+    def __len__(self) -> int:
+        return int(self.samples.size)
+
+    @property
+    def azimuth(self) -> Floats:
+        """Middle of the two readings, deg; the record was taken somewhere between them."""
+        return (self.azimuth_start + self.azimuth_end) / 2
+
+    @property
+    def turned(self) -> Floats:
+        """Angle between the two readings, deg."""
+        return np.abs(self.azimuth_end - self.azimuth_start)
+
+
+@dataclass(frozen=True)
+class RunArrays:
+    """All records of a run.
+
+    Attributes
+    ----------
+    slow : RecordArrays
+        Those that show lock-in, at one rate or at several.
+    fast : RecordArrays
+        Those of the fast run, which shows the tilt; none where there was no table.
+    """
+
+    slow: RecordArrays
+    fast: RecordArrays
+
+
+@dataclass(frozen=True)
+class RunKnowledge:
+    """What is known of gyro, table and channel beside the records of a run.
+
+    Attributes
+    ----------
+    scale_factor : float
+        K in pulses per degree, by which the fast run gives the tilt.
+    latitude_deg, north_azimuth_deg : float
+        Of the bench; the azimuth of the table at which the gyro's axis points north.
+    both_senses : bool
+        Whether the fast run goes through both senses of rotation.
+    response : ChannelResponse or None
+        Of the channel, to be taken out of the records.
+    bench : BenchKnowledge
+        What the budget counts besides the records, without a table.
+    latitude_u_deg, table_rate_u_ppm : float
+        Standard uncertainties.
+    """
+
+    scale_factor: float
+    latitude_deg: float
+    north_azimuth_deg: float = 0.0
+    both_senses: bool = True
+    response: ChannelResponse | None = None
+    bench: BenchKnowledge = field(default_factory=BenchKnowledge)
+    latitude_u_deg: float = 0.0
+    table_rate_u_ppm: float = 0.0
+
+
+def rows_of_batches(sample_interval: Floats, samples: Ints) -> list[Indices]:
+    """Sort records into batches of one time base and length, small enough for the memory.
+
+    Examples
+    --------
+    >>> [rows.tolist() for rows in rows_of_batches(np.array([1e-5, 2e-5, 1e-5]), np.array([2500, 2500, 2500]))]
+    [[0, 2], [1]]
+    """
+    shapes: dict[tuple[float, int], list[int]] = {}
+    for row, shape in enumerate(zip(sample_interval.tolist(), samples.tolist(), strict=True)):
+        shapes.setdefault(shape, []).append(row)
+    return [
+        np.array(rows[first : first + _RECORDS_AT_ONCE], dtype=np.intp)
+        for rows in shapes.values()
+        for first in range(0, len(rows), _RECORDS_AT_ONCE)
+    ]

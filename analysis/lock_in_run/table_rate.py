@@ -1,0 +1,184 @@
+"""The rate table: tilt of the gyro's axis from the fast run, rate on the axis, and what that says of WL."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from analysis.arrays import Floats
+from analysis.combine import combine_estimates
+from analysis.lock_in_run.estimates import Method, at_known_rates, estimate_records
+from analysis.lock_in_run.records import Batch, RecordArrays, RunArrays, RunKnowledge
+from analysis.lockin_rate import LockInEstimate
+from analysis.rotation import earth_rate_on_axis, tilt_from_fast_runs
+
+_UNIFORM = math.sqrt(12)
+"""Width over standard deviation: a record lies somewhere between two readings of the azimuth."""
+
+_EAST, _NORTH = 90.0, 0.0
+
+
+@dataclass(frozen=True)
+class Tilt:
+    """Angle between gyro axis and table axis, deg, with its standard uncertainty."""
+
+    tilt_deg: float
+    tilt_u_deg: float
+
+
+@dataclass(frozen=True)
+class AxisRates:
+    """Rates on the gyro's axis by the table.
+
+    Attributes
+    ----------
+    rates : ndarray, shape (n,)
+        deg/s, signed, one for each record.
+    common_u : ndarray, shape (n,)
+        Relative standard uncertainty of them that all records share: tilt, and an azimuth that nobody knows.
+    azimuth_u : ndarray, shape (n,)
+        deg/s; standard uncertainty from the place of a record between two readings of the azimuth. It is much the
+        same for all records at one rate.
+    """
+
+    rates: Floats
+    common_u: Floats
+    azimuth_u: Floats
+
+
+@dataclass(frozen=True)
+class TableCheck:
+    """The same records, with the rate of the table as reference instead of the beat frequency.
+
+    Attributes
+    ----------
+    lock_in_rate, lock_in_rate_u : float
+        deg/s.
+    input_rate : float
+        Mean rate on the gyro's axis from table, tilt and earth rate, deg/s.
+    beat_over_table : float
+        Rate by the beat over rate by the table: 1 if scale factor, tilt and table agree.
+    """
+
+    lock_in_rate: float
+    lock_in_rate_u: float
+    input_rate: float
+    beat_over_table: float
+
+
+def axis_rate_is_known(run: RunArrays, knowledge: RunKnowledge) -> bool:
+    """Whether the fast run has all its senses, and every slow record a table rate."""
+    senses = 2 if knowledge.both_senses else 1
+    return bool(np.isfinite(run.slow.table_rate).all()) and np.unique(run.fast.table_rate).size == senses
+
+
+def find_tilt(fast: RecordArrays, knowledge: RunKnowledge, lock_in_rate: float = math.nan) -> Tilt:
+    """Find the tilt from the records of the fast run.
+
+    Parameters
+    ----------
+    fast : RecordArrays
+        With their table rates.
+    knowledge : RunKnowledge
+    lock_in_rate : float, optional
+        deg/s, from slower records. Without it that of each fast record counts, which the laser's gain weakens.
+
+    Raises
+    ------
+    NoTilt
+        If beat and table rate do not fit together.
+    """
+    each = estimate_records(replace(fast, batches=_one_by_one(fast)), Method(knowledge.scale_factor))
+    frequency, frequency_u = each.beat_frequency, each.beat_frequency_u
+    by_itself = not math.isfinite(lock_in_rate)
+    if by_itself:
+        # lock-in pulls the beat down by (WL/W)^2 / 2
+        frequency_u = np.hypot(frequency_u, frequency * 4 * each.ratio * each.ratio_u)
+    oriented = bool(np.isfinite(fast.azimuth).all())
+    fit = tilt_from_fast_runs(
+        frequency,
+        frequency_u,
+        fast.table_rate,
+        scale_factor=knowledge.scale_factor,
+        latitude_deg=knowledge.latitude_deg,
+        azimuth_deg=fast.azimuth - knowledge.north_azimuth_deg if oriented else None,
+        azimuth_u_deg=fast.turned / _UNIFORM if oriented else 0.0,
+        lock_in_rate=each.lock_in_rate if by_itself else lock_in_rate,
+    )
+    # where the records scatter more than their noise says, the scatter counts
+    scatter = fit.chi_square / fit.degrees_of_freedom if fit.degrees_of_freedom else 1.0
+    return Tilt(fit.tilt_deg, fit.tilt_u_deg * math.sqrt(max(scatter, 1.0)))
+
+
+def _one_by_one(records: RecordArrays) -> Iterator[Batch]:
+    """Every record as a batch of its own.
+
+    In one batch the order of sums, and with it the last digits of a frequency, depends on the other records. The
+    uncertainty of the tilt comes from small differences of frequencies, where such digits are to be seen.
+    """
+    for batch in records.batches:
+        for place, row in enumerate(batch.rows):
+            one = slice(place, place + 1)
+            rows = np.array([row])
+            yield Batch(rows, batch.sample_interval, batch.volts[:, one], batch.clipped[:, one])
+
+
+def axis_rates(slow: RecordArrays, tilt: Tilt, knowledge: RunKnowledge) -> AxisRates:
+    """Work out the rate on the axis during each record from table rate, tilt and earth rate.
+
+    Parameters
+    ----------
+    slow : RecordArrays
+        With their table rates.
+    tilt : Tilt
+    knowledge : RunKnowledge
+    """
+
+    def earth_rate(azimuth_deg: float | Floats) -> Floats:
+        return earth_rate_on_axis(knowledge.latitude_deg, tilt.tilt_deg, azimuth_deg)
+
+    oriented = np.isfinite(slow.azimuth)
+    # where nobody knows the azimuth, only the vertical part of the earth rate is left: that at east
+    azimuth = np.where(oriented, slow.azimuth - knowledge.north_azimuth_deg, _EAST)
+    vertical = earth_rate(_EAST)
+    rates = slow.table_rate * math.cos(math.radians(tilt.tilt_deg)) + earth_rate(azimuth)
+    slope = np.abs(earth_rate(azimuth + 90.0) - vertical)
+    between = np.where(oriented, slope * np.radians(slow.turned) / _UNIFORM, 0.0)
+    tilt_part = math.tan(math.radians(tilt.tilt_deg)) * math.radians(tilt.tilt_u_deg)
+    # the horizontal part at an azimuth that nobody knows: a cosine has a mean square of one half
+    swing = abs(float(earth_rate(_NORTH) - vertical)) / math.sqrt(2)
+    earth_part = np.where(oriented, 0.0, swing / np.abs(rates))
+    return AxisRates(rates, np.hypot(tilt_part, earth_part), between)
+
+
+def table_check(each: LockInEstimate, own: LockInEstimate, axis: AxisRates) -> TableCheck | None:
+    """Compare the result by the beat with that by the table, for records at one rate.
+
+    Parameters
+    ----------
+    each : LockInEstimate
+        Fields of shape (n,), with the beat as reference.
+    own : LockInEstimate
+        The same combined, fields of shape ().
+    axis : AxisRates
+        Of the same records.
+
+    Returns
+    -------
+    TableCheck or None
+        ``None`` if the table's rate gives no lock-in rate.
+    """
+    by_table = combine_estimates(at_known_rates(each, axis.rates))
+    if not np.isfinite(by_table.lock_in_rate):
+        return None
+    mean, value = float(np.mean(axis.rates)), float(by_table.lock_in_rate)
+    shared = math.hypot(float(np.max(axis.common_u)), float(np.max(axis.azimuth_u)) / abs(mean))
+    return TableCheck(
+        lock_in_rate=value,
+        lock_in_rate_u=math.hypot(float(by_table.lock_in_rate_u), value * shared),
+        input_rate=mean,
+        beat_over_table=float(own.input_rate) / abs(mean),
+    )

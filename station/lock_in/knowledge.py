@@ -1,0 +1,69 @@
+"""What the settings say of a bench, in the terms of the analysis."""
+
+from __future__ import annotations
+
+import math
+
+from analysis.budget import BenchKnowledge, Corner
+from analysis.channel import ChannelResponse
+from analysis.lock_in_run import RunKnowledge
+from station.lock_in.settings import FrontEndSettings
+from station.settings.load import Settings
+
+_AC_CORNER_HZ = 10.0
+"""Lower -3 dB corner of the AC coupling of a TDS2014 with a direct cable; a 10X probe makes it a tenth."""
+
+
+def run_knowledge(settings: Settings) -> RunKnowledge:
+    """Collect what the settings say of gyro, table and channel of a run."""
+    stated = settings.budget
+    return RunKnowledge(
+        scale_factor=settings.gyro.scale_factor_pulses_per_deg,
+        latitude_deg=settings.site.latitude_deg,
+        north_azimuth_deg=settings.table.north_azimuth_deg,
+        both_senses=settings.table.both_senses,
+        response=channel_response(settings.front_end),
+        bench=bench_knowledge(settings),
+        latitude_u_deg=stated.latitude_u_deg if stated is not None else 0.0,
+        table_rate_u_ppm=stated.table_rate_u_ppm if stated is not None else 0.0,
+    )
+
+
+def bench_knowledge(settings: Settings) -> BenchKnowledge:
+    """Collect what an uncertainty budget counts besides the records; nan for whatever nobody stated."""
+    scope, stated, front_end = settings.scope, settings.budget, settings.front_end
+    share = 0.01 * (stated.front_end_u_percent if stated is not None else 0.0)
+    coupling = Corner(_AC_CORNER_HZ / scope.probe if scope.coupling == "AC" else 0.0)
+    if front_end.ac_corner_hz:
+        coupling = Corner(front_end.ac_corner_hz, share * front_end.ac_corner_hz, corrected=True)
+    if stated is None:
+        return BenchKnowledge(high_pass=coupling)
+    bandwidth = Corner(stated.bandwidth_hz or math.nan)
+    if front_end.low_pass_hz:
+        bandwidth = Corner(front_end.low_pass_hz, share * front_end.low_pass_hz, corrected=True)
+    return BenchKnowledge(
+        scale_factor_u_ppm=stated.scale_factor_u_ppm or math.nan,
+        time_base_limit_ppm=stated.time_base_limit_ppm,
+        distortion_limit=10 ** (stated.distortion_limit_dbc / 20) if stated.distortion_limit_dbc else math.nan,
+        bandwidth=bandwidth,
+        high_pass=coupling,
+        gain=Corner(stated.gain_corner_hz or math.nan),
+        response_u=share if front_end.response or front_end.response_file else math.nan,
+    )
+
+
+def channel_response(front_end: FrontEndSettings) -> ChannelResponse | None:
+    """Return the response that the settings describe; ``None`` if there is nothing to correct.
+
+    It has no uncertainties: what all records share does not average out, so it stands in the budget and not with
+    each record.
+    """
+    if not (front_end.low_pass_hz or front_end.ac_corner_hz or front_end.response):
+        return None
+    return ChannelResponse(
+        low_pass_hz=[front_end.low_pass_hz] if front_end.low_pass_hz else [],
+        high_pass_hz=[front_end.ac_corner_hz] if front_end.ac_corner_hz else [],
+        table_hz=[row[0] for row in front_end.response],
+        table_gain=[row[1] for row in front_end.response],
+        table_phase_rad=[math.radians(row[2]) for row in front_end.response],
+    )

@@ -1,0 +1,252 @@
+"""From saved records to the result: read once, as arrays; always computed again, never remembered."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from statistics import fmean
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.errors import NoTilt, OneRateOnly, OutsideResponse
+from analysis.lock_in_run import (
+    Batch,
+    Method,
+    RecordArrays,
+    RunArrays,
+    Tilt,
+    evaluate,
+    find_tilt,
+    rows_of_batches,
+)
+from instrument import Preamble, Waveform
+from instrument.errors import InstrumentError
+from instrument.waveform import CLIPPED_CODE
+from station.errors import NoUsableSignal, RunError, UsageError
+from station.lock_in.evaluation import Evaluation
+from station.lock_in.knowledge import run_knowledge
+from station.runs.store import SavedRecord, SavedRun
+from station.settings.load import Settings
+
+
+def evaluate_run(run: SavedRun, method: Method | None = None, known: Settings | None = None) -> Evaluation:
+    """Evaluate the records that a run took at its slow rate, or at its slow rates.
+
+    Parameters
+    ----------
+    run : SavedRun
+    method : Method, optional
+        By default the run's own scale factor, exact, self-referenced.
+    known : Settings, optional
+        What is known of channel and bench now, ``front_end`` and ``budget``, instead of what was known then.
+
+    Raises
+    ------
+    RunError
+        If the run holds no such record, or its records contradict what is known of the bench.
+    UsageError
+        If the method is one for a single rate, and the run has several.
+    """
+    settings = saved_settings(run)
+    if known is not None:
+        settings = settings.model_copy(update={"front_end": known.front_end, "budget": known.budget})
+    method = method or Method(settings.gyro.scale_factor_pulses_per_deg)
+    acquisitions = acquisitions_of(run)
+    intact = [taken for taken in acquisitions if taken.intact]
+    if not intact:
+        what = "only damaged records" if acquisitions else "no record at the slow rate"
+        raise RunError(f"{run.path}: the run holds {what}")
+    records = [taken.sine for taken in intact]
+    waveforms = tuple(saved_waveform(record, run) for record in records)
+    cosines = [saved_waveform(taken.cosine, run) for taken in intact if taken.cosine is not None]
+    channels = (waveforms, cosines) if len(cosines) == len(waveforms) else (waveforms,)
+    arrays = RunArrays(_arrays(channels, records), _fast_run(run))
+    try:
+        found = evaluate(arrays, run_knowledge(settings), method)
+    except NoTilt as error:
+        raise RunError(_no_tilt(error)) from None
+    except OutsideResponse as error:
+        raise RunError(f"front_end.response: {error}") from None
+    except OneRateOnly as error:
+        raise UsageError(str(error)) from None
+    shown = records
+    if found.several is not None:
+        shown = [records[row] for row in found.several.reference_group.rows]
+    return Evaluation(
+        **vars(found),
+        names=tuple(taken.name for taken in intact),
+        waveforms=waveforms,
+        damaged=tuple(taken.name for taken in acquisitions if not taken.intact),
+        truth=_mean_truth(shown),
+        without_beat=tuple(run.facts.get("rates_without_beat", ())),
+    )
+
+
+def evaluate_waveforms(waveforms: Sequence[Waveform], names: Sequence[str], method: Method) -> Evaluation:
+    """Evaluate records that come from files: at least one, each with its name."""
+    nothing: tuple[Waveform, ...] = ()
+    found = evaluate(RunArrays(_arrays((waveforms,)), _arrays((nothing,))), None, method)
+    return Evaluation(**vars(found), names=tuple(names), waveforms=tuple(waveforms))
+
+
+def fast_run_tilt(run: SavedRun, settings: Settings) -> Tilt:
+    """Find the tilt from the fast run alone, while the slow records are still to be taken.
+
+    Raises
+    ------
+    RunError
+        If beat and table rate do not fit together.
+    """
+    try:
+        return find_tilt(_fast_run(run), run_knowledge(settings))
+    except NoTilt as error:
+        raise RunError(_no_tilt(error)) from None
+
+
+def saved_settings(run: SavedRun) -> Settings:
+    """Return the settings that a run was taken with.
+
+    Raises
+    ------
+    RunError
+        If the run holds none that this version understands.
+    """
+    if run.facts.get("command") == "witness":
+        raise RunError(f"{run.path}: shows a fibre gyro's modulator: `gyrolock fog witness` evaluates it")
+    try:
+        return Settings.model_validate(run.facts["settings"])
+    except (KeyError, ValueError):
+        raise RunError(f"{run.path}: the settings of this run cannot be read") from None
+
+
+def saved_waveform(record: SavedRecord, run: SavedRun) -> Waveform:
+    """Return a saved record as the waveform that the scope sent.
+
+    Raises
+    ------
+    RunError
+        If codes and preamble do not belong together.
+    NoUsableSignal
+        If it is no record over time.
+    """
+    try:
+        waveform = Waveform(record.codes, Preamble.parse(record.preamble))
+    except InstrumentError as error:
+        raise RunError(f"{run.path}: record {record.number} cannot be read: {error}") from None
+    check_over_time(waveform, f"{run.path}: record {record.number}")
+    return waveform
+
+
+def check_over_time(waveform: Waveform, name: str) -> None:
+    """Refuse what only looks like a record.
+
+    Raises
+    ------
+    NoUsableSignal
+        A spectrum, or pairs of minima and maxima.
+    """
+    unit = waveform.preamble.xunit
+    if unit.lower() != "s":
+        raise NoUsableSignal(f"{name}: is a spectrum ({unit}), not a record over time: save the channel itself")
+    if waveform.preamble.pt_fmt == "ENV" or "pk detect" in waveform.preamble.wfid.lower():
+        raise NoUsableSignal(
+            f"{name}: was taken with Peak Detect: it holds minima and maxima, not samples; use SAMPLE mode"
+        )
+
+
+@dataclass(frozen=True)
+class Acquisition:
+    """What was recorded at one time.
+
+    Attributes
+    ----------
+    name : str
+        Its number among the acquisitions at the slow rates, from 1.
+    sine : SavedRecord
+        The channel of the measurement.
+    cosine : SavedRecord or None
+        The second photodiode, where there is one.
+    """
+
+    name: str
+    sine: SavedRecord
+    cosine: SavedRecord | None
+
+    @property
+    def intact(self) -> bool:
+        """Whether everything in it is what was once saved."""
+        return self.sine.intact and (self.cosine is None or self.cosine.intact)
+
+
+def acquisitions_of(run: SavedRun) -> list[Acquisition]:
+    """Return the acquisitions at the slow rates of a run in their order; fast ones are left out."""
+    found: list[Acquisition] = []
+    for record in run.records:
+        if record.purpose == "measure":
+            found.append(Acquisition(str(len(found) + 1), record, None))
+        elif record.purpose == "quadrature" and found:
+            # saved in one commit with the sine before it
+            found[-1] = Acquisition(found[-1].name, found[-1].sine, record)
+    return found
+
+
+@dataclass(frozen=True)
+class _Volts:
+    """Volts of many waveforms, made batch by batch: those of a long run together need much memory."""
+
+    channels: Sequence[Sequence[Waveform]]
+
+    def __iter__(self) -> Iterator[Batch]:
+        first = self.channels[0]
+        intervals = np.array([wave.sample_interval for wave in first])
+        for rows in rows_of_batches(intervals, np.array([wave.codes.size for wave in first], dtype=np.int64)):
+            picked = [[waves[row] for row in rows] for waves in self.channels]
+            volts = np.array([[wave.volts for wave in waves] for waves in picked])
+            codes = np.array([[wave.codes for wave in waves] for waves in picked])
+            yield Batch(rows, first[rows[0]].sample_interval, volts, _clipped(codes, volts))
+
+
+def _clipped(codes: NDArray[np.integer[Any]], volts: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Samples at the end of the converter's range; one without data is none, though its code is the lowest."""
+    highest = CLIPPED_CODE if codes.dtype == np.int8 else 256 * CLIPPED_CODE
+    return np.asarray((np.abs(codes.astype(np.int32)) >= highest) & np.isfinite(volts))
+
+
+def _arrays(channels: Sequence[Sequence[Waveform]], records: Sequence[SavedRecord] | None = None) -> RecordArrays:
+    """Records as arrays, with the conditions under which they were saved where they come from a run."""
+
+    def condition(name: str) -> NDArray[np.float64]:
+        if records is None:
+            return np.full(len(channels[0]), math.nan)
+        values = [record.conditions.get(name) for record in records]
+        return np.array([math.nan if value is None else float(value) for value in values], dtype=np.float64)
+
+    return RecordArrays(
+        batches=_Volts(channels),
+        n_channels=len(channels),
+        samples=np.array([wave.codes.size for wave in channels[0]], dtype=np.int64),
+        level_spacing=np.array([abs(wave.preamble.ymult) for wave in channels[0]]),
+        table_rate=condition("table_rate_dps"),
+        azimuth_start=condition("azimuth_start_deg"),
+        azimuth_end=condition("azimuth_end_deg"),
+        over_lock_in=condition("over_lock_in"),
+    )
+
+
+def _fast_run(run: SavedRun) -> RecordArrays:
+    records = run.taken_for("tilt")
+    return _arrays(([saved_waveform(record, run) for record in records],), records)
+
+
+def _no_tilt(error: NoTilt) -> str:
+    return f"the fast run gives no tilt: {error}"
+
+
+def _mean_truth(records: Sequence[SavedRecord]) -> dict[str, float] | None:
+    truths = [record.conditions["truth"] for record in records if record.conditions.get("truth")]
+    if not truths:
+        return None
+    return {name: fmean(truth[name] for truth in truths) for name in truths[0]}

@@ -206,10 +206,10 @@ class _Volts:
             picked = [[waves[row] for row in rows] for waves in self.channels]
             volts = np.array([[wave.volts for wave in waves] for waves in picked])
             codes = np.array([[wave.codes for wave in waves] for waves in picked])
-            yield Batch(rows, first[rows[0]].sample_interval, volts, _clipped(codes, volts))
+            yield Batch(rows, first[rows[0]].sample_interval, volts, clipped_samples(codes, volts))
 
 
-def _clipped(codes: NDArray[np.integer[Any]], volts: NDArray[np.float64]) -> NDArray[np.bool_]:
+def clipped_samples(codes: NDArray[np.integer[Any]], volts: NDArray[np.float64]) -> NDArray[np.bool_]:
     """Samples at the end of the converter's range; one without data is none, though its code is the lowest."""
     highest = CLIPPED_CODE if codes.dtype == np.int8 else 256 * CLIPPED_CODE
     return np.asarray((np.abs(codes.astype(np.int32)) >= highest) & np.isfinite(volts))

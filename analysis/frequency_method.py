@@ -104,10 +104,6 @@ def fit_frequencies(
     bias : bool
         Whether W0 is fitted; otherwise it is zero.
 
-    Returns
-    -------
-    FrequencyFit
-
     Raises
     ------
     ValueError

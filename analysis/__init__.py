@@ -1,7 +1,7 @@
 """Mathematics of the lock-in measurement, on arrays: no files, no instruments, no clock, no printing.
 
-An *estimate* is what each record says (its arrays have the shape of the records), a *fit* is one statement that many
-records make together.
+An *estimate* is what each record says, in arrays of the shape of the records.
+A *fit* is one statement that many records make together.
 """
 
 from analysis.channel import ChannelResponse, correct_response

@@ -31,7 +31,6 @@ class RecordShape:
 
     Attributes
     ----------
-    samples : int
     sample_interval : float
         s.
     amplitude : float
@@ -124,7 +123,6 @@ def expected_point(
 
     Parameters
     ----------
-    shape : RecordShape
     scale_factor, input_rate, lock_in_rate : float
         Pulses per degree, deg/s, deg/s.
     scatter : float, optional

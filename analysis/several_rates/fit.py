@@ -92,10 +92,6 @@ def fit_rates(
         What is fitted beside the lock-in rate. "auto": distortion always; the gain corner too, unless the data
         neither show it nor can pay for it (`GAIN_COST`).
 
-    Returns
-    -------
-    RatesFit
-
     Raises
     ------
     NoFit

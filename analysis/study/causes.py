@@ -52,13 +52,10 @@ class Causes:
         Distance of the beat from the middle of its bin, in bins.
     together : dict of ndarray
         The paper's method: peaks and equation (13).
-    formula : ndarray
-    peak, leakage : dict of ndarray
     euler, runge_kutta : ndarray
         Integrated with 20 kHz in first and fourth order.
     rounding : ndarray
         Ours on eight bits; its rms over phases.
-    ours : ndarray
     """
 
     points: tuple[tuple[float, float], ...]

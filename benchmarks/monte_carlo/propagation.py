@@ -69,16 +69,9 @@ def simulate_measurements(
     ----------
     point : OperatingPoint
         Its rates, scale factor, phase and scatter; its noise comes from `shape`.
-    knowledge : BenchKnowledge
     shape : RecordShape
         Also how many records make one measurement.
     reference : {"beat", "rate"}
-    trials : int
-    rng : numpy.random.Generator
-
-    Returns
-    -------
-    MonteCarlo
 
     Raises
     ------

@@ -52,8 +52,6 @@ class ClosedLoop:
 
     Parameters
     ----------
-    coil : FibreCoil
-    design : LoopDesign
     seed : int, optional
         Of the noise. Every run has a stream of its own, the same whatever the kernel and however the time is cut.
     runs : int, optional
@@ -130,8 +128,6 @@ class ClosedLoop:
 
         Parameters
         ----------
-        n_outputs : int
-        output_period_s : float, optional
         rate_dps : float, array_like of shape (n_outputs,) or (runs, n_outputs) or (runs, 1), or callable
             A callable gets the times of the sample pairs since the start and returns the rate at each.
         injected_step : array_like, optional

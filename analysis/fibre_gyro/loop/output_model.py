@@ -35,11 +35,8 @@ class OutputModel:
 
     Parameters
     ----------
-    coil : FibreCoil
-    design : LoopDesign
     seed : int, optional
         Every run has a noise of its own, the same however the time is cut.
-    runs : int, optional
 
     Raises
     ------

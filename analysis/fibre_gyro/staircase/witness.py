@@ -59,7 +59,6 @@ class StaircaseWitness:
     ----------
     step_height, step_height_u : float
         Change from level to level, bias taken off; negative for a falling staircase.
-    step_time, step_time_u : float
     reset_height, reset_height_u : float
         The fall that is seen at a reset, positive; nan without one.
     two_pi_voltage, two_pi_voltage_u : float
@@ -159,10 +158,6 @@ def witness_staircase(
         hardly stand out of the noise.
     gain_u, time_base_u : float
         Relative standard uncertainties of the oscilloscope's volts and seconds; they enter every result.
-
-    Returns
-    -------
-    StaircaseWitness
 
     Raises
     ------

@@ -23,12 +23,13 @@ from pyvisa.resources import MessageBasedResource
 from analysis.arrays import Floats
 from benchmarks.delaying_proxy import DelayingProxy, Traffic
 from instrument import TDS2014
+from instrument.facts import POINTS
 from instrument.simulated import PtyServer, SimulatedTDS2014, TcpServer, VirtualClock, resource_manager
 from instrument.simulated.links.exchange import MessageExchange
 
 BAUD_RATE = 19_200
 BITS_PER_BYTE = 10
-RECORD_LENGTH = 2500
+
 LATENCY = 0.02  # s, there and back
 SECONDS_PER_DIVISION = 1e-5  # a record of 0.1 ms: what is measured is the link
 LINE_LIMIT, LEAN_GAIN, USUAL_GAIN = 1.08, 1.6, 4.0
@@ -261,7 +262,7 @@ def main(arguments: list[str] | None = None) -> int:
     ours = fresh["gyrolock"]
     measured = time_at_baud_rate(max(3, repeats // 10))
     times, rate = in_process_speed(10 * repeats), messages_per_second(10 * repeats)
-    data_time = RECORD_LENGTH * BITS_PER_BYTE / BAUD_RATE
+    data_time = POINTS * BITS_PER_BYTE / BAUD_RATE
     acquisition = 10 * SECONDS_PER_DIVISION
     sys.stdout.write("\nfresh records\n")
     kept = [

@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 
 from instrument import scpi
 from instrument.errors import FileFormatError, TransferError
-from instrument.waveform import LEVELS_PER_DIVISION, Preamble, Waveform, decode_curve
+from instrument.facts import LEVELS_PER_DIVISION
+from instrument.waveform import Preamble, Waveform, decode_curve
 
 _LARGEST_FILE = 256 * 1024 * 1024  # bytes; a scope's CSV has about 100 kB, the longest ISF some 40 MB
 _NOT_A_CODE = 0.3  # a value farther than this from a whole code is not one that an 8-bit scope wrote

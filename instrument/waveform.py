@@ -14,16 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from instrument.errors import TransferError
+from instrument.facts import HIGHEST_CODE, LEVELS_PER_DIVISION, NO_DATA, VERTICAL_DIVISIONS
 from instrument.scpi import integer, nr3, number, split_header, split_parts, unquote
-
-LEVELS_PER_DIVISION = 25
-"""Codes per vertical division, at one byte a point (071-1075-04, p. 2-84)."""
-
-CLIPPED_CODE = 127
-"""Channel codes stop at plus and minus this value."""
-
-NO_DATA_CODE = -128
-"""Stands where the scope has no data: the moving blank of scan mode, an empty reference."""
+from instrument.waveform_svg import waveform_svg
 
 _PLOT_UNITS = {"Volts": "V"}
 
@@ -111,9 +104,9 @@ class Preamble:
         return ";".join(words)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Waveform:
-    """One record: raw codes and the preamble that belongs to them.
+    """One record: raw codes and the preamble that belongs to them. NumPy takes it as the array of its volts.
 
     Attributes
     ----------
@@ -146,7 +139,7 @@ class Waveform:
         preamble = self.preamble
         values = (self.codes.astype(np.float64) - preamble.yoff) * preamble.ymult + preamble.yzero
         if self.codes.dtype == np.int8:
-            values[self.codes == NO_DATA_CODE] = np.nan
+            values[self.codes == NO_DATA] = np.nan
         return values
 
     @property
@@ -165,13 +158,17 @@ class Waveform:
         return self.preamble.xincr
 
     @property
-    def clipped(self) -> bool:
-        """Whether any point lies at the end of the converter's range (codes +127 or -127)."""
-        limit = CLIPPED_CODE if self.codes.dtype == np.int8 else CLIPPED_CODE * 256
-        at_limit = np.abs(self.codes.astype(np.int32)) >= limit
+    def clipped_samples(self) -> NDArray[np.bool_]:
+        """Which points lie at the end of the converter's range (codes +127 or -127), shape (n,)."""
+        codes = self.codes.astype(np.int32)
         if self.codes.dtype == np.int8:
-            at_limit &= self.codes != NO_DATA_CODE
-        return bool(at_limit.any())
+            return np.asarray((np.abs(codes) >= HIGHEST_CODE) & (codes != NO_DATA))
+        return np.asarray(np.abs(codes) >= HIGHEST_CODE * 256)
+
+    @property
+    def clipped(self) -> bool:
+        """Whether any point is clipped."""
+        return bool(self.clipped_samples.any())
 
     def plot(self, axes: Any = None) -> Any:
         """Draw the record with Matplotlib, into `axes` or a new figure; returns the axes.
@@ -193,19 +190,52 @@ class Waveform:
         axes.grid(True, alpha=0.3)
         return axes
 
+    def __len__(self) -> int:
+        return len(self.codes)
+
+    def __array__(self, dtype: np.dtype[Any] | type | None = None, copy: bool | None = None) -> NDArray[Any]:
+        """The volts, so that ``np.asarray(waveform)`` and every function of NumPy take them."""
+        if copy is False:
+            raise ValueError(
+                "the volts of a waveform are computed from its codes and cannot be had without a copy"
+            )
+        return self.volts if dtype is None else self.volts.astype(dtype, copy=False)
+
+    def __repr__(self) -> str:
+        preamble = self.preamble
+        source = preamble.wfid.split(",")[0]
+        points = f"{len(self)} points every {self.sample_interval:.4g} {preamble.xunit}"
+        return f"<Waveform of {source}: {points}, {self._span()}>"
+
+    def _span(self) -> str:
+        """The lowest and the highest value, in words."""
+        valid = self.volts[np.isfinite(self.volts)]
+        if not valid.size:
+            return "no data"
+        span = f"{valid.min():.4g} to {valid.max():.4g} {self.preamble.yunit}"
+        return f"{span}, clipped" if self.clipped else span
+
     def _repr_html_(self) -> str:
         """Small table and picture for a notebook."""
-        from instrument.waveform_svg import waveform_svg
-
-        volts = self.volts[np.isfinite(self.volts)]
-        span = f"{volts.min():.4g} to {volts.max():.4g} {self.preamble.yunit}" if volts.size else "no data"
+        preamble = self.preamble
         rows = (
-            ("record", self.preamble.wfid),
-            ("points", f"{self.preamble.nr_pt}, every {self.sample_interval:.4g} {self.preamble.xunit}"),
-            ("values", span + (", clipped" if self.clipped else "")),
+            ("record", preamble.wfid),
+            ("points", f"{preamble.nr_pt}, every {self.sample_interval:.4g} {preamble.xunit}"),
+            ("values", self._span()),
         )
         cells = "".join(f"<tr><th>{name}</th><td>{escape(text)}</td></tr>" for name, text in rows)
-        return f"<table>{cells}</table>{waveform_svg(self)}"
+        levels = VERTICAL_DIVISIONS * LEVELS_PER_DIVISION * (1 if self.codes.dtype == np.int8 else 256)
+        bottom, top = (
+            (code - preamble.yoff) * preamble.ymult + preamble.yzero for code in (-levels / 2, levels / 2)
+        )
+        picture = waveform_svg(
+            self.volts,
+            start=preamble.xzero,
+            interval=preamble.xincr,
+            screen=(bottom, top),
+            units=(preamble.xunit, preamble.yunit),
+        )
+        return f"<table>{cells}</table>{picture}"
 
 
 def decode_curve(data: bytes, preamble: Preamble) -> Waveform:

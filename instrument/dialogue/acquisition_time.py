@@ -4,14 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-DIVISIONS = 10
-"""A record is ten divisions wide (user manual 071-1064-00, p. 156)."""
-
-INTERVALS_PER_DIVISION = 250
-"""XINCR is s/div over this."""
-
-SCAN_FROM = 0.1
-"""From this s/div on, AUTO mode scans instead of waiting for triggers (071-1064-00, p. 92)."""
+from instrument.facts import DIVISIONS, SCAN_FROM
 
 AUTO_DELAY = 0.05
 """Time in s after which AUTO mode triggers by itself at the latest, on short records: a generous guess."""
@@ -23,7 +16,6 @@ class AcquisitionTime:
 
     Attributes
     ----------
-    seconds_per_division : float
     acquisitions : int
         Number of averages; 1 in Sample and Peak Detect.
     automatic : bool

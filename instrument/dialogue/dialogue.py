@@ -23,18 +23,15 @@ from instrument.errors import (
     TransferError,
     WrongInstrument,
 )
+from instrument.facts import POINTS
 from instrument.waveform import Waveform
 
-RECORD_LENGTH = 2500
-"""Points of every record on this family."""
-
 _FORMAT_QUERY = ":HEADER?;:VERBOSE?;:DATA:ENCDG?;:DATA:SOURCE?;:DATA:START?;:DATA:STOP?;:DATA:WIDTH?"
-_OUR_FORMAT = (
-    f":HEADER OFF;:VERBOSE ON;:DATA:ENCDG RIBINARY;:DATA:WIDTH 1;:DATA:START 1;:DATA:STOP {RECORD_LENGTH}"
-)
+_OUR_FORMAT = f":HEADER OFF;:VERBOSE ON;:DATA:ENCDG RIBINARY;:DATA:WIDTH 1;:DATA:START 1;:DATA:STOP {POINTS}"
 _LINE_END = ":RS232:TRANSMIT:TERMINATOR"
 _SOFT_FLAGGING = ":RS232:SOFTFLAGGING"
 _HARD_FLAGGING = ":RS232:HARDFLAGGING"
+_MARKER = ":HEADER?"
 
 
 class Dialogue:
@@ -58,6 +55,9 @@ class Dialogue:
         self._confirmed: dict[str, str] = {}
         self._recovering = False
         self._answer_due = False
+        self._identity_due = False
+        """Whether an answer to an earlier ``*IDN?`` may still come."""
+        self._markers_due = 0
         self.unread_events = False
         """Whether a question of the user's may have left events that are not about the next record."""
         if self.link.is_serial or self.link.framed:
@@ -186,7 +186,7 @@ class Dialogue:
             with self._exchange():
                 self.link.write(message)
                 self.source = None
-                answer = self.link.read_blocks(blocks=len(sources), wait=wait, longest=2 * RECORD_LENGTH)
+                answer = self.link.read_blocks(blocks=len(sources), wait=wait, longest=2 * POINTS)
             register, texts, curves = wanted.split(*answer)
             self._check_register(register)
             missing = wanted.not_displayed(texts)
@@ -294,24 +294,47 @@ class Dialogue:
 
     def _identify(self) -> Identity:
         """Ask ``*IDN?`` and read until an identity comes: on a stream, older lines may come first."""
+        in_doubt, self._identity_due = self._identity_due, True
         self.link.write("*IDN?")
-        deadline = time.monotonic() + self.link.answer_time + self.link.line_time(2 * RECORD_LENGTH)
+        deadline = time.monotonic() + self.link.answer_time + self.link.line_time(2 * POINTS)
         problem: InstrumentError | None = None
         while problem is None or (not self.link.framed and time.monotonic() < deadline):
             try:
-                return parse_identity(self.link.read_text(longest=8192))
+                identity = parse_identity(self.link.read_text(longest=8192))
             except (WrongInstrument, TransferError) as error:
                 if problem is None and isinstance(error, TransferError) and self.link.is_serial:
-                    # Text without a line feed: perhaps the scope is set to end its answers with CR alone.
+                    # Text without a line feed: perhaps the scope is set to end its answers with CR alone. But it
+                    # may as well be a late record: then both questions are answered.
                     self.link.write(f"{_LINE_END} LF")
                     self.link.write("*IDN?")
+                    in_doubt = True
                 problem = error
             except NoAnswer:
                 # Silence after a line that was not an identity: that line was the answer.
                 if problem is None:
                     raise
                 break
+            else:
+                if in_doubt and not self.link.framed:
+                    self._read_to_marker()
+                self._identity_due = False
+                return identity
         raise problem
+
+    def _read_to_marker(self) -> None:
+        """Read a stream up to the answer of a question that no earlier one can be mistaken for.
+
+        Two identities are alike, so an identity alone does not tell that it is the last one under way. A marker
+        asks for one setting several times over, and once more often for each marker that was not answered.
+        """
+        self._markers_due += 1
+        parts = 1 + self._markers_due
+        self.link.write(";".join([_MARKER] * parts))
+        values: list[str] = []
+        while len(values) != parts or set(values) - {"0", "1"}:
+            line = self.link.read_text(longest=8192)
+            values = [scpi.split_header(part)[1] for part in scpi.split_parts(line)]
+        self._markers_due = 0
 
     def _set_line(self) -> str:
         """On RS-232, let answers end with LF and no byte value stop the line; returns how to undo it."""

@@ -6,12 +6,13 @@
 from __future__ import annotations
 
 import contextlib
-from dataclasses import dataclass, field
+from collections.abc import Iterator
+from dataclasses import dataclass
 
 from instrument import scpi
 from instrument.dialogue.dialogue import Dialogue
 from instrument.errors import ExecutionError, InstrumentError, LinkError, SettingError
-from instrument.tds2014.setups import read_setup, write_setup
+from instrument.tds2014.setup_text import read_setup, write_setup
 
 Value = str | int | float | bool
 
@@ -127,13 +128,15 @@ def same_value(wanted: Value, got: str, tolerance: float) -> bool:
     return abs(scpi.number(got) - wanted) <= tolerance + 1e-6 * abs(wanted)
 
 
-@dataclass
 class FrontPanel:
     """Makes changes with read-back and remembers how each group was before its first change."""
 
-    dialogue: Dialogue
-    _found: dict[str, tuple[str, ...]] = field(default_factory=dict)
-    _found_setup: str | None = None
+    def __init__(self, dialogue: Dialogue) -> None:
+        self.dialogue = dialogue
+        self.lock: str | None = None
+        """What LOCk says outside our own exchanges, None if not known."""
+        self._found: dict[str, tuple[str, ...]] = {}
+        self._found_setup: str | None = None
 
     def remember(self, *groups: str) -> None:
         """Read the groups that have not been changed yet, before they are."""
@@ -195,6 +198,42 @@ class FrontPanel:
         self._found.clear()
         if first_error is not None:
             raise first_error
+
+    @contextlib.contextmanager
+    def front_panel_locked(self) -> Iterator[None]:
+        """Lock the knobs while a ``with`` block runs; afterwards they are as found, also after an exception."""
+        (found,) = self.read((":LOCK",))
+        self.change(Change(":LOCK", "ALL"))
+        self.lock = "ALL"
+        try:
+            yield
+        except LinkError:
+            raise  # a scope that is gone cannot be unlocked
+        except BaseException:
+            with contextlib.suppress(InstrumentError):
+                self.dialogue.command(f":LOCK {found}")
+            raise
+        finally:
+            self.lock = None
+        self.dialogue.command(f":LOCK {found}")
+
+    @contextlib.contextmanager
+    def held(self) -> Iterator[tuple[str, str]]:
+        """Commands that keep hands off the scope during one exchange, and those that end it."""
+        self.remember("LOCK")
+        (found,) = self.read((":LOCK",)) if self.lock is None else (self.lock,)
+        self.lock = found
+        if found == "ALL":
+            yield "", ""
+            return
+        try:
+            yield ":LOCK ALL", f":LOCK {found}"
+        except LinkError:
+            raise
+        except InstrumentError:
+            with contextlib.suppress(InstrumentError):
+                self.dialogue.command(f":LOCK {found}")
+            raise
 
     def _restore_group(self, group: str, values: tuple[str, ...]) -> None:
         pairs = list(zip(group_commands(group), values, strict=True))

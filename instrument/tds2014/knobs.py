@@ -7,15 +7,19 @@ from typing import Any
 
 from instrument import scpi
 from instrument.errors import SettingError
+from instrument.facts import LEVELS_PER_DIVISION
 from instrument.tds2014.front_panel import Change, ChannelSettings, group_commands, is_on, one_of, optional
 from instrument.tds2014.session import Session
-from instrument.waveform import LEVELS_PER_DIVISION
 
 _TRIGGER_SOURCES = ("EXT", "EXT5", "EXT10", "LINE", "AC LINE")
 
 
-class Controls(Session):
-    """A session whose settings can be made; what is changed is remembered and put back on closing."""
+class Knobs:
+    """Makes settings and reads them back; what is changed is remembered and put back on closing."""
+
+    def __init__(self, session: Session) -> None:
+        self._session = session
+        self._panel = session.panel
 
     def setup(
         self,
@@ -69,11 +73,10 @@ class Controls(Session):
         SettingError
             If this model has no such channel, or the scope holds another value than the one asked for.
         """
-        name = self._channel(channel)
+        name = self._session.channel(channel)
         word = None if coupling is None else one_of("the coupling", coupling, ("DC", "AC", "GND"))
         # Changing a channel moves the trigger level, which is given in its volts.
-        self._panel.remember(name, "TRIGGER", "CURSOR")
-        self._forget()
+        self._session.before_changing(name, "TRIGGER", "CURSOR")
         half_step = 0.5 / LEVELS_PER_DIVISION
         self._panel.change(
             *optional(f":SELECT:{name}", displayed),
@@ -88,7 +91,7 @@ class Controls(Session):
 
     def channel_settings(self, channel: str | int) -> ChannelSettings:
         """Read how a channel is set now."""
-        name = self._channel(channel)
+        name = self._session.channel(channel)
         factor, scale, position, coupling, limit, invert, shown = self._panel.read(group_commands(name))
         return ChannelSettings(
             channel=name,
@@ -113,8 +116,7 @@ class Controls(Session):
         """
         if not seconds_per_division > 0:
             raise SettingError(f"the time base cannot be {seconds_per_division} s/div; give a positive time")
-        self._panel.remember("HORIZONTAL", "CURSOR")
-        self._forget()
+        self._session.before_changing("HORIZONTAL", "CURSOR")
         answers = self._panel.change(
             Change(":HORIZONTAL:MAIN:SCALE", seconds_per_division, 1e-3 * seconds_per_division),
             # The trigger can stand on whole points only.
@@ -154,8 +156,7 @@ class Controls(Session):
             and one_of("the trigger coupling", coupling, ("DC", "AC", "HFREJ", "LFREJ", "NOISEREJ")),
             ":TRIGGER:MAIN:MODE": mode and one_of("the trigger mode", mode, ("AUTO", "NORMAL")),
         }
-        self._panel.remember("TRIGGER")
-        self._forget()
+        self._session.before_changing("TRIGGER")
         self._panel.change(
             Change(":TRIGGER:MAIN:TYPE", "EDGE"),
             *(Change(command, word) for command, word in words.items() if word),
@@ -167,8 +168,7 @@ class Controls(Session):
     def set_acquisition(self, *, mode: str = "SAMPLE", averages: int | None = None) -> None:
         """Set the acquisition mode: ``SAMPLE``, ``PEAKDETECT``, or ``AVERAGE`` of 4, 16, 64 or 128."""
         word = one_of("the acquisition mode", mode, ("SAMPLE", "PEAKDETECT", "AVERAGE"))
-        self._panel.remember("ACQUIRE")
-        self._forget()
+        self._session.before_changing("ACQUIRE")
         self._panel.change(Change(":ACQUIRE:MODE", word), *optional(":ACQUIRE:NUMAVG", averages))
 
     # ------------------------------------------------------------------ inside
@@ -176,12 +176,12 @@ class Controls(Session):
     def _trigger_source(self, source: str | int) -> str:
         if isinstance(source, str) and source.strip().upper() in _TRIGGER_SOURCES:
             return source.strip().upper()
-        return self._channel(source)
+        return self._session.channel(source)
 
     def _level_step(self) -> float:
         """One converter level of the trigger's channel in V; an external input shows at most 16 V in 200."""
         (source,) = self._panel.read((":TRIGGER:MAIN:EDGE:SOURCE",))
-        if source not in self.channels:
+        if source not in self._session.channels:
             return 16.0 / 200
         (scale,) = self._panel.read((f":{source}:SCALE",))
         return scpi.number(scale) / LEVELS_PER_DIVISION

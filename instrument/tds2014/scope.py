@@ -11,30 +11,29 @@ and put back when the ``with`` block ends, also after an exception.
 from __future__ import annotations
 
 import contextlib
+import functools
 import itertools
 import time
 from collections.abc import Callable, Iterator
-from typing import cast, overload
+from types import TracebackType
+from typing import Concatenate, ParamSpec, Self, TypeVar, cast, overload
 
-from instrument import scpi
-from instrument.dialogue.acquisition_time import INTERVALS_PER_DIVISION, AcquisitionTime
+import pyvisa
+
+from instrument.dialogue.acquisition_time import AcquisitionTime
+from instrument.dialogue.identity import Identity
 from instrument.dialogue.link import NoAnswer
-from instrument.errors import InstrumentError, LinkError, NoTrigger, SettingError, TransferError
-from instrument.tds2014 import setups
-from instrument.tds2014.front_panel import Change, is_on
-from instrument.tds2014.math_waveform import set_math
-from instrument.tds2014.measurement import Cursors, Measurement, measure, read_cursors, set_cursors
-from instrument.tds2014.screen import ScreenPicture, read_screen
-from instrument.tds2014.snapshot import Snapshots
+from instrument.errors import InstrumentError, NoTrigger, SettingError, TransferError
+from instrument.facts import POINTS
+from instrument.tds2014.front_panel import FrontPanel, is_on
+from instrument.tds2014.knobs import Knobs
+from instrument.tds2014.measurement import Measurements
+from instrument.tds2014.screen import Screen
+from instrument.tds2014.session import Session
+from instrument.tds2014.setups import Setups
+from instrument.tds2014.snapshot import Snapshot
 from instrument.waveform import Waveform
 
-_TIMING_COMMANDS = (
-    ":HORIZONTAL:MAIN:SCALE",
-    ":ACQUIRE:MODE",
-    ":ACQUIRE:NUMAVG",
-    ":TRIGGER:MAIN:MODE",
-    ":TRIGGER:MAIN:HOLDOFF:VALUE",
-)
 # A hand on RUN/STOP ends the single sequence, so it is asked for with every record: else an old one would come.
 _START = "ACQ:STOPA SEQ;STATE RUN"
 _POLLS_PER_RECORD = 10  # a finished acquisition is noticed within a tenth of its own length
@@ -43,7 +42,24 @@ Several = tuple[str | int, ...] | list[str | int] | tuple[str, ...] | list[str] 
 """Names or numbers of several channels."""
 
 
-class TDS2014(Snapshots):
+_Part = TypeVar("_Part")
+_Arguments = ParamSpec("_Arguments")
+_Answer = TypeVar("_Answer")
+
+
+def _of(
+    part: Callable[[TDS2014], _Part], method: Callable[Concatenate[_Part, _Arguments], _Answer]
+) -> Callable[Concatenate[TDS2014, _Arguments], _Answer]:
+    """A method of the scope that one of its parts carries out; name, signature and docstring are the part's."""
+
+    @functools.wraps(method)
+    def carry_out(scope: TDS2014, /, *args: _Arguments.args, **kwargs: _Arguments.kwargs) -> _Answer:
+        return method(part(scope), *args, **kwargs)
+
+    return carry_out
+
+
+class TDS2014:
     """An oscilloscope of the TDS1000/TDS2000 family (also B and C, TPS2000); a context manager.
 
     Parameters
@@ -62,6 +78,99 @@ class TDS2014(Snapshots):
     WrongInstrument
         If what answers is not of this family.
     """
+
+    def __init__(
+        self,
+        resource_name: str,
+        *,
+        resource_manager: pyvisa.ResourceManager | None = None,
+        baud_rate: int | None = None,
+    ) -> None:
+        self._session = Session(resource_name, resource_manager, baud_rate)
+        self._panel = self._session.panel
+        self._dialogue = self._session.dialogue
+        self._knobs = Knobs(self._session)
+        self._measurements = Measurements(self._session)
+        self._setups = Setups(self._session)
+        self._screen = Screen(self._session)
+        self._snapshot = Snapshot(self._session, f"{type(self).__module__}.{type(self).__qualname__}")
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        try:
+            self.close()
+        except InstrumentError as restoring:
+            # What went wrong inside the block matters more than what it left behind.
+            if error is None:
+                raise
+            error.add_note(f"besides, the scope's settings could not be put back: {restoring}")
+
+    def __repr__(self) -> str:
+        return f"<{self.identity.model} at {self.resource_name}, {POINTS} points>"
+
+    @property
+    def identity(self) -> Identity:
+        """Manufacturer, model, serial number and firmware, as asked for on opening."""
+        return self._dialogue.identity
+
+    @property
+    def resource_name(self) -> str:
+        """The VISA resource name that was opened."""
+        return self._dialogue.link.name
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """Names of the channels of this model, ``("CH1", "CH2", ...)``."""
+        return self._session.channels
+
+    # ------------------------------------------------------------------ what the parts do
+
+    close = _of(lambda self: self._session, Session.close)
+    restore = _of(lambda self: self._session, Session.restore)
+    events = _of(lambda self: self._session, Session.events)
+    query = _of(lambda self: self._session, Session.query)
+    write = _of(lambda self: self._session, Session.write)
+
+    setup = _of(lambda self: self._knobs, Knobs.setup)
+    set_channel = _of(lambda self: self._knobs, Knobs.set_channel)
+    channel_settings = _of(lambda self: self._knobs, Knobs.channel_settings)
+    set_timebase = _of(lambda self: self._knobs, Knobs.set_timebase)
+    set_trigger = _of(lambda self: self._knobs, Knobs.set_trigger)
+    set_acquisition = _of(lambda self: self._knobs, Knobs.set_acquisition)
+    front_panel_locked = _of(lambda self: self._panel, FrontPanel.front_panel_locked)
+
+    read_setup = _of(lambda self: self._setups, Setups.read_setup)
+    write_setup = _of(lambda self: self._setups, Setups.write_setup)
+    save_setup = _of(lambda self: self._setups, Setups.save_setup)
+    recall_setup = _of(lambda self: self._setups, Setups.recall_setup)
+    autoset = _of(lambda self: self._setups, Setups.autoset)
+
+    measure = _of(lambda self: self._measurements, Measurements.measure)
+    cursors = _of(lambda self: self._measurements, Measurements.cursors)
+    set_cursors = _of(lambda self: self._measurements, Measurements.set_cursors)
+    set_math = _of(lambda self: self._measurements, Measurements.set_math)
+    save_reference = _of(lambda self: self._measurements, Measurements.save_reference)
+    screen = _of(lambda self: self._screen, Screen.screen)
+
+    # QCoDeS looks for name, get_idn and snapshot, PyMeasure for id, check_errors and shutdown.
+    snapshot = _of(lambda self: self._snapshot, Snapshot.snapshot)
+    get_idn = _of(lambda self: self._snapshot, Snapshot.get_idn)
+    check_errors = events
+    shutdown = close
+
+    @property
+    def name(self) -> str:
+        """Model without blanks, such as ``TDS2014``."""
+        return self._snapshot.name
+
+    @property
+    def id(self) -> str:
+        """The answer to ``*IDN?``, as asked for on opening."""
+        return self.identity.text
 
     # ------------------------------------------------------------------ records
 
@@ -99,9 +208,9 @@ class TDS2014(Snapshots):
         ExecutionError
             If a channel is not displayed.
         """
-        names = self._several(channel, self._channel)
+        names = self._several(channel, self._session.channel)
         self._panel.remember("ACQUIRE")
-        timing = self._read_timing()
+        timing = self._session.acquisition_time()
         wait = timing.longest if timeout is None else timeout
         with self._held_panel(names) as (lock, unlock):
             try:
@@ -111,7 +220,7 @@ class TDS2014(Snapshots):
                     waveforms = self._acquire_by_asking(names, wait, timing, lock, unlock)
             except SettingError as error:
                 raise TransferError(f"the scope was set running while it was read; ask again ({error})") from None
-        self._remember_timebase(waveforms[0])
+        self._session.check_time_base(waveforms[0])
         return waveforms[0] if isinstance(channel, str | int) else waveforms
 
     @overload
@@ -126,89 +235,10 @@ class TDS2014(Snapshots):
         Besides channels, ``"MATH"`` and the references ``"REFA"``... can be read while they are displayed.
         Several of them are read in one exchange, and only from a scope that is stopped (SettingError else).
         """
-        names = self._several(channel, self._source)
+        names = self._several(channel, self._session.source)
         with self._held_panel(names) as (lock, unlock):
             waveforms = self._fetch(names, lock, unlock)
         return waveforms[0] if isinstance(channel, str | int) else waveforms
-
-    def _several(self, channel: str | int | Several, name_of: Callable[[str | int], str]) -> tuple[str, ...]:
-        names = tuple(map(name_of, (channel,) if isinstance(channel, str | int) else channel))
-        if not names:
-            raise SettingError("no channel to acquire; name at least one")
-        if len(set(names)) < len(names):
-            raise SettingError(f"a channel is named twice in {', '.join(names)}; name each once")
-        return names
-
-    @contextlib.contextmanager
-    def _held_panel(self, names: tuple[str, ...]) -> Iterator[tuple[str, str]]:
-        """Commands that keep hands off the scope while several channels are read, and those that end it."""
-        if len(names) == 1:
-            yield "", ""
-            return
-        self._panel.remember("LOCK")
-        (found,) = self._panel.read((":LOCK",)) if self._lock is None else (self._lock,)
-        self._lock = found
-        if found == "ALL":
-            yield "", ""
-            return
-        try:
-            yield ":LOCK ALL", f":LOCK {found}"
-        except LinkError:
-            raise
-        except InstrumentError:
-            with contextlib.suppress(InstrumentError):
-                self._dialogue.command(f":LOCK {found}")
-            raise
-
-    def _fetch(self, names: tuple[str, ...], lock: str = "", unlock: str = "") -> tuple[Waveform, ...]:
-        try:
-            return self._records(lock, names, unlock)
-        except NoAnswer as silence:
-            raise self._dialogue.explain_silence("WAVFrm?", silence) from None
-
-    def _acquire_at_once(
-        self, names: tuple[str, ...], wait: float, lock: str, unlock: str
-    ) -> tuple[Waveform, ...]:
-        try:
-            return self._records(";".join(filter(None, (lock, f"{_START};*WAI"))), names, unlock, wait=wait)
-        except NoAnswer as silence:
-            self._dialogue.resynchronise_or_raise(silence)
-            return self._finished_or_no_trigger(names, wait, lock, unlock)
-
-    def _acquire_by_asking(
-        self, names: tuple[str, ...], wait: float, timing: AcquisitionTime, lock: str, unlock: str
-    ) -> tuple[Waveform, ...]:
-        deadline = time.monotonic() + wait
-        self._dialogue.command(";".join(filter(None, (lock, _START))))
-        pause = timing.record_time
-        while True:
-            time.sleep(max(0.0, min(pause, deadline - time.monotonic())))
-            if not is_on(self._dialogue.ask(":BUSY?")[0]):
-                return self._fetch(names, "", unlock)
-            if time.monotonic() >= deadline:
-                return self._finished_or_no_trigger(names, wait, "", unlock)
-            pause = timing.record_time / _POLLS_PER_RECORD
-
-    def _records(
-        self, commands: str, names: tuple[str, ...], unlock: str, *, wait: float = 0.0
-    ) -> tuple[Waveform, ...]:
-        try:
-            return self._dialogue.records(commands, names, wait=wait, afterwards=unlock)
-        except InstrumentError:
-            self._forget()
-            raise
-
-    def _finished_or_no_trigger(
-        self, names: tuple[str, ...], wait: float, lock: str, unlock: str
-    ) -> tuple[Waveform, ...]:
-        running, state = self._dialogue.ask(":ACQUIRE:STATE?;:TRIGGER:STATE?", parts=2)
-        if not is_on(running):
-            return self._fetch(names, lock, unlock)  # it ended just now
-        self._dialogue.command(":ACQUIRE:STATE STOP")
-        raise NoTrigger(
-            f"the acquisition did not complete within {wait:.3g} s (trigger state {state}); "
-            "check signal, trigger source and level, or use trigger mode AUTO"
-        )
 
     @overload
     def records(
@@ -250,111 +280,66 @@ class TDS2014(Snapshots):
                     yield waveform
                     break
 
-    # ------------------------------------------------------------------ math, references, measurements
-
-    def set_math(self, expression: str, *, displayed: bool = True) -> None:
-        """Define the math waveform, ``"CH1 - CH2"`` or ``"FFT(CH1, HANNING)"``; read it with ``fetch("MATH")``."""
-        self._panel.remember("MATH")
-        self._forget()
-        set_math(self._dialogue, expression, displayed)
-
-    def save_reference(self, reference: str, source: str | int) -> None:
-        """Store a displayed waveform in ``REFA``..., over what was there, and show it. It stays stored."""
-        name = self._source(reference)
-        if not name.startswith("REF"):
-            raise SettingError(f"there is no reference {name}; choose REFA, REFB...")
-        self._panel.remember(name)
-        self._forget()
-        self._dialogue.command(f":SAVE:WAVEFORM {self._source(source)},{name}")
-        self._panel.change(Change(f":SELECT:{name}", True))
-
-    def measure(self, kind: str, channel: str | int) -> Measurement:
-        """One of `MEASUREMENTS` on the record that the scope holds; ExecutionError says why there is none."""
-        self._panel.remember("MEASUREMENT")
-        return measure(self._dialogue, kind, self._source(channel), wait=self._read_timing().longest)
-
-    def set_cursors(
-        self, bars: str, *, source: str | int = "CH1", positions: tuple[float, float] | None = None
-    ) -> Cursors:
-        """Show cursors: ``VBARS`` at two times in s, ``HBARS`` at two values in V, or ``OFF``."""
-        return set_cursors(self._panel, bars, self._source(source), positions)
-
-    def cursors(self) -> Cursors:
-        """The cursors as they stand now."""
-        return read_cursors(self._panel)
-
-    # ------------------------------------------------------------------ whole setups, screen, front panel
-
-    def read_setup(self) -> str:
-        """All settings as a text that `write_setup` takes."""
-        return setups.read_setup(self._dialogue)
-
-    def write_setup(self, setup: str) -> None:
-        """Make all settings as in a text from `read_setup`; SettingError if one cannot be made."""
-        self._panel.remember_all()
-        self._forget()
-        setups.write_setup(self._dialogue, setup)
-
-    def save_setup(self, memory: int) -> None:
-        """Keep the present settings in memory 1 to 10 of the scope, over what was there."""
-        setups.save_setup(self._dialogue, memory)
-
-    def recall_setup(self, memory: int | str) -> None:
-        """Make all settings as in memory 1 to 10, or as at the ``"FACTORY"``; put back on closing."""
-        self._panel.remember_all()
-        self._forget()
-        setups.recall_setup(self._dialogue, memory)
-
-    def autoset(self) -> None:
-        """Let the scope choose scales, time base and trigger; put back on closing."""
-        self._panel.remember_all()
-        self._forget()
-        setups.autoset(self._dialogue)
-
-    def screen(self) -> ScreenPicture:
-        """Picture of the screen, as PNG. Over RS-232 it takes about 80 s at 9600 baud."""
-        self._panel.remember("HARDCOPY")
-        return read_screen(self._dialogue)
-
-    @contextlib.contextmanager
-    def front_panel_locked(self) -> Iterator[None]:
-        """Lock the knobs while a ``with`` block runs; afterwards they are as found, also after an exception."""
-        (found,) = self._panel.read((":LOCK",))
-        self._panel.change(Change(":LOCK", "ALL"))
-        self._lock = "ALL"
-        try:
-            yield
-        except LinkError:
-            raise  # a scope that is gone cannot be unlocked
-        except BaseException:
-            with contextlib.suppress(InstrumentError):
-                self._dialogue.command(f":LOCK {found}")
-            raise
-        finally:
-            self._lock = None
-        self._dialogue.command(f":LOCK {found}")
-
     # ------------------------------------------------------------------ inside
 
-    def _source(self, name: str | int) -> str:
-        """A channel, MATH, or one of the references (as many as channels)."""
-        word = str(name).strip().upper()
-        references = [f"REF{letter}" for letter in "ABCD"[: self.identity.channel_count]]
-        return word if word in ("MATH", *references) else self._channel(name)
+    def _several(self, channel: str | int | Several, name_of: Callable[[str | int], str]) -> tuple[str, ...]:
+        names = tuple(map(name_of, (channel,) if isinstance(channel, str | int) else channel))
+        if not names:
+            raise SettingError("no channel to acquire; name at least one")
+        if len(set(names)) < len(names):
+            raise SettingError(f"a channel is named twice in {', '.join(names)}; name each once")
+        return names
 
-    def _read_timing(self) -> AcquisitionTime:
-        if self._timing is None:
-            scale, mode, averages, trigger_mode, holdoff = self._panel.read(_TIMING_COMMANDS)
-            self._timing = AcquisitionTime(
-                seconds_per_division=scpi.number(scale),
-                acquisitions=scpi.integer(averages) if mode.startswith("AVE") else 1,
-                automatic=trigger_mode.startswith("AUTO"),
-                holdoff=scpi.number(holdoff),
-            )
-        return self._timing
+    def _held_panel(self, names: tuple[str, ...]) -> contextlib.AbstractContextManager[tuple[str, str]]:
+        """Hands are kept off the scope while several channels are read; of one it does not matter."""
+        return contextlib.nullcontext(("", "")) if len(names) == 1 else self._panel.held()
 
-    def _remember_timebase(self, waveform: Waveform) -> None:
-        """Somebody may have turned the knob: the record tells the time base it was taken with."""
-        taken_with = waveform.sample_interval * INTERVALS_PER_DIVISION
-        if self._timing and abs(taken_with / self._timing.seconds_per_division - 1) > 1e-3:
-            self._timing = None
+    def _fetch(self, names: tuple[str, ...], lock: str = "", unlock: str = "") -> tuple[Waveform, ...]:
+        try:
+            return self._records(lock, names, unlock)
+        except NoAnswer as silence:
+            raise self._dialogue.explain_silence("WAVFrm?", silence) from None
+
+    def _acquire_at_once(
+        self, names: tuple[str, ...], wait: float, lock: str, unlock: str
+    ) -> tuple[Waveform, ...]:
+        try:
+            return self._records(";".join(filter(None, (lock, f"{_START};*WAI"))), names, unlock, wait=wait)
+        except NoAnswer as silence:
+            self._dialogue.resynchronise_or_raise(silence)
+            return self._finished_or_no_trigger(names, wait, lock, unlock)
+
+    def _acquire_by_asking(
+        self, names: tuple[str, ...], wait: float, timing: AcquisitionTime, lock: str, unlock: str
+    ) -> tuple[Waveform, ...]:
+        deadline = time.monotonic() + wait
+        self._dialogue.command(";".join(filter(None, (lock, _START))))
+        pause = timing.record_time
+        while True:
+            time.sleep(max(0.0, min(pause, deadline - time.monotonic())))
+            if not is_on(self._dialogue.ask(":BUSY?")[0]):
+                return self._fetch(names, "", unlock)
+            if time.monotonic() >= deadline:
+                return self._finished_or_no_trigger(names, wait, "", unlock)
+            pause = timing.record_time / _POLLS_PER_RECORD
+
+    def _records(
+        self, commands: str, names: tuple[str, ...], unlock: str, *, wait: float = 0.0
+    ) -> tuple[Waveform, ...]:
+        try:
+            return self._dialogue.records(commands, names, wait=wait, afterwards=unlock)
+        except InstrumentError:
+            self._session.forget()
+            raise
+
+    def _finished_or_no_trigger(
+        self, names: tuple[str, ...], wait: float, lock: str, unlock: str
+    ) -> tuple[Waveform, ...]:
+        running, state = self._dialogue.ask(":ACQUIRE:STATE?;:TRIGGER:STATE?", parts=2)
+        if not is_on(running):
+            return self._fetch(names, lock, unlock)  # it ended just now
+        self._dialogue.command(":ACQUIRE:STATE STOP")
+        raise NoTrigger(
+            f"the acquisition did not complete within {wait:.3g} s (trigger state {state}); "
+            "check signal, trigger source and level, or use trigger mode AUTO"
+        )

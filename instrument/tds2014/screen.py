@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from instrument.dialogue.dialogue import Dialogue
 from instrument.errors import ScopeEvent, TransferError
+from instrument.tds2014.session import Session
 
 _PICTURE_TIME = 10.0  # s until the first byte: the scope draws the whole picture first
 _PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
@@ -38,28 +38,32 @@ class ScreenPicture:
         return self.png
 
 
-def read_screen(dialogue: Dialogue) -> ScreenPicture:
-    """Let the scope send its screen over the link that asks.
+class Screen:
+    """Has the scope draw its screen for us."""
 
-    On RS-232 that takes about 80 s at 9600 baud.
-    """
-    _choose_port(dialogue)
-    return ScreenPicture(png_from_bmp(dialogue.picture(wait=_PICTURE_TIME)))
+    def __init__(self, session: Session) -> None:
+        self._session = session
 
+    def screen(self) -> ScreenPicture:
+        """Picture of the screen, as PNG. Over RS-232 it takes about 80 s at 9600 baud."""
+        self._session.panel.remember("HARDCOPY")
+        self._choose_port()
+        return ScreenPicture(png_from_bmp(self._session.dialogue.picture(wait=_PICTURE_TIME)))
 
-def _choose_port(dialogue: Dialogue) -> None:
-    """Send pictures to our own link: first the word that fits it, then the others that this unit may know."""
-    words = ["GPIB", "USB"] if dialogue.link.framed else ["RS232"]
-    if dialogue.link.name.upper().startswith("USB"):
-        words.reverse()
-    for word in words:
-        try:
-            dialogue.command(f":HARDCOPY:FORMAT BMP;PORT {word}")
-        except ScopeEvent:
-            if word == words[-1]:
-                raise
-        else:
-            return
+    def _choose_port(self) -> None:
+        """Send pictures to our own link: first the word that fits it, then the others that this unit may know."""
+        dialogue = self._session.dialogue
+        words = ["GPIB", "USB"] if dialogue.link.framed else ["RS232"]
+        if dialogue.link.name.upper().startswith("USB"):
+            words.reverse()
+        for word in words:
+            try:
+                dialogue.command(f":HARDCOPY:FORMAT BMP;PORT {word}")
+            except ScopeEvent:
+                if word == words[-1]:
+                    raise
+            else:
+                return
 
 
 def png_from_bmp(bmp: bytes) -> bytes:

@@ -1,55 +1,42 @@
-"""One open scope: what opening, closing, identity, events and plain text mean for every instrument here."""
+"""One open scope: opening, closing, names, plain text, and what must be known again after settings changed."""
 
 from __future__ import annotations
 
-from types import TracebackType
-from typing import Self
-
 import pyvisa
 
+from instrument import scpi
 from instrument.dialogue.acquisition_time import AcquisitionTime
-from instrument.dialogue.dialogue import RECORD_LENGTH, Dialogue
-from instrument.dialogue.identity import Identity
+from instrument.dialogue.dialogue import Dialogue
 from instrument.dialogue.link import Link
-from instrument.errors import InstrumentError, LinkError, ScopeEvent, SettingError
+from instrument.errors import LinkError, ScopeEvent, SettingError
+from instrument.facts import POINTS_PER_DIVISION
 from instrument.tds2014.front_panel import FrontPanel
+from instrument.waveform import Waveform
+
+_TIMING_COMMANDS = (
+    ":HORIZONTAL:MAIN:SCALE",
+    ":ACQUIRE:MODE",
+    ":ACQUIRE:NUMAVG",
+    ":TRIGGER:MAIN:MODE",
+    ":TRIGGER:MAIN:HOLDOFF:VALUE",
+)
 
 
 class Session:
-    """An open oscilloscope of the TDS1000/TDS2000 family; the base of `TDS2014`, which tells the parameters."""
+    """What the parts of `TDS2014` share: the dialogue with the scope and its front panel."""
 
     def __init__(
-        self,
-        resource_name: str,
-        *,
-        resource_manager: pyvisa.ResourceManager | None = None,
-        baud_rate: int | None = None,
+        self, resource_name: str, resource_manager: pyvisa.ResourceManager | None, baud_rate: int | None
     ) -> None:
         link = Link(resource_name, resource_manager, baud_rate)
         try:
-            self._dialogue = Dialogue(link)
+            self.dialogue = Dialogue(link)
         except BaseException:
             link.close()
             raise
-        self._panel = FrontPanel(self._dialogue)
+        self.panel = FrontPanel(self.dialogue)
         self._timing: AcquisitionTime | None = None
-        self._lock: str | None = None
-        """What LOCk says outside our own exchanges, None if not known."""
         self._closed = False
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        try:
-            self.close()
-        except InstrumentError as restoring:
-            # What went wrong inside the block matters more than what it left behind.
-            if error is None:
-                raise
-            error.add_note(f"besides, the scope's settings could not be put back: {restoring}")
 
     def close(self) -> None:
         """Put the front panel back as found and close the link; closing twice does nothing."""
@@ -59,36 +46,21 @@ class Session:
         try:
             self.restore()
         except LinkError:
-            self._dialogue.link.close()  # asking a lost scope for more would only cost time
+            self.dialogue.link.close()  # asking a lost scope for more would only cost time
             raise
         finally:
-            self._dialogue.close()
-
-    @property
-    def identity(self) -> Identity:
-        """Manufacturer, model, serial number and firmware, as asked for on opening."""
-        return self._dialogue.identity
-
-    @property
-    def resource_name(self) -> str:
-        """The VISA resource name that was opened."""
-        return self._dialogue.link.name
-
-    @property
-    def channels(self) -> tuple[str, ...]:
-        """Names of the channels of this model, ``("CH1", "CH2", ...)``."""
-        return tuple(f"CH{number}" for number in range(1, self.identity.channel_count + 1))
+            self.dialogue.close()
 
     def restore(self) -> None:
         """Put back every group of settings that was changed, as it was found."""
-        self._forget()
-        self._panel.restore()
+        self.forget()
+        self.panel.restore()
 
     # ------------------------------------------------------------------ events and plain text
 
     def events(self) -> list[ScopeEvent]:
         """Read and empty the scope's event queue."""
-        return self._dialogue.events()
+        return self.dialogue.events()
 
     def query(self, text: str) -> str:
         """Send a query of your own and return its answer as text.
@@ -96,32 +68,71 @@ class Session:
         Events that it causes without staying unanswered (a measurement that cannot be made, for example) are
         there for `events` until the next record is read.
         """
-        self._dialogue.unread_events = True
-        return ";".join(self._dialogue.ask(text, parts=None))
+        self.dialogue.unread_events = True
+        return ";".join(self.dialogue.ask(text, parts=None))
 
     def write(self, text: str) -> None:
         """Send commands of your own; raises `ScopeEvent` if the scope refuses them.
 
         What they change is not put back on closing.
         """
-        self._forget()
-        self._dialogue.command(text)
+        self.forget()
+        self.dialogue.command(text)
 
-    # ------------------------------------------------------------------ inside
+    # ------------------------------------------------------------------ names
 
-    def _channel(self, channel: str | int) -> str:
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """Names of the channels of this model, ``("CH1", "CH2", ...)``."""
+        return tuple(f"CH{number}" for number in range(1, self.dialogue.identity.channel_count + 1))
+
+    def channel(self, channel: str | int) -> str:
+        """Name of a channel of this model; SettingError if it has none like that."""
         name = f"CH{channel}" if isinstance(channel, int) else channel.strip().upper()
         if name not in self.channels:
             raise SettingError(
-                f"{self.identity.model} has no channel {name}; choose one of {', '.join(self.channels)}"
+                f"{self.dialogue.identity.model} has no channel {name}; choose one of {', '.join(self.channels)}"
             )
         return name
 
-    def _forget(self) -> None:
+    def source(self, name: str | int) -> str:
+        """A channel, MATH, or one of the references (as many as channels)."""
+        word = str(name).strip().upper()
+        references = [f"REF{letter}" for letter in "ABCD"[: len(self.channels)]]
+        return word if word in ("MATH", *references) else self.channel(name)
+
+    # ------------------------------------------------------------------ settings that change
+
+    def before_changing(self, *groups: str) -> None:
+        """Remember these groups of settings as they are, to be put back on closing."""
+        self.panel.remember(*groups)
+        self.forget()
+
+    def before_changing_all(self) -> None:
+        """Remember the whole setup, to be put back on closing."""
+        self.panel.remember_all()
+        self.forget()
+
+    def forget(self) -> None:
         """Settings may have changed: what was derived from them must be read again."""
         self._timing = None
-        self._lock = None
-        self._dialogue.source = None
+        self.panel.lock = None
+        self.dialogue.source = None
 
-    def __repr__(self) -> str:
-        return f"<{self.identity.model} at {self.resource_name}, {RECORD_LENGTH} points>"
+    def acquisition_time(self) -> AcquisitionTime:
+        """How long an acquisition takes with the settings of now."""
+        if self._timing is None:
+            scale, mode, averages, trigger_mode, holdoff = self.panel.read(_TIMING_COMMANDS)
+            self._timing = AcquisitionTime(
+                seconds_per_division=scpi.number(scale),
+                acquisitions=scpi.integer(averages) if mode.startswith("AVE") else 1,
+                automatic=trigger_mode.startswith("AUTO"),
+                holdoff=scpi.number(holdoff),
+            )
+        return self._timing
+
+    def check_time_base(self, waveform: Waveform) -> None:
+        """Somebody may have turned the knob: the record tells the time base it was taken with."""
+        taken_with = waveform.sample_interval * POINTS_PER_DIVISION
+        if self._timing and abs(taken_with / self._timing.seconds_per_division - 1) > 1e-3:
+            self._timing = None

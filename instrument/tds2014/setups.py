@@ -1,14 +1,14 @@
-"""Whole setups: the answer to ``SET?`` as a text that can be kept and sent back, and the scope's ten memories.
+"""Whole setups: as a text, in the scope's ten memories, from the factory, or chosen by the scope itself.
 
-Programmer manual 071-1075-04, pp. 2-186 to 2-198.
+Programmer manual 071-1075-04, pp. 2-53, 2-186 to 2-198.
 """
 
 from __future__ import annotations
 
-from instrument import scpi
-from instrument.dialogue.dialogue import Dialogue
 from instrument.dialogue.events import is_error
-from instrument.errors import SettingError, TransferError
+from instrument.errors import SettingError
+from instrument.tds2014.session import Session
+from instrument.tds2014.setup_text import read_setup, write_setup
 
 MEMORIES = range(1, 11)
 """Numbers of the setup memories inside the scope."""
@@ -16,88 +16,41 @@ MEMORIES = range(1, 11)
 FACTORY = "FACTORY"
 
 _AUTOSET_TIME = 10.0  # s: several acquisitions at different settings
-# These belong to the driver and its link, or say whether an acquisition runs at this moment.
-_NOT_PART = (":HEADER", ":VERBOSE", ":DATA", ":LOCK", ":RS232", ":ACQUIRE:STATE")
 
 
-def read_setup(dialogue: Dialogue) -> str:
-    """All settings as one text of commands."""
-    setup = ";".join(dialogue.ask("SET?", parts=None))
-    if not setup.startswith(":") or not settings_of(setup):
-        raise TransferError(f"a setup was expected, but {setup[:40]!r} came; ask again")
-    return setup
+class Setups:
+    """All settings at once; what they change is put back on closing."""
 
+    def __init__(self, session: Session) -> None:
+        self._session = session
 
-def write_setup(dialogue: Dialogue, setup: str) -> None:
-    """Send a setup back and compare what the scope then holds.
+    def read_setup(self) -> str:
+        """All settings as a text that `write_setup` takes."""
+        return read_setup(self._session.dialogue)
 
-    The commands go one branch at a time, so that a slow line's input buffer is not overrun. What the scope
-    refuses without need (the level of a mains trigger) does not matter as long as the values agree at the end.
+    def write_setup(self, setup: str) -> None:
+        """Make all settings as in a text from `read_setup`; SettingError if one cannot be made."""
+        self._session.before_changing_all()
+        write_setup(self._session.dialogue, setup)
 
-    Raises
-    ------
-    SettingError
-        If a setting is not as in `setup`; names the first one.
-    """
-    wanted = settings_of(setup)
-    if not wanted:
-        raise SettingError(f"{setup[:40]!r} is not a setup; give a text that read_setup() returned")
-    for branch in _branches(setup):
-        dialogue.ask_with_events(branch, parts=0)
-    held = settings_of(read_setup(dialogue))
-    for command, value in wanted.items():
-        if held.get(command, value) != value:
-            raise SettingError(
-                f"{command.lstrip(':')} was set to {value} but the scope holds {held[command]}; "
-                "is the setup of another model?"
-            )
+    def save_setup(self, memory: int) -> None:
+        """Keep the present settings in memory 1 to 10 of the scope, over what was there."""
+        self._session.dialogue.command(f":SAVE:SETUP {_memory(memory)}")
 
+    def recall_setup(self, memory: int | str) -> None:
+        """Make all settings as in memory 1 to 10, or as at the ``"FACTORY"``; put back on closing."""
+        place = FACTORY if str(memory).upper() == FACTORY else str(_memory(memory))
+        self._session.before_changing_all()
+        self._session.dialogue.command(f":RECALL:SETUP {place}")
+        self._session.dialogue.set_format()
 
-def save_setup(dialogue: Dialogue, memory: int) -> None:
-    """Keep the present setup in one of the scope's memories, over what was there."""
-    dialogue.command(f":SAVE:SETUP {_memory(memory)}")
-
-
-def recall_setup(dialogue: Dialogue, memory: int | str) -> None:
-    """Recall a memory, or the factory setup."""
-    place = FACTORY if str(memory).upper() == FACTORY else str(_memory(memory))
-    dialogue.command(f":RECALL:SETUP {place}")
-    dialogue.set_format()
-
-
-def autoset(dialogue: Dialogue) -> None:
-    """Let the scope choose scales, time base and trigger; waits until a record with them is there."""
-    _, events = dialogue.ask_with_events(":AUTOSET EXECUTE;*WAI", parts=0, wait=_AUTOSET_TIME)
-    for event in events:
-        if is_error(event):
-            raise event
-
-
-def settings_of(setup: str) -> dict[str, str]:
-    """The settings of a setup by their whole command.
-
-    A part without a leading colon continues the branch of the one before it.
-
-    >>> settings_of(":CH1:PROBE 10;SCALE 1.0E0;:LOCK NONE;:CURSOR:SELECT:SOURCE CH1")
-    {':CH1:PROBE': '10', ':CH1:SCALE': '1.0E0', ':CURSOR:SELECT:SOURCE': 'CH1'}
-    """
-    found: dict[str, str] = {}
-    branch = ":"
-    for part in scpi.split_parts(setup):
-        header, value = scpi.split_header(part)
-        command = header if header.startswith(":") else f"{branch}{header}"
-        branch = command[: command.rindex(":") + 1]
-        if header and not command.startswith(_NOT_PART):
-            found[command] = value
-    return found
-
-
-def _branches(setup: str) -> list[str]:
-    """The settings as messages of one branch each, in the order of the setup."""
-    messages: dict[str, list[str]] = {}
-    for command, value in settings_of(setup).items():
-        messages.setdefault(command[: command.rindex(":")], []).append(f"{command} {value}")
-    return [";".join(commands) for commands in messages.values()]
+    def autoset(self) -> None:
+        """Let the scope choose scales, time base and trigger; put back on closing."""
+        self._session.before_changing_all()
+        _, events = self._session.dialogue.ask_with_events(":AUTOSET EXECUTE;*WAI", parts=0, wait=_AUTOSET_TIME)
+        for event in events:
+            if is_error(event):
+                raise event
 
 
 def _memory(number: int | str) -> int:

@@ -10,9 +10,9 @@ import re
 from typing import Any
 
 from instrument import scpi
-from instrument.errors import ScopeEvent, TransferError
-from instrument.tds2014 import setups
-from instrument.tds2014.knobs import Controls
+from instrument.errors import TransferError
+from instrument.tds2014.session import Session
+from instrument.tds2014.setup_text import read_setup, settings_of
 
 # Settings whose unit does not follow from the setting alone (cursors) are left without one.
 _UNITS = (
@@ -25,24 +25,27 @@ _UNITS = (
 )
 
 
-class Snapshots(Controls):
-    """A session that tells about itself in the words of measurement frameworks."""
+class Snapshot:
+    """All settings of one scope as a dictionary.
 
-    _snapshot: dict[str, Any] | None = None
+    Parameters
+    ----------
+    class_name : str
+        What the dictionary names as the class of the instrument, with its module.
+    """
+
+    def __init__(self, session: Session, class_name: str) -> None:
+        self._session, self._class_name = session, class_name
+        self._last: dict[str, Any] | None = None
 
     @property
     def name(self) -> str:
         """Model without blanks, such as ``TDS2014``."""
-        return self.identity.model.replace(" ", "")
-
-    @property
-    def id(self) -> str:
-        """The answer to ``*IDN?``, as asked for on opening."""
-        return self.identity.text
+        return self._session.dialogue.identity.model.replace(" ", "")
 
     def get_idn(self) -> dict[str, str]:
         """Vendor, model, serial number and firmware."""
-        known = self.identity
+        known = self._session.dialogue.identity
         return {
             "vendor": known.manufacturer,
             "model": known.model,
@@ -58,13 +61,13 @@ class Snapshots(Controls):
         update : bool, optional
             Read them from the scope; otherwise those of the last snapshot serve, if there is one.
         """
-        if update or self._snapshot is None:
-            found = setups.settings_of(setups.read_setup(self._dialogue))
+        if update or self._last is None:
+            found = settings_of(read_setup(self._session.dialogue))
             parameters = [_parameter(command.lstrip(":"), text) for command, text in found.items()]
-            self._snapshot = {
+            self._last = {
                 "name": self.name,
-                "__class__": f"{type(self).__module__}.{type(self).__qualname__}",
-                "address": self.resource_name,
+                "__class__": self._class_name,
+                "address": self._session.dialogue.link.name,
                 "functions": {},
                 "submodules": {},
                 "parameters": {
@@ -72,15 +75,7 @@ class Snapshots(Controls):
                     **{parameter["name"]: parameter for parameter in parameters},
                 },
             }
-        return self._snapshot
-
-    def check_errors(self) -> list[ScopeEvent]:
-        """Read and empty the scope's event queue, as `events`."""
-        return self.events()
-
-    def shutdown(self) -> None:
-        """Put the front panel back as found and close the link, as `close`."""
-        self.close()
+        return self._last
 
 
 def _parameter(name: str, text: str) -> dict[str, Any]:

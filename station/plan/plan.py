@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from analysis.plan import (
-    OscilloscopeSteps,
     Plan,
     PlannedRate,
     PlanRequest,
@@ -21,6 +20,8 @@ from station.errors import UsageError
 from station.lock_in.knowledge import bench_knowledge
 from station.lock_in.result import budget_document
 from station.scope.autoset import TIME_BASES, VERTICAL_SCALES
+from station.lock_in.budget import bench_knowledge, budget_document
+from station.scope.autoset import oscilloscope_steps
 from station.settings.load import Settings
 
 _BYTES_PER_RECORD = 2900
@@ -128,7 +129,7 @@ def plan_request(settings: Settings, options: PlanOptions) -> PlanRequest:
         amplitude=amplitude,
         noise_rms=_given(options.noise_v, simulated.detector_noise_v if simulated else 0.01 * amplitude),
         noise_levels=simulated.scope_noise_levels if simulated else 0.5,
-        oscilloscope=OscilloscopeSteps(TIME_BASES, tuple(scale * probe for scale in VERTICAL_SCALES)),
+        oscilloscope=oscilloscope_steps(probe),
         knowledge=knowledge,
         reference="rate" if options.reference == "rate" else "beat",
         table=_table(settings, options),

@@ -8,23 +8,25 @@ from dataclasses import dataclass
 import numpy as np
 
 from analysis import FATAL, Flag, estimate_lock_in
+from analysis.plan import OscilloscopeSteps
 from instrument import TDS2014, SettingError, Waveform
+from instrument.facts import DIVISIONS, LEVELS_PER_DIVISION, POINTS, SCAN_FROM, TIME_BASES, VERTICAL_SCALES
 from station.errors import NoUsableSignal
 from station.settings.load import MeasurementSettings, ScopeSettings
 
-POINTS = 2500
-DIVISIONS = 10
-LEVELS_PER_DIVISION = 25
 _TRIALS_MAX = 30
-# From here on, s/div, the scope scans in AUTO, without a trigger (user manual 071-1064-00, p. 78). The
-# slowest trial stays below; a beat of which it holds fewer than 3 periods, below 6 Hz, is not looked for.
-_SCAN_FROM_S = 0.1
+# Below the time base, s/div, from which on the scope scans in AUTO, without a trigger. A beat of which a trial
+# at this one holds fewer than 3 periods, below 6 Hz, is not looked for.
 _SLOWEST_S = 0.05
 
-# 1-2.5-5 steps of the time base, s/div (programmer manual 071-1075-04, HORizontal:MAIn:SCAle)
-TIME_BASES = tuple(float(f"{mantissa}e{decade}") for decade in range(-9, 2) for mantissa in (1, 2.5, 5))
-# 1-2-5 steps of the vertical scale at the input, V/div (programmer manual 071-1075-04, CH<x>:SCAle)
-VERTICAL_SCALES = (0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0)
+
+def oscilloscope_steps(probe: float = 1.0) -> OscilloscopeSteps:
+    """What the knobs of the scope allow, behind a probe that divides by ``probe``."""
+    scales = tuple(scale * probe for scale in VERTICAL_SCALES)
+    return OscilloscopeSteps(TIME_BASES, scales, POINTS, DIVISIONS, LEVELS_PER_DIVISION)
+
+
+_STEPS = oscilloscope_steps()
 
 
 @dataclass(frozen=True)
@@ -55,34 +57,6 @@ class VerticalSetting:
 
     scale: float
     position: float = 0.0
-
-
-def time_base_for(frequency: float, periods_min: float, samples_per_period_min: float) -> float:
-    """Choose the time base for a beat.
-
-    Parameters
-    ----------
-    frequency : float
-        Hz.
-    periods_min : float
-        Periods that the record shall hold at least.
-    samples_per_period_min : float
-        Goes before ``periods_min``.
-
-    Returns
-    -------
-    float
-        s/div, the fastest step of the scope that holds the periods.
-
-    Examples
-    --------
-    >>> time_base_for(160.0, periods_min=30, samples_per_period_min=20)
-    0.025
-    """
-    longest = POINTS / (DIVISIONS * frequency * samples_per_period_min)
-    shortest = periods_min / (DIVISIONS * frequency)
-    sampled = [base for base in TIME_BASES if base <= longest * (1 + 1e-9)] or [TIME_BASES[0]]
-    return next((base for base in sampled if base >= shortest * (1 - 1e-9)), sampled[-1])
 
 
 def next_vertical(
@@ -161,7 +135,7 @@ def find_beat(
         search.fit_vertical()
         highest = start
     # begin with few periods: at 500 samples a period nothing can be aliased
-    search.set_time_base(time_base_for(highest, 5, 100))
+    search.set_time_base(_STEPS.time_base(highest, 5, 100))
     for _ in range(_TRIALS_MAX):
         waveform = scope.acquire(settings.channel)
         seen = _beat_frequency(waveform)
@@ -170,7 +144,7 @@ def find_beat(
             continue
         if search.improve_vertical(waveform):
             continue
-        wanted = time_base_for(seen, measurement.periods_min, measurement.samples_per_period_min)
+        wanted = _STEPS.time_base(seen, measurement.periods_min, measurement.samples_per_period_min)
         if math.isclose(wanted, search.base, rel_tol=1e-3):
             return search.found(seen)
         search.set_time_base(wanted)
@@ -253,7 +227,7 @@ class _Search:
             source=self._settings.channel,
             level=_level(self.vertical),
             slope="RISE",
-            mode="NORMAL" if self.base >= _SCAN_FROM_S else "AUTO",
+            mode="NORMAL" if self.base >= SCAN_FROM else "AUTO",
         )
 
 

@@ -5,6 +5,7 @@ damaged by a test. The complete simulated scope has its own package; this one sh
 """
 
 import contextlib
+import os
 import socket
 import sys
 import threading
@@ -185,6 +186,47 @@ class LineServer:
                 client.sendall(out if limit is None else out[:limit])
                 if limit is not None and len(out) > limit:
                     return
+
+
+class PtyPeer:
+    """The other end of a serial line: answers each line that it reads, like any line server."""
+
+    def __init__(self, answer: Callable[[bytes], bytes | None]) -> None:
+        import tty
+
+        self.master, self._slave = os.openpty()
+        tty.setraw(self._slave)
+        self.name = f"ASRL{os.ttyname(self._slave)}::INSTR"
+        self._answer = answer
+        self._thread = threading.Thread(target=self._run, daemon=True)
+        self._thread.start()
+
+    def _run(self) -> None:
+        buffer = b""
+        while b"STOP" not in buffer:
+            buffer += os.read(self.master, 1024)
+            while b"\n" in buffer:
+                line, buffer = buffer.split(b"\n", 1)
+                os.write(self.master, self._answer(line) or b"")
+
+    def close(self) -> None:
+        os.write(self._slave, b"STOP")
+        self._thread.join(5)
+        os.close(self.master)
+        os.close(self._slave)
+
+
+@pytest.fixture
+def peer() -> Iterator[Callable[[Callable[[bytes], bytes | None]], PtyPeer]]:
+    made: list[PtyPeer] = []
+
+    def make(answer):
+        made.append(PtyPeer(answer))
+        return made[-1]
+
+    yield make
+    for one in made:
+        one.close()
 
 
 @pytest.fixture

@@ -7,7 +7,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from instrument import scpi
-from instrument.dialogue.events import is_error, parse_events
 from instrument.errors import TransferError
 
 
@@ -122,40 +121,6 @@ def test_damaged_blocks_are_refused(message, problem):
 def test_implausible_length_is_refused_before_waiting_for_it():
     with pytest.raises(TransferError, match="999999999"):
         scpi.bytes_missing(b"1;#9999999999", longest=5000)
-
-
-def test_events_as_the_manual_prints_them():
-    # 071-1075-04, p. 2-36: an answer to ALLEv? with the header on.
-    answer = ':ALLEV 2225,"Measurement error, No waveform to measure; ",420,"Query UNTERMINATED; "'
-    first, second = parse_events(answer)
-    assert (first.code, first.text) == (2225, "Measurement error, No waveform to measure")
-    assert (second.code, second.text) == (420, "Query UNTERMINATED")
-    assert type(first).__name__ == "ExecutionError"
-    assert type(second).__name__ == "QueryError"
-
-
-def test_event_classes():
-    names = {
-        113: "CommandError",
-        222: "ExecutionError",
-        363: "DeviceError",
-        410: "QueryError",
-        401: "ScopeEvent",
-        532: "ExecutionError",
-        2244: "ExecutionError",
-    }
-    for code, name in names.items():
-        (event,) = parse_events(f'{code},"text; "')
-        assert type(event).__name__ == name
-        assert str(code) in str(event)
-    assert parse_events('0,"No events to report : queue empty"') == []
-    assert [is_error(e) for e in parse_events('401,"Power on; ",532,"Curve data too long; ",113,"x; "')] == [
-        False,
-        False,
-        True,
-    ]
-    with pytest.raises(TransferError, match="event list"):
-        parse_events("113")
 
 
 def test_nr3_never_writes_what_is_not_nr3():

@@ -219,3 +219,48 @@ def test_notebook_view_is_small_and_escaped():
     assert "<b>" not in html
     assert len(html.partition("<svg")[0]) < 600
     assert "no data" in Waveform(np.array([-128, -128], np.int8), preamble)._repr_html_()
+
+
+def test_numpy_takes_a_waveform_as_its_volts():
+    waveform = Waveform(np.arange(-3, 2, dtype=np.int8), replace(Preamble.parse(TDS2024C), nr_pt=5))
+    np.testing.assert_array_equal(np.asarray(waveform), waveform.volts)
+    assert np.asarray(waveform, dtype=np.float32).dtype == np.float32
+    assert np.mean(waveform) == waveform.volts.mean()
+    # Whoever gets the volts may write into them: they are nobody else's.
+    taken = np.asarray(waveform)
+    taken[:] = 0.0
+    assert waveform.volts.any()
+    assert len(waveform) == 5
+
+
+@pytest.mark.skipif(np.lib.NumpyVersion(np.__version__) < "2.0.0", reason="NumPy 1 cannot ask for no copy")
+def test_volts_cannot_be_had_without_a_copy():
+    waveform = Waveform(np.arange(-3, 2, dtype=np.int8), replace(Preamble.parse(TDS2024C), nr_pt=5))
+    with pytest.raises(ValueError, match="without a copy"):
+        np.asarray(waveform, copy=False)
+    np.testing.assert_array_equal(np.array(waveform, copy=True), waveform.volts)
+
+
+def test_array_of_numpy_1():
+    """NumPy 1 calls ``__array__`` without the argument about copying."""
+    waveform = Waveform(np.arange(-3, 2, dtype=np.int8), replace(Preamble.parse(TDS2024C), nr_pt=5))
+    np.testing.assert_array_equal(waveform.__array__(), waveform.volts)
+    assert waveform.__array__(np.dtype("f4")).dtype == np.float32
+
+
+def test_repr_is_one_line():
+    codes = np.array([-127, 0, 127], dtype=np.int8)
+    waveform = Waveform(codes, replace(Preamble.parse(TDS2024C), nr_pt=3))
+    assert repr(waveform).startswith("<Waveform of Ch1")
+    assert repr(waveform).endswith("clipped>")
+    assert "3 points every" in repr(waveform)
+    assert "\n" not in repr(waveform)
+    empty = Waveform(np.full(3, -128, dtype=np.int8), waveform.preamble)
+    assert "no data" in repr(empty)
+
+
+def test_clipped_samples_are_marked():
+    codes = np.array([-128, -127, -126, 0, 126, 127], dtype=np.int8)
+    waveform = Waveform(codes, replace(Preamble.parse(TDS2024C), nr_pt=6))
+    assert waveform.clipped_samples.tolist() == [False, True, False, False, False, True]
+    assert waveform.clipped

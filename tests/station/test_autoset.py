@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 
 from instrument import TDS2014
+from instrument.facts import TIME_BASES
 from instrument.simulated import SimulatedTDS2014, VirtualClock, resource_manager
 from station.errors import NoUsableSignal
-from station.scope.autoset import TIME_BASES, find_beat, time_base_for
+from station.scope.autoset import find_beat, oscilloscope_steps
 from station.settings.load import default_settings
 
 SETTINGS = default_settings("simulated")
@@ -22,12 +23,12 @@ def test_time_bases_are_the_steps_of_the_scope() -> None:
     ("frequency", "expected"), [(160.0, 0.01), (151.0, 0.01), (149.0, 0.025), (2281.0, 0.001), (2e6, 1e-6)]
 )
 def test_the_record_holds_enough_periods(frequency: float, expected: float) -> None:
-    assert time_base_for(frequency, periods_min=15, samples_per_period_min=20) == expected
+    assert oscilloscope_steps().time_base(frequency, periods_min=15, samples_per_period_min=20) == expected
 
 
 def test_sampling_goes_before_periods() -> None:
     # 500 periods in 2500 points would be 5 samples a period
-    base = time_base_for(1000.0, periods_min=500, samples_per_period_min=20)
+    base = oscilloscope_steps().time_base(1000.0, periods_min=500, samples_per_period_min=20)
     assert 2500 / (10 * base * 1000) >= 20
     assert base == 0.01
 

@@ -10,12 +10,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from instrument.facts import NO_DATA, POINTS
 from instrument.simulated.commands.action import Order, one_argument
-from instrument.simulated.front_end.frontend import NO_DATA
 from instrument.simulated.front_end.traces import Trace, Transfer, decode
 from instrument.simulated.panel.event_table import Guess, Refusal
 from instrument.simulated.panel.kinds import Text, Words, number
-from instrument.simulated.panel.panel import POINTS
 from instrument.simulated.panel.parsing import Argument
 
 if TYPE_CHECKING:

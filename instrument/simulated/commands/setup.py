@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from instrument.facts import DIVISIONS, LEVELS_PER_DIVISION
 from instrument.simulated.commands.action import Action, answer, no_argument, one_argument, one_number
 from instrument.simulated.panel.event_table import Guess, Refusal
 from instrument.simulated.panel.formats import block, join_leaves, quoted
 from instrument.simulated.panel.kinds import Words
-from instrument.simulated.panel.panel import DIVISIONS
 from instrument.simulated.panel.parsing import Argument
 from instrument.simulated.panel.settings_table import time_steps
 
@@ -129,7 +129,7 @@ def _autoset_channel(
     scope.set(f"{name}:BANDWIDTH", 0)
     scope.set(f"{name}:SCALE", scales[0])
     middle = float(volts.max() + volts.min()) / 2
-    scope.set(f"{name}:POSITION", round(-middle / scales[0] * 25) / 25)
+    scope.set(f"{name}:POSITION", round(-middle / scales[0] * LEVELS_PER_DIVISION) / LEVELS_PER_DIVISION)
 
 
 def _lowest_frequency(volts: np.ndarray[tuple[int], np.dtype[np.float64]]) -> float:

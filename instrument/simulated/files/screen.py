@@ -8,7 +8,7 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from instrument.simulated.front_end.frontend import LEVELS_PER_DIVISION, NO_DATA
+from instrument.facts import LEVELS_PER_DIVISION, NO_DATA
 from instrument.simulated.front_end.traces import Trace
 
 WIDTH, HEIGHT = 320, 240

@@ -10,9 +10,8 @@ import math
 
 import numpy as np
 
-from instrument.simulated.front_end.frontend import LEVELS_PER_DIVISION
+from instrument.facts import DIVISIONS, LEVELS_PER_DIVISION, POINTS_PER_DIVISION
 from instrument.simulated.front_end.traces import Trace
-from instrument.simulated.panel.panel import DIVISIONS, POINTS_PER_DIVISION
 
 _UNITS = {"Volts": "V"}
 

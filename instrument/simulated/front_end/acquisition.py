@@ -18,6 +18,7 @@ from typing import Literal
 
 import numpy as np
 
+from instrument.facts import DIVISIONS, POINTS_PER_DIVISION
 from instrument.simulated.clock import Clock
 from instrument.simulated.faults import Faults
 from instrument.simulated.front_end.frontend import (
@@ -32,8 +33,6 @@ from instrument.simulated.front_end.frontend import (
 from instrument.simulated.front_end.trigger import HYSTERESIS, EdgeSearch, PulseSearch
 from instrument.simulated.front_end.video_trigger import VideoSearch
 from instrument.simulated.panel.panel import (
-    DIVISIONS,
-    POINTS_PER_DIVISION,
     ChannelSettings,
     Panel,
     TriggerSettings,

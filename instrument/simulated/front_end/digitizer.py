@@ -9,9 +9,10 @@ from dataclasses import replace
 
 import numpy as np
 
+from instrument.facts import NO_DATA, POINTS, POINTS_PER_DIVISION
 from instrument.simulated.front_end.acquisition import Record
-from instrument.simulated.front_end.frontend import NO_DATA, Codes, Floats, Signal, convert, shown_volts
-from instrument.simulated.panel.panel import POINTS, POINTS_PER_DIVISION, ChannelSettings
+from instrument.simulated.front_end.frontend import Codes, Floats, Signal, convert, shown_volts
+from instrument.simulated.panel.panel import ChannelSettings
 
 _PEAK_RATE = 100e6  # S/s at which Peak Detect looks for the smallest and the largest sample
 _PEAK_TIME_CONSTANT = 1 / (2 * math.pi * 75e6)  # s, bandwidth of Peak Detect, user manual p. 151

@@ -11,15 +11,13 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
+from instrument.facts import HIGHEST_CODE, LEVELS_PER_DIVISION
 from instrument.simulated.panel.panel import ChannelSettings
 
 Floats = NDArray[np.float64]
 Codes = NDArray[np.int8]
 Signal = Callable[[Floats], Floats]
 
-LEVELS_PER_DIVISION = 25
-HIGHEST_CODE = 127  # clipped records stop here, at either sign
-NO_DATA = -128
 AC_CORNER = 10.0  # Hz
 _DELAYS = -np.log1p(-(np.arange(64) + 0.5) / 64)  # in time constants: quantiles of the exponential
 _SPARSE = 4.0  # time constants between samples, from which on each counts for itself

@@ -11,7 +11,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from instrument.simulated.front_end.frontend import HIGHEST_CODE, LEVELS_PER_DIVISION, NO_DATA, Floats
+from instrument.facts import HIGHEST_CODE, LEVELS_PER_DIVISION, NO_DATA
+from instrument.simulated.front_end.frontend import Floats
 from instrument.simulated.front_end.traces import Trace
 from instrument.simulated.panel.formats import nr3
 

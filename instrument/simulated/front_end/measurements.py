@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from instrument.simulated.front_end.frontend import HIGHEST_CODE, NO_DATA
+from instrument.facts import HIGHEST_CODE, NO_DATA
 from instrument.simulated.front_end.traces import Trace
 from instrument.simulated.panel.event_table import Refusal
 

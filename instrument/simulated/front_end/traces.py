@@ -9,10 +9,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from instrument.facts import LEVELS_PER_DIVISION, POINTS
 from instrument.simulated.front_end.acquisition import Record
-from instrument.simulated.front_end.frontend import LEVELS_PER_DIVISION, Codes
+from instrument.simulated.front_end.frontend import Codes
 from instrument.simulated.panel.formats import block, nr3, quoted
-from instrument.simulated.panel.panel import POINTS, ChannelSettings, Panel
+from instrument.simulated.panel.panel import ChannelSettings, Panel
 
 MODE_WORDS = {"SAMPLE": "Sample", "AVERAGE": "Average", "PEAKDETECT": "Pk Detect"}
 PREAMBLE_FIELDS = (

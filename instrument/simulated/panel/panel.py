@@ -6,17 +6,14 @@ import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
+from instrument.facts import SCAN_FROM
 from instrument.simulated.panel.kinds import Value
 from instrument.simulated.panel.models import Model
 from instrument.simulated.panel.settings_table import Row, setting_rows
 
-POINTS = 2500
-DIVISIONS = 10
-POINTS_PER_DIVISION = POINTS // DIVISIONS
 LIMITED_BANDWIDTH = 20e6  # Hz, CH<x>:BANdwidth ON
 FULL_BANDWIDTH_FROM = 5e-3  # V/div at the BNC; more sensitive scales are limited, too
 FULL_BANDWIDTH_SWEEP = 2.5e-6  # s/div
-SCAN_FROM = 0.1  # s/div: from here on the AUTO mode rolls instead of waiting for a trigger
 
 
 @dataclass(frozen=True)

@@ -5,9 +5,10 @@ Source: programmer manual 071-1075-04, chapter 2, and user manual 071-1064-00, p
 
 from __future__ import annotations
 
+from instrument.facts import POINTS_PER_DIVISION
 from instrument.simulated.panel.event_table import Refusal
 from instrument.simulated.panel.kinds import Value, nearest
-from instrument.simulated.panel.panel import POINTS_PER_DIVISION, Panel
+from instrument.simulated.panel.panel import Panel
 
 # Largest position in divisions at the volts per division of the BNC, p. 2-68
 POSITION_RANGES = {

@@ -10,6 +10,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache
 
+from instrument.facts import POINTS, TIME_BASES
 from instrument.simulated.panel.kinds import (
     Constant,
     Kind,
@@ -49,8 +50,7 @@ def time_steps(fastest: float) -> tuple[float, ...]:
     >>> time_steps(5e-9)[:4], time_steps(5e-9)[-1]
     ((5e-09, 1e-08, 2.5e-08, 5e-08), 50.0)
     """
-    steps = (float(f"{digit}e{exponent}") for exponent in range(-9, 2) for digit in ("1", "2.5", "5"))
-    return tuple(step for step in steps if fastest <= step <= 50)
+    return tuple(step for step in TIME_BASES if step >= fastest)
 
 
 CURRENT_PROBES = (0.2, 1.0, 2.0, 5.0, 10.0, 50.0, 100.0, 1000.0)  # A/V
@@ -82,8 +82,8 @@ def _answer_and_data(model: Model) -> Iterator[Row]:
     references = Words(*model.reference_names)
     yield Row("DATa:DESTination", references, "REFA", aliases=("DATa:TARget",), kept=True)
     yield Row("DATa:SOUrce", Words(*model.waveform_names), "CH1", kept=True)
-    yield Row("DATa:STARt", Whole(1, 2500), 1, kept=True)
-    yield Row("DATa:STOP", Whole(1, 2500), 2500, kept=True)
+    yield Row("DATa:STARt", Whole(1, POINTS), 1, kept=True)
+    yield Row("DATa:STOP", Whole(1, POINTS), POINTS, kept=True)
     yield Row("DATa:WIDth", Whole(1, 2), 1, kept=True)
     yield Row("LOCk", Words("ALL", "NONe"), "NONE", kept=True)
 
@@ -130,7 +130,7 @@ def _horizontal(model: Model) -> Iterator[Row]:
     main, delay = "HORizontal:MAIn", "HORizontal:DELay"
     scales = (f"{main}:SECdiv", "HORizontal:SCAle", "HORizontal:SECdiv")
     yield Row("HORizontal:VIEW", Words("MAIn", "WINDOW", "ZONE"), "MAIN")
-    yield Row("HORizontal:RECOrdlength", Constant("2500"), in_set=False)
+    yield Row("HORizontal:RECOrdlength", Constant(str(POINTS)), in_set=False)
     yield Row(f"{main}:SCAle", steps, 5e-4, aliases=scales)
     yield Row(f"{main}:POSition", Real(-200, 50), 0.0, aliases=("HORizontal:POSition",))
     yield Row(f"{delay}:SCAle", steps, 5e-5, aliases=(f"{delay}:SECdiv",))

@@ -24,7 +24,7 @@ from station.provenance import provenance
 from station.runs.database import utc_now
 from station.runs.progress import Progress
 from station.runs.store import RunWriter
-from station.scope.autoset import ScopeSetting, fit_channel, time_base_for
+from station.scope.autoset import ScopeSetting, fit_channel, oscilloscope_steps
 from station.settings.load import default_settings
 
 PURPOSE: Final = "witness"
@@ -182,7 +182,7 @@ def _set_up(scope: TDS2014, settings: FogSettings) -> None:
     channel = witness.channel
     scope.set_channel(channel, coupling="DC", probe=witness.probe, bandwidth_limit=False, invert=False)
     scope.set_acquisition(mode="SAMPLE")
-    wanted = time_base_for(1 / settings.coil.transit_time, _STEPS, _SAMPLES_PER_STEP)
+    wanted = oscilloscope_steps().time_base(1 / settings.coil.transit_time, _STEPS, _SAMPLES_PER_STEP)
     base = scope.set_timebase(wanted, position=0.0)
     scope.set_trigger(source=channel, level=0.0, slope="FALL", mode="AUTO")
     knobs = bench.scope.model_copy(update={"channel": channel, "probe": witness.probe})

@@ -18,6 +18,7 @@ from analysis.ring_laser import (
     beat_signal_on_table,
     with_detector_noise,
 )
+from instrument.facts import POINTS
 from instrument.simulated import SimulatedTDS2014
 from instrument.simulated.clock import Clock
 from station.errors import UsageError
@@ -192,7 +193,7 @@ def true_values(instruments: SimulatedInstruments) -> dict[str, float]:
         record = instruments.scope.acquisition.record
     if record is None:
         return {}
-    gyro, duration = instruments.gyro, 2500 * record.xincr
+    gyro, duration = instruments.gyro, POINTS * record.xincr
     times = record.starts[-1] + np.linspace(0.0, duration, _TRUTH_POINTS)
     rates = axis_rate_on_table(gyro, instruments.table.motion, times)
     return {

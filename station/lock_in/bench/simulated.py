@@ -7,11 +7,12 @@ from contextlib import contextmanager
 
 import numpy as np
 
+from instrument.facts import LEVELS_PER_DIVISION, VERTICAL_SCALES
 from instrument.simulated import PtyServer, RealClock, SimulatedTDS2014, TcpServer, VirtualClock
 from station.errors import UsageError
 from station.lock_in.bench.bench import Bench, open_scope
 from station.lock_in.bench.instruments import SimulatedInstruments, at_slow_rate, build_instruments, true_values
-from station.scope.autoset import LEVELS_PER_DIVISION, VERTICAL_SCALES, time_base_for
+from station.scope.autoset import oscilloscope_steps
 from station.settings.load import Settings
 
 
@@ -106,7 +107,7 @@ def _show_the_beat(instruments: SimulatedInstruments, settings: Settings) -> Non
     scope, measurement = instruments.scope, settings.measurement
     rate = settings.gyro.expected_lock_in_rate_dps * settings.table.slow_rate_over_lock_in
     frequency = max(float(gyro.beat_frequency(np.array([rate]))[0]), 1.0)
-    base = time_base_for(frequency, measurement.periods_min, measurement.samples_per_period_min)
+    base = oscilloscope_steps().time_base(frequency, measurement.periods_min, measurement.samples_per_period_min)
     wanted = detector.amplitude * LEVELS_PER_DIVISION / measurement.fill_levels
     scale = next((step for step in VERTICAL_SCALES if step >= wanted), VERTICAL_SCALES[-1])
     channel = settings.scope.channel

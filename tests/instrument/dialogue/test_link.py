@@ -2,7 +2,6 @@
 
 import os
 import sys
-import threading
 
 import pytest
 
@@ -13,50 +12,9 @@ from instrument.simulated import SimulatedTDS2014, resource_manager
 on_unix = pytest.mark.skipif(sys.platform == "win32", reason="there are no ptys on Windows")
 
 
-class PtyPeer:
-    """The other end of a serial line: writes what a test tells it for each line that it reads."""
-
-    def __init__(self, answers: dict[bytes, bytes]) -> None:
-        import tty
-
-        self.master, self._slave = os.openpty()
-        tty.setraw(self._slave)
-        self.name = f"ASRL{os.ttyname(self._slave)}::INSTR"
-        self._answers = answers
-        self._thread = threading.Thread(target=self._run, daemon=True)
-        self._thread.start()
-
-    def _run(self) -> None:
-        buffer = b""
-        while b"STOP" not in buffer:
-            buffer += os.read(self.master, 1024)
-            while b"\n" in buffer:
-                line, buffer = buffer.split(b"\n", 1)
-                os.write(self.master, self._answers.get(line, b""))
-
-    def close(self) -> None:
-        os.write(self._slave, b"STOP")
-        self._thread.join(5)
-        os.close(self.master)
-        os.close(self._slave)
-
-
-@pytest.fixture
-def peer():
-    made = []
-
-    def make(answers):
-        made.append(PtyPeer(answers))
-        return made[-1]
-
-    yield make
-    for one in made:
-        one.close()
-
-
 @on_unix
 def test_line_time_follows_baud_rate_and_bytes(peer, manager):
-    name = peer({}).name
+    name = peer({}.get).name
     with Link(name, manager, baud_rate=300) as link:
         assert link.line_time(2507) == pytest.approx(2507 * BITS_PER_BYTE / 300 * LINE_MARGIN)
         assert not link.framed
@@ -70,7 +28,7 @@ def test_line_time_follows_baud_rate_and_bytes(peer, manager):
 def test_block_with_every_byte_is_read_by_its_length_and_leaves_nothing(peer, manager):
     data = bytes(range(256)) * 4 + b"\n\n#\n"
     block = b"#4%04d" % len(data) + data + b"\n"
-    one = peer({b"BLOCK?": b'1;"#";' + block, b"NEXT?": b"2.5E0\n"})
+    one = peer({b"BLOCK?": b'1;"#";' + block, b"NEXT?": b"2.5E0\n"}.get)
     with Link(one.name, manager, baud_rate=19200) as link:
         for _ in range(2):
             link.write("BLOCK?")
@@ -81,7 +39,7 @@ def test_block_with_every_byte_is_read_by_its_length_and_leaves_nothing(peer, ma
 
 @on_unix
 def test_late_bytes_are_drained(peer, manager):
-    one = peer({b"CURVE?": b"#10" + b"old\n" * 300, b"NEXT?": b"1\n"})
+    one = peer({b"CURVE?": b"#10" + b"old\n" * 300, b"NEXT?": b"1\n"}.get)
     with Link(one.name, manager) as link:
         link.write("CURVE?")
         assert len(link.drain()) == 1203
@@ -91,7 +49,7 @@ def test_late_bytes_are_drained(peer, manager):
 
 @on_unix
 def test_answer_that_does_not_end(peer, manager, impatient):
-    one = peer({b"A?": b"12", b"B?": b"x" * 8000})
+    one = peer({b"A?": b"12", b"B?": b"x" * 8000}.get)
     with Link(one.name, manager, baud_rate=19200) as link:
         link.write("A?")
         with pytest.raises(TransferError, match="stopped after about 1 bytes"):
@@ -104,12 +62,12 @@ def test_answer_that_does_not_end(peer, manager, impatient):
 @on_unix
 def test_clear_learns_from_dcl_that_a_break_works(peer, manager):
     # A pty carries no break, but the line feed in front of it arrives, so this peer can answer it.
-    one = peer({b"": b"DCL\n"})
+    one = peer({b"": b"DCL\n"}.get)
     with Link(one.name, manager) as link:
         assert not link.can_clear
         link.clear()
         assert link.can_clear
-    mute = peer({})
+    mute = peer({}.get)
     with Link(mute.name, manager) as link:
         link.clear()
         assert not link.can_clear

@@ -9,7 +9,7 @@ import pyvisa
 
 from instrument.simulated import resource_manager
 
-PAGE = Path(__file__).parents[2] / "docs" / "driver.md"
+PAGE = Path(__file__).parents[3] / "docs" / "driver.md"
 
 
 def test_page_runs(tmp_path, monkeypatch, capsys):

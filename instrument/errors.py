@@ -69,3 +69,15 @@ class DeviceError(ScopeEvent):
 
 class QueryError(ScopeEvent):
     """Events 410 to 440: question and answer got out of step."""
+
+
+class FrameFormatError(SettingError):
+    """The description of the frames is wrong; the text names the entry, what is wrong there and what is right."""
+
+
+class CommandRefused(LinkError):
+    """The gyro answered that it will not do what it was told."""
+
+
+class NoAcknowledgement(LinkError):
+    """The gyro was told something several times and never said that it understood."""

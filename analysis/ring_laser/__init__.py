@@ -7,14 +7,14 @@ over time, `detector` the volts with distortion and filters, `signals` the whole
 from analysis.ring_laser.beat import axis_rate_on_table, beat_phase_on_table
 from analysis.ring_laser.detector import Detector, detector_signal
 from analysis.ring_laser.gyro import Gyro
-from analysis.ring_laser.motion import Segment
+from analysis.ring_laser.motion import Motion
 from analysis.ring_laser.signals import beat_signal_on_table, with_detector_noise
 from analysis.ring_laser.winking import SteadyBeat, Winking, WinkingLaser, steady_beat, symmetric_laser
 
 __all__ = [
     "Detector",
     "Gyro",
-    "Segment",
+    "Motion",
     "SteadyBeat",
     "Winking",
     "WinkingLaser",

@@ -25,7 +25,7 @@ import numpy as np
 
 from analysis.arrays import Complexes, Floats
 from analysis.ring_laser.gyro import Gyro
-from analysis.ring_laser.motion import Segment, split
+from analysis.ring_laser.motion import Motion, split
 
 _AZIMUTHS = 1024  # points of one turn in the expansion; the series falls as (earth rate / rate)^k
 _RIPPLE_PHASES = 64
@@ -34,12 +34,12 @@ _REST_DPS = 1e-9
 _NEGLIGIBLE = 1e-13
 
 
-def beat_phase_on_table(gyro: Gyro, motion: Sequence[Segment], times: Floats) -> tuple[Floats, Floats]:
+def beat_phase_on_table(gyro: Gyro, motion: Sequence[Motion], times: Floats) -> tuple[Floats, Floats]:
     """Rate on the axis and phase of the beat while the table moves.
 
     Parameters
     ----------
-    motion : sequence of Segment
+    motion : sequence of Motion
         In order of time; the last one goes on for ever, the first one also holds before its start.
     times : ndarray, shape (n,)
         Absolute times, s.
@@ -61,7 +61,7 @@ def beat_phase_on_table(gyro: Gyro, motion: Sequence[Segment], times: Floats) ->
     return rates, phases
 
 
-def axis_rate_on_table(gyro: Gyro, motion: Sequence[Segment], times: Floats) -> Floats:
+def axis_rate_on_table(gyro: Gyro, motion: Sequence[Motion], times: Floats) -> Floats:
     """Rate on the gyro's axis in deg/s while the table moves; arguments as :func:`beat_phase_on_table`."""
     segments, rates = tuple(motion), np.empty_like(times)
     for number, inside in split(segments, times):
@@ -69,12 +69,12 @@ def axis_rate_on_table(gyro: Gyro, motion: Sequence[Segment], times: Floats) -> 
     return rates
 
 
-def _rate(gyro: Gyro, segment: Segment, times: Floats) -> Floats:
+def _rate(gyro: Gyro, segment: Motion, times: Floats) -> Floats:
     return gyro.axis_rate(segment.rate_at(times), segment.azimuth_at(times), gyro.ripple_phase(times))
 
 
 @lru_cache(maxsize=64)
-def _start_phases(gyro: Gyro, motion: tuple[Segment, ...]) -> tuple[float, ...]:
+def _start_phases(gyro: Gyro, motion: tuple[Motion, ...]) -> tuple[float, ...]:
     """Return psi at the start of each segment."""
     phases = [gyro.start_phase]
     for number, following in enumerate(motion[1:]):
@@ -82,7 +82,7 @@ def _start_phases(gyro: Gyro, motion: tuple[Segment, ...]) -> tuple[float, ...]:
     return tuple(phases)
 
 
-def _advance(gyro: Gyro, motion: tuple[Segment, ...], number: int, times: Floats) -> Floats:
+def _advance(gyro: Gyro, motion: tuple[Motion, ...], number: int, times: Floats) -> Floats:
     """Advance of psi in rad since the start of a segment."""
     segment = motion[number]
     if segment.acceleration_dps2 != 0.0:
@@ -138,7 +138,7 @@ def _frequency_series(
 
 
 @lru_cache(maxsize=64)
-def _slew_phase(gyro: Gyro, segment: Segment, end: float) -> tuple[Floats, Floats]:
+def _slew_phase(gyro: Gyro, segment: Motion, end: float) -> tuple[Floats, Floats]:
     """Times in a slew and psi since its start: cumulative trapezoidal rule; nobody measures in a slew."""
     grid = np.linspace(segment.start, end, _SLEW_POINTS)
     frequency = gyro.beat_frequency(_rate(gyro, segment, grid)) * gyro.drift(grid)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import bisect
-from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,49 +11,54 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 
-@dataclass(frozen=True)
-class Segment:
-    """A piece of the table's motion with constant acceleration.
+class Motion(Protocol):
+    """A piece of the table's motion with constant acceleration, from an absolute time `start` (s) on.
 
-    Attributes
-    ----------
-    start : float
-        Absolute time, s.
-    azimuth_deg, rate_dps, acceleration_dps2 : float
-        At the start; the acceleration holds for the whole segment.
+    Any object with these attributes will do, as long as it does not change: phases that it led to are kept.
     """
 
-    start: float
-    azimuth_deg: float
-    rate_dps: float
-    acceleration_dps2: float = 0.0
+    def __hash__(self) -> int:
+        """Of its values."""
+
+    @property
+    def start(self) -> float:
+        """Absolute time, s."""
+
+    @property
+    def azimuth_deg(self) -> float:
+        """Azimuth at the start."""
+
+    @property
+    def rate_dps(self) -> float:
+        """Rate at the start."""
+
+    @property
+    def acceleration_dps2(self) -> float:
+        """Acceleration of the whole piece."""
 
     def azimuth_at(self, times: Array) -> Array:
         """Table azimuth in deg, not wrapped, at absolute times in s."""
-        elapsed = times - self.start
-        return self.azimuth_deg + (self.rate_dps + 0.5 * self.acceleration_dps2 * elapsed) * elapsed
 
     def rate_at(self, times: Array) -> Array:
         """Table rate in deg/s at absolute times in s."""
-        return self.rate_dps + self.acceleration_dps2 * (times - self.start)
 
 
 Inside = NDArray[np.intp] | slice
 
 
-def split(motion: tuple[Segment, ...], times: Array) -> list[tuple[int, Inside]]:
-    """Sort times into segments: number of the segment, and the indices of the times that fall into it.
+def split(motion: tuple[Motion, ...], times: Array) -> list[tuple[int, Inside]]:
+    """Sort times into pieces: number of the piece, and the indices of the times that fall into it.
 
     Parameters
     ----------
-    motion : tuple of Segment
+    motion : tuple of Motion
         In order of time; the last one goes on for ever, the first one also holds before its start.
     times : ndarray, shape (n,)
         Absolute times, s.
     """
     if times.size == 0:
         return []
-    starts = [segment.start for segment in motion]
+    starts = [piece.start for piece in motion]
     first, last = (max(bisect.bisect_right(starts, t) - 1, 0) for t in (float(times.min()), float(times.max())))
     if first == last:
         return [(first, slice(None))]

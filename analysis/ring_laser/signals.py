@@ -12,17 +12,17 @@ from analysis.arrays import Floats
 from analysis.ring_laser.beat import beat_phase_on_table
 from analysis.ring_laser.detector import Detector, detector_signal
 from analysis.ring_laser.gyro import Gyro
-from analysis.ring_laser.motion import Segment, split
+from analysis.ring_laser.motion import Motion, split
 
 _SAME_NOISE_S = 20e-6
 
 
-def beat_signal_on_table(gyro: Gyro, detector: Detector, motion: Sequence[Segment], times: Floats) -> Floats:
+def beat_signal_on_table(gyro: Gyro, detector: Detector, motion: Sequence[Motion], times: Floats) -> Floats:
     """Volts at the detector while the table moves.
 
     Parameters
     ----------
-    motion : sequence of Segment
+    motion : sequence of Motion
         In order of time; the last one goes on for ever, the first one also holds before its start.
     times : ndarray, shape (n,)
         Absolute times, s.
@@ -48,7 +48,7 @@ def beat_signal_on_table(gyro: Gyro, detector: Detector, motion: Sequence[Segmen
 
 
 @lru_cache(maxsize=64)
-def _resting_volts(gyro: Gyro, detector: Detector, segment: Segment) -> float | None:
+def _resting_volts(gyro: Gyro, detector: Detector, segment: Motion) -> float | None:
     """The constant of a locked gyro on a table at rest; ``None`` where the beat moves."""
     if segment.rate_dps or segment.acceleration_dps2 or gyro.ripple_dps:
         return None

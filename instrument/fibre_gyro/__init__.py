@@ -1,11 +1,11 @@
 """The digital output of a fibre gyro, and its injection commands, on a serial line; and logs of it.
 
 The bytes of one output meet, in order: `link` (the port), `frame_stream` (where a frame begins), `frames` (checks
-and numbers, as `frame_format` describes them), `counter_clock` (when), `record_builder`, `recording`. Commands go
-through `messages`. `logs` reads and writes CSV files.
+and numbers, as `frame_format` describes them), `record_builder` (when), `recording`. Commands go through
+`messages`. `logs` reads and writes CSV files.
 """
 
-from instrument.fibre_gyro.errors import CommandRefused, FrameFormatError, NoAcknowledgement
+from instrument.errors import CommandRefused, FrameFormatError, NoAcknowledgement
 from instrument.fibre_gyro.frame_format import FrameFormat, parse_frame_format
 from instrument.fibre_gyro.link import FibreGyroLink
 from instrument.fibre_gyro.logs import read_gyro_log, write_gyro_log

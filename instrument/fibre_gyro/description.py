@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
-from instrument.fibre_gyro.errors import FrameFormatError
+from instrument.errors import FrameFormatError
 
 _MISSING: Any = object()
 

@@ -3,6 +3,13 @@
 What is delivered passed every check that its format has. What is not is counted. After damage the search for the
 next frame begins one byte behind the place where the damaged one began, so that no good frame inside the damaged
 stretch is lost, and never more than two frames' bytes are held.
+
+Where the checksum is weak (one byte, or none), what follows has to bear a frame out. In step, where frame follows
+frame without a byte between them, the header of the next one does. Behind damage a header may be two numbers that
+only look like one: there the counter has to go on by as many frames as the bytes since the last one make, or the
+next frame has to be whole itself. More cannot be had. A byte lost in a frame, and one inserted before the next
+header, leave the very bytes of another whole frame in 1 of 256 cases (one byte of sum); nothing tells it from one
+that was sent.
 """
 
 from __future__ import annotations
@@ -54,12 +61,7 @@ class Tally:
 
 
 class FrameStream:
-    """Takes bytes as they come and gives what is in them, in order: frames, answers, damage.
-
-    Parameters
-    ----------
-    layout : FrameFormat
-    """
+    """Takes bytes as they come and gives what is in them, in order: frames, answers, damage."""
 
     def __init__(self, layout: FrameFormat) -> None:
         self._layout = layout
@@ -68,8 +70,6 @@ class FrameStream:
         self._answers: dict[bytes, None] = {}  # in the order in which they were expected
         self.tally = Tally()
         weak = layout.check is None or layout.check.size < _STRONG_CHECK
-        # A lost byte makes the next header's first byte stand in for the last of the frame. A weak checksum
-        # may let that pass, but then the next header is not where it should be.
         self._confirm = weak and not self._lines
         self.restart()
 
@@ -86,6 +86,7 @@ class FrameStream:
         self.tally.discarded += len(self._buffer)
         self._buffer.clear()
         self._joined = False  # whether a frame was found since
+        self._counter: int | None = None  # of the last frame
         self._bad_bytes, self._reason = 0, ""
         self._too_long = False
 
@@ -99,13 +100,8 @@ class FrameStream:
 
         Parameters
         ----------
-        data : bytes
         silent : bool
-            Nothing more will follow for a while: a frame that waits for its successor is given now.
-
-        Returns
-        -------
-        list of Frame, Answer or Damage
+            Nothing more will follow for a while: a frame with nothing behind it waits no longer.
         """
         self.tally.received += len(data)
         self._buffer += data
@@ -127,63 +123,86 @@ class FrameStream:
                 self._end_of_damage()
                 self._found.append(Answer(answer))
                 position += len(answer)
-            elif self._may_continue(rest, silent):
+            elif self._may_begin(rest):
                 break
-            elif self._take_frame(rest):
-                position += self._layout.frame_bytes
             else:
-                behind = self._next_candidate(position)
-                self._bad_bytes += behind - position
-                self.tally.discarded += behind - position
-                position = behind
+                frame = self._frame_at(rest)
+                good = frame is not None and self._borne_out(frame, rest[self._layout.frame_bytes :], silent)
+                if good is None:
+                    break
+                position = self._behind_frame(frame, position) if frame and good else self._behind_damage(position)
         del self._buffer[:position]
 
     def _longest(self) -> int:
         layout = self._layout
-        return max(layout.frame_bytes + len(layout.header), *map(len, self._answers), 1)
+        longest = max(layout.frame_bytes + len(layout.header), *map(len, self._answers), 1)
+        return longest + layout.frame_bytes if self._confirm else longest
 
     def _answer_at(self, rest: bytes | bytearray) -> bytes | None:
         return next((answer for answer in self._answers if rest.startswith(answer)), None)
 
-    def _may_continue(self, rest: bytearray, silent: bool) -> bool:
-        """Whether more bytes are needed to tell what begins here."""
+    def _may_begin(self, rest: bytearray) -> bool:
+        """Whether these bytes may become an answer or a frame and are too few for it."""
         layout = self._layout
         if any(len(rest) < len(answer) and answer.startswith(rest) for answer in self._answers):
             return True
         have = min(len(rest), len(layout.header))
-        if rest[:have] != layout.header[:have]:
-            return False
-        if len(rest) < layout.frame_bytes:
-            return True
-        behind = rest[layout.frame_bytes :]
-        return self._confirm and not silent and len(behind) < len(layout.header) and self._begins(behind)
+        return rest[:have] == layout.header[:have] and len(rest) < layout.frame_bytes
 
-    def _begins(self, behind: bytearray) -> bool:
-        """Whether these bytes can be the begin of a frame or an answer."""
-        starts = [self._layout.header, *self._answers]
-        return any(start[: len(behind)] == behind[: len(start)] for start in starts)
-
-    def _take_frame(self, rest: bytearray) -> bool:
-        """Whether a whole frame stands here; if so it is given."""
-        length = self._layout.frame_bytes
+    def _frame_at(self, rest: bytearray) -> Frame | None:
+        """The frame at the begin of these bytes, if one stands there."""
         try:
-            frame = decode_frame(bytes(rest[:length]), self._layout)
-            if self._confirm and not self._begins(rest[length:]):
-                raise Damaged("no header behind it")
+            return decode_frame(bytes(rest[: self._layout.frame_bytes]), self._layout)
         except Damaged as damaged:
             self._reason = self._reason or str(damaged)
-            return False
-        self._end_of_damage()
-        self._give(frame)
-        return True
+            return None
 
-    def _next_candidate(self, position: int) -> int:
-        starts = [self._layout.header, *self._answers]
-        places = [self._buffer.find(start, position + 1) for start in starts]
-        if any(place >= 0 for place in places):
-            return min(place for place in places if place >= 0)
+    def _borne_out(self, frame: Frame, behind: bytearray, silent: bool) -> bool | None:
+        """Whether what stands behind a frame shows that it is one; None while too little of it has come."""
+        if not self._confirm:
+            return True
+        layout = self._layout
+        if any(behind.startswith(answer) for answer in self._answers) or (silent and not behind):
+            return True
+        if not any(start.startswith(behind[: len(start)]) for start in self._starts()):
+            self._reason = self._reason or "no header behind it"
+            return False
+        in_step = self._joined and (self._bad_bytes == 0 or self._counts_on(frame))
+        if in_step and behind.startswith(layout.header):
+            return True
+        if len(behind) < layout.frame_bytes:
+            return None
+        return self._frame_at(behind) is not None
+
+    def _counts_on(self, frame: Frame) -> bool:
+        """Whether the counter went on by as many frames as the bytes since the last one make."""
+        rule = self._layout.counter
+        if rule is None or frame.counter is None or self._counter is None:
+            return False
+        passed = 1 + round(self._bad_bytes / self._layout.frame_bytes)
+        return (frame.counter - self._counter - passed * rule.per_frame) % rule.modulus == 0
+
+    def _starts(self) -> list[bytes]:
+        """How what is worth finding begins."""
+        return [self._layout.header, *self._answers]
+
+    def _behind_frame(self, frame: Frame, position: int) -> int:
+        """Give a frame; where to go on."""
+        self._end_of_damage()
+        self._counter = frame.counter
+        self._give(frame)
+        return position + self._layout.frame_bytes
+
+    def _behind_damage(self, position: int) -> int:
+        """Discard what belongs to no frame and no answer; where to go on."""
+        starts = self._starts()
+        places = [place for start in starts if (place := self._buffer.find(start, position + 1)) >= 0]
         # The last bytes may be the begin of a header.
-        return max(position + 1, len(self._buffer) - max(map(len, starts)) + 1)
+        kept = len(self._buffer) - max(map(len, starts)) + 1
+        behind = min(places) if places else max(position + 1, kept)
+        self._bad_bytes += behind - position
+        self.tally.discarded += behind - position
+        return behind
 
     def _end_of_damage(self) -> None:
         """A frame or an answer begins here: what was discarded before were damaged frames, or the end of one."""

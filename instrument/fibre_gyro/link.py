@@ -15,13 +15,11 @@ from typing import Any
 
 import serial
 
-from instrument.errors import LinkError, SettingError
-from instrument.fibre_gyro.counter_clock import HOST_DELAY_S
-from instrument.fibre_gyro.errors import CommandRefused, NoAcknowledgement
+from instrument.errors import CommandRefused, LinkError, NoAcknowledgement, SettingError
 from instrument.fibre_gyro.frame_format import FrameFormat
 from instrument.fibre_gyro.frame_stream import Answer, Event, FrameStream
 from instrument.fibre_gyro.messages import compose
-from instrument.fibre_gyro.record_builder import RecordBuilder
+from instrument.fibre_gyro.record_builder import HOST_DELAY_S, RecordBuilder
 from instrument.fibre_gyro.recording import Losses, Recording
 
 SLICE_S = 0.02

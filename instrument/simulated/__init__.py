@@ -1,18 +1,18 @@
 """Simulated hardware: an oscilloscope that a driver cannot tell from a real one, and a rate table.
 
-A program message runs through these files: `visa_library`, `tcp_server` or `pty_server` (links), `serial_input`
-(what RS-232 loses), `exchange` (message queues), `parsing` and `command_tree` (which command), `commands` and the
-`*_commands` files (what it does), `panel` and `panel_rules` (settings), `status` and `events` (what went wrong).
-A signal runs through `frontend`, `trigger` and `video_trigger`, `acquisition` (when), `digitizer` (codes) and
-`traces` (what is sent); `screen` and `picture_formats` make the hard copy, `mass_storage` and `waveform_file` the
-files of the models that have a memory card.
+A program message runs through `links` (`visa_library` in this process; `scope_server` on a socket or a
+terminal; `serial_input`: what RS-232 loses; `exchange`: message queues), `scope` (reads it and finds each
+command, with `panel.parsing` and `commands.command_tree`) and `commands` (what each does to the `state`). The
+state has the `panel` (settings, their rules, status and events) and a `front_end`, through which a signal runs:
+`frontend`, `trigger` and `video_trigger`, `acquisition` (when), `digitizer` (codes) and `traces` (what is
+sent). `files` makes hard copies and holds the files of the models that have a memory card. The gyro of
+`fibre_gyro` is served by `links.stream_server`, too.
 """
 
 from instrument.simulated.clock import Clock, RealClock, VirtualClock
 from instrument.simulated.faults import Fault, Faults
 from instrument.simulated.front_end.frontend import Signal
-from instrument.simulated.links.pty_server import PtyServer
-from instrument.simulated.links.tcp_server import TcpServer
+from instrument.simulated.links.scope_server import PtyServer, TcpServer
 from instrument.simulated.links.visa_library import resource_manager
 from instrument.simulated.rate_table import SimulatedRateTable
 from instrument.simulated.scope import SimulatedTDS2014

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import threading
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,20 +18,34 @@ from instrument.simulated.clock import Clock, RealClock
 Floats = NDArray[np.float64]
 
 
+_STEP_S = 0.05  # s that pass in one piece while the table comes to its rate
+
+
 @dataclass(frozen=True)
-class _Segment:
-    """From `start` s on: constant acceleration, beginning with this rate and azimuth."""
+class Motion:
+    """A piece of the motion of a table, with constant acceleration.
+
+    Attributes
+    ----------
+    start : float
+        Absolute time, s.
+    azimuth_deg, rate_dps, acceleration_dps2 : float
+        At the start; the acceleration holds for the whole piece.
+    """
 
     start: float
-    azimuth: float  # deg
-    rate: float  # deg/s
-    acceleration: float  # deg/s^2
+    azimuth_deg: float
+    rate_dps: float
+    acceleration_dps2: float = 0.0
 
-    def at(self, time: float) -> tuple[float, float]:
-        """Rate and azimuth at a time within the segment."""
-        elapsed = time - self.start
-        rate = self.rate + self.acceleration * elapsed
-        return rate, self.azimuth + (self.rate + rate) / 2 * elapsed
+    def azimuth_at(self, times: Floats) -> Floats:
+        """Azimuth in deg, not folded into one turn, at absolute times in s."""
+        elapsed = times - self.start
+        return self.azimuth_deg + (self.rate_dps + 0.5 * self.acceleration_dps2 * elapsed) * elapsed
+
+    def rate_at(self, times: Floats) -> Floats:
+        """Rate in deg/s at absolute times in s."""
+        return self.rate_dps + self.acceleration_dps2 * (times - self.start)
 
 
 class SimulatedRateTable:
@@ -47,6 +61,12 @@ class SimulatedRateTable:
         Largest rate in deg/s.
     azimuth : float
         Azimuth in deg at the beginning.
+
+    Attributes
+    ----------
+    motion : tuple of Motion
+        How the table has turned and will turn, in order of time; the first piece also holds before its start, the
+        last one for ever.
 
     Examples
     --------
@@ -72,8 +92,7 @@ class SimulatedRateTable:
         self._clock: Clock = clock if clock is not None else RealClock()
         self._acceleration, self._highest_rate = acceleration, highest_rate
         self._lock = threading.Lock()
-        self._segments: tuple[_Segment, ...] = (_Segment(self._clock.now(), azimuth, 0.0, 0.0),)
-        self._columns = self._as_columns()
+        self.motion: tuple[Motion, ...] = (Motion(self._clock.now(), azimuth, 0.0),)
 
     def set_rate(self, rate_dps: float) -> None:
         """Command a rate in deg/s; the table accelerates to it and stays there.
@@ -89,18 +108,22 @@ class SimulatedRateTable:
             )
         with self._lock:
             now = self._clock.now()
-            passed = [s for s in self._segments if s.start < now] or [self._segments[0]]
-            rate, azimuth = passed[-1].at(max(now, passed[-1].start))
-            change = rate_dps - rate
-            if change and math.isfinite(self._acceleration):
-                acceleration = math.copysign(self._acceleration, change)
-                ramp = _Segment(now, azimuth, rate, acceleration)
-                passed.append(ramp)
-                now += change / acceleration
-                azimuth = ramp.at(now)[1]
-            passed.append(_Segment(now, azimuth, float(rate_dps), 0.0))
-            self._segments = tuple(passed)
-            self._columns = self._as_columns()
+            passed = [piece for piece in self.motion if piece.start < now] or [self.motion[0]]
+            azimuth, before = (float(at(np.array([now]))[0]) for at in (self.azimuth_at, self.rate_at))
+            if rate_dps == before and passed[-1].acceleration_dps2 == 0:
+                return
+            slew_s = abs(rate_dps - before) / self._acceleration
+            if slew_s > 0:
+                passed.append(Motion(now, azimuth, before, math.copysign(self._acceleration, rate_dps - before)))
+            reached = azimuth + slew_s * (before + rate_dps) / 2
+            # one assignment: the thread of the scope may be reading it
+            self.motion = (*passed, Motion(now + slew_s, reached, float(rate_dps)))
+
+    def wait_until_steady(self) -> None:
+        """Let time pass on the clock until the table turns at the rate that was commanded."""
+        steady = self.motion[-1].start
+        while (left := steady - self._clock.now()) > 0:
+            self._clock.sleep(min(left, _STEP_S) + 1e-9)
 
     def rate(self) -> float:
         """Rate in deg/s now."""
@@ -124,13 +147,8 @@ class SimulatedRateTable:
         """Leave the table as it is."""
 
     def _look_up(self, times: Floats) -> tuple[Floats, Floats, Floats, Floats]:
-        """Time since the start of the segment of each time, and what that segment begins with."""
-        start, azimuth, rate, acceleration = self._columns
+        """Time since the start of the piece of each time, and what that piece begins with."""
+        start, azimuth, rate, acceleration = np.array([astuple(piece) for piece in self.motion]).T
         times = np.asarray(times, dtype=np.float64)
         index = np.maximum(np.searchsorted(start, times, side="right") - 1, 0)
         return times - start[index], azimuth[index], rate[index], acceleration[index]
-
-    def _as_columns(self) -> tuple[Floats, Floats, Floats, Floats]:
-        rows = [(s.start, s.azimuth, s.rate, s.acceleration) for s in self._segments]
-        start, azimuth, rate, acceleration = np.array(rows, dtype=np.float64).T
-        return start, azimuth, rate, acceleration

@@ -2,48 +2,22 @@
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Iterator, Mapping
-from dataclasses import replace
-from functools import lru_cache
 
-from instrument.simulated.clock import Clock, RealClock
-from instrument.simulated.commands.action import Action, all_actions, one_argument
+from instrument.simulated.commands.action import Action, one_argument
+from instrument.simulated.commands.all_commands import command_set
 from instrument.simulated.commands.command_tree import CommandTree, Node
-from instrument.simulated.commands.reference import empty_reference
-from instrument.simulated.commands.waveform import data_init
-from instrument.simulated.faults import Faults
-from instrument.simulated.files.mass_storage import MassStorage
-from instrument.simulated.front_end.acquisition import Acquisition
-from instrument.simulated.front_end.digitizer import Digitizer
-from instrument.simulated.front_end.frontend import Signal
-from instrument.simulated.front_end.math_waveform import combine, multiply, spectrum, visible_part
-from instrument.simulated.front_end.traces import Trace, channel_trace
-from instrument.simulated.panel import panel_rules
 from instrument.simulated.panel.event_table import Guess, Refusal, status_bit
 from instrument.simulated.panel.formats import Leaf, join_leaves
-from instrument.simulated.panel.kinds import Value
-from instrument.simulated.panel.math_expression import operands
-from instrument.simulated.panel.models import Model, find_model
-from instrument.simulated.panel.panel import Panel
 from instrument.simulated.panel.parsing import Argument, Command, Malformed, parse_message
-from instrument.simulated.panel.settings_table import Row, setting_rows
-from instrument.simulated.panel.status import Status
-
-MESSAGE_TIME = 0.02  # s, on a virtual clock (a guess: 20 to 100 ms on GPIB)
-
-
-@lru_cache(maxsize=32)
-def _command_set(model: Model) -> tuple[CommandTree, Mapping[str, Action]]:
-    actions = all_actions(model)
-    return CommandTree(setting_rows(model), actions), actions
+from instrument.simulated.state import ScopeState
 
 
 class Picture(bytes):
     """An answer that no terminator follows."""
 
 
-class SimulatedTDS2014:
+class SimulatedTDS2014(ScopeState):
     """A TDS2014, or another model of its family, with signals at its inputs.
 
     Parameters
@@ -73,46 +47,13 @@ class SimulatedTDS2014:
     methods are to be called with `lock` held when several threads use one instrument.
     """
 
-    def __init__(
-        self,
-        signals: Mapping[int, Signal] | None = None,
-        *,
-        model: str = "TDS2014",
-        clock: Clock | None = None,
-        noise_levels: float = 0.4,
-        seed: int = 0,
-        faults: Faults | None = None,
-        identity: str | None = None,
-        message_time: float | None = None,
-    ) -> None:
-        self.model = find_model(model)
-        self._identity = identity if identity is not None else self.model.identity
-        self.clock: Clock = clock if clock is not None else RealClock()
-        self.faults: Faults = faults if faults is not None else Faults()
-        default_time = MESSAGE_TIME if self.clock.virtual else 0.0
-        self._message_time = default_time if message_time is None else message_time
-        self.lock = threading.RLock()
-        self.panel = Panel(self.model)
-        self.status: Status = Status()
-        self.acquisition: Acquisition = Acquisition(self.panel, signals or {}, self.clock, self.faults, seed)
-        self.digitizer = Digitizer(self.acquisition.signal, noise_levels, seed)
-        self.references = {name: empty_reference(name) for name in self.model.reference_names}
-        self.setups: dict[int, dict[str, Value]] = {}
-        self.storage: MassStorage = MassStorage()  # of models that have one
-        self.clock_offset: float = 0.0  # s that DATE and TIMe moved the clock
-        self.trigger_message: bytes = b""  # *DDT
-        self.picture: bytes = b""  # of a hard copy, on its way out
-        self.completion_wanted = False  # *OPC was sent and waits for the end of the operation
-        self.message_available = False
-        self.powered = True
-        self._tree, self._actions = _command_set(self.model)
+    @property
+    def _tree(self) -> CommandTree:
+        return command_set(self.model)[0]
 
     @property
-    def identity(self) -> str:
-        """What `*IDN?` answers."""
-        return self.faults.identity or self._identity
-
-    # Program messages
+    def _actions(self) -> Mapping[str, Action]:
+        return command_set(self.model)[1]
 
     def execute(self, message: bytes, *, stream: bool = False) -> Iterator[bytes | None]:
         """Carry out one program message; `stream` tells that it came without a message end.
@@ -124,7 +65,7 @@ class SimulatedTDS2014:
         bytes
             At the end, the answer without terminator, if there is one.
         """
-        self.clock.sleep(self._message_time)
+        self.clock.sleep(self.message_time)
         branch = self._tree.root
         leaves: list[list[Leaf]] = []
         identified = False
@@ -209,136 +150,13 @@ class SimulatedTDS2014:
         else:
             raise Refusal(Guess.QUERY_HAS_NO_COMMAND)
 
-    def rows_below(self, branch: str) -> list[Row]:
-        """Settings of a branch, in the order of the table."""
-        node = self._tree.root.find(branch)
-        return self._tree.rows_below(node) if node is not None else []
-
-    def leaves(self, rows: list[Row]) -> list[Leaf]:
-        """Headers and values of settings."""
-        verbose = self.panel.flag("VERBOSE")
-        return [
-            (tuple(row.header.split(":")), row.kind.write(self.panel.values[row.header.upper()], verbose))
-            for row in rows
-        ]
-
     def _render(self, answers: list[list[Leaf]]) -> bytes:
         header, verbose = self.panel.flag("HEADER"), self.panel.flag("VERBOSE")
         parts = (join_leaves(leaves, header=header, verbose=verbose) for leaves in answers)
         return ";".join(parts).encode("latin-1")
-
-    # What commands do
 
     def turn_knob(self, command: str) -> None:
         """What somebody at the front panel does, as a program message; nothing while it is locked."""
         if self.panel.text("LOCK") == "NONE":
             for _ in self.execute(command.encode("latin-1")):
                 pass
-
-    def set(self, key: str, value: Value) -> None:
-        """Change a setting as a command or a hand on the front panel would."""
-        self.acquisition.update()
-        if key == "ACQUIRE:STATE":
-            if value:
-                self.panel.values[key] = 1
-                self.acquisition.restart()
-            else:
-                self.acquisition.stop()
-            return
-        before = dict(self.panel.values)
-        panel_rules.store(self.panel, key, value)
-        if self.panel.values != before and panel_rules.restarts(key):
-            self.acquisition.restart()
-
-    def busy(self) -> bool:
-        """True while a single sequence is under way."""
-        self.acquisition.update()
-        return self.faults.stuck_busy or self.acquisition.single
-
-    def awaits_record(self) -> bool:
-        """True while the first record with the present channels is on its way (a guess: the unit waits)."""
-        self.acquisition.update()
-        return self.acquisition.awaited
-
-    def settle(self) -> None:
-        """Post the completion that *OPC asked for, once it is there."""
-        if self.completion_wanted and not self.busy():
-            self.completion_wanted = False
-            self.status.post(402)
-
-    def status_byte(self) -> int:
-        """What `*STB?` and a serial poll give."""
-        self.settle()
-        return self.status.status_byte(message_available=self.message_available)
-
-    def trace(self, name: str) -> Trace | None:
-        """What stands on the screen under a name; None if it is not displayed."""
-        if name not in self.panel.displayed:
-            return None
-        if name in self.references:
-            return self.references[name]
-        if name == "MATH":
-            return self._math_trace()
-        return self._channel_trace(name)
-
-    def _channel_trace(self, name: str) -> Trace:
-        record = self.acquisition.latest()
-        channel = record.channels.get(name, self.panel.channel(name))
-        codes = self.digitizer.codes(record, name)
-        return channel_trace(record, name, codes, channel, self._unit(name))
-
-    def _math_trace(self) -> Trace:
-        expression = self.panel.text("MATH:DEFINE")
-        sources = [self._channel_trace(name) for name in operands(expression)]
-        if "*" in expression:
-            vertical = "MATH:VERTICAL"
-            scale, position = self.panel.number(f"{vertical}:SCALE"), self.panel.number(f"{vertical}:POSITION")
-            return multiply(sources[0], sources[1], scale, position)
-        if len(sources) == 2:
-            return combine(expression, *sources)
-        zoom = self.panel.number("MATH:FFT:VERTICAL:SCALE")
-        position = self.panel.number("MATH:FFT:VERTICAL:POSITION")
-        return spectrum(expression, sources[0], zoom, position, self.panel.number("MATH:FFT:HORIZONTAL:SCALE"))
-
-    def screen_traces(self) -> dict[str, Trace]:
-        """What the screen shows; of a spectrum only the part that is zoomed in."""
-        traces = {name: self.trace(name) for name in self.model.waveform_names}
-        shown = {name: trace for name, trace in traces.items() if trace is not None}
-        if "MATH" in shown and shown["MATH"].xunit == "Hz":
-            zoom, position = "MATH:FFT:HORIZONTAL:SCALE", "MATH:FFT:HORIZONTAL:POSITION"
-            part = visible_part(self.panel.number(zoom), self.panel.number(position))
-            shown["MATH"] = replace(shown["MATH"], codes=shown["MATH"].codes[part])
-        return shown
-
-    def _unit(self, name: str) -> str:
-        ampere = self.model.letter_series and self.panel.text(f"{name}:YUNIT") == "A"
-        return "A" if ampere else "Volts"
-
-    def reset(self) -> None:
-        """`*RST`: factory settings; header, masks, links and stored data stay."""
-        self.panel.factory()
-        self.acquisition.restart()
-
-    def factory(self) -> None:
-        """`FACtory`: `*RST`, and header, masks and DATa as at the factory."""
-        self.reset()
-        self.panel.values["HEADER"] = 1
-        self.status.esr_mask, self.status.service_mask, self.status.device_mask = 0, 0, 255
-        self.status.clear_masks_at_power_on = True
-        self.completion_wanted = False
-        data_init(self)
-
-    # Power
-
-    def power_off(self) -> None:
-        """Switch off: links close and nothing answers."""
-        self.powered = False
-
-    def power_on(self) -> None:
-        """Switch on again: settings are kept, events and records are not."""
-        self.powered = True
-        self.completion_wanted = False
-        self.status.power_on()
-        self.panel.values["ACQUIRE:STATE"] = 1
-        self.acquisition.record = None
-        self.acquisition.restart()

@@ -1,23 +1,19 @@
-"""Commands and queries that are more than a stored setting, and the table that collects them."""
+"""Commands and queries that are more than a stored setting."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 from instrument.simulated.panel.event_table import Guess, Refusal
 from instrument.simulated.panel.formats import Leaf
 from instrument.simulated.panel.kinds import number
-from instrument.simulated.panel.models import Model
 from instrument.simulated.panel.parsing import Argument
+from instrument.simulated.state import ScopeState
 
-if TYPE_CHECKING:
-    from instrument.simulated.scope import SimulatedTDS2014
-
-Query = Callable[["SimulatedTDS2014"], list[Leaf]]
-Order = Callable[["SimulatedTDS2014", tuple[Argument, ...]], None]
-Condition = Callable[["SimulatedTDS2014"], bool]
+Query = Callable[[ScopeState], list[Leaf]]
+Order = Callable[[ScopeState, tuple[Argument, ...]], None]
+Condition = Callable[[ScopeState], bool]
 
 
 @dataclass(frozen=True)
@@ -30,10 +26,10 @@ class Action:
     ends_message: bool = False  # *IDN? and ID?: a query after it is refused with event 440
 
 
-def answer(header: str, value: Callable[[SimulatedTDS2014], str]) -> Query:
+def answer(header: str, value: Callable[[ScopeState], str]) -> Query:
     """A query with one value; `header` is spelled as in the manual, empty for `*` queries."""
     path = tuple(header.split(":")) if header else ()
-    return lambda scope: [(path, value(scope))]
+    return lambda state: [(path, value(state))]
 
 
 def no_argument(arguments: tuple[Argument, ...]) -> None:
@@ -65,24 +61,3 @@ def one_number(arguments: tuple[Argument, ...], low: int, high: int, event: int)
     if not low <= value <= high:
         raise Refusal(event)
     return value
-
-
-def all_actions(model: Model) -> Mapping[str, Action]:
-    """Every action of a model by its header."""
-    from instrument.simulated.commands import acquisition as acquisition_commands
-    from instrument.simulated.commands import file as file_commands
-    from instrument.simulated.commands import hard_copy as hard_copy_commands
-    from instrument.simulated.commands import measurement as measurement_commands
-    from instrument.simulated.commands import setup as setup_commands
-    from instrument.simulated.commands import status as status_commands
-    from instrument.simulated.commands import waveform as waveform_commands
-
-    return {
-        **status_commands.ACTIONS,
-        **acquisition_commands.ACTIONS,
-        **setup_commands.ACTIONS,
-        **measurement_commands.ACTIONS,
-        **hard_copy_commands.ACTIONS,
-        **waveform_commands.actions(model),
-        **(file_commands.ACTIONS if model.has_storage else {}),
-    }

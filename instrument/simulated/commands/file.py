@@ -7,12 +7,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from datetime import datetime, timedelta
-from typing import TYPE_CHECKING
 
 from instrument.errors import FileFormatError, TransferError
 from instrument.simulated.commands import reference as reference_commands
 from instrument.simulated.commands import setup as setup_commands
 from instrument.simulated.commands.action import Action, Order, answer, no_argument, one_argument, one_string
+from instrument.simulated.files.mass_storage import MassStorage
 from instrument.simulated.files.picture_formats import FORMATS
 from instrument.simulated.files.screen import draw
 from instrument.simulated.files.waveform_file import csv_file
@@ -21,120 +21,117 @@ from instrument.simulated.panel.event_table import Guess, Refusal
 from instrument.simulated.panel.formats import Leaf, quoted
 from instrument.simulated.panel.kinds import Words
 from instrument.simulated.panel.parsing import Argument
+from instrument.simulated.state import ScopeState
 from instrument.tek_files import parse_csv
-
-if TYPE_CHECKING:
-    from instrument.simulated.files.mass_storage import MassStorage
-    from instrument.simulated.scope import SimulatedTDS2014
 
 _BEGINNING = datetime(2006, 4, 21, 8, 0)  # what the clock shows when the instrument begins to live
 _DATE, _TIME = "%Y-%m-%d", "%H:%M:%S"
 
 
-def _now(scope: SimulatedTDS2014) -> datetime:
-    return _BEGINNING + timedelta(seconds=scope.clock.now() + scope.clock_offset)
+def _now(state: ScopeState) -> datetime:
+    return _BEGINNING + timedelta(seconds=state.clock.now() + state.clock_offset)
 
 
 def _set_clock(form: str) -> Order:
     """DATE keeps the time of day, TIMe the date."""
 
-    def order(scope: SimulatedTDS2014, arguments: tuple[Argument, ...]) -> None:
-        now = _now(scope)
+    def order(state: ScopeState, arguments: tuple[Argument, ...]) -> None:
+        now = _now(state)
         try:
             wanted = datetime.strptime(one_string(arguments).strip(), form)
         except ValueError:
             raise Refusal(Guess.DATE_IS_NONE) from None
         date, time = (wanted.date(), now.time()) if form == _DATE else (now.date(), wanted.time())
-        scope.clock_offset += (datetime.combine(date, time) - now).total_seconds()
+        state.clock_offset += (datetime.combine(date, time) - now).total_seconds()
 
     return order
 
 
 def _on_one_name(act: Callable[[MassStorage, str], None]) -> Order:
-    return lambda scope, arguments: act(scope.storage, one_string(arguments))
+    return lambda state, arguments: act(state.storage, one_string(arguments))
 
 
-def _rename(scope: SimulatedTDS2014, arguments: tuple[Argument, ...]) -> None:
+def _rename(state: ScopeState, arguments: tuple[Argument, ...]) -> None:
     if len(arguments) != 2:
         raise Refusal(Guess.SURPLUS_ARGUMENT if len(arguments) > 2 else Guess.MISSING_ARGUMENT)
-    scope.storage.rename(*(one_string((argument,)) for argument in arguments))
+    state.storage.rename(*(one_string((argument,)) for argument in arguments))
 
 
-def _format(scope: SimulatedTDS2014, arguments: tuple[Argument, ...]) -> None:
+def _format(state: ScopeState, arguments: tuple[Argument, ...]) -> None:
     no_argument(arguments)
-    scope.storage.format()
+    state.storage.format()
 
 
-def _file_system(scope: SimulatedTDS2014) -> list[Leaf]:
-    storage = scope.storage
+def _file_system(state: ScopeState) -> list[Leaf]:
+    storage = state.storage
     return [
         (("FILESystem", "CWD"), quoted(storage.folder)),
         (("FILESystem", "FREESpace"), str(storage.free)),
     ]
 
 
-def _listing(scope: SimulatedTDS2014) -> str:
-    return ",".join(map(quoted, scope.storage.listing())) or quoted("")
+def _listing(state: ScopeState) -> str:
+    return ",".join(map(quoted, state.storage.listing())) or quoted("")
 
 
-def _save_image(scope: SimulatedTDS2014, arguments: tuple[Argument, ...]) -> None:
+def _save_image(state: ScopeState, arguments: tuple[Argument, ...]) -> None:
     name = one_string(arguments)
-    write = FORMATS.get(scope.panel.text("SAVE:IMAGE:FILEFORMAT"))
+    write = FORMATS.get(state.panel.text("SAVE:IMAGE:FILEFORMAT"))
     if write is None:
         raise Refusal(Guess.PICTURE_FORMAT_NOT_SIMULATED)
-    scope.storage.write(name, write(draw(scope.screen_traces())))
+    state.storage.write(name, write(draw(state.screen_traces())))
 
 
-def _save_setup(scope: SimulatedTDS2014, arguments: tuple[Argument, ...]) -> None:
+def _save_setup(state: ScopeState, arguments: tuple[Argument, ...]) -> None:
     if one_argument(arguments).quoted:
-        scope.storage.write(arguments[0].text, f"{setup_commands.whole_setup(scope)}\n".encode("latin-1"))
+        state.storage.write(arguments[0].text, f"{setup_commands.whole_setup(state)}\n".encode("latin-1"))
     else:
-        setup_commands.save(scope, arguments)
+        setup_commands.save(state, arguments)
 
 
-def _recall_setup(scope: SimulatedTDS2014, arguments: tuple[Argument, ...]) -> None:
+def _recall_setup(state: ScopeState, arguments: tuple[Argument, ...]) -> None:
     if not one_argument(arguments).quoted:
-        setup_commands.recall_setup(scope, arguments)
+        setup_commands.recall_setup(state, arguments)
         return
-    content = scope.storage.read(arguments[0].text).strip()
+    content = state.storage.read(arguments[0].text).strip()
     if not content.startswith(b":"):
         raise Refusal(Guess.FILE_IS_NO_SETUP)
-    for _ in scope.execute(content):
+    for _ in state.execute(content):
         pass
 
 
-def _save_waveform(scope: SimulatedTDS2014, arguments: tuple[Argument, ...]) -> None:
+def _save_waveform(state: ScopeState, arguments: tuple[Argument, ...]) -> None:
     if len(arguments) != 2 or not arguments[1].quoted:
-        reference_commands.save_waveform(scope, arguments)
+        reference_commands.save_waveform(state, arguments)
         return
-    source = Words(*scope.model.waveform_names).read(arguments[0])
-    trace = scope.trace(source)
+    source = Words(*state.model.waveform_names).read(arguments[0])
+    trace = state.trace(source)
     if trace is None:
         raise Refusal(2245)
-    probe = scope.panel.number(f"{source if source.startswith('CH') else 'CH1'}:PROBE")
-    scope.storage.write(arguments[1].text, csv_file(trace, source, probe, _keys(scope)))
+    probe = state.panel.number(f"{source if source.startswith('CH') else 'CH1'}:PROBE")
+    state.storage.write(arguments[1].text, csv_file(trace, source, probe, _keys(state)))
 
 
-def _keys(scope: SimulatedTDS2014) -> dict[str, str]:
-    _, name, serial, rest = (*scope.identity.split(",", 3), "", "", "", "")[:4]
+def _keys(state: ScopeState) -> dict[str, str]:
+    _, name, serial, rest = (*state.identity.split(",", 3), "", "", "", "")[:4]
     firmware = "FV:" + rest.rpartition("FV:")[2].split(" ")[0]
-    later = {"Model Number": name.replace(" ", ""), "Serial Number": serial} if scope.model.letter_series else {}
+    later = {"Model Number": name.replace(" ", ""), "Serial Number": serial} if state.model.letter_series else {}
     return {**later, "Firmware Version": firmware}
 
 
-def _recall_waveform(scope: SimulatedTDS2014, arguments: tuple[Argument, ...]) -> None:
+def _recall_waveform(state: ScopeState, arguments: tuple[Argument, ...]) -> None:
     """RECAll:WAVEform <file>,REF<x>."""
     if len(arguments) != 2:
         raise Refusal(Guess.SURPLUS_ARGUMENT if len(arguments) > 2 else Guess.MISSING_ARGUMENT)
-    content = scope.storage.read(one_string(arguments[:1]))
-    target = Words(*scope.model.reference_names).read(arguments[1])
+    content = state.storage.read(one_string(arguments[:1]))
+    target = Words(*state.model.reference_names).read(arguments[1])
     try:
         waveform = parse_csv(content.decode("ascii", errors="replace"))
     except (FileFormatError, TransferError):
         raise Refusal(Guess.FILE_IS_NO_WAVEFORM) from None
     read = waveform.preamble
     rest = read.wfid.partition(",")[2]
-    scope.references[target] = Trace(
+    state.references[target] = Trace(
         codes=waveform.codes.astype("int8"),
         wfid=f"Ref{target[-1]},{rest}",
         pt_fmt=read.pt_fmt,
@@ -148,22 +145,22 @@ def _recall_waveform(scope: SimulatedTDS2014, arguments: tuple[Argument, ...]) -
     )
 
 
-def _awaited(scope: SimulatedTDS2014) -> bool:
-    return scope.awaits_record()
+def _awaited(state: ScopeState) -> bool:
+    return state.awaits_record()
 
 
 ACTIONS = {
-    "DATE": Action(answer("DATE", lambda scope: quoted(_now(scope).strftime(_DATE))), _set_clock(_DATE)),
-    "TIMe": Action(answer("TIMe", lambda scope: quoted(_now(scope).strftime(_TIME))), _set_clock(_TIME)),
+    "DATE": Action(answer("DATE", lambda state: quoted(_now(state).strftime(_DATE))), _set_clock(_DATE)),
+    "TIMe": Action(answer("TIMe", lambda state: quoted(_now(state).strftime(_TIME))), _set_clock(_TIME)),
     "FILESystem": Action(_file_system),
     "FILESystem:CWD": Action(
-        answer("FILESystem:CWD", lambda scope: quoted(scope.storage.folder)),
+        answer("FILESystem:CWD", lambda state: quoted(state.storage.folder)),
         _on_one_name(lambda storage, name: storage.change_folder(name)),
     ),
     "FILESystem:DELEte": Action(order=_on_one_name(lambda storage, name: storage.delete(name))),
     "FILESystem:DIR": Action(answer("FILESystem:DIR", _listing)),
     "FILESystem:FORMat": Action(order=_format),
-    "FILESystem:FREESpace": Action(answer("FILESystem:FREESpace", lambda scope: str(scope.storage.free))),
+    "FILESystem:FREESpace": Action(answer("FILESystem:FREESpace", lambda state: str(state.storage.free))),
     "FILESystem:MKDir": Action(order=_on_one_name(lambda storage, name: storage.make_folder(name))),
     "FILESystem:REName": Action(order=_rename),
     "FILESystem:RMDir": Action(order=_on_one_name(lambda storage, name: storage.remove_folder(name))),

@@ -6,7 +6,6 @@ Source: programmer manual 071-1075-04, pp. 2-53, 2-104, 2-186 to 2-198 and appen
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -17,9 +16,7 @@ from instrument.simulated.panel.formats import block, join_leaves, quoted
 from instrument.simulated.panel.kinds import Words
 from instrument.simulated.panel.parsing import Argument
 from instrument.simulated.panel.settings_table import time_steps
-
-if TYPE_CHECKING:
-    from instrument.simulated.scope import SimulatedTDS2014
+from instrument.simulated.state import ScopeState
 
 MEMORIES = 10
 _LONGEST_TRIGGER_MESSAGE = 80
@@ -30,78 +27,78 @@ _AUTOSET_POINTS = 1 << 16
 _SCALES = tuple(digit * 10.0**exponent for exponent in range(-3, 2) for digit in (1, 2, 5))
 
 
-def whole_setup(scope: SimulatedTDS2014) -> str:
+def whole_setup(state: ScopeState) -> str:
     """All settings as one message that can be sent back; always with headers."""
-    rows = [row for row in scope.panel.rows.values() if row.in_set]
-    return join_leaves(scope.leaves(rows), header=True, verbose=scope.panel.flag("VERBOSE"))
+    rows = [row for row in state.panel.rows.values() if row.in_set]
+    return join_leaves(state.leaves(rows), header=True, verbose=state.panel.flag("VERBOSE"))
 
 
-def save(scope: SimulatedTDS2014, arguments: tuple[Argument, ...]) -> None:
+def save(state: ScopeState, arguments: tuple[Argument, ...]) -> None:
     """Keep the setup in memory 1 to 10."""
     number = one_number(arguments, 1, MEMORIES, Guess.MEMORY_NUMBER_OUT_OF_RANGE)
-    scope.setups[number] = scope.panel.stored()
+    state.setups[number] = state.panel.stored()
 
 
-def _recall(scope: SimulatedTDS2014, arguments: tuple[Argument, ...]) -> None:
+def _recall(state: ScopeState, arguments: tuple[Argument, ...]) -> None:
     number = one_number(arguments, 1, MEMORIES, Guess.MEMORY_NUMBER_OUT_OF_RANGE)
-    scope.acquisition.update()
-    if number in scope.setups:
-        scope.panel.recall(scope.setups[number])
-        scope.acquisition.restart()
+    state.acquisition.update()
+    if number in state.setups:
+        state.panel.recall(state.setups[number])
+        state.acquisition.restart()
     else:
-        scope.reset()  # a memory never written holds the factory setup
+        state.reset()  # a memory never written holds the factory setup
 
 
-def recall_setup(scope: SimulatedTDS2014, arguments: tuple[Argument, ...]) -> None:
+def recall_setup(state: ScopeState, arguments: tuple[Argument, ...]) -> None:
     """Bring back the factory setup or that of memory 1 to 10."""
     if one_argument(arguments).text[:1].isalpha():
         _FACTORY.read(arguments[0])
-        scope.reset()
+        state.reset()
     else:
-        _recall(scope, arguments)
+        _recall(state, arguments)
 
 
-def _define_trigger(scope: SimulatedTDS2014, arguments: tuple[Argument, ...]) -> None:
+def _define_trigger(state: ScopeState, arguments: tuple[Argument, ...]) -> None:
     argument = one_argument(arguments)
     message = argument.data if argument.data is not None else argument.text.encode("latin-1")
     if argument.data is None and not argument.quoted:
         raise Refusal(Guess.BLOCK_EXPECTED)
     if len(message) > _LONGEST_TRIGGER_MESSAGE:
         raise Refusal(223)
-    scope.trigger_message = message
+    state.trigger_message = message
 
 
-def _trigger(scope: SimulatedTDS2014, arguments: tuple[Argument, ...]) -> None:
+def _trigger(state: ScopeState, arguments: tuple[Argument, ...]) -> None:
     """*TRG carries out what *DDT defined; a definition that triggers itself does nothing."""
     no_argument(arguments)
-    message, scope.trigger_message = scope.trigger_message, b""
-    for _ in scope.execute(message):
+    message, state.trigger_message = state.trigger_message, b""
+    for _ in state.execute(message):
         pass
-    scope.trigger_message = scope.trigger_message or message
+    state.trigger_message = state.trigger_message or message
 
 
-def _nothing(scope: SimulatedTDS2014, arguments: tuple[Argument, ...]) -> None:
+def _nothing(state: ScopeState, arguments: tuple[Argument, ...]) -> None:
     """Accepted; a simulated instrument is always calibrated."""
 
 
-def _autoset(scope: SimulatedTDS2014, arguments: tuple[Argument, ...]) -> None:
+def _autoset(state: ScopeState, arguments: tuple[Argument, ...]) -> None:
     """Choose scales, time base and trigger for the signals at the displayed channels."""
     _EXECUTE.read(one_argument(arguments))
-    panel = scope.panel
+    panel = state.panel
     names = [name for name in panel.model.channel_names if name in panel.displayed] or ["CH1"]
-    times = scope.clock.now() - _AUTOSET_LOOK * (1 - np.arange(_AUTOSET_POINTS) / _AUTOSET_POINTS)
+    times = state.clock.now() - _AUTOSET_LOOK * (1 - np.arange(_AUTOSET_POINTS) / _AUTOSET_POINTS)
     frequencies: dict[str, float] = {}
     for name in names:
-        volts = np.asarray(scope.acquisition.signal(name)(times), dtype=np.float64) + np.zeros_like(times)
+        volts = np.asarray(state.acquisition.signal(name)(times), dtype=np.float64) + np.zeros_like(times)
         volts = volts * panel.number(f"{name}:PROBE")
-        _autoset_channel(scope, name, volts)
+        _autoset_channel(state, name, volts)
         frequencies[name] = _lowest_frequency(volts)
     source = min(names, key=lambda name: frequencies[name] or math.inf)
     frequency = frequencies[source] or 200.0
-    scope.set("HORIZONTAL:MAIN:POSITION", 0.0)
+    state.set("HORIZONTAL:MAIN:POSITION", 0.0)
     wanted = 4 / frequency / DIVISIONS
     steps = [step for step in time_steps(panel.model.fastest) if step >= wanted]
-    scope.set("HORIZONTAL:MAIN:SCALE", steps[0] if steps else 50.0)
+    state.set("HORIZONTAL:MAIN:SCALE", steps[0] if steps else 50.0)
     for key, value in (
         ("ACQUIRE:MODE", "SAMPLE"),
         ("ACQUIRE:STOPAFTER", "RUNSTOP"),
@@ -114,22 +111,20 @@ def _autoset(scope: SimulatedTDS2014, arguments: tuple[Argument, ...]) -> None:
         ("TRIGGER:MAIN:EDGE:SLOPE", "RISE"),
         ("TRIGGER:MAIN:EDGE:COUPLING", "DC"),
     ):
-        scope.set(key, value)
+        state.set(key, value)
     middle = -panel.number(f"{source}:POSITION") * panel.number(f"{source}:SCALE")
-    scope.set("TRIGGER:MAIN:LEVEL", middle)
-    scope.set("ACQUIRE:STATE", 1)
+    state.set("TRIGGER:MAIN:LEVEL", middle)
+    state.set("ACQUIRE:STATE", 1)
 
 
-def _autoset_channel(
-    scope: SimulatedTDS2014, name: str, volts: np.ndarray[tuple[int], np.dtype[np.float64]]
-) -> None:
+def _autoset_channel(state: ScopeState, name: str, volts: np.ndarray[tuple[int], np.dtype[np.float64]]) -> None:
     span = float(volts.max() - volts.min())
     scales = [scale for scale in _SCALES if 5 * scale >= span > 0] or [1.0]
-    scope.set(f"SELECT:{name}", 1)
-    scope.set(f"{name}:BANDWIDTH", 0)
-    scope.set(f"{name}:SCALE", scales[0])
+    state.set(f"SELECT:{name}", 1)
+    state.set(f"{name}:BANDWIDTH", 0)
+    state.set(f"{name}:SCALE", scales[0])
     middle = float(volts.max() + volts.min()) / 2
-    scope.set(f"{name}:POSITION", round(-middle / scales[0] * LEVELS_PER_DIVISION) / LEVELS_PER_DIVISION)
+    state.set(f"{name}:POSITION", round(-middle / scales[0] * LEVELS_PER_DIVISION) / LEVELS_PER_DIVISION)
 
 
 def _lowest_frequency(volts: np.ndarray[tuple[int], np.dtype[np.float64]]) -> float:
@@ -141,7 +136,7 @@ def _lowest_frequency(volts: np.ndarray[tuple[int], np.dtype[np.float64]]) -> fl
     return float((len(edges) - 1) / (edges[-1] - edges[0]) * _AUTOSET_POINTS / _AUTOSET_LOOK)
 
 
-def _refuse_view(scope: SimulatedTDS2014, arguments: tuple[Argument, ...]) -> None:
+def _refuse_view(state: ScopeState, arguments: tuple[Argument, ...]) -> None:
     raise Refusal(221)
 
 
@@ -152,21 +147,21 @@ ACTIONS = {
     "*RCL": Action(order=_recall),
     "SAVe:SETUp": Action(order=save),
     "RECAll:SETUp": Action(order=recall_setup),
-    "*DDT": Action(answer("", lambda scope: block(scope.trigger_message).decode("latin-1")), _define_trigger),
+    "*DDT": Action(answer("", lambda state: block(state.trigger_message).decode("latin-1")), _define_trigger),
     "*TRG": Action(order=_trigger),
     "AUTOSet": Action(order=_autoset),
-    "AUTOSet:SIGNAL": Action(answer("AUTOSet:SIGNAL", lambda scope: "NONE")),
-    "AUTOSet:VIEW": Action(answer("AUTOSet:VIEW", lambda scope: "NONE"), _refuse_view),
-    "*CAL": Action(answer("", lambda scope: "0")),
+    "AUTOSet:SIGNAL": Action(answer("AUTOSet:SIGNAL", lambda state: "NONE")),
+    "AUTOSet:VIEW": Action(answer("AUTOSet:VIEW", lambda state: "NONE"), _refuse_view),
+    "*CAL": Action(answer("", lambda state: "0")),
     "CALibrate:INTERNAL": Action(order=_nothing),
     "CALibrate:ABOrt": Action(order=_nothing),
     "CALibrate:CONTINUE": Action(order=_nothing),
     "CALibrate:FACtory": Action(order=_nothing),
-    "CALibrate:STATUS": Action(answer("CALibrate:STATUS", lambda scope: "PASS")),
-    "DIAg:RESUlt:FLAg": Action(answer("DIAg:RESUlt:FLAg", lambda scope: "PASS")),
+    "CALibrate:STATUS": Action(answer("CALibrate:STATUS", lambda state: "PASS")),
+    "DIAg:RESUlt:FLAg": Action(answer("DIAg:RESUlt:FLAg", lambda state: "PASS")),
     "DIAg:RESUlt:LOG": Action(
-        answer("DIAg:RESUlt:LOG", lambda scope: quoted("pass-CPU, pass-ACQ1, pass-EXTENSION"))
+        answer("DIAg:RESUlt:LOG", lambda state: quoted("pass-CPU, pass-ACQ1, pass-EXTENSION"))
     ),
-    "ERRLOG:FIRST": Action(answer("ERRLOG:FIRST", lambda scope: quoted(""))),
-    "ERRLOG:NEXT": Action(answer("ERRLOG:NEXT", lambda scope: quoted(""))),
+    "ERRLOG:FIRST": Action(answer("ERRLOG:FIRST", lambda state: quoted(""))),
+    "ERRLOG:NEXT": Action(answer("ERRLOG:NEXT", lambda state: quoted(""))),
 }

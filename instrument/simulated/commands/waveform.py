@@ -6,7 +6,6 @@ Source: programmer manual 071-1075-04, pp. 2-84 to 2-91 and 2-240 to 2-260.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING
 
 from instrument.simulated.commands.action import Action, Query, one_argument
 from instrument.simulated.commands.reference import (
@@ -28,9 +27,7 @@ from instrument.simulated.panel.formats import Leaf
 from instrument.simulated.panel.kinds import Words
 from instrument.simulated.panel.models import Model
 from instrument.simulated.panel.parsing import Argument
-
-if TYPE_CHECKING:
-    from instrument.simulated.scope import SimulatedTDS2014
+from instrument.simulated.state import ScopeState
 
 # WFMPre:<wfm>? leaves out the transmission and answers in another order, p. 2-260
 _NAMED_FIELDS = (
@@ -39,39 +36,38 @@ _NAMED_FIELDS = (
 _ABSENT_FIELDS = ("XMUlt", "XOFf", "ZMUlt", "ZOFf", "ZUNit", "ZZEro")  # p. 2-259
 _NOT_DISPLAYED = 2244
 _INIT = Words("INIT")
-_DATA_DEFAULTS = ("ENCDG", "DESTINATION", "SOURCE", "START", "STOP", "WIDTH")
 
 
-def _source(scope: SimulatedTDS2014) -> Trace | None:
-    return scope.trace(scope.panel.text("DATA:SOURCE"))
+def _source(state: ScopeState) -> Trace | None:
+    return state.trace(state.panel.text("DATA:SOURCE"))
 
 
-def curve(scope: SimulatedTDS2014) -> list[Leaf]:
+def curve(state: ScopeState) -> list[Leaf]:
     """The codes of DATa:SOUrce from START to STOP."""
-    trace = _source(scope)
+    trace = _source(state)
     if trace is None:
         raise Refusal(_NOT_DISPLAYED)
-    transfer = Transfer.of(scope.panel)
+    transfer = Transfer.of(state.panel)
     if transfer.swapped:
-        scope.status.post(530)
+        state.status.post(530)
     return [(("CURVe",), encode(trace, transfer).decode("latin-1"))]
 
 
-def whole_preamble(scope: SimulatedTDS2014) -> list[Leaf]:
+def whole_preamble(state: ScopeState) -> list[Leaf]:
     """The 16 fields, or the five of the transmission if the source is not displayed."""
-    fields = preamble(_source(scope), Transfer.of(scope.panel))
+    fields = preamble(_source(state), Transfer.of(state.panel))
     return [(("WFMPre", name), fields[name]) for name in PREAMBLE_FIELDS if name in fields]
 
 
-def waveform(scope: SimulatedTDS2014) -> list[Leaf]:
+def waveform(state: ScopeState) -> list[Leaf]:
     """Preamble and curve of the same record; only the transmission fields without a source."""
-    leaves = whole_preamble(scope)
-    return leaves + curve(scope) if len(leaves) > len(TRANSMISSION_FIELDS) else leaves
+    leaves = whole_preamble(state)
+    return leaves + curve(state) if len(leaves) > len(TRANSMISSION_FIELDS) else leaves
 
 
 def _field(name: str) -> Query:
-    def query(scope: SimulatedTDS2014) -> list[Leaf]:
-        fields = preamble(_source(scope), Transfer.of(scope.panel))
+    def query(state: ScopeState) -> list[Leaf]:
+        fields = preamble(_source(state), Transfer.of(state.panel))
         if name not in fields:
             raise Refusal(_NOT_DISPLAYED)
         return [(("WFMPre", name), fields[name])]
@@ -79,20 +75,20 @@ def _field(name: str) -> Query:
     return query
 
 
-def _absent(scope: SimulatedTDS2014) -> list[Leaf]:
+def _absent(state: ScopeState) -> list[Leaf]:
     raise Refusal(100)
 
 
-def _ignored(scope: SimulatedTDS2014, arguments: tuple[Argument, ...]) -> None:
+def _ignored(state: ScopeState, arguments: tuple[Argument, ...]) -> None:
     """The set form of a field that this family does not have."""
 
 
 def _preamble_of(source: str) -> Query:
-    def query(scope: SimulatedTDS2014) -> list[Leaf]:
-        trace = scope.trace(source)
+    def query(state: ScopeState) -> list[Leaf]:
+        trace = state.trace(source)
         if trace is None:
             raise Refusal(_NOT_DISPLAYED)
-        fields = preamble(trace, Transfer.of(scope.panel))
+        fields = preamble(trace, Transfer.of(state.panel))
         return [(("WFMPre", source, name), fields[name]) for name in _NAMED_FIELDS]
 
     return query
@@ -101,23 +97,16 @@ def _preamble_of(source: str) -> Query:
 def _named_field(source: str, name: str) -> Query:
     whole = _preamble_of(source)
     at = _NAMED_FIELDS.index(name)
-    return lambda scope: [whole(scope)[at]]
+    return lambda state: [whole(state)[at]]
 
 
-def _data_init(scope: SimulatedTDS2014, arguments: tuple[Argument, ...]) -> None:
+def _data_init(state: ScopeState, arguments: tuple[Argument, ...]) -> None:
     _INIT.read(one_argument(arguments))
-    data_init(scope)
+    state.data_init()
 
 
-def data_init(scope: SimulatedTDS2014) -> None:
-    """DATa settings as at the factory."""
-    for leaf in _DATA_DEFAULTS:
-        row = scope.panel.rows[f"DATA:{leaf}"]
-        scope.panel.values[f"DATA:{leaf}"] = row.default
-
-
-def _awaited(scope: SimulatedTDS2014) -> bool:
-    return scope.awaits_record()
+def _awaited(state: ScopeState) -> bool:
+    return state.awaits_record()
 
 
 def actions(model: Model) -> Mapping[str, Action]:

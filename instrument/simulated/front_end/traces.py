@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from instrument.facts import LEVELS_PER_DIVISION, POINTS
+from instrument.facts import LEVELS_PER_DIVISION, NO_DATA, POINTS
 from instrument.simulated.front_end.acquisition import Record
 from instrument.simulated.front_end.frontend import Codes
 from instrument.simulated.panel.formats import block, nr3, quoted
@@ -89,6 +89,14 @@ class Transfer:
             "BN_Fmt": "RP" if self.positive or ascii_ else "RI",
             "BYT_Or": "LSB" if self.encoding.startswith("SR") else "MSB",
         }
+
+
+def empty_reference(name: str) -> Trace:
+    """A reference memory that was never written."""
+    letter = name[-1]
+    wfid = f"Ref{letter}, DC coupling, 1.0E0 V/div, 5.0E-4 s/div, {POINTS} points, Sample mode"
+    codes = np.full(POINTS, NO_DATA, dtype=np.int8)
+    return Trace(codes, wfid, "Y", 2e-6, -2.5e-3, "s", 0.04, 0.0, 0.0, "Volts")
 
 
 def channel_trace(record: Record, name: str, codes: Codes, channel: ChannelSettings, yunit: str) -> Trace:

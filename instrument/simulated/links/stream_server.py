@@ -1,24 +1,22 @@
-"""Serves the instrument on byte streams: the loop that the TCP and the serial server share."""
+"""Serves a simulated instrument on byte streams: the loop, the terminals and the sockets that all share."""
 
 from __future__ import annotations
 
+import contextlib
+import os
 import selectors
 import socket
 import threading
 import time
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Self
 
-from instrument.simulated.links.exchange import MessageExchange
-from instrument.simulated.scope import SimulatedTDS2014
+CHUNK = 65_536
+"""Bytes that are read at once."""
 
-_CHUNK = 65_536
-_FULL = 1 << 20  # bytes of unread answers at which no more questions are taken
-_PACE = 0.004  # s of line time that travel in one piece
-_LOOK_UP = 0.2  # s after which an idle server looks whether the instrument is still on
 _LATE = 0.05  # s that a paced line may be behind and still catch up
-_VIRTUAL_POLL = 0.001  # s of real time between two jumps of a virtual clock
 
 
 @dataclass
@@ -59,26 +57,32 @@ class Line:
         return len(self._held)
 
 
-@dataclass
+@dataclass(eq=False)
 class Port:
-    """One open stream to one client."""
+    """One open stream to one client, and what is under way on it."""
 
     descriptor: int
-    exchange: MessageExchange
     receive: Callable[[int], bytes]
     send: Callable[[bytes], int]
     close: Callable[[], None]
-    incoming: Line
-    outgoing: Line
+    incoming: Line = field(default_factory=Line)
+    outgoing: Line = field(default_factory=Line)
 
 
-class StreamServer:
-    """Runs a thread that moves bytes between clients and the instrument."""
+class StreamServer(ABC):
+    """Runs a thread that moves bytes between clients and an instrument, until it is closed.
 
-    def __init__(self, scope: SimulatedTDS2014) -> None:
-        self.scope = scope
+    Attributes
+    ----------
+    error : BaseException or None
+        What ended the thread, if something did: an instrument that fails must not look like a silent one.
+    """
+
+    def __init__(self) -> None:
+        self.error: BaseException | None = None
         self._selector = selectors.DefaultSelector()
         self._ports: list[Port] = []
+        self._held = contextlib.ExitStack()  # what is open besides the ports
         self._closing = False
         self._wake_out, self._wake_in = socket.socketpair()  # Windows selects on sockets only
         self._selector.register(self._wake_out, selectors.EVENT_READ, lambda: self._wake_out.recv(64))
@@ -91,99 +95,132 @@ class StreamServer:
         self.close()
 
     def close(self) -> None:
-        """Hang up and stop; a second call does nothing."""
+        """Hang up and stop; a second call does nothing. Raises what ended the thread before, if something did."""
         if self._closing:
             return
         self._closing = True
-        self._wake_in.send(b"x")
+        self._wake()
         self._thread.join()
+        if self.error is not None:
+            raise self.error
 
-    def break_signal(self) -> None:
-        """Stand in for a break on the line, which these links cannot carry: every client is sent `DCL`."""
+    # What an instrument does
+
+    @abstractmethod
+    def _serve(self, port: Port) -> None:
+        """Take what has arrived from a client, and send what is ready; called again and again."""
+
+    @abstractmethod
+    def _pause(self) -> float:
+        """Seconds until something has to be done even if no byte comes."""
+
+    def _advance(self) -> None:
+        """Do what is to be done now, whether there is a client or not."""
         for port in list(self._ports):
-            port.exchange.break_signal()
-        self._wake_in.send(b"x")
+            self._serve(port)
+
+    def _welcomes(self) -> bool:
+        """Whether one more client may connect now."""
+        return True
 
     def _add(self, port: Port) -> None:
+        """A client is there."""
         self._ports.append(port)
         self._selector.register(port.descriptor, selectors.EVENT_READ, lambda: self._read(port))
 
     def _drop(self, port: Port) -> None:
+        """A client is gone, or has to go."""
         if port in self._ports:
             self._ports.remove(port)
             self._selector.unregister(port.descriptor)
-            port.exchange.clear()
             port.close()
+
+    # Transports
+
+    def _open_terminal(self) -> str:
+        """Serve on a pseudo-terminal; gives the device. OSError if this system has none (Windows)."""
+        try:
+            import tty
+        except ImportError:
+            self._release()
+            raise OSError("this system has no pseudo-terminals; serve the instrument on TCP instead") from None
+        master, slave = os.openpty()
+        self._held.callback(os.close, slave)  # stays open, so that clients may come and go
+        tty.setraw(slave)  # no echo, no line editing, no characters with a meaning of their own
+        os.set_blocking(master, False)
+        self._add(
+            Port(
+                master,
+                receive=lambda count: os.read(master, count),
+                send=lambda data: os.write(master, data),
+                close=lambda: os.close(master),
+            )
+        )
+        return os.ttyname(slave)
+
+    def _listen(self, host: str, port: int) -> tuple[str, int]:
+        """Serve on a TCP port, 0 takes any free one; gives host and port. OSError if it cannot be had."""
+        try:
+            listener = self._held.enter_context(socket.create_server((host, port)))
+        except OSError:
+            self._release()
+            raise
+        listener.setblocking(False)
+        self._selector.register(listener, selectors.EVENT_READ, lambda: self._accept(listener))
+        name: tuple[str, int] = listener.getsockname()[:2]
+        return name
+
+    def _accept(self, listener: socket.socket) -> None:
+        try:
+            client, _ = listener.accept()
+        except OSError:
+            return
+        if not self._welcomes():
+            client.close()
+            return
+        client.setblocking(False)
+        client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        self._add(Port(client.fileno(), client.recv, client.send, client.close))
+
+    # The loop
+
+    def _wake(self) -> None:
+        with contextlib.suppress(OSError):  # the thread may have ended by itself
+            self._wake_in.send(b"x")
 
     def _run(self) -> None:
         try:
             while not self._closing:
-                for port in list(self._ports):
-                    self._serve(port)
+                self._advance()
                 for key, _ in self._selector.select(self._pause()):
                     key.data()
+        except BaseException as error:
+            self.error = error
         finally:
             for port in list(self._ports):
                 self._drop(port)
-            self._selector.close()
-            self._wake_out.close()
-            self._wake_in.close()
-            self._released()
+            self._release()
 
-    def _released(self) -> None:
-        """What a server has to close besides its ports."""
-
-    def _pause(self) -> float:
-        """Seconds until something has to be done even if no byte comes."""
-        pauses = [_LOOK_UP]
-        for port in self._ports:
-            if len(port.outgoing) or len(port.incoming):
-                pauses.append(_PACE)
-            change = port.exchange.next_change()
-            if change < float("inf"):
-                wait = max(0.0, change - self.scope.clock.now())
-                pauses.append(_VIRTUAL_POLL if self.scope.clock.virtual else wait)
-        return min(pauses)
+    def _release(self) -> None:
+        self._held.close()
+        self._selector.close()
+        self._wake_out.close()
+        self._wake_in.close()
 
     def _read(self, port: Port) -> None:
         try:
-            data = port.receive(_CHUNK)
+            data = port.receive(CHUNK)
         except BlockingIOError:
             return
         except OSError:
             data = b""
-        if not data:
-            self._drop(port)
-        else:
+        if data:
             port.incoming.put(data, time.monotonic())
-
-    def _serve(self, port: Port) -> None:
-        """Pass on what has arrived, carry it out, and send what is ready."""
-        if not self.scope.powered:
+        else:
             self._drop(port)
-            return
-        now = time.monotonic()
-        if len(port.outgoing) < _FULL and (arrived := port.incoming.take(now)):
-            port.exchange.receive(arrived, now)
-        if port.exchange.output_dropped:
-            port.exchange.output_dropped = False
-            port.outgoing.clear()
-        self._skip_virtual_wait(port)
-        port.exchange.pump()
-        while (answer := port.exchange.take()) is not None:
-            port.outgoing.put(answer, now)
-        self._send(port, now)
-        if port.exchange.closed and not len(port.outgoing):
-            self._drop(port)
-
-    def _skip_virtual_wait(self, port: Port) -> None:
-        clock = self.scope.clock
-        port.exchange.pump()
-        if clock.virtual and port.exchange.next_change() < float("inf"):
-            with self.scope.lock:
-                clock.sleep(port.exchange.next_change() - clock.now() + 1e-9)
 
     def _send(self, port: Port, now: float) -> None:
+        """Send what the line to a client lets pass by now (s)."""
         data = port.outgoing.take(now)
         if not data:
             return

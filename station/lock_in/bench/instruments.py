@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from analysis.ring_laser import (
     Detector,
     Gyro,
-    Segment,
     Winking,
     axis_rate_on_table,
     beat_signal_on_table,
@@ -21,8 +20,8 @@ from analysis.ring_laser import (
 from instrument.facts import POINTS
 from instrument.simulated import SimulatedTDS2014
 from instrument.simulated.clock import Clock
+from instrument.simulated.rate_table import Motion
 from station.errors import UsageError
-from station.lock_in.bench.turning_table import TurningTable
 from station.lock_in.settings import ContaminantSettings
 from station.settings.load import Settings, SimulationSettings
 
@@ -30,6 +29,25 @@ Array = NDArray[np.float64]
 
 _TRUTH_POINTS = 201
 _TURN_POINTS = 181
+
+
+class TurningTable(SimulatedRateTable):
+    """The simulated rate table of the bench: it comes back from a new rate when it turns steadily.
+
+    ``when_steady``, if it is set, is called with the new piece of motion then.
+    """
+
+    when_steady: Callable[[Motion], None] | None = None
+
+    def set_rate(self, rate_dps: float) -> None:
+        """Bring the table to a rate in deg/s and return when it turns steadily."""
+        before = self.motion
+        super().set_rate(rate_dps)
+        if self.motion is before:
+            return
+        self.wait_until_steady()
+        if self.when_steady is not None:
+            self.when_steady(self.motion[-1])
 
 
 @dataclass(frozen=True)
@@ -82,12 +100,12 @@ def build_instruments(settings: Settings, clock: Clock) -> SimulatedInstruments:
         clock,
         acceleration=simulation.table_acceleration_dps2,
         azimuth=float(start.uniform(0.0, 360.0)),
-        rate=turning,
     )
+    table.set_rate(turning)
     gyro = _gyro(settings, simulation, float(start.uniform(0.0, 2 * math.pi)))
     detector = _detector(simulation)
     if detector.filtered or gyro.winking is not None:
-        table.when_steady = lambda segment: _prepare(gyro, detector, table, segment)
+        table.when_steady = lambda steady: _prepare(gyro, detector, table, steady)
     signals = {settings.scope.channel: _signal(gyro, detector, table, simulation, 0)}
     if settings.scope.quadrature_channel:
         cosine = _cosine_detector(detector, simulation.contaminants)
@@ -105,10 +123,10 @@ def build_instruments(settings: Settings, clock: Clock) -> SimulatedInstruments:
     return SimulatedInstruments(clock, table, gyro, detector, scope)
 
 
-def _prepare(gyro: Gyro, detector: Detector, table: TurningTable, segment: Segment) -> None:
+def _prepare(gyro: Gyro, detector: Detector, table: TurningTable, steady: Motion) -> None:
     """Work out the beat of a whole turn beforehand: the scope must not keep a program waiting for it."""
-    turn_s = 360.0 / max(abs(segment.rate_dps), 1e-3)
-    beat_signal_on_table(gyro, detector, table.motion, segment.start + np.linspace(0.0, turn_s, _TURN_POINTS))
+    turn_s = 360.0 / max(abs(steady.rate_dps), 1e-3)
+    beat_signal_on_table(gyro, detector, table.motion, steady.start + np.linspace(0.0, turn_s, _TURN_POINTS))
 
 
 def _gyro(settings: Settings, simulation: SimulationSettings, start_phase: float) -> Gyro:

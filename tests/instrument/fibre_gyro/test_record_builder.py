@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from instrument.fibre_gyro.counter_clock import CounterClock
 from instrument.fibre_gyro.frame_format import CounterRule
+from instrument.fibre_gyro.record_builder import CounterClock
 
 
 def places(clock, steps):

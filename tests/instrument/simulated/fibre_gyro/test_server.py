@@ -155,7 +155,7 @@ def test_nobody_listens_for_long():
     with PtyGyroServer(model, BINARY, speed=200.0) as server:
         time.sleep(0.6)
         assert model.made > 4000
-        assert len(server._unsent) < 10_000
+        assert server.unsent < 10_000
         descriptor = os.open(server.port, os.O_RDWR | os.O_NOCTTY)
         assert os.read(descriptor, 12)[0] == 0x7E
         os.close(descriptor)

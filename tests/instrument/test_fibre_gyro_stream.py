@@ -5,7 +5,7 @@ import struct
 import zlib
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from instrument.fibre_gyro import parse_frame_format
@@ -85,7 +85,6 @@ DAMAGE = st.tuples(
 )
 
 
-@settings(max_examples=300, deadline=None)
 @given(st.lists(st.tuples(NASTY, DAMAGE, GARBAGE), max_size=30), st.lists(st.integers(0, 10_000), max_size=20))
 def test_delivered_are_exactly_the_undamaged_frames(sent, cuts):
     stream = FrameStream(layout("crc32"))
@@ -109,7 +108,6 @@ def test_delivered_are_exactly_the_undamaged_frames(sent, cuts):
     assert stream.held <= 2 * 12
 
 
-@settings(max_examples=300, deadline=None)
 @given(st.lists(st.tuples(COUNTS, DAMAGE), min_size=1, max_size=30), st.lists(st.integers(0, 10_000), max_size=9))
 def test_one_byte_sum_lets_no_single_fault_pass(sent, cuts):
     stream = FrameStream(layout("sum8"))
@@ -118,7 +116,6 @@ def test_one_byte_sum_lets_no_single_fault_pass(sent, cuts):
     assert set(frames_of(events)) <= {(n, counts) for n, (counts, _) in enumerate(sent)}
 
 
-@settings(max_examples=300, deadline=None)
 @given(st.lists(st.tuples(COUNTS, DAMAGE), min_size=1, max_size=30), st.lists(st.integers(0, 10_000), max_size=9))
 def test_line_with_one_fault_is_never_another_line(sent, cuts):
     stream = FrameStream(layout(base=TEXT))
@@ -132,7 +129,6 @@ def test_line_with_one_fault_is_never_another_line(sent, cuts):
     assert {n for n, _ in delivered} >= set(clean)
 
 
-@settings(max_examples=300, deadline=None)
 @given(st.lists(st.binary(max_size=300), max_size=10), st.sampled_from([None, "sum8", "crc16-modbus"]))
 def test_random_bytes_do_no_harm(pieces, check):
     for base in (BINARY, TEXT | {"header": ""}, TEXT | {"separator": " "}):

@@ -14,8 +14,8 @@ PAGE = Path(__file__).with_suffix(".md")
 
 HEAD = """# Commands and options
 
-Written by `make docs` from the commands themselves; `gyrolock COMMAND --help` says the same on a terminal. What stands
-in square brackets is what holds when an option is not given. Every command also takes `-h`, `--help`."""
+Written by `make docs` from the commands themselves; `gyrolock COMMAND --help` says the same on a terminal. What
+stands in square brackets holds when an option is not given. Every command also takes `-h`, `--help`."""
 
 
 def page() -> str:

@@ -3,8 +3,11 @@ PYTHON ?= python3
 VENV   := .venv
 BIN    := $(VENV)/bin
 READY  := $(VENV)/.ready
+LOWEST := .venv-lowest
+SEED   ?= $(shell date +%s)
+PIP    := -m pip install --quiet --disable-pip-version-check
 
-.PHONY: measure test lint clean
+.PHONY: measure test test-lowest explore lint docs clean
 
 measure: $(READY)
 	$(BIN)/gyrolock measure
@@ -12,17 +15,36 @@ measure: $(READY)
 test: $(READY)
 	$(BIN)/python -m pytest -n 2
 
+# All tests with the lowest versions that pyproject.toml states.
+test-lowest: $(LOWEST)/.ready
+	$(LOWEST)/bin/python -m pytest -n 2
+
+# Property tests alone, each searching freely from a new seed; `make explore SEED=...` goes the same way again.
+explore: $(READY)
+	$(BIN)/python -m pytest -n 2 -m hypothesis --timeout 1800 --hypothesis-profile explore --hypothesis-seed $(SEED)
+
 lint: $(READY)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 
+# docs/commands.md, from the commands themselves.
+docs: $(READY)
+	$(BIN)/python docs/commands.py
+
 $(READY): pyproject.toml
 	$(PYTHON) -c 'import sys; v = sys.version_info; sys.exit(0 if v >= (3, 11) else "Python 3.11 or newer is needed, this is %d.%d: try make PYTHON=python3.12" % v[:2])'
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev]'
+	$(BIN)/python $(PIP) --editable '.[dev]'
 	touch $(READY)
 
+$(LOWEST)/.ready: pyproject.toml
+	$(PYTHON) -m venv --clear $(LOWEST)
+	$(LOWEST)/bin/python tests/house/lowest_versions.py > $(LOWEST)/requirements.txt
+	$(LOWEST)/bin/python $(PIP) --requirement $(LOWEST)/requirements.txt editables
+	$(LOWEST)/bin/python $(PIP) --no-build-isolation --editable '.[test]'
+	touch $(LOWEST)/.ready
+
 clean:
-	rm -rf $(VENV) build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache
+	rm -rf $(VENV) $(LOWEST) build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache

@@ -1,7 +1,14 @@
-"""Settings that must stand before NumPy is imported anywhere in the tests."""
+"""Settings that must stand before NumPy is imported anywhere in the tests, and how hard property tests search."""
 
 import os
+
+from hypothesis import settings
 
 # Small matrices: threads of the linear algebra library only get in the way of the parallel test processes.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 os.environ.setdefault("OMP_NUM_THREADS", "1")
+
+# The same examples in every run: a red test is the work of the last change. `make explore` searches freely.
+settings.register_profile("fixed", derandomize=True, database=None, deadline=None, max_examples=200)
+settings.register_profile("explore", derandomize=False, deadline=None, max_examples=5000, print_blob=True)
+settings.load_profile("fixed")

@@ -1,4 +1,8 @@
-"""Mathematics of the lock-in measurement, on arrays: no files, no instruments, no clock, no printing."""
+"""Mathematics of the lock-in measurement, on arrays: no files, no instruments, no clock, no printing.
+
+An *estimate* is what each record says, in arrays of the shape of the records.
+A *fit* is one statement that many records make together.
+"""
 
 from analysis.channel import ChannelResponse, correct_response
 from analysis.combine import combine_estimates
@@ -17,44 +21,53 @@ from analysis.lockin_equation import (
 )
 from analysis.lockin_rate import LockInEstimate, estimate_lock_in
 from analysis.quadratures import QuadratureEstimate, QuadratureFlag, estimate_quadratures
-from analysis.rotation import EARTH_RATE_DPS, TiltFit, earth_rate_on_axis, rate_on_axis, tilt_from_fast_runs
-from analysis.several_rates import fit_rate_ratios, fit_rates
-from analysis.several_rates.result import RatesFit, RatesFlag
+from analysis.rotation import (
+    EARTH_RATE_DPS,
+    TiltFit,
+    earth_rate_on_axis,
+    rate_on_axis,
+    tilt_from_fast_runs,
+)
+from analysis.several_rates import RatesFit, RatesFlag, fit_rate_ratios, fit_rates
 
-__all__ = [
-    "EARTH_RATE_DPS",
-    "FATAL",
-    "ChannelResponse",
-    "DeadBand",
-    "Flag",
-    "FrequencyFit",
-    "HarmonicFit",
-    "LockInEstimate",
-    "QuadratureEstimate",
-    "QuadratureFlag",
-    "RatesFit",
-    "RatesFlag",
-    "TiltFit",
+__all__ = [  # noqa: RUF022 - in the order of the work, not of the alphabet
+    # make a beat, and what the lock-in equation says of it
     "beat_frequency",
     "beat_signal",
-    "combine_estimates",
-    "correct_response",
-    "describe_flag",
-    "earth_rate_on_axis",
-    "estimate_lock_in",
-    "estimate_quadratures",
-    "find_dead_band",
-    "fit_frequencies",
-    "fit_harmonics",
-    "fit_rate_ratios",
-    "fit_rates",
-    "flag_names",
     "harmonic_ratio",
     "input_rate_from_beat",
     "lock_in_from_beat",
     "lock_in_from_rate",
-    "rate_on_axis",
     "rate_varying_beat",
     "simulate_sweep",
+    # one record
+    "FATAL",
+    "Flag",
+    "HarmonicFit",
+    "LockInEstimate",
+    "QuadratureEstimate",
+    "QuadratureFlag",
+    "describe_flag",
+    "estimate_lock_in",
+    "estimate_quadratures",
+    "fit_harmonics",
+    "flag_names",
+    # many records
+    "DeadBand",
+    "FrequencyFit",
+    "RatesFit",
+    "RatesFlag",
+    "combine_estimates",
+    "find_dead_band",
+    "fit_frequencies",
+    "fit_rate_ratios",
+    "fit_rates",
+    # the bench: rotation, tilt, channel
+    "ChannelResponse",
+    "EARTH_RATE_DPS",
+    "TiltFit",
+    "correct_response",
+    "earth_rate_on_axis",
+    "rate_on_axis",
     "tilt_from_fast_runs",
 ]

@@ -146,7 +146,6 @@ def ratio_factor(response: ChannelResponse, frequency: ArrayLike, ratio: ArrayLi
 
     Parameters
     ----------
-    response : ChannelResponse
     frequency, ratio : (...)
         Beat frequency in Hz, and the true |rho|.
 

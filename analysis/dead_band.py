@@ -131,10 +131,6 @@ def find_dead_band(
     fit_corner : bool
         Whether to fit the rounded corner too.
 
-    Returns
-    -------
-    DeadBand
-
     Raises
     ------
     ValueError
@@ -371,7 +367,6 @@ def simulate_sweep(
         deg/s; the gyro sees input rate less bias rate.
     capture_rate : float, optional
         deg/s, where a turning gyro locks as the rate falls, if that is not where a locked one starts.
-    seed : int
 
     Returns
     -------

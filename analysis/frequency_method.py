@@ -105,10 +105,6 @@ def fit_frequencies(
     bias : bool
         Whether W0 is fitted; otherwise it is zero.
 
-    Returns
-    -------
-    FrequencyFit
-
     Raises
     ------
     NoFit

@@ -40,7 +40,7 @@ IMAGE_LIMIT = 4.0
 
 
 class QuadratureFlag(IntFlag):
-    """Bits of `QuadratureEstimate.checks`; the lower-case name is the one used in JSON."""
+    """Bits of `QuadratureEstimate.flags`; the lower-case name is the one used in JSON."""
 
     NOT_IN_QUADRATURE = 1
     """The channels are so nearly in phase that they hold one signal twice."""
@@ -71,7 +71,7 @@ class QuadratureEstimate:
     images : (..., 3) |c_-1/c_1| of Z = cosine + i sine; then, with gain and phase corrected, |c_-2/c_1| and
         |c_-3/c_1|, which an ideal bench does not have
     image_u : (..., 2) standard uncertainty that noise gives to the last two
-    checks : bits of `QuadratureFlag`
+    flags : bits of `QuadratureFlag`
     """
 
     estimate: LockInEstimate
@@ -86,7 +86,7 @@ class QuadratureEstimate:
     distortion_u: Floats
     images: Floats
     image_u: Floats
-    checks: Ints
+    flags: Ints
 
 
 def estimate_quadratures(
@@ -238,7 +238,7 @@ def _combine(
     phase_error = np.angle(-1j * np.exp(-1j * np.where(sense == 0, 1.0, sense) * angle))
     images, image_u = _images(pair, sense, distortion, distortion_u)
     estimate = _corrected(flat, rho, covariance, sense)
-    checks = _checks(flat, pair, sense, distortion, images, image_u)
+    flags = _flags(flat, pair, sense, distortion, images, image_u)
     return QuadratureEstimate(
         estimate=estimate.reshaped(*shape) if shape else estimate[0],
         sine=sine,
@@ -252,7 +252,7 @@ def _combine(
         distortion_u=distortion_u.reshape(*shape, 2),
         images=images.reshape(*shape, 3),
         image_u=image_u.reshape(*shape, 2),
-        checks=checks.reshape(shape),
+        flags=flags.reshape(shape),
     )
 
 
@@ -361,7 +361,7 @@ def _corrected(
     return with_ratio(both, rho, covariance, np.where(sense == 0, 1.0, sense))
 
 
-def _checks(
+def _flags(
     flat: tuple[LockInEstimate, LockInEstimate],
     pair: _Pair,
     sense: Floats,

@@ -91,7 +91,6 @@ def tilt_from_fast_runs(
         Hz; deg/s, signed.
     scale_factor, scale_factor_u : float
         K in pulses per degree; its uncertainty is common to all runs.
-    latitude_deg : float
     azimuth_deg : (n_runs,), optional
         In the middle of each run. Without it, the horizontal earth rate is an uncertainty of each run.
     azimuth_u_deg : (n_runs,)

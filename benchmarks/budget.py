@@ -15,8 +15,15 @@ from typing import Any
 
 import numpy as np
 
-from analysis.budget import BenchKnowledge, Corner, Reference, TableGeometry, lock_in_budget
-from analysis.budget.expected_noise import RecordShape, expected_point
+from analysis.budget import (
+    BenchKnowledge,
+    Corner,
+    RecordShape,
+    Reference,
+    TableGeometry,
+    expected_point,
+    lock_in_budget,
+)
 from analysis.rotation import rate_on_axis
 from benchmarks.monte_carlo import simulate_measurements
 

@@ -19,22 +19,25 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from analysis.fibre_gyro.coil import FibreCoil
-from analysis.fibre_gyro.loop.closed_loop import ClosedLoop, Kernel
-from analysis.fibre_gyro.loop.design import LoopSettings
-from analysis.fibre_gyro.loop.output_model import OutputModel
-from analysis.fibre_gyro.rate_table_run import (
+from analysis.fibre_gyro import (
+    ClosedLoop,
+    FibreCoil,
+    Kernel,
+    LoopDesign,
+    OutputModel,
+    estimate_two_pi_error,
+    fit_slope,
     odd_even_parts,
+    predicted_self_scale,
+    predicted_table_scale,
     rate_differences,
     table_runs,
+    turn_time,
     vertical_earth_rate_dph,
 )
-from analysis.fibre_gyro.staircase_calibration import fit_slope, predicted_self_scale, predicted_table_scale
-from analysis.fibre_gyro.two_pi_error import estimate_two_pi_error
-from analysis.fibre_gyro.whole_turns import turn_time
 
 COIL = FibreCoil(length_m=1000.0, diameter_m=0.1, wavelength_m=1.55e-6, group_index=1.468)
-PROTOTYPE = LoopSettings(adc_bits=14, angle_random_walk_deg_per_sqrt_h=0.005)
+PROTOTYPE = LoopDesign(adc_bits=14, angle_random_walk_deg_per_sqrt_h=0.005)
 K0 = COIL.nominal_scale(16)
 LATITUDE_DEG, BIAS_DPH = 45.78, 0.02
 RATES = (0.1, 1.0, 10.0, 20.0)
@@ -106,7 +109,7 @@ def print_speed(seconds: float) -> None:
 
 
 def mean_output(
-    settings: LoopSettings,
+    design: LoopDesign,
     rate: float,
     seconds: float,
     *,
@@ -115,7 +118,7 @@ def mean_output(
     coil: FibreCoil = COIL,
 ) -> float:
     """Mean output of a settled gyro, counts."""
-    gyro = ClosedLoop(coil, settings, seed)
+    gyro = ClosedLoop(coil, design, seed)
     gyro.run(1, rate_dps=rate, injected_step=step)
     return float(gyro.run(1, output_period_s=seconds, rate_dps=rate, injected_step=step).counts[0])
 
@@ -131,30 +134,30 @@ def slope(outputs: Callable[[float, int], float], rates: Sequence[float], first_
     return fit_slope(signed, [outputs(rate, seed) for seed, rate in enumerate(signed, first_seed)]).slope / K0
 
 
-def slope_sigma(seconds: float, rates: Sequence[float], settings: LoopSettings = PROTOTYPE) -> float:
+def slope_sigma(seconds: float, rates: Sequence[float], design: LoopDesign = PROTOTYPE) -> float:
     """Standard deviation of such a slope from white noise; pairs that hold a fall do not measure in mode G."""
-    walk = settings.angle_random_walk_deg_per_sqrt_h / 60.0 / math.sqrt(seconds)
-    lost = [2 * rate * K0 / settings.codes if settings.gated else 0.0 for rate in rates]
+    walk = design.angle_random_walk_deg_per_sqrt_h / 60.0 / math.sqrt(seconds)
+    lost = [2 * rate * K0 / design.codes if design.gated else 0.0 for rate in rates]
     weighted = sum(2 * rate**2 / (1 - part) for rate, part in zip(rates, lost, strict=True))
     return walk * math.sqrt(weighted) / sum(2 * rate**2 for rate in rates)
 
 
 def table_slope(
-    settings: LoopSettings, seconds: float, first_seed: int, rates: Sequence[float] = RATES, coil: FibreCoil = COIL
+    design: LoopDesign, seconds: float, first_seed: int, rates: Sequence[float] = RATES, coil: FibreCoil = COIL
 ) -> float:
     """K of the rate table over K0."""
-    return slope(lambda rate, seed: mean_output(settings, rate, seconds, seed=seed, coil=coil), rates, first_seed)
+    return slope(lambda rate, seed: mean_output(design, rate, seconds, seed=seed, coil=coil), rates, first_seed)
 
 
 def injected_slope(
-    settings: LoopSettings, seconds: float, first_seed: int, rates: Sequence[float] = RATES, coil: FibreCoil = COIL
+    design: LoopDesign, seconds: float, first_seed: int, rates: Sequence[float] = RATES, coil: FibreCoil = COIL
 ) -> float:
     """K of the injection of K0 times the rate, at rest with the earth's rate, over K0."""
     earth = (vertical_earth_rate_dph(LATITUDE_DEG) + BIAS_DPH) / 3600.0
-    static = mean_output(settings, earth, seconds, seed=first_seed, coil=coil)
+    static = mean_output(design, earth, seconds, seed=first_seed, coil=coil)
 
     def net(rate: float, seed: int) -> float:
-        return mean_output(settings, earth, seconds, step=K0 * rate, seed=seed, coil=coil) - static
+        return mean_output(design, earth, seconds, step=K0 * rate, seed=seed, coil=coil) - static
 
     return slope(net, rates, first_seed + 1)
 
@@ -181,10 +184,10 @@ def scale_against_error(seconds: float) -> Iterator[Line]:
     """Slope of the rate table against the 2 pi error, in both modes; 10 and 20 deg/s in both senses."""
     for place, gated in enumerate((True, False)):
         for which, eps in enumerate((0.0, 1e-4, 1e-3, 5e-3, 1e-2, -5e-3)):
-            settings = replace(PROTOTYPE, two_pi_error=eps, gated=gated)
-            measured = PPM * (table_slope(settings, seconds, 1000 + 100 * place + 10 * which, RATES[2:]) - 1)
+            design = replace(PROTOTYPE, two_pi_error=eps, gated=gated)
+            measured = PPM * (table_slope(design, seconds, 1000 + 100 * place + 10 * which, RATES[2:]) - 1)
             predicted = PPM * (table_prediction(0.0, eps, RATES[2:], gated=gated) - 1)
-            sigma = PPM * slope_sigma(seconds, RATES[2:], settings)
+            sigma = PPM * slope_sigma(seconds, RATES[2:], design)
             yield Line(f"{'G' if gated else 'U'}, eps = {eps:+g}", measured, predicted, sigma)
 
 
@@ -199,15 +202,15 @@ def self_calibration(seconds: float) -> Iterator[Line]:
         ("L D/lambda +100 ppm", PROTOTYPE, COIL.scaled(1 + 1e-4), RATES),
         ("second electrode, eps = +0.3 %, gated, to 1 deg/s", second, COIL, RATES[:2]),
     )
-    for case, (name, settings, coil, rates) in enumerate(cases):
-        eps, gated = settings.two_pi_error, settings.gated
-        path = "shared" if settings.injection_path == "shared" else "second electrode"
+    for case, (name, design, coil, rates) in enumerate(cases):
+        eps, gated = design.two_pi_error, design.gated
+        path = "shared" if design.injection_path == "shared" else "second electrode"
         predicted_self = predicted_self_scale(path, eps, gated=gated)
         change = coil.nominal_scale(16) / K0 - 1
         predicted_table = table_prediction(change, eps, rates, gated=gated)
-        found_self = injected_slope(settings, seconds, 2000 + 100 * case, rates, coil)
-        found_table = table_slope(settings, seconds, 2050 + 100 * case, rates, coil)
-        sigma = PPM * slope_sigma(seconds, rates, settings)
+        found_self = injected_slope(design, seconds, 2000 + 100 * case, rates, coil)
+        found_table = table_slope(design, seconds, 2050 + 100 * case, rates, coil)
+        sigma = PPM * slope_sigma(seconds, rates, design)
         yield Line(f"{name}: K_self/K0 - 1", PPM * (found_self - 1), PPM * (predicted_self - 1), sigma)
         yield Line(f"{name}: K_table/K0 - 1", PPM * (found_table - 1), PPM * (predicted_table - 1), sigma)
         ratio, predicted = found_self / found_table, predicted_self / predicted_table
@@ -219,8 +222,8 @@ def self_calibration(seconds: float) -> Iterator[Line]:
 
 def rate_table_part(kind: type[ClosedLoop] | type[OutputModel]) -> Iterator[Line]:
     """Three axes, four rates in both senses, 30 whole turns each: K, the differences, the even part."""
-    settings = replace(PROTOTYPE, bias_dph=BIAS_DPH)
-    walk, earth = settings.angle_random_walk_deg_per_sqrt_h / 60.0, vertical_earth_rate_dph(LATITUDE_DEG)
+    design = replace(PROTOTYPE, bias_dph=BIAS_DPH)
+    walk, earth = design.angle_random_walk_deg_per_sqrt_h / 60.0, vertical_earth_rate_dph(LATITUDE_DEG)
     for axis, name in enumerate("XYZ"):
         rates = np.array(both_senses((20.0, 20.01, 20.1, 21.0)))
         windows = np.array([30 * turn_time(rate) for rate in rates])
@@ -228,7 +231,7 @@ def rate_table_part(kind: type[ClosedLoop] | type[OutputModel]) -> Iterator[Line
         mean_u = K0 * walk / np.sqrt(windows * (1 - 2 * np.abs(rates) * K0 / 65536))
         means = []
         for place, (rate, window) in enumerate(zip(rates, windows, strict=True)):
-            gyro = kind(COIL, settings, 1000 * axis + place)
+            gyro = kind(COIL, design, 1000 * axis + place)
             gyro.run(1, rate_dps=rate)
             block = gyro.run(1, output_period_s=float(window), rate_dps=float(rate + earth / 3600.0))
             means.append(float(block.counts[0]))
@@ -295,10 +298,10 @@ def bow(seconds: float) -> Iterator[Line]:
         ("quadratic 1e-3, all samples", {"inl_quadratic": 1e-3, "gated": False}, 0.0),
         ("cubic 4e-3, all samples", {"inl_cubic": 4e-3, "gated": False}, 0.0),
     ):
-        settings = replace(PROTOTYPE, **change)
-        plain = replace(settings, inl_quadratic=0.0, inl_cubic=0.0)
-        found, without = (table_slope(build, seconds, 1) for build in (settings, plain))
-        yield Line(name, PPM * (found - without), predicted, PPM * slope_sigma(seconds, RATES, settings))
+        design = replace(PROTOTYPE, **change)
+        plain = replace(design, inl_quadratic=0.0, inl_cubic=0.0)
+        found, without = (table_slope(build, seconds, 1) for build in (design, plain))
+        yield Line(name, PPM * (found - without), predicted, PPM * slope_sigma(seconds, RATES, design))
 
 
 def print_dead_zone(seconds: float) -> None:
@@ -310,8 +313,8 @@ def print_dead_zone(seconds: float) -> None:
     for bits in (12, 14):
         for walk, offset in ((0.0, 0.0), (0.0, 0.5), (0.0005, 0.0), (0.0005, 0.5), (0.002, 0.0), (0.002, 0.5)):
             level = "in mid-step" if offset else "at a threshold"
-            settings = replace(PROTOTYPE, adc_bits=bits, adc_offset=offset, angle_random_walk_deg_per_sqrt_h=walk)
-            errors = [100 * (mean_output(settings, r, seconds) / (r * K0) - 1) for r in (0.1, 0.01, 0.001)]
+            design = replace(PROTOTYPE, adc_bits=bits, adc_offset=offset, angle_random_walk_deg_per_sqrt_h=walk)
+            errors = [100 * (mean_output(design, r, seconds) / (r * K0) - 1) for r in (0.1, 0.01, 0.001)]
             out(f"| {bits} | {walk:g} | {level} | " + " | ".join(f"{e:.2f}" for e in errors))
             out(f" | {100 * walk / 60 / math.sqrt(seconds) / 0.01:.2f} |\n")
             sys.stdout.flush()

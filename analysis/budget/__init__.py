@@ -1,6 +1,7 @@
 """Uncertainty budget of a lock-in rate."""
 
 from analysis.budget.combination import Budget, BudgetInput, Distribution, Reference
+from analysis.budget.expected_noise import RecordShape, expected_noise, expected_point
 from analysis.budget.inputs import lock_in_budget
 from analysis.budget.knowledge import BenchKnowledge, Corner, OperatingPoint, TableGeometry, operating_point
 
@@ -11,8 +12,11 @@ __all__ = [
     "Corner",
     "Distribution",
     "OperatingPoint",
+    "RecordShape",
     "Reference",
     "TableGeometry",
+    "expected_noise",
+    "expected_point",
     "lock_in_budget",
     "operating_point",
 ]

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from analysis.arrays import Floats
-from analysis.budget import OperatingPoint
+from analysis.budget.knowledge import OperatingPoint
 from analysis.lockin_equation import harmonic_ratio
 
 
@@ -31,7 +31,6 @@ class RecordShape:
 
     Attributes
     ----------
-    samples : int
     sample_interval : float
         s.
     amplitude : float
@@ -124,7 +123,6 @@ def expected_point(
 
     Parameters
     ----------
-    shape : RecordShape
     scale_factor, input_rate, lock_in_rate : float
         Pulses per degree, deg/s, deg/s.
     scatter : float, optional

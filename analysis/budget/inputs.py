@@ -33,14 +33,8 @@ def lock_in_budget(point: OperatingPoint, knowledge: BenchKnowledge, reference: 
 
     Parameters
     ----------
-    point : OperatingPoint
-    knowledge : BenchKnowledge
     reference : {"beat", "rate"}
         Whether WL was found with f/K of the record itself or with the rate of a table.
-
-    Returns
-    -------
-    Budget
 
     Raises
     ------

@@ -95,7 +95,6 @@ class TableGeometry:
     ----------
     table_rate, table_rate_u : float
         deg/s.
-    tilt_deg, tilt_u_deg, latitude_deg, latitude_u_deg : float
     azimuth_deg, azimuth_u_deg : float
         Of the horizontal part of the axis, from north, during the record; nan where nobody knows it.
     """

@@ -1,1 +1,115 @@
-"""Digital closed-loop fibre gyro: its scale factor by rate table and by injected staircase, and its simulation."""
+"""A digital closed-loop fibre gyro: its models, and what a rate table and an injected staircase say of its scale.
+
+`coil` the optics, `loop` the electronics (simulated at every transit time, and by output words), `staircase` the
+modulator's drive on an oscilloscope; the rest evaluates runs.
+"""
+
+from analysis.fibre_gyro.coil import FibreCoil
+from analysis.fibre_gyro.loop import ClosedLoop, Kernel, LoopDesign, OutputBlock, OutputModel, Trace
+from analysis.fibre_gyro.merit import (
+    ResidualPattern,
+    ScaleFigures,
+    repeatability_ppm,
+    residual_pattern,
+    scale_figures,
+    temperature_coefficient_ppm,
+)
+from analysis.fibre_gyro.rate_table_run import (
+    AxisFit,
+    OddEven,
+    RateDifferences,
+    TableRuns,
+    bias_at_latitude,
+    fit_axis,
+    missing_senses,
+    odd_even_parts,
+    rate_differences,
+    table_runs,
+    vertical_earth_rate_dph,
+)
+from analysis.fibre_gyro.staircase import (
+    StaircaseWitness,
+    describe_witness_flag,
+    rounding_left,
+    two_pi_error_of_drive,
+    witness_staircase,
+)
+from analysis.fibre_gyro.staircase_calibration import (
+    InjectionPlan,
+    NetOutputs,
+    ScaleComparison,
+    SlopeFit,
+    compare_scale,
+    fit_slope,
+    largest_step,
+    net_outputs,
+    predicted_difference_ppm,
+    predicted_self_scale,
+    predicted_table_scale,
+    scaled_numbers,
+    steps_beyond_dac,
+    superposed_numbers,
+)
+from analysis.fibre_gyro.two_pi_error import TwoPiError, estimate_two_pi_error
+from analysis.fibre_gyro.whole_turns import (
+    WindowMean,
+    check_whole_turns,
+    mean_at_rest,
+    mean_over_turns,
+    turn_time,
+    whole_turns_in,
+)
+
+__all__ = [
+    "AxisFit",
+    "ClosedLoop",
+    "FibreCoil",
+    "InjectionPlan",
+    "Kernel",
+    "LoopDesign",
+    "NetOutputs",
+    "OddEven",
+    "OutputBlock",
+    "OutputModel",
+    "RateDifferences",
+    "ResidualPattern",
+    "ScaleComparison",
+    "ScaleFigures",
+    "SlopeFit",
+    "StaircaseWitness",
+    "TableRuns",
+    "Trace",
+    "TwoPiError",
+    "WindowMean",
+    "bias_at_latitude",
+    "check_whole_turns",
+    "compare_scale",
+    "describe_witness_flag",
+    "estimate_two_pi_error",
+    "fit_axis",
+    "fit_slope",
+    "largest_step",
+    "mean_at_rest",
+    "mean_over_turns",
+    "missing_senses",
+    "net_outputs",
+    "odd_even_parts",
+    "predicted_difference_ppm",
+    "predicted_self_scale",
+    "predicted_table_scale",
+    "rate_differences",
+    "repeatability_ppm",
+    "residual_pattern",
+    "rounding_left",
+    "scale_figures",
+    "scaled_numbers",
+    "steps_beyond_dac",
+    "superposed_numbers",
+    "table_runs",
+    "temperature_coefficient_ppm",
+    "turn_time",
+    "two_pi_error_of_drive",
+    "vertical_earth_rate_dph",
+    "whole_turns_in",
+    "witness_staircase",
+]

@@ -25,7 +25,6 @@ class FibreCoil:
 
     Attributes
     ----------
-    length_m, diameter_m, wavelength_m : float
     group_index : float
         About 1.46 to 1.47 for silica.
 

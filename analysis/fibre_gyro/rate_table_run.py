@@ -122,7 +122,6 @@ def odd_even_parts(runs: TableRuns, *, end_up: int = 1) -> OddEven:
 
     Parameters
     ----------
-    runs : TableRuns
     end_up : {1, -1}, optional
 
     Raises
@@ -208,7 +207,6 @@ def rate_differences(parts: OddEven, *, irreproducibility_ppm: float) -> RateDif
 
     Parameters
     ----------
-    parts : OddEven
     irreproducibility_ppm : float
         Standard deviation of scale factor and table rate from run to run, ppm. Each odd part holds two runs and
         a difference two odd parts, so that s of a single run gives s times the root mean square of both rates.
@@ -257,7 +255,6 @@ class AxisFit:
         Of every run, ppm of its own output.
     chi_square : float
         Of the residuals, with the uncertainties that were the weights.
-    degrees_of_freedom : int
     scatter_ppm : float
         Irreproducibility from run to run that the residuals show beyond noise, ppm; 0 where noise explains them.
     angle_random_walk : float
@@ -287,7 +284,6 @@ def fit_axis(runs: TableRuns, *, irreproducibility_ppm: float = 0.0) -> AxisFit:
 
     Parameters
     ----------
-    runs : TableRuns
     irreproducibility_ppm : float, optional
         Known standard deviation of scale factor and table rate from run to run, ppm.
 
@@ -330,13 +326,7 @@ def fit_axis(runs: TableRuns, *, irreproducibility_ppm: float = 0.0) -> AxisFit:
 
 
 def bias_at_latitude(fit: AxisFit, latitude_deg: float) -> tuple[float, float]:
-    """Bias, deg/h, and its standard uncertainty, from the even part and the known vertical earth rate.
-
-    Parameters
-    ----------
-    fit : AxisFit
-    latitude_deg : float
-    """
+    """Bias, deg/h, and its standard uncertainty, from the even part and the known vertical earth rate."""
     if fit.end_up == 0:
         return fit.bias_dph
     value, u = fit.even_dph

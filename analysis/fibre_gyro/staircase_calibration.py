@@ -53,7 +53,6 @@ def superposed_numbers(rates_dps: ArrayLike, differences: RateDifferences) -> In
     Parameters
     ----------
     rates_dps : array_like, shape (n,)
-    differences : RateDifferences
 
     Examples
     --------
@@ -167,7 +166,6 @@ class SlopeFit:
         Output less line, counts.
     chi_square : float
         With the given uncertainties; nan without them.
-    degrees_of_freedom : int
     """
 
     slope: float

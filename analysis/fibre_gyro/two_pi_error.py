@@ -35,7 +35,6 @@ class TwoPiError:
         A, in the unit of the errors.
     rest_phase_rad, rest_phase_u_rad : float
         phi_0: rotation, and the feedback step that was held.
-    chi_square : float
     degrees_of_freedom : int
         Two errors a segment less the three parameters.
     """

@@ -29,7 +29,6 @@ class WindowMean:
         Standard uncertainty of the mean, counts, from the scatter of the block means.
     samples : int
         Whole samples; the window may hold a part of one more.
-    duration_s : float
     turns : int
         Whole turns in the window; 0 for a window at rest.
     """
@@ -65,7 +64,6 @@ def whole_turns_in(duration_s: float, rate_dps: float, *, tolerance_s: float = 0
 
     Parameters
     ----------
-    duration_s, rate_dps : float
     tolerance_s : float, optional
         So much may be missing at the end: usually one sample interval.
 
@@ -94,7 +92,6 @@ def check_whole_turns(duration_s: float, rate_dps: float, *, tolerance_s: float)
 
     Parameters
     ----------
-    duration_s, rate_dps : float
     tolerance_s : float
         A window may be off by so much: usually one sample interval.
 
@@ -132,8 +129,6 @@ def mean_over_turns(
     ----------
     counts : (n,)
         Output words at equal intervals.
-    sample_interval_s, rate_dps : float
-    turns : int
     resolution : float, optional
         Smallest step of the output word, counts.
 
@@ -175,10 +170,8 @@ def mean_at_rest(
     Parameters
     ----------
     counts : (n,)
-    sample_interval_s : float
     blocks : int, optional
         The uncertainty comes from the scatter of so many block means: slow noise counts in it.
-    resolution : float, optional
 
     Raises
     ------

@@ -1,7 +1,7 @@
 """What all records of one run say together: arrays in, one result out."""
 
 from analysis.lock_in_run.estimates import Method
-from analysis.lock_in_run.evaluate import evaluate
+from analysis.lock_in_run.evaluation import evaluate
 from analysis.lock_in_run.groups import RateGroup, SeveralRates
 from analysis.lock_in_run.pairs import QuadratureResult
 from analysis.lock_in_run.records import Batch, RecordArrays, RunArrays, RunKnowledge, rows_of_batches

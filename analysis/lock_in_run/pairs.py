@@ -149,7 +149,7 @@ def mean_of_pairs(pairs: QuadratureEstimate) -> QuadratureResult | None:
         return None
     count = int(used.sum())
     senses = set(pairs.sense[used].tolist())
-    seen = [flag for flag in QuadratureFlag if np.mean((pairs.checks[used] & flag) != 0) > _BY_CHANCE]
+    seen = [flag for flag in QuadratureFlag if np.mean((pairs.flags[used] & flag) != 0) > _BY_CHANCE]
     first, second, third = pairs.images[used].mean(axis=0).tolist()
     by_sine, by_cosine = pairs.distortion[used].mean(axis=0).tolist()
     by_sine_u, by_cosine_u = np.sqrt(np.mean(pairs.distortion_u[used] ** 2, axis=0) / count).tolist()

@@ -27,7 +27,6 @@ class UncertaintyCurve:
 
     Attributes
     ----------
-    over_lock_in, total : ndarray
     noise, distortion, reference, channel : ndarray
         What noise, distortion, the rate (K and time base, or table), and bandwidth and gain contribute.
     records : int

@@ -36,8 +36,6 @@ class PlannedRate:
         deg/s, signed; the second is nan where no table is described.
     beat_frequency : float
         Hz.
-    seconds_per_division, volts_per_division : float
-    periods, samples_per_period : float
     levels : float
         Amplitude of the beat in levels of the converter.
     shape : RecordShape
@@ -62,8 +60,6 @@ class Plan:
 
     Attributes
     ----------
-    request : PlanRequest
-    rates : tuple of PlannedRate
     budget : Budget
         Predicted, of all records together.
     reached : bool

@@ -105,11 +105,9 @@ class PlanRequest:
         Of the beat, and of the white noise in each sample, at the input, V.
     noise_levels : float
         Noise of the oscilloscope itself, rms, levels.
-    oscilloscope : OscilloscopeSteps
     knowledge : BenchKnowledge
         Its `table` is made from `table` below.
     reference : {"beat", "rate"}
-    table : TableSpread or None
     rates_over_lock_in : tuple of float
         W/WL to measure at; empty: the best one is looked for.
     both_senses : bool

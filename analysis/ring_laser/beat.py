@@ -39,7 +39,6 @@ def beat_phase_on_table(gyro: Gyro, motion: Sequence[Motion], times: Floats) -> 
 
     Parameters
     ----------
-    gyro : Gyro
     motion : sequence of Motion
         In order of time; the last one goes on for ever, the first one also holds before its start.
     times : ndarray, shape (n,)

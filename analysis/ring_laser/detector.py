@@ -90,8 +90,6 @@ def detector_signal(gyro: Gyro, detector: Detector, axis_rate: Floats, beat_phas
 
     Parameters
     ----------
-    gyro : Gyro
-    detector : Detector
     axis_rate : ndarray, shape (n,)
         W, deg/s.
     beat_phase : ndarray, shape (n,)

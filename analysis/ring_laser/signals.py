@@ -22,8 +22,6 @@ def beat_signal_on_table(gyro: Gyro, detector: Detector, motion: Sequence[Motion
 
     Parameters
     ----------
-    gyro : Gyro
-    detector : Detector
     motion : sequence of Motion
         In order of time; the last one goes on for ever, the first one also holds before its start.
     times : ndarray, shape (n,)

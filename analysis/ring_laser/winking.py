@@ -133,7 +133,6 @@ def steady_beat(laser: WinkingLaser, input_rate: float) -> SteadyBeat:
 
     Parameters
     ----------
-    laser : WinkingLaser
     input_rate : float
         deg/s, either sign.
 

@@ -1,7 +1,18 @@
 """Lock-in rate from records at several rates, free of distortion and of the gain's delay: see `fit`."""
 
 from analysis.several_rates.fit import fit_rate_ratios, fit_rates
-from analysis.several_rates.ratio_model import Reference
-from analysis.several_rates.result import LeftOut, Model, ModelFit, RatesFit, RatesFlag
+from analysis.several_rates.ratio_model import RatioData, Reference, predicted_ratio
+from analysis.several_rates.result import Model, ModelFit, RatesFit, RatesFlag, WithoutOneRate
 
-__all__ = ["LeftOut", "Model", "ModelFit", "RatesFit", "RatesFlag", "Reference", "fit_rate_ratios", "fit_rates"]
+__all__ = [
+    "Model",
+    "ModelFit",
+    "RatesFit",
+    "RatesFlag",
+    "RatioData",
+    "Reference",
+    "WithoutOneRate",
+    "fit_rate_ratios",
+    "fit_rates",
+    "predicted_ratio",
+]

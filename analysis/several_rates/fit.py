@@ -33,7 +33,7 @@ from analysis.several_rates.ratio_records import (
     records_of_arrays,
     records_of_estimates,
 )
-from analysis.several_rates.result import LeftOut, Model, ModelFit, RatesFit, RatesFlag
+from analysis.several_rates.result import Model, ModelFit, RatesFit, RatesFlag, WithoutOneRate
 
 FREE: dict[Model, tuple[bool, bool]] = {
     "lock-in": (False, False),
@@ -91,10 +91,6 @@ def fit_rates(
     model : {"auto", "lock-in", "distortion", "gain", "both"}
         What is fitted beside the lock-in rate. "auto": distortion always; the gain corner too, unless the data
         neither show it nor can pay for it (`GAIN_COST`).
-
-    Returns
-    -------
-    RatesFit
 
     Raises
     ------
@@ -329,12 +325,12 @@ def rate_groups(rate: Floats) -> Indices:
     return group
 
 
-def _leave_out(data: RatioData, fit: RatioFit, chosen: Model) -> LeftOut:
+def _leave_out(data: RatioData, fit: RatioFit, chosen: Model) -> WithoutOneRate:
     group = rate_groups(data.rate)
     n_groups = int(group.max()) + 1
     empty = np.empty(0)
     if n_groups < 2:
-        return LeftOut(empty, empty, empty, empty)
+        return WithoutOneRate(empty, empty, empty, empty)
     kept = (group != np.arange(n_groups)[:, np.newaxis]).astype(float)
     others = fit_ratios(data.weighted(kept), FREE[chosen], np.repeat(fit.parameters, n_groups, axis=0))
     along = fit.parameters[0, :2] / max(float(np.hypot(*fit.parameters[0, :2])), 1e-300)
@@ -345,7 +341,7 @@ def _leave_out(data: RatioData, fit: RatioFit, chosen: Model) -> LeftOut:
     gained = np.maximum(u**2 - _lock_in_u(fit) ** 2, (1e-3 * u) ** 2)
     blank = np.where(others.singular, np.nan, 1.0)
     rates = np.array([np.abs(data.rate[group == g]).mean() for g in range(n_groups)])
-    return LeftOut(rates, value * blank, u * blank, shift / np.sqrt(gained) * blank)
+    return WithoutOneRate(rates, value * blank, u * blank, shift / np.sqrt(gained) * blank)
 
 
 def _at_least(records: RatioRecords, high: float) -> float:

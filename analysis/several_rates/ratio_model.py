@@ -121,7 +121,6 @@ def fit_ratios(data: RatioData, free: tuple[bool, bool], start: Floats | None = 
 
     Parameters
     ----------
-    data : RatioData
     free : (bool, bool)
         Whether D and T are fitted; otherwise they stay at `start`, or at 0.
     start : (B, 4), optional

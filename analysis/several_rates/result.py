@@ -57,7 +57,7 @@ class ModelFit:
 
 
 @dataclass(frozen=True)
-class LeftOut:
+class WithoutOneRate:
     """The fit repeated without each rate in turn; arrays of one value a rate.
 
     rate : |W|, deg/s, mean of the records left out
@@ -116,7 +116,7 @@ class RatesFit:
     degrees_of_freedom: int
     p_value: float
     cost: float
-    left_out: LeftOut
+    left_out: WithoutOneRate
     rate: Floats
     ratio: Complexes
     residual: Complexes

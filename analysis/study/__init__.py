@@ -1,7 +1,8 @@
 """The simulations of Zhan et al., Acta Optica Sinica 29, 960 (2009), beside the exact method."""
 
 from analysis.study.causes import Causes, PeakReading, find_causes, peak_readings
-from analysis.study.figures import (
+from analysis.study.formula_bias import BiasTable, bias_table
+from analysis.study.paper_figures import (
     ErrorStudy,
     WaveformStudy,
     lock_in_study,
@@ -9,7 +10,6 @@ from analysis.study.figures import (
     rate_study,
     waveform_study,
 )
-from analysis.study.formula_bias import BiasTable, bias_table
 
 __all__ = [
     "BiasTable",

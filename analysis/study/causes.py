@@ -19,7 +19,7 @@ import scipy.signal
 from analysis.arrays import Floats
 from analysis.lockin_equation import beat_frequency, harmonic_ratio, lock_in_from_rate
 from analysis.lockin_rate import estimate_lock_in
-from analysis.study.figures import largest_over_phases
+from analysis.study.paper_figures import largest_over_phases
 from analysis.study.simulation import (
     DURATION_S,
     OSCILLOSCOPE_SAMPLES,
@@ -52,13 +52,10 @@ class Causes:
         Distance of the beat from the middle of its bin, in bins.
     together : dict of ndarray
         The paper's method: peaks and equation (13).
-    formula : ndarray
-    peak, leakage : dict of ndarray
     euler, runge_kutta : ndarray
         Integrated with 20 kHz in first and fourth order.
     rounding : ndarray
         Ours on eight bits; its rms over phases.
-    ours : ndarray
     """
 
     points: tuple[tuple[float, float], ...]

@@ -55,7 +55,6 @@ def find_damage(records: Records, fit: SeriesFit, clipped: Bools | None) -> Dama
 
     Parameters
     ----------
-    records : Records
     fit : SeriesFit
         Of them as they are.
     clipped : (R, N) of bool or None

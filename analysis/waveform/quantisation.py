@@ -139,7 +139,6 @@ def locked_to_the_beat(omega: Floats, repeated: Floats, n_samples: int) -> Bools
         rad per sample.
     repeated : (R,)
         From `repetition`.
-    n_samples : int
     """
     locked = repeated > LOCKED
     cycles = np.arange(2, n_samples // 2)
@@ -161,7 +160,6 @@ def leftover_excess(residual: Residual, n_samples: int, spacing: Floats) -> Floa
     ----------
     residual : Residual
         Of quiet records after the correction.
-    n_samples : int
     spacing : (R,)
         Of the levels.
     """

@@ -105,8 +105,6 @@ def examine_residual(
 
     Parameters
     ----------
-    residual : Residual
-    n_samples : int
     count, omega, first : (R,)
         Valid samples, rad per sample, size of the fundamental.
     repeated : (R,) of bool

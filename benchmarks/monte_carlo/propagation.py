@@ -12,8 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from analysis.arrays import Floats
-from analysis.budget import BenchKnowledge, OperatingPoint, Reference
-from analysis.budget.expected_noise import RecordShape
+from analysis.budget import BenchKnowledge, OperatingPoint, RecordShape, Reference
 from analysis.combine import combine_estimates
 from analysis.lockin_equation import lock_in_from_beat, lock_in_from_rate
 from analysis.lockin_rate import LockInEstimate, estimate_lock_in
@@ -70,16 +69,9 @@ def simulate_measurements(
     ----------
     point : OperatingPoint
         Its rates, scale factor, phase and scatter; its noise comes from `shape`.
-    knowledge : BenchKnowledge
     shape : RecordShape
         Also how many records make one measurement.
     reference : {"beat", "rate"}
-    trials : int
-    rng : numpy.random.Generator
-
-    Returns
-    -------
-    MonteCarlo
 
     Raises
     ------

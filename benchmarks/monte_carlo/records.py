@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from analysis.arrays import Complexes, Floats
-from analysis.budget.expected_noise import RecordShape
+from analysis.budget import RecordShape
 from analysis.channel import gain_on_ratio, high_pass, low_pass
 from analysis.lockin_equation import beat_frequency, beat_signal
 from benchmarks.monte_carlo.draws import Draws

@@ -34,7 +34,6 @@ class Field:
         Binary: "signed", "unsigned", "float". Text: "decimal", "hex".
     size : int
         Binary: bytes. Text: 0.
-    byte_order : "little" or "big"
     scale, offset : float
         Delivered is ``number * scale + offset``.
     lowest, highest : float
@@ -73,7 +72,6 @@ class FrameFormat:
 
     Attributes
     ----------
-    kind : "ascii" or "binary"
     output_rate_hz : float
         Frames per second of the gyro's own clock.
     header, ending : bytes
@@ -82,9 +80,6 @@ class FrameFormat:
         Between the fields of a line.
     fields : tuple of Field
         In the order in which they are sent, without the checksum.
-    check : CheckRule or None
-    counter : CounterRule or None
-    status : StatusRule
     commands : dict of str to Message
         Of `COMMANDS` those that the gyro knows.
     accepted, refused : Message or None
@@ -95,7 +90,6 @@ class FrameFormat:
         Number that is sent for one code per transit time.
     largest_step : float
         Codes; no larger step is injected, in either direction.
-    baud_rate, data_bits, stop_bits : int
     parity : str
         "N", "E" or "O" as pySerial has them.
     """

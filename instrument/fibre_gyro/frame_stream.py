@@ -61,12 +61,7 @@ class Tally:
 
 
 class FrameStream:
-    """Takes bytes as they come and gives what is in them, in order: frames, answers, damage.
-
-    Parameters
-    ----------
-    layout : FrameFormat
-    """
+    """Takes bytes as they come and gives what is in them, in order: frames, answers, damage."""
 
     def __init__(self, layout: FrameFormat) -> None:
         self._layout = layout
@@ -105,13 +100,8 @@ class FrameStream:
 
         Parameters
         ----------
-        data : bytes
         silent : bool
-            Nothing more will follow for a while: a frame that waits for its successor is given now.
-
-        Returns
-        -------
-        list of Frame, Answer or Damage
+            Nothing more will follow for a while: a frame with nothing behind it waits no longer.
         """
         self.tally.received += len(data)
         self._buffer += data

@@ -20,7 +20,6 @@ class Frame:
 
     Attributes
     ----------
-    counter : int or None
     values : tuple of float
         In the order of `FrameFormat.names`.
     problem : str

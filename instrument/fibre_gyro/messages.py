@@ -74,7 +74,6 @@ class CheckRule:
         The header, if the checksum does not cover it; else empty.
     mark : bytes
         What stands in front of the checksum and is not covered; only in text, else empty.
-    byte_order : "little" or "big"
     """
 
     kind: str
@@ -106,7 +105,6 @@ class Message:
         Bytes as they are sent; ``"step"``, ``"checksum"`` or ``"start"`` for a place.
     step_format : str
         Text: format of the number. Binary: its bytes as a decimal number. Empty without a number.
-    binary : bool
     byte_order : "little" or "big"
         Of a binary number.
     """

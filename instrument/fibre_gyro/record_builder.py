@@ -115,7 +115,6 @@ class RecordBuilder:
 
     Parameters
     ----------
-    layout : FrameFormat
     skip, wanted : int
         Intervals from the first frame on that are left out, and those that are recorded after them.
 

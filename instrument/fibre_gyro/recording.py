@@ -102,11 +102,8 @@ class Recording:
         The output as the gyro gives it.
     temperature : (n,) or None
         As the format scales it, usually deg C.
-    status : (n,) integers or None
     extra : dict of str to (n,)
         Further columns by name.
-    gaps : tuple of Gap
-    losses : Losses
     interval_s : float
         Time between two outputs.
     clock : str

@@ -8,7 +8,7 @@ from contextlib import contextmanager
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.fibre_gyro.loop.output_model import OutputModel
+from analysis.fibre_gyro import OutputModel
 from analysis.rotation import EARTH_RATE_DPS
 from instrument.fibre_gyro import FrameFormat
 from instrument.simulated.fibre_gyro.server import PtyGyroServer, TcpGyroServer

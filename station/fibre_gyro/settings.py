@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
-from analysis.fibre_gyro.coil import FibreCoil
+from analysis.fibre_gyro import FibreCoil
 from station.errors import SettingsError
 from station.settings.load import SettingsKind, Values, load
 from station.settings.parts import Finite, Limit, NotNegative, OutputSettings, Positive, Section, SiteSettings

@@ -14,11 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.fibre_gyro.coil import FibreCoil
-from analysis.fibre_gyro.loop.closed_loop import ClosedLoop
-from analysis.fibre_gyro.loop.design import LoopSettings
-from analysis.fibre_gyro.loop.output import OutputBlock
-from analysis.fibre_gyro.loop.output_model import OutputModel
+from analysis.fibre_gyro import ClosedLoop, FibreCoil, LoopDesign, OutputBlock, OutputModel
 from analysis.rotation import EARTH_RATE_DPS
 from instrument.fibre_gyro import Losses, Recording
 from station.fibre_gyro.segments import PlannedSegment
@@ -143,10 +139,10 @@ class SimulatedFogBench:
         )
 
 
-def loop_settings(settings: FogSettings) -> LoopSettings:
+def loop_settings(settings: FogSettings) -> LoopDesign:
     """Electronics of the simulated gyro."""
     gyro, simulation = settings.gyro, settings.simulation
-    return LoopSettings(
+    return LoopDesign(
         dac_bits=gyro.dac_bits,
         fractional_bits=gyro.fraction_bits,
         two_pi_error=simulation.two_pi_error,
@@ -158,6 +154,6 @@ def loop_settings(settings: FogSettings) -> LoopSettings:
     )
 
 
-def quiet(settings: LoopSettings) -> LoopSettings:
+def quiet(settings: LoopDesign) -> LoopDesign:
     """The same electronics without noise, for a picture of the signals."""
     return replace(settings, angle_random_walk_deg_per_sqrt_h=0.0)

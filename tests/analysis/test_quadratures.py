@@ -74,7 +74,7 @@ def test_distortion_of_minus_46_dbc_is_gone_in_perfect_quadrature(multiple):
     np.testing.assert_allclose(made.distortion[0], 0.005, rtol=5e-3)
     assert made.estimate.backscatter_phase[0] == pytest.approx(0.7, abs=1e-3)
     assert made.estimate.input_rate[0] == multiple * WL
-    assert made.checks[0] == 0
+    assert made.flags[0] == 0
 
 
 def test_for_equal_channels_it_is_the_subtraction_of_the_image():
@@ -118,7 +118,7 @@ def test_the_uncertainty_is_that_of_the_scatter(multiple):
     assert np.std(made.gain_ratio) == pytest.approx(made.gain_ratio_u.mean(), rel=0.15)
     # Freedom from distortion costs little against one channel alone, and false alarms are rare.
     assert e.lock_in_rate_u.mean() < 1.1 * made.sine.lock_in_rate_u.mean()
-    assert np.mean(made.checks != 0) < 0.02
+    assert np.mean(made.flags != 0) < 0.02
 
 
 def test_a_beat_by_an_integrator_comes_back_too():
@@ -156,9 +156,9 @@ def test_exchanged_channels_and_third_order_distortion_are_seen():
     sine, cosine, interval, scale, rate = channels(8)
     turned = estimate_quadratures(cosine, sine, interval, scale_factor=scale, input_rate=rate)
     assert turned.sense[0] == -1
-    assert turned.checks[0] == QuadratureFlag.SENSE_DISAGREES
+    assert turned.flags[0] == QuadratureFlag.SENSE_DISAGREES
     cubic = estimated(8, cube=0.02, squares=(0.0, 0.0))
-    assert cubic.checks[0] & QuadratureFlag.IMAGE_LEFT
+    assert cubic.flags[0] & QuadratureFlag.IMAGE_LEFT
     # x^3 leaves a third harmonic of 0.02/4 in each channel, and that is what the image shows.
     assert cubic.images[0, 2] == pytest.approx(0.005, rel=0.05)
 
@@ -166,14 +166,14 @@ def test_exchanged_channels_and_third_order_distortion_are_seen():
 def test_two_copies_of_one_channel_are_no_quadratures():
     sine, _, interval, scale, rate = channels(8, rng=np.random.default_rng(3), noise=0.01)
     made = estimate_quadratures(sine, sine, interval, scale_factor=scale, input_rate=rate)
-    assert made.checks[0] & QuadratureFlag.NOT_IN_QUADRATURE
+    assert made.flags[0] & QuadratureFlag.NOT_IN_QUADRATURE
     assert made.sense[0] == 0
     assert not made.estimate.lock_in_rate_u[0] < 100 * made.sine.lock_in_rate_u[0]
 
 
 def test_poor_quadrature_is_corrected_at_a_price():
     made = estimated(10, 200, rng=np.random.default_rng(4), noise=0.01, skew=0.9)
-    assert np.all(made.checks & QuadratureFlag.POOR_QUADRATURE)
+    assert np.all(made.flags & QuadratureFlag.POOR_QUADRATURE)
     e = made.estimate
     assert np.std((e.lock_in_rate - WL) / e.lock_in_rate_u) == pytest.approx(1, abs=0.15)
     # Both parts of rho together against one channel, for an angle whose sine is 0.62: 1/sin^2 of its variance.
@@ -185,7 +185,7 @@ def test_different_beats_and_missing_beats_are_flagged():
     sine, cosine, interval, scale, rate = channels(8)
     other = channels(8, periods=53.1)[1]
     apart = estimate_quadratures(sine, other, interval, scale_factor=scale, input_rate=rate)
-    assert apart.checks[0] & QuadratureFlag.FREQUENCIES_DIFFER
+    assert apart.flags[0] & QuadratureFlag.FREQUENCIES_DIFFER
     dead = np.zeros_like(cosine)
     made = estimate_quadratures(
         np.concatenate([sine, sine]), np.concatenate([cosine, dead]), interval, scale_factor=scale

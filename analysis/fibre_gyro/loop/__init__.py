@@ -1,1 +1,12 @@
-"""The digital closed loop of a fibre gyro, at every transit time or by its output words."""
+"""Electronics of a closed-loop fibre gyro, simulated: at every transit time of the light, and by output words.
+
+`design` the converters, loop and noise, `registers` what the loop holds in bits, `clock` and `output` what comes
+out when, `closed_loop` the simulation on one of two kernels, `output_model` the fast one.
+"""
+
+from analysis.fibre_gyro.loop.closed_loop import ClosedLoop, Kernel
+from analysis.fibre_gyro.loop.design import LoopDesign
+from analysis.fibre_gyro.loop.output import OutputBlock, Trace
+from analysis.fibre_gyro.loop.output_model import OutputModel
+
+__all__ = ["ClosedLoop", "Kernel", "LoopDesign", "OutputBlock", "OutputModel", "Trace"]

@@ -11,10 +11,6 @@ from analysis.fibre_gyro.coil import FibreCoil
 class OutputClock:
     """Time and sample pairs since the start of a gyro.
 
-    Parameters
-    ----------
-    coil : FibreCoil
-
     Examples
     --------
     >>> clock = OutputClock(FibreCoil())

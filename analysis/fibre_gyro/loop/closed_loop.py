@@ -24,7 +24,7 @@ from analysis.arrays import Floats, Indices, Ints
 from analysis.fibre_gyro.coil import FibreCoil
 from analysis.fibre_gyro.loop import numpy_kernel as closed_loop_numpy
 from analysis.fibre_gyro.loop.clock import OutputClock
-from analysis.fibre_gyro.loop.design import LoopSettings
+from analysis.fibre_gyro.loop.design import LoopDesign
 from analysis.fibre_gyro.loop.output import OutputBlock, Trace
 from analysis.fibre_gyro.loop.registers import (
     NORMAL,
@@ -52,8 +52,6 @@ class ClosedLoop:
 
     Parameters
     ----------
-    coil : FibreCoil
-    settings : LoopSettings
     seed : int, optional
         Of the noise. Every run has a stream of its own, the same whatever the kernel and however the time is cut.
     runs : int, optional
@@ -69,25 +67,25 @@ class ClosedLoop:
 
     Examples
     --------
-    >>> gyro = ClosedLoop(FibreCoil(), LoopSettings(), kernel="numpy")
+    >>> gyro = ClosedLoop(FibreCoil(), LoopDesign(), kernel="numpy")
     >>> block = gyro.run(2, output_period_s=2e-3, rate_dps=1.0)
     >>> bool(abs(block.counts[1] / 246.153 - 1.0) < 0.002)
     True
     """
 
     def __init__(
-        self, coil: FibreCoil, settings: LoopSettings, seed: int = 0, *, runs: int = 1, kernel: Kernel = "auto"
+        self, coil: FibreCoil, design: LoopDesign, seed: int = 0, *, runs: int = 1, kernel: Kernel = "auto"
     ) -> None:
         if runs < 1:
             raise ValueError(f"the number of runs must be at least 1, not {runs}")
-        self.coil, self.settings, self.runs = coil, settings, runs
+        self.coil, self.design, self.runs = coil, design, runs
         self._run_pairs = _kernel(kernel, runs)
-        self._phase = settings.converter_phase()
-        self._noise = settings.detector_noise(coil)
+        self._phase = design.converter_phase()
+        self._noise = design.detector_noise(coil)
         self._streams = [np.random.default_rng(child) for child in np.random.SeedSequence(seed).spawn(runs)]
         self._words = np.zeros((runs, 3), dtype=np.int64)
         self._phases = np.zeros((runs, 3))
-        self._phases[:, SPAN] = 1.0 + settings.two_pi_error
+        self._phases[:, SPAN] = 1.0 + design.two_pi_error
         self._phases[:, PHASE] = self._phase[0] * self._phases[:, SPAN]
         self._clock = OutputClock(coil)
 
@@ -99,12 +97,12 @@ class ClosedLoop:
     @property
     def injection_resolution(self) -> float:
         """Smallest injected step, codes."""
-        return self.settings.step_resolution
+        return self.design.step_resolution
 
     @property
     def largest_step(self) -> float:
         """Largest injected step, codes."""
-        return self.settings.largest_step
+        return self.design.largest_step
 
     @property
     def two_pi_error(self) -> Floats:
@@ -130,14 +128,12 @@ class ClosedLoop:
 
         Parameters
         ----------
-        n_outputs : int
-        output_period_s : float, optional
         rate_dps : float, array_like of shape (n_outputs,) or (runs, n_outputs) or (runs, 1), or callable
             A callable gets the times of the sample pairs since the start and returns the rate at each.
         injected_step : array_like, optional
             Codes each transit time, rounded to the resolution; shapes as those of the rate.
         closed : bool, optional
-            False: the feedback step stays as it is. Default: as in the settings.
+            False: the feedback step stays as it is. Default: as in the design.
 
         Raises
         ------
@@ -146,10 +142,10 @@ class ClosedLoop:
             range, or shapes that do not fit.
         """
         rate = rate_dps if callable(rate_dps) else self._by_output(rate_dps, n_outputs)
-        steps = self.settings.injected_units(self._by_output(injected_step, n_outputs))
+        steps = self.design.injected_units(self._by_output(injected_step, n_outputs))
         pair = self._clock.pairs
         ends, in_output = self._clock.next_outputs(n_outputs, output_period_s)
-        constants = loop_constants(self.settings, closed=self.settings.closed if closed is None else closed)
+        constants = loop_constants(self.design, closed=self.design.closed if closed is None else closed)
         total = np.zeros((self.runs, n_outputs, 4), dtype=np.int64)
         for chunk in _chunks(in_output, max(1, _CHUNK_SAMPLES // (2 * self.runs))):
             drive = self._drive(chunk, rate, steps, pair)
@@ -178,10 +174,10 @@ class ClosedLoop:
             As in :meth:`run`, constant.
         """
         chunk = _Chunk(np.zeros(1, dtype=np.intp), np.array([(n_samples + 1) // 2]))
-        steps = self.settings.injected_units(np.full((self.runs, 1), float(injected_step)))
+        steps = self.design.injected_units(np.full((self.runs, 1), float(injected_step)))
         first = self._clock.pairs
         drive = self._drive(chunk, np.full((self.runs, 1), float(rate_dps)), steps, first)
-        constants = loop_constants(self.settings, closed=self.settings.closed if closed is None else closed)
+        constants = loop_constants(self.design, closed=self.design.closed if closed is None else closed)
         seen: list[closed_loop_numpy.PairSignals] = []
         sums = np.zeros((self.runs, 1, 4), dtype=np.int64)
 
@@ -190,7 +186,7 @@ class ClosedLoop:
 
         closed_loop_numpy.run_pairs(constants, self._phase, self._words, self._phases, drive, sums, watch)
         self._clock.next_pairs(int(chunk.pairs[0]))
-        return _trace(seen, 2 * first + 1, self.coil, self.settings)
+        return _trace(seen, 2 * first + 1, self.coil, self.design)
 
     def _by_output(self, value: ArrayLike, n_outputs: int) -> Floats:
         return np.broadcast_to(np.asarray(value, dtype=np.float64), (self.runs, n_outputs))
@@ -209,12 +205,12 @@ class ClosedLoop:
         for row, stream in zip(noise, self._streams, strict=True):
             stream.standard_normal(out=row)
         noise *= self._noise
-        turns = (rates + self.settings.bias_dph / 3600.0) * self.coil.turns_per_dps
+        turns = (rates + self.design.bias_dph / 3600.0) * self.coil.turns_per_dps
         injected = np.ascontiguousarray(steps[:, chunk.output])
         return LoopInput(chunk.pairs, injected, np.ascontiguousarray(turns), callable(rate), noise)
 
     def _block(self, ends: Floats, period: float, pairs: Ints, total: Ints) -> OutputBlock:
-        unit = 2.0**self.settings.fractional_bits
+        unit = 2.0**self.design.fractional_bits
         resets = total[..., RESETS]
         with np.errstate(invalid="ignore"):
             normal, at_reset = total[..., NORMAL] / (pairs - resets), total[..., RESET] / resets
@@ -263,21 +259,19 @@ def _kernel(name: Kernel, runs: int) -> RunPairs:
     return run_pairs
 
 
-def _trace(
-    seen: list[closed_loop_numpy.PairSignals], first: int, coil: FibreCoil, settings: LoopSettings
-) -> Trace:
+def _trace(seen: list[closed_loop_numpy.PairSignals], first: int, coil: FibreCoil, design: LoopDesign) -> Trace:
     """Signals of the first run, pair after pair, as one series."""
     staircase, code, adc = (np.concatenate([pair[field] for pair in seen]) for field in (0, 1, 5))
     phase, turns, level = (np.concatenate([pair[field] for pair in seen]) for field in (2, 3, 4))
-    half_range = (settings.wrap << settings.fractional_bits) // 2
+    half_range = (design.wrap << design.fractional_bits) // 2
     fallen = np.abs(np.diff(staircase, prepend=staircase[:1])) > half_range
     return Trace(
         times_s=(first + np.arange(code.size, dtype=np.float64)) * coil.transit_time,
-        staircase=staircase >> settings.fractional_bits,
+        staircase=staircase >> design.fractional_bits,
         code=code,
         modulator_rad=2.0 * np.pi * phase,
         difference_rad=2.0 * np.pi * turns,
-        intensity=level / (2.0 * settings.adc_half_range * settings.light_level),
+        intensity=level / (2.0 * design.adc_half_range * design.light_level),
         adc=adc,
         reset=fallen,
     )

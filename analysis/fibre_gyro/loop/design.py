@@ -23,8 +23,8 @@ GUARD_BITS = 16
 
 
 @dataclass(frozen=True)
-class LoopSettings:
-    """Settings of the electronics; the errors are those of the real hardware, unknown to the digital part.
+class LoopDesign:
+    """Design of the electronics; the errors are those of the real hardware, unknown to the digital part.
 
     Attributes
     ----------

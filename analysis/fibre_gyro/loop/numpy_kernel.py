@@ -58,14 +58,12 @@ def run_pairs(
 
     Parameters
     ----------
-    constants : LoopConstants
     converter_phase : ndarray, shape (codes * 3/2,)
         Turns of every code, without the 2 pi error.
     words : ndarray of int, shape (runs, 3)
         State, changed in place.
     phases : ndarray, shape (runs, 3)
         State, changed in place.
-    drive : LoopInput
     sums : ndarray of int, shape (runs, segments, 4)
         Filled.
     watch : callable, optional

@@ -15,7 +15,6 @@ class OutputBlock:
     ----------
     times_s : ndarray, shape (n,)
         End of each output period since the start of the gyro.
-    interval_s : float
     counts : ndarray
         Mean feedback step over the period with its sign reversed, codes each transit time.
     normal_error, reset_error : ndarray

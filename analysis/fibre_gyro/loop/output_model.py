@@ -22,7 +22,7 @@ from numpy.typing import ArrayLike
 from analysis.arrays import Floats, Ints
 from analysis.fibre_gyro.coil import FibreCoil
 from analysis.fibre_gyro.loop.clock import OutputClock
-from analysis.fibre_gyro.loop.design import LoopSettings
+from analysis.fibre_gyro.loop.design import LoopDesign
 from analysis.fibre_gyro.loop.output import OutputBlock
 
 Rate = ArrayLike | Callable[[Floats], ArrayLike]
@@ -35,11 +35,8 @@ class OutputModel:
 
     Parameters
     ----------
-    coil : FibreCoil
-    settings : LoopSettings
     seed : int, optional
         Every run has a noise of its own, the same however the time is cut.
-    runs : int, optional
 
     Raises
     ------
@@ -48,19 +45,19 @@ class OutputModel:
 
     Examples
     --------
-    >>> gyro = OutputModel(FibreCoil(), LoopSettings(two_pi_error=0.001))
+    >>> gyro = OutputModel(FibreCoil(), LoopDesign(two_pi_error=0.001))
     >>> block = gyro.run(2000, rate_dps=1.0)
     >>> bool(abs(block.counts[1:].mean() / (FibreCoil().nominal_scale(16) / 1.001) - 1) < 1e-4)
     True
     """
 
-    def __init__(self, coil: FibreCoil, settings: LoopSettings, seed: int = 0, *, runs: int = 1) -> None:
+    def __init__(self, coil: FibreCoil, design: LoopDesign, seed: int = 0, *, runs: int = 1) -> None:
         if runs < 1:
             raise ValueError(f"the number of runs must be at least 1, not {runs}")
-        self.coil, self.settings, self.runs = coil, settings, runs
+        self.coil, self.design, self.runs = coil, design, runs
         self._streams = [np.random.default_rng(child) for child in np.random.SeedSequence(seed).spawn(runs)]
         self._clock = OutputClock(coil)
-        self._laws = _laws(coil, settings)
+        self._laws = _laws(coil, design)
         self._feedback = np.zeros(runs)
         self._rounded_off = np.zeros(runs)
         self._ramp, self._second_ramp = _Ramp(runs), _Ramp(runs)
@@ -73,12 +70,12 @@ class OutputModel:
     @property
     def injection_resolution(self) -> float:
         """Smallest injected step, codes."""
-        return self.settings.step_resolution
+        return self.design.step_resolution
 
     @property
     def largest_step(self) -> float:
         """Largest injected step, codes."""
-        return self.settings.largest_step
+        return self.design.largest_step
 
     def clear_feedback(self) -> None:
         """Set the feedback step to zero; an open loop stays there."""
@@ -102,15 +99,15 @@ class OutputModel:
         ValueError
             As there, and for a rate with a Sagnac phase beyond pi: there the loop settles on another fringe.
         """
-        steps = self.settings.injected_units(np.broadcast_to(np.asarray(injected_step), (self.runs, n_outputs)))
-        injected = np.asarray(steps * self.settings.step_resolution, dtype=np.float64)
+        steps = self.design.injected_units(np.broadcast_to(np.asarray(injected_step), (self.runs, n_outputs)))
+        injected = np.asarray(steps * self.design.step_resolution, dtype=np.float64)
         start = self._clock.time
         ends, pairs = self._clock.next_outputs(n_outputs, output_period_s)
-        codes_per_dps = self.coil.nominal_scale(self.settings.dac_bits)
+        codes_per_dps = self.coil.nominal_scale(self.design.dac_bits)
         optical = np.asarray(codes_per_dps * self._mean_rate(rate_dps, start, ends), dtype=np.float64)
         noise = np.stack([stream.standard_normal((n_outputs, 3)) for stream in self._streams])
         drive = _Drive(optical, injected, pairs, noise)
-        is_closed = self.settings.closed if closed is None else closed
+        is_closed = self.design.closed if closed is None else closed
         fields = self._closed(drive) if is_closed else self._open(drive)
         if self.runs == 1:
             fields = _Fields(*(field[0] for field in fields))
@@ -126,7 +123,7 @@ class OutputModel:
             given = (first + 4.0 * middle + last) / 6.0
         else:
             given = np.asarray(rate_dps, dtype=np.float64)
-        rate = np.broadcast_to(given, (self.runs, ends.size)) + self.settings.bias_dph / 3600.0
+        rate = np.broadcast_to(given, (self.runs, ends.size)) + self.design.bias_dph / 3600.0
         limit = self.coil.fringe_limit_dps
         if not np.all(np.abs(rate) < limit):
             raise ValueError(
@@ -200,7 +197,7 @@ class OutputModel:
 
     def _rounded(self, mean: Floats, pairs: Ints) -> Floats:
         """Steps in whole units; what is rounded off stays in the accumulator and comes in the next output."""
-        unit = self.settings.step_resolution
+        unit = self.design.step_resolution
         total = self._rounded_off[:, None] + np.cumsum(mean * pairs, axis=1)
         whole = unit * np.floor(total / unit)
         self._rounded_off = total[:, -1] - whole[:, -1]
@@ -249,26 +246,26 @@ class _Laws(NamedTuple):
     error_noise: float
 
 
-def _laws(coil: FibreCoil, settings: LoopSettings) -> _Laws:
-    codes, wrap = settings.codes, settings.wrap
+def _laws(coil: FibreCoil, design: LoopDesign) -> _Laws:
+    codes, wrap = design.codes, design.wrap
     # the second loop, once it has settled, makes the fall one whole turn
-    span = 1.0 + settings.two_pi_error if settings.two_pi_loop_gain == 0 else codes / wrap
-    excess, second_excess = span * wrap / codes - 1.0, (1 + settings.injection_two_pi_error) * wrap / codes - 1.0
+    span = 1.0 + design.two_pi_error if design.two_pi_loop_gain == 0 else codes / wrap
+    excess, second_excess = span * wrap / codes - 1.0, (1 + design.injection_two_pi_error) * wrap / codes - 1.0
     pulse, second_pulse = (codes * np.sin(2 * np.pi * d) / (2 * np.pi) for d in (excess, second_excess))
     bias = np.sin(np.pi / 2 * span)
-    amplitude = settings.adc_half_range * settings.light_level * settings.contrast * bias
-    error_noise = np.sqrt(2.0 * (settings.detector_noise(coil) ** 2 + _ROUNDING_VARIANCE))
-    gain = settings.loop_gain * settings.light_level * settings.contrast * bias * span
+    amplitude = design.adc_half_range * design.light_level * design.contrast * bias
+    error_noise = np.sqrt(2.0 * (design.detector_noise(coil) ** 2 + _ROUNDING_VARIANCE))
+    gain = design.loop_gain * design.light_level * design.contrast * bias * span
     return _Laws(
         codes=codes,
         span=span,
-        second_span=1.0 + settings.injection_two_pi_error,
+        second_span=1.0 + design.injection_two_pi_error,
         wrap=float(wrap),
         excess=excess,
-        pulse=0.0 if settings.gated else float(pulse),
-        second_pulse=0.0 if settings.gated else float(second_pulse),
-        gated=settings.gated,
-        separate=settings.injection_path == "separate",
+        pulse=0.0 if design.gated else float(pulse),
+        second_pulse=0.0 if design.gated else float(second_pulse),
+        gated=design.gated,
+        separate=design.injection_path == "separate",
         gain=float(gain),
         decay=float(-np.log(abs(1.0 - gain)) / 2.0) if gain != 1.0 else 1e3,
         step_noise=float(error_noise / (2 * amplitude) * codes / (2 * np.pi) / span),

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from analysis.arrays import Floats, Ints
-from analysis.fibre_gyro.loop.design import GUARD_BITS, LoopSettings
+from analysis.fibre_gyro.loop.design import GUARD_BITS, LoopDesign
 
 COSINE = (
     6.28318530717927,
@@ -53,27 +53,27 @@ class LoopConstants(NamedTuple):
     trim_gain: float
 
 
-def loop_constants(settings: LoopSettings, *, closed: bool) -> LoopConstants:
-    """Constants of the settings; an open loop has no error gain."""
-    half_range = settings.adc_half_range
-    wrap_steps = settings.wrap << settings.fractional_bits
+def loop_constants(design: LoopDesign, *, closed: bool) -> LoopConstants:
+    """Constants of the design; an open loop has no error gain."""
+    half_range = design.adc_half_range
+    wrap_steps = design.wrap << design.fractional_bits
     return LoopConstants(
-        fractional_bits=settings.fractional_bits,
+        fractional_bits=design.fractional_bits,
         guard_bits=GUARD_BITS,
-        codes=settings.codes,
+        codes=design.codes,
         wrap_steps=wrap_steps,
-        wrap=settings.wrap,
-        quarter=settings.codes // 4,
-        bias_in_wrap=settings.bias_in_wrap,
-        gated=settings.gated,
-        separate=settings.injection_path == "separate",
-        error_gain=settings.error_gain() if closed else 0,
+        wrap=design.wrap,
+        quarter=design.codes // 4,
+        bias_in_wrap=design.bias_in_wrap,
+        gated=design.gated,
+        separate=design.injection_path == "separate",
+        error_gain=design.error_gain() if closed else 0,
         register_limit=(wrap_steps // 2 - 1) << GUARD_BITS,
-        mean_level=half_range * settings.light_level + settings.adc_offset,
-        amplitude=half_range * settings.light_level * settings.contrast,
+        mean_level=half_range * design.light_level + design.adc_offset,
+        amplitude=half_range * design.light_level * design.contrast,
         adc_top=2.0 * half_range - 1.0,
-        second_span=(1.0 + settings.injection_two_pi_error) / settings.codes,
-        trim_gain=settings.two_pi_loop_gain / (2.0 * np.pi * half_range),
+        second_span=(1.0 + design.injection_two_pi_error) / design.codes,
+        trim_gain=design.two_pi_loop_gain / (2.0 * np.pi * half_range),
     )
 
 

@@ -4,11 +4,18 @@ A record runs through `cut` (where the steps are), `levels` (how high each level
 that knows what rounding does) and `witness` (resets, heights, times, flags).
 """
 
+from analysis.fibre_gyro.staircase.rounded_fit import rounding_left
 from analysis.fibre_gyro.staircase.witness import (
     StaircaseWitness,
     describe_witness_flag,
-    two_pi_error,
+    two_pi_error_of_drive,
     witness_staircase,
 )
 
-__all__ = ["StaircaseWitness", "describe_witness_flag", "two_pi_error", "witness_staircase"]
+__all__ = [
+    "StaircaseWitness",
+    "describe_witness_flag",
+    "rounding_left",
+    "two_pi_error_of_drive",
+    "witness_staircase",
+]

@@ -59,7 +59,6 @@ class StaircaseWitness:
     ----------
     step_height, step_height_u : float
         Change from level to level, bias taken off; negative for a falling staircase.
-    step_time, step_time_u : float
     reset_height, reset_height_u : float
         The fall that is seen at a reset, positive; nan without one.
     two_pi_voltage, two_pi_voltage_u : float
@@ -106,7 +105,7 @@ def describe_witness_flag(name: str) -> str:
     return _SENTENCES[name]
 
 
-def two_pi_error(
+def two_pi_error_of_drive(
     two_pi_voltage: float,
     two_pi_voltage_u: float,
     half_wave_voltage: float,
@@ -128,7 +127,7 @@ def two_pi_error(
 
     Examples
     --------
-    >>> two_pi_error(8.08, 0.08, 4.0)
+    >>> two_pi_error_of_drive(8.08, 0.08, 4.0)
     (0.01, 0.01)
     """
     if not half_wave_voltage > 0:
@@ -159,10 +158,6 @@ def witness_staircase(
         hardly stand out of the noise.
     gain_u, time_base_u : float
         Relative standard uncertainties of the oscilloscope's volts and seconds; they enter every result.
-
-    Returns
-    -------
-    StaircaseWitness
 
     Raises
     ------

@@ -17,7 +17,6 @@ def equations_by_samples(values: Samples, weights: Samples | None, series: Serie
     ----------
     values : (R, N); weights : (R, N) or None
         0 where missing.
-    series : Series
     """
     n_records, n_samples = values.shape
     outer, inner = record_grid(n_samples)

@@ -44,7 +44,6 @@ def equations_by_sums(
         0 where missing.
     power, total : (R,)
         Sums of squares of `values`, and of `values`.
-    series : Series
     """
     n_samples, kind = values.shape[1], values.dtype
     n_harmonics = orders_needed(series.ratio, LEFT_OUT_OF_DATA[kind], 3)

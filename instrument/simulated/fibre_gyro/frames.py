@@ -17,8 +17,6 @@ def encode_frame(layout: FrameFormat, counter: int, values: Mapping[str, float])
 
     Parameters
     ----------
-    layout : FrameFormat
-    counter : int
     values : mapping of str to float
         As they are to be delivered: scale and offset are taken off here. Fields without a value are 0, a status
         without one is good.

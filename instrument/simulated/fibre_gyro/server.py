@@ -46,7 +46,6 @@ class GyroServer(StreamServer):
     ----------
     port : str
         What `FibreGyroLink` opens.
-    faults : GyroFaults
     frames_made : int
         Outputs that the model was asked for.
     commands : list of (str, float)
@@ -157,12 +156,10 @@ class PtyGyroServer(GyroServer):
 
     Parameters
     ----------
-    model : GyroModel
     layout : FrameFormat
         From `parse_frame_format`.
     speed : float
         Seconds of the gyro's time in one second; inf: as fast as it is read.
-    faults : GyroFaults, optional
 
     Raises
     ------

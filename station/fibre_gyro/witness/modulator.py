@@ -8,7 +8,7 @@ from contextlib import contextmanager
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.fibre_gyro.loop.closed_loop import ClosedLoop
+from analysis.fibre_gyro import ClosedLoop
 from instrument import TDS2014
 from instrument.simulated import SimulatedTDS2014, VirtualClock
 from station.fibre_gyro.settings import FogSettings

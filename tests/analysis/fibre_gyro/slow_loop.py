@@ -6,12 +6,11 @@ import math
 
 import numpy as np
 
-from analysis.fibre_gyro.coil import FibreCoil
-from analysis.fibre_gyro.loop.design import LoopSettings
+from analysis.fibre_gyro import FibreCoil, LoopDesign
 
 
 def slow_outputs(
-    coil: FibreCoil, s: LoopSettings, seed: int, n_pairs: int, rate_dps: float, injected: float
+    coil: FibreCoil, s: LoopDesign, seed: int, n_pairs: int, rate_dps: float, injected: float
 ) -> list[float]:
     """Feedback step of every sample pair, sign reversed, in codes; only the phase of the staircase is wrapped."""
     rng = np.random.default_rng(np.random.SeedSequence(seed).spawn(1)[0])

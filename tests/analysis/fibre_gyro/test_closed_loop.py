@@ -10,27 +10,25 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from analysis.fibre_gyro.coil import FibreCoil
-from analysis.fibre_gyro.loop.closed_loop import ClosedLoop
-from analysis.fibre_gyro.loop.design import LoopSettings
+from analysis.fibre_gyro import ClosedLoop, FibreCoil, LoopDesign
 
 COIL = FibreCoil()
 K0 = 246.152866
-QUIET = LoopSettings(angle_random_walk_deg_per_sqrt_h=0.0005)
+QUIET = LoopDesign(angle_random_walk_deg_per_sqrt_h=0.0005)
 
 
 def mean_output(
-    settings: LoopSettings, rate: float, *, seconds: float = 0.15, step: float = 0.0, coil: FibreCoil = COIL
+    design: LoopDesign, rate: float, *, seconds: float = 0.15, step: float = 0.0, coil: FibreCoil = COIL
 ) -> float:
     """Mean output of a settled gyro."""
-    gyro = ClosedLoop(coil, settings, seed=1)
+    gyro = ClosedLoop(coil, design, seed=1)
     gyro.run(1, output_period_s=2e-3, rate_dps=rate, injected_step=step)
     return float(gyro.run(1, output_period_s=seconds, rate_dps=rate, injected_step=step).counts[0])
 
 
-def scale(settings: LoopSettings, rate: float = 20.0, coil: FibreCoil = COIL) -> float:
+def scale(design: LoopDesign, rate: float = 20.0, coil: FibreCoil = COIL) -> float:
     """Scale factor over the nominal one, from both senses."""
-    return (mean_output(settings, rate, coil=coil) - mean_output(settings, -rate, coil=coil)) / (2 * rate * K0)
+    return (mean_output(design, rate, coil=coil) - mean_output(design, -rate, coil=coil)) / (2 * rate * K0)
 
 
 def test_output_is_the_rate_times_the_nominal_scale() -> None:
@@ -51,8 +49,8 @@ def test_optical_two_pi_is_the_scale_where_all_samples_are_used() -> None:
 
 
 def test_second_loop_takes_the_two_pi_error_away() -> None:
-    settings = replace(QUIET, two_pi_error=0.01, two_pi_loop_gain=0.02)
-    gyro = ClosedLoop(COIL, settings, seed=1)
+    design = replace(QUIET, two_pi_error=0.01, two_pi_loop_gain=0.02)
+    gyro = ClosedLoop(COIL, design, seed=1)
     gyro.run(1, output_period_s=0.05, rate_dps=20.0)
     assert gyro.two_pi_error[0] == pytest.approx(0.0, abs=1e-4)
     settled = gyro.run(1, output_period_s=0.15, rate_dps=20.0).counts[0]
@@ -62,18 +60,18 @@ def test_second_loop_takes_the_two_pi_error_away() -> None:
 @pytest.mark.parametrize(("eps", "gated"), [(0.0, True), (0.01, True), (0.01, False)])
 def test_shared_injection_gives_back_the_number_whatever_the_hardware(eps: float, gated: bool) -> None:
     """At rest the converter does not even move. White noise of a mean: 0.0053 codes."""
-    settings = replace(QUIET, two_pi_error=eps, gated=gated, inl_cubic=4e-3)
-    rest = mean_output(settings, 0.0)
+    design = replace(QUIET, two_pi_error=eps, gated=gated, inl_cubic=4e-3)
+    rest = mean_output(design, 0.0)
     for step in (-4923.05, 24.6153, 2.46):
         sent = round(step * 2**14) / 2**14
-        assert mean_output(settings, 0.0, step=step) - rest == pytest.approx(sent, abs=0.025)
-    changed = mean_output(settings, 0.0, step=1000.0, coil=COIL.scaled(1.0001))
+        assert mean_output(design, 0.0, step=step) - rest == pytest.approx(sent, abs=0.025)
+    changed = mean_output(design, 0.0, step=1000.0, coil=COIL.scaled(1.0001))
     assert changed - rest == pytest.approx(1000.0, abs=0.025)  # 100 ppm of the coil would be 0.1
 
 
 def test_second_electrode_tells_the_ratio_of_both_spans() -> None:
-    settings = replace(QUIET, two_pi_error=0.003, injection_path="separate", injection_two_pi_error=-0.002)
-    slope = (mean_output(settings, 0.0, step=1000.0) - mean_output(settings, 0.0, step=-1000.0)) / 2000.0
+    design = replace(QUIET, two_pi_error=0.003, injection_path="separate", injection_two_pi_error=-0.002)
+    slope = (mean_output(design, 0.0, step=1000.0) - mean_output(design, 0.0, step=-1000.0)) / 2000.0
     assert slope == pytest.approx(0.998 / 1.003, abs=2e-5)
 
 

@@ -12,22 +12,20 @@ import numpy as np
 import pytest
 from slow_loop import slow_outputs
 
-from analysis.fibre_gyro.coil import FibreCoil
-from analysis.fibre_gyro.loop.closed_loop import ClosedLoop
-from analysis.fibre_gyro.loop.design import LoopSettings
+from analysis.fibre_gyro import ClosedLoop, FibreCoil, LoopDesign
 from analysis.fibre_gyro.loop.numpy_kernel import cosine_of_turns
 
 COIL = FibreCoil()
 SCALAR = "analysis.fibre_gyro.loop.scalar_kernel"
 BUILDS = {
-    "gated": LoopSettings(two_pi_error=0.01),
-    "all samples": LoopSettings(two_pi_error=-0.01, gated=False),
-    "second electrode": LoopSettings(
+    "gated": LoopDesign(two_pi_error=0.01),
+    "all samples": LoopDesign(two_pi_error=-0.01, gated=False),
+    "second electrode": LoopDesign(
         two_pi_error=0.003, injection_path="separate", injection_two_pi_error=-0.02, bias_in_wrap=True
     ),
-    "coarse": LoopSettings(dac_bits=12, fractional_bits=0, adc_bits=10, gated=False, adc_offset=0.3),
-    "bow": LoopSettings(inl_quadratic=2e-3, inl_cubic=4e-3, wrap_codes=66_000, light_level=0.8, contrast=0.9),
-    "dark": LoopSettings(angle_random_walk_deg_per_sqrt_h=20.0, loop_gain=0.9),  # the converter clips
+    "coarse": LoopDesign(dac_bits=12, fractional_bits=0, adc_bits=10, gated=False, adc_offset=0.3),
+    "bow": LoopDesign(inl_quadratic=2e-3, inl_cubic=4e-3, wrap_codes=66_000, light_level=0.8, contrast=0.9),
+    "dark": LoopDesign(angle_random_walk_deg_per_sqrt_h=20.0, loop_gain=0.9),  # the converter clips
 }
 
 
@@ -40,9 +38,9 @@ def plain_python(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     sys.modules.pop(SCALAR, None)
 
 
-def outputs(kernel: str, settings: LoopSettings, runs: int = 3) -> list[np.ndarray]:
+def outputs(kernel: str, design: LoopDesign, runs: int = 3) -> list[np.ndarray]:
     """All that can be seen of some outputs: words, errors, falls, 2 pi error."""
-    gyro = ClosedLoop(COIL, settings, seed=5, runs=runs, kernel=kernel)
+    gyro = ClosedLoop(COIL, design, seed=5, runs=runs, kernel=kernel)
     rate, step = np.array([[20.0], [-3.0], [0.01]])[:runs], np.array([[0.0], [700.3], [-50.0]])[:runs]
     blocks = [
         gyro.run(4, output_period_s=1e-3, rate_dps=rate, injected_step=step),
@@ -71,12 +69,12 @@ def test_without_numba_plain_python_gives_the_same_bits(name: str) -> None:
 @pytest.mark.usefixtures("plain_python")
 def test_numba_asked_for_but_not_there_is_one_clear_error() -> None:
     with pytest.raises(ValueError, match=r"install gyrolock\[fast\]"):
-        ClosedLoop(COIL, LoopSettings(), kernel="numba")
+        ClosedLoop(COIL, LoopDesign(), kernel="numba")
 
 
 def test_second_loop_is_the_same_in_both_kernels() -> None:
-    settings = LoopSettings(two_pi_error=0.01, two_pi_loop_gain=0.01)
-    auto, numpy = outputs("auto", settings), outputs("numpy", settings)
+    design = LoopDesign(two_pi_error=0.01, two_pi_loop_gain=0.01)
+    auto, numpy = outputs("auto", design), outputs("numpy", design)
     for one, other in zip(auto, numpy, strict=True):
         np.testing.assert_array_equal(one, other)
     assert np.all(numpy[-1] != 0.01)  # it has moved
@@ -84,20 +82,20 @@ def test_second_loop_is_the_same_in_both_kernels() -> None:
 
 @pytest.mark.parametrize("name", BUILDS)
 def test_loop_is_the_one_that_its_equations_say(name: str) -> None:
-    settings, n_pairs = BUILDS[name], 600
+    design, n_pairs = BUILDS[name], 600
     for rate, step in ((20.0, 0.0), (-3.0, 700.25)):
-        gyro = ClosedLoop(COIL, settings, seed=5, kernel="numpy")
+        gyro = ClosedLoop(COIL, design, seed=5, kernel="numpy")
         # one sample pair an output
         block = gyro.run(n_pairs, output_period_s=2 * COIL.transit_time, rate_dps=rate, injected_step=step)
-        expected = slow_outputs(COIL, settings, 5, n_pairs, rate, step)
+        expected = slow_outputs(COIL, design, 5, n_pairs, rate, step)
         np.testing.assert_array_equal(block.counts, expected)
         assert block.reset_pairs.sum() > 2
 
 
 def test_noise_does_not_depend_on_how_the_time_is_cut_nor_on_the_neighbours() -> None:
-    settings = LoopSettings()
-    whole = ClosedLoop(COIL, settings, seed=2, kernel="numpy").run(6, output_period_s=5e-4, rate_dps=5.0)
-    cut = ClosedLoop(COIL, settings, seed=2, runs=2, kernel="numpy")
+    design = LoopDesign()
+    whole = ClosedLoop(COIL, design, seed=2, kernel="numpy").run(6, output_period_s=5e-4, rate_dps=5.0)
+    cut = ClosedLoop(COIL, design, seed=2, runs=2, kernel="numpy")
     parts = [cut.run(n, output_period_s=5e-4, rate_dps=5.0).counts[0] for n in (1, 3, 2)]
     np.testing.assert_array_equal(whole.counts, np.concatenate(parts))
 
@@ -106,15 +104,15 @@ def test_long_output_is_the_mean_of_short_ones() -> None:
     """An output of more sample pairs than one piece of the computation holds."""
     n = 1 << 19
     pair = 2 * COIL.transit_time
-    long = ClosedLoop(COIL, LoopSettings(), seed=3).run(1, output_period_s=n * pair, rate_dps=1.0)
-    short = ClosedLoop(COIL, LoopSettings(), seed=3).run(512, output_period_s=n // 512 * pair, rate_dps=1.0)
+    long = ClosedLoop(COIL, LoopDesign(), seed=3).run(1, output_period_s=n * pair, rate_dps=1.0)
+    short = ClosedLoop(COIL, LoopDesign(), seed=3).run(512, output_period_s=n // 512 * pair, rate_dps=1.0)
     assert long.counts[0] == pytest.approx(short.counts.mean(), abs=1e-9)
     assert long.reset_pairs[0] == short.reset_pairs.sum()
 
 
 def test_moving_rate_goes_on_from_piece_to_piece(monkeypatch: pytest.MonkeyPatch) -> None:
     def words() -> np.ndarray:
-        gyro = ClosedLoop(COIL, LoopSettings(), seed=3, kernel="numpy")
+        gyro = ClosedLoop(COIL, LoopDesign(), seed=3, kernel="numpy")
         return gyro.run(3, output_period_s=1e-3, rate_dps=lambda t: 1e4 * t).counts
 
     whole = words()
@@ -138,8 +136,8 @@ def test_settings_out_of_range_and_impossible_requests_are_named() -> None:
         ({"two_pi_error": math.nan}, "two_pi_error"),
     ):
         with pytest.raises(ValueError, match=words):
-            replace(LoopSettings(), **change)
-    gyro = ClosedLoop(COIL, LoopSettings(), kernel="numpy")
+            replace(LoopDesign(), **change)
+    gyro = ClosedLoop(COIL, LoopDesign(), kernel="numpy")
     with pytest.raises(ValueError, match="40000 codes is beyond half of the range of a 16-bit converter"):
         gyro.run(1, injected_step=40_000.0)
     with pytest.raises(ValueError, match="output period"):
@@ -147,6 +145,6 @@ def test_settings_out_of_range_and_impossible_requests_are_named() -> None:
     with pytest.raises(ValueError, match="number of outputs"):
         gyro.run(0)
     with pytest.raises(ValueError, match="number of runs"):
-        ClosedLoop(COIL, LoopSettings(), runs=0)
+        ClosedLoop(COIL, LoopDesign(), runs=0)
     with pytest.raises(ValueError, match="kernel"):
-        ClosedLoop(COIL, LoopSettings(), kernel="cython")
+        ClosedLoop(COIL, LoopDesign(), kernel="cython")

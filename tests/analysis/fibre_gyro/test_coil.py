@@ -4,8 +4,7 @@ import math
 
 import pytest
 
-from analysis.fibre_gyro.coil import FibreCoil
-from analysis.fibre_gyro.loop.design import LoopSettings
+from analysis.fibre_gyro import FibreCoil, LoopDesign
 
 COIL = FibreCoil(length_m=1000.0, diameter_m=0.10, wavelength_m=1.55e-6, group_index=1.468)
 
@@ -32,8 +31,8 @@ def test_scale_follows_length_diameter_and_wavelength_but_not_the_index() -> Non
 
 def test_noise_of_a_detector_sample_gives_the_angle_random_walk_back() -> None:
     """0.005 deg/sqrt(h) is 8.33e-5 deg/sqrt(s); a pair of samples of noise s errs by s/(sqrt(2) A) rad."""
-    settings = LoopSettings(angle_random_walk_deg_per_sqrt_h=0.005, adc_bits=14)
-    pair_rad = settings.detector_noise(COIL) / (math.sqrt(2) * 8192)
+    design = LoopDesign(angle_random_walk_deg_per_sqrt_h=0.005, adc_bits=14)
+    pair_rad = design.detector_noise(COIL) / (math.sqrt(2) * 8192)
     rate_dps = math.degrees(pair_rad / 1.352158)
     assert rate_dps * math.sqrt(2 * 4.8967209e-6) == pytest.approx(0.005 / 60, rel=1e-5)
 

@@ -7,26 +7,22 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from analysis.fibre_gyro.coil import FibreCoil
-from analysis.fibre_gyro.loop.closed_loop import ClosedLoop
-from analysis.fibre_gyro.loop.design import LoopSettings
-from analysis.fibre_gyro.loop.output import OutputBlock
-from analysis.fibre_gyro.loop.output_model import OutputModel
+from analysis.fibre_gyro import ClosedLoop, FibreCoil, LoopDesign, OutputBlock, OutputModel
 
 COIL = FibreCoil()
 K0 = 246.152866
 PERIOD, OUTPUTS, RUNS = 1e-3, 60, 8
 BUILDS = {
-    "plain": LoopSettings(),
-    "gated": LoopSettings(two_pi_error=0.01),
-    "all samples": LoopSettings(two_pi_error=0.01, gated=False),
-    "second electrode": LoopSettings(two_pi_error=0.003, injection_path="separate", injection_two_pi_error=-0.002),
-    "second electrode, all samples": LoopSettings(
+    "plain": LoopDesign(),
+    "gated": LoopDesign(two_pi_error=0.01),
+    "all samples": LoopDesign(two_pi_error=0.01, gated=False),
+    "second electrode": LoopDesign(two_pi_error=0.003, injection_path="separate", injection_two_pi_error=-0.002),
+    "second electrode, all samples": LoopDesign(
         two_pi_error=0.003, injection_path="separate", injection_two_pi_error=-0.02, gated=False
     ),
-    "wide wrap": LoopSettings(wrap_codes=66_000, gated=False),
-    "coarse": LoopSettings(dac_bits=14, fractional_bits=0, adc_bits=11, loop_gain=0.5),
-    "dim": LoopSettings(contrast=0.8, light_level=0.7, bias_dph=3600.0),
+    "wide wrap": LoopDesign(wrap_codes=66_000, gated=False),
+    "coarse": LoopDesign(dac_bits=14, fractional_bits=0, adc_bits=11, loop_gain=0.5),
+    "dim": LoopDesign(contrast=0.8, light_level=0.7, bias_dph=3600.0),
 }
 DRIVES = {"fast": (20.0, 0.0), "slow": (0.3, 50.0), "backward": (-3.0, -500.0)}
 
@@ -59,7 +55,7 @@ def test_spread_of_short_outputs_and_of_many_falls() -> None:
     """Thirty pairs: the end of the loop's memory counts. At 40 deg/s three of ten pairs hold a fall."""
     spread = {}
     for kind in (ClosedLoop, OutputModel):
-        gyro = kind(COIL, LoopSettings(), seed=7, runs=RUNS)
+        gyro = kind(COIL, LoopDesign(), seed=7, runs=RUNS)
         for rate in (0.5, 40.0):
             gyro.run(3, output_period_s=3e-4, rate_dps=rate)
             words = gyro.run(600, output_period_s=3e-4, rate_dps=rate).counts
@@ -77,10 +73,10 @@ def correlation(words: np.ndarray) -> float:
 
 
 def test_model_settles_like_the_loop() -> None:
-    settings = LoopSettings(angle_random_walk_deg_per_sqrt_h=1e-4)
+    design = LoopDesign(angle_random_walk_deg_per_sqrt_h=1e-4)
     words = []
     for kind in (ClosedLoop, OutputModel):
-        gyro = kind(COIL, settings, seed=3)
+        gyro = kind(COIL, design, seed=3)
         first = gyro.run(2, output_period_s=PERIOD, rate_dps=1.0)
         words.append(
             [*first.counts, *gyro.run(2, output_period_s=PERIOD, rate_dps=-2.0, injected_step=100.0).counts]
@@ -90,10 +86,10 @@ def test_model_settles_like_the_loop() -> None:
 
 
 def test_model_held_gives_the_errors_of_the_held_loop() -> None:
-    settings = LoopSettings(two_pi_error=0.004, gated=False)
+    design = LoopDesign(two_pi_error=0.004, gated=False)
     means = {}
     for kind in (ClosedLoop, OutputModel):
-        gyro = kind(COIL, settings, seed=4)
+        gyro = kind(COIL, design, seed=4)
         block = gyro.run(40, output_period_s=2e-3, rate_dps=0.003, injected_step=-5001.0, closed=False)
         assert np.all(block.counts == 0.0)
         errors = (block.normal_error, block.reset_error)
@@ -109,7 +105,7 @@ def test_model_held_gives_the_errors_of_the_held_loop() -> None:
 
 def test_noise_of_a_long_run_is_the_angle_random_walk() -> None:
     """0.005 deg/sqrt(h) over 540 s: 0.005/60/sqrt(540) = 3.59e-6 deg/s."""
-    gyro = OutputModel(COIL, LoopSettings(), seed=5, runs=200)
+    gyro = OutputModel(COIL, LoopDesign(), seed=5, runs=200)
     gyro.run(1)
     means = gyro.run(540, output_period_s=1.0).counts.mean(axis=1) / K0
     assert means.std(ddof=1) == pytest.approx(3.59e-6, rel=0.15)  # of 200: 5 %
@@ -117,8 +113,8 @@ def test_noise_of_a_long_run_is_the_angle_random_walk() -> None:
 
 
 def test_rounding_does_not_add_up() -> None:
-    settings = LoopSettings(fractional_bits=0, adc_bits=24, angle_random_walk_deg_per_sqrt_h=0.0)
-    gyro = OutputModel(COIL, settings)
+    design = LoopDesign(fractional_bits=0, adc_bits=24, angle_random_walk_deg_per_sqrt_h=0.0)
+    gyro = OutputModel(COIL, design)
     gyro.run(1)
     words = np.concatenate([gyro.run(1, rate_dps=0.01234).counts for _ in range(1000)])
     assert np.ptp(words * 1021) > 0.5  # rounded to a code in a sample pair
@@ -127,9 +123,9 @@ def test_rounding_does_not_add_up() -> None:
 
 
 def test_time_can_be_cut_and_runs_have_noise_of_their_own() -> None:
-    settings = LoopSettings(two_pi_error=0.01, gated=False)
-    whole = OutputModel(COIL, settings, seed=6).run(30, rate_dps=1.0)
-    cut = OutputModel(COIL, settings, seed=6, runs=2)
+    design = LoopDesign(two_pi_error=0.01, gated=False)
+    whole = OutputModel(COIL, design, seed=6).run(30, rate_dps=1.0)
+    cut = OutputModel(COIL, design, seed=6, runs=2)
     parts = [cut.run(n, rate_dps=1.0) for n in (7, 1, 22)]
     np.testing.assert_allclose(np.concatenate([p.counts[0] for p in parts]), whole.counts, rtol=0, atol=1e-6)
     np.testing.assert_allclose(np.concatenate([p.times_s for p in parts]), whole.times_s)
@@ -137,7 +133,7 @@ def test_time_can_be_cut_and_runs_have_noise_of_their_own() -> None:
 
 
 def test_moving_rate_is_averaged_over_each_output() -> None:
-    quiet = replace(LoopSettings(), angle_random_walk_deg_per_sqrt_h=0.0)
+    quiet = replace(LoopDesign(), angle_random_walk_deg_per_sqrt_h=0.0)
     moving = OutputModel(COIL, quiet).run(50, rate_dps=lambda t: 3.0 + 2.0 * t - t**2)
     edges = np.arange(51) * 0.01
     integral = 3.0 * edges + edges**2 - edges**3 / 3
@@ -146,6 +142,6 @@ def test_moving_rate_is_averaged_over_each_output() -> None:
 
 def test_rate_beyond_the_fringe_is_refused() -> None:
     with pytest.raises(ValueError, match=r"within 133.*another fringe"):
-        OutputModel(COIL, LoopSettings()).run(3, rate_dps=134.0)
+        OutputModel(COIL, LoopDesign()).run(3, rate_dps=134.0)
     with pytest.raises(ValueError, match="number of runs"):
-        OutputModel(COIL, LoopSettings(), runs=0)
+        OutputModel(COIL, LoopDesign(), runs=0)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import scipy.optimize
 
-from analysis.fibre_gyro.rate_table_run import (
+from analysis.fibre_gyro import (
     TableRuns,
     bias_at_latitude,
     fit_axis,

@@ -3,17 +3,19 @@
 import numpy as np
 import pytest
 
-from analysis.fibre_gyro.rate_table_run import odd_even_parts, rate_differences, table_runs
-from analysis.fibre_gyro.staircase_calibration import (
+from analysis.fibre_gyro import (
     compare_scale,
     fit_slope,
     net_outputs,
+    odd_even_parts,
     predicted_difference_ppm,
     predicted_self_scale,
     predicted_table_scale,
+    rate_differences,
     scaled_numbers,
     steps_beyond_dac,
     superposed_numbers,
+    table_runs,
 )
 
 K = 246.152866

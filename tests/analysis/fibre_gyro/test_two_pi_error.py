@@ -5,27 +5,24 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from analysis.fibre_gyro.coil import FibreCoil
-from analysis.fibre_gyro.loop.closed_loop import ClosedLoop
-from analysis.fibre_gyro.loop.design import LoopSettings
-from analysis.fibre_gyro.two_pi_error import TwoPiError, estimate_two_pi_error
+from analysis.fibre_gyro import ClosedLoop, FibreCoil, LoopDesign, TwoPiError, estimate_two_pi_error
 
 COIL = FibreCoil()
 STEPS = np.array([4095.0, -4095.0, 2501.0, -2501.0])
 
 
-def measured(settings: LoopSettings, seed: int, seconds: float = 0.1, rate: float = 0.003) -> TwoPiError:
+def measured(design: LoopDesign, seed: int, seconds: float = 0.1, rate: float = 0.003) -> TwoPiError:
     """Four segments with the feedback held at zero."""
-    gyro = ClosedLoop(COIL, settings, seed=seed, runs=4)
+    gyro = ClosedLoop(COIL, design, seed=seed, runs=4)
     block = gyro.run(25, output_period_s=seconds / 25, rate_dps=rate, injected_step=STEPS[:, None], closed=False)
     means = [getattr(block, name).mean(axis=1) for name in ("normal_error", "reset_error")]
     us = [getattr(block, name).std(axis=1, ddof=1) / 5 for name in ("normal_error", "reset_error")]
-    return estimate_two_pi_error(STEPS, *means, *us, dac_bits=settings.dac_bits)
+    return estimate_two_pi_error(STEPS, *means, *us, dac_bits=design.dac_bits)
 
 
 @pytest.mark.parametrize("eps", [1e-3, 3e-3, -2e-3, 2e-2, 0.0])
 def test_error_of_the_simulated_gyro_is_found(eps: float) -> None:
-    result = measured(LoopSettings(two_pi_error=eps), seed=1)
+    result = measured(LoopDesign(two_pi_error=eps), seed=1)
     assert result.two_pi_error == pytest.approx(eps, abs=4 * result.two_pi_error_u)
     assert 1e-6 < result.two_pi_error_u < 1e-5
     assert result.amplitude == pytest.approx(8192 * np.sin(np.pi / 2 * (1 + eps)), abs=4 * result.amplitude_u)
@@ -34,12 +31,12 @@ def test_error_of_the_simulated_gyro_is_found(eps: float) -> None:
 
 
 def test_light_level_and_contrast_need_not_be_known() -> None:
-    result = measured(LoopSettings(two_pi_error=2e-3, light_level=0.6, contrast=0.7), seed=2)
+    result = measured(LoopDesign(two_pi_error=2e-3, light_level=0.6, contrast=0.7), seed=2)
     assert result.two_pi_error == pytest.approx(2e-3, abs=4 * result.two_pi_error_u)
 
 
 def test_uncertainty_is_the_scatter_of_repeated_measurements() -> None:
-    results = [measured(LoopSettings(two_pi_error=2e-3), seed, seconds=0.02) for seed in range(60)]
+    results = [measured(LoopDesign(two_pi_error=2e-3), seed, seconds=0.02) for seed in range(60)]
     errors = np.array([(r.two_pi_error - 2e-3) / r.two_pi_error_u for r in results])
     assert errors.std() == pytest.approx(1.0, abs=0.3)
     assert errors.mean() == pytest.approx(0.0, abs=0.45)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from analysis.fibre_gyro.whole_turns import (
+from analysis.fibre_gyro import (
     check_whole_turns,
     mean_at_rest,
     mean_over_turns,

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from analysis.fibre_gyro.figures_of_merit import (
+from analysis.fibre_gyro import (
     repeatability_ppm,
     residual_pattern,
     scale_figures,

@@ -1,9 +1,12 @@
 """The rate table: rates take effect, azimuth is their integral."""
 
+import itertools
+
 import numpy as np
 import pytest
 
 from instrument.simulated import SimulatedRateTable, VirtualClock
+from instrument.simulated.rate_table import Motion
 
 
 def test_azimuth_is_the_integral_of_the_rate():
@@ -44,6 +47,30 @@ def test_past_is_not_changed_by_a_new_command():
     clock.sleep(5.0)
     assert table.rate() == pytest.approx(0.0, abs=1e-12)
     assert table.azimuth() == pytest.approx(25.0)
+
+
+def test_table_remembers_its_motion():
+    clock = VirtualClock()
+    table = SimulatedRateTable(clock, acceleration=2.0, azimuth=30.0)
+    table.set_rate(0.0)  # it rests already
+    clock.sleep(1.0)
+    table.set_rate(10.0)
+    table.wait_until_steady()
+    assert clock.now() == pytest.approx(6.0, abs=1e-6) and clock.now() > 6.0
+    assert table.motion == (Motion(0.0, 30.0, 0.0), Motion(1.0, 30.0, 0.0, 2.0), Motion(6.0, 55.0, 10.0))
+    clock.sleep(1.0)
+    table.set_rate(10.0)  # it turns so already
+    table.set_rate(-10.0)
+    clock.sleep(2.0)
+    table.set_rate(0.0)  # before it has come to the rate that was asked for: what it will not do is forgotten
+    starts = [piece.start for piece in table.motion]
+    assert len(starts) == 6 and starts == sorted(starts)
+    for piece, following in itertools.pairwise(table.motion):
+        end = np.array([following.start])
+        assert piece.rate_at(end)[0] == pytest.approx(following.rate_dps)
+        assert piece.azimuth_at(end)[0] == pytest.approx(following.azimuth_deg)
+    table.wait_until_steady()
+    assert table.rate() == 0.0
 
 
 def test_too_fast_is_refused_in_one_sentence():

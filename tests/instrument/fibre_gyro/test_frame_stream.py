@@ -8,7 +8,7 @@ import zlib
 
 import numpy as np
 import pytest
-from hypothesis import example, given, settings
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from instrument.fibre_gyro import parse_frame_format
@@ -88,7 +88,6 @@ DAMAGE = st.tuples(
 )
 
 
-@settings(max_examples=300, deadline=None)
 @given(st.lists(st.tuples(NASTY, DAMAGE, GARBAGE), max_size=30), st.lists(st.integers(0, 10_000), max_size=20))
 def test_delivered_are_exactly_the_undamaged_frames(sent, cuts):
     stream = FrameStream(layout("crc32"))
@@ -127,7 +126,6 @@ def hit_twice(whole: list[bytes], parts: list[bytes]) -> int:
     )
 
 
-@settings(max_examples=300, deadline=None)
 @given(st.lists(st.tuples(COUNTS, DAMAGE), min_size=1, max_size=30), st.lists(st.integers(0, 10_000), max_size=9))
 # A byte lost in frame 2, one inserted in front of frame 3: together two faults in the nine bytes behind a header.
 @example([(0, ("", 0, 0)), (0, ("", 0, 0)), (-1, ("lost byte", 4, 0)), (0, ("inserted byte", 0, 251))], [])
@@ -182,7 +180,6 @@ def test_good_frame_between_two_damaged_ones_is_kept_because_its_counter_goes_on
     assert delivered_of(frames, []) == [(0, 0), (1, 7), (3, 21), (5, 35)]
 
 
-@settings(max_examples=300, deadline=None)
 @given(st.lists(st.tuples(COUNTS, DAMAGE), min_size=1, max_size=30), st.lists(st.integers(0, 10_000), max_size=9))
 def test_line_with_one_fault_is_never_another_line(sent, cuts):
     stream = FrameStream(layout(base=TEXT))
@@ -196,7 +193,6 @@ def test_line_with_one_fault_is_never_another_line(sent, cuts):
     assert {n for n, _ in delivered} >= set(clean)
 
 
-@settings(max_examples=300, deadline=None)
 @given(st.lists(st.binary(max_size=300), max_size=10), st.sampled_from([None, "sum8", "crc16-modbus"]))
 def test_random_bytes_do_no_harm(pieces, check):
     for base in (BINARY, TEXT | {"header": ""}, TEXT | {"separator": " "}):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from analysis.fibre_gyro.staircase import describe_witness_flag, two_pi_error, witness_staircase
+from analysis.fibre_gyro import describe_witness_flag, two_pi_error_of_drive, witness_staircase
 from analysis.fibre_gyro.staircase.rounded_fit import converter_spacing
 
 SPAN = 8.0  # V for all codes of the converter
@@ -235,11 +235,11 @@ def test_bad_arguments():
     with pytest.raises(ValueError, match=r"holds only 2\.5 steps"):
         witness_staircase(volts, DT, step_time=1000 * DT)
     with pytest.raises(ValueError, match="half-wave voltage must be positive"):
-        two_pi_error(8.0, 0.1, 0.0)
+        two_pi_error_of_drive(8.0, 0.1, 0.0)
 
 
 def test_two_pi_error_by_hand():
-    error, error_u = two_pi_error(7.92, 0.0792, 4.0, 0.04)
+    error, error_u = two_pi_error_of_drive(7.92, 0.0792, 4.0, 0.04)
     assert error == pytest.approx(-0.01)
     assert error_u == pytest.approx(0.99 * np.sqrt(2) * 0.01)
 

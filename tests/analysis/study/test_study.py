@@ -15,7 +15,7 @@ from analysis.study import (
     rate_study,
     waveform_study,
 )
-from analysis.study.figures import largest_over_phases
+from analysis.study.paper_figures import largest_over_phases
 from analysis.study.simulation import Gyros, errors_by_peaks, peak_ratio, records, spectrum
 
 # x, r = A2/A1, bias of (13) and (10) in percent: from amplitudes of an eighth-order integration

@@ -5,11 +5,10 @@ import re
 
 import numpy as np
 import pytest
+from PIL import Image as image
 
 from instrument.simulated.files.picture_formats import FORMATS, eps, packed_bitmap, pcx
 from instrument.simulated.files.screen import COLOURS
-
-image = pytest.importorskip("PIL.Image", reason="needs Pillow to read the pictures")
 
 
 def hard_copy(bench, name):

@@ -14,11 +14,13 @@ from analysis.budget import (
     BudgetInput,
     Corner,
     OperatingPoint,
+    RecordShape,
     TableGeometry,
+    expected_noise,
+    expected_point,
     lock_in_budget,
     operating_point,
 )
-from analysis.budget.expected_noise import RecordShape, expected_noise, expected_point
 from analysis.rotation import rate_on_axis
 from benchmarks.monte_carlo import simulate_measurements
 

@@ -111,7 +111,7 @@ def test_rows_that_come_too_often():
 VALUES = st.floats(-1e9, 1e9) | st.integers(-(2**31), 2**31).map(float)
 
 
-@settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None)
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(st.lists(st.tuples(VALUES, VALUES, st.integers(0, 255)), min_size=2, max_size=20), st.booleans())
 def test_what_is_written_comes_back_exactly(tmp_path, rows, with_temperature):
     counts, extra, status = (np.array(column, dtype=float) for column in zip(*rows, strict=True))
@@ -137,7 +137,6 @@ def test_what_is_written_comes_back_exactly(tmp_path, rows, with_temperature):
         assert back.temperature is None
 
 
-@settings(max_examples=200, deadline=None)
 @given(st.text(alphabet="0123456789.,;-+eE \t\n\"'#nainftimecous", max_size=200))
 def test_random_text_gives_a_recording_or_one_clear_error(text):
     try:

@@ -17,7 +17,6 @@ from analysis.plan import (
     predicted_budget,
     uncertainty_curve,
 )
-from analysis.plan.measurement_plan import _budget, _rates
 from analysis.several_rates import fit_rates
 from benchmarks.monte_carlo import simulate_measurements
 
@@ -63,7 +62,7 @@ def test_records_are_as_many_as_needed_and_no_more() -> None:
     plan = plan_measurement(request)
     assert plan.records > 20
     assert plan.budget.relative_u <= 0.002
-    assert _budget(request, _rates(request, (8.0,), plan.records - 1)).relative_u > 0.002
+    assert predicted_budget(request, 8.0, plan.records - 1).relative_u > 0.002
     assert plan.duration_s == pytest.approx(plan.records * plan.rates[0].shape.duration)
 
 
@@ -179,7 +178,7 @@ def test_signal_too_large_for_the_screen() -> None:
 
 
 def _point(request: PlanRequest, plan):
-    from analysis.budget.expected_noise import expected_point
+    from analysis.budget import expected_point
 
     rate = plan.rates[0]
     return expected_point(

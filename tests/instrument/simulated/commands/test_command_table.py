@@ -34,7 +34,7 @@ for _model in ("TDS2014+TDS2MEM", "TDS2014B", "TDS2014C", "TPS2014", "TPS2012"):
     _known = {(row.header, repr(row.kind)) for _, row in EVERY_SETTING}
     EVERY_SETTING += [(_model, row) for row in settable(_model) if (row.header, repr(row.kind)) not in _known]
 
-FEW = settings(max_examples=8, deadline=None, suppress_health_check=list(HealthCheck), derandomize=True)
+FEW = settings(max_examples=settings().max_examples // 25, suppress_health_check=list(HealthCheck))
 
 
 def spelling(draw, header: str) -> str:

@@ -10,7 +10,7 @@ from instrument import SettingError
 from instrument.fibre_gyro import FrameFormatError, parse_frame_format
 from instrument.fibre_gyro.messages import CHECKSUMS, compose
 
-EXAMPLES = tomllib.loads((Path(__file__).parents[2] / "config/fibre_gyro_frames.toml").read_text())["formats"]
+EXAMPLES = tomllib.loads((Path(__file__).parents[3] / "config/fibre_gyro_frames.toml").read_text())["formats"]
 
 
 # Check values of the string "123456789" from the catalogue of CRCs; the sums by hand: 0x31 + ... + 0x39 = 0x1DD.

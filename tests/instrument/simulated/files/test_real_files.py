@@ -9,7 +9,7 @@ from instrument import read_waveform
 from instrument.simulated.files.waveform_file import csv_file
 from instrument.simulated.front_end.traces import Trace
 
-FILES = Path(__file__).resolve().parents[4] / "shared" / "data" / "tek-files"
+FILES = Path(__file__).resolve().parents[5] / "shared" / "data" / "tek-files"
 pytestmark = pytest.mark.skipif(not FILES.is_dir(), reason="the collection of real files is not beside this tree")
 
 

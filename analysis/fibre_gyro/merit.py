@@ -40,7 +40,6 @@ class ScaleFigures:
         Largest deviation, of the point.
     nonlinearity_u_ppm : float
         Standard uncertainty of the deviation that is the largest, of full scale; nan if none was given.
-    asymmetry_ppm, asymmetry_u_ppm : float
     """
 
     fit: SlopeFit

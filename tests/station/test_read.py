@@ -1,0 +1,137 @@
+"""From the records of a run to arrays: what belongs together, what is refused, what a sample says."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from analysis.lock_in_run import Method
+from instrument import Preamble, Waveform
+from station.errors import NoUsableSignal, RunError
+from station.lock_in.knowledge import run_knowledge
+from station.lock_in.read import (
+    acquisitions_of,
+    clipped_samples,
+    evaluate_run,
+    evaluate_waveforms,
+    fast_run_tilt,
+    saved_settings,
+)
+from station.runs.store import SavedRecord, SavedRun, open_run
+
+GOLDEN = Path(__file__).parent.parent / "golden"
+TEXT = '1;8;BIN;RI;MSB;{points};"Ch1, DC";Y;1.0E-5;0;0.0E0;"s";{ymult};0.0E0;0.0E0;"Volts"'
+
+
+@pytest.fixture(scope="module")
+def pairs() -> SavedRun:
+    """A run with two photodiodes."""
+    return open_run(GOLDEN / "quadrature.sqlite")
+
+
+def changed(run: SavedRun, purpose: str, **fields: object) -> SavedRun:
+    """The run with another first record of one purpose."""
+    first = run.taken_for(purpose)[0]
+    records = tuple(replace(one, **fields) if one is first else one for one in run.records)
+    return replace(run, records=records)
+
+
+@pytest.mark.parametrize("purpose", ["measure", "quadrature", "tilt"])
+def test_codes_and_preamble_that_do_not_belong_together(pairs: SavedRun, purpose: str) -> None:
+    first = pairs.taken_for(purpose)[0]
+    with pytest.raises(RunError, match=rf"record {first.number} cannot be read: \(2499,\) codes came with"):
+        evaluate_run(changed(pairs, purpose, codes=first.codes[:-1]))
+
+
+def test_what_is_no_record_over_time(pairs: SavedRun) -> None:
+    text = pairs.taken_for("measure")[0].preamble
+    with pytest.raises(NoUsableSignal, match="is a spectrum"):
+        evaluate_run(changed(pairs, "measure", preamble=text.replace('"s"', '"Hz"')))
+
+
+def test_an_acquisition_is_sine_and_cosine(pairs: SavedRun) -> None:
+    taken = acquisitions_of(pairs)
+    assert [one.name for one in taken] == [str(number + 1) for number in range(len(taken))]
+    assert all(one.cosine is not None and one.cosine.number == one.sine.number + 1 for one in taken)
+    one_lost = tuple(one for one in pairs.records if one is not taken[0].cosine)
+    found = evaluate_run(replace(pairs, records=one_lost))
+    assert found.quadratures is None
+    assert len(found.waveforms) == len(taken)
+    both = evaluate_run(pairs)
+    assert both.quadratures is not None
+    assert both.quadratures.sine_alone == pytest.approx(float(np.mean(found.each.lock_in_rate)), rel=1e-6)
+
+
+def test_the_tilt_is_the_same_while_taking_and_afterwards(pairs: SavedRun) -> None:
+    settings = saved_settings(pairs)
+    early, late = fast_run_tilt(pairs, settings), evaluate_run(pairs).tilt
+    assert late is not None
+    # only the lock-in rate is not known yet, which the fast beat hardly feels
+    assert early.tilt_deg == pytest.approx(late.tilt_deg, abs=5 * late.tilt_u_deg)
+    wrong = settings.model_copy(
+        update={"gyro": settings.gyro.model_copy(update={"scale_factor_pulses_per_deg": 2})}
+    )
+    with pytest.raises(RunError, match="the fast run gives no tilt: the beat is"):
+        fast_run_tilt(pairs, wrong)
+
+
+def test_what_the_settings_say_of_the_bench(pairs: SavedRun) -> None:
+    settings = saved_settings(pairs)
+    known = run_knowledge(settings)
+    assert known.scale_factor == settings.gyro.scale_factor_pulses_per_deg
+    assert known.latitude_deg == settings.site.latitude_deg
+    assert known.both_senses == settings.table.both_senses
+    assert known.response is None
+    nothing = run_knowledge(settings.model_copy(update={"budget": None}))
+    assert (nothing.table_rate_u_ppm, nothing.latitude_u_deg) == (0.0, 0.0)
+    assert np.isnan(nothing.bench.scale_factor_u_ppm)
+
+
+def sines(codes: np.ndarray, ymult: str = "1.0E-2") -> Waveform:
+    return Waveform(codes, Preamble.parse(TEXT.format(points=codes.size, ymult=ymult)))
+
+
+def test_files_are_evaluated_without_a_bench() -> None:
+    wave = sines(np.rint(100 * np.sin(0.05 * np.arange(2500))).astype(np.int8))
+    found = evaluate_waveforms([wave, wave], ["a.csv", "b.csv"], Method(2000.0))
+    assert found.names == ("a.csv", "b.csv")
+    assert found.budget is None and found.tilt is None
+    assert float(found.combined.beat_frequency) == pytest.approx(0.05 / (2 * np.pi) / 1e-5, rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("kind", "codes", "clipped"),
+    [
+        (np.int8, [0, 126, 127, -126, -127, -128], [False, False, True, False, True, False]),
+        (np.int16, [0, 127, 32511, 32512, -32512, -128], [False, False, False, True, True, False]),
+    ],
+)
+def test_clipped_is_the_end_of_the_range_and_not_a_gap(kind: type, codes: list[int], clipped: list[bool]) -> None:
+    wave = sines(np.array(codes, dtype=kind))
+    assert clipped_samples(wave.codes, wave.volts).tolist() == clipped
+    assert wave.clipped
+
+
+def test_records_of_several_time_bases_keep_their_order() -> None:
+    slow, fast = (np.rint(100 * np.sin(step * np.arange(2500))).astype(np.int8) for step in (0.05, 0.08))
+    short = fast[:2000]
+    found = evaluate_waveforms([sines(slow), sines(short), sines(fast), sines(slow)], list("abcd"), Method(2000.0))
+    expected = np.array([0.05, 0.08, 0.08, 0.05]) / (2 * np.pi) / 1e-5
+    assert found.each.beat_frequency == pytest.approx(expected, rel=1e-5)
+
+
+def test_a_table_rate_that_is_missing_leaves_the_table_out(pairs: SavedRun) -> None:
+    first = pairs.taken_for("measure")[0]
+    unknown = {name: value for name, value in first.conditions.items() if name != "table_rate_dps"}
+    found = evaluate_run(changed(pairs, "measure", conditions=unknown))
+    assert found.tilt is None and found.table_check is None
+    assert found.budget is not None
+
+
+def test_damaged_records_alone_are_no_run(pairs: SavedRun) -> None:
+    def spoilt(record: SavedRecord) -> SavedRecord:
+        return replace(record, intact=record.purpose == "tilt")
+
+    with pytest.raises(RunError, match="only damaged records"):
+        evaluate_run(replace(pairs, records=tuple(spoilt(record) for record in pairs.records)))

@@ -7,7 +7,6 @@ import struct
 from dataclasses import dataclass
 from pathlib import Path
 
-
 from instrument.errors import ScopeEvent, TransferError
 from instrument.tds2014.session import Session
 

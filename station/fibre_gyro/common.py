@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from analysis.fibre_gyro.loop.closed_loop import ClosedLoop
-from analysis.fibre_gyro.staircase_calibration import largest_step, predicted_table_scale
+from analysis.fibre_gyro import ClosedLoop, largest_step, predicted_table_scale
 from station.fibre_gyro.recordings import segments_of
 from station.fibre_gyro.settings import FogSettings
 from station.fibre_gyro.simulated_bench import loop_settings, quiet
@@ -21,7 +20,7 @@ from station.runs.store import SavedRun
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from analysis.fibre_gyro.loop.output import Trace
+    from analysis.fibre_gyro import Trace
 
 PPM = 1e6
 COUNTS_PER_DPS = "counts per deg/s"

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from analysis.fibre_gyro.whole_turns import (
+from analysis.fibre_gyro import (
     WindowMean,
     check_whole_turns,
     mean_at_rest,

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from analysis import RatesFit
 from analysis.lock_in_run import RateGroup, SeveralRates
 from analysis.lockin_equation import beat_frequency, lock_in_from_rate
-from analysis.several_rates.ratio_model import RatioData, predicted_ratio
+from analysis.several_rates import RatioData, predicted_ratio
 from station.report.figure import ACCENT, HALF, INK, SECOND, SOFT, THIRD, WIDE, legend_above, svg_element
 
 if TYPE_CHECKING:

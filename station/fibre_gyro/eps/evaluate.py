@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.fibre_gyro.two_pi_error import TwoPiError, estimate_two_pi_error
+from analysis.fibre_gyro import TwoPiError, estimate_two_pi_error
 from station.errors import NoUsableSignal
 from station.fibre_gyro.common import reasons_of
 from station.fibre_gyro.recordings import Segment, segments_of

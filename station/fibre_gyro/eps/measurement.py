@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from analysis.fibre_gyro.staircase_calibration import steps_beyond_dac
+from analysis.fibre_gyro import steps_beyond_dac
 from station.fibre_gyro.common import beyond_converter, output_facts, truth_of
 from station.fibre_gyro.eps.evaluate import PURPOSE, evaluate
 from station.fibre_gyro.eps.result import LIMITED, result

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from analysis.fibre_gyro.staircase_calibration import predicted_table_scale
+from analysis.fibre_gyro import predicted_table_scale
 from station.fibre_gyro.common import PPM, small_ppm
 from station.fibre_gyro.eps.evaluate import EpsFound
 from station.fibre_gyro.settings import FogSettings

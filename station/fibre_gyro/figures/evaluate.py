@@ -10,15 +10,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.fibre_gyro.figures_of_merit import (
+from analysis.fibre_gyro import (
     ResidualPattern,
     ScaleFigures,
+    net_outputs,
     repeatability_ppm,
     residual_pattern,
     scale_figures,
     temperature_coefficient_ppm,
 )
-from analysis.fibre_gyro.staircase_calibration import net_outputs
 from station.errors import NoUsableSignal
 from station.fibre_gyro.common import reasons_of
 from station.fibre_gyro.recordings import Segment, segments_of

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from analysis.fibre_gyro.whole_turns import turn_time
+from analysis.fibre_gyro import turn_time
 from station.fibre_gyro.common import output_facts, truth_of
 from station.fibre_gyro.figures.evaluate import PURPOSE, evaluate
 from station.fibre_gyro.figures.result import LIMITED, result

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.fibre_gyro.staircase_calibration import (
+from analysis.fibre_gyro import (
     NetOutputs,
     ScaleComparison,
     SlopeFit,

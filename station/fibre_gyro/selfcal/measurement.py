@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from analysis.fibre_gyro.staircase_calibration import InjectionPlan, steps_beyond_dac
+from analysis.fibre_gyro import InjectionPlan, steps_beyond_dac
 from station.fibre_gyro.common import beyond_converter, output_facts, truth_of
 from station.fibre_gyro.logs import LogRow, read_logs
 from station.fibre_gyro.segments import PlannedSegment, take_logs, take_segments, unusable_segments

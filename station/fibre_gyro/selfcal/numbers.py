@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from analysis.fibre_gyro.staircase_calibration import InjectionPlan, scaled_numbers, superposed_numbers
+from analysis.fibre_gyro import InjectionPlan, scaled_numbers, superposed_numbers
 from station.errors import UsageError
 from station.fibre_gyro.settings import FIBRE_GYRO, FogSettings
 from station.fibre_gyro.table.evaluate import AxisResult, TableFound, find_axes

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from analysis.fibre_gyro.staircase_calibration import (
+from analysis.fibre_gyro import (
     predicted_difference_ppm,
     predicted_self_scale,
     predicted_table_scale,

@@ -8,11 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from analysis.fibre_gyro.rate_table_run import (
+from analysis.fibre_gyro import (
     AxisFit,
     OddEven,
     RateDifferences,
     TableRuns,
+    WindowMean,
     bias_at_latitude,
     fit_axis,
     missing_senses,
@@ -20,7 +21,6 @@ from analysis.fibre_gyro.rate_table_run import (
     rate_differences,
     table_runs,
 )
-from analysis.fibre_gyro.whole_turns import WindowMean
 from station.errors import NoUsableSignal
 from station.fibre_gyro.common import reasons_of
 from station.fibre_gyro.recordings import Segment, segments_of

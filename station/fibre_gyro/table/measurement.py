@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from analysis.fibre_gyro.whole_turns import check_whole_turns, turn_time
+from analysis.fibre_gyro import check_whole_turns, turn_time
 from station.errors import UsageError
 from station.fibre_gyro.common import output_facts, truth_of
 from station.fibre_gyro.logs import LogRow, read_logs, table_conditions

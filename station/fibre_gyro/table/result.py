@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from analysis.fibre_gyro.rate_table_run import vertical_earth_rate_dph
+from analysis.fibre_gyro import vertical_earth_rate_dph
 from station.fibre_gyro.common import COUNTS_PER_DPS, PPM
 from station.fibre_gyro.settings import FogSettings
 from station.fibre_gyro.table.evaluate import AxisResult, TableFound

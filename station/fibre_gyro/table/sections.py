@@ -18,7 +18,7 @@ from station.runs.store import SavedRun
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from analysis.fibre_gyro.rate_table_run import RateDifferences
+    from analysis.fibre_gyro import RateDifferences
 
 _MARKERS = "osD^vP"
 

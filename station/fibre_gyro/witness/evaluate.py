@@ -9,8 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from analysis.fibre_gyro.staircase import StaircaseWitness, two_pi_error, witness_staircase
-from analysis.fibre_gyro.staircase.rounded_fit import rounding_left
+from analysis.fibre_gyro import StaircaseWitness, rounding_left, two_pi_error_of_drive, witness_staircase
 from instrument import Preamble, TransferError, Waveform
 from station.errors import NoUsableSignal
 from station.fibre_gyro.common import PPM
@@ -150,7 +149,7 @@ def _found(
     half_wave = chosen.half_wave_v or (settings.simulation.half_wave_v if simulated else 0.0)
     error = Uncertain(math.nan, math.nan)
     if half_wave and math.isfinite(voltage.value):
-        error = Uncertain(*two_pi_error(voltage.value, voltage.u, half_wave, chosen.half_wave_u_v))
+        error = Uncertain(*two_pi_error_of_drive(voltage.value, voltage.u, half_wave, chosen.half_wave_u_v))
     transit = settings.coil.transit_time
     return WitnessFound(
         records=records,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from analysis.fibre_gyro.staircase import describe_witness_flag
+from analysis.fibre_gyro import describe_witness_flag
 from station.fibre_gyro.common import PPM
 from station.fibre_gyro.settings import FogSettings
 from station.fibre_gyro.witness.evaluate import Uncertain, WitnessedRecord, WitnessFound

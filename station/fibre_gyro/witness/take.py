@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from analysis.fibre_gyro.staircase_calibration import steps_beyond_dac
+from analysis.fibre_gyro import steps_beyond_dac
 from instrument import TDS2014, ManualRateTable, Waveform, read_waveform
 from instrument.fibre_gyro import FibreGyroLink
 from station.errors import UsageError

@@ -5,7 +5,7 @@ import re
 
 import numpy as np
 import pytest
-from PIL import Image as image
+from PIL import Image
 
 from instrument.simulated.files.picture_formats import FORMATS, eps, packed_bitmap, pcx
 from instrument.simulated.files.screen import COLOURS
@@ -17,7 +17,7 @@ def hard_copy(bench, name):
 
 
 def colours(data):
-    return np.asarray(image.open(io.BytesIO(data)).convert("RGB"))
+    return np.asarray(Image.open(io.BytesIO(data)).convert("RGB"))
 
 
 @pytest.mark.parametrize("name", ["RLE", "PCX", "TIFF"])
@@ -27,7 +27,7 @@ def test_every_format_holds_the_same_picture(bench, name):
     assert picture.shape == (240, 320, 3)
     assert len(np.unique(picture.reshape(-1, 3), axis=0)) >= 4  # background, grid, frame, trace
     data = hard_copy(bench, name)
-    assert image.open(io.BytesIO(data)).format == {"RLE": "BMP"}.get(name, name)
+    assert Image.open(io.BytesIO(data)).format == {"RLE": "BMP"}.get(name, name)
     assert np.array_equal(colours(data), picture)
 
 
@@ -53,7 +53,7 @@ def test_long_runs_survive_packing(width):
 
 def test_colour_numbers_that_look_like_pcx_runs_are_escaped():
     pixels = np.array([[0xC0, 0xC1, 0xFF, 0x0C]], dtype=np.uint8)
-    assert np.array_equal(np.asarray(image.open(io.BytesIO(pcx(pixels)))), pixels)
+    assert np.array_equal(np.asarray(Image.open(io.BytesIO(pcx(pixels)))), pixels)
 
 
 def test_printer_languages_are_refused_and_eps_is_not_among_them(bench):

@@ -55,13 +55,7 @@ class NoUsableSignal(StationError):
 
 @dataclass(frozen=True)
 class Failure:
-    """An error as it is shown to a user or to a program.
-
-    Attributes
-    ----------
-    kind, message : str
-    exit_code : int
-    """
+    """An error as it is shown to a user or to a program."""
 
     kind: str
     message: str
@@ -74,10 +68,6 @@ class Failure:
 
 def describe_failure(error: BaseException) -> Failure | None:
     """Put an exception into words and an exit code.
-
-    Parameters
-    ----------
-    error : BaseException
 
     Returns
     -------

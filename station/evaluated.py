@@ -25,14 +25,10 @@ class Evaluated:
 
     Attributes
     ----------
-    kind : Measurement
-    run : SavedRun
     settings : Section
         Those of the run, with what is known of the bench now where that was given.
     found : object
         What the measurement computed.
-    result : Result
-    tested : tuple of Tested
     """
 
     kind: Measurement[Any, Any]
@@ -118,7 +114,6 @@ def evaluate_run(
 
     Parameters
     ----------
-    run : SavedRun
     config : Path, optional
         Settings file: what is known of the bench is taken from it, and the limits.
     choices : mapping, optional

@@ -39,7 +39,6 @@ class Measurement(Generic[S, F]):
         What a user types: ``"gyrolock fog table"``.
     title : str
         Heading of the report.
-    kind : SettingsKind
     take : callable
         Gets settings and session: opens the bench, begins the run, saves records. For a run that was cut short it
         takes what is missing.

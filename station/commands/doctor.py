@@ -42,10 +42,8 @@ class Check:
 
     Attributes
     ----------
-    name : str
     state : {"ok", "note", "bad"}
         ``note``: works, but something cannot be used; ``bad``: must be mended.
-    text : str
     """
 
     name: str
@@ -78,7 +76,6 @@ def examine(settings: Settings, resource: str | None = None) -> list[Check]:
 
     Parameters
     ----------
-    settings : Settings
     resource : str, optional
         VISA resource name.
 

@@ -115,7 +115,6 @@ def staircase_section(settings: FogSettings, open_loop_step: float | None = None
 
     Parameters
     ----------
-    settings : FogSettings
     open_loop_step : float, optional
         Codes; by default the loop is closed and the gyro turns.
     """

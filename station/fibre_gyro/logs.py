@@ -49,7 +49,6 @@ def read_logs(
 
     Parameters
     ----------
-    lists : sequence of Path
     purpose : str
         Of the segments.
     needed : sequence of str

@@ -69,9 +69,6 @@ def take_segments(
 
     Parameters
     ----------
-    settings : FogSettings
-    session : Session
-    bench : context manager
     stages : sequence of callable
     facts : mapping
         What is known of the run when the bench is open; plain JSON.

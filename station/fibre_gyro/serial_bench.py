@@ -24,7 +24,6 @@ class SerialFogBench:
 
     Parameters
     ----------
-    link : FibreGyroLink
     table : RateTable
         Turned only for segments that name a rate.
     ask : callable
@@ -146,10 +145,6 @@ def read_frame_format(settings: FogSettings) -> FrameFormat:
 @contextmanager
 def open_fog_bench(settings: FogSettings) -> Iterator[FogBench]:
     """Open the bench that the settings describe; afterwards the injection is off and the loop is closed.
-
-    Parameters
-    ----------
-    settings : FogSettings
 
     Raises
     ------

@@ -22,7 +22,6 @@ class ServedGyro:
 
     Parameters
     ----------
-    settings : FogSettings
     interval_s : float
         Between two output words.
 
@@ -86,8 +85,6 @@ def serve_gyro(
 
     Parameters
     ----------
-    settings : FogSettings
-    layout : FrameFormat
     tcp_port : int, optional
         0: any free port. Without one a serial terminal.
     speed : float, optional

@@ -21,7 +21,6 @@ def budget_svg(budget: Budget, name: str = "budget") -> str:
 
     Parameters
     ----------
-    budget : Budget
     name : str, optional
         Sets the ids of the figure apart from those of others on one page.
 

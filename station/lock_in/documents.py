@@ -129,7 +129,6 @@ def record_documents(found: Evaluation, called: str) -> list[dict[str, Any]]:
 
     Parameters
     ----------
-    found : Evaluation
     called : str
         Key of the record's name: ``"record"`` of a run, or ``"file"``.
     """

@@ -23,7 +23,6 @@ class Evaluation(LockInRun):
     ----------
     names : tuple of str
         What each record is called: its number in the run, or its file.
-    waveforms : tuple of Waveform
     damaged : tuple of str
         Records that were left out because they are not what was once saved.
     truth : dict or None

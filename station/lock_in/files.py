@@ -52,7 +52,6 @@ def analyze_file(path: Path, config: Path | None, choices: Mapping[str, Any]) ->
 
     Parameters
     ----------
-    path : Path
     config : Path or None
         Settings file: gives the scale factor that a file does not know.
     choices : mapping

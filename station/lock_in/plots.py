@@ -100,7 +100,6 @@ def line_svg(waveform: Waveform, order: int) -> str:
 
     Parameters
     ----------
-    waveform : Waveform
     order : int
         1 for the fundamental.
 

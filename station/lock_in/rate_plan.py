@@ -33,10 +33,6 @@ def rate_plan(settings: Settings) -> tuple[RateStep, ...]:
     ----------
     settings : Settings
         Without ``measurement.rates_over_lock_in`` there is one rate, ``table.slow_rate_over_lock_in``.
-
-    Returns
-    -------
-    tuple of RateStep
     """
     ratios = settings.measurement.rates_over_lock_in or (settings.table.slow_rate_over_lock_in,)
     senses = (1, -1) if settings.measurement.both_senses else (1,)

@@ -96,10 +96,6 @@ def _seen_at(rates: Array, fit: RatesFit, scale_factor: float) -> Array:
 def deviations_svg(fit: RatesFit) -> str:
     """Draw how far each record lies from the fit, in standard uncertainties.
 
-    Parameters
-    ----------
-    fit : RatesFit
-
     Returns
     -------
     str

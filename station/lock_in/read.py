@@ -37,7 +37,6 @@ def evaluate_run(run: SavedRun, settings: Settings, method: Method | None = None
 
     Parameters
     ----------
-    run : SavedRun
     settings : Settings
         Those of the run, with what is known of channel and bench.
     method : Method, optional

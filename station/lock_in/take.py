@@ -26,13 +26,7 @@ _ATTEMPTS = 3
 
 
 def take(settings: Settings, session: Session) -> None:
-    """Do the whole experiment and save it; of a run that was cut short, what is missing.
-
-    Parameters
-    ----------
-    settings : Settings
-    session : Session
-    """
+    """Do the whole experiment and save it; of a run that was cut short, what is missing."""
     bench = session.open(open_bench(settings, times_resumed=session.times_resumed))
     _set_up(settings, bench)
     writer = session.begin({"identity": asdict(bench.scope.identity)})
@@ -175,11 +169,6 @@ class _Taking:
 
 def take_record(bench: Bench, channels: tuple[str, ...]) -> tuple[tuple[Waveform, ...], dict[str, object]]:
     """Acquire the records of one acquisition and the conditions under which they were taken.
-
-    Parameters
-    ----------
-    bench : Bench
-    channels : tuple of str
 
     Returns
     -------

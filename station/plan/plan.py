@@ -39,19 +39,15 @@ class PlanOptions:
 
     Attributes
     ----------
-    lock_in_rate_dps, scale_factor, amplitude_v, noise_v, distortion_dbc, tilt_deg : float or None
     lock_in_factor : float
         The lock-in rate may be this factor larger or smaller.
     wanted_percent : float
         Relative standard uncertainty.
     rates : tuple of float
         W/WL; empty: the best one.
-    both_senses : bool
     reference : {"beat", "rate"}
-    tilt_u_deg : float
     transfer_s : float or None
         Seconds between records.
-    baud : int or None
     """
 
     wanted_percent: float = 1.0
@@ -76,7 +72,6 @@ class PlannedMeasurement:
 
     Attributes
     ----------
-    plan : Plan
     curve : UncertaintyCurve
         For the plan's number of records.
     elsewhere : tuple of (float, float)
@@ -145,13 +140,8 @@ def plan_document(planned: PlannedMeasurement, sentences: list[str]) -> dict[str
 
     Parameters
     ----------
-    planned : PlannedMeasurement
     sentences : list of str
         What is said about it.
-
-    Returns
-    -------
-    dict
     """
     plan, curve = planned.plan, planned.curve
     return {

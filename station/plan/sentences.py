@@ -15,16 +15,7 @@ _LARGE_SWING = 0.05
 
 
 def plan_sentences(planned: PlannedMeasurement) -> list[str]:
-    """Say what the plan comes to and what to mind.
-
-    Parameters
-    ----------
-    planned : PlannedMeasurement
-
-    Returns
-    -------
-    list of str
-    """
+    """Say what the plan comes to and what to mind."""
     plan = planned.plan
     return [_outcome(plan), *_why_not_faster(plan), *_senses(plan), *_elsewhere(planned), *_warnings(plan)]
 

@@ -17,7 +17,6 @@ def write_report(evaluated: Evaluated, path: Path | None = None) -> Path:
 
     Parameters
     ----------
-    evaluated : Evaluated
     path : Path, optional
         By default ``report.html`` beside the run's file.
 

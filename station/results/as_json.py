@@ -42,7 +42,6 @@ def picked(source: object, names: Mapping[str, str]) -> dict[str, Any]:
 
     Parameters
     ----------
-    source : object
     names : mapping
         Key in the document, and the attribute that it holds.
     """

@@ -17,7 +17,6 @@ class Tested:
     ----------
     measured : Measured
         Its size counts; nan where the run gave none, which fails.
-    limit : float
     """
 
     measured: Measured

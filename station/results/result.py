@@ -78,7 +78,6 @@ class Result:
         What spoils it or may spoil it.
     flags : tuple of str
         The same for programs.
-    left_out : tuple of LeftOut
     tables : tuple of TextTable
         Above the value on the terminal.
     problem : str

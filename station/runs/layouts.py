@@ -23,7 +23,6 @@ class Layout:
     ----------
     application_id : int
         Four letters at the beginning of the file, by which ``file`` and we tell it from other databases.
-    version : int
     table : str
         Table of the records.
     columns : tuple of str

@@ -54,7 +54,6 @@ class Session:
         What is known before the bench is opened, or of the run that is gone on with; plain JSON.
     directory : Path
         Of all runs.
-    progress : Progress
     resumed : SavedRun, optional
         The run that is gone on with.
     again : mapping, optional
@@ -137,8 +136,6 @@ def facts_of(
     ----------
     command : str
         Name of the measurement.
-    settings : mapping
-    simulated : bool
     labels : mapping, optional
         ``unit``, ``operator`` and ``note``, those that were given.
     """
@@ -156,7 +153,6 @@ def take(session: Session, work: Callable[[Session], None]) -> Taken:
 
     Parameters
     ----------
-    session : Session
     work : callable
         Opens the bench, begins the run and saves records; may be called for a run that was cut short.
 

@@ -63,7 +63,6 @@ class KnobPositions:
 
     Attributes
     ----------
-    seconds_per_division, volts_per_division : float
     position : float
         Vertical position, divisions.
     trigger_level : float
@@ -96,7 +95,6 @@ def next_vertical(
     ----------
     waveform : Waveform
         Taken with ``current``.
-    current : VerticalSetting
     fill_levels : float
         Levels that the signal shall reach on both sides of the screen's centre.
     probe : int
@@ -139,16 +137,9 @@ def find_beat(
 
     Parameters
     ----------
-    scope : TDS2014
-    settings : ScopeInput
-    measurement : RecordShape
     start : KnobPositions or float
         Where to begin: an earlier setting, whose vertical part is kept and whose frequency is looked for, or
         the highest frequency in Hz that the beat may have.
-
-    Returns
-    -------
-    KnobPositions
 
     Raises
     ------
@@ -189,16 +180,8 @@ def fit_channel(
 
     Parameters
     ----------
-    scope : TDS2014
-    channel : str
-    settings : ScopeInput
-    measurement : RecordShape
     setting : KnobPositions
         That of the first channel: where to begin.
-
-    Returns
-    -------
-    VerticalSetting
     """
     begin = VerticalSetting(setting.volts_per_division, setting.position)
     vertical = _set_vertical(scope, settings, begin, channel)

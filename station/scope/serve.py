@@ -15,7 +15,6 @@ def serve(scope: SimulatedTDS2014, link: str, *, tcp_port: int = 0, baud_rate: i
 
     Parameters
     ----------
-    scope : SimulatedTDS2014
     link : {"auto", "pty", "tcp"}
         ``"auto"``: a serial terminal where the system has one.
     tcp_port : int, optional

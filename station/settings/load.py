@@ -98,7 +98,6 @@ def load(kind: SettingsKind[S], path: Path | None = None, overrides: Values | No
 
     Parameters
     ----------
-    kind : SettingsKind
     path : Path, optional
         The user's file. Only what differs from the shipped file need stand in it.
     overrides : mapping of mapping, optional
@@ -121,7 +120,6 @@ def saved_settings(kind: SettingsKind[S], values: Mapping[str, Any], place: str)
 
     Parameters
     ----------
-    kind : SettingsKind
     values : mapping
         As the run holds them.
     place : str
@@ -147,14 +145,12 @@ def settings_to_resume(
 
     Parameters
     ----------
-    kind : SettingsKind
     saved : Section
         The run's own.
     path : Path or None
         A settings file that was given too.
     overrides : mapping of mapping or None
         Values from the command line that were given too.
-    run : Path
 
     Raises
     ------

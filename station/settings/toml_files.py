@@ -88,7 +88,6 @@ def line_of(path: Path, place: Sequence[str]) -> int | None:
 
     Parameters
     ----------
-    path : Path
     place : sequence of str
         Names from the outermost section to the value.
 

@@ -32,7 +32,6 @@ def finish(taken: Taken, *, report: bool, as_json: bool, saved: bool = False, co
 
     Parameters
     ----------
-    taken : Taken
     report, as_json : bool
         Write the report; print one JSON document instead of words.
     saved : bool, optional
@@ -81,7 +80,6 @@ def show(evaluated: Evaluated, *, report: bool, as_json: bool) -> dict[str, Any]
 
     Parameters
     ----------
-    evaluated : Evaluated
     report, as_json : bool
         As for :func:`finish`; with `as_json` nothing is printed here but what is left out, on stderr.
     """

@@ -27,10 +27,8 @@ def start_run(
 
     Parameters
     ----------
-    kind : Measurement
     settings : Section
         Of its kind; with an attribute ``simulated``, and a section ``output``.
-    progress : Progress
     labels : mapping, optional
         ``unit``, ``operator`` and ``note``, those that were given.
     paths : sequence of Path, optional
@@ -70,7 +68,6 @@ def resume_run(
     ----------
     path : Path
         The run's file or directory.
-    progress : Progress
     kind : Measurement
         Whose run it must be.
     config, overrides

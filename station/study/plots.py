@@ -31,12 +31,7 @@ def write_study_plots(folder: Path, study: Study, kind: str) -> list[Path]:
     ----------
     folder : Path
         It exists.
-    study : Study
     kind : {"svg", "png", "pdf"}
-
-    Returns
-    -------
-    list of Path
 
     Raises
     ------

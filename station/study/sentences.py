@@ -8,16 +8,7 @@ from station.study.study import Study
 
 
 def study_sentences(study: Study) -> list[str]:
-    """Conclude from what was computed.
-
-    Parameters
-    ----------
-    study : Study
-
-    Returns
-    -------
-    list of str
-    """
+    """Conclude from what was computed."""
     said = []
     for number, errors in study.errors.items():
         plain, hann = (np.abs(errors.by_peaks[name]).max() for name in ("boxcar", "hann"))

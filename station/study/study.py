@@ -46,9 +46,6 @@ class Study:
         Figs. 2 and 3.
     errors : dict
         Figs. 4, 5 and 6; both halves of Fig. 4 in one.
-    bias : BiasTable or None
-    causes : Causes or None
-    readings : tuple of PeakReading
     """
 
     waveforms: dict[int, WaveformStudy] = field(default_factory=dict)
@@ -65,11 +62,6 @@ def run_study(figures: Sequence[int], progress: Progress) -> Study:
     ----------
     figures : sequence of int
         Numbers out of `FIGURES`; empty: everything.
-    progress : Progress
-
-    Returns
-    -------
-    Study
     """
     wanted = sorted(set(figures)) or list(FIGURES)
     parts: dict[int, Callable[[], WaveformStudy | ErrorStudy]] = {
@@ -103,15 +95,10 @@ def study_document(study: Study, sentences: list[str], files: list[str]) -> dict
 
     Parameters
     ----------
-    study : Study
     sentences : list of str
         What is concluded.
     files : list of str
         What was written.
-
-    Returns
-    -------
-    dict
     """
     document: dict[str, Any] = {
         "scale_factor_pulses_per_deg": 2000.0,

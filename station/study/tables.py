@@ -22,10 +22,8 @@ class StudyTable:
     ----------
     name : str
         Also that of its file.
-    title : str
     columns, formats : tuple of str
         Heads, and how to write the numbers below.
-    rows : list of sequence
     shown : tuple of int
         The rows that a terminal shows; empty: all.
     """
@@ -52,16 +50,7 @@ class StudyTable:
 
 
 def study_tables(study: Study) -> list[StudyTable]:
-    """Return everything that was computed as tables of numbers.
-
-    Parameters
-    ----------
-    study : Study
-
-    Returns
-    -------
-    list of StudyTable
-    """
+    """Return everything that was computed as tables of numbers."""
     tables = [_waveform_table(number, found) for number, found in study.waveforms.items()]
     tables += [_error_table(number, found) for number, found in study.errors.items()]
     if study.bias is not None:

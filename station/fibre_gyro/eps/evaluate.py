@@ -34,8 +34,6 @@ class EpsFound:
     step_codes : ndarray, shape (n,)
     normal, normal_u, reset, reset_u : ndarray, shape (n,)
         Mean demodulated error of the sample pairs without and with a reset, counts of the detector's converter.
-    error : TwoPiError
-    left_out : tuple of LeftOut
     """
 
     keys: tuple[str, ...]

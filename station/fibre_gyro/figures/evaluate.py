@@ -45,8 +45,6 @@ class FiguresRun:
         Net output: less the mean of the static outputs before and after.
     static_drift, static_drift_u : float
         Static output after less that before, counts; nan if one is missing.
-    figures : ScaleFigures
-    pattern : ResidualPattern
     """
 
     name: str
@@ -68,14 +66,12 @@ class FiguresFound:
     ----------
     runs : tuple of FiguresRun
         From cold starts at the reference temperature.
-    at_temperatures : tuple of FiguresRun
     scale_factor, scale_factor_u : float
         Mean of the runs, and its standard uncertainty; counts per deg/s.
     nonlinearity_ppm, nonlinearity_of_point_ppm, asymmetry_ppm : float
         The largest of the runs; nan where no run gives one.
     repeatability_ppm, temperature_coefficient_ppm : float
         nan where there are too few runs.
-    left_out : tuple of LeftOut
     """
 
     runs: tuple[FiguresRun, ...]

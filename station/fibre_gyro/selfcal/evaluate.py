@@ -45,17 +45,14 @@ class SelfcalFound:
         Segments in the fit, one for each element of the arrays.
     rate_dps, number : ndarray, shape (n,)
         What the steps stand for, and the steps in counts.
-    net : NetOutputs
     fit : SlopeFit
         Net output against rate: K_self.
     numbers : SlopeFit
         Injected numbers against rate, with the same weights: the mapping that was given.
-    reference : TableReference or None
     comparison : ScaleComparison
         Against the table, or where there is none against the design.
     static_missing : {"", "before", "after"}
         Which static output is missing, if one is.
-    left_out : tuple of LeftOut
     table : TableFound or None
         Of the rate-table segments in the same run.
     """

@@ -41,7 +41,6 @@ def numbers_for(settings: FogSettings, table: AxisResult | None) -> InjectionPla
 
     Parameters
     ----------
-    settings : FogSettings
     table : AxisResult or None
         Of the axis of the settings.
 

@@ -38,17 +38,14 @@ class AxisResult:
 
     Attributes
     ----------
-    axis : str
     keys : tuple of str
         Segments in the result, one for each element of ``runs``.
     windows : tuple of WindowMean
         One for each key.
-    runs : TableRuns
     parts : OddEven
         Of the runs with the upper end up (or, if there are none, the lower).
     differences : RateDifferences or None
         ``None`` with fewer than two rates.
-    fit : AxisFit
     bias_dph : tuple of float
         And its standard uncertainty: from the even part and the latitude, or from both ends up.
     """
@@ -71,7 +68,6 @@ class TableFound:
     ----------
     axes : tuple of AxisResult
         Those that give a result.
-    left_out : tuple of LeftOut
     """
 
     axes: tuple[AxisResult, ...]

@@ -24,7 +24,6 @@ def plan(settings: FogSettings, axes: Sequence[str] | None = None) -> list[Plann
 
     Parameters
     ----------
-    settings : FogSettings
     axes : sequence of str, optional
         By default those of the settings.
     """

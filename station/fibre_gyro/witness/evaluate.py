@@ -39,7 +39,6 @@ class WitnessedRecord:
     ----------
     name : str
         Its number, or the name of its file.
-    waveform : Waveform
     found : StaircaseWitness
         Without the uncertainty of the oscilloscope's gain and time base.
     step_time_given : bool
@@ -58,7 +57,6 @@ class WitnessFound:
 
     Attributes
     ----------
-    records : tuple of WitnessedRecord
     step_height, step_time, reset_height, two_pi_voltage, bias_height : Uncertain
         V and s.
     two_pi_voltage_record_u : float
@@ -73,7 +71,6 @@ class WitnessFound:
         V_2pi/(2 V_pi) - 1.
     flags : tuple of str
         Of `analysis.fibre_gyro.staircase`, of any record.
-    left_out : tuple of LeftOut
     """
 
     records: tuple[WitnessedRecord, ...]

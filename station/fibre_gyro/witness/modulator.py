@@ -64,7 +64,6 @@ def open_simulated_scope(settings: FogSettings, *, times_resumed: int = 0) -> It
 
     Parameters
     ----------
-    settings : FogSettings
     times_resumed : int, optional
         How often it was switched on before for the same run: its noise is another one each time.
     """

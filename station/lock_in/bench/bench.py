@@ -17,7 +17,6 @@ class Bench:
 
     Attributes
     ----------
-    scope : TDS2014
     table : RateTable or None
         ``None`` where the table turns by itself.
     sleep : callable

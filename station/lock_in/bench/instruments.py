@@ -199,10 +199,6 @@ def _signal(
 def true_values(instruments: SimulatedInstruments) -> dict[str, float]:
     """Return what the last record should give, with the names of the results.
 
-    Parameters
-    ----------
-    instruments : SimulatedInstruments
-
     Returns
     -------
     dict

@@ -17,7 +17,6 @@ def open_bench(settings: Settings, *, times_resumed: int = 0) -> Iterator[Bench]
 
     Parameters
     ----------
-    settings : Settings
     times_resumed : int, optional
         How often the run was gone on with: a simulated bench that is switched on again has other noise.
 

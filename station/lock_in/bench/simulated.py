@@ -23,7 +23,6 @@ def open_simulated_bench(settings: Settings, *, times_resumed: int = 0) -> Itera
 
     Parameters
     ----------
-    settings : Settings
     times_resumed : int, optional
         How often it was switched on before for the same run: phases and noise are other ones each time.
     """
@@ -44,7 +43,6 @@ def serve_scope(settings: Settings, *, tcp_port: int | None, baud_rate: int | No
 
     Parameters
     ----------
-    settings : Settings
     tcp_port : int or None
         ``None``: a serial terminal; 0: any free port.
     baud_rate : int, optional

@@ -144,4 +144,6 @@ def test_only_what_is_not_measured_may_differ(cut_short, tmp_path: Path) -> None
     config.write_text("[eps]\nrecord_s = 0.3\n[limits]\ntwo_pi_error_ppm = 5.0\n")
     labels = {"unit": "FG-7"}
     assert resume_run(done.path, QUIET, kind=measurement("eps"), config=config, labels=labels).failure is None
-    assert open_run(done.path).facts.labels == labels
+    after = open_run(done.path)
+    assert after.facts.labels == labels
+    assert [one.limit for one in evaluate_run(after).tested] == [5.0]

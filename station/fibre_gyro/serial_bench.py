@@ -147,10 +147,6 @@ def read_frame_format(settings: FogSettings) -> FrameFormat:
 def open_fog_bench(settings: FogSettings) -> Iterator[FogBench]:
     """Open the bench that the settings describe; afterwards the injection is off and the loop is closed.
 
-    Parameters
-    ----------
-    settings : FogSettings
-
     Raises
     ------
     InstrumentError

@@ -27,12 +27,7 @@ _OPEN_LOOP_PERIOD_S = 0.05
 
 
 class SimulatedFogBench:
-    """Gyro and rate table of the settings' [simulation].
-
-    Parameters
-    ----------
-    settings : FogSettings
-    """
+    """Gyro and rate table of the settings' [simulation]."""
 
     def __init__(self, settings: FogSettings) -> None:
         self._settings = settings

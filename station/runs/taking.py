@@ -101,8 +101,8 @@ class Session:
             self.writer = RunWriter.create(self._directory, {**self.facts, **(facts or {})})
             return self.writer
         self.writer = RunWriter(self.resumed.path)
-        labels = {name: self.facts[name] for name in LABELS if self.facts.get(name)}
-        self.writer.save_facts({"resumed_at": [*self.resumed.facts.resumed_at, utc_now()], **labels})
+        known = {name: self.facts[name] for name in (*LABELS, "settings") if self.facts.get(name)}
+        self.writer.save_facts({"resumed_at": [*self.resumed.facts.resumed_at, utc_now()], **known})
         for key, reason in self._again.items():
             self.progress.note(f"{key} is taken again: {reason}")
             self.writer.set_aside(key)

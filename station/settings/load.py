@@ -141,7 +141,9 @@ def saved_settings(kind: SettingsKind[S], values: Mapping[str, Any], place: str)
 def settings_to_resume(
     kind: SettingsKind[S], saved: S, path: Path | None, overrides: Values | None, run: Path
 ) -> S:
-    """Return the settings of a run that is gone on with; what is given must not change what is measured.
+    """Return the settings of a run that is gone on with, with what a file knows of the bench now.
+
+    What is given must not change what is measured.
 
     Parameters
     ----------
@@ -159,8 +161,7 @@ def settings_to_resume(
     UsageError
         Something differs: the text names every value.
     """
-    if path is not None or overrides:
-        load(kind, path, overrides)  # says what is wrong with the file
+    now = load(kind, path, overrides) if path is not None or overrides else saved
     before = dict(_flat(saved.model_dump(mode="json")))
     changed = [
         f"{place} is {before.get(place)!r} in the run, not {value!r}"
@@ -171,7 +172,7 @@ def settings_to_resume(
         raise UsageError(
             f"{run}: cannot be gone on with, other settings would change what is measured: {'; '.join(changed)}"
         )
-    return saved
+    return kind.with_knowledge(saved, now) if path is not None else saved
 
 
 def _given(path: Path | None, overrides: Values | None) -> dict[str, Any]:

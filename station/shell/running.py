@@ -94,7 +94,8 @@ def resume_run(
             f"{path}: is finished, there is nothing to go on with; `gyrolock analyze {path}` reads it"
         )
 
-    session = Session({**run.facts, **(labels or {})}, run.path.parent, progress, resumed=run, again=again)
+    facts = {**run.facts, **(labels or {}), "settings": settings.model_dump(mode="json")}
+    session = Session(facts, run.path.parent, progress, resumed=run, again=again)
     return take(session, lambda of: kind.take(settings, of))
 
 

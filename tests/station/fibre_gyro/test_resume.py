@@ -1,6 +1,9 @@
 """A run that was cut short goes on where it stopped, and ends with the numbers of one in one go."""
 
+import shutil
+import sqlite3
 from collections.abc import Callable
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -21,6 +24,7 @@ from station.shell.running import resume_run, start_run
 
 QUIET = Progress(quiet=True)
 TABLE = measurement("table")
+GOLDEN = Path(__file__).parents[2] / "golden"
 
 
 class FailingBench(SimulatedFogBench):
@@ -144,4 +148,22 @@ def test_only_what_is_not_measured_may_differ(cut_short, tmp_path: Path) -> None
     config.write_text("[eps]\nrecord_s = 0.3\n[limits]\ntwo_pi_error_ppm = 5.0\n")
     labels = {"unit": "FG-7"}
     assert resume_run(done.path, QUIET, kind=measurement("eps"), config=config, labels=labels).failure is None
-    assert open_run(done.path).facts.labels == labels
+    after = open_run(done.path)
+    assert after.facts.labels == labels
+    assert [one.limit for one in evaluate_run(after).tested] == [5.0]
+
+
+@pytest.mark.parametrize(("name", "table"), [("eps", "segment"), ("witness", "record")])
+def test_a_run_of_an_earlier_version_goes_on(tmp_path: Path, name: str, table: str) -> None:
+    file = Path(shutil.copy(GOLDEN / f"fog_{name}.sqlite", tmp_path / "run.sqlite"))
+    whole = open_run(file).records
+    with closing(sqlite3.connect(file)) as db, db:
+        db.execute(f"DELETE FROM {table} WHERE number = {whole[-1].number}")
+        db.execute("DELETE FROM run WHERE name = 'outcome'")
+    assert resume_run(file, QUIET, kind=measurement(name)).failure is None
+    after = open_run(file)
+    assert [record.intact for record in after.records] == [True] * len(whole)
+    assert after.facts.complete
+    if name == "eps":  # the noise of a segment is that of its name
+        assert after.records[-1].payload == whole[-1].payload
+    assert evaluate_run(after).document()["left_out"] == []

@@ -233,15 +233,16 @@ def test_a_run_cut_short_takes_the_records_that_are_missing_with_the_same_settin
     known = {"witness": {"half_wave_v": 3.1, "records": 4}}
     with pytest.raises(UsageError, match=r"witness\.step_codes is 5001\.0 in the run, not 2001\.0"):
         resume_run(done.path, QUIET, kind=WITNESS, overrides={"witness": {"step_codes": 2001.0}})
+    assert resume_run(done.path, InterruptedProgress(1), kind=WITNESS).failure is not None
     assert resume_run(done.path, QUIET, kind=WITNESS, overrides=known).failure is None
     after = open_run(done.path)
     assert [record.key for record in after.records] == [f"record {number}" for number in range(1, 5)]
     assert [one.taken_at for one in after.records[:2]] == [one.taken_at for one in before.records]
     scales = {Waveform(one.codes, Preamble.parse(one.preamble)).preamble for one in after.records}
     assert len({(one.ymult, one.yoff, one.xincr) for one in scales}) == 1
-    # noise of its own: no record is a copy of another
+    # each time the noise is another one: the first record after an interruption is no copy of the last such
     assert len({one.payload for one in after.records}) == 4
-    assert len(after.facts.resumed_at) == 1
+    assert len(after.facts.resumed_at) == 2
     found = evaluate(after, settings, {})
     assert found.two_pi_voltage.value == pytest.approx(6.2, abs=4 * found.two_pi_voltage_record_u)
     with pytest.raises(UsageError, match="is finished, there is nothing to go on with"):

@@ -8,7 +8,7 @@ from hypothesis import settings
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
-# The same examples in every run, so that a red test is the work of the last change; `make explore` searches freely.
+# The same examples in every run: a red test is the work of the last change. `make explore` searches freely.
 settings.register_profile("fixed", derandomize=True, database=None, deadline=None, max_examples=200)
 settings.register_profile("explore", deadline=None, max_examples=5000, print_blob=True)
 settings.load_profile("fixed")

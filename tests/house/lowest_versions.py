@@ -1,4 +1,4 @@
-"""Print the lowest versions that pyproject.toml states, as ``name==version``, for ``pip install --requirement``."""
+"""Print the lowest versions that pyproject.toml states, as ``name==version``, one a line, for pip."""
 
 import sys
 import tomllib

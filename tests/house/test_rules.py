@@ -65,10 +65,20 @@ def test_no_module_imports_itself_by_a_detour() -> None:
     """Imports under TYPE_CHECKING and inside functions count: a late one only hides a circle."""
     graph = {name: {module for module, _, _ in imports(name, tree)} for name, tree in OURS.items()}
     assert sum(map(len, graph.values())) > 200
-    try:
-        graphlib.TopologicalSorter(graph).prepare()
-    except graphlib.CycleError as circle:
-        pytest.fail(" is imported by ".join(circle.args[1]))
+    assert "\n".join(circles(graph)) == ""
+
+
+def circles(graph: dict[str, set[str]]) -> Iterator[str]:
+    """Each circle once; opened where it was found, so that the next comes to light."""
+    while True:
+        try:
+            graphlib.TopologicalSorter(graph).prepare()
+        except graphlib.CycleError as error:
+            circle = error.args[1]
+            graph[circle[1]].remove(circle[0])
+            yield " is imported by ".join(circle)
+        else:
+            return
 
 
 def is_private(name: str) -> bool:

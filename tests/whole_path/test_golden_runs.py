@@ -41,10 +41,10 @@ def differences(then: Any, now: Any, place: str = "") -> list[str]:
     if isinstance(then, float) and isinstance(now, int | float):
         # a part of an uncertainty shows the rounding of each release of the linear algebra
         least = 1e-8 if place.endswith(("_in_u", "share_of_variance")) else 1e-15
-        return (
-            [] if math.isclose(then, now, rel_tol=1e-9, abs_tol=least) else [f"{place}: {then!r} became {now!r}"]
-        )
-    return [] if then == now else [f"{place}: {then!r} became {now!r}"]
+        same = math.isclose(then, now, rel_tol=1e-9, abs_tol=least)
+    else:
+        same = then == now
+    return [] if same else [f"{place}: {then!r} became {now!r}"]
 
 
 def saved(name: str, tmp_path: Path) -> Path:

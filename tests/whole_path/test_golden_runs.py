@@ -19,6 +19,9 @@ FOG |= {"figures": "figures", "witness": "witness"}
 RING_LASER = ("single", "several", "quadrature", "channel", "turning", "acquired")
 PLACES = ("run", "report", "file")  # where something lies differs from machine to machine
 
+# differences of nearly equal numbers show the rounding of each release of NumPy and SciPy
+DIFFERENCES = {"deviation_in_u": 1e-6, "residual_ppm": 1e-8, "share_of_variance": 1e-8}
+
 
 def differences(then: Any, now: Any, place: str = "") -> list[str]:
     """Say where `now` lacks or changes something of `then`."""
@@ -39,8 +42,7 @@ def differences(then: Any, now: Any, place: str = "") -> list[str]:
             return [f"{place}: {then!r} became {now!r}"]
         return [text for i, one in enumerate(then) for text in differences(one, now[i], f"{place}[{i}]")]
     if isinstance(then, float) and isinstance(now, int | float):
-        # a part of an uncertainty shows the rounding of each release of the linear algebra
-        least = 1e-8 if place.endswith(("_in_u", "share_of_variance")) else 1e-15
+        least = next((small for end, small in DIFFERENCES.items() if place.endswith(end)), 1e-15)
         same = math.isclose(then, now, rel_tol=1e-9, abs_tol=least)
     else:
         same = then == now

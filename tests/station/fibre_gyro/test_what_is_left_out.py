@@ -3,6 +3,7 @@
 import json
 import sqlite3
 from collections.abc import Callable, Mapping
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -103,7 +104,7 @@ def test_a_window_that_is_not_whole_turns_is_refused_with_what_to_do(table_resul
 
 def test_a_damaged_segment_is_left_out(taken) -> None:
     _, run = taken("table", table=ONE_AXIS)
-    with sqlite3.connect(run.path) as db:
+    with closing(sqlite3.connect(run.path)) as db, db:
         (blob,) = db.execute("SELECT samples FROM segment WHERE key = 'Z +21'").fetchone()
         db.execute("UPDATE segment SET samples = ? WHERE key = 'Z +21'", (blob[:-3] + b"abc",))
     result = evaluate_fog_run(open_fog_run(run.path))
@@ -129,12 +130,12 @@ def test_steps_beyond_the_converter_are_named_and_never_injected(taken) -> None:
 
 def test_one_static_output_is_enough_and_said_and_none_is_not(taken) -> None:
     _, run = taken("selfcal", selfcal={"step_s": 5.0, "static_s": 5.0})
-    with sqlite3.connect(run.path) as db:
+    with closing(sqlite3.connect(run.path)) as db, db:
         db.execute("DELETE FROM segment WHERE key = 'static after'")
     result = evaluate_fog_run(open_fog_run(run.path))
     assert result.document["static_missing"] == "after"
     assert any("There is no static output after the steps" in flag for flag in result.flags)
-    with sqlite3.connect(run.path) as db:
+    with closing(sqlite3.connect(run.path)) as db, db:
         db.execute("DELETE FROM segment WHERE key = 'static before'")
     with pytest.raises(NoUsableSignal, match="needs a static output and at least three steps, there are 0 and 8"):
         evaluate_fog_run(open_fog_run(run.path))
@@ -142,7 +143,7 @@ def test_one_static_output_is_enough_and_said_and_none_is_not(taken) -> None:
 
 def test_a_drifting_bias_is_told(taken) -> None:
     _, run = taken("selfcal", selfcal={"step_s": 5.0})
-    with sqlite3.connect(run.path) as db:
+    with closing(sqlite3.connect(run.path)) as db, db:
         db.execute("DELETE FROM segment WHERE key = 'static after'")
     later = replace(
         run.taken_for("selfcal")[0].recording, counts=run.taken_for("selfcal")[0].recording.counts + 0.1
@@ -156,7 +157,7 @@ def test_a_drifting_bias_is_told(taken) -> None:
 
 def test_an_output_without_error_columns_gives_no_two_pi_error(taken) -> None:
     _, run = taken("eps", eps={"record_s": 0.2})
-    with sqlite3.connect(run.path) as db:
+    with closing(sqlite3.connect(run.path)) as db, db:
         db.execute("DELETE FROM segment")
     with FogRunWriter.resume(run.path) as writer:
         for segment in run.segments:
@@ -176,7 +177,7 @@ def test_what_is_no_run_is_said(tmp_path: Path, taken) -> None:
     with pytest.raises(RunError, match="holds no run of a fibre gyro"):
         open_fog_run(tmp_path)
     other = tmp_path / "other.sqlite"
-    with sqlite3.connect(other) as db:
+    with closing(sqlite3.connect(other)) as db, db:
         db.execute("CREATE TABLE t (x)")
     with pytest.raises(RunError, match="not a run of `gyrolock fog`"):
         open_fog_run(other)

@@ -2,6 +2,7 @@
 
 import math
 import sqlite3
+from contextlib import closing
 from pathlib import Path
 
 import numpy as np
@@ -110,7 +111,7 @@ def test_records_that_cannot_be_used_are_left_out_by_name(fog_settings, tmp_path
     settings = fog_settings()
     names = ("good", "clipped", "peaks", "sine", "spoilt")
     run = from_files(settings, *(tmp_path / f"{name}.csv" for name in names))
-    with sqlite3.connect(run.path) as db:
+    with closing(sqlite3.connect(run.path)) as db, db:
         db.execute("UPDATE record SET codes = zeroblob(2500) WHERE number = 5")
     db.close()
     result = evaluate_witness_run(open_run(run.path))

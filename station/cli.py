@@ -19,7 +19,7 @@ from station.errors import EXIT_DEFECT, EXIT_INTERRUPTED, EXIT_USAGE, Failure, d
 _TRACEBACK_VARIABLE = "GYROLOCK_TRACEBACK"
 
 # command: module and name in it, and the line that `gyrolock --help` shows without importing it
-_COMMANDS = {
+COMMANDS = {
     "measure": ("lock_in.command:measure", "Measure the lock-in rate: acquire, save, analyse, report."),
     "acquire": ("lock_in.command:acquire", "Acquire and save records only."),
     "analyze": ("commands.analyze:command", "Analyse saved runs and Tektronix CSV or ISF files again."),
@@ -38,27 +38,27 @@ class _LazyGroup(click.Group):
     """A group whose commands are imported only when they are run: ``gyrolock --help`` starts at once."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
-        return list(_COMMANDS)
+        return list(COMMANDS)
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
-        if cmd_name not in _COMMANDS:
+        if cmd_name not in COMMANDS:
             return None
-        module, _, name = _COMMANDS[cmd_name][0].partition(":")
+        module, _, name = COMMANDS[cmd_name][0].partition(":")
         command: click.Command = getattr(importlib.import_module(f"station.{module}"), name)
         return command
 
     def resolve_command(
         self, ctx: click.Context, args: list[str]
     ) -> tuple[str | None, click.Command | None, list[str]]:
-        if args and args[0] not in _COMMANDS and not args[0].startswith("-"):
-            like = difflib.get_close_matches(args[0], _COMMANDS, 1)
+        if args and args[0] not in COMMANDS and not args[0].startswith("-"):
+            like = difflib.get_close_matches(args[0], COMMANDS, 1)
             meant = f" Did you mean {like[0]!r}?" if like else ""
             raise click.UsageError(f"No such command {args[0]!r}.{meant}", ctx)
         return super().resolve_command(ctx, args)
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         with formatter.section("Commands"):
-            formatter.write_dl([(name, text) for name, (_, text) in _COMMANDS.items()])
+            formatter.write_dl([(name, text) for name, (_, text) in COMMANDS.items()])
 
 
 @click.group(cls=_LazyGroup, context_settings={"help_option_names": ["-h", "--help"]})

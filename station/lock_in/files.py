@@ -12,8 +12,8 @@ import numpy as np
 from analysis import Flag, fit_harmonics
 from analysis.lock_in_run import Method
 from instrument import Waveform, read_waveform
-from station.lock_in.documents import record_documents
 from station.lock_in.evaluation import Evaluation
+from station.lock_in.presentation.documents import record_documents
 from station.lock_in.read import check_over_time, evaluate_waveforms
 from station.lock_in.result import result
 from station.lock_in.settings import load_settings

@@ -6,13 +6,13 @@ from collections.abc import Mapping
 from typing import Any
 
 from analysis.lock_in_run import Method
-from station.lock_in.documents import record_documents
 from station.lock_in.evaluation import Evaluation
+from station.lock_in.presentation.documents import record_documents
+from station.lock_in.presentation.sections import sections
+from station.lock_in.presentation.tables import fact_tables
 from station.lock_in.read import evaluate_run
 from station.lock_in.result import result
-from station.lock_in.sections import sections
 from station.lock_in.settings import RING_LASER, Settings
-from station.lock_in.tables import fact_tables
 from station.lock_in.take import take
 from station.measurements import Measurement
 from station.runs.store import SavedRun

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 
-from station.lock_in.budget_table import budget_sentences
-from station.lock_in.documents import result_document
 from station.lock_in.evaluation import Evaluation
-from station.lock_in.sentences import (
+from station.lock_in.presentation.budget_table import budget_sentences
+from station.lock_in.presentation.documents import result_document
+from station.lock_in.presentation.sentences import (
     flag_sentences,
     interval_words,
     lock_in_words,
@@ -15,8 +15,8 @@ from station.lock_in.sentences import (
     quadrature_sentences,
     rates_sentences,
 )
+from station.lock_in.presentation.tables import rates_table, records_table
 from station.lock_in.settings import LimitSettings, Settings
-from station.lock_in.tables import rates_table, records_table
 from station.results.numbers import with_prefix, with_uncertainty
 from station.results.parts import Rows, TextTable
 from station.results.result import Measured, Result

@@ -131,7 +131,7 @@ def command(plot: Path | None, config: Path | None, as_json: bool, **options: An
 
 
 def _print(planned: PlannedMeasurement, sentences: list[str], plot: Path | None) -> None:
-    from station.lock_in.budget_table import short_budget_table
+    from station.lock_in.presentation.budget_table import short_budget_table
     from station.plan.sentences import rate_words
     from station.report.console import stdout_console, text_table
     from station.results.parts import TextTable

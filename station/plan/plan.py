@@ -17,8 +17,8 @@ from analysis.plan import (
     uncertainty_curve,
 )
 from station.errors import UsageError
-from station.lock_in.budget_table import budget_document
 from station.lock_in.knowledge import bench_knowledge
+from station.lock_in.presentation.budget_table import budget_document
 from station.lock_in.settings import Settings
 from station.scope.autoset import oscilloscope_steps
 

@@ -26,7 +26,14 @@ if TYPE_CHECKING:
 @click.option(
     "--out", type=click.Path(path_type=Path), metavar="DIR", help="Write plots, tables (CSV) and study.json there."
 )
-@click.option("--format", "kind", type=click.Choice(["svg", "png", "pdf"]), default="svg", show_default=True)
+@click.option(
+    "--format",
+    "kind",
+    type=click.Choice(["svg", "png", "pdf"]),
+    default="svg",
+    show_default=True,
+    help="Of the plots.",
+)
 @config_option
 @json_option
 def command(figures: tuple[int, ...], out: Path | None, kind: str, config: Path | None, as_json: bool) -> int:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from analysis.study import Causes
 from station.study.study import Study
 
 
@@ -19,13 +20,11 @@ def study_sentences(study: Study) -> list[str]:
             f"samples, by {100 * np.abs(errors.ours).max():.0e} %."
         )
     if study.causes is not None:
-        said += _five_per_cent(study)
+        said += _five_per_cent(study, study.causes)
     return said
 
 
-def _five_per_cent(study: Study) -> list[str]:
-    causes = study.causes
-    assert causes is not None  # asked for by the caller
+def _five_per_cent(study: Study, causes: Causes) -> list[str]:
     twenty = [place for place, (rate, lock_in) in enumerate(causes.points) if abs(rate / lock_in - 20) < 1e-6]
     formula = 100 * np.abs(causes.formula[twenty]).max()
     readings = {reading.window: reading for reading in study.readings}

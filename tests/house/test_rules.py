@@ -16,12 +16,6 @@ PACKAGES: list[str] = BUILD["targets"]["wheel"]["packages"]
 EVERYWHERE = [*PACKAGES, "benchmarks", "tests"]
 
 
-def each_folder(*not_yet: str) -> list[object]:
-    """Every top-level folder; those that do not hold the rule yet may fail."""
-    mark = pytest.mark.xfail(strict=False, reason="the house is being put in order")
-    return [pytest.param(name, marks=mark) if name in not_yet else name for name in EVERYWHERE]
-
-
 # folders with more than a dozen files, and why
 LARGER_FOLDERS: dict[str, str] = {}
 
@@ -60,7 +54,6 @@ def imports(name: str, tree: ast.Module) -> Iterator[tuple[str, str, str]]:
                     yield source, one.name, one.asname or one.name
 
 
-@pytest.mark.xfail(strict=False, reason="five circles are being opened")
 def test_no_module_imports_itself_by_a_detour() -> None:
     """Imports under TYPE_CHECKING and inside functions count: a late one only hides a circle."""
     graph = {name: {module for module, _, _ in imports(name, tree)} for name, tree in OURS.items()}
@@ -99,12 +92,12 @@ def private_names(name: str, tree: ast.Module) -> Iterator[str]:
                 yield f"{name} uses {module}.{node.attr}"
 
 
-@pytest.mark.parametrize("folder", each_folder("tests"))
+@pytest.mark.parametrize("folder", EVERYWHERE)
 def test_no_private_name_of_another_module_is_used(folder: str) -> None:
     assert [text for name, tree in modules(folder).items() for text in private_names(name, tree)] == []
 
 
-@pytest.mark.parametrize("folder", each_folder("analysis", "station", "tests"))
+@pytest.mark.parametrize("folder", EVERYWHERE)
 def test_a_folder_holds_a_dozen_files_at_most(folder: str) -> None:
     files = (path for path in (ROOT / folder).rglob("*.py") if path.name != "__init__.py")
     held = Counter(path.parent.relative_to(ROOT).as_posix() for path in files)

@@ -15,13 +15,13 @@ from station.results.numbers import with_prefix, with_uncertainty
 HEAVY = ("numpy", "scipy", "pyvisa", "matplotlib", "pydantic", "rich", "jinja2")
 
 
-@pytest.mark.parametrize("command", list(cli._COMMANDS))
+@pytest.mark.parametrize("command", list(cli.COMMANDS))
 def test_every_command_has_help_json_and_config(command: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert main([command, "--help"]) == 0
     text = capsys.readouterr().out
     assert "--json" in text
     assert "--config" in text
-    first = cli._COMMANDS[command][1].split(":")[0].rstrip(".")
+    first = cli.COMMANDS[command][1].split(":")[0].rstrip(".")
     assert first.split(",")[0] in " ".join(text.split())
 
 
@@ -31,7 +31,7 @@ def test_help_names_every_command_and_imports_nothing_heavy() -> None:
         f"print([name for name in {HEAVY} if name in sys.modules])"
     )
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
-    assert all(name in done.stdout for name in cli._COMMANDS)
+    assert all(name in done.stdout for name in cli.COMMANDS)
     assert done.stdout.splitlines()[-1] == "[]"
 
 

@@ -8,9 +8,14 @@ import pytest
 
 from analysis.budget import BenchKnowledge, OperatingPoint, lock_in_budget
 from station.cli import main
-from station.lock_in.budget_plot import budget_svg
-from station.lock_in.budget_table import BUDGET_COLUMNS, budget_document, budget_rows, budget_sentences
 from station.lock_in.knowledge import bench_knowledge
+from station.lock_in.presentation.budget_plot import budget_svg
+from station.lock_in.presentation.budget_table import (
+    BUDGET_COLUMNS,
+    budget_document,
+    budget_rows,
+    budget_sentences,
+)
 from station.lock_in.settings import default_settings, load_settings
 
 

@@ -9,8 +9,8 @@ import pytest
 
 from station.evaluated import evaluate_run
 from station.lock_in.measurement import MEASUREMENT
-from station.lock_in.plots import line_svg, spectrum_svg, time_record_svg, values_svg
-from station.lock_in.sentences import lock_in_words
+from station.lock_in.presentation.plots import line_svg, spectrum_svg, time_record_svg, values_svg
+from station.lock_in.presentation.sentences import lock_in_words
 from station.lock_in.settings import load_settings
 from station.report.report import render_report, write_report
 from station.runs.progress import Progress

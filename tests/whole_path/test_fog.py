@@ -8,6 +8,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
+from contextlib import closing
 from pathlib import Path
 
 import numpy as np
@@ -295,7 +296,7 @@ def _wait_for_segments(folder: Path, count: int) -> Path:
     deadline = time.monotonic() + 40
     while time.monotonic() < deadline:
         for file in folder.glob("runs/*/run.sqlite"):
-            with sqlite3.connect(f"file:{file}?mode=ro", uri=True) as db:
+            with closing(sqlite3.connect(f"file:{file}?mode=ro", uri=True)) as db, db:
                 (there,) = db.execute("SELECT count(*) FROM record").fetchone()
             db.close()
             if there >= count:

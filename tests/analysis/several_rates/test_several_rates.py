@@ -11,7 +11,7 @@ from analysis import (
     fit_rates,
 )
 from analysis.ring_laser import steady_beat, symmetric_laser
-from station.lock_in.rates_sentences import describe_rates
+from station.lock_in.presentation.rates_sentences import describe_rates
 
 RATES = (8, 15, 30, 60)
 FASTEST_BEAT = K * 60 * WL

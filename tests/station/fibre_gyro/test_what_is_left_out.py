@@ -3,6 +3,7 @@
 import json
 import sqlite3
 from collections.abc import Callable, Mapping
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -98,7 +99,7 @@ def test_a_window_that_is_not_whole_turns_is_refused_with_what_to_do(table_resul
 
 def test_a_damaged_segment_is_left_out(taken) -> None:
     _, run = taken("table", table=ONE_AXIS)
-    with sqlite3.connect(run.path) as db:
+    with closing(sqlite3.connect(run.path)) as db, db:
         (blob,) = db.execute("SELECT payload FROM record WHERE key = 'Z +21'").fetchone()
         db.execute("UPDATE record SET payload = ? WHERE key = 'Z +21'", (blob[:-3] + b"abc",))
     result = evaluate_run(open_run(run.path))
@@ -124,12 +125,12 @@ def test_steps_beyond_the_converter_are_named_and_never_injected(taken) -> None:
 
 def test_one_static_output_is_enough_and_said_and_none_is_not(taken) -> None:
     _, run = taken("selfcal", selfcal={"step_s": 5.0, "static_s": 5.0})
-    with sqlite3.connect(run.path) as db:
+    with closing(sqlite3.connect(run.path)) as db, db:
         db.execute("DELETE FROM record WHERE key = 'static after'")
     result = evaluate_run(open_run(run.path))
     assert result.document()["static_missing"] == "after"
     assert any("There is no static output after the steps" in flag for flag in result.result.flags)
-    with sqlite3.connect(run.path) as db:
+    with closing(sqlite3.connect(run.path)) as db, db:
         db.execute("DELETE FROM record WHERE key = 'static before'")
     with pytest.raises(NoUsableSignal, match="needs a static output and at least three steps, there are 0 and 8"):
         evaluate_run(open_run(run.path))
@@ -137,7 +138,7 @@ def test_one_static_output_is_enough_and_said_and_none_is_not(taken) -> None:
 
 def test_a_drifting_bias_is_told(taken) -> None:
     _, run = taken("selfcal", selfcal={"step_s": 5.0})
-    with sqlite3.connect(run.path) as db:
+    with closing(sqlite3.connect(run.path)) as db, db:
         db.execute("DELETE FROM record WHERE key = 'static after'")
     first = segments_of(run, "selfcal")[0]
     later = replace(first.recording, counts=first.recording.counts + 0.1)
@@ -149,7 +150,7 @@ def test_a_drifting_bias_is_told(taken) -> None:
 
 def test_an_output_without_error_columns_gives_no_two_pi_error(taken) -> None:
     _, run = taken("eps", eps={"record_s": 0.2})
-    with sqlite3.connect(run.path) as db:
+    with closing(sqlite3.connect(run.path)) as db, db:
         db.execute("DELETE FROM record")
     with RunWriter(run.path) as writer:
         for segment in segments_of(run, "eps"):
@@ -170,7 +171,7 @@ def test_what_is_no_run_is_said(tmp_path: Path, taken) -> None:
     with pytest.raises(RunError, match="holds no run"):
         open_run(tmp_path)
     other = tmp_path / "other.sqlite"
-    with sqlite3.connect(other) as db:
+    with closing(sqlite3.connect(other)) as db, db:
         db.execute("CREATE TABLE t (x)")
     with pytest.raises(RunError, match="is a database, but not a saved run of gyrolock"):
         open_run(other)

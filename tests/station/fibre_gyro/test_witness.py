@@ -2,6 +2,7 @@
 
 import math
 import sqlite3
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 
@@ -116,7 +117,7 @@ def test_records_that_cannot_be_used_are_left_out_by_name(fog_settings, tmp_path
     settings = fog_settings()
     names = ("good", "clipped", "peaks", "sine", "spoilt")
     run = from_files(settings, *(tmp_path / f"{name}.csv" for name in names))
-    with sqlite3.connect(run.path) as db:
+    with closing(sqlite3.connect(run.path)) as db, db:
         db.execute("UPDATE record SET payload = zeroblob(2500) WHERE number = 5")
     db.close()
     result = evaluate_run(open_run(run.path))

@@ -7,14 +7,14 @@ from collections.abc import Iterable
 
 from analysis.budget import Budget
 from analysis.lock_in_run import SeveralRates
-from station.lock_in import plots, rates_plots
-from station.lock_in.budget_plot import budget_svg
-from station.lock_in.budget_table import BUDGET_COLUMNS, budget_rows, budget_sentences
 from station.lock_in.evaluation import Evaluation
-from station.lock_in.rates_sentences import describe_frequencies
-from station.lock_in.sentences import quadrature_sentences, rates_sentences
+from station.lock_in.presentation import plots, rates_plots
+from station.lock_in.presentation.budget_plot import budget_svg
+from station.lock_in.presentation.budget_table import BUDGET_COLUMNS, budget_rows, budget_sentences
+from station.lock_in.presentation.rates_sentences import describe_frequencies
+from station.lock_in.presentation.sentences import quadrature_sentences, rates_sentences
+from station.lock_in.presentation.tables import rates_table, records_table
 from station.lock_in.settings import Settings
-from station.lock_in.tables import rates_table, records_table
 from station.results.parts import PlacedFigure, Section, TextTable
 from station.results.result import Result
 from station.runs.store import SavedRun
@@ -54,7 +54,7 @@ def _several_rates(found: Evaluation, several: SeveralRates) -> Section:
         return Section("Several rates", sentences=sentences, table=table)
     truth = None if found.truth is None else found.truth["lock_in_rate_dps"]
     figure = PlacedFigure(
-        rates_plots.rates_svg(several, found.method.scale_factor, truth),
+        rates_plots.rates_svg(several.groups, several.by_beat, found.method.scale_factor, truth),
         "Lock-in rate that each rate alone would give, with its standard uncertainty. Lock-in itself is the same "
         "at every rate and in both senses; what rises or falls is distortion of the detector, or the gain of the "
         "laser. The lines are what the fit expects at each rate.",

@@ -8,9 +8,9 @@ from typing import Any
 from analysis import FrequencyFit, LockInEstimate, RatesFit, RatesFlag, flag_names
 from analysis.frequency_method import FrequencyFlag
 from analysis.lock_in_run import RateGroup
-from station.lock_in.budget_table import budget_document
 from station.lock_in.evaluation import Evaluation, describe_method
-from station.lock_in.rates_sentences import describe_frequencies, describe_rates
+from station.lock_in.presentation.budget_table import budget_document
+from station.lock_in.presentation.rates_sentences import describe_frequencies, describe_rates
 from station.results.as_json import picked
 
 # name in JSON: field of the estimate

@@ -6,7 +6,7 @@ import math
 
 from analysis import FATAL, QuadratureFlag, describe_flag, flag_names
 from station.lock_in.evaluation import Evaluation
-from station.lock_in.rates_sentences import describe_rates
+from station.lock_in.presentation.rates_sentences import describe_rates
 from station.results.numbers import with_uncertainty
 
 _SECONDS_PER_HOUR = 3600.0

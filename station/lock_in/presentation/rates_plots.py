@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from analysis import RatesFit
-from analysis.lock_in_run import RateGroup, SeveralRates
+from analysis.lock_in_run import RateGroup
 from analysis.lockin_equation import beat_frequency, lock_in_from_rate
 from analysis.several_rates import RatioData, predicted_ratio
 from station.report.figure import ACCENT, HALF, INK, SECOND, SOFT, THIRD, WIDE, legend_above, svg_element
@@ -21,25 +22,20 @@ Array = NDArray[np.float64]
 _SENSES = ((1, ACCENT, "o", "positive sense"), (-1, SECOND, "s", "negative sense"))
 
 
-def rates_svg(several: SeveralRates, scale_factor: float, true_lock_in_rate: float | None = None) -> str:
-    """Draw what each rate alone gives for the lock-in rate, and the fit to all of them.
+def rates_svg(
+    groups: Sequence[RateGroup], fit: RatesFit, scale_factor: float, true_lock_in_rate: float | None = None
+) -> str:
+    """Draw what each rate alone gives for the lock-in rate, and the fit to all of them, as an SVG element.
 
     Parameters
     ----------
-    several : SeveralRates
-        With a fit by the beat.
+    groups : sequence of RateGroup
+    fit : RatesFit
     scale_factor : float
         Pulses per degree.
     true_lock_in_rate : float, optional
         Of a simulated run, deg/s.
-
-    Returns
-    -------
-    str
-        SVG element.
     """
-    fit = several.by_beat
-    assert fit is not None  # the caller has looked
 
     def draw(figure: Figure) -> None:
         axes = figure.add_subplot()
@@ -47,12 +43,12 @@ def rates_svg(several: SeveralRates, scale_factor: float, true_lock_in_rate: flo
         axes.axhspan(low, high, color=THIRD, alpha=0.18, linewidth=0)
         axes.axhline(fit.lock_in_rate, color=THIRD, linewidth=1.1, label="lock-in rate by the fit, 95 %")
         for sense, colour, marker, name in _SENSES:
-            groups = [group for group in several.groups if np.sign(group.input_rate) == sense]
-            if groups:
-                _draw_sense(axes, groups, fit, scale_factor, (colour, marker, name))
+            chosen = [group for group in groups if np.sign(group.input_rate) == sense]
+            if chosen:
+                _draw_sense(axes, chosen, fit, scale_factor, (colour, marker, name))
         if true_lock_in_rate is not None:
             axes.axhline(true_lock_in_rate, color=INK, linestyle=(0, (5, 3)), linewidth=1.1, label="truth")
-        _rate_axis(axes, [group.input_rate for group in several.groups])
+        _rate_axis(axes, [group.input_rate for group in groups])
         axes.set(ylabel="lock-in rate, deg/s")
         axes.ticklabel_format(axis="y", useOffset=False)
         legend_above(axes, columns=4)

@@ -6,7 +6,7 @@ import math
 
 from analysis.lock_in_run import SeveralRates
 from station.lock_in.evaluation import Evaluation
-from station.lock_in.sentences import record_flags
+from station.lock_in.presentation.sentences import record_flags
 from station.lock_in.settings import Settings
 from station.results.numbers import with_prefix, with_uncertainty
 from station.results.parts import FactTable, Rows, TextTable

@@ -15,8 +15,8 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from station.errors import Failure
-    from station.evaluated import Evaluated
     from station.lock_in.files import AnalyzedFile
+    from station.shell.evaluated import Evaluated
 
 
 @click.command("analyze")
@@ -78,10 +78,10 @@ def _analyze(
     """Evaluate one path; one that cannot be read must not keep the others from being evaluated."""
     from instrument import InstrumentError
     from station.errors import EXIT_NO_SIGNAL, Failure, NoUsableSignal, StationError, describe_failure
-    from station.evaluated import evaluate_run
     from station.lock_in.files import analyze_file
     from station.runs.database import is_database
     from station.runs.store import open_run
+    from station.shell.evaluated import evaluate_run
 
     analyzed: Evaluated | AnalyzedFile
     try:
@@ -97,8 +97,8 @@ def _analyze(
 
 
 def _print(path: Path, analyzed: Evaluated | AnalyzedFile) -> None:
-    from station.evaluated import Evaluated
     from station.report.console import print_result, print_values
+    from station.shell.evaluated import Evaluated
 
     click.echo(f"{path}")
     if isinstance(analyzed, Evaluated):

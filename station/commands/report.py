@@ -26,9 +26,9 @@ def command(paths: tuple[Path, ...], output: Path | None, config: Path | None, a
     """
     from instrument import InstrumentError
     from station.errors import StationError, describe_failure
-    from station.evaluated import evaluate_run
     from station.report.report import write_report
     from station.runs.store import open_run
+    from station.shell.evaluated import evaluate_run
 
     if output is not None and len(paths) > 1:
         raise click.UsageError("--output names one file: give one run")

@@ -50,6 +50,11 @@ def truth_of(settings: FogSettings) -> dict[str, dict[str, float]]:
     return {"truth": truth}
 
 
+def not_taken(run: SavedRun) -> list[LeftOut]:
+    """Return what was not taken at all."""
+    return [LeftOut(name, reason) for name, reason in run.facts.left_out_of_plan.items()]
+
+
 def reasons_of(left_out: Sequence[LeftOut], before: str = ": ") -> str:
     """Return why something is left out, to follow the text of an error; empty if nothing is."""
     reasons = "; ".join(one.sentence for one in left_out)

@@ -57,8 +57,8 @@ def acquire(**given: Any) -> int:
     The scope is set up as `gyrolock measure` does it. Ctrl-C keeps the records taken so far; --resume goes on with
     such a run.
     """
-    from station.evaluated import about_run
     from station.runs.store import open_run
+    from station.shell.evaluated import about_run
 
     taken = take_measurement("measure", given, places=_PLACES)
     run = open_run(taken.path)

@@ -10,7 +10,7 @@ from rich.markup import escape
 from rich.table import Table
 
 if TYPE_CHECKING:
-    from station.evaluated import Evaluated
+    from station.report.report import Shown
     from station.results.parts import Rows, TextTable
     from station.results.result import Result
 
@@ -31,7 +31,7 @@ def text_table(table: TextTable, *, left: int = 0) -> Table:
     return shown
 
 
-def print_result(evaluated: Evaluated) -> None:
+def print_result(evaluated: Shown) -> None:
     """Print what a run says."""
     console, facts = stdout_console(), evaluated.run.facts
     rows = [*((name, text) for name, text in facts.labels.items())]

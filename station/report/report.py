@@ -2,17 +2,50 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Protocol
 
-from station.evaluated import Evaluated
 from station.provenance import version
 from station.report.page import render_page, write_page
+from station.results.limits import Tested
 from station.results.parts import FactTable, Rows, Section
+from station.results.result import Result
 from station.runs.facts import RunFacts
-from station.runs.store import REPORT_FILE
+from station.runs.store import REPORT_FILE, SavedRun
 
 
-def write_report(evaluated: Evaluated, path: Path | None = None) -> Path:
+class Shown(Protocol):
+    """A run and what it says, as report and terminal need it."""
+
+    @property
+    def heading(self) -> str:
+        """What was measured, and of which gyro."""
+
+    @property
+    def run(self) -> SavedRun:
+        """The run itself."""
+
+    @property
+    def result(self) -> Result:
+        """Values and sentences."""
+
+    @property
+    def tested(self) -> Sequence[Tested]:
+        """Values against their limits."""
+
+    @property
+    def verdict(self) -> str | None:
+        """``"PASS"``, ``"FAIL"`` or, without limits, ``None``."""
+
+    def sections(self) -> list[Section]:
+        """Figures and tables."""
+
+    def fact_tables(self) -> list[FactTable]:
+        """Settings and conditions."""
+
+
+def write_report(evaluated: Shown, path: Path | None = None) -> Path:
     """Write the report of a run.
 
     Parameters
@@ -33,10 +66,9 @@ def write_report(evaluated: Evaluated, path: Path | None = None) -> Path:
     return write_page(path or evaluated.run.path.parent / REPORT_FILE, render_report(evaluated))
 
 
-def render_report(evaluated: Evaluated) -> str:
+def render_report(evaluated: Shown) -> str:
     """Return the report as HTML text."""
     facts, result = evaluated.run.facts, evaluated.result
-    heading = f"{evaluated.kind.title}: {evaluated.settings.gyro.name}"
     tables = [*evaluated.fact_tables(), *_common_tables(evaluated)]
     tables = [table for table in tables if table.rows]
     middle = (len(tables) + 1) // 2
@@ -45,8 +77,8 @@ def render_report(evaluated: Evaluated) -> str:
         sections = [*sections, Section("What to watch", sentences=result.to_watch)]
     return render_page(
         "report.html.j2",
-        title=f"{heading}, {facts.started_at[:10]}",
-        heading=heading,
+        title=f"{evaluated.heading}, {facts.started_at[:10]}",
+        heading=evaluated.heading,
         version=version("gyrolock"),
         simulated=facts.simulated,
         state=_state(evaluated),
@@ -59,7 +91,7 @@ def render_report(evaluated: Evaluated) -> str:
     )
 
 
-def _state(evaluated: Evaluated) -> str:
+def _state(evaluated: Shown) -> str:
     """Colour of the box: a verdict, no result at all, or a result that nothing was asked of."""
     if evaluated.result.problem or evaluated.verdict == "FAIL":
         return "bad"
@@ -75,7 +107,7 @@ def _labels(facts: RunFacts) -> Rows:
     return rows
 
 
-def _common_tables(evaluated: Evaluated) -> list[FactTable]:
+def _common_tables(evaluated: Shown) -> list[FactTable]:
     facts = evaluated.run.facts
     truth = [(name.replace("_", " "), f"{value:.9g}") for name, value in (facts.truth or {}).items()]
     return [
@@ -103,7 +135,7 @@ def _provenance_rows(facts: RunFacts) -> Rows:
     return rows
 
 
-def _footer(evaluated: Evaluated) -> str:
+def _footer(evaluated: Shown) -> str:
     name = evaluated.run.path.parent.name
     return (
         f"Made by gyrolock {version('gyrolock')} from the saved records of {name}. "

@@ -79,6 +79,11 @@ class RunFacts(Mapping[str, Any]):
         return {name: str(self._values[name]) for name in LABELS if self._values.get(name)}
 
     @property
+    def left_out_of_plan(self) -> dict[str, str]:
+        """What was not taken at all, and why."""
+        return {one["name"]: one["reason"] for one in self._values.get("left_out_of_plan", ())}
+
+    @property
     def sources(self) -> tuple[str, ...]:
         """Files that the run was made of; empty if it was taken on a bench."""
         return tuple(self._values.get("logs", ()))

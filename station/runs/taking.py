@@ -11,14 +11,12 @@ from typing import Any, TypeVar
 from instrument import InstrumentError
 from station.errors import Failure, RunError, StationError, describe_failure
 from station.provenance import provenance
-from station.results.result import LeftOut
 from station.runs.database import utc_now
 from station.runs.facts import LABELS
 from station.runs.progress import Progress
 from station.runs.store import RunWriter, SavedRun, open_run
 
 T = TypeVar("T")
-_PLANNED_WITHOUT = "left_out_of_plan"
 
 
 @dataclass(frozen=True)
@@ -117,14 +115,9 @@ class Session:
     def note_left_out(self, left_out: Mapping[str, str]) -> None:
         """Save what is not taken and why, so that the result names it."""
         if self.writer is not None:
-            noted = {one.name: one.reason for one in left_out_of_plan(self.so_far())} | dict(left_out)
+            noted = self.so_far().facts.left_out_of_plan | dict(left_out)
             listed = [{"name": name, "reason": reason} for name, reason in noted.items()]
-            self.writer.save_facts({_PLANNED_WITHOUT: listed})
-
-
-def left_out_of_plan(run: SavedRun) -> list[LeftOut]:
-    """Return what was not taken at all, as :meth:`Session.note_left_out` saved it."""
-    return [LeftOut(**entry) for entry in run.facts.get(_PLANNED_WITHOUT, [])]
+            self.writer.save_facts({"left_out_of_plan": listed})
 
 
 def facts_of(

@@ -13,8 +13,8 @@ from station.errors import EXIT_FAIL, EXIT_NO_SIGNAL, EXIT_OK, Failure, NoUsable
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from station.evaluated import Evaluated
     from station.runs.taking import Taken
+    from station.shell.evaluated import Evaluated
 
 
 def print_json(document: Mapping[str, Any]) -> None:
@@ -44,8 +44,8 @@ def finish(taken: Taken, *, report: bool, as_json: bool, saved: bool = False, co
     int
         Exit code.
     """
-    from station.evaluated import about_run, evaluate_run
     from station.runs.store import open_run
+    from station.shell.evaluated import about_run, evaluate_run
 
     run, failure = open_run(taken.path), taken.failure
     document: dict[str, Any] = {"command": run.facts.command, **about_run(run)}

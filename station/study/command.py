@@ -42,12 +42,13 @@ def command(figures: tuple[int, ...], out: Path | None, kind: str, config: Path 
     Zhan et al., Acta Optica Sinica 29, 960 (2009): K = 2000 pulses per degree, 20 kHz, 3 s. Without --figure the
     bias of its formulas and the causes of its error are told as well. Nothing in a settings file changes this.
     """
-    from station.lock_in.settings import load_settings
     from station.runs.progress import Progress
+    from station.settings.toml_files import read_toml
     from station.study.sentences import study_sentences
     from station.study.study import run_study, study_document
 
-    load_settings(config)  # a file with a mistake is one here too
+    if config is not None:
+        read_toml(config)  # a file with a mistake is one here too
     if out is not None:
         out.mkdir(parents=True, exist_ok=True)
     study = run_study(figures, Progress())

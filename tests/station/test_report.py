@@ -7,7 +7,6 @@ from pathlib import Path
 
 import pytest
 
-from station.evaluated import evaluate_run
 from station.lock_in.measurement import MEASUREMENT
 from station.lock_in.presentation.plots import line_svg, spectrum_svg, time_record_svg, values_svg
 from station.lock_in.presentation.sentences import lock_in_words
@@ -15,6 +14,7 @@ from station.lock_in.settings import load_settings
 from station.report.report import render_report, write_report
 from station.runs.progress import Progress
 from station.runs.store import SavedRun, open_run
+from station.shell.evaluated import evaluate_run
 from station.shell.running import start_run
 
 VOID = {"meta", "br", "img", "link", "hr", "input"}

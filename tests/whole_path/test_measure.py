@@ -6,12 +6,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from station.evaluated import evaluate_run
 from station.lock_in.measurement import MEASUREMENT
 from station.lock_in.settings import load_settings
 from station.runs.progress import Progress
 from station.runs.store import SavedRun, open_run
 from station.settings.load import shipped_settings
+from station.shell.evaluated import evaluate_run
 from station.shell.running import start_run
 
 KEYS = {

@@ -9,13 +9,13 @@ from typing import Any
 
 import pytest
 
-from station.evaluated import evaluate_run
 from station.lock_in.measurement import MEASUREMENT
 from station.lock_in.settings import load_settings
 from station.report.report import render_report
 from station.runs.facts import RunFacts
 from station.runs.progress import Progress
 from station.runs.store import SavedRun, open_run
+from station.shell.evaluated import evaluate_run
 from station.shell.running import start_run
 
 PLAN = "[measurement]\nrates_over_lock_in = [4, 15]\nboth_senses = true\nrecords = 2\ntilt_records = 2\n"

@@ -11,13 +11,12 @@ from numpy.typing import NDArray
 
 from analysis.fibre_gyro import TwoPiError, estimate_two_pi_error
 from station.errors import NoUsableSignal
-from station.fibre_gyro.common import reasons_of
+from station.fibre_gyro.common import not_taken, reasons_of
 from station.fibre_gyro.recordings import Segment, segments_of
 from station.fibre_gyro.settings import FogSettings
 from station.fibre_gyro.windows import checked
 from station.results.result import LeftOut
 from station.runs.store import SavedRun
-from station.runs.taking import left_out_of_plan
 
 PURPOSE = "eps"
 NORMAL, RESET = "normal_error", "reset_error"
@@ -54,7 +53,7 @@ def evaluate(run: SavedRun, settings: FogSettings, choices: Mapping[str, Any]) -
     NoUsableSignal
         Fewer than two steps are left.
     """
-    rows, left_out = [], left_out_of_plan(run)
+    rows, left_out = [], not_taken(run)
     for segment in segments_of(run, PURPOSE):
         try:
             normal, reset = (_mean_of(segment, name) for name in (NORMAL, RESET))

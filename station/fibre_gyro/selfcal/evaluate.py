@@ -19,7 +19,7 @@ from analysis.fibre_gyro import (
     steps_beyond_dac,
 )
 from station.errors import NoUsableSignal
-from station.fibre_gyro.common import beyond_converter, reasons_of
+from station.fibre_gyro.common import beyond_converter, not_taken, reasons_of
 from station.fibre_gyro.recordings import segments_of
 from station.fibre_gyro.selfcal.numbers import TableReference, reference_of
 from station.fibre_gyro.settings import FogSettings
@@ -28,7 +28,6 @@ from station.fibre_gyro.table.evaluate import TableFound, find_axes
 from station.fibre_gyro.windows import window_at_rest
 from station.results.result import LeftOut
 from station.runs.store import SavedRun
-from station.runs.taking import left_out_of_plan
 
 PURPOSE = "selfcal"
 _STATIC = ("before", "after")
@@ -79,7 +78,7 @@ def evaluate(run: SavedRun, settings: FogSettings, choices: Mapping[str, Any]) -
         Fewer than three steps or no static output are left.
     """
     rows, left_out = _usable(run, settings)
-    left_out += left_out_of_plan(run)
+    left_out += not_taken(run)
     static = {conditions["static"]: mean for _, mean, conditions in rows if conditions["static"]}
     steps = [row for row in rows if not row[2]["static"]]
     missing = [name for name in _STATIC if name not in static]

@@ -13,13 +13,13 @@ import pytest
 from instrument import LinkError
 from instrument.fibre_gyro import Gap, Recording
 from station.errors import EXIT_INSTRUMENT, RunError, UsageError
-from station.evaluated import evaluate_run
 from station.fibre_gyro import simulated_bench
 from station.fibre_gyro.segments import PlannedSegment
 from station.fibre_gyro.simulated_bench import SimulatedFogBench
 from station.measurements import measurement
 from station.runs.progress import Progress
 from station.runs.store import open_run
+from station.shell.evaluated import evaluate_run
 from station.shell.running import resume_run, start_run
 
 QUIET = Progress(quiet=True)

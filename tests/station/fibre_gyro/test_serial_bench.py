@@ -11,7 +11,6 @@ import pytest
 from instrument.fibre_gyro import FibreGyroLink, Recording, parse_frame_format
 from instrument.simulated.fibre_gyro.faults import GyroFault, GyroFaults
 from instrument.simulated.fibre_gyro.server import TcpGyroServer
-from station.evaluated import Evaluated
 from station.fibre_gyro.eps import measurement as eps
 from station.fibre_gyro.figures import measurement as figures
 from station.fibre_gyro.segments import PlannedSegment
@@ -21,6 +20,7 @@ from station.fibre_gyro.serial_bench import SerialFogBench, read_frame_format
 from station.fibre_gyro.served import ServedGyro
 from station.fibre_gyro.table import measurement as table
 from station.settings.load import shipped_settings
+from station.shell.evaluated import Evaluated
 
 GYRO = {"counts_per_code": 256.0, "output_resolution": 1.0}
 SPEED = 20.0

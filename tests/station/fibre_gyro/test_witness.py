@@ -14,7 +14,6 @@ from instrument import Preamble, Waveform
 from instrument.simulated import SimulatedTDS2014, TcpServer, VirtualClock
 from instrument.simulated.fibre_gyro.server import TcpGyroServer
 from station.errors import NoUsableSignal, UsageError
-from station.evaluated import evaluate_run
 from station.fibre_gyro.serial_bench import read_frame_format
 from station.fibre_gyro.served import ServedGyro
 from station.fibre_gyro.settings import FIBRE_GYRO
@@ -26,6 +25,7 @@ from station.runs.facts import RunFacts
 from station.runs.progress import Progress
 from station.runs.store import open_run
 from station.settings.load import saved_settings
+from station.shell.evaluated import evaluate_run
 from station.shell.running import resume_run, start_run
 
 QUIET = Progress(quiet=True)

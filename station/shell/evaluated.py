@@ -57,6 +57,11 @@ class Evaluated:
             )
         return said
 
+    @property
+    def heading(self) -> str:
+        """What was measured, and of which gyro."""
+        return f"{self.kind.title}: {self.settings.gyro.name}"
+
     def document(self) -> dict[str, Any]:
         """Return everything as one JSON document, without report and error."""
         facts = self.run.facts

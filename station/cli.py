@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import importlib
 import json
 import os
@@ -15,6 +14,7 @@ from collections.abc import Sequence
 import click
 
 from station.errors import EXIT_DEFECT, EXIT_INTERRUPTED, EXIT_USAGE, Failure, describe_failure, one_line
+from station.shell.options import SuggestingGroup
 
 _TRACEBACK_VARIABLE = "GYROLOCK_TRACEBACK"
 
@@ -34,7 +34,7 @@ COMMANDS = {
 }
 
 
-class _LazyGroup(click.Group):
+class _LazyGroup(SuggestingGroup):
     """A group whose commands are imported only when they are run: ``gyrolock --help`` starts at once."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
@@ -46,15 +46,6 @@ class _LazyGroup(click.Group):
         module, _, name = COMMANDS[cmd_name][0].partition(":")
         command: click.Command = getattr(importlib.import_module(f"station.{module}"), name)
         return command
-
-    def resolve_command(
-        self, ctx: click.Context, args: list[str]
-    ) -> tuple[str | None, click.Command | None, list[str]]:
-        if args and args[0] not in COMMANDS and not args[0].startswith("-"):
-            like = difflib.get_close_matches(args[0], COMMANDS, 1)
-            meant = f" Did you mean {like[0]!r}?" if like else ""
-            raise click.UsageError(f"No such command {args[0]!r}.{meant}", ctx)
-        return super().resolve_command(ctx, args)
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         with formatter.section("Commands"):

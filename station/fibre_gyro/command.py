@@ -10,12 +10,12 @@ import click
 
 from station.shell.command import run_measurement
 from station.shell.ending import print_json
-from station.shell.options import CHANNELS, config_option, json_option, report_option, run_options
+from station.shell.options import CHANNELS, SuggestingGroup, config_option, json_option, report_option, run_options
 
 F = TypeVar("F", bound=Callable[..., Any])
 
 
-@click.group("fog")
+@click.group("fog", cls=SuggestingGroup)
 def command() -> None:
     """Scale factor of a fibre gyro: rate table, self-calibration, 2π error, figures of merit, oscilloscope.
 

@@ -12,7 +12,7 @@ from station.lock_in.presentation.sections import sections
 from station.lock_in.presentation.tables import fact_tables
 from station.lock_in.read import evaluate_run
 from station.lock_in.result import result
-from station.lock_in.settings import RING_LASER, Settings
+from station.lock_in.settings import RING_LASER, LimitSettings, Settings
 from station.lock_in.take import take
 from station.measurements import Measurement
 from station.runs.store import SavedRun
@@ -32,6 +32,7 @@ MEASUREMENT = Measurement(
     take=take,
     evaluate=evaluate,
     choices=("scale_factor", "relation", "input_rate"),
+    gives=tuple(LimitSettings.model_fields),
     result=result,
     sections=sections,
     facts=fact_tables,

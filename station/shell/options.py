@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, TypeVar
@@ -11,6 +12,21 @@ import click
 F = TypeVar("F", bound=Callable[..., Any])
 
 CHANNELS = click.Choice(["CH1", "CH2", "CH3", "CH4"], case_sensitive=False)
+
+
+class SuggestingGroup(click.Group):
+    """A group that says which command was perhaps meant."""
+
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        """Find the command; a usage error names one that is spelled alike."""
+        names = self.list_commands(ctx)
+        if args and args[0] not in names and not args[0].startswith("-"):
+            like = difflib.get_close_matches(args[0], names, 1)
+            meant = f" Did you mean {like[0]!r}?" if like else ""
+            raise click.UsageError(f"No such command {args[0]!r}.{meant}", ctx)
+        return super().resolve_command(ctx, args)
 
 
 def json_option(function: F) -> F:

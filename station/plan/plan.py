@@ -158,15 +158,14 @@ def plan_document(planned: PlannedMeasurement, sentences: list[str]) -> dict[str
         "duration_s": plan.duration_s,
         "rates": [_rate_document(rate) for rate in plan.rates],
         "if_lock_in_rate_is": [
-            {"lock_in_rate_dps": rate, "predicted_u_percent": 100 * u if math.isfinite(u) else None}
-            for rate, u in planned.elsewhere
+            {"lock_in_rate_dps": rate, "predicted_u_percent": 100 * u} for rate, u in planned.elsewhere
         ],
         "budget": budget_document(plan.budget),
         "curve": {
             "records_per_rate": curve.records,
-            "rate_over_lock_in": curve.over_lock_in.tolist(),
+            "rate_over_lock_in": curve.over_lock_in,
             **{
-                f"{name}_u_percent": (100 * getattr(curve, name)).tolist()
+                f"{name}_u_percent": 100 * getattr(curve, name)
                 for name in ("total", "noise", "distortion", "reference", "channel")
             },
         },
@@ -178,7 +177,7 @@ def _rate_document(rate: PlannedRate) -> dict[str, Any]:
     return {
         "rate_over_lock_in": rate.over_lock_in,
         "input_rate_dps": rate.input_rate,
-        "table_rate_dps": rate.table_rate if math.isfinite(rate.table_rate) else None,
+        "table_rate_dps": rate.table_rate,
         "beat_frequency_hz": rate.beat_frequency,
         "seconds_per_division_s": rate.seconds_per_division,
         "volts_per_division_v": rate.volts_per_division,

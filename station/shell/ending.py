@@ -18,8 +18,10 @@ if TYPE_CHECKING:
 
 
 def print_json(document: Mapping[str, Any]) -> None:
-    """Print one JSON document; nan is never in it."""
-    click.echo(json.dumps(document, allow_nan=False))
+    """Print one JSON document; null stands for what is not finite."""
+    from station.results.as_json import plain
+
+    click.echo(json.dumps(plain(document), allow_nan=False))
 
 
 def print_failure(failure: Failure) -> None:

@@ -64,6 +64,7 @@ def command(figures: tuple[int, ...], out: Path | None, kind: str, config: Path 
 def _write(out: Path, study: Study, sentences: list[str], kind: str) -> list[str]:
     import json
 
+    from station.results.as_json import plain
     from station.study.plots import write_study_plots
     from station.study.study import study_document
     from station.study.tables import study_tables
@@ -75,7 +76,7 @@ def _write(out: Path, study: Study, sentences: list[str], kind: str) -> list[str
         files.append(str(path))
     path = out / "study.json"
     document = study_document(study, sentences, [*files, str(path)])
-    path.write_text(json.dumps(document, indent=1, allow_nan=False), encoding="utf-8")
+    path.write_text(json.dumps(plain(document), indent=1, allow_nan=False), encoding="utf-8")
     return [*files, str(path)]
 
 

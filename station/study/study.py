@@ -115,11 +115,11 @@ def study_document(study: Study, sentences: list[str], files: list[str]) -> dict
     if study.bias is not None:
         bias = study.bias
         document["bias"] = {
-            "rate_ratio": bias.rate_ratio.tolist(),
-            "ratio": bias.ratio.tolist(),
-            "formula_13_percent": (100 * bias.formula_13).tolist(),
-            "formula_10_percent": (100 * bias.formula_10).tolist(),
-            "ours_percent": (100 * bias.ours).tolist(),
+            "rate_ratio": bias.rate_ratio,
+            "ratio": bias.ratio,
+            "formula_13_percent": 100 * bias.formula_13,
+            "formula_10_percent": 100 * bias.formula_10,
+            "ours_percent": 100 * bias.ours,
         }
     if study.causes is not None:
         document["causes"] = _causes_document(study.causes)
@@ -150,9 +150,9 @@ def _waveform_document(wave: WaveformStudy) -> dict[str, Any]:
         "lock_in_rate_dps": wave.lock_in_rate,
         "beat_frequency_hz": wave.beat_frequency,
         "amplitudes": {
-            "exact": wave.exact.tolist(),
-            "peaks": wave.peaks.tolist(),
-            "least_squares": wave.fitted.tolist(),
+            "exact": wave.exact,
+            "peaks": wave.peaks,
+            "least_squares": wave.fitted,
         },
         "lock_in_rate_by_peaks_dps": by_peaks,
         "lock_in_rate_by_least_squares_dps": by_fit,
@@ -162,16 +162,14 @@ def _waveform_document(wave: WaveformStudy) -> dict[str, Any]:
 def _error_document(number: int, errors: ErrorStudy) -> dict[str, Any]:
     return {
         "axis": axis_name(number),
-        "values": errors.axis.tolist(),
+        "values": errors.axis,
         "curves": [
             {
-                "input_rate_dps": rate if math.isfinite(rate) else None,
-                "lock_in_rate_dps": lock_in if math.isfinite(lock_in) else None,
-                "by_peaks_percent": {
-                    name: (100 * found[place]).tolist() for name, found in errors.by_peaks.items()
-                },
-                "formula_13_percent": (100 * errors.formula[place]).tolist(),
-                "ours_percent": (100 * errors.ours[place]).tolist(),
+                "input_rate_dps": rate,
+                "lock_in_rate_dps": lock_in,
+                "by_peaks_percent": {name: 100 * found[place] for name, found in errors.by_peaks.items()},
+                "formula_13_percent": 100 * errors.formula[place],
+                "ours_percent": 100 * errors.ours[place],
             }
             for place, (rate, lock_in) in enumerate(errors.curves)
         ],
@@ -185,10 +183,10 @@ def _causes_document(causes: Causes) -> list[dict[str, Any]]:
         {
             "input_rate_dps": rate,
             "lock_in_rate_dps": lock_in,
-            "bin_offset": float(causes.bin_offset[place]),
-            **{f"{name}_percent": 100 * float(getattr(causes, name)[place]) for name in single},
+            "bin_offset": causes.bin_offset[place],
+            **{f"{name}_percent": 100 * getattr(causes, name)[place] for name in single},
             **{
-                f"{name}_percent": {w: 100 * float(v[place]) for w, v in getattr(causes, name).items()}
+                f"{name}_percent": {w: 100 * v[place] for w, v in getattr(causes, name).items()}
                 for name in windowed
             },
         }

@@ -1,8 +1,9 @@
 """Picture files of the screen: BMP, RLE (a packed BMP), PCX, TIFF and EPS.
 
 Each function takes colour numbers, shape (height, width), first row on top, and gives the bytes of a file. Pillow
-writes what it can; the packed bitmap and the PostScript of black and white are ours, after the published
-descriptions of the Windows bitmap and of encapsulated PostScript 3.0.
+writes BMP and PCX. It packs no bitmap, puts the directory of a TIFF in front, where programs that read the scope's
+do not look, and draws no PostScript in black and white: those are ours, after the published descriptions of the
+Windows bitmap, TIFF 6.0 and encapsulated PostScript 3.0.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ from instrument.simulated.files.screen import COLOURS, Pixels
 
 _PALETTE = np.zeros((256, 3), dtype=np.uint8)  # red, green, blue
 _PALETTE[: len(COLOURS)] = COLOURS
+_SHORT, _LONG = 3, 4  # TIFF types
 
 
 def _file(pixels: Pixels, name: str) -> bytes:
@@ -51,8 +53,26 @@ def pcx(pixels: Pixels) -> bytes:
 
 
 def tiff(pixels: Pixels) -> bytes:
-    """Uncompressed TIFF with a palette."""
-    return _file(pixels, "TIFF")
+    """Uncompressed TIFF with a palette, little-endian, one strip; the directory stands at its end."""
+    height, width = pixels.shape
+    body = np.ascontiguousarray(pixels).tobytes()
+    colours = (_PALETTE.T.astype("<u2") * 257).tobytes()
+    at_body, at_colours = 8, 8 + len(body)
+    entries = (
+        (256, _SHORT, 1, width),
+        (257, _SHORT, 1, height),
+        (258, _SHORT, 1, 8),  # bits a sample
+        (259, _SHORT, 1, 1),  # not compressed
+        (262, _SHORT, 1, 3),  # palette
+        (273, _LONG, 1, at_body),
+        (277, _SHORT, 1, 1),  # samples a pixel
+        (278, _SHORT, 1, height),  # rows a strip
+        (279, _LONG, 1, len(body)),
+        (320, _SHORT, 768, at_colours),
+    )
+    directory = struct.pack("<H", len(entries)) + b"".join(struct.pack("<HHII", *entry) for entry in entries)
+    header = struct.pack("<2sHI", b"II", 42, at_colours + len(colours))
+    return header + body + colours + directory + struct.pack("<I", 0)
 
 
 def eps(pixels: Pixels) -> bytes:

@@ -22,7 +22,10 @@ _TRACEBACK_VARIABLE = "GYROLOCK_TRACEBACK"
 COMMANDS = {
     "measure": ("lock_in.command:measure", "Measure the lock-in rate: acquire, save, analyse, report."),
     "acquire": ("lock_in.command:acquire", "Acquire and save records only."),
-    "analyze": ("commands.analyze:command", "Analyse saved runs and Tektronix CSV or ISF files again."),
+    "analyze": (
+        "commands.analyze:command",
+        "Evaluate saved runs of any kind again, and Tektronix files.",
+    ),
     "report": ("commands.report:command", "Write the HTML report of saved runs."),
     "plan": ("plan.command:command", "Plan a measurement: rate, scale and records for a wanted uncertainty."),
     "fog": ("fibre_gyro.command:command", "Scale factor of a fibre gyro: rate table, self-calibration, ..."),

@@ -37,9 +37,9 @@ if TYPE_CHECKING:
 @config_option
 @json_option
 def command(paths: tuple[Path, ...], jsonl: bool, config: Path | None, as_json: bool, **choices: Any) -> int:
-    """Evaluate saved runs of any kind again, and Tektronix CSV or ISF files.
+    """Evaluate saved runs of any kind again, and Tektronix files.
 
-    PATH is a run (its directory or its file), or a file that the scope or its PC software wrote. With --json
+    PATH is a run (its directory or its file), or a CSV or ISF file that the scope or its PC software wrote. With --json
     and several paths the document holds a list `results`. Exit code 4 if any of them gives no result, 1 if one is
     beyond a limit.
 

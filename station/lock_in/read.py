@@ -6,7 +6,6 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from statistics import fmean
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,7 +23,6 @@ from analysis.lock_in_run import (
 )
 from instrument import Preamble, Waveform
 from instrument.errors import InstrumentError
-from instrument.facts import HIGHEST_CODE
 from station.errors import NoUsableSignal, RunError, UsageError
 from station.lock_in.evaluation import Evaluation
 from station.lock_in.knowledge import run_knowledge
@@ -185,14 +183,8 @@ class _Volts:
         for rows in rows_of_batches(intervals, np.array([wave.codes.size for wave in first], dtype=np.int64)):
             picked = [[waves[row] for row in rows] for waves in self.channels]
             volts = np.array([[wave.volts for wave in waves] for waves in picked])
-            codes = np.array([[wave.codes for wave in waves] for waves in picked])
-            yield Batch(rows, first[rows[0]].sample_interval, volts, _clipped(codes, volts))
-
-
-def _clipped(codes: NDArray[np.integer[Any]], volts: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Samples at the end of the converter's range; one without data is none, though its code is the lowest."""
-    highest = HIGHEST_CODE if codes.dtype == np.int8 else 256 * HIGHEST_CODE
-    return np.asarray((np.abs(codes.astype(np.int32)) >= highest) & np.isfinite(volts))
+            clipped = np.array([[wave.clipped_samples for wave in waves] for waves in picked])
+            yield Batch(rows, first[rows[0]].sample_interval, volts, clipped)
 
 
 def _arrays(channels: Sequence[Sequence[Waveform]], records: Sequence[SavedRecord] | None = None) -> RecordArrays:

@@ -17,6 +17,7 @@ from station.lock_in.presentation.budget_table import (
     budget_sentences,
 )
 from station.lock_in.settings import default_settings, load_settings
+from station.results.as_json import plain
 
 
 def planned(capsys: pytest.CaptureFixture[str], *options: str, code: int = 0) -> dict:
@@ -123,7 +124,7 @@ def test_bench_plan_needs_a_tilt_for_the_table(tmp_path: Path, capsys: pytest.Ca
 def test_budget_in_json_rows_and_bars() -> None:
     knowledge = BenchKnowledge(scale_factor_u_ppm=100.0, distortion_limit=0.003)
     budget = lock_in_budget(OperatingPoint(2000.0, 0.08, 0.01, 1e-4, 1e-3, 0.2, 5000.0), knowledge)
-    document = json.loads(json.dumps(budget_document(budget), allow_nan=False))
+    document = json.loads(json.dumps(plain(budget_document(budget)), allow_nan=False))
     parts = [line["contribution_dps"] for line in document["inputs"]]
     assert parts == sorted(parts, reverse=True)
     assert document["combined_u_dps"] ** 2 == pytest.approx(sum(part**2 for part in parts))
@@ -141,9 +142,9 @@ def test_budget_in_json_rows_and_bars() -> None:
 
 
 def test_settings_reach_the_budget(tmp_path: Path) -> None:
-    plain = bench_knowledge(default_settings())
-    assert plain.distortion_limit == pytest.approx(10 ** (-70 / 20))
-    assert plain.high_pass.hz == 0
+    stated = bench_knowledge(default_settings())
+    assert stated.distortion_limit == pytest.approx(10 ** (-70 / 20))
+    assert stated.high_pass.hz == 0
     file = tmp_path / "my.toml"
     file.write_text(
         '[scope]\ncoupling = "AC"\nprobe = 10\n[front_end]\nlow_pass_hz = 4000.0\n'

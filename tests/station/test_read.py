@@ -9,19 +9,28 @@ import pytest
 from analysis.lock_in_run import Method
 from instrument import Preamble, Waveform
 from station.errors import NoUsableSignal, RunError
+from station.lock_in.evaluation import Evaluation
 from station.lock_in.knowledge import run_knowledge
 from station.lock_in.read import (
     acquisitions_of,
-    clipped_samples,
     evaluate_run,
     evaluate_waveforms,
     fast_run_tilt,
-    saved_settings,
 )
+from station.lock_in.settings import RING_LASER, Settings
 from station.runs.store import SavedRecord, SavedRun, open_run
+from station.settings.load import saved_settings
 
 GOLDEN = Path(__file__).parent.parent / "golden"
 TEXT = '1;8;BIN;RI;MSB;{points};"Ch1, DC";Y;1.0E-5;0;0.0E0;"s";{ymult};0.0E0;0.0E0;"Volts"'
+
+
+def settings_of(run: SavedRun) -> Settings:
+    return saved_settings(RING_LASER, run.facts.settings, str(run.path))
+
+
+def evaluated(run: SavedRun) -> Evaluation:
+    return evaluate_run(run, settings_of(run))
 
 
 @pytest.fixture(scope="module")
@@ -41,13 +50,13 @@ def changed(run: SavedRun, purpose: str, **fields: object) -> SavedRun:
 def test_codes_and_preamble_that_do_not_belong_together(pairs: SavedRun, purpose: str) -> None:
     first = pairs.taken_for(purpose)[0]
     with pytest.raises(RunError, match=rf"record {first.number} cannot be read: \(2499,\) codes came with"):
-        evaluate_run(changed(pairs, purpose, codes=first.codes[:-1]))
+        evaluated(changed(pairs, purpose, payload=first.payload[:-1]))
 
 
 def test_what_is_no_record_over_time(pairs: SavedRun) -> None:
     text = pairs.taken_for("measure")[0].preamble
     with pytest.raises(NoUsableSignal, match="is a spectrum"):
-        evaluate_run(changed(pairs, "measure", preamble=text.replace('"s"', '"Hz"')))
+        evaluated(changed(pairs, "measure", header=text.replace('"s"', '"Hz"')))
 
 
 def test_an_acquisition_is_sine_and_cosine(pairs: SavedRun) -> None:
@@ -55,17 +64,17 @@ def test_an_acquisition_is_sine_and_cosine(pairs: SavedRun) -> None:
     assert [one.name for one in taken] == [str(number + 1) for number in range(len(taken))]
     assert all(one.cosine is not None and one.cosine.number == one.sine.number + 1 for one in taken)
     one_lost = tuple(one for one in pairs.records if one is not taken[0].cosine)
-    found = evaluate_run(replace(pairs, records=one_lost))
+    found = evaluated(replace(pairs, records=one_lost))
     assert found.quadratures is None
     assert len(found.waveforms) == len(taken)
-    both = evaluate_run(pairs)
+    both = evaluated(pairs)
     assert both.quadratures is not None
     assert both.quadratures.sine_alone == pytest.approx(float(np.mean(found.each.lock_in_rate)), rel=1e-6)
 
 
 def test_the_tilt_is_the_same_while_taking_and_afterwards(pairs: SavedRun) -> None:
-    settings = saved_settings(pairs)
-    early, late = fast_run_tilt(pairs, settings), evaluate_run(pairs).tilt
+    settings = settings_of(pairs)
+    early, late = fast_run_tilt(pairs, settings), evaluated(pairs).tilt
     assert late is not None
     # only the lock-in rate is not known yet, which the fast beat hardly feels
     assert early.tilt_deg == pytest.approx(late.tilt_deg, abs=5 * late.tilt_u_deg)
@@ -77,7 +86,7 @@ def test_the_tilt_is_the_same_while_taking_and_afterwards(pairs: SavedRun) -> No
 
 
 def test_what_the_settings_say_of_the_bench(pairs: SavedRun) -> None:
-    settings = saved_settings(pairs)
+    settings = settings_of(pairs)
     known = run_knowledge(settings)
     assert known.scale_factor == settings.gyro.scale_factor_pulses_per_deg
     assert known.latitude_deg == settings.site.latitude_deg
@@ -109,7 +118,7 @@ def test_files_are_evaluated_without_a_bench() -> None:
 )
 def test_clipped_is_the_end_of_the_range_and_not_a_gap(kind: type, codes: list[int], clipped: list[bool]) -> None:
     wave = sines(np.array(codes, dtype=kind))
-    assert clipped_samples(wave.codes, wave.volts).tolist() == clipped
+    assert wave.clipped_samples.tolist() == clipped
     assert wave.clipped
 
 
@@ -124,7 +133,7 @@ def test_records_of_several_time_bases_keep_their_order() -> None:
 def test_a_table_rate_that_is_missing_leaves_the_table_out(pairs: SavedRun) -> None:
     first = pairs.taken_for("measure")[0]
     unknown = {name: value for name, value in first.conditions.items() if name != "table_rate_dps"}
-    found = evaluate_run(changed(pairs, "measure", conditions=unknown))
+    found = evaluated(changed(pairs, "measure", conditions=unknown))
     assert found.tilt is None and found.table_check is None
     assert found.budget is not None
 
@@ -134,4 +143,4 @@ def test_damaged_records_alone_are_no_run(pairs: SavedRun) -> None:
         return replace(record, intact=record.purpose == "tilt")
 
     with pytest.raises(RunError, match="only damaged records"):
-        evaluate_run(replace(pairs, records=tuple(spoilt(record) for record in pairs.records)))
+        evaluated(replace(pairs, records=tuple(spoilt(record) for record in pairs.records)))

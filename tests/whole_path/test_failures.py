@@ -177,7 +177,7 @@ def test_an_empty_run_and_a_damaged_record(gyrolock, tmp_path: Path) -> None:
 
     result = gyrolock("measure", "--records", 3, "--json", "--no-report").document
     db = sqlite3.connect(tmp_path / result["run"])
-    db.execute("UPDATE record SET codes = zeroblob(2500) WHERE number = (SELECT max(number) FROM record)")
+    db.execute("UPDATE record SET payload = zeroblob(2500) WHERE number = (SELECT max(number) FROM record)")
     db.commit()
     done = gyrolock("analyze", result["run"], "--json")
     assert done.code == 0

@@ -39,9 +39,9 @@ if TYPE_CHECKING:
 def command(paths: tuple[Path, ...], jsonl: bool, config: Path | None, as_json: bool, **choices: Any) -> int:
     """Evaluate saved runs of any kind again, and Tektronix files.
 
-    PATH is a run (its directory or its file), or a CSV or ISF file that the scope or its PC software wrote. With --json
-    and several paths the document holds a list `results`. Exit code 4 if any of them gives no result, 1 if one is
-    beyond a limit.
+    PATH is a run (its directory or its file), or a CSV or ISF file that the scope or its PC software wrote. With
+    --json and several paths the document holds a list `results`. Exit code 4 if any of them gives no result, 1 if
+    one is beyond a limit.
 
     A run is evaluated with the settings that it was taken with; with --config what is known of the bench, and the
     [limits], are those of FILE, for a channel that was measured later.

@@ -197,12 +197,15 @@ class _Problem:
     def _model(self, parameters: Floats) -> tuple[Floats, Complexes, Complexes, Floats]:
         """Residual, carrier, 1 - q(t) e, and the factor of q(t)."""
         coefficients = parameters[5:]
-        carrier = np.exp(1j * (coefficients @ self.basis[: coefficients.size]))
+        carrier: Complexes = np.asarray(
+            np.exp(1j * (coefficients @ self.basis[: coefficients.size])), np.complex128
+        )
         ratio = complex(parameters[3], parameters[4])
         factor = self._ratio_factor(abs(ratio), coefficients)
-        below = 1 - ratio * factor * carrier
+        below = np.asarray(1 - ratio * factor * carrier, dtype=np.complex128)
         wave = complex(parameters[1], parameters[2]) * (carrier - np.conj(ratio) * factor) / below
-        return (self.values - parameters[0] - wave.real) * self.mask, carrier, below, factor
+        residual: Floats = (self.values - parameters[0] - wave.real) * self.mask
+        return residual, carrier, below, factor
 
     def _ratio_factor(self, size: float, coefficients: Floats) -> Floats:
         """r(t)/r for a constant WL: 2r/(1 - r^2) goes as one over the momentary frequency."""

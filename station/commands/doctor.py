@@ -173,10 +173,10 @@ def _sqlite() -> Check:
 
 def _test_record() -> Check:
     """Send one record of the simulated scope through a real link, the store and the analysis."""
-    from station.lock_in.bench.instruments import at_slow_rate
-    from station.lock_in.bench.open import open_bench
     from station.lock_in.read import evaluate_run
-    from station.lock_in.take import acquisition_records, take_record
+    from station.lock_in.served import at_slow_rate
+    from station.ring_laser.open import open_bench
+    from station.ring_laser.records import acquisition_records, take_record
     from station.runs.store import RunWriter, open_run
 
     settings = at_slow_rate(default_settings("simulated"))

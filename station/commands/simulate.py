@@ -39,7 +39,7 @@ def command(
     CH1 shows the beat of the simulated gyro at the slow rate. The first line on stdout is the VISA resource
     name. Ctrl-C or SIGTERM ends it.
     """
-    from station.lock_in.bench.simulated import serve_scope
+    from station.lock_in.served import serve_scope
     from station.lock_in.settings import load_settings
 
     if (tcp_port is None) == (not use_pty):

@@ -14,13 +14,14 @@ from analysis.lock_in_run import Method
 from instrument import Waveform, read_waveform
 from station.lock_in.evaluation import Evaluation
 from station.lock_in.presentation.documents import record_documents
-from station.lock_in.read import check_over_time, evaluate_waveforms
+from station.lock_in.read import evaluate_waveforms
 from station.lock_in.result import result
 from station.lock_in.settings import load_settings
 from station.results.as_json import plain
 from station.results.numbers import with_prefix
 from station.results.parts import TextTable
 from station.results.result import Result
+from station.ring_laser.records import check_over_time
 
 _HARMONICS = 5
 

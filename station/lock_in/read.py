@@ -21,12 +21,12 @@ from analysis.lock_in_run import (
     find_tilt,
     rows_of_batches,
 )
-from instrument import Preamble, Waveform
-from instrument.errors import InstrumentError
-from station.errors import NoUsableSignal, RunError, UsageError
+from instrument import Waveform
+from station.errors import RunError, UsageError
 from station.lock_in.evaluation import Evaluation
 from station.lock_in.knowledge import run_knowledge
 from station.lock_in.settings import Settings
+from station.ring_laser.records import saved_waveform
 from station.runs.store import SavedRecord, SavedRun
 
 
@@ -98,41 +98,6 @@ def fast_run_tilt(run: SavedRun, settings: Settings) -> Tilt:
         return find_tilt(_fast_run(run), run_knowledge(settings))
     except NoTilt as error:
         raise RunError(_no_tilt(error)) from None
-
-
-def saved_waveform(record: SavedRecord, run: SavedRun) -> Waveform:
-    """Return a saved record as the waveform that the scope sent.
-
-    Raises
-    ------
-    RunError
-        If codes and preamble do not belong together.
-    NoUsableSignal
-        If it is no record over time.
-    """
-    try:
-        waveform = Waveform(record.codes, Preamble.parse(record.preamble))
-    except InstrumentError as error:
-        raise RunError(f"{run.path}: record {record.number} cannot be read: {error}") from None
-    check_over_time(waveform, f"{run.path}: record {record.number}")
-    return waveform
-
-
-def check_over_time(waveform: Waveform, name: str) -> None:
-    """Refuse what only looks like a record.
-
-    Raises
-    ------
-    NoUsableSignal
-        A spectrum, or pairs of minima and maxima.
-    """
-    unit = waveform.preamble.xunit
-    if unit.lower() != "s":
-        raise NoUsableSignal(f"{name}: is a spectrum ({unit}), not a record over time: save the channel itself")
-    if waveform.preamble.pt_fmt == "ENV" or "pk detect" in waveform.preamble.wfid.lower():
-        raise NoUsableSignal(
-            f"{name}: was taken with Peak Detect: it holds minima and maxima, not samples; use SAMPLE mode"
-        )
 
 
 @dataclass(frozen=True)

@@ -15,22 +15,13 @@ from typing import Annotated, Any, Literal
 from pydantic import Field
 
 from station.errors import SettingsError
+from station.ring_laser.settings import GyroSettings, ScopeSettings, SimulationSettings
 from station.settings.load import SettingsKind, Values, load, shipped_settings
 from station.settings.parts import Finite, Limit, NotNegative, OutputSettings, Positive, Section, SiteSettings
 from station.settings.toml_files import merged, read_toml
 
-Dbc = Annotated[float, Field(ge=-200, le=0)]
-
 ResponseRow = tuple[float, float, float]
 _RESPONSE_COLUMNS = 3
-
-
-class GyroSettings(Section):
-    """The gyro under test, as far as it is known beforehand."""
-
-    name: str
-    scale_factor_pulses_per_deg: Positive
-    expected_lock_in_rate_dps: Positive
 
 
 class TableSettings(Section):
@@ -42,18 +33,6 @@ class TableSettings(Section):
     slow_rate_over_lock_in: Annotated[float, Field(gt=1.05, le=1000)]
     settle_s: NotNegative
     north_azimuth_deg: Finite
-
-
-class ScopeSettings(Section):
-    """The oscilloscope and its input."""
-
-    resource: str
-    channel: Annotated[str, Field(pattern=r"^CH[1-4]$")]
-    quadrature_channel: Annotated[str, Field(pattern=r"^(CH[1-4])?$")] = ""
-    coupling: Literal["DC", "AC"]
-    probe: Literal[1, 10, 100, 1000]
-    bandwidth_limit: bool
-    baud_rate: Literal[0, 300, 600, 1200, 2400, 4800, 9600, 19200]
 
 
 class FrontEndSettings(Section):
@@ -75,45 +54,6 @@ class MeasurementSettings(Section):
     periods_min: Annotated[float, Field(ge=3, le=500)]
     samples_per_period_min: Annotated[float, Field(ge=5, le=500)]
     fill_levels: Annotated[float, Field(ge=10, le=120)]
-
-
-class ContaminantSettings(Section):
-    """What spoils the measurement on a simulated bench; everything is absent unless it is named."""
-
-    second_harmonic_dbc: Dbc | None = None
-    third_harmonic_dbc: Dbc | None = None
-    bandwidth_hz: NotNegative = 0.0
-    ac_corner_hz: NotNegative = 0.0
-    gain_corner_hz: NotNegative = 0.0
-    cross_saturation: Annotated[float, Field(ge=0, lt=1)] = 0.5
-    backscatter_phase_sum_deg: Annotated[float, Field(gt=-170, lt=170)] = 0.0
-    single_beams: Annotated[float, Field(ge=0, le=10)] = 0.0
-    rate_ripple_dps: NotNegative = 0.0
-    rate_ripple_hz: NotNegative = 1.0
-    pump_ripple: Annotated[float, Field(ge=0, lt=1)] = 0.0
-    pump_ripple_hz: NotNegative = 100.0
-    scale_factor_error_ppm: Annotated[float, Field(gt=-1e6, lt=1e6)] = 0.0
-    scale_factor_drift_ppm_per_hour: Annotated[float, Field(gt=-1e6, lt=1e6)] = 0.0
-    quadrature_gain_error: Annotated[float, Field(gt=-1, lt=1)] = 0.0
-    quadrature_phase_error_deg: Annotated[float, Field(gt=-80, lt=80)] = 0.0
-
-
-class SimulationSettings(Section):
-    """The truth of a simulated bench."""
-
-    seed: Annotated[int, Field(ge=0)]
-    link: Literal["auto", "pty", "tcp"]
-    scope_model: str
-    lock_in_rate_dps: NotNegative
-    tilt_deg: Annotated[float, Field(ge=0, lt=90)]
-    backscatter_phase_deg: Finite
-    readout_phase_deg: Finite
-    amplitude_v: NotNegative
-    offset_v: Finite
-    detector_noise_v: NotNegative
-    scope_noise_levels: NotNegative
-    table_acceleration_dps2: Positive
-    contaminants: ContaminantSettings = ContaminantSettings()
 
 
 class BudgetSettings(Section):
@@ -157,6 +97,14 @@ class Settings(Section):
     def simulated(self) -> bool:
         """Whether the bench is simulated: no oscilloscope is named."""
         return not self.scope.resource
+
+    @property
+    def turning_dps(self) -> float:
+        """Rate at which a simulated table turns from the beginning: the slow rate, if it cannot be set."""
+        if self.table.kind != "none" or self.simulation is None:
+            return 0.0
+        wanted = self.gyro.expected_lock_in_rate_dps * self.table.slow_rate_over_lock_in
+        return wanted / math.cos(math.radians(self.simulation.tilt_deg))
 
 
 def load_settings(

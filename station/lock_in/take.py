@@ -6,29 +6,27 @@ What is measured is only saved here; numbers come from the saved run.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
-from instrument import TransferError, Waveform
 from station.errors import NoUsableSignal
-from station.lock_in.bench.bench import Bench
-from station.lock_in.bench.open import open_bench
 from station.lock_in.rate_plan import RateStep, rate_plan
 from station.lock_in.read import fast_run_tilt
 from station.lock_in.settings import Settings
+from station.ring_laser.bench import Bench
+from station.ring_laser.open import open_bench
+from station.ring_laser.records import acquisition_records, set_up, take_record
 from station.runs.progress import Progress
-from station.runs.store import NewRecord, RunWriter, SavedRecord
+from station.runs.store import RunWriter, SavedRecord
 from station.runs.taking import Session
 from station.scope.autoset import KnobPositions, find_beat, fit_channel
-
-_ATTEMPTS = 3
 
 
 def take(settings: Settings, session: Session) -> None:
     """Do the whole experiment and save it; of a run that was cut short, what is missing."""
     bench = session.open(open_bench(settings, times_resumed=session.times_resumed))
-    _set_up(settings, bench)
+    set_up(bench, settings.scope, _channels(settings))
     writer = session.begin({"identity": asdict(bench.scope.identity)})
     model = bench.scope.identity.model
     session.progress.note(f"{model} ({settings.scope.resource or 'simulated'}), run {writer.path}")
@@ -38,20 +36,6 @@ def take(settings: Settings, session: Session) -> None:
         there = len(session.so_far().taken_for("measure"))
         session.progress.note(f"{there} records are saved already")
     taking.experiment()
-
-
-def _set_up(settings: Settings, bench: Bench) -> None:
-    """Set what the trial records do not choose; a channel that is not there shows here."""
-    wanted = settings.scope
-    for channel in _channels(settings):
-        bench.scope.set_channel(
-            channel,
-            coupling=wanted.coupling,
-            probe=wanted.probe,
-            bandwidth_limit=wanted.bandwidth_limit,
-            invert=False,
-        )
-    bench.scope.set_acquisition(mode="SAMPLE")
 
 
 def _channels(settings: Settings) -> tuple[str, ...]:
@@ -165,54 +149,6 @@ class _Taking:
             and (one.get("table_rate_dps") or step.sense) * step.sense > 0
             for one in conditions
         )
-
-
-def take_record(bench: Bench, channels: tuple[str, ...]) -> tuple[tuple[Waveform, ...], dict[str, object]]:
-    """Acquire the records of one acquisition and the conditions under which they were taken.
-
-    Returns
-    -------
-    tuple of Waveform
-        One for each channel.
-    dict
-        Plain JSON: azimuth before and after where it is known, truth on a simulated bench.
-
-    Raises
-    ------
-    InstrumentError
-        If they do not come, a damaged transfer after some attempts.
-    """
-    for attempt in range(1, _ATTEMPTS + 1):
-        azimuth = bench.azimuth()
-        try:
-            waveforms = bench.scope.acquire(channels)
-        except TransferError:
-            if attempt == _ATTEMPTS:
-                raise
-            continue
-        azimuth_after = bench.azimuth()
-        break
-    conditions: dict[str, object] = {}
-    if azimuth is not None and azimuth_after is not None:
-        conditions |= {"azimuth_start_deg": azimuth, "azimuth_end_deg": azimuth_after}
-    if bench.truth is not None:
-        conditions["truth"] = bench.truth()
-    return waveforms, conditions
-
-
-def acquisition_records(
-    purpose: str,
-    key: str,
-    waveforms: Sequence[Waveform],
-    channels: Sequence[str],
-    conditions: Mapping[str, object],
-) -> list[NewRecord]:
-    """Return the records of one acquisition to be saved; a second channel is the quadrature of the first."""
-    kinds = ((purpose, key), ("quadrature", f"{key}, {channels[-1]}"))
-    return [
-        NewRecord(name, kind, wave.preamble.to_text(), wave.codes.tobytes(), {"channel": channel, **conditions})
-        for (kind, name), wave, channel in zip(kinds, waveforms, channels, strict=False)
-    ]
 
 
 def _for_frequency(knobs: KnobPositions, frequency: float) -> KnobPositions:

@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 
 from station.errors import UsageError
-from station.lock_in.bench.instruments import build_instruments
 from station.lock_in.settings import default_settings
+from station.ring_laser.instruments import build_instruments
 from station.runs.operator import operator_table
 from station.runs.store import open_run
 from station.scope.serve import serve

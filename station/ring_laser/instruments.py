@@ -22,7 +22,7 @@ from instrument.simulated import SimulatedRateTable, SimulatedTDS2014
 from instrument.simulated.clock import Clock
 from instrument.simulated.rate_table import Motion
 from station.errors import UsageError
-from station.lock_in.settings import ContaminantSettings, Settings, SimulationSettings
+from station.ring_laser.settings import BenchSettings, ContaminantSettings, SimulationSettings
 
 Array = NDArray[np.float64]
 
@@ -61,24 +61,13 @@ class SimulatedInstruments:
     link: str
 
 
-def slow_table_rate(settings: Settings, simulation: SimulationSettings) -> float:
-    """Return the table rate in deg/s that gives the slow rate on the axis of the simulated gyro."""
-    wanted = settings.gyro.expected_lock_in_rate_dps * settings.table.slow_rate_over_lock_in
-    return wanted / math.cos(math.radians(simulation.tilt_deg))
-
-
-def at_slow_rate(settings: Settings) -> Settings:
-    """Return settings of a bench whose table turns at the slow rate from the beginning."""
-    return settings.model_copy(update={"table": settings.table.model_copy(update={"kind": "none"})})
-
-
-def build_instruments(settings: Settings, clock: Clock, *, times_resumed: int = 0) -> SimulatedInstruments:
+def build_instruments(settings: BenchSettings, clock: Clock, *, times_resumed: int = 0) -> SimulatedInstruments:
     """Put gyro, table and oscilloscope together, as the settings and their seed say.
 
     Parameters
     ----------
-    settings : Settings
-        With ``simulation``; with ``table.kind = "none"`` the table turns at the slow rate already.
+    settings : BenchSettings
+        With ``simulation``.
     clock : Clock
         The time of all of them.
     times_resumed : int, optional
@@ -96,13 +85,12 @@ def build_instruments(settings: Settings, clock: Clock, *, times_resumed: int = 
         again = np.random.SeedSequence([simulation.seed, times_resumed]).generate_state(1)[0]
         simulation = simulation.model_copy(update={"seed": int(again)})
     start = np.random.default_rng([simulation.seed, 0x6B])
-    turning = slow_table_rate(settings, simulation) if settings.table.kind == "none" else 0.0
     table = TurningTable(
         clock,
         acceleration=simulation.table_acceleration_dps2,
         azimuth=float(start.uniform(0.0, 360.0)),
     )
-    table.set_rate(turning)
+    table.set_rate(settings.turning_dps)
     gyro = _gyro(settings, simulation, float(start.uniform(0.0, 2 * math.pi)))
     detector = _detector(simulation)
     if detector.filtered or gyro.winking is not None:
@@ -130,7 +118,7 @@ def _prepare(gyro: Gyro, detector: Detector, table: TurningTable, steady: Motion
     beat_signal_on_table(gyro, detector, table.motion, steady.start + np.linspace(0.0, turn_s, _TURN_POINTS))
 
 
-def _gyro(settings: Settings, simulation: SimulationSettings, start_phase: float) -> Gyro:
+def _gyro(settings: BenchSettings, simulation: SimulationSettings, start_phase: float) -> Gyro:
     added = simulation.contaminants
     scale_factor = settings.gyro.scale_factor_pulses_per_deg * (1 + 1e-6 * added.scale_factor_error_ppm)
     winking = None

@@ -1,4 +1,4 @@
-"""The simulated bench: table, gyro and oscilloscope on one clock, the scope behind a real byte stream."""
+"""The simulated oscilloscope alone, served in real time: its gyro turns at the slow rate."""
 
 from __future__ import annotations
 
@@ -8,33 +8,16 @@ from contextlib import contextmanager
 import numpy as np
 
 from instrument.facts import LEVELS_PER_DIVISION, VERTICAL_SCALES
-from instrument.simulated import RealClock, VirtualClock
-from station.lock_in.bench.bench import Bench
-from station.lock_in.bench.instruments import SimulatedInstruments, at_slow_rate, build_instruments, true_values
+from instrument.simulated import RealClock
 from station.lock_in.settings import Settings
+from station.ring_laser.instruments import SimulatedInstruments, build_instruments
 from station.scope.autoset import oscilloscope_steps
-from station.scope.open import open_scope
 from station.scope.serve import serve
 
 
-@contextmanager
-def open_simulated_bench(settings: Settings, *, times_resumed: int = 0) -> Iterator[Bench]:
-    """Open the simulated bench: on a clock that jumps instead of waiting, through a real link.
-
-    Parameters
-    ----------
-    times_resumed : int, optional
-        How often it was switched on before for the same run: phases and noise are other ones each time.
-    """
-    instruments = build_instruments(settings, VirtualClock(), times_resumed=times_resumed)
-    turning_already = settings.table.kind == "none"
-    with serve(instruments.scope, instruments.link) as resource, open_scope(resource) as scope:
-        yield Bench(
-            scope,
-            table=None if turning_already else instruments.table,
-            sleep=instruments.clock.sleep,
-            truth=lambda: true_values(instruments),
-        )
+def at_slow_rate(settings: Settings) -> Settings:
+    """Return settings of a bench whose table turns at the slow rate from the beginning."""
+    return settings.model_copy(update={"table": settings.table.model_copy(update={"kind": "none"})})
 
 
 @contextmanager

@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from station.lock_in.bench.bench import Bench
-from station.lock_in.settings import Settings
+from station.ring_laser.bench import Bench
+from station.ring_laser.settings import BenchSettings
 from station.runs.operator import operator_table
 from station.scope.open import open_scope
 
 
 @contextmanager
-def open_bench(settings: Settings, *, times_resumed: int = 0) -> Iterator[Bench]:
+def open_bench(settings: BenchSettings, *, times_resumed: int = 0) -> Iterator[Bench]:
     """Open the bench; afterwards the front panel of the oscilloscope is as it was found.
 
     Parameters
@@ -29,7 +29,7 @@ def open_bench(settings: Settings, *, times_resumed: int = 0) -> Iterator[Bench]
     """
     if settings.simulated:
         # PyVISA's simulated side and the gyro are not for a real bench
-        from station.lock_in.bench.simulated import open_simulated_bench
+        from station.ring_laser.simulated import open_simulated_bench
 
         with open_simulated_bench(settings, times_resumed=times_resumed) as bench:
             yield bench

@@ -1,1 +1,0 @@
-"""The bench of the ring laser gyro: real or simulated."""

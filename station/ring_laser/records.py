@@ -1,0 +1,109 @@
+"""One record: acquired with its conditions, saved, read again as the waveform that the scope sent."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from instrument import InstrumentError, Preamble, TransferError, Waveform
+from station.errors import NoUsableSignal, RunError
+from station.ring_laser.bench import Bench
+from station.ring_laser.settings import ScopeSettings
+from station.runs.store import NewRecord, SavedRecord, SavedRun
+
+_ATTEMPTS = 3
+
+
+def set_up(bench: Bench, wanted: ScopeSettings, channels: Sequence[str]) -> None:
+    """Set what the trial records do not choose; a channel that is not there shows here."""
+    for channel in channels:
+        bench.scope.set_channel(
+            channel,
+            coupling=wanted.coupling,
+            probe=wanted.probe,
+            bandwidth_limit=wanted.bandwidth_limit,
+            invert=False,
+        )
+    bench.scope.set_acquisition(mode="SAMPLE")
+
+
+def take_record(bench: Bench, channels: tuple[str, ...]) -> tuple[tuple[Waveform, ...], dict[str, object]]:
+    """Acquire the records of one acquisition and the conditions under which they were taken.
+
+    Returns
+    -------
+    tuple of Waveform
+        One for each channel.
+    dict
+        Plain JSON: azimuth before and after where it is known, truth on a simulated bench.
+
+    Raises
+    ------
+    InstrumentError
+        If they do not come, a damaged transfer after some attempts.
+    """
+    for attempt in range(1, _ATTEMPTS + 1):
+        azimuth = bench.azimuth()
+        try:
+            waveforms = bench.scope.acquire(channels)
+        except TransferError:
+            if attempt == _ATTEMPTS:
+                raise
+            continue
+        azimuth_after = bench.azimuth()
+        break
+    conditions: dict[str, object] = {}
+    if azimuth is not None and azimuth_after is not None:
+        conditions |= {"azimuth_start_deg": azimuth, "azimuth_end_deg": azimuth_after}
+    if bench.truth is not None:
+        conditions["truth"] = bench.truth()
+    return waveforms, conditions
+
+
+def acquisition_records(
+    purpose: str,
+    key: str,
+    waveforms: Sequence[Waveform],
+    channels: Sequence[str],
+    conditions: Mapping[str, object],
+) -> list[NewRecord]:
+    """Return the records of one acquisition to be saved; a second channel is the quadrature of the first."""
+    kinds = ((purpose, key), ("quadrature", f"{key}, {channels[-1]}"))
+    return [
+        NewRecord(name, kind, wave.preamble.to_text(), wave.codes.tobytes(), {"channel": channel, **conditions})
+        for (kind, name), wave, channel in zip(kinds, waveforms, channels, strict=False)
+    ]
+
+
+def saved_waveform(record: SavedRecord, run: SavedRun) -> Waveform:
+    """Return a saved record as the waveform that the scope sent.
+
+    Raises
+    ------
+    RunError
+        If codes and preamble do not belong together.
+    NoUsableSignal
+        If it is no record over time.
+    """
+    try:
+        waveform = Waveform(record.codes, Preamble.parse(record.preamble))
+    except InstrumentError as error:
+        raise RunError(f"{run.path}: record {record.number} cannot be read: {error}") from None
+    check_over_time(waveform, f"{run.path}: record {record.number}")
+    return waveform
+
+
+def check_over_time(waveform: Waveform, name: str) -> None:
+    """Refuse what only looks like a record.
+
+    Raises
+    ------
+    NoUsableSignal
+        A spectrum, or pairs of minima and maxima.
+    """
+    unit = waveform.preamble.xunit
+    if unit.lower() != "s":
+        raise NoUsableSignal(f"{name}: is a spectrum ({unit}), not a record over time: save the channel itself")
+    if waveform.preamble.pt_fmt == "ENV" or "pk detect" in waveform.preamble.wfid.lower():
+        raise NoUsableSignal(
+            f"{name}: was taken with Peak Detect: it holds minima and maxima, not samples; use SAMPLE mode"
+        )

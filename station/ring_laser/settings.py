@@ -1,0 +1,117 @@
+"""What settings of every measurement of a ring laser hold: gyro, oscilloscope, and the truth of a simulated bench.
+
+Values that came later have defaults here as well: a run that was saved without them can still be read.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal, Protocol
+
+from pydantic import Field
+
+from station.settings.parts import Finite, NotNegative, Positive, Section, SiteSettings
+
+Dbc = Annotated[float, Field(ge=-200, le=0)]
+
+
+class GyroSettings(Section):
+    """The gyro under test, as far as it is known beforehand."""
+
+    name: str
+    scale_factor_pulses_per_deg: Positive
+    expected_lock_in_rate_dps: Positive
+
+
+class ScopeSettings(Section):
+    """The oscilloscope and its input."""
+
+    resource: str
+    channel: Annotated[str, Field(pattern=r"^CH[1-4]$")]
+    quadrature_channel: Annotated[str, Field(pattern=r"^(CH[1-4])?$")] = ""
+    coupling: Literal["DC", "AC"]
+    probe: Literal[1, 10, 100, 1000]
+    bandwidth_limit: bool
+    baud_rate: Literal[0, 300, 600, 1200, 2400, 4800, 9600, 19200]
+
+
+class ContaminantSettings(Section):
+    """What spoils the measurement on a simulated bench; everything is absent unless it is named."""
+
+    second_harmonic_dbc: Dbc | None = None
+    third_harmonic_dbc: Dbc | None = None
+    bandwidth_hz: NotNegative = 0.0
+    ac_corner_hz: NotNegative = 0.0
+    gain_corner_hz: NotNegative = 0.0
+    cross_saturation: Annotated[float, Field(ge=0, lt=1)] = 0.5
+    backscatter_phase_sum_deg: Annotated[float, Field(gt=-170, lt=170)] = 0.0
+    single_beams: Annotated[float, Field(ge=0, le=10)] = 0.0
+    rate_ripple_dps: NotNegative = 0.0
+    rate_ripple_hz: NotNegative = 1.0
+    pump_ripple: Annotated[float, Field(ge=0, lt=1)] = 0.0
+    pump_ripple_hz: NotNegative = 100.0
+    scale_factor_error_ppm: Annotated[float, Field(gt=-1e6, lt=1e6)] = 0.0
+    scale_factor_drift_ppm_per_hour: Annotated[float, Field(gt=-1e6, lt=1e6)] = 0.0
+    quadrature_gain_error: Annotated[float, Field(gt=-1, lt=1)] = 0.0
+    quadrature_phase_error_deg: Annotated[float, Field(gt=-80, lt=80)] = 0.0
+
+
+class SimulationSettings(Section):
+    """The truth of a simulated bench."""
+
+    seed: Annotated[int, Field(ge=0)]
+    link: Literal["auto", "pty", "tcp"]
+    scope_model: str
+    lock_in_rate_dps: NotNegative
+    tilt_deg: Annotated[float, Field(ge=0, lt=90)]
+    backscatter_phase_deg: Finite
+    readout_phase_deg: Finite
+    amplitude_v: NotNegative
+    offset_v: Finite
+    detector_noise_v: NotNegative
+    scope_noise_levels: NotNegative
+    table_acceleration_dps2: Positive
+    contaminants: ContaminantSettings = ContaminantSettings()
+
+
+class TableMount(Protocol):
+    """The rate table, as the bench sees it."""
+
+    @property
+    def kind(self) -> Literal["simulated", "manual", "none"]:
+        """``"none"``: it turns already, and cannot be set."""
+
+    @property
+    def north_azimuth_deg(self) -> float:
+        """Table reading at which the horizontal part of the gyro's axis points north."""
+
+
+class BenchSettings(Protocol):
+    """What a bench is opened with: the part of a measurement's settings that it needs."""
+
+    @property
+    def gyro(self) -> GyroSettings:
+        """The gyro under test."""
+
+    @property
+    def site(self) -> SiteSettings:
+        """Where the bench stands."""
+
+    @property
+    def table(self) -> TableMount:
+        """The rate table."""
+
+    @property
+    def scope(self) -> ScopeSettings:
+        """The oscilloscope."""
+
+    @property
+    def simulation(self) -> SimulationSettings | None:
+        """The truth of a simulated bench; ``None`` on a real one."""
+
+    @property
+    def simulated(self) -> bool:
+        """Whether the bench is simulated."""
+
+    @property
+    def turning_dps(self) -> float:
+        """Rate in deg/s at which a simulated table turns from the beginning."""

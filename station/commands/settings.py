@@ -3,29 +3,35 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Literal
 
 import click
 
 from station.shell.ending import print_json
 from station.shell.options import config_option, json_option
 
+# file of defaults: the measurement that reads it
+_FILES = {"simulated": "measure", "bench": "measure", "dead_band": "deadband"}
+
 
 @click.command("settings")
-@click.argument("name", type=click.Choice(["simulated", "bench"]), default="simulated")
+@click.argument("name", type=click.Choice(list(_FILES)), default="simulated")
 @config_option
 @json_option
-def command(name: Literal["simulated", "bench"], config: Path | None, as_json: bool) -> int:
+def command(name: str, config: Path | None, as_json: bool) -> int:
     """Print a commented settings file to copy: `simulated` for the simulated bench, `bench` for a real one.
 
-    With --json, or with --config FILE, the values that would be used are printed instead of the file.
+    `dead_band` is that of `gyrolock deadband`. With --json, or with --config FILE, the values that would be used
+    are printed instead of the file.
     """
-    from station.lock_in.settings import default_settings, load_settings
-    from station.settings.load import shipped_settings
+    from station.measurements import measurement
+    from station.settings.load import load, shipped_settings
+    from station.settings.toml_files import read_toml
 
-    if config is not None or as_json:
-        settings = load_settings(config) if config is not None else default_settings(name)
-        print_json(settings.model_dump(mode="json"))
+    kind, shipped = measurement(_FILES[name]).kind, shipped_settings(name)
+    if config is not None:
+        print_json(load(kind, config).model_dump(mode="json"))
+    elif as_json:
+        print_json(kind.model.model_validate(read_toml(shipped)).model_dump(mode="json"))
     else:
-        click.echo(shipped_settings(name).read_text(encoding="utf-8"), nl=False)
+        click.echo(shipped.read_text(encoding="utf-8"), nl=False)
     return 0

@@ -20,7 +20,7 @@ A continued fraction gives the same to rounding and without the integral's narro
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from enum import IntFlag
 from typing import NamedTuple
 
@@ -73,7 +73,6 @@ class DeadBand:
         fitted
     noise_part : deg/s, share of the noise in the uncertainty
     flags : bits of `DeadBandFlag`
-    sentences : in plain words
     """
 
     lock_in_rate: float
@@ -90,7 +89,6 @@ class DeadBand:
     random_walk_u: float
     noise_part: float
     flags: int
-    sentences: tuple[str, ...]
 
 
 class Corner(NamedTuple):
@@ -166,7 +164,7 @@ def find_dead_band(
     half_hysteresis = 0.0 if np.isnan(hysteresis) else abs(hysteresis) / 2 / np.sqrt(3)
     flags |= DeadBandFlag.HYSTERESIS if abs(hysteresis) > 3 * hysteresis_u else 0
     flags |= (0 if both else DeadBandFlag.ONE_SENSE) | (DeadBandFlag.ROUNDED if noise_part else 0)
-    band = DeadBand(
+    return DeadBand(
         lock_in_rate=value,
         lock_in_rate_u=float(np.sqrt(steps_u**2 + half_hysteresis**2 + noise_part**2)),
         edges=edges,
@@ -181,9 +179,7 @@ def find_dead_band(
         random_walk_u=corner.random_walk_u,
         noise_part=noise_part,
         flags=int(flags),
-        sentences=(),
     )
-    return replace(band, sentences=_words(band))
 
 
 def _checked(
@@ -271,29 +267,6 @@ def _corner(rates: Floats, pulses: Floats, dwell: float, scale_factor: float, st
     us = np.sqrt(np.diagonal(inverse @ (jacobian.T * spread) @ jacobian @ inverse))
     walk = float(np.exp(fit.x[2])) * usual_walk
     return Corner(float(fit.x[0]) * start, float(us[0]) * start, walk, walk * float(us[2]))
-
-
-def _words(band: DeadBand) -> tuple[str, ...]:
-    half = np.nanmax(band.edge_half_widths)
-    sentences = [
-        f"The dead band ends at {band.lock_in_rate:.5g} ± {band.lock_in_rate_u:.2g} deg/s (k = 1); an edge is "
-        f"known to ± {half:.2g} deg/s by the steps of the table."
-    ]
-    corner = (
-        f"the whole corner fits a lock-in rate of {band.corner_rate:.5g} ± {band.corner_rate_u:.2g} deg/s with a "
-        f"random walk of {60 * band.random_walk:.2g} deg/sqrt(h)"
-    )
-    texts = {
-        DeadBandFlag.ONE_SENSE: "Only one sense was swept: bias and earth rate are in this number.",
-        DeadBandFlag.HYSTERESIS: f"Pulses end {band.hysteresis:.2g} deg/s below the rate at which they begin; "
-        "that is part of the uncertainty, and no single lock-in rate fits both ways.",
-        DeadBandFlag.ROUNDED: f"Noise lets the gyro slip inside the band: {corner}.",
-        DeadBandFlag.NO_SILENT_RATE: "On some branch no rate was silent: take smaller steps about zero.",
-        DeadBandFlag.NO_PULSES: "On some branch no rate gave pulses: sweep further.",
-        DeadBandFlag.PULSES_INSIDE: "Silent rates lie beyond the first one with pulses: noise, or a table that "
-        "does not hold its rate.",
-    }
-    return (*sentences, *(text for bit, text in texts.items() if band.flags & bit))
 
 
 def rounded_pulse_rate(

@@ -22,6 +22,7 @@ _TRACEBACK_VARIABLE = "GYROLOCK_TRACEBACK"
 COMMANDS = {
     "measure": ("lock_in.command:measure", "Measure the lock-in rate: acquire, save, analyse, report."),
     "acquire": ("lock_in.command:acquire", "Acquire and save records only."),
+    "deadband": ("dead_band.command:command", "Search the dead band: sweep the rate through zero, up and down."),
     "analyze": (
         "commands.analyze:command",
         "Evaluate saved runs of any kind again, and Tektronix files.",

@@ -84,6 +84,7 @@ class Measurement(Generic[S, F]):
 # what a run is marked with: the module that holds MEASUREMENT
 MEASUREMENTS = {
     "measure": "station.lock_in.measurement",
+    "deadband": "station.dead_band.measurement",
     "table": "station.fibre_gyro.table.measurement",
     "selfcal": "station.fibre_gyro.selfcal.measurement",
     "eps": "station.fibre_gyro.eps.measurement",

@@ -88,7 +88,6 @@ def test_hysteresis_is_found_and_paid_for():
     assert band.hysteresis == pytest.approx(0.2 * WL, abs=0.0025)
     assert band.lock_in_rate == pytest.approx(0.9 * WL, abs=0.002)
     assert band.lock_in_rate_u > band.hysteresis / 2 / np.sqrt(3) > 0.0023
-    assert "below the rate at which they begin" in band.sentences[1]
 
 
 def test_noise_moves_the_edges_and_the_corner_shows_it():
@@ -107,7 +106,6 @@ def test_noise_moves_the_edges_and_the_corner_shows_it():
         walks.append(band.random_walk)
     assert np.sqrt(np.mean(np.square(corners))) < 2 * np.mean(us) < 4e-3 * WL
     assert np.mean(walks) == pytest.approx(3e-4, rel=0.05)
-    assert "whole corner" in " ".join(band.sentences)
 
 
 def test_a_criterion_of_more_pulses_ends_the_band_later():

@@ -95,7 +95,9 @@ class Client:
             for name in ("CURVE?", "TRIGGER:STATE?", "ACQUIRE:STATE?")
         }
         positions = iter(range(1000))
-        found["a setting"] = self.cost(lambda: self.write(f"CH1:POSITION {next(positions) % 9 / 100 - 1.2:g}"), repeats)
+        found["a setting"] = self.cost(
+            lambda: self.write(f"CH1:POSITION {next(positions) % 9 / 100 - 1.2:g}"), repeats
+        )
         if self.ask("TRIGGER:MAIN:MODE?").strip() == b"AUTO":
             found["a single"] = self.cost(self.single, repeats)
         return found
@@ -141,7 +143,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
                     continue
                 over = cost.largest > LIMITS_MS.get(column, np.inf)
                 too_slow += over
-                cells.append(f"{cost.median:.2f} / {cost.largest:.2f}{' !' if over else ''} ({cost.median / unit:.0f})")
+                cells.append(
+                    f"{cost.median:.2f} / {cost.largest:.2f}{' !' if over else ''} ({cost.median / unit:.0f})"
+                )
             out(f"| {mode} | {base:g} | {' | '.join(cells)} |\n")
             sys.stdout.flush()
     out(f"\n{too_slow} of them above the limit: {LIMITS_MS} ms\n")

@@ -108,10 +108,15 @@ def _pieces(gyro: Gyro, segment: Motion, times: Floats) -> int:
     span = float(times.max() - times.min())
     if segment.acceleration_dps2 != 0.0 or span <= 0.0:
         return times.size
-    _, orders, _ = _frequency_series(gyro, *_turning(segment))
+    return max(1, math.ceil(_fastest_swing(gyro, *_turning(segment)) * span / _RADIANS_A_PIECE))
+
+
+@lru_cache(maxsize=64)
+def _fastest_swing(gyro: Gyro, table_rate_dps: float, resting_at_deg: float | None) -> float:
+    """Of all terms of the beat frequency, rad/s."""
+    _, orders, _ = _frequency_series(gyro, table_rate_dps, resting_at_deg)
     turn, ripple = np.abs(orders).max(axis=0, initial=1.0)
-    fastest = turn * math.radians(abs(segment.rate_dps)) + ripple * 2 * np.pi * gyro.ripple_hz
-    return max(1, math.ceil(fastest * span / _RADIANS_A_PIECE))
+    return float(turn * math.radians(abs(table_rate_dps)) + ripple * 2 * np.pi * gyro.ripple_hz)
 
 
 def _rate(gyro: Gyro, segment: Motion, times: Floats) -> Floats:

@@ -24,13 +24,14 @@ from instrument.simulated.faults import Faults
 from instrument.simulated.front_end.frontend import (
     Floats,
     Signal,
-    evaluate,
+    gain,
     ground,
-    low_pass,
-    shown_volts,
+    shown_noise,
+    shown_smooth,
     slow_part,
 )
-from instrument.simulated.front_end.trigger import HYSTERESIS, EdgeSearch, PulseSearch
+from instrument.simulated.front_end.smooth import SmoothAndNoise
+from instrument.simulated.front_end.trigger import HYSTERESIS, Comparator, EdgeSearch, PulseSearch
 from instrument.simulated.front_end.video_trigger import VideoSearch
 from instrument.simulated.panel.panel import (
     ChannelSettings,
@@ -48,6 +49,7 @@ LOW_FREQUENCY_REJECT = 1 / (2 * math.pi * 300e3)  # s
 MAINS_FREQUENCY = 50.0  # Hz, of the trigger source AC LINE
 _FORGET_AFTER = 3  # acquisition times; of a longer silence only the end is simulated
 _LONGEST_SEARCH_STEP = 20e-6  # s; the comparator is faster than the samples of a slow sweep
+_EXTERNAL = ChannelSettings(1.0, 0.0, "DC", 1.0, limited=False, inverted=False)
 _SHORTEST_POLL, _LONGEST_POLL = 1e-3, 0.1  # s between two looks for a trigger while somebody waits
 
 
@@ -205,23 +207,7 @@ class Acquisition:
 
     def trigger_signal(self, trigger: TriggerSettings, times: Floats) -> Floats:
         """Volts that the trigger comparator sees at absolute times in s."""
-        source = trigger.source
-        if source in ("AC LINE", "LINE"):
-            return np.sin(2 * math.pi * MAINS_FREQUENCY * times)
-        signal, gain = self.signal(source), 1.0
-        at_input, blocked = signal, False
-        if source in self._panel.model.channel_names:
-            channel = self._panel.channel(source)
-            signal, blocked = partial(shown_volts, signal, channel), channel.coupling != "DC"
-            gain = -channel.probe if channel.inverted else channel.probe
-        match trigger.coupling:
-            case "HFREJ":
-                return evaluate(low_pass(signal, HIGH_FREQUENCY_REJECT), times)
-            case "LFREJ":
-                return evaluate(signal, times) - evaluate(low_pass(signal, LOW_FREQUENCY_REJECT), times)
-            case "AC" if not blocked:
-                return evaluate(signal, times) - gain * slow_part(at_input, times)
-        return evaluate(signal, times)
+        return self._comparator(trigger, float(times[0]), float(times[-1]))(times)
 
     def signal(self, name: str) -> Signal:
         """Signal at the input of `CH1` and so on; 0 is the EXT TRIG input."""
@@ -272,11 +258,11 @@ class Acquisition:
             until = min(now, self._auto_at)
             match trigger.kind:
                 case "EDGE":
-                    edge = self._edge_search(trigger).advance(until, step)
+                    edge = self._edge_search(trigger, until).advance(until, step)
                 case "PULSE":
-                    edge = self._pulse_search(trigger).advance(until, step)
+                    edge = self._pulse_search(trigger, until).advance(until, step)
                 case "VIDEO":
-                    edge = self._video_search(trigger).advance(until)
+                    edge = self._video_search(trigger, until).advance(until)
         if edge is not None:
             self._trigger(edge, forced=False)
         elif now >= self._auto_at:
@@ -285,34 +271,63 @@ class Acquisition:
     def _step(self) -> float:
         return self._panel.seconds_per_division / POINTS_PER_DIVISION
 
-    def _edge_search(self, trigger: TriggerSettings) -> EdgeSearch:
+    def _comparator(self, trigger: TriggerSettings, start: float, stop: float) -> Comparator:
+        """The trigger signal between two absolute times in s."""
+        source = trigger.source
+        if source in ("AC LINE", "LINE"):
+            return Comparator(lambda times: np.sin(2 * math.pi * MAINS_FREQUENCY * times))
+        signal, channel = self.signal(source), _EXTERNAL
+        if source in self._panel.model.channel_names:
+            channel = self._panel.channel(source)
+        shown = partial(shown_smooth, signal, channel)
+
+        def smooth(times: Floats) -> Floats:
+            match trigger.coupling:
+                case "HFREJ":
+                    return shown(times, HIGH_FREQUENCY_REJECT)
+                case "LFREJ":
+                    return shown(times) - shown(times, LOW_FREQUENCY_REJECT)
+                case "AC" if channel.coupling == "DC":
+                    return shown(times) - gain(channel) * slow_part(signal, times)
+            return shown(times)
+
+        if not isinstance(signal, SmoothAndNoise) or channel.coupling == "GND":
+            return Comparator(smooth)
+        return Comparator(
+            smooth,
+            noise=partial(shown_noise, signal, channel),
+            noise_rms=abs(gain(channel)) * signal.noise_rms,
+            interval=signal.interval(start, stop),
+        )
+
+    def _edge_search(self, trigger: TriggerSettings, until: float) -> EdgeSearch:
         """The search of this acquisition, with the level of now."""
         search = self._search
         if not isinstance(search, EdgeSearch):
-            search = self._search = EdgeSearch(lambda times: times, 0.0, True, 0.0, self._ready_at)
-        search.volts_at = lambda times: self.trigger_signal(trigger, times)
+            search = self._search = EdgeSearch(Comparator(ground), 0.0, True, 0.0, self._ready_at)
+        search.volts_at = self._comparator(trigger, search.searched_until, until)
         search.level, search.rising = trigger.level, trigger.slope == "RISE"
         search.hysteresis = self._hysteresis(trigger)
         return search
 
-    def _pulse_search(self, trigger: TriggerSettings) -> PulseSearch:
+    def _pulse_search(self, trigger: TriggerSettings, until: float) -> PulseSearch:
         """The search of this acquisition for a pulse, with the settings of now."""
         search = self._search
         if not isinstance(search, PulseSearch):
-            search = self._search = PulseSearch(trigger, lambda times: times, 0.0, self._ready_at)
+            search = self._search = PulseSearch(trigger, ground, 0.0, self._ready_at)
         search.trigger, search.hysteresis = trigger, self._hysteresis(trigger)
-        search.volts_at = lambda times: self.trigger_signal(trigger, times)
+        search.volts_at = self._comparator(trigger, search.searched_until, until)
         return search
 
-    def _video_search(self, trigger: TriggerSettings) -> VideoSearch:
+    def _video_search(self, trigger: TriggerSettings, until: float) -> VideoSearch:
         """The search of this acquisition for a sync pulse, with the settings of now."""
         search = self._search
         if not isinstance(search, VideoSearch) or search.trigger != trigger:
             since = search.searched_until if search is not None else self._ready_at
-            search = self._search = VideoSearch(trigger, lambda times: times, 0.0, since)
+            search = self._search = VideoSearch(trigger, ground, 0.0, since)
         search.smallest = 2 * self._hysteresis(trigger)
         direct = replace(trigger, coupling="DC")  # the coupling belongs to the edge trigger
-        search.volts_at = lambda times: self.trigger_signal(direct, times)
+        search.volts_at = self._comparator(direct, search.searched_until, until)
         return search
 
     def _hysteresis(self, trigger: TriggerSettings) -> float:

@@ -7,12 +7,14 @@ A pulse triggers at its trailing edge, or when it has lasted too long (p. 159).
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
 from instrument.simulated.front_end.frontend import Floats
+from instrument.simulated.front_end.smooth import Between
 from instrument.simulated.panel.panel import TriggerSettings
 
 HYSTERESIS = 0.3  # divisions (a guess; the sensitivity is given as one division)
@@ -20,9 +22,38 @@ _FIRST_CHUNK = 1024
 _LONGEST_CHUNK = 16_384
 _MOST_POINTS = 60_000  # samples of one search, however long the time
 _REFINEMENTS = 3
+_MOST_NOISE = 6.5  # standard deviations; a sample of white noise is never further off
+_BEND = 0.25  # of the largest second difference: how far a signal may leave the straight line, twice over
+_FIRST_CELLS, _FEWEST_CELLS, _MOST_CELLS = 128, 5, 4096
 GUARD_BAND = 0.05  # of the width, p. 159
 SHORTEST_GUARD_BAND = 16.5e-9  # s
 _SAMPLES_A_WIDTH = 16  # of a search for pulses
+
+
+@dataclass(frozen=True)
+class Comparator:
+    """What the trigger comparator sees.
+
+    Attributes
+    ----------
+    smooth : callable
+        Volts at absolute times in s (rising).
+    noise : callable
+        What comes on top of it, V.
+    noise_rms : float
+        V in each sample.
+    interval : float
+        Distance in s of looks between which the smooth part does nothing unexpected; 0: not known.
+    """
+
+    smooth: Callable[[Floats], Floats]
+    noise: Callable[[Floats], Floats] = np.zeros_like
+    noise_rms: float = 0.0
+    interval: float = 0.0
+
+    def __call__(self, times: Floats) -> Floats:
+        """Volts at absolute times in s (rising)."""
+        return self.smooth(times) + self.noise(times)
 
 
 @dataclass
@@ -31,15 +62,15 @@ class EdgeSearch:
 
     Attributes
     ----------
-    volts_at : callable
-        Volts that the comparator sees at given absolute times (rising).
+    volts_at : Comparator
+        Volts at given absolute times.
     level, hysteresis : float
         In the same volts; negative edges are searched on the negated signal.
     searched_until : float
         Absolute time in s up to which there was no edge.
     """
 
-    volts_at: Callable[[Floats], Floats]
+    volts_at: Comparator
     level: float
     rising: bool
     hysteresis: float
@@ -52,6 +83,9 @@ class EdgeSearch:
         if span <= 0:
             return None
         step = max(step, span / _MOST_POINTS)
+        noise = _MOST_NOISE * self.volts_at.noise_rms
+        if self.volts_at.interval > 2 * step and noise < self.hysteresis:
+            return self._advance_coarsely(until, step, noise)
         size = _FIRST_CHUNK
         while self.searched_until < until:
             count = min(size, int((until - self.searched_until) / step) + 1)
@@ -64,10 +98,69 @@ class EdgeSearch:
             size = min(size * 4, _LONGEST_CHUNK)
         return None
 
+    def _advance_coarsely(self, until: float, step: float, noise: float) -> float | None:
+        """The same where looks far apart tell where the edge may be, and `noise` is as far as noise goes."""
+        interval, size = self.volts_at.interval, _FIRST_CELLS
+        while self.searched_until < until:
+            stop = min(until, self.searched_until + size * interval)
+            cells = max(_FEWEST_CELLS, math.ceil((stop - self.searched_until) / interval))
+            times = np.linspace(self.searched_until, stop, cells + 1)
+            edge = self._edge_among(times, step, noise) if stop - self.searched_until > step else None
+            if edge is not None:
+                return edge
+            self.searched_until = stop
+            size = min(4 * size, _MOST_CELLS)
+        return None
+
+    def _edge_among(self, times: Floats, step: float, noise: float) -> float | None:
+        """The edge between times so close together that the signal is nearly straight from one to the next."""
+        above = self._turned(self.volts_at.smooth(times) - self.level)
+        margin = noise + _BEND * float(np.abs(np.diff(above, 2)).max())
+        near = np.flatnonzero(np.maximum(above[1:], above[:-1]) >= -margin)  # cells in which it may cross
+        between = Between(float(times[0]), float(times[-1]), above)
+        begin = 0
+        while True:
+            if not self.armed:
+                below = above[begin:] < -self.hysteresis
+                first = int(below.argmax())
+                if not below[first]:
+                    return None
+                self.armed, begin = True, begin + first
+            at = int(np.searchsorted(near, begin))
+            if at == len(near):
+                return None
+            # some cells at a time: noise crosses early, or the smooth signal does soon
+            end = at
+            while end + 1 < len(near) and near[end + 1] == near[end] + 1 and above[near[end] + 1] < margin:
+                end += 1
+            begin, stop = int(near[at]), int(near[end]) + 1
+            edge = self._edge_near(between, float(times[begin]), float(times[stop]), step)
+            if edge is not None:
+                return edge
+            begin = stop
+
+    def _edge_near(self, between: Between, start: float, stop: float, step: float) -> float | None:
+        """The first edge in a short time, sample by sample with the noise."""
+
+        def above(times: Floats) -> Floats:
+            return between(times) + self._turned(self.volts_at.noise(times))
+
+        for first in np.arange(start, stop, _LONGEST_CHUNK * step):
+            times = first + step * np.arange(min(_LONGEST_CHUNK, math.ceil((stop - first) / step)) + 1)
+            times[-1] = min(times[-1], stop)
+            crossed = above(times) >= 0
+            index = int(crossed.argmax())
+            if crossed[index]:
+                return refine(above, float(times[max(index - 1, 0)]), float(times[index]))
+        return None
+
+    def _turned(self, volts: Floats) -> Floats:
+        """Volts with the sign in which the wanted edge rises."""
+        return volts if self.rising else -volts
+
     def _above(self, times: Floats) -> Floats:
         """Signal over the level, turned so that the wanted edge rises."""
-        above = self.volts_at(times) - self.level
-        return above if self.rising else -above
+        return self._turned(self.volts_at(times) - self.level)
 
     def _edge_in(self, times: Floats) -> float | None:
         above = self._above(times)

@@ -1,9 +1,10 @@
 """`python -m benchmarks.simulated_scope`: what one message costs the simulated scope, by time base and mode.
 
-The scope looks at the gyro of `config/simulated.toml` with its detector noise, at the slow rate, on a virtual clock.
-Each line is one time base in one mode. A client lets some time pass, as its own work would, then sends one message;
-the table gives the CPU time of the answer, the median and the largest of some, and what they are in transforms of
-2500 points (`rfft`) made in the same run. The benchmark fails if a largest number is above its limit.
+The scope looks at the gyro of `config/simulated.toml` with its detector noise, at the slow rate, on a virtual
+clock. Each line is one time base in one mode. A client lets some time pass, as its own work would, then sends one
+message; the table gives the CPU time of the answer, the median and the largest of some, and what they are in
+transforms of 2500 points (`rfft`) made in the same run. It fails if a median is above its limit: on a busy machine
+the largest one tells of the machine.
 """
 
 from __future__ import annotations
@@ -121,7 +122,7 @@ def transform_ms() -> float:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Print the table; 1 if a message costs more than its limit."""
+    """Print the table; 1 if a message usually costs more than its limit."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--repeats", type=int, default=12, help="messages of each kind (default 12)")
     parser.add_argument("--mode", choices=[*MODES, "gyro with filters"], action="append", help="only this one")
@@ -141,7 +142,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 if cost is None:
                     cells.append("")
                     continue
-                over = cost.largest > LIMITS_MS.get(column, np.inf)
+                over = cost.median > LIMITS_MS.get(column, np.inf)
                 too_slow += over
                 cells.append(
                     f"{cost.median:.2f} / {cost.largest:.2f}{' !' if over else ''} ({cost.median / unit:.0f})"

@@ -75,8 +75,8 @@ def axis_rate_on_table(gyro: Gyro, motion: Sequence[Motion], times: Floats) -> F
 def _rate_and_advance(gyro: Gyro, motion: tuple[Motion, ...], number: int, times: Floats) -> Floats:
     """Rate on the axis and advance of psi since the start of a segment, (2, n).
 
-    Both follow the turn of the table and the ripple, far slower than the samples of a record: they are worked out at
-    a few Chebyshev points and interpolated, to rounding.
+    Both follow the turn of the table and the ripple, far slower than the samples of a record: they are worked out
+    at a few Chebyshev points and interpolated, to rounding.
     """
 
     def exact(at: Floats) -> Floats:

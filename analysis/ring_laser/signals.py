@@ -112,8 +112,8 @@ class NoisySignal:
     stream : int
         Another number, another noise: one for each channel.
     interval : callable
-        Two absolute times in s -> the distance in s of points between which polynomials of the fifth degree give the
-        smooth part; 0 where that is not known.
+        Two absolute times in s -> the distance in s of points between which polynomials of the fifth degree give
+        the smooth part; 0 where that is not known.
     """
 
     smooth: Callable[[Floats], Floats]

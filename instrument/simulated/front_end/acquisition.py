@@ -30,7 +30,7 @@ from instrument.simulated.front_end.frontend import (
     shown_smooth,
     slow_part,
 )
-from instrument.simulated.front_end.smooth import SmoothAndNoise
+from instrument.simulated.front_end.smooth import tells_its_noise
 from instrument.simulated.front_end.trigger import HYSTERESIS, Comparator, EdgeSearch, PulseSearch
 from instrument.simulated.front_end.video_trigger import VideoSearch
 from instrument.simulated.panel.panel import (
@@ -47,6 +47,7 @@ PEAK_DETECT_FROM = 5e-6  # s/div; faster sweeps sample without saying so, p. 76
 HIGH_FREQUENCY_REJECT = 1 / (2 * math.pi * 80e3)  # s, p. 101
 LOW_FREQUENCY_REJECT = 1 / (2 * math.pi * 300e3)  # s
 MAINS_FREQUENCY = 50.0  # Hz, of the trigger source AC LINE
+_FORGET_WAITS = 0.9  # what one acquisition leaves of the longest wait for a trigger
 _FORGET_AFTER = 3  # acquisition times; of a longer silence only the end is simulated
 _LONGEST_SEARCH_STEP = 20e-6  # s; the comparator is faster than the samples of a slow sweep
 _EXTERNAL = ChannelSettings(1.0, 0.0, "DC", 1.0, limited=False, inverted=False)
@@ -102,6 +103,7 @@ class Acquisition:
         self._signals = dict(signals)
         self._jitter = np.random.default_rng([seed, 0x7161])
         self._numbers = itertools.count(1)
+        self._compared: tuple[tuple[str, str, ChannelSettings], Comparator] | None = None
         self.record: Record | None = None
         self.acquisitions = 0  # ACQuire:NUMACq?
         self.restart()
@@ -172,6 +174,7 @@ class Acquisition:
     def restart(self) -> None:
         """Begin anew with the settings of now (a setting changed, or STATE RUN)."""
         self._averaged: deque[float] = deque(maxlen=128)
+        self._usual_wait = 0.0
         self._untriggered = False
         self.acquisitions = 0
         self._scan_number = next(self._numbers)
@@ -207,7 +210,7 @@ class Acquisition:
 
     def trigger_signal(self, trigger: TriggerSettings, times: Floats) -> Floats:
         """Volts that the trigger comparator sees at absolute times in s."""
-        return self._comparator(trigger, float(times[0]), float(times[-1]))(times)
+        return self._comparator(trigger)(times)
 
     def signal(self, name: str) -> Signal:
         """Signal at the input of `CH1` and so on; 0 is the EXT TRIG input."""
@@ -238,13 +241,16 @@ class Acquisition:
 
         A trigger that was `waited` for longer than an acquisition takes is rare: then nothing is left out.
         """
-        cycle = DIVISIONS * self._panel.seconds_per_division + AUTO_WAIT + DEAD_TIME
+        sweep = DIVISIONS * self._panel.seconds_per_division + DEAD_TIME
+        cycle = sweep + AUTO_WAIT
+        self._usual_wait = max(waited, _FORGET_WAITS * self._usual_wait)
         wanted = _FORGET_AFTER
         if self._panel.text("ACQUIRE:MODE") == "AVERAGE":
             wanted += int(self._panel.number("ACQUIRE:NUMAVG"))
-        skipped = now - wanted * cycle - at
-        if skipped > cycle > waited and not self.single:
-            self.acquisitions += int(skipped / cycle)
+        usual = min(cycle, sweep + self._usual_wait)
+        skipped = now - wanted * usual - at
+        if skipped > usual and waited < cycle and not self.single:
+            self.acquisitions += int(skipped / usual)
             at += skipped
         self._arm(at)
 
@@ -258,11 +264,11 @@ class Acquisition:
             until = min(now, self._auto_at)
             match trigger.kind:
                 case "EDGE":
-                    edge = self._edge_search(trigger, until).advance(until, step)
+                    edge = self._edge_search(trigger).advance(until, step, now)
                 case "PULSE":
-                    edge = self._pulse_search(trigger, until).advance(until, step)
+                    edge = self._pulse_search(trigger).advance(until, step)
                 case "VIDEO":
-                    edge = self._video_search(trigger, until).advance(until)
+                    edge = self._video_search(trigger).advance(until)
         if edge is not None:
             self._trigger(edge, forced=False)
         elif now >= self._auto_at:
@@ -271,18 +277,24 @@ class Acquisition:
     def _step(self) -> float:
         return self._panel.seconds_per_division / POINTS_PER_DIVISION
 
-    def _comparator(self, trigger: TriggerSettings, start: float, stop: float) -> Comparator:
-        """The trigger signal between two absolute times in s."""
-        source = trigger.source
+    def _comparator(self, trigger: TriggerSettings) -> Comparator:
+        """The trigger signal; the same one as long as nothing changes it, so that it can keep what it has seen."""
+        channel = _EXTERNAL
+        if trigger.source in self._panel.model.channel_names:
+            channel = self._panel.channel(trigger.source)
+        key = (trigger.source, trigger.coupling, channel)
+        if self._compared is None or self._compared[0] != key:
+            self._compared = key, self._new_comparator(*key)
+        return self._compared[1]
+
+    def _new_comparator(self, source: str, coupling: str, channel: ChannelSettings) -> Comparator:
         if source in ("AC LINE", "LINE"):
             return Comparator(lambda times: np.sin(2 * math.pi * MAINS_FREQUENCY * times))
-        signal, channel = self.signal(source), _EXTERNAL
-        if source in self._panel.model.channel_names:
-            channel = self._panel.channel(source)
+        signal = self.signal(source)
         shown = partial(shown_smooth, signal, channel)
 
         def smooth(times: Floats) -> Floats:
-            match trigger.coupling:
+            match coupling:
                 case "HFREJ":
                     return shown(times, HIGH_FREQUENCY_REJECT)
                 case "LFREJ":
@@ -291,35 +303,31 @@ class Acquisition:
                     return shown(times) - gain(channel) * slow_part(signal, times)
             return shown(times)
 
-        if not isinstance(signal, SmoothAndNoise) or channel.coupling == "GND":
+        if not tells_its_noise(signal) or channel.coupling == "GND":
             return Comparator(smooth)
-        return Comparator(
-            smooth,
-            noise=partial(shown_noise, signal, channel),
-            noise_rms=abs(gain(channel)) * signal.noise_rms,
-            interval=signal.interval(start, stop),
-        )
+        noise = partial(shown_noise, signal, channel)
+        return Comparator(smooth, noise, abs(gain(channel)) * signal.noise_rms, signal.interval)
 
-    def _edge_search(self, trigger: TriggerSettings, until: float) -> EdgeSearch:
+    def _edge_search(self, trigger: TriggerSettings) -> EdgeSearch:
         """The search of this acquisition, with the level of now."""
         search = self._search
         if not isinstance(search, EdgeSearch):
             search = self._search = EdgeSearch(Comparator(ground), 0.0, True, 0.0, self._ready_at)
-        search.volts_at = self._comparator(trigger, search.searched_until, until)
+        search.volts_at = self._comparator(trigger)
         search.level, search.rising = trigger.level, trigger.slope == "RISE"
         search.hysteresis = self._hysteresis(trigger)
         return search
 
-    def _pulse_search(self, trigger: TriggerSettings, until: float) -> PulseSearch:
+    def _pulse_search(self, trigger: TriggerSettings) -> PulseSearch:
         """The search of this acquisition for a pulse, with the settings of now."""
         search = self._search
         if not isinstance(search, PulseSearch):
             search = self._search = PulseSearch(trigger, ground, 0.0, self._ready_at)
         search.trigger, search.hysteresis = trigger, self._hysteresis(trigger)
-        search.volts_at = self._comparator(trigger, search.searched_until, until)
+        search.volts_at = self._comparator(trigger)
         return search
 
-    def _video_search(self, trigger: TriggerSettings, until: float) -> VideoSearch:
+    def _video_search(self, trigger: TriggerSettings) -> VideoSearch:
         """The search of this acquisition for a sync pulse, with the settings of now."""
         search = self._search
         if not isinstance(search, VideoSearch) or search.trigger != trigger:
@@ -327,7 +335,7 @@ class Acquisition:
             search = self._search = VideoSearch(trigger, ground, 0.0, since)
         search.smallest = 2 * self._hysteresis(trigger)
         direct = replace(trigger, coupling="DC")  # the coupling belongs to the edge trigger
-        search.volts_at = self._comparator(direct, search.searched_until, until)
+        search.volts_at = self._comparator(direct)
         return search
 
     def _hysteresis(self, trigger: TriggerSettings) -> float:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Protocol, runtime_checkable
+from typing import Protocol, TypeGuard
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +21,6 @@ _WORTH = 2  # times fewer points on the grid than wanted, from which on it is ta
 _FOLLOWS = 0.05  # of the interval: a pole so fast only delays
 
 
-@runtime_checkable
 class SmoothAndNoise(Protocol):
     """A signal with white noise on a smooth part."""
 
@@ -40,6 +39,11 @@ class SmoothAndNoise(Protocol):
 
     def interval(self, start: float, stop: float, /) -> float:
         """Distance in s of points between which quintic polynomials give the smooth part; 0: not known."""
+
+
+def tells_its_noise(signal: Callable[[Floats], Floats]) -> TypeGuard[SmoothAndNoise]:
+    """Whether a signal has the attributes of `SmoothAndNoise` (this is asked often: not with all of them)."""
+    return hasattr(signal, "noise_rms")
 
 
 class Between:
@@ -108,11 +112,11 @@ class CoarseLook:
 
 def look(signal: Callable[[Floats], Floats], start: float, stop: float) -> Callable[[Floats], Floats]:
     """The signal without its noise, to be asked for absolute times between two."""
-    if isinstance(signal, SmoothAndNoise):
+    if tells_its_noise(signal):
         return CoarseLook(signal.smooth, signal.interval(start, stop))
     return signal
 
 
 def noise_of(signal: Callable[[Floats], Floats], times: Floats) -> Floats:
     """The noise that `look` leaves out, V."""
-    return signal.noise(times) if isinstance(signal, SmoothAndNoise) else np.zeros_like(times)
+    return signal.noise(times) if tells_its_noise(signal) else np.zeros_like(times)

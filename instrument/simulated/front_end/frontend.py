@@ -123,6 +123,11 @@ def gain(channel: ChannelSettings) -> float:
     return -channel.probe if channel.inverted else channel.probe
 
 
+def levels_per_volt(channel: ChannelSettings) -> float:
+    """Levels of the converter for a volt at the probe tip."""
+    return LEVELS_PER_DIVISION / channel.scale
+
+
 def slow_part(signal: Signal, times: Floats) -> Floats:
     """What the AC coupling takes away: the signal through a one-pole low-pass of 10 Hz.
 
@@ -186,7 +191,7 @@ def convert(volts: Floats, channel: ChannelSettings, noise: Floats | float = 0.0
     >>> convert(np.array([0.0, 0.5, 9.0, -9.0]), channel).tolist()
     [25, 50, 127, -127]
     """
-    levels = volts * (LEVELS_PER_DIVISION / channel.scale) + LEVELS_PER_DIVISION * channel.position
+    levels = volts * levels_per_volt(channel) + LEVELS_PER_DIVISION * channel.position
     levels += noise
     np.rint(levels, out=levels)
     return np.clip(levels, -HIGHEST_CODE, HIGHEST_CODE).astype(np.int8)

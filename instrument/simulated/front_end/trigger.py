@@ -46,7 +46,7 @@ class Stretch:
     """
 
     def __init__(self, smooth: Callable[[Floats], Floats], start: float, stop: float, interval: float) -> None:
-        self.times = np.linspace(start, stop, max(_FEWEST_CELLS, math.ceil((stop - start) / interval)) + 1)
+        self.times: Floats = np.linspace(start, stop, max(_FEWEST_CELLS, math.ceil((stop - start) / interval)) + 1)
         self.volts = smooth(self.times)
         self.between = Between(start, stop, self.volts)
         self.bend = _BEND * float(np.abs(np.diff(self.volts, 2)).max())
@@ -181,12 +181,12 @@ class EdgeSearch:
             return self._turned(between(times) + self.volts_at.noise(times) - self.level)
 
         # not before the smooth signal is so high that noise could do it
-        places = start + (stop - start) * _PLACES
+        places: Floats = start + (stop - start) * _PLACES
         possible = self._turned(between(places) - self.level) >= -noise
         first = float(places[max(int(possible.argmax()) - 1, 0)])
         size = _FIRST_CHUNK
         while first < stop:
-            times = first + step * np.arange(min(size, math.ceil((stop - first) / step)) + 1)
+            times = first + step * np.arange(min(size, math.ceil((stop - first) / step)) + 1, dtype=np.float64)
             times[-1] = min(times[-1], stop)
             crossed = above(times) >= 0
             index = int(crossed.argmax())

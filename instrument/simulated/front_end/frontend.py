@@ -28,7 +28,7 @@ _STRAIGHT = 0.02  # of all that was seen from peak to peak: how far a smooth sig
 _SETTLING = 5 / (2 * math.pi * AC_CORNER)  # s of history after which the coupling has forgotten
 _AC_RATES = (51_283.7, 47_013.1, 57_942.9)  # S/s for the slow part; a frequency can beat with one of them
 _AC_POINTS = 1 << 17
-_STEPS_AN_INTERVAL = 2  # of the grid on which a signal is smooth
+_INTERVALS_A_STEP = 2  # of the grid on which a signal is smooth
 
 
 def ground(times: Floats) -> Floats:
@@ -138,17 +138,18 @@ def slow_part(signal: Signal, times: Floats) -> Floats:
     """
     looked = look(signal, float(times[0]) - _SETTLING, float(times[-1]))
     if isinstance(looked, CoarseLook) and looked.interval > 0:
-        return _slow_part_on_grid(looked, times, _STEPS_AN_INTERVAL / looked.interval)
+        return _slow_part_on_grid(looked, times, 1 / (_INTERVALS_A_STEP * looked.interval))
     return np.asarray(np.median([_slow_part_on_grid(looked, times, rate) for rate in _AC_RATES], axis=0))
 
 
 def _slow_part_on_grid(signal: Signal, times: Floats, rate: float) -> Floats:
     start, stop = float(times[0]) - _SETTLING, float(times[-1])
-    step = 1 / rate
-    if rate in _AC_RATES:
-        step = max(step, (stop - start) / _AC_POINTS * _AC_RATES[0] / rate)
+    odd = _AC_RATES[0] / rate if rate in _AC_RATES else 1.0
+    step = max(1 / rate, (stop - start) / _AC_POINTS * odd)
     grid = start + step * np.arange(math.ceil((stop - start) / step) + 2, dtype=np.float64)
     volts = evaluate(signal, grid)
+    if isinstance(signal, CoarseLook):
+        volts[1:] = (volts[1:] + volts[:-1]) / 2  # straight lines between points that lie far apart
     gain = -math.expm1(-2 * math.pi * AC_CORNER * step)
     first = float(volts.mean()) if stop - start < 2 * _SETTLING else float(volts[: len(volts) // 8 + 1].mean())
     return np.interp(times, grid, smoothed(volts, gain, first))

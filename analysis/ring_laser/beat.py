@@ -22,6 +22,7 @@ from collections.abc import Sequence
 from functools import lru_cache
 
 import numpy as np
+from numpy.polynomial import chebyshev
 
 from analysis.arrays import Complexes, Floats
 from analysis.ring_laser.gyro import Gyro
@@ -32,6 +33,9 @@ _RIPPLE_PHASES = 64
 _SLEW_POINTS = 4097
 _REST_DPS = 1e-9
 _NEGLIGIBLE = 1e-13
+_RADIANS_A_PIECE = 2.0  # of the fastest swing; 12 Chebyshev points then leave less than rounding
+_NODES = np.cos(np.pi * (np.arange(12) + 0.5) / 12)[::-1]
+_TO_SERIES = np.linalg.inv(chebyshev.chebvander(_NODES, 11)).T
 
 
 def beat_phase_on_table(gyro: Gyro, motion: Sequence[Motion], times: Floats) -> tuple[Floats, Floats]:
@@ -55,9 +59,8 @@ def beat_phase_on_table(gyro: Gyro, motion: Sequence[Motion], times: Floats) -> 
     start_phases = _start_phases(gyro, segments)
     rates, phases = np.empty_like(times), np.empty_like(times)
     for number, inside in split(segments, times):
-        at = times[inside]
-        rates[inside] = _rate(gyro, segments[number], at)
-        phases[inside] = start_phases[number] + _advance(gyro, segments, number, at)
+        found = _rate_and_advance(gyro, segments, number, times[inside])
+        rates[inside], phases[inside] = found[0], start_phases[number] + found[1]
     return rates, phases
 
 
@@ -67,6 +70,53 @@ def axis_rate_on_table(gyro: Gyro, motion: Sequence[Motion], times: Floats) -> F
     for number, inside in split(segments, times):
         rates[inside] = _rate(gyro, segments[number], times[inside])
     return rates
+
+
+def _rate_and_advance(gyro: Gyro, motion: tuple[Motion, ...], number: int, times: Floats) -> Floats:
+    """Rate on the axis and advance of psi since the start of a segment, (2, n).
+
+    Both follow the turn of the table and the ripple, far slower than the samples of a record: they are worked out
+    at a few Chebyshev points and interpolated, to rounding.
+    """
+
+    def exact(at: Floats) -> Floats:
+        return np.stack([_rate(gyro, motion[number], at), _advance(gyro, motion, number, at)])
+
+    pieces = _pieces(gyro, motion[number], times)
+    if 2 * pieces * _NODES.size > times.size:
+        return exact(times)
+    first, last = float(times.min()), float(times.max())
+    half = (last - first) / (2 * pieces)
+    middles = first + half * (2 * np.arange(pieces) + 1)
+    at_nodes = exact((middles[:, np.newaxis] + half * _NODES).ravel()).reshape(2, pieces, _NODES.size)
+    # a straight line taken away: what is left is small, and so is its rounding
+    line = at_nodes[..., -1:] - at_nodes[..., :1], at_nodes.mean(axis=-1, keepdims=True)
+    slopes, means = line[0] / (_NODES[-1] - _NODES[0]), line[1]
+    coefficients = (at_nodes - means - slopes * _NODES) @ _TO_SERIES
+    found = np.empty((2, times.size))
+    which = np.minimum((times - first) / (2 * half), pieces - 1).astype(np.intp) if pieces > 1 else None
+    for piece in range(pieces):
+        inside = slice(None) if which is None else np.flatnonzero(which == piece)
+        place = (times[inside] - middles[piece]) / half
+        curve = chebyshev.chebval(place, coefficients[:, piece].T)
+        found[:, inside] = means[:, piece] + slopes[:, piece] * place + curve
+    return found
+
+
+def _pieces(gyro: Gyro, segment: Motion, times: Floats) -> int:
+    """Pieces of a span of time that are short beside the turn of the table and the ripple; many for a slew."""
+    span = float(times.max() - times.min())
+    if segment.acceleration_dps2 != 0.0 or span <= 0.0:
+        return times.size
+    return max(1, math.ceil(_fastest_swing(gyro, *_turning(segment)) * span / _RADIANS_A_PIECE))
+
+
+@lru_cache(maxsize=64)
+def _fastest_swing(gyro: Gyro, table_rate_dps: float, resting_at_deg: float | None) -> float:
+    """Of all terms of the beat frequency, rad/s."""
+    _, orders, _ = _frequency_series(gyro, table_rate_dps, resting_at_deg)
+    turn, ripple = np.abs(orders).max(axis=0, initial=1.0)
+    return float(turn * math.radians(abs(table_rate_dps)) + ripple * 2 * np.pi * gyro.ripple_hz)
 
 
 def _rate(gyro: Gyro, segment: Motion, times: Floats) -> Floats:
@@ -88,8 +138,7 @@ def _advance(gyro: Gyro, motion: tuple[Motion, ...], number: int, times: Floats)
     if segment.acceleration_dps2 != 0.0:
         return np.interp(times, *_slew_phase(gyro.without_winking(), segment, motion[number + 1].start))
     turn_rate = segment.rate_dps if abs(segment.rate_dps) >= _REST_DPS else 0.0
-    resting_at = segment.azimuth_deg % 360.0 if turn_rate == 0.0 else None
-    mean, orders, terms = _frequency_series(gyro, segment.rate_dps, resting_at)
+    mean, orders, terms = _frequency_series(gyro, *_turning(segment))
     elapsed = (times - segment.start)[:, np.newaxis]
     speeds = orders @ np.array([math.radians(turn_rate), 2 * np.pi * gyro.ripple_hz])
     at_start = [math.radians(segment.azimuth_deg % 360.0), float(gyro.ripple_phase(segment.start))]
@@ -100,6 +149,11 @@ def _advance(gyro: Gyro, motion: tuple[Motion, ...], number: int, times: Floats)
         moment = mean * elapsed[:, 0] ** 2 / 2 + (_first_moment(speeds, elapsed) @ begun).real
         cycles = cycles * (1.0 + growth * segment.start) + growth * moment
     return np.asarray(2 * np.pi * cycles)
+
+
+def _turning(segment: Motion) -> tuple[float, float | None]:
+    """Rate of a table that turns, and where one rests that does not."""
+    return segment.rate_dps, segment.azimuth_deg % 360.0 if abs(segment.rate_dps) < _REST_DPS else None
 
 
 def _integral(speeds: Floats, elapsed: Floats) -> Complexes:

@@ -108,9 +108,10 @@ class Gyro:
         fringe = 1j * (ratio - rotating) / np.where(at_threshold, 1.0, denominator)
         fringe = np.where(at_threshold, 1j, fringe)
         fringe = np.where(axis_rate < 0, np.conj(fringe), fringe)
-        if self.lock_in_rate > 0:
+        locked = self.locked(axis_rate)
+        if np.any(locked):
             sine = np.clip(axis_rate / self.lock_in_rate, -1.0, 1.0)
-            fringe = np.where(self.locked(axis_rate), np.exp(1j * np.arcsin(sine)), fringe)
+            fringe = np.where(locked, np.exp(1j * np.arcsin(sine)), fringe)
         return np.asarray(fringe, dtype=np.complex128)
 
     def without_winking(self) -> Gyro:

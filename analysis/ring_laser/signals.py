@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
@@ -15,6 +16,10 @@ from analysis.ring_laser.gyro import Gyro
 from analysis.ring_laser.motion import Motion, split
 
 _SAME_NOISE_S = 20e-6
+_POINTS_A_PERIOD = 6
+_NEGLIGIBLE = 1e-4  # harmonics below this share of the fundamental do not count
+_DISTORTED = 3.0  # the detector's cube makes three of one
+_SHARPEST = 0.9  # ratio of successive harmonics
 
 
 def beat_signal_on_table(gyro: Gyro, detector: Detector, motion: Sequence[Motion], times: Floats) -> Floats:
@@ -58,36 +63,87 @@ def _resting_volts(gyro: Gyro, detector: Detector, segment: Motion) -> float | N
     return float(detector_signal(gyro, detector, rate, np.zeros(1))[0])
 
 
+def smooth_interval(gyro: Gyro, detector: Detector, motion: Sequence[Motion], start: float, stop: float) -> float:
+    """Distance in s of points between which polynomials of the fifth degree give the signal of the detector.
+
+    They leave 1e-4 of its amplitude. 0 where the gyro locks or unlocks: there are no such points then.
+
+    Parameters
+    ----------
+    start, stop : float
+        Absolute times in s between which the signal is wanted.
+    """
+    segments = tuple(motion)
+    pieces = split(segments, np.array([start, stop]))
+    reached = segments[pieces[0][0] : pieces[-1][0] + 1]
+    return min(_smooth_interval(gyro, detector, segment) for segment in reached)
+
+
+@lru_cache(maxsize=64)
+def _smooth_interval(gyro: Gyro, detector: Detector, segment: Motion) -> float:
+    """Of one piece of motion: a number of points for each period of the fastest harmonic that counts."""
+    if _resting_volts(gyro, detector, segment) is not None:
+        return 1.0 / (_POINTS_A_PERIOD * max(detector.pump_hz, 1.0))
+    if segment.acceleration_dps2:
+        return 0.0
+    rates = gyro.axis_rate(segment.rate_dps, np.arange(0.0, 360.0, 10.0))
+    low, high = (float(limit(np.abs(rates))) for limit in (np.min, np.max))
+    low, high = low - abs(gyro.ripple_dps), high + abs(gyro.ripple_dps)
+    ratio = float(gyro.harmonic_ratio(np.array(low)))
+    if low <= gyro.lock_in_rate or ratio >= _SHARPEST or np.ptp(np.sign(rates)):
+        return 0.0
+    harmonics = _DISTORTED + (math.log(_NEGLIGIBLE) / math.log(ratio) if ratio > 0 else 0.0)
+    fastest = gyro.scale_factor * high * harmonics + abs(gyro.ripple_hz) + detector.pump_hz
+    return 1.0 / (_POINTS_A_PERIOD * fastest)
+
+
+@dataclass(frozen=True)
+class NoisySignal:
+    """A signal at an input with white noise: its two parts can be looked at one by one.
+
+    Attributes
+    ----------
+    smooth : callable
+        Absolute times in s -> V, without noise.
+    noise_rms : float
+        V in each sample.
+    seed : int
+        Not negative.
+    stream : int
+        Another number, another noise: one for each channel.
+    interval : callable
+        Two absolute times in s -> the distance in s of points between which polynomials of the fifth degree give
+        the smooth part; 0 where that is not known.
+    """
+
+    smooth: Callable[[Floats], Floats]
+    noise_rms: float
+    seed: int
+    stream: int = 0
+    interval: Callable[[float, float], float] = lambda start, stop: 0.0
+
+    def __call__(self, times: Floats) -> Floats:
+        """Volts at absolute times in s."""
+        return self.smooth(times) + self.noise(times)
+
+    def noise(self, times: Floats) -> Floats:
+        """The noise alone, V: another acquisition, another noise, the same for the same sample times."""
+        if self.noise_rms == 0 or times.size == 0:
+            return np.zeros(times.shape)
+        # an input stage that looks at delays of nanoseconds sees one noise
+        stamp = math.floor(float(times.flat[0]) / _SAME_NOISE_S) & (2**63 - 1)
+        words = [self.seed, stamp, times.size, self.stream] if self.stream else [self.seed, stamp, times.size]
+        return self.noise_rms * np.random.default_rng(words).standard_normal(times.shape)
+
+
 def with_detector_noise(
     signal: Callable[[Floats], Floats], rms: float, seed: int, stream: int = 0
 ) -> Callable[[Floats], Floats]:
     """Add white noise to a signal, the same for the same seed and the same sample times.
 
-    Parameters
-    ----------
-    signal : callable
-        Absolute times in s -> V.
-    rms : float
-        V in each sample.
-    seed : int
-        Not negative.
-    stream : int, optional
-        Another number, another noise: one for each channel.
-
     Returns
     -------
     callable
-        Absolute times in s -> V.
+        Absolute times in s -> V: a :class:`NoisySignal`, or `signal` itself without noise.
     """
-    if rms == 0:
-        return signal
-
-    def noisy(times: Floats) -> Floats:
-        if times.size == 0:
-            return signal(times)
-        # another acquisition, another noise; but an input stage that looks at delays of nanoseconds sees one noise
-        stamp = math.floor(float(times.flat[0]) / _SAME_NOISE_S) & (2**63 - 1)
-        rng = np.random.default_rng([seed, stamp, times.size, stream] if stream else [seed, stamp, times.size])
-        return signal(times) + rms * rng.standard_normal(times.shape)
-
-    return noisy
+    return NoisySignal(signal, rms, seed, stream) if rms else signal

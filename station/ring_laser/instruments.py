@@ -12,10 +12,11 @@ from numpy.typing import NDArray
 from analysis.ring_laser import (
     Detector,
     Gyro,
+    NoisySignal,
     Winking,
     axis_rate_on_table,
     beat_signal_on_table,
-    with_detector_noise,
+    smooth_interval,
 )
 from instrument.facts import POINTS
 from instrument.simulated import SimulatedRateTable, SimulatedTDS2014
@@ -181,7 +182,10 @@ def _signal(
     def silent(times: Array) -> Array:
         return beat_signal_on_table(gyro, detector, table.motion, times)
 
-    return with_detector_noise(silent, simulation.detector_noise_v, simulation.seed, channel)
+    def interval(start: float, stop: float) -> float:
+        return smooth_interval(gyro, detector, table.motion, start, stop)
+
+    return NoisySignal(silent, simulation.detector_noise_v, simulation.seed, channel, interval)
 
 
 def true_values(instruments: SimulatedInstruments) -> dict[str, float]:

@@ -24,13 +24,14 @@ from instrument.simulated.faults import Faults
 from instrument.simulated.front_end.frontend import (
     Floats,
     Signal,
-    evaluate,
+    gain,
     ground,
-    low_pass,
-    shown_volts,
+    shown_noise,
+    shown_smooth,
     slow_part,
 )
-from instrument.simulated.front_end.trigger import HYSTERESIS, EdgeSearch, PulseSearch
+from instrument.simulated.front_end.smooth import tells_its_noise
+from instrument.simulated.front_end.trigger import HYSTERESIS, Comparator, EdgeSearch, PulseSearch
 from instrument.simulated.front_end.video_trigger import VideoSearch
 from instrument.simulated.panel.panel import (
     ChannelSettings,
@@ -46,8 +47,10 @@ PEAK_DETECT_FROM = 5e-6  # s/div; faster sweeps sample without saying so, p. 76
 HIGH_FREQUENCY_REJECT = 1 / (2 * math.pi * 80e3)  # s, p. 101
 LOW_FREQUENCY_REJECT = 1 / (2 * math.pi * 300e3)  # s
 MAINS_FREQUENCY = 50.0  # Hz, of the trigger source AC LINE
-_FORGET_AFTER = 3  # acquisition times; of a longer silence only the end is simulated
+_FORGET_WAITS = 0.9  # what one acquisition leaves of the longest wait for a trigger
+_FORGET_AFTER = 2  # acquisition times; of a longer silence only the end is simulated
 _LONGEST_SEARCH_STEP = 20e-6  # s; the comparator is faster than the samples of a slow sweep
+_EXTERNAL = ChannelSettings(1.0, 0.0, "DC", 1.0, limited=False, inverted=False)
 _SHORTEST_POLL, _LONGEST_POLL = 1e-3, 0.1  # s between two looks for a trigger while somebody waits
 
 
@@ -100,6 +103,7 @@ class Acquisition:
         self._signals = dict(signals)
         self._jitter = np.random.default_rng([seed, 0x7161])
         self._numbers = itertools.count(1)
+        self._compared: tuple[tuple[str, str, ChannelSettings], Comparator] | None = None
         self.record: Record | None = None
         self.acquisitions = 0  # ACQuire:NUMACq?
         self.restart()
@@ -170,6 +174,7 @@ class Acquisition:
     def restart(self) -> None:
         """Begin anew with the settings of now (a setting changed, or STATE RUN)."""
         self._averaged: deque[float] = deque(maxlen=128)
+        self._usual_wait = 0.0
         self._untriggered = False
         self.acquisitions = 0
         self._scan_number = next(self._numbers)
@@ -205,23 +210,7 @@ class Acquisition:
 
     def trigger_signal(self, trigger: TriggerSettings, times: Floats) -> Floats:
         """Volts that the trigger comparator sees at absolute times in s."""
-        source = trigger.source
-        if source in ("AC LINE", "LINE"):
-            return np.sin(2 * math.pi * MAINS_FREQUENCY * times)
-        signal, gain = self.signal(source), 1.0
-        at_input, blocked = signal, False
-        if source in self._panel.model.channel_names:
-            channel = self._panel.channel(source)
-            signal, blocked = partial(shown_volts, signal, channel), channel.coupling != "DC"
-            gain = -channel.probe if channel.inverted else channel.probe
-        match trigger.coupling:
-            case "HFREJ":
-                return evaluate(low_pass(signal, HIGH_FREQUENCY_REJECT), times)
-            case "LFREJ":
-                return evaluate(signal, times) - evaluate(low_pass(signal, LOW_FREQUENCY_REJECT), times)
-            case "AC" if not blocked:
-                return evaluate(signal, times) - gain * slow_part(at_input, times)
-        return evaluate(signal, times)
+        return self._comparator(trigger)(times)
 
     def signal(self, name: str) -> Signal:
         """Signal at the input of `CH1` and so on; 0 is the EXT TRIG input."""
@@ -252,13 +241,16 @@ class Acquisition:
 
         A trigger that was `waited` for longer than an acquisition takes is rare: then nothing is left out.
         """
-        cycle = DIVISIONS * self._panel.seconds_per_division + AUTO_WAIT + DEAD_TIME
+        sweep = DIVISIONS * self._panel.seconds_per_division + DEAD_TIME
+        cycle = sweep + AUTO_WAIT
+        self._usual_wait = max(waited, _FORGET_WAITS * self._usual_wait)
         wanted = _FORGET_AFTER
         if self._panel.text("ACQUIRE:MODE") == "AVERAGE":
             wanted += int(self._panel.number("ACQUIRE:NUMAVG"))
-        skipped = now - wanted * cycle - at
-        if skipped > cycle > waited and not self.single:
-            self.acquisitions += int(skipped / cycle)
+        usual = min(cycle, sweep + self._usual_wait)
+        skipped = now - wanted * usual - at
+        if skipped > usual and waited < cycle and not self.single:
+            self.acquisitions += int(skipped / usual)
             at += skipped
         self._arm(at)
 
@@ -272,7 +264,7 @@ class Acquisition:
             until = min(now, self._auto_at)
             match trigger.kind:
                 case "EDGE":
-                    edge = self._edge_search(trigger).advance(until, step)
+                    edge = self._edge_search(trigger).advance(until, step, now)
                 case "PULSE":
                     edge = self._pulse_search(trigger).advance(until, step)
                 case "VIDEO":
@@ -285,12 +277,43 @@ class Acquisition:
     def _step(self) -> float:
         return self._panel.seconds_per_division / POINTS_PER_DIVISION
 
+    def _comparator(self, trigger: TriggerSettings) -> Comparator:
+        """The trigger signal; the same one as long as nothing changes it, so that it can keep what it has seen."""
+        channel = _EXTERNAL
+        if trigger.source in self._panel.model.channel_names:
+            channel = self._panel.channel(trigger.source)
+        key = (trigger.source, trigger.coupling, channel)
+        if self._compared is None or self._compared[0] != key:
+            self._compared = key, self._new_comparator(*key)
+        return self._compared[1]
+
+    def _new_comparator(self, source: str, coupling: str, channel: ChannelSettings) -> Comparator:
+        if source in ("AC LINE", "LINE"):
+            return Comparator(lambda times: np.sin(2 * math.pi * MAINS_FREQUENCY * times))
+        signal = self.signal(source)
+        shown = partial(shown_smooth, signal, channel)
+
+        def smooth(times: Floats) -> Floats:
+            match coupling:
+                case "HFREJ":
+                    return shown(times, HIGH_FREQUENCY_REJECT)
+                case "LFREJ":
+                    return shown(times) - shown(times, LOW_FREQUENCY_REJECT)
+                case "AC" if channel.coupling == "DC":
+                    return shown(times) - gain(channel) * slow_part(signal, times)
+            return shown(times)
+
+        if not tells_its_noise(signal) or channel.coupling == "GND":
+            return Comparator(smooth)
+        noise = partial(shown_noise, signal, channel)
+        return Comparator(smooth, noise, abs(gain(channel)) * signal.noise_rms, signal.interval)
+
     def _edge_search(self, trigger: TriggerSettings) -> EdgeSearch:
         """The search of this acquisition, with the level of now."""
         search = self._search
         if not isinstance(search, EdgeSearch):
-            search = self._search = EdgeSearch(lambda times: times, 0.0, True, 0.0, self._ready_at)
-        search.volts_at = lambda times: self.trigger_signal(trigger, times)
+            search = self._search = EdgeSearch(Comparator(ground), 0.0, True, 0.0, self._ready_at)
+        search.volts_at = self._comparator(trigger)
         search.level, search.rising = trigger.level, trigger.slope == "RISE"
         search.hysteresis = self._hysteresis(trigger)
         return search
@@ -299,9 +322,9 @@ class Acquisition:
         """The search of this acquisition for a pulse, with the settings of now."""
         search = self._search
         if not isinstance(search, PulseSearch):
-            search = self._search = PulseSearch(trigger, lambda times: times, 0.0, self._ready_at)
+            search = self._search = PulseSearch(trigger, ground, 0.0, self._ready_at)
         search.trigger, search.hysteresis = trigger, self._hysteresis(trigger)
-        search.volts_at = lambda times: self.trigger_signal(trigger, times)
+        search.volts_at = self._comparator(trigger)
         return search
 
     def _video_search(self, trigger: TriggerSettings) -> VideoSearch:
@@ -309,10 +332,10 @@ class Acquisition:
         search = self._search
         if not isinstance(search, VideoSearch) or search.trigger != trigger:
             since = search.searched_until if search is not None else self._ready_at
-            search = self._search = VideoSearch(trigger, lambda times: times, 0.0, since)
+            search = self._search = VideoSearch(trigger, ground, 0.0, since)
         search.smallest = 2 * self._hysteresis(trigger)
         direct = replace(trigger, coupling="DC")  # the coupling belongs to the edge trigger
-        search.volts_at = lambda times: self.trigger_signal(direct, times)
+        search.volts_at = self._comparator(direct)
         return search
 
     def _hysteresis(self, trigger: TriggerSettings) -> float:

@@ -11,7 +11,17 @@ import numpy as np
 
 from instrument.facts import NO_DATA, POINTS, POINTS_PER_DIVISION
 from instrument.simulated.front_end.acquisition import Record
-from instrument.simulated.front_end.frontend import Codes, Floats, Signal, convert, shown_volts
+from instrument.simulated.front_end.frontend import (
+    Codes,
+    Floats,
+    Signal,
+    convert,
+    gain,
+    levels_per_volt,
+    shown_smooth,
+    shown_volts,
+)
+from instrument.simulated.front_end.smooth import tells_its_noise
 from instrument.simulated.panel.panel import ChannelSettings
 
 _PEAK_RATE = 100e6  # S/s at which Peak Detect looks for the smallest and the largest sample
@@ -35,6 +45,7 @@ class Digitizer:
 
     def __init__(self, signal: Callable[[str], Signal], noise_levels: float, seed: int) -> None:
         self._signal, self._noise_levels, self._seed = signal, noise_levels, seed
+        self._averaged: dict[str, tuple[tuple[float, ChannelSettings], dict[float, Floats]]] = {}
         self._kept: OrderedDict[tuple[int, float, str], Codes] = OrderedDict()
 
     def codes(self, record: Record, name: str) -> Codes:
@@ -61,26 +72,55 @@ class Digitizer:
             return self._scan(record, name, channel)
         if record.mode == "PEAKDETECT":
             return self._peaks(record, name, channel)
-        times = record.xincr * np.arange(POINTS, dtype=np.float64)
-        volts = np.zeros(POINTS)
-        for start in record.starts:
-            volts = volts + shown_volts(self._signal(name), channel, start + times)
         count = len(record.starts)
         noise = self._noise(record.number, name, POINTS) / np.sqrt(count)
-        return convert(volts / count, channel, noise)
+        return convert(self._mean(record, name, channel), channel, noise)
+
+    def _mean(self, record: Record, name: str, channel: ChannelSettings) -> Floats:
+        """Mean volts of the acquisitions of a record; those that the last average had, too, are kept."""
+        times = record.xincr * np.arange(POINTS, dtype=np.float64)
+        signal = self._signal(name)
+        if len(record.starts) == 1:
+            return shown_volts(signal, channel, record.starts[0] + times)
+        settings = (record.xincr, channel)
+        known, looks = self._averaged.get(name, (settings, {}))
+        if known != settings:
+            looks = {}
+        looks = {
+            start: looks[start] if start in looks else shown_volts(signal, channel, start + times)
+            for start in record.starts
+        }
+        self._averaged[name] = settings, looks
+        return np.asarray(np.mean(list(looks.values()), axis=0))
 
     def _peaks(self, record: Record, name: str, channel: ChannelSettings) -> Codes:
         """Pairs of the smallest and the largest sample of two intervals, p. 2-250."""
         samples = min(_MOST_PEAK_SAMPLES, max(2, round(2 * record.xincr * _PEAK_RATE)))
         count = POINTS // 2 * samples
-        # irregular sampling, so that no frequency hides between the samples of a slow sweep
-        irregular = np.random.default_rng([self._seed, record.number]).random(count)
-        times = record.starts[-1] + 2 * record.xincr / samples * (np.arange(count) + irregular)
         slower = replace(channel, time_constant=max(channel.time_constant, _PEAK_TIME_CONSTANT))
-        volts = shown_volts(self._signal(name), slower, times)
-        codes = convert(volts, channel, self._noise(record.number, name, count))
-        groups = codes.reshape(-1, samples)
-        return np.stack([groups.min(axis=1), groups.max(axis=1)], axis=1).ravel()
+        # irregular sampling, so that no frequency hides between the samples of a slow sweep
+        rng = np.random.default_rng([self._seed, record.number])
+        irregular = rng.random(count, dtype=np.float32)
+        step = 2 * record.xincr / samples
+        signal = self._signal(name)
+        if tells_its_noise(signal) and signal.interval(record.starts[-1], record.starts[-1] + count * step) > step:
+            # nothing hides: straight lines from one sample to the next, and both noises in one
+            edges = shown_smooth(signal, slower, record.starts[-1] + step * np.arange(count + 1.0)).astype(
+                np.float32
+            )
+            volts = edges[:-1] + np.diff(edges) * irregular
+            rms = float(
+                np.hypot(self._noise_levels, signal.noise_rms * abs(gain(channel)) * levels_per_volt(channel))
+            )
+            noise = np.float32(rms) * self._rng(record.number, name).standard_normal(count, dtype=np.float32)
+        else:
+            volts = shown_volts(
+                signal, slower, record.starts[-1] + step * (np.arange(count, dtype=np.float64) + irregular)
+            )
+            noise = self._noise(record.number, name, count)
+        levels = (volts * levels_per_volt(channel) + noise).reshape(-1, samples)
+        ends = np.stack([levels.min(axis=1), levels.max(axis=1)], axis=1).ravel()
+        return convert(ends / levels_per_volt(channel), channel)
 
     def _scan(self, record: Record, name: str, channel: ChannelSettings) -> Codes:
         """The rolling record at one moment: new samples up to the blank, old ones behind it."""
@@ -100,6 +140,7 @@ class Digitizer:
         return codes
 
     def _noise(self, number: int, name: str, count: int, sweep: int = 0) -> Floats:
-        channel = int(name.removeprefix("CH"))
-        rng = np.random.default_rng([self._seed, number, channel, sweep])
-        return self._noise_levels * rng.standard_normal(count)
+        return self._noise_levels * self._rng(number, name, sweep).standard_normal(count)
+
+    def _rng(self, number: int, name: str, sweep: int = 0) -> np.random.Generator:
+        return np.random.default_rng([self._seed, number, int(name.removeprefix("CH")), sweep])

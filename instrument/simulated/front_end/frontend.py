@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from instrument.facts import HIGHEST_CODE, LEVELS_PER_DIVISION
+from instrument.simulated.front_end.smooth import CoarseLook, look, noise_of
 from instrument.simulated.panel.panel import ChannelSettings
 
 Floats = NDArray[np.float64]
@@ -27,6 +28,7 @@ _STRAIGHT = 0.02  # of all that was seen from peak to peak: how far a smooth sig
 _SETTLING = 5 / (2 * math.pi * AC_CORNER)  # s of history after which the coupling has forgotten
 _AC_RATES = (51_283.7, 47_013.1, 57_942.9)  # S/s for the slow part; a frequency can beat with one of them
 _AC_POINTS = 1 << 17
+_INTERVALS_A_STEP = 2  # of the grid on which a signal is smooth
 
 
 def ground(times: Floats) -> Floats:
@@ -51,6 +53,8 @@ def low_pass(signal: Signal, time_constant: float) -> Signal:
     """
     if time_constant == 0:
         return signal
+    if isinstance(signal, CoarseLook) and (delayed := signal.behind_pole(time_constant)) is not None:
+        return delayed
 
     def whole(times: Floats) -> Floats:
         total = np.zeros_like(times)
@@ -83,7 +87,7 @@ def evaluate(signal: Signal, times: Floats) -> Floats:
 
 
 def shown_volts(signal: Signal, channel: ChannelSettings, times: Floats) -> Floats:
-    """Volts that the screen would show without noise: band-limited, coupled, times probe, inverted.
+    """Volts that the screen would show without the scope's noise: band-limited, coupled, times probe, inverted.
 
     Parameters
     ----------
@@ -95,12 +99,33 @@ def shown_volts(signal: Signal, channel: ChannelSettings, times: Floats) -> Floa
     (n,) array
         Volts at the probe tip.
     """
+    return shown_smooth(signal, channel, times) + shown_noise(signal, channel, times)
+
+
+def shown_smooth(signal: Signal, channel: ChannelSettings, times: Floats, more: float = 0.0) -> Floats:
+    """What `shown_volts` gives without the noise of the signal; behind one `more` pole (time constant in s)."""
     if channel.coupling == "GND":
         return np.zeros_like(times)
-    volts = evaluate(low_pass(signal, channel.time_constant), times)
+    looked = look(signal, float(times[0]), float(times[-1]))
+    volts = evaluate(low_pass(low_pass(looked, channel.time_constant), more), times)
     if channel.coupling == "AC":
         volts = volts - slow_part(signal, times)
-    return volts * (-channel.probe if channel.inverted else channel.probe)
+    return volts * gain(channel)
+
+
+def shown_noise(signal: Signal, channel: ChannelSettings, times: Floats) -> Floats:
+    """The noise of the signal as `shown_volts` has it."""
+    return np.zeros_like(times) if channel.coupling == "GND" else noise_of(signal, times) * gain(channel)
+
+
+def gain(channel: ChannelSettings) -> float:
+    """Volts at the probe tip, upside down where the channel is, over those at the BNC."""
+    return -channel.probe if channel.inverted else channel.probe
+
+
+def levels_per_volt(channel: ChannelSettings) -> float:
+    """Levels of the converter for a volt at the probe tip."""
+    return LEVELS_PER_DIVISION / channel.scale
 
 
 def slow_part(signal: Signal, times: Floats) -> Floats:
@@ -108,16 +133,23 @@ def slow_part(signal: Signal, times: Floats) -> Floats:
 
     It is computed on grids of its own that begin before the record, and interpolated: the low-pass moves
     slowly, so a record of microseconds needs no grid of microseconds. A signal whose frequency is that of one
-    grid looks constant there; the median of three grids does not fall for it.
+    grid looks constant there; the median of three grids does not fall for it. One grid is enough for a signal that
+    tells how fast it is.
     """
-    return np.asarray(np.median([_slow_part_on_grid(signal, times, rate) for rate in _AC_RATES], axis=0))
+    looked = look(signal, float(times[0]) - _SETTLING, float(times[-1]))
+    if isinstance(looked, CoarseLook) and looked.interval > 0:
+        return _slow_part_on_grid(looked, times, 1 / (_INTERVALS_A_STEP * looked.interval))
+    return np.asarray(np.median([_slow_part_on_grid(looked, times, rate) for rate in _AC_RATES], axis=0))
 
 
 def _slow_part_on_grid(signal: Signal, times: Floats, rate: float) -> Floats:
     start, stop = float(times[0]) - _SETTLING, float(times[-1])
-    step = max(1 / rate, (stop - start) / _AC_POINTS * _AC_RATES[0] / rate)
+    odd = _AC_RATES[0] / rate if rate in _AC_RATES else 1.0
+    step = max(1 / rate, (stop - start) / _AC_POINTS * odd)
     grid = start + step * np.arange(math.ceil((stop - start) / step) + 2, dtype=np.float64)
     volts = evaluate(signal, grid)
+    if isinstance(signal, CoarseLook):
+        volts[1:] = (volts[1:] + volts[:-1]) / 2  # straight lines between points that lie far apart
     gain = -math.expm1(-2 * math.pi * AC_CORNER * step)
     first = float(volts.mean()) if stop - start < 2 * _SETTLING else float(volts[: len(volts) // 8 + 1].mean())
     return np.interp(times, grid, smoothed(volts, gain, first))
@@ -160,7 +192,7 @@ def convert(volts: Floats, channel: ChannelSettings, noise: Floats | float = 0.0
     >>> convert(np.array([0.0, 0.5, 9.0, -9.0]), channel).tolist()
     [25, 50, 127, -127]
     """
-    levels = volts * (LEVELS_PER_DIVISION / channel.scale) + LEVELS_PER_DIVISION * channel.position
+    levels = volts * levels_per_volt(channel) + LEVELS_PER_DIVISION * channel.position
     levels += noise
     np.rint(levels, out=levels)
     return np.clip(levels, -HIGHEST_CODE, HIGHEST_CODE).astype(np.int8)

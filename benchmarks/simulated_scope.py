@@ -1,0 +1,157 @@
+"""`python -m benchmarks.simulated_scope`: what one message costs the simulated scope, by time base and mode.
+
+The scope looks at the gyro of `config/simulated.toml` with its detector noise, at the slow rate, on a virtual
+clock. Each line is one time base in one mode. A client lets some time pass, as its own work would, then sends one
+message; the table gives the CPU time of the answer, the median and the largest of some, and what they are in
+transforms of 2500 points (`rfft`) made in the same run. It fails if a median is above its limit: on a busy machine
+the largest one tells of the machine.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from instrument.facts import POINTS
+from instrument.simulated import VirtualClock
+from instrument.simulated.links.exchange import MessageExchange
+from station.lock_in.bench.instruments import at_slow_rate, build_instruments
+from station.lock_in.settings import Values, load_settings
+
+TIME_BASES = (1e-8, 1e-6, 1e-4, 1e-3, 1e-2, 5e-2, 0.5)  # s/div
+MODES = {
+    "sample": "ACQUIRE:MODE SAMPLE",
+    "full bandwidth": "CH1:BANDWIDTH OFF",
+    "AC": "CH1:COUPLING AC",
+    "peak detect": "ACQUIRE:MODE PEAKDETECT",
+    "average 16": "ACQUIRE:MODE AVERAGE;NUMAVG 16",
+    "average 128": "ACQUIRE:MODE AVERAGE;NUMAVG 128",
+    "trigger HF reject": "TRIGGER:MAIN:EDGE:COUPLING HFREJ",
+    "trigger LF reject": "TRIGGER:MAIN:EDGE:COUPLING LFREJ",
+    "trigger AC": "TRIGGER:MAIN:EDGE:COUPLING AC",
+    "pulse trigger": "TRIGGER:MAIN:TYPE PULSE;PULSE:WIDTH:WIDTH 1E-3",
+    "video trigger": "TRIGGER:MAIN:TYPE VIDEO",
+    "normal, no trigger": "TRIGGER:MAIN:MODE NORMAL;LEVEL 3",
+}
+GAINS: Values = {"simulation": {"contaminants": {"gain_corner_hz": 2e4, "bandwidth_hz": 2e4, "ac_corner_hz": 1.0}}}
+LIMITS_MS = {"CURVE?": 5.0, "TRIGGER:STATE?": 1.0}
+
+
+@dataclass(frozen=True)
+class Cost:
+    """CPU time of one kind of message, ms."""
+
+    median: float
+    largest: float
+
+    @classmethod
+    def of(cls, seconds: Sequence[float]) -> Cost:
+        """Summary of several."""
+        return cls(1e3 * float(np.median(seconds)), 1e3 * max(seconds))
+
+
+class Client:
+    """One scope on the gyro's signal, and the link to it."""
+
+    def __init__(self, overrides: Values, mode: str, base: float, seed: int) -> None:
+        given = load_settings(overrides=overrides)
+        self.clock = VirtualClock()
+        self.scope = build_instruments(at_slow_rate(given), self.clock).scope
+        self.link = MessageExchange(self.scope, message_ends=True)
+        self.pauses = np.random.default_rng(seed)
+        self.base = base
+        self.write("HEADER OFF;:DATA:ENCDG RIBINARY;WIDTH 1;:CH1:PROBE 1;SCALE 0.1;POSITION -1.2;BANDWIDTH ON")
+        self.write(f"TRIGGER:MAIN:LEVEL 0.12;:HORIZONTAL:MAIN:SCALE {base:g};:{mode}")
+        self.ask("CURVE?" if "NORMAL" not in mode else "*OPC?")
+
+    def write(self, message: str) -> None:
+        """Send a message and have it carried out."""
+        self.link.receive(message.encode())
+        self.link.pump()
+
+    def ask(self, message: str) -> bytes:
+        """Answer to a question, however long the scope takes for it."""
+        self.write(message)
+        return self.link.wait_for_answer(3600.0) or b""
+
+    def cost(self, act: Callable[[], object], repeats: int) -> Cost:
+        """CPU time of an act, each time after a pause of up to two records."""
+        seconds = []
+        for _ in range(repeats):
+            self.clock.sleep(float(self.pauses.uniform(0.0, 2.0)) * max(10 * self.base, 0.05))
+            began = time.thread_time()
+            act()
+            seconds.append(time.thread_time() - began)
+        return Cost.of(seconds)
+
+    def costs(self, repeats: int) -> dict[str, Cost]:
+        """Costs by message."""
+        found = {
+            name: self.cost(lambda name=name: self.ask(name), repeats)
+            for name in ("CURVE?", "TRIGGER:STATE?", "ACQUIRE:STATE?")
+        }
+        positions = iter(range(1000))
+        found["a setting"] = self.cost(
+            lambda: self.write(f"CH1:POSITION {next(positions) % 9 / 100 - 1.2:g}"), repeats
+        )
+        if self.ask("TRIGGER:MAIN:MODE?").strip() == b"AUTO":
+            found["a single"] = self.cost(self.single, repeats)
+        return found
+
+    def single(self) -> None:
+        """Take one record and fetch it."""
+        self.write("ACQUIRE:STOPAFTER SEQUENCE;STATE RUN")
+        self.ask("*OPC?")
+        self.ask("CURVE?")
+
+
+def transform_ms() -> float:
+    """CPU time of an rfft of one record, ms."""
+    volts, seconds = np.random.default_rng(0).standard_normal(POINTS), []
+    for _ in range(20):
+        began = time.thread_time()
+        for _ in range(50):
+            np.fft.rfft(volts)
+        seconds.append((time.thread_time() - began) / 50)
+    return 1e3 * min(seconds)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Print the table; 1 if a message usually costs more than its limit."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--repeats", type=int, default=12, help="messages of each kind (default 12)")
+    parser.add_argument("--mode", choices=[*MODES, "gyro with filters"], action="append", help="only this one")
+    parser.add_argument("--base", type=float, action="append", help="only this time base, s/div")
+    given = parser.parse_args(arguments)
+    unit, too_slow, out = transform_ms(), 0, sys.stdout.write
+    out(f"CPU time, median / largest in ms; in brackets the median over one rfft of {POINTS} ({unit:.3f} ms)\n\n")
+    columns = ("CURVE?", "TRIGGER:STATE?", "ACQUIRE:STATE?", "a setting", "a single")
+    out(f"| mode | s/div | {' | '.join(columns)} |\n|---|---|{'---|' * len(columns)}\n")
+    for mode in given.mode or [*MODES, "gyro with filters"]:
+        for base in given.base or TIME_BASES:
+            overrides = GAINS if mode == "gyro with filters" else {}
+            found = Client(overrides, MODES.get(mode, MODES["sample"]), base, seed=1).costs(given.repeats)
+            cells = []
+            for column in columns:
+                cost = found.get(column)
+                if cost is None:
+                    cells.append("")
+                    continue
+                over = cost.median > LIMITS_MS.get(column, np.inf)
+                too_slow += over
+                cells.append(
+                    f"{cost.median:.2f} / {cost.largest:.2f}{' !' if over else ''} ({cost.median / unit:.0f})"
+                )
+            out(f"| {mode} | {base:g} | {' | '.join(cells)} |\n")
+            sys.stdout.flush()
+    out(f"\n{too_slow} of them above the limit: {LIMITS_MS} ms\n")
+    return int(too_slow > 0)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,122 @@
+"""Signals that tell their smooth part from their noise: the smooth part needs few looks, the noise no filter.
+
+Any function of time can be a signal; it is then looked at wherever a value is wanted. A signal that has the
+attributes of `SmoothAndNoise` is looked at on a coarse grid, from which its values in between follow.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Protocol, TypeGuard
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+
+_TO_POLYNOMIAL = np.linalg.inv(np.vander(np.arange(-2.0, 4.0), increasing=True)).T  # six values -> coefficients
+_WORTH = 2  # times fewer points on the grid than wanted, from which on it is taken
+_FOLLOWS = 0.05  # of the interval: a pole so fast only delays
+
+
+class SmoothAndNoise(Protocol):
+    """A signal with white noise on a smooth part."""
+
+    @property
+    def noise_rms(self) -> float:
+        """V in each sample, at the converter and at the trigger alike: noise passes every filter."""
+
+    def __call__(self, times: Floats, /) -> Floats:
+        """Volts at absolute times in s."""
+
+    def smooth(self, times: Floats, /) -> Floats:
+        """Volts without noise."""
+
+    def noise(self, times: Floats, /) -> Floats:
+        """Noise alone, V."""
+
+    def interval(self, start: float, stop: float, /) -> float:
+        """Distance in s of points between which quintic polynomials give the smooth part; 0: not known."""
+
+
+def tells_its_noise(signal: Callable[[Floats], Floats]) -> TypeGuard[SmoothAndNoise]:
+    """Whether a signal has the attributes of `SmoothAndNoise` (this is asked often: not with all of them)."""
+    return hasattr(signal, "noise_rms")
+
+
+class Between:
+    """Quintic polynomials through values at even steps.
+
+    Parameters
+    ----------
+    first, last : float
+        Times in s of the first and the last value.
+    values : (n,) array
+        At least six.
+    """
+
+    def __init__(self, first: float, last: float, values: Floats) -> None:
+        self._first, self._pace = first, (len(values) - 1) / (last - first)
+        self._polynomials = np.lib.stride_tricks.sliding_window_view(values, 6) @ _TO_POLYNOMIAL
+
+    def __call__(self, times: Floats) -> Floats:
+        """Values at times in s between the first and the last."""
+        places = (times - self._first) * self._pace - 2.0
+        around = np.clip(places.astype(np.intp), 0, len(self._polynomials) - 1)
+        inside = places - around
+        total = self._polynomials[:, 5][around]
+        for order in (4, 3, 2, 1, 0):
+            total *= inside
+            total += self._polynomials[:, order][around]
+        return np.asarray(total)
+
+
+@dataclass(frozen=True)
+class CoarseLook:
+    """The smooth part of a signal, from a coarse grid where that is worth it.
+
+    Attributes
+    ----------
+    smooth : callable
+        Absolute times in s -> V.
+    interval : float
+        s, as `SmoothAndNoise.interval` gives it for the times that will be asked for.
+    delay : float
+        s by which it comes late.
+    """
+
+    smooth: Callable[[Floats], Floats]
+    interval: float
+    delay: float = 0.0
+
+    def __call__(self, times: Floats) -> Floats:
+        """Volts at rising absolute times in s."""
+        if self.interval <= 0 or times.size == 0:
+            return self.smooth(times - self.delay)
+        first, last = float(times[0]), float(times[-1])
+        cells = max(5, math.ceil((last - first) / self.interval))
+        if last <= first or _WORTH * (cells + 1) > times.size:
+            return self.smooth(times - self.delay)
+        # the grid does not leave these times: nobody knows yet what comes after them
+        grid = np.linspace(first, last, cells + 1)
+        return Between(first, last, self.smooth(grid - self.delay))(times)
+
+    def behind_pole(self, time_constant: float) -> CoarseLook | None:
+        """The same behind a pole that is so fast that it only delays; None if it is not."""
+        if time_constant > _FOLLOWS * self.interval:
+            return None
+        return replace(self, delay=self.delay + time_constant)
+
+
+def look(signal: Callable[[Floats], Floats], start: float, stop: float) -> Callable[[Floats], Floats]:
+    """The signal without its noise, to be asked for absolute times between two."""
+    if tells_its_noise(signal):
+        return CoarseLook(signal.smooth, signal.interval(start, stop))
+    return signal
+
+
+def noise_of(signal: Callable[[Floats], Floats], times: Floats) -> Floats:
+    """The noise that `look` leaves out, V."""
+    return signal.noise(times) if tells_its_noise(signal) else np.zeros_like(times)

@@ -1,0 +1,72 @@
+"""The detector's signal and its noise as the oscilloscope looks at them: few points tell the smooth part."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.interpolate import make_interp_spline
+
+from analysis.ring_laser import (
+    Detector,
+    Gyro,
+    NoisySignal,
+    beat_phase_on_table,
+    beat_signal_on_table,
+    smooth_interval,
+)
+from instrument.simulated.rate_table import Motion
+
+GYRO = Gyro(2000.0, 0.01, 0.6, 88.7, 28.2, start_phase=1.0)
+DETECTOR = Detector(0.35, amplitude=0.4)
+
+
+@pytest.mark.parametrize(
+    ("gyro", "detector", "rate"),
+    [
+        (GYRO, DETECTOR, 3.5),
+        (GYRO, DETECTOR, 50.0),
+        (GYRO, DETECTOR, -3.5),
+        (GYRO, DETECTOR, 1.2),
+        (replace(GYRO, ripple_dps=0.002, ripple_hz=3.0), DETECTOR, 3.5),
+        (GYRO, replace(DETECTOR, second_order=0.02, third_order=0.04), 3.5),
+        (GYRO, replace(DETECTOR, low_pass_hz=2e3, ac_corner_hz=1.0), 3.5),
+        (GYRO, replace(DETECTOR, pump_ripple=0.02, pump_hz=100.0), 3.5),
+    ],
+)
+def test_between_points_at_the_interval_the_signal_is_a_polynomial(gyro, detector, rate):
+    motion = (Motion(0.0, 40.0, rate),)
+    interval = smooth_interval(gyro, detector, motion, 20.0, 20.2)
+    assert interval > 0
+    grid = 20.0 + interval * np.arange(400)
+    between = make_interp_spline(grid, beat_signal_on_table(gyro, detector, motion, grid), k=5)
+    times = np.linspace(grid[10], grid[-10], 5001)
+    error = between(times) - beat_signal_on_table(gyro, detector, motion, times)
+    assert np.abs(error).max() < 1e-4 * detector.amplitude
+
+
+def test_where_the_gyro_locks_and_unlocks_no_interval_is_known():
+    passing = (Motion(0.0, 0.0, 50.0), Motion(1.0, 50.0, 50.0, -100.0), Motion(2.0, 50.0, -50.0))
+    assert smooth_interval(GYRO, DETECTOR, passing, 0.5, 0.9) > 0
+    assert smooth_interval(GYRO, DETECTOR, passing, 0.5, 1.1) == 0
+    assert smooth_interval(GYRO, DETECTOR, (Motion(0.0, 0.0, 0.3),), 0.0, 1.0) == 0
+
+
+@pytest.mark.parametrize("ripple_hz", [0.0, 5.0, 200.0])
+@pytest.mark.parametrize("spacing", [1e-7, 4e-5, 2e-3])
+def test_phase_of_many_samples_is_that_of_each_alone(ripple_hz, spacing):
+    gyro = replace(GYRO, ripple_dps=0.003 if ripple_hz else 0.0, ripple_hz=ripple_hz)
+    motion = (Motion(0.0, 0.0, 0.0), Motion(10.0, 40.0, 3.5))
+    times = 5000.0 + spacing * np.arange(2500)
+    rates, phases = beat_phase_on_table(gyro, motion, times)
+    some = np.arange(0, 2500, 229)
+    alone = [beat_phase_on_table(gyro, motion, times[i : i + 1]) for i in some]
+    # the phase of the ripple is a million turns in doubles, that of the beat five million rad
+    assert rates[some] == pytest.approx([float(rate[0]) for rate, _ in alone], abs=1e-11)
+    assert phases[some] == pytest.approx([float(phase[0]) for _, phase in alone], abs=2e-8)
+
+
+def test_smooth_part_and_noise_make_the_signal():
+    noisy = NoisySignal(np.sin, 0.1, seed=3)
+    times = np.linspace(0.0, 1.0, 500)
+    assert np.array_equal(noisy(times), np.sin(times) + noisy.noise(times))
+    assert noisy.noise(times).std() == pytest.approx(0.1, rel=0.1)

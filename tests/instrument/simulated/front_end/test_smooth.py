@@ -1,0 +1,146 @@
+"""A signal that tells its smooth part from its noise: fewer looks, the same statistics as one that does not."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+import pytest
+
+from instrument.simulated.front_end.frontend import slow_part
+from instrument.simulated.front_end.smooth import Between, CoarseLook
+
+FREQUENCY = 163.7  # Hz
+
+
+@dataclass
+class Beat:
+    """A sine of 1 V with a second harmonic and white noise; it counts how often it is looked at."""
+
+    noise_rms: float = 0.01
+    looks: int = 0
+    rng: np.random.Generator = field(default_factory=lambda: np.random.default_rng(7))
+
+    def __call__(self, times):
+        return self.smooth(times) + self.noise(times)
+
+    def smooth(self, times):
+        self.looks += times.size
+        turn = 2 * np.pi * FREQUENCY * times
+        return np.sin(turn) + 0.1 * np.sin(2 * turn + 0.4)
+
+    def noise(self, times):
+        return self.noise_rms * self.rng.standard_normal(times.shape)
+
+    def interval(self, start, stop):
+        return 1 / (16 * FREQUENCY * 2)
+
+
+def plain(beat):
+    """The same as a function of which nothing is known."""
+    return lambda times: beat(times)
+
+
+KINDS = pytest.mark.parametrize("kind", [lambda beat: beat, plain], ids=["known", "plain"])
+
+
+def bench_on(make_bench, signal, setup=""):
+    bench = make_bench({1: signal}, noise_levels=0.0)
+    bench.write("HEADER OFF;:CH1:PROBE 1;SCALE 0.3;:TRIG:MAIN:LEVEL 0.2;:HOR:SCALE 1E-4")
+    bench.write(setup)
+    return bench
+
+
+def test_polynomials_pass_through_the_points_and_stay_within_them():
+    values = np.sin(np.linspace(0.0, 3.0, 31))
+    between = Between(5.0, 8.0, values)
+    assert between(np.linspace(5.0, 8.0, 31)) == pytest.approx(values, abs=1e-12)
+    times = np.linspace(5.0, 8.0, 777)
+    assert between(times) == pytest.approx(np.sin(times - 5.0), abs=1e-7)
+    asked = []
+    CoarseLook(lambda at: (asked.append(at), np.sin(at))[1], 0.1)(times)
+    assert min(map(np.min, asked)) >= 5.0 and max(map(np.max, asked)) <= 8.0 and sum(map(len, asked)) < 40
+
+
+@pytest.mark.parametrize("limit", ["ON", "OFF"])
+def test_noise_at_the_converter_has_its_rms(make_bench, limit):
+    bench = bench_on(make_bench, Beat(0.06), f"CH1:BANDWIDTH {limit};:TRIG:MAIN:EDGE:SOURCE LINE")
+    bench.single()
+    codes = bench.codes().astype(float)
+    place = np.linspace(-1, 1, 2500)
+    rest = codes - np.polyval(np.polyfit(place, codes, 7), place)
+    assert rest.std() == pytest.approx(0.06 * 25 / 0.3, rel=0.08)
+    spectrum = np.abs(np.fft.rfft(rest))[20:] ** 2
+    assert spectrum[: spectrum.size // 2].mean() == pytest.approx(spectrum[spectrum.size // 2 :].mean(), rel=0.2)
+
+
+@pytest.mark.parametrize("slope", ["RISE", "FALL"])
+@pytest.mark.parametrize("noise", [0.0, 0.01, 0.05])
+def test_trigger_has_the_same_jitter(make_bench, noise, slope):
+    found = []
+    for kind in (lambda beat: beat, plain):
+        bench = bench_on(make_bench, kind(Beat(noise)), f"TRIG:MAIN:EDGE:SLOPE {slope}")
+        bench.ask("CURVE?")
+        phases = []
+        for _ in range(120):
+            bench.clock.sleep(0.013)
+            bench.scope.acquisition.update()
+            at = bench.scope.acquisition.record.starts[-1] + 5e-4
+            phases.append(FREQUENCY * at % 1.0)
+        found.append(np.array(phases))
+    known, unknown = found
+    spread = max(known.std(), unknown.std(), 1e-6)
+    assert abs(known.mean() - unknown.mean()) < 5 * spread / np.sqrt(60)
+    assert known.std() == pytest.approx(unknown.std(), rel=0.4, abs=2e-5)
+
+
+def test_noise_beyond_the_hysteresis_triggers(make_bench):
+    beat = Beat(0.3)
+    bench = bench_on(make_bench, beat, "TRIG:MAIN:MODE NORMAL;LEVEL 1.7")
+    bench.ask("*OPC?")
+    bench.clock.sleep(0.2)
+    assert int(bench.ask("ACQ:NUMACQ?")) > 3
+
+
+def test_few_looks_tell_what_the_scope_shows(make_bench):
+    beat = Beat()
+    bench = bench_on(make_bench, beat)
+    bench.codes()
+    beat.looks = 0
+    for _ in range(10):
+        bench.clock.sleep(0.05)
+        bench.ask("TRIG:STATE?")
+        bench.codes()
+    assert beat.looks < 10 * 1200
+
+
+@pytest.mark.parametrize("base", ["1E-4", "1E-2"])
+def test_peak_detect_shows_the_extremes_of_noise(make_bench, base):
+    means = []
+    for kind in (lambda beat: beat, plain):
+        bench = bench_on(make_bench, kind(Beat(0.1)), f"HOR:SCALE {base};:ACQ:MODE PEAK")
+        bench.single()
+        codes = bench.codes().astype(float)
+        means.append(codes[1::2] - codes[::2])
+    if base == "1E-4":
+        # the plain one is random at each look of the filter
+        assert means[0].mean() == pytest.approx(2 * 2.37 * 0.1 * 25 / 0.3, rel=0.05)
+    assert means[0].mean() >= 0.9 * means[1].mean()
+
+
+def test_coupling_takes_away_what_it_takes_from_any_signal():
+    beat = Beat(0.0)
+    times = 3.0 + 1e-4 * np.arange(900)
+    turn = 2j * np.pi * FREQUENCY * times
+    gains = 1 / (1 + 1j * FREQUENCY / 10.0), 1 / (1 + 2j * FREQUENCY / 10.0)
+    expected = (gains[0] * np.exp(turn) + 0.1 * gains[1] * np.exp(2 * turn + 0.4j)).imag
+    assert np.abs(slow_part(beat, times) - expected).max() < 4e-3
+
+
+@KINDS
+def test_looks_of_an_average_are_kept(make_bench, kind):
+    beat = Beat(0.05)
+    bench = bench_on(make_bench, kind(beat), "HOR:SCALE 1E-2;:ACQ:MODE AVERAGE;NUMAVG 16")
+    bench.single()
+    bench.codes()
+    codes = bench.codes().astype(float)
+    steps = np.diff(codes).std()
+    assert steps < 2.5  # of 16 looks; of one it would be more than 5

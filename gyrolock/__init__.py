@@ -1,14 +1,24 @@
 """gyrolock for scripts and notebooks.
 
->>> import gyrolock
->>> result = gyrolock.measure(records=5, seed=3)                   # doctest: +SKIP
->>> result.lock_in_rate_dps, result.lock_in_rate_u_dps              # doctest: +SKIP
->>> run = gyrolock.open_run("runs/2026-11-21T060530Z_001")          # doctest: +SKIP
->>> run.volts.shape, run.estimates.lock_in_rate                     # doctest: +SKIP
+`measure` does the main job and `open_run` opens what any command saved; both show themselves in a notebook::
 
-`measure` does the main job, `open_run` opens what any command saved, `read` takes files of an oscilloscope. The
-driver, the reader of files and the estimator of single records stand beside them under their own names. Nothing is
+    result = gyrolock.measure(records=20)               # the simulated bench; resource="GPIB0::1::INSTR": yours
+    result.lock_in_rate_dps, result.lock_in_rate_u_dps  # every key of the command's JSON
+    result.plot()
+    run = gyrolock.open_run("runs/2026-11-21T060530Z_001")
+    run.volts, run.estimates.lock_in_rate, run.to_dataframe()
+
+`read` takes files of an oscilloscope, or a whole memory card. Driver and estimator stand beside them. Nothing is
 imported before it is used.
+
+Examples
+--------
+>>> import gyrolock
+>>> times = [n * 4e-5 for n in range(2500)]
+>>> volts = gyrolock.beat_signal(times, scale_factor=2000, input_rate=0.08, lock_in_rate=0.01)
+>>> estimate = gyrolock.estimate_lock_in(volts, 4e-5, scale_factor=2000)
+>>> round(float(estimate.lock_in_rate), 6)
+0.01
 """
 
 import importlib

@@ -55,10 +55,11 @@ def draw_record(waveform: Waveform, title: str, ratio: float) -> Figure:
     model = float(fit.offset) + (np.exp(2j * np.pi * turns) @ fit.amplitudes).real
     with _style():
         figure = Picture(figsize=_SIZE, layout="constrained")
+        figure.suptitle(title)
         above, below = figure.subplots(2, sharex=True, height_ratios=(3, 1))
         above.plot(times, volts, ".", ms=3, color=SECOND, alpha=0.6, mew=0, label="samples")
         above.plot(times, model, color=ACCENT, label=f"fit: offset and {harmonics} harmonics")
-        above.set(ylabel="V", title=title)
+        above.set(ylabel="V")
         legend_above(above)
         below.plot(times, volts - model, ".", ms=2, color=SECOND, mew=0)
         below.set(xlabel="time from trigger, s", ylabel="residual, V")

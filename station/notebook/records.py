@@ -134,7 +134,7 @@ class Records(Sequence[Record]):
             raise UsageError(
                 f"{self.path}: records of {sorted(sizes)} samples make no array: take them one by one"
             )
-        return np.array([record.volts for record in self.records]).reshape(len(self), *sizes)
+        return np.array([record.volts for record in self.records]).reshape(len(self), max(sizes, default=0))
 
     def to_dataframe(self) -> Any:
         """Return what was taken as a pandas.DataFrame, one row a record; ImportError without pandas."""

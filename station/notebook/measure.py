@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 from station.errors import UsageError
-from station.shell.evaluated import Evaluated
 from station.measurements import measurement
 from station.notebook.result import Result
 from station.notebook.run import open_run, with_problem
@@ -17,6 +16,7 @@ from station.runs.progress import Progress
 from station.settings.load import load
 from station.settings.toml_files import merged
 from station.shell.ending import keep
+from station.shell.evaluated import Evaluated
 from station.shell.options import overrides
 from station.shell.running import resume_run, start_run
 

@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING, Any
 
 from instrument.fibre_gyro import Recording
 from station.errors import UsageError
-from station.shell.evaluated import Evaluated
 from station.lock_in.evaluation import Evaluation
 from station.lock_in.files import AnalyzedFiles
 from station.notebook.records import Record, Records
 from station.notebook.show import data_frame, html_table
+from station.shell.evaluated import Evaluated
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -12,7 +12,6 @@ from analysis import LockInEstimate
 from analysis.lock_in_run import Method
 from instrument import read_waveform
 from station.errors import EXIT_NO_SIGNAL, Failure, NoUsableSignal, UsageError
-from station.shell.evaluated import Evaluated, evaluate_run, kind_of
 from station.fibre_gyro.recordings import segments_of
 from station.lock_in.evaluation import Evaluation
 from station.lock_in.files import AnalyzedFiles, analyze_waveforms
@@ -21,6 +20,7 @@ from station.notebook.records import Record, Records
 from station.notebook.result import Result
 from station.runs.store import SavedRun
 from station.runs.store import open_run as read_run
+from station.shell.evaluated import Evaluated, evaluate_run, kind_of
 
 PathLike = str | os.PathLike[str]
 _WAVEFORM_FILES = (".csv", ".isf")

@@ -16,7 +16,6 @@ from station.runs.progress import Progress
 from station.settings.load import load
 from station.settings.toml_files import merged
 from station.shell.ending import keep
-from station.shell.evaluated import Evaluated
 from station.shell.options import overrides
 from station.shell.running import resume_run, start_run
 
@@ -105,6 +104,4 @@ def measure(
         raise taken.error
     run = open_run(taken.path)
     evaluated = run.evaluated()
-    if not isinstance(evaluated, Evaluated):
-        raise UsageError(f"{taken.path}: is no run of its own")
     return Result(evaluated, run, with_problem(keep(evaluated, report=report), evaluated.result.problem))

@@ -79,14 +79,14 @@ class Result:
         return draw_record(shown.waveform, name, ratio)
 
     def to_dataframe(self) -> Any:
-        """Return a pandas.DataFrame, one row a record; of a fibre gyro one row a number that limits can be set on.
+        """Return a pandas.DataFrame, one row a record; without results of single records one row a number for limits.
 
         Raises
         ------
         ImportError
             Without pandas.
         """
-        if isinstance(self.found, Evaluation):
+        if not isinstance(self._evaluated, Evaluated) or self._evaluated.kind.rows(self.found):
             return data_frame(self._evaluated.rows())
         return data_frame(
             {"name": one.name, "of": one.of, "value": one.value, "unit": one.unit} for one in self._said.measured

@@ -60,7 +60,7 @@ class Run(Records):
         return found.each
 
 
-class _SavedRecords(Run):
+class TakenRun(Run):
     """A saved run: the records that its measurement is of; others by their purpose."""
 
     def __init__(self, saved: SavedRun) -> None:
@@ -92,18 +92,27 @@ class _SavedRecords(Run):
         )
 
     def evaluated(self, config: PathLike | None = None, **choices: Any) -> Evaluated:
+        """Evaluate the run; arguments as for :meth:`result`."""
         return evaluate_run(self._saved, config=None if config is None else Path(config), choices=choices)
 
 
-class _FileRecords(Run):
+class FileRun(Run):
     """Files of an oscilloscope as records at one rate."""
 
-    def __init__(self, path: Path, files: Sequence[Path], method: dict[str, Any]) -> None:
-        self._files, self._method = files, method
-        records = [Record(str(file), {"file": str(file)}, read_waveform(file)) for file in files]
-        super().__init__(records, path, "gyrolock analyze", {}, f"{len(files)} files")
+    def __init__(self, path: Path, files: Sequence[Path], channel: str | None, method: dict[str, Any]) -> None:
+        self._method = method
+        records = []
+        for file in files:
+            waveform = read_waveform(file)
+            source = waveform.preamble.wfid.split(",")[0].upper()
+            if channel is None or source == channel.upper():
+                records.append(Record(str(file), {"channel": source}, waveform))
+        if not records:
+            raise UsageError(f"{path}: none of {len(files)} files is of {channel}")
+        super().__init__(records, path, "gyrolock analyze", {}, f"{len(records)} files")
 
     def evaluated(self, config: PathLike | None = None, **choices: Any) -> AnalyzedFiles:
+        """Evaluate the files; arguments as for :meth:`result`."""
         given = {name: one for name, one in {**self._method, **choices}.items() if one is not None}
         if config is not None:
             raise UsageError("files have no settings that others could take the place of")
@@ -111,10 +120,16 @@ class _FileRecords(Run):
             raise UsageError(
                 f"{self.path}: files do not know the gyro's pulses per degree: give scale_factor to gyrolock.read"
             )
-        return analyze_waveforms([record.waveform for record in self.records], self._files, Method(**given))
+        if len(sources := dict.fromkeys(record.conditions["channel"] for record in self.records)) > 1:
+            # two inputs of one acquisition are not two records: their mean would seem better than it is
+            raise UsageError(
+                f"{self.path}: files of {', '.join(sources)}: give one of them as channel to gyrolock.read"
+            )
+        waveforms = [record.waveform for record in self.records]
+        return analyze_waveforms(waveforms, [Path(record.name) for record in self.records], Method(**given))
 
 
-def open_run(path: PathLike) -> Run:
+def open_run(path: PathLike) -> TakenRun:
     """Open a run that any command has saved, finished or not, of this version or an earlier one.
 
     Parameters
@@ -124,7 +139,7 @@ def open_run(path: PathLike) -> Run:
 
     Returns
     -------
-    Run
+    TakenRun
         Its records are those that the measurement is of, without damaged ones (`damaged` names them) and
         without what was set aside; `taken_for` gives the others, of the fast run for instance.
 
@@ -133,16 +148,17 @@ def open_run(path: PathLike) -> Run:
     RunError
         There is no run, or it is one that this version does not know.
     """
-    return _SavedRecords(read_run(Path(path)))
+    return TakenRun(read_run(Path(path)))
 
 
 def read(
     paths: PathLike | Iterable[PathLike],
     *,
     scale_factor: float | None = None,
+    channel: str | None = None,
     input_rate: float | None = None,
     relation: str | None = None,
-) -> Run:
+) -> FileRun:
     """Read files of an oscilloscope and see them as a run: records at one rate.
 
     Parameters
@@ -151,6 +167,8 @@ def read(
         Tektronix CSV or ISF files; a folder, such as a memory card, stands for all that are in it and below.
     scale_factor : float, optional
         Pulses per degree. Without it there are records, but no estimates.
+    channel : str, optional
+        Only files of this input: ``"CH1"``.
     input_rate : float, optional
         Rate on the gyro's axis, deg/s; without it each record is its own reference.
     relation : {"exact", "paper-13", "paper-10"}, optional
@@ -161,14 +179,14 @@ def read(
     FileFormatError, OSError
         A file cannot be read.
     UsageError
-        A folder holds no such file.
+        A folder holds no such file, or none is of the channel.
     """
     given = [Path(paths)] if isinstance(paths, str | os.PathLike) else [Path(path) for path in paths]
     files = [file for path in given for file in _files_of(path)]
     if not files:
         raise UsageError("no file was given to read")
     method = {"scale_factor": scale_factor, "input_rate": input_rate, "relation": relation}
-    return _FileRecords(Path(os.path.commonpath([path.absolute() for path in given])), files, method)
+    return FileRun(Path(os.path.commonpath([path.absolute() for path in given])), files, channel, method)
 
 
 def with_problem(document: dict[str, Any], problem: str) -> dict[str, Any]:

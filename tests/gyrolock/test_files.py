@@ -19,16 +19,16 @@ VALUES = f'{FIELDS};Y;{INTERVAL};0;0.0;"s";{STEP};0.0;0.0;"Volts"'
 NAMES = [field.name.upper() for field in fields(Preamble)]
 
 
-def write_isf(path: Path, seed: int) -> Path:
+def write_isf(path: Path, seed: int, channel: str = "Ch1", amplitude: float = 0.6) -> Path:
     """A file as PC software writes it, of a gyro with a lock-in rate of 0.01 deg/s."""
     noise = np.random.default_rng(seed).normal(0, 0.004, N)
     beat = beat_signal(
-        np.arange(N) * INTERVAL, scale_factor=2000, input_rate=0.08, lock_in_rate=0.01, amplitude=0.6
+        np.arange(N) * INTERVAL, scale_factor=2000, input_rate=0.08, lock_in_rate=0.01, amplitude=amplitude
     )
     codes = np.round((beat + noise) / STEP).astype(np.int8).tobytes()
     header = ";".join(f"{name} {value}" for name, value in zip(NAMES, VALUES.split(";"), strict=True))
     path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_bytes(f":WFMPRE:{header};:CURVE #4{N}".encode() + codes)
+    path.write_bytes(f":WFMPRE:{header};:CURVE #4{N}".replace("Ch1", channel).encode() + codes)
     return path
 
 
@@ -106,3 +106,27 @@ def test_a_spectrum_gives_no_rate(card: Path) -> None:
     run = gyrolock.read(card, scale_factor=2000)
     with pytest.raises(NoUsableSignal, match=r"F0000CH1\.ISF: is a spectrum"):
         _ = run.estimates
+
+
+def test_two_inputs_of_one_acquisition_are_not_two_records(card: Path) -> None:
+    for number in range(3):
+        write_isf(card / f"ALL{number:04d}" / f"F{number:04d}CH2.ISF", number, "Ch2")
+    run = gyrolock.read(card, scale_factor=2000)
+    assert len(run) == 6
+    with pytest.raises(UsageError, match="files of CH1, CH2: give one of them as channel"):
+        run.result()
+    chosen = gyrolock.read(card, scale_factor=2000, channel="ch2")
+    assert [Path(record.name).name for record in chosen] == ["F0000CH2.ISF", "F0001CH2.ISF", "F0002CH2.ISF"]
+    assert chosen.result().records == 3
+    with pytest.raises(UsageError, match="none of 6 files is of CH3"):
+        gyrolock.read(card, channel="CH3")
+
+
+def test_noise_gives_a_result_that_says_so(card: Path) -> None:
+    path = write_isf(card / "noise.isf", 0, amplitude=0.0)
+    result = gyrolock.read(path, scale_factor=2000).result()
+    assert result.lock_in_rate_dps is None
+    assert "No significant beat" in result.problem
+    assert result.error == {"kind": "no_usable_signal", "message": result.problem, "exit_code": 4}
+    assert repr(result).startswith("<Result of gyrolock analyze: no result (")
+    assert len(result.plot().axes) == 1

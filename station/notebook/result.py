@@ -79,7 +79,7 @@ class Result:
         return draw_record(shown.waveform, name, ratio)
 
     def to_dataframe(self) -> Any:
-        """Return a pandas.DataFrame, one row a record; without results of single records one row a number for limits.
+        """Return a pandas.DataFrame, one row a record; where there are none one row a limited number.
 
         Raises
         ------

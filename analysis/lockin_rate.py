@@ -12,13 +12,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
 from functools import cache
+from html import escape
+from typing import Any
 
 import numpy as np
 import scipy.special
 from numpy.typing import ArrayLike
 
 from analysis.arrays import Bools, Complexes, Floats, Indices, Ints
-from analysis.flags import FATAL, Flag
+from analysis.flags import FATAL, Flag, flag_names
 from analysis.lockin_equation import Relation, input_rate_from_beat, lock_in_from_beat, lock_in_from_rate
 from analysis.waveform.records import NanPolicy, as_stack
 from analysis.waveform.waveform_fit import WaveformFit, fit_waveform
@@ -38,7 +40,7 @@ WHITE = "white noise of the size that the fit leaves, in each record"
 COLOURED = "noise of the strength that the fit leaves near the fundamental and the second harmonic"
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class LockInEstimate:
     """Estimates of one or many records; every array has the leading shape of the records.
 
@@ -102,6 +104,37 @@ class LockInEstimate:
     def usable(self) -> Bools:
         """Where a lock-in rate could be given at all."""
         return np.asarray((self.flags & int(FATAL)) == 0)
+
+    def plot(self, axes: Any = None) -> Any:
+        """Draw the lock-in rate of every record with Matplotlib, into `axes` or a new figure; returns the axes."""
+        if axes is None:
+            import matplotlib.pyplot as plt
+
+            _, axes = plt.subplots()
+        values, u = self.lock_in_rate.ravel(), self.lock_in_rate_u.ravel()
+        axes.errorbar(np.arange(values.size) + 1, values, u, fmt="o", capsize=2.5)
+        axes.set(xlabel="record", ylabel="lock-in rate / deg/s")
+        return axes
+
+    def __len__(self) -> int:
+        return len(self.flags)
+
+    def __repr__(self) -> str:
+        of = f" of {' x '.join(map(str, self.flags.shape))} records" if self.flags.ndim else ""
+        known = np.isfinite(self.lock_in_rate)
+        ends = np.sort(self.lock_in_rate[known])[:: max(1, int(known.sum()) - 1)]
+        u = f" deg/s, u {np.median(self.lock_in_rate_u[known]):.2g}" if ends.size else "no lock-in rate"
+        flags = ", ".join(flag_names(int(np.bitwise_or.reduce(self.flags, axis=None)))) or "no flags"
+        return f"<LockInEstimate{of}: {' to '.join(f'{end:.6g}' for end in ends)}{u}; {flags}>"
+
+    def _repr_html_(self) -> str:
+        first = self.reshaped(-1)[:20]
+        rows = [["lock-in rate, deg/s", "u, deg/s", "beat, Hz", "flags"]]
+        columns = (first.lock_in_rate, first.lock_in_rate_u, first.beat_frequency, first.flags)
+        for *values, flags in zip(*columns, strict=True):
+            rows.append([*(f"{value:.6g}" for value in values), ", ".join(flag_names(flags))])
+        cells = "".join(f"<tr><td>{'</td><td>'.join(row)}</td></tr>" for row in rows)
+        return f"<table><caption>{escape(repr(self))}</caption>{cells}</table>"
 
 
 def estimate_lock_in(

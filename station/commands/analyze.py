@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from station.errors import Failure
-    from station.lock_in.files import AnalyzedFile
+    from station.lock_in.files import AnalyzedFiles
     from station.shell.evaluated import Evaluated
 
 
@@ -74,7 +74,7 @@ def command(paths: tuple[Path, ...], jsonl: bool, config: Path | None, as_json: 
 
 def _analyze(
     path: Path, config: Path | None, choices: Mapping[str, Any]
-) -> tuple[Evaluated | AnalyzedFile | None, Failure | None]:
+) -> tuple[Evaluated | AnalyzedFiles | None, Failure | None]:
     """Evaluate one path; one that cannot be read must not keep the others from being evaluated."""
     from instrument import InstrumentError
     from station.errors import EXIT_NO_SIGNAL, Failure, NoUsableSignal, StationError, describe_failure
@@ -83,7 +83,7 @@ def _analyze(
     from station.runs.store import open_run
     from station.shell.evaluated import evaluate_run
 
-    analyzed: Evaluated | AnalyzedFile
+    analyzed: Evaluated | AnalyzedFiles
     try:
         if is_database(path):
             analyzed = evaluate_run(open_run(path), config=config, choices=choices)
@@ -96,7 +96,7 @@ def _analyze(
     return analyzed, Failure(NoUsableSignal.kind, f"{path}: {analyzed.result.problem}", EXIT_NO_SIGNAL)
 
 
-def _print(path: Path, analyzed: Evaluated | AnalyzedFile) -> None:
+def _print(path: Path, analyzed: Evaluated | AnalyzedFiles) -> None:
     from station.report.console import print_result, print_values
     from station.shell.evaluated import Evaluated
 

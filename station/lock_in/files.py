@@ -1,8 +1,8 @@
-"""A single file that an oscilloscope wrote, analysed without a run."""
+"""Files that an oscilloscope wrote, analysed without a run."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -27,28 +27,30 @@ _HARMONICS = 5
 
 
 @dataclass(frozen=True)
-class AnalyzedFile:
-    """One file and what it says."""
+class AnalyzedFiles:
+    """One file, or several as records at one rate, and what they say."""
 
-    path: Path
+    paths: tuple[Path, ...]
     found: Evaluation
     harmonics: list[dict[str, float]] | None
     result: Result
 
     def document(self) -> dict[str, Any]:
-        """Return the result as plain JSON, with the harmonics."""
-        document = {**self.result.document, "flags": self.result.flags, "run": None, "file": str(self.path)}
-        document["harmonics"] = self.harmonics
+        """Return the result as plain JSON; of one file with its harmonics."""
+        document = {**self.result.document, "flags": self.result.flags, "run": None}
+        if len(self.paths) > 1:
+            return dict(plain(document | {"files": self.paths}))
+        document |= {"file": self.paths[0], "harmonics": self.harmonics}
         if self.harmonics and not np.isfinite(document["beat_frequency_hz"]):
             document["beat_frequency_hz"] = self.harmonics[0]["frequency_hz"]
         return dict(plain(document))
 
     def rows(self) -> list[dict[str, Any]]:
-        """Return one plain JSON object for its record."""
+        """Return one plain JSON object for each record."""
         return [dict(plain(row)) for row in record_documents(self.found, "file")]
 
 
-def analyze_file(path: Path, config: Path | None, choices: Mapping[str, Any]) -> AnalyzedFile:
+def analyze_file(path: Path, config: Path | None, choices: Mapping[str, Any]) -> AnalyzedFiles:
     """Analyse a Tektronix CSV file or an ISF file.
 
     Parameters
@@ -66,16 +68,21 @@ def analyze_file(path: Path, config: Path | None, choices: Mapping[str, Any]) ->
         If the file holds no signal over time.
     """
     waveform = read_waveform(path)
-    check_over_time(waveform, str(path))
     chosen = {name: value for name, value in choices.items() if value is not None}
     method = Method(**{"scale_factor": load_settings(config).gyro.scale_factor_pulses_per_deg, **chosen})
-    found = evaluate_waveforms([waveform], [str(path)], method)
-    harmonics = None
-    if not int(found.combined.flags) & int(Flag.NO_BEAT | Flag.CONSTANT):
-        harmonics = harmonics_of(waveform)
-    said = result(found)
+    return analyze_waveforms([waveform], [path], method)
+
+
+def analyze_waveforms(waveforms: Sequence[Waveform], paths: Sequence[Path], method: Method) -> AnalyzedFiles:
+    """Analyse what was read from files; NoUsableSignal if one holds no signal over time."""
+    for waveform, path in zip(waveforms, paths, strict=True):
+        check_over_time(waveform, str(path))
+    found = evaluate_waveforms(waveforms, [str(path) for path in paths], method)
+    said, harmonics = result(found), None
+    if len(waveforms) == 1 and not int(found.combined.flags) & int(Flag.NO_BEAT | Flag.CONSTANT):
+        harmonics = harmonics_of(waveforms[0])
     tables = (*said.tables, _harmonics_table(harmonics)) if harmonics else said.tables
-    return AnalyzedFile(path, found, harmonics, Result(**{**vars(said), "tables": tables}))
+    return AnalyzedFiles(tuple(paths), found, harmonics, Result(**{**vars(said), "tables": tables}))
 
 
 def harmonics_of(waveform: Waveform) -> list[dict[str, float]] | None:

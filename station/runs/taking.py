@@ -29,10 +29,13 @@ class Taken:
         The run's SQLite file; it holds every record that was acknowledged.
     failure : Failure or None
         What stopped it before its time.
+    error : BaseException or None
+        The same, as it was raised.
     """
 
     path: Path
     failure: Failure | None
+    error: BaseException | None = None
 
     @property
     def to_tell(self) -> Failure:
@@ -160,13 +163,14 @@ def take(session: Session, work: Callable[[Session], None]) -> Taken:
         If the bench cannot be opened or the run cannot be written: then there is no run.
     """
     failure: Failure | None = None
+    stopped_by: BaseException | None = None
     try:
         try:
             work(session)
         finally:
             session.close_bench()
     except (InstrumentError, StationError, OSError, KeyboardInterrupt) as error:
-        failure = describe_failure(error)
+        failure, stopped_by = describe_failure(error), error
         if session.writer is None or failure is None:
             raise
     finally:
@@ -178,7 +182,7 @@ def take(session: Session, work: Callable[[Session], None]) -> Taken:
     try:
         writer.save_facts(ending)
     except RunError as error:  # a full disk takes no more; the records that it took are there
-        failure = failure or describe_failure(error)
+        failure, stopped_by = failure or describe_failure(error), stopped_by or error
     finally:
         writer.close()
-    return Taken(writer.path, failure)
+    return Taken(writer.path, failure, stopped_by)

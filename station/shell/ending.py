@@ -86,6 +86,17 @@ def show(evaluated: Evaluated, *, report: bool, as_json: bool) -> dict[str, Any]
         As for :func:`finish`; with `as_json` nothing is printed here but what is left out, on stderr.
     """
     from station.report.console import print_result
+
+    document = keep(evaluated, report=report)
+    if not as_json:
+        print_result(evaluated)
+    for sentence in (*(one.sentence for one in evaluated.result.left_out), *evaluated.not_tested):
+        click.echo(f"gyrolock: {sentence}", err=True)
+    return document
+
+
+def keep(evaluated: Evaluated, *, report: bool) -> dict[str, Any]:
+    """Save a result beside its records, with the report if wanted; return its document."""
     from station.report.report import write_report
     from station.runs.database import save_result
 
@@ -93,8 +104,4 @@ def show(evaluated: Evaluated, *, report: bool, as_json: bool) -> dict[str, Any]
     save_result(evaluated.run.path, document)
     if report:
         document["report"] = str(write_report(evaluated))
-    if not as_json:
-        print_result(evaluated)
-    for sentence in (*(one.sentence for one in evaluated.result.left_out), *evaluated.not_tested):
-        click.echo(f"gyrolock: {sentence}", err=True)
     return document

@@ -446,3 +446,27 @@ def test_all_nan_and_nearly_all_nan_records_are_flagged_not_fatal_to_the_batch()
     e = estimate_lock_in(records, 1.0, scale_factor=0.02, nan_policy="omit")
     assert e.usable.tolist() == [True, False, False]
     assert int(e.flags[2]) & Flag.TOO_FEW_SAMPLES
+
+
+def test_estimates_show_themselves():
+    rng = np.random.default_rng(33)
+    _, good = one_record(rng)
+    e = estimate_lock_in([good, good, np.zeros(2500)], 1.0, scale_factor=0.02)
+    assert len(e) == 3
+    assert [one.flags.shape for one in e] == [(), (), ()]
+    rate = f"{float(e.lock_in_rate[0]):.6g}"
+    assert repr(e).startswith(f"<LockInEstimate of 3 records: {rate} to {rate} deg/s, u ")
+    assert "constant" in repr(e)
+    assert repr(e[0]).startswith(f"<LockInEstimate: {rate} deg/s, u ")
+    assert repr(e[2]).startswith("<LockInEstimate: no lock-in rate; ")
+    assert "of 1 x 3 records" in repr(e.reshaped(1, 3))
+    assert repr(e[:0]) == "<LockInEstimate of 0 records: no lock-in rate; no flags>"
+    assert e._repr_html_().count("<tr>") == e.reshaped(1, 3)._repr_html_().count("<tr>") == 4
+    assert e[0]._repr_html_().count(f"<td>{rate}</td>") == 1
+    with pytest.raises(TypeError, match="unsized"):
+        len(e[0])
+    from matplotlib.figure import Figure
+
+    axes = Figure().subplots()
+    assert e.plot(axes) is axes
+    assert axes.get_xlabel() == "record"

@@ -1,0 +1,1 @@
+"""What `import gyrolock` shows: runs, records and results as objects of a script or a notebook."""

@@ -1,0 +1,107 @@
+"""The main job as a call."""
+
+from __future__ import annotations
+
+import inspect
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from station.errors import UsageError
+from station.measurements import measurement
+from station.notebook.result import Result
+from station.notebook.run import open_run, with_problem
+from station.runs.progress import Progress
+from station.settings.load import load
+from station.settings.toml_files import merged
+from station.shell.ending import keep
+from station.shell.options import overrides
+from station.shell.running import resume_run, start_run
+
+_PLACES = {
+    "resource": "scope.resource",
+    "records": "measurement.records",
+    "channel": "scope.channel",
+    "seed": "simulation.seed",
+    "out": "output.directory",
+}
+
+
+def measure(
+    settings: str | os.PathLike[str] | Mapping[str, Mapping[str, object]] | None = None,
+    *,
+    resource: str | None = None,
+    records: int | None = None,
+    channel: str | None = None,
+    seed: int | None = None,
+    out: str | os.PathLike[str] | None = None,
+    unit: str | None = None,
+    operator: str | None = None,
+    note: str | None = None,
+    resume: str | os.PathLike[str] | None = None,
+    report: bool = True,
+    quiet: bool = False,
+    **sections: Any,
+) -> Result:
+    """Measure the lock-in rate: acquire, save, analyse, report. The same as the command ``gyrolock measure``.
+
+    Parameters
+    ----------
+    settings : path or mapping, optional
+        TOML file, or its content as mappings of mappings; only what differs from the defaults.
+    resource : str, optional
+        VISA name of the oscilloscope; without one, here or in the settings, the bench is simulated.
+    records, channel, seed, out, unit, operator, note : optional
+        As the options of the command.
+    resume : path, optional
+        A run that was cut short: it goes on.
+    report : bool, optional
+        Write ``report.html`` beside the run.
+    quiet : bool, optional
+        Show no progress on stderr.
+    **sections : mapping
+        Single settings by section; they win over `settings`: ``measurement={"both_senses": True}``.
+
+    Returns
+    -------
+    Result
+        Where the records give no lock-in rate its value is ``None`` and `Result.problem` says why.
+
+    Raises
+    ------
+    SettingsError, UsageError
+        Before anything moves; every mistake in one text.
+    InstrumentError, NoUsableSignal, KeyboardInterrupt, ...
+        What stopped the measurement. The records so far are kept; a note on the error says where.
+    """
+    for name, section in sections.items():
+        if not isinstance(section, Mapping):
+            options = [option for option in inspect.signature(measure).parameters if option != "sections"]
+            raise UsageError(f"gyrolock.measure has no option {name!r}; it has {', '.join(options)}")
+    directory = None if out is None else Path(out)
+    given = {"resource": resource, "records": records, "channel": channel, "seed": seed, "out": directory}
+    named = {label: text for label, text in {"unit": unit, "operator": operator, "note": note}.items() if text}
+    chosen = merged(merged({}, sections), overrides(given, _PLACES))
+    config = None
+    if isinstance(settings, Mapping):
+        chosen = merged(settings, chosen)
+    elif settings is not None:
+        config = Path(settings)
+    kind, progress = measurement("measure"), Progress(quiet=quiet)
+    if resume is not None:
+        taken = resume_run(Path(resume), progress, kind=kind, config=config, overrides=chosen, labels=named)
+    else:
+        wanted = load(kind.kind, config, chosen)
+        if seed is not None and not kind.simulated(wanted):
+            raise UsageError("seed belongs to a simulated bench; a real one has none")
+        taken = start_run(kind, wanted, progress, labels=named)
+    if taken.error is not None:
+        where = taken.path.parent
+        taken.error.add_note(
+            f"The records so far are in {where}; gyrolock.measure(resume={str(where)!r}) goes on."
+        )
+        raise taken.error
+    run = open_run(taken.path)
+    evaluated = run.evaluated()
+    return Result(evaluated, run, with_problem(keep(evaluated, report=report), evaluated.result.problem))

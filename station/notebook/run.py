@@ -1,0 +1,216 @@
+"""Opening what was saved: a run of any measurement, or files of an oscilloscope seen as one."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable, Sequence
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+from analysis import LockInEstimate
+from analysis.lock_in_run import Method
+from instrument import read_waveform
+from station.errors import EXIT_NO_SIGNAL, Failure, NoUsableSignal, UsageError
+from station.fibre_gyro.recordings import segments_of
+from station.lock_in.evaluation import Evaluation
+from station.lock_in.files import AnalyzedFiles, analyze_waveforms
+from station.lock_in.read import saved_waveform
+from station.notebook.records import Record, Records
+from station.notebook.result import Result
+from station.runs.store import SavedRun
+from station.runs.store import open_run as read_run
+from station.shell.evaluated import Evaluated, evaluate_run, kind_of
+
+PathLike = str | os.PathLike[str]
+_WAVEFORM_FILES = (".csv", ".isf")
+
+
+class Run(Records):
+    """Records, and what they say. Made by :func:`open_run` and :func:`read`."""
+
+    def evaluated(self, config: PathLike | None = None, **choices: Any) -> Evaluated | AnalyzedFiles:
+        """Evaluate the records; arguments as for :meth:`result`."""
+        raise NotImplementedError
+
+    def result(self, config: PathLike | None = None, **choices: Any) -> Result:
+        """Return what the records say; always computed again from the raw codes.
+
+        Parameters
+        ----------
+        config : path, optional
+            Settings file: what is known of the bench, and the limits, are taken from it.
+        **choices
+            As the options of ``gyrolock analyze``: ``scale_factor``, ``input_rate``, ``relation``.
+
+        Raises
+        ------
+        StationError
+            The records cannot be evaluated. Those that are only of no use give a result with a `problem`.
+        """
+        evaluated = self.evaluated(config, **choices)
+        return Result(evaluated, self, with_problem(evaluated.document(), evaluated.result.problem))
+
+    @cached_property
+    def estimates(self) -> LockInEstimate:
+        """What each record says alone, arrays of shape (n,); UsageError where that is no lock-in rate."""
+        found = self.evaluated().found
+        if not isinstance(found, Evaluation):
+            raise UsageError(f"{self.path}: is a run of `{self.command}`: its records give no lock-in rate each")
+        return found.each
+
+
+class TakenRun(Run):
+    """A saved run: the records that its measurement is of; others by their purpose."""
+
+    def __init__(self, saved: SavedRun) -> None:
+        self._saved, facts, kind = saved, saved.facts, kind_of(saved)
+        self.purposes = tuple(dict.fromkeys(record.purpose for record in saved.records))
+        own = [facts.command] if facts.command in self.purposes else self.purposes
+        records: list[Record] = []
+        damaged: list[str] = []
+        for purpose in own:
+            intact = self.taken_for(purpose)
+            records += intact
+            there = {record.name for record in intact}
+            damaged += [name for name in _names(saved, purpose) if name not in there]
+        super().__init__(
+            records, saved.path, kind.command, facts.settings, facts.outcome_text, facts.labels, damaged
+        )
+
+    def taken_for(self, purpose: str) -> tuple[Record, ...]:
+        """Return the intact records of one of the `purposes`: ``"tilt"``, ``"quadrature"``, ``"table"``..."""
+        taken = self._saved.taken_for(purpose)
+        if any(_is_output(record.header) for record in taken):
+            data: Iterable[Any] = (segment.recording for segment in segments_of(self._saved, purpose))
+        else:
+            data = (saved_waveform(record, self._saved) if record.intact else None for record in taken)
+        return tuple(
+            Record(name, record.conditions, one, purpose, record.taken_at)
+            for name, record, one in zip(_names(self._saved, purpose), taken, data, strict=True)
+            if record.intact
+        )
+
+    def evaluated(self, config: PathLike | None = None, **choices: Any) -> Evaluated:
+        """Evaluate the run; arguments as for :meth:`result`."""
+        return evaluate_run(self._saved, config=None if config is None else Path(config), choices=choices)
+
+
+class FileRun(Run):
+    """Files of an oscilloscope as records at one rate."""
+
+    def __init__(self, path: Path, files: Sequence[Path], channel: str | None, method: dict[str, Any]) -> None:
+        self._method = method
+        records = []
+        for file in files:
+            waveform = read_waveform(file)
+            source = waveform.preamble.wfid.split(",")[0].upper()
+            if channel is None or source == channel.upper():
+                records.append(Record(str(file), {"channel": source}, waveform))
+        if not records:
+            raise UsageError(f"{path}: none of {len(files)} files is of {channel}")
+        super().__init__(records, path, "gyrolock analyze", {}, f"{len(records)} files")
+
+    def evaluated(self, config: PathLike | None = None, **choices: Any) -> AnalyzedFiles:
+        """Evaluate the files; arguments as for :meth:`result`."""
+        given = {name: one for name, one in {**self._method, **choices}.items() if one is not None}
+        if config is not None:
+            raise UsageError("files have no settings that others could take the place of")
+        if "scale_factor" not in given:
+            raise UsageError(
+                f"{self.path}: files do not know the gyro's pulses per degree: give scale_factor to gyrolock.read"
+            )
+        if len(sources := dict.fromkeys(record.conditions["channel"] for record in self.records)) > 1:
+            # two inputs of one acquisition are not two records: their mean would seem better than it is
+            raise UsageError(
+                f"{self.path}: files of {', '.join(sources)}: give one of them as channel to gyrolock.read"
+            )
+        waveforms = [record.waveform for record in self.records]
+        return analyze_waveforms(waveforms, [Path(record.name) for record in self.records], Method(**given))
+
+
+def open_run(path: PathLike) -> TakenRun:
+    """Open a run that any command has saved, finished or not, of this version or an earlier one.
+
+    Parameters
+    ----------
+    path : path
+        Its directory, or the SQLite file in it.
+
+    Returns
+    -------
+    TakenRun
+        Its records are those that the measurement is of, without damaged ones (`damaged` names them) and
+        without what was set aside; `taken_for` gives the others, of the fast run for instance.
+
+    Raises
+    ------
+    RunError
+        There is no run, or it is one that this version does not know.
+    """
+    return TakenRun(read_run(Path(path)))
+
+
+def read(
+    paths: PathLike | Iterable[PathLike],
+    *,
+    scale_factor: float | None = None,
+    channel: str | None = None,
+    input_rate: float | None = None,
+    relation: str | None = None,
+) -> FileRun:
+    """Read files of an oscilloscope and see them as a run: records at one rate.
+
+    Parameters
+    ----------
+    paths : path or iterable of path
+        Tektronix CSV or ISF files; a folder, such as a memory card, stands for all that are in it and below.
+    scale_factor : float, optional
+        Pulses per degree. Without it there are records, but no estimates.
+    channel : str, optional
+        Only files of this input: ``"CH1"``.
+    input_rate : float, optional
+        Rate on the gyro's axis, deg/s; without it each record is its own reference.
+    relation : {"exact", "paper-13", "paper-10"}, optional
+        Of ratio and rate.
+
+    Raises
+    ------
+    FileFormatError, OSError
+        A file cannot be read.
+    UsageError
+        A folder holds no such file, or none is of the channel.
+    """
+    given = [Path(paths)] if isinstance(paths, str | os.PathLike) else [Path(path) for path in paths]
+    files = [file for path in given for file in _files_of(path)]
+    if not files:
+        raise UsageError("no file was given to read")
+    method = {"scale_factor": scale_factor, "input_rate": input_rate, "relation": relation}
+    return FileRun(Path(os.path.commonpath([path.absolute() for path in given])), files, channel, method)
+
+
+def with_problem(document: dict[str, Any], problem: str) -> dict[str, Any]:
+    """Return a document as the command prints it: with ``error`` where the records give no result."""
+    if not problem:
+        return document
+    return document | {"error": Failure(NoUsableSignal.kind, problem, EXIT_NO_SIGNAL).as_json()}
+
+
+def _files_of(path: Path) -> list[Path]:
+    if not path.is_dir():
+        return [path]
+    files = sorted(file for file in path.rglob("*") if file.suffix.lower() in _WAVEFORM_FILES)
+    if not files:
+        raise UsageError(f"{path}: holds no CSV or ISF file")
+    return files
+
+
+def _names(saved: SavedRun, purpose: str) -> list[str]:
+    """What the results call the records of one purpose: a stretch by its key, an oscilloscope's by its number."""
+    taken = saved.taken_for(purpose)
+    return [record.key if _is_output(record.header) else str(n) for n, record in enumerate(taken, start=1)]
+
+
+def _is_output(header: str) -> bool:
+    """Whether a record is a stretch of a gyro's output: its columns are described in JSON."""
+    return header.startswith("{")

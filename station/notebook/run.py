@@ -15,9 +15,9 @@ from station.errors import EXIT_NO_SIGNAL, Failure, NoUsableSignal, UsageError
 from station.fibre_gyro.recordings import segments_of
 from station.lock_in.evaluation import Evaluation
 from station.lock_in.files import AnalyzedFiles, analyze_waveforms
-from station.lock_in.read import saved_waveform
 from station.notebook.records import Record, Records
 from station.notebook.result import Result
+from station.ring_laser.records import saved_waveform
 from station.runs.store import SavedRun
 from station.runs.store import open_run as read_run
 from station.shell.evaluated import Evaluated, evaluate_run, kind_of

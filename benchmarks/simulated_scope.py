@@ -16,12 +16,13 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from station.lock_in.bench.instruments import at_slow_rate, build_instruments
 
 from instrument.facts import POINTS
 from instrument.simulated import VirtualClock
 from instrument.simulated.links.exchange import MessageExchange
+from station.lock_in.served import at_slow_rate
 from station.lock_in.settings import Values, load_settings
+from station.ring_laser.instruments import build_instruments
 
 TIME_BASES = (1e-8, 1e-6, 1e-4, 1e-3, 1e-2, 5e-2, 0.5)  # s/div
 MODES = {

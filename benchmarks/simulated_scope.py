@@ -10,6 +10,7 @@ the largest one tells of the machine.
 from __future__ import annotations
 
 import argparse
+import functools
 import sys
 import time
 from collections.abc import Callable, Sequence
@@ -93,7 +94,7 @@ class Client:
     def costs(self, repeats: int) -> dict[str, Cost]:
         """Costs by message."""
         found = {
-            name: self.cost(lambda name=name: self.ask(name), repeats)
+            name: self.cost(functools.partial(self.ask, name), repeats)
             for name in ("CURVE?", "TRIGGER:STATE?", "ACQUIRE:STATE?")
         }
         positions = iter(range(1000))

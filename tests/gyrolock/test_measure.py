@@ -2,10 +2,8 @@
 
 import json
 import os
-import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import pytest
@@ -69,25 +67,32 @@ def test_a_gyro_that_stays_locked_raises_and_says_where_the_run_is(tmp_path: Pat
     assert f"gyrolock.measure(resume={str(directory)!r}) goes on" in caught.value.__notes__[0]
 
 
+STOPPED = """
+import itertools, os, signal, sys
+import gyrolock
+from station.runs.store import RunWriter
+commit, commits = RunWriter.save_records, itertools.count(1)
+def save_records(writer, records):
+    commit(writer, records)
+    if next(commits) == 12:  # eight of the fast run and four more
+        os.kill(os.getpid(), signal.SIGINT)
+RunWriter.save_records = save_records
+gyrolock.measure(records=20, seed=3, out=sys.argv[1], report=False)
+"""
+
+
 @pytest.mark.skipif(os.name != "posix", reason="no SIGINT for another process")
 def test_an_interrupted_call_keeps_its_records_and_goes_on(tmp_path: Path) -> None:
-    program = f"import gyrolock; gyrolock.measure(records=300, seed=3, out={str(tmp_path)!r}, report=False)"
-    working = subprocess.Popen([sys.executable, "-c", program], stderr=subprocess.PIPE, text=True)
-    end = time.monotonic() + 60
-    there = 0
-    while there < 2 and time.monotonic() < end and working.poll() is None:
-        time.sleep(0.05)
-        runs = list(tmp_path.glob("*/run.sqlite"))
-        there = len(gyrolock.open_run(runs[0])) if runs else 0
-    working.send_signal(signal.SIGINT)
-    told = working.communicate(timeout=60)[1]
+    stopped = subprocess.run([sys.executable, "-c", STOPPED, str(tmp_path)], capture_output=True, text=True)
+    told = stopped.stderr
+    runs = list(tmp_path.glob("*/run.sqlite"))
     assert "KeyboardInterrupt" in told
     assert f"gyrolock.measure(resume={str(runs[0].parent)!r}) goes on." in told
     kept = gyrolock.open_run(runs[0])
     assert kept.outcome == "interrupted by the operator"
-    assert 2 <= len(kept) < 300
-    with pytest.raises(UsageError, match=r"measurement\.records is 300 in the run, not 2"):
+    assert len(kept) == 4
+    with pytest.raises(UsageError, match=r"measurement\.records is 20 in the run, not 2"):
         gyrolock.measure(resume=kept, records=2)
     done = gyrolock.measure(resume=kept, quiet=True, report=False, operator="the next")
-    assert (len(done), done.outcome, done.operator) == (300, "complete", "the next")
+    assert (len(done), done.outcome, done.operator) == (20, "complete", "the next")
     assert len(done.resumed_at) == 1

@@ -114,3 +114,32 @@ def start_gyrolock(tmp_path: Path) -> Iterator[Callable[..., subprocess.Popen[st
         if process.poll() is None:
             process.kill()
             process.communicate()
+
+
+CUT = """
+import itertools, os, signal, sys
+from station.cli import main
+from station.runs.store import RunWriter
+commit, commits = RunWriter.save_records, itertools.count(1)
+def save_records(writer, records):
+    commit(writer, records)
+    if next(commits) == int(sys.argv[2]):
+        os.kill(os.getpid(), getattr(signal, sys.argv[1]))
+RunWriter.save_records = save_records
+sys.exit(main(sys.argv[3:]))
+"""
+
+
+@pytest.fixture
+def cut_gyrolock(tmp_path: Path) -> Callable[..., Finished]:
+    """Run a command that gets a signal at the moment when so many commits are on the disk, on any machine."""
+
+    def run(how: str, commits: int, *arguments: object) -> Finished:
+        command = [sys.executable, "-c", CUT, how, str(commits), *map(str, arguments)]
+        done = subprocess.run(
+            command, cwd=tmp_path, capture_output=True, text=True, timeout=100, stdin=subprocess.DEVNULL
+        )
+        assert "Traceback" not in done.stderr, done.stderr
+        return Finished(done.returncode, done.stdout, done.stderr)
+
+    return run

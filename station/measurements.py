@@ -13,9 +13,9 @@ from station.results.result import Result
 from station.runs.store import SavedRun
 from station.runs.taking import Session
 from station.settings.load import SettingsKind
-from station.settings.parts import Section as Settings
+from station.settings.parts import SettingsSection
 
-S = TypeVar("S", bound=Settings)
+S = TypeVar("S", bound=SettingsSection)
 F = TypeVar("F")
 
 
@@ -88,7 +88,7 @@ MEASUREMENTS = {
     "table": "station.fibre_gyro.table.measurement",
     "selfcal": "station.fibre_gyro.selfcal.measurement",
     "eps": "station.fibre_gyro.eps.measurement",
-    "figures": "station.fibre_gyro.figures.measurement",
+    "figures": "station.fibre_gyro.merit.measurement",
     "witness": "station.fibre_gyro.witness.measurement",
 }
 

@@ -10,10 +10,10 @@ from pydantic import Field
 from station.errors import SettingsError
 from station.ring_laser.settings import GyroSettings, ScopeSettings, SimulationSettings
 from station.settings.load import SettingsKind
-from station.settings.parts import Finite, Limit, NotNegative, OutputSettings, Section, SiteSettings
+from station.settings.parts import Finite, Limit, NotNegative, OutputSettings, SettingsSection, SiteSettings
 
 
-class TableSettings(Section):
+class TableSettings(SettingsSection):
     """The rate table under the gyro."""
 
     kind: Literal["simulated", "manual"]
@@ -23,7 +23,7 @@ class TableSettings(Section):
     rate_u_dps: NotNegative
 
 
-class SweepSettings(Section):
+class SweepSettings(SettingsSection):
     """Rates, how many records at each, and what a record shall look like."""
 
     highest_over_lock_in: Annotated[float, Field(gt=1, le=1000)]
@@ -35,7 +35,7 @@ class SweepSettings(Section):
     fill_levels: Annotated[float, Field(ge=10, le=120)]
 
 
-class LimitSettings(Section):
+class LimitSettings(SettingsSection):
     """Limits; one that is absent is not tested. Names as in the JSON of a result."""
 
     dead_band_dps: Limit = None
@@ -45,7 +45,7 @@ class LimitSettings(Section):
     hysteresis_dps: Limit = None
 
 
-class DeadBandSettings(Section):
+class DeadBandSettings(SettingsSection):
     """All settings of a sweep. ``simulation`` is absent on a real bench."""
 
     gyro: GyroSettings

@@ -10,13 +10,21 @@ from pydantic import Field
 from analysis.fibre_gyro import FibreCoil
 from station.errors import SettingsError
 from station.settings.load import SettingsKind, Values, load
-from station.settings.parts import Finite, Limit, NotNegative, OutputSettings, Positive, Section, SiteSettings
+from station.settings.parts import (
+    Finite,
+    Limit,
+    NotNegative,
+    OutputSettings,
+    Positive,
+    SettingsSection,
+    SiteSettings,
+)
 
 Rates = Annotated[list[Positive], Field(min_length=1)]
 Name = Annotated[str, Field(min_length=1, pattern=r"^\S+$")]
 
 
-class GyroSettings(Section):
+class GyroSettings(SettingsSection):
     """The gyro by design."""
 
     name: str
@@ -31,7 +39,7 @@ class GyroSettings(Section):
     gated_resets: bool
 
 
-class LinkSettings(Section):
+class LinkSettings(SettingsSection):
     """The gyro's serial port."""
 
     port: str
@@ -40,7 +48,7 @@ class LinkSettings(Section):
     speed: Positive
 
 
-class TableSettings(Section):
+class TableSettings(SettingsSection):
     """The rate-table run."""
 
     kind: Literal["simulated", "manual"]
@@ -54,7 +62,7 @@ class TableSettings(Section):
     irreproducibility_ppm: NotNegative
 
 
-class SelfcalSettings(Section):
+class SelfcalSettings(SettingsSection):
     """The self-calibration by injected staircase."""
 
     axis: Name
@@ -66,7 +74,7 @@ class SelfcalSettings(Section):
     settle_s: NotNegative
 
 
-class EpsSettings(Section):
+class EpsSettings(SettingsSection):
     """The open-loop measurement of the 2 pi error."""
 
     steps_codes: Annotated[list[Positive], Field(min_length=1)]
@@ -74,7 +82,7 @@ class EpsSettings(Section):
     settle_s: NotNegative
 
 
-class FiguresSettings(Section):
+class FiguresSettings(SettingsSection):
     """Runs for the figures of merit."""
 
     axis: Name
@@ -87,7 +95,7 @@ class FiguresSettings(Section):
     settle_s: NotNegative
 
 
-class WitnessSettings(Section):
+class WitnessSettings(SettingsSection):
     """The oscilloscope on the phase modulator."""
 
     resource: str
@@ -102,7 +110,7 @@ class WitnessSettings(Section):
     time_base_u: NotNegative
 
 
-class SimulationSettings(Section):
+class SimulationSettings(SettingsSection):
     """The truth of the simulated gyro and table."""
 
     model: Literal["auto", "output", "transit"]
@@ -124,7 +132,7 @@ class SimulationSettings(Section):
     scope_gain_error: Annotated[float, Field(ge=-0.1, le=0.1)]
 
 
-class LimitSettings(Section):
+class LimitSettings(SettingsSection):
     """Limits; one that is absent is not tested."""
 
     nominal_difference_ppm: Limit = None
@@ -142,7 +150,7 @@ class LimitSettings(Section):
     witness_step_time_ppm: Limit = None
 
 
-class FogSettings(Section):
+class FogSettings(SettingsSection):
     """All settings of ``gyrolock fog``."""
 
     gyro: GyroSettings

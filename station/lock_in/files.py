@@ -12,7 +12,7 @@ import numpy as np
 from analysis import Flag, fit_harmonics
 from analysis.lock_in_run import Method
 from instrument import Waveform, read_waveform
-from station.lock_in.evaluation import Evaluation
+from station.lock_in.found import LockInFound
 from station.lock_in.presentation.documents import record_documents
 from station.lock_in.read import evaluate_waveforms
 from station.lock_in.result import result
@@ -31,7 +31,7 @@ class AnalyzedFiles:
     """One file, or several as records at one rate, and what they say."""
 
     paths: tuple[Path, ...]
-    found: Evaluation
+    found: LockInFound
     harmonics: list[dict[str, float]] | None
     result: Result
 

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from analysis.lock_in_run import Method
-from station.lock_in.evaluation import Evaluation
+from station.lock_in.found import LockInFound
 from station.lock_in.presentation.documents import record_documents
 from station.lock_in.presentation.sections import sections
 from station.lock_in.presentation.tables import fact_tables
@@ -18,7 +18,7 @@ from station.measurements import Measurement
 from station.runs.store import SavedRun
 
 
-def evaluate(run: SavedRun, settings: Settings, choices: Mapping[str, Any]) -> Evaluation:
+def evaluate(run: SavedRun, settings: Settings, choices: Mapping[str, Any]) -> LockInFound:
     """Evaluate a run; the choices are those of :class:`analysis.lock_in_run.Method`."""
     chosen = {"scale_factor": settings.gyro.scale_factor_pulses_per_deg, **choices}
     return evaluate_run(run, settings, Method(**chosen))

@@ -23,14 +23,14 @@ from analysis.lock_in_run import (
 )
 from instrument import Waveform
 from station.errors import RunError, UsageError
-from station.lock_in.evaluation import Evaluation
+from station.lock_in.found import LockInFound
 from station.lock_in.knowledge import run_knowledge
 from station.lock_in.settings import Settings
 from station.ring_laser.records import saved_waveform
 from station.runs.store import SavedRecord, SavedRun
 
 
-def evaluate_run(run: SavedRun, settings: Settings, method: Method | None = None) -> Evaluation:
+def evaluate_run(run: SavedRun, settings: Settings, method: Method | None = None) -> LockInFound:
     """Evaluate the records that a run took at its slow rate, or at its slow rates.
 
     Parameters
@@ -69,7 +69,7 @@ def evaluate_run(run: SavedRun, settings: Settings, method: Method | None = None
     shown = records
     if found.several is not None:
         shown = [records[row] for row in found.several.reference_group.rows]
-    return Evaluation(
+    return LockInFound(
         **vars(found),
         names=tuple(taken.name for taken in intact),
         waveforms=waveforms,
@@ -79,11 +79,11 @@ def evaluate_run(run: SavedRun, settings: Settings, method: Method | None = None
     )
 
 
-def evaluate_waveforms(waveforms: Sequence[Waveform], names: Sequence[str], method: Method) -> Evaluation:
+def evaluate_waveforms(waveforms: Sequence[Waveform], names: Sequence[str], method: Method) -> LockInFound:
     """Evaluate records that come from files: at least one, each with its name."""
     nothing: tuple[Waveform, ...] = ()
     found = evaluate(RunArrays(_arrays((waveforms,)), _arrays((nothing,))), None, method)
-    return Evaluation(**vars(found), names=tuple(names), waveforms=tuple(waveforms))
+    return LockInFound(**vars(found), names=tuple(names), waveforms=tuple(waveforms))
 
 
 def fast_run_tilt(run: SavedRun, settings: Settings) -> Tilt:

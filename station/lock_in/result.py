@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from station.lock_in.evaluation import Evaluation
+from station.lock_in.found import LockInFound
 from station.lock_in.presentation.budget_table import budget_sentences
 from station.lock_in.presentation.documents import result_document
 from station.lock_in.presentation.sentences import (
@@ -25,7 +25,7 @@ from station.runs.store import SavedRun
 _RECORDS_SHOWN = 40
 
 
-def result(found: Evaluation, run: SavedRun | None = None, settings: Settings | None = None) -> Result:
+def result(found: LockInFound, run: SavedRun | None = None, settings: Settings | None = None) -> Result:
     """Put into numbers and sentences what was found; also for records that come from files, without a run."""
     document = result_document(found)
     budget = [] if found.budget is None else budget_sentences(found.budget)
@@ -54,7 +54,7 @@ def _number(value: object) -> float:
     return math.nan if value is None else float(value)  # type: ignore[arg-type]  # an array of no dimensions, or a number
 
 
-def _lines(found: Evaluation) -> list[str]:
+def _lines(found: LockInFound) -> list[str]:
     """Below the value in the report."""
     if not found.usable:
         return [no_result_words(found)]
@@ -68,11 +68,11 @@ def _lines(found: Evaluation) -> list[str]:
     return lines
 
 
-def _truth(found: Evaluation) -> str:
+def _truth(found: LockInFound) -> str:
     return f"the truth is {found.truth['lock_in_rate_dps']:.6g} deg/s" if found.truth is not None else ""
 
 
-def _summary(found: Evaluation) -> Rows:
+def _summary(found: LockInFound) -> Rows:
     """Below the value on the terminal."""
     combined, rows = found.combined, []
     if found.usable:

@@ -17,14 +17,22 @@ from pydantic import Field
 from station.errors import SettingsError
 from station.ring_laser.settings import GyroSettings, ScopeSettings, SimulationSettings
 from station.settings.load import SettingsKind, Values, load, shipped_settings
-from station.settings.parts import Finite, Limit, NotNegative, OutputSettings, Positive, Section, SiteSettings
+from station.settings.parts import (
+    Finite,
+    Limit,
+    NotNegative,
+    OutputSettings,
+    Positive,
+    SettingsSection,
+    SiteSettings,
+)
 from station.settings.toml_files import merged, read_toml
 
 ResponseRow = tuple[float, float, float]
 _RESPONSE_COLUMNS = 3
 
 
-class TableSettings(Section):
+class TableSettings(SettingsSection):
     """The rate table and what it is asked to do."""
 
     kind: Literal["simulated", "manual", "none"]
@@ -35,7 +43,7 @@ class TableSettings(Section):
     north_azimuth_deg: Finite
 
 
-class FrontEndSettings(Section):
+class FrontEndSettings(SettingsSection):
     """What is known of the channel between photodiode and converter; 0 and empty: nothing to correct."""
 
     low_pass_hz: NotNegative = 0.0
@@ -44,7 +52,7 @@ class FrontEndSettings(Section):
     response: tuple[tuple[Positive, Positive, Finite], ...] = ()
 
 
-class MeasurementSettings(Section):
+class MeasurementSettings(SettingsSection):
     """How many records of which shape, at which rates."""
 
     records: Annotated[int, Field(ge=1, le=1_000_000)]
@@ -56,7 +64,7 @@ class MeasurementSettings(Section):
     fill_levels: Annotated[float, Field(ge=10, le=120)]
 
 
-class BudgetSettings(Section):
+class BudgetSettings(SettingsSection):
     """What is known of the bench, for the uncertainty budget; 0 where a comment of the file says "not known"."""
 
     scale_factor_u_ppm: NotNegative
@@ -69,7 +77,7 @@ class BudgetSettings(Section):
     latitude_u_deg: NotNegative
 
 
-class LimitSettings(Section):
+class LimitSettings(SettingsSection):
     """Limits; one that is absent is not tested. Names as in the JSON of a result."""
 
     lock_in_rate_dps: Limit = None
@@ -79,7 +87,7 @@ class LimitSettings(Section):
     tilt_deg: Limit = None
 
 
-class Settings(Section):
+class Settings(SettingsSection):
     """All settings of a run. ``simulation`` is absent on a real bench."""
 
     gyro: GyroSettings

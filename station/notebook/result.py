@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 from instrument.fibre_gyro import Recording
 from station.errors import UsageError
-from station.lock_in.evaluation import Evaluation
 from station.lock_in.files import AnalyzedFiles
+from station.lock_in.found import LockInFound
 from station.notebook.records import Record, Records
 from station.notebook.show import data_frame, html_table
 from station.shell.evaluated import Evaluated
@@ -55,7 +55,7 @@ class Result:
 
     @property
     def found(self) -> Any:
-        """What the measurement computed, as arrays: of `measure` an Evaluation with ``each`` and ``combined``."""
+        """What the measurement computed, as arrays: of `measure` an LockInFound with ``each`` and ``combined``."""
         return self._evaluated.found
 
     def plot(self, record: int | str | None = None) -> Figure:
@@ -74,7 +74,7 @@ class Result:
         if isinstance(shown.data, Recording):
             return draw_output(shown.data, name)
         ratio = math.nan
-        if isinstance(self.found, Evaluation) and shown.name in self.found.names:
+        if isinstance(self.found, LockInFound) and shown.name in self.found.names:
             ratio = float(self.found.each.ratio[self.found.names.index(shown.name)])
         return draw_record(shown.waveform, name, ratio)
 
@@ -98,7 +98,7 @@ class Result:
             if wanted not in names:
                 raise UsageError(f"there is no record {wanted!r}; there are {', '.join(names)}")
             return self.run.records[names.index(wanted)]
-        if wanted is None and isinstance(self.found, Evaluation):
+        if wanted is None and isinstance(self.found, LockInFound):
             usable = [name for name, good in zip(self.found.names, self.found.each.usable, strict=True) if good]
             wanted = names.index(usable[0]) if usable else 0
         return self.run.records[wanted or 0]

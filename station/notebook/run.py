@@ -13,8 +13,8 @@ from analysis.lock_in_run import Method
 from instrument import read_waveform
 from station.errors import EXIT_NO_SIGNAL, Failure, NoUsableSignal, UsageError
 from station.fibre_gyro.recordings import segments_of
-from station.lock_in.evaluation import Evaluation
 from station.lock_in.files import AnalyzedFiles, analyze_waveforms
+from station.lock_in.found import LockInFound
 from station.notebook.records import Record, Records
 from station.notebook.result import Result
 from station.ring_laser.records import saved_waveform
@@ -55,7 +55,7 @@ class Run(Records):
     def estimates(self) -> LockInEstimate:
         """What each record says alone, arrays of shape (n,); UsageError where that is no lock-in rate."""
         found = self.evaluated().found
-        if not isinstance(found, Evaluation):
+        if not isinstance(found, LockInFound):
             raise UsageError(f"{self.path}: is a run of `{self.command}`: its records give no lock-in rate each")
         return found.each
 

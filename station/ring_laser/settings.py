@@ -9,12 +9,12 @@ from typing import Annotated, Literal, Protocol
 
 from pydantic import Field
 
-from station.settings.parts import Finite, NotNegative, Positive, Section, SiteSettings
+from station.settings.parts import Finite, NotNegative, Positive, SettingsSection, SiteSettings
 
 Dbc = Annotated[float, Field(ge=-200, le=0)]
 
 
-class GyroSettings(Section):
+class GyroSettings(SettingsSection):
     """The gyro under test, as far as it is known beforehand."""
 
     name: str
@@ -22,7 +22,7 @@ class GyroSettings(Section):
     expected_lock_in_rate_dps: Positive
 
 
-class ScopeSettings(Section):
+class ScopeSettings(SettingsSection):
     """The oscilloscope and its input."""
 
     resource: str
@@ -34,7 +34,7 @@ class ScopeSettings(Section):
     baud_rate: Literal[0, 300, 600, 1200, 2400, 4800, 9600, 19200]
 
 
-class ContaminantSettings(Section):
+class ContaminantSettings(SettingsSection):
     """What spoils the measurement on a simulated bench; everything is absent unless it is named."""
 
     second_harmonic_dbc: Dbc | None = None
@@ -55,7 +55,7 @@ class ContaminantSettings(Section):
     quadrature_phase_error_deg: Annotated[float, Field(gt=-80, lt=80)] = 0.0
 
 
-class SimulationSettings(Section):
+class SimulationSettings(SettingsSection):
     """The truth of a simulated bench."""
 
     seed: Annotated[int, Field(ge=0)]

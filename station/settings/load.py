@@ -13,10 +13,10 @@ from typing import Any, Generic, TypeVar
 from pydantic import ValidationError
 
 from station.errors import RunError, SettingsError, UsageError
-from station.settings.parts import Section
+from station.settings.parts import SettingsSection
 from station.settings.toml_files import merged, mistakes, read_toml
 
-S = TypeVar("S", bound=Section)
+S = TypeVar("S", bound=SettingsSection)
 Values = Mapping[str, Mapping[str, object]]
 """Settings by section and name, as the command line gives them."""
 
@@ -147,7 +147,7 @@ def settings_to_resume(
 
     Parameters
     ----------
-    saved : Section
+    saved : SettingsSection
         The run's own.
     path : Path or None
         A settings file that was given too.

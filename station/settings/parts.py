@@ -12,19 +12,19 @@ Finite = Annotated[float, Field(allow_inf_nan=False)]
 Limit = Positive | None
 
 
-class Section(BaseModel):
+class SettingsSection(BaseModel):
     """A section of a settings file: an unknown name is a mistake, and nothing changes once it is read."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
 
-class SiteSettings(Section):
+class SiteSettings(SettingsSection):
     """Where the bench stands."""
 
     latitude_deg: Annotated[float, Field(ge=-90, le=90)]
 
 
-class OutputSettings(Section):
+class OutputSettings(SettingsSection):
     """Where results go."""
 
     directory: Annotated[str, Field(min_length=1)]

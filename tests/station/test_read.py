@@ -9,7 +9,7 @@ import pytest
 from analysis.lock_in_run import Method
 from instrument import Preamble, Waveform
 from station.errors import NoUsableSignal, RunError
-from station.lock_in.evaluation import Evaluation
+from station.lock_in.found import LockInFound
 from station.lock_in.knowledge import run_knowledge
 from station.lock_in.read import (
     acquisitions_of,
@@ -29,7 +29,7 @@ def settings_of(run: SavedRun) -> Settings:
     return saved_settings(RING_LASER, run.facts.settings, str(run.path))
 
 
-def evaluated(run: SavedRun) -> Evaluation:
+def evaluated(run: SavedRun) -> LockInFound:
     return evaluate_run(run, settings_of(run))
 
 

@@ -8,7 +8,7 @@ from typing import Any
 from analysis import FrequencyFit, LockInEstimate, RatesFit, RatesFlag, flag_names
 from analysis.frequency_method import FrequencyFlag
 from analysis.lock_in_run import RateGroup
-from station.lock_in.evaluation import Evaluation, describe_method
+from station.lock_in.found import LockInFound, describe_method
 from station.lock_in.presentation.budget_table import budget_document
 from station.lock_in.presentation.rates_sentences import describe_frequencies, describe_rates
 from station.results.as_json import picked
@@ -97,7 +97,7 @@ _QUADRATURES = {
 }
 
 
-def result_document(found: Evaluation) -> dict[str, Any]:
+def result_document(found: LockInFound) -> dict[str, Any]:
     """Return the combined result.
 
     Units stand in the names; uncertainties are standard ones unless the name says 95.
@@ -124,7 +124,7 @@ def result_document(found: Evaluation) -> dict[str, Any]:
     return document
 
 
-def record_documents(found: Evaluation, called: str) -> list[dict[str, Any]]:
+def record_documents(found: LockInFound, called: str) -> list[dict[str, Any]]:
     """Return one document for each record, with the names of :func:`result_document`.
 
     Parameters
@@ -141,7 +141,7 @@ def record_documents(found: Evaluation, called: str) -> list[dict[str, Any]]:
     ]
 
 
-def _several_rates(found: Evaluation) -> dict[str, Any] | None:
+def _several_rates(found: LockInFound) -> dict[str, Any] | None:
     """What each rate says, and what all of them say together."""
     several = found.several
     if several is None:

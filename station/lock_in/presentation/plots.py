@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from analysis import fit_harmonics
 from instrument import Waveform
-from station.lock_in.evaluation import Evaluation
+from station.lock_in.found import LockInFound
 from station.report.figure import ACCENT, HALF, INK, SECOND, THIRD, WIDE, legend_above, svg_element
 
 if TYPE_CHECKING:
@@ -140,7 +140,7 @@ def line_svg(waveform: Waveform, order: int) -> str:
     return svg_element(f"line{order}", HALF, draw)
 
 
-def values_svg(evaluation: Evaluation) -> str:
+def values_svg(evaluation: LockInFound) -> str:
     """Draw the lock-in rate of every record, the combined value, and the truth if it is known."""
     each, combined = evaluation.each, evaluation.combined
     number = np.arange(1, len(evaluation.names) + 1)

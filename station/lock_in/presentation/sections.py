@@ -7,7 +7,7 @@ from collections.abc import Iterable
 
 from analysis.budget import Budget
 from analysis.lock_in_run import SeveralRates
-from station.lock_in.evaluation import Evaluation
+from station.lock_in.found import LockInFound
 from station.lock_in.presentation import plots, rates_plots
 from station.lock_in.presentation.budget_plot import budget_svg
 from station.lock_in.presentation.budget_table import BUDGET_COLUMNS, budget_rows, budget_sentences
@@ -22,7 +22,7 @@ from station.runs.store import SavedRun
 _RECORDS_SHOWN = 200
 
 
-def sections(found: Evaluation, run: SavedRun, settings: Settings, result: Result) -> list[Section]:
+def sections(found: LockInFound, run: SavedRun, settings: Settings, result: Result) -> list[Section]:
     """Return the sections of the report in their order."""
     made = []
     if found.several is not None:
@@ -46,7 +46,7 @@ def _budget(budget: Budget) -> Section:
     return Section("Uncertainty budget", figures=(figure,), sentences=tuple(budget_sentences(budget)), table=table)
 
 
-def _several_rates(found: Evaluation, several: SeveralRates) -> Section:
+def _several_rates(found: LockInFound, several: SeveralRates) -> Section:
     """Each rate alone, and the fit; without a fit the reason for that."""
     table = rates_table(several)
     sentences = tuple(rates_sentences(found))
@@ -83,7 +83,7 @@ def _checks(several: SeveralRates) -> list[Section]:
     return [Section("Does the model hold?", figures=tuple(figures), sentences=sentences)]
 
 
-def _one_record(found: Evaluation) -> list[Section]:
+def _one_record(found: LockInFound) -> list[Section]:
     shown = _shown_record(found)
     if shown is None:
         return []
@@ -109,7 +109,7 @@ def _one_record(found: Evaluation) -> list[Section]:
     ]
 
 
-def _shown_record(found: Evaluation) -> int | None:
+def _shown_record(found: LockInFound) -> int | None:
     """Pick the first record that gave a value, or else the first with a frequency."""
     rows: Iterable[int] = range(len(found.names))
     if found.several is not None:

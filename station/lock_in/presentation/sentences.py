@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from analysis import FATAL, QuadratureFlag, describe_flag, flag_names
-from station.lock_in.evaluation import Evaluation
+from station.lock_in.found import LockInFound
 from station.lock_in.presentation.rates_sentences import describe_rates
 from station.results.numbers import with_uncertainty
 
@@ -23,7 +23,7 @@ _QUADRATURE_FLAGS = {
 }
 
 
-def lock_in_words(evaluation: Evaluation) -> tuple[str, str]:
+def lock_in_words(evaluation: LockInFound) -> tuple[str, str]:
     """Return the lock-in rate in deg/s and in deg/h, each with its standard uncertainty."""
     rate, u = float(evaluation.combined.lock_in_rate), float(evaluation.combined.lock_in_rate_u)
     return with_uncertainty(rate, u, "deg/s"), with_uncertainty(
@@ -31,7 +31,7 @@ def lock_in_words(evaluation: Evaluation) -> tuple[str, str]:
     )
 
 
-def interval_words(evaluation: Evaluation) -> str:
+def interval_words(evaluation: LockInFound) -> str:
     """Return the 95 % interval of the lock-in rate in words."""
     combined = evaluation.combined
     low, high = float(combined.lock_in_rate_low_95), float(combined.lock_in_rate_high_95)
@@ -40,7 +40,7 @@ def interval_words(evaluation: Evaluation) -> str:
     return f"{low:.{digits}f} to {high:.{digits}f} deg/s"
 
 
-def flag_sentences(evaluation: Evaluation) -> list[str]:
+def flag_sentences(evaluation: LockInFound) -> list[str]:
     """Say in words what was noticed, of the combined result and of single records."""
     said = []
     for name in evaluation.flags:
@@ -53,7 +53,7 @@ def flag_sentences(evaluation: Evaluation) -> list[str]:
     return said
 
 
-def rates_sentences(evaluation: Evaluation) -> list[str]:
+def rates_sentences(evaluation: LockInFound) -> list[str]:
     """Say what records at several rates can tell and what they cannot; empty for one rate."""
     several = evaluation.several
     if several is None:
@@ -62,7 +62,7 @@ def rates_sentences(evaluation: Evaluation) -> list[str]:
     return [*fitted, *(f"No record at {text}" for text in evaluation.without_beat)]
 
 
-def quadrature_sentences(evaluation: Evaluation) -> list[str]:
+def quadrature_sentences(evaluation: LockInFound) -> list[str]:
     """Say what sine and cosine channel show of each other; empty for one channel."""
     found = evaluation.quadratures
     if found is None:
@@ -91,12 +91,12 @@ def _level_words(distortion: float, u: float) -> str:
     return f"below {20 * math.log10(abs(distortion) + 2 * u):.0f} dBc"
 
 
-def record_flags(evaluation: Evaluation) -> list[list[str]]:
+def record_flags(evaluation: LockInFound) -> list[list[str]]:
     """Return the names of the flags of each record."""
     return [flag_names(int(flags)) for flags in evaluation.each.flags]
 
 
-def no_result_words(evaluation: Evaluation) -> str:
+def no_result_words(evaluation: LockInFound) -> str:
     """Say in one sentence why no lock-in rate is given."""
     if evaluation.several is not None and evaluation.several.problem:
         return f"no lock-in rate: {evaluation.several.problem}"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from analysis.lock_in_run import SeveralRates
-from station.lock_in.evaluation import Evaluation
+from station.lock_in.found import LockInFound
 from station.lock_in.presentation.sentences import record_flags
 from station.lock_in.settings import Settings
 from station.results.numbers import with_prefix, with_uncertainty
@@ -37,7 +37,7 @@ def rates_table(several: SeveralRates) -> TextTable:
     return TextTable(_RATES, tuple(rows))
 
 
-def records_table(found: Evaluation, most: int) -> TextTable:
+def records_table(found: LockInFound, most: int) -> TextTable:
     """Return one row for each record, at most so many."""
     each, flags, rows = found.each, record_flags(found), []
     for index, name in enumerate(found.names[:most]):
@@ -56,7 +56,7 @@ def records_table(found: Evaluation, most: int) -> TextTable:
     return TextTable(_RECORDS, tuple(rows))
 
 
-def fact_tables(found: Evaluation, run: SavedRun, settings: Settings) -> list[FactTable]:
+def fact_tables(found: LockInFound, run: SavedRun, settings: Settings) -> list[FactTable]:
     """Return conditions and secondary results as small tables."""
     return [
         FactTable("Result", _result_rows(found)),
@@ -65,7 +65,7 @@ def fact_tables(found: Evaluation, run: SavedRun, settings: Settings) -> list[Fa
     ]
 
 
-def _result_rows(found: Evaluation) -> Rows:
+def _result_rows(found: LockInFound) -> Rows:
     combined = found.combined
     counted = len(found.waveforms) + len(found.damaged)
     rows = [
@@ -85,7 +85,7 @@ def _result_rows(found: Evaluation) -> Rows:
     return rows
 
 
-def _rate_rows(found: Evaluation, run: SavedRun, settings: Settings) -> Rows:
+def _rate_rows(found: LockInFound, run: SavedRun, settings: Settings) -> Rows:
     combined, several, rows = found.combined, found.several, []
     if math.isfinite(combined.beat_frequency):
         beat = with_uncertainty(float(combined.beat_frequency), float(combined.beat_frequency_u), "Hz")
@@ -109,7 +109,7 @@ def _rate_rows(found: Evaluation, run: SavedRun, settings: Settings) -> Rows:
     return rows
 
 
-def _scope_rows(found: Evaluation, run: SavedRun, settings: Settings) -> Rows:
+def _scope_rows(found: LockInFound, run: SavedRun, settings: Settings) -> Rows:
     scope, knobs = settings.scope, run.facts.get("scope_setting", {})
     wave, identity = found.waveforms[0], run.facts.get("identity", {})
     rows = [

@@ -12,7 +12,7 @@ from instrument.fibre_gyro import FibreGyroLink, Recording, parse_frame_format
 from instrument.simulated.fibre_gyro.faults import GyroFault, GyroFaults
 from instrument.simulated.fibre_gyro.server import TcpGyroServer
 from station.fibre_gyro.eps import measurement as eps
-from station.fibre_gyro.figures import measurement as figures
+from station.fibre_gyro.merit import measurement as figures
 from station.fibre_gyro.segments import PlannedSegment
 from station.fibre_gyro.selfcal import measurement as selfcal
 from station.fibre_gyro.selfcal.numbers import numbers_for

@@ -16,7 +16,7 @@ RELATIONS = {
 
 
 @dataclass(frozen=True, kw_only=True)
-class Evaluation(LockInRun):
+class LockInFound(LockInRun):
     """What the records of a run say, and the records.
 
     Attributes

@@ -32,7 +32,7 @@ _MANY_TURNS = 100_000
 
 
 @dataclass(frozen=True)
-class FiguresRun:
+class MeritRun:
     """One run over the range.
 
     Attributes
@@ -59,12 +59,12 @@ class FiguresRun:
 
 
 @dataclass(frozen=True)
-class FiguresFound:
+class MeritFound:
     """Figures of merit of a gyro.
 
     Attributes
     ----------
-    runs : tuple of FiguresRun
+    runs : tuple of MeritRun
         From cold starts at the reference temperature.
     scale_factor, scale_factor_u : float
         Mean of the runs, and its standard uncertainty; counts per deg/s.
@@ -74,8 +74,8 @@ class FiguresFound:
         nan where there are too few runs.
     """
 
-    runs: tuple[FiguresRun, ...]
-    at_temperatures: tuple[FiguresRun, ...]
+    runs: tuple[MeritRun, ...]
+    at_temperatures: tuple[MeritRun, ...]
     scale_factor: float
     scale_factor_u: float
     nonlinearity_ppm: float
@@ -86,12 +86,12 @@ class FiguresFound:
     left_out: tuple[LeftOut, ...]
 
     @property
-    def all_runs(self) -> tuple[FiguresRun, ...]:
+    def all_runs(self) -> tuple[MeritRun, ...]:
         """Those from cold starts first."""
         return (*self.runs, *self.at_temperatures)
 
 
-def evaluate(run: SavedRun, settings: FogSettings, choices: Mapping[str, Any]) -> FiguresFound:
+def evaluate(run: SavedRun, settings: FogSettings, choices: Mapping[str, Any]) -> MeritFound:
     """Evaluate the segments of a run.
 
     Raises
@@ -113,7 +113,7 @@ def evaluate(run: SavedRun, settings: FogSettings, choices: Mapping[str, Any]) -
     k = np.array([one.figures.fit.slope for one in runs])
     each = [one.figures for one in runs]
     scale_u = float(np.std(k, ddof=1) / math.sqrt(k.size)) if k.size > 1 else each[0].fit.slope_u
-    return FiguresFound(
+    return MeritFound(
         runs=runs,
         at_temperatures=others,
         scale_factor=float(k.mean()),
@@ -132,7 +132,7 @@ def _largest(values: Sequence[float]) -> float:
     return max(known, default=math.nan)
 
 
-def _temperature_coefficient(runs: Sequence[FiguresRun], others: Sequence[FiguresRun]) -> float:
+def _temperature_coefficient(runs: Sequence[MeritRun], others: Sequence[MeritRun]) -> float:
     known = [one for one in others if math.isfinite(one.temperature_c)]
     middle = float(np.mean([one.temperature_c for one in runs]))
     if not known or not math.isfinite(middle):
@@ -147,7 +147,7 @@ def _temperature_coefficient(runs: Sequence[FiguresRun], others: Sequence[Figure
 
 def _one_run(
     name: str, segments: Sequence[Segment], settings: FogSettings, left_out: list[LeftOut]
-) -> FiguresRun | None:
+) -> MeritRun | None:
     """Evaluate one run; segments that cannot be used are added to `left_out`."""
     rates, means, static = [], [], []
     for position, segment in enumerate(segments):
@@ -172,7 +172,7 @@ def _one_run(
     net = net_outputs(mean, mean_u, before or after or (0.0, 0.0), after or before or (0.0, 0.0))
     rate, u = np.array(rates, dtype=np.float64), np.maximum(net.output_u, 1e-12 * np.abs(net.output).max())
     both = before is not None and after is not None
-    return FiguresRun(
+    return MeritRun(
         name, _temperature(segments), rate, net.output, u,
         net.drift if both else math.nan, net.drift_u if both else math.nan,
         scale_figures(rate, net.output, u), residual_pattern(rate, net.output, u),

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from station.fibre_gyro.common import COLOURS, COUNTS_PER_DPS, PPM
-from station.fibre_gyro.figures.evaluate import FiguresFound, FiguresRun
+from station.fibre_gyro.merit.evaluate import MeritFound, MeritRun
 from station.fibre_gyro.settings import FogSettings
 from station.report.figure import ACCENT, HALF, SECOND, SOFT, WIDE, legend_above, svg_element
 from station.results.numbers import ppm, with_uncertainty
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-def sections(found: FiguresFound, run: SavedRun, settings: FogSettings, result: Result) -> list[Section]:
+def sections(found: MeritFound, run: SavedRun, settings: FogSettings, result: Result) -> list[Section]:
     """Return the sections of the report."""
     header = ("run", "°C", f"K, {COUNTS_PER_DPS}", "nonlin. FS", "nonlin. point", "asymmetry", "pattern")
     return [
@@ -46,7 +46,7 @@ def sections(found: FiguresFound, run: SavedRun, settings: FogSettings, result: 
     ]
 
 
-def _row(one: FiguresRun) -> tuple[str, ...]:
+def _row(one: MeritRun) -> tuple[str, ...]:
     return (
         one.name,
         f"{one.temperature_c:.1f}" if math.isfinite(one.temperature_c) else "",
@@ -58,7 +58,7 @@ def _row(one: FiguresRun) -> tuple[str, ...]:
     )
 
 
-def _deviations_svg(found: FiguresFound, *, of_point: bool) -> str:
+def _deviations_svg(found: MeritFound, *, of_point: bool) -> str:
     """Draw the deviations from the line of every run, of full scale or of each point."""
 
     def draw(figure: Figure) -> None:
@@ -81,7 +81,7 @@ def _deviations_svg(found: FiguresFound, *, of_point: bool) -> str:
     return svg_element("of-point" if of_point else "of-full-scale", HALF, draw)
 
 
-def _scale_factors_svg(found: FiguresFound) -> str:
+def _scale_factors_svg(found: MeritFound) -> str:
     """Draw the scale factor of every run against the temperature."""
 
     def draw(figure: Figure) -> None:

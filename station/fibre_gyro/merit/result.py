@@ -6,7 +6,7 @@ import math
 from typing import Any
 
 from station.fibre_gyro.common import COUNTS_PER_DPS
-from station.fibre_gyro.figures.evaluate import FiguresFound, FiguresRun
+from station.fibre_gyro.merit.evaluate import MeritFound, MeritRun
 from station.fibre_gyro.settings import FogSettings
 from station.results.as_json import picked
 from station.results.numbers import with_uncertainty
@@ -46,7 +46,7 @@ _FIGURES = {
 _PATTERN = {"pattern": "names", "odd_ppm": "odd_ppm", "even_ppm": "even_ppm", "near_zero_ppm": "near_zero_ppm"}
 
 
-def result(found: FiguresFound, run: SavedRun, settings: FogSettings) -> Result:
+def result(found: MeritFound, run: SavedRun, settings: FogSettings) -> Result:
     """Put into numbers and sentences what was found."""
     lines = (
         f"Asymmetry {_ppm(found.asymmetry_ppm)}, repeatability {_ppm(found.repeatability_ppm)} "
@@ -82,7 +82,7 @@ def _ppm(value: float) -> str:
     return f"{value:.3g} ppm" if math.isfinite(value) else "none"
 
 
-def _run(one: FiguresRun) -> dict[str, Any]:
+def _run(one: MeritRun) -> dict[str, Any]:
     return {
         "name": one.name,
         "temperature_c": one.temperature_c,
@@ -95,7 +95,7 @@ def _run(one: FiguresRun) -> dict[str, Any]:
     }
 
 
-def _sentences(found: FiguresFound) -> list[str]:
+def _sentences(found: MeritFound) -> list[str]:
     """Say which pattern the deviations have."""
     said = [
         f"{one.name}: the deviations are {', and '.join(_CAUSES[name] for name in one.pattern.names)}."
@@ -105,7 +105,7 @@ def _sentences(found: FiguresFound) -> list[str]:
     return said or ["The deviations from the line show no pattern beyond their noise."]
 
 
-def _to_watch(found: FiguresFound) -> list[str]:
+def _to_watch(found: MeritFound) -> list[str]:
     said = [f"{one.sentence}." for one in found.left_out]
     for one in found.all_runs:
         if not math.isfinite(one.static_drift):

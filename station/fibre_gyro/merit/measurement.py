@@ -7,10 +7,10 @@ from pathlib import Path
 
 from analysis.fibre_gyro import turn_time
 from station.fibre_gyro.common import output_facts, truth_of
-from station.fibre_gyro.figures.evaluate import PURPOSE, evaluate
-from station.fibre_gyro.figures.result import LIMITED, result
-from station.fibre_gyro.figures.sections import sections
 from station.fibre_gyro.logs import LogRow, read_logs, table_conditions
+from station.fibre_gyro.merit.evaluate import PURPOSE, evaluate
+from station.fibre_gyro.merit.result import LIMITED, result
+from station.fibre_gyro.merit.sections import sections
 from station.fibre_gyro.segments import MARGIN_S, PlannedSegment, take_logs, take_segments, unusable_segments
 from station.fibre_gyro.serial_bench import open_fog_bench
 from station.fibre_gyro.settings import FIBRE_GYRO, FogSettings

@@ -22,6 +22,7 @@ from station.results.numbers import with_prefix
 from station.results.parts import TextTable
 from station.results.result import Result
 from station.ring_laser.records import check_over_time
+from station.shell.evaluated import SCHEMA_VERSION
 
 _HARMONICS = 5
 
@@ -37,7 +38,8 @@ class AnalyzedFiles:
 
     def document(self) -> dict[str, Any]:
         """Return the result as plain JSON; of one file with its harmonics."""
-        document = {**self.result.document, "flags": self.result.flags, "run": None}
+        schema = {"name": "gyrolock files", "version": SCHEMA_VERSION}
+        document = {"schema": schema, **self.result.document, "flags": self.result.flags, "run": None}
         if len(self.paths) > 1:
             return dict(plain(document | {"files": self.paths}))
         document |= {"file": self.paths[0], "harmonics": self.harmonics}

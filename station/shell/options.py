@@ -9,13 +9,22 @@ from typing import Any, TypeVar
 
 import click
 
+from station.errors import EXIT_USAGE
+
 F = TypeVar("F", bound=Callable[..., Any])
 
 CHANNELS = click.Choice(["CH1", "CH2", "CH3", "CH4"], case_sensitive=False)
 
 
 class SuggestingGroup(click.Group):
-    """A group that says which command was perhaps meant."""
+    """A group that says which command was perhaps meant; called alone it shows its help."""
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        """Take the options of the group; without a command show the help, as lines and not as an error."""
+        if not args:
+            click.echo(ctx.get_help())
+            ctx.exit(EXIT_USAGE)
+        return super().parse_args(ctx, args)
 
     def resolve_command(
         self, ctx: click.Context, args: list[str]

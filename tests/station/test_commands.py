@@ -102,3 +102,11 @@ def test_values_with_uncertainty(value: float, u: float, text: str) -> None:
 )
 def test_values_with_prefix(value: float, text: str) -> None:
     assert with_prefix(value, "V") == text
+
+
+@pytest.mark.parametrize("group", [[], ["fog"]])
+def test_a_group_alone_shows_its_help(group: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(group) == 2
+    said = capsys.readouterr()
+    assert len(said.out.splitlines()) > 10
+    assert said.err == ""

@@ -31,7 +31,7 @@ def check_terminal() -> None:
     if not sys.stdin.isatty():
         raise UsageError(
             "an operator must turn the table and the gyro, and there is no terminal to ask on: start it in a "
-            'terminal; with a table that turns already, set table.kind = "none"'
+            "terminal"
         )
 
 

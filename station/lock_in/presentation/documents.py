@@ -132,11 +132,14 @@ def record_documents(found: LockInFound, called: str) -> list[dict[str, Any]]:
     called : str
         Key of the record's name: ``"record"`` of a run, or ``"file"``.
     """
-    method = describe_method(found.method)
+    common = {
+        "method": describe_method(found.method),
+        "scale_factor_pulses_per_deg": found.method.scale_factor,
+    }
     columns = [getattr(found.each, attribute).tolist() for attribute in _ESTIMATE.values()]
     rows = zip(found.names, found.each.flags.tolist(), *columns, strict=True)
     return [
-        {called: name, **dict(zip(_ESTIMATE, values, strict=True)), "method": method, "flags": flag_names(flags)}
+        {called: name, **dict(zip(_ESTIMATE, values, strict=True)), **common, "flags": flag_names(flags)}
         for name, flags, *values in rows
     ]
 

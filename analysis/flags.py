@@ -30,6 +30,9 @@ class Flag(IntFlag):
 FATAL = Flag.NO_BEAT | Flag.CONSTANT | Flag.TOO_FEW_SAMPLES | Flag.NOT_LOCK_IN_LIKE
 """With any of these no lock-in rate can be given; the estimate's fields are nan."""
 
+DOUBTFUL = Flag.MISFIT | Flag.AMPLITUDE_LOST
+"""With any of these the record was not what the estimate rests on: the number may be off by more than u."""
+
 _SENTENCES = {
     Flag.CLIPPED: "Some samples stand at the end of the converter's range; they were left out of the fit.",
     Flag.DAMAGED: "Single spikes or missing samples were found; they were left out of the fit.",

@@ -62,6 +62,8 @@ class TableSettings(SettingsSection):
     slow_rate_over_lock_in: Ratio
     settle_s: NotNegative
     north_azimuth_deg: Finite
+    known_tilt_deg: Annotated[float, Field(ge=0, lt=90)] | None = None
+    known_tilt_u_deg: NotNegative = 0.01
 
 
 class FrontEndSettings(SettingsSection):
@@ -329,5 +331,5 @@ RING_LASER = SettingsKind(
     shipped=_shipped,
     adapt=_adapt,
     check=_check,
-    knowledge=("front_end", "budget", "limits"),
+    knowledge=("front_end", "budget", "limits", "table.known_tilt_deg", "table.known_tilt_u_deg"),
 )

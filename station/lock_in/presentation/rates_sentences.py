@@ -200,6 +200,8 @@ def describe_frequencies(fit: FrequencyFit) -> tuple[str, ...]:
         f"Scale factor {fit.scale_factor:.8g} ± {fit.scale_factor_u:.2g} pulses per degree, bias rate "
         f"{fit.bias_rate:.3g} ± {fit.bias_rate_u:.2g} deg/s."
     )
+    if not fit.scale_factor_given:
+        others += " The rates rest on a tilt that was found with the scale factor used: this one repeats it."
     sentences = [value, others]
     if fit.flags & FrequencyFlag.MISFIT:
         sentences.append(

@@ -1,7 +1,7 @@
 """Whole measurements on benches that nobody has described: does the result hold, or say that it does not?
 
 Every bench is simulated with a truth of its own and goes the way of `gyrolock measure`: rates are chosen, beats
-looked for, records saved and evaluated. What spoils it is drawn from what benches have, and `[budget]` states none of it.
+looked for, records saved and evaluated. What spoils it is drawn from what benches have; `[budget]` states nothing.
 """
 
 from __future__ import annotations

@@ -7,8 +7,8 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
-from analysis.plan import DEFAULT_RECORDS, default_rates
-from analysis.plan.request import SAFE_ABOVE_LOCK_IN
+from analysis import plan as planning
+from analysis.lock_in_run import LockInSeen
 from analysis.rotation import EARTH_RATE_DPS
 from station.errors import NoUsableSignal
 from station.lock_in.settings import Settings
@@ -50,20 +50,6 @@ class RateStep:
     over_lock_in: float
     sense: int
     rate_dps: float
-
-
-@dataclass(frozen=True)
-class LockInSeen:
-    """What the records so far say of the lock-in rate, deg/s: a value, and between which it surely lies."""
-
-    lock_in_rate: float
-    least: float
-    most: float
-
-    @property
-    def spread(self) -> float:
-        """Of the values that are possible, a factor."""
-        return self.most / max(self.least, 1e-3 * self.most)
 
 
 @dataclass(frozen=True)
@@ -125,7 +111,7 @@ def records_at_each(settings: Settings, plan: RatePlan) -> int:
         return settings.measurement.records
     if len(plan.steps) == 1:
         return RECORDS_AT_ONE_RATE
-    return max(DEFAULT_RECORDS, round(RECORDS_IN_ALL / len(plan.steps)))
+    return max(planning.DEFAULT_RECORDS, round(RECORDS_IN_ALL / len(plan.steps)))
 
 
 def changed_plan(
@@ -188,10 +174,10 @@ def _chosen_rates(settings: Settings, lock_in_rate: float, tilt_deg: float) -> t
     stated = settings.budget.bandwidth_hz if settings.budget is not None else 0.0
     bandwidth = settings.front_end.low_pass_hz or stated or math.inf
     scale_factor = settings.gyro.scale_factor_pulses_per_deg
-    factor = max(_LIKELY_FACTOR, clear / SAFE_ABOVE_LOCK_IN)
-    slowest_beat = scale_factor * SAFE_ABOVE_LOCK_IN * factor * lock_in_rate
+    factor = max(_LIKELY_FACTOR, clear / planning.SAFE_ABOVE_LOCK_IN)
+    slowest_beat = scale_factor * planning.SAFE_ABOVE_LOCK_IN * factor * lock_in_rate
     try:
-        ratios = default_rates(
+        ratios = planning.default_rates(
             lock_in_rate,
             scale_factor,
             lock_in_factor=factor,

@@ -10,26 +10,23 @@ from statistics import fmean
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis import FATAL
-from analysis.budget.unstated import LOWEST_GAIN_CORNER_HZ, SECOND_ORDER_LIMIT
-from analysis.combine import combine_estimates
 from analysis.errors import NoTilt, OneRateOnly, OutsideResponse
 from analysis.lock_in_run import (
     Batch,
+    LockInSeen,
     Method,
     RecordArrays,
     RunArrays,
     Tilt,
     evaluate,
     find_tilt,
+    lock_in_seen,
     rows_of_batches,
 )
-from analysis.lock_in_run.estimates import estimate_records, only_beats
 from instrument import Waveform
 from station.errors import RunError, UsageError
 from station.lock_in.found import LockInFound
 from station.lock_in.knowledge import run_knowledge
-from station.lock_in.rate_plan import LockInSeen
 from station.lock_in.settings import Settings
 from station.ring_laser.records import saved_waveform
 from station.runs.store import SavedRecord, SavedRun
@@ -105,25 +102,10 @@ def fast_run_tilt(run: SavedRun, settings: Settings) -> Tilt:
         raise RunError(_no_tilt(error)) from None
 
 
-def lock_in_seen(records: Sequence[SavedRecord], run: SavedRun, settings: Settings) -> LockInSeen | None:
-    """Say what records of a run at one rate say of the lock-in rate, while others are still to be taken.
-
-    Returns
-    -------
-    LockInSeen or None
-        ``None`` if they show no beat. Distortion and gain corner of which nobody knows anything count in it.
-    """
+def lock_in_so_far(records: Sequence[SavedRecord], run: SavedRun, settings: Settings) -> LockInSeen | None:
+    """Say what records of a run at one rate say of the lock-in rate; ``None`` if they show no beat."""
     arrays = _arrays(([saved_waveform(record, run) for record in records],), records)
-    mean = combine_estimates(
-        only_beats(estimate_records(arrays, Method(settings.gyro.scale_factor_pulses_per_deg)))
-    )
-    rate, rate_u = float(mean.lock_in_rate), float(mean.lock_in_rate_u)
-    if int(mean.flags) & int(FATAL) or not (rate > 0 and math.isfinite(rate_u)):
-        return None
-    # second order d puts the lock-in rate off by 2 W d, slow gain takes away from it
-    off = math.hypot(2 * rate_u, 2 * abs(float(mean.input_rate)) * SECOND_ORDER_LIMIT)
-    lost = math.hypot(1.0, float(mean.beat_frequency) / LOWEST_GAIN_CORNER_HZ)
-    return LockInSeen(rate, max(rate - off, 0.0), (rate + off) * lost)
+    return lock_in_seen(arrays, settings.gyro.scale_factor_pulses_per_deg)
 
 
 @dataclass(frozen=True)

@@ -10,10 +10,10 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
+from analysis.lock_in_run import LockInSeen
 from analysis.rotation import earth_rate_on_axis
 from station.errors import NoUsableSignal
 from station.lock_in.rate_plan import (
-    LockInSeen,
     RatePlan,
     RateStep,
     changed_plan,
@@ -21,7 +21,7 @@ from station.lock_in.rate_plan import (
     records_at_each,
     saved_plan,
 )
-from station.lock_in.read import fast_run_tilt, lock_in_seen
+from station.lock_in.read import fast_run_tilt, lock_in_so_far
 from station.lock_in.settings import Settings, check_scale_factor
 from station.ring_laser.bench import Bench
 from station.ring_laser.open import open_bench
@@ -106,7 +106,7 @@ class _Taking:
         if not self.settings.rates_are_chosen:
             return plan
         fast = self._saved("tilt")
-        return self._look_again(plan, lock_in_seen(fast, self.session.so_far(), self.settings), [], [])
+        return self._look_again(plan, lock_in_so_far(fast, self.session.so_far(), self.settings), [], [])
 
     def _look_again(
         self, plan: RatePlan, seen: LockInSeen | None, tried: list[RateStep], without_beat: list[RateStep]
@@ -134,7 +134,7 @@ class _Taking:
         if step.sense != 1 or not self.settings.rates_are_chosen:
             return seen
         run = self.session.so_far()
-        now = lock_in_seen(self._taken_at(step), run, self.settings)
+        now = lock_in_so_far(self._taken_at(step), run, self.settings)
         candidates = [one for one in (seen, now) if one is not None]
         return min(candidates, key=lambda one: one.spread, default=None)
 

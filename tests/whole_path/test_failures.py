@@ -170,7 +170,7 @@ def test_files_that_cannot_be_read(gyrolock, tmp_path: Path, command: str) -> No
 
 
 def test_one_unreadable_path_does_not_keep_the_others(gyrolock) -> None:
-    run = gyrolock("measure", "--rates", 8, "--records", 1, "--json", "--no-report").document["run"]
+    run = gyrolock("measure", "--config", "ideal.toml", "--records", 1, "--json", "--no-report").document["run"]
     done = gyrolock("analyze", "absent.csv", run, "--json")
     assert done.code == 2
     missing, good = done.document["results"]
@@ -181,7 +181,7 @@ def test_one_unreadable_path_does_not_keep_the_others(gyrolock) -> None:
 def test_an_empty_run_and_a_damaged_record(gyrolock, tmp_path: Path) -> None:
     import sqlite3
 
-    result = gyrolock("measure", "--rates", 8, "--records", 3, "--json", "--no-report").document
+    result = gyrolock("measure", "--config", "ideal.toml", "--records", 3, "--json", "--no-report").document
     db = sqlite3.connect(tmp_path / result["run"])
     db.execute("UPDATE record SET payload = zeroblob(2500) WHERE number = (SELECT max(number) FROM record)")
     db.commit()

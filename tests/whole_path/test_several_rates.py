@@ -113,7 +113,7 @@ def test_a_campaign_that_is_interrupted_gives_what_it_has(tmp_path: Path, after:
 
 
 def test_a_rate_inside_lock_in_is_told_and_does_not_end_the_campaign(tmp_path: Path) -> None:
-    plan = {"rates_over_lock_in": [2.0, 4.5, 9.0]}
+    plan = {"rates_over_lock_in": [2.0, 4.5, 9.0], "both_senses": False}
     run = taken(tmp_path, measurement=plan, simulation={"lock_in_rate_dps": 0.026})
     evaluation = evaluate_run(run).found
     assert evaluation.several is not None

@@ -15,7 +15,7 @@ from station.lock_in.rate_plan import RateStep, rate_plan
 from station.lock_in.read import fast_run_tilt
 from station.lock_in.settings import Settings
 from station.ring_laser.bench import Bench
-from station.ring_laser.open import open_bench
+from station.ring_laser.open import open_for
 from station.ring_laser.records import acquisition_records, set_up, take_record
 from station.runs.progress import Progress
 from station.runs.store import RunWriter, SavedRecord
@@ -25,7 +25,7 @@ from station.scope.autoset import KnobPositions, find_beat, fit_channel
 
 def take(settings: Settings, session: Session) -> None:
     """Do the whole experiment and save it; of a run that was cut short, what is missing."""
-    bench = session.open(open_bench(settings, times_resumed=session.times_resumed))
+    bench = open_for(session, settings)
     set_up(bench, settings.scope, _channels(settings))
     writer = session.begin({"identity": asdict(bench.scope.identity)})
     model = bench.scope.identity.model

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -108,6 +108,7 @@ def about_run(run: SavedRun) -> dict[str, Any]:
         "outcome": facts.outcome_text,
         "instrument": {name: identity.get(name) for name in ("model", "serial", "firmware")} if identity else None,
         "software": {name: made.get(name) for name in ("gyrolock", "git", "python")} if made else None,
+        **({} if facts.link_faults is None else {"link": asdict(facts.link_faults)}),
         "run": str(run.path),
     }
 

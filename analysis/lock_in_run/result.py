@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, field
 
 import numpy as np
 
+from analysis.arrays import Floats
 from analysis.budget import Budget
 from analysis.flags import FATAL
 from analysis.lock_in_run.estimates import Method
 from analysis.lock_in_run.groups import SeveralRates
 from analysis.lock_in_run.pairs import QuadratureResult
 from analysis.lock_in_run.table_rate import TableCheck, Tilt
-from analysis.lockin_rate import LockInEstimate
+from analysis.lockin_rate import LockInEstimate, size_interval
 
 
 @dataclass(frozen=True)
@@ -33,8 +35,9 @@ class LockInRun:
     quadratures : QuadratureResult or None
         Where a second photodiode was recorded.
     budget : Budget or None
-    no_budget : str
-        Why there is no budget.
+        ``None`` without a lock-in rate.
+    record_u : ndarray, shape (n_records,)
+        deg/s; standard uncertainty of each record alone, every input counted.
     """
 
     method: Method
@@ -45,9 +48,43 @@ class LockInRun:
     several: SeveralRates | None = None
     quadratures: QuadratureResult | None = None
     budget: Budget | None = None
-    no_budget: str = ""
+    record_u: Floats = field(default_factory=lambda: np.empty(0))
 
     @property
     def usable(self) -> bool:
         """Whether a lock-in rate can be given at all."""
         return bool(np.isfinite(self.combined.lock_in_rate)) and not int(self.combined.flags) & int(FATAL)
+
+    @property
+    def lock_in_rate(self) -> float:
+        """deg/s; nan without a result."""
+        return float(self.combined.lock_in_rate) if self.usable else math.nan
+
+    @property
+    def lock_in_rate_u(self) -> float:
+        """Standard uncertainty, every input counted, deg/s."""
+        return math.nan if self.budget is None else self.budget.combined_u
+
+    @property
+    def record_intervals_95(self) -> tuple[Floats, Floats]:
+        """Ends of the 95 % interval of each record alone, every input counted, deg/s, shape (n_records,)."""
+        u = self.record_u
+        with np.errstate(invalid="ignore", divide="ignore"):
+            low, high = size_interval(np.hypot(self.each.lock_in_rate, u) / u)
+        return low * u, high * u
+
+    @property
+    def noise_u(self) -> float:
+        """Standard uncertainty from the noise of the records alone, deg/s."""
+        return float(self.combined.lock_in_rate_u)
+
+    @property
+    def interval_95(self) -> tuple[float, float]:
+        """Ends of the 95 % interval, every input counted, deg/s."""
+        if self.budget is None:
+            return math.nan, math.nan
+        low, high = self.budget.interval_95
+        at_least = 0.0
+        if self.several is not None and self.several.by_beat is not None:
+            at_least = self.several.by_beat.at_least
+        return max(low, at_least), max(high, at_least)

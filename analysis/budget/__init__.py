@@ -12,8 +12,11 @@ from analysis.budget.knowledge import (
     TableGeometry,
     operating_point,
 )
+from analysis.budget.unstated import FRONT_END_LIMIT, LATITUDE_LIMIT_DEG
 
 __all__ = [
+    "FRONT_END_LIMIT",
+    "LATITUDE_LIMIT_DEG",
     "NOTHING_BUT_RECORDS",
     "BenchKnowledge",
     "Bounded",

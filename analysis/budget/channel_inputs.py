@@ -127,11 +127,11 @@ def _weight_of_distortion(point: OperatingPoint, limit: float) -> float:
     At a right angle between the phases d turns rho and makes it longer: the slope is zero, the effect is not.
     """
     if _phase_lost(point):
-        phases: Floats = np.arange(_PHASES) * (2 * np.pi / _PHASES)
+        phases: Floats = np.arange(_PHASES, dtype=np.float64) * (2 * np.pi / _PHASES)
         weights: Floats = np.full(_PHASES, 1 / _PHASES)
     else:
         spread, shares = np.polynomial.hermite_e.hermegauss(5)
-        phases = np.asarray(point.phase + point.ratio_u / point.ratio * spread, dtype=np.float64)
+        phases = point.phase + point.ratio_u / point.ratio * np.asarray(spread, dtype=np.float64)
         weights = np.asarray(shares / shares.sum(), dtype=np.float64)
     along = -math.copysign(1.0, point.input_rate) * np.cos(phases)
     sign = math.copysign(1.0, float(along[weights.argmax()]))

@@ -6,7 +6,8 @@ from analysis.lock_in_run.groups import RateGroup, SeveralRates
 from analysis.lock_in_run.pairs import QuadratureResult
 from analysis.lock_in_run.records import Batch, RecordArrays, RunArrays, RunKnowledge, rows_of_batches
 from analysis.lock_in_run.result import LockInRun
-from analysis.lock_in_run.table_rate import TableCheck, Tilt, find_tilt
+from analysis.lock_in_run.table_check import ScaleFactorCheck, TableCheck
+from analysis.lock_in_run.table_rate import Tilt, find_tilt
 
 __all__ = [
     "Batch",
@@ -17,6 +18,7 @@ __all__ = [
     "RecordArrays",
     "RunArrays",
     "RunKnowledge",
+    "ScaleFactorCheck",
     "SeveralRates",
     "TableCheck",
     "Tilt",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -13,7 +13,8 @@ from analysis.flags import FATAL
 from analysis.lock_in_run.estimates import Method
 from analysis.lock_in_run.groups import SeveralRates
 from analysis.lock_in_run.pairs import QuadratureResult
-from analysis.lock_in_run.table_rate import TableCheck, Tilt
+from analysis.lock_in_run.table_check import TableCheck
+from analysis.lock_in_run.table_rate import Tilt
 from analysis.lockin_rate import LockInEstimate, size_interval
 
 
@@ -27,7 +28,9 @@ class LockInRun:
     each : LockInEstimate
         Fields of shape (n_records,).
     combined : LockInEstimate
-        Fields of shape ().
+        Fields of shape (). Its uncertainty and its interval know the noise of the records only.
+    record_u : ndarray, shape (n_records,)
+        deg/s; standard uncertainty of each record alone, every input counted.
     tilt, table_check : Tilt, TableCheck or None
         Where a table with known rate was used.
     several : SeveralRates or None
@@ -36,19 +39,17 @@ class LockInRun:
         Where a second photodiode was recorded.
     budget : Budget or None
         ``None`` without a lock-in rate.
-    record_u : ndarray, shape (n_records,)
-        deg/s; standard uncertainty of each record alone, every input counted.
     """
 
     method: Method
     each: LockInEstimate
     combined: LockInEstimate
+    record_u: Floats
     tilt: Tilt | None = None
     table_check: TableCheck | None = None
     several: SeveralRates | None = None
     quadratures: QuadratureResult | None = None
     budget: Budget | None = None
-    record_u: Floats = field(default_factory=lambda: np.empty(0))
 
     @property
     def usable(self) -> bool:

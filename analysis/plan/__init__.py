@@ -1,6 +1,7 @@
 """Plan a measurement of the lock-in rate before it is made."""
 
 from analysis.plan.curve import UncertaintyCurve, uncertainty_curve
+from analysis.plan.default_rates import DEFAULT_RECORDS, default_rates
 from analysis.plan.measurement_plan import (
     Plan,
     PlannedRate,
@@ -12,6 +13,7 @@ from analysis.plan.request import OscilloscopeSteps, PlanRequest, TableSpread
 from analysis.plan.several_rates import expected_joint_u
 
 __all__ = [
+    "DEFAULT_RECORDS",
     "OscilloscopeSteps",
     "Plan",
     "PlanRequest",
@@ -19,6 +21,7 @@ __all__ = [
     "TableSpread",
     "UncertaintyCurve",
     "budget_elsewhere",
+    "default_rates",
     "expected_joint_u",
     "plan_measurement",
     "predicted_budget",

@@ -187,8 +187,10 @@ def _rate(request: PlanRequest, ratio: float, sense: int, records: int) -> Plann
 
 
 def _separated(request: PlanRequest, rates: tuple[PlannedRate, ...]) -> frozenset[str]:
-    """What the records will be freed of: by both senses or two rates, and by many rates far apart."""
-    found = {"distortion"} if request.distortion_separated else set()
+    """What the records will show for themselves: a third harmonic always, the rest by both senses or many rates."""
+    found = {"third_order"}
+    if request.distortion_separated:
+        found.add("distortion")
     over = sorted({rate.over_lock_in for rate in rates})
     if len(over) >= _RATES_FOR_CORNERS and over[-1] >= _SPAN_FOR_CORNERS * over[0]:
         found |= {"bandwidth", "gain_corner"}

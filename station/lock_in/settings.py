@@ -41,6 +41,8 @@ class TableSettings(SettingsSection):
     slow_rate_over_lock_in: Annotated[float, Field(gt=1.05, le=1000)]
     settle_s: NotNegative
     north_azimuth_deg: Finite
+    known_tilt_deg: Annotated[float, Field(ge=0, lt=90)] | None = None
+    known_tilt_u_deg: NotNegative = 0.01
 
 
 class FrontEndSettings(SettingsSection):
@@ -70,6 +72,7 @@ class BudgetSettings(SettingsSection):
     scale_factor_u_ppm: NotNegative
     time_base_limit_ppm: NotNegative
     distortion_limit_dbc: Annotated[float, Field(le=0, ge=-200)]
+    third_order_limit_dbc: Annotated[float, Field(le=0, ge=-200)] = 0.0
     bandwidth_hz: NotNegative
     front_end_u_percent: NotNegative = 5.0
     gain_corner_hz: NotNegative
@@ -272,5 +275,5 @@ RING_LASER = SettingsKind(
     shipped=_shipped,
     adapt=_adapt,
     check=_check,
-    knowledge=("front_end", "budget", "limits"),
+    knowledge=("front_end", "budget", "limits", "table.known_tilt_deg", "table.known_tilt_u_deg"),
 )

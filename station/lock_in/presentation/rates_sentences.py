@@ -40,7 +40,8 @@ def _value(fit: RatesFit) -> str:
             f"No lock-in stands out of the noise: below {fit.lock_in_rate_high_95:.3g} deg/s with 95 %, {origin}."
         )
     else:
-        text = f"Lock-in rate {fit.lock_in_rate:.6g} ± {fit.lock_in_rate_u:.2g} deg/s (k = 1) {origin}."
+        value = f"{fit.lock_in_rate:.6g} ± {fit.lock_in_rate_u:.2g} deg/s"
+        text = f"The fit gives a lock-in rate of {value} (k = 1, as the records show it) {origin}."
     if _has(fit, RatesFlag.RATES_TOO_CLOSE):
         text += (
             f" The rates lie too close together: not knowing the distortion multiplies the uncertainty by"
@@ -200,6 +201,8 @@ def describe_frequencies(fit: FrequencyFit) -> tuple[str, ...]:
         f"Scale factor {fit.scale_factor:.8g} ± {fit.scale_factor_u:.2g} pulses per degree, bias rate "
         f"{fit.bias_rate:.3g} ± {fit.bias_rate_u:.2g} deg/s."
     )
+    if not fit.scale_factor_given:
+        others += " The rates rest on a tilt that was found with the scale factor used: this one repeats it."
     sentences = [value, others]
     if fit.flags & FrequencyFlag.MISFIT:
         sentences.append(

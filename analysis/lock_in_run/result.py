@@ -85,7 +85,12 @@ class LockInRun:
         if self.budget is None:
             return math.nan, math.nan
         low, high = self.budget.interval_95
-        at_least = 0.0
-        if self.several is not None and self.several.by_beat is not None:
-            at_least = self.several.by_beat.at_least
-        return max(low, at_least), max(high, at_least)
+        fit = None if self.several is None else self.several.by_beat
+        if fit is None:
+            return low, high
+        # several solutions, or rates that hardly tell, make the fit's own interval wider than its u says
+        value, rest = fit.lock_in_rate, math.sqrt(max(self.budget.combined_u**2 - fit.lock_in_rate_u**2, 0.0))
+        rest *= self.budget.coverage_factor
+        low = min(low, value - math.hypot(value - fit.lock_in_rate_low_95, rest))
+        high = max(high, value + math.hypot(fit.lock_in_rate_high_95 - value, rest))
+        return max(low, fit.at_least, 0.0), max(high, fit.at_least)

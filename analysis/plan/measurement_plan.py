@@ -187,7 +187,7 @@ def _rate(request: PlanRequest, ratio: float, sense: int, records: int) -> Plann
 
 
 def _separated(request: PlanRequest, rates: tuple[PlannedRate, ...]) -> frozenset[str]:
-    """What the records will show for themselves: a third harmonic always, the rest by both senses or many rates."""
+    """What the records will show: a third harmonic always, the rest by both senses or by many rates."""
     found = {"third_order"}
     if request.distortion_separated:
         found.add("distortion")

@@ -120,6 +120,7 @@ def _summary(found: LockInFound) -> Rows:
         rows.append(("by the frequencies", f"{by_frequency}, beat frequency against rate, without harmonics"))
     if math.isfinite(combined.noise_rms):
         rows.append(("noise", f"{with_prefix(float(combined.noise_rms), 'V')} rms; {combined.noise_model}"))
+    rows.append(("scale factor", f"{found.method.scale_factor:.10g} pulses/deg"))
     rows.append(("method", found.method_text))
     rows.append(("records", f"{len(found.names)}, left out {found.records_rejected}"))
     return rows

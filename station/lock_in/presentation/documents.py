@@ -161,7 +161,11 @@ def record_documents(found: LockInFound, called: str) -> list[dict[str, Any]]:
     called : str
         Key of the record's name: ``"record"`` of a run, or ``"file"``.
     """
-    method, each = describe_method(found.method), found.each
+    each = found.each
+    common = {
+        "method": describe_method(found.method),
+        "scale_factor_pulses_per_deg": found.method.scale_factor,
+    }
     low, high = found.record_intervals_95
     columns = {
         "lock_in_rate_dps": each.lock_in_rate,
@@ -173,7 +177,7 @@ def record_documents(found: LockInFound, called: str) -> list[dict[str, Any]]:
     }
     rows = zip(found.names, each.flags.tolist(), *(column.tolist() for column in columns.values()), strict=True)
     return [
-        {called: name, **dict(zip(columns, values, strict=True)), "method": method, "flags": flag_names(flags)}
+        {called: name, **dict(zip(columns, values, strict=True)), **common, "flags": flag_names(flags)}
         for name, flags, *values in rows
     ]
 

@@ -165,7 +165,10 @@ def _unused(fit: RatesFit) -> str:
 def _mismatch(fit: RatesFit) -> str:
     if not _has(fit, RatesFlag.RATE_AND_BEAT_DISAGREE):
         return ""
-    worst = fit.rate_mismatch[np.nanargmax(np.abs(fit.rate_mismatch))]
+    known = fit.rate_mismatch[np.isfinite(fit.rate_mismatch)]
+    if not known.size:
+        return "The records show a beat at rates that lock the gyro: rates or scale factor are wrong."
+    worst = known[np.argmax(np.abs(known))]
     return (
         f"Beat frequencies and given rates differ by up to {100 * worst:+.2g} %: table rate, tilt, earth rate or "
         "scale factor is wrong. With the beat as reference only the scale factor matters."

@@ -65,7 +65,11 @@ def test_ctrl_c_and_kill_leave_a_valid_run(tmp_path: Path, start_gyrolock, serve
 
 def test_a_scope_switched_off_loses_nothing(tmp_path: Path, start_gyrolock, serve_scope) -> None:
     scope = serve_scope("--tcp", "0", "--config", "ideal.toml")
-    process = start_gyrolock("measure", "--resource", scope.resource, *GIVEN, "--records", 10_000, "--json")
+    (tmp_path / "my.toml").write_text(f'[scope]
+resource = "{scope.resource}"
+reconnect_s = 1.0
+')
+    process = start_gyrolock("measure", "--config", "my.toml", *GIVEN, "--records", 10_000, "--json")
     wait_for_records(tmp_path, 3)
     scope.switch_off()
     out, err = process.communicate(timeout=60)

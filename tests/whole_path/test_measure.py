@@ -201,6 +201,7 @@ def test_the_shipped_bench_is_a_real_one_and_the_default_sees_what_spoils_it(gyr
     assert fit["distortion_dbc"] == pytest.approx(-50.0, abs=1.0)
     assert fit["gain_corner_low_95_hz"] < 3000 * 1.02
     assert fit["gain_corner_high_95_hz"] > 3000 * 0.98
+    assert "Hz: found and removed" in gyrolock("analyze", result["run"]).out
     # one rate alone would have been wrong
     assert max(abs(rate["lock_in_rate_dps"] / 0.01 - 1) for rate in result["several_rates"]["rates"]) > 0.1
 

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager, ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -12,9 +13,10 @@ from instrument import InstrumentError
 from station.errors import Failure, RunError, StationError, describe_failure
 from station.provenance import provenance
 from station.runs.database import utc_now
-from station.runs.facts import LABELS
+from station.runs.facts import LABELS, TAKEN
 from station.runs.progress import Progress
-from station.runs.store import RunWriter, SavedRun, open_run
+from station.runs.stop import disturbed, undisturbed
+from station.runs.store import Acknowledge, RunWriter, SavedRun, open_run
 
 T = TypeVar("T")
 
@@ -36,6 +38,11 @@ class Taken:
     path: Path
     failure: Failure | None
     error: BaseException | None = None
+
+    def run(self, outcome: str | Mapping[str, Any] | None = None) -> SavedRun:
+        """Return the run, with another outcome if one is given."""
+        run = open_run(self.path)
+        return run if outcome is None else replace(run, facts=run.facts.with_outcome(outcome))
 
     @property
     def to_tell(self) -> Failure:
@@ -59,6 +66,8 @@ class Session:
         The run that is gone on with.
     again : mapping, optional
         Keys of its records that are to be taken again, and why.
+    acknowledge : callable, optional
+        Is told of records when they are on the disk.
     """
 
     def __init__(
@@ -69,8 +78,10 @@ class Session:
         *,
         resumed: SavedRun | None = None,
         again: Mapping[str, str] | None = None,
+        acknowledge: Acknowledge | None = None,
     ) -> None:
         self.progress = progress
+        self._acknowledge = acknowledge
         self.resumed = resumed
         self.writer: RunWriter | None = None
         self.facts: dict[str, Any] = dict(facts)
@@ -99,11 +110,15 @@ class Session:
             What is known now besides; plain JSON.
         """
         if self.resumed is None:
-            self.writer = RunWriter.create(self._directory, {**self.facts, **(facts or {})})
+            with undisturbed():
+                self.writer = RunWriter.create(self._directory, {**self.facts, **(facts or {})})
+                self.writer.acknowledge = self._acknowledge
             return self.writer
         self.writer = RunWriter(self.resumed.path)
+        self.writer.acknowledge = self._acknowledge
         known = {name: self.facts[name] for name in (*LABELS, "settings") if self.facts.get(name)}
-        self.writer.save_facts({"resumed_at": [*self.resumed.facts.resumed_at, utc_now()], **known})
+        again = {"resumed_at": [*self.resumed.facts.resumed_at, utc_now()], "outcome": None, "ended_at": None}
+        self.writer.save_facts({**again, **known})
         for key, reason in self._again.items():
             self.progress.note(f"{key} is taken again: {reason}")
             self.writer.set_aside(key)
@@ -114,6 +129,12 @@ class Session:
         if self.writer is None:
             raise RunError("the run has not begun")
         return open_run(self.writer.path)
+
+    def free_numbers(self, before: str, count: int) -> list[int]:
+        """Return the first numbers, from 1, that no record has behind such a beginning of its key."""
+        keys = {record.key for record in self.so_far().records}
+        free = (number for number in itertools.count(1) if f"{before}{number}" not in keys)
+        return list(itertools.islice(free, max(count, 0)))
 
     def note_left_out(self, left_out: Mapping[str, str]) -> None:
         """Save what is not taken and why, so that the result names it."""
@@ -162,11 +183,17 @@ def take(session: Session, work: Callable[[Session], None]) -> Taken:
     InstrumentError, StationError
         If the bench cannot be opened or the run cannot be written: then there is no run.
     """
+    with undisturbed():  # a signal ends the work, and nothing of what closes it
+        return _take(session, work)
+
+
+def _take(session: Session, work: Callable[[Session], None]) -> Taken:
     failure: Failure | None = None
     stopped_by: BaseException | None = None
     try:
         try:
-            work(session)
+            with disturbed():
+                work(session)
         finally:
             session.close_bench()
     except (InstrumentError, StationError, OSError, KeyboardInterrupt) as error:
@@ -178,7 +205,7 @@ def take(session: Session, work: Callable[[Session], None]) -> Taken:
     writer = session.writer
     if writer is None:
         raise RunError("nothing was taken")
-    ending = {"ended_at": utc_now(), "outcome": "complete" if failure is None else failure.as_json()}
+    ending = {"ended_at": utc_now(), "outcome": TAKEN if failure is None else failure.as_json()}
     try:
         writer.save_facts(ending)
     except RunError as error:  # a full disk takes no more; the records that it took are there

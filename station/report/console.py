@@ -15,6 +15,8 @@ if TYPE_CHECKING:
     from station.results.parts import Rows, TextTable
     from station.results.result import Result
 
+_COLOURS = {"stands": "green", "doubtful": "yellow", "fails": "red"}
+
 
 def text_table(table: TextTable, *, left: int = 0) -> Table:
     """Lay out a table of texts; numbers stand right, the first `left` columns and words left."""
@@ -51,11 +53,13 @@ def print_values(result: Result, more: Rows = ()) -> None:
     summary.add_column(style="dim", no_wrap=True)
     summary.add_column()
     summary.add_row("", "")
-    summary.add_row(result.name, Text(visible(result.value), style="bold"))
+    style = f"bold {_COLOURS[result.standing.state]}"
+    summary.add_row(result.name, Text(visible(result.value), style=style))
     for name, text in (*result.summary, *more):
         summary.add_row(name, text)
     console.print(summary)
     for sentence in result.sentences:
         console.print(f"• {sentence}")
-    for sentence in result.to_watch:
-        console.print(f"• {sentence}", style="yellow")
+    shown = {*result.to_watch, result.problem}
+    for sentence in (*result.to_watch, *(one for one in result.standing.reasons if one not in shown)):
+        console.print(f"• {sentence}", style="red" if sentence in result.failures else "yellow")

@@ -84,6 +84,8 @@ def finish(
         print_json(document if as_json else {"error": failure.as_json() if failure else None})
     elif not quiet:
         say(f"\nsaved   {run.path}")
+        if run.facts.link_faults is not None and not run.facts.link_faults.clean:
+            say(f"link    {run.facts.link_faults}")
         if "report" in document:
             say(f"report  {document['report']}")
     if lost is not None and lost is not failure:

@@ -228,7 +228,7 @@ class _Taking:
     ) -> None:
         """Take the records of one rate that are missing; each is on the disk before the next is asked for."""
         self.progress.start("records" if purpose == "measure" else purpose, count - there)
-        for number in range(there + 1, count + 1):
+        for number in self.session.free_numbers(f"{name}, ", count - there):
             waveforms, conditions = take_record(self.bench, channels)
             conditions |= {"table_rate_dps": table_rate, **(known or {})}
             self.writer.save_records(

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
-from analysis.arrays import Bools, Complexes, Floats, Ints
+from analysis.arrays import Bools, Complexes, Floats, Indices, Ints
 from analysis.flags import Flag
 from analysis.lockin_rate.rate import SIGNIFICANT
 from analysis.waveform.waveform_fit import WaveformFit
@@ -44,6 +44,17 @@ class Beat:
     def ratio_u(self) -> Floats:
         """Standard uncertainty of the size of the ratio."""
         return np.sqrt(self.covariance[:, 1, 1])
+
+    def take(self, rows: Indices) -> Beat:
+        """Some of the records."""
+        return Beat(**{field.name: getattr(self, field.name)[rows] for field in fields(Beat)})
+
+    def widened(self, rows: Indices, ratio_u: Floats) -> Beat:
+        """With one more standard uncertainty (r,) in both parts of the ratio of some records."""
+        covariance, rho_covariance = self.covariance.copy(), self.rho_covariance.copy()
+        covariance[rows[:, np.newaxis], [1, 2], [1, 2]] += ratio_u[:, np.newaxis] ** 2
+        rho_covariance[rows[:, np.newaxis], [0, 1], [0, 1]] += ratio_u[:, np.newaxis] ** 2
+        return replace(self, covariance=covariance, rho_covariance=rho_covariance)
 
     @staticmethod
     def of(fit: WaveformFit, n_samples: int, sample_interval: float) -> Beat:

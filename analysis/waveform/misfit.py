@@ -34,6 +34,12 @@ CURVED = 2.0
 
 ORDERS = 12
 
+FLOOR_PARTS = 8
+"""Of so many parts of the spectrum the last but one in power is taken for the noise that a moving phase leaves."""
+
+LEFT_OVER = 6.0
+"""Standard deviations by which the whole must exceed it to say that the moving phase is not the right one."""
+
 PEDESTAL = 6.0
 """Standard deviations by which the power about the fundamental must exceed that on its sides."""
 
@@ -109,3 +115,16 @@ def _pedestal(power: Samples, line: float) -> float:
     scatter = side * math.sqrt(1 / inside.sum() + 1 / min(below.sum(), above.sum()))
     surplus = float(power[inside].mean()) - side
     return surplus * float(inside.sum()) if surplus > PEDESTAL * scatter else 0.0
+
+
+def left_over(power: Samples) -> float:
+    """Power that a moving phase leaves beyond the noise, over the mean of the lines; 0 where that may be chance.
+
+    A moving phase that is the right one leaves noise. The noise is read where the spectrum (L,) is lowest, since
+    what is wrong stands about the harmonics, often as wide as they are apart.
+    """
+    parts = np.array_split(power.astype(np.float64), FLOOR_PARTS)
+    floor = float(np.sort([np.median(part) for part in parts])[1]) / math.log(2)
+    surplus = float(power.sum()) - floor * power.size
+    scatter = floor * math.sqrt(FLOOR_PARTS * power.size)
+    return surplus / float(power.mean()) if surplus > LEFT_OVER * scatter else 0.0

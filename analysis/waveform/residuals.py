@@ -10,7 +10,7 @@ import scipy.special
 
 from analysis.arrays import Bools, Floats, Indices, Ints, Samples
 from analysis.flags import Flag
-from analysis.waveform.misfit import NEIGHBOURS, misfit_of, surroundings
+from analysis.waveform.misfit import NEIGHBOURS, left_over, misfit_of, surroundings
 from analysis.waveform.records import sums_of_squares
 from analysis.waveform.series.frequency_search import Sizes, line_sizes, neighbours
 from analysis.waveform.series.geometric_series import Series, sampled_blocks, sampled_series
@@ -31,6 +31,9 @@ slope of -1 is common, a curve is rarely sharp."""
 GROSS_MISFIT = 0.05
 """Share of the signal's power that a waveform may miss and still be called that of a gyro above lock-in."""
 
+
+LEFT_BY_MOTION = 0.01
+"""The same where a moving phase was fitted, which can follow nearly anything."""
 
 FEWEST_PERIODS = 3.0
 GROSS_MISFIT_OF_A_CURVE = 0.002
@@ -96,7 +99,7 @@ class ResidualReport:
 
 
 def examine_residual(
-    residual: Residual, n_samples: int, count: Floats, series: Series, repeated: Bools
+    residual: Residual, n_samples: int, count: Floats, series: Series, repeated: Bools, *, moved: bool = False
 ) -> ResidualReport:
     """Judge the residual of each record by its spectrum.
 
@@ -108,6 +111,8 @@ def examine_residual(
         The waveforms that left it.
     repeated : (R,) of bool
         Where the residual is known to be rounding that repeats with the beat: neither noise nor misfit.
+    moved : bool
+        Whether a moving phase left it, which should have left noise only.
     """
     sizes, residual_power, n_records = residual.lines, residual.power, len(count)
     omega, first = series.omega, np.abs(series.first)
@@ -172,6 +177,12 @@ def examine_residual(
         elif found.sidebands:
             flags[row] |= Flag.MISFIT
             excess[row] += found.frequency, found.ratio, found.ratio
+        surplus = left_over(np.square(sizes[row, 1:])) if moved else 0.0
+        if surplus:
+            flags[row] |= Flag.MISFIT
+            excess[row] += 2 * surplus
+            if surplus * mean[row] * 2 / n_samples > LEFT_BY_MOTION * signal[row]:
+                flags[row] |= Flag.NOT_LOCK_IN_LIKE
     return ResidualReport(flags, excess, uneven)
 
 

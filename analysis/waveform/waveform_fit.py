@@ -65,10 +65,31 @@ class WaveformFit:
 
 def fit_waveform(stack: Stack, clipped: Bools | None) -> WaveformFit:
     """Fit every record; `clipped` (R, N) marks samples known to stand at the converter's end, None: find them."""
-    parts = [_fit_part(stack, part, clipped) for part in stack.parts()]
+    parts = [fit for part in stack.parts() for fit in _fit_what_can_be(stack, part, clipped)]
     series = Series(*(np.concatenate([getattr(p.series, f.name) for p in parts]) for f in fields(Series)))
     others = (np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(WaveformFit)[1:])
     return WaveformFit(series, *others)
+
+
+def _fit_what_can_be(stack: Stack, part: slice, clipped: Bools | None) -> list[WaveformFit]:
+    """Fits of a part, in order; a record that the arithmetic cannot cope with is refused, and stops no other."""
+    try:
+        return [_fit_part(stack, part, clipped)]
+    except (np.linalg.LinAlgError, ArithmeticError):
+        first, stop, _ = part.indices(len(stack.volts))
+        if stop - first == 1:
+            return [_refused()]
+        middle = (first + stop) // 2
+        halves = slice(first, middle), slice(middle, stop)
+        return [fit for half in halves for fit in _fit_what_can_be(stack, half, clipped)]
+
+
+def _refused() -> WaveformFit:
+    """One record of which nothing can be said."""
+    unknown = np.array([np.nan])
+    series = Series(unknown, unknown + 0j, unknown + 0j, unknown)
+    flags = np.array([int(Flag.NOT_LOCK_IN_LIKE)])
+    return WaveformFit(series, np.full((1, 6, 6), np.nan), np.ones((1, 3)), unknown, flags)
 
 
 def _fit_part(stack: Stack, part: slice, clipped: Bools | None) -> WaveformFit:
@@ -195,6 +216,7 @@ def _judged(
             count[here],
             series.take(np.array([row])),
             repeated[here],
+            moved=True,
         )
         flags[row] = (flags[row] & ~report.flags[row]) | again.flags[0] | int(Flag.RATE_WANDER)
         excess[row] = again.excess[0]

@@ -89,7 +89,11 @@ def _disagreement(whole: Beat, rows: Indices, parts: Beat, part_flags: Ints) -> 
 def _lock_in(beat: Beat) -> tuple[Complexes, Floats, Floats]:
     """The lock-in rate, in units of 1/K, along the phase of rho, and its variances along and across."""
     value, by_ratio, by_frequency = rate_and_slopes(beat.size, beat.frequency, None, "exact")
-    radial = by_ratio**2 * beat.covariance[:, 1, 1] + by_frequency**2 * beat.covariance[:, 0, 0]
+    radial = by_ratio**2 * beat.ratio_u**2 + by_frequency**2 * beat.frequency_u**2
     across = np.where(beat.size > 0, value / np.where(beat.size > 0, beat.size, 1.0), by_ratio)
     direction = np.exp(1j * np.angle(beat.rho))
-    return np.asarray(value * direction), radial, np.asarray(across**2 * beat.covariance[:, 2, 2])
+    return (
+        np.asarray(value * direction),
+        radial,
+        np.asarray(across**2 * (beat.covariance[:, 2, 2] + beat.misfit**2)),
+    )

@@ -89,6 +89,7 @@ def estimate_lock_in(
             beat.ratio,
             beat.frequency / scale_factor,
             beat.covariance[:, :2, :2] / np.outer(per_degree, per_degree),
+            beat.misfit,
             rate,
             relation,
         )
@@ -114,6 +115,7 @@ def estimate_lock_in(
         beat_frequency_u=shaped(beat.frequency_u),
         ratio=shaped(beat.ratio),
         ratio_u=shaped(beat.ratio_u),
+        misfit_u=shaped(beat.misfit),
         complex_ratio=(beat.rho * blank).reshape(stack.shape),
         complex_ratio_covariance=(beat.rho_covariance * blank[:, np.newaxis, np.newaxis]).reshape(
             *stack.shape, 2, 2

@@ -91,11 +91,13 @@ def residual_samples(values: Samples, weights: Samples | None, series: Series, r
 @dataclass(frozen=True)
 class ResidualReport:
     """flags : (R,); excess : (R, 3) variance factors of frequency, ratio size and ratio phase over white noise;
-    uneven : (R,) where the spectrum is not flat, by lines or by broad humps."""
+    uneven : (R,) where the spectrum is not flat, by lines or by broad humps;
+    misfit : (R,) standard uncertainty of the ratio by what is no noise."""
 
     flags: Ints
     excess: Floats
     uneven: Bools
+    misfit: Floats
 
 
 def examine_residual(
@@ -167,23 +169,23 @@ def examine_residual(
         squared = float(np.abs(series.ratio[row])) ** 2
         of_ratio = max(second_level, (second_level + squared * first_level) / (1 + squared))
         excess[row] = first_level, of_ratio, of_ratio
+    ratio_u = np.zeros(n_records)
     for row in np.flatnonzero(misfit | coloured):
+        power, beat = np.square(sizes[row, 1:]), (first[row] * n_samples / 2) ** 2
         line = omega[row] * n_samples / (2 * np.pi)
-        found = misfit_of(
-            np.square(sizes[row, 1:]), n_samples, line, float(first[row]), float(np.abs(series.ratio[row]))
-        )
-        if misfit[row]:
-            excess[row] += found.frequency, found.ratio, found.ratio
-        elif found.sidebands:
+        found = misfit_of(power, n_samples, line, float(first[row]), float(np.abs(series.ratio[row])))
+        if found.pedestal:
             flags[row] |= Flag.MISFIT
-            excess[row] += found.frequency, found.ratio, found.ratio
-        surplus = left_over(np.square(sizes[row, 1:])) if moved else 0.0
+        if flags[row] & Flag.MISFIT:
+            excess[row, 0] += found.frequency
+            ratio_u[row] = found.ratio
+        surplus = left_over(power) if moved else 0.0
         if surplus:
             flags[row] |= Flag.MISFIT
-            excess[row] += 2 * surplus
-            if surplus * mean[row] * 2 / n_samples > LEFT_BY_MOTION * signal[row]:
+            ratio_u[row] = np.hypot(ratio_u[row], np.sqrt(surplus / beat))
+            if surplus > LEFT_BY_MOTION * beat:
                 flags[row] |= Flag.NOT_LOCK_IN_LIKE
-    return ResidualReport(flags, excess, uneven)
+    return ResidualReport(flags, excess, uneven, ratio_u)
 
 
 def _line_stands_out(power: Samples, expected: float) -> bool:

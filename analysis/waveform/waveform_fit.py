@@ -47,6 +47,7 @@ class WaveformFit:
     covariance : (R, 6, 6) for white noise, order c0, Re H, Im H, Re q, Im q, w (rad at the record's ends)
     excess : (R, 3) variance factors of frequency, ratio size and ratio phase where the noise is not white
     noise_rms : (R,) volts
+    misfit : (R,) standard uncertainty of the ratio by what is no noise
     flags : (R,)
     """
 
@@ -54,6 +55,7 @@ class WaveformFit:
     covariance: Floats
     excess: Floats
     noise_rms: Floats
+    misfit: Floats
     flags: Ints
 
     def put(self, part: Indices, other: WaveformFit) -> None:
@@ -89,7 +91,7 @@ def _refused() -> WaveformFit:
     unknown = np.array([np.nan])
     series = Series(unknown, unknown + 0j, unknown + 0j, unknown)
     flags = np.array([int(Flag.NOT_LOCK_IN_LIKE)])
-    return WaveformFit(series, np.full((1, 6, 6), np.nan), np.ones((1, 3)), unknown, flags)
+    return WaveformFit(series, np.full((1, 6, 6), np.nan), np.ones((1, 3)), unknown, unknown, flags)
 
 
 def _fit_part(stack: Stack, part: slice, clipped: Bools | None) -> WaveformFit:
@@ -219,12 +221,12 @@ def _judged(
             moved=True,
         )
         flags[row] = (flags[row] & ~report.flags[row]) | again.flags[0] | int(Flag.RATE_WANDER)
-        excess[row] = again.excess[0]
+        excess[row], report.misfit[row] = again.excess[0], again.misfit[0]
     flags[records.constant] = Flag.CONSTANT
     flags[count < FEWEST_SAMPLES] |= Flag.TOO_FEW_SAMPLES
     variance = power / np.maximum(free, 1)
     covariance *= variance[:, np.newaxis, np.newaxis]
-    return WaveformFit(series, covariance, excess, np.sqrt(variance), flags)
+    return WaveformFit(series, covariance, excess, np.sqrt(variance), report.misfit, flags)
 
 
 def _fit_between_limits(

@@ -23,6 +23,7 @@ from analysis.arrays import Bools, Complexes, Floats, Indices, Ints
 from analysis.flags import FATAL, Flag, flag_names
 from analysis.lockin_equation import Relation, input_rate_from_beat, lock_in_from_beat, lock_in_from_rate
 from analysis.waveform.records import NanPolicy, as_stack
+from analysis.waveform.third_harmonic import third_harmonic
 from analysis.waveform.waveform_fit import WaveformFit, fit_waveform
 
 FEWEST_PERIODS = 3.0
@@ -54,6 +55,8 @@ class LockInEstimate:
     complex_ratio_covariance : (..., 2, 2) of its real and imaginary part
     backscatter_phase : rad, beta less the readout phase
     amplitude, noise_rms : volts, A of A sin(phi), and the standard deviation of what the fit leaves
+    third_harmonic, third_harmonic_u : third harmonic beyond that of the lock-in waveform, over the amplitude, its
+        phase referred to three times the fundamental's: third-order distortion; u of either part, inf: not known
     periods : beat periods in the record
     records, records_rejected : how many records the value rests on, and how many could not be used
     flags : bits of `Flag`
@@ -74,6 +77,8 @@ class LockInEstimate:
     backscatter_phase: Floats
     amplitude: Floats
     noise_rms: Floats
+    third_harmonic: Complexes
+    third_harmonic_u: Floats
     periods: Floats
     records: Ints
     records_rejected: Ints
@@ -198,6 +203,7 @@ def estimate_lock_in(
         full = np.broadcast_to(np.asarray(clipped, dtype=bool), (*stack.shape, stack.n_samples))
         mask = full.reshape(-1, stack.n_samples)
     fit = fit_waveform(stack, mask)
+    third, third_u = third_harmonic(stack, fit)
     with np.errstate(all="ignore"):  # records without a beat divide by zero; their flags are fatal
         beat = _Beat.of(fit, stack.n_samples, sample_interval)
         per_degree = np.array([scale_factor, 1.0])
@@ -238,6 +244,8 @@ def estimate_lock_in(
         backscatter_phase=shaped(_backscatter_phase(beat.rho, sense)),
         amplitude=shaped(beat.amplitude),
         noise_rms=fit.noise_rms.reshape(stack.shape),
+        third_harmonic=third.reshape(stack.shape),
+        third_harmonic_u=third_u.reshape(stack.shape),
         periods=shaped(beat.periods),
         records=(~fatal).astype(np.int64).reshape(stack.shape),
         records_rejected=fatal.astype(np.int64).reshape(stack.shape),

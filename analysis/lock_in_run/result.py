@@ -11,7 +11,8 @@ from analysis.flags import FATAL
 from analysis.lock_in_run.estimates import Method
 from analysis.lock_in_run.groups import SeveralRates
 from analysis.lock_in_run.pairs import QuadratureResult
-from analysis.lock_in_run.table_rate import TableCheck, Tilt
+from analysis.lock_in_run.table_check import TableCheck
+from analysis.lock_in_run.table_rate import Tilt
 from analysis.lockin_rate import LockInEstimate
 
 

@@ -170,7 +170,7 @@ def _judged(
     free, power = count - N_PARAMETERS, left.power
     repeated = (flags & int(Flag.ROUNDING_REPEATS)) != 0
     n_samples = records.values.shape[1]
-    report = examine_residual(left, n_samples, count, series.omega, np.abs(series.first), repeated)
+    report = examine_residual(left, n_samples, count, series, repeated)
     flags |= report.flags
     excess = report.excess
     # A residual as small as this cannot come from a wander that would move the ratio.
@@ -193,8 +193,7 @@ def _judged(
             Residual.of(tracked.left[np.newaxis]),
             n_samples,
             count[here],
-            series.omega[here],
-            np.abs(series.first[here]),
+            series.take(np.array([row])),
             repeated[here],
         )
         flags[row] = (flags[row] & ~report.flags[row]) | again.flags[0] | int(Flag.RATE_WANDER)

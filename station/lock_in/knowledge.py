@@ -25,6 +25,8 @@ def run_knowledge(settings: Settings) -> RunKnowledge:
         bench=bench_knowledge(settings),
         latitude_u_deg=stated.latitude_u_deg if stated is not None else 0.0,
         table_rate_u_ppm=stated.table_rate_u_ppm if stated is not None else 0.0,
+        known_tilt_deg=math.nan if settings.table.known_tilt_deg is None else settings.table.known_tilt_deg,
+        known_tilt_u_deg=settings.table.known_tilt_u_deg,
     )
 
 

@@ -13,12 +13,14 @@ from numpy.typing import NDArray
 from analysis.errors import NoTilt, OneRateOnly, OutsideResponse
 from analysis.lock_in_run import (
     Batch,
+    LockInSeen,
     Method,
     RecordArrays,
     RunArrays,
     Tilt,
     evaluate,
     find_tilt,
+    lock_in_seen,
     rows_of_batches,
 )
 from instrument import Waveform
@@ -98,6 +100,12 @@ def fast_run_tilt(run: SavedRun, settings: Settings) -> Tilt:
         return find_tilt(_fast_run(run), run_knowledge(settings))
     except NoTilt as error:
         raise RunError(_no_tilt(error)) from None
+
+
+def lock_in_so_far(records: Sequence[SavedRecord], run: SavedRun, settings: Settings) -> LockInSeen | None:
+    """Say what records of a run at one rate say of the lock-in rate; ``None`` if they show no beat."""
+    arrays = _arrays(([saved_waveform(record, run) for record in records],), records)
+    return lock_in_seen(arrays, settings.gyro.scale_factor_pulses_per_deg)
 
 
 @dataclass(frozen=True)

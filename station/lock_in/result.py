@@ -15,6 +15,7 @@ from station.lock_in.presentation.sentences import (
     quadrature_sentences,
     rates_sentences,
 )
+from station.lock_in.presentation.table_sentences import beat_over_table_words, table_sentences
 from station.lock_in.presentation.tables import rates_table, records_table
 from station.lock_in.settings import LimitSettings, Settings
 from station.results.numbers import with_prefix, with_uncertainty
@@ -41,7 +42,7 @@ def result(found: LockInFound, run: SavedRun | None = None, settings: Settings |
         measured=tuple(Measured(name, _number(document.get(name))) for name in LimitSettings.model_fields),
         lines=tuple(_lines(found)),
         summary=_summary(found),
-        sentences=(*rates_sentences(found), *quadrature_sentences(found), *budget),
+        sentences=(*rates_sentences(found), *table_sentences(found), *quadrature_sentences(found), *budget),
         to_watch=tuple(flag_sentences(found)),
         flags=tuple(found.flags),
         tables=tables,
@@ -87,12 +88,17 @@ def _summary(found: LockInFound) -> Rows:
         rows.append(("tilt of the axis", with_uncertainty(found.tilt.tilt_deg, found.tilt.tilt_u_deg, "deg")))
     if (check := found.table_check) is not None:
         by_table = with_uncertainty(check.lock_in_rate, check.lock_in_rate_u, "deg/s")
-        rows.append(("by the table's rate", f"{by_table}, beat over table {check.beat_over_table:.5f}"))
+        rows.append(("by the table's rate", f"{by_table}, beat over table {beat_over_table_words(check)}"))
+        rows += [
+            (f"K by the {one.by}", with_uncertainty(one.scale_factor, one.scale_factor_u, "pulses/deg"))
+            for one in check.scale_factors
+        ]
     if found.several is not None and (other := found.several.by_frequency) is not None:
         by_frequency = with_uncertainty(other.lock_in_rate, other.lock_in_rate_u, "deg/s")
         rows.append(("by the frequencies", f"{by_frequency}, beat frequency against rate, without harmonics"))
     if math.isfinite(combined.noise_rms):
         rows.append(("noise", f"{with_prefix(float(combined.noise_rms), 'V')} rms; {combined.noise_model}"))
+    rows.append(("scale factor", f"{found.method.scale_factor:.10g} pulses/deg"))
     rows.append(("method", found.method_text))
     rows.append(("records", f"{len(found.names)}, left out {found.records_rejected}"))
     return rows

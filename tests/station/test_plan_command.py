@@ -16,8 +16,9 @@ from station.lock_in.presentation.budget_table import (
     budget_rows,
     budget_sentences,
 )
-from station.lock_in.settings import default_settings, load_settings
+from station.lock_in.settings import load_settings
 from station.results.as_json import plain
+from tests.ideal_bench import ideal_bench
 
 
 def planned(capsys: pytest.CaptureFixture[str], *options: str, code: int = 0) -> dict:
@@ -114,7 +115,7 @@ def test_a_picture_that_cannot_be_written(tmp_path: Path, capsys: pytest.Capture
 
 def test_bench_plan_needs_a_tilt_for_the_table(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     config = tmp_path / "bench.toml"
-    config.write_text('[scope]\nresource = "GPIB0::1::INSTR"\n')
+    config.write_text('[scope]\nresource = "GPIB0::1::INSTR"\n[gyro]\nscale_factor_pulses_per_deg = 2000.0\n')
     assert main(["plan", "--json", "--config", str(config), "--reference", "rate"]) == 2
     assert "--tilt" in json.loads(capsys.readouterr().out)["error"]["message"]
     document = planned(capsys, "--config", str(config), code=0)
@@ -142,7 +143,7 @@ def test_budget_in_json_rows_and_bars() -> None:
 
 
 def test_settings_reach_the_budget(tmp_path: Path) -> None:
-    stated = bench_knowledge(default_settings())
+    stated = bench_knowledge(load_settings(overrides=ideal_bench()))
     assert stated.distortion_limit == pytest.approx(10 ** (-70 / 20))
     assert stated.high_pass.hz == 0
     file = tmp_path / "my.toml"

@@ -12,6 +12,8 @@ from typing import Any
 
 import pytest
 
+from tests.ideal_bench import IDEAL_TOML
+
 COMMAND = [sys.executable, "-m", "station.cli"]
 
 
@@ -35,7 +37,8 @@ Gyrolock = Callable[..., Finished]
 
 @pytest.fixture
 def gyrolock(tmp_path: Path) -> Gyrolock:
-    """Run `gyrolock` in an empty directory, and see that no traceback reaches the user."""
+    """Run `gyrolock` in a directory that holds `ideal.toml`, and see that no traceback reaches the user."""
+    (tmp_path / "ideal.toml").write_text(IDEAL_TOML)
 
     def run(*arguments: object, timeout: float = 60) -> Finished:
         command = [*COMMAND, *map(str, arguments)]

@@ -11,6 +11,7 @@ from analysis.lock_in_run import RateGroup
 from station.lock_in.found import LockInFound, describe_method
 from station.lock_in.presentation.budget_table import budget_document
 from station.lock_in.presentation.rates_sentences import describe_frequencies, describe_rates
+from station.lock_in.presentation.table_sentences import table_sentences
 from station.results.as_json import picked
 
 # name in JSON: field of the estimate
@@ -33,6 +34,15 @@ _TABLE_CHECK = {
     "lock_in_rate_u_dps": "lock_in_rate_u",
     "input_rate_dps": "input_rate",
     "beat_over_table": "beat_over_table",
+    "beat_over_table_u": "beat_over_table_u",
+    "p_value": "p_value",
+    "least_error_seen": "least_error_seen",
+}
+_SCALE_FACTOR = {
+    "by": "by",
+    "scale_factor_pulses_per_deg": "scale_factor",
+    "scale_factor_u_pulses_per_deg": "scale_factor_u",
+    "p_value": "p_value",
 }
 _FIT = {
     "lock_in_rate_dps": "lock_in_rate",
@@ -125,7 +135,11 @@ def result_document(found: LockInFound) -> dict[str, Any]:
     if found.tilt is not None:
         document |= {"tilt_deg": found.tilt.tilt_deg, "tilt_u_deg": found.tilt.tilt_u_deg}
     if found.table_check is not None:
-        document["table_check"] = picked(found.table_check, _TABLE_CHECK)
+        ways = [picked(one, _SCALE_FACTOR) for one in found.table_check.scale_factors]
+        document["table_check"] = picked(found.table_check, _TABLE_CHECK) | {
+            "scale_factors": ways,
+            "sentences": table_sentences(found),
+        }
     if found.several is not None:
         document["several_rates"] = _several_rates(found)
     if found.quadratures is not None:
@@ -145,11 +159,14 @@ def record_documents(found: LockInFound, called: str) -> list[dict[str, Any]]:
     called : str
         Key of the record's name: ``"record"`` of a run, or ``"file"``.
     """
-    method = describe_method(found.method)
+    common = {
+        "method": describe_method(found.method),
+        "scale_factor_pulses_per_deg": found.method.scale_factor,
+    }
     columns = [getattr(found.each, attribute).tolist() for attribute in _ESTIMATE.values()]
     rows = zip(found.names, found.each.flags.tolist(), *columns, strict=True)
     return [
-        {called: name, **dict(zip(_ESTIMATE, values, strict=True)), "method": method, "flags": flag_names(flags)}
+        {called: name, **dict(zip(_ESTIMATE, values, strict=True)), **common, "flags": flag_names(flags)}
         for name, flags, *values in rows
     ]
 

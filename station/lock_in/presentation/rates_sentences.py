@@ -207,7 +207,10 @@ def _unused(fit: RatesFit) -> str:
 def _mismatch(fit: RatesFit) -> str:
     if not _has(fit, RatesFlag.RATE_AND_BEAT_DISAGREE):
         return ""
-    worst = fit.rate_mismatch[np.nanargmax(np.abs(fit.rate_mismatch))]
+    known = fit.rate_mismatch[np.isfinite(fit.rate_mismatch)]
+    if not known.size:
+        return "The records show a beat at rates that lock the gyro: rates or scale factor are wrong."
+    worst = known[np.argmax(np.abs(known))]
     return (
         f"Beat frequencies and given rates differ by up to {100 * worst:+.2g} %: table rate, tilt, earth rate or "
         "scale factor is wrong. With the beat as reference only the scale factor matters. If the rates are right, "
@@ -244,6 +247,8 @@ def describe_frequencies(fit: FrequencyFit) -> tuple[str, ...]:
         f"Scale factor {fit.scale_factor:.8g} ± {fit.scale_factor_u:.2g} pulses per degree, bias rate "
         f"{fit.bias_rate:.3g} ± {fit.bias_rate_u:.2g} deg/s."
     )
+    if not fit.scale_factor_given:
+        others += " The rates rest on a tilt that was found with the scale factor used: this one repeats it."
     sentences = [value, others]
     if fit.flags & FrequencyFlag.MISFIT:
         sentences.append(

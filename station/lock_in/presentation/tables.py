@@ -7,6 +7,7 @@ import math
 from analysis.lock_in_run import SeveralRates
 from station.lock_in.found import LockInFound
 from station.lock_in.presentation.sentences import record_flags
+from station.lock_in.presentation.table_sentences import beat_over_table_words
 from station.lock_in.settings import Settings
 from station.results.numbers import with_prefix, with_uncertainty
 from station.results.parts import FactTable, Rows, TextTable
@@ -95,7 +96,7 @@ def _rate_rows(found: LockInFound, run: SavedRun, settings: Settings) -> Rows:
     if (check := found.table_check) is not None:
         rows += [
             ("rate on the axis, by the table", f"{check.input_rate:.6f} deg/s"),
-            ("beat over table", f"{check.beat_over_table:.5f} (1 if K, tilt and table agree)"),
+            ("beat over table", f"{beat_over_table_words(check)} (K and tilt found with it cancel)"),
             ("lock-in rate, by the table", with_uncertainty(check.lock_in_rate, check.lock_in_rate_u, "deg/s")),
         ]
     # the rate of the other rows, which is not the last one that the table was set to
@@ -105,6 +106,13 @@ def _rate_rows(found: LockInFound, run: SavedRun, settings: Settings) -> Rows:
     if found.tilt is not None:
         rows.append(("tilt of the axis", with_uncertainty(found.tilt.tilt_deg, found.tilt.tilt_u_deg, "deg")))
     if found.table_check is not None:
+        rows += [
+            (
+                f"K by the {one.by}",
+                with_uncertainty(one.scale_factor, one.scale_factor_u, "pulses/deg"),
+            )
+            for one in found.table_check.scale_factors
+        ]
         rows.append(("latitude", f"{settings.site.latitude_deg:g}°"))
     return rows
 

@@ -24,7 +24,7 @@ from station.results.parts import TextTable
 from station.results.result import Result
 from station.ring_laser.records import check_over_time
 from station.settings.toml_files import read_toml
-from station.shell.evaluated import SCHEMA_VERSION
+from station.shell.evaluated import SCHEMA_VERSION, standing_document
 
 _HARMONICS = 5
 
@@ -42,6 +42,7 @@ class AnalyzedFiles:
         """Return the result as plain JSON; of one file with its harmonics."""
         schema = {"name": "gyrolock files", "version": SCHEMA_VERSION}
         document = {"schema": schema, **self.result.document, "flags": self.result.flags, "run": None}
+        document |= standing_document(self.result)
         if len(self.paths) > 1:
             return dict(plain(document | {"files": self.paths}))
         document |= {"file": self.paths[0], "harmonics": self.harmonics}

@@ -26,7 +26,7 @@ from analysis.lock_in_run import (
 from instrument import Waveform
 from station.errors import RunError, UsageError
 from station.lock_in.found import LockInFound
-from station.lock_in.knowledge import run_knowledge
+from station.lock_in.knowledge import knowledge_of_files, run_knowledge
 from station.lock_in.settings import Settings
 from station.ring_laser.records import saved_waveform
 from station.runs.store import SavedRecord, SavedRun
@@ -84,7 +84,8 @@ def evaluate_run(run: SavedRun, settings: Settings, method: Method | None = None
 def evaluate_waveforms(waveforms: Sequence[Waveform], names: Sequence[str], method: Method) -> LockInFound:
     """Evaluate records that come from files: at least one, each with its name."""
     nothing: tuple[Waveform, ...] = ()
-    found = evaluate(RunArrays(_arrays((waveforms,)), _arrays((nothing,))), None, method)
+    arrays = RunArrays(_arrays((waveforms,)), _arrays((nothing,)))
+    found = evaluate(arrays, knowledge_of_files(waveforms, method), method)
     return LockInFound(**vars(found), names=tuple(names), waveforms=tuple(waveforms))
 
 

@@ -93,6 +93,7 @@ class BudgetSettings(SettingsSection):
     scale_factor_u_ppm: NotNegative
     time_base_limit_ppm: NotNegative
     distortion_limit_dbc: Annotated[float, Field(le=0, ge=-200)]
+    third_order_limit_dbc: Annotated[float, Field(le=0, ge=-200)] = 0.0
     bandwidth_hz: NotNegative
     front_end_u_percent: NotNegative = 5.0
     gain_corner_hz: NotNegative

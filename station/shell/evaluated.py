@@ -16,7 +16,7 @@ from station.results.result import Result
 from station.runs.store import SavedRun
 from station.settings.load import load, saved_settings
 
-SCHEMA_VERSION = 1
+SCHEMA_VERSION = 2
 
 
 @dataclass(frozen=True)
@@ -72,6 +72,7 @@ class Evaluated:
             "simulated": facts.simulated,
             **self.result.document,
             "flags": self.result.flags,
+            **standing_document(self.result),
             "limits": [one.as_json() for one in self.tested],
             "verdict": self.verdict,
             **about_run(self.run),
@@ -92,6 +93,11 @@ class Evaluated:
         """Return one plain JSON object for each record; the whole document where there is none."""
         rows = [dict(plain(row)) for row in self.kind.rows(self.found)]
         return [{"run": str(self.run.path), **row} for row in rows] or [self.document()]
+
+
+def standing_document(result: Result) -> dict[str, Any]:
+    """Return for the JSON whether a result holds, and what speaks against it."""
+    return {"standing": result.standing.state, "standing_reasons": list(result.standing.reasons)}
 
 
 def about_run(run: SavedRun) -> dict[str, Any]:

@@ -41,7 +41,8 @@ def _value(fit: RatesFit) -> str:
             f"No lock-in stands out of the noise: below {fit.lock_in_rate_high_95:.3g} deg/s with 95 %, {origin}."
         )
     else:
-        text = f"Lock-in rate {fit.lock_in_rate:.6g} ± {fit.lock_in_rate_u:.2g} deg/s (k = 1) {origin}."
+        value = f"{fit.lock_in_rate:.6g} ± {fit.lock_in_rate_u:.2g} deg/s"
+        text = f"The fit gives a lock-in rate of {value} (k = 1, as the records show it) {origin}."
     if _has(fit, RatesFlag.RATES_TOO_CLOSE):
         text += (
             f" The rates lie too close together: not knowing the distortion multiplies the uncertainty by"

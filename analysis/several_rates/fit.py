@@ -366,7 +366,8 @@ def _flags(fit: RatesFit, inconsistent: Bools) -> int:
     plain = next((m.lock_in_rate_u for m in fit.models if m.model == "lock-in"), u)
     distorted = next((m.lock_in_rate_u for m in fit.models if m.model == "distortion"), u)
     rate = np.abs(fit.rate)
-    stretch = size**2 / np.maximum(rate**2 - size**2, 1e-300) * (u / size if size else 0.0)
+    with np.errstate(over="ignore"):
+        stretch = size**2 / np.maximum(rate**2 - size**2, 1e-300) * (u / size if size else 0.0)
     differ = np.abs(fit.rate_mismatch) > MISMATCH + 3 * stretch
     no_beat_above = fit.locked & (rate > fit.lock_in_rate_high_95)
     disagree = np.abs(fit.left_out.deviation) > SIGNIFICANT

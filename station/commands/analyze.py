@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from station.shell.ending import print_failure, print_json
-from station.shell.options import config_option, json_option
+from station.shell.options import config_option, json_option, not_zero, positive
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -22,11 +22,16 @@ if TYPE_CHECKING:
 @click.command("analyze")
 @click.argument("paths", nargs=-1, required=True, type=click.Path(path_type=Path), metavar="PATH...")
 @click.option(
-    "--scale-factor", type=click.FloatRange(min=0, min_open=True), metavar="K", help="Pulses per degree."
+    "--scale-factor",
+    type=float,
+    callback=positive,
+    metavar="K",
+    help="Pulses per degree. For files it must be given, here or in the settings.",
 )
 @click.option(
     "--input-rate",
     type=float,
+    callback=not_zero,
     metavar="W",
     help="Rate on the gyro's axis, deg/s. Without it the beat frequency is the reference.",
 )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import inspect
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +21,8 @@ from station.shell.running import resume_run, start_run
 
 _PLACES = {
     "resource": "scope.resource",
+    "scale_factor": "gyro.scale_factor_pulses_per_deg",
+    "rates": "measurement.rates_over_lock_in",
     "records": "measurement.records",
     "channel": "scope.channel",
     "seed": "simulation.seed",
@@ -32,6 +34,8 @@ def measure(
     settings: str | os.PathLike[str] | Mapping[str, Mapping[str, object]] | None = None,
     *,
     resource: str | None = None,
+    scale_factor: float | None = None,
+    rates: float | Sequence[float] | str | None = None,
     records: int | None = None,
     channel: str | None = None,
     seed: int | None = None,
@@ -52,6 +56,10 @@ def measure(
         TOML file, or its content as mappings of mappings; only what differs from the defaults.
     resource : str, optional
         VISA name of the oscilloscope; without one, here or in the settings, the bench is simulated.
+    scale_factor : float, optional
+        Pulses per degree; with a resource it must be given, here or in the settings.
+    rates : float, sequence of float or "auto", optional
+        One rate or several in expected lock-in rates, or those that the program chooses.
     records, channel, seed, out, unit, operator, note : optional
         As the options of the command.
     resume : path, optional
@@ -80,7 +88,15 @@ def measure(
             options = [option for option in inspect.signature(measure).parameters if option != "sections"]
             raise UsageError(f"gyrolock.measure has no option {name!r}; it has {', '.join(options)}")
     directory = None if out is None else Path(out)
-    given = {"resource": resource, "records": records, "channel": channel, "seed": seed, "out": directory}
+    given = {
+        "resource": resource,
+        "scale_factor": scale_factor,
+        "rates": [rates] if isinstance(rates, int | float) else rates,
+        "records": records,
+        "channel": channel,
+        "seed": seed,
+        "out": directory,
+    }
     named = {label: text for label, text in {"unit": unit, "operator": operator, "note": note}.items() if text}
     chosen = merged(merged({}, sections), overrides(given, _PLACES))
     config = None

@@ -14,6 +14,8 @@ if TYPE_CHECKING:
     from station.results.parts import Rows, TextTable
     from station.results.result import Result
 
+_COLOURS = {"stands": "green", "doubtful": "yellow", "fails": "red"}
+
 
 def stdout_console() -> Console:
     """Return a console on stdout; wide enough for a table also where there is no terminal."""
@@ -55,11 +57,13 @@ def print_values(result: Result, more: Rows = ()) -> None:
     summary.add_column(style="dim", no_wrap=True)
     summary.add_column()
     summary.add_row("", "")
-    summary.add_row(result.name, f"[bold]{escape(result.value)}[/bold]")
+    colour = _COLOURS[result.standing.state]
+    summary.add_row(result.name, f"[bold {colour}]{escape(result.value)}[/bold {colour}]")
     for name, text in (*result.summary, *more):
         summary.add_row(name, escape(text))
     console.print(summary)
     for sentence in result.sentences:
         console.print(f"• {sentence}", markup=False)
-    for sentence in result.to_watch:
-        console.print(f"• {sentence}", markup=False, style="yellow")
+    shown = {*result.to_watch, result.problem}
+    for sentence in (*result.to_watch, *(one for one in result.standing.reasons if one not in shown)):
+        console.print(f"• {sentence}", markup=False, style="red" if sentence in result.failures else "yellow")

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import Any
 
+from instrument import Tally
+
 
 class RunFacts(Mapping[str, Any]):
     """Facts of a run by name, and the common ones as attributes.
@@ -72,6 +74,11 @@ class RunFacts(Mapping[str, Any]):
     def truth(self) -> dict[str, float] | None:
         """True values of a simulated run, where the whole run has one truth."""
         return self._values.get("truth")
+
+    @property
+    def link_faults(self) -> Tally | None:
+        """What it took to keep the link to the oscilloscope; ``None`` where nobody counted."""
+        return Tally(**self._values["link"]) if "link" in self._values else None
 
     @property
     def labels(self) -> dict[str, str]:

@@ -26,6 +26,27 @@ def ask_operator(question: str) -> str:
     return answer
 
 
+def ask_number(question: str, missing: str) -> float:
+    """Ask for a positive number until one is typed.
+
+    Raises
+    ------
+    UsageError
+        There is no terminal; the text is `missing`.
+    """
+    if not sys.stdin.isatty():
+        raise UsageError(missing)
+    asked = question
+    while True:
+        try:
+            number = float(ask_operator(asked).strip().replace(",", "."))
+        except ValueError:
+            number = math.nan
+        if math.isfinite(number) and number > 0:
+            return number
+        asked = f"That is not a positive number. {question}"
+
+
 def check_terminal() -> None:
     """See that there is somebody to ask, before anything moves; UsageError if there is not."""
     if not sys.stdin.isatty():

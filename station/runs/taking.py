@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager, ExitStack
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
-from instrument import InstrumentError
+from instrument import TDS2014, FoundPanel, InstrumentError
 from station.errors import Failure, RunError, StationError, describe_failure
 from station.provenance import provenance
 from station.runs.database import utc_now
@@ -17,6 +17,8 @@ from station.runs.progress import Progress
 from station.runs.store import RunWriter, SavedRun, open_run
 
 T = TypeVar("T")
+
+_PANEL, _LINK = "front_panel", "link"
 
 
 @dataclass(frozen=True)
@@ -76,6 +78,7 @@ class Session:
         self.facts: dict[str, Any] = dict(facts)
         self._directory, self._again = directory, dict(again or {})
         self._bench = ExitStack()
+        self._scope: TDS2014 | None = None
 
     def open(self, instruments: AbstractContextManager[T]) -> T:
         """Open instruments; they are closed when the taking ends, before the run is."""
@@ -90,6 +93,26 @@ class Session:
         """How often the run was gone on with, this time included."""
         return 0 if self.resumed is None else len(self.resumed.facts.resumed_at) + 1
 
+    @property
+    def panel_to_put_back(self) -> FoundPanel | None:
+        """The oscilloscope's front panel as it was before the run, where an earlier session left it changed."""
+        found = {} if self.resumed is None else self.resumed.facts.get(_PANEL, {})
+        if not found or found["put_back"]:
+            return None
+        return FoundPanel(found["setup"], {name: tuple(values) for name, values in found["groups"].items()})
+
+    def watch(self, scope: TDS2014) -> None:
+        """Keep with the run how this oscilloscope's front panel was found, and what its link took."""
+        self._scope = scope
+
+    def about_scope(self, *, put_back: bool) -> dict[str, object]:
+        """Return the facts of the oscilloscope that is watched, of all sessions of the run."""
+        if self._scope is None or self._scope.front_panel_found is None:
+            return {}
+        before = {} if self.resumed is None else self.resumed.facts.get(_LINK, {})
+        faults = {name: count + before.get(name, 0) for name, count in asdict(self._scope.link_faults).items()}
+        return {_LINK: faults, _PANEL: {**asdict(self._scope.front_panel_found), "put_back": put_back}}
+
     def begin(self, facts: Mapping[str, object] | None = None) -> RunWriter:
         """Begin the run, or go on with it, when the bench is open: before that a failure leaves no run.
 
@@ -98,12 +121,13 @@ class Session:
         facts : mapping, optional
             What is known now besides; plain JSON.
         """
+        scope = self.about_scope(put_back=False)
         if self.resumed is None:
-            self.writer = RunWriter.create(self._directory, {**self.facts, **(facts or {})})
+            self.writer = RunWriter.create(self._directory, {**self.facts, **(facts or {}), **scope})
             return self.writer
         self.writer = RunWriter(self.resumed.path)
         known = {name: self.facts[name] for name in (*LABELS, "settings") if self.facts.get(name)}
-        self.writer.save_facts({"resumed_at": [*self.resumed.facts.resumed_at, utc_now()], **known})
+        self.writer.save_facts({"resumed_at": [*self.resumed.facts.resumed_at, utc_now()], **known, **scope})
         for key, reason in self._again.items():
             self.progress.note(f"{key} is taken again: {reason}")
             self.writer.set_aside(key)
@@ -164,11 +188,13 @@ def take(session: Session, work: Callable[[Session], None]) -> Taken:
     """
     failure: Failure | None = None
     stopped_by: BaseException | None = None
+    put_back = False
     try:
         try:
             work(session)
         finally:
             session.close_bench()
+            put_back = True
     except (InstrumentError, StationError, OSError, KeyboardInterrupt) as error:
         failure, stopped_by = describe_failure(error), error
         if session.writer is None or failure is None:
@@ -178,7 +204,11 @@ def take(session: Session, work: Callable[[Session], None]) -> Taken:
     writer = session.writer
     if writer is None:
         raise RunError("nothing was taken")
-    ending = {"ended_at": utc_now(), "outcome": "complete" if failure is None else failure.as_json()}
+    ending: dict[str, object] = {
+        "ended_at": utc_now(),
+        "outcome": "complete" if failure is None else failure.as_json(),
+    }
+    ending |= session.about_scope(put_back=put_back)
     try:
         writer.save_facts(ending)
     except RunError as error:  # a full disk takes no more; the records that it took are there

@@ -69,6 +69,8 @@ def finish(taken: Taken, *, report: bool, as_json: bool, saved: bool = False, co
         print_json(document)
     else:
         click.echo(f"\nsaved   {run.path}")
+        if run.facts.link_faults is not None and not run.facts.link_faults.clean:
+            click.echo(f"link    {run.facts.link_faults}")
         if "report" in document:
             click.echo(f"report  {document['report']}")
     if failure is None:

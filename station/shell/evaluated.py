@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +16,7 @@ from station.results.result import Result
 from station.runs.store import SavedRun
 from station.settings.load import load, saved_settings
 
-SCHEMA_VERSION = 1
+SCHEMA_VERSION = 2
 
 
 @dataclass(frozen=True)
@@ -72,6 +72,7 @@ class Evaluated:
             "simulated": facts.simulated,
             **self.result.document,
             "flags": self.result.flags,
+            **standing_document(self.result),
             "limits": [one.as_json() for one in self.tested],
             "verdict": self.verdict,
             **about_run(self.run),
@@ -94,6 +95,11 @@ class Evaluated:
         return [{"run": str(self.run.path), **row} for row in rows] or [self.document()]
 
 
+def standing_document(result: Result) -> dict[str, Any]:
+    """Return for the JSON whether a result holds, and what speaks against it."""
+    return {"standing": result.standing.state, "standing_reasons": list(result.standing.reasons)}
+
+
 def about_run(run: SavedRun) -> dict[str, Any]:
     """Return what the JSON of every run says of it, whatever was measured."""
     facts = run.facts
@@ -108,6 +114,7 @@ def about_run(run: SavedRun) -> dict[str, Any]:
         "outcome": facts.outcome_text,
         "instrument": {name: identity.get(name) for name in ("model", "serial", "firmware")} if identity else None,
         "software": {name: made.get(name) for name in ("gyrolock", "git", "python")} if made else None,
+        **({} if facts.link_faults is None else {"link": asdict(facts.link_faults)}),
         "run": str(run.path),
     }
 

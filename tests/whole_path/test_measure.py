@@ -13,7 +13,9 @@ from station.runs.store import SavedRun, open_run
 from station.settings.load import shipped_settings
 from station.shell.evaluated import evaluate_run
 from station.shell.running import start_run
+from tests.ideal_bench import IDEAL_TOML, ideal_bench
 
+IDEAL = ("--config", "ideal.toml")
 KEYS = {
     "lock_in_rate_dps",
     "lock_in_rate_u_dps",
@@ -32,7 +34,7 @@ KEYS = {
 
 
 def test_one_command_gives_rate_run_and_report(gyrolock, tmp_path: Path) -> None:
-    done = gyrolock("measure", "--seed", 5, "--json")
+    done = gyrolock("measure", *IDEAL, "--seed", 5, "--json")
     assert done.code == 0, done.err
     result = done.document
     assert result.keys() >= KEYS
@@ -58,7 +60,7 @@ def test_one_command_gives_rate_run_and_report(gyrolock, tmp_path: Path) -> None
 
 
 def test_the_saved_run_gives_the_same_numbers_again(gyrolock, tmp_path: Path) -> None:
-    first = gyrolock("measure", "--records", 4, "--json", "--no-report").document
+    first = gyrolock("measure", *IDEAL, "--records", 4, "--json", "--no-report").document
     again = gyrolock("analyze", first["run"], "--json")
     assert again.code == 0
     assert again.document["lock_in_rate_dps"] == first["lock_in_rate_dps"]
@@ -77,11 +79,11 @@ def test_the_saved_run_gives_the_same_numbers_again(gyrolock, tmp_path: Path) ->
 
 def measured(folder: Path, seed: int, records: int) -> SavedRun:
     """Take a run in this process, which spares the time to start another."""
-    overrides = {
-        "measurement": {"records": records},
-        "simulation": {"seed": seed, "link": "tcp"},
-        "output": {"directory": str(folder)},
-    }
+    overrides = ideal_bench(
+        measurement={"records": records},
+        simulation={"seed": seed, "link": "tcp"},
+        output={"directory": str(folder)},
+    )
     taken = start_run(MEASUREMENT, load_settings(overrides=overrides), Progress(quiet=True))
     assert taken.failure is None
     return open_run(taken.path)
@@ -95,7 +97,7 @@ def test_the_same_seed_gives_the_same_codes(tmp_path: Path) -> None:
 
 
 def test_a_person_reads_a_table_and_progress_stays_on_stderr(gyrolock) -> None:
-    done = gyrolock("measure", "--records", 3)
+    done = gyrolock("measure", *IDEAL, "--records", 3)
     assert done.code == 0
     assert "lock-in rate" in done.out
     assert "95 % interval" in done.out
@@ -107,7 +109,9 @@ def test_a_person_reads_a_table_and_progress_stays_on_stderr(gyrolock) -> None:
 
 @pytest.mark.parametrize("link", ["tcp", "pty"])
 def test_both_links_of_the_simulated_bench(gyrolock, tmp_path: Path, link: str) -> None:
-    (tmp_path / "my.toml").write_text(f'[simulation]\nlink = "{link}"\n[measurement]\nrecords = 2\n')
+    (tmp_path / "my.toml").write_text(
+        f'[simulation]\nlink = "{link}"\n[measurement]\nrecords = 2\nrates_over_lock_in = [8]\n'
+    )
     done = gyrolock("measure", "--config", "my.toml", "--json", "--no-report")
     assert done.code == 0, done.err
     assert done.document["records"] == 2
@@ -126,7 +130,7 @@ def test_both_links_of_the_simulated_bench(gyrolock, tmp_path: Path, link: str) 
     ],
 )
 def test_other_benches(gyrolock, tmp_path: Path, changes: str, lock_in_rate: float) -> None:
-    (tmp_path / "my.toml").write_text(changes)
+    (tmp_path / "my.toml").write_text(IDEAL_TOML + changes)
     done = gyrolock("measure", "--config", "my.toml", "--records", 6, "--json", "--no-report")
     assert done.code == 0, done.err
     result = done.document
@@ -145,7 +149,7 @@ def test_the_truth_lies_where_the_uncertainty_says(tmp_path: Path) -> None:
 
 
 def test_a_gyro_that_stays_locked_is_no_usable_signal(gyrolock, tmp_path: Path) -> None:
-    (tmp_path / "my.toml").write_text("[simulation]\nlock_in_rate_dps = 5.0\n")
+    (tmp_path / "my.toml").write_text("[simulation]\nlock_in_rate_dps = 500.0\n")
     done = gyrolock("measure", "--config", "my.toml", "--json")
     assert done.code == 4
     assert done.document["error"]["kind"] == "no_usable_signal"
@@ -154,7 +158,7 @@ def test_a_gyro_that_stays_locked_is_no_usable_signal(gyrolock, tmp_path: Path) 
 
 
 def test_acquire_only_saves(gyrolock, tmp_path: Path) -> None:
-    done = gyrolock("acquire", "--records", 2, "--json", "--out", "elsewhere")
+    done = gyrolock("acquire", *IDEAL, "--records", 2, "--json", "--out", "elsewhere")
     assert done.code == 0
     assert done.document["records"] == 2
     run = open_run(tmp_path / done.document["run"])
@@ -164,14 +168,15 @@ def test_acquire_only_saves(gyrolock, tmp_path: Path) -> None:
 
 
 def test_a_real_scope_without_table_is_its_own_reference(gyrolock, serve_scope) -> None:
-    scope = serve_scope("--tcp", "0")
-    done = gyrolock("measure", "--resource", scope.resource, "--records", 3, "--json")
+    scope = serve_scope("--tcp", "0", *IDEAL)
+    named = ("--resource", scope.resource, "--scale-factor", "2000")
+    done = gyrolock("measure", *named, "--records", 3, "--json")
     assert done.code == 0, done.err
     result = done.document
     assert "truth" not in result
     assert "tilt_deg" not in result
     assert abs(result["lock_in_rate_dps"] - 0.01) < 4 * result["lock_in_rate_u_dps"]
-    again = gyrolock("measure", "--resource", scope.resource, "--records", 1, "--json")
+    again = gyrolock("measure", *named, "--records", 1, "--json")
     assert again.code == 0
 
 

@@ -40,7 +40,8 @@ def _value(fit: RatesFit) -> str:
             f"No lock-in stands out of the noise: below {fit.lock_in_rate_high_95:.3g} deg/s with 95 %, {origin}."
         )
     else:
-        text = f"Lock-in rate {fit.lock_in_rate:.6g} ± {fit.lock_in_rate_u:.2g} deg/s (k = 1) {origin}."
+        value = f"{fit.lock_in_rate:.6g} ± {fit.lock_in_rate_u:.2g} deg/s"
+        text = f"The fit gives a lock-in rate of {value} (k = 1, as the records show it) {origin}."
     if _has(fit, RatesFlag.RATES_TOO_CLOSE):
         text += (
             f" The rates lie too close together: not knowing the distortion multiplies the uncertainty by"
@@ -164,7 +165,10 @@ def _unused(fit: RatesFit) -> str:
 def _mismatch(fit: RatesFit) -> str:
     if not _has(fit, RatesFlag.RATE_AND_BEAT_DISAGREE):
         return ""
-    worst = fit.rate_mismatch[np.nanargmax(np.abs(fit.rate_mismatch))]
+    known = fit.rate_mismatch[np.isfinite(fit.rate_mismatch)]
+    if not known.size:
+        return "The records show a beat at rates that lock the gyro: rates or scale factor are wrong."
+    worst = known[np.argmax(np.abs(known))]
     return (
         f"Beat frequencies and given rates differ by up to {100 * worst:+.2g} %: table rate, tilt, earth rate or "
         "scale factor is wrong. With the beat as reference only the scale factor matters."

@@ -47,6 +47,7 @@ class WaveformFit:
     covariance : (R, 6, 6) for white noise, order c0, Re H, Im H, Re q, Im q, w (rad at the record's ends)
     excess : (R, 3) variance factors of frequency, ratio size and ratio phase where the noise is not white
     noise_rms : (R,) volts
+    misfit : (R,) standard uncertainty of the ratio by what is no noise
     flags : (R,)
     """
 
@@ -54,6 +55,7 @@ class WaveformFit:
     covariance: Floats
     excess: Floats
     noise_rms: Floats
+    misfit: Floats
     flags: Ints
 
     def put(self, part: Indices, other: WaveformFit) -> None:
@@ -65,10 +67,31 @@ class WaveformFit:
 
 def fit_waveform(stack: Stack, clipped: Bools | None) -> WaveformFit:
     """Fit every record; `clipped` (R, N) marks samples known to stand at the converter's end, None: find them."""
-    parts = [_fit_part(stack, part, clipped) for part in stack.parts()]
+    parts = [fit for part in stack.parts() for fit in _fit_what_can_be(stack, part, clipped)]
     series = Series(*(np.concatenate([getattr(p.series, f.name) for p in parts]) for f in fields(Series)))
     others = (np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(WaveformFit)[1:])
     return WaveformFit(series, *others)
+
+
+def _fit_what_can_be(stack: Stack, part: slice, clipped: Bools | None) -> list[WaveformFit]:
+    """Fits of a part, in order; a record that the arithmetic cannot cope with is refused, and stops no other."""
+    try:
+        return [_fit_part(stack, part, clipped)]
+    except (np.linalg.LinAlgError, ArithmeticError):
+        first, stop, _ = part.indices(len(stack.volts))
+        if stop - first == 1:
+            return [_refused()]
+        middle = (first + stop) // 2
+        halves = slice(first, middle), slice(middle, stop)
+        return [fit for half in halves for fit in _fit_what_can_be(stack, half, clipped)]
+
+
+def _refused() -> WaveformFit:
+    """One record of which nothing can be said."""
+    unknown = np.array([np.nan])
+    series = Series(unknown, unknown + 0j, unknown + 0j, unknown)
+    flags = np.array([int(Flag.NOT_LOCK_IN_LIKE)])
+    return WaveformFit(series, np.full((1, 6, 6), np.nan), np.ones((1, 3)), unknown, unknown, flags)
 
 
 def _fit_part(stack: Stack, part: slice, clipped: Bools | None) -> WaveformFit:
@@ -195,14 +218,15 @@ def _judged(
             count[here],
             series.take(np.array([row])),
             repeated[here],
+            moved=True,
         )
         flags[row] = (flags[row] & ~report.flags[row]) | again.flags[0] | int(Flag.RATE_WANDER)
-        excess[row] = again.excess[0]
+        excess[row], report.misfit[row] = again.excess[0], again.misfit[0]
     flags[records.constant] = Flag.CONSTANT
     flags[count < FEWEST_SAMPLES] |= Flag.TOO_FEW_SAMPLES
     variance = power / np.maximum(free, 1)
     covariance *= variance[:, np.newaxis, np.newaxis]
-    return WaveformFit(series, covariance, excess, np.sqrt(variance), flags)
+    return WaveformFit(series, covariance, excess, np.sqrt(variance), report.misfit, flags)
 
 
 def _fit_between_limits(

@@ -17,9 +17,15 @@ THIRD_ORDER_LIMIT = 0.01
 """The same for the third harmonic, and the same reasons. A record shows much of it: the third harmonic of the beat
 itself is r^2, and what stands beside it is seen as soon as it stands out of the noise."""
 
-THIRD_ORDER_ON_RATIO = 3.0
-"""Largest relative change of r for a third harmonic h of the receiver, over h: s + k s^3 makes h = k/4 and turns r
-into r (1 - 3/4 k exp(2 i delta)), at every rate alike."""
+THIRD_ORDER_ON_RATIO = 1.0
+"""Largest relative change of r for a third harmonic h of the receiver, over h, at every rate alike; its sign is
+that of -cos(2 delta), delta the readout less the backscatter phase.
+
+s + k s^3 makes h = k/4 and turns the second harmonic by 1 - 3 h exp(2 i delta). A geometric series that is fitted
+to the waveform sees the third harmonic too, and takes two of the three back."""
+
+THIRD_ORDER_LEAK = 0.3
+"""What the same third harmonic leaks into r, over h, times the periods in a record."""
 
 LOWEST_BANDWIDTH_OVER_BEAT = 5.0
 """-3 dB bandwidth of the channel (one pole) over the slowest beat of a run.

@@ -9,9 +9,8 @@ import numpy as np
 
 from analysis.channel import ChannelResponse
 from analysis.combine import combine_estimates
-from analysis.errors import NoBudget
 from analysis.flags import Flag
-from analysis.lock_in_run.budget import run_budget
+from analysis.lock_in_run.budget import known_of_bench, record_uncertainties, run_budget
 from analysis.lock_in_run.estimates import Method, at_known_rates, estimate_records, only_beats, without_channel
 from analysis.lock_in_run.groups import at_several_rates, combined_estimate, evaluate_rates, rates_by_table
 from analysis.lock_in_run.pairs import QuadratureResult, estimate_pairs, mean_of_pairs
@@ -30,7 +29,8 @@ def evaluate(run: RunArrays, knowledge: RunKnowledge | None, method: Method) -> 
     run : RunArrays
         With one slow record at least.
     knowledge : RunKnowledge or None
-        ``None``: nothing is known of the bench. Then there is no correction, no table and no budget.
+        ``None``: nothing is known of the bench. Then there is no correction and no table, and the budget counts
+        what everything may be at worst.
     method : Method
 
     Returns
@@ -49,10 +49,11 @@ def evaluate(run: RunArrays, knowledge: RunKnowledge | None, method: Method) -> 
     # 1. every record by itself, as before the channel
     each, quadratures = _each_record(run.slow, method, None if knowledge is None else knowledge.response)
     # 2. all of them as if at one rate
-    found = LockInRun(method, each, combine_estimates(each), quadratures=quadratures)
+    unknown = np.full(each.flags.size, np.nan)
+    found = LockInRun(method, each, combine_estimates(each), quadratures=quadratures, record_u=unknown)
     if knowledge is None:
-        return replace(found, no_budget="nothing is known of the bench")
-    if axis_rate_is_known(run, knowledge):
+        knowledge = RunKnowledge(method.scale_factor, latitude_deg=math.nan)
+    elif axis_rate_is_known(run, knowledge):
         # 3. the table: tilt, and the rate on the axis
         tilt = find_tilt(run.fast, knowledge, _best_shown(each))
         axis = axis_rates(run.slow, tilt, knowledge)
@@ -64,10 +65,11 @@ def evaluate(run: RunArrays, knowledge: RunKnowledge | None, method: Method) -> 
         # 5. the same by the table
         found = _checked_by_table(found, run, axis, knowledge)
     # 6. what all inputs make of the uncertainty
-    try:
-        return replace(found, budget=run_budget(found, run.slow, knowledge))
-    except NoBudget as reason:
-        return replace(found, no_budget=str(reason))
+    if not found.usable:
+        return found
+    bench = known_of_bench(found, run.slow, knowledge)
+    budget = run_budget(found, run.slow, bench)
+    return replace(found, budget=budget, record_u=record_uncertainties(found, run.slow, bench))
 
 
 def _each_record(

@@ -9,11 +9,12 @@ from analysis.plan.measurement_plan import (
     plan_measurement,
     predicted_budget,
 )
-from analysis.plan.request import OscilloscopeSteps, PlanRequest, TableSpread
+from analysis.plan.request import SAFE_ABOVE_LOCK_IN, OscilloscopeSteps, PlanRequest, TableSpread
 from analysis.plan.several_rates import expected_joint_u
 
 __all__ = [
     "DEFAULT_RECORDS",
+    "SAFE_ABOVE_LOCK_IN",
     "OscilloscopeSteps",
     "Plan",
     "PlanRequest",

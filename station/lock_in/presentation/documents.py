@@ -14,17 +14,15 @@ from station.lock_in.presentation.rates_sentences import describe_frequencies, d
 from station.lock_in.presentation.table_sentences import table_sentences
 from station.results.as_json import picked
 
-# name in JSON: field of the estimate
-_ESTIMATE = {
-    "lock_in_rate_dps": "lock_in_rate",
-    "lock_in_rate_u_dps": "lock_in_rate_u",
-    "lock_in_rate_low_95_dps": "lock_in_rate_low_95",
-    "lock_in_rate_high_95_dps": "lock_in_rate_high_95",
+# name in JSON: field of the estimate. What belongs to one rate alone is null in a run at several.
+_OF_ONE_RATE = {
     "input_rate_dps": "input_rate",
     "beat_frequency_hz": "beat_frequency",
     "beat_frequency_u_hz": "beat_frequency_u",
     "ratio": "ratio",
     "ratio_u": "ratio_u",
+}
+_OF_ALL = {
     "backscatter_phase_rad": "backscatter_phase",
     "amplitude_v": "amplitude",
     "noise_rms_v": "noise_rms",
@@ -61,6 +59,12 @@ _RATES_FIT = _FIT | {
     "gain_corner_hz": "gain_corner_hz",
     "gain_corner_low_95_hz": "gain_corner_low_95_hz",
     "gain_corner_high_95_hz": "gain_corner_high_95_hz",
+    "bandwidth_hz": "bandwidth_hz",
+    "bandwidth_low_95_hz": "bandwidth_low_95_hz",
+    "third_order": "third_order",
+    "third_order_u": "third_order_u",
+    "scale_factor_by_rates_pulses_per_deg": "scale_factor",
+    "scale_factor_by_rates_u_pulses_per_deg": "scale_factor_u",
     "model": "model",
     "u_over_u_with_distortion_known": "cost",
 }
@@ -77,11 +81,18 @@ _FREQUENCY_FIT = _FIT | {
     "bias_rate_dps": "bias_rate",
     "bias_rate_u_dps": "bias_rate_u",
 }
+_ALTERNATIVE = {
+    "lock_in_rate_dps": "lock_in_rate",
+    "lock_in_rate_u_dps": "lock_in_rate_u",
+    "distortion": "distortion",
+    "chi_square": "chi_square",
+}
 _LEFT_OUT = {
     "input_rate_dps": "rate",
     "lock_in_rate_dps": "lock_in_rate",
     "lock_in_rate_u_dps": "lock_in_rate_u",
     "deviation_in_u": "deviation",
+    "p_value": "p_value",
 }
 _GROUP = {
     "input_rate_dps": "input_rate",
@@ -89,7 +100,7 @@ _GROUP = {
     "ratio": "ratio",
     "ratio_u": "ratio_u",
     "lock_in_rate_dps": "lock_in_rate",
-    "lock_in_rate_u_dps": "lock_in_rate_u",
+    "lock_in_rate_noise_u_dps": "lock_in_rate_u",
 }
 _QUADRATURES = {
     "records": "records",
@@ -110,9 +121,18 @@ _QUADRATURES = {
 def result_document(found: LockInFound) -> dict[str, Any]:
     """Return the combined result.
 
-    Units stand in the names; uncertainties are standard ones unless the name says 95.
+    Units stand in the names; uncertainties are standard ones unless the name says 95, and count every input unless
+    it says noise.
     """
-    document = picked(found.combined, _ESTIMATE) | {
+    low, high = found.interval_95
+    document = {
+        "lock_in_rate_dps": found.lock_in_rate,
+        "lock_in_rate_u_dps": found.lock_in_rate_u,
+        "lock_in_rate_low_95_dps": low,
+        "lock_in_rate_high_95_dps": high,
+        "lock_in_rate_noise_u_dps": found.noise_u,
+        **_of_one_rate(found),
+        **picked(found.combined, _OF_ALL),
         "records": len(found.waveforms) + len(found.damaged),
         "records_rejected": found.records_rejected,
         "method": found.method_text,
@@ -134,8 +154,16 @@ def result_document(found: LockInFound) -> dict[str, Any]:
     if found.budget is not None:
         document["budget"] = budget_document(found.budget)
     if found.truth is not None:
-        document["truth"] = found.truth
+        alone = _OF_ONE_RATE if found.several is not None else ()
+        document["truth"] = {name: None if name in alone else value for name, value in found.truth.items()}
     return document
+
+
+def _of_one_rate(found: LockInFound) -> dict[str, Any]:
+    """Rate, beat and ratio; several rates have no one value of them: each has its own under ``several_rates``."""
+    if found.several is not None:
+        return dict.fromkeys(_OF_ONE_RATE)
+    return picked(found.combined, _OF_ONE_RATE)
 
 
 def record_documents(found: LockInFound, called: str) -> list[dict[str, Any]]:
@@ -146,11 +174,23 @@ def record_documents(found: LockInFound, called: str) -> list[dict[str, Any]]:
     called : str
         Key of the record's name: ``"record"`` of a run, or ``"file"``.
     """
-    method = describe_method(found.method)
-    columns = [getattr(found.each, attribute).tolist() for attribute in _ESTIMATE.values()]
-    rows = zip(found.names, found.each.flags.tolist(), *columns, strict=True)
+    each = found.each
+    common = {
+        "method": describe_method(found.method),
+        "scale_factor_pulses_per_deg": found.method.scale_factor,
+    }
+    low, high = found.record_intervals_95
+    columns = {
+        "lock_in_rate_dps": each.lock_in_rate,
+        "lock_in_rate_u_dps": found.record_u,
+        "lock_in_rate_low_95_dps": low,
+        "lock_in_rate_high_95_dps": high,
+        "lock_in_rate_noise_u_dps": each.lock_in_rate_u,
+        **picked(each, _OF_ONE_RATE | _OF_ALL),
+    }
+    rows = zip(found.names, each.flags.tolist(), *(column.tolist() for column in columns.values()), strict=True)
     return [
-        {called: name, **dict(zip(_ESTIMATE, values, strict=True)), "method": method, "flags": flag_names(flags)}
+        {called: name, **dict(zip(columns, values, strict=True)), **common, "flags": flag_names(flags)}
         for name, flags, *values in rows
     ]
 
@@ -175,6 +215,8 @@ def _rates_fit(fit: RatesFit) -> dict[str, Any]:
     columns = [getattr(fit.left_out, attribute) for attribute in _LEFT_OUT.values()]
     return picked(fit, _RATES_FIT) | {
         "distortion_dbc": 20 * math.log10(abs(fit.distortion)) if fit.distortion else None,
+        "alternatives": [picked(one, _ALTERNATIVE) for one in fit.alternatives],
+        "counted": sorted(fit.counted),
         "models": [picked(one, _MODEL) for one in fit.models],
         "left_out": [dict(zip(_LEFT_OUT, row, strict=True)) for row in zip(*columns, strict=True)],
         "locked_up_to_dps": fit.at_least or None,

@@ -39,13 +39,13 @@ def _experiment(experiment: ExperimentCauses) -> list[str]:
         f"records are taken at one place), the angle of 88.7 deg {rms['tilt'][-1]:.2g} % for each 0.01 deg: none "
         "of them is enough.",
         f"Large enough are two that it does not name: reading peaks of 2500 points ({hann:.2g} % rms with a Hann "
-        f"window at any rate, {plain:.2g} % without one, {flat:.1g} % with a flat top: the window decides, not the "
-        "number of points), and distortion of -50 dBc by detector and oscilloscope "
+        f"window at any rate, {plain:.2g} % without one, {flat:.1g} % with a flat top: the window decides, not "
+        "the number of points), and distortion of -50 dBc by detector and oscilloscope "
         f"({rms['distortion'][-1]:.2g} % at {fast:g} lock-in rates, {rms['distortion'][0]:.2g} % at {slow:g}).",
         f"Near lock-in it is the formula: equation (13) is {-rms['formula'][0]:.2g} % off at {slow:g} lock-in "
         f"rates, {-rms['formula'][-1]:.1g} % at {fast:g}. The paper gives neither its rate, its window nor its "
-        "reference, so which of the three it was cannot be decided; a Hann window alone has the size of its 6.8 %, "
-        "and of the 5 % of its simulation.",
+        "reference, so which of the three it was cannot be decided; a Hann window alone has the size of its "
+        "6.8 %, and of the 5 % of its simulation.",
         "Conclusion: a slower rate, the exact relation, a fit instead of peaks, and both senses leave "
         f"{ours[1]:.2g} % of the same noise, bits and distortion in one pair of records at "
         f"{experiment.over_lock_in[1]:g} lock-in rates; at {fast:g} lock-in rates it is {ours[-1]:.2g} %.",

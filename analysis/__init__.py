@@ -7,7 +7,7 @@ A *fit* is one statement that many records make together.
 from analysis.channel import ChannelResponse, correct_response
 from analysis.combine import combine_estimates
 from analysis.dead_band import DeadBand, find_dead_band, simulate_sweep
-from analysis.flags import FATAL, Flag, describe_flag, flag_names
+from analysis.flags import DOUBTFUL, FATAL, Flag, describe_flag, flag_names
 from analysis.frequency_method import FrequencyFit, fit_frequencies
 from analysis.harmonics import HarmonicFit, fit_harmonics
 from analysis.lockin_equation import (
@@ -41,6 +41,7 @@ __all__ = [  # noqa: RUF022 - in the order of the work, not of the alphabet
     "rate_varying_beat",
     "simulate_sweep",
     # one record
+    "DOUBTFUL",
     "FATAL",
     "Flag",
     "HarmonicFit",

@@ -78,6 +78,7 @@ def tilt_from_fast_runs(
     lock_in_rate: ArrayLike = 0.0,
     scale_factor_u: float = 0.0,
     table_rate_u: float = 0.0,
+    by_scatter: bool = False,
 ) -> TiltFit:
     """Tilt from fast runs in one or both senses, earth rate and lock-in taken into account.
 
@@ -101,6 +102,8 @@ def tilt_from_fast_runs(
         deg/s, roughly; it matters by half its square.
     table_rate_u : float
         Relative, common to all runs.
+    by_scatter : bool
+        Where the runs scatter by more than their own uncertainties say, the scatter counts instead of those.
 
     Raises
     ------
@@ -131,13 +134,15 @@ def tilt_from_fast_runs(
     tilt = _least_squares(measured, us, turning, crossing, first)
     left = measured - turning * np.cos(tilt) - crossing * np.sin(tilt)
     common = np.hypot(scale_factor_u / scale_factor, table_rate_u) * np.cos(tilt)
-    cosine_u = float(np.hypot(_mean_u(turning, us, own, unknown, table), common))
+    chi_square, degrees = float(np.sum((left / np.hypot(own, unknown)) ** 2)), f.size - 1
+    scatter = np.sqrt(max(chi_square / degrees, 1.0)) if by_scatter and degrees else 1.0
+    cosine_u = float(np.hypot(_mean_u(turning, us, own, unknown, table) * scatter, common))
     return TiltFit(
         tilt_deg=float(np.rad2deg(tilt)),
         # Near zero tilt the cosine is flat: what is left is how far the axis may lean unseen.
         tilt_u_deg=float(np.rad2deg(np.sqrt(np.sin(tilt) ** 2 + 2 * cosine_u) - np.sin(tilt))),
-        chi_square=float(np.sum((left / np.hypot(own, unknown)) ** 2)),
-        degrees_of_freedom=f.size - 1,
+        chi_square=chi_square,
+        degrees_of_freedom=degrees,
         earth_rate_part_deg=float(np.rad2deg(tilt - first)),
     )
 

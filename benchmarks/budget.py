@@ -10,13 +10,13 @@ import argparse
 import math
 import sys
 import time
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
 from analysis.budget import (
-    BenchKnowledge,
+    NOTHING_BUT_RECORDS,
     Corner,
     RecordShape,
     Reference,
@@ -111,7 +111,7 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def _compare(case: Case, trials: int, rng: np.random.Generator) -> tuple[str, float]:
-    knowledge = BenchKnowledge(**case.knowledge)
+    knowledge = replace(NOTHING_BUT_RECORDS, time_base_limit_ppm=50.0, **case.knowledge)
     rate = case.over_lock_in * LOCK_IN_RATE
     if (table := knowledge.table) is not None:
         azimuth = table.azimuth_deg if math.isfinite(table.azimuth_deg) else 90.0

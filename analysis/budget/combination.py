@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import scipy.special
 
+from analysis.lockin_rate import size_interval
+
 Distribution = Literal["normal", "rectangular", "arcsine"]
 Reference = Literal["beat", "rate"]
 """What WL is measured against: f/K of the record itself, or the rate given by a table."""
+
+NORMAL_95 = float(scipy.special.ndtri(0.975))
+"""Standard deviations of a normal distribution to either side that hold 95 % of it."""
 
 
 @dataclass(frozen=True)
@@ -37,6 +42,8 @@ class BudgetInput:
         Where the number comes from, or why it does not enter.
     common : bool
         Whether it acts on every rate alike: a fit over several rates leaves its share as it is at one.
+    stated : bool
+        Whether somebody stated or measured it; otherwise it is a bound of `analysis.budget.unstated`.
     """
 
     name: str
@@ -49,6 +56,7 @@ class BudgetInput:
     degrees_of_freedom: float = math.inf
     note: str = ""
     common: bool = False
+    stated: bool = True
 
     def __post_init__(self) -> None:
         if not (math.isfinite(self.u) and self.u >= 0 and math.isfinite(self.sensitivity)):
@@ -76,15 +84,11 @@ class Budget:
     reference : {"beat", "rate"}
     inputs : tuple of BudgetInput
         Independent of each other.
-    unstated : tuple of str
-        Quantities of which nothing was said: they stand in no line and count as nothing, so the budget is
-        too small by whatever they are.
     """
 
     lock_in_rate: float
     reference: Reference
     inputs: tuple[BudgetInput, ...]
-    unstated: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         ordered = tuple(sorted(self.inputs, key=lambda line: -line.contribution))
@@ -107,13 +111,27 @@ class Budget:
         """k of the 95 % interval: Student's factor for the effective degrees of freedom, cut to an integer."""
         freedom = self.effective_degrees_of_freedom
         if freedom > 1e6:
-            return float(scipy.special.ndtri(0.975))
+            return NORMAL_95
         return float(scipy.special.stdtrit(max(math.floor(freedom), 1), 0.975))
 
     @property
     def expanded_u_95(self) -> float:
         """Half width of the 95 % interval, deg/s."""
         return self.coverage_factor * self.combined_u
+
+    @property
+    def interval_95(self) -> tuple[float, float]:
+        """Ends of the 95 % interval, deg/s; it begins at zero where a size may be nothing but uncertainty.
+
+        Far above its uncertainty they lie U95 to both sides; near zero the interval is that of Feldman and Cousins
+        (:func:`analysis.lockin_rate.size_interval`) with the combined uncertainty.
+        """
+        wide = self.expanded_u_95 / NORMAL_95
+        if wide == 0:
+            return self.lock_in_rate, self.lock_in_rate
+        # the value is freed of the bias that noise gives to a size; the interval is made for one that has it
+        low, high = size_interval(math.hypot(self.lock_in_rate, wide) / wide)
+        return float(low) * wide, float(high) * wide
 
     @property
     def relative_u(self) -> float:
@@ -124,3 +142,13 @@ class Budget:
         """Share of one line in the variance, 0 to 1."""
         total = self.combined_u
         return (line.contribution / total) ** 2 if total else 0.0
+
+    @property
+    def not_stated(self) -> tuple[BudgetInput, ...]:
+        """Lines that are bounds of what nobody stated or measured."""
+        return tuple(line for line in self.inputs if not line.stated)
+
+    def with_line(self, line: BudgetInput, share: float) -> Budget:
+        """The budget with one of its lines known so much better: `share` of its uncertainty is left."""
+        better = replace(line, u=share * line.u)
+        return replace(self, inputs=tuple(better if one is line else one for one in self.inputs))

@@ -22,7 +22,7 @@ from numpy.typing import ArrayLike
 
 from analysis.arrays import Floats
 from analysis.budget.knowledge import OperatingPoint
-from analysis.lockin_equation import harmonic_ratio
+from analysis.lockin_equation import beat_frequency, harmonic_ratio
 
 
 @dataclass(frozen=True)
@@ -137,6 +137,7 @@ def expected_point(
     """
     ratio = float(harmonic_ratio(min(lock_in_rate / abs(input_rate), 1.0))) if input_rate else 1.0
     noise = expected_noise(shape, min(ratio, 1 - 1e-12))
+    frequency = float(beat_frequency(scale_factor, input_rate, min(lock_in_rate, abs(input_rate))))
     return OperatingPoint(
         scale_factor=scale_factor,
         input_rate=input_rate,
@@ -148,4 +149,5 @@ def expected_point(
         scatter_u=scatter / math.sqrt(shape.records),
         scatter_degrees_of_freedom=float(max(shape.records - 1, 1)),
         phase=phase,
+        periods=max(frequency * shape.duration, 1.0),
     )

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from analysis.budget.unstated import TIME_BASE_LIMIT_PPM
 from analysis.errors import NoBudget
 from analysis.lockin_equation import beat_frequency, harmonic_ratio
 from analysis.lockin_rate import LockInEstimate
@@ -35,6 +36,8 @@ class OperatingPoint:
         deg/s; scatter of the mean beyond what noise explains.
     phase : float
         Readout phase less backscatter phase, rad; nan where unknown.
+    periods : float
+        Of the beat, in each record.
     """
 
     scale_factor: float
@@ -47,10 +50,11 @@ class OperatingPoint:
     scatter_u: float = 0.0
     scatter_degrees_of_freedom: float = math.inf
     phase: float = math.nan
+    periods: float = math.inf
 
     def __post_init__(self) -> None:
-        if not (self.scale_factor > 0 and self.lock_in_rate > 0 and math.isfinite(self.input_rate)):
-            raise NoBudget("a budget needs a positive scale factor and lock-in rate, and a finite input rate")
+        if not (self.scale_factor > 0 and self.lock_in_rate >= 0 and math.isfinite(self.input_rate)):
+            raise NoBudget("a budget needs a positive scale factor, a lock-in rate from 0 and a finite input rate")
         if not abs(self.input_rate) > self.lock_in_rate:
             raise NoBudget(
                 f"the input rate, {self.input_rate:g} deg/s, must be larger than the lock-in rate, "
@@ -111,7 +115,9 @@ class TableGeometry:
 
 @dataclass(frozen=True)
 class BenchKnowledge:
-    """Everything that a budget counts besides the records; nan: nothing is known.
+    """Everything that a budget counts besides the records.
+
+    nan: nobody said anything of it, so that it counts with a bound of `analysis.budget.unstated`.
 
     Attributes
     ----------
@@ -122,25 +128,41 @@ class BenchKnowledge:
     distortion_limit : float
         Largest second harmonic that detector, amplifier and scope make of a pure sine of the beat's size, over
         its amplitude (0.01: -40 dBc).
-    distortion_separated : bool
-        Whether several rates or both senses freed the lock-in rate of it.
+    third_order_limit : float
+        The same for the third harmonic.
+    separated : set of str
+        Names of lines that the records themselves were freed of, by several rates, both senses or two photodiodes:
+        ``"distortion"``, ``"third_order"``, ``"bandwidth"``, ``"gain_corner"``.
     bandwidth, high_pass, gain : Corner
         Of the channel (low pass), of its coupling, and of the laser's gain saturation (g_c / 2 pi).
     response_u : float
         Relative, of a measured response of the channel at 2f over that at f that the ratio was freed of.
     table : TableGeometry or None
-        For the rate as reference.
+        For the rate as reference; without one nobody said how well the rate is known.
     """
 
     scale_factor_u_ppm: float = math.nan
-    time_base_limit_ppm: float = 50.0
+    time_base_limit_ppm: float = TIME_BASE_LIMIT_PPM
     distortion_limit: float = math.nan
-    distortion_separated: bool = False
+    third_order_limit: float = math.nan
+    separated: frozenset[str] = frozenset()
     bandwidth: Corner = field(default_factory=Corner)
     high_pass: Corner = field(default_factory=Corner)
     gain: Corner = field(default_factory=Corner)
     response_u: float = math.nan
     table: TableGeometry | None = None
+
+
+NOTHING_BUT_RECORDS = BenchKnowledge(
+    scale_factor_u_ppm=0.0,
+    time_base_limit_ppm=0.0,
+    distortion_limit=0.0,
+    third_order_limit=0.0,
+    bandwidth=Corner(math.inf),
+    high_pass=Corner(0.0),
+    gain=Corner(math.inf),
+)
+"""A bench that is known to be perfect: the budget is that of the records alone."""
 
 
 def operating_point(
@@ -165,7 +187,7 @@ def operating_point(
         The records gave no lock-in rate.
     """
     rate, rate_u = float(combined.lock_in_rate), float(combined.lock_in_rate_u)
-    if not (math.isfinite(rate) and rate > 0):
+    if not (math.isfinite(rate) and math.isfinite(rate_u)):
         raise NoBudget("records without a lock-in rate have no budget")
     used = each.reshaped(-1)
     used = used[np.asarray(used.usable)]
@@ -176,11 +198,12 @@ def operating_point(
     noise = float(np.sqrt(np.mean(used.noise_rms**2)))
     rounding = level_spacing**2 / 12 / noise**2 if noise > 0 else 0.0
     input_rate = float(combined.input_rate)
-    slope = ratio_slope(rate, abs(input_rate), combined.rate_given)
+    slope = ratio_slope(min(rate, abs(input_rate)), abs(input_rate), combined.rate_given)
     return OperatingPoint(
         scale_factor=combined.scale_factor,
         input_rate=input_rate,
-        lock_in_rate=rate,
+        # at the very edge of lock-in their noise may exchange the two
+        lock_in_rate=min(rate, abs(input_rate) * (1 - 1e-9)),
         ratio_u=noise_u / slope,
         beat_frequency_u=float(combined.beat_frequency_u),
         rounding_share=min(rounding, 1.0),
@@ -188,11 +211,13 @@ def operating_point(
         scatter_u=beyond if beyond > 0.05 * rate_u else 0.0,
         scatter_degrees_of_freedom=float(max(count - 1, 1)),
         phase=-float(combined.backscatter_phase),
+        periods=float(np.min(used.periods)),
     )
 
 
 def ratio_slope(lock_in_rate: float, input_rate: float, rate_given: bool) -> float:
     """Derivative of the lock-in rate by the ratio r, deg/s; rates in deg/s."""
     r = float(harmonic_ratio(lock_in_rate / input_rate))
+    # WL/r is 2W/(1 + r^2) by the rate, and by the beat, whose rate is W (1 - r^2)/(1 + r^2)
     relative = (1 - r * r) / (1 + r * r) if rate_given else (1 + r * r) / (1 - r * r)
-    return lock_in_rate / r * relative
+    return 2 * input_rate / (1 + r * r) * relative

@@ -6,21 +6,26 @@ from analysis.lock_in_run.groups import RateGroup, SeveralRates
 from analysis.lock_in_run.pairs import QuadratureResult
 from analysis.lock_in_run.records import Batch, RecordArrays, RunArrays, RunKnowledge, rows_of_batches
 from analysis.lock_in_run.result import LockInRun
-from analysis.lock_in_run.table_rate import TableCheck, Tilt, find_tilt
+from analysis.lock_in_run.seen import LockInSeen, lock_in_seen
+from analysis.lock_in_run.table_check import ScaleFactorCheck, TableCheck
+from analysis.lock_in_run.table_rate import Tilt, find_tilt
 
 __all__ = [
     "Batch",
     "LockInRun",
+    "LockInSeen",
     "Method",
     "QuadratureResult",
     "RateGroup",
     "RecordArrays",
     "RunArrays",
     "RunKnowledge",
+    "ScaleFactorCheck",
     "SeveralRates",
     "TableCheck",
     "Tilt",
     "evaluate",
     "find_tilt",
+    "lock_in_seen",
     "rows_of_batches",
 ]

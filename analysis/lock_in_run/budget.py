@@ -8,22 +8,27 @@ from dataclasses import replace
 
 import numpy as np
 
-from analysis.arrays import Complexes
+from analysis.arrays import Complexes, Floats
 from analysis.budget import (
     BenchKnowledge,
+    Bounded,
     Budget,
     BudgetInput,
     Corner,
     Distribution,
     OperatingPoint,
+    Reference,
     TableGeometry,
+    bounded,
     lock_in_budget,
     operating_point,
 )
-from analysis.channel import gain_on_ratio, high_pass_on_ratio, low_pass_on_ratio
-from analysis.errors import NoBudget, NoFit
+from analysis.budget.channel_inputs import CORNERS, response_input, separated_input
+from analysis.errors import NoFit
 from analysis.lock_in_run.records import RecordArrays, RunKnowledge
 from analysis.lock_in_run.result import LockInRun
+from analysis.lock_in_run.third_harmonic import third_order_limit
+from analysis.lockin_equation import lock_in_from_beat, lock_in_from_rate
 from analysis.lockin_rate import LockInEstimate
 from analysis.rotation import earth_rate_on_axis
 from analysis.several_rates import RatesFit, RatesFlag, fit_rates
@@ -32,9 +37,12 @@ _RECTANGLE = math.sqrt(3.0)
 _SAMPLES_FITTED = 6
 _EAST = 90.0
 
+OF_EACH_RECORD = ("noise", "quantization", "beat_frequency", "scatter")
+"""Lines that are another's in every record; those that remain act on all records of one rate alike."""
 
-def run_budget(found: LockInRun, slow: RecordArrays, knowledge: RunKnowledge) -> Budget:
-    """Make the budget of a run.
+
+def known_of_bench(found: LockInRun, slow: RecordArrays, knowledge: RunKnowledge) -> BenchKnowledge:
+    """What was stated of the bench, and what the records themselves say of table and channel.
 
     Parameters
     ----------
@@ -43,35 +51,66 @@ def run_budget(found: LockInRun, slow: RecordArrays, knowledge: RunKnowledge) ->
     slow : RecordArrays
         The records that it was found from.
     knowledge : RunKnowledge
-
-    Raises
-    ------
-    NoBudget
-        Without a usable lock-in rate; with a rate that was given, of which nobody said how well it is known; for
-        the approximations of the paper, whose own error is none of its inputs; if what is stated contradicts
-        itself.
     """
-    _check_result(found)
-    bench = replace(knowledge.bench, table=_table_geometry(found, knowledge))
-    if found.quadratures is not None:
-        bench = replace(bench, distortion_separated=True)
+    stated = knowledge.bench
+    return replace(
+        stated,
+        table=_table_geometry(found, knowledge),
+        third_order_limit=third_order_limit(slow, found.each, stated.third_order_limit),
+        separated=stated.separated | ({"distortion"} if found.quadratures is not None else set()),
+    )
+
+
+def run_budget(found: LockInRun, slow: RecordArrays, bench: BenchKnowledge) -> Budget:
+    """Make the budget of a run that gave a lock-in rate; what nobody stated counts with its bound.
+
+    Parameters
+    ----------
+    found, slow
+        As for :func:`known_of_bench`, which gives `bench`.
+    """
     if found.several is not None and found.several.by_beat is not None:
         one, rows = found.several.reference_group.combined, np.array(found.several.reference_group.rows)
         point = _operating_point(found.each[rows], one, slow)
         return _rates_budget(found.each, found.several.by_beat, point, bench, int(slow.samples.min()))
-    return lock_in_budget(_operating_point(found.each, found.combined, slow), bench)
+    return _one_rate_budget(found, found.each, found.combined, slow, bench)
 
 
-def _check_result(found: LockInRun) -> None:
-    rate, rate_u = float(found.combined.lock_in_rate), float(found.combined.lock_in_rate_u)
-    if not found.usable:
-        raise NoBudget("there is no lock-in rate")
-    if found.method.relation != "exact":
-        raise NoBudget("the approximations of the paper are wrong by more than their noise")
-    if found.method.input_rate is not None:
-        raise NoBudget("the rate was given, and nobody said how well it is known")
-    if rate <= 0 or not math.isfinite(rate_u):
-        raise NoBudget("the records do not tell the lock-in rate from zero")
+def record_uncertainties(found: LockInRun, slow: RecordArrays, bench: BenchKnowledge) -> Floats:
+    """Standard uncertainty of each record alone, every input counted, deg/s; arguments as above."""
+    each = found.each
+    groups = [(np.arange(each.flags.size), found.combined)]
+    if found.several is not None:
+        groups = [(np.array(group.rows), group.combined) for group in found.several.groups]
+    us = np.full(each.flags.size, math.nan)
+    for rows, one in groups:
+        if np.isfinite(one.lock_in_rate_u) and each[rows].usable.any():
+            budget = _one_rate_budget(found, each[rows], one, slow, bench)
+            alike = math.hypot(*(line.contribution for line in budget.inputs if line.name not in OF_EACH_RECORD))
+            us[rows] = np.hypot(each.lock_in_rate_u[rows], alike)
+    return us
+
+
+def _one_rate_budget(
+    found: LockInRun, each: LockInEstimate, one: LockInEstimate, slow: RecordArrays, bench: BenchKnowledge
+) -> Budget:
+    reference: Reference = "rate" if one.rate_given else "beat"
+    if one.relation == "exact":
+        return lock_in_budget(_operating_point(each, one, slow), bench, reference)
+    # a formula of the paper: the sensitivities are those of the exact relation, the rest is its error
+    r, value = float(one.ratio), float(one.lock_in_rate)
+    if one.rate_given:
+        exact = float(lock_in_from_rate(r, abs(float(one.input_rate)), "exact"))
+    else:
+        exact = float(lock_in_from_beat(r, float(one.beat_frequency) / one.scale_factor))
+    budget = lock_in_budget(
+        _operating_point(each, replace(one, lock_in_rate=np.asarray(exact)), slow), bench, reference
+    )
+    error = value - exact
+    note = f"{error / exact:+.2%} off the exact relation: a limit, not corrected for" if exact else ""
+    quantity, u = f"formula {found.method.relation} of the paper", abs(error) / _RECTANGLE
+    line = BudgetInput("relation", quantity, "deg/s", error, u, "rectangular", 1.0, note=note, common=True)
+    return Budget(value, reference, (*budget.inputs, line))
 
 
 def _operating_point(each: LockInEstimate, one: LockInEstimate, slow: RecordArrays) -> OperatingPoint:
@@ -101,27 +140,24 @@ def _rates_budget(
     each: LockInEstimate, fit: RatesFit, point: OperatingPoint, bench: BenchKnowledge, samples: int
 ) -> Budget:
     """Budget of a fit over several rates: what acts on every rate in its own way is put through the fit."""
-    separated = not math.isnan(fit.distortion) or bench.distortion_separated
+    bench = replace(bench, separated=bench.separated | _counted(fit))
+    known = bounded(bench, _slowest_beat(each, fit))
     # what is common stands as at one rate; the channel comes below
-    plain = replace(
-        bench,
-        distortion_separated=separated,
-        bandwidth=Corner(math.inf),
-        high_pass=Corner(0.0),
-        gain=Corner(math.inf),
-        response_u=math.nan,
-    )
-    at_one_rate = lock_in_budget(point, plain)
-    scale = fit.lock_in_rate / at_one_rate.lock_in_rate
+    at_one_rate = lock_in_budget(point, bench)
+    scale = fit.lock_in_rate / at_one_rate.lock_in_rate if at_one_rate.lock_in_rate else 1.0
     lines = [replace(line, sensitivity=line.sensitivity * scale) for line in at_one_rate.inputs if line.common]
-    lines += _from_fit(fit, samples)
-    unstated = list(at_one_rate.unstated)
-    for line, missing in _from_channel(each, fit, bench):
-        if line is None:
-            unstated.append(missing)
-        else:
-            lines.append(line)
-    return Budget(fit.lock_in_rate, "beat", tuple(lines), tuple(unstated))
+    lines += [*_from_fit(fit, samples), *_from_channel(each, fit, known, point)]
+    return Budget(fit.lock_in_rate, "beat", tuple(lines))
+
+
+def _counted(fit: RatesFit) -> frozenset[str]:
+    """What the fit has freed the lock-in rate of: its uncertainty holds that already."""
+    fitted = {"distortion": fit.distortion, "gain_corner": fit.gain_time}
+    return frozenset(name for name, value in fitted.items() if not math.isnan(value))
+
+
+def _slowest_beat(each: LockInEstimate, fit: RatesFit) -> float:
+    return float(np.min(each.beat_frequency[fit.used]))
 
 
 def _from_fit(fit: RatesFit, samples: int) -> Iterator[BudgetInput]:
@@ -144,41 +180,27 @@ def _from_fit(fit: RatesFit, samples: int) -> Iterator[BudgetInput]:
 
 
 def _from_channel(
-    each: LockInEstimate, fit: RatesFit, bench: BenchKnowledge
-) -> Iterator[tuple[BudgetInput | None, str]]:
+    each: LockInEstimate, fit: RatesFit, known: Bounded, point: OperatingPoint
+) -> Iterator[BudgetInput]:
     """Filters of channel and laser: the fit again with the ratios that would be seen without them."""
     frequency = each.beat_frequency
-    for name, quantity, corner, factor in (
-        ("bandwidth", "bandwidth of the channel", bench.bandwidth, low_pass_on_ratio),
-        ("high_pass", "AC coupling of the channel", bench.high_pass, high_pass_on_ratio),
-    ):
-        if math.isnan(corner.hz):
-            yield None, quantity
+    for name, field, quantity, factor in CORNERS:
+        corner: Corner = getattr(known.knowledge, field)
+        if name in known.knowledge.separated:
+            yield separated_input(name, quantity)
         elif corner.hz in (0.0, math.inf):
-            yield BudgetInput(name, quantity, "Hz", corner.hz, 0.0, "rectangular", 0.0, note="none"), ""
+            yield BudgetInput(name, quantity, "Hz", corner.hz, 0.0, "rectangular", 0.0, note="none")
         elif corner.corrected:
             moved = factor(frequency, corner.hz + corner.u_hz) / factor(frequency, corner.hz)
-            shift = _shift(each, fit, 1 / moved)
-            yield _line(name, quantity, corner, abs(shift), "normal", "corrected for"), ""
+            shift = _shift(each, fit, 1 / moved, point)
+            yield _line(name, quantity, corner, abs(shift), "normal", "corrected for")
         else:
-            shift = _shift(each, fit, 1 / factor(frequency, corner.hz))
-            yield _line(name, quantity, corner, abs(shift) / _RECTANGLE, "rectangular", "not corrected for"), ""
-    if math.isfinite(bench.response_u):
-        quantity, slope = "response of the channel at 2f over f, measured", -fit.lock_in_rate
-        u = bench.response_u
-        yield BudgetInput("response", quantity, "1", 1.0, u, "normal", slope, note="corrected"), ""
-    yield _gain(each, fit, bench.gain)
-
-
-def _gain(each: LockInEstimate, fit: RatesFit, corner: Corner) -> tuple[BudgetInput | None, str]:
-    quantity = "gain saturation of the laser"
-    if not math.isnan(fit.gain_time):
-        note = "does not enter: fitted"
-        return BudgetInput("gain_corner", quantity, "Hz", 0.0, 0.0, "rectangular", 0.0, note=note), ""
-    if math.isnan(corner.hz):
-        return None, quantity
-    shift = _shift(each, fit, 1 / gain_on_ratio(each.beat_frequency, corner.hz))
-    return _line("gain_corner", quantity, corner, abs(shift) / _RECTANGLE, "rectangular", "not fitted"), ""
+            u = abs(_shift(each, fit, 1 / factor(frequency, corner.hz), point)) / _RECTANGLE
+            line = _line(name, quantity, corner, u, "rectangular", "not corrected for")
+            bound = f"{corner.hz:.4g} Hz; the fit repeated with its effect"
+            yield replace(line, note=known.note(name, bound, line.note), stated=name not in known.assumed)
+    if math.isfinite(known.knowledge.response_u):
+        yield response_input(known.knowledge.response_u, -fit.lock_in_rate)
 
 
 def _line(name: str, quantity: str, corner: Corner, u: float, kind: Distribution, what: str) -> BudgetInput:
@@ -186,11 +208,13 @@ def _line(name: str, quantity: str, corner: Corner, u: float, kind: Distribution
     return BudgetInput(name, f"{quantity}: shift of the fit", "deg/s", 0.0, u, kind, 1.0, note=note)
 
 
-def _shift(each: LockInEstimate, fit: RatesFit, factor: Complexes) -> float:
+def _shift(each: LockInEstimate, fit: RatesFit, factor: Complexes, point: OperatingPoint) -> float:
     """Change of the lock-in rate in deg/s if the ratios were multiplied by a factor."""
     moved = replace(each, complex_ratio=each.complex_ratio * factor)
     try:
         again = fit_rates(moved, input_rate=fit.rate, reference=fit.reference, model=fit.model)
-    except NoFit as reason:
-        raise NoBudget(f"with the effect of the channel nothing can be fitted: {reason}") from None
+    except NoFit:
+        # as at the rate that determines the result best
+        place = int(np.nanargmin(np.abs(each.beat_frequency - point.beat_frequency)))
+        return fit.lock_in_rate * float(np.abs(factor[place]) - 1)
     return again.lock_in_rate - fit.lock_in_rate

@@ -9,14 +9,15 @@ import numpy as np
 
 from analysis.channel import ChannelResponse
 from analysis.combine import combine_estimates
-from analysis.errors import NoBudget
-from analysis.lock_in_run.budget import run_budget
-from analysis.lock_in_run.estimates import Method, estimate_records, only_beats, without_channel
-from analysis.lock_in_run.groups import at_several_rates, combined_estimate, evaluate_rates, rates_table_check
+from analysis.flags import Flag
+from analysis.lock_in_run.budget import known_of_bench, record_uncertainties, run_budget
+from analysis.lock_in_run.estimates import Method, at_known_rates, estimate_records, only_beats, without_channel
+from analysis.lock_in_run.groups import at_several_rates, combined_estimate, evaluate_rates, rates_by_table
 from analysis.lock_in_run.pairs import QuadratureResult, estimate_pairs, mean_of_pairs
 from analysis.lock_in_run.records import RecordArrays, RunArrays, RunKnowledge
 from analysis.lock_in_run.result import LockInRun
-from analysis.lock_in_run.table_rate import axis_rate_is_known, axis_rates, find_tilt, table_check
+from analysis.lock_in_run.table_check import ByTable, TableCheck, check_by_table
+from analysis.lock_in_run.table_rate import AxisRates, axis_rate_is_known, axis_rates, fast_estimates, find_tilt
 from analysis.lockin_rate import LockInEstimate
 
 
@@ -28,7 +29,8 @@ def evaluate(run: RunArrays, knowledge: RunKnowledge | None, method: Method) -> 
     run : RunArrays
         With one slow record at least.
     knowledge : RunKnowledge or None
-        ``None``: nothing is known of the bench. Then there is no correction, no table and no budget.
+        ``None``: nothing is known of the bench. Then there is no correction and no table, and the budget counts
+        what everything may be at worst.
     method : Method
 
     Returns
@@ -47,10 +49,11 @@ def evaluate(run: RunArrays, knowledge: RunKnowledge | None, method: Method) -> 
     # 1. every record by itself, as before the channel
     each, quadratures = _each_record(run.slow, method, None if knowledge is None else knowledge.response)
     # 2. all of them as if at one rate
-    found = LockInRun(method, each, combine_estimates(each), quadratures=quadratures)
+    unknown = np.full(each.flags.size, np.nan)
+    found = LockInRun(method, each, combine_estimates(each), quadratures=quadratures, record_u=unknown)
     if knowledge is None:
-        return replace(found, no_budget="nothing is known of the bench")
-    if axis_rate_is_known(run, knowledge):
+        knowledge = RunKnowledge(method.scale_factor, latitude_deg=math.nan)
+    elif axis_rate_is_known(run, knowledge):
         # 3. the table: tilt, and the rate on the axis
         tilt = find_tilt(run.fast, knowledge, _best_shown(each))
         axis = axis_rates(run.slow, tilt, knowledge)
@@ -58,16 +61,15 @@ def evaluate(run: RunArrays, knowledge: RunKnowledge | None, method: Method) -> 
         if at_several_rates(run.slow):
             # 4. each rate alone, then one fit
             several = evaluate_rates(run.slow, each, axis)
-            check = rates_table_check(several, axis)
-            found = replace(found, several=several, combined=combined_estimate(several), table_check=check)
-        elif method.input_rate is None:
-            # 5. the same by the table
-            found = replace(found, table_check=table_check(each, found.combined, axis))
+            found = replace(found, several=several, combined=combined_estimate(several))
+        # 5. the same by the table
+        found = _checked_by_table(found, run, axis, knowledge)
     # 6. what all inputs make of the uncertainty
-    try:
-        return replace(found, budget=run_budget(found, run.slow, knowledge))
-    except NoBudget as reason:
-        return replace(found, no_budget=str(reason))
+    if not found.usable:
+        return found
+    bench = known_of_bench(found, run.slow, knowledge)
+    budget = run_budget(found, run.slow, bench)
+    return replace(found, budget=budget, record_u=record_uncertainties(found, run.slow, bench))
 
 
 def _each_record(
@@ -79,6 +81,37 @@ def _each_record(
         return only_beats(pairs.estimate), mean_of_pairs(pairs)
     each = only_beats(estimate_records(slow, method))
     return (each if response is None else without_channel(each, response)), None
+
+
+def _checked_by_table(found: LockInRun, run: RunArrays, axis: AxisRates, knowledge: RunKnowledge) -> LockInRun:
+    """The same with the check by the table, and its flags on the result; as it is where nothing can be checked."""
+    by_table = _one_rate_by_table(found, axis) if found.several is None else rates_by_table(found.several)
+    if by_table is None or found.tilt is None or not found.usable:
+        return found
+    each = found.each, fast_estimates(run.fast, knowledge)
+    check = check_by_table(run, each, found.combined, by_table, axis, found.tilt, knowledge)
+    return replace(found, table_check=check, combined=_flagged(found.combined, check))
+
+
+def _one_rate_by_table(found: LockInRun, axis: AxisRates) -> ByTable | None:
+    if found.method.input_rate is not None:
+        return None
+    by_table = combine_estimates(at_known_rates(found.each, axis.rates))
+    if not np.isfinite(by_table.lock_in_rate):
+        return None
+    return ByTable(
+        float(by_table.lock_in_rate),
+        float(by_table.lock_in_rate_u),
+        float(np.mean(axis.rates)),
+        float(found.combined.beat_frequency),
+    )
+
+
+def _flagged(result: LockInEstimate, check: TableCheck) -> LockInEstimate:
+    flags = int(result.flags)
+    flags |= int(Flag.TABLE_MISMATCH) if check.mismatch else 0
+    flags |= int(Flag.SCALE_FACTOR_MISMATCH) if check.scale_factor_mismatch else 0
+    return replace(result, flags=np.asarray(flags))
 
 
 def _best_shown(each: LockInEstimate) -> float:

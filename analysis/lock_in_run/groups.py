@@ -14,7 +14,8 @@ from analysis.errors import NoFit, OneRateOnly
 from analysis.flags import FATAL, Flag
 from analysis.frequency_method import FrequencyFit, fit_frequencies
 from analysis.lock_in_run.records import RecordArrays
-from analysis.lock_in_run.table_rate import AxisRates, TableCheck
+from analysis.lock_in_run.table_check import ByTable
+from analysis.lock_in_run.table_rate import AxisRates
 from analysis.lockin_rate import LockInEstimate
 from analysis.several_rates import RatesFit, RatesFlag, Reference, fit_rates
 
@@ -188,16 +189,9 @@ def _flags(several: SeveralRates, fit: RatesFit) -> int:
     return int(flags)
 
 
-def rates_table_check(several: SeveralRates, axis: AxisRates) -> TableCheck | None:
-    """Compare the fit by the beat with that by the table; ``None`` if one of the two is missing."""
-    fit = several.by_table
+def rates_by_table(several: SeveralRates) -> ByTable | None:
+    """What the fit with the table's rate as reference says; ``None`` if there is none by the table or the beat."""
+    fit, group = several.by_table, several.reference_group
     if fit is None or several.by_beat is None:
         return None
-    mismatch = fit.rate_mismatch[np.isfinite(fit.rate_mismatch)]
-    common = fit.lock_in_rate * float(np.median(axis.common_u))
-    return TableCheck(
-        lock_in_rate=fit.lock_in_rate,
-        lock_in_rate_u=math.hypot(fit.lock_in_rate_u, common),
-        input_rate=several.reference_group.input_rate,
-        beat_over_table=1.0 + float(np.median(mismatch)) if mismatch.size else math.nan,
-    )
+    return ByTable(fit.lock_in_rate, fit.lock_in_rate_u, group.input_rate, float(group.combined.beat_frequency))

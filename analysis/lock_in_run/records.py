@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 
@@ -9,6 +10,7 @@ import numpy as np
 
 from analysis.arrays import Bools, Floats, Indices, Ints
 from analysis.budget import BenchKnowledge
+from analysis.budget.unstated import SCALE_FACTOR_LIMIT, TABLE_RATE_LIMIT
 from analysis.channel import ChannelResponse
 
 _RECORDS_AT_ONCE = 1000
@@ -116,7 +118,9 @@ class RunKnowledge:
     bench : BenchKnowledge
         What the budget counts besides the records, without a table.
     latitude_u_deg, table_rate_u_ppm : float
-        Standard uncertainties.
+        Standard uncertainties; 0: not known.
+    known_tilt_deg, known_tilt_u_deg : float
+        Angle between gyro axis and table axis as it is known without the gyro; nan: it is not.
     """
 
     scale_factor: float
@@ -127,6 +131,19 @@ class RunKnowledge:
     bench: BenchKnowledge = field(default_factory=BenchKnowledge)
     latitude_u_deg: float = 0.0
     table_rate_u_ppm: float = 0.0
+    known_tilt_deg: float = math.nan
+    known_tilt_u_deg: float = math.nan
+
+    @property
+    def relative_scale_u(self) -> float:
+        """Relative standard uncertainty of the scale factor: as stated, or what an unstated one is worth."""
+        ppm = self.bench.scale_factor_u_ppm
+        return SCALE_FACTOR_LIMIT / math.sqrt(3) if math.isnan(ppm) else 1e-6 * ppm
+
+    @property
+    def relative_table_u(self) -> float:
+        """The same of the table's rate."""
+        return 1e-6 * self.table_rate_u_ppm or TABLE_RATE_LIMIT / math.sqrt(3)
 
 
 def rows_of_batches(sample_interval: Floats, samples: Ints) -> list[Indices]:

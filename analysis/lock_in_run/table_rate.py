@@ -9,8 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from analysis.arrays import Floats
-from analysis.combine import combine_estimates
-from analysis.lock_in_run.estimates import Method, at_known_rates, estimate_records
+from analysis.lock_in_run.estimates import Method, estimate_records
 from analysis.lock_in_run.records import Batch, RecordArrays, RunArrays, RunKnowledge
 from analysis.lockin_rate import LockInEstimate
 from analysis.rotation import earth_rate_on_axis, tilt_from_fast_runs
@@ -23,7 +22,10 @@ _EAST, _NORTH = 90.0, 0.0
 
 @dataclass(frozen=True)
 class Tilt:
-    """Angle between gyro axis and table axis, deg, with its standard uncertainty."""
+    """Angle between gyro axis and table axis, deg.
+
+    Its standard uncertainty counts the frequencies, the scale factor and the rate of the table.
+    """
 
     tilt_deg: float
     tilt_u_deg: float
@@ -38,7 +40,8 @@ class AxisRates:
     rates : ndarray, shape (n,)
         deg/s, signed, one for each record.
     common_u : ndarray, shape (n,)
-        Relative standard uncertainty of them that all records share: tilt, and an azimuth that nobody knows.
+        Relative standard uncertainty of them that all records share: tilt, with the scale factor by which it was
+        found, and an azimuth that nobody knows.
     azimuth_u : ndarray, shape (n,)
         deg/s; standard uncertainty from the place of a record between two readings of the azimuth. It is much the
         same for all records at one rate.
@@ -47,26 +50,6 @@ class AxisRates:
     rates: Floats
     common_u: Floats
     azimuth_u: Floats
-
-
-@dataclass(frozen=True)
-class TableCheck:
-    """The same records, with the rate of the table as reference instead of the beat frequency.
-
-    Attributes
-    ----------
-    lock_in_rate, lock_in_rate_u : float
-        deg/s.
-    input_rate : float
-        Mean rate on the gyro's axis from table, tilt and earth rate, deg/s.
-    beat_over_table : float
-        Rate by the beat over rate by the table: 1 if scale factor, tilt and table agree.
-    """
-
-    lock_in_rate: float
-    lock_in_rate_u: float
-    input_rate: float
-    beat_over_table: float
 
 
 def axis_rate_is_known(run: RunArrays, knowledge: RunKnowledge) -> bool:
@@ -91,7 +74,7 @@ def find_tilt(fast: RecordArrays, knowledge: RunKnowledge, lock_in_rate: float =
     NoTilt
         If beat and table rate do not fit together.
     """
-    each = estimate_records(replace(fast, batches=_one_by_one(fast)), Method(knowledge.scale_factor))
+    each = fast_estimates(fast, knowledge)
     frequency, frequency_u = each.beat_frequency, each.beat_frequency_u
     by_itself = not math.isfinite(lock_in_rate)
     if by_itself:
@@ -107,10 +90,16 @@ def find_tilt(fast: RecordArrays, knowledge: RunKnowledge, lock_in_rate: float =
         azimuth_deg=fast.azimuth - knowledge.north_azimuth_deg if oriented else None,
         azimuth_u_deg=fast.turned / _UNIFORM if oriented else 0.0,
         lock_in_rate=each.lock_in_rate if by_itself else lock_in_rate,
+        scale_factor_u=knowledge.scale_factor * knowledge.relative_scale_u,
+        table_rate_u=knowledge.relative_table_u,
+        by_scatter=True,
     )
-    # where the records scatter more than their noise says, the scatter counts
-    scatter = fit.chi_square / fit.degrees_of_freedom if fit.degrees_of_freedom else 1.0
-    return Tilt(fit.tilt_deg, fit.tilt_u_deg * math.sqrt(max(scatter, 1.0)))
+    return Tilt(fit.tilt_deg, fit.tilt_u_deg)
+
+
+def fast_estimates(fast: RecordArrays, knowledge: RunKnowledge) -> LockInEstimate:
+    """Estimate each record of the fast run, fields of shape (n,)."""
+    return estimate_records(replace(fast, batches=_one_by_one(fast)), Method(knowledge.scale_factor))
 
 
 def _one_by_one(records: RecordArrays) -> Iterator[Batch]:
@@ -152,33 +141,3 @@ def axis_rates(slow: RecordArrays, tilt: Tilt, knowledge: RunKnowledge) -> AxisR
     swing = abs(float(earth_rate(_NORTH) - vertical)) / math.sqrt(2)
     earth_part = np.where(oriented, 0.0, swing / np.abs(rates))
     return AxisRates(rates, np.hypot(tilt_part, earth_part), between)
-
-
-def table_check(each: LockInEstimate, own: LockInEstimate, axis: AxisRates) -> TableCheck | None:
-    """Compare the result by the beat with that by the table, for records at one rate.
-
-    Parameters
-    ----------
-    each : LockInEstimate
-        Fields of shape (n,), with the beat as reference.
-    own : LockInEstimate
-        The same combined, fields of shape ().
-    axis : AxisRates
-        Of the same records.
-
-    Returns
-    -------
-    TableCheck or None
-        ``None`` if the table's rate gives no lock-in rate.
-    """
-    by_table = combine_estimates(at_known_rates(each, axis.rates))
-    if not np.isfinite(by_table.lock_in_rate):
-        return None
-    mean, value = float(np.mean(axis.rates)), float(by_table.lock_in_rate)
-    shared = math.hypot(float(np.max(axis.common_u)), float(np.max(axis.azimuth_u)) / abs(mean))
-    return TableCheck(
-        lock_in_rate=value,
-        lock_in_rate_u=math.hypot(float(by_table.lock_in_rate_u), value * shared),
-        input_rate=mean,
-        beat_over_table=float(own.input_rate) / abs(mean),
-    )

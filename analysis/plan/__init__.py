@@ -1,6 +1,7 @@
 """Plan a measurement of the lock-in rate before it is made."""
 
 from analysis.plan.curve import UncertaintyCurve, uncertainty_curve
+from analysis.plan.default_rates import DEFAULT_RECORDS, default_rates
 from analysis.plan.measurement_plan import (
     Plan,
     PlannedRate,
@@ -8,10 +9,12 @@ from analysis.plan.measurement_plan import (
     plan_measurement,
     predicted_budget,
 )
-from analysis.plan.request import OscilloscopeSteps, PlanRequest, TableSpread
+from analysis.plan.request import SAFE_ABOVE_LOCK_IN, OscilloscopeSteps, PlanRequest, TableSpread
 from analysis.plan.several_rates import expected_joint_u
 
 __all__ = [
+    "DEFAULT_RECORDS",
+    "SAFE_ABOVE_LOCK_IN",
     "OscilloscopeSteps",
     "Plan",
     "PlanRequest",
@@ -19,6 +22,7 @@ __all__ = [
     "TableSpread",
     "UncertaintyCurve",
     "budget_elsewhere",
+    "default_rates",
     "expected_joint_u",
     "plan_measurement",
     "predicted_budget",

@@ -15,8 +15,17 @@ from analysis.plan.request import PlanRequest
 _POINTS = 160
 _GROUPS: dict[str, tuple[str, ...]] = {
     "noise": ("noise", "quantization", "beat_frequency", "scatter"),
-    "distortion": ("distortion",),
-    "reference": ("scale_factor", "time_base", "table_rate", "tilt", "latitude", "earth_rate", "azimuth"),
+    "distortion": ("distortion", "third_order"),
+    "reference": (
+        "input_rate",
+        "scale_factor",
+        "time_base",
+        "table_rate",
+        "tilt",
+        "latitude",
+        "earth_rate",
+        "azimuth",
+    ),
     "channel": ("bandwidth", "high_pass", "gain_corner", "response"),
 }
 

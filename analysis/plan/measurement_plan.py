@@ -12,6 +12,7 @@ from analysis.budget.expected_noise import RecordShape, expected_point
 from analysis.lockin_equation import beat_frequency
 from analysis.plan.request import FASTEST_OVER_LOCK_IN, PlanRequest
 from analysis.plan.several_rates import expected_joint_u
+from analysis.several_rates import ReceiverKnowledge
 
 MOST_RECORDS = 100_000
 
@@ -22,6 +23,9 @@ _FLOOR_SHARE = 3.0
 """Where the wanted uncertainty is out of reach, noise is brought to this fraction of what remains."""
 
 _CANDIDATES = 60
+
+_RATES_FOR_CORNERS, _SPAN_FOR_CORNERS = 3, 4.0
+"""Rates, and fastest over slowest, with which the fit sees the corners of channel and gain for itself."""
 
 
 @dataclass(frozen=True)
@@ -183,6 +187,17 @@ def _rate(request: PlanRequest, ratio: float, sense: int, records: int) -> Plann
     )
 
 
+def _separated(request: PlanRequest, rates: tuple[PlannedRate, ...]) -> frozenset[str]:
+    """What the records will show: a third harmonic always, the rest by both senses or by many rates."""
+    found = {"third_order"}
+    if request.distortion_separated:
+        found.add("distortion")
+    over = sorted({rate.over_lock_in for rate in rates})
+    if len(over) >= _RATES_FOR_CORNERS and over[-1] >= _SPAN_FOR_CORNERS * over[0]:
+        found |= {"bandwidth", "gain_corner"}
+    return frozenset(found)
+
+
 def _budget(request: PlanRequest, rates: tuple[PlannedRate, ...]) -> Budget:
     """Budget at the slowest rate, where most of what is known comes from, with the noise of all rates."""
     slowest = rates[0]
@@ -196,7 +211,7 @@ def _budget(request: PlanRequest, rates: tuple[PlannedRate, ...]) -> Budget:
     )
     knowledge = replace(
         request.knowledge,
-        distortion_separated=request.distortion_separated,
+        separated=_separated(request, rates),
         table=request.table.at(slowest.input_rate) if request.table is not None else None,
     )
     if len(rates) > 1:
@@ -207,7 +222,7 @@ def _budget(request: PlanRequest, rates: tuple[PlannedRate, ...]) -> Budget:
             request.scale_factor,
             reference=request.reference,
             phase=request.phase,
-            with_distortion=request.distortion_separated,
+            receiver=ReceiverKnowledge.of(request.knowledge),
         )
         alone = lock_in_budget(point, knowledge, request.reference)
         own = math.hypot(*(line.contribution for line in alone.inputs if line.name in ("noise", "quantization")))

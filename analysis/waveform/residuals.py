@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,12 +10,10 @@ import scipy.special
 
 from analysis.arrays import Bools, Floats, Indices, Ints, Samples
 from analysis.flags import Flag
+from analysis.waveform.misfit import NEIGHBOURS, left_over, misfit_of, surroundings
 from analysis.waveform.records import sums_of_squares
 from analysis.waveform.series.frequency_search import Sizes, line_sizes, neighbours
 from analysis.waveform.series.geometric_series import Series, sampled_blocks, sampled_series
-
-NEIGHBOURS = 24
-"""Bins on either side of a harmonic from which the local noise is taken."""
 
 LINE_CHANCE = 1e-6
 """A residual line that noise would produce in fewer than this share of records is a misfit."""
@@ -34,6 +31,9 @@ slope of -1 is common, a curve is rarely sharp."""
 GROSS_MISFIT = 0.05
 """Share of the signal's power that a waveform may miss and still be called that of a gyro above lock-in."""
 
+
+LEFT_BY_MOTION = 0.01
+"""The same where a moving phase was fitted, which can follow nearly anything."""
 
 FEWEST_PERIODS = 3.0
 GROSS_MISFIT_OF_A_CURVE = 0.002
@@ -91,26 +91,33 @@ def residual_samples(values: Samples, weights: Samples | None, series: Series, r
 @dataclass(frozen=True)
 class ResidualReport:
     """flags : (R,); excess : (R, 3) variance factors of frequency, ratio size and ratio phase over white noise;
-    uneven : (R,) where the spectrum is not flat, by lines or by broad humps."""
+    uneven : (R,) where the spectrum is not flat, by lines or by broad humps;
+    misfit : (R,) standard uncertainty of the ratio by what is no noise."""
 
     flags: Ints
     excess: Floats
     uneven: Bools
+    misfit: Floats
 
 
 def examine_residual(
-    residual: Residual, n_samples: int, count: Floats, omega: Floats, first: Floats, repeated: Bools
+    residual: Residual, n_samples: int, count: Floats, series: Series, repeated: Bools, *, moved: bool = False
 ) -> ResidualReport:
     """Judge the residual of each record by its spectrum.
 
     Parameters
     ----------
-    count, omega, first : (R,)
-        Valid samples, rad per sample, size of the fundamental.
+    count : (R,)
+        Valid samples.
+    series : Series
+        The waveforms that left it.
     repeated : (R,) of bool
         Where the residual is known to be rounding that repeats with the beat: neither noise nor misfit.
+    moved : bool
+        Whether a moving phase left it, which should have left noise only.
     """
     sizes, residual_power, n_records = residual.lines, residual.power, len(count)
+    omega, first = series.omega, np.abs(series.first)
     flags = np.zeros(n_records, dtype=np.int64)
     n_lines = sizes.shape[1] - 1
     # Parseval: the sum over the lines from the sum over the samples
@@ -158,8 +165,27 @@ def examine_residual(
             if line < FEW_PERIODS:
                 # So few periods do not keep the lines apart: the stronger noise reaches both, and what is below.
                 first_level = second_level = levels[0 if line < VERY_FEW_PERIODS else 1 :].max()
-        excess[row] = first_level, second_level, second_level
-    return ResidualReport(flags, excess, uneven)
+        # the ratio knows the noise of the fundamental too, less by the ratio itself
+        squared = float(np.abs(series.ratio[row])) ** 2
+        of_ratio = max(second_level, (second_level + squared * first_level) / (1 + squared))
+        excess[row] = first_level, of_ratio, of_ratio
+    ratio_u = np.zeros(n_records)
+    for row in np.flatnonzero(misfit | coloured):
+        power, beat = np.square(sizes[row, 1:]), (first[row] * n_samples / 2) ** 2
+        line = omega[row] * n_samples / (2 * np.pi)
+        found = misfit_of(power, n_samples, line, float(first[row]), float(np.abs(series.ratio[row])))
+        if found.pedestal:
+            flags[row] |= Flag.MISFIT
+        if flags[row] & Flag.MISFIT:
+            excess[row, 0] += found.frequency
+            ratio_u[row] = found.ratio
+        surplus = left_over(power) if moved else 0.0
+        if surplus:
+            flags[row] |= Flag.MISFIT
+            ratio_u[row] = np.hypot(ratio_u[row], np.sqrt(surplus / beat))
+            if surplus > LEFT_BY_MOTION * beat:
+                flags[row] |= Flag.NOT_LOCK_IN_LIKE
+    return ResidualReport(flags, excess, uneven, ratio_u)
 
 
 def _line_stands_out(power: Samples, expected: float) -> bool:
@@ -167,13 +193,7 @@ def _line_stands_out(power: Samples, expected: float) -> bool:
     width = 2 * NEIGHBOURS + 1
     if power.size < 2 * width:
         return True
-    # The median, since a wrong waveform leaves a comb of lines.
-    padded = np.pad(power.astype(np.float64), NEIGHBOURS, mode="reflect")
-    around = np.median(np.lib.stride_tricks.sliding_window_view(padded, width), axis=-1) / math.log(2)
-    # Below the first whole window the noise may rise as 1/f: its neighbours are then those on the same side.
-    bins = np.arange(1, NEIGHBOURS)
-    around[: bins.size] = np.maximum(around[NEIGHBOURS], around[: bins.size]) * NEIGHBOURS / bins
-    return bool((power / np.maximum(around, 1e-300)).max() > expected)
+    return bool((power / np.maximum(surroundings(power), 1e-300)).max() > expected)
 
 
 def _low_levels(power: Samples, line: float) -> Floats:

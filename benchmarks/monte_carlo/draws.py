@@ -70,7 +70,7 @@ def draw_inputs(
 
     ppm = 0.0 if math.isnan(knowledge.scale_factor_u_ppm) else knowledge.scale_factor_u_ppm
     limit = knowledge.distortion_limit
-    if math.isnan(limit) or knowledge.distortion_separated:
+    if math.isnan(limit) or "distortion" in knowledge.separated:
         limit = 0.0
     rate: float | Floats = point.input_rate
     if reference == "rate" and knowledge.table is not None:

@@ -22,12 +22,15 @@ class AcquisitionTime:
         Trigger mode AUTO.
     holdoff : float
         Trigger holdoff in s.
+    mains : bool
+        Triggered by the mains, which are always there.
     """
 
     seconds_per_division: float
     acquisitions: int = 1
     automatic: bool = True
     holdoff: float = 0.0
+    mains: bool = False
 
     @property
     def record_time(self) -> float:
@@ -46,5 +49,6 @@ class AcquisitionTime:
 
     @property
     def surely_ends(self) -> bool:
-        """Whether it completes without any trigger."""
-        return self.automatic and self.seconds_per_division < SCAN_FROM
+        """Whether it completes whatever the signals are: without a trigger, or with one that always comes."""
+        scanning = self.automatic and self.seconds_per_division >= SCAN_FROM
+        return (self.automatic or self.mains) and not scanning

@@ -26,6 +26,8 @@ _TIMING_COMMANDS = (
     ":ACQUIRE:NUMAVG",
     ":TRIGGER:MAIN:MODE",
     ":TRIGGER:MAIN:HOLDOFF:VALUE",
+    ":TRIGGER:MAIN:TYPE",
+    ":TRIGGER:MAIN:EDGE:SOURCE",
 )
 
 
@@ -197,12 +199,13 @@ class Session:
     def acquisition_time(self) -> AcquisitionTime:
         """How long an acquisition takes with the settings of now."""
         if self._timing is None:
-            scale, mode, averages, trigger_mode, holdoff = self.panel.read(_TIMING_COMMANDS)
+            scale, mode, averages, trigger_mode, holdoff, kind, source = self.panel.read(_TIMING_COMMANDS)
             self._timing = AcquisitionTime(
                 seconds_per_division=scpi.number(scale),
                 acquisitions=scpi.integer(averages) if mode.startswith("AVE") else 1,
                 automatic=trigger_mode.startswith("AUTO"),
                 holdoff=scpi.number(holdoff),
+                mains=kind == "EDGE" and source.endswith("LINE"),
             )
         return self._timing
 

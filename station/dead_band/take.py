@@ -114,5 +114,6 @@ def _take_step(
     for number in missing:
         waveforms, conditions = take_record(bench, (channel,))
         conditions |= {"direction": step.direction, "rate_dps": step.rate_dps, "table_rate_dps": rate}
+        conditions["clock_s"] = bench.now()
         writer.save_records(acquisition_records(PURPOSE, step.key(number), waveforms, (channel,), conditions))
         session.progress.advance()

@@ -8,12 +8,27 @@ from typing import Any, TypeVar
 import click
 
 from station.shell.command import run_measurement, take_measurement
-from station.shell.ending import print_failure, print_json
-from station.shell.options import CHANNELS, report_option, run_options
+from station.shell.options import CHANNELS, overrides, positive, report_option, run_options
+from station.terminal.lines import print_failure, print_json, say
 
 F = TypeVar("F", bound=Callable[..., Any])
 
-_PLACES = {"resource": "scope.resource", "records": "measurement.records", "channel": "scope.channel"}
+_PLACES = {
+    "resource": "scope.resource",
+    "scale_factor": "gyro.scale_factor_pulses_per_deg",
+    "rates": "measurement.rates_over_lock_in",
+    "records": "measurement.records",
+    "channel": "scope.channel",
+}
+
+
+def _rates(_: click.Context, __: click.Parameter, value: str | None) -> str | list[float] | None:
+    if value is None or value == "auto":
+        return value
+    try:
+        return [float(one) for one in value.split(",")]
+    except ValueError:
+        raise click.BadParameter(f"{value!r} is neither auto nor numbers such as 8 or 3,5,8,15,30") from None
 
 
 def _bench_options(function: F) -> F:
@@ -25,7 +40,20 @@ def _bench_options(function: F) -> F:
             help="VISA name of the oscilloscope. Without one the bench is simulated.",
         ),
         click.option(
-            "--records", type=click.IntRange(1, 1_000_000), metavar="N", help="Records at the slow rate."
+            "--scale-factor",
+            type=float,
+            callback=positive,
+            metavar="K",
+            help="Pulses per degree. With --resource it must be given, here or in the settings.",
+        ),
+        click.option(
+            "--rates",
+            callback=_rates,
+            metavar="LIST",
+            help="Rates in expected lock-in rates: 8 for one rate, 3,5,8,15,30 for several, auto.",
+        ),
+        click.option(
+            "--records", type=click.IntRange(1, 1_000_000), metavar="N", help="Records at each rate and sense."
         ),
         click.option("--channel", type=CHANNELS, metavar="CHn", help="Input channel, CH1 to CH4."),
         run_options,
@@ -44,9 +72,13 @@ def measure(**given: Any) -> int:
     Without --resource the whole bench is simulated: rate table, gyro and oscilloscope. With --resource the
     gyro is expected to turn already, unless the settings say that an operator sets the table.
 
+    Where the table can be set, the gyro goes through several rates in both senses, chosen for the expected lock-in
+    rate: they tell distortion of the detector and the laser's gain corner from lock-in. `--rates 8` takes the
+    paper's single rate.
+
     Ctrl-C keeps the records taken so far; --resume goes on with such a run.
     """
-    return run_measurement("measure", given, places=_PLACES)
+    return run_measurement("measure", _with_scale_factor(given), places=_PLACES)
 
 
 @click.command("acquire")
@@ -57,20 +89,35 @@ def acquire(**given: Any) -> int:
     The scope is set up as `gyrolock measure` does it. Ctrl-C keeps the records taken so far; --resume goes on with
     such a run.
     """
-    from station.runs.store import open_run
+    from station.shell.ending import run_as_it_ends, save_outcome
     from station.shell.evaluated import about_run
 
-    taken = take_measurement("measure", given, places=_PLACES)
-    run = open_run(taken.path)
+    taken = take_measurement("measure", _with_scale_factor(given), places=_PLACES)
+    run, failure = run_as_it_ends(taken), taken.failure
+    failure = failure or save_outcome(run, None)
     saved = len(run.taken_for("measure"))
     document: dict[str, object] = {"records": saved, **about_run(run)}
-    if taken.failure is not None:
-        document["error"] = taken.failure.as_json()
+    if failure is not None:
+        document["error"] = failure.as_json()
     if given["as_json"]:
         print_json(document)
-    else:
-        click.echo(f"saved   {saved} records in {taken.path}")
-    if taken.failure is None:
+    elif given["jsonl"] and failure is not None:
+        print_json({"error": failure.as_json()})
+    elif not given["jsonl"]:
+        say(f"saved   {saved} records in {taken.path}")
+    if failure is None:
         return 0
-    print_failure(taken.to_tell)
-    return taken.failure.exit_code
+    print_failure(failure if taken.failure is None else taken.to_tell)
+    return failure.exit_code
+
+
+def _with_scale_factor(given: dict[str, Any]) -> dict[str, Any]:
+    """Return the options with the scale factor; where nobody has given it, the operator is asked."""
+    from station.lock_in.settings import ask_scale_factor, load_settings
+
+    if given["resume"] is not None:
+        return given
+    settings = load_settings(given["config"], overrides=overrides(given, _PLACES))
+    if settings.gyro.scale_factor_pulses_per_deg:
+        return given
+    return given | {"scale_factor": ask_scale_factor()}

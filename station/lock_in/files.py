@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -16,13 +17,14 @@ from station.lock_in.found import LockInFound
 from station.lock_in.presentation.documents import record_documents
 from station.lock_in.read import evaluate_waveforms
 from station.lock_in.result import result
-from station.lock_in.settings import load_settings
+from station.lock_in.settings import ask_scale_factor, load_settings
 from station.results.as_json import plain
 from station.results.numbers import with_prefix
 from station.results.parts import TextTable
 from station.results.result import Result
 from station.ring_laser.records import check_over_time
-from station.shell.evaluated import SCHEMA_VERSION
+from station.settings.toml_files import read_toml
+from station.shell.evaluated import SCHEMA_VERSION, standing_document
 
 _HARMONICS = 5
 
@@ -40,6 +42,7 @@ class AnalyzedFiles:
         """Return the result as plain JSON; of one file with its harmonics."""
         schema = {"name": "gyrolock files", "version": SCHEMA_VERSION}
         document = {"schema": schema, **self.result.document, "flags": self.result.flags, "run": None}
+        document |= standing_document(self.result)
         if len(self.paths) > 1:
             return dict(plain(document | {"files": self.paths}))
         document |= {"file": self.paths[0], "harmonics": self.harmonics}
@@ -58,12 +61,14 @@ def analyze_file(path: Path, config: Path | None, choices: Mapping[str, Any]) ->
     Parameters
     ----------
     config : Path or None
-        Settings file: gives the scale factor that a file does not know.
+        Settings file: may give the scale factor that a file does not know.
     choices : mapping
         Of :class:`analysis.lock_in_run.Method`; ``None`` is left out.
 
     Raises
     ------
+    UsageError
+        Neither gives the scale factor, and there is nobody to ask.
     FileFormatError, OSError
         If it cannot be read.
     NoUsableSignal
@@ -71,8 +76,33 @@ def analyze_file(path: Path, config: Path | None, choices: Mapping[str, Any]) ->
     """
     waveform = read_waveform(path)
     chosen = {name: value for name, value in choices.items() if value is not None}
-    method = Method(**{"scale_factor": load_settings(config).gyro.scale_factor_pulses_per_deg, **chosen})
-    return analyze_waveforms([waveform], [path], method)
+    if "scale_factor" not in chosen:
+        chosen["scale_factor"] = scale_factor_of_files(config)
+    return analyze_waveforms([waveform], [path], Method(**chosen))
+
+
+def scale_factor_of_files(config: Path | None) -> float:
+    """Return the scale factor of the gyro whose records are files: from a settings file, or asked for once.
+
+    What the shipped settings say of their simulated gyro is not true of another one.
+
+    Raises
+    ------
+    SettingsError
+        The file holds mistakes.
+    UsageError
+        It is not given, and there is nobody to ask.
+    """
+    if config is not None:
+        settings = load_settings(config)
+        if "scale_factor_pulses_per_deg" in read_toml(config).get("gyro", {}):
+            return settings.gyro.scale_factor_pulses_per_deg
+    return _asked_scale_factor()
+
+
+@cache
+def _asked_scale_factor() -> float:
+    return ask_scale_factor()
 
 
 def analyze_waveforms(waveforms: Sequence[Waveform], paths: Sequence[Path], method: Method) -> AnalyzedFiles:

@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
-from analysis.budget import BenchKnowledge, Corner
+from analysis.budget import FRONT_END_LIMIT, LATITUDE_LIMIT_DEG, BenchKnowledge, Corner
 from analysis.channel import ChannelResponse
-from analysis.lock_in_run import RunKnowledge
+from analysis.lock_in_run import Method, RunKnowledge
+from instrument import Waveform
 from station.lock_in.settings import FrontEndSettings, Settings
+
+_RECTANGLE = math.sqrt(3.0)
 
 _AC_CORNER_HZ = 10.0
 """Lower -3 dB corner of the AC coupling of a TDS2014 with a direct cable; a 10X probe makes it a tenth."""
@@ -23,32 +27,51 @@ def run_knowledge(settings: Settings) -> RunKnowledge:
         both_senses=settings.table.both_senses,
         response=channel_response(settings.front_end),
         bench=bench_knowledge(settings),
-        latitude_u_deg=stated.latitude_u_deg if stated is not None else 0.0,
+        latitude_u_deg=(stated.latitude_u_deg if stated is not None else 0.0) or LATITUDE_LIMIT_DEG / _RECTANGLE,
         table_rate_u_ppm=stated.table_rate_u_ppm if stated is not None else 0.0,
+        known_tilt_deg=math.nan if settings.table.known_tilt_deg is None else settings.table.known_tilt_deg,
+        known_tilt_u_deg=settings.table.known_tilt_u_deg,
     )
 
 
 def bench_knowledge(settings: Settings) -> BenchKnowledge:
     """Collect what an uncertainty budget counts besides the records; nan for whatever nobody stated."""
     scope, stated, front_end = settings.scope, settings.budget, settings.front_end
-    share = 0.01 * (stated.front_end_u_percent if stated is not None else 0.0)
+    share = 0.01 * (stated.front_end_u_percent if stated is not None else 0.0) or FRONT_END_LIMIT / _RECTANGLE
     coupling = Corner(_AC_CORNER_HZ / scope.probe if scope.coupling == "AC" else 0.0)
     if front_end.ac_corner_hz:
         coupling = Corner(front_end.ac_corner_hz, share * front_end.ac_corner_hz, corrected=True)
-    if stated is None:
-        return BenchKnowledge(high_pass=coupling)
-    bandwidth = Corner(stated.bandwidth_hz or math.nan)
+    bandwidth = Corner((stated.bandwidth_hz if stated is not None else 0.0) or math.nan)
     if front_end.low_pass_hz:
         bandwidth = Corner(front_end.low_pass_hz, share * front_end.low_pass_hz, corrected=True)
+    measured = share if front_end.response or front_end.response_file else math.nan
+    if math.isfinite(measured):
+        # a measured response holds every corner of the channel
+        bandwidth, coupling = Corner(math.inf), Corner(0.0)
+    if stated is None:
+        return BenchKnowledge(high_pass=coupling, bandwidth=bandwidth, response_u=measured)
     return BenchKnowledge(
         scale_factor_u_ppm=stated.scale_factor_u_ppm or math.nan,
         time_base_limit_ppm=stated.time_base_limit_ppm,
-        distortion_limit=10 ** (stated.distortion_limit_dbc / 20) if stated.distortion_limit_dbc else math.nan,
+        distortion_limit=_amplitude(stated.distortion_limit_dbc),
+        third_order_limit=_amplitude(stated.third_order_limit_dbc),
         bandwidth=bandwidth,
         high_pass=coupling,
         gain=Corner(stated.gain_corner_hz or math.nan),
-        response_u=share if front_end.response or front_end.response_file else math.nan,
+        response_u=measured,
     )
+
+
+def knowledge_of_files(waveforms: Sequence[Waveform], method: Method) -> RunKnowledge:
+    """Collect what files say of their bench: the coupling of the channel, where it is written."""
+    coupled = all("DC coupling" in waveform.preamble.wfid for waveform in waveforms)
+    bench = BenchKnowledge(high_pass=Corner(0.0 if coupled else math.nan))
+    return RunKnowledge(method.scale_factor, latitude_deg=math.nan, bench=bench)
+
+
+def _amplitude(level_dbc: float) -> float:
+    """Amplitude of a harmonic over the fundamental; nan for 0 dBc, which stands for "not known"."""
+    return 10 ** (level_dbc / 20) if level_dbc else math.nan
 
 
 def channel_response(front_end: FrontEndSettings) -> ChannelResponse | None:

@@ -1,10 +1,39 @@
-"""Which rates a campaign goes through, and in which order."""
+"""Which rates a campaign goes through, in which order, and which others when the gyro is not as expected."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
+from typing import Any
 
+from analysis import plan as planning
+from analysis.lock_in_run import LockInSeen
+from analysis.rotation import EARTH_RATE_DPS
+from station.errors import NoUsableSignal
 from station.lock_in.settings import Settings
+
+RECORDS_IN_ALL = 40
+"""At several rates together, where nobody says how many: twice those of one rate, for twice the time."""
+
+RECORDS_AT_ONE_RATE = 20
+
+FAR_OFF = 1.4
+"""An expected lock-in rate that is surely wrong by more than this factor is replaced by the one that was found."""
+
+MOST_CHANGES = 4
+
+_LIKELY_FACTOR = 2.0
+"""By which the lock-in rate may differ from the expected one."""
+
+_SAME = 0.2
+"""Rates that differ by less tell nothing new."""
+
+_WITHIN = 0.95
+"""Share of the table's range that is made use of: rates are rounded to two digits."""
+
+_CHANNEL_OVER_BEAT = 5.0
+"""No rate is chosen at which the beat comes closer to the bandwidth of the channel, where that is known."""
 
 
 @dataclass(frozen=True)
@@ -26,19 +55,156 @@ class RateStep:
     rate_dps: float
 
 
-def rate_plan(settings: Settings) -> tuple[RateStep, ...]:
-    """Return the steps of a campaign: one sense after the other, each from the fastest rate to the slowest.
+@dataclass(frozen=True)
+class RatePlan:
+    """The steps of a campaign: one sense after the other, each from the fastest rate to the slowest.
+
+    Attributes
+    ----------
+    planned_for_dps : float
+        Lock-in rate for which the rates were chosen.
+    changes : int
+        How often they were chosen anew.
+    """
+
+    steps: tuple[RateStep, ...]
+    planned_for_dps: float
+    changes: int = 0
+
+    def as_json(self) -> dict[str, object]:
+        """Return it as a fact of the run; :func:`saved_plan` reads it."""
+        steps = [{"over_lock_in": step.over_lock_in, "sense": step.sense} for step in self.steps]
+        return {"steps": steps, "planned_for_dps": self.planned_for_dps, "changes": self.changes}
+
+
+def rate_plan(settings: Settings, tilt_deg: float = 0.0) -> RatePlan:
+    """Return the plan of a campaign: rates that the user has named, or those chosen for the expected lock-in rate.
 
     Parameters
     ----------
-    settings : Settings
-        Without ``measurement.rates_over_lock_in`` there is one rate, ``table.slow_rate_over_lock_in``.
+    tilt_deg : float, optional
+        Between gyro axis and table axis, where there is a table that can be set.
+
+    Raises
+    ------
+    NoUsableSignal
+        The table does not go to a rate that is safe.
     """
-    ratios = settings.measurement.rates_over_lock_in or (settings.table.slow_rate_over_lock_in,)
-    senses = (1, -1) if settings.measurement.both_senses else (1,)
     expected = settings.gyro.expected_lock_in_rate_dps
-    return tuple(
-        RateStep(ratio, sense, sense * ratio * expected)
-        for sense in senses
-        for ratio in sorted(set(ratios), reverse=True)
+    if settings.rates_are_chosen:
+        sizes = _chosen_rates(settings, expected, tilt_deg)
+    else:
+        sizes = tuple(ratio * expected for ratio in settings.named_rates or (settings.slow_over_lock_in,))
+    return RatePlan(_steps(settings, sizes, _senses(settings, len(sizes))), expected)
+
+
+def saved_plan(settings: Settings, values: Mapping[str, Any]) -> RatePlan:
+    """Return the plan that a run was begun with, from its facts."""
+    expected = settings.gyro.expected_lock_in_rate_dps
+    steps = tuple(
+        RateStep(one["over_lock_in"], one["sense"], one["sense"] * one["over_lock_in"] * expected)
+        for one in values["steps"]
     )
+    return RatePlan(steps, float(values["planned_for_dps"]), int(values["changes"]))
+
+
+def records_at_each(settings: Settings, plan: RatePlan) -> int:
+    """Records at each step of a plan: as many as the user says, or enough in all."""
+    if settings.measurement.records != "auto":
+        return settings.measurement.records
+    if len(plan.steps) == 1:
+        return RECORDS_AT_ONE_RATE
+    return max(planning.DEFAULT_RECORDS, round(RECORDS_IN_ALL / len(plan.steps)))
+
+
+def changed_plan(
+    settings: Settings,
+    plan: RatePlan,
+    tilt_deg: float,
+    *,
+    seen: LockInSeen | None,
+    tried: Iterable[RateStep],
+    without_beat: Iterable[RateStep],
+) -> RatePlan | None:
+    """Choose the rates anew where the lock-in rate is surely far from the one that they were chosen for.
+
+    Parameters
+    ----------
+    seen : LockInSeen or None
+        ``None`` as long as no beat was seen.
+    tried, without_beat : RateStep
+        Where records were wanted so far, and where none came.
+
+    Returns
+    -------
+    RatePlan or None
+        With the steps that were tried, and those to come; ``None`` if the plan stays.
+    """
+    silent = {step.over_lock_in for step in without_beat}
+    taken = [abs(step.rate_dps) for step in tried if step.over_lock_in not in silent]
+    locked = max((abs(step.rate_dps) for step in without_beat), default=0.0)
+    if plan.changes >= MOST_CHANGES or (seen is None and not locked):
+        return None
+    if seen is None:
+        wanted = locked  # not even the fastest rate is above lock-in
+    else:
+        wanted = seen.lock_in_rate
+        if seen.least <= FAR_OFF * plan.planned_for_dps and seen.most >= plan.planned_for_dps / FAR_OFF:
+            return None
+    try:
+        sizes = _chosen_rates(settings, wanted, tilt_deg)
+    except NoUsableSignal:
+        return None  # the table goes no further: what there is must do
+    sizes = tuple(_nearest(size, taken) for size in sizes if size > locked * (1 + _SAME))
+    if not sizes:
+        return None
+    senses = _senses(settings, len(sizes))
+    done = tuple(step for step in tried if step.sense == 1)
+    known = {step.over_lock_in for step in done}
+    steps = [step for step in _steps(settings, sizes, senses) if step.sense != 1 or step.over_lock_in not in known]
+    return replace(plan, steps=(*done, *steps), planned_for_dps=wanted, changes=plan.changes + 1)
+
+
+def _chosen_rates(settings: Settings, lock_in_rate: float, tilt_deg: float) -> tuple[float, ...]:
+    """Sizes of the rates on the axis, deg/s, for a lock-in rate that may be wrong by a factor of two.
+
+    The axis of a tilted gyro meets the horizontal earth rate at an azimuth that nobody knows: no rate is so slow
+    that it could stop or turn the gyro round.
+    """
+    tilt = math.radians(tilt_deg)
+    earth = EARTH_RATE_DPS * math.cos(math.radians(settings.site.latitude_deg)) * math.sin(tilt)
+    clear = earth / lock_in_rate + _LIKELY_FACTOR
+    stated = settings.budget.bandwidth_hz if settings.budget is not None else 0.0
+    bandwidth = settings.front_end.low_pass_hz or stated or math.inf
+    scale_factor = settings.gyro.scale_factor_pulses_per_deg
+    factor = max(_LIKELY_FACTOR, clear / planning.SAFE_ABOVE_LOCK_IN)
+    slowest_beat = scale_factor * planning.SAFE_ABOVE_LOCK_IN * factor * lock_in_rate
+    try:
+        ratios = planning.default_rates(
+            lock_in_rate,
+            scale_factor,
+            lock_in_factor=factor,
+            fastest_rate=_WITHIN * settings.table.highest_rate_dps * math.cos(tilt),
+            # a channel that is slow even for the slowest rate spoils all of them; the budget says how much
+            fastest_beat_hz=max(bandwidth / _CHANNEL_OVER_BEAT, 2 * slowest_beat),
+        )
+    except ValueError as error:
+        raise NoUsableSignal(f"no rate can be chosen: {error}") from None
+    return tuple(ratio * lock_in_rate for ratio in ratios)
+
+
+def _nearest(size: float, taken: list[float]) -> float:
+    """A rate that was gone to already, if there is one so near that another tells nothing new."""
+    nearest = min(taken, key=lambda one: abs(one - size), default=math.inf)
+    return nearest if abs(nearest - size) < _SAME * size else size
+
+
+def _senses(settings: Settings, rates: int) -> tuple[int, ...]:
+    both = settings.measurement.both_senses
+    return (1, -1) if (rates > 1 if both == "auto" else both) else (1,)
+
+
+def _steps(settings: Settings, sizes: Iterable[float], senses: tuple[int, ...]) -> tuple[RateStep, ...]:
+    expected = settings.gyro.expected_lock_in_rate_dps
+    ratios = sorted({float(f"{size / expected:.4g}") for size in sizes}, reverse=True)
+    return tuple(RateStep(ratio, sense, sense * ratio * expected) for sense in senses for ratio in ratios)

@@ -13,18 +13,20 @@ from numpy.typing import NDArray
 from analysis.errors import NoTilt, OneRateOnly, OutsideResponse
 from analysis.lock_in_run import (
     Batch,
+    LockInSeen,
     Method,
     RecordArrays,
     RunArrays,
     Tilt,
     evaluate,
     find_tilt,
+    lock_in_seen,
     rows_of_batches,
 )
 from instrument import Waveform
 from station.errors import RunError, UsageError
 from station.lock_in.found import LockInFound
-from station.lock_in.knowledge import run_knowledge
+from station.lock_in.knowledge import knowledge_of_files, run_knowledge
 from station.lock_in.settings import Settings
 from station.ring_laser.records import saved_waveform
 from station.runs.store import SavedRecord, SavedRun
@@ -82,7 +84,8 @@ def evaluate_run(run: SavedRun, settings: Settings, method: Method | None = None
 def evaluate_waveforms(waveforms: Sequence[Waveform], names: Sequence[str], method: Method) -> LockInFound:
     """Evaluate records that come from files: at least one, each with its name."""
     nothing: tuple[Waveform, ...] = ()
-    found = evaluate(RunArrays(_arrays((waveforms,)), _arrays((nothing,))), None, method)
+    arrays = RunArrays(_arrays((waveforms,)), _arrays((nothing,)))
+    found = evaluate(arrays, knowledge_of_files(waveforms, method), method)
     return LockInFound(**vars(found), names=tuple(names), waveforms=tuple(waveforms))
 
 
@@ -98,6 +101,12 @@ def fast_run_tilt(run: SavedRun, settings: Settings) -> Tilt:
         return find_tilt(_fast_run(run), run_knowledge(settings))
     except NoTilt as error:
         raise RunError(_no_tilt(error)) from None
+
+
+def lock_in_so_far(records: Sequence[SavedRecord], run: SavedRun, settings: Settings) -> LockInSeen | None:
+    """Say what records of a run at one rate say of the lock-in rate; ``None`` if they show no beat."""
+    arrays = _arrays(([saved_waveform(record, run) for record in records],), records)
+    return lock_in_seen(arrays, settings.gyro.scale_factor_pulses_per_deg)
 
 
 @dataclass(frozen=True)

@@ -12,9 +12,9 @@ from functools import cache
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import Field
+from pydantic import Discriminator, Field, Tag
 
-from station.errors import SettingsError
+from station.errors import SettingsError, UsageError
 from station.ring_laser.settings import GyroSettings, ScopeSettings, SimulationSettings
 from station.settings.load import SettingsKind, Values, load, shipped_settings
 from station.settings.parts import (
@@ -26,10 +26,30 @@ from station.settings.parts import (
     SettingsSection,
     SiteSettings,
 )
-from station.settings.toml_files import merged, read_toml
+from station.settings.toml_files import merged, read_text, read_toml
 
 ResponseRow = tuple[float, float, float]
 _RESPONSE_COLUMNS = 3
+
+Ratio = Annotated[float, Field(gt=1.05, le=1000)]
+
+
+def _left_open(value: object) -> str:
+    return "auto" if isinstance(value, str) else "value"
+
+
+# left to the program, or given: told apart beforehand, so that a mistake is told once
+Auto = Annotated[Literal["auto"], Tag("auto")]
+_ByKind = Discriminator(_left_open)
+Records = Annotated[Annotated[int, Field(ge=1, le=1_000_000), Tag("value")] | Auto, _ByKind]
+Rates = Annotated[Annotated[tuple[Ratio, ...], Tag("value")] | Auto, _ByKind]
+Senses = Annotated[Annotated[bool, Tag("value")] | Auto, _ByKind]
+
+
+class TestedGyroSettings(GyroSettings):
+    """The gyro whose lock-in rate is wanted; its scale factor is 0 as long as nobody has given it."""
+
+    scale_factor_pulses_per_deg: NotNegative = 0.0
 
 
 class TableSettings(SettingsSection):
@@ -37,10 +57,13 @@ class TableSettings(SettingsSection):
 
     kind: Literal["simulated", "manual", "none"]
     fast_rate_dps: Positive
+    highest_rate_dps: Positive = 1000.0
     both_senses: bool
-    slow_rate_over_lock_in: Annotated[float, Field(gt=1.05, le=1000)]
+    slow_rate_over_lock_in: Ratio
     settle_s: NotNegative
     north_azimuth_deg: Finite
+    known_tilt_deg: Annotated[float, Field(ge=0, lt=90)] | None = None
+    known_tilt_u_deg: NotNegative = 0.01
 
 
 class FrontEndSettings(SettingsSection):
@@ -55,9 +78,9 @@ class FrontEndSettings(SettingsSection):
 class MeasurementSettings(SettingsSection):
     """How many records of which shape, at which rates."""
 
-    records: Annotated[int, Field(ge=1, le=1_000_000)]
-    rates_over_lock_in: tuple[Annotated[float, Field(gt=1.05, le=1000)], ...] = ()
-    both_senses: bool = False
+    records: Records
+    rates_over_lock_in: Rates = ()
+    both_senses: Senses = False
     tilt_records: Annotated[int, Field(ge=1, le=1000)]
     periods_min: Annotated[float, Field(ge=3, le=500)]
     samples_per_period_min: Annotated[float, Field(ge=5, le=500)]
@@ -70,6 +93,7 @@ class BudgetSettings(SettingsSection):
     scale_factor_u_ppm: NotNegative
     time_base_limit_ppm: NotNegative
     distortion_limit_dbc: Annotated[float, Field(le=0, ge=-200)]
+    third_order_limit_dbc: Annotated[float, Field(le=0, ge=-200)] = 0.0
     bandwidth_hz: NotNegative
     front_end_u_percent: NotNegative = 5.0
     gain_corner_hz: NotNegative
@@ -90,7 +114,7 @@ class LimitSettings(SettingsSection):
 class Settings(SettingsSection):
     """All settings of a run. ``simulation`` is absent on a real bench."""
 
-    gyro: GyroSettings
+    gyro: TestedGyroSettings
     site: SiteSettings
     table: TableSettings
     scope: ScopeSettings
@@ -111,8 +135,24 @@ class Settings(SettingsSection):
         """Rate at which a simulated table turns from the beginning: the slow rate, if it cannot be set."""
         if self.table.kind != "none" or self.simulation is None:
             return 0.0
-        wanted = self.gyro.expected_lock_in_rate_dps * self.table.slow_rate_over_lock_in
+        wanted = self.gyro.expected_lock_in_rate_dps * self.slow_over_lock_in
         return wanted / math.cos(math.radians(self.simulation.tilt_deg))
+
+    @property
+    def rates_are_chosen(self) -> bool:
+        """Whether the program chooses the rates: it is left to it, and there is a table that can be set."""
+        return self.measurement.rates_over_lock_in == "auto" and self.table.kind != "none"
+
+    @property
+    def named_rates(self) -> tuple[float, ...]:
+        """Rates that the user has named, in expected lock-in rates; empty if there are none."""
+        rates = self.measurement.rates_over_lock_in
+        return () if rates == "auto" else tuple(sorted(set(rates)))
+
+    @property
+    def slow_over_lock_in(self) -> float:
+        """The slow rate in expected lock-in rates, where there is but one."""
+        return self.named_rates[0] if self.named_rates else self.table.slow_rate_over_lock_in
 
 
 def load_settings(
@@ -145,6 +185,26 @@ def default_settings(name: Literal["simulated", "bench"] = "simulated") -> Setti
     return Settings.model_validate(read_toml(shipped_settings(name)))
 
 
+_NO_SCALE_FACTOR = (
+    "the scale factor of the gyro is not given, and the lock-in rate goes 1 : 1 with it: give --scale-factor K in "
+    "pulses per degree, or scale_factor_pulses_per_deg in [gyro] of the settings"
+)
+
+
+def ask_scale_factor() -> float:
+    """Ask the operator for the scale factor; UsageError if there is no terminal."""
+    # only here somebody is asked
+    from station.runs.operator import ask_number
+
+    return ask_number("Scale factor of the gyro in pulses per degree: ", _NO_SCALE_FACTOR)
+
+
+def check_scale_factor(settings: Settings) -> None:
+    """See that the scale factor is known: every lock-in rate goes 1 : 1 with it; UsageError if nobody gave it."""
+    if not settings.gyro.scale_factor_pulses_per_deg:
+        raise UsageError(_NO_SCALE_FACTOR)
+
+
 def _shipped(given: Any) -> str:
     return "bench" if _resource(given) else "simulated"
 
@@ -171,7 +231,7 @@ def _check(settings: Settings, path: Path) -> Settings:
         raise SettingsError(
             f'{path}: table.kind: an operator cannot turn a simulated table; use "simulated" or "none"'
         )
-    if settings.measurement.rates_over_lock_in and settings.table.kind == "none":
+    if len(settings.named_rates) > 1 and settings.table.kind == "none":
         raise SettingsError(
             f"{path}: measurement.rates_over_lock_in: several rates need a table that can be set; "
             'table.kind = "none" has none'
@@ -213,12 +273,7 @@ def read_response(path: Path) -> tuple[ResponseRow, ...]:
     SettingsError
         If it cannot be read or a line is not what it should be.
     """
-    try:
-        lines = path.read_text(encoding="utf-8-sig").splitlines()
-    except OSError as error:
-        raise SettingsError(f"{path}: cannot be read ({error.strerror})") from None
-    except UnicodeDecodeError as error:
-        raise SettingsError(f"{path}: is not a text file (byte {error.start} is not UTF-8)") from None
+    lines = read_text(path).splitlines()
     rows: list[ResponseRow] = []
     for number, line in enumerate(lines, start=1):
         if not line.strip() or line.lstrip().startswith("#"):
@@ -272,5 +327,5 @@ RING_LASER = SettingsKind(
     shipped=_shipped,
     adapt=_adapt,
     check=_check,
-    knowledge=("front_end", "budget", "limits"),
+    knowledge=("front_end", "budget", "limits", "table.known_tilt_deg", "table.known_tilt_u_deg"),
 )

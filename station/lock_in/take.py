@@ -10,10 +10,19 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
+from analysis.lock_in_run import LockInSeen
+from analysis.rotation import earth_rate_on_axis
 from station.errors import NoUsableSignal
-from station.lock_in.rate_plan import RateStep, rate_plan
-from station.lock_in.read import fast_run_tilt
-from station.lock_in.settings import Settings
+from station.lock_in.rate_plan import (
+    RatePlan,
+    RateStep,
+    changed_plan,
+    rate_plan,
+    records_at_each,
+    saved_plan,
+)
+from station.lock_in.read import fast_run_tilt, lock_in_so_far
+from station.lock_in.settings import Settings, check_scale_factor
 from station.ring_laser.bench import Bench
 from station.ring_laser.open import open_for
 from station.ring_laser.records import acquisition_records, set_up, take_record
@@ -22,9 +31,16 @@ from station.runs.store import RunWriter, SavedRecord
 from station.runs.taking import Session
 from station.scope.autoset import KnobPositions, find_beat, fit_channel
 
+_EAST = 90.0
+"""Azimuth at which the earth rate on the axis has its vertical part only."""
+
+_FASTER = 5.0
+"""A fast run in which the gyro is locked is repeated at so many times its rate."""
+
 
 def take(settings: Settings, session: Session) -> None:
     """Do the whole experiment and save it; of a run that was cut short, what is missing."""
+    check_scale_factor(settings)
     take_on(open_for(session, settings), settings, session)
 
 
@@ -59,56 +75,131 @@ class _Taking:
     progress: Progress
     knobs: KnobPositions | None = None
     rates: list[dict[str, Any]] = field(default_factory=list)
+    tilt_deg: float = 0.0
 
     def experiment(self) -> None:
-        cosine = 1.0
+        """Go through the plan; it may change with what the first rates say."""
         if self.bench.table is not None:
-            cosine = self._find_tilt()
-        plan = rate_plan(self.settings)
-        without_beat: list[str] = []
-        for step in plan:
+            self.tilt_deg = self._find_tilt()
+        saved = self.session.facts.get("plan") if self.session.resumed is not None else None
+        plan = saved_plan(self.settings, saved) if saved else self._first_plan()
+        tried: list[RateStep] = []
+        without_beat: dict[RateStep, str] = {}
+        seen: LockInSeen | None = None
+        while (step := next((one for one in plan.steps if one not in tried), None)) is not None:
+            tried.append(step)
             try:
-                self._take_step(step, step.rate_dps / cosine if self.bench.table is not None else None)
+                self._take_step(step, records_at_each(self.settings, plan))
+                seen = self._clearest(seen, step)
             except NoUsableSignal as error:
-                if len(plan) == 1:
+                if len(plan.steps) == 1:
                     raise
                 # the other rates may do: which one gave nothing stands in the run and in the result
-                without_beat.append(f"{step.sense * step.over_lock_in:+g} expected lock-in rates: {error}")
-                self.progress.note(f"no record at {without_beat[-1]}")
-                self.writer.save_facts({"rates_without_beat": without_beat})
-        if len(without_beat) == len(plan):
-            raise NoUsableSignal(without_beat[0])
+                without_beat[step] = f"{step.sense * step.over_lock_in:+g} expected lock-in rates: {error}"
+                self.progress.note(f"no record at {without_beat[step]}")
+                self.writer.save_facts({"rates_without_beat": list(without_beat.values())})
+            if step.sense == 1 and self.settings.rates_are_chosen:
+                plan = self._look_again(plan, seen, tried, list(without_beat))
+        if len(without_beat) == len(tried):
+            raise NoUsableSignal(next(iter(without_beat.values())))
+
+    def _first_plan(self) -> RatePlan:
+        """The plan for the expected lock-in rate, or for another one where the fast run shows it already."""
+        plan = rate_plan(self.settings, self.tilt_deg)
+        self._save_plan(plan)
+        if not self.settings.rates_are_chosen:
+            return plan
+        fast = self._saved("tilt")
+        return self._look_again(plan, lock_in_so_far(fast, self.session.so_far(), self.settings), [], [])
+
+    def _look_again(
+        self, plan: RatePlan, seen: LockInSeen | None, tried: list[RateStep], without_beat: list[RateStep]
+    ) -> RatePlan:
+        """Choose the rates to come anew where the lock-in rate is far from the expected one; a resumed run too."""
+        changed = changed_plan(
+            self.settings, plan, self.tilt_deg, seen=seen, tried=tried, without_beat=without_beat
+        )
+        if changed is None:
+            return plan
+        known = "no beat at the fastest rate"
+        if seen is not None:
+            known = f"the lock-in rate is about {seen.lock_in_rate:.2g} deg/s"
+        to_come = [f"{step.over_lock_in:g}" for step in changed.steps if step.sense == 1 and step not in tried]
+        left = ", ".join(to_come) or "those that there are"
+        self.progress.note(f"{known}: the rates are chosen anew, {left} times the expected one")
+        self._save_plan(changed)
+        return changed
+
+    def _save_plan(self, plan: RatePlan) -> None:
+        self.writer.save_facts({"plan": plan.as_json()})
+
+    def _clearest(self, seen: LockInSeen | None, step: RateStep) -> LockInSeen | None:
+        """What the rates so far say of the lock-in rate: the one that can be least off."""
+        if step.sense != 1 or not self.settings.rates_are_chosen:
+            return seen
+        run = self.session.so_far()
+        now = lock_in_so_far(self._taken_at(step), run, self.settings)
+        candidates = [one for one in (seen, now) if one is not None]
+        return min(candidates, key=lambda one: one.spread, default=None)
 
     def _find_tilt(self) -> float:
-        """Turn fast, in both senses if asked for, and find the cosine of the tilt from the beat frequency."""
+        """Turn fast, in both senses if asked for, and find the tilt in deg from the beat frequency."""
         settings, fast = self.settings, self.settings.table.fast_rate_dps
         count = settings.measurement.tilt_records
+        taken = self._saved("tilt")
+        if taken:
+            fast = abs(taken[0].conditions["table_rate_dps"])
         # with the axis along the table's the beat would be as fast as this
         start: KnobPositions | float = settings.gyro.scale_factor_pulses_per_deg * fast
-        for wanted in (fast, -fast) if settings.table.both_senses else (fast,):
-            there = [one for one in self._saved("tilt") if one.conditions["table_rate_dps"] * wanted > 0]
+        for sense in (1, -1) if settings.table.both_senses else (1,):
+            there = [one for one in taken if one.conditions["table_rate_dps"] * sense > 0]
             if len(there) >= count:
                 continue
-            self.progress.note(f"fast run at {wanted:+g} deg/s")
-            rate = self.bench.turn_table(wanted, settings.table.settle_s)
-            self.knobs = start = find_beat(self.bench.scope, settings.scope, settings.measurement, start)
-            self._take_records("tilt", f"tilt {wanted:+g}", (settings.scope.channel,), len(there), count, rate)
+            if sense == 1 and not there:
+                rate, self.knobs = self._fast_beat(fast)
+                fast = abs(rate)
+            else:
+                self.progress.note(f"fast run at {sense * fast:+g} deg/s")
+                rate = self.bench.turn_table(sense * fast, settings.table.settle_s)
+                self.knobs = find_beat(self.bench.scope, settings.scope, settings.measurement, self.knobs or start)
+            channels = (settings.scope.channel,)
+            self._take_records("tilt", f"tilt {sense * fast:+g}", channels, len(there), count, rate)
         tilt = fast_run_tilt(self.session.so_far(), settings)
         self.progress.note(f"tilt {tilt.tilt_deg:.3f}°")
-        return math.cos(math.radians(tilt.tilt_deg))
+        return tilt.tilt_deg
 
-    def _take_step(self, step: RateStep, table_rate: float | None) -> None:
-        """Go to one rate, find the beat and take the records; without `table_rate` the table turns already."""
+    def _fast_beat(self, fast: float) -> tuple[float, KnobPositions]:
+        """Turn fast, and faster where the gyro is locked at that: the table's rate, deg/s, and the knobs."""
+        settings = self.settings
+        while True:
+            self.progress.note(f"fast run at {fast:+g} deg/s")
+            rate = self.bench.turn_table(fast, settings.table.settle_s)
+            highest = settings.gyro.scale_factor_pulses_per_deg * fast
+            try:
+                return rate, find_beat(self.bench.scope, settings.scope, settings.measurement, highest)
+            except NoUsableSignal as error:
+                faster = min(_FASTER * fast, settings.table.highest_rate_dps)
+                if faster <= fast or not settings.rates_are_chosen:
+                    raise
+                self.progress.note(f"no record at {fast:g} deg/s: {error}")
+                fast = faster
+
+    def _take_step(self, step: RateStep, count: int) -> None:
+        """Go to one rate, find the beat and take the records; without a table it turns already."""
         settings, channels = self.settings, _channels(self.settings)
-        there, count = self._taken_at(step), settings.measurement.records
-        if there >= count:
+        there = self._taken_at(step)
+        if len(there) >= count:
             return
         frequency = settings.gyro.scale_factor_pulses_per_deg * abs(step.rate_dps)
-        if table_rate is None:
+        table_rate = None
+        if self.bench.table is None:
             self.progress.note("looking for the beat")
         else:
-            self.progress.note(f"slow rate {table_rate:.4g} deg/s on the table")
-            table_rate = self.bench.turn_table(table_rate, settings.table.settle_s)
+            wanted = there[0].conditions["table_rate_dps"] if there else self._table_rate(step)
+            if abs(wanted) > settings.table.highest_rate_dps:
+                raise NoUsableSignal(f"the table turns at most {settings.table.highest_rate_dps:g} deg/s")
+            self.progress.note(f"slow rate {wanted:.4g} deg/s on the table")
+            table_rate = self.bench.turn_table(wanted, settings.table.settle_s)
         begin = frequency if self.knobs is None else _for_frequency(self.knobs, frequency)
         self.knobs = find_beat(self.bench.scope, settings.scope, settings.measurement, begin)
         for channel in channels[1:]:
@@ -118,7 +209,12 @@ class _Taking:
         self.rates.append({**asked, **now})
         self.writer.save_facts({"rates": self.rates, **now})
         name = f"rate {step.sense * step.over_lock_in:+g}"
-        self._take_records("measure", name, channels, there, count, table_rate, asked)
+        self._take_records("measure", name, channels, len(there), count, table_rate, asked)
+
+    def _table_rate(self, step: RateStep) -> float:
+        """Rate of the table for a rate on the axis, deg/s; of the earth rate the vertical part is known."""
+        east = float(earth_rate_on_axis(self.settings.site.latitude_deg, self.tilt_deg, _EAST))
+        return (step.rate_dps - east) / math.cos(math.radians(self.tilt_deg))
 
     def _take_records(
         self,
@@ -132,7 +228,7 @@ class _Taking:
     ) -> None:
         """Take the records of one rate that are missing; each is on the disk before the next is asked for."""
         self.progress.start("records" if purpose == "measure" else purpose, count - there)
-        for number in range(there + 1, count + 1):
+        for number in self.session.free_numbers(f"{name}, ", count - there):
             waveforms, conditions = take_record(self.bench, channels)
             conditions |= {"table_rate_dps": table_rate, **(known or {})}
             self.writer.save_records(
@@ -143,15 +239,13 @@ class _Taking:
     def _saved(self, purpose: str) -> tuple[SavedRecord, ...]:
         return self.session.so_far().taken_for(purpose)
 
-    def _taken_at(self, step: RateStep) -> int:
+    def _taken_at(self, step: RateStep) -> tuple[SavedRecord, ...]:
         """Records that are there already of one rate and sense."""
-        if self.session.resumed is None:
-            return 0
-        conditions = [record.conditions for record in self._saved("measure")]
-        return sum(
-            one.get("over_lock_in", step.over_lock_in) == step.over_lock_in
+        return tuple(
+            record
+            for record in self._saved("measure")
+            if (one := record.conditions).get("over_lock_in", step.over_lock_in) == step.over_lock_in
             and (one.get("table_rate_dps") or step.sense) * step.sense > 0
-            for one in conditions
         )
 
 

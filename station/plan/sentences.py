@@ -165,6 +165,4 @@ def _warnings(plan: Plan) -> list[str]:
                 f"No time base of the oscilloscope suits a beat of {with_prefix(rate.beat_frequency, 'Hz')}: "
                 f"{rate.periods:.1f} periods of {rate.samples_per_period:.1f} samples."
             )
-    if plan.budget.unstated:
-        said.append(f"Not counted, since nobody stated it: {'; '.join(plan.budget.unstated)}.")
     return said

@@ -84,6 +84,7 @@ def render_report(evaluated: Shown) -> str:
         state=_state(evaluated),
         value=f"{evaluated.verdict} · {result.value}" if evaluated.verdict else result.value,
         lines=(*result.lines, *(f"{one.sentence}." for one in evaluated.tested)),
+        reasons=_reasons(result),
         labels=_labels(facts),
         sections=sections,
         fact_columns=[tables[:middle], tables[middle:]],
@@ -92,10 +93,16 @@ def render_report(evaluated: Shown) -> str:
 
 
 def _state(evaluated: Shown) -> str:
-    """Colour of the box: a verdict, no result at all, or a result that nothing was asked of."""
-    if evaluated.result.problem or evaluated.verdict == "FAIL":
+    """Colour of the box: green where the result stands, amber in doubt, red where a limit or a check fails."""
+    state = evaluated.result.standing.state
+    if state == "fails" or evaluated.verdict == "FAIL":
         return "bad"
-    return "good" if evaluated.verdict == "PASS" else "plain"
+    return {"stands": "good", "doubtful": "doubtful"}[state]
+
+
+def _reasons(result: Result) -> tuple[str, ...]:
+    """Why the box is not green, beside what stands in it already."""
+    return tuple(reason for reason in result.standing.reasons if reason != result.problem)
 
 
 def _labels(facts: RunFacts) -> Rows:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 from station.results.parts import Rows, TextTable
 
@@ -55,6 +55,23 @@ class LeftOut:
 
 
 @dataclass(frozen=True)
+class Standing:
+    """Whether a result holds, and what speaks against it.
+
+    Attributes
+    ----------
+    state : {"stands", "doubtful", "fails"}
+        "doubtful": something that was noticed, or that nobody knows, rules it. "fails": there is no result, a
+        check of it fails, or a simulation knows better.
+    reasons : tuple of str
+        Sentences; empty where it stands.
+    """
+
+    state: Literal["stands", "doubtful", "fails"]
+    reasons: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
 class Result:
     """What a run says.
 
@@ -84,6 +101,10 @@ class Result:
         Why there is no result; empty if there is one.
     truth : str
         Truth of a simulated run, in words; empty: the run's facts tell it.
+    doubts : tuple of str or None
+        What rules the result and is not known or not right; ``None``: whatever is `to_watch`.
+    failures : tuple of str
+        Checks of the result that fail.
     """
 
     name: str
@@ -99,3 +120,14 @@ class Result:
     tables: tuple[TextTable, ...] = ()
     problem: str = ""
     truth: str = ""
+    doubts: tuple[str, ...] | None = None
+    failures: tuple[str, ...] = ()
+
+    @property
+    def standing(self) -> Standing:
+        """Whether it holds."""
+        failures = (self.problem, *self.failures) if self.problem else self.failures
+        doubts = self.to_watch if self.doubts is None else self.doubts
+        if failures:
+            return Standing("fails", (*failures, *doubts))
+        return Standing("doubtful", doubts) if doubts else Standing("stands")

@@ -30,5 +30,6 @@ def open_simulated_bench(settings: BenchSettings, *, times_resumed: int = 0) -> 
             scope,
             table=None if turning_already else instruments.table,
             sleep=instruments.clock.sleep,
+            now=instruments.clock.now,
             truth=lambda: true_values(instruments),
         )

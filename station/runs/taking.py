@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager, ExitStack
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -12,9 +13,10 @@ from instrument import TDS2014, FoundPanel, InstrumentError
 from station.errors import Failure, RunError, StationError, describe_failure
 from station.provenance import provenance
 from station.runs.database import utc_now
-from station.runs.facts import LABELS
+from station.runs.facts import LABELS, TAKEN
 from station.runs.progress import Progress
-from station.runs.store import RunWriter, SavedRun, open_run
+from station.runs.stop import disturbed, undisturbed
+from station.runs.store import Acknowledge, RunWriter, SavedRun, open_run
 
 T = TypeVar("T")
 
@@ -39,6 +41,11 @@ class Taken:
     failure: Failure | None
     error: BaseException | None = None
 
+    def run(self, outcome: str | Mapping[str, Any] | None = None) -> SavedRun:
+        """Return the run, with another outcome if one is given."""
+        run = open_run(self.path)
+        return run if outcome is None else replace(run, facts=run.facts.with_outcome(outcome))
+
     @property
     def to_tell(self) -> Failure:
         """The failure, with what to do next; only where there is one."""
@@ -61,6 +68,8 @@ class Session:
         The run that is gone on with.
     again : mapping, optional
         Keys of its records that are to be taken again, and why.
+    acknowledge : callable, optional
+        Is told of records when they are on the disk.
     """
 
     def __init__(
@@ -71,8 +80,10 @@ class Session:
         *,
         resumed: SavedRun | None = None,
         again: Mapping[str, str] | None = None,
+        acknowledge: Acknowledge | None = None,
     ) -> None:
         self.progress = progress
+        self._acknowledge = acknowledge
         self.resumed = resumed
         self.writer: RunWriter | None = None
         self.facts: dict[str, Any] = dict(facts)
@@ -121,11 +132,15 @@ class Session:
         """
         scope = self.about_scope()
         if self.resumed is None:
-            self.writer = RunWriter.create(self._directory, {**self.facts, **(facts or {}), **scope})
+            with undisturbed():
+                self.writer = RunWriter.create(self._directory, {**self.facts, **(facts or {}), **scope})
+                self.writer.acknowledge = self._acknowledge
             return self.writer
         self.writer = RunWriter(self.resumed.path)
+        self.writer.acknowledge = self._acknowledge
         known = {name: self.facts[name] for name in (*LABELS, "settings") if self.facts.get(name)}
-        self.writer.save_facts({"resumed_at": [*self.resumed.facts.resumed_at, utc_now()], **known, **scope})
+        again = {"resumed_at": [*self.resumed.facts.resumed_at, utc_now()], "outcome": None, "ended_at": None}
+        self.writer.save_facts({**again, **known, **scope})
         for key, reason in self._again.items():
             self.progress.note(f"{key} is taken again: {reason}")
             self.writer.set_aside(key)
@@ -136,6 +151,12 @@ class Session:
         if self.writer is None:
             raise RunError("the run has not begun")
         return open_run(self.writer.path)
+
+    def free_numbers(self, before: str, count: int) -> list[int]:
+        """Return the first numbers, from 1, that no record has behind such a beginning of its key."""
+        keys = {record.key for record in self.so_far().records}
+        free = (number for number in itertools.count(1) if f"{before}{number}" not in keys)
+        return list(itertools.islice(free, max(count, 0)))
 
     def note_left_out(self, left_out: Mapping[str, str]) -> None:
         """Save what is not taken and why, so that the result names it."""
@@ -184,10 +205,15 @@ def take(session: Session, work: Callable[[Session], None]) -> Taken:
     InstrumentError, StationError
         If the bench cannot be opened or the run cannot be written: then there is no run.
     """
+    with undisturbed():  # a signal ends the work, and nothing of what closes it
+        return _take(session, work)
+
+
+def _take(session: Session, work: Callable[[Session], None]) -> Taken:
     failure: Failure | None = None
     stopped_by: BaseException | None = None
     try:
-        with session.bench:
+        with session.bench, disturbed():
             work(session)
     except (InstrumentError, StationError, OSError, KeyboardInterrupt) as error:
         failure, stopped_by = describe_failure(error), error
@@ -200,7 +226,7 @@ def take(session: Session, work: Callable[[Session], None]) -> Taken:
         raise RunError("nothing was taken")
     ending: dict[str, object] = {
         "ended_at": utc_now(),
-        "outcome": "complete" if failure is None else failure.as_json(),
+        "outcome": TAKEN if failure is None else failure.as_json(),
     }
     ending |= session.about_scope()
     try:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 from dataclasses import dataclass
 from typing import Protocol
@@ -10,14 +11,18 @@ import numpy as np
 
 from analysis import FATAL, Flag, estimate_lock_in
 from analysis.plan import OscilloscopeSteps
-from instrument import TDS2014, SettingError, Waveform
+from instrument import TDS2014, NoTrigger, ScopeEvent, SettingError, Waveform
 from instrument.facts import DIVISIONS, LEVELS_PER_DIVISION, POINTS, SCAN_FROM, TIME_BASES, VERTICAL_SCALES
 from station.errors import NoUsableSignal
 
 _TRIALS_MAX = 30
-# Below the time base, s/div, from which on the scope scans in AUTO, without a trigger. A beat of which a trial
-# at this one holds fewer than 3 periods, below 6 Hz, is not looked for.
-_SLOWEST_S = 0.05
+# The slowest time base, s/div, at which a trial costs next to nothing. Where the beat is not expected to be slow,
+# none is looked for beyond it: a trial holds fewer than 3 periods of one below 6 Hz.
+_QUICK_S = 0.05
+# A beat is looked for that is so many times slower than the one expected: near lock-in it is.
+_SLOWER_THAN_EXPECTED = 10.0
+# A trial begins with so many periods, at so many samples each at least; a beat shows from 3 periods on.
+_TRIAL_PERIODS, _TRIAL_SAMPLES, _PERIODS_SEEN = 5.0, 100.0, 3.0
 
 
 def oscilloscope_steps(probe: float = 1.0) -> OscilloscopeSteps:
@@ -139,7 +144,8 @@ def find_beat(
     ----------
     start : KnobPositions or float
         Where to begin: an earlier setting, whose vertical part is kept and whose frequency is looked for, or
-        the highest frequency in Hz that the beat may have.
+        the highest frequency in Hz that the beat may have. A beat ten times slower is found as well, and any above
+        6 Hz.
 
     Raises
     ------
@@ -147,19 +153,20 @@ def find_beat(
         If no beat is found.
     """
     search = _Search(scope, settings, measurement)
+    highest = start.beat_frequency if isinstance(start, KnobPositions) else start
+    slowest = max(_QUICK_S, _PERIODS_SEEN * _SLOWER_THAN_EXPECTED / highest / DIVISIONS)
+    # begin with few periods: at 500 samples a period nothing can be aliased
+    first = _STEPS.time_base(highest, _TRIAL_PERIODS, _TRIAL_SAMPLES)
     if isinstance(start, KnobPositions):
         search.vertical = VerticalSetting(start.volts_per_division, start.position)
-        highest = start.beat_frequency
     else:
-        search.fit_vertical()
-        highest = start
-    # begin with few periods: at 500 samples a period nothing can be aliased
-    search.set_time_base(_STEPS.time_base(highest, 5, 100))
+        search.fit_vertical(max(_QUICK_S, first))
+    search.set_time_base(first)
     for _ in range(_TRIALS_MAX):
-        waveform = scope.acquire(settings.channel)
-        seen = _beat_frequency(waveform)
-        if seen is None:
-            search.set_time_base(_slower(search.base))
+        waveform = search.trial()
+        seen = None if waveform is None else _beat_frequency(waveform)
+        if waveform is None or seen is None:
+            search.set_time_base(_slower(search.base, slowest))
             continue
         if search.improve_vertical(waveform):
             continue
@@ -200,15 +207,24 @@ class _Search:
     def __init__(self, scope: TDS2014, settings: ScopeInput, measurement: RecordShape) -> None:
         self._scope, self._settings, self._measurement = scope, settings, measurement
         self.vertical = VerticalSetting(1.0 * settings.probe)
-        self.base = _SLOWEST_S
+        self.base = _QUICK_S
+        self._by_mains = True
 
-    def fit_vertical(self) -> None:
-        """Fit the vertical scale first: at a slow time base, where every beat shows its whole height."""
+    def fit_vertical(self, base: float) -> None:
+        """Fit the vertical scale first: at a slow time base, s/div, where the beat shows its whole height."""
         self.vertical = _set_vertical(self._scope, self._settings, self.vertical)
-        self.set_time_base(_SLOWEST_S)
+        self.set_time_base(base)
         for _ in range(_TRIALS_MAX):
-            if not self.improve_vertical(self._scope.acquire(self._settings.channel)):
+            waveform = self.trial()
+            if waveform is None or not self.improve_vertical(waveform):
                 return
+
+    def trial(self) -> Waveform | None:
+        """Take a trial record; ``None`` if nothing triggered it, as a slow time base may without the mains."""
+        try:
+            return self._scope.acquire(self._settings.channel)
+        except NoTrigger:
+            return None
 
     def improve_vertical(self, waveform: Waveform) -> bool:
         """Change the vertical setting if the record shows a better one; tell whether it was changed."""
@@ -233,13 +249,23 @@ class _Search:
         )
 
     def _set_trigger(self) -> None:
-        """Trigger on the beat. A slow time base would scan in AUTO, and its records be patched."""
-        self._scope.set_trigger(
-            source=self._settings.channel,
-            level=_level(self.vertical),
-            slope="RISE",
-            mode="NORMAL" if self.base >= SCAN_FROM else "AUTO",
-        )
+        """Trigger on the beat, at a slow time base on the mains.
+
+        There AUTO would scan, and its records be patched; and a trigger on a beat that is locked, or lies beside
+        the level, would be waited for in vain. A record that begins anywhere is as good. A scope that runs on
+        batteries knows no mains.
+        """
+        if self.base < SCAN_FROM or not self._by_mains:
+            mode = "AUTO" if self.base < SCAN_FROM else "NORMAL"
+            level = _level(self.vertical)
+            self._scope.set_trigger(source=self._settings.channel, level=level, slope="RISE", mode=mode)
+            return
+        for word in ("LINE", "AC LINE"):  # which of them a model knows, its manuals disagree about
+            with contextlib.suppress(SettingError, ScopeEvent):
+                self._scope.set_trigger(source=word, mode="NORMAL")
+                return
+        self._by_mains = False
+        self._set_trigger()
 
 
 def _beat_frequency(waveform: Waveform) -> float | None:
@@ -250,14 +276,15 @@ def _beat_frequency(waveform: Waveform) -> float | None:
     return float(estimate.beat_frequency)
 
 
-def _slower(base: float) -> float:
+def _slower(base: float, slowest: float) -> float:
+    """The next time base to try, s/div; NoUsableSignal beyond the slowest at which a beat would show."""
     slower = next((step for step in TIME_BASES if step >= base * 4), math.inf)
-    if slower > _SLOWEST_S:
+    if base >= slowest or not math.isfinite(slower):
         raise NoUsableSignal(
             "no beat on the scope at any time base: "
             "is the gyro running, the table turning, the cable on this channel?"
         )
-    return slower
+    return min(slower, next(step for step in TIME_BASES if step >= min(slowest, TIME_BASES[-1])))
 
 
 def _set_vertical(

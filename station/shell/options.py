@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import math
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, TypeVar
@@ -14,6 +15,20 @@ from station.errors import EXIT_USAGE
 F = TypeVar("F", bound=Callable[..., Any])
 
 CHANNELS = click.Choice(["CH1", "CH2", "CH3", "CH4"], case_sensitive=False)
+
+
+def positive(_: click.Context, __: click.Parameter, value: float | None) -> float | None:
+    """Take an option only if it is a finite number above zero; a `callback` of ``click.option``."""
+    if value is not None and not (math.isfinite(value) and value > 0):
+        raise click.BadParameter(f"{value:g} is not a positive number")
+    return value
+
+
+def not_zero(_: click.Context, __: click.Parameter, value: float | None) -> float | None:
+    """Take an option only if it is a finite number other than zero; a `callback` of ``click.option``."""
+    if value is not None and not (math.isfinite(value) and value):
+        raise click.BadParameter(f"{value:g} is not a finite number other than 0")
+    return value
 
 
 class SuggestingGroup(click.Group):
@@ -76,6 +91,7 @@ def run_options(function: F) -> F:
         click.option("--note", metavar="TEXT", help="What should be remembered of this run."),
         click.option("--seed", type=click.IntRange(min=0), metavar="S", help="Seed of the simulated bench."),
         click.option("--out", type=click.Path(path_type=Path), metavar="DIR", help="Directory of runs [./runs]."),
+        click.option("--jsonl", is_flag=True, help="One line on stdout for each record, when it is on the disk."),
         config_option,
         json_option,
     )

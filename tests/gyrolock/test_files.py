@@ -50,7 +50,10 @@ def test_a_memory_card_is_a_run_of_its_records(card: Path) -> None:
     assert repr(run) == f"<Run of gyrolock analyze: 3 records, 3 files, {card}>"
     result = run.result()
     assert result.lock_in_rate_dps == pytest.approx(0.01, rel=0.02)
-    assert result.lock_in_rate_u_dps < run.estimates.lock_in_rate_u.min()
+    assert result.lock_in_rate_noise_u_dps < run.estimates.lock_in_rate_u.min()
+    # nothing is known of the bench that the files come from
+    assert result.lock_in_rate_u_dps > 10 * result.lock_in_rate_noise_u_dps
+    assert result.standing == "doubtful"
     assert result.document["files"] == [record.name for record in run]
     assert len(result.plot().axes) == 2
     assert run.result(relation="paper-10").lock_in_rate_dps != result.lock_in_rate_dps

@@ -11,12 +11,13 @@ import pytest
 import gyrolock
 from station.cli import main
 from station.errors import NoUsableSignal, SettingsError, UsageError
+from tests.ideal_bench import ideal_bench
 
 QUICK = {"table": {"kind": "none"}, "measurement": {"records": 2}}
 
 
 def test_it_gives_the_document_of_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    result = gyrolock.measure(records=2, seed=3, out=tmp_path, unit="7", note="a < b")
+    result = gyrolock.measure(ideal_bench(), records=2, seed=3, out=tmp_path, unit="7", note="a < b")
     captured = capsys.readouterr()
     assert captured.out == ""
     assert "records 2/2" in captured.err
@@ -77,7 +78,7 @@ def save_records(writer, records):
     if next(commits) == 12:  # eight of the fast run and four more
         os.kill(os.getpid(), signal.SIGINT)
 RunWriter.save_records = save_records
-gyrolock.measure(records=20, seed=3, out=sys.argv[1], report=False)
+gyrolock.measure(rates=8, records=20, seed=3, out=sys.argv[1], report=False)
 """
 
 

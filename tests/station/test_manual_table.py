@@ -10,11 +10,12 @@ from pathlib import Path
 import pytest
 
 from station.errors import UsageError
-from station.lock_in.settings import default_settings
+from station.lock_in.settings import load_settings
 from station.ring_laser.instruments import build_instruments
 from station.runs.operator import operator_table
 from station.runs.store import open_run
 from station.scope.serve import serve
+from tests.ideal_bench import ideal_bench
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="needs a pseudo-terminal for the operator")
 
@@ -30,10 +31,11 @@ def test_an_operator_leads_the_table_through_the_measurement(tmp_path: Path) -> 
     """The operator of this test turns the simulated table by what the prompts say."""
     from instrument.simulated import VirtualClock
 
-    instruments = build_instruments(default_settings("simulated"), VirtualClock())
+    instruments = build_instruments(load_settings(overrides=ideal_bench()), VirtualClock())
     with serve(instruments.scope, "tcp") as resource:
         text = f'[scope]\nresource = "{resource}"\n[table]\nkind = "manual"\nsettle_s = 0\n'
-        text += "[measurement]\nrecords = 3\n"
+        text += "[measurement]\nrecords = 3\nrates_over_lock_in = [8.0]\n"
+        text += "[gyro]\nscale_factor_pulses_per_deg = 2000.0\n"
         (tmp_path / "my.toml").write_text(text)
         terminal, keyboard = os.openpty()
         command = [sys.executable, "-m", "station.cli", "measure", "--config", "my.toml", "--no-report"]

@@ -16,8 +16,9 @@ from station.lock_in.presentation.budget_table import (
     budget_rows,
     budget_sentences,
 )
-from station.lock_in.settings import default_settings, load_settings
+from station.lock_in.settings import load_settings
 from station.results.as_json import plain
+from tests.ideal_bench import ideal_bench
 
 
 def planned(capsys: pytest.CaptureFixture[str], *options: str, code: int = 0) -> dict:
@@ -114,11 +115,12 @@ def test_a_picture_that_cannot_be_written(tmp_path: Path, capsys: pytest.Capture
 
 def test_bench_plan_needs_a_tilt_for_the_table(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     config = tmp_path / "bench.toml"
-    config.write_text('[scope]\nresource = "GPIB0::1::INSTR"\n')
+    config.write_text('[scope]\nresource = "GPIB0::1::INSTR"\n[gyro]\nscale_factor_pulses_per_deg = 2000.0\n')
     assert main(["plan", "--json", "--config", str(config), "--reference", "rate"]) == 2
     assert "--tilt" in json.loads(capsys.readouterr().out)["error"]["message"]
-    document = planned(capsys, "--config", str(config), code=0)
-    assert "bandwidth of the channel" in document["budget"]["not_stated"]
+    # one rate does not reach 1 % where nobody said anything of the channel
+    document = planned(capsys, "--config", str(config), code=1)
+    assert "bandwidth" in document["budget"]["not_stated"]
 
 
 def test_budget_in_json_rows_and_bars() -> None:
@@ -130,11 +132,13 @@ def test_budget_in_json_rows_and_bars() -> None:
     assert document["combined_u_dps"] ** 2 == pytest.approx(sum(part**2 for part in parts))
     assert document["expanded_u_95_dps"] == pytest.approx(document["coverage_factor"] * document["combined_u_dps"])
     assert sum(line["share_of_variance"] for line in document["inputs"]) == pytest.approx(1)
-    assert len(document["not_stated"]) == 3
+    assert set(document["not_stated"]) == {"bandwidth", "high_pass", "gain_corner", "third_order"}
+    assert document["largest_part"] == document["inputs"][0]["name"] == "bandwidth"
+    assert "LED on a generator" in document["remedy"]
     rows = budget_rows(budget)
     assert len(rows) == len(budget.inputs) + 1
     assert all(len(row) == len(BUDGET_COLUMNS) for row in rows)
-    assert "Not counted" in budget_sentences(budget)[-1]
+    assert "at worst: bandwidth of the channel" in budget_sentences(budget)[-1]
     picture = ElementTree.fromstring(budget_svg(budget))
     texts = "".join(picture.itertext())
     assert "second-order distortion d" in texts
@@ -142,7 +146,7 @@ def test_budget_in_json_rows_and_bars() -> None:
 
 
 def test_settings_reach_the_budget(tmp_path: Path) -> None:
-    stated = bench_knowledge(default_settings())
+    stated = bench_knowledge(load_settings(overrides=ideal_bench()))
     assert stated.distortion_limit == pytest.approx(10 ** (-70 / 20))
     assert stated.high_pass.hz == 0
     file = tmp_path / "my.toml"

@@ -16,6 +16,7 @@ from station.runs.progress import Progress
 from station.runs.store import SavedRun, open_run
 from station.shell.evaluated import evaluate_run
 from station.shell.running import start_run
+from tests.ideal_bench import ideal_bench
 
 VOID = {"meta", "br", "img", "link", "hr", "input"}
 
@@ -59,7 +60,9 @@ class Page(HTMLParser):
 def run(tmp_path_factory: pytest.TempPathFactory) -> SavedRun:
     folder = tmp_path_factory.mktemp("report")
     (folder / "my.toml").write_text('[gyro]\nname = "<b>No. 7 & Söhne</b>"\n')
-    overrides = {"measurement": {"records": 3}, "output": {"directory": str(folder)}}
+    overrides = ideal_bench(
+        measurement={"rates_over_lock_in": [8.0], "records": 3}, output={"directory": str(folder)}
+    )
     settings = load_settings(folder / "my.toml", overrides=overrides)
     taken = start_run(MEASUREMENT, settings, Progress(quiet=True))
     assert taken.failure is None

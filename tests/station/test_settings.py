@@ -23,7 +23,7 @@ def test_shipped_files_hold_the_papers_bench() -> None:
     assert settings.simulation.lock_in_rate_dps == 0.01
     assert settings.simulation.tilt_deg == 88.693
     assert settings.site.latitude_deg == 28.2
-    assert settings.measurement.records == 20
+    assert settings.rates_are_chosen
     assert default_settings("bench").simulation is None
 
 

@@ -12,6 +12,8 @@ from typing import Any
 
 import pytest
 
+from tests.ideal_bench import IDEAL_TOML
+
 COMMAND = [sys.executable, "-m", "station.cli"]
 
 
@@ -35,7 +37,8 @@ Gyrolock = Callable[..., Finished]
 
 @pytest.fixture
 def gyrolock(tmp_path: Path) -> Gyrolock:
-    """Run `gyrolock` in an empty directory, and see that no traceback reaches the user."""
+    """Run `gyrolock` in a directory that holds `ideal.toml`, and see that no traceback reaches the user."""
+    (tmp_path / "ideal.toml").write_text(IDEAL_TOML)
 
     def run(*arguments: object, timeout: float = 60) -> Finished:
         command = [*COMMAND, *map(str, arguments)]
@@ -63,7 +66,8 @@ class ServedScope:
 
 @pytest.fixture
 def serve_scope(tmp_path: Path) -> Iterator[Callable[..., ServedScope]]:
-    """Start `gyrolock simulate ...`; it is ended with the test."""
+    """Start `gyrolock simulate ...` in a directory that holds `ideal.toml`; it is ended with the test."""
+    (tmp_path / "ideal.toml").write_text(IDEAL_TOML)
     started: list[subprocess.Popen[str]] = []
 
     def serve(*arguments: str) -> ServedScope:

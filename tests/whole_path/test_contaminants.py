@@ -17,6 +17,7 @@ from station.runs.store import open_run
 from station.settings.load import shipped_settings
 from station.shell.evaluated import evaluate_run
 from station.shell.running import start_run
+from tests.ideal_bench import ideal_bench
 
 LOCK_IN = 0.01
 PHASE = math.radians(20.0 - 35.0)  # readout phase less backscatter phase of the shipped settings
@@ -25,15 +26,14 @@ SENSES = {"rates_over_lock_in": [8.0], "both_senses": True}
 
 def measured(folder: Path, contaminants: dict[str, Any], **sections: dict[str, Any]) -> LockInFound:
     """Take a run with some contaminants and evaluate it."""
-    overrides: dict[str, dict[str, Any]] = {
-        "simulation": {"seed": 7, "link": "tcp", "contaminants": contaminants},
-        "output": {"directory": str(folder)},
-    }
-    overrides["measurement"] = {"records": 4, "tilt_records": 2}
-    # the scope's own limit of 20 MHz says nothing here, and is most of the work of the simulation
-    overrides["scope"] = {"bandwidth_limit": False}
-    for section, names in sections.items():
-        overrides[section] = overrides.get(section, {}) | names
+    overrides = ideal_bench(
+        simulation={"seed": 7, "link": "tcp", "contaminants": contaminants} | sections.pop("simulation", {}),
+        output={"directory": str(folder)},
+        measurement={"records": 4, "tilt_records": 2} | sections.pop("measurement", {}),
+        # the scope's own limit of 20 MHz says nothing here, and is most of the work of the simulation
+        scope={"bandwidth_limit": False} | sections.pop("scope", {}),
+        **sections,
+    )
     taken = start_run(MEASUREMENT, load_settings(overrides=overrides), Progress(quiet=True))
     assert taken.failure is None
     return evaluate_run(open_run(taken.path)).found

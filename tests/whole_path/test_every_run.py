@@ -13,6 +13,7 @@ import pytest
 from station.cli import main
 from station.measurements import MEASUREMENTS, measurement
 from station.runs.store import open_run
+from tests.ideal_bench import CLEAN_TOML
 
 GOLDEN = Path(__file__).parent.parent / "golden"
 KINDS = {
@@ -85,7 +86,9 @@ def test_limits_judge_a_ring_laser_too(tmp_path: Path, capsys) -> None:
 
 
 def test_a_measurement_beyond_its_limit_ends_with_one(tmp_path: Path, gyrolock) -> None:
-    (tmp_path / "my.toml").write_text("[limits]\nlock_in_rate_dps = 0.001\n[measurement]\nrecords = 2\n")
+    (tmp_path / "my.toml").write_text(
+        "[limits]\nlock_in_rate_dps = 0.001\n[measurement]\nrecords = 2\nrates_over_lock_in = [8]\n"
+    )
     done = gyrolock(
         "measure", "--config", "my.toml", "--unit", "SN <7> & Co", "--operator", "Ada", "--note", "a\\b"
     )
@@ -99,7 +102,10 @@ def test_a_measurement_beyond_its_limit_ends_with_one(tmp_path: Path, gyrolock) 
     assert found["verdict"] == "FAIL"
 
 
-MANY = "[measurement]\nrecords = 12\ntilt_records = 2\nrates_over_lock_in = [4.0, 9.0]\nboth_senses = true\n"
+MANY = (
+    "[measurement]\nrecords = 12\ntilt_records = 2\nrates_over_lock_in = [4.0, 9.0]\nboth_senses = true\n"
+    + CLEAN_TOML
+)
 
 
 @pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="this system has no SIGKILL")

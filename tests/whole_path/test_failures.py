@@ -20,6 +20,9 @@ def last_line(text: str) -> str:
     return text.strip().splitlines()[-1]
 
 
+GIVEN = ("--scale-factor", "2000")
+
+
 def only_run(folder: Path) -> Path:
     (path,) = (folder / "runs").glob("*/run.sqlite")
     return path
@@ -37,8 +40,8 @@ def wait_for_records(folder: Path, count: int) -> None:
 
 @pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGKILL])
 def test_ctrl_c_and_kill_leave_a_valid_run(tmp_path: Path, start_gyrolock, serve_scope, how: int) -> None:
-    scope = serve_scope("--tcp", "0")
-    process = start_gyrolock("measure", "--resource", scope.resource, "--records", 10_000, "--json")
+    scope = serve_scope("--tcp", "0", "--config", "ideal.toml")
+    process = start_gyrolock("measure", "--resource", scope.resource, *GIVEN, "--records", 10_000, "--json")
     time.sleep(0.3)
     wait_for_records(tmp_path, 3)
     process.send_signal(how)
@@ -61,9 +64,9 @@ def test_ctrl_c_and_kill_leave_a_valid_run(tmp_path: Path, start_gyrolock, serve
 
 
 def test_a_scope_switched_off_loses_nothing(tmp_path: Path, start_gyrolock, serve_scope) -> None:
-    scope = serve_scope("--tcp", "0")
+    scope = serve_scope("--tcp", "0", "--config", "ideal.toml")
     (tmp_path / "my.toml").write_text(f'[scope]\nresource = "{scope.resource}"\nreconnect_s = 1.0\n')
-    process = start_gyrolock("measure", "--config", "my.toml", "--records", 10_000, "--json")
+    process = start_gyrolock("measure", "--config", "my.toml", *GIVEN, "--records", 10_000, "--json")
     wait_for_records(tmp_path, 3)
     scope.switch_off()
     out, err = process.communicate(timeout=60)
@@ -79,7 +82,7 @@ def test_a_scope_switched_off_loses_nothing(tmp_path: Path, start_gyrolock, serv
 
 @pytest.mark.parametrize("name", ["NONSENSE", "ASRL/dev/no-such-port::INSTR", "TCPIP0::127.0.0.1::1::SOCKET"])
 def test_a_wrong_resource_name(gyrolock, tmp_path: Path, name: str) -> None:
-    done = gyrolock("measure", "--resource", name, "--json")
+    done = gyrolock("measure", "--resource", name, *GIVEN, "--json")
     assert done.code == 3
     assert done.document["error"]["exit_code"] == 3
     assert name in last_line(done.err)
@@ -114,7 +117,7 @@ def other_instrument() -> Iterator[str]:
 
 
 def test_a_wrong_instrument(gyrolock, other_instrument: str) -> None:
-    done = gyrolock("measure", "--resource", other_instrument, "--json")
+    done = gyrolock("measure", "--resource", other_instrument, *GIVEN, "--json")
     assert done.code == 3
     assert done.document["error"]["kind"] == "wrong_instrument"
     assert "ACME" in last_line(done.err)
@@ -130,9 +133,12 @@ def test_a_wrong_instrument(gyrolock, other_instrument: str) -> None:
         ('[simulation]\nscope_model = "HP 54600"\n', (), "scope_model"),
         ("", ("--records", "0"), "--records"),
         ("", ("--frobnicate",), "frobnicate"),
-        ("", ("--resource", "X", "--seed", "1"), "--seed"),
+        ("", ("--resource", "X", "--scale-factor", "2000", "--seed", "1"), "--seed"),
         ("[measurement]\nrecords = 2\n", ("--out", "my.toml"), "my.toml"),
-        ('[scope]\nresource = "X"\n[table]\nkind = "manual"\n', (), "terminal"),
+        ('[scope]\nresource = "X"\n[table]\nkind = "manual"\n', GIVEN, "terminal"),
+        ('[scope]\nresource = "X"\n', (), "--scale-factor"),
+        ("", ("--rates", "8,many"), "--rates"),
+        ("", ("--scale-factor", "nan"), "--scale-factor"),
     ],
 )
 def test_mistakes_of_the_user(
@@ -165,7 +171,7 @@ def test_files_that_cannot_be_read(gyrolock, tmp_path: Path, command: str) -> No
 
 
 def test_one_unreadable_path_does_not_keep_the_others(gyrolock) -> None:
-    run = gyrolock("measure", "--records", 1, "--json", "--no-report").document["run"]
+    run = gyrolock("measure", "--config", "ideal.toml", "--records", 1, "--json", "--no-report").document["run"]
     done = gyrolock("analyze", "absent.csv", run, "--json")
     assert done.code == 2
     missing, good = done.document["results"]
@@ -176,7 +182,7 @@ def test_one_unreadable_path_does_not_keep_the_others(gyrolock) -> None:
 def test_an_empty_run_and_a_damaged_record(gyrolock, tmp_path: Path) -> None:
     import sqlite3
 
-    result = gyrolock("measure", "--records", 3, "--json", "--no-report").document
+    result = gyrolock("measure", "--config", "ideal.toml", "--records", 3, "--json", "--no-report").document
     db = sqlite3.connect(tmp_path / result["run"])
     db.execute("UPDATE record SET payload = zeroblob(2500) WHERE number = (SELECT max(number) FROM record)")
     db.commit()

@@ -12,8 +12,10 @@ from station.runs.progress import Progress
 from station.runs.store import SavedRun, open_run
 from station.settings.load import shipped_settings
 from station.shell.evaluated import evaluate_run
-from station.shell.running import start_run
+from station.shell.running import resume_run, start_run
+from tests.ideal_bench import IDEAL_TOML, Interrupting, ideal_bench
 
+IDEAL = ("--config", "ideal.toml")
 KEYS = {
     "lock_in_rate_dps",
     "lock_in_rate_u_dps",
@@ -32,7 +34,7 @@ KEYS = {
 
 
 def test_one_command_gives_rate_run_and_report(gyrolock, tmp_path: Path) -> None:
-    done = gyrolock("measure", "--seed", 5, "--json")
+    done = gyrolock("measure", *IDEAL, "--seed", 5, "--json")
     assert done.code == 0, done.err
     result = done.document
     assert result.keys() >= KEYS
@@ -58,7 +60,7 @@ def test_one_command_gives_rate_run_and_report(gyrolock, tmp_path: Path) -> None
 
 
 def test_the_saved_run_gives_the_same_numbers_again(gyrolock, tmp_path: Path) -> None:
-    first = gyrolock("measure", "--records", 4, "--json", "--no-report").document
+    first = gyrolock("measure", *IDEAL, "--records", 4, "--json", "--no-report").document
     again = gyrolock("analyze", first["run"], "--json")
     assert again.code == 0
     assert again.document["lock_in_rate_dps"] == first["lock_in_rate_dps"]
@@ -77,11 +79,11 @@ def test_the_saved_run_gives_the_same_numbers_again(gyrolock, tmp_path: Path) ->
 
 def measured(folder: Path, seed: int, records: int) -> SavedRun:
     """Take a run in this process, which spares the time to start another."""
-    overrides = {
-        "measurement": {"records": records},
-        "simulation": {"seed": seed, "link": "tcp"},
-        "output": {"directory": str(folder)},
-    }
+    overrides = ideal_bench(
+        measurement={"records": records},
+        simulation={"seed": seed, "link": "tcp"},
+        output={"directory": str(folder)},
+    )
     taken = start_run(MEASUREMENT, load_settings(overrides=overrides), Progress(quiet=True))
     assert taken.failure is None
     return open_run(taken.path)
@@ -95,7 +97,7 @@ def test_the_same_seed_gives_the_same_codes(tmp_path: Path) -> None:
 
 
 def test_a_person_reads_a_table_and_progress_stays_on_stderr(gyrolock) -> None:
-    done = gyrolock("measure", "--records", 3)
+    done = gyrolock("measure", *IDEAL, "--records", 3)
     assert done.code == 0
     assert "lock-in rate" in done.out
     assert "95 % interval" in done.out
@@ -107,7 +109,9 @@ def test_a_person_reads_a_table_and_progress_stays_on_stderr(gyrolock) -> None:
 
 @pytest.mark.parametrize("link", ["tcp", "pty"])
 def test_both_links_of_the_simulated_bench(gyrolock, tmp_path: Path, link: str) -> None:
-    (tmp_path / "my.toml").write_text(f'[simulation]\nlink = "{link}"\n[measurement]\nrecords = 2\n')
+    (tmp_path / "my.toml").write_text(
+        f'[simulation]\nlink = "{link}"\n[measurement]\nrecords = 2\nrates_over_lock_in = [8]\n'
+    )
     done = gyrolock("measure", "--config", "my.toml", "--json", "--no-report")
     assert done.code == 0, done.err
     assert done.document["records"] == 2
@@ -126,7 +130,7 @@ def test_both_links_of_the_simulated_bench(gyrolock, tmp_path: Path, link: str) 
     ],
 )
 def test_other_benches(gyrolock, tmp_path: Path, changes: str, lock_in_rate: float) -> None:
-    (tmp_path / "my.toml").write_text(changes)
+    (tmp_path / "my.toml").write_text(IDEAL_TOML + changes)
     done = gyrolock("measure", "--config", "my.toml", "--records", 6, "--json", "--no-report")
     assert done.code == 0, done.err
     result = done.document
@@ -145,7 +149,7 @@ def test_the_truth_lies_where_the_uncertainty_says(tmp_path: Path) -> None:
 
 
 def test_a_gyro_that_stays_locked_is_no_usable_signal(gyrolock, tmp_path: Path) -> None:
-    (tmp_path / "my.toml").write_text("[simulation]\nlock_in_rate_dps = 5.0\n")
+    (tmp_path / "my.toml").write_text("[simulation]\nlock_in_rate_dps = 500.0\n")
     done = gyrolock("measure", "--config", "my.toml", "--json")
     assert done.code == 4
     assert done.document["error"]["kind"] == "no_usable_signal"
@@ -154,7 +158,7 @@ def test_a_gyro_that_stays_locked_is_no_usable_signal(gyrolock, tmp_path: Path) 
 
 
 def test_acquire_only_saves(gyrolock, tmp_path: Path) -> None:
-    done = gyrolock("acquire", "--records", 2, "--json", "--out", "elsewhere")
+    done = gyrolock("acquire", *IDEAL, "--records", 2, "--json", "--out", "elsewhere")
     assert done.code == 0
     assert done.document["records"] == 2
     run = open_run(tmp_path / done.document["run"])
@@ -164,14 +168,15 @@ def test_acquire_only_saves(gyrolock, tmp_path: Path) -> None:
 
 
 def test_a_real_scope_without_table_is_its_own_reference(gyrolock, serve_scope) -> None:
-    scope = serve_scope("--tcp", "0")
-    done = gyrolock("measure", "--resource", scope.resource, "--records", 3, "--json")
+    scope = serve_scope("--tcp", "0", *IDEAL)
+    named = ("--resource", scope.resource, "--scale-factor", "2000")
+    done = gyrolock("measure", *named, "--records", 3, "--json")
     assert done.code == 0, done.err
     result = done.document
     assert "truth" not in result
     assert "tilt_deg" not in result
     assert abs(result["lock_in_rate_dps"] - 0.01) < 4 * result["lock_in_rate_u_dps"]
-    again = gyrolock("measure", "--resource", scope.resource, "--records", 1, "--json")
+    again = gyrolock("measure", *named, "--records", 1, "--json")
     assert again.code == 0
 
 
@@ -183,3 +188,71 @@ def test_settings_can_be_copied_and_used(gyrolock, tmp_path: Path) -> None:
     assert done.code == 0
     values = json.loads(gyrolock("settings", "bench", "--json").out)
     assert values["table"]["kind"] == "none"
+
+
+def test_the_shipped_bench_is_a_real_one_and_the_default_sees_what_spoils_it(gyrolock) -> None:
+    done = gyrolock("measure", "--seed", 2, "--json", "--no-report", timeout=200)
+    assert done.code == 0, done.err
+    result = done.document
+    assert result["lock_in_rate_low_95_dps"] < 0.01 < result["lock_in_rate_high_95_dps"]
+    assert result["lock_in_rate_high_95_dps"] - result["lock_in_rate_low_95_dps"] < 0.02 * 0.01
+    assert result["records"] == 40
+    fit = result["several_rates"]["by_beat"]
+    assert fit["distortion_dbc"] == pytest.approx(-50.0, abs=1.0)
+    assert fit["gain_corner_low_95_hz"] < 3000 * 1.02
+    assert fit["gain_corner_high_95_hz"] > 3000 * 0.98
+    assert "Hz: found and removed" in gyrolock("analyze", result["run"]).out
+    # one rate alone would have been wrong
+    assert max(abs(rate["lock_in_rate_dps"] / 0.01 - 1) for rate in result["several_rates"]["rates"]) > 0.1
+
+
+FEW = {"records": 2, "tilt_records": 2}
+
+
+@pytest.mark.parametrize(
+    ("gyro", "true"),
+    [
+        ({"expected_lock_in_rate_dps": 0.0005, "scale_factor_pulses_per_deg": 200.0}, 0.0005),  # beats of a second
+        ({"expected_lock_in_rate_dps": 0.2}, 0.01),  # a guess that is far off
+        ({"expected_lock_in_rate_dps": 0.0004}, 0.01),  # so far that the gyro is locked at the fastest rate
+    ],
+)
+def test_any_gyro_is_measured(tmp_path: Path, gyro: dict[str, float], true: float) -> None:
+    overrides = ideal_bench(
+        gyro=gyro,
+        measurement={"rates_over_lock_in": "auto", **FEW},
+        simulation={"seed": 3, "link": "tcp", "lock_in_rate_dps": true},
+        output={"directory": str(tmp_path)},
+    )
+    taken = start_run(MEASUREMENT, load_settings(overrides=overrides), Progress(quiet=True))
+    assert taken.failure is None
+    found = evaluate_run(open_run(taken.path)).found
+    assert found.several is not None
+    over = [abs(group.input_rate) / true for group in found.several.groups]
+    assert 1.5 < min(over) < 15
+    assert abs(float(found.combined.lock_in_rate) - true) < 4 * float(found.combined.lock_in_rate_u)
+
+
+def test_a_run_whose_rates_were_chosen_anew_goes_on_with_them(tmp_path: Path) -> None:
+    overrides = ideal_bench(
+        gyro={"expected_lock_in_rate_dps": 0.05},
+        measurement={"rates_over_lock_in": "auto", **FEW},
+        simulation={"seed": 3, "link": "tcp"},
+        output={"directory": str(tmp_path)},
+    )
+    settings = load_settings(overrides=overrides)
+    whole = open_run(start_run(MEASUREMENT, settings, Progress(quiet=True)).path)
+    cut = start_run(MEASUREMENT, settings, Interrupting(after=9))
+    assert cut.failure is not None
+    resume_run(cut.path, Progress(quiet=True), kind=MEASUREMENT)
+    assert [record.key for record in open_run(cut.path).records] == [record.key for record in whole.records]
+    assert open_run(cut.path).facts["plan"] == whole.facts["plan"]
+    assert whole.facts["plan"]["changes"] > 0
+
+
+@pytest.mark.parametrize("table", ["simulated", "none"])
+def test_a_bench_without_a_signal_has_no_beat(gyrolock, tmp_path: Path, table: str) -> None:
+    (tmp_path / "my.toml").write_text(f'[table]\nkind = "{table}"\n[simulation]\namplitude_v = 0.0\n')
+    done = gyrolock("measure", "--config", "my.toml", "--json")
+    assert done.code == 4
+    assert "no beat" in done.document["error"]["message"]

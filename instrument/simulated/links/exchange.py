@@ -16,6 +16,7 @@ from instrument.simulated.links.serial_input import SerialInput
 from instrument.simulated.panel.parsing import StreamSplitter
 from instrument.simulated.scope import Picture, SimulatedTDS2014
 
+_MOST_WAITING = 1000
 _TERMINATORS = {"LF": b"\n", "CR": b"\r", "CRLF": b"\r\n", "LFCR": b"\n\r"}
 
 
@@ -85,6 +86,11 @@ class MessageExchange:
     def stopped(self) -> bool:
         """True while an XOFF from the computer holds the answers back."""
         return self._input is not None and self._input.output_stopped
+
+    @property
+    def full(self) -> bool:
+        """True while so many messages wait for the one at work that no more should be sent."""
+        return len(self._waiting) > _MOST_WAITING
 
     @property
     def working(self) -> bool:

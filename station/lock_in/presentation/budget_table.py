@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from analysis.budget import Budget
+from station.lock_in.presentation.remedies import remedy_sentence
 from station.results.as_json import picked
 from station.results.numbers import with_uncertainty
 from station.results.parts import TextTable
@@ -20,6 +21,7 @@ _LINE = {
     "contribution_dps": "contribution",
     "degrees_of_freedom": "degrees_of_freedom",
     "note": "note",
+    "stated": "stated",
 }
 BUDGET_COLUMNS = (
     "quantity",
@@ -46,7 +48,9 @@ def budget_document(budget: Budget) -> dict[str, Any]:
         "coverage_factor": budget.coverage_factor,
         "expanded_u_95_dps": budget.expanded_u_95,
         "inputs": [{**picked(line, _LINE), "share_of_variance": budget.share(line)} for line in budget.inputs],
-        "not_stated": budget.unstated,
+        "not_stated": [line.name for line in budget.not_stated],
+        "largest_part": budget.inputs[0].name if budget.inputs else None,
+        "remedy": remedy_sentence(budget) or None,
     }
 
 
@@ -60,7 +64,7 @@ def budget_rows(budget: Budget) -> list[tuple[str, ...]]:
         unit = "" if line.unit == "1" else f" {line.unit}"
         rows.append(
             (
-                line.quantity,
+                line.quantity if line.stated else f"{line.quantity} (not stated)",
                 f"{line.value:.6g}{unit}",
                 f"{line.u:.2g}{unit}",
                 line.distribution,
@@ -94,21 +98,34 @@ def short_budget_table(budget: Budget) -> TextTable:
 
 
 def budget_sentences(budget: Budget) -> list[str]:
-    """Say in words what the budget comes to, and what it does not hold."""
+    """Say in words what the budget comes to, what would make it smaller, and what it had to assume."""
     value = with_uncertainty(budget.lock_in_rate, budget.combined_u, "deg/s")
+    percent = f" ({100 * budget.coverage_factor * budget.relative_u:.2g} %)" if budget.lock_in_rate > 0 else ""
     said = [
-        f"Lock-in rate {value}, all inputs counted; U95 = {budget.expanded_u_95:.2g} deg/s "
-        f"({100 * budget.coverage_factor * budget.relative_u:.2g} %) with k = {budget.coverage_factor:.2f}."
+        f"Lock-in rate {value}, every input counted; U95 = {budget.expanded_u_95:.2g} deg/s{percent} with "
+        f"k = {budget.coverage_factor:.2f}."
     ]
-    if budget.inputs and budget.inputs[0].contribution > 0:
-        first = budget.inputs[0]
-        said.append(f"The largest part is: {first.quantity} ({_percent(budget.share(first))} of the variance).")
-    if budget.unstated:
-        said.append(
-            f"Not counted, since nobody stated it: {'; '.join(budget.unstated)}. "
-            "The [budget] section of the settings is the place."
-        )
+    if remedy := remedy_sentence(budget):
+        said.append(remedy)
+    if assumed := assumed_sentence(budget):
+        said.append(assumed)
     return said
+
+
+def assumed_sentence(budget: Budget) -> str:
+    """Name what counts with a bound because nobody stated it; empty where everything was stated."""
+    parts = [f"{line.quantity} ({line.note.removeprefix('not stated: bound of ')})" for line in budget.not_stated]
+    if not parts:
+        return ""
+    return f"Nobody stated, so it counts with what it may be at worst: {'; '.join(parts)}."
+
+
+def doubt_sentence(budget: Budget) -> str:
+    """Say that something unknown rules the uncertainty; empty where the largest part is known."""
+    first = budget.inputs[0] if budget.inputs else None
+    if first is None or first.stated or first.contribution == 0:
+        return ""
+    return f"What rules the uncertainty is not known: {first.quantity}, {first.note}."
 
 
 def _percent(share: float) -> str:

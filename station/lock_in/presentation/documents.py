@@ -11,19 +11,18 @@ from analysis.lock_in_run import RateGroup
 from station.lock_in.found import LockInFound, describe_method
 from station.lock_in.presentation.budget_table import budget_document
 from station.lock_in.presentation.rates_sentences import describe_frequencies, describe_rates
+from station.lock_in.presentation.table_sentences import table_sentences
 from station.results.as_json import picked
 
-# name in JSON: field of the estimate
-_ESTIMATE = {
-    "lock_in_rate_dps": "lock_in_rate",
-    "lock_in_rate_u_dps": "lock_in_rate_u",
-    "lock_in_rate_low_95_dps": "lock_in_rate_low_95",
-    "lock_in_rate_high_95_dps": "lock_in_rate_high_95",
+# name in JSON: field of the estimate. What belongs to one rate alone is null in a run at several.
+_OF_ONE_RATE = {
     "input_rate_dps": "input_rate",
     "beat_frequency_hz": "beat_frequency",
     "beat_frequency_u_hz": "beat_frequency_u",
     "ratio": "ratio",
     "ratio_u": "ratio_u",
+}
+_OF_ALL = {
     "backscatter_phase_rad": "backscatter_phase",
     "amplitude_v": "amplitude",
     "noise_rms_v": "noise_rms",
@@ -33,6 +32,15 @@ _TABLE_CHECK = {
     "lock_in_rate_u_dps": "lock_in_rate_u",
     "input_rate_dps": "input_rate",
     "beat_over_table": "beat_over_table",
+    "beat_over_table_u": "beat_over_table_u",
+    "p_value": "p_value",
+    "least_error_seen": "least_error_seen",
+}
+_SCALE_FACTOR = {
+    "by": "by",
+    "scale_factor_pulses_per_deg": "scale_factor",
+    "scale_factor_u_pulses_per_deg": "scale_factor_u",
+    "p_value": "p_value",
 }
 _FIT = {
     "lock_in_rate_dps": "lock_in_rate",
@@ -51,6 +59,12 @@ _RATES_FIT = _FIT | {
     "gain_corner_hz": "gain_corner_hz",
     "gain_corner_low_95_hz": "gain_corner_low_95_hz",
     "gain_corner_high_95_hz": "gain_corner_high_95_hz",
+    "bandwidth_hz": "bandwidth_hz",
+    "bandwidth_low_95_hz": "bandwidth_low_95_hz",
+    "third_order": "third_order",
+    "third_order_u": "third_order_u",
+    "scale_factor_by_rates_pulses_per_deg": "scale_factor",
+    "scale_factor_by_rates_u_pulses_per_deg": "scale_factor_u",
     "model": "model",
     "u_over_u_with_distortion_known": "cost",
 }
@@ -67,11 +81,18 @@ _FREQUENCY_FIT = _FIT | {
     "bias_rate_dps": "bias_rate",
     "bias_rate_u_dps": "bias_rate_u",
 }
+_ALTERNATIVE = {
+    "lock_in_rate_dps": "lock_in_rate",
+    "lock_in_rate_u_dps": "lock_in_rate_u",
+    "distortion": "distortion",
+    "chi_square": "chi_square",
+}
 _LEFT_OUT = {
     "input_rate_dps": "rate",
     "lock_in_rate_dps": "lock_in_rate",
     "lock_in_rate_u_dps": "lock_in_rate_u",
     "deviation_in_u": "deviation",
+    "p_value": "p_value",
 }
 _GROUP = {
     "input_rate_dps": "input_rate",
@@ -79,7 +100,7 @@ _GROUP = {
     "ratio": "ratio",
     "ratio_u": "ratio_u",
     "lock_in_rate_dps": "lock_in_rate",
-    "lock_in_rate_u_dps": "lock_in_rate_u",
+    "lock_in_rate_noise_u_dps": "lock_in_rate_u",
 }
 _QUADRATURES = {
     "records": "records",
@@ -100,9 +121,18 @@ _QUADRATURES = {
 def result_document(found: LockInFound) -> dict[str, Any]:
     """Return the combined result.
 
-    Units stand in the names; uncertainties are standard ones unless the name says 95.
+    Units stand in the names; uncertainties are standard ones unless the name says 95, and count every input unless
+    it says noise.
     """
-    document = picked(found.combined, _ESTIMATE) | {
+    low, high = found.interval_95
+    document = {
+        "lock_in_rate_dps": found.lock_in_rate,
+        "lock_in_rate_u_dps": found.lock_in_rate_u,
+        "lock_in_rate_low_95_dps": low,
+        "lock_in_rate_high_95_dps": high,
+        "lock_in_rate_noise_u_dps": found.noise_u,
+        **_of_one_rate(found),
+        **picked(found.combined, _OF_ALL),
         "records": len(found.waveforms) + len(found.damaged),
         "records_rejected": found.records_rejected,
         "method": found.method_text,
@@ -112,7 +142,11 @@ def result_document(found: LockInFound) -> dict[str, Any]:
     if found.tilt is not None:
         document |= {"tilt_deg": found.tilt.tilt_deg, "tilt_u_deg": found.tilt.tilt_u_deg}
     if found.table_check is not None:
-        document["table_check"] = picked(found.table_check, _TABLE_CHECK)
+        ways = [picked(one, _SCALE_FACTOR) for one in found.table_check.scale_factors]
+        document["table_check"] = picked(found.table_check, _TABLE_CHECK) | {
+            "scale_factors": ways,
+            "sentences": table_sentences(found),
+        }
     if found.several is not None:
         document["several_rates"] = _several_rates(found)
     if found.quadratures is not None:
@@ -120,8 +154,16 @@ def result_document(found: LockInFound) -> dict[str, Any]:
     if found.budget is not None:
         document["budget"] = budget_document(found.budget)
     if found.truth is not None:
-        document["truth"] = found.truth
+        alone = _OF_ONE_RATE if found.several is not None else ()
+        document["truth"] = {name: None if name in alone else value for name, value in found.truth.items()}
     return document
+
+
+def _of_one_rate(found: LockInFound) -> dict[str, Any]:
+    """Rate, beat and ratio; several rates have no one value of them: each has its own under ``several_rates``."""
+    if found.several is not None:
+        return dict.fromkeys(_OF_ONE_RATE)
+    return picked(found.combined, _OF_ONE_RATE)
 
 
 def record_documents(found: LockInFound, called: str) -> list[dict[str, Any]]:
@@ -132,11 +174,23 @@ def record_documents(found: LockInFound, called: str) -> list[dict[str, Any]]:
     called : str
         Key of the record's name: ``"record"`` of a run, or ``"file"``.
     """
-    method = describe_method(found.method)
-    columns = [getattr(found.each, attribute).tolist() for attribute in _ESTIMATE.values()]
-    rows = zip(found.names, found.each.flags.tolist(), *columns, strict=True)
+    each = found.each
+    common = {
+        "method": describe_method(found.method),
+        "scale_factor_pulses_per_deg": found.method.scale_factor,
+    }
+    low, high = found.record_intervals_95
+    columns = {
+        "lock_in_rate_dps": each.lock_in_rate,
+        "lock_in_rate_u_dps": found.record_u,
+        "lock_in_rate_low_95_dps": low,
+        "lock_in_rate_high_95_dps": high,
+        "lock_in_rate_noise_u_dps": each.lock_in_rate_u,
+        **picked(each, _OF_ONE_RATE | _OF_ALL),
+    }
+    rows = zip(found.names, each.flags.tolist(), *(column.tolist() for column in columns.values()), strict=True)
     return [
-        {called: name, **dict(zip(_ESTIMATE, values, strict=True)), "method": method, "flags": flag_names(flags)}
+        {called: name, **dict(zip(columns, values, strict=True)), **common, "flags": flag_names(flags)}
         for name, flags, *values in rows
     ]
 
@@ -161,6 +215,8 @@ def _rates_fit(fit: RatesFit) -> dict[str, Any]:
     columns = [getattr(fit.left_out, attribute) for attribute in _LEFT_OUT.values()]
     return picked(fit, _RATES_FIT) | {
         "distortion_dbc": 20 * math.log10(abs(fit.distortion)) if fit.distortion else None,
+        "alternatives": [picked(one, _ALTERNATIVE) for one in fit.alternatives],
+        "counted": sorted(fit.counted),
         "models": [picked(one, _MODEL) for one in fit.models],
         "left_out": [dict(zip(_LEFT_OUT, row, strict=True)) for row in zip(*columns, strict=True)],
         "locked_up_to_dps": fit.at_least or None,

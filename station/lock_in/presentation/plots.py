@@ -144,13 +144,15 @@ def values_svg(evaluation: LockInFound) -> str:
     """Draw the lock-in rate of every record, the combined value, and the truth if it is known."""
     each, combined = evaluation.each, evaluation.combined
     number = np.arange(1, len(evaluation.names) + 1)
-    low, high = float(combined.lock_in_rate_low_95), float(combined.lock_in_rate_high_95)
+    low, high = evaluation.interval_95
 
     def draw(figure: Figure) -> None:
         from matplotlib.ticker import MaxNLocator
 
         axes = figure.add_subplot()
-        axes.axhspan(low, high, color=ACCENT, alpha=0.16, linewidth=0, label="combined, 95 % interval")
+        axes.axhspan(
+            low, high, color=ACCENT, alpha=0.16, linewidth=0, label="combined, 95 % interval, every input counted"
+        )
         axes.axhline(float(combined.lock_in_rate), color=ACCENT, linewidth=1.1)
         # thousands of records need no caps and thin bars
         many = number.size > 60
@@ -163,7 +165,7 @@ def values_svg(evaluation: LockInFound) -> str:
             linewidth=0.6 if many else 1.0,
             capsize=0 if many else 2.5,
             color=INK,
-            label="one record, ±1 u",
+            label="one record, ±1 u of its noise",
         )
         if evaluation.truth is not None:
             true = evaluation.truth["lock_in_rate_dps"]

@@ -13,6 +13,7 @@ from station.lock_in.presentation.budget_plot import budget_svg
 from station.lock_in.presentation.budget_table import BUDGET_COLUMNS, budget_rows, budget_sentences
 from station.lock_in.presentation.rates_sentences import describe_frequencies
 from station.lock_in.presentation.sentences import quadrature_sentences, rates_sentences
+from station.lock_in.presentation.table_sentences import table_sentences
 from station.lock_in.presentation.tables import rates_table, records_table
 from station.lock_in.settings import Settings
 from station.results.parts import PlacedFigure, Section, TextTable
@@ -32,6 +33,8 @@ def sections(found: LockInFound, run: SavedRun, settings: Settings, result: Resu
         caption = "Lock-in rate of every record with its standard uncertainty, and the combined value."
         figure = PlacedFigure(plots.values_svg(found), caption)
         made.append(Section("Records and combined value", figures=(figure,)))
+    if found.table_check is not None:
+        made.append(Section("Does the table agree?", sentences=tuple(table_sentences(found))))
     if found.quadratures is not None:
         made.append(Section("Sine and cosine", sentences=tuple(quadrature_sentences(found))))
     if found.budget is not None:

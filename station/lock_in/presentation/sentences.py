@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 
 from analysis import FATAL, QuadratureFlag, describe_flag, flag_names
 from station.lock_in.found import LockInFound
@@ -23,34 +24,77 @@ _QUADRATURE_FLAGS = {
 }
 
 
-def lock_in_words(evaluation: LockInFound) -> tuple[str, str]:
-    """Return the lock-in rate in deg/s and in deg/h, each with its standard uncertainty."""
-    rate, u = float(evaluation.combined.lock_in_rate), float(evaluation.combined.lock_in_rate_u)
+def lock_in_words(found: LockInFound) -> tuple[str, str]:
+    """Return the lock-in rate in deg/s and in deg/h, each with its standard uncertainty, every input counted."""
+    rate, u = found.lock_in_rate, found.lock_in_rate_u
     return with_uncertainty(rate, u, "deg/s"), with_uncertainty(
         rate * _SECONDS_PER_HOUR, u * _SECONDS_PER_HOUR, "deg/h"
     )
 
 
-def interval_words(evaluation: LockInFound) -> str:
-    """Return the 95 % interval of the lock-in rate in words."""
-    combined = evaluation.combined
-    low, high = float(combined.lock_in_rate_low_95), float(combined.lock_in_rate_high_95)
-    u = float(combined.lock_in_rate_u)
+def interval_words(found: LockInFound) -> str:
+    """Return the 95 % interval of the lock-in rate in words; its digits follow the uncertainty."""
+    (low, high), u = found.interval_95, found.lock_in_rate_u
     digits = max(0, 1 - math.floor(math.log10(u))) if math.isfinite(u) and u > 0 else 6
     return f"{low:.{digits}f} to {high:.{digits}f} deg/s"
 
 
+def noise_words(found: LockInFound) -> str:
+    """Return what the records' noise alone would make of the uncertainty."""
+    relative = f", {100 * found.noise_u / found.lock_in_rate:.2g} %" if found.lock_in_rate > 0 else ""
+    return f"u = {found.noise_u:.2g} deg/s{relative} (k = 1)"
+
+
+def truth_sentence(found: LockInFound) -> str:
+    """Compare a simulated truth with the 95 % interval; empty where there is none."""
+    if found.truth is None:
+        return ""
+    true, (low, high) = found.truth["lock_in_rate_dps"], found.interval_95
+    distance = (found.lock_in_rate - true) / found.budget.expanded_u_95 if found.budget is not None else math.nan
+    where = "inside" if low <= true <= high else "outside"
+    return (
+        f"The simulation's truth is {true:.6g} deg/s, {where} the 95 % interval: the result lies "
+        f"{distance:+.2f} U95 from it."
+    )
+
+
+def truth_is_missed(found: LockInFound) -> bool:
+    """Tell whether a simulated truth lies outside the 95 % interval."""
+    if found.truth is None or not found.usable:
+        return False
+    low, high = found.interval_95
+    return not low <= found.truth["lock_in_rate_dps"] <= high
+
+
+def span_words(values: Iterable[float], unit: str = "") -> str:
+    """Return the sizes of what several rates have each for itself.
+
+    Examples
+    --------
+    >>> span_words([0.03, -0.3, float("nan")], "deg/s"), span_words([0.5])
+    ('0.03 to 0.3 deg/s', '0.5')
+    """
+    sizes = [abs(value) for value in values if math.isfinite(value)]
+    if not sizes:
+        return "none"
+    ends = dict.fromkeys(f"{size:.4g}" for size in (min(sizes), max(sizes)))
+    return f"{' to '.join(ends)} {unit}".rstrip()
+
+
+def flag_sentence(evaluation: LockInFound, name: str) -> str:
+    """Say in words what a flag means, and in how many records it was noticed."""
+    sentence = describe_flag(name)
+    count = sum(name in names for names in record_flags(evaluation))
+    total = len(evaluation.waveforms)
+    if name == "damaged" and evaluation.damaged:
+        lost = f"Left out, since they are not what was once saved: record {', '.join(evaluation.damaged)}."
+        return f"{lost} {sentence} ({count} of {total} records)" if count else lost
+    return f"{sentence} ({count} of {total} records)" if 0 < count < total else sentence
+
+
 def flag_sentences(evaluation: LockInFound) -> list[str]:
     """Say in words what was noticed, of the combined result and of single records."""
-    said = []
-    for name in evaluation.flags:
-        sentence = describe_flag(name)
-        count = sum(name in names for names in record_flags(evaluation))
-        total = len(evaluation.waveforms)
-        said.append(f"{sentence} ({count} of {total} records)" if 0 < count < total else sentence)
-    if evaluation.damaged:
-        said.append(f"Left out, since they are not what was once saved: record {', '.join(evaluation.damaged)}.")
-    return said
+    return [flag_sentence(evaluation, name) for name in evaluation.flags]
 
 
 def rates_sentences(evaluation: LockInFound) -> list[str]:

@@ -6,7 +6,8 @@ import math
 
 from analysis.lock_in_run import SeveralRates
 from station.lock_in.found import LockInFound
-from station.lock_in.presentation.sentences import record_flags
+from station.lock_in.presentation.sentences import record_flags, span_words
+from station.lock_in.presentation.table_sentences import beat_over_table_words
 from station.lock_in.settings import Settings
 from station.results.numbers import with_prefix, with_uncertainty
 from station.results.parts import FactTable, Rows, TextTable
@@ -72,39 +73,53 @@ def _result_rows(found: LockInFound) -> Rows:
         ("method", found.method_text),
         ("scale factor K", f"{found.method.scale_factor:g} pulses/deg"),
         ("noise model", combined.noise_model),
-        ("uncertainty", "standard (k = 1) in brackets; the interval covers 95 %"),
+        ("uncertainty", "standard (k = 1) in brackets, every input counted; the interval covers 95 %"),
         ("records", f"{counted}, left out {found.records_rejected}"),
     ]
     if found.usable:
+        if found.several is None:
+            rows.append(("ratio r = A2/A1", with_uncertainty(float(combined.ratio), float(combined.ratio_u))))
         rows += [
-            ("ratio r = A2/A1", with_uncertainty(float(combined.ratio), float(combined.ratio_u))),
+            ("noise alone", f"{found.noise_u:.2g} deg/s of the lock-in rate (k = 1)"),
             ("backscatter less readout phase", f"{math.degrees(float(combined.backscatter_phase)):.1f}°"),
             ("amplitude", with_prefix(float(combined.amplitude), "V")),
-            ("noise", f"{with_prefix(float(combined.noise_rms), 'V')} rms"),
+            ("noise in each sample", f"{with_prefix(float(combined.noise_rms), 'V')} rms"),
         ]
     return rows
 
 
 def _rate_rows(found: LockInFound, run: SavedRun, settings: Settings) -> Rows:
     combined, several, rows = found.combined, found.several, []
-    if math.isfinite(combined.beat_frequency):
+    if several is not None:
+        each = several.groups
+        rows += [
+            ("beat frequency", span_words((float(one.combined.beat_frequency) for one in each), "Hz")),
+            ("rate on the axis", span_words((one.input_rate for one in each), "deg/s")),
+            ("table rate", span_words((one.table_rate for one in each), "deg/s")),
+        ]
+    elif math.isfinite(combined.beat_frequency):
         beat = with_uncertainty(float(combined.beat_frequency), float(combined.beat_frequency_u), "Hz")
         rows.append(("beat frequency", beat))
-    if math.isfinite(combined.input_rate):
+    if several is None and math.isfinite(combined.input_rate):
         rows.append(("rate on the axis, by the beat", f"{float(combined.input_rate):.6f} deg/s"))
     if (check := found.table_check) is not None:
         rows += [
             ("rate on the axis, by the table", f"{check.input_rate:.6f} deg/s"),
-            ("beat over table", f"{check.beat_over_table:.5f} (1 if K, tilt and table agree)"),
+            ("beat over table", f"{beat_over_table_words(check)} (K and tilt found with it cancel)"),
             ("lock-in rate, by the table", with_uncertainty(check.lock_in_rate, check.lock_in_rate_u, "deg/s")),
         ]
-    # the rate of the other rows, which is not the last one that the table was set to
-    table_rate = run.facts.get("table_rate_dps") if several is None else several.reference_group.table_rate
-    if table_rate is not None:
+    if several is None and (table_rate := run.facts.get("table_rate_dps")) is not None:
         rows.append(("table rate", f"{table_rate:.5f} deg/s"))
     if found.tilt is not None:
         rows.append(("tilt of the axis", with_uncertainty(found.tilt.tilt_deg, found.tilt.tilt_u_deg, "deg")))
     if found.table_check is not None:
+        rows += [
+            (
+                f"K by the {one.by}",
+                with_uncertainty(one.scale_factor, one.scale_factor_u, "pulses/deg"),
+            )
+            for one in found.table_check.scale_factors
+        ]
         rows.append(("latitude", f"{settings.site.latitude_deg:g}°"))
     return rows
 

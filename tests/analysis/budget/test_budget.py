@@ -1,6 +1,7 @@
 """The uncertainty budget against hand arithmetic, derivatives of other formulas, and simulated measurements."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,6 +10,7 @@ from scipy import stats
 
 from analysis import combine_estimates, estimate_lock_in
 from analysis.budget import (
+    NOTHING_BUT_RECORDS,
     BenchKnowledge,
     Budget,
     BudgetInput,
@@ -25,7 +27,14 @@ from analysis.rotation import rate_on_axis
 from benchmarks.monte_carlo import simulate_measurements
 
 K, WL = 2000.0, 0.01
-SILENT = BenchKnowledge(time_base_limit_ppm=0.0)
+SILENT = NOTHING_BUT_RECORDS
+
+
+def bench(**known) -> BenchKnowledge:
+    """A perfect bench with an oscilloscope, but for what is given."""
+    return replace(SILENT, **{"time_base_limit_ppm": 50.0, **known})
+
+
 TILT = 88.693
 TABLE = TableGeometry(
     table_rate=0.08 / math.cos(math.radians(TILT)),
@@ -57,7 +66,7 @@ def solved_rate(frequency: float, ratio: float, scale_factor: float) -> float:
 
 def test_sensitivities_of_a_self_referenced_record_are_the_derivatives_of_the_rate() -> None:
     point = OperatingPoint(K, 0.03, WL, ratio_u=1e-3, beat_frequency_u=1e-3)
-    budget = lock_in_budget(point, BenchKnowledge(scale_factor_u_ppm=100.0))
+    budget = lock_in_budget(point, bench(scale_factor_u_ppm=100.0))
     f, r = K * math.sqrt(0.03**2 - WL**2), math.tan(0.5 * math.asin(1 / 3))
     assert solved_rate(f, r, K) == pytest.approx(WL, rel=1e-12)
     step = 1e-6
@@ -85,7 +94,7 @@ def test_sensitivities_by_the_table_are_the_derivatives_of_the_rate(sense: float
 
     rate = float(rate_on_axis(table.table_rate, TILT, 28.2, 70.0))
     ratio = math.tan(0.5 * math.asin(WL / abs(rate)))
-    budget = lock_in_budget(OperatingPoint(K, rate, WL, 1e-3), BenchKnowledge(table=table), "rate")
+    budget = lock_in_budget(OperatingPoint(K, rate, WL, 1e-3), bench(table=table), "rate")
     for name, field in (
         ("table_rate", "table_rate"),
         ("tilt", "tilt_deg"),
@@ -100,17 +109,17 @@ def test_sensitivities_by_the_table_are_the_derivatives_of_the_rate(sense: float
 
 def test_table_and_earth_do_not_enter_a_self_referenced_rate() -> None:
     point = OperatingPoint(K, 0.08, WL, 1e-4)
-    budget = lock_in_budget(point, BenchKnowledge(scale_factor_u_ppm=10, table=TABLE))
+    budget = lock_in_budget(point, bench(scale_factor_u_ppm=10, table=TABLE))
     for name in ("table_rate", "tilt", "latitude", "azimuth", "earth_rate"):
         assert line(budget, name).contribution == 0
         assert line(budget, name).u > 0
-    bare = lock_in_budget(point, BenchKnowledge(scale_factor_u_ppm=10))
+    bare = lock_in_budget(point, bench(scale_factor_u_ppm=10))
     assert budget.combined_u == pytest.approx(bare.combined_u, rel=1e-12)
 
 
 def test_unknown_azimuth_of_the_papers_bench_is_its_13_degrees_an_hour() -> None:
     table = TableGeometry(**{**vars(TABLE), "azimuth_deg": math.nan})
-    budget = lock_in_budget(OperatingPoint(K, 0.2, WL, 1e-4), BenchKnowledge(table=table), "rate")
+    budget = lock_in_budget(OperatingPoint(K, 0.2, WL, 1e-4), bench(table=table), "rate")
     azimuth = line(budget, "azimuth")
     assert azimuth.u * math.sqrt(2) * 3600 == pytest.approx(13.25, abs=0.01)
     # 13.25 deg/h of 0.2 deg/s is 1.84 %
@@ -118,14 +127,26 @@ def test_unknown_azimuth_of_the_papers_bench_is_its_13_degrees_an_hour() -> None
 
 
 def test_distortion_has_the_known_largest_size() -> None:
-    # -46 dBc at 20 times lock-in: 2 X HD2 = 20 % at worst, nothing where the phases stand across
+    # -46 dBc at 20 times lock-in: 2 X HD2 = 20 % at worst
     limit = 10 ** (-46 / 20)
-    for phase, worst in ((0.0, 0.2), (math.pi / 2, 0.0), (math.pi, 0.2), (math.pi / 3, 0.1)):
+    for phase, worst in ((0.0, 0.2), (math.pi, 0.2), (math.pi / 3, 0.1)):
         point = OperatingPoint(K, 20 * WL, WL, 1e-4, phase=phase)
-        found = line(lock_in_budget(point, BenchKnowledge(distortion_limit=limit)), "distortion")
-        assert found.contribution * math.sqrt(3) / WL == pytest.approx(worst, abs=0.002)
-    apart = lock_in_budget(point, BenchKnowledge(distortion_limit=limit, distortion_separated=True))
+        found = line(lock_in_budget(point, bench(distortion_limit=limit)), "distortion")
+        assert found.contribution * math.sqrt(3) / WL == pytest.approx(worst, abs=0.003)
+    apart = lock_in_budget(point, bench(distortion_limit=limit, separated=frozenset({"distortion"})))
     assert line(apart, "distortion").contribution == 0
+
+
+@pytest.mark.parametrize("phase", [math.pi / 2, 1.4, 0.3, 2.5])
+def test_distortion_that_turns_the_ratio_counts_as_well(phase: float) -> None:
+    # what was seen is rho, and d may be anything within its limit: r is |rho - d|, by drawing
+    limit, point = 0.01, OperatingPoint(K, 20 * WL, WL, 1e-5, phase=phase)
+    d = np.random.default_rng(4).uniform(-limit, limit, 200_000)
+    true = np.abs(-point.ratio * np.exp(-1j * phase) - d)
+    spread = math.sqrt(np.mean((true - point.ratio) ** 2))
+    by_ratio = line(lock_in_budget(point, SILENT), "noise").sensitivity * (1 - point.ratio**2)
+    found = line(lock_in_budget(point, bench(distortion_limit=limit)), "distortion")
+    assert found.contribution == pytest.approx(spread * by_ratio, rel=0.01)
 
 
 def test_corners_have_the_known_effect() -> None:
@@ -137,22 +158,70 @@ def test_corners_have_the_known_effect() -> None:
         ({"high_pass": Corner(f / 5)}, -0.0148),
         ({"gain": Corner(10 * f)}, 0.00496),
     ):
-        budget = lock_in_budget(point, BenchKnowledge(**name))
+        budget = lock_in_budget(point, bench(**name))
         found = line(budget, {"gain": "gain_corner"}.get(next(iter(name)), next(iter(name))))
         assert found.value == pytest.approx(lost, rel=0.02)
         assert found.u == pytest.approx(abs(lost) / math.sqrt(3), rel=0.02)
     with pytest.raises(ValueError, match="lets no beat through"):
-        lock_in_budget(point, BenchKnowledge(bandwidth=Corner(0.0)))
+        lock_in_budget(point, bench(bandwidth=Corner(0.0)))
 
 
-def test_what_nobody_stated_is_told() -> None:
-    budget = lock_in_budget(OperatingPoint(K, 0.08, WL, 1e-4), BenchKnowledge())
-    assert len(budget.unstated) == 5
-    assert any("distortion" in text for text in budget.unstated)
-    with pytest.raises(ValueError, match="table"):
-        lock_in_budget(OperatingPoint(K, 0.08, WL, 1e-4), BenchKnowledge(), "rate")
+def test_what_nobody_stated_counts_with_its_bound() -> None:
+    point = OperatingPoint(K, 0.08, WL, 1e-4, phase=0.0)
+    budget = lock_in_budget(point, BenchKnowledge())
+    assert {one.name for one in budget.not_stated} == {
+        *("scale_factor", "distortion", "third_order", "bandwidth", "high_pass", "gain_corner")
+    }
+    assert all(one.note.startswith("not stated: bound of") for one in budget.not_stated)
+    # by hand: 2 X HD2 is 16 % for -40 dBc, a pole at 5 f 5.3 %, a gain at 3 f 5.1 %, -40 dBc, 1 % of K
+    for name, size in (
+        ("distortion", 0.16),
+        ("bandwidth", 0.0528),
+        ("gain_corner", 0.0513),
+        ("third_order", 0.01),
+        ("scale_factor", 0.01),
+    ):
+        assert line(budget, name).contribution * math.sqrt(3) / WL == pytest.approx(size, rel=0.04), name
+    stated = {"bandwidth": Corner(math.inf), "gain": Corner(math.inf), "high_pass": Corner(0.0)}
+    known = BenchKnowledge(100.0, distortion_limit=0.001, third_order_limit=0.001, **stated)
+    assert lock_in_budget(point, known).not_stated == ()
+
+
+def test_a_rate_of_which_nobody_said_how_it_was_found() -> None:
+    budget = lock_in_budget(OperatingPoint(K, -0.08, WL, 1e-4), SILENT, "rate")
+    # the earth turns by 15 deg/h, 5 % of 0.08 deg/s
+    given = line(budget, "input_rate")
+    assert given.contribution / WL == pytest.approx(15.041 / 3600 / math.sqrt(2) / 0.08, rel=0.01)
+    assert not given.stated
+
+
+def test_below_lock_in_there_is_no_operating_point() -> None:
     with pytest.raises(ValueError, match="there is no beat"):
         OperatingPoint(K, 0.01, WL, 1e-4)
+
+
+def test_a_lock_in_rate_of_zero_has_an_uncertainty_of_what_may_look_like_it() -> None:
+    budget = lock_in_budget(OperatingPoint(K, 0.08, 0.0, 1e-4), BenchKnowledge())
+    assert line(budget, "distortion").contribution == pytest.approx(2 * 0.08 * 0.01 / math.sqrt(3), rel=0.01)
+    low, high = budget.interval_95
+    assert low == 0
+    assert 1.5 * budget.combined_u < high < 3 * budget.combined_u
+
+
+def test_the_interval_goes_over_from_a_limit_to_two_sides() -> None:
+    def interval(value: float) -> tuple[float, float]:
+        return Budget(value, "beat", (BudgetInput("a", "a", "1", 0.0, 1.0, "normal", 1.0),)).interval_95
+
+    assert interval(20.0) == pytest.approx((20 - 1.96, 20 + 1.96), abs=0.01)
+    assert interval(0.3)[0] == 0
+    assert interval(3.0)[0] > 0.5
+    # it covers: a size with noise in both of its parts, freed of its bias as an estimate is
+    rng = np.random.default_rng(8)
+    for true in (0.0, 1.0, 2.5, 5.0):
+        parts = rng.normal([true, 0.0], 1.0, (1500, 2))
+        values = np.sqrt(np.maximum(np.sum(parts**2, axis=1) - 1, 0.0))
+        inside = np.mean([low <= true <= high for low, high in map(interval, values)])
+        assert inside > 0.93, true
 
 
 def test_combination_and_coverage_follow_the_gum() -> None:
@@ -246,7 +315,7 @@ CHAINS = {
 def test_budget_agrees_with_the_whole_chain_within_5_percent(chain: str) -> None:
     over, known, how = CHAINS[chain]
     shape, point = point_at(over, **how)
-    knowledge = BenchKnowledge(**{"time_base_limit_ppm": 50.0, **known})
+    knowledge = bench(**known)
     budget = lock_in_budget(point, knowledge)
     simulated = simulate_measurements(point, knowledge, shape, trials=2500, rng=np.random.default_rng(11))
     assert simulated.failed == 0
@@ -259,7 +328,7 @@ def test_budget_by_the_table_agrees_with_the_whole_chain(azimuth: float) -> None
     table = TableGeometry(**{**vars(TABLE), "azimuth_deg": azimuth})
     rate = float(rate_on_axis(table.table_rate, TILT, 28.2, 90.0 if math.isnan(azimuth) else azimuth))
     shape, point = point_at(0, rate=rate)
-    knowledge = BenchKnowledge(table=table)
+    knowledge = bench(table=table)
     budget = lock_in_budget(point, knowledge, "rate")
     simulated = simulate_measurements(point, knowledge, shape, "rate", trials=3000, rng=np.random.default_rng(12))
     assert simulated.u == pytest.approx(budget.combined_u, rel=0.05)
@@ -267,7 +336,7 @@ def test_budget_by_the_table_agrees_with_the_whole_chain(azimuth: float) -> None
 
 def test_budget_of_several_records_with_scatter_agrees_with_the_whole_chain() -> None:
     shape, point = point_at(4.0, records=4, scatter=0.01 * WL)
-    knowledge = BenchKnowledge(scale_factor_u_ppm=2000.0)
+    knowledge = bench(scale_factor_u_ppm=2000.0)
     budget = lock_in_budget(point, knowledge)
     simulated = simulate_measurements(point, knowledge, shape, trials=1500, rng=np.random.default_rng(13))
     assert simulated.u == pytest.approx(budget.combined_u, rel=0.05)

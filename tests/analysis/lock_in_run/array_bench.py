@@ -7,13 +7,20 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from analysis import beat_signal
+from analysis.budget import BenchKnowledge
 from analysis.lock_in_run import Batch, RecordArrays, RunArrays, RunKnowledge
 
 K, WL, PHASE = 2000.0, 0.01, 0.4
 LATITUDE, TILT = 28.2, 60.0
 EARTH_DPS = 15.041067 / 3600
 SAMPLES = 1000
-KNOWN = RunKnowledge(scale_factor=K, latitude_deg=LATITUDE)
+KNOWN = RunKnowledge(
+    scale_factor=K,
+    latitude_deg=LATITUDE,
+    bench=BenchKnowledge(scale_factor_u_ppm=50.0),
+    latitude_u_deg=0.01,
+    table_rate_u_ppm=20.0,
+)
 
 
 def axis_rate(table_rate, azimuth_deg=90.0):

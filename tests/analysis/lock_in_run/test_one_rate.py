@@ -46,8 +46,12 @@ def test_records_alone_give_the_mean_by_hand(gyro):
     assert abs(float(found.combined.lock_in_rate) - WL) < 4 * float(found.combined.lock_in_rate_u)
     assert float(found.combined.backscatter_phase) == pytest.approx(PHASE, abs=0.05)
     assert (found.tilt, found.table_check, found.several, found.quadratures) == (None, None, None, None)
-    assert found.budget is None
-    assert "nothing is known" in found.no_budget
+    # nothing is known of the bench: the budget counts what everything may be, and covers all the more
+    assert {"scale_factor", "distortion", "bandwidth", "gain_corner"} < {
+        one.name for one in found.budget.not_stated
+    }
+    assert found.lock_in_rate_u > 50 * found.noise_u
+    assert found.interval_95[0] < WL < found.interval_95[1]
 
 
 def test_the_whole_run_gives_the_truth_by_beat_and_by_table(gyro):
@@ -155,23 +159,35 @@ def test_sensitivities_of_the_budget_are_those_of_the_whole_evaluation():
     assert sensitivity(found.budget, "tilt").contribution == 0
     common = {line.name for line in found.budget.inputs if line.common}
     assert common == {
-        *("scale_factor", "time_base", "table_rate", "tilt", "latitude", "earth_rate", "azimuth", "distortion")
+        *("scale_factor", "time_base", "table_rate", "tilt", "latitude", "earth_rate", "azimuth"),
+        *("distortion", "third_order"),
     }
 
 
-@pytest.mark.parametrize(
-    ("method", "bench", "reason"),
-    [
-        (Method(K, input_rate=0.08), BenchKnowledge(), "the rate was given"),
-        (Method(K, relation="paper-13"), BenchKnowledge(), "approximations"),
-        (PLAIN, BenchKnowledge(bandwidth=Corner(1000.0, 900.0, corrected=True)), "not known at all"),
-    ],
-)
-def test_no_budget_says_why(gyro, method, bench, reason):
-    found = evaluate(whole_run(gyro, [0.08] * 2), replace(KNOWN, bench=bench), method)
-    assert found.usable
-    assert found.budget is None
-    assert reason in found.no_budget
+def test_a_given_rate_counts_with_what_it_may_be_wrong_by(gyro):
+    found = evaluate(whole_run(gyro, [0.08] * 2), KNOWN, Method(K, input_rate=0.08))
+    assert found.budget.reference == "rate"
+    given = sensitivity(found.budget, "input_rate")
+    assert given.contribution == pytest.approx(WL * EARTH_DPS / np.sqrt(2) / 0.08, rel=0.02)
+    assert sensitivity(found.budget, "scale_factor").contribution == 0
+
+
+def test_a_formula_of_the_paper_counts_with_its_own_error(gyro):
+    run = whole_run(gyro, [0.03] * 2)
+    exact, paper = (evaluate(run, KNOWN, Method(K, relation=relation)) for relation in ("exact", "paper-13"))
+    error = paper.lock_in_rate - exact.lock_in_rate
+    assert error / WL < -0.02
+    assert sensitivity(paper.budget, "relation").contribution == pytest.approx(abs(error) / np.sqrt(3), rel=1e-6)
+    assert "relation" not in {one.name for one in exact.budget.inputs}
+
+
+def test_a_correction_with_a_corner_that_is_hardly_known_is_a_limit(gyro):
+    bench = BenchKnowledge(bandwidth=Corner(1000.0, 900.0, corrected=True))
+    found = evaluate(whole_run(gyro, [0.08] * 2), replace(KNOWN, bench=bench), PLAIN)
+    line = sensitivity(found.budget, "bandwidth")
+    assert "hardly known" in line.note
+    by_hand = np.sqrt((1 + 0.16**2) / (1 + 0.32**2)) * np.sqrt(1 / (1 + 0.16**2)) * np.sqrt(1 + 0.16**2)
+    assert line.value == pytest.approx(1 / by_hand - 1, rel=0.03)
 
 
 def test_records_without_a_beat_have_neither_result_nor_budget(gyro):
@@ -180,7 +196,7 @@ def test_records_without_a_beat_have_neither_result_nor_budget(gyro):
     found = evaluate(replace(run, slow=replace(run.slow, batches=silent)), KNOWN, PLAIN)
     assert not found.usable
     assert int(found.combined.flags) & Flag.CONSTANT
-    assert found.no_budget == "there is no lock-in rate"
+    assert found.budget is None and np.isnan(found.lock_in_rate_u)
     assert found.tilt is not None
 
 

@@ -73,7 +73,7 @@ def test_what_is_common_to_the_rates_goes_through_the_fit_unchanged():
         float(found.combined.lock_in_rate_u), rel=1e-9
     )
     assert "scatter" not in lines and "quantization" not in lines
-    assert found.budget.unstated == ("AC coupling of the channel",)
+    assert [one.name for one in found.budget.not_stated] == ["high_pass"]
     assert "gain_corner" in lines
 
 
@@ -128,7 +128,7 @@ def test_one_rate_with_a_beat_and_one_without_are_no_fit():
     assert found.several.by_beat is None and found.several.by_frequency is None
     assert "take the other sense" in found.several.problem
     assert not found.usable
-    assert found.no_budget == "there is no lock-in rate"
+    assert found.budget is None
 
 
 def two_channels(gyro, count):

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from analysis import beat_signal, estimate_lock_in
-from analysis.budget import BenchKnowledge, Corner
+from analysis.budget import NOTHING_BUT_RECORDS, Corner
 from analysis.plan import (
     OscilloscopeSteps,
     PlanRequest,
@@ -19,6 +19,14 @@ from analysis.plan import (
 )
 from analysis.several_rates import fit_rates
 from benchmarks.monte_carlo import simulate_measurements
+
+
+def bench(scale_factor_u_ppm: float = 0.0, **known):
+    """A perfect bench with an oscilloscope, but for what is given."""
+    return replace(
+        NOTHING_BUT_RECORDS, scale_factor_u_ppm=scale_factor_u_ppm, **{"time_base_limit_ppm": 50.0, **known}
+    )
+
 
 STEPS = OscilloscopeSteps(
     time_bases=tuple(float(f"{m}e{d}") for d in range(-9, 2) for m in (1, 2.5, 5)),
@@ -32,7 +40,7 @@ REQUEST = PlanRequest(
     noise_rms=0.02,
     noise_levels=0.5,
     oscilloscope=STEPS,
-    knowledge=BenchKnowledge(scale_factor_u_ppm=50.0),
+    knowledge=bench(scale_factor_u_ppm=50.0),
 )
 
 
@@ -77,10 +85,10 @@ def test_what_cannot_be_reached_is_told_with_its_floor() -> None:
 SINGLE = {
     "noise": {},
     "20 times": {"rates_over_lock_in": (20.0,)},
-    "distortion": {"knowledge": BenchKnowledge(100.0, distortion_limit=10 ** (-46 / 20)), "wanted_u": 0.02},
+    "distortion": {"knowledge": bench(100.0, distortion_limit=10 ** (-46 / 20)), "wanted_u": 0.02},
     "few periods": {"periods_min": 4.0, "noise_rms": 0.04},
     "scatter": {"scatter": 0.03, "wanted_u": 0.012},
-    "gain": {"knowledge": BenchKnowledge(100.0, gain=Corner(300.0)), "rates_over_lock_in": (5.0,)},
+    "gain": {"knowledge": bench(100.0, gain=Corner(300.0)), "rates_over_lock_in": (5.0,)},
 }
 
 
@@ -116,7 +124,7 @@ def test_prediction_for_several_rates_agrees_with_their_fit(over: tuple[float, .
         phase=0.6,
         wanted_u=0.05,
         noise_rms=0.004,
-        knowledge=BenchKnowledge(distortion_limit=0.005),
+        knowledge=bench(distortion_limit=0.005),
     )
     plan = plan_measurement(request)
     assert next(line for line in plan.budget.inputs if line.name == "distortion").contribution == 0
@@ -145,7 +153,7 @@ def test_another_lock_in_rate_than_expected() -> None:
 
 
 def test_curve_goes_through_the_plan_and_rises_with_the_rate() -> None:
-    request = replace(REQUEST, knowledge=BenchKnowledge(50.0, distortion_limit=0.003))
+    request = replace(REQUEST, knowledge=bench(50.0, distortion_limit=0.003))
     plan = plan_measurement(request)
     curve = uncertainty_curve(request, plan.records)
     at_plan = np.interp(plan.rates[0].over_lock_in, curve.over_lock_in, curve.total)

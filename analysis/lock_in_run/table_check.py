@@ -1,0 +1,363 @@
+"""The check by the rate table: do beat frequencies, harmonics and table rates of a run fit together?
+
+Fast and slow records lie on one curve. With y = sqrt(f^2 + h^2), h = K WL, table rate W_T and azimuth a,
+
+    y = A (W_T + w_v) + P cos(a) + Q sin(a),      A = K cos(tilt),   sqrt(P^2 + Q^2) = K w_h sin(tilt)       (1)
+
+w_v and w_h are the vertical and the horizontal earth rate. Three things follow from it:
+
+* **h by the frequencies alone.** The slow beats are pulled down and the fast ones are not. Against h by the
+  harmonics this tests the harmonics: a slow channel takes from the second harmonic, not from the frequency. Beat
+  over table is that difference seen at the reference rate, 1 + (h^2 - h_f^2) / (2 y^2): an error e of WL shows as
+  e (WL/W)^2 there, which is little far above lock-in.
+* **K cannot be found from A and h.** K times k, cos(tilt) over k and WL over k leave (1) as it is: a wrong scale
+  factor is absorbed by the tilt and goes 1 : 1 into the lock-in rate.
+* **K can be found with an angle or a rate of its own**: with a tilt that is known from elsewhere, K = A/cos(tilt);
+  with the horizontal earth rate, which swings with the azimuth and is no multiple of the table's rate,
+  K^2 = A^2 + (P^2 + Q^2)/w_h^2.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+import scipy.special
+
+from analysis.arrays import Bools, Floats, Indices
+from analysis.budget.unstated import LATITUDE_LIMIT_DEG
+from analysis.lock_in_run.records import RecordArrays, RunArrays, RunKnowledge
+from analysis.lock_in_run.table_rate import AxisRates, Tilt
+from analysis.lockin_rate import LockInEstimate
+from analysis.rotation import EARTH_RATE_DPS
+
+UNLIKELY = 0.001
+"""A difference that chance makes less often than this is real."""
+
+SEEN = 3.29
+"""Standard uncertainties at which `UNLIKELY` is reached."""
+
+_RECTANGLE = math.sqrt(3.0)
+_UNIFORM = math.sqrt(12.0)
+_NORTH_U = math.radians(0.1)
+"""Of the azimuth that is stated for north: somebody aligned it with care."""
+
+_TELLS_NOTHING = 0.1
+"""Relative uncertainty of a scale factor that is not worth saying."""
+
+_HARMONICS_TRUSTED = 0.1
+"""Relative standard uncertainty that the lock-in rate by the harmonics has where it must not decide on K."""
+
+_ROUNDS = 20
+_PLACES = 5
+"""A, P, Q, h^2 and the place of a record between its two readings of the azimuth."""
+
+Way = Literal["known tilt", "earth rate"]
+
+
+@dataclass(frozen=True)
+class ScaleFactorCheck:
+    """K by a way of its own.
+
+    Attributes
+    ----------
+    by : {"known tilt", "earth rate"}
+    scale_factor, scale_factor_u : float
+        Pulses per degree.
+    p_value : float
+        Probability of so large a difference from the scale factor used, with what is known of both.
+    """
+
+    by: Way
+    scale_factor: float
+    scale_factor_u: float
+    p_value: float
+
+
+@dataclass(frozen=True)
+class TableCheck:
+    """The same records, with the rate of the table as reference instead of the beat frequency.
+
+    Attributes
+    ----------
+    lock_in_rate, lock_in_rate_u : float
+        deg/s.
+    input_rate : float
+        Mean rate on the gyro's axis from table, tilt and earth rate, deg/s.
+    beat_over_table, beat_over_table_u : float
+        Rate by the beat over rate by the table. The uncertainty counts frequencies, harmonics, table rates, earth
+        rate and azimuth; the scale factor only in so far as it does not cancel.
+    p_value : float
+        Probability of so large a difference from 1.
+    least_error_seen : float
+        Relative error of the lock-in rate from which on this check would show it.
+    scale_factors : tuple of ScaleFactorCheck
+        Empty: nothing in the records and in what is known tests the scale factor.
+    """
+
+    lock_in_rate: float
+    lock_in_rate_u: float
+    input_rate: float
+    beat_over_table: float
+    beat_over_table_u: float
+    p_value: float
+    least_error_seen: float
+    scale_factors: tuple[ScaleFactorCheck, ...] = ()
+
+    @property
+    def mismatch(self) -> bool:
+        """Whether beat and table differ by more than chance explains."""
+        return self.p_value < UNLIKELY
+
+    @property
+    def scale_factor_mismatch(self) -> bool:
+        """Whether a scale factor found by a way of its own is not the one used."""
+        return any(one.p_value < UNLIKELY for one in self.scale_factors)
+
+
+@dataclass(frozen=True)
+class ByTable:
+    """Lock-in rate with the table's rate as reference: value and noise, deg/s, and the rate on the axis there."""
+
+    lock_in_rate: float
+    noise_u: float
+    input_rate: float
+    beat_frequency: float
+
+
+def check_by_table(
+    run: RunArrays,
+    each: tuple[LockInEstimate, LockInEstimate],
+    result: LockInEstimate,
+    by_table: ByTable,
+    axis: AxisRates,
+    tilt: Tilt,
+    knowledge: RunKnowledge,
+) -> TableCheck:
+    """Test beat frequencies, harmonics and table rates of a run against each other.
+
+    Parameters
+    ----------
+    run : RunArrays
+    each : tuple of LockInEstimate
+        Fields of shape (n,): of the slow records and of the fast ones.
+    result : LockInEstimate
+        Fields of shape (): the lock-in rate by the beat.
+    by_table : ByTable
+    axis : AxisRates
+        Of the slow records.
+    tilt : Tilt
+        By the fast run and the scale factor of `knowledge`.
+    knowledge : RunKnowledge
+    """
+    used = result.scale_factor
+    squared = (used * float(result.lock_in_rate)) ** 2
+    squared_u = 2 * used**2 * float(result.lock_in_rate) * float(result.lock_in_rate_u)
+    seen = _Seen.of(run, each, knowledge)
+    stated = _Stated.of(knowledge, tilt)
+    start = np.array([knowledge.scale_factor * math.cos(math.radians(tilt.tilt_deg)), *stated.earth, squared, 0.0])
+    curve = _fitted(seen, start, {1: stated.earth_u[0], 2: stated.earth_u[1]}, stated)
+    difference, difference_u = squared - float(curve.values[3]), math.hypot(squared_u, curve.u(3))
+    turning = by_table.beat_frequency**2 + squared
+    over = knowledge.scale_factor / used * (1 + difference / (2 * turning))
+    over_u = difference_u / (2 * turning)
+    shared = math.hypot(float(np.max(axis.common_u)), float(np.max(axis.azimuth_u)) / abs(by_table.input_rate))
+    ways = [_by_tilt(curve, knowledge, stated, used)]
+    if seen.oriented.all():
+        far = 10 * stated.earth[0]
+        free = _fitted(seen, start, {1: far, 2: far, 3: 2 * _HARMONICS_TRUSTED * squared}, stated)
+        ways.append(_by_earth(free, stated, used))
+    return TableCheck(
+        lock_in_rate=by_table.lock_in_rate,
+        lock_in_rate_u=math.hypot(by_table.noise_u, by_table.lock_in_rate * shared),
+        input_rate=by_table.input_rate,
+        beat_over_table=over,
+        beat_over_table_u=over_u,
+        p_value=_p_value(over - 1, over_u),
+        least_error_seen=SEEN * difference_u / (2 * squared) if squared > 0 else math.inf,
+        scale_factors=tuple(way for way in ways if way is not None),
+    )
+
+
+def _p_value(difference: float, u: float) -> float:
+    return float(2 * scipy.special.ndtr(-abs(difference) / u)) if u > 0 else math.nan
+
+
+@dataclass(frozen=True)
+class _Seen:
+    """Records with a beat, slow and fast, (n,): Hz, deg/s, rad from north, rad turned in each, table's setting."""
+
+    frequency: Floats
+    frequency_u: Floats
+    table_rate: Floats
+    azimuth: Floats
+    turned: Floats
+    setting: Indices
+
+    @classmethod
+    def of(cls, run: RunArrays, each: tuple[LockInEstimate, LockInEstimate], knowledge: RunKnowledge) -> _Seen:
+        def both(part: Floats, other: Floats) -> Floats:
+            return np.concatenate([part, other])
+
+        slow, fast = run.slow, run.fast
+        beating = np.concatenate([one.usable & (one.beat_frequency_u > 0) for one in each])
+        table = both(slow.table_rate, fast.table_rate)
+        _, setting = np.unique(table[beating], return_inverse=True)
+        azimuth = np.radians(both(slow.azimuth, fast.azimuth) - knowledge.north_azimuth_deg)
+        return cls(
+            frequency=both(each[0].beat_frequency, each[1].beat_frequency)[beating],
+            frequency_u=both(each[0].beat_frequency_u, each[1].beat_frequency_u)[beating],
+            table_rate=table[beating],
+            azimuth=azimuth[beating],
+            turned=np.radians(both(_signed_turn(slow), _signed_turn(fast)))[beating],
+            setting=setting,
+        )
+
+    @property
+    def oriented(self) -> Bools:
+        """Whether the azimuth of each is known."""
+        return np.isfinite(self.azimuth)
+
+
+def _signed_turn(records: RecordArrays) -> Floats:
+    return records.azimuth_end - records.azimuth_start
+
+
+@dataclass(frozen=True)
+class _Stated:
+    """What enters the curve from elsewhere.
+
+    earth, earth_u : P and Q of (1) with the scale factor, north and latitude that are stated, Hz
+    vertical, horizontal : of the earth rate, deg/s; latitude_u relative, of the second
+    table_u, scale_u : relative
+    """
+
+    earth: tuple[float, float]
+    earth_u: tuple[float, float]
+    vertical: float
+    horizontal: float
+    latitude_u: float
+    table_u: float
+    scale_u: float
+
+    @classmethod
+    def of(cls, knowledge: RunKnowledge, tilt: Tilt) -> _Stated:
+        latitude = math.radians(knowledge.latitude_deg)
+        scale_u = knowledge.relative_scale_u
+        latitude_u = math.radians(knowledge.latitude_u_deg or LATITUDE_LIMIT_DEG / _RECTANGLE) * abs(
+            math.tan(latitude)
+        )
+        horizontal = EARTH_RATE_DPS * math.cos(latitude)
+        swing = knowledge.scale_factor * horizontal * math.sin(math.radians(tilt.tilt_deg))
+        return cls(
+            earth=(swing, 0.0),
+            earth_u=(
+                max(swing * math.hypot(scale_u, latitude_u), 1e-12),
+                max(swing * _NORTH_U, 1e-12),
+            ),
+            vertical=EARTH_RATE_DPS * math.sin(latitude),
+            horizontal=horizontal,
+            latitude_u=latitude_u,
+            table_u=knowledge.relative_table_u,
+            scale_u=scale_u,
+        )
+
+
+@dataclass(frozen=True)
+class _Curve:
+    """A, P, Q, h^2 and what else was fitted, with their covariance."""
+
+    values: Floats
+    covariance: Floats
+
+    def u(self, place: int) -> float:
+        return math.sqrt(self.covariance[place, place])
+
+
+def _fitted(seen: _Seen, start: Floats, known: dict[int, float], stated: _Stated) -> _Curve:
+    """Curve (1) by least squares; `known` holds the standard uncertainties of start values that are known.
+
+    Every setting of the table has an error of its own, and where nobody knows the azimuth, an earth rate of its
+    own. A scatter beyond the noise of the frequencies enlarges that noise.
+    """
+    settings = int(seen.setting.max()) + 1
+    values = np.concatenate([start, np.zeros(2 * settings)])
+    prior = _prior(seen, known, settings)
+    aim, noise = prior @ values, seen.frequency_u
+    for _ in range(_ROUNDS):
+        left, slopes = _linearised(values, seen, stated)
+        white = np.concatenate([slopes / noise[:, np.newaxis], prior])
+        size = np.linalg.norm(white, axis=0)
+        inverse = np.linalg.pinv(white / size, rcond=1e-12) / size[:, np.newaxis]
+        change = inverse @ np.concatenate([left / noise, aim - prior @ values])
+        values = values + change
+        covariance = inverse @ inverse.T
+        if np.all(np.abs(change) < 1e-6 * np.sqrt(np.diagonal(covariance))):
+            scatter = float(np.sum((left / noise) ** 2)) / max(left.size - settings - 1, 1)
+            if scatter <= 1.01:
+                break
+            noise = noise * math.sqrt(scatter)
+    return _Curve(values, covariance)
+
+
+def _prior(seen: _Seen, known: dict[int, float], settings: int) -> Floats:
+    """Rows of what is known before: some of the first values, the place in a record, errors and earth rates."""
+    blind = np.bincount(seen.setting, ~seen.oriented, settings) > 0
+    weights = np.concatenate([[_UNIFORM], np.ones(settings), np.where(blind, 1.0, 1e6)])
+    rows = np.zeros((len(known) + weights.size, _PLACES + 2 * settings))
+    for row, (place, u) in enumerate(known.items()):
+        rows[row, place] = 1 / u
+    rows[len(known) :, _PLACES - 1 :] = np.diag(weights)
+    return rows
+
+
+def _linearised(values: Floats, seen: _Seen, stated: _Stated) -> tuple[Floats, Floats]:
+    """Distance of the records from the curve, Hz, and its derivatives by all values."""
+    along, north, east, squared, place = values[:_PLACES]
+    error, earth = np.split(values[_PLACES:], 2)
+    settings = error.size
+    own = np.eye(settings)[seen.setting]
+    azimuth = np.where(seen.oriented, seen.azimuth + place * seen.turned, 0.0)
+    cos, sin = np.where(seen.oriented, (np.cos(azimuth), np.sin(azimuth)), 0.0)
+    moved = np.where(seen.oriented, seen.turned * (east * cos - north * sin), 0.0)
+    # a cosine at a phase that nobody knows has a mean square of one half
+    swing = math.hypot(*stated.earth) / math.sqrt(2)
+    sense = np.sign(seen.table_rate)
+    table = seen.table_rate * stated.table_u
+    rate = seen.table_rate + stated.vertical + table * error[seen.setting]
+    y = along * rate + north * cos + east * sin + swing * earth[seen.setting]
+    left = np.sqrt(np.maximum(seen.frequency**2 + squared, 0.0)) - sense * y
+    columns = [rate, cos, sin, -sense / (2 * np.abs(y)), moved, *(along * table * own.T), *(swing * own.T)]
+    return left, np.asarray(sense[:, np.newaxis] * np.stack(columns, axis=-1))
+
+
+def _by_tilt(curve: _Curve, knowledge: RunKnowledge, stated: _Stated, used: float) -> ScaleFactorCheck | None:
+    """K = A / cos(tilt), with a tilt that is known without the gyro."""
+    if not math.isfinite(knowledge.known_tilt_deg):
+        return None
+    tilt, tilt_u = math.radians(knowledge.known_tilt_deg), math.radians(knowledge.known_tilt_u_deg)
+    found = float(curve.values[0]) / math.cos(tilt)
+    # the second order counts where the axis stands upright
+    by_angle = math.hypot(math.tan(tilt) * tilt_u, tilt_u**2 / math.sqrt(2))
+    u = found * math.hypot(curve.u(0) / float(curve.values[0]), by_angle, stated.table_u)
+    return _compared("known tilt", found, u, stated, used)
+
+
+def _by_earth(curve: _Curve, stated: _Stated, used: float) -> ScaleFactorCheck | None:
+    """K^2 = A^2 + (P^2 + Q^2) / w_h^2, nothing being known of K, north and tilt."""
+    a, p, q = curve.values[:3].tolist()
+    if not (stated.horizontal > 0 and math.isfinite(curve.u(1))):
+        return None
+    turned = (p**2 + q**2) / stated.horizontal**2
+    found = math.sqrt(a**2 + turned)
+    slope = np.array([a, p / stated.horizontal**2, q / stated.horizontal**2]) / found
+    u = math.sqrt(float(slope @ curve.covariance[:3, :3] @ slope))
+    return _compared("earth rate", found, math.hypot(u, turned / found * stated.latitude_u), stated, used)
+
+
+def _compared(by: Way, found: float, u: float, stated: _Stated, used: float) -> ScaleFactorCheck | None:
+    if not u < _TELLS_NOTHING * used:
+        return None
+    return ScaleFactorCheck(by, found, u, _p_value(found - used, math.hypot(u, used * stated.scale_u)))

@@ -1,0 +1,87 @@
+"""Third-order distortion of the receiver, by the third harmonic of the records.
+
+The beat's own third harmonic is c3 = c2^2/c1, whatever second-order distortion adds. A cube adds a real number h
+to c3 |c1|^-1 exp(-3i arg c1), the same in every record of one amplitude, and changes r by up to its share h
+(`analysis.budget.unstated`).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+
+from analysis.arrays import Bools, Complexes, Floats
+from analysis.flags import Flag
+from analysis.lock_in_run.records import RecordArrays
+from analysis.lockin_rate import LockInEstimate
+
+_HARMONICS = 4
+_MOST_RECORDS = 400
+_AT_ONCE = 50
+
+_OWN_UNCERTAIN = 0.05
+"""Share of the beat's own third harmonic, r^2, that a slow channel may take away."""
+
+_UNSTEADY = int(Flag.CLIPPED | Flag.RATE_WANDER | Flag.HARMONICS_ALIASED | Flag.SECOND_HARMONIC_ABOVE_NYQUIST)
+
+
+def third_order_limit(slow: RecordArrays, each: LockInEstimate, stated: float) -> float:
+    """Largest third harmonic that the receiver may make of a pure sine, over the sine, as the records show it.
+
+    Parameters
+    ----------
+    slow, each : RecordArrays, LockInEstimate
+        Records, and what each says; fields of shape (n,).
+    stated : float
+        The same by a statement; nan: there is none.
+
+    Returns
+    -------
+    float
+        The smaller of the two, but no less than what is surely seen; nan where there is neither.
+    """
+    good = each.usable & ((each.flags & _UNSTEADY) == 0)
+    found = list(_beside_own(slow, each, good))
+    if not found:
+        return stated
+    beside, noise_u, own = (np.concatenate(column) for column in zip(*found, strict=True))
+    weights = 1 / (noise_u**2 + (_OWN_UNCERTAIN * own) ** 2)
+    weights /= weights.sum()
+    seen = abs(float(weights @ beside))
+    scatter = float(np.sqrt(weights**2 @ (beside - weights @ beside) ** 2)) if beside.size > 2 else 0.0
+    u = math.hypot(max(float(np.sqrt(weights**2 @ noise_u**2)), scatter), _OWN_UNCERTAIN * float(own.min()))
+    most = seen + 2 * u
+    return most if math.isnan(stated) else max(min(stated, most), seen - 2 * u)
+
+
+def _beside_own(slow: RecordArrays, each: LockInEstimate, good: Bools) -> Iterator[tuple[Floats, Floats, Floats]]:
+    """Of some records at a time: the third harmonic beside the beat's own, its noise, and r^2."""
+    left = _MOST_RECORDS
+    for batch in slow.batches:
+        kept = np.flatnonzero(good[batch.rows] & np.isfinite(batch.volts[0]).all(axis=-1))[:left]
+        left -= kept.size
+        for part in (kept[first : first + _AT_ONCE] for first in range(0, kept.size, _AT_ONCE)):
+            rows, volts = batch.rows[part], batch.volts[0][part]
+            c = _harmonics(volts, each.beat_frequency[rows] * batch.sample_interval)
+            size, turn = np.abs(c[:, 0]), np.exp(-1j * np.angle(c[:, 0]))
+            second, third = c[:, 1] / size * turn**2, c[:, 2] / size * turn**3
+            noise_u = each.noise_rms[rows] / size * math.sqrt(2 / volts.shape[1])
+            yield (third - second**2).real, noise_u, np.abs(second) ** 2
+        if left <= 0:
+            return
+
+
+def _harmonics(volts: Floats, turns: Floats) -> Complexes:
+    """Complex amplitudes (n, harmonics) of records (n, N) by least squares; `turns` periods a sample, (n,)."""
+    n_records, n_samples = volts.shape
+    first = np.exp(2j * np.pi * np.outer(turns, np.arange(n_samples) - n_samples / 2))
+    waves = np.ones((n_records, 1 + 2 * _HARMONICS, n_samples))
+    power = first
+    for order in range(_HARMONICS):
+        waves[:, 1 + 2 * order], waves[:, 2 + 2 * order] = power.real, power.imag
+        power = power * first
+    normal = waves @ waves.swapaxes(-1, -2)
+    solved = np.linalg.solve(normal, waves @ volts[:, :, np.newaxis])[:, 1:, 0]
+    return np.asarray(solved[:, ::2] - 1j * solved[:, 1::2], dtype=np.complex128)

@@ -1,0 +1,47 @@
+"""The results as tables of Markdown."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from benchmarks.hostile.measure import Outcome, common_flags
+
+_HEAD = (
+    "class",
+    "kind",
+    "finite",
+    "unwarned, wrong",
+    "warned, wrong",
+    "unwarned",
+    "refused",
+    "covered",
+    "u/WL",
+    "flags",
+)
+
+
+def records_table(outcomes: Sequence[Outcome], n_records: int, seed: int) -> str:
+    """One line for each class of records."""
+    rows = [_HEAD, tuple("---" for _ in _HEAD)]
+    for one in outcomes:
+        finite = one.count("finite")
+        share = f"{100 * one.covered / finite:.0f} %" if finite else ""
+        stopped = one.count("error")
+        refused = f"{len(one.answers) - finite}" + (f" ({stopped} stopped the batch)" if stopped else "")
+        wrong = one.unwarned_wrong
+        rows.append(
+            (
+                one.name,
+                one.kind,
+                str(finite),
+                f"{wrong} ({100 * wrong / finite:.1f} %)" if finite else "0",
+                str(one.count("wrong") - wrong),
+                str(one.unwarned),
+                refused,
+                share,
+                f"{one.relative_u:.2g}",
+                common_flags(one),
+            )
+        )
+    table = "\n".join(f"| {' | '.join(row)} |" for row in rows)
+    return f"{n_records} records of each class, seed {seed}.\n\n{table}"

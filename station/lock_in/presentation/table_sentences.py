@@ -1,0 +1,65 @@
+"""The check by the rate table in plain sentences: what it shows, and what it cannot."""
+
+from __future__ import annotations
+
+from analysis.lock_in_run import ScaleFactorCheck, TableCheck
+from station.lock_in.found import LockInFound
+from station.results.numbers import with_uncertainty
+
+_WAYS = {
+    "known tilt": "the tilt that is known without the gyro",
+    "earth rate": "the earth rate, which swings with the azimuth",
+}
+
+
+def table_sentences(found: LockInFound) -> list[str]:
+    """Say whether beat, harmonics and table fit together, and whether anything tests the scale factor."""
+    check = found.table_check
+    if check is None:
+        return []
+    used = found.method.scale_factor
+    return [_beat_over_table(check), *(_scale_factor(one, used) for one in check.scale_factors), _unseen(check)]
+
+
+def beat_over_table_words(check: TableCheck) -> str:
+    """Return beat over table with its uncertainty."""
+    return with_uncertainty(check.beat_over_table, check.beat_over_table_u)
+
+
+def _beat_over_table(check: TableCheck) -> str:
+    over = (check.beat_over_table - 1) / check.beat_over_table_u
+    verdict = (
+        "they do not fit together, by more than chance explains"
+        if check.mismatch
+        else "as far as this check sees, they fit together"
+    )
+    seen = f"{100 * check.least_error_seen:.2g} %"
+    return (
+        f"Beat over table is {beat_over_table_words(check)}, {over:+.1f} u from 1: {verdict}. An error of the "
+        f"lock-in rate by the harmonics (a slow channel, distortion) shows here from {seen} on."
+    )
+
+
+def _scale_factor(one: ScaleFactorCheck, used: float) -> str:
+    found = with_uncertainty(one.scale_factor, one.scale_factor_u, "pulses/deg")
+    text = f"By {_WAYS[one.by]}, the scale factor is {found}; {used:g} was used"
+    if one.p_value < 0.001:
+        wrong = 100 * (one.scale_factor / used - 1)
+        return (
+            f"{text}. They differ by {wrong:+.2g} %, more than chance explains, and by so much the lock-in rate "
+            "is then wrong: measure the scale factor, or look for a wrong angle, latitude or table rate."
+        )
+    return f"{text}, which agrees."
+
+
+def _unseen(check: TableCheck) -> str:
+    text = (
+        "The tilt was found with the same scale factor, and an error of it is absorbed there: scale factor, tilt "
+        "and lock-in rate change together, and beat over table stays at 1."
+    )
+    if check.scale_factors:
+        return f"{text} Only what is said above of the scale factor tests it."
+    return (
+        f"{text} Nothing in these records tests the scale factor; a tilt known without the gyro "
+        "(table.known_tilt_deg), or records with the table's azimuth in both senses, would."
+    )

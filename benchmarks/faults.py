@@ -31,6 +31,7 @@ from station.lock_in.served import at_slow_rate
 from station.lock_in.settings import default_settings
 from station.measurements import measurement
 from station.ring_laser.instruments import build_instruments
+from station.runs.facts import TAKEN
 from station.runs.progress import Progress
 from station.runs.store import open_run
 from station.shell.running import start_run
@@ -181,6 +182,7 @@ def measure(share: float, *, records: int, seed: int) -> EndedRun:
         settings = default_settings("bench")
         settings = settings.model_copy(
             update={
+                "gyro": bench.gyro,
                 "scope": settings.scope.model_copy(update={"resource": proxy.resource_name}),
                 "measurement": settings.measurement.model_copy(update={"records": records}),
                 "output": settings.output.model_copy(update={"directory": folder}),
@@ -216,12 +218,13 @@ def measure_often(runs: int, share: float, records: int) -> int:
     good = complete = 0
     for seed in range(1, runs + 1):
         ended = measure(share, records=records, seed=seed)
-        complete += ended.outcome == "complete"
+        complete += ended.outcome == TAKEN
         good += ended.wrong == 0
+        how = "complete" if ended.outcome == TAKEN else ended.outcome
+        panel = "as before" if ended.panel_is_back else "altered"
         sys.stdout.write(
-            f"run {seed}: {ended.outcome}; {ended.right} right, {ended.wrong} wrong; {ended.spoiled} of "
-            f"{ended.messages} messages spoiled; {ended.link}; front panel "
-            f"{'as before' if ended.panel_is_back else 'altered'}; {ended.seconds:.0f} s\n"
+            f"run {seed}: {how}; {ended.right} right, {ended.wrong} wrong; {ended.spoiled} of {ended.messages} "
+            f"messages spoiled; {ended.link}; front panel {panel}; {ended.seconds:.0f} s\n"
         )
         sys.stdout.flush()
     sys.stdout.write(f"{complete} of {runs} runs complete, {runs - good} with a wrong record\n")

@@ -1,7 +1,7 @@
 """`python -m benchmarks.kills`: `kill -9` at 200 moments of a measurement.
 
-`gyrolock measure --jsonl` is killed at a random moment between its first acknowledged record and its last. Every record
-whose line had come must be in the run, intact, and `--resume` must bring the run to its full count.
+`gyrolock measure --jsonl` is killed at a random moment between its first acknowledged record and its last. Every
+record whose line had come must be in the run, intact, and `--resume` must bring the run to its full count.
 """
 
 from __future__ import annotations

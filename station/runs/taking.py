@@ -88,16 +88,13 @@ class Session:
         self.writer: RunWriter | None = None
         self.facts: dict[str, Any] = dict(facts)
         self._directory, self._again = directory, dict(again or {})
-        self._bench = ExitStack()
+        self.bench = ExitStack()
+        """What is open; whatever ends the taking is told to it."""
         self._scope: TDS2014 | None = None
 
     def open(self, instruments: AbstractContextManager[T]) -> T:
         """Open instruments; they are closed when the taking ends, before the run is."""
-        return self._bench.enter_context(instruments)
-
-    def close_bench(self) -> None:
-        """Close the instruments, in the opposite order."""
-        self._bench.close()
+        return self.bench.enter_context(instruments)
 
     @property
     def times_resumed(self) -> int:
@@ -116,13 +113,14 @@ class Session:
         """Keep with the run how this oscilloscope's front panel was found, and what its link took."""
         self._scope = scope
 
-    def about_scope(self, *, put_back: bool) -> dict[str, object]:
+    def about_scope(self) -> dict[str, object]:
         """Return the facts of the oscilloscope that is watched, of all sessions of the run."""
         if self._scope is None or self._scope.front_panel_found is None:
             return {}
         before = {} if self.resumed is None else self.resumed.facts.get(_LINK, {})
         faults = {name: count + before.get(name, 0) for name, count in asdict(self._scope.link_faults).items()}
-        return {_LINK: faults, _PANEL: {**asdict(self._scope.front_panel_found), "put_back": put_back}}
+        found = asdict(self._scope.front_panel_found)
+        return {_LINK: faults, _PANEL: {**found, "put_back": self._scope.front_panel_is_back}}
 
     def begin(self, facts: Mapping[str, object] | None = None) -> RunWriter:
         """Begin the run, or go on with it, when the bench is open: before that a failure leaves no run.
@@ -132,7 +130,7 @@ class Session:
         facts : mapping, optional
             What is known now besides; plain JSON.
         """
-        scope = self.about_scope(put_back=False)
+        scope = self.about_scope()
         if self.resumed is None:
             with undisturbed():
                 self.writer = RunWriter.create(self._directory, {**self.facts, **(facts or {}), **scope})
@@ -214,14 +212,9 @@ def take(session: Session, work: Callable[[Session], None]) -> Taken:
 def _take(session: Session, work: Callable[[Session], None]) -> Taken:
     failure: Failure | None = None
     stopped_by: BaseException | None = None
-    put_back = False
     try:
-        try:
-            with disturbed():
-                work(session)
-        finally:
-            session.close_bench()
-            put_back = True
+        with session.bench, disturbed():
+            work(session)
     except (InstrumentError, StationError, OSError, KeyboardInterrupt) as error:
         failure, stopped_by = describe_failure(error), error
         if session.writer is None or failure is None:
@@ -235,7 +228,7 @@ def _take(session: Session, work: Callable[[Session], None]) -> Taken:
         "ended_at": utc_now(),
         "outcome": TAKEN if failure is None else failure.as_json(),
     }
-    ending |= session.about_scope(put_back=put_back)
+    ending |= session.about_scope()
     try:
         writer.save_facts(ending)
     except RunError as error:  # a full disk takes no more; the records that it took are there

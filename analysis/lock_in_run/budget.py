@@ -140,7 +140,7 @@ def _rates_budget(
     each: LockInEstimate, fit: RatesFit, point: OperatingPoint, bench: BenchKnowledge, samples: int
 ) -> Budget:
     """Budget of a fit over several rates: what acts on every rate in its own way is put through the fit."""
-    bench = replace(bench, separated=bench.separated | _counted(fit))
+    bench = replace(bench, separated=bench.separated | fit.counted)
     known = bounded(bench, _slowest_beat(each, fit))
     # what is common stands as at one rate; the channel comes below
     at_one_rate = lock_in_budget(point, bench)
@@ -148,12 +148,6 @@ def _rates_budget(
     lines = [replace(line, sensitivity=line.sensitivity * scale) for line in at_one_rate.inputs if line.common]
     lines += [*_from_fit(fit, samples), *_from_channel(each, fit, known, point)]
     return Budget(fit.lock_in_rate, "beat", tuple(lines))
-
-
-def _counted(fit: RatesFit) -> frozenset[str]:
-    """What the fit has freed the lock-in rate of: its uncertainty holds that already."""
-    fitted = {"distortion": fit.distortion, "gain_corner": fit.gain_time}
-    return frozenset(name for name, value in fitted.items() if not math.isnan(value))
 
 
 def _slowest_beat(each: LockInEstimate, fit: RatesFit) -> float:
@@ -169,9 +163,11 @@ def _from_fit(fit: RatesFit, samples: int) -> Iterator[BudgetInput]:
     yield BudgetInput(
         "noise", "noise of the records", "deg/s", fit.lock_in_rate, noise_u, "normal", 1.0, freedom, note
     )
-    fitted = {"distortion": "distortion", "gain": "the gain corner"}.get(
-        fit.model, "distortion and the gain corner"
-    )
+    fitted = {
+        "distortion": "distortion",
+        "gain": "the gain corner",
+        "both": "distortion and the gain corner",
+    }.get(fit.model, "distortion, gain corner and bandwidth")
     if fit.model != "lock-in":
         rest = math.sqrt(max(fit.lock_in_rate_u**2 - noise_u**2, 0.0))
         quantity = f"noise, by way of {fitted}"

@@ -60,7 +60,7 @@ def evaluate(run: RunArrays, knowledge: RunKnowledge | None, method: Method) -> 
         found = replace(found, tilt=tilt)
         if at_several_rates(run.slow):
             # 4. each rate alone, then one fit
-            several = evaluate_rates(run.slow, each, axis)
+            several = evaluate_rates(run.slow, each, axis, knowledge.bench)
             found = replace(found, several=several, combined=combined_estimate(several))
         # 5. the same by the table
         found = _checked_by_table(found, run, axis, knowledge)

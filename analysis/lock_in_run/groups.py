@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from analysis.arrays import Floats
+from analysis.budget import BenchKnowledge
 from analysis.combine import combine_estimates
 from analysis.errors import NoFit, OneRateOnly
 from analysis.flags import FATAL, Flag
@@ -17,7 +18,7 @@ from analysis.lock_in_run.records import RecordArrays
 from analysis.lock_in_run.table_check import ByTable
 from analysis.lock_in_run.table_rate import AxisRates
 from analysis.lockin_rate import LockInEstimate
-from analysis.several_rates import RatesFit, RatesFlag, Reference, fit_rates
+from analysis.several_rates import RatesFit, RatesFlag, ReceiverKnowledge, Reference, fit_rates
 
 
 @dataclass(frozen=True)
@@ -84,7 +85,9 @@ def at_several_rates(slow: RecordArrays) -> bool:
     return np.unique(slow.table_rate).size > 1
 
 
-def evaluate_rates(slow: RecordArrays, each: LockInEstimate, axis: AxisRates) -> SeveralRates:
+def evaluate_rates(
+    slow: RecordArrays, each: LockInEstimate, axis: AxisRates, bench: BenchKnowledge
+) -> SeveralRates:
     """Combine the records at each rate, and fit all of them.
 
     Parameters
@@ -95,6 +98,8 @@ def evaluate_rates(slow: RecordArrays, each: LockInEstimate, axis: AxisRates) ->
         Fields of shape (n,), with the beat as reference.
     axis : AxisRates
         Of the same records.
+    bench : BenchKnowledge
+        What is stated of receiver and laser.
 
     Raises
     ------
@@ -120,16 +125,18 @@ def evaluate_rates(slow: RecordArrays, each: LockInEstimate, axis: AxisRates) ->
         groups.append(group)
     # shared by the records at one rate: their mean is no better than one of them
     rates_u = axis.azimuth_u * np.sqrt(counts[place])
-    by_beat, problem = _fit(each, axis, rates_u, "beat")
-    by_table, _ = _fit(each, axis, rates_u, "rate")
+    receiver = ReceiverKnowledge.of(bench)
+    by_beat, problem = _fit(each, axis, rates_u, "beat", receiver)
+    by_table, _ = _fit(each, axis, rates_u, "rate", receiver)
     return SeveralRates(tuple(groups), by_beat, by_table, _frequencies(each, axis, rates_u), problem)
 
 
 def _fit(
-    each: LockInEstimate, axis: AxisRates, rates_u: Floats, reference: Reference
+    each: LockInEstimate, axis: AxisRates, rates_u: Floats, reference: Reference, receiver: ReceiverKnowledge
 ) -> tuple[RatesFit | None, str]:
     try:
-        return fit_rates(each, input_rate=axis.rates, input_rate_u=rates_u, reference=reference), ""
+        fit = fit_rates(each, input_rate=axis.rates, input_rate_u=rates_u, reference=reference, receiver=receiver)
+        return fit, ""
     except NoFit as reason:
         return None, str(reason)
 
@@ -182,7 +189,7 @@ def _flags(several: SeveralRates, fit: RatesFit) -> int:
     flags = 0
     for group in several.groups:
         flags |= int(group.combined.flags) & ~answered
-    if fit.flags & (RatesFlag.MISFIT | RatesFlag.ONE_RATE_DISAGREES):
+    if fit.flags & (RatesFlag.MISFIT | RatesFlag.ONE_RATE_DISAGREES | RatesFlag.RECORDS_MISFIT):
         flags |= Flag.MISFIT
     if fit.flags & (RatesFlag.NOT_SIGNIFICANT | RatesFlag.NOT_DETERMINED | RatesFlag.RATES_TOO_CLOSE):
         flags |= Flag.RATIO_NOT_SIGNIFICANT

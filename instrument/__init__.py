@@ -4,6 +4,7 @@
 """
 
 from instrument.dialogue.identity import Identity
+from instrument.dialogue.persistence import ATTEMPTS, RECONNECT_FOR, Persistence, Tally
 from instrument.discovery import FoundResource, find_resources
 from instrument.errors import (
     CommandError,
@@ -20,7 +21,7 @@ from instrument.errors import (
     WrongInstrument,
 )
 from instrument.rate_table import ManualRateTable, RateTable
-from instrument.tds2014.front_panel import ChannelSettings
+from instrument.tds2014.front_panel import ChannelSettings, FoundPanel
 from instrument.tds2014.measurement import MEASUREMENTS, Cursors, Measurement
 from instrument.tds2014.scope import TDS2014
 from instrument.tds2014.screen import ScreenPicture
@@ -28,7 +29,9 @@ from instrument.tek_files import read_waveform
 from instrument.waveform import Preamble, Waveform
 
 __all__ = [
+    "ATTEMPTS",
     "MEASUREMENTS",
+    "RECONNECT_FOR",
     "TDS2014",
     "ChannelSettings",
     "CommandError",
@@ -36,6 +39,7 @@ __all__ = [
     "DeviceError",
     "ExecutionError",
     "FileFormatError",
+    "FoundPanel",
     "FoundResource",
     "Identity",
     "InstrumentError",
@@ -43,12 +47,14 @@ __all__ = [
     "ManualRateTable",
     "Measurement",
     "NoTrigger",
+    "Persistence",
     "Preamble",
     "QueryError",
     "RateTable",
     "ScopeEvent",
     "ScreenPicture",
     "SettingError",
+    "Tally",
     "TransferError",
     "Waveform",
     "WrongInstrument",

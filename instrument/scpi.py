@@ -48,6 +48,13 @@ def split_header(part: str) -> tuple[str, str]:
     return "", part
 
 
+def without_mark(parts: list[str], mark: str) -> list[str]:
+    """Take the mark of its question off an answer; TransferError if it bears another one."""
+    if not parts or split_header(parts[0])[1] != mark:
+        raise TransferError(f"the answer {parts[:1]!r:.40} belongs to another question; ask again")
+    return parts[1:]
+
+
 def unquote(text: str) -> str:
     """Take the double quotes off a string value; a doubled quote inside stands for one."""
     text = text.strip()

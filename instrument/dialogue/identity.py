@@ -37,6 +37,12 @@ class Identity:
         """4 for models whose number ends in 4, else 2."""
         return 4 if re.sub(r"\D", "", self.model).endswith("4") else 2
 
+    def same_unit(self, other: Identity) -> bool:
+        """Whether both are of one unit: by serial number, or where the series has none, by the whole answer."""
+        if self.serial.strip("0") and other.serial.strip("0"):
+            return (self.model, self.serial) == (other.model, other.serial)
+        return self.text == other.text
+
 
 def parse_identity(answer: str) -> Identity:
     """Read ``*IDN?`` and check that the unit is of this family.

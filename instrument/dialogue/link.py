@@ -5,14 +5,16 @@ and a bare TCP socket are *streams*: only a line feed or a known length tells wh
 is read to its line feed and binary data by exact count.
 
 Every time limit here is made of named ingredients: the time that the instrument takes to begin an answer, the
-longest pause inside one, the bytes at the baud rate, and the time that an acquisition takes (the caller's).
+longest pause inside one, the bytes at the baud rate, and the time that an acquisition takes (the caller's). Each
+answer has a limit as a whole too, so that one that trickles in byte by byte ends like one that stops. A limit has
+passed only when a look behind it found nothing: a program that was not given the processor misses no answer.
 """
 
 from __future__ import annotations
 
 import contextlib
+import select
 import socket
-import time
 from collections.abc import Iterator
 
 import pyvisa
@@ -21,6 +23,8 @@ from pyvisa.constants import InterfaceType, StatusCode
 from pyvisa.resources import MessageBasedResource, SerialInstrument
 
 from instrument import scpi
+from instrument.dialogue.clock import Clock, ComputerClock
+from instrument.dialogue.watchful_socket import HungUp, Overdue, WatchfulSocket
 from instrument.errors import LinkError, TransferError
 
 ANSWER_TIME = 3.0
@@ -68,6 +72,8 @@ class Link:
     baud_rate : int, optional
         Speed of the serial line. For a TCP socket it is the speed behind the serial-to-Ethernet converter;
         it only lengthens time limits there.
+    clock : Clock, optional
+        What time limits are measured on; the computer's own unless the instrument is simulated in this process.
 
     Raises
     ------
@@ -80,12 +86,16 @@ class Link:
         resource_name: str,
         resource_manager: pyvisa.ResourceManager | None = None,
         baud_rate: int | None = None,
+        clock: Clock | None = None,
     ) -> None:
         self.name = resource_name
+        self.clock: Clock = clock or ComputerClock()
         self.closed = False
         self.answer_time = ANSWER_TIME
         """May be raised for an unusually slow unit."""
         self._timeout: float | None = None
+        self._socket: WatchfulSocket | None = None
+        self._manager = resource_manager
         self._resource = _open(resource_name, resource_manager)
         interface = self._resource.interface_type
         self.is_serial = interface == InterfaceType.asrl
@@ -112,6 +122,15 @@ class Link:
         with contextlib.suppress(pyvisa.Error, OSError):
             self._resource.close()
 
+    def reopen(self) -> None:
+        """Close what is left of a lost link, and open it anew. LinkError if that is not possible now."""
+        self.close()
+        self._timeout = self._socket = None
+        self._resource = _open(self.name, self._manager)
+        self.closed = False
+        with self._link_errors("opening"):
+            self._configure()
+
     def line_time(self, byte_count: float) -> float:
         """Time in s that `byte_count` bytes need, at most, if nothing holds them up."""
         if self.framed:
@@ -121,9 +140,12 @@ class Link:
     def write(self, text: str) -> None:
         """Send one message; the line feed is added here. LinkError if it cannot be sent."""
         message = text.encode("ascii") + b"\n"
-        self._set_timeout(self.answer_time + self.line_time(len(message)))
+        patience = self.answer_time + self.line_time(len(message))
+        self._set_timeout(patience)
         try:
             with self._link_errors("writing to"):
+                if self._socket is not None and not select.select([], [self._socket], [], patience)[1]:
+                    raise NoAnswer  # PyVISA-py would wait for ever
                 self._resource.write_raw(message)
         except NoAnswer:
             raise LinkError(
@@ -170,20 +192,17 @@ class Link:
             picture = self._read_framed(wait, LONGEST_PICTURE)
             length = _bitmap_length(picture)
         else:
-            begun = bytearray(self._first_byte(self.answer_time + wait))
-            self._fill(begun, _BITMAP_LENGTH_END)
-            length = _bitmap_length(begun)
-            self._fill(begun, length)
-            picture = bytes(begun)
+            answer = _Arriving(self, wait, pauses=1)
+            while len(answer.data) < _BITMAP_LENGTH_END:
+                answer.more(_BITMAP_LENGTH_END - len(answer.data), self.answer_time)
+            length = _bitmap_length(answer.data)
+            while len(answer.data) < length:
+                answer.more(min(self.chunk, length - len(answer.data)), self.answer_time)
+            picture = bytes(answer.data)
             self.drain()  # some units send a line end after all
         if not length <= len(picture) <= length + 2:
             raise TransferError(f"the picture has {len(picture)} bytes instead of {length}; ask again")
         return picture[:length]
-
-    def _fill(self, message: bytearray, length: int) -> None:
-        chunk = max(16, int(SLICE_TIME * self.baud_rate / BITS_PER_BYTE))
-        while len(message) < length:
-            message += self._more(min(chunk, length - len(message)), self.answer_time, len(message))
 
     def clear(self) -> None:
         """Bring both sides to rest: the instrument drops what it waits for, and late bytes are thrown away.
@@ -208,15 +227,43 @@ class Link:
         Raises LinkError if the other side keeps talking for longer than the longest answer could take.
         """
         late = bytearray()
-        deadline = time.monotonic() + self.answer_time + self.line_time(16_384)
-        while time.monotonic() < deadline:
+        began = self.clock.now()
+        longest = self.answer_time + self.line_time(16_384)
+        while self.clock.now() - began < longest:
             try:
-                late += self._first_byte(PAUSE_TIME)
+                late += self.first_byte(PAUSE_TIME)
             except NoAnswer:
                 return bytes(late)
-        raise LinkError(f"{self.name} keeps sending without being asked; is another program or device on it?")
+        raise LinkError(
+            f"{self.name} has been sending for {self.clock.now() - began:.1f} s without being asked; is another "
+            "program or device on it?"
+        )
 
     # ------------------------------------------------------------------ reading
+
+    @property
+    def chunk(self) -> int:
+        """Bytes that the line carries in about one slice, so that a lost link is seen within that time."""
+        return max(16, int(SLICE_TIME * self.baud_rate / BITS_PER_BYTE))
+
+    def first_byte(self, patience: float) -> bytes:
+        """One byte of a stream, waiting in short steps so that a closed connection is noticed at once."""
+        began = self.clock.now()
+        while True:
+            over = self.clock.now() - began >= patience
+            try:
+                return self.read_some(1, min(SLICE_TIME, patience))
+            except NoAnswer:
+                if over:
+                    waited = self.clock.now() - began
+                    raise NoAnswer(f"{self.name} did not answer within {waited:.1f} s") from None
+
+    def read_some(self, count: int, patience: float) -> bytes:
+        """At most `count` bytes of a stream, fewer if a line feed comes first; NoAnswer if any is missing."""
+        self._set_timeout(patience)
+        if self._socket is not None:
+            self._socket.patience(patience)
+        return self._visa_read(count)[0]
 
     def _read_message(self, wait: float, longest: int, *, blocks: int) -> bytes:
         if self.framed:
@@ -225,20 +272,27 @@ class Link:
 
     def _read_framed(self, wait: float, longest: int) -> bytes:
         limit = longest + _TEXT_BESIDE_BLOCKS
-        self._set_timeout(self.answer_time + wait + self.line_time(limit))
+        began, patience = self.clock.now(), self.answer_time + wait + self.line_time(limit)
         message = bytearray()
         ended = False
         while not ended:
-            data, ended = self._visa_read(limit)
+            waited = self.clock.now() - began
+            self._set_timeout(max(SLICE_TIME, patience - waited))
+            try:
+                data, ended = self._visa_read(limit)
+            except NoAnswer:
+                waited = self.clock.now() - began
+                raise NoAnswer(f"{self.name} did not answer within {waited:.1f} s") from None
             message += data
             if len(message) > limit:
                 raise TransferError(f"{self.name} sent more than the {limit} bytes that were expected; ask again")
+            if not ended and waited > patience:
+                raise TransferError(f"{self.name} sent {len(message)} bytes in {waited:.1f} s, no end; ask again")
         return bytes(message)
 
     def _read_stream(self, wait: float, longest: int, blocks: int) -> bytes:
-        # A chunk is what the line carries in about one slice, so that a lost link is seen within that time.
-        chunk = max(16, int(SLICE_TIME * self.baud_rate / BITS_PER_BYTE))
-        message = bytearray(self._first_byte(self.answer_time + wait))
+        answer = _Arriving(self, wait, pauses=1 + 2 * blocks)
+        message = answer.data
         while True:
             if blocks:
                 missing = scpi.bytes_missing(message, longest=longest, blocks=blocks)
@@ -252,34 +306,9 @@ class Link:
             if begun and lacking >= 0:
                 # Between the parts of an answer, preamble and curve for one, the scope may think again.
                 pause = PAUSE_TIME if lacking or begun == blocks else self.answer_time
-                message += self._more(min(lacking or 1, chunk), pause, len(message))
+                answer.more(min(lacking or 1, self.chunk), pause)
             else:
-                message += self._more(chunk, self.answer_time, len(message))
-
-    def _more(self, count: int, pause: float, have: int) -> bytes:
-        """Up to `count` more bytes of an answer that has begun; fewer if a line feed comes first."""
-        try:
-            first = self._first_byte(pause)
-            if count == 1 or first == b"\n":
-                return first
-            self._set_timeout(pause + self.line_time(count))
-            rest, _ = self._visa_read(count - 1)
-        except NoAnswer:
-            raise TransferError(
-                f"an answer from {self.name} stopped after about {have} bytes: bytes were lost; ask again"
-            ) from None
-        return first + rest
-
-    def _first_byte(self, patience: float) -> bytes:
-        """One byte of a stream, waiting in short steps so that a closed connection is noticed at once."""
-        deadline = time.monotonic() + patience
-        while True:
-            self._set_timeout(min(SLICE_TIME, patience))
-            try:
-                return self._visa_read(1)[0]
-            except NoAnswer:
-                if time.monotonic() >= deadline:
-                    raise
+                answer.more(self.chunk, self.answer_time)
 
     def _visa_read(self, count: int) -> tuple[bytes, bool]:
         """One VISA read of at most `count` bytes; the flag tells whether it ended a message."""
@@ -316,7 +345,7 @@ class Link:
         if session is not None and isinstance(peer, socket.socket):
             # PyVISA-py 0.8 has no attribute for it.
             peer.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-            session.interface = _WatchfulSocket(fileno=peer.detach())
+            self._socket = session.interface = WatchfulSocket(fileno=peer.detach())
 
     def _send_break(self) -> None:
         if not isinstance(self._resource, SerialInstrument):
@@ -345,25 +374,50 @@ class Link:
         except pyvisa.VisaIOError as error:
             if error.error_code != StatusCode.error_timeout:
                 raise LinkError(f"{doing} {self.name} failed: {error.description}") from error
-            raise NoAnswer(f"{self.name} did not answer within {(self._timeout or 0) / 1000:g} s") from None
-        except _HungUp:
+            raise NoAnswer(f"{self.name} did not answer") from None
+        except Overdue:
+            raise NoAnswer(f"{self.name} did not answer") from None
+        except HungUp:
             raise LinkError(f"{self.name} has closed the connection; switch it on and connect again") from None
         except (pyvisa.Error, OSError) as error:
             raise LinkError(f"{doing} {self.name} failed, the link is lost: {error}") from error
 
 
-class _HungUp(ConnectionError):
-    """The other side has closed the connection."""
+class _Arriving:
+    """An answer on a stream while it arrives: its bytes, and how much longer it may take.
 
+    Parameters
+    ----------
+    wait : float
+        Time in s that the instrument may need before it begins, beyond the link's `answer_time`.
+    pauses : int
+        How often the instrument may think again inside the answer.
+    """
 
-class _WatchfulSocket(socket.socket):
-    """A socket that raises where an ended connection would read as silence, over and over, in PyVISA-py."""
+    def __init__(self, link: Link, wait: float, *, pauses: int) -> None:
+        self._link, self._thinking = link, pauses * link.answer_time
+        self.data = bytearray(link.first_byte(link.answer_time + wait))
+        self._began = link.clock.now()
 
-    def recv(self, bufsize: int, flags: int = 0, /) -> bytes:
-        data = super().recv(bufsize, flags)
-        if not data and bufsize > 0:
-            raise _HungUp
-        return data
+    def more(self, count: int, pause: float) -> None:
+        """Take up to `count` more bytes, fewer if a line feed comes first; TransferError if they do not come."""
+        link = self._link
+        longest = self._thinking + link.line_time(len(self.data) + count)
+        if self._passed > longest:
+            raise TransferError(f"{self._so_far} came, too slowly to be an answer; ask again")
+        try:
+            patience = min(pause, max(SLICE_TIME, longest - self._passed))
+            self.data += link.read_some(count, patience + link.line_time(count))
+        except NoAnswer:
+            raise TransferError(f"{self._so_far} came and no more: bytes were lost; ask again") from None
+
+    @property
+    def _passed(self) -> float:
+        return self._link.clock.now() - self._began
+
+    @property
+    def _so_far(self) -> str:
+        return f"from {self._link.name} about {len(self.data)} bytes in {self._passed:.1f} s"
 
 
 def _bitmap_length(picture: bytes | bytearray) -> int:

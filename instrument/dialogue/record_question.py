@@ -35,31 +35,44 @@ class RecordQuestion:
         ``CH1``..., in the order in which they are wanted.
     selected : str or None
         What ``DATa:SOUrce`` names before the question; None if not known.
+    twice : bool
+        Each record is asked for two times and must come alike: nothing else shows a changed byte in a curve.
     """
 
     sources: tuple[str, ...]
     selected: str | None = None
+    twice: bool = False
+
+    @property
+    def blocks(self) -> int:
+        """Binary blocks in a whole answer."""
+        return len(self.sources) * (1 + self.twice)
 
     @property
     def text(self) -> str:
         """The queries, to follow ``*ESR?``."""
+        query = ":WAVF?;:WAVF?" if self.twice else ":WAVF?"
         if len(self.sources) == 1:
-            return f"{self._select(self.sources[0], self.selected)}:WAVF?"
+            return f"{self._select(self.sources[0], self.selected)}{query}"
         before = (self.selected, *self.sources)
-        waveforms = [f"{self._select(new, old)}:WAVF?" for old, new in zip(before, self.sources, strict=False)]
+        waveforms = [f"{self._select(new, old)}{query}" for old, new in zip(before, self.sources, strict=False)]
         return ";".join((":ACQ:STATE?", *waveforms, ":ACQ:STATE?"))
 
     @staticmethod
     def _select(source: str, selected: str | None) -> str:
         return "" if source == selected else f":DATA:SOURCE {source};"
 
-    def split(self, pieces: list[tuple[str, bytes]], rest: str) -> tuple[str, list[str], list[bytes]]:
+    def split(
+        self, pieces: list[tuple[str, bytes]], rest: str, mark: str = ""
+    ) -> tuple[str, list[str], list[bytes]]:
         """Take an answer apart.
 
         Parameters
         ----------
         pieces, rest
             As `scpi.split_blocks` gives them.
+        mark : str, optional
+            What the answer must begin with, to be the one to this question.
 
         Returns
         -------
@@ -85,6 +98,10 @@ class RecordQuestion:
             ends.append(len(fields))
         if rest or not pieces:
             fields += _fields(rest, follows_block=bool(pieces))
+        if mark:
+            fields, ends = scpi.without_mark(fields, mark), [end - 1 for end in ends]
+        if not fields:
+            raise TransferError("nothing stands before the binary block; ask again")
         register, *fields = fields
         if several:
             if len(fields) < 2 or {fields[0], fields[-1]} - {_STOPPED, _RUNNING}:
@@ -97,12 +114,17 @@ class RecordQuestion:
             fields = fields[1:-1]
         behind = 2 if several else 1
         texts = self._preambles(fields, {end - behind for end in ends})
-        return register, texts, [data for _, data in pieces]
+        curves = [data for _, data in pieces]
+        if self.twice:
+            if texts[::2] != texts[1::2] or curves[::2] != curves[1::2]:
+                raise TransferError("a record came in two ways when it was read twice; ask again")
+            texts, curves = texts[::2], curves[::2]
+        return register, texts, curves
 
     def _preambles(self, fields: list[str], ends: set[int]) -> list[str]:
         """Cut the fields into preambles; `ends` are the places where a block followed."""
         texts, position = [], 0
-        for _ in self.sources:
+        for _ in range(self.blocks):
             length = PREAMBLE_FIELDS if position + PREAMBLE_FIELDS in ends else TRANSMISSION_FIELDS
             texts.append(";".join(fields[position : position + length]))
             position += length
@@ -122,6 +144,8 @@ class RecordQuestion:
 
     def decode(self, texts: list[str], curves: list[bytes]) -> tuple[Waveform, ...]:
         """The records; TransferError if one is damaged, or not in our format, or of another acquisition."""
+        if len(curves) != len(self.sources):
+            raise TransferError(f"{len(curves)} records came where {len(self.sources)} belong; ask again")
         waveforms = []
         for source, text, data in zip(self.sources, texts, curves, strict=True):
             preamble = Preamble.parse(text)

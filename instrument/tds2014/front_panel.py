@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 from instrument import scpi
@@ -43,6 +43,12 @@ _RESTORE_ORDER = (
     *("REFA", "REFB", "REFC", "REFD", "MEASUREMENT", "HARDCOPY", "LOCK", "ACQUIRE"),
 )
 
+_IN_NO_SETUP = ("LOCK", "ACQUIRE")
+"""Groups of which a setup says nothing, or not whether an acquisition runs."""
+
+_OF_RECORDS = (":CH", ":SELECT:CH", ":HORIZONTAL", ":TRIGGER", ":ACQUIRE:MODE", ":ACQUIRE:NUMAVG")
+_ROUNDS = 3  # a setting may move another one that was right before
+
 _TRUE, _FALSE = ("1", "ON", "RUN"), ("0", "OFF", "STOP")
 
 
@@ -75,6 +81,14 @@ class ChannelSettings:
 
 
 @dataclass(frozen=True)
+class FoundPanel:
+    """The front panel as it was found: a setup, and the groups that are in none, by name."""
+
+    setup: str
+    groups: Mapping[str, tuple[str, ...]]
+
+
+@dataclass(frozen=True)
 class Change:
     """One setting to make: command, wanted value, and how far the value read back may differ."""
 
@@ -103,6 +117,21 @@ def group_commands(group: str) -> tuple[str, ...]:
     if group.startswith("REF"):
         return (f":SELECT:{group}",)
     return (*(f":{group}:{leaf}" for leaf in CHANNEL_LEAVES), f":SELECT:{group}")
+
+
+def _group_of(command: str) -> str:
+    return command.split(":")[1]
+
+
+def _moved_by(command: str) -> list[str]:
+    """Settings that move along when this one is changed, as on the front panel."""
+    if command == ":HORIZONTAL:MAIN:SCALE":
+        return [":HORIZONTAL:MAIN:POSITION"]
+    if command.startswith(":CH"):
+        channel = command[: command.rindex(":")]
+        scale = [f"{channel}:SCALE"] if command.endswith(":PROBE") else []
+        return [*scale, ":TRIGGER:MAIN:LEVEL"]  # which is given in the volts of its channel
+    return []
 
 
 def write_value(value: Value) -> str:
@@ -137,21 +166,35 @@ class FrontPanel:
         """What LOCk says outside our own exchanges, None if not known."""
         self._found: dict[str, tuple[str, ...]] = {}
         self._found_setup: str | None = None
+        self._made: dict[str, Change] = {}
 
     def remember(self, *groups: str) -> None:
         """Read the groups that have not been changed yet, before they are."""
         for group in groups:
-            if group not in self._found and (self._found_setup is None or group == "LOCK"):  # no setup holds LOCK
+            if group not in self._found and (self._found_setup is None or group in _IN_NO_SETUP):
                 self._found[group] = tuple(self.read(group_commands(group)))
+
+    def found(self) -> FoundPanel:
+        """Read everything that can be changed, and remember it to be put back in the end."""
+        self.remember_all()
+        self.remember(*_IN_NO_SETUP)
+        return FoundPanel(self._found_setup or "", {group: self._found[group] for group in _IN_NO_SETUP})
+
+    def put_back_in_the_end(self, found: FoundPanel) -> None:
+        """Take this for what was found: an earlier session read it and could not put it back."""
+        self._found_setup = found.setup
+        self._found = dict(found.groups)
 
     def remember_all(self) -> None:
         """Read the whole setup, before a command that changes any part of it."""
+        self._made.clear()
         if self._found_setup is None:
             self._found_setup = read_setup(self.dialogue)
 
     def read(self, commands: tuple[str, ...]) -> list[str]:
         """Values of these settings, in one exchange."""
-        return self.dialogue.ask(";".join(f"{command}?" for command in commands), parts=len(commands))
+        question = ";".join(f"{command}?" for command in commands)
+        return self.dialogue.ask(question, parts=len(commands), twice=True)
 
     def change(self, *changes: Change) -> list[str]:
         """Make the changes and read them back, all in one exchange.
@@ -165,6 +208,17 @@ class FrontPanel:
         """
         if not changes:
             return []
+        answers = self.dialogue.repeated(lambda: self._change_once(changes))
+        for change in changes:
+            for follower in _moved_by(change.command):
+                self._made.pop(follower, None)
+        for change in changes:
+            self._made.pop(change.command, None)  # the last one goes to the end
+            if change.command.startswith(_OF_RECORDS):
+                self._made[change.command] = change
+        return answers
+
+    def _change_once(self, changes: tuple[Change, ...]) -> list[str]:
         sets = ";".join(f"{change.command} {write_value(change.wanted)}" for change in changes)
         queries = ";".join(f"{change.command}?" for change in changes)
         answers = self.dialogue.checked(f"{sets};{queries};*ESR?", parts=len(changes))
@@ -176,14 +230,40 @@ class FrontPanel:
                 )
         return answers
 
+    def hold(self) -> None:
+        """See that the scope still holds what was set for the records, and set again what it does not.
+
+        Raises
+        ------
+        SettingError
+            If it does not take it any more.
+        """
+        made = list(self._made.values())
+        lost = self._lost(made)
+        self.dialogue.tally.set_again += len(lost)
+        for _ in range(_ROUNDS):
+            if not lost:
+                return
+            for group in dict.fromkeys(_group_of(change.command) for change in lost):
+                self.change(*(change for change in lost if _group_of(change.command) == group))
+            lost = self._lost(made)
+        command = lost[0].command.lstrip(":")
+        raise SettingError(f"{command} was set to {write_value(lost[0].wanted)} and the scope does not keep it")
+
+    def _lost(self, made: list[Change]) -> list[Change]:
+        if not made:
+            return []
+        held = self.read(tuple(change.command for change in made))
+        return [one for one, got in zip(made, held, strict=True) if not same_value(one.wanted, got, one.tolerance)]
+
     def restore(self) -> None:
         """Put every remembered group back as it was found; all are tried, the first error is raised."""
         first_error: InstrumentError | None = None
+        self._made.clear()
         # The setup holds what was changed before it was remembered; the groups, older, come after it.
-        setup, self._found_setup = self._found_setup, None
-        if setup is not None:
+        if self._found_setup is not None:
             try:
-                write_setup(self.dialogue, setup)
+                write_setup(self.dialogue, self._found_setup)
             except LinkError:
                 raise
             except InstrumentError as error:
@@ -196,6 +276,7 @@ class FrontPanel:
             except InstrumentError as error:
                 first_error = first_error or error
         self._found.clear()
+        self._found_setup = None
         if first_error is not None:
             raise first_error
 

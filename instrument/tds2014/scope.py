@@ -13,7 +13,6 @@ from __future__ import annotations
 import contextlib
 import functools
 import itertools
-import time
 from collections.abc import Callable, Iterator
 from types import TracebackType
 from typing import Concatenate, ParamSpec, Self, TypeVar, cast, overload
@@ -23,9 +22,10 @@ import pyvisa
 from instrument.dialogue.acquisition_time import AcquisitionTime
 from instrument.dialogue.identity import Identity
 from instrument.dialogue.link import NoAnswer
+from instrument.dialogue.persistence import Persistence, Tally
 from instrument.errors import InstrumentError, NoTrigger, SettingError, TransferError
 from instrument.facts import POINTS
-from instrument.tds2014.front_panel import FrontPanel, is_on
+from instrument.tds2014.front_panel import FoundPanel, FrontPanel, is_on
 from instrument.tds2014.knobs import Knobs
 from instrument.tds2014.measurement import Measurements
 from instrument.tds2014.screen import Screen
@@ -70,6 +70,8 @@ class TDS2014:
         Default: PyVISA's own choice.
     baud_rate : int, optional
         Speed of an RS-232 line (default 9600, the scope's factory setting).
+    persistence : Persistence, optional
+        How hard to try on a bad link; by default every fault is raised.
 
     Raises
     ------
@@ -85,8 +87,9 @@ class TDS2014:
         *,
         resource_manager: pyvisa.ResourceManager | None = None,
         baud_rate: int | None = None,
+        persistence: Persistence | None = None,
     ) -> None:
-        self._session = Session(resource_name, resource_manager, baud_rate)
+        self._session = Session(resource_name, resource_manager, baud_rate, persistence)
         self._panel = self._session.panel
         self._dialogue = self._session.dialogue
         self._knobs = Knobs(self._session)
@@ -101,6 +104,8 @@ class TDS2014:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
+        if error is not None and not isinstance(error, Exception):
+            self._session.hurry()
         try:
             self.close()
         except InstrumentError as restoring:
@@ -123,6 +128,21 @@ class TDS2014:
         return self._dialogue.link.name
 
     @property
+    def link_faults(self) -> Tally:
+        """What it took so far to keep the link: exchanges repeated, connections, settings made again."""
+        return self._session.link_faults
+
+    @property
+    def front_panel_found(self) -> FoundPanel | None:
+        """The front panel as it will be put back; None without persistence: groups are then read as needed."""
+        return self._session.front_panel_found
+
+    @property
+    def front_panel_is_back(self) -> bool:
+        """Whether the front panel was put back on closing."""
+        return self._session.panel_is_back
+
+    @property
     def channels(self) -> tuple[str, ...]:
         """Names of the channels of this model, ``("CH1", "CH2", ...)``."""
         return self._session.channels
@@ -131,6 +151,9 @@ class TDS2014:
 
     close = _of(lambda self: self._session, Session.close)
     restore = _of(lambda self: self._session, Session.restore)
+    step = _of(lambda self: self._session, Session.step)
+    abandon = _of(lambda self: self._session, Session.abandon)
+    put_back_in_the_end = _of(lambda self: self._session, Session.put_back_in_the_end)
     events = _of(lambda self: self._session, Session.events)
     query = _of(lambda self: self._session, Session.query)
     write = _of(lambda self: self._session, Session.write)
@@ -209,6 +232,10 @@ class TDS2014:
             If a channel is not displayed.
         """
         names = self._several(channel, self._session.channel)
+        waveforms = self._session.step(lambda: self._acquire(names, timeout))
+        return waveforms[0] if isinstance(channel, str | int) else waveforms
+
+    def _acquire(self, names: tuple[str, ...], timeout: float | None) -> tuple[Waveform, ...]:
         self._panel.remember("ACQUIRE")
         timing = self._session.acquisition_time()
         wait = timing.longest if timeout is None else timeout
@@ -221,7 +248,7 @@ class TDS2014:
             except SettingError as error:
                 raise TransferError(f"the scope was set running while it was read; ask again ({error})") from None
         self._session.check_time_base(waveforms[0])
-        return waveforms[0] if isinstance(channel, str | int) else waveforms
+        return waveforms
 
     @overload
     def fetch(self, channel: str | int) -> Waveform: ...
@@ -236,9 +263,12 @@ class TDS2014:
         Several of them are read in one exchange, and only from a scope that is stopped (SettingError else).
         """
         names = self._several(channel, self._session.source)
-        with self._held_panel(names) as (lock, unlock):
-            waveforms = self._fetch(names, lock, unlock)
+        waveforms = self._session.step(lambda: self._fetch_held(names))
         return waveforms[0] if isinstance(channel, str | int) else waveforms
+
+    def _fetch_held(self, names: tuple[str, ...]) -> tuple[Waveform, ...]:
+        with self._held_panel(names) as (lock, unlock):
+            return self._fetch(names, lock, unlock)
 
     @overload
     def records(
@@ -307,20 +337,26 @@ class TDS2014:
             return self._records(";".join(filter(None, (lock, f"{_START};*WAI"))), names, unlock, wait=wait)
         except NoAnswer as silence:
             self._dialogue.resynchronise_or_raise(silence)
-            return self._finished_or_no_trigger(names, wait, lock, unlock)
+            # Did it never start, because the message was lost? Then what the scope holds is an old record.
+            after, running = self._dialogue.ask(":ACQUIRE:STOPAFTER?;:ACQUIRE:STATE?", parts=2, twice=True)
+            if not is_on(running) or not after.upper().startswith("SEQ"):
+                raise TransferError(f"{silence}, and the scope acquires nothing; ask again") from None
+            raise self._no_trigger(wait) from None
 
     def _acquire_by_asking(
         self, names: tuple[str, ...], wait: float, timing: AcquisitionTime, lock: str, unlock: str
     ) -> tuple[Waveform, ...]:
-        deadline = time.monotonic() + wait
         self._dialogue.command(";".join(filter(None, (lock, _START))))
-        pause = timing.record_time
+        clock = self._dialogue.link.clock
+        began, pause = clock.now(), timing.record_time
         while True:
-            time.sleep(max(0.0, min(pause, deadline - time.monotonic())))
-            if not is_on(self._dialogue.ask(":BUSY?")[0]):
+            clock.sleep(max(0.0, min(pause, began + wait - clock.now())))
+            over = clock.now() - began >= wait
+            (busy,) = self._dialogue.ask(":BUSY?", twice=True)
+            if not is_on(busy):
                 return self._fetch(names, "", unlock)
-            if time.monotonic() >= deadline:
-                return self._finished_or_no_trigger(names, wait, "", unlock)
+            if over:
+                raise self._no_trigger(wait)
             pause = timing.record_time / _POLLS_PER_RECORD
 
     def _records(
@@ -332,14 +368,11 @@ class TDS2014:
             self._session.forget()
             raise
 
-    def _finished_or_no_trigger(
-        self, names: tuple[str, ...], wait: float, lock: str, unlock: str
-    ) -> tuple[Waveform, ...]:
-        running, state = self._dialogue.ask(":ACQUIRE:STATE?;:TRIGGER:STATE?", parts=2)
-        if not is_on(running):
-            return self._fetch(names, lock, unlock)  # it ended just now
+    def _no_trigger(self, wait: float) -> NoTrigger:
+        """Stop the acquisition that does not complete; returns the error to raise."""
+        (state,) = self._dialogue.ask(":TRIGGER:STATE?", twice=True)
         self._dialogue.command(":ACQUIRE:STATE STOP")
-        raise NoTrigger(
+        return NoTrigger(
             f"the acquisition did not complete within {wait:.3g} s (trigger state {state}); "
             "check signal, trigger source and level, or use trigger mode AUTO"
         )

@@ -2,16 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import replace
+from typing import TypeVar
+
 import pyvisa
 
 from instrument import scpi
 from instrument.dialogue.acquisition_time import AcquisitionTime
 from instrument.dialogue.dialogue import Dialogue
 from instrument.dialogue.link import Link
-from instrument.errors import LinkError, ScopeEvent, SettingError
+from instrument.dialogue.persistence import Persistence, Tally
+from instrument.errors import LinkError, NoTrigger, ScopeEvent, SettingError, TransferError
 from instrument.facts import POINTS_PER_DIVISION
-from instrument.tds2014.front_panel import FrontPanel
+from instrument.tds2014.front_panel import FoundPanel, FrontPanel
 from instrument.waveform import Waveform
+
+T = TypeVar("T")
 
 _TIMING_COMMANDS = (
     ":HORIZONTAL:MAIN:SCALE",
@@ -24,21 +31,33 @@ _TIMING_COMMANDS = (
 )
 
 
+_HURRIED = 5.0  # s for which a lost link is tried again when somebody wants the program to end
+
+
 class Session:
     """What the parts of `TDS2014` share: the dialogue with the scope and its front panel."""
 
     def __init__(
-        self, resource_name: str, resource_manager: pyvisa.ResourceManager | None, baud_rate: int | None
+        self,
+        resource_name: str,
+        resource_manager: pyvisa.ResourceManager | None,
+        baud_rate: int | None,
+        persistence: Persistence | None = None,
     ) -> None:
-        link = Link(resource_name, resource_manager, baud_rate)
+        wanted = persistence or Persistence()
+        link = Link(resource_name, resource_manager, baud_rate, wanted.clock)
         try:
-            self.dialogue = Dialogue(link)
+            self.dialogue = Dialogue(link, wanted)
+            self.panel = FrontPanel(self.dialogue)
+            self.found: FoundPanel | None = self.panel.found() if wanted.careful else None
         except BaseException:
             link.close()
             raise
-        self.panel = FrontPanel(self.dialogue)
         self._timing: AcquisitionTime | None = None
+        self.panel_is_back = False
+        """Whether the front panel was put back on closing."""
         self._closed = False
+        self._stepping = False
 
     def close(self) -> None:
         """Put the front panel back as found and close the link; closing twice does nothing."""
@@ -47,6 +66,7 @@ class Session:
         self._closed = True
         try:
             self.restore()
+            self.panel_is_back = True
         except LinkError:
             self.dialogue.link.close()  # asking a lost scope for more would only cost time
             raise
@@ -57,6 +77,61 @@ class Session:
         """Put back every group of settings that was changed, as it was found."""
         self.forget()
         self.panel.restore()
+
+    # ------------------------------------------------------------------ a link with faults
+
+    @property
+    def link_faults(self) -> Tally:
+        """What it took so far to keep the link: exchanges repeated, connections, settings made again."""
+        return self.dialogue.tally
+
+    @property
+    def front_panel_found(self) -> FoundPanel | None:
+        """The front panel as it will be put back; None without persistence: groups are then read as needed."""
+        return self.found
+
+    def put_back_in_the_end(self, found: FoundPanel) -> None:
+        """Put this front panel back on closing, not the one that was found: an earlier session could not do it."""
+        self.found = found
+        self.panel.put_back_in_the_end(found)
+
+    def abandon(self) -> None:
+        """Close the link and put nothing back, as when the program is killed."""
+        self._closed = True
+        self.dialogue.link.close()
+
+    def hurry(self) -> None:
+        """Somebody wants the program to end: a lost link is not waited for any longer."""
+        patience = min(_HURRIED, self.dialogue.persistence.reconnect_for)
+        self.dialogue.persistence = replace(self.dialogue.persistence, reconnect_for=patience)
+
+    def step(self, work: Callable[[], T]) -> T:
+        """Do something that can be done again as a whole, until it succeeds, as often as the persistence allows.
+
+        After a fault the settings that records depend on are verified first, and made again where the scope has
+        lost them. A step inside a step is part of it. Errors are those of `work`.
+        """
+        if self._stepping or not self.dialogue.persistence.careful:
+            return work()
+        self._stepping = True
+        try:
+            return self.dialogue.repeated(lambda: self._with_settings_held(work))
+        finally:
+            self._stepping = False
+
+    def _with_settings_held(self, work: Callable[[], T]) -> T:
+        while self.dialogue.in_doubt:
+            self.dialogue.in_doubt = False
+            self.panel.hold()
+            self.forget()
+        before = self.dialogue.tally.repeated
+        try:
+            return work()
+        except NoTrigger as missing:
+            if self.dialogue.tally.repeated == before and not self.dialogue.in_doubt:
+                raise
+            # Perhaps it was the trigger's setting that was spoiled on its way.
+            raise TransferError(f"{missing}; but there were faults on the link, so ask again") from missing
 
     # ------------------------------------------------------------------ events and plain text
 

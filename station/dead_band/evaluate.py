@@ -19,6 +19,7 @@ from analysis import (
     find_dead_band,
     fit_frequencies,
 )
+from analysis.dead_band import COUNTED_U
 from analysis.lock_in_run import rows_of_batches
 from instrument import Waveform
 from station.dead_band.settings import DeadBandSettings
@@ -51,6 +52,8 @@ class Records:
         Hz, not negative: 0 of a gyro that is locked, nan where there is less than a beat that could be fitted.
     swing : ndarray, shape (n,)
         V, largest less smallest.
+    clock : ndarray, shape (n,)
+        s, from any beginning; the number of the record where nobody wrote down the time.
     azimuth_known : bool
         Whether the horizontal earth rate is in the rates.
     """
@@ -62,6 +65,7 @@ class Records:
     beat: Array
     beat_u: Array
     swing: Array
+    clock: Array
     azimuth_known: bool
 
     @property
@@ -127,7 +131,7 @@ def evaluate(run: SavedRun, settings: DeadBandSettings, choices: Mapping[str, An
         raise NoUsableSignal(f"{run.path}: the run holds no record of a sweep")
     scale_factor = float(choices.get("scale_factor", settings.gyro.scale_factor_pulses_per_deg))
     records = _read(intact, [saved_waveform(one, run) for one in intact], settings)
-    band = _dead_band(records, scale_factor)
+    band = _dead_band(records, scale_factor, settings.table.rate_u_dps)
     parts = _parts(records, band, settings, scale_factor)
     latitude, tilt = settings.site.latitude_deg, settings.table.tilt_deg
     others = [parts[name] for name in ("table", "earth_rate")]
@@ -137,7 +141,7 @@ def evaluate(run: SavedRun, settings: DeadBandSettings, choices: Mapping[str, An
         lock_in_rate_u=math.hypot(*parts.values()),
         bias_rate_u=math.hypot(band.bias_rate_u, *others),
         parts=parts,
-        hyperbola=_hyperbola(records, settings.table.rate_u_dps),
+        hyperbola=_hyperbola(records, band, settings.table.rate_u_dps),
         earth_rate=float(earth_rate_on_axis(latitude, tilt, 90.0)),
         scale_factor=scale_factor,
         left_out=tuple(LeftOut(key, "its checksum is not that of the saved record") for key in damaged),
@@ -168,8 +172,17 @@ def _read(taken: Sequence[SavedRecord], waveforms: Sequence[Waveform], settings:
         beat=beat,
         beat_u=beat_u,
         swing=swing,
+        clock=_clock(taken),
         azimuth_known=bool(np.isfinite(azimuth).all()),
     )
+
+
+def _clock(taken: Sequence[SavedRecord]) -> Array:
+    """Time of each record, s; of a simulated sweep that was gone on with, whose clock began again, its number."""
+    clock = np.array([float(one.conditions.get("clock_s", math.nan)) for one in taken])
+    if np.isfinite(clock).all() and np.all(np.diff(clock) >= 0):
+        return clock
+    return np.arange(len(taken), dtype=np.float64)
 
 
 def _swing(volts: Array) -> float:
@@ -194,7 +207,7 @@ def _azimuths(taken: Sequence[SavedRecord]) -> Array:
     return np.asarray(np.mean(np.array(known, dtype=np.float64), axis=-1))
 
 
-def _dead_band(records: Records, scale_factor: float) -> DeadBand:
+def _dead_band(records: Records, scale_factor: float, rate_u: float) -> DeadBand:
     """Dead band from the turns at each step, as a counter would have shown them."""
     step = records.step
     count = np.bincount(step)
@@ -203,8 +216,21 @@ def _dead_band(records: Records, scale_factor: float) -> DeadBand:
     seconds = np.bincount(step, records.duration)
     turns = np.bincount(step, records.turns)
     pulses = np.maximum(turns / seconds * dwell, 1.0 * (turns > 0))
+    # a frequency that was fitted is far finer than a count; one turn that was not is as coarse as one
+    by_table = scale_factor * rate_u
+    each_u = np.where(
+        np.isfinite(records.beat_u), np.hypot(records.beat_u, by_table), COUNTED_U / records.duration
+    )
+    each_u = np.where(records.beat == 0, by_table, each_u)
     try:
-        return find_dead_band(np.bincount(step, records.rate) / count, pulses, dwell, scale_factor=scale_factor)
+        return find_dead_band(
+            np.bincount(step, records.rate) / count,
+            pulses,
+            dwell,
+            scale_factor=scale_factor,
+            pulses_u=np.sqrt(np.bincount(step, each_u**2)) / count * dwell,
+            times=np.bincount(step, records.clock) / count,
+        )
     except ValueError:
         if not (turns > 0).all() and (turns > 0).any():
             raise NoUsableSignal(
@@ -212,6 +238,14 @@ def _dead_band(records: Records, scale_factor: float) -> DeadBand:
             ) from None
         which, advice = ("a", "smaller") if (turns > 0).any() else ("no", "larger")
         raise NoUsableSignal(f"there is {which} beat at every rate of the sweep: take {advice} rates") from None
+
+
+def drift_of(records: Records, band: DeadBand) -> Array:
+    """How far the bias had drifted at each record since the middle of the sweep, deg/s; 0 where nobody knows."""
+    span = float(np.ptp(records.clock))
+    if not math.isfinite(band.drift) or span == 0:
+        return np.zeros(records.rate.shape)
+    return np.asarray(band.drift * ((records.clock - records.clock[0]) / span - 0.5))
 
 
 def _parts(records: Records, band: DeadBand, settings: DeadBandSettings, scale_factor: float) -> dict[str, float]:
@@ -230,10 +264,11 @@ def _parts(records: Records, band: DeadBand, settings: DeadBandSettings, scale_f
     }
 
 
-def _hyperbola(records: Records, rate_u: float) -> FrequencyFit | None:
-    """Fit f^2 = K^2 [(W - W0)^2 - WL^2] to the records with some periods; K is fitted too."""
+def _hyperbola(records: Records, band: DeadBand, rate_u: float) -> FrequencyFit | None:
+    """Fit f^2 = K^2 [(W - W0)^2 - WL^2] to the records with some periods, less the drift; K is fitted too."""
     used = records.beat * records.duration >= _TURNS_TO_FIT
+    rate = (records.rate - drift_of(records, band))[used]
     try:
-        return fit_frequencies(records.rate[used], records.beat[used], records.beat_u[used], input_rate_u=rate_u)
+        return fit_frequencies(rate, records.beat[used], records.beat_u[used], input_rate_u=rate_u)
     except ValueError:  # NoFit, or a frequency without an uncertainty
         return None

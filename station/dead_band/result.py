@@ -70,6 +70,8 @@ def _document(found: DeadBandFound) -> dict[str, Any]:
         "earth_rate_on_axis_dps": found.earth_rate,
         "hysteresis_dps": band.hysteresis,
         "hysteresis_u_dps": band.hysteresis_u,
+        "bias_drift_dps": band.drift,
+        "bias_drift_u_dps": band.drift_u,
         "edges": _edges(found),
         "corner": _corner(band),
         "hyperbola": None if fit is None else _hyperbola(fit),
@@ -150,6 +152,7 @@ def _summary(found: DeadBandFound) -> list[tuple[str, str]]:
         ("bias rate", with_uncertainty(band.bias_rate, found.bias_rate_u, "deg/s")),
         ("earth rate", f"{found.earth_rate:.6f} deg/s on the axis, vertical part"),
         ("hysteresis", _with_u(band.hysteresis, band.hysteresis_u)),
+        ("drift of the bias", f"{_with_u(band.drift, band.drift_u)} from the first rate to the last"),
     ]
     if fit is not None and math.isfinite(fit.lock_in_rate):
         rows.append(("by the hyperbola", _with_u(fit.lock_in_rate, fit.lock_in_rate_u)))
@@ -186,7 +189,7 @@ def _sentences(found: DeadBandFound) -> Iterator[str]:
     )
     yield (
         "Not seen: what happens between two steps, a beat of less than one period in a record, and a bias that "
-        "drifts during the sweep; a drift moves edges found at different times, and looks like hysteresis."
+        "drifts otherwise than evenly; an even drift is found from the beats beyond the band and taken out."
     )
 
 
@@ -219,6 +222,8 @@ def _to_watch(found: DeadBandFound) -> Iterator[str]:
         f"{60 * band.random_walk:.2g} deg/sqrt(h).",
         DeadBandFlag.NO_SILENT_RATE: "On some branch no rate was silent: take smaller steps about zero.",
         DeadBandFlag.NO_PULSES: "On some branch no rate gave a beat: sweep further.",
+        DeadBandFlag.DRIFT: f"The bias drifted by {_with_u(band.drift, band.drift_u)} during the sweep; edges and "
+        "hyperbola are taken to the middle of the sweep. A drift that was not even is only partly taken out.",
         DeadBandFlag.PULSES_INSIDE: "Silent rates lie beyond the first one with a beat: noise, or a table that "
         "does not hold its rate.",
     }

@@ -43,6 +43,7 @@ class LimitSettings(SettingsSection):
     lock_in_rate_u_dps: Limit = None
     bias_rate_dps: Limit = None
     hysteresis_dps: Limit = None
+    bias_drift_dps: Limit = None
 
 
 class DeadBandSettings(SettingsSection):

@@ -11,7 +11,7 @@ from station.dead_band.settings import DeadBandSettings
 from station.dead_band.sweep import Step, sweep, time_base
 from station.errors import NoUsableSignal
 from station.ring_laser.bench import Bench
-from station.ring_laser.open import open_bench
+from station.ring_laser.open import open_for
 from station.ring_laser.records import acquisition_records, set_up, take_record
 from station.runs.store import RunWriter
 from station.runs.taking import Session
@@ -38,7 +38,7 @@ def take(settings: DeadBandSettings, session: Session) -> None:
     NoUsableSignal
         There is no beat at the first rate, where there must be one.
     """
-    bench = session.open(open_bench(settings, times_resumed=session.times_resumed))
+    bench = open_for(session, settings)
     set_up(bench, settings.scope, [settings.scope.channel])
     writer = session.begin({"identity": asdict(bench.scope.identity), **truth_of(settings)})
     model = bench.scope.identity.model
@@ -114,5 +114,6 @@ def _take_step(
     for number in missing:
         waveforms, conditions = take_record(bench, (channel,))
         conditions |= {"direction": step.direction, "rate_dps": step.rate_dps, "table_rate_dps": rate}
+        conditions["clock_s"] = bench.now()
         writer.save_records(acquisition_records(PURPOSE, step.key(number), waveforms, (channel,), conditions))
         session.progress.advance()

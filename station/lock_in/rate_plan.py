@@ -29,6 +29,9 @@ _LIKELY_FACTOR = 2.0
 _SAME = 0.2
 """Rates that differ by less tell nothing new."""
 
+_WITHIN = 0.95
+"""Share of the table's range that is made use of: rates are rounded to two digits."""
+
 _CHANNEL_OVER_BEAT = 5.0
 """No rate is chosen at which the beat comes closer to the bandwidth of the channel, where that is known."""
 
@@ -181,7 +184,7 @@ def _chosen_rates(settings: Settings, lock_in_rate: float, tilt_deg: float) -> t
             lock_in_rate,
             scale_factor,
             lock_in_factor=factor,
-            fastest_rate=settings.table.highest_rate_dps * math.cos(tilt),
+            fastest_rate=_WITHIN * settings.table.highest_rate_dps * math.cos(tilt),
             # a channel that is slow even for the slowest rate spoils all of them; the budget says how much
             fastest_beat_hz=max(bandwidth / _CHANNEL_OVER_BEAT, 2 * slowest_beat),
         )

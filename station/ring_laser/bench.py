@@ -21,6 +21,8 @@ class Bench:
         ``None`` where the table turns by itself.
     sleep : callable
         Waits so many seconds, of the clock that the instruments live by.
+    now : callable
+        Seconds on that clock, from any beginning.
     truth : callable or None
         On a simulated bench: the true values of the last record, with the names of the results.
     """
@@ -29,6 +31,7 @@ class Bench:
     table: RateTable | None
     sleep: Callable[[float], None] = time.sleep
     truth: Callable[[], dict[str, float]] | None = None
+    now: Callable[[], float] = time.time
 
     def turn_table(self, rate_dps: float, settle_s: float) -> float:
         """Set the table's rate, wait until it turns steadily, and then let it settle.

@@ -2,23 +2,35 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
+from instrument import FoundPanel
 from station.ring_laser.bench import Bench
 from station.ring_laser.settings import BenchSettings
 from station.runs.operator import operator_table
+from station.runs.taking import Session
 from station.scope.open import open_scope
 
 
 @contextmanager
-def open_bench(settings: BenchSettings, *, times_resumed: int = 0) -> Iterator[Bench]:
+def open_bench(
+    settings: BenchSettings,
+    *,
+    times_resumed: int = 0,
+    tell: Callable[[str], None] | None = None,
+    put_back: FoundPanel | None = None,
+) -> Iterator[Bench]:
     """Open the bench; afterwards the front panel of the oscilloscope is as it was found.
 
     Parameters
     ----------
     times_resumed : int, optional
         How often the run was gone on with: a simulated bench that is switched on again has other noise.
+    tell : callable, optional
+        Is told when the link is lost, and when it is there again.
+    put_back : FoundPanel, optional
+        The front panel to put back, where an earlier session found it and could not do it.
 
     Raises
     ------
@@ -35,5 +47,29 @@ def open_bench(settings: BenchSettings, *, times_resumed: int = 0) -> Iterator[B
             yield bench
         return
     table = operator_table() if settings.table.kind == "manual" else None
-    with open_scope(settings.scope.resource, settings.scope.baud_rate) as scope:
+    wanted = settings.scope
+    opened = open_scope(
+        wanted.resource, wanted.baud_rate, reconnect_s=wanted.reconnect_s, tell=tell, put_back=put_back
+    )
+    with opened as scope:
         yield Bench(scope, table)
+
+
+def open_for(session: Session, settings: BenchSettings) -> Bench:
+    """Open the bench for the taking of a run; the run keeps what the link took, and the front panel as found.
+
+    Raises
+    ------
+    InstrumentError, UsageError
+        As for :func:`open_bench`.
+    """
+    bench = session.open(
+        open_bench(
+            settings,
+            times_resumed=session.times_resumed,
+            tell=session.progress.note,
+            put_back=session.panel_to_put_back,
+        )
+    )
+    session.watch(bench.scope)
+    return bench

@@ -4,13 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from instrument import InstrumentError, Preamble, TransferError, Waveform
+from instrument import InstrumentError, Preamble, Waveform
 from station.errors import NoUsableSignal, RunError
 from station.ring_laser.bench import Bench
 from station.ring_laser.settings import ScopeSettings
 from station.runs.store import NewRecord, SavedRecord, SavedRun
-
-_ATTEMPTS = 3
 
 
 def set_up(bench: Bench, wanted: ScopeSettings, channels: Sequence[str]) -> None:
@@ -39,18 +37,11 @@ def take_record(bench: Bench, channels: tuple[str, ...]) -> tuple[tuple[Waveform
     Raises
     ------
     InstrumentError
-        If they do not come, a damaged transfer after some attempts.
+        If they do not come, after as many attempts as the oscilloscope was opened for.
     """
-    for attempt in range(1, _ATTEMPTS + 1):
-        azimuth = bench.azimuth()
-        try:
-            waveforms = bench.scope.acquire(channels)
-        except TransferError:
-            if attempt == _ATTEMPTS:
-                raise
-            continue
-        azimuth_after = bench.azimuth()
-        break
+    azimuth, waveforms, azimuth_after = bench.scope.step(
+        lambda: (bench.azimuth(), bench.scope.acquire(channels), bench.azimuth())
+    )
     conditions: dict[str, object] = {}
     if azimuth is not None and azimuth_after is not None:
         conditions |= {"azimuth_start_deg": azimuth, "azimuth_end_deg": azimuth_after}

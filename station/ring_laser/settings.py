@@ -32,6 +32,7 @@ class ScopeSettings(SettingsSection):
     probe: Literal[1, 10, 100, 1000]
     bandwidth_limit: bool
     baud_rate: Literal[0, 300, 600, 1200, 2400, 4800, 9600, 19200]
+    reconnect_s: NotNegative = 90.0
 
 
 class ContaminantSettings(SettingsSection):

@@ -24,10 +24,12 @@ def open_simulated_bench(settings: BenchSettings, *, times_resumed: int = 0) -> 
     """
     instruments = build_instruments(settings, VirtualClock(), times_resumed=times_resumed)
     turning_already = settings.table.kind == "none"
-    with serve(instruments.scope, instruments.link) as resource, open_scope(resource) as scope:
+    # no byte changes inside this computer
+    with serve(instruments.scope, instruments.link) as resource, open_scope(resource, read_twice=False) as scope:
         yield Bench(
             scope,
             table=None if turning_already else instruments.table,
             sleep=instruments.clock.sleep,
+            now=instruments.clock.now,
             truth=lambda: true_values(instruments),
         )

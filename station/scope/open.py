@@ -1,15 +1,23 @@
-"""Opening an oscilloscope by name."""
+"""Opening an oscilloscope by name, for a run that nobody watches."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
-from instrument import TDS2014
+from instrument import ATTEMPTS, RECONNECT_FOR, TDS2014, FoundPanel, Persistence
 
 
 @contextmanager
-def open_scope(resource: str, baud_rate: int = 0) -> Iterator[TDS2014]:
+def open_scope(
+    resource: str,
+    baud_rate: int = 0,
+    *,
+    reconnect_s: float = RECONNECT_FOR,
+    read_twice: bool = True,
+    tell: Callable[[str], None] | None = None,
+    put_back: FoundPanel | None = None,
+) -> Iterator[TDS2014]:
     """Open an oscilloscope and put its front panel back afterwards.
 
     Parameters
@@ -18,11 +26,22 @@ def open_scope(resource: str, baud_rate: int = 0) -> Iterator[TDS2014]:
         VISA resource name.
     baud_rate : int, optional
         RS-232 only; 0: the driver's default.
+    reconnect_s : float, optional
+        For how long a lost link is tried again.
+    read_twice : bool, optional
+        Whether each record is sent twice, so that a changed byte shows.
+    tell : callable, optional
+        Is told when the link is lost, and when it is there again.
+    put_back : FoundPanel, optional
+        The front panel to put back, where an earlier session found it and could not do it.
 
     Raises
     ------
     InstrumentError
         If it cannot be opened or is another instrument.
     """
-    with TDS2014(resource, baud_rate=baud_rate or None) as scope:
+    persistence = Persistence(ATTEMPTS, reconnect_s, read_twice, tell or (lambda _: None))
+    with TDS2014(resource, baud_rate=baud_rate or None, persistence=persistence) as scope:
+        if put_back is not None:
+            scope.put_back_in_the_end(put_back)
         yield scope

@@ -1,11 +1,16 @@
 """Time base and vertical scale from trial records, on the simulated scope."""
 
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
 import numpy as np
 import pytest
 
-from instrument import TDS2014
+from instrument import TDS2014, SettingError
 from instrument.facts import TIME_BASES
 from instrument.simulated import SimulatedTDS2014, VirtualClock, resource_manager
+from instrument.tds2014.knobs import Knobs
 from station.errors import NoUsableSignal
 from station.lock_in.settings import default_settings
 from station.scope.autoset import find_beat, oscilloscope_steps
@@ -70,4 +75,73 @@ def test_no_beat_is_told() -> None:
         scope.set_channel(1, probe=1)
         with pytest.raises(NoUsableSignal, match="no beat"):
             find_beat(scope, SETTINGS.scope, SETTINGS.measurement, start=1000.0)
+    manager.close()
+
+
+def beat(frequency: float, depth: float = 0.4) -> Callable[[np.ndarray], np.ndarray]:
+    def signal(times: np.ndarray) -> np.ndarray:
+        phase = 2 * np.pi * frequency * times
+        return 0.12 + depth * (np.sin(phase) + 0.06 * np.sin(2 * phase + 1))
+
+    return signal
+
+
+@pytest.mark.parametrize("frequency", [0.05, 0.28, 1.3, 5.0, 25.0])
+@pytest.mark.parametrize("expected_over_true", [0.4, 1.0, 2.5])
+def test_a_slow_beat_is_found(frequency: float, expected_over_true: float) -> None:
+    simulated = SimulatedTDS2014({1: beat(frequency)}, clock=VirtualClock())
+    manager = resource_manager(scopes={NAME: simulated})
+    with TDS2014(NAME, resource_manager=manager) as scope:
+        scope.set_channel(1, probe=1)
+        start = frequency * expected_over_true
+        found = find_beat(scope, SETTINGS.scope, SETTINGS.measurement, start=start)
+        record = scope.acquire(1)
+        source = scope.query(":TRIGGER:MAIN:EDGE:SOURCE?")
+    manager.close()
+    assert found.beat_frequency == pytest.approx(frequency, rel=5e-3)
+    assert not record.clipped
+    periods = 2500 * record.sample_interval * frequency
+    assert 14 <= periods <= 40
+    # where AUTO would roll the trace, a trigger that always comes
+    assert ("LINE" in source) == (found.seconds_per_division >= 0.1)
+
+
+def test_what_stands_on_the_front_panel_comes_back_after_a_slow_beat() -> None:
+    simulated = SimulatedTDS2014({1: beat(1.3)}, clock=VirtualClock())
+    manager = resource_manager(scopes={NAME: simulated})
+    with TDS2014(NAME, resource_manager=manager) as scope:
+        before = scope.query(":TRIGGER?"), scope.query(":HORIZONTAL?")
+        find_beat(scope, SETTINGS.scope, SETTINGS.measurement, start=2.0)
+    with TDS2014(NAME, resource_manager=manager) as scope:
+        assert (scope.query(":TRIGGER?"), scope.query(":HORIZONTAL?")) == before
+    manager.close()
+
+
+def test_a_scope_without_mains_triggers_on_the_beat(monkeypatch: pytest.MonkeyPatch) -> None:
+    def without_mains(knobs: Knobs, *, source: str | int | None = None, **others: Any) -> None:
+        if source in ("LINE", "AC LINE"):
+            raise SettingError("no such source")
+        set_trigger(knobs, source=source, **others)
+
+    set_trigger = Knobs.set_trigger
+    simulated = SimulatedTDS2014({1: beat(1.3)}, clock=VirtualClock())
+    manager = resource_manager(scopes={NAME: simulated})
+    with TDS2014(NAME, resource_manager=manager) as scope:
+        scope.set_channel(1, probe=1)
+        monkeypatch.setattr(scope, "set_trigger", partial(without_mains, scope._knobs))
+        found = find_beat(scope, SETTINGS.scope, SETTINGS.measurement, start=1.3)
+        assert scope.query(":TRIGGER:MAIN:EDGE:SOURCE?") == "CH1"
+    manager.close()
+    assert found.beat_frequency == pytest.approx(1.3, rel=5e-3)
+
+
+@pytest.mark.parametrize("start", [1000.0, 1.0])
+@pytest.mark.parametrize("level", [0.0, 0.3])
+def test_a_gyro_that_is_locked_ends_the_search(start: float, level: float) -> None:
+    simulated = SimulatedTDS2014({1: lambda times: np.full(times.shape, level)}, clock=VirtualClock())
+    manager = resource_manager(scopes={NAME: simulated})
+    with TDS2014(NAME, resource_manager=manager) as scope:
+        scope.set_channel(1, probe=1)
+        with pytest.raises(NoUsableSignal, match="no beat"):
+            find_beat(scope, SETTINGS.scope, SETTINGS.measurement, start=start)
     manager.close()

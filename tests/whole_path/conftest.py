@@ -66,7 +66,8 @@ class ServedScope:
 
 @pytest.fixture
 def serve_scope(tmp_path: Path) -> Iterator[Callable[..., ServedScope]]:
-    """Start `gyrolock simulate ...`; it is ended with the test."""
+    """Start `gyrolock simulate ...` in a directory that holds `ideal.toml`; it is ended with the test."""
+    (tmp_path / "ideal.toml").write_text(IDEAL_TOML)
     started: list[subprocess.Popen[str]] = []
 
     def serve(*arguments: str) -> ServedScope:

@@ -65,7 +65,8 @@ def test_ctrl_c_and_kill_leave_a_valid_run(tmp_path: Path, start_gyrolock, serve
 
 def test_a_scope_switched_off_loses_nothing(tmp_path: Path, start_gyrolock, serve_scope) -> None:
     scope = serve_scope("--tcp", "0", "--config", "ideal.toml")
-    process = start_gyrolock("measure", "--resource", scope.resource, *GIVEN, "--records", 10_000, "--json")
+    (tmp_path / "my.toml").write_text(f'[scope]\nresource = "{scope.resource}"\nreconnect_s = 1.0\n')
+    process = start_gyrolock("measure", "--config", "my.toml", *GIVEN, "--records", 10_000, "--json")
     wait_for_records(tmp_path, 3)
     scope.switch_off()
     out, err = process.communicate(timeout=60)
@@ -170,7 +171,7 @@ def test_files_that_cannot_be_read(gyrolock, tmp_path: Path, command: str) -> No
 
 
 def test_one_unreadable_path_does_not_keep_the_others(gyrolock) -> None:
-    run = gyrolock("measure", "--rates", 8, "--records", 1, "--json", "--no-report").document["run"]
+    run = gyrolock("measure", "--config", "ideal.toml", "--records", 1, "--json", "--no-report").document["run"]
     done = gyrolock("analyze", "absent.csv", run, "--json")
     assert done.code == 2
     missing, good = done.document["results"]
@@ -181,7 +182,7 @@ def test_one_unreadable_path_does_not_keep_the_others(gyrolock) -> None:
 def test_an_empty_run_and_a_damaged_record(gyrolock, tmp_path: Path) -> None:
     import sqlite3
 
-    result = gyrolock("measure", "--rates", 8, "--records", 3, "--json", "--no-report").document
+    result = gyrolock("measure", "--config", "ideal.toml", "--records", 3, "--json", "--no-report").document
     db = sqlite3.connect(tmp_path / result["run"])
     db.execute("UPDATE record SET payload = zeroblob(2500) WHERE number = (SELECT max(number) FROM record)")
     db.commit()

@@ -76,5 +76,5 @@ def open_simulated_scope(settings: FogSettings, *, times_resumed: int = 0) -> It
         clock=VirtualClock(),
         seed=seed,
     )
-    with serve(scope, "auto") as resource, open_scope(resource) as opened:
+    with serve(scope, "auto") as resource, open_scope(resource, read_twice=False) as opened:
         yield opened

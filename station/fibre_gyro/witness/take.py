@@ -50,7 +50,8 @@ def take(settings: FogSettings, session: Session) -> None:
     _check(settings)
     witness, before = settings.witness, session.facts.get(_SETTING)
     injected = session.open(_injecting(settings))
-    scope = session.open(_scope(settings, session.times_resumed))
+    scope = session.open(_scope(settings, session))
+    session.watch(scope)
     knobs = _set_up(scope, settings, KnobPositions(**before) if before else None)
     facts = {"injected": injected, "identity": asdict(scope.identity), _SETTING: asdict(knobs)}
     writer = session.begin({**facts, **_truth(settings)})
@@ -59,7 +60,7 @@ def take(settings: FogSettings, session: Session) -> None:
     if there:
         session.progress.note(f"{there} of {witness.records} records are saved already")
     session.progress.start("records", witness.records - there)
-    for number in range(there + 1, witness.records + 1):
+    for number in session.free_numbers("record ", witness.records - there):
         waveform = scope.acquire(witness.channel)
         writer.save_records([_record(f"record {number}", waveform, {"channel": witness.channel})])
         session.progress.advance()
@@ -118,12 +119,15 @@ def _truth(settings: FogSettings) -> dict[str, dict[str, float]]:
     return {"truth": truth}
 
 
-def _scope(settings: FogSettings, times_resumed: int) -> AbstractContextManager[TDS2014]:
+def _scope(settings: FogSettings, session: Session) -> AbstractContextManager[TDS2014]:
+    witness = settings.witness
     if not is_simulated(settings):
-        return open_scope(settings.witness.resource, settings.witness.baud_rate)
+        return open_scope(
+            witness.resource, witness.baud_rate, tell=session.progress.note, put_back=session.panel_to_put_back
+        )
     from station.fibre_gyro.witness.modulator import open_simulated_scope
 
-    return open_simulated_scope(settings, times_resumed=times_resumed)
+    return open_simulated_scope(settings, times_resumed=session.times_resumed)
 
 
 @contextmanager

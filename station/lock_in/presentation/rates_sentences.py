@@ -6,6 +6,12 @@ import numpy as np
 
 from analysis import FrequencyFit, RatesFit, RatesFlag
 from analysis.frequency_method import FrequencyFlag
+from station.results.numbers import with_uncertainty
+
+SEEN = 3.3
+"""Standard uncertainties from zero beyond which something is called seen."""
+
+_DECIBELS = 20 / np.log(10)
 
 COUPLING_DEG = 60
 COUPLING = 0.27
@@ -25,6 +31,18 @@ def describe_rates(fit: RatesFit) -> tuple[str, ...]:
     sentences += [_test(fit), _left_out(fit), _phase(fit), _records(fit)]
     sentences += [_locked(fit), _unused(fit), _mismatch(fit), _reference(fit)]
     return tuple(s for s in sentences if s)
+
+
+def separated_words(fit: RatesFit) -> str:
+    """Name what the fit has told from lock-in, with its size: it no longer spoils the value; empty if nothing."""
+    found = []
+    if abs(fit.distortion) > SEEN * fit.distortion_u:
+        level, u = 20 * np.log10(abs(fit.distortion)), _DECIBELS * fit.distortion_u / abs(fit.distortion)
+        found.append(f"distortion {with_uncertainty(float(level), float(u), 'dBc')}")
+    if fit.gain_time > SEEN * fit.gain_time_u:
+        corner_u = fit.gain_corner_hz * fit.gain_time_u / fit.gain_time
+        found.append(f"gain corner {with_uncertainty(fit.gain_corner_hz, corner_u, 'Hz')}")
+    return f"{', '.join(found)}: found and removed" if found else ""
 
 
 def _has(fit: RatesFit, flag: RatesFlag) -> bool:
@@ -56,7 +74,7 @@ def _value(fit: RatesFit) -> str:
 def _distortion(fit: RatesFit) -> str:
     if np.isnan(fit.distortion):
         return "Second-order distortion of the receiver was taken to be zero; it would go into the lock-in rate."
-    if abs(fit.distortion) > 3.3 * fit.distortion_u:
+    if abs(fit.distortion) > SEEN * fit.distortion_u:
         level = 20 * np.log10(abs(fit.distortion))
         return f"The receiver makes a second harmonic of {level:.1f} dBc; it is taken out."
     limit = 20 * np.log10(abs(fit.distortion) + 1.96 * fit.distortion_u)
@@ -66,10 +84,10 @@ def _distortion(fit: RatesFit) -> str:
 def _gain(fit: RatesFit) -> str:
     if not np.isnan(fit.gain_time):
         low, high = fit.gain_corner_low_95_hz, fit.gain_corner_high_95_hz
-        if fit.gain_time > 3.3 * fit.gain_time_u:
+        if fit.gain_time > SEEN * fit.gain_time_u:
             span = f"{low:.4g} to {high:.4g} Hz"
             return f"The gain corner of the laser is seen at {fit.gain_corner_hz:.4g} Hz ({span}).{_coupling(fit)}"
-        if fit.gain_time < -3.3 * fit.gain_time_u:
+        if fit.gain_time < -SEEN * fit.gain_time_u:
             return (
                 "The second harmonic runs ahead with the rate, which no gain corner does: look for a slow or "
                 "AC-coupled channel."

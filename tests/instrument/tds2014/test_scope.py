@@ -400,13 +400,15 @@ def test_interrupted_in_the_middle_of_a_record(line_server, line_scope, manager,
         TDS2014(line_server.resource_name, resource_manager=manager) as scope,
     ):
         scope.set_timebase(1e-3)
-        read = scope._dialogue.link._more
+        read = scope._dialogue.link.read_some
 
-        def interrupt(*_):
-            monkeypatch.setattr(scope._dialogue.link, "_more", read)
-            raise KeyboardInterrupt
+        def interrupt(count, patience):
+            if count > 1:
+                monkeypatch.setattr(scope._dialogue.link, "read_some", read)
+                raise KeyboardInterrupt
+            return read(count, patience)
 
-        monkeypatch.setattr(scope._dialogue.link, "_more", interrupt)
+        monkeypatch.setattr(scope._dialogue.link, "read_some", interrupt)
         scope.acquire("CH1")
     # The rest of the record was still under way when the settings were put back.
     assert line_scope.settings == before

@@ -1,0 +1,496 @@
+"""Questions and answers that stay in step with one scope, whatever its link does to them.
+
+After damage or silence both sides are brought to rest, and the same scope must answer. With `Persistence` an
+exchange is then done again, a lost link is opened again, and every answer on a stream must bear the mark of its
+question: ``*ESE`` is set to another number each time and asked for with it. This enable mask serves service
+requests only, which streams do not have; it is put back as found.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterator
+from typing import TypeVar
+
+from instrument import scpi
+from instrument.dialogue.events import ERROR_BITS, POWER_ON, is_error, parse_events, scope_event
+from instrument.dialogue.identity import Identity, parse_identity
+from instrument.dialogue.link import Link, NoAnswer
+from instrument.dialogue.persistence import Persistence, Tally
+from instrument.errors import (
+    InstrumentError,
+    LinkError,
+    QueryError,
+    ScopeEvent,
+    SettingError,
+    TransferError,
+    WrongInstrument,
+)
+from instrument.facts import POINTS
+
+T = TypeVar("T")
+
+LINE_END = ":RS232:TRANSMIT:TERMINATOR"
+_MARKER = ":HEADER?"
+_MASK = "*ESE"
+_MARKS = 256
+_LONGEST_TEXT = 16_384
+_OPENING_ATTEMPTS = 5  # nobody has answered on this name yet: it may be wrong
+_IDENTITIES = _TRIES = 3
+_FIRST_PAUSE, _LONGEST_PAUSE = 0.1, 2.0  # s between two attempts to connect
+
+
+class Exchange(ABC):
+    """Text to and from one scope over an open link.
+
+    Parameters
+    ----------
+    link : Link
+        Open link; it belongs to this object from now on.
+    persistence : Persistence, optional
+        Default: every fault is raised.
+
+    Attributes
+    ----------
+    identity : Identity
+        Who answered first.
+    tally : Tally
+        What it took to keep the link.
+    in_doubt : bool
+        Whether a fault, or another switching on, may have changed settings since they were verified.
+    lost : bool
+        Whether the link was given up.
+
+    Raises
+    ------
+    LinkError, WrongInstrument
+        If nothing, or the wrong instrument, answers.
+    """
+
+    def __init__(self, link: Link, persistence: Persistence | None = None) -> None:
+        self.link = link
+        self.persistence = persistence or Persistence()
+        self.tally = Tally()
+        self.in_doubt = self.lost = False
+        self.unread_events = False
+        """Whether a question of the user's may have left events that are not about the next record."""
+        self._recovering = self._reconnecting = False
+        self._answer_due = False
+        self._identity_due = False
+        """Whether an answer to an earlier ``*IDN?`` may still come."""
+        self._markers_due = 0
+        self._mark: int | None = None
+        self.identity = self._greet()
+        self._found_mask = ""
+        if self.persistence.careful and not link.framed:
+            (self._found_mask,) = self.ask(f"{_MASK}?", twice=True)
+            self._mark = self._integer(self._found_mask)
+
+    @abstractmethod
+    def set_format(self) -> None:
+        """Make the scope answer in the form that is read here."""
+
+    @abstractmethod
+    def format_question(self) -> tuple[str, list[str]]:
+        """The same as commands with queries behind them, and what those shall answer; forgets what it changes."""
+
+    @abstractmethod
+    def set_line(self) -> str:
+        """Make the line carry what is sent here; returns the commands that undo it."""
+
+    def end(self) -> None:
+        """Put the mask back that the marks stood in."""
+        if self._mark is None:
+            return
+        self._mark = None
+        self.repeated(self._put_mask_back)
+
+    def _put_mask_back(self) -> None:
+        (held,) = self._ask_once(f"{_MASK} {self._found_mask};{_MASK}?")
+        if held != self._found_mask:
+            raise TransferError(f"{_MASK} is {held} and not {self._found_mask} as it was found")
+
+    # ------------------------------------------------------------------ questions
+
+    def ask(self, text: str, *, parts: int | None = 1, wait: float = 0.0, twice: bool = False) -> list[str]:
+        """Send one message with `parts` queries in it and return their answers (None: any number).
+
+        Parameters
+        ----------
+        twice : bool
+            A persistent program has the queries answered twice in the same message: a damaged answer would differ.
+
+        Raises
+        ------
+        ScopeEvent
+            If the scope refused a query (it then sends nothing at all).
+        TransferError
+            If the answer was damaged; the dialogue is in step again.
+        LinkError
+            If the scope answers nothing any more.
+        """
+        if not (twice and self.persistence.careful):
+            return self.repeated(lambda: self._ask_once(text, parts=parts, wait=wait))
+        return self.repeated(lambda: self._ask_twice(text, parts, wait))
+
+    def command(self, text: str) -> None:
+        """Send commands and check in the same exchange that the scope took them."""
+        self.checked(f"{text};*ESR?", parts=0)
+
+    def checked(self, text: str, *, parts: int) -> list[str]:
+        """Send a message that ends with ``*ESR?``; return its other answers if no error bit is set."""
+        return self.repeated(lambda: self._checked_once(text, parts))
+
+    def ask_with_events(self, text: str, *, parts: int, wait: float = 0.0) -> tuple[list[str], list[ScopeEvent]]:
+        """As `ask`; besides, every event that the message caused, warnings too."""
+        clean = "*CLS;" if self.unread_events else ""
+        self.unread_events = False
+        *answers, register = self.ask(f"{clean}{text};*ESR?", parts=parts + 1, wait=wait)
+        return answers, self._read_event_queue() if self._register(register) & ERROR_BITS else []
+
+    def events(self) -> list[ScopeEvent]:
+        """Read and empty the event queue."""
+        self.ask("*ESR?")
+        return self._read_event_queue()
+
+    def _checked_once(self, text: str, parts: int) -> list[str]:
+        *answers, register = self._ask_once(text, parts=parts + 1)
+        if self._register(register) & ERROR_BITS:
+            self._raise_errors(self._read_event_queue())
+        return answers
+
+    def _ask_twice(self, text: str, parts: int | None, wait: float) -> list[str]:
+        both = None if parts is None else 2 * parts
+        found = self._ask_once(f"{text};{text}", parts=both, wait=wait)
+        half = len(found) // 2
+        if len(found) % 2 or found[:half] != found[half:]:
+            raise self.after_damage(TransferError(f"{text!r:.60} was answered in two ways; ask again"))
+        return found[:half]
+
+    def _ask_once(self, text: str, *, parts: int | None = 1, wait: float = 0.0) -> list[str]:
+        try:
+            with self.exchange():
+                mark = self.send(text)
+                found = scpi.split_parts(self.link.read_text(wait=wait, longest=_LONGEST_TEXT))
+            found = scpi.without_mark(found, mark) if mark else found
+            if parts is not None and len(found) != parts:
+                raise TransferError(
+                    f"{parts} answers to {text!r:.80} were expected, but {found!r:.80} came; ask again"
+                )
+        except NoAnswer as silence:
+            raise self.explain_silence(text, silence) from None
+        except TransferError as error:
+            raise self.after_damage(error) from error
+        return found
+
+    def send(self, text: str) -> str:
+        """Send a message, with a mark in front of it where marks are in use; returns the mark, else ""."""
+        if self._mark is None:
+            self.link.write(text)
+            return ""
+        self._mark = (self._mark + 1) % _MARKS
+        self.link.write(f"{_MASK} {self._mark};{_MASK}?;{text}")
+        return str(self._mark)
+
+    # ------------------------------------------------------------------ doing it again
+
+    def repeated(self, work: Callable[[], T]) -> T:
+        """Do an exchange, or a step that can be done again as a whole, as often as the persistence allows.
+
+        What the scope refuses twice in the same words was not spoiled by the line, and is raised.
+        """
+        refused = ""
+        for attempt in range(1, self.persistence.attempts + 1):
+            last = self._recovering or attempt == self.persistence.attempts
+            try:
+                return work()
+            except TransferError:
+                if last:
+                    raise
+            except (ScopeEvent, SettingError) as refusal:
+                if last or str(refusal) == refused:
+                    raise
+                refused = str(refusal)
+            except LinkError as lost:
+                if last:
+                    raise
+                self._reconnect(lost)
+            self.tally.repeated += 1
+            self.in_doubt = True
+        raise LinkError(f"{self.link.name}: nothing was tried")
+
+    def _reconnect(self, lost: LinkError) -> None:
+        """Open the link again, for as long as the persistence allows; the first error is raised in the end."""
+        longest, clock = self.persistence.reconnect_for, self.persistence.clock
+        if self._reconnecting or self.lost or not longest:
+            raise lost
+        self.persistence.tell(f"{lost}; trying to connect again for {longest:g} s")
+        began, pause = clock.now(), _FIRST_PAUSE
+        self._reconnecting = True
+        try:
+            while not self._connected():
+                waited = clock.now() - began
+                if waited >= longest:
+                    self.lost = True
+                    raise LinkError(f"{lost}; it could not be reached again in {waited:.0f} s") from lost
+                clock.sleep(pause)
+                pause = min(2 * pause, _LONGEST_PAUSE)
+        finally:
+            self._reconnecting = False
+        self.tally.reconnected += 1
+        self.in_doubt = True
+        self.persistence.tell(f"{self.identity.model} answers again after {clock.now() - began:.1f} s")
+
+    def _connected(self) -> bool:
+        """Try once to open the link and to get ready; WrongInstrument if somebody else answers."""
+        try:
+            self.link.reopen()
+            self._answer_due = False
+            with self._recovery():
+                if self._mark is not None:
+                    self._ask_for_all()
+                else:
+                    self.resynchronise()
+            self.set_line()
+            if self._mark is None:
+                self.set_format()
+        except WrongInstrument:
+            raise
+        except InstrumentError:
+            return False
+        return True
+
+    # ------------------------------------------------------------------ getting back into step
+
+    def resynchronise(self) -> None:
+        """Clear the link, and make sure that the same scope still answers.
+
+        Raises
+        ------
+        LinkError, WrongInstrument
+            If it does not.
+        """
+        self.link.clear()
+        other = ""
+        for _ in range(_IDENTITIES):  # damage on the way does not strike twice alike
+            try:
+                identity = self._identify()
+            except WrongInstrument as error:
+                text = str(error)
+            else:
+                if identity.same_unit(self.identity):
+                    return
+                text = identity.text
+            if text == other:
+                raise WrongInstrument(
+                    f"another instrument answers on {self.link.name} now: {text!r} instead of "
+                    f"{self.identity.text!r}; connect again"
+                )
+            other = text
+        raise TransferError(f"the identity of {self.identity.model} came damaged again and again; ask again")
+
+    def _come_into_step(self) -> list[ScopeEvent]:
+        """Get back into step, a persistent program at the third try; returns the events that waited."""
+        tries = _TRIES if self.persistence.careful else 1
+        for attempt in range(1, tries + 1):
+            try:
+                with self._recovery():
+                    if self._mark is not None:
+                        found = self._ask_for_all()
+                    else:
+                        self.resynchronise()
+                        found = self.events()
+                        self.set_format()
+            except (NoAnswer, TransferError):
+                if attempt == tries:
+                    raise
+            else:
+                break
+        return found
+
+    def _ask_for_all(self) -> list[ScopeEvent]:
+        """Events, format and identity in one marked message, up to which everything on the line is dropped."""
+        self.link.clear()
+        commands, wanted = self.format_question()
+        mark = self.send(";".join(filter(None, ("*ESR?;:ALLEV?", commands, "*IDN?"))))
+        clock = self.link.clock
+        began, longest = clock.now(), self.link.answer_time + self.link.line_time(2 * POINTS)
+        while True:
+            try:
+                found = scpi.split_parts(self.link.read_text(longest=_LONGEST_TEXT))
+                _, events, *held, identity = scpi.without_mark(found, mark)
+            except (TransferError, ValueError) as error:
+                if clock.now() - began > longest:
+                    raise TransferError("many answers came, and none to the last question; ask again") from error
+            else:
+                break
+        if identity != self.identity.text:
+            self.resynchronise()  # damaged, or another instrument: it decides
+        if held != wanted:
+            raise TransferError(f"the transfer format was set and is {held!r:.60}; ask again")
+        return parse_events(events)
+
+    def resynchronise_or_raise(self, silence: NoAnswer) -> None:
+        """Get back into step after a wait that brought nothing; LinkError if the scope is gone."""
+        try:
+            self._come_into_step()
+        except NoAnswer:
+            raise LinkError(f"{silence}, and to *IDN? neither; is it switched on and connected?") from None
+
+    def explain_silence(self, text: str, silence: NoAnswer) -> InstrumentError:
+        """Find out why nothing came; returns the scope's own event if there is one, else the best guess."""
+        if self._recovering:
+            return silence
+        try:
+            found = self._come_into_step()
+        except NoAnswer:
+            return LinkError(f"{silence}, and to *IDN? neither; is it switched on and connected?")
+        except InstrumentError as error:
+            return error
+        # Event 420 only says that we read where nothing was sent; the other one names the cause.
+        causes = [event for event in found if is_error(event) and not isinstance(event, QueryError)]
+        if causes:
+            return causes[0]
+        if any(event.code == 401 for event in found):
+            return TransferError(f"the scope was switched off and on while {text!r} was asked; ask again")
+        return TransferError(f"no answer to {text!r} came, though the scope is there; ask again")
+
+    def after_damage(self, error: TransferError) -> InstrumentError:
+        """Get back into step after a damaged answer; returns the error to raise."""
+        if self._recovering:
+            return error
+        try:
+            self._come_into_step()
+        except NoAnswer:
+            return LinkError(f"{error}; after that the scope answered nothing any more: is it switched on?")
+        except InstrumentError as worse:
+            return worse
+        return error
+
+    @contextlib.contextmanager
+    def exchange(self) -> Iterator[None]:
+        """Around one question and its answer: if the last one was interrupted, get back into step first."""
+        if self._answer_due and not self._recovering:
+            self._come_into_step()
+        self._answer_due = True
+        yield
+        self._answer_due = False
+
+    @contextlib.contextmanager
+    def _recovery(self) -> Iterator[None]:
+        # A fault during recovery ends it; it must not start another one.
+        before, self._recovering = self._recovering, True
+        try:
+            yield
+        finally:
+            self._recovering = before
+
+    # ------------------------------------------------------------------ who is there
+
+    def _greet(self) -> Identity:
+        """Ask who is there; a persistent program opens the link again after damage and silence."""
+        silent, told = 0, ""
+        for attempt in range(1, 2 * self.persistence.attempts):
+            try:
+                if attempt > 1:
+                    self.link.reopen()
+                if self.link.is_serial or self.link.framed:
+                    self.link.clear()
+                return self._identified()
+            except (LinkError, TransferError, WrongInstrument) as error:
+                silent += isinstance(error, LinkError)
+                alike = isinstance(error, WrongInstrument) and str(error) == told
+                if alike or silent == _OPENING_ATTEMPTS or attempt == 2 * self.persistence.attempts - 1:
+                    raise
+                told = str(error)
+                self.tally.repeated += 1
+                self.persistence.clock.sleep(_FIRST_PAUSE)
+        raise LinkError(f"{self.link.name}: nothing was tried")
+
+    def _identified(self) -> Identity:
+        """Identity as it was answered; a persistent program asks until the answer comes twice alike."""
+        identity = self._identify()
+        if self.persistence.careful and self._identify().text != identity.text:
+            raise TransferError("the identity was answered in two ways; ask again")
+        return identity
+
+    def _identify(self) -> Identity:
+        """Ask ``*IDN?`` and read until an identity comes: on a stream, older lines may come first."""
+        in_doubt, self._identity_due = self._identity_due, True
+        mark = self.send("*IDN?")
+        clock = self.link.clock
+        began, longest = clock.now(), self.link.answer_time + self.link.line_time(2 * POINTS)
+        problem: InstrumentError | None = None
+        while problem is None or (not self.link.framed and clock.now() - began < longest):
+            try:
+                text = self.link.read_text(longest=8192)
+                if mark:
+                    text = ";".join(scpi.without_mark(scpi.split_parts(text), mark))
+                identity = parse_identity(text)
+            except (WrongInstrument, TransferError) as error:
+                if problem is None and isinstance(error, TransferError) and self.link.is_serial:
+                    # Text without a line feed: perhaps the scope is set to end its answers with CR alone. But it
+                    # may as well be a late record: then both questions are answered.
+                    self.link.write(f"{LINE_END} LF")
+                    mark = self.send("*IDN?")
+                    in_doubt = True
+                problem = error
+            except NoAnswer:
+                # Silence after a line that was not an identity: that line was the answer.
+                if problem is None:
+                    raise
+                break
+            else:
+                if in_doubt and not self.link.framed and not mark:
+                    self._read_to_marker()
+                self._identity_due = False
+                return identity
+        raise problem
+
+    def _read_to_marker(self) -> None:
+        """Read a stream up to the answer of a question that no earlier one can be mistaken for.
+
+        Two identities are alike, so an identity alone does not tell that it is the last one under way. A marker
+        asks for one setting several times over, and once more often for each marker that was not answered.
+        """
+        self._markers_due += 1
+        parts = 1 + self._markers_due
+        self.link.write(";".join([_MARKER] * parts))
+        values: list[str] = []
+        while len(values) != parts or set(values) - {"0", "1"}:
+            line = self.link.read_text(longest=8192)
+            values = [scpi.split_header(part)[1] for part in scpi.split_parts(line)]
+        self._markers_due = 0
+
+    # ------------------------------------------------------------------ what came
+
+    def _read_event_queue(self) -> list[ScopeEvent]:
+        answer = ";".join(self.ask(":ALLEV?", parts=None))
+        try:
+            return parse_events(answer)
+        except TransferError as error:
+            raise self.after_damage(error) from error
+
+    @staticmethod
+    def _raise_errors(found: list[ScopeEvent]) -> None:
+        for event in found:
+            if is_error(event):
+                raise event
+        if not found:
+            raise scope_event(100, "an error without an entry in the queue")
+
+    def _integer(self, text: str) -> int:
+        try:
+            return scpi.integer(scpi.split_header(text)[1])
+        except TransferError as error:
+            raise self.after_damage(error) from error
+
+    def _register(self, text: str) -> int:
+        """Value of an answer to ``*ESR?``."""
+        value = self._integer(text)
+        if value & POWER_ON:
+            # Whatever the scope forgot, it forgot our format first.
+            self.in_doubt = True
+            self.set_format()
+        return value

@@ -53,7 +53,8 @@ def spike_train(rng: np.random.Generator) -> HostileRecord:
     distance = log_uniform(rng, 5.0, 400.0)
     since = (np.arange(N_SAMPLES) + rng.uniform(0, distance)) % distance
     shape = np.exp(-since / log_uniform(rng, 0.3, 2.0)) * (since < 5)
-    return _with(rng, gyro, log_uniform(rng, 3.0, 100.0) * float(rng.choice([-1, 1])) * shape)
+    height = log_uniform(rng, 3.0, 100.0) * float(rng.choice([-1, 1]))
+    return _with(rng, gyro, np.asarray(height * shape))
 
 
 def mains_hum(rng: np.random.Generator) -> HostileRecord:

@@ -90,8 +90,8 @@ def fit_corner(swept: Sweep, start: float) -> Corner:
     if np.any(fit.active_mask[_NOT_THE_WALK[:count]]):
         return Corner()  # no such corner: another scale factor, or steps that do not show it
     jacobian = np.asarray(fit.jac)
-    # Slips scatter most at the corner itself: each step's own residual says how much (less what the fit took of it:
-    # MacKinnon and White, J. Econometrics 29, 305, their third estimate), and a count no less than its uncertainty.
+    # Slips scatter most at the corner itself: each step's own residual says how much, less what the fit took of it
+    # (MacKinnon and White, J. Econometrics 29, 305, third estimate), and a count no less than its uncertainty.
     inverse = np.linalg.pinv(jacobian.T @ jacobian)
     kept = np.maximum(1 - np.einsum("ni,ij,nj->n", jacobian, inverse, jacobian), 1 / near.sum())
     spread = np.maximum(fit.fun / kept, swept.pulses_u[near]) ** 2

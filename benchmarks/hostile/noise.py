@@ -86,7 +86,7 @@ def telegraph(rng: np.random.Generator) -> HostileRecord:
     """Popcorn noise: the level jumps to and fro, by 1 to 20 levels, 3 to 100 times in the record."""
     gyro = draw_gyro(rng, amplitude=(40.0, 80.0))
     jumps = rng.uniform(size=N_SAMPLES) < log_uniform(rng, 3.0, 100.0) / N_SAMPLES
-    return _with(rng, gyro, log_uniform(rng, 1.0, 20.0) * (np.cumsum(jumps) % 2))
+    return _with(rng, gyro, np.asarray(log_uniform(rng, 1.0, 20.0) * (np.cumsum(jumps) % 2), dtype=np.float64))
 
 
 CLASSES = (

@@ -37,7 +37,7 @@ _MASK = "*ESE"
 _MARKS = 256
 _LONGEST_TEXT = 16_384
 _OPENING_ATTEMPTS = 5  # nobody has answered on this name yet: it may be wrong
-_IDENTITIES = 3
+_IDENTITIES = _TRIES = 3
 _FIRST_PAUSE, _LONGEST_PAUSE = 0.1, 2.0  # s between two attempts to connect
 
 
@@ -248,9 +248,13 @@ class Exchange(ABC):
             self.link.reopen()
             self._answer_due = False
             with self._recovery():
-                self.resynchronise()
+                if self._mark is not None:
+                    self._ask_for_all()
+                else:
+                    self.resynchronise()
             self.set_line()
-            self.set_format()
+            if self._mark is None:
+                self.set_format()
         except WrongInstrument:
             raise
         except InstrumentError:
@@ -287,8 +291,9 @@ class Exchange(ABC):
         raise TransferError(f"the identity of {self.identity.model} came damaged again and again; ask again")
 
     def _come_into_step(self) -> list[ScopeEvent]:
-        """Get back into step, a persistent program at the second try; returns the events that waited."""
-        for last in (not self.persistence.careful, True):
+        """Get back into step, a persistent program at the third try; returns the events that waited."""
+        tries = _TRIES if self.persistence.careful else 1
+        for attempt in range(1, tries + 1):
             try:
                 with self._recovery():
                     if self._mark is not None:
@@ -298,7 +303,7 @@ class Exchange(ABC):
                         found = self.events()
                         self.set_format()
             except (NoAnswer, TransferError):
-                if last:
+                if attempt == tries:
                     raise
             else:
                 break

@@ -65,10 +65,7 @@ def test_ctrl_c_and_kill_leave_a_valid_run(tmp_path: Path, start_gyrolock, serve
 
 def test_a_scope_switched_off_loses_nothing(tmp_path: Path, start_gyrolock, serve_scope) -> None:
     scope = serve_scope("--tcp", "0", "--config", "ideal.toml")
-    (tmp_path / "my.toml").write_text(f'[scope]
-resource = "{scope.resource}"
-reconnect_s = 1.0
-')
+    (tmp_path / "my.toml").write_text(f'[scope]\nresource = "{scope.resource}"\nreconnect_s = 1.0\n')
     process = start_gyrolock("measure", "--config", "my.toml", *GIVEN, "--records", 10_000, "--json")
     wait_for_records(tmp_path, 3)
     scope.switch_off()

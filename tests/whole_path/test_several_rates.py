@@ -17,28 +17,12 @@ from station.runs.progress import Progress
 from station.runs.store import SavedRun, open_run
 from station.shell.evaluated import evaluate_run
 from station.shell.running import start_run
-from tests.ideal_bench import CLEAN, ideal_bench
+from tests.ideal_bench import CLEAN, Interrupting, ideal_bench
 
 PLAN = "[measurement]\nrates_over_lock_in = [4, 15]\nboth_senses = true\nrecords = 2\ntilt_records = 2\n"
 SPOILT = "[simulation.contaminants]\n" + "".join(
     f"{name} = {value}\n" for name, value in (CLEAN | {"second_harmonic_dbc": -46.0}).items()
 )
-
-
-class Interrupting(Progress):
-    """An operator who presses Ctrl-C after so many records at the slow rates."""
-
-    def __init__(self, after: int) -> None:
-        super().__init__(quiet=True)
-        self._left, self._counting = after, False
-
-    def start(self, what: str, total: int) -> None:
-        self._counting = what == "records"
-
-    def advance(self) -> None:
-        self._left -= self._counting
-        if self._left < 0:
-            raise KeyboardInterrupt
 
 
 def taken(folder: Path, progress: Progress | None = None, **sections: dict[str, Any]) -> SavedRun:

@@ -59,6 +59,12 @@ _RATES_FIT = _FIT | {
     "gain_corner_hz": "gain_corner_hz",
     "gain_corner_low_95_hz": "gain_corner_low_95_hz",
     "gain_corner_high_95_hz": "gain_corner_high_95_hz",
+    "bandwidth_hz": "bandwidth_hz",
+    "bandwidth_low_95_hz": "bandwidth_low_95_hz",
+    "third_order": "third_order",
+    "third_order_u": "third_order_u",
+    "scale_factor_by_rates_pulses_per_deg": "scale_factor",
+    "scale_factor_by_rates_u_pulses_per_deg": "scale_factor_u",
     "model": "model",
     "u_over_u_with_distortion_known": "cost",
 }
@@ -75,11 +81,18 @@ _FREQUENCY_FIT = _FIT | {
     "bias_rate_dps": "bias_rate",
     "bias_rate_u_dps": "bias_rate_u",
 }
+_ALTERNATIVE = {
+    "lock_in_rate_dps": "lock_in_rate",
+    "lock_in_rate_u_dps": "lock_in_rate_u",
+    "distortion": "distortion",
+    "chi_square": "chi_square",
+}
 _LEFT_OUT = {
     "input_rate_dps": "rate",
     "lock_in_rate_dps": "lock_in_rate",
     "lock_in_rate_u_dps": "lock_in_rate_u",
     "deviation_in_u": "deviation",
+    "p_value": "p_value",
 }
 _GROUP = {
     "input_rate_dps": "input_rate",
@@ -202,6 +215,8 @@ def _rates_fit(fit: RatesFit) -> dict[str, Any]:
     columns = [getattr(fit.left_out, attribute) for attribute in _LEFT_OUT.values()]
     return picked(fit, _RATES_FIT) | {
         "distortion_dbc": 20 * math.log10(abs(fit.distortion)) if fit.distortion else None,
+        "alternatives": [picked(one, _ALTERNATIVE) for one in fit.alternatives],
+        "counted": sorted(fit.counted),
         "models": [picked(one, _MODEL) for one in fit.models],
         "left_out": [dict(zip(_LEFT_OUT, row, strict=True)) for row in zip(*columns, strict=True)],
         "locked_up_to_dps": fit.at_least or None,

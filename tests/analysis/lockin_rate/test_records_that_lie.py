@@ -104,7 +104,7 @@ def test_one_record_that_did_not_fit_hardly_counts_among_good_ones():
 
 
 def test_no_record_stops_the_others():
-    """Noise of the rate so strong that a fitted phase runs backwards; inside lock-in; steps, ramps, single values."""
+    """Noise of the rate so strong that a phase runs backwards; inside lock-in; steps, ramps, single values."""
     rng = np.random.default_rng(8)
     odd = [one.make(rng).volts for one in CLASSES if one.kind == "detect" for _ in range(2)]
     odd += [1e150 * rng.normal(size=2500), np.r_[np.zeros(2499), 1.0], N * 1.0, np.sign(np.sin(N / 9.0))]

@@ -161,6 +161,7 @@ def test_serial_answers_take_their_bits_on_the_virtual_clock():
         scope.timeout = 2000
         with pytest.raises(pyvisa.VisaIOError):
             scope.query_binary_values("CURVE?", datatype="b")
+        scope.clear()  # the rest of it is still on the line
         scope.write("RS232:BAUD 19200")
         assert len(scope.query_binary_values("CURVE?", datatype="b")) == 2500
 

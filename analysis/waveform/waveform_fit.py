@@ -97,7 +97,8 @@ def _fit_what_can_be(stack: Stack, part: slice, clipped: Bools | None) -> list[W
 def _refused() -> WaveformFit:
     """One record of which nothing can be said."""
     unknown = np.array([np.nan])
-    series = Series(unknown, unknown + 0j, unknown + 0j, unknown)
+    nothing = np.zeros(1)  # finite, so that what is computed from it for all records stays silent
+    series = Series(nothing, nothing + 0j, nothing + 0j, np.ones(1))
     flags = np.array([int(Flag.NOT_LOCK_IN_LIKE)])
     return WaveformFit(series, np.full((1, 6, 6), np.nan), np.ones((1, 3)), unknown, unknown, flags)
 

@@ -22,6 +22,10 @@ from analysis.arrays import Bools, Complexes, Floats
 from analysis.errors import OutsideResponse
 from analysis.lockin_rate import LockInEstimate, with_ratio
 
+EXPLAINED = 2.5
+"""Uncertainty of the ratio over the size of what it leaves on higher harmonics (`waveform.misfit`), and some
+room for what the fit of a bent waveform adds."""
+
 HARMONICS = 24
 """Of the series that is fitted; 0.7^24 is 2e-4, and a slow channel passes less of them."""
 
@@ -168,19 +172,32 @@ def ratio_factor(response: ChannelResponse, frequency: ArrayLike, ratio: ArrayLi
     start = _on_ratio(first, response.at(2 * f))
     if not np.any(r > 0.02):
         return start
+    lines = _lines(response, f, r)
+    q = _best_series(lines, lines[..., 1])
+    head = np.sum(lines * np.conj(q[..., np.newaxis] ** np.arange(HARMONICS)), axis=-1)
+    # The fit's own fundamental turns with the rest, and with it the origin that rho is counted from.
+    fitted = q * np.exp(-1j * np.angle(head * first))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return np.asarray(np.where(r > 1e-6, fitted / np.where(r > 1e-6, np.minimum(r, 0.99), 1.0), start))
+
+
+def _lines(response: ChannelResponse, f: Floats, ratio: Floats) -> Complexes:
+    """The harmonics behind the channel (..., n), over the fundamental there."""
     orders = np.arange(1, HARMONICS + 1)
     harmonics = f[..., np.newaxis] * orders
     # Beyond a table nothing is known: those harmonics are taken to be shaped like the last known one.
     last = response.table_hz[-1] if len(response.table_hz) else np.inf
-    gains = response.at(np.minimum(harmonics, np.maximum(last, f[..., np.newaxis]))) / first[..., np.newaxis]
-    true = np.minimum(r, 0.99)[..., np.newaxis]
-    lines = gains * true ** (orders - 1)
-    q = _best_series(lines, lines[..., 1])
-    head = np.sum(lines * np.conj(q[..., np.newaxis] ** (orders - 1)), axis=-1)
-    # The fit's own fundamental turns with the rest, and with it the origin that rho is counted from.
-    fitted = q * np.exp(-1j * np.angle(head * first))
-    with np.errstate(invalid="ignore", divide="ignore"):
-        return np.asarray(np.where(r > 1e-6, fitted / np.where(r > 1e-6, true[..., 0], 1.0), start))
+    gains = response.at(np.minimum(harmonics, np.maximum(last, f[..., np.newaxis])))
+    lines = gains / gains[..., :1] * np.minimum(ratio, 0.99)[..., np.newaxis] ** (orders - 1)
+    return np.asarray(lines)
+
+
+def _left_by_series(response: ChannelResponse, f: Floats, ratio: Floats) -> Floats:
+    """Size (...) of what no geometric series can take up of the harmonics behind the channel."""
+    lines = _lines(response, f, ratio)
+    powers = _best_series(lines, lines[..., 1])[..., np.newaxis] ** np.arange(HARMONICS)
+    head = np.sum(lines * np.conj(powers), axis=-1) / np.sum(np.abs(powers) ** 2, axis=-1)
+    return np.asarray(np.linalg.norm(lines - head[..., np.newaxis] * powers, axis=-1))
 
 
 def _best_series(lines: Complexes, q: Complexes) -> Complexes:
@@ -234,7 +251,10 @@ def correct_response(estimate: LockInEstimate, response: ChannelResponse) -> Loc
         )
         covariance = turn @ estimate.complex_ratio_covariance @ turn.swapaxes(-1, -2)
         covariance = covariance + _response_covariance(response, f, rho)
-        corrected = with_ratio(estimate, rho, covariance, np.sign(estimate.input_rate))
+        # the channel has bent the waveform too, and that part of the misfit is explained
+        explained = EXPLAINED * _left_by_series(response, f, np.abs(rho))
+        misfit_u = np.sqrt(np.maximum(estimate.misfit_u**2 - explained**2, 0.0))
+        corrected = with_ratio(estimate, rho, covariance, np.sign(estimate.input_rate), misfit_u)
     return replace(
         corrected,
         noise_model=estimate.noise_model + "; corrected for the channel's response, whose uncertainty is in it",

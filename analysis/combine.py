@@ -130,7 +130,7 @@ def _complex_rates(used: LockInEstimate) -> tuple[Complexes, Floats, Floats]:
     across = np.einsum("ri,rij,rj->r", turned, used.complex_ratio_covariance, turned)
     scale = np.divide(value, size, out=np.asarray(slope, dtype=float).copy(), where=size > 0)
     vector = np.asarray(value * np.exp(1j * used.backscatter_phase), dtype=np.complex128)
-    return vector, used.lock_in_rate_u**2, np.asarray(across * scale**2)
+    return vector, used.lock_in_rate_u**2, np.asarray((across + used.misfit_u**2) * scale**2)
 
 
 def _scatter(deviation: Floats, variance: Floats, weights: Floats) -> tuple[float, float, bool]:

@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from analysis.arrays import Complexes, Floats, Ints
-from analysis.flags import FATAL
+from analysis.flags import FATAL, Flag
 from analysis.lockin_equation import Relation
 from analysis.lockin_rate import LockInEstimate, estimate_lock_in, with_ratio
 from analysis.waveform.records import NanPolicy
@@ -383,7 +383,10 @@ def _corrected(
         records_rejected=fatal.astype(np.int64),
         flags=sine.flags | cosine.flags,
     )
-    return with_ratio(both, rho, covariance, np.where(sense == 0, 1.0, sense))
+    # What a distorted channel leaves the pair has taken out, or its images show it; not what happened to the beat.
+    happened = (both.flags & int(Flag.PARTS_DIFFER | Flag.RATE_WANDER)) != 0
+    misfit_u = np.where(happened, np.fmax(sine.misfit_u, cosine.misfit_u), 0.0)
+    return with_ratio(both, rho, covariance, np.where(sense == 0, 1.0, sense), misfit_u)
 
 
 def _flags(

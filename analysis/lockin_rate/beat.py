@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
-from analysis.arrays import Bools, Complexes, Floats, Ints
+from analysis.arrays import Bools, Complexes, Floats, Indices, Ints
 from analysis.flags import Flag
 from analysis.lockin_rate.rate import SIGNIFICANT
 from analysis.waveform.waveform_fit import WaveformFit
@@ -22,13 +22,15 @@ class Beat:
     """Frequency and harmonic ratio of (R,) records, with their covariance.
 
     size is |q| as fitted, ratio the same freed of its bias; covariance (R, 3, 3) is that of frequency, size of
-    the ratio, and its part across (phase times size).
+    the ratio, and its part across (phase times size), from noise; misfit is the standard uncertainty of both parts
+    of the ratio by what is no noise.
     """
 
     frequency: Floats
     size: Floats
     ratio: Floats
     covariance: Floats
+    misfit: Floats
     rho: Complexes
     rho_covariance: Floats
     amplitude: Floats
@@ -43,7 +45,17 @@ class Beat:
     @property
     def ratio_u(self) -> Floats:
         """Standard uncertainty of the size of the ratio."""
-        return np.sqrt(self.covariance[:, 1, 1])
+        return np.hypot(np.sqrt(self.covariance[:, 1, 1]), self.misfit)
+
+    def take(self, rows: Indices) -> Beat:
+        """Some of the records."""
+        return Beat(**{field.name: getattr(self, field.name)[rows] for field in fields(Beat)})
+
+    def widened(self, rows: Indices, ratio_u: Floats) -> Beat:
+        """With one more uncertainty (r,) by what is no noise in the ratio of some records."""
+        misfit = self.misfit.copy()
+        misfit[rows] = np.hypot(misfit[rows], ratio_u)
+        return replace(self, misfit=misfit)
 
     @staticmethod
     def of(fit: WaveformFit, n_samples: int, sample_interval: float) -> Beat:
@@ -63,6 +75,7 @@ class Beat:
             # |q|^2 is too large by the variance of its two parts; that along q is in the mean already.
             ratio=np.sqrt(np.maximum(size**2 - covariance[:, 2, 2], 0.0)),
             covariance=covariance,
+            misfit=fit.misfit,
             rho=rho,
             rho_covariance=rotation @ covariance[:, 1:, 1:] @ rotation.swapaxes(-1, -2),
             amplitude=np.abs(first) / (1 - size**2),

@@ -23,8 +23,9 @@ class LockInEstimate:
     input_rate : deg/s, as given (signed), or from the record itself: W = (f/K)(1 + r^2)/(1 - r^2)
     beat_frequency, beat_frequency_u : Hz
     ratio, ratio_u : r = A2/A1, freed of the bias that noise gives to the size of a small complex number
+    misfit_u : what the u of the ratio holds that is no noise: what the residual, and the parts of the record, show
     complex_ratio : rho = c2 |c1| / c1^2, independent of the time origin
-    complex_ratio_covariance : (..., 2, 2) of its real and imaginary part
+    complex_ratio_covariance : (..., 2, 2) of its real and imaginary part, from noise alone
     backscatter_phase : rad, beta less the readout phase
     amplitude, noise_rms : volts, A of A sin(phi), and the standard deviation of what the fit leaves
     periods : beat periods in the record
@@ -42,6 +43,7 @@ class LockInEstimate:
     beat_frequency_u: Floats
     ratio: Floats
     ratio_u: Floats
+    misfit_u: Floats
     complex_ratio: Complexes
     complex_ratio_covariance: Floats
     backscatter_phase: Floats

@@ -17,7 +17,13 @@ SIGNIFICANT = 3.3
 
 
 def rate_of_ratio(
-    size: Floats, ratio: Floats, beat_rate: Floats, covariance: Floats, rate: Floats | None, relation: Relation
+    size: Floats,
+    ratio: Floats,
+    beat_rate: Floats,
+    covariance: Floats,
+    misfit: Floats,
+    rate: Floats | None,
+    relation: Relation,
 ) -> tuple[Floats, Floats, Floats, Floats]:
     """Lock-in rate, its standard uncertainty and the ends of its 95 % interval, deg/s.
 
@@ -28,12 +34,14 @@ def rate_of_ratio(
     beat_rate, rate : (...)
         f/K and the rate given, deg/s; `rate` None: the record is its own reference.
     covariance : (..., 2, 2)
-        Of f/K and the ratio.
+        Of f/K and the ratio, from noise.
+    misfit : (...)
+        Standard uncertainty of the ratio by what is no noise.
     """
     value, by_ratio, by_beat_rate = rate_and_slopes(ratio, beat_rate, rate, relation)
     slopes = np.stack([by_beat_rate, by_ratio], axis=-1)
     variance = np.einsum("...i,...ij,...j->...", slopes, covariance, slopes)
-    value_u = np.sqrt(np.maximum(variance, 0.0))
+    value_u = np.sqrt(np.maximum(variance, 0.0) + (by_ratio * misfit) ** 2)
     observed = rate_and_slopes(size, beat_rate, rate, relation)[0]
     low, high = size_interval(observed / value_u)
     return value, value_u, low * value_u, high * value_u
@@ -67,6 +75,7 @@ def with_ratio(
     ratio: Complexes,
     covariance: Floats,
     sense: Floats | None = None,
+    misfit_u: Floats | None = None,
 ) -> LockInEstimate:
     """The estimate with a corrected rho: lock-in rate, interval and phase from it; frequency and noise stay.
 
@@ -76,7 +85,10 @@ def with_ratio(
         The corrected rho and the covariance of its two parts.
     sense : (...), optional
         Sign of the rate where the estimate was made without one; without it positive, as in the estimate.
+    misfit_u : (...), optional
+        What the correction leaves of the estimate's own.
     """
+    misfit_u = estimate.misfit_u if misfit_u is None else misfit_u
     size = np.abs(ratio)
     unit = ratio / np.where(size > 0, size, 1.0)
     along = np.stack([unit.real, unit.imag], axis=-1)
@@ -87,12 +99,13 @@ def with_ratio(
     given = estimate.input_rate if estimate.rate_given else None
     beat_rate_u = estimate.beat_frequency_u / estimate.scale_factor
     both = np.stack([beat_rate_u**2, radial], axis=-1)[..., np.newaxis] * np.eye(2)
-    value, value_u, low, high = rate_of_ratio(size, unbiased, beat_rate, both, given, estimate.relation)
+    value, value_u, low, high = rate_of_ratio(size, unbiased, beat_rate, both, misfit_u, given, estimate.relation)
     if given is not None:
         turning = np.where(given < 0, -1.0, 1.0)
     else:
         turning = np.ones_like(size) if sense is None else sense
-    lost = np.where(size > SIGNIFICANT * np.sqrt(radial), 0, int(Flag.RATIO_NOT_SIGNIFICANT))
+    ratio_u = np.hypot(np.sqrt(radial), misfit_u)
+    lost = np.where(size > SIGNIFICANT * ratio_u, 0, int(Flag.RATIO_NOT_SIGNIFICANT))
     # Records without a beat stay nan, whatever the correction was.
     blank = np.where(estimate.usable, 1.0, np.nan)
     return replace(
@@ -103,7 +116,8 @@ def with_ratio(
         lock_in_rate_high_95=high * blank,
         input_rate=turning * input_rate_from_beat(unbiased, beat_rate) * blank if given is None else given,
         ratio=unbiased * blank,
-        ratio_u=np.sqrt(radial) * blank,
+        ratio_u=ratio_u * blank,
+        misfit_u=misfit_u * blank,
         complex_ratio=ratio * blank,
         complex_ratio_covariance=covariance * blank[..., np.newaxis, np.newaxis],
         backscatter_phase=backscatter_phase(ratio, turning) * blank,

@@ -10,6 +10,7 @@ from analysis.flags import FATAL, Flag
 from analysis.lockin_equation import Relation, input_rate_from_beat, lock_in_from_rate
 from analysis.lockin_rate.beat import Beat, beat_flags, is_weaker
 from analysis.lockin_rate.estimate import LockInEstimate
+from analysis.lockin_rate.pieces import compare_pieces
 from analysis.lockin_rate.rate import backscatter_phase, rate_of_ratio
 from analysis.waveform.records import NanPolicy, as_stack
 from analysis.waveform.waveform_fit import fit_waveform
@@ -81,16 +82,18 @@ def estimate_lock_in(
     fit = fit_waveform(stack, mask)
     with np.errstate(all="ignore"):  # records without a beat divide by zero; their flags are fatal
         beat = Beat.of(fit, stack.n_samples, sample_interval)
+        beat, flags = compare_pieces(beat, fit.flags, stack, mask, sample_interval)
         per_degree = np.array([scale_factor, 1.0])
         value, value_u, low, high = rate_of_ratio(
             beat.size,
             beat.ratio,
             beat.frequency / scale_factor,
             beat.covariance[:, :2, :2] / np.outer(per_degree, per_degree),
+            beat.misfit,
             rate,
             relation,
         )
-    flags = fit.flags | beat_flags(beat, stack.n_samples)
+    flags = flags | beat_flags(beat, stack.n_samples)
     if full_amplitude is not None:
         full = np.broadcast_to(np.asarray(full_amplitude, dtype=np.float64), stack.shape).ravel()
         flags[is_weaker(beat, fit, full, stack.n_samples)] |= Flag.AMPLITUDE_LOST
@@ -112,6 +115,7 @@ def estimate_lock_in(
         beat_frequency_u=shaped(beat.frequency_u),
         ratio=shaped(beat.ratio),
         ratio_u=shaped(beat.ratio_u),
+        misfit_u=shaped(beat.misfit),
         complex_ratio=(beat.rho * blank).reshape(stack.shape),
         complex_ratio_covariance=(beat.rho_covariance * blank[:, np.newaxis, np.newaxis]).reshape(
             *stack.shape, 2, 2

@@ -10,8 +10,8 @@ line of the size a, next to a beat of the size A, may have a twin where nobody s
   phase takes exp(-p/2) from the fundamental, exp(-2p) from the second harmonic, so 3p/2 from the ratio; and two
   sidebands make a third of the size p/4, which may fall onto the second harmonic.
 
-All of them enter as standard uncertainties, in units of the variance that white noise of the residual's own power
-gives to the ratio.
+All of them enter as standard uncertainties. They are no noise: the ratio is not freed of a bias by them, and what
+all records of a bench have in common does not average out.
 """
 
 from __future__ import annotations
@@ -34,18 +34,24 @@ CURVED = 2.0
 
 ORDERS = 12
 
+FLOOR_PARTS = 8
+"""Of so many parts of the spectrum the last but one in power is taken for the noise that a moving phase leaves."""
+
+LEFT_OVER = 6.0
+"""Standard deviations by which the whole must exceed it to say that the moving phase is not the right one."""
+
 PEDESTAL = 6.0
 """Standard deviations by which the power about the fundamental must exceed that on its sides."""
 
 
 @dataclass(frozen=True)
 class Misfit:
-    """Variances over that of white noise: of the frequency, of the ratio; share of the power in `sidebands` of the
-    fundamental that stand on no line but rise towards it."""
+    """Variance of the frequency over that of white noise, standard uncertainty of the ratio, and the power of what
+    rises towards the fundamental on both sides, over that of the fundamental."""
 
     frequency: float
     ratio: float
-    sidebands: float
+    pedestal: float
 
 
 def surroundings(power: Samples) -> Floats:
@@ -84,7 +90,7 @@ def misfit_of(power: Samples, n_samples: int, line: float, first: float, ratio: 
     lines = float(stands_out.sum()) * mean / beat
     pedestal = _pedestal(power, line) / beat
     turned = 1.5 * ratio * (lines + pedestal) + 0.25 * lines
-    return Misfit(2 * by_frequency, 2 * by_ratio + 2 * turned**2 * beat / mean, pedestal)
+    return Misfit(2 * by_frequency, math.sqrt(by_ratio * mean / beat + turned**2), pedestal)
 
 
 def _folded(lines: Floats, n_samples: int) -> Floats:
@@ -109,3 +115,16 @@ def _pedestal(power: Samples, line: float) -> float:
     scatter = side * math.sqrt(1 / inside.sum() + 1 / min(below.sum(), above.sum()))
     surplus = float(power[inside].mean()) - side
     return surplus * float(inside.sum()) if surplus > PEDESTAL * scatter else 0.0
+
+
+def left_over(power: Samples) -> float:
+    """Power (the sum of lines) that a moving phase leaves beyond the noise; 0 where that may be chance.
+
+    A moving phase that is the right one leaves noise. The noise is read where the spectrum (L,) is lowest, since
+    what is wrong stands about the harmonics, often as wide as they are apart.
+    """
+    parts = np.array_split(power.astype(np.float64), FLOOR_PARTS)
+    floor = float(np.sort([np.median(part) for part in parts])[1]) / math.log(2)
+    surplus = float(power.sum()) - floor * power.size
+    scatter = floor * math.sqrt(FLOOR_PARTS * power.size)
+    return surplus if surplus > LEFT_OVER * scatter else 0.0

@@ -10,7 +10,7 @@ import scipy.special
 
 from analysis.arrays import Bools, Floats, Indices, Ints, Samples
 from analysis.flags import Flag
-from analysis.waveform.misfit import NEIGHBOURS, misfit_of, surroundings
+from analysis.waveform.misfit import NEIGHBOURS, left_over, misfit_of, surroundings
 from analysis.waveform.records import sums_of_squares
 from analysis.waveform.series.frequency_search import Sizes, line_sizes, neighbours
 from analysis.waveform.series.geometric_series import Series, sampled_blocks, sampled_series
@@ -31,6 +31,9 @@ slope of -1 is common, a curve is rarely sharp."""
 GROSS_MISFIT = 0.05
 """Share of the signal's power that a waveform may miss and still be called that of a gyro above lock-in."""
 
+
+LEFT_BY_MOTION = 0.01
+"""The same where a moving phase was fitted, which can follow nearly anything."""
 
 FEWEST_PERIODS = 3.0
 GROSS_MISFIT_OF_A_CURVE = 0.002
@@ -88,15 +91,17 @@ def residual_samples(values: Samples, weights: Samples | None, series: Series, r
 @dataclass(frozen=True)
 class ResidualReport:
     """flags : (R,); excess : (R, 3) variance factors of frequency, ratio size and ratio phase over white noise;
-    uneven : (R,) where the spectrum is not flat, by lines or by broad humps."""
+    uneven : (R,) where the spectrum is not flat, by lines or by broad humps;
+    misfit : (R,) standard uncertainty of the ratio by what is no noise."""
 
     flags: Ints
     excess: Floats
     uneven: Bools
+    misfit: Floats
 
 
 def examine_residual(
-    residual: Residual, n_samples: int, count: Floats, series: Series, repeated: Bools
+    residual: Residual, n_samples: int, count: Floats, series: Series, repeated: Bools, *, moved: bool = False
 ) -> ResidualReport:
     """Judge the residual of each record by its spectrum.
 
@@ -108,6 +113,8 @@ def examine_residual(
         The waveforms that left it.
     repeated : (R,) of bool
         Where the residual is known to be rounding that repeats with the beat: neither noise nor misfit.
+    moved : bool
+        Whether a moving phase left it, which should have left noise only.
     """
     sizes, residual_power, n_records = residual.lines, residual.power, len(count)
     omega, first = series.omega, np.abs(series.first)
@@ -162,17 +169,23 @@ def examine_residual(
         squared = float(np.abs(series.ratio[row])) ** 2
         of_ratio = max(second_level, (second_level + squared * first_level) / (1 + squared))
         excess[row] = first_level, of_ratio, of_ratio
+    ratio_u = np.zeros(n_records)
     for row in np.flatnonzero(misfit | coloured):
+        power, beat = np.square(sizes[row, 1:]), (first[row] * n_samples / 2) ** 2
         line = omega[row] * n_samples / (2 * np.pi)
-        found = misfit_of(
-            np.square(sizes[row, 1:]), n_samples, line, float(first[row]), float(np.abs(series.ratio[row]))
-        )
-        if misfit[row]:
-            excess[row] += found.frequency, found.ratio, found.ratio
-        elif found.sidebands:
+        found = misfit_of(power, n_samples, line, float(first[row]), float(np.abs(series.ratio[row])))
+        if found.pedestal:
             flags[row] |= Flag.MISFIT
-            excess[row] += found.frequency, found.ratio, found.ratio
-    return ResidualReport(flags, excess, uneven)
+        if flags[row] & Flag.MISFIT:
+            excess[row, 0] += found.frequency
+            ratio_u[row] = found.ratio
+        surplus = left_over(power) if moved else 0.0
+        if surplus:
+            flags[row] |= Flag.MISFIT
+            ratio_u[row] = np.hypot(ratio_u[row], np.sqrt(surplus / beat))
+            if surplus > LEFT_BY_MOTION * beat:
+                flags[row] |= Flag.NOT_LOCK_IN_LIKE
+    return ResidualReport(flags, excess, uneven, ratio_u)
 
 
 def _line_stands_out(power: Samples, expected: float) -> bool:

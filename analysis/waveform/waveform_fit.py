@@ -54,6 +54,7 @@ class WaveformFit:
     covariance : (R, 6, 6) for white noise, order c0, Re H, Im H, Re q, Im q, w (rad at the record's ends)
     excess : (R, 3) variance factors of frequency, ratio size and ratio phase where the noise is not white
     noise_rms : (R,) volts
+    misfit : (R,) standard uncertainty of the ratio by what is no noise
     flags : (R,)
     """
 
@@ -61,6 +62,7 @@ class WaveformFit:
     covariance: Floats
     excess: Floats
     noise_rms: Floats
+    misfit: Floats
     flags: Ints
 
     def put(self, part: Indices, other: WaveformFit) -> None:
@@ -72,10 +74,31 @@ class WaveformFit:
 
 def fit_waveform(stack: Stack, clipped: Bools | None) -> WaveformFit:
     """Fit every record; `clipped` (R, N) marks samples known to stand at the converter's end, None: find them."""
-    parts = [_fit_part(stack, part, clipped) for part in stack.parts()]
+    parts = [fit for part in stack.parts() for fit in _fit_what_can_be(stack, part, clipped)]
     series = Series(*(np.concatenate([getattr(p.series, f.name) for p in parts]) for f in fields(Series)))
     others = (np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(WaveformFit)[1:])
     return WaveformFit(series, *others)
+
+
+def _fit_what_can_be(stack: Stack, part: slice, clipped: Bools | None) -> list[WaveformFit]:
+    """Fits of a part, in order; a record that the arithmetic cannot cope with is refused, and stops no other."""
+    try:
+        return [_fit_part(stack, part, clipped)]
+    except (np.linalg.LinAlgError, ArithmeticError):
+        first, stop, _ = part.indices(len(stack.volts))
+        if stop - first == 1:
+            return [_refused()]
+        middle = (first + stop) // 2
+        halves = slice(first, middle), slice(middle, stop)
+        return [fit for half in halves for fit in _fit_what_can_be(stack, half, clipped)]
+
+
+def _refused() -> WaveformFit:
+    """One record of which nothing can be said."""
+    unknown = np.array([np.nan])
+    series = Series(unknown, unknown + 0j, unknown + 0j, unknown)
+    flags = np.array([int(Flag.NOT_LOCK_IN_LIKE)])
+    return WaveformFit(series, np.full((1, 6, 6), np.nan), np.ones((1, 3)), unknown, unknown, flags)
 
 
 def _fit_part(stack: Stack, part: slice, clipped: Bools | None) -> WaveformFit:
@@ -189,7 +212,9 @@ def _judged(
             continue
         here = np.array([row])
         beat = Series(*(np.array([getattr(moved, f.name)]) for f in fields(Series)))
-        again = examine_residual(Residual.of(moved.left[np.newaxis]), n_samples, count[here], beat, repeated[here])
+        again = examine_residual(
+            Residual.of(moved.left[np.newaxis]), n_samples, count[here], beat, repeated[here], moved=True
+        )
         # A motion takes noise from where it has its sidebands, and u knows of it: less there is no colour.
         told, factors = int(again.flags[0]), np.maximum(again.excess[0], 1.0)
         if not np.any(factors > 1.0):
@@ -200,12 +225,12 @@ def _judged(
         covariance[row], free[row], power[row] = moved.covariance, moved.degrees, moved.variance * moved.degrees
         covariance[row] /= moved.variance
         flags[row] = (flags[row] & ~report.flags[row]) | told | moved.flags
-        excess[row] = factors
+        excess[row], report.misfit[row] = factors, again.misfit[0]
     flags[records.constant] = Flag.CONSTANT
     flags[count < FEWEST_SAMPLES] |= Flag.TOO_FEW_SAMPLES
     variance = power / np.maximum(free, 1)
     covariance *= variance[:, np.newaxis, np.newaxis]
-    return WaveformFit(series, covariance, excess, np.sqrt(variance), flags)
+    return WaveformFit(series, covariance, excess, np.sqrt(variance), report.misfit, flags)
 
 
 def _moving_fit(

@@ -213,9 +213,9 @@ def _judged(
             continue
         here = np.array([row])
         beat = Series(*(np.array([getattr(moved, f.name)]) for f in fields(Series)))
-        again = examine_residual(
-            Residual.of(moved.left[np.newaxis]), n_samples, count[here], beat, repeated[here], moved=True
-        )
+        # What noise of the rate leaves is white only together with that noise.
+        residual, white = Residual.of(moved.left[np.newaxis]), moved.walk == 0
+        again = examine_residual(residual, n_samples, count[here], beat, repeated[here], moved=white)
         # A motion takes noise from where it has its sidebands, and u knows of it: less there is no colour.
         told, factors = int(again.flags[0]), np.maximum(again.excess[0], 1.0)
         if not np.any(factors > 1.0):
@@ -226,8 +226,7 @@ def _judged(
         covariance[row], free[row], power[row] = moved.covariance, moved.degrees, moved.variance * moved.degrees
         covariance[row] /= moved.variance
         flags[row] = (flags[row] & ~report.flags[row]) | told | moved.flags
-        excess[row] = factors
-        report.misfit[row] = again.misfit[0]
+        excess[row], report.misfit[row] = factors, again.misfit[0]
     flags[records.constant] = Flag.CONSTANT
     flags[count < FEWEST_SAMPLES] |= Flag.TOO_FEW_SAMPLES
     variance = power / np.maximum(free, 1)

@@ -7,9 +7,9 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from analysis.arrays import Bools, Floats, Indices, Ints, Samples
-from analysis.flags import Flag
+from analysis.flags import FATAL, Flag
 from analysis.waveform.damage import find_damage, outliers
-from analysis.waveform.phase_tracking import looks_like_wander, track_phase
+from analysis.waveform.moving_rate import MovingFit, fit_moving_rate, may_be_motion
 from analysis.waveform.quantisation import (
     FEW_ERRORS,
     SILENT,
@@ -19,7 +19,7 @@ from analysis.waveform.quantisation import (
     mean_rounding,
     repetition,
 )
-from analysis.waveform.records import Records, Stack, sums_of_squares
+from analysis.waveform.records import Records, Stack
 from analysis.waveform.residuals import Residual, examine_residual, residual_of, residual_samples
 from analysis.waveform.series.geometric_series import Series, sampled_series
 from analysis.waveform.series.minimise import SeriesFit, Task, gauss_newton
@@ -32,7 +32,14 @@ SINGLE_PRECISION_NOISE = 1e-4
 """Noise over swing below which single precision would show: less than a fiftieth of an eight-bit level."""
 
 TRACKED_FROM = 1e-4
-"""Residual over fundamental below which no moving phase is tried: a wander of s rad leaves about s."""
+"""Residual over fundamental below which no motion is tried: a wander of s rad leaves about s."""
+
+WORTH_MOVING = 0.98
+"""Share of the residual power that a motion may leave to be worth its parameters."""
+
+MOST_WALK = 20.0
+"""rad of random walk over the record up to which a record that is no beat at a steady rate may be one with a noisy
+rate. What is no beat at all needs more."""
 
 N_PARAMETERS = 6
 FEWEST_SAMPLES = 12
@@ -189,44 +196,54 @@ def _judged(
     count: Floats,
     flags: Ints,
 ) -> WaveformFit:
-    """The fit with its noise and its flags; records that do not fit get a second chance with a moving phase."""
+    """The fit with its noise and its flags; records that do not fit get a second chance with a motion."""
     free, power = count - N_PARAMETERS, left.power
     repeated = (flags & int(Flag.ROUNDING_REPEATS)) != 0
     n_samples = records.values.shape[1]
     report = examine_residual(left, n_samples, count, series, repeated)
     flags |= report.flags
     excess = report.excess
-    # A residual as small as this cannot come from a wander that would move the ratio.
+    # A residual as small as this cannot come from a motion that would move the ratio.
     worth_it = power > TRACKED_FROM**2 * np.abs(series.first) ** 2 * count
+    fatal = (report.flags & int(FATAL)) != 0
     for row in map(int, np.flatnonzero(report.uneven & worth_it)):
-        omega = float(series.omega[row])
-        left_samples = residual_samples(records.values, weights, series, row)
-        if not looks_like_wander(left_samples, omega, float(np.abs(series.ratio[row]))):
+        moved = _moving_fit(records, weights, series, row, bool(fatal[row]))
+        if moved is None or moved.variance > WORTH_MOVING * power[row] / free[row]:
             continue
-        mask = None if weights is None else weights[row].astype(np.float64)
-        tracked = track_phase(records.values[row].astype(np.float64), mask, omega)
-        if tracked is None:
-            continue
-        here = slice(row, row + 1)
-        series.offset[row], series.first[row] = tracked.offset, tracked.first
-        series.ratio[row], series.omega[row] = tracked.ratio, tracked.omega
-        covariance[row], power[row] = tracked.covariance, sums_of_squares(tracked.left)
-        free[row] = count[row] - N_PARAMETERS + 1 - tracked.degree
+        here = np.array([row])
+        beat = Series(*(np.array([getattr(moved, f.name)]) for f in fields(Series)))
         again = examine_residual(
-            Residual.of(tracked.left[np.newaxis]),
-            n_samples,
-            count[here],
-            series.take(np.array([row])),
-            repeated[here],
-            moved=True,
+            Residual.of(moved.left[np.newaxis]), n_samples, count[here], beat, repeated[here], moved=True
         )
-        flags[row] = (flags[row] & ~report.flags[row]) | again.flags[0] | int(Flag.RATE_WANDER)
-        excess[row], report.misfit[row] = again.excess[0], again.misfit[0]
+        # A motion takes noise from where it has its sidebands, and u knows of it: less there is no colour.
+        told, factors = int(again.flags[0]), np.maximum(again.excess[0], 1.0)
+        if not np.any(factors > 1.0):
+            told &= ~int(Flag.COLOURED_NOISE)
+        if fatal[row] and (told & int(FATAL | Flag.MISFIT) or moved.walk > MOST_WALK):
+            continue
+        series.put(here, beat)
+        covariance[row], free[row], power[row] = moved.covariance, moved.degrees, moved.variance * moved.degrees
+        covariance[row] /= moved.variance
+        flags[row] = (flags[row] & ~report.flags[row]) | told | moved.flags
+        excess[row] = factors
+        report.misfit[row] = again.misfit[0]
     flags[records.constant] = Flag.CONSTANT
     flags[count < FEWEST_SAMPLES] |= Flag.TOO_FEW_SAMPLES
     variance = power / np.maximum(free, 1)
     covariance *= variance[:, np.newaxis, np.newaxis]
     return WaveformFit(series, covariance, excess, np.sqrt(variance), report.misfit, flags)
+
+
+def _moving_fit(
+    records: Records, weights: Samples | None, series: Series, row: int, fatal: bool
+) -> MovingFit | None:
+    """The record fitted with a motion, where its residual may come from one."""
+    left = residual_samples(records.values, weights, series, row).astype(np.float64)
+    found = (float(series.omega[row]), complex(series.first[row]), float(np.abs(series.ratio[row])))
+    if not fatal and not may_be_motion(left, *found):
+        return None
+    values = records.values[row].astype(np.float64)
+    return fit_moving_rate(values, np.ones_like(values) if weights is None else weights[row].astype(np.float64))
 
 
 def _fit_between_limits(

@@ -22,9 +22,13 @@ from benchmarks.hostile.record_class import HostileRecord, RecordClass
 def random_walk(rng: np.random.Generator, least: float, most: float) -> HostileRecord:
     """White noise of the rate: the phase walks at random, by `least` to `most` rad (rms) over the record."""
     gyro = draw_gyro(rng)
-    steps = rng.normal(scale=rng.uniform(least, most) / np.sqrt(N_SAMPLES), size=N_SAMPLES)
-    rates = gyro.input_rate + np.repeat(steps / gyro.radians, STEPS)
-    return recorded(rng, gyro, beat(gyro, rates))
+    return recorded(rng, gyro, beat(gyro, random_walk_rates(rng, gyro, rng.uniform(least, most))))
+
+
+def random_walk_rates(rng: np.random.Generator, gyro: Gyro, walk_rad: float) -> Floats:
+    """Rates in deg/s under which the phase walks at random by so much (rms) over the record."""
+    steps = rng.normal(scale=walk_rad / np.sqrt(N_SAMPLES), size=N_SAMPLES)
+    return np.asarray(gyro.input_rate + np.repeat(steps / gyro.radians, STEPS))
 
 
 def ramp_into_lock_in(rng: np.random.Generator) -> HostileRecord:

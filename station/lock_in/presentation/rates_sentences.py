@@ -27,7 +27,8 @@ CAVEAT = (
 
 def describe_rates(fit: RatesFit) -> tuple[str, ...]:
     """Sentences for the person who reads the result, the main one first."""
-    sentences = [_value(fit), _distortion(fit), _gain(fit), _test(fit), _left_out(fit), _phase(fit)]
+    sentences = [_value(fit), _distortion(fit), _gain(fit), _alternatives(fit), _third_order(fit), _bandwidth(fit)]
+    sentences += [_test(fit), _left_out(fit), _phase(fit), _records(fit)]
     sentences += [_locked(fit), _unused(fit), _mismatch(fit), _reference(fit)]
     return tuple(s for s in sentences if s)
 
@@ -104,6 +105,48 @@ def _gain(fit: RatesFit) -> str:
     )
 
 
+def _alternatives(fit: RatesFit) -> str:
+    """Every other solution with its numbers: the records do not say which of them is true."""
+    if not fit.alternatives:
+        return ""
+    others = "; ".join(
+        f"{one.lock_in_rate:.5g} ± {one.lock_in_rate_u:.2g} deg/s (chi-square {one.chi_square:+.1f})"
+        for one in fit.alternatives
+    )
+    return (
+        f"These records have more than one solution. Beside the value above: {others}. The interval, "
+        f"{fit.lock_in_rate_low_95:.5g} to {fit.lock_in_rate_high_95:.5g} deg/s, holds all of them; the other sense "
+        "of rotation, or one more rate, decides."
+    )
+
+
+def _third_order(fit: RatesFit) -> str:
+    if not abs(fit.third_order) > 3.3 * fit.third_order_u:
+        return ""
+    level = 20 * np.log10(abs(fit.third_order))
+    return f"The receiver makes a third harmonic of {level:.1f} dBc; what it does to the second is taken out."
+
+
+def _bandwidth(fit: RatesFit) -> str:
+    if fit.lag_square > 3.3 * fit.lag_square_u:
+        return f"The receiver has a corner at about {fit.bandwidth_hz:.3g} Hz; its effect is taken out."
+    if fit.lag_square < -3.3 * fit.lag_square_u:
+        return (
+            "The second harmonic grows with the rate, which no low pass does: look for a channel that is "
+            "AC-coupled or rises with frequency."
+        )
+    return ""
+
+
+def _records(fit: RatesFit) -> str:
+    if not _has(fit, RatesFlag.RECORDS_MISFIT):
+        return ""
+    return (
+        "Records depart from the lock-in waveform by more than their noise, and third-order distortion does not "
+        "explain it: the lock-in rate may be wrong by more than its uncertainty. See the records' own flags."
+    )
+
+
 def _coupling(fit: RatesFit) -> str:
     """What coupling without loss would do to the gain corner, where that is more than its uncertainty."""
     slowest = float(np.min(np.abs(fit.rate[fit.used])))
@@ -146,7 +189,7 @@ def _left_out(fit: RatesFit) -> str:
 
 
 def _phase(fit: RatesFit) -> str:
-    if fit.model != "both" or _has(fit, RatesFlag.NOT_SIGNIFICANT):
+    if fit.model not in ("both", "all") or _has(fit, RatesFlag.NOT_SIGNIFICANT):
         return ""
     if abs(np.cos(fit.backscatter_phase)) < 0.15:
         return (
@@ -189,7 +232,8 @@ def _mismatch(fit: RatesFit) -> str:
     worst = known[np.argmax(np.abs(known))]
     return (
         f"Beat frequencies and given rates differ by up to {100 * worst:+.2g} %: table rate, tilt, earth rate or "
-        "scale factor is wrong. With the beat as reference only the scale factor matters."
+        "scale factor is wrong. With the beat as reference only the scale factor matters. If the rates are right, "
+        f"the scale factor is {fit.scale_factor:.6g} ± {max(fit.scale_factor_u, 0.0):.2g} pulses per degree."
     )
 
 

@@ -83,7 +83,8 @@ def fit_waveform(stack: Stack, clipped: Bools | None) -> WaveformFit:
 def _fit_what_can_be(stack: Stack, part: slice, clipped: Bools | None) -> list[WaveformFit]:
     """Fits of a part, in order; a record that the arithmetic cannot cope with is refused, and stops no other."""
     try:
-        return [_fit_part(stack, part, clipped)]
+        with np.errstate(over="ignore", under="ignore", invalid="ignore"):
+            return [_fit_part(stack, part, clipped)]
     except (np.linalg.LinAlgError, ArithmeticError):
         first, stop, _ = part.indices(len(stack.volts))
         if stop - first == 1:
@@ -96,7 +97,8 @@ def _fit_what_can_be(stack: Stack, part: slice, clipped: Bools | None) -> list[W
 def _refused() -> WaveformFit:
     """One record of which nothing can be said."""
     unknown = np.array([np.nan])
-    series = Series(unknown, unknown + 0j, unknown + 0j, unknown)
+    nothing = np.zeros(1)  # finite, so that what is computed from it for all records stays silent
+    series = Series(nothing, nothing + 0j, nothing + 0j, np.ones(1))
     flags = np.array([int(Flag.NOT_LOCK_IN_LIKE)])
     return WaveformFit(series, np.full((1, 6, 6), np.nan), np.ones((1, 3)), unknown, unknown, flags)
 
@@ -105,8 +107,7 @@ def _fit_part(stack: Stack, part: slice, clipped: Bools | None) -> WaveformFit:
     """Single precision, and double where single would show."""
     records = stack.take(part, np.float32)
     known = None if clipped is None else clipped[part]
-    with np.errstate(over="ignore", under="ignore", invalid="ignore"):
-        fit = _fit_records(records, known)
+    fit = _fit_records(records, known)
     swing = records.highest - records.lowest
     good = (swing > SINGLE_PRECISION_SWING[0]) & (swing < SINGLE_PRECISION_SWING[1])
     good &= fit.noise_rms > SINGLE_PRECISION_NOISE * swing

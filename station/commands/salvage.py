@@ -19,7 +19,7 @@ def command(path: Path, out: Path | None, config: Path | None, as_json: bool) ->
     """Get everything that can still be read out of a damaged run, into a new one.
 
     RUN stays as it is. A record is taken over if it is byte for byte what was once saved; those that are lost are
-    named. `gyrolock analyze` reads the new run, and --resume goes on with it. A settings file changes nothing here.
+    named. `gyrolock analyze` reads the new run, --resume goes on with it. A settings file changes nothing here.
     """
     from station.runs.salvage import salvage
     from station.settings.toml_files import read_toml

@@ -153,10 +153,10 @@ def reading(file: Path) -> Iterator[tuple[sqlite3.Connection, Layout]]:
     RunError
         If it is no run, of a newer version, or damaged.
     """
-    if not is_database(file):
-        raise RunError(f"{file}: is not a saved run")
-    _fold(file)
     try:
+        if not is_database(file):
+            raise RunError(f"{file}: is not a saved run")
+        _fold(file)
         with ExitStack() as held:
             db = _connected(file, held)
             db.text_factory = _text
@@ -170,6 +170,10 @@ def reading(file: Path) -> Iterator[tuple[sqlite3.Connection, Layout]]:
                 raise RunError(f"{file}: is a database, but not a saved run of gyrolock")
             yield db, layout
     except (sqlite3.Error, ValueError, OverflowError, OSError) as error:
+        if isinstance(error, OSError) or getattr(error, "sqlite_errorcode", 0) & 0xFF == sqlite3.SQLITE_IOERR:
+            raise RunError(
+                f"{file}: the disk does not give it ({error}): try again, or copy it to another"
+            ) from error
         raise RunError(
             f"{file}: is damaged and cannot be read ({error}): `gyrolock salvage {file}` gets out what can be read"
         ) from error

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import itertools
 import json
+import shutil
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -174,9 +175,13 @@ class RunWriter(DatabaseWriter):
             If nothing can be written there.
         """
         path = new_run_directory(parent) / RUN_FILE
-        create_database(path)
-        writer = cls(path)
-        writer.save_facts({"started_at": utc_now(), **facts})
+        try:
+            create_database(path)
+            writer = cls(path)
+            writer.save_facts({"started_at": utc_now(), **facts})
+        except (RunError, OSError):  # nothing is in it yet, and it could not be gone on with
+            shutil.rmtree(path.parent, ignore_errors=True)
+            raise
         return writer
 
     def save_records(self, records: Sequence[NewRecord]) -> None:

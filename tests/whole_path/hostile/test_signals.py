@@ -14,6 +14,7 @@ import pyvisa
 
 from station.runs.store import open_run
 
+GIVEN = ("--scale-factor", "2000", "--records", 10_000)
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="these signals are those of POSIX")
 
 
@@ -64,7 +65,7 @@ def front_panel(resource: str) -> str:
 def test_the_front_panel_is_put_back(tmp_path: Path, start_gyrolock, serve_scope) -> None:
     scope = serve_scope("--tcp", "0")
     before = front_panel(scope.resource)
-    process = start_gyrolock("measure", "--resource", scope.resource, "--records", 10_000, "--jsonl")
+    process = start_gyrolock("measure", "--resource", scope.resource, *GIVEN, "--jsonl")
     assert process.stdout is not None
     while '"purpose": "measure"' not in process.stdout.readline():
         assert process.poll() is None

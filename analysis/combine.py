@@ -84,6 +84,7 @@ def combine_estimates(estimates: LockInEstimate) -> LockInEstimate:
         flags |= Flag.AMPLITUDE_LOST
     low, high = (abs(mean), abs(mean)) if rate_u == 0 else _interval(abs(mean), rate_u, stretch)
     ratio, ratio_u, rho, rho_covariance = _mean_ratio(used, weights)
+    third, third_u = _mean_third_harmonic(used)
     frequency_weights = 1 / np.maximum(used.beat_frequency_u**2, 1e-300)
     model = used.noise_model
     if unequal:
@@ -104,6 +105,8 @@ def combine_estimates(estimates: LockInEstimate) -> LockInEstimate:
         backscatter_phase=np.asarray(np.angle(mean)),
         amplitude=np.asarray(used.amplitude.mean()),
         noise_rms=np.asarray(np.sqrt((used.noise_rms**2).mean())),
+        third_harmonic=third,
+        third_harmonic_u=third_u,
         periods=np.asarray(used.periods.sum()),
         flags=np.asarray(flags),
         noise_model=model,
@@ -171,3 +174,12 @@ def _mean_ratio(used: LockInEstimate, weights: Floats) -> tuple[Floats, Floats, 
     across = np.array([-along[1], along[0]])
     ratio = np.sqrt(max(size**2 - float(across @ covariance @ across), 0.0))
     return np.asarray(ratio), np.asarray(np.sqrt(along @ covariance @ along)), np.asarray(mean), covariance
+
+
+def _mean_third_harmonic(used: LockInEstimate) -> tuple[Complexes, Floats]:
+    """Weighted mean of the third harmonics, those of unknown size left out, and its uncertainty."""
+    weights = used.third_harmonic_u**-2.0
+    total = weights.sum()
+    if total == 0:
+        return np.asarray(0j), np.asarray(np.inf)
+    return np.asarray(np.sum(weights * used.third_harmonic) / total), np.asarray(1 / np.sqrt(total))

@@ -15,9 +15,11 @@ from numpy.typing import NDArray
 from instrument import scpi
 from instrument.errors import FileFormatError, TransferError
 from instrument.facts import LEVELS_PER_DIVISION
+from instrument.small_files import read_small_file
 from instrument.waveform import Preamble, Waveform, decode_curve
 
-_LARGEST_FILE = 256 * 1024 * 1024  # bytes; a scope's CSV has about 100 kB, the longest ISF some 40 MB
+_LARGEST_FILE = 8_000_000  # bytes; a scope's CSV has about 100 kB
+_LONGEST_RECORD = 500_000  # points, 200 times those of this family: more cannot be fitted in a small memory
 _NOT_A_CODE = 0.3  # a value farther than this from a whole code is not one that an 8-bit scope wrote
 _UNITS = {"V": "Volts"}  # the CSV says V where the preamble of the same record says Volts
 
@@ -45,23 +47,23 @@ def read_waveform(path: str | os.PathLike[str]) -> Waveform:
         If it cannot be read.
     """
     file = Path(path)
-    if file.stat().st_size > _LARGEST_FILE:
-        raise FileFormatError(
-            f"{file} is larger than any waveform file ({_LARGEST_FILE} bytes); is it the right one?"
-        )
-    content = file.read_bytes()
+    content = read_small_file(file, _LARGEST_FILE)
     try:
-        if _is_isf(content):
-            return parse_isf(content)
-        return parse_csv(content.decode("utf-8-sig", errors="replace"))
+        with np.errstate(all="ignore"):  # what is not finite is looked for
+            if _is_isf(content):
+                return parse_isf(content)
+            return parse_csv(content.decode("utf-8-sig", errors="replace"))
     except (FileFormatError, TransferError) as error:
         reason = str(error).removesuffix("; ask again")
         raise FileFormatError(f"{file}: {reason}") from None
+    except (ArithmeticError, ValueError) as error:
+        raise FileFormatError(f"{file}: holds a number that no record has ({error})") from None
 
 
 def parse_csv(text: str) -> Waveform:
     """Read the text of a scope's CSV file. Errors as `read_waveform`."""
     header, times, values = _csv_columns(text)
+    _check_length(len(values))
     scale = _positive(header, "Vertical Scale")
     interval = _positive(header, "Sample Interval")
     x_unit = header.get("Horizontal Units", "s")
@@ -99,6 +101,7 @@ def parse_isf(content: bytes) -> Waveform:
     """Read the content of an ISF file. Errors as `read_waveform`."""
     marker = _curve_position(content)
     preamble = Preamble.parse(content[:marker].decode("latin-1").strip().rstrip(";"))
+    _check_length(preamble.nr_pt)
     curve = content[marker:]
     start = curve.find(b"#")
     if preamble.encdg == "ASC" or start < 0:
@@ -153,6 +156,8 @@ def _csv_columns(text: str) -> tuple[dict[str, str], NDArray[np.float64], NDArra
 
 def _codes(values: NDArray[np.float64], preamble: Preamble) -> NDArray[np.int8]:
     levels = (values - preamble.yzero) / preamble.ymult + preamble.yoff
+    if not np.isfinite(levels).all():
+        raise FileFormatError("values and vertical scale do not go together: the file was edited")
     codes = np.round(levels)
     worst = int(np.argmax(np.abs(levels - codes)))
     # The file has five decimals, which is coarse against a level at 2 mV/div and a 1:1 probe.
@@ -209,6 +214,11 @@ def _positive(header: dict[str, str], key: str) -> float:
     if value <= 0:
         raise FileFormatError(f"the row {key!r} holds {value:g} where a positive number belongs; restore the file")
     return value
+
+
+def _check_length(points: int) -> None:
+    if points > _LONGEST_RECORD:
+        raise FileFormatError(f"it has {points} points, at most {_LONGEST_RECORD} are read: save a shorter record")
 
 
 # ---------------------------------------------------------------------- ISF

@@ -19,6 +19,7 @@ from instrument.scpi import integer, nr3, number, split_header, split_parts, unq
 from instrument.waveform_svg import waveform_svg
 
 _PLOT_UNITS = {"Volts": "V"}
+_LARGEST_NUMBER = 1e18
 
 
 @dataclass(frozen=True)
@@ -91,6 +92,20 @@ class Preamble:
             )
         read: dict[str, Any] = {name: _READERS[name](values[name]) for name in names}
         return _checked(cls(**read))
+
+    @property
+    def implausible(self) -> bool:
+        """Whether a number is beyond all that scopes have: arithmetic with it would fail."""
+        numbers = (
+            self.xincr,
+            1 / self.xincr if self.xincr else 0.0,
+            self.pt_off,
+            self.xzero,
+            self.ymult,
+            self.yzero,
+            self.yoff,
+        )
+        return max(map(abs, numbers)) > _LARGEST_NUMBER
 
     def to_text(self) -> str:
         """The 16 fields without headers, as the scope writes them; `parse` of it gives an equal preamble."""
@@ -289,7 +304,10 @@ def _binary_codes(data: bytes, preamble: Preamble) -> NDArray[np.int64]:
 
 def _ascii_codes(data: bytes, preamble: Preamble) -> NDArray[np.int64]:
     words = data.decode("ascii", errors="replace").split(",")
-    return np.array([integer(word) for word in words], dtype=np.int64)
+    values = [integer(word) for word in words]
+    if max(map(abs, values)) >= 1 << 32:
+        raise TransferError("the curve holds values outside the range of its preamble; ask again")
+    return np.array(values, dtype=np.int64)
 
 
 def _checked(preamble: Preamble) -> Preamble:
@@ -304,6 +322,7 @@ def _checked(preamble: Preamble) -> Preamble:
         (preamble.pt_fmt in ("Y", "ENV"), "PT_FMT is neither Y nor ENV"),
         (preamble.xincr > 0, "XINCR is not positive"),
         (preamble.ymult >= 0, "YMULT is negative"),
+        (not preamble.implausible, "a number in it is larger or smaller than any scope has"),
     )
     for is_right, problem in problems:
         if not is_right:

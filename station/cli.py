@@ -3,18 +3,28 @@
 from __future__ import annotations
 
 import importlib
-import json
 import os
-import signal
 import sys
-import threading
 import traceback
 from collections.abc import Sequence
 
 import click
 
-from station.errors import EXIT_DEFECT, EXIT_INTERRUPTED, EXIT_USAGE, Failure, describe_failure, one_line
+from station.errors import (
+    EXIT_DEFECT,
+    EXIT_FAIL,
+    EXIT_INTERRUPTED,
+    EXIT_OK,
+    EXIT_OUTPUT,
+    EXIT_USAGE,
+    Failure,
+    describe_failure,
+    one_line,
+)
+from station.runs.stop import ending_signals
 from station.shell.options import SuggestingGroup
+from station.terminal.lines import print_failure, print_json, remark
+from station.terminal.streams import unbreakable_streams
 
 _TRACEBACK_VARIABLE = "GYROLOCK_TRACEBACK"
 
@@ -28,6 +38,7 @@ COMMANDS = {
         "Evaluate saved runs of any kind again, and Tektronix files.",
     ),
     "report": ("commands.report:command", "Write the HTML report of saved runs."),
+    "salvage": ("commands.salvage:command", "Get what can still be read out of a damaged run."),
     "plan": ("plan.command:command", "Plan a measurement: rate, scale and records for a wanted uncertainty."),
     "fog": ("fibre_gyro.command:command", "Scale factor of a fibre gyro: rate table, self-calibration, ..."),
     "study": ("study.command:command", "Compute the paper's simulations, with its method and exactly."),
@@ -64,7 +75,8 @@ def gyrolock() -> None:
     Without an instrument, `gyrolock measure` shows the whole measurement on a simulated bench.
 
     Exit codes: 0 done, 1 FAIL against a limit or a wanted uncertainty out of reach, 2 usage or settings,
-    3 instrument or link, 4 no usable signal, 130 interrupted.
+    3 instrument or link, 4 no usable signal, 5 the output could not be written (records are kept),
+    130 interrupted, 143 terminated.
     """
 
 
@@ -82,22 +94,26 @@ def main(arguments: Sequence[str] | None = None) -> int:
         Exit code.
     """
     given = list(sys.argv[1:] if arguments is None else arguments)
-    if threading.current_thread() is threading.main_thread():
-        # a program started in the background by a shell would otherwise not hear Ctrl-C
-        signal.signal(signal.SIGINT, signal.default_int_handler)
+    with unbreakable_streams() as streams, ending_signals():
+        try:
+            code = _run(given)
+        except KeyboardInterrupt as error:  # one that came while the end was told
+            code = _tell(describe_failure(error) or _defect(error), given)
+        if (lost := streams.lost) and code in (EXIT_OK, EXIT_FAIL):
+            remark(f"the result could not be written to stdout ({lost}); what was saved is kept")
+            code = EXIT_OUTPUT
+    return code
+
+
+def _run(given: Sequence[str]) -> int:
     try:
-        code = gyrolock.main(given, prog_name="gyrolock", standalone_mode=False)
-        return int(code or 0)
+        return int(gyrolock.main(list(given), prog_name="gyrolock", standalone_mode=False) or 0)
     except click.exceptions.Exit as done:
         return done.exit_code
     except click.Abort:
         return _tell(Failure("interrupted", "interrupted by the operator", EXIT_INTERRUPTED), given)
     except click.ClickException as error:
         return _tell(Failure("usage", _usage_line(error), EXIT_USAGE), given)
-    except BrokenPipeError:
-        # the reader of our output has gone; what Python still holds back must not fail on the way out
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return EXIT_USAGE
     except (Exception, KeyboardInterrupt) as error:
         return _tell(describe_failure(error) or _defect(error), given)
 
@@ -114,8 +130,8 @@ def _defect(error: BaseException) -> Failure:
 def _tell(failure: Failure, arguments: Sequence[str]) -> int:
     """Report a failure: one line on stderr, and with ``--json`` one document on stdout."""
     if "--json" in arguments or "--jsonl" in arguments:
-        click.echo(json.dumps({"error": failure.as_json()}))
-    click.echo(f"gyrolock: {failure.message}", err=True)
+        print_json({"error": failure.as_json()})
+    print_failure(failure)
     return failure.exit_code
 
 

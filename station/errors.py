@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 from dataclasses import dataclass
 
 EXIT_OK = 0
@@ -9,8 +10,9 @@ EXIT_FAIL = 1  # against a limit, or a wanted uncertainty out of reach
 EXIT_USAGE = 2
 EXIT_INSTRUMENT = 3
 EXIT_NO_SIGNAL = 4
+EXIT_OUTPUT = 5  # a result could not be written; the records are kept
 EXIT_DEFECT = 70
-EXIT_INTERRUPTED = 130
+EXIT_INTERRUPTED = 130  # 128 and the number of the signal, as shells count: 129 hung up, 143 terminated
 
 
 class StationError(Exception):
@@ -46,11 +48,32 @@ class RunError(StationError):
     kind = "run"
 
 
+class CannotWrite(RunError):
+    """The disk does not take a run, a result or a report."""
+
+    kind = "output"
+    exit_code = EXIT_OUTPUT
+
+
 class NoUsableSignal(StationError):
     """The scope answers, but what it shows gives no lock-in rate."""
 
     kind = "no_usable_signal"
     exit_code = EXIT_NO_SIGNAL
+
+
+class Stopped(KeyboardInterrupt):
+    """A signal came that ends the program.
+
+    Parameters
+    ----------
+    number : int
+        Of the signal.
+    """
+
+    def __init__(self, number: int) -> None:
+        super().__init__(number)
+        self.number = number
 
 
 @dataclass(frozen=True)
@@ -66,6 +89,12 @@ class Failure:
         return {"kind": self.kind, "message": self.message, "exit_code": self.exit_code}
 
 
+_SIGNALS = {
+    "SIGTERM": ("terminated", "terminated from outside (SIGTERM)"),
+    "SIGHUP": ("hung_up", "the terminal was closed (SIGHUP)"),
+}
+
+
 def describe_failure(error: BaseException) -> Failure | None:
     """Put an exception into words and an exit code.
 
@@ -76,6 +105,9 @@ def describe_failure(error: BaseException) -> Failure | None:
     """
     if isinstance(error, StationError):
         return Failure(error.kind, one_line(error), error.exit_code)
+    if isinstance(error, Stopped) and error.number != signal.SIGINT:
+        kind, words = _SIGNALS.get(signal.Signals(error.number).name, ("interrupted", "interrupted"))
+        return Failure(kind, words, 128 + error.number)
     if isinstance(error, KeyboardInterrupt):
         return Failure("interrupted", "interrupted by the operator", EXIT_INTERRUPTED)
     if isinstance(error, OSError):

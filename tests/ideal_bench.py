@@ -5,6 +5,8 @@ For tests of what has nothing to do with it: fewer records, and the truth lies w
 
 from typing import Any
 
+from station.runs.progress import Progress
+
 CLEAN: dict[str, float] = {
     "second_harmonic_dbc": -200.0,
     "third_harmonic_dbc": -200.0,
@@ -43,3 +45,19 @@ def ideal_bench(**sections: dict[str, Any]) -> dict[str, dict[str, Any]]:
             values = values | {"contaminants": CLEAN | values["contaminants"]}
         settings[name] = section | values
     return settings
+
+
+class Interrupting(Progress):
+    """An operator who presses Ctrl-C after so many records at the slow rates."""
+
+    def __init__(self, after: int) -> None:
+        super().__init__(quiet=True)
+        self._left, self._counting = after, False
+
+    def start(self, what: str, total: int) -> None:
+        self._counting = what == "records"
+
+    def advance(self) -> None:
+        self._left -= self._counting
+        if self._left < 0:
+            raise KeyboardInterrupt

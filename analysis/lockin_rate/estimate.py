@@ -28,6 +28,8 @@ class LockInEstimate:
     complex_ratio_covariance : (..., 2, 2) of its real and imaginary part, from noise alone
     backscatter_phase : rad, beta less the readout phase
     amplitude, noise_rms : volts, A of A sin(phi), and the standard deviation of what the fit leaves
+    third_harmonic, third_harmonic_u : third harmonic beyond that of the lock-in waveform, over the amplitude, its
+        phase referred to three times the fundamental's: third-order distortion; u of either part, inf: not known
     periods : beat periods in the record
     records, records_rejected : how many records the value rests on, and how many could not be used
     flags : bits of `Flag`
@@ -49,6 +51,8 @@ class LockInEstimate:
     backscatter_phase: Floats
     amplitude: Floats
     noise_rms: Floats
+    third_harmonic: Complexes
+    third_harmonic_u: Floats
     periods: Floats
     records: Ints
     records_rejected: Ints

@@ -13,6 +13,7 @@ from analysis.lockin_rate.estimate import LockInEstimate
 from analysis.lockin_rate.pieces import compare_pieces
 from analysis.lockin_rate.rate import backscatter_phase, rate_of_ratio
 from analysis.waveform.records import NanPolicy, as_stack
+from analysis.waveform.third_harmonic import third_harmonic
 from analysis.waveform.waveform_fit import fit_waveform
 
 WHITE = "white noise of the size that the fit leaves, in each record"
@@ -80,6 +81,7 @@ def estimate_lock_in(
         full = np.broadcast_to(np.asarray(clipped, dtype=bool), (*stack.shape, stack.n_samples))
         mask = full.reshape(-1, stack.n_samples)
     fit = fit_waveform(stack, mask)
+    third, third_u = third_harmonic(stack, fit)
     with np.errstate(all="ignore"):  # records without a beat divide by zero; their flags are fatal
         beat = Beat.of(fit, stack.n_samples, sample_interval)
         beat, flags = compare_pieces(beat, fit.flags, stack, mask, sample_interval)
@@ -123,6 +125,8 @@ def estimate_lock_in(
         backscatter_phase=shaped(backscatter_phase(beat.rho, sense)),
         amplitude=shaped(beat.amplitude),
         noise_rms=fit.noise_rms.reshape(stack.shape),
+        third_harmonic=third.reshape(stack.shape),
+        third_harmonic_u=third_u.reshape(stack.shape),
         periods=shaped(beat.periods),
         records=(~fatal).astype(np.int64).reshape(stack.shape),
         records_rejected=fatal.astype(np.int64).reshape(stack.shape),

@@ -12,6 +12,7 @@ from analysis.budget.expected_noise import RecordShape, expected_point
 from analysis.lockin_equation import beat_frequency
 from analysis.plan.request import FASTEST_OVER_LOCK_IN, PlanRequest
 from analysis.plan.several_rates import expected_joint_u
+from analysis.several_rates import ReceiverKnowledge
 
 MOST_RECORDS = 100_000
 
@@ -221,7 +222,7 @@ def _budget(request: PlanRequest, rates: tuple[PlannedRate, ...]) -> Budget:
             request.scale_factor,
             reference=request.reference,
             phase=request.phase,
-            with_distortion=request.distortion_separated,
+            receiver=ReceiverKnowledge.of(request.knowledge),
         )
         alone = lock_in_budget(point, knowledge, request.reference)
         own = math.hypot(*(line.contribution for line in alone.inputs if line.name in ("noise", "quantization")))

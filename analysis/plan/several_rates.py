@@ -1,8 +1,9 @@
-"""What records at several rates or in both senses will say, with distortion fitted beside the lock-in rate."""
+"""What records at several rates or in both senses will say, with all that is unknown fitted too."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -10,9 +11,15 @@ from analysis.arrays import Complexes, Floats
 from analysis.budget import Reference
 from analysis.budget.expected_noise import RecordShape, expected_noise
 from analysis.lockin_equation import beat_frequency, harmonic_ratio
-from analysis.several_rates.ratio_model import RatioData, fit_ratios, predicted_ratio, whitening_factor
+from analysis.several_rates import RatioData, ReceiverKnowledge, predicted_ratio
+from analysis.several_rates.least_squares import all_solutions, fit_ratios
+from analysis.several_rates.ratio_model import N_PARAMETERS, whitening_factor
+from analysis.several_rates.solutions import answer
 
 _PHASES = 12
+
+_FEW = 4
+"""So many rates in one sense have no second solution."""
 
 
 def expected_joint_u(
@@ -23,9 +30,12 @@ def expected_joint_u(
     *,
     reference: Reference = "beat",
     phase: float = np.nan,
-    with_distortion: bool = True,
+    receiver: ReceiverKnowledge | None = None,
 ) -> float:
-    """Standard uncertainty from noise of the lock-in rate that all rates give together, deg/s.
+    """Standard uncertainty of the lock-in rate that all rates give together, deg/s: that of `fit_rates`.
+
+    It counts the noise of the records, and what they do not tell of distortion, bandwidth and gain corner. Few
+    rates in one sense may have a second solution; then it is that of both together.
 
     Parameters
     ----------
@@ -38,8 +48,8 @@ def expected_joint_u(
     reference : {"beat", "rate"}
     phase : float, optional
         Readout phase less backscatter phase, rad; nan: the rms over all phases.
-    with_distortion : bool, optional
-        Whether distortion is an unknown too.
+    receiver : ReceiverKnowledge, optional
+        What is known of receiver and laser; without it the usual bounds.
 
     Raises
     ------
@@ -48,6 +58,11 @@ def expected_joint_u(
     """
     phases = np.array([phase]) if np.isfinite(phase) else np.arange(_PHASES) * (2 * np.pi / _PHASES)
     rate = np.asarray(input_rates, dtype=np.float64)
+    if np.unique(rate).size < 2:
+        raise ValueError(
+            "these rates cannot tell distortion from lock-in: take both senses, or rates that differ by a factor "
+            "of two or more"
+        )
     frequency = beat_frequency(scale_factor, np.abs(rate), lock_in_rate)
     noise = [
         expected_noise(shape, r)
@@ -56,7 +71,8 @@ def expected_joint_u(
     along = np.array([float(one.ratio_u) for one in noise])
     across = np.array([float(one.across_u) for one in noise])
     z = lock_in_rate * np.exp(-1j * phases)
-    truth = np.stack([z.real, z.imag, np.zeros_like(phases), np.zeros_like(phases)], axis=-1)
+    truth = np.zeros((phases.size, N_PARAMETERS))
+    truth[:, 0], truth[:, 1] = z.real, z.imag
     data = RatioData(
         rate=rate,
         beat_rate=frequency / scale_factor,
@@ -64,16 +80,20 @@ def expected_joint_u(
         ratio=np.zeros(rate.size, dtype=np.complex128),
         whitening=np.zeros((phases.size, rate.size, 2, 2)),
         amplitude=np.ones(rate.size),
+        third=np.zeros(rate.size),
+        third_weight=1 / along,
         reference=reference,
     )
     rho = predicted_ratio(truth, data)
-    data = RatioData(**{**vars(data), "ratio": rho, "whitening": whitening_factor(_turned(rho, along, across))})
-    fit = fit_ratios(data, (with_distortion, False), truth)
-    if np.any(fit.singular):
-        raise ValueError(
-            "these rates cannot tell distortion from lock-in: take both senses, or rates that differ by a factor "
-            "of two or more"
-        )
+    data = replace(data, ratio=rho, whitening=whitening_factor(_turned(rho, along, across)))
+    prior = (receiver or ReceiverKnowledge()).prior(float(frequency.min()))
+    if len(set(np.sign(rate))) == 1 and rate.size < _FEW:
+        each = [
+            replace(data, ratio=rho[row], whitening=data.whitening[row : row + 1]) for row in range(phases.size)
+        ]
+        us = [answer(all_solutions(one, prior), 1.0, 0).u for one in each]
+        return float(np.sqrt(np.mean(np.square(us))))
+    fit = fit_ratios(data, prior, truth)
     radial = np.stack([np.cos(phases), -np.sin(phases)], axis=-1)
     variance = np.einsum("bi,bij,bj->b", radial, fit.covariance[:, :2, :2], radial)
     return float(np.sqrt(variance.mean()))

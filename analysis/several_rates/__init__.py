@@ -2,14 +2,17 @@
 
 from analysis.several_rates.fit import fit_rate_ratios, fit_rates
 from analysis.several_rates.ratio_model import RatioData, Reference, predicted_ratio
-from analysis.several_rates.result import Model, ModelFit, RatesFit, RatesFlag, WithoutOneRate
+from analysis.several_rates.receiver import ReceiverKnowledge
+from analysis.several_rates.result import Alternative, Model, ModelFit, RatesFit, RatesFlag, WithoutOneRate
 
 __all__ = [
+    "Alternative",
     "Model",
     "ModelFit",
     "RatesFit",
     "RatesFlag",
     "RatioData",
+    "ReceiverKnowledge",
     "Reference",
     "WithoutOneRate",
     "fit_rate_ratios",

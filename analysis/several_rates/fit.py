@@ -1,8 +1,9 @@
 """Lock-in rate from records at several rates and in both senses, free of what one record cannot show.
 
 The lock-in part of the harmonic ratio falls with the rate and turns round with the sense; second-order distortion
-of the receiver does neither, and the finite speed of the laser's gain turns it in phase. Records at several rates
-tell the three apart (equation (1) of `ratio_model`, derived in docs/several_rates.md).
+of the receiver does neither, the finite speed of the laser's gain turns it in phase, and a slow receiver weakens
+it with the square of the rate. Records at several rates tell them apart (equation (1) of `ratio_model`, derived in
+docs/several_rates.md). What they leave open is bounded by what is known of receiver and laser beforehand.
 """
 
 from __future__ import annotations
@@ -15,51 +16,48 @@ import numpy as np
 import scipy.special
 from numpy.typing import ArrayLike
 
-from analysis.arrays import Bools, Complexes, Floats, Indices
+from analysis.arrays import Bools, Complexes, Floats
 from analysis.errors import NoFit
-from analysis.lockin_rate import LockInEstimate, size_interval
+from analysis.lockin_rate import LockInEstimate
+from analysis.several_rates.checks import leave_out, rates_flags, scale_factor_of_rates
+from analysis.several_rates.least_squares import RatioFit, all_solutions, fit_ratios, whitened
+from analysis.several_rates.points import Points, gather
 from analysis.several_rates.ratio_model import (
+    N_PARAMETERS,
+    Prior,
     RatioData,
-    RatioFit,
     Reference,
-    fit_ratios,
     predicted_ratio,
     whitening_factor,
 )
 from analysis.several_rates.ratio_records import (
     SMALLEST_U,
     RatioRecords,
+    common_mismatch,
     inconsistent_rate,
     records_of_arrays,
     records_of_estimates,
 )
-from analysis.several_rates.result import Model, ModelFit, RatesFit, RatesFlag, WithoutOneRate
+from analysis.several_rates.receiver import ReceiverKnowledge
+from analysis.several_rates.result import Model, ModelFit, RatesFit
+from analysis.several_rates.solutions import answer, by_profile, lock_in_u, polar_covariance
 
-FREE: dict[Model, tuple[bool, bool]] = {
-    "lock-in": (False, False),
-    "distortion": (True, False),
-    "gain": (False, True),
-    "both": (True, True),
+FREE: dict[Model, tuple[bool, ...]] = {
+    "lock-in": (False, False, False, False),
+    "distortion": (True, False, False, False),
+    "gain": (False, True, False, False),
+    "both": (True, True, False, False),
+    "all": (True, True, True, True),
 }
-"""Which of distortion and gain time each model fits."""
+"""Which of distortion, gain time, lag of the receiver and third order each model fits."""
+
+COUNTED = ("distortion", "gain_corner", "bandwidth", "third_order")
+"""Lines of a budget that these parameters stand for."""
 
 MORE_RECORDS = "take the other sense of rotation as well, or rates that differ by a factor of two and more"
 
 ENLARGED = "; enlarged to the scatter between records, which is more than that noise explains"
 UNLIKELY = 0.001
-SIGNIFICANT = 3.3
-GAIN_COST = 2.0
-"""A gain corner that the data do not show is fitted all the same if it costs no more than this in uncertainty."""
-
-DISTORTION_COST = 10.0
-"""Distortion that costs more than this factor means rates too close together to tell it from lock-in."""
-
-LOOSE = 0.3
-"""A lock-in rate with a larger relative uncertainty is not determined."""
-
-SAME_RATE = 0.01
-MISMATCH = 0.005
-"""A rate that misses the one of the beat by more is worth a flag: it goes 1:1 into the lock-in rate."""
 
 
 def fit_rates(
@@ -69,11 +67,12 @@ def fit_rates(
     input_rate_u: ArrayLike = 0.0,
     reference: Reference = "rate",
     model: Model | Literal["auto"] = "auto",
+    receiver: ReceiverKnowledge | None = None,
 ) -> RatesFit:
-    """Lock-in rate, distortion of the receiver and gain corner of the laser from records at several rates.
+    """Lock-in rate, distortion and bandwidth of the receiver, and gain corner, from records at several rates.
 
-    Two rates, or one rate in both senses, determine lock-in rate and distortion; more test them. The gain corner
-    comes out where the rates reach it.
+    The lock-in rate follows from two rates, or from one rate in both senses; its uncertainty counts what these do
+    not tell of receiver and laser. Several rates in both senses tell all of it.
 
     Parameters
     ----------
@@ -88,9 +87,12 @@ def fit_rates(
     reference : {"rate", "beat"}
         "rate": r = tan(asin(WL/W)/2). "beat": r from f/K of the same record, where table rate, tilt and earth
         rate do not enter and the rates given serve for the sense alone.
-    model : {"auto", "lock-in", "distortion", "gain", "both"}
-        What is fitted beside the lock-in rate. "auto": distortion always; the gain corner too, unless the data
-        neither show it nor can pay for it (`GAIN_COST`).
+    model : {"auto", "lock-in", "distortion", "gain", "both", "all"}
+        What is fitted beside the lock-in rate. "auto" is "all": second- and third-order distortion, gain corner
+        and bandwidth, each within what is known of it beforehand. The others fit what they name, take the rest
+        to be zero, and know nothing beforehand.
+    receiver : ReceiverKnowledge, optional
+        What is known of receiver and laser; without it the usual bounds hold (`analysis.budget.unstated`).
 
     Raises
     ------
@@ -109,7 +111,7 @@ def fit_rates(
     (0.1, 0.005)
     """
     records = records_of_estimates(estimates, input_rate)
-    return _fit(records, np.asarray(input_rate_u, dtype=np.float64), reference, model)
+    return _fit(records, np.asarray(input_rate_u, dtype=np.float64), reference, model, receiver)
 
 
 def fit_rate_ratios(
@@ -121,9 +123,12 @@ def fit_rate_ratios(
     scale_factor: float,
     beat_frequency_u: ArrayLike = 0.0,
     amplitude: ArrayLike = 1.0,
+    third_harmonic: ArrayLike | None = None,
+    third_harmonic_u: ArrayLike = np.inf,
     input_rate_u: ArrayLike = 0.0,
     reference: Reference = "rate",
     model: Model | Literal["auto"] = "auto",
+    receiver: ReceiverKnowledge | None = None,
 ) -> RatesFit:
     """`fit_rates` on plain arrays of n records.
 
@@ -141,9 +146,14 @@ def fit_rate_ratios(
         Pulses per degree.
     amplitude : (n,)
         Of the beat, any unit; distortion grows with it.
-    input_rate_u, reference, model
+    third_harmonic, third_harmonic_u : (n,), optional
+        Real part of the third harmonic beyond the waveform, as in `LockInEstimate`. Without it, and without
+        `receiver`, the ratios are taken to be free of third-order distortion.
+    input_rate_u, reference, model, receiver
         As in `fit_rates`.
     """
+    if third_harmonic is None and receiver is None:
+        receiver = ReceiverKnowledge(third_order_limit=0.0)
     records = records_of_arrays(
         input_rate,
         ratio,
@@ -152,30 +162,43 @@ def fit_rate_ratios(
         scale_factor=scale_factor,
         beat_frequency_u=beat_frequency_u,
         amplitude=amplitude,
+        third_harmonic=0.0 if third_harmonic is None else third_harmonic,
+        third_harmonic_u=third_harmonic_u,
     )
-    return _fit(records, np.asarray(input_rate_u, dtype=np.float64), reference, model)
+    return _fit(records, np.asarray(input_rate_u, dtype=np.float64), reference, model, receiver)
 
 
-def _fit(records: RatioRecords, rate_u: Floats, reference: Reference, model: Model | Literal["auto"]) -> RatesFit:
+def _fit(
+    records: RatioRecords,
+    rate_u: Floats,
+    reference: Reference,
+    model: Model | Literal["auto"],
+    receiver: ReceiverKnowledge | None,
+) -> RatesFit:
     if reference not in ("rate", "beat"):
         raise ValueError(f"reference {reference!r} is neither 'rate' nor 'beat'")
     if model != "auto" and model not in FREE:
         raise ValueError(f"model {model!r} is none of 'auto', {', '.join(map(repr, FREE))}")
     used = records.usable.copy()
     if reference == "rate":
-        used &= ~inconsistent_rate(records)
+        used &= ~inconsistent_rate(records, common_mismatch(records))
     if not used.any():
         raise NoFit("no record with a usable beat: nothing can be fitted")
-    data = _data(records, used, rate_u, reference)
-    # Two points of rate and sense are the least that tells anything from lock-in, however many records there are.
-    points = len(set(zip(rate_groups(data.rate), np.sign(data.rate), strict=True)))
-    possible: list[Model] = list(FREE) if points > 1 else ["lock-in"]
-    fits = {name: fit for name in possible if not (fit := fit_ratios(data, FREE[name])).singular[0]}
-    chosen = _choose(fits, model)
-    return _result(records, used, data, fits, chosen)
+    points = _points(records, used, rate_u, reference)
+    chosen: Model = "all" if model == "auto" else model
+    known = (receiver or ReceiverKnowledge()).prior(float(points.points.angular.min()) / (2 * np.pi))
+    found = all_solutions(points.points, _prior(chosen, known))
+    # One rate in one sense tells nothing from lock-in, however many records there are.
+    if points.rate_group.size < 2 and chosen != "lock-in":
+        what = f"the unknowns of the model {model!r} apart" if model != "auto" else "distortion from lock-in"
+        raise NoFit(f"these records cannot tell {what}: {MORE_RECORDS}")
+    if found.singular[0]:
+        raise NoFit(f"these records cannot tell the unknowns of the model {model!r} apart: {MORE_RECORDS}")
+    fits = _models(points, found, known, chosen)
+    return _result(records, used, points, fits, found, known, chosen, receiver)
 
 
-def _data(records: RatioRecords, used: Bools, rate_u: Floats, reference: Reference) -> RatioData:
+def _points(records: RatioRecords, used: Bools, rate_u: Floats, reference: Reference) -> Points:
     if not np.all(np.isfinite(rate_u)) or np.any(rate_u < 0):
         raise ValueError("input_rate_u must be finite and not negative (deg/s)")
     rate, frequency, ratio = records.rate[used], records.beat_frequency[used], records.ratio[used]
@@ -186,117 +209,151 @@ def _data(records: RatioRecords, used: Bools, rate_u: Floats, reference: Referen
     along = np.stack([ratio.real, ratio.imag], axis=-1) * relative[:, np.newaxis]
     covariance = records.covariance[used] + along[:, :, np.newaxis] * along[:, np.newaxis, :]
     covariance = covariance + SMALLEST_U**2 * np.eye(2)
-    return RatioData(
+    data = RatioData(
         rate=rate,
         beat_rate=frequency / records.scale_factor,
         angular=2 * np.pi * frequency,
         ratio=ratio,
         whitening=whitening_factor(covariance)[np.newaxis],
         amplitude=records.amplitude[used],
+        third=records.third[used],
+        third_weight=1 / records.third_u[used],
         reference=reference,
     )
+    return gather(data, covariance)
 
 
-def _choose(fits: dict[Model, RatioFit], model: Model | Literal["auto"]) -> Model:
-    if model != "auto":
-        if model not in fits:
-            raise NoFit(f"these records cannot tell the unknowns of the model {model!r} apart: {MORE_RECORDS}")
-        return model
-    if "distortion" not in fits:
-        raise NoFit(f"these records cannot tell distortion of the receiver from lock-in: {MORE_RECORDS}")
-    if "both" not in fits:
-        return "distortion"
-    gain_time, u = fits["both"].parameters[0, 3], np.sqrt(fits["both"].covariance[0, 3, 3])
-    cost = _lock_in_u(fits["both"]) / _lock_in_u(fits["distortion"])
-    return "both" if abs(gain_time) > SIGNIFICANT * u or cost <= GAIN_COST else "distortion"
+def _prior(model: Model, known: Prior) -> Prior:
+    """What is known before the fit of a model: only the model of everything makes use of it."""
+    if model == "all":
+        return known
+    return Prior(np.zeros(N_PARAMETERS), np.where([True, True, *FREE[model]], np.inf, 0.0))
+
+
+def _models(points: Points, found: RatioFit, known: Prior, chosen: Model) -> dict[Model, RatioFit]:
+    """What every model gives that the records allow, from the best solution of the chosen one."""
+    fits: dict[Model, RatioFit] = {}
+    for name, free in FREE.items():
+        if name == chosen:
+            fits[name] = found[:1]
+        elif points.rate_group.size > 1 or name == "lock-in":
+            prior = _prior(name, known)
+            held = np.array([True, True, *free])
+            fit = fit_ratios(points.points, prior, np.where(held, found.parameters[:1], prior.mean))
+            if not fit.singular[0]:
+                fits[name] = fit
+    return fits
 
 
 def _result(
-    records: RatioRecords, used: Bools, data: RatioData, fits: dict[Model, RatioFit], chosen: Model
+    records: RatioRecords,
+    used: Bools,
+    points: Points,
+    fits: dict[Model, RatioFit],
+    found: RatioFit,
+    known: Prior,
+    chosen: Model,
+    receiver: ReceiverKnowledge | None,
 ) -> RatesFit:
-    fit, degrees = fits[chosen], _degrees(chosen, used)
-    chi_square, p_value, widen = _test(fit, degrees)
-    covariance = _polar_covariance(fit) * widen
-    value, low, high = _lock_in_rate(fit, widen, degrees if widen > 1 else 0)
+    fit, prior = fits[chosen], _prior(chosen, known)
+    degrees = _degrees(fit, points, prior)
+    chi_square, p_value, widen, freedom = _test(fit, points, degrees)
+    covariance = polar_covariance(fit) * widen
+    said = answer(found, widen, freedom)
+    if np.unique(np.sign(points.points.rate)).size == 1:
+        said = by_profile(said, found, points.points, prior, widen, freedom)
     us, fitted = np.sqrt(np.diagonal(covariance)), np.where([True, True, *FREE[chosen]], 1.0, np.nan)
-    at_least = _at_least(records, high)
-    left, deviation = _residuals(fit, data, used)
+    at_least = _at_least(records, said.high)
+    left, deviation = _residuals(fit, points.records, used)
+    scale_factor, scale_factor_u = scale_factor_of_rates(records.scale_factor, points, fit)
+    values = fit.parameters[0] * fitted
     result = RatesFit(
-        lock_in_rate=max(value, at_least),
-        lock_in_rate_u=float(us[0]),
-        lock_in_rate_low_95=max(low, at_least),
-        lock_in_rate_high_95=max(high, at_least),
+        lock_in_rate=max(said.value, at_least),
+        lock_in_rate_u=said.u,
+        lock_in_rate_low_95=max(said.low, at_least),
+        lock_in_rate_high_95=max(said.high, at_least),
+        alternatives=said.others,
+        counted=_counted(chosen, points, receiver),
         backscatter_phase=float(np.arctan2(fit.parameters[0, 1], fit.parameters[0, 0])),
         backscatter_phase_u=float(us[1]),
-        distortion=float(fit.parameters[0, 2] * fitted[2]),
+        distortion=float(values[2]),
         distortion_u=float(us[2] * fitted[2]),
-        gain_time=float(fit.parameters[0, 3] * fitted[3]),
+        gain_time=float(values[3]),
         gain_time_u=float(us[3] * fitted[3]),
         gain_time_limit=_gain_time_limit(fits, chosen),
+        lag_square=float(values[4]),
+        lag_square_u=float(us[4] * fitted[4]),
+        third_order=float(values[5]),
+        third_order_u=float(us[5] * fitted[5]),
+        scale_factor=scale_factor,
+        scale_factor_u=scale_factor_u,
         covariance=covariance,
         model=chosen,
-        models=tuple(_model_fit(name, each, used) for name, each in fits.items()),
-        reference=data.reference,
+        models=tuple(_model_fit(name, each, points, known) for name, each in fits.items()),
+        reference=points.points.reference,
         chi_square=chi_square,
         degrees_of_freedom=degrees,
         p_value=p_value,
-        cost=_lock_in_u(fit) / _lock_in_u(fits.get("lock-in", fit)),
-        left_out=_leave_out(data, fit, chosen),
+        cost=lock_in_u(fit) / lock_in_u(fits.get("lock-in", fit)),
+        left_out=leave_out(points, fit, prior),
         rate=records.rate,
         ratio=records.ratio,
         residual=left,
         deviation=deviation,
         used=used,
         locked=records.locked,
-        rate_mismatch=_rate_mismatch(records, value),
+        rate_mismatch=_rate_mismatch(records, said.value),
         at_least=at_least,
         flags=0,
         noise_model=records.noise_model + (ENLARGED if widen > 1 else ""),
     )
-    return replace(result, flags=_flags(result, inconsistent_rate(records)))
+    return replace(result, flags=rates_flags(result, records, _left_over(points, prior)))
 
 
-def _test(fit: RatioFit, degrees: int) -> tuple[float, float, float]:
-    """Chi-square, its probability, and the factor by which the variances grow where chance does not explain it."""
+def _test(fit: RatioFit, points: Points, degrees: int) -> tuple[float, float, float, int]:
+    """Chi-square of the means, the smaller chance of it and of the scatter about them, and what follows.
+
+    The last two: the factor by which the variances grow where chance does not explain it, and the degrees of
+    freedom of that factor, 0 where it is 1.
+    """
     chi_square = float(fit.chi_square[0])
-    if degrees == 0:
-        return chi_square, float("nan"), 1.0
-    p_value = float(scipy.special.chdtrc(degrees, chi_square))
-    return chi_square, p_value, chi_square / degrees if p_value < UNLIKELY else 1.0
+    scatter, scatter_degrees = points.scatter(fit.parameters)
+    tests = [(chi_square, degrees), (scatter, scatter_degrees)]
+    chances = [float(scipy.special.chdtrc(n, value)) if n > 0 else float("nan") for value, n in tests]
+    widen, freedom = 1.0, 0
+    for (value, n), chance in zip(tests, chances, strict=True):
+        if chance < UNLIKELY and value / n > widen:
+            widen, freedom = value / n, n
+    p_value = min((chance for chance in chances if not np.isnan(chance)), default=float("nan"))
+    return chi_square, p_value, widen, freedom
 
 
-def _degrees(model: Model, used: Bools) -> int:
-    return 2 * int(used.sum()) - 2 - sum(FREE[model])
+def _degrees(fit: RatioFit, points: Points, prior: Prior) -> int:
+    """Values less unknowns; an unknown that was known as well beforehand as it is now costs none."""
+    known = np.isfinite(prior.sd) & (prior.sd > 0)
+    kept = np.diagonal(fit.covariance[0])[known] / prior.sd[known] ** 2
+    return _left_over(points, prior) + round(float(np.minimum(kept, 1.0).sum()))
 
 
-def _lock_in_u(fit: RatioFit) -> float:
-    """Standard uncertainty of |z|; where z is near 0, of its larger part."""
-    return float(np.sqrt(_polar_covariance(fit)[0, 0]))
+def _left_over(points: Points, prior: Prior) -> int:
+    """Two values of every point and the third harmonics, less all unknowns: what tests the model by itself."""
+    thirds = np.sum(points.points.third_weight > 0) if prior.sd[5] > 0 else 0
+    return int(2 * points.rate_group.size + thirds - np.sum(prior.sd > 0))
 
 
-def _polar_covariance(fit: RatioFit) -> Floats:
-    """Covariance (4, 4) of |z|, its angle, D and T."""
-    x, y = fit.parameters[0, :2]
-    size = max(float(np.hypot(x, y)), 1e-300)
-    turn = np.eye(4)
-    turn[0, :2], turn[1, :2] = (x / size, y / size), (-y / size**2, x / size**2)
-    return np.asarray(turn @ fit.covariance[0] @ turn.T)
+def _counted(chosen: Model, points: Points, receiver: ReceiverKnowledge | None) -> frozenset[str]:
+    counted = {name for name, free in zip(COUNTED, FREE[chosen], strict=True) if free}
+    nothing_of_third = not np.any(points.points.third_weight > 0)
+    if receiver is not None and receiver.third_order_limit == 0 and nothing_of_third:
+        counted -= {"third_order"}
+    return frozenset(counted)
 
 
-def _lock_in_rate(fit: RatioFit, widen: float, degrees: int) -> tuple[float, float, float]:
-    """Value freed of the bias that noise gives to the size of a complex number, and its 95 % interval."""
-    covariance = _polar_covariance(fit) * widen
-    size = float(np.hypot(*fit.parameters[0, :2]))
-    across = size**2 * float(covariance[1, 1])
-    student = float(scipy.special.stdtrit(degrees, 0.975)) / 1.96 if degrees else 1.0
-    wide = float(np.sqrt(covariance[0, 0])) * student
-    low, high = size_interval(size / wide)
-    return float(np.sqrt(max(size**2 - across, 0.0))), float(low) * wide, float(high) * wide
-
-
-def _model_fit(model: Model, fit: RatioFit, used: Bools) -> ModelFit:
+def _model_fit(model: Model, fit: RatioFit, points: Points, known: Prior) -> ModelFit:
     value = float(np.hypot(*fit.parameters[0, :2]))
-    return ModelFit(model, value, _lock_in_u(fit), float(fit.chi_square[0]), _degrees(model, used))
+    return ModelFit(
+        model, value, lock_in_u(fit), float(fit.chi_square[0]), _degrees(fit, points, _prior(model, known))
+    )
 
 
 def _gain_time_limit(fits: dict[Model, RatioFit], chosen: Model) -> float:
@@ -309,39 +366,10 @@ def _gain_time_limit(fits: dict[Model, RatioFit], chosen: Model) -> float:
 
 def _residuals(fit: RatioFit, data: RatioData, used: Bools) -> tuple[Complexes, Floats]:
     left = (data.ratio - predicted_ratio(fit.parameters, data))[0]
-    parts = np.stack([left.real, left.imag], axis=-1)
-    white = np.einsum("nji,nj->ni", data.whitening[0], parts)
+    white = whitened(fit.parameters, data)[0][0]
     residual, deviation = np.full(used.shape, np.nan, dtype=complex), np.full(used.shape, np.nan)
     residual[used], deviation[used] = left, np.hypot(white[:, 0], white[:, 1])
     return residual, deviation
-
-
-def rate_groups(rate: Floats) -> Indices:
-    """Which of the different |W| each rate belongs to, 0, 1, ...; |W| within 1 % count as one rate."""
-    order = np.argsort(np.abs(rate))
-    size = np.abs(rate)[order]
-    group = np.empty(rate.size, dtype=np.intp)
-    group[order] = np.concatenate([[0], np.cumsum(np.diff(size) > SAME_RATE * size[1:])])
-    return group
-
-
-def _leave_out(data: RatioData, fit: RatioFit, chosen: Model) -> WithoutOneRate:
-    group = rate_groups(data.rate)
-    n_groups = int(group.max()) + 1
-    empty = np.empty(0)
-    if n_groups < 2:
-        return WithoutOneRate(empty, empty, empty, empty)
-    kept = (group != np.arange(n_groups)[:, np.newaxis]).astype(float)
-    others = fit_ratios(data.weighted(kept), FREE[chosen], np.repeat(fit.parameters, n_groups, axis=0))
-    along = fit.parameters[0, :2] / max(float(np.hypot(*fit.parameters[0, :2])), 1e-300)
-    value = np.hypot(others.parameters[:, 0], others.parameters[:, 1])
-    u = np.sqrt(np.einsum("i,bij,j->b", along, others.covariance[:, :2, :2], along))
-    shift = (others.parameters[:, :2] - fit.parameters[0, :2]) @ along
-    # The value of all is made of that of the others and of the rate left out, so variances subtract.
-    gained = np.maximum(u**2 - _lock_in_u(fit) ** 2, (1e-3 * u) ** 2)
-    blank = np.where(others.singular, np.nan, 1.0)
-    rates = np.array([np.abs(data.rate[group == g]).mean() for g in range(n_groups)])
-    return WithoutOneRate(rates, value * blank, u * blank, shift / np.sqrt(gained) * blank)
 
 
 def _at_least(records: RatioRecords, high: float) -> float:
@@ -359,31 +387,3 @@ def _rate_mismatch(records: RatioRecords, lock_in_rate: float) -> Floats:
     expected = records.scale_factor * np.sqrt(square[known])
     mismatch[known] = records.beat_frequency[known] / expected - 1
     return mismatch
-
-
-def _flags(fit: RatesFit, inconsistent: Bools) -> int:
-    size, u = fit.lock_in_rate, fit.lock_in_rate_u
-    plain = next((m.lock_in_rate_u for m in fit.models if m.model == "lock-in"), u)
-    distorted = next((m.lock_in_rate_u for m in fit.models if m.model == "distortion"), u)
-    rate = np.abs(fit.rate)
-    with np.errstate(over="ignore"):
-        stretch = size**2 / np.maximum(rate**2 - size**2, 1e-300) * (u / size if size else 0.0)
-    differ = np.abs(fit.rate_mismatch) > MISMATCH + 3 * stretch
-    no_beat_above = fit.locked & (rate > fit.lock_in_rate_high_95)
-    disagree = np.abs(fit.left_out.deviation) > SIGNIFICANT
-    conditions = {
-        RatesFlag.NOT_SIGNIFICANT: not size > SIGNIFICANT * u,
-        RatesFlag.RATES_TOO_CLOSE: FREE[fit.model][0] and distorted > DISTORTION_COST * plain,
-        RatesFlag.NOT_DETERMINED: u > LOOSE * size,
-        RatesFlag.NOT_TESTED: fit.degrees_of_freedom == 0,
-        RatesFlag.MISFIT: fit.p_value < UNLIKELY,
-        RatesFlag.ONE_RATE_DISAGREES: bool(np.any(disagree)),
-        RatesFlag.ONE_SENSE: len(set(np.sign(fit.rate[fit.used]))) == 1,
-        RatesFlag.GAIN_CORNER_ASSUMED_HIGH: not FREE[fit.model][1],
-        RatesFlag.LOCKED_RECORDS: fit.at_least > 0,
-        RatesFlag.NO_BEAT_ABOVE_LOCK_IN: bool(np.any(no_beat_above)),
-        RatesFlag.RECORDS_LEFT_OUT: not bool(np.all(fit.used | fit.locked)),
-        RatesFlag.RATE_AND_BEAT_DISAGREE: bool(np.any(differ | inconsistent)),
-        RatesFlag.RATE_BELOW_LOCK_IN: bool(np.any(fit.used & (rate <= size))),
-    }
-    return int(sum(bit for bit, raised in conditions.items() if raised))

@@ -27,7 +27,9 @@ class RatioRecords:
     beat_frequency, beat_frequency_u : Hz
     ratio, covariance : rho (n,) and that of its two parts (n, 2, 2)
     amplitude : over the mean of the usable records
+    third, third_u : third harmonic beyond the waveform in phase with distortion, over the amplitude; inf: unknown
     usable, locked : records with a ratio; records that show no beat
+    misfit : records whose waveform is not the lock-in one within its noise
     """
 
     rate: Floats
@@ -36,8 +38,11 @@ class RatioRecords:
     ratio: Complexes
     covariance: Floats
     amplitude: Floats
+    third: Floats
+    third_u: Floats
     usable: Bools
     locked: Bools
+    misfit: Bools
     scale_factor: float
     noise_model: str
 
@@ -77,6 +82,9 @@ def records_of_estimates(
         scale_factor=flat[0].scale_factor,
         beat_frequency_u=np.concatenate([e.beat_frequency_u for e in flat]),
         amplitude=np.concatenate([e.amplitude for e in flat]),
+        third_harmonic=np.concatenate([e.third_harmonic.real for e in flat]),
+        third_harmonic_u=np.concatenate([e.third_harmonic_u for e in flat]),
+        misfit=(flags & int(Flag.MISFIT)) != 0,
         noise_model="; ".join(dict.fromkeys(e.noise_model for e in flat)),
     )
 
@@ -90,6 +98,9 @@ def records_of_arrays(
     scale_factor: float,
     beat_frequency_u: ArrayLike = 0.0,
     amplitude: ArrayLike = 1.0,
+    third_harmonic: ArrayLike = 0.0,
+    third_harmonic_u: ArrayLike = np.inf,
+    misfit: ArrayLike = False,
     noise_model: str = "the covariances given",
 ) -> RatioRecords:
     """Records of plain arrays of n values; a beat frequency of 0 marks a record without a beat.
@@ -108,6 +119,10 @@ def records_of_arrays(
     f = _column("beat_frequency", beat_frequency, w.size).astype(np.float64)
     fu = _column("beat_frequency_u", beat_frequency_u, w.size).astype(np.float64)
     size = _column("amplitude", amplitude, w.size).astype(np.float64)
+    third = _column("third_harmonic", third_harmonic, w.size).astype(np.float64)
+    third_u = _column("third_harmonic_u", third_harmonic_u, w.size).astype(np.float64)
+    if not (np.all(third_u > 0) and np.all(np.isfinite(third))):
+        raise ValueError("third_harmonic must be finite and third_harmonic_u positive; inf where it is not known")
     spread = np.asarray(covariance, dtype=np.float64)
     if spread.shape not in ((w.size, 2, 2), (2, 2)):
         raise ValueError(f"covariance must have shape ({w.size}, 2, 2), not {spread.shape}")
@@ -116,12 +131,42 @@ def records_of_arrays(
     usable = ~locked & (f > 0) & np.isfinite(rho) & np.isfinite(fu) & np.isfinite(size) & (size > 0)
     usable &= np.isfinite(spread).all(axis=(-1, -2))
     mean = size[usable].mean() if usable.any() else 1.0
-    return RatioRecords(w, f, fu, rho, spread, size / mean, usable, locked, float(scale_factor), noise_model)
+    return RatioRecords(
+        rate=w,
+        beat_frequency=f,
+        beat_frequency_u=fu,
+        ratio=rho,
+        covariance=spread,
+        amplitude=size / mean,
+        third=third,
+        third_u=third_u,
+        usable=usable,
+        locked=locked,
+        misfit=_column("misfit", misfit, w.size).astype(bool),
+        scale_factor=float(scale_factor),
+        noise_model=noise_model,
+    )
 
 
-def inconsistent_rate(records: RatioRecords) -> Bools:
-    """Records whose beat is faster than their rate allows: f > K |W|."""
-    fastest = records.scale_factor * np.abs(records.rate) * (1 + FASTER_THAN_POSSIBLE)
+def common_mismatch(records: RatioRecords) -> float:
+    """What all beats have in common against their rates: f/(K W), freed of lock-in by each record's own ratio.
+
+    1 where that is within `FASTER_THAN_POSSIBLE`; nan without a usable record. Anything else is a wrong scale
+    factor, or an error that all rates share. The fast records say it, whose own ratio matters least.
+    """
+    if not records.usable.any():
+        return float("nan")
+    size = np.abs(records.ratio[records.usable])
+    fast = size <= 2 * size.min()
+    square = np.minimum(size[fast] ** 2, 0.99)
+    own = records.beat_frequency[records.usable][fast] / records.scale_factor * (1 + square) / (1 - square)
+    found = float(np.median(own / np.abs(records.rate[records.usable][fast])))
+    return 1.0 if abs(found - 1) < FASTER_THAN_POSSIBLE else found
+
+
+def inconsistent_rate(records: RatioRecords, mismatch: float = 1.0) -> Bools:
+    """Records whose beat is faster than their rate allows, f > K |W|, beyond the mismatch that all have."""
+    fastest = records.scale_factor * mismatch * np.abs(records.rate) * (1 + FASTER_THAN_POSSIBLE)
     return np.asarray(records.usable & (records.beat_frequency > fastest + 4 * records.beat_frequency_u))
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from analysis.arrays import Bools, Complexes, Floats
 from analysis.several_rates.ratio_model import Reference
 
-Model = Literal["lock-in", "distortion", "gain", "both"]
+Model = Literal["lock-in", "distortion", "gain", "both", "all"]
 
 
 class RatesFlag(IntFlag):
@@ -43,6 +43,10 @@ class RatesFlag(IntFlag):
     """Rates given and beat frequencies do not fit together: rate, tilt, earth rate or scale factor is wrong."""
     RATE_BELOW_LOCK_IN = 4096
     """A record shows a beat at a rate, as given, at which the gyro should be locked."""
+    SEVERAL_SOLUTIONS = 8192
+    """Another lock-in rate explains the records as well: `RatesFit.alternatives`; the interval holds all."""
+    RECORDS_MISFIT = 16384
+    """The records themselves depart from the lock-in waveform, by more than third-order distortion explains."""
 
 
 @dataclass(frozen=True)
@@ -57,35 +61,64 @@ class ModelFit:
 
 
 @dataclass(frozen=True)
+class Alternative:
+    """Another minimum of chi-square, not unlikely enough to be left out.
+
+    lock_in_rate, lock_in_rate_u, lock_in_rate_low_95, lock_in_rate_high_95 : deg/s, of this minimum alone
+    distortion : D there
+    chi_square : above that of the best
+    """
+
+    lock_in_rate: float
+    lock_in_rate_u: float
+    lock_in_rate_low_95: float
+    lock_in_rate_high_95: float
+    distortion: float
+    chi_square: float
+
+
+@dataclass(frozen=True)
 class WithoutOneRate:
     """The fit repeated without each rate in turn; arrays of one value a rate.
 
     rate : |W|, deg/s, mean of the records left out
     lock_in_rate, lock_in_rate_u : deg/s, from the others
     deviation : from the value of all, in standard uncertainties of that difference
+    p_value : chance that all is well and the rate left out fits the others no better, with as many tests as rates
     """
 
     rate: Floats
     lock_in_rate: Floats
     lock_in_rate_u: Floats
     deviation: Floats
+    p_value: Floats
 
 
 @dataclass(frozen=True)
 class RatesFit:
     """Lock-in rate of many records at several rates.
 
-    lock_in_rate, lock_in_rate_u, lock_in_rate_low_95, lock_in_rate_high_95 : deg/s
+    lock_in_rate, lock_in_rate_u, lock_in_rate_low_95, lock_in_rate_high_95 : deg/s; of all solutions, where there
+        are several
+    alternatives : the other solutions, the likeliest first
+    counted : which contributions of a budget the uncertainty holds already: "distortion", "third_order",
+        "bandwidth", "gain_corner"
     backscatter_phase, backscatter_phase_u : rad, beta less the readout phase
     distortion, distortion_u : second harmonic that the receiver makes of a sine, over its fundamental, at the mean
         amplitude of the records; negative where it is in antiphase
     gain_time, gain_time_u : s, 1/g_c; noise may make it negative. What was not fitted is nan
     gain_time_limit : s, upper 95 % limit where the gain corner was not fitted, nan where the data know none
     gain_corner_hz, gain_corner_low_95_hz, gain_corner_high_95_hz : g_c/2 pi; inf where no end is seen
-    covariance : (4, 4) of lock_in_rate, backscatter_phase, distortion, gain_time; zero where not fitted
+    lag_square, lag_square_u : s^2, square of the time constant of the receiver's pole; noise may make it negative
+    bandwidth_hz, bandwidth_low_95_hz : the corner of that pole, and its lower 95 % limit
+    third_order, third_order_u : as `distortion`, the third harmonic; positive in phase with a cubic law
+    scale_factor, scale_factor_u : pulses per degree that beats and rates given ask for, if those rates are right
+    covariance : (6, 6) of lock_in_rate, backscatter_phase, distortion, gain_time, lag_square, third_order; zero
+        where not fitted
     model, models : the one used, and what every model that the data allow gives
     reference : "rate": r follows from the rates given; "beat": from f/K
-    chi_square, degrees_of_freedom, p_value : of the model used
+    chi_square, degrees_of_freedom, p_value : of the model used, of the means at each rate and sense and of what
+        was known beforehand; the last is the smaller of that and of the chance of the scatter about those means
     cost : uncertainty over that of the same data with distortion and gain corner known
     left_out : the leave-one-rate-out check; empty arrays where the others would not determine the lock-in rate
     rate, ratio, residual, deviation : (n,) of every record as given: deg/s signed, rho, what the fit leaves of it,
@@ -101,6 +134,8 @@ class RatesFit:
     lock_in_rate_u: float
     lock_in_rate_low_95: float
     lock_in_rate_high_95: float
+    alternatives: tuple[Alternative, ...]
+    counted: frozenset[str]
     backscatter_phase: float
     backscatter_phase_u: float
     distortion: float
@@ -108,6 +143,12 @@ class RatesFit:
     gain_time: float
     gain_time_u: float
     gain_time_limit: float
+    lag_square: float
+    lag_square_u: float
+    third_order: float
+    third_order_u: float
+    scale_factor: float
+    scale_factor_u: float
     covariance: Floats
     model: Model
     models: tuple[ModelFit, ...]
@@ -142,6 +183,20 @@ class RatesFit:
     def gain_corner_high_95_hz(self) -> float:
         """Upper end of the 95 % interval of g_c/2 pi; inf where the data do not see the corner."""
         return _corner(self.gain_time - 1.96 * self.gain_time_u)
+
+    @property
+    def bandwidth_hz(self) -> float:
+        """Corner of the receiver's pole."""
+        return _corner(_root(self.lag_square))
+
+    @property
+    def bandwidth_low_95_hz(self) -> float:
+        """Lower end of the 95 % interval of that corner."""
+        return _corner(_root(self.lag_square + 1.96 * self.lag_square_u))
+
+
+def _root(square: float) -> float:
+    return float(np.sqrt(square)) if not square < 0 else 0.0
 
 
 def _corner(gain_time: float) -> float:

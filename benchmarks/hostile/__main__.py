@@ -1,10 +1,11 @@
-"""`python -m benchmarks.hostile`: records that are not as they should be, and what is said of them."""
+"""`python -m benchmarks.hostile`: records and benches that are not as they should be, and what is said of them."""
 
 from __future__ import annotations
 
 import argparse
 import sys
 
+from benchmarks.hostile import benches
 from benchmarks.hostile.classes import CLASSES
 from benchmarks.hostile.measure import measure
 from benchmarks.hostile.tables import records_table
@@ -18,13 +19,16 @@ def main(arguments: list[str] | None = None) -> int:
     chosen = [one for one in CLASSES if options.only.lower() in f"{one.kind}: {one.name}".lower()]
     outcomes = measure(chosen, options.records, options.seed)
     sys.stdout.write(records_table(outcomes, options.records, options.seed) + "\n")
+    if options.benches and not options.only:
+        sys.stdout.write("\n" + benches.run(options.seed, options.benches) + "\n")
     return 0
 
 
 def _options(arguments: list[str] | None) -> argparse.Namespace:
     parser = argparse.ArgumentParser(
         prog="python -m benchmarks.hostile",
-        description="What estimate_lock_in says of records that are not as they should be.",
+        description="What estimate_lock_in says of records, and `gyrolock measure` of benches, that are not as "
+        "they should be.",
     )
     parser.add_argument(
         "--records",
@@ -32,6 +36,13 @@ def _options(arguments: list[str] | None) -> argparse.Namespace:
         default=DEFAULT_RECORDS,
         metavar="N",
         help="of each class (default %(default)s)",
+    )
+    parser.add_argument(
+        "--benches",
+        type=int,
+        default=benches.DEFAULT_BENCHES,
+        metavar="N",
+        help="whole measurements in each of two tables, some seconds each; none with --only (default %(default)s)",
     )
     parser.add_argument("--seed", type=int, default=1, metavar="S", help="of every random number (default 1)")
     parser.add_argument("--only", default="", metavar="TEXT", help='classes with this in "kind: name"')

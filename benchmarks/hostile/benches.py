@@ -25,7 +25,6 @@ from station.shell.evaluated import evaluate_run
 from station.shell.running import start_run
 
 DEFAULT_BENCHES = 40
-SLOW_AND_FAST = 36
 
 Sections = dict[str, dict[str, Any]]
 
@@ -114,6 +113,7 @@ def spoilt_bench(seed: int) -> Bench:
         "site": {"latitude_deg": float(draw.uniform(-60.0, 60.0))},
         "simulation": {
             "seed": seed,
+            "link": "tcp",
             "lock_in_rate_dps": lock_in,
             "tilt_deg": float(draw.uniform(60.0, 89.0)),
             "backscatter_phase_deg": float(draw.uniform(0.0, 360.0)),
@@ -131,7 +131,7 @@ def slow_or_fast_bench(seed: int) -> Bench:
     draw = np.random.default_rng([seed, 0x5F])
     lock_in, scale_factor = _log_uniform(draw, 0.0005, 2.0), _log_uniform(draw, 200.0, 5000.0)
     gyro = {"scale_factor_pulses_per_deg": scale_factor, "expected_lock_in_rate_dps": lock_in}
-    simulation = {"seed": seed, "lock_in_rate_dps": lock_in}
+    simulation = {"seed": seed, "link": "tcp", "lock_in_rate_dps": lock_in}
     what = f"{lock_in:.2g} deg/s, {scale_factor:.0f} pulses/deg"
     return Bench(what, {"gyro": gyro, "simulation": simulation})
 

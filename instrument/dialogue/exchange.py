@@ -37,7 +37,7 @@ _MASK = "*ESE"
 _MARKS = 256
 _LONGEST_TEXT = 16_384
 _OPENING_ATTEMPTS = 5  # nobody has answered on this name yet: it may be wrong
-_IDENTITIES = 3
+_IDENTITIES = _TRIES = 3
 _FIRST_PAUSE, _LONGEST_PAUSE = 0.1, 2.0  # s between two attempts to connect
 
 
@@ -146,13 +146,16 @@ class Exchange(ABC):
         """As `ask`; besides, every event that the message caused, warnings too."""
         clean = "*CLS;" if self.unread_events else ""
         self.unread_events = False
-        *answers, register = self.ask(f"{clean}{text};*ESR?", parts=parts + 1, wait=wait)
-        return answers, self._read_event_queue() if self._register(register) & ERROR_BITS else []
+        return self.repeated(lambda: self._with_events_once(f"{clean}{text};*ESR?", parts, wait))
 
     def events(self) -> list[ScopeEvent]:
         """Read and empty the event queue."""
         self.ask("*ESR?")
-        return self._read_event_queue()
+        return self.repeated(self._read_event_queue)
+
+    def _with_events_once(self, text: str, parts: int, wait: float) -> tuple[list[str], list[ScopeEvent]]:
+        *answers, register = self._ask_once(text, parts=parts + 1, wait=wait)
+        return answers, self._read_event_queue() if self._register(register) & ERROR_BITS else []
 
     def _checked_once(self, text: str, parts: int) -> list[str]:
         *answers, register = self._ask_once(text, parts=parts + 1)
@@ -248,9 +251,13 @@ class Exchange(ABC):
             self.link.reopen()
             self._answer_due = False
             with self._recovery():
-                self.resynchronise()
+                if self._mark is not None:
+                    self._ask_for_all()
+                else:
+                    self.resynchronise()
             self.set_line()
-            self.set_format()
+            if self._mark is None:
+                self.set_format()
         except WrongInstrument:
             raise
         except InstrumentError:
@@ -287,8 +294,9 @@ class Exchange(ABC):
         raise TransferError(f"the identity of {self.identity.model} came damaged again and again; ask again")
 
     def _come_into_step(self) -> list[ScopeEvent]:
-        """Get back into step, a persistent program at the second try; returns the events that waited."""
-        for last in (not self.persistence.careful, True):
+        """Get back into step, a persistent program at the third try; returns the events that waited."""
+        tries = _TRIES if self.persistence.careful else 1
+        for attempt in range(1, tries + 1):
             try:
                 with self._recovery():
                     if self._mark is not None:
@@ -298,7 +306,7 @@ class Exchange(ABC):
                         found = self.events()
                         self.set_format()
             except (NoAnswer, TransferError):
-                if last:
+                if attempt == tries:
                     raise
             else:
                 break

@@ -406,10 +406,8 @@ class _Arriving:
         if self._passed > longest:
             raise TransferError(f"{self._so_far} came, too slowly to be an answer; ask again")
         try:
-            first = link.first_byte(min(pause, max(SLICE_TIME, longest - self._passed)))
-            self.data += first
-            if count > 1 and first != b"\n":
-                self.data += link.read_some(count - 1, pause + link.line_time(count))
+            patience = min(pause, max(SLICE_TIME, longest - self._passed))
+            self.data += link.read_some(count, patience + link.line_time(count))
         except NoAnswer:
             raise TransferError(f"{self._so_far} came and no more: bytes were lost; ask again") from None
 
@@ -419,7 +417,7 @@ class _Arriving:
 
     @property
     def _so_far(self) -> str:
-        return f"from {self._link.name} {len(self.data)} bytes in {self._passed:.1f} s"
+        return f"from {self._link.name} about {len(self.data)} bytes in {self._passed:.1f} s"
 
 
 def _bitmap_length(picture: bytes | bytearray) -> int:

@@ -19,6 +19,7 @@ import numpy as np
 from instrument.errors import FileFormatError
 from instrument.fibre_gyro.frame_format import COUNTS, STATUS, TEMPERATURE
 from instrument.fibre_gyro.recording import Floats, Gap, Losses, Recording
+from instrument.small_files import read_small_file
 
 TIME = "time"
 DEFAULT_COLUMNS = (TIME, COUNTS, TEMPERATURE)
@@ -81,9 +82,7 @@ def read_gyro_log(
         If it cannot be read.
     """
     file = Path(path)
-    if file.stat().st_size > _LARGEST_FILE:
-        raise FileFormatError(f"{file} is larger than {_LARGEST_FILE} bytes; cut it into runs")
-    text = file.read_text("utf-8-sig", errors="replace")
+    text = read_small_file(file, _LARGEST_FILE).decode("utf-8-sig", errors="replace")
     try:
         return parse_gyro_log(text, columns=columns, time_unit=time_unit, interval_s=interval_s)
     except FileFormatError as error:

@@ -13,6 +13,9 @@ FaultKind = Literal[
     "late answer",
     "lost byte",
     "inserted byte",
+    "changed byte",
+    "repeated answer",
+    "lost message",
     "cut answer",
     "wrong block length",
     "garbage",
@@ -27,6 +30,7 @@ FaultKind = Literal[
     "input overrun",
 ]
 _INPUT_ERRORS = {"parity error": 361, "framing error": 362, "input overrun": 363}
+_ON_INPUT = (*_INPUT_ERRORS, "lost message")
 _WITHIN = "knob turned within"
 _BLOCK_LENGTH = re.compile(rb"#([1-9])(\d+)")
 
@@ -41,9 +45,9 @@ class Fault:
         One of FaultKind. "link closed" and "power off" happen after the first `bytes_sent` bytes of the answer. A
         knob is turned behind an answer, or "within" a message, before a query of it. A locked panel has no knobs.
     answer : int, optional
-        Number of the answer, counted from 1 since the fault was added. None: any answer. Errors of the RS-232
-        input ("parity error" and the two after it) count the pieces received instead, a knob turned within
-        messages counts queries.
+        Number of the answer, counted from 1 since the fault was added. None: any answer. A "lost message" and
+        errors of the RS-232 input ("parity error" and the two after it) count the pieces received instead, a knob
+        turned within messages counts queries.
     probability : float
         Chance that an answer that fits is hit.
     in_answer : bytes
@@ -90,6 +94,10 @@ class Faults:
         The trigger never comes (NORMAL waits, AUTO runs free).
     identity : str or None
         Another unit answers `*IDN?` with this.
+    unplugged : bool
+        The cable is pulled: no byte arrives on either side, and nobody is told.
+    hung : bool
+        The instrument takes everything in and carries nothing out.
     no_flow_control : bool
         On RS-232 the cable or the program heeds neither RTS nor XOFF, so that bursts overrun the input.
     """
@@ -98,7 +106,7 @@ class Faults:
         self.stuck_busy = False
         self.no_trigger = False
         self.identity: str | None = None
-        self.no_flow_control = False
+        self.no_flow_control = self.unplugged = self.hung = False
         self.happened: list[Fault] = []
         self._rng = np.random.default_rng([seed, 0xFA17])
         self._armed: list[tuple[Fault, int]] = []
@@ -108,13 +116,13 @@ class Faults:
     def add(self, *faults: Fault) -> None:
         """Arm more faults; their answers count from here."""
         for fault in faults:
-            counted = self._inputs if fault.kind in _INPUT_ERRORS else self._count
+            counted = self._inputs if fault.kind in _ON_INPUT else self._count
             self._armed.append((fault, self._queries if fault.kind == _WITHIN else counted))
 
     def clear(self) -> None:
         """Heal everything."""
         self._armed.clear()
-        self.stuck_busy = self.no_trigger = self.no_flow_control = False
+        self.stuck_busy = self.no_trigger = self.no_flow_control = self.unplugged = self.hung = False
         self.identity = None
 
     @property
@@ -124,13 +132,22 @@ class Faults:
 
     def input_error(self, data: bytes) -> int:
         """Event that bytes from an RS-232 line cause, or 0."""
-        self._inputs += 1
         for entry in self._armed:
             fault, since = entry
             if fault.kind in _INPUT_ERRORS and self._hits(fault, self._inputs - since, data):
                 self._note(entry)
                 return _INPUT_ERRORS[fault.kind]
         return 0
+
+    def swallows(self, data: bytes) -> bool:
+        """Whether bytes that were sent never arrive."""
+        self._inputs += 1
+        for entry in self._armed:
+            fault, since = entry
+            if fault.kind == "lost message" and self._hits(fault, self._inputs - since, data):
+                self._note(entry)
+                return True
+        return self.unplugged
 
     def hand(self, query: bytes) -> str:
         """Command that a hand on the front panel gives just before a query, or ""."""
@@ -147,7 +164,7 @@ class Faults:
         self._count += 1
         for entry in self._armed:
             fault, since = entry
-            spoils = fault.kind not in _INPUT_ERRORS and fault.kind != _WITHIN
+            spoils = fault.kind not in _ON_INPUT and fault.kind != _WITHIN
             if spoils and self._hits(fault, self._count - since, answer):
                 self._note(entry)
                 return self._spoil(fault, answer, now)
@@ -176,6 +193,11 @@ class Faults:
                 return Delivery(answer[:at] + answer[at + 1 :], now)
             case "inserted byte":
                 return Delivery(answer[:at] + self._rng.bytes(1) + answer[at:], now)
+            case "changed byte":
+                other = (answer[at] + int(self._rng.integers(1, 256))) % 256
+                return Delivery(answer[:at] + bytes([other]) + answer[at + 1 :], now)
+            case "repeated answer":
+                return Delivery(answer + answer, now)
             case "cut answer":
                 return Delivery(answer[:at] + answer[-1:], now)
             case "wrong block length":
@@ -192,7 +214,7 @@ class Faults:
                 return Delivery(answer[:at], now, closes_link=True, power="cycle")
             case "knob turned":
                 return Delivery(answer, now, command=fault.command)
-            case "parity error" | "framing error" | "input overrun" | "knob turned within":
+            case "parity error" | "framing error" | "input overrun" | "knob turned within" | "lost message":
                 return Delivery(answer, now)  # they spoil what comes in
 
     def _other_length(self, match: re.Match[bytes]) -> bytes:

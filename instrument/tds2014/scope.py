@@ -138,6 +138,11 @@ class TDS2014:
         return self._session.front_panel_found
 
     @property
+    def front_panel_is_back(self) -> bool:
+        """Whether the front panel was put back on closing."""
+        return self._session.panel_is_back
+
+    @property
     def channels(self) -> tuple[str, ...]:
         """Names of the channels of this model, ``("CH1", "CH2", ...)``."""
         return self._session.channels
@@ -147,6 +152,7 @@ class TDS2014:
     close = _of(lambda self: self._session, Session.close)
     restore = _of(lambda self: self._session, Session.restore)
     step = _of(lambda self: self._session, Session.step)
+    abandon = _of(lambda self: self._session, Session.abandon)
     put_back_in_the_end = _of(lambda self: self._session, Session.put_back_in_the_end)
     events = _of(lambda self: self._session, Session.events)
     query = _of(lambda self: self._session, Session.query)

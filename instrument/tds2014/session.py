@@ -54,6 +54,8 @@ class Session:
             link.close()
             raise
         self._timing: AcquisitionTime | None = None
+        self.panel_is_back = False
+        """Whether the front panel was put back on closing."""
         self._closed = False
         self._stepping = False
 
@@ -64,6 +66,7 @@ class Session:
         self._closed = True
         try:
             self.restore()
+            self.panel_is_back = True
         except LinkError:
             self.dialogue.link.close()  # asking a lost scope for more would only cost time
             raise
@@ -91,6 +94,11 @@ class Session:
         """Put this front panel back on closing, not the one that was found: an earlier session could not do it."""
         self.found = found
         self.panel.put_back_in_the_end(found)
+
+    def abandon(self) -> None:
+        """Close the link and put nothing back, as when the program is killed."""
+        self._closed = True
+        self.dialogue.link.close()
 
     def hurry(self) -> None:
         """Somebody wants the program to end: a lost link is not waited for any longer."""

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from station.shell.ending import print_failure, print_json
 from station.shell.options import config_option, json_option, not_zero, positive
+from station.terminal.lines import print_failure, print_json, say
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -66,7 +65,7 @@ def command(paths: tuple[Path, ...], jsonl: bool, config: Path | None, as_json: 
         documents.append(document)
         if jsonl:
             for line in analyzed.rows() if analyzed is not None else [document]:
-                click.echo(json.dumps(line, allow_nan=False))
+                print_json(line)
         elif analyzed is not None and not as_json:
             _print(path, analyzed)
         if failure is not None:
@@ -105,7 +104,7 @@ def _print(path: Path, analyzed: Evaluated | AnalyzedFiles) -> None:
     from station.report.console import print_result, print_values
     from station.shell.evaluated import Evaluated
 
-    click.echo(f"{path}")
+    say(f"{path}")
     if isinstance(analyzed, Evaluated):
         print_result(analyzed)
     else:

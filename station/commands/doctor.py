@@ -18,8 +18,8 @@ from station.errors import EXIT_INSTRUMENT, EXIT_OK, SettingsError, StationError
 from station.lock_in.settings import Settings, default_settings, load_settings
 from station.provenance import version
 from station.settings.load import shipped_settings
-from station.shell.ending import print_json
 from station.shell.options import config_option, json_option
+from station.terminal.lines import print_json, say
 
 _PACKAGES = (
     "numpy",
@@ -67,7 +67,7 @@ def command(resource: str | None, config: Path | None, as_json: bool) -> int:
         print_json({"ok": not bad, "checks": [asdict(check) for check in checks]})
     else:
         for check in checks:
-            click.echo(f"{check.state:<5}{check.name:<14}{check.text}")
+            say(f"{check.state:<5}{check.name:<14}{check.text}")
     return EXIT_INSTRUMENT if bad else EXIT_OK
 
 

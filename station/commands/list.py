@@ -6,8 +6,8 @@ from pathlib import Path
 
 import click
 
-from station.shell.ending import print_json
 from station.shell.options import config_option, json_option
+from station.terminal.lines import print_json, say
 
 
 @click.command("list")
@@ -38,7 +38,7 @@ def command(config: Path | None, as_json: bool) -> int:
         )
         return 0
     for one in found:
-        click.echo(f"{one.resource_name}\t{one.identity.text if one.identity else one.problem}")
+        say(f"{one.resource_name}\t{one.identity.text if one.identity else one.problem}")
     if not found:
-        click.echo("VISA sees no instrument. `gyrolock doctor` says which kinds of links can be used here.")
+        say("VISA sees no instrument. `gyrolock doctor` says which kinds of links can be used here.")
     return 0

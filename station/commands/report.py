@@ -7,8 +7,8 @@ from typing import Any
 
 import click
 
-from station.shell.ending import print_failure, print_json
 from station.shell.options import config_option, json_option
+from station.terminal.lines import print_failure, print_json, say
 
 
 @click.command("report")
@@ -48,7 +48,7 @@ def command(paths: tuple[Path, ...], output: Path | None, config: Path | None, a
             continue
         documents.append({"run": str(run.path), "report": str(written)})
         if not as_json:
-            click.echo(str(written))
+            say(str(written))
     if as_json:
         print_json(documents[0] if len(documents) == 1 else {"results": documents})
     return min(exit_codes, default=0)

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import click
 
-from station.shell.ending import print_json
 from station.shell.options import config_option, json_option
+from station.terminal.lines import print_json, say
 
 # file of defaults: the measurement that reads it
 _FILES = {"simulated": "measure", "bench": "measure", "dead_band": "deadband"}
@@ -33,5 +33,5 @@ def command(name: str, config: Path | None, as_json: bool) -> int:
     elif as_json:
         print_json(kind.model.model_validate(read_toml(shipped)).model_dump(mode="json"))
     else:
-        click.echo(shipped.read_text(encoding="utf-8"), nl=False)
+        say(shipped.read_text(encoding="utf-8").rstrip())
     return 0

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import signal
 import threading
+from contextlib import suppress
 from pathlib import Path
 
 import click
 
-from station.shell.ending import print_json
 from station.shell.options import config_option, json_option
+from station.terminal.lines import print_json, say
 
 
 @click.command("simulate")
@@ -49,13 +49,15 @@ def command(
     chosen = {} if seed is None else {"simulation": {"seed": seed}}
     settings = load_settings(config, overrides=chosen)
     ended = threading.Event()
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda *_: ended.set())
-    with serve_scope(settings, tcp_port=tcp_port, baud_rate=int(baud) if baud else None) as resource_name:
+    baud_rate = int(baud) if baud else None
+    with (
+        suppress(KeyboardInterrupt),
+        serve_scope(settings, tcp_port=tcp_port, baud_rate=baud_rate) as resource_name,
+    ):
         if as_json:
             print_json({"resource": resource_name})
         else:
-            click.echo(resource_name)
+            say(resource_name)
         # a wait without end could not be interrupted on Windows
         while not ended.wait(timeout=0.5):
             pass

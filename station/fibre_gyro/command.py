@@ -9,8 +9,8 @@ from typing import Any, TypeVar
 import click
 
 from station.shell.command import run_measurement
-from station.shell.ending import print_json
 from station.shell.options import CHANNELS, SuggestingGroup, config_option, json_option, report_option, run_options
+from station.terminal.lines import print_json, say
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -112,7 +112,7 @@ def settings_file(serial: bool, config: Path | None, as_json: bool) -> int:
 
         print_json(load_fog_settings(config or shipped).model_dump(mode="json"))
     else:
-        click.echo(shipped.read_text(encoding="utf-8"), nl=False)
+        say(shipped.read_text(encoding="utf-8").rstrip())
     return 0
 
 
@@ -137,7 +137,7 @@ def serve(tcp: int | None, speed: float, rate: float, config: Path | None, as_js
         if as_json:
             print_json({"port": port})
         else:
-            click.echo(port)
+            say(port)
         with suppress(KeyboardInterrupt):
             # a wait without end could not be interrupted on Windows
             while not ended.wait(timeout=0.5):

@@ -23,8 +23,10 @@ from pathlib import Path
 from typing import Any
 
 from instrument.fibre_gyro import Losses, Recording, read_gyro_log
+from instrument.small_files import read_small_file
 from station.errors import UsageError
 
+_LARGEST_LIST = 8_000_000  # bytes
 _NUMBERS = (
     "start_s",
     "stop_s",
@@ -79,7 +81,7 @@ def read_logs(
 def read_list(path: Path, purpose: str, needed: Sequence[str]) -> list[LogRow]:
     """Read one list; errors as :func:`read_logs`."""
     try:
-        text = path.read_text(encoding="utf-8-sig")
+        text = read_small_file(path, _LARGEST_LIST).decode("utf-8-sig")
     except UnicodeDecodeError:
         raise UsageError(f"{path}: is neither a saved run nor a list of logs (not a text file)") from None
     lines = [line for line in text.splitlines() if line.strip() and not line.lstrip().startswith("#")]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -15,6 +14,7 @@ from station.fibre_gyro.segments import FogBench, PlannedSegment
 from station.fibre_gyro.settings import FogSettings
 from station.runs.operator import ask_operator
 from station.settings.load import shipped_settings
+from station.settings.toml_files import read_toml
 
 Ask = Callable[[str], str]
 
@@ -130,12 +130,9 @@ def read_frame_format(settings: FogSettings) -> FrameFormat:
     """
     name, given = settings.link.frame_format, settings.link.frame_format_file
     file = Path(given) if given else shipped_settings("fibre_gyro_frames")
-    try:
-        formats = tomllib.loads(file.read_text(encoding="utf-8")).get("formats", {})
-    except OSError as error:
-        raise SettingsError(f"{file}: cannot be read ({error.strerror})") from None
-    except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise SettingsError(f"{file}: is not valid TOML: {error}") from None
+    formats = read_toml(file).get("formats", {})
+    if not isinstance(formats, dict):
+        raise SettingsError(f"{file}: formats is no table: each format is a [formats.NAME] of its own")
     if name not in formats:
         there = ", ".join(formats) or "none"
         raise SettingsError(f"{file}: there is no [formats.{name}]; link.frame_format can be: {there}")

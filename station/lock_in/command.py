@@ -8,8 +8,8 @@ from typing import Any, TypeVar
 import click
 
 from station.shell.command import run_measurement, take_measurement
-from station.shell.ending import print_failure, print_json
 from station.shell.options import CHANNELS, overrides, positive, report_option, run_options
+from station.terminal.lines import print_failure, print_json, say
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -89,23 +89,26 @@ def acquire(**given: Any) -> int:
     The scope is set up as `gyrolock measure` does it. Ctrl-C keeps the records taken so far; --resume goes on with
     such a run.
     """
-    from station.runs.store import open_run
+    from station.shell.ending import run_as_it_ends, save_outcome
     from station.shell.evaluated import about_run
 
     taken = take_measurement("measure", _with_scale_factor(given), places=_PLACES)
-    run = open_run(taken.path)
+    run, failure = run_as_it_ends(taken), taken.failure
+    failure = failure or save_outcome(run, None)
     saved = len(run.taken_for("measure"))
     document: dict[str, object] = {"records": saved, **about_run(run)}
-    if taken.failure is not None:
-        document["error"] = taken.failure.as_json()
+    if failure is not None:
+        document["error"] = failure.as_json()
     if given["as_json"]:
         print_json(document)
-    else:
-        click.echo(f"saved   {saved} records in {taken.path}")
-    if taken.failure is None:
+    elif given["jsonl"] and failure is not None:
+        print_json({"error": failure.as_json()})
+    elif not given["jsonl"]:
+        say(f"saved   {saved} records in {taken.path}")
+    if failure is None:
         return 0
-    print_failure(taken.to_tell)
-    return taken.failure.exit_code
+    print_failure(failure if taken.failure is None else taken.to_tell)
+    return failure.exit_code
 
 
 def _with_scale_factor(given: dict[str, Any]) -> dict[str, Any]:

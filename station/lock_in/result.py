@@ -7,6 +7,7 @@ import math
 from station.lock_in.found import LockInFound
 from station.lock_in.presentation.budget_table import budget_sentences, doubt_sentence
 from station.lock_in.presentation.documents import result_document
+from station.lock_in.presentation.rates_sentences import separated_words
 from station.lock_in.presentation.sentences import (
     flag_sentence,
     flag_sentences,
@@ -105,6 +106,9 @@ def _summary(found: LockInFound) -> Rows:
     if found.usable:
         rows.append(("95 % interval", f"{interval_words(found)}, every input counted"))
         rows.append(("noise alone", noise_words(found)))
+    fit = None if found.several is None else found.several.by_beat
+    if fit is not None and (said := separated_words(fit)):
+        rows.append(("besides lock-in", said))
     rows += _rate_rows(found)
     if found.tilt is not None:
         rows.append(("tilt of the axis", with_uncertainty(found.tilt.tilt_deg, found.tilt.tilt_u_deg, "deg")))

@@ -26,7 +26,7 @@ from station.settings.parts import (
     SettingsSection,
     SiteSettings,
 )
-from station.settings.toml_files import merged, read_toml
+from station.settings.toml_files import merged, read_text, read_toml
 
 ResponseRow = tuple[float, float, float]
 _RESPONSE_COLUMNS = 3
@@ -273,12 +273,7 @@ def read_response(path: Path) -> tuple[ResponseRow, ...]:
     SettingsError
         If it cannot be read or a line is not what it should be.
     """
-    try:
-        lines = path.read_text(encoding="utf-8-sig").splitlines()
-    except OSError as error:
-        raise SettingsError(f"{path}: cannot be read ({error.strerror})") from None
-    except UnicodeDecodeError as error:
-        raise SettingsError(f"{path}: is not a text file (byte {error.start} is not UTF-8)") from None
+    lines = read_text(path).splitlines()
     rows: list[ResponseRow] = []
     for number, line in enumerate(lines, start=1):
         if not line.strip() or line.lstrip().startswith("#"):

@@ -41,7 +41,11 @@ _FASTER = 5.0
 def take(settings: Settings, session: Session) -> None:
     """Do the whole experiment and save it; of a run that was cut short, what is missing."""
     check_scale_factor(settings)
-    bench = open_for(session, settings)
+    take_on(open_for(session, settings), settings, session)
+
+
+def take_on(bench: Bench, settings: Settings, session: Session) -> None:
+    """Do the experiment on a bench that is open already."""
     set_up(bench, settings.scope, _channels(settings))
     writer = session.begin({"identity": asdict(bench.scope.identity)})
     model = bench.scope.identity.model
@@ -224,7 +228,7 @@ class _Taking:
     ) -> None:
         """Take the records of one rate that are missing; each is on the disk before the next is asked for."""
         self.progress.start("records" if purpose == "measure" else purpose, count - there)
-        for number in range(there + 1, count + 1):
+        for number in self.session.free_numbers(f"{name}, ", count - there):
             waveforms, conditions = take_record(self.bench, channels)
             conditions |= {"table_rate_dps": table_rate, **(known or {})}
             self.writer.save_records(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import inspect
 import os
+import warnings
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -13,9 +14,11 @@ from station.measurements import measurement
 from station.notebook.result import Result
 from station.notebook.run import open_run, with_problem
 from station.runs.progress import Progress
+from station.runs.stop import ending_signals
 from station.settings.load import load
 from station.settings.toml_files import merged
-from station.shell.ending import keep
+from station.shell.ending import keep, run_as_it_ends, save_outcome
+from station.shell.evaluated import evaluate_run
 from station.shell.options import overrides
 from station.shell.running import resume_run, start_run
 
@@ -105,19 +108,22 @@ def measure(
     elif settings is not None:
         config = Path(settings)
     kind, progress = measurement("measure"), Progress(quiet=quiet)
-    if resume is not None:
-        taken = resume_run(Path(resume), progress, kind=kind, config=config, overrides=chosen, labels=named)
-    else:
-        wanted = load(kind.kind, config, chosen)
-        if seed is not None and not kind.simulated(wanted):
-            raise UsageError("seed belongs to a simulated bench; a real one has none")
-        taken = start_run(kind, wanted, progress, labels=named)
+    with ending_signals(second_ends=False):  # a notebook's kernel lives on
+        if resume is not None:
+            taken = resume_run(Path(resume), progress, kind=kind, config=config, overrides=chosen, labels=named)
+        else:
+            wanted = load(kind.kind, config, chosen)
+            if seed is not None and not kind.simulated(wanted):
+                raise UsageError("seed belongs to a simulated bench; a real one has none")
+            taken = start_run(kind, wanted, progress, labels=named)
     if taken.error is not None:
         where = taken.path.parent
         taken.error.add_note(
             f"The records so far are in {where}; gyrolock.measure(resume={str(where)!r}) goes on."
         )
         raise taken.error
-    run = open_run(taken.path)
-    evaluated = run.evaluated()
-    return Result(evaluated, run, with_problem(keep(evaluated, report=report), evaluated.result.problem))
+    evaluated = evaluate_run(run_as_it_ends(taken))
+    document, lost = keep(evaluated, report=report)
+    if lost := save_outcome(evaluated.run, lost) or lost:
+        warnings.warn(lost.message, RuntimeWarning, stacklevel=2)
+    return Result(evaluated, open_run(taken.path), with_problem(document, evaluated.result.problem))

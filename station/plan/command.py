@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from station.shell.ending import print_json
 from station.shell.options import config_option, json_option
+from station.terminal.lines import print_json
 
 if TYPE_CHECKING:
     from station.plan.plan import PlannedMeasurement
@@ -133,8 +133,9 @@ def command(plot: Path | None, config: Path | None, as_json: bool, **options: An
 def _print(planned: PlannedMeasurement, sentences: list[str], plot: Path | None) -> None:
     from station.lock_in.presentation.budget_table import short_budget_table
     from station.plan.sentences import rate_words
-    from station.report.console import stdout_console, text_table
+    from station.report.console import text_table
     from station.results.parts import TextTable
+    from station.terminal.console import stdout_console
 
     console = stdout_console()
     header = ("rate", "beat", "time base", "vertical", "record", "records")
@@ -142,8 +143,8 @@ def _print(planned: PlannedMeasurement, sentences: list[str], plot: Path | None)
     console.print(text_table(rates, left=len(header)))
     console.print()
     for sentence in sentences:
-        console.print(f"• {sentence}", markup=False)
+        console.print(f"• {sentence}")
     console.print()
     console.print(text_table(short_budget_table(planned.plan.budget), left=1))
     if plot is not None:
-        console.print(f"\nplot    {plot}", markup=False, soft_wrap=True)
+        console.print(f"\nplot    {plot}", soft_wrap=True)

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-import sys
 from typing import TYPE_CHECKING
 
-from rich.console import Console
-from rich.markup import escape
 from rich.table import Table
+from rich.text import Text
+
+from station.terminal.console import stdout_console
+from station.terminal.visible import visible
 
 if TYPE_CHECKING:
     from station.report.report import Shown
@@ -17,11 +18,6 @@ if TYPE_CHECKING:
 _COLOURS = {"stands": "green", "doubtful": "yellow", "fails": "red"}
 
 
-def stdout_console() -> Console:
-    """Return a console on stdout; wide enough for a table also where there is no terminal."""
-    return Console(width=None if sys.stdout.isatty() else 100, highlight=False)
-
-
 def text_table(table: TextTable, *, left: int = 0) -> Table:
     """Lay out a table of texts; numbers stand right, the first `left` columns and words left."""
     shown = Table(box=None, header_style="dim", pad_edge=False, padding=(0, 2, 0, 0))
@@ -29,7 +25,7 @@ def text_table(table: TextTable, *, left: int = 0) -> Table:
         words = place < left or name == "flags"
         shown.add_column(name, justify="left" if words else "right", no_wrap=not words)
     for row in table.rows:
-        shown.add_row(*map(escape, row))
+        shown.add_row(*row)
     return shown
 
 
@@ -45,7 +41,7 @@ def print_result(evaluated: Shown) -> None:
         rows.append(("bench", f"simulated; {told}"))
     print_values(evaluated.result, rows)
     for tested in evaluated.tested:
-        console.print(tested.sentence, markup=False, style="green" if tested.passed else "bold red")
+        console.print(tested.sentence, style="green" if tested.passed else "bold red")
 
 
 def print_values(result: Result, more: Rows = ()) -> None:
@@ -57,13 +53,13 @@ def print_values(result: Result, more: Rows = ()) -> None:
     summary.add_column(style="dim", no_wrap=True)
     summary.add_column()
     summary.add_row("", "")
-    colour = _COLOURS[result.standing.state]
-    summary.add_row(result.name, f"[bold {colour}]{escape(result.value)}[/bold {colour}]")
+    style = f"bold {_COLOURS[result.standing.state]}"
+    summary.add_row(result.name, Text(visible(result.value), style=style))
     for name, text in (*result.summary, *more):
-        summary.add_row(name, escape(text))
+        summary.add_row(name, text)
     console.print(summary)
     for sentence in result.sentences:
-        console.print(f"• {sentence}", markup=False)
+        console.print(f"• {sentence}")
     shown = {*result.to_watch, result.problem}
     for sentence in (*result.to_watch, *(one for one in result.standing.reasons if one not in shown)):
-        console.print(f"• {sentence}", markup=False, style="red" if sentence in result.failures else "yellow")
+        console.print(f"• {sentence}", style="red" if sentence in result.failures else "yellow")

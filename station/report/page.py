@@ -6,6 +6,8 @@ import os
 from pathlib import Path
 from typing import Any
 
+from station.terminal.visible import visible
+
 
 def render_page(template: str, **values: Any) -> str:
     """Fill a template; a value that it needs and is not given is an error."""
@@ -15,17 +17,26 @@ def render_page(template: str, **values: Any) -> str:
         loader=PackageLoader("station.report"),
         autoescape=True,
         undefined=StrictUndefined,
+        finalize=_shown,
         trim_blocks=True,
         lstrip_blocks=True,
     )
     return environment.get_template(template).render(**values)
 
 
+def _shown(value: Any) -> Any:
+    """Make visible what acts without being seen, in text of others; what is HTML already is ours."""
+    return visible(value) if type(value) is str else value
+
+
 def write_page(path: Path, text: str) -> Path:
     """Write a page that appears under its name only when it is whole; OSError if it cannot be written."""
     draft = path.with_name(f".{path.name}.{os.getpid()}")
     try:
-        draft.write_text(text, encoding="utf-8")
+        with draft.open("w", encoding="utf-8") as file:
+            file.write(text)
+            file.flush()
+            os.fsync(file.fileno())
         draft.replace(path)
     finally:
         draft.unlink(missing_ok=True)

@@ -7,6 +7,28 @@ from typing import Any
 
 from instrument import Tally
 
+COMPLETE = "complete"
+TAKEN = "taken, but not evaluated to its end"
+"""Outcomes of a run of which everything was taken: with result and wanted report, and before they are there."""
+
+
+_KINDS: dict[str, type | tuple[type, ...]] = {
+    **dict.fromkeys(("command", "started_at", "unit", "operator", "note"), str),
+    **dict.fromkeys(("settings", "provenance", "identity", "truth", "scope_setting", "injected"), dict),
+    **dict.fromkeys(("resumed_at", "left_out_of_plan", "logs", "rates", "rates_without_beat"), list),
+    "simulated": (bool, int),
+    "ended_at": str,
+    "outcome": (str, dict),
+}
+
+
+def checked_fact(name: str, value: Any) -> Any:
+    """Return a fact as it was read; ValueError if it is of a kind that it never is."""
+    kind = _KINDS.get(name)
+    if kind is not None and value is not None and not isinstance(value, kind):
+        raise ValueError(f"holds {type(value).__name__}, which it never does")
+    return value
+
 
 class RunFacts(Mapping[str, Any]):
     """Facts of a run by name, and the common ones as attributes.
@@ -32,12 +54,12 @@ class RunFacts(Mapping[str, Any]):
     @property
     def command(self) -> str:
         """Name of the measurement; the first layout was written by one measurement only and does not say."""
-        return str(self._values.get("command", "measure"))
+        return str(self._values.get("command") or "measure")
 
     @property
     def settings(self) -> dict[str, Any]:
         """Settings that the run was taken with; empty where none are saved."""
-        return dict(self._values.get("settings", {}))
+        return dict(self._values.get("settings") or {})
 
     @property
     def simulated(self) -> bool:
@@ -47,7 +69,7 @@ class RunFacts(Mapping[str, Any]):
     @property
     def started_at(self) -> str:
         """UTC, ISO 8601; empty if it is not known."""
-        return str(self._values.get("started_at", ""))
+        return str(self._values.get("started_at") or "")
 
     @property
     def ended_at(self) -> str | None:
@@ -57,18 +79,22 @@ class RunFacts(Mapping[str, Any]):
     @property
     def resumed_at(self) -> tuple[str, ...]:
         """When the run was gone on with, UTC, ISO 8601."""
-        return tuple(self._values.get("resumed_at", ()))
+        return tuple(self._values.get("resumed_at") or ())
 
     @property
     def complete(self) -> bool:
-        """Whether everything was taken that was wanted."""
-        return self._values.get("outcome") == "complete"
+        """Whether everything was taken that was wanted, and the result is there."""
+        return self._values.get("outcome") == COMPLETE
 
     @property
     def outcome_text(self) -> str:
         """How the run ended, in words."""
-        outcome = self._values.get("outcome", "cut short: the program was killed")
-        return outcome if isinstance(outcome, str) else str(outcome["message"])
+        outcome = self._values.get("outcome") or "cut short: the program was killed"
+        return outcome if isinstance(outcome, str) else str(outcome.get("message", "unknown"))
+
+    def with_outcome(self, outcome: str | Mapping[str, Any]) -> RunFacts:
+        """Return the facts with another outcome: as it will be, or could not be saved."""
+        return RunFacts({**self._values, "outcome": outcome})
 
     @property
     def truth(self) -> dict[str, float] | None:

@@ -1,4 +1,4 @@
-"""How a run is laid out in its SQLite file: today's layout, and the two that earlier versions wrote.
+"""How a run is laid out in its SQLite file: today's layout, and the three that earlier versions wrote.
 
 Every layout gives the same columns to a reader, so that nothing above knows which one a file has.
 """
@@ -6,8 +6,9 @@ Every layout gives the same columns to a reader, so that nothing above knows whi
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from typing import Any
 
 _RING_LASER = 0x47_59_4C_4B  # "GYLK"; every run today
 _FIBRE_GYRO = 0x47_59_4C_46  # "GYLF"; runs of the fibre gyro, once
@@ -28,14 +29,14 @@ class Layout:
     columns : tuple of str
         SQL that gives each of `COLUMNS`.
     checksum : callable
-        SHA-256 of payload, header and conditions, as this layout makes it.
+        SHA-256 of a record, as this layout makes it; gets its cells by the names of `COLUMNS`.
     """
 
     application_id: int
     version: int
     table: str
     columns: tuple[str, ...]
-    checksum: Callable[[bytes, str, str], str]
+    checksum: Callable[[Mapping[str, Any]], str]
 
     @property
     def select(self) -> str:
@@ -50,17 +51,22 @@ class Layout:
         return f"INSERT INTO {self.table} ({', '.join(names)}) VALUES ({', '.join(values)})"
 
 
-def _sha256(*parts: bytes) -> str:
-    return hashlib.sha256(b"".join(parts)).hexdigest()
+def _of(*names: str, lengths: bool = False) -> Callable[[Mapping[str, Any]], str]:
+    """SHA-256 of some cells one behind the other, with `lengths` each behind its own length."""
+
+    def checksum(cells: Mapping[str, Any]) -> str:
+        digest = hashlib.sha256()
+        for name in names:
+            cell = cells[name]
+            data = cell if isinstance(cell, bytes) else cell.encode()
+            digest.update(b"%d " % len(data) + data if lengths else data)
+        return digest.hexdigest()
+
+    return checksum
 
 
-TODAY = Layout(
-    _RING_LASER,
-    2,
-    "record",
-    COLUMNS,
-    lambda payload, header, conditions: _sha256(payload, header.encode(), conditions.encode()),
-)
+_EVERYTHING = ("key", "taken_at", "purpose", "header", "payload", "conditions")
+TODAY = Layout(_RING_LASER, 3, "record", COLUMNS, _of(*_EVERYTHING, lengths=True))
 TABLES = """
 CREATE TABLE run (
     name  TEXT PRIMARY KEY,       -- command, settings, provenance, truth, started_at, ended_at, outcome, ...
@@ -78,7 +84,7 @@ CREATE TABLE record (
     purpose    TEXT NOT NULL,         -- which part of which measurement it was taken for
     header     TEXT NOT NULL,         -- preamble as the scope sent it, or JSON on the columns of an output
     payload    BLOB NOT NULL,         -- codes as the scope sent them, or the columns of an output (zlib)
-    sha256     TEXT NOT NULL,         -- of payload, header and conditions
+    sha256     TEXT NOT NULL,         -- of all the others but the number
     conditions TEXT NOT NULL          -- JSON
 );
 """
@@ -87,19 +93,21 @@ _RING_LASER_1 = Layout(
     1,
     "record",
     ("number", "purpose || ' ' || number", "taken_at", "purpose", "preamble", "codes", "sha256", "conditions"),
-    lambda payload, header, conditions: _sha256(payload, header.encode()),
+    _of("payload", "header"),
 )
+_RING_LASER_2 = Layout(_RING_LASER, 2, "record", COLUMNS, _of("payload", "header", "conditions"))
 _FIBRE_GYRO_1 = Layout(
     _FIBRE_GYRO,
     1,
     "segment",
     (
-        "number", "key", "taken_at", "json_extract(conditions, '$.purpose')", "recording", "samples", "sha256",
-        "conditions",
+        "number", "key", "taken_at",
+        "CASE WHEN json_valid(conditions) THEN json_extract(conditions, '$.purpose') END",
+        "recording", "samples", "sha256", "conditions",
     ),
-    lambda payload, header, conditions: _sha256(payload, conditions.encode(), header.encode()),
+    _of("payload", "conditions", "header"),
 )  # fmt: skip
-LAYOUTS = (TODAY, _RING_LASER_1, _FIBRE_GYRO_1)
+LAYOUTS = (TODAY, _RING_LASER_2, _RING_LASER_1, _FIBRE_GYRO_1)
 
 
 def layout_of(application_id: int, version: int) -> Layout | None:

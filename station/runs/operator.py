@@ -7,6 +7,7 @@ import sys
 
 from instrument import ManualRateTable
 from station.errors import UsageError
+from station.terminal.visible import visible
 
 
 def ask_operator(question: str) -> str:
@@ -18,9 +19,12 @@ def ask_operator(question: str) -> str:
         There is no terminal to ask on, or it was closed meanwhile.
     """
     check_terminal()
-    sys.stderr.write(f"\n{question}")
-    sys.stderr.flush()
-    answer = sys.stdin.readline()
+    try:
+        sys.stderr.write(f"\n{visible(question)}")
+        sys.stderr.flush()
+        answer = sys.stdin.readline()
+    except (OSError, ValueError):
+        answer = ""
     if not answer:
         raise UsageError("the terminal was closed while the operator was asked")
     return answer
@@ -49,7 +53,11 @@ def ask_number(question: str, missing: str) -> float:
 
 def check_terminal() -> None:
     """See that there is somebody to ask, before anything moves; UsageError if there is not."""
-    if not sys.stdin.isatty():
+    try:
+        there = sys.stdin is not None and sys.stdin.isatty()
+    except ValueError:  # it is closed
+        there = False
+    if not there:
         raise UsageError(
             "an operator must turn the table and the gyro, and there is no terminal to ask on: start it in a "
             "terminal"

@@ -7,10 +7,11 @@ records as a convenience; they can always be computed again.
 
 from __future__ import annotations
 
+import itertools
 import json
-import sqlite3
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+import shutil
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Self
 
@@ -27,12 +28,13 @@ from station.runs.database import (
     utc_now,
 )
 from station.runs.facts import RunFacts
-from station.runs.layouts import Layout
+from station.runs.layouts import COLUMNS, Layout
 
 RUN_FILE = "run.sqlite"
 REPORT_FILE = "report.html"
 _RUN_FILES = (RUN_FILE, "fog.sqlite")  # the second is that of fibre-gyro runs of earlier versions
 _ASIDE = " (set aside "
+_NAMED = 20  # gaps among the records that are named one by one
 
 
 @dataclass(frozen=True)
@@ -69,6 +71,11 @@ class SavedRecord:
     conditions: dict[str, Any]
 
     @property
+    def aside(self) -> bool:
+        """Whether it is kept, but belongs to no result."""
+        return _ASIDE in self.key
+
+    @property
     def codes(self) -> NDArray[np.int8]:
         """Codes of an oscilloscope's record, shape (n,)."""
         return np.frombuffer(self.payload, dtype=np.int8)
@@ -93,34 +100,63 @@ class SavedRun:
         In the order in which they were taken.
     results : dict or None
         What was last computed from them.
+    unusable : dict
+        Facts that are not what was once saved, and why they are left out.
+    protected : bool
+        Whether damage to a fact would show: an earlier version kept no sums of them.
+    damaged : tuple of str
+        What of the run is not what was once saved, one sentence each.
     """
 
     path: Path
     facts: RunFacts
     records: tuple[SavedRecord, ...]
     results: dict[str, Any] | None
+    unusable: Mapping[str, str] = field(default_factory=dict)
+    protected: bool = True
+    damaged: tuple[str, ...] = ()
+
+    @property
+    def whole(self) -> SavedRun:
+        """The run without its damaged records."""
+        return replace(self, records=tuple(record for record in self.records if record.intact))
 
     def taken_for(self, purpose: str) -> tuple[SavedRecord, ...]:
         """Return the records of one purpose that are not set aside."""
-        return tuple(one for one in self.records if one.purpose == purpose and _ASIDE not in one.key)
+        return tuple(one for one in self.records if one.purpose == purpose and not one.aside)
 
 
 @dataclass(frozen=True)
 class NewRecord:
-    """A record that is to be saved; the fields as in :class:`SavedRecord`, the conditions plain JSON."""
+    """A record that is to be saved; the fields as in :class:`SavedRecord`, the conditions plain JSON.
+
+    Without `taken_at` it is taken now.
+    """
 
     key: str
     purpose: str
     header: str
     payload: bytes
     conditions: Mapping[str, object]
+    taken_at: str = ""
+
+
+Acknowledge = Callable[[Path, Sequence[tuple[int, "NewRecord"]]], None]
+"""Gets the run's path, and the numbers of records with what was saved under them, when they are on the disk."""
 
 
 class RunWriter(DatabaseWriter):
     """Writes one run. Records that :meth:`save_records` returned for survives a killed process.
 
     Use :meth:`create`, or the class itself for a run that is gone on with.
+
+    Attributes
+    ----------
+    acknowledge : callable or None
+        Is told of records when they are on the disk.
     """
+
+    acknowledge: Acknowledge | None = None
 
     @classmethod
     def create(cls, parent: Path, facts: Mapping[str, object]) -> Self:
@@ -139,9 +175,13 @@ class RunWriter(DatabaseWriter):
             If nothing can be written there.
         """
         path = new_run_directory(parent) / RUN_FILE
-        create_database(path)
-        writer = cls(path)
-        writer.save_facts({"started_at": utc_now(), **facts})
+        try:
+            create_database(path)
+            writer = cls(path)
+            writer.save_facts({"started_at": utc_now(), **facts})
+        except (RunError, OSError):  # nothing is in it yet, and it could not be gone on with
+            shutil.rmtree(path.parent, ignore_errors=True)
+            raise
         return writer
 
     def save_records(self, records: Sequence[NewRecord]) -> None:
@@ -155,17 +195,27 @@ class RunWriter(DatabaseWriter):
         rows = []
         for record in records:
             conditions = json.dumps(dict(record.conditions), allow_nan=False)
-            row = {"key": record.key, "taken_at": utc_now(), "purpose": record.purpose, "header": record.header}
-            checksum = self._layout.checksum(record.payload, record.header, conditions)
-            rows.append({**row, "payload": record.payload, "sha256": checksum, "conditions": conditions})
+            taken_at = record.taken_at or utc_now()
+            row = {"key": record.key, "taken_at": taken_at, "purpose": record.purpose, "header": record.header}
+            cells: dict[str, Any] = {**row, "payload": record.payload, "conditions": conditions}
+            rows.append({**cells, "sha256": self._layout.checksum(cells)})
         self._commit(self._layout.insert, rows)
+        if self.acknowledge is not None:
+            (last,) = self._db.execute(f"SELECT max(number) FROM {self._layout.table}").fetchone()
+            self.acknowledge(self.path, list(enumerate(records, start=last - len(records) + 1)))
 
     def set_aside(self, key: str) -> None:
         """Keep a record out of the results under another key, so that it can be taken again."""
         counted = f"SELECT count(*) FROM {self._layout.table} WHERE key LIKE ?"
         (before,) = self._db.execute(counted, (f"{key}{_ASIDE}%",)).fetchone()
-        renamed = (f"{key}{_ASIDE}{before + 1})", key)
-        self._commit(f"UPDATE {self._layout.table} SET key = ? WHERE key = ?", [renamed])
+        renamed = f"UPDATE {self._layout.table} SET key = ?, sha256 = ? WHERE number = ?"
+        for row in self._db.execute(self._layout.select).fetchall():
+            record = read_record(row, self._layout)
+            if record.key == key:
+                cells = {**dict(zip(COLUMNS, row, strict=True)), "key": f"{key}{_ASIDE}{before + 1})"}
+                # one that is damaged stays so: its sum must not become right again
+                checksum = self._layout.checksum(cells) if record.intact else cells["sha256"]
+                self._commit(renamed, [(cells["key"], checksum, record.number)])
 
 
 def open_run(path: Path) -> SavedRun:
@@ -183,9 +233,56 @@ def open_run(path: Path) -> SavedRun:
     """
     file = run_file(path)
     with reading(file) as (db, layout):
-        facts, records = RunFacts(read_facts(db)), tuple(_read_records(db, layout))
+        facts, unusable, protected = read_facts(db)
+        records = tuple(read_record(row, layout) for row in db.execute(layout.select))
         results = db.execute("SELECT value FROM result ORDER BY number DESC LIMIT 1").fetchone()
-        return SavedRun(file, facts, records, json.loads(results[0]) if results else None)
+        damaged = tuple(_damage(records, unusable))
+        return SavedRun(file, RunFacts(facts), records, _results(results), unusable, protected, damaged)
+
+
+def read_record(row: Sequence[Any], layout: Layout) -> SavedRecord:
+    """Return a record from its cells, as `layout` selects them; a cell that is none costs this record only."""
+    cells = dict(zip(COLUMNS, row, strict=True))
+    try:
+        intact = layout.checksum(cells) == cells["sha256"]
+        conditions = json.loads(cells["conditions"])
+    except (TypeError, AttributeError, ValueError, RecursionError):
+        intact, conditions = False, {}
+    key, taken_at, purpose, header = (
+        cells[name] if isinstance(cells[name], str) else "" for name in ("key", "taken_at", "purpose", "header")
+    )
+    return SavedRecord(
+        number=cells["number"],
+        key=key or f"record {cells['number']}",
+        taken_at=taken_at,
+        purpose=purpose,
+        header=header,
+        payload=cells["payload"] if isinstance(cells["payload"], bytes) else b"",
+        intact=intact and isinstance(conditions, dict) and bool(key and header),
+        conditions=conditions if isinstance(conditions, dict) else {},
+    )
+
+
+def _damage(records: Sequence[SavedRecord], unusable: Mapping[str, str]) -> Iterator[str]:
+    for record in records:
+        if not (record.intact or record.aside):
+            yield f"record {record.number} ({record.key}) is damaged"
+    numbers = sorted({record.number for record in records if record.number > 0})
+    gaps = [(after + 1, before) for after, before in itertools.pairwise([0, *numbers]) if before > after + 1]
+    for first, behind in gaps[:_NAMED]:
+        last = behind - 1
+        yield f"record {first} is missing" if first == last else f"records {first} to {last} are missing"
+    if len(gaps) > _NAMED:
+        yield "further records are missing"
+    yield from (f"what the run knows of itself is damaged: {name} {why}" for name, why in unusable.items())
+
+
+def _results(row: Sequence[Any] | None) -> dict[str, Any] | None:
+    try:
+        found = json.loads(row[0]) if row else None
+    except (TypeError, ValueError, RecursionError):
+        return None
+    return found if isinstance(found, dict) else None
 
 
 def run_file(path: Path) -> Path:
@@ -204,9 +301,3 @@ def run_file(path: Path) -> Path:
     if not path.exists():
         raise RunError(f"{path}: there is no such file")
     return path
-
-
-def _read_records(db: sqlite3.Connection, layout: Layout) -> Iterator[SavedRecord]:
-    for number, key, taken_at, purpose, header, payload, sha256, conditions in db.execute(layout.select):
-        intact = layout.checksum(payload, header, conditions) == sha256
-        yield SavedRecord(number, key, taken_at, purpose, header, payload, intact, json.loads(conditions))

@@ -9,11 +9,17 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from instrument.errors import FileFormatError
+from instrument.small_files import read_small_file
 from station.errors import SettingsError
 
 if TYPE_CHECKING:
     from pydantic import BaseModel, ValidationError
 
+_LARGEST_FILE = 1_000_000  # bytes; ours have some kB
+_DEEPEST = 8  # levels; ours have three
+_TOLD = 20  # mistakes that are told one by one
+_LONGEST_VALUE = 80  # letters of a wrong value that are told
 _HEADER = re.compile(r"\s*\[\[?\s*([^\]]+?)\s*\]\]?")
 _KEY = re.compile(r"\s*([A-Za-z0-9_.\-\"' ]+?)\s*=")
 
@@ -27,13 +33,32 @@ def read_toml(path: Path) -> dict[str, Any]:
         If it cannot be read or is not TOML.
     """
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
+        found = tomllib.loads(read_text(path))
+    except (ValueError, ArithmeticError) as error:  # also for a number of too many digits
+        raise SettingsError(f"{path}: is not valid TOML: {error}") from None
+    except RecursionError:
+        raise SettingsError(f"{path}: is nested too deeply for a settings file") from None
+    if _deeper(found, _DEEPEST):
+        raise SettingsError(f"{path}: is nested too deeply for a settings file")
+    return found
+
+
+def read_text(path: Path) -> str:
+    """Read a file of settings, or one that they name; SettingsError if it cannot be, or is none."""
+    try:
+        return read_small_file(path, _LARGEST_FILE).decode("utf-8-sig")
+    except FileFormatError as error:
+        raise SettingsError(str(error)) from None
     except OSError as error:
         raise SettingsError(f"{path}: cannot be read ({error.strerror})") from None
     except UnicodeDecodeError as error:
         raise SettingsError(f"{path}: is not a text file (byte {error.start} is not UTF-8)") from None
-    except tomllib.TOMLDecodeError as error:
-        raise SettingsError(f"{path}: is not valid TOML: {error}") from None
+
+
+def _deeper(value: object, levels: int) -> bool:
+    """Whether tables or lists lie in each other more than so many levels."""
+    inner = value.values() if isinstance(value, dict) else value if isinstance(value, list) else ()
+    return any(levels == 0 or _deeper(one, levels - 1) for one in inner if isinstance(one, dict | list))
 
 
 def merged(below: Mapping[str, Any], above: Mapping[str, Any]) -> dict[str, Any]:
@@ -58,15 +83,27 @@ def merged(below: Mapping[str, Any], above: Mapping[str, Any]) -> dict[str, Any]
 def mistakes(path: Path, error: ValidationError, model: type[BaseModel]) -> str:
     """Put every mistake of a file into one sentence: file, place, what is wrong, what was perhaps meant."""
     found = []
-    for mistake in error.errors(include_url=False):
+    every = error.errors(include_url=False, include_context=False)
+    for mistake in every[:_TOLD]:
         place = [str(part) for part in mistake["loc"]]
         if mistake["type"] == "extra_forbidden":
             text = f"no such setting{_meant(place, model)}"
         else:
-            text = f"{mistake['msg'][0].lower()}{mistake['msg'][1:]}, not {mistake['input']!r}"
+            text = f"{mistake['msg'][0].lower()}{mistake['msg'][1:]}, not {_shown(mistake['input'])}"
         line = line_of(path, place)
         found.append(f"{'.'.join(place)}{f' (line {line})' if line else ''}: {text}")
+    if len(every) > _TOLD:
+        found.append(f"and {len(every) - _TOLD} more")
     return f"{path}: " + "; ".join(found)
+
+
+def _shown(value: object) -> str:
+    """A value as it is told, shortened; a number of thousands of digits cannot be written at all."""
+    try:
+        text = repr(value)
+    except ValueError:
+        return f"a {type(value).__name__} that is too long to show"
+    return text if len(text) <= _LONGEST_VALUE else f"{text[:_LONGEST_VALUE]}..."
 
 
 def _meant(place: Sequence[str], model: type[BaseModel]) -> str:
@@ -97,8 +134,8 @@ def line_of(path: Path, place: Sequence[str]) -> int | None:
         Counts from 1; that of the section where the value has no line of its own.
     """
     try:
-        lines = path.read_text(encoding="utf-8").splitlines()
-    except (OSError, UnicodeDecodeError):
+        lines = read_text(path).splitlines()
+    except SettingsError:
         return None
     section: list[str] = []
     found, depth = None, 0

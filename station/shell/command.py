@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from station.shell.acknowledgement import Acknowledgement
 from station.shell.ending import finish
 from station.shell.options import overrides
 
@@ -50,13 +51,15 @@ def run_measurement(
     from station.runs.database import is_database
     from station.shell.running import saved_run
 
-    report, as_json = given["report"], given["as_json"]
+    report, as_json, lines = given["report"], given["as_json"], given["jsonl"]
     if not any(path.exists() and is_database(path) for path in paths):
         taken = take_measurement(name, given, places=places, paths=paths, known=known)
-        return finish(taken, report=report, as_json=as_json)
+        return finish(taken, report=report, as_json=as_json, quiet=lines)
     _exclude(given, places, paths)
     if len(paths) > 1:
         raise click.UsageError("give one saved run, or files to make one of")
+    if lines:
+        raise click.UsageError("--jsonl acknowledges records as they are taken; these are saved already")
     taken = saved_run(paths[0], measurement(name))
     return finish(taken, report=report, as_json=as_json, saved=True, config=given["config"])
 
@@ -70,6 +73,23 @@ def take_measurement(
     known: Mapping[str, object] | None = None,
 ) -> Taken:
     """Take a new run, make one of files or go on with one; arguments as :func:`run_measurement`."""
+    if not given["jsonl"]:
+        return _taken(name, given, places, paths, known, None)
+    acknowledgement = Acknowledgement()
+    try:
+        return _taken(name, given, places, paths, known, acknowledgement)
+    finally:
+        acknowledgement.rest()
+
+
+def _taken(
+    name: str,
+    given: Mapping[str, Any],
+    places: Mapping[str, str],
+    paths: tuple[Path, ...],
+    known: Mapping[str, object] | None,
+    told: Acknowledgement | None,
+) -> Taken:
     from station.measurements import measurement
     from station.runs.progress import Progress
     from station.settings.load import load
@@ -80,11 +100,12 @@ def take_measurement(
     chosen = overrides(given, {**_PLACES, **places})
     _exclude(given, places, paths)
     if given["resume"] is not None:
-        return resume_run(given["resume"], Progress(), kind=kind, config=config, overrides=chosen, labels=labels)
+        changes = {"config": config, "overrides": chosen, "labels": labels}
+        return resume_run(given["resume"], Progress(), kind=kind, **changes, acknowledge=told)
     settings = load(kind.kind, config, chosen)
     if given["seed"] is not None and not kind.simulated(settings):
         raise click.UsageError("--seed belongs to a simulated bench; a real one has none")
-    return start_run(kind, settings, Progress(), labels=labels, paths=paths, known=known)
+    return start_run(kind, settings, Progress(), labels=labels, paths=paths, known=known, acknowledge=told)
 
 
 def _exclude(given: Mapping[str, Any], places: Mapping[str, str], paths: tuple[Path, ...]) -> None:

@@ -17,6 +17,8 @@ from station.runs.store import SavedRun
 from station.settings.load import load, saved_settings
 
 SCHEMA_VERSION = 2
+DAMAGE = (ArithmeticError, AttributeError, LookupError, RecursionError, TypeError, ValueError)
+"""What values raise that no run ever holds."""
 
 
 @dataclass(frozen=True)
@@ -77,6 +79,8 @@ class Evaluated:
             "verdict": self.verdict,
             **about_run(self.run),
         }
+        if self.run.damaged:
+            document["damaged"] = self.run.damaged
         if facts.truth is not None:
             document["truth"] = facts.truth
         return dict(plain(document))
@@ -141,6 +145,9 @@ def evaluate_run(
         This measurement has no such choice.
     """
     kind = kind_of(run)
+    for name in ("command", "settings"):
+        if name in run.unusable:
+            raise RunError(f"{run.path}: is damaged: its {name} {run.unusable[name]}")
     settings = saved_settings(kind.kind, run.facts.settings, str(run.path))
     if config is not None:
         settings = kind.kind.with_knowledge(settings, load(kind.kind, config))
@@ -149,10 +156,24 @@ def evaluate_run(
         if name not in kind.choices:
             option = name.replace("_", "-")
             raise UsageError(f"{run.path}: is a run of `{kind.command}`, for which --{option} means nothing")
-    found = kind.evaluate(run, settings, wanted)
-    result = kind.result(found, run, settings)
+    run, found, result = _evaluated(kind, run, settings, wanted)
     limits = settings.limits.model_dump()
     return Evaluated(kind, run, settings, found, result, check_limits(result.measured, limits))
+
+
+def _evaluated(
+    kind: Measurement[Any, Any], run: SavedRun, settings: Any, choices: Mapping[str, Any]
+) -> tuple[SavedRun, Any, Result]:
+    """Evaluate a run; one that is damaged without what is damaged, where it cannot be evaluated with it."""
+    for taken in (run, run.whole) if run.damaged else (run,):
+        try:
+            found = kind.evaluate(taken, settings, choices)
+            return taken, found, kind.result(found, taken, settings)
+        except DAMAGE as error:
+            if run.protected and not run.damaged:
+                raise
+            reason = f"{type(error).__name__}: {error}"
+    raise RunError(f"{run.path}: is damaged and cannot be evaluated ({reason})")
 
 
 def kind_of(run: SavedRun) -> Measurement[Any, Any]:

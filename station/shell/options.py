@@ -91,6 +91,7 @@ def run_options(function: F) -> F:
         click.option("--note", metavar="TEXT", help="What should be remembered of this run."),
         click.option("--seed", type=click.IntRange(min=0), metavar="S", help="Seed of the simulated bench."),
         click.option("--out", type=click.Path(path_type=Path), metavar="DIR", help="Directory of runs [./runs]."),
+        click.option("--jsonl", is_flag=True, help="One line on stdout for each record, when it is on the disk."),
         config_option,
         json_option,
     )

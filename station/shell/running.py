@@ -6,10 +6,11 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from station.errors import UsageError
+from station.errors import RunError, UsageError
 from station.measurements import MEASUREMENTS, Measurement, measurement
+from station.runs.database import SUMS
 from station.runs.progress import Progress
-from station.runs.store import SavedRun, open_run
+from station.runs.store import Acknowledge, SavedRun, open_run
 from station.runs.taking import Session, Taken, facts_of, take
 from station.settings.load import Values, saved_settings, settings_to_resume
 
@@ -22,6 +23,7 @@ def start_run(
     labels: Mapping[str, str] | None = None,
     paths: Sequence[Path] = (),
     known: Mapping[str, object] | None = None,
+    acknowledge: Acknowledge | None = None,
 ) -> Taken:
     """Take a new run on the bench, or make it of files.
 
@@ -35,6 +37,8 @@ def start_run(
         Files to make the run of.
     known : mapping, optional
         Further facts of the run, plain JSON.
+    acknowledge : callable, optional
+        Is told of records when they are on the disk.
 
     Raises
     ------
@@ -44,7 +48,8 @@ def start_run(
     """
     simulated = kind.simulated(settings) and not paths
     facts = facts_of(kind.name, settings.model_dump(mode="json"), simulated=simulated, labels=labels)
-    session = Session({**facts, **(known or {})}, Path(settings.output.directory), progress)
+    facts |= known or {}
+    session = Session(facts, Path(settings.output.directory), progress, acknowledge=acknowledge)
     if not paths:
         return take(session, lambda of: kind.take(settings, of))
     make = kind.take_files
@@ -61,6 +66,7 @@ def resume_run(
     config: Path | None = None,
     overrides: Values | None = None,
     labels: Mapping[str, str] | None = None,
+    acknowledge: Acknowledge | None = None,
 ) -> Taken:
     """Go on with a run that was cut short, with the settings that are saved with it.
 
@@ -74,6 +80,8 @@ def resume_run(
         Settings that were given too: they must not change what is measured.
     labels : mapping, optional
         ``unit``, ``operator`` and ``note`` that take the place of the run's own.
+    acknowledge : callable, optional
+        Is told of records when they are on the disk.
 
     Raises
     ------
@@ -88,14 +96,17 @@ def resume_run(
         raise UsageError(f"{path}: was made of saved files, there is nothing to go on with")
     saved = saved_settings(kind.kind, run.facts.settings, str(run.path))
     settings = settings_to_resume(kind.kind, saved, config, overrides, path)
-    again = kind.unusable(run, settings)
+    if lost := [name for name in ("settings", SUMS) if name in run.unusable]:
+        raise RunError(f"{path}: cannot be gone on with: its {lost[0]} {run.unusable[lost[0]]}")
+    damaged = {record.key: "it is damaged" for record in run.records if not (record.intact or record.aside)}
+    again = {**damaged, **kind.unusable(run, settings)}
     if run.facts.complete and not again:
         raise UsageError(
             f"{path}: is finished, there is nothing to go on with; `gyrolock analyze {path}` reads it"
         )
 
     facts = {**run.facts, **(labels or {}), "settings": settings.model_dump(mode="json")}
-    session = Session(facts, run.path.parent, progress, resumed=run, again=again)
+    session = Session(facts, run.path.parent, progress, resumed=run, again=again, acknowledge=acknowledge)
     return take(session, lambda of: kind.take(settings, of))
 
 

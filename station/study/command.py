@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 import click
 
-from station.shell.ending import print_json
 from station.shell.options import config_option, json_option
+from station.terminal.lines import print_json, say
 
 if TYPE_CHECKING:
     from station.study.study import Study
@@ -81,16 +81,17 @@ def _write(out: Path, study: Study, sentences: list[str], kind: str) -> list[str
 
 
 def _print(study: Study, sentences: list[str], files: list[str]) -> None:
-    from station.report.console import stdout_console, text_table
+    from station.report.console import text_table
     from station.results.parts import TextTable
     from station.study.tables import study_tables
+    from station.terminal.console import stdout_console
 
     console = stdout_console()
     for table in study_tables(study):
-        console.print(table.title, style="bold", markup=False)
+        console.print(table.title, style="bold")
         console.print(text_table(TextTable(table.columns, tuple(map(tuple, table.texts())))))
         console.print()
     for sentence in sentences:
-        console.print(f"• {sentence}", markup=False)
+        console.print(f"• {sentence}")
     for file in files:
-        click.echo(f"wrote   {file}")
+        say(f"wrote   {file}")

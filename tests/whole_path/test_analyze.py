@@ -90,10 +90,34 @@ def test_a_csv_file_of_the_beat_gives_the_lock_in_rate(gyrolock, run: Path, tmp_
     done = gyrolock("analyze", "F0000CH1.CSV", "--scale-factor", 2000, "--json")
     assert done.code == 0, done.err
     assert done.document["lock_in_rate_dps"] == pytest.approx(0.01, abs=5 * done.document["lock_in_rate_u_dps"])
-    assert done.document["schema"] == {"name": "gyrolock files", "version": 1}
+    assert done.document["schema"] == {"name": "gyrolock files", "version": 2}
     first_line = done.document["harmonics"][0]
     assert first_line["amplitude_v"] == pytest.approx(0.38 * (1 - done.document["ratio"] ** 2), rel=0.01)
     assert first_line["frequency_hz"] == pytest.approx(done.document["beat_frequency_hz"], rel=1e-5)
+
+
+def test_the_scale_factor_of_a_file_is_not_assumed(gyrolock, run: Path, tmp_path: Path) -> None:
+    write_csv(tmp_path / "F0002CH1.CSV", open_run(run).taken_for("measure")[0], "Y")
+    (tmp_path / "my.toml").write_text("[measurement]\nrecords = 3\n")
+    for given in ((), ("--config", "my.toml")):
+        refused = gyrolock("analyze", "F0002CH1.CSV", *given, "--json")
+        assert refused.code == 2
+        assert "--scale-factor" in refused.document["error"]["message"]
+    (tmp_path / "my.toml").write_text("[gyro]\nscale_factor_pulses_per_deg = 1000.0\n")
+    done = gyrolock("analyze", "F0002CH1.CSV", "--config", "my.toml", "--jsonl")
+    (line,) = [json.loads(text) for text in done.out.splitlines()]
+    assert line["scale_factor_pulses_per_deg"] == 1000
+    assert line["lock_in_rate_dps"] == pytest.approx(0.02, rel=0.02)
+    assert "1000 pulses/deg" in gyrolock("analyze", "F0002CH1.CSV", "--config", "my.toml").out
+
+
+@pytest.mark.parametrize(
+    "option", ["--input-rate=0", "--input-rate=nan", "--input-rate=inf", "--scale-factor=nan", "--scale-factor=-1"]
+)
+def test_numbers_that_mean_nothing(gyrolock, option: str) -> None:
+    done = gyrolock("analyze", "F0000CH1.CSV", option, "--json")
+    assert done.code == 2
+    assert option.split("=")[0] in done.document["error"]["message"]
 
 
 def test_a_peak_detect_record_is_refused(gyrolock, run: Path, tmp_path: Path) -> None:

@@ -12,8 +12,8 @@ from station.runs.progress import Progress
 from station.runs.store import SavedRun, open_run
 from station.settings.load import shipped_settings
 from station.shell.evaluated import evaluate_run
-from station.shell.running import start_run
-from tests.ideal_bench import IDEAL_TOML, ideal_bench
+from station.shell.running import resume_run, start_run
+from tests.ideal_bench import IDEAL_TOML, Interrupting, ideal_bench
 
 IDEAL = ("--config", "ideal.toml")
 KEYS = {
@@ -188,3 +188,71 @@ def test_settings_can_be_copied_and_used(gyrolock, tmp_path: Path) -> None:
     assert done.code == 0
     values = json.loads(gyrolock("settings", "bench", "--json").out)
     assert values["table"]["kind"] == "none"
+
+
+def test_the_shipped_bench_is_a_real_one_and_the_default_sees_what_spoils_it(gyrolock) -> None:
+    done = gyrolock("measure", "--seed", 2, "--json", "--no-report", timeout=200)
+    assert done.code == 0, done.err
+    result = done.document
+    assert result["lock_in_rate_low_95_dps"] < 0.01 < result["lock_in_rate_high_95_dps"]
+    assert result["lock_in_rate_high_95_dps"] - result["lock_in_rate_low_95_dps"] < 0.02 * 0.01
+    assert result["records"] == 40
+    fit = result["several_rates"]["by_beat"]
+    assert fit["distortion_dbc"] == pytest.approx(-50.0, abs=1.0)
+    assert fit["gain_corner_low_95_hz"] < 3000 * 1.02
+    assert fit["gain_corner_high_95_hz"] > 3000 * 0.98
+    assert "Hz: found and removed" in gyrolock("analyze", result["run"]).out
+    # one rate alone would have been wrong
+    assert max(abs(rate["lock_in_rate_dps"] / 0.01 - 1) for rate in result["several_rates"]["rates"]) > 0.1
+
+
+FEW = {"records": 2, "tilt_records": 2}
+
+
+@pytest.mark.parametrize(
+    ("gyro", "true"),
+    [
+        ({"expected_lock_in_rate_dps": 0.0005, "scale_factor_pulses_per_deg": 200.0}, 0.0005),  # beats of a second
+        ({"expected_lock_in_rate_dps": 0.2}, 0.01),  # a guess that is far off
+        ({"expected_lock_in_rate_dps": 0.0004}, 0.01),  # so far that the gyro is locked at the fastest rate
+    ],
+)
+def test_any_gyro_is_measured(tmp_path: Path, gyro: dict[str, float], true: float) -> None:
+    overrides = ideal_bench(
+        gyro=gyro,
+        measurement={"rates_over_lock_in": "auto", **FEW},
+        simulation={"seed": 3, "link": "tcp", "lock_in_rate_dps": true},
+        output={"directory": str(tmp_path)},
+    )
+    taken = start_run(MEASUREMENT, load_settings(overrides=overrides), Progress(quiet=True))
+    assert taken.failure is None
+    found = evaluate_run(open_run(taken.path)).found
+    assert found.several is not None
+    over = [abs(group.input_rate) / true for group in found.several.groups]
+    assert 1.5 < min(over) < 15
+    assert abs(float(found.combined.lock_in_rate) - true) < 4 * float(found.combined.lock_in_rate_u)
+
+
+def test_a_run_whose_rates_were_chosen_anew_goes_on_with_them(tmp_path: Path) -> None:
+    overrides = ideal_bench(
+        gyro={"expected_lock_in_rate_dps": 0.05},
+        measurement={"rates_over_lock_in": "auto", **FEW},
+        simulation={"seed": 3, "link": "tcp"},
+        output={"directory": str(tmp_path)},
+    )
+    settings = load_settings(overrides=overrides)
+    whole = open_run(start_run(MEASUREMENT, settings, Progress(quiet=True)).path)
+    cut = start_run(MEASUREMENT, settings, Interrupting(after=9))
+    assert cut.failure is not None
+    resume_run(cut.path, Progress(quiet=True), kind=MEASUREMENT)
+    assert [record.key for record in open_run(cut.path).records] == [record.key for record in whole.records]
+    assert open_run(cut.path).facts["plan"] == whole.facts["plan"]
+    assert whole.facts["plan"]["changes"] > 0
+
+
+@pytest.mark.parametrize("table", ["simulated", "none"])
+def test_a_bench_without_a_signal_has_no_beat(gyrolock, tmp_path: Path, table: str) -> None:
+    (tmp_path / "my.toml").write_text(f'[table]\nkind = "{table}"\n[simulation]\namplitude_v = 0.0\n')
+    done = gyrolock("measure", "--config", "my.toml", "--json")
+    assert done.code == 4
+    assert "no beat" in done.document["error"]["message"]

@@ -16,6 +16,7 @@ from instrument.simulated.links.serial_input import SerialInput
 from instrument.simulated.panel.parsing import StreamSplitter
 from instrument.simulated.scope import Picture, SimulatedTDS2014
 
+_MOST_WAITING = 1000
 _TERMINATORS = {"LF": b"\n", "CR": b"\r", "CRLF": b"\r\n", "LFCR": b"\n\r"}
 
 
@@ -49,6 +50,8 @@ class MessageExchange:
         `now` is the time in s for the pauses between pieces on RS-232, if not that of the instrument's clock.
         """
         with self.scope.lock:
+            if self.scope.faults.swallows(data):
+                return
             if self._input is not None:
                 data, event = self._input.receive(data, self.scope.clock.now() if now is None else now)
                 if event:
@@ -85,6 +88,11 @@ class MessageExchange:
         return self._input is not None and self._input.output_stopped
 
     @property
+    def full(self) -> bool:
+        """True while so many messages wait for the one at work that no more should be sent."""
+        return len(self._waiting) > _MOST_WAITING
+
+    @property
     def working(self) -> bool:
         """True while a message waits or is at work."""
         return self._running is not None or bool(self._waiting)
@@ -92,7 +100,7 @@ class MessageExchange:
     def pump(self) -> None:
         """Carry out what has come in, as far as the clock allows."""
         with self.scope.lock:
-            while self.scope.powered and self._advance():
+            while self.scope.powered and not self.scope.faults.hung and self._advance():
                 pass
 
     def take(self) -> bytes | None:
@@ -102,6 +110,8 @@ class MessageExchange:
                 return None
             delivery = self._answers.popleft()
             self.scope.message_available = bool(self._answers)
+            if self.scope.faults.unplugged:
+                return None
             if delivery.command:
                 self.scope.turn_knob(delivery.command)
             if delivery.closes_link:
@@ -121,6 +131,8 @@ class MessageExchange:
     def next_change(self) -> float:
         """Clock time in s at which `pump` or `take` may have more to do; inf if only new bytes help."""
         times = [math.inf]
+        if self.scope.faults.hung:
+            return math.inf
         if self._answers and not self.stopped:
             times.append(self._answers[0].due)
         if self._running is not None:

@@ -14,6 +14,7 @@ from instrument.simulated.links.stream_server import Line, Port, StreamServer
 from instrument.simulated.scope import SimulatedTDS2014
 
 _FULL = 1 << 20  # bytes of unread answers at which no more questions are taken
+_AT_ONCE = 4096  # bytes whose questions are taken before answers are sent
 _PACE = 0.004  # s of line time that travel in one piece
 _LOOK_UP = 0.2  # s after which an idle server looks whether the instrument is still on
 _VIRTUAL_POLL = 0.001  # s of real time between two jumps of a virtual clock
@@ -63,7 +64,8 @@ class ScopeServer(StreamServer):
             self._drop(port)
             return
         exchange, now = self._exchanges[port], time.monotonic()
-        if len(port.outgoing) < _FULL and (arrived := port.incoming.take(now)):
+        takes = len(port.outgoing) < _FULL and not exchange.full
+        if takes and (arrived := port.incoming.take(now, _AT_ONCE)):
             exchange.receive(arrived, now)
         if exchange.output_dropped:
             exchange.output_dropped = False

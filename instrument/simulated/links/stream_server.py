@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import os
 import selectors
 import socket
@@ -16,6 +17,10 @@ from typing import Self
 CHUNK = 65_536
 """Bytes that are read at once."""
 
+_CLIENTS = 16  # at once on one server; further ones are hung up on
+_UNTAKEN = 4 * CHUNK  # bytes of a client that have not been taken yet, at which it is not listened to
+_NO_DESCRIPTOR = (errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM)
+_DEAF_S = 1.0  # after the system had no descriptor left for a client
 _LATE = 0.05  # s that a paced line may be behind and still catch up
 
 
@@ -33,13 +38,13 @@ class Line:
             self._free_at = now
         self._held += data
 
-    def take(self, now: float) -> bytes:
-        """The bytes that have passed by now (s)."""
+    def take(self, now: float, most: int = CHUNK) -> bytes:
+        """The bytes that have passed by now (s), at most so many."""
         if self.baud_rate is None:
-            count = len(self._held)
+            count = min(len(self._held), most)
         else:
             rate = self.baud_rate / 10  # bytes a second: start bit, 8 data bits, stop bit
-            count = min(int((now - self._free_at) * rate + 1e-6), len(self._held))
+            count = min(int((now - self._free_at) * rate + 1e-6), len(self._held), most)
             self._free_at += count / rate
         data = bytes(self._held[:count])
         del self._held[:count]
@@ -67,6 +72,7 @@ class Port:
     close: Callable[[], None]
     incoming: Line = field(default_factory=Line)
     outgoing: Line = field(default_factory=Line)
+    heard: bool = True
 
 
 class StreamServer(ABC):
@@ -84,6 +90,8 @@ class StreamServer(ABC):
         self._ports: list[Port] = []
         self._held = contextlib.ExitStack()  # what is open besides the ports
         self._closing = False
+        self._listener: socket.socket | None = None
+        self._deaf_until = 0.0
         self._wake_out, self._wake_in = socket.socketpair()  # Windows selects on sockets only
         self._selector.register(self._wake_out, selectors.EVENT_READ, lambda: self._wake_out.recv(64))
         self._thread = threading.Thread(target=self._run, name=type(self).__name__, daemon=True)
@@ -126,13 +134,14 @@ class StreamServer(ABC):
     def _add(self, port: Port) -> None:
         """A client is there."""
         self._ports.append(port)
-        self._selector.register(port.descriptor, selectors.EVENT_READ, lambda: self._read(port))
+        self._selector.register(port.descriptor, selectors.EVENT_READ, self._hearing(port))
 
     def _drop(self, port: Port) -> None:
         """A client is gone, or has to go."""
         if port in self._ports:
             self._ports.remove(port)
-            self._selector.unregister(port.descriptor)
+            if port.heard:
+                self._selector.unregister(port.descriptor)
             port.close()
 
     # Transports
@@ -166,6 +175,7 @@ class StreamServer(ABC):
             self._release()
             raise
         listener.setblocking(False)
+        self._listener = listener
         self._selector.register(listener, selectors.EVENT_READ, lambda: self._accept(listener))
         name: tuple[str, int] = listener.getsockname()[:2]
         return name
@@ -173,9 +183,13 @@ class StreamServer(ABC):
     def _accept(self, listener: socket.socket) -> None:
         try:
             client, _ = listener.accept()
-        except OSError:
+        except OSError as error:
+            if error.errno in _NO_DESCRIPTOR:
+                # the client waits in its queue, and the selector would not wait at all
+                self._selector.unregister(listener)
+                self._deaf_until = time.monotonic() + _DEAF_S
             return
-        if not self._welcomes():
+        if len(self._ports) >= _CLIENTS or not self._welcomes():
             client.close()
             return
         client.setblocking(False)
@@ -192,6 +206,7 @@ class StreamServer(ABC):
         try:
             while not self._closing:
                 self._advance()
+                self._listen_again()
                 for key, _ in self._selector.select(self._pause()):
                     key.data()
         except BaseException as error:
@@ -200,6 +215,22 @@ class StreamServer(ABC):
             for port in list(self._ports):
                 self._drop(port)
             self._release()
+
+    def _listen_again(self) -> None:
+        """Listen to those that were not listened to, where there is room now; and not to others."""
+        if self._deaf_until and self._listener is not None and time.monotonic() >= self._deaf_until:
+            self._deaf_until, listener = 0.0, self._listener
+            self._selector.register(listener, selectors.EVENT_READ, lambda: self._accept(listener))
+        for port in self._ports:
+            room = len(port.incoming) < _UNTAKEN
+            if room and not port.heard:
+                self._selector.register(port.descriptor, selectors.EVENT_READ, self._hearing(port))
+            elif port.heard and not room:
+                self._selector.unregister(port.descriptor)
+            port.heard = room
+
+    def _hearing(self, port: Port) -> Callable[[], None]:
+        return lambda: self._read(port)
 
     def _release(self) -> None:
         self._held.close()

@@ -95,6 +95,8 @@ class _Session:
     serial: bool
     attributes: dict[int, Any]
     received: bytearray = field(default_factory=bytearray)
+    under_way: bytearray = field(default_factory=bytearray)  # on a serial line of a virtual clock
+    free_at: float = 0.0  # clock time in s from which on the next byte is on the line
     sending_stopped: bool = False  # the computer's own XON/XOFF, set off by a byte in the data
 
     @property
@@ -111,6 +113,29 @@ class _Session:
                     self.sending_stopped = byte == XOFF
             data = data.translate(None, bytes((XON, XOFF)))
         self.received += data
+
+    @property
+    def byte_time(self) -> float:
+        """Time in s that a byte takes on the serial line: start bit, 8 data bits, stop bit."""
+        return 10 / self.exchange.scope.panel.number("RS232:BAUD")
+
+    def set_out(self, answer: bytes, now: float) -> None:
+        """Bytes leave the instrument; they take their time."""
+        self.free_at = now
+        self.under_way += answer
+
+    def let_arrive(self, now: float) -> None:
+        """Take what has come by now."""
+        count = min(int((now - self.free_at) / self.byte_time), len(self.under_way))
+        if count > 0:
+            self.free_at += count * self.byte_time
+            self.arrive(_cut(self.under_way, count))
+
+    def next_arrival(self, count: int, ending: int | None) -> float:
+        """Clock time in s at which `count` bytes are there, or the ending byte, or all that is under way."""
+        at = self.under_way.find(ending) if ending is not None else -1
+        wanted = min(count - len(self.received), len(self.under_way))
+        return self.free_at + (wanted if at < 0 else min(wanted, at + 1)) * self.byte_time
 
     def seconds(self) -> float:
         """Time-out in s."""
@@ -212,6 +237,7 @@ class SimulatedVisaLibrary(VisaLibraryBase):
 
     def _send_break(self, opened: _Session) -> None:
         opened.received.clear()
+        opened.under_way.clear()
         opened.sending_stopped = False
         opened.exchange.break_signal()
 
@@ -236,6 +262,7 @@ class SimulatedVisaLibrary(VisaLibraryBase):
         opened = self._sessions[session]
         self._check_power(session, opened)
         opened.received.clear()
+        opened.under_way.clear()
         opened.exchange.clear()
         return self.handle_return_value(session, StatusCode.success)
 
@@ -246,6 +273,7 @@ class SimulatedVisaLibrary(VisaLibraryBase):
             while opened.exchange.take() is not None:
                 pass
         opened.received.clear()
+        opened.under_way.clear()
         return self.handle_return_value(session, StatusCode.success)
 
     def read_stb(self, session: VISASession) -> tuple[int, StatusCode]:
@@ -330,26 +358,26 @@ def _read_stream(opened: _Session, count: int) -> tuple[bytes, StatusCode]:
     deadline = clock.now() + opened.seconds()
     ending = opened.ending_byte()
     while True:
+        opened.let_arrive(clock.now())
         at = opened.received.find(ending) if ending is not None else -1
         if 0 <= at < count:
             return _cut(opened.received, at + 1), StatusCode.success_termination_character_read
         if len(opened.received) >= count:
             return _cut(opened.received, count), StatusCode.success_max_count_read
+        if opened.under_way:
+            if clock.now() >= deadline:
+                opened.received.clear()
+                return b"", StatusCode.error_timeout
+            clock.sleep(min(deadline, opened.next_arrival(count, ending)) - clock.now() + 1e-9)
+            continue
         answer = opened.exchange.wait_for_answer(deadline - clock.now())
-        if answer is None or not _travels(opened, answer, deadline):
+        if answer is None:
             opened.received.clear()
             return b"", StatusCode.error_timeout
-        opened.arrive(answer)
-
-
-def _travels(opened: _Session, answer: bytes, deadline: float) -> bool:
-    """Let the bytes of a serial answer take their time on a virtual clock; False if that is too long."""
-    clock = opened.exchange.scope.clock
-    if not (opened.serial and clock.virtual):
-        return True
-    needed = 10 * len(answer) / opened.exchange.scope.panel.number("RS232:BAUD")
-    clock.sleep(min(needed, deadline - clock.now()))
-    return clock.now() < deadline
+        if opened.serial and clock.virtual:
+            opened.set_out(answer, clock.now())
+        else:
+            opened.arrive(answer)
 
 
 def _read_message(opened: _Session, count: int) -> tuple[bytes, StatusCode]:

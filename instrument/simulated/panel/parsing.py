@@ -12,6 +12,7 @@ from functools import lru_cache
 from instrument.simulated.panel.event_table import Guess, Refusal
 
 LONGEST_MESSAGE = 100_000  # bytes without a terminator that a link collects before it gives up
+_SHORT = 1000  # bytes of a message that is worth remembering
 LONGEST_BLOCK = 20_000  # bytes; 2500 points of two bytes and a generous margin
 
 _WHITE = "".join(map(chr, [*range(0x0A), *range(0x0B, 0x21)]))
@@ -122,7 +123,6 @@ class StreamSplitter:
         return [message for message in messages if message.strip()]
 
 
-@lru_cache(maxsize=1024)
 def parse_message(message: bytes, *, stream: bool = False) -> tuple[Command | Malformed, ...]:
     """Split one program message at its semicolons and read each command.
 
@@ -133,7 +133,15 @@ def parse_message(message: bytes, *, stream: bool = False) -> tuple[Command | Ma
     >>> [c.header for c in parse_message(b" data:source ch1 ; width 1;; :CH1:SCALE? ")]
     ['data:source', 'width', ':CH1:SCALE']
     """
+    # a long one carries a record and does not come again: remembered ones must not fill the memory
+    return _remembered(message, stream) if len(message) <= _SHORT else _parsed(message, stream)
+
+
+def _parsed(message: bytes, stream: bool) -> tuple[Command | Malformed, ...]:
     return tuple(_parse_command(unit, stream) for unit in _split(message, 0x3B) if _trim(unit))
+
+
+_remembered = lru_cache(maxsize=1024)(_parsed)
 
 
 def _trim(piece: bytes) -> str:

@@ -60,7 +60,7 @@ def take(settings: FogSettings, session: Session) -> None:
     if there:
         session.progress.note(f"{there} of {witness.records} records are saved already")
     session.progress.start("records", witness.records - there)
-    for number in range(there + 1, witness.records + 1):
+    for number in session.free_numbers("record ", witness.records - there):
         waveform = scope.acquire(witness.channel)
         writer.save_records([_record(f"record {number}", waveform, {"channel": witness.channel})])
         session.progress.advance()

@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from typing import Any
 
+import numpy as np
+
 from analysis import FrequencyFit, LockInEstimate, RatesFit, RatesFlag, flag_names
 from analysis.frequency_method import FrequencyFlag
 from analysis.lock_in_run import RateGroup
@@ -59,6 +61,12 @@ _RATES_FIT = _FIT | {
     "gain_corner_hz": "gain_corner_hz",
     "gain_corner_low_95_hz": "gain_corner_low_95_hz",
     "gain_corner_high_95_hz": "gain_corner_high_95_hz",
+    "bandwidth_hz": "bandwidth_hz",
+    "bandwidth_low_95_hz": "bandwidth_low_95_hz",
+    "third_order": "third_order",
+    "third_order_u": "third_order_u",
+    "scale_factor_by_rates_pulses_per_deg": "scale_factor",
+    "scale_factor_by_rates_u_pulses_per_deg": "scale_factor_u",
     "model": "model",
     "u_over_u_with_distortion_known": "cost",
 }
@@ -75,11 +83,18 @@ _FREQUENCY_FIT = _FIT | {
     "bias_rate_dps": "bias_rate",
     "bias_rate_u_dps": "bias_rate_u",
 }
+_ALTERNATIVE = {
+    "lock_in_rate_dps": "lock_in_rate",
+    "lock_in_rate_u_dps": "lock_in_rate_u",
+    "distortion": "distortion",
+    "chi_square": "chi_square",
+}
 _LEFT_OUT = {
     "input_rate_dps": "rate",
     "lock_in_rate_dps": "lock_in_rate",
     "lock_in_rate_u_dps": "lock_in_rate_u",
     "deviation_in_u": "deviation",
+    "p_value": "p_value",
 }
 _GROUP = {
     "input_rate_dps": "input_rate",
@@ -119,7 +134,7 @@ def result_document(found: LockInFound) -> dict[str, Any]:
         "lock_in_rate_high_95_dps": high,
         "lock_in_rate_noise_u_dps": found.noise_u,
         **_of_one_rate(found),
-        **picked(found.combined, _OF_ALL),
+        **_of_all(found),
         "records": len(found.waveforms) + len(found.damaged),
         "records_rejected": found.records_rejected,
         "method": found.method_text,
@@ -151,6 +166,15 @@ def _of_one_rate(found: LockInFound) -> dict[str, Any]:
     if found.several is not None:
         return dict.fromkeys(_OF_ONE_RATE)
     return picked(found.combined, _OF_ONE_RATE)
+
+
+def _of_all(found: LockInFound) -> dict[str, Any]:
+    """Phase, amplitude and noise; of several rates the mean amplitude and the rms noise of all records used."""
+    document = picked(found.combined, _OF_ALL)
+    if found.several is not None and (used := found.each.usable).any():
+        document["amplitude_v"] = found.each.amplitude[used].mean()
+        document["noise_rms_v"] = np.sqrt(np.mean(found.each.noise_rms[used] ** 2))
+    return document
 
 
 def record_documents(found: LockInFound, called: str) -> list[dict[str, Any]]:
@@ -202,6 +226,8 @@ def _rates_fit(fit: RatesFit) -> dict[str, Any]:
     columns = [getattr(fit.left_out, attribute) for attribute in _LEFT_OUT.values()]
     return picked(fit, _RATES_FIT) | {
         "distortion_dbc": 20 * math.log10(abs(fit.distortion)) if fit.distortion else None,
+        "alternatives": [picked(one, _ALTERNATIVE) for one in fit.alternatives],
+        "counted": sorted(fit.counted),
         "models": [picked(one, _MODEL) for one in fit.models],
         "left_out": [dict(zip(_LEFT_OUT, row, strict=True)) for row in zip(*columns, strict=True)],
         "locked_up_to_dps": fit.at_least or None,

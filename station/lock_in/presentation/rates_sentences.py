@@ -6,6 +6,12 @@ import numpy as np
 
 from analysis import FrequencyFit, RatesFit, RatesFlag
 from analysis.frequency_method import FrequencyFlag
+from station.results.numbers import with_uncertainty
+
+SEEN = 3.3
+"""Standard uncertainties from zero beyond which something is called seen."""
+
+_DECIBELS = 20 / np.log(10)
 
 COUPLING_DEG = 60
 COUPLING = 0.27
@@ -21,9 +27,22 @@ CAVEAT = (
 
 def describe_rates(fit: RatesFit) -> tuple[str, ...]:
     """Sentences for the person who reads the result, the main one first."""
-    sentences = [_value(fit), _distortion(fit), _gain(fit), _test(fit), _left_out(fit), _phase(fit)]
+    sentences = [_value(fit), _distortion(fit), _gain(fit), _alternatives(fit), _third_order(fit), _bandwidth(fit)]
+    sentences += [_test(fit), _left_out(fit), _phase(fit), _records(fit)]
     sentences += [_locked(fit), _unused(fit), _mismatch(fit), _reference(fit)]
     return tuple(s for s in sentences if s)
+
+
+def separated_words(fit: RatesFit) -> str:
+    """Name what the fit has told from lock-in, with its size: it no longer spoils the value; empty if nothing."""
+    found = []
+    if abs(fit.distortion) > SEEN * fit.distortion_u:
+        level, u = 20 * np.log10(abs(fit.distortion)), _DECIBELS * fit.distortion_u / abs(fit.distortion)
+        found.append(f"distortion {with_uncertainty(float(level), float(u), 'dBc')}")
+    if fit.gain_time > SEEN * fit.gain_time_u:
+        corner_u = fit.gain_corner_hz * fit.gain_time_u / fit.gain_time
+        found.append(f"gain corner {with_uncertainty(fit.gain_corner_hz, corner_u, 'Hz')}")
+    return f"{', '.join(found)}: found and removed" if found else ""
 
 
 def _has(fit: RatesFit, flag: RatesFlag) -> bool:
@@ -55,7 +74,7 @@ def _value(fit: RatesFit) -> str:
 def _distortion(fit: RatesFit) -> str:
     if np.isnan(fit.distortion):
         return "Second-order distortion of the receiver was taken to be zero; it would go into the lock-in rate."
-    if abs(fit.distortion) > 3.3 * fit.distortion_u:
+    if abs(fit.distortion) > SEEN * fit.distortion_u:
         level = 20 * np.log10(abs(fit.distortion))
         return f"The receiver makes a second harmonic of {level:.1f} dBc; it is taken out."
     limit = 20 * np.log10(abs(fit.distortion) + 1.96 * fit.distortion_u)
@@ -65,10 +84,10 @@ def _distortion(fit: RatesFit) -> str:
 def _gain(fit: RatesFit) -> str:
     if not np.isnan(fit.gain_time):
         low, high = fit.gain_corner_low_95_hz, fit.gain_corner_high_95_hz
-        if fit.gain_time > 3.3 * fit.gain_time_u:
+        if fit.gain_time > SEEN * fit.gain_time_u:
             span = f"{low:.4g} to {high:.4g} Hz"
             return f"The gain corner of the laser is seen at {fit.gain_corner_hz:.4g} Hz ({span}).{_coupling(fit)}"
-        if fit.gain_time < -3.3 * fit.gain_time_u:
+        if fit.gain_time < -SEEN * fit.gain_time_u:
             return (
                 "The second harmonic runs ahead with the rate, which no gain corner does: look for a slow or "
                 "AC-coupled channel."
@@ -83,6 +102,48 @@ def _gain(fit: RatesFit) -> str:
         f"The gain corner of the laser was taken to be far above the beat; these records only say that it lies "
         f"above {corner:.3g} Hz. With a free corner the lock-in rate would be {fuller.lock_in_rate:.5g} ± "
         f"{fuller.lock_in_rate_u:.2g} deg/s; faster rates, or both senses, settle it."
+    )
+
+
+def _alternatives(fit: RatesFit) -> str:
+    """Every other solution with its numbers: the records do not say which of them is true."""
+    if not fit.alternatives:
+        return ""
+    others = "; ".join(
+        f"{one.lock_in_rate:.5g} ± {one.lock_in_rate_u:.2g} deg/s (chi-square {one.chi_square:+.1f})"
+        for one in fit.alternatives
+    )
+    return (
+        f"These records have more than one solution. Beside the value above: {others}. The interval, "
+        f"{fit.lock_in_rate_low_95:.5g} to {fit.lock_in_rate_high_95:.5g} deg/s, holds all of them; the other sense "
+        "of rotation, or one more rate, decides."
+    )
+
+
+def _third_order(fit: RatesFit) -> str:
+    if not abs(fit.third_order) > 3.3 * fit.third_order_u:
+        return ""
+    level = 20 * np.log10(abs(fit.third_order))
+    return f"The receiver makes a third harmonic of {level:.1f} dBc; what it does to the second is taken out."
+
+
+def _bandwidth(fit: RatesFit) -> str:
+    if fit.lag_square > 3.3 * fit.lag_square_u:
+        return f"The receiver has a corner at about {fit.bandwidth_hz:.3g} Hz; its effect is taken out."
+    if fit.lag_square < -3.3 * fit.lag_square_u:
+        return (
+            "The second harmonic grows with the rate, which no low pass does: look for a channel that is "
+            "AC-coupled or rises with frequency."
+        )
+    return ""
+
+
+def _records(fit: RatesFit) -> str:
+    if not _has(fit, RatesFlag.RECORDS_MISFIT):
+        return ""
+    return (
+        "Records depart from the lock-in waveform by more than their noise, and third-order distortion does not "
+        "explain it: the lock-in rate may be wrong by more than its uncertainty. See the records' own flags."
     )
 
 
@@ -128,7 +189,7 @@ def _left_out(fit: RatesFit) -> str:
 
 
 def _phase(fit: RatesFit) -> str:
-    if fit.model != "both" or _has(fit, RatesFlag.NOT_SIGNIFICANT):
+    if fit.model not in ("both", "all") or _has(fit, RatesFlag.NOT_SIGNIFICANT):
         return ""
     if abs(np.cos(fit.backscatter_phase)) < 0.15:
         return (
@@ -171,7 +232,8 @@ def _mismatch(fit: RatesFit) -> str:
     worst = known[np.argmax(np.abs(known))]
     return (
         f"Beat frequencies and given rates differ by up to {100 * worst:+.2g} %: table rate, tilt, earth rate or "
-        "scale factor is wrong. With the beat as reference only the scale factor matters."
+        "scale factor is wrong. With the beat as reference only the scale factor matters. If the rates are right, "
+        f"the scale factor is {fit.scale_factor:.6g} ± {max(fit.scale_factor_u, 0.0):.2g} pulses per degree."
     )
 
 

@@ -39,7 +39,7 @@ def test_a_gain_corner_at_twice_the_highest_beat_costs_less_than_a_percent(hd2):
     rng = np.random.default_rng(2)
     made = estimates(both_senses(*RATES), 8, rng, hd2=hd2, gain_corner_hz=2 * FASTEST_BEAT)
     fit = fit_rates(made)
-    assert fit.model == "both"
+    assert fit.model == "all"
     assert abs(fit.lock_in_rate / WL - 1) < 0.004
     assert fit.gain_corner_hz == pytest.approx(2 * FASTEST_BEAT, rel=0.1)
     assert fit.gain_corner_low_95_hz < 2 * FASTEST_BEAT < fit.gain_corner_high_95_hz
@@ -121,12 +121,15 @@ def test_without_distortion_the_error_stands_at_the_bound(multiples, periods):
         information += bound(times, truth, 0.01) ** -2
     fits = [fit_rates([e[k] for e in made]) for k in range(n_seeds)]
     errors = np.array([f.lock_in_rate - WL for f in fits])
-    # 150 seeds know their rms to 6 %. In both senses, distortion and gain corner cost next to nothing.
-    assert np.sqrt(np.mean(errors**2)) * np.sqrt(information) < 1.15
+    # 150 seeds know their rms to 6 %. In both senses distortion and gain corner cost next to nothing, third
+    # order and bandwidth something: the more, the closer the rates.
+    known = [fit_rates([e[k] for e in made], model="both").lock_in_rate - WL for k in range(n_seeds)]
+    assert np.sqrt(np.mean(np.square(known))) * np.sqrt(information) < 1.15
+    assert np.sqrt(np.mean(errors**2)) * np.sqrt(information) < (2.5 if len(multiples) > 4 else 3.5)
     covered = [f.lock_in_rate_low_95 <= WL <= f.lock_in_rate_high_95 for f in fits]
     assert 0.90 <= np.mean(covered) <= 0.99
     assert np.std(errors / [f.lock_in_rate_u for f in fits]) == pytest.approx(1, abs=0.15)
-    assert np.mean([f.chi_square / f.degrees_of_freedom for f in fits]) == pytest.approx(1, abs=0.1)
+    assert np.mean([f.chi_square / f.degrees_of_freedom for f in fits]) == pytest.approx(1, abs=0.15)
 
 
 def test_one_sense_pays_what_linear_algebra_says():
@@ -185,11 +188,14 @@ def test_with_the_beat_as_reference_a_wrong_rate_does_not_matter():
     assert by_rate.lock_in_rate / WL == pytest.approx(1.02, abs=4 * by_rate.lock_in_rate_u / WL)
     assert abs(by_beat.lock_in_rate - WL) < 4 * by_beat.lock_in_rate_u
     np.testing.assert_allclose(by_rate.rate_mismatch, 1 / 1.02 - 1, atol=1e-3)
-    # Given too low instead, the beat is faster than such a rate could make it.
+    # Given too low instead, the beat is faster than such a rate could make it: the scale factor may be that.
     low = fit_rates(made, input_rate=np.repeat(0.95 * both_senses(4, 8, 16) * WL, 4), reference="beat")
     assert abs(low.lock_in_rate - by_beat.lock_in_rate) < 1e-9
-    with pytest.raises(ValueError, match="no record with a usable beat"):
-        fit_rates(made, input_rate=np.repeat(0.95 * both_senses(4, 8, 16) * WL, 4))
+    by_low = fit_rates(made, input_rate=np.repeat(0.95 * both_senses(4, 8, 16) * WL, 4))
+    assert by_low.flags & RatesFlag.RATE_AND_BEAT_DISAGREE
+    assert by_low.lock_in_rate / WL == pytest.approx(0.95, abs=4 * by_low.lock_in_rate_u / WL)
+    assert by_low.scale_factor == pytest.approx(K / 0.95, abs=5 * by_low.scale_factor_u + 1e-4 * K)
+    assert f"{by_low.scale_factor:.6g}"[:3] in describe_rates(by_low)[-2]
 
 
 def test_locked_records_bound_the_lock_in_rate_from_below():

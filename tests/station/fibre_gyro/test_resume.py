@@ -17,8 +17,10 @@ from station.fibre_gyro import simulated_bench
 from station.fibre_gyro.segments import PlannedSegment
 from station.fibre_gyro.simulated_bench import SimulatedFogBench
 from station.measurements import measurement
+from station.runs.facts import TAKEN
 from station.runs.progress import Progress
 from station.runs.store import open_run
+from station.shell.ending import save_outcome
 from station.shell.evaluated import evaluate_run
 from station.shell.running import resume_run, start_run
 
@@ -80,7 +82,7 @@ def test_resumed_equals_uninterrupted(cut_short, taken, command: str, at: str) -
     assert resumed.path == done.path
     after = open_run(resumed.path)
     assert [s.taken_at for s in after.records[: len(before.records)]] == [s.taken_at for s in before.records]
-    assert after.facts["outcome"] == "complete"
+    assert after.facts["outcome"] == TAKEN  # "complete" is for a run with its result
     assert len(after.facts["resumed_at"]) == 1
     whole, _ = taken(command, **sections)
     assert points(evaluate_run(after).document()) == points(whole.document())
@@ -95,6 +97,7 @@ def test_an_interrupted_run_keeps_what_it_has(cut_short) -> None:
 
 def test_a_complete_run_has_nothing_to_resume(taken) -> None:
     _, run = taken("table", table={"axes": ["Z"], "turns": 2})
+    save_outcome(run, None)
     with pytest.raises(UsageError, match="is finished, there is nothing to go on with"):
         resume_run(run.path, QUIET, kind=TABLE)
     with pytest.raises(UsageError, match="is a run of `gyrolock fog table`, not of `gyrolock fog selfcal`"):
@@ -163,7 +166,7 @@ def test_a_run_of_an_earlier_version_goes_on(tmp_path: Path, name: str, table: s
     assert resume_run(file, QUIET, kind=measurement(name)).failure is None
     after = open_run(file)
     assert [record.intact for record in after.records] == [True] * len(whole)
-    assert after.facts.complete
+    assert after.facts["outcome"] == TAKEN
     if name == "eps":  # the noise of a segment is that of its name
         assert after.records[-1].payload == whole[-1].payload
     assert evaluate_run(after).document()["left_out"] == []

@@ -25,6 +25,7 @@ from station.runs.facts import RunFacts
 from station.runs.progress import Progress
 from station.runs.store import open_run
 from station.settings.load import saved_settings
+from station.shell.ending import save_outcome
 from station.shell.evaluated import evaluate_run
 from station.shell.running import resume_run, start_run
 
@@ -246,5 +247,6 @@ def test_a_run_cut_short_takes_the_records_that_are_missing_with_the_same_settin
     assert len(after.facts.resumed_at) == 2
     found = evaluate(after, settings, {})
     assert found.two_pi_voltage.value == pytest.approx(6.2, abs=4 * found.two_pi_voltage_record_u)
+    save_outcome(open_run(done.path), None)
     with pytest.raises(UsageError, match="is finished, there is nothing to go on with"):
         resume_run(done.path, QUIET, kind=WITNESS)

@@ -1,0 +1,224 @@
+"""Weighted least squares of equation (1) of `ratio_model`, with what is known beforehand as further data."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from analysis.arrays import Bools, Floats, Indices
+from analysis.several_rates.ratio_model import N_PARAMETERS, Prior, RatioData, predicted
+
+ITERATIONS = 80
+SINGULAR = 1e-11
+"""A normal matrix (unit diagonal) with a smaller eigenvalue means unknowns that the data cannot tell apart."""
+
+_RATIOS = np.geomspace(0.004, 0.93, 22)
+_PHASES = np.arange(24) * (2 * np.pi / 24)
+_GAIN_TIMES = np.array([-1.0, 0.0, 1.0, 3.0])
+_STARTS = 12
+"""Sizes of r at the slowest rate, phases, and gain times (over the time of the fastest beat) from which the best
+starts are taken."""
+
+_FIRST_ITERATIONS, _FINISHED = 15, 5
+"""All starts go a little way, the best of them to the end."""
+
+_PROFILE_ITERATIONS = 40
+
+_CLOSE = 1e-3
+_LARGEST = 0.999
+"""The slowest rate with a beat is faster than the lock-in rate by at least this share."""
+
+
+@dataclass(frozen=True)
+class RatioFit:
+    """parameters (B, P) and covariance (B, P, P), zero where held; chi_square (B,), what is known beforehand
+    included; singular (B,)."""
+
+    parameters: Floats
+    covariance: Floats
+    chi_square: Floats
+    singular: Bools
+
+    def __getitem__(self, key: slice | Indices) -> RatioFit:
+        """Some of the sets."""
+        return RatioFit(self.parameters[key], self.covariance[key], self.chi_square[key], self.singular[key])
+
+
+def fit_ratios(data: RatioData, prior: Prior, start: Floats) -> RatioFit:
+    """Weighted least squares for every set, from a start for each.
+
+    Parameters
+    ----------
+    prior : Prior
+        Parameters with a standard deviation of 0 stay at the start.
+    start : (B, N_PARAMETERS)
+    """
+    return _minimised(data, prior, np.array(start, dtype=np.float64), ITERATIONS)
+
+
+def profile(data: RatioData, prior: Prior, start: Floats, sizes: Floats) -> Floats:
+    """Least chi-square for every lock-in rate of `sizes` (S,), deg/s, the other parameters free.
+
+    Parameters
+    ----------
+    start : (N_PARAMETERS,)
+        A minimum near by.
+    """
+    points = np.tile(start, (sizes.size, 1))
+    points[:, :2] *= (sizes / np.hypot(*start[:2]))[:, np.newaxis]
+    return _minimised(data, prior, points, _PROFILE_ITERATIONS, sizes).chi_square
+
+
+def _minimised(
+    data: RatioData, prior: Prior, point: Floats, iterations: int, held: Floats | None = None
+) -> RatioFit:
+    """Damped Gauss-Newton; `held` (B,): lock-in rates that stay, deg/s."""
+    chosen = np.flatnonzero(prior.sd > 0)
+    cost = _cost(point, data, prior)
+    damping = np.full(len(point), 1e-4)
+    for _ in range(iterations):
+        ways = _ways(point, data, chosen, held)
+        normal, gradient, unit = _normal_equations(point, data, prior, ways)
+        ridge = damping[:, np.newaxis, np.newaxis] * np.eye(len(ways))
+        step = unit * np.linalg.solve(normal + ridge, gradient[..., np.newaxis])[..., 0]
+        trial = point + np.einsum("bw,wbp->bp", step, ways)
+        trial = _bounded(trial, data) if held is None else _of_size(trial, held)
+        trial_cost = _cost(trial, data, prior)
+        better = trial_cost <= cost
+        settled = np.where(better, cost - trial_cost <= 1e-10 * (1 + cost), damping >= 1e5)
+        point, cost = np.where(better[:, np.newaxis], trial, point), np.where(better, trial_cost, cost)
+        damping = np.where(better, np.maximum(damping * 0.2, 1e-13), np.minimum(damping * 8, 1e6))
+        if np.all(settled):
+            break
+    return _finished(point, cost, data, prior, _ways(point, data, chosen, held))
+
+
+def all_solutions(data: RatioData, prior: Prior) -> RatioFit:
+    """Every minimum that is found from many starts, for one set of data; the best first.
+
+    Lock-in rate and phase are tried on a grid, and the gain time where it is free, with the best distortion for
+    each; the lowest points of that map are the starts.
+    """
+    tried = _minimised(data, prior, _starts(data, prior), _FIRST_ITERATIONS)
+    best = np.argsort(tried.chi_square)[:_FINISHED]
+    found = fit_ratios(data, prior, tried.parameters[best])
+    order = np.argsort(found.chi_square)
+    kept: list[int] = []
+    for row in order:
+        z = found.parameters[row, 0] + 1j * found.parameters[row, 1]
+        others = found.parameters[kept, 0] + 1j * found.parameters[kept, 1]
+        u = np.sqrt(np.trace(found.covariance[row, :2, :2]))
+        if not np.any(np.abs(others - z) < _CLOSE * np.abs(z) + 0.5 * u):
+            kept.append(int(row))
+    return found[np.array(kept)]
+
+
+def whitened(parameters: Floats, data: RatioData) -> tuple[Floats, Floats]:
+    """What the model leaves in standard uncertainties: of the ratios (B, n, 2), of the third harmonics (B, n)."""
+    ratio, third = predicted(parameters, data)
+    left = data.ratio - ratio
+    parts = np.stack([left.real, left.imag], axis=-1)
+    return np.einsum("...ji,...j->...i", data.whitening, parts), (data.third - third) * data.third_weight
+
+
+def _finished(point: Floats, cost: Floats, data: RatioData, prior: Prior, ways: Floats) -> RatioFit:
+    normal, _, unit = _normal_equations(point, data, prior, ways)
+    eigenvalues, vectors = np.linalg.eigh(normal)
+    inverse = np.einsum("bij,bj,bkj->bik", vectors, 1 / np.maximum(eigenvalues, 1e-15), vectors)
+    inverse = inverse * unit[:, :, np.newaxis] * unit[:, np.newaxis, :]
+    covariance = np.einsum("vbp,bvw,wbq->bpq", ways, inverse, ways)
+    return RatioFit(point, covariance, cost, eigenvalues[:, 0] < SINGULAR)
+
+
+def _residual(parameters: Floats, data: RatioData, prior: Prior) -> Floats:
+    """Whitened residuals of ratios, third harmonics and of what is known beforehand, (B, 3n + known)."""
+    ratios, thirds = whitened(parameters, data)
+    known = np.isfinite(prior.sd) & (prior.sd > 0)
+    before = (prior.mean[known] - parameters[..., known]) / prior.sd[known]
+    return np.concatenate([ratios.reshape(*ratios.shape[:-2], -1), thirds, before], axis=-1)
+
+
+def _cost(parameters: Floats, data: RatioData, prior: Prior) -> Floats:
+    return np.asarray(np.sum(_residual(parameters, data, prior) ** 2, axis=-1))
+
+
+def _bounded(point: Floats, data: RatioData) -> Floats:
+    """The same with the lock-in rate below the slowest rate that shows a beat."""
+    if data.reference == "beat":
+        return point
+    there = np.abs(data.whitening).sum(axis=(-1, -2)) > 0
+    slowest = np.where(there, np.abs(data.rate), np.inf).min(axis=-1)
+    size = np.hypot(point[:, 0], point[:, 1])
+    return _of_size(point, np.minimum(size, _LARGEST * slowest))
+
+
+def _of_size(point: Floats, size: Floats) -> Floats:
+    """The same with lock-in rates (B,) of a given size, deg/s."""
+    bounded = point.copy()
+    bounded[:, :2] *= (size / np.maximum(np.hypot(point[:, 0], point[:, 1]), 1e-300))[:, np.newaxis]
+    return bounded
+
+
+def _ways(point: Floats, data: RatioData, chosen: Indices, held: Floats | None) -> Floats:
+    """Directions in which every set may go, (ways, B, N_PARAMETERS), each of the length of its scale."""
+    scale = _scales(data)
+    ways = np.repeat(np.diag(scale)[chosen, np.newaxis], len(point), axis=1)
+    if held is None:
+        return ways
+    across = np.stack([-point[:, 1], point[:, 0]], axis=-1) / held[:, np.newaxis]
+    ways[0, :, :2] = scale[0] * across
+    return np.delete(ways, 1, axis=0)
+
+
+def _normal_equations(point: Floats, data: RatioData, prior: Prior, ways: Floats) -> tuple[Floats, Floats, Floats]:
+    """Normal matrix scaled to a unit diagonal, gradient in the same units, and the units (B, ways)."""
+    shift = 1e-5 * ways
+    both = _residual(np.concatenate([point - shift, point + shift, point[np.newaxis]]), data, prior)
+    jacobian = np.moveaxis(both[: len(ways)] - both[len(ways) : -1], 0, -1) / 2e-5
+    size = np.linalg.norm(jacobian, axis=1)
+    size = np.where(size > 0, size, 1.0)
+    jacobian = jacobian / size[:, np.newaxis, :]
+    normal = jacobian.swapaxes(-1, -2) @ jacobian
+    gradient = np.einsum("bnp,bn->bp", jacobian, both[-1])
+    return normal, gradient, 1 / size
+
+
+def _scales(data: RatioData) -> Floats:
+    """Change of each parameter that changes rho of the slowest point by about one, (N_PARAMETERS,)."""
+    slowest, fastest = float(np.min(data.beat_rate)), float(np.max(data.angular))
+    return np.array([slowest, slowest, 1.0, 1 / fastest, 1 / fastest**2, 1.0])
+
+
+def _starts(data: RatioData, prior: Prior) -> Floats:
+    """The lowest points of a map of chi-square over lock-in rate and phase, (S, N_PARAMETERS)."""
+    slowest = float(np.min(np.abs(data.rate) if data.reference == "rate" else data.beat_rate))
+    square = _RATIOS**2
+    sizes = slowest * 2 * _RATIOS / (1 + square if data.reference == "rate" else 1 - square)
+    times = _GAIN_TIMES / np.max(data.angular) if prior.sd[3] > 0 else np.array([prior.mean[3]])
+    size, phase, time = np.meshgrid(sizes, _PHASES, times, indexing="ij")
+    grid = np.tile(np.where(prior.sd > 0, prior.mean, 0.0), (*size.shape, 1))
+    grid[..., 0], grid[..., 1], grid[..., 3] = size * np.cos(phase), size * np.sin(phase), time
+    flat = grid.reshape(-1, N_PARAMETERS)
+    if prior.sd[2] > 0:
+        flat[:, 2] = _best_distortion(flat, data, prior)
+    cost = _cost(flat, data, prior).reshape(size.shape)
+    best = cost.argmin(axis=-1)
+    lowest = np.take_along_axis(cost, best[..., np.newaxis], axis=-1)[..., 0]
+    around = [np.roll(lowest, (i, j), axis=(0, 1)) for i in (-1, 0, 1) for j in (-1, 0, 1) if i or j]
+    # the ends of the scale of sizes are no neighbours of each other
+    hollow = lowest <= np.min(around, axis=0)
+    hollow[[0, -1]] |= lowest[[0, -1]] <= lowest[[1, -2]]
+    places = np.argwhere(hollow)
+    places = places[np.argsort(lowest[hollow])][:_STARTS]
+    starts = flat.reshape(*size.shape, -1)[places[:, 0], places[:, 1], best[places[:, 0], places[:, 1]]]
+    return np.asarray(starts)
+
+
+def _best_distortion(points: Floats, data: RatioData, prior: Prior) -> Floats:
+    """D for every point of a grid, the other parameters given: the model is linear in it."""
+    with_one = points.copy()
+    with_one[:, 2] = 1.0
+    at_zero = _residual(points, data, prior)
+    column = at_zero - _residual(with_one, data, prior)
+    return np.asarray(np.vecdot(column, at_zero) / np.maximum(np.vecdot(column, column), 1e-300))

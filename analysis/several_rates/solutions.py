@@ -1,0 +1,142 @@
+"""From the minima of a fit to one value, its uncertainty and an interval that holds all of them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.special
+
+from analysis.arrays import Floats
+from analysis.lockin_rate import size_interval
+from analysis.several_rates.least_squares import RatioFit, profile
+from analysis.several_rates.ratio_model import N_PARAMETERS, Prior, RatioData
+from analysis.several_rates.result import Alternative
+
+POSSIBLE = 9.0
+"""A minimum whose chi-square is above the best by no more than this is a possible answer: three standard
+deviations of one unknown."""
+
+
+@dataclass(frozen=True)
+class Answer:
+    """Lock-in rate of all possible minima: value of the best, uncertainty and interval of all, deg/s."""
+
+    value: float
+    u: float
+    low: float
+    high: float
+    others: tuple[Alternative, ...]
+
+
+def answer(found: RatioFit, widen: float, degrees: int) -> Answer:
+    """The lock-in rate that a fit with one or several minima gives.
+
+    Parameters
+    ----------
+    found : RatioFit
+        All minima, the best first.
+    widen : float
+        Factor of the variances by scatter that noise does not explain.
+    degrees : int
+        Of freedom of that scatter; 0: the noise is known.
+    """
+    above = (found.chi_square - found.chi_square[0]) / widen
+    possible = found[np.flatnonzero(above <= POSSIBLE)]
+    each = [_size(possible[row : row + 1], widen, degrees) for row in range(possible.chi_square.size)]
+    others = tuple(
+        Alternative(*one, float(possible.parameters[row, 2]), float(above[above <= POSSIBLE][row]))
+        for row, one in enumerate(each)
+        if row
+    )
+    values, us = (np.array([one[k] for one in each]) for k in (0, 1))
+    # By Laplace: the share of the probability under each minimum goes with its height and its volume.
+    weights = _volumes(possible) * np.exp(-0.5 * above[above <= POSSIBLE])
+    weights = weights / weights.sum()
+    u = math.sqrt(float(np.sum(weights * (us**2 + (values - values[0]) ** 2))))
+    return Answer(float(values[0]), u, min(one[2] for one in each), max(one[3] for one in each), others)
+
+
+def by_profile(said: Answer, found: RatioFit, data: RatioData, prior: Prior, widen: float, degrees: int) -> Answer:
+    """The interval from chi-square itself, and an uncertainty to match, where straight lines would not do.
+
+    In one sense distortion and gain corner together bend the valley in which the answer lies. The interval holds
+    every lock-in rate for which chi-square is above the best by no more than 95 % allow, the rest being free.
+    """
+    if not said.value > _WELL_KNOWN * said.u:
+        return said
+    student = float(scipy.special.stdtrit(degrees, 0.975)) if degrees else _NORMAL_95
+    minima = range(1 + len(said.others))
+    units = [lock_in_u(found[row : row + 1]) * math.sqrt(widen) for row in minima]
+    around = [float(np.hypot(*found.parameters[row, :2])) + units[row] * _REACH for row in minima]
+    tried = np.concatenate(around)
+    starts = found.parameters[list(minima)]
+
+    def height(sizes: Floats) -> Floats:
+        lowest = np.min([profile(data, prior, start, sizes) for start in starts], axis=0)
+        return np.asarray(lowest - found.chi_square[0])
+
+    low, high = _ends(height, np.sort(tried[tried > 0]), widen * student**2)
+    low, high = min(low, said.value), max(high, said.value)
+    # one side may be much longer than the other: the root of their mean square, as of a deviation to either side
+    u = math.hypot(high - said.value, said.value - low) / math.sqrt(2) / student
+    return Answer(said.value, u, low, high, said.others)
+
+
+_WELL_KNOWN = 6.0
+_NORMAL_95 = 1.959964
+_REACH = np.array([-6.0, -4.5, -3.5, -2.8, -2.2, -1.7, -1.2, 0.0, 1.2, 1.7, 2.2, 2.8, 3.5, 4.5, 6.0])
+
+
+def _ends(height: Callable[[Floats], Floats], sizes: Floats, allowed: float) -> tuple[float, float]:
+    """First and last of rising sizes where a height crosses what is allowed; the valley may have steep walls."""
+    for _ in range(1 + _REFINEMENTS):
+        inside = np.flatnonzero(height(sizes) <= allowed)
+        if inside.size == 0:
+            return math.inf, -math.inf
+        first, last = int(inside[0]), int(inside[-1])
+        before, after = sizes[max(first - 1, 0)], sizes[min(last + 1, sizes.size - 1)]
+        low, high = float(sizes[first]), float(sizes[last])
+        sizes = np.concatenate([np.linspace(before, low, _FINER), np.linspace(high, after, _FINER)])
+    return (low + float(before)) / 2, (high + float(after)) / 2
+
+
+_REFINEMENTS, _FINER = 2, 6
+
+
+def polar_covariance(fit: RatioFit) -> Floats:
+    """Covariance (P, P) of |z|, its angle, and the other parameters, of the first set."""
+    x, y = fit.parameters[0, :2]
+    size = max(float(np.hypot(x, y)), 1e-300)
+    turn = np.eye(N_PARAMETERS)
+    turn[0, :2], turn[1, :2] = (x / size, y / size), (-y / size**2, x / size**2)
+    return np.asarray(turn @ fit.covariance[0] @ turn.T)
+
+
+def lock_in_u(fit: RatioFit) -> float:
+    """Standard uncertainty of |z|; where z is near 0, of its larger part."""
+    return float(np.sqrt(polar_covariance(fit)[0, 0]))
+
+
+def _size(fit: RatioFit, widen: float, degrees: int) -> tuple[float, float, float, float]:
+    """Value freed of the bias that noise gives to the size of a complex number, its u and 95 % interval."""
+    covariance = polar_covariance(fit) * widen
+    size = float(np.hypot(*fit.parameters[0, :2]))
+    across = size**2 * float(covariance[1, 1])
+    u = float(np.sqrt(covariance[0, 0]))
+    student = float(scipy.special.stdtrit(degrees, 0.975)) / 1.96 if degrees else 1.0
+    low, high = size_interval(size / (u * student))
+    return float(np.sqrt(max(size**2 - across, 0.0))), u, float(low) * u * student, float(high) * u * student
+
+
+def _volumes(possible: RatioFit) -> Floats:
+    """Root of the determinant of each covariance, without what is held."""
+    held = np.diagonal(possible.covariance, axis1=-2, axis2=-1) == 0
+    matrices = possible.covariance + np.eye(N_PARAMETERS) * held[:, np.newaxis, :]
+    scale = np.sqrt(np.diagonal(matrices, axis1=-2, axis2=-1))
+    correlation = matrices / scale[:, :, np.newaxis] / scale[:, np.newaxis, :]
+    volume = np.sqrt(np.maximum(np.linalg.det(correlation), 1e-300))
+    relative = (scale / scale[0]).prod(axis=-1)
+    return np.asarray(volume * relative)

@@ -1,0 +1,305 @@
+"""`python -m benchmarks.fuzz_files`: damaged files at everything that reads one.
+
+CSV and ISF files of an oscilloscope, settings in TOML, and saved runs are changed at random: bytes flipped, cut,
+doubled and put in, numbers replaced by wild ones, brackets nested, cells of a run's tables overwritten. Each file
+must give its result or a declared error, at once and in little memory.
+"""
+
+from __future__ import annotations
+
+import argparse
+import random
+import re
+import resource
+import shutil
+import signal
+import sqlite3
+import sys
+import tempfile
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator
+from contextlib import closing, contextmanager, suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from instrument import Preamble, Waveform, read_waveform
+from station.errors import describe_failure
+from station.lock_in.files import analyze_file
+from station.measurements import MEASUREMENTS, measurement
+from station.report.report import render_report
+from station.runs.database import save_result
+from station.runs.progress import Progress
+from station.runs.store import open_run
+from station.settings.load import load, shipped_settings
+from station.shell.evaluated import evaluate_run
+from station.shell.running import start_run
+
+COUNTS = {"csv": 5000, "isf": 5000, "toml": 5000, "runs": 2000}
+LONGEST_S = 20
+"""Seconds after which a file counts as one that hangs; the slowest takes some tenths."""
+MEMORY = 300 << 20
+"""Bytes that reading a file may take on top of the program."""
+_NUMBER = re.compile(rb"[-+]?\d+(?:\.\d*)?(?:[eE][-+]?\d+)?")
+_WILD = (
+    *(b"1e400", b"-1e400", b"nan", b"inf", b"1e-320", b"0", b"-0.0", b"-1", b"1e308", b"9" * 400, b"9" * 5000),
+    *(
+        b"2147483648",
+        b"9223372036854775808",
+        b"0x" + b"f" * 5000,
+        b"1_000",
+        b"",
+        b'"',
+        b"true",
+        b"[]",
+        b"\xff\xfe",
+    ),
+)
+_INSERTED = (
+    *(b"\x00", b"\r", b"\n", b",", b";", b"#", b'"', b"'", b"=", b"[", b"{", b"\x1b[2J", b"\xe2\x80\xae"),
+    b"#9999999999",
+    *(b"[" * 3000, b"{a=" * 3000, b"a." * 3000 + b"a=1\n", b"(" * 3000, b"1" * 10_000, b",,,,,,,,", b"\xff" * 64),
+)  # fmt: skip
+
+
+@dataclass
+class Outcome:
+    """What became of the files of one kind."""
+
+    files: int = 0
+    read: int = 0
+    """So many gave a result."""
+    longest_s: float = 0.0
+    errors: Counter[str] = field(default_factory=Counter)
+    """Declared ones, by their class."""
+    failures: list[str] = field(default_factory=list)
+    """Undeclared exceptions, hangs, and files that took too much memory."""
+
+
+def mutated(content: bytes, source: random.Random) -> bytes:
+    """Return a content with one to five changes."""
+    for _ in range(source.randint(1, 5)):
+        kind, place = source.randrange(7), source.randrange(len(content) + 1)
+        length = source.choice((1, 1, 2, 7, 100, 5000))
+        if kind == 0 and content:
+            place = min(place, len(content) - 1)
+            content = content[:place] + bytes([content[place] ^ 1 << source.randrange(8)]) + content[place + 1 :]
+        elif kind == 1:
+            content = content[:place] + content[place + length :]
+        elif kind == 2:
+            content = content[:place] + content[place : place + length] * 2 + content[place + length :]
+        elif kind == 3:
+            content = content[:place] + source.choice(_INSERTED) + content[place:]
+        elif kind == 4:
+            content = content[:place] + source.randbytes(length) + content[place + length :]
+        elif kind == 5:
+            # the numbers that say how the others are read stand at the beginning
+            numbers = list(_NUMBER.finditer(content[:3000]))
+            if numbers:
+                first, last = source.choice(numbers).span()
+                content = content[:first] + source.choice(_WILD) + content[last:]
+        elif source.random() < 0.1:
+            content = content[:place]
+    return content
+
+
+def spoil_cell(path: Path, source: random.Random) -> None:
+    """Overwrite one cell of a run's tables by something of another kind."""
+    with closing(sqlite3.connect(path)) as db, db:
+        table = source.choice(("record", "record", "run", "result"))
+        columns = [row[1] for row in db.execute(f"PRAGMA table_info({table})")]
+        column = source.choice([name for name in columns if name != "number"])
+        keys = db.execute(f"SELECT {columns[0]} FROM {table}").fetchall()
+        value = source.choice(
+            (b"", "", "{", "[]", "[" * 5000, 1 << 62, -1.5, b"\xff\x00", '{"a": 1e999}', "\x1b[2J", None)
+        )
+        with suppress(sqlite3.Error):
+            db.execute(f"UPDATE {table} SET {column} = ? WHERE {columns[0]} = ?", (value, *source.choice(keys)))
+
+
+def try_files(kind: str, count: int, seed: int = 0) -> Outcome:
+    """Read `count` damaged files of one kind."""
+    source, outcome = random.Random(f"{kind} {seed}"), Outcome()
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        makers = _makers(kind, folder, source)
+        _limit_memory()
+        for _ in range(count):
+            path, read = source.choice(makers)()
+            _try(path, read, outcome)
+    return outcome
+
+
+def _try(path: Path, read: Callable[[Path], object], outcome: Outcome) -> None:
+    began = time.perf_counter()
+    outcome.files += 1
+    try:
+        with _deadline():
+            read(path)
+    except BaseException as error:
+        failure = describe_failure(error)
+        if failure is None or isinstance(error, KeyboardInterrupt | TimeoutError):
+            kept = Path(tempfile.gettempdir()) / f"fuzz_{outcome.files}_{path.name}"
+            shutil.copyfile(path, kept)
+            outcome.failures.append(f"{type(error).__name__}: {error} ({kept})"[:300])
+        else:
+            outcome.errors[type(error).__name__] += 1
+    else:
+        outcome.read += 1
+    outcome.longest_s = max(outcome.longest_s, time.perf_counter() - began)
+
+
+@contextmanager
+def _deadline() -> Iterator[None]:
+    """Raise TimeoutError when it takes too long."""
+
+    def ring(*_: object) -> None:
+        raise TimeoutError(f"took more than {LONGEST_S} s")
+
+    before = signal.signal(signal.SIGALRM, ring)
+    signal.alarm(LONGEST_S)
+    try:
+        yield
+    finally:
+        signal.alarm(0)
+        signal.signal(signal.SIGALRM, before)
+
+
+def _limit_memory() -> None:
+    """Allow this process so much memory on top of what it has: more is a MemoryError, which is not declared."""
+    pages = int(Path("/proc/self/statm").read_text().split()[0]) if Path("/proc/self/statm").exists() else 0
+    if pages:
+        _, hard = resource.getrlimit(resource.RLIMIT_AS)
+        resource.setrlimit(resource.RLIMIT_AS, (pages * resource.getpagesize() + MEMORY, hard))
+
+
+Maker = Callable[[], tuple[Path, Callable[[Path], object]]]
+
+
+def _makers(kind: str, folder: Path, source: random.Random) -> list[Maker]:
+    """What makes a damaged file, and what reads it."""
+    if kind == "runs":
+        return _damaged_runs(folder, source)
+    if kind == "toml":
+        names = dict.fromkeys(("simulated", "bench", "dead_band", "fibre_gyro", "fibre_gyro_serial"))
+        kinds = [measurement(name).kind for name in MEASUREMENTS]
+        contents = [shipped_settings(name).read_bytes() for name in names]
+        return [
+            lambda content=content, kind=kind: (  # type: ignore[misc]
+                _written(folder / "x.toml", mutated(content, source)),
+                lambda path: load(kind, path),
+            )
+            for content in contents
+            for kind in kinds
+        ]
+    content = isf_file() if kind == "isf" else csv_file()
+
+    def read(path: Path) -> None:
+        if source.random() < 0.1:  # most files are refused, and reading alone is faster
+            analyze_file(path, None, {})
+        else:
+            read_waveform(path)
+
+    return [lambda: (_written(folder / f"x.{kind}", mutated(content, source)), read)]
+
+
+def _damaged_runs(folder: Path, source: random.Random) -> list[Maker]:
+    settings: dict[str, dict[str, object]] = {
+        "measurement": {"records": 2, "tilt_records": 1},
+        "output": {"directory": str(folder / "runs")},
+    }
+    kind = measurement("measure")
+    taken = start_run(kind, load(kind.kind, None, settings), Progress(quiet=True))
+    save_result(taken.path, evaluate_run(open_run(taken.path)).document())
+    content, copy = taken.path.read_bytes(), folder / "x.sqlite"
+
+    def read(path: Path) -> None:
+        evaluated = evaluate_run(open_run(path))
+        evaluated.document()
+        if source.random() < 0.02:
+            render_report(evaluated)
+
+    def spoiled() -> Path:
+        _written(copy, content)
+        spoil_cell(copy, source)
+        return copy
+
+    return [lambda: (_written(copy, mutated(content, source)), read), lambda: (spoiled(), read)]
+
+
+def _written(path: Path, content: bytes) -> Path:
+    path.write_bytes(content)
+    return path
+
+
+def isf_file() -> bytes:
+    """A record of a beat as PC software writes it."""
+    record = _record()
+    fields = dict(zip(_ISF_NAMES, record.preamble.to_text().split(";"), strict=True))
+    text = ";".join(f"{name} {value}" for name, value in fields.items())
+    return f":WFMPRE:{text};:CURVE #42500".encode() + record.codes.tobytes() + b"\n"
+
+
+_ISF_NAMES = (
+    *(
+        "BYT_NR",
+        "BIT_NR",
+        "ENCDG",
+        "BN_FMT",
+        "BYT_OR",
+        "NR_PT",
+        "WFID",
+        "PT_FMT",
+        "XINCR",
+        "PT_OFF",
+        "XZERO",
+        "XUNIT",
+    ),
+    *("YMULT", "YZERO", "YOFF", "YUNIT"),
+)
+
+
+def csv_file() -> bytes:
+    """The same record as the scope saves it."""
+    record = _record()
+    head = ("Record Length,2500", "Sample Interval,4e-05", "Trigger Point,0", "Source,CH1", "Vertical Units,V")
+    more = ("Vertical Scale,0.1", "Vertical Offset,0", "Horizontal Units,s", "Horizontal Scale,0.01", "Yzero,0")
+    names = [*head, *more]
+    rows = zip(record.times, record.volts, strict=True)
+    lines = [f"{names[n] if n < len(names) else ','},,{t:.12f},{v:.5f}," for n, (t, v) in enumerate(rows)]
+    return "\r\n".join(lines).encode()
+
+
+def _record() -> Waveform:
+    import numpy as np
+
+    turns = 2 * np.pi * 16.3 * np.arange(2500) / 2500
+    codes = np.round(95 * np.sin(turns) + 6 * np.sin(2 * turns + 1)).astype(np.int8)
+    text = '1;8;BIN;RI;MSB;2500;"Ch1, DC coupling";Y;4.0E-5;0;0.0E0;"s";4.0E-3;0.0E0;0.0E0;"Volts"'
+    return Waveform(codes, Preamble.parse(text))
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Read the files, print what became of them, and return 0 if every one was read or refused as it should be."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.fuzz_files", description="Damaged files.")
+    for kind, count in COUNTS.items():
+        parser.add_argument(f"--{kind}", type=int, default=count, metavar="N", help=f"default {count}")
+    parser.add_argument("--seed", type=int, default=0)
+    options = parser.parse_args(arguments)
+    failed = False
+    for kind in COUNTS:
+        outcome = try_files(kind, getattr(options, kind), options.seed)
+        peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+        refused = ", ".join(f"{count} {name}" for name, count in outcome.errors.most_common())
+        sys.stdout.write(
+            f"{kind}: {outcome.files} files, {outcome.read} read, {refused}; {len(outcome.failures)} failures, "
+            f"longest {outcome.longest_s:.2f} s, peak {peak:.0f} MB\n"
+        )
+        for text in outcome.failures[:20]:
+            sys.stdout.write(f"  {text}\n")
+        failed = failed or bool(outcome.failures)
+    return 1 if failed else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,183 @@
+"""Runs that were killed, damaged or copied: one bad cell costs one record, and what can be read is got out."""
+
+import json
+import os
+import shutil
+import sqlite3
+import subprocess
+import sys
+from contextlib import closing
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from station.cli import main
+from station.errors import RunError
+from station.runs.journal import journal_of
+from station.runs.salvage import salvage
+from station.runs.store import NewRecord, RunWriter, SavedRun, open_run
+
+PREAMBLE = '1;8;BIN;RI;MSB;2500;"Ch1";Y;1.0E-4;0;0.0E0;"s";4.0E-3;0.0E0;0.0E0;"Volts"'
+
+
+def record(number: int, size: int = 2500) -> NewRecord:
+    codes = np.random.default_rng(number).integers(-100, 100, size).astype(np.int8)
+    return NewRecord(f"rate +8, {number}", "measure", PREAMBLE, codes.tobytes(), {"number": number})
+
+
+def new_run(folder: Path, records: int = 60, size: int = 2500) -> Path:
+    facts = {"command": "measure", "settings": {"gyro": {"name": "Kreisel Ω"}}, "unit": "SN 7"}
+    with RunWriter.create(folder / "runs", facts) as run:
+        for number in range(1, records + 1):
+            run.save_records([record(number, size)])
+    return run.path
+
+
+def damage(path: Path, statement: str, *values: object) -> None:
+    with closing(sqlite3.connect(path)) as db, db:
+        db.execute(statement, values)
+
+
+def payloads(run: SavedRun) -> set[bytes]:
+    return {one.payload for one in run.records}
+
+
+@pytest.mark.parametrize("column", ["key", "taken_at", "purpose", "header", "payload", "sha256", "conditions"])
+@pytest.mark.parametrize("value", [b"\xff\x00", "[" * 5000, 7, "", '{"number": 6}'])
+def test_one_bad_cell_costs_one_record_and_names_it(tmp_path: Path, column: str, value: object) -> None:
+    path = new_run(tmp_path, 4)
+    damage(path, f"UPDATE record SET {column} = ? WHERE number = 3", value)
+    run = open_run(path)
+    assert [one.intact for one in run.records] == [True, True, False, True]
+    (told,) = run.damaged
+    assert told.startswith("record 3 (")
+    found = salvage(path)
+    assert found.records == 3
+    assert payloads(open_run(found.path)) == {record(number).payload for number in (1, 2, 4)}
+
+
+def test_a_record_that_is_missing_is_named(tmp_path: Path) -> None:
+    path = new_run(tmp_path, 6)
+    damage(path, "DELETE FROM record WHERE number IN (2, 4, 5)")
+    assert open_run(path).damaged == ("record 2 is missing", "records 4 to 5 are missing")
+
+
+@pytest.mark.parametrize("value", ['{"gyro": {"name": "Kreisel O"}}', "no JSON", "[" * 5000, b"\xff"])
+def test_a_damaged_fact_is_not_used(tmp_path: Path, value: object) -> None:
+    path = new_run(tmp_path, 2)
+    damage(path, "UPDATE run SET value = ? WHERE name = 'settings'", value)
+    run = open_run(path)
+    assert "settings" not in run.facts
+    assert run.facts["unit"] == "SN 7"
+    assert "settings" in run.damaged[0]
+    assert main(["analyze", str(path)]) == 2
+
+
+def killed(folder: Path, records: int = 60) -> Path:
+    """A run whose program was killed: the last commits stand in the journal only."""
+    code = "import os, sys; sys.path[:0] = sys.argv[3:]; import test_damaged_runs as t\n"
+    code += "t.RunWriter.close = lambda self: os._exit(9); t.new_run(t.Path(sys.argv[1]), int(sys.argv[2]))"
+    here = str(Path(__file__).parent)
+    subprocess.run([sys.executable, "-c", code, str(folder), str(records), here], check=False, timeout=60)
+    (path,) = (folder / "runs").glob("*/run.sqlite")
+    assert journal_of(path).stat().st_size > 100_000
+    return path
+
+
+def test_the_next_opening_makes_one_file_of_a_killed_run(tmp_path: Path) -> None:
+    path = killed(tmp_path)
+    assert len(open_run(path).records) == 60
+    assert [file.name for file in path.parent.iterdir()] == ["run.sqlite"]
+    copy = Path(shutil.copy(path, tmp_path / "copy.sqlite"))
+    assert payloads(open_run(copy)) == {record(number).payload for number in range(1, 61)}
+
+
+READ = """
+import os, sys
+from pathlib import Path
+from station.runs.store import open_run
+if os.getuid() == 0:
+    os.setgid(65534); os.setuid(65534)
+print(len(open_run(Path(sys.argv[1])).records), flush=True)
+os._exit(0)
+"""
+
+
+@pytest.mark.skipif(os.name != "posix", reason="permissions of POSIX")
+@pytest.mark.parametrize("journal", [True, False])
+def test_a_killed_run_can_be_read_where_nothing_can_be_written(tmp_path: Path, journal: bool) -> None:
+    path = killed(tmp_path)
+    for file in path.parent.iterdir():
+        if file.name != "run.sqlite" and not (journal and file.name.endswith("-wal")):
+            file.unlink()
+    if not journal:
+        damage(path, "PRAGMA journal_mode = WAL")
+    for folder in [path.parent, *path.parent.parents]:
+        if folder.stat().st_uid == os.getuid() and folder != Path("/"):
+            folder.chmod(0o755)
+        if folder == tmp_path.parent.parent.parent:
+            break
+    for file in path.parent.iterdir():
+        file.chmod(0o444)
+    path.parent.chmod(0o555)
+    try:
+        command = [sys.executable, "-c", READ, str(path)]
+        done = subprocess.run(command, capture_output=True, text=True, timeout=60)
+    finally:
+        path.parent.chmod(0o755)
+    assert done.returncode == 0, done.stderr
+    assert int(done.stdout) == 60 if journal else int(done.stdout) < 60
+
+
+def test_commits_behind_a_damaged_frame_of_the_journal_are_not_dropped_silently(tmp_path: Path) -> None:
+    path = killed(tmp_path)
+    journal = journal_of(path)
+    content = bytearray(journal.read_bytes())
+    content[len(content) // 2] ^= 0x55
+    journal.write_bytes(content)
+    with pytest.raises(RunError, match=r"journal is damaged, \d+ commits"):
+        open_run(path)
+    assert journal.read_bytes() == content
+    found = salvage(path)
+    run = open_run(found.path)
+    assert found.records >= 59
+    assert payloads(run) <= {record(number).payload for number in range(1, 61)}
+    assert len(payloads(run)) == found.records
+    assert run.facts["unit"] == "SN 7"
+
+
+@pytest.mark.parametrize("size", [2500, 40_000])  # a record in one page, and one that goes on in others
+@pytest.mark.parametrize(
+    ("first", "length", "least"), [(0, 100, 60), (0, 16_384, 50), (3 * 16_384, 16_384, 50), (200_000, 10**9, 8)]
+)
+def test_what_can_be_read_is_got_out(tmp_path: Path, size: int, first: int, length: int, least: int) -> None:
+    path = new_run(tmp_path, 60, size)
+    content = bytearray(path.read_bytes())
+    content[first : first + length] = bytes(min(length, len(content) - first)) if length < 10**9 else b""
+    path.write_bytes(content)
+    found = salvage(path, tmp_path / "other")
+    run = open_run(found.path)
+    assert found.records >= (least if size == 2500 or least > 8 else 2)
+    assert found.path.parent.parent == tmp_path / "other"
+    assert {one.key: one.payload for one in run.records}.items() <= {
+        record(n, size).key: record(n, size).payload for n in range(1, 61)
+    }.items()
+    assert not run.damaged
+    assert run.facts["outcome"]["kind"] == "salvaged"
+    assert path.read_bytes() == content
+
+
+def test_the_command_names_what_is_lost(tmp_path: Path, capsys) -> None:
+    path = new_run(tmp_path, 5)
+    damage(path, "UPDATE record SET payload = zeroblob(2500) WHERE number = 2")
+    assert main(["salvage", str(path), "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert (told["records"], told["lost"]) == (4, ["record 2 (rate +8, 2)"])
+    assert main(["salvage", str(path)]) == 0
+    said = capsys.readouterr()
+    assert said.err == "gyrolock: lost: record 2 (rate +8, 2)\n"
+    assert said.out.startswith("saved   4 records in ")
+    (tmp_path / "noise").write_bytes(np.random.default_rng(0).bytes(100_000))
+    assert main(["salvage", str(tmp_path / "noise"), "--json"]) == 2
+    assert "nothing of a run" in json.loads(capsys.readouterr().out)["error"]["message"]

@@ -40,8 +40,8 @@ NO_QUADRATURE = 0.1
 """Sine of the angle between the channels below which the sense of rotation and the correction mean nothing."""
 LARGE_DISTORTION = 0.02
 SIZE_WITH_RATIO = 0.5
-"""Share of the fundamental's error that is in rho too; found by simulation between 1.2 and 30 lock-in rates, where it
-makes the stated uncertainty of the gain ratio that of its scatter within 15 %."""
+"""Share of the fundamental's error that is in rho too; found by simulation between 1.2 and 30 lock-in rates, where
+it makes the stated uncertainty of the gain ratio that of its scatter within 15 %."""
 IMAGE_LIMIT = 4.0
 """In standard uncertainties: images of the third harmonic above this are real."""
 
@@ -293,7 +293,7 @@ def _without_distortion(pair: _Pair) -> tuple[Complexes, Floats, Floats]:
 
 
 def _propagated(pair: _Pair) -> tuple[Floats, Floats, Floats, Floats]:
-    """Covariance (R, 2, 2) of the corrected rho; uncertainties of distortions (R, 2), angle, and gain, relative."""
+    """Covariance (R, 2, 2) of the corrected rho; uncertainties of distortions (R, 2), angle, relative gain."""
     sin, cos = np.sin(pair.angle), np.cos(pair.angle)
     zero, one = np.zeros_like(sin), np.ones_like(sin)
     turned = pair.ratio[0] * np.exp(1j * pair.angle)

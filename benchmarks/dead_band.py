@@ -75,13 +75,16 @@ def deviations(case: Case, seed: int) -> list[float]:
 def main() -> None:
     """Print the table."""
     sweeps = int(sys.argv[1]) if len(sys.argv) > 1 else 200
-    print(f"{sweeps} sweeps each: rms of (found - true) / u, share of 95 % intervals that hold the truth")
-    print(f"{'':46}{'lock-in rate':>15}{'bias':>15}{'corner':>15}{'drift':>15}")
+    sys.stdout.write(
+        f"{sweeps} sweeps each: rms of (found - true) / u, share of 95 % intervals that hold the truth\n"
+        f"{'':46}{'lock-in rate':>15}{'bias':>15}{'corner':>15}{'drift':>15}\n"
+    )
     for case in CASES:
         found = np.array([deviations(case, seed) for seed in range(sweeps)])
         pull, covered = np.sqrt(np.mean(found**2, axis=0)), np.mean(np.abs(found) < 1.96, axis=0)
         cells = "".join(f"{p:8.2f} {100 * c:4.0f} %" for p, c in zip(pull, covered, strict=True))
-        print(f"{case.name:46}{cells}", flush=True)
+        sys.stdout.write(f"{case.name:46}{cells}\n")
+        sys.stdout.flush()
 
 
 if __name__ == "__main__":

@@ -3,6 +3,9 @@
 Every record must come right or be refused by an exception; a wrong one is a failure of the driver. Virtual time
 makes the waiting free. Every acquisition sees another phase of the signal, so that an old record cannot pass
 for a new one, and what arrives is compared with what the scope holds.
+
+`python -m benchmarks.faults --runs N --share 0.05`: whole runs of `gyrolock measure` through a proxy that spoils
+so many messages each way, in real time.
 """
 
 from __future__ import annotations
@@ -10,6 +13,7 @@ from __future__ import annotations
 import argparse
 import contextlib
 import sys
+import tempfile
 import time
 from collections import Counter
 from dataclasses import dataclass, field
@@ -18,12 +22,23 @@ import numpy as np
 import pyvisa
 
 from analysis.arrays import Floats
-from instrument import TDS2014, InstrumentError, LinkError, Waveform
-from instrument.simulated import Fault, Faults, SimulatedTDS2014, VirtualClock, resource_manager
+from benchmarks.fault_proxy import FaultProxy
+from benchmarks.recording_scope import RecordingScope
+from instrument import TDS2014, InstrumentError, LinkError, Preamble, Tally, Waveform
+from instrument.simulated import Fault, Faults, SimulatedTDS2014, TcpServer, VirtualClock, resource_manager
 from instrument.simulated.faults import FaultKind
+from station.lock_in.served import at_slow_rate
+from station.lock_in.settings import default_settings
+from station.measurements import measurement
+from station.ring_laser.instruments import build_instruments
+from station.runs.facts import TAKEN
+from station.runs.progress import Progress
+from station.runs.store import open_run
+from station.shell.running import start_run
 
 FAULT_PROBABILITY = 0.02
 DEFAULT_RECORDS = 10_000
+RECORDS_OF_A_RUN = 200
 RESOURCE = "GPIB0::1::INSTR"
 KINDS: tuple[FaultKind, ...] = (
     "late answer",
@@ -140,14 +155,95 @@ def is_what_the_scope_holds(waveform: Waveform, scope: SimulatedTDS2014) -> bool
     return np.array_equal(waveform.codes, trace.codes) and bool(np.allclose(got, held, rtol=1e-9, atol=1e-15))
 
 
+@dataclass(frozen=True)
+class EndedRun:
+    """How a run through the proxy ended."""
+
+    outcome: str
+    right: int
+    wrong: int
+    spoiled: int
+    messages: int
+    link: Tally
+    panel_is_back: bool
+    seconds: float
+
+
+def measure(share: float, *, records: int, seed: int) -> EndedRun:
+    """Take one run as `gyrolock measure --resource` does, and compare what it saved with what the scope showed."""
+    bench = at_slow_rate(default_settings("simulated"))
+    scope = RecordingScope.watch(build_instruments(bench, VirtualClock()).scope)
+    before, began = front_panel(scope), time.perf_counter()
+    with (
+        tempfile.TemporaryDirectory() as folder,
+        TcpServer(scope) as server,
+        FaultProxy(server.port, share, seed=seed) as proxy,
+    ):
+        settings = default_settings("bench")
+        settings = settings.model_copy(
+            update={
+                "gyro": bench.gyro,
+                "scope": settings.scope.model_copy(update={"resource": proxy.resource_name}),
+                "measurement": settings.measurement.model_copy(update={"records": records}),
+                "output": settings.output.model_copy(update={"directory": folder}),
+            }
+        )
+        taken = start_run(measurement("measure"), settings, Progress(quiet=True))
+        run = open_run(taken.path)
+        numbers = []
+        for record in run.taken_for("measure"):
+            preamble = Preamble.parse(record.preamble)
+            numbers.append(scope.acquisition_of(record.payload, preamble.ymult, preamble.xincr))
+        right = len({number for number in numbers if number is not None})
+        return EndedRun(
+            outcome=run.facts.outcome_text,
+            right=right,
+            wrong=len(numbers) - right,
+            spoiled=proxy.happened.total(),
+            messages=proxy.messages,
+            link=run.facts.link_faults or Tally(),
+            panel_is_back=front_panel(scope) == before,
+            seconds=time.perf_counter() - began,
+        )
+
+
+def front_panel(scope: SimulatedTDS2014) -> bytes:
+    """All settings, asked for at the scope itself."""
+    with scope.lock:
+        return b"".join(answer or b"" for answer in scope.execute(b":HEADER ON;:SET?"))
+
+
+def measure_often(runs: int, share: float, records: int) -> int:
+    """Take runs one after the other and print how each ended; 0 if nothing was wrong."""
+    good = complete = 0
+    for seed in range(1, runs + 1):
+        ended = measure(share, records=records, seed=seed)
+        complete += ended.outcome == TAKEN
+        good += ended.wrong == 0
+        how = "complete" if ended.outcome == TAKEN else ended.outcome
+        panel = "as before" if ended.panel_is_back else "altered"
+        sys.stdout.write(
+            f"run {seed}: {how}; {ended.right} right, {ended.wrong} wrong; {ended.spoiled} of {ended.messages} "
+            f"messages spoiled; {ended.link}; front panel {panel}; {ended.seconds:.0f} s\n"
+        )
+        sys.stdout.flush()
+    sys.stdout.write(f"{complete} of {runs} runs complete, {runs - good} with a wrong record\n")
+    return 0 if good == runs else 1
+
+
 def main(arguments: list[str] | None = None) -> int:
     """Run, print what became of the records, and return 0 if none was wrong."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.faults", description="Records over a bad link.")
-    parser.add_argument("--records", type=int, default=DEFAULT_RECORDS, help=f"default {DEFAULT_RECORDS}")
+    many = f"default {DEFAULT_RECORDS}, of a run {RECORDS_OF_A_RUN}"
+    parser.add_argument("--records", type=int, help=many)
+    parser.add_argument("--runs", type=int, help="take whole runs through a proxy, in real time")
+    parser.add_argument("--share", type=float, default=0.05, help="of messages that the proxy spoils each way")
     parser.add_argument("--seed", type=int, default=11)
     options = parser.parse_args(arguments)
+    if options.runs:
+        return measure_often(options.runs, options.share, options.records or RECORDS_OF_A_RUN)
     began = time.perf_counter()
-    outcome = run(options.records, seed=options.seed)
+    outcome = run(options.records or DEFAULT_RECORDS, seed=options.seed)
     lines = [
         f"{outcome.records} records asked for, {FAULT_PROBABILITY:.0%} of all answers spoiled",
         f"{outcome.right:6} right",

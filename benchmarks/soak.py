@@ -32,6 +32,7 @@ from station.lock_in.settings import Settings, default_settings
 from station.lock_in.take import take_on
 from station.ring_laser.bench import Bench
 from station.ring_laser.instruments import build_instruments
+from station.runs.facts import TAKEN
 from station.runs.progress import Progress
 from station.runs.store import SavedRun, open_run
 from station.runs.taking import Session, Taken, facts_of, take
@@ -185,14 +186,14 @@ class Station:
     def _day(self) -> SavedRun:
         """One run to its end, however often it has to be gone on with."""
         run: SavedRun | None = None
-        while run is None or not run.facts.complete:
+        while run is None or run.facts.get("outcome") != TAKEN:
             with suppress(Killed):
                 self._take(run)
             found = sorted(self._directory.glob("*/run.sqlite"))
             if not found:
                 continue
             run = open_run(found[-1])
-            self.outcome.resumed += not run.facts.complete
+            self.outcome.resumed += run.facts.get("outcome") != TAKEN
         return run
 
     def _take(self, resumed: SavedRun | None) -> Taken:

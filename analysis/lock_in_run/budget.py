@@ -31,11 +31,20 @@ from analysis.lock_in_run.third_harmonic import third_order_limit
 from analysis.lockin_equation import lock_in_from_beat, lock_in_from_rate
 from analysis.lockin_rate import LockInEstimate
 from analysis.rotation import earth_rate_on_axis
-from analysis.several_rates import RatesFit, RatesFlag, fit_rates
+from analysis.several_rates import Model, RatesFit, RatesFlag, ReceiverKnowledge, fit_rates
 
 _RECTANGLE = math.sqrt(3.0)
 _SAMPLES_FITTED = 6
 _EAST = 90.0
+_HARDLY = 0.7
+"""Share of its uncertainty beforehand that an unknown of the fit has left, if the records hardly show it."""
+
+_FITTED: dict[Model, str] = {
+    "distortion": "distortion",
+    "gain": "the gain corner",
+    "both": "distortion and the gain corner",
+    "all": "distortion, gain corner and bandwidth",
+}
 
 OF_EACH_RECORD = ("noise", "quantization", "beat_frequency", "scatter")
 """Lines that are another's in every record; those that remain act on all records of one rate alike."""
@@ -140,28 +149,32 @@ def _rates_budget(
     each: LockInEstimate, fit: RatesFit, point: OperatingPoint, bench: BenchKnowledge, samples: int
 ) -> Budget:
     """Budget of a fit over several rates: what acts on every rate in its own way is put through the fit."""
-    bench = replace(bench, separated=bench.separated | _counted(fit))
-    known = bounded(bench, _slowest_beat(each, fit))
+    bench = replace(bench, separated=bench.separated | fit.counted)
+    slowest = float(np.min(each.beat_frequency[fit.used]))
+    known, receiver = bounded(bench, slowest), ReceiverKnowledge.of(bench)
     # what is common stands as at one rate; the channel comes below
     at_one_rate = lock_in_budget(point, bench)
     scale = fit.lock_in_rate / at_one_rate.lock_in_rate if at_one_rate.lock_in_rate else 1.0
     lines = [replace(line, sensitivity=line.sensitivity * scale) for line in at_one_rate.inputs if line.common]
-    lines += [*_from_fit(fit, samples), *_from_channel(each, fit, known, point)]
+    hardly_seen = _hardly_seen(fit, receiver, slowest)
+    lines += [*_from_fit(fit, samples, hardly_seen), *_from_channel(each, fit, known, point, receiver)]
     return Budget(fit.lock_in_rate, "beat", tuple(lines))
 
 
-def _counted(fit: RatesFit) -> frozenset[str]:
-    """What the fit has freed the lock-in rate of: its uncertainty holds that already."""
-    fitted = {"distortion": fit.distortion, "gain_corner": fit.gain_time}
-    return frozenset(name for name, value in fitted.items() if not math.isnan(value))
+def _hardly_seen(fit: RatesFit, receiver: ReceiverKnowledge, slowest_beat_hz: float) -> list[str]:
+    """What nobody stated and the records do not tell either: the fit knows of it no more than its bound."""
+    prior = receiver.prior(slowest_beat_hz).sd
+    unknowns = (
+        ("distortion", receiver.second_order_limit, fit.distortion_u, prior[2]),
+        ("gain corner", receiver.gain_corner.hz, fit.gain_time_u, prior[3]),
+        ("bandwidth", receiver.bandwidth.hz, fit.lag_square_u, prior[4]),
+        ("third order", receiver.third_order_limit, fit.third_order_u, prior[5]),
+    )
+    return [name for name, stated, u, before in unknowns if math.isnan(stated) and u > _HARDLY * before]
 
 
-def _slowest_beat(each: LockInEstimate, fit: RatesFit) -> float:
-    return float(np.min(each.beat_frequency[fit.used]))
-
-
-def _from_fit(fit: RatesFit, samples: int) -> Iterator[BudgetInput]:
-    """Noise of the records, and what it costs to find distortion and gain corner from the same records."""
+def _from_fit(fit: RatesFit, samples: int, hardly_seen: list[str]) -> Iterator[BudgetInput]:
+    """Noise of the records, and what it costs to find distortion and the like from the same records."""
     scattered = bool(fit.flags & RatesFlag.MISFIT)
     freedom = float(fit.degrees_of_freedom if scattered else fit.used.sum() * (samples - _SAMPLES_FITTED))
     noise_u = fit.lock_in_rate_u / max(fit.cost, 1.0)
@@ -169,18 +182,19 @@ def _from_fit(fit: RatesFit, samples: int) -> Iterator[BudgetInput]:
     yield BudgetInput(
         "noise", "noise of the records", "deg/s", fit.lock_in_rate, noise_u, "normal", 1.0, freedom, note
     )
-    fitted = {"distortion": "distortion", "gain": "the gain corner"}.get(
-        fit.model, "distortion and the gain corner"
-    )
     if fit.model != "lock-in":
         rest = math.sqrt(max(fit.lock_in_rate_u**2 - noise_u**2, 0.0))
-        quantity = f"noise, by way of {fitted}"
-        note = f"{fitted} fitted to the same records"
-        yield BudgetInput("separation", quantity, "deg/s", 0.0, rest, "normal", 1.0, freedom, note)
+        quantity = f"noise, by way of {_FITTED[fit.model]}"
+        note = f"{_FITTED[fit.model]} fitted to the same records"
+        if hardly_seen:
+            note = f"not stated: bound of {', '.join(hardly_seen)}, which these rates hardly show"
+        yield BudgetInput(
+            "separation", quantity, "deg/s", 0.0, rest, "normal", 1.0, freedom, note, stated=not hardly_seen
+        )
 
 
 def _from_channel(
-    each: LockInEstimate, fit: RatesFit, known: Bounded, point: OperatingPoint
+    each: LockInEstimate, fit: RatesFit, known: Bounded, point: OperatingPoint, receiver: ReceiverKnowledge
 ) -> Iterator[BudgetInput]:
     """Filters of channel and laser: the fit again with the ratios that would be seen without them."""
     frequency = each.beat_frequency
@@ -192,10 +206,10 @@ def _from_channel(
             yield BudgetInput(name, quantity, "Hz", corner.hz, 0.0, "rectangular", 0.0, note="none")
         elif corner.corrected:
             moved = factor(frequency, corner.hz + corner.u_hz) / factor(frequency, corner.hz)
-            shift = _shift(each, fit, 1 / moved, point)
+            shift = _shift(each, fit, 1 / moved, point, receiver)
             yield _line(name, quantity, corner, abs(shift), "normal", "corrected for")
         else:
-            u = abs(_shift(each, fit, 1 / factor(frequency, corner.hz), point)) / _RECTANGLE
+            u = abs(_shift(each, fit, 1 / factor(frequency, corner.hz), point, receiver)) / _RECTANGLE
             line = _line(name, quantity, corner, u, "rectangular", "not corrected for")
             bound = f"{corner.hz:.4g} Hz; the fit repeated with its effect"
             yield replace(line, note=known.note(name, bound, line.note), stated=name not in known.assumed)
@@ -208,13 +222,18 @@ def _line(name: str, quantity: str, corner: Corner, u: float, kind: Distribution
     return BudgetInput(name, f"{quantity}: shift of the fit", "deg/s", 0.0, u, kind, 1.0, note=note)
 
 
-def _shift(each: LockInEstimate, fit: RatesFit, factor: Complexes, point: OperatingPoint) -> float:
+def _shift(
+    each: LockInEstimate, fit: RatesFit, factor: Complexes, point: OperatingPoint, receiver: ReceiverKnowledge
+) -> float:
     """Change of the lock-in rate in deg/s if the ratios were multiplied by a factor."""
     moved = replace(each, complex_ratio=each.complex_ratio * factor)
     try:
-        again = fit_rates(moved, input_rate=fit.rate, reference=fit.reference, model=fit.model)
+        before, after = (
+            fit_rates(one, input_rate=fit.rate, reference=fit.reference, model=fit.model, receiver=receiver)
+            for one in (each, moved)
+        )
     except NoFit:
         # as at the rate that determines the result best
         place = int(np.nanargmin(np.abs(each.beat_frequency - point.beat_frequency)))
         return fit.lock_in_rate * float(np.abs(factor[place]) - 1)
-    return again.lock_in_rate - fit.lock_in_rate
+    return after.lock_in_rate - before.lock_in_rate

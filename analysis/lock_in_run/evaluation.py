@@ -19,6 +19,7 @@ from analysis.lock_in_run.result import LockInRun
 from analysis.lock_in_run.table_check import ByTable, TableCheck, check_by_table
 from analysis.lock_in_run.table_rate import AxisRates, axis_rate_is_known, axis_rates, fast_estimates, find_tilt
 from analysis.lockin_rate import LockInEstimate
+from analysis.several_rates import ReceiverKnowledge
 
 
 def evaluate(run: RunArrays, knowledge: RunKnowledge | None, method: Method) -> LockInRun:
@@ -60,7 +61,7 @@ def evaluate(run: RunArrays, knowledge: RunKnowledge | None, method: Method) -> 
         found = replace(found, tilt=tilt)
         if at_several_rates(run.slow):
             # 4. each rate alone, then one fit
-            several = evaluate_rates(run.slow, each, axis)
+            several = evaluate_rates(run.slow, each, axis, ReceiverKnowledge.of(knowledge.bench))
             found = replace(found, several=several, combined=combined_estimate(several))
         # 5. the same by the table
         found = _checked_by_table(found, run, axis, knowledge)

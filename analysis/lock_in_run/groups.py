@@ -17,7 +17,7 @@ from analysis.lock_in_run.records import RecordArrays
 from analysis.lock_in_run.table_check import ByTable
 from analysis.lock_in_run.table_rate import AxisRates
 from analysis.lockin_rate import LockInEstimate
-from analysis.several_rates import RatesFit, RatesFlag, Reference, fit_rates
+from analysis.several_rates import RatesFit, RatesFlag, ReceiverKnowledge, Reference, fit_rates
 
 
 @dataclass(frozen=True)
@@ -84,7 +84,9 @@ def at_several_rates(slow: RecordArrays) -> bool:
     return np.unique(slow.table_rate).size > 1
 
 
-def evaluate_rates(slow: RecordArrays, each: LockInEstimate, axis: AxisRates) -> SeveralRates:
+def evaluate_rates(
+    slow: RecordArrays, each: LockInEstimate, axis: AxisRates, receiver: ReceiverKnowledge
+) -> SeveralRates:
     """Combine the records at each rate, and fit all of them.
 
     Parameters
@@ -95,6 +97,8 @@ def evaluate_rates(slow: RecordArrays, each: LockInEstimate, axis: AxisRates) ->
         Fields of shape (n,), with the beat as reference.
     axis : AxisRates
         Of the same records.
+    receiver : ReceiverKnowledge
+        What was stated of receiver and laser.
 
     Raises
     ------
@@ -120,16 +124,17 @@ def evaluate_rates(slow: RecordArrays, each: LockInEstimate, axis: AxisRates) ->
         groups.append(group)
     # shared by the records at one rate: their mean is no better than one of them
     rates_u = axis.azimuth_u * np.sqrt(counts[place])
-    by_beat, problem = _fit(each, axis, rates_u, "beat")
-    by_table, _ = _fit(each, axis, rates_u, "rate")
+    by_beat, problem = _fit(each, axis, rates_u, "beat", receiver)
+    by_table, _ = _fit(each, axis, rates_u, "rate", receiver)
     return SeveralRates(tuple(groups), by_beat, by_table, _frequencies(each, axis, rates_u), problem)
 
 
 def _fit(
-    each: LockInEstimate, axis: AxisRates, rates_u: Floats, reference: Reference
+    each: LockInEstimate, axis: AxisRates, rates_u: Floats, reference: Reference, receiver: ReceiverKnowledge
 ) -> tuple[RatesFit | None, str]:
     try:
-        return fit_rates(each, input_rate=axis.rates, input_rate_u=rates_u, reference=reference), ""
+        fit = fit_rates(each, input_rate=axis.rates, input_rate_u=rates_u, reference=reference, receiver=receiver)
+        return fit, ""
     except NoFit as reason:
         return None, str(reason)
 

@@ -42,7 +42,8 @@ class ReceiverKnowledge:
     def of(bench: BenchKnowledge) -> ReceiverKnowledge:
         """The part of what is known of a bench that a fit over several rates uses."""
         return ReceiverKnowledge(
-            second_order_limit=math.nan if bench.distortion_separated else bench.distortion_limit,
+            second_order_limit=math.nan if "distortion" in bench.separated else bench.distortion_limit,
+            third_order_limit=bench.third_order_limit,
             bandwidth=bench.bandwidth,
             gain_corner=bench.gain,
         )

@@ -146,13 +146,16 @@ class Exchange(ABC):
         """As `ask`; besides, every event that the message caused, warnings too."""
         clean = "*CLS;" if self.unread_events else ""
         self.unread_events = False
-        *answers, register = self.ask(f"{clean}{text};*ESR?", parts=parts + 1, wait=wait)
-        return answers, self._read_event_queue() if self._register(register) & ERROR_BITS else []
+        return self.repeated(lambda: self._with_events_once(f"{clean}{text};*ESR?", parts, wait))
 
     def events(self) -> list[ScopeEvent]:
         """Read and empty the event queue."""
         self.ask("*ESR?")
-        return self._read_event_queue()
+        return self.repeated(self._read_event_queue)
+
+    def _with_events_once(self, text: str, parts: int, wait: float) -> tuple[list[str], list[ScopeEvent]]:
+        *answers, register = self._ask_once(text, parts=parts + 1, wait=wait)
+        return answers, self._read_event_queue() if self._register(register) & ERROR_BITS else []
 
     def _checked_once(self, text: str, parts: int) -> list[str]:
         *answers, register = self._ask_once(text, parts=parts + 1)

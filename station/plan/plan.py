@@ -22,7 +22,7 @@ from station.lock_in.presentation.budget_table import budget_document
 from station.lock_in.settings import Settings
 from station.scope.autoset import oscilloscope_steps
 
-_BYTES_PER_RECORD = 2900
+_BYTES_PER_RECORD = 5500  # each record is sent twice
 """2500 points, their preamble, and the questions that bring them."""
 
 _SERIAL_BITS = 10

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from analysis.arrays import Floats
-from analysis.study import BiasTable, Causes, ErrorStudy, WaveformStudy
+from analysis.study import PAPER, BiasTable, Causes, ErrorStudy, ExperimentCauses, WaveformStudy
 from station.report.figure import ACCENT, INK, SECOND, SOFT, THIRD, legend_above, write_picture
-from station.study.study import WINDOW_NAMES, Study, axis_name, curve_name
+from station.study.study import CAUSE_NAMES, WINDOW_NAMES, Study, axis_name, curve_name
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -56,6 +56,8 @@ def write_study_plots(folder: Path, study: Study, kind: str) -> list[Path]:
         write("bias", (7.0, 4.0), lambda figure: _draw_bias(figure, bias))
     if (causes := study.causes) is not None:
         write("causes", (10.0, 4.6), lambda figure: _draw_causes(figure, causes))
+    if (experiment := study.experiment) is not None:
+        write("experiment", (10.0, 4.8), lambda figure: _draw_experiment(figure, experiment))
     return written
 
 
@@ -131,6 +133,31 @@ def _draw_causes(figure: Figure, causes: Causes) -> None:
     axes.grid(visible=False, axis="x")
     axes.text(0.995, 0.97, "spectrum without a window", transform=axes.transAxes, ha="right", va="top", color=SOFT)
     legend_above(axes, columns=6)
+
+
+def _draw_experiment(figure: Figure, experiment: ExperimentCauses) -> None:
+    """Bars of each cause at each rate, rms, beside the paper's 6.8 %."""
+    axes = figure.add_subplot()
+    every = (*experiment.causes, experiment.ours)
+    places, width = np.arange(len(every)), 0.8 / len(experiment.over_lock_in)
+    for index, over in enumerate(experiment.over_lock_in):
+        values = np.array([cause.rms[index] for cause in every])
+        shift = (index - (len(experiment.over_lock_in) - 1) / 2) * width
+        colour = (SECOND, THIRD, SOFT, ACCENT)[index % 4]
+        axes.bar(places + shift, 100 * values, width, color=colour, label=f"{over:g} lock-in rates")
+    axes.axhline(
+        100 * PAPER, color=INK, linestyle=(0, (5, 3)), linewidth=1.1, label="the paper's experiment, 6.8 %"
+    )
+    axes.set(yscale="log", ylim=(0.02, 60), ylabel="rms error of the lock-in rate, %")
+    names = [CAUSE_NAMES[cause.name] for cause in every]
+    broken = (", ", ",\n"), ("distortion ", "distortion\n"), ("noise 1 % ", "noise 1 %\n")
+    for before, after in broken:
+        names = [name.replace(before, after) for name in names]
+    axes.set_xticks(places, names)
+    axes.tick_params(axis="x", labelsize=8)
+    axes.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
+    axes.grid(visible=False, axis="x")
+    legend_above(axes, columns=5)
 
 
 def _size_percent(values: Floats) -> Floats:

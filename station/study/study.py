@@ -13,10 +13,12 @@ from analysis.study import (
     BiasTable,
     Causes,
     ErrorStudy,
+    ExperimentCauses,
     PeakReading,
     WaveformStudy,
     bias_table,
     find_causes,
+    find_experiment_causes,
     lock_in_study,
     peak_readings,
     phase_study,
@@ -31,6 +33,17 @@ WINDOW_NAMES = {
     "hann": "Hann",
     "blackmanharris": "Blackman-Harris",
     "flattop": "flat top",
+}
+CAUSE_NAMES = {
+    "formula": "equation (13)",
+    "reading, no window": "reading peaks, no window",
+    "reading, Hann": "reading peaks, Hann",
+    "reading, flat top": "reading peaks, flat top",
+    "noise": "noise 1 % and 8 bits",
+    "earth": "earth rate, azimuth unknown",
+    "tilt": "tilt ± 0.01° at 88.7°",
+    "distortion": "distortion -50 dBc",
+    "ours": "ours, both senses",
 }
 _RATES = np.linspace(0.2, 2.0, 37)
 _LOCK_IN_RATES = np.linspace(0.01, 0.5, 50)
@@ -53,6 +66,7 @@ class Study:
     bias: BiasTable | None = None
     causes: Causes | None = None
     readings: tuple[PeakReading, ...] = ()
+    experiment: ExperimentCauses | None = None
 
 
 def run_study(figures: Sequence[int], progress: Progress) -> Study:
@@ -72,7 +86,7 @@ def run_study(figures: Sequence[int], progress: Progress) -> Study:
         6: lambda: lock_in_study(_LOCK_IN_RATES),
     }
     study = Study()
-    progress.start("study", len(wanted) + (0 if figures else 2))
+    progress.start("study", len(wanted) + (0 if figures else 3))
     for number in wanted:
         found = parts[number]()
         if isinstance(found, WaveformStudy):
@@ -85,7 +99,9 @@ def run_study(figures: Sequence[int], progress: Progress) -> Study:
         progress.advance()
         causes, readings = find_causes(), tuple(peak_readings())
         progress.advance()
-        study = Study(study.waveforms, study.errors, bias, causes, readings)
+        experiment = find_experiment_causes()
+        progress.advance()
+        study = Study(study.waveforms, study.errors, bias, causes, readings, experiment)
     progress.close()
     return study
 
@@ -127,7 +143,20 @@ def study_document(study: Study, sentences: list[str], files: list[str]) -> dict
             {"window": r.window, "largest_percent": 100 * r.largest, "rms_percent": 100 * r.rms}
             for r in study.readings
         ]
+    if study.experiment is not None:
+        document["experiment"] = _experiment_document(study.experiment)
     return document
+
+
+def _experiment_document(experiment: ExperimentCauses) -> dict[str, Any]:
+    return {
+        "rate_over_lock_in": experiment.over_lock_in,
+        "causes": [
+            {"cause": cause.name, "rms_percent": 100 * cause.rms, "largest_percent": 100 * cause.largest}
+            for cause in (*experiment.causes, experiment.ours)
+        ],
+        "together_rms_percent": 100 * experiment.together,
+    }
 
 
 def curve_name(curve: tuple[float, float]) -> str:

@@ -8,8 +8,8 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from analysis.study import BiasTable, Causes, ErrorStudy, PeakReading, WaveformStudy
-from station.study.study import WINDOW_NAMES, Study
+from analysis.study import BiasTable, Causes, ErrorStudy, ExperimentCauses, PeakReading, WaveformStudy
+from station.study.study import CAUSE_NAMES, WINDOW_NAMES, Study
 
 _SHOWN_ROWS = 13
 
@@ -60,6 +60,8 @@ def study_tables(study: Study) -> list[StudyTable]:
         tables.append(_other_causes_table(study.causes))
     if study.readings:
         tables.append(_readings_table(study.readings))
+    if study.experiment is not None:
+        tables.append(_experiment_table(study.experiment))
     return tables
 
 
@@ -139,6 +141,20 @@ def _other_causes_table(causes: Causes) -> StudyTable:
     return StudyTable("causes_other", title, columns, ("g", "g", "+.3f", "+.4f", ".3f", "+.0e"), rows)
 
 
+def _experiment_table(experiment: ExperimentCauses) -> StudyTable:
+    rows: list[Sequence[float | str]] = [
+        [CAUSE_NAMES[cause.name], *(100 * float(v) for v in cause.rms), 100 * float(cause.largest[-1])]
+        for cause in experiment.causes
+    ]
+    rows.append(["all, reading with Hann", *(100 * float(v) for v in experiment.together), math.nan])
+    ours = experiment.ours
+    rows.append([CAUSE_NAMES[ours.name], *(100 * float(v) for v in ours.rms), 100 * float(ours.largest[-1])])
+    rates = [f"{over:g} WL, %" for over in experiment.over_lock_in]
+    title = "The 6.8 % of the paper's experiment: each cause alone, rms, at several rates (WL = 0.01 deg/s)"
+    columns = ("cause", *rates, f"largest at {experiment.over_lock_in[-1]:g} WL, %")
+    return StudyTable("experiment", title, columns, ("s", *[".2f"] * (len(rates) + 1)), rows)
+
+
 def _readings_table(readings: tuple[PeakReading, ...]) -> StudyTable:
     rows: list[Sequence[float | str]] = [(WINDOW_NAMES[r.window], 100 * r.largest, 100 * r.rms) for r in readings]
     title = "Reading A2/A1 from the two highest lines, the beat lying anywhere in its bin"
@@ -148,4 +164,6 @@ def _readings_table(readings: tuple[PeakReading, ...]) -> StudyTable:
 
 
 def _text(cell: float | str, form: str) -> str:
-    return str(cell) if isinstance(cell, str) else format(cell, form)
+    if isinstance(cell, str):
+        return cell
+    return "" if math.isnan(cell) else format(cell, form)

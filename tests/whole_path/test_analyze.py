@@ -90,7 +90,7 @@ def test_a_csv_file_of_the_beat_gives_the_lock_in_rate(gyrolock, run: Path, tmp_
     done = gyrolock("analyze", "F0000CH1.CSV", "--scale-factor", 2000, "--json")
     assert done.code == 0, done.err
     assert done.document["lock_in_rate_dps"] == pytest.approx(0.01, abs=5 * done.document["lock_in_rate_u_dps"])
-    assert done.document["schema"] == {"name": "gyrolock files", "version": 1}
+    assert done.document["schema"] == {"name": "gyrolock files", "version": 2}
     first_line = done.document["harmonics"][0]
     assert first_line["amplitude_v"] == pytest.approx(0.38 * (1 - done.document["ratio"] ** 2), rel=0.01)
     assert first_line["frequency_hz"] == pytest.approx(done.document["beat_frequency_hz"], rel=1e-5)

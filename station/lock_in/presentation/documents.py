@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from typing import Any
 
+import numpy as np
+
 from analysis import FrequencyFit, LockInEstimate, RatesFit, RatesFlag, flag_names
 from analysis.frequency_method import FrequencyFlag
 from analysis.lock_in_run import RateGroup
@@ -132,7 +134,7 @@ def result_document(found: LockInFound) -> dict[str, Any]:
         "lock_in_rate_high_95_dps": high,
         "lock_in_rate_noise_u_dps": found.noise_u,
         **_of_one_rate(found),
-        **picked(found.combined, _OF_ALL),
+        **_of_all(found),
         "records": len(found.waveforms) + len(found.damaged),
         "records_rejected": found.records_rejected,
         "method": found.method_text,
@@ -164,6 +166,15 @@ def _of_one_rate(found: LockInFound) -> dict[str, Any]:
     if found.several is not None:
         return dict.fromkeys(_OF_ONE_RATE)
     return picked(found.combined, _OF_ONE_RATE)
+
+
+def _of_all(found: LockInFound) -> dict[str, Any]:
+    """Phase, amplitude and noise; of several rates the mean amplitude and the rms noise of all records used."""
+    document = picked(found.combined, _OF_ALL)
+    if found.several is not None and (used := found.each.usable).any():
+        document["amplitude_v"] = found.each.amplitude[used].mean()
+        document["noise_rms_v"] = np.sqrt(np.mean(found.each.noise_rms[used] ** 2))
+    return document
 
 
 def record_documents(found: LockInFound, called: str) -> list[dict[str, Any]]:

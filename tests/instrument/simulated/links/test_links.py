@@ -158,10 +158,11 @@ def test_serial_answers_take_their_bits_on_the_virtual_clock():
         before = clock.now()
         scope.query_binary_values("CURVE?", datatype="b")
         assert clock.now() - before == pytest.approx(2508 * 10 / 9600, abs=0.2)
-        scope.timeout = 2000
+        scope.timeout = 100
         with pytest.raises(pyvisa.VisaIOError):
             scope.query_binary_values("CURVE?", datatype="b")
         scope.clear()  # the rest of it is still on the line
+        scope.timeout = 2000
         scope.write("RS232:BAUD 19200")
         assert len(scope.query_binary_values("CURVE?", datatype="b")) == 2500
 

@@ -6,14 +6,25 @@ import sys
 
 import pytest
 
-from benchmarks import fuzz_files, kills
+from benchmarks import kills
+from benchmarks.damage import fuzz_files
 
 ROOT = os.path.dirname(os.path.dirname(os.path.abspath(kills.__file__)))
 
 
 def test_a_system_call_that_fails_loses_nothing() -> None:
-    """Some of all calls; `python -m benchmarks.inside_faults` lets every one fail."""
-    command = [sys.executable, "-m", "benchmarks.inside_faults", "--first", "5", "--step", "13", "--seconds", "15"]
+    """Some of all calls; `python -m benchmarks.damage.inside_faults` lets every one fail."""
+    command = [
+        sys.executable,
+        "-m",
+        "benchmarks.damage.inside_faults",
+        "--first",
+        "5",
+        "--step",
+        "13",
+        "--seconds",
+        "15",
+    ]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=300)
     if done.returncode == 77:
         pytest.skip(done.stdout)
@@ -30,7 +41,7 @@ def test_kill_9_loses_no_acknowledged_record(capsys) -> None:
 @pytest.mark.parametrize(("kind", "count"), [("csv", 60), ("isf", 150), ("toml", 80), ("runs", 40)])
 def test_a_damaged_file_is_read_or_refused(kind: str, count: int) -> None:
     """In a process of its own: it limits its memory."""
-    code = f"from benchmarks import fuzz_files as f; print(f.try_files({kind!r}, {count}, 3).failures)"
+    code = f"from benchmarks.damage import fuzz_files as f; print(f.try_files({kind!r}, {count}, 3).failures)"
     done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, timeout=200)
     assert done.stdout == "[]\n", done.stdout + done.stderr
     assert fuzz_files.COUNTS[kind] > count

@@ -12,7 +12,7 @@ import pytest
 from station.runs.store import open_run
 
 COMMAND = f"{sys.executable} -m station.cli"
-MEASURE = f"exec {COMMAND} measure --records 1 --seed 1"
+MEASURE = f"exec {COMMAND} measure --rates 8 --records 1 --seed 1"
 pytestmark = pytest.mark.skipif(not Path("/dev/full").exists(), reason="this system has no /dev/full")
 
 
@@ -63,7 +63,9 @@ def test_with_all_streams_closed_as_under_a_daemon_the_run_is_whole(tmp_path: Pa
 
 
 def test_a_result_that_is_not_read_to_its_end(tmp_path: Path) -> None:
-    done = run_shell(tmp_path, f"{COMMAND} measure --records 1 --jsonl | head -1; exit ${{PIPESTATUS[0]}}")
+    done = run_shell(
+        tmp_path, f"{COMMAND} measure --rates 8 --records 1 --jsonl | head -1; exit ${{PIPESTATUS[0]}}"
+    )
     assert done.returncode == 5
     assert "Traceback" not in done.stderr
     whole_run(tmp_path)
@@ -89,7 +91,18 @@ def test_a_reader_that_sleeps_does_not_stop_the_measurement(tmp_path: Path) -> N
     """Nobody reads what comes on stderr and on stdout, which hold 4096 bytes each."""
     import fcntl
 
-    command = [sys.executable, "-m", "station.cli", "measure", "--records", "40", "--jsonl", "--no-report"]
+    command = [
+        sys.executable,
+        "-m",
+        "station.cli",
+        "measure",
+        "--rates",
+        "8",
+        "--records",
+        "40",
+        "--jsonl",
+        "--no-report",
+    ]
     out, err = os.pipe(), os.pipe()
     for pipe in (out, err):
         fcntl.fcntl(pipe[1], fcntl.F_SETPIPE_SZ, 4096)
@@ -125,7 +138,7 @@ sys.exit(main(sys.argv[1:]))
 
 
 def test_a_report_that_cannot_be_written_keeps_the_result(tmp_path: Path) -> None:
-    command = [sys.executable, "-c", LONG_REPORT, "measure", "--records", "1", "--json"]
+    command = [sys.executable, "-c", LONG_REPORT, "measure", "--rates", "8", "--records", "1", "--json"]
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=100)
     assert done.returncode == 5, done.stderr
     document = json.loads(done.stdout)
@@ -154,7 +167,7 @@ def small_disk(folder: Path, kilobytes: int, script: str) -> subprocess.Complete
 
 @pytest.mark.parametrize("kilobytes", [100, 300, 500])
 def test_a_full_disk_is_told_as_what_it_is(tmp_path: Path, kilobytes: int) -> None:
-    measure = f"{COMMAND} measure --records 10 --json; code=$?; echo; {COMMAND} analyze runs/* --json; exit $code"
+    measure = f"{COMMAND} measure --rates 8 --records 10 --json; code=$?; echo; {COMMAND} analyze runs/* --json; exit $code"
     done = small_disk(tmp_path, kilobytes, measure)
     assert done.returncode == 5, done.stdout + done.stderr
     assert "Traceback" not in done.stderr
@@ -174,7 +187,7 @@ def test_nothing_of_others_acts_on_the_terminal_or_in_the_report(tmp_path: Path)
     name = json.dumps(ESCAPES)
     (tmp_path / "my.toml").write_text(f"[gyro]\nname = {name}\n", encoding="utf-8")
     master, slave = pty.openpty()
-    command = f"{COMMAND} measure --records 1 --config my.toml --unit '{ESCAPES}' --note '{ESCAPES}'"
+    command = f"{COMMAND} measure --rates 8 --records 1 --config my.toml --unit '{ESCAPES}' --note '{ESCAPES}'"
     command += f"; {COMMAND} analyze '{ESCAPES}'; {COMMAND} analyze '{ESCAPES}' --json"
     process = subprocess.Popen(
         ["bash", "-c", command], cwd=tmp_path, stdin=subprocess.DEVNULL, stdout=slave, stderr=slave

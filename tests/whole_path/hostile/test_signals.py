@@ -14,7 +14,7 @@ import pyvisa
 
 from station.runs.store import open_run
 
-GIVEN = ("--scale-factor", "2000", "--records", 10_000)
+GIVEN = ("--scale-factor", "2000", "--rates", 8, "--records", 10_000)
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="these signals are those of POSIX")
 
 
@@ -28,7 +28,7 @@ def only_run(folder: Path) -> Path:
     [("SIGINT", 130, "interrupted"), ("SIGTERM", 143, "terminated"), ("SIGHUP", 129, "hung_up")],
 )
 def test_a_signal_ends_a_run_as_a_whole(tmp_path: Path, gyrolock, cut_gyrolock, name, code, kind) -> None:
-    ended = cut_gyrolock(name, 8 + 3, "measure", "--records", 6, "--seed", 4, "--json")
+    ended = cut_gyrolock(name, 8 + 3, "measure", "--rates", 8, "--records", 6, "--seed", 4, "--json")
     assert ended.code == code, ended.err
     assert ended.document["error"]["kind"] == kind
     assert ended.document["error"]["exit_code"] == code
@@ -90,7 +90,7 @@ sys.exit(main(sys.argv[1:]))
 
 
 def test_a_second_signal_ends_at_once(tmp_path: Path) -> None:
-    command = [sys.executable, "-c", HANGING, "measure", "--records", "1000"]
+    command = [sys.executable, "-c", HANGING, "measure", "--rates", "8", "--records", "1000"]
     with subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL) as process:
         assert process.stdout is not None
         while not list(tmp_path.glob("runs/*/run.sqlite")):
@@ -103,7 +103,18 @@ def test_a_second_signal_ends_at_once(tmp_path: Path) -> None:
 
 
 def test_nohup_is_obeyed(tmp_path: Path) -> None:
-    command = [sys.executable, "-m", "station.cli", "measure", "--records", "30", "--no-report", "--jsonl"]
+    command = [
+        sys.executable,
+        "-m",
+        "station.cli",
+        "measure",
+        "--rates",
+        "8",
+        "--records",
+        "30",
+        "--no-report",
+        "--jsonl",
+    ]
     process = subprocess.Popen(
         command,
         cwd=tmp_path,
@@ -124,7 +135,9 @@ def test_a_closed_terminal_ends_the_run_and_loses_nothing(tmp_path: Path) -> Non
     pid, terminal = pty.fork()
     if pid == 0:
         os.chdir(tmp_path)
-        os.execv(sys.executable, [sys.executable, "-m", "station.cli", "measure", "--records", "100000"])
+        os.execv(
+            sys.executable, [sys.executable, "-m", "station.cli", "measure", "--rates", "8", "--records", "100000"]
+        )
     said = b""
     while b"slow rate" not in said:
         said += os.read(terminal, 4096)
@@ -149,7 +162,7 @@ def write_report(evaluated, path=None):
 report.write_report = write_report
 sys.exit(main(sys.argv[1:]))
 """
-    command = [sys.executable, "-c", code, "measure", "--records", "2", "--json"]
+    command = [sys.executable, "-c", code, "measure", "--rates", "8", "--records", "2", "--json"]
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=60)
     assert done.returncode == 143
     assert json.loads(done.stdout)["error"]["kind"] == "terminated"

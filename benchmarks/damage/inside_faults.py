@@ -1,4 +1,4 @@
-"""`python -m benchmarks.inside_faults`: every system call of a measurement on its files fails once.
+"""`python -m benchmarks.damage.inside_faults`: every system call of a measurement on its files fails once.
 
 A small measurement is made again and again: first its first call fails (reading settings, making the directory,
 writing progress, the run, the report, the acknowledged lines on stdout), then its second, until none is left. Each
@@ -144,7 +144,9 @@ def _wrong(folder: Path, code: int, library: ctypes.CDLL) -> list[str]:
 
 def main(arguments: list[str] | None = None) -> int:
     """Make the calls fail, print what became of the measurements, return 0 if all are as they should be."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.inside_faults", description="Calls that fail.")
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks.damage.inside_faults", description="Calls that fail."
+    )
     parser.add_argument("--first", type=int, default=1, help="the first call that fails")
     parser.add_argument("--step", type=int, default=1, help="only every such call")
     parser.add_argument("--most", type=int, default=1_000_000)
@@ -156,7 +158,7 @@ def main(arguments: list[str] | None = None) -> int:
             if library is None:
                 sys.stdout.write("needs Linux and a C compiler\n")
                 return 77
-            again = [sys.executable, "-m", "benchmarks.inside_faults", *(arguments or sys.argv[1:])]
+            again = [sys.executable, "-m", "benchmarks.damage.inside_faults", *(arguments or sys.argv[1:])]
             return subprocess.run(again, env={**os.environ, "LD_PRELOAD": str(library)}).returncode
     outcome = run(options.first, options.step, options.most, options.seconds)
     kinds = ", ".join(f"{count} {kind}" for kind, count in sorted(outcome.kinds.items()))

@@ -1,4 +1,4 @@
-"""`python -m benchmarks.fuzz_files`: damaged files at everything that reads one.
+"""`python -m benchmarks.damage.fuzz_files`: damaged files at everything that reads one.
 
 CSV and ISF files of an oscilloscope, settings in TOML, and saved runs are changed at random: bytes flipped, cut,
 doubled and put in, numbers replaced by wild ones, brackets nested, cells of a run's tables overwritten. Each file
@@ -281,7 +281,7 @@ def _record() -> Waveform:
 
 def main(arguments: list[str] | None = None) -> int:
     """Read the files, print what became of them, and return 0 if every one was read or refused as it should be."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.fuzz_files", description="Damaged files.")
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.damage.fuzz_files", description="Damaged files.")
     for kind, count in COUNTS.items():
         parser.add_argument(f"--{kind}", type=int, default=count, metavar="N", help=f"default {count}")
     parser.add_argument("--seed", type=int, default=0)

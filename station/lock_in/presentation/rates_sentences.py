@@ -115,8 +115,8 @@ def _alternatives(fit: RatesFit) -> str:
     )
     return (
         f"These records have more than one solution. Beside the value above: {others}. The interval, "
-        f"{fit.lock_in_rate_low_95:.5g} to {fit.lock_in_rate_high_95:.5g} deg/s, holds all of them; the other sense "
-        "of rotation, or one more rate, decides."
+        f"{fit.lock_in_rate_low_95:.5g} to {fit.lock_in_rate_high_95:.5g} deg/s, holds all of them; the other "
+        "sense of rotation, or one more rate, decides."
     )
 
 

@@ -19,7 +19,7 @@ AMPLITUDE_SCATTER = 0.1
 """Range of the amplitudes, over the largest, that a steady laser never has; averages over a phase that was not
 triggered differ by more."""
 
-BY_CHANCE = (Flag.COLOURED_NOISE, Flag.MISFIT, Flag.RATE_WANDER)
+BY_CHANCE = (Flag.COLOURED_NOISE, Flag.MISFIT, Flag.PARTS_DIFFER, Flag.RATE_WANDER)
 BY_CHANCE_SHARE = 0.05
 """Tests of the residual raise these flags in well under this share of faultless records."""
 
@@ -40,8 +40,10 @@ def combine_estimates(estimates: LockInEstimate) -> LockInEstimate:
     Returns
     -------
     LockInEstimate
-        Fields of shape (). The uncertainty follows from the records' own; where their scatter is larger than
-        their noise explains, from the scatter, and `noise_model` says so. `flags` holds the bits of the records
+        Fields of shape (). The uncertainty follows from the records' own, with less weight for those that did not
+        fit; what did not fit may be the same in all, so that part does not average out. Where their scatter is
+        larger than their uncertainty explains, from the scatter, and `noise_model` says so. `flags` holds the bits
+        of the records
         used, those that chance can raise only if more records have them than chance explains; `misfit` also
         if the phases disagree.
 
@@ -62,13 +64,13 @@ def combine_estimates(estimates: LockInEstimate) -> LockInEstimate:
             flat[0], flags=np.asarray(bits), records=np.asarray(0), records_rejected=np.asarray(rejected)
         )
 
-    values, radial, tangential = _complex_rates(used)
+    values, radial, tangential, misfit = _complex_rates(used)
     weights = 1 / np.maximum((radial + tangential) / 2, 1e-300)
     weights /= weights.sum()
     mean = complex(np.sum(weights * values))
     along = np.conj(mean / abs(mean)) if mean != 0 else 1.0
-    own = float(np.sqrt(np.sum(weights**2 * radial)))
-    across_u = float(np.sqrt(np.sum(weights**2 * tangential)))
+    own = float(np.hypot(np.sqrt(np.sum(weights**2 * (radial - misfit**2))), np.sum(weights * misfit)))
+    across_u = float(np.sqrt(np.sum(weights**2 * (tangential - misfit**2))))
     turned = values * along
     inflation, stretch, unequal = _scatter(turned.real - abs(mean), radial, weights)
     phases_differ = _scatter(turned.imag, tangential, weights)[2]
@@ -100,6 +102,7 @@ def combine_estimates(estimates: LockInEstimate) -> LockInEstimate:
         beat_frequency_u=np.asarray(1 / np.sqrt(frequency_weights.sum())),
         ratio=ratio,
         ratio_u=ratio_u,
+        misfit_u=np.asarray(np.sum(weights * used.misfit_u)),
         complex_ratio=rho,
         complex_ratio_covariance=rho_covariance,
         backscatter_phase=np.asarray(np.angle(mean)),
@@ -123,8 +126,9 @@ def _common_flags(flags: Ints) -> int:
     return common
 
 
-def _complex_rates(used: LockInEstimate) -> tuple[Complexes, Floats, Floats]:
-    """WL exp(i beta') of each record, and its variances along and across its own direction."""
+def _complex_rates(used: LockInEstimate) -> tuple[Complexes, Floats, Floats, Floats]:
+    """WL exp(i beta') of each record, its variances along and across its own direction, and the standard
+    uncertainty in both of them by what is no noise."""
     size = np.abs(used.complex_ratio)
     rate = used.input_rate if used.rate_given else None
     value, slope, _ = rate_and_slopes(size, used.beat_frequency / used.scale_factor, rate, used.relation)
@@ -133,7 +137,9 @@ def _complex_rates(used: LockInEstimate) -> tuple[Complexes, Floats, Floats]:
     across = np.einsum("ri,rij,rj->r", turned, used.complex_ratio_covariance, turned)
     scale = np.divide(value, size, out=np.asarray(slope, dtype=float).copy(), where=size > 0)
     vector = np.asarray(value * np.exp(1j * used.backscatter_phase), dtype=np.complex128)
-    return vector, used.lock_in_rate_u**2, np.asarray((across + used.misfit_u**2) * scale**2)
+    # At a small ratio the slope is that of the size, and the two scales are one.
+    misfit = np.minimum(used.misfit_u * scale, used.lock_in_rate_u)
+    return vector, used.lock_in_rate_u**2, np.asarray(across * scale**2 + misfit**2), np.asarray(misfit)
 
 
 def _scatter(deviation: Floats, variance: Floats, weights: Floats) -> tuple[float, float, bool]:
@@ -173,7 +179,8 @@ def _mean_ratio(used: LockInEstimate, weights: Floats) -> tuple[Floats, Floats, 
     along = np.array([mean.real, mean.imag]) / size if size > 0 else np.array([1.0, 0.0])
     across = np.array([-along[1], along[0]])
     ratio = np.sqrt(max(size**2 - float(across @ covariance @ across), 0.0))
-    return np.asarray(ratio), np.asarray(np.sqrt(along @ covariance @ along)), np.asarray(mean), covariance
+    ratio_u = np.hypot(np.sqrt(along @ covariance @ along), np.sum(weights * used.misfit_u))
+    return np.asarray(ratio), np.asarray(ratio_u), np.asarray(mean), covariance
 
 
 def _mean_third_harmonic(used: LockInEstimate) -> tuple[Complexes, Floats]:

@@ -46,7 +46,7 @@ _SENTENCES = {
     Flag.CONSTANT: "All samples are equal: nothing is connected, the channel is grounded or fully clipped.",
     Flag.MISFIT: "The record departs from the lock-in waveform by more than its noise: distortion, a second "
     "signal or a moving rate.",
-    Flag.RATE_WANDER: "The rate wandered during the record; a moving phase was fitted.",
+    Flag.RATE_WANDER: "The rate moved during the record; its motion was fitted.",
     Flag.RATIO_NOT_SIGNIFICANT: "The second harmonic does not stand out of the noise: the interval begins at "
     "zero, the value itself means little.",
     Flag.COLOURED_NOISE: "The noise is not white; the uncertainty uses its strength at the harmonics.",

@@ -12,7 +12,7 @@ from analysis.budget.expected_noise import RecordShape, expected_point
 from analysis.lockin_equation import beat_frequency
 from analysis.plan.request import FASTEST_OVER_LOCK_IN, PlanRequest
 from analysis.plan.several_rates import expected_joint_u
-from analysis.several_rates import ReceiverKnowledge
+from analysis.several_rates import COUNTED, ReceiverKnowledge
 
 MOST_RECORDS = 100_000
 
@@ -22,10 +22,9 @@ FEWEST_RECORDS = 3
 _FLOOR_SHARE = 3.0
 """Where the wanted uncertainty is out of reach, noise is brought to this fraction of what remains."""
 
-_CANDIDATES = 60
+_CLOSE_TO_FLOOR = 1.05
 
-_RATES_FOR_CORNERS, _SPAN_FOR_CORNERS = 3, 4.0
-"""Rates, and fastest over slowest, with which the fit sees the corners of channel and gain for itself."""
+_CANDIDATES = 60
 
 
 @dataclass(frozen=True)
@@ -129,14 +128,15 @@ def _best_rate(request: PlanRequest) -> float:
     if reached:
         best = min(reached, key=lambda plan: (plan.records, plan.budget.relative_u))
     else:
-        best = min(plans, key=lambda plan: plan.floor_u)
+        best = min(plans, key=lambda plan: (float(f"{plan.floor_u:.3g}"), plan.budget.relative_u))
     return best.rates[0].over_lock_in
 
 
 def _planned(request: PlanRequest, ratios: tuple[float, ...]) -> Plan:
     one = _budget(request, _rates(request, ratios, 1))
-    averaging = math.hypot(*(line.contribution for line in one.inputs if line.name in _AVERAGING))
-    fixed = math.hypot(*(line.contribution for line in one.inputs if line.name not in _AVERAGING))
+    most = _budget(request, _rates(request, ratios, MOST_RECORDS))
+    averaging = math.sqrt(max(one.combined_u**2 - most.combined_u**2, 0.0) / (1 - 1 / MOST_RECORDS))
+    fixed = math.sqrt(max(most.combined_u**2 - averaging**2 / MOST_RECORDS, 0.0))
     wanted = request.wanted_u * request.lock_in_rate
     room = wanted**2 - fixed**2
     if room <= 0:
@@ -145,13 +145,14 @@ def _planned(request: PlanRequest, ratios: tuple[float, ...]) -> Plan:
     records = min(max(math.ceil(averaging**2 / room * (1 - 1e-9)), least), MOST_RECORDS)
     rates = _rates(request, ratios, records)
     budget = _budget(request, rates)
+    # where what is known beforehand bounds the rest, the variance does not go with the number of records
+    while budget.combined_u > wanted >= fixed * _CLOSE_TO_FLOOR and records < MOST_RECORDS:
+        records = min(math.ceil(1.2 * records), MOST_RECORDS)
+        rates = _rates(request, ratios, records)
+        budget = _budget(request, rates)
     seconds = sum(rate.shape.records * (rate.shape.duration + request.seconds_between_records) for rate in rates)
     reached = budget.combined_u <= wanted * (1 + 1e-6)
     return Plan(request, rates, budget, reached, fixed / request.lock_in_rate, seconds)
-
-
-_AVERAGING = ("noise", "quantization", "beat_frequency", "scatter")
-"""Lines of a budget that fall with the number of records."""
 
 
 def _rates(request: PlanRequest, ratios: tuple[float, ...], records: int) -> tuple[PlannedRate, ...]:
@@ -187,15 +188,9 @@ def _rate(request: PlanRequest, ratio: float, sense: int, records: int) -> Plann
     )
 
 
-def _separated(request: PlanRequest, rates: tuple[PlannedRate, ...]) -> frozenset[str]:
-    """What the records will show: a third harmonic always, the rest by both senses or by many rates."""
-    found = {"third_order"}
-    if request.distortion_separated:
-        found.add("distortion")
-    over = sorted({rate.over_lock_in for rate in rates})
-    if len(over) >= _RATES_FOR_CORNERS and over[-1] >= _SPAN_FOR_CORNERS * over[0]:
-        found |= {"bandwidth", "gain_corner"}
-    return frozenset(found)
+def _separated(rates: tuple[PlannedRate, ...]) -> frozenset[str]:
+    """What the records will show: a third harmonic always; the fit to several rates counts all of it."""
+    return frozenset(COUNTED) if len(rates) > 1 else frozenset({"third_order"})
 
 
 def _budget(request: PlanRequest, rates: tuple[PlannedRate, ...]) -> Budget:
@@ -211,7 +206,7 @@ def _budget(request: PlanRequest, rates: tuple[PlannedRate, ...]) -> Budget:
     )
     knowledge = replace(
         request.knowledge,
-        separated=_separated(request, rates),
+        separated=_separated(rates),
         table=request.table.at(slowest.input_rate) if request.table is not None else None,
     )
     if len(rates) > 1:

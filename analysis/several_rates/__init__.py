@@ -1,11 +1,12 @@
 """Lock-in rate from records at several rates, free of distortion and of the gain's delay: see `fit`."""
 
-from analysis.several_rates.fit import fit_rate_ratios, fit_rates
+from analysis.several_rates.fit import COUNTED, fit_rate_ratios, fit_rates
 from analysis.several_rates.ratio_model import RatioData, Reference, predicted_ratio
 from analysis.several_rates.receiver import ReceiverKnowledge
 from analysis.several_rates.result import Alternative, Model, ModelFit, RatesFit, RatesFlag, WithoutOneRate
 
 __all__ = [
+    "COUNTED",
     "Alternative",
     "Model",
     "ModelFit",

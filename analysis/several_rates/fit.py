@@ -39,8 +39,8 @@ from analysis.several_rates.ratio_records import (
     records_of_estimates,
 )
 from analysis.several_rates.receiver import ReceiverKnowledge
-from analysis.several_rates.result import Model, ModelFit, RatesFit
-from analysis.several_rates.solutions import answer, by_profile, lock_in_u, polar_covariance
+from analysis.several_rates.result import Model, ModelFit, RatesFit, RatesFlag
+from analysis.several_rates.solutions import answer, by_profile, lock_in_u, polar_covariance, with_coupling
 
 FREE: dict[Model, tuple[bool, ...]] = {
     "lock-in": (False, False, False, False),
@@ -58,6 +58,8 @@ MORE_RECORDS = "take the other sense of rotation as well, or rates that differ b
 
 ENLARGED = "; enlarged to the scatter between records, which is more than that noise explains"
 UNLIKELY = 0.001
+CONTRADICTED = 25.0
+"""What somebody stated is not used where chi-square is higher by more with it: five standard deviations."""
 
 
 def fit_rates(
@@ -188,6 +190,13 @@ def _fit(
     chosen: Model = "all" if model == "auto" else model
     known = (receiver or ReceiverKnowledge()).prior(float(points.points.angular.min()) / (2 * np.pi))
     found = all_solutions(points.points, _prior(chosen, known))
+    contradicted = False
+    if receiver is not None and chosen == "all":
+        usual = ReceiverKnowledge().prior(float(points.points.angular.min()) / (2 * np.pi))
+        free = fit_ratios(points.points, usual, found.parameters[:1])
+        contradicted = bool(free.chi_square[0] < found.chi_square[0] - CONTRADICTED)
+        if contradicted:
+            known, found = usual, all_solutions(points.points, usual)
     # One rate in one sense tells nothing from lock-in, however many records there are.
     if points.rate_group.size < 2 and chosen != "lock-in":
         what = f"the unknowns of the model {model!r} apart" if model != "auto" else "distortion from lock-in"
@@ -195,7 +204,8 @@ def _fit(
     if found.singular[0]:
         raise NoFit(f"these records cannot tell the unknowns of the model {model!r} apart: {MORE_RECORDS}")
     fits = _models(points, found, known, chosen)
-    return _result(records, used, points, fits, found, known, chosen, receiver)
+    result = _result(records, used, points, fits, found, known, chosen, receiver)
+    return replace(result, flags=result.flags | (RatesFlag.STATED_LIMITS_EXCEEDED if contradicted else 0))
 
 
 def _points(records: RatioRecords, used: Bools, rate_u: Floats, reference: Reference) -> Points:
@@ -262,6 +272,8 @@ def _result(
     said = answer(found, widen, freedom)
     if np.unique(np.sign(points.points.rate)).size == 1:
         said = by_profile(said, found, points.points, prior, widen, freedom)
+    if p_value < UNLIKELY:
+        said = with_coupling(said, fit, records.scale_factor)
     us, fitted = np.sqrt(np.diagonal(covariance)), np.where([True, True, *FREE[chosen]], 1.0, np.nan)
     at_least = _at_least(records, said.high)
     left, deviation = _residuals(fit, points.records, used)

@@ -23,7 +23,7 @@ starts are taken."""
 _FIRST_ITERATIONS, _FINISHED = 15, 5
 """All starts go a little way, the best of them to the end."""
 
-_PROFILE_ITERATIONS = 40
+_PROFILE_ITERATIONS = 25
 
 _CLOSE = 1e-3
 _LARGEST = 0.999

@@ -45,6 +45,8 @@ class RatesFlag(IntFlag):
     """A record shows a beat at a rate, as given, at which the gyro should be locked."""
     SEVERAL_SOLUTIONS = 8192
     """Another lock-in rate explains the records as well: `RatesFit.alternatives`; the interval holds all."""
+    STATED_LIMITS_EXCEEDED = 32768
+    """The records show more distortion, or a lower corner, than was stated; the usual bounds were used instead."""
     RECORDS_MISFIT = 16384
     """The records themselves depart from the lock-in waveform, by more than third-order distortion explains."""
 

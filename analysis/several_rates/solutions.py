@@ -103,7 +103,33 @@ def _ends(height: Callable[[Floats], Floats], sizes: Floats, allowed: float) -> 
     return (low + float(before)) / 2, (high + float(after)) / 2
 
 
-_REFINEMENTS, _FINER = 2, 6
+_REFINEMENTS, _FINER = 1, 6
+
+
+def with_coupling(said: Answer, fit: RatioFit, scale_factor: float) -> Answer:
+    """The answer with what coupling without loss may do to it, where a gain corner is seen and the model fails.
+
+    With an angle between the backscatter of the two beams WL comes out too high by up to (B_s/g_d)^2, B_s = 2 pi K
+    WL tan(eps/2) and g_d a third of g_c for a cross saturation of half the self saturation
+    (docs/several_rates.md).
+    """
+    gain_time, u = float(fit.parameters[0, 3]), float(np.sqrt(fit.covariance[0, 3, 3]))
+    if not gain_time > _SEEN * u:
+        return said
+    share = (2 * math.pi * scale_factor * said.value * _LARGEST_COUPLING * _OVER_G_D * gain_time) ** 2
+    extra = share * said.value / math.sqrt(3)
+    wide = math.hypot(said.u, extra)
+    reach = _NORMAL_95 * extra
+    low = said.value - math.hypot(said.value - said.low, reach)
+    return Answer(
+        said.value, wide, max(low, 0.0), said.value + math.hypot(said.high - said.value, reach), said.others
+    )
+
+
+_SEEN = 3.3
+_LARGEST_COUPLING = math.sqrt(3.0)
+"""tan(eps/2) of 120 degrees between the backscatter of the beams."""
+_OVER_G_D = 3.0
 
 
 def polar_covariance(fit: RatioFit) -> Floats:

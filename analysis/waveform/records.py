@@ -188,8 +188,9 @@ class _Centred:
             if lifted.size:
                 absent = None if missing is None else missing[lifted]
                 again = _Centred.of(raw[lifted], absent, np.dtype(np.float64))
-                for name, fine in vars(again).items():
-                    getattr(found, name)[lifted] = fine
+                with np.errstate(over="ignore"):  # beyond single precision: such records are fitted in double
+                    for name, fine in vars(again).items():
+                        getattr(found, name)[lifted] = fine
         return found
 
 

@@ -43,9 +43,10 @@ def third_harmonic(stack: Stack, fit: WaveformFit) -> tuple[Complexes, Floats]:
     excess, u = np.zeros(series.omega.size, dtype=np.complex128), np.full(series.omega.size, np.inf)
     whole = np.ones(series.omega.size, dtype=bool)
     for part in stack.parts():
-        some = stack.take(part, np.float32)
-        rows = np.arange(part.start, part.start + len(some.values))
-        excess[rows] = _line(some.values, series.omega[rows])
+        with np.errstate(over="ignore", invalid="ignore"):  # volts beyond single precision: not known then
+            some = stack.take(part, np.float32)
+            rows = np.arange(part.start, part.start + len(some.values))
+            excess[rows] = _line(some.values, series.omega[rows])
         if some.weights is not None:
             whole[rows] = some.weights.all(axis=-1)
     with np.errstate(all="ignore"):  # records without a beat; they are blanked

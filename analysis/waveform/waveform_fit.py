@@ -83,7 +83,8 @@ def fit_waveform(stack: Stack, clipped: Bools | None) -> WaveformFit:
 def _fit_what_can_be(stack: Stack, part: slice, clipped: Bools | None) -> list[WaveformFit]:
     """Fits of a part, in order; a record that the arithmetic cannot cope with is refused, and stops no other."""
     try:
-        return [_fit_part(stack, part, clipped)]
+        with np.errstate(over="ignore", under="ignore", invalid="ignore"):
+            return [_fit_part(stack, part, clipped)]
     except (np.linalg.LinAlgError, ArithmeticError):
         first, stop, _ = part.indices(len(stack.volts))
         if stop - first == 1:
@@ -96,7 +97,8 @@ def _fit_what_can_be(stack: Stack, part: slice, clipped: Bools | None) -> list[W
 def _refused() -> WaveformFit:
     """One record of which nothing can be said."""
     unknown = np.array([np.nan])
-    series = Series(unknown, unknown + 0j, unknown + 0j, unknown)
+    nothing = np.zeros(1)  # finite, so that what is computed from it for all records stays silent
+    series = Series(nothing, nothing + 0j, nothing + 0j, np.ones(1))
     flags = np.array([int(Flag.NOT_LOCK_IN_LIKE)])
     return WaveformFit(series, np.full((1, 6, 6), np.nan), np.ones((1, 3)), unknown, unknown, flags)
 
@@ -105,8 +107,7 @@ def _fit_part(stack: Stack, part: slice, clipped: Bools | None) -> WaveformFit:
     """Single precision, and double where single would show."""
     records = stack.take(part, np.float32)
     known = None if clipped is None else clipped[part]
-    with np.errstate(over="ignore", under="ignore", invalid="ignore"):
-        fit = _fit_records(records, known)
+    fit = _fit_records(records, known)
     swing = records.highest - records.lowest
     good = (swing > SINGLE_PRECISION_SWING[0]) & (swing < SINGLE_PRECISION_SWING[1])
     good &= fit.noise_rms > SINGLE_PRECISION_NOISE * swing
@@ -212,9 +213,9 @@ def _judged(
             continue
         here = np.array([row])
         beat = Series(*(np.array([getattr(moved, f.name)]) for f in fields(Series)))
-        again = examine_residual(
-            Residual.of(moved.left[np.newaxis]), n_samples, count[here], beat, repeated[here], moved=True
-        )
+        # What noise of the rate leaves is white only together with that noise.
+        residual, white = Residual.of(moved.left[np.newaxis]), moved.walk == 0
+        again = examine_residual(residual, n_samples, count[here], beat, repeated[here], moved=white)
         # A motion takes noise from where it has its sidebands, and u knows of it: less there is no colour.
         told, factors = int(again.flags[0]), np.maximum(again.excess[0], 1.0)
         if not np.any(factors > 1.0):
@@ -225,8 +226,7 @@ def _judged(
         covariance[row], free[row], power[row] = moved.covariance, moved.degrees, moved.variance * moved.degrees
         covariance[row] /= moved.variance
         flags[row] = (flags[row] & ~report.flags[row]) | told | moved.flags
-        excess[row] = factors
-        report.misfit[row] = again.misfit[0]
+        excess[row], report.misfit[row] = factors, again.misfit[0]
     flags[records.constant] = Flag.CONSTANT
     flags[count < FEWEST_SAMPLES] |= Flag.TOO_FEW_SAMPLES
     variance = power / np.maximum(free, 1)

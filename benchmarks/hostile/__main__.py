@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import sys
+from pathlib import Path
 
 from benchmarks.hostile import benches
 from benchmarks.hostile.classes import CLASSES
@@ -11,6 +12,7 @@ from benchmarks.hostile.measure import measure
 from benchmarks.hostile.tables import records_table
 
 DEFAULT_RECORDS = 200
+PAGE_MARKS = ("<!-- tables of python -m benchmarks.hostile -->", "<!-- end of tables -->")
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -18,7 +20,12 @@ def main(arguments: list[str] | None = None) -> int:
     options = _options(arguments)
     chosen = [one for one in CLASSES if options.only.lower() in f"{one.kind}: {one.name}".lower()]
     outcomes = measure(chosen, options.records, options.seed)
-    sys.stdout.write(records_table(outcomes, options.records, options.seed) + "\n")
+    report = records_table(outcomes, options.records, options.seed) + "\n"
+    sys.stdout.write(report)
+    if options.page:
+        before, rest = options.page.read_text().split(PAGE_MARKS[0], 1)
+        after = rest.split(PAGE_MARKS[1], 1)[1]
+        options.page.write_text(f"{before}{PAGE_MARKS[0]}\n\n{report}\n{PAGE_MARKS[1]}{after}")
     if options.benches and not options.only:
         sys.stdout.write("\n" + benches.run(options.seed, options.benches) + "\n")
     return 0
@@ -46,7 +53,11 @@ def _options(arguments: list[str] | None) -> argparse.Namespace:
     )
     parser.add_argument("--seed", type=int, default=1, metavar="S", help="of every random number (default 1)")
     parser.add_argument("--only", default="", metavar="TEXT", help='classes with this in "kind: name"')
-    return parser.parse_args(arguments)
+    parser.add_argument("--page", type=Path, metavar="FILE", help="put the tables between the marks of this page")
+    options = parser.parse_args(arguments)
+    if options.page and not (options.page.is_file() and all(m in options.page.read_text() for m in PAGE_MARKS)):
+        parser.error(f"{options.page} is no file with the marks {PAGE_MARKS[0]} and {PAGE_MARKS[1]}")
+    return options
 
 
 if __name__ == "__main__":

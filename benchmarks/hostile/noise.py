@@ -53,7 +53,8 @@ def spike_train(rng: np.random.Generator) -> HostileRecord:
     distance = log_uniform(rng, 5.0, 400.0)
     since = (np.arange(N_SAMPLES) + rng.uniform(0, distance)) % distance
     shape = np.exp(-since / log_uniform(rng, 0.3, 2.0)) * (since < 5)
-    return _with(rng, gyro, log_uniform(rng, 3.0, 100.0) * float(rng.choice([-1, 1])) * shape)
+    height = log_uniform(rng, 3.0, 100.0) * float(rng.choice([-1, 1]))
+    return _with(rng, gyro, np.asarray(height * shape))
 
 
 def mains_hum(rng: np.random.Generator) -> HostileRecord:
@@ -85,7 +86,7 @@ def telegraph(rng: np.random.Generator) -> HostileRecord:
     """Popcorn noise: the level jumps to and fro, by 1 to 20 levels, 3 to 100 times in the record."""
     gyro = draw_gyro(rng, amplitude=(40.0, 80.0))
     jumps = rng.uniform(size=N_SAMPLES) < log_uniform(rng, 3.0, 100.0) / N_SAMPLES
-    return _with(rng, gyro, log_uniform(rng, 1.0, 20.0) * (np.cumsum(jumps) % 2))
+    return _with(rng, gyro, np.asarray(log_uniform(rng, 1.0, 20.0) * (np.cumsum(jumps) % 2), dtype=np.float64))
 
 
 CLASSES = (

@@ -62,7 +62,7 @@ def step_in_the_codes(rng: np.random.Generator) -> HostileRecord:
 def soft_clipping(rng: np.random.Generator) -> HostileRecord:
     """The amplifier saturates softly, as tanh, about a level that need not be the middle of the beat."""
     gyro = draw_gyro(rng)
-    drive, lift = log_uniform(rng, 0.05, 2.0), rng.uniform(-0.5, 0.5) * (rng.uniform() < 0.5)
+    drive, lift = log_uniform(rng, 0.05, 2.0), rng.uniform(-0.25, 0.25) * (rng.uniform() < 0.5)
     signal = np.tanh(drive * (beat(gyro, steady(gyro)) + lift)) / np.tanh(drive * (1 + abs(lift)))
     return recorded(rng, gyro, signal)
 

@@ -33,6 +33,10 @@ STEP_STANDS_OUT = 12.0
 logarithms times their number; a wrong one costs little, since the fit drops it again."""
 
 
+NOT_APART = 1e-9
+"""Determinant of two columns from which on they count as one."""
+
+
 @dataclass(frozen=True)
 class FirstPhase:
     """phase (N,) rad; amplitude, offset (N,) as low polynomials of time, the offset with its step.
@@ -133,21 +137,22 @@ def _step_between(columns: Floats, middles: Floats) -> int | None:
     count = middles.size
     if count < columns.shape[0] + 4:
         return None
-    scatter = _left_by(columns, middles)
-    left = np.full(count, np.inf)
-    for number in range(1, count - 1):
-        # the middle itself lies half-way up, so it has a column of its own
-        behind, itself = (np.arange(count) > number).astype(float), np.zeros(count)
-        itself[number] = 1.0
-        left[number] = _left_by(np.concatenate([columns, [behind], [itself]]), middles)
-    best = int(left.argmin())
-    gain = count * np.log(scatter / max(left[best], 1e-12 * scatter))
-    return best if gain > STEP_STANDS_OUT + 2 * np.log(count) else None
-
-
-def _left_by(columns: Floats, values: Floats) -> float:
-    left = values - np.linalg.lstsq(columns.T, values, rcond=None)[0] @ columns
-    return max(float(left @ left), 1e-300)
+    smooth = np.linalg.qr(columns.T)[0]
+    rough = middles - smooth @ (smooth.T @ middles)
+    # For each middle the gain of two more columns: 1 behind it, and, since it lies half-way up, one for itself.
+    free = np.eye(count) - smooth @ smooth.T
+    behind = np.cumsum(free[:, ::-1], axis=1)[:, ::-1] - free
+    with_behind = np.cumsum(rough[::-1])[::-1] - rough
+    of_behind = np.cumsum(behind[::-1], axis=0)[::-1].diagonal() - behind.diagonal()
+    of_both, of_itself = behind.diagonal(), free.diagonal()
+    inner = slice(1, -1)
+    aa, ab, bb, a, b = (v[inner] for v in (of_behind, of_both, of_itself, with_behind, rough))
+    determinant = aa * bb - ab**2
+    known = determinant > NOT_APART
+    gains = np.where(known, bb * a**2 - 2 * ab * a * b + aa * b**2, 0.0) / np.where(known, determinant, 1.0)
+    best, scatter = int(gains.argmax()), float(rough @ rough)
+    gain = count * np.log(scatter / max(scatter - gains[best], 1e-12 * scatter)) if scatter > 0 else 0.0
+    return best + 1 if gain > STEP_STANDS_OUT + 2 * np.log(count) else None
 
 
 def _bridged(phase: Floats, valid: Bools) -> Floats:

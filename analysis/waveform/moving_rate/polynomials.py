@@ -27,7 +27,7 @@ class Polynomials:
     means: Floats
 
 
-@lru_cache(maxsize=2)
+@lru_cache(maxsize=4)
 def polynomials(n_samples: int) -> Polynomials:
     """All polynomials that are used."""
     time = (np.arange(n_samples) - (n_samples - 1) / 2) * (2 / n_samples)

@@ -139,6 +139,11 @@ def _bandwidth(fit: RatesFit) -> str:
 
 
 def _records(fit: RatesFit) -> str:
+    if _has(fit, RatesFlag.STATED_LIMITS_EXCEEDED):
+        return (
+            "The records show more distortion, or a lower corner of receiver or laser, than was stated; the "
+            "statement was not used."
+        )
     if not _has(fit, RatesFlag.RECORDS_MISFIT):
         return ""
     return (

@@ -1,0 +1,131 @@
+"""What a residual, and the parts of a record, say against its number."""
+
+import numpy as np
+import pytest
+
+from analysis import DOUBTFUL, FATAL, Flag, beat_signal, combine_estimates, estimate_lock_in
+from benchmarks.hostile.classes import CLASSES
+from benchmarks.hostile.gyro import N_SAMPLES, beat, draw_gyro, levels_of, steady, step_times
+from benchmarks.hostile.measure import answer_to, measure
+
+N = np.arange(2500)
+X = 0.1
+
+
+def records(n_records, seed, *, periods=40.3, amplitude=90.0, noise=0.5, **more):
+    rng = np.random.default_rng(seed)
+    k = periods / 2500 / np.sqrt(1 - X * X)
+    volts = beat_signal(
+        N,
+        scale_factor=k,
+        input_rate=1.0,
+        lock_in_rate=X,
+        amplitude=amplitude,
+        initial_phase=rng.uniform(0, 6, n_records),
+        **more,
+    )
+    return k, volts, rng.normal(scale=noise, size=volts.shape)
+
+
+def has(estimate, flag):
+    return (estimate.flags & int(flag)) != 0
+
+
+def test_the_uncertainty_holds_the_even_half_of_a_saturation_whose_odd_half_is_seen():
+    k, volts, noise = records(40, 1)
+    for drive in (0.5, 1.0):
+        codes = np.rint(90 * np.tanh(drive * (volts / 90 + 0.2)) / np.tanh(drive * 1.2) + noise)
+        e = estimate_lock_in(codes, 1.0, scale_factor=k)
+        error = np.abs(e.lock_in_rate - X)
+        assert has(e, Flag.MISFIT).all()
+        # noise alone would not explain it, the misfit does; WL is nearly 2 W r
+        noise_u = 2 * np.sqrt(np.trace(e.complex_ratio_covariance, axis1=-2, axis2=-1) / 2)
+        assert np.median(error / noise_u) > 5
+        assert np.median(error / e.lock_in_rate_u) < 2
+
+
+def test_a_line_far_from_the_harmonics_costs_less_than_one_on_the_third():
+    k, volts, noise = records(20, 2)
+    turn = 2 * np.pi * 40.3 / 2500 * N
+    far, third = (
+        estimate_lock_in(np.rint(volts + noise + 0.6 * np.cos(order * turn)), 1.0, scale_factor=k)
+        for order in (2.53, 3.0)
+    )
+    assert has(far, Flag.MISFIT).all() and has(third, Flag.MISFIT).all()
+    assert np.median(third.misfit_u) > 10 * np.median(far.misfit_u)
+    assert np.all(np.abs(far.lock_in_rate - X) < 5 * far.lock_in_rate_u)
+
+
+def test_misfit_is_no_noise_and_does_not_shift_the_value():
+    """Freeing the ratio of the bias of noise by the misfit would make it too small."""
+    k, volts, noise = records(1, 3)
+    bent = volts + noise + 4 * np.cos(3 * 2 * np.pi * 40.3 / 2500 * N)
+    e = estimate_lock_in(bent, 1.0, scale_factor=k)
+    assert e.misfit_u[0] > 0.5 * e.ratio[0]
+    assert float(e.ratio[0]) == pytest.approx(float(np.abs(e.complex_ratio[0])), rel=1e-3)
+
+
+def test_parts_of_other_time_bases_differ_and_their_difference_enters_u():
+    rng = np.random.default_rng(4)
+    for _ in range(5):
+        gyro = draw_gyro(rng, periods=(30, 60), rate_over_lock_in=(3, 10), noise=(0.3, 0.6))
+        interval = np.full(step_times().size, gyro.sample_interval)
+        interval[interval.size // 2 :] *= 1.2
+        volts = levels_of(gyro, beat(gyro, steady(gyro), interval)) + rng.normal(scale=gyro.noise, size=N_SAMPLES)
+        e = estimate_lock_in(volts, gyro.sample_interval, scale_factor=gyro.scale_factor)
+        assert not np.isfinite(e.lock_in_rate) or int(e.flags) & int(DOUBTFUL)
+        assert not abs(float(e.lock_in_rate) - gyro.lock_in_rate) > 3 * float(e.lock_in_rate_u)
+
+
+def test_a_beam_blocked_for_a_third_is_refused_or_flagged():
+    k, volts, noise = records(20, 5)
+    volts[:, 800:1600] = 0.0
+    e = estimate_lock_in(np.rint(volts + noise), 1.0, scale_factor=k)
+    assert np.all(has(e, FATAL | DOUBTFUL))
+
+
+def test_what_all_records_have_in_common_does_not_average_out():
+    k, volts, noise = records(100, 6)
+    codes = np.rint(90 * np.tanh(0.7 * (volts / 90 + 0.2)) / np.tanh(0.7 * 1.2) + noise)
+    e = estimate_lock_in(codes, 1.0, scale_factor=k)
+    mean = combine_estimates(e)
+    assert int(mean.flags) & Flag.MISFIT
+    assert abs(float(mean.lock_in_rate) - X) < 2 * float(mean.lock_in_rate_u)
+    assert float(mean.misfit_u) == pytest.approx(float(np.median(e.misfit_u)), rel=0.2)
+
+
+def test_one_record_that_did_not_fit_hardly_counts_among_good_ones():
+    k, volts, noise = records(20, 7)
+    noise[0] += 6 * np.cos(2 * 2 * np.pi * 41.9 / 2500 * N)
+    e = estimate_lock_in(np.rint(volts + noise), 1.0, scale_factor=k)
+    with_it, without = combine_estimates(e), combine_estimates(e[1:])
+    assert has(e, Flag.MISFIT)[0]
+    assert abs(float(with_it.lock_in_rate - without.lock_in_rate)) < 0.3 * float(without.lock_in_rate_u)
+
+
+def test_no_record_stops_the_others():
+    """Noise of the rate so strong that a phase runs backwards; inside lock-in; steps, ramps, single values."""
+    rng = np.random.default_rng(8)
+    odd = [one.make(rng).volts for one in CLASSES if one.kind == "detect" for _ in range(2)]
+    odd += [1e150 * rng.normal(size=2500), np.r_[np.zeros(2499), 1.0], N * 1.0, np.sign(np.sin(N / 9.0))]
+    k, volts, noise = records(1, 9)
+    together = estimate_lock_in(np.array([*odd, (volts + noise)[0]]), 1.0, scale_factor=k)
+    assert abs(float(together.lock_in_rate[-1]) - X) < 5 * float(together.lock_in_rate_u[-1])
+    refused = np.isnan(together.lock_in_rate)
+    assert np.all(has(together, FATAL)[refused])
+
+
+def test_hardly_an_ideal_record_is_suspected():
+    ideal = [one for one in CLASSES if one.name == "nothing is wrong"]
+    (outcome,) = measure(ideal, 150, 1)
+    assert outcome.count("finite") == 150
+    assert outcome.count("warned") <= 2
+    assert outcome.covered >= 125
+
+
+@pytest.mark.parametrize("name", ["random-walk phase, 3 to 10 rad", "ramp into the lock-in zone", "slow slewing"])
+def test_what_is_to_be_detected_is(name):
+    (one,) = [one for one in CLASSES if one.name == name]
+    rng = np.random.default_rng(10)
+    answers = [answer_to(one.make(rng)) for _ in range(6)]
+    assert not any(answer.error or (answer.wrong and not answer.warned) for answer in answers)

@@ -167,7 +167,8 @@ def small_disk(folder: Path, kilobytes: int, script: str) -> subprocess.Complete
 
 @pytest.mark.parametrize("kilobytes", [100, 300, 500])
 def test_a_full_disk_is_told_as_what_it_is(tmp_path: Path, kilobytes: int) -> None:
-    measure = f"{COMMAND} measure --rates 8 --records 10 --json; code=$?; echo; {COMMAND} analyze runs/* --json; exit $code"
+    measure = f"{COMMAND} measure --rates 8 --records 10 --json; code=$?; echo"
+    measure += f"; {COMMAND} analyze runs/* --json; exit $code"
     done = small_disk(tmp_path, kilobytes, measure)
     assert done.returncode == 5, done.stdout + done.stderr
     assert "Traceback" not in done.stderr

@@ -21,7 +21,7 @@ import pyvisa
 from pyvisa.resources import MessageBasedResource
 
 from analysis.arrays import Floats
-from benchmarks.delaying_proxy import DelayingProxy, Traffic
+from benchmarks.links.delaying_proxy import DelayingProxy, Traffic
 from instrument import TDS2014
 from instrument.facts import POINTS
 from instrument.simulated import PtyServer, SimulatedTDS2014, TcpServer, VirtualClock, resource_manager

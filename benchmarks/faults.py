@@ -22,8 +22,8 @@ import numpy as np
 import pyvisa
 
 from analysis.arrays import Floats
-from benchmarks.fault_proxy import FaultProxy
-from benchmarks.recording_scope import RecordingScope
+from benchmarks.links.fault_proxy import FaultProxy
+from benchmarks.links.recording_scope import RecordingScope
 from instrument import TDS2014, InstrumentError, LinkError, Preamble, Tally, Waveform
 from instrument.simulated import Fault, Faults, SimulatedTDS2014, TcpServer, VirtualClock, resource_manager
 from instrument.simulated.faults import FaultKind

@@ -23,7 +23,7 @@ from dataclasses import dataclass, field
 from itertools import cycle
 from pathlib import Path
 
-from benchmarks.recording_scope import RecordingScope
+from benchmarks.links.recording_scope import RecordingScope
 from instrument import ATTEMPTS, RECONNECT_FOR, TDS2014, InstrumentError, Persistence, Preamble
 from instrument.simulated import Fault, Faults, VirtualClock, resource_manager
 from instrument.simulated.faults import FaultKind

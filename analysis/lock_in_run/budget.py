@@ -36,6 +36,7 @@ from analysis.several_rates import Model, RatesFit, RatesFlag, ReceiverKnowledge
 _RECTANGLE = math.sqrt(3.0)
 _SAMPLES_FITTED = 6
 _EAST = 90.0
+_CORNER_NAMES = {name for name, *_ in CORNERS}
 _HARDLY = 0.7
 """Share of its uncertainty beforehand that an unknown of the fit has left, if the records hardly show it."""
 
@@ -155,7 +156,8 @@ def _rates_budget(
     # what is common stands as at one rate; the channel comes below
     at_one_rate = lock_in_budget(point, bench)
     scale = fit.lock_in_rate / at_one_rate.lock_in_rate if at_one_rate.lock_in_rate else 1.0
-    lines = [replace(line, sensitivity=line.sensitivity * scale) for line in at_one_rate.inputs if line.common]
+    common = [line for line in at_one_rate.inputs if line.common and line.name not in _CORNER_NAMES]
+    lines = [replace(line, sensitivity=line.sensitivity * scale) for line in common]
     hardly_seen = _hardly_seen(fit, receiver, slowest)
     lines += [*_from_fit(fit, samples, hardly_seen), *_from_channel(each, fit, known, point, receiver)]
     return Budget(fit.lock_in_rate, "beat", tuple(lines))

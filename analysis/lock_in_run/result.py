@@ -77,7 +77,10 @@ class LockInRun:
     @property
     def noise_u(self) -> float:
         """Standard uncertainty from the noise of the records alone, deg/s."""
-        return float(self.combined.lock_in_rate_u)
+        if self.several is None or self.budget is None:
+            return float(self.combined.lock_in_rate_u)
+        # that of a fit over several rates holds what it takes to know receiver and laser
+        return next(line.contribution for line in self.budget.inputs if line.name == "noise")
 
     @property
     def interval_95(self) -> tuple[float, float]:

@@ -6,7 +6,7 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from analysis.arrays import Bools, Floats, Indices, Ints, Samples
+from analysis.arrays import Bools, Complexes, Floats, Indices, Ints, Samples
 from analysis.flags import FATAL, Flag
 from analysis.waveform.damage import find_damage, outliers
 from analysis.waveform.moving_rate import MovingFit, fit_moving_rate, may_be_motion
@@ -98,7 +98,8 @@ def _refused() -> WaveformFit:
     """One record of which nothing can be said."""
     unknown = np.array([np.nan])
     nothing = np.zeros(1)  # finite, so that what is computed from it for all records stays silent
-    series = Series(nothing, nothing + 0j, nothing + 0j, np.ones(1))
+    none: Complexes = np.zeros(1, dtype=np.complex128)
+    series = Series(nothing, none, none.copy(), np.ones(1))
     flags = np.array([int(Flag.NOT_LOCK_IN_LIKE)])
     return WaveformFit(series, np.full((1, 6, 6), np.nan), np.ones((1, 3)), unknown, unknown, flags)
 

@@ -106,7 +106,7 @@ def test_broken_files_give_one_clear_line(tmp_path: Path, content: bytes, said: 
 def test_a_missing_file_and_a_directory_are_told(tmp_path: Path) -> None:
     with pytest.raises(SettingsError, match="cannot be read"):
         load_settings(tmp_path / "absent.toml")
-    with pytest.raises(SettingsError, match="cannot be read"):
+    with pytest.raises(SettingsError, match="is a directory"):
         load_settings(tmp_path)
 
 

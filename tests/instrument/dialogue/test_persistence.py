@@ -9,8 +9,8 @@ import time
 import numpy as np
 import pytest
 
-from benchmarks.fault_proxy import KINDS, FaultProxy
-from benchmarks.recording_scope import RecordingScope
+from benchmarks.links.fault_proxy import KINDS, FaultProxy
+from benchmarks.links.recording_scope import RecordingScope
 from instrument import TDS2014, LinkError, Persistence, SettingError, TransferError, WrongInstrument
 from instrument.dialogue.link import Link
 from instrument.simulated import Fault, PtyServer, SimulatedTDS2014, TcpServer, VirtualClock

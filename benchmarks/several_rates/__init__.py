@@ -1,0 +1,1 @@
+"""Pull, coverage and flags of the fit over several rates."""

@@ -81,10 +81,13 @@ HANGING = """
 import sys, time
 from station.cli import main
 from station.runs.taking import Session
-def close_bench(session):
+def hang():
     print("closing", flush=True)
     time.sleep(1000)
-Session.close_bench = close_bench
+def begin(session, *given, begin=Session.begin):
+    session.bench.callback(hang)
+    return begin(session, *given)
+Session.begin = begin
 sys.exit(main(sys.argv[1:]))
 """
 

@@ -1,4 +1,4 @@
-"""Which solution of several rates is taken: all minima are found, shown, and what is stated is not believed blindly."""
+"""Which solution of several rates is taken: all minima are found and shown, statements are tested."""
 
 import numpy as np
 import pytest
@@ -94,7 +94,7 @@ def test_a_wrong_scale_factor_does_not_refuse_given_rates():
 @pytest.mark.parametrize("multiples", [(3, 5.3, 9.5, 17, 30), (8, 15, 30, 60)])
 @pytest.mark.parametrize("noise", [1e-4, 3e-4])
 def test_120_degrees_between_the_beams_lie_inside_the_interval(multiples, noise):
-    """The intensity equations, integrated, with a gain corner at half the fastest beat: 2 to 15 % off, and told."""
+    """The intensity equations, integrated, with a gain corner at half the fastest beat: 2 to 15 % off."""
     rng = np.random.default_rng(4)
     corner = 0.5 * K * WL * max(multiples)
     rates, ratios, beats = ratios_of_slow_gain(both_senses(*multiples), corner, 2 * np.pi / 3)

@@ -135,10 +135,3 @@ def test_a_locked_gyro_after_a_transient_is_flagged_though_the_rest_is_a_sine():
     k, volts, noise = records(5, 8)
     volts = 60 * np.sin(2 * np.pi * 20.3 / 2500 * N) + 120 * np.exp(-N / 8) + noise
     assert np.all(has(estimate_lock_in(np.rint(volts), 1.0, scale_factor=k), FATAL | DOUBTFUL))
-
-
-def test_a_table_that_slows_down_into_lock_in_is_no_slow_beat():
-    # the beat frequency falls to nothing at three fifths of the record, where the gyro stays
-    turn = 2 * np.pi * 60 * np.where(N < 1500, N / 1500 - (N / 1500) ** 2 / 2, 0.5)
-    e = estimate_lock_in(np.rint(90 * np.sin(turn) + 0.5 * np.cos(N)), 1.0, scale_factor=1.0)
-    assert int(e.flags) & int(FATAL | DOUBTFUL)

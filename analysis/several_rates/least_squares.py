@@ -19,7 +19,6 @@ SINGULAR = 1e-11
 _RATIOS = np.geomspace(0.004, 0.93, 22)
 _PHASES = np.arange(24) * (2 * np.pi / 24)
 _GAIN_TIMES = np.array([-1.0, 0.0, 1.0, 3.0])
-_STARTS = 12
 """Sizes of r at the slowest rate, phases, and gain times (over the time of the fastest beat) from which the best
 starts are taken."""
 
@@ -128,15 +127,17 @@ def all_solutions(data: RatioData, prior: Prior) -> RatioFit:
     each; the lowest points of that map are the starts.
     """
     tried = _minimised(data, prior, _starts(data, prior), _FIRST_ITERATIONS)
-    best = np.argsort(tried.chi_square)[:_FINISHED]
-    found = fit_ratios(data, prior, tried.parameters[best])
-    order = np.argsort(found.chi_square)
+    tried = _apart(tried, np.zeros(len(tried.chi_square)))[:_FINISHED]
+    found = fit_ratios(data, prior, tried.parameters)
+    return _apart(found, 0.5 * np.sqrt(np.trace(found.covariance[:, :2, :2], axis1=-2, axis2=-1)))
+
+
+def _apart(found: RatioFit, u: Floats) -> RatioFit:
+    """Those that are not one minimum found twice, within `u` (B,) of their lock-in rates; the best first."""
+    z = found.parameters[:, 0] + 1j * found.parameters[:, 1]
     kept: list[int] = []
-    for row in order:
-        z = found.parameters[row, 0] + 1j * found.parameters[row, 1]
-        others = found.parameters[kept, 0] + 1j * found.parameters[kept, 1]
-        u = np.sqrt(np.trace(found.covariance[row, :2, :2]))
-        if not np.any(np.abs(others - z) < _CLOSE * np.abs(z) + 0.5 * u):
+    for row in np.argsort(found.chi_square):
+        if not np.any(np.abs(z[kept] - z[row]) < _CLOSE * np.abs(z[row]) + u[row]):
             kept.append(int(row))
     return found[np.array(kept)]
 
@@ -232,13 +233,13 @@ def _starts(data: RatioData, prior: Prior) -> Floats:
     cost = _cost(flat, data, prior).reshape(size.shape)
     best = cost.argmin(axis=-1)
     lowest = np.take_along_axis(cost, best[..., np.newaxis], axis=-1)[..., 0]
-    around = [np.roll(lowest, (i, j), axis=(0, 1)) for i in (-1, 0, 1) for j in (-1, 0, 1) if i or j]
-    # the ends of the scale of sizes are no neighbours of each other
-    hollow = lowest <= np.min(around, axis=0)
-    hollow[[0, -1]] |= lowest[[0, -1]] <= lowest[[1, -2]]
-    places = np.argwhere(hollow)
-    places = places[np.argsort(lowest[hollow])][:_STARTS]
-    starts = flat.reshape(*size.shape, -1)[places[:, 0], places[:, 1], best[places[:, 0], places[:, 1]]]
+    # a valley may be narrower than the steps of the map: the best phase of every size is a start too
+    chosen = lowest == lowest.min(axis=1, keepdims=True)
+    edged = np.pad(lowest, ((1, 1), (0, 0)), constant_values=np.inf)
+    around = [np.roll(edged, (i, j), axis=(0, 1))[1:-1] for i in (-1, 0, 1) for j in (-1, 0, 1) if i or j]
+    chosen |= lowest <= np.min(around, axis=0)
+    sizes_chosen, phases_chosen = np.nonzero(chosen)
+    starts = flat.reshape(*size.shape, -1)[sizes_chosen, phases_chosen, best[chosen]]
     return np.asarray(starts)
 
 

@@ -118,7 +118,6 @@ def test_a_rate_at_which_the_gyro_is_locked_is_told_and_the_others_go_on(tmp_pat
     told = led.run.facts["rates_without_beat"]
     assert [one.split(" expected")[0] for one in told] == ["+3", "-3"]
     assert all(one in " ".join(led.said.split()) for one in told)
-    # the search in vain left the oscilloscope far from the beat of the rate after it
     taken = led.run.taken_for("measure")
     assert [record.conditions["over_lock_in"] for record in taken] == 4 * [8.0]
     assert [record.conditions["table_rate_dps"] > 0 for record in taken] == [True, True, False, False]

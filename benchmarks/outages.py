@@ -144,8 +144,11 @@ def measure(outage: str, seconds: float, *, records: int = RECORDS) -> Ended:
                 acknowledged += "key" in json.loads(line)
                 if acknowledged == STRIKE_AFTER:
                     strike(outage, seconds, scope, proxy)
-        (path,) = Path(name).glob("runs/*/run.sqlite")
-        run = open_run(path)
+        text = (Path(name) / "said").read_text()
+        found = list(Path(name).glob("runs/*/run.sqlite"))
+        if not found:
+            return Ended(process.returncode, 0, False, False, Tally(), time.perf_counter() - began, text)
+        run = open_run(found[0])
         return Ended(
             exit_code=process.returncode,
             records=len(run.taken_for("measure")),
@@ -153,7 +156,7 @@ def measure(outage: str, seconds: float, *, records: int = RECORDS) -> Ended:
             complete=run.facts.complete,
             link=run.facts.link_faults or Tally(),
             seconds=time.perf_counter() - began,
-            said=(Path(name) / "said").read_text(),
+            said=text,
         )
 
 

@@ -8,12 +8,13 @@ from typing import Any
 import numpy as np
 import scipy.special
 
-from analysis.arrays import Bools, Floats, Indices, Ints, Samples
+from analysis.arrays import Bools, Complexes, Floats, Indices, Ints, Samples
 from analysis.flags import Flag
 from analysis.waveform.misfit import NEIGHBOURS, left_over, misfit_of, surroundings
 from analysis.waveform.records import sums_of_squares
 from analysis.waveform.series.frequency_search import Sizes, line_sizes, neighbours
 from analysis.waveform.series.geometric_series import Series, sampled_blocks, sampled_series
+from analysis.waveform.series.harmonic_sums import data_sums
 
 LINE_CHANCE = 1e-6
 """A residual line that noise would produce in fewer than this share of records is a misfit."""
@@ -46,27 +47,32 @@ class Residual:
 
     power, largest : (R,) sum of squares and largest size
     lines : (R, N//2 + 1) sizes of the lines of its spectrum
+    third : (R,) complex amplitude at three times the beat, its phase that in the middle of the record
     """
 
     power: Floats
     largest: Samples
     lines: Sizes
+    third: Complexes
 
     @staticmethod
-    def of(samples: Samples) -> Residual:
-        """From the samples (R, N), 0 where missing."""
+    def of(samples: Samples, omega: Floats) -> Residual:
+        """From the samples (R, N), 0 where missing, and the frequencies (R,) of the beats, rad per sample."""
         largest = np.maximum(samples.max(axis=-1), -samples.min(axis=-1))
-        return Residual(sums_of_squares(samples), largest, line_sizes(samples))
+        third = 2 / samples.shape[1] * data_sums(samples, 3 * omega, 1, 0, 1)[:, 0, 0]
+        return Residual(sums_of_squares(samples), largest, line_sizes(samples), third)
 
     @staticmethod
     def empty(n_records: int, n_samples: int, precision: np.dtype[Any]) -> Residual:
         """Room for the residuals of so many records."""
         lines: Sizes = np.empty((n_records, n_samples // 2 + 1), dtype=np.float32)
-        return Residual(np.empty(n_records), np.empty(n_records, dtype=precision), lines)
+        third = np.empty(n_records, dtype=np.complex128)
+        return Residual(np.empty(n_records), np.empty(n_records, dtype=precision), lines, third)
 
     def put(self, part: slice | Indices, other: Residual) -> None:
         """Write the other's records into the places `part` of this one."""
-        self.power[part], self.largest[part], self.lines[part] = other.power, other.largest, other.lines
+        self.power[part], self.largest[part] = other.power, other.largest
+        self.lines[part], self.third[part] = other.lines, other.third
 
 
 def residual_of(values: Samples, weights: Samples | None, series: Series) -> Residual:
@@ -77,7 +83,7 @@ def residual_of(values: Samples, weights: Samples | None, series: Series) -> Res
         np.subtract(values[rows], model, out=model)
         if weights is not None:
             model *= weights[rows]
-        residual.put(rows, Residual.of(model))
+        residual.put(rows, Residual.of(model, series.omega[rows]))
     return residual
 
 

@@ -55,6 +55,8 @@ class WaveformFit:
     excess : (R, 3) variance factors of frequency, ratio size and ratio phase where the noise is not white
     noise_rms : (R,) volts
     misfit : (R,) standard uncertainty of the ratio by what is no noise
+    third : (R,) volts, complex: what the waveform leaves at three times the beat, its phase that in the middle of
+        the record; nan where samples are missing or something moved
     flags : (R,)
     """
 
@@ -63,6 +65,7 @@ class WaveformFit:
     excess: Floats
     noise_rms: Floats
     misfit: Floats
+    third: Complexes
     flags: Ints
 
     def put(self, part: Indices, other: WaveformFit) -> None:
@@ -101,7 +104,7 @@ def _refused() -> WaveformFit:
     none: Complexes = np.zeros(1, dtype=np.complex128)
     series = Series(nothing, none, none.copy(), np.ones(1))
     flags = np.array([int(Flag.NOT_LOCK_IN_LIKE)])
-    return WaveformFit(series, np.full((1, 6, 6), np.nan), np.ones((1, 3)), unknown, unknown, flags)
+    return WaveformFit(series, np.full((1, 6, 6), np.nan), np.ones((1, 3)), unknown, unknown, unknown + 0j, flags)
 
 
 def _fit_part(stack: Stack, part: slice, clipped: Bools | None) -> WaveformFit:
@@ -204,7 +207,7 @@ def _judged(
     n_samples = records.values.shape[1]
     report = examine_residual(left, n_samples, count, series, repeated)
     flags |= report.flags
-    excess = report.excess
+    excess, third = report.excess, np.where(count < n_samples, np.nan, left.third)
     # A residual as small as this cannot come from a motion that would move the ratio.
     worth_it = power > TRACKED_FROM**2 * np.abs(series.first) ** 2 * count
     fatal = (report.flags & int(FATAL)) != 0
@@ -215,7 +218,7 @@ def _judged(
         here = np.array([row])
         beat = Series(*(np.array([getattr(moved, f.name)]) for f in fields(Series)))
         # What noise of the rate leaves is white only together with that noise.
-        residual, white = Residual.of(moved.left[np.newaxis]), moved.walk == 0
+        residual, white = Residual.of(moved.left[np.newaxis], beat.omega), moved.walk == 0
         again = examine_residual(residual, n_samples, count[here], beat, repeated[here], moved=white)
         # A motion takes noise from where it has its sidebands, and u knows of it: less there is no colour.
         told, factors = int(again.flags[0]), np.maximum(again.excess[0], 1.0)
@@ -227,12 +230,12 @@ def _judged(
         covariance[row], free[row], power[row] = moved.covariance, moved.degrees, moved.variance * moved.degrees
         covariance[row] /= moved.variance
         flags[row] = (flags[row] & ~report.flags[row]) | told | moved.flags
-        excess[row], report.misfit[row] = factors, again.misfit[0]
+        excess[row], report.misfit[row], third[row] = factors, again.misfit[0], np.nan
     flags[records.constant] = Flag.CONSTANT
     flags[count < FEWEST_SAMPLES] |= Flag.TOO_FEW_SAMPLES
     variance = power / np.maximum(free, 1)
     covariance *= variance[:, np.newaxis, np.newaxis]
-    return WaveformFit(series, covariance, excess, np.sqrt(variance), report.misfit, flags)
+    return WaveformFit(series, covariance, excess, np.sqrt(variance), report.misfit, third, flags)
 
 
 def _moving_fit(

@@ -43,17 +43,8 @@ MEMORY = 300 << 20
 _NUMBER = re.compile(rb"[-+]?\d+(?:\.\d*)?(?:[eE][-+]?\d+)?")
 _WILD = (
     *(b"1e400", b"-1e400", b"nan", b"inf", b"1e-320", b"0", b"-0.0", b"-1", b"1e308", b"9" * 400, b"9" * 5000),
-    *(
-        b"2147483648",
-        b"9223372036854775808",
-        b"0x" + b"f" * 5000,
-        b"1_000",
-        b"",
-        b'"',
-        b"true",
-        b"[]",
-        b"\xff\xfe",
-    ),
+    *(b"2147483648", b"9223372036854775808", b"0x" + b"f" * 5000, b"1_000", b"", b'"', b"true", b"[]"),
+    b"\xff\xfe",
 )
 _INSERTED = (
     *(b"\x00", b"\r", b"\n", b",", b";", b"#", b'"', b"'", b"=", b"[", b"{", b"\x1b[2J", b"\xe2\x80\xae"),
@@ -205,7 +196,8 @@ def _makers(kind: str, folder: Path, source: random.Random) -> list[Maker]:
 
 def _damaged_runs(folder: Path, source: random.Random) -> list[Maker]:
     settings: dict[str, dict[str, object]] = {
-        "measurement": {"records": 2, "tilt_records": 1},
+        "measurement": {"records": 2, "tilt_records": 1, "rates_over_lock_in": [8.0], "both_senses": False},
+        "table": {"both_senses": False},
         "output": {"directory": str(folder / "runs")},
     }
     kind = measurement("measure")
@@ -241,21 +233,8 @@ def isf_file() -> bytes:
 
 
 _ISF_NAMES = (
-    *(
-        "BYT_NR",
-        "BIT_NR",
-        "ENCDG",
-        "BN_FMT",
-        "BYT_OR",
-        "NR_PT",
-        "WFID",
-        "PT_FMT",
-        "XINCR",
-        "PT_OFF",
-        "XZERO",
-        "XUNIT",
-    ),
-    *("YMULT", "YZERO", "YOFF", "YUNIT"),
+    *("BYT_NR", "BIT_NR", "ENCDG", "BN_FMT", "BYT_OR", "NR_PT", "WFID", "PT_FMT"),
+    *("XINCR", "PT_OFF", "XZERO", "XUNIT", "YMULT", "YZERO", "YOFF", "YUNIT"),
 )
 
 

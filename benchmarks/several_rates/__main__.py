@@ -37,6 +37,7 @@ def times(rates_fast: float) -> float:
     return 1 / (2 * np.pi * K * LOCK_IN * rates_fast)
 
 
+ALL_OF_IT = {"distortion": 0.005, "third_order": 0.003, "gain_time": times(60), "lag_square": times(40) ** 2}
 DEFAULT = both(3, 5.3, 9.5, 17, 30)
 SCENARIOS: dict[str, tuple[tuple[float, ...], int, dict[str, float]]] = {
     "default rates": (DEFAULT, 3, {}),
@@ -49,6 +50,7 @@ SCENARIOS: dict[str, tuple[tuple[float, ...], int, dict[str, float]]] = {
     "8 both": (both(8), 8, {}),
     "8, 15, 30, 60 one sense": ((8, 15, 30, 60), 8, {}),
     "the same, gain corner 120 WL": ((8, 15, 30, 60), 8, {"gain_time": times(120)}),
+    "3 to 30 one sense, all of it": ((3, 5.3, 9.5, 17, 30), 4, ALL_OF_IT),
     "3, 30 one sense": ((3, 30), 8, {}),
     "3, 30 one sense, -46 dBc": ((3, 30), 8, {"distortion": 0.005}),
 }

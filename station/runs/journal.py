@@ -8,11 +8,13 @@ Source: SQLite's file format, section 4 (sqlite.org/fileformat2.html).
 
 from __future__ import annotations
 
+import functools
 import struct
 from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 _HEADER, _FRAME = 32, 24
 _MAGIC = 0x377F0682  # and the same with its lowest bit, for sums of big-endian words
@@ -69,10 +71,24 @@ def _good_frames(content: bytes, page_size: int) -> int:
 
 
 def _summed(data: bytes, sums: tuple[int, int], order: str) -> tuple[int, int]:
-    """SQLite's running sums s0 += x[i] + s1, s1 += x[i+1] + s0, modulo 2^32."""
-    first, second = sums
-    words = np.frombuffer(data, dtype=f"{order}u4").tolist()
-    for even, odd in zip(words[::2], words[1::2], strict=True):
-        first = (first + even + second) & 0xFFFFFFFF
-        second = (second + odd + first) & 0xFFFFFFFF
-    return first, second
+    """SQLite's running sums s0 += x[i] + s1, s1 += x[i+1] + s0, modulo 2^32.
+
+    Each sum is a word and the two sums before it: a word weighs in a later sum as the Fibonacci number of their
+    distance.
+    """
+    words = np.frombuffer(data, dtype=f"{order}u4").astype(np.uint32)
+    weights, count = _fibonacci(words.size + 1), words.size
+    first = int(words[:-1] @ weights[count - 2 :: -1]) + sums[0] * int(weights[count - 2])
+    second = int(words @ weights[count - 1 :: -1]) + sums[0] * int(weights[count - 1])
+    first += sums[1] * int(weights[count - 1])
+    second += sums[1] * int(weights[count])
+    return first & 0xFFFFFFFF, second & 0xFFFFFFFF
+
+
+@functools.cache
+def _fibonacci(count: int) -> NDArray[np.uint32]:
+    """The first Fibonacci numbers 1, 1, 2, 3, ... modulo 2^32."""
+    numbers = [1, 1]
+    while len(numbers) < count:
+        numbers.append((numbers[-1] + numbers[-2]) & 0xFFFFFFFF)
+    return np.array(numbers[:count], dtype=np.uint32)

@@ -28,6 +28,10 @@ from station.terminal.streams import unbreakable_streams
 
 _TRACEBACK_VARIABLE = "GYROLOCK_TRACEBACK"
 
+# NumPy's threads for matrices: those of a fit are so small that a second thread costs, on a busy machine, more than the
+# fit. Whoever sets the number keeps it.
+_ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
+
 # command: module and name in it, and the line that `gyrolock --help` shows without importing it
 COMMANDS = {
     "measure": ("lock_in.command:measure", "Measure the lock-in rate: acquire, save, analyse, report."),
@@ -97,6 +101,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         Exit code.
     """
     given = list(sys.argv[1:] if arguments is None else arguments)
+    for name in _ONE_THREAD:
+        os.environ.setdefault(name, "1")
     with unbreakable_streams() as streams, ending_signals():
         try:
             code = _run(given)

@@ -28,8 +28,8 @@ from station.terminal.streams import unbreakable_streams
 
 _TRACEBACK_VARIABLE = "GYROLOCK_TRACEBACK"
 
-# NumPy's threads for matrices: those of a fit are so small that a second thread costs, on a busy machine, more than the
-# fit. Whoever sets the number keeps it.
+# NumPy's threads for matrices: those of a fit are so small that a second thread costs more than it saves, most
+# of all on a busy machine. Whoever sets the number keeps it.
 _ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
 
 # command: module and name in it, and the line that `gyrolock --help` shows without importing it

@@ -22,6 +22,9 @@ _GAIN_TIMES = np.array([-1.0, 0.0, 1.0, 3.0])
 """Sizes of r at the slowest rate, phases, and gain times (over the time of the fastest beat) from which the best
 starts are taken."""
 
+_BESIDE = np.array([0.92, 0.97, 1.03, 1.08])
+"""Lock-in rates over those found first, from which a second minimum close by is looked for."""
+
 _FIRST_ITERATIONS, _FINISHED = 15, 5
 """All starts go a little way, the best of them to the end."""
 
@@ -44,6 +47,11 @@ class RatioFit:
     covariance: Floats
     chi_square: Floats
     singular: Bools
+
+    @property
+    def fields(self) -> tuple[Floats, Floats, Floats, Bools]:
+        """All four, in order."""
+        return self.parameters, self.covariance, self.chi_square, self.singular
 
     def __getitem__(self, key: slice | Indices) -> RatioFit:
         """Some of the sets."""
@@ -127,6 +135,9 @@ def all_solutions(data: RatioData, prior: Prior) -> RatioFit:
     each; the lowest points of that map are the starts.
     """
     tried = _minimised(data, prior, _starts(data, prior), _FIRST_ITERATIONS)
+    tried = _apart(tried, np.zeros(len(tried.chi_square)))[:_FINISHED]
+    near = _minimised(data, prior, _around(tried.parameters, data, prior), _FIRST_ITERATIONS)
+    tried = RatioFit(*(np.concatenate(pair) for pair in zip(tried.fields, near.fields, strict=True)))
     tried = _apart(tried, np.zeros(len(tried.chi_square)))[:_FINISHED]
     found = fit_ratios(data, prior, tried.parameters)
     return _apart(found, 0.5 * np.sqrt(np.trace(found.covariance[:, :2, :2], axis1=-2, axis2=-1)))
@@ -241,6 +252,16 @@ def _starts(data: RatioData, prior: Prior) -> Floats:
     sizes_chosen, phases_chosen = np.nonzero(chosen)
     starts = flat.reshape(*size.shape, -1)[sizes_chosen, phases_chosen, best[chosen]]
     return np.asarray(starts)
+
+
+def _around(found: Floats, data: RatioData, prior: Prior) -> Floats:
+    """Starts beside what was found (B, N_PARAMETERS): another lock-in rate, and nothing but distortion."""
+    starts = np.repeat(found, _BESIDE.size, axis=0)
+    starts[:, :2] *= np.tile(_BESIDE, len(found))[:, np.newaxis]
+    starts[:, 2:] = np.where(prior.sd > 0, prior.mean, found[0])[2:]
+    if prior.sd[2] > 0:
+        starts[:, 2] = _best_distortion(starts, data, prior)
+    return _bounded(starts, data)
 
 
 def _best_distortion(points: Floats, data: RatioData, prior: Prior) -> Floats:

@@ -32,6 +32,9 @@ slope of -1 is common, a curve is rarely sharp."""
 GROSS_MISFIT = 0.05
 """Share of the signal's power that a waveform may miss and still be called that of a gyro above lock-in."""
 
+LARGE, SMOOTH = 0.5, 0.5
+"""What is left may have so much of the signal's power only if its neighbouring samples do not agree by so much: a
+chirp has a flat spectrum too, but is no noise."""
 
 LEFT_BY_MOTION = 0.01
 """The same where a moving phase was fitted, which can follow nearly anything."""
@@ -156,6 +159,11 @@ def examine_residual(
         if lines > (GROSS_MISFIT_OF_A_CURVE if few else GROSS_MISFIT) * signal[row]:
             flags[row] |= Flag.NOT_LOCK_IN_LIKE
 
+    for row in np.flatnonzero((residual_power > LARGE * signal) & ~rounding):
+        if _neighbours_agree(sizes[row]) > SMOOTH:
+            flags[row] |= Flag.NOT_LOCK_IN_LIKE
+            uneven[row] = True
+
     excess = np.ones((n_records, 3))
     at_first = _local_level(sizes, omega, n_samples) / mean
     at_second = _local_level(sizes, 2 * omega, n_samples) / mean
@@ -192,6 +200,12 @@ def examine_residual(
             if surplus > LEFT_BY_MOTION * beat:
                 flags[row] |= Flag.NOT_LOCK_IN_LIKE
     return ResidualReport(flags, excess, uneven, ratio_u)
+
+
+def _neighbours_agree(sizes: Samples) -> float:
+    """Correlation of neighbouring samples, from the lines (N/2 + 1,) of a spectrum."""
+    power = np.square(sizes, dtype=np.float64)
+    return float(power @ np.cos(np.linspace(0, np.pi, power.size)) / max(float(power.sum()), 1e-300))
 
 
 def _line_stands_out(power: Samples, expected: float) -> bool:

@@ -8,7 +8,7 @@ import numpy as np
 
 from analysis.arrays import Bools, Complexes, Floats, Indices, Ints, Samples
 from analysis.flags import FATAL, Flag
-from analysis.waveform.damage import find_damage, outliers
+from analysis.waveform.damage import find_damage, is_a_piece, outliers
 from analysis.waveform.moving_rate import MovingFit, fit_moving_rate, may_be_motion
 from analysis.waveform.quantisation import (
     FEW_ERRORS,
@@ -40,6 +40,10 @@ WORTH_MOVING = 0.98
 MOST_WALK = 20.0
 """rad of random walk over the record up to which a record that is no beat at a steady rate may be one with a noisy
 rate. What is no beat at all needs more."""
+
+FEW_PERIODS = 6.5
+"""A motion that is no smooth curve may leave less than the noise, and with few periods looks like a harmonic: the
+ratio's variance grows with the sixth power of this over the periods."""
 
 N_PARAMETERS = 6
 FEWEST_SAMPLES = 12
@@ -151,7 +155,9 @@ def _fit_records(records: Records, clipped: Bools | None) -> WaveformFit:
     rounding, repeats = _take_out_rounding(values, weights, fit, left, count)
     flags[repeats] |= Flag.ROUNDING_REPEATS
     covariance = fit.covariance * rounding[:, np.newaxis, np.newaxis]
-    return _judged(records, weights, fit.series, covariance, left, count, flags)
+    judged = _judged(records, weights, fit.series, covariance, left, count, flags)
+    judged.flags[[row for row, found in spikes.items() if is_a_piece(found)]] |= Flag.MISFIT
+    return judged
 
 
 def _take_out_rounding(
@@ -224,6 +230,7 @@ def _judged(
         told, factors = int(again.flags[0]), np.maximum(again.excess[0], 1.0)
         if not np.any(factors > 1.0):
             told &= ~int(Flag.COLOURED_NOISE)
+        factors[1:] *= 1 + (FEW_PERIODS * 2 * np.pi / (n_samples * moved.omega)) ** 6
         if fatal[row] and (told & int(FATAL | Flag.MISFIT) or moved.walk > MOST_WALK):
             continue
         series.put(here, beat)

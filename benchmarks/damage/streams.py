@@ -12,11 +12,12 @@ import io
 import os
 import shutil
 import signal
+import socket
 import sys
 import tempfile
 import time
 from collections.abc import Sequence
-from contextlib import redirect_stderr, redirect_stdout
+from contextlib import redirect_stderr, redirect_stdout, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -32,7 +33,7 @@ QUICK = (
     ("plan",),
     ("list",),
     ("settings", "simulated"),
-    ("simulate", "--tcp", "0"),
+    ("simulate", "--tcp"),
     ("fog", "table", "--no-report"),
     ("acquire", "--config", "my.toml", "--jsonl"),
 )
@@ -87,9 +88,25 @@ def ended(folder: Path, arguments: Sequence[str], streams: Streams) -> int:
         finally:
             os._exit(code)
     if arguments[0] == "simulate":  # it serves until it is ended
-        time.sleep(0.5)
+        _until_served(int(arguments[-1]))
         os.kill(child, signal.SIGTERM)
     return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+
+
+def _until_served(port: int) -> None:
+    """Return when somebody listens, and has had the time to say so."""
+    served = False
+    while not served:
+        time.sleep(0.05)
+        with suppress(OSError), socket.create_connection(("127.0.0.1", port)):
+            served = True
+    time.sleep(1.0)
+
+
+def free_port() -> int:
+    """Return a TCP port of this computer that nobody has."""
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        return int(server.getsockname()[1])
 
 
 def _direct(streams: Streams) -> None:
@@ -126,7 +143,8 @@ def after(command: Sequence[str], streams: Streams) -> tuple[int, str]:
         (folder / "my.toml").write_text(BENCH, encoding="utf-8")
         (folder / "out").touch()
         (folder / "err").touch()
-        code = ended(folder, command, streams)
+        given = [*command, str(free_port())] if command[0] == "simulate" else command
+        code = ended(folder, given, streams)
         return code, (folder / "err").read_bytes().decode(errors="replace")
 
 

@@ -13,7 +13,7 @@ import sys
 
 import numpy as np
 
-from analysis.several_rates import RatesFit, RatesFlag, RatioData, fit_rate_ratios
+from analysis.several_rates import RatesFit, RatesFlag, RatioData, ReceiverKnowledge, Reference, fit_rate_ratios
 from analysis.several_rates.ratio_model import predicted
 
 K, LOCK_IN = 2000.0, 0.05
@@ -62,9 +62,12 @@ def drawn(
     phase: float,
     noise: float,
     rng: np.random.Generator,
+    *,
+    reference: Reference = "beat",
+    receiver: ReceiverKnowledge | None = None,
     **contaminants: float,
 ) -> RatesFit:
-    """One measurement and its fit, with the beat as reference."""
+    """One measurement and its fit."""
     rate = np.repeat(np.array(rates, dtype=float) * LOCK_IN, records)
     frequency = K * np.sqrt(rate**2 - LOCK_IN**2)
     names = ("distortion", "gain_time", "lag_square", "third_order")
@@ -80,7 +83,7 @@ def drawn(
         amplitude=np.ones(rate.size),
         third=nothing,
         third_weight=nothing,
-        reference="beat",
+        reference=reference,
     )
     ratio, third = (values[0] for values in predicted(truth, data))
     shaken = ratio + noise * (rng.normal(size=rate.size) + 1j * rng.normal(size=rate.size))
@@ -92,7 +95,8 @@ def drawn(
         scale_factor=K,
         third_harmonic=third + noise * rng.normal(size=rate.size),
         third_harmonic_u=max(noise, 1e-6),
-        reference="beat",
+        reference=reference,
+        receiver=receiver,
     )
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import threading
 from contextlib import suppress
 from pathlib import Path
 
@@ -48,17 +47,16 @@ def command(
         raise click.UsageError("--baud paces a serial terminal: use it with --pty")
     chosen = {} if seed is None else {"simulation": {"seed": seed}}
     settings = load_settings(config, overrides=chosen)
-    ended = threading.Event()
     baud_rate = int(baud) if baud else None
     with (
         suppress(KeyboardInterrupt),
-        serve_scope(settings, tcp_port=tcp_port, baud_rate=baud_rate) as resource_name,
+        serve_scope(settings, tcp_port=tcp_port, baud_rate=baud_rate) as server,
     ):
         if as_json:
-            print_json({"resource": resource_name})
+            print_json({"resource": server.resource_name})
         else:
-            say(resource_name)
+            say(server.resource_name)
         # a wait without end could not be interrupted on Windows
-        while not ended.wait(timeout=0.5):
+        while not server.ended.wait(timeout=0.5):
             pass
     return 0

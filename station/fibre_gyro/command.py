@@ -124,7 +124,6 @@ def settings_file(serial: bool, config: Path | None, as_json: bool) -> int:
 @json_option
 def serve(tcp: int | None, speed: float, rate: float, config: Path | None, as_json: bool) -> int:
     """Serve the simulated gyro on a serial terminal (or TCP); the first line on stdout is its port."""
-    import threading
     from contextlib import suppress
 
     from station.fibre_gyro.serial_bench import read_frame_format
@@ -132,14 +131,14 @@ def serve(tcp: int | None, speed: float, rate: float, config: Path | None, as_js
     from station.fibre_gyro.settings import load_fog_settings
 
     settings = load_fog_settings(config)
-    layout, ended = read_frame_format(settings), threading.Event()
-    with serve_gyro(settings, layout, tcp_port=tcp, speed=speed, rate_dps=rate) as port:
+    layout = read_frame_format(settings)
+    with serve_gyro(settings, layout, tcp_port=tcp, speed=speed, rate_dps=rate) as server:
         if as_json:
-            print_json({"port": port})
+            print_json({"port": server.port})
         else:
-            say(port)
+            say(server.port)
         with suppress(KeyboardInterrupt):
             # a wait without end could not be interrupted on Windows
-            while not ended.wait(timeout=0.5):
+            while not server.ended.wait(timeout=0.5):
                 pass
     return 0

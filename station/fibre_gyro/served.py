@@ -80,7 +80,7 @@ def serve_gyro(
     tcp_port: int | None = None,
     speed: float = 1.0,
     rate_dps: float = 0.0,
-) -> Iterator[str]:
+) -> Iterator[PtyGyroServer | TcpGyroServer]:
     """Serve the simulated gyro until the context ends.
 
     Parameters
@@ -94,8 +94,8 @@ def serve_gyro(
 
     Yields
     ------
-    str
-        What ``--port`` takes.
+    PtyGyroServer or TcpGyroServer
+        With what ``--port`` takes, and with an event that is set when it serves no more.
 
     Raises
     ------
@@ -112,4 +112,4 @@ def serve_gyro(
     except OSError as error:
         raise UsageError(f"the simulated gyro cannot be served: {error.strerror or error}") from None
     with server:
-        yield server.port
+        yield server

@@ -8,11 +8,11 @@ from contextlib import contextmanager
 import numpy as np
 
 from instrument.facts import LEVELS_PER_DIVISION, VERTICAL_SCALES
-from instrument.simulated import RealClock
+from instrument.simulated import PtyServer, RealClock, TcpServer
 from station.lock_in.settings import Settings
 from station.ring_laser.instruments import SimulatedInstruments, build_instruments
 from station.scope.autoset import oscilloscope_steps
-from station.scope.serve import serve
+from station.scope.serve import served
 
 
 def at_slow_rate(settings: Settings) -> Settings:
@@ -21,7 +21,9 @@ def at_slow_rate(settings: Settings) -> Settings:
 
 
 @contextmanager
-def serve_scope(settings: Settings, *, tcp_port: int | None, baud_rate: int | None = None) -> Iterator[str]:
+def serve_scope(
+    settings: Settings, *, tcp_port: int | None, baud_rate: int | None = None
+) -> Iterator[PtyServer | TcpServer]:
     """Serve the simulated oscilloscope in real time, its gyro at the slow rate.
 
     Parameters
@@ -33,14 +35,14 @@ def serve_scope(settings: Settings, *, tcp_port: int | None, baud_rate: int | No
 
     Yields
     ------
-    str
-        VISA resource name.
+    PtyServer or TcpServer
+        With its VISA name, and with an event that is set when it serves no more.
     """
     instruments = build_instruments(at_slow_rate(settings), RealClock())
     _show_the_beat(instruments, settings)
     link = "pty" if tcp_port is None else "tcp"
-    with serve(instruments.scope, link, tcp_port=tcp_port or 0, baud_rate=baud_rate) as resource:
-        yield resource
+    with served(instruments.scope, link, tcp_port=tcp_port or 0, baud_rate=baud_rate) as server:
+        yield server
 
 
 def _show_the_beat(instruments: SimulatedInstruments, settings: Settings) -> None:

@@ -300,4 +300,6 @@ def run_file(path: Path) -> Path:
         raise RunError(f"{path}: holds no run (there is no {RUN_FILE} in it)")
     if not path.exists():
         raise RunError(f"{path}: there is no such file")
+    if not path.is_file():  # a device has no end, and a pipe waits for its writer
+        raise RunError(f"{path}: is not a saved run")
     return path

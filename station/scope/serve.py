@@ -10,7 +10,16 @@ from station.errors import UsageError
 
 
 @contextmanager
-def serve(scope: SimulatedTDS2014, link: str, *, tcp_port: int = 0, baud_rate: int | None = None) -> Iterator[str]:
+def serve(scope: SimulatedTDS2014, link: str, *, tcp_port: int = 0) -> Iterator[str]:
+    """Put the simulated oscilloscope behind a byte stream, as :func:`served` does it; yields the VISA name."""
+    with served(scope, link, tcp_port=tcp_port) as server:
+        yield server.resource_name
+
+
+@contextmanager
+def served(
+    scope: SimulatedTDS2014, link: str, *, tcp_port: int = 0, baud_rate: int | None = None
+) -> Iterator[PtyServer | TcpServer]:
     """Put the simulated oscilloscope behind a byte stream.
 
     Parameters
@@ -24,8 +33,8 @@ def serve(scope: SimulatedTDS2014, link: str, *, tcp_port: int = 0, baud_rate: i
 
     Yields
     ------
-    str
-        VISA resource name.
+    PtyServer or TcpServer
+        With its VISA name, and with an event that is set when it serves no more.
 
     Raises
     ------
@@ -40,6 +49,6 @@ def serve(scope: SimulatedTDS2014, link: str, *, tcp_port: int = 0, baud_rate: i
             raise UsageError(f"the simulated scope cannot be served: {error.strerror or error}") from None
         server = TcpServer(scope, port=tcp_port)
     try:
-        yield server.resource_name
+        yield server
     finally:
         server.close()

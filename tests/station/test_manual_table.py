@@ -110,13 +110,16 @@ def test_a_rate_at_which_the_gyro_is_locked_is_told_and_the_others_go_on(tmp_pat
     """Lock-in at 0.04 deg/s, the operator expects 0.01: at 3 times that the gyro stands still in the light."""
     led = led_by_an_operator(
         tmp_path,
-        "records = 2\ntilt_records = 1\nrates_over_lock_in = [8.0, 3.0]\nboth_senses = false",
+        "records = 2\ntilt_records = 1\nrates_over_lock_in = [8.0, 3.0]\nboth_senses = true",
         lock_in_rate_dps=0.04,
     )
     assert led.code == 0, led.said
     assert "no record at +3 expected lock-in rates:" in led.said
-    (told,) = led.run.facts["rates_without_beat"]
-    assert told in " ".join(led.said.split())
-    assert {record.conditions["over_lock_in"] for record in led.run.taken_for("measure")} == {8.0}
+    told = led.run.facts["rates_without_beat"]
+    assert [one.split(" expected")[0] for one in told] == ["+3", "-3"]
+    assert all(one in " ".join(led.said.split()) for one in told)
+    taken = led.run.taken_for("measure")
+    assert [record.conditions["over_lock_in"] for record in taken] == 4 * [8.0]
+    assert [record.conditions["table_rate_dps"] > 0 for record in taken] == [True, True, False, False]
     assert led.run.results is not None
     assert led.run.results["lock_in_rate_dps"] == pytest.approx(0.04, rel=0.02)

@@ -7,6 +7,11 @@ import numpy as np
 import pytest
 import pyvisa
 
+from instrument.simulated.fibre_gyro.server import GyroServer
+from instrument.simulated.links.scope_server import ScopeServer
+from instrument.simulated.links.stream_server import StreamServer
+from station.cli import main
+
 POSIX = pytest.mark.skipif(os.name != "posix", reason="there are serial terminals on POSIX only")
 
 
@@ -68,3 +73,16 @@ def test_a_taken_port_is_told(gyrolock, serve_scope) -> None:
     done = gyrolock("simulate", "--tcp", port, "--json")
     assert done.code == 2
     assert "in use" in done.document["error"]["message"]
+
+
+@pytest.mark.parametrize("command", [("simulate", "--tcp", "0"), ("fog", "serve", "--tcp", "0")])
+def test_a_server_that_fails_ends_the_command(command, monkeypatch, capsys) -> None:
+    """It must not look like an instrument that is silent."""
+
+    def fail(server: StreamServer) -> float:
+        raise RuntimeError("the model has failed")
+
+    for server in (ScopeServer, GyroServer):
+        monkeypatch.setattr(server, "_pause", fail)
+    assert main(command) == 70
+    assert "the model has failed" in capsys.readouterr().err

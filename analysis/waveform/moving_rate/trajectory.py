@@ -243,7 +243,7 @@ class _Equations:
         normal[:n_moved, :n_moved] = tight * (by_step @ by_step.T)
         normal[n_moved:, n_moved:] = model.by_sample @ model.by_sample.T
         full_gradient = np.concatenate([by_step @ moved, model.by_sample @ model.left])
-        # Half a solution is enough: with L D L' the matrix of the phases, y = L^-1 sides, what they take is y' D^-1 y.
+        # Half a solution is enough: with L D L' the matrix of the phases and y = L^-1 sides they take y' D^-1 y.
         band = np.stack([np.ones_like(factor), np.append(ratios, 0.0)])
         half = lapack.dtbtrs(band, sides.T, uplo="L", diag="U")[0].T
         half /= np.sqrt(factor)

@@ -82,10 +82,13 @@ class StreamServer(ABC):
     ----------
     error : BaseException or None
         What ended the thread, if something did: an instrument that fails must not look like a silent one.
+    ended : threading.Event
+        Is set when nobody is served any more.
     """
 
     def __init__(self) -> None:
         self.error: BaseException | None = None
+        self.ended = threading.Event()
         self._selector = selectors.DefaultSelector()
         self._ports: list[Port] = []
         self._held = contextlib.ExitStack()  # what is open besides the ports
@@ -215,6 +218,7 @@ class StreamServer(ABC):
             for port in list(self._ports):
                 self._drop(port)
             self._release()
+            self.ended.set()
 
     def _listen_again(self) -> None:
         """Listen to those that were not listened to, where there is room now; and not to others."""

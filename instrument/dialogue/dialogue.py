@@ -10,8 +10,8 @@ import contextlib
 
 from instrument import scpi
 from instrument.dialogue.events import ERROR_BITS, POWER_ON, is_error, scope_event
-from instrument.dialogue.exchange import RECORD, Exchange
-from instrument.dialogue.link import Link, NoAnswer
+from instrument.dialogue.exchange import LONG, RECORD, Exchange
+from instrument.dialogue.link import ANSWER_TIME, Link, NoAnswer
 from instrument.dialogue.persistence import Persistence
 from instrument.dialogue.record_question import PREAMBLE_FIELDS, RecordQuestion
 from instrument.dialogue.who_is_there import LINE_END
@@ -137,16 +137,17 @@ class Dialogue(Exchange):
         clean = "*CLS" if self.unread_events else ""
         self.unread_events = False
         twice = self.persistence.careful and self.persistence.read_twice
+        kind = RECORD if wait < ANSWER_TIME else LONG
         wanted = RecordQuestion(sources, selected=self.source, twice=twice)
         message = ";".join(filter(None, (clean, commands, "*ESR?", wanted.text, afterwards)))
         try:
             with self.exchange():
-                mark = self.send(message, kind=RECORD)
+                mark = self.send(message, kind=kind)
                 self.source = None
                 answer = self.link.read_blocks(blocks=wanted.blocks, wait=wait, longest=2 * POINTS)
             register, texts, curves = wanted.split(*answer, mark)
             if mark:
-                self.came(RECORD)
+                self.came(kind)
             self._check_register(register)
             missing = wanted.not_displayed(texts)
             if missing is not None:

@@ -59,3 +59,12 @@ def parse_events(answer: str) -> list[ScopeEvent]:
         if code not in _NOTHING_TO_REPORT:
             found.append(scope_event(code, unquote(text).rstrip(" ;")))
     return found
+
+
+def raise_errors(found: list[ScopeEvent]) -> None:
+    """Raise the first error among the events that an error bit was set for."""
+    for event in found:
+        if is_error(event):
+            raise event
+    if not found:
+        raise scope_event(100, "an error without an entry in the queue")

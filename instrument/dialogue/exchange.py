@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterator
 from typing import TypeVar
 
 from instrument import scpi
-from instrument.dialogue.events import ERROR_BITS, POWER_ON, is_error, parse_events, scope_event
+from instrument.dialogue.events import ERROR_BITS, POWER_ON, is_error, parse_events, raise_errors
 from instrument.dialogue.identity import Identity
 from instrument.dialogue.link import SLICE_TIME, Link, NoAnswer
 from instrument.dialogue.patience import Patience
@@ -33,8 +33,8 @@ from instrument.facts import POINTS
 
 T = TypeVar("T")
 
-TEXT, RECORD = "text", "record"
-"""Kinds of answers: how long a scope thinks about them."""
+TEXT, RECORD, LONG = "text", "record", "long"
+"""Kinds of answers, by how long a scope thinks; what takes long anyway is not given up early."""
 
 _MASK = "*ESE"
 _MARKS = 256
@@ -84,6 +84,9 @@ class Exchange(ABC):
         self._patience = Patience(link.pause_time, link.answer_time)
         self._late_until: float | None = None
         """Until when a message that nobody waits for any more may still arrive, and be obeyed."""
+        self._kind = TEXT
+        self.hasty = False
+        """Whether the last answer was waited for less long than a slow scope may take."""
         self._who = WhoIsThere(link, self.send)
         self._found_mask = 0
         self.identity = self._greet()
@@ -172,7 +175,7 @@ class Exchange(ABC):
     def _checked_once(self, text: str, parts: int) -> list[str]:
         *answers, register = self._ask_once(text, parts=parts + 1)
         if self._register(register) & ERROR_BITS:
-            self._raise_errors(self._read_event_queue())
+            raise_errors(self._read_event_queue())
         return answers
 
     def _ask_twice(self, text: str, parts: int | None, wait: float) -> list[str]:
@@ -211,17 +214,20 @@ class Exchange(ABC):
             return ""
         self._mark = (self._mark + 1) % _MARKS
         message = f"{_MASK} {self._mark};{_MASK}?;{text}"
-        self.link.answer_time = self._patience.seconds(kind) + self.link.line_time(len(message))
+        patience = self._patience.seconds(kind)
+        self._kind, self.hasty = kind, patience < self._patience.longest
+        self.link.answer_time = patience + self.link.line_time(len(message))
         self.link.write(message)
         return str(self._mark)
 
     def came(self, kind: str = TEXT) -> None:
         """The answer of this kind bore the mark of its question."""
-        self._patience.came(kind, self.link.began_after)
+        if kind != LONG:
+            self._patience.came(kind, self.link.began_after)
 
     def _nothing_came(self) -> None:
         if self._mark is not None:
-            self._patience.silent()
+            self._patience.silent(self._kind)
             self._late_until = self.link.clock.now() + self._patience.longest
 
     # ------------------------------------------------------------------ doing it again
@@ -470,14 +476,6 @@ class Exchange(ABC):
             return parse_events(answer)
         except TransferError as error:
             raise self.after_damage(error) from error
-
-    @staticmethod
-    def _raise_errors(found: list[ScopeEvent]) -> None:
-        for event in found:
-            if is_error(event):
-                raise event
-        if not found:
-            raise scope_event(100, "an error without an entry in the queue")
 
     def _integer(self, text: str) -> int:
         try:

@@ -16,11 +16,12 @@ _FEWEST = 3
 
 @dataclass
 class _Seen:
-    """Times in s until answers of one kind began."""
+    """Times in s until answers of one kind began, and how many in a row did not come."""
 
     count: int = 0
     mean: float = 0.0
     spread: float = 0.0
+    silences: int = 0
 
     def add(self, after: float) -> None:
         if self.count:
@@ -29,6 +30,7 @@ class _Seen:
         else:
             self.mean, self.spread = after, after / 2
         self.count += 1
+        self.silences = 0
 
 
 @dataclass
@@ -44,7 +46,6 @@ class Patience:
     shortest: float
     longest: float
     _seen: dict[str, _Seen] = field(default_factory=dict)
-    _silences: int = 0
 
     def seconds(self, kind: str) -> float:
         """How long to wait for the beginning of an answer of this kind."""
@@ -52,13 +53,12 @@ class Patience:
         if seen.count < _FEWEST:
             return self.longest
         usual = max(self.shortest, _MEANS * seen.mean + _SPREADS * seen.spread)
-        return min(self.longest, usual * 2.0**self._silences)
+        return min(self.longest, usual * 2.0**seen.silences)
 
     def came(self, kind: str, after: float) -> None:
         """An answer that bears its mark began so many seconds after its question."""
         self._seen.setdefault(kind, _Seen()).add(after)
-        self._silences = 0
 
-    def silent(self) -> None:
-        """Nothing came."""
-        self._silences += 1
+    def silent(self, kind: str) -> None:
+        """No answer of this kind came."""
+        self._seen.setdefault(kind, _Seen()).silences += 1

@@ -336,7 +336,10 @@ class TDS2014:
         try:
             return self._records(";".join(filter(None, (lock, f"{_START};*WAI"))), names, unlock, wait=wait)
         except NoAnswer as silence:
+            hasty = self._dialogue.hasty
             self._dialogue.resynchronise_or_raise(silence)
+            if hasty:  # too early to say that no trigger came
+                raise TransferError(f"{silence}; ask again") from None
             # Did it never start, because the message was lost? Then what the scope holds is an old record.
             after, running = self._dialogue.ask(":ACQUIRE:STOPAFTER?;:ACQUIRE:STATE?", parts=2, twice=True)
             if not is_on(running) or not after.upper().startswith("SEQ"):

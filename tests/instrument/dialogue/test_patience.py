@@ -33,7 +33,8 @@ def test_each_silence_doubles_it_up_to_the_longest() -> None:
     patience = learned(0.01, 0.01, 0.01)
     waited = []
     for _ in range(4):
-        patience.silent()
+        patience.silent("text")
+        patience.came("record", 0.01)
         waited.append(patience.seconds("text"))
     assert waited == [1.0, 2.0, 3.0, 3.0]
     patience.came("text", 0.01)

@@ -38,7 +38,10 @@ COMMANDS = {
         "Evaluate saved runs of any kind again, and Tektronix files.",
     ),
     "report": ("commands.report:command", "Write the HTML report of saved runs."),
-    "salvage": ("commands.salvage:command", "Get what can still be read out of a damaged run."),
+    "salvage": (
+        "commands.salvage:command",
+        "Get everything that can still be read out of a damaged run, into a new one.",
+    ),
     "plan": ("plan.command:command", "Plan a measurement: rate, scale and records for a wanted uncertainty."),
     "fog": ("fibre_gyro.command:command", "Scale factor of a fibre gyro: rate table, self-calibration, ..."),
     "study": ("study.command:command", "Compute the paper's simulations, with its method and exactly."),

@@ -117,5 +117,6 @@ def _flagged(result: LockInEstimate, check: TableCheck) -> LockInEstimate:
 
 def _best_shown(each: LockInEstimate) -> float:
     """Lock-in rate, deg/s, of the record that shows it best (at several rates a slow one); nan if none does."""
-    relative = np.where(each.usable, each.lock_in_rate_u / each.lock_in_rate, np.nan)
+    with np.errstate(divide="ignore", invalid="ignore"):  # noise may leave a lock-in rate of zero
+        relative = np.where(each.usable, each.lock_in_rate_u / each.lock_in_rate, np.nan)
     return float(each.lock_in_rate[np.nanargmin(relative)]) if np.isfinite(relative).any() else math.nan

@@ -11,6 +11,9 @@ from analysis.flags import FATAL
 from analysis.lock_in_run.estimates import Method, estimate_records, only_beats
 from analysis.lock_in_run.records import RecordArrays
 
+_SURE = 4.0
+"""Standard uncertainties within which a value surely lies: rates that are chosen anew by chance cost the run."""
+
 
 @dataclass(frozen=True)
 class LockInSeen:
@@ -37,6 +40,6 @@ def lock_in_seen(records: RecordArrays, scale_factor: float) -> LockInSeen | Non
     if int(mean.flags) & int(FATAL) or not (rate > 0 and math.isfinite(rate_u)):
         return None
     # second order d puts the lock-in rate off by 2 W d
-    off = math.hypot(2 * rate_u, 2 * abs(float(mean.input_rate)) * SECOND_ORDER_LIMIT)
+    off = math.hypot(_SURE * rate_u, 2 * abs(float(mean.input_rate)) * SECOND_ORDER_LIMIT)
     lost = math.hypot(1.0, float(mean.beat_frequency) / LOWEST_GAIN_CORNER_HZ)
     return LockInSeen(rate, max(rate - off, 0.0), (rate + off) * lost)

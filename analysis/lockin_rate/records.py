@@ -81,7 +81,7 @@ def estimate_lock_in(
         full = np.broadcast_to(np.asarray(clipped, dtype=bool), (*stack.shape, stack.n_samples))
         mask = full.reshape(-1, stack.n_samples)
     fit = fit_waveform(stack, mask)
-    third, third_u = third_harmonic(stack, fit)
+    third, third_u = third_harmonic(fit, stack.n_samples)
     with np.errstate(all="ignore"):  # records without a beat divide by zero; their flags are fatal
         beat = Beat.of(fit, stack.n_samples, sample_interval)
         beat, flags = compare_pieces(beat, fit.flags, stack, mask, sample_interval)

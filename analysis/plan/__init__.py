@@ -10,10 +10,11 @@ from analysis.plan.measurement_plan import (
     predicted_budget,
 )
 from analysis.plan.request import SAFE_ABOVE_LOCK_IN, OscilloscopeSteps, PlanRequest, TableSpread
-from analysis.plan.several_rates import expected_joint_u
+from analysis.plan.several_rates import FEW_RATES, expected_joint_u
 
 __all__ = [
     "DEFAULT_RECORDS",
+    "FEW_RATES",
     "SAFE_ABOVE_LOCK_IN",
     "OscilloscopeSteps",
     "Plan",

@@ -12,10 +12,10 @@ from analysis.budget import Budget
 from analysis.plan.measurement_plan import predicted_budget
 from analysis.plan.request import PlanRequest
 
-_POINTS = 160
+_POINTS = 100
 _GROUPS: dict[str, tuple[str, ...]] = {
     "noise": ("noise", "quantization", "beat_frequency", "scatter"),
-    "distortion": ("distortion", "third_order"),
+    "distortion": ("distortion", "third_order", "separation"),
     "reference": (
         "input_rate",
         "scale_factor",

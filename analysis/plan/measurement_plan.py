@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from analysis.budget import Budget, lock_in_budget
+from analysis.budget import Budget, BudgetInput, lock_in_budget
 from analysis.budget.expected_noise import RecordShape, expected_point
 from analysis.lockin_equation import beat_frequency
 from analysis.plan.request import FASTEST_OVER_LOCK_IN, PlanRequest
@@ -209,22 +209,35 @@ def _budget(request: PlanRequest, rates: tuple[PlannedRate, ...]) -> Budget:
         separated=_separated(rates),
         table=request.table.at(slowest.input_rate) if request.table is not None else None,
     )
-    if len(rates) > 1:
-        joint = expected_joint_u(
-            [rate.shape for rate in rates],
-            [rate.input_rate for rate in rates],
-            request.lock_in_rate,
-            request.scale_factor,
-            reference=request.reference,
-            phase=request.phase,
-            receiver=ReceiverKnowledge.of(request.knowledge),
-        )
-        alone = lock_in_budget(point, knowledge, request.reference)
-        own = math.hypot(*(line.contribution for line in alone.inputs if line.name in ("noise", "quantization")))
-        point = replace(
-            point,
-            ratio_u=point.ratio_u * joint / own,
-            noise_degrees_of_freedom=point.noise_degrees_of_freedom * len(rates),
-            scatter_u=point.scatter_u / math.sqrt(len(rates)),
-        )
-    return lock_in_budget(point, knowledge, request.reference)
+    if len(rates) == 1:
+        return lock_in_budget(point, knowledge, request.reference)
+    alone = lock_in_budget(point, knowledge, request.reference)
+    own = math.hypot(*(line.contribution for line in alone.inputs if line.name in ("noise", "quantization")))
+    noise, joint = _joint_u(request, rates, all_else_known=True), _joint_u(request, rates)
+    point = replace(
+        point,
+        ratio_u=point.ratio_u * noise / own,
+        noise_degrees_of_freedom=point.noise_degrees_of_freedom * len(rates),
+        scatter_u=point.scatter_u / math.sqrt(len(rates)),
+    )
+    budget = lock_in_budget(point, knowledge, request.reference)
+    rest = math.sqrt(max(joint**2 - noise**2, 0.0))
+    quantity = "noise, by way of distortion, gain corner and bandwidth"
+    separation = BudgetInput("separation", quantity, "deg/s", 0.0, rest, "normal", 1.0, note=_SEPARATION_NOTE)
+    return Budget(budget.lock_in_rate, budget.reference, (*budget.inputs, separation))
+
+
+_SEPARATION_NOTE = "they are fitted to the same records, within what is known of them"
+
+
+def _joint_u(request: PlanRequest, rates: tuple[PlannedRate, ...], *, all_else_known: bool = False) -> float:
+    return expected_joint_u(
+        [rate.shape for rate in rates],
+        [rate.input_rate for rate in rates],
+        request.lock_in_rate,
+        request.scale_factor,
+        reference=request.reference,
+        phase=request.phase,
+        receiver=ReceiverKnowledge.of(request.knowledge),
+        all_else_known=all_else_known,
+    )

@@ -18,8 +18,8 @@ from analysis.several_rates.solutions import answer
 
 _PHASES = 12
 
-_FEW = 4
-"""So many rates in one sense have no second solution."""
+FEW_RATES = 4
+"""So many rates in one sense have no second solution; fewer may have one."""
 
 
 def expected_joint_u(
@@ -31,6 +31,7 @@ def expected_joint_u(
     reference: Reference = "beat",
     phase: float = np.nan,
     receiver: ReceiverKnowledge | None = None,
+    all_else_known: bool = False,
 ) -> float:
     """Standard uncertainty of the lock-in rate that all rates give together, deg/s: that of `fit_rates`.
 
@@ -50,6 +51,8 @@ def expected_joint_u(
         Readout phase less backscatter phase, rad; nan: the rms over all phases.
     receiver : ReceiverKnowledge, optional
         What is known of receiver and laser; without it the usual bounds.
+    all_else_known : bool, optional
+        Noise alone: as if receiver and laser were known without any uncertainty.
 
     Raises
     ------
@@ -87,7 +90,9 @@ def expected_joint_u(
     rho = predicted_ratio(truth, data)
     data = replace(data, ratio=rho, whitening=whitening_factor(_turned(rho, along, across)))
     prior = (receiver or ReceiverKnowledge()).prior(float(frequency.min()))
-    if len(set(np.sign(rate))) == 1 and rate.size < _FEW:
+    if all_else_known:
+        prior = replace(prior, sd=np.where(np.isinf(prior.sd), np.inf, 0.0))
+    elif len(set(np.sign(rate))) == 1 and rate.size < FEW_RATES:
         rows = range(0, phases.size, 2) if phases.size > 1 else range(1)
         each = [replace(data, ratio=rho[row], whitening=data.whitening[row : row + 1]) for row in rows]
         us = [answer(all_solutions(one, prior), 1.0, 0).u for one in each]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import scipy.special
 
+from analysis.arrays import Bools, Floats
 from analysis.several_rates.least_squares import RatioFit, fit_ratios
 from analysis.several_rates.points import Points
 from analysis.several_rates.ratio_model import Prior
@@ -86,15 +87,20 @@ def scale_factor_of_rates(scale_factor: float, points: Points, fit: RatioFit) ->
     return mean, spread
 
 
+def rates_that_differ(rate: Floats, size: float, u: float, mismatch: Floats) -> Bools:
+    """Records whose rates (n,) do not fit their beats, beyond what a lock-in rate `size` with `u` explains."""
+    with np.errstate(over="ignore"):
+        stretch = size**2 / np.maximum(rate**2 - size**2, 1e-300) * (u / size if size else 0.0)
+    return np.asarray(np.abs(mismatch) > MISMATCH + 3 * stretch)
+
+
 def rates_flags(fit: RatesFit, records: RatioRecords, tested: int) -> int:
     """Bits of `RatesFlag` of a result that has none yet; `tested`: values that the records leave over."""
     size, u = fit.lock_in_rate, fit.lock_in_rate_u
     plain = next((m.lock_in_rate_u for m in fit.models if m.model == "lock-in"), u)
     distorted = next((m.lock_in_rate_u for m in fit.models if m.model == "distortion"), u)
     rate = np.abs(fit.rate)
-    with np.errstate(over="ignore"):
-        stretch = size**2 / np.maximum(rate**2 - size**2, 1e-300) * (u / size if size else 0.0)
-    differ = np.abs(fit.rate_mismatch) > MISMATCH + 3 * stretch
+    differ = rates_that_differ(rate, size, u, fit.rate_mismatch)
     no_beat_above = fit.locked & (rate > fit.lock_in_rate_high_95)
     inconsistent = inconsistent_rate(records) | (common_mismatch(records) != 1.0)
     explained = abs(fit.third_order) > EXPLAINED * fit.third_order_u

@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike
 from analysis.arrays import Bools, Complexes, Floats
 from analysis.errors import NoFit
 from analysis.lockin_rate import LockInEstimate
-from analysis.several_rates.checks import leave_out, rates_flags, scale_factor_of_rates
+from analysis.several_rates.checks import leave_out, rates_flags, rates_that_differ, scale_factor_of_rates
 from analysis.several_rates.least_squares import RatioFit, all_solutions, fit_ratios, whitened
 from analysis.several_rates.points import Points, gather
 from analysis.several_rates.ratio_model import (
@@ -272,7 +272,9 @@ def _result(
     said = answer(found, widen, freedom)
     if np.unique(np.sign(points.points.rate)).size == 1:
         said = by_profile(said, found, points.points, prior, widen, freedom)
-    if p_value < UNLIKELY:
+    mismatch = _rate_mismatch(records, said.value)
+    # coupling without loss bends the beat against the rate as well
+    if p_value < UNLIKELY or np.any(rates_that_differ(np.abs(records.rate), said.value, said.u, mismatch)):
         said = with_coupling(said, fit, records.scale_factor)
     us, fitted = np.sqrt(np.diagonal(covariance)), np.where([True, True, *FREE[chosen]], 1.0, np.nan)
     at_least = _at_least(records, said.high)
@@ -314,7 +316,7 @@ def _result(
         deviation=deviation,
         used=used,
         locked=records.locked,
-        rate_mismatch=_rate_mismatch(records, said.value),
+        rate_mismatch=mismatch,
         at_least=at_least,
         flags=0,
         noise_model=records.noise_model + (ENLARGED if widen > 1 else ""),

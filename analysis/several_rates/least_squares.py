@@ -10,20 +10,28 @@ from analysis.arrays import Bools, Floats, Indices
 from analysis.several_rates.ratio_model import N_PARAMETERS, Prior, RatioData, predicted
 
 ITERATIONS = 80
+SETTLED = 1e-10
+"""A step that changes chi-square by less, relatively, was the last one."""
+
 SINGULAR = 1e-11
 """A normal matrix (unit diagonal) with a smaller eigenvalue means unknowns that the data cannot tell apart."""
 
 _RATIOS = np.geomspace(0.004, 0.93, 22)
 _PHASES = np.arange(24) * (2 * np.pi / 24)
 _GAIN_TIMES = np.array([-1.0, 0.0, 1.0, 3.0])
-_STARTS = 12
 """Sizes of r at the slowest rate, phases, and gain times (over the time of the fastest beat) from which the best
 starts are taken."""
+
+_BESIDE = np.array([0.92, 0.97, 1.03, 1.08])
+"""Lock-in rates over those found first, from which a second minimum close by is looked for."""
 
 _FIRST_ITERATIONS, _FINISHED = 15, 5
 """All starts go a little way, the best of them to the end."""
 
 _PROFILE_ITERATIONS = 25
+
+_NO_WAY_DOWN = 1e5
+"""Damping with which a step that still does not go down ends the search."""
 
 _CLOSE = 1e-3
 _LARGEST = 0.999
@@ -39,6 +47,11 @@ class RatioFit:
     covariance: Floats
     chi_square: Floats
     singular: Bools
+
+    @property
+    def fields(self) -> tuple[Floats, Floats, Floats, Bools]:
+        """All four, in order."""
+        return self.parameters, self.covariance, self.chi_square, self.singular
 
     def __getitem__(self, key: slice | Indices) -> RatioFit:
         """Some of the sets."""
@@ -74,24 +87,45 @@ def _minimised(
     data: RatioData, prior: Prior, point: Floats, iterations: int, held: Floats | None = None
 ) -> RatioFit:
     """Damped Gauss-Newton; `held` (B,): lock-in rates that stay, deg/s."""
-    chosen = np.flatnonzero(prior.sd > 0)
-    cost = _cost(point, data, prior)
+    here = _linearised(point, data, prior, held)
     damping = np.full(len(point), 1e-4)
     for _ in range(iterations):
-        ways = _ways(point, data, chosen, held)
-        normal, gradient, unit = _normal_equations(point, data, prior, ways)
-        ridge = damping[:, np.newaxis, np.newaxis] * np.eye(len(ways))
-        step = unit * np.linalg.solve(normal + ridge, gradient[..., np.newaxis])[..., 0]
-        trial = point + np.einsum("bw,wbp->bp", step, ways)
-        trial = _bounded(trial, data) if held is None else _of_size(trial, held)
-        trial_cost = _cost(trial, data, prior)
-        better = trial_cost <= cost
-        settled = np.where(better, cost - trial_cost <= 1e-10 * (1 + cost), damping >= 1e5)
-        point, cost = np.where(better[:, np.newaxis], trial, point), np.where(better, trial_cost, cost)
+        ridge = damping[:, np.newaxis, np.newaxis] * np.eye(len(here.ways))
+        step = here.unit * np.linalg.solve(here.normal + ridge, here.gradient[..., np.newaxis])[..., 0]
+        moved = here.point + np.einsum("bw,wbp->bp", step, here.ways)
+        trial = _linearised(_bounded(moved, data) if held is None else _of_size(moved, held), data, prior, held)
+        better = trial.cost <= here.cost
+        settled = np.abs(here.cost - trial.cost) <= SETTLED * (1 + here.cost)
+        settled |= ~better & (damping >= _NO_WAY_DOWN)
+        here = here.where(better, trial)
         damping = np.where(better, np.maximum(damping * 0.2, 1e-13), np.minimum(damping * 8, 1e6))
         if np.all(settled):
             break
-    return _finished(point, cost, data, prior, _ways(point, data, chosen, held))
+    return _finished(here)
+
+
+@dataclass(frozen=True)
+class _Linearised:
+    """Chi-square about points (B, N_PARAMETERS): its value and slope, see `_linearised`."""
+
+    point: Floats
+    ways: Floats
+    cost: Floats
+    normal: Floats
+    gradient: Floats
+    unit: Floats
+
+    def where(self, chosen: Bools, other: _Linearised) -> _Linearised:
+        """The same with some of the sets (B,) from another."""
+        rows, matrices = chosen[:, np.newaxis], chosen[:, np.newaxis, np.newaxis]
+        return _Linearised(
+            np.where(rows, other.point, self.point),
+            np.where(rows, other.ways, self.ways),
+            np.where(chosen, other.cost, self.cost),
+            np.where(matrices, other.normal, self.normal),
+            np.where(rows, other.gradient, self.gradient),
+            np.where(rows, other.unit, self.unit),
+        )
 
 
 def all_solutions(data: RatioData, prior: Prior) -> RatioFit:
@@ -101,15 +135,20 @@ def all_solutions(data: RatioData, prior: Prior) -> RatioFit:
     each; the lowest points of that map are the starts.
     """
     tried = _minimised(data, prior, _starts(data, prior), _FIRST_ITERATIONS)
-    best = np.argsort(tried.chi_square)[:_FINISHED]
-    found = fit_ratios(data, prior, tried.parameters[best])
-    order = np.argsort(found.chi_square)
+    tried = _apart(tried, np.zeros(len(tried.chi_square)))[:_FINISHED]
+    near = _minimised(data, prior, _around(tried.parameters, data, prior), _FIRST_ITERATIONS)
+    tried = RatioFit(*(np.concatenate(pair) for pair in zip(tried.fields, near.fields, strict=True)))
+    tried = _apart(tried, np.zeros(len(tried.chi_square)))[:_FINISHED]
+    found = fit_ratios(data, prior, tried.parameters)
+    return _apart(found, 0.5 * np.sqrt(np.trace(found.covariance[:, :2, :2], axis1=-2, axis2=-1)))
+
+
+def _apart(found: RatioFit, u: Floats) -> RatioFit:
+    """Those that are not one minimum found twice, within `u` (B,) of their lock-in rates; the best first."""
+    z = found.parameters[:, 0] + 1j * found.parameters[:, 1]
     kept: list[int] = []
-    for row in order:
-        z = found.parameters[row, 0] + 1j * found.parameters[row, 1]
-        others = found.parameters[kept, 0] + 1j * found.parameters[kept, 1]
-        u = np.sqrt(np.trace(found.covariance[row, :2, :2]))
-        if not np.any(np.abs(others - z) < _CLOSE * np.abs(z) + 0.5 * u):
+    for row in np.argsort(found.chi_square):
+        if not np.any(np.abs(z[kept] - z[row]) < _CLOSE * np.abs(z[row]) + u[row]):
             kept.append(int(row))
     return found[np.array(kept)]
 
@@ -122,13 +161,12 @@ def whitened(parameters: Floats, data: RatioData) -> tuple[Floats, Floats]:
     return np.einsum("...ji,...j->...i", data.whitening, parts), (data.third - third) * data.third_weight
 
 
-def _finished(point: Floats, cost: Floats, data: RatioData, prior: Prior, ways: Floats) -> RatioFit:
-    normal, _, unit = _normal_equations(point, data, prior, ways)
-    eigenvalues, vectors = np.linalg.eigh(normal)
+def _finished(found: _Linearised) -> RatioFit:
+    eigenvalues, vectors = np.linalg.eigh(found.normal)
     inverse = np.einsum("bij,bj,bkj->bik", vectors, 1 / np.maximum(eigenvalues, 1e-15), vectors)
-    inverse = inverse * unit[:, :, np.newaxis] * unit[:, np.newaxis, :]
-    covariance = np.einsum("vbp,bvw,wbq->bpq", ways, inverse, ways)
-    return RatioFit(point, covariance, cost, eigenvalues[:, 0] < SINGULAR)
+    inverse = inverse * found.unit[:, :, np.newaxis] * found.unit[:, np.newaxis, :]
+    covariance = np.einsum("vbp,bvw,wbq->bpq", found.ways, inverse, found.ways)
+    return RatioFit(found.point, covariance, found.cost, eigenvalues[:, 0] < SINGULAR)
 
 
 def _residual(parameters: Floats, data: RatioData, prior: Prior) -> Floats:
@@ -171,8 +209,9 @@ def _ways(point: Floats, data: RatioData, chosen: Indices, held: Floats | None) 
     return np.delete(ways, 1, axis=0)
 
 
-def _normal_equations(point: Floats, data: RatioData, prior: Prior, ways: Floats) -> tuple[Floats, Floats, Floats]:
+def _linearised(point: Floats, data: RatioData, prior: Prior, held: Floats | None) -> _Linearised:
     """Normal matrix scaled to a unit diagonal, gradient in the same units, and the units (B, ways)."""
+    ways = _ways(point, data, np.flatnonzero(prior.sd > 0), held)
     shift = 1e-5 * ways
     both = _residual(np.concatenate([point - shift, point + shift, point[np.newaxis]]), data, prior)
     jacobian = np.moveaxis(both[: len(ways)] - both[len(ways) : -1], 0, -1) / 2e-5
@@ -181,7 +220,7 @@ def _normal_equations(point: Floats, data: RatioData, prior: Prior, ways: Floats
     jacobian = jacobian / size[:, np.newaxis, :]
     normal = jacobian.swapaxes(-1, -2) @ jacobian
     gradient = np.einsum("bnp,bn->bp", jacobian, both[-1])
-    return normal, gradient, 1 / size
+    return _Linearised(point, ways, np.sum(both[-1] ** 2, axis=-1), normal, gradient, 1 / size)
 
 
 def _scales(data: RatioData) -> Floats:
@@ -205,14 +244,24 @@ def _starts(data: RatioData, prior: Prior) -> Floats:
     cost = _cost(flat, data, prior).reshape(size.shape)
     best = cost.argmin(axis=-1)
     lowest = np.take_along_axis(cost, best[..., np.newaxis], axis=-1)[..., 0]
-    around = [np.roll(lowest, (i, j), axis=(0, 1)) for i in (-1, 0, 1) for j in (-1, 0, 1) if i or j]
-    # the ends of the scale of sizes are no neighbours of each other
-    hollow = lowest <= np.min(around, axis=0)
-    hollow[[0, -1]] |= lowest[[0, -1]] <= lowest[[1, -2]]
-    places = np.argwhere(hollow)
-    places = places[np.argsort(lowest[hollow])][:_STARTS]
-    starts = flat.reshape(*size.shape, -1)[places[:, 0], places[:, 1], best[places[:, 0], places[:, 1]]]
+    # a valley may be narrower than the steps of the map: the best phase of every size is a start too
+    chosen = lowest == lowest.min(axis=1, keepdims=True)
+    edged = np.pad(lowest, ((1, 1), (0, 0)), constant_values=np.inf)
+    around = [np.roll(edged, (i, j), axis=(0, 1))[1:-1] for i in (-1, 0, 1) for j in (-1, 0, 1) if i or j]
+    chosen |= lowest <= np.min(around, axis=0)
+    sizes_chosen, phases_chosen = np.nonzero(chosen)
+    starts = flat.reshape(*size.shape, -1)[sizes_chosen, phases_chosen, best[chosen]]
     return np.asarray(starts)
+
+
+def _around(found: Floats, data: RatioData, prior: Prior) -> Floats:
+    """Starts beside what was found (B, N_PARAMETERS): another lock-in rate, and nothing but distortion."""
+    starts = np.repeat(found, _BESIDE.size, axis=0)
+    starts[:, :2] *= np.tile(_BESIDE, len(found))[:, np.newaxis]
+    starts[:, 2:] = np.where(prior.sd > 0, prior.mean, found[0])[2:]
+    if prior.sd[2] > 0:
+        starts[:, 2] = _best_distortion(starts, data, prior)
+    return _bounded(starts, data)
 
 
 def _best_distortion(points: Floats, data: RatioData, prior: Prior) -> Floats:

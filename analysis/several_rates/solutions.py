@@ -107,7 +107,9 @@ _REFINEMENTS, _FINER = 1, 6
 
 
 def with_coupling(said: Answer, fit: RatioFit, scale_factor: float) -> Answer:
-    """The answer with what coupling without loss may do to it, where a gain corner is seen and the model fails.
+    """The answer with what coupling without loss may do to it, for a gain corner that is seen.
+
+    It is asked for where the model fails, or the beats are not those of the rates.
 
     With an angle between the backscatter of the two beams WL comes out too high by up to (B_s/g_d)^2, B_s = 2 pi K
     WL tan(eps/2) and g_d a third of g_c for a cross saturation of half the self saturation

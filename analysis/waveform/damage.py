@@ -39,6 +39,9 @@ NEARLY_WHOLE = 1e-3
 SPIKE = 7.0
 """Residuals beyond this many (robust) standard deviations are no noise: once in 10^12 samples."""
 
+LONGEST_SPIKE = 4
+"""Samples in a row beyond which it is no spike, but a piece of another signal."""
+
 
 @dataclass(frozen=True)
 class Damage:
@@ -148,3 +151,9 @@ def outliers(
         if found.any() and found.mean() <= 0.02:
             spikes[row] = found
     return spikes
+
+
+def is_a_piece(found: Bools) -> bool:
+    """Whether more outliers stand in a row than a spike has; `found` (N,)."""
+    edges = np.flatnonzero(np.diff(found, prepend=False, append=False))
+    return bool((edges[1::2] - edges[::2]).max(initial=0) > LONGEST_SPIKE)

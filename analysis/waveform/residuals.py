@@ -8,12 +8,13 @@ from typing import Any
 import numpy as np
 import scipy.special
 
-from analysis.arrays import Bools, Floats, Indices, Ints, Samples
+from analysis.arrays import Bools, Complexes, Floats, Indices, Ints, Samples
 from analysis.flags import Flag
 from analysis.waveform.misfit import NEIGHBOURS, left_over, misfit_of, surroundings
 from analysis.waveform.records import sums_of_squares
 from analysis.waveform.series.frequency_search import Sizes, line_sizes, neighbours
 from analysis.waveform.series.geometric_series import Series, sampled_blocks, sampled_series
+from analysis.waveform.series.harmonic_sums import data_sums
 
 LINE_CHANCE = 1e-6
 """A residual line that noise would produce in fewer than this share of records is a misfit."""
@@ -31,6 +32,9 @@ slope of -1 is common, a curve is rarely sharp."""
 GROSS_MISFIT = 0.05
 """Share of the signal's power that a waveform may miss and still be called that of a gyro above lock-in."""
 
+LARGE, SMOOTH = 0.5, 0.5
+"""What is left may have so much of the signal's power only if its neighbouring samples do not agree by so much: a
+chirp has a flat spectrum too, but is no noise."""
 
 LEFT_BY_MOTION = 0.01
 """The same where a moving phase was fitted, which can follow nearly anything."""
@@ -46,27 +50,32 @@ class Residual:
 
     power, largest : (R,) sum of squares and largest size
     lines : (R, N//2 + 1) sizes of the lines of its spectrum
+    third : (R,) complex amplitude at three times the beat, its phase that in the middle of the record
     """
 
     power: Floats
     largest: Samples
     lines: Sizes
+    third: Complexes
 
     @staticmethod
-    def of(samples: Samples) -> Residual:
-        """From the samples (R, N), 0 where missing."""
+    def of(samples: Samples, omega: Floats) -> Residual:
+        """From the samples (R, N), 0 where missing, and the frequencies (R,) of the beats, rad per sample."""
         largest = np.maximum(samples.max(axis=-1), -samples.min(axis=-1))
-        return Residual(sums_of_squares(samples), largest, line_sizes(samples))
+        third = 2 / samples.shape[1] * data_sums(samples, 3 * omega, 1, 0, 1)[:, 0, 0]
+        return Residual(sums_of_squares(samples), largest, line_sizes(samples), third)
 
     @staticmethod
     def empty(n_records: int, n_samples: int, precision: np.dtype[Any]) -> Residual:
         """Room for the residuals of so many records."""
         lines: Sizes = np.empty((n_records, n_samples // 2 + 1), dtype=np.float32)
-        return Residual(np.empty(n_records), np.empty(n_records, dtype=precision), lines)
+        third = np.empty(n_records, dtype=np.complex128)
+        return Residual(np.empty(n_records), np.empty(n_records, dtype=precision), lines, third)
 
     def put(self, part: slice | Indices, other: Residual) -> None:
         """Write the other's records into the places `part` of this one."""
-        self.power[part], self.largest[part], self.lines[part] = other.power, other.largest, other.lines
+        self.power[part], self.largest[part] = other.power, other.largest
+        self.lines[part], self.third[part] = other.lines, other.third
 
 
 def residual_of(values: Samples, weights: Samples | None, series: Series) -> Residual:
@@ -77,7 +86,7 @@ def residual_of(values: Samples, weights: Samples | None, series: Series) -> Res
         np.subtract(values[rows], model, out=model)
         if weights is not None:
             model *= weights[rows]
-        residual.put(rows, Residual.of(model))
+        residual.put(rows, Residual.of(model, series.omega[rows]))
     return residual
 
 
@@ -150,6 +159,11 @@ def examine_residual(
         if lines > (GROSS_MISFIT_OF_A_CURVE if few else GROSS_MISFIT) * signal[row]:
             flags[row] |= Flag.NOT_LOCK_IN_LIKE
 
+    for row in np.flatnonzero((residual_power > LARGE * signal) & ~rounding):
+        if _neighbours_agree(sizes[row]) > SMOOTH:
+            flags[row] |= Flag.NOT_LOCK_IN_LIKE
+            uneven[row] = True
+
     excess = np.ones((n_records, 3))
     at_first = _local_level(sizes, omega, n_samples) / mean
     at_second = _local_level(sizes, 2 * omega, n_samples) / mean
@@ -186,6 +200,12 @@ def examine_residual(
             if surplus > LEFT_BY_MOTION * beat:
                 flags[row] |= Flag.NOT_LOCK_IN_LIKE
     return ResidualReport(flags, excess, uneven, ratio_u)
+
+
+def _neighbours_agree(sizes: Samples) -> float:
+    """Correlation of neighbouring samples, from the lines (N/2 + 1,) of a spectrum."""
+    power = np.square(sizes, dtype=np.float64)
+    return float(power @ np.cos(np.linspace(0, np.pi, power.size)) / max(float(power.sum()), 1e-300))
 
 
 def _line_stands_out(power: Samples, expected: float) -> bool:

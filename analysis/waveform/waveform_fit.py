@@ -8,7 +8,7 @@ import numpy as np
 
 from analysis.arrays import Bools, Complexes, Floats, Indices, Ints, Samples
 from analysis.flags import FATAL, Flag
-from analysis.waveform.damage import find_damage, outliers
+from analysis.waveform.damage import find_damage, is_a_piece, outliers
 from analysis.waveform.moving_rate import MovingFit, fit_moving_rate, may_be_motion
 from analysis.waveform.quantisation import (
     FEW_ERRORS,
@@ -41,6 +41,10 @@ MOST_WALK = 20.0
 """rad of random walk over the record up to which a record that is no beat at a steady rate may be one with a noisy
 rate. What is no beat at all needs more."""
 
+FEW_PERIODS = 6.5
+"""A motion that is no smooth curve may leave less than the noise, and with few periods looks like a harmonic: the
+ratio's variance grows with the sixth power of this over the periods."""
+
 N_PARAMETERS = 6
 FEWEST_SAMPLES = 12
 """Twice the number of parameters: with fewer valid samples the noise could not be told from the fit."""
@@ -55,6 +59,8 @@ class WaveformFit:
     excess : (R, 3) variance factors of frequency, ratio size and ratio phase where the noise is not white
     noise_rms : (R,) volts
     misfit : (R,) standard uncertainty of the ratio by what is no noise
+    third : (R,) volts, complex: what the waveform leaves at three times the beat, its phase that in the middle of
+        the record; nan where samples are missing or something moved
     flags : (R,)
     """
 
@@ -63,6 +69,7 @@ class WaveformFit:
     excess: Floats
     noise_rms: Floats
     misfit: Floats
+    third: Complexes
     flags: Ints
 
     def put(self, part: Indices, other: WaveformFit) -> None:
@@ -101,7 +108,7 @@ def _refused() -> WaveformFit:
     none: Complexes = np.zeros(1, dtype=np.complex128)
     series = Series(nothing, none, none.copy(), np.ones(1))
     flags = np.array([int(Flag.NOT_LOCK_IN_LIKE)])
-    return WaveformFit(series, np.full((1, 6, 6), np.nan), np.ones((1, 3)), unknown, unknown, flags)
+    return WaveformFit(series, np.full((1, 6, 6), np.nan), np.ones((1, 3)), unknown, unknown, unknown + 0j, flags)
 
 
 def _fit_part(stack: Stack, part: slice, clipped: Bools | None) -> WaveformFit:
@@ -148,7 +155,9 @@ def _fit_records(records: Records, clipped: Bools | None) -> WaveformFit:
     rounding, repeats = _take_out_rounding(values, weights, fit, left, count)
     flags[repeats] |= Flag.ROUNDING_REPEATS
     covariance = fit.covariance * rounding[:, np.newaxis, np.newaxis]
-    return _judged(records, weights, fit.series, covariance, left, count, flags)
+    judged = _judged(records, weights, fit.series, covariance, left, count, flags)
+    judged.flags[[row for row, found in spikes.items() if is_a_piece(found)]] |= Flag.MISFIT
+    return judged
 
 
 def _take_out_rounding(
@@ -204,7 +213,7 @@ def _judged(
     n_samples = records.values.shape[1]
     report = examine_residual(left, n_samples, count, series, repeated)
     flags |= report.flags
-    excess = report.excess
+    excess, third = report.excess, np.where(count < n_samples, np.nan, left.third)
     # A residual as small as this cannot come from a motion that would move the ratio.
     worth_it = power > TRACKED_FROM**2 * np.abs(series.first) ** 2 * count
     fatal = (report.flags & int(FATAL)) != 0
@@ -215,24 +224,25 @@ def _judged(
         here = np.array([row])
         beat = Series(*(np.array([getattr(moved, f.name)]) for f in fields(Series)))
         # What noise of the rate leaves is white only together with that noise.
-        residual, white = Residual.of(moved.left[np.newaxis]), moved.walk == 0
+        residual, white = Residual.of(moved.left[np.newaxis], beat.omega), moved.walk == 0
         again = examine_residual(residual, n_samples, count[here], beat, repeated[here], moved=white)
         # A motion takes noise from where it has its sidebands, and u knows of it: less there is no colour.
         told, factors = int(again.flags[0]), np.maximum(again.excess[0], 1.0)
         if not np.any(factors > 1.0):
             told &= ~int(Flag.COLOURED_NOISE)
+        factors[1:] *= 1 + (FEW_PERIODS * 2 * np.pi / (n_samples * moved.omega)) ** 6
         if fatal[row] and (told & int(FATAL | Flag.MISFIT) or moved.walk > MOST_WALK):
             continue
         series.put(here, beat)
         covariance[row], free[row], power[row] = moved.covariance, moved.degrees, moved.variance * moved.degrees
         covariance[row] /= moved.variance
         flags[row] = (flags[row] & ~report.flags[row]) | told | moved.flags
-        excess[row], report.misfit[row] = factors, again.misfit[0]
+        excess[row], report.misfit[row], third[row] = factors, again.misfit[0], np.nan
     flags[records.constant] = Flag.CONSTANT
     flags[count < FEWEST_SAMPLES] |= Flag.TOO_FEW_SAMPLES
     variance = power / np.maximum(free, 1)
     covariance *= variance[:, np.newaxis, np.newaxis]
-    return WaveformFit(series, covariance, excess, np.sqrt(variance), report.misfit, flags)
+    return WaveformFit(series, covariance, excess, np.sqrt(variance), report.misfit, third, flags)
 
 
 def _moving_fit(

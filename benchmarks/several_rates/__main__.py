@@ -13,7 +13,7 @@ import sys
 
 import numpy as np
 
-from analysis.several_rates import RatesFit, RatesFlag, RatioData, fit_rate_ratios
+from analysis.several_rates import RatesFit, RatesFlag, RatioData, ReceiverKnowledge, Reference, fit_rate_ratios
 from analysis.several_rates.ratio_model import predicted
 
 K, LOCK_IN = 2000.0, 0.05
@@ -37,6 +37,7 @@ def times(rates_fast: float) -> float:
     return 1 / (2 * np.pi * K * LOCK_IN * rates_fast)
 
 
+ALL_OF_IT = {"distortion": 0.005, "third_order": 0.003, "gain_time": times(60), "lag_square": times(40) ** 2}
 DEFAULT = both(3, 5.3, 9.5, 17, 30)
 SCENARIOS: dict[str, tuple[tuple[float, ...], int, dict[str, float]]] = {
     "default rates": (DEFAULT, 3, {}),
@@ -49,6 +50,7 @@ SCENARIOS: dict[str, tuple[tuple[float, ...], int, dict[str, float]]] = {
     "8 both": (both(8), 8, {}),
     "8, 15, 30, 60 one sense": ((8, 15, 30, 60), 8, {}),
     "the same, gain corner 120 WL": ((8, 15, 30, 60), 8, {"gain_time": times(120)}),
+    "3 to 30 one sense, all of it": ((3, 5.3, 9.5, 17, 30), 4, ALL_OF_IT),
     "3, 30 one sense": ((3, 30), 8, {}),
     "3, 30 one sense, -46 dBc": ((3, 30), 8, {"distortion": 0.005}),
 }
@@ -60,9 +62,12 @@ def drawn(
     phase: float,
     noise: float,
     rng: np.random.Generator,
+    *,
+    reference: Reference = "beat",
+    receiver: ReceiverKnowledge | None = None,
     **contaminants: float,
 ) -> RatesFit:
-    """One measurement and its fit, with the beat as reference."""
+    """One measurement and its fit."""
     rate = np.repeat(np.array(rates, dtype=float) * LOCK_IN, records)
     frequency = K * np.sqrt(rate**2 - LOCK_IN**2)
     names = ("distortion", "gain_time", "lag_square", "third_order")
@@ -78,7 +83,7 @@ def drawn(
         amplitude=np.ones(rate.size),
         third=nothing,
         third_weight=nothing,
-        reference="beat",
+        reference=reference,
     )
     ratio, third = (values[0] for values in predicted(truth, data))
     shaken = ratio + noise * (rng.normal(size=rate.size) + 1j * rng.normal(size=rate.size))
@@ -90,7 +95,8 @@ def drawn(
         scale_factor=K,
         third_harmonic=third + noise * rng.normal(size=rate.size),
         third_harmonic_u=max(noise, 1e-6),
-        reference="beat",
+        reference=reference,
+        receiver=receiver,
     )
 
 

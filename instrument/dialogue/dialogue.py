@@ -10,10 +10,11 @@ import contextlib
 
 from instrument import scpi
 from instrument.dialogue.events import ERROR_BITS, POWER_ON, is_error, scope_event
-from instrument.dialogue.exchange import LINE_END, Exchange
+from instrument.dialogue.exchange import RECORD, Exchange
 from instrument.dialogue.link import Link, NoAnswer
 from instrument.dialogue.persistence import Persistence
 from instrument.dialogue.record_question import PREAMBLE_FIELDS, RecordQuestion
+from instrument.dialogue.who_is_there import LINE_END
 from instrument.errors import InstrumentError, TransferError
 from instrument.facts import POINTS
 from instrument.waveform import Waveform
@@ -140,10 +141,12 @@ class Dialogue(Exchange):
         message = ";".join(filter(None, (clean, commands, "*ESR?", wanted.text, afterwards)))
         try:
             with self.exchange():
-                mark = self.send(message)
+                mark = self.send(message, kind=RECORD)
                 self.source = None
                 answer = self.link.read_blocks(blocks=wanted.blocks, wait=wait, longest=2 * POINTS)
             register, texts, curves = wanted.split(*answer, mark)
+            if mark:
+                self.came(RECORD)
             self._check_register(register)
             missing = wanted.not_displayed(texts)
             if missing is not None:

@@ -15,9 +15,11 @@ from typing import TypeVar
 
 from instrument import scpi
 from instrument.dialogue.events import ERROR_BITS, POWER_ON, is_error, parse_events, scope_event
-from instrument.dialogue.identity import Identity, parse_identity
-from instrument.dialogue.link import Link, NoAnswer
+from instrument.dialogue.identity import Identity
+from instrument.dialogue.link import SLICE_TIME, Link, NoAnswer
+from instrument.dialogue.patience import Patience
 from instrument.dialogue.persistence import Persistence, Tally
+from instrument.dialogue.who_is_there import WhoIsThere
 from instrument.errors import (
     InstrumentError,
     LinkError,
@@ -31,13 +33,14 @@ from instrument.facts import POINTS
 
 T = TypeVar("T")
 
-LINE_END = ":RS232:TRANSMIT:TERMINATOR"
-_MARKER = ":HEADER?"
+TEXT, RECORD = "text", "record"
+"""Kinds of answers: how long a scope thinks about them."""
+
 _MASK = "*ESE"
 _MARKS = 256
 _LONGEST_TEXT = 16_384
-_OPENING_ATTEMPTS = 5  # nobody has answered on this name yet: it may be wrong
-_IDENTITIES = _TRIES = 3
+_OPENING_ATTEMPTS = 6  # nobody has answered on this name yet: it may be wrong
+_IDENTITIES, _TRIES = 3, 4
 _FIRST_PAUSE, _LONGEST_PAUSE = 0.1, 2.0  # s between two attempts to connect
 
 
@@ -77,15 +80,13 @@ class Exchange(ABC):
         """Whether a question of the user's may have left events that are not about the next record."""
         self._recovering = self._reconnecting = False
         self._answer_due = False
-        self._identity_due = False
-        """Whether an answer to an earlier ``*IDN?`` may still come."""
-        self._markers_due = 0
         self._mark: int | None = None
+        self._patience = Patience(link.pause_time, link.answer_time)
+        self._late_until: float | None = None
+        """Until when a message that nobody waits for any more may still arrive, and be obeyed."""
+        self._who = WhoIsThere(link, self.send)
+        self._found_mask = 0
         self.identity = self._greet()
-        self._found_mask = ""
-        if self.persistence.careful and not link.framed:
-            (self._found_mask,) = self.ask(f"{_MASK}?", twice=True)
-            self._mark = self._integer(self._found_mask)
 
     @abstractmethod
     def set_format(self) -> None:
@@ -99,17 +100,28 @@ class Exchange(ABC):
     def set_line(self) -> str:
         """Make the line carry what is sent here; returns the commands that undo it."""
 
+    def settings_in_doubt(self) -> bool:
+        """Whether settings may have changed since they were verified, by a message that came late, too."""
+        if self._late_until is not None and self.link.clock.now() > self._late_until:
+            self._late_until, self.in_doubt = None, True
+        return self.in_doubt
+
+    def let_late_messages_pass(self) -> None:
+        """Wait until no message that was given up can arrive any more, and be obeyed."""
+        if self._late_until is not None and not self.lost:
+            self.link.clock.sleep(max(0.0, self._late_until - self.link.clock.now()))
+
     def end(self) -> None:
-        """Put the mask back that the marks stood in."""
-        if self._mark is None:
-            return
-        self._mark = None
-        self.repeated(self._put_mask_back)
+        """Put the mask back that the marks stood in: it is the last mark."""
+        if self._mark is not None:
+            self.repeated(self._put_mask_back)
+            self._mark, self.link.answer_time = None, self._patience.longest
 
     def _put_mask_back(self) -> None:
-        (held,) = self._ask_once(f"{_MASK} {self._found_mask};{_MASK}?")
-        if held != self._found_mask:
-            raise TransferError(f"{_MASK} is {held} and not {self._found_mask} as it was found")
+        self._mark = self._found_mask - 1
+        (held,) = self._ask_once(f"{_MASK}?")
+        if held != str(self._found_mask):
+            raise TransferError(f"{_MASK} is {held} and not {self._found_mask} as it was found; ask again")
 
     # ------------------------------------------------------------------ questions
 
@@ -176,7 +188,9 @@ class Exchange(ABC):
             with self.exchange():
                 mark = self.send(text)
                 found = scpi.split_parts(self.link.read_text(wait=wait, longest=_LONGEST_TEXT))
-            found = scpi.without_mark(found, mark) if mark else found
+            if mark:
+                found = scpi.without_mark(found, mark)
+                self.came()
             if parts is not None and len(found) != parts:
                 raise TransferError(
                     f"{parts} answers to {text!r:.80} were expected, but {found!r:.80} came; ask again"
@@ -187,14 +201,28 @@ class Exchange(ABC):
             raise self.after_damage(error) from error
         return found
 
-    def send(self, text: str) -> str:
-        """Send a message, with a mark in front of it where marks are in use; returns the mark, else ""."""
+    def send(self, text: str, *, kind: str = TEXT) -> str:
+        """Send a message, with a mark in front of it where marks are in use; returns the mark, else "".
+
+        Where marks are in use, its answer is waited for as long as those of its kind make likely.
+        """
         if self._mark is None:
             self.link.write(text)
             return ""
         self._mark = (self._mark + 1) % _MARKS
-        self.link.write(f"{_MASK} {self._mark};{_MASK}?;{text}")
+        message = f"{_MASK} {self._mark};{_MASK}?;{text}"
+        self.link.answer_time = self._patience.seconds(kind) + self.link.line_time(len(message))
+        self.link.write(message)
         return str(self._mark)
+
+    def came(self, kind: str = TEXT) -> None:
+        """The answer of this kind bore the mark of its question."""
+        self._patience.came(kind, self.link.began_after)
+
+    def _nothing_came(self) -> None:
+        if self._mark is not None:
+            self._patience.silent()
+            self._late_until = self.link.clock.now() + self._patience.longest
 
     # ------------------------------------------------------------------ doing it again
 
@@ -278,7 +306,7 @@ class Exchange(ABC):
         other = ""
         for _ in range(_IDENTITIES):  # damage on the way does not strike twice alike
             try:
-                identity = self._identify()
+                identity = self._who.ask()
             except WrongInstrument as error:
                 text = str(error)
             else:
@@ -294,7 +322,7 @@ class Exchange(ABC):
         raise TransferError(f"the identity of {self.identity.model} came damaged again and again; ask again")
 
     def _come_into_step(self) -> list[ScopeEvent]:
-        """Get back into step, a persistent program at the third try; returns the events that waited."""
+        """Get back into step, a persistent program after several tries; returns the events that waited."""
         tries = _TRIES if self.persistence.careful else 1
         for attempt in range(1, tries + 1):
             try:
@@ -314,7 +342,9 @@ class Exchange(ABC):
 
     def _ask_for_all(self) -> list[ScopeEvent]:
         """Events, format and identity in one marked message, up to which everything on the line is dropped."""
-        self.link.clear()
+        self.link.clear(SLICE_TIME)  # what comes later bears another mark
+        if not self.link.is_serial:
+            self.link.write("")  # ends a half-sent command, as a break does
         commands, wanted = self.format_question()
         mark = self.send(";".join(filter(None, ("*ESR?;:ALLEV?", commands, "*IDN?"))))
         clock = self.link.clock
@@ -323,11 +353,15 @@ class Exchange(ABC):
             try:
                 found = scpi.split_parts(self.link.read_text(longest=_LONGEST_TEXT))
                 _, events, *held, identity = scpi.without_mark(found, mark)
+            except NoAnswer:
+                self._nothing_came()
+                raise
             except (TransferError, ValueError) as error:
                 if clock.now() - began > longest:
                     raise TransferError("many answers came, and none to the last question; ask again") from error
             else:
                 break
+        self.came()
         if identity != self.identity.text:
             self.resynchronise()  # damaged, or another instrument: it decides
         if held != wanted:
@@ -377,7 +411,11 @@ class Exchange(ABC):
         if self._answer_due and not self._recovering:
             self._come_into_step()
         self._answer_due = True
-        yield
+        try:
+            yield
+        except NoAnswer:
+            self._nothing_came()
+            raise
         self._answer_due = False
 
     @contextlib.contextmanager
@@ -398,9 +436,14 @@ class Exchange(ABC):
             try:
                 if attempt > 1:
                     self.link.reopen()
+                    self._answer_due = False
                 if self.link.is_serial or self.link.framed:
                     self.link.clear()
-                return self._identified()
+                identity = self._who.ask()
+                if self.persistence.careful:
+                    with self._recovery():
+                        self._meet_again(identity)
+                return identity
             except (LinkError, TransferError, WrongInstrument) as error:
                 silent += isinstance(error, LinkError)
                 alike = isinstance(error, WrongInstrument) and str(error) == told
@@ -411,60 +454,13 @@ class Exchange(ABC):
                 self.persistence.clock.sleep(_FIRST_PAUSE)
         raise LinkError(f"{self.link.name}: nothing was tried")
 
-    def _identified(self) -> Identity:
-        """Identity as it was answered; a persistent program asks until the answer comes twice alike."""
-        identity = self._identify()
-        if self.persistence.careful and self._identify().text != identity.text:
+    def _meet_again(self, identity: Identity) -> None:
+        """See that the identity comes alike once more; on a stream, begin with marks."""
+        mask, again, text = self._ask_once(f"{_MASK}?;{_MASK}?;*IDN?", parts=3)
+        if text != identity.text or mask != again:
             raise TransferError("the identity was answered in two ways; ask again")
-        return identity
-
-    def _identify(self) -> Identity:
-        """Ask ``*IDN?`` and read until an identity comes: on a stream, older lines may come first."""
-        in_doubt, self._identity_due = self._identity_due, True
-        mark = self.send("*IDN?")
-        clock = self.link.clock
-        began, longest = clock.now(), self.link.answer_time + self.link.line_time(2 * POINTS)
-        problem: InstrumentError | None = None
-        while problem is None or (not self.link.framed and clock.now() - began < longest):
-            try:
-                text = self.link.read_text(longest=8192)
-                if mark:
-                    text = ";".join(scpi.without_mark(scpi.split_parts(text), mark))
-                identity = parse_identity(text)
-            except (WrongInstrument, TransferError) as error:
-                if problem is None and isinstance(error, TransferError) and self.link.is_serial:
-                    # Text without a line feed: perhaps the scope is set to end its answers with CR alone. But it
-                    # may as well be a late record: then both questions are answered.
-                    self.link.write(f"{LINE_END} LF")
-                    mark = self.send("*IDN?")
-                    in_doubt = True
-                problem = error
-            except NoAnswer:
-                # Silence after a line that was not an identity: that line was the answer.
-                if problem is None:
-                    raise
-                break
-            else:
-                if in_doubt and not self.link.framed and not mark:
-                    self._read_to_marker()
-                self._identity_due = False
-                return identity
-        raise problem
-
-    def _read_to_marker(self) -> None:
-        """Read a stream up to the answer of a question that no earlier one can be mistaken for.
-
-        Two identities are alike, so an identity alone does not tell that it is the last one under way. A marker
-        asks for one setting several times over, and once more often for each marker that was not answered.
-        """
-        self._markers_due += 1
-        parts = 1 + self._markers_due
-        self.link.write(";".join([_MARKER] * parts))
-        values: list[str] = []
-        while len(values) != parts or set(values) - {"0", "1"}:
-            line = self.link.read_text(longest=8192)
-            values = [scpi.split_header(part)[1] for part in scpi.split_parts(line)]
-        self._markers_due = 0
+        if not self.link.framed:
+            self._mark = self._found_mask = self._integer(mask)
 
     # ------------------------------------------------------------------ what came
 

@@ -92,7 +92,11 @@ class Link:
         self.clock: Clock = clock or ComputerClock()
         self.closed = False
         self.answer_time = ANSWER_TIME
-        """May be raised for an unusually slow unit."""
+        """Longest time in s until an answer begins; to be set for an unusually slow unit, or a known quick one."""
+        self.pause_time = PAUSE_TIME
+        """Longest silence in s inside an answer that has begun."""
+        self.began_after = 0.0
+        """Time in s until the last answer on a stream began, beyond what its question was known to take."""
         self._timeout: float | None = None
         self._socket: WatchfulSocket | None = None
         self._manager = resource_manager
@@ -204,11 +208,16 @@ class Link:
             raise TransferError(f"the picture has {len(picture)} bytes instead of {length}; ask again")
         return picture[:length]
 
-    def clear(self) -> None:
+    def clear(self, silence: float | None = None) -> None:
         """Bring both sides to rest: the instrument drops what it waits for, and late bytes are thrown away.
 
         GPIB, USB and VXI-11 have a device clear. On RS-232 a break does the same, and the scope answers
         ``DCL`` (071-1064-00, p. 142). A bare socket has nothing like it: there only late bytes are dropped.
+
+        Parameters
+        ----------
+        silence : float, optional
+            Time in s for which a stream must be silent, `PAUSE_TIME` by default.
         """
         if self.framed:
             self._set_timeout(self.answer_time)
@@ -217,12 +226,12 @@ class Link:
             return
         if self.is_serial:
             self._send_break()
-        late = self.drain()
+        late = self.drain(silence)
         if b"DCL" in late[-8:]:
             self.can_clear = True
 
-    def drain(self) -> bytes:
-        """Read a stream until it is silent for `PAUSE_TIME`; returns what came.
+    def drain(self, silence: float | None = None) -> bytes:
+        """Read a stream until it is silent for so many seconds, `PAUSE_TIME` by default; returns what came.
 
         Raises LinkError if the other side keeps talking for longer than the longest answer could take.
         """
@@ -231,7 +240,7 @@ class Link:
         longest = self.answer_time + self.line_time(16_384)
         while self.clock.now() - began < longest:
             try:
-                late += self.first_byte(PAUSE_TIME)
+                late += self.first_byte(self.pause_time if silence is None else silence)
             except NoAnswer:
                 return bytes(late)
         raise LinkError(
@@ -305,7 +314,7 @@ class Link:
             begun, lacking = scpi.blocks_begun(message, longest=longest) if blocks else (0, 0)
             if begun and lacking >= 0:
                 # Between the parts of an answer, preamble and curve for one, the scope may think again.
-                pause = PAUSE_TIME if lacking or begun == blocks else self.answer_time
+                pause = self.pause_time if lacking or begun == blocks else self.answer_time
                 answer.more(min(lacking or 1, self.chunk), pause)
             else:
                 answer.more(self.chunk, self.answer_time)
@@ -396,8 +405,10 @@ class _Arriving:
 
     def __init__(self, link: Link, wait: float, *, pauses: int) -> None:
         self._link, self._thinking = link, pauses * link.answer_time
+        asked = link.clock.now()
         self.data = bytearray(link.first_byte(link.answer_time + wait))
         self._began = link.clock.now()
+        link.began_after = max(0.0, self._began - asked - wait)
 
     def more(self, count: int, pause: float) -> None:
         """Take up to `count` more bytes, fewer if a line feed comes first; TransferError if they do not come."""

@@ -19,12 +19,12 @@ from typing import Concatenate, ParamSpec, Self, TypeVar, cast, overload
 
 import pyvisa
 
-from instrument.dialogue.acquisition_time import AcquisitionTime
 from instrument.dialogue.identity import Identity
 from instrument.dialogue.link import NoAnswer
 from instrument.dialogue.persistence import Persistence, Tally
 from instrument.errors import InstrumentError, NoTrigger, SettingError, TransferError
 from instrument.facts import POINTS
+from instrument.tds2014.acquisition_time import AcquisitionTime
 from instrument.tds2014.front_panel import FoundPanel, FrontPanel, is_on
 from instrument.tds2014.knobs import Knobs
 from instrument.tds2014.measurement import Measurements

@@ -9,12 +9,12 @@ from typing import TypeVar
 import pyvisa
 
 from instrument import scpi
-from instrument.dialogue.acquisition_time import AcquisitionTime
 from instrument.dialogue.dialogue import Dialogue
 from instrument.dialogue.link import Link
 from instrument.dialogue.persistence import Persistence, Tally
 from instrument.errors import LinkError, NoTrigger, ScopeEvent, SettingError, TransferError
 from instrument.facts import POINTS_PER_DIVISION
+from instrument.tds2014.acquisition_time import AcquisitionTime
 from instrument.tds2014.front_panel import FoundPanel, FrontPanel
 from instrument.waveform import Waveform
 
@@ -65,6 +65,7 @@ class Session:
             return
         self._closed = True
         try:
+            self.dialogue.let_late_messages_pass()
             self.restore()
             self.panel_is_back = True
         except LinkError:
@@ -120,7 +121,7 @@ class Session:
             self._stepping = False
 
     def _with_settings_held(self, work: Callable[[], T]) -> T:
-        while self.dialogue.in_doubt:
+        while self.dialogue.settings_in_doubt():
             self.dialogue.in_doubt = False
             self.panel.hold()
             self.forget()

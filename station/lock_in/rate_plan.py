@@ -23,7 +23,7 @@ FAR_OFF = 1.4
 
 MOST_CHANGES = 4
 
-_LIKELY_FACTOR = 2.0
+LIKELY_FACTOR = 2.0
 """By which the lock-in rate may differ from the expected one."""
 
 _SAME = 0.2
@@ -77,13 +77,15 @@ class RatePlan:
         return {"steps": steps, "planned_for_dps": self.planned_for_dps, "changes": self.changes}
 
 
-def rate_plan(settings: Settings, tilt_deg: float = 0.0) -> RatePlan:
+def rate_plan(settings: Settings, tilt_deg: float = 0.0, likely_factor: float = LIKELY_FACTOR) -> RatePlan:
     """Return the plan of a campaign: rates that the user has named, or those chosen for the expected lock-in rate.
 
     Parameters
     ----------
     tilt_deg : float, optional
         Between gyro axis and table axis, where there is a table that can be set.
+    likely_factor : float, optional
+        By which the lock-in rate may differ from the expected one.
 
     Raises
     ------
@@ -92,7 +94,7 @@ def rate_plan(settings: Settings, tilt_deg: float = 0.0) -> RatePlan:
     """
     expected = settings.gyro.expected_lock_in_rate_dps
     if settings.rates_are_chosen:
-        sizes = _chosen_rates(settings, expected, tilt_deg)
+        sizes = _chosen_rates(settings, expected, tilt_deg, likely_factor)
     else:
         sizes = tuple(ratio * expected for ratio in settings.named_rates or (settings.slow_over_lock_in,))
     return RatePlan(_steps(settings, sizes, _senses(settings, len(sizes))), expected)
@@ -165,19 +167,21 @@ def changed_plan(
     return replace(plan, steps=(*done, *steps), planned_for_dps=wanted, changes=plan.changes + 1)
 
 
-def _chosen_rates(settings: Settings, lock_in_rate: float, tilt_deg: float) -> tuple[float, ...]:
-    """Sizes of the rates on the axis, deg/s, for a lock-in rate that may be wrong by a factor of two.
+def _chosen_rates(
+    settings: Settings, lock_in_rate: float, tilt_deg: float, likely_factor: float = LIKELY_FACTOR
+) -> tuple[float, ...]:
+    """Sizes of the rates on the axis, deg/s, for a lock-in rate that may be wrong by some factor.
 
     The axis of a tilted gyro meets the horizontal earth rate at an azimuth that nobody knows: no rate is so slow
     that it could stop or turn the gyro round.
     """
     tilt = math.radians(tilt_deg)
     earth = EARTH_RATE_DPS * math.cos(math.radians(settings.site.latitude_deg)) * math.sin(tilt)
-    clear = earth / lock_in_rate + _LIKELY_FACTOR
+    clear = earth / lock_in_rate + likely_factor
     stated = settings.budget.bandwidth_hz if settings.budget is not None else 0.0
     bandwidth = settings.front_end.low_pass_hz or stated or math.inf
     scale_factor = settings.gyro.scale_factor_pulses_per_deg
-    factor = max(_LIKELY_FACTOR, clear / planning.SAFE_ABOVE_LOCK_IN)
+    factor = max(likely_factor, clear / planning.SAFE_ABOVE_LOCK_IN)
     slowest_beat = scale_factor * planning.SAFE_ABOVE_LOCK_IN * factor * lock_in_rate
     try:
         ratios = planning.default_rates(

@@ -94,6 +94,8 @@ class _Taking:
             except NoUsableSignal as error:
                 if len(plan.steps) == 1:
                     raise
+                # where the search ended in vain, the vertical scale fits no beat: the next one begins anew
+                self.knobs = None
                 # the other rates may do: which one gave nothing stands in the run and in the result
                 without_beat[step] = f"{step.sense * step.over_lock_in:+g} expected lock-in rates: {error}"
                 self.progress.note(f"no record at {without_beat[step]}")

@@ -17,15 +17,17 @@ if TYPE_CHECKING:
 _positive = click.FloatRange(min=0, min_open=True)
 
 
-def _numbers(_context: click.Context, _option: click.Parameter, text: str | None) -> tuple[float, ...]:
+def _numbers(_context: click.Context, _option: click.Parameter, text: str | None) -> tuple[float, ...] | None:
     if text is None:
+        return None
+    if text == "best":
         return ()
     try:
         values = tuple(float(part) for part in text.split(","))
     except ValueError:
         values = (math.nan,)
     if not all(math.isfinite(value) for value in values):
-        raise click.BadParameter(f"{text!r} is not a list of numbers such as 3,8,15")
+        raise click.BadParameter(f"{text!r} is neither a list of numbers such as 3,8,15 nor best")
     return values
 
 
@@ -69,7 +71,10 @@ def _numbers(_context: click.Context, _option: click.Parameter, text: str | None
     help="Largest second harmonic of detector and scope, dB of the beat [settings].",
 )
 @click.option(
-    "--rates", callback=_numbers, metavar="X,X,...", help="Rates to measure at, in lock-in rates [the best one]."
+    "--rates",
+    callback=_numbers,
+    metavar="X,X,...",
+    help="Rates in lock-in rates, or best: the best single one [those of gyrolock measure].",
 )
 @click.option("--both-senses", is_flag=True, help="Each rate in both senses of rotation.")
 @click.option(

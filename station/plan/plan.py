@@ -16,9 +16,10 @@ from analysis.plan import (
     plan_measurement,
     uncertainty_curve,
 )
-from station.errors import UsageError
+from station.errors import NoUsableSignal, UsageError
 from station.lock_in.knowledge import bench_knowledge
 from station.lock_in.presentation.budget_table import budget_document
+from station.lock_in.rate_plan import rate_plan
 from station.lock_in.settings import Settings
 from station.scope.autoset import oscilloscope_steps
 
@@ -43,8 +44,8 @@ class PlanOptions:
         The lock-in rate may be this factor larger or smaller.
     wanted_percent : float
         Relative standard uncertainty.
-    rates : tuple of float
-        W/WL; empty: the best one.
+    rates : tuple of float, or None
+        W/WL; empty: the best one; ``None``: those that ``gyrolock measure`` goes to.
     reference : {"beat", "rate"}
     transfer_s : float or None
         Seconds between records.
@@ -57,7 +58,7 @@ class PlanOptions:
     amplitude_v: float | None = None
     noise_v: float | None = None
     distortion_dbc: float | None = None
-    rates: tuple[float, ...] = ()
+    rates: tuple[float, ...] | None = None
     both_senses: bool = False
     reference: str = "beat"
     tilt_deg: float | None = None
@@ -114,11 +115,17 @@ def plan_request(settings: Settings, options: PlanOptions) -> PlanRequest:
         knowledge = replace(knowledge, distortion_limit=10 ** (options.distortion_dbc / 20))
     amplitude = _given(options.amplitude_v, simulated.amplitude_v if simulated else 0.4)
     probe = settings.scope.probe
+    lock_in_rate = _given(options.lock_in_rate_dps, settings.gyro.expected_lock_in_rate_dps)
+    scale_factor = _given(options.scale_factor, settings.gyro.scale_factor_pulses_per_deg)
+    rates, both_senses = options.rates, options.both_senses
+    if rates is None:
+        rates, chosen = _measured_rates(settings, options, lock_in_rate, scale_factor)
+        both_senses = both_senses or chosen
     return PlanRequest(
-        lock_in_rate=_given(options.lock_in_rate_dps, settings.gyro.expected_lock_in_rate_dps),
+        lock_in_rate=lock_in_rate,
         lock_in_factor=options.lock_in_factor,
         wanted_u=options.wanted_percent / 100,
-        scale_factor=_given(options.scale_factor, settings.gyro.scale_factor_pulses_per_deg),
+        scale_factor=scale_factor,
         amplitude=amplitude,
         noise_rms=_given(options.noise_v, simulated.detector_noise_v if simulated else 0.01 * amplitude),
         noise_levels=simulated.scope_noise_levels if simulated else 0.5,
@@ -126,8 +133,8 @@ def plan_request(settings: Settings, options: PlanOptions) -> PlanRequest:
         knowledge=knowledge,
         reference="rate" if options.reference == "rate" else "beat",
         table=_table(settings, options),
-        rates_over_lock_in=options.rates,
-        both_senses=options.both_senses,
+        rates_over_lock_in=rates,
+        both_senses=both_senses,
         periods_min=settings.measurement.periods_min,
         samples_per_period_min=settings.measurement.samples_per_period_min,
         fill_levels=settings.measurement.fill_levels,
@@ -194,10 +201,32 @@ def _given(option: float | None, default: float) -> float:
     return default if option is None else option
 
 
+def _measured_rates(
+    settings: Settings, options: PlanOptions, lock_in_rate: float, scale_factor: float
+) -> tuple[tuple[float, ...], bool]:
+    """W/WL of the rates that a measurement of such a gyro goes to, and whether in both senses.
+
+    Where the table turns already, a measurement has no choice, and the advice is the best rate to turn it at.
+    """
+    if settings.table.kind == "none" and not settings.named_rates:
+        return (), False
+    gyro = {"expected_lock_in_rate_dps": lock_in_rate, "scale_factor_pulses_per_deg": scale_factor}
+    expected = settings.model_copy(update={"gyro": settings.gyro.model_copy(update=gyro)})
+    try:
+        steps = rate_plan(expected, _tilt(settings, options) or 0.0, options.lock_in_factor).steps
+    except NoUsableSignal as error:
+        raise ValueError(str(error)) from None
+    return tuple(sorted({step.over_lock_in for step in steps})), any(step.sense < 0 for step in steps)
+
+
+def _tilt(settings: Settings, options: PlanOptions) -> float | None:
+    if options.tilt_deg is None and settings.simulation is not None:
+        return settings.simulation.tilt_deg
+    return options.tilt_deg
+
+
 def _table(settings: Settings, options: PlanOptions) -> TableSpread | None:
-    tilt = options.tilt_deg
-    if tilt is None and settings.simulation is not None:
-        tilt = settings.simulation.tilt_deg
+    tilt = _tilt(settings, options)
     if tilt is None:
         if options.reference == "rate":
             raise ValueError("with the rate as reference, --tilt says how the gyro's axis stands to the table's")

@@ -6,7 +6,7 @@ import math
 from dataclasses import replace
 
 from analysis import harmonic_ratio, lock_in_from_rate
-from analysis.plan import Plan, PlannedRate, PlanRequest, plan_measurement, predicted_budget
+from analysis.plan import FEW_RATES, Plan, PlannedRate, PlanRequest, plan_measurement, predicted_budget
 from analysis.rotation import EARTH_RATE_DPS
 from station.plan.plan import PAPER_OVER_LOCK_IN, PlannedMeasurement
 from station.results.numbers import with_prefix
@@ -93,7 +93,8 @@ def _why_not_faster(plan: Plan) -> list[str]:
 
 
 def _noise(request: PlanRequest, over: float) -> float:
-    budget = predicted_budget(request, over, 1)
+    """What noise makes of the lock-in rate from one record."""
+    budget = predicted_budget(replace(request, both_senses=False), over, 1)
     return math.hypot(*(line.contribution for line in budget.inputs if line.name in ("noise", "quantization")))
 
 
@@ -105,11 +106,11 @@ def _largest(limit: float, ratio: float) -> float:
 def _senses(plan: Plan) -> list[str]:
     request = plan.request
     if request.reference == "rate":
-        own = plan_measurement(replace(request, reference="beat", rates_over_lock_in=()))
+        own = plan_measurement(replace(request, reference="beat"))
         said = (
             "The table's rate is the reference, so tilt and earth rate weigh more the slower it turns. With each "
-            f"record as its own reference {own.records * len(own.rates)} records at "
-            f"{own.rates[0].over_lock_in:.3g} times lock-in give {100 * own.budget.relative_u:.2g} %."
+            f"record as its own reference {own.records * len(own.rates)} records from "
+            f"{own.rates[0].over_lock_in:.3g} times lock-in on give {100 * own.budget.relative_u:.2g} %."
         )
         return [said, *_separation(plan)]
     return _separation(plan)
@@ -117,14 +118,20 @@ def _senses(plan: Plan) -> list[str]:
 
 def _separation(plan: Plan) -> list[str]:
     request = plan.request
+    rates = len({rate.over_lock_in for rate in plan.rates})
     if request.both_senses:
-        return [
+        said = (
             "Both senses of rotation separate distortion from lock-in at no cost: it adds to the complex ratio of "
             "both alike, while lock-in turns round with the sense."
-        ]
+        )
+        more = " Several rates show the bandwidth of the channel and the gain corner of the laser too."
+        return [said + more * (rates > 1)]
     if request.distortion_separated:
+        both = plan_measurement(replace(request, both_senses=True))
+        few = "may have two solutions, and" if rates < FEW_RATES else "tell distortion from lock-in, but"
         return [
-            "Several rates separate distortion from lock-in; both senses of one rate would do it with less noise."
+            f"{rates} rates in one sense {few} what separates them costs most of the uncertainty. In both senses "
+            f"(--both-senses) {both.records * len(both.rates)} records give {100 * both.budget.relative_u:.2g} %."
         ]
     line = next(iter(plan.budget.inputs))
     if line.name == "distortion" and plan.budget.share(line) > 0.3:

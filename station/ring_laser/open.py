@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
-from instrument import FoundPanel
+from instrument import FoundPanel, Identity
 from station.ring_laser.bench import Bench
 from station.ring_laser.settings import BenchSettings
 from station.runs.operator import operator_table
@@ -20,6 +20,7 @@ def open_bench(
     times_resumed: int = 0,
     tell: Callable[[str], None] | None = None,
     put_back: FoundPanel | None = None,
+    same_as: Identity | None = None,
 ) -> Iterator[Bench]:
     """Open the bench; afterwards the front panel of the oscilloscope is as it was found.
 
@@ -31,6 +32,8 @@ def open_bench(
         Is told when the link is lost, and when it is there again.
     put_back : FoundPanel, optional
         The front panel to put back, where an earlier session found it and could not do it.
+    same_as : Identity, optional
+        The oscilloscope that it must be: that of the run which is gone on with.
 
     Raises
     ------
@@ -49,7 +52,12 @@ def open_bench(
     table = operator_table() if settings.table.kind == "manual" else None
     wanted = settings.scope
     opened = open_scope(
-        wanted.resource, wanted.baud_rate, reconnect_s=wanted.reconnect_s, tell=tell, put_back=put_back
+        wanted.resource,
+        wanted.baud_rate,
+        reconnect_s=wanted.reconnect_s,
+        tell=tell,
+        put_back=put_back,
+        same_as=same_as,
     )
     with opened as scope:
         yield Bench(scope, table)
@@ -69,6 +77,7 @@ def open_for(session: Session, settings: BenchSettings) -> Bench:
             times_resumed=session.times_resumed,
             tell=session.progress.note,
             put_back=session.panel_to_put_back,
+            same_as=session.scope_so_far,
         )
     )
     session.watch(bench.scope)

@@ -5,11 +5,11 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager, ExitStack
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
-from instrument import TDS2014, FoundPanel, InstrumentError
+from instrument import TDS2014, FoundPanel, Identity, InstrumentError
 from station.errors import Failure, RunError, StationError, describe_failure
 from station.provenance import provenance
 from station.runs.database import utc_now
@@ -108,6 +108,15 @@ class Session:
         if not found or found["put_back"]:
             return None
         return FoundPanel(found["setup"], {name: tuple(values) for name, values in found["groups"].items()})
+
+    @property
+    def scope_so_far(self) -> Identity | None:
+        """The oscilloscope that the run was begun with, where it says so."""
+        known = {} if self.resumed is None else self.resumed.facts.get("identity") or {}
+        names = [part.name for part in fields(Identity)]
+        if not all(isinstance(known.get(name), str) for name in names):
+            return None
+        return Identity(**{name: str(known[name]) for name in names})
 
     def watch(self, scope: TDS2014) -> None:
         """Keep with the run how this oscilloscope's front panel was found, and what its link took."""

@@ -143,7 +143,7 @@ def find_beat(
     Parameters
     ----------
     start : KnobPositions or float
-        Where to begin: an earlier setting, whose vertical part is kept and whose frequency is looked for, or
+        Where to begin: the setting of the scope as it stands, whose frequency is looked for, or
         the highest frequency in Hz that the beat may have. A beat ten times slower is found as well, and any above
         6 Hz.
 

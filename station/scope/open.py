@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
-from instrument import ATTEMPTS, RECONNECT_FOR, TDS2014, FoundPanel, Persistence
+from instrument import ATTEMPTS, RECONNECT_FOR, TDS2014, FoundPanel, Identity, Persistence, WrongInstrument
 
 
 @contextmanager
@@ -17,6 +17,7 @@ def open_scope(
     read_twice: bool = True,
     tell: Callable[[str], None] | None = None,
     put_back: FoundPanel | None = None,
+    same_as: Identity | None = None,
 ) -> Iterator[TDS2014]:
     """Open an oscilloscope and put its front panel back afterwards.
 
@@ -34,6 +35,8 @@ def open_scope(
         Is told when the link is lost, and when it is there again.
     put_back : FoundPanel, optional
         The front panel to put back, where an earlier session found it and could not do it.
+    same_as : Identity, optional
+        The unit that it must be: that of the run which is gone on with.
 
     Raises
     ------
@@ -42,6 +45,12 @@ def open_scope(
     """
     persistence = Persistence(ATTEMPTS, reconnect_s, read_twice, tell or (lambda _: None))
     with TDS2014(resource, baud_rate=baud_rate or None, persistence=persistence) as scope:
+        if same_as is not None and not scope.identity.same_unit(same_as):
+            raise WrongInstrument(
+                f"the run was begun with {same_as.text!r}, and on {resource} answers {scope.identity.text!r}: "
+                "connect the one it was begun with, or take a new run (`gyrolock analyze --combine` makes one "
+                "result of several)"
+            )
         if put_back is not None:
             scope.put_back_in_the_end(put_back)
         yield scope

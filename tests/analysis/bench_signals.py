@@ -59,3 +59,17 @@ def seen(beat: SteadyBeat, times, *, readout_phase=0.0, start_phase=0.0, contras
     turns = np.multiply.outer(2 * np.pi * beat.frequency * times + start_phase, orders[keep])
     waves = 2 * (np.cos(turns) @ sides[keep].real - np.sin(turns) @ sides[keep].imag)
     return lines[orders == 0].imag[0] + waves
+
+
+def ratios_of_slow_gain(multiples, corner, phase_sum=0.0, readout=0.4):
+    """Rates, exact complex ratios and beat frequencies of lines that the integrated equations give."""
+    rates, ratios, beats = np.array(multiples) * WL, [], []
+    laser = symmetric_laser(WL, scale_factor=K, gain_corner_hz=corner, phase_sum=phase_sum)
+    for rate in rates:
+        steady = steady_beat(laser, rate)
+        middle = steady.beat.size // 2
+        turned = steady.beat * np.exp(1j * readout)
+        first, second = ((turned[middle + n] - np.conj(turned[middle - n])) / 2j for n in (1, 2))
+        ratios.append(second * abs(first) / first**2)
+        beats.append(steady.frequency)
+    return rates, np.array(ratios), np.array(beats)

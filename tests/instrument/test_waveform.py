@@ -82,7 +82,7 @@ def test_damaged_preambles_are_refused(damage, problem):
 
 
 words = st.text(st.characters(min_codepoint=0x20, max_codepoint=0x7E), max_size=30)
-numbers = st.floats(allow_nan=False, allow_infinity=False)
+numbers = st.floats(-1e18, 1e18)  # beyond is refused
 preambles = st.builds(
     Preamble,
     byt_nr=st.just(1),
@@ -107,6 +107,12 @@ preambles = st.builds(
 @given(preambles)
 def test_parse_undoes_to_text(preamble):
     assert Preamble.parse(preamble.to_text()) == preamble
+
+
+@given(preambles, st.sampled_from(["xzero", "yzero", "yoff"]), st.sampled_from([1e200, -1e308]))
+def test_numbers_that_no_scope_has_are_refused(preamble, name, number):
+    with pytest.raises(TransferError, match="larger or smaller"):
+        Preamble.parse(replace(preamble, **{name: number}).to_text())
 
 
 @given(

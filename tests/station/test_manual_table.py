@@ -1,19 +1,22 @@
 """A table that an operator sets by hand: asked on a terminal, and nowhere else."""
 
+import math
 import os
 import select
 import subprocess
 import sys
 import time
+from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
 
+from instrument.simulated import VirtualClock
 from station.errors import UsageError
 from station.lock_in.settings import load_settings
 from station.ring_laser.instruments import build_instruments
 from station.runs.operator import operator_table
-from station.runs.store import open_run
+from station.runs.store import SavedRun, open_run
 from station.scope.serve import serve
 from tests.ideal_bench import ideal_bench
 
@@ -27,44 +30,59 @@ def test_without_a_terminal_it_is_refused(monkeypatch: pytest.MonkeyPatch) -> No
             operator_table()
 
 
-def test_an_operator_leads_the_table_through_the_measurement(tmp_path: Path) -> None:
-    """The operator of this test turns the simulated table by what the prompts say."""
-    from instrument.simulated import VirtualClock
+@dataclass(frozen=True)
+class Led:
+    """A measurement that an operator led: rates asked for, deg/s, all that was said, exit code, and the run."""
 
-    instruments = build_instruments(load_settings(overrides=ideal_bench()), VirtualClock())
+    asked: list[float]
+    said: str
+    code: int
+    run: SavedRun
+
+
+def led_by_an_operator(folder: Path, measurement: str, **simulated: float) -> Led:
+    """Measure as `gyrolock measure` does; the operator turns the simulated table by what the prompts say."""
+    bench = ideal_bench(simulation=dict(simulated))
+    instruments = build_instruments(load_settings(overrides=bench), VirtualClock())
     with serve(instruments.scope, "tcp") as resource:
         text = f'[scope]\nresource = "{resource}"\n[table]\nkind = "manual"\nsettle_s = 0\n'
-        text += "[measurement]\nrecords = 3\nrates_over_lock_in = [8.0]\n"
-        text += "[gyro]\nscale_factor_pulses_per_deg = 2000.0\n"
-        (tmp_path / "my.toml").write_text(text)
+        text += f"[gyro]\nscale_factor_pulses_per_deg = 2000.0\n[measurement]\n{measurement}\n"
+        (folder / "my.toml").write_text(text)
         terminal, keyboard = os.openpty()
         command = [sys.executable, "-m", "station.cli", "measure", "--config", "my.toml", "--no-report"]
         with subprocess.Popen(
-            command, cwd=tmp_path, stdin=keyboard, stdout=subprocess.PIPE, stderr=subprocess.PIPE
+            command, cwd=folder, stdin=keyboard, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE
         ) as process:
             assert process.stderr is not None
-            asked = []
-            said = ""
-            deadline = time.monotonic() + 60
-            while process.poll() is None and time.monotonic() < deadline:
+            asked, said, answered = [], "", 0
+            deadline = time.monotonic() + 300
+            while time.monotonic() < deadline:
                 if not select.select([process.stderr], [], [], 0.2)[0]:
                     continue
-                said += os.read(process.stderr.fileno(), 4096).decode()
-                if "Press Enter" in said:
-                    rate = float(said.split("rate table to ")[1].split(" deg/s")[0])
+                more = os.read(process.stderr.fileno(), 4096).decode()
+                if not more:
+                    break
+                said += more
+                if "Press Enter" in said[answered:] and said.rstrip().endswith("deg/s:"):
+                    rate = float(said[answered:].split("rate table to ")[1].split(" deg/s")[0])
                     asked.append(rate)
-                    said = ""
+                    answered = len(said)
                     instruments.table.set_rate(rate)
                     os.write(terminal, b"\n")
-            process.kill()
-            process.communicate()
+            code = process.wait(10)
         os.close(terminal)
         os.close(keyboard)
-    assert asked[:2] == [50.0, -50.0]
-    assert asked[2] == pytest.approx(3.507, abs=0.02)
-    (path,) = (tmp_path / "runs").glob("*/run.sqlite")
-    run = open_run(path)
-    assert run.facts["outcome"] == "complete", said
+    (path,) = (folder / "runs").glob("*/run.sqlite")
+    return Led(asked, said, code, open_run(path))
+
+
+def test_an_operator_leads_the_table_through_the_measurement(tmp_path: Path) -> None:
+    led = led_by_an_operator(tmp_path, "records = 3\nrates_over_lock_in = [8.0]")
+    assert led.code == 0, led.said
+    assert led.asked[:2] == [50.0, -50.0]
+    assert led.asked[2] == pytest.approx(3.507, abs=0.02)
+    run = led.run
+    assert run.facts["outcome"] == "complete", led.said
     assert len(run.taken_for("measure")) == 3
     assert run.results is not None
     assert run.results["lock_in_rate_dps"] == pytest.approx(0.01, rel=0.02)
@@ -72,3 +90,36 @@ def test_an_operator_leads_the_table_through_the_measurement(tmp_path: Path) -> 
     check = run.results["table_check"]
     assert check["beat_over_table"] == pytest.approx(1.0, abs=0.06)
     assert 0.02 < check["lock_in_rate_u_dps"] / 0.01 < 0.06
+
+
+def test_by_default_the_operator_is_asked_for_five_rates_in_both_senses(tmp_path: Path) -> None:
+    led = led_by_an_operator(tmp_path, "records = 2\ntilt_records = 1")
+    assert led.code == 0, led.said
+    # the rate on the axis: cos(88.693 deg) of the table's, and the vertical part of the earth rate
+    cosine = math.cos(math.radians(88.693))
+    vertical = 15.041 / 3600 * math.sin(math.radians(28.2)) * cosine
+    over_lock_in = [(one * cosine + vertical) / 0.01 for one in led.asked[2:]]
+    assert over_lock_in == pytest.approx([30, 17, 9.5, 5.3, 3, -30, -17, -9.5, -5.3, -3], rel=0.01)
+    assert led.run.results is not None
+    result = led.run.results
+    assert result["lock_in_rate_low_95_dps"] < 0.01 < result["lock_in_rate_high_95_dps"]
+    assert result["several_rates"]["by_beat"] is not None
+
+
+def test_a_rate_at_which_the_gyro_is_locked_is_told_and_the_others_go_on(tmp_path: Path) -> None:
+    """Lock-in at 0.04 deg/s, the operator expects 0.01: at 3 times that the gyro stands still in the light."""
+    led = led_by_an_operator(
+        tmp_path,
+        "records = 2\ntilt_records = 1\nrates_over_lock_in = [8.0, 3.0]\nboth_senses = true",
+        lock_in_rate_dps=0.04,
+    )
+    assert led.code == 0, led.said
+    assert "no record at +3 expected lock-in rates:" in led.said
+    told = led.run.facts["rates_without_beat"]
+    assert [one.split(" expected")[0] for one in told] == ["+3", "-3"]
+    assert all(one in " ".join(led.said.split()) for one in told)
+    taken = led.run.taken_for("measure")
+    assert [record.conditions["over_lock_in"] for record in taken] == 4 * [8.0]
+    assert [record.conditions["table_rate_dps"] > 0 for record in taken] == [True, True, False, False]
+    assert led.run.results is not None
+    assert led.run.results["lock_in_rate_dps"] == pytest.approx(0.04, rel=0.02)

@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from analysis.budget import BenchKnowledge, OperatingPoint, lock_in_budget
+from analysis.plan import default_rates
 from station.cli import main
 from station.lock_in.knowledge import bench_knowledge
 from station.lock_in.presentation.budget_plot import budget_svg
@@ -31,7 +32,11 @@ def test_plan_says_what_to_set(capsys: pytest.CaptureFixture[str]) -> None:
     document = planned(capsys, "--lock-in-rate", "0.02", "--wanted", "1")
     assert document["reached"]
     assert document["predicted_u_percent"] < 1
-    (rate,) = document["rates"]
+    # what a measurement of such a gyro goes to
+    assert [rate["rate_over_lock_in"] for rate in document["rates"]] == [
+        ratio for ratio in default_rates(0.02, 2000.0) for _ in (1, -1)
+    ]
+    rate = document["rates"][0]
     assert rate["input_rate_dps"] == pytest.approx(0.06)
     assert rate["beat_frequency_hz"] == pytest.approx(2000 * (0.06**2 - 0.02**2) ** 0.5)
     assert rate["seconds_per_division_s"] in (0.01, 0.025, 0.05)
@@ -50,10 +55,10 @@ def test_plan_options_reach_the_prediction(capsys: pytest.CaptureFixture[str]) -
     assert noisy["predicted_u_percent"] > 3 * plain["predicted_u_percent"]
     assert louder["rates"][0]["volts_per_division_v"] == 0.05
     assert slow["duration_s"] > 30 * given["duration_s"]
-    bent = planned(capsys, "--distortion", "-40", code=1)
+    bent = planned(capsys, "--distortion", "-40", "--rates", "best", code=1)
     assert not bent["reached"]
-    assert bent["budget"]["inputs"][0]["name"] == "distortion"
-    free = planned(capsys, "--distortion", "-40", "--both-senses")
+    assert "distortion" in [line["name"] for line in bent["budget"]["inputs"][:2]]
+    free = planned(capsys, "--distortion", "-40", "--rates", "best", "--both-senses")
     assert [rate["input_rate_dps"] for rate in free["rates"]] == [pytest.approx(0.03), pytest.approx(-0.03)]
     several = planned(capsys, "--rates", "3,8,15", "--distortion", "-40")
     assert [rate["rate_over_lock_in"] for rate in several["rates"]] == [3, 8, 15]
@@ -70,7 +75,7 @@ def test_plan_with_the_table_as_reference(capsys: pytest.CaptureFixture[str]) ->
 @pytest.mark.parametrize("suffix", ["svg", "png", "pdf"])
 def test_plan_draws(suffix: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     file = tmp_path / f"plan.{suffix}"
-    document = planned(capsys, "--plot", str(file), "--rates", "3,8")
+    document = planned(capsys, "--plot", str(file))
     assert document["plot"] == str(file)
     content = file.read_bytes()
     assert content.startswith({"svg": b"<?xml", "png": b"\x89PNG", "pdf": b"%PDF"}[suffix])
@@ -82,7 +87,7 @@ def test_plan_draws(suffix: str, tmp_path: Path, capsys: pytest.CaptureFixture[s
 
 
 def test_plan_for_people(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["plan", "--both-senses"]) == 0
+    assert main(["plan"]) == 0
     text = capsys.readouterr().out
     assert "ms/div" in text
     assert "mV/div" in text

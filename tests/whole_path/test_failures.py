@@ -2,7 +2,6 @@
 
 import json
 import os
-import signal
 import socket
 import threading
 import time
@@ -38,22 +37,19 @@ def wait_for_records(folder: Path, count: int) -> None:
     raise AssertionError("the records did not come")
 
 
-@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGKILL])
-def test_ctrl_c_and_kill_leave_a_valid_run(tmp_path: Path, start_gyrolock, serve_scope, how: int) -> None:
+@pytest.mark.parametrize("how", ["SIGINT", "SIGKILL"])
+def test_ctrl_c_and_kill_leave_a_valid_run(tmp_path: Path, cut_gyrolock, serve_scope, how: str) -> None:
     scope = serve_scope("--tcp", "0", "--config", "ideal.toml")
-    process = start_gyrolock("measure", "--resource", scope.resource, *GIVEN, "--records", 10_000, "--json")
-    time.sleep(0.3)
-    wait_for_records(tmp_path, 3)
-    process.send_signal(how)
-    out, err = process.communicate(timeout=30)
+    ended = cut_gyrolock(how, 3, "measure", "--resource", scope.resource, *GIVEN, "--records", 10_000, "--json")
     run = open_run(only_run(tmp_path))
     assert len(run.taken_for("measure")) >= 3
     assert all(record.intact for record in run.records)
-    if how == signal.SIGKILL:
+    if how == "SIGKILL":
         assert "outcome" not in run.facts
         return
-    assert process.returncode == 130, err
-    result = json.loads(out)
+    err = ended.err
+    assert ended.code == 130, err
+    result = ended.document
     assert result["error"]["kind"] == "interrupted"
     assert result["records"] == len(run.taken_for("measure"))
     assert abs(result["lock_in_rate_dps"] - 0.01) < 5 * result["lock_in_rate_u_dps"]

@@ -11,7 +11,7 @@ from analysis.flags import Flag
 from analysis.waveform.moving_rate.choice import terms_needed, with_terms
 from analysis.waveform.moving_rate.first_phase import FirstPhase, first_phase
 from analysis.waveform.moving_rate.matching import matched_motion
-from analysis.waveform.moving_rate.polynomials import HIGHEST
+from analysis.waveform.moving_rate.polynomials import HIGHEST, polynomials
 from analysis.waveform.moving_rate.trajectory import Fitted, Record, Terms, Trajectory
 
 SLOW_TERMS = 4
@@ -39,6 +39,13 @@ FINEST = 0.1
 """Logarithm of the looseness to which the strength of such noise is found."""
 
 NEARLY_LOCKED = 0.99999
+
+SLOWEST = 1.02
+"""Rate over lock-in rate down to which a motion is believed: below it the gyro creeps, and what was fitted there
+may be anything."""
+
+WEAKEST = 0.3
+"""The same for the amplitude, over its largest: a beam that is weaker than that was not drifting."""
 
 
 @dataclass(frozen=True)
@@ -192,6 +199,8 @@ def _as_beat(record: Record, fitted: Fitted, needed: Terms, noisy: bool) -> Movi
     whole = to_parameters @ jacobian
     places = np.array([0, terms.rate, terms.rate + 1])
     flags = int(Flag.RATE_WANDER) if needed.rate > 1 or noisy else 0
+    if _goes_too_far(trajectory, to_amplitude, n_samples):
+        flags |= int(Flag.MISFIT)
     return MovingFit(
         offset=offset + amplitude * ratio * turn.real,
         first=complex(-amplitude * turn * (1 - ratio**2) * u),
@@ -204,3 +213,12 @@ def _as_beat(record: Record, fitted: Fitted, needed: Terms, noisy: bool) -> Movi
         flags=flags,
         walk=float(np.sqrt(fitted.looseness * fitted.variance * n_samples)) if noisy else 0.0,
     )
+
+
+def _goes_too_far(trajectory: Trajectory, to_amplitude: Floats, n_samples: int) -> bool:
+    """Whether the gyro would have come close to lock-in, or the beam would have been lost, for a part."""
+    rate = trajectory.rate @ polynomials(n_samples).values[: trajectory.rate.size]
+    height = trajectory.amplitude @ to_amplitude
+    moves = rate.max() > rate.min()
+    too_slow = moves and rate.min() < SLOWEST * float(np.hypot(*trajectory.pull))
+    return bool(too_slow or height.min() < WEAKEST * height.max())

@@ -210,10 +210,10 @@ class _Equations:
 
     normal: Floats
     gradient: Floats
-    by_parameters: Floats
-    of_phases: Floats
+    sides: Floats
     phase_gradient: Floats
     full_gradient: Floats
+    factor: tuple[Floats, Floats]
     evidence: float
 
     @staticmethod
@@ -227,33 +227,37 @@ class _Equations:
         if failed:
             raise np.linalg.LinAlgError("the phases are not determined")
         basis = polynomials(record.values.size).means[: at.terms.rate]
-        by_step = np.concatenate([steps.by_rate * basis, [steps.by_sine, steps.by_cosine]])
-        n_moved, n_all = len(by_step), at.terms.count
-        sides = np.zeros((n_all + 1, record.values.size))
-        weighted = by_step * tight
-        sides[:n_moved, 1:] -= weighted
-        sides[:n_moved, :-1] += steps.by_phase * weighted
-        sides[n_moved:-1] = model.by_phase * model.by_sample
+        n_moved, n_all = at.terms.rate + 2, at.terms.count
+        by_step = np.empty((n_moved, record.values.size - 1))
+        np.multiply(basis, steps.by_rate, out=by_step[:-2])
+        by_step[-2:] = steps.by_sine, steps.by_cosine
+        sides = np.zeros((n_all, record.values.size))
+        np.multiply(by_step, steps.by_phase * tight, out=sides[:n_moved, :-1])
+        sides[:n_moved, 1:] -= tight * by_step
+        np.multiply(model.by_sample, model.by_phase, out=sides[n_moved:])
         moved = model.moved * tight
-        sides[-1] = model.by_phase * model.left
-        sides[-1, 1:] -= moved
-        sides[-1, :-1] += steps.by_phase * moved
-        solved = lapack.dpttrs(factor, ratios, sides.T)[0].T
+        phase_gradient = model.by_phase * model.left
+        phase_gradient[1:] -= moved
+        phase_gradient[:-1] += steps.by_phase * moved
         normal = np.zeros((n_all, n_all))
-        normal[:n_moved, :n_moved] = weighted @ by_step.T
+        normal[:n_moved, :n_moved] = tight * (by_step @ by_step.T)
         normal[n_moved:, n_moved:] = model.by_sample @ model.by_sample.T
         full_gradient = np.concatenate([by_step @ moved, model.by_sample @ model.left])
-        normal -= sides[:-1] @ solved[:-1].T
-        normal = (normal + normal.T) / 2
+        # Half a solution is enough: with L D L' the matrix of the phases and y = L^-1 sides they take y' D^-1 y.
+        band = np.stack([np.ones_like(factor), np.append(ratios, 0.0)])
+        half = lapack.dtbtrs(band, sides.T, uplo="L", diag="U")[0].T
+        half /= np.sqrt(factor)
+        normal -= half @ half.T
+        solved = lapack.dpttrs(factor, ratios, phase_gradient)[0]
         evidence = float(np.log(factor).sum() + (record.values.size - 1) * np.log(looseness))
         sign, size = np.linalg.slogdet(normal)
         return _Equations(
             normal,
-            full_gradient - sides[:-1] @ solved[-1],
-            solved[:-1],
-            solved[-1],
-            sides[-1],
+            full_gradient - sides @ solved,
+            sides,
+            phase_gradient,
             full_gradient,
+            (factor, ratios),
             evidence + (float(size) if sign > 0 else 0.0),
         )
 
@@ -263,6 +267,6 @@ class _Equations:
         scaled = self.normal * scale * scale[:, np.newaxis]
         scaled[np.diag_indices_from(scaled)] += RIDGE
         by_parameters = scale * np.linalg.solve(scaled, scale * self.gradient)
-        by_phase = self.of_phases - by_parameters @ self.by_parameters
+        by_phase = lapack.dpttrs(*self.factor, self.phase_gradient - by_parameters @ self.sides)[0]
         gain = float(self.phase_gradient @ by_phase + self.full_gradient @ by_parameters)
         return by_phase, by_parameters, gain

@@ -123,7 +123,11 @@ def _scope(settings: FogSettings, session: Session) -> AbstractContextManager[TD
     witness = settings.witness
     if not is_simulated(settings):
         return open_scope(
-            witness.resource, witness.baud_rate, tell=session.progress.note, put_back=session.panel_to_put_back
+            witness.resource,
+            witness.baud_rate,
+            tell=session.progress.note,
+            put_back=session.panel_to_put_back,
+            same_as=session.scope_so_far,
         )
     from station.fibre_gyro.witness.modulator import open_simulated_scope
 

@@ -54,7 +54,9 @@ def test_the_truth_lies_inside_u95(case):
     assert abs(error) * WL > 2.5 * found.noise_u or int(found.combined.flags) & Flag.MISFIT
     low, high = found.interval_95
     assert low < WL < high
-    assert high - low == pytest.approx(2 * found.budget.expanded_u_95, rel=1e-3)
+    # near zero the interval is no longer even to both sides
+    even = found.budget.combined_u < 0.2 * found.lock_in_rate
+    assert high - low == pytest.approx(2 * found.budget.expanded_u_95, rel=1e-3 if even else 0.1)
 
 
 @pytest.mark.parametrize("over", [3.0, 8.0, 20.0])

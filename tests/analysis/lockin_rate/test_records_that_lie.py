@@ -129,3 +129,9 @@ def test_what_is_to_be_detected_is(name):
     rng = np.random.default_rng(10)
     answers = [answer_to(one.make(rng)) for _ in range(6)]
     assert not any(answer.error or (answer.wrong and not answer.warned) for answer in answers)
+
+
+def test_a_locked_gyro_after_a_transient_is_flagged_though_the_rest_is_a_sine():
+    k, volts, noise = records(5, 8)
+    volts = 60 * np.sin(2 * np.pi * 20.3 / 2500 * N) + 120 * np.exp(-N / 8) + noise
+    assert np.all(has(estimate_lock_in(np.rint(volts), 1.0, scale_factor=k), FATAL | DOUBTFUL))

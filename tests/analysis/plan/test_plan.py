@@ -6,8 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from analysis import beat_signal, estimate_lock_in
-from analysis.budget import NOTHING_BUT_RECORDS, Corner
+from analysis.budget import NOTHING_BUT_RECORDS, BenchKnowledge, Corner
 from analysis.plan import (
     OscilloscopeSteps,
     PlanRequest,
@@ -17,8 +16,8 @@ from analysis.plan import (
     predicted_budget,
     uncertainty_curve,
 )
-from analysis.several_rates import ReceiverKnowledge, fit_rates
 from benchmarks.monte_carlo import simulate_measurements
+from benchmarks.several_rates.planned import DISTORTION, planned, simulated_fits
 
 
 def bench(scale_factor_u_ppm: float = 0.0, **known):
@@ -115,24 +114,24 @@ def test_prediction_by_the_table_agrees_with_simulation() -> None:
     assert simulated.u == pytest.approx(plan.budget.combined_u, rel=0.10)
 
 
-@pytest.mark.parametrize(("over", "both"), [((3.0,), True), ((3.0, 8.0), False), ((8.0, 15.0, 30.0), False)])
+# `benchmarks.several_rates.planned` has more rates and trials
+@pytest.mark.parametrize(("over", "both"), [((3.0,), True), ((3.0, 30.0), False), ((8.0, 15.0, 30.0), False)])
 def test_prediction_for_several_rates_agrees_with_their_fit(over: tuple[float, ...], both: bool) -> None:
-    request = replace(
-        REQUEST,
-        rates_over_lock_in=over,
-        both_senses=both,
-        phase=0.6,
-        wanted_u=0.05,
-        noise_rms=0.004,
-        knowledge=bench(distortion_limit=math.nan),
-    )
-    plan = plan_measurement(request)
+    plan = planned(over, both)
     assert next(line for line in plan.budget.inputs if line.name == "distortion").contribution == 0
-    found = _simulated_fits(plan, 0.004, 30, np.random.default_rng(7))
-    # 30 trials know it to 13 %
-    assert np.std(found) == pytest.approx(plan.budget.combined_u, rel=0.6)
-    # the distortion that was put in, 80 times what noise alone would do to the fastest, is gone
-    assert abs(np.mean(found) - 0.01) < 0.3 * plan.budget.combined_u
+    errors = simulated_fits(plan, DISTORTION, 60, np.random.default_rng(7)) - 0.01
+    # 60 trials know it to 9 %; the distortion that was put in, 80 times what noise alone would do, is gone
+    assert np.sqrt(np.mean(np.square(errors))) == pytest.approx(plan.budget.combined_u, rel=0.4)
+
+
+def test_two_rates_in_one_sense_promise_no_more_than_two_solutions_allow() -> None:
+    """3 and 30 times lock-in: several times worse than the same rates in both senses, and no records cure it."""
+    unknown = replace(planned((3.0, 30.0), False).request, phase=math.nan, knowledge=BenchKnowledge())
+    one, both = (plan_measurement(replace(unknown, both_senses=senses, wanted_u=0.02)) for senses in (False, True))
+    assert one.budget.relative_u > 4 * both.budget.relative_u
+    more = replace(one.request, wanted_u=one.floor_u / 2)
+    assert not plan_measurement(more).reached
+    assert one.budget.inputs[0].name == "separation"
 
 
 def test_one_rate_in_one_sense_cannot_separate() -> None:
@@ -198,29 +197,3 @@ def _point(request: PlanRequest, plan):
         scatter=request.scatter * request.lock_in_rate,
         phase=request.phase,
     )
-
-
-def _simulated_fits(plan, distortion: float, trials: int, rng: np.random.Generator) -> list[float]:
-    estimates = []
-    for rate in plan.rates:
-        shape = rate.shape
-        count = trials * shape.records
-        clean = beat_signal(
-            np.broadcast_to(np.arange(shape.samples) * shape.sample_interval, (count, shape.samples)),
-            scale_factor=2000.0,
-            input_rate=rate.input_rate,
-            lock_in_rate=0.01,
-            amplitude=shape.amplitude,
-            initial_phase=rng.uniform(0, 2 * np.pi, count),
-            readout_phase=0.6,
-        )
-        bent = clean + 2 * distortion / shape.amplitude * clean**2
-        noisy = bent + shape.noise_rms * rng.standard_normal(clean.shape)
-        codes = shape.level_spacing * np.rint(noisy / shape.level_spacing)
-        every = estimate_lock_in(codes, shape.sample_interval, scale_factor=2000.0, input_rate=rate.input_rate)
-        estimates.append(every.reshaped(trials, shape.records))
-    receiver = ReceiverKnowledge.of(plan.request.knowledge)
-    return [
-        fit_rates([every[trial] for every in estimates], reference="beat", receiver=receiver).lock_in_rate
-        for trial in range(trials)
-    ]

@@ -1,6 +1,6 @@
 import numpy as np
 import pytest
-from bench_signals import WL, K, both_senses, estimates, volts
+from bench_signals import WL, K, both_senses, estimates, ratios_of_slow_gain, volts
 from reference import bound
 
 from analysis import (
@@ -10,7 +10,6 @@ from analysis import (
     fit_rate_ratios,
     fit_rates,
 )
-from analysis.ring_laser import steady_beat, symmetric_laser
 from station.lock_in.presentation.rates_sentences import describe_rates
 
 RATES = (8, 15, 30, 60)
@@ -47,20 +46,6 @@ def test_a_gain_corner_at_twice_the_highest_beat_costs_less_than_a_percent(hd2):
     blind = fit_rates(made, model="distortion")
     assert blind.flags & RatesFlag.MISFIT
     assert blind.lock_in_rate_u > 5 * fit.lock_in_rate_u
-
-
-def ratios_of_slow_gain(multiples, corner, phase_sum=0.0, readout=0.4):
-    """Rates, exact complex ratios and beat frequencies of lines that the integrated equations give."""
-    rates, ratios, beats = np.array(multiples) * WL, [], []
-    laser = symmetric_laser(WL, scale_factor=K, gain_corner_hz=corner, phase_sum=phase_sum)
-    for rate in rates:
-        steady = steady_beat(laser, rate)
-        middle = steady.beat.size // 2
-        turned = steady.beat * np.exp(1j * readout)
-        first, second = ((turned[middle + n] - np.conj(turned[middle - n])) / 2j for n in (1, 2))
-        ratios.append(second * abs(first) / first**2)
-        beats.append(steady.frequency)
-    return rates, np.array(ratios), np.array(beats)
 
 
 @pytest.mark.parametrize("corner", [0.05 * K * WL * 25, 0.3 * K * WL * 25, 2 * K * WL * 25])

@@ -1,0 +1,105 @@
+"""Which solution of several rates is taken: all minima are found and shown, statements are tested."""
+
+import numpy as np
+import pytest
+from bench_signals import WL, K, both_senses, estimates, ratios_of_slow_gain
+
+from analysis import RatesFlag, fit_rate_ratios, fit_rates
+from analysis.several_rates import ReceiverKnowledge
+from analysis.several_rates.ratio_model import third_harmonic_share
+from benchmarks.several_rates.__main__ import LOCK_IN, NOISE, drawn
+
+PHASES = np.arange(36) * np.pi / 18
+
+
+@pytest.mark.parametrize("reference", ["rate", "beat"])
+def test_rates_close_above_the_threshold_are_found_at_every_phase(reference):
+    """1.2, 2 and 4 times lock-in without noise: many starts lie above the slowest rate."""
+    rng = np.random.default_rng(0)
+    for phase in PHASES[::4]:
+        fit = drawn((1.2, 2, 4), 1, phase, 0.0, rng, reference=reference, distortion=0.005)
+        assert fit.lock_in_rate == pytest.approx(LOCK_IN, rel=1e-3)
+
+
+def test_two_rates_in_one_sense_show_both_solutions():
+    """3 and 30 times lock-in without noise: four values and three unknowns that are free have two solutions."""
+    rng = np.random.default_rng(0)
+    several = 0
+    for phase in PHASES[::4]:
+        fit = drawn((3, 30), 1, phase, 0.0, rng, distortion=0.005)
+        found = [fit.lock_in_rate, *(one.lock_in_rate for one in fit.alternatives)]
+        assert fit.lock_in_rate_low_95 <= LOCK_IN <= fit.lock_in_rate_high_95
+        assert bool(fit.flags & RatesFlag.SEVERAL_SOLUTIONS) == bool(fit.alternatives)
+        # those that are shown differ by more than each of them is uncertain by itself
+        assert len({round(value / LOCK_IN, 3) for value in found}) == len(found)
+        several += len(found) > 1
+    assert several >= 2
+
+
+def test_a_narrow_valley_is_not_missed():
+    """One sense of 8 to 60 times lock-in, where a false minimum lies 5 % lower."""
+    rng = np.random.default_rng(1)
+    for _ in range(49):  # the fiftieth draw has it
+        rng.uniform()
+        rng.normal(size=3 * 4 * 8)
+    fit = drawn((8, 15, 30, 60), 8, rng.uniform(0, 2 * np.pi), NOISE, rng)
+    assert fit.p_value > 1e-3
+    assert abs(fit.lock_in_rate - LOCK_IN) < 4 * fit.lock_in_rate_u
+
+
+def test_a_statement_that_the_records_contradict_is_not_used():
+    rng = np.random.default_rng(2)
+    rates = both_senses(3, 5.3, 9.5, 17, 30)
+    true, false = (ReceiverKnowledge(second_order_limit=limit) for limit in (0.02, 1e-4))
+    believed = drawn(tuple(rates), 3, 1.0, NOISE, rng, receiver=true, distortion=0.01)
+    assert not believed.flags & RatesFlag.STATED_LIMITS_EXCEEDED
+    contradicted = drawn(tuple(rates), 3, 1.0, NOISE, rng, receiver=false, distortion=0.01)
+    assert contradicted.flags & RatesFlag.STATED_LIMITS_EXCEEDED
+    for fit in (believed, contradicted):
+        assert fit.distortion == pytest.approx(0.01, abs=5 * fit.distortion_u)
+        assert abs(fit.lock_in_rate - LOCK_IN) < 5 * fit.lock_in_rate_u < 0.01 * LOCK_IN
+
+
+@pytest.mark.parametrize("ratio", [0.02, 0.17, 0.4, 0.6])
+def test_what_a_cubic_law_leaves_beyond_the_series(ratio):
+    """The lines of Y^3 by a discrete transform, less the nearest change of the series by plain least squares."""
+    circle = np.exp(2j * np.pi * np.arange(512) / 512)
+    light = (circle - ratio) / (1 - ratio * circle)
+    lines = np.fft.fft(light**3)[1:200] / 512
+    order = np.arange(199)
+    changes = np.stack([ratio**order, order * ratio ** np.maximum(order - 1.0, 0)], axis=-1)
+    left = lines.real - changes @ np.linalg.lstsq(changes, lines.real, rcond=None)[0]
+    assert float(third_harmonic_share(np.array(ratio**2))) == pytest.approx(left[2], abs=1e-12)
+
+
+def test_a_wrong_scale_factor_does_not_refuse_given_rates():
+    rng = np.random.default_rng(3)
+    made = estimates(both_senses(3, 8, 20), 2, rng)
+    rate, beat = (
+        np.concatenate([getattr(one, name) for one in made]) for name in ("input_rate", "beat_frequency")
+    )
+    ratio, covariance = (
+        np.concatenate([getattr(one, name) for one in made])
+        for name in ("complex_ratio", "complex_ratio_covariance")
+    )
+    right = fit_rates(made, reference="rate")
+    for share in (0.98, 1.02):
+        fit = fit_rate_ratios(rate, ratio, covariance, beat, scale_factor=share * K, reference="rate")
+        assert fit.used.all()
+        assert fit.flags & RatesFlag.RATE_AND_BEAT_DISAGREE
+        assert fit.scale_factor == pytest.approx(K, rel=2e-3)
+        assert fit.lock_in_rate == pytest.approx(right.lock_in_rate, rel=2e-3)
+
+
+@pytest.mark.parametrize("multiples", [(3, 5.3, 9.5, 17, 30), (8, 15, 30, 60)])
+@pytest.mark.parametrize("noise", [1e-4, 3e-4])
+def test_120_degrees_between_the_beams_lie_inside_the_interval(multiples, noise):
+    """The intensity equations, integrated, with a gain corner at half the fastest beat: 2 to 15 % off."""
+    rng = np.random.default_rng(4)
+    corner = 0.5 * K * WL * max(multiples)
+    rates, ratios, beats = ratios_of_slow_gain(both_senses(*multiples), corner, 2 * np.pi / 3)
+    shaken = ratios + noise * (rng.normal(size=ratios.size) + 1j * rng.normal(size=ratios.size))
+    fit = fit_rate_ratios(rates, shaken, np.eye(2) * noise**2, beats, scale_factor=K, reference="beat")
+    assert fit.lock_in_rate / WL - 1 > 0.01
+    assert fit.flags & (RatesFlag.MISFIT | RatesFlag.RATE_AND_BEAT_DISAGREE)
+    assert fit.lock_in_rate_low_95 < WL < fit.lock_in_rate_high_95

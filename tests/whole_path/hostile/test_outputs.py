@@ -159,7 +159,7 @@ def test_a_report_that_cannot_be_written_keeps_the_result(tmp_path: Path) -> Non
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=100)
     assert done.returncode == 5, done.stderr
     document = json.loads(done.stdout)
-    assert document["lock_in_rate_dps"] == pytest.approx(0.01, rel=0.05)
+    assert document["lock_in_rate_dps"] == pytest.approx(0.01, rel=0.1)  # one sense of one rate
     assert document["error"]["kind"] == "output"
     assert "the report cannot be written (File too large)" in document["error"]["message"]
     assert document["outcome"] == document["error"]["message"]

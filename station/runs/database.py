@@ -77,6 +77,11 @@ def create_database(path: Path) -> None:
         raise CannotWrite(f"{path}: {_why(error, path)}") from error
 
 
+_BEING_WRITTEN: set[Path] = set()
+"""Runs that this process writes. Whoever opens and closes such a file beside SQLite drops SQLite's lock on it (POSIX), and
+another process would then take the run for one whose program was killed, and fold away the journal that is written to."""
+
+
 class DatabaseWriter:
     """Writes one run. What a method returned for survives a killed process.
 
@@ -94,6 +99,7 @@ class DatabaseWriter:
     def __init__(self, path: Path) -> None:
         self.path = path
         self._sums: dict[str, str] = {}
+        self._written = path.resolve()
         with reading(path) as (db, layout):
             self._layout = layout
             with suppress(ValueError):
@@ -105,6 +111,7 @@ class DatabaseWriter:
             self._db.execute("PRAGMA synchronous = FULL")
         except sqlite3.Error as error:
             raise CannotWrite(f"{path}: {_why(error, path)}") from error
+        _BEING_WRITTEN.add(self._written)
 
     def __enter__(self) -> Self:
         return self
@@ -126,6 +133,7 @@ class DatabaseWriter:
         with suppress(sqlite3.Error):  # while a reader looks, the journal stays: the run is complete all the same
             self._db.execute("PRAGMA journal_mode = DELETE")
         self._db.close()
+        _BEING_WRITTEN.discard(self._written)
 
     def _commit(self, statement: str, rows: Sequence[Sequence[object] | Mapping[str, object]]) -> None:
         try:
@@ -154,9 +162,10 @@ def reading(file: Path) -> Iterator[tuple[sqlite3.Connection, Layout]]:
         If it is no run, of a newer version, or damaged.
     """
     try:
-        if not is_database(file):
-            raise RunError(f"{file}: is not a saved run")
-        _fold(file)
+        if file.resolve() not in _BEING_WRITTEN:
+            if not is_database(file):
+                raise RunError(f"{file}: is not a saved run")
+            _fold(file)
         with ExitStack() as held:
             db = _connected(file, held)
             db.text_factory = _text

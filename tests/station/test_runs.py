@@ -167,3 +167,26 @@ def test_sigkill_loses_no_acknowledged_record(tmp_path: Path) -> None:
     assert all(record.intact for record in run.records)
     assert [record.conditions["number"] for record in run.records] == list(range(1, len(run.records) + 1))
     assert "ended_at" not in run.facts
+
+
+LOOKS = """
+import sys
+from pathlib import Path
+from station.runs.store import open_run
+while True:
+    open_run(Path(sys.argv[1]))
+"""
+
+
+def test_a_run_that_is_read_where_it_is_written_is_not_folded_by_others(tmp_path: Path) -> None:
+    """Another process looks at the run all the time; the journal stays with the one that writes to it."""
+    with RunWriter.create(tmp_path, {"command": "measure"}) as writer:
+        with subprocess.Popen([sys.executable, "-c", LOOKS, writer.path]) as other:
+            try:
+                for number in range(1, 201):
+                    writer.save_records([record(number)])
+                    assert len(open_run(writer.path).records) == number
+                assert other.poll() is None
+            finally:
+                other.kill()
+    assert len(open_run(writer.path).records) == 200

@@ -180,13 +180,16 @@ while True:
 
 def test_a_run_that_is_read_where_it_is_written_is_not_folded_by_others(tmp_path: Path) -> None:
     """Another process looks at the run all the time; the journal stays with the one that writes to it."""
-    with RunWriter.create(tmp_path, {"command": "measure"}) as writer:
-        with subprocess.Popen([sys.executable, "-c", LOOKS, writer.path]) as other:
-            try:
-                for number in range(1, 201):
-                    writer.save_records([record(number)])
-                    assert len(open_run(writer.path).records) == number
-                assert other.poll() is None
-            finally:
-                other.kill()
+    command = [sys.executable, "-c", LOOKS]
+    with (
+        RunWriter.create(tmp_path, {"command": "measure"}) as writer,
+        subprocess.Popen([*command, writer.path]) as other,
+    ):
+        try:
+            for number in range(1, 201):
+                writer.save_records([record(number)])
+                assert len(open_run(writer.path).records) == number
+            assert other.poll() is None
+        finally:
+            other.kill()
     assert len(open_run(writer.path).records) == 200

@@ -78,8 +78,8 @@ def create_database(path: Path) -> None:
 
 
 _BEING_WRITTEN: set[Path] = set()
-"""Runs that this process writes. Whoever opens and closes such a file beside SQLite drops SQLite's lock on it (POSIX):
-another process would then take it for the run of a killed program, and fold away the journal that is written to."""
+"""Runs that this process writes. Whoever opens and closes such a file beside SQLite drops SQLite's lock on it
+(POSIX): another process would then take it for the run of a killed program, and fold away its journal."""
 
 
 class DatabaseWriter:

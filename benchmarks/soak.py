@@ -23,6 +23,7 @@ from dataclasses import dataclass, field
 from itertools import cycle
 from pathlib import Path
 
+from benchmarks.faults import counts
 from benchmarks.links.recording_scope import RecordingScope
 from instrument import ATTEMPTS, RECONNECT_FOR, TDS2014, InstrumentError, Persistence, Preamble
 from instrument.simulated import Fault, Faults, VirtualClock, resource_manager
@@ -316,9 +317,9 @@ def main(arguments: list[str] | None = None) -> int:
         f"{outcome.records} records in {options.days} simulated days, {SHARE:.0%} of all messages spoiled",
         f"{outcome.wrong} wrong, {outcome.lost} lost, {outcome.saved_twice} saved twice, "
         f"{outcome.panels_altered} front panels left altered",
-        f"{outcome.faults.total()} faults: {_counts(outcome.faults)}",
-        f"{outcome.incidents.total()} incidents: {_counts(outcome.incidents)}; {outcome.resumed} times resumed",
-        f"link: {_counts(outcome.link)}",
+        f"{outcome.faults.total()} faults: {counts(outcome.faults)}",
+        f"{outcome.incidents.total()} incidents: {counts(outcome.incidents)}; {outcome.resumed} times resumed",
+        f"link: {counts(outcome.link)}",
         f"memory {memory[0]:.0f} MB after the first day, {memory[-1]:.0f} MB after the last; "
         f"descriptors {outcome.descriptors[0]} and {outcome.descriptors[-1]}, "
         f"threads {outcome.threads[0]} and {outcome.threads[-1]}",
@@ -326,10 +327,6 @@ def main(arguments: list[str] | None = None) -> int:
     ]
     sys.stdout.write("\n".join(lines) + "\n")
     return 0 if outcome.good else 1
-
-
-def _counts(counter: Counter[str]) -> str:
-    return ", ".join(f"{name} {number}" for name, number in counter.most_common()) or "none"
 
 
 if __name__ == "__main__":

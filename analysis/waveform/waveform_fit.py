@@ -231,7 +231,7 @@ def _judged(
         if not np.any(factors > 1.0):
             told &= ~int(Flag.COLOURED_NOISE)
         factors[1:] *= 1 + (FEW_PERIODS * 2 * np.pi / (n_samples * moved.omega)) ** 6
-        if fatal[row] and (told & int(FATAL | Flag.MISFIT) or moved.walk > MOST_WALK):
+        if fatal[row] and ((told | moved.flags) & int(FATAL | Flag.MISFIT) or moved.walk > MOST_WALK):
             continue
         series.put(here, beat)
         covariance[row], free[row], power[row] = moved.covariance, moved.degrees, moved.variance * moved.degrees

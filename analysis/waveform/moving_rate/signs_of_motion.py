@@ -59,7 +59,7 @@ def may_be_motion(left: Floats, omega: float, first: complex, ratio: float) -> b
 
 
 def _repeats(left: Floats, omega: float, power: Floats) -> bool:
-    """Whether most of what the fit leaves beside noise is harmonics of the beat, as a channel's response leaves it."""
+    """Whether most of what the fit leaves beside noise is harmonics of the beat, as a filter leaves them."""
     time = np.arange(left.size) - (left.size - 1) / 2
     turns = np.exp(1j * omega * np.outer(np.arange(1, HARMONICS + 1), time))
     columns = np.concatenate([turns.real, turns.imag]).T

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from analysis import beat_signal
-from instrument.simulated import SimulatedTDS2014
 from instrument.simulated import SimulatedTDS2014, TcpServer
 
 MARKUP = "[red]7 <script>alert(1)<script>"  # escape sequences are no text, and are refused on the link

@@ -300,8 +300,10 @@ class _Stated:
 
 @dataclass(frozen=True)
 class _Curve:
-    """A, P, Q, h^2 and what else was fitted, with their covariance; `apart` is how much further the settings of the
-    table lie from the curve than their uncertainties explain, 1: they explain it."""
+    """A, P, Q, h^2 and what else was fitted, with their covariance.
+
+    apart : how much further the table's settings lie from the curve than their uncertainties explain; 1: they do
+    """
 
     values: Floats
     covariance: Floats

@@ -267,6 +267,7 @@ def test_everything_at_once(tmp_path: Path) -> None:
     two = {"quadrature_channel": "CH2"}
     corrected = measured(tmp_path, spoilt, measurement=plan, front_end=channel, scope=two)
     assert distance(corrected) < 4
+    # third order and bandwidth are fitted too, within what they may be at worst
     assert float(corrected.combined.lock_in_rate_u) < 0.002 * LOCK_IN
     assert corrected.quadratures is not None
     assert corrected.quadratures.distortion == pytest.approx((10 ** (-46 / 20),) * 2, abs=2e-4)

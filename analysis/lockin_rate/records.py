@@ -95,7 +95,7 @@ def estimate_lock_in(
             rate,
             relation,
         )
-    flags = flags | beat_flags(beat, stack.n_samples)
+    flags = flags | beat_flags(beat, flags, stack.n_samples)
     if full_amplitude is not None:
         full = np.broadcast_to(np.asarray(full_amplitude, dtype=np.float64), stack.shape).ravel()
         flags[is_weaker(beat, fit, full, stack.n_samples)] |= Flag.AMPLITUDE_LOST

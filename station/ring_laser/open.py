@@ -59,8 +59,13 @@ def open_bench(
         put_back=put_back,
         same_as=same_as,
     )
-    with opened as scope:
-        yield Bench(scope, table)
+    try:
+        with opened as scope:
+            yield Bench(scope, table)
+    finally:
+        # Told and not asked: the result must not wait for an operator who has gone.
+        if table is not None and table.rate() and tell is not None:
+            tell(f"the rate table still turns at {table.rate():+.6g} deg/s: nothing more is measured, stop it")
 
 
 def open_for(session: Session, settings: BenchSettings) -> Bench:

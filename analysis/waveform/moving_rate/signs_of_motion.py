@@ -66,7 +66,7 @@ def _repeats(left: Floats, omega: float, power: Floats) -> bool:
     found, _, rank, _ = np.linalg.lstsq(columns, left, rcond=1e-6)
     noise = float(np.median(power)) / np.log(2) / left.size  # variance of a sample
     repeating = float(np.sum((columns @ found) ** 2)) - noise * int(rank)
-    return repeating > MOST_REPEATING * (float(left @ left) - noise * left.size)
+    return bool(repeating > MOST_REPEATING * (float(left @ left) - noise * left.size))
 
 
 def _has_direction(left: Floats, omega: float, first: complex, line: float) -> bool:

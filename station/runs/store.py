@@ -32,7 +32,7 @@ from station.runs.layouts import COLUMNS, Layout
 
 RUN_FILE = "run.sqlite"
 REPORT_FILE = "report.html"
-_RUN_FILES = (RUN_FILE, "fog.sqlite")  # the second is that of fibre-gyro runs of earlier versions
+RUN_FILES = (RUN_FILE, "fog.sqlite")  # the second is that of fibre-gyro runs of earlier versions
 _ASIDE = " (set aside "
 _NAMED = 20  # gaps among the records that are named one by one
 
@@ -294,7 +294,7 @@ def run_file(path: Path) -> Path:
         If there is none.
     """
     if path.is_dir():
-        for name in _RUN_FILES:
+        for name in RUN_FILES:
             if (path / name).is_file():
                 return path / name
         raise RunError(f"{path}: holds no run (there is no {RUN_FILE} in it)")

@@ -50,6 +50,10 @@ COMMANDS = {
         "commands.annotate:command",
         "Say something of saved runs afterwards: a note, tags, a good or bad mark.",
     ),
+    "export": (
+        "commands.export:command",
+        "Write the records of runs and files to a data set: CSV, Parquet, HDF5, NumPy.",
+    ),
     "salvage": (
         "commands.salvage:command",
         "Get everything that can still be read out of a damaged run, into a new one.",

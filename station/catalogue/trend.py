@@ -33,11 +33,8 @@ def write_trend(path: Path, entries: Sequence[Entry]) -> int:
     OSError
         It cannot be written.
     """
-    series = _series(entries)
-    if not series:
-        raise NoUsableSignal("none of the runs has a result that could be drawn")
-    panels = min(len(series), _MOST_PANELS)
-    write_picture(path, "trend", (_WIDTH, _HEIGHT * panels + 0.3), lambda figure: draw_trend(figure, series))
+    series = series_of(entries)
+    write_picture(path, "trend", trend_size(series), lambda figure: draw_trend(figure, series))
     return sum(len(values) for units in series.values() for values in units.values())
 
 
@@ -68,7 +65,19 @@ def draw_trend(figure: Figure, series: Series) -> None:
     )
 
 
-def _series(entries: Sequence[Entry]) -> Series:
+def trend_size(series: Series) -> tuple[float, float]:
+    """Width and height of the figure, inches."""
+    return _WIDTH, _HEIGHT * min(len(series), _MOST_PANELS) + 0.3
+
+
+def series_of(entries: Sequence[Entry]) -> Series:
+    """Sort results by what they are and by unit.
+
+    Raises
+    ------
+    NoUsableSignal
+        No run has one.
+    """
     found: Series = {}
     for entry in entries:
         for value in entry.values:
@@ -76,6 +85,8 @@ def _series(entries: Sequence[Entry]) -> Series:
                 label = _label(value)
                 unit = entry.unit or entry.gyro or "no unit named"
                 found.setdefault(label, {}).setdefault(unit, []).append((entry, value))
+    if not found:
+        raise NoUsableSignal("none of the runs has a result that could be drawn")
     return found
 
 

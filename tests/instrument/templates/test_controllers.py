@@ -161,10 +161,8 @@ def test_a_lost_link_is_opened_again_and_one_that_stays_lost_is_told_loudly() ->
 
 
 def test_another_instrument_is_refused() -> None:
-    with (
-        LineServer(SimulatedPowerSupply(), tcp_port=0) as server,
-        pytest.raises(WrongInstrument, match="something else"),
-    ):
+    server = LineServer(SimulatedChamber(), tcp_port=0)
+    with server, pytest.raises(WrongInstrument, match="something else answers there: 'NA:CMDERR"):
         Controller(server.resource_name, template("rate_table"))
     with pytest.raises(LinkError, match="cannot be opened"):
         Controller("TCPIP0::127.0.0.1::1::SOCKET", template("rate_table"))

@@ -56,12 +56,9 @@ class Surroundings:
 
     def switch_off(self) -> None:
         """Switch chamber and power supply off; one that does not answer is told."""
-        there = {
-            name: one for step in self.plan.steps for name, one in controllers_of(step.settings).there.items()
-        }
+        named = [controllers_of(step.settings).there for step in self.plan.steps]
+        there = {name: one for controllers in named for name, one in controllers.items() if name != "rate_table"}
         for name, one in there.items():
-            if name == "rate_table":
-                continue
             try:
                 with self._open(one, name) as controller:
                     controller.do("off")
@@ -73,12 +70,7 @@ class Surroundings:
         with self._open(one, name) as controller:
             controller.do("on")
             for quantity, value in wanted.items():
-                unit = (
-                    controller.template.quantities[quantity].unit
-                    if quantity in controller.template.quantities
-                    else ""
-                )
-                self.progress.note(f"{name.replace('_', ' ')}: {quantity} to {value:g} {unit}")
+                self.progress.note(f"{name.replace('_', ' ')}: {quantity} to {value:g}")
                 controller.set(quantity, value)
             return {f"{name}_{what}": value for what, value in controller.readings().items()}
 

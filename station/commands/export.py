@@ -62,7 +62,6 @@ def command(
     sources = _opened(paths, left_out, progress)
     check_target(to, replace=replace)
     done = export(sources, to, records_of_part=part_records or RECORDS_OF_PART, left_out=left_out)
-    progress.close()
     for one in left_out:
         remark(f"left out: {one}")
     if as_json:

@@ -6,6 +6,7 @@ import base64
 import csv
 import io
 import math
+import os
 from collections.abc import Iterator
 from typing import Any
 
@@ -79,8 +80,8 @@ class CsvTable:
             self._heads = heads
         yield from self._heads
 
-    def rows(self, first: int, last: int) -> Iterator[tuple[dict[str, Any], bytes]]:
-        """Yield rows from `first` up to, but not, `last`."""
+    def rows(self, first: int, last: int, numbers: range | None = None) -> Iterator[tuple[dict[str, Any], bytes]]:
+        """Yield rows from `first` up to, but not, `last`; all of them, whatever `numbers` are wanted."""
         if first < self._next or first == 0:
             self._next, self._going = 0, self._lines()
         while self._next < last:
@@ -95,6 +96,13 @@ class CsvTable:
             except (ValueError, KeyError) as error:
                 raise self._damaged(f"row {self._next + 1}: {error}") from None
             yield row, payload
+
+    def __getstate__(self) -> dict[str, str]:
+        """What another process needs to read the same file."""
+        return {"place": os.path.abspath(self.place)}
+
+    def __setstate__(self, state: dict[str, str]) -> None:
+        self.__init__(state["place"])  # type: ignore[misc]  # begins to read anew
 
     @staticmethod
     def _payload(rest: list[str]) -> bytes:

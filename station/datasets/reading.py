@@ -37,7 +37,7 @@ class Table(Protocol):
     def heads(self) -> Iterator[tuple[str, int]]:
         """Yield what is known of the source of each row, and the row."""
 
-    def rows(self, first: int, last: int) -> Iterator[tuple[dict[str, Any], bytes]]:
+    def rows(self, first: int, last: int, numbers: range | None = None) -> Iterator[tuple[dict[str, Any], bytes]]:
         """Yield rows: what stands in the columns, and the bytes that were sent."""
 
 
@@ -90,7 +90,7 @@ class DatasetSource(Source):
                 f"{self.path}: holds {len(self)} of {self._records} records of {self.name}: a part is missing"
             )
         for one in self._stretches:
-            for row, payload in one.table.rows(one.first, one.last):
+            for row, payload in one.table.rows(one.first, one.last, numbers):
                 if numbers is None or int(row["number"]) in numbers:
                     yield record_of(row, payload)
 

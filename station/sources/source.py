@@ -52,6 +52,11 @@ class Source(ABC):
         """
 
     @property
+    def span(self) -> tuple[int, int]:
+        """Least and largest number of the records; (1, 0) where there are none, (1, 1) where they say nothing."""
+        return 1, 1
+
+    @property
     @abstractmethod
     def sha256(self) -> str:
         """SHA-256 of records, settings and command: the same measurement has the same, wherever it lies.

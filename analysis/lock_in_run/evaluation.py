@@ -22,7 +22,9 @@ from analysis.lockin_rate import LockInEstimate
 from analysis.several_rates import ReceiverKnowledge
 
 
-def evaluate(run: RunArrays, knowledge: RunKnowledge | None, method: Method) -> LockInRun:
+def evaluate(
+    run: RunArrays, knowledge: RunKnowledge | None, method: Method, estimated: LockInEstimate | None = None
+) -> LockInRun:
     """Evaluate the records that a run took at its slow rate, or at its slow rates.
 
     Parameters
@@ -33,6 +35,9 @@ def evaluate(run: RunArrays, knowledge: RunKnowledge | None, method: Method) -> 
         ``None``: nothing is known of the bench. Then there is no correction and no table, and the budget counts
         what everything may be at worst.
     method : Method
+    estimated : LockInEstimate, optional
+        Of the slow records by this method, fields of shape (n,), where they are known already; then `run` needs no
+        samples of them. Not for two channels.
 
     Returns
     -------
@@ -48,7 +53,9 @@ def evaluate(run: RunArrays, knowledge: RunKnowledge | None, method: Method) -> 
         If the method is one for a single rate, and the run has several.
     """
     # 1. every record by itself, as before the channel
-    each, quadratures = _each_record(run.slow, method, None if knowledge is None else knowledge.response)
+    each, quadratures = _each_record(
+        run.slow, method, None if knowledge is None else knowledge.response, estimated
+    )
     # 2. all of them as if at one rate
     unknown = np.full(each.flags.size, np.nan)
     found = LockInRun(method, each, combine_estimates(each), quadratures=quadratures, record_u=unknown)
@@ -74,13 +81,13 @@ def evaluate(run: RunArrays, knowledge: RunKnowledge | None, method: Method) -> 
 
 
 def _each_record(
-    slow: RecordArrays, method: Method, response: ChannelResponse | None
+    slow: RecordArrays, method: Method, response: ChannelResponse | None, estimated: LockInEstimate | None
 ) -> tuple[LockInEstimate, QuadratureResult | None]:
     """Estimate the records, with the help of the second photodiode where there is one."""
     if slow.n_channels == 2:
         pairs = estimate_pairs(slow, method, response)
         return only_beats(pairs.estimate), mean_of_pairs(pairs)
-    each = only_beats(estimate_records(slow, method))
+    each = only_beats(estimate_records(slow, method) if estimated is None else estimated)
     return (each if response is None else without_channel(each, response)), None
 
 

@@ -64,21 +64,20 @@ class CsvTable:
 
     def __init__(self, place: str) -> None:
         self.place = place
-        self._heads: list[tuple[str, int]] | None = None
         self._next, self._going = 0, self._lines()
         for _ in self._lines():
             return
         raise RunError(f"{place}: holds no record")
 
     def heads(self) -> Iterator[tuple[str, int]]:
-        """Yield what is known of the source of each row, equal ones as one object, and the row."""
-        if self._heads is None:
-            about, heads = "", []
-            for row, (cells, _) in enumerate(self._lines()):
-                about = cells["source_json"] or about
-                heads.append((about, row))
-            self._heads = heads
-        yield from self._heads
+        """Yield what is known of the source of each row, equal ones as one object, and its number there."""
+        about = ""
+        for row, (cells, _) in enumerate(self._lines()):
+            about = cells["source_json"] or about
+            try:
+                yield about, int(cells["number"])
+            except ValueError as error:
+                raise self._damaged(f"row {row + 2}: {error}") from None
 
     def rows(self, first: int, last: int, numbers: range | None = None) -> Iterator[tuple[dict[str, Any], bytes]]:
         """Yield rows from `first` up to, but not, `last`; all of them, whatever `numbers` are wanted."""

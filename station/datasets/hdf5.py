@@ -80,12 +80,13 @@ class Hdf5Table:
             check_schema(json.loads(found)["schema"] if found else None, place)
 
     def heads(self) -> Iterator[tuple[str, int]]:
-        """Yield what is known of the source of each row, equal ones as one object, and the row."""
+        """Yield what is known of the source of each row, equal ones as one object, and its number there."""
         with self._opened() as file:
             texts = file["source_json"].asstr()[:].tolist()
             indices = file[_GROUP]["source_index"][:].tolist()
-        for row, index in enumerate(indices):
-            yield texts[index], row
+            numbers = file[_GROUP]["number"][:].tolist()
+        for index, number in zip(indices, numbers, strict=True):
+            yield texts[index], number
 
     def rows(self, first: int, last: int, numbers: range | None = None) -> Iterator[tuple[dict[str, Any], bytes]]:
         """Yield rows from `first` up to, but not, `last`; with `numbers` no more than are needed."""

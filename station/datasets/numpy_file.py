@@ -76,10 +76,11 @@ class NumpyTable:
         check_schema(json.loads(str(schema)) if schema.dtype.kind == "U" and schema.ndim == 0 else None, place)
 
     def heads(self) -> Iterator[tuple[str, int]]:
-        """Yield what is known of the source of each row, equal ones as one object, and the row."""
+        """Yield what is known of the source of each row, equal ones as one object, and its number there."""
         texts = [text.decode() for text in self._array("source_json").tolist()]
-        for row, index in enumerate(self._array("source_json_index").tolist()):
-            yield texts[index], row
+        indices, numbers = self._array("source_json_index").tolist(), self._array("number").tolist()
+        for index, number in zip(indices, numbers, strict=True):
+            yield texts[index], number
 
     def rows(self, first: int, last: int, numbers: range | None = None) -> Iterator[tuple[dict[str, Any], bytes]]:
         """Yield rows from `first` up to, but not, `last`; with `numbers` no more than are needed."""

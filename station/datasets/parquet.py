@@ -91,16 +91,15 @@ class ParquetTable:
             raise RunError(f"{place}: the column {lost[0]!r} is not in it: export the records again")
 
     def heads(self) -> Iterator[tuple[str, int]]:
-        """Yield what is known of the source of each row, equal ones as one object, and the row."""
+        """Yield what is known of the source of each row, equal ones as one object, and its number there."""
         with self._said(), _opened(self.place) as file:
-            row = 0
             for group in range(file.num_row_groups):
-                column = file.read_row_group(group, columns=["source_json"], use_threads=False).column(0)
-                for chunk in column.dictionary_encode().chunks:
-                    texts = chunk.dictionary.to_pylist()
-                    for code in chunk.indices.to_pylist():
-                        yield texts[code], row
-                        row += 1
+                table = file.read_row_group(group, columns=["source_json", "number"], use_threads=False)
+                coded = table.column("source_json").combine_chunks().dictionary_encode()
+                texts = coded.dictionary.to_pylist()
+                numbers = table.column("number").to_pylist()
+                for code, number in zip(coded.indices.to_pylist(), numbers, strict=True):
+                    yield texts[code], number
 
     def rows(self, first: int, last: int, numbers: range | None = None) -> Iterator[tuple[dict[str, Any], bytes]]:
         """Yield rows from `first` up to, but not, `last`: what stands in the columns, and the bytes sent.

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from analysis import LockInEstimate, beat_signal, combine_estimates, estimate_lock_in, fit_rates
     from instrument import TDS2014, Waveform, read_waveform
     from station.notebook.catalogue import Runs, runs
+    from station.notebook.export import export
     from station.notebook.measure import measure
     from station.notebook.records import Record
     from station.notebook.result import Result
@@ -44,6 +45,7 @@ __all__ = [
     "beat_signal",
     "combine_estimates",
     "estimate_lock_in",
+    "export",
     "fit_rates",
     "measure",
     "open_run",
@@ -57,6 +59,7 @@ _HOMES = {
     "analysis": ("LockInEstimate", "beat_signal", "combine_estimates", "estimate_lock_in", "fit_rates"),
     "instrument": ("TDS2014", "Waveform", "read_waveform"),
     "station.notebook.catalogue": ("Runs", "runs"),
+    "station.notebook.export": ("export",),
     "station.notebook.measure": ("measure",),
     "station.notebook.records": ("Record",),
     "station.notebook.result": ("Result",),

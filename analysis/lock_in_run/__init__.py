@@ -1,6 +1,6 @@
 """What all records of one run say together: arrays in, one result out."""
 
-from analysis.lock_in_run.estimates import Method
+from analysis.lock_in_run.estimates import Method, joined
 from analysis.lock_in_run.evaluation import evaluate
 from analysis.lock_in_run.groups import RateGroup, SeveralRates
 from analysis.lock_in_run.pairs import QuadratureResult
@@ -26,6 +26,7 @@ __all__ = [
     "Tilt",
     "evaluate",
     "find_tilt",
+    "joined",
     "lock_in_seen",
     "rows_of_batches",
 ]

@@ -39,12 +39,16 @@ class Piece:
         Of :class:`analysis.lock_in_run.Method`, what the user wants; a run knows its own scale factor.
     known : str
         SHA-256 of the source whose estimates are there already: then it is not read.
+    sha256, source_records
+        Of the whole source, where this is a part of it.
     """
 
     path: Path | Source
     numbers: range | None = None
     choices: Mapping[str, Any] = field(default_factory=dict)
     known: str = ""
+    sha256: str = ""
+    source_records: int = 0
 
 
 @dataclass(frozen=True)
@@ -83,6 +87,8 @@ class Gathered:
         What could not be read.
     paired : bool
         Whether there are records of a second photodiode.
+    front_end : dict or None
+        Settings of the run, where they describe a channel that is to be taken out of its records.
     """
 
     name: str
@@ -101,6 +107,7 @@ class Gathered:
     damage: tuple[str, ...]
     left_out: tuple[LeftOut, ...]
     paired: bool
+    front_end: dict[str, Any] | None = None
 
     def __len__(self) -> int:
         return int(self.numbers.size)
@@ -185,6 +192,7 @@ class _Reading:
         self._damage: list[str] = []
         self._left_out: list[LeftOut] = []
         self._paired = False
+        self._front_end: dict[str, Any] | None = None
 
     def read(self) -> None:
         """Read the source; what is wrong with it is kept as a sentence."""
@@ -197,6 +205,8 @@ class _Reading:
                 return
             self._about = about(source)
             self.method = method_of(source, piece.choices)
+            settings = source.facts.settings
+            self._front_end = settings if any((settings.get("front_end") or {}).values()) else None
             for record in source.records(piece.numbers):
                 self._take(record, source)
             self._sha256 = source.sha256 if piece.numbers is None else ""
@@ -256,6 +266,7 @@ class _Reading:
             damage=tuple(self._damage),
             left_out=tuple(self._left_out),
             paired=self._paired,
+            front_end=self._front_end,
         )
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -54,6 +54,10 @@ class StepOutcome:
     elapsed_s: float = 0.0
     attempts: int = 1
     conditions: Mapping[str, float] = field(default_factory=dict)
+
+    def lasting(self, seconds: float) -> StepOutcome:
+        """Return it with the time that it took."""
+        return replace(self, elapsed_s=round(seconds, 3))
 
     @property
     def message(self) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from datetime import date
 from pathlib import Path
 from typing import Any
@@ -101,7 +101,15 @@ class CampaignPlan:
     directory : Path
         Where the folders of all tested units lie.
     simulated : bool
-        Whether any of its benches is.
+        Whether all of its benches are.
+    attempts : int
+        How often a step that the bench ended is begun or gone on with in all.
+    retry_after_s : float
+        Time between two attempts.
+    reports : bool
+        Whether every run gets a report of its own.
+    switch_off_afterwards : bool
+        Whether chamber and power supply are switched off when the test has ended.
     """
 
     name: str
@@ -117,7 +125,9 @@ class CampaignPlan:
     instruments: tuple[InstrumentCard, ...] = ()
     reference: ReferenceUnit | None = None
     attempts: int = 1
-    rest: Mapping[str, float] = field(default_factory=dict)
+    retry_after_s: float = 0.0
+    reports: bool = True
+    switch_off_afterwards: bool = False
 
     @property
     def is_reference(self) -> bool:

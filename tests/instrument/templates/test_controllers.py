@@ -164,7 +164,7 @@ def test_another_instrument_is_refused() -> None:
     server = LineServer(SimulatedChamber(), tcp_port=0)
     with server, pytest.raises(WrongInstrument, match="something else answers there: 'NA:CMDERR"):
         Controller(server.resource_name, template("rate_table"))
-    with pytest.raises(LinkError, match="cannot be opened|refused"):
+    with pytest.raises(LinkError, match=r"cannot be opened|refused"):
         Controller("TCPIP0::127.0.0.1::1::SOCKET", template("rate_table"))
 
 

@@ -115,6 +115,7 @@ def _step(outcome: StepOutcome, directory: Path, evaluated: Evaluated | None) ->
         "ended_at": outcome.ended_at or None,
         "elapsed_s": outcome.elapsed_s,
         "attempts": outcome.attempts,
+        "doubtful": step.doubtful,
         "conditions": {"planned": step.conditions, "found": outcome.conditions},
         "limits": [limit_document(one) for one in outcome.limits],
         "result": result or None,

@@ -43,7 +43,10 @@ COMMANDS = {
     ),
     "report": ("commands.report:command", "Write the HTML report of saved runs."),
     "verify": ("commands.verify:command", "Prove that the record of a test and its raw runs belong together."),
-    "history": ("commands.history:command", "Show tested units and control charts: of a type of unit, of the bench."),
+    "history": (
+        "commands.history:command",
+        "Show tested units and control charts: of a type of unit, of the bench.",
+    ),
     "salvage": (
         "commands.salvage:command",
         "Get everything that can still be read out of a damaged run, into a new one.",

@@ -21,8 +21,8 @@ _SCHEMA = {"name": "gyrolock verify", "version": 1}
 def command(paths: tuple[Path, ...], config: Path | None, as_json: bool) -> int:
     """Prove that the record of a test and its raw runs belong together, and compute the result again.
 
-    RECORD is a record.json, or the folder that it lies in. Looked at are the record itself, the raw records of every
-    run by their SHA-256, the numbers that they give now, and the verdicts. Exit codes: 0 everything holds, 1
+    RECORD is a record.json, or the folder that it lies in. Looked at are the record itself, the raw records of
+    every run by their SHA-256, the numbers that they give now, and the verdicts. Exit codes: 0 everything holds, 1
     something does not, 2 there is no record.
     """
     from station.record.verify import verify

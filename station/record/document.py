@@ -1,4 +1,4 @@
-"""The record of a test as one JSON document: everything that is known of it, and nothing that must be looked up."""
+"""The record of a test as one JSON document: all that is known of it, and nothing that must be looked up."""
 
 from __future__ import annotations
 

@@ -14,15 +14,17 @@ _NOT_IN_XML = re.compile("[\x00-\x08\x0b\x0c\x0e-\x1f\ud800-\udfff\ufffe\uffff]"
 def junit_xml(record: Mapping[str, Any]) -> str:
     """Return the XML of a record of a test: a suite for each step, a case for each limit.
 
-    A FAIL is a failure; MARGINAL is one too, of the type ``MARGINAL``: a reader that knows no third verdict must not
-    take it for a pass. ERROR and ABORTED are errors, steps that were not begun are skipped.
+    A FAIL is a failure; MARGINAL is one too, of the type ``MARGINAL``: a reader that knows no third verdict must
+    not take it for a pass. ERROR and ABORTED are errors, steps that were not begun are skipped.
     """
     root = ET.Element("testsuites", {"name": _text(f"{record['campaign']['name']}: {record['unit']['serial']}")})
     for step in record["steps"]:
         _suite(root, step, record)
     for step in record["not_begun"]:
         suite = ET.SubElement(root, "testsuite", {"name": _text(step["key"])})
-        case = ET.SubElement(suite, "testcase", {"classname": _text(step["key"]), "name": "measurement", "time": "0"})
+        case = ET.SubElement(
+            suite, "testcase", {"classname": _text(step["key"]), "name": "measurement", "time": "0"}
+        )
         ET.SubElement(case, "skipped", {"message": "not begun"})
         _count(suite)
     _count(root)

@@ -107,7 +107,11 @@ def _notes(record: Mapping[str, Any]) -> list[str]:
     limits = [limit for step in record["steps"] for limit in step["limits"]]
     rules = dict.fromkeys(limit["guard_band"] for limit in limits)
     told = [_RULES[rule] for rule in rules if rule in _RULES]
-    told += [f"{limit['sentence']}." for limit in limits if limit["verdict"] != "PASS" or limit["highest_risk"] is not None]
+    told += [
+        f"{limit['sentence']}."
+        for limit in limits
+        if limit["verdict"] != "PASS" or limit["highest_risk"] is not None
+    ]
     for step in record["steps"]:
         if step["failure"] is not None:
             told.append(f"{step['key']}: {step['failure']['message']}")
@@ -145,7 +149,8 @@ def _shown(record: Mapping[str, Any], evaluated: Mapping[str, Evaluated]) -> Ite
             sections.append(Section("What to watch", sentences=one.result.to_watch))
         yield {
             "name": f"{step['key']}: {one.kind.title}",
-            "state": _state(step["verdict"]) or {"stands": "good", "fails": "bad"}.get(one.result.standing.state, ""),
+            "state": _state(step["verdict"])
+            or {"stands": "good", "fails": "bad"}.get(one.result.standing.state, ""),
             "value": f"{step['verdict']} · {one.result.value}" if step["verdict"] else one.result.value,
             "lines": [*one.result.lines, *(f"{limit['sentence']}." for limit in step["limits"])],
             "sections": sections,
@@ -208,6 +213,6 @@ def _facts(record: Mapping[str, Any]) -> Iterator[FactTable]:
 
 def _footer(record: Mapping[str, Any], outcome: CampaignOutcome) -> str:
     return (
-        f"Made by gyrolock {version('gyrolock')}. `gyrolock verify {outcome.directory.name}` proves that this record "
-        "and the raw runs belong together, and computes the result again."
+        f"Made by gyrolock {version('gyrolock')}. `gyrolock verify {outcome.directory.name}` proves that this "
+        "record and the raw runs belong together, and computes the result again."
     )

@@ -16,7 +16,7 @@ _LIMITS = (
 def limits_csv(record: Mapping[str, Any]) -> str:
     """Return one row for each limit, and one for each step that has none."""
     head = {
-        "unit": record["unit"]["serial"],
+        "serial": record["unit"]["serial"],
         "unit_type": record["unit"]["type"],
         "started_at": record["started_at"],
         "campaign": record["campaign"]["name"],
@@ -38,11 +38,11 @@ def limits_csv(record: Mapping[str, Any]) -> str:
 def records_csv(record: Mapping[str, Any]) -> str:
     """Return one row for each record of every run; columns that a measurement does not have are empty."""
     rows = [
-        {"unit": record["unit"]["serial"], "step": step["key"], **_flat(row)}
+        {"serial": record["unit"]["serial"], "step": step["key"], **_flat(row)}
         for step in record["steps"]
         for row in step["records"]
     ]
-    names = dict.fromkeys(["unit", "step"])
+    names = dict.fromkeys(["serial", "step"])
     for row in rows:
         names.update(dict.fromkeys(row))
     return as_csv(list(names), rows)

@@ -56,7 +56,9 @@ def read_record(path: Path) -> tuple[Path, dict[str, Any]]:
     if not isinstance(schema, dict) or schema.get("name") != NAME:
         raise UsageError(f"{file}: is no record of a test")
     if schema.get("version") != VERSION:
-        raise UsageError(f"{file}: is of version {schema.get('version')}; this gyrolock reads {VERSION}: update it")
+        raise UsageError(
+            f"{file}: is of version {schema.get('version')}; this gyrolock reads {VERSION}: update it"
+        )
     return file, document
 
 
@@ -85,7 +87,9 @@ def verify(path: Path) -> list[Check]:
             found += _step(step, file.parent)
         found.append(_outcome(record))
     except (KeyError, TypeError, AttributeError, ValueError) as error:
-        found.append(Check("record", False, f"it is not laid out as a record is ({type(error).__name__}: {error})"))
+        found.append(
+            Check("record", False, f"it is not laid out as a record is ({type(error).__name__}: {error})")
+        )
     return found
 
 
@@ -139,7 +143,7 @@ def _recomputed(step: Mapping[str, Any], run: SavedRun) -> Iterator[Check]:
 
 
 def _changed(before: Mapping[str, Any], again: Evaluated) -> Iterator[str]:
-    """Numbers of the result that come out otherwise: every one at its top, those that limits are set on among them."""
+    """Numbers of the result that come out otherwise: those at its top, with those that limits are set on."""
     now = again.document()
     for name, old in before.items():
         new = now.get(name)
@@ -171,8 +175,8 @@ def _judged_again(step: Mapping[str, Any], again: Evaluated) -> Check:
     before = {one["name"]: one["verdict"] for one in step["limits"]}
     after = {one["name"]: one["verdict"] for one in now}
     if before != after:
-        others = [f"{name} was {before.get(name)} and is {after.get(name)}" for name in {**before, **after}
-                  if before.get(name) != after.get(name)]  # fmt: skip
+        names = [name for name in {**before, **after} if before.get(name) != after.get(name)]
+        others = [f"{name} was {before.get(name)} and is {after.get(name)}" for name in names]
         return Check(key, False, f"judged again, {'; '.join(others)}")
     return Check(key, True, f"judged again, the verdict is the same: {step['verdict']}")
 

@@ -25,14 +25,14 @@ JUNIT_FILE, LIMITS_FILE, RECORDS_FILE, PAGE_FILE = "junit.xml", "limits.csv", "r
 
 @dataclass(frozen=True)
 class RecordFiles:
-    """The files of a record, and what stands in the first of them."""
+    """A record, and the files that it was written to."""
 
+    document: Mapping[str, Any]
     json: Path
     junit: Path
     limits: Path
     records: Path
     page: Path
-    document: Mapping[str, Any]
 
 
 def write_record(outcome: CampaignOutcome, *, evaluated: Mapping[str, Evaluated] | None = None) -> RecordFiles:
@@ -69,7 +69,7 @@ def write_record(outcome: CampaignOutcome, *, evaluated: Mapping[str, Evaluated]
         paths = [write_page(folder / name, text) for name, text in texts.items()]
     except OSError as error:
         raise CannotWrite(f"{folder}: the record of the test cannot be written ({one_line(error)})") from None
-    return RecordFiles(*paths, document)
+    return RecordFiles(document, *paths)
 
 
 def _evaluated(path: Path) -> Evaluated | None:

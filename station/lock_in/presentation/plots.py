@@ -5,7 +5,7 @@ matplotlib is imported inside the functions: it takes half a second, and only a 
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,9 +45,9 @@ def time_record_svg(waveform: Waveform) -> str:
     orders = np.arange(1, _HARMONICS + 1)
     times = np.arange(shown) * waveform.sample_interval
 
-    def model(at: Array) -> Array:
+    def model(at: NDArray[Any]) -> Array:
         turning = np.exp(2j * np.pi * frequency * np.outer(at, orders))
-        return np.asarray(float(fit.offset) + (turning @ fit.amplitudes).real)
+        return np.asarray(float(fit.offset) + (turning @ fit.amplitudes).real, np.float64)
 
     def draw(figure: Figure) -> None:
         axes, below = figure.subplots(2, sharex=True, height_ratios=(2.4, 1))
@@ -63,7 +63,7 @@ def time_record_svg(waveform: Waveform) -> str:
             label=f"fit: offset and {_HARMONICS} harmonics",
         )
         axes.set(ylabel="V", xlim=(0, scale * fine[-1]))
-        left = 1e3 * (waveform.volts[:shown] - model(times))
+        left = 1e3 * np.subtract(waveform.volts[:shown], model(times))
         level = 1e3 * abs(waveform.preamble.ymult)
         below.axhspan(-level / 2, level / 2, color=LINE, linewidth=0, label="one level of the converter")
         below.plot(scale * times, left, ".", ms=3, color=SECOND, alpha=0.6, mew=0, label="samples less fit")

@@ -93,8 +93,8 @@ def _one_record(found: LockInFound) -> list[Section]:
     wave, name = found.waveforms[shown], found.names[shown]
     beat = PlacedFigure(
         plots.time_record_svg(wave),
-        f"First periods of record {name} with the fitted harmonics, and what the fit leaves. A rate that moves within "
-        "the record shows there as waves of the beat's period; the lock-in rate comes from a fit that follows it.",
+        f"First periods of record {name} with the fitted harmonics, and what the fit leaves. A rate that moves "
+        "within the record shows there as waves of the beat's period; the result's own fit follows it.",
     )
     spectrum = PlacedFigure(
         plots.spectrum_svg(wave),

@@ -51,8 +51,8 @@ class Course:
             return ["All values of the baseline are the same: there are no limits."]
         said = [
             f"Centre {chart.centre:.6g}, sigma {chart.sigma:.2g} by the moving range of the first "
-            f"{chart.baseline}, 
-            f"limits {chart.centre - 3 * chart.sigma:.6g} to {chart.centre + 3 * chart.sigma:.6g}."
+            f"{chart.baseline}, limits {chart.centre - 3 * chart.sigma:.6g} to "
+            f"{chart.centre + 3 * chart.sigma:.6g}."
         ]
         if not chart.signals:
             return [*said, "In control: nothing stands out."]

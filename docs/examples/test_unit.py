@@ -1,12 +1,13 @@
 """A unit tested by gyrolock from pytest: one test for each limit of the campaign, the bench once.
 
-    GYROLOCK_CAMPAIGN=campaign.toml GYROLOCK_UNIT=RLG-001 pytest test_unit.py --junitxml=result.xml
+GYROLOCK_CAMPAIGN=campaign.toml GYROLOCK_UNIT=RLG-001 pytest test_unit.py --junitxml=result.xml
 """
 
 import os
 
-import gyrolock
 import pytest
+
+import gyrolock
 
 CAMPAIGN, UNIT = os.environ["GYROLOCK_CAMPAIGN"], os.environ["GYROLOCK_UNIT"]
 STATION = gyrolock.Station(CAMPAIGN, quiet=True)

@@ -2,16 +2,16 @@
 
     python with_openhtf.py campaign.toml RLG-001
 
-Every limit of the campaign becomes a measurement of the phase, with its unit and its limits; the record of the test
-is attached. The phase passes when the station's verdict is PASS: OpenHTF compares values alone, the station also looks
-at their uncertainty.
+Every limit of the campaign becomes a measurement of the phase; the record of the test is attached. The phase passes
+when the station's verdict is PASS: OpenHTF compares values alone, the station looks at their uncertainty too.
 """
 
 import sys
 
-import gyrolock
 import openhtf as htf
 from openhtf.util import validators
+
+import gyrolock
 
 
 def gyro_phase(campaign, unit):

@@ -38,7 +38,7 @@ def test_without_scatter_or_with_few_values_there_are_no_limits(values: list[flo
 
 @pytest.mark.parametrize(("values", "baseline"), [([1.0, np.nan], 25), ([[1.0]], 25), (VALUES, 3)])
 def test_what_is_no_chart_is_refused(values: object, baseline: int) -> None:
-    with pytest.raises(ValueError, match="control chart|baseline"):
+    with pytest.raises(ValueError, match=r"control chart|baseline"):
         control_chart(values, baseline=baseline)
 
 
@@ -68,7 +68,7 @@ def test_rules_as_the_handbook_reads() -> None:
 
 
 def test_chance_alone_signals_seldom_and_a_shift_soon() -> None:
-    """Rules 1 to 4 together: one false alarm in 92 values (Champ and Woodall 1987); a shift of 2 sigma within 8."""
+    """Rules 1 to 4 together: one false alarm in 92 values (Champ, Woodall 1987); 2 sigma within 8."""
     values = np.random.default_rng(7).normal(size=60_000)
     chart = control_chart(values, baseline=60_000)
     alarms = len({one.place for one in chart.signals if one.rule < 5}) / values.size

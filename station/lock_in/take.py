@@ -25,10 +25,10 @@ from station.lock_in.rate_plan import (
 )
 from station.lock_in.read import fast_run_tilt, lock_in_so_far
 from station.lock_in.settings import Settings, check_scale_factor
-from station.lock_in.table_answer import Beats, beats_at, beats_of_other_sense
 from station.ring_laser.bench import Bench
 from station.ring_laser.open import open_for
 from station.ring_laser.records import acquisition_records, set_up, take_record
+from station.ring_laser.table_answer import Beats, beats_at, beats_of_other_sense
 from station.runs.progress import Progress
 from station.runs.store import RunWriter, SavedRecord
 from station.runs.taking import Session

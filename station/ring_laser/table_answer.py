@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 
 from analysis.rotation import EARTH_RATE_DPS
-from station.lock_in.settings import Settings
+from station.ring_laser.settings import BenchSettings
 
 _TOLERANCE = 0.03
 """A display that reads wrong by less is found by the evaluation, which compares beat and table far better."""
@@ -33,7 +33,7 @@ class Beats:
         return f"it has {frequency:.4g} Hz and should have {self.lowest:.4g} to {self.highest:.4g} Hz"
 
 
-def beats_at(settings: Settings, table_rate_dps: float, tilt_deg: float | None) -> Beats:
+def beats_at(settings: BenchSettings, table_rate_dps: float, tilt_deg: float | None) -> Beats:
     """Return the beats that fit a rate of the table.
 
     The earth rate on the axis depends on an azimuth that nobody knows, and how near lock-in is, nobody knows
@@ -55,7 +55,7 @@ def beats_at(settings: Settings, table_rate_dps: float, tilt_deg: float | None) 
     return Beats(scale_factor * slowest * _LOCKED_SHARE, scale_factor * (on_axis * (1 + _TOLERANCE) + earth))
 
 
-def beats_of_other_sense(settings: Settings, table_rate_dps: float, first: tuple[float, float]) -> Beats:
+def beats_of_other_sense(settings: BenchSettings, table_rate_dps: float, first: tuple[float, float]) -> Beats:
     """Return the beats that fit the fast run in the other sense.
 
     Parameters

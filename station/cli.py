@@ -42,12 +42,17 @@ COMMANDS = {
         "Evaluate saved runs of any kind again, and Tektronix files.",
     ),
     "report": ("commands.report:command", "Write the HTML report of saved runs."),
+    "verify": ("commands.verify:command", "Prove that the record of a test and its raw runs belong together."),
+    "history": (
+        "commands.history:command",
+        "Show tested units and control charts: of a type of unit, of the bench.",
+    ),
     "salvage": (
         "commands.salvage:command",
         "Get everything that can still be read out of a damaged run, into a new one.",
     ),
     "status": ("commands.status:command", "Show how the measurements stand that run on this machine."),
-    "stop": ("commands.stop:command", "Stop a measurement that runs; what it has taken is kept."),
+    "stop": ("commands.stop:command", "Stop a measurement or a station that runs: what it has taken is kept."),
     "plan": ("plan.command:command", "Plan a measurement: rate, scale and records for a wanted uncertainty."),
     "station": ("commands.station:command", "Test a unit against limits: a campaign that nobody has to watch."),
     "fog": ("fibre_gyro.command:command", "Scale factor of a fibre gyro: rate table, self-calibration, ..."),

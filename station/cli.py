@@ -54,6 +54,7 @@ COMMANDS = {
     "status": ("commands.status:command", "Show how the measurements stand that run on this machine."),
     "stop": ("commands.stop:command", "Stop a measurement or a station that runs: what it has taken is kept."),
     "plan": ("plan.command:command", "Plan a measurement: rate, scale and records for a wanted uncertainty."),
+    "station": ("commands.station:command", "Test a unit against limits: a campaign that nobody has to watch."),
     "fog": ("fibre_gyro.command:command", "Scale factor of a fibre gyro: rate table, self-calibration, ..."),
     "study": ("study.command:command", "Compute the paper's simulations, with its method and exactly."),
     "simulate": ("commands.simulate:command", "Serve the simulated oscilloscope on TCP or a serial terminal."),

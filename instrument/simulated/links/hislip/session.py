@@ -6,6 +6,7 @@ answer to the last one was read interrupts it (event 410). Source: IVI-6.1, vers
 
 from __future__ import annotations
 
+import math
 import struct
 from collections import deque
 
@@ -21,6 +22,10 @@ _HEADER = 16
 _DELIVERED = 1  # bit of the control code: the client's program has read the whole last answer
 _REMOTE_CODES = range(7)
 _INTERRUPTED = 410
+# s that a service request is held back, so that a client that polls learns of it by its poll: PyVISA-py takes a request
+# that comes by itself for the answer to its next question
+_HELD_BACK = 0.05
+_POLLING = 1.0  # s after a poll, in which a client counts as one that polls
 _SIZE = struct.Struct("!Q")
 
 
@@ -33,6 +38,8 @@ class Session:
         By which the asynchronous channel finds the synchronous one.
     sync, asynchronous : Port
         The channels; the second comes later.
+    request_at : float
+        Time in s at which the client is told that service was requested, unless it polls before; inf: nothing to tell.
     """
 
     def __init__(self, number: int, scope: SimulatedTDS2014, locks: Locks, sync: Port) -> None:
@@ -46,6 +53,8 @@ class Session:
         self._at_work = 0  # identifier of the message that is carried out
         self._clearing = False
         self._releases: deque[bool] = deque()
+        self._polled_at = -math.inf
+        self.request_at = math.inf
 
     @property
     def changes_at(self) -> float:
@@ -110,6 +119,7 @@ class Session:
                 if frame.control & _DELIVERED:
                     self.exchange.unread = False
                 self.work(now)  # what came before on the other channel
+                self._polled_at, self.request_at = now, math.inf
                 answer = Frame(Kind.ASYNC_STATUS_RESPONSE, self.exchange.serial_poll())
             case Kind.ASYNC_LOCK if frame.control in (0, 1):
                 self._lock(frame, now)
@@ -166,6 +176,9 @@ class Session:
             self._releases.popleft()
             self.answer_lock(self._locks.release(self), now)
         if self.exchange.requests_service():
+            self.request_at = max(now + _HELD_BACK, self._polled_at + _POLLING)
+        if now >= self.request_at:
+            self.request_at = math.inf
             self.tell(Frame(Kind.ASYNC_SERVICE_REQUEST, self.exchange.status_byte()), now, aside=True)
 
     def _send(self, answer: bytes, now: float) -> None:

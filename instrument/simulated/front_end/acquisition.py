@@ -48,7 +48,7 @@ HIGH_FREQUENCY_REJECT = 1 / (2 * math.pi * 80e3)  # s, p. 101
 LOW_FREQUENCY_REJECT = 1 / (2 * math.pi * 300e3)  # s
 MAINS_FREQUENCY = 50.0  # Hz, of the trigger source AC LINE
 _FORGET_WAITS = 0.9  # what one acquisition leaves of the longest wait for a trigger
-_FORGET_AFTER = 2  # acquisition times; of a longer silence only the end is simulated
+_FORGET_AFTER = 1  # acquisition times; of a longer silence only the end is simulated
 _LONGEST_SEARCH_STEP = 20e-6  # s; the comparator is faster than the samples of a slow sweep
 _EXTERNAL = ChannelSettings(1.0, 0.0, "DC", 1.0, limited=False, inverted=False)
 _SHORTEST_POLL, _LONGEST_POLL = 1e-3, 0.1  # s between two looks for a trigger while somebody waits

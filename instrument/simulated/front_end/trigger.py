@@ -44,9 +44,12 @@ class Stretch:
         Volts at times between them.
     bend : float
         V by which the signal may leave straight lines through `volts`.
+    interval : float
+        s between looks that tell all.
     """
 
     def __init__(self, smooth: Callable[[Floats], Floats], start: float, stop: float, interval: float) -> None:
+        self.interval = interval
         self.times: Floats = np.linspace(start, stop, max(_FEWEST_CELLS, math.ceil((stop - start) / interval)) + 1)
         self.volts = smooth(self.times)
         self.between = Between(start, stop, self.volts)
@@ -75,19 +78,26 @@ class Comparator:
         noise_rms: float = 0.0,
         interval: Callable[[float, float], float] = lambda start, stop: 0.0,
     ) -> None:
-        self.noise, self.noise_rms, self.interval = noise, noise_rms, interval
-        self._smooth = smooth
+        self.noise, self.noise_rms = noise, noise_rms
+        self._smooth, self._interval = smooth, interval
         self._seen: Stretch | None = None
 
     def __call__(self, times: Floats) -> Floats:
         """Volts with the noise."""
         return self._smooth(times) + self.noise(times)
 
+    def interval(self, start: float, stop: float) -> float:
+        """Distance in s of looks between which the smooth part is smooth, between two times; 0: not known."""
+        seen = self._seen
+        if seen is not None and seen.times[0] <= start and stop <= seen.times[-1]:
+            return seen.interval
+        return self._interval(start, stop)
+
     def stretch(self, start: float, now: float) -> Stretch:
         """What is seen from `start` to `now`, or not so far; the last one again if it holds the start."""
         seen = self._seen
         if seen is None or not seen.times[0] <= start < seen.times[-1] - _SHORTEST_STRETCH:
-            interval = self.interval(start, now)
+            interval = self._interval(start, now)
             end = min(now, start + _MOST_CELLS * interval)
             seen = self._seen = Stretch(self._smooth, start, end, interval)
         return seen
@@ -189,11 +199,16 @@ class EdgeSearch:
         while first < stop:
             times = first + step * np.arange(min(size, math.ceil((stop - first) / step)) + 1, dtype=np.float64)
             times[-1] = min(times[-1], stop)
-            crossed = above(times) >= 0
+            heights = above(times)
+            crossed = heights >= 0
             index = int(crossed.argmax())
             if crossed[index]:
-                rounds = 1 if noise else _REFINEMENTS
-                return refine(above, float(times[max(index - 1, 0)]), float(times[index]), rounds)
+                before = max(index - 1, 0)
+                low, high = float(times[before]), float(times[index])
+                if not noise:
+                    return refine(above, low, high)
+                rise = float(heights[index] - heights[before])
+                return high - (high - low) * float(heights[index]) / rise if rise > 0 else high
             first = float(times[-1])
         return None
 

@@ -25,6 +25,7 @@ _INTERRUPTED = 410
 # s that a service request is held back, so that a client that polls learns of it by its poll: PyVISA-py takes a request
 # that comes by itself for the answer to its next question
 _HELD_BACK = 0.05
+_TURN = 4  # messages before the next client has its turn
 _POLLING = 1.0  # s after a poll, in which a client counts as one that polls
 _SIZE = struct.Struct("!Q")
 
@@ -60,6 +61,12 @@ class Session:
     def changes_at(self) -> float:
         """Clock time in s at which the instrument may have more to say; inf if only new frames help."""
         return self.exchange.next_change()
+
+    @property
+    def ready(self) -> bool:
+        """True while a message waits and could be carried out now."""
+        idle = not (self.exchange.working or self.exchange.answering or self.exchange.closed)
+        return idle and bool(self._waiting) and self._locks.may_talk(self)
 
     def tell(self, frame: Frame, now: float, *, aside: bool = False) -> None:
         """Send a frame on the synchronous channel, or `aside` on the other one."""
@@ -159,7 +166,7 @@ class Session:
 
     def work(self, now: float) -> None:
         """Carry out messages and send answers, as far as clock and locks allow."""
-        while True:
+        for _ in range(_TURN):
             self.exchange.pump()
             answers = []
             while (answer := self.exchange.take()) is not None:
@@ -168,7 +175,7 @@ class Session:
                 self._send(b"".join(answers), now)
             if self.exchange.working or self.exchange.answering or self.exchange.closed:
                 break
-            if not self._waiting or not self._locks.may_talk(self):
+            if not self.ready:
                 break
             self._at_work, message = self._waiting.popleft()
             self.exchange.receive(message)

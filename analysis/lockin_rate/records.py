@@ -12,7 +12,7 @@ from analysis.lockin_rate.beat import Beat, beat_flags, is_weaker
 from analysis.lockin_rate.estimate import LockInEstimate
 from analysis.lockin_rate.pieces import compare_pieces
 from analysis.lockin_rate.rate import backscatter_phase, rate_of_ratio
-from analysis.waveform.records import NanPolicy, as_stack
+from analysis.waveform.records import NanPolicy, as_stack, never_alone
 from analysis.waveform.third_harmonic import third_harmonic
 from analysis.waveform.waveform_fit import fit_waveform
 
@@ -63,7 +63,8 @@ def estimate_lock_in(
     Returns
     -------
     LockInEstimate
-        nan with a fatal flag where a lock-in rate would mean nothing.
+        nan with a fatal flag where a lock-in rate would mean nothing. What is said of a record does not depend on
+        the others, to the last bit.
 
     Raises
     ------
@@ -80,6 +81,20 @@ def estimate_lock_in(
     if clipped is not None:
         full = np.broadcast_to(np.asarray(clipped, dtype=bool), (*stack.shape, stack.n_samples))
         mask = full.reshape(-1, stack.n_samples)
+    if full_amplitude is not None:
+        full_amplitude = np.broadcast_to(np.asarray(full_amplitude, dtype=np.float64), stack.shape).ravel()
+    if len(stack.volts) == 1:
+        rows = never_alone(np.zeros(1, dtype=np.intp))
+        return estimate_lock_in(
+            stack.volts[rows],
+            sample_interval,
+            scale_factor=scale_factor,
+            input_rate=None if rate is None else rate[rows],
+            relation=relation,
+            clipped=None if mask is None else mask[rows],
+            full_amplitude=None if full_amplitude is None else full_amplitude[rows],
+            nan_policy=nan_policy,
+        )[0].reshaped(*stack.shape)
     fit = fit_waveform(stack, mask)
     third, third_u = third_harmonic(fit, stack.n_samples)
     with np.errstate(all="ignore"):  # records without a beat divide by zero; their flags are fatal
@@ -95,10 +110,9 @@ def estimate_lock_in(
             rate,
             relation,
         )
-    flags = flags | beat_flags(beat, stack.n_samples)
+    flags = flags | beat_flags(beat, flags, stack.n_samples)
     if full_amplitude is not None:
-        full = np.broadcast_to(np.asarray(full_amplitude, dtype=np.float64), stack.shape).ravel()
-        flags[is_weaker(beat, fit, full, stack.n_samples)] |= Flag.AMPLITUDE_LOST
+        flags[is_weaker(beat, fit, full_amplitude, stack.n_samples)] |= Flag.AMPLITUDE_LOST
     fatal = (flags & int(FATAL)) != 0
 
     def shaped(values: Floats) -> Floats:

@@ -32,7 +32,7 @@ from station.runs.layouts import COLUMNS, Layout
 
 RUN_FILE = "run.sqlite"
 REPORT_FILE = "report.html"
-_RUN_FILES = (RUN_FILE, "fog.sqlite")  # the second is that of fibre-gyro runs of earlier versions
+RUN_FILES = (RUN_FILE, "fog.sqlite")  # the second is that of fibre-gyro runs of earlier versions
 _ASIDE = " (set aside "
 _NAMED = 20  # gaps among the records that are named one by one
 
@@ -236,7 +236,7 @@ def open_run(path: Path) -> SavedRun:
         facts, unusable, protected = read_facts(db)
         records = tuple(read_record(row, layout) for row in db.execute(layout.select))
         results = db.execute("SELECT value FROM result ORDER BY number DESC LIMIT 1").fetchone()
-        damaged = tuple(_damage(records, unusable))
+        damaged = tuple(damage_of(records, unusable))
         return SavedRun(file, RunFacts(facts), records, _results(results), unusable, protected, damaged)
 
 
@@ -263,7 +263,8 @@ def read_record(row: Sequence[Any], layout: Layout) -> SavedRecord:
     )
 
 
-def _damage(records: Sequence[SavedRecord], unusable: Mapping[str, str]) -> Iterator[str]:
+def damage_of(records: Sequence[SavedRecord], unusable: Mapping[str, str]) -> Iterator[str]:
+    """Say in one sentence each what of a run is not what was once saved."""
     for record in records:
         if not (record.intact or record.aside):
             yield f"record {record.number} ({record.key}) is damaged"
@@ -294,7 +295,7 @@ def run_file(path: Path) -> Path:
         If there is none.
     """
     if path.is_dir():
-        for name in _RUN_FILES:
+        for name in RUN_FILES:
             if (path / name).is_file():
                 return path / name
         raise RunError(f"{path}: holds no run (there is no {RUN_FILE} in it)")

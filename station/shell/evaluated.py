@@ -14,7 +14,7 @@ from station.results.limits import Tested, check_limits, verdict
 from station.results.parts import FactTable, Section
 from station.results.result import Result
 from station.runs.store import SavedRun
-from station.settings.load import load, saved_settings
+from station.settings.load import saved_settings
 
 SCHEMA_VERSION = 2
 DAMAGE = (ArithmeticError, AttributeError, LookupError, RecursionError, TypeError, ValueError)
@@ -131,7 +131,7 @@ def evaluate_run(
     Parameters
     ----------
     config : Path, optional
-        Settings file: what is known of the bench is taken from it, and the limits.
+        Settings file: what it states of the bench, and of the limits, replaces what the run holds of them.
     choices : mapping, optional
         What the user wants of the evaluation, by name; ``None`` is left out.
 
@@ -150,7 +150,7 @@ def evaluate_run(
             raise RunError(f"{run.path}: is damaged: its {name} {run.unusable[name]}")
     settings = saved_settings(kind.kind, run.facts.settings, str(run.path))
     if config is not None:
-        settings = kind.kind.with_knowledge(settings, load(kind.kind, config))
+        settings = kind.kind.with_knowledge(settings, config)
     wanted = {name: value for name, value in (choices or {}).items() if value is not None}
     for name in wanted:
         if name not in kind.choices:

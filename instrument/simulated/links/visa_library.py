@@ -330,12 +330,12 @@ class SimulatedVisaLibrary(VisaLibraryBase):
     def enable_event(self, session: Any, event_type: Any, mechanism: Any, context: None = None) -> StatusCode:
         """Wait for service requests from now on; they are queued, no handler is called."""
         if event_type != EventType.service_request:
-            return self.handle_return_value(session, StatusCode.error_nonsupported_event)
+            return self.handle_return_value(session, StatusCode.error_invalid_event)
         if mechanism != EventMechanism.queue:
             return self.handle_return_value(session, StatusCode.error_nonsupported_mechanism)
         opened = self._sessions[session]
         if opened.stream:  # RS-232 has no service request
-            return self.handle_return_value(session, StatusCode.error_nonsupported_event)
+            return self.handle_return_value(session, StatusCode.error_invalid_event)
         opened.waits_for_service = True
         return self.handle_return_value(session, StatusCode.success)
 

@@ -25,7 +25,9 @@ CANCEL_IN_THE_CHECK = ("noise", "scale_factor", "time_base")
 """Inputs of the budget that the check by the table has counted already, or that the tilt absorbs in it."""
 
 
-def evaluate(run: RunArrays, knowledge: RunKnowledge | None, method: Method) -> LockInRun:
+def evaluate(
+    run: RunArrays, knowledge: RunKnowledge | None, method: Method, estimated: LockInEstimate | None = None
+) -> LockInRun:
     """Evaluate the records that a run took at its slow rate, or at its slow rates.
 
     Parameters
@@ -36,6 +38,9 @@ def evaluate(run: RunArrays, knowledge: RunKnowledge | None, method: Method) -> 
         ``None``: nothing is known of the bench. Then there is no correction and no table, and the budget counts
         what everything may be at worst.
     method : Method
+    estimated : LockInEstimate, optional
+        Of the slow records by this method, fields of shape (n,), where they are known already; then `run` needs no
+        samples of them. Not for two channels.
 
     Returns
     -------
@@ -51,7 +56,9 @@ def evaluate(run: RunArrays, knowledge: RunKnowledge | None, method: Method) -> 
         If the method is one for a single rate, and the run has several.
     """
     # 1. every record by itself, as before the channel
-    each, quadratures = _each_record(run.slow, method, None if knowledge is None else knowledge.response)
+    each, quadratures = _each_record(
+        run.slow, method, None if knowledge is None else knowledge.response, estimated
+    )
     # 2. all of them as if at one rate
     unknown = np.full(each.flags.size, np.nan)
     found = LockInRun(method, each, combine_estimates(each), quadratures=quadratures, record_u=unknown)
@@ -82,13 +89,13 @@ def evaluate(run: RunArrays, knowledge: RunKnowledge | None, method: Method) -> 
 
 
 def _each_record(
-    slow: RecordArrays, method: Method, response: ChannelResponse | None
+    slow: RecordArrays, method: Method, response: ChannelResponse | None, estimated: LockInEstimate | None
 ) -> tuple[LockInEstimate, QuadratureResult | None]:
     """Estimate the records, with the help of the second photodiode where there is one."""
     if slow.n_channels == 2:
         pairs = estimate_pairs(slow, method, response)
         return only_beats(pairs.estimate), mean_of_pairs(pairs)
-    each = only_beats(estimate_records(slow, method))
+    each = only_beats(estimate_records(slow, method) if estimated is None else estimated)
     return (each if response is None else without_channel(each, response)), None
 
 

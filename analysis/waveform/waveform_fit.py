@@ -20,7 +20,7 @@ from analysis.waveform.quantisation import (
     mean_rounding,
     repetition,
 )
-from analysis.waveform.records import Records, Stack
+from analysis.waveform.records import Records, Stack, never_alone
 from analysis.waveform.residuals import Residual, examine_residual, residual_of, residual_samples
 from analysis.waveform.series.geometric_series import Series, sampled_series
 from analysis.waveform.series.minimise import SeriesFit, Task, gauss_newton
@@ -77,6 +77,10 @@ class WaveformFit:
     third: Complexes
     flags: Ints
 
+    def take(self, part: Indices) -> WaveformFit:
+        """Some of the records."""
+        return WaveformFit(self.series.take(part), *(getattr(self, f.name)[part] for f in fields(self)[1:]))
+
     def put(self, part: Indices, other: WaveformFit) -> None:
         """Write the other's records into the places `part` of this one."""
         self.series.put(part, other.series)
@@ -86,7 +90,10 @@ class WaveformFit:
 
 def fit_waveform(stack: Stack, clipped: Bools | None) -> WaveformFit:
     """Fit every record; `clipped` (R, N) marks samples known to stand at the converter's end, None: find them."""
-    parts = [fit for part in stack.parts() for fit in _fit_what_can_be(stack, part, clipped)]
+    return _joined([fit for part in stack.parts() for fit in _fit_what_can_be(stack, part, clipped)])
+
+
+def _joined(parts: list[WaveformFit]) -> WaveformFit:
     series = Series(*(np.concatenate([getattr(p.series, f.name) for p in parts]) for f in fields(Series)))
     others = (np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(WaveformFit)[1:])
     return WaveformFit(series, *others)
@@ -124,7 +131,7 @@ def _fit_part(stack: Stack, part: slice, clipped: Bools | None) -> WaveformFit:
     swing = records.highest - records.lowest
     good = (swing > SINGLE_PRECISION_SWING[0]) & (swing < SINGLE_PRECISION_SWING[1])
     good &= fit.noise_rms > SINGLE_PRECISION_NOISE * swing
-    fine = np.flatnonzero(~(good | records.constant))
+    fine = never_alone(np.flatnonzero(~(good | records.constant)))
     if fine.size:
         again = stack.take(fine + part.start, np.float64)
         fit.put(fine, _fit_records(again, None if known is None else known[fine]))
@@ -132,12 +139,23 @@ def _fit_part(stack: Stack, part: slice, clipped: Bools | None) -> WaveformFit:
 
 
 def _fit_records(records: Records, clipped: Bools | None) -> WaveformFit:
+    """Fit records; each has the same digits whatever others are among them."""
+    fits: list[WaveformFit] = []
+    place = np.empty(len(records.values), dtype=np.intp)
+    for rows, some in records.groups():
+        place[rows] = sum(fit.flags.size for fit in fits) + np.arange(rows.size)
+        fits.append(_fit_alike(some, None if clipped is None else clipped[rows]))
+    return _joined(fits).take(place)
+
+
+def _fit_alike(records: Records, clipped: Bools | None) -> WaveformFit:
+    """Fit two records or more all of which have missing samples, or none."""
     values, weights = records.values, records.weights
     fit = fit_series(values, weights)
     damage = find_damage(records, fit, clipped)
     flags = damage.flags
-    hit = (flags & int(Flag.CLIPPED)) != 0
-    if hit.any() and damage.weights is not None and damage.limits is not None:
+    hit = never_alone(np.flatnonzero(flags & int(Flag.CLIPPED)))
+    if hit.size and damage.weights is not None and damage.limits is not None:
         weights = np.ones_like(values) if weights is None else weights.copy()
         refitted, weights[hit] = _fit_between_limits(
             values[hit], weights[hit], damage.weights[hit], damage.limits[hit]
@@ -150,7 +168,7 @@ def _fit_records(records: Records, clipped: Bools | None) -> WaveformFit:
         weights = np.ones_like(values) if weights is None else weights.copy()
         for row, one in spikes.items():
             weights[row, one.found] = 0.0
-        spiked = np.array(list(spikes))
+        spiked = never_alone(np.array(list(spikes)))
         some, mask = values[spiked] * weights[spiked], weights[spiked]
         refitted = fit_series(some, mask)  # anew: the spikes may have led the first fit astray
         fit.put(spiked, refitted)
@@ -183,24 +201,34 @@ def _take_out_rounding(
         excess[silent[locked]] = repeated[locked] * FEW_ERRORS
         is_locked[silent[locked]] = True
         quiet = quiet[~is_locked[quiet]]
-    if quiet.size == 0:
-        return excess, is_locked
-    some, mask = values[quiet], None if weights is None else weights[quiet]
-    fitted = fit.series.take(quiet)
     # The rounding error is taken where the first fit has put the waveform. That fit was moved by it by little, but
     # with next to no noise the error changes within a small part of a level.
-    for _ in range(1 if np.all(rms[quiet] > SILENT * spacing[quiet]) else 2):
-        model = sampled_series(fitted, values.shape[1], values.dtype)
-        corrected = some - mean_rounding(model, some, spacing[quiet], rms[quiet])
-        if mask is not None:
-            corrected *= mask
-        refitted, _ = gauss_newton(Task.of(corrected, mask), fitted)
-        fitted = refitted.series
-    rest = residual_of(corrected, mask, fitted)
-    fit.put(quiet, refitted)
-    left.put(quiet, rest)
-    excess[quiet] = leftover_excess(rest, values.shape[1], spacing[quiet])
+    noisy = rms[quiet] > SILENT * spacing[quiet]
+    whole = np.ones(quiet.size, dtype=bool) if weights is None else weights[quiet].all(axis=-1)
+    for times, few in ((1, noisy), (2, ~noisy)):
+        for masked, chosen in ((False, few & whole), (True, few & ~whole)):
+            if (rows := never_alone(quiet[chosen])).size:
+                mask = weights[rows] if masked and weights is not None else None
+                refitted, rest = _without_rounding(
+                    values[rows], mask, fit.series.take(rows), spacing[rows], rms[rows], times
+                )
+                fit.put(rows, refitted)
+                left.put(rows, rest)
+                excess[rows] = leftover_excess(rest, values.shape[1], spacing[rows])
     return excess, is_locked
+
+
+def _without_rounding(
+    values: Samples, weights: Samples | None, fitted: Series, spacing: Floats, rms: Floats, times: int
+) -> tuple[SeriesFit, Residual]:
+    for _ in range(times):
+        model = sampled_series(fitted, values.shape[1], values.dtype)
+        corrected = values - mean_rounding(model, values, spacing, rms)
+        if weights is not None:
+            corrected *= weights
+        refitted, _ = gauss_newton(Task.of(corrected, weights), fitted)
+        fitted = refitted.series
+    return refitted, residual_of(corrected, weights, fitted)
 
 
 def _judged(

@@ -6,11 +6,12 @@ from collections.abc import Mapping
 from typing import Any
 
 from analysis.lock_in_run import Method
+from station.lock_in.at_once import watch
 from station.lock_in.found import LockInFound
 from station.lock_in.presentation.documents import record_documents
 from station.lock_in.presentation.sections import sections
 from station.lock_in.presentation.tables import fact_tables
-from station.lock_in.read import evaluate_run
+from station.lock_in.read import evaluate_run, evaluate_source
 from station.lock_in.result import result
 from station.lock_in.settings import RING_LASER, LimitSettings, Settings
 from station.lock_in.take import take
@@ -31,10 +32,12 @@ MEASUREMENT = Measurement(
     kind=RING_LASER,
     take=take,
     evaluate=evaluate,
+    evaluate_source=evaluate_source,
     choices=("scale_factor", "relation", "input_rate"),
     gives=tuple(LimitSettings.model_fields),
     result=result,
     sections=sections,
     facts=fact_tables,
     rows=lambda found: record_documents(found, "record"),
+    watch=watch,
 )

@@ -58,6 +58,8 @@ COMMANDS = {
         "commands.salvage:command",
         "Get everything that can still be read out of a damaged run, into a new one.",
     ),
+    "status": ("commands.status:command", "Show how the measurements stand that run on this machine."),
+    "stop": ("commands.stop:command", "Stop a measurement that runs; what it has taken is kept."),
     "plan": ("plan.command:command", "Plan a measurement: rate, scale and records for a wanted uncertainty."),
     "fog": ("fibre_gyro.command:command", "Scale factor of a fibre gyro: rate table, self-calibration, ..."),
     "study": ("study.command:command", "Compute the paper's simulations, with its method and exactly."),

@@ -129,7 +129,12 @@ class Cluster:
             self._knock()
             client.__init__(address, timeout=_PATIENCE_S, set_as_default=False)
             return client
-        except (OSError, TimeoutError, ValueError, MemoryError) as error:  # others may listen there, and say anything
+        except (
+            OSError,
+            TimeoutError,
+            ValueError,
+            MemoryError,
+        ) as error:  # others may listen there, and say anything
             client.status = "closed"  # one that never was open would wait for its end
             reason = str(error).split("\n", maxsplit=1)[0]
             raise RunError(

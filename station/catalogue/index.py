@@ -77,7 +77,6 @@ def _looked_at(directory: Path, paths: list[str], progress: Progress | None) -> 
             seen[path] = read_entry(directory / path, path)
             told.advance()
         yield seen
-    told.close()
 
 
 # ---------------------------------------------------------------------- what lies in the folder

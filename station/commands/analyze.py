@@ -47,8 +47,8 @@ def command(paths: tuple[Path, ...], jsonl: bool, config: Path | None, as_json: 
     --json and several paths the document holds a list `results`. Exit code 4 if any of them gives no result, 1 if
     one is beyond a limit.
 
-    A run is evaluated with the settings that it was taken with; with --config what is known of the bench, and the
-    [limits], are those of FILE, for a channel that was measured later.
+    A run is evaluated with the settings that it was taken with. With --config, what FILE states of the bench, and
+    its [limits], replace what the run holds of them, for a channel that was measured later; the rest stays.
     """
     from station.errors import EXIT_FAIL
 

@@ -49,8 +49,8 @@ def command(
     rest is written.
     """
     from station.datasets.writing import RECORDS_OF_PART, check_target, export
+    from station.display.opening import shown
     from station.errors import EXIT_OK, EXIT_USAGE
-    from station.runs.progress import Progress
     from station.settings.toml_files import read_toml
 
     if part_records is not None and not to.endswith("/"):
@@ -58,11 +58,10 @@ def command(
     if config is not None:
         read_toml(config)  # a file with a mistake is one here too
     left_out: list[LeftOut] = []
-    progress = Progress()
-    sources = _opened(paths, left_out, progress)
     check_target(to, replace=replace)
-    done = export(sources, to, records_of_part=part_records or RECORDS_OF_PART, left_out=left_out)
-    progress.close()
+    with shown({"plain": True, "quiet": as_json}, "export") as progress:
+        sources = _opened(paths, left_out, progress)
+        done = export(sources, to, records_of_part=part_records or RECORDS_OF_PART, left_out=left_out)
     for one in left_out:
         remark(f"left out: {one}")
     if as_json:

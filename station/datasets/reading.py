@@ -36,7 +36,7 @@ class Table(Protocol):
     place: str
 
     def heads(self) -> Iterator[tuple[str, int]]:
-        """Yield what is known of the source of each row, equal ones as one object, and its number in the source."""
+        """Yield what is known of the source of each row, equal ones as one object, and its number there."""
 
     def rows(self, first: int, last: int, numbers: range | None = None) -> Iterator[tuple[dict[str, Any], bytes]]:
         """Yield rows: what stands in the columns, and the bytes that were sent."""

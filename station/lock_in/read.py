@@ -120,7 +120,6 @@ def evaluate_source(
             raise RunError(str(part.left_out[-1]))
         parts.append(part)
         progress.advance()
-    progress.close()
     gathered = together(parts)
     if gathered.paired:
         return None

@@ -65,6 +65,9 @@ class RunSource(Source):
         # a damaged run may hold any number: then it is read as a whole
         return (first, last) if last - first < 2 * count + AT_ONCE else (1, 1)
 
+    def __len__(self) -> int:
+        return int(self._numbers[2])
+
     def records(self, numbers: range | None = None) -> Iterator[SavedRecord]:
         """Read the records one at a time; see `Source`."""
         with reading(self.path) as (db, layout):

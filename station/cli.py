@@ -42,10 +42,24 @@ COMMANDS = {
         "Evaluate saved runs of any kind again, and Tektronix files.",
     ),
     "report": ("commands.report:command", "Write the HTML report of saved runs."),
+    "runs": (
+        "commands.runs:command",
+        "List all runs below a folder: when, what, unit, operator, result, verdict.",
+    ),
+    "annotate": (
+        "commands.annotate:command",
+        "Say something of saved runs afterwards: a note, tags, a good or bad mark.",
+    ),
+    "export": (
+        "commands.export:command",
+        "Write the records of runs and files to a data set: CSV, Parquet, HDF5, NumPy.",
+    ),
     "salvage": (
         "commands.salvage:command",
         "Get everything that can still be read out of a damaged run, into a new one.",
     ),
+    "status": ("commands.status:command", "Show how the measurements stand that run on this machine."),
+    "stop": ("commands.stop:command", "Stop a measurement that runs; what it has taken is kept."),
     "plan": ("plan.command:command", "Plan a measurement: rate, scale and records for a wanted uncertainty."),
     "fog": ("fibre_gyro.command:command", "Scale factor of a fibre gyro: rate table, self-calibration, ..."),
     "study": ("study.command:command", "Compute the paper's simulations, with its method and exactly."),

@@ -11,6 +11,7 @@ EXIT_USAGE = 2
 EXIT_INSTRUMENT = 3
 EXIT_NO_SIGNAL = 4
 EXIT_OUTPUT = 5  # a result could not be written; the records are kept
+EXIT_MARGINAL = 6  # a limit lies within the uncertainty: neither PASS nor FAIL
 EXIT_DEFECT = 70
 EXIT_INTERRUPTED = 130  # 128 and the number of the signal, as shells count: 129 hung up, 143 terminated
 

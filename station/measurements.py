@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
+from station.events.seen import See
 from station.results.parts import FactTable, Section
 from station.results.result import Result
 from station.runs.progress import Progress
@@ -68,6 +69,8 @@ class Measurement(Generic[S, F]):
         Gets a run and its settings: keys of records that are to be taken again when it is gone on with, and why.
     simulated : callable
         Gets settings: whether the bench that they describe is simulated.
+    watch : callable or None
+        Gets settings, and returns what says of each record at once what it says, for those who watch.
     """
 
     name: str
@@ -88,6 +91,7 @@ class Measurement(Generic[S, F]):
     gives: tuple[str, ...] = ()
     unusable: Callable[[SavedRun, S], Mapping[str, str]] = field(default=_nothing_unusable)
     simulated: Callable[[S], bool] = field(default=lambda settings: bool(settings.simulated))
+    watch: Callable[[S], See] | None = None
 
 
 # what a run is marked with: the module that holds MEASUREMENT

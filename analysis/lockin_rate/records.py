@@ -110,7 +110,7 @@ def estimate_lock_in(
             rate,
             relation,
         )
-    flags = flags | beat_flags(beat, stack.n_samples)
+    flags = flags | beat_flags(beat, flags, stack.n_samples)
     if full_amplitude is not None:
         flags[is_weaker(beat, fit, full_amplitude, stack.n_samples)] |= Flag.AMPLITUDE_LOST
     fatal = (flags & int(FATAL)) != 0

@@ -9,6 +9,7 @@ import numpy as np
 from analysis.arrays import Bools, Complexes, Floats, Indices, Ints, Samples
 from analysis.flags import FATAL, Flag
 from analysis.waveform.damage import find_damage, is_a_piece, outliers
+from analysis.waveform.misfit import turned_by
 from analysis.waveform.moving_rate import MovingFit, fit_moving_rate, may_be_motion
 from analysis.waveform.quantisation import (
     FEW_ERRORS,
@@ -24,6 +25,7 @@ from analysis.waveform.residuals import Residual, examine_residual, residual_of,
 from analysis.waveform.series.geometric_series import Series, sampled_series
 from analysis.waveform.series.minimise import SeriesFit, Task, gauss_newton
 from analysis.waveform.series.series_fit import fit_series, fit_series_again
+from analysis.waveform.steadiness import passing_power
 
 SINGLE_PRECISION_SWING = 1e-12, 1e12
 """Volts between which squares are safe in single precision."""
@@ -40,6 +42,9 @@ WORTH_MOVING = 0.98
 MOST_WALK = 20.0
 """rad of random walk over the record up to which a record that is no beat at a steady rate may be one with a noisy
 rate. What is no beat at all needs more."""
+
+SUSPECT = Flag.MISFIT | Flag.COLOURED_NOISE | Flag.DAMAGED
+"""What makes it worth asking whether the residual is there all the time."""
 
 FEW_PERIODS = 6.5
 """A motion that is no smooth curve may leave less than the noise, and with few periods looks like a harmonic: the
@@ -245,6 +250,8 @@ def _judged(
     # A residual as small as this cannot come from a motion that would move the ratio.
     worth_it = power > TRACKED_FROM**2 * np.abs(series.first) ** 2 * count
     fatal = (report.flags & int(FATAL)) != 0
+    beat_power = np.abs(series.first) ** 2 / 2 * count
+    at_rest = np.ones(len(count), dtype=bool)
     for row in map(int, np.flatnonzero(report.uneven & worth_it)):
         moved = _moving_fit(records, weights, series, row, bool(fatal[row]))
         if moved is None or moved.variance > WORTH_MOVING * power[row] / free[row]:
@@ -262,15 +269,30 @@ def _judged(
         if fatal[row] and ((told | moved.flags) & int(FATAL | Flag.MISFIT) or moved.walk > MOST_WALK):
             continue
         series.put(here, beat)
+        at_rest[row], sidebands = False, float(power[row] / beat_power[row])
         covariance[row], free[row], power[row] = moved.covariance, moved.degrees, moved.variance * moved.degrees
         covariance[row] /= moved.variance
         flags[row] = (flags[row] & ~report.flags[row]) | told | moved.flags
         excess[row], report.misfit[row], third[row] = factors, again.misfit[0], np.nan
+        if moved.vibrates:
+            flags[row] |= Flag.MISFIT
+            report.misfit[row] = np.hypot(report.misfit[row], turned_by(sidebands, abs(moved.ratio)))
+    for row in map(int, np.flatnonzero(at_rest & ((flags & int(SUSPECT)) != 0) & ~fatal)):
+        passing = passing_power(_valid_left(records.values, weights, series, row))
+        if passing:
+            flags[row] |= Flag.MISFIT
+            report.misfit[row] = np.hypot(report.misfit[row], np.sqrt(passing / beat_power[row]))
     flags[records.constant] = Flag.CONSTANT
     flags[count < FEWEST_SAMPLES] |= Flag.TOO_FEW_SAMPLES
     variance = power / np.maximum(free, 1)
     covariance *= variance[:, np.newaxis, np.newaxis]
     return WaveformFit(series, covariance, excess, np.sqrt(variance), report.misfit, third, flags)
+
+
+def _valid_left(values: Samples, weights: Samples | None, series: Series, row: int) -> Floats:
+    """What the waveform leaves of the samples of one record that are believed."""
+    left = residual_samples(values, weights, series, row).astype(np.float64)
+    return left if weights is None else left[weights[row] > 0]
 
 
 def _moving_fit(

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from station.errors import Failure
-    from station.lock_in.files import AnalyzedFiles
+    from station.reanalysis.files import AnalyzedFiles
     from station.shell.evaluated import Evaluated
 
 
@@ -47,8 +47,8 @@ def command(paths: tuple[Path, ...], jsonl: bool, config: Path | None, as_json: 
     --json and several paths the document holds a list `results`. Exit code 4 if any of them gives no result, 1 if
     one is beyond a limit.
 
-    A run is evaluated with the settings that it was taken with; with --config what is known of the bench, and the
-    [limits], are those of FILE, for a channel that was measured later.
+    A run is evaluated with the settings that it was taken with. With --config, what FILE states of the bench, and
+    its [limits], replace what the run holds of them, for a channel that was measured later; the rest stays.
     """
     from station.errors import EXIT_FAIL
 
@@ -82,7 +82,7 @@ def _analyze(
     """Evaluate one path; one that cannot be read must not keep the others from being evaluated."""
     from instrument import InstrumentError
     from station.errors import EXIT_NO_SIGNAL, Failure, NoUsableSignal, StationError, describe_failure
-    from station.lock_in.files import analyze_file
+    from station.reanalysis.files import analyze_file
     from station.runs.database import is_database
     from station.runs.progress import Progress
     from station.shell.evaluated import evaluate_saved

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from analysis.lock_in_run import Method
+from station.lock_in.at_once import watch
 from station.lock_in.found import LockInFound
 from station.lock_in.presentation.documents import record_documents
 from station.lock_in.presentation.sections import sections
@@ -38,4 +39,5 @@ MEASUREMENT = Measurement(
     sections=sections,
     facts=fact_tables,
     rows=lambda found: record_documents(found, "record"),
+    watch=watch,
 )

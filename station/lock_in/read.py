@@ -30,7 +30,7 @@ from instrument import Waveform
 from station.errors import RunError, UsageError
 from station.lock_in.found import LockInFound, Numbered, SavedWaveforms
 from station.lock_in.knowledge import knowledge_of_files, run_knowledge
-from station.lock_in.pieces import Gathered, estimate_pieces, pieces_of, together
+from station.lock_in.records.pieces import Gathered, estimate_pieces, pieces_of, together
 from station.lock_in.settings import Settings
 from station.ring_laser.records import saved_waveform
 from station.runs.progress import Progress
@@ -120,7 +120,6 @@ def evaluate_source(
             raise RunError(str(part.left_out[-1]))
         parts.append(part)
         progress.advance()
-    progress.close()
     gathered = together(parts)
     if gathered.paired:
         return None

@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 from analysis import flag_names
 from analysis.lock_in_run import only_beats, without_channel
 from station.errors import StationError
-from station.lock_in.estimates import COLUMNS, columns_of
 from station.lock_in.found import describe_method
 from station.lock_in.knowledge import channel_response
-from station.lock_in.pieces import Gathered, Piece, estimate_pieces
+from station.lock_in.records.estimates import COLUMNS, columns_of
+from station.lock_in.records.pieces import Gathered, Piece, estimate_pieces
 from station.lock_in.settings import RING_LASER
 from station.provenance import provenance
 from station.settings.load import saved_settings

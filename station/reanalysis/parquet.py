@@ -7,13 +7,12 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-import pyarrow
-import pyarrow.compute
-import pyarrow.parquet
-
+from station.datasets.packages import package
 from station.errors import CannotWrite, RunError
 from station.reanalysis.columns import INTEGERS, NAME, ORDER, TEXTS, VERSION, Rows
-from station.reanalysis.table_file import Key, TableFile
+from station.reanalysis.table import Key, TableFile
+
+pyarrow, compute, parquet = (package(name, "data") for name in ("pyarrow", "pyarrow.compute", "pyarrow.parquet"))
 
 ROW_GROUP = 20_000
 _KINDS = {
@@ -57,7 +56,7 @@ class Parquet(TableFile):
     def begin(self) -> None:
         """Open the draft; see `TableFile`."""
         try:
-            self._writer = pyarrow.parquet.ParquetWriter(self._draft, SCHEMA, compression="zstd")
+            self._writer = parquet.ParquetWriter(self._draft, SCHEMA, compression="zstd")
         except OSError as error:
             raise CannotWrite(f"{self.path}: cannot be written ({error})") from None
 
@@ -76,8 +75,8 @@ class Parquet(TableFile):
                 [f"{source}\n{analysis}" for source, analysis in sorted(replaced)], pyarrow.string()
             )
             for batch in self._batches(None):
-                keys = pyarrow.compute.binary_join_element_wise(batch["source"], batch["analysis"], "\n")
-                kept = batch.filter(pyarrow.compute.invert(pyarrow.compute.is_in(keys, gone)))
+                keys = compute.binary_join_element_wise(batch["source"], batch["analysis"], "\n")
+                kept = batch.filter(compute.invert(compute.is_in(keys, gone)))
                 if len(kept):
                     self._writer.write_batch(kept.cast(SCHEMA))
         self._writer.close()
@@ -100,7 +99,7 @@ class Parquet(TableFile):
 
     def _batches(self, names: list[str] | None) -> Iterator[Any]:
         try:
-            with pyarrow.parquet.ParquetFile(self.path) as file:
+            with parquet.ParquetFile(self.path) as file:
                 known = file.schema_arrow.metadata or {}
                 ours = known.get(b"schema_name") == NAME.encode()
                 version = known.get(b"schema_version", b"").decode(errors="replace")

@@ -25,6 +25,8 @@ class Bench:
         Seconds on that clock, from any beginning.
     truth : callable or None
         On a simulated bench: the true values of the last record, with the names of the results.
+    surroundings : callable
+        What chamber and power supply read now, under names with their units; nothing where there are none.
     """
 
     scope: TDS2014
@@ -32,6 +34,7 @@ class Bench:
     sleep: Callable[[float], None] = time.sleep
     truth: Callable[[], dict[str, float]] | None = None
     now: Callable[[], float] = time.time
+    surroundings: Callable[[], dict[str, float]] = dict
 
     def turn_table(self, rate_dps: float, settle_s: float) -> float:
         """Set the table's rate, wait until it turns steadily, and then let it settle.

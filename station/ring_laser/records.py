@@ -34,7 +34,8 @@ def take_record(bench: Bench, channels: tuple[str, ...]) -> tuple[tuple[Waveform
     tuple of Waveform
         One for each channel.
     dict
-        Plain JSON: azimuth before and after where it is known, truth on a simulated bench.
+        Plain JSON: azimuth before and after where it is known, what chamber and power supply read, truth on a
+        simulated bench.
 
     Raises
     ------
@@ -44,7 +45,7 @@ def take_record(bench: Bench, channels: tuple[str, ...]) -> tuple[tuple[Waveform
     azimuth, waveforms, azimuth_after = bench.scope.step(
         lambda: (bench.azimuth(), bench.scope.acquire(channels), bench.azimuth())
     )
-    conditions: dict[str, object] = {}
+    conditions: dict[str, object] = {**bench.surroundings()}
     if azimuth is not None and azimuth_after is not None:
         conditions |= {"azimuth_start_deg": azimuth, "azimuth_end_deg": azimuth_after}
     if bench.truth is not None:

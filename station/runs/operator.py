@@ -7,6 +7,7 @@ import sys
 
 from instrument import ManualRateTable
 from station.errors import UsageError
+from station.terminal.give_way import free_terminal
 from station.terminal.visible import visible
 
 
@@ -20,9 +21,10 @@ def ask_operator(question: str) -> str:
     """
     check_terminal()
     try:
-        sys.stderr.write(f"\n{visible(question)}")
-        sys.stderr.flush()
-        answer = sys.stdin.readline()
+        with free_terminal():
+            sys.stderr.write(f"\n{visible(question)}")
+            sys.stderr.flush()
+            answer = sys.stdin.readline()
     except (OSError, ValueError):
         answer = ""
     if not answer:

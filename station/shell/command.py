@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,6 +14,7 @@ from station.shell.ending import finish
 from station.shell.options import overrides
 
 if TYPE_CHECKING:
+    from station.runs.progress import Progress
     from station.runs.taking import Taken
 
 _PLACES = {"seed": "simulation.seed", "out": "output.directory"}
@@ -53,8 +55,11 @@ def run_measurement(
 
     report, as_json, lines = given["report"], given["as_json"], given["jsonl"]
     if not any(path.exists() and is_database(path) for path in paths):
-        taken = take_measurement(name, given, places=places, paths=paths, known=known)
-        return finish(taken, report=report, as_json=as_json, quiet=lines)
+        with shown_for(name, given) as progress:
+            taken = take_measurement(name, given, progress, places=places, paths=paths, known=known)
+            code = finish(taken, report=report, as_json=as_json, quiet=lines, events=progress.events)
+            progress.end(code)
+            return code
     _exclude(given, places, paths)
     if len(paths) > 1:
         raise click.UsageError("give one saved run, or files to make one of")
@@ -64,9 +69,21 @@ def run_measurement(
     return finish(taken, report=report, as_json=as_json, saved=True, config=given["config"])
 
 
+@contextmanager
+def shown_for(name: str, given: Mapping[str, Any]) -> Iterator[Progress]:
+    """Show what happens while a measurement is taken, as the options want it."""
+    from station.display.opening import shown
+    from station.measurements import measurement
+
+    command = measurement(name).command.removeprefix("gyrolock ")
+    with shown(given, command, **{label: given[label] for label in _LABELS}) as progress:
+        yield progress
+
+
 def take_measurement(
     name: str,
     given: Mapping[str, Any],
+    progress: Progress,
     *,
     places: Mapping[str, str],
     paths: tuple[Path, ...] = (),
@@ -74,10 +91,10 @@ def take_measurement(
 ) -> Taken:
     """Take a new run, make one of files or go on with one; arguments as :func:`run_measurement`."""
     if not given["jsonl"]:
-        return _taken(name, given, places, paths, known, None)
+        return _taken(name, given, progress, places, paths, known, None)
     acknowledgement = Acknowledgement()
     try:
-        return _taken(name, given, places, paths, known, acknowledgement)
+        return _taken(name, given, progress, places, paths, known, acknowledgement)
     finally:
         acknowledgement.rest()
 
@@ -85,13 +102,13 @@ def take_measurement(
 def _taken(
     name: str,
     given: Mapping[str, Any],
+    progress: Progress,
     places: Mapping[str, str],
     paths: tuple[Path, ...],
     known: Mapping[str, object] | None,
     told: Acknowledgement | None,
 ) -> Taken:
     from station.measurements import measurement
-    from station.runs.progress import Progress
     from station.settings.load import load
     from station.shell.running import resume_run, start_run
 
@@ -101,11 +118,11 @@ def _taken(
     _exclude(given, places, paths)
     if given["resume"] is not None:
         changes = {"config": config, "overrides": chosen, "labels": labels}
-        return resume_run(given["resume"], Progress(), kind=kind, **changes, acknowledge=told)
+        return resume_run(given["resume"], progress, kind=kind, **changes, acknowledge=told)
     settings = load(kind.kind, config, chosen)
     if given["seed"] is not None and not kind.simulated(settings):
         raise click.UsageError("--seed belongs to a simulated bench; a real one has none")
-    return start_run(kind, settings, Progress(), labels=labels, paths=paths, known=known, acknowledge=told)
+    return start_run(kind, settings, progress, labels=labels, paths=paths, known=known, acknowledge=told)
 
 
 def _exclude(given: Mapping[str, Any], places: Mapping[str, str], paths: tuple[Path, ...]) -> None:

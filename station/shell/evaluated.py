@@ -15,7 +15,7 @@ from station.results.parts import FactTable, Section
 from station.results.result import Result
 from station.runs.progress import Progress
 from station.runs.store import SavedRun, open_run
-from station.settings.load import load, saved_settings
+from station.settings.load import saved_settings
 from station.sources.run import RunSource, SavedRecords
 from station.sources.workers import Workers
 
@@ -134,7 +134,7 @@ def evaluate_run(
     Parameters
     ----------
     config : Path, optional
-        Settings file: what is known of the bench is taken from it, and the limits.
+        Settings file: what it states of the bench, and of the limits, replaces what the run holds of them.
     choices : mapping, optional
         What the user wants of the evaluation, by name; ``None`` is left out.
 
@@ -191,7 +191,7 @@ def _how(
             raise RunError(f"{run.path}: is damaged: its {name} {run.unusable[name]}")
     settings = saved_settings(kind.kind, run.facts.settings, str(run.path))
     if config is not None:
-        settings = kind.kind.with_knowledge(settings, load(kind.kind, config))
+        settings = kind.kind.with_knowledge(settings, config)
     wanted = {name: value for name, value in choices.items() if value is not None}
     for name in wanted:
         if name not in kind.choices:

@@ -17,25 +17,36 @@ from station.sources.tek import TekFile
 WAVEFORM_FILES = (".csv", ".isf")
 
 
-def find_sources(paths: Iterable[Path]) -> Iterator[Path]:
+def find_sources(paths: Iterable[Path | str]) -> Iterator[Path | Source]:
     """Expand paths: a folder that holds no run stands for every run and every waveform file in and below it.
 
     Parameters
     ----------
-    paths : iterable of Path
-        Runs (file or directory), files of an oscilloscope, folders of them such as a memory card.
+    paths : iterable of path
+        Runs (file or directory), files of an oscilloscope, folders of them such as a memory card; data sets, each
+        of which stands for all that was exported to it (those that lie in a folder beside runs are passed over). A
+        URL is a data set in an object store.
 
     Yields
     ------
-    Path
+    Path or Source
         One source each, for :func:`open_source`; those of a folder sorted by name, on every machine alike.
 
     Raises
     ------
     UsageError
         A folder holds nothing that could be a source.
+    RunError, OSError
+        A data set cannot be read.
     """
-    for path in paths:
+    # data sets are made of the other files of this package: they are there when it is
+    from station.datasets.reading import is_dataset, sources_of
+
+    for given in paths:
+        if is_dataset(given):
+            yield from sources_of(given)
+            continue
+        path = Path(given)
         if not path.is_dir() or _holds_run(path):
             yield path
             continue
@@ -57,12 +68,19 @@ def _below(folder: Path) -> Iterator[Path]:
                 yield path
             else:
                 yield from _below(path)
-        elif entry.is_file() and (path.suffix.lower() in WAVEFORM_FILES or _is_run_file(path)):
+        elif entry.is_file() and (_is_waveform_file(path) or _is_run_file(path)):
             yield path
 
 
 def _holds_run(folder: Path) -> bool:
     return any((folder / name).is_file() for name in RUN_FILES)
+
+
+def _is_waveform_file(path: Path) -> bool:
+    """Whether a file may be an oscilloscope's; records that were exported beside it are there twice."""
+    from station.datasets.reading import is_dataset
+
+    return path.suffix.lower() in WAVEFORM_FILES and not is_dataset(path)
 
 
 def _is_run_file(path: Path) -> bool:
@@ -74,12 +92,14 @@ def _is_run_file(path: Path) -> bool:
     return int.from_bytes(header[68:72], "big") in {layout.application_id for layout in LAYOUTS}
 
 
-def open_source(path: Path) -> Source:
-    """Open one source; its content decides what it is.
+def open_source(path: Path | Source) -> Source:
+    """Open one source; its content decides what it is. One of a data set is open already.
 
     Raises
     ------
     StationError, InstrumentError, OSError
         It cannot be read.
     """
+    if isinstance(path, Source):
+        return path
     return RunSource(path) if is_database(path) else TekFile(path)

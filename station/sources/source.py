@@ -19,7 +19,7 @@ class Source(ABC):
         The file that holds it: that of the run, the CSV or ISF file, or the data set.
     name : str
         What it is called in results: its path, or in a data set the path that it was exported from.
-    kind : {"run", "csv", "isf", "curve", "parquet"}
+    kind : {"run", "csv", "isf", "curve", "data set"}
         How it is laid out.
     facts : RunFacts
         What is known beside the records; of a file what it says of its oscilloscope.
@@ -50,6 +50,13 @@ class Source(ABC):
         StationError, InstrumentError
             It cannot be read, or no further.
         """
+
+    def __str__(self) -> str:
+        return self.name
+
+    @abstractmethod
+    def __len__(self) -> int:
+        """Return how many records it holds."""
 
     @property
     def span(self) -> tuple[int, int]:

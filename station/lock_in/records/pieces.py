@@ -16,8 +16,8 @@ from analysis import LockInEstimate
 from analysis.lock_in_run import Method, joined
 from instrument import InstrumentError, Preamble
 from station.errors import RunError, StationError, UsageError
-from station.lock_in.estimates import estimate_batch
-from station.runs.store import SavedRecord, damage_of
+from station.lock_in.records.estimates import estimate_batch
+from station.runs.store import SavedRecord, damaged_record
 from station.sources.batches import AT_ONCE, LeftOut, batch_of, read_one
 from station.sources.find import open_source
 from station.sources.source import Source
@@ -32,7 +32,7 @@ class Piece:
 
     Attributes
     ----------
-    path : Path
+    path : Path or Source
     numbers : range or None
         Of the records; ``None``: all.
     choices : mapping
@@ -43,7 +43,7 @@ class Piece:
         Of the whole source, where this is a part of it.
     """
 
-    path: Path
+    path: Path | Source
     numbers: range | None = None
     choices: Mapping[str, Any] = field(default_factory=dict)
     known: str = ""
@@ -214,7 +214,7 @@ class _Reading:
             self._left_out.append(LeftOut(self._name, None, str(error).removeprefix(f"{self._name}: ")))
 
     def _take(self, record: SavedRecord, source: Source) -> None:
-        self._damage += filter(None, [damage_of(record)])
+        self._damage += filter(None, [damaged_record(record)])
         if record.purpose != MEASURE:
             counts = record.purpose == FAST and record.intact and not record.aside
             self._fast += [record] if counts else []
@@ -281,7 +281,7 @@ def method_of(source: Source, choices: Mapping[str, Any]) -> Method:
         The records are not those of a ring laser's beat, or the run does not say what it must.
     """
     wanted = {name: value for name, value in choices.items() if value is not None}
-    if source.kind == "run" and source.facts.command != MEASURE:
+    if source.is_run and source.facts.command != MEASURE:
         raise RunError(
             f"{source.name}: is a run of {source.facts.command!r}: its records give no lock-in rate each"
         )
@@ -312,9 +312,14 @@ def pieces_of(source: Source, choices: Mapping[str, Any]) -> list[list[Piece]]:
     """Cut a source into pieces of so many records that their estimates take about a tenth of a second."""
     first, last = source.span
     if last - first < AT_ONCE:
-        return [[Piece(source.path, None, choices)]]
+        return [[Piece(_again(source), None, choices)]]
     begins = range(first, last + 1, AT_ONCE)
-    return [[Piece(source.path, range(begin, begin + AT_ONCE), choices)] for begin in begins]
+    return [[Piece(_again(source), range(begin, begin + AT_ONCE), choices)] for begin in begins]
+
+
+def _again(source: Source) -> Path | Source:
+    """What another process opens a source by: a run is a file, one of a data set knows its rows."""
+    return source.path if source.kind == "run" else source
 
 
 def together(parts: Sequence[Gathered]) -> Gathered:

@@ -1,0 +1,101 @@
+"""``gyrolock stop``: end a measurement that runs on this machine, from any other shell."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from station.errors import EXIT_FAIL, EXIT_OK, UsageError
+from station.shell.options import config_option, json_option
+from station.terminal.lines import print_json, say
+
+if TYPE_CHECKING:
+    from station.events.running import Running
+
+_ASK_EVERY_S = 0.1
+
+
+@click.command("stop")
+@click.argument("which", required=False, metavar="[PID|RUN]")
+@click.option("--all", "everything", is_flag=True, help="Stop all that run.")
+@click.option(
+    "--wait",
+    "wait_s",
+    type=click.FloatRange(min=0),
+    default=60.0,
+    metavar="S",
+    help="Wait so long for the end [60].",
+)
+@config_option
+@json_option
+def command(which: str | None, everything: bool, wait_s: float, config: Path | None, as_json: bool) -> int:
+    """Stop a measurement or a station that runs: what is being done ends, and everything taken is kept.
+
+    It is what Ctrl-C does in its own terminal: the front panel is put back, the table stopped, the outcome saved;
+    --resume goes on. Without PID or RUN the only one that runs is meant. Exit codes: 0 it has ended, 1 it has not
+    ended within --wait, 2 nothing runs or it is not clear which is meant.
+    """
+    from station.events.running import running_programs
+    from station.settings.toml_files import read_toml
+
+    if config is not None:
+        read_toml(config)  # a file with a mistake is one here too
+    alive = [one for one in running_programs() if one.alive]
+    chosen = alive if everything else _chosen(alive, which)
+    if not chosen:
+        raise UsageError("no measurement runs on this machine")
+    for one in chosen:
+        one.stop()
+    left = _still_there(chosen, wait_s)
+    if as_json:
+        print_json(
+            {"stopped": [one.pid for one in chosen if one not in left], "running": [one.pid for one in left]}
+        )
+    else:
+        for one in chosen:
+            if one in left:
+                say(f"process {one.pid} was told to stop and has not ended after {wait_s:g} s")
+            else:
+                where = f"; go on with --resume {one.run.parent}" if one.run is not None else ""
+                say(f"process {one.pid} has ended{where}")
+    return EXIT_FAIL if left else EXIT_OK
+
+
+def _chosen(alive: list[Running], which: str | None) -> list[Running]:
+    if which is None:
+        if len(alive) > 1:
+            raise UsageError(
+                f"{len(alive)} measurements run: say which by its process, or --all ({_named(alive)})"
+            )
+        return alive
+    if which.isdecimal():
+        found = [one for one in alive if one.pid == int(which)]
+    else:
+        wanted = Path(which).absolute()
+        found = [
+            one
+            for one in alive
+            if one.run is not None and wanted in (one.run.absolute(), *one.run.absolute().parents)
+        ]
+    if not found:
+        raise UsageError(f"no measurement runs that is {which}" + (f" ({_named(alive)})" if alive else ""))
+    return found
+
+
+def _named(alive: list[Running]) -> str:
+    return ", ".join(f"{one.pid}: {one.situation.program.get('command')}" for one in alive)
+
+
+def _still_there(chosen: list[Running], wait_s: float) -> list[Running]:
+    from station.events.running import running_programs
+
+    until = time.monotonic() + wait_s
+    while True:
+        alive = {one.pid for one in running_programs() if one.alive}
+        left = [one for one in chosen if one.pid in alive]
+        if not left or time.monotonic() >= until:
+            return left
+        time.sleep(_ASK_EVERY_S)

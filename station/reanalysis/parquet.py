@@ -34,18 +34,16 @@ class Parquet(TableFile):
         self._writer: Any = None
         self._waiting: list[Any] = []
 
-    def known(self) -> dict[Key, tuple[str, int, int]]:
-        """Count the rows of each source and analysis; see `TableFile`."""
-        found: dict[Key, tuple[str, int, int]] = {}
+    def known(self) -> dict[Key, str]:
+        """SHA-256 by source and analysis; see `TableFile`."""
+        found: dict[Key, str] = {}
         if not self.path.exists():
             return found
-        names = ["source", "analysis", "source_sha256", "source_records"]
+        names = ["source", "analysis", "source_sha256"]
         for batch in self._batches(names):
-            table = pyarrow.Table.from_batches([batch]).group_by(names).aggregate([([], "count_all")])
+            table = pyarrow.Table.from_batches([batch]).group_by(names).aggregate([])
             for row in table.to_pylist():
-                key = row["source"], row["analysis"]
-                count = found.get(key, ("", 0, 0))[1] + row["count_all"]
-                found[key] = row["source_sha256"], count, row["source_records"] or 0
+                found[row["source"], row["analysis"]] = row["source_sha256"]
         return found
 
     def rows(self) -> Iterator[dict[str, Any]]:

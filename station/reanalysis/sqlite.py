@@ -23,16 +23,14 @@ class Sqlite(TableFile):
         super().__init__(path)
         self._db: sqlite3.Connection | None = None
 
-    def known(self) -> dict[Key, tuple[str, int, int]]:
-        """Count the rows of each source and analysis; see `TableFile`."""
+    def known(self) -> dict[Key, str]:
+        """SHA-256 by source and analysis; see `TableFile`."""
         if not self.path.exists():
             return {}
-        asked = (
-            "SELECT source, analysis, max(source_sha256), count(*), max(source_records) FROM record GROUP BY 1, 2"
-        )
+        asked = "SELECT source, analysis, max(source_sha256) FROM record GROUP BY 1, 2"
         with closing(self._read()) as db:
             try:
-                return {(row[0], row[1]): (row[2], row[3], row[4] or 0) for row in db.execute(asked)}
+                return {(source, analysis): sha256 for source, analysis, sha256 in db.execute(asked)}
             except sqlite3.Error as error:
                 raise RunError(f"{self.path}: is damaged and cannot be read ({error})") from None
 

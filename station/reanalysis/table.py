@@ -26,8 +26,8 @@ class TableFile(ABC):
         self.path = path
 
     @abstractmethod
-    def known(self) -> dict[Key, tuple[str, int, int]]:
-        """SHA-256 of each source and analysis that the table holds, how many rows, and how many there should be.
+    def known(self) -> dict[Key, str]:
+        """SHA-256 of each source and analysis that the table holds.
 
         Raises
         ------

@@ -24,15 +24,11 @@ class TextTable(TableFile):
         self._draft = path.with_name(f".{path.name}.part")
         self._file: IO[str] | None = None
 
-    def known(self) -> dict[Key, tuple[str, int, int]]:
-        """Count the rows of each source and analysis; see `TableFile`."""
-        found: dict[Key, tuple[str, int, int]] = {}
-        if self.path.exists():
-            for row in self.rows():
-                key = str(row["source"]), str(row["analysis"])
-                count = found.get(key, ("", 0, 0))[1]
-                found[key] = str(row["source_sha256"]), count + 1, int(row["source_records"] or 0)
-        return found
+    def known(self) -> dict[Key, str]:
+        """SHA-256 by source and analysis; see `TableFile`."""
+        if not self.path.exists():
+            return {}
+        return {(str(row["source"]), str(row["analysis"])): str(row["source_sha256"]) for row in self.rows()}
 
     def begin(self) -> None:
         """Open the draft; see `TableFile`."""
@@ -108,7 +104,7 @@ def _json_row(line: str) -> dict[str, Any] | None:
         row = json.loads(line)
     except (ValueError, RecursionError):
         return None
-    if not isinstance(row, dict) or not {"source", "analysis", "source_sha256", "source_records"} <= row.keys():
+    if not isinstance(row, dict) or not {"source", "analysis", "source_sha256"} <= row.keys():
         return None
     return {name: math.inf if value == "inf" else value for name, value in row.items()}
 

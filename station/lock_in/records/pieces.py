@@ -39,7 +39,7 @@ class Piece:
         Of :class:`analysis.lock_in_run.Method`, what the user wants; a run knows its own scale factor.
     known : str
         SHA-256 of the source whose estimates are there already: then it is not read.
-    sha256, source_records
+    sha256 : str
         Of the whole source, where this is a part of it.
     """
 
@@ -48,7 +48,6 @@ class Piece:
     choices: Mapping[str, Any] = field(default_factory=dict)
     known: str = ""
     sha256: str = ""
-    source_records: int = 0
 
 
 @dataclass(frozen=True)
@@ -308,13 +307,20 @@ def about(source: Source) -> dict[str, str | None]:
     }
 
 
-def pieces_of(source: Source, choices: Mapping[str, Any]) -> list[list[Piece]]:
-    """Cut a source into pieces of so many records that their estimates take about a tenth of a second."""
+def pieces_of(source: Source, choices: Mapping[str, Any], *, whole: bool = False) -> list[list[Piece]]:
+    """Cut a source into pieces of so many records that their estimates take about a tenth of a second.
+
+    Parameters
+    ----------
+    whole : bool, optional
+        Whether each piece is to know the SHA-256 of the whole source.
+    """
     first, last = source.span
+    opened_by, sha256 = _again(source), source.sha256 if whole else ""
     if last - first < AT_ONCE:
-        return [[Piece(_again(source), None, choices)]]
+        return [[Piece(opened_by, None, choices, sha256=sha256)]]
     begins = range(first, last + 1, AT_ONCE)
-    return [[Piece(_again(source), range(begin, begin + AT_ONCE), choices)] for begin in begins]
+    return [[Piece(opened_by, range(begin, begin + AT_ONCE), choices, "", sha256)] for begin in begins]
 
 
 def _again(source: Source) -> Path | Source:

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from station.errors import Failure
-    from station.lock_in.files import AnalyzedFiles
+    from station.reanalysis.files import AnalyzedFiles
     from station.shell.evaluated import Evaluated
 
 
@@ -82,7 +82,7 @@ def _analyze(
     """Evaluate one path; one that cannot be read must not keep the others from being evaluated."""
     from instrument import InstrumentError
     from station.errors import EXIT_NO_SIGNAL, Failure, NoUsableSignal, StationError, describe_failure
-    from station.lock_in.files import analyze_file
+    from station.reanalysis.files import analyze_file
     from station.runs.database import is_database
     from station.runs.progress import Progress
     from station.shell.evaluated import evaluate_saved

@@ -17,7 +17,7 @@ from station.datasets.parquet import ParquetTable, is_url
 from station.datasets.rows import AT_ONCE, SCHEMA, record_of
 from station.errors import RunError
 from station.runs.facts import RunFacts, checked_fact
-from station.runs.store import SavedRecord, SavedRun, damaged_facts, missing_records, run_damage
+from station.runs.store import SavedRecord, SavedRun, damaged_facts, missing_records, damage_of
 from station.sources.source import Source
 
 PARTS = "part-*.parquet"
@@ -82,11 +82,6 @@ class DatasetSource(Source):
             self._stretches.append(_Stretch(table, row, row + 1))
         else:
             stretch.last += 1
-
-    @property
-    def place(self) -> Path | Source:
-        """Itself: where its rows stand in the data set, and what is known of it."""
-        return self
 
     @property
     def span(self) -> tuple[int, int]:
@@ -214,7 +209,7 @@ def sources_of(place: str | Path) -> list[DatasetSource]:
 def run_of(source: Source) -> SavedRun:
     """Return a source as the run that it was: everything that evaluates a run takes it."""
     records = tuple(source.records())
-    damaged = tuple(run_damage(records, source.unusable))
+    damaged = tuple(damage_of(records, source.unusable))
     return SavedRun(source.path, source.facts, records, None, dict(source.unusable), source.protected, damaged)
 
 

@@ -59,11 +59,6 @@ class Source(ABC):
         """Return how many records it holds."""
 
     @property
-    def place(self) -> Path | Source:
-        """What another process opens it by: its path, or itself where it is a small object."""
-        return self.path
-
-    @property
     def span(self) -> tuple[int, int]:
         """Least and largest number of the records; (1, 0) where there are none, (1, 1) where they say nothing."""
         return 1, 1

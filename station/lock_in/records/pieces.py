@@ -16,8 +16,8 @@ from analysis import LockInEstimate
 from analysis.lock_in_run import Method, joined
 from instrument import InstrumentError, Preamble
 from station.errors import RunError, StationError, UsageError
-from station.lock_in.estimates import estimate_batch
-from station.runs.store import SavedRecord, damage_of
+from station.lock_in.records.estimates import estimate_batch
+from station.runs.store import SavedRecord, damaged_record
 from station.sources.batches import AT_ONCE, LeftOut, batch_of, read_one
 from station.sources.find import open_source
 from station.sources.source import Source
@@ -39,12 +39,15 @@ class Piece:
         Of :class:`analysis.lock_in_run.Method`, what the user wants; a run knows its own scale factor.
     known : str
         SHA-256 of the source whose estimates are there already: then it is not read.
+    sha256 : str
+        Of the whole source, where this is a part of it.
     """
 
     path: Path | Source
     numbers: range | None = None
     choices: Mapping[str, Any] = field(default_factory=dict)
     known: str = ""
+    sha256: str = ""
 
 
 @dataclass(frozen=True)
@@ -83,6 +86,8 @@ class Gathered:
         What could not be read.
     paired : bool
         Whether there are records of a second photodiode.
+    front_end : dict or None
+        Settings of the run, where they describe a channel that is to be taken out of its records.
     """
 
     name: str
@@ -101,6 +106,7 @@ class Gathered:
     damage: tuple[str, ...]
     left_out: tuple[LeftOut, ...]
     paired: bool
+    front_end: dict[str, Any] | None = None
 
     def __len__(self) -> int:
         return int(self.numbers.size)
@@ -185,6 +191,7 @@ class _Reading:
         self._damage: list[str] = []
         self._left_out: list[LeftOut] = []
         self._paired = False
+        self._front_end: dict[str, Any] | None = None
 
     def read(self) -> None:
         """Read the source; what is wrong with it is kept as a sentence."""
@@ -197,6 +204,8 @@ class _Reading:
                 return
             self._about = about(source)
             self.method = method_of(source, piece.choices)
+            settings = source.facts.settings
+            self._front_end = settings if any((settings.get("front_end") or {}).values()) else None
             for record in source.records(piece.numbers):
                 self._take(record, source)
             self._sha256 = source.sha256 if piece.numbers is None else ""
@@ -204,7 +213,7 @@ class _Reading:
             self._left_out.append(LeftOut(self._name, None, str(error).removeprefix(f"{self._name}: ")))
 
     def _take(self, record: SavedRecord, source: Source) -> None:
-        self._damage += filter(None, [damage_of(record)])
+        self._damage += filter(None, [damaged_record(record)])
         if record.purpose != MEASURE:
             counts = record.purpose == FAST and record.intact and not record.aside
             self._fast += [record] if counts else []
@@ -256,6 +265,7 @@ class _Reading:
             damage=tuple(self._damage),
             left_out=tuple(self._left_out),
             paired=self._paired,
+            front_end=self._front_end,
         )
 
 
@@ -297,13 +307,25 @@ def about(source: Source) -> dict[str, str | None]:
     }
 
 
-def pieces_of(source: Source, choices: Mapping[str, Any]) -> list[list[Piece]]:
-    """Cut a source into pieces of so many records that their estimates take about a tenth of a second."""
+def pieces_of(source: Source, choices: Mapping[str, Any], *, whole: bool = False) -> list[list[Piece]]:
+    """Cut a source into pieces of so many records that their estimates take about a tenth of a second.
+
+    Parameters
+    ----------
+    whole : bool, optional
+        Whether each piece is to know the SHA-256 of the whole source.
+    """
     first, last = source.span
+    opened_by, sha256 = _again(source), source.sha256 if whole else ""
     if last - first < AT_ONCE:
-        return [[Piece(source.place, None, choices)]]
+        return [[Piece(opened_by, None, choices, sha256=sha256)]]
     begins = range(first, last + 1, AT_ONCE)
-    return [[Piece(source.place, range(begin, begin + AT_ONCE), choices)] for begin in begins]
+    return [[Piece(opened_by, range(begin, begin + AT_ONCE), choices, "", sha256)] for begin in begins]
+
+
+def _again(source: Source) -> Path | Source:
+    """What another process opens a source by: a run is a file, one of a data set knows its rows."""
+    return source.path if source.kind == "run" else source
 
 
 def together(parts: Sequence[Gathered]) -> Gathered:

@@ -8,6 +8,11 @@
     run = gyrolock.open_run("runs/2026-11-21T060530Z_001")
     run.volts, run.estimates.lock_in_rate, run.to_dataframe()
 
+`Station` tests units against limits, unattended, and writes the record of each test::
+
+    tested = gyrolock.Station("campaign.toml").test("RLG-001", operator="B. Bauer")
+    tested.verdict, tested.exit_code, tested.files.page
+
 `read` takes files of an oscilloscope, or a whole memory card. Driver and estimator stand beside them. Nothing is
 imported before it is used.
 
@@ -33,6 +38,7 @@ if TYPE_CHECKING:
     from station.notebook.records import Record
     from station.notebook.result import Result
     from station.notebook.run import Run, open_run, read, read_runs
+    from station.notebook.station import Station
 
 __all__ = [
     "TDS2014",
@@ -41,6 +47,7 @@ __all__ = [
     "Result",
     "Run",
     "Runs",
+    "Station",
     "Waveform",
     "beat_signal",
     "combine_estimates",
@@ -64,6 +71,7 @@ _HOMES = {
     "station.notebook.records": ("Record",),
     "station.notebook.result": ("Result",),
     "station.notebook.run": ("Run", "open_run", "read", "read_runs"),
+    "station.notebook.station": ("Station",),
 }
 
 

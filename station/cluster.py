@@ -184,7 +184,7 @@ def _keep_memory() -> None:
     """Let this process keep the memory of its arrays for the next ones.
 
     Dask makes its workers give every large array back to the system (MALLOC_TRIM_THRESHOLD_): the pages of those
-    that follow are then cleared anew, which takes as long as the estimates. Where there is no glibc nothing is done.
+    that follow are then cleared anew, which takes as long as the estimates. Without glibc nothing is done.
     """
     with suppress(OSError, AttributeError):
         libc = ctypes.CDLL("libc.so.6")

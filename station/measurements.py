@@ -69,6 +69,8 @@ class Measurement(Generic[S, F]):
         Gets a run and its settings: keys of records that are to be taken again when it is gone on with, and why.
     simulated : callable
         Gets settings: whether the bench that they describe is simulated.
+    seconds : callable
+        Gets settings: how long a real bench takes, or ``None`` where nobody knows that beforehand.
     watch : callable or None
         Gets settings, and returns what says of each record at once what it says, for those who watch.
     """
@@ -91,6 +93,7 @@ class Measurement(Generic[S, F]):
     gives: tuple[str, ...] = ()
     unusable: Callable[[SavedRun, S], Mapping[str, str]] = field(default=_nothing_unusable)
     simulated: Callable[[S], bool] = field(default=lambda settings: bool(settings.simulated))
+    seconds: Callable[[S], float | None] = field(default=lambda settings: None)
     watch: Callable[[S], See] | None = None
 
 

@@ -17,7 +17,7 @@ from station.datasets.parquet import ParquetTable, is_url
 from station.datasets.rows import AT_ONCE, SCHEMA, record_of
 from station.errors import RunError
 from station.runs.facts import RunFacts, checked_fact
-from station.runs.store import SavedRecord, SavedRun, damaged_facts, missing_records, damage_of
+from station.runs.store import SavedRecord, SavedRun, damage_of, damaged_facts, missing_records
 from station.sources.source import Source
 
 PARTS = "part-*.parquet"

@@ -56,9 +56,6 @@ class RunSource(Source):
         self.damaged = (*gaps, *damaged_facts(self.unusable))
         self.facts = RunFacts(facts)
 
-    def __len__(self) -> int:
-        return int(self._numbers[2])
-
     @property
     def span(self) -> tuple[int, int]:
         """Least and largest number of the records; see `Source`."""

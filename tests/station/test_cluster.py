@@ -17,7 +17,7 @@ from station.datasets.packages import MissingPackage
 from station.datasets.reading import sources_of
 from station.datasets.writing import export
 from station.errors import RunError, UsageError
-from station.lock_in.pieces import Gathered, Piece, estimate_pieces, together
+from station.lock_in.records.pieces import Gathered, Piece, estimate_pieces, together
 from station.sources import open_source
 from station.sources.workers import ThisProcess
 

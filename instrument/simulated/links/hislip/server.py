@@ -118,6 +118,7 @@ class HislipServer(StreamServer):
             if len(port.outgoing):
                 pauses.append(_VIRTUAL_POLL)
         for session in set(self._sessions.values()):
+            pauses.append(0.0 if session.ready else session.request_at - time.monotonic())
             change, clock = session.changes_at, session.exchange.scope.clock
             if change < float("inf"):
                 pauses.append(_VIRTUAL_POLL if clock.virtual else max(0.0, change - clock.now()))

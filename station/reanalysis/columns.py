@@ -28,7 +28,7 @@ NAME, VERSION = "gyrolock results", 1
 
 TEXTS = (
     *("source", "source_sha256", "analysis", "key", "taken_at", "unit", "gyro", "operator", "channel"),
-    *("model", "serial", "firmware", "taken_with", "method", "relation", "flags", "software"),
+    *("model", "serial", "firmware", "probe", "taken_with", "method", "relation", "flags", "software"),
 )
 INTEGERS = ("schema_version", "record", "samples", "flag_bits")
 NUMBERS = (
@@ -43,7 +43,7 @@ ORDER = (
     *(name for name in NUMBERS if name in COLUMNS and not name.startswith("lock_in_rate")),
     *("flags", "flag_bits", "method", "relation", "scale_factor_pulses_per_deg", "given_input_rate_dps"),
     *("table_rate_dps", "azimuth_start_deg", "azimuth_end_deg", "over_lock_in", "samples", "sample_interval_s"),
-    *("model", "serial", "firmware", "taken_with"),
+    *("model", "serial", "firmware", "probe", "taken_with"),
     *("source_sha256", "analysis", "software", "schema_version"),
 )
 """All columns, as a reader meets them."""

@@ -23,11 +23,6 @@ MEASUREMENT = ("command", "settings", "truth", "injected", "rates", "rates_witho
 class RunSource(Source):
     """One run.
 
-    Attributes
-    ----------
-    damaged : tuple of str
-        Records that are missing and facts that are damaged; damaged records show when they are read.
-
     Parameters
     ----------
     path : Path

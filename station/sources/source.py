@@ -27,6 +27,8 @@ class Source(ABC):
         Facts that are not what was once saved, and why they are left out.
     protected : bool
         Whether damage to a fact would show.
+    damaged : tuple of str
+        Records that are missing and facts that are damaged; damaged records show when they are read.
     """
 
     path: Path
@@ -35,6 +37,7 @@ class Source(ABC):
     facts: RunFacts
     unusable: Mapping[str, str]
     protected: bool = True
+    damaged: tuple[str, ...] = ()
 
     @abstractmethod
     def records(self, numbers: range | None = None) -> Iterator[SavedRecord]:

@@ -304,6 +304,7 @@ def about(source: Source) -> dict[str, str | None]:
         "serial": scope.get("serial"),
         "firmware": scope.get("firmware"),
         "taken_with": made.get("gyrolock"),
+        "probe": None if "probe" not in facts else f"{facts['probe']:g}X",
     }
 
 

@@ -89,16 +89,11 @@ class DatasetSource(Source):
         far = self._most - self._least >= 2 * len(self) + AT_ONCE  # a damaged run may hold any number
         return (1, 1) if far else (int(self._least), int(self._most))
 
-    @property
-    def damaged(self) -> tuple[str, ...]:
-        """Records that are missing and facts that are damaged; damaged records show when they are read."""
-        return (*missing_records(sorted(self._all_numbers())), *damaged_facts(self.unusable))
-
-    def _all_numbers(self) -> Iterator[int]:
-        """Numbers above zero; where none can be missing nothing is read."""
-        if (self._least, self._most) == (1, len(self)):
-            return iter(range(1, len(self) + 1))
-        return (record.number for record in self.records() if record.number > 0)
+    def complete(self) -> None:
+        """Say what is missing or damaged, when all rows are there."""
+        whole = (self._least, self._most) == (1, len(self))
+        numbers = () if whole else sorted({record.number for record in self._records_there() if record.number > 0})
+        self.damaged = (*missing_records(numbers), *damaged_facts(self.unusable))
 
     def __len__(self) -> int:
         return sum(one.last - one.first for one in self._stretches)
@@ -109,6 +104,9 @@ class DatasetSource(Source):
             raise RunError(
                 f"{self.path}: holds {len(self)} of {self._records} records of {self.name}: a part is missing"
             )
+        yield from self._records_there(numbers)
+
+    def _records_there(self, numbers: range | None = None) -> Iterator[SavedRecord]:
         for one in self._stretches:
             for row, payload in one.table.rows(one.first, one.last, numbers):
                 if numbers is None or int(row["number"]) in numbers:
@@ -203,6 +201,8 @@ def sources_of(place: str | Path) -> list[DatasetSource]:
                 seen[id(about)] = source
             source.add(table, row, number)
         seen.clear()
+    for source in found.values():
+        source.complete()
     return list(found.values())
 
 

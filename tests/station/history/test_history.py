@@ -98,7 +98,10 @@ def test_charts_are_by_type_and_what_the_bench_spoilt_does_not_count(tmp_path: P
     units = found["RLG", "lock-in: lock_in_rate_dps"]
     assert units.chart.values.tolist() == STEADY[:12][::-1]
     assert units.us == (1e-5,) * 12
-    assert found["RLG", "lock-in: scale_factor_pulses_per_deg by the earth rate"].chart.values.tolist() == [2000.0] * 12
+    assert (
+        found["RLG", "lock-in: scale_factor_pulses_per_deg by the earth rate"].chart.values.tolist()
+        == [2000.0] * 12
+    )
 
 
 def test_the_command_tells_what_is_out_of_control(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

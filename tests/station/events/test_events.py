@@ -67,9 +67,7 @@ def test_an_event_is_one_line_of_plain_json() -> None:
 def test_many_threads_tell_in_one_order() -> None:
     events = Events()
     heard = told(events)
-    threads = [
-        threading.Thread(target=lambda: [events.emit("note", text="x") for _ in range(200)]) for _ in range(4)
-    ]
+    threads = [threading.Thread(target=emitted, args=(events, 200)) for _ in range(4)]
     for one in threads:
         one.start()
     for one in threads:

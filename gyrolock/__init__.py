@@ -32,10 +32,12 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from analysis import LockInEstimate, beat_signal, combine_estimates, estimate_lock_in, fit_rates
     from instrument import TDS2014, Waveform, read_waveform
+    from station.notebook.catalogue import Runs, runs
+    from station.notebook.export import export
     from station.notebook.measure import measure
     from station.notebook.records import Record
     from station.notebook.result import Result
-    from station.notebook.run import Run, open_run, read
+    from station.notebook.run import Run, open_run, read, read_runs
     from station.notebook.station import Station
 
 __all__ = [
@@ -44,25 +46,31 @@ __all__ = [
     "Record",
     "Result",
     "Run",
+    "Runs",
     "Station",
     "Waveform",
     "beat_signal",
     "combine_estimates",
     "estimate_lock_in",
+    "export",
     "fit_rates",
     "measure",
     "open_run",
     "read",
+    "read_runs",
     "read_waveform",
+    "runs",
 ]
 
 _HOMES = {
     "analysis": ("LockInEstimate", "beat_signal", "combine_estimates", "estimate_lock_in", "fit_rates"),
     "instrument": ("TDS2014", "Waveform", "read_waveform"),
+    "station.notebook.catalogue": ("Runs", "runs"),
+    "station.notebook.export": ("export",),
     "station.notebook.measure": ("measure",),
     "station.notebook.records": ("Record",),
     "station.notebook.result": ("Result",),
-    "station.notebook.run": ("Run", "open_run", "read"),
+    "station.notebook.run": ("Run", "open_run", "read", "read_runs"),
     "station.notebook.station": ("Station",),
 }
 

@@ -21,7 +21,13 @@ _GROUPS = 12
 _STEPS = 8
 _LINES_BELOW = 10  # beside plot and groups: the head, and what stands below
 _STATES = {"PASS": "green", "FAIL": "bold red", "MARGINAL": "yellow", "ERROR": "bold magenta", "now": "bold cyan"}
-_NAMES = {"lock_in_rate_dps": "lock-in rate", "beat_frequency_hz": "beat", "ratio": "r"}
+_NAMES = {
+    "lock_in_rate_dps": "lock-in rate",
+    "beat_frequency_hz": "beat",
+    "ratio": "r",
+    "rate_dps": "rate",
+    "output_counts": "output",
+}
 
 
 def picture(situation: Situation, width: int, height: int) -> RenderableType:
@@ -104,7 +110,7 @@ def _plot(trace: Mapping[str, Any], width: int, height: int) -> Group:
 
 def _of_value(value: Mapping[str, Any]) -> Text:
     said = [visible(str(value.get("key")))]
-    said += [f"{_NAMES.get(one['name'], one['name'])} {one['text']}" for one in value.get("values", ())]
+    said += [f"{_NAMES.get(one['name'], one['name'])} {one['text']}".strip() for one in value.get("values", ())]
     flags = ", ".join(value.get("flags") or ())
     return Text(" · ".join([*said, *([flags] if flags else [])]), style="yellow" if flags else "")
 

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from analysis.fibre_gyro import steps_beyond_dac
+from station.fibre_gyro.at_once import watch
 from station.fibre_gyro.common import beyond_converter, output_facts, truth_of
 from station.fibre_gyro.eps.evaluate import PURPOSE, evaluate
 from station.fibre_gyro.eps.result import LIMITED, result
@@ -67,6 +68,7 @@ MEASUREMENT = Measurement(
     sections=sections,
     facts=output_facts,
     gives=LIMITED,
+    watch=watch,
     unusable=lambda run, settings: unusable_segments(run, settings, [PURPOSE]),
     seconds=lambda settings: seconds_of(plan(settings)[0]),
 )

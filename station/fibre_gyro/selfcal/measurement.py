@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from analysis.fibre_gyro import InjectionPlan, steps_beyond_dac
+from station.fibre_gyro.at_once import watch
 from station.fibre_gyro.common import beyond_converter, output_facts, truth_of
 from station.fibre_gyro.logs import LogRow, read_logs
 from station.fibre_gyro.segments import PlannedSegment, take_logs, take_segments, unusable_segments
@@ -100,5 +101,6 @@ MEASUREMENT = Measurement(
     sections=sections,
     facts=output_facts,
     gives=LIMITED,
+    watch=watch,
     unusable=lambda run, settings: unusable_segments(run, settings, [TABLE, PURPOSE]),
 )

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from analysis.fibre_gyro import check_whole_turns, turn_time
 from station.errors import UsageError
+from station.fibre_gyro.at_once import watch
 from station.fibre_gyro.common import output_facts, truth_of
 from station.fibre_gyro.logs import LogRow, read_logs, table_conditions
 from station.fibre_gyro.segments import (
@@ -97,6 +98,7 @@ MEASUREMENT = Measurement(
     sections=sections,
     facts=output_facts,
     gives=LIMITED,
+    watch=watch,
     unusable=lambda run, settings: unusable_segments(run, settings, [PURPOSE]),
     seconds=lambda settings: seconds_of(plan(settings)),
 )

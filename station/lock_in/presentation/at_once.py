@@ -21,7 +21,7 @@ from station.results.numbers import with_uncertainty
 from station.ring_laser.at_once import harmonics_of, trace_of, waveform_of
 from station.runs.store import NewRecord
 
-_EVERY_S = 1.0  # the rates are fitted together at most so often: that takes a tenth of a second
+_SHARE = 0.2  # of the time at most goes into fitting several rates together, which takes a tenth of a second
 
 
 def watch(settings: Settings) -> See:
@@ -70,12 +70,12 @@ class _Watch:
         self._scale_factor = scale_factor
         self._rates: dict[str, _Rate] = {}
         self._together: tuple[Value, ...] = ()
-        self._fitted_at = -math.inf
+        self._next_at = -math.inf
 
     def __call__(self, records: Sequence[NewRecord]) -> Seen | None:
         record = records[0]  # a second photodiode says the same
         waveform = waveform_of(record)
-        fit, group = harmonics_of(waveform), record.key.rpartition(", ")[0] or record.key
+        fit, group = harmonics_of(waveform), record.key.rpartition(", ")[0] or record.purpose
         trace = trace_of(waveform, fit)
         if fit is None:
             return Seen(record.key, group, (), flags=("no_beat",), trace=trace)
@@ -86,8 +86,10 @@ class _Watch:
         rate.add(fit)
         flags = ("clipped",) if waveform.clipped else ()
         # the fast run is there for the tilt: so weak a second harmonic says little of the lock-in rate
-        if record.purpose == "measure" and time.monotonic() - self._fitted_at > _EVERY_S:
-            self._together, self._fitted_at = self._so_far(), time.monotonic()
+        if record.purpose == "measure" and (began := time.monotonic()) >= self._next_at:
+            self._together = self._so_far()
+            ended = time.monotonic()
+            self._next_at = ended + (ended - began) / _SHARE
         return Seen(record.key, group, self._values(alone), self._values(rate), self._together, flags, trace)
 
     def _values(self, rate: _Rate) -> tuple[Value, ...]:

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from analysis.fibre_gyro import InjectionPlan, steps_beyond_dac
 from station.fibre_gyro.common import beyond_converter, output_facts, truth_of
+from station.fibre_gyro.examine import examine
 from station.fibre_gyro.logs import LogRow, read_logs
 from station.fibre_gyro.segments import PlannedSegment, take_logs, take_segments, unusable_segments
 from station.fibre_gyro.selfcal.evaluate import PURPOSE, evaluate
@@ -100,5 +101,6 @@ MEASUREMENT = Measurement(
     sections=sections,
     facts=output_facts,
     gives=LIMITED,
+    examine=examine,
     unusable=lambda run, settings: unusable_segments(run, settings, [TABLE, PURPOSE]),
 )

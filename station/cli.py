@@ -42,6 +42,18 @@ COMMANDS = {
         "Evaluate saved runs of any kind again, and Tektronix files.",
     ),
     "report": ("commands.report:command", "Write the HTML report of saved runs."),
+    "runs": (
+        "commands.runs:command",
+        "List all runs below a folder: when, what, unit, operator, result, verdict.",
+    ),
+    "annotate": (
+        "commands.annotate:command",
+        "Say something of saved runs afterwards: a note, tags, a good or bad mark.",
+    ),
+    "export": (
+        "commands.export:command",
+        "Write the records of runs and files to a data set: CSV, Parquet, HDF5, NumPy.",
+    ),
     "verify": ("commands.verify:command", "Prove that the record of a test and its raw runs belong together."),
     "history": (
         "commands.history:command",

@@ -12,10 +12,13 @@ from station.events.seen import See
 from station.results.check import Check
 from station.results.parts import FactTable, Section
 from station.results.result import Result
+from station.runs.progress import Progress
 from station.runs.store import SavedRun
 from station.runs.taking import Session
 from station.settings.load import SettingsKind
 from station.settings.parts import SettingsSection
+from station.sources.source import Source
+from station.sources.workers import Workers
 
 S = TypeVar("S", bound=SettingsSection)
 F = TypeVar("F")
@@ -48,6 +51,9 @@ class Measurement(Generic[S, F]):
         Gets settings, paths and session: makes a run of files instead.
     evaluate : callable
         Gets a run, its settings and the user's choices by name: the one step that computes. Raises NoUsableSignal.
+    evaluate_source : callable or None
+        Gets a source, its settings, the choices, workers and progress: the same without holding the samples of a
+        long run, and which records are damaged, in sentences. It gives ``None`` where it cannot.
     choices : tuple of str
         Names of the choices that it takes.
     result : callable
@@ -79,6 +85,9 @@ class Measurement(Generic[S, F]):
     take: Callable[[S, Session], None]
     take_files: Callable[[S, Sequence[Path], Session], None] | None = None
     evaluate: Callable[[SavedRun, S, Mapping[str, Any]], F]
+    evaluate_source: (
+        Callable[[Source, S, Mapping[str, Any], Workers, Progress], tuple[F, tuple[str, ...]] | None] | None
+    ) = None
     choices: tuple[str, ...] = ()
     result: Callable[[F, SavedRun, S], Result]
     sections: Callable[[F, SavedRun, S, Result], list[Section]]

@@ -100,5 +100,5 @@ DEAD_BAND = SettingsKind(
     shipped=lambda given: "dead_band",
     adapt=_adapt,
     check=_check,
-    knowledge=("limits", "table.tilt_deg", "table.north_azimuth_deg", "table.rate_u_dps"),
+    knowledge=("limits.*", "table.tilt_deg", "table.north_azimuth_deg", "table.rate_u_dps"),
 )

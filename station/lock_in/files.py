@@ -22,9 +22,9 @@ from station.results.as_json import plain
 from station.results.numbers import with_prefix
 from station.results.parts import TextTable
 from station.results.result import Result
-from station.ring_laser.records import check_over_time
 from station.settings.toml_files import read_toml
 from station.shell.evaluated import SCHEMA_VERSION, standing_document
+from station.sources.over_time import check_over_time
 
 _HARMONICS = 5
 

@@ -329,5 +329,5 @@ RING_LASER = SettingsKind(
     shipped=_shipped,
     adapt=_adapt,
     check=_check,
-    knowledge=("front_end", "budget", "limits", "table.known_tilt_deg", "table.known_tilt_u_deg"),
+    knowledge=("front_end", "budget.*", "limits.*", "table.known_tilt_deg", "table.known_tilt_u_deg"),
 )

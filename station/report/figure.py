@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 FILE_KINDS = (".svg", ".png", ".pdf")
-INK, SOFT, LINE, ACCENT, SECOND, THIRD = "#1d2733", "#5b6875", "#dfe4ea", "#1f5f99", "#c8642b", "#2c7a4b"
+INK, SOFT, LINE, ACCENT, SECOND, THIRD = "#1d2733", "#5b6875", "#dfe4ea", "#1f5f99", "#b4541e", "#2c7a4b"
 THEME = {INK: "ink", SOFT: "soft", LINE: "line", ACCENT: "accent", SECOND: "second", THIRD: "third"}
 """Colours of figures, and the names under which a page holds them."""
 WIDE, HALF, TALL = (10.0, 3.1), (5.0, 3.1), (10.0, 4.6)

@@ -84,7 +84,7 @@ def test_what_cannot_be_read(card: Path) -> None:
     with pytest.raises(FileFormatError, match="F0002CH1"):
         gyrolock.read(card)
     (card / "ALL0002" / "F0002CH1.ISF").unlink()
-    with pytest.raises(UsageError, match="ALL0002: holds no CSV or ISF file"):
+    with pytest.raises(UsageError, match="ALL0002: holds no run and no CSV or ISF file"):
         gyrolock.read(card / "ALL0002")
     with pytest.raises(FileNotFoundError):
         gyrolock.read(card / "missing.csv")

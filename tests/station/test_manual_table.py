@@ -87,6 +87,7 @@ def test_an_operator_leads_the_table_through_the_measurement(tmp_path: Path) -> 
     assert led.code == 0, led.said
     assert led.asked[:2] == [50.0, -50.0]
     assert led.asked[2] == pytest.approx(3.507, abs=0.02)
+    assert f"still turns at {led.asked[2]:+.6g} deg/s" in " ".join(led.said.split())
     run = led.run
     assert run.facts["outcome"] == "complete", led.said
     assert len(run.taken_for("measure")) == 3

@@ -7,9 +7,10 @@ from station.dead_band.evaluate import evaluate
 from station.dead_band.result import LIMITED, record_rows, result
 from station.dead_band.sections import facts, sections
 from station.dead_band.settings import DEAD_BAND
-from station.dead_band.sweep import seconds
+from station.dead_band.sweep import fastest_table_rate, seconds
 from station.dead_band.take import PURPOSE, take
 from station.measurements import Measurement
+from station.ring_laser.examine import examine
 
 MEASUREMENT = Measurement(
     name=PURPOSE,
@@ -26,4 +27,5 @@ MEASUREMENT = Measurement(
     gives=LIMITED,
     watch=watch,
     seconds=seconds,
+    examine=lambda settings: examine(settings, fastest_table_rate(settings)),
 )

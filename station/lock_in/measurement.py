@@ -16,6 +16,7 @@ from station.lock_in.result import result
 from station.lock_in.settings import RING_LASER, LimitSettings, Settings
 from station.lock_in.take import take
 from station.measurements import Measurement
+from station.ring_laser.examine import examine
 from station.runs.store import SavedRun
 
 
@@ -39,5 +40,6 @@ MEASUREMENT = Measurement(
     sections=sections,
     facts=fact_tables,
     rows=lambda found: record_documents(found, "record"),
+    examine=lambda settings: examine(settings, settings.table.fast_rate_dps),
     watch=watch,
 )

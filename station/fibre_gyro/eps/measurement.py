@@ -11,6 +11,7 @@ from station.fibre_gyro.common import beyond_converter, output_facts, truth_of
 from station.fibre_gyro.eps.evaluate import PURPOSE, evaluate
 from station.fibre_gyro.eps.result import LIMITED, result
 from station.fibre_gyro.eps.sections import sections
+from station.fibre_gyro.examine import examine
 from station.fibre_gyro.logs import LogRow, read_logs
 from station.fibre_gyro.segments import PlannedSegment, seconds_of, take_logs, take_segments, unusable_segments
 from station.fibre_gyro.serial_bench import open_fog_bench
@@ -69,6 +70,7 @@ MEASUREMENT = Measurement(
     facts=output_facts,
     gives=LIMITED,
     watch=watch,
+    examine=examine,
     unusable=lambda run, settings: unusable_segments(run, settings, [PURPOSE]),
     seconds=lambda settings: seconds_of(plan(settings)[0]),
 )

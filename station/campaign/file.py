@@ -85,6 +85,7 @@ def read_campaign(path: Path, unit: str) -> CampaignPlan:
         retry_after_s=about.retry_after_s,
         reports=about.reports,
         switch_off_afterwards=about.switch_off_afterwards,
+        ask_for_unit=about.ask_for_unit,
     )
 
 

@@ -39,6 +39,7 @@ from station.shell.running import resume_run, start_run
 
 _LOG = logging.getLogger(__name__)
 _DECIDED = (PASS, FAIL)
+_KEPT = 50  # evaluated runs in memory
 
 
 def carry_out(
@@ -52,6 +53,7 @@ def carry_out(
     labels: Mapping[str, str],
     warm_up_s: float,
     started_at: str,
+    evaluated: dict[str, Evaluated],
 ) -> StepOutcome:
     """Carry out one step of a test.
 
@@ -63,6 +65,8 @@ def carry_out(
         Unit, operator and note of the run.
     warm_up_s : float
         Time with the unit on before anything is taken.
+    evaluated : dict
+        Gets what was evaluated, by the key of the step, as long as there is room for it.
 
     Returns
     -------
@@ -91,7 +95,7 @@ def carry_out(
         _LOG.exception("a defect of gyrolock in step %s", step.key)
         return _failed(replace(begun, attempts=attempt.count), _defect(error))
     begun = replace(begun, attempts=attempt.count, conditions=conditions, remarks=tuple(attempt.remarks))
-    return _evaluated(begun, taken, plan)
+    return _evaluated(begun, taken, plan, evaluated)
 
 
 def _folder(key: str) -> str:
@@ -166,7 +170,7 @@ _BENCH = _bench_errors()
 """What a bench does that may be over in a moment."""
 
 
-def _evaluated(begun: StepOutcome, taken: Taken, plan: CampaignPlan) -> StepOutcome:
+def _evaluated(begun: StepOutcome, taken: Taken, plan: CampaignPlan, known: dict[str, Evaluated]) -> StepOutcome:
     """Evaluate a run, keep its result beside it, and judge it."""
     path, failure = taken.path, taken.failure
     begun = replace(begun, run=path)
@@ -185,6 +189,8 @@ def _evaluated(begun: StepOutcome, taken: Taken, plan: CampaignPlan) -> StepOutc
     except Exception as error:
         _LOG.exception("a defect of gyrolock in step %s", begun.step.key)
         return _failed(begun, _defect(error))
+    if len(known) < _KEPT:
+        known[begun.step.key] = evaluated
     result = evaluated.result
     remarks = (*begun.remarks, *_remarks(evaluated), *((lost.message,) if lost is not None else ()))
     begun = replace(begun, document=document, remarks=remarks, run_sha256=_sha256(path))

@@ -102,7 +102,7 @@ def gyrolock() -> None:
     Without an instrument, `gyrolock measure` shows the whole measurement on a simulated bench.
 
     Exit codes: 0 done, 1 FAIL against a limit or a wanted uncertainty out of reach, 2 usage or settings,
-    3 instrument or link, 4 no usable signal, 5 the output could not be written (records are kept),
+    3 instrument or link, 4 no usable signal, 5 the output could not be written (records are kept), 6 MARGINAL,
     130 interrupted, 143 terminated.
     """
 

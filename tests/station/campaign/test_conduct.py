@@ -101,6 +101,17 @@ def test_a_bench_that_stays_broken_is_an_error_and_the_rest_goes_on(
     assert len(mended.resumed_at) == 1
 
 
+def test_a_bench_that_cannot_be_opened_is_an_error_of_every_step(campaign: Write) -> None:
+    scope = '[bench.scope]\nresource = "TCPIP0::127.0.0.1::1::SOCKET"\nreconnect_s = 0.0\n'
+    known = "[bench.gyro]\nscale_factor_pulses_per_deg = 2000.0\n"
+    outcome = outcome_of(
+        campaign(("[bench.budget]", f"{scope}{known}[bench.budget]"), ("= [8.0]", "= []")), "GOOD"
+    )
+    assert (outcome.verdict, outcome.exit_code) == ("ERROR", 3)
+    assert [(step.attempts, step.run, len(step.remarks)) for step in outcome.steps] == 2 * [(3, None, 2)]
+    assert read_test(outcome.directory).steps == outcome.steps
+
+
 def test_an_interrupted_test_is_aborted_and_goes_on(campaign: Write, monkeypatch: pytest.MonkeyPatch) -> None:
     take, count = lock_in_take.take_record, iter(range(100))
 

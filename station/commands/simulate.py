@@ -22,6 +22,13 @@ from station.terminal.lines import print_json, say
     metavar="PORT",
     help="HiSLIP on loopback, with message ends; VISA expects 4880; 0: any port.",
 )
+@click.option(
+    "--prologix",
+    "prologix_port",
+    type=click.IntRange(0, 65535),
+    metavar="PORT",
+    help="As a GPIB adapter of Prologix' kind does it, at address 1; its own is 1234; 0: any port.",
+)
 @click.option("--pty", "use_pty", is_flag=True, help="A serial terminal (not on Windows).")
 @click.option(
     "--baud",
@@ -52,6 +59,7 @@ from station.terminal.lines import print_json, say
 def command(
     tcp_port: int | None,
     hislip_port: int | None,
+    prologix_port: int | None,
     use_pty: bool,
     baud: str | None,
     signals: tuple[str, ...],
@@ -61,7 +69,7 @@ def command(
     config: Path | None,
     as_json: bool,
 ) -> int:
-    """Serve the simulated oscilloscope on TCP, HiSLIP or a serial terminal.
+    """Serve the simulated oscilloscope on TCP, HiSLIP, a GPIB adapter or a serial terminal.
 
     CH1 shows the beat of the simulated gyro at the slow rate, or what --signal says. The first line on stdout is
     the VISA resource name; with several scopes there is one line for each. Ctrl-C or SIGTERM ends it.
@@ -72,10 +80,12 @@ def command(
     from station.scope.serve import served
     from station.scope.signals import parse_signal
 
-    links = {"tcp": tcp_port, "hislip": hislip_port, "pty": 0 if use_pty else None}
+    links = {"tcp": tcp_port, "hislip": hislip_port, "prologix": prologix_port, "pty": 0 if use_pty else None}
     chosen = [(link, port) for link, port in links.items() if port is not None]
     if len(chosen) != 1:
-        raise click.UsageError("say where to serve: --tcp PORT, --hislip PORT (0 for any free one) or --pty")
+        raise click.UsageError(
+            "say where to serve: --tcp, --hislip or --prologix with a PORT (0: any free one), or --pty"
+        )
     if baud is not None and not use_pty:
         raise click.UsageError("--baud paces a serial terminal: use it with --pty")
     (link, port) = chosen[0]

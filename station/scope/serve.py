@@ -6,10 +6,10 @@ from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 
-from instrument.simulated import HislipServer, PtyServer, SimulatedTDS2014, TcpServer
+from instrument.simulated import GpibAdapterServer, HislipServer, PtyServer, SimulatedTDS2014, TcpServer
 from station.errors import UsageError
 
-Server = PtyServer | TcpServer | HislipServer
+Server = PtyServer | TcpServer | HislipServer | GpibAdapterServer
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,7 @@ def served(
     ----------
     scopes : sequence of SimulatedTDS2014
         HiSLIP serves them behind one port; on TCP each has a port of its own, one behind the other.
-    link : {"auto", "pty", "tcp", "hislip"}
+    link : {"auto", "pty", "tcp", "hislip", "prologix"}
         ``"auto"``: a serial terminal where the system has one.
     port : int, optional
         Of the first one; 0: any free one.
@@ -74,10 +74,13 @@ def _start(
         if link == "hislip":
             server = stack.enter_context(HislipServer(scopes, port=port))
             return Served((server,), server.resource_names)
-        servers: list[TcpServer | PtyServer] = []
+        servers: list[TcpServer | PtyServer | GpibAdapterServer] = []
         for number, scope in enumerate(scopes):
+            own = port + number if port else 0
             if link == "tcp":
-                servers.append(stack.enter_context(TcpServer(scope, port=port + number if port else 0)))
+                servers.append(stack.enter_context(TcpServer(scope, port=own)))
+            elif link == "prologix":
+                servers.append(stack.enter_context(GpibAdapterServer(scope, port=own)))
             else:
                 servers.append(stack.enter_context(PtyServer(scope, baud_rate=baud_rate)))
     except OSError as error:

@@ -1,4 +1,4 @@
-"""A GPIB adapter of Prologix' kind (also AR488), as PyVISA-py drives it: a byte stream beside which `++` orders go.
+"""A GPIB adapter of Prologix' kind (also AR488), as PyVISA-py drives it: a stream beside which `++` orders go.
 
 The adapter reads from the instrument only when it is told to, and gives up when nothing comes within a time that
 it holds: an answer that takes longer has to be asked for again. Its stream has no message ends.

@@ -1,8 +1,8 @@
 """The simulated oscilloscope behind a GPIB adapter of Prologix' kind, on a TCP port or a serial terminal.
 
 Orders begin with `++`; anything else goes to the instrument, without the ESC characters that shield special bytes.
-The adapter hands over what the instrument says only when it is told to read, and gives up after `read_tmo_ms`. Source:
-Prologix GPIB-Ethernet controller user manual, version 1.6.6, sections 7 and 8.
+The adapter hands over what the instrument says only when it is told to read, and gives up after `read_tmo_ms`.
+Source: Prologix GPIB-Ethernet controller user manual, version 1.6.6, sections 7 and 8.
 """
 
 from __future__ import annotations

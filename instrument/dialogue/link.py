@@ -27,8 +27,15 @@ from instrument import scpi
 from instrument.dialogue.clock import Clock, ComputerClock
 from instrument.dialogue.watchful_socket import HungUp, Overdue, WatchfulSocket
 from instrument.errors import LinkError, TransferError
-from instrument.gpib_adapter import READ_AGAIN_S, adapter_of, forget_adapter, session_of, socket_of
 from instrument.names import advice, behind_adapter, visa_name
+from instrument.pyvisa_sessions import (
+    READ_AGAIN_S,
+    adapter_of,
+    forget_adapter,
+    keep_to_oneself,
+    session_of,
+    socket_of,
+)
 
 ANSWER_TIME = 3.0
 """Longest time in s until an answer begins: twice the 1.5 s that units of this family were seen to take."""
@@ -345,6 +352,8 @@ class Link:
 
     def _configure(self) -> None:
         resource = self._resource
+        if not keep_to_oneself(resource):
+            raise LinkError(f"{self.name} is in use by another program; end that program, or use it there")
         resource.write_termination = ""
         if self._adapter is not None:
             self._adapter.configure()

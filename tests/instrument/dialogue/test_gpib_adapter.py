@@ -55,7 +55,7 @@ def test_an_instrument_that_another_program_has_put_behind_an_adapter(server):
 
 
 def test_an_acquisition_that_takes_longer_than_the_adapter_listens(monkeypatch):
-    monkeypatch.setattr("instrument.gpib_adapter.READ_TIME_MS", 200)
+    monkeypatch.setattr("instrument.pyvisa_sessions.READ_TIME_MS", 200)
     monkeypatch.setattr("instrument.dialogue.link.READ_AGAIN_S", 0.3)
     with GpibAdapterServer(SimulatedTDS2014({1: ramp})) as server, TDS2014(server.resource_name) as scope:
         scope.set_timebase(5e-2)

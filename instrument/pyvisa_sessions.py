@@ -1,7 +1,8 @@
-"""A GPIB adapter of Prologix' kind (also AR488), as PyVISA-py drives it: a stream beside which `++` orders go.
+"""What lies beneath VISA: GPIB adapters of Prologix' kind (also AR488), sockets, and who else has the instrument.
 
-The adapter reads from the instrument only when it is told to, and gives up when nothing comes within a time that
-it holds: an answer that takes longer has to be asked for again. Its stream has no message ends.
+PyVISA-py drives such an adapter as a byte stream beside which `++` orders go. The adapter reads from the instrument
+only when it is told to, and gives up when nothing comes within a time that it holds: an answer that takes longer has
+to be asked for again. Its stream has no message ends.
 """
 
 from __future__ import annotations
@@ -12,7 +13,8 @@ import re
 import socket
 from typing import Protocol, cast
 
-from pyvisa.constants import ResourceAttribute
+import pyvisa
+from pyvisa.constants import ResourceAttribute, StatusCode
 from pyvisa.resources import MessageBasedResource
 
 READ_TIME_MS = 3000
@@ -89,3 +91,24 @@ def socket_of(holder: object | None) -> socket.socket | None:
     """The socket of a session, if it has one."""
     peer = getattr(holder, "interface", None)
     return peer if isinstance(peer, socket.socket) else None
+
+
+def keep_to_oneself(resource: MessageBasedResource) -> bool:
+    """Keep other programs from an opened instrument, where the link can do that; False if one of them has it.
+
+    A vendor's VISA locks the resource; PyVISA-py does not, but a serial port of POSIX can be locked.
+    """
+    port = getattr(session_of(resource), "interface", None)
+    if hasattr(port, "exclusive"):
+        try:
+            port.exclusive = True
+        except (OSError, ValueError) as error:
+            return isinstance(error, ValueError)  # a system without such locks
+        return True
+    try:
+        resource.lock_excl(timeout=0)
+    except pyvisa.VisaIOError as error:
+        return error.error_code != StatusCode.error_resource_locked
+    except (NotImplementedError, AttributeError):
+        return True
+    return True

@@ -1,8 +1,8 @@
 """What lies beneath VISA: GPIB adapters of Prologix' kind (also AR488), sockets, and who else has the instrument.
 
 PyVISA-py drives such an adapter as a byte stream beside which `++` orders go. The adapter reads from the instrument
-only when it is told to, and gives up when nothing comes within a time that it holds: an answer that takes longer has
-to be asked for again. Its stream has no message ends.
+only when it is told to, and gives up when nothing comes within a time that it holds: an answer that takes longer
+has to be asked for again. Its stream has no message ends.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ import contextlib
 import importlib
 import re
 import socket
-from typing import Protocol, cast
+from typing import Any, Protocol, cast
 
 import pyvisa
 from pyvisa.constants import ResourceAttribute, StatusCode
@@ -98,7 +98,7 @@ def keep_to_oneself(resource: MessageBasedResource) -> bool:
 
     A vendor's VISA locks the resource; PyVISA-py does not, but a serial port of POSIX can be locked.
     """
-    port = getattr(session_of(resource), "interface", None)
+    port: Any = getattr(session_of(resource), "interface", None)
     if hasattr(port, "exclusive"):
         try:
             port.exclusive = True

@@ -20,7 +20,10 @@ def sine(times):
 
 
 def test_threads_take_turns():
-    with TcpServer(SimulatedTDS2014({1: sine, 2: lambda t: -sine(t)})) as server, TDS2014(server.resource_name) as scope:
+    with (
+        TcpServer(SimulatedTDS2014({1: sine, 2: lambda t: -sine(t)})) as server,
+        TDS2014(server.resource_name) as scope,
+    ):
         scope.set_channel("CH2")
         wrong, counts = [], []
 

@@ -1,8 +1,8 @@
 """What lies beneath VISA: GPIB adapters of Prologix' kind (also AR488), sockets, and who else has the instrument.
 
-PyVISA-py drives such an adapter as a byte stream beside which `++` orders go. It reads from the instrument only when
-it is told to, and gives up when nothing comes within a time that it holds: an answer that takes longer has to be
-asked for again. Its stream has no message ends.
+PyVISA-py drives such an adapter as a byte stream beside which `++` orders go. It reads from the instrument only
+when it is told to, and gives up when nothing comes within a time that it holds: an answer that takes longer has to
+be asked for again. Its stream has no message ends.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """What all records of one run say together: arrays in, one result out."""
 
-from analysis.lock_in_run.estimates import Method
+from analysis.lock_in_run.estimates import Method, joined, only_beats, without_channel
 from analysis.lock_in_run.evaluation import evaluate
 from analysis.lock_in_run.groups import RateGroup, SeveralRates
 from analysis.lock_in_run.pairs import QuadratureResult
@@ -26,6 +26,9 @@ __all__ = [
     "Tilt",
     "evaluate",
     "find_tilt",
+    "joined",
     "lock_in_seen",
+    "only_beats",
     "rows_of_batches",
+    "without_channel",
 ]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from analysis.arrays import Floats
+from analysis.arrays import Floats, Ints
 from analysis.flags import FATAL, Flag
 from analysis.lockin_equation import Relation, input_rate_from_beat, lock_in_from_rate
 from analysis.lockin_rate.beat import Beat, beat_flags, is_weaker
@@ -148,8 +148,13 @@ def estimate_lock_in(
         scale_factor=float(scale_factor),
         relation=relation,
         rate_given=rate is not None,
-        noise_model=COLOURED if np.any(flags & int(Flag.COLOURED_NOISE)) else WHITE,
+        noise_model=noise_model(flags),
     )
+
+
+def noise_model(flags: Ints) -> str:
+    """What the uncertainties of records with these flags rest on, in words."""
+    return COLOURED if np.any(flags & int(Flag.COLOURED_NOISE)) else WHITE
 
 
 def _given_rate(input_rate: ArrayLike | None, shape: tuple[int, ...]) -> Floats | None:

@@ -84,13 +84,14 @@ def _analyze(
     from station.errors import EXIT_NO_SIGNAL, Failure, NoUsableSignal, StationError, describe_failure
     from station.lock_in.files import analyze_file
     from station.runs.database import is_database
-    from station.runs.store import open_run
-    from station.shell.evaluated import evaluate_run
+    from station.runs.progress import Progress
+    from station.shell.evaluated import evaluate_saved
+    from station.sources.workers import Processes
 
     analyzed: Evaluated | AnalyzedFiles
     try:
         if is_database(path):
-            analyzed = evaluate_run(open_run(path), config=config, choices=choices)
+            analyzed = evaluate_saved(path, Processes(1), Progress(quiet=True), config=config, choices=choices)
         else:
             analyzed = analyze_file(path, config, choices)
     except (InstrumentError, StationError, OSError) as error:

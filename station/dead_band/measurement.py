@@ -6,6 +6,7 @@ from station.dead_band.evaluate import evaluate
 from station.dead_band.result import LIMITED, record_rows, result
 from station.dead_band.sections import facts, sections
 from station.dead_band.settings import DEAD_BAND
+from station.dead_band.sweep import seconds
 from station.dead_band.take import PURPOSE, take
 from station.measurements import Measurement
 
@@ -22,4 +23,5 @@ MEASUREMENT = Measurement(
     facts=facts,
     rows=record_rows,
     gives=LIMITED,
+    seconds=seconds,
 )

@@ -11,7 +11,7 @@ from station.lock_in.found import LockInFound
 from station.lock_in.presentation.documents import record_documents
 from station.lock_in.presentation.sections import sections
 from station.lock_in.presentation.tables import fact_tables
-from station.lock_in.read import evaluate_run
+from station.lock_in.read import evaluate_run, evaluate_source
 from station.lock_in.result import result
 from station.lock_in.settings import RING_LASER, LimitSettings, Settings
 from station.lock_in.take import take
@@ -32,6 +32,7 @@ MEASUREMENT = Measurement(
     kind=RING_LASER,
     take=take,
     evaluate=evaluate,
+    evaluate_source=evaluate_source,
     choices=("scale_factor", "relation", "input_rate"),
     gives=tuple(LimitSettings.model_fields),
     result=result,

@@ -88,7 +88,7 @@ class TakenRun(Run):
         if any(_is_output(record.header) for record in taken):
             data: Iterable[Any] = (segment.recording for segment in segments_of(self._saved, purpose))
         else:
-            data = (saved_waveform(record, self._saved) if record.intact else None for record in taken)
+            data = (saved_waveform(record, self._saved.path) if record.intact else None for record in taken)
         return tuple(
             Record(name, record.conditions, one, purpose, record.taken_at)
             for name, record, one in zip(_names(self._saved, purpose), taken, data, strict=True)

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 
 from instrument import InstrumentError, Preamble, Waveform
 from station.errors import RunError
 from station.ring_laser.bench import Bench
 from station.ring_laser.settings import ScopeSettings
-from station.runs.store import NewRecord, SavedRecord, SavedRun
+from station.runs.store import NewRecord, SavedRecord
 from station.sources.over_time import check_over_time
 
 
@@ -67,7 +68,7 @@ def acquisition_records(
     ]
 
 
-def saved_waveform(record: SavedRecord, run: SavedRun) -> Waveform:
+def saved_waveform(record: SavedRecord, run: Path) -> Waveform:
     """Return a saved record as the waveform that the scope sent.
 
     Raises
@@ -80,6 +81,6 @@ def saved_waveform(record: SavedRecord, run: SavedRun) -> Waveform:
     try:
         waveform = Waveform(record.codes, Preamble.parse(record.preamble))
     except InstrumentError as error:
-        raise RunError(f"{run.path}: record {record.number} cannot be read: {error}") from None
-    check_over_time(waveform, f"{run.path}: record {record.number}")
+        raise RunError(f"{run}: record {record.number} cannot be read: {error}") from None
+    check_over_time(waveform, f"{run}: record {record.number}")
     return waveform

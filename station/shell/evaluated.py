@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -13,8 +13,11 @@ from station.results.as_json import plain
 from station.results.limits import Tested, check_limits, verdict
 from station.results.parts import FactTable, Section
 from station.results.result import Result
-from station.runs.store import SavedRun
+from station.runs.progress import Progress
+from station.runs.store import SavedRun, open_run
 from station.settings.load import saved_settings
+from station.sources.run import RunSource, SavedRecords
+from station.sources.workers import Workers
 
 SCHEMA_VERSION = 2
 DAMAGE = (ArithmeticError, AttributeError, LookupError, RecursionError, TypeError, ValueError)
@@ -144,6 +147,44 @@ def evaluate_run(
     UsageError
         This measurement has no such choice.
     """
+    kind, settings, wanted = _how(run, config, choices or {})
+    run, found, result = _evaluated(kind, run, settings, wanted)
+    return _judged(kind, run, settings, found, result)
+
+
+def evaluate_saved(
+    path: Path, workers: Workers, progress: Progress, *, config: Path | None, choices: Mapping[str, Any]
+) -> Evaluated:
+    """Evaluate a run by its path: batch by batch where the measurement can, so that its length costs no memory.
+
+    Parameters and errors as for :func:`evaluate_run`.
+    """
+    source = RunSource(path)
+    run = SavedRun(
+        source.path, source.facts, SavedRecords(source), None, source.unusable, source.protected, source.damaged
+    )
+    kind, settings, wanted = _how(run, config, choices)
+    if kind.evaluate_source is None:
+        return evaluate_run(open_run(path), config=config, choices=choices)
+    try:
+        evaluated = kind.evaluate_source(source, settings, wanted, workers, progress)
+        if evaluated is None:
+            return evaluate_run(open_run(path), config=config, choices=choices)
+        found, damage = evaluated
+        run = replace(run, damaged=(*damage, *source.damaged))
+        return _judged(kind, run, settings, found, kind.result(found, run, settings))
+    except DAMAGE as error:
+        if source.protected and not run.damaged:
+            raise
+        raise RunError(
+            f"{run.path}: is damaged and cannot be evaluated ({type(error).__name__}: {error})"
+        ) from error
+
+
+def _how(
+    run: SavedRun, config: Path | None, choices: Mapping[str, Any]
+) -> tuple[Measurement[Any, Any], Any, dict[str, Any]]:
+    """Measurement, settings and choices by which a run is evaluated."""
     kind = kind_of(run)
     for name in ("command", "settings"):
         if name in run.unusable:
@@ -151,12 +192,15 @@ def evaluate_run(
     settings = saved_settings(kind.kind, run.facts.settings, str(run.path))
     if config is not None:
         settings = kind.kind.with_knowledge(settings, config)
-    wanted = {name: value for name, value in (choices or {}).items() if value is not None}
+    wanted = {name: value for name, value in choices.items() if value is not None}
     for name in wanted:
         if name not in kind.choices:
             option = name.replace("_", "-")
             raise UsageError(f"{run.path}: is a run of `{kind.command}`, for which --{option} means nothing")
-    run, found, result = _evaluated(kind, run, settings, wanted)
+    return kind, settings, wanted
+
+
+def _judged(kind: Measurement[Any, Any], run: SavedRun, settings: Any, found: Any, result: Result) -> Evaluated:
     limits = settings.limits.model_dump()
     return Evaluated(kind, run, settings, found, result, check_limits(result.measured, limits))
 

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
 
@@ -43,9 +43,9 @@ class RecordBatch:
     preambles : tuple of Preamble
         Of each record, as it was read; equal ones are one object.
     records : tuple of SavedRecord
-        Number, key, time, purpose, header as it was sent, conditions of each record; their payload is empty.
+        As they were saved.
     sources : tuple of Source
-        That of each record.
+        That of each record, where they are read from several.
     """
 
     codes: NDArray[np.int8] | NDArray[np.int16]
@@ -95,7 +95,7 @@ def batches_of(
             for record in source.records():
                 if not wanted(record):
                     continue
-                one = _read(record, source, left_out)
+                one = read_one(record, source, left_out)
                 if one is None:
                     continue
                 shape = one[1].nr_pt, one[1].xincr, one[1].byt_nr
@@ -103,21 +103,22 @@ def batches_of(
                 batch.append(one)
                 held += 1
                 if len(batch) >= at_once:
-                    yield _batch(open_batches.pop(shape))
+                    yield _collected(open_batches.pop(shape))
                     held -= at_once
                 elif held >= 2 * at_once:
                     for shape in list(open_batches):
-                        yield _batch(open_batches.pop(shape))
+                        yield _collected(open_batches.pop(shape))
                     held = 0
         except (StationError, InstrumentError, OSError) as error:
             left_out(LeftOut(source.name, None, _without_name(str(error), source.name)))
     for batch in open_batches.values():
-        yield _batch(batch)
+        yield _collected(batch)
 
 
-def _read(
+def read_one(
     record: SavedRecord, source: Source, left_out: Callable[[LeftOut], None]
 ) -> tuple[SavedRecord, Preamble, Source] | None:
+    """See that a record can be used; what cannot is left out, and `left_out` is told why."""
     name = f"{record.number} ({record.key})"
     if not record.intact:
         left_out(LeftOut(source.name, record.key, f"{name} is damaged: it is not what was once saved"))
@@ -134,19 +135,24 @@ def _read(
     return record, preamble, source
 
 
+def _collected(rows: list[tuple[SavedRecord, Preamble, Source]]) -> RecordBatch:
+    return batch_of([row[:2] for row in rows], [row[2] for row in rows])
+
+
 @lru_cache(maxsize=4096)
 def parsed_preamble(text: str) -> Preamble:
     """Parse a preamble; most records of a run have the same."""
     return Preamble.parse(text)
 
 
-def _batch(rows: list[tuple[SavedRecord, Preamble, Source]]) -> RecordBatch:
-    records, preambles, sources = zip(*rows, strict=True)
+def batch_of(rows: Sequence[tuple[SavedRecord, Preamble]], sources: Sequence[Source] = ()) -> RecordBatch:
+    """Put records of one length and time base into one batch."""
+    records, preambles = zip(*rows, strict=True)
     first = preambles[0]
-    kind: Any = np.int8 if first.byt_nr == 1 else np.dtype(">i2")
-    codes = np.frombuffer(b"".join(record.payload for record in records), kind).reshape(len(rows), first.nr_pt)
-    heads = tuple(replace(record, payload=b"") for record in records)
-    return RecordBatch(codes if first.byt_nr == 1 else codes.astype(np.int16), preambles, heads, sources)
+    wide = first.byt_nr > 1
+    data = b"".join([record.payload for record in records])
+    codes: NDArray[Any] = np.frombuffer(data, ">i2" if wide else np.int8).reshape(len(rows), first.nr_pt)
+    return RecordBatch(codes.astype(np.int16) if wide else codes, preambles, records, tuple(sources))
 
 
 def _without_name(text: str, name: str) -> str:

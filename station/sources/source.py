@@ -59,6 +59,16 @@ class Source(ABC):
         """Return how many records it holds."""
 
     @property
+    def place(self) -> Path | Source:
+        """What another process opens it by: its path, or itself where it is a small object."""
+        return self.path
+
+    @property
+    def span(self) -> tuple[int, int]:
+        """Least and largest number of the records; (1, 0) where there are none, (1, 1) where they say nothing."""
+        return 1, 1
+
+    @property
     @abstractmethod
     def sha256(self) -> str:
         """SHA-256 of records, settings and command: the same measurement has the same, wherever it lies.

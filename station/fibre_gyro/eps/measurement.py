@@ -11,7 +11,7 @@ from station.fibre_gyro.eps.evaluate import PURPOSE, evaluate
 from station.fibre_gyro.eps.result import LIMITED, result
 from station.fibre_gyro.eps.sections import sections
 from station.fibre_gyro.logs import LogRow, read_logs
-from station.fibre_gyro.segments import PlannedSegment, take_logs, take_segments, unusable_segments
+from station.fibre_gyro.segments import PlannedSegment, seconds_of, take_logs, take_segments, unusable_segments
 from station.fibre_gyro.serial_bench import open_fog_bench
 from station.fibre_gyro.settings import FIBRE_GYRO, FogSettings
 from station.measurements import Measurement
@@ -68,4 +68,5 @@ MEASUREMENT = Measurement(
     facts=output_facts,
     gives=LIMITED,
     unusable=lambda run, settings: unusable_segments(run, settings, [PURPOSE]),
+    seconds=lambda settings: seconds_of(plan(settings)[0]),
 )

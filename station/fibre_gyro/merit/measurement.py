@@ -11,7 +11,14 @@ from station.fibre_gyro.logs import LogRow, read_logs, table_conditions
 from station.fibre_gyro.merit.evaluate import PURPOSE, evaluate
 from station.fibre_gyro.merit.result import LIMITED, result
 from station.fibre_gyro.merit.sections import sections
-from station.fibre_gyro.segments import MARGIN_S, PlannedSegment, take_logs, take_segments, unusable_segments
+from station.fibre_gyro.segments import (
+    MARGIN_S,
+    PlannedSegment,
+    seconds_of,
+    take_logs,
+    take_segments,
+    unusable_segments,
+)
 from station.fibre_gyro.serial_bench import open_fog_bench
 from station.fibre_gyro.settings import FIBRE_GYRO, FogSettings
 from station.measurements import Measurement
@@ -79,4 +86,5 @@ MEASUREMENT = Measurement(
     facts=output_facts,
     gives=LIMITED,
     unusable=lambda run, settings: unusable_segments(run, settings, [PURPOSE]),
+    seconds=lambda settings: seconds_of(plan(settings)),
 )

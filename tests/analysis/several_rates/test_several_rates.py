@@ -114,7 +114,9 @@ def test_without_distortion_the_error_stands_at_the_bound(multiples, periods):
     covered = [f.lock_in_rate_low_95 <= WL <= f.lock_in_rate_high_95 for f in fits]
     assert 0.90 <= np.mean(covered) <= 0.99
     assert np.std(errors / [f.lock_in_rate_u for f in fits]) == pytest.approx(1, abs=0.15)
-    assert np.mean([f.chi_square / f.degrees_of_freedom for f in fits]) == pytest.approx(1, abs=0.15)
+    # The truth stands in the middle of every prior, where less of it is left than of a value by chance: 1 of chi-square
+    # in 18, 0.6 in 6.
+    assert np.mean([f.chi_square / f.degrees_of_freedom for f in fits]) == pytest.approx(0.92, abs=0.15)
 
 
 def test_one_sense_pays_what_linear_algebra_says():

@@ -119,7 +119,9 @@ class Link:
         stream = self.is_serial or resource_name.upper().rstrip().endswith("SOCKET")
         self.framed = not stream and self._adapter is None
         self.baud_rate = baud_rate or (DEFAULT_BAUD_RATE if self._adapter is None else _ADAPTER_BITS_PER_SECOND)
-        self.can_clear = self.framed or self._adapter is not None
+        self.on_bus = self.framed or self._adapter is not None
+        """Whether the instrument itself is on GPIB, USB or a network, and not on RS-232."""
+        self.can_clear = self.on_bus
         """Whether a clear frees an instrument that waits; a serial line learns it from the first break."""
         try:
             with self._link_errors("opening"):
@@ -236,7 +238,7 @@ class Link:
         silence : float, optional
             Time in s for which a stream must be silent, `PAUSE_TIME` by default.
         """
-        if self.can_clear and not self.is_serial:
+        if self.on_bus:
             self._set_timeout(self.answer_time)
             with self._link_errors("clearing"):
                 self._resource.clear()

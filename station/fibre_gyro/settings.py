@@ -48,6 +48,15 @@ class LinkSettings(SettingsSection):
     speed: Positive
 
 
+class LogSettings(SettingsSection):
+    """How logs are read; what is empty is found out from each file."""
+
+    columns: list[str]
+    time_unit: Literal["", "s", "ms", "us", "min", "h"]
+    units: Literal["", "counts", "deg/s", "deg/h", "rad/s"]
+    output_rate_hz: NotNegative
+
+
 class TableSettings(SettingsSection):
     """The rate-table run."""
 
@@ -59,7 +68,7 @@ class TableSettings(SettingsSection):
     window_s: NotNegative
     settle_s: NotNegative
     rate_tolerance_ppm: Positive
-    irreproducibility_ppm: NotNegative
+    irreproducibility_ppm: NotNegative | None = None
 
 
 class SelfcalSettings(SettingsSection):
@@ -93,6 +102,7 @@ class FiguresSettings(SettingsSection):
     seconds: Positive
     static_s: Positive
     settle_s: NotNegative
+    misalignment_mrad: NotNegative
 
 
 class WitnessSettings(SettingsSection):
@@ -156,6 +166,7 @@ class FogSettings(SettingsSection):
     gyro: GyroSettings
     site: SiteSettings
     link: LinkSettings
+    logs: LogSettings
     table: TableSettings
     selfcal: SelfcalSettings
     eps: EpsSettings

@@ -55,7 +55,7 @@ def _log_options(function: F) -> F:
             "--columns",
             callback=_names,
             metavar="NAMES",
-            help="Columns of logs in their order: time,counts or time,counts_x,,counts_z; an empty one is left out.",
+            help="Columns of logs in their order: time,counts or time,counts_x,,counts_z; empty: left out.",
         ),
         click.option("--units", type=click.Choice(_UNITS), metavar="UNIT", help="Of logs: counts, deg/s, deg/h."),
         click.option("--time-unit", type=click.Choice(["s", "ms", "us", "min", "h"]), help="Of logs."),

@@ -127,6 +127,10 @@ def evaluate(run: SavedRun, settings: FogSettings, choices: Mapping[str, Any]) -
     against = (
         (reference.scale_factor, reference.scale_factor_u) if reference else (settings.nominal_scale_factor, 0.0)
     )
+    numbers_u = _mapping_u(steps, rates, u)
+    if reference is not None and settings.selfcal.numbers == "fit":
+        # the numbers were made of the scale factor that they are compared with: its error is in both
+        against, numbers_u = (reference.scale_factor, abs(numbers_u - reference.scale_factor_u)), 0.0
     return SelfcalFound(
         keys=tuple(row.key for row in steps),
         rate_dps=rates,
@@ -135,7 +139,7 @@ def evaluate(run: SavedRun, settings: FogSettings, choices: Mapping[str, Any]) -
         fit=fit,
         numbers=fit_slope(rates, given, u),
         reference=reference,
-        comparison=compare_scale(fit, excess, against, numbers_u=_mapping_u(steps, rates, u)),
+        comparison=compare_scale(fit, excess, against, numbers_u=numbers_u),
         static_missing=missing[0] if missing else "",
         drift_removed=level.modelled,
         remarks=tuple(said for row in rows for said in row.remarks),

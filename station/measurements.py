@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, Generic, TypeVar
 
 from station.events.seen import See
+from station.results.check import Check
 from station.results.parts import FactTable, Section
 from station.results.result import Result
 from station.runs.progress import Progress
@@ -69,6 +70,10 @@ class Measurement(Generic[S, F]):
         Gets a run and its settings: keys of records that are to be taken again when it is gone on with, and why.
     simulated : callable
         Gets settings: whether the bench that they describe is simulated.
+    seconds : callable
+        Gets settings: how long a real bench takes, or ``None`` where nobody knows that beforehand.
+    examine : callable or None
+        Gets settings: opens the bench and says what is there and what is not well.
     watch : callable or None
         Gets settings, and returns what says of each record at once what it says, for those who watch.
     """
@@ -91,6 +96,8 @@ class Measurement(Generic[S, F]):
     gives: tuple[str, ...] = ()
     unusable: Callable[[SavedRun, S], Mapping[str, str]] = field(default=_nothing_unusable)
     simulated: Callable[[S], bool] = field(default=lambda settings: bool(settings.simulated))
+    seconds: Callable[[S], float | None] = field(default=lambda settings: None)
+    examine: Callable[[S], list[Check]] | None = None
     watch: Callable[[S], See] | None = None
 
 

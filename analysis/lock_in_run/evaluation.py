@@ -21,6 +21,9 @@ from analysis.lock_in_run.table_rate import AxisRates, axis_rate_is_known, axis_
 from analysis.lockin_rate import LockInEstimate
 from analysis.several_rates import ReceiverKnowledge
 
+CANCEL_IN_THE_CHECK = ("noise", "scale_factor", "time_base")
+"""Inputs of the budget that the check by the table has counted already, or that the tilt absorbs in it."""
+
 
 def evaluate(
     run: RunArrays,
@@ -88,7 +91,12 @@ def evaluate(
         return found
     bench = known_of_bench(found, run.slow, knowledge)
     budget = run_budget(found, run.slow, bench)
-    return replace(found, budget=budget, record_u=record_uncertainties(found, run.slow, bench))
+    check = found.table_check
+    if check is not None:
+        others = [line.contribution for line in budget.inputs if line.name not in CANCEL_IN_THE_CHECK]
+        check = check.beside_budget(found.lock_in_rate, math.hypot(*others))
+    us = record_uncertainties(found, run.slow, bench)
+    return replace(found, budget=budget, record_u=us, table_check=check)
 
 
 def _each_record(

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from station.runs.progress import Progress
 
 _SLICE_S = 0.5
-_TOLD_FROM_S = 1.0
 
 
 @dataclass(frozen=True)
@@ -32,8 +31,6 @@ class Wait:
             self.progress.note(f"{what}: {seconds:g} s, passed over on a simulated bench")
             return
         self.progress.events.emit("waiting", what=what, seconds=seconds)
-        if seconds >= _TOLD_FROM_S:
-            self.progress.note(f"{what}: {seconds:g} s")
         until = time.monotonic() + seconds
         while (left := until - time.monotonic()) > 0:
             time.sleep(min(left, _SLICE_S))

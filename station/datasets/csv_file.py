@@ -6,6 +6,7 @@ import base64
 import csv
 import io
 import math
+import os
 from collections.abc import Iterator
 from typing import Any
 
@@ -63,24 +64,23 @@ class CsvTable:
 
     def __init__(self, place: str) -> None:
         self.place = place
-        self._heads: list[tuple[str, int]] | None = None
         self._next, self._going = 0, self._lines()
         for _ in self._lines():
             return
         raise RunError(f"{place}: holds no record")
 
     def heads(self) -> Iterator[tuple[str, int]]:
-        """Yield what is known of the source of each row, equal ones as one object, and the row."""
-        if self._heads is None:
-            about, heads = "", []
-            for row, (cells, _) in enumerate(self._lines()):
-                about = cells["source_json"] or about
-                heads.append((about, row))
-            self._heads = heads
-        yield from self._heads
+        """Yield what is known of the source of each row, equal ones as one object, and its number there."""
+        about = ""
+        for row, (cells, _) in enumerate(self._lines()):
+            about = cells["source_json"] or about
+            try:
+                yield about, int(cells["number"])
+            except ValueError as error:
+                raise self._damaged(f"row {row + 2}: {error}") from None
 
-    def rows(self, first: int, last: int) -> Iterator[tuple[dict[str, Any], bytes]]:
-        """Yield rows from `first` up to, but not, `last`."""
+    def rows(self, first: int, last: int, numbers: range | None = None) -> Iterator[tuple[dict[str, Any], bytes]]:
+        """Yield rows from `first` up to, but not, `last`; all of them, whatever `numbers` are wanted."""
         if first < self._next or first == 0:
             self._next, self._going = 0, self._lines()
         while self._next < last:
@@ -95,6 +95,13 @@ class CsvTable:
             except (ValueError, KeyError) as error:
                 raise self._damaged(f"row {self._next + 1}: {error}") from None
             yield row, payload
+
+    def __getstate__(self) -> dict[str, str]:
+        """What another process needs to read the same file."""
+        return {"place": os.path.abspath(self.place)}
+
+    def __setstate__(self, state: dict[str, str]) -> None:
+        self.__init__(state["place"])  # type: ignore[misc]  # begins to read anew
 
     @staticmethod
     def _payload(rest: list[str]) -> bytes:

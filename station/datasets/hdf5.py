@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
@@ -10,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from station.datasets.packages import package
-from station.datasets.rows import AT_ONCE, COLUMNS, NUMBERS, SCHEMA, TEXT, WHOLE, Rows, check_schema
+from station.datasets.rows import AT_ONCE, COLUMNS, NUMBERS, SCHEMA, TEXT, WHOLE, Rows, check_schema, rows_with
 from station.errors import RunError
 
 _SCHEMA = "gyrolock"
@@ -79,15 +80,19 @@ class Hdf5Table:
             check_schema(json.loads(found)["schema"] if found else None, place)
 
     def heads(self) -> Iterator[tuple[str, int]]:
-        """Yield what is known of the source of each row, equal ones as one object, and the row."""
+        """Yield what is known of the source of each row, equal ones as one object, and its number there."""
         with self._opened() as file:
             texts = file["source_json"].asstr()[:].tolist()
             indices = file[_GROUP]["source_index"][:].tolist()
-        for row, index in enumerate(indices):
-            yield texts[index], row
+            numbers = file[_GROUP]["number"][:].tolist()
+        for index, number in zip(indices, numbers, strict=True):
+            yield texts[index], number
 
-    def rows(self, first: int, last: int) -> Iterator[tuple[dict[str, Any], bytes]]:
-        """Yield rows from `first` up to, but not, `last`."""
+    def rows(self, first: int, last: int, numbers: range | None = None) -> Iterator[tuple[dict[str, Any], bytes]]:
+        """Yield rows from `first` up to, but not, `last`; with `numbers` no more than are needed."""
+        if numbers is not None:
+            with self._opened() as file:
+                first, last = rows_with(numbers, file[_GROUP]["number"][first:last], first)
         texts = ("key", "taken_at", "purpose", "header", "conditions", "sha256")
         for start in range(first, last, AT_ONCE):
             taken = slice(start, min(start + AT_ONCE, last))
@@ -101,6 +106,10 @@ class Hdf5Table:
                 row = {name: column[place] for name, column in columns.items()}
                 is_codes = sizes[place] == codes.shape[1] and not payloads[place].size
                 yield row, codes[place].tobytes() if is_codes else payloads[place].tobytes()
+
+    def __getstate__(self) -> dict[str, str]:
+        """What another process needs to read the same file."""
+        return {"place": os.path.abspath(self.place)}
 
     @contextmanager
     def _opened(self) -> Iterator[Any]:

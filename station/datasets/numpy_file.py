@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
 import tempfile
 import zipfile
@@ -15,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from station.datasets.rows import COLUMNS, NUMBERS, SCHEMA, TEXT, WHOLE, Rows, check_schema
+from station.datasets.rows import COLUMNS, NUMBERS, SCHEMA, TEXT, WHOLE, Rows, check_schema, rows_with
 from station.errors import RunError
 
 _SHARED = ("source", "header", "source_json")
@@ -75,14 +76,17 @@ class NumpyTable:
         check_schema(json.loads(str(schema)) if schema.dtype.kind == "U" and schema.ndim == 0 else None, place)
 
     def heads(self) -> Iterator[tuple[str, int]]:
-        """Yield what is known of the source of each row, equal ones as one object, and the row."""
+        """Yield what is known of the source of each row, equal ones as one object, and its number there."""
         texts = [text.decode() for text in self._array("source_json").tolist()]
-        for row, index in enumerate(self._array("source_json_index").tolist()):
-            yield texts[index], row
+        indices, numbers = self._array("source_json_index").tolist(), self._array("number").tolist()
+        for index, number in zip(indices, numbers, strict=True):
+            yield texts[index], number
 
-    def rows(self, first: int, last: int) -> Iterator[tuple[dict[str, Any], bytes]]:
-        """Yield rows from `first` up to, but not, `last`."""
+    def rows(self, first: int, last: int, numbers: range | None = None) -> Iterator[tuple[dict[str, Any], bytes]]:
+        """Yield rows from `first` up to, but not, `last`; with `numbers` no more than are needed."""
         held = self._held
+        if numbers is not None:
+            first, last = rows_with(numbers, held["number"][first:last], first)
         ends = held["payload_end"]
         for place in range(first, last):
             row = {
@@ -92,6 +96,10 @@ class NumpyTable:
             row["number"] = int(held["number"][place])
             payload = held["payload"][ends[place - 1] if place else 0 : ends[place]]
             yield row, payload.tobytes() if payload.size else self._payload(place)
+
+    def __getstate__(self) -> dict[str, str]:
+        """What another process needs to read the same file."""
+        return {"place": os.path.abspath(self.place)}
 
     def _payload(self, place: int) -> bytes:
         """Codes of a record; one that sent nothing has none."""

@@ -6,6 +6,8 @@ Source: the format's own rules for fixed_len_byte_array and key-value metadata (
 from __future__ import annotations
 
 import json
+import math
+import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -13,10 +15,12 @@ from typing import Any
 
 from station.datasets.packages import package
 from station.datasets.rows import AT_ONCE, COLUMNS, NUMBERS, SCHEMA, WHOLE, Rows, check_schema
-from station.errors import RunError, UsageError
+from station.errors import RunError, StationError, UsageError
 
 _METADATA = b"gyrolock"
 _CODED_ALIKE = ("source", "purpose", "channel", "axis", "header", "source_json")  # texts that most rows share
+
+_READ = ("number", "key", "taken_at", "purpose", "header", "conditions", "sha256", "codes", "payload")
 
 
 class ParquetWriter:
@@ -75,7 +79,10 @@ class ParquetTable:
         self._kept: dict[int, Any] = {}
         with self._said(), _opened(place) as file:
             metadata = file.schema_arrow.metadata or {}
-            self.groups = [file.metadata.row_group(one).num_rows for one in range(file.num_row_groups)]
+            groups = [file.metadata.row_group(one) for one in range(file.num_row_groups)]
+            self._sizes = [group.num_rows for group in groups]
+            at = file.schema_arrow.names.index(_READ[0]) if _READ[0] in file.schema_arrow.names else 0
+            self._numbers = [_least_and_most(group.column(at).statistics) for group in groups]
             names = set(file.schema_arrow.names)
         found = metadata.get(_METADATA)
         with self._said():
@@ -84,55 +91,73 @@ class ParquetTable:
             raise RunError(f"{place}: the column {lost[0]!r} is not in it: export the records again")
 
     def heads(self) -> Iterator[tuple[str, int]]:
-        """Yield what is known of the source of each row, equal ones as one object, and the row."""
+        """Yield what is known of the source of each row, equal ones as one object, and its number there."""
         with self._said(), _opened(self.place) as file:
-            row = 0
             for group in range(file.num_row_groups):
-                column = file.read_row_group(group, columns=["source_json"]).column(0)
-                for chunk in column.dictionary_encode().chunks:
-                    texts = chunk.dictionary.to_pylist()
-                    for code in chunk.indices.to_pylist():
-                        yield texts[code], row
-                        row += 1
+                table = file.read_row_group(group, columns=["source_json", "number"], use_threads=False)
+                coded = table.column("source_json").combine_chunks().dictionary_encode()
+                texts = coded.dictionary.to_pylist()
+                numbers = table.column("number").to_pylist()
+                for code, number in zip(coded.indices.to_pylist(), numbers, strict=True):
+                    yield texts[code], number
 
-    def rows(self, first: int, last: int) -> Iterator[tuple[dict[str, Any], bytes]]:
-        """Yield rows from `first` up to, but not, `last`: what stands in the columns, and the bytes sent."""
+    def rows(self, first: int, last: int, numbers: range | None = None) -> Iterator[tuple[dict[str, Any], bytes]]:
+        """Yield rows from `first` up to, but not, `last`: what stands in the columns, and the bytes sent.
+
+        With `numbers` row groups in which none of these records can be are not read.
+        """
         start = 0
-        for group, size in enumerate(self.groups):
+        for group, size in enumerate(self._sizes):
             below, above = max(first - start, 0), min(last - start, size)
-            if below < above:
+            least, most = self._numbers[group]
+            if below < above and (numbers is None or (least < numbers.stop and most >= numbers.start)):
                 with self._said():
                     table = self._row_group(group)
-                    columns = {
-                        name: table.column(name).slice(below, above - below).to_pylist()
-                        for name in (*COLUMNS, "codes", "payload")
-                    }
-                for place in range(above - below):
-                    row = {name: columns[name][place] for name in COLUMNS}
-                    codes = columns["codes"][place]
-                    yield row, columns["payload"][place] or b"" if codes is None else codes
+                    columns = [table.column(name).slice(below, above - below).to_pylist() for name in _READ]
+                for *cells, codes, payload in zip(*columns, strict=True):
+                    yield dict(zip(_READ, cells, strict=False)), payload or b"" if codes is None else codes
             start += size
+
+    def __getstate__(self) -> dict[str, Any]:
+        """What another process needs to read the same file, wherever it runs."""
+        place = self.place if is_url(self.place) else os.path.abspath(self.place)
+        return {**vars(self), "place": place, "_kept": {}}
 
     def _row_group(self, group: int) -> Any:
         """One row group; small sources one behind the other share it."""
         if group not in self._kept:
             with _opened(self.place) as file:
-                self._kept = {group: file.read_row_group(group)}
+                self._kept = {group: file.read_row_group(group, columns=list(_READ), use_threads=False)}
         return self._kept[group]
 
     @contextmanager
     def _said(self) -> Iterator[None]:
         """Say what is wrong with a file in one line."""
         pyarrow = package("pyarrow")
+        damage = (pyarrow.ArrowException, OSError, ValueError, KeyError, TypeError)
         try:
             yield
-        except (pyarrow.ArrowException, OSError, ValueError, KeyError, TypeError) as error:
-            if isinstance(error, OSError) and error.errno is not None:
+        except StationError:
+            raise
+        except FileNotFoundError:
+            raise RunError(f"{self.place}: there is no such file") from None
+        except Exception as error:
+            reason = str(error).split("\n", maxsplit=1)[0].strip() or type(error).__name__
+            if is_url(self.place) and not isinstance(error, pyarrow.ArrowException):
+                # each store has errors of its own: no rights, no credentials, no network
+                raise RunError(f"{self.place}: the store does not give it ({reason})") from None
+            if not isinstance(error, damage) or getattr(error, "errno", None) is not None:
                 raise
-            reason = str(error).split("\n", maxsplit=1)[0].strip()
             raise RunError(
                 f"{self.place}: is damaged or no Parquet file, and cannot be read ({reason}): export it again"
             ) from None
+
+
+def _least_and_most(statistics: Any) -> tuple[float, float]:
+    """Smallest and largest value of a column of a row group; anything where the file does not say."""
+    if statistics is None or not statistics.has_min_max:
+        return -math.inf, math.inf
+    return statistics.min, statistics.max
 
 
 def is_url(place: str) -> bool:

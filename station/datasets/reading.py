@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,10 +14,10 @@ from station.datasets.hdf5 import Hdf5Table
 from station.datasets.numpy_file import NumpyTable
 from station.datasets.packages import package
 from station.datasets.parquet import ParquetTable, is_url
-from station.datasets.rows import SCHEMA, record_of
+from station.datasets.rows import AT_ONCE, SCHEMA, record_of
 from station.errors import RunError
 from station.runs.facts import RunFacts, checked_fact
-from station.runs.store import SavedRecord, SavedRun, damage_of
+from station.runs.store import SavedRecord, SavedRun, damage_of, damaged_facts, missing_records
 from station.sources.source import Source
 
 PARTS = "part-*.parquet"
@@ -35,9 +36,9 @@ class Table(Protocol):
     place: str
 
     def heads(self) -> Iterator[tuple[str, int]]:
-        """Yield what is known of the source of each row, and the row."""
+        """Yield what is known of the source of each row, equal ones as one object, and its number there."""
 
-    def rows(self, first: int, last: int) -> Iterator[tuple[dict[str, Any], bytes]]:
+    def rows(self, first: int, last: int, numbers: range | None = None) -> Iterator[tuple[dict[str, Any], bytes]]:
         """Yield rows: what stands in the columns, and the bytes that were sent."""
 
 
@@ -71,14 +72,28 @@ class DatasetSource(Source):
             int(about["records"]),
         )
         self._stretches: list[_Stretch] = []
+        self._least, self._most = math.inf, -math.inf
 
-    def add(self, table: Table, row: int) -> None:
+    def add(self, table: Table, row: int, number: int) -> None:
         """Take a row to those that are its own."""
+        self._least, self._most = min(self._least, number), max(self._most, number)
         stretch = self._stretches[-1] if self._stretches else None
         if stretch is None or stretch.table is not table or stretch.last != row:
             self._stretches.append(_Stretch(table, row, row + 1))
         else:
             stretch.last += 1
+
+    @property
+    def span(self) -> tuple[int, int]:
+        """Least and largest number of the records; see `Source`."""
+        far = self._most - self._least >= 2 * len(self) + AT_ONCE  # a damaged run may hold any number
+        return (1, 1) if far else (int(self._least), int(self._most))
+
+    def complete(self) -> None:
+        """Say what is missing or damaged, when all rows are there."""
+        whole = (self._least, self._most) == (1, len(self))
+        numbers = () if whole else sorted({record.number for record in self._records_there() if record.number > 0})
+        self.damaged = (*missing_records(numbers), *damaged_facts(self.unusable))
 
     def __len__(self) -> int:
         return sum(one.last - one.first for one in self._stretches)
@@ -89,8 +104,11 @@ class DatasetSource(Source):
             raise RunError(
                 f"{self.path}: holds {len(self)} of {self._records} records of {self.name}: a part is missing"
             )
+        yield from self._records_there(numbers)
+
+    def _records_there(self, numbers: range | None = None) -> Iterator[SavedRecord]:
         for one in self._stretches:
-            for row, payload in one.table.rows(one.first, one.last):
+            for row, payload in one.table.rows(one.first, one.last, numbers):
                 if numbers is None or int(row["number"]) in numbers:
                     yield record_of(row, payload)
 
@@ -173,7 +191,7 @@ def sources_of(place: str | Path) -> list[DatasetSource]:
     seen: dict[int, DatasetSource] = {}  # by the text as one object: it is not taken apart for each row
     for table in tables_of(place):
         texts: list[str] = []
-        for about, row in table.heads():
+        for row, (about, number) in enumerate(table.heads()):
             source = seen.get(id(about))
             if source is None:
                 source = found.get(about)
@@ -181,8 +199,10 @@ def sources_of(place: str | Path) -> list[DatasetSource]:
                     source = found[about] = DatasetSource(str(place), _taken_apart(about, table.place))
                 texts.append(about)  # held, so that no other object gets its id
                 seen[id(about)] = source
-            source.add(table, row)
+            source.add(table, row, number)
         seen.clear()
+    for source in found.values():
+        source.complete()
     return list(found.values())
 
 

@@ -131,6 +131,12 @@ def record_of(row: Mapping[str, Any], payload: bytes) -> SavedRecord:
     return SavedRecord(int(row["number"]), **{**cells, "conditions": conditions}, payload=payload, intact=intact)
 
 
+def rows_with(numbers: range, held: NDArray[np.int64], first: int) -> tuple[int, int]:
+    """Return the first row of records with these numbers and the one behind the last; `held` begins at `first`."""
+    found = np.flatnonzero((held >= numbers.start) & (held < numbers.stop))
+    return (first + int(found[0]), first + int(found[-1]) + 1) if found.size else (first, first)
+
+
 def check_schema(schema: Mapping[str, Any] | None, place: str) -> None:
     """Refuse what is no data set, or one of a newer program.
 

@@ -13,6 +13,8 @@ from typing import Literal
 
 from scipy.special import ndtr
 
+from station.results.result import UNITS
+
 Verdict = Literal["PASS", "FAIL", "MARGINAL", "ERROR", "ABORTED"]
 Rule = Literal["none", "U95", "simple"]
 
@@ -192,8 +194,8 @@ def _outcome(
     below = math.inf if limit.at_least is None else measured.value - limit.at_least
     above = math.inf if limit.at_most is None else limit.at_most - measured.value
     margin = min(below, above)
-    name = f"{limit.number} of {measured.of}" if measured.of else limit.number
-    sentence = f"{verdict} {_words(name)}: {_value_words(measured)}, {limit_words(limit, measured.unit)}"
+    name = number_words(limit.number, measured)
+    sentence = f"{verdict} {name}: {_value_words(measured)}, {limit_words(limit, measured.unit)}"
     if math.isfinite(margin):
         sentence += f", margin {margin:+.3g} {measured.unit}".rstrip()
     if risk is not None and limit.rule == "simple":
@@ -221,5 +223,8 @@ def _value_words(measured: Value) -> str:
     return f"{measured.value:.6g} [{measured.low_95:.6g}, {measured.high_95:.6g}] {measured.unit}".rstrip()
 
 
-def _words(name: str) -> str:
-    return name.replace("_", " ")
+def number_words(number: str, measured: Value) -> str:
+    """Say the name of a number, without the unit at its end: ``"lock in rate"``, ``"scatter of X"``."""
+    name, _, end = number.removeprefix("result.").rpartition("_")
+    words = (name if end in UNITS and name else number.removeprefix("result.")).replace("_", " ")
+    return f"{words} of {measured.of}" if measured.of else words

@@ -101,11 +101,17 @@ class MessageExchange:
         """True while a message waits or is at work."""
         return self._running is not None or bool(self._waiting)
 
-    def pump(self) -> None:
-        """Carry out what has come in, as far as the clock allows."""
+    @property
+    def ready(self) -> bool:
+        """True while a message waits and could be carried out now."""
+        able = self.scope.powered and not self.scope.faults.hung
+        return able and self._running is None and bool(self._waiting)
+
+    def pump(self, most: float = math.inf) -> None:
+        """Carry out what has come in, as far as the clock allows: `most` messages, then others have their turn."""
         with self.scope.lock:
-            while self.scope.powered and not self.scope.faults.hung and self._advance():
-                pass
+            while most > 0 and self.scope.powered and not self.scope.faults.hung and self._advance():
+                most -= 1
 
     def take(self) -> bytes | None:
         """The oldest answer whose time has come; sets `closed` if the link breaks with it."""

@@ -89,7 +89,11 @@ def _one_record(found: LockInFound) -> list[Section]:
     if shown is None:
         return []
     wave, name = found.waveforms[shown], found.names[shown]
-    beat = PlacedFigure(plots.time_record_svg(wave), f"First periods of record {name}, and the fitted waveform.")
+    beat = PlacedFigure(
+        plots.time_record_svg(wave),
+        f"First periods of record {name} with the fitted harmonics, and what the fit leaves. A rate that moves "
+        "within the record shows there as waves of the beat's period; the result's own fit follows it.",
+    )
     spectrum = PlacedFigure(
         plots.spectrum_svg(wave),
         f"Record {name}, Blackman-Harris window. Each harmonic of an ideal beat is weaker than the one before by "

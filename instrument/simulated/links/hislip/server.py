@@ -36,8 +36,8 @@ _FULL = 1 << 20  # bytes of unread answers at which no more messages are taken
 class HislipServer(StreamServer):
     """Serves instruments by HiSLIP until it is closed.
 
-    Several clients may be connected; each has its own answers and its own device clear, all see the same instrument,
-    and locks are between them.
+    Several clients may be connected; each has its own answers and its own device clear, all see the same
+    instrument, and locks are between them.
 
     Parameters
     ----------
@@ -118,6 +118,7 @@ class HislipServer(StreamServer):
             if len(port.outgoing):
                 pauses.append(_VIRTUAL_POLL)
         for session in set(self._sessions.values()):
+            pauses.append(0.0 if session.ready else session.request_at - time.monotonic())
             change, clock = session.changes_at, session.exchange.scope.clock
             if change < float("inf"):
                 pauses.append(_VIRTUAL_POLL if clock.virtual else max(0.0, change - clock.now()))

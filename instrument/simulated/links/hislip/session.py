@@ -1,11 +1,12 @@
 """One client of the HiSLIP server: its two channels, the messages that wait, and what it is told.
 
-The server works in synchronised mode: one message is carried out after the other, and a message that comes before the
-answer to the last one was read interrupts it (event 410). Source: IVI-6.1, version 1.1, sections 3 and 6.
+The server works in synchronised mode: one message is carried out after the other, and a message that comes before
+the answer to the last one was read interrupts it (event 410). Source: IVI-6.1, version 1.1, sections 3 and 6.
 """
 
 from __future__ import annotations
 
+import math
 import struct
 from collections import deque
 
@@ -21,6 +22,11 @@ _HEADER = 16
 _DELIVERED = 1  # bit of the control code: the client's program has read the whole last answer
 _REMOTE_CODES = range(7)
 _INTERRUPTED = 410
+# s that a service request is held back, so that a client that polls learns of it by its poll: PyVISA-py takes a
+# request that comes by itself for the answer to its next question
+_HELD_BACK = 0.05
+_TURN = 4  # messages before the next client has its turn
+_POLLING = 1.0  # s after a poll, in which a client counts as one that polls
 _SIZE = struct.Struct("!Q")
 
 
@@ -33,6 +39,8 @@ class Session:
         By which the asynchronous channel finds the synchronous one.
     sync, asynchronous : Port
         The channels; the second comes later.
+    request_at : float
+        Time in s at which the client is told that service was requested, unless it polls before; inf: nothing.
     """
 
     def __init__(self, number: int, scope: SimulatedTDS2014, locks: Locks, sync: Port) -> None:
@@ -46,11 +54,19 @@ class Session:
         self._at_work = 0  # identifier of the message that is carried out
         self._clearing = False
         self._releases: deque[bool] = deque()
+        self._polled_at = -math.inf
+        self.request_at = math.inf
 
     @property
     def changes_at(self) -> float:
         """Clock time in s at which the instrument may have more to say; inf if only new frames help."""
         return self.exchange.next_change()
+
+    @property
+    def ready(self) -> bool:
+        """True while a message waits and could be carried out now."""
+        idle = not (self.exchange.working or self.exchange.answering or self.exchange.closed)
+        return idle and bool(self._waiting) and self._locks.may_talk(self)
 
     def tell(self, frame: Frame, now: float, *, aside: bool = False) -> None:
         """Send a frame on the synchronous channel, or `aside` on the other one."""
@@ -110,6 +126,7 @@ class Session:
                 if frame.control & _DELIVERED:
                     self.exchange.unread = False
                 self.work(now)  # what came before on the other channel
+                self._polled_at, self.request_at = now, math.inf
                 answer = Frame(Kind.ASYNC_STATUS_RESPONSE, self.exchange.serial_poll())
             case Kind.ASYNC_LOCK if frame.control in (0, 1):
                 self._lock(frame, now)
@@ -149,7 +166,7 @@ class Session:
 
     def work(self, now: float) -> None:
         """Carry out messages and send answers, as far as clock and locks allow."""
-        while True:
+        for _ in range(_TURN):
             self.exchange.pump()
             answers = []
             while (answer := self.exchange.take()) is not None:
@@ -158,7 +175,7 @@ class Session:
                 self._send(b"".join(answers), now)
             if self.exchange.working or self.exchange.answering or self.exchange.closed:
                 break
-            if not self._waiting or not self._locks.may_talk(self):
+            if not self.ready:
                 break
             self._at_work, message = self._waiting.popleft()
             self.exchange.receive(message)
@@ -166,6 +183,9 @@ class Session:
             self._releases.popleft()
             self.answer_lock(self._locks.release(self), now)
         if self.exchange.requests_service():
+            self.request_at = max(now + _HELD_BACK, self._polled_at + _POLLING)
+        if now >= self.request_at:
+            self.request_at = math.inf
             self.tell(Frame(Kind.ASYNC_SERVICE_REQUEST, self.exchange.status_byte()), now, aside=True)
 
     def _send(self, answer: bytes, now: float) -> None:

@@ -6,7 +6,9 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from analysis.fibre_gyro import turn_time
+from station.fibre_gyro.at_once import watch
 from station.fibre_gyro.common import output_facts, truth_of
+from station.fibre_gyro.examine import examine
 from station.fibre_gyro.logs import LogRow, read_logs, table_conditions
 from station.fibre_gyro.merit.evaluate import PURPOSE, evaluate
 from station.fibre_gyro.merit.result import LIMITED, result
@@ -85,6 +87,8 @@ MEASUREMENT = Measurement(
     sections=sections,
     facts=output_facts,
     gives=LIMITED,
+    watch=watch,
+    examine=examine,
     unusable=lambda run, settings: unusable_segments(run, settings, [PURPOSE]),
     seconds=lambda settings: seconds_of(plan(settings)),
 )

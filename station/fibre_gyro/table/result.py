@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 from analysis.fibre_gyro import vertical_earth_rate_dph
@@ -53,7 +54,7 @@ def result(found: TableFound, run: SavedRun, settings: FogSettings) -> Result:
             "irreproducibility_ppm": settings.table.irreproducibility_ppm,
             "left_out": found.left_out,
         },
-        measured=tuple(Measured(name, axis[name], axis["axis"]) for axis in axes for name in LIMITED),
+        measured=tuple(_measured(axis, name) for axis in axes for name in LIMITED),
         lines=lines,
         summary=[("", line) for line in lines],
         sentences=(_even_part_sentence(settings),),
@@ -62,6 +63,11 @@ def result(found: TableFound, run: SavedRun, settings: FogSettings) -> Result:
         left_out=found.left_out,
         tables=(_axes_on_terminal(found),),
     )
+
+
+def _measured(axis: dict[str, Any], name: str) -> Measured:
+    u = axis["scale_factor_u_ppm"] if name == "nominal_difference_ppm" else math.nan
+    return Measured(name, axis[name], axis["axis"], u)
 
 
 def _axis(one: AxisResult, settings: FogSettings) -> dict[str, Any]:

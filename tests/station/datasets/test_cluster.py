@@ -23,13 +23,14 @@ from station.lock_in.records.pieces import Gathered, Piece, estimate_pieces, tog
 from station.sources import open_source
 from station.sources.workers import ThisProcess
 
+from .conftest import GOLDEN
+
 distributed = pytest.importorskip("distributed", reason="the extra `cluster` is not installed")
 pytest.importorskip("pyarrow", reason="the extra `cluster` is not installed")
 # a worker that is killed leaves its sockets to the garbage collection of Dask
 pytestmark = pytest.mark.filterwarnings(
     "ignore::ResourceWarning", "ignore::pytest.PytestUnraisableExceptionWarning"
 )
-GOLDEN = Path(__file__).parents[1] / "golden"
 
 
 @pytest.fixture(scope="module")

@@ -56,8 +56,8 @@ def command(
 ) -> int:
     """Save the screen as PNG and the traces as CSV and NumPy, and show volts peak to peak and frequency.
 
-    A scope that runs takes one record of all traces; one that is stopped keeps what it holds. The front panel is put
-    back afterwards.
+    A scope that runs takes one record of all traces; one that is stopped keeps what it holds. The front panel is
+    put back afterwards.
     """
     from station.lock_in.settings import load_settings
     from station.scope.grab import grab_traces, write_grab

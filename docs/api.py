@@ -14,8 +14,8 @@ PACKAGES = ("gyrolock", "instrument", "analysis")
 
 HEAD = """# Names for programs
 
-Written by `make docs` from the docstrings; `help(name)` in Python says the same. `gyrolock` is the face for scripts
-and notebooks, `instrument` the driver alone, `analysis` mathematics on arrays."""
+Written by `make docs` from the docstrings; `help(name)` in Python says the same. `gyrolock` is the face for
+scripts and notebooks, `instrument` the driver alone, `analysis` mathematics on arrays."""
 
 _HEADING = re.compile(r"^(\w[\w ]*)\n-{3,}$", re.MULTILINE)
 

@@ -89,7 +89,8 @@ def carry_out(
     except CannotWrite:
         raise
     except Exception as error:
-        begun = replace(begun, attempts=attempt.count, remarks=tuple(attempt.remarks))
+        # a run that the last attempt could not go on with is there all the same
+        begun = replace(begun, attempts=attempt.count, remarks=tuple(attempt.remarks), run=attempt.run_so_far())
         return _failed(begun, _described(error, step))
     begun = replace(begun, attempts=attempt.count, conditions=conditions, remarks=tuple(attempt.remarks))
     return _evaluated(begun, taken, plan, evaluated)
@@ -137,7 +138,7 @@ class _Attempts:
 
     def _once(self) -> Taken:
         kind = measurement(self.step.measurement)
-        there = self._run_so_far()
+        there = self.run_so_far()
         if there is None:
             return start_run(kind, self._settings(kind), self.progress, labels=self.labels)
         try:
@@ -147,8 +148,8 @@ class _Attempts:
                 return Taken(there, None)
             raise
 
-    def _run_so_far(self) -> Path | None:
-        """The run that an earlier attempt or session has begun."""
+    def run_so_far(self) -> Path | None:
+        """Return the run that an earlier attempt or session has begun."""
         there = sorted(self.folder.glob(f"*/{RUN_FILE}"))
         return there[-1] if there else None
 

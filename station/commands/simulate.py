@@ -23,6 +23,7 @@ from station.terminal.lines import print_json, say
     help="Pace the serial terminal as RS-232 at N baud.",
 )
 @click.option("--seed", type=click.IntRange(min=0), metavar="S", help="Seed of noise and phases.")
+@click.option("--controllers", is_flag=True, help="Serve rate table, chamber and power supply too, one line each.")
 @config_option
 @json_option
 def command(
@@ -30,15 +31,17 @@ def command(
     use_pty: bool,
     baud: str | None,
     seed: int | None,
+    controllers: bool,
     config: Path | None,
     as_json: bool,
 ) -> int:
     """Serve the simulated oscilloscope on TCP or a serial terminal.
 
     CH1 shows the beat of the simulated gyro at the slow rate. The first line on stdout is the VISA resource
-    name. Ctrl-C or SIGTERM ends it.
+    name. With --controllers the table under the gyro can be turned, by the commands of `gyrolock settings
+    rate_table`. Ctrl-C or SIGTERM ends it.
     """
-    from station.lock_in.served import serve_scope
+    from station.lock_in.served import serve_bench
     from station.lock_in.settings import load_settings
 
     if (tcp_port is None) == (not use_pty):
@@ -50,12 +53,12 @@ def command(
     baud_rate = int(baud) if baud else None
     with (
         suppress(KeyboardInterrupt),
-        serve_scope(settings, tcp_port=tcp_port, baud_rate=baud_rate) as server,
+        serve_bench(settings, tcp_port=tcp_port, baud_rate=baud_rate, controllers=controllers) as (server, others),
     ):
         if as_json:
-            print_json({"resource": server.resource_name})
+            print_json({"resource": server.resource_name, **({"controllers": others} if controllers else {})})
         else:
-            say(server.resource_name)
+            say("\n".join([server.resource_name, *(f"{name} {resource}" for name, resource in others.items())]))
         # a wait without end could not be interrupted on Windows
         while not server.ended.wait(timeout=0.5):
             pass

@@ -3,12 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 
 import numpy as np
 
 from instrument.facts import LEVELS_PER_DIVISION, VERTICAL_SCALES
 from instrument.simulated import PtyServer, RealClock, TcpServer
+from instrument.simulated.controllers import (
+    LineDevice,
+    LineServer,
+    RateTableController,
+    SimulatedChamber,
+    SimulatedPowerSupply,
+)
 from station.lock_in.settings import Settings
 from station.ring_laser.instruments import SimulatedInstruments, build_instruments
 from station.scope.autoset import oscilloscope_steps
@@ -38,11 +45,42 @@ def serve_scope(
     PtyServer or TcpServer
         With its VISA name, and with an event that is set when it serves no more.
     """
-    instruments = build_instruments(at_slow_rate(settings), RealClock())
-    _show_the_beat(instruments, settings)
-    link = "pty" if tcp_port is None else "tcp"
-    with served(instruments.scope, link, tcp_port=tcp_port or 0, baud_rate=baud_rate) as server:
+    with serve_bench(settings, tcp_port=tcp_port, baud_rate=baud_rate) as (server, _):
         yield server
+
+
+@contextmanager
+def serve_bench(
+    settings: Settings, *, tcp_port: int | None, baud_rate: int | None = None, controllers: bool = False
+) -> Iterator[tuple[PtyServer | TcpServer, dict[str, str]]]:
+    """Serve the simulated oscilloscope as :func:`serve_scope`, and the controllers beside it.
+
+    Parameters
+    ----------
+    controllers : bool, optional
+        Whether rate table, chamber and power supply are served too, each on a link of the same kind.
+
+    Yields
+    ------
+    PtyServer or TcpServer
+        Of the oscilloscope.
+    dict
+        VISA names of the controllers, by their names in the settings.
+    """
+    clock = RealClock()
+    instruments = build_instruments(at_slow_rate(settings), clock)
+    _show_the_beat(instruments, settings)
+    link, port = ("pty", None) if tcp_port is None else ("tcp", 0)
+    devices: dict[str, LineDevice] = {}
+    if controllers:
+        table = RateTableController(instruments.table)
+        devices = {"rate_table": table, "chamber": SimulatedChamber(clock), "power_supply": SimulatedPowerSupply()}
+    with ExitStack() as stack:
+        scope = stack.enter_context(served(instruments.scope, link, tcp_port=tcp_port or 0, baud_rate=baud_rate))
+        servers = {
+            name: stack.enter_context(LineServer(device, tcp_port=port)) for name, device in devices.items()
+        }
+        yield scope, {name: server.resource_name for name, server in servers.items()}
 
 
 def _show_the_beat(instruments: SimulatedInstruments, settings: Settings) -> None:

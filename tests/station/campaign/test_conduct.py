@@ -17,13 +17,13 @@ from station.campaign.file import read_campaign
 from station.campaign.journal import JOURNAL, Journal, read_test
 from station.campaign.outcome import CampaignOutcome
 from station.cli import main
-from station.errors import UsageError
+from station.errors import CannotWrite, UsageError
 from station.lock_in import take as lock_in_take
 from station.lock_in.served import serve_bench
 from station.lock_in.settings import load_settings
 from station.plan.prediction import predict
 from station.runs.progress import Progress
-from station.runs.store import open_run
+from station.runs.store import RunWriter, open_run
 from tests.ideal_bench import ideal_bench
 
 Write = Callable[..., Path]
@@ -229,3 +229,22 @@ def test_a_bench_that_is_served_is_driven_by_the_campaign_as_a_real_one(campaign
     (one, *_) = open_run(outcome.steps[0].run).taken_for("measure")
     assert one.conditions["chamber_temperature_degc"] == 23.0
     assert one.conditions["table_rate_dps"] == pytest.approx(3.507, abs=0.02)
+
+
+def test_a_full_disk_ends_the_test_and_it_goes_on_when_there_is_room(
+    campaign: Write, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    save, count = RunWriter.save_records, iter(range(100))
+
+    def full(writer: RunWriter, records: Any) -> None:
+        if next(count) == 3:
+            raise CannotWrite("there is no room left on the disk")
+        save(writer, records)
+
+    monkeypatch.setattr(RunWriter, "save_records", full)
+    outcome = outcome_of(campaign(), "GOOD")
+    assert (outcome.verdict, outcome.exit_code) == ("ERROR", 5)
+    assert outcome.message == "there is no room left on the disk"
+    assert outcome.steps == ()  # a second step would not be saved either
+    mended = outcome_of(campaign(), "GOOD", resumed=outcome.directory)
+    assert (mended.verdict, mended.exit_code) == ("PASS", 0)

@@ -91,5 +91,5 @@ def _as_numpy(traces: Sequence[Trace]) -> bytes:
             f"{trace.channel}_preamble": np.array(trace.waveform.preamble.to_text()),
         }
     buffer = io.BytesIO()
-    np.savez_compressed(buffer, **arrays)
+    np.savez_compressed(buffer, allow_pickle=False, **arrays)
     return buffer.getvalue()

@@ -31,9 +31,7 @@ if TYPE_CHECKING:
     default=Path(),
     help="Folder for the files.",
 )
-@click.option(
-    "--screen/--no-screen", default=True, help="Whether to save the picture (80 s on RS-232 at 9600 baud)."
-)
+@click.option("--screen/--no-screen", default=True, help="Whether to save the picture (80 s on RS-232).")
 @click.option(
     "--watch",
     type=click.FloatRange(min=0.1),
@@ -56,8 +54,8 @@ def command(
 ) -> int:
     """Save the screen as PNG and the traces as CSV and NumPy, and show volts peak to peak and frequency.
 
-    A scope that runs takes one record of all traces; one that is stopped keeps what it holds. The front panel is put
-    back afterwards.
+    A scope that runs takes one record of all traces; one that is stopped keeps what it holds. The front panel is
+    put back afterwards.
     """
     from station.lock_in.settings import load_settings
     from station.scope.grab import grab_traces, write_grab

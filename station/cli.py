@@ -67,7 +67,7 @@ COMMANDS = {
     "stop": ("commands.stop:command", "Stop a measurement or a station that runs: what it has taken is kept."),
     "grab": (
         "commands.instruments.grab:command",
-        "Save the scope's screen as PNG and its traces as CSV and NumPy.",
+        "Save the screen as PNG and the traces as CSV and NumPy.",
     ),
     "plan": ("plan.command:command", "Plan a measurement: rate, scale and records for a wanted uncertainty."),
     "station": ("commands.station:command", "Test a unit against limits: a campaign that nobody has to watch."),
@@ -75,7 +75,7 @@ COMMANDS = {
     "study": ("study.command:command", "Compute the paper's simulations, with its method and exactly."),
     "simulate": (
         "commands.instruments.simulate:command",
-        "Serve simulated oscilloscopes: TCP, HiSLIP, GPIB adapter, terminal.",
+        "Serve the simulated oscilloscope: TCP, HiSLIP, GPIB adapter, terminal.",
     ),
     "list": ("commands.instruments.list:command", "List the instruments that VISA can see."),
     "doctor": (

@@ -2,12 +2,17 @@
 
 import importlib.util
 import os
+import tempfile
+from pathlib import Path
 
 from hypothesis import settings
 
 # Small matrices: threads of the linear algebra library only get in the way of the parallel test processes.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 os.environ.setdefault("OMP_NUM_THREADS", "1")
+
+# Programs that the tests start say here how they stand, and not beside those of the user.
+os.environ.setdefault("GYROLOCK_STATE", str(Path(tempfile.gettempdir()) / "gyrolock-tests"))
 
 # The same examples in every run: a red test is the work of the last change. `make explore` searches freely.
 settings.register_profile("fixed", derandomize=True, database=None, deadline=None, max_examples=200)

@@ -54,17 +54,17 @@ COMMANDS = {
         "commands.export:command",
         "Write the records of runs and files to a data set: CSV, Parquet, HDF5, NumPy.",
     ),
-    "verify": ("commands.verify:command", "Prove that the record of a test and its raw runs belong together."),
+    "verify": ("record.command:command", "Prove that the record of a test and its raw runs belong together."),
     "history": (
-        "commands.history:command",
+        "history.command:command",
         "Show tested units and control charts: of a type of unit, of the bench.",
     ),
     "salvage": (
         "commands.salvage:command",
         "Get everything that can still be read out of a damaged run, into a new one.",
     ),
-    "status": ("commands.status:command", "Show how the measurements stand that run on this machine."),
-    "stop": ("commands.stop:command", "Stop a measurement or a station that runs: what it has taken is kept."),
+    "status": ("commands.running:status", "Show how the measurements stand that run on this machine."),
+    "stop": ("commands.running:stop", "Stop a measurement or a station that runs: what it has taken is kept."),
     "grab": (
         "commands.instruments.grab:command",
         "Save the screen as PNG and the traces as CSV and NumPy.",
@@ -112,7 +112,7 @@ def gyrolock() -> None:
     Without an instrument, `gyrolock measure` shows the whole measurement on a simulated bench.
 
     Exit codes: 0 done, 1 FAIL against a limit or a wanted uncertainty out of reach, 2 usage or settings,
-    3 instrument or link, 4 no usable signal, 5 the output could not be written (records are kept),
+    3 instrument or link, 4 no usable signal, 5 the output could not be written (records are kept), 6 MARGINAL,
     130 interrupted, 143 terminated.
     """
 

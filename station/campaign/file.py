@@ -5,6 +5,7 @@ from __future__ import annotations
 import difflib
 import hashlib
 import itertools
+import re
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -27,6 +28,9 @@ RESULT = "result."
 
 _OURS = ("limits", "output")
 """Sections of a measurement's settings that the campaign has in its own way."""
+
+_END_OF_INTERVAL = re.compile(r"_(u|u95|low_95|high_95)(_|$)")
+"""In the name of a number that has no uncertainty of its own."""
 
 _INSTEAD = {"limits": "limits of a step stand in [[step.limit]]", "output": "runs go into the test's own folder"}
 
@@ -85,6 +89,7 @@ def read_campaign(path: Path, unit: str) -> CampaignPlan:
         retry_after_s=about.retry_after_s,
         reports=about.reports,
         switch_off_afterwards=about.switch_off_afterwards,
+        ask_for_unit=about.ask_for_unit,
     )
 
 
@@ -249,7 +254,11 @@ def _limits(
             hint = f"did you mean {like[0]}?" if like else f"it gives {', '.join(kind.gives)}"
             text = f"{one.number!r} is no number that `{kind.command}` gives: {hint}"
             reading.tell(where, f"{text} (any other number of its JSON: {RESULT}NAME)")
-        yield _limit(one, campaign)
+        limit = _limit(one, campaign)
+        if limit.rule != "none" and _END_OF_INTERVAL.search(limit.number):
+            text = f'is an uncertainty or an end of an interval itself: use guard_band = "none", not {limit.rule}'
+            reading.tell(where, text)
+        yield limit
 
 
 def _limit(one: LimitSection, campaign: CampaignFile) -> Limit:

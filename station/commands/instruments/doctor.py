@@ -8,15 +8,15 @@ import shutil
 import sqlite3
 import sys
 import tempfile
-from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
 
 import click
 
-from station.errors import EXIT_INSTRUMENT, EXIT_OK, SettingsError, StationError, one_line
+from station.errors import EXIT_INSTRUMENT, EXIT_OK, SettingsError, one_line
 from station.lock_in.settings import Settings, default_settings, load_settings
 from station.provenance import version
+from station.results.check import Check, guarded
 from station.settings.load import shipped_settings
 from station.shell.options import config_option, json_option
 from station.terminal.lines import print_json, say
@@ -34,34 +34,32 @@ _PACKAGES = (
     "rich",
 )
 _DISK_LOW = 200 * 2**20
-
-
-@dataclass(frozen=True)
-class Check:
-    """One finding.
-
-    Attributes
-    ----------
-    state : {"ok", "note", "bad"}
-        ``note``: works, but something cannot be used; ``bad``: must be mended.
-    """
-
-    name: str
-    state: str
-    text: str
+_ANY_UNIT = "any unit"
 
 
 @click.command("doctor")
 @click.option("--resource", metavar="NAME", help="Look at this instrument too.")
+@click.option(
+    "--station",
+    type=click.Path(path_type=Path),
+    metavar="FILE",
+    help="Look at everything that this campaign will need: the table moves.",
+)
 @config_option
 @json_option
-def command(resource: str | None, config: Path | None, as_json: bool) -> int:
+def command(resource: str | None, station: Path | None, config: Path | None, as_json: bool) -> int:
     """Check this installation, and say what to do about what is missing.
 
-    Exit code 3 if something must be mended.
+    With --station the bench of a campaign is opened and looked at too: instruments and their calibration dates,
+    disk, clock, rate table, level, trigger and noise. Exit code 3 if something must be mended.
     """
     settings = load_settings(config, resource=resource)
     checks = examine(settings, resource or settings.scope.resource or None)
+    if station is not None:
+        from station.campaign.checks import examine_campaign
+        from station.campaign.file import read_campaign
+
+        checks += examine_campaign(read_campaign(station, _ANY_UNIT))
     bad = [check for check in checks if check.state == "bad"]
     if as_json:
         print_json({"ok": not bad, "checks": [asdict(check) for check in checks]})
@@ -94,9 +92,9 @@ def examine(settings: Settings, resource: str | None = None) -> list[Check]:
         _disk(settings),
         _sqlite(),
     ]
-    checks.append(_guarded("test record", _test_record))
+    checks.append(guarded("test record", _test_record))
     if resource:
-        checks.append(_guarded("resource", lambda: _resource(resource, settings)))
+        checks.append(guarded("resource", lambda: _resource(resource, settings)))
     return checks
 
 
@@ -200,13 +198,3 @@ def _resource(name: str, settings: Settings) -> Check:
     if found.identity is None:
         return Check("resource", "bad", f"{name}: {found.problem}")
     return Check("resource", "ok", f"{name}: {found.identity.text}")
-
-
-def _guarded(name: str, check: Callable[[], Check]) -> Check:
-    """Turn an error of the instruments or the store into a finding."""
-    from instrument import InstrumentError
-
-    try:
-        return check()
-    except (InstrumentError, StationError, OSError) as error:
-        return Check(name, "bad", one_line(error))

@@ -95,7 +95,7 @@ def print_speed(seconds: float) -> None:
     if importlib.import_module("analysis.fibre_gyro.loop.scalar_kernel").COMPILED:
         out(f"| compiled by Numba | 1 | {steps_per_second('numba', 1, seconds):.3g} |\n")
     hidden = (
-        "import sys; sys.modules['numba'] = None; from benchmarks.fibre_gyro import steps_per_second; "
+        "import sys; sys.modules['numba'] = None; from benchmarks.fibre_gyro.loop import steps_per_second; "
         f"print(steps_per_second('auto', 1, {seconds}))"
     )
     plain = subprocess.run([sys.executable, "-c", hidden], check=True, capture_output=True, text=True)

@@ -21,7 +21,7 @@ from station.results.numbers import with_uncertainty
 from station.ring_laser.at_once import harmonics_of, trace_of, waveform_of
 from station.runs.store import NewRecord
 
-_EVERY_S = 1.0  # the rates are fitted together at most so often: that takes a tenth of a second
+_SHARE = 0.2  # of the time at most goes into fitting several rates together, which takes a tenth of a second
 
 
 def watch(settings: Settings) -> See:
@@ -70,24 +70,26 @@ class _Watch:
         self._scale_factor = scale_factor
         self._rates: dict[str, _Rate] = {}
         self._together: tuple[Value, ...] = ()
-        self._fitted_at = -math.inf
+        self._next_at = -math.inf
 
     def __call__(self, records: Sequence[NewRecord]) -> Seen | None:
         record = records[0]  # a second photodiode says the same
         waveform = waveform_of(record)
-        fit, group = harmonics_of(waveform), record.key.rpartition(", ")[0] or record.key
+        fit, group = harmonics_of(waveform), _group(record)
         trace = trace_of(waveform, fit)
         if fit is None:
             return Seen(record.key, group, (), flags=("no_beat",), trace=trace)
         alone = _Rate(1)
         alone.add(fit)
-        sense = -1 if float(record.conditions.get("table_rate_dps") or 1) < 0 else 1  # type: ignore[arg-type]
+        sense = -1 if _number(record, "table_rate_dps", 1.0) < 0 else 1
         rate = self._rates.setdefault(group, _Rate(sense))
         rate.add(fit)
         flags = ("clipped",) if waveform.clipped else ()
         # the fast run is there for the tilt: so weak a second harmonic says little of the lock-in rate
-        if record.purpose == "measure" and time.monotonic() - self._fitted_at > _EVERY_S:
-            self._together, self._fitted_at = self._so_far(), time.monotonic()
+        if record.purpose == "measure" and (began := time.monotonic()) >= self._next_at:
+            self._together = self._so_far()
+            ended = time.monotonic()
+            self._next_at = ended + (ended - began) / _SHARE
         return Seen(record.key, group, self._values(alone), self._values(rate), self._together, flags, trace)
 
     def _values(self, rate: _Rate) -> tuple[Value, ...]:
@@ -124,6 +126,19 @@ class _Watch:
         value, u = fit.lock_in_rate, fit.lock_in_rate_u
         count = sum(len(rate.beats) for rate in rates)
         return (Value("lock_in_rate_dps", value, u, with_uncertainty(value, u, "deg/s"), count),)
+
+
+def _group(record: NewRecord) -> str:
+    """Records at one rate and in one sense."""
+    table, over = _number(record, "table_rate_dps", 1.0), _number(record, "over_lock_in", math.nan)
+    if record.purpose == "measure" and math.isfinite(over):
+        return f"rate {math.copysign(over, table):+g}"
+    return f"{record.purpose} {table:+g}" if "table_rate_dps" in record.conditions else record.purpose
+
+
+def _number(record: NewRecord, name: str, default: float) -> float:
+    value = record.conditions.get(name)
+    return float(value) if isinstance(value, int | float) else default
 
 
 def _lock_in(ratio: float, beat_rate: float, ratio_u: float) -> tuple[float, float]:

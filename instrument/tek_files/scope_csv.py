@@ -1,79 +1,61 @@
-"""Waveform files of this family: the CSV that the scopes save themselves, and ISF written by PC software.
+"""The CSV file that a scope of this family saves: key rows beside the first points.
 
-A CSV holds volts, not codes. Every value is a whole number of codes times V/div over 25, so the codes come
-back exactly. The FFT that a scope saves as CSV is read as well: its preamble says ``Hz`` and ``dB``.
+It holds volts, not codes. Every value is a whole number of codes times V/div over 25, so the codes come back
+exactly. The FFT that a scope saves as CSV is read as well: its preamble says ``Hz`` and ``dB``.
 """
 
 from __future__ import annotations
-
-import os
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from instrument import scpi
-from instrument.errors import FileFormatError, TransferError
+from instrument.errors import FileFormatError
 from instrument.facts import LEVELS_PER_DIVISION
-from instrument.small_files import read_small_file
-from instrument.waveform import Preamble, Waveform, decode_curve
+from instrument.tek_files.cells import cells_of
+from instrument.tek_files.levels import nice_interval, nice_level, spacing_of
+from instrument.waveform import Preamble, Waveform
 
-_LARGEST_FILE = 8_000_000  # bytes; a scope's CSV has about 100 kB
 _LONGEST_RECORD = 500_000  # points, 200 times those of this family: more cannot be fitted in a small memory
 _NOT_A_CODE = 0.3  # a value farther than this from a whole code is not one that an 8-bit scope wrote
+_KEYS = {"Record Length", "Sample Interval", "Trigger Point", "Source", "Vertical Scale"}
+"""Key rows of which a file of a scope has at least one."""
+
 _UNITS = {"V": "Volts"}  # the CSV says V where the preamble of the same record says Volts
-
-
-def read_waveform(path: str | os.PathLike[str]) -> Waveform:
-    """Read a Tektronix CSV or ISF file; the content decides which it is, not the name.
-
-    Parameters
-    ----------
-    path : path-like
-        CSV: as TDS1000/2000 (B, C), TPS2000 and TBS1000 save it. A title row above it, Windows line ends,
-        short numbers and missing key rows, as spreadsheets leave them, are accepted. ISF: ``WFMPre`` with
-        headers in long or short spelling, then ``CURVe`` with a binary block or a list of numbers.
-
-    Returns
-    -------
-    Waveform
-        With the codes as the converter gave them. An FFT (`preamble.xunit` is ``Hz``) has no time axis.
-
-    Raises
-    ------
-    FileFormatError
-        If it is neither; names the file, the place and what is wrong there.
-    OSError
-        If it cannot be read.
-    """
-    file = Path(path)
-    content = read_small_file(file, _LARGEST_FILE)
-    try:
-        with np.errstate(all="ignore"):  # what is not finite is looked for
-            if _is_isf(content):
-                return parse_isf(content)
-            return parse_csv(content.decode("utf-8-sig", errors="replace"))
-    except (FileFormatError, TransferError) as error:
-        reason = str(error).removesuffix("; ask again")
-        raise FileFormatError(f"{file}: {reason}") from None
-    except (ArithmeticError, ValueError) as error:
-        raise FileFormatError(f"{file}: holds a number that no record has ({error})") from None
 
 
 def parse_csv(text: str) -> Waveform:
     """Read the text of a scope's CSV file. Errors as `read_waveform`."""
-    header, times, values = _csv_columns(text)
-    _check_length(len(values))
-    scale = _positive(header, "Vertical Scale")
-    interval = _positive(header, "Sample Interval")
+    return parse_cells(cells_of(text))[0]
+
+
+def parse_cells(rows: list[list[str]]) -> tuple[Waveform, dict[str, str]]:
+    """Read the cells of a scope's CSV file; errors as `read_waveform`.
+
+    Returns
+    -------
+    Waveform
+    dict
+        Its key rows. A missing interval is taken from the times, a missing scale from the levels of the values.
+    """
+    header, times, values = _csv_columns(rows)
+    check_length(len(values))
+    if "Vertical Scale" in header:
+        scale = _positive(header, "Vertical Scale")
+    else:
+        scale = nice_level(spacing_of(values)) * LEVELS_PER_DIVISION
+    if "Sample Interval" in header:
+        interval = _positive(header, "Sample Interval")
+    else:
+        interval = nice_interval(float((times[-1] - times[0]) / max(len(times) - 1, 1)))
     x_unit = header.get("Horizontal Units", "s")
     ymult = scale / LEVELS_PER_DIVISION
-    yoff = _header_number(header, "Vertical Offset", 0.0) / ymult
+    yoff = header_number(header, "Vertical Offset", 0.0) / ymult
     # The position moves in whole levels; the file gives it with seven digits.
     yoff = float(round(yoff)) if abs(yoff - round(yoff)) < 1e-3 else yoff
-    yzero = _header_number(header, "Yzero", 0.0)
+    yzero = header_number(header, "Yzero", 0.0)
     # Adding 0.0 turns the -0 of a scan record into 0.
-    xzero = -_header_number(header, "Trigger Point", -times[0] / interval) * interval + 0.0
+    xzero = -header_number(header, "Trigger Point", -times[0] / interval) * interval + 0.0
     _check_times(times, xzero, interval)
     y_unit = header.get("Vertical Units", "V")
     preamble = Preamble(
@@ -94,38 +76,15 @@ def parse_csv(text: str) -> Waveform:
         yoff=yoff,
         yunit=_UNITS.get(y_unit, y_unit),
     )
-    return Waveform(_codes(values, preamble), preamble)
+    return Waveform(_codes(values, preamble), preamble), header
 
 
-def parse_isf(content: bytes) -> Waveform:
-    """Read the content of an ISF file. Errors as `read_waveform`."""
-    marker = _curve_position(content)
-    preamble = Preamble.parse(content[:marker].decode("latin-1").strip().rstrip(";"))
-    _check_length(preamble.nr_pt)
-    curve = content[marker:]
-    start = curve.find(b"#")
-    if preamble.encdg == "ASC" or start < 0:
-        words = curve.split(maxsplit=1)
-        return decode_curve(words[1] if len(words) > 1 else b"", preamble)
-    # Some programs put more line ends behind the block than one, and some none.
-    block = curve[start:]
-    length = preamble.nr_pt * preamble.byt_nr
-    end = len(b"#") + 1 + len(str(length)) + length
-    if not block[end:].strip(b"\r\n"):
-        block = block[:end]
-    _, data = scpi.split_block(block, longest=length, terminated=False)
-    return decode_curve(data, preamble)
-
-
-# ---------------------------------------------------------------------- CSV
-
-
-def _csv_columns(text: str) -> tuple[dict[str, str], NDArray[np.float64], NDArray[np.float64]]:
+def _csv_columns(rows: list[list[str]]) -> tuple[dict[str, str], NDArray[np.float64], NDArray[np.float64]]:
     header: dict[str, str] = {}
     times: list[float] = []
     values: list[float] = []
-    for line_number, line in enumerate(text.splitlines(), start=1):
-        cells = [cell.strip().strip('"') for cell in line.split(",")]
+    for line_number, cells in enumerate(rows, start=1):
+        line = ",".join(cells)
         if not any(cells):
             continue
         if len(cells) < 5 or not cells[3] or not cells[4]:
@@ -146,7 +105,7 @@ def _csv_columns(text: str) -> tuple[dict[str, str], NDArray[np.float64], NDArra
         values.append(value)
         if cells[0]:
             header[cells[0]] = cells[1]
-    if not times or "Sample Interval" not in header:
+    if len(times) < 2 or not _KEYS & header.keys():
         raise FileFormatError(
             "this is not a waveform file of a Tektronix TDS, TPS or TBS scope (no 'Sample Interval', "
             "no rows of time and value); choose a file such as F0000CH1.CSV"
@@ -191,12 +150,13 @@ def _check_times(times: NDArray[np.float64], xzero: float, interval: float) -> N
 
 def _wfid(header: dict[str, str], scale: float, y_unit: str, x_unit: str, points: int) -> str:
     source = header.get("Source", "?").capitalize()
-    horizontal = _header_number(header, "Horizontal Scale", 0.0)
+    horizontal = header_number(header, "Horizontal Scale", 0.0)
     scales = f"{scpi.nr3(scale)} {y_unit}/div, {scpi.nr3(horizontal)} {x_unit}/div"
     return f"{source}, {scales}, {points} points, from a CSV file"
 
 
-def _header_number(header: dict[str, str], key: str, default: float | None = None) -> float:
+def header_number(header: dict[str, str], key: str, default: float | None = None) -> float:
+    """Number of a key row; FileFormatError if it is missing without a default, or no number."""
     text = header.get(key)
     if text is None and default is not None:
         return float(default)
@@ -210,29 +170,13 @@ def _header_number(header: dict[str, str], key: str, default: float | None = Non
 
 
 def _positive(header: dict[str, str], key: str) -> float:
-    value = _header_number(header, key)
+    value = header_number(header, key)
     if value <= 0:
         raise FileFormatError(f"the row {key!r} holds {value:g} where a positive number belongs; restore the file")
     return value
 
 
-def _check_length(points: int) -> None:
+def check_length(points: int) -> None:
+    """Refuse more points than can be fitted; FileFormatError."""
     if points > _LONGEST_RECORD:
         raise FileFormatError(f"it has {points} points, at most {_LONGEST_RECORD} are read: save a shorter record")
-
-
-# ---------------------------------------------------------------------- ISF
-
-
-def _is_isf(content: bytes) -> bool:
-    start = content[:64].lstrip().upper()
-    return start.startswith((b":WFMP", b"WFMP"))
-
-
-def _curve_position(content: bytes) -> int:
-    for spelling in (b":CURVE", b":CURV", b";CURVE", b";CURV"):
-        # Only the part before the block is text, so the first hit is the header.
-        position = content.upper().find(spelling)
-        if position >= 0:
-            return position
-    raise FileFormatError("the ISF file has a preamble but no curve; it is cut, save it again")

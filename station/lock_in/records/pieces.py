@@ -16,8 +16,8 @@ from analysis import LockInEstimate
 from analysis.lock_in_run import Method, joined
 from instrument import InstrumentError, Preamble
 from station.errors import RunError, StationError, UsageError
-from station.lock_in.estimates import estimate_batch
-from station.runs.store import SavedRecord, damage_of
+from station.lock_in.records.estimates import estimate_batch
+from station.runs.store import SavedRecord, damaged_record
 from station.sources.batches import AT_ONCE, LeftOut, batch_of, read_one
 from station.sources.find import open_source
 from station.sources.source import Source
@@ -39,7 +39,7 @@ class Piece:
         Of :class:`analysis.lock_in_run.Method`, what the user wants; a run knows its own scale factor.
     known : str
         SHA-256 of the source whose estimates are there already: then it is not read.
-    sha256, source_records
+    sha256 : str
         Of the whole source, where this is a part of it.
     """
 
@@ -48,7 +48,6 @@ class Piece:
     choices: Mapping[str, Any] = field(default_factory=dict)
     known: str = ""
     sha256: str = ""
-    source_records: int = 0
 
 
 @dataclass(frozen=True)
@@ -214,7 +213,7 @@ class _Reading:
             self._left_out.append(LeftOut(self._name, None, str(error).removeprefix(f"{self._name}: ")))
 
     def _take(self, record: SavedRecord, source: Source) -> None:
-        self._damage += filter(None, [damage_of(record)])
+        self._damage += filter(None, [damaged_record(record)])
         if record.purpose != MEASURE:
             counts = record.purpose == FAST and record.intact and not record.aside
             self._fast += [record] if counts else []
@@ -305,16 +304,29 @@ def about(source: Source) -> dict[str, str | None]:
         "serial": scope.get("serial"),
         "firmware": scope.get("firmware"),
         "taken_with": made.get("gyrolock"),
+        "probe": None if "probe" not in facts else f"{facts['probe']:g}X",
     }
 
 
-def pieces_of(source: Source, choices: Mapping[str, Any]) -> list[list[Piece]]:
-    """Cut a source into pieces of so many records that their estimates take about a tenth of a second."""
+def pieces_of(source: Source, choices: Mapping[str, Any], *, whole: bool = False) -> list[list[Piece]]:
+    """Cut a source into pieces of so many records that their estimates take about a tenth of a second.
+
+    Parameters
+    ----------
+    whole : bool, optional
+        Whether each piece is to know the SHA-256 of the whole source.
+    """
     first, last = source.span
+    opened_by, sha256 = _again(source), source.sha256 if whole else ""
     if last - first < AT_ONCE:
-        return [[Piece(source.place, None, choices)]]
+        return [[Piece(opened_by, None, choices, sha256=sha256)]]
     begins = range(first, last + 1, AT_ONCE)
-    return [[Piece(source.place, range(begin, begin + AT_ONCE), choices)] for begin in begins]
+    return [[Piece(opened_by, range(begin, begin + AT_ONCE), choices, "", sha256)] for begin in begins]
+
+
+def _again(source: Source) -> Path | Source:
+    """What another process opens a source by: a run is a file, one of a data set knows its rows."""
+    return source.path if source.kind == "run" else source
 
 
 def together(parts: Sequence[Gathered]) -> Gathered:

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from analysis.arrays import Floats, Ints
+from analysis.fibre_gyro.rate_table.scatter import find_run_scatter
 from analysis.rotation import EARTH_RATE_DPS
 
 _EARTH_RATE_DPH = 3600.0 * EARTH_RATE_DPS
@@ -202,14 +203,22 @@ class RateDifferences:
         return np.asarray(_PPM * self.number_u / np.abs(self.number), dtype=np.float64)
 
 
-def rate_differences(parts: OddEven, *, irreproducibility_ppm: float) -> RateDifferences:
+def rate_differences(
+    parts: OddEven, *, irreproducibility_ppm: float | None, runs: TableRuns | None = None, end_up: int = 1
+) -> RateDifferences:
     """Differences of the odd part at every higher rate from that at the lowest.
 
     Parameters
     ----------
-    irreproducibility_ppm : float
-        Standard deviation of scale factor and table rate from run to run, ppm. Each odd part holds two runs and
-        a difference two odd parts, so that s of a single run gives s times the root mean square of both rates.
+    irreproducibility_ppm : float or None
+        Standard deviation of scale factor and table rate from run to run, ppm, where it is known. Each odd part
+        holds two runs and a difference two odd parts, so that s of a single run gives s times the root mean square
+        of both rates.
+    runs : TableRuns, optional
+        Those that the parts were made of: the scatter that they show beyond noise and what is stated counts too,
+        that of a bias which moves between the runs among it.
+    end_up : {1, -1}, optional
+        Of the runs that the parts were made of.
 
     Raises
     ------
@@ -229,10 +238,37 @@ def rate_differences(parts: OddEven, *, irreproducibility_ppm: float) -> RateDif
         raise ValueError("a difference needs at least two rates")
     base, rates = float(parts.rate_dps[0]), parts.rate_dps[1:]
     number = parts.odd[1:] - parts.odd[0]
-    slope = abs(float(parts.odd[0])) / base
-    spread = irreproducibility_ppm / _PPM * slope * np.sqrt((rates**2 + base**2) / 2)
     noise = np.hypot(parts.odd_u[1:], parts.odd_u[0])
+    if runs is None:
+        slope = abs(float(parts.odd[0])) / base
+        spread = (irreproducibility_ppm or 0.0) / _PPM * slope * np.sqrt((rates**2 + base**2) / 2)
+    else:
+        spread = _spread_of_differences(runs, end_up, noise, irreproducibility_ppm)
     return RateDifferences(rates - base, number, noise, spread, base, float(parts.odd_u[0]))
+
+
+def _spread_of_differences(runs: TableRuns, end_up: int, noise: Floats, stated_ppm: float | None) -> Floats:
+    """What comes to the noise of each difference by the scatter between the runs, counts."""
+    design, stated = _design(runs), None if stated_ppm is None else stated_ppm / _PPM
+    sizes = _distinct(np.abs(runs.nominal_dps[runs.end_up == end_up]))
+    base = _odd_part_of(runs, end_up, sizes[0])
+    spread = []
+    for size, noise_u in zip(sizes[1:], noise, strict=True):
+        difference = _odd_part_of(runs, end_up, size) - base
+        # its own deviation from the line is not counted as scatter: it need not lie on the line
+        scatter = find_run_scatter(np.column_stack([design, difference]), runs.mean, runs.mean_u, stated)
+        spread.append(np.sqrt(max(scatter.standard_u(difference) ** 2 - noise_u**2, 0.0)))
+    return np.array(spread, dtype=np.float64)
+
+
+def _odd_part_of(runs: TableRuns, end_up: int, size: float) -> Floats:
+    """Factor of each run's mean in the odd part at one rate, shape (n,)."""
+    factors = np.zeros(runs.mean.size)
+    for sense in (1, -1):
+        kept = (np.abs(runs.nominal_dps - sense * size) < _SAME_RATE) & (runs.end_up == end_up)
+        weights = runs.mean_u[kept] ** -2.0
+        factors[kept] = end_up * sense * weights / weights.sum() / 2
+    return factors
 
 
 @dataclass(frozen=True)
@@ -257,6 +293,8 @@ class AxisFit:
         Of the residuals, with the uncertainties that were the weights.
     scatter_ppm : float
         Irreproducibility from run to run that the residuals show beyond noise, ppm; 0 where noise explains them.
+    scatter_assumed : bool
+        Whether the runs cannot show their irreproducibility and nobody states it: a bound is counted.
     angle_random_walk : float
         deg/sqrt(h), from the uncertainties of the means: the white noise that would explain them.
     """
@@ -273,18 +311,20 @@ class AxisFit:
     chi_square: float
     degrees_of_freedom: int
     scatter_ppm: float
+    scatter_assumed: bool
     angle_random_walk: float
 
 
-def fit_axis(runs: TableRuns, *, irreproducibility_ppm: float = 0.0) -> AxisFit:
+def fit_axis(runs: TableRuns, *, irreproducibility_ppm: float | None = None) -> AxisFit:
     """Fit scale factor, earth rate and bias of one axis to all runs.
 
-    Weights are 1/u^2 with u the noise of the mean and, in quadrature, the irreproducibility of the run. Where the
-    residuals exceed these, all uncertainties grow by sqrt(chi^2/degrees of freedom).
+    Weights are 1/u^2 with u the noise of the mean and, in quadrature, the irreproducibility of the run, stated or
+    as the residuals show it. All uncertainties count the scatter that the residuals allow (`scatter`); 1.96 of
+    them are half a 95 % interval.
 
     Parameters
     ----------
-    irreproducibility_ppm : float, optional
+    irreproducibility_ppm : float or None, optional
         Known standard deviation of scale factor and table rate from run to run, ppm.
 
     Raises
@@ -294,35 +334,54 @@ def fit_axis(runs: TableRuns, *, irreproducibility_ppm: float = 0.0) -> AxisFit:
     """
     if not (np.any(runs.rate_dps > 0) and np.any(runs.rate_dps < 0)):
         raise ValueError("the scale factor needs runs in both senses")
-    both_ends = bool(np.any(runs.end_up > 0) and np.any(runs.end_up < 0))
-    columns = [runs.end_up * runs.rate_dps, runs.end_up, np.ones_like(runs.rate_dps)]
-    design = np.column_stack(columns if both_ends else [columns[0], columns[2]])
-    guess = float(np.abs(runs.mean).max() / np.abs(runs.rate_dps).max())
-    u = np.hypot(runs.mean_u, irreproducibility_ppm / _PPM * guess * np.abs(runs.rate_dps))
-    values, covariance = _weighted_least_squares(design, runs.mean, u)
+    design = _design(runs)
+    both_ends = design.shape[1] == 3
+    stated = None if irreproducibility_ppm is None else irreproducibility_ppm / _PPM
+    scatter = find_run_scatter(design, runs.mean, runs.mean_u, stated)
+    if stated is None:
+        u = np.sqrt(scatter.mean_variance())
+    else:
+        guess = float(np.abs(runs.mean).max() / np.abs(runs.rate_dps).max())
+        u = np.hypot(runs.mean_u, stated * guess * np.abs(runs.rate_dps))
+    estimator = _weighted_least_squares(design, u)
+    values = estimator @ runs.mean
     residual = runs.mean - design @ values
-    freedom = runs.mean.size - values.size
-    chi_square = float(np.sum((residual / u) ** 2))
-    covariance = covariance * max(1.0, chi_square / freedom if freedom else 1.0)
     constants = np.eye(values.size)[1:]
     even = constants.sum(axis=0)
+    freedom = runs.mean.size - values.size
+
+    def as_dph(combination: Floats) -> tuple[float, float]:
+        """Rate in deg/h, and its uncertainty, of a combination of the constant terms: divided by K."""
+        k = float(values[0])
+        rate = float(combination @ values) / k
+        slopes = (combination - rate * np.eye(values.size)[0]) / k
+        return 3600.0 * rate, 3600.0 * scatter.standard_u(slopes @ estimator)
+
     nan = (float("nan"), float("nan"))
-    earth, bias = [_as_dph(values, covariance, one) for one in constants] if both_ends else [nan, nan]
+    earth, bias = [as_dph(one) for one in constants] if both_ends else [nan, nan]
     return AxisFit(
         scale_factor=float(values[0]),
-        scale_factor_u=float(np.sqrt(covariance[0, 0])),
+        scale_factor_u=scatter.standard_u(estimator[0]),
         even=float(even @ values),
-        even_u=float(np.sqrt(even @ covariance @ even)),
-        even_dph=_as_dph(values, covariance, even),
+        even_u=scatter.standard_u(even @ estimator),
+        even_dph=as_dph(even),
         earth_rate_dph=earth,
         bias_dph=bias,
         end_up=0 if both_ends else int(runs.end_up[0]),
         residual_ppm=np.asarray(_PPM * residual / np.abs(runs.mean), dtype=np.float64),
-        chi_square=chi_square,
+        chi_square=float(np.sum((residual / u) ** 2)),
         degrees_of_freedom=freedom,
         scatter_ppm=_excess_scatter(runs, residual, freedom),
+        scatter_assumed=scatter.assumed,
         angle_random_walk=_angle_random_walk(runs, float(values[0])),
     )
+
+
+def _design(runs: TableRuns) -> Floats:
+    """Columns of scale factor and constants: one constant, or with both ends up earth rate and bias."""
+    columns = [runs.end_up * runs.rate_dps, runs.end_up, np.ones_like(runs.rate_dps)]
+    both_ends = bool(np.any(runs.end_up > 0) and np.any(runs.end_up < 0))
+    return np.column_stack(columns if both_ends else [columns[0], columns[2]])
 
 
 def bias_at_latitude(fit: AxisFit, latitude_deg: float) -> tuple[float, float]:
@@ -333,21 +392,11 @@ def bias_at_latitude(fit: AxisFit, latitude_deg: float) -> tuple[float, float]:
     return value - fit.end_up * vertical_earth_rate_dph(latitude_deg), u
 
 
-def _weighted_least_squares(design: Floats, values: Floats, u: Floats) -> tuple[Floats, Floats]:
-    """Parameters and their covariance; the columns are scaled first, the rates and the ones differ much."""
+def _weighted_least_squares(design: Floats, u: Floats) -> Floats:
+    """Factors of the values in each parameter, (p, n); columns are scaled first, the rates and the ones differ."""
     scale = np.linalg.norm(design / u[:, np.newaxis], axis=0)
     weighted = design / u[:, np.newaxis] / scale
-    inverse = np.linalg.pinv(weighted)
-    parameters = inverse @ (values / u) / scale
-    return parameters, (inverse @ inverse.T) / np.outer(scale, scale)
-
-
-def _as_dph(values: Floats, covariance: Floats, combination: Floats) -> tuple[float, float]:
-    """Rate in deg/h, and its uncertainty, of a combination of the constant terms: divided by K."""
-    k = float(values[0])
-    rate = float(combination @ values) / k
-    slopes = (combination - rate * np.eye(values.size)[0]) / k
-    return 3600.0 * rate, 3600.0 * float(np.sqrt(slopes @ covariance @ slopes))
+    return np.asarray(np.linalg.pinv(weighted) / u / scale[:, np.newaxis], dtype=np.float64)
 
 
 def _excess_scatter(runs: TableRuns, residual: Floats, freedom: int) -> float:
@@ -372,3 +421,14 @@ def vertical_earth_rate_dph(latitude_deg: float) -> float:
     10.779
     """
     return float(_EARTH_RATE_DPH * np.sin(np.deg2rad(latitude_deg)))
+
+
+def horizontal_earth_rate_dps(latitude_deg: float) -> float:
+    """Earth rate in the horizontal plane, towards the north, deg/s.
+
+    Examples
+    --------
+    >>> round(3600 * horizontal_earth_rate_dps(60.0), 3)
+    7.521
+    """
+    return float(EARTH_RATE_DPS * np.cos(np.deg2rad(latitude_deg)))

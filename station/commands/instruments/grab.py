@@ -31,9 +31,7 @@ if TYPE_CHECKING:
     default=Path(),
     help="Folder for the files.",
 )
-@click.option(
-    "--screen/--no-screen", default=True, help="Whether to save the picture (80 s on RS-232 at 9600 baud)."
-)
+@click.option("--screen/--no-screen", default=True, help="Whether to save the picture (80 s on RS-232).")
 @click.option(
     "--watch",
     type=click.FloatRange(min=0.1),

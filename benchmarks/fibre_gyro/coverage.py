@@ -1,7 +1,7 @@
 """`python -m benchmarks.fibre_gyro.coverage`: do the stated uncertainties of `gyrolock fog` hold, through logs?
 
-A gyro that shares no code with the product writes CSV logs; the product reads them as a user's. Printed is how often
-the truth lies within 1.96 of the stated uncertainty, in per cent; 92 to 98 is right for 200 trials.
+A gyro that shares no code with the product writes CSV logs; the product reads them as a user's. Printed is how
+often the truth lies within 1.96 of the stated uncertainty, in per cent; 92 to 98 is right for 200 trials.
 
     python -m benchmarks.fibre_gyro.coverage --trials 200 [--cases white drift ...]
 """

@@ -40,7 +40,10 @@ def allan_curve(words: ArrayLike, interval_s: float) -> AllanCurve:
     values = np.asarray(words, dtype=np.float64)
     most = max(1, values.size // 4)
     steps = np.unique(np.geomspace(1, most, _POINTS).round().astype(np.int64))
-    tau, deviation, error, _ = allantools.oadev(
+    tau, deviation, _, _ = allantools.oadev(
         values - values.mean(), rate=1 / interval_s, data_type="freq", taus=steps * interval_s
     )
-    return AllanCurve(*(np.asarray(one, dtype=np.float64) for one in (tau, deviation, error)))
+    independent = np.maximum(values.size * interval_s / tau - 1, 1.0)
+    return AllanCurve(
+        np.asarray(tau, dtype=np.float64), np.asarray(deviation), np.asarray(deviation / np.sqrt(2 * independent))
+    )

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 
-from instrument.simulated import RealClock
+from instrument.simulated import Clock
 from instrument.simulated.controllers import (
     LineDevice,
     LineServer,
@@ -18,7 +18,7 @@ from station.errors import UsageError
 
 
 @contextmanager
-def serve_controllers(table: SimulatedRateTable, clock: RealClock, *, terminals: bool) -> Iterator[dict[str, str]]:
+def serve_controllers(table: SimulatedRateTable, clock: Clock, *, terminals: bool) -> Iterator[dict[str, str]]:
     """Serve the controllers of a simulated bench, each on a link of its own.
 
     Parameters

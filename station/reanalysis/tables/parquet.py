@@ -113,4 +113,4 @@ def _array(rows: Rows, name: str) -> Any:
     value = rows.columns[name]
     if isinstance(value, str | None):
         return pyarrow.nulls(rows.count, _KINDS[name]) if value is None else pyarrow.repeat(value, rows.count)
-    return pyarrow.array(rows.column(name), _KINDS[name])
+    return pyarrow.array(rows.column(name), _KINDS[name], from_pandas=True)  # nan: not known

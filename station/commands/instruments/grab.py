@@ -31,9 +31,7 @@ if TYPE_CHECKING:
     default=Path(),
     help="Folder for the files.",
 )
-@click.option(
-    "--screen/--no-screen", default=True, help="Whether to save the picture (80 s on RS-232 at 9600 baud)."
-)
+@click.option("--screen/--no-screen", default=True, help="Whether to save the picture (80 s on RS-232).")
 @click.option(
     "--watch",
     type=click.FloatRange(min=0.1),
@@ -106,6 +104,6 @@ def _open(stack: ExitStack, resource: str | None, baud: int | None, settings: Se
     from station.lock_in.served import simulated_scopes
 
     name = "GPIB0::1::INSTR"
-    manager = resource_manager(scopes={name: simulated_scopes(settings)[0]})
+    manager = resource_manager(scopes={name: simulated_scopes(settings)[0][0]})
     stack.callback(manager.close)
     return stack.enter_context(TDS2014(name, resource_manager=manager))

@@ -14,7 +14,7 @@ from station.reanalysis.tables.table import Key, TableFile
 
 pyarrow, compute, parquet = (package(name, "data") for name in ("pyarrow", "pyarrow.compute", "pyarrow.parquet"))
 
-ROW_GROUP = 20_000
+ROW_GROUP = 10_000
 _KINDS = {
     **dict.fromkeys(ORDER, pyarrow.float64()),
     **dict.fromkeys(TEXTS, pyarrow.string()),

@@ -1,5 +1,6 @@
 """Settings that must stand before NumPy is imported anywhere in the tests, and how hard property tests search."""
 
+import importlib.util
 import os
 import tempfile
 from pathlib import Path
@@ -17,3 +18,11 @@ os.environ.setdefault("GYROLOCK_STATE", str(Path(tempfile.gettempdir()) / "gyrol
 settings.register_profile("fixed", derandomize=True, database=None, deadline=None, max_examples=200)
 settings.register_profile("explore", derandomize=False, deadline=None, max_examples=5000, print_blob=True)
 settings.load_profile("fixed")
+
+# Doctests are looked for in every module; those of a framework that is not installed cannot be imported.
+_FRAMEWORKS = {"pymeasure": "pymeasure", "qcodes": "qcodes", "ophyd": "ophyd_async"}
+collect_ignore = [
+    f"instrument/adapters/{name}_scope.py"
+    for name, framework in _FRAMEWORKS.items()
+    if importlib.util.find_spec(framework) is None
+]

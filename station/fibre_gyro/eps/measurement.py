@@ -46,7 +46,7 @@ def take_files(settings: FogSettings, paths: Sequence[Path], session: Session) -
     def named(rows: Sequence[LogRow]) -> list[tuple[str, dict[str, object]]]:
         return [(_key(row["step_codes"]), _conditions(row["step_codes"])) for row in rows]
 
-    take_logs(session, paths, read_logs(paths, PURPOSE, ("step_codes",), named))
+    take_logs(session, paths, read_logs(paths, PURPOSE, ("step_codes",), named, settings))
 
 
 def _key(step_codes: float) -> str:

@@ -57,22 +57,28 @@ def take_files(settings: FogSettings, paths: Sequence[Path], session: Session) -
     """Make a run of logs; each names the rate of the table, and run and temperature where there are several."""
 
     def named(rows: Sequence[LogRow]) -> list[tuple[str, dict[str, object]]]:
-        return [_named(row, settings.figures.reference_temperature_c) for row in rows]
+        several = len({row.get("axis", settings.figures.axis) for row in rows}) > 1
+        return [_named(row, settings, several=several) for row in rows]
 
-    take_logs(session, paths, read_logs(paths, PURPOSE, ("rate_dps",), named))
+    take_logs(session, paths, read_logs(paths, PURPOSE, ("rate_dps",), named, settings))
 
 
-def _named(row: LogRow, reference_c: float) -> tuple[str, dict[str, object]]:
+def _named(row: LogRow, settings: FogSettings, *, several: bool) -> tuple[str, dict[str, object]]:
     temperature, rate = row.get("temperature_c"), row["rate_dps"]
+    axis, end_up = row.get("axis", settings.figures.axis), row["end_up"]
+    reference_c = settings.figures.reference_temperature_c
     conditions = {
         "run": row.get("run", "run 1"),
+        "axis": axis,
         "temperature_c": temperature,
         "reference": temperature is None or abs(temperature - reference_c) <= _SAME_TEMPERATURE_K,
         "rate_dps": rate,
-        "end_up": row["end_up"],
+        "end_up": end_up,
         **table_conditions(row),
     }
-    return f"{conditions['run']}, {'static' if rate == 0 else f'{rate:+.10g} deg/s'}", conditions
+    of_axis = f"{axis} " if several else ""
+    down = " down" if end_up < 0 else ""
+    return f"{of_axis}{conditions['run']}, {'static' if rate == 0 else f'{rate:+.10g} deg/s'}{down}", conditions
 
 
 MEASUREMENT = Measurement(

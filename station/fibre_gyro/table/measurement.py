@@ -60,7 +60,7 @@ def take_files(settings: FogSettings, paths: Sequence[Path], session: Session) -
     def named(rows: Sequence[LogRow]) -> list[tuple[str, dict[str, object]]]:
         return [_named(row, settings) for row in rows]
 
-    take_logs(session, paths, read_logs(paths, PURPOSE, ("rate_dps",), named))
+    take_logs(session, paths, read_logs(paths, PURPOSE, ("rate_dps",), named, settings))
 
 
 def _named(row: LogRow, settings: FogSettings) -> tuple[str, dict[str, object]]:

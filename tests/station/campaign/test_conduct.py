@@ -17,11 +17,14 @@ from station.campaign.file import read_campaign
 from station.campaign.journal import JOURNAL, Journal, read_test
 from station.campaign.outcome import CampaignOutcome
 from station.cli import main
-from station.errors import UsageError
+from station.errors import CannotWrite, UsageError
 from station.lock_in import take as lock_in_take
+from station.lock_in.served import serve_bench
+from station.lock_in.settings import load_settings
 from station.plan.prediction import predict
 from station.runs.progress import Progress
-from station.runs.store import open_run
+from station.runs.store import RunWriter, open_run
+from tests.ideal_bench import ideal_bench
 
 Write = Callable[..., Path]
 
@@ -99,6 +102,17 @@ def test_a_bench_that_stays_broken_is_an_error_and_the_rest_goes_on(
     assert (mended.verdict, mended.exit_code) == ("PASS", 0)
     assert mended.steps[1].run_sha256 == second.run_sha256 and mended.steps[1].ended_at == second.ended_at
     assert len(mended.resumed_at) == 1
+
+
+def test_a_bench_that_cannot_be_opened_is_an_error_of_every_step(campaign: Write) -> None:
+    scope = '[bench.scope]\nresource = "TCPIP0::127.0.0.1::1::SOCKET"\nreconnect_s = 0.0\n'
+    known = "[bench.gyro]\nscale_factor_pulses_per_deg = 2000.0\n"
+    outcome = outcome_of(
+        campaign(("[bench.budget]", f"{scope}{known}[bench.budget]"), ("= [8.0]", "= []")), "GOOD"
+    )
+    assert (outcome.verdict, outcome.exit_code) == ("ERROR", 3)
+    assert [(step.attempts, step.run, len(step.remarks)) for step in outcome.steps] == 2 * [(3, None, 2)]
+    assert read_test(outcome.directory).steps == outcome.steps
 
 
 def test_an_interrupted_test_is_aborted_and_goes_on(campaign: Write, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -196,3 +210,41 @@ def test_conditions_are_brought_about_and_stand_with_every_record(campaign: Writ
         # the table was turned and read through the bytes of its controller
         assert record.conditions["azimuth_end_deg"] != record.conditions["azimuth_start_deg"]
     assert outcome.steps[0].limits[0].measured.value == pytest.approx(0.011, rel=0.01)
+
+
+def test_a_bench_that_is_served_is_driven_by_the_campaign_as_a_real_one(campaign: Write) -> None:
+    settings = load_settings(overrides=ideal_bench())
+    with serve_bench(settings, tcp_port=0, controllers=True) as (scope, others):
+        controllers = "".join(f'[bench.controllers.{name}]\nresource = "{others[name]}"\n' for name in others)
+        bench = (
+            f'[bench.scope]\nresource = "{scope.resource_name}"\n'
+            "[bench.gyro]\nscale_factor_pulses_per_deg = 2000.0\n"
+            f'[bench.table]\nkind = "controller"\nsettle_s = 0.0\n{controllers}[bench.budget]'
+        )
+        file = campaign(("[bench.budget]", bench), steps=1)
+        outcome = outcome_of(file, "any")
+    # the served gyro has 0.01 deg/s, the limit: the campaign's [unit] says nothing of a real one
+    assert (outcome.verdict, outcome.exit_code) == ("MARGINAL", 6), outcome.message
+    assert outcome.steps[0].run is not None
+    (one, *_) = open_run(outcome.steps[0].run).taken_for("measure")
+    assert one.conditions["chamber_temperature_degc"] == 23.0
+    assert one.conditions["table_rate_dps"] == pytest.approx(3.507, abs=0.02)
+
+
+def test_a_full_disk_ends_the_test_and_it_goes_on_when_there_is_room(
+    campaign: Write, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    save, count = RunWriter.save_records, iter(range(100))
+
+    def full(writer: RunWriter, records: Any) -> None:
+        if next(count) == 3:
+            raise CannotWrite("there is no room left on the disk")
+        save(writer, records)
+
+    monkeypatch.setattr(RunWriter, "save_records", full)
+    outcome = outcome_of(campaign(), "GOOD")
+    assert (outcome.verdict, outcome.exit_code) == ("ERROR", 5)
+    assert outcome.message == "there is no room left on the disk"
+    assert outcome.steps == ()  # a second step would not be saved either
+    mended = outcome_of(campaign(), "GOOD", resumed=outcome.directory)
+    assert (mended.verdict, mended.exit_code) == ("PASS", 0)

@@ -8,7 +8,7 @@ import numpy as np
 
 from analysis.arrays import Bools, Complexes, Floats, Indices, Ints, Samples
 from analysis.flags import FATAL, Flag
-from analysis.waveform.damage import find_damage, is_a_piece, outliers
+from analysis.waveform.damage import find_damage, outliers
 from analysis.waveform.misfit import turned_by
 from analysis.waveform.moving_rate import MovingFit, fit_moving_rate, may_be_motion
 from analysis.waveform.quantisation import (
@@ -166,8 +166,8 @@ def _fit_alike(records: Records, clipped: Bools | None) -> WaveformFit:
     spikes = outliers(values, weights, fit.series, left, records.highest - records.lowest)
     if spikes:
         weights = np.ones_like(values) if weights is None else weights.copy()
-        for row, found in spikes.items():
-            weights[row, found] = 0.0
+        for row, one in spikes.items():
+            weights[row, one.found] = 0.0
         spiked = never_alone(np.array(list(spikes)))
         some, mask = values[spiked] * weights[spiked], weights[spiked]
         refitted = fit_series(some, mask)  # anew: the spikes may have led the first fit astray
@@ -179,7 +179,7 @@ def _fit_alike(records: Records, clipped: Bools | None) -> WaveformFit:
     flags[repeats] |= Flag.ROUNDING_REPEATS
     covariance = fit.covariance * rounding[:, np.newaxis, np.newaxis]
     judged = _judged(records, weights, fit.series, covariance, left, count, flags)
-    judged.flags[[row for row, found in spikes.items() if is_a_piece(found)]] |= Flag.MISFIT
+    judged.flags[[row for row, one in spikes.items() if one.piece]] |= Flag.MISFIT
     return judged
 
 

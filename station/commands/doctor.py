@@ -1,4 +1,4 @@
-"""``gyrolock doctor``: checks of an installation; each says what was found, and what to do about it."""
+"""``gyrolock list`` and ``gyrolock doctor``: which instruments are there, and is everything well."""
 
 from __future__ import annotations
 
@@ -35,6 +35,40 @@ _PACKAGES = (
 )
 _DISK_LOW = 200 * 2**20
 _ANY_UNIT = "any unit"
+
+
+@click.command("list")
+@config_option
+@json_option
+def list_instruments(config: Path | None, as_json: bool) -> int:
+    """List the instruments that VISA can see, and say why one cannot be used.
+
+    A name that is not listed may work all the same: raw TCP sockets cannot be found by looking.
+    """
+    from instrument import find_resources
+    from station.lock_in.settings import load_settings
+
+    load_settings(config)
+    found = find_resources()
+    if as_json:
+        print_json(
+            {
+                "resources": [
+                    {
+                        "resource": one.resource_name,
+                        "identity": one.identity.text if one.identity else None,
+                        "problem": one.problem,
+                    }
+                    for one in found
+                ]
+            }
+        )
+        return 0
+    for one in found:
+        say(f"{one.resource_name}\t{one.identity.text if one.identity else one.problem}")
+    if not found:
+        say("VISA sees no instrument. `gyrolock doctor` says which kinds of links can be used here.")
+    return 0
 
 
 @click.command("doctor")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from station.dead_band.at_once import watch
 from station.dead_band.evaluate import evaluate
 from station.dead_band.result import LIMITED, record_rows, result
 from station.dead_band.sections import facts, sections
@@ -24,6 +25,7 @@ MEASUREMENT = Measurement(
     facts=facts,
     rows=record_rows,
     gives=LIMITED,
+    watch=watch,
     seconds=seconds,
     examine=lambda settings: examine(settings, fastest_table_rate(settings)),
 )

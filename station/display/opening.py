@@ -14,6 +14,7 @@ from station.errors import EXIT_DEFECT, EXIT_OK, describe_failure
 from station.events.event import Events
 from station.provenance import version
 from station.runs.progress import Progress
+from station.terminal.give_way import stepping_aside
 from station.terminal.lines import remark
 
 F = TypeVar("F", bound=Callable[..., Any])
@@ -75,6 +76,11 @@ def shown(given: Mapping[str, Any], command: str, **labels: str | None) -> Itera
                 from station.display.live import LiveDisplay
 
                 events.read_by(readers.enter_context(LiveDisplay()), values=True)
+        readers.enter_context(
+            stepping_aside(
+                lambda question: events.emit("asked", question=question), lambda: events.emit("answered")
+            )
+        )
         named = {name: labels.get(name) for name in ("unit", "operator", "note")}
         events.emit("program", command=command, **named, pid=os.getpid(), version=version("gyrolock"))
         progress = Progress(events)

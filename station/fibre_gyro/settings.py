@@ -49,6 +49,15 @@ class LinkSettings(SettingsSection):
     speed: Positive
 
 
+class LogSettings(SettingsSection):
+    """How logs are read; what is empty is found out from each file."""
+
+    columns: list[str]
+    time_unit: Literal["", "s", "ms", "us", "min", "h"]
+    units: Literal["", "counts", "deg/s", "deg/h", "rad/s"]
+    output_rate_hz: NotNegative
+
+
 class TableSettings(SettingsSection):
     """The rate-table run."""
 
@@ -60,7 +69,7 @@ class TableSettings(SettingsSection):
     window_s: NotNegative
     settle_s: NotNegative
     rate_tolerance_ppm: Positive
-    irreproducibility_ppm: NotNegative
+    irreproducibility_ppm: NotNegative | None = None
 
 
 class SelfcalSettings(SettingsSection):
@@ -94,6 +103,7 @@ class FiguresSettings(SettingsSection):
     seconds: Positive
     static_s: Positive
     settle_s: NotNegative
+    misalignment_mrad: NotNegative
 
 
 class WitnessSettings(SettingsSection):
@@ -157,6 +167,7 @@ class FogSettings(SettingsSection):
     gyro: GyroSettings
     site: SiteSettings
     link: LinkSettings
+    logs: LogSettings
     table: TableSettings
     selfcal: SelfcalSettings
     eps: EpsSettings

@@ -30,7 +30,7 @@ from instrument import Waveform
 from station.errors import RunError, UsageError
 from station.lock_in.found import LockInFound, Numbered, SavedWaveforms
 from station.lock_in.knowledge import knowledge_of_files, run_knowledge
-from station.lock_in.pieces import Gathered, estimate_pieces, pieces_of, together
+from station.lock_in.records.pieces import Gathered, estimate_pieces, pieces_of, together
 from station.lock_in.settings import Settings
 from station.ring_laser.records import saved_waveform
 from station.runs.progress import Progress

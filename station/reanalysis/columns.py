@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 from analysis import flag_names
 from analysis.lock_in_run import only_beats, without_channel
 from station.errors import StationError
-from station.lock_in.estimates import COLUMNS, columns_of
 from station.lock_in.found import describe_method
 from station.lock_in.knowledge import channel_response
-from station.lock_in.pieces import Gathered, Piece, estimate_pieces
+from station.lock_in.records.estimates import COLUMNS, columns_of
+from station.lock_in.records.pieces import Gathered, Piece, estimate_pieces
 from station.lock_in.settings import RING_LASER
 from station.provenance import provenance
 from station.settings.load import saved_settings
@@ -28,9 +28,9 @@ NAME, VERSION = "gyrolock results", 1
 
 TEXTS = (
     *("source", "source_sha256", "analysis", "key", "taken_at", "unit", "gyro", "operator", "channel"),
-    *("model", "serial", "firmware", "taken_with", "method", "relation", "flags", "software"),
+    *("model", "serial", "firmware", "probe", "taken_with", "method", "relation", "flags", "software"),
 )
-INTEGERS = ("schema_version", "record", "source_records", "samples", "flag_bits")
+INTEGERS = ("schema_version", "record", "samples", "flag_bits")
 NUMBERS = (
     *("sample_interval_s", "table_rate_dps", "azimuth_start_deg", "azimuth_end_deg", "over_lock_in"),
     *("scale_factor_pulses_per_deg", "given_input_rate_dps"),
@@ -43,8 +43,8 @@ ORDER = (
     *(name for name in NUMBERS if name in COLUMNS and not name.startswith("lock_in_rate")),
     *("flags", "flag_bits", "method", "relation", "scale_factor_pulses_per_deg", "given_input_rate_dps"),
     *("table_rate_dps", "azimuth_start_deg", "azimuth_end_deg", "over_lock_in", "samples", "sample_interval_s"),
-    *("model", "serial", "firmware", "taken_with"),
-    *("source_sha256", "source_records", "analysis", "software", "schema_version"),
+    *("model", "serial", "firmware", "probe", "taken_with"),
+    *("source_sha256", "analysis", "software", "schema_version"),
 )
 """All columns, as a reader meets them."""
 
@@ -127,7 +127,6 @@ def _columns(piece: Piece, gathered: Gathered) -> dict[str, Values]:
         **{name: known[name] for name in known if name in NUMBERS},
         "source": gathered.name,
         "source_sha256": gathered.sha256 or piece.sha256,
-        "source_records": gathered.taken if piece.numbers is None else piece.source_records,
         "analysis": analysis_of(piece.choices),
         "software": software(),
         "schema_version": VERSION,

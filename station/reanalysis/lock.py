@@ -29,7 +29,7 @@ def only_writer(path: Path) -> Iterator[None]:
             _hold(descriptor)
         except OSError:
             raise CannotWrite(
-                f"{path}: another analysis is writing this table: wait until it has ended, or name another with --to"
+                f"{path}: another analysis is writing this table: wait for its end, or name another with --to"
             ) from None
         yield
         with suppress(OSError):

@@ -7,13 +7,12 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-import pyarrow
-import pyarrow.compute
-import pyarrow.parquet
-
+from station.datasets.packages import package
 from station.errors import CannotWrite, RunError
 from station.reanalysis.columns import INTEGERS, NAME, ORDER, TEXTS, VERSION, Rows
-from station.reanalysis.table_file import Key, TableFile
+from station.reanalysis.table import Key, TableFile
+
+pyarrow, compute, parquet = (package(name, "data") for name in ("pyarrow", "pyarrow.compute", "pyarrow.parquet"))
 
 ROW_GROUP = 20_000
 _KINDS = {
@@ -35,18 +34,16 @@ class Parquet(TableFile):
         self._writer: Any = None
         self._waiting: list[Any] = []
 
-    def known(self) -> dict[Key, tuple[str, int, int]]:
-        """Count the rows of each source and analysis; see `TableFile`."""
-        found: dict[Key, tuple[str, int, int]] = {}
+    def known(self) -> dict[Key, str]:
+        """SHA-256 by source and analysis; see `TableFile`."""
+        found: dict[Key, str] = {}
         if not self.path.exists():
             return found
-        names = ["source", "analysis", "source_sha256", "source_records"]
+        names = ["source", "analysis", "source_sha256"]
         for batch in self._batches(names):
-            table = pyarrow.Table.from_batches([batch]).group_by(names).aggregate([([], "count_all")])
+            table = pyarrow.Table.from_batches([batch]).group_by(names).aggregate([])
             for row in table.to_pylist():
-                key = row["source"], row["analysis"]
-                count = found.get(key, ("", 0, 0))[1] + row["count_all"]
-                found[key] = row["source_sha256"], count, row["source_records"] or 0
+                found[row["source"], row["analysis"]] = row["source_sha256"]
         return found
 
     def rows(self) -> Iterator[dict[str, Any]]:
@@ -57,7 +54,7 @@ class Parquet(TableFile):
     def begin(self) -> None:
         """Open the draft; see `TableFile`."""
         try:
-            self._writer = pyarrow.parquet.ParquetWriter(self._draft, SCHEMA, compression="zstd")
+            self._writer = parquet.ParquetWriter(self._draft, SCHEMA, compression="zstd")
         except OSError as error:
             raise CannotWrite(f"{self.path}: cannot be written ({error})") from None
 
@@ -76,8 +73,8 @@ class Parquet(TableFile):
                 [f"{source}\n{analysis}" for source, analysis in sorted(replaced)], pyarrow.string()
             )
             for batch in self._batches(None):
-                keys = pyarrow.compute.binary_join_element_wise(batch["source"], batch["analysis"], "\n")
-                kept = batch.filter(pyarrow.compute.invert(pyarrow.compute.is_in(keys, gone)))
+                keys = compute.binary_join_element_wise(batch["source"], batch["analysis"], "\n")
+                kept = batch.filter(compute.invert(compute.is_in(keys, gone)))
                 if len(kept):
                     self._writer.write_batch(kept.cast(SCHEMA))
         self._writer.close()
@@ -100,7 +97,7 @@ class Parquet(TableFile):
 
     def _batches(self, names: list[str] | None) -> Iterator[Any]:
         try:
-            with pyarrow.parquet.ParquetFile(self.path) as file:
+            with parquet.ParquetFile(self.path) as file:
                 known = file.schema_arrow.metadata or {}
                 ours = known.get(b"schema_name") == NAME.encode()
                 version = known.get(b"schema_version", b"").decode(errors="replace")

@@ -28,7 +28,7 @@ def ask_operator(question: str) -> str:
     """
     check_terminal()
     try:
-        with free_terminal():
+        with free_terminal(question):
             sys.stderr.write(f"\n{visible(question)}")
             sys.stderr.flush()
             answer = sys.stdin.readline()

@@ -23,11 +23,6 @@ MEASUREMENT = ("command", "settings", "truth", "injected", "rates", "rates_witho
 class RunSource(Source):
     """One run.
 
-    Attributes
-    ----------
-    damaged : tuple of str
-        Records that are missing and facts that are damaged; damaged records show when they are read.
-
     Parameters
     ----------
     path : Path
@@ -56,9 +51,6 @@ class RunSource(Source):
         self.damaged = (*gaps, *damaged_facts(self.unusable))
         self.facts = RunFacts(facts)
 
-    def __len__(self) -> int:
-        return int(self._numbers[2])
-
     @property
     def span(self) -> tuple[int, int]:
         """Least and largest number of the records; see `Source`."""
@@ -67,6 +59,9 @@ class RunSource(Source):
             return 1, 0
         # a damaged run may hold any number: then it is read as a whole
         return (first, last) if last - first < 2 * count + AT_ONCE else (1, 1)
+
+    def __len__(self) -> int:
+        return int(self._numbers[2])
 
     def records(self, numbers: range | None = None) -> Iterator[SavedRecord]:
         """Read the records one at a time; see `Source`."""

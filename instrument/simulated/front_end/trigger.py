@@ -283,7 +283,7 @@ class PulseSearch:
     began: Bracket | None = None
 
     def advance(self, until: float, step: float, now: float) -> float | None:
-        """Search on to `until`, not later than `now`, in steps of `step` or finer; the time of the trigger, or None."""
+        """Search on to `until`, not later than `now`, in steps of `step` or finer; the time of the trigger."""
         span = until - self.searched_until
         if span <= 0:
             return None

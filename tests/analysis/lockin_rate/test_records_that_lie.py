@@ -5,6 +5,7 @@ import pytest
 import scipy.signal
 
 from analysis import DOUBTFUL, FATAL, Flag, beat_signal, combine_estimates, estimate_lock_in
+from analysis.waveform.damage import is_a_piece
 from analysis.waveform.steadiness import passing_power
 from benchmarks.hostile.classes import CLASSES
 from benchmarks.hostile.gyro import N_SAMPLES, beat, draw_gyro, levels_of, steady, step_times
@@ -164,8 +165,24 @@ def test_noise_of_any_colour_is_there_all_the_time_and_a_transient_is_not():
     white = rng.normal(size=(300, 2500))
     pink = np.fft.irfft(np.fft.rfft(white) / np.sqrt(np.arange(1251) + 1.0), 2500)
     slow = scipy.signal.lfilter([1], [1, -0.97], white)
-    for noise in (white, pink, slow, 3 * np.sin(0.05 * N) + white):
+    louder = white * np.where((N > 600) & (N < 900), 4.0, 1.0)
+    for noise in (white, pink, slow, 3 * np.sin(0.05 * N) + white, louder):
         assert not any(passing_power(one) for one in noise)
     settling = 8 * np.exp(-N / 20)
     found = np.array([passing_power(one + settling) for one in white[:50]])
     assert np.all(found > 0.5 * settling @ settling) and np.all(found < 2 * settling @ settling)
+
+
+def test_spikes_at_random_places_are_no_piece_and_a_broken_piece_is():
+    rng = np.random.default_rng(13)
+    for count in (5, 12, 40):
+        scattered = np.zeros((500, 2500), dtype=bool)
+        for one in scattered:
+            one[rng.choice(2500, count, replace=False)] = True
+        assert not any(is_a_piece(one, one) for one in scattered)
+    broken = np.zeros(2500, dtype=bool)
+    broken[[0, 1, 3, 4, 6, 9, 13, 14]] = True
+    assert is_a_piece(broken, broken)
+    short, tail = np.zeros((2, 2500), dtype=bool)
+    short[50:54] = tail[50:58] = True
+    assert is_a_piece(short, tail) and not is_a_piece(short, short)

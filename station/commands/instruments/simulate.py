@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from contextlib import ExitStack, suppress
+from contextlib import suppress
 from pathlib import Path
 
 import click
@@ -77,8 +77,8 @@ def command(
     the VISA resource name; with several scopes there is one line for each. With --controllers the table under the
     gyro can be turned, by the commands of `gyrolock settings rate_table`. Ctrl-C or SIGTERM ends it.
     """
-    from station.controllers.serve import serve_controllers
-    from station.lock_in.served import simulated_scopes
+    from station.controllers.open import served_controllers
+    from station.lock_in.served import scope_on_table, simulated_scopes
     from station.lock_in.settings import load_settings
     from station.scope.faults import parse_fault
     from station.scope.serve import served
@@ -94,20 +94,26 @@ def command(
         raise click.UsageError("--baud paces a serial terminal: use it with --pty")
     (link, port) = chosen[0]
     settings = load_settings(config, overrides={} if seed is None else {"simulation": {"seed": seed}})
-    scopes, first = simulated_scopes(
-        settings,
-        signals=[parse_signal(text) for text in signals],
-        models=models,
-        faults=[parse_fault(text) for text in faults],
-    )
-    with suppress(KeyboardInterrupt), ExitStack() as stack:
-        found = stack.enter_context(served(scopes, link, port=port, baud_rate=int(baud) if baud else None))
-        others = {}
-        if controllers:
-            others = stack.enter_context(serve_controllers(first.table, first.clock, terminals=use_pty))
+    befalling = [parse_fault(text) for text in faults]
+    table = None
+    if controllers:
+        if signals or models:
+            raise click.UsageError("--controllers turns the table under the gyro: leave --signal and --model out")
+        scope, table = scope_on_table(settings)
+        scope.faults.add(*befalling)
+        scopes = [scope]
+    else:
+        shown = [parse_signal(text) for text in signals]
+        scopes = simulated_scopes(settings, signals=shown, models=models, faults=befalling)
+    with (
+        suppress(KeyboardInterrupt),
+        served(scopes, link, port=port, baud_rate=int(baud) if baud else None) as found,
+        served_controllers(table, tcp=link != "pty") as others,
+    ):
         if as_json:
-            names = {"resource": found.resource_names[0], "resources": list(found.resource_names)}
-            print_json({**names, **({"controllers": others} if controllers else {})})
+            first, *_ = found.resource_names
+            named = {"controllers": others} if others else {}
+            print_json({"resource": first, "resources": list(found.resource_names), **named})
         else:
             for name in (*found.resource_names, *(f"{name} {resource}" for name, resource in others.items())):
                 say(name)

@@ -18,7 +18,7 @@ from station.lock_in.settings import Settings, default_settings, load_settings
 from station.provenance import version
 from station.results.check import Check, guarded
 from station.settings.load import shipped_settings
-from station.shell.options import config_option, json_option
+from station.shell.options import config_option, json_option, transcript_option
 from station.terminal.lines import print_json, say
 
 _PACKAGES = (
@@ -45,6 +45,7 @@ _ANY_UNIT = "any unit"
     metavar="FILE",
     help="Look at everything that this campaign will need: the table moves.",
 )
+@transcript_option
 @config_option
 @json_option
 def command(resource: str | None, station: Path | None, config: Path | None, as_json: bool) -> int:

@@ -1,6 +1,7 @@
 """A session written down, and the same session again with what was written."""
 
 import json
+import zipfile
 from itertools import pairwise
 
 import numpy as np
@@ -60,6 +61,19 @@ def test_what_is_no_transcript_is_told(tmp_path, line, capsys):
     path.write_text(line + "\n")
     with pytest.raises(FileFormatError, match="line 1"):
         read_transcript(path)
+
+
+def test_a_bundle_for_a_bug_report(tmp_path, capsys):
+    path = tmp_path / "report.zip"
+    with TcpServer(SimulatedTDS2014({1: lambda t: np.sin(6283.0 * t)})) as server:
+        main(("doctor", "--resource", server.resource_name, "--bundle", str(path)))
+    with zipfile.ZipFile(path) as bundle:
+        names = ["versions.json", "settings.json", "findings.json", "transcript.jsonl"]
+        assert bundle.namelist() == names
+        found = {name: bundle.read(name).decode() for name in names}
+    assert json.loads(found["versions.json"])["pyvisa"]
+    assert any(check["name"] == "resource" for check in json.loads(found["findings.json"]))
+    assert "*IDN?" in found["transcript.jsonl"]
 
 
 def test_a_command_writes_its_transcript(tmp_path, capsys):

@@ -39,7 +39,11 @@ COMMANDS = {
     "deadband": ("dead_band.command:command", "Search the dead band: sweep the rate through zero, up and down."),
     "analyze": (
         "commands.analyze:command",
-        "Evaluate saved runs of any kind again, and Tektronix files.",
+        "Evaluate saved runs of any kind again, and files of Tektronix oscilloscopes.",
+    ),
+    "compare": (
+        "reanalysis.command:command",
+        "Compare two analyses of the same records, or records of two gyros.",
     ),
     "report": ("commands.report:command", "Write the HTML report of saved runs."),
     "runs": (

@@ -26,8 +26,8 @@ def simulated_scopes(
     signals: Sequence[ShownSignal] = (),
     models: Sequence[str] = (),
     faults: Sequence[Fault] = (),
-) -> list[SimulatedTDS2014]:
-    """Oscilloscopes in real time, set so that what they show fills their screens.
+) -> tuple[list[SimulatedTDS2014], SimulatedInstruments]:
+    """Oscilloscopes in real time, set so that what they show fills their screens; and the bench of the first.
 
     Parameters
     ----------
@@ -43,17 +43,18 @@ def simulated_scopes(
     UsageError
         If there is no such model, a model has no such channel, or a channel has two signals.
     """
-    clock, scopes = RealClock(), []
+    clock, scopes, benches = RealClock(), [], []
     for number, model in enumerate(models or ("",)):
         one = _changed(settings, model, number)
         instruments = build_instruments(at_slow_rate(one), clock)
+        benches.append(instruments)
         if signals:
             scopes.append(_showing(signals, one, instruments))
         else:
             _show_the_beat(instruments, one)
             scopes.append(instruments.scope)
         scopes[-1].faults.add(*faults)
-    return scopes
+    return scopes, benches[0]
 
 
 def _changed(settings: Settings, model: str, number: int) -> Settings:

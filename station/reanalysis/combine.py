@@ -17,6 +17,7 @@ from instrument import Waveform
 from station.errors import NoUsableSignal, RunError, UsageError
 from station.lock_in.found import LockInFound
 from station.lock_in.knowledge import knowledge_of_records, run_knowledge
+from station.lock_in.read import gathered_arrays
 from station.lock_in.records.pieces import Gathered, Piece, estimate_pieces, together
 from station.lock_in.result import result
 from station.lock_in.settings import load_settings
@@ -93,18 +94,15 @@ def combine(
     knowledge = run_knowledge(load_settings(config)) if config is not None else None
     if knowledge is None:
         knowledge = knowledge_of_records(whole.labels["wfid"], method)
-    columns, estimated = whole.columns, whole.each
+    estimated = whole.each
     if estimated is None:
         raise NoUsableSignal("no record is left")
     axis = _stated_rates(used, rates)
     if axis is None and method.input_rate is None:
         axis = _asked_rates(used, estimated.beat_frequency)
     unknown = np.full(len(whole), math.nan)
-    slow = RecordArrays(
-        batches=(),
-        n_channels=1,
-        samples=columns["samples"].astype(np.int64),
-        level_spacing=columns["level_spacing_v"],
+    slow = replace(
+        gathered_arrays(whole, waveforms),
         table_rate=unknown if axis is None else axis.rates,
         azimuth_start=unknown,
         azimuth_end=unknown,

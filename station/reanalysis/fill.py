@@ -10,9 +10,9 @@ from typing import Any
 from instrument import InstrumentError
 from station.errors import StationError
 from station.lock_in.records.pieces import Piece, pieces_of
-from station.reanalysis.columns import analysis_of, rows_of_pieces
-from station.reanalysis.lock import only_writer
-from station.reanalysis.open_table import table_file
+from station.reanalysis.tables.columns import analysis_of, rows_of_pieces
+from station.reanalysis.tables.lock import only_writer
+from station.reanalysis.tables.open_table import table_file
 from station.runs.progress import Progress
 from station.runs.store import RUN_FILES
 from station.sources.batches import LeftOut

@@ -105,6 +105,6 @@ def _open(stack: ExitStack, resource: str | None, baud: int | None, settings: Se
     from station.lock_in.served import simulated_scopes
 
     name = "GPIB0::1::INSTR"
-    manager = resource_manager(scopes={name: simulated_scopes(settings)[0]})
+    manager = resource_manager(scopes={name: simulated_scopes(settings)[0][0]})
     stack.callback(manager.close)
     return stack.enter_context(TDS2014(name, resource_manager=manager))

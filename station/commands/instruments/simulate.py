@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from pathlib import Path
 
 import click
@@ -61,6 +61,7 @@ from station.terminal.lines import print_json, say
     help="Answer on --tcp as a transcript of a real session says, byte for byte.",
 )
 @click.option("--seed", type=click.IntRange(min=0), metavar="S", help="Seed of noise and phases.")
+@click.option("--controllers", is_flag=True, help="Serve rate table, chamber and power supply too, one line each.")
 @config_option
 @json_option
 def command(
@@ -74,14 +75,17 @@ def command(
     faults: tuple[str, ...],
     replay: Path | None,
     seed: int | None,
+    controllers: bool,
     config: Path | None,
     as_json: bool,
 ) -> int:
     """Serve the simulated oscilloscope on TCP, HiSLIP, a GPIB adapter or a serial terminal.
 
     CH1 shows the beat of the simulated gyro at the slow rate, or what --signal says. The first line on stdout is
-    the VISA resource name; with several scopes there is one line for each. Ctrl-C or SIGTERM ends it.
+    the VISA resource name; with several scopes there is one line for each. With --controllers the table under the
+    gyro can be turned, by the commands of `gyrolock settings rate_table`. Ctrl-C or SIGTERM ends it.
     """
+    from station.controllers.serve import serve_controllers
     from station.lock_in.served import simulated_scopes
     from station.lock_in.settings import load_settings
     from station.scope.faults import parse_fault
@@ -100,21 +104,22 @@ def command(
     if replay is not None:
         return _replay(replay, link, port, as_json)
     settings = load_settings(config, overrides={} if seed is None else {"simulation": {"seed": seed}})
-    scopes = simulated_scopes(
+    scopes, first = simulated_scopes(
         settings,
         signals=[parse_signal(text) for text in signals],
         models=models,
         faults=[parse_fault(text) for text in faults],
     )
-    with (
-        suppress(KeyboardInterrupt),
-        served(scopes, link, port=port, baud_rate=int(baud) if baud else None) as found,
-    ):
+    with suppress(KeyboardInterrupt), ExitStack() as stack:
+        found = stack.enter_context(served(scopes, link, port=port, baud_rate=int(baud) if baud else None))
+        others = {}
+        if controllers:
+            others = stack.enter_context(serve_controllers(first.table, first.clock, terminals=use_pty))
         if as_json:
-            first, *_ = found.resource_names
-            print_json({"resource": first, "resources": list(found.resource_names)})
+            names = {"resource": found.resource_names[0], "resources": list(found.resource_names)}
+            print_json({**names, **({"controllers": others} if controllers else {})})
         else:
-            for name in found.resource_names:
+            for name in (*found.resource_names, *(f"{name} {resource}" for name, resource in others.items())):
                 say(name)
         # a wait without end could not be interrupted on Windows
         while not found.wait(timeout=0.5):

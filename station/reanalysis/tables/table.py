@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from station.errors import RunError
-from station.reanalysis.columns import VERSION, Rows
+from station.reanalysis.tables.columns import VERSION, Rows
 
 Key = tuple[str, str]
 """Source and analysis of a row."""

@@ -6,14 +6,14 @@ from collections.abc import Callable
 from pathlib import Path
 
 from station.errors import UsageError
-from station.reanalysis.sqlite import Sqlite
-from station.reanalysis.table import TableFile
-from station.reanalysis.text_tables import Csv, JsonLines
+from station.reanalysis.tables.sqlite import Sqlite
+from station.reanalysis.tables.table import TableFile
+from station.reanalysis.tables.text_tables import Csv, JsonLines
 
 
 def _parquet(path: Path) -> TableFile:
     try:
-        from station.reanalysis.parquet import Parquet
+        from station.reanalysis.tables.parquet import Parquet
     except ImportError:
         raise UsageError(
             f"{path}: Parquet needs the package pyarrow: pip install 'gyrolock[data]', or name a .sqlite file"

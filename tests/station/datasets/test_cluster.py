@@ -1,6 +1,7 @@
 """Work by the workers of a Dask scheduler: the same bits as here, also where a worker is killed."""
 
 import dataclasses
+import json
 import os
 import signal
 import socket
@@ -12,6 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from station.cli import main
 from station.cluster import Cluster
 from station.datasets.packages import MissingPackage
 from station.datasets.reading import sources_of
@@ -21,24 +23,25 @@ from station.lock_in.records.pieces import Gathered, Piece, estimate_pieces, tog
 from station.sources import open_source
 from station.sources.workers import ThisProcess
 
+from .conftest import GOLDEN
+
 distributed = pytest.importorskip("distributed", reason="the extra `cluster` is not installed")
 pytest.importorskip("pyarrow", reason="the extra `cluster` is not installed")
 # a worker that is killed leaves its sockets to the garbage collection of Dask
 pytestmark = pytest.mark.filterwarnings(
     "ignore::ResourceWarning", "ignore::pytest.PytestUnraisableExceptionWarning"
 )
-GOLDEN = Path(__file__).parents[1] / "golden"
 
 
 @pytest.fixture(scope="module")
 def pieces(tmp_path_factory: pytest.TempPathFactory) -> list[list[Piece]]:
     """Two runs in a data set of parts, cut anywhere."""
     folder = tmp_path_factory.mktemp("parts")
-    export([open_source(GOLDEN / f"{name}.sqlite") for name in ("single", "several")], f"{folder}/parts/")
+    export([open_source(GOLDEN / f"{name}.sqlite") for name in ("single", "turning")], f"{folder}/parts/")
     return [
-        [Piece(source, range(first, first + 3), {})]
+        [Piece(source, range(first, first + 2), {})]
         for source in sources_of(folder / "parts")
-        for first in range(1, len(source) + 1, 3)
+        for first in range(1, len(source) + 1, 2)
     ]
 
 
@@ -50,7 +53,7 @@ def cluster() -> Iterator[Cluster]:
 
 def bits(found: list[Gathered]) -> list[bytes]:
     """Everything that was found, as bytes."""
-    each = [together(found[:4]), together(found[4:])]
+    each = [together(found[:5]), together(found[5:])]
     arrays: list[Any] = []
     for one in each:
         assert one.each is not None
@@ -64,7 +67,7 @@ def test_the_same_bits_as_in_this_process(cluster: Cluster, pieces: list[list[Pi
     here = [one for (one,) in ThisProcess().map(estimate_pieces, pieces)]
     assert cluster.count == 2
     assert bits([one for (one,) in cluster.map(estimate_pieces, pieces)]) == bits(here)
-    assert sum(len(one) for one in here) == 24
+    assert sum(len(one) for one in here) == 9
     workers = cluster._client.run(os.getpid)
     found = []
     for number, (one,) in enumerate(cluster.map(estimate_pieces, pieces)):
@@ -72,6 +75,27 @@ def test_the_same_bits_as_in_this_process(cluster: Cluster, pieces: list[list[Pi
         if number == 1:
             os.kill(next(iter(workers.values())), signal.SIGKILL)
     assert bits(found) == bits(here)
+
+
+def test_analyze_gives_the_same_document(
+    cluster: Cluster, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    address, places = cluster._client.scheduler.address, [f"{tmp_path}/parts/", f"{tmp_path}/again.h5"]
+    runs = [GOLDEN / f"{name}.sqlite" for name in ("turning", "fog_witness")]
+    for place in places:
+        export([open_source(run) for run in runs], place)
+    assert main(["analyze", *map(str, runs), "--json"]) == 0
+    expected = without_place(capsys.readouterr().out)
+    for arguments in ([places[0], "--cluster", address], [places[1]]):
+        assert main(["analyze", *arguments, "--json"]) == 0
+        assert without_place(capsys.readouterr().out) == expected
+    assert main(["analyze", places[0], "--cluster", "tcp://127.0.0.1:1"]) == 2
+    assert "no Dask scheduler answers there" in capsys.readouterr().err
+
+
+def without_place(text: str) -> list[dict[str, Any]]:
+    found = json.loads(text)["results"]
+    return [{name: value for name, value in one.items() if name != "run"} for one in found]
 
 
 def test_an_error_of_the_work_is_as_it_was(cluster: Cluster) -> None:

@@ -9,8 +9,8 @@ from typing import Any
 
 from station.datasets.packages import package
 from station.errors import CannotWrite, RunError
-from station.reanalysis.columns import INTEGERS, NAME, ORDER, TEXTS, VERSION, Rows
-from station.reanalysis.table import Key, TableFile
+from station.reanalysis.tables.columns import INTEGERS, NAME, ORDER, TEXTS, VERSION, Rows
+from station.reanalysis.tables.table import Key, TableFile
 
 pyarrow, compute, parquet = (package(name, "data") for name in ("pyarrow", "pyarrow.compute", "pyarrow.parquet"))
 

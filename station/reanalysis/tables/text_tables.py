@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import IO, Any
 
 from station.errors import CannotWrite, RunError
-from station.reanalysis.columns import INTEGERS, ORDER, TEXTS, Rows
-from station.reanalysis.table import Key, TableFile
+from station.reanalysis.tables.columns import INTEGERS, ORDER, TEXTS, Rows
+from station.reanalysis.tables.table import Key, TableFile
 
 
 class TextTable(TableFile):

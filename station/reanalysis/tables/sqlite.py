@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from station.errors import CannotWrite, RunError
-from station.reanalysis.columns import INTEGERS, ORDER, TEXTS, VERSION, Rows
-from station.reanalysis.table import Key, TableFile
+from station.reanalysis.tables.columns import INTEGERS, ORDER, TEXTS, VERSION, Rows
+from station.reanalysis.tables.table import Key, TableFile
 
 APPLICATION_ID = 0x47_59_4C_52
 """'GYLR': tells a results table from a run."""

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from station.shell.options import config_option, json_option
+from station.shell.options import config_option, json_option, transcript_option
 from station.terminal.lines import print_json, remark, say
 
 if TYPE_CHECKING:
@@ -39,6 +39,7 @@ if TYPE_CHECKING:
     help="Again and again, so far apart, until Ctrl-C.",
 )
 @click.option("--numbers", "numbers_only", is_flag=True, help="Only show the numbers; write no files.")
+@transcript_option
 @config_option
 @json_option
 def command(

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import click
 
+from station.errors import UsageError
 from station.shell.options import config_option, json_option
 from station.terminal.lines import print_json, say
 
@@ -53,6 +54,12 @@ from station.terminal.lines import print_json, say
     metavar="KIND[:CHANCE]",
     help="What goes wrong, such as 'cut answer:0.05' or 'late answer'.",
 )
+@click.option(
+    "--replay",
+    type=click.Path(path_type=Path, exists=True, dir_okay=False),
+    metavar="FILE",
+    help="Answer on --tcp as a transcript of a real session says, byte for byte.",
+)
 @click.option("--seed", type=click.IntRange(min=0), metavar="S", help="Seed of noise and phases.")
 @click.option("--controllers", is_flag=True, help="Serve rate table, chamber and power supply too, one line each.")
 @config_option
@@ -66,6 +73,7 @@ def command(
     signals: tuple[str, ...],
     models: tuple[str, ...],
     faults: tuple[str, ...],
+    replay: Path | None,
     seed: int | None,
     controllers: bool,
     config: Path | None,
@@ -93,6 +101,8 @@ def command(
     if baud is not None and not use_pty:
         raise click.UsageError("--baud paces a serial terminal: use it with --pty")
     (link, port) = chosen[0]
+    if replay is not None:
+        return _replay(replay, link, port, as_json)
     settings = load_settings(config, overrides={} if seed is None else {"simulation": {"seed": seed}})
     befalling = [parse_fault(text) for text in faults]
     table = None
@@ -119,5 +129,26 @@ def command(
                 say(name)
         # a wait without end could not be interrupted on Windows
         while not found.wait(timeout=0.5):
+            pass
+    return 0
+
+
+def _replay(path: Path, link: str, port: int, as_json: bool) -> int:
+    """Serve the instrument of a transcript."""
+    from instrument.simulated.links.replay import ReplayServer
+    from instrument.transcripts.reading import read_transcript
+
+    if link != "tcp":
+        raise click.UsageError("--replay serves on --tcp only")
+    try:
+        server = ReplayServer(read_transcript(path), port=port)
+    except OSError as error:
+        raise UsageError(f"the transcript cannot be served: {error.strerror or error}") from None
+    with suppress(KeyboardInterrupt), server:
+        if as_json:
+            print_json({"resource": server.resource_name, "resources": [server.resource_name]})
+        else:
+            say(server.resource_name)
+        while not server.ended.wait(timeout=0.5):
             pass
     return 0

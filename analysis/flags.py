@@ -31,7 +31,7 @@ class Flag(IntFlag):
 FATAL = Flag.NO_BEAT | Flag.CONSTANT | Flag.TOO_FEW_SAMPLES | Flag.NOT_LOCK_IN_LIKE
 """With any of these no lock-in rate can be given; the estimate's fields are nan."""
 
-DOUBTFUL = Flag.MISFIT | Flag.AMPLITUDE_LOST | Flag.PARTS_DIFFER
+DOUBTFUL = Flag.MISFIT | Flag.AMPLITUDE_LOST | Flag.PARTS_DIFFER | Flag.FEW_PERIODS
 """With any of these the record was not what the estimate rests on: the number may be off by more than u."""
 
 _SENTENCES = {

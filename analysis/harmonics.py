@@ -123,16 +123,19 @@ def fit_free_harmonics(
     tangents = np.broadcast_to(_free_tangents(harmonics), (n_records, 2 * harmonics + 1, 2 * harmonics + 1))
     parameters = np.zeros((n_records, 2 * harmonics + 1))
     # With all amplitudes zero the frequency has no influence: the first step solves the linear part alone.
-    moving = 0.0
+    moving, going_on = 0.0, np.ones(n_records, dtype=bool)
     for _ in range(iterations):
         sums = record_sums(values, omega, harmonics, weights)
         change = gauss_newton_step(sums, _free_coefficients(parameters), tangents).solve()
+        change[~going_on] = 0.0  # each record stops by itself
         parameters = parameters + change[:, :-1]
         # Half a radian at the ends is the most that the linearisation can be trusted for.
         turn = moving * np.clip(change[:, -1], -0.5, 0.5)
         omega = np.clip(omega + turn * (2 / n_samples), 0.5 / n_samples, np.pi)
-        if moving and np.all(np.abs(turn) < 1e-10):
-            break
+        if moving:
+            going_on &= np.abs(turn) >= 1e-10
+            if not going_on.any():
+                break
         moving = 1.0
     sums = record_sums(values, omega, harmonics, weights)
     step = gauss_newton_step(sums, _free_coefficients(parameters), tangents)

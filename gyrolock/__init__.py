@@ -8,6 +8,11 @@
     run = gyrolock.open_run("runs/2026-11-21T060530Z_001")
     run.volts, run.estimates.lock_in_rate, run.to_dataframe()
 
+`Station` tests units against limits, unattended, and writes the record of each test::
+
+    tested = gyrolock.Station("campaign.toml").test("RLG-001", operator="B. Bauer")
+    tested.verdict, tested.exit_code, tested.files.page
+
 `read` takes files of an oscilloscope, or a whole memory card. Driver and estimator stand beside them. Nothing is
 imported before it is used.
 
@@ -27,10 +32,13 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from analysis import LockInEstimate, beat_signal, combine_estimates, estimate_lock_in, fit_rates
     from instrument import TDS2014, Waveform, read_waveform
+    from station.notebook.catalogue import Runs, runs
+    from station.notebook.export import export
     from station.notebook.measure import measure
     from station.notebook.records import Record
     from station.notebook.result import Result
-    from station.notebook.run import Run, open_run, read
+    from station.notebook.run import Run, open_run, read, read_runs
+    from station.notebook.station import Station
 
 __all__ = [
     "TDS2014",
@@ -38,24 +46,32 @@ __all__ = [
     "Record",
     "Result",
     "Run",
+    "Runs",
+    "Station",
     "Waveform",
     "beat_signal",
     "combine_estimates",
     "estimate_lock_in",
+    "export",
     "fit_rates",
     "measure",
     "open_run",
     "read",
+    "read_runs",
     "read_waveform",
+    "runs",
 ]
 
 _HOMES = {
     "analysis": ("LockInEstimate", "beat_signal", "combine_estimates", "estimate_lock_in", "fit_rates"),
     "instrument": ("TDS2014", "Waveform", "read_waveform"),
+    "station.notebook.catalogue": ("Runs", "runs"),
+    "station.notebook.export": ("export",),
     "station.notebook.measure": ("measure",),
     "station.notebook.records": ("Record",),
     "station.notebook.result": ("Result",),
-    "station.notebook.run": ("Run", "open_run", "read"),
+    "station.notebook.run": ("Run", "open_run", "read", "read_runs"),
+    "station.notebook.station": ("Station",),
 }
 
 

@@ -7,6 +7,22 @@ from typing import Protocol
 
 from instrument.errors import LinkError
 
+_ANTICLOCKWISE = r"""
+      .--<--.
+     /       \       seen from above:
+    v    o    ^      anticlockwise, + on the display
+     \       /
+      '-->--'
+"""
+
+_CLOCKWISE = r"""
+      .-->--.
+     /       \       seen from above:
+    ^    o    v      clockwise, - on the display
+     \       /
+      '--<--'
+"""
+
 
 class RateTable(Protocol):
     """A single-axis turntable. Rates in deg/s, angles in deg; positive is anticlockwise seen from above."""
@@ -33,37 +49,69 @@ class ManualRateTable:
         Shows a question and returns the typed answer; `input` by default.
     azimuth_deg : float
         Angle of the table that is reported; a slow table without read-out stays near where it was set.
+
+    Attributes
+    ----------
+    why : str
+        What the next rate is for and what comes then, one sentence each: stands in the question.
     """
 
     def __init__(self, *, ask: Callable[[str], str] = input, azimuth_deg: float = 0.0) -> None:
         self._ask = ask
         self._azimuth_deg = azimuth_deg
         self._rate_dps = 0.0
+        self.why = ""
 
     def set_rate(self, rate_dps: float) -> None:
         """Ask the operator to set the rate, and which rate the table shows then.
 
         An empty answer means "exactly as asked". LinkError if the operator cannot be asked (no terminal).
         """
-        question = (
-            f"Set the rate table to {rate_dps:+.6g} deg/s and wait until it turns steadily.\n"
-            "Press Enter when done, or type the rate that it shows in deg/s: "
-        )
+        lines = [f"Set the rate table to {rate_dps:+.6g} deg/s and wait until it turns steadily."]
+        if rate_dps:
+            lines.append((_ANTICLOCKWISE if rate_dps > 0 else _CLOCKWISE).strip("\n"))
+        if self.why:
+            lines.append(self.why)
+        question = "\n".join([*lines, "Press Enter when done, or type the rate that it shows in deg/s: "])
         while True:
-            try:
-                answer = self._ask(question).strip()
-            except EOFError:
-                raise LinkError(
-                    "the rate table must be set by hand, but there is nobody to ask; run this in a terminal"
-                ) from None
+            answer = self._answer(question)
             if not answer:
                 self._rate_dps = rate_dps
                 return
-            try:
-                self._rate_dps = float(answer.replace(",", "."))
+            if (number := _number(answer)) is not None:
+                self._rate_dps = number
                 return
-            except ValueError:
-                question = f"{answer!r} is not a number. Rate in deg/s (Enter for {rate_dps:+.6g}): "
+            question = f"{answer!r} is not a number. Rate in deg/s (Enter for {rate_dps:+.6g}): "
+
+    def doubt(self, seen: str) -> bool:
+        """Ask the operator again, because the beat does not fit the rate that was confirmed.
+
+        Parameters
+        ----------
+        seen : str
+            What the beat shows, and what it should show.
+
+        Returns
+        -------
+        bool
+            Whether the operator has set the table or its rate right: then it is to be looked at again. If not, the
+            operator has seen that everything is as it was said.
+        """
+        question = (
+            f"The beat does not fit the table's rate of {self._rate_dps:+.6g} deg/s: {seen}.\n"
+            "Look at the table: does it turn at this rate, in this sense, and is its display in deg/s?\n"
+            "Set it right and press Enter, or type the rate that it shows; if all is right, type ok: "
+        )
+        while True:
+            answer = self._answer(question)
+            if answer.lower() in ("ok", "yes", "y"):
+                return False
+            if not answer:
+                return True
+            if (number := _number(answer)) is not None:
+                self._rate_dps = number
+                return True
+            question = f"{answer!r} is neither a number nor ok. Rate in deg/s, Enter, or ok: "
 
     def rate(self) -> float:
         """Rate in deg/s that the operator confirmed last."""
@@ -76,4 +124,20 @@ class ManualRateTable:
     def close(self) -> None:
         """Ask the operator to stop the table, if it still turns."""
         if self._rate_dps != 0.0:
+            self.why = ""
             self.set_rate(0.0)
+
+    def _answer(self, question: str) -> str:
+        try:
+            return self._ask(question).strip()
+        except EOFError:
+            raise LinkError(
+                "the rate table must be set by hand, but there is nobody to ask; run this in a terminal"
+            ) from None
+
+
+def _number(text: str) -> float | None:
+    try:
+        return float(text.replace(",", "."))
+    except ValueError:
+        return None

@@ -11,6 +11,7 @@ EXIT_USAGE = 2
 EXIT_INSTRUMENT = 3
 EXIT_NO_SIGNAL = 4
 EXIT_OUTPUT = 5  # a result could not be written; the records are kept
+EXIT_MARGINAL = 6  # a limit lies within the uncertainty: neither PASS nor FAIL
 EXIT_DEFECT = 70
 EXIT_INTERRUPTED = 130  # 128 and the number of the signal, as shells count: 129 hung up, 143 terminated
 
@@ -60,6 +61,13 @@ class NoUsableSignal(StationError):
 
     kind = "no_usable_signal"
     exit_code = EXIT_NO_SIGNAL
+
+
+class OutOfControl(StationError):
+    """The bench is not what it always was, or nobody has looked lately: no unit is tested on it."""
+
+    kind = "bench_out_of_control"
+    exit_code = EXIT_INSTRUMENT
 
 
 class Stopped(KeyboardInterrupt):

@@ -8,12 +8,17 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
+from station.events.seen import See
+from station.results.check import Check
 from station.results.parts import FactTable, Section
 from station.results.result import Result
+from station.runs.progress import Progress
 from station.runs.store import SavedRun
 from station.runs.taking import Session
 from station.settings.load import SettingsKind
 from station.settings.parts import SettingsSection
+from station.sources.source import Source
+from station.sources.workers import Workers
 
 S = TypeVar("S", bound=SettingsSection)
 F = TypeVar("F")
@@ -46,6 +51,9 @@ class Measurement(Generic[S, F]):
         Gets settings, paths and session: makes a run of files instead.
     evaluate : callable
         Gets a run, its settings and the user's choices by name: the one step that computes. Raises NoUsableSignal.
+    evaluate_source : callable or None
+        Gets a source, its settings, the choices, workers and progress: the same without holding the samples of a
+        long run, and which records are damaged, in sentences. It gives ``None`` where it cannot.
     choices : tuple of str
         Names of the choices that it takes.
     result : callable
@@ -62,6 +70,12 @@ class Measurement(Generic[S, F]):
         Gets a run and its settings: keys of records that are to be taken again when it is gone on with, and why.
     simulated : callable
         Gets settings: whether the bench that they describe is simulated.
+    seconds : callable
+        Gets settings: how long a real bench takes, or ``None`` where nobody knows that beforehand.
+    examine : callable or None
+        Gets settings: opens the bench and says what is there and what is not well.
+    watch : callable or None
+        Gets settings, and returns what says of each record at once what it says, for those who watch.
     """
 
     name: str
@@ -71,6 +85,9 @@ class Measurement(Generic[S, F]):
     take: Callable[[S, Session], None]
     take_files: Callable[[S, Sequence[Path], Session], None] | None = None
     evaluate: Callable[[SavedRun, S, Mapping[str, Any]], F]
+    evaluate_source: (
+        Callable[[Source, S, Mapping[str, Any], Workers, Progress], tuple[F, tuple[str, ...]] | None] | None
+    ) = None
     choices: tuple[str, ...] = ()
     result: Callable[[F, SavedRun, S], Result]
     sections: Callable[[F, SavedRun, S, Result], list[Section]]
@@ -79,6 +96,9 @@ class Measurement(Generic[S, F]):
     gives: tuple[str, ...] = ()
     unusable: Callable[[SavedRun, S], Mapping[str, str]] = field(default=_nothing_unusable)
     simulated: Callable[[S], bool] = field(default=lambda settings: bool(settings.simulated))
+    seconds: Callable[[S], float | None] = field(default=lambda settings: None)
+    examine: Callable[[S], list[Check]] | None = None
+    watch: Callable[[S], See] | None = None
 
 
 # what a run is marked with: the module that holds MEASUREMENT

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import scipy.special
 
 from analysis.arrays import Bools, Floats
 from analysis.dead_band.noisy_corner import LEAST_WALK, falling, rounded_pulse_rate
@@ -12,6 +13,8 @@ from analysis.dead_band.noisy_corner import LEAST_WALK, falling, rounded_pulse_r
 FEWEST_FOR_CORNER = 6
 FEWEST_BOTH_WAYS = 4
 """Steps on the way out and on the way in from which a drift is told from hysteresis."""
+
+FEWEST_DEGREES = 3.0
 
 COUNTED_U = 6**-0.5
 """Standard uncertainty of a count of whole pulses: rounding at either end."""
@@ -95,7 +98,7 @@ def fit_corner(swept: Sweep, start: float) -> Corner:
     inverse = np.linalg.pinv(jacobian.T @ jacobian)
     kept = np.maximum(1 - np.einsum("ni,ij,nj->n", jacobian, inverse, jacobian), 1 / near.sum())
     spread = np.maximum(fit.fun / kept, swept.pulses_u[near]) ** 2
-    us = np.sqrt(np.maximum(np.diagonal(inverse @ (jacobian.T * spread) @ jacobian @ inverse), 0.0))
+    us = _known_from_few(inverse @ jacobian.T, spread)
     walk = float(np.exp(fit.x[2])) * _usual_walk(swept, start)
     drift, drift_u = (float(fit.x[3]), float(us[3])) if count > 3 else (float("nan"), float("nan"))
     return Corner(
@@ -106,6 +109,24 @@ def fit_corner(swept: Sweep, start: float) -> Corner:
         drift=drift * start,
         drift_u=drift_u * start,
     )
+
+
+def _known_from_few(weights: Floats, spread: Floats) -> Floats:
+    """Standard uncertainties of parameters (P,), made of steps (n,) by `weights` (P, n).
+
+    `spread` : (n,) variances of the steps.
+
+    Each of these is that of a single residual, and where slips are strong few steps at the corner count. The sum
+    of their shares then has few degrees of freedom (Satterthwaite; a squared residual scatters by twice its
+    square, and its own square is three times that): the uncertainty is enlarged to what Student's distribution
+    asks for.
+    """
+    shares = weights**2 * spread
+    total = shares.sum(axis=1)
+    squares = np.maximum(np.sum(shares**2, axis=1), 1e-300)
+    degrees = np.maximum(3 * total**2 / squares, FEWEST_DEGREES)
+    student = scipy.special.stdtrit(degrees, 0.975) / scipy.special.ndtri(0.975)
+    return np.asarray(np.sqrt(np.maximum(total, 0.0)) * student)
 
 
 def _usual_walk(swept: Sweep, start: float) -> float:

@@ -1,6 +1,6 @@
 """What all records of one run say together: arrays in, one result out."""
 
-from analysis.lock_in_run.estimates import Method
+from analysis.lock_in_run.estimates import Method, joined, only_beats, without_channel
 from analysis.lock_in_run.evaluation import evaluate
 from analysis.lock_in_run.groups import RateGroup, SeveralRates
 from analysis.lock_in_run.pairs import QuadratureResult
@@ -8,9 +8,10 @@ from analysis.lock_in_run.records import Batch, RecordArrays, RunArrays, RunKnow
 from analysis.lock_in_run.result import LockInRun
 from analysis.lock_in_run.seen import LockInSeen, lock_in_seen
 from analysis.lock_in_run.table_check import ScaleFactorCheck, TableCheck
-from analysis.lock_in_run.table_rate import Tilt, find_tilt
+from analysis.lock_in_run.table_rate import AxisRates, Tilt, find_tilt
 
 __all__ = [
+    "AxisRates",
     "Batch",
     "LockInRun",
     "LockInSeen",
@@ -26,6 +27,9 @@ __all__ = [
     "Tilt",
     "evaluate",
     "find_tilt",
+    "joined",
     "lock_in_seen",
+    "only_beats",
     "rows_of_batches",
+    "without_channel",
 ]

@@ -179,7 +179,8 @@ def _from_fit(fit: RatesFit, samples: int, hardly_seen: list[str]) -> Iterator[B
     """Noise of the records, and what it costs to find distortion and the like from the same records."""
     scattered = bool(fit.flags & RatesFlag.MISFIT)
     freedom = float(fit.degrees_of_freedom if scattered else fit.used.sum() * (samples - _SAMPLES_FITTED))
-    noise_u = fit.lock_in_rate_u / max(fit.cost, 1.0)
+    # without what rules the interval beside the records: other solutions, coupling of the beams
+    noise_u = min(math.sqrt(float(fit.covariance[0, 0])), fit.lock_in_rate_u) / max(fit.cost, 1.0)
     note = "enlarged to the scatter between records" if scattered else "from what the fit leaves of the records"
     yield BudgetInput(
         "noise", "noise of the records", "deg/s", fit.lock_in_rate, noise_u, "normal", 1.0, freedom, note

@@ -13,7 +13,7 @@ from analysis.channel import ChannelResponse, correct_response
 from analysis.flags import Flag
 from analysis.lock_in_run.records import RecordArrays
 from analysis.lockin_equation import Relation
-from analysis.lockin_rate import LockInEstimate, estimate_lock_in, with_ratio
+from analysis.lockin_rate import LockInEstimate, estimate_lock_in, noise_model, with_ratio
 
 Estimate = TypeVar("Estimate")
 
@@ -123,5 +123,7 @@ def _in_order(parts: Sequence[Estimate], order: Indices) -> Estimate:
             values[field.name] = _in_order(each, order)
         elif np.ndim(each[0]):
             values[field.name] = np.concatenate(each)[order]
+    if isinstance(first, LockInEstimate):
+        values["noise_model"] = noise_model(values["flags"])  # of all, not of the first batch
     joint: Estimate = replace(first, **values)
     return joint

@@ -21,8 +21,17 @@ from analysis.lock_in_run.table_rate import AxisRates, axis_rate_is_known, axis_
 from analysis.lockin_rate import LockInEstimate
 from analysis.several_rates import ReceiverKnowledge
 
+CANCEL_IN_THE_CHECK = ("noise", "scale_factor", "time_base")
+"""Inputs of the budget that the check by the table has counted already, or that the tilt absorbs in it."""
 
-def evaluate(run: RunArrays, knowledge: RunKnowledge | None, method: Method) -> LockInRun:
+
+def evaluate(
+    run: RunArrays,
+    knowledge: RunKnowledge | None,
+    method: Method,
+    estimated: LockInEstimate | None = None,
+    axis: AxisRates | None = None,
+) -> LockInRun:
     """Evaluate the records that a run took at its slow rate, or at its slow rates.
 
     Parameters
@@ -33,6 +42,12 @@ def evaluate(run: RunArrays, knowledge: RunKnowledge | None, method: Method) -> 
         ``None``: nothing is known of the bench. Then there is no correction and no table, and the budget counts
         what everything may be at worst.
     method : Method
+    estimated : LockInEstimate, optional
+        Of the slow records by this method, fields of shape (n,), where they are known already; then `run` needs no
+        samples of them. Not for two channels.
+    axis : AxisRates, optional
+        Rates on the gyro's axis where they are stated and need no table. `run` has them as those of its table, by
+        which it falls into groups.
 
     Returns
     -------
@@ -48,12 +63,18 @@ def evaluate(run: RunArrays, knowledge: RunKnowledge | None, method: Method) -> 
         If the method is one for a single rate, and the run has several.
     """
     # 1. every record by itself, as before the channel
-    each, quadratures = _each_record(run.slow, method, None if knowledge is None else knowledge.response)
+    each, quadratures = _each_record(
+        run.slow, method, None if knowledge is None else knowledge.response, estimated
+    )
     # 2. all of them as if at one rate
     unknown = np.full(each.flags.size, np.nan)
     found = LockInRun(method, each, combine_estimates(each), quadratures=quadratures, record_u=unknown)
     if knowledge is None:
         knowledge = RunKnowledge(method.scale_factor, latitude_deg=math.nan)
+    if axis is not None:
+        if at_several_rates(run.slow):
+            several = evaluate_rates(run.slow, each, axis, ReceiverKnowledge.of(knowledge.bench))
+            found = replace(found, several=several, combined=combined_estimate(several))
     elif axis_rate_is_known(run, knowledge):
         # 3. the table: tilt, and the rate on the axis
         tilt = find_tilt(run.fast, knowledge, _best_shown(each))
@@ -70,17 +91,22 @@ def evaluate(run: RunArrays, knowledge: RunKnowledge | None, method: Method) -> 
         return found
     bench = known_of_bench(found, run.slow, knowledge)
     budget = run_budget(found, run.slow, bench)
-    return replace(found, budget=budget, record_u=record_uncertainties(found, run.slow, bench))
+    check = found.table_check
+    if check is not None:
+        others = [line.contribution for line in budget.inputs if line.name not in CANCEL_IN_THE_CHECK]
+        check = check.beside_budget(found.lock_in_rate, math.hypot(*others))
+    us = record_uncertainties(found, run.slow, bench)
+    return replace(found, budget=budget, record_u=us, table_check=check)
 
 
 def _each_record(
-    slow: RecordArrays, method: Method, response: ChannelResponse | None
+    slow: RecordArrays, method: Method, response: ChannelResponse | None, estimated: LockInEstimate | None
 ) -> tuple[LockInEstimate, QuadratureResult | None]:
     """Estimate the records, with the help of the second photodiode where there is one."""
     if slow.n_channels == 2:
         pairs = estimate_pairs(slow, method, response)
         return only_beats(pairs.estimate), mean_of_pairs(pairs)
-    each = only_beats(estimate_records(slow, method))
+    each = only_beats(estimate_records(slow, method) if estimated is None else estimated)
     return (each if response is None else without_channel(each, response)), None
 
 

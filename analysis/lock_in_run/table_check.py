@@ -20,7 +20,7 @@ w_v and w_h are the vertical and the horizontal earth rate. Three things follow 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -36,6 +36,9 @@ from analysis.rotation import EARTH_RATE_DPS
 UNLIKELY = 0.001
 """A difference that chance makes less often than this is real."""
 
+IMPOSSIBLE = 1e-6
+"""Share of faultless runs in which the table's settings differ by so much."""
+
 SEEN = 3.29
 """Standard uncertainties at which `UNLIKELY` is reached."""
 
@@ -50,7 +53,7 @@ _TELLS_NOTHING = 0.1
 _HARMONICS_TRUSTED = 0.1
 """Relative standard uncertainty that the lock-in rate by the harmonics has where it must not decide on K."""
 
-_ROUNDS = 20
+_ROUNDS = 60
 _PLACES = 5
 """A, P, Q, h^2 and the place of a record between its two readings of the azimuth."""
 
@@ -91,6 +94,11 @@ class TableCheck:
         rate and azimuth; the scale factor only in so far as it does not cancel.
     p_value : float
         Probability of so large a difference from 1.
+    p_value_by_all : float
+        The same where the lock-in rate by the harmonics may be wrong by all that its budget counts: what nobody
+        knows of detector and channel explains a difference, chance need not. nan: there is no budget yet.
+    by_frequencies, by_frequencies_u : float
+        deg/s; the lock-in rate by how far the slow beats are pulled down and the fast ones are not.
     least_error_seen : float
         Relative error of the lock-in rate from which on this check would show it.
     scale_factors : tuple of ScaleFactorCheck
@@ -104,12 +112,33 @@ class TableCheck:
     beat_over_table_u: float
     p_value: float
     least_error_seen: float
+    by_frequencies: float
+    by_frequencies_u: float
     scale_factors: tuple[ScaleFactorCheck, ...] = ()
+    p_value_by_all: float = math.nan
 
     @property
     def mismatch(self) -> bool:
         """Whether beat and table differ by more than chance explains."""
         return self.p_value < UNLIKELY
+
+    @property
+    def unexplained(self) -> bool:
+        """Whether they differ by more than everything explains that the budget counts."""
+        return self.mismatch and not self.p_value_by_all >= UNLIKELY
+
+    def beside_budget(self, lock_in_rate: float, others_u: float) -> TableCheck:
+        """The same, knowing what the lock-in rate by the harmonics may be wrong by.
+
+        Parameters
+        ----------
+        lock_in_rate, others_u : float
+            deg/s; its standard uncertainty by all that does not cancel in the check: not noise, not K.
+        """
+        allowed = abs(lock_in_rate) * others_u / self.input_rate**2
+        return replace(
+            self, p_value_by_all=_p_value(self.beat_over_table - 1, math.hypot(self.beat_over_table_u, allowed))
+        )
 
     @property
     def scale_factor_mismatch(self) -> bool:
@@ -159,8 +188,10 @@ def check_by_table(
     stated = _Stated.of(knowledge, tilt)
     start = np.array([knowledge.scale_factor * math.cos(math.radians(tilt.tilt_deg)), *stated.earth, squared, 0.0])
     curve = _fitted(seen, start, {1: stated.earth_u[0], 2: stated.earth_u[1]}, stated)
-    difference, difference_u = squared - float(curve.values[3]), math.hypot(squared_u, curve.u(3))
+    by_curve_u = curve.u(3) * curve.apart
+    difference, difference_u = squared - float(curve.values[3]), math.hypot(squared_u, by_curve_u)
     turning = by_table.beat_frequency**2 + squared
+    pulled = math.sqrt(max(float(curve.values[3]), 0.0)) / used
     over = knowledge.scale_factor / used * (1 + difference / (2 * turning))
     over_u = difference_u / (2 * turning)
     shared = math.hypot(float(np.max(axis.common_u)), float(np.max(axis.azimuth_u)) / abs(by_table.input_rate))
@@ -177,6 +208,8 @@ def check_by_table(
         beat_over_table_u=over_u,
         p_value=_p_value(over - 1, over_u),
         least_error_seen=SEEN * difference_u / (2 * squared) if squared > 0 else math.inf,
+        by_frequencies=pulled,
+        by_frequencies_u=by_curve_u / (2 * used**2 * pulled) if pulled > 0 else math.sqrt(by_curve_u) / used,
         scale_factors=tuple(way for way in ways if way is not None),
     )
 
@@ -267,10 +300,14 @@ class _Stated:
 
 @dataclass(frozen=True)
 class _Curve:
-    """A, P, Q, h^2 and what else was fitted, with their covariance."""
+    """A, P, Q, h^2 and what else was fitted, with their covariance.
+
+    apart : how much further the table's settings lie from the curve than their uncertainties explain; 1: they do
+    """
 
     values: Floats
     covariance: Floats
+    apart: float
 
     def u(self, place: int) -> float:
         return math.sqrt(self.covariance[place, place])
@@ -280,14 +317,16 @@ def _fitted(seen: _Seen, start: Floats, known: dict[int, float], stated: _Stated
     """Curve (1) by least squares; `known` holds the standard uncertainties of start values that are known.
 
     Every setting of the table has an error of its own, and where nobody knows the azimuth, an earth rate of its
-    own. A scatter beyond the noise of the frequencies enlarges that noise.
+    own. A scatter beyond the noise of the frequencies is that of a rate that moves: the same in Hz for all (Paule and
+    Mandel, J. Res. NBS 87, 377).
     """
     settings = int(seen.setting.max()) + 1
     values = np.concatenate([start, np.zeros(2 * settings)])
     prior = _prior(seen, known, settings)
-    aim, noise = prior @ values, seen.frequency_u
+    aim, moving = prior @ values, 0.0
     for _ in range(_ROUNDS):
         left, slopes = _linearised(values, seen, stated)
+        noise = np.sqrt(seen.frequency_u**2 + moving)
         white = np.concatenate([slopes / noise[:, np.newaxis], prior])
         size = np.linalg.norm(white, axis=0)
         inverse = np.linalg.pinv(white / size, rcond=1e-12) / size[:, np.newaxis]
@@ -295,11 +334,15 @@ def _fitted(seen: _Seen, start: Floats, known: dict[int, float], stated: _Stated
         values = values + change
         covariance = inverse @ inverse.T
         if np.all(np.abs(change) < 1e-6 * np.sqrt(np.diagonal(covariance))):
-            scatter = float(np.sum((left / noise) ** 2)) / max(left.size - settings - 1, 1)
-            if scatter <= 1.01:
+            free = max(left.size - settings - 1, 1)
+            beyond_noise = float(np.sum((left / noise) ** 2)) - free
+            if beyond_noise <= 0.01 * free:
                 break
-            noise = noise * math.sqrt(scatter)
-    return _Curve(values, covariance)
+            moving += beyond_noise / float(np.sum(left**2 / noise**4))
+    beyond = float(np.sum(values[_PLACES : _PLACES + settings] ** 2))
+    # One of the settings only says what A is. A scale factor that drifts from one to the next makes them differ.
+    chance = scipy.special.chdtrc(settings - 1, beyond) if settings > 1 else 1.0
+    return _Curve(values, covariance, math.sqrt(beyond / (settings - 1)) if chance < IMPOSSIBLE else 1.0)
 
 
 def _prior(seen: _Seen, known: dict[int, float], settings: int) -> Floats:

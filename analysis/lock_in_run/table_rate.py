@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from analysis.arrays import Floats
 from analysis.lock_in_run.estimates import Method, estimate_records
-from analysis.lock_in_run.records import Batch, RecordArrays, RunArrays, RunKnowledge
+from analysis.lock_in_run.records import RecordArrays, RunArrays, RunKnowledge
 from analysis.lockin_rate import LockInEstimate
 from analysis.rotation import earth_rate_on_axis, tilt_from_fast_runs
 
@@ -99,20 +98,7 @@ def find_tilt(fast: RecordArrays, knowledge: RunKnowledge, lock_in_rate: float =
 
 def fast_estimates(fast: RecordArrays, knowledge: RunKnowledge) -> LockInEstimate:
     """Estimate each record of the fast run, fields of shape (n,)."""
-    return estimate_records(replace(fast, batches=_one_by_one(fast)), Method(knowledge.scale_factor))
-
-
-def _one_by_one(records: RecordArrays) -> Iterator[Batch]:
-    """Every record as a batch of its own.
-
-    In one batch the order of sums, and with it the last digits of a frequency, depends on the other records. The
-    uncertainty of the tilt comes from small differences of frequencies, where such digits are to be seen.
-    """
-    for batch in records.batches:
-        for place, row in enumerate(batch.rows):
-            one = slice(place, place + 1)
-            rows = np.array([row])
-            yield Batch(rows, batch.sample_interval, batch.volts[:, one], batch.clipped[:, one])
+    return estimate_records(fast, Method(knowledge.scale_factor))
 
 
 def axis_rates(slow: RecordArrays, tilt: Tilt, knowledge: RunKnowledge) -> AxisRates:

@@ -13,6 +13,9 @@ from analysis.waveform.waveform_fit import WaveformFit
 
 FEWEST_PERIODS = 3.0
 
+FEW_FOR_A_MOTION = 10.0
+"""Periods below which a fitted motion can make a beat of any slow curve; the second harmonic must speak for it."""
+
 LOSS = 0.01
 """Share of the amplitude that may be missing; an averaged moving phase that costs it costs the ratio 3 %."""
 
@@ -101,13 +104,17 @@ def _jacobian(first: Complexes, q: Complexes, hertz: float) -> Floats:
     return jacobian
 
 
-def beat_flags(beat: Beat, n_samples: int) -> Ints:
-    """What frequency and ratio say against a record, (R,)."""
+def beat_flags(beat: Beat, fit_flags: Ints, n_samples: int) -> Ints:
+    """What frequency and ratio say against a record, (R,), with the flags of its fit (R,)."""
     flags = np.zeros(beat.size.shape, dtype=np.int64)
     flags[beat.periods < FEWEST_PERIODS] |= Flag.FEW_PERIODS
     flags[2 * beat.omega >= np.pi] |= Flag.SECOND_HARMONIC_ABOVE_NYQUIST
     flags[_folds_onto_another(beat.omega, beat.size, n_samples)] |= Flag.HARMONICS_ALIASED
     flags[~(beat.size > SIGNIFICANT * beat.ratio_u)] |= Flag.RATIO_NOT_SIGNIFICANT
+    moved = (fit_flags & int(Flag.RATE_WANDER)) != 0
+    silent = (flags & int(Flag.RATIO_NOT_SIGNIFICANT)) != 0
+    # A gyro that swings inside lock-in leaves such a curve.
+    flags[moved & silent & (beat.periods < FEW_FOR_A_MOTION)] |= Flag.MISFIT
     return flags
 
 

@@ -14,7 +14,7 @@ from analysis.arrays import Bools, Complexes, Floats, Indices, Ints
 from analysis.flags import FATAL, Flag
 from analysis.lockin_rate.beat import Beat
 from analysis.lockin_rate.rate import rate_and_slopes
-from analysis.waveform.records import Stack
+from analysis.waveform.records import Stack, never_alone
 from analysis.waveform.waveform_fit import fit_waveform
 
 SUSPECT = Flag.MISFIT | Flag.RATE_WANDER | Flag.COLOURED_NOISE
@@ -45,7 +45,7 @@ def compare_pieces(
     pieces = np.minimum(np.minimum(beat.periods / PERIODS, stack.n_samples / SAMPLES), MOST_PIECES)
     number = np.where(suspect & np.isfinite(pieces), pieces, 0).astype(int)
     for n_pieces in range(2, MOST_PIECES + 1):
-        rows = np.flatnonzero(number == n_pieces)
+        rows = never_alone(np.flatnonzero(number == n_pieces))
         if rows.size:
             parts = _beats_of_parts(stack, clipped, rows, n_pieces, sample_interval)
             ratio_u, differ = _disagreement(beat, rows, *parts)

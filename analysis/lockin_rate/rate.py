@@ -39,12 +39,20 @@ def rate_of_ratio(
         Standard uncertainty of the ratio by what is no noise.
     """
     value, by_ratio, by_beat_rate = rate_and_slopes(ratio, beat_rate, rate, relation)
-    slopes = np.stack([by_beat_rate, by_ratio], axis=-1)
-    variance = np.einsum("...i,...ij,...j->...", slopes, covariance, slopes)
+    variance = _variance_along(by_beat_rate, by_ratio, covariance)
     value_u = np.sqrt(np.maximum(variance, 0.0) + (by_ratio * misfit) ** 2)
     observed = rate_and_slopes(size, beat_rate, rate, relation)[0]
     low, high = size_interval(observed / value_u)
     return value, value_u, low * value_u, high * value_u
+
+
+def _variance_along(x: Floats, y: Floats, covariance: Floats) -> Floats:
+    """Variance (...) of x a + y b, from the covariance (..., 2, 2) of a and b.
+
+    Written out: the order in which `einsum` adds depends on how many records there are.
+    """
+    both = covariance[..., 0, 1] + covariance[..., 1, 0]
+    return np.asarray(x * x * covariance[..., 0, 0] + x * y * both + y * y * covariance[..., 1, 1])
 
 
 def rate_and_slopes(
@@ -91,9 +99,8 @@ def with_ratio(
     misfit_u = estimate.misfit_u if misfit_u is None else misfit_u
     size = np.abs(ratio)
     unit = ratio / np.where(size > 0, size, 1.0)
-    along = np.stack([unit.real, unit.imag], axis=-1)
-    across = np.stack([-unit.imag, unit.real], axis=-1)
-    radial, tangential = (np.einsum("...i,...ij,...j->...", v, covariance, v) for v in (along, across))
+    radial = _variance_along(unit.real, unit.imag, covariance)
+    tangential = _variance_along(-unit.imag, unit.real, covariance)
     unbiased = np.sqrt(np.maximum(size**2 - tangential, 0.0))
     beat_rate = estimate.beat_frequency / estimate.scale_factor
     given = estimate.input_rate if estimate.rate_given else None

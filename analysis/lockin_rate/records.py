@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from analysis.arrays import Floats
+from analysis.arrays import Floats, Ints
 from analysis.flags import FATAL, Flag
 from analysis.lockin_equation import Relation, input_rate_from_beat, lock_in_from_rate
 from analysis.lockin_rate.beat import Beat, beat_flags, is_weaker
 from analysis.lockin_rate.estimate import LockInEstimate
 from analysis.lockin_rate.pieces import compare_pieces
 from analysis.lockin_rate.rate import backscatter_phase, rate_of_ratio
-from analysis.waveform.records import NanPolicy, as_stack
+from analysis.waveform.records import NanPolicy, as_stack, never_alone
 from analysis.waveform.third_harmonic import third_harmonic
 from analysis.waveform.waveform_fit import fit_waveform
 
@@ -63,7 +63,8 @@ def estimate_lock_in(
     Returns
     -------
     LockInEstimate
-        nan with a fatal flag where a lock-in rate would mean nothing.
+        nan with a fatal flag where a lock-in rate would mean nothing. What is said of a record does not depend on
+        the others, to the last bit.
 
     Raises
     ------
@@ -80,6 +81,20 @@ def estimate_lock_in(
     if clipped is not None:
         full = np.broadcast_to(np.asarray(clipped, dtype=bool), (*stack.shape, stack.n_samples))
         mask = full.reshape(-1, stack.n_samples)
+    if full_amplitude is not None:
+        full_amplitude = np.broadcast_to(np.asarray(full_amplitude, dtype=np.float64), stack.shape).ravel()
+    if len(stack.volts) == 1:
+        rows = never_alone(np.zeros(1, dtype=np.intp))
+        return estimate_lock_in(
+            stack.volts[rows],
+            sample_interval,
+            scale_factor=scale_factor,
+            input_rate=None if rate is None else rate[rows],
+            relation=relation,
+            clipped=None if mask is None else mask[rows],
+            full_amplitude=None if full_amplitude is None else full_amplitude[rows],
+            nan_policy=nan_policy,
+        )[0].reshaped(*stack.shape)
     fit = fit_waveform(stack, mask)
     third, third_u = third_harmonic(fit, stack.n_samples)
     with np.errstate(all="ignore"):  # records without a beat divide by zero; their flags are fatal
@@ -95,10 +110,9 @@ def estimate_lock_in(
             rate,
             relation,
         )
-    flags = flags | beat_flags(beat, stack.n_samples)
+    flags = flags | beat_flags(beat, flags, stack.n_samples)
     if full_amplitude is not None:
-        full = np.broadcast_to(np.asarray(full_amplitude, dtype=np.float64), stack.shape).ravel()
-        flags[is_weaker(beat, fit, full, stack.n_samples)] |= Flag.AMPLITUDE_LOST
+        flags[is_weaker(beat, fit, full_amplitude, stack.n_samples)] |= Flag.AMPLITUDE_LOST
     fatal = (flags & int(FATAL)) != 0
 
     def shaped(values: Floats) -> Floats:
@@ -134,8 +148,13 @@ def estimate_lock_in(
         scale_factor=float(scale_factor),
         relation=relation,
         rate_given=rate is not None,
-        noise_model=COLOURED if np.any(flags & int(Flag.COLOURED_NOISE)) else WHITE,
+        noise_model=noise_model(flags),
     )
+
+
+def noise_model(flags: Ints) -> str:
+    """What the uncertainties of records with these flags rest on, in words."""
+    return COLOURED if np.any(flags & int(Flag.COLOURED_NOISE)) else WHITE
 
 
 def _given_rate(input_rate: ArrayLike | None, shape: tuple[int, ...]) -> Floats | None:

@@ -7,6 +7,7 @@ from analysis.plan.measurement_plan import (
     PlannedRate,
     budget_elsewhere,
     plan_measurement,
+    plan_of_records,
     predicted_budget,
 )
 from analysis.plan.request import SAFE_ABOVE_LOCK_IN, OscilloscopeSteps, PlanRequest, TableSpread
@@ -26,6 +27,7 @@ __all__ = [
     "default_rates",
     "expected_joint_u",
     "plan_measurement",
+    "plan_of_records",
     "predicted_budget",
     "uncertainty_curve",
 ]

@@ -101,6 +101,24 @@ def plan_measurement(request: PlanRequest) -> Plan:
     return _planned(request, chosen)
 
 
+def plan_of_records(request: PlanRequest, records: int) -> Plan:
+    """Say what so many records at each rate of the request give, and how long they take.
+
+    Raises
+    ------
+    ValueError
+        As for :func:`plan_measurement`; or the request names no rates.
+    """
+    if not request.rates_over_lock_in:
+        raise ValueError("without rates nobody knows what the records give")
+    ratios = request.rates_over_lock_in
+    rates = _rates(request, ratios, records)
+    budget, most = _budget(request, rates), _budget(request, _rates(request, ratios, MOST_RECORDS))
+    seconds = sum(rate.shape.records * (rate.shape.duration + request.seconds_between_records) for rate in rates)
+    wanted = request.wanted_u * request.lock_in_rate
+    return Plan(request, rates, budget, budget.combined_u <= wanted, most.relative_u, seconds)
+
+
 def predicted_budget(request: PlanRequest, over_lock_in: float, records: int) -> Budget:
     """Budget of so many records at one rate, or at it in both senses."""
     rates = _rates(request, (over_lock_in,), records)

@@ -274,8 +274,8 @@ def _result(
         said = by_profile(said, found, points.points, prior, widen, freedom)
     mismatch = _rate_mismatch(records, said.value)
     # coupling without loss bends the beat against the rate as well
-    if p_value < UNLIKELY or np.any(rates_that_differ(np.abs(records.rate), said.value, said.u, mismatch)):
-        said = with_coupling(said, fit, records.scale_factor)
+    differ = bool(np.any(rates_that_differ(np.abs(records.rate), said.value, said.u, mismatch)))
+    said = with_coupling(said, fit, records.scale_factor, failed=p_value < UNLIKELY or differ)
     us, fitted = np.sqrt(np.diagonal(covariance)), np.where([True, True, *FREE[chosen]], 1.0, np.nan)
     at_least = _at_least(records, said.high)
     left, deviation = _residuals(fit, points.records, used)

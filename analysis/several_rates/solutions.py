@@ -106,10 +106,11 @@ def _ends(height: Callable[[Floats], Floats], sizes: Floats, allowed: float) -> 
 _REFINEMENTS, _FINER = 1, 6
 
 
-def with_coupling(said: Answer, fit: RatioFit, scale_factor: float) -> Answer:
+def with_coupling(said: Answer, fit: RatioFit, scale_factor: float, *, failed: bool) -> Answer:
     """The answer with what coupling without loss may do to it, for a gain corner that is seen.
 
-    It is asked for where the model fails, or the beats are not those of the rates.
+    Nobody knows that coupling and the ratios do not show it: it counts with the angle that it may have where all
+    fits, and with twice that angle where the model failed, or the beats are not those of the rates.
 
     With an angle between the backscatter of the two beams WL comes out too high by up to (B_s/g_d)^2, B_s = 2 pi K
     WL tan(eps/2) and g_d a third of g_c for a cross saturation of half the self saturation
@@ -118,7 +119,8 @@ def with_coupling(said: Answer, fit: RatioFit, scale_factor: float) -> Answer:
     gain_time, u = float(fit.parameters[0, 3]), float(np.sqrt(fit.covariance[0, 3, 3]))
     if not gain_time > _SEEN * u:
         return said
-    share = (2 * math.pi * scale_factor * said.value * _LARGEST_COUPLING * _OVER_G_D * gain_time) ** 2
+    coupling = _LARGEST_COUPLING if failed else _USUAL_COUPLING
+    share = (2 * math.pi * scale_factor * said.value * coupling * _OVER_G_D * gain_time) ** 2
     extra = share * said.value / math.sqrt(3)
     wide = math.hypot(said.u, extra)
     reach = _NORMAL_95 * extra
@@ -129,8 +131,8 @@ def with_coupling(said: Answer, fit: RatioFit, scale_factor: float) -> Answer:
 
 
 _SEEN = 3.3
-_LARGEST_COUPLING = math.sqrt(3.0)
-"""tan(eps/2) of 120 degrees between the backscatter of the beams."""
+_LARGEST_COUPLING, _USUAL_COUPLING = math.sqrt(3.0), 1 / math.sqrt(3.0)
+"""tan(eps/2) of 120 and of 60 degrees between the backscatter of the beams."""
 _OVER_G_D = 3.0
 
 

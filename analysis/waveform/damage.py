@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -41,6 +42,20 @@ SPIKE = 7.0
 
 LONGEST_SPIKE = 4
 """Samples in a row beyond which it is no spike, but a piece of another signal."""
+
+BESIDE = 3.5
+"""The same for a sample beside one beyond `SPIKE`: noise has one there in a thousand spikes."""
+
+TOGETHER = 1e-6
+"""Share of records in which as many spikes at random places stand as close together."""
+
+
+@dataclass(frozen=True)
+class Outliers:
+    """found : (N,) samples that are no noise; piece : whether they are not spikes, but part of another signal."""
+
+    found: Bools
+    piece: bool
 
 
 @dataclass(frozen=True)
@@ -129,8 +144,8 @@ def _limit(records: Records, fit: SeriesFit, suspects: Indices, sign: int) -> Fl
 
 def outliers(
     values: Samples, weights: Samples | None, series: Series, residual: Residual, swing: Samples
-) -> dict[int, Bools]:
-    """Samples (N,) that are single spikes, by record. Many of them are a misfit, not spikes, and are kept.
+) -> dict[int, Outliers]:
+    """Samples that are single spikes, by record. Many of them are a misfit, not spikes, and are kept.
 
     Parameters
     ----------
@@ -146,14 +161,24 @@ def outliers(
     for row in map(int, np.flatnonzero(residual.largest > 5 * rms)):
         size = np.abs(residual_samples(values, weights, series, row))
         valid = size if weights is None else size[weights[row] > 0]
-        found = size > SPIKE * 1.4826 * float(np.median(valid))
-        found &= size > NOTHING * swing[row]
+        noise = 1.4826 * float(np.median(valid))
+        found = size > max(SPIKE * noise, NOTHING * float(swing[row]))
         if found.any() and found.mean() <= 0.02:
-            spikes[row] = found
+            spikes[row] = Outliers(found, is_a_piece(found, size > BESIDE * noise))
     return spikes
 
 
-def is_a_piece(found: Bools) -> bool:
-    """Whether more outliers stand in a row than a spike has; `found` (N,)."""
-    edges = np.flatnonzero(np.diff(found, prepend=False, append=False))
-    return bool((edges[1::2] - edges[::2]).max(initial=0) > LONGEST_SPIKE)
+def is_a_piece(found: Bools, suspect: Bools) -> bool:
+    """Whether outliers (N,) stand closer together than spikes do, or go on in what is `suspect` (N,) there."""
+    edges = np.flatnonzero(np.diff(suspect, prepend=False, append=False)).reshape(-1, 2)
+    if any(stop - start > LONGEST_SPIKE and found[start:stop].any() for start, stop in edges):
+        return True
+    # noise breaks up what is left of a piece
+    at = np.flatnonzero(found)
+    for count in range(LONGEST_SPIKE + 1, at.size + 1):
+        span = float(np.min(at[count - 1 :] - at[: at.size - count + 1]))
+        # so many others within the span behind any of them
+        chance = at.size * np.exp((count - 1) * np.log(at.size * span / found.size) - math.lgamma(count))
+        if chance < TOGETHER:
+            return True
+    return False

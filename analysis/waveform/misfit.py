@@ -23,6 +23,9 @@ import numpy as np
 
 from analysis.arrays import Floats, Samples
 
+LINE_CHANCE = 1e-6
+"""A residual line that noise would produce in fewer than this share of records is a misfit."""
+
 NEIGHBOURS = 24
 """Bins on either side over which the spectrum of noise is taken to be flat."""
 
@@ -66,6 +69,17 @@ def surroundings(power: Samples) -> Floats:
     return np.asarray(around)
 
 
+def line_stands_out(power: Samples, *, few_lines: bool = False) -> bool:
+    """Whether a line of a spectrum (L,) stands out of its neighbours, as hardly any does in noise of any colour.
+
+    `few_lines` is the answer where there are too few lines to have neighbours.
+    """
+    if power.size < 2 * (2 * NEIGHBOURS + 1):
+        return few_lines
+    strongest = float((power / np.maximum(surroundings(power), 1e-300)).max())
+    return strongest > math.log(power.size / LINE_CHANCE)
+
+
 def misfit_of(power: Samples, n_samples: int, line: float, first: float, ratio: float) -> Misfit:
     """Judge the lines of one residual.
 
@@ -89,8 +103,13 @@ def misfit_of(power: Samples, n_samples: int, line: float, first: float, ratio: 
     by_ratio = float(stands_out @ (ratio**2 * feet[0] + np.maximum(feet[1], curved)))
     lines = float(stands_out.sum()) * mean / beat
     pedestal = _pedestal(power, line) / beat
-    turned = 1.5 * ratio * (lines + pedestal) + 0.25 * lines
+    turned = 1.5 * ratio * pedestal + turned_by(lines, ratio)
     return Misfit(2 * by_frequency, math.sqrt(by_ratio * mean / beat + turned**2), pedestal)
+
+
+def turned_by(sidebands: float, ratio: float) -> float:
+    """What a moving phase may do to a ratio, by the power of its sidebands over that of the fundamental."""
+    return 1.5 * ratio * sidebands + 0.25 * sidebands
 
 
 def _folded(lines: Floats, n_samples: int) -> Floats:

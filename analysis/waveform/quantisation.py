@@ -109,7 +109,8 @@ def mean_rounding(model: Samples, values: Samples, spacing: Floats, residual_rms
     error = np.zeros_like(model)
     for m in range(1, TERMS + 1):
         size = (-1) ** m / (np.pi * m) * np.exp(-2 * (np.pi * m * noise) ** 2)
-        if np.abs(size).max() < SMALLEST_TERM:
+        size[np.abs(size) < SMALLEST_TERM] = 0.0
+        if not size.any():
             break
         error += size.astype(values.dtype)[:, np.newaxis] * np.sin(m * angle)
     return np.asarray(error * step)

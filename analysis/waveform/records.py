@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from functools import cache
 from typing import Any, Literal
 
@@ -47,13 +47,30 @@ def records_at_once(n_samples: int, precision: DTypeLike) -> int:
 
 
 def sums(values: Samples) -> Floats:
-    """Sum over the last axis, (R, N) -> (R,); a product with ones is several times faster than `np.sum`."""
-    return np.asarray((values @ np.ones(values.shape[1], dtype=values.dtype)).astype(np.float64))
+    """Sum over the last axis, (R, N) -> (R,); a product with ones is several times faster than `np.sum`.
+
+    One product for each record: in a product of the whole matrix the last digits depend on the place in it.
+    """
+    return np.asarray(np.vecdot(values, np.ones(values.shape[1], dtype=values.dtype)).astype(np.float64))
 
 
 def sums_of_squares(values: Samples) -> Floats:
     """Sum over the last axis; (R, N) -> (R,)."""
     return np.asarray(np.vecdot(values, values).astype(np.float64))
+
+
+def never_alone(rows: Indices) -> Indices:
+    """The rows, a single one twice.
+
+    NumPy multiplies one complex number by itself in another way than several, so that the last digits of a record
+    would depend on whether others are fitted with it. What is found twice is the same and is put to one place.
+    """
+    return np.repeat(rows, 2) if rows.size == 1 else rows
+
+
+def are_all(rows: Indices, n_records: int) -> bool:
+    """Whether rising rows of :func:`never_alone` are those of all records (never one)."""
+    return rows.size == n_records and (n_records == 0 or bool(rows[0] != rows[-1]))
 
 
 @dataclass(frozen=True)
@@ -77,6 +94,25 @@ class Records:
     highest: Samples
     at_lowest: Counts
     at_highest: Counts
+
+    def take(self, rows: Indices) -> Records:
+        """Some of the records."""
+        picked: dict[str, Any] = {field.name: getattr(self, field.name) for field in fields(self)}
+        for name, part in picked.items():
+            picked[name] = None if part is None else part[rows]
+        return Records(**picked)
+
+    def groups(self) -> Iterator[tuple[Indices, Records]]:
+        """Records without and with missing samples, and which they are: sums over all samples have a closed form,
+        which none of them may lose by its neighbours."""
+        if self.weights is None and len(self.values) != 1:
+            yield np.arange(len(self.values)), self
+            return
+        whole = np.ones(len(self.values), dtype=bool) if self.weights is None else self.weights.all(axis=-1)
+        if (rows := never_alone(np.flatnonzero(whole))).size:
+            yield rows, replace(self.take(rows), weights=None)
+        if (rows := never_alone(np.flatnonzero(~whole))).size:
+            yield rows, self.take(rows)
 
 
 @dataclass(frozen=True)
@@ -170,7 +206,7 @@ class _Centred:
             if missing is not None:
                 some = np.where(missing[here], raw.dtype.type(0), some)
             with np.errstate(over="ignore", invalid="ignore"):  # infinite: the caller's concern
-                mean = some @ ones / np.maximum(count[here], 1)
+                mean = np.vecdot(some, ones) / np.maximum(count[here], 1)
                 block[...] = some
                 block -= mean[:, np.newaxis].astype(precision)
             if missing is not None:

@@ -10,14 +10,11 @@ import scipy.special
 
 from analysis.arrays import Bools, Complexes, Floats, Indices, Ints, Samples
 from analysis.flags import Flag
-from analysis.waveform.misfit import NEIGHBOURS, left_over, misfit_of, surroundings
+from analysis.waveform.misfit import LINE_CHANCE, NEIGHBOURS, left_over, line_stands_out, misfit_of
 from analysis.waveform.records import sums_of_squares
 from analysis.waveform.series.frequency_search import Sizes, line_sizes, neighbours
 from analysis.waveform.series.geometric_series import Series, sampled_blocks, sampled_series
 from analysis.waveform.series.harmonic_sums import data_sums
-
-LINE_CHANCE = 1e-6
-"""A residual line that noise would produce in fewer than this share of records is a misfit."""
 
 ROUNDING = 1e-12
 """A residual below this share of the power is arithmetic, not a measured signal: a synthetic record."""
@@ -150,7 +147,7 @@ def examine_residual(
     for row in np.flatnonzero(uneven):
         # So few periods leave a slow curve, which no neighbours tell from noise that rises to low frequencies.
         few = omega[row] * n_samples < 2 * np.pi * FEW_PERIODS
-        misfit[row] = few or _line_stands_out(np.square(sizes[row, 1:]), expected)
+        misfit[row] = few or line_stands_out(np.square(sizes[row, 1:]), few_lines=True)
     flags[misfit] |= Flag.MISFIT
     for row in np.flatnonzero(uneven):
         power = np.square(sizes[row, 1:])
@@ -206,14 +203,6 @@ def _neighbours_agree(sizes: Samples) -> float:
     """Correlation of neighbouring samples, from the lines (N/2 + 1,) of a spectrum."""
     power = np.square(sizes, dtype=np.float64)
     return float(power @ np.cos(np.linspace(0, np.pi, power.size)) / max(float(power.sum()), 1e-300))
-
-
-def _line_stands_out(power: Samples, expected: float) -> bool:
-    """Whether some line stands out of its neighbours, and not only of the mean, as any does in coloured noise."""
-    width = 2 * NEIGHBOURS + 1
-    if power.size < 2 * width:
-        return True
-    return bool((power / np.maximum(surroundings(power), 1e-300)).max() > expected)
 
 
 def _low_levels(power: Samples, line: float) -> Floats:

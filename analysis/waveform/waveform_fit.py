@@ -8,7 +8,8 @@ import numpy as np
 
 from analysis.arrays import Bools, Complexes, Floats, Indices, Ints, Samples
 from analysis.flags import FATAL, Flag
-from analysis.waveform.damage import find_damage, is_a_piece, outliers
+from analysis.waveform.damage import find_damage, outliers
+from analysis.waveform.misfit import turned_by
 from analysis.waveform.moving_rate import MovingFit, fit_moving_rate, may_be_motion
 from analysis.waveform.quantisation import (
     FEW_ERRORS,
@@ -19,11 +20,12 @@ from analysis.waveform.quantisation import (
     mean_rounding,
     repetition,
 )
-from analysis.waveform.records import Records, Stack
+from analysis.waveform.records import Records, Stack, never_alone
 from analysis.waveform.residuals import Residual, examine_residual, residual_of, residual_samples
 from analysis.waveform.series.geometric_series import Series, sampled_series
 from analysis.waveform.series.minimise import SeriesFit, Task, gauss_newton
 from analysis.waveform.series.series_fit import fit_series, fit_series_again
+from analysis.waveform.steadiness import passing_power
 
 SINGLE_PRECISION_SWING = 1e-12, 1e12
 """Volts between which squares are safe in single precision."""
@@ -40,6 +42,9 @@ WORTH_MOVING = 0.98
 MOST_WALK = 20.0
 """rad of random walk over the record up to which a record that is no beat at a steady rate may be one with a noisy
 rate. What is no beat at all needs more."""
+
+SUSPECT = Flag.MISFIT | Flag.COLOURED_NOISE | Flag.DAMAGED
+"""What makes it worth asking whether the residual is there all the time."""
 
 FEW_PERIODS = 6.5
 """A motion that is no smooth curve may leave less than the noise, and with few periods looks like a harmonic: the
@@ -72,6 +77,10 @@ class WaveformFit:
     third: Complexes
     flags: Ints
 
+    def take(self, part: Indices) -> WaveformFit:
+        """Some of the records."""
+        return WaveformFit(self.series.take(part), *(getattr(self, f.name)[part] for f in fields(self)[1:]))
+
     def put(self, part: Indices, other: WaveformFit) -> None:
         """Write the other's records into the places `part` of this one."""
         self.series.put(part, other.series)
@@ -81,7 +90,10 @@ class WaveformFit:
 
 def fit_waveform(stack: Stack, clipped: Bools | None) -> WaveformFit:
     """Fit every record; `clipped` (R, N) marks samples known to stand at the converter's end, None: find them."""
-    parts = [fit for part in stack.parts() for fit in _fit_what_can_be(stack, part, clipped)]
+    return _joined([fit for part in stack.parts() for fit in _fit_what_can_be(stack, part, clipped)])
+
+
+def _joined(parts: list[WaveformFit]) -> WaveformFit:
     series = Series(*(np.concatenate([getattr(p.series, f.name) for p in parts]) for f in fields(Series)))
     others = (np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(WaveformFit)[1:])
     return WaveformFit(series, *others)
@@ -119,7 +131,7 @@ def _fit_part(stack: Stack, part: slice, clipped: Bools | None) -> WaveformFit:
     swing = records.highest - records.lowest
     good = (swing > SINGLE_PRECISION_SWING[0]) & (swing < SINGLE_PRECISION_SWING[1])
     good &= fit.noise_rms > SINGLE_PRECISION_NOISE * swing
-    fine = np.flatnonzero(~(good | records.constant))
+    fine = never_alone(np.flatnonzero(~(good | records.constant)))
     if fine.size:
         again = stack.take(fine + part.start, np.float64)
         fit.put(fine, _fit_records(again, None if known is None else known[fine]))
@@ -127,12 +139,23 @@ def _fit_part(stack: Stack, part: slice, clipped: Bools | None) -> WaveformFit:
 
 
 def _fit_records(records: Records, clipped: Bools | None) -> WaveformFit:
+    """Fit records; each has the same digits whatever others are among them."""
+    fits: list[WaveformFit] = []
+    place = np.empty(len(records.values), dtype=np.intp)
+    for rows, some in records.groups():
+        place[rows] = sum(fit.flags.size for fit in fits) + np.arange(rows.size)
+        fits.append(_fit_alike(some, None if clipped is None else clipped[rows]))
+    return _joined(fits).take(place)
+
+
+def _fit_alike(records: Records, clipped: Bools | None) -> WaveformFit:
+    """Fit two records or more all of which have missing samples, or none."""
     values, weights = records.values, records.weights
     fit = fit_series(values, weights)
     damage = find_damage(records, fit, clipped)
     flags = damage.flags
-    hit = (flags & int(Flag.CLIPPED)) != 0
-    if hit.any() and damage.weights is not None and damage.limits is not None:
+    hit = never_alone(np.flatnonzero(flags & int(Flag.CLIPPED)))
+    if hit.size and damage.weights is not None and damage.limits is not None:
         weights = np.ones_like(values) if weights is None else weights.copy()
         refitted, weights[hit] = _fit_between_limits(
             values[hit], weights[hit], damage.weights[hit], damage.limits[hit]
@@ -143,9 +166,9 @@ def _fit_records(records: Records, clipped: Bools | None) -> WaveformFit:
     spikes = outliers(values, weights, fit.series, left, records.highest - records.lowest)
     if spikes:
         weights = np.ones_like(values) if weights is None else weights.copy()
-        for row, found in spikes.items():
-            weights[row, found] = 0.0
-        spiked = np.array(list(spikes))
+        for row, one in spikes.items():
+            weights[row, one.found] = 0.0
+        spiked = never_alone(np.array(list(spikes)))
         some, mask = values[spiked] * weights[spiked], weights[spiked]
         refitted = fit_series(some, mask)  # anew: the spikes may have led the first fit astray
         fit.put(spiked, refitted)
@@ -156,7 +179,7 @@ def _fit_records(records: Records, clipped: Bools | None) -> WaveformFit:
     flags[repeats] |= Flag.ROUNDING_REPEATS
     covariance = fit.covariance * rounding[:, np.newaxis, np.newaxis]
     judged = _judged(records, weights, fit.series, covariance, left, count, flags)
-    judged.flags[[row for row, found in spikes.items() if is_a_piece(found)]] |= Flag.MISFIT
+    judged.flags[[row for row, one in spikes.items() if one.piece]] |= Flag.MISFIT
     return judged
 
 
@@ -178,24 +201,34 @@ def _take_out_rounding(
         excess[silent[locked]] = repeated[locked] * FEW_ERRORS
         is_locked[silent[locked]] = True
         quiet = quiet[~is_locked[quiet]]
-    if quiet.size == 0:
-        return excess, is_locked
-    some, mask = values[quiet], None if weights is None else weights[quiet]
-    fitted = fit.series.take(quiet)
     # The rounding error is taken where the first fit has put the waveform. That fit was moved by it by little, but
     # with next to no noise the error changes within a small part of a level.
-    for _ in range(1 if np.all(rms[quiet] > SILENT * spacing[quiet]) else 2):
-        model = sampled_series(fitted, values.shape[1], values.dtype)
-        corrected = some - mean_rounding(model, some, spacing[quiet], rms[quiet])
-        if mask is not None:
-            corrected *= mask
-        refitted, _ = gauss_newton(Task.of(corrected, mask), fitted)
-        fitted = refitted.series
-    rest = residual_of(corrected, mask, fitted)
-    fit.put(quiet, refitted)
-    left.put(quiet, rest)
-    excess[quiet] = leftover_excess(rest, values.shape[1], spacing[quiet])
+    noisy = rms[quiet] > SILENT * spacing[quiet]
+    whole = np.ones(quiet.size, dtype=bool) if weights is None else weights[quiet].all(axis=-1)
+    for times, few in ((1, noisy), (2, ~noisy)):
+        for masked, chosen in ((False, few & whole), (True, few & ~whole)):
+            if (rows := never_alone(quiet[chosen])).size:
+                mask = weights[rows] if masked and weights is not None else None
+                refitted, rest = _without_rounding(
+                    values[rows], mask, fit.series.take(rows), spacing[rows], rms[rows], times
+                )
+                fit.put(rows, refitted)
+                left.put(rows, rest)
+                excess[rows] = leftover_excess(rest, values.shape[1], spacing[rows])
     return excess, is_locked
+
+
+def _without_rounding(
+    values: Samples, weights: Samples | None, fitted: Series, spacing: Floats, rms: Floats, times: int
+) -> tuple[SeriesFit, Residual]:
+    for _ in range(times):
+        model = sampled_series(fitted, values.shape[1], values.dtype)
+        corrected = values - mean_rounding(model, values, spacing, rms)
+        if weights is not None:
+            corrected *= weights
+        refitted, _ = gauss_newton(Task.of(corrected, weights), fitted)
+        fitted = refitted.series
+    return refitted, residual_of(corrected, weights, fitted)
 
 
 def _judged(
@@ -217,6 +250,8 @@ def _judged(
     # A residual as small as this cannot come from a motion that would move the ratio.
     worth_it = power > TRACKED_FROM**2 * np.abs(series.first) ** 2 * count
     fatal = (report.flags & int(FATAL)) != 0
+    beat_power = np.abs(series.first) ** 2 / 2 * count
+    at_rest = np.ones(len(count), dtype=bool)
     for row in map(int, np.flatnonzero(report.uneven & worth_it)):
         moved = _moving_fit(records, weights, series, row, bool(fatal[row]))
         if moved is None or moved.variance > WORTH_MOVING * power[row] / free[row]:
@@ -234,15 +269,30 @@ def _judged(
         if fatal[row] and ((told | moved.flags) & int(FATAL | Flag.MISFIT) or moved.walk > MOST_WALK):
             continue
         series.put(here, beat)
+        at_rest[row], sidebands = False, float(power[row] / beat_power[row])
         covariance[row], free[row], power[row] = moved.covariance, moved.degrees, moved.variance * moved.degrees
         covariance[row] /= moved.variance
         flags[row] = (flags[row] & ~report.flags[row]) | told | moved.flags
         excess[row], report.misfit[row], third[row] = factors, again.misfit[0], np.nan
+        if moved.vibrates:
+            flags[row] |= Flag.MISFIT
+            report.misfit[row] = np.hypot(report.misfit[row], turned_by(sidebands, abs(moved.ratio)))
+    for row in map(int, np.flatnonzero(at_rest & ((flags & int(SUSPECT)) != 0) & ~fatal)):
+        passing = passing_power(_valid_left(records.values, weights, series, row))
+        if passing:
+            flags[row] |= Flag.MISFIT
+            report.misfit[row] = np.hypot(report.misfit[row], np.sqrt(passing / beat_power[row]))
     flags[records.constant] = Flag.CONSTANT
     flags[count < FEWEST_SAMPLES] |= Flag.TOO_FEW_SAMPLES
     variance = power / np.maximum(free, 1)
     covariance *= variance[:, np.newaxis, np.newaxis]
     return WaveformFit(series, covariance, excess, np.sqrt(variance), report.misfit, third, flags)
+
+
+def _valid_left(values: Samples, weights: Samples | None, series: Series, row: int) -> Floats:
+    """What the waveform leaves of the samples of one record that are believed."""
+    left = residual_samples(values, weights, series, row).astype(np.float64)
+    return left if weights is None else left[weights[row] > 0]
 
 
 def _moving_fit(

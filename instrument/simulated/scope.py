@@ -17,6 +17,10 @@ class Picture(bytes):
     """An answer that no terminator follows."""
 
 
+class _UnknownHeader(Refusal):
+    """Its own command is lost, the rest of the message is not: setups of other models are to be recalled."""
+
+
 class SimulatedTDS2014(ScopeState):
     """A TDS2014, or another model of its family, with signals at its inputs.
 
@@ -97,10 +101,14 @@ class SimulatedTDS2014(ScopeState):
                         leaves.clear()
                         raise Refusal(430)
                 else:
-                    self._carry_out(node, action, command.arguments)
+                    for step in self._carry_out(node, action, command.arguments):
+                        if step is None:
+                            yield None
             except Refusal as refusal:
                 self.status.post(refusal.event, command.source)
-                if status_bit(refusal.event) == Guess.DROPS_REST_OF_MESSAGE:
+                if isinstance(refusal, _UnknownHeader):
+                    branch = self._branch_behind(command, branch)
+                elif status_bit(refusal.event) == Guess.DROPS_REST_OF_MESSAGE:
                     break
         if leaves:
             yield self._render(leaves)
@@ -112,13 +120,21 @@ class SimulatedTDS2014(ScopeState):
         """True when the answers so far leave no room in the output queue: nobody can read or write (430)."""
         return sum(len(value) for leaves in answers for _, value in leaves) > Guess.OUTPUT_QUEUE
 
+    def _branch_behind(self, command: Command | Malformed, branch: Node) -> Node:
+        """Where relative headers stand behind an unknown one: in its branch, which may be unknown, too."""
+        path = command.source.split(" ")[0].rstrip("?").upper().rpartition(":")[0]
+        if not path.strip(":"):
+            return self._tree.root if path or command.source.startswith(":") else branch
+        start = self._tree.root if path.startswith(":") else branch
+        return start.find(path.lstrip(":")) or Node()
+
     def _find(self, command: Command, branch: Node) -> Node:
         """The node of a header: from the root if absolute, else from the branch of the command before."""
         root = self._tree.root
         from_root = command.absolute or command.header.startswith("*")
         node = (root if from_root else branch).find(command.header.lstrip(":"))
         if node is None or node is root:
-            raise Refusal(Guess.UNKNOWN_HEADER)
+            raise _UnknownHeader(Guess.UNKNOWN_HEADER)
         return node
 
     def _waits(self, command: Command, action: Action | None) -> bool:
@@ -142,13 +158,17 @@ class SimulatedTDS2014(ScopeState):
             raise Refusal(Guess.COMMAND_HAS_NO_QUERY)
         return self.leaves(rows)
 
-    def _carry_out(self, node: Node, action: Action | None, arguments: tuple[Argument, ...]) -> None:
+    def _carry_out(
+        self, node: Node, action: Action | None, arguments: tuple[Argument, ...]
+    ) -> Iterator[bytes | None]:
+        """Act; gives the steps of an order that holds a message of its own (a recalled setup, *TRG)."""
         if action is not None and action.order is not None:
-            action.order(self, arguments)
+            return action.order(self, arguments) or iter(())
         elif node.row is not None:
             self.set(node.row.header.upper(), node.row.kind.read(one_argument(arguments)))
         else:
             raise Refusal(Guess.QUERY_HAS_NO_COMMAND)
+        return iter(())
 
     def _render(self, answers: list[list[Leaf]]) -> bytes:
         header, verbose = self.panel.flag("HEADER"), self.panel.flag("VERBOSE")
@@ -158,5 +178,6 @@ class SimulatedTDS2014(ScopeState):
     def turn_knob(self, command: str) -> None:
         """What somebody at the front panel does, as a program message; nothing while it is locked."""
         if self.panel.text("LOCK") == "NONE":
-            for _ in self.execute(command.encode("latin-1")):
-                pass
+            for step in self.execute(command.encode("latin-1")):
+                if step is None:  # it would have to wait, and no knob does
+                    break

@@ -44,7 +44,9 @@ class ScopeState(ABC):
         message_time: float | None = None,
     ) -> None:
         self.model = find_model(model)
-        self._identity = identity if identity is not None else self.model.identity
+        if identity is not None:
+            self.model = replace(self.model, identity=identity)
+        self._identity = self.model.identity
         self.clock: Clock = clock if clock is not None else RealClock()
         self.faults: Faults = faults if faults is not None else Faults()
         default_time = MESSAGE_TIME if self.clock.virtual else 0.0
@@ -60,6 +62,7 @@ class ScopeState(ABC):
         self.clock_offset: float = 0.0  # s that DATE and TIMe moved the clock
         self.trigger_message: bytes = b""  # *DDT
         self.picture: bytes = b""  # of a hard copy, on its way out
+        self.autoset_found: str = "NONE"  # the kind of signal that the last autoset saw
         self.completion_wanted = False  # *OPC was sent and waits for the end of the operation
         self.message_available = False
         self.powered = True

@@ -1,4 +1,4 @@
-"""``gyrolock settings``: a commented settings file to copy."""
+"""``gyrolock settings``: a commented settings file to copy, and the JSON Schema of one for editors."""
 
 from __future__ import annotations
 
@@ -10,28 +10,57 @@ from station.shell.options import config_option, json_option
 from station.terminal.lines import print_json, say
 
 # file of defaults: the measurement that reads it
-_FILES = {"simulated": "measure", "bench": "measure", "dead_band": "deadband"}
+_FILES = {"simulated": "measure", "bench": "measure", "dead_band": "deadband", "fibre_gyro": "table"}
+_OTHERS = {
+    "campaign": "campaign",
+    "rate_table": "controllers/rate_table",
+    "chamber": "controllers/chamber",
+    "power_supply": "controllers/power_supply",
+}
+_NAMES = [*_FILES, *_OTHERS]
 
 
 @click.command("settings")
-@click.argument("name", type=click.Choice(list(_FILES)), default="simulated")
+@click.argument("name", type=click.Choice(_NAMES), default="simulated")
+@click.option("--schema", is_flag=True, help="Print its JSON Schema, for the completion of an editor.")
 @config_option
 @json_option
-def command(name: str, config: Path | None, as_json: bool) -> int:
+def command(name: str, schema: bool, config: Path | None, as_json: bool) -> int:
     """Print a commented settings file to copy: `simulated` for the simulated bench, `bench` for a real one.
 
-    `dead_band` is that of `gyrolock deadband`. With --json, or with --config FILE, the values that would be used
+    `dead_band` is that of `gyrolock deadband`, `campaign` that of `gyrolock station`; `rate_table`, `chamber` and
+    `power_supply` are templates of controllers. With --json, or with --config FILE, the values that would be used
     are printed instead of the file.
     """
-    from station.measurements import measurement
-    from station.settings.load import load, shipped_settings
+    from station.settings.load import shipped_settings
     from station.settings.toml_files import read_toml
 
-    kind, shipped = measurement(_FILES[name]).kind, shipped_settings(name)
-    if config is not None:
-        print_json(load(kind, config).model_dump(mode="json"))
-    elif as_json:
-        print_json(kind.model.model_validate(read_toml(shipped)).model_dump(mode="json"))
+    if schema:
+        print_json(_schema(name))
+        return 0
+    shipped = shipped_settings(_OTHERS.get(name, name))
+    if name in _OTHERS:
+        if config is not None:
+            raise click.UsageError(f"--config shows values of a measurement; {name} is none")
+        values = read_toml(shipped)
+    elif config is not None or as_json:
+        from station.measurements import measurement
+        from station.settings.load import load
+
+        kind = measurement(_FILES[name]).kind
+        read = load(kind, config) if config is not None else kind.model.model_validate(read_toml(shipped))
+        print_json(read.model_dump(mode="json"))
+        return 0
+    if as_json:
+        print_json(values)
     else:
         say(shipped.read_text(encoding="utf-8").rstrip())
     return 0
+
+
+def _schema(name: str) -> dict[str, object]:
+    from station.campaign.schema import campaign_schema, settings_schema, template_schema
+
+    if name == "campaign":
+        return campaign_schema()
+    return template_schema() if name in _OTHERS else settings_schema(_FILES[name])

@@ -130,7 +130,7 @@ def evaluate(run: SavedRun, settings: DeadBandSettings, choices: Mapping[str, An
     if not intact:
         raise NoUsableSignal(f"{run.path}: the run holds no record of a sweep")
     scale_factor = float(choices.get("scale_factor", settings.gyro.scale_factor_pulses_per_deg))
-    records = _read(intact, [saved_waveform(one, run) for one in intact], settings)
+    records = _read(intact, [saved_waveform(one, run.path) for one in intact], settings)
     band = _dead_band(records, scale_factor, settings.table.rate_u_dps)
     parts = _parts(records, band, settings, scale_factor)
     latitude, tilt = settings.site.latitude_deg, settings.table.tilt_deg

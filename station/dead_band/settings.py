@@ -7,6 +7,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
+from station.controllers.settings import ControllersSettings, with_controllers
 from station.errors import SettingsError
 from station.ring_laser.settings import GyroSettings, ScopeSettings, SimulationSettings
 from station.settings.load import SettingsKind
@@ -16,7 +17,7 @@ from station.settings.parts import Finite, Limit, NotNegative, OutputSettings, S
 class TableSettings(SettingsSection):
     """The rate table under the gyro."""
 
-    kind: Literal["simulated", "manual"]
+    kind: Literal["simulated", "manual", "controller"]
     settle_s: NotNegative
     tilt_deg: Annotated[float, Field(ge=0, lt=90)]
     north_azimuth_deg: Finite
@@ -55,6 +56,7 @@ class DeadBandSettings(SettingsSection):
     scope: ScopeSettings
     sweep: SweepSettings
     output: OutputSettings
+    controllers: ControllersSettings | None = None
     simulation: SimulationSettings | None = None
     limits: LimitSettings = LimitSettings()
 
@@ -90,7 +92,7 @@ def _check(settings: DeadBandSettings, path: Path) -> DeadBandSettings:
         )
     if settings.scope.quadrature_channel:
         raise SettingsError(f"{path}: scope.quadrature_channel: a sweep needs one channel only")
-    return settings
+    return with_controllers(settings, settings.table.kind, path)
 
 
 DEAD_BAND = SettingsKind(
@@ -98,5 +100,5 @@ DEAD_BAND = SettingsKind(
     shipped=lambda given: "dead_band",
     adapt=_adapt,
     check=_check,
-    knowledge=("limits", "table.tilt_deg", "table.north_azimuth_deg", "table.rate_u_dps"),
+    knowledge=("limits.*", "table.tilt_deg", "table.north_azimuth_deg", "table.rate_u_dps"),
 )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 from instrument.facts import SCAN_FROM, TIME_BASES
@@ -10,6 +11,8 @@ from station.scope.autoset import oscilloscope_steps
 
 SLOWEST_S = max(step for step in TIME_BASES if step < SCAN_FROM)
 """s/div. A slower one would scan in AUTO, and its records be patched."""
+
+_DIVISIONS = 10  # of a record
 
 
 @dataclass(frozen=True)
@@ -57,3 +60,16 @@ def time_base(step: Step, settings: DeadBandSettings) -> float:
     shape = settings.sweep
     wanted = oscilloscope_steps().time_base(fastest, shape.periods_min, shape.samples_per_period_min)
     return min(wanted, SLOWEST_S)
+
+
+def seconds(settings: DeadBandSettings) -> float:
+    """Return how long a sweep takes at least: its records, and the settling after each change of the rate."""
+    steps = sweep(settings)
+    records = sum(_DIVISIONS * time_base(step, settings) for step in steps) * settings.sweep.records
+    return records + len(steps) * settings.table.settle_s
+
+
+def fastest_table_rate(settings: DeadBandSettings) -> float:
+    """Return the fastest rate of the table in a sweep, deg/s."""
+    fastest = max(abs(step.rate_dps) for step in sweep(settings))
+    return fastest / math.cos(math.radians(settings.table.tilt_deg))

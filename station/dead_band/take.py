@@ -94,7 +94,8 @@ def _knobs(settings: DeadBandSettings, session: Session, bench: Bench, writer: R
 def _turn(bench: Bench, step: Step, settings: DeadBandSettings) -> float:
     """Bring the table to a step; the rate that it has then."""
     rate = step.rate_dps / math.cos(math.radians(settings.table.tilt_deg))
-    return bench.turn_table(rate, settings.table.settle_s)
+    why = f"A step of the sweep ({step.direction}). Records that are taken then: {settings.sweep.records}."
+    return bench.turn_table(rate, settings.table.settle_s, why)
 
 
 def _take_step(

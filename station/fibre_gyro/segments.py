@@ -96,6 +96,11 @@ def take_logs(
         session.progress.advance()
 
 
+def seconds_of(planned: Sequence[PlannedSegment]) -> float:
+    """Return how long segments take, settling included."""
+    return sum(one.seconds + one.settle_s for one in planned)
+
+
 def unusable_segments(run: SavedRun, settings: FogSettings, purposes: Sequence[str]) -> dict[str, str]:
     """Return the keys of segments that would be left out for what happened while they were taken, and why."""
     found = {}

@@ -9,12 +9,14 @@ from typing import Any
 
 from instrument import InstrumentError, ManualRateTable, RateTable
 from instrument.fibre_gyro import FibreGyroLink, FrameFormat, Recording, parse_frame_format
+from station.controllers.open import open_rate_table, open_surroundings
 from station.errors import SettingsError
 from station.fibre_gyro.segments import FogBench, PlannedSegment
 from station.fibre_gyro.settings import FogSettings
 from station.runs.operator import ask_operator
 from station.settings.load import shipped_settings
 from station.settings.toml_files import read_toml
+from station.terminal.lines import remark
 
 Ask = Callable[[str], str]
 
@@ -28,12 +30,20 @@ class SerialFogBench:
         Turned only for segments that name a rate.
     ask : callable
         Asks the operator to change what cannot be commanded: the axis, the power, the temperature.
+    surroundings : callable, optional
+        What chamber and power supply read now, under names with their units.
     """
 
     _BY_HAND = ("axis", "end_up", "run", "temperature_c")
 
-    def __init__(self, link: FibreGyroLink, table: RateTable, ask: Ask) -> None:
-        self._link, self._table, self._ask = link, table, ask
+    def __init__(
+        self,
+        link: FibreGyroLink,
+        table: RateTable,
+        ask: Ask,
+        surroundings: Callable[[], dict[str, float]] = dict,
+    ) -> None:
+        self._link, self._table, self._ask, self._surroundings = link, table, ask, surroundings
         self._by_hand: tuple[Any, ...] = ()
         self._rate = 0.0
         self._step = 0.0
@@ -69,7 +79,7 @@ class SerialFogBench:
             reached |= self._inject(float(wanted["step_codes"]), wanted)
         if not self._link.acknowledges and ("step_codes" in wanted or "loop" in wanted):
             reached["acknowledged"] = False
-        return reached
+        return reached | self._surroundings()
 
     def record(self, planned: PlannedSegment, progress: Callable[[float], None]) -> Recording:
         """Record from the link."""
@@ -140,8 +150,23 @@ def read_frame_format(settings: FogSettings) -> FrameFormat:
 
 
 @contextmanager
-def open_fog_bench(settings: FogSettings) -> Iterator[FogBench]:
+def _table(settings: FogSettings, tell: Callable[[str], None]) -> Iterator[RateTable]:
+    named = None if settings.controllers is None else settings.controllers.rate_table
+    if settings.table.kind == "controller" and named is not None:
+        with open_rate_table(named, tell=tell) as table:
+            yield table
+    else:
+        yield ManualRateTable(ask=ask_operator)
+
+
+@contextmanager
+def open_fog_bench(settings: FogSettings, tell: Callable[[str], None] = remark) -> Iterator[FogBench]:
     """Open the bench that the settings describe; afterwards the injection is off and the loop is closed.
+
+    Parameters
+    ----------
+    tell : callable, optional
+        Is told when the link to a controller is lost; stderr if not given.
 
     Raises
     ------
@@ -156,8 +181,12 @@ def open_fog_bench(settings: FogSettings) -> Iterator[FogBench]:
         yield SimulatedFogBench(settings)
         return
     layout = read_frame_format(settings)
-    with FibreGyroLink(settings.link.port, layout, speed=settings.link.speed) as link:
-        bench = SerialFogBench(link, ManualRateTable(ask=ask_operator), ask_operator)
+    with (
+        FibreGyroLink(settings.link.port, layout, speed=settings.link.speed) as link,
+        open_surroundings(settings.controllers, tell=tell) as surroundings,
+        _table(settings, tell) as table,
+    ):
+        bench = SerialFogBench(link, table, ask_operator, surroundings)
         try:
             yield bench
         finally:

@@ -8,6 +8,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field
 
 from analysis.fibre_gyro import FibreCoil
+from station.controllers.settings import ControllersSettings, with_controllers
 from station.errors import SettingsError
 from station.settings.load import SettingsKind, Values, load
 from station.settings.parts import (
@@ -60,7 +61,7 @@ class LogSettings(SettingsSection):
 class TableSettings(SettingsSection):
     """The rate-table run."""
 
-    kind: Literal["simulated", "manual"]
+    kind: Literal["simulated", "manual", "controller"]
     axes: Annotated[list[Name], Field(min_length=1)]
     rates_dps: Rates
     both_ends_up: bool
@@ -185,6 +186,7 @@ class FogSettings(SettingsSection):
     figures: FiguresSettings
     allan: AllanSettings
     witness: WitnessSettings
+    controllers: ControllersSettings | None = None
     simulation: SimulationSettings
     limits: LimitSettings
     output: OutputSettings
@@ -225,7 +227,9 @@ def _check(settings: FogSettings, path: Path) -> FogSettings:
         raise SettingsError(f"{path}: table.axes: {', '.join(axes)}: an axis stands there twice")
     if settings.simulated and settings.table.kind == "manual":
         raise SettingsError(f'{path}: table.kind = "manual": an operator cannot turn a simulated gyro')
-    return settings
+    if settings.simulated and settings.table.kind == "controller":
+        raise SettingsError(f'{path}: table.kind = "controller": a controller cannot turn a simulated fibre gyro')
+    return with_controllers(settings, settings.table.kind, path)
 
 
 FIBRE_GYRO = SettingsKind(

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any, TypeVar
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
-from station.shell.command import run_measurement, take_measurement
+from station.shell.command import run_measurement, shown_for, take_measurement
 from station.shell.options import CHANNELS, overrides, positive, report_option, run_options
 from station.terminal.lines import print_failure, print_json, say
+
+if TYPE_CHECKING:
+    from station.runs.taking import Taken
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -89,10 +92,19 @@ def acquire(**given: Any) -> int:
     The scope is set up as `gyrolock measure` does it. Ctrl-C keeps the records taken so far; --resume goes on with
     such a run.
     """
+    given = _with_scale_factor(given)
+    with shown_for("measure", given) as progress:
+        taken = take_measurement("measure", given, progress, places=_PLACES)
+        code = _end_acquire(taken, given)
+        progress.end(code)
+    return code
+
+
+def _end_acquire(taken: Taken, given: Mapping[str, Any]) -> int:
+    """Say what is saved; the exit code."""
     from station.shell.ending import run_as_it_ends, save_outcome
     from station.shell.evaluated import about_run
 
-    taken = take_measurement("measure", _with_scale_factor(given), places=_PLACES)
     run, failure = run_as_it_ends(taken), taken.failure
     failure = failure or save_outcome(run, None)
     saved = len(run.taken_for("measure"))

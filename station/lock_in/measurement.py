@@ -7,14 +7,16 @@ from typing import Any
 
 from analysis.lock_in_run import Method
 from station.lock_in.found import LockInFound
+from station.lock_in.presentation.at_once import watch
 from station.lock_in.presentation.documents import record_documents
 from station.lock_in.presentation.sections import sections
 from station.lock_in.presentation.tables import fact_tables
-from station.lock_in.read import evaluate_run
+from station.lock_in.read import evaluate_run, evaluate_source
 from station.lock_in.result import result
 from station.lock_in.settings import RING_LASER, LimitSettings, Settings
 from station.lock_in.take import take
 from station.measurements import Measurement
+from station.ring_laser.examine import examine
 from station.runs.store import SavedRun
 
 
@@ -31,10 +33,13 @@ MEASUREMENT = Measurement(
     kind=RING_LASER,
     take=take,
     evaluate=evaluate,
+    evaluate_source=evaluate_source,
     choices=("scale_factor", "relation", "input_rate"),
     gives=tuple(LimitSettings.model_fields),
     result=result,
-    sections=sections,
+    sections=lambda found, run, settings, result: sections(found, result),
     facts=fact_tables,
     rows=lambda found: record_documents(found, "record"),
+    examine=lambda settings: examine(settings, settings.table.fast_rate_dps),
+    watch=watch,
 )

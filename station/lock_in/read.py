@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from statistics import fmean
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from analysis import LockInEstimate
 from analysis.errors import NoTilt, OneRateOnly, OutsideResponse
 from analysis.lock_in_run import (
     Batch,
+    LockInRun,
     LockInSeen,
     Method,
     RecordArrays,
@@ -25,11 +28,18 @@ from analysis.lock_in_run import (
 )
 from instrument import Waveform
 from station.errors import RunError, UsageError
-from station.lock_in.found import LockInFound
+from station.lock_in.found import LockInFound, Numbered, SavedWaveforms
 from station.lock_in.knowledge import knowledge_of_files, run_knowledge
+from station.lock_in.records.pieces import Gathered, estimate_pieces, pieces_of, together
 from station.lock_in.settings import Settings
 from station.ring_laser.records import saved_waveform
+from station.runs.progress import Progress
 from station.runs.store import SavedRecord, SavedRun
+from station.sources.source import Source
+from station.sources.workers import Workers
+
+_LOOKED_AT = 200
+"""Records that are read together where only some are looked at."""
 
 
 def evaluate_run(run: SavedRun, settings: Settings, method: Method | None = None) -> LockInFound:
@@ -56,18 +66,10 @@ def evaluate_run(run: SavedRun, settings: Settings, method: Method | None = None
         what = "only damaged records" if acquisitions else "no record at the slow rate"
         raise RunError(f"{run.path}: the run holds {what}")
     records = [taken.sine for taken in intact]
-    waveforms = tuple(saved_waveform(record, run) for record in records)
-    cosines = [saved_waveform(taken.cosine, run) for taken in intact if taken.cosine is not None]
+    waveforms = tuple(saved_waveform(record, run.path) for record in records)
+    cosines = [saved_waveform(taken.cosine, run.path) for taken in intact if taken.cosine is not None]
     channels = (waveforms, cosines) if len(cosines) == len(waveforms) else (waveforms,)
-    arrays = RunArrays(_arrays(channels, records), _fast_run(run))
-    try:
-        found = evaluate(arrays, run_knowledge(settings), method)
-    except NoTilt as error:
-        raise RunError(_no_tilt(error)) from None
-    except OutsideResponse as error:
-        raise RunError(f"front_end.response: {error}") from None
-    except OneRateOnly as error:
-        raise UsageError(str(error)) from None
+    found = _evaluated(RunArrays(_arrays(channels, records), _fast_run(run)), settings, method)
     shown = records
     if found.several is not None:
         shown = [records[row] for row in found.several.reference_group.rows]
@@ -78,6 +80,119 @@ def evaluate_run(run: SavedRun, settings: Settings, method: Method | None = None
         damaged=tuple(taken.name for taken in acquisitions if not taken.intact),
         truth=_mean_truth(shown),
         without_beat=tuple(run.facts.get("rates_without_beat", ())),
+    )
+
+
+def evaluate_source(
+    source: Source, settings: Settings, choices: Mapping[str, Any], workers: Workers, progress: Progress
+) -> tuple[LockInFound, tuple[str, ...]] | None:
+    """Evaluate a saved run without holding its samples: the same numbers as :func:`evaluate_run`, bit for bit.
+
+    Parameters
+    ----------
+    source : Source
+        A run of this measurement.
+    settings : Settings
+        As for :func:`evaluate_run`.
+    choices : mapping
+        Of :class:`analysis.lock_in_run.Method`.
+    workers : Workers
+        Estimate the records, piece by piece.
+    progress : Progress
+        Is told how many thousands of records are done.
+
+    Returns
+    -------
+    LockInFound, tuple of str
+        And which records are damaged, in sentences. ``None`` where records of two channels belong together,
+        which this does not do.
+
+    Raises
+    ------
+    RunError, UsageError
+        As :func:`evaluate_run`.
+    """
+    if settings.scope.quadrature_channel:
+        return None
+    chosen = {"scale_factor": settings.gyro.scale_factor_pulses_per_deg, **choices}
+    parts = []
+    pieces = pieces_of(source, chosen)
+    progress.start("thousands of records", len(pieces))
+    for (part,) in workers.map(estimate_pieces, pieces):
+        if part.left_out and part.left_out[-1].record is None:
+            raise RunError(str(part.left_out[-1]))
+        parts.append(part)
+        progress.advance()
+    gathered = together(parts)
+    if gathered.paired:
+        return None
+    if gathered.each is None:
+        what = "only damaged records" if gathered.taken else "no record at the slow rate"
+        raise RunError(f"{source.name}: the run holds {what}")
+    fast = _arrays(([saved_waveform(record, source.path) for record in gathered.fast],), gathered.fast)
+    waveforms = SavedWaveforms(source, gathered.numbers)
+    slow = gathered_arrays(gathered, waveforms)
+    found = _evaluated(RunArrays(slow, fast), settings, Method(**chosen), gathered.each)
+    rows: Sequence[int] = range(len(gathered))
+    if found.several is not None:
+        rows = found.several.reference_group.rows
+    in_words = LockInFound(
+        **vars(found),
+        names=Numbered(gathered.places),
+        waveforms=waveforms,
+        damaged=tuple(str(place + 1) for place in gathered.damaged),
+        truth={name: fmean(values[list(rows)]) for name, values in gathered.truth.items()} or None,
+        without_beat=tuple(source.facts.get("rates_without_beat", ())),
+    )
+    return in_words, gathered.damage
+
+
+def _evaluated(
+    arrays: RunArrays, settings: Settings, method: Method, estimated: LockInEstimate | None = None
+) -> LockInRun:
+    try:
+        return evaluate(arrays, run_knowledge(settings), method, estimated)
+    except NoTilt as error:
+        raise RunError(_no_tilt(error)) from None
+    except OutsideResponse as error:
+        raise RunError(f"front_end.response: {error}") from None
+    except OneRateOnly as error:
+        raise UsageError(str(error)) from None
+
+
+@dataclass(frozen=True)
+class _AskedFor:
+    """Volts of records that are estimated already, for what looks at some of them again."""
+
+    waveforms: Sequence[Waveform]
+    intervals: NDArray[np.float64]
+    samples: NDArray[np.int64]
+
+    def __iter__(self) -> Iterator[Batch]:
+        for shape in rows_of_batches(self.intervals, self.samples):
+            for first in range(0, shape.size, _LOOKED_AT):
+                rows = shape[first : first + _LOOKED_AT]
+                if isinstance(self.waveforms, SavedWaveforms):
+                    waves = self.waveforms.many(rows)
+                else:
+                    waves = [self.waveforms[row] for row in rows.tolist()]
+                volts, clipped = [wave.volts for wave in waves], [wave.clipped_samples for wave in waves]
+                yield Batch(rows, waves[0].sample_interval, np.array([volts]), np.array([clipped]))
+
+
+def gathered_arrays(gathered: Gathered, waveforms: Sequence[Waveform]) -> RecordArrays:
+    """Records as arrays; their samples are read again where some are asked for."""
+    columns = gathered.columns
+    samples = columns["samples"].astype(np.int64)
+    return RecordArrays(
+        batches=_AskedFor(waveforms, columns["sample_interval_s"], samples),
+        n_channels=1,
+        samples=samples,
+        level_spacing=columns["level_spacing_v"],
+        table_rate=columns["table_rate_dps"],
+        azimuth_start=columns["azimuth_start_deg"],
+        azimuth_end=columns["azimuth_end_deg"],
+        over_lock_in=columns["over_lock_in"],
     )
 
 
@@ -105,7 +220,7 @@ def fast_run_tilt(run: SavedRun, settings: Settings) -> Tilt:
 
 def lock_in_so_far(records: Sequence[SavedRecord], run: SavedRun, settings: Settings) -> LockInSeen | None:
     """Say what records of a run at one rate say of the lock-in rate; ``None`` if they show no beat."""
-    arrays = _arrays(([saved_waveform(record, run) for record in records],), records)
+    arrays = _arrays(([saved_waveform(record, run.path) for record in records],), records)
     return lock_in_seen(arrays, settings.gyro.scale_factor_pulses_per_deg)
 
 
@@ -184,7 +299,7 @@ def _arrays(channels: Sequence[Sequence[Waveform]], records: Sequence[SavedRecor
 
 def _fast_run(run: SavedRun) -> RecordArrays:
     records = run.taken_for("tilt")
-    return _arrays(([saved_waveform(record, run) for record in records],), records)
+    return _arrays(([saved_waveform(record, run.path) for record in records],), records)
 
 
 def _no_tilt(error: NoTilt) -> str:

@@ -66,16 +66,22 @@ _FAILING = {"table_mismatch", "scale_factor_mismatch"}
 """Flags of checks that say that something does not fit together."""
 
 
+def _failing(found: LockInFound) -> set[str]:
+    """The same, but for a difference that lies within what the budget counts: that is a doubt."""
+    explained = found.table_check is not None and not found.table_check.unexplained
+    return _FAILING - {"table_mismatch"} if explained else _FAILING
+
+
 def _doubts(found: LockInFound) -> list[str]:
     """What rules the result: a flag that the uncertainty does not answer, or something that nobody knows."""
-    said = [flag_sentence(found, name) for name in found.flags if name not in _ANSWERED | _FAILING]
+    said = [flag_sentence(found, name) for name in found.flags if name not in _ANSWERED | _failing(found)]
     if found.budget is not None and (doubt := doubt_sentence(found.budget)):
         said.append(doubt)
     return said
 
 
 def _failures(found: LockInFound) -> list[str]:
-    said = [flag_sentence(found, name) for name in found.flags if name in _FAILING]
+    said = [flag_sentence(found, name) for name in found.flags if name in _failing(found)]
     return [*said, truth_sentence(found)] if truth_is_missed(found) else said
 
 

@@ -14,6 +14,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Discriminator, Field, Tag
 
+from station.controllers.settings import ControllersSettings, with_controllers
 from station.errors import SettingsError, UsageError
 from station.ring_laser.settings import GyroSettings, ScopeSettings, SimulationSettings
 from station.settings.load import SettingsKind, Values, load, shipped_settings
@@ -55,7 +56,7 @@ class TestedGyroSettings(GyroSettings):
 class TableSettings(SettingsSection):
     """The rate table and what it is asked to do."""
 
-    kind: Literal["simulated", "manual", "none"]
+    kind: Literal["simulated", "manual", "controller", "none"]
     fast_rate_dps: Positive
     highest_rate_dps: Positive = 1000.0
     both_senses: bool
@@ -122,6 +123,7 @@ class Settings(SettingsSection):
     measurement: MeasurementSettings
     output: OutputSettings
     budget: BudgetSettings | None = None  # runs of earlier versions were saved without it
+    controllers: ControllersSettings | None = None
     simulation: SimulationSettings | None = None
     limits: LimitSettings = LimitSettings()
 
@@ -238,7 +240,7 @@ def _check(settings: Settings, path: Path) -> Settings:
         )
     if settings.scope.quadrature_channel == settings.scope.channel:
         raise SettingsError(f"{path}: scope.quadrature_channel: is the same as scope.channel")
-    return _with_response(path, settings)
+    return _with_response(path, with_controllers(settings, settings.table.kind, path))
 
 
 def _with_response(path: Path, settings: Settings) -> Settings:
@@ -327,5 +329,5 @@ RING_LASER = SettingsKind(
     shipped=_shipped,
     adapt=_adapt,
     check=_check,
-    knowledge=("front_end", "budget", "limits", "table.known_tilt_deg", "table.known_tilt_u_deg"),
+    knowledge=("front_end", "budget.*", "limits.*", "table.known_tilt_deg", "table.known_tilt_u_deg"),
 )

@@ -6,12 +6,14 @@ What is measured is only saved here; numbers come from the saved run.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field
+from functools import partial
 from typing import Any
 
 from analysis.lock_in_run import LockInSeen
 from analysis.rotation import earth_rate_on_axis
+from instrument import ManualRateTable
 from station.errors import NoUsableSignal
 from station.lock_in.rate_plan import (
     RatePlan,
@@ -26,6 +28,7 @@ from station.lock_in.settings import Settings, check_scale_factor
 from station.ring_laser.bench import Bench
 from station.ring_laser.open import open_for
 from station.ring_laser.records import acquisition_records, set_up, take_record
+from station.ring_laser.table_answer import Beats, beats_at, beats_of_other_sense
 from station.runs.progress import Progress
 from station.runs.store import RunWriter, SavedRecord
 from station.runs.taking import Session
@@ -33,6 +36,9 @@ from station.scope.autoset import KnobPositions, find_beat, fit_channel
 
 _EAST = 90.0
 """Azimuth at which the earth rate on the axis has its vertical part only."""
+
+_WHY_FAST = "This fast run finds the angle between gyro axis and table axis; then the other sense follows."
+_WHY_OTHER_SENSE = "The other sense takes the earth's rotation out; then the slow rates follow."
 
 _FASTER = 5.0
 """A fast run in which the gyro is locked is repeated at so many times its rate."""
@@ -153,17 +159,20 @@ class _Taking:
             fast = abs(taken[0].conditions["table_rate_dps"])
         # with the axis along the table's the beat would be as fast as this
         start: KnobPositions | float = settings.gyro.scale_factor_pulses_per_deg * fast
+        first: tuple[float, float] | None = None
         for sense in (1, -1) if settings.table.both_senses else (1,):
             there = [one for one in taken if one.conditions["table_rate_dps"] * sense > 0]
             if len(there) >= count:
                 continue
             if sense == 1 and not there:
                 rate, self.knobs = self._fast_beat(fast)
-                fast = abs(rate)
+                fast, first = abs(rate), (rate, self.knobs.beat_frequency)
             else:
                 self.progress.note(f"fast run at {sense * fast:+g} deg/s")
-                rate = self.bench.turn_table(sense * fast, settings.table.settle_s)
-                self.knobs = find_beat(self.bench.scope, settings.scope, settings.measurement, self.knobs or start)
+                rate = self.bench.turn_table(sense * fast, settings.table.settle_s, _WHY_OTHER_SENSE)
+                other = partial(beats_of_other_sense, settings, first=first) if first is not None else None
+                self.knobs = self._find_beat(self.knobs or start, other)
+                rate = self._confirmed(rate)
             channels = (settings.scope.channel,)
             self._take_records("tilt", f"tilt {sense * fast:+g}", channels, len(there), count, rate)
         tilt = fast_run_tilt(self.session.so_far(), settings)
@@ -175,10 +184,11 @@ class _Taking:
         settings = self.settings
         while True:
             self.progress.note(f"fast run at {fast:+g} deg/s")
-            rate = self.bench.turn_table(fast, settings.table.settle_s)
+            rate = self.bench.turn_table(fast, settings.table.settle_s, _WHY_FAST)
             highest = settings.gyro.scale_factor_pulses_per_deg * fast
             try:
-                return rate, find_beat(self.bench.scope, settings.scope, settings.measurement, highest)
+                knobs = self._find_beat(highest, partial(beats_at, settings, tilt_deg=None))
+                return self._confirmed(rate), knobs
             except NoUsableSignal as error:
                 faster = min(_FASTER * fast, settings.table.highest_rate_dps)
                 if faster <= fast or not settings.rates_are_chosen:
@@ -201,9 +211,11 @@ class _Taking:
             if abs(wanted) > settings.table.highest_rate_dps:
                 raise NoUsableSignal(f"the table turns at most {settings.table.highest_rate_dps:g} deg/s")
             self.progress.note(f"slow rate {wanted:.4g} deg/s on the table")
-            table_rate = self.bench.turn_table(wanted, settings.table.settle_s)
+            why = f"Here lock-in shows in the beat. Records that are taken then: {count - len(there)}."
+            table_rate = self.bench.turn_table(wanted, settings.table.settle_s, why)
         begin = frequency if self.knobs is None else _for_frequency(self.knobs, frequency)
-        self.knobs = find_beat(self.bench.scope, settings.scope, settings.measurement, begin)
+        self.knobs = self._find_beat(begin, partial(beats_at, settings, tilt_deg=self.tilt_deg))
+        table_rate = None if table_rate is None else self._confirmed(table_rate)
         for channel in channels[1:]:
             fit_channel(self.bench.scope, channel, settings.scope, settings.measurement, self.knobs)
         now = {"scope_setting": asdict(self.knobs), "table_rate_dps": table_rate}
@@ -212,6 +224,23 @@ class _Taking:
         self.writer.save_facts({"rates": self.rates, **now})
         name = f"rate {step.sense * step.over_lock_in:+g}"
         self._take_records("measure", name, channels, len(there), count, table_rate, asked)
+
+    def _find_beat(self, start: KnobPositions | float, fits: Callable[[float], Beats] | None) -> KnobPositions:
+        """Find the beat; where an operator has set the table it has to fit the rate, else they are asked again."""
+        settings, table = self.settings, self.bench.table
+        while True:
+            knobs = find_beat(self.bench.scope, settings.scope, settings.measurement, start)
+            if fits is None or not isinstance(table, ManualRateTable):
+                return knobs
+            beats, frequency = fits(table.rate()), knobs.beat_frequency
+            if beats.holds(frequency) or not table.doubt(beats.sentence(frequency)):
+                return knobs
+            self.bench.sleep(settings.table.settle_s)
+
+    def _confirmed(self, rate: float) -> float:
+        """The table's rate after its beat was seen: an operator may have set it right."""
+        table = self.bench.table
+        return table.rate() if isinstance(table, ManualRateTable) else rate
 
     def _table_rate(self, step: RateStep) -> float:
         """Rate of the table for a rate on the axis, deg/s; of the earth rate the vertical part is known."""

@@ -9,11 +9,11 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from station.display.opening import shown
 from station.errors import UsageError
 from station.measurements import measurement
 from station.notebook.result import Result
 from station.notebook.run import open_run, with_problem
-from station.runs.progress import Progress
 from station.runs.stop import ending_signals
 from station.settings.load import load
 from station.settings.toml_files import merged
@@ -107,8 +107,9 @@ def measure(
         chosen = merged(settings, chosen)
     elif settings is not None:
         config = Path(settings)
-    kind, progress = measurement("measure"), Progress(quiet=quiet)
-    with ending_signals(second_ends=False):  # a notebook's kernel lives on
+    kind = measurement("measure")
+    # a notebook's kernel lives on
+    with ending_signals(second_ends=False), shown({"quiet": quiet}, "measure", **named) as progress:
         if resume is not None:
             taken = resume_run(Path(resume), progress, kind=kind, config=config, overrides=chosen, labels=named)
         else:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+from collections.abc import Sequence
 from contextlib import AbstractContextManager
 from typing import Any
 
@@ -14,6 +15,8 @@ from numpy.typing import NDArray
 from analysis import fit_harmonics
 from instrument import Waveform
 from instrument.fibre_gyro import Recording
+from station.catalogue.entry import Entry
+from station.catalogue.trend import draw_trend, series_of, trend_size
 from station.report.figure import ACCENT, SECOND, STYLE, legend_above
 
 _SIZE = (9.0, 5.0)
@@ -82,4 +85,13 @@ def _samples(x: NDArray[np.float64], y: NDArray[np.float64], title: str, across:
         axes = figure.subplots()
         axes.plot(x, y, color=ACCENT, linewidth=0.9)
         axes.set(xlabel=across, ylabel=up, title=title)
+    return figure
+
+
+def draw_runs(entries: Sequence[Entry]) -> Figure:
+    """Draw the results of runs over time; NoUsableSignal if none has a result."""
+    series = series_of(entries)
+    with _style():
+        figure = Picture(figsize=trend_size(series), layout="constrained")
+        draw_trend(figure, series)
     return figure

@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 
 from instrument import Waveform
 from instrument.fibre_gyro import Recording
+from station.datasets.packages import package
 from station.errors import UsageError
-from station.notebook.show import data_frame, data_package, html_table
+from station.notebook.show import data_frame, html_table
 from station.results.parts import Rows
 
 
@@ -147,7 +148,7 @@ class Records(Sequence[Record]):
         to them. Shorter ones are filled up with nan (codes with -128, "no data"). What is known of each record
         is a coordinate.
         """
-        xarray = data_package("xarray")
+        xarray = package("xarray")
         longest = max(map(len, self.records), default=0)
 
         def stacked(name: str, fill: float = np.nan, kind: type = float) -> tuple[tuple[str, str], NDArray[Any]]:

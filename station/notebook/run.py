@@ -3,27 +3,31 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from analysis import LockInEstimate
 from analysis.lock_in_run import Method
-from instrument import read_waveform
+from instrument import Preamble, Waveform
+from station.catalogue.remarks import Remarks, add_remark, read_remarks
+from station.datasets.reading import names_of, run_of
 from station.errors import EXIT_NO_SIGNAL, Failure, NoUsableSignal, UsageError
 from station.fibre_gyro.recordings import segments_of
-from station.lock_in.files import AnalyzedFiles, analyze_waveforms
 from station.lock_in.found import LockInFound
 from station.notebook.records import Record, Records
 from station.notebook.result import Result
+from station.reanalysis.files import AnalyzedFiles, analyze_waveforms
 from station.ring_laser.records import saved_waveform
-from station.runs.store import SavedRun
+from station.runs.store import SavedRecord, SavedRun
 from station.runs.store import open_run as read_run
 from station.shell.evaluated import Evaluated, evaluate_run, kind_of
+from station.sources import Source, find_sources, open_source
 
 PathLike = str | os.PathLike[str]
-_WAVEFORM_FILES = (".csv", ".isf")
 
 
 class Run(Records):
@@ -63,8 +67,8 @@ class Run(Records):
 class TakenRun(Run):
     """A saved run: the records that its measurement is of; others by their purpose."""
 
-    def __init__(self, saved: SavedRun) -> None:
-        self._saved, facts, kind = saved, saved.facts, kind_of(saved)
+    def __init__(self, saved: SavedRun, method: Mapping[str, Any] | None = None) -> None:
+        self._saved, facts, kind, self._method = saved, saved.facts, kind_of(saved), dict(method or {})
         self.purposes = tuple(dict.fromkeys(record.purpose for record in saved.records))
         own = [facts.command] if facts.command in self.purposes else self.purposes
         records: list[Record] = []
@@ -84,7 +88,7 @@ class TakenRun(Run):
         if any(_is_output(record.header) for record in taken):
             data: Iterable[Any] = (segment.recording for segment in segments_of(self._saved, purpose))
         else:
-            data = (saved_waveform(record, self._saved) if record.intact else None for record in taken)
+            data = (saved_waveform(record, self._saved.path) if record.intact else None for record in taken)
         return tuple(
             Record(name, record.conditions, one, purpose, record.taken_at)
             for name, record, one in zip(_names(self._saved, purpose), taken, data, strict=True)
@@ -93,23 +97,62 @@ class TakenRun(Run):
 
     def evaluated(self, config: PathLike | None = None, **choices: Any) -> Evaluated:
         """Evaluate the run; arguments as for :meth:`result`."""
-        return evaluate_run(self._saved, config=None if config is None else Path(config), choices=choices)
+        chosen = {**self._method, **choices}
+        return evaluate_run(self._saved, config=None if config is None else Path(config), choices=chosen)
+
+    @property
+    def remarks(self) -> Remarks:
+        """What was said of it afterwards: `mark`, `tags`, `notes`."""
+        return read_remarks(self.path)
+
+    def annotate(
+        self,
+        note: str = "",
+        *,
+        tags: Sequence[str] = (),
+        untagged: Sequence[str] = (),
+        mark: str | None = "",
+        by: str = "",
+    ) -> Remarks:
+        """Say something of the run, beside it: the measurement stays as it is.
+
+        Parameters
+        ----------
+        mark : {"good", "bad", None}, optional
+            ``None`` takes the mark away.
+        by : str, optional
+            Who says it; by default the user of the computer.
+
+        Returns
+        -------
+        Remarks
+            All that was said of it.
+        """
+        add_remark(self.path, note=note, tags=tags, untagged=untagged, mark=mark, by=by)
+        return self.remarks
 
 
 class FileRun(Run):
     """Files of an oscilloscope as records at one rate."""
 
-    def __init__(self, path: Path, files: Sequence[Path], channel: str | None, method: dict[str, Any]) -> None:
-        self._method = method
-        records = []
-        for file in files:
-            waveform = read_waveform(file)
-            source = waveform.preamble.wfid.split(",")[0].upper()
-            if channel is None or source == channel.upper():
-                records.append(Record(str(file), {"channel": source}, waveform))
+    def __init__(
+        self, path: Path, sources: Sequence[Source], channel: str | None, method: Mapping[str, Any]
+    ) -> None:
+        self._method = dict(method)
+        records, damaged = [], []
+        for source in sources:
+            for record in source.records():
+                if not record.intact:
+                    damaged.append(source.name)
+                    continue
+                waveform = waveform_of(record)
+                taken_from = waveform.preamble.wfid.split(",")[0].upper()
+                if channel is None or taken_from == channel.upper():
+                    records.append(Record(source.name, {"channel": taken_from}, waveform))
         if not records:
-            raise UsageError(f"{path}: none of {len(files)} files is of {channel}")
-        super().__init__(records, path, "gyrolock analyze", {}, f"{len(records)} files")
+            raise UsageError(f"{path}: none of {len(sources)} files is of {channel}")
+        outcome = f"{len(records)} files"
+        super().__init__(records, path, "gyrolock analyze", {}, outcome, damaged=damaged)
 
     def evaluated(self, config: PathLike | None = None, **choices: Any) -> AnalyzedFiles:
         """Evaluate the files; arguments as for :meth:`result`."""
@@ -158,35 +201,72 @@ def read(
     channel: str | None = None,
     input_rate: float | None = None,
     relation: str | None = None,
-) -> FileRun:
-    """Read files of an oscilloscope and see them as a run: records at one rate.
+    run: str | None = None,
+) -> Run:
+    """Read files of an oscilloscope and see them as a run: records at one rate; or what was exported.
 
     Parameters
     ----------
     paths : path or iterable of path
-        Tektronix CSV or ISF files; a folder, such as a memory card, stands for all that are in it and below.
+        Tektronix CSV or ISF files; a folder, such as a memory card, stands for all that are in it and below. A
+        data set of `gyrolock export` (file, folder of parts, URL) is what was exported to it.
     scale_factor : float, optional
-        Pulses per degree. Without it there are records, but no estimates.
+        Pulses per degree. Without it files give records, but no estimates.
     channel : str, optional
         Only files of this input: ``"CH1"``.
     input_rate : float, optional
         Rate on the gyro's axis, deg/s; without it each record is its own reference.
     relation : {"exact", "paper-13", "paper-10"}, optional
         Of ratio and rate.
+    run : str, optional
+        Name of one of several runs, or the end of it.
+
+    Returns
+    -------
+    Run
+        A `TakenRun` where a run was exported.
 
     Raises
     ------
-    FileFormatError, OSError
+    FileFormatError, RunError, OSError
         A file cannot be read.
     UsageError
-        A folder holds no such file, or none is of the channel.
+        A folder holds no such file, none is of the channel, or there are several runs and none is named.
     """
-    given = [Path(paths)] if isinstance(paths, str | os.PathLike) else [Path(path) for path in paths]
-    files = [file for path in given for file in _files_of(path)]
-    if not files:
-        raise UsageError("no file was given to read")
+    place, sources = _sources(paths)
     method = {"scale_factor": scale_factor, "input_rate": input_rate, "relation": relation}
-    return FileRun(Path(os.path.commonpath([path.absolute() for path in given])), files, channel, method)
+    taken = [source for source in sources if source.is_run]
+    if run is not None:
+        sources = taken = [source for source in taken if _is_called(source.name, run)]
+    if not taken and run is None:
+        return FileRun(place, sources, channel, method)
+    if len(taken) < len(sources):
+        raise UsageError(f"{place}: holds runs and files: read them one by one ({names_of(sources)})")
+    if len(taken) != 1:
+        raise UsageError(
+            f"{place}: holds {len(taken)} runs{f' called {run}' if run else ''}: name one as run, or take all by "
+            f"gyrolock.read_runs ({names_of(taken or _sources(paths)[1])})"
+        )
+    return TakenRun(run_of(taken[0]), method)
+
+
+def read_runs(paths: PathLike | Iterable[PathLike]) -> list[TakenRun]:
+    """Read all runs that paths hold: saved ones, folders of them, and data sets that they were exported to.
+
+    Raises
+    ------
+    RunError, OSError
+        One of them cannot be read.
+    """
+    return [TakenRun(run_of(source)) for source in _sources(paths)[1] if source.is_run]
+
+
+def waveform_of(record: SavedRecord) -> Waveform:
+    """Return the record of an oscilloscope as a waveform."""
+    preamble = Preamble.parse(record.header)
+    if preamble.byt_nr == 1:
+        return Waveform(record.codes, preamble)
+    return Waveform(np.frombuffer(record.payload, ">i2").astype(np.int16), preamble)
 
 
 def with_problem(document: dict[str, Any], problem: str) -> dict[str, Any]:
@@ -196,13 +276,22 @@ def with_problem(document: dict[str, Any], problem: str) -> dict[str, Any]:
     return document | {"error": Failure(NoUsableSignal.kind, problem, EXIT_NO_SIGNAL).as_json()}
 
 
-def _files_of(path: Path) -> list[Path]:
-    if not path.is_dir():
-        return [path]
-    files = sorted(file for file in path.rglob("*") if file.suffix.lower() in _WAVEFORM_FILES)
-    if not files:
-        raise UsageError(f"{path}: holds no CSV or ISF file")
-    return files
+def _sources(paths: PathLike | Iterable[PathLike]) -> tuple[Path, list[Source]]:
+    """What paths hold, and where all of it lies."""
+    given = [os.fspath(one) for one in ([paths] if isinstance(paths, str | os.PathLike) else paths)]
+    found = [open_source(one) for one in find_sources(given)]
+    if not found:
+        raise UsageError("no file was given to read")
+    if len(given) == 1:
+        return Path(given[0]), found
+    return Path(os.path.commonpath([os.path.abspath(path) for path in given])), found
+
+
+def _is_called(name: str, wanted: str) -> bool:
+    """Whether a run is meant by its name, its folder, or the end of them."""
+    path = Path(name)
+    ends = [path.parts, path.parent.parts]
+    return any(parts[-len(Path(wanted).parts) :] == Path(wanted).parts for parts in ends)
 
 
 def _names(saved: SavedRun, purpose: str) -> list[str]:

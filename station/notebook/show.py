@@ -1,12 +1,12 @@
-"""Showing in a notebook: small tables of HTML, tables of pandas and xarray where they are installed."""
+"""Showing in a notebook: small tables of HTML, tables of pandas where it is installed."""
 
 from __future__ import annotations
 
-import importlib
 from collections.abc import Iterable, Mapping
 from html import escape
 from typing import Any
 
+from station.datasets.packages import package
 from station.results.parts import Rows
 
 
@@ -22,20 +22,6 @@ def html_table(caption: str, rows: Rows) -> str:
     return f"<table><caption>{escape(caption)}</caption>{cells}</table>"
 
 
-def data_package(name: str) -> Any:
-    """Import pandas or xarray.
-
-    Raises
-    ------
-    ImportError
-        It is not installed.
-    """
-    try:
-        return importlib.import_module(name)
-    except ImportError:
-        raise ImportError(f"{name} is not installed: pip install 'gyrolock[data]'") from None
-
-
 def data_frame(rows: Iterable[Mapping[str, Any]]) -> Any:
     """Return a pandas.DataFrame of plain JSON objects; what lies deeper goes by ``outer.inner``."""
-    return data_package("pandas").json_normalize([dict(row) for row in rows])
+    return package("pandas").json_normalize([dict(row) for row in rows])

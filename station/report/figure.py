@@ -16,11 +16,14 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 FILE_KINDS = (".svg", ".png", ".pdf")
-INK, SOFT, LINE, ACCENT, SECOND, THIRD = "#1d2733", "#5b6875", "#dfe4ea", "#1f5f99", "#c8642b", "#2c7a4b"
-WIDE, HALF = (10.0, 3.1), (5.0, 3.1)
+INK, SOFT, LINE, ACCENT, SECOND, THIRD = "#1d2733", "#5b6875", "#dfe4ea", "#1f5f99", "#b4541e", "#2c7a4b"
+THEME = {INK: "ink", SOFT: "soft", LINE: "line", ACCENT: "accent", SECOND: "second", THIRD: "third"}
+"""Colours of figures, and the names under which a page holds them."""
+WIDE, HALF, TALL = (10.0, 3.1), (5.0, 3.1), (10.0, 4.6)
 STYLE: dict[str, Any] = {
     "svg.fonttype": "none",  # text stays text: small, searchable, in the font of the page
     "font.size": 9.5,
+    "text.color": INK,
     "axes.edgecolor": SOFT,
     "axes.labelcolor": SOFT,
     "axes.linewidth": 0.7,
@@ -101,6 +104,12 @@ def legend_above(axes: Axes, columns: int = 3) -> None:
     axes.legend(loc="lower left", bbox_to_anchor=(0, 1.0), ncols=columns, borderaxespad=0.2, handlelength=1.6)
 
 
+def renamed(svg: str, name: str) -> str:
+    """Return an SVG element under another name: two of one name may then stand in one page."""
+    svg = re.sub(r'\bid="', f'id="{name}-', svg)
+    return re.sub(r'(href="#|url\(#)', rf"\g<1>{name}-", svg)
+
+
 def _drawn(name: str, size: tuple[float, float], draw: Callable[[Figure], None], kind: str, **how: Any) -> bytes:
     import matplotlib
     from matplotlib.figure import Figure
@@ -118,7 +127,8 @@ def _embeddable(svg: str, name: str) -> str:
     """Cut off the XML prologue and make every id of the figure its own."""
     svg = svg[svg.index("<svg") :]
     svg = re.sub(r"<metadata>.*?</metadata>\s*", "", svg, flags=re.DOTALL)
-    svg = re.sub(r'\bid="', f'id="{name}-', svg)
-    svg = re.sub(r'(href="#|url\(#)', rf"\g<1>{name}-", svg)
+    svg = renamed(svg, name)
+    for colour, name in THEME.items():  # the page says which colour that is, by day and by night
+        svg = svg.replace(colour, f"var(--{name}, {colour})")
     # the page's font; matplotlib has laid the text out in a wider one
     return re.sub(r"font-family: 'DejaVu Sans'[^;\"]*", "font-family: inherit", svg)

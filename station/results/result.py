@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -23,11 +24,14 @@ class Measured:
         nan where the run gives none.
     of : str
         What it is of, where there are several: ``"X"``.
+    u : float
+        Standard uncertainty, where the result does not hold one under the name that goes with it.
     """
 
     name: str
     value: float
     of: str = ""
+    u: float = math.nan
 
     @property
     def unit_suffix(self) -> str:

@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from instrument import TDS2014, RateTable
+from instrument import TDS2014, ManualRateTable, RateTable
 from station.errors import UsageError
 
 
@@ -25,6 +25,8 @@ class Bench:
         Seconds on that clock, from any beginning.
     truth : callable or None
         On a simulated bench: the true values of the last record, with the names of the results.
+    surroundings : callable
+        What chamber and power supply read now, under names with their units; nothing where there are none.
     """
 
     scope: TDS2014
@@ -32,9 +34,15 @@ class Bench:
     sleep: Callable[[float], None] = time.sleep
     truth: Callable[[], dict[str, float]] | None = None
     now: Callable[[], float] = time.time
+    surroundings: Callable[[], dict[str, float]] = dict
 
-    def turn_table(self, rate_dps: float, settle_s: float) -> float:
+    def turn_table(self, rate_dps: float, settle_s: float, why: str = "") -> float:
         """Set the table's rate, wait until it turns steadily, and then let it settle.
+
+        Parameters
+        ----------
+        why : str, optional
+            What the rate is for and what comes then: for an operator who has to set it.
 
         Returns
         -------
@@ -48,6 +56,8 @@ class Bench:
         """
         if self.table is None:
             raise UsageError("this bench has no rate table that could be set")
+        if isinstance(self.table, ManualRateTable):
+            self.table.why = why
         self.table.set_rate(rate_dps)
         self.sleep(settle_s)
         return self.table.rate()

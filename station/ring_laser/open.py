@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
-from instrument import FoundPanel, Identity
+from instrument import FoundPanel, Identity, RateTable
+from station.controllers.open import open_rate_table, open_surroundings
 from station.ring_laser.bench import Bench
 from station.ring_laser.settings import BenchSettings
 from station.runs.operator import operator_table
@@ -42,14 +43,14 @@ def open_bench(
     UsageError
         If an operator is needed and there is no terminal.
     """
+    said = tell or (lambda text: None)
     if settings.simulated:
         # PyVISA's simulated side and the gyro are not for a real bench
         from station.ring_laser.simulated import open_simulated_bench
 
-        with open_simulated_bench(settings, times_resumed=times_resumed) as bench:
+        with open_simulated_bench(settings, times_resumed=times_resumed, tell=said) as bench:
             yield bench
         return
-    table = operator_table() if settings.table.kind == "manual" else None
     wanted = settings.scope
     opened = open_scope(
         wanted.resource,
@@ -59,8 +60,30 @@ def open_bench(
         put_back=put_back,
         same_as=same_as,
     )
-    with opened as scope:
-        yield Bench(scope, table)
+    with (
+        opened as scope,
+        open_surroundings(settings.controllers, tell=said) as surroundings,
+        _table(settings, said) as table,  # the last to be opened is the first to be closed: it is stopped
+    ):
+        yield Bench(scope, table, surroundings=surroundings)
+
+
+@contextmanager
+def _table(settings: BenchSettings, tell: Callable[[str], None]) -> Iterator[RateTable | None]:
+    """The rate table of a real bench; whatever ends this, it is stopped, or the operator is told to do it."""
+    named = None if settings.controllers is None else settings.controllers.rate_table
+    if settings.table.kind == "controller" and named is not None:
+        with open_rate_table(named, tell=tell) as turned:
+            yield turned
+    elif settings.table.kind == "manual":
+        by_hand = operator_table()
+        try:
+            yield by_hand
+        finally:
+            if rate := by_hand.rate():
+                tell(f"The rate table still turns at {rate:+.6g} deg/s: stop it by hand.")
+    else:
+        yield None
 
 
 def open_for(session: Session, settings: BenchSettings) -> Bench:

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 
 from instrument import InstrumentError, Preamble, Waveform
-from station.errors import NoUsableSignal, RunError
+from station.errors import RunError
 from station.ring_laser.bench import Bench
 from station.ring_laser.settings import ScopeSettings
-from station.runs.store import NewRecord, SavedRecord, SavedRun
+from station.runs.store import NewRecord, SavedRecord
+from station.sources.over_time import check_over_time
 
 
 def set_up(bench: Bench, wanted: ScopeSettings, channels: Sequence[str]) -> None:
@@ -32,7 +34,8 @@ def take_record(bench: Bench, channels: tuple[str, ...]) -> tuple[tuple[Waveform
     tuple of Waveform
         One for each channel.
     dict
-        Plain JSON: azimuth before and after where it is known, truth on a simulated bench.
+        Plain JSON: azimuth before and after where it is known, what chamber and power supply read, truth on a
+        simulated bench.
 
     Raises
     ------
@@ -42,7 +45,7 @@ def take_record(bench: Bench, channels: tuple[str, ...]) -> tuple[tuple[Waveform
     azimuth, waveforms, azimuth_after = bench.scope.step(
         lambda: (bench.azimuth(), bench.scope.acquire(channels), bench.azimuth())
     )
-    conditions: dict[str, object] = {}
+    conditions: dict[str, object] = {**bench.surroundings()}
     if azimuth is not None and azimuth_after is not None:
         conditions |= {"azimuth_start_deg": azimuth, "azimuth_end_deg": azimuth_after}
     if bench.truth is not None:
@@ -65,7 +68,7 @@ def acquisition_records(
     ]
 
 
-def saved_waveform(record: SavedRecord, run: SavedRun) -> Waveform:
+def saved_waveform(record: SavedRecord, run: Path) -> Waveform:
     """Return a saved record as the waveform that the scope sent.
 
     Raises
@@ -78,23 +81,6 @@ def saved_waveform(record: SavedRecord, run: SavedRun) -> Waveform:
     try:
         waveform = Waveform(record.codes, Preamble.parse(record.preamble))
     except InstrumentError as error:
-        raise RunError(f"{run.path}: record {record.number} cannot be read: {error}") from None
-    check_over_time(waveform, f"{run.path}: record {record.number}")
+        raise RunError(f"{run}: record {record.number} cannot be read: {error}") from None
+    check_over_time(waveform, f"{run}: record {record.number}")
     return waveform
-
-
-def check_over_time(waveform: Waveform, name: str) -> None:
-    """Refuse what only looks like a record.
-
-    Raises
-    ------
-    NoUsableSignal
-        A spectrum, or pairs of minima and maxima.
-    """
-    unit = waveform.preamble.xunit
-    if unit.lower() != "s":
-        raise NoUsableSignal(f"{name}: is a spectrum ({unit}), not a record over time: save the channel itself")
-    if waveform.preamble.pt_fmt == "ENV" or "pk detect" in waveform.preamble.wfid.lower():
-        raise NoUsableSignal(
-            f"{name}: was taken with Peak Detect: it holds minima and maxima, not samples; use SAMPLE mode"
-        )

@@ -9,6 +9,7 @@ from typing import Annotated, Literal, Protocol
 
 from pydantic import Field
 
+from station.controllers.settings import ControllersSettings
 from station.settings.parts import Finite, NotNegative, Positive, SettingsSection, SiteSettings
 
 Dbc = Annotated[float, Field(ge=-200, le=0)]
@@ -78,7 +79,7 @@ class TableMount(Protocol):
     """The rate table, as the bench sees it."""
 
     @property
-    def kind(self) -> Literal["simulated", "manual", "none"]:
+    def kind(self) -> Literal["simulated", "manual", "controller", "none"]:
         """``"none"``: it turns already, and cannot be set."""
 
     @property
@@ -108,6 +109,10 @@ class BenchSettings(Protocol):
     @property
     def simulation(self) -> SimulationSettings | None:
         """The truth of a simulated bench; ``None`` on a real one."""
+
+    @property
+    def controllers(self) -> ControllersSettings | None:
+        """Controllers of the bench; ``None`` where there are none."""
 
     @property
     def simulated(self) -> bool:

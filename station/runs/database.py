@@ -153,8 +153,14 @@ class DatabaseWriter:
 
 
 @contextmanager
-def reading(file: Path) -> Iterator[tuple[sqlite3.Connection, Layout]]:
+def reading(file: Path, *, fold: bool = True) -> Iterator[tuple[sqlite3.Connection, Layout]]:
     """Open a run to read it, finished or cut short.
+
+    Parameters
+    ----------
+    fold : bool, optional
+        Make one file of a run whose program was killed. Without it nothing but SQLite touches the file, and
+        nothing is changed: for a look at many runs, some of which may be written at this moment.
 
     Raises
     ------
@@ -162,7 +168,7 @@ def reading(file: Path) -> Iterator[tuple[sqlite3.Connection, Layout]]:
         If it is no run, of a newer version, or damaged.
     """
     try:
-        if file.resolve() not in _BEING_WRITTEN:
+        if fold and file.resolve() not in _BEING_WRITTEN:
             if not is_database(file):
                 raise RunError(f"{file}: is not a saved run")
             _fold(file)

@@ -44,6 +44,11 @@ class Layout:
         return f"SELECT {', '.join(self.columns)} FROM {self.table} ORDER BY number"
 
     @property
+    def select_between(self) -> str:
+        """The same for records from one number to another, its two parameters."""
+        return f"SELECT {', '.join(self.columns)} FROM {self.table} WHERE number BETWEEN ? AND ? ORDER BY number"
+
+    @property
     def insert(self) -> str:
         """SQL that adds one record; its parameters are those of `COLUMNS` that the table holds, by name."""
         held = [(c, name) for c, name in zip(self.columns, COLUMNS, strict=True) if c.isidentifier()]

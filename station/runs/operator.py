@@ -7,7 +7,15 @@ import sys
 
 from instrument import ManualRateTable
 from station.errors import UsageError
+from station.terminal.give_way import free_terminal
 from station.terminal.visible import visible
+
+WIRING = """\
+    gyro ── photodiode ── amplifier ── coaxial cable ── CH1 of the oscilloscope
+                                                         │ GPIB, RS-232 or USB
+    rate table ── its controller ─────────────────────── computer
+"""
+"""How the bench is wired, for a prompt."""
 
 
 def ask_operator(question: str) -> str:
@@ -20,9 +28,10 @@ def ask_operator(question: str) -> str:
     """
     check_terminal()
     try:
-        sys.stderr.write(f"\n{visible(question)}")
-        sys.stderr.flush()
-        answer = sys.stdin.readline()
+        with free_terminal(question):
+            sys.stderr.write(f"\n{visible(question)}")
+            sys.stderr.flush()
+            answer = sys.stdin.readline()
     except (OSError, ValueError):
         answer = ""
     if not answer:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import itertools
 import json
 import shutil
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Self
@@ -32,7 +32,7 @@ from station.runs.layouts import COLUMNS, Layout
 
 RUN_FILE = "run.sqlite"
 REPORT_FILE = "report.html"
-_RUN_FILES = (RUN_FILE, "fog.sqlite")  # the second is that of fibre-gyro runs of earlier versions
+RUN_FILES = (RUN_FILE, "fog.sqlite")  # the second is that of fibre-gyro runs of earlier versions
 _ASIDE = " (set aside "
 _NAMED = 20  # gaps among the records that are named one by one
 
@@ -96,8 +96,8 @@ class SavedRun:
         The SQLite file.
     facts : RunFacts
         What was known beside the records: command, settings, identity, provenance, truth, times, outcome.
-    records : tuple of SavedRecord
-        In the order in which they were taken.
+    records : sequence of SavedRecord
+        In the order in which they were taken; those of a long run may be read when they are asked for.
     results : dict or None
         What was last computed from them.
     unusable : dict
@@ -110,7 +110,7 @@ class SavedRun:
 
     path: Path
     facts: RunFacts
-    records: tuple[SavedRecord, ...]
+    records: Sequence[SavedRecord]
     results: dict[str, Any] | None
     unusable: Mapping[str, str] = field(default_factory=dict)
     protected: bool = True
@@ -236,7 +236,7 @@ def open_run(path: Path) -> SavedRun:
         facts, unusable, protected = read_facts(db)
         records = tuple(read_record(row, layout) for row in db.execute(layout.select))
         results = db.execute("SELECT value FROM result ORDER BY number DESC LIMIT 1").fetchone()
-        damaged = tuple(_damage(records, unusable))
+        damaged = tuple(damage_of(records, unusable))
         return SavedRun(file, RunFacts(facts), records, _results(results), unusable, protected, damaged)
 
 
@@ -263,17 +263,31 @@ def read_record(row: Sequence[Any], layout: Layout) -> SavedRecord:
     )
 
 
-def _damage(records: Sequence[SavedRecord], unusable: Mapping[str, str]) -> Iterator[str]:
-    for record in records:
-        if not (record.intact or record.aside):
-            yield f"record {record.number} ({record.key}) is damaged"
-    numbers = sorted({record.number for record in records if record.number > 0})
-    gaps = [(after + 1, before) for after, before in itertools.pairwise([0, *numbers]) if before > after + 1]
+def damage_of(records: Sequence[SavedRecord], unusable: Mapping[str, str]) -> Iterator[str]:
+    """Say in one sentence each what of a run is not what was once saved."""
+    yield from (said for record in records if (said := damaged_record(record)))
+    yield from missing_records(sorted({record.number for record in records if record.number > 0}))
+    yield from damaged_facts(unusable)
+
+
+def damaged_record(record: SavedRecord) -> str:
+    """Say that a record is damaged; nothing if it is not, or counts in no result."""
+    return "" if record.intact or record.aside else f"record {record.number} ({record.key}) is damaged"
+
+
+def missing_records(numbers: Iterable[int]) -> Iterator[str]:
+    """Say which records are missing between those that are there, by their rising numbers from 1."""
+    pairs = itertools.pairwise(itertools.chain([0], numbers))
+    gaps = list(itertools.islice(((low + 1, high) for low, high in pairs if high > low + 1), _NAMED + 1))
     for first, behind in gaps[:_NAMED]:
         last = behind - 1
         yield f"record {first} is missing" if first == last else f"records {first} to {last} are missing"
     if len(gaps) > _NAMED:
         yield "further records are missing"
+
+
+def damaged_facts(unusable: Mapping[str, str]) -> Iterator[str]:
+    """Say which facts of a run are not what was once saved."""
     yield from (f"what the run knows of itself is damaged: {name} {why}" for name, why in unusable.items())
 
 
@@ -294,7 +308,7 @@ def run_file(path: Path) -> Path:
         If there is none.
     """
     if path.is_dir():
-        for name in _RUN_FILES:
+        for name in RUN_FILES:
             if (path / name).is_file():
                 return path / name
         raise RunError(f"{path}: holds no run (there is no {RUN_FILE} in it)")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager, ExitStack
 from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
@@ -11,12 +11,13 @@ from typing import Any, TypeVar
 
 from instrument import TDS2014, FoundPanel, Identity, InstrumentError
 from station.errors import Failure, RunError, StationError, describe_failure
+from station.events.seen import See, Watcher
 from station.provenance import provenance
 from station.runs.database import utc_now
 from station.runs.facts import LABELS, TAKEN
 from station.runs.progress import Progress
 from station.runs.stop import disturbed, undisturbed
-from station.runs.store import Acknowledge, RunWriter, SavedRun, open_run
+from station.runs.store import Acknowledge, NewRecord, RunWriter, SavedRun, open_run
 
 T = TypeVar("T")
 
@@ -70,6 +71,8 @@ class Session:
         Keys of its records that are to be taken again, and why.
     acknowledge : callable, optional
         Is told of records when they are on the disk.
+    see : callable, optional
+        Says at once what a record says, for those who watch.
     """
 
     def __init__(
@@ -81,9 +84,13 @@ class Session:
         resumed: SavedRun | None = None,
         again: Mapping[str, str] | None = None,
         acknowledge: Acknowledge | None = None,
+        see: See | None = None,
     ) -> None:
-        self.progress = progress
+        self.progress, self.events = progress, progress.events
         self._acknowledge = acknowledge
+        self._see = see
+        self._watcher: Watcher | None = None
+        self._link_told: dict[str, int] = {}
         self.resumed = resumed
         self.writer: RunWriter | None = None
         self.facts: dict[str, Any] = dict(facts)
@@ -143,10 +150,10 @@ class Session:
         if self.resumed is None:
             with undisturbed():
                 self.writer = RunWriter.create(self._directory, {**self.facts, **(facts or {}), **scope})
-                self.writer.acknowledge = self._acknowledge
+            self._tell_begun(facts or {})
             return self.writer
         self.writer = RunWriter(self.resumed.path)
-        self.writer.acknowledge = self._acknowledge
+        self._tell_begun(facts or {})
         known = {name: self.facts[name] for name in (*LABELS, "settings") if self.facts.get(name)}
         again = {"resumed_at": [*self.resumed.facts.resumed_at, utc_now()], "outcome": None, "ended_at": None}
         self.writer.save_facts({**again, **known, **scope})
@@ -154,6 +161,55 @@ class Session:
             self.progress.note(f"{key} is taken again: {reason}")
             self.writer.set_aside(key)
         return self.writer
+
+    def _tell_begun(self, facts: Mapping[str, object]) -> None:
+        """Tell those who watch that the run begins, and let them hear of every record."""
+        if self.writer is None:
+            return
+        identity = facts.get("identity") or self.facts.get("identity")
+        instrument = identity.get("model") if isinstance(identity, Mapping) else None
+        settings = self.facts.get("settings", {})
+        self.events.emit(
+            "run",
+            run=str(self.writer.path),
+            measurement=self.facts.get("command"),
+            gyro=settings.get("gyro", {}).get("name"),
+            instrument=instrument,
+            resource=settings.get("scope", {}).get("resource") or settings.get("link", {}).get("port"),
+            simulated=self.facts.get("simulated"),
+            resumed=self.resumed is not None,
+            records=0 if self.resumed is None else len(self.resumed.records),
+        )
+        if self._see is not None and self.events.wants_values:
+            self._watcher = Watcher(self.events, self._see)
+        self.writer.acknowledge = self._acknowledged
+
+    def _acknowledged(self, run: Path, records: Sequence[tuple[int, NewRecord]]) -> None:
+        """Records are on the disk: tell whoever waits for that, then those who watch."""
+        if self._acknowledge is not None:
+            self._acknowledge(run, records)
+        for number, one in records:
+            about = {"key": one.key, "purpose": one.purpose, "conditions": one.conditions}
+            self.events.emit("record", run=str(run), number=number, **about)
+        if self._watcher is not None:
+            self._watcher([record for _, record in records])
+        self._tell_link()
+
+    def _tell_link(self) -> None:
+        if self._scope is None:
+            return
+        now = asdict(self._scope.link_faults)
+        if now != self._link_told:
+            self._link_told = now
+            self.events.emit("link", **now, text=str(self._scope.link_faults))
+
+    def end(self, outcome: str) -> None:
+        """Tell those who watch that the taking has ended."""
+        if self._watcher is not None:
+            self._watcher.close()
+        if self.writer is not None:
+            self._tell_link()
+            self.events.emit("run_ended", run=str(self.writer.path), outcome=outcome)
 
     def so_far(self) -> SavedRun:
         """Return the run as it stands."""
@@ -228,11 +284,10 @@ def _take(session: Session, work: Callable[[Session], None]) -> Taken:
         failure, stopped_by = describe_failure(error), error
         if session.writer is None or failure is None:
             raise
-    finally:
-        session.progress.close()
     writer = session.writer
     if writer is None:
         raise RunError("nothing was taken")
+    session.end(TAKEN if failure is None else failure.message)
     ending: dict[str, object] = {
         "ended_at": utc_now(),
         "outcome": TAKEN if failure is None else failure.as_json(),

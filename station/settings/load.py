@@ -42,8 +42,8 @@ class SettingsKind(Generic[S]):
     later : str
         Shipped file that gives what a run of an earlier version was saved without; empty: the model's defaults.
     knowledge : tuple of str
-        Sections, or values as ``section.name``, that say what is known of the bench: a saved run can be evaluated
-        with those of today.
+        What is known of the bench, with which a saved run can be evaluated later: ``section.name``, ``section.*``
+        for each of its values, or ``section`` where its values belong together and are replaced together.
     """
 
     model: type[S]
@@ -51,19 +51,35 @@ class SettingsKind(Generic[S]):
     adapt: Callable[[dict[str, Any]], None]
     check: Callable[[S, Path], S]
     later: str = ""
-    knowledge: tuple[str, ...] = ("limits",)
+    knowledge: tuple[str, ...] = ("limits.*",)
 
-    def with_knowledge(self, saved: S, now: S) -> S:
-        """Return saved settings with what is known of the bench today."""
+    def with_knowledge(self, saved: S, path: Path, overrides: Values | None = None) -> S:
+        """Return saved settings with what a file states of the bench today; what it does not state stays.
+
+        Raises
+        ------
+        SettingsError
+            The file holds mistakes.
+        """
+        now, stated = load(self, path, overrides), _given(path, overrides)
         updates: dict[str, Any] = {}
         for place in self.knowledge:
             section, _, name = place.partition(".")
-            if name:
-                before = updates.get(section, getattr(saved, section))
-                updates[section] = before.model_copy(update={name: getattr(getattr(now, section), name)})
-            else:
+            before = updates.get(section, getattr(saved, section))
+            said = stated.get(section, {})
+            if name and before is not None:
+                names = [one for one in said if name in ("*", one)]
+                updates[section] = before.model_copy(
+                    update={one: getattr(getattr(now, section), one) for one in names}
+                )
+            elif said:
                 updates[section] = getattr(now, section)
         return saved.model_copy(update=updates)
+
+    def is_knowledge(self, place: str) -> bool:
+        """Whether a value, as ``section.name``, is one of those."""
+        section = place.split(".")[0]
+        return not {place, section, f"{section}.*"}.isdisjoint(self.knowledge)
 
 
 def shipped_settings(name: str) -> Path:
@@ -161,18 +177,19 @@ def settings_to_resume(
     UsageError
         Something differs: the text names every value.
     """
-    now = load(kind, path, overrides) if path is not None or overrides else saved
+    if path is not None or overrides:
+        load(kind, path, overrides)  # its mistakes come first
     before = dict(_flat(saved.model_dump(mode="json")))
     changed = [
         f"{place} is {before.get(place)!r} in the run, not {value!r}"
         for place, value in _flat(_given(path, overrides))
-        if not {place, place.split(".")[0]} & {*_FREE, *kind.knowledge} and before.get(place) != value
+        if place.split(".")[0] not in _FREE and not kind.is_knowledge(place) and before.get(place) != value
     ]
     if changed:
         raise UsageError(
             f"{run}: cannot be gone on with, other settings would change what is measured: {'; '.join(changed)}"
         )
-    return kind.with_knowledge(saved, now) if path is not None else saved
+    return kind.with_knowledge(saved, path, overrides) if path is not None else saved
 
 
 def _given(path: Path | None, overrides: Values | None) -> dict[str, Any]:

@@ -7,7 +7,7 @@ import re
 import tomllib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast, get_args
 
 from instrument.errors import FileFormatError
 from instrument.small_files import read_small_file
@@ -21,6 +21,7 @@ _DEEPEST = 8  # levels; ours have three
 _TOLD = 20  # mistakes that are told one by one
 _LONGEST_VALUE = 80  # letters of a wrong value that are told
 _HEADER = re.compile(r"\s*\[\[?\s*([^\]]+?)\s*\]\]?")
+_NAME = re.compile(r"\"[^\"]*\"|'[^']*'|[^.]+")
 _KEY = re.compile(r"\s*([A-Za-z0-9_.\-\"' ]+?)\s*=")
 
 
@@ -108,16 +109,33 @@ def _shown(value: object) -> str:
 
 def _meant(place: Sequence[str], model: type[BaseModel]) -> str:
     """Suggest a name like the one that is not known; of limits all, for there are few."""
-    section: type[BaseModel] | None = model
-    for name in place[:-1]:
-        field = section.model_fields.get(name) if section is not None else None
-        section = getattr(field, "annotation", None)
-        if not hasattr(section, "model_fields"):
-            return ""
-    known = list(section.model_fields) if section is not None else []
+    section = model_at(model, place[:-1])
+    if section is None:
+        return ""
+    known = list(section.model_fields)
     if like := difflib.get_close_matches(place[-1], known, 1):
         return f"; did you mean {like[0]}?"
     return f"; there are {', '.join(known)}" if place[0] == "limits" else ""
+
+
+def model_at(model: type[BaseModel], place: Sequence[str]) -> type[BaseModel] | None:
+    """Return the model of a section within another one's, through arrays of tables; ``None`` if there is none."""
+    section: type[BaseModel] | None = model
+    for name in place:
+        if section is None:
+            return None
+        if not name.isdecimal():  # a number stands for one of an array of tables
+            field = section.model_fields.get(name)
+            section = _model_in(getattr(field, "annotation", None))
+    return section
+
+
+def _model_in(annotation: object) -> type[BaseModel] | None:
+    """The model that an annotation names: itself, or that of which it is a tuple or an alternative to nothing."""
+    if hasattr(annotation, "model_fields"):
+        return cast("type[BaseModel]", annotation)
+    inner = (_model_in(one) for one in get_args(annotation))
+    return next((one for one in inner if one is not None), None)
 
 
 def line_of(path: Path, place: Sequence[str]) -> int | None:
@@ -138,10 +156,11 @@ def line_of(path: Path, place: Sequence[str]) -> int | None:
     except SettingsError:
         return None
     section: list[str] = []
+    counts: dict[tuple[str, ...], int] = {}
     found, depth = None, 0
     for number, line in enumerate(lines, start=1):
         if header := _HEADER.match(line):
-            section = _names(header[1])
+            section = _numbered(_names(header[1]), counts, begins_another="[[" in line)
             here = section
         elif key := _KEY.match(line):
             here = section + _names(key[1])
@@ -152,5 +171,18 @@ def line_of(path: Path, place: Sequence[str]) -> int | None:
     return found
 
 
+def _numbered(names: Sequence[str], counts: dict[tuple[str, ...], int], *, begins_another: bool) -> list[str]:
+    """Put numbers, from 0, behind the names of arrays of tables: ``[[step]]`` is step 0, then step 1."""
+    place: list[str] = []
+    for depth, name in enumerate(names, start=1):
+        place.append(name)
+        array = tuple(place)
+        if begins_another and depth == len(names):
+            counts[array] = counts.get(array, -1) + 1
+        if array in counts:
+            place.append(str(counts[array]))
+    return place
+
+
 def _names(dotted: str) -> list[str]:
-    return [name.strip().strip("\"'") for name in dotted.split(".")]
+    return [name.strip().strip("\"'") for name in _NAME.findall(dotted)]

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,6 +14,7 @@ from station.shell.ending import finish
 from station.shell.options import overrides
 
 if TYPE_CHECKING:
+    from station.runs.progress import Progress
     from station.runs.taking import Taken
 
 _PLACES = {"seed": "simulation.seed", "out": "output.directory"}
@@ -60,8 +62,11 @@ def run_measurement(
         if read_as and not paths:
             raise click.UsageError(f"--{read_as[0].replace('_', '-')} says how files are read: name them too")
         chosen = overrides(given, for_files or {})
-        taken = take_measurement(name, given, places=places, paths=paths, known=known, chosen=chosen)
-        return finish(taken, report=report, as_json=as_json, quiet=lines)
+        with shown_for(name, given) as progress:
+            taken = take_measurement(name, given, progress, places=places, paths=paths, known=known, chosen=chosen)
+            code = finish(taken, report=report, as_json=as_json, quiet=lines, events=progress.events)
+            progress.end(code)
+            return code
     _exclude(given, {**places, **(for_files or {})}, paths)
     if len(paths) > 1:
         raise click.UsageError("give one saved run, or files to make one of")
@@ -71,9 +76,21 @@ def run_measurement(
     return finish(taken, report=report, as_json=as_json, saved=True, config=given["config"])
 
 
+@contextmanager
+def shown_for(name: str, given: Mapping[str, Any]) -> Iterator[Progress]:
+    """Show what happens while a measurement is taken, as the options want it."""
+    from station.display.opening import shown
+    from station.measurements import measurement
+
+    command = measurement(name).command.removeprefix("gyrolock ")
+    with shown(given, command, **{label: given[label] for label in _LABELS}) as progress:
+        yield progress
+
+
 def take_measurement(
     name: str,
     given: Mapping[str, Any],
+    progress: Progress,
     *,
     places: Mapping[str, str],
     paths: tuple[Path, ...] = (),
@@ -88,10 +105,10 @@ def take_measurement(
         Further settings by section.
     """
     if not given["jsonl"]:
-        return _taken(name, given, places, paths, known, chosen or {}, None)
+        return _taken(name, given, progress, places, paths, known, chosen or {}, None)
     acknowledgement = Acknowledgement()
     try:
-        return _taken(name, given, places, paths, known, chosen or {}, acknowledgement)
+        return _taken(name, given, progress, places, paths, known, chosen or {}, acknowledgement)
     finally:
         acknowledgement.rest()
 
@@ -99,6 +116,7 @@ def take_measurement(
 def _taken(
     name: str,
     given: Mapping[str, Any],
+    progress: Progress,
     places: Mapping[str, str],
     paths: tuple[Path, ...],
     known: Mapping[str, object] | None,
@@ -106,7 +124,6 @@ def _taken(
     told: Acknowledgement | None,
 ) -> Taken:
     from station.measurements import measurement
-    from station.runs.progress import Progress
     from station.settings.load import load
     from station.shell.running import resume_run, start_run
 
@@ -116,11 +133,11 @@ def _taken(
     _exclude(given, places, paths)
     if given["resume"] is not None:
         changes = {"config": config, "overrides": chosen, "labels": labels}
-        return resume_run(given["resume"], Progress(), kind=kind, **changes, acknowledge=told)
+        return resume_run(given["resume"], progress, kind=kind, **changes, acknowledge=told)
     settings = load(kind.kind, config, chosen)
     if given["seed"] is not None and not kind.simulated(settings):
         raise click.UsageError("--seed belongs to a simulated bench; a real one has none")
-    return start_run(kind, settings, Progress(), labels=labels, paths=paths, known=known, acknowledge=told)
+    return start_run(kind, settings, progress, labels=labels, paths=paths, known=known, acknowledge=told)
 
 
 def _exclude(given: Mapping[str, Any], places: Mapping[str, str], paths: tuple[Path, ...]) -> None:

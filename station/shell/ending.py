@@ -21,6 +21,7 @@ from station.terminal.lines import print_failure, print_json, remark, say
 if TYPE_CHECKING:
     from pathlib import Path
 
+    from station.events.event import Events
     from station.runs.store import SavedRun
     from station.runs.taking import Taken
     from station.shell.evaluated import Evaluated
@@ -34,6 +35,7 @@ def finish(
     quiet: bool = False,
     saved: bool = False,
     config: Path | None = None,
+    events: Events | None = None,
 ) -> int:
     """Say what a run says, also when it holds less than was planned.
 
@@ -47,6 +49,8 @@ def finish(
         It was taken before: a file that cannot be read is then the file's fault.
     config : Path, optional
         Settings file with what is known of the bench now, and with the limits.
+    events : Events, optional
+        Those who watch are told the result.
 
     Returns
     -------
@@ -62,6 +66,8 @@ def finish(
         evaluated = evaluate_run(run, config=config)
         document, lost = keep(evaluated, report=report)
         verdict = evaluated.verdict
+        if events is not None:
+            tell_result(evaluated, events)
         show(evaluated, words=not (as_json or quiet))
         if evaluated.result.problem:
             failure = failure or Failure(NoUsableSignal.kind, evaluated.result.problem, EXIT_NO_SIGNAL)
@@ -131,6 +137,20 @@ def keep(evaluated: Evaluated, *, report: bool) -> tuple[dict[str, Any], Failure
     except RunError as error:
         lost = lost or describe_failure(error)
     return told, lost
+
+
+def tell_result(evaluated: Evaluated, events: Events) -> None:
+    """Tell those who watch what a run says."""
+    result = evaluated.result
+    events.emit(
+        "result",
+        run=str(evaluated.run.path),
+        name=result.name,
+        value=result.value,
+        verdict=evaluated.verdict,
+        standing=result.standing.state,
+        measured=[{"name": one.name, "of": one.of, "value": one.value} for one in result.measured],
+    )
 
 
 def save_outcome(run: SavedRun, failure: Failure | None) -> Failure | None:

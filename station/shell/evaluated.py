@@ -3,18 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from station.datasets.reading import run_of
 from station.errors import RunError, UsageError
 from station.measurements import MEASUREMENTS, Measurement, measurement
 from station.results.as_json import plain
 from station.results.limits import Tested, check_limits, verdict
 from station.results.parts import FactTable, Section
 from station.results.result import Result
-from station.runs.store import SavedRun
-from station.settings.load import load, saved_settings
+from station.runs.progress import Progress
+from station.runs.store import SavedRun, open_run
+from station.settings.load import saved_settings
+from station.sources.find import open_source
+from station.sources.run import SavedRecords
+from station.sources.source import Source
+from station.sources.workers import Workers
 
 SCHEMA_VERSION = 2
 DAMAGE = (ArithmeticError, AttributeError, LookupError, RecursionError, TypeError, ValueError)
@@ -131,7 +137,7 @@ def evaluate_run(
     Parameters
     ----------
     config : Path, optional
-        Settings file: what is known of the bench is taken from it, and the limits.
+        Settings file: what it states of the bench, and of the limits, replaces what the run holds of them.
     choices : mapping, optional
         What the user wants of the evaluation, by name; ``None`` is left out.
 
@@ -144,19 +150,65 @@ def evaluate_run(
     UsageError
         This measurement has no such choice.
     """
+    kind, settings, wanted = _how(run, config, choices or {})
+    run, found, result = _evaluated(kind, run, settings, wanted)
+    return _judged(kind, run, settings, found, result)
+
+
+def evaluate_saved(
+    path: Path | Source, workers: Workers, progress: Progress, *, config: Path | None, choices: Mapping[str, Any]
+) -> Evaluated:
+    """Evaluate a run by its path, or in a data set: in batches where its measurement can, which saves memory.
+
+    Parameters and errors as for :func:`evaluate_run`.
+    """
+    source = open_source(path)
+    run = SavedRun(
+        source.path, source.facts, SavedRecords(source), None, source.unusable, source.protected, source.damaged
+    )
+    kind, settings, wanted = _how(run, config, choices)
+    if kind.evaluate_source is None:
+        return evaluate_run(_whole(source), config=config, choices=choices)
+    try:
+        evaluated = kind.evaluate_source(source, settings, wanted, workers, progress)
+        if evaluated is None:
+            return evaluate_run(_whole(source), config=config, choices=choices)
+        found, damage = evaluated
+        run = replace(run, damaged=(*damage, *source.damaged))
+        return _judged(kind, run, settings, found, kind.result(found, run, settings))
+    except DAMAGE as error:
+        if source.protected and not run.damaged:
+            raise
+        raise RunError(
+            f"{run.path}: is damaged and cannot be evaluated ({type(error).__name__}: {error})"
+        ) from error
+
+
+def _whole(source: Source) -> SavedRun:
+    """The run with all its records in memory."""
+    return open_run(source.path) if source.kind == "run" else run_of(source)
+
+
+def _how(
+    run: SavedRun, config: Path | None, choices: Mapping[str, Any]
+) -> tuple[Measurement[Any, Any], Any, dict[str, Any]]:
+    """Measurement, settings and choices by which a run is evaluated."""
     kind = kind_of(run)
     for name in ("command", "settings"):
         if name in run.unusable:
             raise RunError(f"{run.path}: is damaged: its {name} {run.unusable[name]}")
     settings = saved_settings(kind.kind, run.facts.settings, str(run.path))
     if config is not None:
-        settings = kind.kind.with_knowledge(settings, load(kind.kind, config))
-    wanted = {name: value for name, value in (choices or {}).items() if value is not None}
+        settings = kind.kind.with_knowledge(settings, config)
+    wanted = {name: value for name, value in choices.items() if value is not None}
     for name in wanted:
         if name not in kind.choices:
             option = name.replace("_", "-")
             raise UsageError(f"{run.path}: is a run of `{kind.command}`, for which --{option} means nothing")
-    run, found, result = _evaluated(kind, run, settings, wanted)
+    return kind, settings, wanted
+
+
+def _judged(kind: Measurement[Any, Any], run: SavedRun, settings: Any, found: Any, result: Result) -> Evaluated:
     limits = settings.limits.model_dump()
     return Evaluated(kind, run, settings, found, result, check_limits(result.measured, limits))
 

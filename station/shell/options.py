@@ -10,6 +10,7 @@ from typing import Any, TypeVar
 
 import click
 
+from station.display.opening import display_options
 from station.errors import EXIT_USAGE
 
 F = TypeVar("F", bound=Callable[..., Any])
@@ -95,6 +96,7 @@ def run_options(function: F) -> F:
         config_option,
         json_option,
     )
+    function = display_options(function)
     for option in reversed(options):
         function = option(function)
     return function

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from station.errors import RunError, UsageError
+from station.events.seen import See
 from station.measurements import MEASUREMENTS, Measurement, measurement
 from station.runs.database import SUMS
 from station.runs.progress import Progress
@@ -49,7 +50,8 @@ def start_run(
     simulated = kind.simulated(settings) and not paths
     facts = facts_of(kind.name, settings.model_dump(mode="json"), simulated=simulated, labels=labels)
     facts |= known or {}
-    session = Session(facts, Path(settings.output.directory), progress, acknowledge=acknowledge)
+    directory, see = Path(settings.output.directory), _see(kind, settings, progress)
+    session = Session(facts, directory, progress, acknowledge=acknowledge, see=see)
     if not paths:
         return take(session, lambda of: kind.take(settings, of))
     make = kind.take_files
@@ -106,8 +108,14 @@ def resume_run(
         )
 
     facts = {**run.facts, **(labels or {}), "settings": settings.model_dump(mode="json")}
-    session = Session(facts, run.path.parent, progress, resumed=run, again=again, acknowledge=acknowledge)
+    see = _see(kind, settings, progress)
+    session = Session(facts, run.path.parent, progress, resumed=run, again=again, acknowledge=acknowledge, see=see)
     return take(session, lambda of: kind.take(settings, of))
+
+
+def _see(kind: Measurement[Any, Any], settings: Any, progress: Progress) -> See | None:
+    """What fits records as they come; nothing where nobody wants to see them."""
+    return None if kind.watch is None or not progress.events.wants_values else kind.watch(settings)
 
 
 def saved_run(path: Path, kind: Measurement[Any, Any]) -> Taken:

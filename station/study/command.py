@@ -42,7 +42,7 @@ def command(figures: tuple[int, ...], out: Path | None, kind: str, config: Path 
     Zhan et al., Acta Optica Sinica 29, 960 (2009): K = 2000 pulses per degree, 20 kHz, 3 s. Without --figure the
     bias of its formulas and the causes of its error are told as well. Nothing in a settings file changes this.
     """
-    from station.runs.progress import Progress
+    from station.display.opening import shown
     from station.settings.toml_files import read_toml
     from station.study.sentences import study_sentences
     from station.study.study import run_study, study_document
@@ -51,7 +51,8 @@ def command(figures: tuple[int, ...], out: Path | None, kind: str, config: Path 
         read_toml(config)  # a file with a mistake is one here too
     if out is not None:
         out.mkdir(parents=True, exist_ok=True)
-    study = run_study(figures, Progress())
+    with shown({}, "study") as progress:
+        study = run_study(figures, progress)
     sentences = study_sentences(study)
     files = _write(out, study, sentences, kind) if out is not None else []
     if as_json:

@@ -102,7 +102,6 @@ def run_study(figures: Sequence[int], progress: Progress) -> Study:
         experiment = find_experiment_causes()
         progress.advance()
         study = Study(study.waveforms, study.errors, bias, causes, readings, experiment)
-    progress.close()
     return study
 
 

@@ -4,6 +4,7 @@ from scipy.signal import lsim, lti
 
 from analysis import beat_signal, estimate_lock_in, fit_rates
 from analysis.channel import ChannelResponse, correct_response, ratio_factor
+from analysis.flags import Flag
 
 K, WL = 2000.0, 0.05
 FINE = 400
@@ -59,6 +60,9 @@ def test_close_to_lock_in_the_higher_harmonics_count(multiple):
     response = ChannelResponse(low_pass_hz=[3 * f], high_pass_hz=[0.2 * f])
     corrected = correct_response(measured, response)
     assert abs(float(measured.lock_in_rate) / WL - 1) > 0.05
+    # what a filter does to the waveform repeats with the beat: it is no motion of the rate
+    assert not int(measured.flags) & int(Flag.RATE_WANDER)
+    assert float(measured.beat_frequency) == pytest.approx(f, rel=1e-6)
     assert float(corrected.lock_in_rate) == pytest.approx(WL, rel=2e-4)
     assert float(corrected.backscatter_phase) == pytest.approx(0.7, abs=1e-4)
     # The plain factor at f and 2f would leave a trace.

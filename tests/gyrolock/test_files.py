@@ -11,7 +11,7 @@ from analysis import beat_signal
 from instrument import FileFormatError, Preamble
 from station.cli import main
 from station.errors import NoUsableSignal, UsageError
-from station.lock_in.files import analyze_file
+from station.reanalysis.files import analyze_file
 
 N, INTERVAL, STEP = 2500, 4e-5, 0.008
 FIELDS = f'1;8;BIN;RI;MSB;{N};"Ch1, DC coupling, 2.0E-1 V/div, 1.0E-2 s/div, {N} points, Sample mode"'
@@ -84,7 +84,7 @@ def test_what_cannot_be_read(card: Path) -> None:
     with pytest.raises(FileFormatError, match="F0002CH1"):
         gyrolock.read(card)
     (card / "ALL0002" / "F0002CH1.ISF").unlink()
-    with pytest.raises(UsageError, match="ALL0002: holds no CSV or ISF file"):
+    with pytest.raises(UsageError, match="ALL0002: holds no run and no CSV or ISF file"):
         gyrolock.read(card / "ALL0002")
     with pytest.raises(FileNotFoundError):
         gyrolock.read(card / "missing.csv")

@@ -14,11 +14,11 @@ import numpy as np
 import pytest
 import pyvisa
 
-from instrument.simulated import PtyServer, SimulatedTDS2014, TcpServer, resource_manager
+from instrument.simulated import HislipServer, PtyServer, SimulatedTDS2014, TcpServer, resource_manager
 
 AMPLITUDE, FREQUENCY = 2.0, 1000.0
-LINKS = ["gpib", "usb", "serial in process", "tcp"] + ([] if sys.platform == "win32" else ["tty"])
-MESSAGE_LINKS = LINKS[:2]  # where a message has an end of its own
+LINKS = ["gpib", "usb", "hislip", "serial in process", "tcp"] + ([] if sys.platform == "win32" else ["tty"])
+MESSAGE_LINKS = LINKS[:3]  # where a message has an end of its own
 
 
 def sine(times):
@@ -48,7 +48,8 @@ def opened(scope, request, manager):
             manager = resource_manager(scopes={name: scope})
             stack.callback(manager.close)
         else:
-            server = TcpServer(scope) if kind == "tcp" else PtyServer(scope)
+            serve = {"tcp": TcpServer, "hislip": HislipServer}.get(kind, PtyServer)
+            server = serve(scope)
             name = stack.enter_context(server).resource_name
         resource = manager.open_resource(name)
         stack.callback(resource.close)

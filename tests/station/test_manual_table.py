@@ -11,12 +11,18 @@ from pathlib import Path
 
 import pytest
 
+from instrument import ManualRateTable
 from instrument.simulated import VirtualClock
 from station.errors import UsageError
 from station.lock_in.settings import load_settings
-from station.ring_laser.instruments import build_instruments
+from station.lock_in.take import take_on
+from station.ring_laser.bench import Bench
+from station.ring_laser.instruments import SimulatedInstruments, build_instruments
 from station.runs.operator import operator_table
+from station.runs.progress import Progress
 from station.runs.store import SavedRun, open_run
+from station.runs.taking import Session, facts_of, take
+from station.scope.open import open_scope
 from station.scope.serve import serve
 from tests.ideal_bench import ideal_bench
 
@@ -81,6 +87,7 @@ def test_an_operator_leads_the_table_through_the_measurement(tmp_path: Path) -> 
     assert led.code == 0, led.said
     assert led.asked[:2] == [50.0, -50.0]
     assert led.asked[2] == pytest.approx(3.507, abs=0.02)
+    assert f"still turns at {led.asked[2]:+.6g} deg/s" in " ".join(led.said.split())
     run = led.run
     assert run.facts["outcome"] == "complete", led.said
     assert len(run.taken_for("measure")) == 3
@@ -123,3 +130,47 @@ def test_a_rate_at_which_the_gyro_is_locked_is_told_and_the_others_go_on(tmp_pat
     assert [record.conditions["table_rate_dps"] > 0 for record in taken] == [True, True, False, False]
     assert led.run.results is not None
     assert led.run.results["lock_in_rate_dps"] == pytest.approx(0.04, rel=0.02)
+
+
+class Careless:
+    """An operator who turns the simulated table, half as fast as was asked at the first slow rate."""
+
+    def __init__(self, instruments: SimulatedInstruments, insists: bool = False) -> None:
+        self._instruments, self._insists = instruments, insists
+        self.questions: list[str] = []
+        self._asked = 0.0
+
+    def __call__(self, question: str) -> str:
+        self.questions.append(question)
+        if "does not fit" in question:
+            if self._insists:
+                return "ok"
+            self._instruments.table.set_rate(self._asked)
+            return ""
+        self._asked = float(question.split("rate table to ")[1].split(" deg/s")[0])
+        wrong = abs(self._asked) < 10 and not any("does not fit" in one for one in self.questions)
+        self._instruments.table.set_rate(self._asked / 2 if wrong else self._asked)
+        return ""
+
+
+@pytest.mark.parametrize("insists", [False, True])
+def test_a_rate_that_does_not_fit_the_beat_is_asked_again(tmp_path: Path, insists: bool) -> None:
+    bench = ideal_bench(measurement={"records": 2, "tilt_records": 1})
+    settings = load_settings(overrides=bench)
+    instruments = build_instruments(settings, VirtualClock())
+    operator = Careless(instruments, insists)
+    facts = facts_of("measure", settings.model_dump(mode="json"), simulated=True)
+    session = Session(facts, tmp_path, Progress(quiet=True))
+    with serve(instruments.scope, "tcp") as resource, open_scope(resource, read_twice=False) as scope:
+        turned = Bench(scope, ManualRateTable(ask=operator), sleep=instruments.clock.sleep)
+        taken = take(session, lambda of: take_on(turned, settings, of))
+    assert taken.failure is None
+    doubts = [question for question in operator.questions if "does not fit" in question]
+    # 8 times 0.01 deg/s on the axis: 160 Hz at 2000 pulses/deg, and half of it by the careless hand
+    assert len(doubts) == 1
+    assert 70 < float(doubts[0].split("it has ")[1].split(" Hz")[0]) < 90
+    first = operator.questions[0]
+    assert "anticlockwise" in first and "finds the angle between gyro axis and table axis" in first
+    assert "clockwise, - on the display" in operator.questions[1]
+    seen = [one.conditions["table_rate_dps"] for one in taken.run().taken_for("measure")]
+    assert seen == pytest.approx(2 * [3.507], abs=0.02)

@@ -237,7 +237,12 @@ def test_a_scale_factor_that_drifts_shows_in_the_rate_of_the_table(tmp_path: Pat
     check = drifting.table_check
     assert check is not None
     # a quarter of an hour to the first sense of the fast run, another to the second, a third to the slow rate
-    assert check.beat_over_table == pytest.approx(1 + 0.02 * 1.5 * 900 / 3600, abs=1e-3)
+    by_hand = 1 + 0.02 * 1.5 * 900 / 3600
+    assert check.beat_over_table == pytest.approx(by_hand, abs=1e-3)
+    # one curve through settings that do not fit together: it says so, and how little it knows then
+    assert check.mismatch
+    assert 5e-4 < check.beat_over_table_u < 2.5e-3
+    assert abs(check.beat_over_table - by_hand) < 2 * check.beat_over_table_u
     assert abs(check.lock_in_rate - LOCK_IN) < 4 * check.lock_in_rate_u
 
 
@@ -262,6 +267,7 @@ def test_everything_at_once(tmp_path: Path) -> None:
     two = {"quadrature_channel": "CH2"}
     corrected = measured(tmp_path, spoilt, measurement=plan, front_end=channel, scope=two)
     assert distance(corrected) < 4
+    # third order and bandwidth are fitted too, within what they may be at worst
     assert float(corrected.combined.lock_in_rate_u) < 0.002 * LOCK_IN
     assert corrected.quadratures is not None
     assert corrected.quadratures.distortion == pytest.approx((10 ** (-46 / 20),) * 2, abs=2e-4)

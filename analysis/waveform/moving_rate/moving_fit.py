@@ -8,6 +8,7 @@ import numpy as np
 
 from analysis.arrays import Floats
 from analysis.flags import Flag
+from analysis.waveform.misfit import line_stands_out
 from analysis.waveform.moving_rate.choice import terms_needed, with_terms
 from analysis.waveform.moving_rate.first_phase import FirstPhase, first_phase
 from analysis.waveform.moving_rate.matching import matched_motion
@@ -60,6 +61,7 @@ class MovingFit:
     left : (N,) residual
     flags : what moved
     walk : rad, rms, by which noise of the rate moved the phase over the record; 0 where there is none
+    vibrates : whether that noise holds a line, which no noise has
     """
 
     offset: float
@@ -72,6 +74,7 @@ class MovingFit:
     left: Floats
     flags: int
     walk: float
+    vibrates: bool
 
 
 def fit_moving_rate(values: Floats, mask: Floats) -> MovingFit | None:
@@ -212,6 +215,7 @@ def _as_beat(record: Record, fitted: Fitted, needed: Terms, noisy: bool) -> Movi
         left=fitted.left,
         flags=flags,
         walk=float(np.sqrt(fitted.looseness * fitted.variance * n_samples)) if noisy else 0.0,
+        vibrates=noisy and line_stands_out(np.abs(np.fft.rfft(fitted.moved)[1:]) ** 2),
     )
 
 

@@ -18,6 +18,11 @@ STEEP = 30.0
 LARGE = 0.1
 """Share of the power of the beat from which on what is left has no direction: the phase moves by 0.3 rad."""
 
+MOST_REPEATING = 0.5
+"""Share of what stands above the noise that may repeat with the beat; a motion leaves sidebands, which do not."""
+
+HARMONICS = 8
+
 ONE_SIDED = 6.0
 """Surplus of the stronger of phase and amplitude over the other, in its scatter for noise."""
 
@@ -38,6 +43,8 @@ def may_be_motion(left: Floats, omega: float, first: complex, ratio: float) -> b
         As fitted: rad per sample, fundamental with its phase in the middle of the record, size of the ratio.
     """
     power = np.abs(np.fft.rfft(left)[1:]) ** 2
+    if _repeats(left, omega, power):
+        return False
     if power.size > NEXT.stop and power[LOWEST].mean() > STEEP * np.median(power[NEXT]) / np.log(2):
         return True
     floor = float(np.median(power)) / np.log(2)
@@ -49,6 +56,17 @@ def may_be_motion(left: Floats, omega: float, first: complex, ratio: float) -> b
     if not surplus > 0.5 * of_fundamental**1.5 * of_all:
         return False
     return bool(left @ left > LARGE * abs(first) ** 2 / 2 * left.size) or _has_direction(left, omega, first, line)
+
+
+def _repeats(left: Floats, omega: float, power: Floats) -> bool:
+    """Whether most of what the fit leaves beside noise is harmonics of the beat, as a filter leaves them."""
+    time = np.arange(left.size) - (left.size - 1) / 2
+    turns = np.exp(1j * omega * np.outer(np.arange(1, HARMONICS + 1), time))
+    columns = np.concatenate([turns.real, turns.imag]).T
+    found, _, rank, _ = np.linalg.lstsq(columns, left, rcond=1e-6)
+    noise = float(np.median(power)) / np.log(2) / left.size  # variance of a sample
+    repeating = float(np.sum((columns @ found) ** 2)) - noise * int(rank)
+    return bool(repeating > MOST_REPEATING * (float(left @ left) - noise * left.size))
 
 
 def _has_direction(left: Floats, omega: float, first: complex, line: float) -> bool:

@@ -89,6 +89,7 @@ class Fitted:
     normal : (P, P) normal matrix of the parameters, phases eliminated
     evidence : -2 log of the restricted likelihood, without a constant, its noise at its best
     left : (N,) residuals of the samples
+    moved : (N - 1,) rad, residuals of the steps: what moves the phase beside the equation
     converged : whether the last step gained next to nothing
     """
 
@@ -99,6 +100,7 @@ class Fitted:
     normal: Floats
     evidence: float
     left: Floats
+    moved: Floats
     converged: bool
 
     @property
@@ -169,7 +171,9 @@ class Record:
         # one more phase than parameters is free: that of the start
         degrees = max(self.count - now.terms.count - 1, 1.0)
         evidence = equations.evidence + degrees * np.log(max(cost, 1e-300))
-        return Fitted(now, looseness, cost, degrees, equations.normal, evidence, model.left, converged)
+        return Fitted(
+            now, looseness, cost, degrees, equations.normal, evidence, model.left, model.moved, converged
+        )
 
     def columns(self, terms: Terms) -> tuple[Floats, Floats]:
         """What A and C are made of, (terms, N) each."""

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import DTypeLike
 
 from analysis.arrays import Bools, Complexes, Floats, Indices, Phasors, Samples
-from analysis.waveform.records import records_at_once
+from analysis.waveform.records import are_all, never_alone, records_at_once
 from analysis.waveform.series.harmonic_sums import harmonic_powers, phasors, record_grid
 
 Selection = Indices | Bools
@@ -29,11 +29,9 @@ NEGLIGIBLE = {np.dtype(np.float32): 2e-5, np.dtype(np.float64): 1e-12}
 """Harmonics below this share of the fundamental are left out. The first cannot move an estimate from eight-bit
 samples, which single precision is for."""
 
-RATIO_CLASSES = (0.2, 0.45, 0.7, 0.86)
-"""Records are fitted together up to these ratios, since the largest one says how many harmonics all need."""
-
-WORTH_A_CLASS = 64
-"""Fewer records cost less with too many harmonics than with calls of their own."""
+RATIO_CLASSES = (0.01, 0.03, 0.06, 0.1, 0.2, 0.45, 0.7, 0.86)
+"""Records are fitted together up to these ratios, each of which says how many harmonics its class needs: a number
+that must not depend on what else is in the batch, or the last digits would."""
 
 MANY_HARMONICS = 40
 """Beyond this many, the closed form on the samples is cheaper than the sum of the harmonics."""
@@ -84,24 +82,16 @@ class Series:
         self.ratio[part], self.omega[part] = other.ratio, other.omega
 
 
-def orders_needed(ratio: Complexes, negligible: float, fewest: int) -> int:
-    """How many powers of the largest ratio are not negligible, at least `fewest`."""
-    largest = min(float(np.abs(ratio).max(initial=0.0)), LARGEST_RATIO)
-    return max(fewest, math.ceil(math.log(negligible) / math.log(max(largest, 1e-3))))
+def orders_needed(ratio: float, negligible: float, fewest: int) -> int:
+    """How many powers of a ratio are not negligible, at least `fewest`."""
+    return max(fewest, math.ceil(math.log(negligible) / math.log(ratio)))
 
 
-def ratio_classes(ratio: Complexes) -> Iterator[tuple[int, Indices]]:
-    """Number of each class that occurs, and its records; a class of few records goes along with the next."""
+def ratio_classes(ratio: Complexes) -> Iterator[tuple[float, Indices]]:
+    """Largest ratio of each class that occurs, and its records; that of the last is `LARGEST_RATIO`."""
     numbers = np.searchsorted(RATIO_CLASSES, np.abs(ratio))
-    counts = np.bincount(numbers, minlength=len(RATIO_CLASSES) + 1)
-    first = 0
-    for number in range(len(RATIO_CLASSES)):
-        members = int(counts[first : number + 1].sum())
-        if members >= WORTH_A_CLASS or (members and number == len(RATIO_CLASSES) - 1):
-            yield number, np.flatnonzero((numbers >= first) & (numbers <= number))
-            first = number + 1
-    if counts[-1]:
-        yield len(RATIO_CLASSES), np.flatnonzero(numbers == len(RATIO_CLASSES))
+    for number in np.flatnonzero(np.bincount(numbers)):
+        yield (*RATIO_CLASSES, LARGEST_RATIO)[number], never_alone(np.flatnonzero(numbers == number))
 
 
 def sampled_series(series: Series, n_samples: int, precision: DTypeLike = np.float64) -> Samples:
@@ -117,14 +107,14 @@ def sampled_blocks(
 ) -> Iterator[tuple[slice | Indices, Samples]]:
     """The model on the samples, a few records (r,) at a time, (r, N): they stay in the cache for the next pass."""
     at_once = records_at_once(n_samples, precision)
-    for _, part in ratio_classes(series.ratio):
+    for largest, part in ratio_classes(series.ratio):
         some = series.take(part)
-        n_harmonics = orders_needed(some.ratio, NEGLIGIBLE[precision], 3)
+        n_harmonics = orders_needed(largest, NEGLIGIBLE[precision], 3)
         closed = n_harmonics > MANY_HARMONICS
         sides = None if closed else _sides(some, n_samples, precision, n_harmonics)
         for start in range(0, part.size, at_once):
             here = slice(start, start + at_once)
-            rows = here if part.size == series.omega.size else part[here]
+            rows = here if are_all(part, series.omega.size) else part[here]
             if sides is None:
                 yield rows, _in_closed_form(series.take(part[here]), n_samples, precision)
             else:

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from analysis.arrays import Bools, Floats, Indices, Samples
-from analysis.waveform.records import sums, sums_of_squares
-from analysis.waveform.series.geometric_series import LARGEST_RATIO, RATIO_CLASSES, Series, ratio_classes
+from analysis.waveform.records import are_all, never_alone, sums, sums_of_squares
+from analysis.waveform.series.geometric_series import LARGEST_RATIO, Series, ratio_classes
 from analysis.waveform.series.normal_equations import Step, empty_matrices
 from analysis.waveform.series.sampled_equations import equations_by_samples
 from analysis.waveform.series.tied_equations import equations_by_sums
@@ -49,7 +49,7 @@ class Task:
 
     def take(self, part: Indices) -> Task:
         """Some of the records; all of them without a copy."""
-        if part.size == len(self.power):
+        if are_all(part, len(self.power)):
             return self
         weights = None if self.weights is None else self.weights[part]
         return Task(self.values[part], weights, self.power[part], self.total[part])
@@ -58,14 +58,14 @@ class Task:
         """Normal equations at the given parameters."""
         n_records = series.omega.size
         step = Step(empty_matrices(n_records, 6), np.empty((n_records, 6)), np.empty(n_records))
-        for number, part in ratio_classes(series.ratio):
+        for largest, part in ratio_classes(series.ratio):
             some, here = self.take(part), series.take(part)
-            if number == len(RATIO_CLASSES):
+            if largest == LARGEST_RATIO:
                 # the samples are cheaper than so many harmonics
                 found = equations_by_samples(some.values, some.weights, here)
             else:
-                found = equations_by_sums(some.values, some.weights, some.power, some.total, here)
-            if part.size == n_records:
+                found = equations_by_sums(some.values, some.weights, some.power, some.total, here, largest)
+            if are_all(part, n_records):
                 return found
             step.put(part, found)
         return step
@@ -110,11 +110,11 @@ def gauss_newton(task: Task, start: Series) -> tuple[SeriesFit, Bools]:
         change, covariance = step.solve_and_invert()
         moved = fit.series.take(active).moved(change, n_samples)
         now = SeriesFit(moved, covariance, step.predicted_residual(change))
-        if active.size == n_records:
+        if are_all(active, n_records):
             fit = now
         else:
             fit.put(active, now)
-        active = active[_must_go_on(change, now, n_samples)]
+        active = never_alone(np.unique(active[_must_go_on(change, now, n_samples)]))
         if active.size == 0:
             break
     converged = np.abs(fit.series.ratio) < LARGEST_RATIO
@@ -153,11 +153,11 @@ def levenberg_marquardt(task: Task, start: Series) -> SeriesFit:
         best.put(active, trial.where(better, old))
         tried = damping[active]
         damping[active] = np.where(better, np.where(tried < 1e-4, 0.0, tried / 10), np.maximum(tried * 10, 1e-3))
-        gain = np.abs(np.einsum("rp,rp->r", change, old.gradient))
+        gain = np.abs(np.vecdot(change, old.gradient))
         small = gain < (1e-3 if single else 1e-9) * old.residual_power / n_samples
         if not single:
             small |= gain < 1e-22
-        active = active[~((small & better) | (damping[active] > 1e9))]
+        active = never_alone(np.unique(active[~((small & better) | (damping[active] > 1e9))]))
         if active.size == 0:
             break
     return SeriesFit(series, best.covariance(), best.residual_power)

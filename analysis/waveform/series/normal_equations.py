@@ -16,9 +16,6 @@ variance comes out enormous, as it should."""
 ROUNDING = 1e-3
 """Relative error of an inverse that is still no sign of a singular matrix."""
 
-WORTH_IN_STEP = 40
-"""Records from which on it is faster to invert their matrices in step."""
-
 
 def empty_matrices(n_records: int, size: int) -> Floats:
     """Room for (R, P, P) matrices of which each element lies side by side for all records."""
@@ -57,12 +54,14 @@ class Step:
         inverse[each, each] = np.where(variances > smallest, variances, 1 / RIDGE)
         inverse *= scale
         inverse *= scale[:, np.newaxis]
-        change = np.einsum("pqr,rq->rp", inverse, self.gradient)
-        return change, inverse.transpose(2, 0, 1)
+        change = np.zeros((len(inverse), len(self.gradient)))
+        for column, slope in enumerate(self.gradient.T):  # in one order, however many records there are
+            change += inverse[:, column] * slope
+        return np.ascontiguousarray(change.T), inverse.transpose(2, 0, 1)
 
     def predicted_residual(self, change: Floats) -> Floats:
         """Residual power after a full step, as the linear model predicts it, (R,)."""
-        gained = np.einsum("rp,rp->r", change, self.gradient)
+        gained = np.vecdot(change, self.gradient)
         return np.asarray(np.maximum(self.residual_power - gained, 0.0))
 
     def take(self, part: Indices) -> Step:
@@ -87,11 +86,8 @@ def _invert(matrix: Floats) -> None:
     """Replace positive definite matrices with a unit diagonal, (P, P, R), by their inverses.
 
     Gauss-Jordan elimination of all records in step: for many small matrices it is several times faster than a
-    call of LAPACK for each. Positive definite matrices need no pivoting.
+    call of LAPACK for each, and for few it must give the same digits. Positive definite matrices need no pivoting.
     """
-    if matrix.shape[2] < WORTH_IN_STEP:
-        matrix[...] = np.linalg.inv(matrix.transpose(2, 0, 1)).transpose(1, 2, 0)
-        return
     for row in range(len(matrix)):
         reciprocal = 1 / np.maximum(matrix[row, row], RIDGE / 10)
         column = matrix[:, row].copy()

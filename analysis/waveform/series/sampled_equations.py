@@ -41,5 +41,5 @@ def equations_by_samples(values: Samples, weights: Samples | None, series: Serie
         tangents *= weights[:, np.newaxis, :]
     normal = np.matmul(tangents, tangents.swapaxes(-1, -2))
     gradient = np.matmul(tangents, left[..., np.newaxis])[..., 0]
-    power = np.einsum("rn,rn->r", left, left)
+    power = np.vecdot(left, left)
     return Step(normal.astype(np.float64), gradient.astype(np.float64), power.astype(np.float64))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from analysis.arrays import Samples
+from analysis.waveform.records import never_alone
 from analysis.waveform.series.frequency_search import Spectra
 from analysis.waveform.series.geometric_series import Series
 from analysis.waveform.series.minimise import SeriesFit, Task, gauss_newton, levenberg_marquardt
@@ -19,7 +20,7 @@ of the harmonics of a gyro close to lock-in would explain less than half of it."
 
 
 def fit_series(values: Samples, weights: Samples | None) -> SeriesFit:
-    """Fit the waveform to each record.
+    """Fit the waveform to each record, of two at least.
 
     Parameters
     ----------
@@ -38,14 +39,14 @@ def fit_series(values: Samples, weights: Samples | None) -> SeriesFit:
     plain = (np.abs(ratio) < PLAIN_RATIO) & (np.abs(explained - task.power) < UNEXPLAINED * task.power)
 
     start = Series(np.zeros(n_records), line.first, np.where(plain, ratio, 0.0), line.omega)
-    chosen = np.flatnonzero(plain)
-    if chosen.size == n_records:
+    chosen = never_alone(np.flatnonzero(plain))
+    if plain.all():
         fit, plain = gauss_newton(task, start)
     else:
         fit = SeriesFit.empty(start)
         fitted, plain[chosen] = gauss_newton(task.take(chosen), start.take(chosen))
         fit.put(chosen, fitted)
-    hard = np.flatnonzero(~plain)
+    hard = never_alone(np.flatnonzero(~plain))
     if hard.size:
         some = task.take(hard)
         fit.put(hard, levenberg_marquardt(some, start_of_series(some.values, some.weights, spectra.take(hard))))
@@ -56,7 +57,7 @@ def fit_series_again(values: Samples, weights: Samples | None, before: Series) -
     """Fit records of which a few samples have changed since `before` was found."""
     task = Task.of(values, weights)
     fit, converged = gauss_newton(task, before)
-    far = np.flatnonzero(~converged)
+    far = never_alone(np.flatnonzero(~converged))
     if far.size:
         fit.put(far, levenberg_marquardt(task.take(far), before.take(far)))
     return fit

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from analysis.arrays import Complexes, Floats, Indices, Samples
+from analysis.waveform.records import never_alone
 from analysis.waveform.series.frequency_search import Spectra
 from analysis.waveform.series.geometric_series import Series
 from analysis.waveform.series.harmonic_sums import data_sums, uniform_kernels
@@ -39,7 +40,7 @@ def start_of_series(values: Samples, weights: Samples | None, spectra: Spectra) 
     lines = spectra.candidates(LINES)
     beside = lines[:, : LINES // 2, np.newaxis] + np.array(BESIDE) * one_bin
     search.try_at(np.concatenate([lines, beside.reshape(len(lines), -1)], axis=1))
-    slow = np.flatnonzero(lines[:, 0] < FEW_PERIODS * one_bin)
+    slow = never_alone(np.flatnonzero(lines[:, 0] < FEW_PERIODS * one_bin))
     if slow.size:
         some = search.take(slow)
         some.try_at(np.broadcast_to(SLOW_GRID * one_bin, (slow.size, SLOW_GRID.size)))

@@ -34,7 +34,7 @@ so they must be small indeed."""
 
 
 def equations_by_sums(
-    values: Samples, weights: Samples | None, power: Floats, total: Floats, series: Series
+    values: Samples, weights: Samples | None, power: Floats, total: Floats, series: Series, largest: float
 ) -> Step:
     """Normal equations of (R,) records at the given parameters.
 
@@ -44,10 +44,12 @@ def equations_by_sums(
         0 where missing.
     power, total : (R,)
         Sums of squares of `values`, and of `values`.
+    largest : float
+        That no ratio exceeds.
     """
     n_samples, kind = values.shape[1], values.dtype
-    n_harmonics = orders_needed(series.ratio, LEFT_OUT_OF_DATA[kind], 3)
-    n_orders = orders_needed(series.ratio, LEFT_OUT_OF_KERNELS[kind], 6)
+    n_harmonics = orders_needed(largest, LEFT_OUT_OF_DATA[kind], 3)
+    n_orders = orders_needed(largest, LEFT_OUT_OF_KERNELS[kind], 6)
     of_powers = _powers_of_g(series.ratio, n_orders)
     if weights is None:
         kernels = uniform_kernels(series.omega, n_samples, n_orders)

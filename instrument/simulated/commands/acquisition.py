@@ -19,6 +19,9 @@ _COUNTER_GATE = 0.25  # s, window of the trigger frequency counter
 _COUNTER_POINTS = 1 << 16
 _SLOWEST_COUNTED = 10.0  # Hz
 
+_STATES = Words(
+    "ARMed", "REAdy", "TRIgger", "AUTo", "SAVe", "SCAn"
+)  # SAV was seen, the other short forms are guesses
 _FORCE = Words("FORCe")
 _SET_LEVEL = Words("SETLevel")
 
@@ -62,6 +65,10 @@ def _recent_trigger_signal(state: ScopeState) -> np.ndarray[tuple[int], np.dtype
     return np.asarray(state.acquisition.trigger_signal(state.panel.trigger(), times)).reshape(-1)
 
 
+def _trigger_state(state: ScopeState) -> str:
+    return _STATES.write(state.acquisition.state(), state.panel.flag("VERBOSE"))
+
+
 def _acquisitions(state: ScopeState) -> str:
     state.acquisition.update()
     return str(0 if state.panel.scanning else state.acquisition.acquisitions)
@@ -70,7 +77,7 @@ def _acquisitions(state: ScopeState) -> str:
 ACTIONS = {
     "ACQuire:NUMACq": Action(answer("ACQuire:NUMACq", _acquisitions)),
     "TRIGger": Action(order=_force_trigger),
-    "TRIGger:STATE": Action(answer("TRIGger:STATE", lambda state: state.acquisition.state())),
+    "TRIGger:STATE": Action(answer("TRIGger:STATE", _trigger_state)),
     "TRIGger:MAIn": Action(order=_level_to_half),
     "TRIGger:MAIn:FREQuency": Action(answer("TRIGger:MAIn:FREQuency", _trigger_frequency)),
 }

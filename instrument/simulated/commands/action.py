@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 from instrument.simulated.panel.event_table import Guess, Refusal
@@ -12,13 +12,16 @@ from instrument.simulated.panel.parsing import Argument
 from instrument.simulated.state import ScopeState
 
 Query = Callable[[ScopeState], list[Leaf]]
-Order = Callable[[ScopeState, tuple[Argument, ...]], None]
+Order = Callable[[ScopeState, tuple[Argument, ...]], Iterator[bytes | None] | None]
 Condition = Callable[[ScopeState], bool]
 
 
 @dataclass(frozen=True)
 class Action:
-    """What a header does: `query` answers, `order` acts, and both wait while `waits` is true."""
+    """What a header does: `query` answers, `order` acts, and both wait while `waits` is true.
+
+    An order that carries out a message of its own returns its steps, as `ScopeState.execute` gives them.
+    """
 
     query: Query | None = None
     order: Order | None = None

@@ -5,7 +5,16 @@ from __future__ import annotations
 from collections.abc import Mapping
 from functools import lru_cache
 
-from instrument.simulated.commands import acquisition, file, hard_copy, measurement, setup, status, waveform
+from instrument.simulated.commands import (
+    acquisition,
+    file,
+    hard_copy,
+    later_models,
+    measurement,
+    setup,
+    status,
+    waveform,
+)
 from instrument.simulated.commands.action import Action
 from instrument.simulated.commands.command_tree import CommandTree
 from instrument.simulated.panel.models import Model
@@ -22,6 +31,7 @@ def command_set(model: Model) -> tuple[CommandTree, Mapping[str, Action]]:
         **measurement.ACTIONS,
         **hard_copy.ACTIONS,
         **waveform.actions(model),
+        **later_models.actions(model),
         **(file.ACTIONS if model.has_storage else {}),
     }
     return CommandTree(setting_rows(model), actions), actions

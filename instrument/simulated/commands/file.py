@@ -5,7 +5,7 @@ Only models with mass storage have them. Source: programmer manual 071-1075-04, 
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from datetime import datetime, timedelta
 
 from instrument.errors import FileFormatError, TransferError
@@ -84,20 +84,19 @@ def _save_image(state: ScopeState, arguments: tuple[Argument, ...]) -> None:
 
 def _save_setup(state: ScopeState, arguments: tuple[Argument, ...]) -> None:
     if one_argument(arguments).quoted:
-        state.storage.write(arguments[0].text, f"{setup_commands.whole_setup(state)}\n".encode("latin-1"))
+        state.storage.write(arguments[0].text, f"{setup_commands.setup_file(state)}\n".encode("latin-1"))
     else:
         setup_commands.save(state, arguments)
 
 
-def _recall_setup(state: ScopeState, arguments: tuple[Argument, ...]) -> None:
+def _recall_setup(state: ScopeState, arguments: tuple[Argument, ...]) -> Iterator[bytes | None] | None:
     if not one_argument(arguments).quoted:
         setup_commands.recall_setup(state, arguments)
-        return
+        return None
     content = state.storage.read(arguments[0].text).strip()
     if not content.startswith(b":"):
         raise Refusal(Guess.FILE_IS_NO_SETUP)
-    for _ in state.execute(content):
-        pass
+    return state.execute(content)
 
 
 def _save_waveform(state: ScopeState, arguments: tuple[Argument, ...]) -> None:

@@ -15,6 +15,8 @@ from instrument.simulated.panel.formats import INVALID, Leaf, nr3, quoted
 from instrument.simulated.state import ScopeState
 
 _DIGITS = 11
+_DECIMALS = 10  # of a measured value: a TDS2024 answered 9.99999046E-2 and 1.400003433E-1 V, 4.0E-4 s
+_ALL_DIGITS = 15
 
 
 def _value(branch: str) -> Query:
@@ -27,7 +29,7 @@ def _value(branch: str) -> Query:
         except Refusal as refusal:
             state.status.post(refusal.event)
             value = INVALID
-        return [((*branch.split(":"), "VALue"), nr3(value, _DIGITS))]
+        return [((*branch.split(":"), "VALue"), nr3(round(value, _DECIMALS), _ALL_DIGITS))]
 
     return query
 

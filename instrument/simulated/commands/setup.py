@@ -6,13 +6,14 @@ Source: programmer manual 071-1075-04, pp. 2-53, 2-104, 2-186 to 2-198 and appen
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 
 import numpy as np
 
 from instrument.facts import DIVISIONS, LEVELS_PER_DIVISION
 from instrument.simulated.commands.action import Action, answer, no_argument, one_argument, one_number
 from instrument.simulated.panel.event_table import Guess, Refusal
-from instrument.simulated.panel.formats import block, join_leaves, quoted
+from instrument.simulated.panel.formats import Leaf, Mnemonics, block, join_leaves, quoted
 from instrument.simulated.panel.kinds import Words
 from instrument.simulated.panel.parsing import Argument
 from instrument.simulated.panel.settings_table import time_steps
@@ -24,13 +25,32 @@ _EXECUTE = Words("EXECute")
 _FACTORY = Words("FACtory")
 _AUTOSET_LOOK = 0.1  # s of signal that autoset looks at
 _AUTOSET_POINTS = 1 << 16
+_SQUARE_BETWEEN = 0.15  # of the time that a square wave may be between its levels (a sine: 0.41)
+_SINE_SHARE = 0.95  # of its power that a sine has in one line
 _SCALES = tuple(digit * 10.0**exponent for exponent in range(-3, 2) for digit in (1, 2, 5))
 
 
 def whole_setup(state: ScopeState) -> str:
     """All settings as one message that can be sent back; always with headers."""
     rows = [row for row in state.panel.rows.values() if row.in_set]
-    return join_leaves(state.leaves(rows), header=True, verbose=state.panel.flag("VERBOSE"))
+    leaves = state.leaves(rows)
+    if state.model.letter_series:
+        leaves = _with_short_scale(leaves)
+    return join_leaves(leaves, header=True, verbose=state.panel.flag("VERBOSE"))
+
+
+def setup_file(state: ScopeState) -> str:
+    """What the instrument writes on its card: the same without what no recalled setup changes."""
+    rows = [row for row in state.panel.rows.values() if row.in_set and row.in_file and not row.kept]
+    return join_leaves(_with_short_scale(state.leaves(rows)), header=True, verbose=True)
+
+
+def _with_short_scale(leaves: list[Leaf]) -> list[Leaf]:
+    """The main scale once more under its short name, behind the other horizontal settings."""
+    short: Mnemonics = ("HORizontal", "SCAle")
+    at = max(n for n, (path, _) in enumerate(leaves) if path[0] == "HORizontal") + 1
+    value = next(value for path, value in leaves if path == ("HORizontal", "MAIn", "SCAle"))
+    return [*leaves[:at], (short, value), *leaves[at:]]
 
 
 def save(state: ScopeState, arguments: tuple[Argument, ...]) -> None:
@@ -68,12 +88,11 @@ def _define_trigger(state: ScopeState, arguments: tuple[Argument, ...]) -> None:
     state.trigger_message = message
 
 
-def _trigger(state: ScopeState, arguments: tuple[Argument, ...]) -> None:
+def _trigger(state: ScopeState, arguments: tuple[Argument, ...]) -> Iterator[bytes | None]:
     """*TRG carries out what *DDT defined; a definition that triggers itself does nothing."""
     no_argument(arguments)
     message, state.trigger_message = state.trigger_message, b""
-    for _ in state.execute(message):
-        pass
+    yield from state.execute(message)
     state.trigger_message = state.trigger_message or message
 
 
@@ -88,11 +107,13 @@ def _autoset(state: ScopeState, arguments: tuple[Argument, ...]) -> None:
     names = [name for name in panel.model.channel_names if name in panel.displayed] or ["CH1"]
     times = state.clock.now() - _AUTOSET_LOOK * (1 - np.arange(_AUTOSET_POINTS) / _AUTOSET_POINTS)
     frequencies: dict[str, float] = {}
+    kinds: dict[str, str] = {}
     for name in names:
         volts = np.asarray(state.acquisition.signal(name)(times), dtype=np.float64) + np.zeros_like(times)
         volts = volts * panel.number(f"{name}:PROBE")
         _autoset_channel(state, name, volts)
         frequencies[name] = _lowest_frequency(volts)
+        kinds[name] = _kind_of_signal(volts, frequencies[name])
     source = min(names, key=lambda name: frequencies[name] or math.inf)
     frequency = frequencies[source] or 200.0
     state.set("HORIZONTAL:MAIN:POSITION", 0.0)
@@ -115,6 +136,21 @@ def _autoset(state: ScopeState, arguments: tuple[Argument, ...]) -> None:
     middle = -panel.number(f"{source}:POSITION") * panel.number(f"{source}:SCALE")
     state.set("TRIGGER:MAIN:LEVEL", middle)
     state.set("ACQUIRE:STATE", 1)
+    state.autoset_found = kinds[source]
+
+
+def _kind_of_signal(volts: np.ndarray[tuple[int], np.dtype[np.float64]], frequency: float) -> str:
+    """The word of AUTOSet:SIGNAL?: by where the values lie between the extremes (video is not recognised)."""
+    low, high = float(np.percentile(volts, 1)), float(np.percentile(volts, 99))
+    if not frequency or high <= low:
+        return "LEVEL"
+    places = (volts - low) / (high - low)
+    if float(np.mean((places > 0.2) & (places < 0.8))) < _SQUARE_BETWEEN:
+        return "SQUARE"
+    spectrum = np.abs(np.fft.rfft((volts - volts.mean()) * np.hanning(len(volts)))) ** 2
+    at = int(spectrum.argmax())
+    share = float(spectrum[max(at - 2, 0) : at + 3].sum() / spectrum.sum())
+    return "SINE" if share > _SINE_SHARE else "OTHER"
 
 
 def _autoset_channel(state: ScopeState, name: str, volts: np.ndarray[tuple[int], np.dtype[np.float64]]) -> None:
@@ -150,7 +186,7 @@ ACTIONS = {
     "*DDT": Action(answer("", lambda state: block(state.trigger_message).decode("latin-1")), _define_trigger),
     "*TRG": Action(order=_trigger),
     "AUTOSet": Action(order=_autoset),
-    "AUTOSet:SIGNAL": Action(answer("AUTOSet:SIGNAL", lambda state: "NONE")),
+    "AUTOSet:SIGNAL": Action(answer("AUTOSet:SIGNAL", lambda state: state.autoset_found)),
     "AUTOSet:VIEW": Action(answer("AUTOSet:VIEW", lambda state: "NONE"), _refuse_view),
     "*CAL": Action(answer("", lambda state: "0")),
     "CALibrate:INTERNAL": Action(order=_nothing),

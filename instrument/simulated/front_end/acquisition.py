@@ -48,7 +48,7 @@ HIGH_FREQUENCY_REJECT = 1 / (2 * math.pi * 80e3)  # s, p. 101
 LOW_FREQUENCY_REJECT = 1 / (2 * math.pi * 300e3)  # s
 MAINS_FREQUENCY = 50.0  # Hz, of the trigger source AC LINE
 _FORGET_WAITS = 0.9  # what one acquisition leaves of the longest wait for a trigger
-_FORGET_AFTER = 2  # acquisition times; of a longer silence only the end is simulated
+_FORGET_AFTER = 1  # acquisition times; of a longer silence only the end is simulated
 _LONGEST_SEARCH_STEP = 20e-6  # s; the comparator is faster than the samples of a slow sweep
 _EXTERNAL = ChannelSettings(1.0, 0.0, "DC", 1.0, limited=False, inverted=False)
 _SHORTEST_POLL, _LONGEST_POLL = 1e-3, 0.1  # s between two looks for a trigger while somebody waits
@@ -219,9 +219,7 @@ class Acquisition:
     # Inside
 
     def _displayed_channels(self) -> dict[str, ChannelSettings]:
-        shown = self._panel.displayed
-        names = (name for name in self._panel.model.channel_names if name in shown or "MATH" in shown)
-        return {name: self._panel.channel(name) for name in names}
+        return self._panel.displayed_channels()
 
     def _arm(self, at: float) -> None:
         """Begin to fill the part before the trigger."""
@@ -266,7 +264,7 @@ class Acquisition:
                 case "EDGE":
                     edge = self._edge_search(trigger).advance(until, step, now)
                 case "PULSE":
-                    edge = self._pulse_search(trigger).advance(until, step)
+                    edge = self._pulse_search(trigger).advance(until, step, now)
                 case "VIDEO":
                     edge = self._video_search(trigger).advance(until)
         if edge is not None:
@@ -322,7 +320,7 @@ class Acquisition:
         """The search of this acquisition for a pulse, with the settings of now."""
         search = self._search
         if not isinstance(search, PulseSearch):
-            search = self._search = PulseSearch(trigger, ground, 0.0, self._ready_at)
+            search = self._search = PulseSearch(trigger, Comparator(ground), 0.0, self._ready_at)
         search.trigger, search.hysteresis = trigger, self._hysteresis(trigger)
         search.volts_at = self._comparator(trigger)
         return search
@@ -332,7 +330,7 @@ class Acquisition:
         search = self._search
         if not isinstance(search, VideoSearch) or search.trigger != trigger:
             since = search.searched_until if search is not None else self._ready_at
-            search = self._search = VideoSearch(trigger, ground, 0.0, since)
+            search = self._search = VideoSearch(trigger, Comparator(ground), 0.0, since)
         search.smallest = 2 * self._hysteresis(trigger)
         direct = replace(trigger, coupling="DC")  # the coupling belongs to the edge trigger
         search.volts_at = self._comparator(direct)

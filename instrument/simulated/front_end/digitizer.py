@@ -18,6 +18,7 @@ from instrument.simulated.front_end.frontend import (
     convert,
     gain,
     levels_per_volt,
+    mean_shown,
     shown_smooth,
     shown_volts,
 )
@@ -74,6 +75,15 @@ class Digitizer:
             return self._peaks(record, name, channel)
         count = len(record.starts)
         noise = self._noise(record.number, name, POINTS) / np.sqrt(count)
+        if count > 1:
+            times = record.xincr * np.arange(POINTS, dtype=np.float64)
+            signal = self._signal(name)
+            mean = mean_shown(signal, channel, np.array(record.starts), times)
+            if mean is not None and tells_its_noise(signal):
+                # the noise of the signal and that of the scope in one
+                levels = signal.noise_rms * abs(gain(channel)) * levels_per_volt(channel) / np.sqrt(count)
+                noise = noise + levels * self._rng(record.number, name, 1).standard_normal(POINTS)
+                return convert(mean, channel, noise)
         return convert(self._mean(record, name, channel), channel, noise)
 
     def _mean(self, record: Record, name: str, channel: ChannelSettings) -> Floats:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from instrument.facts import HIGHEST_CODE, LEVELS_PER_DIVISION
-from instrument.simulated.front_end.smooth import CoarseLook, look, noise_of
+from instrument.simulated.front_end.smooth import Between, CoarseLook, look, noise_of, tells_its_noise
 from instrument.simulated.panel.panel import ChannelSettings
 
 Floats = NDArray[np.float64]
@@ -111,6 +111,25 @@ def shown_smooth(signal: Signal, channel: ChannelSettings, times: Floats, more: 
     if channel.coupling == "AC":
         volts = volts - slow_part(signal, times)
     return volts * gain(channel)
+
+
+def mean_shown(signal: Signal, channel: ChannelSettings, starts: Floats, times: Floats) -> Floats | None:
+    """Mean of what `shown_smooth` gives at `times` after each of the `starts`, all in s and rising.
+
+    From one look at the coarse grids of all: polynomials through the means are the mean of the polynomials.
+    None where the signal does not tell that this is right.
+    """
+    if channel.coupling != "DC" or not tells_its_noise(signal):
+        return None
+    span = float(times[-1])
+    looked = low_pass(look(signal, float(starts[0]), float(starts[-1]) + span), channel.time_constant)
+    if not isinstance(looked, CoarseLook):
+        return None
+    grid = looked.grid(0.0, span, len(times))
+    if grid is None or starts[-1] - starts[0] < (len(starts) - 1) * span:
+        return None
+    values = looked.smooth((starts[:, np.newaxis] + (grid - looked.delay)).ravel())
+    return Between(0.0, span, values.reshape(len(starts), -1).mean(axis=0))(times) * gain(channel)
 
 
 def shown_noise(signal: Signal, channel: ChannelSettings, times: Floats) -> Floats:

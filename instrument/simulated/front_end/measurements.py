@@ -1,6 +1,8 @@
-"""Automatic measurements of one trace.
+"""Automatic measurements of one trace, in single precision as the instrument computes them.
 
-Source: user manual 071-1064-00, p. 95; programmer manual 071-1075-04, pp. 2-159 to 2-170.
+A TDS2024 answered 9.99999046E-2 for the difference of 4.98 and 4.88 V, both counts of levels times V/level in
+single precision, and whole sample intervals for rise and fall. Source: user manual 071-1064-00, p. 95; programmer
+manual 071-1075-04, pp. 2-159 to 2-170.
 """
 
 from __future__ import annotations
@@ -15,10 +17,11 @@ from instrument.simulated.front_end.traces import Trace
 from instrument.simulated.panel.event_table import Refusal
 
 Floats = NDArray[np.float64]
+Singles = NDArray[np.float32]
 
 UNITS = {"FREQUENCY": "Hz", "PERIOD": "s", "RISE": "s", "FALL": "s", "PWIDTH": "s", "NWIDTH": "s",
          "PHASE": "deg"}  # fmt: skip
-_LEVELS_OF_A_SIGNAL = 10  # peak to peak, below which no edge counts (a guess)
+_FEWEST_LEVELS = 3  # peak to peak, below which no edge counts (a guess; a TDS2024 measured 5 levels)
 
 
 @dataclass(frozen=True)
@@ -56,27 +59,35 @@ def measure(kind: str, trace: Trace) -> float:
     codes = trace.codes[trace.codes != NO_DATA].astype(np.float64)
     if not len(codes):
         raise Refusal(2225)
-    volts = (codes - trace.yoff) * trace.ymult + trace.yzero
+    counts = codes - trace.yoff
+    volts = counts.astype(np.float32) * np.float32(trace.ymult) + np.float32(trace.yzero)
     if kind == "RMS":
-        return float(np.sqrt(np.mean(volts**2)))
+        return _rms(volts)
     if kind in ("MEAN", "MINIMUM", "MAXIMUM", "PK2PK"):
-        low, high, mean = float(volts.min()), float(volts.max()), float(volts.mean())
-        return {"MEAN": mean, "MINIMUM": low, "MAXIMUM": high, "PK2PK": high - low}[kind]
-    if np.ptp(codes) < _LEVELS_OF_A_SIGNAL:
+        low, high, mean = volts.min(), volts.max(), volts.mean()
+        return float({"MEAN": mean, "MINIMUM": low, "MAXIMUM": high, "PK2PK": high - low}[kind])
+    if np.ptp(codes) < _FEWEST_LEVELS:
         raise Refusal(2204)
     if kind in ("RISE", "FALL"):
-        return _edge_time(volts, rising=kind == "RISE") * trace.xincr
-    edges = middle_crossings(volts)
+        return _seconds(_edge_samples(codes, rising=kind == "RISE"), trace)
+    edges = middle_crossings(codes)
     if kind in ("PWIDTH", "NWIDTH"):
-        return _width(edges, positive=kind == "PWIDTH") * trace.xincr
+        return _seconds(_width(edges, positive=kind == "PWIDTH"), trace)
     if len(edges.times) < 3:
         raise Refusal(2202)
     first, last = float(edges.times[0]), float(edges.times[2])
     if kind == "CRMS":
-        cycle = volts[round(first) : max(round(last), round(first) + 1)]
-        return float(np.sqrt(np.mean(cycle**2)))
-    period = (last - first) * trace.xincr
-    return 1 / period if kind == "FREQUENCY" else period
+        return _rms(volts[round(first) : max(round(last), round(first) + 1)])
+    period = _seconds(last - first, trace)
+    return float(np.float32(1 / period)) if kind == "FREQUENCY" else period
+
+
+def _rms(volts: Singles) -> float:
+    return float(np.sqrt(np.mean(volts * volts)))
+
+
+def _seconds(samples: float, trace: Trace) -> float:
+    return float(np.float32(samples) * np.float32(trace.xincr))
 
 
 def phase(first: Trace, second: Trace) -> float:
@@ -90,7 +101,7 @@ def phase(first: Trace, second: Trace) -> float:
     edges = []
     for trace, no_period in ((first, 2202), (second, 2203)):
         codes = trace.codes[trace.codes != NO_DATA].astype(np.float64)
-        if not len(codes) or np.ptp(codes) < _LEVELS_OF_A_SIGNAL:
+        if not len(codes) or np.ptp(codes) < _FEWEST_LEVELS:
             raise Refusal(2204 if no_period == 2202 else 2205)
         found = middle_crossings(codes)
         rising = found.times[found.rising]
@@ -99,7 +110,7 @@ def phase(first: Trace, second: Trace) -> float:
         edges.append(rising)
     period = float(edges[0][1] - edges[0][0])
     turns = float(edges[1][0] - edges[0][0]) / period
-    return 360.0 * (turns - round(turns))
+    return float(np.float32(360.0 * (turns - round(turns))))
 
 
 def middle_crossings(volts: Floats) -> Edges:
@@ -135,9 +146,9 @@ def _width(edges: Edges, *, positive: bool) -> float:
     return float(edges.times[first + 1] - edges.times[first])
 
 
-def _edge_time(volts: Floats, *, rising: bool) -> float:
-    """Samples from 10 % to 90 % of the first edge of that direction."""
-    turned = volts if rising else -volts
+def _edge_samples(codes: Floats, *, rising: bool) -> int:
+    """Samples from the one that reaches 10 % to the one that reaches 90 % of the first edge of that direction."""
+    turned = codes if rising else -codes
     low, high = float(turned.min()), float(turned.max())
     tenth = low + (high - low) / 10
     ninety = high - (high - low) / 10
@@ -145,10 +156,4 @@ def _edge_time(volts: Floats, *, rising: bool) -> float:
     if not len(below) or not (turned[below[0] :] > ninety).any():
         raise Refusal(2213 if rising else 2212)
     end = int(below[0] + np.argmax(turned[below[0] :] > ninety))
-    start = int(below[below < end][-1])
-    return _crossing(turned, ninety, end - 1) - _crossing(turned, tenth, start)
-
-
-def _crossing(volts: Floats, level: float, index: int) -> float:
-    """Where between two samples the level is crossed."""
-    return index + float((level - volts[index]) / (volts[index + 1] - volts[index]))
+    return end - int(below[below < end][-1]) - 1

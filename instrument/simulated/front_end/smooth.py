@@ -64,7 +64,7 @@ class Between:
     def __call__(self, times: Floats) -> Floats:
         """Values at times in s between the first and the last."""
         places = (times - self._first) * self._pace - 2.0
-        around = np.clip(places.astype(np.intp), 0, len(self._polynomials) - 1)
+        around = np.minimum(np.maximum(places.astype(np.intp), 0), len(self._polynomials) - 1)  # clip is slow
         inside = places - around
         total = self._polynomials[:, 5][around]
         for order in (4, 3, 2, 1, 0):
@@ -96,12 +96,20 @@ class CoarseLook:
         if self.interval <= 0 or times.size == 0:
             return self.smooth(times - self.delay)
         first, last = float(times[0]), float(times[-1])
-        cells = max(5, math.ceil((last - first) / self.interval))
-        if last <= first or _WORTH * (cells + 1) > times.size:
+        grid = self.grid(first, last, times.size)
+        if grid is None:
             return self.smooth(times - self.delay)
-        # the grid does not leave these times: nobody knows yet what comes after them
-        grid = np.linspace(first, last, cells + 1)
         return Between(first, last, self.smooth(grid - self.delay))(times)
+
+    def grid(self, first: float, last: float, wanted: int) -> Floats | None:
+        """The times in s to look at instead of `wanted` ones; None where that is not worth it.
+
+        They do not leave the times asked for: nobody knows yet what comes after them.
+        """
+        if self.interval <= 0 or last <= first:
+            return None
+        cells = max(5, math.ceil((last - first) / self.interval))
+        return None if _WORTH * (cells + 1) > wanted else np.linspace(first, last, cells + 1)
 
     def behind_pole(self, time_constant: float) -> CoarseLook | None:
         """The same behind a pole that is so fast that it only delays; None if it is not."""

@@ -30,6 +30,7 @@ _PLACES: Floats = np.arange(65.0) / 64
 GUARD_BAND = 0.05  # of the width, p. 159
 SHORTEST_GUARD_BAND = 16.5e-9  # s
 _SAMPLES_A_WIDTH = 16  # of a search for pulses
+_LOOKS_A_CELL = 64  # of such a search, between two points that tell all about the smooth part
 
 
 class Stretch:
@@ -43,9 +44,12 @@ class Stretch:
         Volts at times between them.
     bend : float
         V by which the signal may leave straight lines through `volts`.
+    interval : float
+        s between looks that tell all.
     """
 
     def __init__(self, smooth: Callable[[Floats], Floats], start: float, stop: float, interval: float) -> None:
+        self.interval = interval
         self.times: Floats = np.linspace(start, stop, max(_FEWEST_CELLS, math.ceil((stop - start) / interval)) + 1)
         self.volts = smooth(self.times)
         self.between = Between(start, stop, self.volts)
@@ -74,20 +78,32 @@ class Comparator:
         noise_rms: float = 0.0,
         interval: Callable[[float, float], float] = lambda start, stop: 0.0,
     ) -> None:
-        self.noise, self.noise_rms, self.interval = noise, noise_rms, interval
-        self._smooth = smooth
+        self.noise, self.noise_rms = noise, noise_rms
+        self._smooth, self._interval = smooth, interval
         self._seen: Stretch | None = None
 
     def __call__(self, times: Floats) -> Floats:
         """Volts with the noise."""
         return self._smooth(times) + self.noise(times)
 
-    def stretch(self, start: float, now: float) -> Stretch:
-        """What is seen from `start` to `now`, or not so far; the last one again if it holds the start."""
+    def interval(self, start: float, stop: float) -> float:
+        """Distance in s of looks between which the smooth part is smooth, between two times; 0: not known."""
+        seen = self._seen
+        if seen is not None and seen.times[0] <= start and stop <= seen.times[-1]:
+            return seen.interval
+        return self._interval(start, stop)
+
+    def stretch(self, start: float, until: float, now: float) -> Stretch:
+        """What is seen from `start` to `now`, or not so far; the last one again if it holds the start.
+
+        Up to `until` looks between which the signal is smooth are known to do.
+        """
         seen = self._seen
         if seen is None or not seen.times[0] <= start < seen.times[-1] - _SHORTEST_STRETCH:
-            interval = self.interval(start, now)
-            end = min(now, start + _MOST_CELLS * interval)
+            end, interval = now, self._interval(start, now)
+            if not interval:  # behind `until` the table changes its rate, or the gyro locks
+                end, interval = until, self._interval(start, until)
+            end = min(end, start + _MOST_CELLS * interval)
             seen = self._seen = Stretch(self._smooth, start, end, interval)
         return seen
 
@@ -137,7 +153,7 @@ class EdgeSearch:
     def _advance_coarsely(self, until: float, now: float, step: float, noise: float) -> float | None:
         """The same where looks far apart tell where the edge may be, and `noise` is as far as noise goes."""
         while until - self.searched_until > _SHORTEST_STRETCH:
-            stretch = self.volts_at.stretch(self.searched_until, now)
+            stretch = self.volts_at.stretch(self.searched_until, until, now)
             edge = self._edge_along(stretch, until, step, noise)
             if edge is not None:
                 return edge
@@ -188,11 +204,16 @@ class EdgeSearch:
         while first < stop:
             times = first + step * np.arange(min(size, math.ceil((stop - first) / step)) + 1, dtype=np.float64)
             times[-1] = min(times[-1], stop)
-            crossed = above(times) >= 0
+            heights = above(times)
+            crossed = heights >= 0
             index = int(crossed.argmax())
             if crossed[index]:
-                rounds = 1 if noise else _REFINEMENTS
-                return refine(above, float(times[max(index - 1, 0)]), float(times[index]), rounds)
+                before = max(index - 1, 0)
+                low, high = float(times[before]), float(times[index])
+                if not noise:
+                    return refine(above, low, high)
+                rise = float(heights[index] - heights[before])
+                return high - (high - low) * float(heights[index]) / rise if rise > 0 else high
             first = float(times[-1])
         return None
 
@@ -235,6 +256,9 @@ def refine(above: Callable[[Floats], Floats], low: float, high: float, rounds: i
     return (low + high) / 2
 
 
+Bracket = tuple[float, float]
+
+
 @dataclass
 class PulseSearch:
     """A search for a pulse of the wanted width that goes on where it stopped.
@@ -247,78 +271,136 @@ class PulseSearch:
         As of EdgeSearch.
     state : int
         1 within a pulse, -1 outside, 0 as long as that is not known.
-    began : float or None
-        Absolute time in s of the leading edge of the pulse that is under way.
+    began : tuple of float or None
+        Absolute times in s between which the leading edge of the pulse that is under way lies.
     """
 
     trigger: TriggerSettings
-    volts_at: Callable[[Floats], Floats]
+    volts_at: Comparator
     hysteresis: float
     searched_until: float
     state: int = 0
-    began: float | None = None
+    began: Bracket | None = None
 
-    def advance(self, until: float, step: float) -> float | None:
-        """Search on to `until` in steps of `step` or finer; the time of the trigger, or None."""
+    def advance(self, until: float, step: float, now: float) -> float | None:
+        """Search on to `until`, not later than `now`, in steps of `step` or finer; the time of the trigger."""
         span = until - self.searched_until
         if span <= 0:
             return None
         step = max(min(step, self.trigger.width / _SAMPLES_A_WIDTH), span / (4 * _MOST_POINTS))
+        noise = _MOST_NOISE * self.volts_at.noise_rms
+        interval = self.volts_at.interval(self.searched_until, until)
+        if noise < self.hysteresis and interval > 2 * step:
+            return self._advance_coarsely(until, now, max(step, interval / _LOOKS_A_CELL), noise)
         while self.searched_until < until:
             count = min(_LONGEST_CHUNK, int((until - self.searched_until) / step) + 1)
             times = self.searched_until + step * np.arange(count + 1, dtype=np.float64)
             times[-1] = min(times[-1], until)
-            found = self._pulse_in(times)
+            found = self._pulse_in(times, self._above(times))
             if found is not None:
                 return found
             self.searched_until = float(times[-1])
         return None
 
-    def _above(self, times: Floats) -> Floats:
-        """Signal over the level, turned so that the pulse points up."""
-        above = self.volts_at(times) - self.trigger.level
+    def _advance_coarsely(self, until: float, now: float, step: float, noise: float) -> float | None:
+        """The same where looks far apart tell on which side the signal is, and `noise` is as far as noise goes."""
+        while until - self.searched_until > _SHORTEST_STRETCH:
+            stretch = self.volts_at.stretch(self.searched_until, until, now)
+            times = self._telling_times(stretch, min(until, float(stretch.times[-1])), step, noise)
+            found = self._pulse_in(times, self._turned(stretch.between(times) + self.volts_at.noise(times)))
+            if found is not None:
+                return found
+            self.searched_until = float(times[-1])
+        return None
+
+    def _telling_times(self, stretch: Stretch, end: float, step: float, noise: float) -> Floats:
+        """The looks of a stretch, with more of them, `step` apart, wherever the signal may cross the level."""
+        first, last = np.searchsorted(stretch.times, (self.searched_until, end), side="right")
+        times = np.concatenate([[self.searched_until], stretch.times[first : last - 1], [end]])
+        above = self._turned(stretch.between(times))
+        sure = self.hysteresis + noise + stretch.bend
+        sides = np.where(above > sure, 1, np.where(above < -sure, -1, 0))
+        steady = (sides[1:] == sides[:-1]) & (sides[1:] != 0)
+        lengths = np.diff(times)
+        counts = np.where(steady, 1, np.maximum(np.ceil(lengths / step), 1)).astype(np.intp)
+        cells = np.repeat(np.arange(len(counts)), counts)
+        inside = np.arange(len(cells)) - (np.cumsum(counts) - counts)[cells]
+        return np.append(times[cells] + inside * (lengths / counts)[cells], end)
+
+    def _turned(self, volts: Floats) -> Floats:
+        """Volts over the level, with the sign in which the pulse points up."""
+        above = volts - self.trigger.level
         return above if self.trigger.polarity == "POSITIVE" else -above
 
-    def _pulse_in(self, times: Floats) -> float | None:
-        """Follow the edges among these times."""
-        above = self._above(times)
+    def _above(self, times: Floats) -> Floats:
+        return self._turned(self.volts_at(times))
+
+    def _pulse_in(self, times: Floats, above: Floats) -> float | None:
+        """Follow the edges among these times, at which the signal is so far above the level."""
         sides = np.where(above > self.hysteresis, 1, np.where(above < -self.hysteresis, -1, 0))
         known = np.flatnonzero(sides)
         previous = np.concatenate([[self.state], sides[known]])
         changes = known[(previous[1:] != previous[:-1]) & (previous[:-1] != 0)]
-        for index in changes:
-            rising = bool(sides[index] > 0)
-            edge = self._edge_before(times, above, int(index), rising=rising)
-            if rising:
-                self.began = edge
-            elif self.began is not None:
-                found = self._judge(self.began, edge, ended=True)
-                self.began = None
-                if found is not None:
-                    return found
+        if len(changes):
+            places = np.arange(len(times))
+            last_below = np.maximum.accumulate(np.where(above < 0, places, 0))
+            last_over = np.maximum.accumulate(np.where(above > 0, places, 0))
+            for index in changes.tolist():
+                rising = bool(sides[index] > 0)
+                last = int((last_below if rising else last_over)[index])
+                edge = float(times[last]), float(times[min(last + 1, index)])
+                if rising:
+                    self.began = edge
+                elif self.began is not None:
+                    found = self._judge(self.began, edge, ended=True)
+                    self.began = None
+                    if found is not None:
+                        return found
         if len(known):
             self.state = int(sides[known[-1]])
-        return None if self.began is None else self._judge(self.began, float(times[-1]), ended=False)
+        end = float(times[-1])
+        return None if self.began is None else self._judge(self.began, (end, end), ended=False)
 
-    def _edge_before(self, times: Floats, above: Floats, index: int, *, rising: bool) -> float:
-        """The crossing of the level that led to the other side at `times[index]`."""
-        beyond = above[: index + 1] < 0 if rising else above[: index + 1] > 0
-        last = int(np.flatnonzero(beyond)[-1]) if beyond.any() else 0
-        after = min(last + 1, index)
+    def _exactly(self, edge: Bracket, *, rising: bool) -> float:
+        """The crossing of the level within a bracket."""
         sign = 1.0 if rising else -1.0
-        return refine(lambda when: sign * self._above(when), float(times[last]), float(times[after]))
+        return refine(lambda when: sign * self._above(when), *edge)
 
-    def _judge(self, began: float, until: float, *, ended: bool) -> float | None:
-        """The time at which a pulse triggers that has lasted to `until`; None if it does not (yet)."""
-        width, lasted = self.trigger.width, until - began
-        guard = max(GUARD_BAND * width, SHORTEST_GUARD_BAND)
+    def _judge(self, began: Bracket, until: Bracket, *, ended: bool) -> float | None:
+        """The time at which a pulse triggers that has lasted to `until`; None if it does not (yet).
+
+        Its edges are only looked for where the brackets leave it open.
+        """
+        if not self._possible(until[0] - began[1], until[1] - began[0], ended=ended):
+            return None
+        start = self._exactly(began, rising=True)
+        self.began = start, start
+        end = self._exactly(until, rising=False) if ended else until[0]
+        width, lasted, guard = self.trigger.width, end - start, self._guard
         match self.trigger.when:
             case "EQUAL":
-                return until if ended and abs(lasted - width) <= guard else None
+                return end if ended and abs(lasted - width) <= guard else None
             case "INSIDE":
-                return until if ended and lasted < width else None
+                return end if ended and lasted < width else None
             case "OUTSIDE":
-                return began + width if lasted > width else None
+                return start + width if lasted > width else None
         if lasted > width + guard:
-            return began + width + guard
-        return until if ended and lasted < width - guard else None
+            return start + width + guard
+        return end if ended and lasted < width - guard else None
+
+    @property
+    def _guard(self) -> float:
+        """Seconds around the width that still count as equal."""
+        return max(GUARD_BAND * self.trigger.width, SHORTEST_GUARD_BAND)
+
+    def _possible(self, shortest: float, longest: float, *, ended: bool) -> bool:
+        """Whether a pulse could trigger that has lasted at least and at most so long (s)."""
+        width, guard = self.trigger.width, self._guard
+        match self.trigger.when:
+            case "EQUAL":
+                return ended and longest >= width - guard and shortest <= width + guard
+            case "INSIDE":
+                return ended and shortest < width
+            case "OUTSIDE":
+                return longest > width
+        return longest > width + guard or (ended and shortest < width - guard)

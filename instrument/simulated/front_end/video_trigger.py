@@ -7,13 +7,12 @@ in the even one, in both standards. Source: ITU-R BT.1700 (525 and 625 lines).
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from instrument.simulated.front_end.frontend import Floats
-from instrument.simulated.front_end.trigger import refine
+from instrument.simulated.front_end.trigger import Comparator, refine
 from instrument.simulated.panel.panel import TriggerSettings
 
 LINE_TIMES = {"NTSC": 1.001 / 15_750, "PAL": 64e-6}  # s
@@ -34,7 +33,7 @@ class VideoSearch:
     ----------
     trigger : TriggerSettings
         Sync, polarity, line and standard.
-    volts_at : callable
+    volts_at : Comparator
         Volts of the source at given absolute times (rising).
     smallest : float
         Height in V below which there is no video signal.
@@ -43,7 +42,7 @@ class VideoSearch:
     """
 
     trigger: TriggerSettings
-    volts_at: Callable[[Floats], Floats]
+    volts_at: Comparator
     smallest: float
     searched_until: float
     _began: float | None = None  # start of the pulse that is under way
@@ -55,6 +54,9 @@ class VideoSearch:
     def advance(self, until: float) -> float | None:
         """Search on to `until`; the time of the edge of the wanted sync pulse, or None."""
         self.searched_until = max(self.searched_until, until - _LONGEST_LOOK)
+        if until > self.searched_until and self.volts_at.interval(self.searched_until, until) > BROAD:
+            self.searched_until = until  # so smooth a signal has no sync pulses
+            return None
         while self.searched_until < until:
             count = min(_CHUNK, int((until - self.searched_until) / _STEP) + 1)
             times = self.searched_until + _STEP * np.arange(count + 1, dtype=np.float64)

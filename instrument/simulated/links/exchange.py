@@ -17,6 +17,7 @@ from instrument.simulated.panel.parsing import StreamSplitter
 from instrument.simulated.scope import Picture, SimulatedTDS2014
 
 _MOST_WAITING = 1000
+_MASTER_SUMMARY = 64
 _TERMINATORS = {"LF": b"\n", "CR": b"\r", "CRLF": b"\r\n", "LFCR": b"\n\r"}
 
 
@@ -41,6 +42,9 @@ class MessageExchange:
         self._waiting: deque[bytes] = deque()
         self._running: Iterator[bytes | None] | None = None
         self._answers: deque[Delivery] = deque()
+        self._service_reasons = 0  # bits of the status byte that a service was requested for
+        self._requested = False  # bit 6 of a serial poll
+        self.unread = False  # an answer has left that nobody has read yet, where the link tells
         self.closed = False  # a fault closed the link
         self.output_dropped = False  # a server has to drop what it holds, too
 
@@ -97,11 +101,17 @@ class MessageExchange:
         """True while a message waits or is at work."""
         return self._running is not None or bool(self._waiting)
 
-    def pump(self) -> None:
-        """Carry out what has come in, as far as the clock allows."""
+    @property
+    def ready(self) -> bool:
+        """True while a message waits and could be carried out now."""
+        able = self.scope.powered and not self.scope.faults.hung
+        return able and self._running is None and bool(self._waiting)
+
+    def pump(self, most: float = math.inf) -> None:
+        """Carry out what has come in, as far as the clock allows: `most` messages, then others have their turn."""
         with self.scope.lock:
-            while self.scope.powered and not self.scope.faults.hung and self._advance():
-                pass
+            while most > 0 and self.scope.powered and not self.scope.faults.hung and self._advance():
+                most -= 1
 
     def take(self) -> bytes | None:
         """The oldest answer whose time has come; sets `closed` if the link breaks with it."""
@@ -127,6 +137,41 @@ class MessageExchange:
         """Keep the unread rest of an answer."""
         self._answers.appendleft(Delivery(rest))
         self.scope.message_available = True
+
+    @property
+    def answering(self) -> bool:
+        """True while an answer waits for its time."""
+        return bool(self._answers)
+
+    def drop_answers(self, event: int) -> None:
+        """Answers are lost, and an event says why."""
+        with self.scope.lock:
+            self._answers.clear()
+            self.unread = self.scope.message_available = False
+            self.scope.status.post(event)
+
+    def status_byte(self) -> int:
+        """What a serial poll would give; with it the request stays (bit 6)."""
+        with self.scope.lock:
+            self.scope.settle()
+            status = self.scope.status
+            available = self.answering or self.unread
+            summary = status.status_byte(message_available=available) & ~_MASTER_SUMMARY
+            reasons = summary & status.service_mask
+            self._requested = bool(reasons) and (self._requested or bool(reasons & ~self._service_reasons))
+            self._service_reasons = reasons
+            return summary | (_MASTER_SUMMARY if self._requested else 0)
+
+    def requests_service(self) -> bool:
+        """True once for each new reason to request service (*SRE)."""
+        before = self._requested
+        return bool(self.status_byte() & _MASTER_SUMMARY) and not before
+
+    def serial_poll(self) -> int:
+        """The status byte; bit 6 tells once that service was requested, and is cleared by the poll."""
+        value = self.status_byte()
+        self._requested = False
+        return value
 
     def next_change(self) -> float:
         """Clock time in s at which `pump` or `take` may have more to do; inf if only new bytes help."""
@@ -160,6 +205,21 @@ class MessageExchange:
             if now >= deadline:
                 return None
             clock.sleep(min(deadline, self.next_change()) - now + 1e-9)
+
+    def wait_for_service(self, timeout: float) -> bool:
+        """Let the instrument work until it requests service; False after `timeout` s on its clock."""
+        clock = self.scope.clock
+        deadline = clock.now() + timeout
+        while True:
+            self.pump()
+            if self.status_byte() & _MASTER_SUMMARY:
+                return True
+            now = clock.now()
+            if now >= deadline:
+                return False
+            # an operation that *OPC waits for ends without a message at work
+            change = min(self.next_change(), self.scope.acquisition.next_change())
+            clock.sleep(min(deadline, change) - now + 1e-9)
 
     def _advance(self) -> bool:
         """One step of the message at work; False when it has to wait or nothing is left."""

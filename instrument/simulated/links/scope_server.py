@@ -14,6 +14,7 @@ from instrument.simulated.links.stream_server import Line, Port, StreamServer
 from instrument.simulated.scope import SimulatedTDS2014
 
 _FULL = 1 << 20  # bytes of unread answers at which no more questions are taken
+_TURN = 4  # messages of one client before the next one has its turn
 _AT_ONCE = 4096  # bytes whose questions are taken before answers are sent
 _PACE = 0.004  # s of line time that travel in one piece
 _LOOK_UP = 0.2  # s after which an idle server looks whether the instrument is still on
@@ -53,6 +54,8 @@ class ScopeServer(StreamServer):
         for port in self._ports:
             if len(port.outgoing) or len(port.incoming):
                 pauses.append(_PACE)
+            if self._exchanges[port].ready:
+                pauses.append(0.0)
             change = self._exchanges[port].next_change()
             if change < float("inf"):
                 wait = max(0.0, change - self.scope.clock.now())
@@ -71,7 +74,6 @@ class ScopeServer(StreamServer):
             exchange.output_dropped = False
             port.outgoing.clear()
         self._skip_virtual_wait(exchange)
-        exchange.pump()
         while (answer := exchange.take()) is not None:
             port.outgoing.put(answer, now)
         self._send(port, now)
@@ -80,10 +82,11 @@ class ScopeServer(StreamServer):
 
     def _skip_virtual_wait(self, exchange: MessageExchange) -> None:
         clock = self.scope.clock
-        exchange.pump()
+        exchange.pump(_TURN)
         if clock.virtual and exchange.next_change() < float("inf"):
             with self.scope.lock:
                 clock.sleep(exchange.next_change() - clock.now() + 1e-9)
+            exchange.pump(_TURN)
 
 
 class TcpServer(ScopeServer):

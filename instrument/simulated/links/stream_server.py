@@ -17,7 +17,7 @@ from typing import Self
 CHUNK = 65_536
 """Bytes that are read at once."""
 
-_CLIENTS = 16  # at once on one server; further ones are hung up on
+_CLIENTS = 16  # connections at once on one server
 _UNTAKEN = 4 * CHUNK  # bytes of a client that have not been taken yet, at which it is not listened to
 _NO_DESCRIPTOR = (errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM)
 _DEAF_S = 1.0  # after the system had no descriptor left for a client
@@ -84,6 +84,8 @@ class StreamServer(ABC):
         What ended the thread, if something did: an instrument that fails must not look like a silent one.
     ended : threading.Event
         Is set when nobody is served any more.
+    clients : int
+        Connections at once; further ones are hung up on.
     """
 
     def __init__(self) -> None:
@@ -91,6 +93,7 @@ class StreamServer(ABC):
         self.ended = threading.Event()
         self._selector = selectors.DefaultSelector()
         self._ports: list[Port] = []
+        self.clients = _CLIENTS
         self._held = contextlib.ExitStack()  # what is open besides the ports
         self._closing = False
         self._listener: socket.socket | None = None
@@ -192,7 +195,7 @@ class StreamServer(ABC):
                 self._selector.unregister(listener)
                 self._deaf_until = time.monotonic() + _DEAF_S
             return
-        if len(self._ports) >= _CLIENTS or not self._welcomes():
+        if len(self._ports) >= self.clients or not self._welcomes():
             client.close()
             return
         client.setblocking(False)

@@ -16,7 +16,15 @@ from typing import Any
 import numpy as np
 import pyvisa
 from pyvisa import attributes, constants, rname
-from pyvisa.constants import ControlFlow, InterfaceType, ResourceAttribute, SerialTermination, StatusCode
+from pyvisa.constants import (
+    ControlFlow,
+    EventMechanism,
+    EventType,
+    InterfaceType,
+    ResourceAttribute,
+    SerialTermination,
+    StatusCode,
+)
 from pyvisa.highlevel import VisaLibraryBase
 from pyvisa.typing import VISARMSession, VISASession
 from pyvisa.util import LibraryPath
@@ -97,6 +105,7 @@ class _Session:
     received: bytearray = field(default_factory=bytearray)
     under_way: bytearray = field(default_factory=bytearray)  # on a serial line of a virtual clock
     free_at: float = 0.0  # clock time in s from which on the next byte is on the line
+    waits_for_service: bool = False
     sending_stopped: bool = False  # the computer's own XON/XOFF, set off by a byte in the data
 
     @property
@@ -215,7 +224,7 @@ class SimulatedVisaLibrary(VisaLibraryBase):
 
     def close(self, session: Any) -> StatusCode:
         """Close a session; answers that nobody has read are lost."""
-        closed = self._sessions.pop(session, None)
+        closed = self._sessions.pop(session, None)  # the context of an event has none
         if closed is not None and closed.stream:
             closed.exchange.clear()
         return self.handle_return_value(None, StatusCode.success)
@@ -281,9 +290,7 @@ class SimulatedVisaLibrary(VisaLibraryBase):
         opened = self._sessions[session]
         self._check_power(session, opened)
         opened.exchange.pump()  # the instrument works on while it is polled
-        with opened.exchange.scope.lock:
-            status_byte = opened.exchange.scope.status_byte()
-        return status_byte, self.handle_return_value(session, StatusCode.success)
+        return opened.exchange.serial_poll(), self.handle_return_value(session, StatusCode.success)
 
     def assert_trigger(self, session: VISASession, protocol: constants.TriggerProtocol) -> StatusCode:
         """Group execute trigger: the same as *TRG."""
@@ -320,12 +327,40 @@ class SimulatedVisaLibrary(VisaLibraryBase):
             self._send_break(opened)
         return self.handle_return_value(session, StatusCode.success)
 
+    def enable_event(self, session: Any, event_type: Any, mechanism: Any, context: None = None) -> StatusCode:
+        """Wait for service requests from now on; they are queued, no handler is called."""
+        if event_type != EventType.service_request:
+            return self.handle_return_value(session, StatusCode.error_invalid_event)
+        if mechanism != EventMechanism.queue:
+            return self.handle_return_value(session, StatusCode.error_nonsupported_mechanism)
+        opened = self._sessions[session]
+        if opened.stream:  # RS-232 has no service request
+            return self.handle_return_value(session, StatusCode.error_invalid_event)
+        opened.waits_for_service = True
+        return self.handle_return_value(session, StatusCode.success)
+
+    def wait_on_event(self, session: Any, in_event_type: Any, timeout: int) -> tuple[Any, Any, StatusCode]:
+        """Wait until the instrument requests service, `timeout` ms of its clock at most."""
+        opened = self._sessions[session]
+        if not opened.waits_for_service:
+            self.handle_return_value(session, StatusCode.error_not_enabled)
+        self._check_power(session, opened)
+        seconds = math.inf if timeout == constants.VI_TMO_INFINITE else timeout / 1000
+        if not opened.exchange.wait_for_service(seconds):
+            self.handle_return_value(session, StatusCode.error_timeout)
+        context = next(self._numbers)
+        return EventType.service_request, context, self.handle_return_value(session, StatusCode.success)
+
     def disable_event(self, session: Any, event_type: Any, mechanism: Any) -> StatusCode:
-        """No events are ever enabled."""
+        """Wait for nothing any more."""
+        if session in self._sessions:
+            self._sessions[session].waits_for_service = False
         return self.handle_return_value(None, StatusCode.success)
 
     def discard_events(self, session: Any, event_type: Any, mechanism: Any) -> StatusCode:
-        """No events are ever queued."""
+        """Forget a request that nobody has waited for; the status byte still tells it."""
+        if session in self._sessions:
+            self._sessions[session].exchange.requests_service()
         return self.handle_return_value(None, StatusCode.success)
 
 

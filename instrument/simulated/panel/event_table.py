@@ -23,7 +23,7 @@ class Guess(IntEnum):
     NUMBER_EXPECTED = 104
     STRING_EXPECTED = 104
     BLOCK_EXPECTED = 104
-    UNKNOWN_WORD = 224
+    UNKNOWN_WORD = 102  # as a TBS1072B posts it
     MEMORY_NUMBER_OUT_OF_RANGE = 222
     PICTURE_FORMAT_NOT_SIMULATED = 221
     FOLDER_NOT_EMPTY = 250
@@ -32,7 +32,9 @@ class Guess(IntEnum):
     DATE_IS_NONE = 224
     INPUT_BUFFER = 1024  # bytes of a message that may wait behind a full output queue
     OUTPUT_QUEUE = 4096  # bytes of answers that may wait while the rest of the message is still coming
-    DROPS_REST_OF_MESSAGE = 32  # status bit of the events after which the rest of a message is not read
+    DROPS_REST_OF_MESSAGE = (
+        32  # status bit of events after which a message is not read on, but for unknown headers
+    )
     TRIGGER_IGNORED = 0  # TRIGger FORCe outside READY: no event is known
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -26,6 +27,17 @@ class Model:
     def series(self) -> str:
         """`TPS`, `B` or `C`; empty for the first series."""
         return "TPS" if self.name.startswith("TPS") else self.name[-1] if self.letter_series else ""
+
+    @cached_property
+    def firmware(self) -> float:
+        """Version by `*IDN?`, such as 22.16; 0 where the answer names none."""
+        found = re.search(r"FV:v(\d+\.\d+)", self.identity)
+        return float(found[1]) if found else 0.0
+
+    @cached_property
+    def has_rms(self) -> bool:
+        """Whether it measures the RMS of the whole record, by a method that can be chosen: C, and B from 24 on."""
+        return self.series == "C" or (self.series == "B" and self.firmware >= 24)
 
     @cached_property
     def has_storage(self) -> bool:
@@ -91,7 +103,7 @@ MODELS = {
         _model("TDS2012B", "C062851", "FV:v22.01", 2),
         _model("TDS2022B", "C010104", "FV:v22.01", 2, 2e9),
         _model("TDS2014B", "C010101", "FV:v22.16", 4),
-        _model("TDS2024B", "C100044", "FV:v22.16", 4, 2e9),
+        _model("TDS2024B", "C100044", "FV:v24.02", 4, 2e9),
         _model("TDS2014C", "C010102", "FV:v24.26", 4, 2e9),
         _model("TDS2024C", "C042765", "FV:v24.26", 4, 2e9),
         _model("TPS2012", "0", "FV:v9.48 TPS2PWR1:v1.00", 2),

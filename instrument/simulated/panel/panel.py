@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
+from functools import wraps
+from typing import Any, TypeVar
 
 from instrument.facts import SCAN_FROM
 from instrument.simulated.panel.kinds import Value
@@ -49,13 +51,56 @@ class TriggerSettings:
     standard: str = "NTSC"
 
 
+class Values(dict[str, Value]):
+    """Values by header, and how often one of them was set: what was made of them holds until then."""
+
+    changes = 0
+
+    def __setitem__(self, key: str, value: Value) -> None:
+        self.changes += 1
+        super().__setitem__(key, value)
+
+    def update(self, *others: Mapping[str, Value]) -> None:  # type: ignore[override]
+        """Set several."""
+        self.changes += 1
+        super().update(*others)
+
+
+View = TypeVar("View")
+
+
+def _remembered(make: Callable[[Panel], View]) -> Callable[[Panel], View]:
+    """A view of the panel that is made anew only when a setting has changed: it is asked for all the time."""
+    name = make.__name__
+
+    @wraps(make)
+    def view(panel: Panel) -> View:
+        if panel.viewed_at != panel.values.changes:
+            panel.viewed_at = panel.values.changes
+            panel.views.clear()
+        if name not in panel.views:
+            panel.views[name] = make(panel)
+        found: View = panel.views[name]
+        return found
+
+    return view
+
+
 class Panel:
-    """Values of all settings by their full header in capitals (`CH1:SCALE`)."""
+    """Values of all settings by their full header in capitals (`CH1:SCALE`).
+
+    Attributes
+    ----------
+    views : dict
+        What was made of the values at their change number `viewed_at`.
+    """
 
     def __init__(self, model: Model) -> None:
         self.model = model
         self.rows = {row.header.upper(): row for row in setting_rows(model)}
-        self.values: dict[str, Value] = {key: row.default for key, row in self.rows.items()}
+        self.values = Values({key: row.default for key, row in self.rows.items()})
+        self.views: dict[str, Any] = {}
+        self.viewed_at = -1
 
     def text(self, key: str) -> str:
         """Value of a setting that holds a word or a string."""
@@ -86,6 +131,14 @@ class Panel:
 
     def channel(self, name: str) -> ChannelSettings:
         """Vertical settings of `CH1` and so on."""
+        return self._channels[name]
+
+    @property
+    @_remembered
+    def _channels(self) -> dict[str, ChannelSettings]:
+        return {name: self._channel(name) for name in self.model.channel_names}
+
+    def _channel(self, name: str) -> ChannelSettings:
         limited = self.flag(f"{name}:BANDWIDTH")
         at_bnc = self.number(f"{name}:SCALE") / self.number(f"{name}:PROBE")
         return ChannelSettings(
@@ -105,6 +158,7 @@ class Panel:
         fast = self.seconds_per_division <= FULL_BANDWIDTH_SWEEP * (1 + 1e-9)
         return 1 / (2 * math.pi * self.model.bandwidth) if fast else 0.0
 
+    @_remembered
     def trigger(self) -> TriggerSettings:
         """Settings of the main trigger."""
         pulse, video = "TRIGGER:MAIN:PULSE:WIDTH", "TRIGGER:MAIN:VIDEO"
@@ -131,24 +185,35 @@ class Panel:
         return self.text(f"TRIGGER:MAIN:{self.text('TRIGGER:MAIN:TYPE')}:SOURCE")
 
     @property
+    @_remembered
     def seconds_per_division(self) -> float:
         """Main time base, or the window's when it is the view."""
         window = self.text("HORIZONTAL:VIEW") == "WINDOW"
         return self.number("HORIZONTAL:DELAY:SCALE" if window else "HORIZONTAL:MAIN:SCALE")
 
     @property
+    @_remembered
     def horizontal_position(self) -> float:
         """Seconds from the trigger to the centre of the record."""
         window = self.text("HORIZONTAL:VIEW") == "WINDOW"
         return self.number("HORIZONTAL:DELAY:POSITION" if window else "HORIZONTAL:MAIN:POSITION")
 
+    @_remembered
+    def displayed_channels(self) -> dict[str, ChannelSettings]:
+        """Vertical settings of the channels that are acquired: those on the screen, all for the math waveform."""
+        shown = self.displayed
+        names = (name for name in self.model.channel_names if name in shown or "MATH" in shown)
+        return {name: self.channel(name) for name in names}
+
     @property
+    @_remembered
     def scanning(self) -> bool:
         """True when the record rolls over the screen (AUTO at 100 ms/div and slower)."""
         auto = self.text("TRIGGER:MAIN:MODE") == "AUTO"
         return auto and self.seconds_per_division >= SCAN_FROM * (1 - 1e-9)
 
     @property
+    @_remembered
     def displayed(self) -> frozenset[str]:
         """Names of the waveforms that are turned on."""
         return frozenset(name for name in self.model.waveform_names if self.flag(f"SELECT:{name}"))

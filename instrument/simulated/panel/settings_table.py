@@ -39,6 +39,7 @@ class Row:
     aliases: tuple[str, ...] = ()
     kept: bool = False  # *RST, FACtory and recalled setups leave it alone
     in_set: bool = True  # part of the answer to SET?
+    in_file: bool = True  # part of a setup on the memory card, too, unless it is `kept`
     in_branch: bool = True  # part of the answer to a branch query
 
 
@@ -63,7 +64,7 @@ def setting_rows(model: Model) -> tuple[Row, ...]:
     """All settings of a model, in the order of `SET?`."""
     return (
         *_answer_and_data(model),
-        *_display_and_acquire(),
+        *_display_and_acquire(model),
         *(row for name in model.channel_names for row in _channel(name, model)),
         *_horizontal(model),
         *_trigger(model),
@@ -72,11 +73,14 @@ def setting_rows(model: Model) -> tuple[Row, ...]:
         *_measurement_and_math(model),
         *limit_test(model),
         *_hard_copy_and_links(model),
+        *picture_printer(model),
+        *battery(model),
     )
 
 
 def _answer_and_data(model: Model) -> Iterator[Row]:
-    yield Row("HEADer", Switch(), 1, kept=True)
+    # B, C and TPS answer without headers as they come (published USB programs never send HEADer)
+    yield Row("HEADer", Switch(), int(not model.letter_series), aliases=("HDR",), kept=True)
     yield Row("VERBose", Switch(), 1, kept=True)
     yield Row("DATa:ENCdg", ENCODINGS, "RIBINARY", kept=True)
     references = Words(*model.reference_names)
@@ -88,13 +92,17 @@ def _answer_and_data(model: Model) -> Iterator[Row]:
     yield Row("LOCk", Words("ALL", "NONe"), "NONE", kept=True)
 
 
-def _display_and_acquire() -> Iterator[Row]:
+def _display_and_acquire(model: Model) -> Iterator[Row]:
     persistence = (("OFF", 0), ("1", 1), ("2", 2), ("5", 5), ("INF", 99))
     yield Row("DISplay:FORMat", Words("YT", "XY"), "YT")
     yield Row("DISplay:STYle", Words("DOTs", "VECtors"), "VECTORS")
     yield Row("DISplay:PERSistence", NumberedWords(persistence), 0)
     yield Row("DISplay:CONTRast", Whole(1, 100), 50, kept=True)
     yield Row("DISplay:INVert", Switch(words=True), 0, kept=True)
+    if model.series == "TPS":
+        yield Row(
+            "DISplay:BRIGHTness", Steps((0, 15, 30, 45, 60, 75, 90, 100), whole=True), 100, kept=True, in_set=False
+        )
     yield Row("ACQuire:MODe", Words("SAMple", "PEAKdetect", "AVErage"), "SAMPLE")
     averages = Steps((4, 16, 64, 128), whole=True)
     yield Row("ACQuire:NUMAVg", averages, 16, aliases=("ACQuire:NUMA",))  # NUMA stands in an example, p. 2-7
@@ -146,13 +154,13 @@ def _trigger(model: Model) -> Iterator[Row]:
     yield Row(f"{main}:EDGE:SOUrce", Words(*sources, "AC LINE", "LINE"), "CH1")
     yield Row(f"{main}:EDGE:COUPling", Words("DC", "AC", "HFRej", "LFRej", "NOISErej"), "DC")
     yield Row(f"{main}:EDGE:SLOpe", Words("RISe", "FALL"), "RISE")
-    yield Row(f"{main}:VIDeo:SOUrce", Words(*sources), "CH1")
+    yield Row(f"{main}:VIDeo:SOUrce", Words(*sources), "CH1", in_file=False)
     yield Row(f"{main}:VIDeo:SYNC", Words("LINE", "FIELD", "ODD", "EVEN", "LINENum"), "LINE")
     yield Row(f"{main}:VIDeo:POLarity", Words("NORMal", "INVert"), "NORMAL")
     yield Row(f"{main}:VIDeo:LINE", Whole(1, 625), 1)
     yield Row(f"{main}:VIDeo:STANdard", Words("NTSc", "PAL"), "NTSC")
     pulse = f"{main}:PULse"
-    yield Row(f"{pulse}:SOUrce", Words(*sources), "CH1")
+    yield Row(f"{pulse}:SOUrce", Words(*sources), "CH1", in_file=False)
     yield Row(f"{pulse}:WIDth:POLarity", Words("POSITIVe", "NEGAtive"), "POSITIVE")
     yield Row(f"{pulse}:WIDth:WHEN", Words("EQual", "NOTEqual", "INside", "OUTside"), "EQUAL")
     yield Row(f"{pulse}:WIDth:WIDth", PulseWidth(33e-9, 10.0), 1e-3)
@@ -174,24 +182,24 @@ def _select_and_cursors(model: Model) -> Iterator[Row]:
 def _measurement_and_math(model: Model) -> Iterator[Row]:
     types: tuple[str, ...] = ("FREQuency", "MEAN", "PERIod", "PK2pk", "CRMs", "MINImum", "MAXImum")
     types = (*types, "RISe", "FALL", "PWIdth", "NWIdth")
-    if model.series == "C":
-        types = (*types, "RMS", "CURSORRMS")
+    if model.has_rms:
+        types = (*types, "RMS", *(("CURSORRMS",) if model.series == "C" else ()))
     if model.has_power_key:
         types = (*types, "PHAse")
     sources = Words(*model.channel_names, *(("MATH",) if model.letter_series else ()))
     for number in range(1, 6):
         yield Row(f"MEASUrement:MEAS{number}:TYPe", Words(*types, "NONe"), "NONE")
         yield Row(f"MEASUrement:MEAS{number}:SOUrce", sources, "CH1")
-    if model.series == "C":
+    if model.has_rms:
         yield Row("MEASUrement:METHod", Words("AUTO", "HISTOgram", "MINMax"), "AUTO")
     immediate = "MEASUrement:IMMed"
-    yield Row(f"{immediate}:TYPe", Words(*types), "PERIOD")
+    yield Row(f"{immediate}:TYPe", Words(*types), "PERIOD", in_file=False)
     first, second = f"{immediate}:SOUrce", f"{immediate}:SOUrce1"
     if model.letter_series:
         first, second = second, first  # the answer says SOURCE1 there
-    yield Row(first, sources, "CH1", aliases=(second,))
+    yield Row(first, sources, "CH1", aliases=(second,), in_file=False)
     if model.has_power_key:
-        yield Row(f"{immediate}:SOUrce2", sources, "CH2")
+        yield Row(f"{immediate}:SOUrce2", sources, "CH2", in_file=False)
     yield Row("MATH:DEFINE", MathExpression(model.channels, products=model.letter_series), "CH1 - CH2")
     if model.letter_series:
         yield Row("MATH:VERtical:POSition", Real(-1000, 1000, step=0.04), 0.0)
@@ -228,6 +236,31 @@ def limit_test(model: Model) -> Iterator[Row]:
     yield Row("LIMit:TEMPLate:TOLerance:VERTical", Whole(0, 5000), 0)
 
 
+def picture_printer(model: Model) -> Iterator[Row]:
+    """Settings of a PictBridge printer at the USB port of B and C models; their words are guesses."""
+    if model.series not in ("B", "C"):
+        return
+    sizes = ("DEFLT", "L", "L2", "IN4BY6", "IN8BY10", "LETTER", "IN11BY17", "A3", "A4", "A5", "A6", "ROLL89MM")
+    places = ("DEFLT", "IN2P5BY3P25", "L", "IN4BY6", "L2", "IN8BY10", "A4", "LETTER")
+    qualities = ("DEFLT", "NORMAL", "DRAFT", "FINE")
+    switches = ("DEFLT", "OFF", "ON")
+    for leaf, words in (
+        ("PAPERSIZE", sizes),
+        ("IMAGESIZE", places),
+        ("PAPERTYPE", ("DEFLT", "PLAIN", "PHOTO", "FASTPHOTO")),
+        ("PRINTQUAL", qualities),
+        ("DATEPRINT", switches),
+        ("IDPRINT", switches),
+    ):
+        yield Row(f"PICTBridge:{leaf}", Words(*words), "DEFLT", kept=True, in_set=False)
+
+
+def battery(model: Model) -> Iterator[Row]:
+    """What POWer? of a TPS answers besides the state of its batteries."""
+    if model.series == "TPS":
+        yield Row("POWer:BUTTONLIGHT", Switch(), 1, kept=True, in_set=False)
+
+
 def _hard_copy_and_links(model: Model) -> Iterator[Row]:
     printers = ("BUBBLEJet", "DESKJet", "DPU3445", "DPU411", "DPU412", "EPSC60", "EPSC80", "EPSImage")
     formats = ("BMP", *printers, "EPSOn", "INTERLEAF", "LASERJet", "PCX", "RLE", "THINKjet", "TIFf")
@@ -236,6 +269,8 @@ def _hard_copy_and_links(model: Model) -> Iterator[Row]:
     yield Row("HARDCopy:FORMat", Words(*formats), "EPSON", kept=True)
     yield Row("HARDCopy:PORT", Words(*ports), "CENTRONICS", kept=True)
     if model.has_storage:
+        button = Words("PRINTS", "SAVESALL", "SAVESIMAGE")
+        yield Row("HARDCopy:BUTTON", button, "SAVESALL", kept=True, in_set=False, in_branch=False)
         yield Row("SAVe:IMAge:FILEFormat", Words(*formats), "BMP", kept=True, in_set=False, in_branch=False)
     yield Row("HARDCopy:LAYout", Words("PORTRait", "LANdscape"), "PORTRAIT", kept=True)
     yield Row("HARDCopy:INKSaver", Switch(words=True), 1, kept=True)

@@ -6,12 +6,21 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from analysis.fibre_gyro import turn_time
+from station.fibre_gyro.at_once import watch
 from station.fibre_gyro.common import output_facts, truth_of
+from station.fibre_gyro.examine import examine
 from station.fibre_gyro.logs import LogRow, read_logs, table_conditions
 from station.fibre_gyro.merit.evaluate import PURPOSE, evaluate
 from station.fibre_gyro.merit.result import LIMITED, result
 from station.fibre_gyro.merit.sections import sections
-from station.fibre_gyro.segments import MARGIN_S, PlannedSegment, take_logs, take_segments, unusable_segments
+from station.fibre_gyro.segments import (
+    MARGIN_S,
+    PlannedSegment,
+    seconds_of,
+    take_logs,
+    take_segments,
+    unusable_segments,
+)
 from station.fibre_gyro.serial_bench import open_fog_bench
 from station.fibre_gyro.settings import FIBRE_GYRO, FogSettings
 from station.measurements import Measurement
@@ -84,5 +93,8 @@ MEASUREMENT = Measurement(
     sections=sections,
     facts=output_facts,
     gives=LIMITED,
+    watch=watch,
+    examine=examine,
     unusable=lambda run, settings: unusable_segments(run, settings, [PURPOSE]),
+    seconds=lambda settings: seconds_of(plan(settings)),
 )

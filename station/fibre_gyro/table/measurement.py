@@ -7,9 +7,18 @@ from pathlib import Path
 
 from analysis.fibre_gyro import check_whole_turns, turn_time
 from station.errors import UsageError
+from station.fibre_gyro.at_once import watch
 from station.fibre_gyro.common import output_facts, truth_of
+from station.fibre_gyro.examine import examine
 from station.fibre_gyro.logs import LogRow, read_logs, table_conditions
-from station.fibre_gyro.segments import MARGIN_S, PlannedSegment, take_logs, take_segments, unusable_segments
+from station.fibre_gyro.segments import (
+    MARGIN_S,
+    PlannedSegment,
+    seconds_of,
+    take_logs,
+    take_segments,
+    unusable_segments,
+)
 from station.fibre_gyro.serial_bench import open_fog_bench
 from station.fibre_gyro.settings import FIBRE_GYRO, FogSettings
 from station.fibre_gyro.table.evaluate import PURPOSE, evaluate
@@ -90,5 +99,8 @@ MEASUREMENT = Measurement(
     sections=sections,
     facts=output_facts,
     gives=LIMITED,
+    watch=watch,
+    examine=examine,
     unusable=lambda run, settings: unusable_segments(run, settings, [PURPOSE]),
+    seconds=lambda settings: seconds_of(plan(settings)),
 )

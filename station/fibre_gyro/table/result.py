@@ -57,7 +57,7 @@ def result(found: TableFound, run: SavedRun, settings: FogSettings) -> Result:
             "matrix": _matrix(found.matrix),
             "left_out": found.left_out,
         },
-        measured=tuple(Measured(name, axis[name], axis["axis"]) for axis in axes for name in LIMITED),
+        measured=tuple(_measured(axis, name) for axis in axes for name in LIMITED),
         lines=lines,
         summary=[("", line) for line in lines],
         sentences=(_even_part_sentence(settings),),
@@ -66,6 +66,11 @@ def result(found: TableFound, run: SavedRun, settings: FogSettings) -> Result:
         left_out=found.left_out,
         tables=(_axes_on_terminal(found), *([matrix_table(found.matrix)] if found.matrix else [])),
     )
+
+
+def _measured(axis: dict[str, Any], name: str) -> Measured:
+    u = axis["scale_factor_u_ppm"] if name == "nominal_difference_ppm" else math.nan
+    return Measured(name, axis[name], axis["axis"], u)
 
 
 def _matrix(matrix: ThreeAxes | None) -> dict[str, Any] | None:

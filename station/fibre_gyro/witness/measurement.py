@@ -17,7 +17,7 @@ MEASUREMENT = Measurement(
     name=PURPOSE,
     command="gyrolock fog witness",
     title="Modulator staircase by oscilloscope",
-    kind=replace(FIBRE_GYRO, knowledge=("limits", *(f"witness.{name}" for name in _KNOWN))),
+    kind=replace(FIBRE_GYRO, knowledge=("limits.*", *(f"witness.{name}" for name in _KNOWN))),
     take=take,
     take_files=take_files,
     evaluate=evaluate,

@@ -36,6 +36,9 @@ _TABLE_CHECK = {
     "beat_over_table": "beat_over_table",
     "beat_over_table_u": "beat_over_table_u",
     "p_value": "p_value",
+    "p_value_by_all": "p_value_by_all",
+    "lock_in_rate_by_frequencies_dps": "by_frequencies",
+    "lock_in_rate_by_frequencies_u_dps": "by_frequencies_u",
     "least_error_seen": "least_error_seen",
 }
 _SCALE_FACTOR = {

@@ -5,7 +5,7 @@ matplotlib is imported inside the functions: it takes half a second, and only a 
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from analysis import fit_harmonics
 from instrument import Waveform
 from station.lock_in.found import LockInFound
-from station.report.figure import ACCENT, HALF, INK, SECOND, THIRD, WIDE, legend_above, svg_element
+from station.report.figure import ACCENT, HALF, INK, LINE, SECOND, TALL, THIRD, WIDE, legend_above, svg_element
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -21,11 +21,12 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 _PERIODS_SHOWN = 4
+_SAMPLES_SHOWN = 360  # dots that can still be told apart; each is an element of the page
 _HARMONICS = 4
 
 
 def time_record_svg(waveform: Waveform) -> str:
-    """Draw the first periods of a record: samples and fitted harmonics.
+    """Draw the first periods of a record: samples and fitted harmonics, and below what the fit leaves of them.
 
     Parameters
     ----------
@@ -39,23 +40,40 @@ def time_record_svg(waveform: Waveform) -> str:
     """
     fit = fit_harmonics(waveform.volts, waveform.sample_interval, harmonics=_HARMONICS, nan_policy="omit")
     frequency = float(fit.frequency)
-    shown = min(waveform.codes.size, int(np.ceil(_PERIODS_SHOWN / frequency / waveform.sample_interval)))
+    periods = int(np.ceil(_PERIODS_SHOWN / frequency / waveform.sample_interval))
+    shown = min(waveform.codes.size, periods, _SAMPLES_SHOWN)
     scale, unit = _time_unit(shown * waveform.sample_interval)
     fine = np.linspace(0, (shown - 1) * waveform.sample_interval, 800)
     orders = np.arange(1, _HARMONICS + 1)
-    model = float(fit.offset) + (np.exp(2j * np.pi * frequency * np.outer(fine, orders)) @ fit.amplitudes).real
+    times = np.arange(shown) * waveform.sample_interval
+
+    def model(at: NDArray[Any]) -> Array:
+        turning = np.exp(2j * np.pi * frequency * np.outer(at, orders))
+        return np.asarray(float(fit.offset) + (turning @ fit.amplitudes).real, np.float64)
 
     def draw(figure: Figure) -> None:
-        axes = figure.add_subplot()
-        axes.plot(scale * fine, model, color=ACCENT, zorder=4, label=f"fit: offset and {_HARMONICS} harmonics")
-        times = np.arange(shown) * waveform.sample_interval
+        axes, below = figure.subplots(2, sharex=True, height_ratios=(2.4, 1))
+        # a fine line over light dots: neither hides the other
         axes.plot(
-            scale * times, waveform.volts[:shown], ".", ms=4, color=SECOND, alpha=0.55, mew=0, label="samples"
+            scale * times, waveform.volts[:shown], ".", ms=5, color=SECOND, alpha=0.45, mew=0, label="samples"
         )
-        axes.set(xlabel=f"time from the first sample, {unit}", ylabel="V", xlim=(0, scale * fine[-1]))
-        legend_above(axes)
+        axes.plot(
+            scale * fine,
+            model(fine),
+            color=ACCENT,
+            linewidth=0.9,
+            label=f"fit: offset and {_HARMONICS} harmonics",
+        )
+        axes.set(ylabel="V", xlim=(0, scale * fine[-1]))
+        left = 1e3 * np.subtract(waveform.volts[:shown], model(times))
+        level = 1e3 * abs(waveform.preamble.ymult)
+        below.axhspan(-level / 2, level / 2, color=LINE, linewidth=0, label="one level of the converter")
+        below.plot(scale * times, left, ".", ms=3, color=SECOND, alpha=0.6, mew=0, label="samples less fit")
+        below.set(xlabel=f"time from the first sample, {unit}", ylabel="mV")
+        for one in (axes, below):
+            legend_above(one)
 
-    return svg_element("record", WIDE, draw)
+    return svg_element("record", TALL, draw)
 
 
 def spectrum_svg(waveform: Waveform) -> str:

@@ -15,15 +15,13 @@ from station.lock_in.presentation.rates_sentences import describe_frequencies
 from station.lock_in.presentation.sentences import quadrature_sentences, rates_sentences
 from station.lock_in.presentation.table_sentences import table_sentences
 from station.lock_in.presentation.tables import rates_table, records_table
-from station.lock_in.settings import Settings
 from station.results.parts import PlacedFigure, Section, TextTable
 from station.results.result import Result
-from station.runs.store import SavedRun
 
 _RECORDS_SHOWN = 200
 
 
-def sections(found: LockInFound, run: SavedRun, settings: Settings, result: Result) -> list[Section]:
+def sections(found: LockInFound, result: Result) -> list[Section]:
     """Return the sections of the report in their order."""
     made = []
     if found.several is not None:
@@ -91,7 +89,11 @@ def _one_record(found: LockInFound) -> list[Section]:
     if shown is None:
         return []
     wave, name = found.waveforms[shown], found.names[shown]
-    beat = PlacedFigure(plots.time_record_svg(wave), f"First periods of record {name}, and the fitted waveform.")
+    beat = PlacedFigure(
+        plots.time_record_svg(wave),
+        f"First periods of record {name} with the fitted harmonics, and what the fit leaves. A rate that moves "
+        "within the record shows there as waves of the beat's period; the result's own fit follows it.",
+    )
     spectrum = PlacedFigure(
         plots.spectrum_svg(wave),
         f"Record {name}, Blackman-Harris window. Each harmonic of an ideal beat is weaker than the one before by "

@@ -5,7 +5,9 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 
-from analysis import FATAL, QuadratureFlag, describe_flag, flag_names
+import numpy as np
+
+from analysis import FATAL, Flag, QuadratureFlag, describe_flag, flag_names
 from station.lock_in.found import LockInFound
 from station.lock_in.presentation.rates_sentences import describe_rates
 from station.results.numbers import with_uncertainty
@@ -84,7 +86,8 @@ def span_words(values: Iterable[float], unit: str = "") -> str:
 def flag_sentence(evaluation: LockInFound, name: str) -> str:
     """Say in words what a flag means, and in how many records it was noticed."""
     sentence = describe_flag(name)
-    count = sum(name in names for names in record_flags(evaluation))
+    bit = int(Flag.__members__.get(name.upper(), 0))
+    count = int(np.count_nonzero(evaluation.each.flags & bit))
     total = len(evaluation.waveforms)
     if name == "damaged" and evaluation.damaged:
         lost = f"Left out, since they are not what was once saved: record {', '.join(evaluation.damaged)}."
@@ -133,11 +136,6 @@ def _level_words(distortion: float, u: float) -> str:
     if abs(distortion) > 3 * u:
         return f"{20 * math.log10(abs(distortion)):.1f} dBc"
     return f"below {20 * math.log10(abs(distortion) + 2 * u):.0f} dBc"
-
-
-def record_flags(evaluation: LockInFound) -> list[list[str]]:
-    """Return the names of the flags of each record."""
-    return [flag_names(int(flags)) for flags in evaluation.each.flags]
 
 
 def no_result_words(evaluation: LockInFound) -> str:

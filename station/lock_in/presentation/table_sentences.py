@@ -18,7 +18,11 @@ def table_sentences(found: LockInFound) -> list[str]:
     if check is None:
         return []
     used = found.method.scale_factor
-    return [_beat_over_table(check), *(_scale_factor(one, used) for one in check.scale_factors), _unseen(check)]
+    return [
+        _beat_over_table(check, found.lock_in_rate),
+        *(_scale_factor(one, used) for one in check.scale_factors),
+        _unseen(check),
+    ]
 
 
 def beat_over_table_words(check: TableCheck) -> str:
@@ -26,17 +30,28 @@ def beat_over_table_words(check: TableCheck) -> str:
     return with_uncertainty(check.beat_over_table, check.beat_over_table_u)
 
 
-def _beat_over_table(check: TableCheck) -> str:
+def _beat_over_table(check: TableCheck, lock_in_rate: float) -> str:
     over = (check.beat_over_table - 1) / check.beat_over_table_u
-    verdict = (
-        "they do not fit together, by more than chance explains"
-        if check.mismatch
-        else "as far as this check sees, they fit together"
-    )
+    verdict = "as far as this check sees, they fit together"
+    if check.unexplained:
+        verdict = "they do not fit together, by more than chance and all that the budget counts explain"
+    elif check.mismatch:
+        verdict = (
+            "more than chance explains, but not more than the budget counts for what is not known of detector and "
+            "channel"
+        )
     seen = f"{100 * check.least_error_seen:.2g} %"
-    return (
+    text = (
         f"Beat over table is {beat_over_table_words(check)}, {over:+.1f} u from 1: {verdict}. An error of the "
         f"lock-in rate by the harmonics (a slow channel, distortion) shows here from {seen} on."
+    )
+    if not check.mismatch or not check.by_frequencies > 0:
+        return text
+    alone = with_uncertainty(check.by_frequencies, check.by_frequencies_u, "deg/s")
+    off = 100 * (lock_in_rate / check.by_frequencies - 1)
+    return (
+        f"{text} By the beat frequencies alone, without the harmonics, the lock-in rate is {alone}; that by the "
+        f"harmonics is {off:+.2g} % from it."
     )
 
 

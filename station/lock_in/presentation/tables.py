@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import math
 
+from analysis import flag_names
 from analysis.lock_in_run import SeveralRates
 from station.lock_in.found import LockInFound
-from station.lock_in.presentation.sentences import record_flags, span_words
+from station.lock_in.presentation.sentences import span_words
 from station.lock_in.presentation.table_sentences import beat_over_table_words
 from station.lock_in.settings import Settings
 from station.results.numbers import with_prefix, with_uncertainty
@@ -40,7 +41,7 @@ def rates_table(several: SeveralRates) -> TextTable:
 
 def records_table(found: LockInFound, most: int) -> TextTable:
     """Return one row for each record, at most so many."""
-    each, flags, rows = found.each, record_flags(found), []
+    each, rows = found.each, list[tuple[str, ...]]()
     for index, name in enumerate(found.names[:most]):
         rows.append(
             (
@@ -49,7 +50,7 @@ def records_table(found: LockInFound, most: int) -> TextTable:
                 with_uncertainty(float(each.beat_frequency[index]), float(each.beat_frequency_u[index])),
                 with_uncertainty(float(each.ratio[index]), float(each.ratio_u[index])),
                 with_prefix(float(each.noise_rms[index]), "V"),
-                ", ".join(flags[index]).replace("_", " "),
+                ", ".join(flag_names(int(each.flags[index]))).replace("_", " "),
             )
         )
     if len(found.names) > most:

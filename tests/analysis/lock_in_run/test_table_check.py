@@ -7,6 +7,7 @@ import pytest
 from array_bench import KNOWN, LATITUDE, TILT, WL, Gyro, K, records, table_rate_for, together
 
 from analysis import Flag
+from analysis.budget import NOTHING_BUT_RECORDS as PERFECT
 from analysis.budget import BenchKnowledge
 from analysis.lock_in_run import Method, RunArrays, evaluate
 
@@ -123,6 +124,19 @@ def test_a_slow_channel_is_seen():
     assert check.least_error_seen < abs(off)
     assert int(found.combined.flags) & Flag.TABLE_MISMATCH
     assert not int(found.combined.flags) & Flag.SCALE_FACTOR_MISMATCH
+    # the frequencies know nothing of the channel
+    assert abs(check.by_frequencies - WL) < 4 * check.by_frequencies_u < 0.05 * WL
+
+
+@pytest.mark.parametrize(("stated", "unexplained"), [(KNOWN.bench, False), (PERFECT, True)])
+def test_a_difference_is_a_failure_only_beyond_all_that_the_budget_counts(stated, unexplained):
+    """The slow channel of above: with nothing stated of it, its bound explains the difference."""
+    found = evaluate(run(7, ONE, pole_hz=850.0), replace(KNOWN, bench=stated), Method(K))
+    check = found.table_check
+    assert check.mismatch
+    assert check.unexplained is unexplained
+    off = abs(float(found.combined.lock_in_rate) / WL - 1)
+    assert (1.96 * found.lock_in_rate_u > off * WL) is not unexplained
 
 
 def test_an_unknown_azimuth_leaves_the_check_open_by_the_earth_rate():

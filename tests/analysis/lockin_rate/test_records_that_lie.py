@@ -2,11 +2,15 @@
 
 import numpy as np
 import pytest
+import scipy.signal
 
 from analysis import DOUBTFUL, FATAL, Flag, beat_signal, combine_estimates, estimate_lock_in
+from analysis.waveform.damage import is_a_piece
+from analysis.waveform.steadiness import passing_power
 from benchmarks.hostile.classes import CLASSES
 from benchmarks.hostile.gyro import N_SAMPLES, beat, draw_gyro, levels_of, steady, step_times
 from benchmarks.hostile.measure import answer_to, measure
+from benchmarks.hostile.moving_rate import random_walk_rates
 
 N = np.arange(2500)
 X = 0.1
@@ -135,3 +139,50 @@ def test_a_locked_gyro_after_a_transient_is_flagged_though_the_rest_is_a_sine():
     k, volts, noise = records(5, 8)
     volts = 60 * np.sin(2 * np.pi * 20.3 / 2500 * N) + 120 * np.exp(-N / 8) + noise
     assert np.all(has(estimate_lock_in(np.rint(volts), 1.0, scale_factor=k), FATAL | DOUBTFUL))
+
+
+def vibrating(gyro, size, turns):
+    swing = size * 2 * np.pi * turns / N_SAMPLES / gyro.radians
+    return gyro.input_rate + swing * np.cos(2 * np.pi * turns * step_times())
+
+
+def test_a_vibration_is_told_from_noise_of_the_rate():
+    """Both are fitted as noise of the rate; only a vibration is a line there, and may be lock-in as well."""
+    rng = np.random.default_rng(11)
+    gyro = draw_gyro(rng, periods=(60, 60), rate_over_lock_in=(2, 4), noise=(0.6, 0.6))
+    for rates, vibrates in ((vibrating(gyro, 0.4, 75.2), True), (random_walk_rates(rng, gyro, 3.0), False)):
+        e = estimate_lock_in(
+            np.rint(levels_of(gyro, beat(gyro, rates)) + rng.normal(scale=gyro.noise, size=N_SAMPLES)),
+            gyro.sample_interval,
+            scale_factor=gyro.scale_factor,
+        )
+        assert bool(int(e.flags) & Flag.MISFIT) == vibrates
+        assert abs(float(e.lock_in_rate) - gyro.lock_in_rate) < 5 * float(e.lock_in_rate_u)
+
+
+def test_noise_of_any_colour_is_there_all_the_time_and_a_transient_is_not():
+    rng = np.random.default_rng(12)
+    white = rng.normal(size=(300, 2500))
+    pink = np.fft.irfft(np.fft.rfft(white) / np.sqrt(np.arange(1251) + 1.0), 2500)
+    slow = scipy.signal.lfilter([1], [1, -0.97], white)
+    louder = white * np.where((N > 600) & (N < 900), 4.0, 1.0)
+    for noise in (white, pink, slow, 3 * np.sin(0.05 * N) + white, louder):
+        assert not any(passing_power(one) for one in noise)
+    settling = 8 * np.exp(-N / 20)
+    found = np.array([passing_power(one + settling) for one in white[:50]])
+    assert np.all(found > 0.5 * settling @ settling) and np.all(found < 2 * settling @ settling)
+
+
+def test_spikes_at_random_places_are_no_piece_and_a_broken_piece_is():
+    rng = np.random.default_rng(13)
+    for count in (5, 12, 40):
+        scattered = np.zeros((500, 2500), dtype=bool)
+        for one in scattered:
+            one[rng.choice(2500, count, replace=False)] = True
+        assert not any(is_a_piece(one, one) for one in scattered)
+    broken = np.zeros(2500, dtype=bool)
+    broken[[0, 1, 3, 4, 6, 9, 13, 14]] = True
+    assert is_a_piece(broken, broken)
+    short, tail = np.zeros((2, 2500), dtype=bool)
+    short[50:54] = tail[50:58] = True
+    assert is_a_piece(short, tail) and not is_a_piece(short, short)

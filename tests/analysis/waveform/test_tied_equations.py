@@ -65,7 +65,8 @@ def test_normal_equations_in_closed_form_are_those_of_the_samples(share_missing)
     if share_missing:
         weights = (rng.uniform(size=values.shape) > share_missing).astype(float)
         values = values * weights
-    closed = equations_by_sums(values, weights, np.sum(values**2, axis=-1), np.sum(values, axis=-1), trial)
+    power, total = np.sum(values**2, axis=-1), np.sum(values, axis=-1)
+    closed = equations_by_sums(values, weights, power, total, trial, float(np.abs(trial.ratio).max()))
     plain = equations_by_samples(values, weights, trial)
     size = np.sqrt(np.diagonal(plain.normal, axis1=1, axis2=2))
     both = size[:, :, np.newaxis] * size[:, np.newaxis, :]

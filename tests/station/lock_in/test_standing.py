@@ -86,7 +86,9 @@ def test_a_bound_that_nobody_stated_as_the_largest_part_is_amber(tmp_path: Path)
 
 
 def test_an_unstated_bound_that_does_not_rule_leaves_it_green(tmp_path: Path) -> None:
-    one = evaluated(tmp_path, toml="[budget]\ndistortion_limit_dbc = -45\nbandwidth_hz = 1e6\n")
+    one = evaluated(
+        tmp_path, toml="[budget]\ndistortion_limit_dbc = -45\nbandwidth_hz = 1e6\ngain_corner_hz = 0\n"
+    )
     assert [part.name for part in one.found.budget.not_stated] == ["gain_corner"]
     assert one.document()["budget"]["largest_part"] == "distortion"
     assert box(one) == "good"
@@ -150,3 +152,14 @@ def test_what_was_assumed_is_named_with_its_bound() -> None:
     assert doubt_sentence(not_ruled) == ""
     nothing = Budget(1.0, "beat", (line("noise", 0.0),))
     assert (remedy_sentence(nothing), doubt_sentence(nothing), assumed_sentence(nothing)) == ("", "", "")
+
+
+def test_a_file_replaces_what_it_states_and_nothing_else(tmp_path: Path) -> None:
+    limit = "[limits]\nlock_in_rate_u_dps = 1e-9\n"
+    both = evaluated(tmp_path, toml=f"[budget]\nbandwidth_hz = 123456.0\n{limit}")
+    assert both.verdict == "FAIL"
+    saved = {**both.run.facts.settings["budget"], "third_order_limit_dbc": 0.0}  # a name of later versions
+    assert both.settings.budget.model_dump() == {**saved, "bandwidth_hz": 123456.0}
+    only_limits = evaluated(tmp_path, toml=limit)
+    assert only_limits.verdict == "FAIL"
+    assert only_limits.settings.budget.model_dump() == saved

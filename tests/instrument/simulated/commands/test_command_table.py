@@ -163,6 +163,7 @@ def test_every_model_answers_its_setup_and_only_its_channels(make_bench, model):
 
 def test_letter_series_differs_where_the_manual_says(make_bench):
     bench = make_bench(model="TDS2014B")
+    bench.write("HEADER ON")
     assert bench.ask("CH1?") == (
         ":CH1:PROBE 1.0E1;CURRENTPROBE 1.0E1;"
         'SCALE 1.0E0;POSITION 0.0E0;COUPLING DC;BANDWIDTH OFF;INVERT OFF;YUNIT "V"'

@@ -52,9 +52,43 @@ def test_setup_of_later_models(make_bench, file, model):
     bench.write(setup)
     assert bench.events() == [401]  # every command is known
     answered = leaves(bench.ask("SET?"))
-    wanted.pop("HORIZONTAL:SCALE")  # a second name of MAIN:SCALE
     assert {header: answered[header] for header in wanted} == wanted
     assert [header for header in answered if header in wanted] == list(wanted)
+    assert bench.ask("*LRN?") == bench.ask("SET?")
+
+
+@pytest.mark.parametrize(
+    ("file", "model"),
+    [
+        ("tds2014c_F0000TEK.SET", "TDS2014C"),
+        ("tds2014c_pwm_F0000TEK.SET", "TDS2014C"),
+        ("tds1012b_trigpos_F0000TEK.SET", "TDS1012B"),
+        ("tds2022b_average4_F0000TEK.SET", "TDS2022B"),
+        ("tds2mem_fft_F0000TEK.SET", "TDS2012+TDS2MEM"),
+    ],
+)
+def test_setup_file_recalled_and_saved_again_is_the_same_file(make_bench, file, model):
+    bench, setup = make_bench(model=model), (FILES / file).read_bytes()
+    bench.scope.storage.files["A:\\REAL.SET"] = setup
+    bench.write("RECALL:SETUP 'REAL.SET'")
+    bench.write("SAVE:SETUP 'AGAIN.SET'")
+    assert bench.events() == [401]
+    assert bench.scope.storage.files["A:\\AGAIN.SET"] == setup
+
+
+def test_setup_of_a_c_model_on_a_b_model_loses_what_it_does_not_know_and_nothing_else(make_bench):
+    setup = (FILES / "tds2014c_F0000TEK.SET").read_bytes()
+    bench = make_bench(model="TDS2014B")
+    bench.scope.storage.files["A:\\C.SET"] = setup
+    bench.write("RECALL:SETUP 'C.SET'")
+    unknown = {"DATALOGGING", "LIMIT"}
+    wanted, answered = leaves(setup.decode()), leaves(bench.ask("SET?"))
+    lost = {header for header in wanted if header not in answered}
+    assert lost == {h for h in wanted if h.split(":")[0] in unknown} | {"MEASUREMENT:METHOD"}
+    assert {header: answered[header] for header in wanted if header not in lost} == {
+        header: value for header, value in wanted.items() if header not in lost
+    }
+    assert bench.events() == [401] + [113] * len(lost)
 
 
 def test_curve_of_a_real_tds2014b_comes_back_byte_for_byte(make_bench):

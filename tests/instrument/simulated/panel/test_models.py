@@ -10,6 +10,7 @@ def sine(times):
 
 def test_current_probe_exists_on_later_models_only(make_bench, fresh):
     bench = make_bench(model="TDS2014B")
+    bench.write("HEADER ON")
     assert bench.ask("CH3:CURRENTPROBE 50;CURRENTPROBE?") == ":CH3:CURRENTPROBE 5.0E1"
     assert bench.events() == [401]
     fresh.write("CH3:CURRENTPROBE 50")
@@ -35,7 +36,7 @@ def test_rms_of_the_whole_record_on_c_models(make_bench, fresh):
     assert float(bench.ask("MEASU:IMM:VALUE?")) == pytest.approx(1.4, abs=1e-6)
     assert bench.ask("MEASU:IMM:UNITS?") == '"V"'
     fresh.write("MEASU:IMM:TYPE RMS")
-    assert fresh.events() == [401, 224]
+    assert fresh.events() == [401, 102]
 
 
 @pytest.mark.parametrize("position", [0.0, 1e-4, 1.25e-3])
@@ -90,6 +91,7 @@ def test_rms_between_the_cursors_on_c_models(make_bench):
 )
 def test_header_of_the_source_of_a_measurement(make_bench, model, answer):
     bench = make_bench(model=model)
+    bench.write("HDR ON")
     assert bench.ask("MEASU:IMMED?") == answer
     bench.write("MEASU:IMM:SOU CH2;SOURCE1 CH1")  # both spellings are taken by all of them
     assert bench.events() == [401]
@@ -97,6 +99,7 @@ def test_header_of_the_source_of_a_measurement(make_bench, model, answer):
 
 def test_external_trigger_over_ten_exists_on_tps_only(make_bench, fresh):
     bench = make_bench(model="TPS2014")
+    bench.write("HEADER ON")
     assert bench.ask("TRIG:MAI:EDGE:SOU EXT10;:TRIG:MAI:LEV 15;LEV?") == ":TRIGGER:MAIN:LEVEL 1.5E1"
     fresh.write("TRIG:MAI:EDGE:SOU EXT10")
-    assert fresh.events() == [401, 224]
+    assert fresh.events() == [401, 102]

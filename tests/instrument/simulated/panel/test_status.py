@@ -24,8 +24,8 @@ def test_second_esr_drops_what_was_not_fetched(bench):
     bench.write("FOO")
     bench.ask("*ESR?")
     bench.write("CH1:COUPLING WET")
-    assert bench.ask("*ESR?") == "16"
-    assert bench.ask("EVENT?") == ":EVENT 224"
+    assert bench.ask("*ESR?") == "32"
+    assert bench.ask("EVENT?") == ":EVENT 102"
     assert bench.ask("EVENT?") == ":EVENT 0"
 
 
@@ -51,9 +51,9 @@ def test_long_commands_are_cut_from_the_left_to_60_characters(bench):
         ("CH1:SCALE 1,2", 108),
         ("CH1:SCALE TALL", 104),
         ("CH1:SCALE? 1", 108),
-        ("CH1:COUPLING XY", 224),
+        ("CH1:COUPLING XY", 102),
         ("SELECT:CH1 MAYBE", 104),
-        ("DATA:SOURCE CH7", 224),
+        ("DATA:SOURCE CH7", 102),
         ("*SRE 300", 200),
         ("*SAV 11", 222),
         ("MATH:DEFINE 'CH1*CH2'", 2235),

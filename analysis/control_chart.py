@@ -1,0 +1,119 @@
+"""Control chart of single values: individuals and moving range, with the rules of Western Electric.
+
+Western Electric, Statistical Quality Control Handbook (1956), pp. 25-28; ISO 7870-2 (2013).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from analysis.arrays import Floats
+
+_D2 = 1.128379167  # mean moving range of two normal values, in standard deviations: 2/sqrt(pi)
+_D4 = 3.267  # upper limit of the moving range of two, in mean moving ranges
+FEWEST = 8
+"""Fewer values than this give no limits: the mean of seven moving ranges is good to a third of itself."""
+
+RULES = {
+    1: "beyond 3 sigma",
+    2: "2 of 3 in a row beyond 2 sigma, on one side",
+    3: "4 of 5 in a row beyond 1 sigma, on one side",
+    4: "8 in a row on one side of the centre",
+    5: "moving range above its limit: a jump",
+}
+"""Rules 1 to 4 look at the values, 5 at their moving range."""
+
+
+@dataclass(frozen=True)
+class Signal:
+    """A value that does not look like the others: its place, and the rule of :data:`RULES` that says so."""
+
+    place: int
+    rule: int
+
+
+@dataclass(frozen=True)
+class ControlChart:
+    """Values in the order in which they were found, against what those of the baseline do by chance.
+
+    values, moving_range : (n,) the second is the distance from the value before, nan for the first
+    centre, sigma : of the baseline: mean, and mean moving range over 1.128; nan with fewer than eight values
+    range_limit : upper limit of the moving range
+    baseline : how many values, from the first, the limits rest on
+    signals : in the order of their places; each value at most once for each rule
+    """
+
+    values: Floats
+    moving_range: Floats
+    centre: float
+    sigma: float
+    range_limit: float
+    baseline: int
+    signals: tuple[Signal, ...]
+
+    @property
+    def has_limits(self) -> bool:
+        """Whether there were enough values, and they differ."""
+        return bool(np.isfinite(self.sigma) and self.sigma > 0)
+
+    @property
+    def last_is_in_control(self) -> bool:
+        """Whether nothing speaks against the last value."""
+        return not any(one.place == self.values.size - 1 for one in self.signals)
+
+
+def control_chart(values: ArrayLike, *, baseline: int = 25) -> ControlChart:
+    """Draw up the chart of values in the order of time.
+
+    Parameters
+    ----------
+    values : (n,)
+        Finite.
+    baseline : int
+        The first so many give the limits, for all that follow; all of them where there are fewer.
+
+    Raises
+    ------
+    ValueError
+        Not one row of finite numbers, or a baseline of fewer than eight.
+
+    Examples
+    --------
+    >>> chart = control_chart([10, 11, 10, 9, 10, 11, 9, 10, 10, 16])
+    >>> chart.signals[0].place, chart.last_is_in_control
+    (9, False)
+    """
+    x = np.asarray(values, dtype=np.float64)
+    if x.ndim != 1 or not np.isfinite(x).all():
+        raise ValueError("a control chart needs one row of finite values")
+    if baseline < FEWEST:
+        raise ValueError(f"a baseline needs {FEWEST} values or more")
+    moving = np.concatenate([np.full(min(x.size, 1), np.nan), np.abs(np.diff(x))])
+    first = x[:baseline]
+    if first.size < FEWEST:
+        return ControlChart(x, moving, np.nan, np.nan, np.nan, first.size, ())
+    mean_range = float(np.mean(moving[1 : first.size]))
+    centre, sigma = float(first.mean()), mean_range / _D2
+    found: tuple[Signal, ...] = ()
+    if sigma > 0:
+        found = tuple(
+            sorted(_signals((x - centre) / sigma, moving / mean_range), key=lambda one: (one.place, one.rule))
+        )
+    return ControlChart(x, moving, centre, sigma, _D4 * mean_range, first.size, found)
+
+
+def _signals(z: Floats, ranges: Floats) -> Iterator[Signal]:
+    """Signals of values in sigma from the centre, and of moving ranges in mean ranges."""
+    yield from (Signal(int(place), 1) for place in np.flatnonzero(np.abs(z) > 3))
+    for rule, count, of, beyond in ((2, 2, 3, 2.0), (3, 4, 5, 1.0), (4, 8, 8, 0.0)):
+        for sign in (1, -1):
+            out = sign * z > beyond
+            for place in range(of - 1, z.size):
+                # the value itself must be one of them: else it is not its fault
+                if out[place] and out[place - of + 1 : place + 1].sum() >= count:
+                    yield Signal(place, rule)
+    yield from (Signal(int(place), 5) for place in np.flatnonzero(ranges > _D4))

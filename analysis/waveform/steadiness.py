@@ -1,0 +1,50 @@
+"""Whether what a fit leaves is there all the time, as noise is, or in one part of the record only.
+
+The start of a motion, a gyro that settles into lock-in, a beam that comes back: each leaves a smooth curve in one
+part of the record. Its spectrum is as flat as that of coloured noise; in time it stands alone. Noise that is
+louder for a while is no curve: its neighbouring samples do not agree.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import scipy.special
+
+from analysis.arrays import Floats
+
+PARTS = 20
+
+CHANCE = 1e-6
+"""Share of records in which noise leaves so much more in one part than in the others."""
+
+SMOOTH = 3.0
+"""Standard deviations by which the products of neighbouring samples must exceed those of white noise."""
+
+
+def passing_power(left: Floats) -> float:
+    """Sum of squares of a curve in one part of a residual (N,), beyond its steady noise; 0 where there is none.
+
+    The power of a part of m samples has as many degrees of freedom as its noise has independent values: m for
+    white noise, and m (mean S)^2/mean(S^2) for one of the spectrum S, which the residual itself shows.
+    """
+    length = left.size // PARTS
+    cut = left[: length * PARTS].reshape(PARTS, length)
+    parts = np.sum(cut**2, axis=1)
+    power = np.abs(np.fft.rfft(left)[1:]) ** 2
+    spread = float(np.mean(power**2))
+    if length == 0 or not spread > 0:
+        return 0.0
+    # a line of noise scatters as an exponential variable, with a mean square of twice the squared mean
+    degrees = float(min(max(2 * length * float(np.mean(power)) ** 2 / spread, 1.0), length))
+    # Half of the parts may be disturbed: the quieter half tells the noise. Its mean is below that of all.
+    below = float(scipy.special.chdtr(degrees + 2, float(scipy.special.chdtri(degrees, 0.5))) / 0.5)
+    quiet = np.argsort(parts)[: PARTS // 2]
+    level = float(parts[quiet].mean()) / below
+    largest = float(parts.max()) / max(level, 1e-300)
+    chance = PARTS * float(scipy.special.fdtrc(degrees, degrees * PARTS / 2, largest))
+    if not chance < CHANCE:
+        return 0.0
+    products = cut[:, 1:] * cut[:, :-1]
+    alike = products.sum(axis=1)
+    curve = float(np.sum(alike - alike[quiet].mean()))
+    return curve if curve > SMOOTH * float(np.linalg.norm(products)) else 0.0

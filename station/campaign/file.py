@@ -1,0 +1,300 @@
+"""A campaign file becomes the plan of a unit's test: every mistake of it is told at once."""
+
+from __future__ import annotations
+
+import copy
+import difflib
+import hashlib
+import itertools
+import re
+import zlib
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from pydantic import BaseModel, ValidationError
+
+from station.campaign.plan import CampaignPlan, InstrumentCard, PlannedStep, ReferenceUnit
+from station.campaign.settings import CampaignFile, LimitSection, StepSection
+from station.campaign.surroundings import CONTROLLER_OF, controllers_of
+from station.errors import SettingsError
+from station.measurements import Measurement, measurement
+from station.results.verdict import Limit
+from station.settings.load import shipped_settings
+from station.settings.toml_files import line_of, merged, mistakes, model_at, read_toml
+
+RESULT = "result."
+"""Before the place of a number in a result's JSON that is none of those that the measurement gives by name."""
+
+_OURS = ("limits", "output")
+"""Sections of a measurement's settings that the campaign has in its own way."""
+
+_END_OF_INTERVAL = re.compile(r"_(u|u95|low_95|high_95)(_|$)")
+"""In the name of a number that has no uncertainty of its own."""
+
+_INSTEAD = {"limits": "limits of a step stand in [[step.limit]]", "output": "runs go into the test's own folder"}
+
+
+@dataclass
+class _Reading:
+    """A file that is being read, and what is wrong with it so far."""
+
+    path: Path
+    wrong: list[str] = field(default_factory=list)
+
+    def tell(self, place: Sequence[str], text: str) -> None:
+        line = line_of(self.path, place)
+        self.wrong.append(f"{'.'.join(place)}{f' (line {line})' if line else ''}: {text}")
+
+
+def read_campaign(path: Path, unit: str) -> CampaignPlan:
+    """Read a campaign file for one unit.
+
+    Parameters
+    ----------
+    unit : str
+        Serial number; what ``[unit."SN"]`` says of it is laid over ``[bench]``.
+
+    Raises
+    ------
+    SettingsError
+        With every mistake of the file in one text: place, line, what is wrong, what was perhaps meant.
+    """
+    given = read_toml(path)
+    reading = _Reading(path)
+    try:
+        campaign = CampaignFile.model_validate(given)
+    except ValidationError as error:
+        reading.wrong.append(mistakes(path, error, CampaignFile).removeprefix(f"{path}: "))
+        rest = _without(given, error)
+        if rest is None:
+            raise SettingsError(f"{path}: {reading.wrong[0]}") from None
+        campaign = rest  # the mistakes of the steps' settings are told as well
+    kinds = {step.measurement: measurement(step.measurement) for step in campaign.step}
+    _check_shared(reading, campaign, kinds)
+    steps = tuple(_steps(reading, campaign, kinds, unit))
+    if reading.wrong:
+        raise SettingsError(f"{path}: {'; '.join(reading.wrong)}")
+    about, reference = campaign.campaign, campaign.reference
+    return CampaignPlan(
+        name=about.name,
+        file=path,
+        file_sha256=hashlib.sha256(path.read_bytes()).hexdigest(),
+        settings=campaign.model_dump(mode="json"),
+        station=about.station,
+        unit=unit,
+        unit_type=about.unit_type,
+        directory=Path(campaign.output.directory),
+        simulated=all(kinds[step.measurement].simulated(_model(kinds, step)) for step in steps),
+        steps=steps,
+        instruments=tuple(InstrumentCard(**dict(one)) for one in campaign.instrument),
+        reference=None if reference is None else ReferenceUnit(reference.unit, reference.every_h),
+        attempts=about.attempts,
+        retry_after_s=about.retry_after_s,
+        reports=about.reports,
+        switch_off_afterwards=about.switch_off_afterwards,
+        ask_for_unit=about.ask_for_unit,
+    )
+
+
+def _without(given: Mapping[str, Any], error: ValidationError) -> CampaignFile | None:
+    """Return what is left of a file without its mistakes; ``None`` if that is no campaign."""
+    left = copy.deepcopy(dict(given))
+    for mistake in error.errors(include_url=False, include_context=False, include_input=False):
+        inner: Any = left
+        for name in mistake["loc"][:-1]:
+            listed = isinstance(inner, list) and isinstance(name, int) and name < len(inner)
+            inner = inner[name] if listed else inner.get(name) if isinstance(inner, dict) else None
+        if isinstance(inner, dict) and mistake["loc"]:
+            inner.pop(mistake["loc"][-1], None)
+    try:
+        return CampaignFile.model_validate(left)
+    except ValidationError:
+        return None
+
+
+def _model(kinds: Mapping[str, Measurement[Any, Any]], step: PlannedStep) -> Any:
+    return kinds[step.measurement].kind.model.model_validate(dict(step.settings))
+
+
+def _check_shared(reading: _Reading, campaign: CampaignFile, kinds: Mapping[str, Measurement[Any, Any]]) -> None:
+    """Names under [bench] and [unit] have to be known to at least one of the measurements."""
+    models = [kind.kind.model for kind in kinds.values()]
+    places = [(("bench",), campaign.bench), *((("unit", name), one) for name, one in campaign.unit.items())]
+    for above, sections in places:
+        for section in sections:
+            if section in _OURS:
+                reading.tell((*above, section), _INSTEAD[section])
+        for place in _unknown(sections, models):
+            if place[0] not in _OURS:
+                reading.tell((*above, *place), f"no such setting{_meant(place, models)}")
+    names = [step.name for step in campaign.step]
+    for number, name in enumerate(names):
+        if name in names[:number]:
+            reading.tell(("step", str(number), "name"), f"{name!r} is the name of another step already")
+
+
+def _unknown(
+    values: Mapping[str, Any], models: Sequence[type[BaseModel]], above: tuple[str, ...] = ()
+) -> Iterator[tuple[str, ...]]:
+    """Places that none of the models knows."""
+    for name, value in values.items():
+        knowing = [model for model in models if name in model.model_fields]
+        if not knowing:
+            yield (*above, name)
+        elif isinstance(value, Mapping):
+            inner = [found for model in knowing if (found := model_at(model, [name])) is not None]
+            if inner:
+                yield from _unknown(value, inner, (*above, name))
+
+
+def _meant(place: Sequence[str], models: Sequence[type[BaseModel]]) -> str:
+    inner = [found for model in models if (found := model_at(model, place[:-1])) is not None]
+    known = sorted({name for model in inner for name in model.model_fields})
+    like = difflib.get_close_matches(place[-1], known, 1)
+    return f"; did you mean {like[0]}?" if like else ""
+
+
+def _known(values: Mapping[str, Any], model: type[BaseModel]) -> dict[str, Any]:
+    """What of values that several measurements share one of them knows."""
+    found: dict[str, Any] = {}
+    for name, value in values.items():
+        if name in model.model_fields:
+            inner = model_at(model, [name])
+            found[name] = _known(value, inner) if inner is not None and isinstance(value, Mapping) else value
+    return found
+
+
+def _steps(
+    reading: _Reading, campaign: CampaignFile, kinds: Mapping[str, Measurement[Any, Any]], unit: str
+) -> Iterator[PlannedStep]:
+    for place, step in enumerate(campaign.step):
+        kind = kinds[step.measurement]
+        shared = merged(campaign.bench, campaign.unit.get(unit, {}))
+        settings = _settings(reading, place, step, kind, shared, unit)
+        limits = tuple(_limits(reading, place, step, kind, campaign))
+        if settings is None:
+            continue
+        _check_conditions(reading, place, step, settings)
+        for repeat in range(1, step.repeat + 1):
+            values = settings.model_dump(mode="json")
+            _seed(values, unit, place, repeat)
+            yield PlannedStep(
+                key=f"{place + 1:02d} {step.name}" + (f", {repeat} of {step.repeat}" if step.repeat > 1 else ""),
+                name=step.name,
+                number=place + 1,
+                measurement=step.measurement,
+                repeat=repeat,
+                of_repeats=step.repeat,
+                settings=values,
+                conditions=step.conditions.model_dump(exclude_none=True),
+                warm_up_s=step.warm_up_s if repeat == 1 else 0.0,
+                settle_s=step.settle_s if repeat == 1 else 0.0,
+                limits=limits,
+                doubtful=campaign.campaign.doubtful,
+            )
+
+
+def _settings(
+    reading: _Reading,
+    place: int,
+    step: StepSection,
+    kind: Measurement[Any, Any],
+    shared: Mapping[str, Any],
+    unit: str,
+) -> BaseModel | None:
+    """Settings of one step: shipped defaults, [bench], [unit], then its own; ``None`` if they hold mistakes."""
+    model = kind.kind.model
+    given = merged(_known(shared, model), step.settings)
+    values = merged(read_toml(shipped_settings(kind.kind.shipped(given))), given)
+    for section in _OURS:
+        if section in step.settings:
+            reading.tell(("step", str(place), "settings", section), _INSTEAD[section])
+            values.pop(section)
+    values["limits"] = {}
+    kind.kind.adapt(values)
+    try:
+        found = model.model_validate(values)
+    except ValidationError as error:
+        for mistake in error.errors(include_url=False, include_context=False):
+            _tell_mistake(reading, mistake, place, step, model, unit)
+        return None
+    try:
+        checked: BaseModel = kind.kind.check(found, reading.path)
+    except SettingsError as error:
+        reading.wrong.append(f"step {step.name!r}: {str(error).removeprefix(f'{reading.path}: ')}")
+        return None
+    return checked
+
+
+def _check_conditions(reading: _Reading, place: int, step: StepSection, settings: BaseModel) -> None:
+    """A condition needs the controller that brings it about."""
+    controllers = controllers_of(settings.model_dump())
+    for name in step.conditions.model_dump(exclude_none=True):
+        controller, _ = CONTROLLER_OF[name]
+        if controller not in controllers.there:
+            text = f"there is no [bench.controllers.{controller}] to bring it about"
+            reading.tell(("step", str(place), "conditions", name), text)
+
+
+def _tell_mistake(
+    reading: _Reading, mistake: Any, place: int, step: StepSection, model: type[BaseModel], unit: str
+) -> None:
+    """Put a mistake where the value was written: in the step, with the unit, or at the bench."""
+    loc = [str(part) for part in mistake["loc"] if part not in ("value", "auto")]
+    if mistake["type"] == "extra_forbidden":
+        text = f"no such setting{_meant(loc, [model])}"
+    else:
+        text = f"{mistake['msg'][0].lower()}{mistake['msg'][1:]}, not {mistake['input']!r:.80}"
+    places = (["step", str(place), "settings", *loc], ["unit", unit, *loc], ["bench", *loc])
+    written = read_toml(reading.path)
+    where = next((one for one in places if _is_written(written, one)), places[0])
+    if f"{'.'.join(where)}" not in {one.split(" (line")[0].split(":")[0] for one in reading.wrong}:
+        reading.tell(where, text if where is places[0] else f"{text} (for step {step.name!r})")
+
+
+def _is_written(values: Any, place: Sequence[str]) -> bool:
+    for name in place:
+        if isinstance(values, list):
+            values = values[int(name)] if name.isdecimal() and int(name) < len(values) else None
+        else:
+            values = values.get(name) if isinstance(values, dict) else None
+        if values is None:
+            return False
+    return True
+
+
+def _limits(
+    reading: _Reading, place: int, step: StepSection, kind: Measurement[Any, Any], campaign: CampaignFile
+) -> Iterator[Limit]:
+    for number, one in enumerate(step.limit):
+        where = ("step", str(place), "limit", str(number), "number")
+        if not one.number.startswith(RESULT) and one.number not in kind.gives:
+            like = difflib.get_close_matches(one.number, kind.gives, 1)
+            hint = f"did you mean {like[0]}?" if like else f"it gives {', '.join(kind.gives)}"
+            text = f"{one.number!r} is no number that `{kind.command}` gives: {hint}"
+            reading.tell(where, f"{text} (any other number of its JSON: {RESULT}NAME)")
+        limit = _limit(one, campaign)
+        if limit.rule != "none" and _END_OF_INTERVAL.search(limit.number):
+            text = f'is an uncertainty or an end of an interval itself: use guard_band = "none", not {limit.rule}'
+            reading.tell(where, text)
+        yield limit
+
+
+def _limit(one: LimitSection, campaign: CampaignFile) -> Limit:
+    rule = one.guard_band or campaign.campaign.guard_band
+    return Limit(one.number, one.at_least, one.at_most, rule, one.highest_risk_percent / 100)
+
+
+def _seed(values: dict[str, Any], unit: str, place: int, repeat: int) -> None:
+    """Give every unit, step and repeat of a simulated bench noise of its own, the same at each time."""
+    simulation = values.get("simulation")
+    if isinstance(simulation, dict) and isinstance(simulation.get("seed"), int):
+        own = zlib.crc32(f"{unit}/{place}/{repeat}".encode())
+        simulation["seed"] = (simulation["seed"] + own) % 2**31
+
+
+def units_named(path: Path) -> list[str]:
+    """Return the serial numbers that a campaign file says something of."""
+    return list(itertools.islice(read_toml(path).get("unit", {}), 1000))

@@ -1,0 +1,334 @@
+"""The journal of a unit's test: one line for everything that has happened, on the disk before the next begins.
+
+A line that a power failure has cut is passed over: what it told is done again.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import re
+import zlib
+from collections.abc import Iterator, Mapping
+from contextlib import suppress
+from dataclasses import asdict, dataclass, field
+from datetime import date
+from pathlib import Path
+from typing import Any, Self
+
+from station.campaign.outcome import CampaignOutcome, StepOutcome
+from station.campaign.plan import CampaignPlan, InstrumentCard, PlannedStep, ReferenceUnit
+from station.errors import CannotWrite, Failure, RunError, UsageError
+from station.results.as_json import plain
+from station.results.verdict import ERROR, Limit, LimitOutcome, Value
+from station.runs.database import new_run_directory, utc_now
+from station.runs.store import open_run
+
+JOURNAL = "test.jsonl"
+SCHEMA = {"name": "gyrolock test journal", "version": 1}
+_UNSAFE = re.compile(r"[^A-Za-z0-9._-]")
+
+
+@dataclass
+class Journal:
+    """The journal of one test, open to be written.
+
+    Parameters
+    ----------
+    directory : Path
+        Of the test.
+    """
+
+    directory: Path
+    _descriptor: int = field(default=-1, init=False)
+
+    @classmethod
+    def begin(cls, plan: CampaignPlan, operator: str, note: str) -> Self:
+        """Make the folder of a new test; RunError if nothing can be written there."""
+        journal = cls(new_run_directory(folder_of(plan.directory, plan.unit)))
+        journal.open()
+        facts = {"plan": plan_as_json(plan), "operator": operator, "note": note}
+        journal.write("begun", schema=SCHEMA, **facts)
+        with suppress(OSError):  # a copy for the reader; the plan stands in the journal
+            (journal.directory / "campaign.toml").write_bytes(plan.file.read_bytes())
+        return journal
+
+    def open(self) -> None:
+        """Open it for writing, alone.
+
+        Raises
+        ------
+        UsageError
+            Another program writes it.
+        CannotWrite
+            The disk does not take it.
+        """
+        try:
+            flags = os.O_RDWR | os.O_CREAT | os.O_APPEND | getattr(os, "O_CLOEXEC", 0)
+            self._descriptor = os.open(self.directory / JOURNAL, flags, 0o644)
+            _alone(self._descriptor)
+        except BlockingIOError:
+            self.close()
+            raise UsageError(f"{self.directory}: another program carries this test out at the moment") from None
+        except OSError as error:
+            self.close()
+            raise CannotWrite(f"{self.directory}: the journal cannot be written ({error.strerror})") from None
+        self._end_cut_line()
+
+    def write(self, kind: str, **facts: object) -> None:
+        """Write what has happened; when this returns, it is on the disk. CannotWrite if that takes no more."""
+        line = json.dumps({"kind": kind, "at": utc_now(), **plain(facts)}, allow_nan=False).encode() + b"\n"
+        try:
+            while line:
+                line = line[os.write(self._descriptor, line) :]
+            os.fsync(self._descriptor)
+        except OSError as error:
+            raise CannotWrite(f"{self.directory}: the journal cannot be written ({error.strerror})") from None
+
+    def close(self) -> None:
+        """Close it; a second call does nothing."""
+        if self._descriptor >= 0:
+            os.close(self._descriptor)
+            self._descriptor = -1
+
+    def _end_cut_line(self) -> None:
+        """Let a line that was cut by a power failure end, so that the next one is a line of its own."""
+        size = os.lseek(self._descriptor, 0, os.SEEK_END)
+        if size:
+            os.lseek(self._descriptor, size - 1, os.SEEK_SET)
+            if os.read(self._descriptor, 1) != b"\n":
+                os.write(self._descriptor, b"\n")
+
+
+def _alone(descriptor: int) -> None:
+    """Lock a file against other programs as long as it is open; BlockingIOError if one has it."""
+    try:
+        import fcntl
+    except ImportError:  # Windows has no such lock: two programs on one bench meet at the instruments
+        return
+    fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+
+
+def folder_of(directory: Path, unit: str) -> Path:
+    """Return where the tests of a unit lie; a serial number with other letters than files have gets a sum."""
+    safe = _UNSAFE.sub("_", unit).strip(".") or "unit"
+    return directory / (safe if safe == unit else f"{safe}_{zlib.crc32(unit.encode()):08x}")
+
+
+def tests_of(directory: Path, unit: str) -> list[Path]:
+    """Return the folders of all tests of a unit, the oldest first by their names."""
+    folder = folder_of(directory, unit)
+    return sorted(path.parent for path in folder.glob(f"*/{JOURNAL}"))
+
+
+def test_to_resume(directory: Path, unit: str) -> Path:
+    """Return the one test of a unit that has not come to its end.
+
+    Raises
+    ------
+    UsageError
+        There is none, or there are several.
+    """
+    left = [path for path in tests_of(directory, unit) if read_journal(path).left]
+    if not left:
+        raise UsageError(f"{folder_of(directory, unit)}: no test of {unit} is to be gone on with")
+    if len(left) > 1:
+        named = ", ".join(str(path) for path in left)
+        raise UsageError(
+            f"several tests of {unit} have not come to their end: name one with --resume DIR: {named}"
+        )
+    return left[0]
+
+
+@dataclass(frozen=True)
+class Written:
+    """What a journal says.
+
+    Attributes
+    ----------
+    steps : dict
+        Steps that have ended, by key; of one that was done again the last.
+    failure : Failure or None
+        What ended the last session before its time.
+    ended_at : str
+        Empty where the program was killed.
+    begun : tuple of str
+        Keys of steps that were begun.
+    """
+
+    directory: Path
+    plan: CampaignPlan
+    operator: str
+    note: str
+    started_at: str
+    resumed_at: tuple[str, ...]
+    ended_at: str
+    failure: Failure | None
+    steps: Mapping[str, StepOutcome]
+    begun: tuple[str, ...]
+
+    @property
+    def left(self) -> tuple[PlannedStep, ...]:
+        """Steps that are to be taken, or to be gone on with because the bench has failed them."""
+        return tuple(
+            step for step in self.plan.steps if (one := self.steps.get(step.key)) is None or to_repeat(one)
+        )
+
+    def outcome(self) -> CampaignOutcome:
+        """Return how the test has ended, as far as it is written."""
+        failure = self.failure
+        if not self.ended_at:
+            failure = Failure("interrupted", "cut short: the program was killed or the power failed", 130)
+        steps = tuple(self.steps[step.key] for step in self.plan.steps if step.key in self.steps)
+        return CampaignOutcome(
+            self.plan,
+            self.operator,
+            self.note,
+            self.directory,
+            self.started_at,
+            self.ended_at,
+            steps,
+            failure,
+            self.resumed_at,
+        )
+
+
+def to_repeat(outcome: StepOutcome) -> bool:
+    """Whether a step is gone on with when its test is: the bench has failed it, not the unit."""
+    return outcome.verdict == ERROR and outcome.failure is not None
+
+
+def read_test(directory: Path) -> CampaignOutcome:
+    """Return how a test has ended, from its folder; also of one whose program was killed.
+
+    Raises
+    ------
+    RunError
+        There is no test, or its journal cannot be read.
+    """
+    return read_journal(directory).outcome()
+
+
+def read_journal(directory: Path) -> Written:
+    """Read the journal of a test. Raises as :func:`read_test`."""
+    path = directory / JOURNAL
+    try:
+        lines = list(_lines(path.read_text(encoding="utf-8", errors="replace")))
+    except OSError as error:
+        raise RunError(f"{directory}: holds no test of a unit ({error.strerror})") from None
+    try:
+        first = next(line for line in lines if line["kind"] == "begun")
+        plan = plan_from_json(first["plan"])
+        by_key = {step.key: step for step in plan.steps}
+        ended = [line for line in lines if line["kind"] == "step_ended" and line["key"] in by_key]
+        steps = {line["key"]: _step_from_json(line, by_key[line["key"]], directory) for line in ended}
+        last = lines[-1]
+        over = last["kind"] == "ended"
+        failure = Failure(**last["failure"]) if over and last.get("failure") else None
+        return Written(
+            directory=directory,
+            plan=plan,
+            operator=first["operator"],
+            note=first["note"],
+            started_at=first["at"],
+            resumed_at=tuple(line["at"] for line in lines if line["kind"] == "resumed"),
+            ended_at=last["at"] if over else "",
+            failure=failure,
+            steps=steps,
+            begun=tuple(line["key"] for line in lines if line["kind"] == "step_begun"),
+        )
+    except (StopIteration, KeyError, TypeError, ValueError) as error:
+        raise RunError(f"{path}: the journal of this test is damaged ({type(error).__name__}: {error})") from None
+
+
+def _lines(text: str) -> Iterator[dict[str, Any]]:
+    for line in text.splitlines():
+        try:
+            found = json.loads(line)
+        except ValueError:
+            continue
+        if isinstance(found, dict) and isinstance(found.get("kind"), str) and isinstance(found.get("at"), str):
+            yield found
+
+
+def plan_as_json(plan: CampaignPlan) -> dict[str, Any]:
+    """Return a plan as plain JSON; :func:`plan_from_json` reads it."""
+    values = asdict(plan)
+    for card in values["instruments"]:
+        for name in ("calibrated_on", "calibration_due"):
+            card[name] = None if card[name] is None else card[name].isoformat()
+    return dict(plain(values))
+
+
+def plan_from_json(values: Mapping[str, Any]) -> CampaignPlan:
+    """Return a plan from its JSON."""
+    steps = tuple(
+        PlannedStep(**{**one, "limits": tuple(Limit(**limit) for limit in one["limits"])})
+        for one in values["steps"]
+    )
+    cards = tuple(InstrumentCard(**{**one, **_dates(one)}) for one in values["instruments"])
+    reference = None if values["reference"] is None else ReferenceUnit(**values["reference"])
+    paths = {name: Path(values[name]) for name in ("file", "directory")}
+    return CampaignPlan(**{**values, **paths, "steps": steps, "instruments": cards, "reference": reference})
+
+
+def _dates(card: Mapping[str, Any]) -> dict[str, date | None]:
+    names = ("calibrated_on", "calibration_due")
+    return {name: None if card[name] is None else date.fromisoformat(card[name]) for name in names}
+
+
+def step_as_json(outcome: StepOutcome, directory: Path) -> dict[str, Any]:
+    """Return what the journal keeps of a step: everything but the result, which stands in its run."""
+    values = {name: getattr(outcome, name) for name in _KEPT}
+    return {
+        "key": outcome.step.key,
+        **values,
+        "run": None if outcome.run is None else str(outcome.run.relative_to(directory)),
+        "failure": None if outcome.failure is None else outcome.failure.as_json(),
+        "limits": [asdict(one) for one in outcome.limits],
+    }
+
+
+_KEPT = (
+    "verdict",
+    "run_sha256",
+    "remarks",
+    "started_at",
+    "ended_at",
+    "elapsed_s",
+    "attempts",
+    "conditions",
+)
+
+
+def _step_from_json(line: Mapping[str, Any], step: PlannedStep, directory: Path) -> StepOutcome:
+    run = None if line["run"] is None else directory / line["run"]
+    kept = {name: line[name] for name in _KEPT}
+    return StepOutcome(
+        step=step,
+        **{**kept, "remarks": tuple(kept["remarks"])},
+        limits=tuple(_limit_from_json(one) for one in line["limits"]),
+        document=_document(run),
+        run=run,
+        failure=None if line["failure"] is None else Failure(**line["failure"]),
+    )
+
+
+def _document(run: Path | None) -> dict[str, Any]:
+    if run is None:
+        return {}
+    try:
+        return open_run(run).results or {}
+    except RunError:
+        return {}
+
+
+def _limit_from_json(one: Mapping[str, Any]) -> LimitOutcome:
+    numbers = ("value", "low_95", "high_95")
+    measured: dict[str, Any] = {
+        name: math.nan if value is None and name in numbers else value for name, value in one["measured"].items()
+    }
+    limit, value = Limit(**one["limit"]), Value(**measured)
+    margin = math.nan if one["margin"] is None else one["margin"]
+    return LimitOutcome(**{**one, "limit": limit, "measured": value, "margin": margin})

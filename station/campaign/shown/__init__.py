@@ -1,0 +1,1 @@
+"""A campaign on the terminal and as JSON: what it will do, how it has ended."""

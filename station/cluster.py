@@ -1,0 +1,197 @@
+"""Several computers: work that falls into pieces, done by the workers of a Dask scheduler."""
+
+from __future__ import annotations
+
+import ctypes
+import itertools
+import logging
+import socket
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import ExitStack, suppress
+from functools import cache
+from types import TracebackType
+from typing import Any, Self, TypeVar
+
+from station.datasets.packages import package
+from station.errors import RunError, UsageError
+from station.provenance import version
+
+T = TypeVar("T")
+R = TypeVar("R")
+
+LOCAL = "local"
+_PATIENCE_S = 10.0  # for a scheduler to answer, and for its first worker
+_AHEAD = 3
+"""Pieces for each worker that are begun before the first of them is asked for."""
+_M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD, _KEPT_BYTES = -1, -3, 1 << 25  # of mallopt(3), and the most it takes
+_SAME = ("gyrolock", "numpy", "scipy")
+"""What must be of one version everywhere: another one may give another last bit."""
+
+
+class Cluster:
+    """Workers that a Dask scheduler has, to be used as a context.
+
+    A worker that is lost costs time only: what it had begun, or held, is done again by another.
+
+    Parameters
+    ----------
+    address : str
+        ``"tcp://host:8786"``, or ``"local"`` for a cluster of its own on this computer.
+    workers : int, optional
+        Of a local one; by default as many as the computer has cores.
+
+    Attributes
+    ----------
+    count : int
+        Workers, when it was opened.
+
+    Raises
+    ------
+    MissingPackage
+        Dask is not installed.
+    UsageError
+        The address is none.
+    RunError
+        The scheduler does not answer, has no worker, or its workers are of other versions.
+    """
+
+    def __init__(self, address: str, workers: int | None = None) -> None:
+        self.address, self._wanted = address, workers
+        self._open = ExitStack()
+        self._client: Any = None
+        self.count = 0
+
+    def __enter__(self) -> Self:
+        distributed = package("distributed", "cluster")
+        logging.getLogger("distributed").setLevel(logging.CRITICAL)  # a lost worker is no news for a user
+        with ExitStack() as opened:
+            if self.address == LOCAL:
+                address: Any = opened.enter_context(
+                    distributed.LocalCluster(
+                        n_workers=self._wanted,
+                        threads_per_worker=1,
+                        processes=True,
+                        dashboard_address="127.0.0.1:0",
+                    )
+                )
+            elif "://" in self.address:
+                address = self.address
+            else:
+                raise UsageError(f"{self.address}: is no scheduler: write tcp://HOST:8786, or {LOCAL}")
+            self._client = opened.enter_context(self._connected(distributed, address))
+            self._look_at_workers()
+            self._open = opened.pop_all()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        with suppress(OSError, TimeoutError):  # a scheduler that has gone meanwhile needs no good-bye
+            self._open.close()
+
+    def map(self, work: Callable[[T], R], pieces: Iterable[T]) -> Iterator[R]:
+        """Do the work on every piece; the results come in the order of the pieces.
+
+        Parameters
+        ----------
+        work : callable
+            A function of a module, which the workers have too.
+        pieces : iterable
+            What can be pickled; files by a path that is the same everywhere, or by a URL.
+
+        Raises
+        ------
+        RunError
+            The cluster was lost, or a piece has cost several workers their life.
+        """
+        distributed = package("distributed", "cluster")
+        rest = iter(pieces)
+        begun: deque[Any] = deque()
+
+        def begin(count: int) -> None:
+            for piece in itertools.islice(rest, count):
+                begun.append(self._client.submit(done, work, piece, pure=False))
+
+        try:
+            begin(_AHEAD * self.count)
+            while begun:
+                found = begun.popleft().result()
+                begin(1)
+                yield found
+        except distributed.KilledWorker as error:
+            raise RunError(
+                f"{self.address}: a piece of the work has ended several workers, the last of them "
+                f"{error.last_worker.address} (too little memory?): give the workers more, or take smaller pieces"
+            ) from None
+        except (distributed.CancelledError, distributed.comm.CommClosedError, TimeoutError) as error:
+            raise RunError(
+                f"{self.address}: the scheduler has gone ({type(error).__name__}): start it and the command again"
+            ) from None
+
+    def _connected(self, distributed: Any, address: Any) -> Any:
+        client = distributed.Client.__new__(distributed.Client)
+        try:
+            self._knock()
+            client.__init__(address, timeout=_PATIENCE_S, set_as_default=False)
+            return client
+        except (
+            OSError,
+            TimeoutError,
+            ValueError,
+            MemoryError,
+        ) as error:  # others may listen there, and say anything
+            client.status = "closed"  # one that never was open would wait for its end
+            reason = str(error).split("\n", maxsplit=1)[0]
+            raise RunError(
+                f"{self.address}: no Dask scheduler answers there ({reason}): start one with `dask scheduler`"
+            ) from None
+
+    def _knock(self) -> None:
+        """See that somebody listens: Dask itself would try again until its patience ends; OSError if not."""
+        scheme, _, rest = self.address.partition("://")
+        host, _, port = rest.rstrip("/").rpartition(":")
+        if scheme == "tcp" and host and port.isdecimal():
+            with socket.create_connection((host.strip("[]"), int(port)), _PATIENCE_S):
+                return
+
+    def _look_at_workers(self) -> None:
+        try:
+            self._client.wait_for_workers(1, timeout=_PATIENCE_S)
+        except TimeoutError:
+            raise RunError(
+                f"{self.address}: the scheduler has no worker: start some with `dask worker {self.address}`"
+            ) from None
+        here = versions()
+        for worker, there in self._client.run(versions).items():
+            for name in _SAME:
+                if here[name] != there[name]:
+                    raise RunError(
+                        f"{worker}: this worker has {name} {there[name]}, here is {here[name]}: install the same, "
+                        "or its results may differ in their last bits"
+                    )
+        self.count = len(self._client.nthreads())
+
+
+def done(work: Callable[[T], R], piece: T) -> R:
+    """Do a piece of work: what a worker is asked for."""
+    _keep_memory()
+    return work(piece)
+
+
+@cache
+def _keep_memory() -> None:
+    """Let this process keep the memory of its arrays for the next ones.
+
+    Dask makes its workers give every large array back to the system (MALLOC_TRIM_THRESHOLD_): the pages of those
+    that follow are then cleared anew, which takes as long as the estimates. Without glibc nothing is done.
+    """
+    with suppress(OSError, AttributeError):
+        libc = ctypes.CDLL("libc.so.6")
+        for parameter in (_M_MMAP_THRESHOLD, _M_TRIM_THRESHOLD):
+            libc.mallopt(parameter, _KEPT_BYTES)
+
+
+def versions() -> dict[str, str]:
+    """Return versions of what computes, on this computer."""
+    return {name: version(name) for name in _SAME}

@@ -1,0 +1,184 @@
+"""``gyrolock station``: the test of a unit against limits, that nobody has to watch."""
+
+from __future__ import annotations
+
+import sys
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from station.display.opening import display_options, shown
+from station.errors import EXIT_OK, Failure, OutOfControl, RunError, UsageError, describe_failure
+from station.shell.options import json_option
+from station.terminal.lines import print_json, remark, say
+
+if TYPE_CHECKING:
+    from station.campaign.outcome import CampaignOutcome
+    from station.campaign.plan import CampaignPlan
+    from station.shell.evaluated import Evaluated
+
+_LATEST = "latest"
+
+
+@click.command("station")
+@click.argument("file", type=click.Path(path_type=Path), metavar="FILE")
+@click.option("--unit", metavar="SN", help="Serial number of the unit under test.")
+@click.option("--operator", metavar="TEXT", help="Who tests.")
+@click.option("--note", metavar="TEXT", help="What should be remembered of this test.")
+@click.option("--check", is_flag=True, help="Check the file, for every unit that it names, and do nothing.")
+@click.option("--dry-run", is_flag=True, help="Print the plan, its time and the predicted uncertainty.")
+@click.option(
+    "--resume",
+    is_flag=False,
+    flag_value=_LATEST,
+    metavar="[DIR]",
+    help="Go on with a test that was cut short: the unit's only one, or the one in DIR.",
+)
+@click.option("--out", type=click.Path(path_type=Path), metavar="DIR", help="Directory of tests [settings].")
+@display_options
+@json_option
+def command(file: Path, **given: Any) -> int:
+    """Test a unit as the campaign FILE says: every step, every limit, one verdict.
+
+    A step that the bench fails is tried again and then reported, and the rest goes on. What was measured survives
+    whatever ends the program; --resume goes on at the same step. `gyrolock settings campaign` prints an example.
+
+    Exit codes: 0 PASS or no limits, 1 FAIL, 6 MARGINAL (a limit lies within the uncertainty); of ERROR and ABORTED
+    that of what happened: 3 instrument or link, 4 no usable signal, 5 disk, 130 interrupted, 143 terminated.
+    """
+    from station.campaign.file import read_campaign, units_named
+
+    if given["check"]:
+        units = [given["unit"]] if given["unit"] else [*units_named(file), "any other unit"]
+        return _checked(file, [read_campaign(file, unit) for unit in units], given["as_json"])
+    unit = given["unit"] or _asked_unit()
+    plan = read_campaign(file, unit)
+    if given["out"] is not None:
+        from dataclasses import replace
+
+        plan = replace(plan, directory=given["out"])
+    if given["dry_run"]:
+        return _dry_run(plan, given["as_json"])
+    return _test(plan, given)
+
+
+def _asked_unit() -> str:
+    """Ask for the serial number; UsageError where there is nobody to ask."""
+    from station.runs.operator import ask_operator
+
+    if not sys.stdin or not sys.stdin.isatty():
+        raise UsageError("which unit is tested? Give its serial number: --unit SN")
+    while not (unit := ask_operator("Serial number of the unit under test (read it from its label): ").strip()):
+        pass
+    return unit
+
+
+def _checked(file: Path, plans: list[CampaignPlan], as_json: bool) -> int:
+    steps = plans[0].steps
+    named = [plan.unit for plan in plans]
+    if as_json:
+        print_json({"ok": True, "file": str(file), "steps": [step.key for step in steps], "units": named})
+    else:
+        limits = sum(len(step.limits) for step in steps)
+        say(f"{file}: {len(steps)} steps, {limits} limits, all well for {', '.join(named)}")
+    return EXIT_OK
+
+
+def _dry_run(plan: CampaignPlan, as_json: bool) -> int:
+    from station.campaign.shown.dry_run import dry_run_document, print_dry_run
+    from station.plan.prediction import predict
+
+    predictions = [predict(step.measurement, step.settings) for step in plan.steps]
+    times = [one.seconds for one in predictions]
+    halves = [(one.u, one.u95, one.why_not) for one in predictions]
+    if as_json:
+        print_json(dry_run_document(plan, times, halves))
+    else:
+        print_dry_run(plan, times, halves)
+    return EXIT_OK
+
+
+def _test(plan: CampaignPlan, given: dict[str, Any]) -> int:
+    from station.campaign.conduct import conduct
+    from station.campaign.journal import test_to_resume
+    from station.campaign.log import station_log
+
+    _check_bench(plan)
+    resumed = None
+    if given["resume"] is not None:
+        named = given["resume"]
+        resumed = test_to_resume(plan.directory, plan.unit) if named == _LATEST else Path(named)
+    labels = {name: given[name] for name in ("operator", "note")}
+    if plan.ask_for_unit:
+        _ask_for_unit(plan)
+    with shown(given, "station", unit=plan.unit, **labels) as progress, station_log(plan.directory) as log:
+        progress.events.read_by(log)
+        evaluated: dict[str, Evaluated] = {}
+        texts = {name: text or "" for name, text in labels.items()}
+        outcome = conduct(plan, progress, **texts, resumed=resumed, evaluated=evaluated)
+        page, lost = _write_record(outcome, evaluated)
+        code = outcome.exit_code if lost is None or outcome.failure is not None else lost.exit_code
+        progress.end(code, outcome.message if lost is None else lost.message)
+    _tell(outcome, given, page)
+    for failure in (outcome.failure, lost):
+        if failure is not None:
+            remark(failure.message)
+    return code
+
+
+def _check_bench(plan: CampaignPlan) -> None:
+    """Refuse a unit where the bench is not in control by its reference unit. Raises OutOfControl."""
+    if plan.reference is None or plan.is_reference:
+        return
+    from station.history.bench import in_control
+
+    every_s, now = 3600 * plan.reference.every_h, datetime.now(UTC)
+    unit, simulated = plan.reference.unit, plan.simulated
+    found = in_control(plan.directory, unit, plan.unit_type, now, every_s, simulated=simulated)
+    if not found.ok:
+        raise OutOfControl(f"{plan.unit} is not tested: {found.sentence}")
+
+
+def _ask_for_unit(plan: CampaignPlan) -> None:
+    """Let the operator bring the unit to the bench; UsageError where there is nobody."""
+    from station.runs.operator import WIRING, ask_operator
+
+    if not sys.stdin or not sys.stdin.isatty():
+        raise UsageError(
+            "campaign.ask_for_unit: an operator is to connect the unit, and there is no terminal to ask on"
+        )
+    ask_operator(
+        f"Put {plan.unit} ({plan.unit_type}) on the table, its axis as the fixture holds it, and connect it:\n\n"
+        f"{WIRING}\n"
+        f"Why: the test of this unit begins ({plan.name}).\n"
+        f"Then: warm-up, and the steps of the test, {len(plan.steps)} in all.\n"
+        "Press Enter when it is connected and switched on: "
+    )
+
+
+def _write_record(outcome: CampaignOutcome, evaluated: dict[str, Evaluated]) -> tuple[Path | None, Failure | None]:
+    """Write the record of the test; its page, or what kept it from that."""
+    from station.record.write import write_record
+
+    try:
+        return write_record(outcome, evaluated=evaluated).page, None
+    except RunError as error:
+        return None, describe_failure(error)
+
+
+def _tell(outcome: CampaignOutcome, given: dict[str, Any], page: Path | None) -> None:
+    from station.campaign.shown.console import print_outcome
+    from station.campaign.shown.words import outcome_document
+    from station.results.as_json import plain
+
+    if given["as_json"]:
+        files: dict[str, str | None] = {"page": None, "record": None}
+        if page is not None:
+            files = {"page": str(page), "record": str(page.with_name("record.json"))}
+        print_json({**plain(outcome_document(outcome)), **files})
+    else:
+        print_outcome(outcome)
+        if page is not None:
+            say(f"record  {page}")

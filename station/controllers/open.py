@@ -1,0 +1,153 @@
+"""Opening the controllers of a bench: a table that turns, and what is read beside each record."""
+
+from __future__ import annotations
+
+import functools
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, field
+
+from instrument.errors import InstrumentError
+from instrument.simulated.clock import Clock, VirtualClock
+from instrument.simulated.controllers import LineDevice, LineServer, SimulatedChamber, SimulatedPowerSupply
+from instrument.templates import ControlledRateTable, Controller, Guard, parse_template
+from station.controllers.settings import ControllerSettings, ControllersSettings
+
+Tell = Callable[[str], None]
+
+
+@contextmanager
+def open_controller(
+    settings: ControllerSettings, name: str, *, tell: Tell, clock: Clock | None = None
+) -> Iterator[Controller]:
+    """Open one controller; it is left as it is.
+
+    Parameters
+    ----------
+    name : str
+        ``"rate_table"``, ``"chamber"`` or ``"power_supply"``.
+    clock : Clock, optional
+        The time that is waited by; the computer's if not given.
+
+    Raises
+    ------
+    InstrumentError
+        It does not answer, or another one does.
+    """
+    template = parse_template(settings.template, settings.file or name)
+    sleep, now = (time.sleep, time.monotonic) if clock is None else (clock.sleep, clock.now)
+    with Controller(settings.resource, template, tell=tell, sleep=sleep, now=now) as controller:
+        yield controller
+
+
+@contextmanager
+def open_rate_table(settings: ControllerSettings, *, tell: Tell) -> Iterator[ControlledRateTable]:
+    """Open the rate table; whatever ends this stops it, a killed program too.
+
+    Raises
+    ------
+    InstrumentError
+        As for :func:`open_controller`.
+    """
+    with open_controller(settings, "rate_table", tell=tell) as controller:
+        guard = Guard(settings.resource, settings.template)
+        table = ControlledRateTable(controller, guard, tell)
+        try:
+            yield table
+        finally:
+            table.close()
+
+
+@contextmanager
+def open_simulated_rate_table(
+    device: LineDevice, settings: ControllerSettings, clock: Clock, tell: Tell
+) -> Iterator[ControlledRateTable]:
+    """Open a simulated table through its bytes: it ends with the program, and needs no guard."""
+    with served_device(device) as resource:
+        named = settings.model_copy(update={"resource": resource})
+        with open_controller(named, "rate_table", tell=tell, clock=clock) as controller:
+            table = ControlledRateTable(controller, tell=tell, now=clock.now)
+            try:
+                yield table
+            finally:
+                table.close()
+
+
+@contextmanager
+def served_device(device: LineDevice) -> Iterator[str]:
+    """Serve a simulated device on a serial terminal, or on TCP where the system has none; yields its VISA name."""
+    try:
+        server = LineServer(device)
+    except OSError:
+        server = LineServer(device, tcp_port=0)
+    with server:
+        yield server.resource_name
+
+
+@functools.cache
+def simulated_device(name: str) -> tuple[LineDevice, Clock]:
+    """Return the simulated chamber or power supply of this program, and the clock that it lives by.
+
+    There is one of each: what one measurement has set, the next one finds.
+    """
+    clock = VirtualClock()
+    return (SimulatedChamber(clock) if name == "chamber" else SimulatedPowerSupply()), clock
+
+
+@contextmanager
+def open_chamber_or_supply(
+    settings: ControllerSettings, name: str, *, tell: Tell, simulated: bool
+) -> Iterator[Controller]:
+    """Open a chamber or a power supply; on a simulated bench one without a resource is simulated as well.
+
+    Raises
+    ------
+    InstrumentError
+        It does not answer, or has no resource on a real bench.
+    """
+    if settings.resource or not simulated:
+        with open_controller(settings, name, tell=tell) as controller:
+            yield controller
+        return
+    device, clock = simulated_device(name)
+    with served_device(device) as resource:
+        named = settings.model_copy(update={"resource": resource})
+        with open_controller(named, name, tell=tell, clock=clock) as controller:
+            yield controller
+
+
+@dataclass
+class Surroundings:
+    """Chamber and power supply, read beside each record.
+
+    One that does not answer is told once and not asked again: the record is taken all the same, without it.
+    """
+
+    tell: Tell
+    controllers: dict[str, Controller] = field(default_factory=dict)
+
+    def __call__(self) -> dict[str, float]:
+        """Return what they read, under names with their units: ``chamber_temperature_degc``."""
+        found: dict[str, float] = {}
+        for name, controller in list(self.controllers.items()):
+            try:
+                found |= {f"{name}_{what}": value for what, value in controller.readings().items()}
+            except InstrumentError as error:
+                del self.controllers[name]
+                self.tell(f"records are taken without the {name.replace('_', ' ')} from here on: {error}")
+        return found
+
+
+@contextmanager
+def open_surroundings(
+    controllers: ControllersSettings | None, *, tell: Tell, simulated: bool = False
+) -> Iterator[Surroundings]:
+    """Open chamber and power supply, where there are any. Raises as :func:`open_chamber_or_supply`."""
+    opened = Surroundings(tell)
+    with ExitStack() as stack:
+        for name, one in ({} if controllers is None else controllers.there).items():
+            if name != "rate_table":
+                opening = open_chamber_or_supply(one, name, tell=tell, simulated=simulated)
+                opened.controllers[name] = stack.enter_context(opening)
+        yield opened

@@ -1,0 +1,222 @@
+"""The one table that every format holds: a row for each record, with fixed columns.
+
+What a program wants to choose by stands in columns of its own; what gives the same result again (the preamble as
+it was sent, the conditions, what is known of the source) stands beside it as text, and a checksum over it. The
+bytes of an oscilloscope's record are its codes; whatever else an instrument sent is a payload.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from instrument import InstrumentError
+from station.errors import RunError
+from station.runs.layouts import TODAY
+from station.runs.store import SavedRecord
+from station.sources.batches import parsed_preamble
+from station.sources.source import Source
+
+SCHEMA = {"name": "gyrolock records", "version": 1}
+AT_ONCE = 2000
+"""Rows that are written and read together: 5 MB of codes."""
+
+TEXT = ("source", "key", "taken_at", "purpose", "channel", "axis", "header", "conditions", "sha256", "source_json")
+WHOLE = ("number", "samples", "bytes_per_sample")
+NUMBERS = (
+    "sample_interval_s",   # XINCR
+    "first_sample_s",      # time of the first sample from the trigger
+    "volts_per_level",     # volts = (code - level_offset) volts_per_level + volts_offset
+    "level_offset",
+    "volts_offset",
+    "table_rate_dps",
+    "azimuth_start_deg",
+    "azimuth_end_deg",
+    "over_lock_in",
+    "true_lock_in_rate_dps",  # of a simulated bench
+)  # fmt: skip
+COLUMNS = (*TEXT[:1], *WHOLE[:1], *TEXT[1:6], *WHOLE[1:], *NUMBERS, *TEXT[6:])
+"""In this order in every format; behind them codes and payload."""
+
+
+@dataclass(frozen=True)
+class Rows:
+    """Some rows of the table.
+
+    Attributes
+    ----------
+    columns : dict
+        By the names of `COLUMNS`: lists of text, of int, of float (nan where nobody knows).
+    payloads : list of bytes
+        What the instrument sent.
+    coded : ndarray of bool
+        Whether it is the codes of an oscilloscope's record.
+    """
+
+    columns: dict[str, list[Any]]
+    payloads: list[bytes]
+    coded: NDArray[np.bool_]
+
+    def __len__(self) -> int:
+        return len(self.payloads)
+
+    def codes(self, width: int) -> tuple[NDArray[np.int8], NDArray[np.bool_]]:
+        """Return codes of `width` bytes as an array (n, width), zeros for others, and which are others."""
+        fits = self.coded & np.array([len(payload) == width for payload in self.payloads], dtype=bool)
+        joined = b"".join(
+            payload if fit else bytes(width) for payload, fit in zip(self.payloads, fits, strict=True)
+        )
+        return np.frombuffer(joined, np.int8).reshape(len(self), width), ~fits
+
+
+def described(source: Source, records: int) -> str:
+    """Return what is known of a source beside its records, as JSON that stands in each of its rows."""
+    known = {
+        "name": source.name,
+        "kind": source.kind if source.kind != "data set" else getattr(source, "origin", source.kind),
+        "is_run": source.is_run,
+        "sha256": source.sha256,
+        "records": records,
+        "facts": dict(source.facts),
+        "unusable": dict(source.unusable),
+        "protected": source.protected,
+    }
+    return json.dumps(known, allow_nan=False)
+
+
+def rows_of(source: Source, about: str, records: Iterable[SavedRecord]) -> Iterator[Rows]:
+    """Yield the records of a source as rows, not more than `AT_ONCE` together.
+
+    Parameters
+    ----------
+    about : str
+        Of :func:`described`.
+    """
+    held: list[SavedRecord] = []
+    for record in records:
+        held.append(record)
+        if len(held) == AT_ONCE:
+            yield _rows(source, about, held)
+            held = []
+    if held:
+        yield _rows(source, about, held)
+
+
+def joined_rows(parts: Iterable[Rows]) -> Iterator[Rows]:
+    """Put rows of small sources together: whoever reads ten thousand of them reads big pieces."""
+    held: list[Rows] = []
+    for part in parts:
+        held.append(part)
+        if sum(map(len, held)) >= AT_ONCE:
+            yield _joined(held)
+            held = []
+    if held:
+        yield _joined(held)
+
+
+def record_of(row: Mapping[str, Any], payload: bytes) -> SavedRecord:
+    """Return a row as the record that it was; one that has not its checksum is not intact."""
+    cells = {name: row[name] for name in ("key", "taken_at", "purpose", "header", "conditions")}
+    intact = TODAY.checksum({**cells, "payload": payload}) == row["sha256"]
+    try:
+        conditions = json.loads(cells["conditions"])
+    except ValueError:
+        conditions, intact = {}, False
+    return SavedRecord(int(row["number"]), **{**cells, "conditions": conditions}, payload=payload, intact=intact)
+
+
+def rows_with(numbers: range, held: NDArray[np.int64], first: int) -> tuple[int, int]:
+    """Return the first row of records with these numbers and the one behind the last; `held` begins at `first`."""
+    found = np.flatnonzero((held >= numbers.start) & (held < numbers.stop))
+    return (first + int(found[0]), first + int(found[-1]) + 1) if found.size else (first, first)
+
+
+def check_schema(schema: Mapping[str, Any] | None, place: str) -> None:
+    """Refuse what is no data set, or one of a newer program.
+
+    Raises
+    ------
+    RunError
+    """
+    if not schema or schema.get("name") != SCHEMA["name"]:
+        raise RunError(f"{place}: is no data set of gyrolock: `gyrolock export` writes one")
+    if schema.get("version") != SCHEMA["version"]:
+        version = schema.get("version")
+        raise RunError(f"{place}: was written by a newer gyrolock (records {version}): update this one")
+
+
+def _rows(source: Source, about: str, records: Sequence[SavedRecord]) -> Rows:
+    columns: dict[str, list[Any]] = {name: [] for name in COLUMNS}
+    coded = np.zeros(len(records), dtype=bool)
+    for place, record in enumerate(records):
+        conditions = json.dumps(record.conditions)
+        cells = {
+            "key": record.key,
+            "taken_at": record.taken_at,
+            "purpose": record.purpose,
+            "header": record.header,
+            "conditions": conditions,
+        }
+        seen, coded[place] = _preamble_columns(record)
+        row: dict[str, Any] = {
+            **cells,
+            **seen,
+            **_condition_columns(record.conditions),
+            "source": source.name,
+            "number": record.number,
+            # one that is damaged stays so: its sum must not become right again
+            "sha256": TODAY.checksum({**cells, "payload": record.payload}) if record.intact else "",
+            "source_json": about,
+        }
+        for name, column in columns.items():
+            column.append(row[name])
+    return Rows(columns, [record.payload for record in records], coded)
+
+
+def _preamble_columns(record: SavedRecord) -> tuple[dict[str, Any], bool]:
+    """What the preamble says, and whether the payload is codes that fit it."""
+    try:
+        preamble = None if record.header.startswith("{") else parsed_preamble(record.header)
+    except InstrumentError:
+        preamble = None
+    if preamble is None or len(record.payload) != preamble.nr_pt * preamble.byt_nr:
+        unknown = dict.fromkeys(NUMBERS[:5], math.nan)
+        return {"samples": 0, "bytes_per_sample": 0, **unknown}, False
+    return {
+        "samples": preamble.nr_pt,
+        "bytes_per_sample": preamble.byt_nr,
+        "sample_interval_s": preamble.xincr,
+        "first_sample_s": preamble.xzero - preamble.xincr * preamble.pt_off,
+        "volts_per_level": preamble.ymult,
+        "level_offset": preamble.yoff,
+        "volts_offset": preamble.yzero,
+    }, True
+
+
+def _condition_columns(conditions: Mapping[str, Any]) -> dict[str, Any]:
+    truth = conditions.get("truth")
+    true = truth.get("lock_in_rate_dps") if isinstance(truth, dict) else None
+    return {
+        "channel": str(conditions.get("channel") or ""),
+        "axis": str(conditions.get("axis") or ""),
+        **{name: _number(conditions.get(name)) for name in NUMBERS[5:-1]},
+        "true_lock_in_rate_dps": _number(true),
+    }
+
+
+def _number(value: Any) -> float:
+    return float(value) if isinstance(value, int | float) and not isinstance(value, bool) else math.nan
+
+
+def _joined(parts: Sequence[Rows]) -> Rows:
+    if len(parts) == 1:
+        return parts[0]
+    columns = {name: [one for part in parts for one in part.columns[name]] for name in COLUMNS}
+    payloads = [payload for part in parts for payload in part.payloads]
+    return Rows(columns, payloads, np.concatenate([part.coded for part in parts]))

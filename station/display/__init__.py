@@ -1,0 +1,1 @@
+"""Showing what happens: each display only reads events, and may fail without harming what is measured."""

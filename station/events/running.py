@@ -1,0 +1,180 @@
+"""Which programs of this user are measuring on this machine: each keeps a small file that says how it stands.
+
+A lock that the operating system takes away with the process tells a program that runs from one that was killed.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import platform
+import signal
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import IO, Any
+
+from station.errors import UsageError
+from station.events.event import WAYPOINTS, Event
+from station.events.situation import Situation
+
+STATE_VARIABLE = "GYROLOCK_STATE"
+_EVERY_S = 1.0
+_KEPT_DAYS = 7.0
+
+
+def state_directory() -> Path:
+    """Return the directory in which programs say how they stand."""
+    if given := os.environ.get(STATE_VARIABLE):
+        return Path(given)
+    from platformdirs import user_state_path
+
+    return user_state_path("gyrolock", appauthor=False) / "running"
+
+
+class StatusFile:
+    """Reads events and keeps ``HOST-PID.json`` up to date; where it cannot be written, there is none."""
+
+    def __init__(self, directory: Path | None = None) -> None:
+        self.situation = Situation()
+        self._written_at = 0.0
+        self._lock: IO[bytes] | None = None
+        self._path = (directory or state_directory()) / f"{platform.node() or 'here'}-{os.getpid()}.json"
+        with suppress(OSError):
+            self._path.parent.mkdir(parents=True, exist_ok=True)
+            _forget_old(self._path.parent)
+            lock = self._path.with_suffix(".lock").open("ab")
+            if _locked(lock):
+                self._lock = lock
+            else:
+                lock.close()
+
+    def __call__(self, event: Event) -> None:
+        """Take an event; the file is written at most once a second, and for what must not be missed at once."""
+        self.situation.take(event)
+        now = time.monotonic()
+        if event.kind in WAYPOINTS or now - self._written_at >= _EVERY_S:
+            self._written_at = now
+            self._write()
+
+    def close(self) -> None:
+        """Take the file away: the program has ended, and has said how."""
+        if self._lock is None:
+            return
+        with suppress(OSError):
+            self._path.unlink(missing_ok=True)
+            self._path.with_suffix(".lock").unlink(missing_ok=True)
+        self._lock.close()
+        self._lock = None
+
+    def _write(self) -> None:
+        if self._lock is None:
+            return
+        with suppress(OSError):  # a status that cannot be written harms nothing
+            draft = self._path.with_suffix(".draft")
+            draft.write_text(json.dumps(self.situation.as_json(), allow_nan=False), encoding="utf-8")
+            draft.replace(self._path)
+
+
+@dataclass(frozen=True)
+class Running:
+    """A program that is measuring, or was when it was killed.
+
+    Attributes
+    ----------
+    alive : bool
+        Whether it still runs.
+    """
+
+    path: Path
+    pid: int
+    alive: bool
+    situation: Situation
+
+    @property
+    def run(self) -> Path | None:
+        """The run that it is taking, or took."""
+        named = self.situation.run.get("run")
+        return Path(named) if named else None
+
+    def as_json(self) -> dict[str, Any]:
+        """Return it as plain JSON."""
+        return {"pid": self.pid, "alive": self.alive, **self.situation.as_json()}
+
+    def forget(self) -> None:
+        """Take the files of a program that was killed away."""
+        with suppress(OSError):
+            self.path.unlink(missing_ok=True)
+            self.path.with_suffix(".lock").unlink(missing_ok=True)
+
+    def stop(self) -> None:
+        """Ask it to end, as Ctrl-C in its terminal does: what it has taken is kept.
+
+        Raises
+        ------
+        UsageError
+            It cannot be told.
+        """
+        if sys.platform == "win32":
+            raise UsageError("on Windows a program is stopped by Ctrl-C in its own window")
+        try:
+            os.kill(self.pid, signal.SIGTERM)
+        except ProcessLookupError:
+            return
+        except OSError as error:
+            raise UsageError(f"process {self.pid} cannot be stopped: {error.strerror}") from None
+
+
+def running_programs(directory: Path | None = None) -> list[Running]:
+    """Return the programs of this user on this machine, those that were killed too, in the order of starting."""
+    found = list(_found(directory or state_directory()))
+    return sorted(found, key=lambda one: str(one.situation.program.get("at", "")))
+
+
+def _found(directory: Path) -> Iterator[Running]:
+    for path in sorted(directory.glob(f"{platform.node() or 'here'}-*.json")):
+        number = path.stem.rpartition("-")[2]
+        try:
+            document = json.loads(path.read_text(encoding="utf-8"))
+        except (OSError, ValueError):
+            continue
+        if number.isdecimal() and isinstance(document, dict):
+            yield Running(path, int(number), _is_held(path.with_suffix(".lock")), Situation.of_json(document))
+
+
+def _is_held(path: Path) -> bool:
+    """Whether the process that made a lock still holds it."""
+    try:
+        with path.open("ab") as lock:
+            return not _locked(lock)
+    except OSError:
+        return False
+
+
+def _locked(file: IO[bytes]) -> bool:
+    """Lock an open file for this process as long as it is open; ``False`` if another one has it."""
+    try:
+        if sys.platform == "win32":
+            import msvcrt
+
+            msvcrt.locking(file.fileno(), msvcrt.LK_NBLCK, 1)
+        else:
+            import fcntl
+
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        return False
+    return True
+
+
+def _forget_old(directory: Path) -> None:
+    """Take away what programs left that were killed days ago."""
+    before = time.time() - _KEPT_DAYS * 86400
+    for path in directory.glob("*.lock"):
+        with suppress(OSError):
+            if path.stat().st_mtime < before and not _is_held(path):
+                path.unlink(missing_ok=True)
+                path.with_suffix(".json").unlink(missing_ok=True)

@@ -1,0 +1,1 @@
+"""Saved records analysed anew by the million: tables of results, and what two of them differ by."""

@@ -1,0 +1,230 @@
+"""Verdicts of a unit: a value with its uncertainty against a limit, and the worst of many.
+
+Decision rules: JCGM 106:2012 (Evaluation of measurement data, the role of measurement uncertainty in conformity
+assessment), sections 8.2 (simple acceptance) and 8.3 (guard bands).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Literal
+
+from scipy.special import ndtr
+
+from station.results.result import UNITS
+
+Verdict = Literal["PASS", "FAIL", "MARGINAL", "ERROR", "ABORTED"]
+Rule = Literal["none", "U95", "simple"]
+
+PASS: Verdict = "PASS"
+FAIL: Verdict = "FAIL"
+MARGINAL: Verdict = "MARGINAL"
+ERROR: Verdict = "ERROR"
+ABORTED: Verdict = "ABORTED"
+
+_FROM_BEST: tuple[Verdict, ...] = (PASS, MARGINAL, FAIL, ERROR, ABORTED)
+_K95 = 1.959963984540054
+
+
+@dataclass(frozen=True)
+class Limit:
+    """What a number has to keep to.
+
+    Attributes
+    ----------
+    number : str
+        Name of the number, with its unit at the end.
+    at_least, at_most : float or None
+        At least one of them is given.
+    rule : {"none", "U95", "simple"}
+        "U95": the whole 95 % interval has to lie within. "simple": the value has to (simple acceptance), and the
+        risk that this is wrong is told. "none": the value has to, and its uncertainty is not asked for.
+    highest_risk : float
+        With "simple": no PASS and no FAIL whose risk of being wrong is above this share.
+    """
+
+    number: str
+    at_least: float | None = None
+    at_most: float | None = None
+    rule: Rule = "U95"
+    highest_risk: float = 0.5
+
+
+@dataclass(frozen=True)
+class Value:
+    """A number as a run gives it.
+
+    Attributes
+    ----------
+    value : float
+        nan where the run gives none.
+    unit : str
+        As a person reads it.
+    low_95, high_95 : float
+        Ends of its 95 % interval, every input counted; nan where nobody knows them.
+    of : str
+        What it is of, where a run gives several: ``"X"``.
+    """
+
+    value: float
+    unit: str
+    low_95: float = math.nan
+    high_95: float = math.nan
+    of: str = ""
+
+    @property
+    def uncertain(self) -> bool:
+        """Whether its 95 % interval is known."""
+        return math.isfinite(self.low_95) and math.isfinite(self.high_95)
+
+
+@dataclass(frozen=True)
+class LimitOutcome:
+    """A number against its limit.
+
+    Attributes
+    ----------
+    acceptance_low, acceptance_high : float or None
+        Where the value has to lie for PASS, after the guard band.
+    risk : float or None
+        Probability that PASS or FAIL is wrong: that the true value lies on the other side.
+    margin : float
+        From the value to the nearest limit, positive within.
+    sentence : str
+        All of it in one line.
+    """
+
+    limit: Limit
+    measured: Value
+    verdict: Verdict
+    acceptance_low: float | None
+    acceptance_high: float | None
+    risk: float | None
+    margin: float
+    sentence: str
+
+    @property
+    def name(self) -> str:
+        """Name of the number, with what it is of where there are several."""
+        return f"{self.limit.number} of {self.measured.of}" if self.measured.of else self.limit.number
+
+
+def worst(verdicts: Iterable[Verdict]) -> Verdict | None:
+    """Return the verdict of all: PASS only where all are; ``None`` of none.
+
+    ERROR outranks FAIL: what failed on a bench that failed too has to be measured again.
+
+    Examples
+    --------
+    >>> worst(["PASS", "FAIL", "MARGINAL"]), worst(["FAIL", "ERROR"]), worst([])
+    ('FAIL', 'ERROR', None)
+    """
+    found = list(verdicts)
+    return max(found, key=_FROM_BEST.index) if found else None
+
+
+def decide(limit: Limit, measured: Value) -> LimitOutcome:
+    """Judge a number by a limit.
+
+    Returns
+    -------
+    LimitOutcome
+        ERROR where the run gives no value, or no uncertainty though the rule asks for one: that is not the unit's
+        fault.
+    """
+    low = -math.inf if limit.at_least is None else limit.at_least
+    high = math.inf if limit.at_most is None else limit.at_most
+    value = measured.value
+    if not math.isfinite(value):
+        return _outcome(limit, measured, ERROR, (low, high), None, "the run gives no value")
+    if limit.rule == "none":
+        verdict = PASS if low <= value <= high else FAIL
+        return _outcome(limit, measured, verdict, (low, high), None, "")
+    if not measured.uncertain:
+        why = 'the run gives no uncertainty of it: decide by guard_band = "none", or limit another number'
+        return _outcome(limit, measured, ERROR, (low, high), None, why)
+    inside = _probability_inside(measured, low, high)
+    if limit.rule == "simple":
+        return _simple(limit, measured, (low, high), inside)
+    below, above = value - measured.low_95, measured.high_95 - value
+    within = (low + below, high - above)
+    if within[0] <= value <= within[1]:
+        return _outcome(limit, measured, PASS, within, 1 - inside, "")
+    if measured.high_95 < low or measured.low_95 > high:
+        return _outcome(limit, measured, FAIL, within, inside, "")
+    return _outcome(limit, measured, MARGINAL, within, None, "the limit lies within the 95 % interval")
+
+
+def _simple(limit: Limit, measured: Value, ends: tuple[float, float], inside: float) -> LimitOutcome:
+    verdict = PASS if ends[0] <= measured.value <= ends[1] else FAIL
+    risk = 1 - inside if verdict == PASS else inside
+    if risk > limit.highest_risk:
+        allowed = f"{100 * limit.highest_risk:g} %"
+        why = f"the risk of a wrong decision is {100 * risk:.2g} %, more than the {allowed} allowed"
+        return _outcome(limit, measured, MARGINAL, ends, risk, why)
+    return _outcome(limit, measured, verdict, ends, risk, "")
+
+
+def _probability_inside(measured: Value, low: float, high: float) -> float:
+    """Probability that the true value lies between the limits; each side of the interval has its own width."""
+
+    def below(end: float) -> float:
+        if not math.isfinite(end):
+            return 0.0 if end < 0 else 1.0
+        away = end - measured.value
+        width = (measured.high_95 - measured.value if away >= 0 else measured.value - measured.low_95) / _K95
+        if width <= 0:
+            return 1.0 if away >= 0 else 0.0
+        return float(ndtr(away / width))
+
+    return below(high) - below(low)
+
+
+def _outcome(
+    limit: Limit,
+    measured: Value,
+    verdict: Verdict,
+    acceptance: tuple[float, float],
+    risk: float | None,
+    why: str,
+) -> LimitOutcome:
+    low, high = (end if math.isfinite(end) else None for end in acceptance)
+    below = math.inf if limit.at_least is None else measured.value - limit.at_least
+    above = math.inf if limit.at_most is None else limit.at_most - measured.value
+    margin = min(below, above)
+    name = number_words(limit.number, measured)
+    sentence = f"{verdict} {name}: {_value_words(measured)}, {limit_words(limit, measured.unit)}"
+    if math.isfinite(margin):
+        sentence += f", margin {margin:+.3g} {measured.unit}".rstrip()
+    if risk is not None and limit.rule == "simple":
+        sentence += f", risk {100 * risk:.2g} %"
+    return LimitOutcome(
+        limit, measured, verdict, low, high, risk, margin, f"{sentence}; {why}" if why else sentence
+    )
+
+
+def limit_words(limit: Limit, unit: str) -> str:
+    """Say a limit: ``"at most 0.012 deg/s"``."""
+    ends = [
+        f"{words} {end:g} {unit}".rstrip()
+        for words, end in (("at least", limit.at_least), ("at most", limit.at_most))
+        if end is not None
+    ]
+    return " and ".join(ends)
+
+
+def _value_words(measured: Value) -> str:
+    if not math.isfinite(measured.value):
+        return "no value"
+    if not measured.uncertain:
+        return f"{measured.value:.6g} {measured.unit}".rstrip()
+    return f"{measured.value:.6g} [{measured.low_95:.6g}, {measured.high_95:.6g}] {measured.unit}".rstrip()
+
+
+def number_words(number: str, measured: Value) -> str:
+    """Say the name of a number, without the unit at its end: ``"lock in rate"``, ``"scatter of X"``."""
+    name, _, end = number.removeprefix("result.").rpartition("_")
+    words = (name if end in UNITS and name else number.removeprefix("result.")).replace("_", " ")
+    return f"{words} of {measured.of}" if measured.of else words

@@ -1,0 +1,159 @@
+"""Records of many sources in batches: codes as one array, in bounded memory."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from instrument import InstrumentError, Preamble
+from station.errors import NoUsableSignal, StationError
+from station.runs.store import SavedRecord
+from station.sources.over_time import check_over_time
+from station.sources.source import Source
+
+AT_ONCE = 1000
+"""Records in a batch: 2.5 MB of codes. Results do not depend on it."""
+
+
+@dataclass(frozen=True)
+class LeftOut:
+    """Something that could not be read: a whole source, or one record of it."""
+
+    source: str
+    record: str | None
+    reason: str
+
+    def __str__(self) -> str:
+        return f"{self.source}: {self.reason}" if self.record is None else f"{self.source}: record {self.reason}"
+
+
+@dataclass(frozen=True)
+class RecordBatch:
+    """Records of one length and time base.
+
+    Attributes
+    ----------
+    codes : int8 array, shape (n, n_samples)
+        Contiguous; -128 means "no data". int16 from scopes with more than eight bits.
+    preambles : tuple of Preamble
+        Of each record, as it was read; equal ones are one object.
+    records : tuple of SavedRecord
+        As they were saved.
+    sources : tuple of Source
+        That of each record, where they are read from several.
+    """
+
+    codes: NDArray[np.int8] | NDArray[np.int16]
+    preambles: tuple[Preamble, ...]
+    records: tuple[SavedRecord, ...]
+    sources: tuple[Source, ...]
+
+    def __len__(self) -> int:
+        return len(self.records)
+
+    @property
+    def sample_interval(self) -> float:
+        """Seconds between two samples."""
+        return self.preambles[0].xincr
+
+
+def batches_of(
+    sources: Iterable[Source],
+    left_out: Callable[[LeftOut], None],
+    *,
+    at_once: int = AT_ONCE,
+    wanted: Callable[[SavedRecord], bool] = lambda record: True,
+) -> Iterator[RecordBatch]:
+    """Read all records of oscilloscopes, source by source, in batches.
+
+    Parameters
+    ----------
+    sources : iterable of Source
+        May open them as it goes: no more than one is held open.
+    left_out : callable
+        Is told of what cannot be read; the rest goes on.
+    at_once : int
+        Records in a batch, at most.
+    wanted : callable, optional
+        Tells which records are wanted.
+
+    Yields
+    ------
+    RecordBatch
+        In the order of the sources and their records, as long as length and time base stay the same; where they
+        change, a batch of each shape collects its own.
+    """
+    open_batches: dict[tuple[int, float, int], list[tuple[SavedRecord, Preamble, Source]]] = {}
+    held = 0
+    for source in sources:
+        try:
+            for record in source.records():
+                if not wanted(record):
+                    continue
+                one = read_one(record, source, left_out)
+                if one is None:
+                    continue
+                shape = one[1].nr_pt, one[1].xincr, one[1].byt_nr
+                batch = open_batches.setdefault(shape, [])
+                batch.append(one)
+                held += 1
+                if len(batch) >= at_once:
+                    yield _collected(open_batches.pop(shape))
+                    held -= at_once
+                elif held >= 2 * at_once:
+                    for shape in list(open_batches):
+                        yield _collected(open_batches.pop(shape))
+                    held = 0
+        except (StationError, InstrumentError, OSError) as error:
+            left_out(LeftOut(source.name, None, _without_name(str(error), source.name)))
+    for batch in open_batches.values():
+        yield _collected(batch)
+
+
+def read_one(
+    record: SavedRecord, source: Source, left_out: Callable[[LeftOut], None]
+) -> tuple[SavedRecord, Preamble, Source] | None:
+    """See that a record can be used; what cannot is left out, and `left_out` is told why."""
+    name = f"{record.number} ({record.key})"
+    if not record.intact:
+        left_out(LeftOut(source.name, record.key, f"{name} is damaged: it is not what was once saved"))
+        return None
+    try:
+        preamble = parsed_preamble(record.header)
+        check_over_time(preamble, "it")
+    except (InstrumentError, NoUsableSignal) as error:
+        left_out(LeftOut(source.name, record.key, f"{name} cannot be used: {error}"))
+        return None
+    if len(record.payload) != preamble.nr_pt * preamble.byt_nr:
+        left_out(LeftOut(source.name, record.key, f"{name} has {len(record.payload)} bytes of codes"))
+        return None
+    return record, preamble, source
+
+
+def _collected(rows: list[tuple[SavedRecord, Preamble, Source]]) -> RecordBatch:
+    return batch_of([row[:2] for row in rows], [row[2] for row in rows])
+
+
+@lru_cache(maxsize=4096)
+def parsed_preamble(text: str) -> Preamble:
+    """Parse a preamble; most records of a run have the same."""
+    return Preamble.parse(text)
+
+
+def batch_of(rows: Sequence[tuple[SavedRecord, Preamble]], sources: Sequence[Source] = ()) -> RecordBatch:
+    """Put records of one length and time base into one batch."""
+    records, preambles = zip(*rows, strict=True)
+    first = preambles[0]
+    wide = first.byt_nr > 1
+    data = b"".join([record.payload for record in records])
+    codes: NDArray[Any] = np.frombuffer(data, ">i2" if wide else np.int8).reshape(len(rows), first.nr_pt)
+    return RecordBatch(codes.astype(np.int16) if wide else codes, preambles, records, tuple(sources))
+
+
+def _without_name(text: str, name: str) -> str:
+    return text.removeprefix(f"{name}: ")

@@ -1,0 +1,105 @@
+"""From paths as a user gives them to sources: files, runs, memory cards and trees of them."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+
+from station.errors import UsageError
+from station.runs.database import is_database
+from station.runs.layouts import LAYOUTS
+from station.runs.store import RUN_FILES
+from station.sources.run import RunSource
+from station.sources.source import Source
+from station.sources.tek import TekFile
+
+WAVEFORM_FILES = (".csv", ".isf")
+
+
+def find_sources(paths: Iterable[Path | str]) -> Iterator[Path | Source]:
+    """Expand paths: a folder that holds no run stands for every run and every waveform file in and below it.
+
+    Parameters
+    ----------
+    paths : iterable of path
+        Runs (file or directory), files of an oscilloscope, folders of them such as a memory card; data sets, each
+        of which stands for all that was exported to it (those that lie in a folder beside runs are passed over). A
+        URL is a data set in an object store.
+
+    Yields
+    ------
+    Path or Source
+        One source each, for :func:`open_source`; those of a folder sorted by name, on every machine alike.
+
+    Raises
+    ------
+    UsageError
+        A folder holds nothing that could be a source.
+    RunError, OSError
+        A data set cannot be read.
+    """
+    # data sets are made of the other files of this package: they are there when it is
+    from station.datasets.reading import is_dataset, sources_of
+
+    for given in paths:
+        if is_dataset(given):
+            yield from sources_of(given)
+            continue
+        path = Path(given)
+        if not path.is_dir() or _holds_run(path):
+            yield path
+            continue
+        found = False
+        for source in _below(path):
+            found = True
+            yield source
+        if not found:
+            raise UsageError(f"{path}: holds no run and no CSV or ISF file, neither it nor a folder below it")
+
+
+def _below(folder: Path) -> Iterator[Path]:
+    with os.scandir(folder) as entries:
+        names = sorted(entries, key=lambda entry: entry.name)
+    for entry in names:
+        path = Path(entry.path)
+        if entry.is_dir():
+            if _holds_run(path):
+                yield path
+            else:
+                yield from _below(path)
+        elif entry.is_file() and (_is_waveform_file(path) or _is_run_file(path)):
+            yield path
+
+
+def _holds_run(folder: Path) -> bool:
+    return any((folder / name).is_file() for name in RUN_FILES)
+
+
+def _is_waveform_file(path: Path) -> bool:
+    """Whether a file may be an oscilloscope's; records that were exported beside it are there twice."""
+    from station.datasets.reading import is_dataset
+
+    return path.suffix.lower() in WAVEFORM_FILES and not is_dataset(path)
+
+
+def _is_run_file(path: Path) -> bool:
+    """Whether a file of any name is a run: databases of other programs in a tree are passed over."""
+    if path.suffix.lower() != ".sqlite":
+        return False
+    with path.open("rb") as file:
+        header = file.read(72)
+    return int.from_bytes(header[68:72], "big") in {layout.application_id for layout in LAYOUTS}
+
+
+def open_source(path: Path | Source) -> Source:
+    """Open one source; its content decides what it is. One of a data set is open already.
+
+    Raises
+    ------
+    StationError, InstrumentError, OSError
+        It cannot be read.
+    """
+    if isinstance(path, Source):
+        return path
+    return RunSource(path) if is_database(path) else TekFile(path)

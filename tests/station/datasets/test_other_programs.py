@@ -1,0 +1,80 @@
+"""What other programs read in the files that are exported."""
+
+import csv
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from station.datasets.rows import COLUMNS, NUMBERS, SCHEMA, TEXT, WHOLE
+from station.runs.store import SavedRecord, open_run
+
+from .conftest import GOLDEN, RUNS
+
+
+@pytest.fixture(scope="module")
+def single() -> tuple[SavedRecord, ...]:
+    return open_run(GOLDEN / "single.sqlite").records
+
+
+COUNT = sum(len(open_run(GOLDEN / f"{name}.sqlite").records) for name in RUNS)
+
+
+def test_parquet_has_codes_of_one_length_flat_columns_and_its_schema(exported: dict[str, str]) -> None:
+    parquet = pytest.importorskip("pyarrow.parquet", reason="the extra `data` is not installed")
+    schema = parquet.read_schema(exported["all.parquet"])
+    assert schema.names == [*COLUMNS, "codes", "payload"]
+    assert {str(schema.field(name).type) for name in TEXT} == {"string"}
+    assert {str(schema.field(name).type) for name in WHOLE} == {"int64"}
+    assert {str(schema.field(name).type) for name in NUMBERS} == {"double"}
+    assert str(schema.field("codes").type) == "fixed_size_binary[2500]"
+    assert json.loads(schema.metadata[b"gyrolock"]) == {"schema": SCHEMA}
+    assert [path.name for path in sorted(Path(exported["parts/"]).iterdir())] == ["part-00000.parquet"]
+
+
+def test_duckdb_chooses_and_takes_volts(exported: dict[str, str], single: tuple[SavedRecord, ...]) -> None:
+    duckdb = pytest.importorskip("duckdb", reason="DuckDB is not installed")
+    with duckdb.connect() as db:
+        rows = db.execute(
+            "SELECT number, codes, volts_per_level, table_rate_dps FROM read_parquet(?) "
+            "WHERE source LIKE '%single.sqlite' AND purpose = 'measure' ORDER BY number",
+            [exported["all.parquet"]],
+        ).fetchall()
+        (counted,) = db.execute(
+            "SELECT count(*) FROM read_parquet(?)", [exported["parts/"] + "*.parquet"]
+        ).fetchone()
+        (rate,) = db.execute(
+            "SELECT count(table_rate_dps) FROM read_parquet(?)", [exported["all.parquet"]]
+        ).fetchone()
+    assert counted == COUNT
+    assert 0 < rate < counted  # what nobody knows is null
+    slow = [record for record in single if record.purpose == "measure"]
+    assert [(number, codes) for number, codes, _, _ in rows] == [(one.number, one.payload) for one in slow]
+    assert [known for _, _, _, known in rows] == [one.conditions["table_rate_dps"] for one in slow]
+    assert {level for _, _, level, _ in rows} == {float(one.header.split(";")[12]) for one in slow}
+
+
+def test_polars_makes_an_array_of_the_codes(exported: dict[str, str], single: tuple[SavedRecord, ...]) -> None:
+    polars = pytest.importorskip("polars", reason="polars is not installed")
+    frame = polars.scan_parquet(exported["all.parquet"])
+    found = frame.filter(polars.col("source").str.ends_with("single.sqlite")).select("codes", "samples").collect()
+    codes = np.frombuffer(b"".join(found["codes"].to_list()), np.int8).reshape(len(found), found["samples"][0])
+    assert np.array_equal(codes, [record.codes for record in single])
+    assert len(frame.collect()) == COUNT
+
+
+def test_hdf5_numpy_and_csv_without_us(exported: dict[str, str], single: tuple[SavedRecord, ...]) -> None:
+    expected = np.array([record.codes for record in single])
+    packed = np.load(exported["all.npz"], allow_pickle=False)
+    rows = packed["source_index"] == 0
+    assert packed["source"][0].decode().endswith("single.sqlite")
+    assert np.array_equal(packed["codes"][rows], expected)
+    assert packed["sample_interval_s"][rows].tolist() == [float(one.header.split(";")[8]) for one in single]
+    with open(exported["all.csv"], newline="") as file:
+        lines = [line for line in csv.DictReader(file) if line["source"].endswith("single.sqlite")]
+    assert np.array_equal([[int(line[f"code_{n}"]) for n in range(2500)] for line in lines], expected)
+    h5py = pytest.importorskip("h5py", reason="the extra `data` is not installed")
+    with h5py.File(exported["all.h5"]) as file:
+        assert np.array_equal(file["records/codes"][: len(single)], expected)
+        assert json.loads(file.attrs["gyrolock"]) == {"schema": SCHEMA}

@@ -1,0 +1,121 @@
+"""The history of tested units: charts by type and of the bench, its check, the command and its page."""
+
+import json
+from collections.abc import Sequence
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from station.cli import main
+from station.history.bench import in_control
+from station.history.charts import courses
+from station.history.past_tests import read_tests
+
+NOW = datetime(2026, 11, 22, 12, 0, tzinfo=UTC)
+STEADY = (0.01 + 1e-5 * np.random.default_rng(5).standard_normal(30)).tolist()
+TABLE = {"scale_factors": [{"by": "earth rate", "scale_factor_pulses_per_deg": 2000.0}]}
+
+
+def write_record(folder: Path, unit: str, at: datetime, value: float, **changed: Any) -> None:
+    """A record of a test, as far as histories read it."""
+    text = at.isoformat(timespec="milliseconds").replace("+00:00", "Z")
+    result = {"lock_in_rate_dps": value, "lock_in_rate_u_dps": 1e-5, "table_check": TABLE}
+    step = {"name": "lock-in", "repeat": 1, "of_repeats": 1, "result": result, "limits": []}
+    record = {
+        "schema": {"name": "gyrolock test record", "version": 1},
+        "unit": {"serial": unit, "type": "RLG", "is_reference": unit == "REF"},
+        "operator": None,
+        "simulated": False,
+        "started_at": text,
+        "campaign": {"name": "acceptance"},
+        "outcome": {"verdict": "PASS", "message": None, **changed},
+        "steps": [step],
+    }
+    path = folder / unit / f"{text.replace(':', '')}" / "record.json"
+    path.parent.mkdir(parents=True)
+    path.write_text(json.dumps(record), encoding="utf-8")
+
+
+def checked_daily(folder: Path, values: Sequence[float], **changed: Any) -> None:
+    """The reference unit, once a day up to an hour ago; `changed` is of the last test."""
+    for place, value in enumerate(reversed(values)):
+        at = NOW - timedelta(days=place, hours=1)
+        write_record(folder, "REF", at, value, **(changed if place == 0 else {}))
+
+
+def check(folder: Path, now: datetime = NOW) -> Any:
+    return in_control(folder, "REF", "RLG", now, 86400.0)
+
+
+def test_a_bench_whose_reference_unit_is_as_always_may_test(tmp_path: Path) -> None:
+    checked_daily(tmp_path, STEADY)
+    assert check(tmp_path).ok
+    assert check(tmp_path).sentence == "the bench was checked with REF 1 h ago: PASS, in control"
+
+
+@pytest.mark.parametrize(
+    ("values", "changed", "now", "said"),
+    [
+        ([], {}, NOW, "was never checked"),
+        (STEADY, {}, NOW + timedelta(hours=24), "was 25 h ago, more than 24 h"),
+        (STEADY, {}, NOW - timedelta(hours=2), "lies in the future: set the clock"),
+        (STEADY, {"verdict": "FAIL", "message": "too high"}, NOW, r"REF was FAIL .* \(too high\)"),
+        (STEADY, {"verdict": "ERROR", "message": "no scope"}, NOW, "REF was ERROR"),
+        ([*STEADY, 0.0105], {}, NOW, "out of control: REF .* lock-in: lock_in_rate_dps beyond 3 sigma"),
+        ([*STEADY, *[0.010013] * 8], {}, NOW, "8 in a row on one side"),
+    ],
+)
+def test_a_bench_that_may_not_test_says_why(
+    tmp_path: Path, values: Sequence[float], changed: Any, now: datetime, said: str
+) -> None:
+    import re
+
+    checked_daily(tmp_path, values, **changed)
+    told = check(tmp_path, now)
+    assert not told.ok
+    assert re.search(said, told.sentence)
+
+
+def test_a_reference_unit_of_a_simulation_says_nothing_of_a_bench(tmp_path: Path) -> None:
+    checked_daily(tmp_path, STEADY)
+    assert not in_control(tmp_path, "REF", "RLG", NOW, 86400.0, simulated=True).ok
+    assert not in_control(tmp_path, "REF", "FOG", NOW, 86400.0).ok
+
+
+def test_charts_are_by_type_and_what_the_bench_spoilt_does_not_count(tmp_path: Path) -> None:
+    checked_daily(tmp_path, STEADY[:9])
+    for place, value in enumerate(STEADY[:12]):
+        write_record(tmp_path, f"SN{place}", NOW - timedelta(minutes=place), value)
+    write_record(tmp_path, "SN99", NOW, 0.5, verdict="ERROR")
+    (tmp_path / "SN5").joinpath("record.json").write_text("{")
+    tests, unreadable = read_tests(tmp_path)
+    assert [path.parent.name for path in unreadable] == ["SN5"]
+    found = {(one.of, one.name): one for one in courses(tests)}
+    assert {of for of, _ in found} == {"bench, by REF", "RLG"}
+    units = found["RLG", "lock-in: lock_in_rate_dps"]
+    assert units.chart.values.tolist() == STEADY[:12][::-1]
+    assert units.us == (1e-5,) * 12
+    assert (
+        found["RLG", "lock-in: scale_factor_pulses_per_deg by the earth rate"].chart.values.tolist()
+        == [2000.0] * 12
+    )
+
+
+def test_the_command_tells_what_is_out_of_control(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    checked_daily(tmp_path, [*STEADY, 0.0105])
+    assert main(["history", str(tmp_path), "--number", "lock_in"]) == 1
+    told = capsys.readouterr().out
+    assert "REF: beyond 3 sigma" in told
+    assert (tmp_path / "index.html").read_text(encoding="utf-8").count("<svg") == 1
+    assert main(["history", str(tmp_path), "--json", "--no-page", "--number", "scale_factor"]) == 0
+    document = json.loads(capsys.readouterr().out)
+    assert [len(document["tests"]), len(document["charts"]), document["page"]] == [31, 1, None]
+
+
+def test_a_folder_without_tests_is_a_usage_error(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["history", str(tmp_path)]) == 2
+    assert main(["history", str(tmp_path / "nowhere")]) == 2
+    assert "holds no record of a test" in capsys.readouterr().err

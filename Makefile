@@ -7,7 +7,7 @@ LOWEST := .venv-lowest
 SEED   ?= $(shell date +%s)
 PIP    := -m pip install --quiet --disable-pip-version-check
 
-.PHONY: measure test test-lowest explore lint docs clean
+.PHONY: measure test test-lowest explore lint docs site clean
 
 measure: $(READY)
 	$(BIN)/gyrolock measure
@@ -29,9 +29,15 @@ lint: $(READY)
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 
-# docs/commands.md, from the commands themselves.
+# docs/commands.md and docs/api.md, from the commands and the docstrings themselves.
 docs: $(READY)
 	$(BIN)/python docs/commands.py
+	$(BIN)/python docs/api.py
+
+# The guides as a site in build/site; a link that leads nowhere ends it.
+site: $(READY)
+	$(BIN)/python $(PIP) --editable '.[docs]'
+	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict --quiet
 
 $(READY): pyproject.toml
 	$(PYTHON) -c 'import sys; v = sys.version_info; sys.exit(0 if v >= (3, 11) else "Python 3.11 or newer is needed, this is %d.%d: try make PYTHON=python3.12" % v[:2])'

@@ -1,6 +1,9 @@
 """Settings that must stand before NumPy is imported anywhere in the tests, and how hard property tests search."""
 
+import importlib.util
 import os
+import tempfile
+from pathlib import Path
 
 from hypothesis import settings
 
@@ -8,7 +11,18 @@ from hypothesis import settings
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
+# Programs that the tests start say here how they stand, and not beside those of the user.
+os.environ.setdefault("GYROLOCK_STATE", str(Path(tempfile.gettempdir()) / "gyrolock-tests"))
+
 # The same examples in every run: a red test is the work of the last change. `make explore` searches freely.
 settings.register_profile("fixed", derandomize=True, database=None, deadline=None, max_examples=200)
 settings.register_profile("explore", derandomize=False, deadline=None, max_examples=5000, print_blob=True)
 settings.load_profile("fixed")
+
+# Doctests are looked for in every module; those of a framework that is not installed cannot be imported.
+_FRAMEWORKS = {"pymeasure": "pymeasure", "qcodes": "qcodes", "ophyd": "ophyd_async"}
+collect_ignore = [
+    f"instrument/adapters/{name}_scope.py"
+    for name, framework in _FRAMEWORKS.items()
+    if importlib.util.find_spec(framework) is None
+]

@@ -66,7 +66,7 @@ def check_resource(
     try:
         link = Link(resource_name, resource_manager, baud_rate)
     except InstrumentError as error:
-        return FoundResource(resource_name, None, str(error) + _permission_advice(error))
+        return FoundResource(resource_name, None, str(error))
     try:
         dialogue = Dialogue(link)
         try:
@@ -86,9 +86,3 @@ def missing_transports() -> dict[str, str]:
         if not any(importlib.util.find_spec(module) for module in modules):
             missing[kind] = advice
     return missing
-
-
-def _permission_advice(error: InstrumentError) -> str:
-    if "permission" not in str(error).lower():
-        return ""
-    return "; your user may not open this port: on Linux join the group that owns it (often dialout)"

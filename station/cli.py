@@ -39,7 +39,11 @@ COMMANDS = {
     "deadband": ("dead_band.command:command", "Search the dead band: sweep the rate through zero, up and down."),
     "analyze": (
         "commands.analyze:command",
-        "Evaluate saved runs of any kind again, and Tektronix files.",
+        "Evaluate saved runs of any kind again, and files of Tektronix oscilloscopes.",
+    ),
+    "compare": (
+        "reanalysis.command:command",
+        "Compare two analyses of the same records, or records of two gyros.",
     ),
     "report": ("commands.report:command", "Write the HTML report of saved runs."),
     "runs": (
@@ -54,24 +58,34 @@ COMMANDS = {
         "commands.export:command",
         "Write the records of runs and files to a data set: CSV, Parquet, HDF5, NumPy.",
     ),
-    "verify": ("commands.verify:command", "Prove that the record of a test and its raw runs belong together."),
+    "verify": ("record.command:command", "Prove that the record of a test and its raw runs belong together."),
     "history": (
-        "commands.history:command",
+        "history.command:command",
         "Show tested units and control charts: of a type of unit, of the bench.",
     ),
     "salvage": (
         "commands.salvage:command",
         "Get everything that can still be read out of a damaged run, into a new one.",
     ),
-    "status": ("commands.status:command", "Show how the measurements stand that run on this machine."),
-    "stop": ("commands.stop:command", "Stop a measurement or a station that runs: what it has taken is kept."),
+    "status": ("commands.running:status", "Show how the measurements stand that run on this machine."),
+    "stop": ("commands.running:stop", "Stop a measurement or a station that runs: what it has taken is kept."),
+    "grab": (
+        "commands.instruments.grab:command",
+        "Save the screen as PNG and the traces as CSV and NumPy.",
+    ),
     "plan": ("plan.command:command", "Plan a measurement: rate, scale and records for a wanted uncertainty."),
     "station": ("commands.station:command", "Test a unit against limits: a campaign that nobody has to watch."),
     "fog": ("fibre_gyro.command:command", "Scale factor of a fibre gyro: rate table, self-calibration, ..."),
     "study": ("study.command:command", "Compute the paper's simulations, with its method and exactly."),
-    "simulate": ("commands.simulate:command", "Serve the simulated oscilloscope on TCP or a serial terminal."),
-    "list": ("commands.list:command", "List the instruments that VISA can see."),
-    "doctor": ("commands.doctor:command", "Check this installation, and say what to do about what is missing."),
+    "simulate": (
+        "commands.instruments.simulate:command",
+        "Serve the simulated oscilloscope: TCP, HiSLIP, GPIB adapter, terminal.",
+    ),
+    "list": ("commands.instruments.list:command", "List the instruments that VISA can see."),
+    "doctor": (
+        "commands.instruments.doctor:command",
+        "Check this installation, and say what to do about what is missing.",
+    ),
     "settings": ("commands.settings:command", "Print a commented settings file to copy."),
 }
 
@@ -102,7 +116,7 @@ def gyrolock() -> None:
     Without an instrument, `gyrolock measure` shows the whole measurement on a simulated bench.
 
     Exit codes: 0 done, 1 FAIL against a limit or a wanted uncertainty out of reach, 2 usage or settings,
-    3 instrument or link, 4 no usable signal, 5 the output could not be written (records are kept),
+    3 instrument or link, 4 no usable signal, 5 the output could not be written (records are kept), 6 MARGINAL,
     130 interrupted, 143 terminated.
     """
 

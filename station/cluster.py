@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import ctypes
 import itertools
 import logging
 import socket
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack, suppress
+from functools import cache
 from types import TracebackType
 from typing import Any, Self, TypeVar
 
@@ -22,6 +24,7 @@ LOCAL = "local"
 _PATIENCE_S = 10.0  # for a scheduler to answer, and for its first worker
 _AHEAD = 3
 """Pieces for each worker that are begun before the first of them is asked for."""
+_M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD, _KEPT_BYTES = -1, -3, 1 << 25  # of mallopt(3), and the most it takes
 _SAME = ("gyrolock", "numpy", "scipy")
 """What must be of one version everywhere: another one may give another last bit."""
 
@@ -66,7 +69,10 @@ class Cluster:
             if self.address == LOCAL:
                 address: Any = opened.enter_context(
                     distributed.LocalCluster(
-                        n_workers=self._wanted, threads_per_worker=1, processes=True, dashboard_address=None
+                        n_workers=self._wanted,
+                        threads_per_worker=1,
+                        processes=True,
+                        dashboard_address="127.0.0.1:0",
                     )
                 )
             elif "://" in self.address:
@@ -105,7 +111,7 @@ class Cluster:
 
         def begin(count: int) -> None:
             for piece in itertools.islice(rest, count):
-                begun.append(self._client.submit(work, piece, pure=False))
+                begun.append(self._client.submit(done, work, piece, pure=False))
 
         try:
             begin(_AHEAD * self.count)
@@ -165,6 +171,25 @@ class Cluster:
                         "or its results may differ in their last bits"
                     )
         self.count = len(self._client.nthreads())
+
+
+def done(work: Callable[[T], R], piece: T) -> R:
+    """Do a piece of work: what a worker is asked for."""
+    _keep_memory()
+    return work(piece)
+
+
+@cache
+def _keep_memory() -> None:
+    """Let this process keep the memory of its arrays for the next ones.
+
+    Dask makes its workers give every large array back to the system (MALLOC_TRIM_THRESHOLD_): the pages of those
+    that follow are then cleared anew, which takes as long as the estimates. Without glibc nothing is done.
+    """
+    with suppress(OSError, AttributeError):
+        libc = ctypes.CDLL("libc.so.6")
+        for parameter in (_M_MMAP_THRESHOLD, _M_TRIM_THRESHOLD):
+            libc.mallopt(parameter, _KEPT_BYTES)
 
 
 def versions() -> dict[str, str]:

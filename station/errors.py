@@ -63,6 +63,13 @@ class NoUsableSignal(StationError):
     exit_code = EXIT_NO_SIGNAL
 
 
+class OutOfControl(StationError):
+    """The bench is not what it always was, or nobody has looked lately: no unit is tested on it."""
+
+    kind = "bench_out_of_control"
+    exit_code = EXIT_INSTRUMENT
+
+
 class Stopped(KeyboardInterrupt):
     """A signal came that ends the program.
 

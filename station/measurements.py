@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, Generic, TypeVar
 
 from station.events.seen import See
+from station.results.check import Check
 from station.results.parts import FactTable, Section
 from station.results.result import Result
 from station.runs.progress import Progress
@@ -71,6 +72,8 @@ class Measurement(Generic[S, F]):
         Gets settings: whether the bench that they describe is simulated.
     seconds : callable
         Gets settings: how long a real bench takes, or ``None`` where nobody knows that beforehand.
+    examine : callable or None
+        Gets settings: opens the bench and says what is there and what is not well.
     watch : callable or None
         Gets settings, and returns what says of each record at once what it says, for those who watch.
     """
@@ -94,6 +97,7 @@ class Measurement(Generic[S, F]):
     unusable: Callable[[SavedRun, S], Mapping[str, str]] = field(default=_nothing_unusable)
     simulated: Callable[[S], bool] = field(default=lambda settings: bool(settings.simulated))
     seconds: Callable[[S], float | None] = field(default=lambda settings: None)
+    examine: Callable[[S], list[Check]] | None = None
     watch: Callable[[S], See] | None = None
 
 
@@ -105,6 +109,7 @@ MEASUREMENTS = {
     "selfcal": "station.fibre_gyro.selfcal.measurement",
     "eps": "station.fibre_gyro.eps.measurement",
     "figures": "station.fibre_gyro.merit.measurement",
+    "allan": "station.fibre_gyro.allan.measurement",
     "witness": "station.fibre_gyro.witness.measurement",
 }
 

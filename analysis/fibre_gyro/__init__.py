@@ -4,6 +4,7 @@
 modulator's drive on an oscilloscope; the rest evaluates runs.
 """
 
+from analysis.fibre_gyro.allan import AllanCurve, NoiseFit, allan_curve, allan_variance, fit_noise
 from analysis.fibre_gyro.coil import FibreCoil
 from analysis.fibre_gyro.loop import ClosedLoop, Kernel, LoopDesign, OutputBlock, OutputModel, Trace
 from analysis.fibre_gyro.merit import (
@@ -14,19 +15,29 @@ from analysis.fibre_gyro.merit import (
     scale_figures,
     temperature_coefficient_ppm,
 )
-from analysis.fibre_gyro.rate_table_run import (
+from analysis.fibre_gyro.rate_table.input_axis import InputAxisTilt, ThreeAxes, fit_three_axes, input_axis_tilt
+from analysis.fibre_gyro.rate_table.odd_even import (
     AxisFit,
     OddEven,
     RateDifferences,
     TableRuns,
     bias_at_latitude,
     fit_axis,
+    horizontal_earth_rate_dps,
     missing_senses,
     odd_even_parts,
     rate_differences,
     table_runs,
     vertical_earth_rate_dph,
 )
+from analysis.fibre_gyro.rate_table.scatter import (
+    NORMAL_95,
+    RunScatter,
+    few_values_factor,
+    find_run_scatter,
+)
+from analysis.fibre_gyro.rate_table.whole_turns import check_whole_turns, turn_time, whole_turns_in
+from analysis.fibre_gyro.rate_table.window_mean import WindowMean, mean_at_rest, mean_over_turns, pooled_noise
 from analysis.fibre_gyro.staircase import (
     StaircaseWitness,
     describe_witness_flag,
@@ -50,50 +61,60 @@ from analysis.fibre_gyro.staircase_calibration import (
     steps_beyond_dac,
     superposed_numbers,
 )
+from analysis.fibre_gyro.static_output import StaticLevel, drift_in_slope, static_level
 from analysis.fibre_gyro.two_pi_error import TwoPiError, estimate_two_pi_error
-from analysis.fibre_gyro.whole_turns import (
-    WindowMean,
-    check_whole_turns,
-    mean_at_rest,
-    mean_over_turns,
-    turn_time,
-    whole_turns_in,
-)
 
 __all__ = [
+    "NORMAL_95",
+    "AllanCurve",
     "AxisFit",
     "ClosedLoop",
     "FibreCoil",
     "InjectionPlan",
+    "InputAxisTilt",
     "Kernel",
     "LoopDesign",
     "NetOutputs",
+    "NoiseFit",
     "OddEven",
     "OutputBlock",
     "OutputModel",
     "RateDifferences",
     "ResidualPattern",
+    "RunScatter",
     "ScaleComparison",
     "ScaleFigures",
     "SlopeFit",
     "StaircaseWitness",
+    "StaticLevel",
     "TableRuns",
+    "ThreeAxes",
     "Trace",
     "TwoPiError",
     "WindowMean",
+    "allan_curve",
+    "allan_variance",
     "bias_at_latitude",
     "check_whole_turns",
     "compare_scale",
     "describe_witness_flag",
+    "drift_in_slope",
     "estimate_two_pi_error",
+    "few_values_factor",
+    "find_run_scatter",
     "fit_axis",
+    "fit_noise",
     "fit_slope",
+    "fit_three_axes",
+    "horizontal_earth_rate_dps",
+    "input_axis_tilt",
     "largest_step",
     "mean_at_rest",
     "mean_over_turns",
     "missing_senses",
     "net_outputs",
     "odd_even_parts",
+    "pooled_noise",
     "predicted_difference_ppm",
     "predicted_self_scale",
     "predicted_table_scale",
@@ -103,6 +124,7 @@ __all__ = [
     "rounding_left",
     "scale_figures",
     "scaled_numbers",
+    "static_level",
     "steps_beyond_dac",
     "superposed_numbers",
     "table_runs",

@@ -199,7 +199,8 @@ class ResidualPattern:
     odd_p, even_p, near_zero_p : float
         nan where there are too few points to tell.
     names : tuple of str
-        What is significant (p below 0.001), of "odd", "even", "near zero".
+        What is significant (p below 0.001), of "odd", "even", "near zero". "scatter" where the outputs lie off by
+        more than their noise, but neither a curve explains it nor one of the two parts stands out.
     """
 
     odd_ppm: float
@@ -218,8 +219,10 @@ def residual_pattern(
 
     Away from zero the outputs at +w and -w give an odd part [F(w) - F(-w)]/2, which a straight line through zero
     is fitted to, and an even part [F(w) + F(-w)]/2, which a constant is fitted to. What is left of each is tested
-    with chi-square, one degree of freedom less than there are pairs. The points near zero are compared with a
-    curve 1, w, |w|, w^3 through the others, so that an asymmetry does not look like a dead zone.
+    with chi-square, one degree of freedom less than there are pairs. Outputs whose bias or rate changes between
+    them lie off by more than their noise too, in both parts alike: a part is a pattern only if a smooth curve
+    (w^3, |w|) is significant against what it leaves, or if the part exceeds the other one. The points near zero
+    are compared with a curve 1, w, |w|, w^3 through the others: an asymmetry does not look like a dead zone.
 
     Parameters
     ----------
@@ -238,13 +241,21 @@ def residual_pattern(
         raise ValueError("a pattern of the deviations needs at least three points away from zero")
     slope = fit_slope(rate[away], output[away], u[away]).slope
     full_scale = float(np.abs(output).max())
-    odd, even, part_u = _odd_and_even_left(rate[away], output[away], u[away])
+    size, odd, even, part_u = _odd_and_even_left(rate[away], output[away], u[away])
     odd_p, even_p = (_chance(part / part_u, part.size - 1) for part in (odd, even))
+    regular = {
+        "odd": _stands_out(size, size**3, odd, even, part_u),
+        "even": _stands_out(np.ones_like(size), size, even, odd, part_u),
+        "near zero": True,
+    }
     near = ~away & (rate != 0)
     left, left_u = _beside_the_smooth_curve(rate, output, u, away, near)
     near_p = _chance(left / left_u, left.size)
     near_ppm = _PPM * float(np.abs(left / (slope * rate[near])).max()) if left.size else float("nan")
-    found = (("odd", odd_p), ("even", even_p), ("near zero", near_p))
+    found = [name for name, p in (("odd", odd_p), ("even", even_p), ("near zero", near_p)) if p < _SIGNIFICANT]
+    names = [name for name in found if regular[name]]
+    if any(not regular[name] for name in found) and not {"odd", "even"} & set(names):
+        names.append("scatter")
     return ResidualPattern(
         _root_mean_square(odd) / full_scale * _PPM,
         _root_mean_square(even) / full_scale * _PPM,
@@ -252,7 +263,7 @@ def residual_pattern(
         odd_p,
         even_p,
         near_p,
-        tuple(name for name, p in found if p < _SIGNIFICANT),
+        tuple(names),
     )
 
 
@@ -270,8 +281,24 @@ def _beside_the_smooth_curve(
     return output[near] - curve[near], np.sqrt(u[near] ** 2 + curve_variance)
 
 
-def _odd_and_even_left(rate: Floats, output: Floats, u: Floats) -> tuple[Floats, Floats, Floats]:
-    """What a line through zero leaves of the odd parts and a constant of the even parts, and their uncertainty."""
+def _stands_out(first: Floats, curve: Floats, part: Floats, other: Floats, part_u: Floats) -> bool:
+    """Whether a smooth curve explains a part better than scatter would, or it exceeds the other part."""
+    freedom = part.size - 2
+    if freedom < 1:
+        return True
+    design = np.column_stack([first, curve / np.abs(curve).max()]) / part_u[:, np.newaxis]
+    inverse = np.linalg.pinv(design)
+    value = inverse @ (part / part_u)
+    left = part / part_u - design @ value
+    variance = max(float(left @ left) / freedom, 1.0)
+    t = abs(float(value[1])) / np.sqrt(variance * float(inverse[1] @ inverse[1]))
+    ratio = float(np.sum((part / part_u) ** 2)) / max(float(np.sum((other / part_u) ** 2)), part.size - 1.0)
+    smooth = 2 * float(scipy.special.stdtr(freedom, -t)) < _SIGNIFICANT
+    return smooth or float(scipy.special.fdtrc(part.size - 1, part.size - 1, ratio)) < _SIGNIFICANT
+
+
+def _odd_and_even_left(rate: Floats, output: Floats, u: Floats) -> tuple[Floats, Floats, Floats, Floats]:
+    """Rates, and what a line through zero leaves of the odd parts, a constant of the even parts; uncertainty."""
     rows = []
     for size in np.unique(np.abs(rate).round(9)):
         forward, backward = (np.abs(rate - sense * size) < 1e-8 for sense in (1, -1))
@@ -280,11 +307,11 @@ def _odd_and_even_left(rate: Floats, output: Floats, u: Floats) -> tuple[Floats,
             part_u = np.hypot(*(np.sqrt(np.sum(u[k] ** 2)) / k.sum() for k in (forward, backward))) / 2
             rows.append((size, (up - down) / 2, (up + down) / 2, part_u))
     if not rows:
-        return np.empty(0), np.empty(0), np.empty(0)
+        return np.empty(0), np.empty(0), np.empty(0), np.empty(0)
     size, odd, even, part_u = np.array(rows, dtype=np.float64).T
     weight = part_u**-2.0
     odd = odd - size * float(np.sum(weight * size * odd) / np.sum(weight * size**2))
-    return odd, even - float(np.average(even, weights=weight)), part_u
+    return size, odd, even - float(np.average(even, weights=weight)), part_u
 
 
 def _chance(normalised: Floats, freedom: int) -> float:

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from analysis.arrays import Bools, Floats
-from analysis.fibre_gyro.rate_table_run import RateDifferences
+from analysis.fibre_gyro.rate_table.odd_even import RateDifferences
 
 Path = Literal["shared", "separate"]
 

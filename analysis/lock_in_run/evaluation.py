@@ -26,7 +26,11 @@ CANCEL_IN_THE_CHECK = ("noise", "scale_factor", "time_base")
 
 
 def evaluate(
-    run: RunArrays, knowledge: RunKnowledge | None, method: Method, estimated: LockInEstimate | None = None
+    run: RunArrays,
+    knowledge: RunKnowledge | None,
+    method: Method,
+    estimated: LockInEstimate | None = None,
+    axis: AxisRates | None = None,
 ) -> LockInRun:
     """Evaluate the records that a run took at its slow rate, or at its slow rates.
 
@@ -41,6 +45,9 @@ def evaluate(
     estimated : LockInEstimate, optional
         Of the slow records by this method, fields of shape (n,), where they are known already; then `run` needs no
         samples of them. Not for two channels.
+    axis : AxisRates, optional
+        Rates on the gyro's axis where they are stated and need no table. `run` has them as those of its table, by
+        which it falls into groups.
 
     Returns
     -------
@@ -64,6 +71,10 @@ def evaluate(
     found = LockInRun(method, each, combine_estimates(each), quadratures=quadratures, record_u=unknown)
     if knowledge is None:
         knowledge = RunKnowledge(method.scale_factor, latitude_deg=math.nan)
+    if axis is not None:
+        if at_several_rates(run.slow):
+            several = evaluate_rates(run.slow, each, axis, ReceiverKnowledge.of(knowledge.bench))
+            found = replace(found, several=several, combined=combined_estimate(several))
     elif axis_rate_is_known(run, knowledge):
         # 3. the table: tilt, and the rate on the axis
         tilt = find_tilt(run.fast, knowledge, _best_shown(each))

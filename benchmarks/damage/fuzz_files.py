@@ -25,8 +25,8 @@ from pathlib import Path
 
 from instrument import Preamble, Waveform, read_waveform
 from station.errors import describe_failure
-from station.lock_in.files import analyze_file
 from station.measurements import MEASUREMENTS, measurement
+from station.reanalysis.files import analyze_file
 from station.report.report import render_report
 from station.runs.database import save_result
 from station.runs.progress import Progress

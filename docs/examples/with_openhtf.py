@@ -2,8 +2,8 @@
 
     python with_openhtf.py campaign.toml RLG-001
 
-Every limit of the campaign becomes a measurement of the phase; the record of the test is attached. The phase passes
-when the station's verdict is PASS: OpenHTF compares values alone, the station looks at their uncertainty too.
+Every limit of the campaign becomes a measurement of the phase; the record of the test is attached. The phase
+passes when the verdict is PASS: OpenHTF compares values alone, the station looks at their uncertainty too.
 """
 
 import sys

@@ -16,16 +16,26 @@ import contextlib
 import select
 import socket
 from collections.abc import Iterator
+from typing import Any
 
 import pyvisa
 from pyvisa import constants
 from pyvisa.constants import InterfaceType, StatusCode
-from pyvisa.resources import MessageBasedResource, SerialInstrument
+from pyvisa.resources import SerialInstrument
 
 from instrument import scpi
 from instrument.dialogue.clock import Clock, ComputerClock
 from instrument.dialogue.watchful_socket import HungUp, Overdue, WatchfulSocket
 from instrument.errors import LinkError, TransferError
+from instrument.pyvisa_sessions import (
+    READ_AGAIN_S,
+    adapter_of,
+    keep_to_oneself,
+    open_instrument,
+    session_of,
+    socket_of,
+)
+from instrument.transcripts.recording import note
 
 ANSWER_TIME = 3.0
 """Longest time in s until an answer begins: twice the 1.5 s that units of this family were seen to take."""
@@ -50,6 +60,8 @@ GPIB_BYTES_PER_SECOND = 20_000.0
 
 LONGEST_PICTURE = 1_000_000
 """Bytes; a colour picture of 640 x 480 pixels fits."""
+
+_ADAPTER_BITS_PER_SECOND = 115_200  # of the slowest stream between computer and GPIB adapter
 
 _TEXT_BESIDE_BLOCKS = 1024  # bytes; four preambles and a margin
 
@@ -100,12 +112,16 @@ class Link:
         self._timeout: float | None = None
         self._socket: WatchfulSocket | None = None
         self._manager = resource_manager
-        self._resource = _open(resource_name, resource_manager)
+        self._resource, self._beneath = open_instrument(resource_name, resource_manager, ANSWER_TIME)
+        self._adapter = adapter_of(self._resource)
         interface = self._resource.interface_type
         self.is_serial = interface == InterfaceType.asrl
-        self.framed = not self.is_serial and not resource_name.upper().rstrip().endswith("SOCKET")
-        self.baud_rate = baud_rate or DEFAULT_BAUD_RATE
-        self.can_clear = self.framed
+        stream = self.is_serial or resource_name.upper().rstrip().endswith("SOCKET")
+        self.framed = not stream and self._adapter is None
+        self.baud_rate = baud_rate or (DEFAULT_BAUD_RATE if self._adapter is None else _ADAPTER_BITS_PER_SECOND)
+        self.on_bus = self.framed or self._adapter is not None
+        """Whether the instrument itself is on GPIB, USB or a network, and not on RS-232."""
+        self.can_clear = self.on_bus
         """Whether a clear frees an instrument that waits; a serial line learns it from the first break."""
         try:
             with self._link_errors("opening"):
@@ -123,14 +139,18 @@ class Link:
     def close(self) -> None:
         """Close the link; never raises, because a link that is gone is closed as well."""
         self.closed = True
-        with contextlib.suppress(pyvisa.Error, OSError):
-            self._resource.close()
+        note(self.name, "close")
+        for resource in (self._resource, self._beneath):
+            with contextlib.suppress(pyvisa.Error, OSError):
+                if resource is not None:
+                    resource.close()
 
     def reopen(self) -> None:
         """Close what is left of a lost link, and open it anew. LinkError if that is not possible now."""
         self.close()
         self._timeout = self._socket = None
-        self._resource = _open(self.name, self._manager)
+        self._resource, self._beneath = open_instrument(self.name, self._manager, ANSWER_TIME)
+        self._adapter = adapter_of(self._resource)
         self.closed = False
         with self._link_errors("opening"):
             self._configure()
@@ -151,6 +171,7 @@ class Link:
                 if self._socket is not None and not select.select([], [self._socket], [], patience)[1]:
                     raise NoAnswer  # PyVISA-py would wait for ever
                 self._resource.write_raw(message)
+            note(self.name, "write", message)
         except NoAnswer:
             raise LinkError(
                 f"{self.name} takes no data; is the scope on, and does the cable carry the handshake wires?"
@@ -219,10 +240,12 @@ class Link:
         silence : float, optional
             Time in s for which a stream must be silent, `PAUSE_TIME` by default.
         """
-        if self.framed:
+        note(self.name, "clear")
+        if self.on_bus:
             self._set_timeout(self.answer_time)
             with self._link_errors("clearing"):
                 self._resource.clear()
+        if self.framed:
             return
         if self.is_serial:
             self._send_break()
@@ -257,12 +280,16 @@ class Link:
 
     def first_byte(self, patience: float) -> bytes:
         """One byte of a stream, waiting in short steps so that a closed connection is noticed at once."""
-        began = self.clock.now()
+        began = listened = self.clock.now()
         while True:
             over = self.clock.now() - began >= patience
             try:
                 return self.read_some(1, min(SLICE_TIME, patience))
             except NoAnswer:
+                if self._adapter is not None and not over and self.clock.now() - listened >= READ_AGAIN_S:
+                    listened = self.clock.now()
+                    with self._link_errors("reading from"):
+                        self._adapter.read_again()
                 if over:
                     waited = self.clock.now() - began
                     raise NoAnswer(f"{self.name} did not answer within {waited:.1f} s") from None
@@ -324,13 +351,21 @@ class Link:
         full = StatusCode.success_max_count_read
         with self._link_errors("reading from"), self._resource.ignore_warning(full):
             data, status = self._resource.visalib.read(self._resource.session, count)
+        note(self.name, "read", bytes(data))
         return bytes(data), status != full
 
     # ------------------------------------------------------------------ set-up and errors
 
     def _configure(self) -> None:
         resource = self._resource
+        note(self.name, "open")
+        if not keep_to_oneself(resource):
+            raise LinkError(f"{self.name} is in use by another program; end that program, or use it there")
         resource.write_termination = ""
+        if self._adapter is not None:
+            self._adapter.configure()
+            self._tune_socket()
+            return
         if self.framed:
             resource.read_termination = None
             return
@@ -348,13 +383,12 @@ class Link:
 
     def _tune_socket(self) -> None:
         """Send without delay, and notice a closed connection; another VISA than PyVISA-py does both by itself."""
-        sessions = getattr(self._resource.visalib, "sessions", None)
-        session = sessions.get(self._resource.session) if isinstance(sessions, dict) else None
-        peer = getattr(session, "interface", None)
-        if session is not None and isinstance(peer, socket.socket):
+        holder: Any = session_of(self._resource) if self._adapter is None else self._adapter.holder
+        peer = socket_of(holder)
+        if peer is not None:
             # PyVISA-py 0.8 has no attribute for it.
             peer.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-            self._socket = session.interface = WatchfulSocket(fileno=peer.detach())
+            self._socket = holder.interface = WatchfulSocket(fileno=peer.detach())
 
     def _send_break(self) -> None:
         if not isinstance(self._resource, SerialInstrument):
@@ -373,7 +407,10 @@ class Link:
         milliseconds = max(1.0, round(seconds * 1000.0))
         if milliseconds != self._timeout:
             with self._link_errors("setting up"):
-                self._resource.timeout = milliseconds
+                if self._adapter is None:
+                    self._resource.timeout = milliseconds
+                else:
+                    self._adapter.set_timeout(milliseconds)
             self._timeout = milliseconds
 
     @contextlib.contextmanager
@@ -436,23 +473,3 @@ def _bitmap_length(picture: bytes | bytearray) -> int:
     if picture[:2] != b"BM" or not _BITMAP_LENGTH_END < length <= LONGEST_PICTURE:
         raise TransferError(f"a picture was expected, but {bytes(picture[:20])!r} came; ask again")
     return length
-
-
-def _open(name: str, manager: pyvisa.ResourceManager | None) -> MessageBasedResource:
-    try:
-        if manager is None:
-            manager = pyvisa.ResourceManager()
-        resource = manager.open_resource(name, open_timeout=round(ANSWER_TIME * 1000))
-    except Exception as error:  # PyVISA-py raises whatever its transport does, down to bare Exception
-        raise LinkError(f"cannot open {name}: {_reason(error)}") from error
-    if not isinstance(resource, MessageBasedResource):
-        resource.close()
-        raise LinkError(f"{name} is not an instrument that takes text messages; check the resource name")
-    return resource
-
-
-def _reason(error: Exception) -> str:
-    if isinstance(error, pyvisa.VisaIOError):
-        return f"{error.description} Check the name with 'gyrolock list'"
-    text = " ".join(str(error).split())
-    return text or type(error).__name__

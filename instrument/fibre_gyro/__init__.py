@@ -8,19 +8,23 @@ and numbers, as `frame_format` describes them), `record_builder` (when), `record
 from instrument.errors import CommandRefused, FrameFormatError, NoAcknowledgement
 from instrument.fibre_gyro.frame_format import FrameFormat, parse_frame_format
 from instrument.fibre_gyro.link import FibreGyroLink
-from instrument.fibre_gyro.logs import read_gyro_log, write_gyro_log
+from instrument.fibre_gyro.logs import OUTPUT_UNITS, GyroLog, LogChoices, read_gyro_log, read_log, write_gyro_log
 from instrument.fibre_gyro.recording import Gap, Losses, Recording
 
 __all__ = [
+    "OUTPUT_UNITS",
     "CommandRefused",
     "FibreGyroLink",
     "FrameFormat",
     "FrameFormatError",
     "Gap",
+    "GyroLog",
+    "LogChoices",
     "Losses",
     "NoAcknowledgement",
     "Recording",
     "parse_frame_format",
     "read_gyro_log",
+    "read_log",
     "write_gyro_log",
 ]

@@ -135,6 +135,16 @@ class FrameFormat:
         return ends + numbers + (2 * check + len(self.check.mark) if self.check else 0)
 
     @property
+    def counter_place(self) -> tuple[int, int] | None:
+        """First byte of the counter in a binary frame, and the byte behind it; None without one."""
+        begin = len(self.header)
+        for entry in self.fields:
+            if entry.name == COUNTER:
+                return begin, begin + entry.size
+            begin += entry.size
+        return None
+
+    @property
     def byte_time_s(self) -> float:
         """Time of one byte on the line in s."""
         return (1 + self.data_bits + (self.parity != "N") + self.stop_bits) / self.baud_rate

@@ -2,24 +2,26 @@
 
 What is delivered passed every check that its format has. What is not is counted. After damage the search for the
 next frame begins one byte behind the place where the damaged one began, so that no good frame inside the damaged
-stretch is lost, and never more than two frames' bytes are held.
+stretch is lost, and never more than two frames' bytes are held, or four where the checksum is weak.
 
-Where the checksum is weak (one byte, or none), what follows has to bear a frame out. In step, where frame follows
-frame without a byte between them, the header of the next one does. Behind damage a header may be two numbers that
-only look like one: there the counter has to go on by as many frames as the bytes since the last one make, or the
-next frame has to be whole itself. More cannot be had. A byte lost in a frame, and one inserted before the next
-header, leave the very bytes of another whole frame in 1 of 256 cases (one byte of sum); nothing tells it from one
-that was sent.
+Where the checksum is weak (one byte, or none), the frames that follow have to bear one out, by their length,
+counter and checksum: one whole frame in its place with the right counter, or a header of two bytes or more right
+behind, or a header of one byte and the counter behind it. A frame out of step, whose counter does not go on by
+as many frames as bytes have passed, needs two whole ones: numbers that look like a header may stand in every
+frame at the same place, and with an exclusive-or even their sums may be right. More cannot be had. A byte lost
+in a frame, and one inserted before the next header, leave the very bytes of another whole frame in 1 of 256
+cases (one byte of sum); nothing tells it from one that was sent.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
-from instrument.fibre_gyro.frame_format import FrameFormat
+from instrument.fibre_gyro.frame_format import COUNTER, FrameFormat
 from instrument.fibre_gyro.frames import Damaged, Frame, decode_frame
 
 _MOST_ANSWERS = 8  # an old one that still comes is rubbish
+_FOLLOWERS = 3  # frames behind one with a weak checksum that may bear it out
 _STRONG_CHECK = 2  # bytes of a checksum that lets less than one damaged frame in 65 000 pass
 
 
@@ -71,6 +73,8 @@ class FrameStream:
         self.tally = Tally()
         weak = layout.check is None or layout.check.size < _STRONG_CHECK
         self._confirm = weak and not self._lines
+        # a header that a frame with one byte lost or inserted cannot put in its place
+        self._distinct = len(layout.header) > 1 and layout.header[:1] not in layout.header[1:]
         self.restart()
 
     def expect(self, message: bytes) -> bytes:
@@ -136,7 +140,7 @@ class FrameStream:
     def _longest(self) -> int:
         layout = self._layout
         longest = max(layout.frame_bytes + len(layout.header), *map(len, self._answers), 1)
-        return longest + layout.frame_bytes if self._confirm else longest
+        return longest + _FOLLOWERS * layout.frame_bytes if self._confirm else longest
 
     def _answer_at(self, rest: bytes | bytearray) -> bytes | None:
         return next((answer for answer in self._answers if rest.startswith(answer)), None)
@@ -161,18 +165,52 @@ class FrameStream:
         """Whether what stands behind a frame shows that it is one; None while too little of it has come."""
         if not self._confirm:
             return True
-        layout = self._layout
+        layout, length = self._layout, self._layout.frame_bytes
+        counted = layout.counter is not None and frame.counter is not None
+        in_step = self._joined and (self._counts_on(frame) if counted else self._bad_bytes == 0)
         if any(behind.startswith(answer) for answer in self._answers) or (silent and not behind):
-            return True
+            return in_step or not self._joined
         if not any(start.startswith(behind[: len(start)]) for start in self._starts()):
             self._reason = self._reason or "no header behind it"
             return False
-        in_step = self._joined and (self._bad_bytes == 0 or self._counts_on(frame))
-        if in_step and behind.startswith(layout.header):
+        if in_step and self._next_begins(frame, behind, counted):
             return True
-        if len(behind) < layout.frame_bytes:
-            return None
-        return self._frame_at(behind) is not None
+        needed = 1 if in_step or self._distinct else 2
+        whole = 0
+        for place in range(1, _FOLLOWERS + 1):
+            slot = behind[(place - 1) * length : place * length]
+            if len(slot) < length:
+                return (whole > 0) if silent else None
+            whole += self._follows(frame, slot, place)
+            if whole >= needed:
+                return True
+            if whole == 0 and place == _FOLLOWERS - 1:
+                break
+        self._reason = self._reason or "no whole frame behind it"
+        return False
+
+    def _next_begins(self, frame: Frame, behind: bytearray, counted: bool) -> bool:
+        """Whether the next frame begins right behind, by more than one byte that other numbers could be too."""
+        layout = self._layout
+        if not behind.startswith(layout.header):
+            return False
+        distinct = self._distinct
+        if distinct or not counted or layout.counter is None or frame.counter is None:
+            return distinct
+        begin = layout.counter_place
+        if begin is None or len(behind) < begin[1]:
+            return False
+        entry = next(one for one in layout.fields if one.name == COUNTER)
+        number = int.from_bytes(behind[begin[0] : begin[1]], entry.byte_order)
+        return number == (frame.counter + layout.counter.per_frame) % layout.counter.modulus
+
+    def _follows(self, frame: Frame, slot: bytearray, place: int) -> bool:
+        """Whether a whole frame stands there, with the counter that it must have so many frames behind."""
+        follower = self._frame_at(slot)
+        rule = self._layout.counter
+        if follower is None or rule is None or frame.counter is None or follower.counter is None:
+            return follower is not None
+        return (follower.counter - frame.counter - place * rule.per_frame) % rule.modulus == 0
 
     def _counts_on(self, frame: Frame) -> bool:
         """Whether the counter went on by as many frames as the bytes since the last one make."""

@@ -10,9 +10,11 @@ and put back when the ``with`` block ends, also after an exception.
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 import functools
 import itertools
+import threading
 from collections.abc import Callable, Iterator
 from types import TracebackType
 from typing import Concatenate, ParamSpec, Self, TypeVar, cast, overload
@@ -54,7 +56,8 @@ def _of(
 
     @functools.wraps(method)
     def carry_out(scope: TDS2014, /, *args: _Arguments.args, **kwargs: _Arguments.kwargs) -> _Answer:
-        return method(part(scope), *args, **kwargs)
+        with scope.alone:
+            return method(part(scope), *args, **kwargs)
 
     return carry_out
 
@@ -89,6 +92,8 @@ class TDS2014:
         baud_rate: int | None = None,
         persistence: Persistence | None = None,
     ) -> None:
+        self.alone = threading.RLock()
+        """Held by the thread whose exchange is under way; hold it for several that belong together."""
         self._session = Session(resource_name, resource_manager, baud_rate, persistence)
         self._panel = self._session.panel
         self._dialogue = self._session.dialogue
@@ -232,7 +237,8 @@ class TDS2014:
             If a channel is not displayed.
         """
         names = self._several(channel, self._session.channel)
-        waveforms = self._session.step(lambda: self._acquire(names, timeout))
+        with self.alone:
+            waveforms = self._session.step(lambda: self._acquire(names, timeout))
         return waveforms[0] if isinstance(channel, str | int) else waveforms
 
     def _acquire(self, names: tuple[str, ...], timeout: float | None) -> tuple[Waveform, ...]:
@@ -263,8 +269,25 @@ class TDS2014:
         Several of them are read in one exchange, and only from a scope that is stopped (SettingError else).
         """
         names = self._several(channel, self._session.source)
-        waveforms = self._session.step(lambda: self._fetch_held(names))
+        with self.alone:
+            waveforms = self._session.step(lambda: self._fetch_held(names))
         return waveforms[0] if isinstance(channel, str | int) else waveforms
+
+    @overload
+    async def acquire_async(self, channel: str | int, *, timeout: float | None = None) -> Waveform: ...
+
+    @overload
+    async def acquire_async(self, channel: Several, *, timeout: float | None = None) -> tuple[Waveform, ...]: ...
+
+    async def acquire_async(
+        self, channel: str | int | Several, *, timeout: float | None = None
+    ) -> Waveform | tuple[Waveform, ...]:
+        """The same as `acquire` without blocking the event loop: ``await asyncio.gather(...)`` of several scopes.
+
+        A task that is cancelled stops waiting at once; the exchange that is under way ends by itself, and the next
+        one waits for it.
+        """
+        return await asyncio.to_thread(self.acquire, channel, timeout=timeout)
 
     def _fetch_held(self, names: tuple[str, ...]) -> tuple[Waveform, ...]:
         with self._held_panel(names) as (lock, unlock):

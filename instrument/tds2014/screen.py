@@ -48,7 +48,7 @@ class Screen:
     def _choose_port(self) -> None:
         """Send pictures to our own link: first the word that fits it, then the others that this unit may know."""
         dialogue = self._session.dialogue
-        words = ["GPIB", "USB"] if dialogue.link.framed else ["RS232"]
+        words = ["GPIB", "USB"] if dialogue.link.on_bus else ["RS232"]
         if dialogue.link.name.upper().startswith("USB"):
             words.reverse()
         for word in words:

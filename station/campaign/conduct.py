@@ -20,10 +20,17 @@ from station.results.verdict import ABORTED
 from station.runs.database import utc_now
 from station.runs.progress import Progress
 from station.runs.stop import disturbed, undisturbed
+from station.shell.evaluated import Evaluated
 
 
 def conduct(
-    plan: CampaignPlan, progress: Progress, *, operator: str = "", note: str = "", resumed: Path | None = None
+    plan: CampaignPlan,
+    progress: Progress,
+    *,
+    operator: str = "",
+    note: str = "",
+    resumed: Path | None = None,
+    evaluated: dict[str, Evaluated] | None = None,
 ) -> CampaignOutcome:
     """Test one unit.
 
@@ -34,6 +41,8 @@ def conduct(
         Shows what happens; its events are what programs read.
     resumed : Path, optional
         Folder of a test that was cut short: what it holds is not taken again.
+    evaluated : dict, optional
+        Is filled with what was evaluated, by the keys of the steps: nobody has to do it again.
 
     Returns
     -------
@@ -47,7 +56,8 @@ def conduct(
     """
     before = None if resumed is None else to_go_on_with(resumed, plan)
     with undisturbed():  # a signal ends what is measured, and nothing of what closes the test
-        return _Conducting(plan, progress, operator, note, before).conduct()
+        kept = {} if evaluated is None else evaluated
+        return _Conducting(plan, progress, operator, note, before, kept).conduct()
 
 
 def to_go_on_with(directory: Path, plan: CampaignPlan) -> Written:
@@ -80,6 +90,7 @@ class _Conducting:
     operator: str
     note: str
     before: Written | None
+    evaluated: dict[str, Evaluated]
     done: dict[str, StepOutcome] = field(default_factory=dict)
 
     def conduct(self) -> CampaignOutcome:
@@ -160,6 +171,7 @@ class _Conducting:
                 labels=self._labels(),
                 warm_up_s=warm_up_s,
                 started_at=begun,
+                evaluated=self.evaluated,
             )
         except KeyboardInterrupt as error:
             stopped = StepOutcome(

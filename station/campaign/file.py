@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import copy
 import difflib
 import hashlib
 import itertools
+import re
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -27,6 +29,9 @@ RESULT = "result."
 
 _OURS = ("limits", "output")
 """Sections of a measurement's settings that the campaign has in its own way."""
+
+_END_OF_INTERVAL = re.compile(r"_(u|u95|low_95|high_95)(_|$)")
+"""In the name of a number that has no uncertainty of its own."""
 
 _INSTEAD = {"limits": "limits of a step stand in [[step.limit]]", "output": "runs go into the test's own folder"}
 
@@ -57,11 +62,15 @@ def read_campaign(path: Path, unit: str) -> CampaignPlan:
         With every mistake of the file in one text: place, line, what is wrong, what was perhaps meant.
     """
     given = read_toml(path)
+    reading = _Reading(path)
     try:
         campaign = CampaignFile.model_validate(given)
     except ValidationError as error:
-        raise SettingsError(mistakes(path, error, CampaignFile)) from None
-    reading = _Reading(path)
+        reading.wrong.append(mistakes(path, error, CampaignFile).removeprefix(f"{path}: "))
+        rest = _without(given, error)
+        if rest is None:
+            raise SettingsError(f"{path}: {reading.wrong[0]}") from None
+        campaign = rest  # the mistakes of the steps' settings are told as well
     kinds = {step.measurement: measurement(step.measurement) for step in campaign.step}
     _check_shared(reading, campaign, kinds)
     steps = tuple(_steps(reading, campaign, kinds, unit))
@@ -85,7 +94,24 @@ def read_campaign(path: Path, unit: str) -> CampaignPlan:
         retry_after_s=about.retry_after_s,
         reports=about.reports,
         switch_off_afterwards=about.switch_off_afterwards,
+        ask_for_unit=about.ask_for_unit,
     )
+
+
+def _without(given: Mapping[str, Any], error: ValidationError) -> CampaignFile | None:
+    """Return what is left of a file without its mistakes; ``None`` if that is no campaign."""
+    left = copy.deepcopy(dict(given))
+    for mistake in error.errors(include_url=False, include_context=False, include_input=False):
+        inner: Any = left
+        for name in mistake["loc"][:-1]:
+            listed = isinstance(inner, list) and isinstance(name, int) and name < len(inner)
+            inner = inner[name] if listed else inner.get(name) if isinstance(inner, dict) else None
+        if isinstance(inner, dict) and mistake["loc"]:
+            inner.pop(mistake["loc"][-1], None)
+    try:
+        return CampaignFile.model_validate(left)
+    except ValidationError:
+        return None
 
 
 def _model(kinds: Mapping[str, Measurement[Any, Any]], step: PlannedStep) -> Any:
@@ -249,7 +275,11 @@ def _limits(
             hint = f"did you mean {like[0]}?" if like else f"it gives {', '.join(kind.gives)}"
             text = f"{one.number!r} is no number that `{kind.command}` gives: {hint}"
             reading.tell(where, f"{text} (any other number of its JSON: {RESULT}NAME)")
-        yield _limit(one, campaign)
+        limit = _limit(one, campaign)
+        if limit.rule != "none" and _END_OF_INTERVAL.search(limit.number):
+            text = f'is an uncertainty or an end of an interval itself: use guard_band = "none", not {limit.rule}'
+            reading.tell(where, text)
+        yield limit
 
 
 def _limit(one: LimitSection, campaign: CampaignFile) -> Limit:

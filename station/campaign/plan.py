@@ -110,6 +110,8 @@ class CampaignPlan:
         Whether every run gets a report of its own.
     switch_off_afterwards : bool
         Whether chamber and power supply are switched off when the test has ended.
+    ask_for_unit : bool
+        Whether an operator is asked to bring the unit before it begins.
     """
 
     name: str
@@ -128,6 +130,7 @@ class CampaignPlan:
     retry_after_s: float = 0.0
     reports: bool = True
     switch_off_afterwards: bool = False
+    ask_for_unit: bool = False
 
     @property
     def is_reference(self) -> bool:

@@ -42,6 +42,7 @@ class CampaignSection(SettingsSection):
     retry_after_s: NotNegative = 10.0
     reports: bool = True
     switch_off_afterwards: bool = False
+    ask_for_unit: bool = False
 
 
 class ReferenceSection(SettingsSection):

@@ -20,7 +20,6 @@ from station.errors import (
     CannotWrite,
     Failure,
     NoUsableSignal,
-    StationError,
     UsageError,
     describe_failure,
     one_line,
@@ -28,7 +27,7 @@ from station.errors import (
 from station.measurements import Measurement, measurement
 from station.results.result import Result
 from station.results.values import values_of
-from station.results.verdict import ERROR, FAIL, MARGINAL, PASS, LimitOutcome, Value, decide, worst
+from station.results.verdict import ERROR, FAIL, MARGINAL, PASS, LimitOutcome, Value, Verdict, decide, worst
 from station.runs.database import utc_now
 from station.runs.progress import Progress
 from station.runs.store import RUN_FILE, open_run
@@ -39,6 +38,7 @@ from station.shell.running import resume_run, start_run
 
 _LOG = logging.getLogger(__name__)
 _DECIDED = (PASS, FAIL)
+_KEPT = 50  # evaluated runs in memory
 
 
 def carry_out(
@@ -52,6 +52,7 @@ def carry_out(
     labels: Mapping[str, str],
     warm_up_s: float,
     started_at: str,
+    evaluated: dict[str, Evaluated],
 ) -> StepOutcome:
     """Carry out one step of a test.
 
@@ -63,6 +64,8 @@ def carry_out(
         Unit, operator and note of the run.
     warm_up_s : float
         Time with the unit on before anything is taken.
+    evaluated : dict
+        Gets what was evaluated, by the key of the step, as long as there is room for it.
 
     Returns
     -------
@@ -83,15 +86,14 @@ def carry_out(
         wait("warm-up", warm_up_s)
         wait("settling", step.settle_s)
         taken = attempt.take(wait)
-    except (StationError, OSError) as error:
-        if isinstance(error, CannotWrite):
-            raise
-        return _failed(replace(begun, attempts=attempt.count), describe_failure(error))
-    except Exception as error:  # a defect in one step does not take the others with it
-        _LOG.exception("a defect of gyrolock in step %s", step.key)
-        return _failed(replace(begun, attempts=attempt.count), _defect(error))
+    except CannotWrite:
+        raise
+    except Exception as error:
+        # a run that the last attempt could not go on with is there all the same
+        begun = replace(begun, attempts=attempt.count, remarks=tuple(attempt.remarks), run=attempt.run_so_far())
+        return _failed(begun, _described(error, step))
     begun = replace(begun, attempts=attempt.count, conditions=conditions, remarks=tuple(attempt.remarks))
-    return _evaluated(begun, taken, plan)
+    return _evaluated(begun, taken, plan, evaluated)
 
 
 def _folder(key: str) -> str:
@@ -136,7 +138,7 @@ class _Attempts:
 
     def _once(self) -> Taken:
         kind = measurement(self.step.measurement)
-        there = self._run_so_far()
+        there = self.run_so_far()
         if there is None:
             return start_run(kind, self._settings(kind), self.progress, labels=self.labels)
         try:
@@ -146,8 +148,8 @@ class _Attempts:
                 return Taken(there, None)
             raise
 
-    def _run_so_far(self) -> Path | None:
-        """The run that an earlier attempt or session has begun."""
+    def run_so_far(self) -> Path | None:
+        """Return the run that an earlier attempt or session has begun."""
         there = sorted(self.folder.glob(f"*/{RUN_FILE}"))
         return there[-1] if there else None
 
@@ -166,7 +168,7 @@ _BENCH = _bench_errors()
 """What a bench does that may be over in a moment."""
 
 
-def _evaluated(begun: StepOutcome, taken: Taken, plan: CampaignPlan) -> StepOutcome:
+def _evaluated(begun: StepOutcome, taken: Taken, plan: CampaignPlan, known: dict[str, Evaluated]) -> StepOutcome:
     """Evaluate a run, keep its result beside it, and judge it."""
     path, failure = taken.path, taken.failure
     begun = replace(begun, run=path)
@@ -178,13 +180,12 @@ def _evaluated(begun: StepOutcome, taken: Taken, plan: CampaignPlan) -> StepOutc
         failure = failure or describe_failure(error)
         save_outcome(taken.run(), failure)
         return _failed(replace(begun, run_sha256=_sha256(path)), failure)
-    except (StationError, OSError) as error:
-        if isinstance(error, CannotWrite):
-            raise
-        return _failed(begun, failure or describe_failure(error))
+    except CannotWrite:
+        raise
     except Exception as error:
-        _LOG.exception("a defect of gyrolock in step %s", begun.step.key)
-        return _failed(begun, _defect(error))
+        return _failed(begun, failure or _described(error, begun.step))
+    if len(known) < _KEPT:
+        known[begun.step.key] = evaluated
     result = evaluated.result
     remarks = (*begun.remarks, *_remarks(evaluated), *((lost.message,) if lost is not None else ()))
     begun = replace(begun, document=document, remarks=remarks, run_sha256=_sha256(path))
@@ -210,13 +211,17 @@ def judged(step: PlannedStep, result: Result, document: Mapping[str, Any]) -> tu
     if standing.state == "fails":
         return tuple(_instead(one, ERROR, "the result does not hold", standing.reasons) for one in outcomes)
     if standing.state == "doubtful" and step.doubtful == "marginal":
-        return tuple(_instead(one, MARGINAL, "the result is doubtful", standing.reasons) for one in outcomes)
+        why = "the result is doubtful"
+        # what is decided without its uncertainty is not touched by what rules the uncertainty
+        return tuple(
+            one if one.limit.rule == "none" else _instead(one, MARGINAL, why, standing.reasons) for one in outcomes
+        )
     return tuple(outcomes)
 
 
-def _instead(outcome: LimitOutcome, verdict: Any, why: str, reasons: Sequence[str]) -> LimitOutcome:
+def _instead(outcome: LimitOutcome, verdict: Verdict, why: str, reasons: Sequence[str]) -> LimitOutcome:
     """Put another verdict where the value alone would have decided."""
-    if outcome.verdict not in _DECIDED or outcome.limit.rule == "none":
+    if outcome.verdict not in _DECIDED:
         return outcome
     sentence = outcome.sentence.replace(outcome.verdict, verdict, 1)
     return replace(outcome, verdict=verdict, sentence=f"{sentence}; {why}: {'; '.join(reasons)}")
@@ -226,7 +231,12 @@ def _failed(begun: StepOutcome, failure: Failure | None) -> StepOutcome:
     return replace(begun, verdict=ERROR, failure=failure, ended_at=utc_now())
 
 
-def _defect(error: Exception) -> Failure:
+def _described(error: Exception, step: PlannedStep) -> Failure:
+    """Put an error into words; a defect in one step does not take the others with it, and stands in the log."""
+    known = describe_failure(error)
+    if known is not None:
+        return known
+    _LOG.exception("a defect of gyrolock in step %s", step.key)
     text = (
         f"{type(error).__name__}: {one_line(error)} (this is a defect of gyrolock; the station's log shows where)"
     )

@@ -22,10 +22,15 @@ SCHEMA = {"name": "gyrolock export", "version": 1}
 @click.argument("paths", nargs=-1, required=True, metavar="PATH...")
 @click.option(
     "--to",
-    required=True,
     metavar="FILE",
     help="Write this data set: .parquet, .h5, .npz or .csv by its ending; a name that ends with / is a folder of "
     "Parquet parts of about 100 MB, for a cluster. A URL such as s3://bucket/records.parquet is an object store.",
+)
+@click.option(
+    "--tek-csv",
+    type=click.Path(path_type=Path, file_okay=False),
+    metavar="DIR",
+    help="Write a CSV file for each record of an oscilloscope into this folder, as the scope writes them.",
 )
 @click.option(
     "--part-records", type=click.IntRange(min=1), metavar="N", help="Records in a part, about.  [default: 40000]"
@@ -35,33 +40,41 @@ SCHEMA = {"name": "gyrolock export", "version": 1}
 @json_option
 def command(
     paths: tuple[str, ...],
-    to: str,
+    to: str | None,
+    tek_csv: Path | None,
     part_records: int | None,
     replace: bool,
     config: Path | None,
     as_json: bool,
 ) -> int:
-    """Write the records of runs and files to a data set: CSV, Parquet, HDF5 or NumPy.
+    """Write the records of runs and files to a data set: Parquet, HDF5, NumPy or CSV.
 
     PATH is a run of any kind, a file of an oscilloscope, a data set, or a folder of them. One row is one record:
     codes as they were sent, and what is known of them; `gyrolock.read` and `gyrolock analyze` read it back and
     give the same result. A settings file changes nothing here. Exit code 2 if something could not be read: the
     rest is written.
     """
+    from station.datasets.tek_csv import write_tek_files
     from station.datasets.writing import RECORDS_OF_PART, check_target, export
+    from station.display.opening import shown
     from station.errors import EXIT_OK, EXIT_USAGE
-    from station.runs.progress import Progress
     from station.settings.toml_files import read_toml
 
-    if part_records is not None and not to.endswith("/"):
+    if (to is None) == (tek_csv is None):
+        raise click.UsageError("give --to FILE or --tek-csv DIR")
+    if part_records is not None and not (to or "").endswith("/"):
         raise click.UsageError("--part-records belongs to a folder of parts: a name that ends with /")
     if config is not None:
         read_toml(config)  # a file with a mistake is one here too
     left_out: list[LeftOut] = []
-    progress = Progress()
-    sources = _opened(paths, left_out, progress)
-    check_target(to, replace=replace)
-    done = export(sources, to, records_of_part=part_records or RECORDS_OF_PART, left_out=left_out)
+    if to is not None:
+        check_target(to, replace=replace)
+    with shown({"plain": True, "quiet": as_json}, "export") as progress:
+        sources = _opened(paths, left_out, progress)
+        if to is not None:
+            done = export(sources, to, records_of_part=part_records or RECORDS_OF_PART, left_out=left_out)
+        else:
+            done = write_tek_files(sources, Path(str(tek_csv)), replace=replace, left_out=left_out)
     for one in left_out:
         remark(f"left out: {one}")
     if as_json:

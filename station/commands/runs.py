@@ -62,7 +62,7 @@ def command(
     from station.catalogue.choose import Wanted, chosen
     from station.catalogue.index import list_runs
     from station.catalogue.listing import SCHEMA, runs_csv, runs_table
-    from station.runs.progress import Progress
+    from station.display.opening import shown as displayed
 
     if as_json and as_csv:
         raise click.UsageError("--json and --csv exclude each other")
@@ -74,7 +74,8 @@ def command(
         from station.settings.toml_files import read_toml
 
         read_toml(config)  # a file with a mistake is one here too
-    entries = list_runs(directory, progress=Progress())
+    with displayed({"plain": True}, "runs") as progress:
+        entries = list_runs(directory, progress=progress)
     asked = Wanted(**{name: value for name, value in wanted.items() if value})
     found = chosen(entries, asked, sort)
     shown = found[-(_SHOWN if limit is None and not (as_json or as_csv) else limit or len(found)) :]

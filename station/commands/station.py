@@ -3,20 +3,21 @@
 from __future__ import annotations
 
 import sys
-from contextlib import suppress
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from station.display.opening import display_options, shown
-from station.errors import EXIT_OK, UsageError
-from station.shell.options import json_option
+from station.errors import EXIT_OK, Failure, OutOfControl, RunError, UsageError, describe_failure
+from station.shell.options import json_option, transcript_option
 from station.terminal.lines import print_json, remark, say
 
 if TYPE_CHECKING:
     from station.campaign.outcome import CampaignOutcome
     from station.campaign.plan import CampaignPlan
+    from station.shell.evaluated import Evaluated
 
 _LATEST = "latest"
 
@@ -37,6 +38,7 @@ _LATEST = "latest"
 )
 @click.option("--out", type=click.Path(path_type=Path), metavar="DIR", help="Directory of tests [settings].")
 @display_options
+@transcript_option
 @json_option
 def command(file: Path, **given: Any) -> int:
     """Test a unit as the campaign FILE says: every step, every limit, one verdict.
@@ -104,29 +106,80 @@ def _test(plan: CampaignPlan, given: dict[str, Any]) -> int:
     from station.campaign.journal import test_to_resume
     from station.campaign.log import station_log
 
+    _check_bench(plan)
     resumed = None
     if given["resume"] is not None:
-        unit_tests = plan.directory, plan.unit
-        resumed = test_to_resume(*unit_tests) if given["resume"] == _LATEST else Path(given["resume"])
+        named = given["resume"]
+        resumed = test_to_resume(plan.directory, plan.unit) if named == _LATEST else Path(named)
     labels = {name: given[name] for name in ("operator", "note")}
+    if plan.ask_for_unit:
+        _ask_for_unit(plan)
     with shown(given, "station", unit=plan.unit, **labels) as progress, station_log(plan.directory) as log:
         progress.events.read_by(log)
+        evaluated: dict[str, Evaluated] = {}
         texts = {name: text or "" for name, text in labels.items()}
-        outcome = conduct(plan, progress, **texts, resumed=resumed)
-        progress.end(outcome.exit_code, outcome.message)
-    _tell(outcome, given)
-    return outcome.exit_code
+        outcome = conduct(plan, progress, **texts, resumed=resumed, evaluated=evaluated)
+        page, lost = _write_record(outcome, evaluated)
+        code = outcome.exit_code if lost is None or outcome.failure is not None else lost.exit_code
+        progress.end(code, outcome.message if lost is None else lost.message)
+    _tell(outcome, given, page)
+    for failure in (outcome.failure, lost):
+        if failure is not None:
+            remark(failure.message)
+    return code
 
 
-def _tell(outcome: CampaignOutcome, given: dict[str, Any]) -> None:
+def _check_bench(plan: CampaignPlan) -> None:
+    """Refuse a unit where the bench is not in control by its reference unit. Raises OutOfControl."""
+    if plan.reference is None or plan.is_reference:
+        return
+    from station.history.bench import in_control
+
+    every_s, now = 3600 * plan.reference.every_h, datetime.now(UTC)
+    unit, simulated = plan.reference.unit, plan.simulated
+    found = in_control(plan.directory, unit, plan.unit_type, now, every_s, simulated=simulated)
+    if not found.ok:
+        raise OutOfControl(f"{plan.unit} is not tested: {found.sentence}")
+
+
+def _ask_for_unit(plan: CampaignPlan) -> None:
+    """Let the operator bring the unit to the bench; UsageError where there is nobody."""
+    from station.runs.operator import WIRING, ask_operator
+
+    if not sys.stdin or not sys.stdin.isatty():
+        raise UsageError(
+            "campaign.ask_for_unit: an operator is to connect the unit, and there is no terminal to ask on"
+        )
+    ask_operator(
+        f"Put {plan.unit} ({plan.unit_type}) on the table, its axis as the fixture holds it, and connect it:\n\n"
+        f"{WIRING}\n"
+        f"Why: the test of this unit begins ({plan.name}).\n"
+        f"Then: warm-up, and the steps of the test, {len(plan.steps)} in all.\n"
+        "Press Enter when it is connected and switched on: "
+    )
+
+
+def _write_record(outcome: CampaignOutcome, evaluated: dict[str, Evaluated]) -> tuple[Path | None, Failure | None]:
+    """Write the record of the test; its page, or what kept it from that."""
+    from station.record.write import write_record
+
+    try:
+        return write_record(outcome, evaluated=evaluated).page, None
+    except RunError as error:
+        return None, describe_failure(error)
+
+
+def _tell(outcome: CampaignOutcome, given: dict[str, Any], page: Path | None) -> None:
     from station.campaign.shown.console import print_outcome
     from station.campaign.shown.words import outcome_document
     from station.results.as_json import plain
 
     if given["as_json"]:
-        print_json(dict(plain(outcome_document(outcome))))
+        files: dict[str, str | None] = {"page": None, "record": None}
+        if page is not None:
+            files = {"page": str(page), "record": str(page.with_name("record.json"))}
+        print_json({**plain(outcome_document(outcome)), **files})
     else:
         print_outcome(outcome)
-    if outcome.failure is not None:
-        with suppress(OSError):
-            remark(outcome.failure.message)
+        if page is not None:
+            say(f"record  {page}")

@@ -15,7 +15,7 @@ from typing import Any
 
 from station.datasets.packages import package
 from station.datasets.rows import AT_ONCE, COLUMNS, NUMBERS, SCHEMA, WHOLE, Rows, check_schema
-from station.errors import RunError, UsageError
+from station.errors import RunError, StationError, UsageError
 
 _METADATA = b"gyrolock"
 _CODED_ALIKE = ("source", "purpose", "channel", "axis", "header", "source_json")  # texts that most rows share
@@ -134,12 +134,20 @@ class ParquetTable:
     def _said(self) -> Iterator[None]:
         """Say what is wrong with a file in one line."""
         pyarrow = package("pyarrow")
+        damage = (pyarrow.ArrowException, OSError, ValueError, KeyError, TypeError)
         try:
             yield
-        except (pyarrow.ArrowException, OSError, ValueError, KeyError, TypeError) as error:
-            if isinstance(error, OSError) and error.errno is not None:
+        except StationError:
+            raise
+        except FileNotFoundError:
+            raise RunError(f"{self.place}: there is no such file") from None
+        except Exception as error:
+            reason = str(error).split("\n", maxsplit=1)[0].strip() or type(error).__name__
+            if is_url(self.place) and not isinstance(error, pyarrow.ArrowException):
+                # each store has errors of its own: no rights, no credentials, no network
+                raise RunError(f"{self.place}: the store does not give it ({reason})") from None
+            if not isinstance(error, damage) or getattr(error, "errno", None) is not None:
                 raise
-            reason = str(error).split("\n", maxsplit=1)[0].strip()
             raise RunError(
                 f"{self.place}: is damaged or no Parquet file, and cannot be read ({reason}): export it again"
             ) from None

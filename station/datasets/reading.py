@@ -17,7 +17,7 @@ from station.datasets.parquet import ParquetTable, is_url
 from station.datasets.rows import AT_ONCE, SCHEMA, record_of
 from station.errors import RunError
 from station.runs.facts import RunFacts, checked_fact
-from station.runs.store import SavedRecord, SavedRun, damaged_facts, missing_records, run_damage
+from station.runs.store import SavedRecord, SavedRun, damage_of, damaged_facts, missing_records
 from station.sources.source import Source
 
 PARTS = "part-*.parquet"
@@ -36,7 +36,7 @@ class Table(Protocol):
     place: str
 
     def heads(self) -> Iterator[tuple[str, int]]:
-        """Yield what is known of the source of each row, equal ones as one object, and its number in the source."""
+        """Yield what is known of the source of each row, equal ones as one object, and its number there."""
 
     def rows(self, first: int, last: int, numbers: range | None = None) -> Iterator[tuple[dict[str, Any], bytes]]:
         """Yield rows: what stands in the columns, and the bytes that were sent."""
@@ -84,26 +84,16 @@ class DatasetSource(Source):
             stretch.last += 1
 
     @property
-    def place(self) -> Path | Source:
-        """Itself: where its rows stand in the data set, and what is known of it."""
-        return self
-
-    @property
     def span(self) -> tuple[int, int]:
         """Least and largest number of the records; see `Source`."""
         far = self._most - self._least >= 2 * len(self) + AT_ONCE  # a damaged run may hold any number
         return (1, 1) if far else (int(self._least), int(self._most))
 
-    @property
-    def damaged(self) -> tuple[str, ...]:
-        """Records that are missing and facts that are damaged; damaged records show when they are read."""
-        return (*missing_records(sorted(self._all_numbers())), *damaged_facts(self.unusable))
-
-    def _all_numbers(self) -> Iterator[int]:
-        """Numbers above zero; where none can be missing nothing is read."""
-        if (self._least, self._most) == (1, len(self)):
-            return iter(range(1, len(self) + 1))
-        return (record.number for record in self.records() if record.number > 0)
+    def complete(self) -> None:
+        """Say what is missing or damaged, when all rows are there."""
+        whole = (self._least, self._most) == (1, len(self))
+        numbers = () if whole else sorted({record.number for record in self._records_there() if record.number > 0})
+        self.damaged = (*missing_records(numbers), *damaged_facts(self.unusable))
 
     def __len__(self) -> int:
         return sum(one.last - one.first for one in self._stretches)
@@ -114,6 +104,9 @@ class DatasetSource(Source):
             raise RunError(
                 f"{self.path}: holds {len(self)} of {self._records} records of {self.name}: a part is missing"
             )
+        yield from self._records_there(numbers)
+
+    def _records_there(self, numbers: range | None = None) -> Iterator[SavedRecord]:
         for one in self._stretches:
             for row, payload in one.table.rows(one.first, one.last, numbers):
                 if numbers is None or int(row["number"]) in numbers:
@@ -146,6 +139,8 @@ def is_dataset(place: str | Path) -> bool:
         return any(path.glob(PARTS))
     ending = path.suffix.lower()
     if ending == ".csv":
+        if not path.is_file():  # a pipe would wait for its writer
+            return False
         with path.open("rb") as file:
             return file.read(64).removeprefix(b"\xef\xbb\xbf").startswith(b"schema,source,number,")
     return ending in _ENDINGS
@@ -208,13 +203,15 @@ def sources_of(place: str | Path) -> list[DatasetSource]:
                 seen[id(about)] = source
             source.add(table, row, number)
         seen.clear()
+    for source in found.values():
+        source.complete()
     return list(found.values())
 
 
 def run_of(source: Source) -> SavedRun:
     """Return a source as the run that it was: everything that evaluates a run takes it."""
     records = tuple(source.records())
-    damaged = tuple(run_damage(records, source.unusable))
+    damaged = tuple(damage_of(records, source.unusable))
     return SavedRun(source.path, source.facts, records, None, dict(source.unusable), source.protected, damaged)
 
 

@@ -15,7 +15,7 @@ from station.datasets.hdf5 import Hdf5Writer
 from station.datasets.numpy_file import NumpyWriter
 from station.datasets.parquet import ParquetWriter, is_url, opened_bytes
 from station.datasets.rows import Rows, described, joined_rows, rows_of
-from station.errors import CannotWrite, StationError, UsageError
+from station.errors import CannotWrite, StationError, UsageError, one_line
 from station.sources.batches import LeftOut
 from station.sources.source import Source
 
@@ -181,8 +181,15 @@ def _kept_whole(place: str) -> Iterator[Callable[[int], str]]:
                 old.unlink()
         for path in drafts:
             os.replace(path, _final(str(path)))
+    except StationError:
+        raise
     except OSError as error:
         raise CannotWrite(f"{place}: the data set cannot be written ({error.strerror or error})") from None
+    except Exception as error:
+        if not is_url(place):
+            raise
+        # each store has errors of its own: no rights, no credentials, no network
+        raise CannotWrite(f"{place}: the store does not take it ({one_line(error)})") from None
     finally:
         for path in drafts:
             with suppress(OSError):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 from instrument.facts import SCAN_FROM, TIME_BASES
@@ -66,3 +67,9 @@ def seconds(settings: DeadBandSettings) -> float:
     steps = sweep(settings)
     records = sum(_DIVISIONS * time_base(step, settings) for step in steps) * settings.sweep.records
     return records + len(steps) * settings.table.settle_s
+
+
+def fastest_table_rate(settings: DeadBandSettings) -> float:
+    """Return the fastest rate of the table in a sweep, deg/s."""
+    fastest = max(abs(step.rate_dps) for step in sweep(settings))
+    return fastest / math.cos(math.radians(settings.table.tilt_deg))

@@ -15,7 +15,7 @@ from station.display.sentences import campaign_line
 from station.events.event import Event
 from station.events.situation import Situation
 from station.terminal.console import PlainConsole
-from station.terminal.give_way import drawing
+from station.terminal.give_way import stepping_aside
 
 _LOST = (OSError, ValueError)
 _EVERY_S = 0.15
@@ -35,7 +35,7 @@ class LiveDisplay:
         self._stack = ExitStack()
 
     def __enter__(self) -> Self:
-        self._stack.enter_context(drawing(self._hide, self._show))
+        self._stack.enter_context(stepping_aside(lambda question: self._hide(), self._show))
         threading.Thread(target=self._tick, name="display", daemon=True).start()
         return self
 
@@ -63,7 +63,7 @@ class LiveDisplay:
 
     def _say(self, text: str, style: str | None) -> None:
         with suppress(*_LOST):
-            self._console.print(text, style=style, soft_wrap=self._live is None)
+            self._console.print(text, style=style, soft_wrap=False)
 
     def _show(self) -> None:
         with self._lock, suppress(*_LOST):

@@ -14,6 +14,7 @@ from station.errors import EXIT_DEFECT, EXIT_OK, describe_failure
 from station.events.event import Events
 from station.provenance import version
 from station.runs.progress import Progress
+from station.terminal.give_way import stepping_aside
 from station.terminal.lines import remark
 
 F = TypeVar("F", bound=Callable[..., Any])
@@ -67,7 +68,7 @@ def shown(given: Mapping[str, Any], command: str, **labels: str | None) -> Itera
         events.read_by(status)
         readers.callback(status.close)
         if not given.get("quiet"):
-            if given.get("plain") or not _can_be_drawn_on():
+            if given.get("plain") or not _can_be_drawn_on(lines_on_stdout=bool(given.get("jsonl"))):
                 from station.display.lines import PlainLines
 
                 events.read_by(PlainLines())
@@ -75,6 +76,11 @@ def shown(given: Mapping[str, Any], command: str, **labels: str | None) -> Itera
                 from station.display.live import LiveDisplay
 
                 events.read_by(readers.enter_context(LiveDisplay()), values=True)
+        readers.enter_context(
+            stepping_aside(
+                lambda question: events.emit("asked", question=question), lambda: events.emit("answered")
+            )
+        )
         named = {name: labels.get(name) for name in ("unit", "operator", "note")}
         events.emit("program", command=command, **named, pid=os.getpid(), version=version("gyrolock"))
         progress = Progress(events)
@@ -90,9 +96,11 @@ def shown(given: Mapping[str, Any], command: str, **labels: str | None) -> Itera
         progress.end(EXIT_OK)
 
 
-def _can_be_drawn_on() -> bool:
+def _can_be_drawn_on(*, lines_on_stdout: bool) -> bool:
+    """Whether stderr is a terminal on which nothing else writes meanwhile."""
     try:
-        return sys.stderr.isatty() and os.environ.get("TERM") != "dumb"
+        drawn_on = sys.stderr.isatty() and os.environ.get("TERM") != "dumb"
+        return drawn_on and not (lines_on_stdout and sys.stdout.isatty())
     except (AttributeError, OSError, ValueError):
         return False
 

@@ -18,8 +18,16 @@ from station.terminal.visible import visible
 
 _WIDE = 130
 _GROUPS = 12
+_STEPS = 8
+_LINES_BELOW = 10  # beside plot and groups: the head, and what stands below
 _STATES = {"PASS": "green", "FAIL": "bold red", "MARGINAL": "yellow", "ERROR": "bold magenta", "now": "bold cyan"}
-_NAMES = {"lock_in_rate_dps": "lock-in rate", "beat_frequency_hz": "beat", "ratio": "r"}
+_NAMES = {
+    "lock_in_rate_dps": "lock-in rate",
+    "beat_frequency_hz": "beat",
+    "ratio": "r",
+    "rate_dps": "rate",
+    "output_counts": "output",
+}
 
 
 def picture(situation: Situation, width: int, height: int) -> RenderableType:
@@ -31,11 +39,14 @@ def picture(situation: Situation, width: int, height: int) -> RenderableType:
         Of the terminal; a wide one shows plot and table side by side.
     """
     parts: list[RenderableType] = [_head(situation, width)]
+    taken = _LINES_BELOW
     if situation.steps:
-        parts.append(_steps(situation, width))
+        steps = _steps(situation)
+        parts.append(steps)
+        taken += len(steps.plain) // width + 2  # words are not broken
     trace = situation.value.get("trace")
     wide = width >= _WIDE
-    room = max(height - len(situation.steps[:1]) - 10, 0)
+    room = max(height - taken, 0)
     if trace:
         across = width // 2 - 4 if wide else width - 4
         down = min(max(room - (0 if wide else min(len(situation.groups), _GROUPS) + 3), 5), 16 if wide else 11)
@@ -72,15 +83,23 @@ def _head(situation: Situation, width: int) -> Text:
     return text
 
 
-def _steps(situation: Situation, width: int) -> Text:
-    text = Text(no_wrap=False)
-    for place, step in enumerate(situation.steps):
+def _steps(situation: Situation) -> Text:
+    """Every step with its state; of many the one that is carried out, and how many have ended how."""
+    text, steps = Text(), situation.steps
+    if len(steps) > _STEPS:
+        now = next((place for place, step in enumerate(steps, start=1) if step["state"] == "now"), 0)
+        if now:
+            text.append(f"{now} of {len(steps)} {visible(str(steps[now - 1]['step']))}", style=_STATES["now"])
+        for state in dict.fromkeys(str(step["state"]) for step in steps):
+            if state not in ("now", "to come"):
+                count = sum(step["state"] == state for step in steps)
+                text.append(f"  {count} {state}", style=_STATES.get(state, "dim"))
+        return text
+    for place, step in enumerate(steps):
         state = str(step["state"])
         said = "" if state in ("now", "to come") else f" {state}"
-        text.append(
-            f"{'  ' if place else ''}{place + 1} {visible(str(step['step']))}{said}",
-            style=_STATES.get(state, "dim"),
-        )
+        before = ("  " if place else "") + ("▸ " if state == "now" else "")
+        text.append(f"{before}{visible(str(step['step']))}{said}", style=_STATES.get(state, "dim"))
     return text
 
 
@@ -92,7 +111,7 @@ def _plot(trace: Mapping[str, Any], width: int, height: int) -> Group:
 
 def _of_value(value: Mapping[str, Any]) -> Text:
     said = [visible(str(value.get("key")))]
-    said += [f"{_NAMES.get(one['name'], one['name'])} {one['text']}" for one in value.get("values", ())]
+    said += [f"{_NAMES.get(one['name'], one['name'])} {one['text']}".strip() for one in value.get("values", ())]
     flags = ", ".join(value.get("flags") or ())
     return Text(" · ".join([*said, *([flags] if flags else [])]), style="yellow" if flags else "")
 
@@ -119,7 +138,8 @@ def _numbers(situation: Situation, width: int) -> list[RenderableType]:
     table.add_column(style="dim", no_wrap=True)
     table.add_column()
     for one in situation.value.get("so_far") or ():
-        said = f"{one['text']} from {one['records']} records; u of their noise alone"
+        count = f"{one['records']} record{'' if one['records'] == 1 else 's'}"
+        said = f"{one['text']} from {count}; u of the noise alone"
         table.add_row("so far", Text(said, style="bold"))
     if situation.result:
         table.add_row(

@@ -47,11 +47,11 @@ class EventLines:
         if len(self._held) >= _LINES:
             self._held.popleft()
             self._untold, self.lost = self._untold + 1, self.lost + 1
-        if self._untold and len(self._held) < _LINES // 2:
-            told = Event(event.counter, "lost", event.at, {"count": self._untold})
-            self._held.append(told.line().encode() + b"\n")
-            self._untold = 0
         self._held.append(event.line().encode() + b"\n")
+        if self._untold and takes_now(self._descriptor):  # in the place of those that are lost
+            told = Event(event.counter, "lost", event.at, {"count": self._untold})
+            self._held.appendleft(told.line().encode() + b"\n")
+            self._untold = 0
         self._write()
 
     def close(self) -> None:

@@ -9,9 +9,18 @@ from typing import Any, TypeVar
 import click
 
 from station.shell.command import run_measurement
-from station.shell.options import CHANNELS, SuggestingGroup, config_option, json_option, report_option, run_options
+from station.shell.options import (
+    CHANNELS,
+    SuggestingGroup,
+    config_option,
+    json_option,
+    positive,
+    report_option,
+    run_options,
+)
 from station.terminal.lines import print_json, say
 
+_UNITS = ["counts", "deg/s", "deg/h", "rad/s"]
 F = TypeVar("F", bound=Callable[..., Any])
 
 
@@ -28,11 +37,47 @@ def command() -> None:
 def _options(function: F) -> F:
     paths = click.argument("paths", nargs=-1, type=click.Path(path_type=Path), metavar="[PATH...]")
     port = click.option("--port", metavar="NAME", help="Serial port of the gyro. Without one it is simulated.")
-    return paths(port(run_options(report_option(function))))
+    return paths(port(_log_options(run_options(report_option(function)))))
+
+
+_OF_LOGS = {
+    "columns": "logs.columns",
+    "units": "logs.units",
+    "time_unit": "logs.time_unit",
+    "output_rate": "logs.output_rate_hz",
+}
+
+
+def _log_options(function: F) -> F:
+    """Add what says how logs are read."""
+    options = (
+        click.option(
+            "--columns",
+            callback=_names,
+            metavar="NAMES",
+            help="Columns of logs in their order: time,counts or time,counts_x,,counts_z; empty: left out.",
+        ),
+        click.option("--units", type=click.Choice(_UNITS), metavar="UNIT", help="Of logs: counts, deg/s, deg/h."),
+        click.option("--time-unit", type=click.Choice(["s", "ms", "us", "min", "h"]), help="Of logs."),
+        click.option(
+            "--output-rate",
+            type=float,
+            callback=positive,
+            metavar="HZ",
+            help="Outputs per second, for logs without a column of the time.",
+        ),
+    )
+    for option in reversed(options):
+        function = option(function)
+    return function
+
+
+def _names(_: click.Context, __: click.Parameter, value: str | None) -> list[str] | None:
+    return None if value is None else [name.strip() for name in value.split(",")]
 
 
 def _run(name: str, paths: tuple[Path, ...], given: dict[str, Any], **more: Any) -> int:
-    return run_measurement(name, given, paths=paths, places={"port": "link.port"}, **more)
+    return run_measurement(name, given, paths=paths, places={"port": "link.port"}, for_files=_OF_LOGS, **more)
 
 
 @command.command("table")
@@ -75,6 +120,15 @@ def eps(paths: tuple[Path, ...], **given: Any) -> int:
 def figures(paths: tuple[Path, ...], **given: Any) -> int:
     """Nonlinearity, asymmetry, repeatability and temperature coefficient, in GJB and IEEE style."""
     return _run("figures", paths, given)
+
+
+@command.command("allan")
+@click.option("--temperature", is_flag=True, default=None, help="Take the drift with the temperature of logs out.")
+@_options
+def allan(paths: tuple[Path, ...], **given: Any) -> int:
+    """Noise at rest: Allan deviation and noise model. PATH is a saved run, logs as they are, or a list of them."""
+    more = {**_OF_LOGS, "temperature": "allan.temperature"}
+    return run_measurement("allan", given, paths=paths, places={"port": "link.port"}, for_files=more)
 
 
 @command.command("witness")

@@ -3,12 +3,14 @@
 The list has one line for each stretch of output and a header with the names of its columns:
 
     file               CSV of the gyro's output (time, counts, temperature), beside the list
-    start_s, stop_s    optional: the part of the file; for a table rate it must be whole turns
-    axis, rate_dps     table and figures: which axis, at which signed rate of the table; 0 at rest
+    start_s, stop_s    optional: the part of the file, by its own times; for a table rate it must be whole turns
+    axis, rate_dps     table and figures: which axis, at which signed rate of the table; 0 at rest; in a file with
+                       the outputs of three axes it also says which of them is meant
     table_rate_dps     optional: the rate that the table really had
     end_up             optional: -1 where the axis pointed down
     stands_for_dps     selfcal: the rate that the injected step stands for, 0 at rest
     number             selfcal: the injected step in counts, 0 at rest
+    number_u           optional, selfcal: its standard uncertainty, how well it stands for the rate
     step_codes         eps: the injected step in codes
     run, temperature_c optional, figures: name of the run and its temperature
 """
@@ -16,15 +18,20 @@ The list has one line for each stretch of output and a header with the names of 
 from __future__ import annotations
 
 import csv
+import io
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from instrument.fibre_gyro import Losses, Recording, read_gyro_log
-from instrument.small_files import read_small_file
+import numpy as np
+
+from instrument import FileFormatError
+from instrument.fibre_gyro import GyroLog, LogChoices, Losses, Recording, read_log
+from instrument.small_files import open_plain_file, read_small_file
 from station.errors import UsageError
+from station.fibre_gyro.settings import FogSettings
 
 _LARGEST_LIST = 8_000_000  # bytes
 _NUMBERS = (
@@ -34,6 +41,7 @@ _NUMBERS = (
     "table_rate_dps",
     "stands_for_dps",
     "number",
+    "number_u",
     "step_codes",
     "temperature_c",
 )
@@ -45,7 +53,7 @@ Named = Callable[[Sequence[LogRow]], Sequence[tuple[str, dict[str, Any]]]]
 
 
 def read_logs(
-    lists: Sequence[Path], purpose: str, needed: Sequence[str], named: Named
+    lists: Sequence[Path], purpose: str, needed: Sequence[str], named: Named, settings: FogSettings
 ) -> list[tuple[str, dict[str, Any], Recording]]:
     """Read every log that the lists name: key, conditions and recording of its segment.
 
@@ -56,6 +64,8 @@ def read_logs(
     needed : sequence of str
         Columns that must be there besides ``file``.
     named : callable
+    settings : FogSettings
+        How logs are read, and what a count is where they stand in deg/s or deg/h.
 
     Raises
     ------
@@ -67,15 +77,58 @@ def read_logs(
     rows = [row for path in lists for row in read_list(path, purpose, needed)]
     logs = []
     taken: set[str] = set()
+    read: tuple[Path, GyroLog] | None = None
     for row, (name, conditions) in zip(rows, named(rows), strict=True):
-        recording = _part(read_gyro_log(row["path"]), row.get("start_s"), row.get("stop_s"), row["place"])
+        if read is None or read[0] != row["path"]:
+            read = row["path"], read_log(row["path"], choices_of(settings))
         key, count = f"{name} ({row['file']})", 1
         while key in taken:
             count += 1
             key = f"{name} ({row['file']}, {count})"
         taken.add(key)
-        logs.append((key, {"purpose": purpose, "source": str(row["path"]), **conditions}, recording))
+        logs.append(
+            (
+                key,
+                {"purpose": purpose, "source": str(row["path"]), **conditions},
+                _recording(read[1], row, settings.nominal_scale_factor),
+            )
+        )
     return logs
+
+
+def is_list(path: Path) -> bool:
+    """Whether a file is a list of logs, not a log itself: its header has a column ``file``."""
+    with open_plain_file(path) as file:
+        for line in io.TextIOWrapper(file, encoding="utf-8-sig", errors="replace"):
+            if line.strip() and not line.lstrip().startswith("#"):
+                return "file" in [cell.strip() for cell in line.replace(";", ",").split(",")]
+    return False
+
+
+def read_whole_logs(
+    paths: Sequence[Path], purpose: str, settings: FogSettings
+) -> list[tuple[str, dict[str, Any], Recording]]:
+    """Read logs that no list names, at rest: one segment for each axis that they hold; errors as for lists."""
+    found = []
+    for path in paths:
+        log = read_log(path, choices_of(settings))
+        axes = [name.removeprefix("counts_").upper() for name in log.outputs] if len(log.outputs) > 1 else [""]
+        for axis in axes:
+            conditions = {"purpose": purpose, "source": str(path), "rate_dps": 0.0}
+            recording = log.recording(axis, counts_per_dps=settings.nominal_scale_factor)
+            found.append((f"{axis} {path.name}".strip(), conditions, recording))
+    return found
+
+
+def choices_of(settings: FogSettings) -> LogChoices:
+    """Return what the settings say of logs."""
+    given = settings.logs
+    return LogChoices(
+        columns=given.columns or None,
+        time_unit=given.time_unit,
+        units=given.units,
+        interval_s=1 / given.output_rate_hz if given.output_rate_hz else None,
+    )
 
 
 def read_list(path: Path, purpose: str, needed: Sequence[str]) -> list[LogRow]:
@@ -114,6 +167,8 @@ def _row(path: Path, number: int, entry: dict[str, str | None], needed: Sequence
     if row.setdefault("end_up", "1") not in ("1", "+1", "-1"):
         raise UsageError(f"{place}, end_up: 1 or -1, not {row['end_up']}")
     row["end_up"] = int(row["end_up"])
+    if row.get("stop_s", math.inf) <= row.get("start_s", -math.inf):
+        raise UsageError(f"{place}, stop_s: {row['stop_s']:g} s must be later than start_s, {row['start_s']:g} s")
     row["path"] = path.parent / row["file"]
     return row
 
@@ -128,27 +183,45 @@ def _number(text: str, place: str) -> float:
     return value
 
 
-def _part(recording: Recording, start_s: float | None, stop_s: float | None, place: str) -> Recording:
-    """Cut a part out of a recording, with the gaps that lie in it."""
+def _recording(log: GyroLog, row: LogRow, counts_per_dps: float) -> Recording:
+    try:
+        whole = log.recording(row.get("axis", ""), counts_per_dps=counts_per_dps)
+    except FileFormatError as error:
+        raise UsageError(f"{row['place']}, axis: {row['path']} {error}") from None
+    return _part(whole, log.begin_s, row.get("start_s"), row.get("stop_s"), row["place"])
+
+
+def _part(
+    recording: Recording, begin_s: float, start_s: float | None, stop_s: float | None, place: str
+) -> Recording:
+    """Cut out a part, by the times of the log's own column, with the gaps that lie in it."""
     if start_s is None and stop_s is None:
         return recording
-    first, last = start_s or 0.0, math.inf if stop_s is None else stop_s
+    first = -math.inf if start_s is None else start_s - begin_s
+    last = math.inf if stop_s is None else stop_s - begin_s
     half = recording.interval_s / 2
-    times = recording.times - recording.times[0]
-    kept = (times >= first - half) & (times < last - half)
-    if kept.sum() < 2:
-        raise UsageError(f"{place}: from {first:g} s to {last:g} s the log holds no output")
-    gaps = tuple(gap for gap in recording.gaps if first <= gap.start_s - recording.times[0] < last)
-    missing = sum(gap.missing for gap in gaps)
+    kept = np.flatnonzero((recording.times >= first - half) & (recording.times < last - half))
+    if kept.size < 2:
+        end_s = begin_s + recording.duration_s
+        raise UsageError(
+            f"{place}: from {first + begin_s:g} s to {last + begin_s:g} s the log holds no output; its times go "
+            f"from {begin_s:.9g} s to {end_s:.9g} s"
+        )
+    part, zero = slice(kept[0], kept[-1] + 1), float(recording.times[kept[0]])
+    gaps = tuple(
+        replace(gap, after=gap.after - int(kept[0]), start_s=gap.start_s - zero)
+        for gap in recording.gaps
+        if kept[0] <= gap.after < kept[-1]
+    )
     return replace(
         recording,
-        times=recording.times[kept],
-        counts=recording.counts[kept],
-        temperature=None if recording.temperature is None else recording.temperature[kept],
-        status=None if recording.status is None else recording.status[kept],
-        extra={name: values[kept] for name, values in recording.extra.items()},
+        times=recording.times[part] - zero,
+        counts=recording.counts[part],
+        temperature=None if recording.temperature is None else recording.temperature[part],
+        status=None if recording.status is None else recording.status[part],
+        extra={name: values[part] for name, values in recording.extra.items()},
         gaps=gaps,
-        losses=Losses(good=int(kept.sum()), missing=missing),
+        losses=Losses(good=int(kept.size), missing=sum(gap.missing for gap in gaps)),
     )
 
 

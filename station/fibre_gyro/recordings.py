@@ -66,6 +66,11 @@ def new_record(key: str, conditions: Mapping[str, Any], recording: Recording) ->
     return NewRecord(key, conditions["purpose"], json.dumps(header), payload, conditions)
 
 
+def recording_of(record: NewRecord) -> Recording:
+    """Return the stretch of output that a record holds which was just saved."""
+    return _recording_from(json.loads(record.header), record.payload)
+
+
 def _segment(record: SavedRecord, run: SavedRun) -> Segment:
     recording = _EMPTY
     if record.intact:

@@ -49,6 +49,15 @@ class LinkSettings(SettingsSection):
     speed: Positive
 
 
+class LogSettings(SettingsSection):
+    """How logs are read; what is empty is found out from each file."""
+
+    columns: list[str]
+    time_unit: Literal["", "s", "ms", "us", "min", "h"]
+    units: Literal["", "counts", "deg/s", "deg/h", "rad/s"]
+    output_rate_hz: NotNegative
+
+
 class TableSettings(SettingsSection):
     """The rate-table run."""
 
@@ -60,7 +69,7 @@ class TableSettings(SettingsSection):
     window_s: NotNegative
     settle_s: NotNegative
     rate_tolerance_ppm: Positive
-    irreproducibility_ppm: NotNegative
+    irreproducibility_ppm: NotNegative | None = None
 
 
 class SelfcalSettings(SettingsSection):
@@ -94,6 +103,16 @@ class FiguresSettings(SettingsSection):
     seconds: Positive
     static_s: Positive
     settle_s: NotNegative
+    misalignment_mrad: NotNegative
+
+
+class AllanSettings(SettingsSection):
+    """The noise at rest."""
+
+    axis: Name
+    record_s: Positive
+    settle_s: NotNegative
+    temperature: bool
 
 
 class WitnessSettings(SettingsSection):
@@ -147,6 +166,9 @@ class LimitSettings(SettingsSection):
     asymmetry_ppm: Limit = None
     repeatability_ppm: Limit = None
     temperature_coefficient_ppm: Limit = None
+    angle_random_walk_deg_per_sqrt_h: Limit = None
+    bias_instability_dph: Limit = None
+    rate_random_walk_dph_per_sqrt_h: Limit = None
     witness_two_pi_error_ppm: Limit = None
     witness_step_time_ppm: Limit = None
 
@@ -157,10 +179,12 @@ class FogSettings(SettingsSection):
     gyro: GyroSettings
     site: SiteSettings
     link: LinkSettings
+    logs: LogSettings
     table: TableSettings
     selfcal: SelfcalSettings
     eps: EpsSettings
     figures: FiguresSettings
+    allan: AllanSettings
     witness: WitnessSettings
     controllers: ControllersSettings | None = None
     simulation: SimulationSettings

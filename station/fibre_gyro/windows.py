@@ -2,22 +2,35 @@
 
 from __future__ import annotations
 
+import itertools
+import math
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from analysis.fibre_gyro import (
     WindowMean,
     check_whole_turns,
+    horizontal_earth_rate_dps,
     mean_at_rest,
     mean_over_turns,
     whole_turns_in,
 )
-from instrument.fibre_gyro import Recording
+from instrument.fibre_gyro import Gap, Recording
 from station.fibre_gyro.recordings import Segment
+from station.fibre_gyro.settings import FogSettings
+
+Floats = NDArray[np.float64]
+
+_APPROXIMATE = ("counter jump", "silence")
+"""Causes of gaps whose length nobody knows exactly: the turn of the table is not known behind them."""
 
 
-def window_over_turns(segment: Segment, *, turns: int, window_s: float, resolution: float) -> WindowMean:
+def window_over_turns(
+    segment: Segment, *, turns: int, window_s: float, resolution: float, column: str = ""
+) -> WindowMean:
     """Mean over whole turns.
 
     Parameters
@@ -30,6 +43,8 @@ def window_over_turns(segment: Segment, *, turns: int, window_s: float, resoluti
         A window of fixed length instead, if not 0.
     resolution : float
         Of the output word, counts.
+    column : str, optional
+        A further column instead of the counts.
 
     Raises
     ------
@@ -39,45 +54,112 @@ def window_over_turns(segment: Segment, *, turns: int, window_s: float, resoluti
     recording, rate = checked(segment), float(segment.conditions["rate_dps"])
     turning = float(segment.conditions.get("table_rate_dps", rate))
     interval = recording.interval_s
+    words = words_of(recording, column)
     chosen = float(segment.conditions.get("window_s", window_s))
     if chosen > 0:
         turns = check_whole_turns(chosen, turning, tolerance_s=interval)
     else:
-        turns = min(turns, whole_turns_in(recording.counts.size * interval, turning, tolerance_s=interval))
-    return mean_over_turns(recording.counts, interval, turning, turns=turns, resolution=resolution)
+        turns = min(turns, whole_turns_in(words.size * interval, turning, tolerance_s=interval))
+    return mean_over_turns(words, interval, turning, turns=turns, resolution=resolution)
 
 
 def window_at_rest(segment: Segment, *, resolution: float) -> WindowMean:
     """Mean of a segment without rotation; ValueError as in :func:`window_over_turns`."""
     recording = checked(segment)
-    return mean_at_rest(recording.counts, recording.interval_s, resolution=resolution)
+    return mean_at_rest(words_of(recording), recording.interval_s, resolution=resolution)
+
+
+def window_of_any_length(segment: Segment, settings: FogSettings, *, turns: int) -> WindowMean:
+    """Mean over whole turns, or where the record is shorter than one turn, of all of it.
+
+    Without whole turns a part of the horizontal earth rate stays in: what the input axis, tilted by
+    ``figures.misalignment_mrad``, can see of it counts in the uncertainty. Errors as :func:`window_over_turns`.
+    """
+    recording, rate = checked(segment), float(segment.conditions["rate_dps"])
+    resolution = settings.gyro.output_resolution
+    turning = abs(float(segment.conditions.get("table_rate_dps", rate)))
+    words = words_of(recording)
+    if (words.size + 1) * recording.interval_s * turning >= 360.0:
+        return window_over_turns(segment, turns=turns, window_s=0.0, resolution=resolution)
+    mean = mean_at_rest(words, recording.interval_s, resolution=resolution)
+    tilt = 1e-3 * settings.figures.misalignment_mrad
+    seen = settings.nominal_scale_factor * tilt * horizontal_earth_rate_dps(settings.site.latitude_deg)
+    return replace(mean, mean_u=math.hypot(mean.mean_u, seen))
+
+
+def words_of(recording: Recording, column: str = "") -> Floats:
+    """Output words at equal intervals, nan where one is missing, of the longest stretch whose time is exact."""
+    values = recording.extra[column] if column else recording.counts
+    if not recording.gaps:
+        return values
+    first, last = _exact_stretch(recording)
+    places = np.round(recording.times[first:last] / recording.interval_s).astype(np.intp)
+    places -= places[0]
+    words = np.full(int(places[-1]) + 1, np.nan)
+    words[places] = values[first:last]
+    return words
+
+
+def _exact_stretch(recording: Recording) -> tuple[int, int]:
+    edges = [0, *(gap.after + 1 for gap in recording.gaps if gap.cause in _APPROXIMATE), recording.counts.size]
+    return max(itertools.pairwise(edges), key=lambda pair: pair[1] - pair[0])
+
+
+def remarks_on(segment: Segment, window: WindowMean) -> list[str]:
+    """Say what was missing in a window, and what was left out of it; sentences."""
+    said, gaps = [], segment.recording.gaps
+    cut = [gap for gap in gaps if gap.cause in _APPROXIMATE]
+    if cut:
+        said.append(f"{segment.key}: {cut[0].describe()}; only the longest stretch without such a gap is used.")
+    if window.missing:
+        words = "1 output word is" if window.missing == 1 else f"{window.missing} output words are"
+        inside = f", the first {gaps[0].start_s:.6g} s after the begin" if gaps and not cut else ""
+        said.append(
+            f"{segment.key}: {words} missing of {window.samples}{inside}; the mean is fitted to the others."
+        )
+    if window.outliers:
+        words = "1 output word lies" if window.outliers == 1 else f"{window.outliers} output words lie"
+        said.append(
+            f"{segment.key}: {words} up to {window.worst:.3g} counts off the mean, far from all others: left out."
+        )
+    return said
 
 
 def checked(segment: Segment) -> Recording:
-    """Return the recording of a segment whose every output is there.
+    """Return the recording of a segment that can be used.
 
     Raises
     ------
     ValueError
-        It is damaged, or outputs are missing.
+        It is damaged, or holds next to nothing.
     """
     recording = segment.recording
     if not segment.intact:
         raise ValueError("what is saved is not what was once saved (its checksum is wrong)")
-    if recording.gaps:
-        more = f", and {len(recording.gaps) - 1} more gaps" if len(recording.gaps) > 1 else ""
-        raise ValueError(f"{recording.gaps[0].describe()}{more}: take it again")
     if recording.counts.size < 2 or not np.all(np.isfinite(recording.counts)):
         raise ValueError("the recording holds no usable output")
+    lost = sum(gap.missing for gap in recording.gaps)
+    if lost > 0.2 * (lost + recording.counts.size):
+        raise ValueError(
+            f"{_gaps_in_words(recording.gaps)}: {lost} of {lost + recording.counts.size} outputs are missing"
+        )
     return recording
+
+
+def _gaps_in_words(gaps: tuple[Gap, ...]) -> str:
+    more = f", and {len(gaps) - 1} more gaps" if len(gaps) > 1 else ""
+    return f"{gaps[0].describe()}{more}"
 
 
 def unusable(segment: Segment, tolerance_ppm: float) -> str:
     """Why a segment would be left out for what happened while it was taken; empty if for nothing."""
     try:
-        if segment.conditions.get("rate_dps"):
+        rate = float(segment.conditions.get("rate_dps") or 0.0)
+        if rate:
             check_table_rate(segment.conditions, tolerance_ppm)
-        checked(segment)
+        recording = checked(segment)
+        if any(gap.cause in _APPROXIMATE for gap in recording.gaps) and rate:
+            whole_turns_in(words_of(recording).size * recording.interval_s, rate, tolerance_s=recording.interval_s)
     except ValueError as error:
         return str(error)
     return ""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 from analysis.budget import FRONT_END_LIMIT, LATITUDE_LIMIT_DEG, BenchKnowledge, Corner
 from analysis.channel import ChannelResponse
@@ -64,7 +64,12 @@ def bench_knowledge(settings: Settings) -> BenchKnowledge:
 
 def knowledge_of_files(waveforms: Sequence[Waveform], method: Method) -> RunKnowledge:
     """Collect what files say of their bench: the coupling of the channel, where it is written."""
-    coupled = all("DC coupling" in waveform.preamble.wfid for waveform in waveforms)
+    return knowledge_of_records([waveform.preamble.wfid for waveform in waveforms], method)
+
+
+def knowledge_of_records(wfids: Iterable[str], method: Method) -> RunKnowledge:
+    """The same from the sentences of their preambles."""
+    coupled = all("DC coupling" in wfid for wfid in wfids)
     bench = BenchKnowledge(high_pass=Corner(0.0 if coupled else math.nan))
     return RunKnowledge(method.scale_factor, latitude_deg=math.nan, bench=bench)
 

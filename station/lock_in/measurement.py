@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from typing import Any
 
 from analysis.lock_in_run import Method
-from station.lock_in.at_once import watch
 from station.lock_in.found import LockInFound
+from station.lock_in.presentation.at_once import watch
 from station.lock_in.presentation.documents import record_documents
 from station.lock_in.presentation.sections import sections
 from station.lock_in.presentation.tables import fact_tables
@@ -16,6 +16,7 @@ from station.lock_in.result import result
 from station.lock_in.settings import RING_LASER, LimitSettings, Settings
 from station.lock_in.take import take
 from station.measurements import Measurement
+from station.ring_laser.examine import examine
 from station.runs.store import SavedRun
 
 
@@ -36,8 +37,9 @@ MEASUREMENT = Measurement(
     choices=("scale_factor", "relation", "input_rate"),
     gives=tuple(LimitSettings.model_fields),
     result=result,
-    sections=sections,
+    sections=lambda found, run, settings, result: sections(found, result),
     facts=fact_tables,
     rows=lambda found: record_documents(found, "record"),
+    examine=lambda settings: examine(settings, settings.table.fast_rate_dps),
     watch=watch,
 )

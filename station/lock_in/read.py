@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from statistics import fmean
 from typing import Any
 
@@ -30,13 +30,16 @@ from instrument import Waveform
 from station.errors import RunError, UsageError
 from station.lock_in.found import LockInFound, Numbered, SavedWaveforms
 from station.lock_in.knowledge import knowledge_of_files, run_knowledge
-from station.lock_in.pieces import Gathered, estimate_pieces, pieces_of, together
+from station.lock_in.records.pieces import Gathered, estimate_pieces, pieces_of, together
 from station.lock_in.settings import Settings
 from station.ring_laser.records import saved_waveform
 from station.runs.progress import Progress
 from station.runs.store import SavedRecord, SavedRun
 from station.sources.source import Source
 from station.sources.workers import Workers
+
+_LOOKED_AT = 200
+"""Records that are read together where only some are looked at."""
 
 
 def evaluate_run(run: SavedRun, settings: Settings, method: Method | None = None) -> LockInFound:
@@ -118,7 +121,7 @@ def evaluate_source(
     for (part,) in workers.map(estimate_pieces, pieces):
         if part.left_out and part.left_out[-1].record is None:
             raise RunError(str(part.left_out[-1]))
-        parts.append(part)
+        parts.append(replace(part, labels={}))
         progress.advance()
     gathered = together(parts)
     if gathered.paired:
@@ -127,14 +130,16 @@ def evaluate_source(
         what = "only damaged records" if gathered.taken else "no record at the slow rate"
         raise RunError(f"{source.name}: the run holds {what}")
     fast = _arrays(([saved_waveform(record, source.path) for record in gathered.fast],), gathered.fast)
-    found = _evaluated(RunArrays(_gathered_arrays(gathered), fast), settings, Method(**chosen), gathered.each)
+    waveforms = SavedWaveforms(source, gathered.numbers)
+    slow = gathered_arrays(gathered, waveforms)
+    found = _evaluated(RunArrays(slow, fast), settings, Method(**chosen), gathered.each)
     rows: Sequence[int] = range(len(gathered))
     if found.several is not None:
         rows = found.several.reference_group.rows
     in_words = LockInFound(
         **vars(found),
         names=Numbered(gathered.places),
-        waveforms=SavedWaveforms(source, gathered.numbers),
+        waveforms=waveforms,
         damaged=tuple(str(place + 1) for place in gathered.damaged),
         truth={name: fmean(values[list(rows)]) for name, values in gathered.truth.items()} or None,
         without_beat=tuple(source.facts.get("rates_without_beat", ())),
@@ -155,13 +160,34 @@ def _evaluated(
         raise UsageError(str(error)) from None
 
 
-def _gathered_arrays(gathered: Gathered) -> RecordArrays:
-    """Records as arrays, without their samples."""
+@dataclass(frozen=True)
+class _AskedFor:
+    """Volts of records that are estimated already, for what looks at some of them again."""
+
+    waveforms: Sequence[Waveform]
+    intervals: NDArray[np.float64]
+    samples: NDArray[np.int64]
+
+    def __iter__(self) -> Iterator[Batch]:
+        for shape in rows_of_batches(self.intervals, self.samples):
+            for first in range(0, shape.size, _LOOKED_AT):
+                rows = shape[first : first + _LOOKED_AT]
+                if isinstance(self.waveforms, SavedWaveforms):
+                    waves = self.waveforms.many(rows)
+                else:
+                    waves = [self.waveforms[row] for row in rows.tolist()]
+                volts, clipped = [wave.volts for wave in waves], [wave.clipped_samples for wave in waves]
+                yield Batch(rows, waves[0].sample_interval, np.array([volts]), np.array([clipped]))
+
+
+def gathered_arrays(gathered: Gathered, waveforms: Sequence[Waveform]) -> RecordArrays:
+    """Records as arrays; their samples are read again where some are asked for."""
     columns = gathered.columns
+    samples = columns["samples"].astype(np.int64)
     return RecordArrays(
-        batches=(),
+        batches=_AskedFor(waveforms, columns["sample_interval_s"], samples),
         n_channels=1,
-        samples=columns["samples"].astype(np.int64),
+        samples=samples,
         level_spacing=columns["level_spacing_v"],
         table_rate=columns["table_rate_dps"],
         azimuth_start=columns["azimuth_start_deg"],

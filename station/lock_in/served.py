@@ -1,18 +1,18 @@
-"""The simulated oscilloscope alone, served in real time: its gyro turns at the slow rate."""
+"""Simulated oscilloscopes alone, in real time: on a gyro that turns at the slow rate, or on other signals."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Sequence
 
 import numpy as np
 
 from instrument.facts import LEVELS_PER_DIVISION, VERTICAL_SCALES
-from instrument.simulated import PtyServer, RealClock, TcpServer
+from instrument.simulated import Fault, RealClock, SimulatedRateTable, SimulatedTDS2014
+from station.errors import UsageError
 from station.lock_in.settings import Settings
 from station.ring_laser.instruments import SimulatedInstruments, build_instruments
 from station.scope.autoset import oscilloscope_steps
-from station.scope.serve import served
+from station.scope.signals import ShownSignal
 
 
 def at_slow_rate(settings: Settings) -> Settings:
@@ -20,29 +20,83 @@ def at_slow_rate(settings: Settings) -> Settings:
     return settings.model_copy(update={"table": settings.table.model_copy(update={"kind": "none"})})
 
 
-@contextmanager
-def serve_scope(
-    settings: Settings, *, tcp_port: int | None, baud_rate: int | None = None
-) -> Iterator[PtyServer | TcpServer]:
-    """Serve the simulated oscilloscope in real time, its gyro at the slow rate.
+def simulated_scopes(
+    settings: Settings,
+    *,
+    signals: Sequence[ShownSignal] = (),
+    models: Sequence[str] = (),
+    faults: Sequence[Fault] = (),
+) -> list[SimulatedTDS2014]:
+    """Oscilloscopes in real time, set so that what they show fills their screens.
 
     Parameters
     ----------
-    tcp_port : int or None
-        ``None``: a serial terminal; 0: any free port.
-    baud_rate : int, optional
-        Paces the serial terminal.
+    signals : sequence of ShownSignal, optional
+        What stands at their inputs; without any it is the beat of the gyro of the settings, at the slow rate.
+    models : sequence of str, optional
+        One scope for each; without any, one of the model of the settings. Each has noise of its own.
+    faults : sequence of Fault, optional
+        What befalls each of them.
 
-    Yields
+    Raises
     ------
-    PtyServer or TcpServer
-        With its VISA name, and with an event that is set when it serves no more.
+    UsageError
+        If there is no such model, a model has no such channel, or a channel has two signals.
     """
+    clock, scopes = RealClock(), []
+    for number, model in enumerate(models or ("",)):
+        one = _changed(settings, model, number)
+        instruments = build_instruments(at_slow_rate(one), clock)
+        if signals:
+            scopes.append(_showing(signals, one, instruments))
+        else:
+            _show_the_beat(instruments, one)
+            scopes.append(instruments.scope)
+        scopes[-1].faults.add(*faults)
+    return scopes
+
+
+def scope_on_table(settings: Settings) -> tuple[SimulatedTDS2014, SimulatedRateTable]:
+    """Return a simulated oscilloscope at the beat of the gyro, in real time, and the table under it."""
     instruments = build_instruments(at_slow_rate(settings), RealClock())
     _show_the_beat(instruments, settings)
-    link = "pty" if tcp_port is None else "tcp"
-    with served(instruments.scope, link, tcp_port=tcp_port or 0, baud_rate=baud_rate) as server:
-        yield server
+    return instruments.scope, instruments.table
+
+
+def _changed(settings: Settings, model: str, number: int) -> Settings:
+    """The settings of one of several scopes."""
+    simulation = settings.simulation
+    if simulation is None:
+        return settings
+    changes = {"seed": simulation.seed + number, **({"scope_model": model} if model else {})}
+    return settings.model_copy(update={"simulation": simulation.model_copy(update=changes)})
+
+
+def _showing(
+    signals: Sequence[ShownSignal], settings: Settings, instruments: SimulatedInstruments
+) -> SimulatedTDS2014:
+    """A scope of the same model on other signals, after AUTOSET."""
+    gyro = instruments.scope.acquisition.signal(settings.scope.channel)
+    inputs = {shown.channel: shown.signal or gyro for shown in signals}
+    if len(inputs) < len(signals):
+        raise UsageError("--signal: one channel has two signals; write CH2= before the second one")
+    model = instruments.scope.model
+    if max(inputs) > model.channels:
+        raise UsageError(f"--signal: a {model.name} has no CH{max(inputs)}")
+    simulation = settings.simulation
+    scope = SimulatedTDS2014(
+        inputs,
+        model=model.name,
+        clock=instruments.clock,
+        noise_levels=simulation.scope_noise_levels if simulation else 0.0,
+        seed=simulation.seed if simulation else 0,
+    )
+    probes = ";".join(f":SELECT:CH{n} {int(n in inputs)};:CH{n}:PROBE 1" for n in range(1, model.channels + 1))
+    with scope.lock:
+        for message in (probes, "AUTOSET EXECUTE"):
+            for _ in scope.execute(message.encode()):
+                pass
+    return scope
 
 
 def _show_the_beat(instruments: SimulatedInstruments, settings: Settings) -> None:

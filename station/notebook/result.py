@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Any
 
 from instrument.fibre_gyro import Recording
 from station.errors import UsageError
-from station.lock_in.files import AnalyzedFiles
 from station.lock_in.found import LockInFound
 from station.notebook.records import Record, Records
 from station.notebook.show import data_frame, html_table
+from station.reanalysis.files import AnalyzedFiles
 from station.shell.evaluated import Evaluated
 
 if TYPE_CHECKING:

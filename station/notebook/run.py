@@ -17,10 +17,10 @@ from station.catalogue.remarks import Remarks, add_remark, read_remarks
 from station.datasets.reading import names_of, run_of
 from station.errors import EXIT_NO_SIGNAL, Failure, NoUsableSignal, UsageError
 from station.fibre_gyro.recordings import segments_of
-from station.lock_in.files import AnalyzedFiles, analyze_waveforms
 from station.lock_in.found import LockInFound
 from station.notebook.records import Record, Records
 from station.notebook.result import Result
+from station.reanalysis.files import AnalyzedFiles, analyze_waveforms
 from station.ring_laser.records import saved_waveform
 from station.runs.store import SavedRecord, SavedRun
 from station.runs.store import open_run as read_run

@@ -77,7 +77,7 @@ def render_report(evaluated: Shown) -> str:
         sections = [*sections, Section("What to watch", sentences=result.to_watch)]
     return render_page(
         "report.html.j2",
-        title=f"{evaluated.heading}, {facts.started_at[:10]}",
+        title=", ".join(filter(None, (evaluated.heading, facts.started_at[:10]))),
         heading=evaluated.heading,
         version=version("gyrolock"),
         simulated=facts.simulated,
@@ -107,8 +107,9 @@ def _reasons(result: Result) -> tuple[str, ...]:
 
 def _labels(facts: RunFacts) -> Rows:
     """What a person looks for first: which unit, who, when."""
-    taken = facts.started_at[:16].replace("T", " ")
-    rows = [*facts.labels.items(), ("taken", f"{taken} UTC")]
+    rows = [*facts.labels.items()]
+    if taken := facts.started_at[:16].replace("T", " "):
+        rows.append(("taken", f"{taken} UTC"))
     if facts.resumed_at:
         rows.append(("resumed", f"{len(facts.resumed_at)} times" if len(facts.resumed_at) > 1 else "once"))
     return rows
@@ -125,6 +126,8 @@ def _common_tables(evaluated: Shown) -> list[FactTable]:
 
 
 def _provenance_rows(facts: RunFacts) -> Rows:
+    if not facts.started_at:
+        return []  # files of an oscilloscope
     rows = [
         ("taken", f"{facts.started_at} to {facts.ended_at or 'unknown'}"),
         ("outcome", facts.outcome_text),

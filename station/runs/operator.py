@@ -10,6 +10,13 @@ from station.errors import UsageError
 from station.terminal.give_way import free_terminal
 from station.terminal.visible import visible
 
+WIRING = """\
+    gyro ── photodiode ── amplifier ── coaxial cable ── CH1 of the oscilloscope
+                                                         │ GPIB, RS-232 or USB
+    rate table ── its controller ─────────────────────── computer
+"""
+"""How the bench is wired, for a prompt."""
+
 
 def ask_operator(question: str) -> str:
     """Ask on stderr, since stdout belongs to the result.
@@ -21,7 +28,7 @@ def ask_operator(question: str) -> str:
     """
     check_terminal()
     try:
-        with free_terminal():
+        with free_terminal(question):
             sys.stderr.write(f"\n{visible(question)}")
             sys.stderr.flush()
             answer = sys.stdin.readline()

@@ -236,7 +236,7 @@ def open_run(path: Path) -> SavedRun:
         facts, unusable, protected = read_facts(db)
         records = tuple(read_record(row, layout) for row in db.execute(layout.select))
         results = db.execute("SELECT value FROM result ORDER BY number DESC LIMIT 1").fetchone()
-        damaged = tuple(run_damage(records, unusable))
+        damaged = tuple(damage_of(records, unusable))
         return SavedRun(file, RunFacts(facts), records, _results(results), unusable, protected, damaged)
 
 
@@ -263,14 +263,14 @@ def read_record(row: Sequence[Any], layout: Layout) -> SavedRecord:
     )
 
 
-def run_damage(records: Sequence[SavedRecord], unusable: Mapping[str, str]) -> Iterator[str]:
+def damage_of(records: Sequence[SavedRecord], unusable: Mapping[str, str]) -> Iterator[str]:
     """Say in one sentence each what of a run is not what was once saved."""
-    yield from (said for record in records if (said := damage_of(record)))
+    yield from (said for record in records if (said := damaged_record(record)))
     yield from missing_records(sorted({record.number for record in records if record.number > 0}))
     yield from damaged_facts(unusable)
 
 
-def damage_of(record: SavedRecord) -> str:
+def damaged_record(record: SavedRecord) -> str:
     """Say that a record is damaged; nothing if it is not, or counts in no result."""
     return "" if record.intact or record.aside else f"record {record.number} ({record.key}) is damaged"
 

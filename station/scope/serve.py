@@ -1,54 +1,88 @@
-"""A simulated oscilloscope behind a real byte stream."""
+"""Simulated oscilloscopes behind a real link."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
 
-from instrument.simulated import PtyServer, SimulatedTDS2014, TcpServer
+from instrument.simulated import GpibAdapterServer, HislipServer, PtyServer, SimulatedTDS2014, TcpServer
 from station.errors import UsageError
+
+Server = PtyServer | TcpServer | HislipServer | GpibAdapterServer
+
+
+@dataclass(frozen=True)
+class Served:
+    """Instruments that are served, and their VISA names in the same order."""
+
+    servers: tuple[Server, ...]
+    resource_names: tuple[str, ...]
+
+    def wait(self, timeout: float) -> bool:
+        """Wait until one of them is served no more; False after `timeout` s."""
+        one, *others = (server.ended for server in self.servers)
+        return any(ended.is_set() for ended in others) or one.wait(timeout=timeout)
 
 
 @contextmanager
 def serve(scope: SimulatedTDS2014, link: str, *, tcp_port: int = 0) -> Iterator[str]:
-    """Put the simulated oscilloscope behind a byte stream, as :func:`served` does it; yields the VISA name."""
-    with served(scope, link, tcp_port=tcp_port) as server:
-        yield server.resource_name
+    """Put one simulated oscilloscope behind a byte stream, as :func:`served` does it; yields its VISA name."""
+    with served([scope], link, port=tcp_port) as found:
+        yield found.resource_names[0]
 
 
 @contextmanager
 def served(
-    scope: SimulatedTDS2014, link: str, *, tcp_port: int = 0, baud_rate: int | None = None
-) -> Iterator[PtyServer | TcpServer]:
-    """Put the simulated oscilloscope behind a byte stream.
+    scopes: Sequence[SimulatedTDS2014], link: str, *, port: int = 0, baud_rate: int | None = None
+) -> Iterator[Served]:
+    """Put simulated oscilloscopes behind a link.
 
     Parameters
     ----------
-    link : {"auto", "pty", "tcp"}
+    scopes : sequence of SimulatedTDS2014
+        HiSLIP serves them behind one port; on TCP each has a port of its own, one behind the other.
+    link : {"auto", "pty", "tcp", "hislip", "prologix"}
         ``"auto"``: a serial terminal where the system has one.
-    tcp_port : int, optional
-        0: any free one.
+    port : int, optional
+        Of the first one; 0: any free one.
     baud_rate : int, optional
-        Paces the serial terminal.
-
-    Yields
-    ------
-    PtyServer or TcpServer
-        With its VISA name, and with an event that is set when it serves no more.
+        Paces the serial terminals.
 
     Raises
     ------
     UsageError
-        If the system has no such link, or the port is taken.
+        If the system has no such link, or a port is taken.
     """
-    server: PtyServer | TcpServer
+    with ExitStack() as stack:
+        try:
+            yield _start(stack, scopes, link, port, baud_rate)
+        except _NotServed as problem:
+            if link != "auto":
+                raise UsageError(f"the simulated scope cannot be served: {problem}") from None
+            yield _start(stack, scopes, "tcp", port, None)
+
+
+class _NotServed(Exception):
+    """The system does not give the link."""
+
+
+def _start(
+    stack: ExitStack, scopes: Sequence[SimulatedTDS2014], link: str, port: int, baud_rate: int | None
+) -> Served:
     try:
-        server = TcpServer(scope, port=tcp_port) if link == "tcp" else PtyServer(scope, baud_rate=baud_rate)
+        if link == "hislip":
+            server = stack.enter_context(HislipServer(scopes, port=port))
+            return Served((server,), server.resource_names)
+        servers: list[TcpServer | PtyServer | GpibAdapterServer] = []
+        for number, scope in enumerate(scopes):
+            own = port + number if port else 0
+            if link == "tcp":
+                servers.append(stack.enter_context(TcpServer(scope, port=own)))
+            elif link == "prologix":
+                servers.append(stack.enter_context(GpibAdapterServer(scope, port=own)))
+            else:
+                servers.append(stack.enter_context(PtyServer(scope, baud_rate=baud_rate)))
     except OSError as error:
-        if link != "auto":
-            raise UsageError(f"the simulated scope cannot be served: {error.strerror or error}") from None
-        server = TcpServer(scope, port=tcp_port)
-    try:
-        yield server
-    finally:
-        server.close()
+        raise _NotServed(error.strerror or str(error)) from None
+    return Served(tuple(servers), tuple(server.resource_name for server in servers))

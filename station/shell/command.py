@@ -28,6 +28,7 @@ def run_measurement(
     places: Mapping[str, str],
     paths: tuple[Path, ...] = (),
     known: Mapping[str, object] | None = None,
+    for_files: Mapping[str, str] | None = None,
 ) -> int:
     """Carry out a command that takes records, from its options to its exit code.
 
@@ -43,6 +44,8 @@ def run_measurement(
         A saved run, or files to make one of.
     known : mapping, optional
         Further facts of a new run, plain JSON.
+    for_files : mapping, optional
+        As `places`: options that say how files are read.
 
     Returns
     -------
@@ -54,13 +57,17 @@ def run_measurement(
     from station.shell.running import saved_run
 
     report, as_json, lines = given["report"], given["as_json"], given["jsonl"]
+    read_as = [option for option in for_files or {} if given.get(option) is not None]
     if not any(path.exists() and is_database(path) for path in paths):
+        if read_as and not paths:
+            raise click.UsageError(f"--{read_as[0].replace('_', '-')} says how files are read: name them too")
+        chosen = overrides(given, for_files or {})
         with shown_for(name, given) as progress:
-            taken = take_measurement(name, given, progress, places=places, paths=paths, known=known)
+            taken = take_measurement(name, given, progress, places=places, paths=paths, known=known, chosen=chosen)
             code = finish(taken, report=report, as_json=as_json, quiet=lines, events=progress.events)
             progress.end(code)
             return code
-    _exclude(given, places, paths)
+    _exclude(given, {**places, **(for_files or {})}, paths)
     if len(paths) > 1:
         raise click.UsageError("give one saved run, or files to make one of")
     if lines:
@@ -88,13 +95,20 @@ def take_measurement(
     places: Mapping[str, str],
     paths: tuple[Path, ...] = (),
     known: Mapping[str, object] | None = None,
+    chosen: Mapping[str, Mapping[str, object]] | None = None,
 ) -> Taken:
-    """Take a new run, make one of files or go on with one; arguments as :func:`run_measurement`."""
+    """Take a new run, make one of files or go on with one; arguments as :func:`run_measurement`.
+
+    Parameters
+    ----------
+    chosen : mapping, optional
+        Further settings by section.
+    """
     if not given["jsonl"]:
-        return _taken(name, given, progress, places, paths, known, None)
+        return _taken(name, given, progress, places, paths, known, chosen or {}, None)
     acknowledgement = Acknowledgement()
     try:
-        return _taken(name, given, progress, places, paths, known, acknowledgement)
+        return _taken(name, given, progress, places, paths, known, chosen or {}, acknowledgement)
     finally:
         acknowledgement.rest()
 
@@ -106,6 +120,7 @@ def _taken(
     places: Mapping[str, str],
     paths: tuple[Path, ...],
     known: Mapping[str, object] | None,
+    further: Mapping[str, Mapping[str, object]],
     told: Acknowledgement | None,
 ) -> Taken:
     from station.measurements import measurement
@@ -114,7 +129,7 @@ def _taken(
 
     kind, config = measurement(name), given["config"]
     labels = {label: given[label] for label in _LABELS if given[label] is not None}
-    chosen = overrides(given, {**_PLACES, **places})
+    chosen = {**overrides(given, {**_PLACES, **places}), **further}
     _exclude(given, places, paths)
     if given["resume"] is not None:
         changes = {"config": config, "overrides": chosen, "labels": labels}

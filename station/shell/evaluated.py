@@ -7,6 +7,7 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from station.datasets.reading import run_of
 from station.errors import RunError, UsageError
 from station.measurements import MEASUREMENTS, Measurement, measurement
 from station.results.as_json import plain
@@ -16,7 +17,9 @@ from station.results.result import Result
 from station.runs.progress import Progress
 from station.runs.store import SavedRun, open_run
 from station.settings.load import saved_settings
-from station.sources.run import RunSource, SavedRecords
+from station.sources.find import open_source
+from station.sources.run import SavedRecords
+from station.sources.source import Source
 from station.sources.workers import Workers
 
 SCHEMA_VERSION = 2
@@ -153,23 +156,23 @@ def evaluate_run(
 
 
 def evaluate_saved(
-    path: Path, workers: Workers, progress: Progress, *, config: Path | None, choices: Mapping[str, Any]
+    path: Path | Source, workers: Workers, progress: Progress, *, config: Path | None, choices: Mapping[str, Any]
 ) -> Evaluated:
-    """Evaluate a run by its path: batch by batch where the measurement can, so that its length costs no memory.
+    """Evaluate a run by its path, or in a data set: in batches where its measurement can, which saves memory.
 
     Parameters and errors as for :func:`evaluate_run`.
     """
-    source = RunSource(path)
+    source = open_source(path)
     run = SavedRun(
         source.path, source.facts, SavedRecords(source), None, source.unusable, source.protected, source.damaged
     )
     kind, settings, wanted = _how(run, config, choices)
     if kind.evaluate_source is None:
-        return evaluate_run(open_run(path), config=config, choices=choices)
+        return evaluate_run(_whole(source), config=config, choices=choices)
     try:
         evaluated = kind.evaluate_source(source, settings, wanted, workers, progress)
         if evaluated is None:
-            return evaluate_run(open_run(path), config=config, choices=choices)
+            return evaluate_run(_whole(source), config=config, choices=choices)
         found, damage = evaluated
         run = replace(run, damaged=(*damage, *source.damaged))
         return _judged(kind, run, settings, found, kind.result(found, run, settings))
@@ -179,6 +182,11 @@ def evaluate_saved(
         raise RunError(
             f"{run.path}: is damaged and cannot be evaluated ({type(error).__name__}: {error})"
         ) from error
+
+
+def _whole(source: Source) -> SavedRun:
+    """The run with all its records in memory."""
+    return open_run(source.path) if source.kind == "run" else run_of(source)
 
 
 def _how(

@@ -16,6 +16,8 @@ def check_over_time(waveform: Waveform | Preamble, name: str) -> None:
     """
     preamble = waveform if isinstance(waveform, Preamble) else waveform.preamble
     unit = preamble.xunit
+    if unit.lower() in ("v", "volts"):
+        raise NoUsableSignal(f"{name}: is an XY record ({unit} across), none over time: save the channel itself")
     if unit.lower() != "s":
         raise NoUsableSignal(f"{name}: is a spectrum ({unit}), not a record over time: save the channel itself")
     if preamble.pt_fmt == "ENV" or "pk detect" in preamble.wfid.lower():

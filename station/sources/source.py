@@ -27,6 +27,8 @@ class Source(ABC):
         Facts that are not what was once saved, and why they are left out.
     protected : bool
         Whether damage to a fact would show.
+    damaged : tuple of str
+        Records that are missing and facts that are damaged; damaged records show when they are read.
     """
 
     path: Path
@@ -35,6 +37,7 @@ class Source(ABC):
     facts: RunFacts
     unusable: Mapping[str, str]
     protected: bool = True
+    damaged: tuple[str, ...] = ()
 
     @abstractmethod
     def records(self, numbers: range | None = None) -> Iterator[SavedRecord]:
@@ -57,11 +60,6 @@ class Source(ABC):
     @abstractmethod
     def __len__(self) -> int:
         """Return how many records it holds."""
-
-    @property
-    def place(self) -> Path | Source:
-        """What another process opens it by: its path, or itself where it is a small object."""
-        return self.path
 
     @property
     def span(self) -> tuple[int, int]:

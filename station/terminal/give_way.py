@@ -1,32 +1,32 @@
-"""Who draws on the terminal steps aside while somebody else writes there: a question for the operator."""
+"""Who draws on the terminal steps aside while the operator is asked there, and says that an answer is awaited."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 
-_drawing: list[tuple[Callable[[], None], Callable[[], None]]] = []
+_stepping_aside: list[tuple[Callable[[str], None], Callable[[], None]]] = []
 
 
 @contextmanager
-def drawing(hide: Callable[[], None], show: Callable[[], None]) -> Iterator[None]:
-    """Say that the terminal is drawn on; `hide` and `show` take the drawing away and bring it back."""
-    _drawing.append((hide, show))
+def stepping_aside(aside: Callable[[str], None], back: Callable[[], None]) -> Iterator[None]:
+    """Be told of questions: `aside` gets each before it is asked, `back` is called when it is answered."""
+    _stepping_aside.append((aside, back))
     try:
         yield
     finally:
-        _drawing.remove((hide, show))
+        _stepping_aside.remove((aside, back))
 
 
 @contextmanager
-def free_terminal() -> Iterator[None]:
-    """Have the terminal free of drawings."""
-    for hide, _ in _drawing:
+def free_terminal(question: str) -> Iterator[None]:
+    """Have the terminal free for a question."""
+    for aside, _ in _stepping_aside:
         with suppress(OSError, ValueError):
-            hide()
+            aside(question)
     try:
         yield
     finally:
-        for _, show in _drawing:
+        for _, back in _stepping_aside:
             with suppress(OSError, ValueError):
-                show()
+                back()

@@ -1,12 +1,14 @@
-"""docs/commands.md holds every command and option as they are."""
+"""docs/commands.md and docs/api.md hold every command, option and public name as they are."""
 
 import runpy
 from collections.abc import Iterator
 from pathlib import Path
 
 import click
+import pytest
 
 from station.cli import gyrolock
+from station.events.event import KINDS
 
 DOCS = Path(__file__).parents[2] / "docs"
 
@@ -21,9 +23,17 @@ def commands(command: click.Command, context: click.Context) -> Iterator[tuple[s
 EVERY = dict(commands(gyrolock, click.Context(gyrolock, info_name="gyrolock")))
 
 
-def test_the_page_is_what_the_commands_say() -> None:
-    written = runpy.run_path(str(DOCS / "commands.py"))["page"]()
-    assert written == (DOCS / "commands.md").read_text(encoding="utf-8"), "`make docs` writes it again"
+@pytest.mark.parametrize("name", ["commands", "api"])
+def test_the_page_is_what_the_program_says(name: str) -> None:
+    written = runpy.run_path(str(DOCS / f"{name}.py"))["page"]()
+    assert written == (DOCS / f"{name}.md").read_text(encoding="utf-8"), "`make docs` writes it again"
+
+
+def test_every_event_is_described() -> None:
+    page = (DOCS / "watching.md").read_text(encoding="utf-8")
+    for kind, (names, meaning) in KINDS.items():
+        told = ", ".join(f"`{name}`" for name in names.split()) if names != "*" else "names with their units"
+        assert f"| `{kind}` | {told} | {meaning} |" in page
 
 
 def test_every_command_and_option_has_help() -> None:

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from instrument import FileFormatError, Preamble, Waveform, read_waveform
-from instrument.tek_files import parse_csv, parse_isf
+from instrument.tek_files import csv_text, parse_csv, parse_isf, read_tek_file
 
 TEK_FILES = Path(__file__).parents[3] / "shared" / "data" / "tek-files"
 CSV_FILES = sorted(TEK_FILES.glob("*.CSV"))
@@ -100,6 +100,26 @@ def _without_third_column(text: str) -> str:
     return "".join(",".join(line.split(",")[:3] + line.split(",")[4:]) for line in text.splitlines(True))
 
 
+OVER_TIME = [file for file in CSV_FILES if not file.name.endswith("MTH.CSV")]
+
+
+@needs_files
+@pytest.mark.parametrize("file", OVER_TIME, ids=lambda file: file.name)
+def test_what_we_write_is_what_the_scope_wrote_byte_for_byte(file):
+    found = read_tek_file(file)
+    names = ("Probe Atten", "Model Number", "Serial Number", "Firmware Version")
+    written = csv_text(found.waveform, {name: found.keys[name] for name in names if name in found.keys})
+    assert written.encode() == file.read_bytes()
+
+
+def test_what_no_scope_of_this_family_could_have_written_is_refused():
+    wide = Waveform(np.zeros(2500, np.int16), replace(PREAMBLE, byt_nr=2, bit_nr=16))
+    blank = Waveform(np.full(2500, -128, np.int8), PREAMBLE)
+    for wave in (wide, blank, Waveform(np.zeros(2500, np.int8), replace(PREAMBLE, xunit="Hz"))):
+        with pytest.raises(FileFormatError, match="take another kind"):
+            csv_text(wave)
+
+
 @needs_files
 def test_real_files_say_what_they_are():
     high = read_waveform(TEK_FILES / "tds1012b_cliphigh_F0001CH2.CSV")
@@ -175,13 +195,118 @@ def test_edited_files_are_still_read():
     assert parse_csv(no_probe) == plain
 
 
+def test_interval_and_scale_that_are_missing_are_found():
+    text = make_csv()
+    plain = parse_csv(text)
+    without = text.replace("Sample Interval,2.000000e-06", ",").replace("Vertical Scale,5.000000e-02", ",")
+    found = parse_csv(without)
+    assert found.codes.tolist() == plain.codes.tolist()
+    np.testing.assert_array_equal(found.volts, plain.volts)
+    assert found.sample_interval == plain.sample_interval
+    bare = "".join(f",,,{line.split(',')[3]},{line.split(',')[4]},\n" for line in text.splitlines())
+    with pytest.raises(FileFormatError, match="not a waveform file"):
+        parse_csv(bare)
+
+
+def of_a_spreadsheet(text: str, separator: str) -> str:
+    """The same with decimal commas."""
+    return text.replace(",", "\0").replace(".", ",").replace("\0", separator)
+
+
+@pytest.mark.parametrize("separator", [";", "\t"])
+def test_files_of_spreadsheets_with_decimal_commas(separator, tmp_path):
+    text = make_csv()
+    file = tmp_path / "F0000CH2.CSV"
+    file.write_bytes(b"\xef\xbb\xbf" + of_a_spreadsheet(text, separator).replace("\n", "\r\n").encode())
+    assert read_waveform(file) == parse_csv(text)
+    file.write_text(of_a_spreadsheet(text, separator), encoding="utf-16")
+    assert read_waveform(file) == parse_csv(text)
+    cells = [line.split(",") for line in text.splitlines()]
+    quoted = "\n".join(",".join('"' + cell.strip().replace(".", ",") + '"' for cell in row) for row in cells)
+    file.write_text(quoted)
+    assert read_waveform(file) == parse_csv(text)
+
+
+def later_csv(volts: np.ndarray, *, heading: str = "TIME,CH1", interval: float = 4e-6) -> str:
+    """As a TBS1000C writes it."""
+    keys = ["Model,TBS1102C", "Firmware Version,1.25.5", "Point Format,Y,", "Horizontal Units,S,"]
+    keys += ["Horizontal Scale,0.001,", f"Sample Interval,{interval:g},", f"Record Length,{len(volts)},"]
+    keys += [
+        "Probe Attenuation,1,",
+        "Vertical Units,V,",
+        "Vertical Offset,0,",
+        "Vertical Scale,0.5,",
+        ",,",
+        "Label,,",
+    ]
+    rows = [f"{-0.005 + n * interval:.9e},{value:.6g}," for n, value in enumerate(volts)]
+    return "\n".join([*keys, heading, *rows]) + "\n"
+
+
+@pytest.mark.parametrize(("levels", "offset"), [(1, 0.0), (1, 0.3), (5, 0.0), (1, 2.4)])
+def test_files_of_later_models(levels, offset, tmp_path):
+    rng = np.random.default_rng(5)
+    codes = np.clip(np.rint(60 * np.sin(np.arange(2000) / 70) + rng.standard_normal(2000)), -100, 100) * levels
+    volts = codes * 0.02 + offset
+    file = tmp_path / "tek0000CH1.csv"
+    file.write_text(later_csv(volts))
+    found = read_tek_file(file)
+    np.testing.assert_allclose(found.waveform.volts, volts, atol=1e-5)
+    assert np.ptp(found.waveform.codes.astype(int)) == np.ptp(codes) / levels
+    assert found.waveform.sample_interval == 4e-6
+    assert found.about == {"model": "TBS1102C", "firmware": "1.25.5", "probe": "1"}
+
+
+@pytest.mark.parametrize(
+    ("heading", "problem"),
+    [
+        ("TIME,CH1,CH2", "several traces"),
+        ("TIME,CH1,CH1 Peak Detect", "Peak Detect"),
+        ("FREQUENCY,MATH", "spectrum"),
+    ],
+)
+def test_what_later_models_save_besides_is_refused(heading, problem, tmp_path):
+    file = tmp_path / "tek0000CH1.csv"
+    file.write_text(later_csv(np.arange(50) * 0.02, heading=heading))
+    with pytest.raises(FileFormatError, match=problem):
+        read_waveform(file)
+
+
+@needs_files
+def test_a_curve_that_a_program_has_kept(tmp_path):
+    """The published answer of CURVe? of a TDS2014B, and that of WFMPre? beside it or before it."""
+    curve = (TEK_FILES / "tds2014b_curve_ribinary_width2.bin").read_bytes()
+    preamble = (
+        '2;16;BIN;RI;MSB;2500;"Ch1, DC coupling, 2.0E0 V/div, 2.5E-5 s/div, 2500 points, Sample mode";Y;1.0E-7;0;'
+        '-1.25E-4;"s";3.125E-4;0.0E0;-1.1008E4;"Volts"'
+    )
+    file = tmp_path / "channel-1.bin"
+    file.write_bytes(curve)
+    with pytest.raises(FileFormatError, match=r"channel-1\.wfmpre"):
+        read_waveform(file)
+    file.with_suffix(".wfmpre").write_text(preamble + "\n")
+    beside = read_waveform(file)
+    assert beside.codes.dtype == np.int8
+    both = tmp_path / "both.txt"
+    both.write_bytes(preamble.encode() + b"\n" + curve)
+    assert read_waveform(both) == beside
+    both.write_text(preamble + "\n")
+    with pytest.raises(FileFormatError, match="without that of CURVe"):
+        read_waveform(both)
+
+
+@needs_files
+def test_what_files_say_of_their_scope():
+    found = read_tek_file(TEK_FILES / "tds2014c_pwm_F0000CH1.CSV")
+    assert found.about == {"model": "TDS2014C", "serial": "C042203", "firmware": "v24.26", "probe": "1.000000e+00"}
+    assert (found.setting("COUPLING"), found.setting("BANDWIDTH"), found.setting("INVERT")) == ("DC", "OFF", "OFF")
+
+
 @pytest.mark.parametrize(
     ("old", "new", "problem"),
     [
         ("Vertical Scale,5.000000e-02", "Vertical Scale,zero", "Vertical Scale"),
         ("Vertical Scale,5.000000e-02", "Vertical Scale,0", "positive"),
-        ("Sample Interval,2.000000e-06", ",", "not a waveform file"),
-        ("Vertical Scale,5.000000e-02", ",", "Vertical Scale"),
         ("Vertical Scale,5.000000e-02", "Vertical Scale,7.000000e-02", "whole number of converter levels"),
         ("Vertical Scale,5.000000e-02", "Vertical Scale,2.500000e-02", "8-bit converter"),
         ("Trigger Point,1.250000000000e+03", "Trigger Point,0", "Trigger Point"),

@@ -37,6 +37,7 @@ def read_like_a_stranger(resource: str) -> tuple[str, np.ndarray, float]:
     "where",
     [
         ("--tcp", "0"),
+        ("--hislip", "0"),
         pytest.param(("--pty",), marks=POSIX),
         pytest.param(("--pty", "--baud", "19200"), marks=POSIX),
     ],
@@ -54,6 +55,23 @@ def test_a_plain_pyvisa_client_reads_the_beat(serve_scope, where: tuple[str, ...
     assert frequency == pytest.approx(2000 * np.sqrt(0.08**2 - 0.01**2), rel=0.06)
 
 
+def test_several_scopes_on_other_signals_with_faults(serve_scope, tmp_path) -> None:
+    times = 1e-5 * np.arange(1000)
+    np.savetxt(tmp_path / "ramp.csv", np.column_stack([times, times / 1e-2]), delimiter=",", header="s,V")
+    shown = ("--signal", "ramp.csv", "--signal", "CH2=square:1000:0.5")
+    served = serve_scope("--hislip", "0", *shown, "--model", "TDS2014", "--model", "TDS1002")
+    second = served.process.stdout.readline().strip()
+    manager = pyvisa.ResourceManager("@py")
+    for name, model in ((served.resource, "TDS 2014"), (second, "TDS 1002")):
+        with manager.open_resource(name, timeout=15_000) as scope:
+            assert model in scope.query("*IDN?")
+            scope.write("HEADER OFF;:DATA:ENCDG RIBINARY;:MEASU:IMM:SOURCE CH1;TYPE PK2PK")
+            assert float(scope.query("MEASU:IMM:VALUE?")) == pytest.approx(1.0, abs=0.1)
+            scope.write("MEASU:IMM:SOURCE CH2;TYPE FREQUENCY")
+            assert float(scope.query("MEASU:IMM:VALUE?")) == pytest.approx(1000.0, rel=0.02)
+    manager.close()
+
+
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
 def test_it_ends_cleanly(serve_scope, number: int) -> None:
     scope = serve_scope("--tcp", "0")
@@ -66,6 +84,24 @@ def test_it_must_be_told_where(gyrolock) -> None:
     assert gyrolock("simulate").code == 2
     assert gyrolock("simulate", "--tcp", "0", "--pty").code == 2
     assert gyrolock("simulate", "--tcp", "0", "--baud", "9600").code == 2
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (("--signal", "none.csv"), "no such file"),
+        (("--signal", "CH9=sine"), "no channel"),
+        (("--signal", "sine:fast"), "with numbers"),
+        (("--signal", "sine", "--signal", "CH1=square"), "two signals"),
+        (("--signal", "CH3=sine", "--model", "TDS1002"), "has no CH3"),
+        (("--model", "TDS9999"), "TDS9999"),
+        (("--faults", "gremlins"), "choose one of"),
+        (("--faults", "cut answer:often"), "no number from 0 to 1"),
+    ],
+)
+def test_what_cannot_be_simulated_is_told(options, words, capsys) -> None:
+    assert main(("simulate", "--tcp", "0", *options)) == 2
+    assert words in capsys.readouterr().err
 
 
 def test_a_taken_port_is_told(gyrolock, serve_scope) -> None:

@@ -116,7 +116,7 @@ def shown_smooth(signal: Signal, channel: ChannelSettings, times: Floats, more: 
 def mean_shown(signal: Signal, channel: ChannelSettings, starts: Floats, times: Floats) -> Floats | None:
     """Mean of what `shown_smooth` gives at `times` after each of the `starts`, all in s and rising.
 
-    From one look at the coarse grids of all of them: polynomials through the means are the mean of the polynomials.
+    From one look at the coarse grids of all: polynomials through the means are the mean of the polynomials.
     None where the signal does not tell that this is right.
     """
     if channel.coupling != "DC" or not tells_its_noise(signal):

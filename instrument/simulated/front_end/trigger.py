@@ -93,12 +93,17 @@ class Comparator:
             return seen.interval
         return self._interval(start, stop)
 
-    def stretch(self, start: float, now: float) -> Stretch:
-        """What is seen from `start` to `now`, or not so far; the last one again if it holds the start."""
+    def stretch(self, start: float, until: float, now: float) -> Stretch:
+        """What is seen from `start` to `now`, or not so far; the last one again if it holds the start.
+
+        Up to `until` looks between which the signal is smooth are known to do.
+        """
         seen = self._seen
         if seen is None or not seen.times[0] <= start < seen.times[-1] - _SHORTEST_STRETCH:
-            interval = self._interval(start, now)
-            end = min(now, start + _MOST_CELLS * interval)
+            end, interval = now, self._interval(start, now)
+            if not interval:  # behind `until` the table changes its rate, or the gyro locks
+                end, interval = until, self._interval(start, until)
+            end = min(end, start + _MOST_CELLS * interval)
             seen = self._seen = Stretch(self._smooth, start, end, interval)
         return seen
 
@@ -148,7 +153,7 @@ class EdgeSearch:
     def _advance_coarsely(self, until: float, now: float, step: float, noise: float) -> float | None:
         """The same where looks far apart tell where the edge may be, and `noise` is as far as noise goes."""
         while until - self.searched_until > _SHORTEST_STRETCH:
-            stretch = self.volts_at.stretch(self.searched_until, now)
+            stretch = self.volts_at.stretch(self.searched_until, until, now)
             edge = self._edge_along(stretch, until, step, noise)
             if edge is not None:
                 return edge
@@ -278,7 +283,7 @@ class PulseSearch:
     began: Bracket | None = None
 
     def advance(self, until: float, step: float, now: float) -> float | None:
-        """Search on to `until`, not later than `now`, in steps of `step` or finer; the time of the trigger, or None."""
+        """Search on to `until`, not later than `now`, in steps of `step` or finer; the time of the trigger."""
         span = until - self.searched_until
         if span <= 0:
             return None
@@ -300,7 +305,7 @@ class PulseSearch:
     def _advance_coarsely(self, until: float, now: float, step: float, noise: float) -> float | None:
         """The same where looks far apart tell on which side the signal is, and `noise` is as far as noise goes."""
         while until - self.searched_until > _SHORTEST_STRETCH:
-            stretch = self.volts_at.stretch(self.searched_until, now)
+            stretch = self.volts_at.stretch(self.searched_until, until, now)
             times = self._telling_times(stretch, min(until, float(stretch.times[-1])), step, noise)
             found = self._pulse_in(times, self._turned(stretch.between(times) + self.volts_at.noise(times)))
             if found is not None:

@@ -108,7 +108,7 @@ class MessageExchange:
         return able and self._running is None and bool(self._waiting)
 
     def pump(self, most: float = math.inf) -> None:
-        """Carry out what has come in, as far as the clock allows; `most` messages, so that others have their turn."""
+        """Carry out what has come in, as far as the clock allows: `most` messages, then others have their turn."""
         with self.scope.lock:
             while most > 0 and self.scope.powered and not self.scope.faults.hung and self._advance():
                 most -= 1

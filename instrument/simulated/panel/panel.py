@@ -200,7 +200,7 @@ class Panel:
 
     @_remembered
     def displayed_channels(self) -> dict[str, ChannelSettings]:
-        """Vertical settings of the channels that are acquired: those on the screen, and all for the math waveform."""
+        """Vertical settings of the channels that are acquired: those on the screen, all for the math waveform."""
         shown = self.displayed
         names = (name for name in self.model.channel_names if name in shown or "MATH" in shown)
         return {name: self.channel(name) for name in names}

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.fibre_gyro import TwoPiError, estimate_two_pi_error
+from analysis.fibre_gyro import TwoPiError, estimate_two_pi_error, mean_at_rest
 from station.errors import NoUsableSignal
 from station.fibre_gyro.common import not_taken, reasons_of
 from station.fibre_gyro.recordings import Segment, segments_of
@@ -86,4 +86,5 @@ def _mean_of(segment: Segment, name: str) -> tuple[float, float]:
     values = values[np.isfinite(values)]
     if values.size < 3:
         raise ValueError(f"{name} has {values.size} values: record longer, or inject a larger step")
-    return float(values.mean()), float(max(np.std(values, ddof=1) / np.sqrt(values.size), 1e-12))
+    mean = mean_at_rest(values, recording.interval_s)
+    return mean.mean, max(mean.mean_u, 1e-12)

@@ -6,10 +6,12 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from analysis.fibre_gyro import steps_beyond_dac
+from station.fibre_gyro.at_once import watch
 from station.fibre_gyro.common import beyond_converter, output_facts, truth_of
 from station.fibre_gyro.eps.evaluate import PURPOSE, evaluate
 from station.fibre_gyro.eps.result import LIMITED, result
 from station.fibre_gyro.eps.sections import sections
+from station.fibre_gyro.examine import examine
 from station.fibre_gyro.logs import LogRow, read_logs
 from station.fibre_gyro.segments import PlannedSegment, seconds_of, take_logs, take_segments, unusable_segments
 from station.fibre_gyro.serial_bench import open_fog_bench
@@ -44,7 +46,7 @@ def take_files(settings: FogSettings, paths: Sequence[Path], session: Session) -
     def named(rows: Sequence[LogRow]) -> list[tuple[str, dict[str, object]]]:
         return [(_key(row["step_codes"]), _conditions(row["step_codes"])) for row in rows]
 
-    take_logs(session, paths, read_logs(paths, PURPOSE, ("step_codes",), named))
+    take_logs(session, paths, read_logs(paths, PURPOSE, ("step_codes",), named, settings))
 
 
 def _key(step_codes: float) -> str:
@@ -67,6 +69,8 @@ MEASUREMENT = Measurement(
     sections=sections,
     facts=output_facts,
     gives=LIMITED,
+    watch=watch,
+    examine=examine,
     unusable=lambda run, settings: unusable_segments(run, settings, [PURPOSE]),
     seconds=lambda settings: seconds_of(plan(settings)[0]),
 )

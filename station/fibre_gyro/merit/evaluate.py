@@ -13,17 +13,20 @@ from numpy.typing import NDArray
 from analysis.fibre_gyro import (
     ResidualPattern,
     ScaleFigures,
-    net_outputs,
+    WindowMean,
+    few_values_factor,
+    pooled_noise,
     repeatability_ppm,
     residual_pattern,
     scale_figures,
+    static_level,
     temperature_coefficient_ppm,
 )
 from station.errors import NoUsableSignal
 from station.fibre_gyro.common import reasons_of
 from station.fibre_gyro.recordings import Segment, segments_of
 from station.fibre_gyro.settings import FogSettings
-from station.fibre_gyro.windows import check_table_rate, window_at_rest, window_over_turns
+from station.fibre_gyro.windows import check_table_rate, remarks_on, window_at_rest, window_of_any_length
 from station.results.result import LeftOut
 from station.runs.store import SavedRun
 
@@ -33,18 +36,24 @@ _MANY_TURNS = 100_000
 
 @dataclass(frozen=True)
 class MeritRun:
-    """One run over the range.
+    """One run over the range, of one axis.
 
     Attributes
     ----------
     name : str
-        ``"run 1"`` or ``"run at +60 deg C"``.
+        ``"run 1"`` or ``"run at +60 deg C"``, with the axis in front where there are several.
     temperature_c : float
         As the gyro or the log gives it, else as planned; nan if nobody knows.
-    rate_dps, output, output_u : ndarray, shape (n,)
-        Net output: less the mean of the static outputs before and after.
+    rate_dps : ndarray, shape (n,)
+        Along the axis: with its end down the rate of the table changes its sign.
+    output, output_u : ndarray, shape (n,)
+        Net output: less the static output.
     static_drift, static_drift_u : float
-        Static output after less that before, counts; nan if one is missing.
+        Last static output less the first, counts; nan if one is missing.
+    drift_removed : bool
+        Whether the static output was interpolated in time.
+    remarks : tuple of str
+        What was missing or left out within the windows.
     """
 
     name: str
@@ -56,11 +65,13 @@ class MeritRun:
     static_drift_u: float
     figures: ScaleFigures
     pattern: ResidualPattern
+    drift_removed: bool
+    remarks: tuple[str, ...]
 
 
 @dataclass(frozen=True)
-class MeritFound:
-    """Figures of merit of a gyro.
+class AxisMerit:
+    """Figures of merit of one axis.
 
     Attributes
     ----------
@@ -74,6 +85,7 @@ class MeritFound:
         nan where there are too few runs.
     """
 
+    axis: str
     runs: tuple[MeritRun, ...]
     at_temperatures: tuple[MeritRun, ...]
     scale_factor: float
@@ -83,12 +95,23 @@ class MeritFound:
     asymmetry_ppm: float
     repeatability_ppm: float
     temperature_coefficient_ppm: float
-    left_out: tuple[LeftOut, ...]
 
     @property
     def all_runs(self) -> tuple[MeritRun, ...]:
         """Those from cold starts first."""
         return (*self.runs, *self.at_temperatures)
+
+
+@dataclass(frozen=True)
+class MeritFound:
+    """Figures of merit of each axis."""
+
+    axes: tuple[AxisMerit, ...]
+    left_out: tuple[LeftOut, ...]
+
+    def largest(self, name: str) -> float:
+        """Return a figure of the one axis, or the largest of several; nan where none gives one."""
+        return _largest([getattr(one, name) for one in self.axes])
 
 
 def evaluate(run: SavedRun, settings: FogSettings, choices: Mapping[str, Any]) -> MeritFound:
@@ -100,31 +123,53 @@ def evaluate(run: SavedRun, settings: FogSettings, choices: Mapping[str, Any]) -
         No run is complete enough for a line.
     """
     left_out: list[LeftOut] = []
-    by_run: dict[str, list[Segment]] = {}
+    by_axis: dict[str, dict[str, list[Segment]]] = {}
     for segment in segments_of(run, PURPOSE):
-        by_run.setdefault(segment.conditions.get("run", "run 1"), []).append(segment)
-    found = {name: _one_run(name, segments, settings, left_out) for name, segments in by_run.items()}
-    good = {name: one for name, one in found.items() if one is not None}
-    reference = {name for name, segments in by_run.items() if segments[0].conditions.get("reference", True)}
-    runs = tuple(one for name, one in good.items() if name in reference)
-    if not runs:
+        axis = str(segment.conditions.get("axis", settings.figures.axis))
+        by_axis.setdefault(axis, {}).setdefault(segment.conditions.get("run", "run 1"), []).append(segment)
+    found = [
+        _one_axis(axis, runs, settings, left_out, f"{axis} " if len(by_axis) > 1 else "")
+        for axis, runs in by_axis.items()
+    ]
+    axes = tuple(one for one in found if one is not None)
+    if not axes:
         raise NoUsableSignal(f"no run has enough points for a scale factor{reasons_of(left_out)}")
+    return MeritFound(axes, tuple(left_out))
+
+
+def _one_axis(
+    axis: str, by_run: Mapping[str, list[Segment]], settings: FogSettings, left_out: list[LeftOut], before: str
+) -> AxisMerit | None:
+    """Evaluate the runs of one axis; what cannot be used is added to `left_out`."""
+    found = {name: _one_run(f"{before}{name}", of_run, settings, left_out) for name, of_run in by_run.items()}
+    good = {name: one for name, one in found.items() if one is not None}
+    reference = {name for name, of_run in by_run.items() if of_run[0].conditions.get("reference", True)}
+    runs = tuple(one for name, one in good.items() if name in reference)
     others = tuple(one for name, one in good.items() if name not in reference)
+    if not runs:
+        left_out += [LeftOut(one.name, "there is no run at the reference temperature beside it") for one in others]
+        return None
     k = np.array([one.figures.fit.slope for one in runs])
     each = [one.figures for one in runs]
-    scale_u = float(np.std(k, ddof=1) / math.sqrt(k.size)) if k.size > 1 else each[0].fit.slope_u
-    return MeritFound(
+    return AxisMerit(
+        axis=axis,
         runs=runs,
         at_temperatures=others,
         scale_factor=float(k.mean()),
-        scale_factor_u=scale_u,
+        scale_factor_u=_scale_u(k, each[0]),
         nonlinearity_ppm=_largest([one.nonlinearity_ppm for one in each]),
         nonlinearity_of_point_ppm=_largest([one.nonlinearity_of_point_ppm for one in each]),
         asymmetry_ppm=_largest([one.asymmetry_ppm for one in each]),
         repeatability_ppm=repeatability_ppm(k) if k.size > 1 else math.nan,
         temperature_coefficient_ppm=_temperature_coefficient(runs, others),
-        left_out=tuple(left_out),
     )
+
+
+def _scale_u(k: NDArray[np.float64], alone: ScaleFigures) -> float:
+    """Standard uncertainty of the mean scale factor, for few runs or points as wide as Student's t asks for."""
+    if k.size > 1:
+        return few_values_factor(k.size - 1) * float(np.std(k, ddof=1) / math.sqrt(k.size))
+    return few_values_factor(alone.fit.degrees_of_freedom) * alone.fit.slope_u
 
 
 def _largest(values: Sequence[float]) -> float:
@@ -149,44 +194,91 @@ def _one_run(
     name: str, segments: Sequence[Segment], settings: FogSettings, left_out: list[LeftOut]
 ) -> MeritRun | None:
     """Evaluate one run; segments that cannot be used are added to `left_out`."""
-    rates, means, static = [], [], []
-    for position, segment in enumerate(segments):
+    points, remarks, clock = [], [], 0.0
+    for segment in segments:
+        length = segment.recording.duration_s
+        clock += length
         try:
             mean = _mean(segment, settings)
         except ValueError as error:
             left_out.append(LeftOut(segment.key, str(error)))
             continue
-        if segment.conditions["rate_dps"] == 0:
-            static.append((2 * position >= len(segments), mean))
-        else:
-            rates.append(segment.conditions.get("table_rate_dps", segment.conditions["rate_dps"]))
-            means.append(mean)
-    before = next((mean for late, mean in static if not late), None)
-    after = next((mean for late, mean in reversed(static) if late), None)
-    if len(set(rates)) < 3 or (before is None and after is None):
+        remarks += remarks_on(segment, mean)
+        points.append(_Point(segment.key, segment.conditions, mean, clock - length / 2))
+    turned, static = [p for p in points if p.rate_dps], [p for p in points if not p.rate_dps]
+    turned = _with_a_static_output(turned, static, left_out)
+    if len({one.rate_dps for one in turned}) < 3 or not static:
         left_out.append(
-            LeftOut(name, f"it has {len(rates)} rates and {len(static)} static outputs, 3 and 1 are needed")
+            LeftOut(name, f"it has {len(turned)} rates and {len(static)} static outputs, 3 and 1 are needed")
         )
         return None
-    mean, mean_u = np.array(means, dtype=np.float64).T
-    net = net_outputs(mean, mean_u, before or after or (0.0, 0.0), after or before or (0.0, 0.0))
-    rate, u = np.array(rates, dtype=np.float64), np.maximum(net.output_u, 1e-12 * np.abs(net.output).max())
-    both = before is not None and after is not None
+    level, drifts = np.empty(len(turned)), []
+    for end_up in dict.fromkeys(one.end_up for one in turned):
+        of_end = [place for place, one in enumerate(turned) if one.end_up == end_up]
+        at_rest = [one for one in static if one.end_up == end_up]
+        found = static_level(
+            [turned[place].at_s for place in of_end],
+            [one.at_s for one in at_rest],
+            [one.mean.mean for one in at_rest],
+            [one.mean.mean_u for one in at_rest],
+        )
+        level[of_end] = found.level
+        drifts.append(found)
+    rate = np.array([one.rate_dps for one in turned], dtype=np.float64)
+    output = np.array([one.mean.mean for one in turned]) - level
+    u = np.maximum(pooled_noise([one.mean for one in turned]), 1e-12 * np.abs(output).max())
+    largest = max(drifts, key=lambda one: abs(one.drift) if math.isfinite(one.drift) else math.inf)
+    both = len(static) > 1
     return MeritRun(
-        name, _temperature(segments), rate, net.output, u,
-        net.drift if both else math.nan, net.drift_u if both else math.nan,
-        scale_figures(rate, net.output, u), residual_pattern(rate, net.output, u),
+        name, _temperature(segments), rate, output, u,
+        largest.drift if both else math.nan, largest.drift_u if both else math.nan,
+        scale_figures(rate, output, u), residual_pattern(rate, output, u),
+        any(one.modelled for one in drifts), tuple(remarks),
     )  # fmt: skip
 
 
-def _mean(segment: Segment, settings: FogSettings) -> tuple[float, float]:
-    resolution = settings.gyro.output_resolution
+@dataclass(frozen=True)
+class _Point:
+    """Mean of one segment; `at_s` in the middle of it, in seconds of output since the begin of the run."""
+
+    key: str
+    conditions: Mapping[str, Any]
+    mean: WindowMean
+    at_s: float
+
+    @property
+    def end_up(self) -> int:
+        return int(self.conditions.get("end_up", 1))
+
+    @property
+    def rate_dps(self) -> float:
+        """Along the axis."""
+        rate = self.conditions["rate_dps"]
+        return self.end_up * float(self.conditions.get("table_rate_dps", rate) if rate else 0.0)
+
+
+def _with_a_static_output(
+    turned: Sequence[_Point], static: Sequence[_Point], left_out: list[LeftOut]
+) -> list[_Point]:
+    """Those whose end of the axis was also up at rest: the vertical earth rate changes its sign with the end."""
+    ends = {one.end_up for one in static}
+    kept = []
+    for one in turned:
+        if one.end_up in ends or not ends:
+            kept.append(one)
+        else:
+            side = "up" if one.end_up > 0 else "down"
+            left_out.append(
+                LeftOut(one.key, f"there is no static output with this end of the axis {side}: take one")
+            )
+    return kept
+
+
+def _mean(segment: Segment, settings: FogSettings) -> WindowMean:
     if segment.conditions["rate_dps"] == 0:
-        mean = window_at_rest(segment, resolution=resolution)
-    else:
-        check_table_rate(segment.conditions, settings.table.rate_tolerance_ppm)
-        mean = window_over_turns(segment, turns=_MANY_TURNS, window_s=0.0, resolution=resolution)
-    return mean.mean, mean.mean_u
+        return window_at_rest(segment, resolution=settings.gyro.output_resolution)
+    check_table_rate(segment.conditions, settings.table.rate_tolerance_ppm)
+    return window_of_any_length(segment, settings, turns=_MANY_TURNS)
 
 
 def _temperature(segments: Sequence[Segment]) -> float:

@@ -6,7 +6,9 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from analysis.fibre_gyro import turn_time
+from station.fibre_gyro.at_once import watch
 from station.fibre_gyro.common import output_facts, truth_of
+from station.fibre_gyro.examine import examine
 from station.fibre_gyro.logs import LogRow, read_logs, table_conditions
 from station.fibre_gyro.merit.evaluate import PURPOSE, evaluate
 from station.fibre_gyro.merit.result import LIMITED, result
@@ -55,22 +57,28 @@ def take_files(settings: FogSettings, paths: Sequence[Path], session: Session) -
     """Make a run of logs; each names the rate of the table, and run and temperature where there are several."""
 
     def named(rows: Sequence[LogRow]) -> list[tuple[str, dict[str, object]]]:
-        return [_named(row, settings.figures.reference_temperature_c) for row in rows]
+        several = len({row.get("axis", settings.figures.axis) for row in rows}) > 1
+        return [_named(row, settings, several=several) for row in rows]
 
-    take_logs(session, paths, read_logs(paths, PURPOSE, ("rate_dps",), named))
+    take_logs(session, paths, read_logs(paths, PURPOSE, ("rate_dps",), named, settings))
 
 
-def _named(row: LogRow, reference_c: float) -> tuple[str, dict[str, object]]:
+def _named(row: LogRow, settings: FogSettings, *, several: bool) -> tuple[str, dict[str, object]]:
     temperature, rate = row.get("temperature_c"), row["rate_dps"]
+    axis, end_up = row.get("axis", settings.figures.axis), row["end_up"]
+    reference_c = settings.figures.reference_temperature_c
     conditions = {
         "run": row.get("run", "run 1"),
+        "axis": axis,
         "temperature_c": temperature,
         "reference": temperature is None or abs(temperature - reference_c) <= _SAME_TEMPERATURE_K,
         "rate_dps": rate,
-        "end_up": row["end_up"],
+        "end_up": end_up,
         **table_conditions(row),
     }
-    return f"{conditions['run']}, {'static' if rate == 0 else f'{rate:+.10g} deg/s'}", conditions
+    of_axis = f"{axis} " if several else ""
+    down = " down" if end_up < 0 else ""
+    return f"{of_axis}{conditions['run']}, {'static' if rate == 0 else f'{rate:+.10g} deg/s'}{down}", conditions
 
 
 MEASUREMENT = Measurement(
@@ -85,6 +93,8 @@ MEASUREMENT = Measurement(
     sections=sections,
     facts=output_facts,
     gives=LIMITED,
+    watch=watch,
+    examine=examine,
     unusable=lambda run, settings: unusable_segments(run, settings, [PURPOSE]),
     seconds=lambda settings: seconds_of(plan(settings)),
 )

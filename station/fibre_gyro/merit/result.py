@@ -6,7 +6,7 @@ import math
 from typing import Any
 
 from station.fibre_gyro.common import COUNTS_PER_DPS
-from station.fibre_gyro.merit.evaluate import MeritFound, MeritRun
+from station.fibre_gyro.merit.evaluate import AxisMerit, MeritFound, MeritRun
 from station.fibre_gyro.settings import FogSettings
 from station.results.as_json import picked
 from station.results.numbers import with_uncertainty
@@ -25,6 +25,7 @@ _CAUSES = {
     "odd": "odd in the rate (cubic: resets, converter)",
     "even": "even in the rate (asymmetry)",
     "near zero": "near zero (dead zone)",
+    "scatter": "irregular beyond their noise (bias, scale factor or table change between the rates)",
 }
 _FIT = {
     "scale_factor_counts_per_dps": "slope",
@@ -48,27 +49,13 @@ _PATTERN = {"pattern": "names", "odd_ppm": "odd_ppm", "even_ppm": "even_ppm", "n
 
 def result(found: MeritFound, run: SavedRun, settings: FogSettings) -> Result:
     """Put into numbers and sentences what was found."""
-    lines = (
-        f"Asymmetry {_ppm(found.asymmetry_ppm)}, repeatability {_ppm(found.repeatability_ppm)} "
-        f"({len(found.runs)} runs), temperature coefficient {_ppm(found.temperature_coefficient_ppm)}/K.",
-        f"K = {with_uncertainty(found.scale_factor, found.scale_factor_u)} {COUNTS_PER_DPS}.",
-    )
+    lines = tuple(line for one in found.axes for line in _lines(one, several=len(found.axes) > 1))
     watched = tuple(_to_watch(found))
     return Result(
         name="result",
-        value=f"Nonlinearity {found.nonlinearity_ppm:.3g} ppm of full scale",
-        document={
-            "style": "GJB and IEEE style; nonlinearity is of full scale unless its name says of_point",
-            "scale_factor_counts_per_dps": found.scale_factor,
-            "scale_factor_u_counts_per_dps": found.scale_factor_u,
-            # IEEE texts give input over output
-            "input_per_count_dph": 3600 / found.scale_factor,
-            **{name: getattr(found, name) for name in LIMITED},
-            "runs": [_run(one) for one in found.runs],
-            "at_temperatures": [_run(one) for one in found.at_temperatures],
-            "left_out": found.left_out,
-        },
-        measured=tuple(Measured(name, getattr(found, name)) for name in LIMITED),
+        value=f"Nonlinearity {found.largest('nonlinearity_ppm'):.3g} ppm of full scale",
+        document=_document(found),
+        measured=_measured(found),
         lines=lines,
         summary=[("", line) for line in lines],
         sentences=tuple(_sentences(found)),
@@ -76,6 +63,48 @@ def result(found: MeritFound, run: SavedRun, settings: FogSettings) -> Result:
         flags=watched,
         left_out=found.left_out,
     )
+
+
+def _lines(one: AxisMerit, *, several: bool) -> tuple[str, ...]:
+    begin = f"Axis {one.axis}: nonlinearity {_ppm(one.nonlinearity_ppm)}, asymmetry" if several else "Asymmetry"
+    return (
+        f"{begin} {_ppm(one.asymmetry_ppm)}, repeatability {_ppm(one.repeatability_ppm)} "
+        f"({len(one.runs)} runs), temperature coefficient {_ppm(one.temperature_coefficient_ppm)}/K.",
+        f"{f'K({one.axis})' if several else 'K'} = {with_uncertainty(one.scale_factor, one.scale_factor_u)} "
+        f"{COUNTS_PER_DPS}.",
+    )
+
+
+def _measured(found: MeritFound) -> tuple[Measured, ...]:
+    if len(found.axes) == 1:
+        return tuple(Measured(name, getattr(found.axes[0], name)) for name in LIMITED)
+    return tuple(Measured(name, getattr(one, name), one.axis) for one in found.axes for name in LIMITED)
+
+
+def _document(found: MeritFound) -> dict[str, Any]:
+    """Of one axis as of old; of several the largest figures, no common scale factor, and each axis by itself."""
+    alone = found.axes[0] if len(found.axes) == 1 else None
+    return {
+        "style": "GJB and IEEE style; nonlinearity is of full scale unless its name says of_point",
+        **(_scale(alone) if alone else dict.fromkeys(_scale(found.axes[0]))),
+        **{name: found.largest(name) for name in LIMITED},
+        "runs": [_run(run) for one in found.axes for run in one.runs],
+        "at_temperatures": [_run(run) for one in found.axes for run in one.at_temperatures],
+        "axes": [
+            {"axis": one.axis, **_scale(one), **{name: getattr(one, name) for name in LIMITED}}
+            for one in found.axes
+        ],
+        "left_out": found.left_out,
+    }
+
+
+def _scale(one: AxisMerit) -> dict[str, float]:
+    return {
+        "scale_factor_counts_per_dps": one.scale_factor,
+        "scale_factor_u_counts_per_dps": one.scale_factor_u,
+        # IEEE texts give input over output
+        "input_per_count_dph": 3600 / one.scale_factor,
+    }
 
 
 def _ppm(value: float) -> str:
@@ -99,7 +128,8 @@ def _sentences(found: MeritFound) -> list[str]:
     """Say which pattern the deviations have."""
     said = [
         f"{one.name}: the deviations are {', and '.join(_CAUSES[name] for name in one.pattern.names)}."
-        for one in found.all_runs
+        for axis in found.axes
+        for one in axis.all_runs
         if one.pattern.names
     ]
     return said or ["The deviations from the line show no pattern beyond their noise."]
@@ -107,17 +137,23 @@ def _sentences(found: MeritFound) -> list[str]:
 
 def _to_watch(found: MeritFound) -> list[str]:
     said = [f"{one.sentence}." for one in found.left_out]
-    for one in found.all_runs:
-        if not math.isfinite(one.static_drift):
-            said.append(
-                f"{one.name}: a static output before or after is missing, a drift of the bias is not seen."
-            )
-        elif abs(one.static_drift) > 4 * one.static_drift_u:
-            said.append(f"{one.name}: the static output drifted by {one.static_drift:+.3g} counts.")
-        senses = [sum(1 for rate in set(one.rate_dps) if sense * rate > 0) for sense in (1, -1)]
-        if min(senses) < _GJB_RATES:
-            said.append(
-                f"{one.name}: {senses[0]} rates in one sense and {senses[1]} in the other; GJB style asks for "
-                f"{_GJB_RATES} in each."
-            )
+    for one in [run for axis in found.axes for run in axis.all_runs]:
+        said += _to_watch_in(one)
     return said
+
+
+def _to_watch_in(one: MeritRun) -> list[str]:
+    said = []
+    if not math.isfinite(one.static_drift):
+        said.append(f"{one.name}: a static output before or after is missing, a drift of the bias is not seen.")
+    elif one.drift_removed:
+        said.append(
+            f"{one.name}: the static output drifted by {one.static_drift:+.3g} counts; it was interpolated."
+        )
+    senses = [sum(1 for rate in set(one.rate_dps) if sense * rate > 0) for sense in (1, -1)]
+    if min(senses) < _GJB_RATES:
+        said.append(
+            f"{one.name}: {senses[0]} rates in one sense and {senses[1]} in the other; GJB style asks for "
+            f"{_GJB_RATES} in each."
+        )
+    return [*said, *one.remarks]

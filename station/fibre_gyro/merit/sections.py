@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from station.fibre_gyro.common import COLOURS, COUNTS_PER_DPS, PPM
 from station.fibre_gyro.merit.evaluate import MeritFound, MeritRun
 from station.fibre_gyro.settings import FogSettings
-from station.report.figure import ACCENT, HALF, SECOND, SOFT, WIDE, legend_above, svg_element
+from station.report.figure import HALF, SOFT, WIDE, legend_above, svg_element
 from station.results.numbers import ppm, with_uncertainty
 from station.results.parts import PlacedFigure, Section, TextTable
 from station.results.result import Result
@@ -41,7 +41,7 @@ def sections(found: MeritFound, run: SavedRun, settings: FogSettings, result: Re
             "Repeatability is the standard deviation over the runs from cold starts; the temperature coefficient "
             "is the largest change of K per kelvin from their mean.",
             figures=(PlacedFigure(_scale_factors_svg(found), "Each run less the mean of the runs."),),
-            table=TextTable(header, tuple(_row(one) for one in found.all_runs)),
+            table=TextTable(header, tuple(_row(one) for axis in found.axes for one in axis.all_runs)),
         ),
     ]
 
@@ -63,10 +63,10 @@ def _deviations_svg(found: MeritFound, *, of_point: bool) -> str:
 
     def draw(figure: Figure) -> None:
         axes = figure.add_subplot()
-        for index, one in enumerate(found.all_runs):
+        runs = [(one, one in axis.at_temperatures) for axis in found.axes for one in axis.all_runs]
+        for index, (one, hot) in enumerate(runs):
             order = np.argsort(one.rate_dps)
             values = one.figures.deviation_of_point_ppm if of_point else -one.figures.deviation_of_full_scale_ppm
-            hot = index >= len(found.runs)
             axes.plot(
                 one.rate_dps[order], values[order], "s--" if hot else "o-", ms=3.5, linewidth=0.8,
                 color=COLOURS[index % 7], label=one.name,
@@ -86,14 +86,18 @@ def _scale_factors_svg(found: MeritFound) -> str:
 
     def draw(figure: Figure) -> None:
         axes = figure.add_subplot()
-        cold = ("from cold starts", found.runs, ACCENT)
-        for name, chosen, colour in (cold, ("at other temperatures", found.at_temperatures, SECOND)):
-            slopes = np.array([one.figures.fit.slope for one in chosen], dtype=np.float64)
-            u = PPM * np.array([one.figures.fit.slope_u for one in chosen]) / found.scale_factor
-            off = PPM * (slopes / found.scale_factor - 1)
-            if chosen:
-                _against_temperature(axes, name, [one.temperature_c for one in chosen], off, u, colour)
-        known = bool(np.all(np.isfinite([one.temperature_c for one in found.all_runs])))
+        everything = [one for axis in found.axes for one in axis.all_runs]
+        known = bool(np.all(np.isfinite([one.temperature_c for one in everything])))
+        for index, axis in enumerate(found.axes):
+            of_axis = f"axis {axis.axis}, " if len(found.axes) > 1 else ""
+            groups = (("from cold starts", axis.runs), ("at other temperatures", axis.at_temperatures))
+            for place, (name, chosen) in enumerate(groups):
+                slopes = np.array([one.figures.fit.slope for one in chosen], dtype=np.float64)
+                u = PPM * np.array([one.figures.fit.slope_u for one in chosen]) / axis.scale_factor
+                off = PPM * (slopes / axis.scale_factor - 1)
+                if chosen:
+                    colour, temperatures = COLOURS[(2 * index + place) % 7], [one.temperature_c for one in chosen]
+                    _against_temperature(axes, f"{of_axis}{name}", temperatures, off, u, colour)
         axes.axhline(0, color=SOFT, linewidth=0.8)
         axes.set(xlabel="temperature, °C" if known else "run", ylabel="K less mean, ppm")
         legend_above(axes, columns=2)

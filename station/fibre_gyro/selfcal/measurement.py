@@ -6,11 +6,13 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from analysis.fibre_gyro import InjectionPlan, steps_beyond_dac
+from station.fibre_gyro.at_once import watch
 from station.fibre_gyro.common import beyond_converter, output_facts, truth_of
+from station.fibre_gyro.examine import examine
 from station.fibre_gyro.logs import LogRow, read_logs
 from station.fibre_gyro.segments import PlannedSegment, take_logs, take_segments, unusable_segments
 from station.fibre_gyro.selfcal.evaluate import PURPOSE, evaluate
-from station.fibre_gyro.selfcal.numbers import NUMBERS, REFERENCE, numbers_for, numbers_of
+from station.fibre_gyro.selfcal.numbers import NUMBERS, REFERENCE, numbers_for, numbers_of, numbers_u_of
 from station.fibre_gyro.selfcal.result import LIMITED, result
 from station.fibre_gyro.selfcal.sections import sections
 from station.fibre_gyro.serial_bench import open_fog_bench
@@ -58,18 +60,22 @@ def take(settings: FogSettings, session: Session) -> None:
 def take_files(settings: FogSettings, paths: Sequence[Path], session: Session) -> None:
     """Make a run of logs; each names the step and the rate that it stands for, 0 at rest."""
 
+    mapping_u = numbers_u_of(session.facts, settings)
+
     def named(rows: Sequence[LogRow]) -> list[tuple[str, dict[str, object]]]:
         at_rest, found = [place for place, row in enumerate(rows) if row["number"] == 0], []
         for place, row in enumerate(rows):
-            static = None
+            rate, number, static = row["stands_for_dps"], row["number"], None
             if place in at_rest:
-                static = "before" if place == at_rest[0] and place < len(rows) - 1 else "after"
-            rate, number = row["stands_for_dps"], row["number"]
+                static = "between" if at_rest[0] < place < at_rest[-1] else "after"
+                static = "before" if place == at_rest[0] and place < len(rows) - 1 else static
             conditions = _conditions(static, rate, number, number / settings.gyro.counts_per_code)
+            if not static:
+                conditions["number_u"] = row["number_u"] if "number_u" in row else mapping_u(rate)
             found.append((f"static {static}" if static else _key(rate), conditions))
         return found
 
-    take_logs(session, paths, read_logs(paths, PURPOSE, ("stands_for_dps", "number"), named))
+    take_logs(session, paths, read_logs(paths, PURPOSE, ("stands_for_dps", "number"), named, settings))
 
 
 def _key(rate_dps: float) -> str:
@@ -77,7 +83,7 @@ def _key(rate_dps: float) -> str:
 
 
 def _conditions(static: str | None, stands_for_dps: float, number: float, step_codes: float) -> dict[str, object]:
-    """What a segment is; `static` names the output at rest, ``"before"`` or ``"after"`` the steps."""
+    """What a segment is; `static` names an output at rest: ``"before"``, ``"between"``, ``"after"`` the steps."""
     return {
         "purpose": PURPOSE,
         "static": static,
@@ -100,5 +106,7 @@ MEASUREMENT = Measurement(
     sections=sections,
     facts=output_facts,
     gives=LIMITED,
+    watch=watch,
+    examine=examine,
     unusable=lambda run, settings: unusable_segments(run, settings, [TABLE, PURPOSE]),
 )

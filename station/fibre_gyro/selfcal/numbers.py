@@ -3,20 +3,24 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from analysis.fibre_gyro import InjectionPlan, scaled_numbers, superposed_numbers
+from analysis.fibre_gyro import InjectionPlan, RateDifferences, scaled_numbers, superposed_numbers
 from station.errors import UsageError
 from station.fibre_gyro.settings import FIBRE_GYRO, FogSettings
 from station.fibre_gyro.table.evaluate import AxisResult, TableFound, find_axes
 from station.runs.store import SavedRun, open_run
 from station.settings.load import saved_settings
 
-REFERENCE, NUMBERS = "table_reference", "numbers"  # facts of a run whose numbers come from another
+# facts of a run whose numbers come from another
+REFERENCE, NUMBERS, DIFFERENCES = "table_reference", "numbers", "table_differences"
+
+_ARRAYS = ("delta_dps", "number", "noise_u", "irreproducibility_u")
 
 
 @dataclass(frozen=True)
@@ -88,7 +92,28 @@ def facts_of_table(settings: FogSettings, table_run: Path) -> dict[str, Any]:
     source = f"rate-table run {run.path.parent.name}, axis {found.axis}"
     reference = TableReference(found.fit.scale_factor, found.fit.scale_factor_u, source)
     numbers = {name: values.tolist() for name, values in asdict(numbers_for(settings, found)).items()}
-    return {REFERENCE: asdict(reference), NUMBERS: numbers}
+    known = {REFERENCE: asdict(reference), NUMBERS: numbers}
+    if found.differences is None:
+        return known
+    plain = {name: np.asarray(value).tolist() for name, value in asdict(found.differences).items()}
+    return {**known, DIFFERENCES: plain}
+
+
+def numbers_u_of(facts: Mapping[str, Any], settings: FogSettings) -> Callable[[float], float]:
+    """Return how well a number stands for a rate, counts, by the table run that the numbers of logs come from.
+
+    By the scale factor of the table where the numbers are made of it, else by its differences; without a table
+    run, and for numbers by design, nothing is known that would be uncertain.
+    """
+    reference, made = facts.get(REFERENCE), facts.get(DIFFERENCES)
+    if reference is None or settings.selfcal.numbers == "nominal":
+        return lambda rate: 0.0
+    if settings.selfcal.numbers == "fit" or made is None:
+        return lambda rate: abs(rate) * float(reference["scale_factor_u"])
+    delta, number, noise, spread = (np.array(made[name], dtype=np.float64) for name in _ARRAYS)
+    base = float(made["base_dps"]), float(made["base_u"])
+    differences = RateDifferences(delta, number, noise, spread, *base)
+    return lambda rate: float(superposed_numbers([rate], differences).number_u[0])
 
 
 def numbers_of(run: SavedRun, settings: FogSettings) -> InjectionPlan:

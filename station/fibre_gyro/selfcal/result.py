@@ -184,9 +184,12 @@ def _to_watch(found: SelfcalFound, settings: FogSettings) -> list[str]:
         said.append(
             f"There is no static output {found.static_missing} the steps: a drift of the bias is not seen."
         )
-    if abs(net.drift) > 4 * net.drift_u:
+    if abs(net.drift) > 3 * net.drift_u:
         drift = with_uncertainty(net.drift, net.drift_u)
-        said.append(f"The static output moved by {drift} counts between before and after: the bias drifts.")
+        said.append(
+            f"The static output moved by {drift} counts between before and after: the bias drifts. It was "
+            "interpolated in time."
+        )
     if abs(fit.intercept) > 4 * _intercept_u(found):
         said.append(
             f"The intercept F_0 is {with_uncertainty(fit.intercept, fit.intercept_u)} counts and not zero within "
@@ -196,4 +199,5 @@ def _to_watch(found: SelfcalFound, settings: FogSettings) -> list[str]:
         said.append(
             "The points lie off the line by more than their noise; the uncertainties were widened to match."
         )
+    said += found.remarks
     return said + (to_watch_of_table(found.table, settings) if found.table is not None else [])

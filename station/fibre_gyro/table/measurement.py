@@ -7,7 +7,9 @@ from pathlib import Path
 
 from analysis.fibre_gyro import check_whole_turns, turn_time
 from station.errors import UsageError
+from station.fibre_gyro.at_once import watch
 from station.fibre_gyro.common import output_facts, truth_of
+from station.fibre_gyro.examine import examine
 from station.fibre_gyro.logs import LogRow, read_logs, table_conditions
 from station.fibre_gyro.segments import (
     MARGIN_S,
@@ -58,7 +60,7 @@ def take_files(settings: FogSettings, paths: Sequence[Path], session: Session) -
     def named(rows: Sequence[LogRow]) -> list[tuple[str, dict[str, object]]]:
         return [_named(row, settings) for row in rows]
 
-    take_logs(session, paths, read_logs(paths, PURPOSE, ("rate_dps",), named))
+    take_logs(session, paths, read_logs(paths, PURPOSE, ("rate_dps",), named, settings))
 
 
 def _named(row: LogRow, settings: FogSettings) -> tuple[str, dict[str, object]]:
@@ -97,6 +99,8 @@ MEASUREMENT = Measurement(
     sections=sections,
     facts=output_facts,
     gives=LIMITED,
+    watch=watch,
+    examine=examine,
     unusable=lambda run, settings: unusable_segments(run, settings, [PURPOSE]),
     seconds=lambda settings: seconds_of(plan(settings)),
 )

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
-from analysis.fibre_gyro import vertical_earth_rate_dph
+from analysis.fibre_gyro import NORMAL_95, ThreeAxes, vertical_earth_rate_dph
 from station.fibre_gyro.common import COUNTS_PER_DPS, PPM
 from station.fibre_gyro.settings import FogSettings
 from station.fibre_gyro.table.evaluate import AxisResult, TableFound
@@ -32,6 +33,8 @@ _WINDOW = {
     "sum_counts": "total",
     "mean_counts": "mean",
     "mean_u_counts": "mean_u",
+    "missing": "missing",
+    "outliers": "outliers",
 }
 
 
@@ -51,17 +54,57 @@ def result(found: TableFound, run: SavedRun, settings: FogSettings) -> Result:
             "axes": axes,
             "nominal_scale_factor_counts_per_dps": settings.nominal_scale_factor,
             "irreproducibility_ppm": settings.table.irreproducibility_ppm,
+            "matrix": _matrix(found.matrix),
             "left_out": found.left_out,
         },
-        measured=tuple(Measured(name, axis[name], axis["axis"]) for axis in axes for name in LIMITED),
+        measured=tuple(_measured(axis, name) for axis in axes for name in LIMITED),
         lines=lines,
         summary=[("", line) for line in lines],
         sentences=(_even_part_sentence(settings),),
         to_watch=watched,
         flags=watched,
         left_out=found.left_out,
-        tables=(_axes_on_terminal(found),),
+        tables=(_axes_on_terminal(found), *([matrix_table(found.matrix)] if found.matrix else [])),
     )
+
+
+def _measured(axis: dict[str, Any], name: str) -> Measured:
+    u = axis["scale_factor_u_ppm"] if name == "nominal_difference_ppm" else math.nan
+    return Measured(name, axis[name], axis["axis"], u)
+
+
+def _matrix(matrix: ThreeAxes | None) -> dict[str, Any] | None:
+    if matrix is None:
+        return None
+    return {
+        "gyros": matrix.gyros,
+        "turned": matrix.turned,
+        "scale_factors_counts_per_dps": matrix.matrix,
+        "scale_factors_u_counts_per_dps": matrix.matrix_u,
+        "along_input_axis_counts_per_dps": matrix.scale_factor,
+        "along_input_axis_u_counts_per_dps": matrix.scale_factor_u,
+        "misalignment_mrad": matrix.misalignment_mrad,
+        "misalignment_u_mrad": matrix.misalignment_u_mrad,
+        "bias_counts": matrix.bias,
+        "bias_u_counts": matrix.bias_u,
+    }
+
+
+def matrix_table(matrix: ThreeAxes) -> TextTable:
+    """Return scale factors and misalignments of all gyros."""
+    rows = []
+    for place, gyro in enumerate(matrix.gyros):
+        cells = [gyro]
+        for other, axis in enumerate(matrix.turned):
+            angle, u = (
+                float(matrix.misalignment_mrad[place, other]),
+                float(matrix.misalignment_u_mrad[place, other]),
+            )
+            own = with_uncertainty(float(matrix.matrix[place, other]), float(matrix.matrix_u[place, other]))
+            cells.append(own if axis == gyro or not math.isfinite(angle) else f"{with_uncertainty(angle, u)} mrad")
+        rows.append((*cells, with_uncertainty(float(matrix.bias[place]), float(matrix.bias_u[place]))))
+    header = ("gyro", *(f"about {axis}" for axis in matrix.turned), "bias, counts")
+    return TextTable(header, tuple(rows))
 
 
 def _axis(one: AxisResult, settings: FogSettings) -> dict[str, Any]:
@@ -76,11 +119,21 @@ def _axis(one: AxisResult, settings: FogSettings) -> dict[str, Any]:
         "scale_factor_at_base_rate_counts_per_dps": one.parts.odd[0] / one.parts.rate_dps[0],
         **{f"{name}_dph": value for name, (value, _) in rates.items()},
         **{f"{name}_u_dph": u for name, (_, u) in rates.items()},
+        **_tilt(one),
         "differences": _differences(one),
         "points": [
             {"name": key, "table_rate_dps": rate, **picked(window, _WINDOW), "residual_ppm": residual}
             for key, rate, window, residual in rows
         ],
+    }
+
+
+def _tilt(one: AxisResult) -> dict[str, float | None]:
+    tilt = one.tilt
+    return {
+        "input_axis_tilt_mrad": tilt.tilt_mrad if tilt else None,
+        "input_axis_tilt_low_95_mrad": tilt.low_95_mrad if tilt else None,
+        "input_axis_tilt_high_95_mrad": tilt.high_95_mrad if tilt else None,
     }
 
 
@@ -94,6 +147,9 @@ def _differences(one: AxisResult) -> list[dict[str, Any]]:
         "noise_u_counts": made.noise_u,
         "irreproducibility_u_counts": made.irreproducibility_u,
         "relative_u_ppm": made.relative_u_ppm,
+        "number_u_counts": made.number_u,
+        "number_low_95_counts": made.number - NORMAL_95 * made.number_u,
+        "number_high_95_counts": made.number + NORMAL_95 * made.number_u,
         "from_fit_ppm": PPM * (made.number / (one.fit.scale_factor * made.delta_dps) - 1),
     }
     return [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
@@ -133,12 +189,18 @@ def _to_watch_of(one: AxisResult, settings: FogSettings) -> list[str]:
                 f"difference of two numbers that are {made.base_dps / abs(delta):.0f} times larger. Use K by "
                 "least squares."
             )
-    if fit.degrees_of_freedom and fit.chi_square > 3 * fit.degrees_of_freedom:
+    stated = settings.table.irreproducibility_ppm
+    if fit.scatter_assumed:
+        said.append(
+            f"{one.axis}: no run repeats another, so their scatter does not show; 10 ppm of table rate and scale "
+            "factor from run to run are counted. Repeated runs or table.irreproducibility_ppm say it."
+        )
+    elif stated is not None and fit.chi_square > 3 * fit.degrees_of_freedom:
         said.append(
             f"{one.axis}: the runs scatter by {fit.scatter_ppm:.2g} ppm, more than their noise and the "
-            f"{settings.table.irreproducibility_ppm:g} ppm of table.irreproducibility_ppm; the uncertainties were "
-            "widened to match."
+            f"{stated:g} ppm of table.irreproducibility_ppm; the uncertainties were widened to match."
         )
+    said += one.remarks
     return said
 
 

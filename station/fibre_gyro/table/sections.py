@@ -9,6 +9,7 @@ import numpy as np
 from station.fibre_gyro.common import COLOURS, COUNTS_PER_DPS, PPM, staircase_section
 from station.fibre_gyro.settings import FogSettings
 from station.fibre_gyro.table.evaluate import AxisResult, TableFound
+from station.fibre_gyro.table.result import matrix_table
 from station.report.figure import HALF, SOFT, WIDE, legend_above, svg_element
 from station.results.numbers import ppm, with_uncertainty
 from station.results.parts import PlacedFigure, Section, TextTable
@@ -40,7 +41,13 @@ def sections(found: TableFound, run: SavedRun, settings: FogSettings, result: Re
         ),
     ]
     if differences := [(one, one.differences) for one in found.axes if one.differences is not None]:
-        made.append(_difference_section(differences, settings))
+        made.append(_difference_section(differences))
+    if found.matrix is not None:
+        text = (
+            "All gyros were recorded at once. Diagonal: scale factor about each axis that was turned; beside it: "
+            "direction of the input axis towards that axis, as the fixture brings it to the table's."
+        )
+        made.append(Section("Scale factors and misalignments", text, table=matrix_table(found.matrix)))
     return [*made, staircase_section(settings), Section("Runs", table=_run_table(found))]
 
 
@@ -72,11 +79,10 @@ def _axis_row(one: AxisResult, settings: FogSettings) -> tuple[str, ...]:
     )
 
 
-def _difference_section(made: list[tuple[AxisResult, RateDifferences]], settings: FogSettings) -> Section:
+def _difference_section(made: list[tuple[AxisResult, RateDifferences]]) -> Section:
     text = (
         "Differences of two large numbers, as the patent CN104634364A makes them. White noise hardly matters; "
-        f"{settings.table.irreproducibility_ppm:g} ppm of table rate and scale factor from run to run is "
-        "multiplied by base rate over difference."
+        "what table rate, scale factor and bias change from run to run is multiplied by base rate over difference."
     )
     caption = (
         "Each number against K by least squares times the rate. Thick: standard uncertainty from noise; thin: "

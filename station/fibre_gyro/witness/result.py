@@ -45,8 +45,8 @@ def result(found: WitnessFound, run: SavedRun, settings: FogSettings) -> Result:
         value=value,
         document=_document(found, settings),
         measured=(
-            Measured("witness_two_pi_error_ppm", PPM * found.two_pi_error.value),
-            Measured("witness_step_time_ppm", found.step_time_ppm.value),
+            Measured("witness_two_pi_error_ppm", PPM * found.two_pi_error.value, u=PPM * found.two_pi_error.u),
+            Measured("witness_step_time_ppm", found.step_time_ppm.value, u=found.step_time_ppm.u),
         ),
         lines=lines,
         summary=[("", line) for line in lines],

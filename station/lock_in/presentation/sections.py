@@ -15,15 +15,13 @@ from station.lock_in.presentation.rates_sentences import describe_frequencies
 from station.lock_in.presentation.sentences import quadrature_sentences, rates_sentences
 from station.lock_in.presentation.table_sentences import table_sentences
 from station.lock_in.presentation.tables import rates_table, records_table
-from station.lock_in.settings import Settings
 from station.results.parts import PlacedFigure, Section, TextTable
 from station.results.result import Result
-from station.runs.store import SavedRun
 
 _RECORDS_SHOWN = 200
 
 
-def sections(found: LockInFound, run: SavedRun, settings: Settings, result: Result) -> list[Section]:
+def sections(found: LockInFound, result: Result) -> list[Section]:
     """Return the sections of the report in their order."""
     made = []
     if found.several is not None:

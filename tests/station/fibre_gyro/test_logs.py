@@ -3,6 +3,7 @@
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from instrument import FileFormatError
@@ -95,8 +96,17 @@ def test_missing_rows_of_a_log_are_a_gap(taken, from_logs, tmp_path: Path) -> No
     log = (tmp_path / "log0.csv").read_text().splitlines()
     (tmp_path / "log0.csv").write_text("\n".join(log[:200] + log[205:]))
     result = from_logs("table", path)
+    assert result.document()["left_out"] == []
+    assert any("5 output words are missing of 540" in flag for flag in result.result.flags)
+    whole = [[float(cell) for cell in row.split(",")][1] for row in log[1:]]
+    point = result.document()["axes"][0]["points"][0]
+    # words that are fitted differ from those that were there by their noise: 1 count each at 0.1 s
+    assert abs(point["mean_counts"] - np.mean(whole[:540])) < 5 * 0.3 * np.sqrt(5) / 540
+    assert point["missing"] == 5
+    (tmp_path / "log0.csv").write_text("\n".join(log[:200] + log[400:]))
+    result = from_logs("table", path)
     reasons = {one["name"]: one["reason"] for one in result.document()["left_out"]}
-    assert "rows missing: 5 outputs missing" in reasons["Z +20 (log0.csv)"]
+    assert "rows missing: 200 outputs missing" in reasons["Z +20 (log0.csv)"]
     assert set(reasons) == {"Z +20 (log0.csv)", "Z -20 (log1.csv)"}
 
 

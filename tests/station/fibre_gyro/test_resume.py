@@ -111,7 +111,7 @@ def test_what_was_left_out_is_taken_again(taken, fog_settings, monkeypatch: pyte
     class GappyBench(SimulatedFogBench):
         def record(self, planned: PlannedSegment, progress: Callable[[float], None]) -> Recording:
             recording = super().record(planned, progress)
-            gap = Gap(9, 1.0, 0.1, 1, "frames lost")
+            gap = Gap(9, 1.0, 100.0, 1000, "frames lost")
             return replace(recording, gaps=(gap,)) if planned.key == "Z +20.1" else recording
 
     with monkeypatch.context() as patched:

@@ -32,7 +32,10 @@ def test_the_table_run_finds_scale_factor_and_earth_rate(taken) -> None:
         # 0.005 deg/sqrt(h) in 540 s: 359, 36, 3.6 ppm of the numbers for 0.01, 0.1 and 1 deg/s
         assert [d["delta_dps"] for d in axis["differences"]] == [0.01, 0.1, 1.0]
         for difference, expected in zip(axis["differences"], (359, 35.9, 3.59), strict=True):
-            assert difference["relative_u_ppm"] == pytest.approx(expected, rel=0.5)
+            noise_ppm = 1e6 * difference["noise_u_counts"] / difference["number_counts"]
+            assert noise_ppm == pytest.approx(expected, rel=0.5)
+            # three runs more than parameters: what they may scatter beyond the noise is known badly
+            assert noise_ppm < difference["relative_u_ppm"] < 3 * noise_ppm
             assert abs(difference["from_fit_ppm"]) < 5 * expected
     assert result.document()["left_out"] == []
     assert result.verdict is None
@@ -47,8 +50,9 @@ def test_an_irreproducible_table_shows_in_the_scatter_and_in_the_small_numbers(t
     scatter = [axis["scatter_ppm"] for axis in result.document()["axes"]]
     assert np.sqrt(np.mean(np.square(scatter))) == pytest.approx(20, rel=0.45)
     axis = result.document()["axes"][0]
-    assert axis["differences"][0]["relative_u_ppm"] == pytest.approx(40_000, rel=0.1)
-    assert any("is good to 4 % only" in flag for flag in result.result.flags)
+    # what the runs scatter beyond the stated 20 ppm is known badly
+    assert 40_000 * 0.99 < axis["differences"][0]["relative_u_ppm"] < 80_000
+    assert any("% only; it is the difference" in flag for flag in result.result.flags)
 
 
 def test_both_ends_up_give_the_earth_rate_without_the_latitude(taken) -> None:
@@ -168,7 +172,7 @@ def test_figures_of_merit_of_a_gyro_with_known_faults(taken) -> None:
     assert found["repeatability_ppm"] == pytest.approx(10, rel=0.7)
     # 60 K below the reference and 40 K above, each switched on once: 10 ppm in 40 K
     assert found["temperature_coefficient_ppm"] == pytest.approx(3.0, abs=0.6)
-    assert all(run["pattern"] == ["even"] for run in found["runs"])
+    assert all("even" in run["pattern"] and "odd" not in run["pattern"] for run in found["runs"])
     assert "even in the rate (asymmetry)" in result.result.sentences[0]
 
 

@@ -45,8 +45,9 @@ class SpoiltBench(SimulatedFogBench):
 
 
 def with_a_gap(recording: Recording) -> Recording:
-    kept = np.r_[0:100, 105 : recording.counts.size]
-    gap = Gap(99, recording.times[100], 0.5, 5, "frames lost")
+    lost = recording.counts.size // 3
+    kept = np.r_[0:100, 100 + lost : recording.counts.size]
+    gap = Gap(99, recording.times[100], 0.1 * lost, lost, "frames lost")
     return replace(recording, times=recording.times[kept], counts=recording.counts[kept], gaps=(gap,))
 
 
@@ -67,7 +68,7 @@ def table_result(fog_settings, taken_on):
 @pytest.mark.parametrize(
     ("spoil", "reached", "reason"),
     [
-        (with_a_gap, {}, "frames lost: 5 outputs missing"),
+        (with_a_gap, {}, "outputs missing 10 s after the begin"),
         (cut_short, {}, "is 0.278 of a turn"),
         (lambda r: r, {"table_rate_dps": -20.02}, "the table turned at -20.02 deg/s instead of -20.01"),
     ],

@@ -18,7 +18,7 @@ READ = """
 import resource, sys
 from pathlib import Path
 from station.cli import main
-import station.lock_in.files, station.lock_in.settings, station.shell.evaluated
+import station.reanalysis.files, station.lock_in.settings, station.shell.evaluated
 pages = int(Path("/proc/self/statm").read_text().split()[0])
 limit = pages * resource.getpagesize() + (300 << 20)
 resource.setrlimit(resource.RLIMIT_AS, (limit, resource.getrlimit(resource.RLIMIT_AS)[1]))

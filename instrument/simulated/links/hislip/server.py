@@ -36,8 +36,8 @@ _FULL = 1 << 20  # bytes of unread answers at which no more messages are taken
 class HislipServer(StreamServer):
     """Serves instruments by HiSLIP until it is closed.
 
-    Several clients may be connected; each has its own answers and its own device clear, all see the same instrument,
-    and locks are between them.
+    Several clients may be connected; each has its own answers and its own device clear, all see the same
+    instrument, and locks are between them.
 
     Parameters
     ----------

@@ -1,7 +1,7 @@
 """One client of the HiSLIP server: its two channels, the messages that wait, and what it is told.
 
-The server works in synchronised mode: one message is carried out after the other, and a message that comes before the
-answer to the last one was read interrupts it (event 410). Source: IVI-6.1, version 1.1, sections 3 and 6.
+The server works in synchronised mode: one message is carried out after the other, and a message that comes before
+the answer to the last one was read interrupts it (event 410). Source: IVI-6.1, version 1.1, sections 3 and 6.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ _HEADER = 16
 _DELIVERED = 1  # bit of the control code: the client's program has read the whole last answer
 _REMOTE_CODES = range(7)
 _INTERRUPTED = 410
-# s that a service request is held back, so that a client that polls learns of it by its poll: PyVISA-py takes a request
-# that comes by itself for the answer to its next question
+# s that a service request is held back, so that a client that polls learns of it by its poll: PyVISA-py takes a
+# request that comes by itself for the answer to its next question
 _HELD_BACK = 0.05
 _TURN = 4  # messages before the next client has its turn
 _POLLING = 1.0  # s after a poll, in which a client counts as one that polls
@@ -40,7 +40,7 @@ class Session:
     sync, asynchronous : Port
         The channels; the second comes later.
     request_at : float
-        Time in s at which the client is told that service was requested, unless it polls before; inf: nothing to tell.
+        Time in s at which the client is told that service was requested, unless it polls before; inf: nothing.
     """
 
     def __init__(self, number: int, scope: SimulatedTDS2014, locks: Locks, sync: Port) -> None:

@@ -7,6 +7,7 @@ import pytest
 
 from instrument.simulated.front_end.frontend import slow_part
 from instrument.simulated.front_end.smooth import Between, CoarseLook
+from instrument.simulated.front_end.trigger import Comparator, EdgeSearch
 
 FREQUENCY = 163.7  # Hz
 
@@ -144,3 +145,18 @@ def test_looks_of_an_average_are_kept(make_bench, kind):
     codes = bench.codes().astype(float)
     steps = np.diff(codes).std()
     assert steps < 2.5  # of 16 looks; of one it would be more than 5
+
+
+def test_a_search_goes_on_where_smooth_looks_are_known_up_to_its_end_only():
+    """Behind what is searched the table changes its rate: from there on nothing is known of the signal."""
+
+    def smooth(times):
+        return np.sin(2 * np.pi * 5.0 * times - 1.0)
+
+    def interval(start, stop):
+        return 1e-3 if stop <= 1.0 else 0.0
+
+    search = EdgeSearch(Comparator(smooth, interval=interval), 0.0, True, 0.1, 0.0)
+    found = search.advance(0.9, 1e-5, now=2.0)
+    # armed from the first negative values on: the first rising zero is at 1/(2 pi 5) s
+    assert found == pytest.approx(1.0 / (2 * np.pi * 5.0), abs=1e-4)

@@ -1,0 +1,200 @@
+"""When the rows of a log were made: the interval between them, and the rows that are missing.
+
+Time stamps are rounded, to 1 ms or to 10 ms, and come from a host that was late now and then. The interval is that
+of a line through all of them, never one of their differences; a row is missing where the stamps behind it stay
+behind the line, not where one of them is.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from instrument.fibre_gyro.recording import Floats
+
+Places = NDArray[np.int64]
+
+_CHUNK = 100  # rows over which a first interval is taken
+_FIRST_ROWS = 2000  # whose phase is looked for
+_FEW_ROWS = 50
+_WIDEST = 0.06  # that the first interval may be off by
+_REACH = 512  # rows that are looked at together
+_LOCAL = 50  # rows among which the one before a missing one is looked for
+_COARSE = 0.05  # of an interval: with stamps rounded by more the places tell the time better
+_TOO_COARSE = 0.8  # of an interval: stamps rounded by more have no phase
+_STEPS = (1.0, 0.5, 0.2, 0.1)
+
+
+@dataclass(frozen=True)
+class LogClock:
+    """Place of each row on the gyro's clock.
+
+    Attributes
+    ----------
+    interval_s : float
+        Between two outputs.
+    places : ndarray of int, shape (n,)
+        Intervals since the first row.
+    regular : bool
+        Whether the stamps are so coarse that `places` tell the time better than they do.
+    """
+
+    interval_s: float
+    places: Places
+    regular: bool
+
+
+def clock_of_counter(counter: Floats) -> Places:
+    """Intervals since the first row by a counter, over its wraps; ValueError with the row where it stands still.
+
+    Examples
+    --------
+    >>> clock_of_counter(np.array([126.0, 127.0, 0.0, 3.0])).tolist()
+    [0, 1, 2, 5]
+    """
+    numbers = np.round(counter).astype(np.int64)
+    steps = np.diff(numbers)
+    if np.any(steps < 0):
+        largest = int(numbers.max())
+        modulus = largest + 1 if _wraps_at(numbers, steps, largest + 1) else 1 << largest.bit_length()
+        steps = steps % modulus
+    if np.any(steps == 0):
+        raise ValueError(str(int(np.flatnonzero(steps == 0)[0]) + 1))
+    each = int(np.median(steps))
+    if each > 1 and not np.any(steps % each):
+        steps //= each
+    return np.concatenate([[0], np.cumsum(steps)]).astype(np.int64)
+
+
+def _wraps_at(numbers: Places, steps: Places, modulus: int) -> bool:
+    """Whether most wraps go on by one step if the counter begins again at `modulus`."""
+    behind = np.flatnonzero(steps < 0)
+    return bool(np.median((numbers[behind + 1] - numbers[behind]) % modulus) == np.median(steps[steps > 0]))
+
+
+def line_through(places: Places, times: Floats) -> float:
+    """Slope of the straight line through the time stamps, s per interval."""
+    centred = places - places.mean()
+    return float(centred @ (times - times.mean()) / (centred @ centred))
+
+
+def find_clock(times: Floats, interval_s: float | None) -> LogClock:
+    """Find interval and missing rows.
+
+    Parameters
+    ----------
+    times : (n,)
+        Rising; equal neighbours only where the stamps are coarse.
+    interval_s : float or None
+        Where it is known; a clock that goes wrong by up to 5 % is found and allowed for.
+    """
+    rows = np.arange(times.size, dtype=np.int64)
+    step = _rounding(times)
+    slope = line_through(rows, times)
+    off = float(np.ptp(times - times.mean() - slope * (rows - rows.mean())))
+    if off <= 1.02 * step + 1e-9 * slope:
+        each = _rows_apart(slope, interval_s)
+        return LogClock(slope / each, each * rows, bool(off > 1e-6 * slope and step > _COARSE * slope))
+    found = _first_interval(times)
+    each = _rows_apart(found, interval_s)
+    if times.size < _FEW_ROWS:
+        places = np.concatenate([[0], np.cumsum(np.maximum(np.round(np.diff(times) / (found / each)), 1))])
+        return LogClock(line_through(places.astype(np.int64), times), places.astype(np.int64), False)
+    if step > _TOO_COARSE * found and abs(found / step - 1) > 1e-3:
+        places = _within_bounds(times, step, found)
+        return LogClock(line_through(places, times) / each, each * places, True)
+    places = _in_phase(times, found / each)
+    interval = line_through(places, times)
+    clear = step <= _COARSE * interval and float(np.abs(times - interval * places).max()) < 0.25 * interval
+    return LogClock(interval, places, not clear)
+
+
+def _rounding(times: Floats) -> float:
+    """Step that all time stamps are whole multiples of, s; 0 if they are finer than 1 us."""
+    sample = times[:1000]
+    for power in range(7):
+        for part in _STEPS:
+            step = part * 10.0**-power
+            if all(np.all(np.abs(some / step - np.round(some / step)) < 1e-3) for some in (sample, times)):
+                return step
+    return 0.0
+
+
+def _first_interval(times: Floats) -> float:
+    """Interval to a few per cent, from rows so far apart that their rounding counts little."""
+    if times.size < _FEW_ROWS:
+        return float(np.median(np.diff(times)))
+    count = min(_CHUNK, times.size // 4)
+    spans = np.sort((times[count:] - times[:-count]) / count)
+    # missing rows make a span longer, so the shorter half is nearer to the truth
+    return float(spans[: max(1, spans.size // 2)].mean())
+
+
+def _rows_apart(found: float, stated: float | None) -> int:
+    """Intervals from row to row: more than one where the output is stated to come more often than the rows do."""
+    times = round(found / stated) if stated is not None else 1
+    return times if stated is not None and times >= 2 and abs(found / stated / times - 1) < 0.05 else 1
+
+
+def _in_phase(times: Floats, interval: float) -> Places:
+    """Places by the phase of the stamps, which no missing row shifts: first a few of them, then ever more."""
+    count = min(_FIRST_ROWS, times.size)
+    some = times[:count]
+    trials = 1 / interval * (1 + np.arange(-_WIDEST, _WIDEST, 0.2 * interval / max(float(some[-1]), interval)))
+    strength = np.array([abs(np.exp(2j * np.pi * trial * some).sum()) for trial in trials])
+    frequency = float(trials[int(np.argmax(strength))])
+    phase = float(np.angle(np.exp(2j * np.pi * frequency * some).sum())) / (2 * np.pi)
+    while True:
+        turns = frequency * times[:count] - phase
+        places = np.round(turns).astype(np.int64)
+        rows = np.arange(count)
+        # a stamp that came late is followed by one in time
+        missing = np.minimum.accumulate((places - rows)[::-1])[::-1]
+        places = np.maximum.accumulate(missing) + rows
+        on_time = np.abs(turns - places) < 0.5
+        slope = line_through(places[on_time], times[:count][on_time])
+        first = float(times[:count][on_time].mean() - slope * places[on_time].mean())
+        frequency, phase = 1 / slope, first / slope
+        if count == times.size:
+            return np.asarray(places - places[0], dtype=np.int64)
+        count = min(4 * count, times.size)
+
+
+def _within_bounds(times: Floats, step: float, first: float) -> Places:
+    """Places where stamps are rounded to more than their interval: they keep within one step of a line."""
+    interval = _quiet_slope(times, step, first)
+    missing = np.zeros(times.size, dtype=np.int64)
+    late = times - interval * np.arange(times.size)
+    allowed = 1.02 * step + 1e-3 * interval
+    begin = 0
+    while begin < times.size - 1:
+        part = late[begin : begin + _REACH]
+        above = part - np.minimum.accumulate(part) > allowed
+        if not above.any():
+            begin += max(1, min(_REACH // 2, part.size))
+            continue
+        last = begin + int(np.argmax(above))
+        before = max(begin + 1, last - _LOCAL)
+        around = late[max(0, before - _LOCAL) : last + _LOCAL]
+        rows = np.arange(max(0, before - _LOCAL), max(0, before - _LOCAL) + around.size)
+        spreads = [float(np.ptp(around - interval * (rows >= at))) for at in range(before, last + 1)]
+        at = before + int(np.argmin(spreads))
+        missing[at] += 1
+        late[at:] -= interval
+    return np.arange(times.size) + np.cumsum(missing)
+
+
+def _quiet_slope(times: Floats, step: float, first: float) -> float:
+    """Interval from the longest stretches in which no row is missing."""
+    for length in (8192, 2048, 512, 128):
+        slopes = []
+        for begin in range(0, times.size - length + 1, length):
+            part, rows = times[begin : begin + length], np.arange(length, dtype=np.int64)
+            slope = line_through(rows, part)
+            if np.ptp(part - slope * rows) <= 1.05 * step:
+                slopes.append(slope)
+        if slopes:
+            return float(np.median(slopes))
+    return first

@@ -1,0 +1,149 @@
+"""What lies beneath VISA: GPIB adapters of Prologix' kind (also AR488), sockets, and who else has the instrument.
+
+PyVISA-py drives such an adapter as a byte stream beside which `++` orders go. It reads from the instrument only
+when it is told to, and gives up when nothing comes within a time that it holds: an answer that takes longer has to
+be asked for again. Its stream has no message ends.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import importlib
+import re
+import socket
+from typing import Any, Protocol, cast
+
+import pyvisa
+from pyvisa.constants import ResourceAttribute, StatusCode
+from pyvisa.resources import MessageBasedResource
+
+from instrument.errors import LinkError
+from instrument.names import advice, behind_adapter, visa_name
+
+READ_TIME_MS = 3000
+"""Longest time that such an adapter waits for a byte of the instrument; the most that it can be set to."""
+
+READ_AGAIN_S = READ_TIME_MS / 1000 + 0.1
+
+
+class _Interface(Protocol):
+    """The part of PyVISA-py's adapter session that is used."""
+
+    interface: object
+
+    def write_oob(self, data: bytes) -> object: ...
+
+    def set_attribute(self, attribute: ResourceAttribute, value: object) -> object: ...
+
+
+class GpibAdapter:
+    """The adapter between this computer and an instrument."""
+
+    def __init__(self, interface: _Interface) -> None:
+        self._interface = interface
+
+    def configure(self) -> None:
+        """Let it wait for the instrument as long as it can."""
+        self._interface.write_oob(f"++read_tmo_ms {READ_TIME_MS}\n".encode())
+
+    def set_timeout(self, milliseconds: float) -> None:
+        """Time that a read of the stream may take; the instrument's own attribute does not reach it."""
+        self._interface.set_attribute(ResourceAttribute.timeout_value, milliseconds)
+
+    def read_again(self) -> None:
+        """Have it listen to the instrument anew: it has given up by now."""
+        self._interface.write_oob(b"++read eoi\n")
+
+    @property
+    def holder(self) -> object:
+        """What has the socket as its attribute `interface`."""
+        return self._interface
+
+
+def adapter_of(resource: MessageBasedResource) -> GpibAdapter | None:
+    """The adapter that an opened instrument is behind; None where it is behind none."""
+    session = session_of(resource)
+    interface = getattr(session, "interface", None)
+    return GpibAdapter(cast(_Interface, interface)) if hasattr(interface, "write_oob") else None
+
+
+def forget_adapter(interface_name: str) -> None:
+    """Make an adapter that could not be opened unknown again.
+
+    PyVISA-py enters it before it is open and leaves it there, socket and all: every GPIB name would go to it.
+    """
+    try:
+        module = importlib.import_module("pyvisa_py.prologix")
+    except ImportError:
+        return
+    board = re.sub(r"\D", "", interface_name.partition("::")[0]) or "0"
+    known = getattr(module, "_PrologixIntfcSession", None)
+    session = known.boards.pop(board, None) if known is not None else None
+    if session is not None:
+        with contextlib.suppress(Exception):
+            session.interface.close()
+
+
+def session_of(resource: MessageBasedResource) -> object | None:
+    """PyVISA-py's own session of a resource; None with another VISA."""
+    sessions = getattr(resource.visalib, "sessions", None)
+    return sessions.get(resource.session) if isinstance(sessions, dict) else None
+
+
+def socket_of(holder: object | None) -> socket.socket | None:
+    """The socket of a session, if it has one."""
+    peer = getattr(holder, "interface", None)
+    return peer if isinstance(peer, socket.socket) else None
+
+
+def keep_to_oneself(resource: MessageBasedResource) -> bool:
+    """Keep other programs from an opened instrument, where the link can do that; False if one of them has it.
+
+    A vendor's VISA locks the resource; PyVISA-py does not, but a serial port of POSIX can be locked.
+    """
+    port: Any = getattr(session_of(resource), "interface", None)
+    if hasattr(port, "exclusive"):
+        try:
+            port.exclusive = True
+        except (OSError, ValueError) as error:
+            return isinstance(error, ValueError)  # a system without such locks
+        return True
+    try:
+        resource.lock_excl(timeout=0)
+    except pyvisa.VisaIOError as error:
+        return error.error_code != StatusCode.error_resource_locked
+    except (NotImplementedError, AttributeError):
+        return True
+    return True
+
+
+def open_instrument(
+    name: str, manager: pyvisa.ResourceManager | None, seconds: float
+) -> tuple[MessageBasedResource, pyvisa.resources.Resource | None]:
+    """The instrument of a name, and the adapter that was opened for it; LinkError after so many seconds."""
+    beneath, timeout = None, round(seconds * 1000)
+    try:
+        adapter, visa = behind_adapter(name) or (None, visa_name(name))
+        if manager is None:
+            manager = pyvisa.ResourceManager("@py" if adapter else "")
+        if adapter is not None:
+            beneath = manager.open_resource(adapter, open_timeout=timeout)
+        resource = manager.open_resource(visa, open_timeout=timeout)
+    except Exception as error:  # PyVISA-py raises whatever its transport does, down to bare Exception
+        if beneath is not None:
+            beneath.close()
+        elif (names := behind_adapter(name)) is not None:
+            forget_adapter(names[0])
+        reason = _reason(error)
+        raise LinkError(f"cannot open {name}: {reason}{advice(name, reason)}") from error
+    if not isinstance(resource, MessageBasedResource):
+        resource.close()
+        raise LinkError(f"{name} is not an instrument that takes text messages; check the resource name")
+    return resource, beneath
+
+
+def _reason(error: Exception) -> str:
+    if isinstance(error, pyvisa.VisaIOError):
+        return f"{error.description} Check the name with 'gyrolock list'"
+    text = " ".join(str(error).split())
+    return text or type(error).__name__

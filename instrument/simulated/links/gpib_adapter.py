@@ -1,0 +1,204 @@
+"""The simulated oscilloscope behind a GPIB adapter of Prologix' kind, on a TCP port or a serial terminal.
+
+Orders begin with `++`; anything else goes to the instrument, without the ESC characters that shield special bytes.
+The adapter hands over what the instrument says only when it is told to read, and gives up after `read_tmo_ms`.
+Source: Prologix GPIB-Ethernet controller user manual, version 1.6.6, sections 7 and 8.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, field
+
+from instrument.simulated.links.exchange import MessageExchange
+from instrument.simulated.links.stream_server import Line, Port, StreamServer
+from instrument.simulated.scope import SimulatedTDS2014
+
+_VERSION = b"Simulated GPIB adapter, version 6.107\r\n"
+_ESCAPE, _LINE_FEED, _RETURN = 0x1B, 0x0A, 0x0D
+_APPENDED = (b"\r\n", b"\r", b"\n", b"")  # ++eos 0 to 3
+_LOOK_UP = 0.2  # s
+_VIRTUAL_POLL = 0.001  # s
+_UNRECOGNIZED = b"Unrecognized command\r\n"
+
+
+@dataclass
+class _Client:
+    """One client, and what it has set."""
+
+    exchange: MessageExchange
+    buffer: bytearray = field(default_factory=bytearray)
+    settings: dict[str, str] = field(
+        default_factory=lambda: {
+            "addr": "1",
+            "auto": "0",
+            "eoi": "1",
+            "eos": "0",
+            "eot_char": "0",
+            "eot_enable": "0",
+            "mode": "1",
+            "read_tmo_ms": "200",
+            "savecfg": "1",
+        }
+    )
+    reading_until: float = 0.0  # time in s at which a read gives up; 0: not reading
+    escaped: bool = False
+
+
+class GpibAdapterServer(StreamServer):
+    """Serves an instrument behind such an adapter until it is closed.
+
+    Parameters
+    ----------
+    scope : SimulatedTDS2014
+        The instrument.
+    address : int
+        Its address on the bus; at any other one nobody answers.
+    terminal : bool
+        True for a serial terminal in place of a TCP port.
+    port : int
+        0 takes any free port.
+
+    Raises
+    ------
+    OSError
+        If the port cannot be had, or the system has no terminals.
+    """
+
+    def __init__(
+        self,
+        scope: SimulatedTDS2014,
+        *,
+        address: int = 1,
+        terminal: bool = False,
+        host: str = "127.0.0.1",
+        port: int = 0,
+    ) -> None:
+        super().__init__()
+        self.scope, self.address = scope, address
+        self._clients: dict[Port, _Client] = {}
+        if terminal:
+            self._interface = f"PRLGX-ASRL0::{self._open_terminal()}"
+        else:
+            self.host, self.port = self._listen(host, port)
+            self._interface = f"PRLGX-TCPIP0::{self.host}::{self.port}"
+        self._thread.start()
+
+    @property
+    def interface_name(self) -> str:
+        """VISA name of the adapter."""
+        return f"{self._interface}::INTFC"
+
+    @property
+    def resource_name(self) -> str:
+        """Name of the instrument behind it, as this project writes it."""
+        return f"{self._interface}::GPIB0::{self.address}::INSTR"
+
+    def _add(self, port: Port) -> None:
+        port.incoming, port.outgoing = Line(), Line()
+        self._clients[port] = _Client(MessageExchange(self.scope, message_ends=True))
+        super()._add(port)
+
+    def _drop(self, port: Port) -> None:
+        if port in self._clients:
+            self._clients.pop(port).exchange.clear()
+        super()._drop(port)
+
+    def _pause(self) -> float:
+        pauses, now = [_LOOK_UP], time.monotonic()
+        for port, client in self._clients.items():
+            if len(port.outgoing):
+                pauses.append(_VIRTUAL_POLL)
+            if client.reading_until:
+                pauses.append(client.reading_until - now)
+            change = client.exchange.next_change()
+            if change < float("inf"):
+                pauses.append(_VIRTUAL_POLL if self.scope.clock.virtual else change - self.scope.clock.now())
+        return max(0.0, min(pauses))
+
+    def _serve(self, port: Port) -> None:
+        client, now = self._clients[port], time.monotonic()
+        self._take_lines(port, client, now)
+        exchange = client.exchange
+        exchange.pump()
+        if self.scope.clock.virtual and exchange.next_change() < float("inf"):
+            with self.scope.lock:
+                self.scope.clock.sleep(exchange.next_change() - self.scope.clock.now() + 1e-9)
+        if client.reading_until:
+            self._read_on(port, client, now)
+        self._send(port, now)
+        if exchange.closed:
+            self._drop(port)
+
+    def _read_on(self, port: Port, client: _Client, now: float) -> None:
+        """Hand over what the instrument says, or give up."""
+        here = int(client.settings["addr"].split()[0]) == self.address
+        answer = client.exchange.take() if here else None
+        if answer is not None:
+            eot = bytes([int(client.settings["eot_char"])]) if client.settings["eot_enable"] == "1" else b""
+            port.outgoing.put(answer + eot, now)
+            client.reading_until = 0.0
+        elif now >= client.reading_until:
+            client.reading_until = 0.0
+
+    def _take_lines(self, port: Port, client: _Client, now: float) -> None:
+        """Cut what came into lines at unshielded ends, and carry them out one by one."""
+        for byte in port.incoming.take(now):
+            if client.escaped:
+                client.buffer += bytes([_ESCAPE, byte])
+                client.escaped = False
+            elif byte == _ESCAPE:
+                client.escaped = True
+            elif byte in (_LINE_FEED, _RETURN):
+                line, client.buffer = bytes(client.buffer), bytearray()
+                if line:
+                    self._carry_out(port, client, line, now)
+            else:
+                client.buffer.append(byte)
+
+    def _carry_out(self, port: Port, client: _Client, line: bytes, now: float) -> None:
+        if line.startswith(b"++"):
+            self._order(port, client, line[2:].decode("ascii", errors="replace").split(), now)
+            return
+        if int(client.settings["addr"].split()[0]) == self.address:
+            client.exchange.receive(_unshielded(line) + _APPENDED[int(client.settings["eos"])])
+        if client.settings["auto"] == "1":
+            self._start_reading(client, now)
+
+    def _order(self, port: Port, client: _Client, words: list[str], now: float) -> None:
+        name, *values = words or [""]
+        exchange = client.exchange
+        if name in client.settings:
+            if values:
+                client.settings[name] = " ".join(values)
+            else:
+                port.outgoing.put(f"{client.settings[name]}\r\n".encode(), now)
+        elif name == "read":
+            self._start_reading(client, now)
+        elif name == "clr":
+            exchange.clear()
+            client.reading_until = 0.0
+        elif name == "trg":
+            exchange.receive(b"*TRG")
+        elif name in ("spoll", "srq"):
+            status = exchange.serial_poll() if name == "spoll" else int(bool(exchange.status_byte() & 64))
+            port.outgoing.put(f"{status}\r\n".encode(), now)
+        elif name == "ver":
+            port.outgoing.put(_VERSION, now)
+        elif name not in ("ifc", "loc", "llo", "rst"):
+            port.outgoing.put(_UNRECOGNIZED, now)
+
+    def _start_reading(self, client: _Client, now: float) -> None:
+        client.reading_until = now + int(client.settings["read_tmo_ms"]) / 1000
+
+
+def _unshielded(line: bytes) -> bytes:
+    """The bytes behind the ESC characters."""
+    shielded = bytearray()
+    at = 0
+    while at < len(line):
+        if line[at] == _ESCAPE and at + 1 < len(line):
+            at += 1
+        shielded.append(line[at])
+        at += 1
+    return bytes(shielded)

@@ -1,0 +1,137 @@
+"""Everything that a campaign will need, looked at before it begins: `gyrolock doctor --station FILE`."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import time
+from collections.abc import Iterator
+from dataclasses import replace
+from datetime import UTC, date, datetime
+from pathlib import Path
+
+from station.campaign.journal import read_journal, tests_of
+from station.campaign.plan import CampaignPlan, InstrumentCard
+from station.errors import RunError
+from station.measurements import measurement
+from station.results.check import Check
+
+_SOON_DAYS = 30
+_RECORD_BYTES = 20_000
+"""Of a record with its conditions in the store, at most."""
+
+_SPARE_BYTES = 200 * 2**20
+_RECORDS_OF_A_STEP = 1000
+_EARLIEST = datetime(2025, 1, 1, tzinfo=UTC)
+
+
+def examine_campaign(plan: CampaignPlan) -> list[Check]:
+    """Look at everything that a campaign will need, in the order in which a person would.
+
+    Parameters
+    ----------
+    plan : CampaignPlan
+        For any unit: the bench is looked at as it stands, with whatever unit is on it.
+    """
+    summary = f"{plan.file}: {len(plan.steps)} steps, {sum(len(step.limits) for step in plan.steps)} limits"
+    checks = [Check("campaign", "ok", summary), _disk(plan), *_clock(plan), *_calibrations(plan.instruments)]
+    looked: list[Check] = []
+    for found in _benches(plan):
+        looked += found
+    return [*checks, *looked, *_identities(plan.instruments, looked), *_unfinished(plan)]
+
+
+def _disk(plan: CampaignPlan) -> Check:
+    directory = plan.directory.absolute()
+    existing = next(folder for folder in (directory, *directory.parents) if folder.exists())
+    if not os.access(existing, os.W_OK):
+        return Check("disk", "bad", f"{directory} cannot be written: choose another output.directory")
+    free, needed = shutil.disk_usage(existing).free, _SPARE_BYTES
+    needed += len(plan.steps) * _RECORDS_OF_A_STEP * _RECORD_BYTES
+    text = f"{free / 2**30:.1f} GiB free for {directory}, a test takes {needed / 2**30:.2g} GiB at most"
+    return Check("disk", "ok", text) if free > needed else Check("disk", "bad", f"{text}: make room")
+
+
+def _clock(plan: CampaignPlan) -> Iterator[Check]:
+    """The time of day stands in records and file names; durations do not depend on it."""
+    now = datetime.now(UTC)
+    newest = max(
+        (path.stat().st_mtime for path in plan.directory.glob("*/*/test.jsonl") if path.is_file()), default=0.0
+    )
+    if now < _EARLIEST:
+        yield Check("clock", "bad", f"it says {now:%Y-%m-%d %H:%M} UTC: set it")
+    elif newest > time.time() + 60:
+        last = datetime.fromtimestamp(newest, UTC)
+        yield Check(
+            "clock", "bad", f"it says {now:%Y-%m-%d %H:%M} UTC, the last test was at {last:%Y-%m-%d %H:%M}"
+        )
+    else:
+        yield Check("clock", "ok", f"{now:%Y-%m-%d %H:%M:%S} UTC: compare it with your watch")
+
+
+def _calibrations(cards: tuple[InstrumentCard, ...]) -> Iterator[Check]:
+    today = datetime.now(UTC).date()
+    for card in cards:
+        yield _calibration(card, today)
+
+
+def _calibration(card: InstrumentCard, today: date) -> Check:
+    name = " ".join(filter(None, (card.role, card.model, card.serial)))
+    if card.calibrated_on is not None and card.calibrated_on > today:
+        return Check(
+            "calibration", "bad", f"{name}: calibrated on {card.calibrated_on}, a day to come: correct it"
+        )
+    if card.calibration_due is None:
+        return Check("calibration", "note", f"{name}: no calibration_due is stated")
+    left = (card.calibration_due - today).days
+    if left < 0:
+        return Check("calibration", "bad", f"{name}: was due on {card.calibration_due}: have it calibrated")
+    if left < _SOON_DAYS:
+        return Check("calibration", "note", f"{name}: is due on {card.calibration_due}, in {left} days")
+    return Check("calibration", "ok", f"{name}: until {card.calibration_due}")
+
+
+def _benches(plan: CampaignPlan) -> Iterator[list[Check]]:
+    """Look at each bench once: steps that differ in what they measure there share it."""
+    seen: set[str] = set()
+    for step in plan.steps:
+        kind = measurement(step.measurement)
+        parts = {name: step.settings.get(name) for name in ("scope", "table", "link", "controllers")}
+        bench = json.dumps({**parts, "examine": str(kind.examine)}, sort_keys=True)
+        if kind.examine is None or bench in seen:
+            continue
+        seen.add(bench)
+        found = kind.examine(kind.kind.model.model_validate(dict(step.settings)))
+        yield [replace(one, text=f"{one.text} (for {step.name})") for one in found]
+
+
+def _identities(cards: tuple[InstrumentCard, ...], looked: list[Check]) -> Iterator[Check]:
+    """Compare who answers with who should."""
+    answered = [check.text for check in looked if check.name == "oscilloscope" and check.state == "ok"]
+    for card in cards:
+        if card.role != "oscilloscope" or not (card.serial or card.model):
+            continue
+        for text in answered:
+            for word in filter(None, (card.model, card.serial)):
+                if word.replace(" ", "").lower() not in text.replace(" ", "").lower():
+                    advice = "connect the right one, or correct [[instrument]]"
+                    yield Check(
+                        "identity", "bad", f"the oscilloscope is to be {word}, and answers {text}: {advice}"
+                    )
+
+
+def _unfinished(plan: CampaignPlan) -> Iterator[Check]:
+    folders = [path for path in plan.directory.glob("*") if path.is_dir()] if plan.directory.is_dir() else []
+    left = [str(path) for folder in folders for path in tests_of(plan.directory, folder.name) if _is_left(path)]
+    if left:
+        yield Check(
+            "tests", "note", f"not come to their end: {', '.join(left[-5:])}: go on with --resume, or leave them"
+        )
+
+
+def _is_left(path: Path) -> bool:
+    try:
+        return bool(read_journal(path).left)
+    except RunError:
+        return False

@@ -1,0 +1,177 @@
+"""``gyrolock status`` and ``gyrolock stop``: measurements that run on this machine, from any other shell."""
+
+from __future__ import annotations
+
+import sys
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from station.errors import EXIT_FAIL, EXIT_OK, UsageError
+from station.shell.options import config_option, json_option
+from station.terminal.lines import print_json, say
+
+if TYPE_CHECKING:
+    from station.events.running import Running
+
+_SCHEMA = {"name": "gyrolock status", "version": 1}
+_ASK_EVERY_S = 0.1
+
+
+@click.command("status")
+@click.option("--watch", "watched", is_flag=True, help="Show it again every second, until Ctrl-C or the end.")
+@config_option
+@json_option
+def status(watched: bool, config: Path | None, as_json: bool) -> int:
+    """Show how the measurements stand that run on this machine, and those that were killed.
+
+    It acts from any shell of the same user; `gyrolock stop` ends one. Exit codes: 0 something runs, 1 nothing
+    does.
+    """
+    from station.events.running import running_programs
+    from station.settings.toml_files import read_toml
+
+    if config is not None:
+        read_toml(config)  # a file with a mistake is one here too
+    programs = [one for one in running_programs() if one.alive or _was_cut_short(one)]
+    if as_json:
+        print_json({"schema": _SCHEMA, "programs": [one.as_json() for one in programs]})
+    elif watched and sys.stdout.isatty() and any(one.alive for one in programs):
+        _watch()
+    elif programs:
+        for place, one in enumerate(programs):
+            say("") if place else None
+            _print(one)
+    else:
+        say("no measurement runs on this machine")
+    return EXIT_OK if any(one.alive for one in programs) else EXIT_FAIL
+
+
+def _was_cut_short(program: Running) -> bool:
+    """Whether a program that was killed has left a run that nobody has gone on with; if not it is forgotten."""
+    from station.errors import RunError
+    from station.runs.store import open_run
+
+    try:
+        if program.run is not None and open_run(program.run).facts.get("outcome") is None:
+            return True
+    except (RunError, OSError):
+        pass
+    program.forget()
+    return False
+
+
+def _print(program: Running) -> None:
+    from station.display.picture import picture
+    from station.terminal.console import stdout_console
+
+    console, situation = stdout_console(), program.situation
+    if program.alive:
+        since = str(situation.program.get("at", ""))[:19].replace("T", " ")
+        say(f"process {program.pid}, since {since} UTC")
+    else:
+        say(f"process {program.pid} was killed; the records are kept: go on with --resume {_parent(program)}")
+    console.print(picture(situation, console.width, max(console.height, 40)))
+
+
+def _parent(program: Running) -> Any:
+    return program.run.parent if program.run is not None else ""
+
+
+def _watch() -> None:
+    from rich.live import Live
+
+    from station.display.picture import picture
+    from station.events.running import running_programs
+    from station.terminal.console import stdout_console
+
+    console = stdout_console()
+    with Live(console=console, auto_refresh=False) as live:
+        while alive := [one for one in running_programs() if one.alive]:
+            live.update(picture(alive[-1].situation, console.width, console.height), refresh=True)
+            time.sleep(1.0)
+
+
+@click.command("stop")
+@click.argument("which", required=False, metavar="[PID|RUN]")
+@click.option("--all", "everything", is_flag=True, help="Stop all that run.")
+@click.option(
+    "--wait",
+    "wait_s",
+    type=click.FloatRange(min=0),
+    default=60.0,
+    metavar="S",
+    help="Wait so long for the end [60].",
+)
+@config_option
+@json_option
+def stop(which: str | None, everything: bool, wait_s: float, config: Path | None, as_json: bool) -> int:
+    """Stop a measurement or a station that runs: what is being done ends, and everything taken is kept.
+
+    It is what Ctrl-C does in its own terminal: the front panel is put back, the table stopped, the outcome saved;
+    --resume goes on. Without PID or RUN the only one that runs is meant. Exit codes: 0 it has ended, 1 it has not
+    ended within --wait, 2 nothing runs or it is not clear which is meant.
+    """
+    from station.events.running import running_programs
+    from station.settings.toml_files import read_toml
+
+    if config is not None:
+        read_toml(config)  # a file with a mistake is one here too
+    alive = [one for one in running_programs() if one.alive]
+    chosen = alive if everything else _chosen(alive, which)
+    if not chosen:
+        raise UsageError("no measurement runs on this machine")
+    for one in chosen:
+        one.stop()
+    left = _still_there(chosen, wait_s)
+    if as_json:
+        print_json(
+            {"stopped": [one.pid for one in chosen if one not in left], "running": [one.pid for one in left]}
+        )
+    else:
+        for one in chosen:
+            if one in left:
+                say(f"process {one.pid} was told to stop and has not ended after {wait_s:g} s")
+            else:
+                where = f"; go on with --resume {one.run.parent}" if one.run is not None else ""
+                say(f"process {one.pid} has ended{where}")
+    return EXIT_FAIL if left else EXIT_OK
+
+
+def _chosen(alive: list[Running], which: str | None) -> list[Running]:
+    if which is None:
+        if len(alive) > 1:
+            raise UsageError(
+                f"{len(alive)} measurements run: say which by its process, or --all ({_named(alive)})"
+            )
+        return alive
+    if which.isdecimal():
+        found = [one for one in alive if one.pid == int(which)]
+    else:
+        wanted = Path(which).absolute()
+        found = [
+            one
+            for one in alive
+            if one.run is not None and wanted in (one.run.absolute(), *one.run.absolute().parents)
+        ]
+    if not found:
+        raise UsageError(f"no measurement runs that is {which}" + (f" ({_named(alive)})" if alive else ""))
+    return found
+
+
+def _named(alive: list[Running]) -> str:
+    return ", ".join(f"{one.pid}: {one.situation.program.get('command')}" for one in alive)
+
+
+def _still_there(chosen: list[Running], wait_s: float) -> list[Running]:
+    from station.events.running import running_programs
+
+    until = time.monotonic() + wait_s
+    while True:
+        alive = {one.pid for one in running_programs() if one.alive}
+        left = [one for one in chosen if one.pid in alive]
+        if not left or time.monotonic() >= until:
+            return left
+        time.sleep(_ASK_EVERY_S)

@@ -1,0 +1,1 @@
+"""Saved records through the estimator, batch by batch."""

@@ -1,0 +1,362 @@
+"""Records of many sources through the estimator: batch by batch, none of their samples kept."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis import LockInEstimate
+from analysis.lock_in_run import Method, joined
+from instrument import InstrumentError, Preamble
+from station.errors import RunError, StationError, UsageError
+from station.lock_in.records.estimates import estimate_batch
+from station.runs.store import SavedRecord, damaged_record
+from station.sources.batches import AT_ONCE, LeftOut, batch_of, read_one
+from station.sources.find import open_source
+from station.sources.source import Source
+
+MEASURE, FAST, SECOND = "measure", "tilt", "quadrature"
+CONDITIONS = ("table_rate_dps", "azimuth_start_deg", "azimuth_end_deg", "over_lock_in")
+
+
+@dataclass(frozen=True)
+class Piece:
+    """Some records of one source.
+
+    Attributes
+    ----------
+    path : Path or Source
+    numbers : range or None
+        Of the records; ``None``: all.
+    choices : mapping
+        Of :class:`analysis.lock_in_run.Method`, what the user wants; a run knows its own scale factor.
+    known : str
+        SHA-256 of the source whose estimates are there already: then it is not read.
+    sha256 : str
+        Of the whole source, where this is a part of it.
+    """
+
+    path: Path | Source
+    numbers: range | None = None
+    choices: Mapping[str, Any] = field(default_factory=dict)
+    known: str = ""
+    sha256: str = ""
+
+
+@dataclass(frozen=True)
+class Gathered:
+    """Estimates of the records of one source, or of a piece of it, and what the results need besides.
+
+    Attributes
+    ----------
+    name : str
+        Of the source.
+    method : Method or None
+        ``None`` where it could not be read, or was known.
+    sha256 : str
+        Of the source; empty where only a piece of it was read.
+    about : dict
+        Unit, gyro, operator, instrument and software as the source names them.
+    numbers, places : ndarray of int, shape (n,)
+        Number in the source of each record that was estimated, and its place among those that were taken, from 0.
+    taken : int
+        Records that were taken for the measurement, damaged ones too.
+    columns : dict of ndarray, shape (n,)
+        ``samples``, ``sample_interval_s``, ``level_spacing_v`` and the conditions, nan where not known.
+    labels : dict of list of str
+        ``key``, ``taken_at``, ``channel``, ``wfid`` of each record.
+    truth : dict of ndarray, shape (n,)
+        True values of a simulated bench.
+    each : LockInEstimate or None
+        Fields of shape (n,); ``None`` where there is no record.
+    fast : tuple of SavedRecord
+        The fast run.
+    damaged : tuple of int
+        Places of damaged records.
+    damage : tuple of str
+        Damaged records of every purpose, one sentence each.
+    left_out : tuple of LeftOut
+        What could not be read.
+    paired : bool
+        Whether there are records of a second photodiode.
+    front_end : dict or None
+        Settings of the run, where they describe a channel that is to be taken out of its records.
+    """
+
+    name: str
+    method: Method | None
+    sha256: str
+    about: dict[str, str | None]
+    numbers: NDArray[np.int64]
+    places: NDArray[np.int64]
+    taken: int
+    columns: dict[str, NDArray[np.float64]]
+    labels: dict[str, list[str]]
+    truth: dict[str, NDArray[np.float64]]
+    each: LockInEstimate | None
+    fast: tuple[SavedRecord, ...]
+    damaged: tuple[int, ...]
+    damage: tuple[str, ...]
+    left_out: tuple[LeftOut, ...]
+    paired: bool
+    front_end: dict[str, Any] | None = None
+
+    def __len__(self) -> int:
+        return int(self.numbers.size)
+
+
+_ABOUT = ("unit", "operator")
+_COLUMNS = ("samples", "sample_interval_s", "level_spacing_v", *CONDITIONS)
+_LABELS = ("key", "taken_at", "channel", "wfid")
+_NAN = math.nan
+_Estimates = list[tuple[NDArray[np.intp], LockInEstimate]]
+
+
+def estimate_pieces(pieces: Sequence[Piece], at_once: int = AT_ONCE) -> list[Gathered]:
+    """Estimate the records of some pieces; those of small ones go through the estimator together.
+
+    Parameters
+    ----------
+    pieces : sequence of Piece
+    at_once : int
+        Records in a batch, at most. No number depends on it.
+
+    Returns
+    -------
+    list of Gathered
+        One for each piece. What cannot be read is left out, and named there.
+    """
+    room = _Room(at_once)
+    found = [_Reading(piece, room) for piece in pieces]
+    for one in found:
+        one.read()
+    room.estimate_all()
+    return [one.gathered() for one in found]
+
+
+class _Room:
+    """Records that wait for the estimator, by what a batch must have in common."""
+
+    def __init__(self, at_once: int) -> None:
+        self._at_once = at_once
+        self._waiting: dict[tuple[Any, ...], list[tuple[_Reading, int, SavedRecord, Preamble]]] = {}
+
+    def add(self, reading: _Reading, row: int, record: SavedRecord, preamble: Preamble) -> None:
+        key = preamble.nr_pt, preamble.xincr, preamble.byt_nr, reading.method
+        waiting = self._waiting.setdefault(key, [])
+        waiting.append((reading, row, record, preamble))
+        if len(waiting) >= self._at_once:
+            self._estimate(self._waiting.pop(key))
+
+    def estimate_all(self) -> None:
+        while self._waiting:
+            self._estimate(self._waiting.popitem()[1])
+
+    def _estimate(self, waiting: list[tuple[_Reading, int, SavedRecord, Preamble]]) -> None:
+        method = waiting[0][0].method
+        batch = batch_of([(record, preamble) for _, _, record, preamble in waiting])
+        estimate = estimate_batch(batch, method) if method is not None else None
+        begin = 0
+        for end in range(1, len(waiting) + 1):
+            if end == len(waiting) or waiting[end][0] is not waiting[begin][0]:
+                rows = np.array([row for _, row, _, _ in waiting[begin:end]], dtype=np.intp)
+                if estimate is not None:
+                    waiting[begin][0].estimates.append((rows, estimate[begin:end]))
+                begin = end
+
+
+class _Reading:
+    """One piece while it is read."""
+
+    def __init__(self, piece: Piece, room: _Room) -> None:
+        self._piece, self._room = piece, room
+        self.method: Method | None = None
+        self.estimates: _Estimates = []
+        self._name, self._sha256, self._about = str(piece.path), "", dict[str, str | None]()
+        self._numbers: list[int] = []
+        self._places: list[int] = []
+        self._taken = 0
+        self._columns: list[tuple[float, ...]] = []
+        self._labels: list[tuple[str, ...]] = []
+        self._truth: dict[str, list[float]] = {}
+        self._fast: list[SavedRecord] = []
+        self._damaged: list[int] = []
+        self._damage: list[str] = []
+        self._left_out: list[LeftOut] = []
+        self._paired = False
+        self._front_end: dict[str, Any] | None = None
+
+    def read(self) -> None:
+        """Read the source; what is wrong with it is kept as a sentence."""
+        piece = self._piece
+        try:
+            source = open_source(piece.path)
+            self._name = source.name
+            if piece.known and source.sha256 == piece.known:
+                self._sha256 = piece.known
+                return
+            self._about = about(source)
+            self.method = method_of(source, piece.choices)
+            settings = source.facts.settings
+            self._front_end = settings if any((settings.get("front_end") or {}).values()) else None
+            for record in source.records(piece.numbers):
+                self._take(record, source)
+            self._sha256 = source.sha256 if piece.numbers is None else ""
+        except (StationError, InstrumentError, OSError) as error:
+            self._left_out.append(LeftOut(self._name, None, str(error).removeprefix(f"{self._name}: ")))
+
+    def _take(self, record: SavedRecord, source: Source) -> None:
+        self._damage += filter(None, [damaged_record(record)])
+        if record.purpose != MEASURE:
+            counts = record.purpose == FAST and record.intact and not record.aside
+            self._fast += [record] if counts else []
+            self._paired = self._paired or record.purpose == SECOND
+            return
+        place, self._taken = self._taken, self._taken + 1
+        if not record.intact:
+            self._damaged.append(place)
+        read = read_one(record, source, self._left_out.append)
+        if read is None:
+            return
+        preamble = read[1]
+        self._room.add(self, len(self._numbers), record, preamble)
+        self._numbers.append(record.number)
+        self._places.append(place)
+        known = record.conditions
+        values = (preamble.nr_pt, preamble.xincr, abs(preamble.ymult), *map(known.get, CONDITIONS))
+        self._columns.append(tuple([_NAN if value is None else float(value) for value in values]))
+        self._labels.append((record.key, record.taken_at, str(known.get("channel", "")), preamble.wfid))
+        for name, value in (known.get("truth") or {}).items():
+            # a record that does not say it makes the mean of the run unknown, as it should be
+            here = self._truth.setdefault(name, [])
+            here += [_NAN] * (len(self._numbers) - 1 - len(here))
+            here.append(float(value))
+
+    def gathered(self) -> Gathered:
+        """What was found, when everything that waited has been estimated."""
+        rows = [rows for rows, _ in self.estimates]
+        count = len(self._numbers)
+        columns = np.array(self._columns, dtype=np.float64).reshape(count, len(_COLUMNS))
+        return Gathered(
+            name=self._name,
+            method=self.method,
+            sha256=self._sha256,
+            about=self._about,
+            numbers=np.array(self._numbers, dtype=np.int64),
+            places=np.array(self._places, dtype=np.int64),
+            taken=self._taken,
+            columns=dict(zip(_COLUMNS, np.ascontiguousarray(columns.T), strict=True)),
+            labels={name: [row[place] for row in self._labels] for place, name in enumerate(_LABELS)},
+            truth={
+                name: np.array([*values, *[_NAN] * (count - len(values))]) for name, values in self._truth.items()
+            },
+            each=joined([estimate for _, estimate in self.estimates], rows) if rows else None,
+            fast=tuple(self._fast),
+            damaged=tuple(self._damaged),
+            damage=tuple(self._damage),
+            left_out=tuple(self._left_out),
+            paired=self._paired,
+            front_end=self._front_end,
+        )
+
+
+def method_of(source: Source, choices: Mapping[str, Any]) -> Method:
+    """Return how the records of a source are evaluated: as wanted, and with the scale factor of its run.
+
+    Raises
+    ------
+    UsageError
+        Neither knows the scale factor.
+    RunError
+        The records are not those of a ring laser's beat, or the run does not say what it must.
+    """
+    wanted = {name: value for name, value in choices.items() if value is not None}
+    if source.is_run and source.facts.command != MEASURE:
+        raise RunError(
+            f"{source.name}: is a run of {source.facts.command!r}: its records give no lock-in rate each"
+        )
+    if "scale_factor" not in wanted:
+        known = source.facts.settings.get("gyro", {}).get("scale_factor_pulses_per_deg")
+        if not isinstance(known, int | float) or not known > 0:
+            raise UsageError(f"{source.name}: does not say how many pulses per degree: give --scale-factor")
+        wanted["scale_factor"] = float(known)
+    return Method(**wanted)
+
+
+def about(source: Source) -> dict[str, str | None]:
+    """Return what a source says of unit, gyro, operator, oscilloscope and program, for the rows of its records."""
+    facts = source.facts
+    scope, made = facts.get("identity") or {}, facts.get("provenance") or {}
+    return {
+        "unit": facts.labels.get("unit"),
+        "gyro": facts.settings.get("gyro", {}).get("name"),
+        "operator": facts.labels.get("operator"),
+        "model": scope.get("model"),
+        "serial": scope.get("serial"),
+        "firmware": scope.get("firmware"),
+        "taken_with": made.get("gyrolock"),
+        "probe": None if "probe" not in facts else f"{facts['probe']:g}X",
+    }
+
+
+def pieces_of(source: Source, choices: Mapping[str, Any], *, whole: bool = False) -> list[list[Piece]]:
+    """Cut a source into pieces of so many records that their estimates take about a tenth of a second.
+
+    Parameters
+    ----------
+    whole : bool, optional
+        Whether each piece is to know the SHA-256 of the whole source.
+    """
+    first, last = source.span
+    opened_by, sha256 = _again(source), source.sha256 if whole else ""
+    if last - first < AT_ONCE:
+        return [[Piece(opened_by, None, choices, sha256=sha256)]]
+    begins = range(first, last + 1, AT_ONCE)
+    return [[Piece(opened_by, range(begin, begin + AT_ONCE), choices, "", sha256)] for begin in begins]
+
+
+def _again(source: Source) -> Path | Source:
+    """What another process opens a source by: a run is a file, one of a data set knows its rows."""
+    return source.path if source.kind == "run" else source
+
+
+def together(parts: Sequence[Gathered]) -> Gathered:
+    """Put pieces behind each other: those of one source, or sources that are to be one result."""
+    first = parts[0]
+    if len(parts) == 1:
+        return first
+    begins = np.concatenate([[0], np.cumsum([part.taken for part in parts])])
+    filled = [part.each for part in parts if part.each is not None]
+    truths = dict.fromkeys(name for part in parts for name in part.truth)
+    return replace(
+        first,
+        numbers=np.concatenate([part.numbers for part in parts]),
+        places=np.concatenate([part.places + begin for part, begin in zip(parts, begins, strict=False)]),
+        taken=int(begins[-1]),
+        columns={name: np.concatenate([part.columns[name] for part in parts]) for name in first.columns},
+        labels={name: [text for part in parts for text in part.labels[name]] for name in first.labels},
+        truth={
+            name: np.concatenate([part.truth.get(name, np.full(len(part), _NAN)) for part in parts])
+            for name in truths
+        },
+        each=_behind_each_other(filled) if filled else None,
+        fast=tuple(record for part in parts for record in part.fast),
+        damaged=tuple(
+            place + int(begin) for part, begin in zip(parts, begins, strict=False) for place in part.damaged
+        ),
+        damage=tuple(sentence for part in parts for sentence in part.damage),
+        left_out=tuple(one for part in parts for one in part.left_out),
+        paired=any(part.paired for part in parts),
+    )
+
+
+def _behind_each_other(parts: Sequence[LockInEstimate]) -> LockInEstimate:
+    ends = np.cumsum([0, *(len(part) for part in parts)])
+    return joined(parts, [np.arange(begin, end) for begin, end in itertools.pairwise(ends)])

@@ -1,0 +1,343 @@
+"""Two analyses of the same records, or records of two gyros: what they differ by, in their uncertainties."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from station.errors import NoUsableSignal, UsageError
+from station.lock_in.records.pieces import Piece
+from station.reanalysis.tables.columns import rows_of_pieces
+from station.reanalysis.tables.open_table import KINDS, table_file
+from station.results.as_json import plain
+from station.results.numbers import with_uncertainty
+from station.results.parts import TextTable
+from station.sources.batches import LeftOut
+from station.sources.find import find_sources
+from station.sources.workers import Workers
+
+Floats = NDArray[np.float64]
+
+QUANTITIES = {
+    "lock_in_rate_dps": ("lock_in_rate_noise_u_dps", "deg/s", "lock-in rate"),
+    "beat_frequency_hz": ("beat_frequency_u_hz", "Hz", "beat frequency"),
+    "ratio": ("ratio_u", "", "r = A2/A1"),
+}
+_TEXTS = ("source", "source_sha256", "analysis", "unit")
+_TOGETHER = 200
+_SURE = 3.0
+"""Standard uncertainties of the difference beyond which two means differ."""
+
+
+@dataclass(frozen=True)
+class Records:
+    """Rows of one analysis.
+
+    Attributes
+    ----------
+    name : str
+        The table or path.
+    analyses : tuple of str
+        By which they were made.
+    keys : list of (str, int)
+        SHA-256 of the source and number in it, of each row.
+    labels : list of str
+        Source and number, as they are shown.
+    values, us : dict of ndarray
+        Of each of `QUANTITIES`, nan where there is none; standard uncertainty by noise.
+    """
+
+    name: str
+    analyses: tuple[str, ...]
+    keys: list[tuple[str, int]]
+    labels: list[str]
+    values: dict[str, Floats]
+    us: dict[str, Floats]
+    left_out: tuple[LeftOut, ...] = ()
+
+
+@dataclass(frozen=True)
+class Difference:
+    """What two analyses differ by in one quantity: the second less the first.
+
+    Attributes
+    ----------
+    compared : int
+        Records that both have a value of; of sets that share none, the records of both.
+    mean_first, mean_second, mean_first_u, mean_second_u : float
+        Weighted means, and their standard uncertainties by the scatter or the noise, whichever is more.
+    difference, difference_u : float
+        Of the means.
+    rms_over_u, largest_over_u : float
+        Of the differences of the records over their uncertainties; nan where no record is in both.
+    largest_of : str
+        The record of the largest.
+    beyond_2 : float
+        Share of the records that differ by more than two uncertainties.
+    over_u : ndarray
+        Difference of each record over its uncertainty.
+    """
+
+    quantity: str
+    unit: str
+    title: str
+    compared: int
+    mean_first: float
+    mean_first_u: float
+    mean_second: float
+    mean_second_u: float
+    difference: float
+    difference_u: float
+    rms_over_u: float
+    largest_over_u: float
+    largest_of: str
+    beyond_2: float
+    over_u: Floats
+
+    @property
+    def differs(self) -> bool:
+        """Whether noise does not explain the difference of the means."""
+        return bool(abs(self.difference) > _SURE * self.difference_u)
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Two analyses side by side.
+
+    Attributes
+    ----------
+    same_records : bool
+        Whether they are of the same records: then noise is common to both, and a difference is counted in the
+        larger of the two uncertainties; else in both together.
+    only_first, only_second : int
+        Records that have a lock-in rate in one of them only.
+    """
+
+    first: Records
+    second: Records
+    same_records: bool
+    only_first: int
+    only_second: int
+    differences: tuple[Difference, ...]
+
+    def document(self) -> dict[str, Any]:
+        """Return it as plain JSON."""
+        each = [
+            {name: getattr(one, name) for name in Difference.__dataclass_fields__ if name != "over_u"}
+            | {"differs": one.differs}
+            for one in self.differences
+        ]
+        sides = [
+            {"name": one.name, "analyses": one.analyses, "records": len(one.keys), "left_out": len(one.left_out)}
+            for one in (self.first, self.second)
+        ]
+        document = {
+            "schema": {"name": "gyrolock compare", "version": 1},
+            "first": sides[0],
+            "second": sides[1],
+            "same_records": self.same_records,
+            "only_in_first": self.only_first,
+            "only_in_second": self.only_second,
+            "differences": each,
+            "sentences": self.sentences(),
+        }
+        return dict(plain(document))
+
+    def table(self) -> TextTable:
+        """Return one row for each quantity."""
+        rows = [
+            (
+                one.title,
+                f"{one.compared}",
+                with_uncertainty(one.mean_first, one.mean_first_u, one.unit),
+                with_uncertainty(one.mean_second, one.mean_second_u, one.unit),
+                with_uncertainty(one.difference, one.difference_u, one.unit),
+                _number(one.rms_over_u),
+                _number(one.largest_over_u),
+            )
+            for one in self.differences
+        ]
+        headings = ("", "records", "A", "B", "B - A", "rms/u", "largest/u")
+        return TextTable(headings, tuple(rows))
+
+    def sentences(self) -> list[str]:
+        """Say what the numbers mean."""
+        said = []
+        if self.same_records:
+            said.append("The same records: noise is common to both, u is the larger of the two of each record.")
+        else:
+            said.append("No record is in both: the means are compared, with the scatter of their records alone.")
+        first = self.differences[0]
+        if self.only_first or self.only_second:
+            said.append(f"A lock-in rate in A alone: {self.only_first} records, in B alone: {self.only_second}.")
+        if self.same_records and first.largest_of:
+            said.append(
+                f"The lock-in rates differ by up to {first.largest_over_u:.3g} u ({first.largest_of}); "
+                f"{first.beyond_2:.1%} of the records by more than 2 u."
+            )
+        elif first.differs:
+            said.append(f"The lock-in rates differ by {first.difference / first.difference_u:+.3g} u.")
+        else:
+            said.append("The lock-in rates agree within their scatter.")
+        return said
+
+
+def compare(first: Records, second: Records) -> Comparison:
+    """Compare the lock-in rates, beat frequencies and ratios of two analyses.
+
+    Raises
+    ------
+    NoUsableSignal
+        One of them holds no lock-in rate.
+    """
+    for one in (first, second):
+        if not np.isfinite(one.values["lock_in_rate_dps"]).any():
+            raise NoUsableSignal(f"{one.name}: holds no record with a lock-in rate")
+    places = {key: row for row, key in enumerate(second.keys)}
+    pairs = [(row, places[key]) for row, key in enumerate(first.keys) if key in places]
+    same = bool(pairs)
+    here, there = (np.array(rows, dtype=np.intp) for rows in zip(*pairs, strict=True)) if same else (None, None)
+    differences = tuple(_difference(name, first, second, here, there) for name in QUANTITIES)
+    a, b = first.values["lock_in_rate_dps"], second.values["lock_in_rate_dps"]
+    only = (0, 0)
+    if here is not None and there is not None:
+        known_a, known_b = np.isfinite(a[here]), np.isfinite(b[there])
+        only = int((known_a & ~known_b).sum()), int((known_b & ~known_a).sum())
+    return Comparison(first, second, same, *only, differences)
+
+
+def _difference(
+    name: str, first: Records, second: Records, here: NDArray[np.intp] | None, there: NDArray[np.intp] | None
+) -> Difference:
+    _, unit, title = QUANTITIES[name]
+    a, b, a_u, b_u = first.values[name], second.values[name], first.us[name], second.us[name]
+    over_u, largest, where = np.empty(0), math.nan, ""
+    if here is not None and there is not None:
+        a, b, a_u, b_u = a[here], b[there], a_u[here], b_u[there]
+        both = np.isfinite(a) & np.isfinite(b)
+        rows, a, b, a_u, b_u = here[both], a[both], b[both], a_u[both], b_u[both]
+        u = np.maximum(a_u, b_u)
+        over_u = np.divide(b - a, u, out=np.zeros(a.size), where=u > 0)
+        if over_u.size:
+            place = int(np.argmax(np.abs(over_u)))
+            largest, where = float(over_u[place]), first.labels[int(rows[place])]
+    mean_a, mean_a_u = _mean(a, a_u)
+    mean_b, mean_b_u = _mean(b, b_u)
+    difference, difference_u = mean_b - mean_a, math.hypot(mean_a_u, mean_b_u)
+    if here is not None and a.size:
+        difference = float(np.mean(b - a))
+        difference_u = float(np.std(b - a)) / math.sqrt(a.size) if a.size > 1 else max(mean_a_u, mean_b_u)
+    return Difference(
+        name,
+        unit,
+        title,
+        int(a.size if here is not None else np.isfinite(a).sum() + np.isfinite(b).sum()),
+        mean_a,
+        mean_a_u,
+        mean_b,
+        mean_b_u,
+        difference,
+        difference_u,
+        float(np.sqrt(np.mean(over_u**2))) if over_u.size else math.nan,
+        largest,
+        where,
+        float(np.mean(np.abs(over_u) > 2)) if over_u.size else math.nan,
+        over_u,
+    )
+
+
+def _mean(values: Floats, us: Floats) -> tuple[float, float]:
+    """Weighted mean, and its uncertainty: from the noise, or from the scatter where that is more."""
+    known = np.isfinite(values) & np.isfinite(us) & (us > 0)
+    if not known.any():
+        return math.nan, math.nan
+    weights = us[known] ** -2.0
+    mean = float(np.sum(weights * values[known]) / weights.sum())
+    u = float(1 / np.sqrt(weights.sum()))
+    if known.sum() > 1:
+        chi_square = float(np.sum(weights * (values[known] - mean) ** 2)) / (int(known.sum()) - 1)
+        u *= math.sqrt(max(chi_square, 1.0))
+    return mean, u
+
+
+def read_records(place: str, choices: Mapping[str, Any], workers: Workers, analysis: str = "") -> Records:
+    """Read the rows of a results table, or estimate the records of runs and files.
+
+    Parameters
+    ----------
+    place : str
+        A results table, or what :func:`station.sources.find_sources` takes.
+    choices : mapping
+        Of :class:`analysis.lock_in_run.Method`, for records that are to be estimated.
+    analysis : str, optional
+        Part of the column `analysis` of a table that holds several.
+
+    Raises
+    ------
+    UsageError, RunError
+        It cannot be read, or holds several analyses of the same records.
+    """
+    path = Path(place)
+    if path.suffix.lower() in KINDS and path.is_file() and _is_table(path):
+        rows = (row for row in table_file(path).rows() if analysis in str(row["analysis"]))
+        return _records(place, rows, ())
+    everything = list(find_sources([place]))
+    work = [
+        [Piece(source, None, choices) for source in everything[first : first + _TOGETHER]]
+        for first in range(0, len(everything), _TOGETHER)
+    ]
+    parts = [rows for found in workers.map(rows_of_pieces, work) for rows in found]
+    left_out = tuple(one for part in parts for one in part.left_out)
+    names = (*_TEXTS, "record", *QUANTITIES, *(u for u, _, _ in QUANTITIES.values()))
+    given = (
+        dict(zip(names, values, strict=True))
+        for part in parts
+        if part.count
+        for values in zip(*(part.column(name) for name in names), strict=True)
+    )
+    return _records(place, given, left_out)
+
+
+def _is_table(path: Path) -> bool:
+    """Whether a file is a results table: its ending alone does not tell it from a run or a data set."""
+    from station.errors import RunError
+
+    try:
+        next(iter(table_file(path).rows()), None)
+    except RunError:
+        return path.suffix.lower() == ".jsonl"
+    return True
+
+
+def _records(name: str, rows: Iterable[Mapping[str, Any]], left_out: Sequence[LeftOut]) -> Records:
+    keys: list[tuple[str, int]] = []
+    labels: list[str] = []
+    analyses: dict[str, None] = {}
+    values: dict[str, list[float]] = {column: [] for column in QUANTITIES}
+    us: dict[str, list[float]] = {column: [] for column in QUANTITIES}
+    for row in rows:
+        keys.append((str(row["source_sha256"]), int(row["record"])))
+        labels.append(f"{row['source']}, record {row['record']}")
+        analyses[str(row["analysis"])] = None
+        for column, (u, _, _) in QUANTITIES.items():
+            values[column].append(_float(row[column]))
+            us[column].append(_float(row[u]))
+    if len(set(keys)) < len(keys):
+        listed = "; ".join(f"'{one}'" for one in analyses)
+        raise UsageError(f"{name}: holds several analyses: name one with --a or --b, by a part of {listed}")
+    of_values, of_us = ({column: np.array(found) for column, found in one.items()} for one in (values, us))
+    return Records(name, tuple(analyses), keys, labels, of_values, of_us, tuple(left_out))
+
+
+def _float(value: Any) -> float:
+    return math.nan if value is None else float(value)
+
+
+def _number(value: float) -> str:
+    return "" if math.isnan(value) else f"{value:.3g}"

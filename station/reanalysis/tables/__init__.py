@@ -1,0 +1,1 @@
+"""Tables of results: one row a record, as Parquet, SQLite, CSV or JSON lines."""

@@ -1,0 +1,116 @@
+"""A results table as Parquet: columns, in row groups of some ten thousand records."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+from station.datasets.packages import package
+from station.errors import CannotWrite, RunError
+from station.reanalysis.tables.columns import INTEGERS, NAME, ORDER, TEXTS, VERSION, Rows
+from station.reanalysis.tables.table import Key, TableFile
+
+pyarrow, compute, parquet = (package(name, "data") for name in ("pyarrow", "pyarrow.compute", "pyarrow.parquet"))
+
+ROW_GROUP = 10_000
+_KINDS = {
+    **dict.fromkeys(ORDER, pyarrow.float64()),
+    **dict.fromkeys(TEXTS, pyarrow.string()),
+    **dict.fromkeys(INTEGERS, pyarrow.int64()),
+}
+SCHEMA = pyarrow.schema(
+    [(name, _KINDS[name]) for name in ORDER], {"schema_name": NAME, "schema_version": str(VERSION)}
+)
+
+
+class Parquet(TableFile):
+    """New rows go to a draft beside the table, which takes its place at the end."""
+
+    def __init__(self, path: Path) -> None:
+        super().__init__(path)
+        self._draft = path.with_name(f".{path.name}.part")
+        self._writer: Any = None
+        self._waiting: list[Any] = []
+
+    def known(self) -> dict[Key, str]:
+        """SHA-256 by source and analysis; see `TableFile`."""
+        found: dict[Key, str] = {}
+        if not self.path.exists():
+            return found
+        names = ["source", "analysis", "source_sha256"]
+        for batch in self._batches(names):
+            table = pyarrow.Table.from_batches([batch]).group_by(names).aggregate([])
+            for row in table.to_pylist():
+                found[row["source"], row["analysis"]] = row["source_sha256"]
+        return found
+
+    def rows(self) -> Iterator[dict[str, Any]]:
+        """Read the rows; see `TableFile`."""
+        for batch in self._batches(None):
+            yield from batch.to_pylist()
+
+    def begin(self) -> None:
+        """Open the draft; see `TableFile`."""
+        try:
+            self._writer = parquet.ParquetWriter(self._draft, SCHEMA, compression="zstd")
+        except OSError as error:
+            raise CannotWrite(f"{self.path}: cannot be written ({error})") from None
+
+    def add(self, rows: Rows) -> None:
+        """Collect rows to row groups; see `TableFile`."""
+        arrays = [_array(rows, name) for name in ORDER]
+        self._waiting.append(pyarrow.Table.from_arrays(arrays, schema=SCHEMA))
+        if sum(len(table) for table in self._waiting) >= ROW_GROUP:
+            self._flush()
+
+    def end(self, replaced: set[Key]) -> None:
+        """Write what stays behind the new rows; see `TableFile`."""
+        self._flush()
+        if self.path.exists():
+            gone = pyarrow.array(
+                [f"{source}\n{analysis}" for source, analysis in sorted(replaced)], pyarrow.string()
+            )
+            for batch in self._batches(None):
+                keys = compute.binary_join_element_wise(batch["source"], batch["analysis"], "\n")
+                kept = batch.filter(compute.invert(compute.is_in(keys, gone)))
+                if len(kept):
+                    self._writer.write_batch(kept.cast(SCHEMA))
+        self._writer.close()
+        self._draft.replace(self.path)
+
+    def give_up(self) -> None:
+        """Take the draft away; see `TableFile`."""
+        if self._writer is not None:
+            self._writer.close()
+        with suppress(OSError):
+            self._draft.unlink()
+
+    def _flush(self) -> None:
+        if self._waiting:
+            try:
+                self._writer.write_table(pyarrow.concat_tables(self._waiting), row_group_size=2 * ROW_GROUP)
+            except OSError as error:
+                raise CannotWrite(f"{self.path}: cannot be written ({error})") from None
+            self._waiting = []
+
+    def _batches(self, names: list[str] | None) -> Iterator[Any]:
+        try:
+            with parquet.ParquetFile(self.path) as file:
+                known = file.schema_arrow.metadata or {}
+                ours = known.get(b"schema_name") == NAME.encode()
+                version = known.get(b"schema_version", b"").decode(errors="replace")
+                self._checked(int(version) if ours and version.isdigit() else None)
+                yield from file.iter_batches(ROW_GROUP, columns=names)
+        except (pyarrow.ArrowException, OSError) as error:
+            raise RunError(
+                f"{self.path}: is no Parquet file or is damaged ({str(error).splitlines()[0]})"
+            ) from None
+
+
+def _array(rows: Rows, name: str) -> Any:
+    value = rows.columns[name]
+    if isinstance(value, str | None):
+        return pyarrow.nulls(rows.count, _KINDS[name]) if value is None else pyarrow.repeat(value, rows.count)
+    return pyarrow.array(rows.column(name), _KINDS[name], from_pandas=True)  # nan: not known

@@ -1,0 +1,157 @@
+"""Results tables as text: comma-separated values, or one JSON object a line."""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+from abc import abstractmethod
+from collections.abc import Iterator, Mapping
+from contextlib import suppress
+from pathlib import Path
+from typing import IO, Any
+
+from station.errors import CannotWrite, RunError
+from station.reanalysis.tables.columns import INTEGERS, ORDER, TEXTS, Rows
+from station.reanalysis.tables.table import Key, TableFile
+
+
+class TextTable(TableFile):
+    """Lines of text; new ones go to a draft beside the table, which takes its place at the end."""
+
+    def __init__(self, path: Path) -> None:
+        super().__init__(path)
+        self._draft = path.with_name(f".{path.name}.part")
+        self._file: IO[str] | None = None
+
+    def known(self) -> dict[Key, str]:
+        """SHA-256 by source and analysis; see `TableFile`."""
+        if not self.path.exists():
+            return {}
+        return {(str(row["source"]), str(row["analysis"])): str(row["source_sha256"]) for row in self.rows()}
+
+    def begin(self) -> None:
+        """Open the draft; see `TableFile`."""
+        self._file = self._draft.open("w", encoding="utf-8", newline="")
+
+    def add(self, rows: Rows) -> None:
+        """Write lines to the draft; see `TableFile`."""
+        columns = [rows.column(name) for name in ORDER]
+        plain = [column.tolist() if hasattr(column, "tolist") else column for column in columns]
+        for values in zip(*plain, strict=True):
+            self._write(values)
+
+    def end(self, replaced: set[Key]) -> None:
+        """Write what stays before the new lines; see `TableFile`."""
+        file = self._opened()
+        file.close()
+        joined = self.path.with_name(f".{self.path.name}.new")
+        with joined.open("w", encoding="utf-8", newline="") as self._file:
+            self._headings()
+            if self.path.exists():
+                for row in self.rows():
+                    if (row["source"], row["analysis"]) not in replaced:
+                        self._write(tuple(row.get(name) for name in ORDER))
+            with self._draft.open(encoding="utf-8", newline="") as new:
+                for line in new:
+                    self._file.write(line)
+        joined.replace(self.path)
+        self._draft.unlink()
+
+    def give_up(self) -> None:
+        """Take the draft away; see `TableFile`."""
+        if self._file is not None:
+            self._file.close()
+        with suppress(OSError):
+            self._draft.unlink()
+
+    def _opened(self) -> IO[str]:
+        if self._file is None:
+            raise CannotWrite(f"{self.path}: is not open")
+        return self._file
+
+    def _headings(self) -> None:
+        """Write what stands above the rows."""
+
+    @abstractmethod
+    def _write(self, values: tuple[Any, ...]) -> None:
+        """Write one row, in `ORDER`."""
+
+
+class JsonLines(TextTable):
+    """One JSON object a line; what is not known is null."""
+
+    def rows(self) -> Iterator[dict[str, Any]]:
+        """Read the lines; see `TableFile`."""
+        try:
+            with self.path.open(encoding="utf-8") as file:
+                for number, line in enumerate(file, start=1):
+                    row = _json_row(line)
+                    if row is None:
+                        raise RunError(f"{self.path}: line {number} is no row of a results table")
+                    self._checked(row.get("schema_version"))
+                    yield row
+        except (OSError, UnicodeDecodeError) as error:
+            raise RunError(f"{self.path}: cannot be read ({error})") from None
+
+    def _write(self, values: tuple[Any, ...]) -> None:
+        named = {name: None if _is_nan(value) else value for name, value in zip(ORDER, values, strict=True)}
+        self._opened().write(json.dumps(named, allow_nan=False, default=str) + "\n")
+
+
+def _json_row(line: str) -> dict[str, Any] | None:
+    try:
+        row = json.loads(line)
+    except (ValueError, RecursionError):
+        return None
+    if not isinstance(row, dict) or not {"source", "analysis", "source_sha256"} <= row.keys():
+        return None
+    return row
+
+
+class Csv(TextTable):
+    """Comma-separated values below a line of headings; what is not known is empty."""
+
+    def rows(self) -> Iterator[dict[str, Any]]:
+        """Read the lines; see `TableFile`."""
+        try:
+            with self.path.open(encoding="utf-8-sig", newline="") as file:
+                reader = csv.DictReader(file)
+                if not {"source", "analysis", "schema_version"} <= set(reader.fieldnames or ()):
+                    raise RunError(f"{self.path}: is not a results table of gyrolock")
+                for number, row in enumerate(reader, start=2):
+                    if None in row or None in row.values():
+                        raise RunError(f"{self.path}: line {number} is cut or has too many cells")
+                    read = _csv_row(row)
+                    if read is None:
+                        raise RunError(f"{self.path}: line {number} holds no number where one belongs")
+                    self._checked(read.get("schema_version"))
+                    yield read
+        except (OSError, UnicodeDecodeError, csv.Error) as error:
+            raise RunError(f"{self.path}: cannot be read ({error})") from None
+
+    def _headings(self) -> None:
+        csv.writer(self._opened(), lineterminator="\n").writerow(ORDER)
+
+    def _write(self, values: tuple[Any, ...]) -> None:
+        cells = ["" if value is None or _is_nan(value) else value for value in values]
+        csv.writer(self._opened(), lineterminator="\n").writerow(cells)
+
+
+def _csv_row(row: Mapping[str, str]) -> dict[str, Any] | None:
+    try:
+        return {name: _csv_value(name, text) for name, text in row.items()}
+    except ValueError:
+        return None
+
+
+def _csv_value(name: str, text: str) -> Any:
+    if not text:
+        return None
+    if name in TEXTS:
+        return text
+    return int(text) if name in INTEGERS else float(text)
+
+
+def _is_nan(value: object) -> bool:
+    return isinstance(value, float) and math.isnan(value)

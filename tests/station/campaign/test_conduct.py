@@ -1,0 +1,254 @@
+"""A campaign carried out: three units, faults of the bench, a killed program, and what is left of each."""
+
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from instrument import LinkError
+from station.campaign import journal
+from station.campaign.conduct import conduct
+from station.campaign.file import read_campaign
+from station.campaign.journal import JOURNAL, Journal, read_test
+from station.campaign.outcome import CampaignOutcome
+from station.cli import main
+from station.controllers.open import served_controllers
+from station.errors import CannotWrite, UsageError
+from station.lock_in import take as lock_in_take
+from station.lock_in.served import scope_on_table
+from station.lock_in.settings import load_settings
+from station.plan.prediction import predict
+from station.runs.progress import Progress
+from station.runs.store import RunWriter, open_run
+from station.scope.serve import serve
+from tests.ideal_bench import ideal_bench
+
+Write = Callable[..., Path]
+
+
+def outcome_of(file: Path, unit: str, **more: Any) -> CampaignOutcome:
+    return conduct(read_campaign(file, unit), Progress(quiet=True), operator="Li", **more)
+
+
+UNITS = [("GOOD", 0.009, "PASS", 0), ("LIMIT", 0.010, "MARGINAL", 6), ("BAD", 0.011, "FAIL", 1)]
+
+
+@pytest.mark.parametrize(("unit", "lock_in_rate", "verdict", "code"), UNITS)
+def test_good_at_the_limit_and_bad(
+    campaign: Write, unit: str, lock_in_rate: float, verdict: str, code: int
+) -> None:
+    file = campaign(steps=1)
+    outcome = outcome_of(file, unit)
+    assert (outcome.verdict, outcome.exit_code) == (verdict, code)
+    first = outcome.steps[0]
+    (limit,) = first.limits
+    assert limit.measured.value == pytest.approx(lock_in_rate, rel=0.01)
+    # what the dry run predicts of a unit with the expected lock-in rate
+    half = (limit.measured.high_95 - limit.measured.low_95) / 2
+    assert half == pytest.approx(predict("measure", first.step.settings).u95, rel=0.5)
+    assert first.run is not None
+    run = open_run(first.run)
+    assert run.facts.complete and run.facts.labels == {"unit": unit, "operator": "Li"}
+    again = read_test(outcome.directory)
+    assert again.plan == outcome.plan
+    assert [one.limits for one in again.steps] == [one.limits for one in outcome.steps]
+    assert (again.verdict, again.exit_code) == (verdict, code)
+    with pytest.raises(UsageError, match="has come to its end"):
+        outcome_of(file, unit, resumed=outcome.directory)
+
+
+class Cable:
+    """Records of the oscilloscope over a cable that is pulled at some of them."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch, *pulled: int) -> None:
+        self._take, self._pulled, self.count = lock_in_take.take_record, pulled, 0
+        monkeypatch.setattr(lock_in_take, "take_record", self)
+
+    def __call__(self, *arguments: Any) -> Any:
+        self.count += 1
+        if self.count in self._pulled or not self._pulled:
+            raise LinkError("the cable was pulled")
+        return self._take(*arguments)
+
+
+def test_a_step_that_the_bench_ends_is_gone_on_with(campaign: Write, monkeypatch: pytest.MonkeyPatch) -> None:
+    cable = Cable(monkeypatch, 4, 5)
+    outcome = outcome_of(campaign(steps=1), "BAD")
+    assert (outcome.verdict, outcome.exit_code) == ("FAIL", 1)
+    first = outcome.steps[0]
+    assert first.attempts == 3
+    failed = [f"attempt {number} of 3 has failed" for number in (1, 2)]
+    assert [remark.split(":")[0] for remark in first.remarks[:2]] == failed
+    assert first.run is not None
+    # two fast runs and two records a step; none of them is taken twice
+    assert cable.count == 4 + 2
+    assert len(open_run(first.run).records) == 4
+
+
+def test_a_bench_that_stays_broken_is_an_error_and_the_rest_goes_on(
+    campaign: Write, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    Cable(monkeypatch, 1, 2, 3)
+    outcome = outcome_of(campaign(), "GOOD")
+    assert [step.verdict for step in outcome.steps] == ["ERROR", "PASS"]
+    assert (outcome.verdict, outcome.exit_code) == ("ERROR", 3)
+    assert outcome.message == "first: the cable was pulled"
+    # the bench is mended: the step that it failed is gone on with, the other one stays
+    second = outcome.steps[1]
+    mended = outcome_of(campaign(), "GOOD", resumed=outcome.directory)
+    assert (mended.verdict, mended.exit_code) == ("PASS", 0)
+    assert mended.steps[1].run_sha256 == second.run_sha256 and mended.steps[1].ended_at == second.ended_at
+    assert len(mended.resumed_at) == 1
+
+
+def test_a_bench_that_cannot_be_opened_is_an_error_of_every_step(campaign: Write) -> None:
+    scope = '[bench.scope]\nresource = "TCPIP0::127.0.0.1::1::SOCKET"\nreconnect_s = 0.0\n'
+    known = "[bench.gyro]\nscale_factor_pulses_per_deg = 2000.0\n"
+    outcome = outcome_of(
+        campaign(("[bench.budget]", f"{scope}{known}[bench.budget]"), ("= [8.0]", "= []")), "GOOD"
+    )
+    assert (outcome.verdict, outcome.exit_code) == ("ERROR", 3)
+    assert [(step.attempts, step.run, len(step.remarks)) for step in outcome.steps] == 2 * [(3, None, 2)]
+    assert read_test(outcome.directory).steps == outcome.steps
+
+
+def test_an_interrupted_test_is_aborted_and_goes_on(campaign: Write, monkeypatch: pytest.MonkeyPatch) -> None:
+    take, count = lock_in_take.take_record, iter(range(100))
+
+    def interrupted(*arguments: Any) -> Any:
+        if next(count) == 6:
+            raise KeyboardInterrupt
+        return take(*arguments)
+
+    monkeypatch.setattr(lock_in_take, "take_record", interrupted)
+    outcome = outcome_of(campaign(), "LIMIT")
+    assert (outcome.verdict, outcome.exit_code) == ("ABORTED", 130)
+    assert [step.verdict for step in outcome.steps] == ["MARGINAL", "ABORTED"]
+    mended = outcome_of(campaign(), "LIMIT", resumed=outcome.directory)
+    assert (mended.verdict, mended.exit_code) == ("MARGINAL", 6)
+    assert len(journal.tests_of(outcome.plan.directory, "LIMIT")) == 1
+
+
+KILLED = """
+import itertools, os, signal, sys
+from station.cli import main
+from station.controllers.open import served_controllers
+from station.runs.store import RunWriter
+commit, commits = RunWriter.save_records, itertools.count(1)
+def save_records(writer, records):
+    commit(writer, records)
+    if next(commits) == int(sys.argv[1]):
+        os.kill(os.getpid(), signal.SIGKILL)
+RunWriter.save_records = save_records
+sys.exit(main(sys.argv[2:]))
+"""
+
+
+@pytest.mark.skipif(os.name != "posix", reason="needs SIGKILL")
+def test_a_killed_test_goes_on_at_the_same_step(campaign: Write, capsys: pytest.CaptureFixture[str]) -> None:
+    file = campaign()
+    arguments = ["station", str(file), "--unit", "BAD", "--quiet", "--json"]
+    killed = subprocess.run([sys.executable, "-c", KILLED, "7", *arguments], capture_output=True, timeout=100)
+    assert killed.returncode == -9, killed.stderr
+    (directory,) = journal.tests_of(Path("tests"), "BAD")
+    cut = read_test(directory)
+    assert cut.verdict == "ABORTED" and [step.verdict for step in cut.steps] == ["FAIL"]
+    with (directory / JOURNAL).open("ab") as lines:
+        lines.write(b'{"kind": "step_en')  # what a power failure leaves of a line
+    assert main([*arguments, "--resume"]) == 1
+    document = json.loads(capsys.readouterr().out)
+    assert document["verdict"] == "FAIL" and len(document["resumed_at"]) == 1
+    assert [step["verdict"] for step in document["steps"]] == ["FAIL", "PASS"]
+    assert document["steps"][0]["run"] == str(cut.steps[0].run)
+    second = open_run(Path(document["steps"][1]["run"]))
+    assert len(second.facts.resumed_at) == 1 and len(second.records) == 4
+    assert Path(document["record"]).is_file()
+    assert main([*arguments, "--resume"]) == 2
+    assert "no test of BAD is to be gone on with" in capsys.readouterr().err
+
+
+def test_a_test_is_carried_out_by_one_program_and_by_the_campaign_that_began_it(campaign: Write) -> None:
+    plan = read_campaign(campaign(), "GOOD")
+    begun = Journal.begin(plan, "", "")
+    try:
+        if os.name == "posix":
+            with pytest.raises(UsageError, match="another program carries this test out"):
+                Journal(begun.directory).open()
+    finally:
+        begun.close()
+    changed = campaign(("at_most = 0.010", "at_most = 0.012"))
+    with pytest.raises(UsageError, match="other steps, settings or limits now"):
+        outcome_of(changed, "GOOD", resumed=begun.directory)
+    with pytest.raises(UsageError, match="is a test of GOOD, not of BAD"):
+        outcome_of(campaign(), "BAD", resumed=begun.directory)
+
+
+SURROUNDED = """
+[bench.controllers.chamber]
+[bench.controllers.power_supply]
+[bench.controllers.rate_table]
+"""
+
+
+def test_conditions_are_brought_about_and_stand_with_every_record(campaign: Write) -> None:
+    conditions = 'measurement = "measure"\nconditions = { temperature_degc = 35.0, voltage_v = 24.0 }'
+    file = campaign(
+        ("[bench.budget]", f'{SURROUNDED}[bench.table]\nkind = "controller"\n[bench.budget]'),
+        ("retry_after_s = 0.0", "retry_after_s = 0.0\nswitch_off_afterwards = true"),
+        ('measurement = "measure"', conditions),
+        steps=1,
+    )
+    outcome = outcome_of(file, "BAD")
+    assert outcome.verdict == "FAIL"
+    assert outcome.steps[0].conditions["power_supply_voltage_v"] == 24.0
+    run = open_run(outcome.steps[0].run)  # type: ignore[arg-type]
+    for record in run.records:
+        assert record.conditions["chamber_temperature_degc"] == pytest.approx(35.0, abs=0.5)
+        assert record.conditions["power_supply_current_a"] == pytest.approx(0.5)
+        # the table was turned and read through the bytes of its controller
+        assert record.conditions["azimuth_end_deg"] != record.conditions["azimuth_start_deg"]
+    assert outcome.steps[0].limits[0].measured.value == pytest.approx(0.011, rel=0.01)
+
+
+def test_a_bench_that_is_served_is_driven_by_the_campaign_as_a_real_one(campaign: Write) -> None:
+    settings = load_settings(overrides=ideal_bench())
+    simulated, table = scope_on_table(settings)
+    with serve(simulated, "tcp") as resource, served_controllers(table, tcp=True) as others:
+        controllers = "".join(f'[bench.controllers.{name}]\nresource = "{others[name]}"\n' for name in others)
+        bench = (
+            f'[bench.scope]\nresource = "{resource}"\n'
+            "[bench.gyro]\nscale_factor_pulses_per_deg = 2000.0\n"
+            f'[bench.table]\nkind = "controller"\nsettle_s = 0.0\n{controllers}[bench.budget]'
+        )
+        file = campaign(("[bench.budget]", bench), steps=1)
+        outcome = outcome_of(file, "any")
+    # the served gyro has 0.01 deg/s, the limit: the campaign's [unit] says nothing of a real one
+    assert (outcome.verdict, outcome.exit_code) == ("MARGINAL", 6), outcome.message
+    assert outcome.steps[0].run is not None
+    (one, *_) = open_run(outcome.steps[0].run).taken_for("measure")
+    assert one.conditions["chamber_temperature_degc"] == 23.0
+    assert one.conditions["table_rate_dps"] == pytest.approx(3.507, abs=0.02)
+
+
+def test_a_full_disk_ends_the_test_and_it_goes_on_when_there_is_room(
+    campaign: Write, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    save, count = RunWriter.save_records, iter(range(100))
+
+    def full(writer: RunWriter, records: Any) -> None:
+        if next(count) == 3:
+            raise CannotWrite("there is no room left on the disk")
+        save(writer, records)
+
+    monkeypatch.setattr(RunWriter, "save_records", full)
+    outcome = outcome_of(campaign(), "GOOD")
+    assert (outcome.verdict, outcome.exit_code) == ("ERROR", 5)
+    assert outcome.message == "there is no room left on the disk"
+    assert outcome.steps == ()  # a second step would not be saved either
+    mended = outcome_of(campaign(), "GOOD", resumed=outcome.directory)
+    assert (mended.verdict, mended.exit_code) == ("PASS", 0)

@@ -1,0 +1,66 @@
+"""What is seen of saved runs, record by record, as those who watch would have seen them."""
+
+import json
+import math
+from pathlib import Path
+
+import pytest
+
+from station.events.seen import Seen
+from station.lock_in.presentation import at_once
+from station.results.as_json import plain
+from station.runs.store import NewRecord, open_run
+from station.settings.load import saved_settings
+from station.shell.evaluated import kind_of
+
+GOLDEN = Path(__file__).parents[2] / "golden"
+
+
+@pytest.fixture(autouse=True)
+def all_the_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Fit the rates together after every record, however fast they come."""
+    monkeypatch.setattr(at_once, "_SHARE", math.inf)
+
+
+def seen(name: str) -> list[Seen]:
+    run = open_run(GOLDEN / f"{name}.sqlite")
+    kind = kind_of(run)
+    assert kind.watch is not None
+    see = kind.watch(saved_settings(kind.kind, run.facts.settings, name))
+    records = (NewRecord(one.key, one.purpose, one.header, one.payload, one.conditions) for one in run.records)
+    found = [see([record]) for record in records]
+    return [one for one in found if one is not None]
+
+
+@pytest.mark.parametrize("name", ["single", "turning", "channel", "quadrature", "locked", "fog_table", "fog_eps"])
+def test_every_record_shows_something(name: str) -> None:
+    found = seen(name)
+    assert len(found) == len(open_run(GOLDEN / f"{name}.sqlite").records)
+    for one in found:
+        assert one.trace is not None
+        assert 2 <= len(one.trace.samples) <= 240
+        assert len(one.trace.fit) in (0, len(one.trace.samples))
+        assert len(json.dumps(plain(one))) < 8000
+
+
+def test_at_one_rate_all_so_far_say_what_the_run_says() -> None:
+    """The same records by another fit: within the noise that both know of."""
+    result = json.loads((GOLDEN / "single.json").read_text(encoding="utf-8"))
+    last = seen("single")[-1].so_far[0]
+    assert last.records == result["records"]
+    assert abs(last.value - result["lock_in_rate_dps"]) < last.u / 2
+
+
+def test_at_several_rates_distortion_is_taken_out() -> None:
+    result = json.loads((GOLDEN / "several.json").read_text(encoding="utf-8"))
+    found = seen("several")
+    so_far = found[-1].so_far[0]
+    assert abs(so_far.value - result["lock_in_rate_dps"]) < 3 * so_far.u
+    assert so_far.u < 0.03 * so_far.value
+    # what each rate says alone is off by far more than its noise
+    alone = found[-1].running[0]
+    assert abs(alone.value - result["lock_in_rate_dps"]) > 5 * alone.u
+
+
+def test_a_gyro_that_is_locked_shows_no_beat() -> None:
+    assert all(not one.trace.fit or one.values for one in seen("locked") if one.trace is not None)

@@ -117,9 +117,8 @@ def _known_from_few(weights: Floats, spread: Floats) -> Floats:
     `spread` : (n,) variances of the steps.
 
     Each of these is that of a single residual, and where slips are strong few steps at the corner count. The sum
-    of their shares then has few degrees of freedom (Satterthwaite; a squared residual scatters by twice its
-    square, and its own square is three times that): the uncertainty is enlarged to what Student's distribution
-    asks for.
+    of their shares then has few degrees of freedom (Satterthwaite; the square of a squared residual is three times
+    that of its mean): the uncertainty is enlarged to what Student's distribution asks for.
     """
     shares = weights**2 * spread
     total = shares.sum(axis=1)

@@ -36,9 +36,6 @@ from analysis.rotation import EARTH_RATE_DPS
 UNLIKELY = 0.001
 """A difference that chance makes less often than this is real."""
 
-IMPOSSIBLE = 1e-6
-"""Share of faultless runs in which the table's settings differ by so much."""
-
 SEEN = 3.29
 """Standard uncertainties at which `UNLIKELY` is reached."""
 
@@ -188,8 +185,7 @@ def check_by_table(
     stated = _Stated.of(knowledge, tilt)
     start = np.array([knowledge.scale_factor * math.cos(math.radians(tilt.tilt_deg)), *stated.earth, squared, 0.0])
     curve = _fitted(seen, start, {1: stated.earth_u[0], 2: stated.earth_u[1]}, stated)
-    by_curve_u = curve.u(3) * curve.apart
-    difference, difference_u = squared - float(curve.values[3]), math.hypot(squared_u, by_curve_u)
+    difference, difference_u = squared - float(curve.values[3]), math.hypot(squared_u, curve.u(3))
     turning = by_table.beat_frequency**2 + squared
     pulled = math.sqrt(max(float(curve.values[3]), 0.0)) / used
     over = knowledge.scale_factor / used * (1 + difference / (2 * turning))
@@ -198,7 +194,7 @@ def check_by_table(
     ways = [_by_tilt(curve, knowledge, stated, used)]
     if seen.oriented.all():
         far = 10 * stated.earth[0]
-        free = _fitted(seen, start, {1: far, 2: far, 3: 2 * _HARMONICS_TRUSTED * squared}, stated)
+        free = _fitted(seen, start, {1: far, 2: far, 3: 2 * _HARMONICS_TRUSTED * squared}, stated, rate_moves=True)
         ways.append(_by_earth(free, stated, used))
     return TableCheck(
         lock_in_rate=by_table.lock_in_rate,
@@ -209,7 +205,7 @@ def check_by_table(
         p_value=_p_value(over - 1, over_u),
         least_error_seen=SEEN * difference_u / (2 * squared) if squared > 0 else math.inf,
         by_frequencies=pulled,
-        by_frequencies_u=by_curve_u / (2 * used**2 * pulled) if pulled > 0 else math.sqrt(by_curve_u) / used,
+        by_frequencies_u=curve.u(3) / (2 * used**2 * pulled) if pulled > 0 else math.sqrt(curve.u(3)) / used,
         scale_factors=tuple(way for way in ways if way is not None),
     )
 
@@ -300,33 +296,31 @@ class _Stated:
 
 @dataclass(frozen=True)
 class _Curve:
-    """A, P, Q, h^2 and what else was fitted, with their covariance.
-
-    apart : how much further the table's settings lie from the curve than their uncertainties explain; 1: they do
-    """
+    """A, P, Q, h^2 and what else was fitted, with their covariance."""
 
     values: Floats
     covariance: Floats
-    apart: float
 
     def u(self, place: int) -> float:
         return math.sqrt(self.covariance[place, place])
 
 
-def _fitted(seen: _Seen, start: Floats, known: dict[int, float], stated: _Stated) -> _Curve:
+def _fitted(
+    seen: _Seen, start: Floats, known: dict[int, float], stated: _Stated, *, rate_moves: bool = False
+) -> _Curve:
     """Curve (1) by least squares; `known` holds the standard uncertainties of start values that are known.
 
     Every setting of the table has an error of its own, and where nobody knows the azimuth, an earth rate of its
-    own. A scatter beyond the noise of the frequencies is that of a rate that moves: the same in Hz for all (Paule
-    and Mandel, J. Res. NBS 87, 377).
+    own. A scatter beyond the noise of the frequencies enlarges that noise; with `rate_moves` it is the same in Hz
+    for all (Paule and Mandel, J. Res. NBS 87, 377).
     """
     settings = int(seen.setting.max()) + 1
     values = np.concatenate([start, np.zeros(2 * settings)])
     prior = _prior(seen, known, settings)
-    aim, moving = prior @ values, 0.0
+    aim, moving, stretch = prior @ values, 0.0, 1.0
     for _ in range(_ROUNDS):
         left, slopes = _linearised(values, seen, stated)
-        noise = np.sqrt(seen.frequency_u**2 + moving)
+        noise = np.sqrt((stretch * seen.frequency_u) ** 2 + moving)
         white = np.concatenate([slopes / noise[:, np.newaxis], prior])
         size = np.linalg.norm(white, axis=0)
         inverse = np.linalg.pinv(white / size, rcond=1e-12) / size[:, np.newaxis]
@@ -338,11 +332,11 @@ def _fitted(seen: _Seen, start: Floats, known: dict[int, float], stated: _Stated
             beyond_noise = float(np.sum((left / noise) ** 2)) - free
             if beyond_noise <= 0.01 * free:
                 break
-            moving += beyond_noise / float(np.sum(left**2 / noise**4))
-    beyond = float(np.sum(values[_PLACES : _PLACES + settings] ** 2))
-    # One of the settings only says what A is. A scale factor that drifts from one to the next makes them differ.
-    chance = scipy.special.chdtrc(settings - 1, beyond) if settings > 1 else 1.0
-    return _Curve(values, covariance, math.sqrt(beyond / (settings - 1)) if chance < IMPOSSIBLE else 1.0)
+            if rate_moves:
+                moving += beyond_noise / float(np.sum(left**2 / noise**4))
+            else:
+                stretch *= math.sqrt(1 + beyond_noise / free)
+    return _Curve(values, covariance)
 
 
 def _prior(seen: _Seen, known: dict[int, float], settings: int) -> Floats:

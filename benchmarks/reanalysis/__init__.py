@@ -1,0 +1,1 @@
+"""What analysing saved records again costs."""

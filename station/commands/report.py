@@ -120,7 +120,7 @@ def _evaluated(
     if len(sources) == 1:
         sources = [open_source(first)]  # what cannot be read is told before a scale factor is asked for
     if choices["scale_factor"] is None:
-        choices = {"scale_factor": scale_factor_of_files(config, [path for path in given if isinstance(path, Path)])}
+        choices = {"scale_factor": scale_factor_of_files(config, given)}
     found = combine(sources, choices, ThisProcess(), Progress(quiet=True), config=config, channel=channel)
     for line in said_of(found.left_out):
         remark(line)

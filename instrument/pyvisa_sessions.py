@@ -17,6 +17,9 @@ import pyvisa
 from pyvisa.constants import ResourceAttribute, StatusCode
 from pyvisa.resources import MessageBasedResource
 
+from instrument.errors import LinkError
+from instrument.names import advice, behind_adapter, visa_name
+
 READ_TIME_MS = 3000
 """Longest time that such an adapter waits for a byte of the instrument; the most that it can be set to."""
 
@@ -112,3 +115,35 @@ def keep_to_oneself(resource: MessageBasedResource) -> bool:
     except (NotImplementedError, AttributeError):
         return True
     return True
+
+
+def open_instrument(
+    name: str, manager: pyvisa.ResourceManager | None, seconds: float
+) -> tuple[MessageBasedResource, pyvisa.resources.Resource | None]:
+    """The instrument of a name, and the adapter that was opened for it; LinkError after so many seconds."""
+    beneath, timeout = None, round(seconds * 1000)
+    try:
+        adapter, visa = behind_adapter(name) or (None, visa_name(name))
+        if manager is None:
+            manager = pyvisa.ResourceManager("@py" if adapter else "")
+        if adapter is not None:
+            beneath = manager.open_resource(adapter, open_timeout=timeout)
+        resource = manager.open_resource(visa, open_timeout=timeout)
+    except Exception as error:  # PyVISA-py raises whatever its transport does, down to bare Exception
+        if beneath is not None:
+            beneath.close()
+        elif (names := behind_adapter(name)) is not None:
+            forget_adapter(names[0])
+        reason = _reason(error)
+        raise LinkError(f"cannot open {name}: {reason}{advice(name, reason)}") from error
+    if not isinstance(resource, MessageBasedResource):
+        resource.close()
+        raise LinkError(f"{name} is not an instrument that takes text messages; check the resource name")
+    return resource, beneath
+
+
+def _reason(error: Exception) -> str:
+    if isinstance(error, pyvisa.VisaIOError):
+        return f"{error.description} Check the name with 'gyrolock list'"
+    text = " ".join(str(error).split())
+    return text or type(error).__name__

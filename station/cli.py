@@ -69,17 +69,23 @@ COMMANDS = {
     ),
     "status": ("commands.running:status", "Show how the measurements stand that run on this machine."),
     "stop": ("commands.running:stop", "Stop a measurement or a station that runs: what it has taken is kept."),
-    "grab": ("commands.grab:command", "Save the scope's screen as PNG and its traces as CSV and NumPy."),
+    "grab": (
+        "commands.instruments.grab:command",
+        "Save the screen as PNG and the traces as CSV and NumPy.",
+    ),
     "plan": ("plan.command:command", "Plan a measurement: rate, scale and records for a wanted uncertainty."),
     "station": ("commands.station:command", "Test a unit against limits: a campaign that nobody has to watch."),
     "fog": ("fibre_gyro.command:command", "Scale factor of a fibre gyro: rate table, self-calibration, ..."),
     "study": ("study.command:command", "Compute the paper's simulations, with its method and exactly."),
     "simulate": (
-        "commands.simulate:command",
-        "Serve simulated oscilloscopes: TCP, HiSLIP, GPIB adapter, terminal.",
+        "commands.instruments.simulate:command",
+        "Serve the simulated oscilloscope: TCP, HiSLIP, GPIB adapter, terminal.",
     ),
-    "list": ("commands.list:command", "List the instruments that VISA can see."),
-    "doctor": ("commands.doctor:command", "Check this installation, and say what to do about what is missing."),
+    "list": ("commands.instruments.list:command", "List the instruments that VISA can see."),
+    "doctor": (
+        "commands.instruments.doctor:command",
+        "Check this installation, and say what to do about what is missing.",
+    ),
     "settings": ("commands.settings:command", "Print a commented settings file to copy."),
 }
 

@@ -109,6 +109,7 @@ MEASUREMENTS = {
     "selfcal": "station.fibre_gyro.selfcal.measurement",
     "eps": "station.fibre_gyro.eps.measurement",
     "figures": "station.fibre_gyro.merit.measurement",
+    "allan": "station.fibre_gyro.allan.measurement",
     "witness": "station.fibre_gyro.witness.measurement",
 }
 

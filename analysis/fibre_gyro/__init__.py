@@ -4,6 +4,7 @@
 modulator's drive on an oscilloscope; the rest evaluates runs.
 """
 
+from analysis.fibre_gyro.allan import AllanCurve, NoiseFit, allan_curve, allan_variance, fit_noise
 from analysis.fibre_gyro.coil import FibreCoil
 from analysis.fibre_gyro.loop import ClosedLoop, Kernel, LoopDesign, OutputBlock, OutputModel, Trace
 from analysis.fibre_gyro.merit import (
@@ -65,6 +66,7 @@ from analysis.fibre_gyro.two_pi_error import TwoPiError, estimate_two_pi_error
 
 __all__ = [
     "NORMAL_95",
+    "AllanCurve",
     "AxisFit",
     "ClosedLoop",
     "FibreCoil",
@@ -73,6 +75,7 @@ __all__ = [
     "Kernel",
     "LoopDesign",
     "NetOutputs",
+    "NoiseFit",
     "OddEven",
     "OutputBlock",
     "OutputModel",
@@ -89,6 +92,8 @@ __all__ = [
     "Trace",
     "TwoPiError",
     "WindowMean",
+    "allan_curve",
+    "allan_variance",
     "bias_at_latitude",
     "check_whole_turns",
     "compare_scale",
@@ -98,6 +103,7 @@ __all__ = [
     "few_values_factor",
     "find_run_scatter",
     "fit_axis",
+    "fit_noise",
     "fit_slope",
     "fit_three_axes",
     "horizontal_earth_rate_dps",

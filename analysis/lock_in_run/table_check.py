@@ -53,7 +53,7 @@ _TELLS_NOTHING = 0.1
 _HARMONICS_TRUSTED = 0.1
 """Relative standard uncertainty that the lock-in rate by the harmonics has where it must not decide on K."""
 
-_ROUNDS = 20
+_ROUNDS = 60
 _PLACES = 5
 """A, P, Q, h^2 and the place of a record between its two readings of the azimuth."""
 
@@ -317,14 +317,16 @@ def _fitted(seen: _Seen, start: Floats, known: dict[int, float], stated: _Stated
     """Curve (1) by least squares; `known` holds the standard uncertainties of start values that are known.
 
     Every setting of the table has an error of its own, and where nobody knows the azimuth, an earth rate of its
-    own. A scatter beyond the noise of the frequencies enlarges that noise.
+    own. A scatter beyond the noise of the frequencies is that of a rate that moves: the same in Hz for all (Paule
+    and Mandel, J. Res. NBS 87, 377).
     """
     settings = int(seen.setting.max()) + 1
     values = np.concatenate([start, np.zeros(2 * settings)])
     prior = _prior(seen, known, settings)
-    aim, noise = prior @ values, seen.frequency_u
+    aim, moving = prior @ values, 0.0
     for _ in range(_ROUNDS):
         left, slopes = _linearised(values, seen, stated)
+        noise = np.sqrt(seen.frequency_u**2 + moving)
         white = np.concatenate([slopes / noise[:, np.newaxis], prior])
         size = np.linalg.norm(white, axis=0)
         inverse = np.linalg.pinv(white / size, rcond=1e-12) / size[:, np.newaxis]
@@ -332,10 +334,11 @@ def _fitted(seen: _Seen, start: Floats, known: dict[int, float], stated: _Stated
         values = values + change
         covariance = inverse @ inverse.T
         if np.all(np.abs(change) < 1e-6 * np.sqrt(np.diagonal(covariance))):
-            scatter = float(np.sum((left / noise) ** 2)) / max(left.size - settings - 1, 1)
-            if scatter <= 1.01:
+            free = max(left.size - settings - 1, 1)
+            beyond_noise = float(np.sum((left / noise) ** 2)) - free
+            if beyond_noise <= 0.01 * free:
                 break
-            noise = noise * math.sqrt(scatter)
+            moving += beyond_noise / float(np.sum(left**2 / noise**4))
     beyond = float(np.sum(values[_PLACES : _PLACES + settings] ** 2))
     # One of the settings only says what A is. A scale factor that drifts from one to the next makes them differ.
     chance = scipy.special.chdtrc(settings - 1, beyond) if settings > 1 else 1.0

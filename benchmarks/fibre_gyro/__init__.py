@@ -1,1 +1,1 @@
-"""The fibre gyro: the simulated loop beside its laws, the coverage of uncertainties, damaged frames, Allan."""
+"""The fibre gyro: the simulated loop beside its laws, coverage of stated uncertainties, noise model."""

@@ -21,21 +21,21 @@ from typing import Any
 import pyvisa
 from pyvisa import constants
 from pyvisa.constants import InterfaceType, StatusCode
-from pyvisa.resources import MessageBasedResource, SerialInstrument
+from pyvisa.resources import SerialInstrument
 
 from instrument import scpi
 from instrument.dialogue.clock import Clock, ComputerClock
 from instrument.dialogue.watchful_socket import HungUp, Overdue, WatchfulSocket
 from instrument.errors import LinkError, TransferError
-from instrument.names import advice, behind_adapter, visa_name
 from instrument.pyvisa_sessions import (
     READ_AGAIN_S,
     adapter_of,
-    forget_adapter,
     keep_to_oneself,
+    open_instrument,
     session_of,
     socket_of,
 )
+from instrument.transcripts.recording import note
 
 ANSWER_TIME = 3.0
 """Longest time in s until an answer begins: twice the 1.5 s that units of this family were seen to take."""
@@ -112,7 +112,7 @@ class Link:
         self._timeout: float | None = None
         self._socket: WatchfulSocket | None = None
         self._manager = resource_manager
-        self._resource, self._beneath = _open(resource_name, resource_manager)
+        self._resource, self._beneath = open_instrument(resource_name, resource_manager, ANSWER_TIME)
         self._adapter = adapter_of(self._resource)
         interface = self._resource.interface_type
         self.is_serial = interface == InterfaceType.asrl
@@ -139,6 +139,7 @@ class Link:
     def close(self) -> None:
         """Close the link; never raises, because a link that is gone is closed as well."""
         self.closed = True
+        note(self.name, "close")
         for resource in (self._resource, self._beneath):
             with contextlib.suppress(pyvisa.Error, OSError):
                 if resource is not None:
@@ -148,7 +149,7 @@ class Link:
         """Close what is left of a lost link, and open it anew. LinkError if that is not possible now."""
         self.close()
         self._timeout = self._socket = None
-        self._resource, self._beneath = _open(self.name, self._manager)
+        self._resource, self._beneath = open_instrument(self.name, self._manager, ANSWER_TIME)
         self._adapter = adapter_of(self._resource)
         self.closed = False
         with self._link_errors("opening"):
@@ -170,6 +171,7 @@ class Link:
                 if self._socket is not None and not select.select([], [self._socket], [], patience)[1]:
                     raise NoAnswer  # PyVISA-py would wait for ever
                 self._resource.write_raw(message)
+            note(self.name, "write", message)
         except NoAnswer:
             raise LinkError(
                 f"{self.name} takes no data; is the scope on, and does the cable carry the handshake wires?"
@@ -238,6 +240,7 @@ class Link:
         silence : float, optional
             Time in s for which a stream must be silent, `PAUSE_TIME` by default.
         """
+        note(self.name, "clear")
         if self.on_bus:
             self._set_timeout(self.answer_time)
             with self._link_errors("clearing"):
@@ -348,12 +351,14 @@ class Link:
         full = StatusCode.success_max_count_read
         with self._link_errors("reading from"), self._resource.ignore_warning(full):
             data, status = self._resource.visalib.read(self._resource.session, count)
+        note(self.name, "read", bytes(data))
         return bytes(data), status != full
 
     # ------------------------------------------------------------------ set-up and errors
 
     def _configure(self) -> None:
         resource = self._resource
+        note(self.name, "open")
         if not keep_to_oneself(resource):
             raise LinkError(f"{self.name} is in use by another program; end that program, or use it there")
         resource.write_termination = ""
@@ -468,35 +473,3 @@ def _bitmap_length(picture: bytes | bytearray) -> int:
     if picture[:2] != b"BM" or not _BITMAP_LENGTH_END < length <= LONGEST_PICTURE:
         raise TransferError(f"a picture was expected, but {bytes(picture[:20])!r} came; ask again")
     return length
-
-
-def _open(
-    name: str, manager: pyvisa.ResourceManager | None
-) -> tuple[MessageBasedResource, pyvisa.resources.Resource | None]:
-    """The instrument, and the adapter that was opened for it."""
-    beneath, timeout = None, round(ANSWER_TIME * 1000)
-    try:
-        adapter, visa = behind_adapter(name) or (None, visa_name(name))
-        if manager is None:
-            manager = pyvisa.ResourceManager("@py" if adapter else "")
-        if adapter is not None:
-            beneath = manager.open_resource(adapter, open_timeout=timeout)
-        resource = manager.open_resource(visa, open_timeout=timeout)
-    except Exception as error:  # PyVISA-py raises whatever its transport does, down to bare Exception
-        if beneath is not None:
-            beneath.close()
-        elif (names := behind_adapter(name)) is not None:
-            forget_adapter(names[0])
-        reason = _reason(error)
-        raise LinkError(f"cannot open {name}: {reason}{advice(name, reason)}") from error
-    if not isinstance(resource, MessageBasedResource):
-        resource.close()
-        raise LinkError(f"{name} is not an instrument that takes text messages; check the resource name")
-    return resource, beneath
-
-
-def _reason(error: Exception) -> str:
-    if isinstance(error, pyvisa.VisaIOError):
-        return f"{error.description} Check the name with 'gyrolock list'"
-    text = " ".join(str(error).split())
-    return text or type(error).__name__

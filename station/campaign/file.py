@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import difflib
 import hashlib
 import itertools
@@ -61,11 +62,15 @@ def read_campaign(path: Path, unit: str) -> CampaignPlan:
         With every mistake of the file in one text: place, line, what is wrong, what was perhaps meant.
     """
     given = read_toml(path)
+    reading = _Reading(path)
     try:
         campaign = CampaignFile.model_validate(given)
     except ValidationError as error:
-        raise SettingsError(mistakes(path, error, CampaignFile)) from None
-    reading = _Reading(path)
+        reading.wrong.append(mistakes(path, error, CampaignFile).removeprefix(f"{path}: "))
+        rest = _without(given, error)
+        if rest is None:
+            raise SettingsError(f"{path}: {reading.wrong[0]}") from None
+        campaign = rest  # the mistakes of the steps' settings are told as well
     kinds = {step.measurement: measurement(step.measurement) for step in campaign.step}
     _check_shared(reading, campaign, kinds)
     steps = tuple(_steps(reading, campaign, kinds, unit))
@@ -91,6 +96,22 @@ def read_campaign(path: Path, unit: str) -> CampaignPlan:
         switch_off_afterwards=about.switch_off_afterwards,
         ask_for_unit=about.ask_for_unit,
     )
+
+
+def _without(given: Mapping[str, Any], error: ValidationError) -> CampaignFile | None:
+    """Return what is left of a file without its mistakes; ``None`` if that is no campaign."""
+    left = copy.deepcopy(dict(given))
+    for mistake in error.errors(include_url=False, include_context=False, include_input=False):
+        inner: Any = left
+        for name in mistake["loc"][:-1]:
+            listed = isinstance(inner, list) and isinstance(name, int) and name < len(inner)
+            inner = inner[name] if listed else inner.get(name) if isinstance(inner, dict) else None
+        if isinstance(inner, dict) and mistake["loc"]:
+            inner.pop(mistake["loc"][-1], None)
+    try:
+        return CampaignFile.model_validate(left)
+    except ValidationError:
+        return None
 
 
 def _model(kinds: Mapping[str, Measurement[Any, Any]], step: PlannedStep) -> Any:

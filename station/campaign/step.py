@@ -27,7 +27,7 @@ from station.errors import (
 from station.measurements import Measurement, measurement
 from station.results.result import Result
 from station.results.values import values_of
-from station.results.verdict import ERROR, FAIL, MARGINAL, PASS, LimitOutcome, Value, decide, worst
+from station.results.verdict import ERROR, FAIL, MARGINAL, PASS, LimitOutcome, Value, Verdict, decide, worst
 from station.runs.database import utc_now
 from station.runs.progress import Progress
 from station.runs.store import RUN_FILE, open_run
@@ -89,7 +89,8 @@ def carry_out(
     except CannotWrite:
         raise
     except Exception as error:
-        begun = replace(begun, attempts=attempt.count, remarks=tuple(attempt.remarks))
+        # a run that the last attempt could not go on with is there all the same
+        begun = replace(begun, attempts=attempt.count, remarks=tuple(attempt.remarks), run=attempt.run_so_far())
         return _failed(begun, _described(error, step))
     begun = replace(begun, attempts=attempt.count, conditions=conditions, remarks=tuple(attempt.remarks))
     return _evaluated(begun, taken, plan, evaluated)
@@ -137,7 +138,7 @@ class _Attempts:
 
     def _once(self) -> Taken:
         kind = measurement(self.step.measurement)
-        there = self._run_so_far()
+        there = self.run_so_far()
         if there is None:
             return start_run(kind, self._settings(kind), self.progress, labels=self.labels)
         try:
@@ -147,8 +148,8 @@ class _Attempts:
                 return Taken(there, None)
             raise
 
-    def _run_so_far(self) -> Path | None:
-        """The run that an earlier attempt or session has begun."""
+    def run_so_far(self) -> Path | None:
+        """Return the run that an earlier attempt or session has begun."""
         there = sorted(self.folder.glob(f"*/{RUN_FILE}"))
         return there[-1] if there else None
 
@@ -210,13 +211,17 @@ def judged(step: PlannedStep, result: Result, document: Mapping[str, Any]) -> tu
     if standing.state == "fails":
         return tuple(_instead(one, ERROR, "the result does not hold", standing.reasons) for one in outcomes)
     if standing.state == "doubtful" and step.doubtful == "marginal":
-        return tuple(_instead(one, MARGINAL, "the result is doubtful", standing.reasons) for one in outcomes)
+        why = "the result is doubtful"
+        # what is decided without its uncertainty is not touched by what rules the uncertainty
+        return tuple(
+            one if one.limit.rule == "none" else _instead(one, MARGINAL, why, standing.reasons) for one in outcomes
+        )
     return tuple(outcomes)
 
 
-def _instead(outcome: LimitOutcome, verdict: Any, why: str, reasons: Sequence[str]) -> LimitOutcome:
+def _instead(outcome: LimitOutcome, verdict: Verdict, why: str, reasons: Sequence[str]) -> LimitOutcome:
     """Put another verdict where the value alone would have decided."""
-    if outcome.verdict not in _DECIDED or outcome.limit.rule == "none":
+    if outcome.verdict not in _DECIDED:
         return outcome
     sentence = outcome.sentence.replace(outcome.verdict, verdict, 1)
     return replace(outcome, verdict=verdict, sentence=f"{sentence}; {why}: {'; '.join(reasons)}")

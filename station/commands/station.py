@@ -11,7 +11,7 @@ import click
 
 from station.display.opening import display_options, shown
 from station.errors import EXIT_OK, Failure, OutOfControl, RunError, UsageError, describe_failure
-from station.shell.options import json_option
+from station.shell.options import json_option, transcript_option
 from station.terminal.lines import print_json, remark, say
 
 if TYPE_CHECKING:
@@ -38,6 +38,7 @@ _LATEST = "latest"
 )
 @click.option("--out", type=click.Path(path_type=Path), metavar="DIR", help="Directory of tests [settings].")
 @display_options
+@transcript_option
 @json_option
 def command(file: Path, **given: Any) -> int:
     """Test a unit as the campaign FILE says: every step, every limit, one verdict.
@@ -145,10 +146,15 @@ def _ask_for_unit(plan: CampaignPlan) -> None:
     """Let the operator bring the unit to the bench; UsageError where there is nobody."""
     from station.runs.operator import WIRING, ask_operator
 
+    if not sys.stdin or not sys.stdin.isatty():
+        raise UsageError(
+            "campaign.ask_for_unit: an operator is to connect the unit, and there is no terminal to ask on"
+        )
     ask_operator(
         f"Put {plan.unit} ({plan.unit_type}) on the table, its axis as the fixture holds it, and connect it:\n\n"
         f"{WIRING}\n"
-        f"Why: {plan.name} begins with this unit. Then: warm-up, and {len(plan.steps)} steps without you.\n"
+        f"Why: the test of this unit begins ({plan.name}).\n"
+        f"Then: warm-up, and the steps of the test, {len(plan.steps)} in all.\n"
         "Press Enter when it is connected and switched on: "
     )
 

@@ -68,7 +68,7 @@ def shown(given: Mapping[str, Any], command: str, **labels: str | None) -> Itera
         events.read_by(status)
         readers.callback(status.close)
         if not given.get("quiet"):
-            if given.get("plain") or not _can_be_drawn_on():
+            if given.get("plain") or not _can_be_drawn_on(lines_on_stdout=bool(given.get("jsonl"))):
                 from station.display.lines import PlainLines
 
                 events.read_by(PlainLines())
@@ -96,9 +96,11 @@ def shown(given: Mapping[str, Any], command: str, **labels: str | None) -> Itera
         progress.end(EXIT_OK)
 
 
-def _can_be_drawn_on() -> bool:
+def _can_be_drawn_on(*, lines_on_stdout: bool) -> bool:
+    """Whether stderr is a terminal on which nothing else writes meanwhile."""
     try:
-        return sys.stderr.isatty() and os.environ.get("TERM") != "dumb"
+        drawn_on = sys.stderr.isatty() and os.environ.get("TERM") != "dumb"
+        return drawn_on and not (lines_on_stdout and sys.stdout.isatty())
     except (AttributeError, OSError, ValueError):
         return False
 

@@ -98,7 +98,8 @@ def _steps(situation: Situation) -> Text:
     for place, step in enumerate(steps):
         state = str(step["state"])
         said = "" if state in ("now", "to come") else f" {state}"
-        text.append(f"{'  ' if place else ''}{visible(str(step['step']))}{said}", style=_STATES.get(state, "dim"))
+        before = ("  " if place else "") + ("▸ " if state == "now" else "")
+        text.append(f"{before}{visible(str(step['step']))}{said}", style=_STATES.get(state, "dim"))
     return text
 
 
@@ -137,7 +138,8 @@ def _numbers(situation: Situation, width: int) -> list[RenderableType]:
     table.add_column(style="dim", no_wrap=True)
     table.add_column()
     for one in situation.value.get("so_far") or ():
-        said = f"{one['text']} from {one['records']} records; u of their noise alone"
+        count = f"{one['records']} record{'' if one['records'] == 1 else 's'}"
+        said = f"{one['text']} from {count}; u of the noise alone"
         table.add_row("so far", Text(said, style="bold"))
     if situation.result:
         table.add_row(

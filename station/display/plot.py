@@ -62,7 +62,7 @@ def plot(
     scale, name = next(
         (s, n) for limit, s, n in ((2.0, 1.0, "s"), (2e-3, 1e3, "ms"), (0.0, 1e6, "µs")) if seconds >= limit
     )
-    end = f"{seconds * scale:.3g} {name}"
+    end = f"{seconds * scale:.4g} {name}"
     lines.append(Text(f"{'':{margin}}0{end:>{columns - 1}}", style="dim"))
     return lines
 

@@ -33,12 +33,16 @@ def campaign_line(kind: str, facts: Mapping[str, Any]) -> str:
     if kind == "step_begun":
         return f"step {facts.get('number')} of {facts.get('of')}: {facts.get('title') or facts.get('step')}"
     if kind == "step_ended":
-        said = f": {facts['message']}" if facts.get("message") else ""
-        return f"step {facts.get('number')} {facts.get('step')}: {facts.get('verdict') or 'done'}{said}"
+        return f"step {facts.get('number')} {facts.get('step')}: {_verdict(facts)}"
     if kind == "campaign_ended":
-        said = f": {facts['message']}" if facts.get("message") else ""
-        return f"{facts.get('verdict')}{said}"
+        return _verdict(facts)
     return ""
+
+
+def _verdict(facts: Mapping[str, Any]) -> str:
+    """A verdict and why, which may begin with the verdict itself."""
+    verdict, why = str(facts.get("verdict") or "done"), str(facts.get("message") or "")
+    return why if why.startswith(verdict) else f"{verdict}: {why}" if why else verdict
 
 
 def link_words(link: Mapping[str, Any]) -> str:

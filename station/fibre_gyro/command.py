@@ -122,6 +122,15 @@ def figures(paths: tuple[Path, ...], **given: Any) -> int:
     return _run("figures", paths, given)
 
 
+@command.command("allan")
+@click.option("--temperature", is_flag=True, default=None, help="Take the drift with the temperature of logs out.")
+@_options
+def allan(paths: tuple[Path, ...], **given: Any) -> int:
+    """Noise at rest: Allan deviation and noise model. PATH is a saved run, logs as they are, or a list of them."""
+    more = {**_OF_LOGS, "temperature": "allan.temperature"}
+    return run_measurement("allan", given, paths=paths, places={"port": "link.port"}, for_files=more)
+
+
 @command.command("witness")
 @click.argument("paths", nargs=-1, type=click.Path(path_type=Path), metavar="[PATH...]")
 @click.option("--resource", metavar="NAME", help="VISA name of the oscilloscope. Without one it is simulated.")

@@ -18,6 +18,7 @@ The list has one line for each stretch of output and a header with the names of 
 from __future__ import annotations
 
 import csv
+import io
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -28,7 +29,7 @@ import numpy as np
 
 from instrument import FileFormatError
 from instrument.fibre_gyro import GyroLog, LogChoices, Losses, Recording, read_log
-from instrument.small_files import read_small_file
+from instrument.small_files import open_plain_file, read_small_file
 from station.errors import UsageError
 from station.fibre_gyro.settings import FogSettings
 
@@ -93,6 +94,30 @@ def read_logs(
             )
         )
     return logs
+
+
+def is_list(path: Path) -> bool:
+    """Whether a file is a list of logs, not a log itself: its header has a column ``file``."""
+    with open_plain_file(path) as file:
+        for line in io.TextIOWrapper(file, encoding="utf-8-sig", errors="replace"):
+            if line.strip() and not line.lstrip().startswith("#"):
+                return "file" in [cell.strip() for cell in line.replace(";", ",").split(",")]
+    return False
+
+
+def read_whole_logs(
+    paths: Sequence[Path], purpose: str, settings: FogSettings
+) -> list[tuple[str, dict[str, Any], Recording]]:
+    """Read logs that no list names, at rest: one segment for each axis that they hold; errors as for lists."""
+    found = []
+    for path in paths:
+        log = read_log(path, choices_of(settings))
+        axes = [name.removeprefix("counts_").upper() for name in log.outputs] if len(log.outputs) > 1 else [""]
+        for axis in axes:
+            conditions = {"purpose": purpose, "source": str(path), "rate_dps": 0.0}
+            recording = log.recording(axis, counts_per_dps=settings.nominal_scale_factor)
+            found.append((f"{axis} {path.name}".strip(), conditions, recording))
+    return found
 
 
 def choices_of(settings: FogSettings) -> LogChoices:

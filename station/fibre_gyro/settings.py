@@ -106,6 +106,15 @@ class FiguresSettings(SettingsSection):
     misalignment_mrad: NotNegative
 
 
+class AllanSettings(SettingsSection):
+    """The noise at rest."""
+
+    axis: Name
+    record_s: Positive
+    settle_s: NotNegative
+    temperature: bool
+
+
 class WitnessSettings(SettingsSection):
     """The oscilloscope on the phase modulator."""
 
@@ -157,6 +166,9 @@ class LimitSettings(SettingsSection):
     asymmetry_ppm: Limit = None
     repeatability_ppm: Limit = None
     temperature_coefficient_ppm: Limit = None
+    angle_random_walk_deg_per_sqrt_h: Limit = None
+    bias_instability_dph: Limit = None
+    rate_random_walk_dph_per_sqrt_h: Limit = None
     witness_two_pi_error_ppm: Limit = None
     witness_step_time_ppm: Limit = None
 
@@ -172,6 +184,7 @@ class FogSettings(SettingsSection):
     selfcal: SelfcalSettings
     eps: EpsSettings
     figures: FiguresSettings
+    allan: AllanSettings
     witness: WitnessSettings
     controllers: ControllersSettings | None = None
     simulation: SimulationSettings

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from instrument.facts import LEVELS_PER_DIVISION, VERTICAL_SCALES
-from instrument.simulated import Fault, RealClock, SimulatedTDS2014
+from instrument.simulated import Fault, RealClock, SimulatedRateTable, SimulatedTDS2014
 from station.errors import UsageError
 from station.lock_in.settings import Settings
 from station.ring_laser.instruments import SimulatedInstruments, build_instruments
@@ -54,6 +54,13 @@ def simulated_scopes(
             scopes.append(instruments.scope)
         scopes[-1].faults.add(*faults)
     return scopes
+
+
+def scope_on_table(settings: Settings) -> tuple[SimulatedTDS2014, SimulatedRateTable]:
+    """Return a simulated oscilloscope at the beat of the gyro, in real time, and the table under it."""
+    instruments = build_instruments(at_slow_rate(settings), RealClock())
+    _show_the_beat(instruments, settings)
+    return instruments.scope, instruments.table
 
 
 def _changed(settings: Settings, model: str, number: int) -> Settings:

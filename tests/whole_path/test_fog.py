@@ -303,3 +303,26 @@ def _wait_for_segments(folder: Path, count: int) -> Path:
                 return file
         time.sleep(0.05)
     raise AssertionError(f"there were no {count} segments in time")
+
+
+def test_columns_and_units_of_logs_are_named_on_the_command_line(gyrolock, tmp_path: Path) -> None:
+    rows = ["file,axis,rate_dps"]
+    for rate in (40.0, -40.0):
+        words = "".join(f"{n / 10},{3600 * rate + 10.78 + n % 2}\n" for n in range(200))
+        (tmp_path / f"{rate}.csv").write_text(f"when,what\n{words}")
+        rows.append(f"{rate}.csv,Z,{rate}")
+    path = tmp_path / "list.csv"
+    path.write_text("\n".join(rows))
+    common = ("fog", "table", path, "--no-report", "--json", "--out", tmp_path)
+    done = gyrolock(*common)
+    assert done.code == 2
+    assert "the columns are when, what; name them" in done.document["error"]["message"]
+    chosen = ("--columns", "time,counts", "--units", "deg/h")
+    done = gyrolock(*common, *chosen)
+    assert done.code == 0
+    assert abs(done.document["axes"][0]["nominal_difference_ppm"]) < 5
+    done = gyrolock("fog", "table", "--json", *chosen)
+    assert done.code == 2
+    assert "--columns says how files are read" in done.document["error"]["message"]
+    done = gyrolock("fog", "allan", tmp_path / "40.0.csv", "--json", "--no-report", "--out", tmp_path, *chosen)
+    assert (done.code, "at least 512" in done.document["error"]["message"]) == (4, True)

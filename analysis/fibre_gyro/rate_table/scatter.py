@@ -25,7 +25,7 @@ from analysis.arrays import Floats
 
 NORMAL_95 = float(scipy.special.ndtri(0.975))
 _SIZES, _PARTS = 32, 4
-_NONE_BEYOND = 0.3  # weight of no scatter at all, in that of one up to the noise
+_NONE_BEYOND = 0.6  # weight of no scatter at all, in that of one up to the noise
 _ASSUMED = 10e-6
 """Scatter of scale factor and table from run to run where no run repeats another and nobody states it: of a table
 that is neither the best (1 ppm) nor a cheap one (100 ppm)."""

@@ -219,7 +219,10 @@ def _axis_result(
 
 def _tilt(means: Sequence[WindowMean], fit: AxisFit, settings: FogSettings) -> InputAxisTilt | None:
     seen = abs(fit.scale_factor) * horizontal_earth_rate_dps(settings.site.latitude_deg)
+    # the noise of all windows is known better than that of each
+    density = np.mean([one.sine_u**2 * one.duration_s for one in means])
+    spread = [float(np.sqrt(density / one.duration_s)) for one in means]
     try:
-        return input_axis_tilt([one.sine for one in means], [one.sine_u for one in means], seen)
+        return input_axis_tilt([one.sine for one in means], spread, seen)
     except ValueError:
         return None

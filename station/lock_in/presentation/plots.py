@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 _PERIODS_SHOWN = 4
+_SAMPLES_SHOWN = 300  # dots that can still be told apart; each is an element of the page
 _HARMONICS = 4
 
 
@@ -39,7 +40,8 @@ def time_record_svg(waveform: Waveform) -> str:
     """
     fit = fit_harmonics(waveform.volts, waveform.sample_interval, harmonics=_HARMONICS, nan_policy="omit")
     frequency = float(fit.frequency)
-    shown = min(waveform.codes.size, int(np.ceil(_PERIODS_SHOWN / frequency / waveform.sample_interval)))
+    periods = int(np.ceil(_PERIODS_SHOWN / frequency / waveform.sample_interval))
+    shown = min(waveform.codes.size, periods, _SAMPLES_SHOWN)
     scale, unit = _time_unit(shown * waveform.sample_interval)
     fine = np.linspace(0, (shown - 1) * waveform.sample_interval, 800)
     orders = np.arange(1, _HARMONICS + 1)

@@ -46,6 +46,7 @@ def test_all_mistakes_are_told_at_once_with_line_and_suggestion(campaign: Write)
         ("tilt_records = 1", "tilt_recrods = 1"),
         ("lock_in_rate_dps = 0.009", 'lock_in_rate_dps = "small"'),
         ('number = "lock_in_rate_dps"', 'number = "lock_in_rat_dps"'),
+        ('measurement = "measure"', 'measurement = "measure"\nrepeats = 2'),
     )
     with pytest.raises(SettingsError) as told:
         read_campaign(file, "GOOD")
@@ -55,6 +56,7 @@ def test_all_mistakes_are_told_at_once_with_line_and_suggestion(campaign: Write)
         ("tilt_recrods = 1", "no such setting; did you mean tilt_records?"),
         ('lock_in_rate_dps = "small"', "valid number"),
         ('number = "lock_in_rat_dps"', "did you mean lock_in_rate_dps?"),
+        ("repeats = 2", "did you mean repeat?"),
     ):
         line = lines.index(written) + 1
         assert f"(line {line})" in str(told.value), written

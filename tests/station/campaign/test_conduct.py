@@ -17,11 +17,16 @@ from station.campaign.file import read_campaign
 from station.campaign.journal import JOURNAL, Journal, read_test
 from station.campaign.outcome import CampaignOutcome
 from station.cli import main
-from station.errors import UsageError
+from station.controllers.open import served_controllers
+from station.errors import CannotWrite, UsageError
 from station.lock_in import take as lock_in_take
+from station.lock_in.served import scope_on_table
+from station.lock_in.settings import load_settings
 from station.plan.prediction import predict
 from station.runs.progress import Progress
-from station.runs.store import open_run
+from station.runs.store import RunWriter, open_run
+from station.scope.serve import serve
+from tests.ideal_bench import ideal_bench
 
 Write = Callable[..., Path]
 
@@ -132,6 +137,7 @@ def test_an_interrupted_test_is_aborted_and_goes_on(campaign: Write, monkeypatch
 KILLED = """
 import itertools, os, signal, sys
 from station.cli import main
+from station.controllers.open import served_controllers
 from station.runs.store import RunWriter
 commit, commits = RunWriter.save_records, itertools.count(1)
 def save_records(writer, records):
@@ -207,3 +213,42 @@ def test_conditions_are_brought_about_and_stand_with_every_record(campaign: Writ
         # the table was turned and read through the bytes of its controller
         assert record.conditions["azimuth_end_deg"] != record.conditions["azimuth_start_deg"]
     assert outcome.steps[0].limits[0].measured.value == pytest.approx(0.011, rel=0.01)
+
+
+def test_a_bench_that_is_served_is_driven_by_the_campaign_as_a_real_one(campaign: Write) -> None:
+    settings = load_settings(overrides=ideal_bench())
+    simulated, table = scope_on_table(settings)
+    with serve(simulated, "tcp") as resource, served_controllers(table, tcp=True) as others:
+        controllers = "".join(f'[bench.controllers.{name}]\nresource = "{others[name]}"\n' for name in others)
+        bench = (
+            f'[bench.scope]\nresource = "{resource}"\n'
+            "[bench.gyro]\nscale_factor_pulses_per_deg = 2000.0\n"
+            f'[bench.table]\nkind = "controller"\nsettle_s = 0.0\n{controllers}[bench.budget]'
+        )
+        file = campaign(("[bench.budget]", bench), steps=1)
+        outcome = outcome_of(file, "any")
+    # the served gyro has 0.01 deg/s, the limit: the campaign's [unit] says nothing of a real one
+    assert (outcome.verdict, outcome.exit_code) == ("MARGINAL", 6), outcome.message
+    assert outcome.steps[0].run is not None
+    (one, *_) = open_run(outcome.steps[0].run).taken_for("measure")
+    assert one.conditions["chamber_temperature_degc"] == 23.0
+    assert one.conditions["table_rate_dps"] == pytest.approx(3.507, abs=0.02)
+
+
+def test_a_full_disk_ends_the_test_and_it_goes_on_when_there_is_room(
+    campaign: Write, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    save, count = RunWriter.save_records, iter(range(100))
+
+    def full(writer: RunWriter, records: Any) -> None:
+        if next(count) == 3:
+            raise CannotWrite("there is no room left on the disk")
+        save(writer, records)
+
+    monkeypatch.setattr(RunWriter, "save_records", full)
+    outcome = outcome_of(campaign(), "GOOD")
+    assert (outcome.verdict, outcome.exit_code) == ("ERROR", 5)
+    assert outcome.message == "there is no room left on the disk"
+    assert outcome.steps == ()  # a second step would not be saved either
+    mended = outcome_of(campaign(), "GOOD", resumed=outcome.directory)
+    assert (mended.verdict, mended.exit_code) == ("PASS", 0)

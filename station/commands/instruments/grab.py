@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from station.shell.options import config_option, json_option
+from station.shell.options import config_option, json_option, transcript_option
 from station.terminal.lines import print_json, remark, say
 
 if TYPE_CHECKING:
@@ -31,9 +31,7 @@ if TYPE_CHECKING:
     default=Path(),
     help="Folder for the files.",
 )
-@click.option(
-    "--screen/--no-screen", default=True, help="Whether to save the picture (80 s on RS-232 at 9600 baud)."
-)
+@click.option("--screen/--no-screen", default=True, help="Whether to save the picture (80 s on RS-232).")
 @click.option(
     "--watch",
     type=click.FloatRange(min=0.1),
@@ -41,6 +39,7 @@ if TYPE_CHECKING:
     help="Again and again, so far apart, until Ctrl-C.",
 )
 @click.option("--numbers", "numbers_only", is_flag=True, help="Only show the numbers; write no files.")
+@transcript_option
 @config_option
 @json_option
 def command(

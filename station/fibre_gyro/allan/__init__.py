@@ -1,0 +1,1 @@
+"""Noise model of a fibre gyro at rest."""

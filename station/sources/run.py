@@ -40,29 +40,39 @@ class RunSource(Source):
     def __init__(self, path: Path) -> None:
         self.path = run_file(path)
         self.name = str(self.path)
-        with reading(self.path) as (db, layout):
+        with reading(self.path) as (db, _):
             facts, self.unusable, self.protected = read_facts(db)
-            self._numbers = db.execute(f"SELECT min(number), max(number), count(*) FROM {layout.table}").fetchone()
-            first, last, count = self._numbers
-            whole = first is None or (first == 1 and last == count)
-            numbers = (
-                () if whole else db.execute(f"SELECT number FROM {layout.table} WHERE number > 0 ORDER BY number")
-            )
-            gaps = tuple(missing_records(number for (number,) in numbers))
-        self.damaged = (*gaps, *damaged_facts(self.unusable))
         self.facts = RunFacts(facts)
+
+    @cached_property
+    def _numbers(self) -> tuple[int | None, int | None, int]:
+        """Least and largest number, and how many: found when it is asked for, since all records are counted."""
+        with reading(self.path) as (db, layout):
+            found = db.execute(f"SELECT min(number), max(number), count(*) FROM {layout.table}").fetchone()
+        return found[0], found[1], int(found[2])
+
+    @cached_property
+    def damaged(self) -> tuple[str, ...]:  # type: ignore[override]  # found when it is asked for
+        """Records that are missing, and facts that are damaged; see `Source`."""
+        first, last, count = self._numbers
+        gaps: tuple[str, ...] = ()
+        if first is not None and (first, last) != (1, count):
+            with reading(self.path) as (db, layout):
+                rows = db.execute(f"SELECT number FROM {layout.table} WHERE number > 0 ORDER BY number")
+                gaps = tuple(missing_records(number for (number,) in rows))
+        return (*gaps, *damaged_facts(self.unusable))
 
     @property
     def span(self) -> tuple[int, int]:
         """Least and largest number of the records; see `Source`."""
         first, last, count = self._numbers
-        if first is None:
+        if first is None or last is None:
             return 1, 0
         # a damaged run may hold any number: then it is read as a whole
         return (first, last) if last - first < 2 * count + AT_ONCE else (1, 1)
 
     def __len__(self) -> int:
-        return int(self._numbers[2])
+        return self._numbers[2]
 
     def records(self, numbers: range | None = None) -> Iterator[SavedRecord]:
         """Read the records one at a time; see `Source`."""

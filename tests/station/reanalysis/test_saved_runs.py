@@ -1,0 +1,64 @@
+"""A run that is read batch by batch gives what the same run gives from memory, bit for bit."""
+
+import shutil
+import sqlite3
+from pathlib import Path
+
+import pytest
+
+from station.lock_in.records.pieces import pieces_of
+from station.runs.progress import Progress
+from station.runs.store import NewRecord, RunWriter, open_run
+from station.shell.evaluated import Evaluated, evaluate_run, evaluate_saved
+from station.sources.find import find_sources, open_source
+from station.sources.workers import Processes
+
+GOLDEN = Path(__file__).parents[2] / "golden"
+
+
+def streamed(path: Path, processes: int = 1) -> Evaluated:
+    with Processes(processes) as workers:
+        return evaluate_saved(path, workers, Progress(quiet=True), config=None, choices={})
+
+
+@pytest.mark.parametrize("name", ["single", "several", "channel", "quadrature"])
+def test_streamed_and_from_memory_are_the_same(name: str, tmp_path: Path) -> None:
+    path = Path(shutil.copy(GOLDEN / f"{name}.sqlite", tmp_path))
+    from_memory, as_stream = evaluate_run(open_run(path)), streamed(path)
+    assert as_stream.document() == from_memory.document()
+    assert as_stream.rows() == from_memory.rows()
+
+
+def test_a_run_cut_into_pieces_by_two_processes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A damaged record and one that is missing are named, whatever reads the run."""
+    old = open_run(GOLDEN / "single.sqlite")
+    taken = old.taken_for("measure")
+    with RunWriter.create(tmp_path, {"command": "measure", "settings": old.facts.settings}) as writer:
+        for number in range(40):
+            record = taken[number % len(taken)]
+            new = NewRecord(f"{number}", "measure", record.header, record.payload, record.conditions)
+            writer.save_records([new])
+    with sqlite3.connect(writer.path) as db:
+        db.execute("UPDATE record SET payload = zeroblob(2500) WHERE number = 7")
+        db.execute("DELETE FROM record WHERE number = 20")
+    from_memory = evaluate_run(open_run(writer.path))
+    monkeypatch.setattr("station.lock_in.records.pieces.AT_ONCE", 9)
+    assert len(pieces_of(open_source(writer.path), {})) == 5
+    as_stream = streamed(writer.path, processes=2)
+    assert as_stream.document() == from_memory.document()
+    assert as_stream.document()["damaged"] == ["record 7 (6) is damaged", "record 20 is missing"]
+    assert as_stream.document()["records"] == 39
+    assert as_stream.found.waveforms[10] == from_memory.found.waveforms[10]
+
+
+def test_the_measurement_has_one_sum_wherever_it_lies_and_whatever_is_said_of_it(tmp_path: Path) -> None:
+    path = Path(shutil.copy(GOLDEN / "single.sqlite", tmp_path / "another name.sqlite"))
+    (source,) = find_sources([tmp_path])
+    first = open_source(source).sha256
+    assert first == open_source(GOLDEN / "single.sqlite").sha256
+    with sqlite3.connect(path) as db:
+        db.execute("UPDATE run SET value = '\"interrupted\"' WHERE name = 'outcome'")
+    assert open_source(path).sha256 == first
+    with sqlite3.connect(path) as db:
+        db.execute("DELETE FROM record WHERE number = (SELECT max(number) FROM record)")
+    assert open_source(path).sha256 != first

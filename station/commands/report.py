@@ -106,6 +106,7 @@ def _evaluated(
     from station.runs.progress import Progress
     from station.runs.store import REPORT_FILE, open_run
     from station.shell.evaluated import evaluate_run
+    from station.sources import open_source
     from station.sources.workers import ThisProcess
 
     first = sources[0]
@@ -115,8 +116,11 @@ def _evaluated(
         path = Path(first.name)
         short = path.parent.name if path.name in ("run.sqlite", "fog.sqlite") else path.stem
         return evaluate_run(run_of(first), config=config), first.path.parent / f"{first.path.stem}.{short}.html"
+    given = sources
+    if len(sources) == 1:
+        sources = [open_source(first)]  # what cannot be read is told before a scale factor is asked for
     if choices["scale_factor"] is None:
-        choices = {"scale_factor": scale_factor_of_files(config, sources)}
+        choices = {"scale_factor": scale_factor_of_files(config, given)}
     found = combine(sources, choices, ThisProcess(), Progress(quiet=True), config=config, channel=channel)
     for line in said_of(found.left_out):
         remark(line)

@@ -1,6 +1,6 @@
 """The automated station killed at any moment: three units, the same verdicts as in one go.
 
-    python -m benchmarks.station [KILLS]
+    python -m benchmarks.damage.killed_station [KILLS]
 
 Tests a good unit, one at the limit and a bad one on the simulated bench; then each again, killed with SIGKILL
 after commits drawn at random, again and again until it has come to its end, and with the cable pulled once each

@@ -2,8 +2,9 @@
 
     python -m benchmarks.station [KILLS]
 
-Tests a good unit, one at the limit and a bad one on the simulated bench; then each again, killed with SIGKILL after
-commits drawn at random, again and again until it has come to its end, and with the cable pulled once each time.
+Tests a good unit, one at the limit and a bad one on the simulated bench; then each again, killed with SIGKILL
+after commits drawn at random, again and again until it has come to its end, and with the cable pulled once each
+time.
 Prints verdicts and exit codes.
 """
 

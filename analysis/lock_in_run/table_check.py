@@ -317,8 +317,8 @@ def _fitted(seen: _Seen, start: Floats, known: dict[int, float], stated: _Stated
     """Curve (1) by least squares; `known` holds the standard uncertainties of start values that are known.
 
     Every setting of the table has an error of its own, and where nobody knows the azimuth, an earth rate of its
-    own. A scatter beyond the noise of the frequencies is that of a rate that moves: the same in Hz for all (Paule and
-    Mandel, J. Res. NBS 87, 377).
+    own. A scatter beyond the noise of the frequencies is that of a rate that moves: the same in Hz for all (Paule
+    and Mandel, J. Res. NBS 87, 377).
     """
     settings = int(seen.setting.max()) + 1
     values = np.concatenate([start, np.zeros(2 * settings)])

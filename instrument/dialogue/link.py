@@ -35,6 +35,7 @@ from instrument.pyvisa_sessions import (
     session_of,
     socket_of,
 )
+from instrument.transcripts.recording import note
 
 ANSWER_TIME = 3.0
 """Longest time in s until an answer begins: twice the 1.5 s that units of this family were seen to take."""
@@ -138,6 +139,7 @@ class Link:
     def close(self) -> None:
         """Close the link; never raises, because a link that is gone is closed as well."""
         self.closed = True
+        note(self.name, "close")
         for resource in (self._resource, self._beneath):
             with contextlib.suppress(pyvisa.Error, OSError):
                 if resource is not None:
@@ -169,6 +171,7 @@ class Link:
                 if self._socket is not None and not select.select([], [self._socket], [], patience)[1]:
                     raise NoAnswer  # PyVISA-py would wait for ever
                 self._resource.write_raw(message)
+            note(self.name, "write", message)
         except NoAnswer:
             raise LinkError(
                 f"{self.name} takes no data; is the scope on, and does the cable carry the handshake wires?"
@@ -237,6 +240,7 @@ class Link:
         silence : float, optional
             Time in s for which a stream must be silent, `PAUSE_TIME` by default.
         """
+        note(self.name, "clear")
         if self.on_bus:
             self._set_timeout(self.answer_time)
             with self._link_errors("clearing"):
@@ -347,12 +351,14 @@ class Link:
         full = StatusCode.success_max_count_read
         with self._link_errors("reading from"), self._resource.ignore_warning(full):
             data, status = self._resource.visalib.read(self._resource.session, count)
+        note(self.name, "read", bytes(data))
         return bytes(data), status != full
 
     # ------------------------------------------------------------------ set-up and errors
 
     def _configure(self) -> None:
         resource = self._resource
+        note(self.name, "open")
         if not keep_to_oneself(resource):
             raise LinkError(f"{self.name} is in use by another program; end that program, or use it there")
         resource.write_termination = ""

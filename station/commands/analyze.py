@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -193,9 +193,12 @@ def _with_scale_factor(
 ) -> dict[str, Any]:
     """The choices with the scale factor, where files need one that nobody has given."""
     from station.reanalysis.files import scale_factor_of_files
-    from station.runs.database import is_database
+    from station.sources.find import is_run
 
-    files = [one for one in sources if not (one.is_run if not isinstance(one, Path) else is_database(one))]
+    files = []
+    for one in sources:
+        with suppress(OSError):  # one that is not there is named when it is read
+            files += [] if is_run(one) else [one]
     if choices["scale_factor"] is not None or not files:
         return choices
     return choices | {"scale_factor": scale_factor_of_files(config, files)}
@@ -242,12 +245,12 @@ def _analyze(
     from instrument import InstrumentError
     from station.errors import EXIT_NO_SIGNAL, Failure, NoUsableSignal, StationError, describe_failure
     from station.reanalysis.files import analyze_file
-    from station.runs.database import is_database
     from station.shell.evaluated import evaluate_saved
+    from station.sources.find import is_run
 
     analyzed: Evaluated | AnalyzedFiles
     try:
-        if source.is_run if not isinstance(source, Path) else is_database(source):
+        if is_run(source):
             analyzed = evaluate_saved(source, workers, progress, config=config, choices=choices)
         else:
             analyzed = analyze_file(source, config, choices)

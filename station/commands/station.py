@@ -11,7 +11,7 @@ import click
 
 from station.display.opening import display_options, shown
 from station.errors import EXIT_OK, Failure, OutOfControl, RunError, UsageError, describe_failure
-from station.shell.options import json_option
+from station.shell.options import json_option, transcript_option
 from station.terminal.lines import print_json, remark, say
 
 if TYPE_CHECKING:
@@ -38,6 +38,7 @@ _LATEST = "latest"
 )
 @click.option("--out", type=click.Path(path_type=Path), metavar="DIR", help="Directory of tests [settings].")
 @display_options
+@transcript_option
 @json_option
 def command(file: Path, **given: Any) -> int:
     """Test a unit as the campaign FILE says: every step, every limit, one verdict.

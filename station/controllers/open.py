@@ -9,8 +9,15 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 
 from instrument.errors import InstrumentError
+from instrument.simulated import SimulatedRateTable
 from instrument.simulated.clock import Clock, VirtualClock
-from instrument.simulated.controllers import LineDevice, LineServer, SimulatedChamber, SimulatedPowerSupply
+from instrument.simulated.controllers import (
+    LineDevice,
+    LineServer,
+    RateTableController,
+    SimulatedChamber,
+    SimulatedPowerSupply,
+)
 from instrument.templates import ControlledRateTable, Controller, Guard, parse_template
 from station.controllers.settings import ControllerSettings, ControllersSettings
 
@@ -83,6 +90,32 @@ def served_device(device: LineDevice) -> Iterator[str]:
         server = LineServer(device, tcp_port=0)
     with server:
         yield server.resource_name
+
+
+@contextmanager
+def served_controllers(table: SimulatedRateTable | None, *, tcp: bool) -> Iterator[dict[str, str]]:
+    """Serve the controller of a simulated table, a chamber and a power supply in real time.
+
+    Parameters
+    ----------
+    table : SimulatedRateTable or None
+        Without one nothing is served.
+    tcp : bool
+        On TCP; else on serial terminals.
+
+    Yields
+    ------
+    dict
+        VISA names, by the names of the controllers in the settings.
+    """
+    devices: dict[str, LineDevice] = {}
+    if table is not None:
+        devices["rate_table"] = RateTableController(table)
+        devices |= {"chamber": SimulatedChamber(), "power_supply": SimulatedPowerSupply()}
+    with ExitStack() as stack:
+        port = 0 if tcp else None
+        servers = {name: stack.enter_context(LineServer(one, tcp_port=port)) for name, one in devices.items()}
+        yield {name: server.resource_name for name, server in servers.items()}
 
 
 @functools.cache

@@ -139,6 +139,8 @@ def is_dataset(place: str | Path) -> bool:
         return any(path.glob(PARTS))
     ending = path.suffix.lower()
     if ending == ".csv":
+        if not path.is_file():  # a pipe would wait for its writer
+            return False
         with path.open("rb") as file:
             return file.read(64).removeprefix(b"\xef\xbb\xbf").startswith(b"schema,source,number,")
     return ending in _ENDINGS

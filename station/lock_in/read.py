@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from statistics import fmean
 from typing import Any
 
@@ -121,7 +121,7 @@ def evaluate_source(
     for (part,) in workers.map(estimate_pieces, pieces):
         if part.left_out and part.left_out[-1].record is None:
             raise RunError(str(part.left_out[-1]))
-        parts.append(part)
+        parts.append(replace(part, labels={}))
         progress.advance()
     gathered = together(parts)
     if gathered.paired:

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from instrument.facts import LEVELS_PER_DIVISION, VERTICAL_SCALES
-from instrument.simulated import Fault, RealClock, SimulatedTDS2014
+from instrument.simulated import Fault, RealClock, SimulatedRateTable, SimulatedTDS2014
 from station.errors import UsageError
 from station.lock_in.settings import Settings
 from station.ring_laser.instruments import SimulatedInstruments, build_instruments
@@ -26,8 +26,8 @@ def simulated_scopes(
     signals: Sequence[ShownSignal] = (),
     models: Sequence[str] = (),
     faults: Sequence[Fault] = (),
-) -> tuple[list[SimulatedTDS2014], SimulatedInstruments]:
-    """Oscilloscopes in real time, set so that what they show fills their screens; and the bench of the first.
+) -> list[SimulatedTDS2014]:
+    """Oscilloscopes in real time, set so that what they show fills their screens.
 
     Parameters
     ----------
@@ -43,18 +43,24 @@ def simulated_scopes(
     UsageError
         If there is no such model, a model has no such channel, or a channel has two signals.
     """
-    clock, scopes, benches = RealClock(), [], []
+    clock, scopes = RealClock(), []
     for number, model in enumerate(models or ("",)):
         one = _changed(settings, model, number)
         instruments = build_instruments(at_slow_rate(one), clock)
-        benches.append(instruments)
         if signals:
             scopes.append(_showing(signals, one, instruments))
         else:
             _show_the_beat(instruments, one)
             scopes.append(instruments.scope)
         scopes[-1].faults.add(*faults)
-    return scopes, benches[0]
+    return scopes
+
+
+def scope_on_table(settings: Settings) -> tuple[SimulatedTDS2014, SimulatedRateTable]:
+    """Return a simulated oscilloscope at the beat of the gyro, in real time, and the table under it."""
+    instruments = build_instruments(at_slow_rate(settings), RealClock())
+    _show_the_beat(instruments, settings)
+    return instruments.scope, instruments.table
 
 
 def _changed(settings: Settings, model: str, number: int) -> Settings:

@@ -71,6 +71,29 @@ def config_option(function: F) -> F:
     )(function)
 
 
+def transcript_option(function: F) -> F:
+    """Add ``--transcript FILE``: what every link carries while the command runs is written down."""
+
+    def start(context: click.Context, _: click.Parameter, path: Path | None) -> None:
+        if path is None:
+            return
+        from instrument.transcripts.recording import recorded
+
+        try:
+            context.with_resource(recorded(path))
+        except OSError as error:
+            raise click.BadParameter(f"{path} cannot be written: {error.strerror or error}") from None
+
+    return click.option(
+        "--transcript",
+        type=click.Path(path_type=Path, dir_okay=False),
+        metavar="FILE",
+        callback=start,
+        expose_value=False,
+        help="Write each message to and from the instruments into this file.",
+    )(function)
+
+
 def report_option(function: F) -> F:
     """Add ``--report`` and ``--no-report``."""
     return click.option("--report/--no-report", default=True, help="Write report.html beside the run [yes].")(
@@ -93,6 +116,7 @@ def run_options(function: F) -> F:
         click.option("--seed", type=click.IntRange(min=0), metavar="S", help="Seed of the simulated bench."),
         click.option("--out", type=click.Path(path_type=Path), metavar="DIR", help="Directory of runs [./runs]."),
         click.option("--jsonl", is_flag=True, help="One line on stdout for each record, when it is on the disk."),
+        transcript_option,
         config_option,
         json_option,
     )

@@ -119,20 +119,17 @@ def read_one(
     record: SavedRecord, source: Source, left_out: Callable[[LeftOut], None]
 ) -> tuple[SavedRecord, Preamble, Source] | None:
     """See that a record can be used; what cannot is left out, and `left_out` is told why."""
-    name = f"{record.number} ({record.key})"
-    if not record.intact:
-        left_out(LeftOut(source.name, record.key, f"{name} is damaged: it is not what was once saved"))
-        return None
-    try:
-        preamble = parsed_preamble(record.header)
-        check_over_time(preamble, "it")
-    except (InstrumentError, NoUsableSignal) as error:
-        left_out(LeftOut(source.name, record.key, f"{name} cannot be used: {error}"))
-        return None
-    if len(record.payload) != preamble.nr_pt * preamble.byt_nr:
-        left_out(LeftOut(source.name, record.key, f"{name} has {len(record.payload)} bytes of codes"))
-        return None
-    return record, preamble, source
+    reason = "" if record.intact else "is damaged: it is not what was once saved"
+    if not reason:
+        try:
+            preamble = usable_preamble(record.header)
+            if len(record.payload) == preamble.nr_pt * preamble.byt_nr:
+                return record, preamble, source
+            reason = f"has {len(record.payload)} bytes of codes, its preamble says {preamble.nr_pt} points"
+        except (InstrumentError, NoUsableSignal) as error:
+            reason = f"cannot be used: {error}"
+    left_out(LeftOut(source.name, record.key, f"{record.number} ({record.key}) {reason}"))
+    return None
 
 
 def _collected(rows: list[tuple[SavedRecord, Preamble, Source]]) -> RecordBatch:
@@ -143,6 +140,14 @@ def _collected(rows: list[tuple[SavedRecord, Preamble, Source]]) -> RecordBatch:
 def parsed_preamble(text: str) -> Preamble:
     """Parse a preamble; most records of a run have the same."""
     return Preamble.parse(text)
+
+
+@lru_cache(maxsize=4096)
+def usable_preamble(text: str) -> Preamble:
+    """The preamble of a record over time; an error for other records."""
+    preamble = parsed_preamble(text)
+    check_over_time(preamble, "it")
+    return preamble
 
 
 def batch_of(rows: Sequence[tuple[SavedRecord, Preamble]], sources: Sequence[Source] = ()) -> RecordBatch:

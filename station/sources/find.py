@@ -92,6 +92,11 @@ def _is_run_file(path: Path) -> bool:
     return int.from_bytes(header[68:72], "big") in {layout.application_id for layout in LAYOUTS}
 
 
+def is_run(source: Path | Source) -> bool:
+    """Whether a source is a run, of a data set too; OSError if it is not there."""
+    return is_database(source) if isinstance(source, Path) else source.is_run
+
+
 def open_source(path: Path | Source) -> Source:
     """Open one source; its content decides what it is. One of a data set is open already.
 

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from functools import cached_property
 from pathlib import Path
-from typing import overload
+from typing import Any, overload
 
 from station.runs.database import read_facts, reading
 from station.runs.facts import RunFacts
+from station.runs.layouts import COLUMNS, TODAY
 from station.runs.store import SavedRecord, damaged_facts, missing_records, read_record, run_file
 from station.sources.source import Source
 
@@ -65,13 +66,33 @@ class RunSource(Source):
 
     def records(self, numbers: range | None = None) -> Iterator[SavedRecord]:
         """Read the records one at a time; see `Source`."""
+        texts, parsed = _Cache(_decoded), _Cache(_conditions)
         with reading(self.path) as (db, layout):
+            db.text_factory = bytes  # decoded below: most texts of a run are the same
             if numbers is None:
                 rows = db.execute(layout.select)
             else:
                 rows = db.execute(layout.select_between, (numbers.start, numbers.stop - 1))
             for row in rows:
-                yield read_record(row, layout)
+                number, key, taken_at, purpose, header, payload, sum_, said = row
+                plain = layout is TODAY and set(map(type, row[1:])) == _BYTES
+                if (
+                    not plain
+                    or _sum(key, taken_at, purpose, header, payload, said) != sum_
+                    or parsed[said] is None
+                ):
+                    yield read_record([_text(cell, place) for place, cell in enumerate(row)], layout)
+                    continue
+                yield SavedRecord(
+                    number,
+                    _decoded(key),
+                    _decoded(taken_at),
+                    texts[purpose],
+                    texts[header],
+                    payload,
+                    True,
+                    parsed[said],
+                )
 
     @cached_property
     def sha256(self) -> str:
@@ -85,6 +106,46 @@ class RunSource(Source):
             for number, sum_ in db.execute(f"SELECT number, sha256 FROM {layout.table} ORDER BY number"):
                 digest.update(f"{number} {sum_}\n".encode())
         return digest.hexdigest()
+
+
+_BYTES = {bytes}
+_PAYLOAD = COLUMNS.index("payload")
+
+
+def _sum(*cells: bytes) -> bytes:
+    """SHA-256 of a record as today's layout makes it, from its cells one behind the other."""
+    data = b"".join([part for cell in cells for part in (b"%d " % len(cell), cell)])
+    return hashlib.sha256(data).hexdigest().encode()
+
+
+def _text(cell: Any, place: int) -> Any:
+    return _decoded(cell) if type(cell) is bytes and place != _PAYLOAD else cell
+
+
+def _decoded(cell: bytes) -> str:
+    return cell.decode("utf-8", errors="replace")
+
+
+def _conditions(cell: bytes) -> dict[str, Any] | None:
+    try:
+        found = json.loads(cell)
+    except (ValueError, RecursionError):
+        return None
+    return found if isinstance(found, dict) else None
+
+
+class _Cache(dict[bytes, Any]):
+    """What was made of texts, as long as there are few."""
+
+    def __init__(self, make: Callable[[bytes], Any]) -> None:
+        super().__init__()
+        self._make = make
+
+    def __missing__(self, cell: bytes) -> Any:
+        made = self._make(cell)
+        if len(self) < 1000:
+            self[cell] = made
+        return made
 
 
 class SavedRecords(Sequence[SavedRecord]):

@@ -2,23 +2,27 @@
 
 from __future__ import annotations
 
+import json
 import os
 import platform
 import shutil
 import sqlite3
 import sys
 import tempfile
+import zipfile
+from contextlib import ExitStack, nullcontext
 from dataclasses import asdict
 from pathlib import Path
 
 import click
 
-from station.errors import EXIT_INSTRUMENT, EXIT_OK, SettingsError, one_line
+from instrument.transcripts.recording import recorded
+from station.errors import EXIT_INSTRUMENT, EXIT_OK, CannotWrite, SettingsError, one_line
 from station.lock_in.settings import Settings, default_settings, load_settings
 from station.provenance import version
 from station.results.check import Check, guarded
 from station.settings.load import shipped_settings
-from station.shell.options import config_option, json_option
+from station.shell.options import config_option, json_option, transcript_option
 from station.terminal.lines import print_json, say
 
 _PACKAGES = (
@@ -35,6 +39,7 @@ _PACKAGES = (
 )
 _DISK_LOW = 200 * 2**20
 _ANY_UNIT = "any unit"
+_TRANSCRIPT = "transcript.jsonl"
 
 
 @click.command("doctor")
@@ -45,21 +50,35 @@ _ANY_UNIT = "any unit"
     metavar="FILE",
     help="Look at everything that this campaign will need: the table moves.",
 )
+@click.option(
+    "--bundle",
+    type=click.Path(path_type=Path, dir_okay=False),
+    metavar="FILE.zip",
+    help="Pack versions, settings, findings and what was said to the instrument, for a bug report.",
+)
+@transcript_option
 @config_option
 @json_option
-def command(resource: str | None, station: Path | None, config: Path | None, as_json: bool) -> int:
+def command(
+    resource: str | None, station: Path | None, bundle: Path | None, config: Path | None, as_json: bool
+) -> int:
     """Check this installation, and say what to do about what is missing.
 
     With --station the bench of a campaign is opened and looked at too: instruments and their calibration dates,
     disk, clock, rate table, level, trigger and noise. Exit code 3 if something must be mended.
     """
     settings = load_settings(config, resource=resource)
-    checks = examine(settings, resource or settings.scope.resource or None)
-    if station is not None:
-        from station.campaign.checks import examine_campaign
-        from station.campaign.file import read_campaign
+    with ExitStack() as stack:
+        said = Path(stack.enter_context(tempfile.TemporaryDirectory())) / _TRANSCRIPT
+        with recorded(said) if bundle is not None else nullcontext():
+            checks = examine(settings, resource or settings.scope.resource or None)
+            if station is not None:
+                from station.campaign.checks import examine_campaign
+                from station.campaign.file import read_campaign
 
-        checks += examine_campaign(read_campaign(station, _ANY_UNIT))
+                checks += examine_campaign(read_campaign(station, _ANY_UNIT))
+        if bundle is not None:
+            _pack(bundle, settings, checks, said)
     bad = [check for check in checks if check.state == "bad"]
     if as_json:
         print_json({"ok": not bad, "checks": [asdict(check) for check in checks]})
@@ -67,6 +86,23 @@ def command(resource: str | None, station: Path | None, config: Path | None, as_
         for check in checks:
             say(f"{check.state:<5}{check.name:<14}{check.text}")
     return EXIT_INSTRUMENT if bad else EXIT_OK
+
+
+def _pack(bundle: Path, settings: Settings, checks: list[Check], said: Path) -> None:
+    """Write the ZIP file of a bug report: nothing is in it that these four files do not show."""
+    versions = {"gyrolock": version("gyrolock"), "python": sys.version, "system": platform.platform()}
+    contents = {
+        "versions.json": json.dumps(versions | {name: version(name) for name in _PACKAGES}, indent=2),
+        "settings.json": settings.model_dump_json(indent=2),
+        "findings.json": json.dumps([asdict(check) for check in checks], indent=2),
+        _TRANSCRIPT: said.read_text(encoding="ascii"),
+    }
+    try:
+        with zipfile.ZipFile(bundle, "w", zipfile.ZIP_DEFLATED) as file:
+            for name, text in contents.items():
+                file.writestr(name, text)
+    except OSError as error:
+        raise CannotWrite(f"{bundle} cannot be written: {error.strerror or error}") from None
 
 
 def examine(settings: Settings, resource: str | None = None) -> list[Check]:

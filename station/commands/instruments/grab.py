@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from station.shell.options import config_option, json_option
+from station.shell.options import config_option, json_option, transcript_option
 from station.terminal.lines import print_json, remark, say
 
 if TYPE_CHECKING:
@@ -39,6 +39,7 @@ if TYPE_CHECKING:
     help="Again and again, so far apart, until Ctrl-C.",
 )
 @click.option("--numbers", "numbers_only", is_flag=True, help="Only show the numbers; write no files.")
+@transcript_option
 @config_option
 @json_option
 def command(
@@ -104,6 +105,6 @@ def _open(stack: ExitStack, resource: str | None, baud: int | None, settings: Se
     from station.lock_in.served import simulated_scopes
 
     name = "GPIB0::1::INSTR"
-    manager = resource_manager(scopes={name: simulated_scopes(settings)[0][0]})
+    manager = resource_manager(scopes={name: simulated_scopes(settings)[0]})
     stack.callback(manager.close)
     return stack.enter_context(TDS2014(name, resource_manager=manager))

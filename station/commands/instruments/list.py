@@ -6,11 +6,12 @@ from pathlib import Path
 
 import click
 
-from station.shell.options import config_option, json_option
+from station.shell.options import config_option, json_option, transcript_option
 from station.terminal.lines import print_json, say
 
 
 @click.command("list")
+@transcript_option
 @config_option
 @json_option
 def command(config: Path | None, as_json: bool) -> int:

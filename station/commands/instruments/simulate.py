@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from contextlib import ExitStack, suppress
+from contextlib import suppress
 from pathlib import Path
 
 import click
 
+from station.errors import UsageError
 from station.shell.options import config_option, json_option
 from station.terminal.lines import print_json, say
 
@@ -53,6 +54,12 @@ from station.terminal.lines import print_json, say
     metavar="KIND[:CHANCE]",
     help="What goes wrong, such as 'cut answer:0.05' or 'late answer'.",
 )
+@click.option(
+    "--replay",
+    type=click.Path(path_type=Path, exists=True, dir_okay=False),
+    metavar="FILE",
+    help="Answer on --tcp as a transcript of a real session says, byte for byte.",
+)
 @click.option("--seed", type=click.IntRange(min=0), metavar="S", help="Seed of noise and phases.")
 @click.option("--controllers", is_flag=True, help="Serve rate table, chamber and power supply too, one line each.")
 @config_option
@@ -66,6 +73,7 @@ def command(
     signals: tuple[str, ...],
     models: tuple[str, ...],
     faults: tuple[str, ...],
+    replay: Path | None,
     seed: int | None,
     controllers: bool,
     config: Path | None,
@@ -77,8 +85,8 @@ def command(
     the VISA resource name; with several scopes there is one line for each. With --controllers the table under the
     gyro can be turned, by the commands of `gyrolock settings rate_table`. Ctrl-C or SIGTERM ends it.
     """
-    from station.controllers.serve import serve_controllers
-    from station.lock_in.served import simulated_scopes
+    from station.controllers.open import served_controllers
+    from station.lock_in.served import scope_on_table, simulated_scopes
     from station.lock_in.settings import load_settings
     from station.scope.faults import parse_fault
     from station.scope.serve import served
@@ -93,25 +101,54 @@ def command(
     if baud is not None and not use_pty:
         raise click.UsageError("--baud paces a serial terminal: use it with --pty")
     (link, port) = chosen[0]
+    if replay is not None:
+        return _replay(replay, link, port, as_json)
     settings = load_settings(config, overrides={} if seed is None else {"simulation": {"seed": seed}})
-    scopes, first = simulated_scopes(
-        settings,
-        signals=[parse_signal(text) for text in signals],
-        models=models,
-        faults=[parse_fault(text) for text in faults],
-    )
-    with suppress(KeyboardInterrupt), ExitStack() as stack:
-        found = stack.enter_context(served(scopes, link, port=port, baud_rate=int(baud) if baud else None))
-        others = {}
-        if controllers:
-            others = stack.enter_context(serve_controllers(first.table, first.clock, terminals=use_pty))
+    befalling = [parse_fault(text) for text in faults]
+    table = None
+    if controllers:
+        if signals or models:
+            raise click.UsageError("--controllers turns the table under the gyro: leave --signal and --model out")
+        scope, table = scope_on_table(settings)
+        scope.faults.add(*befalling)
+        scopes = [scope]
+    else:
+        shown = [parse_signal(text) for text in signals]
+        scopes = simulated_scopes(settings, signals=shown, models=models, faults=befalling)
+    with (
+        suppress(KeyboardInterrupt),
+        served(scopes, link, port=port, baud_rate=int(baud) if baud else None) as found,
+        served_controllers(table, tcp=link != "pty") as others,
+    ):
         if as_json:
-            names = {"resource": found.resource_names[0], "resources": list(found.resource_names)}
-            print_json({**names, **({"controllers": others} if controllers else {})})
+            first, *_ = found.resource_names
+            named = {"controllers": others} if others else {}
+            print_json({"resource": first, "resources": list(found.resource_names), **named})
         else:
             for name in (*found.resource_names, *(f"{name} {resource}" for name, resource in others.items())):
                 say(name)
         # a wait without end could not be interrupted on Windows
         while not found.wait(timeout=0.5):
+            pass
+    return 0
+
+
+def _replay(path: Path, link: str, port: int, as_json: bool) -> int:
+    """Serve the instrument of a transcript."""
+    from instrument.simulated.links.replay import ReplayServer
+    from instrument.transcripts.reading import read_transcript
+
+    if link != "tcp":
+        raise click.UsageError("--replay serves on --tcp only")
+    try:
+        server = ReplayServer(read_transcript(path), port=port)
+    except OSError as error:
+        raise UsageError(f"the transcript cannot be served: {error.strerror or error}") from None
+    with suppress(KeyboardInterrupt), server:
+        if as_json:
+            print_json({"resource": server.resource_name, "resources": [server.resource_name]})
+        else:
+            say(server.resource_name)
+        while not server.ended.wait(timeout=0.5):
             pass
     return 0

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 _PERIODS_SHOWN = 4
-_SAMPLES_SHOWN = 360  # dots that can still be told apart; each is an element of the page
+_SAMPLES_SHOWN = 300  # dots that can still be told apart; each is an element of the page
 _HARMONICS = 4
 
 

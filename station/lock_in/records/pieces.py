@@ -183,8 +183,8 @@ class _Reading:
         self._numbers: list[int] = []
         self._places: list[int] = []
         self._taken = 0
-        self._columns: dict[str, list[float]] = {name: [] for name in _COLUMNS}
-        self._labels: dict[str, list[str]] = {name: [] for name in _LABELS}
+        self._columns: list[tuple[float, ...]] = []
+        self._labels: list[tuple[str, ...]] = []
         self._truth: dict[str, list[float]] = {}
         self._fast: list[SavedRecord] = []
         self._damaged: list[int] = []
@@ -231,11 +231,8 @@ class _Reading:
         self._places.append(place)
         known = record.conditions
         values = (preamble.nr_pt, preamble.xincr, abs(preamble.ymult), *map(known.get, CONDITIONS))
-        for name, value in zip(_COLUMNS, values, strict=True):
-            self._columns[name].append(_NAN if value is None else float(value))
-        texts = (record.key, record.taken_at, str(known.get("channel", "")), preamble.wfid)
-        for name, text in zip(_LABELS, texts, strict=True):
-            self._labels[name].append(text)
+        self._columns.append(tuple([_NAN if value is None else float(value) for value in values]))
+        self._labels.append((record.key, record.taken_at, str(known.get("channel", "")), preamble.wfid))
         for name, value in (known.get("truth") or {}).items():
             # a record that does not say it makes the mean of the run unknown, as it should be
             here = self._truth.setdefault(name, [])
@@ -246,6 +243,7 @@ class _Reading:
         """What was found, when everything that waited has been estimated."""
         rows = [rows for rows, _ in self.estimates]
         count = len(self._numbers)
+        columns = np.array(self._columns, dtype=np.float64).reshape(count, len(_COLUMNS))
         return Gathered(
             name=self._name,
             method=self.method,
@@ -254,8 +252,8 @@ class _Reading:
             numbers=np.array(self._numbers, dtype=np.int64),
             places=np.array(self._places, dtype=np.int64),
             taken=self._taken,
-            columns={name: np.array(values) for name, values in self._columns.items()},
-            labels=self._labels,
+            columns=dict(zip(_COLUMNS, np.ascontiguousarray(columns.T), strict=True)),
+            labels={name: [row[place] for row in self._labels] for place, name in enumerate(_LABELS)},
             truth={
                 name: np.array([*values, *[_NAN] * (count - len(values))]) for name, values in self._truth.items()
             },

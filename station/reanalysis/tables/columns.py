@@ -141,6 +141,7 @@ def _columns(piece: Piece, gathered: Gathered) -> dict[str, Values]:
         "scale_factor_pulses_per_deg": method.scale_factor,
         "given_input_rate_dps": math.nan if method.input_rate is None else method.input_rate,
     }
+    columns["third_harmonic_u"] = np.where(np.isfinite(each.third_harmonic_u), each.third_harmonic_u, np.nan)
     return {name: columns[name] for name in ORDER}
 
 

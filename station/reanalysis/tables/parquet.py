@@ -14,7 +14,7 @@ from station.reanalysis.tables.table import Key, TableFile
 
 pyarrow, compute, parquet = (package(name, "data") for name in ("pyarrow", "pyarrow.compute", "pyarrow.parquet"))
 
-ROW_GROUP = 20_000
+ROW_GROUP = 10_000
 _KINDS = {
     **dict.fromkeys(ORDER, pyarrow.float64()),
     **dict.fromkeys(TEXTS, pyarrow.string()),
@@ -113,4 +113,4 @@ def _array(rows: Rows, name: str) -> Any:
     value = rows.columns[name]
     if isinstance(value, str | None):
         return pyarrow.nulls(rows.count, _KINDS[name]) if value is None else pyarrow.repeat(value, rows.count)
-    return pyarrow.array(rows.column(name), _KINDS[name])
+    return pyarrow.array(rows.column(name), _KINDS[name], from_pandas=True)  # nan: not known

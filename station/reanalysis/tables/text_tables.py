@@ -106,7 +106,7 @@ def _json_row(line: str) -> dict[str, Any] | None:
         return None
     if not isinstance(row, dict) or not {"source", "analysis", "source_sha256"} <= row.keys():
         return None
-    return {name: math.inf if value == "inf" else value for name, value in row.items()}
+    return row
 
 
 class Csv(TextTable):

@@ -17,13 +17,15 @@ from station.campaign.file import read_campaign
 from station.campaign.journal import JOURNAL, Journal, read_test
 from station.campaign.outcome import CampaignOutcome
 from station.cli import main
+from station.controllers.open import served_controllers
 from station.errors import CannotWrite, UsageError
 from station.lock_in import take as lock_in_take
-from station.lock_in.served import serve_bench
+from station.lock_in.served import scope_on_table
 from station.lock_in.settings import load_settings
 from station.plan.prediction import predict
 from station.runs.progress import Progress
 from station.runs.store import RunWriter, open_run
+from station.scope.serve import serve
 from tests.ideal_bench import ideal_bench
 
 Write = Callable[..., Path]
@@ -135,6 +137,7 @@ def test_an_interrupted_test_is_aborted_and_goes_on(campaign: Write, monkeypatch
 KILLED = """
 import itertools, os, signal, sys
 from station.cli import main
+from station.controllers.open import served_controllers
 from station.runs.store import RunWriter
 commit, commits = RunWriter.save_records, itertools.count(1)
 def save_records(writer, records):
@@ -214,10 +217,11 @@ def test_conditions_are_brought_about_and_stand_with_every_record(campaign: Writ
 
 def test_a_bench_that_is_served_is_driven_by_the_campaign_as_a_real_one(campaign: Write) -> None:
     settings = load_settings(overrides=ideal_bench())
-    with serve_bench(settings, tcp_port=0, controllers=True) as (scope, others):
+    simulated, table = scope_on_table(settings)
+    with serve(simulated, "tcp") as resource, served_controllers(table, tcp=True) as others:
         controllers = "".join(f'[bench.controllers.{name}]\nresource = "{others[name]}"\n' for name in others)
         bench = (
-            f'[bench.scope]\nresource = "{scope.resource_name}"\n'
+            f'[bench.scope]\nresource = "{resource}"\n'
             "[bench.gyro]\nscale_factor_pulses_per_deg = 2000.0\n"
             f'[bench.table]\nkind = "controller"\nsettle_s = 0.0\n{controllers}[bench.budget]'
         )

@@ -1,0 +1,193 @@
+"""Results tables of every kind: the same rows, filled with what they lack, by one writer at a time."""
+
+import json
+import math
+import shutil
+import sqlite3
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from station.errors import CannotWrite, RunError, UsageError
+from station.reanalysis.compare import compare, read_records
+from station.reanalysis.fill import Filled, fill_table
+from station.reanalysis.tables.columns import ORDER
+from station.reanalysis.tables.lock import only_writer
+from station.reanalysis.tables.open_table import KINDS, table_file
+from station.runs.progress import Progress
+from station.runs.store import NewRecord, RunWriter, open_run
+from station.sources.find import find_sources
+from station.sources.workers import Processes, ThisProcess
+
+GOLDEN = Path(__file__).parents[2] / "golden"
+QUIET = Progress(quiet=True)
+
+
+@pytest.fixture(scope="module")
+def tree(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Runs of three kinds in a folder."""
+    folder = tmp_path_factory.mktemp("runs")
+    for name in ("single", "several", "channel"):
+        shutil.copy(GOLDEN / f"{name}.sqlite", folder / f"{name}.sqlite")
+    return folder
+
+
+def filled(table: Path, *places: Path, processes: int = 1, **choices: object) -> Filled:
+    with Processes(processes) as workers:
+        return fill_table(find_sources(places), table, choices, workers, QUIET)
+
+
+@pytest.mark.parametrize("ending", KINDS)
+def test_rows_are_the_records_of_the_runs_and_come_back(ending: str, tree: Path, tmp_path: Path) -> None:
+    table = tmp_path / f"results{ending}"
+    done = filled(table, tree)
+    rows = list(table_file(table).rows())
+    expected = [json.loads(line) for name in ("channel", "several", "single") for line in _golden(name)]
+    assert (done.sources, done.records, len(rows)) == (3, len(expected), len(expected))
+    assert set(rows[0]) == set(ORDER)
+    for row, one in zip(rows, expected, strict=True):
+        assert row["lock_in_rate_dps"] == pytest.approx(one["lock_in_rate_dps"], rel=1e-9)
+        assert row["lock_in_rate_noise_u_dps"] == pytest.approx(one["lock_in_rate_noise_u_dps"], rel=1e-9)
+        assert row["beat_frequency_hz"] == pytest.approx(one["beat_frequency_hz"], rel=1e-9)
+        assert (row["flags"] or "") == " ".join(one["flags"])
+        assert row["schema_version"] == 1
+    again = filled(table, tree)
+    assert (again.records, again.known) == (0, 3)
+    assert list(table_file(table).rows()) == rows
+
+
+def _golden(name: str) -> list[str]:
+    return (GOLDEN / f"{name}.jsonl").read_text().splitlines()
+
+
+def test_only_what_is_new_or_has_changed_is_computed(tree: Path, tmp_path: Path) -> None:
+    runs, table = tmp_path / "runs", tmp_path / "results.sqlite"
+    runs.mkdir()
+    shutil.copy(tree / "single.sqlite", runs)
+    filled(table, runs)
+    shutil.copy(tree / "channel.sqlite", runs)
+    assert (done := filled(table, runs)).sources == 1
+    assert done.known == 1
+    shutil.copy(tree / "several.sqlite", runs / "single.sqlite")  # another run under its name
+    done = filled(table, runs)
+    assert (done.sources, done.known) == (1, 1)
+    rows = list(table_file(table).rows())
+    assert len(rows) == len(_golden("several")) + len(_golden("channel"))
+    assert filled(table, runs, relation="paper-13").sources == 2  # another method: both stay
+    assert len(list(table_file(table).rows())) == 2 * len(rows)
+
+
+def test_the_same_bits_by_any_number_of_processes(
+    tree: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("station.reanalysis.fill.TOGETHER", 1)  # every source by itself
+    filled(tmp_path / "two.jsonl", tree, processes=2)
+    monkeypatch.undo()
+    filled(tmp_path / "one.jsonl", tree)
+    assert (tmp_path / "one.jsonl").read_bytes() == (tmp_path / "two.jsonl").read_bytes()
+
+
+def test_parts_of_a_large_run_make_the_same_rows(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A run of 1100 records, cut at its thousandth."""
+    old = open_run(GOLDEN / "single.sqlite")
+    record = old.taken_for("measure")[0]
+    new = [NewRecord(f"{n}", "measure", record.header, record.payload, record.conditions) for n in range(1100)]
+    with RunWriter.create(tmp_path / "runs", {"command": "measure", "settings": old.facts.settings}) as writer:
+        writer.save_records(new)
+    whole = filled(tmp_path / "whole.csv", tmp_path / "runs")
+    monkeypatch.setattr("station.reanalysis.fill.LARGE", 1)
+    cut = filled(tmp_path / "cut.csv", tmp_path / "runs")
+    assert whole.records == cut.records == 1100
+    assert (tmp_path / "whole.csv").read_bytes() == (tmp_path / "cut.csv").read_bytes()
+    assert filled(tmp_path / "cut.csv", tmp_path / "runs").known == 1
+
+
+def test_what_cannot_be_read_is_named_and_left_out(tree: Path, tmp_path: Path) -> None:
+    runs = tmp_path / "runs"
+    shutil.copytree(tree, runs)
+    with sqlite3.connect(runs / "single.sqlite") as db:
+        db.execute("UPDATE record SET codes = zeroblob(2500) WHERE number = (SELECT max(number) FROM record)")
+    (runs / "cut.sqlite").write_bytes((runs / "several.sqlite").read_bytes()[:30_000])
+    (runs / "F0000CH1.CSV").write_text("no waveform\n")
+    done = filled(tmp_path / "results.csv", runs)
+    assert done.sources == 3
+    said = [str(one) for one in done.left_out]
+    assert len(said) == 3
+    assert any("cut.sqlite" in one for one in said)
+    assert any("F0000CH1.CSV" in one for one in said)
+    assert any("is damaged" in one and "single.sqlite" in one for one in said)
+
+
+@pytest.mark.parametrize("ending", KINDS)
+def test_two_writers_and_strangers_are_refused(ending: str, tree: Path, tmp_path: Path) -> None:
+    table = tmp_path / f"results{ending}"
+    with only_writer(table), pytest.raises(CannotWrite, match="another analysis is writing this table"):
+        filled(table, tree)
+    table.write_text("something else\n")
+    with pytest.raises(RunError, match=r"results\."):
+        filled(table, tree)
+    assert table.read_text() == "something else\n"
+
+
+@pytest.mark.parametrize("ending", KINDS)
+def test_a_table_of_a_newer_version_is_refused(ending: str, tree: Path, tmp_path: Path, monkeypatch) -> None:
+    table = tmp_path / f"results{ending}"
+    for module in ("columns", "sqlite"):
+        monkeypatch.setattr(f"station.reanalysis.tables.{module}.VERSION", 2)
+    if ending == ".parquet":
+        from station.reanalysis.tables import parquet
+
+        newer = parquet.SCHEMA.with_metadata({"schema_name": "gyrolock results", "schema_version": "2"})
+        monkeypatch.setattr(parquet, "SCHEMA", newer)
+    filled(table, tree / "single.sqlite")
+    monkeypatch.undo()
+    with pytest.raises(RunError, match="was written by a newer gyrolock"):
+        filled(table, tree)
+
+
+@pytest.mark.parametrize("ending", KINDS)
+def test_a_table_of_the_first_layout_can_be_read(ending: str) -> None:
+    rows = list(table_file(GOLDEN / "results" / f"version_1{ending}").rows())
+    then = [json.loads(line) for line in _golden("single")]
+    assert len(rows) == len(then)
+    rates = [row["lock_in_rate_dps"] for row in rows]
+    np.testing.assert_allclose(rates, [one["lock_in_rate_dps"] for one in then], rtol=1e-6)
+
+
+def test_another_ending_is_refused(tree: Path, tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match=r"\.parquet, \.sqlite, \.csv, \.jsonl"):
+        filled(tmp_path / "results.xlsx", tree)
+
+
+def test_two_methods_are_compared_record_by_record(tree: Path, tmp_path: Path) -> None:
+    table = tmp_path / "results.sqlite"
+    filled(table, tree / "single.sqlite")
+    first = read_records(str(table), {}, ThisProcess())
+    second = read_records(str(tree / "single.sqlite"), {"relation": "paper-10"}, ThisProcess())
+    found = compare(first, second)
+    one = found.differences[0]
+    assert found.same_records
+    assert one.compared == len(_golden("single"))
+    a, b = first.values["lock_in_rate_dps"], second.values["lock_in_rate_dps"]
+    u = np.maximum(first.us["lock_in_rate_dps"], second.us["lock_in_rate_dps"])
+    np.testing.assert_allclose(one.over_u, (b - a) / u)
+    # (10) of the paper leaves out r^2: with the beat as reference 2r instead of 2r/(1 - r^2)
+    assert one.difference < 0
+    filled(table, tree / "single.sqlite", relation="paper-10")
+    with pytest.raises(UsageError, match="several analyses"):
+        read_records(str(table), {}, ThisProcess())
+    chosen = read_records(str(table), {}, ThisProcess(), "paper-10")
+    np.testing.assert_array_equal(chosen.values["lock_in_rate_dps"], b)
+
+
+def test_two_gyros_are_compared_by_their_means(tree: Path) -> None:
+    first, second = (
+        read_records(str(tree / f"{name}.sqlite"), {}, ThisProcess()) for name in ("single", "channel")
+    )
+    found = compare(first, second)
+    assert not found.same_records
+    one = found.differences[0]
+    assert one.difference == pytest.approx(one.mean_second - one.mean_first)
+    assert one.difference_u == pytest.approx(math.hypot(one.mean_first_u, one.mean_second_u))
+    assert math.isnan(one.largest_over_u)

@@ -19,7 +19,7 @@ from station.catalogue.index import INDEX_FILE, list_runs
 from station.catalogue.remarks import add_remark
 from station.terminal.lines import say
 
-RUN = Path(__file__).parents[1] / "tests" / "golden" / "turning.sqlite"
+RUN = Path(__file__).parents[2] / "tests" / "golden" / "turning.sqlite"
 CHANGED = 20
 
 

@@ -1,0 +1,1 @@
+"""How long `gyrolock runs` takes for many runs."""

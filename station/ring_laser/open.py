@@ -9,7 +9,7 @@ from instrument import FoundPanel, Identity, RateTable
 from station.controllers.open import open_rate_table, open_surroundings
 from station.ring_laser.bench import Bench
 from station.ring_laser.settings import BenchSettings
-from station.runs.operator import operator_table
+from station.runs.operator import check_terminal, operator_table
 from station.runs.taking import Session
 from station.scope.open import open_scope
 
@@ -51,6 +51,8 @@ def open_bench(
         with open_simulated_bench(settings, times_resumed=times_resumed, tell=said) as bench:
             yield bench
         return
+    if settings.table.kind == "manual":
+        check_terminal()  # before anything is opened
     wanted = settings.scope
     opened = open_scope(
         wanted.resource,

@@ -7,7 +7,7 @@ LOWEST := .venv-lowest
 SEED   ?= $(shell date +%s)
 PIP    := -m pip install --quiet --disable-pip-version-check
 
-.PHONY: measure test test-lowest explore lint docs site clean
+.PHONY: measure test test-slow test-lowest explore lint docs site clean
 
 measure: $(READY)
 	$(BIN)/gyrolock measure
@@ -18,6 +18,10 @@ test: $(READY)
 # All tests with the lowest versions that pyproject.toml states.
 test-lowest: $(LOWEST)/.ready
 	$(LOWEST)/bin/python -m pytest -n 2
+
+# What takes long and has a shorter sibling above.
+test-slow: $(READY)
+	$(BIN)/python -m pytest -n 2 -m slow --timeout 1800
 
 # Property tests alone, each searching freely from a new seed; `make explore SEED=...` goes the same way again.
 explore: $(READY)

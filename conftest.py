@@ -15,7 +15,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("GYROLOCK_STATE", str(Path(tempfile.gettempdir()) / "gyrolock-tests"))
 
 # The same examples in every run: a red test is the work of the last change. `make explore` searches freely.
-settings.register_profile("fixed", derandomize=True, database=None, deadline=None, max_examples=200)
+settings.register_profile("fixed", derandomize=True, database=None, deadline=None, max_examples=100)
 settings.register_profile("explore", derandomize=False, deadline=None, max_examples=5000, print_blob=True)
 settings.load_profile("fixed")
 

@@ -74,7 +74,10 @@ COMMANDS = {
         "Save the screen as PNG and the traces as CSV and NumPy.",
     ),
     "plan": ("plan.command:command", "Plan a measurement: rate, scale and records for a wanted uncertainty."),
-    "station": ("commands.station:command", "Test a unit against limits: a campaign that nobody has to watch."),
+    "station": (
+        "commands.station:command",
+        "Test a unit as the campaign FILE says: every step, every limit, one verdict.",
+    ),
     "fog": ("fibre_gyro.command:command", "Scale factor of a fibre gyro: rate table, self-calibration, ..."),
     "study": ("study.command:command", "Compute the paper's simulations, with its method and exactly."),
     "simulate": (

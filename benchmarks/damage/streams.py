@@ -29,15 +29,15 @@ BENCH = "[measurement]\nrecords = 1\ntilt_records = 1\nrates_over_lock_in = [8.0
 BENCH += '[table]\nboth_senses = false\n[gyro]\nname = "Kreisel Ω 中"\n'
 QUICK = (
     ("analyze", "run.sqlite"),
-    ("analyze", "run.sqlite", "--jsonl"),
-    ("plan",),
-    ("list",),
-    ("settings", "simulated"),
-    ("simulate", "--tcp"),
-    ("fog", "table", "--no-report"),
     ("acquire", "--config", "my.toml", "--jsonl"),
 )
 SLOW = (
+    ("list",),
+    ("analyze", "run.sqlite", "--jsonl"),
+    ("plan",),
+    ("settings", "simulated"),
+    ("simulate", "--tcp"),
+    ("fog", "table", "--no-report"),
     ("measure", "--config", "my.toml"),
     ("measure", "--config", "my.toml", "--no-report", "--json"),
     ("report", "run.sqlite"),

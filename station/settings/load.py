@@ -194,7 +194,9 @@ def settings_to_resume(
 
 def _given(path: Path | None, overrides: Values | None) -> dict[str, Any]:
     user = read_toml(path) if path is not None else {}
-    return merged(user, {section: dict(names) for section, names in (overrides or {}).items()})
+    # a section that a saved run does not have is None there
+    stated = {section: dict(names) for section, names in (overrides or {}).items() if names is not None}
+    return merged(user, stated)
 
 
 def _validated(kind: SettingsKind[S], values: Mapping[str, Any], path: Path) -> S:

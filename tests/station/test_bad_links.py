@@ -25,7 +25,7 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("instrument.dialogue.link.PAUSE_TIME", 0.05)
 
 
-@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.slow)])
 def test_a_run_over_a_link_that_spoils_messages_each_way(quick, seed: int) -> None:
     ended = faults.measure(0.05, records=8, seed=seed)
     assert ended.outcome == TAKEN

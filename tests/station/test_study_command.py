@@ -9,6 +9,7 @@ import pytest
 from station.cli import main
 
 
+@pytest.mark.slow
 def test_study_writes_everything(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "study"
     assert main(["study", "--json", "--out", str(out)]) == 0

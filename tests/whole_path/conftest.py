@@ -14,6 +14,9 @@ import pytest
 
 from tests.ideal_bench import IDEAL_TOML
 
+if os.name == "posix":  # where the tests run under nohup, programs would ignore it too
+    signal.signal(signal.SIGHUP, signal.SIG_DFL)
+
 COMMAND = [sys.executable, "-m", "station.cli"]
 
 

@@ -109,7 +109,7 @@ MANY = (
 
 
 @pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="this system has no SIGKILL")
-@pytest.mark.parametrize("number", ["SIGKILL", "SIGINT"])
+@pytest.mark.parametrize("number", ["SIGKILL", pytest.param("SIGINT", marks=pytest.mark.slow)])
 def test_a_measurement_cut_short_goes_on_to_its_full_count(
     number: str, tmp_path: Path, gyrolock, cut_gyrolock
 ) -> None:

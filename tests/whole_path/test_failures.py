@@ -59,6 +59,7 @@ def test_ctrl_c_and_kill_leave_a_valid_run(tmp_path: Path, cut_gyrolock, serve_s
     assert (run.path.parent / "report.html").exists()
 
 
+@pytest.mark.slow
 def test_a_scope_switched_off_loses_nothing(tmp_path: Path, start_gyrolock, serve_scope) -> None:
     scope = serve_scope("--tcp", "0", "--config", "ideal.toml")
     (tmp_path / "my.toml").write_text(f'[scope]\nresource = "{scope.resource}"\nreconnect_s = 1.0\n')

@@ -267,7 +267,7 @@ def served(tmp_path: Path) -> Iterator[Callable[..., str]]:
 
 
 @pytest.mark.skipif(os.name != "posix", reason="serial terminals of this kind are POSIX")
-@pytest.mark.parametrize("kill", [True, False])
+@pytest.mark.parametrize("kill", [True, pytest.param(False, marks=pytest.mark.slow)])
 def test_a_killed_process_loses_nothing_and_goes_on(gyrolock, served, tmp_path: Path, kill: bool) -> None:
     port = served()
     process = subprocess.Popen(

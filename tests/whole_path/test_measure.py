@@ -122,9 +122,13 @@ def test_both_links_of_the_simulated_bench(gyrolock, tmp_path: Path, link: str) 
     [
         ("[simulation]\nlock_in_rate_dps = 0.02\n[gyro]\nexpected_lock_in_rate_dps = 0.011\n", 0.02),
         ('[simulation]\nscope_model = "TDS2014C"\n[scope]\nchannel = "CH3"\nprobe = 10\n', 0.01),
-        ("[simulation]\namplitude_v = 0.011\noffset_v = -0.02\ndetector_noise_v = 1e-4\n", 0.01),
+        pytest.param(
+            "[simulation]\namplitude_v = 0.011\noffset_v = -0.02\ndetector_noise_v = 1e-4\n",
+            0.01,
+            marks=pytest.mark.slow,
+        ),
         ("[simulation]\namplitude_v = 9\noffset_v = 2.5\n", 0.01),
-        ("[simulation]\ntilt_deg = 60.0\n", 0.01),
+        pytest.param("[simulation]\ntilt_deg = 60.0\n", 0.01, marks=pytest.mark.slow),
         ("[table]\nboth_senses = false\nfast_rate_dps = 80\n[site]\nlatitude_deg = -60\n", 0.01),
         ('[table]\nkind = "none"\n', 0.01),
     ],
@@ -180,6 +184,7 @@ def test_a_real_scope_without_table_is_its_own_reference(gyrolock, serve_scope) 
     assert again.code == 0
 
 
+@pytest.mark.slow
 def test_settings_can_be_copied_and_used(gyrolock, tmp_path: Path) -> None:
     printed = gyrolock("settings", "simulated")
     assert printed.out == shipped_settings("simulated").read_text(encoding="utf-8")
@@ -213,7 +218,7 @@ FEW = {"records": 2, "tilt_records": 2}
     ("gyro", "true"),
     [
         ({"expected_lock_in_rate_dps": 0.0005, "scale_factor_pulses_per_deg": 200.0}, 0.0005),  # beats of a second
-        ({"expected_lock_in_rate_dps": 0.2}, 0.01),  # a guess that is far off
+        pytest.param({"expected_lock_in_rate_dps": 0.2}, 0.01, marks=pytest.mark.slow),  # a guess that is far off
         ({"expected_lock_in_rate_dps": 0.0004}, 0.01),  # so far that the gyro is locked at the fastest rate
     ],
 )

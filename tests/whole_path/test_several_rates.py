@@ -177,7 +177,7 @@ def test_a_measured_response_travels_with_the_run(tmp_path: Path) -> None:
 
 def test_a_run_of_an_earlier_version_can_still_be_read(tmp_path: Path) -> None:
     run = taken(tmp_path)
-    settings = {section: dict(names) for section, names in run.facts["settings"].items()}
+    settings = {section: dict(names) for section, names in run.facts["settings"].items() if names is not None}
     for section in ("front_end", "budget"):
         del settings[section]
     del settings["scope"]["quadrature_channel"], settings["simulation"]["contaminants"]

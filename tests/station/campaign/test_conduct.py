@@ -106,6 +106,7 @@ def test_a_bench_that_stays_broken_is_an_error_and_the_rest_goes_on(
     assert len(mended.resumed_at) == 1
 
 
+@pytest.mark.slow
 def test_a_bench_that_cannot_be_opened_is_an_error_of_every_step(campaign: Write) -> None:
     scope = '[bench.scope]\nresource = "TCPIP0::127.0.0.1::1::SOCKET"\nreconnect_s = 0.0\n'
     known = "[bench.gyro]\nscale_factor_pulses_per_deg = 2000.0\n"

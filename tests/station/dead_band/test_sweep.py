@@ -137,7 +137,7 @@ def test_a_sweep_cut_short_goes_on_where_it_stopped(
     set_to: list[float] = []
     turn = Bench.turn_table
     monkeypatch.setattr(
-        Bench, "turn_table", lambda self, rate, wait: set_to.append(rate) or turn(self, rate, wait)
+        Bench, "turn_table", lambda self, rate, *other: set_to.append(rate) or turn(self, rate, *other)
     )
     monkeypatch.setattr(taking, "find_beat", None)  # the knobs are those of the run
     again = resume_run(done.path, QUIET, kind=MEASUREMENT)

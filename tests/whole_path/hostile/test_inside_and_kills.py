@@ -15,7 +15,7 @@ ROOT = os.path.dirname(os.path.dirname(os.path.abspath(kills.__file__)))
 def test_a_system_call_that_fails_loses_nothing() -> None:
     """Some of all calls; `python -m benchmarks.damage.inside_faults` lets every one fail."""
     command = [sys.executable, "-m", "benchmarks.damage.inside_faults", "--first", "5", "--step", "29"]
-    command += ["--seconds", "8"]
+    command += ["--seconds", "4"]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=300)
     if done.returncode == 77:
         pytest.skip(done.stdout)
@@ -26,7 +26,7 @@ def test_a_system_call_that_fails_loses_nothing() -> None:
 @pytest.mark.skipif(os.name != "posix", reason="this system has no SIGKILL")
 def test_kill_9_loses_no_acknowledged_record() -> None:
     """In a process of its own: it forks."""
-    command = [sys.executable, "-m", "benchmarks.kills", "--count", "3", "--seed", "5"]
+    command = [sys.executable, "-m", "benchmarks.kills", "--count", "2", "--seed", "5"]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=300)
     assert done.returncode == 0, done.stdout + done.stderr
 

@@ -53,7 +53,18 @@ def test_a_signal_ends_a_run_as_a_whole(tmp_path: Path, gyrolock, cut_gyrolock, 
         assert (done.document["records"], done.document["outcome"]) == (6, "complete")
 
 
-@pytest.mark.parametrize("command", [("acquire",), ("deadband",), ("fog", "table"), ("fog", "witness")])
+SLOW = pytest.mark.slow
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        pytest.param(("acquire",), marks=SLOW),
+        ("deadband",),
+        ("fog", "table"),
+        pytest.param(("fog", "witness"), marks=SLOW),
+    ],
+)
 def test_every_command_that_takes_records_ends_so(tmp_path: Path, cut_gyrolock, command) -> None:
     ended = cut_gyrolock("SIGTERM", 2, *command, "--json")
     assert ended.code == 143, ended.err

@@ -82,7 +82,8 @@ def test_without_a_beat_at_the_first_rate_there_is_no_usable_signal(gyrolock, tm
 
 
 @pytest.mark.skipif(os.name != "posix", reason="signals are those of POSIX")
-@pytest.mark.parametrize("how", [pytest.param("SIGINT", marks=pytest.mark.slow), "SIGKILL"])
+@pytest.mark.slow
+@pytest.mark.parametrize("how", ["SIGINT", "SIGKILL"])
 def test_a_sweep_that_is_stopped_goes_on(gyrolock, cut_gyrolock, tmp_path: Path, how: str) -> None:
     (tmp_path / "my.toml").write_text(FEW)
     ended = cut_gyrolock(how, 5, "deadband", "--config", "my.toml", "--json")

@@ -64,6 +64,7 @@ def test_a_self_calibration_says_what_it_cannot_see(gyrolock, tmp_path: Path) ->
     assert found["table_source"].startswith("rate-table run")
 
 
+@pytest.mark.slow
 def test_limits_decide_the_exit_code(gyrolock, tmp_path: Path) -> None:
     text = "[simulation]\ntwo_pi_error = 0.002\n[eps]\nrecord_s = 0.5\n[limits]\ntwo_pi_error_ppm = 1000\n"
     (tmp_path / "eps.toml").write_text(text)

@@ -171,6 +171,7 @@ def test_acquire_only_saves(gyrolock, tmp_path: Path) -> None:
     assert evaluate_run(run).found.usable
 
 
+@pytest.mark.slow
 def test_a_real_scope_without_table_is_its_own_reference(gyrolock, serve_scope) -> None:
     scope = serve_scope("--tcp", "0", *IDEAL)
     named = ("--resource", scope.resource, "--scale-factor", "2000")

@@ -95,7 +95,10 @@ def test_the_gain_corner_has_the_same_sign_in_either_sense(sense):
     assert fit.backscatter_phase == pytest.approx(0.7, abs=5e-3)  # x^2 is left
 
 
-@pytest.mark.parametrize(("multiples", "periods"), [(both_senses(*RATES), 100.3), (both_senses(3, 5), 60.3)])
+@pytest.mark.parametrize(
+    ("multiples", "periods"),
+    [pytest.param(both_senses(*RATES), 100.3, marks=pytest.mark.slow), (both_senses(3, 5), 60.3)],
+)
 def test_without_distortion_the_error_stands_at_the_bound(multiples, periods):
     rng = np.random.default_rng(4)
     n_seeds = 80

@@ -279,6 +279,7 @@ def test_port_that_is_not_there():
         FibreGyroLink(f"socket://127.0.0.1:{port}", parse_frame_format(TEXT))
 
 
+@pytest.mark.slow
 def test_as_fast_as_it_is_read():
     with bench(BINARY, server=TcpGyroServer, speed=float("inf")) as (link, _, _):
         recording = link.record(60.0)

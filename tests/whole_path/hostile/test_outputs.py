@@ -104,6 +104,7 @@ def test_every_command_stands_broken_streams() -> None:
     assert done.returncode == 0, done.stdout + done.stderr
 
 
+@pytest.mark.slow
 def test_a_reader_that_sleeps_does_not_stop_the_measurement(tmp_path: Path) -> None:
     """Nobody reads what comes on stderr and on stdout, which hold 4096 bytes each."""
     import fcntl

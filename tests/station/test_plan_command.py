@@ -46,6 +46,7 @@ def test_plan_says_what_to_set(capsys: pytest.CaptureFixture[str]) -> None:
     assert len(document["curve"]["rate_over_lock_in"]) == len(document["curve"]["total_u_percent"])
 
 
+@pytest.mark.slow
 def test_plan_options_reach_the_prediction(capsys: pytest.CaptureFixture[str]) -> None:
     plain = planned(capsys)
     noisy = planned(capsys, "--noise", "0.05")

@@ -25,6 +25,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return start_run(MEASUREMENT, load_settings(overrides=overrides), Progress(quiet=True)).path
 
 
+@pytest.mark.slow
 def test_every_relation_and_reference(gyrolock, run: Path) -> None:
     exact = gyrolock("analyze", run, "--json").document
     high = gyrolock("analyze", run, "--relation", "paper-10", "--input-rate", exact["input_rate_dps"], "--json")
@@ -48,6 +49,7 @@ def test_one_json_object_a_record(gyrolock, run: Path) -> None:
     assert gyrolock("analyze", run, "--jsonl", "--json").code == 2
 
 
+@pytest.mark.slow
 def test_the_report_again(gyrolock, run: Path, tmp_path: Path) -> None:
     done = gyrolock("report", run.parent, "--output", "again.html", "--json")
     assert done.code == 0

@@ -178,6 +178,7 @@ def test_settings_as_they_would_be_used(capsys, tmp_path: Path) -> None:
 ISF_NAMES = "BYT_NR BIT_NR ENCDG BN_FMT BYT_OR NR_PT WFID PT_FMT XINCR PT_OFF XZERO XUNIT YMULT YZERO YOFF YUNIT"
 
 
+@pytest.mark.slow
 def test_the_witness_in_one_command_and_again_from_its_files(gyrolock, tmp_path: Path) -> None:
     (tmp_path / "modulator.toml").write_text("[simulation]\ntwo_pi_error = 0.05\n")
     done = gyrolock("fog", "witness", "--config", "modulator.toml", "--records", 3, "--json")
@@ -235,6 +236,7 @@ def test_the_witness_on_a_scope_that_somebody_else_serves(gyrolock, tmp_path: Pa
 
 
 @pytest.mark.skipif(os.name != "posix", reason="serial terminals of this kind are POSIX")
+@pytest.mark.slow
 def test_open_loop_over_a_serial_line_with_a_format_that_comes_along(gyrolock, served, tmp_path: Path) -> None:
     port = served('[link]\nspeed = 20.0\nframe_format = "binary_open_loop"\n[simulation]\ntwo_pi_error = 0.001\n')
     done = gyrolock("fog", "eps", "--port", port, "--config", "served.toml", "--json", "--no-report")

@@ -59,6 +59,7 @@ def test_one_command_gives_rate_run_and_report(gyrolock, tmp_path: Path) -> None
     assert "Traceback" not in done.err
 
 
+@pytest.mark.slow
 def test_the_saved_run_gives_the_same_numbers_again(gyrolock, tmp_path: Path) -> None:
     first = gyrolock("measure", *IDEAL, "--records", 4, "--json", "--no-report").document
     again = gyrolock("analyze", first["run"], "--json")

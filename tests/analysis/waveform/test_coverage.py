@@ -90,11 +90,13 @@ def test_over_the_grid():
     ],
     ids=lambda ranges: next(iter(ranges)) + str(next(iter(ranges.values()))),
 )
+@pytest.mark.slow
 def test_at_the_edges_of_the_grid(ranges):
     assert abs(share(np.random.default_rng(51), 400, **ranges) - 0.95) < chance(400)
 
 
 @pytest.mark.parametrize("ratio_over_u", [0.0, 0.5, 1.0, 2.0, 3.0, 5.0])
+@pytest.mark.slow
 def test_where_the_ratio_is_like_its_noise(ratio_over_u):
     rng = np.random.default_rng([52, int(2 * ratio_over_u)])
     found = share(rng, 400, ratio_over_u=ratio_over_u, periods_range=(5, 500))
@@ -102,6 +104,7 @@ def test_where_the_ratio_is_like_its_noise(ratio_over_u):
 
 
 @pytest.mark.parametrize("noise_range", [(0.0, 0.0), (0.0, 0.1), (0.1, 0.2), (0.2, 0.3)])
+@pytest.mark.slow
 def test_where_rounding_is_larger_than_the_noise(noise_range):
     """The rounding error repeats with the beat, so it is not white and does not average out by itself."""
     found = share(np.random.default_rng(53), 400, noise_range=noise_range)

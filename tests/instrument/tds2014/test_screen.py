@@ -30,7 +30,9 @@ def test_screen_over_the_link(bench, tmp_path):
     assert bench.query("HARDCOPY:FORMAT?;PORT?") == "EPSON;CENTRONICS"
 
 
-@pytest.mark.parametrize("kind", ["cut answer", "lost answer", "garbage"])
+@pytest.mark.parametrize(
+    "kind", [*(pytest.param(kind, marks=pytest.mark.slow) for kind in ("cut answer", "lost answer")), "garbage"]
+)
 def test_damaged_picture_is_refused(bench, bench_scope, kind, monkeypatch):
     monkeypatch.setattr("instrument.tds2014.screen._PICTURE_TIME", 0.5)
     bench.screen()

@@ -90,6 +90,7 @@ def test_a_step_that_the_bench_ends_is_gone_on_with(campaign: Write, monkeypatch
     assert len(open_run(first.run).records) == 4
 
 
+@pytest.mark.slow
 def test_a_bench_that_stays_broken_is_an_error_and_the_rest_goes_on(
     campaign: Write, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -216,6 +217,7 @@ def test_conditions_are_brought_about_and_stand_with_every_record(campaign: Writ
     assert outcome.steps[0].limits[0].measured.value == pytest.approx(0.011, rel=0.01)
 
 
+@pytest.mark.slow
 def test_a_bench_that_is_served_is_driven_by_the_campaign_as_a_real_one(campaign: Write) -> None:
     settings = load_settings(overrides=ideal_bench())
     simulated, table = scope_on_table(settings)
@@ -236,6 +238,7 @@ def test_a_bench_that_is_served_is_driven_by_the_campaign_as_a_real_one(campaign
     assert one.conditions["table_rate_dps"] == pytest.approx(3.507, abs=0.02)
 
 
+@pytest.mark.slow
 def test_a_full_disk_ends_the_test_and_it_goes_on_when_there_is_room(
     campaign: Write, monkeypatch: pytest.MonkeyPatch
 ) -> None:

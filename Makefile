@@ -12,8 +12,9 @@ PIP    := -m pip install --quiet --disable-pip-version-check
 measure: $(READY)
 	$(BIN)/gyrolock measure
 
+# Three at once on two cores: many wait for an instrument.
 test: $(READY)
-	$(BIN)/python -m pytest -n 2
+	$(BIN)/python -m pytest -n 3
 
 # All tests with the lowest versions that pyproject.toml states.
 test-lowest: $(LOWEST)/.ready

@@ -287,6 +287,9 @@ def read_records(place: str, choices: Mapping[str, Any], workers: Workers, analy
     if path.suffix.lower() in KINDS and path.is_file() and _is_table(path):
         rows = (row for row in table_file(path).rows() if analysis in str(row["analysis"]))
         return _records(place, rows, ())
+    inside = Path(place.partition("#")[0])  # a source in a data set
+    if "://" not in place and not (path.exists() or inside.exists()):
+        raise UsageError(f"{place}: No such file or directory")
     everything = list(find_sources([place]))
     work = [
         [Piece(source, None, choices) for source in everything[first : first + _TOGETHER]]

@@ -191,3 +191,8 @@ def test_two_gyros_are_compared_by_their_means(tree: Path) -> None:
     assert one.difference == pytest.approx(one.mean_second - one.mean_first)
     assert one.difference_u == pytest.approx(math.hypot(one.mean_first_u, one.mean_second_u))
     assert math.isnan(one.largest_over_u)
+
+
+def test_what_is_not_there_cannot_be_compared(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match="nothing there: No such file"):
+        read_records(str(tmp_path / "nothing there"), {}, ThisProcess())

@@ -8,12 +8,10 @@ from pathlib import Path
 from station.fibre_gyro.allan.evaluate import PURPOSE, evaluate
 from station.fibre_gyro.allan.result import LIMITED, result
 from station.fibre_gyro.allan.sections import sections
-from station.fibre_gyro.common import output_facts, truth_of
+from station.fibre_gyro.bench_or_logs import NamedSegment, gyro_measurement, planned_segments
 from station.fibre_gyro.logs import LogRow, is_list, read_logs, read_whole_logs
-from station.fibre_gyro.segments import PlannedSegment, take_logs, take_segments, unusable_segments
-from station.fibre_gyro.serial_bench import open_fog_bench
-from station.fibre_gyro.settings import FIBRE_GYRO, FogSettings
-from station.measurements import Measurement
+from station.fibre_gyro.segments import PlannedSegment, take_logs
+from station.fibre_gyro.settings import FogSettings
 from station.runs.taking import Session
 
 
@@ -24,15 +22,10 @@ def plan(settings: FogSettings) -> list[PlannedSegment]:
     return [PlannedSegment(f"{chosen.axis} at rest", chosen.record_s, chosen.settle_s, conditions)]
 
 
-def take(settings: FogSettings, session: Session) -> None:
-    """Take the segment on the bench."""
-    take_segments(settings, session, open_fog_bench(settings), [lambda run: plan(settings)], truth_of(settings))
-
-
 def take_files(settings: FogSettings, paths: Sequence[Path], session: Session) -> None:
     """Make a run of logs: as they are, with every axis that they hold, or by a list that may name parts."""
 
-    def named(rows: Sequence[LogRow]) -> list[tuple[str, dict[str, object]]]:
+    def named(rows: Sequence[LogRow]) -> list[NamedSegment]:
         return [(f"{row.get('axis', '')} at rest".strip(), {"rate_dps": 0.0}) for row in rows]
 
     lists = [path for path in paths if is_list(path)]
@@ -42,17 +35,14 @@ def take_files(settings: FogSettings, paths: Sequence[Path], session: Session) -
     take_logs(session, paths, logs)
 
 
-MEASUREMENT = Measurement(
-    name=PURPOSE,
-    command="gyrolock fog allan",
-    title="Noise at rest",
-    kind=FIBRE_GYRO,
-    take=take,
+MEASUREMENT = gyro_measurement(
+    PURPOSE,
+    "Noise at rest",
+    take=planned_segments(plan),
     take_files=take_files,
     evaluate=evaluate,
     result=result,
     sections=sections,
-    facts=output_facts,
     gives=LIMITED,
-    unusable=lambda run, settings: unusable_segments(run, settings, [PURPOSE]),
+    plan=plan,
 )

@@ -204,7 +204,7 @@ def test_the_two_pi_error_over_the_link(served, fog_settings, result_of) -> None
         simulation={"two_pi_error": 2e-3},
     )
     bench = served(settings)
-    result = result_of("eps", settings, bench, eps.plan(settings)[0])
+    result = result_of("eps", settings, bench, eps.plan(settings))
     found = result.document()
     assert abs(found["two_pi_error"] - 2e-3) < 5 * found["two_pi_error_u"] < 1e-4
     assert {name for name, _ in bench.server.commands} == {"inject", "hold_feedback", "close_loop"}

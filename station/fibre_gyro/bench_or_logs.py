@@ -1,0 +1,137 @@
+"""What the tests of a fibre gyro have in common: segments are taken on the bench, or logs stand for them.
+
+A test says which segments it plans, and what the rows of a list of logs are; the rest is the same for all.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, TypeVar
+
+from instrument import InstrumentError
+from station.errors import StationError, one_line
+from station.fibre_gyro.at_once import watch
+from station.fibre_gyro.common import output_facts, truth_of
+from station.fibre_gyro.logs import LogRow, read_logs
+from station.fibre_gyro.segments import PlannedSegment, seconds_of, take_logs, take_segments, unusable_segments
+from station.fibre_gyro.serial_bench import open_fog_bench
+from station.fibre_gyro.settings import FIBRE_GYRO, FogSettings
+from station.measurements import Measurement
+from station.results.check import Check
+from station.results.parts import Section
+from station.results.result import Result
+from station.runs.store import SavedRun
+from station.runs.taking import Session
+
+F = TypeVar("F")
+NamedSegment = tuple[str, dict[str, Any]]
+"""Name and conditions."""
+Take = Callable[[FogSettings, Session], None]
+TakeFiles = Callable[[FogSettings, Sequence[Path], Session], None]
+
+_LOOK_S = 2.0
+
+
+def planned_segments(
+    plan: Callable[[FogSettings], Sequence[PlannedSegment]],
+    left_out: Callable[[FogSettings], Mapping[str, str]] = lambda settings: {},
+) -> Take:
+    """Return what takes on the bench the segments that are planned.
+
+    Parameters
+    ----------
+    plan : callable
+    left_out : callable, optional
+        What is not even planned, and why.
+    """
+
+    def take(settings: FogSettings, session: Session) -> None:
+        bench, facts = open_fog_bench(settings), truth_of(settings)
+        take_segments(settings, session, bench, [lambda run: plan(settings)], facts, left_out(settings))
+
+    return take
+
+
+def listed_logs(
+    purpose: str,
+    columns: Sequence[str],
+    named: Callable[[Sequence[LogRow], FogSettings], Sequence[NamedSegment]],
+) -> TakeFiles:
+    """Return what makes a run of the logs that lists name.
+
+    Parameters
+    ----------
+    purpose : str
+        Of the segments.
+    columns : sequence of str
+        That a list must have besides ``file``.
+    named : callable
+        Gives each row the name and the conditions of its segment.
+    """
+
+    def take(settings: FogSettings, paths: Sequence[Path], session: Session) -> None:
+        take_logs(session, paths, read_logs(paths, purpose, columns, lambda rows: named(rows, settings), settings))
+
+    return take
+
+
+def gyro_measurement(
+    name: str,
+    title: str,
+    *,
+    take: Take,
+    take_files: TakeFiles,
+    evaluate: Callable[[SavedRun, FogSettings, Mapping[str, Any]], F],
+    result: Callable[[F, SavedRun, FogSettings], Result],
+    sections: Callable[[F, SavedRun, FogSettings, Result], list[Section]],
+    gives: tuple[str, ...],
+    plan: Callable[[FogSettings], Sequence[PlannedSegment]] | None = None,
+    purposes: Sequence[str] = (),
+    unusable: Callable[[SavedRun, FogSettings], Mapping[str, str]] | None = None,
+) -> Measurement[FogSettings, F]:
+    """Return the measurement ``gyrolock fog NAME``; see :class:`station.measurements.Measurement`.
+
+    Parameters
+    ----------
+    name : str
+        Also the purpose of its segments.
+    plan : callable, optional
+        All segments, where they are known before anything is taken.
+    purposes : sequence of str, optional
+        Of all its segments, where it takes those of another measurement too.
+    unusable : callable, optional
+        Where a table rate that is off does not spoil a segment.
+    """
+    return Measurement(
+        name=name,
+        command=f"gyrolock fog {name}",
+        title=title,
+        kind=FIBRE_GYRO,
+        take=take,
+        take_files=take_files,
+        evaluate=evaluate,
+        result=result,
+        sections=sections,
+        facts=output_facts,
+        gives=gives,
+        watch=watch,
+        examine=examine,
+        unusable=unusable or (lambda run, settings: unusable_segments(run, settings, purposes or (name,))),
+        seconds=lambda settings: None if plan is None else seconds_of(plan(settings)),
+    )
+
+
+def examine(settings: FogSettings) -> list[Check]:
+    """Look at the bench before a campaign: does it send frames at rest, and without losses."""
+    told: list[str] = []
+    try:
+        with open_fog_bench(settings, tell=told.append) as bench:
+            planned = PlannedSegment("look", _LOOK_S, 0.0, {"purpose": "look", "rate_dps": 0.0})
+            losses = bench.record(planned, lambda seconds: None).losses
+    except (InstrumentError, StationError, OSError) as error:
+        return [Check("fibre gyro", "bad", one_line(error))]
+    at = settings.link.port or "the simulated bench"
+    text = f"{losses.good} frames in {_LOOK_S:g} s at {at}, {losses.missing} missing"
+    state: list[Check] = [Check("fibre gyro", "note" if losses.missing else "ok", text)]
+    return [*state, *(Check("bench", "note", one) for one in told)]

@@ -13,7 +13,7 @@ from instrument import InstrumentError
 from station.errors import StationError, one_line
 from station.fibre_gyro.at_once import watch
 from station.fibre_gyro.common import output_facts, truth_of
-from station.fibre_gyro.logs import LogRow, read_logs
+from station.fibre_gyro.logs import LogRow, is_list, read_logs, read_whole_logs
 from station.fibre_gyro.segments import PlannedSegment, seconds_of, take_logs, take_segments, unusable_segments
 from station.fibre_gyro.serial_bench import open_fog_bench
 from station.fibre_gyro.settings import FIBRE_GYRO, FogSettings
@@ -57,6 +57,8 @@ def listed_logs(
     purpose: str,
     columns: Sequence[str],
     named: Callable[[Sequence[LogRow], FogSettings], Sequence[NamedSegment]],
+    *,
+    whole: bool = False,
 ) -> TakeFiles:
     """Return what makes a run of the logs that lists name.
 
@@ -68,10 +70,16 @@ def listed_logs(
         That a list must have besides ``file``.
     named : callable
         Gives each row the name and the conditions of its segment.
+    whole : bool, optional
+        Whether a log itself may stand for a list: at rest, with every axis that it holds.
     """
 
     def take(settings: FogSettings, paths: Sequence[Path], session: Session) -> None:
-        take_logs(session, paths, read_logs(paths, purpose, columns, lambda rows: named(rows, settings), settings))
+        lists = [path for path in paths if not whole or is_list(path)]
+        logs = read_whole_logs([path for path in paths if path not in lists], purpose, settings)
+        if lists:
+            logs += read_logs(lists, purpose, columns, lambda rows: named(rows, settings), settings)
+        take_logs(session, paths, logs)
 
     return take
 

@@ -8,6 +8,7 @@ from typing import Any, TypeVar
 
 import click
 
+from station.fibre_gyro.constants.command import constants
 from station.shell.command import run_measurement
 from station.shell.options import (
     CHANNELS,
@@ -118,7 +119,7 @@ def eps(paths: tuple[Path, ...], **given: Any) -> int:
 @command.command("figures")
 @_options
 def figures(paths: tuple[Path, ...], **given: Any) -> int:
-    """Nonlinearity, asymmetry, repeatability and temperature coefficient, in GJB and IEEE style."""
+    """Nonlinearity, asymmetry, repeatability, temperature coefficient; bias repeatability and warm-up."""
     return _run("figures", paths, given)
 
 
@@ -129,6 +130,20 @@ def allan(paths: tuple[Path, ...], **given: Any) -> int:
     """Noise at rest: Allan deviation and noise model. PATH is a saved run, logs as they are, or a list of them."""
     more = {**_OF_LOGS, "temperature": "allan.temperature"}
     return run_measurement("allan", given, paths=paths, places={"port": "link.port"}, for_files=more)
+
+
+@command.command("threshold")
+@_options
+def threshold(paths: tuple[Path, ...], **given: Any) -> int:
+    """Threshold, resolution and dead zone, by a ladder of small rates in both senses without whole turns."""
+    return _run("threshold", paths, given)
+
+
+@command.command("temperature")
+@_options
+def temperature(paths: tuple[Path, ...], **given: Any) -> int:
+    """Scale factor and bias over a temperature ramp, and a compensation table. PATH may also be a log at rest."""
+    return _run("temperature", paths, given)
 
 
 @command.command("witness")
@@ -196,3 +211,6 @@ def serve(tcp: int | None, speed: float, rate: float, config: Path | None, as_js
             while not server.ended.wait(timeout=0.5):
                 pass
     return 0
+
+
+command.add_command(constants)

@@ -25,6 +25,10 @@ def plan(settings: FogSettings) -> list[PlannedSegment]:
         common = {"purpose": PURPOSE, "run": name, "axis": chosen.axis, "end_up": 1, "reference": reference}
         common |= {"temperature_c": temperature}
         rest = {**common, "rate_dps": 0.0}
+        if reference and chosen.turn_on_s:
+            planned.append(
+                PlannedSegment(f"{name}, switched on", chosen.turn_on_s, 0.0, {**rest, "since_on_s": 0.0})
+            )
         planned.append(PlannedSegment(f"{name}, static before", chosen.static_s, chosen.settle_s, rest))
         for size in chosen.rates_dps:
             turns = max(1, round(chosen.seconds / turn_time(size)))
@@ -53,10 +57,12 @@ def _named(row: LogRow, settings: FogSettings, *, several: bool) -> NamedSegment
         "rate_dps": rate,
         "end_up": end_up,
         **table_conditions(row),
+        **({"since_on_s": row["since_on_s"]} if "since_on_s" in row else {}),
     }
     of_axis = f"{axis} " if several else ""
     down = " down" if end_up < 0 else ""
-    return f"{of_axis}{conditions['run']}, {'static' if rate == 0 else f'{rate:+.10g} deg/s'}{down}", conditions
+    what = "switched on" if "since_on_s" in row else "static" if rate == 0 else f"{rate:+.10g} deg/s"
+    return f"{of_axis}{conditions['run']}, {what}{down}", conditions
 
 
 MEASUREMENT = gyro_measurement(

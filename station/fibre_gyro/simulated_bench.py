@@ -103,7 +103,9 @@ class SimulatedFogBench:
         on_axis = end * np.cos(tilt) * vertical + np.sin(tilt) * EARTH_RATE_DPS * np.cos(latitude) * north
         warm, times = self._warm(planned, count, period), np.asarray(edges[:-1] + period / 2, dtype=np.float64)
         change = simulation.temperature_coefficient_ppm * warm + simulation.scale_curvature_ppm_per_k2 * warm**2
-        return self._distorted(np.asarray(on_axis)) * (1 + change / _PPM) + self._bias(planned, times, warm)
+        return as_the_gyro_sees(np.asarray(on_axis), self._settings) * (1 + change / _PPM) + self._bias(
+            planned, times, warm
+        )
 
     def _warm(self, planned: PlannedSegment, count: int, period: float) -> Floats:
         """Kelvin above the reference temperature in each output period; 0 where nobody says."""
@@ -124,16 +126,6 @@ class SimulatedFogBench:
         if (since := conditions.get("since_on_s")) is not None:
             bias = bias + simulation.warm_up_bias_dph * np.exp(-(since + times) / simulation.warm_up_time_s)
         return np.asarray(bias / 3600, dtype=np.float64)
-
-    def _distorted(self, rates: Floats) -> Floats:
-        simulation = self._settings.simulation
-        full = max(self._settings.figures.rates_dps)
-        shape = (
-            1
-            + simulation.cubic_ppm / _PPM * (rates / full) ** 2
-            + simulation.asymmetry_ppm / _PPM / 2 * np.sign(rates)
-        )
-        return np.where(np.abs(rates) < simulation.dead_zone_dps, 0.0, rates * shape)
 
     def _recording(self, planned: PlannedSegment, block: OutputBlock, count: int, *, held: bool) -> Recording:
         gyro = self._settings.gyro
@@ -163,6 +155,18 @@ class SimulatedFogBench:
             noise = self._settings.simulation.temperature_noise_c
             warm = warm + self._random(f"thermometer {planned.key}").normal(0, noise, count)
         return warm
+
+
+def as_the_gyro_sees(rates: Floats, settings: FogSettings) -> Floats:
+    """Rates on the axis, deg/s, with the nonlinearity, asymmetry and dead zone of the simulated gyro."""
+    simulation = settings.simulation
+    full = max(settings.figures.rates_dps)
+    shape = (
+        1
+        + simulation.cubic_ppm / _PPM * (rates / full) ** 2
+        + simulation.asymmetry_ppm / _PPM / 2 * np.sign(rates)
+    )
+    return np.where(np.abs(rates) < simulation.dead_zone_dps, 0.0, rates * shape)
 
 
 def loop_settings(settings: FogSettings) -> LoopDesign:

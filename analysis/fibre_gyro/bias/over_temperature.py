@@ -105,6 +105,14 @@ class OverTemperature:
         u = np.sqrt(np.einsum("ni,ij,nj->n", basis, self.covariance[:-1, :-1], basis))
         return np.where(inside, value, np.nan), np.where(inside, u, np.nan)
 
+    def span(self) -> tuple[float, float]:
+        """Largest less smallest value over the measured temperatures, and the standard uncertainty."""
+        everywhere = np.linspace(self.lowest, self.highest, 201)
+        basis = _legendre(everywhere, self.lowest, self.highest, self.covariance.shape[0] - 2)
+        value = basis @ self.legendre[:-1]
+        apart = basis[int(np.argmax(value))] - basis[int(np.argmin(value))]
+        return float(np.ptp(value)), float(np.sqrt(apart @ self.covariance[:-1, :-1] @ apart))
+
 
 def fit_over_temperature(
     values: ArrayLike,

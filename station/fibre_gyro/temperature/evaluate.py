@@ -11,8 +11,10 @@ from numpy.typing import NDArray
 
 from analysis.fibre_gyro import (
     OverTemperature,
+    WindowMean,
     fit_over_temperature,
     horizontal_earth_rate_dps,
+    pooled_noise,
     vertical_earth_rate_dph,
 )
 from station.errors import NoUsableSignal
@@ -186,20 +188,23 @@ def _scale_points(
     turned: Sequence[TimedSegment], course: Course, bias: Modelled | None, settings: FogSettings
 ) -> Points:
     """Scale factor of every output at a rate, ppm off that by design."""
-    rows = []
+    means, along, times = [], [], []
     for one in turned:
         try:
             mean = _mean(one.segment, settings)
         except ValueError:
             continue
         conditions = one.segment.conditions
-        end = int(conditions.get("end_up", 1))
         table = float(conditions.get("table_rate_dps", conditions["rate_dps"]))
-        along = end * (table + vertical_earth_rate_dph(settings.site.latitude_deg) / 3600)
-        rows.append(
-            (mean.mean, max(mean.mean_u, 1e-12 * abs(mean.mean)), along, one.begin_s + mean.duration_s / 2)
+        means.append(mean)
+        along.append(
+            int(conditions.get("end_up", 1)) * (table + vertical_earth_rate_dph(settings.site.latitude_deg) / 3600)
         )
-    output, u, rate, at = np.array(rows, dtype=np.float64).reshape(-1, 4).T
+        times.append(one.begin_s + mean.duration_s / 2)
+    if not means:
+        return Points(*(np.empty(0) for _ in range(5)))
+    output, rate, at = np.array([one.mean for one in means]), np.array(along), np.array(times)
+    u = np.maximum(pooled_noise(means), 1e-12 * np.abs(output))
     warm, change = course.at(at)
     known, known_u = np.zeros(at.size), np.zeros(at.size)
     if bias is not None:
@@ -214,7 +219,7 @@ def _scale_points(
     return Points(PPM * off / rate, PPM * off_u / np.abs(rate), at, warm, change)
 
 
-def _mean(segment: Segment, settings: FogSettings) -> Any:
+def _mean(segment: Segment, settings: FogSettings) -> WindowMean:
     check_table_rate(segment.conditions, settings.table.rate_tolerance_ppm)
     return window_of_any_length(
         segment, settings, turns=_MANY_TURNS, tilt_mrad=settings.temperature.misalignment_mrad

@@ -5,8 +5,6 @@ from __future__ import annotations
 import math
 from typing import Any
 
-import numpy as np
-
 from station.fibre_gyro.common import COUNTS_PER_DPS
 from station.fibre_gyro.settings import FogSettings
 from station.fibre_gyro.temperature.compensation import compensation_of
@@ -46,19 +44,26 @@ def result(found: TemperatureFound, run: SavedRun, settings: FogSettings) -> Res
 def _value(one: AxisTemperature, axis: dict[str, Any]) -> str:
     parts = []
     if one.scale is not None:
-        parts.append(f"K changes by {axis['scale_factor_over_temperature_ppm']:.3g} ppm")
+        k, u = (axis[f"scale_factor_over_temperature_{end}"] for end in ("ppm", "u_ppm"))
+        parts.append(f"K changes by {with_uncertainty(k, u)} ppm")
     if one.bias is not None:
-        parts.append(f"the bias by {axis['bias_over_temperature_dph']:.3g} deg/h")
+        span, u = (axis[f"bias_over_temperature_{end}"] for end in ("dph", "u_dph"))
+        parts.append(f"the bias by {with_uncertainty(span, u)} deg/h")
     model = next(modelled.model for modelled in (one.bias, one.scale) if modelled is not None)
     return f"{', '.join(parts)} from {model.lowest:.3g} to {model.highest:.3g} °C"
 
 
 def _axis(one: AxisTemperature, settings: FogSettings) -> dict[str, Any]:
     table = compensation_of(one, settings)
+    (k_span, k_span_u), (span, span_u) = (
+        (math.nan, math.nan) if modelled is None else modelled.model.span() for modelled in (one.scale, one.bias)
+    )
     return {
         "axis": one.axis,
-        "scale_factor_over_temperature_ppm": _span(one.scale),
-        "bias_over_temperature_dph": _span(one.bias),
+        "scale_factor_over_temperature_ppm": k_span,
+        "scale_factor_over_temperature_u_ppm": k_span_u,
+        "bias_over_temperature_dph": span,
+        "bias_over_temperature_u_dph": span_u,
         "bias_residual_dph": one.bias.residual_rms if one.bias else math.nan,
         "reference_temperature_c": settings.figures.reference_temperature_c,
         "nominal_scale_factor_counts_per_dps": settings.nominal_scale_factor,
@@ -75,14 +80,6 @@ def _axis(one: AxisTemperature, settings: FogSettings) -> dict[str, Any]:
             "bias_u_dph_per_k_per_min": table.bias_rate_u,
         },
     }
-
-
-def _span(modelled: Modelled | None) -> float:
-    """Largest less smallest value of the model over the measured temperatures."""
-    if modelled is None:
-        return math.nan
-    model = modelled.model
-    return float(np.ptp(model.at(np.linspace(model.lowest, model.highest, 201))[0]))
 
 
 def _model(modelled: Modelled | None, unit: str, constant_u: float = 0.0) -> dict[str, Any] | None:

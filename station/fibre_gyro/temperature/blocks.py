@@ -1,4 +1,4 @@
-"""When each segment of a ramp was taken, how warm the gyro was then, and the output at rest in blocks."""
+"""When each segment of a ramp was taken, how warm the gyro was, and means of the output at rest and at rates."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from datetime import datetime
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.fibre_gyro import mean_at_rest, pooled_noise, temperature_course
+from analysis.fibre_gyro import mean_at_rest, pooled_noise, temperature_course, vertical_earth_rate_dph
 from station.fibre_gyro.recordings import Segment, segments_of
 from station.fibre_gyro.settings import FogSettings
-from station.fibre_gyro.windows import checked
+from station.fibre_gyro.windows import check_table_rate, checked, remarks_on, window_of_any_length
 from station.results.result import LeftOut
 from station.runs.store import SavedRun
 
@@ -21,6 +21,7 @@ Floats = NDArray[np.float64]
 
 MOST_BLOCKS = 300
 _MOST_SAMPLES = 20_000
+_MANY_TURNS = 100_000
 _OVERLAP_S = 1.0
 _CHAMBER = "chamber_temperature_degc"
 
@@ -123,13 +124,17 @@ class Blocks:
     end_up: Floats
 
 
-def rest_blocks(segments: Sequence[TimedSegment], settings: FogSettings) -> Blocks:
-    """Cut the outputs at rest into blocks of ``block_s`` or longer; each with the noise of all of them."""
+def rest_blocks(segments: Sequence[TimedSegment], settings: FogSettings, remarks: list[str]) -> Blocks:
+    """Cut the outputs at rest into blocks of ``block_s`` or longer; each with the noise of all of them.
+
+    What was missing or far off is added to `remarks`.
+    """
     whole = sum(one.segment.recording.duration_s for one in segments)
     block_s = max(settings.temperature.block_s, whole / MOST_BLOCKS)
     means, rows = [], []
     for one in segments:
         recording = one.segment.recording
+        lost, far = sum(gap.missing for gap in recording.gaps), 0
         count = max(1, round(recording.duration_s / block_s))
         edges = np.linspace(0, recording.times[-1] + recording.interval_s, count + 1)
         places = np.searchsorted(recording.times + recording.interval_s / 2, edges)
@@ -138,11 +143,52 @@ def rest_blocks(segments: Sequence[TimedSegment], settings: FogSettings) -> Bloc
             if last - first < fewest:
                 continue  # most of it is missing
             words = recording.counts[first:last]
-            means.append(mean_at_rest(words, recording.interval_s, resolution=settings.gyro.output_resolution))
+            mean = mean_at_rest(words, recording.interval_s, resolution=settings.gyro.output_resolution)
+            far += mean.outliers
+            means.append(mean)
             middle = one.begin_s + float(edges[place] + edges[place + 1]) / 2
-            rows.append((means[-1].mean, middle, float(one.segment.conditions.get("end_up", 1))))
+            rows.append((mean.mean, middle, float(one.segment.conditions.get("end_up", 1))))
+        for number, what in ((lost, "missing"), (far, "far from all others and left out")):
+            if number:
+                words = "1 output word is" if number == 1 else f"{number} output words are"
+                remarks.append(f"{one.segment.key}: {words} {what}.")
     if not rows:
         return Blocks(*(np.empty(0) for _ in range(4)))
     mean, at, end_up = np.array(rows, dtype=np.float64).T
     floor = 1e-12 * np.abs(mean).max() + 1e-15
     return Blocks(mean, np.maximum(pooled_noise(means), floor), at, end_up)
+
+
+@dataclass(frozen=True)
+class Turned:
+    """Means of the output at rates; counts, deg/s along the axis with the earth rate, s since the begin; (n,)."""
+
+    mean: Floats
+    mean_u: Floats
+    rate_dps: Floats
+    at_s: Floats
+
+
+def turned_means(
+    segments: Sequence[TimedSegment], settings: FogSettings, left_out: list[LeftOut], remarks: list[str]
+) -> Turned:
+    """Return the means over whole turns; adds to `left_out` what cannot be used, to `remarks` what was missing."""
+    earth = vertical_earth_rate_dph(settings.site.latitude_deg) / 3600
+    tilt, means, rows = settings.temperature.misalignment_mrad, [], []
+    for one in segments:
+        conditions = one.segment.conditions
+        try:
+            check_table_rate(conditions, settings.table.rate_tolerance_ppm)
+            mean = window_of_any_length(one.segment, settings, turns=_MANY_TURNS, tilt_mrad=tilt)
+        except ValueError as error:
+            left_out.append(LeftOut(one.segment.key, str(error)))
+            continue
+        remarks += remarks_on(one.segment, mean)
+        means.append(mean)
+        table = float(conditions.get("table_rate_dps", conditions["rate_dps"]))
+        along = int(conditions.get("end_up", 1)) * (table + earth)
+        rows.append((mean.mean, along, one.begin_s + mean.duration_s / 2))
+    if not rows:
+        return Turned(*(np.empty(0) for _ in range(4)))
+    mean_of, rate, at = np.array(rows, dtype=np.float64).T
+    return Turned(mean_of, np.maximum(pooled_noise(means), 1e-12 * np.abs(mean_of)), rate, at)

@@ -11,10 +11,8 @@ from numpy.typing import NDArray
 
 from analysis.fibre_gyro import (
     OverTemperature,
-    WindowMean,
     fit_over_temperature,
     horizontal_earth_rate_dps,
-    pooled_noise,
     vertical_earth_rate_dph,
 )
 from station.errors import NoUsableSignal
@@ -25,18 +23,18 @@ from station.fibre_gyro.temperature.blocks import (
     Blocks,
     Course,
     TimedSegment,
+    Turned,
     course_of,
     rest_blocks,
     timed_segments,
+    turned_means,
 )
-from station.fibre_gyro.windows import check_table_rate, remarks_on, window_of_any_length
 from station.results.result import LeftOut
 from station.runs.store import SavedRun
 
 Floats = NDArray[np.float64]
 
 PURPOSE = "temperature"
-_MANY_TURNS = 100_000
 _ROUNDS = 2
 _TOO_FEW = "there are not four outputs {} at different temperatures"
 
@@ -132,8 +130,10 @@ def _one_axis(
     chosen = settings.temperature
     course = course_of(segments, chosen.window_s)
     at_rest = [one for one in segments if not one.segment.conditions["rate_dps"]]
-    turned = [one for one in segments if one.segment.conditions["rate_dps"]]
-    blocks = rest_blocks(at_rest, settings)
+    remarks: list[str] = []
+    at_rates = [one for one in segments if one.segment.conditions["rate_dps"]]
+    turned = turned_means(at_rates, settings, left_out, remarks)
+    blocks = rest_blocks(at_rest, settings, remarks)
     bias, scale = None, None
     # the earth rate at rest is seen through the scale factor, the scale factor through the bias
     for _ in range(_ROUNDS):
@@ -143,14 +143,6 @@ def _one_axis(
         left_out.append(LeftOut(f"bias of axis {axis}", _TOO_FEW.format("at rest")))
     if scale is None:
         left_out.append(LeftOut(f"scale factor of axis {axis}", _TOO_FEW.format("at a rate of the table")))
-    remarks: list[str] = []
-    for one in turned:
-        try:
-            mean = _mean(one.segment, settings)
-        except ValueError as error:
-            left_out.append(LeftOut(one.segment.key, str(error)))
-        else:
-            remarks += remarks_on(one.segment, mean)
     horizontal = 3600 * horizontal_earth_rate_dps(settings.site.latitude_deg)
     return AxisTemperature(
         axis, bias, 1e-3 * chosen.misalignment_mrad * horizontal, scale,
@@ -184,29 +176,10 @@ def _bias_points(blocks: Blocks, course: Course, scale: Modelled | None, setting
     return Points(3600 * blocks.mean / k - earth, 3600 * blocks.mean_u / k, blocks.at_s, warm, rate)
 
 
-def _scale_points(
-    turned: Sequence[TimedSegment], course: Course, bias: Modelled | None, settings: FogSettings
-) -> Points:
+def _scale_points(turned: Turned, course: Course, bias: Modelled | None, settings: FogSettings) -> Points:
     """Scale factor of every output at a rate, ppm off that by design."""
-    means, along, times = [], [], []
-    for one in turned:
-        try:
-            mean = _mean(one.segment, settings)
-        except ValueError:
-            continue
-        conditions = one.segment.conditions
-        table = float(conditions.get("table_rate_dps", conditions["rate_dps"]))
-        means.append(mean)
-        along.append(
-            int(conditions.get("end_up", 1)) * (table + vertical_earth_rate_dph(settings.site.latitude_deg) / 3600)
-        )
-        times.append(one.begin_s + mean.duration_s / 2)
-    if not means:
-        return Points(*(np.empty(0) for _ in range(5)))
-    output, rate, at = np.array([one.mean for one in means]), np.array(along), np.array(times)
-    u = np.maximum(pooled_noise(means), 1e-12 * np.abs(output))
-    warm, change = course.at(at)
-    known, known_u = np.zeros(at.size), np.zeros(at.size)
+    warm, change = course.at(turned.at_s)
+    known, known_u = np.zeros(warm.size), np.zeros(warm.size)
     if bias is not None:
         model = bias.model
         known, known_u = model.at(np.clip(warm, model.lowest, model.highest))
@@ -214,16 +187,10 @@ def _scale_points(
             known = known + model.rate_coefficient * change
             known_u = np.hypot(known_u, model.rate_coefficient_u * change)
     nominal = settings.nominal_scale_factor
-    off = output / nominal - known / 3600 - rate
-    off_u = np.hypot(u / nominal, known_u / 3600)
-    return Points(PPM * off / rate, PPM * off_u / np.abs(rate), at, warm, change)
-
-
-def _mean(segment: Segment, settings: FogSettings) -> WindowMean:
-    check_table_rate(segment.conditions, settings.table.rate_tolerance_ppm)
-    return window_of_any_length(
-        segment, settings, turns=_MANY_TURNS, tilt_mrad=settings.temperature.misalignment_mrad
-    )
+    rate = turned.rate_dps
+    off = turned.mean / nominal - known / 3600 - rate
+    off_u = np.hypot(turned.mean_u / nominal, known_u / 3600)
+    return Points(PPM * off / rate, PPM * off_u / np.abs(rate), turned.at_s, warm, change)
 
 
 def _rate_noise(bias: Modelled | None, course: Course) -> float:

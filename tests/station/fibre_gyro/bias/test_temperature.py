@@ -87,7 +87,9 @@ def log_of_a_ramp(path: Path, *, minutes: float = 30.0, up_and_down: bool = True
     warm = np.where(at < half, at / 60, (2 * half - at) / 60 if up_and_down else at / 60)
     change = np.where(at < half, 1.0, -1.0 if up_and_down else 1.0)
     dph = 10.7794 + 10 + 0.05 * warm + 0.3 * change + rng.normal(0, 0.05, at.size)
+    dph[100] += 1e5
     rows = np.column_stack([at, dph, np.round(warm + rng.normal(0, 0.01, at.size), 2)])
+    rows = np.delete(rows, np.arange(700, 740), axis=0)
     np.savetxt(path, rows, "%.6f", ",", header="time_s,output [deg/h],temperature", comments="")
 
 
@@ -96,7 +98,11 @@ def test_a_whole_log_at_rest(fog_settings, tmp_path: Path) -> None:
     kind, settings = measurement("temperature"), fog_settings(figures={"reference_temperature_c": 0.0})
     done = start_run(kind, settings, QUIET, paths=[tmp_path / "ramp.csv"])
     assert done.failure is None, done.failure
-    bias = evaluate_run(open_run(done.path)).document()["bias"]
+    evaluated = evaluate_run(open_run(done.path))
+    watched = " ".join(evaluated.result.to_watch)
+    assert "40 output words are missing." in watched
+    assert "1 output word is far from all others and left out." in watched
+    bias = evaluated.document()["bias"]
     assert bias["with_rate"]
     assert abs(bias["dph_per_k_per_min"] - 0.3) < 5 * bias["dph_u_per_k_per_min"] < 0.1
     assert abs(bias["coefficients_dph"][0] - 10) < 5 * bias["coefficients_u_dph"][0]

@@ -140,6 +140,7 @@ def temperature(seed: int, folder: Path, *, instability_dph: float = 0.0, curved
     b0, b1, b2, c = rng.normal(0, [0.1, 5e-3, 1e-4 if curved else 0.0, 0.1])  # deg/h
     slow = flicker(rng, int(2 * minutes * 60 * 4) + 2000, instability_dph)
     cycle = [(0.0, 120.0), (turned, 18.25), (-turned, 18.25)]
+    azimuth = rng.uniform(0, 2 * np.pi)  # whole turns bring the table back to it
     place, words = 0, int(2 * minutes * 60 * 4)
     while recorder.words < words:
         rate, seconds = cycle[place % 3]
@@ -147,7 +148,7 @@ def temperature(seed: int, folder: Path, *, instability_dph: float = 0.0, curved
         up = at < minutes
         warm = np.where(up, begin + ramp * at, end - ramp * (at - minutes))
         x, change = warm - 20.0, np.where(up, ramp, -ramp)
-        angle = np.deg2rad(rate) * np.arange(at.size + 1) / 4 + rng.uniform(0, 2 * np.pi)
+        angle = np.deg2rad(rate) * np.arange(at.size + 1) / 4 + azimuth
         north = np.diff(np.sin(angle)) / np.diff(angle) if rate else np.full(at.size, np.cos(angle[0]))
         omega = np.cos(TILT) * (rate + VERTICAL) + np.sin(TILT) * HORIZONTAL * north
         bias = (b0 + b1 * x + b2 * x**2 + c * change) / 3600

@@ -2,9 +2,10 @@
 
     q = c_0 + c_1 (T - T_0) + ... + c_p (T - T_0)^p + d dT/dt + noise
 
-Noise: that of each value, and a slow one beside it (Ornstein-Uhlenbeck: size s, correlated over a time theta that
-reaches from none to the whole run), both found by their likelihood. So the scatter of neighbours that lie off
-together counts once, not for each of them. Order p and the term dT/dt are chosen by the corrected Akaike criterion
+Noise: that of each value, and a slow one beside it of unknown size, found by its likelihood. It may scatter from
+value to value, over a fiftieth of the run (segments), with all times alike (1/f, the bias instability of fibre
+gyros), or walk over the whole run: so neighbours that lie off together count once, and what is too slow to show is
+known from what is not. Order p and the term dT/dt are chosen by the corrected Akaike criterion
 
     AICc = -2 ln L + 2 k + 2 k (k + 1)/(n - k - 1)            k parameters, two of the noise among them
 
@@ -25,13 +26,16 @@ import scipy.linalg
 from numpy.polynomial import Legendre, Polynomial
 from numpy.typing import ArrayLike
 
-from analysis.arrays import Floats
+from analysis.arrays import Floats, Ints
 
 _SIZES = 18
-_THETAS = (0.0, 0.02, 0.06, 0.2, 0.6, 2.0)  # of the time of the run
+SLOW_NOISES = ("from value to value", "from segment to segment", "as 1/f", "as a walk")
+"""Kinds of slow noise."""
+_SEGMENT, _WALK = 0.02, 2.0  # of the time of the run
+_FLICKER_TERMS = 10
 _SEPARATE = 0.1
 """Part of the change of dT/dt that no polynomial in T explains: less cannot be told from one."""
-_NOTHING_BEYOND = 0.6  # weight of no slow noise, in that of one up to the noise of a value
+_NOTHING_BEYOND = 3.0  # weight of no slow noise, in that of one up to the noise of a value
 
 
 @dataclass(frozen=True)
@@ -68,8 +72,8 @@ class OverTemperature:
     residual : ndarray, shape (n,)
     noise_u, slow : float
         Mean noise of a value, and standard deviation of the slow noise (mean over what is likely).
-    slow_s : float
-        Time over which the slow noise is correlated (mean over what is likely).
+    slow_kind : str
+        The likeliest of `SLOW_NOISES`.
     """
 
     order: int
@@ -86,7 +90,7 @@ class OverTemperature:
     residual: Floats
     noise_u: float
     slow: float
-    slow_s: float
+    slow_kind: str
     legendre: Floats
     covariance: Floats
 
@@ -203,7 +207,7 @@ def fit_over_temperature(
         residual=np.asarray(value - design @ chosen.coefficients, dtype=np.float64),
         noise_u=float(np.sqrt(np.mean(u**2))),
         slow=float(chosen.likely @ noise.size),
-        slow_s=float(chosen.likely @ noise.theta),
+        slow_kind=SLOW_NOISES[int(np.argmax(np.bincount(noise.kind, chosen.likely * noise.size)))],
         legendre=chosen.coefficients,
         covariance=covariance,
     )
@@ -241,8 +245,8 @@ class _Noise:
 
     Attributes
     ----------
-    size, theta : ndarray, shape (h,)
-        Of the slow noise.
+    size, kind : ndarray, shape (h,)
+        Of the slow noise; `kind` a place in `SLOW_NOISES`.
     log_determinant, log_prior : ndarray, shape (h,)
         Of the covariance V; of the hypothesis.
     products : ndarray, shape (h, p + 1, p + 1)
@@ -250,10 +254,20 @@ class _Noise:
     """
 
     size: Floats
-    theta: Floats
+    kind: Ints
     log_determinant: Floats
     log_prior: Floats
     products: Floats
+
+
+def _slow_noises(at: Floats) -> list[Floats]:
+    """Covariances of slow noise of one, of each kind."""
+    apart, span = np.abs(np.subtract.outer(at, at)), float(np.ptp(at)) or 1.0
+    shortest = span / max(at.size - 1, 1)
+    # equal parts for each decade of time make 1/f
+    parts = [np.exp(-apart / theta) for theta in np.geomspace(shortest, _WALK * span, _FLICKER_TERMS)]
+    walk, segments = (np.exp(-apart / (part * span)) for part in (_WALK, _SEGMENT))
+    return [np.eye(at.size), segments, np.asarray(np.mean(parts, axis=0)), walk]
 
 
 def _noise_hypotheses(value: Floats, u: Floats, at: Floats, design: Floats) -> _Noise:
@@ -263,24 +277,22 @@ def _noise_hypotheses(value: Floats, u: Floats, at: Floats, design: Floats) -> _
     size = np.concatenate([[0.0], np.geomspace(0.05 * quiet, 10 * quiet + 20 * spread, _SIZES)])
     share = np.gradient(size) / (size + quiet / 3)
     share[0] = _NOTHING_BEYOND * float(share[size < quiet].sum())
-    span = float(np.ptp(at)) or 1.0
-    apart = np.abs(np.subtract.outer(at, at))
-    shapes = [np.eye(value.size) if part == 0 else np.exp(-apart / (part * span)) for part in _THETAS]
-    both = np.column_stack([design, value])
-    rows, products = [(0.0, 0.0, float(share[0]))], []
+    shapes = _slow_noises(at)
+    rows = [(0.0, 0, float(share[0]))]
     rows += [
-        (float(one), part, float(weight) / len(_THETAS))
+        (float(one), kind, float(weight) / len(shapes))
         for one, weight in zip(size[1:], share[1:], strict=True)
-        for part in _THETAS
+        for kind in range(len(shapes))
     ]
-    determinants = []
-    for one, part, _ in rows:
-        factor = np.linalg.cholesky(np.diag(u**2) + one**2 * shapes[_THETAS.index(part)])
+    both = np.column_stack([design, value])
+    products, determinants = [], []
+    for one, kind, _ in rows:
+        factor = np.linalg.cholesky(np.diag(u**2) + one**2 * shapes[kind])
         white = scipy.linalg.solve_triangular(factor, both, lower=True, check_finite=False)
         products.append(white.T @ white)
         determinants.append(2 * float(np.log(np.diag(factor)).sum()))
-    found, parts, weights = np.array(rows, dtype=np.float64).T
-    return _Noise(found, parts * span, np.array(determinants), np.log(weights), np.array(products))
+    sizes, kinds, weights = zip(*rows, strict=True)
+    return _Noise(np.array(sizes), np.array(kinds), np.array(determinants), np.log(weights), np.array(products))
 
 
 @dataclass(frozen=True)

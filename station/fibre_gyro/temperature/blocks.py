@@ -150,8 +150,8 @@ def rest_blocks(segments: Sequence[TimedSegment], settings: FogSettings, remarks
             rows.append((mean.mean, middle, float(one.segment.conditions.get("end_up", 1))))
         for number, what in ((lost, "missing"), (far, "far from all others and left out")):
             if number:
-                words = "1 output word is" if number == 1 else f"{number} output words are"
-                remarks.append(f"{one.segment.key}: {words} {what}.")
+                said = "1 output word is" if number == 1 else f"{number} output words are"
+                remarks.append(f"{one.segment.key}: {said} {what}.")
     if not rows:
         return Blocks(*(np.empty(0) for _ in range(4)))
     mean, at, end_up = np.array(rows, dtype=np.float64).T

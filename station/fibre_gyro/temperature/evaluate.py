@@ -144,10 +144,9 @@ def _one_axis(
     if scale is None:
         left_out.append(LeftOut(f"scale factor of axis {axis}", _TOO_FEW.format("at a rate of the table")))
     horizontal = 3600 * horizontal_earth_rate_dps(settings.site.latitude_deg)
-    return AxisTemperature(
-        axis, bias, 1e-3 * chosen.misalignment_mrad * horizontal, scale,
-        _rate_noise(bias, course), tuple(remarks),
-    )  # fmt: skip
+    # towards the north or the south or between: nobody says
+    unseen = 1e-3 * chosen.misalignment_mrad * horizontal / np.sqrt(2.0)
+    return AxisTemperature(axis, bias, float(unseen), scale, _rate_noise(bias, course), tuple(remarks))
 
 
 def _model(points: Points, settings: FogSettings, *, with_rate: bool = True) -> Modelled | None:
@@ -188,9 +187,27 @@ def _scale_points(turned: Turned, course: Course, bias: Modelled | None, setting
             known_u = np.hypot(known_u, model.rate_coefficient_u * change)
     nominal = settings.nominal_scale_factor
     rate = turned.rate_dps
-    off = turned.mean / nominal - known / 3600 - rate
-    off_u = np.hypot(turned.mean_u / nominal, known_u / 3600)
-    return Points(PPM * off / rate, PPM * off_u / np.abs(rate), turned.at_s, warm, change)
+    off = PPM * (turned.mean / nominal - known / 3600 - rate) / rate
+    off_u = PPM * turned.mean_u / nominal / np.abs(rate)
+    bias_u = PPM * known_u / 3600 / np.abs(rate)
+    return _in_pairs(Points(off, off_u, turned.at_s, warm, change), rate, bias_u)
+
+
+def _in_pairs(points: Points, rate_dps: Floats, bias_u: Floats) -> Points:
+    """Mean of neighbours in opposite senses, free of the bias; with one alone the bias counts in u."""
+    columns = np.column_stack([points.value, points.value_u, points.at_s, points.temperature, points.rate])
+    rows, place = [], 0
+    while place < rate_dps.size:
+        first = columns[place]
+        if place + 1 < rate_dps.size and abs(rate_dps[place] + rate_dps[place + 1]) < 0.01 * abs(rate_dps[place]):
+            both = (first + columns[place + 1]) / 2
+            both[1] = np.hypot(first[1], columns[place + 1][1]) / 2
+            rows.append(both)
+            place += 2
+        else:
+            rows.append(np.array([first[0], np.hypot(first[1], bias_u[place]), *first[2:]]))
+            place += 1
+    return Points(*np.array(rows, dtype=np.float64).reshape(-1, 5).T)
 
 
 def _rate_noise(bias: Modelled | None, course: Course) -> float:

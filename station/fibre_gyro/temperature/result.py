@@ -100,7 +100,7 @@ def _model(modelled: Modelled | None, unit: str, constant_u: float = 0.0) -> dic
         "highest_c": model.highest,
         f"noise_u_{unit}": model.noise_u,
         f"slow_{unit}": model.slow,
-        "slow_s": model.slow_s,
+        "slow_noise": model.slow_kind,
         f"residual_{unit}": modelled.residual_rms,
         "candidates": model.candidates,
         "points": {
@@ -161,7 +161,11 @@ def _choice_in_words(name: str, modelled: Modelled) -> str:
         other = others[0]
         rate = " and dT/dt" if other.with_rate else ""
         said += f"; the next is order {other.order}{rate}, {other.aicc:.2g} above it"
-    slow = f"slow noise of {model.slow:.2g}" if model.slow > 0.1 * model.noise_u else "hardly any slow noise"
+    slow = (
+        f"slow noise of {model.slow:.2g} {model.slow_kind}"
+        if model.slow > 0.1 * model.noise_u
+        else "hardly any slow noise"
+    )
     return (
         f"{said}. Counted are {slow} beside {model.noise_u:.2g} of a point, and that another model may be right."
     )

@@ -61,8 +61,8 @@ def test_slow_noise_counts_in_the_uncertainty() -> None:
     assert found.coefficients_u[0] > 3 * as_white
     middle, u = found.at(20.0)
     assert abs(middle[0] - 2.2) < 5 * u[0]
-    assert found.slow == pytest.approx(0.1, rel=0.6)
-    assert found.slow_s > 100
+    assert 0.06 < found.slow < 0.25  # what is slower than the run is in it
+    assert found.slow_kind in ("from segment to segment", "as 1/f", "as a walk")
 
 
 @pytest.mark.slow

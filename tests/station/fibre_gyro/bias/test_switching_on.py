@@ -10,7 +10,7 @@ FEW = {"runs": 4, "rates_dps": [10.0, 50.0, 100.0], "temperatures_c": [], "turn_
 
 
 def test_repeatability_and_warm_up_of_the_bias(taken) -> None:
-    simulation = {"seed": 8, "angle_random_walk": 0.002, "switch_on_bias_dph": 0.2, "output_rate_hz": 4.0}
+    simulation = {"seed": 8, "angle_random_walk": 0.002, "switch_on_bias_dph": 0.2, "output_rate_hz": 2.0}
     evaluated, run = taken("figures", figures=FEW, simulation=simulation, limits={"warm_up_s": 100.0})
     found = evaluated.document()
     assert found["bias_repeatability_low_95_dph"] < 0.2 < found["bias_repeatability_high_95_dph"]

@@ -70,6 +70,13 @@ class SimulatedTDS2014(ScopeState):
             At the end, the answer without terminator, if there is one.
         """
         self.clock.sleep(self.message_time)
+        self.message_clock.hold()  # a busy computer makes no difference to what happens within a message
+        try:
+            yield from self._execute(message, stream)
+        finally:
+            self.message_clock.release()
+
+    def _execute(self, message: bytes, stream: bool) -> Iterator[bytes | None]:
         branch = self._tree.root
         leaves: list[list[Leaf]] = []
         identified = False
@@ -85,7 +92,7 @@ class SimulatedTDS2014(ScopeState):
                     branch = node.parent or self._tree.root
                 action = self._actions.get(node.action) if node.action else None
                 while self._waits(command, action) or self._stops_too_early(command, node):
-                    yield None
+                    yield from self._time_passes()
                 if identified and command.query:
                     raise Refusal(440)
                 self.settle()
@@ -103,7 +110,7 @@ class SimulatedTDS2014(ScopeState):
                 else:
                     for step in self._carry_out(node, action, command.arguments):
                         if step is None:
-                            yield None
+                            yield from self._time_passes()
             except Refusal as refusal:
                 self.status.post(refusal.event, command.source)
                 if isinstance(refusal, _UnknownHeader):
@@ -115,6 +122,14 @@ class SimulatedTDS2014(ScopeState):
         if self.picture:
             picture, self.picture = self.picture, b""
             yield Picture(picture)
+
+    def _time_passes(self) -> Iterator[None]:
+        """Wait for the clock to move."""
+        self.message_clock.release()
+        try:
+            yield None
+        finally:
+            self.message_clock.hold()
 
     def _fills_output(self, answers: list[list[Leaf]]) -> bool:
         """True when the answers so far leave no room in the output queue: nobody can read or write (430)."""

@@ -82,32 +82,38 @@ def _rate_and_advance(gyro: Gyro, motion: tuple[Motion, ...], number: int, times
     def exact(at: Floats) -> Floats:
         return np.stack([_rate(gyro, motion[number], at), _advance(gyro, motion, number, at)])
 
-    pieces = _pieces(gyro, motion[number], times)
+    first, last = float(times.min()), float(times.max())
+    pieces = _pieces(gyro, motion[number], last - first) or times.size
     if 2 * pieces * _NODES.size > times.size:
         return exact(times)
-    first, last = float(times.min()), float(times.max())
     half = (last - first) / (2 * pieces)
     middles = first + half * (2 * np.arange(pieces) + 1)
     at_nodes = exact((middles[:, np.newaxis] + half * _NODES).ravel()).reshape(2, pieces, _NODES.size)
     # a straight line taken away: what is left is small, and so is its rounding
     line = at_nodes[..., -1:] - at_nodes[..., :1], at_nodes.mean(axis=-1, keepdims=True)
     slopes, means = line[0] / (_NODES[-1] - _NODES[0]), line[1]
-    coefficients = (at_nodes - means - slopes * _NODES) @ _TO_SERIES
-    found = np.empty((2, times.size))
-    which = np.minimum((times - first) / (2 * half), pieces - 1).astype(np.intp) if pieces > 1 else None
-    for piece in range(pieces):
-        inside = slice(None) if which is None else np.flatnonzero(which == piece)
-        place = (times[inside] - middles[piece]) / half
-        curve = chebyshev.chebval(place, coefficients[:, piece].T)
-        found[:, inside] = means[:, piece] + slopes[:, piece] * place + curve
-    return found
+    series = ((at_nodes - means - slopes * _NODES) @ _TO_SERIES).transpose(2, 0, 1)
+    middle, straight, at_middle = middles, slopes[..., 0], means[..., 0]
+    if pieces > 1:
+        which = np.minimum((times - first) / (2 * half), pieces - 1).astype(np.intp)
+        series, middle = series.take(which, axis=-1), middles[which]
+        straight, at_middle = straight[:, which], at_middle[:, which]
+    place = (times - middle) / half
+    return np.asarray(at_middle + straight * place + _chebyshev_sum(place, series))
 
 
-def _pieces(gyro: Gyro, segment: Motion, times: Floats) -> int:
-    """Pieces of a span of time that are short beside the turn of the table and the ripple; many for a slew."""
-    span = float(times.max() - times.min())
+def _chebyshev_sum(x: Floats, series: Floats) -> Floats:
+    """Sum of Chebyshev polynomials whose coefficients (order, k, n) may differ from point to point (Clenshaw)."""
+    twice, before, last = 2 * x, series[-2], series[-1]
+    for coefficients in series[-3::-1]:
+        before, last = coefficients - last, before + last * twice
+    return np.asarray(before + last * x)
+
+
+def _pieces(gyro: Gyro, segment: Motion, span: float) -> int:
+    """Pieces of a span of time (s) that are short beside the turn of the table and the ripple; 0: there are none."""
     if segment.acceleration_dps2 != 0.0 or span <= 0.0:
-        return times.size
+        return 0
     return max(1, math.ceil(_fastest_swing(gyro, *_turning(segment)) * span / _RADIANS_A_PIECE))
 
 

@@ -8,6 +8,7 @@ A pulse triggers at its trailing edge, or when it has lasted too long (p. 159).
 from __future__ import annotations
 
 import math
+from bisect import bisect_left
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -21,6 +22,7 @@ HYSTERESIS = 0.3  # divisions (a guess; the sensitivity is given as one division
 _FIRST_CHUNK = 1024
 _LONGEST_CHUNK = 16_384
 _MOST_POINTS = 60_000  # samples of one search, however long the time
+_LONG = 4096  # samples of a search, from which on it is worth to know whether the level can be reached at all
 _REFINEMENTS = 3
 _MOST_NOISE = 6.5  # standard deviations; a sample of white noise is never further off
 _BEND = 0.25  # of the largest second difference: how far a signal may leave the straight line, twice over
@@ -54,6 +56,92 @@ class Stretch:
         self.volts = smooth(self.times)
         self.between = Between(start, stop, self.volts)
         self.bend = _BEND * float(np.abs(np.diff(self.volts, 2)).max())
+        self._heights: Heights | None = None
+
+    def heights(self, level: float, rising: bool, hysteresis: float, noise: float) -> Heights:
+        """What it is over a level, worked out once; arguments as of EdgeSearch, `noise` in V."""
+        asked = level, rising, hysteresis, noise
+        if self._heights is None or self._heights.asked != asked:
+            above = self.volts - level if rising else -(self.volts - level)
+            margin = noise + self.bend
+            low = np.flatnonzero(above < -hysteresis).tolist()
+            near = np.flatnonzero(np.maximum(above[1:], above[:-1]) >= -margin).tolist()
+            self._heights = Heights(asked, above, low, near, margin)
+        return self._heights
+
+
+@dataclass(frozen=True, eq=False)
+class Heights:
+    """A stretch over a level, turned so that the wanted edge rises.
+
+    Attributes
+    ----------
+    asked : tuple
+        Level, sense, hysteresis and noise that it is for.
+    above : (n,) array
+        V over the level at each look.
+    low : list of int
+        Looks that are so low that the search is armed.
+    near : list of int
+        Cells, each from a look to the next, in which the signal may cross the level.
+    margin : float
+        V by which noise and bends may lift it.
+    """
+
+    asked: tuple[float, bool, float, float]
+    above: Floats
+    low: list[int]
+    near: list[int]
+    margin: float
+
+
+class _Part:
+    """A part of a stretch between two times: its ends and the looks between them are points, counted from 0."""
+
+    def __init__(self, stretch: Stretch, heights: Heights, start: float, stop: float, ends: tuple[float, float]) -> None:
+        first, last = np.searchsorted(stretch.times, (start, stop), side="right").tolist()
+        self._times, self._heights, self._ends = stretch.times, heights, ends
+        self._start, self._stop = start, stop
+        self._before = first - 1  # the look in the place of point 0
+        self.last = max(last - 1 - first, 0) + 1
+        """The last point; as many cells are between all of them."""
+
+    def time(self, point: int) -> float:
+        """Of a point, s."""
+        if 0 < point < self.last:
+            return float(self._times[self._before + point])
+        return self._stop if point else self._start
+
+    def above(self, point: int) -> float:
+        """V over the level."""
+        if 0 < point < self.last:
+            return float(self._heights.above[self._before + point])
+        return self._ends[1] if point else self._ends[0]
+
+    def low_from(self, point: int, hysteresis: float) -> int | None:
+        """The first point from this one on at which the search is armed; None if there is none."""
+        if point == 0:
+            if self._ends[0] < -hysteresis:
+                return 0
+            point = 1
+        at = bisect_left(self._heights.low, self._before + point)
+        if at < len(self._heights.low) and (found := self._heights.low[at] - self._before) < self.last:
+            return found
+        return self.last if point <= self.last and self._ends[1] < -hysteresis else None
+
+    def near_from(self, cell: int) -> int | None:
+        """The first cell from this one on in which the signal may cross; None if there is none."""
+        if cell == 0:
+            if self._is_near(0):
+                return 0
+            cell = 1
+        at = bisect_left(self._heights.near, self._before + cell)
+        if at < len(self._heights.near) and (found := self._heights.near[at] - self._before) < self.last - 1:
+            return found
+        return self.last - 1 if cell <= self.last - 1 and self._is_near(self.last - 1) else None
+
+    def _is_near(self, cell: int) -> bool:
+        return max(self.above(cell + 1), self.above(cell)) >= -self._heights.margin
 
 
 class Comparator:
@@ -69,6 +157,8 @@ class Comparator:
         V in each sample.
     interval : callable
         Start and stop in s -> distance in s of looks between which the smooth part is smooth; 0: not known.
+    bounds : callable
+        Start and stop in s -> volts that the smooth part does not leave; inf: not known.
     """
 
     def __init__(
@@ -77,8 +167,9 @@ class Comparator:
         noise: Callable[[Floats], Floats] = np.zeros_like,
         noise_rms: float = 0.0,
         interval: Callable[[float, float], float] = lambda start, stop: 0.0,
+        bounds: Callable[[float, float], tuple[float, float]] = lambda start, stop: (-math.inf, math.inf),
     ) -> None:
-        self.noise, self.noise_rms = noise, noise_rms
+        self.noise, self.noise_rms, self.bounds = noise, noise_rms, bounds
         self._smooth, self._interval = smooth, interval
         self._seen: Stretch | None = None
 
@@ -93,13 +184,18 @@ class Comparator:
             return seen.interval
         return self._interval(start, stop)
 
+    def has_to_look(self, start: float) -> bool:
+        """Whether the last stretch does not hold this time."""
+        seen = self._seen
+        return seen is None or not seen.times[0] <= start < seen.times[-1] - _SHORTEST_STRETCH
+
     def stretch(self, start: float, until: float, now: float) -> Stretch:
         """What is seen from `start` to `now`, or not so far; the last one again if it holds the start.
 
         Up to `until` looks between which the signal is smooth are known to do.
         """
         seen = self._seen
-        if seen is None or not seen.times[0] <= start < seen.times[-1] - _SHORTEST_STRETCH:
+        if seen is None or self.has_to_look(start):
             end, interval = now, self._interval(start, now)
             if not interval:  # behind `until` the table changes its rate, or the gyro locks
                 end, interval = until, self._interval(start, until)
@@ -138,6 +234,8 @@ class EdgeSearch:
         noise = _MOST_NOISE * self.volts_at.noise_rms
         if noise < self.hysteresis and self.volts_at.interval(self.searched_until, until) > 2 * step:
             return self._advance_coarsely(until, now, step, noise)
+        if span > _LONG * step and self._passes_by(until, noise):
+            return None
         size = _FIRST_CHUNK
         while self.searched_until < until:
             count = min(size, int((until - self.searched_until) / step) + 1)
@@ -150,9 +248,20 @@ class EdgeSearch:
             size = min(size * 4, _LONGEST_CHUNK)
         return None
 
+    def _passes_by(self, until: float, noise: float) -> bool:
+        """Go on to a time before which the signal stays far below the level, if that is known."""
+        low, high = self.volts_at.bounds(self.searched_until, until)
+        nearest = high - self.level if self.rising else self.level - low
+        if nearest + noise >= -self.hysteresis:
+            return False
+        self.searched_until, self.armed = until, True
+        return True
+
     def _advance_coarsely(self, until: float, now: float, step: float, noise: float) -> float | None:
         """The same where looks far apart tell where the edge may be, and `noise` is as far as noise goes."""
         while until - self.searched_until > _SHORTEST_STRETCH:
+            if self.volts_at.has_to_look(self.searched_until) and self._passes_by(until, noise):
+                break
             stretch = self.volts_at.stretch(self.searched_until, until, now)
             edge = self._edge_along(stretch, until, step, noise)
             if edge is not None:
@@ -162,33 +271,27 @@ class EdgeSearch:
 
     def _edge_along(self, stretch: Stretch, until: float, step: float, noise: float) -> float | None:
         """The edge in what is left of a stretch."""
-        first, last = np.searchsorted(stretch.times, (self.searched_until, until), side="right")
-        ends = np.array([self.searched_until, min(until, float(stretch.times[-1]))])
-        times = np.concatenate([ends[:1], stretch.times[first : last - 1], ends[1:]])
-        at_ends = stretch.between(ends)
-        volts = np.concatenate([at_ends[:1], stretch.volts[first : last - 1], at_ends[1:]])
-        above = self._turned(volts - self.level)
-        margin = noise + stretch.bend
-        near = np.flatnonzero(np.maximum(above[1:], above[:-1]) >= -margin)  # cells in which it may cross
+        start, stop = self.searched_until, min(until, float(stretch.times[-1]))
+        heights = stretch.heights(self.level, self.rising, self.hysteresis, noise)
+        ends = [stretch.between.at(when) - self.level for when in (start, stop)]
+        part = _Part(stretch, heights, start, stop, (ends[0], ends[1]) if self.rising else (-ends[0], -ends[1]))
         begin = 0
         while True:
             if not self.armed:
-                below = above[begin:] < -self.hysteresis
-                lowest = int(below.argmax())
-                if not below[lowest]:
+                lowest = part.low_from(begin, self.hysteresis)
+                if lowest is None:
                     return None
-                self.armed, begin = True, begin + lowest
-            at = int(np.searchsorted(near, begin))
-            if at == len(near):
+                self.armed, begin = True, lowest
+            cell = part.near_from(begin)
+            if cell is None:
                 return None
-            end = at
-            while end + 1 < len(near) and near[end + 1] == near[end] + 1 and above[near[end] + 1] < margin:
+            end = cell
+            while part.near_from(end + 1) == end + 1 and part.above(end + 1) < heights.margin:
                 end += 1
-            begin, stop = int(near[at]), int(near[end]) + 1
-            edge = self._edge_near(stretch.between, float(times[begin]), float(times[stop]), step, noise)
+            begin = end + 1
+            edge = self._edge_near(stretch.between, part.time(cell), part.time(begin), step, noise)
             if edge is not None:
                 return edge
-            begin = stop
 
     def _edge_near(self, between: Between, start: float, stop: float, step: float, noise: float) -> float | None:
         """The first edge in a short time, sample by sample with the noise."""

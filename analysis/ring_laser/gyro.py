@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
-from functools import cached_property
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -51,14 +50,6 @@ class Gyro:
     ripple_dps: float = 0.0
     ripple_hz: float = 0.0
     winking: Winking | None = None
-
-    def __hash__(self) -> int:
-        """Of its values, worked out once: what a gyro does is looked up by it again and again."""
-        return self._hash
-
-    @cached_property
-    def _hash(self) -> int:
-        return hash(tuple(getattr(self, field.name) for field in fields(self)))
 
     def axis_rate(
         self, table_rate_dps: ArrayLike, azimuth_deg: ArrayLike, ripple_phase: ArrayLike = 0.0

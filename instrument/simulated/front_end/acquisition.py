@@ -21,6 +21,7 @@ import numpy as np
 from instrument.facts import DIVISIONS, POINTS_PER_DIVISION
 from instrument.simulated.clock import Clock
 from instrument.simulated.faults import Faults
+from instrument.simulated.front_end.comparator import Comparator
 from instrument.simulated.front_end.frontend import (
     Floats,
     Signal,
@@ -31,7 +32,7 @@ from instrument.simulated.front_end.frontend import (
     slow_part,
 )
 from instrument.simulated.front_end.smooth import tells_its_noise
-from instrument.simulated.front_end.trigger import HYSTERESIS, Comparator, EdgeSearch, PulseSearch
+from instrument.simulated.front_end.trigger import HYSTERESIS, EdgeSearch, PulseSearch
 from instrument.simulated.front_end.video_trigger import VideoSearch
 from instrument.simulated.panel.panel import (
     ChannelSettings,

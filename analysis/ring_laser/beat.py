@@ -92,7 +92,8 @@ def _rate_and_advance(gyro: Gyro, motion: tuple[Motion, ...], number: int, times
     middle: Floats | float = first + 0.5
     if last > first:
         which = np.clip(np.floor(place).astype(np.intp), first, last) - first
-        middle, lines, series = which + middle, lines.take(which, axis=-1), series.take(which, axis=-1)
+        lines, series = lines.take(which, axis=-1), series.take(which, axis=-1)
+        middle = np.asarray(middle + which, dtype=np.float64)
     place = 2 * (place - middle)
     return np.asarray(lines[0] + lines[1] * place + _chebyshev_sum(place, series))
 

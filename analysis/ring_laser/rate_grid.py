@@ -76,4 +76,11 @@ def grid_place(size: Floats, lock_in_rate: float) -> Floats:
 
 def _lagrange(x: X) -> list[X]:
     """Weights of the points around places x between 0 and 1: of an array, or of one number, which is faster."""
-    return [math.prod([(x - other) / (own - other) for other in _OFFSETS if other != own]) for own in _OFFSETS]
+    weights = []
+    for own in _OFFSETS:
+        first, *rest = (other for other in _OFFSETS if other != own)
+        weight = (x - first) / (own - first)
+        for other in rest:
+            weight = weight * ((x - other) / (own - other))
+        weights.append(weight)
+    return weights

@@ -83,11 +83,11 @@ class Part:
     def __init__(
         self, stretch: Stretch, heights: Heights, start: float, stop: float, ends: tuple[float, float]
     ) -> None:
-        first, last = np.searchsorted(stretch.times, (start, stop), side="right").tolist()
+        first, last = (int(place) for place in np.searchsorted(stretch.times, (start, stop), side="right"))
         self._times, self._heights, self._ends = stretch.times, heights, ends
         self._start, self._stop = start, stop
         self._before = first - 1  # the look in the place of point 0
-        self.last = max(last - 1 - first, 0) + 1
+        self.last: int = max(last - 1 - first, 0) + 1
         """The last point; as many cells are between all of them."""
 
     def time(self, point: int) -> float:

@@ -78,10 +78,10 @@ class SimulatedTDS2014(ScopeState):
 
     def _execute(self, message: bytes, stream: bool) -> Iterator[bytes | None]:
         branch = self._tree.root
-        leaves: list[list[Leaf]] = []
+        answers: list[str] = []
         identified = False
         unread = len(message)
-        deadlocked = False
+        deadlocked, queued = False, 0
         for command in parse_message(message, stream=stream):
             unread -= len(command.source) + 1
             try:
@@ -101,11 +101,13 @@ class SimulatedTDS2014(ScopeState):
                         self.turn_knob(hand)
                     answer = self._answer(node, action, command)
                     identified = bool(action and action.ends_message)
-                    if not deadlocked:
-                        leaves.append(answer)
-                    if not stream and unread > Guess.INPUT_BUFFER and self._fills_output(leaves):
-                        deadlocked = True
-                        leaves.clear()
+                    if deadlocked:
+                        continue
+                    answers.append(self._render(answer))
+                    queued += sum(len(value) for _, value in answer)
+                    if not stream and unread > Guess.INPUT_BUFFER and queued > Guess.OUTPUT_QUEUE:
+                        deadlocked = True  # nobody can read or write any more
+                        answers.clear()
                         raise Refusal(430)
                 else:
                     for step in self._carry_out(node, action, command.arguments):
@@ -117,8 +119,8 @@ class SimulatedTDS2014(ScopeState):
                     branch = self._branch_behind(command, branch)
                 elif status_bit(refusal.event) == Guess.DROPS_REST_OF_MESSAGE:
                     break
-        if leaves:
-            yield self._render(leaves)
+        if answers:
+            yield ";".join(answers).encode("latin-1")
         if self.picture:
             picture, self.picture = self.picture, b""
             yield Picture(picture)
@@ -130,10 +132,6 @@ class SimulatedTDS2014(ScopeState):
             yield None
         finally:
             self.message_clock.hold()
-
-    def _fills_output(self, answers: list[list[Leaf]]) -> bool:
-        """True when the answers so far leave no room in the output queue: nobody can read or write (430)."""
-        return sum(len(value) for leaves in answers for _, value in leaves) > Guess.OUTPUT_QUEUE
 
     def _branch_behind(self, command: Command | Malformed, branch: Node) -> Node:
         """Where relative headers stand behind an unknown one: in its branch, which may be unknown, too."""
@@ -185,10 +183,9 @@ class SimulatedTDS2014(ScopeState):
             raise Refusal(Guess.QUERY_HAS_NO_COMMAND)
         return iter(())
 
-    def _render(self, answers: list[list[Leaf]]) -> bytes:
-        header, verbose = self.panel.flag("HEADER"), self.panel.flag("VERBOSE")
-        parts = (join_leaves(leaves, header=header, verbose=verbose) for leaves in answers)
-        return ";".join(parts).encode("latin-1")
+    def _render(self, leaves: list[Leaf]) -> str:
+        """An answer with the headers of this moment: a later command of the message changes none of it."""
+        return join_leaves(leaves, header=self.panel.flag("HEADER"), verbose=self.panel.flag("VERBOSE"))
 
     def turn_knob(self, command: str) -> None:
         """What somebody at the front panel does, as a program message; nothing while it is locked."""

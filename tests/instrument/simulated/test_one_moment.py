@@ -34,6 +34,20 @@ def test_no_record_is_taken_between_two_settings_of_one_message() -> None:
     assert float(interval) == 2e-6
 
 
+def test_an_answer_has_the_headers_of_its_moment() -> None:
+    scope = SimulatedTDS2014()
+    link = MessageExchange(scope, message_ends=True)
+    link.receive(b"ACQUIRE:NUMAVG?;:VERBOSE OFF;:ACQUIRE:NUMAVG?;:HEADER OFF;:ACQUIRE:NUMAVG?;:VERBOSE ON")
+    assert link.wait_for_answer(1.0) == b":ACQUIRE:NUMAVG 16;:ACQ:NUMAV 16;16\n"
+
+
+def test_the_front_panel_is_unlocked_by_either_command() -> None:
+    scope = SimulatedTDS2014()
+    link = MessageExchange(scope, message_ends=True)
+    link.receive(b"HEADER OFF;:LOCK ALL;:LOCK?;:UNLOCK ALL;:LOCK?;:LOCK ALL;:LOCK NONE;:LOCK?")
+    assert link.wait_for_answer(1.0) == b"ALL;NONE;NONE\n"
+
+
 def test_time_goes_on_while_a_message_waits() -> None:
     scope = SimulatedTDS2014(clock=SlowComputer())
     link = MessageExchange(scope, message_ends=True)

@@ -11,6 +11,9 @@ from analysis.arrays import Complexes, Floats, Ints
 from analysis.flags import Flag
 from analysis.lockin_rate import LockInEstimate, rate_and_slopes, size_interval
 
+_AT_ONCE = 1 << 16
+"""Records whose numbers are worked out together: those of a million would take much memory."""
+
 UNLIKELY = 0.001
 """A scatter that the records' own noise would produce less often than this is taken as real."""
 
@@ -129,6 +132,13 @@ def _common_flags(flags: Ints) -> int:
 def _complex_rates(used: LockInEstimate) -> tuple[Complexes, Floats, Floats, Floats]:
     """WL exp(i beta') of each record, its variances along and across its own direction, and the standard
     uncertainty in both of them by what is no noise."""
+    firsts = range(0, len(used), _AT_ONCE)
+    parts = [_complex_rates_of_some(used[first : first + _AT_ONCE]) for first in firsts]
+    values, radial, tangential, misfit = (np.concatenate(column) for column in zip(*parts, strict=True))
+    return values, radial, tangential, misfit
+
+
+def _complex_rates_of_some(used: LockInEstimate) -> tuple[Complexes, Floats, Floats, Floats]:
     size = np.abs(used.complex_ratio)
     rate = used.input_rate if used.rate_given else None
     value, slope, _ = rate_and_slopes(size, used.beat_frequency / used.scale_factor, rate, used.relation)
@@ -170,10 +180,12 @@ def _mean_ratio(used: LockInEstimate, weights: Floats) -> tuple[Floats, Floats, 
     """
     negative = used.rate_given & (used.input_rate < 0)
     negative = negative & ~negative.all()
-    rho = np.where(negative, -np.conj(used.complex_ratio), used.complex_ratio)
+    rho, turned = used.complex_ratio, used.complex_ratio_covariance
+    if negative.any():
+        rho = np.where(negative, -np.conj(rho), rho)
+        mirror = np.where(negative, -1.0, 1.0)[:, np.newaxis] * np.array([1.0, 0.0]) + np.array([0.0, 1.0])
+        turned = turned * mirror[:, :, np.newaxis] * mirror[:, np.newaxis, :]
     mean = complex(np.sum(weights * rho))
-    mirror = np.where(negative, -1.0, 1.0)[:, np.newaxis] * np.array([1.0, 0.0]) + np.array([0.0, 1.0])
-    turned = used.complex_ratio_covariance * mirror[:, :, np.newaxis] * mirror[:, np.newaxis, :]
     covariance = np.einsum("r,rij->ij", weights**2, turned)
     size = abs(mean)
     along = np.array([mean.real, mean.imag]) / size if size > 0 else np.array([1.0, 0.0])

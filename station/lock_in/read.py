@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from statistics import fmean
 from typing import Any
 
@@ -30,7 +30,8 @@ from instrument import Waveform
 from station.errors import RunError, UsageError
 from station.lock_in.found import LockInFound, Numbered, SavedWaveforms
 from station.lock_in.knowledge import knowledge_of_files, run_knowledge
-from station.lock_in.records.pieces import Gathered, estimate_pieces, pieces_of, together
+from station.lock_in.records.collected import Collected
+from station.lock_in.records.pieces import Gathered, estimate_pieces, pieces_of
 from station.lock_in.settings import Settings
 from station.ring_laser.records import saved_waveform
 from station.runs.progress import Progress
@@ -115,15 +116,15 @@ def evaluate_source(
     if settings.scope.quadrature_channel:
         return None
     chosen = {"scale_factor": settings.gyro.scale_factor_pulses_per_deg, **choices}
-    parts = []
+    collected = Collected()
     pieces = pieces_of(source, chosen)
     progress.start("thousands of records", len(pieces))
     for (part,) in workers.map(estimate_pieces, pieces):
         if part.left_out and part.left_out[-1].record is None:
             raise RunError(str(part.left_out[-1]))
-        parts.append(replace(part, labels={}))
+        collected.add(part)
         progress.advance()
-    gathered = together(parts)
+    gathered = collected.gathered()
     if gathered.paired:
         return None
     if gathered.each is None:
@@ -133,15 +134,15 @@ def evaluate_source(
     waveforms = SavedWaveforms(source, gathered.numbers)
     slow = gathered_arrays(gathered, waveforms)
     found = _evaluated(RunArrays(slow, fast), settings, Method(**chosen), gathered.each)
-    rows: Sequence[int] = range(len(gathered))
+    rows: slice | list[int] = slice(None)
     if found.several is not None:
-        rows = found.several.reference_group.rows
+        rows = list(found.several.reference_group.rows)
     in_words = LockInFound(
         **vars(found),
         names=Numbered(gathered.places),
         waveforms=waveforms,
         damaged=tuple(str(place + 1) for place in gathered.damaged),
-        truth={name: fmean(values[list(rows)]) for name, values in gathered.truth.items()} or None,
+        truth={name: fmean(values[rows]) for name, values in gathered.truth.items()} or None,
         without_beat=tuple(source.facts.get("rates_without_beat", ())),
     )
     return in_words, gathered.damage

@@ -61,7 +61,7 @@ class Gathered:
     method : Method or None
         ``None`` where it could not be read, or was known.
     sha256 : str
-        Of the source; empty where only a piece of it was read.
+        Of the source; empty where only a piece of it was read that does not know it.
     about : dict
         Unit, gyro, operator, instrument and software as the source names them.
     numbers, places : ndarray of int, shape (n,)
@@ -72,7 +72,7 @@ class Gathered:
         ``samples``, ``sample_interval_s``, ``level_spacing_v`` and the conditions, nan where not known.
     labels : dict of list of str
         ``key``, ``taken_at``, ``channel``, ``wfid`` of each record.
-    truth : dict of ndarray, shape (n,)
+    truth : mapping of ndarray, shape (n,)
         True values of a simulated bench.
     each : LockInEstimate or None
         Fields of shape (n,); ``None`` where there is no record.
@@ -99,7 +99,7 @@ class Gathered:
     taken: int
     columns: dict[str, NDArray[np.float64]]
     labels: dict[str, list[str]]
-    truth: dict[str, NDArray[np.float64]]
+    truth: Mapping[str, NDArray[np.float64]]
     each: LockInEstimate | None
     fast: tuple[SavedRecord, ...]
     damaged: tuple[int, ...]
@@ -208,7 +208,7 @@ class _Reading:
             self._front_end = settings if any((settings.get("front_end") or {}).values()) else None
             for record in source.records(piece.numbers):
                 self._take(record, source)
-            self._sha256 = source.sha256 if piece.numbers is None else ""
+            self._sha256 = source.sha256 if piece.numbers is None else piece.sha256
         except (StationError, InstrumentError, OSError) as error:
             self._left_out.append(LeftOut(self._name, None, str(error).removeprefix(f"{self._name}: ")))
 
@@ -252,7 +252,7 @@ class _Reading:
             numbers=np.array(self._numbers, dtype=np.int64),
             places=np.array(self._places, dtype=np.int64),
             taken=self._taken,
-            columns=dict(zip(_COLUMNS, np.ascontiguousarray(columns.T), strict=True)),
+            columns={name: _spread(columns[:, place]) for place, name in enumerate(_COLUMNS)},
             labels={name: [row[place] for row in self._labels] for place, name in enumerate(_LABELS)},
             truth={
                 name: np.array([*values, *[_NAN] * (count - len(values))]) for name, values in self._truth.items()
@@ -340,7 +340,7 @@ def together(parts: Sequence[Gathered]) -> Gathered:
         numbers=np.concatenate([part.numbers for part in parts]),
         places=np.concatenate([part.places + begin for part, begin in zip(parts, begins, strict=False)]),
         taken=int(begins[-1]),
-        columns={name: np.concatenate([part.columns[name] for part in parts]) for name in first.columns},
+        columns={name: _one_behind_the_other([part.columns[name] for part in parts]) for name in first.columns},
         labels={name: [text for part in parts for text in part.labels[name]] for name in first.labels},
         truth={
             name: np.concatenate([part.truth.get(name, np.full(len(part), _NAN)) for part in parts])
@@ -355,6 +355,22 @@ def together(parts: Sequence[Gathered]) -> Gathered:
         left_out=tuple(one for part in parts for one in part.left_out),
         paired=any(part.paired for part in parts),
     )
+
+
+def _spread(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The same values; where all have the same bits, they stand in the memory once."""
+    values = np.ascontiguousarray(values)
+    bits = values.view(np.int64)
+    return np.broadcast_to(values[:1].copy(), values.shape) if np.all(bits == bits[:1]) else values
+
+
+def _one_behind_the_other(columns: Sequence[NDArray[np.float64]]) -> NDArray[np.float64]:
+    filled = [column for column in columns if column.size]
+    alike = all(column.size == 1 or column.strides == (0,) for column in filled)
+    firsts = _spread(np.array([column[0] for column in filled])) if alike else np.empty(0)
+    if firsts.size > 1 and firsts.strides == (0,):
+        return np.broadcast_to(firsts[:1], (sum(column.size for column in filled),))
+    return np.concatenate(columns)
 
 
 def _behind_each_other(parts: Sequence[LockInEstimate]) -> LockInEstimate:

@@ -50,6 +50,8 @@ ORDER = (
 
 Texts = str | list[str | None] | None
 Values = Texts | int | float | NDArray[Any]
+Column = list[Any] | NDArray[Any]
+"""One value for each row; None, or nan of a number: not known."""
 
 
 @dataclass(frozen=True)
@@ -75,10 +77,25 @@ class Rows:
     left_out: tuple[LeftOut, ...]
     known: bool = False
 
-    def column(self, name: str) -> Sequence[Any] | NDArray[Any]:
+    def column(self, name: str) -> Column:
         """One value for each row."""
         values = self.columns[name]
         return values if isinstance(values, list | np.ndarray) else [values] * self.count
+
+
+def joined_columns(parts: Sequence[Rows]) -> dict[str, Column]:
+    """Put rows of several sources behind each other; every one of `ORDER` is there."""
+    filled = [part for part in parts if part.count]
+    if len(filled) == 1:
+        return {name: filled[0].column(name) for name in ORDER}
+    return {name: _joined([part.column(name) for part in filled]) for name in ORDER}
+
+
+def _joined(columns: Sequence[Column]) -> Column:
+    arrays = [column for column in columns if isinstance(column, np.ndarray)]
+    if arrays and len(arrays) == len(columns):
+        return np.concatenate(arrays)
+    return [value for column in columns for value in column]
 
 
 def analysis_of(choices: Mapping[str, Any]) -> str:
@@ -126,7 +143,7 @@ def _columns(piece: Piece, gathered: Gathered) -> dict[str, Values]:
         **gathered.about,
         **{name: known[name] for name in known if name in NUMBERS},
         "source": gathered.name,
-        "source_sha256": gathered.sha256 or piece.sha256,
+        "source_sha256": gathered.sha256,
         "analysis": analysis_of(piece.choices),
         "software": software(),
         "schema_version": VERSION,

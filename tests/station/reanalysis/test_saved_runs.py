@@ -26,7 +26,7 @@ def test_streamed_and_from_memory_are_the_same(name: str, tmp_path: Path) -> Non
     path = Path(shutil.copy(GOLDEN / f"{name}.sqlite", tmp_path))
     from_memory, as_stream = evaluate_run(open_run(path)), streamed(path)
     assert as_stream.document() == from_memory.document()
-    assert as_stream.rows() == from_memory.rows()
+    assert list(as_stream.rows()) == list(from_memory.rows())
 
 
 def test_a_run_cut_into_pieces_by_two_processes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

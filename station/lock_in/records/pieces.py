@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+import threading
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -114,7 +115,6 @@ class Gathered:
 
 _ABOUT = ("unit", "operator")
 _COLUMNS = ("samples", "sample_interval_s", "level_spacing_v", *CONDITIONS)
-_LABELS = ("key", "taken_at", "channel", "wfid")
 _NAN = math.nan
 _Estimates = list[tuple[NDArray[np.intp], LockInEstimate]]
 
@@ -146,23 +146,27 @@ class _Room:
 
     def __init__(self, at_once: int) -> None:
         self._at_once = at_once
-        self._waiting: dict[tuple[Any, ...], list[tuple[_Reading, int, SavedRecord, Preamble]]] = {}
+        self._waiting: dict[tuple[Any, ...], list[_Waits]] = {}
+        self._last: tuple[Any, ...] = None, None, (), []
 
     def add(self, reading: _Reading, row: int, record: SavedRecord, preamble: Preamble) -> None:
-        key = preamble.nr_pt, preamble.xincr, preamble.byt_nr, reading.method
-        waiting = self._waiting.setdefault(key, [])
+        if preamble is not self._last[0] or reading is not self._last[1]:
+            key = preamble.nr_pt, preamble.xincr, preamble.byt_nr, reading.method
+            self._last = preamble, reading, key, self._waiting.setdefault(key, [])
+        _, _, key, waiting = self._last
         waiting.append((reading, row, record, preamble))
         if len(waiting) >= self._at_once:
             self._estimate(self._waiting.pop(key))
+            self._last = None, None, (), []
 
     def estimate_all(self) -> None:
         while self._waiting:
             self._estimate(self._waiting.popitem()[1])
 
-    def _estimate(self, waiting: list[tuple[_Reading, int, SavedRecord, Preamble]]) -> None:
+    def _estimate(self, waiting: list[_Waits]) -> None:
         method = waiting[0][0].method
         batch = batch_of([(record, preamble) for _, _, record, preamble in waiting])
-        estimate = estimate_batch(batch, method) if method is not None else None
+        estimate = estimate_batch(batch, method, _kept_room(batch.codes.shape)) if method is not None else None
         begin = 0
         for end in range(1, len(waiting) + 1):
             if end == len(waiting) or waiting[end][0] is not waiting[begin][0]:
@@ -170,6 +174,33 @@ class _Room:
                 if estimate is not None:
                     waiting[begin][0].estimates.append((rows, estimate[begin:end]))
                 begin = end
+
+
+_OF_THREAD = threading.local()
+
+
+def _kept_room(shape: tuple[int, ...]) -> NDArray[np.float64]:
+    """Memory for volts that the batches of one thread use in turn: the system clears new one first, each time."""
+    room: NDArray[np.float64] | None = getattr(_OF_THREAD, "room", None)
+    if room is None or room.shape[1:] != shape[1:] or len(room) < shape[0]:
+        room = _OF_THREAD.room = np.empty(shape)
+    return room
+
+
+@dataclass
+class _Alike:
+    """Records one behind the other that share preamble and conditions, as most of a run do."""
+
+    preamble: Preamble
+    known: Mapping[str, Any]
+    count: int = 1
+
+    @property
+    def columns(self) -> list[float]:
+        """Values of `_COLUMNS`; nan where not known."""
+        one = self.preamble
+        values = (one.nr_pt, one.xincr, abs(one.ymult), *map(self.known.get, CONDITIONS))
+        return [_NAN if value is None else float(value) for value in values]
 
 
 class _Reading:
@@ -183,8 +214,9 @@ class _Reading:
         self._numbers: list[int] = []
         self._places: list[int] = []
         self._taken = 0
-        self._columns: list[tuple[float, ...]] = []
-        self._labels: list[tuple[str, ...]] = []
+        self._keys: list[str] = []
+        self._taken_at: list[str] = []
+        self._alike: list[_Alike] = []
         self._truth: dict[str, list[float]] = {}
         self._fast: list[SavedRecord] = []
         self._damaged: list[int] = []
@@ -213,7 +245,8 @@ class _Reading:
             self._left_out.append(LeftOut(self._name, None, str(error).removeprefix(f"{self._name}: ")))
 
     def _take(self, record: SavedRecord, source: Source) -> None:
-        self._damage += filter(None, [damaged_record(record)])
+        if not record.intact:
+            self._damage += filter(None, [damaged_record(record)])
         if record.purpose != MEASURE:
             counts = record.purpose == FAST and record.intact and not record.aside
             self._fast += [record] if counts else []
@@ -225,14 +258,16 @@ class _Reading:
         read = read_one(record, source, self._left_out.append)
         if read is None:
             return
-        preamble = read[1]
+        preamble, known = read[1], record.conditions
         self._room.add(self, len(self._numbers), record, preamble)
         self._numbers.append(record.number)
         self._places.append(place)
-        known = record.conditions
-        values = (preamble.nr_pt, preamble.xincr, abs(preamble.ymult), *map(known.get, CONDITIONS))
-        self._columns.append(tuple([_NAN if value is None else float(value) for value in values]))
-        self._labels.append((record.key, record.taken_at, str(known.get("channel", "")), preamble.wfid))
+        self._keys.append(record.key)
+        self._taken_at.append(record.taken_at)
+        if self._alike and self._alike[-1].preamble is preamble and self._alike[-1].known is known:
+            self._alike[-1].count += 1
+        else:
+            self._alike.append(_Alike(preamble, known))
         for name, value in (known.get("truth") or {}).items():
             # a record that does not say it makes the mean of the run unknown, as it should be
             here = self._truth.setdefault(name, [])
@@ -242,8 +277,9 @@ class _Reading:
     def gathered(self) -> Gathered:
         """What was found, when everything that waited has been estimated."""
         rows = [rows for rows, _ in self.estimates]
-        count = len(self._numbers)
-        columns = np.array(self._columns, dtype=np.float64).reshape(count, len(_COLUMNS))
+        count, alike = len(self._numbers), self._alike
+        columns = np.array([one.columns for one in alike], dtype=np.float64).reshape(len(alike), len(_COLUMNS))
+        columns = columns.repeat([one.count for one in alike], axis=0)
         return Gathered(
             name=self._name,
             method=self.method,
@@ -253,7 +289,12 @@ class _Reading:
             places=np.array(self._places, dtype=np.int64),
             taken=self._taken,
             columns={name: _spread(columns[:, place]) for place, name in enumerate(_COLUMNS)},
-            labels={name: [row[place] for row in self._labels] for place, name in enumerate(_LABELS)},
+            labels={
+                "key": self._keys,
+                "taken_at": self._taken_at,
+                "channel": [text for one in alike for text in [str(one.known.get("channel", ""))] * one.count],
+                "wfid": [text for one in alike for text in [one.preamble.wfid] * one.count],
+            },
             truth={
                 name: np.array([*values, *[_NAN] * (count - len(values))]) for name, values in self._truth.items()
             },
@@ -265,6 +306,10 @@ class _Reading:
             paired=self._paired,
             front_end=self._front_end,
         )
+
+
+_Waits = tuple[_Reading, int, SavedRecord, Preamble]
+"""Whose record it is, its place there, and the record."""
 
 
 def method_of(source: Source, choices: Mapping[str, Any]) -> Method:

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import itertools
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
-from typing import Any
+from typing import Any, overload
 
 import numpy as np
 from numpy.typing import NDArray
@@ -50,8 +51,29 @@ ORDER = (
 
 Texts = str | list[str | None] | None
 Values = Texts | int | float | NDArray[Any]
-Column = list[Any] | NDArray[Any]
+Column = Sequence[Any] | NDArray[Any]
 """One value for each row; None, or nan of a number: not known."""
+
+
+@dataclass(frozen=True)
+class Repeated(Sequence[Any]):
+    """One value that all rows share."""
+
+    value: Any
+    size: int
+
+    def __len__(self) -> int:
+        return self.size
+
+    @overload
+    def __getitem__(self, place: int) -> Any: ...
+    @overload
+    def __getitem__(self, place: slice) -> Sequence[Any]: ...
+    def __getitem__(self, place: int | slice) -> Any:
+        return ([self.value] * self.size)[place]
+
+    def __iter__(self) -> Iterator[Any]:
+        return itertools.repeat(self.value, self.size)
 
 
 @dataclass(frozen=True)
@@ -80,7 +102,7 @@ class Rows:
     def column(self, name: str) -> Column:
         """One value for each row."""
         values = self.columns[name]
-        return values if isinstance(values, list | np.ndarray) else [values] * self.count
+        return values if isinstance(values, list | np.ndarray) else Repeated(values, self.count)
 
 
 def joined_columns(parts: Sequence[Rows]) -> dict[str, Column]:
@@ -93,8 +115,11 @@ def joined_columns(parts: Sequence[Rows]) -> dict[str, Column]:
 
 def _joined(columns: Sequence[Column]) -> Column:
     arrays = [column for column in columns if isinstance(column, np.ndarray)]
-    if arrays and len(arrays) == len(columns):
+    if len(arrays) == len(columns):
         return np.concatenate(arrays)
+    shared = {column.value for column in columns if isinstance(column, Repeated)}
+    if len(shared) == 1 and all(isinstance(column, Repeated) for column in columns):
+        return Repeated(shared.pop(), sum(map(len, columns)))
     return [value for column in columns for value in column]
 
 

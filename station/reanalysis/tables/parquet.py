@@ -12,7 +12,17 @@ from numpy.typing import NDArray
 
 from station.datasets.packages import package
 from station.errors import CannotWrite, RunError
-from station.reanalysis.tables.columns import INTEGERS, NAME, ORDER, TEXTS, VERSION, Column, Rows, joined_columns
+from station.reanalysis.tables.columns import (
+    INTEGERS,
+    NAME,
+    ORDER,
+    TEXTS,
+    VERSION,
+    Column,
+    Repeated,
+    Rows,
+    joined_columns,
+)
 from station.reanalysis.tables.table import Key, TableFile
 
 pyarrow, compute, parquet = (package(name, "data") for name in ("pyarrow", "pyarrow.compute", "pyarrow.parquet"))
@@ -123,18 +133,27 @@ class Parquet(TableFile):
 
 def _texts(column: Column) -> Any:
     """Texts as Arrow lays them out: all of them one behind the other, and where each begins."""
-    encoded = [b"" if text is None else text.encode() for text in column]
-    ends = np.cumsum([0, *map(len, encoded)], dtype=np.int32)
-    known = None if None not in column else _bits(np.array([text is not None for text in column]))
-    buffers = [known, pyarrow.py_buffer(ends), pyarrow.py_buffer(b"".join(encoded))]
-    return pyarrow.Array.from_buffers(pyarrow.string(), len(encoded), buffers)
+    if isinstance(column, Repeated) and column.value is None:
+        return pyarrow.nulls(len(column), pyarrow.string())
+    if isinstance(column, Repeated):
+        text = column.value.encode()
+        joined, ends = text * len(column), np.arange(len(column) + 1, dtype=np.int32) * np.int32(len(text))
+        known = None
+    else:
+        encoded = [b"" if text is None else text.encode() for text in column]
+        joined, ends = b"".join(encoded), np.cumsum([0, *map(len, encoded)], dtype=np.int32)
+        known = None if None not in column else _bits(np.array([text is not None for text in column]))
+    buffers = [known, pyarrow.py_buffer(ends), pyarrow.py_buffer(joined)]
+    return pyarrow.Array.from_buffers(pyarrow.string(), len(column), buffers)
 
 
 def _numbers(column: Column, name: str) -> Any:
     """Numbers as Arrow lays them out; nan: not known."""
     kind = np.int64 if name in INTEGERS else np.float64
-    if isinstance(column, list):
-        column = [np.nan if value is None else value for value in column]
+    if isinstance(column, Repeated):
+        column = np.full(len(column), np.nan if column.value is None else column.value)
+    elif not isinstance(column, np.ndarray):
+        column = np.array([np.nan if value is None else value for value in column])
     values = np.ascontiguousarray(column, kind)
     unknown = np.isnan(values) if kind is np.float64 else np.zeros(0, dtype=bool)
     buffers = [_bits(~unknown) if unknown.any() else None, pyarrow.py_buffer(values)]

@@ -8,6 +8,8 @@ from contextlib import closing
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from station.errors import CannotWrite, RunError
 from station.reanalysis.tables.columns import INTEGERS, ORDER, TEXTS, VERSION, Column, Rows, joined_columns
 from station.reanalysis.tables.table import Key, TableFile
@@ -74,7 +76,7 @@ class Sqlite(TableFile):
     def add(self, packed: dict[str, Column]) -> None:
         """Insert rows; see `TableFile`."""
         columns = (packed[name] for name in ORDER)
-        plain = [column if isinstance(column, list) else column.tolist() for column in columns]
+        plain = [column.tolist() if isinstance(column, np.ndarray) else column for column in columns]
         marks = ", ".join("?" * len(ORDER))
         try:
             self._opened().executemany(f"INSERT INTO added VALUES ({marks})", zip(*plain, strict=True))

@@ -14,7 +14,7 @@ from typing import IO, Any
 import numpy as np
 
 from station.errors import CannotWrite, RunError
-from station.reanalysis.tables.columns import INTEGERS, ORDER, TEXTS, Column, Rows, joined_columns
+from station.reanalysis.tables.columns import INTEGERS, ORDER, TEXTS, Column, Repeated, Rows, joined_columns
 from station.reanalysis.tables.table import Key, TableFile
 
 
@@ -84,9 +84,11 @@ class TextTable(TableFile):
         """Rows, in `ORDER`, as lines; None: not known."""
 
 
-def _known(column: Column) -> list[Any]:
-    """Values as a list, None where they are nan."""
-    if isinstance(column, list):
+def _known(column: Column) -> Sequence[Any]:
+    """Values, None where they are nan."""
+    if isinstance(column, Repeated):
+        return Repeated(None, len(column)) if column.value != column.value else column
+    if not isinstance(column, np.ndarray):
         return [None if value != value else value for value in column]
     values: list[Any] = column.tolist()
     if column.dtype.kind == "f" and np.isnan(column).any():

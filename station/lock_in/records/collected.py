@@ -15,7 +15,7 @@ from station.lock_in.records.pieces import Gathered, together
 LONG = 20_000
 """Records from which on their estimates lie on the disk: some 250 bytes each."""
 
-_FOLDED = 256
+FOLDED = 256
 """Pieces that are made one: ten thousand of them take memory of their own."""
 
 _TRUTH = "truth "
@@ -40,7 +40,7 @@ class Collected:
         elif self._count > LONG:
             self._columns = ColumnFiles()
             self._parts = [self._put_away(one) for one in self._parts]
-        if self._columns is not None and len(self._parts) >= _FOLDED:
+        if self._columns is not None and len(self._parts) >= FOLDED:
             self._parts = [together(self._parts)]
 
     def gathered(self) -> Gathered:

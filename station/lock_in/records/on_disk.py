@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import tempfile
+import weakref
 from collections.abc import Mapping
 from dataclasses import fields
 from typing import IO, Any
@@ -28,6 +29,7 @@ class ColumnFiles:
     def __init__(self) -> None:
         self.count = 0
         self._files: dict[str, tuple[IO[bytes], np.dtype[Any], tuple[int, ...]]] = {}
+        weakref.finalize(self, _close, self._files)
 
     def add(self, columns: Mapping[str, NDArray[Any]], count: int) -> None:
         """Add `count` rows (n, ...); a column that has none of them gets nan.
@@ -67,6 +69,11 @@ class ColumnFiles:
         if len(rows) and file.readinto(rows.data.cast("B")) != rows.nbytes:  # type: ignore[attr-defined]  # raw file
             raise OSError(f"{tempfile.gettempdir()}: the estimates of a long run are gone from the disk")
         return rows
+
+
+def _close(files: Mapping[str, tuple[IO[bytes], np.dtype[Any], tuple[int, ...]]]) -> None:
+    for file, _, _ in files.values():
+        file.close()
 
 
 ARRAYS = tuple(
@@ -145,5 +152,5 @@ class EstimatesOnDisk(LockInEstimate):
         side_by_side = count > 0 and int(rows.flat[-1]) - first == count - 1
         for name in ARRAYS:
             found = self._columns.read(name, first, count) if side_by_side else self._columns.read(name)[rows]
-            values[name] = found.reshape(*rows.shape, *found.shape[1:])
+            values[name] = found.reshape((*rows.shape, *found.shape[1:]))
         return LockInEstimate(**values)

@@ -6,7 +6,9 @@ from pathlib import Path
 
 import pytest
 
+from station.lock_in.records.on_disk import EstimatesOnDisk
 from station.lock_in.records.pieces import pieces_of
+from station.report.report import render_report
 from station.runs.progress import Progress
 from station.runs.store import NewRecord, RunWriter, open_run
 from station.shell.evaluated import Evaluated, evaluate_run, evaluate_saved
@@ -27,6 +29,23 @@ def test_streamed_and_from_memory_are_the_same(name: str, tmp_path: Path) -> Non
     from_memory, as_stream = evaluate_run(open_run(path)), streamed(path)
     assert as_stream.document() == from_memory.document()
     assert list(as_stream.rows()) == list(from_memory.rows())
+
+
+@pytest.mark.parametrize("name", ["single", "several", "turning", "channel"])
+def test_estimates_that_lie_on_the_disk_give_the_same(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Those of a long run do; the report is drawn from them too."""
+    path = Path(shutil.copy(GOLDEN / f"{name}.sqlite", tmp_path))
+    in_memory = streamed(path)
+    monkeypatch.setattr("station.lock_in.records.collected.LONG", 1)
+    monkeypatch.setattr("station.lock_in.records.pieces.AT_ONCE", 3)
+    monkeypatch.setattr("station.lock_in.records.collected.FOLDED", 2)
+    on_disk = streamed(path)
+    assert isinstance(on_disk.found.each, EstimatesOnDisk) or name == "channel"
+    assert on_disk.document() == in_memory.document()
+    assert list(on_disk.rows()) == list(in_memory.rows())
+    assert render_report(on_disk) == render_report(in_memory)
 
 
 def test_a_run_cut_into_pieces_by_two_processes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -15,7 +15,7 @@ from benchmarks.reanalysis.records import INTERVAL, SAMPLES, SCALE_FACTOR, codes
 
 
 def main(mode: str, folder: Path, records: int, processes: int) -> None:
-    """Do it: ``make``, ``estimates``, ``table``, ``result``, ``combined``; `processes` of ``make``: records a run."""
+    """Do ``make`` (`processes`: records a run), ``estimates``, ``table``, ``result`` or ``combined``."""
     if mode == "make":
         make_runs(folder, records, processes)
         processes = 1

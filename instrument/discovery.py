@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import importlib.util
 import warnings
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from threading import Thread
 from time import monotonic
@@ -70,7 +71,13 @@ def find_resources(
         ) from error
     # PyVISA-py offers every serial port once more as a GPIB adapter of Prologix: an interface, no instrument.
     instruments = [name for name in dict.fromkeys(names) if not name.upper().endswith("::INTFC")]
-    return [check_resource(name, manager) for name in instruments]
+    # serial ports have nothing to do with each other, and each on which nobody answers is waited for
+    ports = [name for name in instruments if name.upper().startswith("ASRL")]
+    with ThreadPoolExecutor(max_workers=max(len(ports), 1)) as pool:
+        waiting = {name: pool.submit(check_resource, name, manager) for name in ports}
+        found = {name: check_resource(name, manager) for name in instruments if name not in waiting}
+        found |= {name: one.result() for name, one in waiting.items()}
+    return [found[name] for name in instruments]
 
 
 def _is_pyvisa_py(manager: pyvisa.ResourceManager) -> bool:
@@ -92,19 +99,14 @@ def _names_by_pyvisa_py(*, lan: bool) -> list[str]:
         except (OSError, ValueError, pyvisa.Error) as error:
             failed.append(error)
 
-    kinds = {
-        f"{key}": (key[0] in _ON_THE_NETWORK, kind) for key, kind in sessions.Session.iter_valid_session_classes()
-    }
-    threads = [
-        Thread(target=look, args=(name, kind), daemon=True)
-        for name, (on_network, kind) in kinds.items()
-        if on_network and lan
-    ]
+    kinds = {str(key): (key[0], kind) for key, kind in sessions.Session.iter_valid_session_classes()}
+    asked = [(name, kind) for name, (interface, kind) in kinds.items() if lan and interface in _ON_THE_NETWORK]
+    threads = [Thread(target=look, args=one, daemon=True) for one in asked]
     for thread in threads:
         thread.start()
     until = monotonic() + LAN_PATIENCE_S
-    for name, (on_network, kind) in kinds.items():
-        if not on_network:
+    for name, (interface, kind) in kinds.items():
+        if interface not in _ON_THE_NETWORK:
             look(name, kind)
     for thread in threads:
         thread.join(max(until - monotonic(), 0.0))

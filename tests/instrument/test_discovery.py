@@ -66,10 +66,15 @@ def test_port_without_permission(manager, monkeypatch):
 
 
 def test_visa_that_cannot_list(manager, monkeypatch):
-    def refuse(*_, **__):
-        raise OSError("no driver")
+    sessions = pytest.importorskip("pyvisa_py.sessions")
 
-    monkeypatch.setattr(manager, "list_resources", refuse)
+    class Refusing:
+        @staticmethod
+        def list_resources():
+            raise OSError("no driver")
+
+    kinds = [((InterfaceType.asrl, "INSTR"), Refusing)]
+    monkeypatch.setattr(sessions.Session, "iter_valid_session_classes", classmethod(lambda cls: iter(kinds)))
     with pytest.raises(LinkError, match="no driver"):
         find_resources(manager)
 
@@ -91,10 +96,8 @@ def test_the_network_is_not_waited_for_without_end(manager, monkeypatch):
         def list_resources():
             return ["ASRL/dev/none::INSTR"]
 
-    kinds = {(InterfaceType.tcpip, "INSTR"): Silent, (InterfaceType.asrl, "INSTR"): Local}
-    monkeypatch.setattr(
-        sessions.Session, "iter_valid_session_classes", classmethod(lambda cls: iter(kinds.items()))
-    )
+    kinds = [((InterfaceType.tcpip, "INSTR"), Silent), ((InterfaceType.asrl, "INSTR"), Local)]
+    monkeypatch.setattr(sessions.Session, "iter_valid_session_classes", classmethod(lambda cls: iter(kinds)))
     monkeypatch.setattr("instrument.discovery.LAN_PATIENCE_S", 0.05)
     try:
         assert [one.resource_name for one in find_resources(manager)] == ["ASRL/dev/none::INSTR"]

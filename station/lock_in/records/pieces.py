@@ -8,7 +8,7 @@ import threading
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -87,6 +87,9 @@ class Gathered:
         What could not be read.
     paired : bool
         Whether there are records of a second photodiode.
+    seconds : ndarray of int, shape (n,)
+        Number in the source of the record of the second photodiode that belongs to each; 0: there is none, -1: it
+        is damaged.
     front_end : dict or None
         Settings of the run, where they describe a channel that is to be taken out of its records.
     """
@@ -107,6 +110,7 @@ class Gathered:
     damage: tuple[str, ...]
     left_out: tuple[LeftOut, ...]
     paired: bool
+    seconds: NDArray[np.int64]
     front_end: dict[str, Any] | None = None
 
     def __len__(self) -> int:
@@ -116,7 +120,15 @@ class Gathered:
 _ABOUT = ("unit", "operator")
 _COLUMNS = ("samples", "sample_interval_s", "level_spacing_v", *CONDITIONS)
 _NAN = math.nan
+V = TypeVar("V", np.float64, np.int64)
 _Estimates = list[tuple[NDArray[np.intp], LockInEstimate]]
+
+
+def described_records(piece: Piece) -> Gathered:
+    """Read a source, and say all of its records but their estimates."""
+    reading = _Reading(piece, _NoRoom(AT_ONCE))
+    reading.read()
+    return reading.gathered()
 
 
 def estimate_pieces(pieces: Sequence[Piece], at_once: int = AT_ONCE) -> list[Gathered]:
@@ -176,6 +188,13 @@ class _Room:
                 begin = end
 
 
+class _NoRoom(_Room):
+    """Records that nobody estimates."""
+
+    def add(self, reading: _Reading, row: int, record: SavedRecord, preamble: Preamble) -> None:
+        pass
+
+
 _OF_THREAD = threading.local()
 
 
@@ -222,7 +241,8 @@ class _Reading:
         self._damaged: list[int] = []
         self._damage: list[str] = []
         self._left_out: list[LeftOut] = []
-        self._paired = False
+        self._paired, self._last = False, 0
+        self._seconds: dict[int, int] = {}
         self._front_end: dict[str, Any] | None = None
 
     def read(self) -> None:
@@ -250,8 +270,12 @@ class _Reading:
         if record.purpose != MEASURE:
             counts = record.purpose == FAST and record.intact and not record.aside
             self._fast += [record] if counts else []
-            self._paired = self._paired or record.purpose == SECOND
+            if record.purpose == SECOND:
+                self._paired = True
+                # saved in one commit with the record before it
+                self._seconds[self._last] = record.number if record.intact else -1
             return
+        self._last = record.number
         place, self._taken = self._taken, self._taken + 1
         if not record.intact:
             self._damaged.append(place)
@@ -304,6 +328,9 @@ class _Reading:
             damage=tuple(self._damage),
             left_out=tuple(self._left_out),
             paired=self._paired,
+            seconds=np.array([self._seconds.get(number, 0) for number in self._numbers], dtype=np.int64)
+            if self._paired
+            else np.zeros(count, dtype=np.int64),
             front_end=self._front_end,
         )
 
@@ -399,10 +426,11 @@ def together(parts: Sequence[Gathered]) -> Gathered:
         damage=tuple(sentence for part in parts for sentence in part.damage),
         left_out=tuple(one for part in parts for one in part.left_out),
         paired=any(part.paired for part in parts),
+        seconds=_spread(np.concatenate([part.seconds for part in parts])),
     )
 
 
-def _spread(values: NDArray[np.float64]) -> NDArray[np.float64]:
+def _spread(values: NDArray[V]) -> NDArray[V]:
     """The same values; where all have the same bits, they stand in the memory once."""
     values = np.ascontiguousarray(values)
     bits = values.view(np.int64)

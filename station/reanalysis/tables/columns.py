@@ -49,6 +49,11 @@ ORDER = (
 )
 """All columns, as a reader meets them."""
 
+_PAIRED = (
+    "its records are pairs of two photodiodes, and a row of one of them would hold its distortion: "
+    "`gyrolock analyze --jsonl` evaluates them together"
+)
+
 Texts = str | list[str | None] | None
 Values = Texts | int | float | NDArray[Any]
 Column = Sequence[Any] | NDArray[Any]
@@ -146,6 +151,8 @@ def rows_of_pieces(pieces: Sequence[Piece]) -> list[Rows]:
 def _rows(piece: Piece, gathered: Gathered) -> Rows:
     if gathered.method is None:
         return Rows(gathered.name, 0, {}, gathered.left_out, known=bool(gathered.sha256))
+    if gathered.paired:
+        return Rows(gathered.name, 0, {}, (LeftOut(gathered.name, None, _PAIRED),))
     try:
         return Rows(gathered.name, len(gathered), _columns(piece, gathered), gathered.left_out)
     except StationError as error:

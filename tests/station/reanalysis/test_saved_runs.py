@@ -8,6 +8,7 @@ import pytest
 
 from station.lock_in.records.on_disk import EstimatesOnDisk
 from station.lock_in.records.pieces import pieces_of
+from station.reanalysis.fill import fill_table
 from station.report.report import render_report
 from station.runs.progress import Progress
 from station.runs.store import NewRecord, RunWriter, open_run
@@ -68,6 +69,40 @@ def test_a_run_cut_into_pieces_by_two_processes(tmp_path: Path, monkeypatch: pyt
     assert as_stream.document()["damaged"] == ["record 7 (6) is damaged", "record 20 is missing"]
     assert as_stream.document()["records"] == 39
     assert as_stream.found.waveforms[10] == from_memory.found.waveforms[10]
+
+
+@pytest.mark.parametrize("damaged", ["", "measure", "quadrature"])
+def test_pairs_of_two_photodiodes_are_read_as_they_are_needed(
+    damaged: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = Path(shutil.copy(GOLDEN / "quadrature.sqlite", tmp_path))
+    if damaged:
+        with sqlite3.connect(path) as db:
+            codes = (
+                "codes" if "codes" in {row[1] for row in db.execute("PRAGMA table_info(record)")} else "payload"
+            )
+            db.execute(
+                f"UPDATE record SET {codes} = zeroblob(2500) WHERE number = "
+                "(SELECT max(number) FROM record WHERE purpose = ?)",
+                [damaged],
+            )
+    from_memory = evaluate_run(open_run(path))
+    monkeypatch.setattr("station.shell.evaluated.open_run", None)  # nobody holds all of it
+    monkeypatch.setattr("analysis.lock_in_run.records._RECORDS_AT_ONCE", 2)
+    as_stream = streamed(path)
+    assert as_stream.found.quadratures is not None
+    assert as_stream.document() == from_memory.document()
+    assert list(as_stream.rows()) == list(from_memory.rows())
+    assert bool(damaged) == bool(as_stream.found.damaged)
+
+
+def test_pairs_of_two_photodiodes_give_no_rows_of_one(tmp_path: Path) -> None:
+    with Processes(1) as workers:
+        table = tmp_path / "results.csv"
+        done = fill_table([GOLDEN / "quadrature.sqlite"], table, {}, workers, Progress(quiet=True))
+    assert (done.records, done.sources) == (0, 0)
+    assert [one.reason.split(",")[0] for one in done.left_out] == ["its records are pairs of two photodiodes"]
+    assert not table.exists()
 
 
 def test_the_measurement_has_one_sum_wherever_it_lies_and_whatever_is_said_of_it(tmp_path: Path) -> None:

@@ -16,6 +16,9 @@ from instrument.fibre_gyro.recording import Floats
 _DPS = {"deg/s": 1.0, "deg/h": 1 / 3600, "rad/s": 180 / math.pi}
 _DEGREES = {"deg": 1.0, "rad": 180 / math.pi}
 
+ANGLES = tuple(_DEGREES)
+"""Units of an output that is the angle since the output before: its rate depends on the interval."""
+
 
 def columns_of(
     layout: FrameFormat,

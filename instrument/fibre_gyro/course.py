@@ -44,13 +44,15 @@ class Course:
         if last is None:
             return
         self._seen += 1
-        weight = 1.0 / min(self._seen, _MEMORY)
+        weight = 1.0 / self._seen if self._seen < _MEMORY else 1.0 / _MEMORY
+        values, usuals = frame.values, self._usual
         for number, (place, _) in enumerate(self._watched):
-            moved, usual = abs(frame.values[place] - last[place]), self._usual[number]
-            if moved and usual and self._seen > _FEWEST:  # a step of the rate is no usual movement
-                moved = min(moved, 8 * usual)
+            moved = abs(values[place] - last[place])
             if moved:  # an output that stands still most of the time moves by its smallest step
-                self._usual[number] = usual + weight * (moved - usual)
+                usual = usuals[number]
+                if usual and moved > 8 * usual and self._seen > _FEWEST:  # a step of the rate is no usual movement
+                    moved = 8 * usual
+                usuals[number] = usual + weight * (moved - usual)
 
     def jumps(self, frame: Frame) -> bool:
         """Whether an output lies further from the last one than it ever moves."""

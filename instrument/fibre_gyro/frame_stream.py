@@ -75,6 +75,7 @@ class FrameStream:
 
     def __init__(self, layout: FrameFormat) -> None:
         self._layout = layout
+        self._header, self._length = layout.header, layout.frame_bytes
         self._reader = FrameReader(layout)
         self._lines = layout.kind == "ascii"
         self._buffer = bytearray()
@@ -136,9 +137,9 @@ class FrameStream:
     # ------------------------------------------------------------------ binary frames
 
     def _take_binary(self, silent: bool) -> None:
-        position = 0
+        position, longest = 0, self._longest()
         while position < len(self._buffer):
-            rest = self._buffer[position : position + self._longest()]
+            rest = self._buffer[position : position + longest]
             answer = self._answer_at(rest) if self._answers else None
             if answer is not None:
                 self._end_of_damage()
@@ -148,32 +149,32 @@ class FrameStream:
                 break
             else:
                 frame = self._frame_at(rest)
-                good = frame is not None and self._borne_out(frame, rest[self._layout.frame_bytes :], silent)
+                good = frame is not None and self._borne_out(frame, rest[self._length :], silent)
                 if good is None:
                     break
                 position = self._behind_frame(frame, position) if frame and good else self._behind_damage(position)
         del self._buffer[:position]
 
     def _longest(self) -> int:
-        layout = self._layout
-        longest = max(layout.frame_bytes + len(layout.header), *map(len, self._answers), 1)
-        return longest + self._followers * layout.frame_bytes if self._confirm else longest
+        longest = max(self._length + len(self._header), *map(len, self._answers), 1)
+        return longest + self._followers * self._length if self._confirm else longest
 
     def _answer_at(self, rest: bytes | bytearray) -> bytes | None:
         return next((answer for answer in self._answers if rest.startswith(answer)), None)
 
     def _may_begin(self, rest: bytearray) -> bool:
         """Whether these bytes may become an answer or a frame and are too few for it."""
-        layout = self._layout
-        if any(len(rest) < len(answer) and answer.startswith(rest) for answer in self._answers):
+        if self._answers and any(len(rest) < len(answer) and answer.startswith(rest) for answer in self._answers):
             return True
-        have = min(len(rest), len(layout.header))
-        return rest[:have] == layout.header[:have] and len(rest) < layout.frame_bytes
+        if len(rest) >= self._length:
+            return False
+        have = min(len(rest), len(self._header))
+        return rest[:have] == self._header[:have]
 
     def _frame_at(self, rest: bytearray) -> Frame | None:
         """The frame at the begin of these bytes, if one stands there."""
         try:
-            return self._reader.read(bytes(rest[: self._layout.frame_bytes]))
+            return self._reader.read(bytes(rest[: self._length]))
         except Damaged as damaged:
             self._reason = self._reason or str(damaged)
             return None
@@ -183,15 +184,15 @@ class FrameStream:
         if not self._confirm:
             return True
         in_step = self._in_step(frame)
-        if any(behind.startswith(answer) for answer in self._answers) or (silent and not behind):
+        if (silent and not behind) or any(behind.startswith(answer) for answer in self._answers):
             return in_step or not self._joined
-        if not self._layout.header:
+        if not self._header:
             good = self._continued(frame, behind, _IN_STEP if in_step else self._to_begin, silent)
+        elif in_step and self._next_begins(frame, behind):
+            good = True
         elif not any(start.startswith(behind[: len(start)]) for start in self._starts()):
             self._reason = self._reason or "no header behind it"
             return False
-        elif in_step and self._next_begins(frame, behind):
-            good = True
         else:
             good = self._followed(frame, behind, 1 if in_step or self._distinct else 2, silent)
         return self._in_course(frame, behind, silent) if good else good
@@ -199,24 +200,23 @@ class FrameStream:
     def _in_step(self, frame: Frame) -> bool:
         """Whether the frame stands where the one before lets expect it, by its counter or right behind it."""
         counted = self._layout.counter is not None and frame.counter is not None
-        if not self._layout.header and self._bad_bytes:
+        if not self._header and self._bad_bytes:
             return False
         return self._joined and (self._counts_on(frame) if counted else self._bad_bytes == 0)
 
     def _next_begins(self, frame: Frame, behind: bytearray) -> bool:
         """Whether the next frame begins right behind, by more than one byte that other numbers could be too."""
-        layout = self._layout
-        if not behind.startswith(layout.header):
+        if not behind.startswith(self._header):
             return False
-        if self._distinct or layout.counter is None or frame.counter is None:
+        if self._distinct or self._layout.counter is None or frame.counter is None:
             return self._distinct
-        follower = behind[: layout.frame_bytes]
+        follower = behind[: self._length]
         counter = self._reader.counter_of(bytes(follower))
         return counter is not None and self._counts(frame.counter, counter, 1)
 
     def _followed(self, frame: Frame, behind: bytearray, needed: int, silent: bool) -> bool | None:
         """Whether enough of the next frames are whole in their places."""
-        length, whole = self._layout.frame_bytes, 0
+        length, whole = self._length, 0
         for place in range(1, _FOLLOWERS + 1):
             slot = behind[(place - 1) * length : place * length]
             if len(slot) < length:
@@ -231,7 +231,7 @@ class FrameStream:
 
     def _continued(self, frame: Frame, behind: bytearray, needed: int, silent: bool) -> bool | None:
         """Whether so many frames without a header follow in unbroken succession."""
-        length = self._layout.frame_bytes
+        length = self._length
         before = frame
         for place in range(1, needed + 1):
             slot = behind[(place - 1) * length : place * length]
@@ -264,16 +264,16 @@ class FrameStream:
         """Whether the counter went on by as many frames as the bytes since the last one make."""
         if self._counter is None:
             return False
-        return self._counts(self._counter, frame.counter, 1 + round(self._bad_bytes / self._layout.frame_bytes))
+        return self._counts(self._counter, frame.counter, 1 + round(self._bad_bytes / self._length))
 
     def _leaps(self, before: Frame, behind: Frame) -> bool:
         return self._course is not None and self._course.leap(before, behind)
 
     def _in_course(self, frame: Frame, behind: bytearray, silent: bool) -> bool | None:
         """Refuse a frame whose output jumps and comes back, on a line that damages frames."""
-        if self._course is None or not self._line_is_bad() or not self._course.jumps(frame):
+        if not self._line_is_bad() or self._course is None or not self._course.jumps(frame):
             return True
-        length = self._layout.frame_bytes
+        length = self._length
         for place in range(_FOLLOWERS):
             slot = behind[place * length : (place + 1) * length]
             if len(slot) < length:
@@ -291,14 +291,14 @@ class FrameStream:
 
     def _starts(self) -> list[bytes]:
         """How what is worth finding begins."""
-        return [self._layout.header, *self._answers]
+        return [self._header, *self._answers]
 
     def _behind_frame(self, frame: Frame, position: int) -> int:
         """Give a frame; where to go on."""
         self._end_of_damage()
         self._counter = frame.counter
         self._give(frame)
-        return position + self._layout.frame_bytes
+        return position + self._length
 
     def _behind_damage(self, position: int) -> int:
         """Discard what belongs to no frame and no answer; where to go on."""
@@ -313,7 +313,7 @@ class FrameStream:
 
     def _end_of_damage(self) -> None:
         """A frame or an answer begins here: what was discarded before were damaged frames, or the end of one."""
-        length = self._layout.frame_bytes
+        length = self._length
         if self._bad_bytes and (self._joined or self._bad_bytes >= length):
             self._give_damage(max(1, round(self._bad_bytes / length)))
         self._joined, self._bad_bytes, self._reason = True, 0, ""
@@ -376,13 +376,13 @@ class FrameStream:
 
     def _frame_in(self, text: bytes) -> Frame | None:
         """The frame of a line; of one that lost its line end, the frame at its end if a checksum proves it."""
-        if not self._joined and not self._layout.header:
+        if not self._joined and not self._header:
             return None  # it may have lost its beginning, and nothing would show that
         try:
             return self._reader.read(text)
         except Damaged as damaged:
             self._reason = str(damaged)
-        begin = text.rfind(self._layout.header, 1) if self._layout.header else -1
+        begin = text.rfind(self._header, 1) if self._header else -1
         if begin < 0 or self._layout.check is None:
             return None
         try:

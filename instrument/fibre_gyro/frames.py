@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import math
 import re
 import struct
 from collections.abc import Callable
 from dataclasses import dataclass
+from math import isfinite
 
 from instrument.fibre_gyro.frame_format.fields import COUNTER, FIXED, PARITY, STATUS, UNUSED, Field, Quantity
 from instrument.fibre_gyro.frame_format.layout import FrameFormat
@@ -51,22 +51,23 @@ class FrameReader:
         self._binary = layout.kind == "binary"
         self._modulus = layout.counter.modulus if layout.counter else 0
         self._first = layout.counter.first if layout.counter else 0
-        self._delivered = [
-            (place, one)
-            for place, one in enumerate(one for one in layout.fields if _is_number(one))
+        numbers = [one for one in layout.fields if one.delivers or one.name == COUNTER]
+        self._counter_at = next((place for place, one in enumerate(numbers) if one.name == COUNTER), None)
+        # of each number that is delivered: its place, and how it becomes a value
+        self._values = [
+            (place, one.name, one.scale, one.offset, one.lowest, one.highest, one.name == STATUS, one.cycle > 0)
+            for place, one in enumerate(numbers)
             if one.delivers
         ]
-        self._counter_at = next(
-            (place for place, one in enumerate(filter(_is_number, layout.fields)) if one.name == COUNTER), None
-        )
         self._turns = _Turns(layout) if layout.turning is not None else None
-        if self._binary:
-            self._body = slice(len(layout.header), layout.frame_bytes - len(layout.ending))
-            self._numbers, self._proofs = _compiled(layout)
         self._counter_number: Number | None = None
-        if self._binary and self._counter_at is not None:
-            self._counter_number = self._numbers[self._counter_at]
-            self._counter_end = _end_of_counter(layout)
+        if self._binary:
+            self._end = layout.frame_bytes - len(layout.ending)
+            self._check_at = self._end - (layout.check.size if layout.check is not None else 0)
+            self._numbers, self._proofs = _compiled(layout)
+            if self._counter_at is not None:
+                self._counter_number = self._numbers[self._counter_at]
+                self._counter_end = _end_of_counter(layout)
 
     def read(self, data: bytes) -> Frame:
         """Read the bytes of one frame, in text without its line end.
@@ -90,10 +91,10 @@ class FrameReader:
             raise Damaged("no header")
         if not data.endswith(layout.ending):
             raise Damaged("wrong ending")
-        if layout.check is not None:
-            end = self._body.stop - layout.check.size
-            if data[end : self._body.stop] != layout.check.of_frame(data[:end], binary=True):
-                raise Damaged("wrong checksum")
+        if layout.check is not None and data[self._check_at : self._end] != layout.check.of_frame(
+            data[: self._check_at], binary=True
+        ):
+            raise Damaged("wrong checksum")
         for proof in self._proofs:
             proof(data)
         return [number(data) for number in self._numbers]
@@ -120,16 +121,15 @@ class FrameReader:
         if counter is not None and not 0 <= counter - self._first < self._modulus:
             raise Damaged("counter out of range")
         problem, values = "", []
-        status = self._layout.status
-        for place, entry in self._delivered:
+        for place, name, scale, offset, lowest, highest, is_status, in_turn in self._values:
             value = numbers[place]
-            if entry.name == STATUS:
-                if int(value) & status.mask != status.value:
+            if is_status:
+                if int(value) & self._layout.status.mask != self._layout.status.value:
                     problem = problem or "bad status"
-            elif not entry.cycle:
-                value = value * entry.scale + entry.offset
-                if not (math.isfinite(value) and entry.lowest <= value <= entry.highest):
-                    problem = problem or f"{entry.name} out of range"
+            elif not in_turn:
+                value = value * scale + offset
+                if not (lowest <= value <= highest and isfinite(value)):
+                    problem = problem or f"{name} out of range"
             values.append(value)
         standing = None if self._turns is None or counter is None else self._turns.standing(counter, values)
         return Frame(counter, tuple(values), problem, standing)

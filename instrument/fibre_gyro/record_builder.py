@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from instrument.fibre_gyro.columns import columns_of
+from instrument.fibre_gyro.columns import ANGLES, columns_of
 from instrument.fibre_gyro.frame_format import COUNTS, STATUS, TEMPERATURE, FrameFormat
 from instrument.fibre_gyro.frame_format.fields import CounterRule
 from instrument.fibre_gyro.frame_stream import Damage, Event
@@ -194,6 +194,8 @@ class RecordBuilder:
         """
         self._close_gap(self._wanted)
         clock = self.host_clock()
+        if clock is not None and self._layout.unit in ANGLES:
+            clock = replace(clock, used=True)  # the interval is a factor of the rate, whatever its error is
         step = clock.interval_s if clock is not None and clock.used else self._layout.interval_s
         columns = columns_of(
             self._layout, self._rows, self._counters, interval_s=step, counts_per_dps=counts_per_dps

@@ -180,9 +180,9 @@ def serve(tcp: int | None, speed: float, rate: float, config: Path | None, as_js
     """Serve the simulated gyro on a serial terminal (or TCP); the first line on stdout is its port."""
     from contextlib import suppress
 
-    from station.fibre_gyro.serial_bench import read_frame_format
     from station.fibre_gyro.served import serve_gyro
     from station.fibre_gyro.settings import load_fog_settings
+    from station.fibre_gyro.sniff.known import read_frame_format
 
     settings = load_fog_settings(config)
     layout = read_frame_format(settings)

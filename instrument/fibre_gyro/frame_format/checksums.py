@@ -147,7 +147,7 @@ class CheckRule:
         """The checksum as it is sent, over what stands `before` it, from byte `start` on if that is given."""
         if start is None:
             start = len(self.skips) if before.startswith(self.skips) else 0
-        covered = before[start:].removesuffix(self.mark)
+        covered = before[start:].removesuffix(self.mark) if self.mark else before[start:]
         value = self.checksum.compute(covered)
         return value.to_bytes(self.size, self.byte_order) if binary else b"%0*X" % (2 * self.size, value)
 

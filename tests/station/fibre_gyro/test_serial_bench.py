@@ -16,8 +16,9 @@ from station.fibre_gyro.merit import measurement as figures
 from station.fibre_gyro.segments import PlannedSegment
 from station.fibre_gyro.selfcal import measurement as selfcal
 from station.fibre_gyro.selfcal.numbers import numbers_for
-from station.fibre_gyro.serial_bench import SerialFogBench, read_frame_format
+from station.fibre_gyro.serial_bench import SerialFogBench
 from station.fibre_gyro.served import ServedGyro
+from station.fibre_gyro.sniff.known import read_frame_format
 from station.fibre_gyro.table import measurement as table
 from station.settings.load import shipped_settings
 from station.shell.evaluated import Evaluated

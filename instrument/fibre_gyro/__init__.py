@@ -6,7 +6,7 @@ and numbers, as `frame_format` describes them), `record_builder` (when, with `ho
 """
 
 from instrument.errors import CommandRefused, FrameFormatError, NoAcknowledgement
-from instrument.fibre_gyro.columns import ANGLES
+from instrument.fibre_gyro.columns import ANGLES, counts_per_unit
 from instrument.fibre_gyro.frame_format import FrameFormat, parse_frame_format
 from instrument.fibre_gyro.link import FibreGyroLink
 from instrument.fibre_gyro.logs import OUTPUT_UNITS, GyroLog, LogChoices, read_gyro_log, read_log, write_gyro_log
@@ -26,6 +26,7 @@ __all__ = [
     "Losses",
     "NoAcknowledgement",
     "Recording",
+    "counts_per_unit",
     "parse_frame_format",
     "read_gyro_log",
     "read_log",

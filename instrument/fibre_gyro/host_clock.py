@@ -27,6 +27,8 @@ _BLOCKS = 512  # of which the earliest arrival is kept
 _GROUPS = 16  # that say how far from the line the earliest arrivals lie
 _WORST_U = 0.05  # of the interval; a line that says less says nothing
 _SIGNIFICANT = 4.0  # standard uncertainties
+_BEAT_S = 0.018  # frames beat with the reads of 20 ms and an adapter's 16 ms, by so much or one interval at most
+_BEATS = 100  # arrivals in which a beat shows as what it is; in fewer it may look like a slope
 
 
 class Arrivals:
@@ -78,7 +80,9 @@ def _earliest_line(index: Floats, host: Floats) -> tuple[float, float]:
     # as far from the line as the earliest arrivals of a stretch lie, the line itself may be off at its ends
     groups = [part.min() for part in np.array_split(above, min(_GROUPS, above.size // 2))]
     off = float(np.median(groups)) + float(np.ptp(np.sort(groups)[: max(2, len(groups) // 2)]))
-    return slope + edge, 2 * off / float(index[-1] - index[0])
+    span = float(index[-1] - index[0])
+    off = max(off, min(_BEAT_S, slope) * min(1.0, _BEATS / index.size))
+    return slope + edge, 2 * off / span
 
 
 def _lower_hull(x: Floats, y: Floats) -> list[int]:

@@ -10,6 +10,7 @@ import serial
 
 from instrument.errors import LinkError
 from instrument.fibre_gyro.frame_format.layout import FrameFormat
+from instrument.fibre_gyro.frame_format.messages import compose
 from instrument.fibre_gyro.link import open_port
 
 _LARGEST = 64 * 1024 * 1024  # bytes of a file that are looked at
@@ -85,6 +86,11 @@ def captured_file(path: Path) -> Capture:
     """Bytes that were saved before; OSError if they cannot be read."""
     with path.open("rb") as file:
         return Capture(((0.0, file.read(_LARGEST)),))
+
+
+def poll_of(layout: FrameFormat) -> bytes:
+    """What a gyro is asked with for one frame; empty where it sends by itself."""
+    return b"" if layout.poll is None else compose(layout.poll, 0, layout.check)
 
 
 def line_of(layout: FrameFormat) -> str:

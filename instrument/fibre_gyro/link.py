@@ -243,11 +243,7 @@ class FibreGyroLink:
         """Throw away what came while nobody listened: it is old, and the rest of it may be lost."""
         if math.isfinite(self.speed):
             with self._lost_link("reading from"):
-                self._port.timeout = 0
-                dropped = 0
-                while dropped < _BACKLOG and (late := self._port.read(_CHUNK)):
-                    dropped += len(late)
-                self._port.timeout = SLICE_S
+                drop_backlog(self._port)
         self._stream.restart()
 
     # ------------------------------------------------------------------ commands
@@ -354,6 +350,15 @@ class FibreGyroLink:
             yield
         except (serial.SerialException, OSError) as error:
             raise LinkError(f"{doing} {self.name} failed, the link is lost: {error}") from error
+
+
+def drop_backlog(port: serial.SerialBase) -> None:
+    """Throw away what an open port has kept for us."""
+    port.timeout = 0
+    dropped = 0
+    while dropped < _BACKLOG and (late := port.read(_CHUNK)):
+        dropped += len(late)
+    port.timeout = SLICE_S
 
 
 def open_port(port: str, layout: FrameFormat) -> serial.SerialBase:

@@ -155,8 +155,10 @@ def _read_dialogue(
         poll = message(polling, "command")
         polling.refuse(poll is None, "command", "is missing")
         polling.refuse(poll is not None and poll.has_step, "command", "must not hold {step}; only inject has one")
-        polling.finish()
         result["poll"] = poll
+        if polling.has("answer_time_s"):
+            result["answer_time_s"] = polling.number("answer_time_s", positive=True)
+        polling.finish()
     return result
 
 

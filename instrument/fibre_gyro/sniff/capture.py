@@ -11,7 +11,7 @@ import serial
 from instrument.errors import LinkError
 from instrument.fibre_gyro.frame_format.layout import FrameFormat
 from instrument.fibre_gyro.frame_format.messages import compose
-from instrument.fibre_gyro.link import open_port
+from instrument.fibre_gyro.link import drop_backlog, open_port
 
 _LARGEST = 64 * 1024 * 1024  # bytes of a file that are looked at
 
@@ -68,6 +68,7 @@ def capture_port(port: str, layout: FrameFormat, seconds: float, *, poll: bytes 
     opened = open_port(port, layout)
     pieces: list[tuple[float, bytes]] = []
     try:
+        drop_backlog(opened)
         began = due = time.monotonic()
         while (now := time.monotonic()) < began + seconds:
             if poll and now >= due:

@@ -11,7 +11,7 @@ from instrument.fibre_gyro.frame_format.checksums import CHECKSUMS
 
 Bytes = NDArray[np.uint8]
 
-_LOOKED_AT = 200_000  # bytes
+_LOOKED_AT = 50_000  # bytes
 _LONGEST = 256  # bytes of a frame
 _FEWEST_FRAMES = 8
 _CONSTANT = 0.9  # of the frames

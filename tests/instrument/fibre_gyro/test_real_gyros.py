@@ -1,4 +1,4 @@
-"""Frames of real gyros, packed by hand: each shipped description gives the numbers that were packed, damaged or not."""
+"""Frames of real gyros, packed by hand: each shipped description gives the numbers that were packed."""
 
 import binascii
 import tomllib
@@ -83,7 +83,7 @@ def test_a_step_of_the_rate_on_a_damaged_line_is_kept():
 
 
 def test_two_faults_that_leave_a_right_sum_show_by_their_jump():
-    """A byte lost in a frame and one inserted before the next header, with the sum right: one of 256 such pairs."""
+    """A byte lost in a frame and one inserted before the next header, with a right sum: 1 of 256 such pairs."""
     gyro, rng = BY_NAME["eb90"], np.random.default_rng(4)
     raw = raw_outputs(gyro, 4000, rng)
     parts = [gyro.pack(n, one) for n, one in enumerate(raw)]

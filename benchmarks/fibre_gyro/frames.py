@@ -82,7 +82,9 @@ def judge(gyro: RealGyro, raw: list[int] | list[tuple[int, int, int]], delivered
         else:
             score.wrong += 1
             near = [gyro.values(n, raw[n])[1] for n in range(max(0, place - 1), min(place + 3, len(raw)))]
-            score.far = max(score.far, min(max(abs(a - b) for a, b in zip(frame.values, v, strict=True)) for v in near))
+            score.far = max(
+                score.far, min(max(abs(a - b) for a, b in zip(frame.values, v, strict=True)) for v in near)
+            )
     return score
 
 
@@ -93,7 +95,10 @@ def main() -> int:
     parser.add_argument("--damage", type=float, default=0.09)
     parser.add_argument("--seeds", type=int, default=1)
     given = parser.parse_args()
-    lines = ["| format | bytes | frames | whole | wrong | lost, % of the whole ones | MB/s damaged | MB/s |", "|---|---|---|---|---|---|---|---|"]
+    lines = [
+        "| format | bytes | frames | whole | wrong | lost, % of the whole ones | MB/s damaged | MB/s |",
+        "|---|---|---|---|---|---|---|---|",
+    ]
     for gyro in REAL_GYROS:
         total, slow, fast = Score(), [], []
         for seed in range(given.seeds):

@@ -123,13 +123,21 @@ def dsp_3000_bits(n: int, raw: int, kind: int = 0) -> bytes:
 
 
 def kvh_1750(n: int, raw: tuple[int, int, int]) -> bytes:
-    body = b"\xfe\x81\xff\x55" + struct.pack(">3f", *(one * 1e-10 for one in raw)) + struct.pack(">3f", 0.0, 0.01, 1.0)
+    body = (
+        b"\xfe\x81\xff\x55"
+        + struct.pack(">3f", *(one * 1e-10 for one in raw))
+        + struct.pack(">3f", 0.0, 0.01, 1.0)
+    )
     body += struct.pack(">BBh", 0x77, n % 128, temperature_of(n) // 16)
     return body + struct.pack(">I", crc_mpeg(body))
 
 
 def kvh_1775_c(n: int, raw: tuple[int, int, int]) -> bytes:
-    body = b"\xfe\x81\xff\x57" + struct.pack(">3f", *(one * 1e-10 for one in raw)) + struct.pack(">3f", 0.0, 0.01, 1.0)
+    body = (
+        b"\xfe\x81\xff\x57"
+        + struct.pack(">3f", *(one * 1e-10 for one in raw))
+        + struct.pack(">3f", 0.0, 0.01, 1.0)
+    )
     body += struct.pack(">f", in_turn(n)) + struct.pack(">BB", 0x77, n % 128)
     return body + struct.pack(">I", crc_mpeg(body))
 

@@ -131,13 +131,17 @@ def _table(values: Bytes, length: int, begin: int) -> Bytes:
 
 
 def _frames(values: Bytes, length: int) -> Structure:
-    same = [np.bincount(column).max() / column.size > _CONSTANT for column in _table(values, length, 0).T]
-    frames = _table(values, length, _begin(np.array(same)))
-    constant, counting, clear = {}, {}, []
+    columns = _table(values, length, 0).T
+    same = [np.bincount(column).max() / column.size > _CONSTANT for column in columns]
+    usual = [int(np.bincount(column).argmax()) for column in columns]
+    frames = _table(values, length, _begin(np.array(same), usual))
+    constant: dict[int, int] = {}
+    counting: dict[int, int] = {}
+    clear: list[int] = []
     for place, column in enumerate(frames.T):
-        usual = int(np.bincount(column).argmax())
-        if np.mean(column == usual) > _CONSTANT:
-            constant[place] = usual
+        most = int(np.bincount(column).argmax())
+        if np.mean(column == most) > _CONSTANT:
+            constant[place] = most
             continue
         steps = np.diff(column.astype(np.int16)) % 256
         step = int(np.bincount(steps).argmax())
@@ -150,8 +154,8 @@ def _frames(values: Bytes, length: int) -> Structure:
     return Structure(False, length, constant, counting, checks, tuple(clear), (), example)
 
 
-def _begin(constant: NDArray[np.bool_]) -> int:
-    """Where the longest run of constant bytes begins: that is most likely the header."""
+def _begin(constant: NDArray[np.bool_], usual: list[int]) -> int:
+    """Where the longest run of constant bytes begins, high bytes of a number aside: most likely the header."""
     if constant.all() or not constant.any():
         return 0
     twice = np.concatenate([constant, constant])
@@ -161,7 +165,8 @@ def _begin(constant: NDArray[np.bool_]) -> int:
             run = int(np.argmin(twice[place:]))
             if run > best:
                 best, begin = run, int(place)
-    return begin
+    places = [(begin + step) % constant.size for step in range(best)]
+    return next((place for place in places if usual[place] not in (0x00, 0xFF)), begin)
 
 
 def _checks(frames: Bytes) -> tuple[str, ...]:

@@ -86,9 +86,9 @@ def try_format(name: str, layout: FrameFormat, capture: Capture) -> Trial:
     reasons: Counter[str] = Counter()
     gaps = missing = damaged = explained = 0
     index = -1
-    for host_s, piece in _pieces(capture):
+    for host_s, piece in [*_pieces(capture), (capture.seconds, b"")]:
         before = index
-        for event in stream.feed(piece):
+        for event in stream.feed(piece, silent=not piece):
             if isinstance(event, Damage):
                 damaged += event.frames
                 reasons[event.reason] += event.frames
@@ -101,7 +101,7 @@ def try_format(name: str, layout: FrameFormat, capture: Capture) -> Trial:
                 if tick is not None:
                     lost = tick.index - index - 1 if index >= 0 else 0
                     gaps, missing, index = gaps + (lost > 0), missing + lost, tick.index
-        if capture.timed and index > before:
+        if capture.timed and piece and index > before:
             arrivals.add(index, host_s)
     tally = stream.tally
     received = max(1, tally.received)

@@ -12,7 +12,7 @@ from typing import Any, TypeVar
 from instrument import InstrumentError
 from station.errors import StationError, one_line
 from station.fibre_gyro.at_once import watch
-from station.fibre_gyro.common import output_facts, truth_of
+from station.fibre_gyro.common import output_facts, truth_of, with_link_remarks
 from station.fibre_gyro.logs import LogRow, is_list, read_logs, read_whole_logs
 from station.fibre_gyro.segments import PlannedSegment, seconds_of, take_logs, take_segments, unusable_segments
 from station.fibre_gyro.serial_bench import open_fog_bench
@@ -119,7 +119,7 @@ def gyro_measurement(
         take=take,
         take_files=take_files,
         evaluate=evaluate,
-        result=result,
+        result=with_link_remarks(result),
         sections=sections,
         facts=output_facts,
         gives=gives,

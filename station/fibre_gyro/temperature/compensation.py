@@ -56,7 +56,7 @@ def compensation_of(one: AxisTemperature, settings: FogSettings) -> Compensation
     return Compensation(
         at,
         nominal * (1 + off / PPM),
-        nominal * off_u / PPM,
+        nominal * np.hypot(off_u, one.scale_u_constant) / PPM,
         bias,
         np.hypot(bias_u, one.bias_u_constant),
         rate,

@@ -16,7 +16,7 @@ from analysis.fibre_gyro import (
     vertical_earth_rate_dph,
 )
 from station.errors import NoUsableSignal
-from station.fibre_gyro.common import PPM, reasons_of
+from station.fibre_gyro.common import PPM, angle_clock_u, reasons_of
 from station.fibre_gyro.recordings import Segment
 from station.fibre_gyro.settings import FogSettings
 from station.fibre_gyro.temperature.blocks import (
@@ -76,6 +76,8 @@ class AxisTemperature:
         misalignment; deg/h.
     scale : Modelled or None
         ppm off the scale factor by design; ``None`` without enough outputs at a rate.
+    scale_u_constant : float
+        Standard uncertainty of the gyro's clock in it, where the output is an angle a frame; ppm.
     rate_noise : float
         Part of the scatter of dT/dt that is noise of the thermometer.
     remarks : tuple of str
@@ -85,6 +87,7 @@ class AxisTemperature:
     bias: Modelled | None
     bias_u_constant: float
     scale: Modelled | None
+    scale_u_constant: float
     rate_noise: float
     remarks: tuple[str, ...]
 
@@ -146,7 +149,8 @@ def _one_axis(
     horizontal = 3600 * horizontal_earth_rate_dps(settings.site.latitude_deg)
     # towards the north or the south or between: nobody says
     unseen = 1e-3 * chosen.misalignment_mrad * horizontal / np.sqrt(2.0)
-    return AxisTemperature(axis, bias, float(unseen), scale, _rate_noise(bias, course), tuple(remarks))
+    clock_u = PPM * angle_clock_u([one.segment for one in at_rates])
+    return AxisTemperature(axis, bias, float(unseen), scale, clock_u, _rate_noise(bias, course), tuple(remarks))
 
 
 def _model(points: Points, settings: FogSettings, *, with_rate: bool = True) -> Modelled | None:

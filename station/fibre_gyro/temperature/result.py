@@ -67,7 +67,7 @@ def _axis(one: AxisTemperature, settings: FogSettings) -> dict[str, Any]:
         "bias_residual_dph": one.bias.residual_rms if one.bias else math.nan,
         "reference_temperature_c": settings.figures.reference_temperature_c,
         "nominal_scale_factor_counts_per_dps": settings.nominal_scale_factor,
-        "scale_factor": _model(one.scale, "ppm"),
+        "scale_factor": _model(one.scale, "ppm", constant_u=one.scale_u_constant),
         "bias": _model(one.bias, "dph", constant_u=one.bias_u_constant),
         "rate_noise_share": one.rate_noise,
         "compensation": {

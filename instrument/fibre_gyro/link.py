@@ -24,6 +24,7 @@ from instrument.fibre_gyro.frames import Frame
 from instrument.fibre_gyro.host_clock import WRONG
 from instrument.fibre_gyro.record_builder import HOST_DELAY_S, RecordBuilder
 from instrument.fibre_gyro.recording import Losses, Recording
+from instrument.in_use import claim
 
 SLICE_S = 0.02
 """Time in s that one read of the port waits for its bytes."""
@@ -65,7 +66,12 @@ class FibreGyroLink:
         self._patience_s = longest_silence_s + 2 * (layout.interval_s / max(speed, 1e-9)) + frame_s
         self._stream = FrameStream(layout)
         self._session = Losses()
-        self._port = open_port(port, layout)
+        self._claim = claim(port)
+        try:
+            self._port = open_port(port, layout)
+        except LinkError:
+            self._claim.release()
+            raise
 
     def __enter__(self) -> FibreGyroLink:
         return self
@@ -79,6 +85,7 @@ class FibreGyroLink:
         """Close the port; never raises."""
         with contextlib.suppress(serial.SerialException, OSError):
             self._port.close()
+        self._claim.release()
 
     @property
     def acknowledges(self) -> bool:

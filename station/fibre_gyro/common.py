@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from analysis.fibre_gyro import ClosedLoop, largest_step, predicted_table_scale
-from instrument.fibre_gyro import ANGLES, HostClock
+from instrument.fibre_gyro import ANGLES, HOST_CLOCK_U, HostClock
 from station.fibre_gyro.recordings import Segment, segments_of
 from station.fibre_gyro.settings import FogSettings
 from station.fibre_gyro.simulated_bench import loop_settings, quiet
@@ -103,6 +103,8 @@ def angle_clock_u(segments: Sequence[Segment]) -> float:
     """Relative standard uncertainty of K that the clock gives where the output is an angle a frame; else 0."""
     if not any(one.conditions.get("output_unit") in ANGLES for one in segments):
         return 0.0
+    if all(one.recording.clock == "polls" for one in segments):
+        return HOST_CLOCK_U
     clock = clock_of(segments)
     return _UNKNOWN_CLOCK_U if clock is None else clock.u_ppm / PPM
 

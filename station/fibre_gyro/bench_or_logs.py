@@ -136,10 +136,15 @@ def examine(settings: FogSettings) -> list[Check]:
     try:
         with open_fog_bench(settings, tell=told.append) as bench:
             planned = PlannedSegment("look", _LOOK_S, 0.0, {"purpose": "look", "rate_dps": 0.0})
-            losses = bench.record(planned, lambda seconds: None).losses
+            recording = bench.record(planned, lambda seconds: None)
     except (InstrumentError, StationError, OSError) as error:
         return [Check("fibre gyro", "bad", one_line(error))]
     at = settings.link.port or "the simulated bench"
+    losses, clock = recording.losses, recording.host_clock
     text = f"{losses.good} frames in {_LOOK_S:g} s at {at}, {losses.missing} missing"
     state: list[Check] = [Check("fibre gyro", "note" if losses.missing else "ok", text)]
+    if clock is not None and clock.used:
+        said = f"{clock} against the computer's: it is measured and allowed for"
+        state.append(Check("gyro's clock", "note", said))
+    state += [Check("frame format", "bad", doubt) for doubt in recording.doubts]
     return [*state, *(Check("bench", "note", one) for one in told)]

@@ -38,7 +38,7 @@ class TurnOn:
         In the likeliest model.
     final, final_u : float
         B_end, unit of the values.
-    transient, transient_u : float
+    transient, transient_u, transient_low_95, transient_high_95 : float
         B(0) - B_end.
     time_constants_s : tuple of float
         Of the likeliest model.
@@ -59,6 +59,8 @@ class TurnOn:
     final_u: float
     transient: float
     transient_u: float
+    transient_low_95: float
+    transient_high_95: float
     time_constants_s: tuple[float, ...]
     bound: float
     warm_up_s: float
@@ -107,7 +109,7 @@ def turn_on_transient(at_s: ArrayLike, values: ArrayLike, bound: float) -> TurnO
     if not bound > 0:
         raise ValueError(f"the bound of the warm-up must be positive, not {bound:g}")
     end = float(when[-1])
-    range_s = max(2 * float(np.diff(when).min()), 0.004 * end), _SLOWEST * end
+    range_s = float(np.diff(when).min()), _SLOWEST * end
     grids = [_refined_grid(when, value, count, range_s) for count in range(3)]
     scatter = float(np.sum((value - value.mean()) ** 2))
     alike = _alike(min(grids, key=lambda one: float(one.square.min())), when, value)
@@ -137,6 +139,8 @@ def turn_on_transient(at_s: ArrayLike, values: ArrayLike, bound: float) -> TurnO
         final_u=float(np.std(finals)),
         transient=float(np.mean(transients)),
         transient_u=float(np.std(transients)),
+        transient_low_95=float(np.quantile(transients, 0.025)),
+        transient_high_95=float(np.quantile(transients, 0.975)),
         time_constants_s=tuple(best.taus[place].tolist()),
         bound=bound,
         warm_up_s=middle,
@@ -182,8 +186,10 @@ class _Grid:
 
 
 def _designs(when: Floats, taus: Floats) -> Floats:
-    """Columns 1, exp(-t/tau_1), ... for each row of time constants, (m, n, 1 + k)."""
+    """Columns 1, exp(-t/tau_1), ... as means over the times of the values, for each row of time constants."""
+    half = float(np.diff(when).min()) / 2
     decays = np.exp(-when[np.newaxis, :, np.newaxis] / taus[:, np.newaxis, :])
+    decays = decays * (np.sinh(half / taus) / (half / taus))[:, np.newaxis, :]
     return np.concatenate([np.ones((taus.shape[0], when.size, 1)), decays], axis=2)
 
 
@@ -230,7 +236,7 @@ def _alike(best: _Grid, when: Floats, value: Floats) -> float:
 def _log_weight(grid: _Grid, count: float, best_square: float, scatter: float, constant: _Grid) -> Floats:
     """Ln of the probability of each point: even over the range of time constants, amplitudes up to the scatter."""
     exponentials = grid.taus.shape[1]
-    noise, widest = best_square / count, 10 * math.sqrt(max(scatter, best_square) / count)
+    noise, widest = best_square / count, 4 * math.sqrt(max(scatter, best_square) / count)
     # the amplitudes are integrated over, against a prior as wide as the values spread
     volume = np.linalg.slogdet(grid.root)[1] - np.linalg.slogdet(constant.root)[1]
     occam = volume + exponentials * (0.5 * math.log(2 * math.pi * noise) - math.log(2 * widest))

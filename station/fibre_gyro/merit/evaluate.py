@@ -39,7 +39,7 @@ from station.runs.store import SavedRun
 
 PURPOSE = "figures"
 _MANY_TURNS = 100_000
-_TURN_ON_BLOCKS = 60
+_TURN_ON_BLOCKS = 180
 
 
 @dataclass(frozen=True)

@@ -171,6 +171,8 @@ def _turn_on(one: TurnOn | None) -> dict[str, Any] | None:
         "time_constants_s": one.time_constants_s,
         "transient_dph": one.transient,
         "transient_u_dph": one.transient_u,
+        "transient_low_95_dph": one.transient_low_95,
+        "transient_high_95_dph": one.transient_high_95,
         "warm_up_s": one.warm_up_s,
         "warm_up_low_95_s": one.warm_up_low_95_s,
         "warm_up_high_95_s": one.warm_up_high_95_s,

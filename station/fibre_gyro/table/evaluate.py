@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -29,7 +30,7 @@ from analysis.fibre_gyro import (
     vertical_earth_rate_dph,
 )
 from station.errors import NoUsableSignal
-from station.fibre_gyro.common import reasons_of
+from station.fibre_gyro.common import angle_clock_u, reasons_of
 from station.fibre_gyro.recordings import Segment, segments_of
 from station.fibre_gyro.settings import FogSettings
 from station.fibre_gyro.windows import check_table_rate, remarks_on, window_over_turns
@@ -210,6 +211,11 @@ def _axis_result(
     if parts.rate_dps.size >= 2:
         differences = rate_differences(parts, irreproducibility_ppm=irreproducibility, runs=runs, end_up=end_up)
     fit = fit_axis(runs, irreproducibility_ppm=irreproducibility)
+    if clock_u := angle_clock_u([segment for segment, _ in windows.values()]):
+        fit = replace(fit, scale_factor_u=math.hypot(fit.scale_factor_u, clock_u * fit.scale_factor))
+        if differences is not None:
+            common = np.hypot(differences.irreproducibility_u, clock_u * differences.number)
+            differences = replace(differences, irreproducibility_u=common)
     bias = bias_at_latitude(fit, settings.site.latitude_deg)
     means = tuple(mean for _, mean in windows.values())
     remarks = [said for segment, mean in windows.values() for said in remarks_on(segment, mean)]

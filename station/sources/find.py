@@ -68,7 +68,8 @@ def _below(folder: Path, entered: set[str]) -> Iterator[Path]:
     """
     try:
         with os.scandir(folder) as entries:
-            names = sorted(entries, key=lambda entry: entry.name)
+            # hidden ones are drafts, indexes, and what some computers leave beside the files of a card
+            names = sorted((one for one in entries if not one.name.startswith(".")), key=lambda entry: entry.name)
     except OSError:
         yield folder
         return

@@ -16,6 +16,8 @@ def test_a_tree_with_links_that_lead_nowhere_or_round(tmp_path, capsys):
     (tree / "loop" / "up").symlink_to(tree)
     (tree / "self.CSV").symlink_to(tree / "self.CSV")
     shutil.copy(GOLDEN / "single.sqlite", tree / "a name\x1b[31m\n.sqlite")
+    (tree / "._F0000CH1.CSV").write_bytes(b"Mac OS X")
+    (tree / ".run.sqlite").write_bytes((GOLDEN / "single.sqlite").read_bytes()[:30_000])
     assert main(["analyze", str(tree), "--to", str(tmp_path / "t.csv"), "--quiet"]) == 2
     out, err = capsys.readouterr()
     assert "6 records of 1 sources" in out

@@ -110,6 +110,8 @@ MEASUREMENTS = {
     "eps": "station.fibre_gyro.eps.measurement",
     "figures": "station.fibre_gyro.merit.measurement",
     "allan": "station.fibre_gyro.allan.measurement",
+    "threshold": "station.fibre_gyro.threshold.measurement",
+    "temperature": "station.fibre_gyro.temperature.measurement",
     "witness": "station.fibre_gyro.witness.measurement",
 }
 

@@ -8,6 +8,7 @@ from typing import Any, TypeVar
 
 import click
 
+from station.fibre_gyro.constants.command import constants
 from station.fibre_gyro.sniff.command import command as sniff
 from station.shell.command import run_measurement
 from station.shell.options import (
@@ -36,6 +37,7 @@ def command() -> None:
 
 
 command.add_command(sniff)
+command.add_command(constants)
 
 
 def _options(function: F) -> F:
@@ -122,7 +124,7 @@ def eps(paths: tuple[Path, ...], **given: Any) -> int:
 @command.command("figures")
 @_options
 def figures(paths: tuple[Path, ...], **given: Any) -> int:
-    """Nonlinearity, asymmetry, repeatability and temperature coefficient, in GJB and IEEE style."""
+    """Nonlinearity, asymmetry, repeatability, temperature coefficient; bias repeatability and warm-up."""
     return _run("figures", paths, given)
 
 
@@ -133,6 +135,20 @@ def allan(paths: tuple[Path, ...], **given: Any) -> int:
     """Noise at rest: Allan deviation and noise model. PATH is a saved run, logs as they are, or a list of them."""
     more = {**_OF_LOGS, "temperature": "allan.temperature"}
     return run_measurement("allan", given, paths=paths, places={"port": "link.port"}, for_files=more)
+
+
+@command.command("threshold")
+@_options
+def threshold(paths: tuple[Path, ...], **given: Any) -> int:
+    """Threshold, resolution and dead zone, by a ladder of small rates in both senses without whole turns."""
+    return _run("threshold", paths, given)
+
+
+@command.command("temperature")
+@_options
+def temperature(paths: tuple[Path, ...], **given: Any) -> int:
+    """Scale factor and bias over a temperature ramp, and a compensation table. PATH may also be a log at rest."""
+    return _run("temperature", paths, given)
 
 
 @command.command("witness")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -51,6 +51,11 @@ def truth_of(settings: FogSettings) -> dict[str, dict[str, float]]:
         "two_pi_error_ppm": PPM * simulation.two_pi_error,
         "bias_dph": simulation.bias_dph,
         "angle_random_walk_deg_per_sqrt_h": simulation.angle_random_walk,
+        "threshold_dps": simulation.dead_zone_dps,
+        "dead_zone_dps": 2 * simulation.dead_zone_dps,
+        "bias_repeatability_dph": simulation.switch_on_bias_dph,
+        "turn_on_transient_dph": simulation.warm_up_bias_dph,
+        "bias_dph_per_k_per_min": simulation.bias_dph_per_k_per_min,
     }
     return {"truth": truth}
 
@@ -151,6 +156,29 @@ def beyond_converter(step_codes: float, dac_bits: int) -> str:
         f"a step of {step_codes:+.6g} codes is beyond the {dac_bits}-bit converter, which takes "
         f"{largest_step(dac_bits):.0f} (half of its range): choose a smaller rate"
     )
+
+
+def undecided_limits(
+    documents: Sequence[Mapping[str, Any]], names: Sequence[str], settings: FogSettings
+) -> list[str]:
+    """Say which limits of the settings lie inside the 95 % interval of what they are for.
+
+    Parameters
+    ----------
+    documents : sequence of mapping
+        Of each axis, with ``NAME``, ``NAME_low_95`` and ``NAME_high_95``, the unit at the end of each.
+    """
+    limits, said = settings.limits.model_dump(exclude_none=True), []
+    for document in documents:
+        for name in (one for one in names if one in limits):
+            begin, _, unit = name.rpartition("_")
+            low, high = (document.get(f"{begin}_{end}_95_{unit}") for end in ("low", "high"))
+            if low is not None and high is not None and low < limits[name] < high:
+                said.append(
+                    f"limits.{name} = {limits[name]:g} lies inside U95, {low:.3g} to {high:.3g}: the run does not "
+                    "decide it."
+                )
+    return said
 
 
 def gyro_table(settings: FogSettings) -> FactTable:

@@ -7,12 +7,14 @@ The list has one line for each stretch of output and a header with the names of 
     axis, rate_dps     table and figures: which axis, at which signed rate of the table; 0 at rest; in a file with
                        the outputs of three axes it also says which of them is meant
     table_rate_dps     optional: the rate that the table really had
+    base_dps           optional, threshold: the rate about which a change was made, for the resolution
     end_up             optional: -1 where the axis pointed down
     stands_for_dps     selfcal: the rate that the injected step stands for, 0 at rest
     number             selfcal: the injected step in counts, 0 at rest
     number_u           optional, selfcal: its standard uncertainty, how well it stands for the rate
     step_codes         eps: the injected step in codes
     run, temperature_c optional, figures: name of the run and its temperature
+    since_on_s         optional, figures: 0 for the output from switching on, for the transient
 """
 
 from __future__ import annotations
@@ -39,6 +41,8 @@ _NUMBERS = (
     "stop_s",
     "rate_dps",
     "table_rate_dps",
+    "base_dps",
+    "since_on_s",
     "stands_for_dps",
     "number",
     "number_u",
@@ -98,8 +102,8 @@ def read_logs(
 
 def is_list(path: Path) -> bool:
     """Whether a file is a list of logs, not a log itself: its header has a column ``file``."""
-    with open_plain_file(path) as file:
-        for line in io.TextIOWrapper(file, encoding="utf-8-sig", errors="replace"):
+    with open_plain_file(path) as file, io.TextIOWrapper(file, encoding="utf-8-sig", errors="replace") as text:
+        for line in text:
             if line.strip() and not line.lstrip().startswith("#"):
                 return "file" in [cell.strip() for cell in line.replace(";", ",").split(",")]
     return False
@@ -114,7 +118,12 @@ def read_whole_logs(
         log = read_log(path, choices_of(settings))
         axes = [name.removeprefix("counts_").upper() for name in log.outputs] if len(log.outputs) > 1 else [""]
         for axis in axes:
-            conditions = {"purpose": purpose, "source": str(path), "rate_dps": 0.0}
+            conditions = {
+                "purpose": purpose,
+                "source": str(path),
+                "rate_dps": 0.0,
+                **({"axis": axis} if axis else {}),
+            }
             recording = log.recording(axis, counts_per_dps=settings.nominal_scale_factor)
             found.append((f"{axis} {path.name}".strip(), conditions, recording))
     return found

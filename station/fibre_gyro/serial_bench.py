@@ -33,7 +33,7 @@ class SerialFogBench:
         By design; turns an output in deg/s, deg/h or an angle into counts.
     """
 
-    _BY_HAND = ("axis", "end_up", "run", "temperature_c")
+    _BY_HAND = ("axis", "end_up", "run", "temperature_c", "by_hand")
 
     def __init__(
         self,
@@ -109,10 +109,12 @@ class SerialFogBench:
         if now == self._by_hand or now == (None,) * len(now):
             return
         self._by_hand = now
-        axis, end_up, run, temperature = now
+        axis, end_up, run, temperature, also = now
         asked = [f"Bring axis {axis} of the gyro to the table's axis, {'up' if end_up != -1 else 'upside down'}."]
         if run is not None:
             asked.append(f"For {run}: switch the gyro off, let it take {temperature:g} deg C, switch it on.")
+        if also is not None:
+            asked.append(str(also))
         self._ask("\n".join([*asked, "Press Enter when done: "]))
 
     def _set_loop(self, held: bool) -> None:

@@ -14,7 +14,7 @@ from instrument.fibre_gyro import FrameFormat, counts_per_unit
 from instrument.simulated.fibre_gyro.server import PtyGyroServer, TcpGyroServer
 from station.errors import UsageError
 from station.fibre_gyro.settings import FogSettings
-from station.fibre_gyro.simulated_bench import loop_settings
+from station.fibre_gyro.simulated_bench import as_the_gyro_sees, loop_settings
 
 
 class ServedGyro:
@@ -53,7 +53,7 @@ class ServedGyro:
         block = self._model.run(
             count,
             output_period_s=self._interval_s,
-            rate_dps=self.rate_dps + self._earth,
+            rate_dps=as_the_gyro_sees(np.array(self.rate_dps + self._earth), self._settings),
             injected_step=self._step,
             closed=not self._held,
         )

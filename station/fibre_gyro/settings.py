@@ -104,6 +104,8 @@ class FiguresSettings(SettingsSection):
     static_s: Positive
     settle_s: NotNegative
     misalignment_mrad: NotNegative
+    turn_on_s: NotNegative
+    warm_up_bound_dph: Positive
 
 
 class AllanSettings(SettingsSection):
@@ -113,6 +115,41 @@ class AllanSettings(SettingsSection):
     record_s: Positive
     settle_s: NotNegative
     temperature: bool
+
+
+class ThresholdSettings(SettingsSection):
+    """Threshold, resolution and dead zone."""
+
+    axis: Name
+    table_axis: Literal["vertical", "east"]
+    lowest_dps: Positive
+    highest_dps: Positive
+    per_decade: Annotated[int, Field(ge=1, le=10)]
+    refine: Annotated[int, Field(ge=0, le=20)]
+    resolution_at_dps: NotNegative
+    angle_random_walk: NotNegative
+    ratio_u: Annotated[float, Field(gt=0, le=0.2)]
+    shortest_s: Positive
+    longest_s: Positive
+    settle_s: NotNegative
+    misalignment_mrad: NotNegative
+
+
+class TemperatureSettings(SettingsSection):
+    """Scale factor and bias over a temperature ramp."""
+
+    axis: Name
+    coldest_c: Finite
+    hottest_c: Finite
+    ramp_c_per_min: Positive
+    rate_dps: NotNegative
+    rest_s: Positive
+    settle_s: NotNegative
+    block_s: Positive
+    window_s: Positive
+    highest_order: Annotated[int, Field(ge=1, le=6)]
+    table_step_c: Positive
+    misalignment_mrad: NotNegative
 
 
 class WitnessSettings(SettingsSection):
@@ -148,6 +185,14 @@ class SimulationSettings(SettingsSection):
     asymmetry_ppm: Finite
     cubic_ppm: Finite
     dead_zone_dps: NotNegative
+    scale_curvature_ppm_per_k2: Finite
+    bias_dph_per_k: Finite
+    bias_dph_per_k2: Finite
+    bias_dph_per_k_per_min: Finite
+    temperature_noise_c: NotNegative
+    switch_on_bias_dph: NotNegative
+    warm_up_bias_dph: Finite
+    warm_up_time_s: Positive
     half_wave_v: Positive
     scope_gain_error: Annotated[float, Field(ge=-0.1, le=0.1)]
 
@@ -166,6 +211,15 @@ class LimitSettings(SettingsSection):
     asymmetry_ppm: Limit = None
     repeatability_ppm: Limit = None
     temperature_coefficient_ppm: Limit = None
+    bias_repeatability_dph: Limit = None
+    turn_on_transient_dph: Limit = None
+    warm_up_s: Limit = None
+    threshold_dps: Limit = None
+    resolution_dps: Limit = None
+    dead_zone_dps: Limit = None
+    scale_factor_over_temperature_ppm: Limit = None
+    bias_over_temperature_dph: Limit = None
+    bias_residual_dph: Limit = None
     angle_random_walk_deg_per_sqrt_h: Limit = None
     bias_instability_dph: Limit = None
     rate_random_walk_dph_per_sqrt_h: Limit = None
@@ -185,6 +239,8 @@ class FogSettings(SettingsSection):
     eps: EpsSettings
     figures: FiguresSettings
     allan: AllanSettings
+    threshold: ThresholdSettings
+    temperature: TemperatureSettings
     witness: WitnessSettings
     controllers: ControllersSettings | None = None
     simulation: SimulationSettings
@@ -225,6 +281,12 @@ def _check(settings: FogSettings, path: Path) -> FogSettings:
     axes = settings.table.axes
     if len(set(axes)) != len(axes):
         raise SettingsError(f"{path}: table.axes: {', '.join(axes)}: an axis stands there twice")
+    if settings.threshold.highest_dps <= settings.threshold.lowest_dps:
+        raise SettingsError(f"{path}: threshold.highest_dps must be larger than threshold.lowest_dps")
+    if settings.threshold.longest_s < settings.threshold.shortest_s:
+        raise SettingsError(f"{path}: threshold.longest_s must not be shorter than threshold.shortest_s")
+    if settings.temperature.hottest_c <= settings.temperature.coldest_c:
+        raise SettingsError(f"{path}: temperature.hottest_c must be above temperature.coldest_c")
     if settings.simulated and settings.table.kind == "manual":
         raise SettingsError(f'{path}: table.kind = "manual": an operator cannot turn a simulated gyro')
     if settings.simulated and settings.table.kind == "controller":

@@ -41,6 +41,8 @@ class SimulatedFogBench:
         reached: dict[str, Any] = {"model": self._model(planned)}
         if planned.conditions["rate_dps"]:
             reached["table_rate_dps"] = planned.conditions["rate_dps"]
+        if "planned_begin_s" in planned.conditions:
+            reached["begin_s"] = planned.conditions["planned_begin_s"]
         return reached
 
     def record(self, planned: PlannedSegment, progress: Callable[[float], None]) -> Recording:
@@ -85,9 +87,6 @@ class SimulatedFogBench:
         change = simulation.scale_change_ppm
         if (run := conditions.get("run")) is not None:
             change += float(self._random(f"switch-on {run}").normal(0, simulation.switch_on_scatter_ppm))
-        if (temperature := conditions.get("temperature_c")) is not None:
-            warm = temperature - self._settings.figures.reference_temperature_c
-            change += simulation.temperature_coefficient_ppm * warm
         return self._settings.coil.scaled(1 + change / _PPM)
 
     def _rates(self, planned: PlannedSegment, count: int, period: float, rng: np.random.Generator) -> Floats:
@@ -102,17 +101,31 @@ class SimulatedFogBench:
         north = np.diff(np.sin(azimuth)) / np.diff(azimuth) if table else np.full(count, np.cos(azimuth[0]))
         vertical = table + EARTH_RATE_DPS * np.sin(latitude)
         on_axis = end * np.cos(tilt) * vertical + np.sin(tilt) * EARTH_RATE_DPS * np.cos(latitude) * north
-        return self._distorted(on_axis)
-
-    def _distorted(self, rates: Floats) -> Floats:
-        simulation = self._settings.simulation
-        full = max(self._settings.figures.rates_dps)
-        shape = (
-            1
-            + simulation.cubic_ppm / _PPM * (rates / full) ** 2
-            + simulation.asymmetry_ppm / _PPM / 2 * np.sign(rates)
+        warm, times = self._warm(planned, count, period), np.asarray(edges[:-1] + period / 2, dtype=np.float64)
+        change = simulation.temperature_coefficient_ppm * warm + simulation.scale_curvature_ppm_per_k2 * warm**2
+        return as_the_gyro_sees(np.asarray(on_axis), self._settings) * (1 + change / _PPM) + self._bias(
+            planned, times, warm
         )
-        return np.where(np.abs(rates) < simulation.dead_zone_dps, 0.0, rates * shape)
+
+    def _warm(self, planned: PlannedSegment, count: int, period: float) -> Floats:
+        """Kelvin above the reference temperature in each output period; 0 where nobody says."""
+        conditions, reference = planned.conditions, self._settings.figures.reference_temperature_c
+        if (begin := conditions.get("planned_temperature_c")) is not None:
+            times = (np.arange(count) - 0.5) * period  # the first output is not kept
+            return np.asarray(begin - reference + conditions["ramp_c_per_min"] * times / 60, dtype=np.float64)
+        temperature = conditions.get("temperature_c")
+        return np.full(count, 0.0 if temperature is None else temperature - reference)
+
+    def _bias(self, planned: PlannedSegment, times: Floats, warm: Floats) -> Floats:
+        """What temperature and switching on add to the bias, deg/s."""
+        simulation, conditions = self._settings.simulation, planned.conditions
+        bias = simulation.bias_dph_per_k * warm + simulation.bias_dph_per_k2 * warm**2
+        bias = bias + simulation.bias_dph_per_k_per_min * float(conditions.get("ramp_c_per_min", 0.0))
+        if (run := conditions.get("run")) is not None:
+            bias = bias + self._random(f"bias at switch-on {run}").normal(0, simulation.switch_on_bias_dph)
+        if (since := conditions.get("since_on_s")) is not None:
+            bias = bias + simulation.warm_up_bias_dph * np.exp(-(since + times) / simulation.warm_up_time_s)
+        return np.asarray(bias / 3600, dtype=np.float64)
 
     def _recording(self, planned: PlannedSegment, block: OutputBlock, count: int, *, held: bool) -> Recording:
         gyro = self._settings.gyro
@@ -120,11 +133,10 @@ class SimulatedFogBench:
         if gyro.output_resolution:
             counts = gyro.output_resolution * np.round(counts / gyro.output_resolution)
         extra = {"normal_error": block.normal_error[1:], "reset_error": block.reset_error[1:]} if held else {}
-        temperature = planned.conditions.get("temperature_c")
         return Recording(
             times=np.arange(count, dtype=np.float64) * block.interval_s,
             counts=counts,
-            temperature=None if temperature is None else np.full(count, float(temperature)),
+            temperature=self._thermometer(planned, count, block.interval_s),
             status=None,
             extra={name: np.asarray(values, dtype=np.float64) for name, values in extra.items()},
             gaps=(),
@@ -132,6 +144,29 @@ class SimulatedFogBench:
             interval_s=block.interval_s,
             clock="counter",
         )
+
+    def _thermometer(self, planned: PlannedSegment, count: int, period: float) -> Floats | None:
+        """What the gyro says of its temperature; on a ramp with noise."""
+        conditions = planned.conditions
+        if conditions.get("planned_temperature_c", conditions.get("temperature_c")) is None:
+            return None
+        warm = self._warm(planned, count + 1, period)[1:] + self._settings.figures.reference_temperature_c
+        if "planned_temperature_c" in conditions:
+            noise = self._settings.simulation.temperature_noise_c
+            warm = warm + self._random(f"thermometer {planned.key}").normal(0, noise, count)
+        return warm
+
+
+def as_the_gyro_sees(rates: Floats, settings: FogSettings) -> Floats:
+    """Rates on the axis, deg/s, with the nonlinearity, asymmetry and dead zone of the simulated gyro."""
+    simulation = settings.simulation
+    full = max(settings.figures.rates_dps)
+    shape = (
+        1
+        + simulation.cubic_ppm / _PPM * (rates / full) ** 2
+        + simulation.asymmetry_ppm / _PPM / 2 * np.sign(rates)
+    )
+    return np.where(np.abs(rates) < simulation.dead_zone_dps, 0.0, rates * shape)
 
 
 def loop_settings(settings: FogSettings) -> LoopDesign:

@@ -69,11 +69,14 @@ def window_at_rest(segment: Segment, *, resolution: float) -> WindowMean:
     return mean_at_rest(words_of(recording), recording.interval_s, resolution=resolution)
 
 
-def window_of_any_length(segment: Segment, settings: FogSettings, *, turns: int) -> WindowMean:
+def window_of_any_length(
+    segment: Segment, settings: FogSettings, *, turns: int, tilt_mrad: float | None = None
+) -> WindowMean:
     """Mean over whole turns, or where the record is shorter than one turn, of all of it.
 
     Without whole turns a part of the horizontal earth rate stays in: what the input axis, tilted by
-    ``figures.misalignment_mrad``, can see of it counts in the uncertainty. Errors as :func:`window_over_turns`.
+    `tilt_mrad` (``figures.misalignment_mrad`` if not given), can see of it counts in the uncertainty. Errors as
+    :func:`window_over_turns`.
     """
     recording, rate = checked(segment), float(segment.conditions["rate_dps"])
     resolution = settings.gyro.output_resolution
@@ -82,7 +85,7 @@ def window_of_any_length(segment: Segment, settings: FogSettings, *, turns: int)
     if (words.size + 1) * recording.interval_s * turning >= 360.0:
         return window_over_turns(segment, turns=turns, window_s=0.0, resolution=resolution)
     mean = mean_at_rest(words, recording.interval_s, resolution=resolution)
-    tilt = 1e-3 * settings.figures.misalignment_mrad
+    tilt = 1e-3 * (settings.figures.misalignment_mrad if tilt_mrad is None else tilt_mrad)
     seen = settings.nominal_scale_factor * tilt * horizontal_earth_rate_dps(settings.site.latitude_deg)
     return replace(mean, mean_u=math.hypot(mean.mean_u, seen))
 

@@ -159,7 +159,9 @@ def test_points_left_out_are_one_line_each(gyrolock, tmp_path: Path) -> None:
     assert "not a whole number: use 30 turns = 539.730 s or 31 turns = 557.721 s" in done.err
 
 
-@pytest.mark.parametrize("name", ["table", "selfcal", "eps", "figures", "witness", "settings", "serve"])
+@pytest.mark.parametrize(
+    "name", ["table", "selfcal", "eps", "figures", "threshold", "temperature", "witness", "settings", "serve"]
+)
 def test_every_subcommand_has_help_json_and_config(name: str, capsys) -> None:
     assert main(["fog", name, "--help"]) == 0
     text = capsys.readouterr().out

@@ -11,27 +11,35 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.fibre_gyro import (
+    Repeatability,
     ResidualPattern,
     ScaleFigures,
+    StaticLevel,
+    TurnOn,
     WindowMean,
     few_values_factor,
+    horizontal_earth_rate_dps,
     pooled_noise,
+    repeatability,
     repeatability_ppm,
     residual_pattern,
     scale_figures,
     static_level,
     temperature_coefficient_ppm,
+    turn_on_transient,
+    vertical_earth_rate_dph,
 )
 from station.errors import NoUsableSignal
 from station.fibre_gyro.common import angle_clock_u, reasons_of
 from station.fibre_gyro.recordings import Segment, segments_of
 from station.fibre_gyro.settings import FogSettings
-from station.fibre_gyro.windows import check_table_rate, remarks_on, window_at_rest, window_of_any_length
+from station.fibre_gyro.windows import check_table_rate, checked, remarks_on, window_at_rest, window_of_any_length
 from station.results.result import LeftOut
 from station.runs.store import SavedRun
 
 PURPOSE = "figures"
 _MANY_TURNS = 100_000
+_TURN_ON_BLOCKS = 180
 
 
 @dataclass(frozen=True)
@@ -52,6 +60,10 @@ class MeritRun:
         Last static output less the first, counts; nan if one is missing.
     drift_removed : bool
         Whether the static output was interpolated in time.
+    bias_dph, bias_u_dph : float
+        Static output less the vertical earth rate; the uncertainty by its noise.
+    turn_on : TurnOn or None
+        Transient after switching on, deg/h; ``None`` without a usable record of it.
     remarks : tuple of str
         What was missing or left out within the windows.
     """
@@ -66,6 +78,9 @@ class MeritRun:
     figures: ScaleFigures
     pattern: ResidualPattern
     drift_removed: bool
+    bias_dph: float
+    bias_u_dph: float
+    turn_on: TurnOn | None
     remarks: tuple[str, ...]
 
 
@@ -83,6 +98,8 @@ class AxisMerit:
         The largest of the runs; nan where no run gives one.
     repeatability_ppm, temperature_coefficient_ppm : float
         nan where there are too few runs.
+    bias : Repeatability or None
+        Of the bias from one switching on to the next, deg/h; ``None`` with one run.
     """
 
     axis: str
@@ -95,6 +112,28 @@ class AxisMerit:
     asymmetry_ppm: float
     repeatability_ppm: float
     temperature_coefficient_ppm: float
+    bias: Repeatability | None
+
+    @property
+    def bias_repeatability_dph(self) -> float:
+        """Standard deviation of the bias over the runs from cold starts."""
+        return math.nan if self.bias is None else self.bias.value
+
+    @property
+    def slowest(self) -> TurnOn | None:
+        """Transient with the longest warm-up."""
+        return max((one.turn_on for one in self.runs if one.turn_on), key=lambda one: one.warm_up_s, default=None)
+
+    @property
+    def turn_on_transient_dph(self) -> float:
+        """Largest bias just after switching on less the final one, with its sign."""
+        every = [one.turn_on.transient for one in self.runs if one.turn_on]
+        return max(every, key=abs, default=math.nan)
+
+    @property
+    def warm_up_s(self) -> float:
+        """Longest time until the bias stays within the bound of its final value."""
+        return math.nan if self.slowest is None else self.slowest.warm_up_s
 
     @property
     def all_runs(self) -> tuple[MeritRun, ...]:
@@ -163,7 +202,17 @@ def _one_axis(
         asymmetry_ppm=_largest([one.asymmetry_ppm for one in each]),
         repeatability_ppm=repeatability_ppm(k) if k.size > 1 else math.nan,
         temperature_coefficient_ppm=_temperature_coefficient(runs, others),
+        bias=_bias_repeatability(runs, settings),
     )
+
+
+def _bias_repeatability(runs: Sequence[MeritRun], settings: FogSettings) -> Repeatability | None:
+    if len(runs) < 2:
+        return None
+    # the table need not come to rest towards the same side: a tilted axis sees another part of the earth rate
+    horizontal = 3600 * horizontal_earth_rate_dps(settings.site.latitude_deg)
+    turned = 1e-3 * settings.figures.misalignment_mrad * horizontal * math.sqrt(0.5)
+    return repeatability([one.bias_dph for one in runs], [one.bias_u_dph for one in runs], turned)
 
 
 def _scale_u(k: NDArray[np.float64], alone: ScaleFigures) -> float:
@@ -196,6 +245,8 @@ def _one_run(
 ) -> MeritRun | None:
     """Evaluate one run; segments that cannot be used are added to `left_out`."""
     points, remarks, clock = [], [], 0.0
+    switched_on = [one for one in segments if "since_on_s" in one.conditions]
+    segments = [one for one in segments if "since_on_s" not in one.conditions]
     for segment in segments:
         length = segment.recording.duration_s
         clock += length
@@ -213,8 +264,8 @@ def _one_run(
             LeftOut(name, f"it has {len(turned)} rates and {len(static)} static outputs, 3 and 1 are needed")
         )
         return None
-    level, drifts = np.empty(len(turned)), []
-    for end_up in dict.fromkeys(one.end_up for one in turned):
+    level, drifts, ends = np.empty(len(turned)), [], list(dict.fromkeys(one.end_up for one in turned))
+    for end_up in ends:
         of_end = [place for place, one in enumerate(turned) if one.end_up == end_up]
         at_rest = [one for one in static if one.end_up == end_up]
         found = static_level(
@@ -230,12 +281,42 @@ def _one_run(
     u = np.maximum(pooled_noise([one.mean for one in turned]), 1e-12 * np.abs(output).max())
     largest = max(drifts, key=lambda one: abs(one.drift) if math.isfinite(one.drift) else math.inf)
     both = len(static) > 1
+    figures = scale_figures(rate, output, u)
+    bias = [_bias(found, end_up, figures.fit.slope, settings) for end_up, found in zip(ends, drifts, strict=True)]
+    bias_u = math.sqrt(sum(one**2 for _, one in bias)) / len(bias)
     return MeritRun(
         name, _temperature(segments), rate, output, u,
         largest.drift if both else math.nan, largest.drift_u if both else math.nan,
-        scale_figures(rate, output, u), residual_pattern(rate, output, u),
-        any(one.modelled for one in drifts), tuple(remarks),
+        figures, residual_pattern(rate, output, u), any(one.modelled for one in drifts),
+        sum(one for one, _ in bias) / len(bias), bias_u, _turn_on(switched_on, settings, left_out), tuple(remarks),
     )  # fmt: skip
+
+
+def _bias(found: StaticLevel, end_up: int, scale: float, settings: FogSettings) -> tuple[float, float]:
+    """Bias by the static output of one end of the axis, deg/h, and its noise."""
+    earth = end_up * vertical_earth_rate_dph(settings.site.latitude_deg)
+    return 3600 * found.mean / scale - earth, 3600 * found.mean_u / abs(scale)
+
+
+def _turn_on(segments: Sequence[Segment], settings: FogSettings, left_out: list[LeftOut]) -> TurnOn | None:
+    """Fit the transient of the first output from switching on that can be used."""
+    for segment in segments:
+        try:
+            recording = checked(segment)
+            blocks = int(min(_TURN_ON_BLOCKS, recording.counts.size // 10))
+            edges = np.linspace(0, recording.times[-1] + recording.interval_s, max(blocks, 1) + 1)
+            place = np.digitize(recording.times + recording.interval_s / 2, edges[1:-1])
+            count = np.bincount(place, minlength=blocks)
+            with np.errstate(invalid="ignore"):
+                means = np.bincount(place, recording.counts, minlength=blocks) / count
+            values = 3600 * means / settings.nominal_scale_factor
+            since = float(segment.conditions["since_on_s"])
+            return turn_on_transient(
+                since + (edges[:-1] + edges[1:]) / 2, values, settings.figures.warm_up_bound_dph
+            )
+        except ValueError as error:
+            left_out.append(LeftOut(segment.key, str(error)))
+    return None
 
 
 @dataclass(frozen=True)

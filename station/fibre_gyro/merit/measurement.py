@@ -3,28 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
 
 from analysis.fibre_gyro import turn_time
-from station.fibre_gyro.at_once import watch
-from station.fibre_gyro.common import output_facts, truth_of, with_link_remarks
-from station.fibre_gyro.examine import examine
-from station.fibre_gyro.logs import LogRow, read_logs, table_conditions
+from station.fibre_gyro.bench_or_logs import NamedSegment, gyro_measurement, listed_logs, planned_segments
+from station.fibre_gyro.logs import LogRow, table_conditions
 from station.fibre_gyro.merit.evaluate import PURPOSE, evaluate
 from station.fibre_gyro.merit.result import LIMITED, result
 from station.fibre_gyro.merit.sections import sections
-from station.fibre_gyro.segments import (
-    MARGIN_S,
-    PlannedSegment,
-    seconds_of,
-    take_logs,
-    take_segments,
-    unusable_segments,
-)
-from station.fibre_gyro.serial_bench import open_fog_bench
-from station.fibre_gyro.settings import FIBRE_GYRO, FogSettings
-from station.measurements import Measurement
-from station.runs.taking import Session
+from station.fibre_gyro.segments import MARGIN_S, PlannedSegment
+from station.fibre_gyro.settings import FogSettings
 
 _SAME_TEMPERATURE_K = 5.0
 
@@ -38,6 +25,10 @@ def plan(settings: FogSettings) -> list[PlannedSegment]:
         common = {"purpose": PURPOSE, "run": name, "axis": chosen.axis, "end_up": 1, "reference": reference}
         common |= {"temperature_c": temperature}
         rest = {**common, "rate_dps": 0.0}
+        if reference and chosen.turn_on_s:
+            planned.append(
+                PlannedSegment(f"{name}, switched on", chosen.turn_on_s, 0.0, {**rest, "since_on_s": 0.0})
+            )
         planned.append(PlannedSegment(f"{name}, static before", chosen.static_s, chosen.settle_s, rest))
         for size in chosen.rates_dps:
             turns = max(1, round(chosen.seconds / turn_time(size)))
@@ -48,22 +39,13 @@ def plan(settings: FogSettings) -> list[PlannedSegment]:
     return planned
 
 
-def take(settings: FogSettings, session: Session) -> None:
-    """Take the segments on the bench."""
-    take_segments(settings, session, open_fog_bench(settings), [lambda run: plan(settings)], truth_of(settings))
+def named(rows: Sequence[LogRow], settings: FogSettings) -> list[NamedSegment]:
+    """Name the segment of each log by the rate of the table, and by run and axis where there are several."""
+    several = len({row.get("axis", settings.figures.axis) for row in rows}) > 1
+    return [_named(row, settings, several=several) for row in rows]
 
 
-def take_files(settings: FogSettings, paths: Sequence[Path], session: Session) -> None:
-    """Make a run of logs; each names the rate of the table, and run and temperature where there are several."""
-
-    def named(rows: Sequence[LogRow]) -> list[tuple[str, dict[str, object]]]:
-        several = len({row.get("axis", settings.figures.axis) for row in rows}) > 1
-        return [_named(row, settings, several=several) for row in rows]
-
-    take_logs(session, paths, read_logs(paths, PURPOSE, ("rate_dps",), named, settings))
-
-
-def _named(row: LogRow, settings: FogSettings, *, several: bool) -> tuple[str, dict[str, object]]:
+def _named(row: LogRow, settings: FogSettings, *, several: bool) -> NamedSegment:
     temperature, rate = row.get("temperature_c"), row["rate_dps"]
     axis, end_up = row.get("axis", settings.figures.axis), row["end_up"]
     reference_c = settings.figures.reference_temperature_c
@@ -75,26 +57,22 @@ def _named(row: LogRow, settings: FogSettings, *, several: bool) -> tuple[str, d
         "rate_dps": rate,
         "end_up": end_up,
         **table_conditions(row),
+        **({"since_on_s": row["since_on_s"]} if "since_on_s" in row else {}),
     }
     of_axis = f"{axis} " if several else ""
     down = " down" if end_up < 0 else ""
-    return f"{of_axis}{conditions['run']}, {'static' if rate == 0 else f'{rate:+.10g} deg/s'}{down}", conditions
+    what = "switched on" if "since_on_s" in row else "static" if rate == 0 else f"{rate:+.10g} deg/s"
+    return f"{of_axis}{conditions['run']}, {what}{down}", conditions
 
 
-MEASUREMENT = Measurement(
-    name=PURPOSE,
-    command="gyrolock fog figures",
-    title="Figures of merit of the scale factor",
-    kind=FIBRE_GYRO,
-    take=take,
-    take_files=take_files,
+MEASUREMENT = gyro_measurement(
+    PURPOSE,
+    "Figures of merit of the scale factor",
+    take=planned_segments(plan),
+    take_files=listed_logs(PURPOSE, ("rate_dps",), named),
     evaluate=evaluate,
-    result=with_link_remarks(result),
+    result=result,
     sections=sections,
-    facts=output_facts,
     gives=LIMITED,
-    watch=watch,
-    examine=examine,
-    unusable=lambda run, settings: unusable_segments(run, settings, [PURPOSE]),
-    seconds=lambda settings: seconds_of(plan(settings)),
+    plan=plan,
 )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -43,7 +44,58 @@ def sections(found: MeritFound, run: SavedRun, settings: FogSettings, result: Re
             figures=(PlacedFigure(_scale_factors_svg(found), "Each run less the mean of the runs."),),
             table=TextTable(header, tuple(_row(one) for axis in found.axes for one in axis.all_runs)),
         ),
+        *_bias_sections(found),
     ]
+
+
+def _bias_sections(found: MeritFound) -> list[Section]:
+    """Bias of each switching on, and the transients."""
+    transients = [one for axis in found.axes for one in axis.runs if one.turn_on is not None]
+    rows = []
+    for one in (run for axis in found.axes for run in axis.runs):
+        turn_on = one.turn_on
+        ends = f"{turn_on.warm_up_high_95_s:.3g}" if turn_on and turn_on.ends else "beyond the record"
+        rows.append(
+            (
+                one.name,
+                with_uncertainty(one.bias_dph, one.bias_u_dph),
+                with_uncertainty(turn_on.transient, turn_on.transient_u) if turn_on else "",
+                f"{turn_on.warm_up_s:.3g} ({turn_on.warm_up_low_95_s:.3g} to {ends})" if turn_on else "",
+            )
+        )
+    header = ("run", "bias, deg/h", "transient, deg/h", "warm-up, s (95 %)")
+    text = "Static output less the vertical earth rate at the latitude of the settings."
+    figures: tuple[PlacedFigure, ...] = ()
+    if transients:
+        bound = next(one.turn_on.bound for one in transients if one.turn_on)
+        text += f" The warm-up is over when the bias stays within {bound:g} deg/h of its final value."
+        caption = "Fitted bias from each switching on, less its final value; dashed: the bound."
+        figures = (PlacedFigure(_transients_svg(transients), caption),)
+    return [
+        Section(
+            "Bias from one switching on to the next", text, figures=figures, table=TextTable(header, tuple(rows))
+        )
+    ]
+
+
+def _transients_svg(runs: Sequence[MeritRun]) -> str:
+    """Draw the bias after switching on, less its final value: means over equal times, and fitted."""
+
+    def draw(figure: Figure) -> None:
+        axes = figure.add_subplot()
+        for index, one in enumerate(runs):
+            if (turn_on := one.turn_on) is not None:
+                colour = COLOURS[index % 7]
+                axes.plot(turn_on.at_s, turn_on.values - turn_on.curve_end, ".", ms=3, color=colour, alpha=0.6)
+                axes.plot(
+                    turn_on.at_s, turn_on.curve - turn_on.curve_end, color=colour, linewidth=1.2, label=one.name
+                )
+                for sense in (1, -1):
+                    axes.axhline(sense * turn_on.bound, color=SOFT, linewidth=0.7, linestyle=(0, (4, 3)))
+        axes.set(xlabel="time since switching on, s", ylabel="bias less final, deg/h")
+        legend_above(axes, columns=6)
+
+    return svg_element("turn-on", WIDE, draw)
 
 
 def _row(one: MeritRun) -> tuple[str, ...]:

@@ -6,20 +6,18 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from analysis.fibre_gyro import InjectionPlan, steps_beyond_dac
-from station.fibre_gyro.at_once import watch
-from station.fibre_gyro.common import beyond_converter, output_facts, truth_of, with_link_remarks
-from station.fibre_gyro.examine import examine
-from station.fibre_gyro.logs import LogRow, read_logs
-from station.fibre_gyro.segments import PlannedSegment, take_logs, take_segments, unusable_segments
+from station.fibre_gyro.bench_or_logs import NamedSegment, gyro_measurement, listed_logs
+from station.fibre_gyro.common import beyond_converter, truth_of
+from station.fibre_gyro.logs import LogRow
+from station.fibre_gyro.segments import PlannedSegment, take_segments
 from station.fibre_gyro.selfcal.evaluate import PURPOSE, evaluate
 from station.fibre_gyro.selfcal.numbers import NUMBERS, REFERENCE, numbers_for, numbers_of, numbers_u_of
 from station.fibre_gyro.selfcal.result import LIMITED, result
 from station.fibre_gyro.selfcal.sections import sections
 from station.fibre_gyro.serial_bench import open_fog_bench
-from station.fibre_gyro.settings import FIBRE_GYRO, FogSettings
+from station.fibre_gyro.settings import FogSettings
 from station.fibre_gyro.table.evaluate import PURPOSE as TABLE
 from station.fibre_gyro.table.measurement import plan as plan_table
-from station.measurements import Measurement
 from station.runs.store import SavedRun
 from station.runs.taking import Session
 
@@ -59,10 +57,9 @@ def take(settings: FogSettings, session: Session) -> None:
 
 def take_files(settings: FogSettings, paths: Sequence[Path], session: Session) -> None:
     """Make a run of logs; each names the step and the rate that it stands for, 0 at rest."""
-
     mapping_u = numbers_u_of(session.facts, settings)
 
-    def named(rows: Sequence[LogRow]) -> list[tuple[str, dict[str, object]]]:
+    def named(rows: Sequence[LogRow], settings: FogSettings) -> list[NamedSegment]:
         at_rest, found = [place for place, row in enumerate(rows) if row["number"] == 0], []
         for place, row in enumerate(rows):
             rate, number, static = row["stands_for_dps"], row["number"], None
@@ -75,7 +72,7 @@ def take_files(settings: FogSettings, paths: Sequence[Path], session: Session) -
             found.append((f"static {static}" if static else _key(rate), conditions))
         return found
 
-    take_logs(session, paths, read_logs(paths, PURPOSE, ("stands_for_dps", "number"), named, settings))
+    listed_logs(PURPOSE, ("stands_for_dps", "number"), named)(settings, paths, session)
 
 
 def _key(rate_dps: float) -> str:
@@ -94,19 +91,14 @@ def _conditions(static: str | None, stands_for_dps: float, number: float, step_c
     }
 
 
-MEASUREMENT = Measurement(
-    name=PURPOSE,
-    command="gyrolock fog selfcal",
-    title="Self-calibration by injected staircase",
-    kind=FIBRE_GYRO,
+MEASUREMENT = gyro_measurement(
+    PURPOSE,
+    "Self-calibration by injected staircase",
     take=take,
     take_files=take_files,
     evaluate=evaluate,
-    result=with_link_remarks(result),
+    result=result,
     sections=sections,
-    facts=output_facts,
     gives=LIMITED,
-    watch=watch,
-    examine=examine,
-    unusable=lambda run, settings: unusable_segments(run, settings, [TABLE, PURPOSE]),
+    purposes=(TABLE, PURPOSE),
 )

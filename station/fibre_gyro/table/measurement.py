@@ -3,28 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
 
 from analysis.fibre_gyro import check_whole_turns, turn_time
 from station.errors import UsageError
-from station.fibre_gyro.at_once import watch
-from station.fibre_gyro.common import output_facts, truth_of, with_link_remarks
-from station.fibre_gyro.examine import examine
-from station.fibre_gyro.logs import LogRow, read_logs, table_conditions
-from station.fibre_gyro.segments import (
-    MARGIN_S,
-    PlannedSegment,
-    seconds_of,
-    take_logs,
-    take_segments,
-    unusable_segments,
-)
-from station.fibre_gyro.serial_bench import open_fog_bench
-from station.fibre_gyro.settings import FIBRE_GYRO, FogSettings
+from station.fibre_gyro.bench_or_logs import NamedSegment, gyro_measurement, listed_logs, planned_segments
+from station.fibre_gyro.logs import LogRow, table_conditions
+from station.fibre_gyro.segments import MARGIN_S, PlannedSegment
+from station.fibre_gyro.settings import FogSettings
 from station.fibre_gyro.table.evaluate import PURPOSE, evaluate
 from station.fibre_gyro.table.result import LIMITED, result
 from station.fibre_gyro.table.sections import sections
-from station.measurements import Measurement
 from station.runs.taking import Session
 
 
@@ -51,19 +39,15 @@ def take(settings: FogSettings, session: Session) -> None:
     """Take the segments on the bench."""
     for fault in _fixed_window_faults(settings):
         session.progress.note(f"will be left out: {fault}")
-    take_segments(settings, session, open_fog_bench(settings), [lambda run: plan(settings)], truth_of(settings))
+    planned_segments(plan)(settings, session)
 
 
-def take_files(settings: FogSettings, paths: Sequence[Path], session: Session) -> None:
-    """Make a run of logs; each names the rate of the table, and the axis where there are several."""
-
-    def named(rows: Sequence[LogRow]) -> list[tuple[str, dict[str, object]]]:
-        return [_named(row, settings) for row in rows]
-
-    take_logs(session, paths, read_logs(paths, PURPOSE, ("rate_dps",), named, settings))
+def named(rows: Sequence[LogRow], settings: FogSettings) -> list[NamedSegment]:
+    """Name the segment of each log by axis and rate of the table."""
+    return [_named(row, settings) for row in rows]
 
 
-def _named(row: LogRow, settings: FogSettings) -> tuple[str, dict[str, object]]:
+def _named(row: LogRow, settings: FogSettings) -> NamedSegment:
     axis, rate, end_up = row.get("axis", settings.table.axes[-1]), row["rate_dps"], row["end_up"]
     if rate == 0:
         raise UsageError(f"{row['place']}, rate_dps: a rate-table run has no log at rest")
@@ -87,20 +71,14 @@ def _fixed_window_faults(settings: FogSettings) -> list[str]:
     return faults
 
 
-MEASUREMENT = Measurement(
-    name=PURPOSE,
-    command="gyrolock fog table",
-    title="Scale factor by rate table",
-    kind=FIBRE_GYRO,
+MEASUREMENT = gyro_measurement(
+    PURPOSE,
+    "Scale factor by rate table",
     take=take,
-    take_files=take_files,
+    take_files=listed_logs(PURPOSE, ("rate_dps",), named),
     evaluate=evaluate,
-    result=with_link_remarks(result),
+    result=result,
     sections=sections,
-    facts=output_facts,
     gives=LIMITED,
-    watch=watch,
-    examine=examine,
-    unusable=lambda run, settings: unusable_segments(run, settings, [PURPOSE]),
-    seconds=lambda settings: seconds_of(plan(settings)),
+    plan=plan,
 )

@@ -22,7 +22,7 @@ COLUMNS = {
     "table": ("axis", "rate_dps", "end_up"),
     "selfcal": ("stands_for_dps", "number"),
     "eps": ("step_codes",),
-    "figures": ("run", "rate_dps", "temperature_c"),
+    "figures": ("run", "rate_dps", "temperature_c", "since_on_s"),
 }
 
 
@@ -32,7 +32,7 @@ def written(run: SavedRun, command: str, folder: Path) -> Path:
     for number, segment in enumerate(segments_of(run, command)):
         name = f"log{number}.csv"
         write_gyro_log(folder / name, segment.recording)
-        lines.append(",".join((name, *(str(segment.conditions[column]) for column in COLUMNS[command]))))
+        lines.append(",".join((name, *(str(segment.conditions.get(column, "")) for column in COLUMNS[command]))))
     (folder / "list.csv").write_text("\n".join(lines) + "\n")
     return folder / "list.csv"
 

@@ -23,6 +23,8 @@ from station.fibre_gyro.serial_bench import SerialFogBench
 from station.fibre_gyro.served import ServedGyro
 from station.fibre_gyro.sniff.known import read_frame_format
 from station.fibre_gyro.table import measurement as table
+from station.fibre_gyro.temperature import measurement as temperature
+from station.fibre_gyro.threshold import measurement as threshold
 from station.settings.load import shipped_settings
 from station.shell.evaluated import Evaluated
 
@@ -208,7 +210,7 @@ def test_the_two_pi_error_over_the_link(served, fog_settings, result_of) -> None
         simulation={"two_pi_error": 2e-3},
     )
     bench = served(settings)
-    result = result_of("eps", settings, bench, eps.plan(settings)[0])
+    result = result_of("eps", settings, bench, eps.plan(settings))
     found = result.document()
     assert abs(found["two_pi_error"] - 2e-3) < 5 * found["two_pi_error_u"] < 1e-4
     assert {name for name, _ in bench.server.commands} == {"inject", "hold_feedback", "close_loop"}
@@ -219,7 +221,7 @@ def test_the_operator_is_asked_for_every_run_and_temperature(served, fog_setting
     settings = fog_settings(
         gyro=GYRO,
         figures={"rates_dps": [90.0, 100.0], "runs": 2, "temperatures_c": [60.0], "seconds": 3.6, "static_s": 1.0,
-                 "settle_s": 0.0},
+                 "settle_s": 0.0, "turn_on_s": 0.0},
         simulation={"angle_random_walk": 1e-3},
     )  # fmt: skip
     bench = served(settings)
@@ -242,6 +244,50 @@ def test_frame_formats_are_found_by_name(fog_settings, tmp_path: Path) -> None:
         read_frame_format(fog_settings(link={"frame_format": "mine"}))
     with pytest.raises(SettingsError, match="cannot be read"):
         read_frame_format(fog_settings(link={"frame_format_file": str(tmp_path / "no.toml")}))
+
+
+def test_a_threshold_over_the_link(served, fog_settings, result_of) -> None:
+    settings = fog_settings(
+        gyro=GYRO,
+        threshold={"lowest_dps": 0.01, "highest_dps": 0.1, "per_decade": 2, "resolution_at_dps": 0.0,
+                   "shortest_s": 3.0, "settle_s": 0.2, "angle_random_walk": 1e-3},
+        simulation={"angle_random_walk": 1e-3, "dead_zone_dps": 0.02},
+    )  # fmt: skip
+    bench = served(settings)
+    found = result_of("threshold", settings, bench, threshold.plan(settings, 1e-3)).document()
+    assert 0.01 <= found["threshold_low_95_dps"] < 0.02 < found["threshold_high_95_dps"] < 0.035
+    assert 0.02 < found["dead_zone_low_95_dps"] < 0.04 < found["dead_zone_high_95_dps"]
+    assert bench.gyro.rate_dps == 0.0
+
+
+class Chamber(SerialFogBench):
+    """Warms the served gyro as the plan wants it; its bias does not change."""
+
+    served: ServedGyro
+
+    def prepare(self, planned: PlannedSegment) -> dict[str, Any]:
+        self.served.temperature_c = planned.conditions["planned_temperature_c"]
+        return super().prepare(planned)
+
+
+def test_a_ramp_over_the_link(served, fog_settings, result_of) -> None:
+    settings = fog_settings(
+        gyro=GYRO,
+        temperature={"coldest_c": 0.0, "hottest_c": 10.0, "ramp_c_per_min": 100.0, "rate_dps": 0.0, "rest_s": 2.0,
+                     "settle_s": 0.2, "block_s": 1.0, "window_s": 3.0},
+        simulation={"angle_random_walk": 1e-3},
+    )  # fmt: skip
+    bench = served(settings)
+    Chamber.served = bench.gyro
+    bench.bench = Chamber(bench.link, bench.table, bench._answer)
+    result = result_of("temperature", settings, bench, temperature.plan(settings))
+    bias = result.document()["bias"]
+    assert (bias["lowest_c"], bias["highest_c"]) == (pytest.approx(0, abs=2), pytest.approx(10, abs=2))
+    assert abs(bias["coefficients_dph"][0] - 0.02) < 5 * bias["coefficients_u_dph"][0]
+    assert [question.splitlines()[1] for question in bench.asked] == [
+        "Let the chamber go from 0 to 10 deg C, 100 K a minute.",
+        "Let the chamber go from 10 to 0 deg C, 100 K a minute.",
+    ]
 
 
 class ThreeGyros:

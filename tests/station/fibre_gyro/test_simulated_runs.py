@@ -196,7 +196,7 @@ def test_every_report_is_one_self_contained_page(taken, command: str, tmp_path: 
     small = {"runs": 2, "rates_dps": [5.0, 50.0, 100.0], "temperatures_c": [60.0]}
     result, _ = taken(command, table={"axes": ["Z"]}, eps={"record_s": 0.2}, figures=small)
     page = render_report(result)
-    assert page.count("<svg") == {"table": 4, "selfcal": 3, "eps": 3, "figures": 3}[command]
+    assert page.count("<svg") == {"table": 4, "selfcal": 3, "eps": 3, "figures": 4}[command]
     assert "http" not in page.replace("http://www.w3.org", "")
     assert result.result.value in page
     ids = [part.split('"')[0] for part in page.split(' id="')[1:]]

@@ -1,0 +1,376 @@
+"""A quantity of a gyro over temperature, and over its change in time: model chosen by the data, with intervals.
+
+    q = c_0 + c_1 (T - T_0) + ... + c_p (T - T_0)^p + d dT/dt + noise
+
+Noise: that of each value, and a slow one beside it of unknown size, found by its likelihood. It may scatter from
+value to value, over a fiftieth of the run (segments), with all times alike (1/f, the bias instability of fibre
+gyros), or walk over the whole run: so neighbours that lie off together count once, and what is too slow to show is
+known from what is not. Order p and the term dT/dt are chosen by the corrected Akaike criterion
+
+    AICc = -2 ln L + 2 k + 2 k (k + 1)/(n - k - 1)            k parameters, two of the noise among them
+
+and the uncertainty counts that another model may be the right one (Burnham and Anderson): with w its weight,
+exp(-AICc/2) of all,
+
+    covariance = sum_m w_m [ C_m + (b_m - b)(b_m - b)^T ]     b those of the chosen model
+
+Inside, Legendre polynomials over the measured range stand for the powers. Beyond that range nothing is given.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.linalg
+from numpy.polynomial import Legendre, Polynomial
+from numpy.typing import ArrayLike
+
+from analysis.arrays import Floats, Ints
+
+_SIZES = 18
+SLOW_NOISES = ("from value to value", "from segment to segment", "as 1/f", "as a walk")
+"""Kinds of slow noise."""
+_SEGMENT, _WALK = 0.02, 2.0  # of the time of the run
+_FLICKER_TERMS = 10
+_SEPARATE = 0.1
+"""Part of the change of dT/dt that no polynomial in T explains: less cannot be told from one."""
+_NOTHING_BEYOND = 3.0  # weight of no slow noise, in that of one up to the noise of a value
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """One model: polynomial order, whether dT/dt is in it, AICc above the least, and its weight."""
+
+    order: int
+    with_rate: bool
+    aicc: float
+    weight: float
+
+
+@dataclass(frozen=True)
+class OverTemperature:
+    """Fitted model.
+
+    Attributes
+    ----------
+    order : int
+    with_rate : bool
+        Whether dT/dt is in it.
+    rate_known : bool
+        Whether the data can tell dT/dt from a polynomial in T.
+    reference : float
+        T_0, deg C.
+    coefficients, coefficients_u : ndarray, shape (order + 1,)
+        c_0, c_1, ...; unit of the values per kelvin to the power.
+    rate_coefficient, rate_coefficient_u : float
+        d, unit of the values per unit of dT/dt; 0 where it was not chosen, with what may be hidden.
+    lowest, highest : float
+        Measured range, deg C.
+    candidates : tuple of Candidate
+        All that were tried, the chosen one first.
+    residual : ndarray, shape (n,)
+    noise_u, slow : float
+        Mean noise of a value, and standard deviation of the slow noise (mean over what is likely).
+    slow_kind : str
+        The likeliest of `SLOW_NOISES`.
+    """
+
+    order: int
+    with_rate: bool
+    rate_known: bool
+    reference: float
+    coefficients: Floats
+    coefficients_u: Floats
+    rate_coefficient: float
+    rate_coefficient_u: float
+    lowest: float
+    highest: float
+    candidates: tuple[Candidate, ...]
+    residual: Floats
+    noise_u: float
+    slow: float
+    slow_kind: str
+    legendre: Floats
+    covariance: Floats
+
+    def at(self, temperature: ArrayLike) -> tuple[Floats, Floats]:
+        """Value without dT/dt, and its standard uncertainty; nan outside the measured temperatures.
+
+        Parameters
+        ----------
+        temperature : array_like, shape (n,)
+            deg C.
+        """
+        wanted = np.atleast_1d(np.asarray(temperature, dtype=np.float64))
+        inside = (wanted >= self.lowest) & (wanted <= self.highest)
+        basis = _legendre(wanted, self.lowest, self.highest, self.covariance.shape[0] - 2)
+        value = basis @ self.legendre[:-1]
+        u = np.sqrt(np.einsum("ni,ij,nj->n", basis, self.covariance[:-1, :-1], basis))
+        return np.where(inside, value, np.nan), np.where(inside, u, np.nan)
+
+    def span(self) -> tuple[float, float]:
+        """Largest less smallest value over the measured temperatures, and the standard uncertainty."""
+        everywhere = np.linspace(self.lowest, self.highest, 201)
+        basis = _legendre(everywhere, self.lowest, self.highest, self.covariance.shape[0] - 2)
+        value = basis @ self.legendre[:-1]
+        apart = basis[int(np.argmax(value))] - basis[int(np.argmin(value))]
+        return float(np.ptp(value)), float(np.sqrt(apart @ self.covariance[:-1, :-1] @ apart))
+
+
+def fit_over_temperature(
+    values: ArrayLike,
+    values_u: ArrayLike,
+    at_s: ArrayLike,
+    temperature: ArrayLike,
+    temperature_rate: ArrayLike | None = None,
+    *,
+    reference: float,
+    highest_order: int = 4,
+) -> OverTemperature:
+    """Fit all models and choose one.
+
+    Parameters
+    ----------
+    values, values_u : (n,)
+        And the noise of each as a standard uncertainty.
+    at_s : (n,)
+        Times, s.
+    temperature : (n,)
+        deg C.
+    temperature_rate : (n,), optional
+        Without it dT/dt is in no model.
+    reference : float
+        T_0, deg C.
+    highest_order : int, optional
+        Of the polynomial; fewer where there are fewer values or temperatures.
+
+    Raises
+    ------
+    ValueError
+        Fewer than four values, or the temperature does not change.
+
+    Examples
+    --------
+    >>> t = np.linspace(-20, 60, 60)
+    >>> noise = np.random.default_rng(1).normal(0, 0.01, 60)
+    >>> fit = fit_over_temperature(3 + 0.02 * t + noise, np.full(60, 0.01), np.arange(60.0), t, reference=0.0)
+    >>> fit.order, bool(abs(fit.coefficients[1] - 0.02) < 4 * fit.coefficients_u[1] < 1e-3)
+    (1, True)
+    """
+    value, u, at, warm = (np.asarray(v, dtype=np.float64) for v in (values, values_u, at_s, temperature))
+    if value.size < 4 or not np.ptp(warm) > 0:
+        raise ValueError(
+            f"a model over the temperature needs four values at different temperatures, not {value.size} within "
+            f"{np.ptp(warm) if warm.size else 0.0:.3g} K"
+        )
+    lowest, highest = float(warm.min()), float(warm.max())
+    most = int(min(highest_order, np.unique(warm.round(1)).size - 1, value.size - 3))
+    powers = _legendre(warm, lowest, highest, most)
+    rate = np.zeros(value.size) if temperature_rate is None else np.asarray(temperature_rate, dtype=np.float64)
+    scale = float(np.abs(rate).max())
+    known = scale > 0 and _is_separate(powers, rate)
+    design = np.column_stack([powers, rate / (scale or 1.0)])
+    trials = [
+        (order, with_rate) for order in range(most + 1) for with_rate in ((False, True) if known else (False,))
+    ]
+    trials = [one for one in trials if value.size - sum(one) - 1 - 3 > 0] or [(0, False)]
+    noise = _noise_hypotheses(value, u, at, design)
+    fits = [_fit(_columns(one, most), noise, value.size) for one in trials]
+    least = min(one.aicc for one in fits)
+    weight = np.exp(-(np.array([one.aicc for one in fits]) - least) / 2)
+    weight /= weight.sum()
+    best = int(np.argmax(weight))
+    chosen = fits[best]
+    covariance = np.zeros((design.shape[1],) * 2)
+    for share, one in zip(weight, fits, strict=True):
+        apart = one.coefficients - chosen.coefficients
+        covariance += share * (one.covariance + np.outer(apart, apart))
+    order, with_rate = trials[best]
+    to_powers = _to_powers(lowest, highest, reference, most)
+    all_powers = to_powers @ chosen.coefficients[:-1]
+    powers_u = np.sqrt(np.diag(to_powers @ covariance[:-1, :-1] @ to_powers.T))
+    ranked = sorted(range(len(trials)), key=lambda one: -float(weight[one]))
+    rate_u = float(np.sqrt(covariance[-1, -1])) / scale if known else float("nan")
+    return OverTemperature(
+        order=order,
+        with_rate=with_rate,
+        rate_known=known,
+        reference=reference,
+        coefficients=all_powers[: order + 1],
+        coefficients_u=powers_u[: order + 1],
+        rate_coefficient=float(chosen.coefficients[-1]) / (scale or 1.0) if known else float("nan"),
+        rate_coefficient_u=rate_u,
+        lowest=lowest,
+        highest=highest,
+        candidates=tuple(Candidate(*trials[k], fits[k].aicc - least, float(weight[k])) for k in ranked),
+        residual=np.asarray(value - design @ chosen.coefficients, dtype=np.float64),
+        noise_u=float(np.sqrt(np.mean(u**2))),
+        slow=float(chosen.likely @ noise.size),
+        slow_kind=SLOW_NOISES[int(np.argmax(np.bincount(noise.kind, chosen.likely * noise.size)))],
+        legendre=chosen.coefficients,
+        covariance=covariance,
+    )
+
+
+def _columns(trial: tuple[int, bool], most: int) -> list[int]:
+    order, with_rate = trial
+    return [*range(order + 1), *([most + 1] if with_rate else [])]
+
+
+def _legendre(temperature: Floats, lowest: float, highest: float, order: int) -> Floats:
+    place = (2 * temperature - lowest - highest) / (highest - lowest)
+    return np.asarray(np.polynomial.legendre.legvander(place, order), dtype=np.float64)
+
+
+def _to_powers(lowest: float, highest: float, reference: float, order: int) -> Floats:
+    """Matrix from coefficients of the Legendre polynomials to those of the powers of T - T_0."""
+    matrix = np.zeros((order + 1, order + 1))
+    shifted = Polynomial([reference, 1.0])
+    for degree in range(order + 1):
+        power = Legendre.basis(degree, domain=[lowest, highest]).convert(kind=Polynomial)(shifted)
+        matrix[: degree + 1, degree] = power.coef[: degree + 1]
+    return matrix
+
+
+def _is_separate(powers: Floats, rate: Floats) -> bool:
+    """Whether enough of the rate is left when polynomials in T have taken their part."""
+    left = rate - powers @ np.linalg.lstsq(powers, rate, rcond=None)[0]
+    return float(np.linalg.norm(left)) > _SEPARATE * float(np.linalg.norm(rate))
+
+
+@dataclass(frozen=True)
+class _Noise:
+    """Hypotheses of the noise, (h, ...).
+
+    Attributes
+    ----------
+    size, kind : ndarray, shape (h,)
+        Of the slow noise; `kind` a place in `SLOW_NOISES`.
+    log_determinant, log_prior : ndarray, shape (h,)
+        Of the covariance V; of the hypothesis.
+    products : ndarray, shape (h, p + 1, p + 1)
+        X^T V^-1 X, X the columns of the design and, last, the values.
+    """
+
+    size: Floats
+    kind: Ints
+    log_determinant: Floats
+    log_prior: Floats
+    products: Floats
+
+
+def _slow_noises(at: Floats) -> list[Floats]:
+    """Covariances of slow noise of one, of each kind."""
+    apart, span = np.abs(np.subtract.outer(at, at)), float(np.ptp(at)) or 1.0
+    shortest = span / max(at.size - 1, 1)
+    # equal parts for each decade of time make 1/f
+    parts = [np.exp(-apart / theta) for theta in np.geomspace(shortest, _WALK * span, _FLICKER_TERMS)]
+    walk, segments = (np.exp(-apart / (part * span)) for part in (_WALK, _SEGMENT))
+    return [np.eye(at.size), segments, np.asarray(np.mean(parts, axis=0)), walk]
+
+
+def _noise_hypotheses(value: Floats, u: Floats, at: Floats, design: Floats) -> _Noise:
+    left = value - design @ np.linalg.lstsq(design, value, rcond=None)[0]
+    quiet = float(np.sqrt(np.mean(u**2)))
+    spread = float(np.sqrt(left @ left / max(value.size - design.shape[1], 1)))
+    size = np.concatenate([[0.0], np.geomspace(0.05 * quiet, 10 * quiet + 20 * spread, _SIZES)])
+    share = np.gradient(size) / (size + quiet / 3)
+    share[0] = _NOTHING_BEYOND * float(share[size < quiet].sum())
+    shapes = _slow_noises(at)
+    rows = [(0.0, 0, float(share[0]))]
+    rows += [
+        (float(one), kind, float(weight) / len(shapes))
+        for one, weight in zip(size[1:], share[1:], strict=True)
+        for kind in range(len(shapes))
+    ]
+    both = np.column_stack([design, value])
+    products, determinants = [], []
+    for one, kind, _ in rows:
+        factor = np.linalg.cholesky(np.diag(u**2) + one**2 * shapes[kind])
+        white = scipy.linalg.solve_triangular(factor, both, lower=True, check_finite=False)
+        products.append(white.T @ white)
+        determinants.append(2 * float(np.log(np.diag(factor)).sum()))
+    sizes, kinds, weights = zip(*rows, strict=True)
+    return _Noise(np.array(sizes), np.array(kinds), np.array(determinants), np.log(weights), np.array(products))
+
+
+@dataclass(frozen=True)
+class _Fit:
+    """Of one model: coefficients of all columns (0 for those that are not in it), covariance, AICc."""
+
+    coefficients: Floats
+    covariance: Floats
+    aicc: float
+    likely: Floats
+
+
+def _fit(columns: list[int], noise: _Noise, n: int) -> _Fit:
+    """Fit a model under every hypothesis of the noise, and weigh these with their restricted likelihood."""
+    normal = noise.products[:, columns][:, :, columns]
+    moment = noise.products[:, columns, -1]
+    covariances = np.linalg.inv(normal)
+    found = np.einsum("hij,hj->hi", covariances, moment)
+    left = noise.products[:, -1, -1] - np.einsum("hi,hi->h", found, moment)
+    likelihood = -0.5 * (noise.log_determinant + left)
+    likely = likelihood - 0.5 * np.linalg.slogdet(normal)[1] + noise.log_prior
+    likely = np.exp(likely - likely.max())
+    likely /= likely.sum()
+    mean = likely @ found
+    apart = found - mean
+    covariance = np.einsum("h,hij->ij", likely, covariances + np.einsum("hi,hj->hij", apart, apart))
+    count = noise.products.shape[1] - 1
+    wide, wide_covariance = np.zeros(count), np.zeros((count, count))
+    wide[columns] = mean
+    wide_covariance[np.ix_(columns, columns)] = covariance
+    parameters = len(columns) + 2
+    aicc = -2 * float(likelihood.max()) + 2 * parameters
+    aicc += 2 * parameters * (parameters + 1) / max(n - parameters - 1, 1)
+    return _Fit(wide, wide_covariance, aicc, np.asarray(likely, dtype=np.float64))
+
+
+def temperature_course(
+    times: ArrayLike, temperature: ArrayLike, at_s: ArrayLike, *, window_s: float
+) -> tuple[Floats, Floats, Floats]:
+    """Temperature at some times, its change in time, and the noise of that; by lines through a window about each.
+
+    Parameters
+    ----------
+    times, temperature : (n,)
+        s and deg C, as the gyro gives them: rounded, with noise. nan where one is missing.
+    at_s : (m,)
+    window_s : float
+        Whole width of the window; near an end of the record it is moved inwards.
+
+    Returns
+    -------
+    temperature, rate, rate_u : ndarray, shape (m,)
+        deg C, kelvin per minute.
+
+    Raises
+    ------
+    ValueError
+        Fewer than three temperatures.
+    """
+    when, warm, wanted = (np.asarray(v, dtype=np.float64) for v in (times, temperature, at_s))
+    there = np.isfinite(warm)
+    when, warm = when[there], warm[there]
+    if when.size < 3:
+        raise ValueError(f"the log gives {when.size} temperatures")
+    half = min(window_s, float(np.ptp(when))) / 2
+    middle = np.clip(wanted, when[0] + half, when[-1] - half)
+    found, rate, rate_u = np.empty(wanted.size), np.empty(wanted.size), np.empty(wanted.size)
+    first = np.searchsorted(when, middle - half - 1e-9)
+    last = np.searchsorted(when, middle + half + 1e-9)
+    for place, (begin, end) in enumerate(zip(first, last, strict=True)):
+        if end - begin < 3:
+            begin, end = max(min(begin, when.size - 3), 0), max(begin + 3, end)
+        t, w = when[begin:end] - middle[place], warm[begin:end]
+        centred = t - t.mean()
+        square = float(centred @ centred)
+        slope = float(centred @ w) / square if square else 0.0
+        left = w - w.mean() - slope * centred
+        found[place] = w.mean() + slope * (wanted[place] - middle[place] - t.mean())
+        rate[place] = 60 * slope
+        rate_u[place] = 60 * float(np.sqrt(left @ left / max(left.size - 2, 1) / square)) if square else np.inf
+    return found, rate, rate_u

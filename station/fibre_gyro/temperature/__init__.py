@@ -1,0 +1,1 @@
+"""Scale factor and bias of a fibre gyro over a temperature ramp."""

@@ -1,0 +1,1 @@
+"""Threshold, resolution and dead zone of a fibre gyro."""

@@ -1,0 +1,142 @@
+"""Scale factor and bias over a temperature ramp: simulated bench, logs, resumed; the compensation table."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from instrument import LinkError
+from station.errors import NoUsableSignal
+from station.fibre_gyro import simulated_bench
+from station.fibre_gyro.segments import PlannedSegment
+from station.fibre_gyro.simulated_bench import SimulatedFogBench
+from station.measurements import measurement
+from station.report.report import render_report
+from station.runs.progress import Progress
+from station.runs.store import open_run
+from station.shell.evaluated import evaluate_run
+from station.shell.running import resume_run, start_run
+
+QUIET = Progress(quiet=True)
+RAMP: dict[str, Any] = {"ramp_c_per_min": 4.0, "rest_s": 60.0, "window_s": 60.0, "settle_s": 1.0}
+TRUTH: dict[str, Any] = {
+    "seed": 4,
+    "output_rate_hz": 2.0,
+    "temperature_coefficient_ppm": -3.0,
+    "scale_curvature_ppm_per_k2": 0.05,
+    "bias_dph": 0.4,
+    "bias_dph_per_k": 0.03,
+    "bias_dph_per_k2": -4e-4,
+    "bias_dph_per_k_per_min": 0.2,
+}
+
+
+@pytest.fixture(scope="module")
+def quick() -> dict[str, Any]:
+    return {"temperature": RAMP, "simulation": TRUTH}
+
+
+def test_a_ramp_gives_the_models_that_it_was_made_with(taken, quick) -> None:
+    evaluated, run = taken("temperature", **quick)
+    found = evaluated.document()
+    k, bias = found["scale_factor"], found["bias"]
+    assert k["order"] >= 2
+    assert np.all(
+        np.abs(np.array(k["coefficients_ppm"][:3]) - [0, -3, 0.05]) < 5 * np.array(k["coefficients_u_ppm"][:3])
+    )
+    assert k["coefficients_u_ppm"][1] < 0.1
+    assert bias["with_rate"]
+    assert abs(bias["dph_per_k_per_min"] - 0.2) < 5 * bias["dph_u_per_k_per_min"] < 0.1
+    table = found["compensation"]
+    assert table["temperature_c"][0] >= -20
+    assert table["temperature_c"][-1] <= 60
+    warm = np.array(table["temperature_c"]) - 20
+    off = np.array(table["bias_dph"], dtype=float) - (0.4 + 0.03 * warm - 4e-4 * warm**2)
+    known = np.isfinite(off)
+    assert known.sum() > 10
+    assert np.all(np.abs(off[known]) < 5 * np.array(table["bias_u_dph"], dtype=float)[known])
+    # nothing is given where nothing was measured
+    inside = (np.array(table["temperature_c"]) >= bias["lowest_c"]) & (
+        np.array(table["temperature_c"]) <= bias["highest_c"]
+    )
+    assert np.array_equal(inside, known)
+    assert "has the least AICc of" in evaluated.result.sentences[0]
+    assert len(run.records) > 30
+    page = render_report(evaluated)
+    assert page.count("<svg") == 3
+    assert "Compensation table, axis Z" in page
+
+
+def test_rest_alone_gives_the_bias_and_says_what_it_rests_on(taken, quick) -> None:
+    alone = {**quick, "temperature": {**RAMP, "rate_dps": 0.0}}
+    evaluated, _ = taken("temperature", **alone)
+    found = evaluated.document()
+    assert found["scale_factor"] is None
+    assert found["scale_factor_over_temperature_ppm"] is None
+    assert found["bias"]["order"] >= 1
+    assert any("no scale factor was measured" in one for one in evaluated.result.to_watch)
+    assert all(one is None for one in found["compensation"]["scale_factor_counts_per_dps"])
+
+
+def log_of_a_ramp(path: Path, *, minutes: float = 30.0, up_and_down: bool = True) -> None:
+    """A log at rest with the temperature in a column, by hand: 10 deg/h, 0.05 deg/h per K, 0.3 deg/h per K/min."""
+    rng = np.random.default_rng(7)
+    at = np.arange(0, 60 * minutes, 1.0)
+    half = 30 * minutes
+    warm = np.where(at < half, at / 60, (2 * half - at) / 60 if up_and_down else at / 60)
+    change = np.where(at < half, 1.0, -1.0 if up_and_down else 1.0)
+    dph = 10.7794 + 10 + 0.05 * warm + 0.3 * change + rng.normal(0, 0.05, at.size)
+    dph[100] += 1e5
+    rows = np.column_stack([at, dph, np.round(warm + rng.normal(0, 0.01, at.size), 2)])
+    rows = np.delete(rows, np.arange(700, 740), axis=0)
+    np.savetxt(path, rows, "%.6f", ",", header="time_s,output [deg/h],temperature", comments="")
+
+
+def test_a_whole_log_at_rest(fog_settings, tmp_path: Path) -> None:
+    log_of_a_ramp(tmp_path / "ramp.csv")
+    kind, settings = measurement("temperature"), fog_settings(figures={"reference_temperature_c": 0.0})
+    done = start_run(kind, settings, QUIET, paths=[tmp_path / "ramp.csv"])
+    assert done.failure is None, done.failure
+    evaluated = evaluate_run(open_run(done.path))
+    watched = " ".join(evaluated.result.to_watch)
+    assert "40 output words are missing." in watched
+    assert "1 output word is far from all others and left out." in watched
+    bias = evaluated.document()["bias"]
+    assert bias["with_rate"]
+    assert abs(bias["dph_per_k_per_min"] - 0.3) < 5 * bias["dph_u_per_k_per_min"] < 0.1
+    assert abs(bias["coefficients_dph"][0] - 10) < 5 * bias["coefficients_u_dph"][0]
+    assert abs(bias["coefficients_dph"][1] - 0.05) < 5 * bias["coefficients_u_dph"][1]
+
+
+def test_one_way_alone_says_that_it_cannot_tell(fog_settings, tmp_path: Path) -> None:
+    log_of_a_ramp(tmp_path / "ramp.csv", up_and_down=False)
+    done = start_run(measurement("temperature"), fog_settings(), QUIET, paths=[tmp_path / "ramp.csv"])
+    evaluated = evaluate_run(open_run(done.path))
+    assert not evaluated.document()["bias"]["rate_known"]
+    assert any("let the temperature go up and down again" in one for one in evaluated.result.to_watch)
+
+
+def test_without_a_temperature_it_is_said(fog_settings, tmp_path: Path) -> None:
+    at = np.arange(0, 300.0)
+    np.savetxt(tmp_path / "cold.csv", np.column_stack([at, at]), "%.6f", ",", header="time_s,counts", comments="")
+    done = start_run(measurement("temperature"), fog_settings(), QUIET, paths=[tmp_path / "cold.csv"])
+    with pytest.raises(NoUsableSignal, match="nobody gives a temperature: the output needs a column temperature"):
+        evaluate_run(open_run(done.path))
+
+
+def test_a_ramp_that_was_cut_short_goes_on(quick, taken, fog_settings, monkeypatch: pytest.MonkeyPatch) -> None:
+    class FailingBench(SimulatedFogBench):
+        def prepare(self, planned: PlannedSegment) -> dict[str, Any]:
+            if planned.key == "down 3, rest":
+                raise LinkError("the cable is out")
+            return super().prepare(planned)
+
+    kind = measurement("temperature")
+    with monkeypatch.context() as patched:
+        patched.setattr(simulated_bench, "SimulatedFogBench", FailingBench)
+        done = start_run(kind, fog_settings(**quick), QUIET)
+    assert done.failure is not None
+    assert resume_run(done.path, QUIET, kind=kind).failure is None
+    whole, _ = taken("temperature", **quick)
+    assert evaluate_run(open_run(done.path)).document()["bias"] == whole.document()["bias"]

@@ -4,7 +4,14 @@
 modulator's drive on an oscilloscope; the rest evaluates runs.
 """
 
-from analysis.fibre_gyro.allan import AllanCurve, NoiseFit, allan_curve, allan_variance, fit_noise
+from analysis.fibre_gyro.allan import (
+    AllanCurve,
+    NoiseFit,
+    allan_curve,
+    allan_variance,
+    fit_noise,
+    window_covariance,
+)
 from analysis.fibre_gyro.coil import FibreCoil
 from analysis.fibre_gyro.loop import ClosedLoop, Kernel, LoopDesign, OutputBlock, OutputModel, Trace
 from analysis.fibre_gyro.merit import (
@@ -15,29 +22,31 @@ from analysis.fibre_gyro.merit import (
     scale_figures,
     temperature_coefficient_ppm,
 )
-from analysis.fibre_gyro.rate_table.input_axis import InputAxisTilt, ThreeAxes, fit_three_axes, input_axis_tilt
-from analysis.fibre_gyro.rate_table.odd_even import (
+from analysis.fibre_gyro.rate_table.axis_fit import (
     AxisFit,
-    OddEven,
-    RateDifferences,
-    TableRuns,
     bias_at_latitude,
     fit_axis,
     horizontal_earth_rate_dps,
-    missing_senses,
-    odd_even_parts,
-    rate_differences,
-    table_runs,
     vertical_earth_rate_dph,
 )
+from analysis.fibre_gyro.rate_table.input_axis import InputAxisTilt, ThreeAxes, fit_three_axes, input_axis_tilt
+from analysis.fibre_gyro.rate_table.linearity import Linearity, scale_linearity
+from analysis.fibre_gyro.rate_table.odd_even import OddEven, RateDifferences, odd_even_parts, rate_differences
 from analysis.fibre_gyro.rate_table.scatter import (
     NORMAL_95,
     RunScatter,
     few_values_factor,
     find_run_scatter,
 )
+from analysis.fibre_gyro.rate_table.table_runs import TableRuns, missing_senses, table_runs
 from analysis.fibre_gyro.rate_table.whole_turns import check_whole_turns, turn_time, whole_turns_in
-from analysis.fibre_gyro.rate_table.window_mean import WindowMean, mean_at_rest, mean_over_turns, pooled_noise
+from analysis.fibre_gyro.rate_table.window_mean import (
+    WindowMean,
+    mean_at_rest,
+    mean_over_turns,
+    noise_of_means,
+    pooled_noise,
+)
 from analysis.fibre_gyro.staircase import (
     StaircaseWitness,
     describe_witness_flag,
@@ -73,6 +82,7 @@ __all__ = [
     "InjectionPlan",
     "InputAxisTilt",
     "Kernel",
+    "Linearity",
     "LoopDesign",
     "NetOutputs",
     "NoiseFit",
@@ -113,6 +123,7 @@ __all__ = [
     "mean_over_turns",
     "missing_senses",
     "net_outputs",
+    "noise_of_means",
     "odd_even_parts",
     "pooled_noise",
     "predicted_difference_ppm",
@@ -123,6 +134,7 @@ __all__ = [
     "residual_pattern",
     "rounding_left",
     "scale_figures",
+    "scale_linearity",
     "scaled_numbers",
     "static_level",
     "steps_beyond_dac",
@@ -133,5 +145,6 @@ __all__ = [
     "two_pi_error_of_drive",
     "vertical_earth_rate_dph",
     "whole_turns_in",
+    "window_covariance",
     "witness_staircase",
 ]

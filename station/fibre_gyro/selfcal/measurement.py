@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from analysis.fibre_gyro import InjectionPlan, steps_beyond_dac
+from station.fibre_gyro.allan.noise_model import NOISE
 from station.fibre_gyro.at_once import watch
 from station.fibre_gyro.common import beyond_converter, output_facts, truth_of
 from station.fibre_gyro.examine import examine
@@ -106,6 +107,7 @@ MEASUREMENT = Measurement(
     sections=sections,
     facts=output_facts,
     gives=LIMITED,
+    choices=(NOISE,),
     watch=watch,
     examine=examine,
     unusable=lambda run, settings: unusable_segments(run, settings, [TABLE, PURPOSE]),

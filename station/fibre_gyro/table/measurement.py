@@ -7,6 +7,7 @@ from pathlib import Path
 
 from analysis.fibre_gyro import check_whole_turns, turn_time
 from station.errors import UsageError
+from station.fibre_gyro.allan.noise_model import NOISE
 from station.fibre_gyro.at_once import watch
 from station.fibre_gyro.common import output_facts, truth_of
 from station.fibre_gyro.examine import examine
@@ -99,6 +100,7 @@ MEASUREMENT = Measurement(
     sections=sections,
     facts=output_facts,
     gives=LIMITED,
+    choices=(NOISE,),
     watch=watch,
     examine=examine,
     unusable=lambda run, settings: unusable_segments(run, settings, [PURPOSE]),

@@ -25,6 +25,7 @@ from analysis.fibre_gyro.merit import (
 from analysis.fibre_gyro.rate_table.axis_fit import (
     AxisFit,
     bias_at_latitude,
+    correlation_with_numbers,
     fit_axis,
     horizontal_earth_rate_dps,
     vertical_earth_rate_dph,
@@ -107,6 +108,7 @@ __all__ = [
     "bias_at_latitude",
     "check_whole_turns",
     "compare_scale",
+    "correlation_with_numbers",
     "describe_witness_flag",
     "drift_in_slope",
     "estimate_two_pi_error",

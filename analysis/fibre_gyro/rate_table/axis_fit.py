@@ -27,6 +27,10 @@ class AxisFit:
     contributions : mapping of str to float
         What each cause contributes to the uncertainty of K, counts per deg/s: "noise" within the runs, "slow
         noise" by the noise model, "stated" irreproducibility, "scatter" beyond all of them, "table rate".
+    factors : ndarray, shape (n,)
+        Of the mean of each run in K, deg/s.
+    covariance : ndarray, shape (n, n)
+        Of the means, by noise and scatter, counts^2.
     even, even_u : float
         Even part, counts: K w_v + B with the axis up, B - K w_v with the axis down.
     even_dph : tuple of float
@@ -54,6 +58,8 @@ class AxisFit:
     scale_factor: float
     scale_factor_u: float
     contributions: Mapping[str, float]
+    factors: Floats
+    covariance: Floats
     even: float
     even_u: float
     even_dph: tuple[float, float]
@@ -122,6 +128,8 @@ def fit_axis(
         scale_factor=k,
         scale_factor_u=float(np.hypot(scatter.standard_u(estimator[0]), contributions["table rate"])),
         contributions=contributions,
+        factors=estimator[0],
+        covariance=scatter.mean_covariance(),
         even=float(even @ values),
         even_u=scatter.standard_u(even @ estimator),
         even_dph=as_dph(even),
@@ -137,6 +145,20 @@ def fit_axis(
         scatter_assumed=scatter.assumed,
         angle_random_walk=_angle_random_walk(runs, k),
     )
+
+
+def correlation_with_numbers(fit: AxisFit, factors: Floats) -> Floats:
+    """Correlation of K and of numbers of small rates that come from the same runs, shape (1 + k, 1 + k).
+
+    Parameters
+    ----------
+    factors : ndarray, shape (k, n)
+        Of :class:`RateDifferences`.
+    """
+    both = np.vstack([fit.factors, factors])
+    covariance = both @ fit.covariance @ both.T
+    size = np.sqrt(np.diag(covariance))
+    return np.asarray(covariance / np.outer(size, size), dtype=np.float64)
 
 
 def bias_at_latitude(fit: AxisFit, latitude_deg: float) -> tuple[float, float]:

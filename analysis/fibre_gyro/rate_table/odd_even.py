@@ -104,6 +104,8 @@ class RateDifferences:
         From the irreproducibility of scale factor and table rate: about s base/delta of the number.
     base_dps, base_u : float
         The rate that is subtracted, and the uncertainty of its odd part from noise (it is in every number).
+    factors : ndarray, shape (k, n), or None
+        Of the mean of each run in each number, where the runs are known.
     """
 
     delta_dps: Floats
@@ -112,6 +114,7 @@ class RateDifferences:
     irreproducibility_u: Floats
     base_dps: float
     base_u: float
+    factors: Floats | None = None
 
     @property
     def number_u(self) -> Floats:
@@ -159,23 +162,24 @@ def rate_differences(
         raise ValueError("a difference needs at least two rates")
     base, rates = float(parts.rate_dps[0]), parts.rate_dps[1:]
     noise = np.hypot(parts.odd_u[1:], parts.odd_u[0])
-    number = parts.odd[1:] - parts.odd[0]
+    number, factors = parts.odd[1:] - parts.odd[0], None
     if runs is None:
         slope = abs(float(parts.odd[0])) / base
         spread = (irreproducibility_ppm or 0.0) / _PPM * slope * np.sqrt((rates**2 + base**2) / 2)
     else:
-        number, spread = _differences_of(runs, end_up, noise, irreproducibility_ppm)
-    return RateDifferences(rates - base, number, noise, spread, base, float(parts.odd_u[0]))
+        factors, spread = _differences_of(runs, end_up, noise, irreproducibility_ppm)
+        number = factors @ runs.mean
+    return RateDifferences(rates - base, number, noise, spread, base, float(parts.odd_u[0]), factors)
 
 
 def _differences_of(
     runs: TableRuns, end_up: int, noise: Floats, stated_ppm: float | None
 ) -> tuple[Floats, Floats]:
-    """Each difference without the drift of the bias in it, and what scatter comes to its noise, counts."""
+    """Factors of the means in each difference freed of a drift, and what scatter adds to its noise, counts."""
     design, stated = design_of(runs), None if stated_ppm is None else stated_ppm / _PPM
     sizes = distinct_rates(np.abs(runs.nominal_dps[runs.end_up == end_up]))
     base = _odd_part_of(runs, end_up, sizes[0])
-    numbers, spread = [], []
+    factors, spread = [], []
     for size, noise_u in zip(sizes[1:], noise, strict=True):
         difference = _odd_part_of(runs, end_up, size) - base
         # its own deviation from the line is not counted as scatter: it need not lie on the line
@@ -184,9 +188,9 @@ def _differences_of(
         scatter = find_run_scatter(whole, runs.mean, runs.mean_u, stated, slow=runs.slow)
         if whole.shape[1] > own.shape[1]:
             difference = difference - (difference @ whole[:, -1]) * scatter.estimator(whole)[-1]
-        numbers.append(difference @ runs.mean)
+        factors.append(difference)
         spread.append(np.sqrt(max(scatter.standard_u(difference) ** 2 - noise_u**2, 0.0)))
-    return np.array(numbers, dtype=np.float64), np.array(spread, dtype=np.float64)
+    return np.array(factors, dtype=np.float64), np.array(spread, dtype=np.float64)
 
 
 def _odd_part_of(runs: TableRuns, end_up: int, size: float) -> Floats:

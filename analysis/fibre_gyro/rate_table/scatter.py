@@ -7,7 +7,7 @@ only, so every size of that scatter which they allow is weighed with its likelih
     variance of a run     v = u^2 + (s_0 F)^2 + rho^2 [ (1 - a) (F/F_rms)^2 + a ]
     likelihood            of the residuals given v (restricted: freed of the fitted parameters)
     slow noise            where the noise model of the gyro is known, its covariance comes to v, window by window
-    prior                 rho/(rho + u_rms)^2 and a part of 1.5 at rho = 0, a even in 0..1
+    prior                 rho/(rho + u_rms)^2 and a part of 1.5 at rho = 0; a from 0 to 1
 
 F is the run's own output, s_0 what is stated, rho the scatter beyond it, a the part of it that does not grow with
 the output (bias) while the rest does (scale factor, table). What is linear in the means has, given rho and a, a
@@ -26,7 +26,9 @@ import scipy.special
 from analysis.arrays import Floats
 
 NORMAL_95 = float(scipy.special.ndtri(0.975))
-_SIZES, _PARTS = 32, 4
+_SIZES = 32
+_PARTS = np.array([0.0, 0.001, 0.01, 0.1, 0.5, 1.0])
+"""Shares of the variance that do not grow with the output: with three axes at once outputs differ a thousandfold."""
 _NONE_BEYOND = 1.5  # weight of no scatter at all
 _ASSUMED = 10e-6
 """Scatter of scale factor and table from run to run where no run repeats another and nobody states it: of a table
@@ -150,16 +152,16 @@ def find_run_scatter(
     largest = 30.0 * float(np.sqrt(left @ left / freedom)) + 10.0 * quiet
     size = np.concatenate([[0.0], np.geomspace(2e-2 * quiet, largest, _SIZES)])
     width = np.gradient(size)
-    part = (np.arange(_PARTS) + 0.5) / _PARTS
     square = (mean / np.sqrt(np.mean(mean**2))) ** 2
-    shape = (1 - part[:, np.newaxis]) * square + part[:, np.newaxis]
+    shape = (1 - _PARTS[:, np.newaxis]) * square + _PARTS[:, np.newaxis]
     variance = (known + size[:, np.newaxis, np.newaxis] ** 2 * shape).reshape(-1, mean.size)
     likelihood = _log_likelihood(variance, scaled, left, None if slow is None else covariance)
     # with them 1.96 u hold 92 to 97 % whatever the scatter is, with five degrees of freedom and more
     share = width * size / (size + quiet) ** 2
     share[0] = _NONE_BEYOND
     prior = np.log(share)
-    weight = np.exp(likelihood + np.repeat(prior, _PARTS) - (likelihood + np.repeat(prior, _PARTS)).max())
+    likelihood += np.repeat(prior, _PARTS.size)
+    weight = np.exp(likelihood - likelihood.max())
     return RunScatter(variance, weight / weight.sum(), False, *parts)
 
 

@@ -29,7 +29,7 @@ from station.errors import NoUsableSignal
 from station.fibre_gyro.allan.noise_model import NoiseModel, noise_of
 from station.fibre_gyro.common import PPM, beyond_converter, not_taken, reasons_of
 from station.fibre_gyro.recordings import segments_of
-from station.fibre_gyro.selfcal.numbers import TableReference, reference_of
+from station.fibre_gyro.selfcal.numbers import TableReference, numbers_against_table_u, reference_of
 from station.fibre_gyro.settings import FogSettings
 from station.fibre_gyro.table.evaluate import PURPOSE as TABLE
 from station.fibre_gyro.table.evaluate import TableFound, find_axes
@@ -159,6 +159,9 @@ def evaluate(run: SavedRun, settings: FogSettings, choices: Mapping[str, Any]) -
     if reference is not None and settings.selfcal.numbers == "fit":
         # the numbers were made of the scale factor that they are compared with: its error is in both
         against, numbers_u = (reference.scale_factor, abs(numbers_u - reference.scale_factor_u)), 0.0
+    together_u = numbers_against_table_u(run, table, settings, rates, u**-2.0)
+    if together_u is not None:
+        against, numbers_u = (against[0], 0.0), together_u * abs(fit_slope(rates, given, u).slope)
     return SelfcalFound(
         keys=tuple(row.key for row in steps),
         rate_dps=rates,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from typing import Any
 
 from analysis.fibre_gyro import (
@@ -132,9 +133,15 @@ def _budget(found: SelfcalFound) -> list[Contribution]:
         Contribution("slow noise", at_rest, parts["slow noise"], model is not None, note),
         Contribution("scatter", "scatter of the steps beyond these", parts["scatter"], True, "residuals"),
         Contribution("drift", "drift of the bias", parts["drift"], True, drift),
-        Contribution("numbers", "numbers for the rates", parts["numbers"], True, "of the table run"),
+        Contribution("numbers", "numbers for the rates", parts["numbers"], True, _numbers_note(parts)),
         Contribution("table", "scale factor compared with", parts["table"], True, table),
     ]  # fmt: skip
+
+
+def _numbers_note(parts: Mapping[str, float]) -> str:
+    if parts["numbers"] and not parts["table"]:
+        return "of the table run, with its scale factor: their errors cancel in part"
+    return "of the table run"
 
 
 def _sentences(found: SelfcalFound, settings: FogSettings) -> list[str]:

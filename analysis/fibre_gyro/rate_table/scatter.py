@@ -28,7 +28,7 @@ from analysis.arrays import Floats
 NORMAL_95 = float(scipy.special.ndtri(0.975))
 _SIZES = 32
 _PARTS = np.array([0.0, 0.001, 0.01, 0.1, 0.5, 1.0])
-"""Shares of the variance that do not grow with the output: with three axes at once outputs differ a thousandfold."""
+"""Shares of the variance that do not grow with the output; of three axes at once outputs differ a thousandfold."""
 _NONE_BEYOND = 1.5  # weight of no scatter at all
 _ASSUMED = 10e-6
 """Scatter of scale factor and table from run to run where no run repeats another and nobody states it: of a table

@@ -11,6 +11,8 @@ from station.fibre_gyro.table.evaluate import AxisResult
 from station.results.contributions import Contribution, budget_document
 from station.results.numbers import ppm, with_uncertainty
 
+_NO_DRIFT = "too few runs, or no clock that tells when they were taken: counted as scatter"
+
 
 def axis_budget(one: AxisResult, settings: FogSettings) -> dict[str, Any]:
     """Return the budget of the scale factor of one axis, as JSON."""
@@ -44,7 +46,7 @@ def noise_sentence(one: AxisResult) -> str:
     rules = "the noise model rules" if by_model >= by_runs else "the scatter rules"
     within = "" if one.noise_by_model else " The words scatter by more than it says: their own noise counts."
     return (
-        f"{one.axis}: the noise model of {one.noise.source} makes {by_model:.2g} ppm of K uncertain, what runs "
+        f"{one.axis}: to u(K) the noise model of {one.noise.source} contributes {by_model:.2g} ppm, what the runs "
         f"scatter beyond it {by_runs:.2g} ppm: {rules}.{within}"
     )
 
@@ -87,7 +89,7 @@ def _drift(one: AxisResult) -> Contribution:
     drift, u = one.fit.drift_dph_per_h
     quantity = "drift of the bias"
     if not math.isfinite(drift):
-        return Contribution("drift", quantity, 0.0, False, "too few runs to show it: counted as scatter")
+        return Contribution("drift", quantity, 0.0, False, _NO_DRIFT)
     change = ppm(PPM * one.fit.drift_in_scale_factor / one.fit.scale_factor)
     note = f"{with_uncertainty(drift, u)} deg/h per h taken out, which changed K by {change}; the rest is in noise"
     return Contribution("drift", quantity, 0.0, True, note)

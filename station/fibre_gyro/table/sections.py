@@ -52,7 +52,9 @@ def sections(found: TableFound, run: SavedRun, settings: FogSettings, result: Re
     if any(one.linearity is not None for one in found.axes):
         made.append(_ladder_section(found))
     for axis, one in zip(result.document["axes"], found.axes, strict=True):
-        sentences = tuple(said for said in result.sentences if said.startswith(f"{one.axis}: the noise model"))
+        sentences = tuple(
+            said for said in result.sentences if said.startswith(f"{one.axis}: to u(K) the noise model")
+        )
         table = budget_table(f"K({one.axis})", axis["budget"])
         made.append(Section(f"Budget of K({one.axis})", sentences=sentences, table=table))
     return [*made, staircase_section(settings), Section("Runs", table=_run_table(found))]
@@ -196,7 +198,8 @@ def _ladder_svg(found: TableFound) -> str:
                 continue
             rate = one.runs.end_up * one.runs.rate_dps
             full = float(np.abs(rate).max())
-            left = one.fit.residual_ppm * np.abs(one.runs.mean) / np.abs(one.runs.mean).max()
+            along = one.runs.end_up * one.runs.mean
+            left = PPM * (along - np.polyval(np.polyfit(rate, along, 1), rate)) / np.abs(along).max()
             bars = PPM * one.runs.mean_u / np.abs(one.runs.mean).max()
             axes.errorbar(
                 rate, left, bars, fmt=_MARKERS[index % 6], ms=4, mfc="none", color=colour, label=one.axis

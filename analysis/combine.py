@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy.special
@@ -10,6 +11,9 @@ import scipy.special
 from analysis.arrays import Complexes, Floats, Ints
 from analysis.flags import Flag
 from analysis.lockin_rate import LockInEstimate, rate_and_slopes, size_interval
+
+_AT_ONCE = 1 << 16
+"""Records whose numbers are worked out together: those of a million would take much memory."""
 
 UNLIKELY = 0.001
 """A scatter that the records' own noise would produce less often than this is taken as real."""
@@ -64,32 +68,23 @@ def combine_estimates(estimates: LockInEstimate) -> LockInEstimate:
             flat[0], flags=np.asarray(bits), records=np.asarray(0), records_rejected=np.asarray(rejected)
         )
 
-    values, radial, tangential, misfit = _complex_rates(used)
-    weights = 1 / np.maximum((radial + tangential) / 2, 1e-300)
-    weights /= weights.sum()
-    mean = complex(np.sum(weights * values))
-    along = np.conj(mean / abs(mean)) if mean != 0 else 1.0
-    own = float(np.hypot(np.sqrt(np.sum(weights**2 * (radial - misfit**2))), np.sum(weights * misfit)))
-    across_u = float(np.sqrt(np.sum(weights**2 * (tangential - misfit**2))))
-    turned = values * along
-    inflation, stretch, unequal = _scatter(turned.real - abs(mean), radial, weights)
-    phases_differ = _scatter(turned.imag, tangential, weights)[2]
-    rate_u = own * inflation
+    together = _coherent_mean(used)
+    mean, rate_u, weights = together.mean, together.rate_u, together.weights
 
     flags = _common_flags(used.flags)
-    value = float(np.sqrt(max(abs(mean) ** 2 - across_u**2, 0.0)))
+    value = float(np.sqrt(max(abs(mean) ** 2 - together.across_u**2, 0.0)))
     if not abs(mean) > 3.3 * rate_u:
         flags |= Flag.RATIO_NOT_SIGNIFICANT
-    if phases_differ:
+    if together.phases_differ:
         flags |= Flag.MISFIT
     if np.ptp(used.amplitude) > AMPLITUDE_SCATTER * used.amplitude.max():
         flags |= Flag.AMPLITUDE_LOST
-    low, high = (abs(mean), abs(mean)) if rate_u == 0 else _interval(abs(mean), rate_u, stretch)
+    low, high = (abs(mean), abs(mean)) if rate_u == 0 else _interval(abs(mean), rate_u, together.stretch)
     ratio, ratio_u, rho, rho_covariance = _mean_ratio(used, weights)
     third, third_u = _mean_third_harmonic(used)
     frequency_weights = 1 / np.maximum(used.beat_frequency_u**2, 1e-300)
     model = used.noise_model
-    if unequal:
+    if together.unequal:
         model += "; enlarged to the scatter between records, which is more than that noise explains"
     return replace(
         used[0],
@@ -126,9 +121,55 @@ def _common_flags(flags: Ints) -> int:
     return common
 
 
+@dataclass(frozen=True)
+class _CoherentMean:
+    """Weighted mean of the complex lock-in rates, and what their scatter says.
+
+    rate_u, across_u : standard uncertainty along its own direction, and across it from noise alone
+    stretch : factor for the 95 % interval
+    unequal, phases_differ : whether they scatter by more than their uncertainty explains, along and across
+    """
+
+    mean: complex
+    weights: Floats
+    rate_u: float
+    across_u: float
+    stretch: float
+    unequal: bool
+    phases_differ: bool
+
+
+def _coherent_mean(used: LockInEstimate) -> _CoherentMean:
+    values, radial, tangential, misfit = _complex_rates(used)
+    weights = 1 / np.maximum((radial + tangential) / 2, 1e-300)
+    weights /= weights.sum()
+    mean = complex(np.sum(weights * values))
+    along = np.conj(mean / abs(mean)) if mean != 0 else 1.0
+    own = float(np.hypot(np.sqrt(np.sum(weights**2 * (radial - misfit**2))), np.sum(weights * misfit)))
+    across_u = float(np.sqrt(np.sum(weights**2 * (tangential - misfit**2))))
+    turned = values * along
+    inflation, stretch, unequal = _scatter(turned.real - abs(mean), radial, weights)
+    phases_differ = _scatter(turned.imag, tangential, weights)[2]
+    return _CoherentMean(mean, weights, own * inflation, across_u, stretch, unequal, phases_differ)
+
+
 def _complex_rates(used: LockInEstimate) -> tuple[Complexes, Floats, Floats, Floats]:
     """WL exp(i beta') of each record, its variances along and across its own direction, and the standard
     uncertainty in both of them by what is no noise."""
+    values, radial, tangential, misfit = (
+        np.empty(len(used), np.complex128),
+        *(np.empty(len(used)) for _ in range(3)),
+    )
+    for some in _blocks(used):
+        values[some], radial[some], tangential[some], misfit[some] = _complex_rates_of_some(used[some])
+    return values, radial, tangential, misfit
+
+
+def _blocks(used: LockInEstimate) -> Iterator[slice]:
+    return (slice(first, first + _AT_ONCE) for first in range(0, len(used), _AT_ONCE))
+
+
+def _complex_rates_of_some(used: LockInEstimate) -> tuple[Complexes, Floats, Floats, Floats]:
     size = np.abs(used.complex_ratio)
     rate = used.input_rate if used.rate_given else None
     value, slope, _ = rate_and_slopes(size, used.beat_frequency / used.scale_factor, rate, used.relation)
@@ -168,13 +209,19 @@ def _mean_ratio(used: LockInEstimate, weights: Floats) -> tuple[Floats, Floats, 
 
     Where both senses are there, records of the negative one count with the value that the positive would give.
     """
-    negative = used.rate_given & (used.input_rate < 0)
-    negative = negative & ~negative.all()
-    rho = np.where(negative, -np.conj(used.complex_ratio), used.complex_ratio)
-    mean = complex(np.sum(weights * rho))
-    mirror = np.where(negative, -1.0, 1.0)[:, np.newaxis] * np.array([1.0, 0.0]) + np.array([0.0, 1.0])
-    turned = used.complex_ratio_covariance * mirror[:, :, np.newaxis] * mirror[:, np.newaxis, :]
-    covariance = np.einsum("r,rij->ij", weights**2, turned)
+    rate = used.input_rate
+    mixed = used.rate_given and bool((rate < 0).any() and not (rate < 0).all())
+    mean, covariance = 0j, np.zeros((2, 2))
+    for some in _blocks(used):
+        part, weight = used[some], weights[some]
+        rho, turned = part.complex_ratio, part.complex_ratio_covariance
+        if mixed:
+            negative = part.input_rate < 0
+            rho = np.where(negative, -np.conj(rho), rho)
+            mirror = np.where(negative, -1.0, 1.0)[:, np.newaxis] * np.array([1.0, 0.0]) + np.array([0.0, 1.0])
+            turned = turned * mirror[:, :, np.newaxis] * mirror[:, np.newaxis, :]
+        mean += complex(np.sum(weight * rho))
+        covariance += np.einsum("r,rij->ij", weight**2, turned)
     size = abs(mean)
     along = np.array([mean.real, mean.imag]) / size if size > 0 else np.array([1.0, 0.0])
     across = np.array([-along[1], along[0]])

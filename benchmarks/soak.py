@@ -102,6 +102,7 @@ class Outcome:
     lost: int = 0
     resumed: int = 0
     panels_altered: int = 0
+    panels_by_hand: int = 0
     link: Counter[str] = field(default_factory=Counter)
     faults: Counter[str] = field(default_factory=Counter)
     incidents: Counter[str] = field(default_factory=Counter)
@@ -172,10 +173,13 @@ class Station:
     def month(self, tell: Callable[[str], None]) -> Outcome:
         """Take a run a day; returns what became of them."""
         for day in range(1, self._days + 1):
-            before = self._panel()
+            before, hands = self._panel(), self._scope.hands
             run = self._day()
             self._judge(run)
-            self.outcome.panels_altered += self._panel() != before
+            # A hand at a panel that is not locked: before the panel was read, or after it was put back.
+            by_hand = self._scope.hands > hands
+            self.outcome.panels_by_hand += by_hand and self._panel() != before
+            self.outcome.panels_altered += not by_hand and self._panel() != before
             self._weigh()
             tell(
                 f"day {day}: {self.outcome.records} records, {self.outcome.wrong} wrong, {self.outcome.lost} lost"
@@ -316,7 +320,7 @@ def main(arguments: list[str] | None = None) -> int:
     lines = [
         f"{outcome.records} records in {options.days} simulated days, {SHARE:.0%} of all messages spoiled",
         f"{outcome.wrong} wrong, {outcome.lost} lost, {outcome.saved_twice} saved twice, "
-        f"{outcome.panels_altered} front panels left altered",
+        f"{outcome.panels_altered} front panels left altered, {outcome.panels_by_hand} by a hand on a knob",
         f"{outcome.faults.total()} faults: {counts(outcome.faults)}",
         f"{outcome.incidents.total()} incidents: {counts(outcome.incidents)}; {outcome.resumed} times resumed",
         f"link: {counts(outcome.link)}",

@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
+import importlib
 import importlib.util
 import warnings
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from threading import Thread
+from time import monotonic
+from typing import Any
 
 import pyvisa
+from pyvisa.constants import InterfaceType
 
 from instrument.dialogue.dialogue import Dialogue
 from instrument.dialogue.identity import Identity
@@ -20,6 +26,11 @@ _TRANSPORTS = (
     ("RS-232", ("serial",), "install pyserial"),
 )
 
+_ON_THE_NETWORK = (InterfaceType.tcpip, InterfaceType.vicp)
+
+LAN_PATIENCE_S = 2.0
+"""What is on the network answers in a second; others, behind slow links, are asked by their name."""
+
 
 @dataclass(frozen=True)
 class FoundResource:
@@ -30,11 +41,18 @@ class FoundResource:
     problem: str | None
 
 
-def find_resources(resource_manager: pyvisa.ResourceManager | None = None) -> list[FoundResource]:
+def find_resources(
+    resource_manager: pyvisa.ResourceManager | None = None, *, lan: bool = True
+) -> list[FoundResource]:
     """List every VISA resource that the computer sees and try each one.
 
     Each is opened, cleared and asked ``*IDN?``; a serial port costs a few seconds if nothing answers. Raw TCP
     sockets cannot be listed by any VISA: use `check_resource` with the name.
+
+    Parameters
+    ----------
+    lan : bool, optional
+        Whether to look on the network, for `LAN_PATIENCE_S` at most; a vendor's VISA looks there as it likes.
 
     Raises
     ------
@@ -46,14 +64,55 @@ def find_resources(resource_manager: pyvisa.ResourceManager | None = None) -> li
         with warnings.catch_warnings():
             # PyVISA-py warns about optional packages for network discovery; `missing_transports` tells more.
             warnings.simplefilter("ignore")
-            names = manager.list_resources("?*")
+            names = _names_by_pyvisa_py(lan=lan) if _is_pyvisa_py(manager) else manager.list_resources("?*")
     except (pyvisa.Error, OSError, ValueError) as error:
         raise LinkError(
             f"VISA cannot list any resources: {error}; install pyvisa-py or a vendor's VISA"
         ) from error
     # PyVISA-py offers every serial port once more as a GPIB adapter of Prologix: an interface, no instrument.
     instruments = [name for name in dict.fromkeys(names) if not name.upper().endswith("::INTFC")]
-    return [check_resource(name, manager) for name in instruments]
+    # serial ports have nothing to do with each other, and each on which nobody answers is waited for
+    ports = [name for name in instruments if name.upper().startswith("ASRL")]
+    with ThreadPoolExecutor(max_workers=max(len(ports), 1)) as pool:
+        waiting = {name: pool.submit(check_resource, name, manager) for name in ports}
+        found = {name: check_resource(name, manager) for name in instruments if name not in waiting}
+        found |= {name: one.result() for name, one in waiting.items()}
+    return [found[name] for name in instruments]
+
+
+def _is_pyvisa_py(manager: pyvisa.ResourceManager) -> bool:
+    return type(manager.visalib).__module__.partition(".")[0] == "pyvisa_py"
+
+
+def _names_by_pyvisa_py(*, lan: bool) -> list[str]:
+    """Resources that PyVISA-py sees; the kinds of links at the same time, and no longer than is reasonable.
+
+    It would itself ask one kind after the other, and wait a second and more for each that is on the network.
+    """
+    sessions = importlib.import_module("pyvisa_py.sessions")
+    found: dict[str, list[str]] = {}
+    failed: list[Exception] = []
+
+    def look(name: str, kind: Any) -> None:
+        try:
+            found[name] = list(kind.list_resources())
+        except (OSError, ValueError, pyvisa.Error) as error:
+            failed.append(error)
+
+    kinds = {str(key): (key[0], kind) for key, kind in sessions.Session.iter_valid_session_classes()}
+    asked = [(name, kind) for name, (interface, kind) in kinds.items() if lan and interface in _ON_THE_NETWORK]
+    threads = [Thread(target=look, args=one, daemon=True) for one in asked]
+    for thread in threads:
+        thread.start()
+    until = monotonic() + LAN_PATIENCE_S
+    for name, (interface, kind) in kinds.items():
+        if interface not in _ON_THE_NETWORK:
+            look(name, kind)
+    for thread in threads:
+        thread.join(max(until - monotonic(), 0.0))
+    if failed and not found:
+        raise failed[0]
+    return [resource for name in kinds for resource in found.get(name, ())]
 
 
 def check_resource(

@@ -18,6 +18,7 @@ from pyvisa.constants import ResourceAttribute, StatusCode
 from pyvisa.resources import MessageBasedResource
 
 from instrument.errors import LinkError
+from instrument.in_use import Claim, claim
 from instrument.names import advice, behind_adapter, visa_name
 
 READ_TIME_MS = 3000
@@ -117,15 +118,23 @@ def keep_to_oneself(resource: MessageBasedResource) -> bool:
     return True
 
 
+def claim_instrument(name: str, manager: pyvisa.ResourceManager | None) -> Claim:
+    """Keep other programs from the link of a name, before anything is sent; LinkError says which one has it.
+
+    An instrument that is simulated within this program is nobody else's.
+    """
+    manager = _manager(name, manager)
+    return Claim(None) if getattr(manager.visalib, "in_this_program", False) else claim(name)
+
+
 def open_instrument(
     name: str, manager: pyvisa.ResourceManager | None, seconds: float
 ) -> tuple[MessageBasedResource, pyvisa.resources.Resource | None]:
     """The instrument of a name, and the adapter that was opened for it; LinkError after so many seconds."""
     beneath, timeout = None, round(seconds * 1000)
+    manager = _manager(name, manager)
     try:
         adapter, visa = behind_adapter(name) or (None, visa_name(name))
-        if manager is None:
-            manager = pyvisa.ResourceManager("@py" if adapter else "")
         if adapter is not None:
             beneath = manager.open_resource(adapter, open_timeout=timeout)
         resource = manager.open_resource(visa, open_timeout=timeout)
@@ -140,6 +149,14 @@ def open_instrument(
         resource.close()
         raise LinkError(f"{name} is not an instrument that takes text messages; check the resource name")
     return resource, beneath
+
+
+def _manager(name: str, manager: pyvisa.ResourceManager | None) -> pyvisa.ResourceManager:
+    """The manager that was given, or PyVISA's own choice; an adapter needs PyVISA-py."""
+    try:
+        return manager or pyvisa.ResourceManager("@py" if behind_adapter(name) else "")
+    except Exception as error:
+        raise LinkError(f"cannot open {name}: {_reason(error)}") from error
 
 
 def _reason(error: Exception) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import importlib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Generic, TypeVar
@@ -92,7 +92,7 @@ class Measurement(Generic[S, F]):
     result: Callable[[F, SavedRun, S], Result]
     sections: Callable[[F, SavedRun, S, Result], list[Section]]
     facts: Callable[[F, SavedRun, S], list[FactTable]]
-    rows: Callable[[F], list[dict[str, Any]]] = field(default=_no_rows)
+    rows: Callable[[F], Iterable[dict[str, Any]]] = field(default=_no_rows)
     gives: tuple[str, ...] = ()
     unusable: Callable[[SavedRun, S], Mapping[str, str]] = field(default=_nothing_unusable)
     simulated: Callable[[S], bool] = field(default=lambda settings: bool(settings.simulated))

@@ -70,6 +70,8 @@ def only_beats(each: LockInEstimate) -> LockInEstimate:
     """Withhold what rests on a piece of some curve: fewer than 3 periods that do not fit either."""
     curve = int(Flag.FEW_PERIODS | Flag.MISFIT)
     pieces = (each.flags & curve) == curve
+    if not pieces.any():
+        return each
     rates = ("lock_in_rate", "lock_in_rate_u", "lock_in_rate_low_95", "lock_in_rate_high_95")
     withheld: dict[str, Any] = {name: np.where(pieces, np.nan, getattr(each, name)) for name in rates}
     flags = np.where(pieces, each.flags | int(Flag.NOT_LOCK_IN_LIKE), each.flags)

@@ -154,11 +154,12 @@ def rows_of_batches(sample_interval: Floats, samples: Ints) -> list[Indices]:
     >>> [rows.tolist() for rows in rows_of_batches(np.array([1e-5, 2e-5, 1e-5]), np.array([2500, 2500, 2500]))]
     [[0, 2], [1]]
     """
-    shapes: dict[tuple[float, int], list[int]] = {}
-    for row, shape in enumerate(zip(sample_interval.tolist(), samples.tolist(), strict=True)):
-        shapes.setdefault(shape, []).append(row)
-    return [
-        np.array(rows[first : first + _RECORDS_AT_ONCE], dtype=np.intp)
-        for rows in shapes.values()
-        for first in range(0, len(rows), _RECORDS_AT_ONCE)
-    ]
+    batches: list[Indices] = []
+    left = np.arange(samples.size)
+    while left.size:
+        first = left[0]
+        alike = (sample_interval[left] == sample_interval[first]) & (samples[left] == samples[first])
+        alike[0] = True
+        rows, left = left[alike], left[~alike]
+        batches += [rows[begin : begin + _RECORDS_AT_ONCE] for begin in range(0, rows.size, _RECORDS_AT_ONCE)]
+    return batches

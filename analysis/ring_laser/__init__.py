@@ -8,7 +8,13 @@ from analysis.ring_laser.beat import axis_rate_on_table, beat_phase_on_table
 from analysis.ring_laser.detector import Detector, detector_signal
 from analysis.ring_laser.gyro import Gyro
 from analysis.ring_laser.motion import Motion
-from analysis.ring_laser.signals import NoisySignal, beat_signal_on_table, smooth_interval, with_detector_noise
+from analysis.ring_laser.signals import (
+    NoisySignal,
+    beat_signal_on_table,
+    signal_bounds,
+    smooth_interval,
+    with_detector_noise,
+)
 from analysis.ring_laser.winking import SteadyBeat, Winking, WinkingLaser, steady_beat, symmetric_laser
 
 __all__ = [
@@ -23,6 +29,7 @@ __all__ = [
     "beat_phase_on_table",
     "beat_signal_on_table",
     "detector_signal",
+    "signal_bounds",
     "smooth_interval",
     "steady_beat",
     "symmetric_laser",

@@ -34,6 +34,8 @@ _SLEW_POINTS = 4097
 _REST_DPS = 1e-9
 _NEGLIGIBLE = 1e-13
 _RADIANS_A_PIECE = 2.0  # of the fastest swing; 12 Chebyshev points then leave less than rounding
+_LONGEST_PIECE = 100.0  # s
+_KEPT_PIECES = 1000
 _NODES = np.cos(np.pi * (np.arange(12) + 0.5) / 12)[::-1]
 _TO_SERIES = np.linalg.inv(chebyshev.chebvander(_NODES, 11)).T
 
@@ -76,47 +78,79 @@ def _rate_and_advance(gyro: Gyro, motion: tuple[Motion, ...], number: int, times
     """Rate on the axis and advance of psi since the start of a segment, (2, n).
 
     Both follow the turn of the table and the ripple, far slower than the samples of a record: they are worked out
-    at a few Chebyshev points and interpolated, to rounding.
+    at a few Chebyshev points of pieces of time, once, and interpolated, to rounding.
     """
-
-    def exact(at: Floats) -> Floats:
-        return np.stack([_rate(gyro, motion[number], at), _advance(gyro, motion, number, at)])
-
-    pieces = _pieces(gyro, motion[number], times)
-    if 2 * pieces * _NODES.size > times.size:
-        return exact(times)
-    first, last = float(times.min()), float(times.max())
-    half = (last - first) / (2 * pieces)
-    middles = first + half * (2 * np.arange(pieces) + 1)
-    at_nodes = exact((middles[:, np.newaxis] + half * _NODES).ravel()).reshape(2, pieces, _NODES.size)
-    # a straight line taken away: what is left is small, and so is its rounding
-    line = at_nodes[..., -1:] - at_nodes[..., :1], at_nodes.mean(axis=-1, keepdims=True)
-    slopes, means = line[0] / (_NODES[-1] - _NODES[0]), line[1]
-    coefficients = (at_nodes - means - slopes * _NODES) @ _TO_SERIES
-    found = np.empty((2, times.size))
-    which = np.minimum((times - first) / (2 * half), pieces - 1).astype(np.intp) if pieces > 1 else None
-    for piece in range(pieces):
-        inside = slice(None) if which is None else np.flatnonzero(which == piece)
-        place = (times[inside] - middles[piece]) / half
-        curve = chebyshev.chebval(place, coefficients[:, piece].T)
-        found[:, inside] = means[:, piece] + slopes[:, piece] * place + curve
-    return found
+    segment = motion[number]
+    length = _piece_length(gyro, segment)
+    if not length:
+        return _exactly(gyro, motion, number, times)
+    first, last = (math.floor((float(end) - segment.start) / length) for end in (times.min(), times.max()))
+    if 2 * (last - first + 1) * _NODES.size > times.size:
+        return _exactly(gyro, motion, number, times)
+    lines, series = _pieces(gyro, segment, first, last)
+    place = (times - segment.start) / length
+    middle: Floats | float = first + 0.5
+    if last > first:
+        which = np.clip(np.floor(place).astype(np.intp), first, last) - first
+        lines, series = lines.take(which, axis=-1), series.take(which, axis=-1)
+        middle = np.asarray(middle + which, dtype=np.float64)
+    place = 2 * (place - middle)
+    return np.asarray(lines[0] + lines[1] * place + _chebyshev_sum(place, series))
 
 
-def _pieces(gyro: Gyro, segment: Motion, times: Floats) -> int:
-    """Pieces of a span of time that are short beside the turn of the table and the ripple; many for a slew."""
-    span = float(times.max() - times.min())
-    if segment.acceleration_dps2 != 0.0 or span <= 0.0:
-        return times.size
-    return max(1, math.ceil(_fastest_swing(gyro, *_turning(segment)) * span / _RADIANS_A_PIECE))
+def _exactly(gyro: Gyro, motion: tuple[Motion, ...], number: int, times: Floats) -> Floats:
+    return np.stack([_rate(gyro, motion[number], times), _advance(gyro, motion, number, times)])
+
+
+def _pieces(gyro: Gyro, segment: Motion, first: int, last: int) -> tuple[Floats, Floats]:
+    """Straight lines (2, 2, n) and Chebyshev series (order, 2, n) of what is left, of n pieces of time.
+
+    Without the line what is left is small, and so is its rounding.
+    """
+    known = _known_pieces(gyro, segment)
+    missing = [piece for piece in range(first, last + 1) if piece not in known]
+    if missing:
+        if len(known) > _KEPT_PIECES:
+            known.clear()
+            missing = list(range(first, last + 1))
+        middles = np.array(missing)[:, np.newaxis] + 0.5
+        times = segment.start + _piece_length(gyro, segment) * (middles + 0.5 * _NODES)
+        at_nodes = _exactly(gyro, (segment,), 0, times.ravel()).reshape(2, len(missing), _NODES.size)
+        slopes = (at_nodes[..., -1:] - at_nodes[..., :1]) / (_NODES[-1] - _NODES[0])
+        means = at_nodes.mean(axis=-1, keepdims=True)
+        series = (at_nodes - means - slopes * _NODES) @ _TO_SERIES
+        lines = np.stack([means, slopes])[..., 0]
+        for place, piece in enumerate(missing):
+            known[piece] = lines[..., place, np.newaxis], series[:, place].T[..., np.newaxis]
+    found = [known[piece] for piece in range(first, last + 1)]
+    if len(found) == 1:
+        return found[0]
+    return np.concatenate([line for line, _ in found], axis=-1), np.concatenate([one for _, one in found], axis=-1)
 
 
 @lru_cache(maxsize=64)
-def _fastest_swing(gyro: Gyro, table_rate_dps: float, resting_at_deg: float | None) -> float:
-    """Of all terms of the beat frequency, rad/s."""
-    _, orders, _ = _frequency_series(gyro, table_rate_dps, resting_at_deg)
+def _known_pieces(gyro: Gyro, segment: Motion) -> dict[int, tuple[Floats, Floats]]:
+    """Those that were worked out already, by their number."""
+    return {}
+
+
+@lru_cache(maxsize=64)
+def _piece_length(gyro: Gyro, segment: Motion) -> float:
+    """Length in s of pieces of time that are short beside the turn of the table and the ripple; 0 for a slew."""
+    if segment.acceleration_dps2 != 0.0:
+        return 0.0
+    _, orders, _ = _frequency_series(gyro, *_turning(segment))
     turn, ripple = np.abs(orders).max(axis=0, initial=1.0)
-    return float(turn * math.radians(abs(table_rate_dps)) + ripple * 2 * np.pi * gyro.ripple_hz)
+    fastest = float(turn * math.radians(abs(segment.rate_dps)) + ripple * 2 * np.pi * gyro.ripple_hz)
+    return min(_RADIANS_A_PIECE / fastest, _LONGEST_PIECE) if fastest > 0 else _LONGEST_PIECE
+
+
+def _chebyshev_sum(x: Floats, series: Floats) -> Floats:
+    """Sum of Chebyshev polynomials whose coefficients (order, k, n) may differ from point to point (Clenshaw)."""
+    twice, before, last = 2 * x, series[-2], series[-1]
+    for coefficients in series[-3::-1]:
+        before, last = coefficients - last, before + last * twice
+    return np.asarray(before + last * x)
 
 
 def _rate(gyro: Gyro, segment: Motion, times: Floats) -> Floats:

@@ -13,7 +13,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from analysis.arrays import Complexes, Floats, Indices
+from analysis.arrays import Bools, Complexes, Floats, Indices
 from analysis.channel import high_pass, low_pass
 from analysis.ring_laser.gyro import Gyro
 from analysis.ring_laser.rate_grid import FINER, beat_rate_at, grid_place, interpolate, rate_at, weights_at
@@ -21,6 +21,7 @@ from analysis.ring_laser.rate_grid import FINER, beat_rate_at, grid_place, inter
 _FEWEST_POINTS, _MOST_POINTS = 128, 8192
 _NEGLIGIBLE = 1e-9
 _FEW_CELLS = 6
+_OVERSHOOT = 0.05  # of the swing: more than a polynomial between points of the grid leaves them by
 
 
 @dataclass(frozen=True)
@@ -82,7 +83,8 @@ class Detector:
 
     def swing(self, times: Floats) -> Floats:
         """The light at absolute times in s over its mean."""
-        return np.asarray(1 + self.pump_ripple * np.sin(2 * np.pi * np.mod(self.pump_hz * times, 1.0)))
+        cycles = self.pump_hz * times
+        return np.asarray(1 + self.pump_ripple * np.sin(2 * np.pi * (cycles - np.floor(cycles))))
 
 
 def detector_signal(gyro: Gyro, detector: Detector, axis_rate: Floats, beat_phase: Floats) -> Floats:
@@ -102,17 +104,41 @@ def detector_signal(gyro: Gyro, detector: Detector, axis_rate: Floats, beat_phas
     """
     if not detector.filtered and gyro.winking is None:
         return detector.volts(gyro.fringe(axis_rate, beat_phase), gyro.backscatter_phase)
+    locked, senses = gyro.locked(axis_rate), np.sign(axis_rate)
+    if senses.size and not locked.any() and (senses == senses[0]).all():
+        return _by_harmonics(gyro, detector, axis_rate, beat_phase, int(senses[0]))
     volts = np.empty(axis_rate.shape)
-    locked = gyro.locked(axis_rate)
     # behind a filter a locked gyro's signal is what the filter leaves of a constant
     if locked.any():
         still = detector.volts(gyro.fringe(axis_rate[locked], beat_phase[locked]), gyro.backscatter_phase)
         volts[locked] = still * float(detector.response(np.zeros(1))[0].real)
     for sense in (1, -1):
-        inside = np.flatnonzero(~locked & (np.sign(axis_rate) == sense))
+        inside = np.flatnonzero(~locked & (senses == sense))
         if inside.size:
             volts[inside] = _by_harmonics(gyro, detector, axis_rate[inside], beat_phase[inside], sense)
     return volts
+
+
+def volts_between(
+    gyro: Gyro, detector: Detector, slowest: float, fastest: float, sense: int
+) -> tuple[float, float]:
+    """Volts that the detector does not leave at any phase of the beat.
+
+    Parameters
+    ----------
+    slowest, fastest : float
+        Rates on the axis between which it is meant, deg/s, positive and beyond lock-in.
+    sense : {1, -1}
+        Of the rotation.
+    """
+    low, high = np.inf, -np.inf
+    first, last = grid_place(np.array([slowest, fastest]), gyro.lock_in_rate)
+    for point in range(math.floor(first) - 2, math.ceil(last) + 4):  # those that are interpolated between
+        harmonics = _harmonics(gyro, detector, point, sense)
+        middle, swing = float(harmonics[0].real), float(np.abs(harmonics[1:]).sum())
+        low, high = min(low, middle - swing), max(high, middle + swing)
+    slack = _OVERSHOOT * (high - low)
+    return low - slack, high + slack
 
 
 def _by_harmonics(gyro: Gyro, detector: Detector, rates: Floats, phases: Floats, sense: int) -> Floats:
@@ -120,7 +146,8 @@ def _by_harmonics(gyro: Gyro, detector: Detector, rates: Floats, phases: Floats,
     turning = np.exp(1j * sense * phases)
     place = grid_place(np.abs(rates), gyro.lock_in_rate) * FINER
     cells = np.floor(place).astype(np.intp)
-    if np.ptp(cells) > _FEW_CELLS:
+    lowest, highest = int(cells.min()), int(cells.max())
+    if highest - lowest > _FEW_CELLS:
 
         def at_point(point: int, inside: Indices) -> Floats:
             return _real_series(_harmonics(gyro, detector, point, sense), turning[inside])
@@ -128,13 +155,20 @@ def _by_harmonics(gyro: Gyro, detector: Detector, rates: Floats, phases: Floats,
         return interpolate(rates, gyro.lock_in_rate, at_point)
     # in a record the rate hardly changes: straight lines between the points of a finer grid are good enough
     volts = np.empty(rates.shape)
-    for cell in range(int(cells.min()), int(cells.max()) + 1):
-        inside = cells == cell
-        if inside.any():
-            low, high = (_between(gyro, detector, finer, sense) for finer in (cell, cell + 1))
-            left, turned = _real_series(low, turning[inside]), turning[inside]
-            volts[inside] = left + (place[inside] - cell) * (_real_series(high, turned) - left)
+    for cell in range(lowest, highest + 1):
+        inside: Bools | slice = cells == cell if lowest < highest else slice(None)
+        left, right = _real_series(_either_side(gyro, detector, cell, sense), turning[inside])
+        volts[inside] = left + (place[inside] - cell) * (right - left)
     return volts
+
+
+@lru_cache(maxsize=8192)
+def _either_side(gyro: Gyro, detector: Detector, finer: int, sense: int) -> Complexes:
+    """Harmonics (order, 2, 1) at a point of the finer grid and at the next."""
+    low, high = (_between(gyro, detector, point, sense) for point in (finer, finer + 1))
+    both = np.zeros((max(low.size, high.size), 2, 1), dtype=np.complex128)
+    both[: low.size, 0, 0], both[: high.size, 1, 0] = low, high
+    return both
 
 
 @lru_cache(maxsize=8192)
@@ -148,8 +182,8 @@ def _between(gyro: Gyro, detector: Detector, finer: int, sense: int) -> Complexe
 
 
 def _real_series(amplitudes: Complexes, turning: Complexes) -> Floats:
-    """Real part of sum amplitudes_n turning^n."""
-    total = np.full(turning.shape, amplitudes[-1])
+    """Real part of sum amplitudes_n turning^n, for amplitudes (order, ...) that may hold several series."""
+    total = amplitudes[-1] + np.zeros_like(turning)
     for amplitude in amplitudes[-2::-1]:
         total *= turning
         total += amplitude

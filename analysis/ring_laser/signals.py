@@ -8,10 +8,11 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
+from numpy.typing import NDArray
 
 from analysis.arrays import Floats
 from analysis.ring_laser.beat import beat_phase_on_table
-from analysis.ring_laser.detector import Detector, detector_signal
+from analysis.ring_laser.detector import Detector, detector_signal, volts_between
 from analysis.ring_laser.gyro import Gyro
 from analysis.ring_laser.motion import Motion, split
 
@@ -86,15 +87,46 @@ def _smooth_interval(gyro: Gyro, detector: Detector, segment: Motion) -> float:
         return 1.0 / (_POINTS_A_PERIOD * max(detector.pump_hz, 1.0))
     if segment.acceleration_dps2:
         return 0.0
-    rates = gyro.axis_rate(segment.rate_dps, np.arange(0.0, 360.0, 10.0))
-    low, high = (float(limit(np.abs(rates))) for limit in (np.min, np.max))
-    low, high = low - abs(gyro.ripple_dps), high + abs(gyro.ripple_dps)
+    low, high, sense = _rates_in(gyro, segment)
     ratio = float(gyro.harmonic_ratio(np.array(low)))
-    if low <= gyro.lock_in_rate or ratio >= _SHARPEST or np.ptp(np.sign(rates)):
+    if low <= gyro.lock_in_rate or ratio >= _SHARPEST or not sense:
         return 0.0
     harmonics = _DISTORTED + (math.log(_NEGLIGIBLE) / math.log(ratio) if ratio > 0 else 0.0)
     fastest = gyro.scale_factor * high * harmonics + abs(gyro.ripple_hz) + detector.pump_hz
     return 1.0 / (_POINTS_A_PERIOD * fastest)
+
+
+def signal_bounds(
+    gyro: Gyro, detector: Detector, motion: Sequence[Motion], start: float, stop: float
+) -> tuple[float, float]:
+    """Volts that the signal of the detector does not leave between two absolute times in s; inf: not known."""
+    segments = tuple(motion)
+    pieces = split(segments, np.array([start, stop]))
+    bounds = [_bounds(gyro, detector, piece) for piece in segments[pieces[0][0] : pieces[-1][0] + 1]]
+    return min(low for low, _ in bounds), max(high for _, high in bounds)
+
+
+@lru_cache(maxsize=64)
+def _bounds(gyro: Gyro, detector: Detector, segment: Motion) -> tuple[float, float]:
+    """Of one piece of motion."""
+    low, high = -math.inf, math.inf
+    if (resting := _resting_volts(gyro, detector, segment)) is not None:
+        low = high = resting
+    elif not segment.acceleration_dps2:
+        slowest, fastest, sense = _rates_in(gyro, segment)
+        if sense and slowest > gyro.lock_in_rate:
+            low, high = volts_between(gyro, detector, slowest, fastest, sense)
+    swing = detector.pump_ripple * max(abs(low), abs(high)) if detector.pump_ripple else 0.0
+    return low - swing, high + swing
+
+
+def _rates_in(gyro: Gyro, segment: Motion) -> tuple[float, float, int]:
+    """Slowest and fastest rate on the axis in a turn of the table, deg/s, and their sense; 0: both."""
+    rates = gyro.axis_rate(segment.rate_dps, np.arange(0.0, 360.0, 10.0))
+    sizes, ripple = np.abs(rates), abs(gyro.ripple_dps)
+    senses = np.sign(rates)
+    sense = int(senses[0]) if (senses == senses[0]).all() else 0
+    return float(np.min(sizes)) - ripple, float(np.max(sizes)) + ripple, sense
 
 
 @dataclass(frozen=True)
@@ -114,6 +146,8 @@ class NoisySignal:
     interval : callable
         Two absolute times in s -> the distance in s of points between which polynomials of the fifth degree give
         the smooth part; 0 where that is not known.
+    bounds : callable
+        Two absolute times in s -> V that the smooth part does not leave between them.
     """
 
     smooth: Callable[[Floats], Floats]
@@ -121,6 +155,7 @@ class NoisySignal:
     seed: int
     stream: int = 0
     interval: Callable[[float, float], float] = lambda start, stop: 0.0
+    bounds: Callable[[float, float], tuple[float, float]] = lambda start, stop: (-math.inf, math.inf)
 
     def __call__(self, times: Floats) -> Floats:
         """Volts at absolute times in s."""
@@ -132,8 +167,19 @@ class NoisySignal:
             return np.zeros(times.shape)
         # an input stage that looks at delays of nanoseconds sees one noise
         stamp = math.floor(float(times.flat[0]) / _SAME_NOISE_S) & (2**63 - 1)
-        words = [self.seed, stamp, times.size, self.stream] if self.stream else [self.seed, stamp, times.size]
-        return self.noise_rms * np.random.default_rng(words).standard_normal(times.shape)
+        numbers = (self.seed, stamp, times.size, self.stream) if self.stream else (self.seed, stamp, times.size)
+        generator = np.random.Generator(np.random.PCG64(_words(*numbers)))
+        return self.noise_rms * generator.standard_normal(times.shape)
+
+
+def _words(*numbers: int) -> NDArray[np.uint32]:
+    """The seed that NumPy makes of these numbers, none of them negative: their 32-bit words, the lowest first."""
+    words = []
+    for number in numbers:
+        words.append(number & 0xFFFFFFFF)
+        while number := number >> 32:
+            words.append(number & 0xFFFFFFFF)
+    return np.array(words, dtype=np.uint32)
 
 
 def with_detector_noise(

@@ -12,6 +12,7 @@ from analysis.arrays import Bools, Complexes, Floats, Indices, Ints, Samples
 from analysis.flags import Flag
 from analysis.waveform.misfit import LINE_CHANCE, NEIGHBOURS, left_over, line_stands_out, misfit_of
 from analysis.waveform.records import sums_of_squares
+from analysis.waveform.repeating import HIDDEN, may_repeat, repeating
 from analysis.waveform.series.frequency_search import Sizes, line_sizes, neighbours
 from analysis.waveform.series.geometric_series import Series, sampled_blocks, sampled_series
 from analysis.waveform.series.harmonic_sums import data_sums
@@ -196,6 +197,13 @@ def examine_residual(
             ratio_u[row] = np.hypot(ratio_u[row], np.sqrt(surplus / beat))
             if surplus > LEFT_BY_MOTION * beat:
                 flags[row] |= Flag.NOT_LOCK_IN_LIKE
+    suspects = np.zeros(n_records, dtype=bool) if moved else may_repeat(sizes, omega, mean, n_samples) & ~rounding
+    for row in np.flatnonzero(suspects):
+        beats = omega[row] * n_samples / (2 * np.pi)
+        surplus, sure = repeating(np.square(sizes[row, 1:]), beats, n_samples)
+        ratio_u[row] = np.hypot(ratio_u[row], HIDDEN * np.sqrt(surplus) / (first[row] * n_samples / 2))
+        if sure:
+            flags[row] |= Flag.MISFIT
     return ResidualReport(flags, excess, uneven, ratio_u)
 
 

@@ -16,7 +16,7 @@ import time
 from pathlib import Path
 
 from station.catalogue.index import INDEX_FILE, list_runs
-from station.catalogue.remarks import add_remark
+from station.runs.remarks import add_remark
 from station.terminal.lines import say
 
 RUN = Path(__file__).parents[2] / "tests" / "golden" / "turning.sqlite"

@@ -19,8 +19,14 @@ class RecordingScope(SimulatedTDS2014):
         """Let a scope remember from now on."""
         scope.__class__ = cls
         assert isinstance(scope, cls)
+        scope.hands = 0
         scope.forget()
         return scope
+
+    def turn_knob(self, command: str) -> None:
+        """What somebody at the front panel does; counted while it is not locked."""
+        self.hands += self.panel.text("LOCK") == "NONE"
+        super().turn_knob(command)
 
     def trace(self, name: str) -> Trace | None:
         """What stands on the screen, as of any simulated scope."""

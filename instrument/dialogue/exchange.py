@@ -182,7 +182,8 @@ class Exchange(ABC):
         both = None if parts is None else 2 * parts
         found = self._ask_once(f"{text};{text}", parts=both, wait=wait)
         half = len(found) // 2
-        if len(found) % 2 or found[:half] != found[half:]:
+        # A message of which nothing is left has no answer twice over.
+        if not found or len(found) % 2 or found[:half] != found[half:]:
             raise self.after_damage(TransferError(f"{text!r:.60} was answered in two ways; ask again"))
         return found[:half]
 

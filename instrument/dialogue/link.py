@@ -30,6 +30,7 @@ from instrument.errors import LinkError, TransferError
 from instrument.pyvisa_sessions import (
     READ_AGAIN_S,
     adapter_of,
+    claim_instrument,
     keep_to_oneself,
     open_instrument,
     session_of,
@@ -112,7 +113,12 @@ class Link:
         self._timeout: float | None = None
         self._socket: WatchfulSocket | None = None
         self._manager = resource_manager
-        self._resource, self._beneath = open_instrument(resource_name, resource_manager, ANSWER_TIME)
+        self._claim = claim_instrument(resource_name, resource_manager)
+        try:
+            self._resource, self._beneath = open_instrument(resource_name, resource_manager, ANSWER_TIME)
+        except LinkError:
+            self._claim.release()
+            raise
         self._adapter = adapter_of(self._resource)
         interface = self._resource.interface_type
         self.is_serial = interface == InterfaceType.asrl
@@ -138,6 +144,10 @@ class Link:
 
     def close(self) -> None:
         """Close the link; never raises, because a link that is gone is closed as well."""
+        self._hang_up()
+        self._claim.release()
+
+    def _hang_up(self) -> None:
         self.closed = True
         note(self.name, "close")
         for resource in (self._resource, self._beneath):
@@ -146,8 +156,11 @@ class Link:
                     resource.close()
 
     def reopen(self) -> None:
-        """Close what is left of a lost link, and open it anew. LinkError if that is not possible now."""
-        self.close()
+        """Close what is left of a lost link, and open it anew. LinkError if that is not possible now.
+
+        Other programs are kept from it meanwhile.
+        """
+        self._hang_up()
         self._timeout = self._socket = None
         self._resource, self._beneath = open_instrument(self.name, self._manager, ANSWER_TIME)
         self._adapter = adapter_of(self._resource)

@@ -1,17 +1,19 @@
 """The digital output of a fibre gyro, and its injection commands, on a serial line; and logs of it.
 
 The bytes of one output meet, in order: `link` (the port), `frame_stream` (where a frame begins), `frames` (checks
-and numbers, as `frame_format` describes them), `record_builder` (when), `recording`. Commands go through
-`messages`. `logs` reads and writes CSV files.
+and numbers, as `frame_format` describes them), `record_builder` (when, with `host_clock`), `columns`, `recording`.
+`sniff` finds out which description fits some bytes. `logs` reads and writes CSV files.
 """
 
 from instrument.errors import CommandRefused, FrameFormatError, NoAcknowledgement
+from instrument.fibre_gyro.columns import ANGLES, counts_per_unit
 from instrument.fibre_gyro.frame_format import FrameFormat, parse_frame_format
 from instrument.fibre_gyro.link import FibreGyroLink
 from instrument.fibre_gyro.logs import OUTPUT_UNITS, GyroLog, LogChoices, read_gyro_log, read_log, write_gyro_log
-from instrument.fibre_gyro.recording import Gap, Losses, Recording
+from instrument.fibre_gyro.recording import Gap, HostClock, Losses, Recording
 
 __all__ = [
+    "ANGLES",
     "OUTPUT_UNITS",
     "CommandRefused",
     "FibreGyroLink",
@@ -19,10 +21,12 @@ __all__ = [
     "FrameFormatError",
     "Gap",
     "GyroLog",
+    "HostClock",
     "LogChoices",
     "Losses",
     "NoAcknowledgement",
     "Recording",
+    "counts_per_unit",
     "parse_frame_format",
     "read_gyro_log",
     "read_log",

@@ -2,27 +2,35 @@
 
 What is delivered passed every check that its format has. What is not is counted. After damage the search for the
 next frame begins one byte behind the place where the damaged one began, so that no good frame inside the damaged
-stretch is lost, and never more than two frames' bytes are held, or four where the checksum is weak.
+stretch is lost, and never more than two frames' bytes are held, or some more where the checksum is weak.
 
 Where the checksum is weak (one byte, or none), the frames that follow have to bear one out, by their length,
-counter and checksum: one whole frame in its place with the right counter, or a header of two bytes or more right
-behind, or a header of one byte and the counter behind it. A frame out of step, whose counter does not go on by
-as many frames as bytes have passed, needs two whole ones: numbers that look like a header may stand in every
-frame at the same place, and with an exclusive-or even their sums may be right. More cannot be had. A byte lost
-in a frame, and one inserted before the next header, leave the very bytes of another whole frame in 1 of 256
-cases (one byte of sum); nothing tells it from one that was sent.
+counter and checksum: one whole frame in its place with the right counter, or a header that no slip can put there,
+or a header of one byte and the counter behind it. A frame out of step, whose counter does not go on by as many
+frames as bytes have passed, needs two whole ones: numbers that look like a header may stand in every frame at the
+same place, and with an exclusive-or even their sums may be right. Frames without a header are known by what is
+fixed in them, so many of them in succession that chance cannot bring it about. An output that jumps and comes
+back with the next frame, on a line that damages frames, is not used: a byte lost in a frame, and one inserted
+before the next header, leave the bytes of another whole frame in 1 of 256 cases (one byte of sum), and nothing
+else tells it from one that was sent.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
-from instrument.fibre_gyro.frame_format import COUNTER, FrameFormat
-from instrument.fibre_gyro.frames import Damaged, Frame, decode_frame
+from instrument.fibre_gyro.course import Course
+from instrument.fibre_gyro.frame_format.checksums import CHECKSUMS
+from instrument.fibre_gyro.frame_format.layout import FrameFormat
+from instrument.fibre_gyro.frames import Damaged, Frame, FrameReader
 
 _MOST_ANSWERS = 8  # an old one that still comes is rubbish
 _FOLLOWERS = 3  # frames behind one with a weak checksum that may bear it out
 _STRONG_CHECK = 2  # bytes of a checksum that lets less than one damaged frame in 65 000 pass
+_ENOUGH_BITS = 24  # of evidence that frames without a header need, to begin with
+_IN_STEP = 2  # followers that frames without a header need, once their begin is known
+_RECENTLY = 2000  # good frames after which a line that damaged one counts as clean again
 
 
 @dataclass(frozen=True)
@@ -67,14 +75,18 @@ class FrameStream:
 
     def __init__(self, layout: FrameFormat) -> None:
         self._layout = layout
+        self._header, self._length = layout.header, layout.frame_bytes
+        self._reader = FrameReader(layout)
         self._lines = layout.kind == "ascii"
         self._buffer = bytearray()
         self._answers: dict[bytes, None] = {}  # in the order in which they were expected
         self.tally = Tally()
         weak = layout.check is None or layout.check.size < _STRONG_CHECK
         self._confirm = weak and not self._lines
-        # a header that a frame with one byte lost or inserted cannot put in its place
-        self._distinct = len(layout.header) > 1 and layout.header[:1] not in layout.header[1:]
+        self._distinct = _is_distinct(layout)
+        self._to_begin = 2 if layout.header else math.ceil(_ENOUGH_BITS / max(1, layout.evidence_bits))
+        self._followers = max(_FOLLOWERS, self._to_begin)
+        self._course = Course(layout) if weak and (not self._lines or layout.check is None) else None
         self.restart()
 
     def expect(self, message: bytes) -> bytes:
@@ -93,6 +105,10 @@ class FrameStream:
         self._counter: int | None = None  # of the last frame
         self._bad_bytes, self._reason = 0, ""
         self._too_long = False
+        self._held_line: Frame | None = None  # its output jumps; the next line decides
+        self._last_damage = -_RECENTLY  # good frames before it
+        if self._course is not None:
+            self._course.forget()
 
     @property
     def held(self) -> int:
@@ -112,6 +128,8 @@ class FrameStream:
         self._found: list[Event] = []
         if self._lines:
             self._take_lines()
+            if silent:
+                self._let_held_go()
         else:
             self._take_binary(silent)
         return self._found
@@ -119,10 +137,10 @@ class FrameStream:
     # ------------------------------------------------------------------ binary frames
 
     def _take_binary(self, silent: bool) -> None:
-        position = 0
+        position, longest = 0, self._longest()
         while position < len(self._buffer):
-            rest = self._buffer[position : position + self._longest()]
-            answer = self._answer_at(rest)
+            rest = self._buffer[position : position + longest]
+            answer = self._answer_at(rest) if self._answers else None
             if answer is not None:
                 self._end_of_damage()
                 self._found.append(Answer(answer))
@@ -131,32 +149,32 @@ class FrameStream:
                 break
             else:
                 frame = self._frame_at(rest)
-                good = frame is not None and self._borne_out(frame, rest[self._layout.frame_bytes :], silent)
+                good = frame is not None and self._borne_out(frame, rest[self._length :], silent)
                 if good is None:
                     break
                 position = self._behind_frame(frame, position) if frame and good else self._behind_damage(position)
         del self._buffer[:position]
 
     def _longest(self) -> int:
-        layout = self._layout
-        longest = max(layout.frame_bytes + len(layout.header), *map(len, self._answers), 1)
-        return longest + _FOLLOWERS * layout.frame_bytes if self._confirm else longest
+        longest = max(self._length + len(self._header), *map(len, self._answers), 1)
+        return longest + self._followers * self._length if self._confirm else longest
 
     def _answer_at(self, rest: bytes | bytearray) -> bytes | None:
         return next((answer for answer in self._answers if rest.startswith(answer)), None)
 
     def _may_begin(self, rest: bytearray) -> bool:
         """Whether these bytes may become an answer or a frame and are too few for it."""
-        layout = self._layout
-        if any(len(rest) < len(answer) and answer.startswith(rest) for answer in self._answers):
+        if self._answers and any(len(rest) < len(answer) and answer.startswith(rest) for answer in self._answers):
             return True
-        have = min(len(rest), len(layout.header))
-        return rest[:have] == layout.header[:have] and len(rest) < layout.frame_bytes
+        if len(rest) >= self._length:
+            return False
+        have = min(len(rest), len(self._header))
+        return rest[:have] == self._header[:have]
 
     def _frame_at(self, rest: bytearray) -> Frame | None:
         """The frame at the begin of these bytes, if one stands there."""
         try:
-            return decode_frame(bytes(rest[: self._layout.frame_bytes]), self._layout)
+            return self._reader.read(bytes(rest[: self._length]))
         except Damaged as damaged:
             self._reason = self._reason or str(damaged)
             return None
@@ -165,18 +183,40 @@ class FrameStream:
         """Whether what stands behind a frame shows that it is one; None while too little of it has come."""
         if not self._confirm:
             return True
-        layout, length = self._layout, self._layout.frame_bytes
-        counted = layout.counter is not None and frame.counter is not None
-        in_step = self._joined and (self._counts_on(frame) if counted else self._bad_bytes == 0)
-        if any(behind.startswith(answer) for answer in self._answers) or (silent and not behind):
+        in_step = self._in_step(frame)
+        if (silent and not behind) or any(behind.startswith(answer) for answer in self._answers):
             return in_step or not self._joined
-        if not any(start.startswith(behind[: len(start)]) for start in self._starts()):
+        if not self._header:
+            good = self._continued(frame, behind, _IN_STEP if in_step else self._to_begin, silent)
+        elif in_step and self._next_begins(frame, behind):
+            good = True
+        elif not any(start.startswith(behind[: len(start)]) for start in self._starts()):
             self._reason = self._reason or "no header behind it"
             return False
-        if in_step and self._next_begins(frame, behind, counted):
-            return True
-        needed = 1 if in_step or self._distinct else 2
-        whole = 0
+        else:
+            good = self._followed(frame, behind, 1 if in_step or self._distinct else 2, silent)
+        return self._in_course(frame, behind, silent) if good else good
+
+    def _in_step(self, frame: Frame) -> bool:
+        """Whether the frame stands where the one before lets expect it, by its counter or right behind it."""
+        counted = self._layout.counter is not None and frame.counter is not None
+        if not self._header and self._bad_bytes:
+            return False
+        return self._joined and (self._counts_on(frame) if counted else self._bad_bytes == 0)
+
+    def _next_begins(self, frame: Frame, behind: bytearray) -> bool:
+        """Whether the next frame begins right behind, by more than one byte that other numbers could be too."""
+        if not behind.startswith(self._header):
+            return False
+        if self._distinct or self._layout.counter is None or frame.counter is None:
+            return self._distinct
+        follower = behind[: self._length]
+        counter = self._reader.counter_of(bytes(follower))
+        return counter is not None and self._counts(frame.counter, counter, 1)
+
+    def _followed(self, frame: Frame, behind: bytearray, needed: int, silent: bool) -> bool | None:
+        """Whether enough of the next frames are whole in their places."""
+        length, whole = self._length, 0
         for place in range(1, _FOLLOWERS + 1):
             slot = behind[(place - 1) * length : place * length]
             if len(slot) < length:
@@ -189,47 +229,76 @@ class FrameStream:
         self._reason = self._reason or "no whole frame behind it"
         return False
 
-    def _next_begins(self, frame: Frame, behind: bytearray, counted: bool) -> bool:
-        """Whether the next frame begins right behind, by more than one byte that other numbers could be too."""
-        layout = self._layout
-        if not behind.startswith(layout.header):
-            return False
-        distinct = self._distinct
-        if distinct or not counted or layout.counter is None or frame.counter is None:
-            return distinct
-        begin = layout.counter_place
-        if begin is None or len(behind) < begin[1]:
-            return False
-        entry = next(one for one in layout.fields if one.name == COUNTER)
-        number = int.from_bytes(behind[begin[0] : begin[1]], entry.byte_order)
-        return number == (frame.counter + layout.counter.per_frame) % layout.counter.modulus
+    def _continued(self, frame: Frame, behind: bytearray, needed: int, silent: bool) -> bool | None:
+        """Whether so many frames without a header follow in unbroken succession."""
+        length = self._length
+        before = frame
+        for place in range(1, needed + 1):
+            slot = behind[(place - 1) * length : place * length]
+            if len(slot) < length:
+                return (place > 1) if silent else None
+            follower = self._frame_at(slot)
+            if (
+                follower is None
+                or not self._counts(before.counter, follower.counter, 1)
+                or self._leaps(before, follower)
+            ):
+                self._reason = self._reason or "no whole frame behind it"
+                return False
+            before = follower
+        return True
 
     def _follows(self, frame: Frame, slot: bytearray, place: int) -> bool:
         """Whether a whole frame stands there, with the counter that it must have so many frames behind."""
         follower = self._frame_at(slot)
+        return follower is not None and self._counts(frame.counter, follower.counter, place)
+
+    def _counts(self, before: int | None, behind: int | None, frames: int) -> bool:
+        """Whether a counter went on by so many frames; without one it always did."""
         rule = self._layout.counter
-        if follower is None or rule is None or frame.counter is None or follower.counter is None:
-            return follower is not None
-        return (follower.counter - frame.counter - place * rule.per_frame) % rule.modulus == 0
+        if rule is None or before is None or behind is None:
+            return True
+        return (behind - before - frames * rule.per_frame) % rule.modulus == 0
 
     def _counts_on(self, frame: Frame) -> bool:
         """Whether the counter went on by as many frames as the bytes since the last one make."""
-        rule = self._layout.counter
-        if rule is None or frame.counter is None or self._counter is None:
+        if self._counter is None:
             return False
-        passed = 1 + round(self._bad_bytes / self._layout.frame_bytes)
-        return (frame.counter - self._counter - passed * rule.per_frame) % rule.modulus == 0
+        return self._counts(self._counter, frame.counter, 1 + round(self._bad_bytes / self._length))
+
+    def _leaps(self, before: Frame, behind: Frame) -> bool:
+        return self._course is not None and self._course.leap(before, behind)
+
+    def _in_course(self, frame: Frame, behind: bytearray, silent: bool) -> bool | None:
+        """Refuse a frame whose output jumps and comes back, on a line that damages frames."""
+        if not self._line_is_bad() or self._course is None or not self._course.jumps(frame):
+            return True
+        length = self._length
+        for place in range(_FOLLOWERS):
+            slot = behind[place * length : (place + 1) * length]
+            if len(slot) < length:
+                return True if silent else None
+            follower = self._frame_at(slot)
+            if follower is not None and self._counts(frame.counter, follower.counter, place + 1):
+                if self._course.jumps(follower):
+                    return True  # it is the gyro that moves
+                self._reason = "output jumps and comes back"
+                return False
+        return True
+
+    def _line_is_bad(self) -> bool:
+        return self.tally.good - self._last_damage < _RECENTLY
 
     def _starts(self) -> list[bytes]:
         """How what is worth finding begins."""
-        return [self._layout.header, *self._answers]
+        return [self._header, *self._answers]
 
     def _behind_frame(self, frame: Frame, position: int) -> int:
         """Give a frame; where to go on."""
         self._end_of_damage()
         self._counter = frame.counter
         self._give(frame)
-        return position + self._layout.frame_bytes
+        return position + self._length
 
     def _behind_damage(self, position: int) -> int:
         """Discard what belongs to no frame and no answer; where to go on."""
@@ -244,7 +313,7 @@ class FrameStream:
 
     def _end_of_damage(self) -> None:
         """A frame or an answer begins here: what was discarded before were damaged frames, or the end of one."""
-        length = self._layout.frame_bytes
+        length = self._length
         if self._bad_bytes and (self._joined or self._bad_bytes >= length):
             self._give_damage(max(1, round(self._bad_bytes / length)))
         self._joined, self._bad_bytes, self._reason = True, 0, ""
@@ -270,6 +339,7 @@ class FrameStream:
         """Give what is in a line; False if that is nothing."""
         text = line.rstrip(b" \r\n")
         if text in self._answers:
+            self._let_held_go()
             self._found.append(Answer(text))
         elif text or self._too_long:
             self._reason = "line too long"
@@ -279,25 +349,44 @@ class FrameStream:
                     self._give_damage(1)
                 self._joined = True
                 return False
-            self._give(frame)
+            self._give_line(frame)
         else:
             return False
         self._joined = True
         return True
 
+    def _give_line(self, frame: Frame) -> None:
+        """Give a frame, or hold it until the next one shows whether its output only jumped."""
+        jumps = self._course is not None and self._course.jumps(frame) and self._line_is_bad()
+        if self._held_line is not None:
+            if jumps:
+                self._let_held_go()
+            else:
+                self._held_line, self._reason = None, "output jumps and comes back"
+                self._give_damage(1)
+        if jumps and self._course is not None and self._course.jumps(frame):
+            self._held_line = frame
+        else:
+            self._give(frame)
+
+    def _let_held_go(self) -> None:
+        if self._held_line is not None:
+            held, self._held_line = self._held_line, None
+            self._give(held)
+
     def _frame_in(self, text: bytes) -> Frame | None:
         """The frame of a line; of one that lost its line end, the frame at its end if a checksum proves it."""
-        if not self._joined and not self._layout.header:
+        if not self._joined and not self._header:
             return None  # it may have lost its beginning, and nothing would show that
         try:
-            return decode_frame(text, self._layout)
+            return self._reader.read(text)
         except Damaged as damaged:
             self._reason = str(damaged)
-        begin = text.rfind(self._layout.header, 1) if self._layout.header else -1
+        begin = text.rfind(self._header, 1) if self._header else -1
         if begin < 0 or self._layout.check is None:
             return None
         try:
-            frame = decode_frame(text[begin:], self._layout)
+            frame = self._reader.read(text[begin:])
         except Damaged:
             return None
         self.tally.discarded += begin
@@ -312,8 +401,30 @@ class FrameStream:
             self.tally.unusable += 1
         else:
             self.tally.good += 1
+        if self._course is not None:
+            self._course.follow(frame)
         self._found.append(frame)
 
     def _give_damage(self, frames: int) -> None:
         self.tally.damaged += frames
+        self._last_damage = self.tally.good
         self._found.append(Damage(frames, self._reason or "bytes between frames"))
+
+
+def _is_distinct(layout: FrameFormat) -> bool:
+    """Whether a frame with one byte lost or inserted cannot put a header in its place.
+
+    So it is with a header of two bytes or more that does not begin anew within itself, and with one byte whose
+    highest bits no other byte of the frame can have.
+    """
+    header = layout.header
+    if len(header) > 1:
+        return header[:1] not in header[1:]
+    sums = [one.check for one in layout.fields if one.check is not None]
+    if layout.check is not None:
+        sums.append(layout.check.checksum)
+    narrow = all(one is CHECKSUMS["xor8"] for one in sums) and (
+        layout.check is None or layout.check.skips == header
+    )
+    widest = max(8 if one.bits else one.data_bits for one in layout.fields if one.check is None)
+    return len(header) == 1 and narrow and header[0] >> widest > 0 and not layout.ending

@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
-import math
 import re
 import struct
+from collections.abc import Callable
 from dataclasses import dataclass
+from math import isfinite
 
-from instrument.fibre_gyro.frame_format import COUNTER, STATUS, UNUSED, Field, FrameFormat
+from instrument.fibre_gyro.frame_format.fields import COUNTER, FIXED, PARITY, STATUS, UNUSED, Field, Quantity
+from instrument.fibre_gyro.frame_format.layout import FrameFormat
 
 _DECIMAL = re.compile(rb"[+-]?(\d+(\.\d*)?|\.\d+)([eE][+-]?\d{1,3})?")
 _WHOLE = re.compile(rb"\d{1,20}")
 _HEX = re.compile(rb"[0-9A-Fa-f]{1,16}")
+
+Number = Callable[[bytes], float]
 
 
 @dataclass(frozen=True)
@@ -24,73 +28,279 @@ class Frame:
         In the order of `FrameFormat.names`.
     problem : str
         Why the values must not be used although nothing was damaged; empty if they may.
+    standing : str or None
+        What a status that takes turns with others says of this frame and those behind it: a problem, or none
+        (empty). None where the frame does not hold it.
     """
 
     counter: int | None
     values: tuple[float, ...]
     problem: str = ""
+    standing: str | None = None
 
 
 class Damaged(Exception):
     """The bytes are no frame; the text is the reason in a few words."""
 
 
-def decode_frame(data: bytes, layout: FrameFormat) -> Frame:
-    """Read the bytes of one frame, in text without its line end.
+class FrameReader:
+    """Reads the frames of one format."""
 
-    Raises
-    ------
-    Damaged
-        If header, ending, checksum, number of fields or a number is not as it should be.
-    """
-    if layout.kind == "binary":
-        return _as_frame(_binary_numbers(data, layout), layout)
-    return _as_frame(_text_numbers(data, layout), layout)
+    def __init__(self, layout: FrameFormat) -> None:
+        self._layout = layout
+        self._binary = layout.kind == "binary"
+        self._modulus = layout.counter.modulus if layout.counter else 0
+        self._first = layout.counter.first if layout.counter else 0
+        numbers = [one for one in layout.fields if one.delivers or one.name == COUNTER]
+        self._counter_at = next((place for place, one in enumerate(numbers) if one.name == COUNTER), None)
+        # of each number that is delivered: its place, and how it becomes a value
+        self._values = [
+            (place, one.name, one.scale, one.offset, one.lowest, one.highest, one.name == STATUS, one.cycle > 0)
+            for place, one in enumerate(numbers)
+            if one.delivers
+        ]
+        self._turns = _Turns(layout) if layout.turning is not None else None
+        self._counter_number: Number | None = None
+        if self._binary:
+            self._end = layout.frame_bytes - len(layout.ending)
+            self._check_at = self._end - (layout.check.size if layout.check is not None else 0)
+            self._numbers, self._proofs = _compiled(layout)
+            if self._counter_at is not None:
+                self._counter_number = self._numbers[self._counter_at]
+                self._counter_end = _end_of_counter(layout)
 
+    def read(self, data: bytes) -> Frame:
+        """Read the bytes of one frame, in text without its line end.
 
-def _binary_numbers(data: bytes, layout: FrameFormat) -> list[float]:
-    if not data.startswith(layout.header):
-        raise Damaged("no header")
-    if not data.endswith(layout.ending):
-        raise Damaged("wrong ending")
-    end = len(data) - len(layout.ending)
-    if layout.check is not None:
-        end -= layout.check.size
-        if data[end : end + layout.check.size] != layout.check.of(data[:end], binary=True):
+        Raises
+        ------
+        Damaged
+            If header, ending, checksum, number of fields or a number is not as it should be.
+        """
+        return self._frame(self._binary_numbers(data) if self._binary else self._text_numbers(data))
+
+    def counter_of(self, data: bytes) -> int | None:
+        """Counter of a binary frame that may be cut behind it; None without one, or cut before it."""
+        if self._counter_number is None or len(data) < self._counter_end:
+            return None
+        return int(self._counter_number(data))
+
+    def _binary_numbers(self, data: bytes) -> list[float]:
+        layout = self._layout
+        if not data.startswith(layout.header):
+            raise Damaged("no header")
+        if not data.endswith(layout.ending):
+            raise Damaged("wrong ending")
+        if layout.check is not None and data[self._check_at : self._end] != layout.check.of_frame(
+            data[: self._check_at], binary=True
+        ):
             raise Damaged("wrong checksum")
-    position, numbers = len(layout.header), []
+        for proof in self._proofs:
+            proof(data)
+        return [number(data) for number in self._numbers]
+
+    def _text_numbers(self, line: bytes) -> list[float]:
+        layout = self._layout
+        if not line.startswith(layout.header):
+            raise Damaged("no header")
+        body = line
+        if layout.check is not None:
+            digits = 2 * layout.check.size
+            body, found = line[:-digits], line[-digits:]
+            if not body.endswith(layout.check.mark) or found.upper() != layout.check.of_frame(body, binary=False):
+                raise Damaged("wrong checksum")
+            body = body[: len(body) - len(layout.check.mark)]
+        words = body[len(layout.header) :].split(layout.separator if layout.separator.strip() else None)
+        if len(words) != len(layout.fields):
+            raise Damaged("wrong number of fields")
+        pairs = zip(words, layout.fields, strict=True)
+        return [_text_number(word.strip(), entry) for word, entry in pairs if entry.name != UNUSED]
+
+    def _frame(self, numbers: list[float]) -> Frame:
+        counter = None if self._counter_at is None else int(numbers[self._counter_at])
+        if counter is not None and not 0 <= counter - self._first < self._modulus:
+            raise Damaged("counter out of range")
+        problem, values = "", []
+        for place, name, scale, offset, lowest, highest, is_status, in_turn in self._values:
+            value = numbers[place]
+            if is_status:
+                if int(value) & self._layout.status.mask != self._layout.status.value:
+                    problem = problem or "bad status"
+            elif not in_turn:
+                value = value * scale + offset
+                if not (lowest <= value <= highest and isfinite(value)):
+                    problem = problem or f"{name} out of range"
+            values.append(value)
+        standing = None if self._turns is None or counter is None else self._turns.standing(counter, values)
+        return Frame(counter, tuple(values), problem, standing)
+
+
+def _is_number(entry: Field) -> bool:
+    return entry.delivers or entry.name == COUNTER
+
+
+def _end_of_counter(layout: FrameFormat) -> int:
+    """Bytes of a frame up to the end of its counter, whole bytes of neighbouring bits included."""
+    bits, behind = 8 * len(layout.header), False
     for entry in layout.fields:
-        numbers.append(_binary_number(data[position : position + entry.size], entry))
+        if behind and bits % 8 == 0:
+            break
+        bits += entry.bits or 8 * entry.size
+        behind = behind or entry.name == COUNTER
+    return bits // 8
+
+
+class _Turns:
+    """The status among quantities that take turns."""
+
+    def __init__(self, layout: FrameFormat) -> None:
+        turning = layout.turning
+        quantities: tuple[Quantity, ...] = turning.quantities if turning else ()
+        self._status = next((one for one in quantities if one.status is not None and len(one.phases) == 1), None)
+        self._cycle = turning.cycle if turning else 1
+        self._column = layout.names.index(turning.name) if turning else 0
+
+    def standing(self, counter: int, values: list[float]) -> str | None:
+        quantity = self._status
+        if quantity is None or quantity.status is None or counter % self._cycle != quantity.phases[0]:
+            return None
+        bad = int(values[self._column]) & quantity.status.mask != quantity.status.value
+        return "bad status" if bad else ""
+
+
+# ---------------------------------------------------------------------- binary
+
+
+def _compiled(layout: FrameFormat) -> tuple[list[Number], list[Callable[[bytes], None]]]:
+    """How each number of a frame is taken from its bytes, and what must hold besides its checksum."""
+    numbers: list[Number] = []
+    proofs: list[Callable[[bytes], None]] = []
+    position, group = len(layout.header), list[Field]()
+    for entry in layout.fields:
+        if entry.bits:
+            group.append(entry)
+            if sum(one.bits for one in group) % 8 == 0:
+                size = sum(one.bits for one in group) // 8
+                _compile_bits(group, position, size, numbers, proofs)
+                position, group = position + size, []
+            continue
+        part = slice(position, position + entry.size)
         position += entry.size
-    return numbers
+        if entry.check is not None:
+            proofs.append(_inner_check(entry, slice(len(layout.header), part.start), part))
+        elif entry.name == FIXED:
+            proofs.append(_equals(_whole(entry, part), entry.expected))
+        elif _is_number(entry):
+            numbers.append(_float(entry, part) if entry.kind == "float" else _whole(entry, part))
+        if entry.data_bits < 8 or 0 < entry.value_bits < 8 * entry.size:
+            proofs.append(_clear_above(entry, part))
+    return numbers, proofs
 
 
-def _binary_number(data: bytes, entry: Field) -> float:
-    if entry.kind == "float":
-        sign = "<" if entry.byte_order == "little" else ">"
-        return float(struct.unpack(sign + ("f" if entry.size == 4 else "d"), data)[0])
-    return int.from_bytes(data, entry.byte_order, signed=entry.kind == "signed")
+def _float(entry: Field, part: slice) -> Number:
+    unpack = struct.Struct(">f" if entry.size == 4 else ">d").unpack
+    if entry.significance == tuple(range(entry.size))[::-1]:
+        return lambda data: float(unpack(data[part])[0])
+    swap = [entry.significance.index(rank) for rank in range(entry.size - 1, -1, -1)]
+    return lambda data: float(unpack(bytes(data[part.start + place] for place in swap))[0])
 
 
-def _text_numbers(line: bytes, layout: FrameFormat) -> list[float]:
-    if not line.startswith(layout.header):
-        raise Damaged("no header")
-    body = line
-    if layout.check is not None:
-        digits = 2 * layout.check.size
-        body, found = line[:-digits], line[-digits:]
-        if not body.endswith(layout.check.mark) or found.upper() != layout.check.of(body, binary=False):
+def _whole(entry: Field, part: slice) -> Number:
+    """A whole number of some bytes, each with all of its bits or with some."""
+    rising = tuple(range(entry.size))
+    signed = entry.kind == "signed"
+    if (
+        entry.data_bits == 8
+        and entry.significance in (rising, rising[::-1])
+        and entry.carried_bits == 8 * entry.size
+    ):
+        order = "little" if entry.significance == rising else "big"
+        return lambda data: int.from_bytes(data[part], order, signed=signed)  # type: ignore[arg-type]
+    places = [(part.start + n, entry.data_bits * rank) for n, rank in enumerate(entry.significance)]
+    keep, sign = (1 << entry.data_bits) - 1, 1 << (entry.carried_bits - 1)
+
+    def number(data: bytes) -> int:
+        value = 0
+        for at, shift in places:
+            value |= (data[at] & keep) << shift
+        return (value ^ sign) - sign if signed and value < 2 * sign else value
+
+    return number
+
+
+def _clear_above(entry: Field, part: slice) -> Callable[[bytes], None]:
+    """Bits that carry nothing are 0: those of each byte, and those above the number."""
+    marks = ~((1 << entry.data_bits) - 1) & 0xFF
+    places = [(part.start + n, entry.data_bits * rank) for n, rank in enumerate(entry.significance)]
+    unused = entry.value_bits < entry.size * entry.data_bits
+
+    def prove(data: bytes) -> None:
+        if any(byte & marks for byte in data[part]):
+            raise Damaged("a bit is set that carries nothing")
+        if unused and sum(data[at] << shift for at, shift in places) >> entry.value_bits:
+            raise Damaged("a bit is set that carries nothing")
+
+    return prove
+
+
+def _equals(number: Number, expected: int) -> Callable[[bytes], None]:
+    def prove(data: bytes) -> None:
+        if number(data) != expected:
+            raise Damaged("wrong fixed field")
+
+    return prove
+
+
+def _inner_check(entry: Field, covered: slice, part: slice) -> Callable[[bytes], None]:
+    def prove(data: bytes) -> None:
+        if entry.check is not None and entry.check.compute(data[covered]) != int.from_bytes(
+            data[part], entry.byte_order
+        ):
             raise Damaged("wrong checksum")
-        body = body[: len(body) - len(layout.check.mark)]
-    words = body[len(layout.header) :].split(layout.separator if layout.separator.strip() else None)
-    if len(words) != len(layout.fields):
-        raise Damaged("wrong number of fields")
-    return [_text_number(word.strip(), entry) for word, entry in zip(words, layout.fields, strict=True)]
+
+    return prove
+
+
+def _compile_bits(
+    group: list[Field], position: int, size: int, numbers: list[Number], proofs: list[Callable[[bytes], None]]
+) -> None:
+    """Fields of bits: the first is the highest of the number that their bytes make."""
+    part, order = slice(position, position + size), group[0].byte_order
+    low = 8 * size
+    for entry in group:
+        low -= entry.bits
+        if entry.name == PARITY:
+            proofs.append(_parity(part, odd=entry.kind == "odd"))
+            continue
+        number = _bits(part, order, low, entry)
+        if entry.name == FIXED:
+            proofs.append(_equals(number, entry.expected))
+        elif _is_number(entry):
+            numbers.append(number)
+
+
+def _bits(part: slice, order: str, low: int, entry: Field) -> Number:
+    mask, sign = (1 << entry.bits) - 1, 1 << (entry.bits - 1) if entry.kind == "signed" else 0
+
+    def number(data: bytes) -> int:
+        value = int.from_bytes(data[part], order) >> low & mask  # type: ignore[arg-type]
+        return (value ^ sign) - sign
+
+    return number
+
+
+def _parity(part: slice, *, odd: bool) -> Callable[[bytes], None]:
+    def prove(data: bytes) -> None:
+        if int.from_bytes(data[part], "big").bit_count() % 2 != odd:
+            raise Damaged("wrong parity")
+
+    return prove
+
+
+# ---------------------------------------------------------------------- text
 
 
 def _text_number(word: bytes, entry: Field) -> float:
-    if entry.name == UNUSED:
-        return 0.0
     if entry.kind == "hex":
         if _HEX.fullmatch(word):
             return int(word, 16)
@@ -98,27 +308,8 @@ def _text_number(word: bytes, entry: Field) -> float:
         if _WHOLE.fullmatch(word):
             return int(word)
     elif _DECIMAL.fullmatch(word):
+        behind = len(word.partition(b".")[2])
+        if entry.decimals is not None and behind != entry.decimals:
+            raise Damaged("wrong number of decimals")
         return float(word)
     raise Damaged("not a number")
-
-
-def _as_frame(numbers: list[float], layout: FrameFormat) -> Frame:
-    counter, problem, values = None, "", []
-    for number, entry in zip(numbers, layout.fields, strict=True):
-        if entry.name == UNUSED:
-            continue
-        if entry.name == COUNTER:
-            counter = int(number)
-            continue
-        value = number
-        if entry.name == STATUS:
-            if int(number) & layout.status.mask != layout.status.value:
-                problem = problem or "bad status"
-        else:
-            value = number * entry.scale + entry.offset
-            if not (math.isfinite(value) and entry.lowest <= value <= entry.highest):
-                problem = problem or f"{entry.name} out of range"
-        values.append(value)
-    if counter is not None and layout.counter is not None and counter >= layout.counter.modulus:
-        raise Damaged("counter out of range")
-    return Frame(counter, tuple(values), problem)

@@ -15,12 +15,16 @@ from typing import Any
 
 import serial
 
-from instrument.errors import CommandRefused, LinkError, NoAcknowledgement, SettingError
+from instrument.errors import CommandRefused, FrameFormatError, LinkError, NoAcknowledgement, SettingError
+from instrument.fibre_gyro.columns import counts_per_unit
 from instrument.fibre_gyro.frame_format import FrameFormat
+from instrument.fibre_gyro.frame_format.messages import compose
 from instrument.fibre_gyro.frame_stream import Answer, Event, FrameStream
-from instrument.fibre_gyro.messages import compose
+from instrument.fibre_gyro.frames import Frame
+from instrument.fibre_gyro.host_clock import WRONG
 from instrument.fibre_gyro.record_builder import HOST_DELAY_S, RecordBuilder
 from instrument.fibre_gyro.recording import Losses, Recording
+from instrument.in_use import claim
 
 SLICE_S = 0.02
 """Time in s that one read of the port waits for its bytes."""
@@ -62,7 +66,12 @@ class FibreGyroLink:
         self._patience_s = longest_silence_s + 2 * (layout.interval_s / max(speed, 1e-9)) + frame_s
         self._stream = FrameStream(layout)
         self._session = Losses()
-        self._port = _open(port, layout)
+        self._claim = claim(port)
+        try:
+            self._port = open_port(port, layout)
+        except LinkError:
+            self._claim.release()
+            raise
 
     def __enter__(self) -> FibreGyroLink:
         return self
@@ -76,6 +85,7 @@ class FibreGyroLink:
         """Close the port; never raises."""
         with contextlib.suppress(serial.SerialException, OSError):
             self._port.close()
+        self._claim.release()
 
     @property
     def acknowledges(self) -> bool:
@@ -90,40 +100,118 @@ class FibreGyroLink:
     # ------------------------------------------------------------------ output
 
     def record(
-        self, seconds: float, *, skip_s: float = 0.0, progress: Callable[[float], None] | None = None
+        self,
+        seconds: float,
+        *,
+        skip_s: float = 0.0,
+        progress: Callable[[float], None] | None = None,
+        axis: str = "",
+        counts_per_dps: float | None = None,
     ) -> Recording:
         """Record the gyro's output from now on.
 
         Parameters
         ----------
         seconds : float
-            Of the gyro's own time; frames that are lost shorten the columns, not the time.
+            Of the gyro's own time, or of the computer's where the gyro's clock is found to differ. Frames
+            that are lost shorten the columns, not the time.
         skip_s : float
             Time that is left out first, for the loop to settle.
         progress : callable, optional
             Called a few times a second with the seconds of the gyro's time that have passed, `skip_s` included.
+        axis : str
+            Which output is the recording's, where frames hold several; the others become further columns.
+        counts_per_dps : float, optional
+            Turns an output in deg/s, deg/h or an angle into counts.
 
         Raises
         ------
         LinkError
             If the link is lost, or no good frame comes for too long; the text tells silence from rubbish.
+        FrameFormatError
+            If frames come at quite another rate than the format says.
+        SettingError
+            If there is no output of this axis, or nobody says what a count is.
         """
-        interval_s = self.layout.interval_s
+        interval_s, output = self.layout.interval_s, self.layout.output_of(axis)
+        counts_per_unit(self.layout.unit, interval_s, counts_per_dps)
         wanted, skip = round(seconds / interval_s), math.ceil(skip_s / interval_s - 1e-6)
         if wanted < 1:
             raise SettingError(f"{seconds:g} s is shorter than one output ({interval_s:g} s); record longer")
         self._catch_up()
-        builder = RecordBuilder(self.layout, skip, wanted)
+        paced = math.isfinite(self.speed) and self.layout.poll is None
+        builder = RecordBuilder(self.layout, skip, wanted, paced=paced)
         discarded = self._stream.tally.discarded
-        for events, host_s, silent_s in self._arrivals(lambda: builder.index):
-            builder.take(events, host_s=host_s, silent_s=silent_s)
-            if progress is not None and events:
+        fill = self._fill if self.layout.poll is None else self._fill_by_polls
+        for _ in fill(builder):
+            if progress is not None:
                 progress(min((builder.index + 1) * interval_s, (skip + wanted) * interval_s))
             if builder.done:
+                self._go_on_if_short(builder, seconds)
+            if builder.done:
                 break
-        recording = builder.recording(self._stream.tally.discarded - discarded)
+        recording = builder.recording(
+            self._stream.tally.discarded - discarded, output=output, counts_per_dps=counts_per_dps
+        )
         self._session += recording.losses
         return recording
+
+    def _go_on_if_short(self, builder: RecordBuilder, seconds: float) -> None:
+        """Record more where the gyro's clock runs fast; refuse a rate that no clock can be off by."""
+        clock = builder.host_clock()
+        if clock is None or not clock.used:
+            return
+        if abs(clock.stated_s / clock.interval_s - 1) > WRONG:
+            raise FrameFormatError(
+                f"{self.name} sends {clock.output_rate_hz:.5g} frames a second by the computer's clock, but "
+                f"output_rate_hz of the frame format is {self.layout.output_rate_hz:g}; correct it (or per_frame "
+                "of the counter)"
+            )
+        builder.extend(round(seconds / clock.interval_s))
+
+    def _fill(self, builder: RecordBuilder) -> Iterator[None]:
+        """Hand on what comes of itself; a step for each piece that holds something."""
+        for events, host_s, silent_s in self._arrivals(lambda: builder.index):
+            builder.take(events, host_s=host_s, silent_s=silent_s)
+            if events:
+                yield
+
+    def _fill_by_polls(self, builder: RecordBuilder) -> Iterator[None]:
+        """Ask for one frame after the other, at the output rate; a step for each."""
+        pace_s = self.layout.interval_s / self.speed if math.isfinite(self.speed) else 0.0
+        began = answered_at = time.monotonic()
+        poll, received = 0, self._stream.tally.received
+        while True:
+            due = began + poll * pace_s
+            if (early := due - time.monotonic()) > 0:
+                time.sleep(early)
+            events = self._ask()
+            if any(isinstance(event, Frame) for event in events):
+                builder.take(events, host_s=self._gyro_time(due), silent_s=0.0, polled=poll)
+                answered_at = time.monotonic()
+            else:
+                builder.take(events, host_s=self._gyro_time(due), silent_s=0.0)
+                builder.pass_over(poll)
+            yield
+            if time.monotonic() - answered_at > self._patience_s:
+                raise LinkError(self._why_nothing(self._stream.tally.received - received, builder.index))
+            # a computer that was late does not ask twice for one time
+            poll = max(poll + 1, math.ceil((time.monotonic() - began) / pace_s - 0.5) if pace_s else 0)
+
+    def _ask(self) -> list[Event]:
+        """Send a poll and take what comes until a frame is there, or too late."""
+        if self.layout.poll is None:
+            return []
+        self._stream.restart()
+        self._write(compose(self.layout.poll, 0, self.layout.check))
+        deadline = time.monotonic() + self.layout.answer_time_s + self.layout.frame_bytes * self.layout.byte_time_s
+        events: list[Event] = []
+        while time.monotonic() < deadline:
+            data = self._read_up_to_frame()
+            events += self._stream.feed(data, silent=True)
+            if any(isinstance(event, Frame) for event in events):
+                break
+        return events
 
     def _arrivals(self, reached: Callable[[], int]) -> Iterator[tuple[list[Event], float, float]]:
         """What comes, when, and after how much silence, until `reached` has stood still for too long."""
@@ -162,11 +250,7 @@ class FibreGyroLink:
         """Throw away what came while nobody listened: it is old, and the rest of it may be lost."""
         if math.isfinite(self.speed):
             with self._lost_link("reading from"):
-                self._port.timeout = 0
-                dropped = 0
-                while dropped < _BACKLOG and (late := self._port.read(_CHUNK)):
-                    dropped += len(late)
-                self._port.timeout = SLICE_S
+                drop_backlog(self._port)
         self._stream.restart()
 
     # ------------------------------------------------------------------ commands
@@ -253,6 +337,13 @@ class FibreGyroLink:
         with self._lost_link("reading from"):
             return bytes(self._port.read(_CHUNK))
 
+    def _read_up_to_frame(self) -> bytes:
+        """What is there, at once when it makes a frame."""
+        with self._lost_link("reading from"):
+            if self.layout.kind == "ascii":
+                return bytes(self._port.read_until(self.layout.ending, self.layout.frame_bytes))
+            return bytes(self._port.read(max(1, self.layout.frame_bytes - self._stream.held)))
+
     def _write(self, data: bytes) -> None:
         with self._lost_link("writing to"):
             self._port.write_timeout = (
@@ -268,7 +359,17 @@ class FibreGyroLink:
             raise LinkError(f"{doing} {self.name} failed, the link is lost: {error}") from error
 
 
-def _open(port: str, layout: FrameFormat) -> serial.SerialBase:
+def drop_backlog(port: serial.SerialBase) -> None:
+    """Throw away what an open port has kept for us."""
+    port.timeout = 0
+    dropped = 0
+    while dropped < _BACKLOG and (late := port.read(_CHUNK)):
+        dropped += len(late)
+    port.timeout = SLICE_S
+
+
+def open_port(port: str, layout: FrameFormat) -> serial.SerialBase:
+    """Open a port with the line settings of a format; LinkError if it cannot be opened."""
     options: dict[str, Any] = {"exclusive": True} if port.startswith("/") else {}
     try:
         return serial.serial_for_url(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from dataclasses import dataclass, field
 
@@ -90,6 +91,47 @@ class Losses:
         return f"{parts} ({why})" if why else parts
 
 
+@dataclass(frozen=True)
+class HostClock:
+    """The gyro's clock beside the computer's, over one recording.
+
+    Attributes
+    ----------
+    stated_s : float
+        Interval between two outputs by the description of the frames, or by the polls.
+    interval_s, interval_u_s : float
+        By the computer's clock, and its standard uncertainty, that of the computer's clock included.
+    used : bool
+        Whether `interval_s` is that of the recording: it differs by more than its uncertainty lets expect.
+    """
+
+    stated_s: float
+    interval_s: float
+    interval_u_s: float
+    used: bool
+
+    @property
+    def difference_ppm(self) -> float:
+        """How much faster the gyro's clock runs than stated, ppm of the output rate."""
+        return 1e6 * (self.stated_s / self.interval_s - 1)
+
+    @property
+    def u_ppm(self) -> float:
+        """Standard uncertainty of `difference_ppm`."""
+        return 1e6 * self.interval_u_s / self.interval_s
+
+    @property
+    def output_rate_hz(self) -> float:
+        """Outputs per second of the computer's clock."""
+        return 1 / self.interval_s
+
+    def __str__(self) -> str:
+        """Say it in a few words."""
+        rate = math.floor(math.log10(max(self.u_ppm, 1e-3)))
+        digits = max(0, 1 - rate)
+        return f"{self.difference_ppm:+.{digits}f} ppm, u {self.u_ppm:.{digits}f} ppm"
+
+
 @dataclass(frozen=True, eq=False)
 class Recording:
     """Outputs of a gyro in the order in which they were made.
@@ -107,8 +149,12 @@ class Recording:
     interval_s : float
         Time between two outputs.
     clock : str
-        What `times` rests on: "counter", "frames" (arrival of frames without a counter, gaps approximate) or
-        "time column".
+        What `times` rests on: "counter", "frames" (arrival of frames without a counter, gaps approximate), "polls"
+        (the computer asked for each output) or "time column".
+    host_clock : HostClock or None
+        None where nothing was recorded live, or for too short a time.
+    doubts : tuple of str
+        What of the numbers shows that the description of the frames may be wrong; sentences.
     """
 
     times: Floats
@@ -120,6 +166,8 @@ class Recording:
     losses: Losses
     interval_s: float
     clock: str
+    host_clock: HostClock | None = None
+    doubts: tuple[str, ...] = ()
 
     @property
     def duration_s(self) -> float:

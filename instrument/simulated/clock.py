@@ -62,3 +62,46 @@ class VirtualClock:
         """Move the clock forward by `seconds` without waiting."""
         if seconds > 0:
             self._now += seconds
+
+
+class HeldClock:
+    """Another clock that stands still while it is held: what one message asks for happens at one moment.
+
+    Examples
+    --------
+    >>> real = VirtualClock()
+    >>> clock = HeldClock(real)
+    >>> clock.hold()
+    >>> real.sleep(1.0)
+    >>> clock.now()
+    0.0
+    >>> clock.release()
+    >>> clock.now()
+    1.0
+    """
+
+    def __init__(self, clock: Clock) -> None:
+        self._clock = clock
+        self._held_at, self._depth = 0.0, 0
+
+    @property
+    def virtual(self) -> bool:
+        """As of the clock beneath."""
+        return self._clock.virtual
+
+    def now(self) -> float:
+        """Time in s: of the moment in which it was held last, or of the clock beneath."""
+        return self._held_at if self._depth else self._clock.now()
+
+    def sleep(self, seconds: float) -> None:
+        """Let time pass on the clock beneath."""
+        self._clock.sleep(seconds)
+
+    def hold(self) -> None:
+        """Stand still at the time of now; again within that, at the time of then."""
+        self._held_at = self._clock.now()
+        self._depth += 1
+
+    def release(self) -> None:
+        """Go on, when it was released as often as it was held."""
+        self._depth -= 1

@@ -70,11 +70,18 @@ class SimulatedTDS2014(ScopeState):
             At the end, the answer without terminator, if there is one.
         """
         self.clock.sleep(self.message_time)
+        self.message_clock.hold()  # a busy computer makes no difference to what happens within a message
+        try:
+            yield from self._execute(message, stream)
+        finally:
+            self.message_clock.release()
+
+    def _execute(self, message: bytes, stream: bool) -> Iterator[bytes | None]:
         branch = self._tree.root
-        leaves: list[list[Leaf]] = []
+        answers: list[str] = []
         identified = False
         unread = len(message)
-        deadlocked = False
+        deadlocked, queued = False, 0
         for command in parse_message(message, stream=stream):
             unread -= len(command.source) + 1
             try:
@@ -85,7 +92,7 @@ class SimulatedTDS2014(ScopeState):
                     branch = node.parent or self._tree.root
                 action = self._actions.get(node.action) if node.action else None
                 while self._waits(command, action) or self._stops_too_early(command, node):
-                    yield None
+                    yield from self._time_passes()
                 if identified and command.query:
                     raise Refusal(440)
                 self.settle()
@@ -94,31 +101,37 @@ class SimulatedTDS2014(ScopeState):
                         self.turn_knob(hand)
                     answer = self._answer(node, action, command)
                     identified = bool(action and action.ends_message)
-                    if not deadlocked:
-                        leaves.append(answer)
-                    if not stream and unread > Guess.INPUT_BUFFER and self._fills_output(leaves):
-                        deadlocked = True
-                        leaves.clear()
+                    if deadlocked:
+                        continue
+                    answers.append(self._render(answer))
+                    queued += sum(len(value) for _, value in answer)
+                    if not stream and unread > Guess.INPUT_BUFFER and queued > Guess.OUTPUT_QUEUE:
+                        deadlocked = True  # nobody can read or write any more
+                        answers.clear()
                         raise Refusal(430)
                 else:
                     for step in self._carry_out(node, action, command.arguments):
                         if step is None:
-                            yield None
+                            yield from self._time_passes()
             except Refusal as refusal:
                 self.status.post(refusal.event, command.source)
                 if isinstance(refusal, _UnknownHeader):
                     branch = self._branch_behind(command, branch)
                 elif status_bit(refusal.event) == Guess.DROPS_REST_OF_MESSAGE:
                     break
-        if leaves:
-            yield self._render(leaves)
+        if answers:
+            yield ";".join(answers).encode("latin-1")
         if self.picture:
             picture, self.picture = self.picture, b""
             yield Picture(picture)
 
-    def _fills_output(self, answers: list[list[Leaf]]) -> bool:
-        """True when the answers so far leave no room in the output queue: nobody can read or write (430)."""
-        return sum(len(value) for leaves in answers for _, value in leaves) > Guess.OUTPUT_QUEUE
+    def _time_passes(self) -> Iterator[None]:
+        """Wait for the clock to move."""
+        self.message_clock.release()
+        try:
+            yield None
+        finally:
+            self.message_clock.hold()
 
     def _branch_behind(self, command: Command | Malformed, branch: Node) -> Node:
         """Where relative headers stand behind an unknown one: in its branch, which may be unknown, too."""
@@ -170,10 +183,9 @@ class SimulatedTDS2014(ScopeState):
             raise Refusal(Guess.QUERY_HAS_NO_COMMAND)
         return iter(())
 
-    def _render(self, answers: list[list[Leaf]]) -> bytes:
-        header, verbose = self.panel.flag("HEADER"), self.panel.flag("VERBOSE")
-        parts = (join_leaves(leaves, header=header, verbose=verbose) for leaves in answers)
-        return ";".join(parts).encode("latin-1")
+    def _render(self, leaves: list[Leaf]) -> str:
+        """An answer with the headers of this moment: a later command of the message changes none of it."""
+        return join_leaves(leaves, header=self.panel.flag("HEADER"), verbose=self.panel.flag("VERBOSE"))
 
     def turn_knob(self, command: str) -> None:
         """What somebody at the front panel does, as a program message; nothing while it is locked."""

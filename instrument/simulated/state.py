@@ -7,7 +7,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 
-from instrument.simulated.clock import Clock, RealClock
+from instrument.simulated.clock import Clock, HeldClock, RealClock
 from instrument.simulated.faults import Faults
 from instrument.simulated.files.mass_storage import MassStorage
 from instrument.simulated.front_end.acquisition import Acquisition
@@ -54,7 +54,10 @@ class ScopeState(ABC):
         self.lock = threading.RLock()
         self.panel = Panel(self.model)
         self.status: Status = Status()
-        self.acquisition: Acquisition = Acquisition(self.panel, signals or {}, self.clock, self.faults, seed)
+        self.message_clock = HeldClock(self.clock)
+        self.acquisition: Acquisition = Acquisition(
+            self.panel, signals or {}, self.message_clock, self.faults, seed
+        )
         self.digitizer = Digitizer(self.acquisition.signal, noise_levels, seed)
         self.references = {name: empty_reference(name) for name in self.model.reference_names}
         self.setups: dict[int, dict[str, Value]] = {}
@@ -169,8 +172,9 @@ class ScopeState(ABC):
         return "A" if ampere else "Volts"
 
     def reset(self) -> None:
-        """`*RST`: factory settings; header, masks, links and stored data stay."""
+        """`*RST`: factory settings and a new record; header, masks, links and stored data stay."""
         self.panel.factory()
+        self.acquisition.record = None
         self.acquisition.restart()
 
     def factory(self) -> None:

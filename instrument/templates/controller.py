@@ -62,6 +62,7 @@ class Controller:
     ) -> None:
         self.template = template
         self._sleep, self._now, self._tell = sleep, now, tell
+        self._last_set: dict[str, float] = {}
         self._lines = Lines(resource_name, template.link, resource_manager)
         self.repeated = 0
         """Questions and orders that were given again."""
@@ -127,9 +128,10 @@ class Controller:
                 f"{self.name}: {name} {value:g} {quantity.unit} is beyond its limits, {quantity.lowest:g} to "
                 f"{quantity.highest:g} {quantity.unit}"
             )
-        before = self.read(name) if quantity.ask else math.nan
+        before = self.read(name) if quantity.ask else self._last_set.get(name, 0.0)
         number = (value + quantity.offset) * quantity.per_unit
         self._order([line.format(value=number) for line in quantity.set])
+        self._last_set[name] = value
         return self._steady(name, quantity, value, before)
 
     def do(self, action: str) -> None:
@@ -143,6 +145,7 @@ class Controller:
 
     def stop(self) -> None:
         """Stop a table, as fast as it does that. Raises as :meth:`set`."""
+        self._last_set["rate"] = 0.0
         if self.template.actions.stop:
             self.do("stop")
         elif self.template.rate is not None:
@@ -199,10 +202,10 @@ class Controller:
 
     def _number(self, quantity: Quantity) -> float:
         text = self._answer(quantity.ask, quantity.answer)
-        try:
-            return float(text) / quantity.per_unit - quantity.offset
-        except ValueError:
-            raise TransferError(f"{self.name} answered {text!r:.60} to {quantity.ask!r}, no number") from None
+        with suppress(ValueError):
+            if math.isfinite(number := float(text)):
+                return number / quantity.per_unit - quantity.offset
+        raise TransferError(f"{self.name} answered {text!r:.60} to {quantity.ask!r}, no number")
 
     def _persist(self, once: Callable[[], T]) -> T:
         """Do what can be done again as a whole, as often as the template says; open a lost link again."""
@@ -234,8 +237,7 @@ class Controller:
 
     def _steady(self, name: str, quantity: Quantity, value: float, before: float) -> float:
         """Wait until a quantity has been steady for long enough."""
-        change = abs(value - before) if math.isfinite(before) else abs(value)
-        shortest = change / quantity.change_per_s
+        shortest = abs(value - before) / quantity.change_per_s
         if not quantity.steady_within:
             self._sleep(shortest + quantity.steady_for_s)
             return self.read(name) if quantity.ask else value

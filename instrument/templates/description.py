@@ -8,9 +8,17 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping
-from typing import Annotated, Any, ClassVar, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    ConfigDict,
+    Field,
+    ValidationError,
+    field_validator,
+    model_validator,
+)
 
 from instrument.errors import SettingError
 
@@ -21,6 +29,32 @@ Lines = tuple[Annotated[str, Field(min_length=1)], ...]
 
 KINDS = ("rate table", "chamber", "power supply")
 _NUMBER = r"([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)"
+
+
+def compiled(text: str) -> re.Pattern[str]:
+    """Return the regular expression of a template; ValueError if it is none."""
+    try:
+        return re.compile(text)
+    except re.error as error:
+        raise ValueError(f"is no regular expression: {error}") from None
+
+
+def _expression(text: str) -> str:
+    compiled(text)
+    return text
+
+
+def _with_a_group(text: str) -> str:
+    if compiled(text).groups < 1:
+        raise ValueError("needs a group in round brackets round what is meant")
+    return text
+
+
+Expression = Annotated[str, AfterValidator(_expression)]
+"""Regular expression that a whole answer is to match."""
+
+Meant = Annotated[str, AfterValidator(_with_a_group)]
+"""Regular expression to be found in an answer, whose first group is what is meant."""
 
 
 class TemplateSection(BaseModel):
@@ -48,33 +82,20 @@ class QuestionSection(TemplateSection):
     """A question, and what of its answer is meant: the first group of a regular expression."""
 
     ask: Annotated[str, Field(min_length=1)]
-    answer: str = "(.+)"
-
-    @field_validator("answer")
-    @classmethod
-    def _has_a_group(cls, text: str) -> str:
-        if _compiled(text).groups < 1:
-            raise ValueError("needs a group in round brackets round what is meant")
-        return text
+    answer: Meant = "(.+)"
 
 
 class AnswersSection(TemplateSection):
     """What the controller answers to an order, where it answers at all."""
 
-    understood: str = ""
-    refused: str = ""
-
-    @field_validator("understood", "refused")
-    @classmethod
-    def _is_an_expression(cls, text: str) -> str:
-        _compiled(text)
-        return text
+    understood: Expression = ""
+    refused: Expression = ""
 
 
 class ErrorsSection(QuestionSection):
     """How the controller is asked for errors, and what it answers when there is none."""
 
-    none: Annotated[str, Field(min_length=1)] = r"[+]?0\b.*"
+    none: Annotated[Expression, Field(min_length=1)] = r"[+]?0\b.*"
 
 
 class ActionsSection(TemplateSection):
@@ -86,14 +107,31 @@ class ActionsSection(TemplateSection):
     stop: Lines = ()
 
 
+class InUnit:
+    """Names in a file for the attributes of a quantity: those of numbers have its unit.
+
+    Examples
+    --------
+    >>> InUnit("dps")("change_per_s"), InUnit("v")("highest"), InUnit("v")("ask")
+    ('change_dps_per_s', 'highest_v', 'ask')
+    """
+
+    def __init__(self, unit: str) -> None:
+        self.unit = unit
+
+    def __call__(self, name: str) -> str:
+        """Name of an attribute in the file."""
+        if name in ("offset", "lowest", "highest", "steady_within"):
+            return f"{name}_{self.unit}"
+        return {"per_unit": f"per_{self.unit}", "change_per_s": f"change_{self.unit}_per_s"}.get(name, name)
+
+
 class Quantity(TemplateSection):
     """Something that is set, read, or both; the names in the file end in the unit."""
 
-    unit: ClassVar[str] = ""
-
     set: Lines = ()
     ask: str = ""
-    answer: str = _NUMBER
+    answer: Meant = _NUMBER
     per_unit: Finite = 1.0
     offset: Finite = 0.0
     lowest: Finite = -math.inf
@@ -113,12 +151,11 @@ class Quantity(TemplateSection):
             raise ValueError("no line has a place for the number: write {value:.6f} there")
         return lines
 
-    @field_validator("answer")
-    @classmethod
-    def _has_a_group(cls, text: str) -> str:
-        if _compiled(text).groups < 1:
-            raise ValueError("needs a group in round brackets round the number")
-        return text
+    @property
+    def unit(self) -> str:
+        """Its unit, as names end in it."""
+        names = self.model_config.get("alias_generator")
+        return names.unit if isinstance(names, InUnit) else ""
 
     @model_validator(mode="after")
     def _fits_together(self) -> Self:
@@ -133,58 +170,28 @@ class Quantity(TemplateSection):
         return self
 
 
-def _with_unit(unit: str) -> ConfigDict:
-    names = {
-        "per_unit": f"per_{unit}",
-        "offset": f"offset_{unit}",
-        "lowest": f"lowest_{unit}",
-        "highest": f"highest_{unit}",
-        "steady_within": f"steady_within_{unit}",
-        "change_per_s": f"change_{unit}_per_s",
-    }
-    return ConfigDict(extra="forbid", frozen=True, alias_generator=lambda name: names.get(name, name))
-
-
-class Rate(Quantity):
+class Rate(Quantity, alias_generator=InUnit("dps")):
     """Rate of a table, deg/s, positive anticlockwise seen from above."""
 
-    unit: ClassVar[str] = "dps"
-    model_config = _with_unit("dps")
 
-
-class Position(Quantity):
+class Position(Quantity, alias_generator=InUnit("deg")):
     """Angle of a table, deg."""
 
-    unit: ClassVar[str] = "deg"
-    model_config = _with_unit("deg")
 
-
-class Temperature(Quantity):
+class Temperature(Quantity, alias_generator=InUnit("degc")):
     """Temperature of a chamber, deg C."""
 
-    unit: ClassVar[str] = "degc"
-    model_config = _with_unit("degc")
 
-
-class Humidity(Quantity):
+class Humidity(Quantity, alias_generator=InUnit("percent")):
     """Relative humidity of a chamber, percent."""
 
-    unit: ClassVar[str] = "percent"
-    model_config = _with_unit("percent")
 
-
-class Voltage(Quantity):
+class Voltage(Quantity, alias_generator=InUnit("v")):
     """Voltage of a supply, V."""
 
-    unit: ClassVar[str] = "v"
-    model_config = _with_unit("v")
 
-
-class Current(Quantity):
+class Current(Quantity, alias_generator=InUnit("a")):
     """Current of a supply, A."""
-
-    unit: ClassVar[str] = "a"
-    model_config = _with_unit("a")
 
 
 class ControllerTemplate(TemplateSection):
@@ -247,15 +254,3 @@ def parse_template(values: Mapping[str, Any], where: str) -> ControllerTemplate:
         found = error.errors(include_url=False, include_context=False)
         said = (f"{'.'.join(map(str, one['loc'])) or 'template'}: {one['msg']}" for one in found)
         raise SettingError(f"{where}: {'; '.join(said)}") from None
-
-
-def compiled(text: str) -> re.Pattern[str]:
-    """Return the regular expression of a template, which was checked when it was read."""
-    return re.compile(text)
-
-
-def _compiled(text: str) -> re.Pattern[str]:
-    try:
-        return re.compile(text)
-    except re.error as error:
-        raise ValueError(f"is no regular expression: {error}") from None

@@ -11,6 +11,7 @@ from pyvisa.constants import InterfaceType, StatusCode
 from pyvisa.resources import MessageBasedResource, SerialInstrument
 
 from instrument.errors import LinkError, TransferError
+from instrument.in_use import claim
 from instrument.templates.description import LinkSection
 
 _PARITY = {"none": constants.Parity.none, "even": constants.Parity.even, "odd": constants.Parity.odd}
@@ -44,7 +45,12 @@ class Lines:
         self.name = resource_name
         self._link, self._manager = link, resource_manager
         self._resource: MessageBasedResource | None = None
-        self.open()
+        self._claim = claim(resource_name)
+        try:
+            self.open()
+        except LinkError:
+            self._claim.release()
+            raise
 
     def __enter__(self) -> Lines:
         return self
@@ -53,8 +59,8 @@ class Lines:
         self.close()
 
     def open(self) -> None:
-        """Open the link, or open it again."""
-        self.close()
+        """Open the link, or open it again; other programs are kept from it meanwhile."""
+        self._hang_up()
         try:
             manager = self._manager or pyvisa.ResourceManager()
             resource = manager.open_resource(self.name)
@@ -69,11 +75,15 @@ class Lines:
         try:
             self._configure(resource)
         except (pyvisa.Error, OSError, ValueError) as error:
-            self.close()
+            self._hang_up()
             raise LinkError(f"{self.name} cannot be set up ({_why(error)})") from None
 
     def close(self) -> None:
         """Close the link; never raises."""
+        self._hang_up()
+        self._claim.release()
+
+    def _hang_up(self) -> None:
         if self._resource is not None:
             with suppress(pyvisa.Error, OSError):
                 self._resource.close()

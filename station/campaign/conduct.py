@@ -8,11 +8,12 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from station.campaign.bench.in_use import bench_in_use
+from station.campaign.bench.surroundings import Surroundings
 from station.campaign.journal import Journal, Written, read_journal, step_as_json
 from station.campaign.outcome import CampaignOutcome, StepOutcome
 from station.campaign.plan import CampaignPlan, PlannedStep
 from station.campaign.step import carry_out
-from station.campaign.surroundings import Surroundings
 from station.campaign.waiting import Wait
 from station.errors import Failure, StationError, UsageError, describe_failure
 from station.measurements import measurement
@@ -53,9 +54,11 @@ def conduct(
     ------
     StationError
         The test cannot begin: its folder cannot be written, or another program carries it out.
+    LinkError
+        Another program uses an instrument of the bench.
     """
     before = None if resumed is None else to_go_on_with(resumed, plan)
-    with undisturbed():  # a signal ends what is measured, and nothing of what closes the test
+    with bench_in_use(plan), undisturbed():  # a signal ends what is measured, and nothing of what closes the test
         kept = {} if evaluated is None else evaluated
         return _Conducting(plan, progress, operator, note, before, kept).conduct()
 

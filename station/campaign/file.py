@@ -15,9 +15,9 @@ from typing import Any
 
 from pydantic import BaseModel, ValidationError
 
+from station.campaign.bench.surroundings import CONTROLLER_OF, controllers_of
 from station.campaign.plan import CampaignPlan, InstrumentCard, PlannedStep, ReferenceUnit
 from station.campaign.settings import CampaignFile, LimitSection, StepSection
-from station.campaign.surroundings import CONTROLLER_OF, controllers_of
 from station.errors import SettingsError
 from station.measurements import Measurement, measurement
 from station.results.verdict import Limit

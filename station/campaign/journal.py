@@ -17,6 +17,7 @@ from datetime import date
 from pathlib import Path
 from typing import Any, Self
 
+from instrument.in_use.file_lock import lock
 from station.campaign.outcome import CampaignOutcome, StepOutcome
 from station.campaign.plan import CampaignPlan, InstrumentCard, PlannedStep, ReferenceUnit
 from station.errors import CannotWrite, Failure, RunError, UsageError
@@ -67,13 +68,12 @@ class Journal:
         try:
             flags = os.O_RDWR | os.O_CREAT | os.O_APPEND | getattr(os, "O_CLOEXEC", 0)
             self._descriptor = os.open(self.directory / JOURNAL, flags, 0o644)
-            _alone(self._descriptor)
-        except BlockingIOError:
-            self.close()
-            raise UsageError(f"{self.directory}: another program carries this test out at the moment") from None
         except OSError as error:
             self.close()
             raise CannotWrite(f"{self.directory}: the journal cannot be written ({error.strerror})") from None
+        if not lock(self._descriptor):
+            self.close()
+            raise UsageError(f"{self.directory}: another program carries this test out at the moment")
         self._end_cut_line()
 
     def write(self, kind: str, **facts: object) -> None:
@@ -99,15 +99,6 @@ class Journal:
             os.lseek(self._descriptor, size - 1, os.SEEK_SET)
             if os.read(self._descriptor, 1) != b"\n":
                 os.write(self._descriptor, b"\n")
-
-
-def _alone(descriptor: int) -> None:
-    """Lock a file against other programs as long as it is open; BlockingIOError if one has it."""
-    try:
-        import fcntl
-    except ImportError:  # Windows has no such lock: two programs on one bench meet at the instruments
-        return
-    fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
 
 
 def folder_of(directory: Path, unit: str) -> Path:

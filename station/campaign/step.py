@@ -9,10 +9,10 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from station.campaign.bench.surroundings import Surroundings
 from station.campaign.file import RESULT
 from station.campaign.outcome import StepOutcome
 from station.campaign.plan import CampaignPlan, PlannedStep
-from station.campaign.surroundings import Surroundings
 from station.campaign.waiting import Wait
 from station.errors import (
     EXIT_DEFECT,

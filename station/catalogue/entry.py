@@ -10,12 +10,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from station.catalogue.remarks import Remarks, read_remarks
 from station.errors import RunError
 from station.results.numbers import with_uncertainty
 from station.results.result import UNITS
 from station.runs.database import read_facts, reading
 from station.runs.facts import COMPLETE, TAKEN, RunFacts
+from station.runs.remarks import Remarks, read_remarks
 
 _SHOWN_FIRST = {"witness": "two_pi_voltage_v"}
 """Measurements whose document does not begin with what people ask for."""

@@ -17,10 +17,10 @@ from dataclasses import replace
 from pathlib import Path
 
 from station.catalogue.entry import Entry, read_entry
-from station.catalogue.remarks import remarks_file
 from station.errors import UsageError
 from station.runs.journal import journal_of
 from station.runs.progress import Progress
+from station.runs.remarks import remarks_file
 
 INDEX_FILE = ".gyrolock-index.sqlite"
 _VERSION = 1

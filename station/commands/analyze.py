@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from contextlib import AbstractContextManager, suppress
+from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -10,10 +11,11 @@ import click
 
 from station.display.opening import display_options, shown
 from station.shell.options import CHANNELS, config_option, json_option, not_zero, positive
-from station.terminal.lines import print_failure, print_json, remark, say
+from station.terminal.lines import JsonResults, print_failure, print_json, remark, say
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
+    from contextlib import AbstractContextManager
 
     from station.errors import Failure
     from station.reanalysis.files import AnalyzedFiles
@@ -90,17 +92,19 @@ def command(paths: tuple[str, ...], config: Path | None, **given: Any) -> int:
     _check(given)
     from station.sources.find import find_sources
 
-    choices = {name: given[name] for name in _METHOD}
     with shown(given, command="analyze") as progress, _workers(given) as workers:
         sources = list(find_sources(paths))
+        analysis = Analysis(sources, {name: given[name] for name in _METHOD}, config, workers, progress)
+        answer = Answer(given["as_json"], given["jsonl"])
         if given["table"] is not None:
-            return _to_table(sources, choices, config, workers, progress, given)
+            return analysis.to_table(given["table"], answer)
         if given["combine"]:
-            return _combined(sources, choices, config, workers, progress, given)
-        return _each(sources, choices, config, workers, progress, given)
+            return analysis.combined(given["channel"], given["rates_from"], given["report"], answer)
+        return analysis.each(answer)
 
 
 def _check(given: Mapping[str, Any]) -> None:
+    """Refuse options that do not go together, before anything is read."""
     if given["jsonl"] and given["as_json"]:
         raise click.UsageError("--json and --jsonl exclude each other")
     if given["table"] is not None and (given["combine"] or given["jsonl"]):
@@ -121,154 +125,175 @@ def _workers(given: Mapping[str, Any]) -> AbstractContextManager[Workers]:
     return Processes(given["processes"])
 
 
-def _to_table(
-    sources: Sequence[Path | Source],
-    choices: dict[str, Any],
-    config: Path | None,
-    workers: Workers,
-    progress: Progress,
-    given: Mapping[str, Any],
-) -> int:
-    from station.errors import EXIT_USAGE
-    from station.reanalysis.fill import fill_table
+@dataclass(frozen=True)
+class Answer:
+    """How a result is told: in words, as one JSON document, or as one JSON object a record."""
 
-    chosen = _with_scale_factor(sources, choices, config)
-    done = fill_table(sources, given["table"], chosen, workers, progress, lambda one: remark(f"left out: {one}"))
-    if given["as_json"]:
-        print_json(done.document())
-    else:
-        say(f"{done.records} records of {done.sources} sources in {done.table}")
-        if done.known:
-            say(f"{done.known} sources were there already")
-        if done.left_out:
-            say(f"{len(done.left_out)} left out, named above")
-    return EXIT_USAGE if done.left_out else 0
+    as_json: bool
+    jsonl: bool
+
+    @property
+    def in_words(self) -> bool:
+        """Whether a person reads it."""
+        return not (self.as_json or self.jsonl)
 
 
-def _combined(
-    sources: Sequence[Path | Source],
-    choices: dict[str, Any],
-    config: Path | None,
-    workers: Workers,
-    progress: Progress,
-    given: Mapping[str, Any],
-) -> int:
-    from station.errors import EXIT_NO_SIGNAL, EXIT_USAGE, Failure, NoUsableSignal
-    from station.reanalysis.combine import combine, said_of
-    from station.reanalysis.report import FilesReport
-    from station.report.console import print_values
-    from station.report.report import write_report
+@dataclass(frozen=True)
+class Analysis:
+    """Sources, how they are evaluated, and by whom; each method returns the exit code.
 
-    chosen = _with_scale_factor(sources, choices, config)
-    found = combine(
-        sources, chosen, workers, progress, config=config, channel=given["channel"], rates=given["rates_from"]
-    )
-    for line in said_of(found.left_out):
-        remark(line)
-    document, failure = found.document(), None
-    if found.result.problem:
-        failure = Failure(NoUsableSignal.kind, found.result.problem, EXIT_NO_SIGNAL)
-        document["error"] = failure.as_json()
-    if given["report"] is not None:
-        document["report"] = str(write_report(FilesReport(found), given["report"]))
-    if given["jsonl"]:
-        for row in found.rows():
-            print_json(row)
-    elif given["as_json"]:
-        print_json(document)
-    else:
-        print_values(found.result)
-        for line in found.taken_with():
-            say(line)
-        if given["report"] is not None:
-            say(f"report  {document['report']}")
-    if failure is not None:
-        print_failure(failure)
-        return failure.exit_code
-    return EXIT_USAGE if found.left_out else 0
+    Attributes
+    ----------
+    sources : sequence of Path or Source
+        Of :func:`station.sources.find_sources`.
+    choices : dict
+        Of :class:`analysis.lock_in_run.Method`; ``None`` where nothing was asked for.
+    config : Path or None
+        Settings file: what is known of the bench now.
+    """
 
+    sources: Sequence[Path | Source]
+    choices: dict[str, Any]
+    config: Path | None
+    workers: Workers
+    progress: Progress
 
-def _with_scale_factor(
-    sources: Sequence[Path | Source], choices: dict[str, Any], config: Path | None
-) -> dict[str, Any]:
-    """The choices with the scale factor, where files need one that nobody has given."""
-    from station.reanalysis.files import scale_factor_of_files
-    from station.sources.find import is_run
+    def to_table(self, table: Path, answer: Answer) -> int:
+        """Put one row for each record into a table."""
+        from station.errors import EXIT_OK, EXIT_USAGE
+        from station.reanalysis.fill import fill_table
 
-    files = []
-    for one in sources:
-        with suppress(OSError):  # one that is not there is named when it is read
-            files += [] if is_run(one) else [one]
-    if choices["scale_factor"] is not None or not files:
-        return choices
-    return choices | {"scale_factor": scale_factor_of_files(config, files)}
+        done = fill_table(
+            self.sources,
+            table,
+            self._with_scale_factor(),
+            self.workers,
+            self.progress,
+            lambda one: remark(f"left out: {one}"),
+        )
+        if answer.as_json:
+            print_json(done.document())
+        else:
+            say(f"{done.records} records of {done.sources} sources in {done.table}")
+            if done.known:
+                say(f"{done.known} sources were there already")
+            if done.left_out:
+                say(f"{len(done.left_out)} left out, named above")
+        return EXIT_USAGE if done.left_out else EXIT_OK
 
+    def combined(self, channel: str | None, rates: Path | None, report: Path | None, answer: Answer) -> int:
+        """Make one result of all records."""
+        from station.errors import EXIT_OK, EXIT_USAGE
+        from station.reanalysis.combine import combine, said_of
+        from station.reanalysis.report import FilesReport
+        from station.report.report import write_report
 
-def _each(
-    sources: Sequence[Path | Source],
-    choices: dict[str, Any],
-    config: Path | None,
-    workers: Workers,
-    progress: Progress,
-    given: Mapping[str, Any],
-) -> int:
-    from station.errors import EXIT_FAIL
-
-    jsonl, as_json = given["jsonl"], given["as_json"]
-    documents, failures, failed = [], [], False
-    for source in sources:
-        analyzed, failure = _analyze(source, config, choices, workers, progress)
-        document: dict[str, Any] = analyzed.document() if analyzed is not None else {"file": str(source)}
-        failed = failed or document.get("verdict") == "FAIL"
+        found = combine(
+            self.sources,
+            self._with_scale_factor(),
+            self.workers,
+            self.progress,
+            config=self.config,
+            channel=channel,
+            rates=rates,
+        )
+        for line in said_of(found.left_out):
+            remark(line)
+        document, failure = found.document(), _no_result(found.result.problem)
         if failure is not None:
-            failures.append(failure)
             document["error"] = failure.as_json()
-        if as_json:
-            documents.append(document)
-        if jsonl:
-            for line in analyzed.rows() if analyzed is not None else [document]:
-                print_json(line)
-        elif analyzed is not None and not as_json:
-            _print(source, analyzed)
+        if report is not None:
+            document["report"] = str(write_report(FilesReport(found), report))
+        if answer.jsonl:
+            for row in found.rows():
+                print_json(row)
+        elif answer.as_json:
+            print_json(document)
+        else:
+            _print(found)
+            if report is not None:
+                say(f"report  {document['report']}")
         if failure is not None:
             print_failure(failure)
-    if as_json:
-        print_json(documents[0] if len(documents) == 1 else {"results": documents})
-    # what could not be read at all (2) comes before what holds no result (4)
-    return min((failure.exit_code for failure in failures), default=EXIT_FAIL if failed else 0)
+            return failure.exit_code
+        return EXIT_USAGE if found.left_out else EXIT_OK
+
+    def each(self, answer: Answer) -> int:
+        """Evaluate every source by itself; one that cannot be read must not keep the others from it."""
+        from station.errors import EXIT_FAIL, EXIT_OK
+
+        exit_codes, failed = list[int](), False
+        with JsonResults(alone=len(self.sources) == 1) as results:
+            for source in self.sources:
+                analyzed, failure = self._analyzed(source)
+                document: dict[str, Any] = {"file": str(source)} if analyzed is None else analyzed.document()
+                failed = failed or document.get("verdict") == "FAIL"
+                if failure is not None:
+                    exit_codes.append(failure.exit_code)
+                    document["error"] = failure.as_json()
+                if answer.as_json:
+                    results.add(document)
+                elif answer.jsonl:
+                    for row in analyzed.rows() if analyzed is not None else [document]:
+                        print_json(row)
+                elif analyzed is not None:
+                    say(f"{source}")
+                    _print(analyzed)
+                if failure is not None:
+                    print_failure(failure)
+            if answer.as_json:
+                results.print()
+        # what could not be read at all (2) comes before what holds no result (4)
+        return min(exit_codes, default=EXIT_FAIL if failed else EXIT_OK)
+
+    def _analyzed(self, source: Path | Source) -> tuple[Evaluated | AnalyzedFiles | None, Failure | None]:
+        from instrument import InstrumentError
+        from station.errors import StationError, describe_failure
+        from station.reanalysis.files import analyze_file
+        from station.shell.evaluated import evaluate_saved
+        from station.sources.find import is_run
+
+        analyzed: Evaluated | AnalyzedFiles
+        try:
+            if is_run(source):
+                analyzed = evaluate_saved(
+                    source, self.workers, self.progress, config=self.config, choices=self.choices
+                )
+            else:
+                analyzed = analyze_file(source, self.config, self.choices)
+        except (InstrumentError, StationError, OSError) as error:
+            return None, describe_failure(error)
+        problem = analyzed.result.problem
+        return analyzed, _no_result(f"{source}: {problem}" if problem else "")
+
+    def _with_scale_factor(self) -> dict[str, Any]:
+        """The choices with the scale factor, where files need one that nobody has given."""
+        from station.reanalysis.files import scale_factor_of_files
+        from station.sources.find import is_run
+
+        files: list[Path | Source] = []
+        for one in self.sources:
+            with suppress(OSError):  # one that is not there is named when it is read
+                files += [] if is_run(one) else [one]
+        if self.choices["scale_factor"] is not None or not files:
+            return self.choices
+        return self.choices | {"scale_factor": scale_factor_of_files(self.config, files)}
 
 
-def _analyze(
-    source: Path | Source, config: Path | None, choices: Mapping[str, Any], workers: Workers, progress: Progress
-) -> tuple[Evaluated | AnalyzedFiles | None, Failure | None]:
-    """Evaluate one source; one that cannot be read must not keep the others from being evaluated."""
-    from instrument import InstrumentError
-    from station.errors import EXIT_NO_SIGNAL, Failure, NoUsableSignal, StationError, describe_failure
-    from station.reanalysis.files import analyze_file
-    from station.shell.evaluated import evaluate_saved
-    from station.sources.find import is_run
+def _no_result(problem: str) -> Failure | None:
+    """The failure of records that can be read and give no result."""
+    from station.errors import EXIT_NO_SIGNAL, Failure, NoUsableSignal
 
-    analyzed: Evaluated | AnalyzedFiles
-    try:
-        if is_run(source):
-            analyzed = evaluate_saved(source, workers, progress, config=config, choices=choices)
-        else:
-            analyzed = analyze_file(source, config, choices)
-    except (InstrumentError, StationError, OSError) as error:
-        return None, describe_failure(error)
-    if not analyzed.result.problem:
-        return analyzed, None
-    return analyzed, Failure(NoUsableSignal.kind, f"{source}: {analyzed.result.problem}", EXIT_NO_SIGNAL)
+    return Failure(NoUsableSignal.kind, problem, EXIT_NO_SIGNAL) if problem else None
 
 
-def _print(source: Path | Source, analyzed: Evaluated | AnalyzedFiles) -> None:
+def _print(analyzed: Evaluated | AnalyzedFiles) -> None:
     from station.report.console import print_result, print_values
     from station.shell.evaluated import Evaluated
 
-    say(f"{source}")
     if isinstance(analyzed, Evaluated):
         print_result(analyzed)
-    else:
-        print_values(analyzed.result)
-        for line in analyzed.taken_with():
-            say(line)
+        return
+    print_values(analyzed.result)
+    for line in analyzed.taken_with():
+        say(line)

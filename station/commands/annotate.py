@@ -36,8 +36,8 @@ def command(
     RUN is the directory of a run or its file. What is said is added to a text file beside the run, with name and
     time; the measurement itself stays as it is. `gyrolock runs` shows it and chooses by it.
     """
-    from station.catalogue.remarks import SCHEMA, add_remark, read_remarks
     from station.runs.database import reading
+    from station.runs.remarks import SCHEMA, add_remark, read_remarks
     from station.runs.store import run_file
     from station.settings.toml_files import read_toml
 

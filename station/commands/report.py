@@ -81,12 +81,11 @@ def command(
 
 def _found(path: str) -> Iterator[tuple[str, list[Path | Source]]]:
     """What gives a report each: every run by itself, the files of one path together."""
-    from station.runs.database import is_database
-    from station.sources import find_sources
+    from station.sources.find import find_sources, is_run
 
     files: list[Path | Source] = []
     for one in find_sources([path]):
-        if is_database(one) if isinstance(one, Path) else one.is_run:
+        if is_run(one):
             yield str(one), [one]
         else:
             files.append(one)
@@ -98,31 +97,33 @@ def _evaluated(
     sources: list[Path | Source], name: str, config: Path | None, choices: dict[str, Any], channel: str | None
 ) -> tuple[Shown, Path | None]:
     """What a report shows, and where it goes; ``None``: beside the run."""
-    from station.datasets.reading import run_of
     from station.reanalysis.combine import combine, said_of
     from station.reanalysis.files import scale_factor_of_files
     from station.reanalysis.report import FilesReport
-    from station.runs.database import is_database
     from station.runs.progress import Progress
-    from station.runs.store import REPORT_FILE, open_run
-    from station.shell.evaluated import evaluate_run
-    from station.sources import open_source
+    from station.runs.store import REPORT_FILE
+    from station.shell.evaluated import evaluate_saved
+    from station.sources.find import is_run, open_source
     from station.sources.workers import ThisProcess
 
-    first = sources[0]
-    if isinstance(first, Path) and is_database(first):
-        return evaluate_run(open_run(first), config=config), None
-    if not isinstance(first, Path) and first.is_run:
-        path = Path(first.name)
-        short = path.parent.name if path.name in ("run.sqlite", "fog.sqlite") else path.stem
-        return evaluate_run(run_of(first), config=config), first.path.parent / f"{first.path.stem}.{short}.html"
+    first, workers, quiet = sources[0], ThisProcess(), Progress(quiet=True)
+    if is_run(first):
+        evaluated = evaluate_saved(first, workers, quiet, config=config, choices={})
+        return evaluated, None if isinstance(first, Path) else _beside(first)
     given = sources
     if len(sources) == 1:
         sources = [open_source(first)]  # what cannot be read is told before a scale factor is asked for
     if choices["scale_factor"] is None:
         choices = {"scale_factor": scale_factor_of_files(config, given)}
-    found = combine(sources, choices, ThisProcess(), Progress(quiet=True), config=config, channel=channel)
+    found = combine(sources, choices, workers, quiet, config=config, channel=channel)
     for line in said_of(found.left_out):
         remark(line)
     folder = Path(name) if Path(name).is_dir() else Path(name).parent
     return FilesReport(found), folder / REPORT_FILE
+
+
+def _beside(source: Source) -> Path:
+    """Where the report of a run goes that lies in a data set: beside that, called as the run."""
+    path = Path(source.name)
+    short = path.parent.name if path.name in ("run.sqlite", "fog.sqlite") else path.stem
+    return source.path.parent / f"{source.path.stem}.{short}.html"

@@ -14,6 +14,8 @@ _FILES = {"simulated": "measure", "bench": "measure", "dead_band": "deadband", "
 _OTHERS = {
     "campaign": "campaign",
     "rate_table": "controllers/rate_table",
+    "acutrol": "controllers/acutrol",
+    "ideal_aerosmith": "controllers/ideal_aerosmith",
     "chamber": "controllers/chamber",
     "power_supply": "controllers/power_supply",
 }
@@ -29,8 +31,8 @@ def command(name: str, schema: bool, config: Path | None, as_json: bool) -> int:
     """Print a commented settings file to copy: `simulated` for the simulated bench, `bench` for a real one.
 
     `dead_band` is that of `gyrolock deadband`, `campaign` that of `gyrolock station`; `rate_table`, `chamber` and
-    `power_supply` are templates of controllers. With --json, or with --config FILE, the values that would be used
-    are printed instead of the file.
+    `power_supply` are templates of controllers, `acutrol` and `ideal_aerosmith` those of two kinds of rate tables.
+    With --json, or with --config FILE, the values that would be used are printed instead of the file.
     """
     from station.settings.load import shipped_settings
     from station.settings.toml_files import read_toml

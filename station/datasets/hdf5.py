@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from station.datasets.outputs import OUTPUTS
 from station.datasets.packages import package
 from station.datasets.rows import AT_ONCE, COLUMNS, NUMBERS, SCHEMA, TEXT, WHOLE, Rows, check_schema, rows_with
 from station.errors import RunError
@@ -45,6 +46,11 @@ class Hdf5Writer:
         )
         bytes_of_any_length = h5py.vlen_dtype(np.uint8)
         self._payload = group.create_dataset("payload", (0,), bytes_of_any_length, maxshape=(None,))
+        numbers_of_any_length = h5py.vlen_dtype(np.float64)
+        self._outputs = {
+            name: group.create_dataset(name, (0,), numbers_of_any_length, maxshape=(None,), chunks=(_CHUNK,))
+            for name in OUTPUTS
+        }
         self._text, self._sources = text, list[str]()
 
     def write(self, rows: Rows) -> None:
@@ -63,6 +69,11 @@ class Hdf5Writer:
         self._payload.resize(before + len(rows), axis=0)
         for place in np.flatnonzero(others).tolist():
             self._payload[before + place] = np.frombuffer(rows.payloads[place], np.uint8)
+        for name, column in self._outputs.items():
+            column.resize(before + len(rows), axis=0)
+            for place, output in enumerate(rows.outputs):
+                if output is not None:
+                    column[before + place] = output[name]
 
     def close(self) -> None:
         """Write what is known of the sources, and the end of the file."""
@@ -101,9 +112,12 @@ class Hdf5Table:
                 columns = {name: group[name].asstr()[taken].tolist() for name in texts}
                 columns["number"] = group["number"][taken].tolist()
                 codes, payloads = group["codes"][taken], group["payload"][taken]
+                outputs = {name: group[name][taken] for name in OUTPUTS if name in group}
                 sizes = group["samples"][taken] * group["bytes_per_sample"][taken]
             for place in range(len(codes)):
                 row = {name: column[place] for name, column in columns.items()}
+                if outputs and outputs[OUTPUTS[0]][place].size:
+                    row["outputs"] = {name: column[place] for name, column in outputs.items()}
                 is_codes = sizes[place] == codes.shape[1] and not payloads[place].size
                 yield row, codes[place].tobytes() if is_codes else payloads[place].tobytes()
 

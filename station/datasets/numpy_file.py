@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from station.datasets.outputs import OUTPUTS, Floats
 from station.datasets.rows import COLUMNS, NUMBERS, SCHEMA, TEXT, WHOLE, Rows, check_schema, rows_with
 from station.errors import RunError
 
@@ -32,11 +33,13 @@ class NumpyWriter:
         self._columns: dict[str, list[Any]] = {name: [] for name in COLUMNS}
         self._shared: dict[str, dict[str, int]] = {name: {} for name in _SHARED}
         self._payloads: list[bytes] = []
+        self._outputs: list[dict[str, Floats] | None] = []
 
     def write(self, rows: Rows) -> None:
         """Add rows."""
         codes, others = rows.codes(self._width)
         self._codes.write(codes.data)
+        self._outputs += rows.outputs
         self._payloads += [payload if other else b"" for payload, other in zip(rows.payloads, others, strict=True)]
         for name, column in rows.columns.items():
             if (texts := self._shared.get(name)) is not None:
@@ -53,6 +56,10 @@ class NumpyWriter:
             arrays[f"{name}_index" if name in _SHARED else name] = array
         for name, texts in self._shared.items():
             arrays[name] = np.array([text.encode() for text in texts], dtype="S")
+        for name in OUTPUTS:
+            columns = [np.empty(0) if output is None else output[name] for output in self._outputs]
+            arrays[name] = np.concatenate([np.empty(0), *columns])
+            arrays[f"{name}_end"] = np.cumsum([column.size for column in columns], dtype=np.int64)
         arrays["payload"] = np.frombuffer(b"".join(self._payloads), np.uint8)
         arrays["payload_end"] = np.cumsum([len(payload) for payload in self._payloads], dtype=np.int64)
         with zipfile.ZipFile(self._file, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as packed:
@@ -94,12 +101,21 @@ class NumpyTable:
             }
             row["header"] = held["header"][held["header_index"][place]].decode()
             row["number"] = int(held["number"][place])
+            if (outputs := self._output(place)) is not None:
+                row["outputs"] = outputs
             payload = held["payload"][ends[place - 1] if place else 0 : ends[place]]
             yield row, payload.tobytes() if payload.size else self._payload(place)
 
     def __getstate__(self) -> dict[str, str]:
         """What another process needs to read the same file."""
         return {"place": os.path.abspath(self.place)}
+
+    def _output(self, place: int) -> dict[str, Floats] | None:
+        """Output of a fibre gyro; ``None`` where the row holds none."""
+        found = {}
+        for name, (values, ends) in self._held_outputs.items():
+            found[name] = values[ends[place - 1] if place else 0 : ends[place]]
+        return found if found and found[OUTPUTS[0]].size else None
 
     def _payload(self, place: int) -> bytes:
         """Codes of a record; one that sent nothing has none."""
@@ -115,6 +131,12 @@ class NumpyTable:
             *("header", "header_index", "codes", "payload", "payload_end"),
         )
         return {name: self._array(name) for name in names}
+
+    @cached_property
+    def _held_outputs(self) -> dict[str, tuple[Floats, NDArray[np.int64]]]:
+        if json.loads(str(self._array("schema")))["version"] == 1:
+            return {}
+        return {name: (self._array(name), self._array(f"{name}_end")) for name in OUTPUTS}
 
     def _array(self, name: str) -> NDArray[Any]:
         try:

@@ -13,6 +13,9 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
+from station.datasets.outputs import OUTPUTS, Floats
 from station.datasets.packages import package
 from station.datasets.rows import AT_ONCE, COLUMNS, NUMBERS, SCHEMA, WHOLE, Rows, check_schema
 from station.errors import RunError, StationError, UsageError
@@ -40,6 +43,7 @@ class ParquetWriter:
         kinds = {**dict.fromkeys(WHOLE, pyarrow.int64()), **dict.fromkeys(NUMBERS, pyarrow.float64())}
         fields = [pyarrow.field(name, kinds.get(name, pyarrow.string())) for name in COLUMNS]
         fields += [pyarrow.field("codes", pyarrow.binary(width)), pyarrow.field("payload", pyarrow.binary())]
+        fields += [pyarrow.field(name, pyarrow.list_(pyarrow.float64())) for name in OUTPUTS]
         self._schema = pyarrow.schema(fields, {_METADATA: json.dumps({"schema": SCHEMA}).encode()})
         self._writer = parquet.ParquetWriter(
             file, self._schema, compression="zstd", compression_level=1, use_dictionary=list(_CODED_ALIKE)
@@ -58,7 +62,24 @@ class ParquetWriter:
         arrays.append(pyarrow.Array.from_buffers(pyarrow.binary(self._width), len(rows), buffers))
         payloads = [payload if other else None for payload, other in zip(rows.payloads, others, strict=True)]
         arrays.append(pyarrow.array(payloads, pyarrow.binary()))
+        arrays += [self._lists(rows, name) for name in OUTPUTS]
         self._writer.write_table(pyarrow.Table.from_arrays(arrays, schema=self._schema), row_group_size=AT_ONCE)
+
+    def _lists(self, rows: Rows, name: str) -> Any:
+        """One column of the outputs; null where a row holds no output."""
+        pyarrow = self._pyarrow
+        parts = [None if output is None else output[name] for output in rows.outputs]
+        if not any(parts_there := [part is not None for part in parts]):
+            return pyarrow.nulls(len(rows), pyarrow.list_(pyarrow.float64()))
+        ends = np.cumsum([0, *(0 if part is None else part.size for part in parts)]).astype(np.int32)
+        values = np.concatenate([np.empty(0), *(part for part in parts if part is not None)])
+        known = pyarrow.array(parts_there).buffers()[1]
+        return pyarrow.Array.from_buffers(
+            pyarrow.list_(pyarrow.float64()),
+            len(rows),
+            [known, pyarrow.py_buffer(ends)],
+            children=[pyarrow.array(values)],
+        )
 
     def close(self) -> None:
         """Write the end of the file: without it nobody can read it."""
@@ -84,6 +105,7 @@ class ParquetTable:
             at = file.schema_arrow.names.index(_READ[0]) if _READ[0] in file.schema_arrow.names else 0
             self._numbers = [_least_and_most(group.column(at).statistics) for group in groups]
             names = set(file.schema_arrow.names)
+            self._outputs = [name for name in OUTPUTS if name in names]
         found = metadata.get(_METADATA)
         with self._said():
             check_schema(json.loads(found)["schema"] if found else None, place)
@@ -114,8 +136,12 @@ class ParquetTable:
                 with self._said():
                     table = self._row_group(group)
                     columns = [table.column(name).slice(below, above - below).to_pylist() for name in _READ]
-                for *cells, codes, payload in zip(*columns, strict=True):
-                    yield dict(zip(_READ, cells, strict=False)), payload or b"" if codes is None else codes
+                    outputs = _outputs_of(table.slice(below, above - below), self._outputs)
+                for place, (*cells, codes, payload) in enumerate(zip(*columns, strict=True)):
+                    row = dict(zip(_READ, cells, strict=False))
+                    if outputs and outputs[place] is not None:
+                        row["outputs"] = outputs[place]
+                    yield row, payload or b"" if codes is None else codes
             start += size
 
     def __getstate__(self) -> dict[str, Any]:
@@ -127,7 +153,8 @@ class ParquetTable:
         """One row group; small sources one behind the other share it."""
         if group not in self._kept:
             with _opened(self.place) as file:
-                self._kept = {group: file.read_row_group(group, columns=list(_READ), use_threads=False)}
+                read = [*_READ, *self._outputs]
+                self._kept = {group: file.read_row_group(group, columns=read, use_threads=False)}
         return self._kept[group]
 
     @contextmanager
@@ -151,6 +178,21 @@ class ParquetTable:
             raise RunError(
                 f"{self.place}: is damaged or no Parquet file, and cannot be read ({reason}): export it again"
             ) from None
+
+
+def _outputs_of(table: Any, names: list[str]) -> list[dict[str, Floats] | None]:
+    """Outputs of each row, ``None`` where it holds none; an empty list where no row does."""
+    if not names or table.column(names[0]).null_count == len(table):
+        return []
+    found: list[dict[str, Floats] | None] = [
+        {} if there else None for there in table.column(names[0]).is_valid().to_pylist()
+    ]
+    for name in names:
+        column = table.column(name).combine_chunks()
+        for place, row in enumerate(found):
+            if row is not None:
+                row[name] = column[place].values.to_numpy(zero_copy_only=False)
+    return found
 
 
 def _least_and_most(statistics: Any) -> tuple[float, float]:

@@ -17,15 +17,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from instrument import InstrumentError
+from station.datasets.outputs import Floats, bytes_of, packed, unpacked
 from station.errors import RunError
 from station.runs.layouts import TODAY
 from station.runs.store import SavedRecord
 from station.sources.batches import parsed_preamble
 from station.sources.source import Source
 
-SCHEMA = {"name": "gyrolock records", "version": 1}
+VERSION = 2
+SCHEMA = {"name": "gyrolock records", "version": VERSION}
+"""Files of the first version, in which outputs of a fibre gyro are packed, are read too."""
+
 AT_ONCE = 2000
 """Rows that are written and read together: 5 MB of codes."""
+
+_BYTES_AT_ONCE = 20_000_000
+"""Of packed output, which rows may hold much of."""
 
 TEXT = ("source", "key", "taken_at", "purpose", "channel", "axis", "header", "conditions", "sha256", "source_json")
 WHOLE = ("number", "samples", "bytes_per_sample")
@@ -54,14 +61,17 @@ class Rows:
     columns : dict
         By the names of `COLUMNS`: lists of text, of int, of float (nan where nobody knows).
     payloads : list of bytes
-        What the instrument sent.
+        What the instrument sent; empty where it stands in `outputs`.
     coded : ndarray of bool
         Whether it is the codes of an oscilloscope's record.
+    outputs : list of dict or None
+        Output of a fibre gyro, by the names of `OUTPUTS`.
     """
 
     columns: dict[str, list[Any]]
     payloads: list[bytes]
     coded: NDArray[np.bool_]
+    outputs: list[dict[str, Floats] | None]
 
     def __len__(self) -> int:
         return len(self.payloads)
@@ -99,11 +109,13 @@ def rows_of(source: Source, about: str, records: Iterable[SavedRecord]) -> Itera
         Of :func:`described`.
     """
     held: list[SavedRecord] = []
+    size = 0
     for record in records:
         held.append(record)
-        if len(held) == AT_ONCE:
+        size += len(record.payload)
+        if len(held) == AT_ONCE or size >= _BYTES_AT_ONCE:
             yield _rows(source, about, held)
-            held = []
+            held, size = [], 0
     if held:
         yield _rows(source, about, held)
 
@@ -123,7 +135,13 @@ def joined_rows(parts: Iterable[Rows]) -> Iterator[Rows]:
 def record_of(row: Mapping[str, Any], payload: bytes) -> SavedRecord:
     """Return a row as the record that it was; one that has not its checksum is not intact."""
     cells = {name: row[name] for name in ("key", "taken_at", "purpose", "header", "conditions")}
-    intact = TODAY.checksum({**cells, "payload": payload}) == row["sha256"]
+    summed, outputs = payload, row.get("outputs")
+    if outputs is not None:
+        try:
+            payload, summed = packed(cells["header"], outputs)
+        except (ValueError, KeyError, TypeError):
+            payload = summed = b""
+    intact = TODAY.checksum({**cells, "payload": summed}) == row["sha256"]
     try:
         conditions = json.loads(cells["conditions"])
     except ValueError:
@@ -146,7 +164,7 @@ def check_schema(schema: Mapping[str, Any] | None, place: str) -> None:
     """
     if not schema or schema.get("name") != SCHEMA["name"]:
         raise RunError(f"{place}: is no data set of gyrolock: `gyrolock export` writes one")
-    if schema.get("version") != SCHEMA["version"]:
+    if schema.get("version") not in range(1, VERSION + 1):
         version = schema.get("version")
         raise RunError(f"{place}: was written by a newer gyrolock (records {version}): update this one")
 
@@ -154,7 +172,11 @@ def check_schema(schema: Mapping[str, Any] | None, place: str) -> None:
 def _rows(source: Source, about: str, records: Sequence[SavedRecord]) -> Rows:
     columns: dict[str, list[Any]] = {name: [] for name in COLUMNS}
     coded = np.zeros(len(records), dtype=bool)
+    outputs: list[dict[str, Floats] | None] = []
     for place, record in enumerate(records):
+        output = unpacked(record.header, record.payload) if record.intact else None
+        outputs.append(output)
+        summed = record.payload if output is None else bytes_of(record.header, output)
         conditions = json.dumps(record.conditions)
         cells = {
             "key": record.key,
@@ -171,12 +193,13 @@ def _rows(source: Source, about: str, records: Sequence[SavedRecord]) -> Rows:
             "source": source.name,
             "number": record.number,
             # one that is damaged stays so: its sum must not become right again
-            "sha256": TODAY.checksum({**cells, "payload": record.payload}) if record.intact else "",
+            "sha256": TODAY.checksum({**cells, "payload": summed}) if record.intact else "",
             "source_json": about,
         }
         for name, column in columns.items():
             column.append(row[name])
-    return Rows(columns, [record.payload for record in records], coded)
+    payloads = [b"" if output else record.payload for record, output in zip(records, outputs, strict=True)]
+    return Rows(columns, payloads, coded, outputs)
 
 
 def _preamble_columns(record: SavedRecord) -> tuple[dict[str, Any], bool]:
@@ -219,4 +242,5 @@ def _joined(parts: Sequence[Rows]) -> Rows:
         return parts[0]
     columns = {name: [one for part in parts for one in part.columns[name]] for name in COLUMNS}
     payloads = [payload for part in parts for payload in part.payloads]
-    return Rows(columns, payloads, np.concatenate([part.coded for part in parts]))
+    outputs = [output for part in parts for output in part.outputs]
+    return Rows(columns, payloads, np.concatenate([part.coded for part in parts]), outputs)

@@ -7,8 +7,9 @@ from collections.abc import Sequence
 
 from station.dead_band.settings import DeadBandSettings
 from station.events.seen import See, Seen, Value
-from station.ring_laser.at_once import harmonics_of, trace_of, waveform_of
+from station.ring_laser.at_once import harmonics_of, trace_of_beat
 from station.runs.store import NewRecord
+from station.scope.at_once import waveform_of
 
 _BEAT = 0.25
 """Of the largest swing so far: less than this is no beat, but noise or the edge of one."""
@@ -37,4 +38,4 @@ class _Watch:
             Value("beat_frequency_hz", frequency, math.nan, f"{frequency:.5g} Hz" if beats else "no beat"),
         )
         group = str(record.conditions["direction"])
-        return Seen(record.key, group, values, values, trace=trace_of(waveform, fit if beats else None))
+        return Seen(record.key, group, values, values, trace=trace_of_beat(waveform, fit if beats else None))

@@ -7,17 +7,24 @@ from dataclasses import asdict, dataclass
 from itertools import groupby
 
 from analysis import earth_rate_on_axis
+from instrument import ManualRateTable, Waveform
 from station.dead_band.settings import DeadBandSettings
 from station.dead_band.sweep import Step, sweep, time_base
 from station.errors import NoUsableSignal
+from station.ring_laser.at_once import harmonics_of
 from station.ring_laser.bench import Bench
 from station.ring_laser.open import open_for
 from station.ring_laser.records import acquisition_records, set_up, take_record
+from station.ring_laser.table_answer import Beats, beats_at
 from station.runs.store import RunWriter
 from station.runs.taking import Session
 from station.scope.autoset import KnobPositions, find_beat
 
 PURPOSE = "deadband"
+_SURELY_BEYOND = 1.5
+"""Of the expected lock-in rate: from there on a beat that is too slow, as `beats_at` says, shows a wrong rate."""
+
+_LARGE = 0.5  # of the beat that the vertical scale was fitted to: what is no noise
 _FASTER_THAN_RATE = 2.0  # the bias may add to the first rate, but the gyro sees no more than so many times it
 
 
@@ -38,7 +45,11 @@ def take(settings: DeadBandSettings, session: Session) -> None:
     NoUsableSignal
         There is no beat at the first rate, where there must be one.
     """
-    bench = open_for(session, settings)
+    take_on(open_for(session, settings), settings, session)
+
+
+def take_on(bench: Bench, settings: DeadBandSettings, session: Session) -> None:
+    """Sweep on a bench that is open already."""
     set_up(bench, settings.scope, [settings.scope.channel])
     writer = session.begin({"identity": asdict(bench.scope.identity), **truth_of(settings)})
     model = bench.scope.identity.model
@@ -46,7 +57,8 @@ def take(settings: DeadBandSettings, session: Session) -> None:
     there = {record.key for record in session.so_far().taken_for(PURPOSE)}
     if there:
         session.progress.note(f"{len(there)} records are saved already")
-    knobs = _knobs(settings, session, bench, writer)
+    answers = _Answers(bench, settings)
+    knobs = _knobs(settings, session, bench, writer, answers)
     bench.scope.set_channel(settings.scope.channel, scale=knobs.volts_per_division, position=knobs.position)
     numbers = range(1, settings.sweep.records + 1)
     left = [[n for n in numbers if step.key(n) not in there] for step in sweep(settings)]
@@ -61,7 +73,42 @@ def take(settings: DeadBandSettings, session: Session) -> None:
                 # a gyro that comes from rest may be locked where one that comes from a higher rate still turns
                 _turn(bench, steps[0][0], settings)
             turned = True
-            _take_step(step, missing, settings, session, bench, knobs, writer)
+            _take_step(step, missing, settings, session, bench, knobs, writer, answers)
+
+
+@dataclass
+class _Answers:
+    """What an operator says of the rate, against the beat; one who insists is not asked again."""
+
+    bench: Bench
+    settings: DeadBandSettings
+    insists: bool = False
+
+    def doubted(self, step: Step, frequency: float, *, may_lock: bool = False) -> bool:
+        """Ask again where the beat does not fit the rate; whether it is to be looked at again.
+
+        Parameters
+        ----------
+        may_lock : bool, optional
+            The gyro may be locked, or nearly: then only a beat that is too fast is wrong.
+        """
+        table, expected = self.bench.table, self.settings.gyro.expected_lock_in_rate_dps
+        if not isinstance(table, ManualRateTable) or self.insists:
+            return False
+        beats = beats_at(self.settings, table.rate(), self.settings.table.tilt_deg)
+        if may_lock or abs(step.rate_dps) < _SURELY_BEYOND * expected:
+            beats = Beats(0.0, beats.highest)
+        if beats.holds(frequency):
+            return False
+        self.insists = not table.doubt(beats.sentence(frequency))
+        if not self.insists:
+            self.bench.sleep(self.settings.table.settle_s)
+        return not self.insists
+
+    def confirmed(self, rate_dps: float) -> float:
+        """The rate of the table, deg/s: an operator may have set it right."""
+        table = self.bench.table
+        return table.rate() if isinstance(table, ManualRateTable) else rate_dps
 
 
 def truth_of(settings: DeadBandSettings) -> dict[str, dict[str, float]]:
@@ -73,7 +120,9 @@ def truth_of(settings: DeadBandSettings) -> dict[str, dict[str, float]]:
     return {"truth": {"lock_in_rate_dps": lock_in, "dead_band_dps": 2 * lock_in, "bias_rate_dps": -vertical}}
 
 
-def _knobs(settings: DeadBandSettings, session: Session, bench: Bench, writer: RunWriter) -> KnobPositions:
+def _knobs(
+    settings: DeadBandSettings, session: Session, bench: Bench, writer: RunWriter, answers: _Answers
+) -> KnobPositions:
     """Fit the vertical scale to the beat of the first rate, once a run: inside the band there is no beat."""
     if saved := session.facts.get("scope_setting"):
         return KnobPositions(**saved)
@@ -81,8 +130,11 @@ def _knobs(settings: DeadBandSettings, session: Session, bench: Bench, writer: R
     session.progress.note(f"looking for the beat at {first.rate_dps:+.4g} deg/s")
     _turn(bench, first, settings)
     fastest = _FASTER_THAN_RATE * settings.gyro.scale_factor_pulses_per_deg * abs(first.rate_dps)
+    shape = _TrialShape(settings.sweep.fill_levels)
     try:
-        knobs = find_beat(bench.scope, settings.scope, _TrialShape(settings.sweep.fill_levels), fastest)
+        knobs = find_beat(bench.scope, settings.scope, shape, fastest)
+        while answers.doubted(first, knobs.beat_frequency):
+            knobs = find_beat(bench.scope, settings.scope, shape, fastest)
     except NoUsableSignal as error:
         raise NoUsableSignal(
             f"at {first.rate_dps:+.4g} deg/s, the first rate of the sweep and well beyond the dead band: {error}"
@@ -106,6 +158,7 @@ def _take_step(
     bench: Bench,
     knobs: KnobPositions,
     writer: RunWriter,
+    answers: _Answers,
 ) -> None:
     """Go to one rate and take its records; each is on the disk before the next is asked for."""
     rate, channel = _turn(bench, step, settings), settings.scope.channel
@@ -114,7 +167,17 @@ def _take_step(
     bench.scope.set_trigger(source=channel, level=knobs.trigger_level, slope="RISE", mode="AUTO")
     for number in missing:
         waveforms, conditions = take_record(bench, (channel,))
+        while number == missing[0] and answers.doubted(step, _beat_of(waveforms[0], settings), may_lock=True):
+            waveforms, conditions = take_record(bench, (channel,))
+        rate = answers.confirmed(rate)
         conditions |= {"direction": step.direction, "rate_dps": step.rate_dps, "table_rate_dps": rate}
         conditions["clock_s"] = bench.now()
         writer.save_records(acquisition_records(PURPOSE, step.key(number), waveforms, (channel,), conditions))
         session.progress.advance()
+
+
+def _beat_of(waveform: Waveform, settings: DeadBandSettings) -> float:
+    """Frequency of the beat in a record, Hz; 0 where there is none, or a small one that may be noise."""
+    fit = harmonics_of(waveform)
+    large = _LARGE * settings.sweep.fill_levels * abs(waveform.preamble.ymult)
+    return float(fit.frequency) if fit is not None and abs(complex(fit.amplitudes[0])) > large else 0.0

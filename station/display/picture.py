@@ -27,6 +27,9 @@ _NAMES = {
     "ratio": "r",
     "rate_dps": "rate",
     "output_counts": "output",
+    "two_pi_voltage_v": "V_2π",
+    "step_height_v": "step",
+    "step_time_s": "every",
 }
 
 

@@ -1,6 +1,7 @@
 """Which programs of this user are measuring on this machine: each keeps a small file that says how it stands.
 
-A lock that the operating system takes away with the process tells a program that runs from one that was killed.
+A lock that the operating system takes away with the process tells a program that runs from one that was killed. A
+file beside it asks the program to end: that works on every system, and signals do not.
 """
 
 from __future__ import annotations
@@ -8,8 +9,8 @@ from __future__ import annotations
 import json
 import os
 import platform
-import signal
 import sys
+import threading
 import time
 from collections.abc import Iterator
 from contextlib import suppress
@@ -20,9 +21,12 @@ from typing import IO, Any
 from station.errors import UsageError
 from station.events.event import WAYPOINTS, Event
 from station.events.situation import Situation
+from station.runs.stop import stop_from_within
 
 STATE_VARIABLE = "GYROLOCK_STATE"
+_STATUS, _STOP, _LOCK = ".json", ".stop", ".lock"
 _EVERY_S = 1.0
+_LOOK_S = 0.2  # between two looks whether somebody asks it to end
 _KEPT_DAYS = 7.0
 
 
@@ -36,19 +40,25 @@ def state_directory() -> Path:
 
 
 class StatusFile:
-    """Reads events and keeps ``HOST-PID.json`` up to date; where it cannot be written, there is none."""
+    """Reads events and keeps ``HOST-PID.json`` up to date; where it cannot be written, there is none.
+
+    ``HOST-PID.stop`` beside it ends the program, as SIGTERM does.
+    """
 
     def __init__(self, directory: Path | None = None) -> None:
         self.situation = Situation()
         self._written_at = 0.0
         self._lock: IO[bytes] | None = None
-        self._path = (directory or state_directory()) / f"{platform.node() or 'here'}-{os.getpid()}.json"
+        self._ended = threading.Event()
+        self._path = (directory or state_directory()) / f"{platform.node() or 'here'}-{os.getpid()}{_STATUS}"
         with suppress(OSError):
             self._path.parent.mkdir(parents=True, exist_ok=True)
             _forget_old(self._path.parent)
-            lock = self._path.with_suffix(".lock").open("ab")
+            lock = self._path.with_suffix(_LOCK).open("ab")
             if _locked(lock):
                 self._lock = lock
+                self._path.with_suffix(_STOP).unlink(missing_ok=True)  # of a program that had this number before
+                threading.Thread(target=self._listen, name="stop", daemon=True).start()
             else:
                 lock.close()
 
@@ -62,11 +72,10 @@ class StatusFile:
 
     def close(self) -> None:
         """Take the file away: the program has ended, and has said how."""
+        self._ended.set()
         if self._lock is None:
             return
-        with suppress(OSError):
-            self._path.unlink(missing_ok=True)
-            self._path.with_suffix(".lock").unlink(missing_ok=True)
+        _take_away(self._path)
         self._lock.close()
         self._lock = None
 
@@ -77,6 +86,14 @@ class StatusFile:
             draft = self._path.with_suffix(".draft")
             draft.write_text(json.dumps(self.situation.as_json(), allow_nan=False), encoding="utf-8")
             draft.replace(self._path)
+
+    def _listen(self) -> None:
+        """End the program when somebody asks for it; a second time, at once."""
+        asked = self._path.with_suffix(_STOP)
+        while not self._ended.wait(_LOOK_S):
+            with suppress(OSError):  # most of the time it is not there
+                asked.unlink()
+                stop_from_within()
 
 
 @dataclass(frozen=True)
@@ -106,9 +123,7 @@ class Running:
 
     def forget(self) -> None:
         """Take the files of a program that was killed away."""
-        with suppress(OSError):
-            self.path.unlink(missing_ok=True)
-            self.path.with_suffix(".lock").unlink(missing_ok=True)
+        _take_away(self.path)
 
     def stop(self) -> None:
         """Ask it to end, as Ctrl-C in its terminal does: what it has taken is kept.
@@ -118,14 +133,10 @@ class Running:
         UsageError
             It cannot be told.
         """
-        if sys.platform == "win32":
-            raise UsageError("on Windows a program is stopped by Ctrl-C in its own window")
         try:
-            os.kill(self.pid, signal.SIGTERM)
-        except ProcessLookupError:
-            return
+            self.path.with_suffix(_STOP).touch()
         except OSError as error:
-            raise UsageError(f"process {self.pid} cannot be stopped: {error.strerror}") from None
+            raise UsageError(f"process {self.pid} cannot be told to stop: {error.strerror}") from None
 
 
 def running_programs(directory: Path | None = None) -> list[Running]:
@@ -135,14 +146,14 @@ def running_programs(directory: Path | None = None) -> list[Running]:
 
 
 def _found(directory: Path) -> Iterator[Running]:
-    for path in sorted(directory.glob(f"{platform.node() or 'here'}-*.json")):
+    for path in sorted(directory.glob(f"{platform.node() or 'here'}-*{_STATUS}")):
         number = path.stem.rpartition("-")[2]
         try:
             document = json.loads(path.read_text(encoding="utf-8"))
         except (OSError, ValueError):
             continue
         if number.isdecimal() and isinstance(document, dict):
-            yield Running(path, int(number), _is_held(path.with_suffix(".lock")), Situation.of_json(document))
+            yield Running(path, int(number), _is_held(path.with_suffix(_LOCK)), Situation.of_json(document))
 
 
 def _is_held(path: Path) -> bool:
@@ -170,11 +181,17 @@ def _locked(file: IO[bytes]) -> bool:
     return True
 
 
+def _take_away(path: Path) -> None:
+    """Take all files of a program away."""
+    for suffix in (_STATUS, _STOP, _LOCK):
+        with suppress(OSError):
+            path.with_suffix(suffix).unlink(missing_ok=True)
+
+
 def _forget_old(directory: Path) -> None:
     """Take away what programs left that were killed days ago."""
     before = time.time() - _KEPT_DAYS * 86400
-    for path in directory.glob("*.lock"):
+    for path in directory.glob(f"*{_LOCK}"):
         with suppress(OSError):
             if path.stat().st_mtime < before and not _is_held(path):
-                path.unlink(missing_ok=True)
-                path.with_suffix(".json").unlink(missing_ok=True)
+                _take_away(path)

@@ -8,6 +8,7 @@ from typing import Any, TypeVar
 
 import click
 
+from station.fibre_gyro.sniff.command import command as sniff
 from station.shell.command import run_measurement
 from station.shell.options import (
     CHANNELS,
@@ -32,6 +33,9 @@ def command() -> None:
     run, or a list of logs in CSV (see docs/fibre_gyro.md). Exit codes: 0 done or PASS, 1 FAIL against a limit,
     2 usage or settings, 3 link, 4 no usable signal, 130 interrupted. --resume goes on with a run cut short.
     """
+
+
+command.add_command(sniff)
 
 
 def _options(function: F) -> F:
@@ -198,19 +202,31 @@ def settings_file(serial: bool, config: Path | None, as_json: bool) -> int:
 @click.option("--tcp", type=click.IntRange(0, 65535), metavar="PORT", help="On TCP, 0: any free port.")
 @click.option("--speed", type=click.FloatRange(min=0, min_open=True), default=1.0, help="Faster than real time.")
 @click.option("--rate", type=float, default=0.0, metavar="W", help="Rate of the table, deg/s.")
+@click.option(
+    "--clock-ppm", type=click.FloatRange(-2e5, 2e5), default=0.0, metavar="PPM", help="Gyro's clock: fast by."
+)
+@click.option("--format", "named", metavar="NAME", help="Frame format; by default that of the settings.")
 @config_option
 @json_option
-def serve(tcp: int | None, speed: float, rate: float, config: Path | None, as_json: bool) -> int:
+def serve(
+    tcp: int | None,
+    speed: float,
+    rate: float,
+    clock_ppm: float,
+    named: str | None,
+    config: Path | None,
+    as_json: bool,
+) -> int:
     """Serve the simulated gyro on a serial terminal (or TCP); the first line on stdout is its port."""
     from contextlib import suppress
 
-    from station.fibre_gyro.serial_bench import read_frame_format
     from station.fibre_gyro.served import serve_gyro
     from station.fibre_gyro.settings import load_fog_settings
+    from station.fibre_gyro.sniff.known import read_frame_format
 
-    settings = load_fog_settings(config)
+    settings = load_fog_settings(config, {"link": {"frame_format": named}} if named else None)
     layout = read_frame_format(settings)
-    with serve_gyro(settings, layout, tcp_port=tcp, speed=speed, rate_dps=rate) as server:
+    with serve_gyro(settings, layout, tcp_port=tcp, speed=speed, rate_dps=rate, clock_ppm=clock_ppm) as server:
         if as_json:
             print_json({"port": server.port})
         else:

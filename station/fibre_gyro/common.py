@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from analysis.fibre_gyro import ClosedLoop, largest_step, predicted_table_scale
-from station.fibre_gyro.recordings import segments_of
+from instrument.fibre_gyro import ANGLES, HostClock
+from station.fibre_gyro.recordings import Segment, segments_of
 from station.fibre_gyro.settings import FogSettings
 from station.fibre_gyro.simulated_bench import loop_settings, quiet
 from station.report.figure import ACCENT, INK, SECOND, SOFT, THIRD, svg_element
+from station.results.numbers import with_uncertainty
 from station.results.parts import FactTable, PlacedFigure, Rows, Section
-from station.results.result import LeftOut
+from station.results.result import LeftOut, Result
 from station.runs.store import SavedRun
 
 if TYPE_CHECKING:
@@ -26,6 +29,8 @@ PPM = 1e6
 COUNTS_PER_DPS = "counts per deg/s"
 COLOURS = (ACCENT, SECOND, THIRD, INK, "#8a5a9e", "#b0902c", SOFT)
 """Of axes or runs side by side in one figure."""
+_UNKNOWN_CLOCK_U = 0.03 / math.sqrt(3)
+"""Of the interval between two outputs where nobody compared it: clocks of real gyros are up to 3 % off."""
 _TRACE_RATE_DPS = 20.0
 _TALL = (10.0, 5.6)
 _SIMULATED_BY = {"output": "words by the output model", "transit": "every transit time computed"}
@@ -53,6 +58,73 @@ def truth_of(settings: FogSettings) -> dict[str, dict[str, float]]:
 def not_taken(run: SavedRun) -> list[LeftOut]:
     """Return what was not taken at all."""
     return [LeftOut(name, reason) for name, reason in run.facts.left_out_of_plan.items()]
+
+
+def with_link_remarks(result: Callable[[Any, SavedRun, FogSettings], Result]) -> Callable[..., Result]:
+    """Add to the result of a measurement what its segments say of the gyro's clock and of the frame format."""
+
+    def told(found: Any, run: SavedRun, settings: FogSettings) -> Result:
+        made = result(found, run, settings)
+        segments = _all_segments(run)
+        doubts = tuple(dict.fromkeys(f"{doubt}." for one in segments for doubt in one.recording.doubts))
+        clock = clock_of(segments)
+        if clock is None:
+            return replace(made, to_watch=made.to_watch + doubts, flags=made.flags + doubts)
+        document = {
+            "difference_ppm": clock.difference_ppm,
+            "difference_u_ppm": clock.u_ppm,
+            "output_rate_hz": clock.output_rate_hz,
+            "used": clock.used,
+        }
+        return replace(
+            made,
+            sentences=(*made.sentences, *_clock_sentences(clock, segments)),
+            to_watch=made.to_watch + doubts,
+            flags=made.flags + doubts,
+            document={**made.document, "gyro_clock": document},
+        )
+
+    return told
+
+
+def clock_of(segments: Sequence[Segment]) -> HostClock | None:
+    """Return the gyro's clock beside the computer's over all segments, weighted; ``None`` if none says it."""
+    clocks = [one.recording.host_clock for one in segments if one.recording.host_clock is not None]
+    if not clocks:
+        return None
+    weights = np.array([one.interval_u_s**-2.0 for one in clocks])
+    mean = float(weights @ [one.interval_s for one in clocks] / weights.sum())
+    # the computer's clock is the same for all, so more segments do not make it better
+    u = min(one.interval_u_s for one in clocks)
+    return HostClock(clocks[0].stated_s, mean, u, any(one.used for one in clocks))
+
+
+def angle_clock_u(segments: Sequence[Segment]) -> float:
+    """Relative standard uncertainty of K that the clock gives where the output is an angle a frame; else 0."""
+    if not any(one.conditions.get("output_unit") in ANGLES for one in segments):
+        return 0.0
+    clock = clock_of(segments)
+    return _UNKNOWN_CLOCK_U if clock is None else clock.u_ppm / PPM
+
+
+def _all_segments(run: SavedRun) -> list[Segment]:
+    purposes = dict.fromkeys(record.purpose for record in run.records)
+    return [segment for purpose in purposes for segment in segments_of(run, purpose)]
+
+
+def _clock_sentences(clock: HostClock, segments: Sequence[Segment]) -> tuple[str, ...]:
+    """Say how the gyro's clock differs, what was done, and what it does to K."""
+    angle = any(one.conditions.get("output_unit") in ANGLES for one in segments)
+    rate = with_uncertainty(clock.output_rate_hz, clock.u_ppm / PPM * clock.output_rate_hz, "Hz")
+    if not clock.used:
+        return ()
+    said = (
+        f"The gyro sends {rate} by the computer's clock, {clock} from the stated {1 / clock.stated_s:g} Hz: "
+        "times, whole turns and noise follow the computer's clock."
+    )
+    if angle:
+        return said, "The output is an angle a frame, so K rests on that rate; its uncertainty is in that of K."
+    return said, "K in counts per deg/s is a mean over words and does not depend on their rate."
 
 
 def reasons_of(left_out: Sequence[LeftOut], before: str = ": ") -> str:
@@ -96,8 +168,7 @@ def output_facts(found: object, run: SavedRun, settings: FogSettings) -> list[Fa
 
 
 def _condition_rows(run: SavedRun, settings: FogSettings) -> Rows:
-    purposes = dict.fromkeys(record.purpose for record in run.records)
-    segments = [segment for purpose in purposes for segment in segments_of(run, purpose)]
+    segments = _all_segments(run)
     losses = [segment.recording.losses for segment in segments]
     clocks = sorted({segment.recording.clock for segment in segments})
     models = sorted({str(one.conditions["model"]) for one in segments if "model" in one.conditions})
@@ -108,6 +179,8 @@ def _condition_rows(run: SavedRun, settings: FogSettings) -> Rows:
         ("clock", ", ".join(clocks)),
         ("latitude", f"{settings.site.latitude_deg:g}°"),
     ]
+    if (host := clock_of(segments)) is not None:
+        rows.append(("gyro's clock against the computer's", str(host)))
     if models:
         rows.append(("simulation", ", ".join(_SIMULATED_BY[model] for model in models)))
     if any(segment.conditions.get("acknowledged") is False for segment in segments):

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from instrument.fibre_gyro import Gap, Losses, Recording
+from instrument.fibre_gyro import Gap, HostClock, Losses, Recording
 from station.errors import RunError
 from station.runs.store import NewRecord, SavedRecord, SavedRun
 
@@ -65,6 +65,8 @@ def new_record(key: str, conditions: Mapping[str, Any], recording: Recording) ->
         "clock": recording.clock,
         "gaps": [asdict(gap) for gap in recording.gaps],
         "losses": asdict(recording.losses),
+        "host_clock": None if recording.host_clock is None else asdict(recording.host_clock),
+        "doubts": recording.doubts,
     }
     return NewRecord(key, conditions["purpose"], json.dumps(header), payload, conditions)
 
@@ -96,7 +98,7 @@ def _columns_of(recording: Recording) -> dict[str, NDArray[np.float64]]:
 def _recording_from(described: dict[str, Any], payload: bytes) -> Recording:
     table = np.frombuffer(zlib.decompress(payload), dtype="<f8").reshape(len(described["columns"]), -1)
     columns = dict(zip(described["columns"], table.astype(np.float64), strict=True))
-    status = columns.get("status")
+    status, host_clock = columns.get("status"), described.get("host_clock")
     return Recording(
         times=columns["times"],
         counts=columns["counts"],
@@ -107,4 +109,6 @@ def _recording_from(described: dict[str, Any], payload: bytes) -> Recording:
         losses=Losses(**described["losses"]),
         interval_s=described["interval_s"],
         clock=described["clock"],
+        host_clock=None if host_clock is None else HostClock(**host_clock),
+        doubts=tuple(described.get("doubts", ())),
     )

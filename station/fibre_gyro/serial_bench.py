@@ -4,18 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from pathlib import Path
 from typing import Any
 
 from instrument import InstrumentError, ManualRateTable, RateTable
-from instrument.fibre_gyro import FibreGyroLink, FrameFormat, Recording, parse_frame_format
+from instrument.fibre_gyro import FibreGyroLink, Recording
 from station.controllers.open import open_rate_table, open_surroundings
-from station.errors import SettingsError
 from station.fibre_gyro.segments import FogBench, PlannedSegment
 from station.fibre_gyro.settings import FogSettings
+from station.fibre_gyro.sniff.known import read_frame_format
 from station.runs.operator import ask_operator
-from station.settings.load import shipped_settings
-from station.settings.toml_files import read_toml
 from station.terminal.lines import remark
 
 Ask = Callable[[str], str]
@@ -32,6 +29,8 @@ class SerialFogBench:
         Asks the operator to change what cannot be commanded: the axis, the power, the temperature.
     surroundings : callable, optional
         What chamber and power supply read now, under names with their units.
+    counts_per_dps : float, optional
+        By design; turns an output in deg/s, deg/h or an angle into counts.
     """
 
     _BY_HAND = ("axis", "end_up", "run", "temperature_c")
@@ -42,16 +41,22 @@ class SerialFogBench:
         table: RateTable,
         ask: Ask,
         surroundings: Callable[[], dict[str, float]] = dict,
+        counts_per_dps: float | None = None,
     ) -> None:
         self._link, self._table, self._ask, self._surroundings = link, table, ask, surroundings
+        self._counts_per_dps = counts_per_dps
         self._by_hand: tuple[Any, ...] = ()
         self._rate = 0.0
         self._step = 0.0
         self._held = False
 
     def refuses(self, planned: PlannedSegment) -> str:
-        """Steps beyond what the frame format can express, commands that the gyro does not have."""
+        """Axes that the frames do not hold, steps beyond what they can express, commands that are not there."""
         layout, wanted = self._link.layout, planned.conditions
+        try:
+            layout.output_of(str(wanted.get("axis") or ""))
+        except InstrumentError as error:
+            return str(error)
         if "loop" in wanted and "hold_feedback" not in layout.commands:
             return "the frame format of this gyro has no command hold_feedback"
         step = float(wanted.get("step_codes", 0.0))
@@ -79,11 +84,19 @@ class SerialFogBench:
             reached |= self._inject(float(wanted["step_codes"]), wanted)
         if not self._link.acknowledges and ("step_codes" in wanted or "loop" in wanted):
             reached["acknowledged"] = False
+        if self._link.layout.unit != "counts":
+            reached["output_unit"] = self._link.layout.unit
         return reached | self._surroundings()
 
     def record(self, planned: PlannedSegment, progress: Callable[[float], None]) -> Recording:
-        """Record from the link."""
-        return self._link.record(planned.seconds, skip_s=planned.settle_s, progress=progress)
+        """Record from the link; where frames hold several outputs, that of the segment's axis."""
+        return self._link.record(
+            planned.seconds,
+            skip_s=planned.settle_s,
+            progress=progress,
+            axis=str(planned.conditions.get("axis") or ""),
+            counts_per_dps=self._counts_per_dps,
+        )
 
     def leave(self) -> None:
         """Take the injection away, close the loop and stop the table; never raises."""
@@ -128,27 +141,6 @@ class SerialFogBench:
             self._table.close()
 
 
-def read_frame_format(settings: FogSettings) -> FrameFormat:
-    """Find and parse the frame format that the settings name.
-
-    Raises
-    ------
-    SettingsError
-        There is no such file or no such format.
-    InstrumentError
-        The description is wrong.
-    """
-    name, given = settings.link.frame_format, settings.link.frame_format_file
-    file = Path(given) if given else shipped_settings("fibre_gyro_frames")
-    formats = read_toml(file).get("formats", {})
-    if not isinstance(formats, dict):
-        raise SettingsError(f"{file}: formats is no table: each format is a [formats.NAME] of its own")
-    if name not in formats:
-        there = ", ".join(formats) or "none"
-        raise SettingsError(f"{file}: there is no [formats.{name}]; link.frame_format can be: {there}")
-    return parse_frame_format(formats[name], where=f"formats.{name}")
-
-
 @contextmanager
 def _table(settings: FogSettings, tell: Callable[[str], None]) -> Iterator[RateTable]:
     named = None if settings.controllers is None else settings.controllers.rate_table
@@ -186,7 +178,7 @@ def open_fog_bench(settings: FogSettings, tell: Callable[[str], None] = remark) 
         open_surroundings(settings.controllers, tell=tell) as surroundings,
         _table(settings, tell) as table,
     ):
-        bench = SerialFogBench(link, table, ask_operator, surroundings)
+        bench = SerialFogBench(link, table, ask_operator, surroundings, settings.nominal_scale_factor)
         try:
             yield bench
         finally:

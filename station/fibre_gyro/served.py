@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from analysis.fibre_gyro import OutputModel
 from analysis.rotation import EARTH_RATE_DPS
-from instrument.fibre_gyro import FrameFormat
+from instrument.fibre_gyro import FrameFormat, counts_per_unit
 from instrument.simulated.fibre_gyro.server import PtyGyroServer, TcpGyroServer
 from station.errors import UsageError
 from station.fibre_gyro.settings import FogSettings
@@ -43,6 +43,11 @@ class ServedGyro:
         self._earth = EARTH_RATE_DPS * np.sin(np.deg2rad(settings.site.latitude_deg))
         self._step, self._held = 0.0, False
 
+    def noise_from(self, number: int) -> None:
+        """Begin anew with other noise, for one of several gyros."""
+        coil = self._settings.coil.scaled(1 + 1e-6 * self._settings.simulation.scale_change_ppm)
+        self._model = OutputModel(coil, self._loop, self._settings.simulation.seed + number)
+
     def samples(self, count: int) -> Mapping[str, NDArray[np.float64]]:
         """The next output words, in counts."""
         block = self._model.run(
@@ -72,6 +77,36 @@ class ServedGyro:
             self._step = step
 
 
+class SpokenAs:
+    """A served gyro whose outputs are named, and in the unit, as a frame format has them.
+
+    Of several outputs that of the table's last axis sees its rate, the others are gyros at rest.
+    """
+
+    def __init__(self, gyro: ServedGyro, settings: FogSettings, layout: FrameFormat) -> None:
+        self._gyro = gyro
+        self._unit = 1.0
+        if layout.unit != "counts":
+            self._unit = 1 / counts_per_unit(layout.unit, layout.interval_s, settings.nominal_scale_factor)
+        turned = layout.output_of(settings.table.axes[-1])
+        self._turned = turned
+        self._others = {name: ServedGyro(settings, layout.interval_s) for name in layout.outputs if name != turned}
+        for number, other in enumerate(self._others.values(), start=1):
+            other.noise_from(number)
+
+    def samples(self, count: int) -> Mapping[str, NDArray[np.float64]]:
+        """The next output words of all gyros."""
+        made = dict(self._gyro.samples(count))
+        made[self._turned] = self._unit * made.pop("counts")
+        for name, other in self._others.items():
+            made[name] = self._unit * other.samples(count)["counts"]
+        return made
+
+    def command(self, name: str, step: float) -> None:
+        """What the gyro on the table is told; ValueError as there."""
+        self._gyro.command(name, step)
+
+
 @contextmanager
 def serve_gyro(
     settings: FogSettings,
@@ -80,6 +115,7 @@ def serve_gyro(
     tcp_port: int | None = None,
     speed: float = 1.0,
     rate_dps: float = 0.0,
+    clock_ppm: float = 0.0,
 ) -> Iterator[PtyGyroServer | TcpGyroServer]:
     """Serve the simulated gyro until the context ends.
 
@@ -91,6 +127,8 @@ def serve_gyro(
         Seconds of the gyro's time in one second.
     rate_dps : float, optional
         Of the table.
+    clock_ppm : float, optional
+        How much faster than stated the gyro's clock runs.
 
     Yields
     ------
@@ -102,13 +140,14 @@ def serve_gyro(
     UsageError
         The system has no such terminal, or the port is taken.
     """
-    model = ServedGyro(settings, layout.interval_s)
-    model.rate_dps = rate_dps
+    gyro = ServedGyro(settings, layout.interval_s)
+    gyro.rate_dps = rate_dps
+    model = SpokenAs(gyro, settings, layout)
     try:
         if tcp_port is None:
-            server: PtyGyroServer | TcpGyroServer = PtyGyroServer(model, layout, speed=speed)
+            server: PtyGyroServer | TcpGyroServer = PtyGyroServer(model, layout, speed=speed, clock_ppm=clock_ppm)
         else:
-            server = TcpGyroServer(model, layout, tcp_port=tcp_port, speed=speed)
+            server = TcpGyroServer(model, layout, tcp_port=tcp_port, speed=speed, clock_ppm=clock_ppm)
     except OSError as error:
         raise UsageError(f"the simulated gyro cannot be served: {error.strerror or error}") from None
     with server:

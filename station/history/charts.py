@@ -107,11 +107,11 @@ def course_svg(course: Course, name: str) -> str:
             below.axhline(chart.range_limit, color=SECOND, linewidth=1.0, linestyle=(0, (5, 3)))
         for axes, values, places in ((above, chart.values, flagged), (below, chart.moving_range, jumps)):
             axes.plot(number[places], values[places], "s", ms=8, mfc="none", mec=SECOND, mew=1.6)
-        above.set(ylabel=course.name.rpartition(": ")[2])
+        above.set(ylabel="value")
         above.ticklabel_format(axis="y", useOffset=False)
         below.set(xlabel="test, in the order of time", ylabel="moving range", xlim=(0.4, number.size + 0.6))
         below.set_ylim(bottom=0)
-        below.xaxis.set_major_locator(MaxNLocator(integer=True))
+        below.xaxis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))
 
     return svg_element(name, TALL, draw)
 

@@ -28,6 +28,7 @@ def render_index(path: Path, tests: Sequence[PastTest], courses: Sequence[Course
     newest: dict[str, PastTest] = {one.unit: one for one in tests}
     counted = {verdict: sum(one.verdict == verdict for one in newest.values()) for verdict in _STATES}
     summary = ", ".join(f"{count} {verdict}" for verdict, count in counted.items() if count)
+    units = "unit" if len(newest) == 1 else "units"
     rows = [
         {
             "at": one.at[:16].replace("T", " "),
@@ -52,7 +53,7 @@ def render_index(path: Path, tests: Sequence[PastTest], courses: Sequence[Course
     return render_page(
         "history.html.j2",
         version=version("gyrolock"),
-        summary=f"{len(newest)} units: {summary}" if newest else "No unit was tested yet.",
+        summary=f"{len(newest)} {units}: {summary}" if newest else "No unit was tested yet.",
         rows=rows,
         sections=sections,
         footer=f"Made by gyrolock {version('gyrolock')} from the records of {len(tests)} tests.",

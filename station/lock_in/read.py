@@ -30,7 +30,9 @@ from instrument import Waveform
 from station.errors import RunError, UsageError
 from station.lock_in.found import LockInFound, Numbered, SavedWaveforms
 from station.lock_in.knowledge import knowledge_of_files, run_knowledge
-from station.lock_in.records.pieces import Gathered, estimate_pieces, pieces_of, together
+from station.lock_in.records.collected import Collected
+from station.lock_in.records.pairs import Pairs, whole_pairs
+from station.lock_in.records.pieces import Gathered, Piece, described_records, estimate_pieces, pieces_of
 from station.lock_in.settings import Settings
 from station.ring_laser.records import saved_waveform
 from station.runs.progress import Progress
@@ -104,47 +106,62 @@ def evaluate_source(
     Returns
     -------
     LockInFound, tuple of str
-        And which records are damaged, in sentences. ``None`` where records of two channels belong together,
-        which this does not do.
+        And which records are damaged, in sentences. ``None`` where only some of the records have a second one of
+        another channel.
 
     Raises
     ------
     RunError, UsageError
         As :func:`evaluate_run`.
     """
-    if settings.scope.quadrature_channel:
-        return None
     chosen = {"scale_factor": settings.gyro.scale_factor_pulses_per_deg, **choices}
-    parts = []
-    pieces = pieces_of(source, chosen)
-    progress.start("thousands of records", len(pieces))
-    for (part,) in workers.map(estimate_pieces, pieces):
-        if part.left_out and part.left_out[-1].record is None:
-            raise RunError(str(part.left_out[-1]))
-        parts.append(replace(part, labels={}))
-        progress.advance()
-    gathered = together(parts)
-    if gathered.paired:
+    gathered = _read_pairs(source, chosen) if settings.scope.quadrature_channel else None
+    paired = gathered is not None
+    if gathered is None:
+        gathered = _estimated(source, chosen, workers, progress)
+    if gathered.paired and not paired:
         return None
-    if gathered.each is None:
+    if not len(gathered):
         what = "only damaged records" if gathered.taken else "no record at the slow rate"
         raise RunError(f"{source.name}: the run holds {what}")
     fast = _arrays(([saved_waveform(record, source.path) for record in gathered.fast],), gathered.fast)
     waveforms = SavedWaveforms(source, gathered.numbers)
     slow = gathered_arrays(gathered, waveforms)
+    if paired:
+        slow = replace(slow, batches=Pairs(source, gathered), n_channels=2)
     found = _evaluated(RunArrays(slow, fast), settings, Method(**chosen), gathered.each)
-    rows: Sequence[int] = range(len(gathered))
+    rows: slice | list[int] = slice(None)
     if found.several is not None:
-        rows = found.several.reference_group.rows
+        rows = list(found.several.reference_group.rows)
     in_words = LockInFound(
         **vars(found),
         names=Numbered(gathered.places),
         waveforms=waveforms,
         damaged=tuple(str(place + 1) for place in gathered.damaged),
-        truth={name: fmean(values[list(rows)]) for name, values in gathered.truth.items()} or None,
+        truth={name: fmean(values[rows]) for name, values in gathered.truth.items()} or None,
         without_beat=tuple(source.facts.get("rates_without_beat", ())),
     )
     return in_words, gathered.damage
+
+
+def _estimated(source: Source, choices: Mapping[str, Any], workers: Workers, progress: Progress) -> Gathered:
+    """Estimates of all records of a run, piece by piece; RunError if it cannot be read."""
+    collected, pieces = Collected(), pieces_of(source, choices)
+    progress.start("thousands of records", len(pieces))
+    for (part,) in workers.map(estimate_pieces, pieces):
+        if part.left_out and part.left_out[-1].record is None:
+            raise RunError(str(part.left_out[-1]))
+        collected.add(part)
+        progress.advance()
+    return collected.gathered()
+
+
+def _read_pairs(source: Source, choices: Mapping[str, Any]) -> Gathered | None:
+    """What is known of the records of two photodiodes but their samples; ``None`` where not all are pairs."""
+    gathered = described_records(Piece(source, None, choices))
+    if gathered.left_out and gathered.left_out[-1].record is None:
+        raise RunError(str(gathered.left_out[-1]))
+    return whole_pairs(gathered)
 
 
 def _evaluated(

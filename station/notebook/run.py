@@ -13,7 +13,6 @@ import numpy as np
 from analysis import LockInEstimate
 from analysis.lock_in_run import Method
 from instrument import Preamble, Waveform
-from station.catalogue.remarks import Remarks, add_remark, read_remarks
 from station.datasets.reading import names_of, run_of
 from station.errors import EXIT_NO_SIGNAL, Failure, NoUsableSignal, UsageError
 from station.fibre_gyro.recordings import segments_of
@@ -22,6 +21,7 @@ from station.notebook.records import Record, Records
 from station.notebook.result import Result
 from station.reanalysis.files import AnalyzedFiles, analyze_waveforms
 from station.ring_laser.records import saved_waveform
+from station.runs.remarks import Remarks, add_remark, read_remarks
 from station.runs.store import SavedRecord, SavedRun
 from station.runs.store import open_run as read_run
 from station.shell.evaluated import Evaluated, evaluate_run, kind_of

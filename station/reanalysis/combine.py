@@ -5,23 +5,25 @@ from __future__ import annotations
 import csv
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, overload
 
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.lock_in_run import AxisRates, Method, RecordArrays, RunArrays, evaluate
+from analysis.lock_in_run import AxisRates, RecordArrays, RunArrays, evaluate
 from instrument import Waveform
-from station.errors import NoUsableSignal, RunError, UsageError
+from station.errors import NoUsableSignal, UsageError
 from station.lock_in.found import LockInFound
 from station.lock_in.knowledge import knowledge_of_records, run_knowledge
 from station.lock_in.read import gathered_arrays
-from station.lock_in.records.pieces import Gathered, Piece, estimate_pieces, together
+from station.lock_in.records.collected import Collected
+from station.lock_in.records.pieces import Gathered, estimate_pieces
 from station.lock_in.result import result
 from station.lock_in.settings import load_settings
 from station.reanalysis.files import AnalyzedFiles
+from station.reanalysis.work import Work
 from station.ring_laser.records import saved_waveform
 from station.runs.operator import ask_number
 from station.runs.progress import Progress
@@ -30,9 +32,6 @@ from station.sources.batches import LeftOut
 from station.sources.find import open_source
 from station.sources.source import Source
 from station.sources.workers import Workers
-
-TOGETHER = 200
-"""Sources that make one piece of work."""
 
 ONE_RATE = 0.02
 """Beat frequencies of records at one rate differ by less than this share."""
@@ -72,35 +71,24 @@ def combine(
     NoUsableSignal
         None of them holds a record of a beat.
     """
-    everything = list(sources)
-    work = [
-        [Piece(source, None, choices) for source in everything[first : first + TOGETHER]]
-        for first in range(0, len(everything), TOGETHER)
-    ]
-    progress.start("pieces of work", len(work))
-    parts: list[Gathered] = []
-    for found in workers.map(estimate_pieces, work):
-        parts += [_of_channel(part, channel) for part in found]
-        progress.advance()
-    left_out = [one for part in parts for one in part.left_out]
-    used = [part for part in parts if part.each is not None]
-    if not used:
+    work = Work(sources, choices, whole=True)
+    found = _Sources(channel)
+    for parts in work.done_by(workers, estimate_pieces, progress):
+        for part in parts:
+            found.add(part)
+    whole, left_out = found.gathered(), found.left_out
+    if whole is None or whole.each is None or whole.method is None:
         reason = f": {left_out[0]}" if left_out else ""
-        raise NoUsableSignal(f"none of {len(everything)} sources holds a record of a beat{reason}")
-    method = _one_gyro(used)
-    names = [name for part in used for name in _names(part)]
-    waveforms = _Waveforms([part.name for part in used], [part.numbers for part in used])
-    whole = together(used)
+        raise NoUsableSignal(f"none of {len(work)} sources holds a record of a beat{reason}")
+    used, method, estimated = found.used, whole.method, whole.each
+    names, waveforms = _Names(used, whole.places), _Waveforms(used, whole.numbers, work.opened)
     knowledge = run_knowledge(load_settings(config)) if config is not None else None
     if knowledge is None:
-        knowledge = knowledge_of_records(whole.labels["wfid"], method)
-    estimated = whole.each
-    if estimated is None:
-        raise NoUsableSignal("no record is left")
+        knowledge = knowledge_of_records(found.wfids, method)
     axis = _stated_rates(used, rates)
     if axis is None and method.input_rate is None:
         axis = _asked_rates(used, estimated.beat_frequency)
-    unknown = np.full(len(whole), math.nan)
+    unknown = np.broadcast_to(math.nan, (len(whole),))
     slow = replace(
         gathered_arrays(whole, waveforms),
         table_rate=unknown if axis is None else axis.rates,
@@ -112,8 +100,104 @@ def combine(
     shown = LockInFound(
         **vars(found_run), names=names, waveforms=waveforms, damaged=tuple(str(n + 1) for n in whole.damaged)
     )
-    paths = tuple(Path(part.name) for part in used)
-    return AnalyzedFiles(paths, shown, None, result(shown), tuple(left_out), tuple(part.about for part in used))
+    paths = tuple(Path(one.name) for one in used)
+    return AnalyzedFiles(paths, shown, None, result(shown), tuple(left_out), tuple(one.about for one in used))
+
+
+@dataclass
+class _Used:
+    """A source of which records count.
+
+    Attributes
+    ----------
+    about : dict
+        What it says of unit, gyro and oscilloscope.
+    taken, count : int
+        Records that it holds, and that were estimated.
+    """
+
+    name: str
+    about: dict[str, str | None]
+    taken: int
+    count: int
+
+
+class _Sources:
+    """Sources of one gyro and one channel, as their pieces come: their estimates, and what else is needed of each.
+
+    Parameters
+    ----------
+    channel : str or None
+        Only records of this input.
+    """
+
+    def __init__(self, channel: str | None) -> None:
+        self._channel, self._collected = channel, Collected()
+        self._said: dict[str, tuple[str, str]] = {}
+        self._seen: dict[str, str] = {}
+        self._last = ""
+        self.used: list[_Used] = []
+        self.wfids: dict[str, None] = {}
+        self.left_out: list[LeftOut] = []
+
+    def add(self, part: Gathered) -> None:
+        """Take a piece of a source, or a whole one.
+
+        Raises
+        ------
+        UsageError
+            It is not of the same gyro, or not of the same channel.
+        """
+        self.left_out += part.left_out
+        if part.each is None or self._is_known(part):
+            return
+        part = _of_channel(part, self._channel)
+        if part.each is None:
+            return
+        self._check(part)
+        self.wfids |= dict.fromkeys(part.labels["wfid"])
+        self._collected.add(part)
+        if self.used and self.used[-1].name == part.name:
+            self.used[-1].taken += part.taken
+            self.used[-1].count += len(part)
+            return
+        about = part.about if not self.used or self.used[-1].about != part.about else self.used[-1].about
+        self.used.append(_Used(part.name, about, part.taken, len(part)))
+
+    def gathered(self) -> Gathered | None:
+        """All records together; ``None`` if there is none."""
+        return self._collected.gathered() if self.used else None
+
+    def _is_known(self, part: Gathered) -> bool:
+        """Whether the same measurement was there already: counted twice it would seem better known than it is."""
+        if part.sha256 and (first := self._seen.setdefault(part.sha256, part.name)) != part.name:
+            self.left_out.append(LeftOut(part.name, None, f"holds the same records as {first}: counted once"))
+            return True
+        return False
+
+    def _check(self, part: Gathered) -> None:
+        if part.paired:
+            raise UsageError(
+                f"{part.name}: runs with a second photodiode are not combined: analyze them one by one"
+            )
+        factor = "" if part.method is None else f"{part.method.scale_factor:g}"
+        said: dict[str, Iterable[str | None]] = {
+            "scale factors": [factor],
+            "units": [part.about.get("unit")],
+            "gyros": [part.about.get("gyro")],
+            "inputs": dict.fromkeys(part.labels["channel"]),
+        }
+        for what, values in said.items():
+            for value in filter(None, values):
+                first, there = self._said.setdefault(what, (part.name, value))
+                if value != there:
+                    advice = _ADVICE.get(what, "combine those of one")
+                    raise UsageError(
+                        f"mixed {what}: {first} has {there}, {part.name} has {value}: {advice}, or leave --combine"
+                    )
+
+
+_ADVICE = {"scale factors": "give --scale-factor", "inputs": "choose one with --channel"}
 
 
 def _nothing(like: RecordArrays) -> RecordArrays:
@@ -121,12 +205,6 @@ def _nothing(like: RecordArrays) -> RecordArrays:
     none = np.empty(0)
     count = np.empty(0, dtype=np.int64)
     return RecordArrays((), like.n_channels, count, none, none, none, none, none)
-
-
-def _names(part: Gathered) -> list[str]:
-    if part.taken == 1:
-        return [part.name]
-    return [f"{part.name}, {place + 1}" for place in part.places.tolist()]
 
 
 def _of_channel(part: Gathered, channel: str | None) -> Gathered:
@@ -145,35 +223,7 @@ def _of_channel(part: Gathered, channel: str | None) -> Gathered:
     )
 
 
-def _one_gyro(parts: Sequence[Gathered]) -> Method:
-    """The method of all; UsageError if they are not of one gyro and one channel."""
-    for what, said in (
-        (
-            "scale factors",
-            {part.name: f"{part.method.scale_factor:g}" for part in parts if part.method is not None},
-        ),
-        ("units", {part.name: part.about["unit"] for part in parts if part.about.get("unit")}),
-        ("gyros", {part.name: part.about["gyro"] for part in parts if part.about.get("gyro")}),
-        ("inputs", {part.name: name for part in parts for name in part.labels["channel"] if name}),
-    ):
-        first = next(iter(said.items()), None)
-        other = next((item for item in said.items() if first is not None and item[1] != first[1]), None)
-        if first is not None and other is not None:
-            advice = {"scale factors": "give --scale-factor", "inputs": "choose one with --channel"}.get(
-                what, "combine those of one"
-            )
-            raise UsageError(
-                f"mixed {what}: {first[0]} has {first[1]}, {other[0]} has {other[1]}: {advice}, or leave --combine"
-            )
-    if any(part.paired for part in parts):
-        raise UsageError("runs with a second photodiode are not combined: analyze them one by one")
-    method = parts[0].method
-    if method is None:
-        raise RunError(f"{parts[0].name}: was not read")
-    return method
-
-
-def _stated_rates(parts: Sequence[Gathered], rates: Path | None) -> AxisRates | None:
+def _stated_rates(parts: Sequence[_Used], rates: Path | None) -> AxisRates | None:
     if rates is None:
         return None
     stated = read_rates(rates)
@@ -185,8 +235,8 @@ def _stated_rates(parts: Sequence[Gathered], rates: Path | None) -> AxisRates | 
     return _axis_rates(parts, found)
 
 
-def _axis_rates(parts: Sequence[Gathered], found: Sequence[tuple[float, float]]) -> AxisRates:
-    counts = [len(part) for part in parts]
+def _axis_rates(parts: Sequence[_Used], found: Sequence[tuple[float, float]]) -> AxisRates:
+    counts = [part.count for part in parts]
     rates = np.repeat([rate for rate, _ in found], counts)
     return AxisRates(rates, np.zeros(rates.size), np.repeat([u for _, u in found], counts))
 
@@ -239,7 +289,7 @@ def read_rates(path: Path) -> dict[str, tuple[float, float]]:
     return found
 
 
-def _asked_rates(parts: Sequence[Gathered], frequency: NDArray[np.float64]) -> AxisRates | None:
+def _asked_rates(parts: Sequence[_Used], frequency: NDArray[np.float64]) -> AxisRates | None:
     """Ask for the rate of each source where the beats show that there are several; ``None`` at one rate.
 
     Raises
@@ -258,12 +308,35 @@ def _asked_rates(parts: Sequence[Gathered], frequency: NDArray[np.float64]) -> A
     return _axis_rates(parts, found)
 
 
+class _Names(Sequence[str]):
+    """What records of many sources are called: by their file, or by it and their number in it."""
+
+    def __init__(self, used: Sequence[_Used], places: NDArray[np.int64]) -> None:
+        self._used, self._places = used, places
+        self._ends = np.cumsum([one.count for one in used])
+        self._begins = np.cumsum([0, *(one.taken for one in used)])
+
+    def __len__(self) -> int:
+        return int(self._ends[-1])
+
+    @overload
+    def __getitem__(self, place: int) -> str: ...
+    @overload
+    def __getitem__(self, place: slice) -> Sequence[str]: ...
+    def __getitem__(self, place: int | slice) -> str | Sequence[str]:
+        if isinstance(place, slice):
+            return [self[one] for one in range(*place.indices(len(self)))]
+        source = int(np.searchsorted(self._ends, place, side="right"))
+        one = self._used[source]
+        return one.name if one.taken == 1 else f"{one.name}, {self._places[place] - self._begins[source] + 1}"
+
+
 class _Waveforms(Sequence[Waveform]):
     """Records of many sources, read when they are asked for."""
 
-    def __init__(self, names: Sequence[str], numbers: Sequence[NDArray[np.int64]]) -> None:
-        self._names, self._numbers = names, numbers
-        self._ends = np.cumsum([part.size for part in numbers])
+    def __init__(self, used: Sequence[_Used], numbers: NDArray[np.int64], opened: Mapping[str, Source]) -> None:
+        self._used, self._numbers, self._opened = used, numbers, opened
+        self._ends = np.cumsum([one.count for one in used])
 
     def __len__(self) -> int:
         return int(self._ends[-1])
@@ -275,12 +348,11 @@ class _Waveforms(Sequence[Waveform]):
     def __getitem__(self, place: int | slice) -> Waveform | Sequence[Waveform]:
         if isinstance(place, slice):
             return [self[one] for one in range(*place.indices(len(self)))]
-        part = int(np.searchsorted(self._ends, place, side="right"))
-        within = place - (int(self._ends[part - 1]) if part else 0)
-        number = int(self._numbers[part][within])
-        path = Path(self._names[part])
-        (record,) = open_source(path).records(range(number, number + 1))
-        return saved_waveform(record, path)
+        name = self._used[int(np.searchsorted(self._ends, place, side="right"))].name
+        source = self._opened.get(name) or open_source(Path(name))
+        number = int(self._numbers[place])
+        (record,) = source.records(range(number, number + 1))
+        return saved_waveform(record, source.path)
 
 
 def said_of(left_out: Sequence[LeftOut], most: int = 20) -> list[str]:

@@ -12,12 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from station.errors import NoUsableSignal, UsageError
-from station.lock_in.records.pieces import Piece
 from station.reanalysis.tables.columns import rows_of_pieces
 from station.reanalysis.tables.open_table import KINDS, table_file
+from station.reanalysis.work import Work
 from station.results.as_json import plain
 from station.results.numbers import with_uncertainty
 from station.results.parts import TextTable
+from station.runs.progress import Progress
 from station.sources.batches import LeftOut
 from station.sources.find import find_sources
 from station.sources.workers import Workers
@@ -30,7 +31,6 @@ QUANTITIES = {
     "ratio": ("ratio_u", "", "r = A2/A1"),
 }
 _TEXTS = ("source", "source_sha256", "analysis", "unit")
-_TOGETHER = 200
 _SURE = 3.0
 """Standard uncertainties of the difference beyond which two means differ."""
 
@@ -290,12 +290,8 @@ def read_records(place: str, choices: Mapping[str, Any], workers: Workers, analy
     inside = Path(place.partition("#")[0])  # a source in a data set
     if "://" not in place and not (path.exists() or inside.exists()):
         raise UsageError(f"{place}: No such file or directory")
-    everything = list(find_sources([place]))
-    work = [
-        [Piece(source, None, choices) for source in everything[first : first + _TOGETHER]]
-        for first in range(0, len(everything), _TOGETHER)
-    ]
-    parts = [rows for found in workers.map(rows_of_pieces, work) for rows in found]
+    work = Work(find_sources([place]), choices, whole=True)
+    parts = [rows for found in work.done_by(workers, rows_of_pieces, Progress(quiet=True)) for rows in found]
     left_out = tuple(one for part in parts for one in part.left_out)
     names = (*_TEXTS, "record", *QUANTITIES, *(u for u, _, _ in QUANTITIES.values()))
     given = (

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
@@ -68,9 +68,9 @@ class AnalyzedFiles:
         told = ([f"{name} {value}" for name, value in about.items() if value] for about in self.about)
         return [f"oscilloscope   {', '.join(one)}" for one in dict.fromkeys(map(tuple, told)) if one]
 
-    def rows(self) -> list[dict[str, Any]]:
-        """Return one plain JSON object for each record."""
-        return [dict(plain(row)) for row in record_documents(self.found, "file")]
+    def rows(self) -> Iterator[dict[str, Any]]:
+        """Yield one plain JSON object for each record."""
+        return (dict(plain(row)) for row in record_documents(self.found, "file"))
 
 
 def analyze_file(source: Path | Source, config: Path | None, choices: Mapping[str, Any]) -> AnalyzedFiles:

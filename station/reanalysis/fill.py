@@ -2,29 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
-from instrument import InstrumentError
-from station.errors import StationError
-from station.lock_in.records.pieces import Piece, pieces_of
-from station.reanalysis.tables.columns import analysis_of, rows_of_pieces
+from station.lock_in.records.pieces import Piece
+from station.reanalysis.tables.columns import Rows, analysis_of, rows_of_pieces
 from station.reanalysis.tables.lock import only_writer
 from station.reanalysis.tables.open_table import table_file
+from station.reanalysis.tables.table import TableFile
+from station.reanalysis.work import Work
 from station.runs.progress import Progress
-from station.runs.store import RUN_FILES
 from station.sources.batches import LeftOut
-from station.sources.find import open_source
 from station.sources.source import Source
 from station.sources.workers import Workers
-
-TOGETHER = 6_000_000
-"""Bytes of small sources that make one piece of work: some 2000 records."""
-
-LARGE = 4 * TOGETHER
-"""Bytes from which on a source is cut into pieces."""
 
 
 @dataclass
@@ -95,20 +88,20 @@ def fill_table(
     file, analysis, done = table_file(table), analysis_of(choices), Filled(table)
     with only_writer(table):
         known = {source: sha256 for (source, made), sha256 in file.known().items() if made == analysis}
-        everything = list(sources)
-        progress.start("sources", len(everything))
         replaced: set[tuple[str, str]] = set()
         before = ""
         file.begin()
         try:
-            for found in workers.map(rows_of_pieces, _work(everything, choices, known)):
+            work = Work(sources, choices, known, whole=True)
+            for packed, found in work.done_by(workers, partial(_packed_rows, type(file)), progress):
+                if packed is not None:
+                    file.add(packed)
                 for rows in found:
                     for one in rows.left_out:
                         done.left_out.append(one)
                         left_out(one)
                     if rows.count:
                         replaced.add((rows.source, analysis))
-                        file.add(rows)
                         done.records += rows.count
                     if rows.source == before:
                         continue  # a further piece of one source
@@ -116,7 +109,6 @@ def fill_table(
                     done.known += rows.known
                     done.sources += bool(rows.count)
                     done.empty += not (rows.known or rows.count)
-                    progress.advance()
             if done.records:
                 file.end(replaced)
             else:
@@ -127,55 +119,8 @@ def fill_table(
     return done
 
 
-def _work(
-    sources: Iterable[Path | Source], choices: Mapping[str, Any], known: Mapping[str, str]
-) -> Iterator[list[Piece]]:
-    """Pieces of work of about equal length: small sources together, parts of large ones alone."""
-    waiting: list[Piece] = []
-    size = 0
-    for source in sources:
-        here = _size(source)
-        parts = _parts(source, choices, known) if here >= LARGE else None
-        if parts is not None:
-            if waiting:
-                yield waiting
-            waiting, size = [], 0
-            yield from parts
-            continue
-        waiting.append(Piece(source, None, choices, known=known.get(_name(source), "")))
-        size += here
-        if size >= TOGETHER:
-            yield waiting
-            waiting, size = [], 0
-    if waiting:
-        yield waiting
-
-
-def _parts(
-    source: Path | Source, choices: Mapping[str, Any], known: Mapping[str, str]
-) -> list[list[Piece]] | None:
-    """Parts of a large source; ``None`` where it is read as a whole: it is known, or cannot be opened."""
-    try:
-        opened = open_source(source)
-        if known.get(opened.name) == opened.sha256:
-            return None
-        return pieces_of(opened, choices, whole=True)
-    except (StationError, InstrumentError, OSError):
-        return None
-
-
-def _name(source: Path | Source) -> str:
-    """Name of a source that has not been opened."""
-    if isinstance(source, Path) and source.is_dir():
-        return str(next((source / name for name in RUN_FILES if (source / name).is_file()), source))
-    return str(source)
-
-
-def _size(source: Path | Source) -> int:
-    """Bytes of a source, about."""
-    if isinstance(source, Source):
-        return 2700 * len(source)
-    try:
-        return Path(_name(source)).stat().st_size
-    except OSError:
-        return 0
+def _packed_rows(kind: type[TableFile], pieces: Sequence[Piece]) -> tuple[Any, list[Rows]]:
+    """Rows of some pieces, ready to be written; and what is said of each piece, without its columns."""
+    parts = rows_of_pieces(pieces)
+    packed = kind.packed(parts) if any(part.count for part in parts) else None
+    return packed, [replace(part, columns={}) for part in parts]

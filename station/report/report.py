@@ -6,12 +6,14 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Protocol
 
+from station.errors import RunError
 from station.provenance import version
 from station.report.page import render_page, write_page
 from station.results.limits import Tested
-from station.results.parts import FactTable, Rows, Section
+from station.results.parts import FactTable, Rows, Section, TextTable
 from station.results.result import Result
 from station.runs.facts import RunFacts
+from station.runs.remarks import Remark, Remarks, read_remarks
 from station.runs.store import REPORT_FILE, SavedRun
 
 
@@ -75,6 +77,9 @@ def render_report(evaluated: Shown) -> str:
     sections = evaluated.sections()
     if result.to_watch:
         sections = [*sections, Section("What to watch", sentences=result.to_watch)]
+    remarks = _remarks(evaluated.run.path)
+    if remarks.said:
+        sections = [_said_afterwards(remarks), *sections]
     return render_page(
         "report.html.j2",
         title=", ".join(filter(None, (evaluated.heading, facts.started_at[:10]))),
@@ -85,7 +90,7 @@ def render_report(evaluated: Shown) -> str:
         value=f"{evaluated.verdict} · {result.value}" if evaluated.verdict else result.value,
         lines=(*result.lines, *(f"{one.sentence}." for one in evaluated.tested)),
         reasons=_reasons(result),
-        labels=_labels(facts),
+        labels=_labels(facts, remarks),
         sections=sections,
         fact_columns=[tables[:middle], tables[middle:]],
         footer=_footer(evaluated),
@@ -105,11 +110,34 @@ def _reasons(result: Result) -> tuple[str, ...]:
     return tuple(reason for reason in result.standing.reasons if reason != result.problem)
 
 
-def _labels(facts: RunFacts) -> Rows:
-    """What a person looks for first: which unit, who, when."""
+def _remarks(run: Path) -> Remarks:
+    """What was said of a run afterwards; what cannot be read is said to be so."""
+    try:
+        return read_remarks(run)
+    except RunError as error:
+        return Remarks((Remark("", "", str(error)),))
+
+
+def _said_afterwards(remarks: Remarks) -> Section:
+    """Notes, tags and marks: who, and when. The measurement itself is what it was."""
+    rows = tuple((_time_of_day(one.at), one.by, one.words) for one in remarks.said)
+    lost = f"{remarks.unreadable} lines of its remarks cannot be read." if remarks.unreadable else ""
+    return Section("Said of it afterwards", lost, table=TextTable(("when", "who", "what"), rows))
+
+
+def _time_of_day(at: str) -> str:
+    return f"{at[:16].replace('T', ' ')} UTC" if at else ""
+
+
+def _labels(facts: RunFacts, remarks: Remarks) -> Rows:
+    """What a person looks for first: which unit, who, when, and whether somebody holds it for good or bad."""
     rows = [*facts.labels.items()]
-    if taken := facts.started_at[:16].replace("T", " "):
-        rows.append(("taken", f"{taken} UTC"))
+    if (mark := remarks.last_mark) is not None and mark.mark:
+        rows.append(("marked", f"{mark.mark}, by {mark.by}, {_time_of_day(mark.at)}"))
+    if remarks.tags:
+        rows.append(("tags", " ".join(remarks.tags)))
+    if facts.started_at:
+        rows.append(("taken", _time_of_day(facts.started_at)))
     if facts.resumed_at:
         rows.append(("resumed", f"{len(facts.resumed_at)} times" if len(facts.resumed_at) > 1 else "once"))
     return rows

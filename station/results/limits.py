@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from station.results.result import Measured
+from station.results.result import Measured, plain_words
 
 
 @dataclass(frozen=True)
@@ -35,7 +35,7 @@ class Tested:
     @property
     def sentence(self) -> str:
         """One line."""
-        words = self.name.replace(f"_{self.measured.unit_suffix}", "").replace("_", " ")
+        words = plain_words(self.name.replace(f"_{self.measured.unit_suffix}", ""))
         size, unit = abs(self.measured.value), self.measured.unit
         if math.isnan(size):
             return f"FAIL {words}: the run gives no value, the limit is {self.limit:g} {unit}".rstrip()

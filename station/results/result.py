@@ -12,6 +12,15 @@ UNITS = {"dps": "deg/s", "dph": "deg/h", "hz": "Hz", "v": "V", "s": "s", "deg": 
 """Suffix of a name, and the unit that it stands for."""
 
 
+def plain_words(name: str) -> str:
+    """Say a name of the JSON as a person writes it.
+
+    >>> plain_words("lock_in_rate")
+    'lock-in rate'
+    """
+    return name.replace("_", " ").replace("lock in", "lock-in")
+
+
 @dataclass(frozen=True)
 class Measured:
     """A number that limits can be set on.

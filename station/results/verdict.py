@@ -13,7 +13,7 @@ from typing import Literal
 
 from scipy.special import ndtr
 
-from station.results.result import UNITS
+from station.results.result import UNITS, plain_words
 
 Verdict = Literal["PASS", "FAIL", "MARGINAL", "ERROR", "ABORTED"]
 Rule = Literal["none", "U95", "simple"]
@@ -224,7 +224,7 @@ def _value_words(measured: Value) -> str:
 
 
 def number_words(number: str, measured: Value) -> str:
-    """Say the name of a number, without the unit at its end: ``"lock in rate"``, ``"scatter of X"``."""
+    """Say the name of a number, without the unit at its end: ``"lock-in rate"``, ``"scatter of X"``."""
     name, _, end = number.removeprefix("result.").rpartition("_")
-    words = (name if end in UNITS and name else number.removeprefix("result.")).replace("_", " ")
+    words = plain_words(name if end in UNITS and name else number.removeprefix("result."))
     return f"{words} of {measured.of}" if measured.of else words

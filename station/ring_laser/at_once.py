@@ -8,18 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis import HarmonicFit, fit_harmonics
-from instrument import Preamble, Waveform
+from instrument import Waveform
 from station.events.seen import Trace
-from station.runs.store import NewRecord
+from station.scope.at_once import trace_of
 
-_POINTS = 240
 _PERIODS = 4.0
 _HARMONICS = 4
-
-
-def waveform_of(record: NewRecord) -> Waveform:
-    """Return a record that was just saved as the waveform that the scope sent; InstrumentError if it is none."""
-    return Waveform(np.frombuffer(record.payload, dtype=np.int8), Preamble.parse(record.header))
 
 
 def harmonics_of(waveform: Waveform) -> HarmonicFit | None:
@@ -31,24 +25,14 @@ def harmonics_of(waveform: Waveform) -> HarmonicFit | None:
     return fit if math.isfinite(float(fit.frequency)) and float(np.abs(fit.amplitudes[0])) > 0 else None
 
 
-def trace_of(waveform: Waveform, fit: HarmonicFit | None) -> Trace:
+def trace_of_beat(waveform: Waveform, fit: HarmonicFit | None) -> Trace:
     """Return a few periods of a record with its fit; without a beat the whole record, and no fit."""
-    volts, interval = waveform.volts, waveform.sample_interval
-    shown = volts.size
-    if fit is not None:
-        shown = min(shown, math.ceil(_PERIODS / float(fit.frequency) / interval) + 1)
-    places = np.unique(np.linspace(0, shown - 1, min(_POINTS, shown)).round().astype(int))
-    through: list[float] = []
-    if fit is not None:
-        turning = np.exp(
-            2j * np.pi * float(fit.frequency) * np.outer(places * interval, np.arange(1, _HARMONICS + 1))
-        )
-        through = _rounded(float(fit.offset) + (turning @ fit.amplitudes).real)
-    unit = waveform.preamble.yunit
-    unit = "V" if unit.lower() in ("", "volts") else unit
-    return Trace(float(places[-1] * interval), unit, _rounded(volts[places]), through)
+    if fit is None:
+        return trace_of(waveform, math.inf, None)
+    frequency = float(fit.frequency)
 
+    def beat(times: NDArray[np.float64]) -> NDArray[np.float64]:
+        turning = np.exp(2j * np.pi * frequency * np.outer(times, np.arange(1, _HARMONICS + 1)))
+        return np.asarray(float(fit.offset) + (turning @ fit.amplitudes).real)
 
-def _rounded(values: NDArray[np.float64]) -> list[float]:
-    """Five digits: what an eye can see, in lines that stay short."""
-    return [float(f"{value:.5g}") for value in values]
+    return trace_of(waveform, _PERIODS / frequency, beat)

@@ -16,6 +16,7 @@ from analysis.ring_laser import (
     Winking,
     axis_rate_on_table,
     beat_signal_on_table,
+    signal_bounds,
     smooth_interval,
 )
 from instrument.facts import POINTS
@@ -185,7 +186,10 @@ def _signal(
     def interval(start: float, stop: float) -> float:
         return smooth_interval(gyro, detector, table.motion, start, stop)
 
-    return NoisySignal(silent, simulation.detector_noise_v, simulation.seed, channel, interval)
+    def bounds(start: float, stop: float) -> tuple[float, float]:
+        return signal_bounds(gyro, detector, table.motion, start, stop)
+
+    return NoisySignal(silent, simulation.detector_noise_v, simulation.seed, channel, interval, bounds)
 
 
 def true_values(instruments: SimulatedInstruments) -> dict[str, float]:

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from instrument import Tally
+if TYPE_CHECKING:
+    from instrument import Tally
 
 COMPLETE = "complete"
 TAKEN = "taken, but not evaluated to its end"
@@ -104,6 +105,8 @@ class RunFacts(Mapping[str, Any]):
     @property
     def link_faults(self) -> Tally | None:
         """What it took to keep the link to the oscilloscope; ``None`` where nobody counted."""
+        from instrument import Tally  # with PyVISA: a list of runs must not wait for it
+
         return Tally(**self._values["link"]) if "link" in self._values else None
 
     @property

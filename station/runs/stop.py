@@ -116,6 +116,15 @@ def disturbed() -> Iterator[None]:
         signals.held = held
 
 
+def stop_from_within() -> None:
+    """End this program as SIGTERM does, from any of its threads and on every system."""
+    main_thread = threading.main_thread().ident
+    if hasattr(signal, "pthread_kill") and main_thread is not None:
+        signal.pthread_kill(main_thread, signal.SIGTERM)  # a call of the system that waits is disturbed, too
+    else:
+        signal.raise_signal(signal.SIGTERM)
+
+
 @contextmanager
 def _watch() -> Iterator[None]:
     """Have a thread count the signals: it ends the program also while the main one waits in a library."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -99,10 +99,14 @@ class Evaluated:
         """Return settings and conditions, for the end of the report."""
         return self.kind.facts(self.found, self.run, self.settings)
 
-    def rows(self) -> list[dict[str, Any]]:
-        """Return one plain JSON object for each record; the whole document where there is none."""
-        rows = [dict(plain(row)) for row in self.kind.rows(self.found)]
-        return [{"run": str(self.run.path), **row} for row in rows] or [self.document()]
+    def rows(self) -> Iterator[dict[str, Any]]:
+        """Yield one plain JSON object for each record; the whole document where there is none."""
+        none = True
+        for row in self.kind.rows(self.found):
+            none = False
+            yield {"run": str(self.run.path), **dict(plain(row))}
+        if none:
+            yield self.document()
 
 
 def standing_document(result: Result) -> dict[str, Any]:

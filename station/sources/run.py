@@ -85,24 +85,11 @@ class RunSource(Source):
                 rows = db.execute(layout.select_between, (numbers.start, numbers.stop - 1))
             for row in rows:
                 number, key, taken_at, purpose, header, payload, sum_, said = row
-                plain = layout is TODAY and set(map(type, row[1:])) == _BYTES
-                if (
-                    not plain
-                    or _sum(key, taken_at, purpose, header, payload, said) != sum_
-                    or parsed[said] is None
-                ):
+                if layout is TODAY and _sum(row) == sum_ and parsed[said] is not None:
+                    taken = _decoded(key), _decoded(taken_at), texts[purpose], texts[header]
+                    yield SavedRecord(number, *taken, payload, True, parsed[said])
+                else:
                     yield read_record([_text(cell, place) for place, cell in enumerate(row)], layout)
-                    continue
-                yield SavedRecord(
-                    number,
-                    _decoded(key),
-                    _decoded(taken_at),
-                    texts[purpose],
-                    texts[header],
-                    payload,
-                    True,
-                    parsed[said],
-                )
 
     @cached_property
     def sha256(self) -> str:
@@ -118,13 +105,19 @@ class RunSource(Source):
         return digest.hexdigest()
 
 
-_BYTES = {bytes}
 _PAYLOAD = COLUMNS.index("payload")
 
 
-def _sum(*cells: bytes) -> bytes:
-    """SHA-256 of a record as today's layout makes it, from its cells one behind the other."""
-    data = b"".join([part for cell in cells for part in (b"%d " % len(cell), cell)])
+def _sum(row: tuple[Any, ...]) -> bytes | None:
+    """SHA-256 of a record as today's layout makes it; ``None`` where a cell is neither text nor bytes."""
+    _, key, taken_at, purpose, header, payload, _, said = row
+    try:
+        data = b"%d %b%d %b%d %b%d %b%d %b%d %b" % (
+            *(len(key), key, len(taken_at), taken_at, len(purpose), purpose),
+            *(len(header), header, len(payload), payload, len(said), said),
+        )
+    except TypeError:
+        return None
     return hashlib.sha256(data).hexdigest().encode()
 
 

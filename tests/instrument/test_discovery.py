@@ -1,6 +1,9 @@
 """Finding instruments, and one sentence about each that cannot be used."""
 
+from threading import Event
+
 import pytest
+from pyvisa.constants import InterfaceType
 
 from instrument import FoundResource, LinkError, find_resources
 from instrument.discovery import check_resource, missing_transports
@@ -63,12 +66,45 @@ def test_port_without_permission(manager, monkeypatch):
 
 
 def test_visa_that_cannot_list(manager, monkeypatch):
-    def refuse(*_, **__):
-        raise OSError("no driver")
+    sessions = pytest.importorskip("pyvisa_py.sessions")
 
-    monkeypatch.setattr(manager, "list_resources", refuse)
+    class Refusing:
+        @staticmethod
+        def list_resources():
+            raise OSError("no driver")
+
+    kinds = [((InterfaceType.asrl, "INSTR"), Refusing)]
+    monkeypatch.setattr(sessions.Session, "iter_valid_session_classes", classmethod(lambda cls: iter(kinds)))
     with pytest.raises(LinkError, match="no driver"):
         find_resources(manager)
+
+
+def test_the_network_is_not_waited_for_without_end(manager, monkeypatch):
+    """A kind of link on the network that never ends its look costs neither the others nor the list."""
+    sessions = pytest.importorskip("pyvisa_py.sessions")
+    ended, asked = Event(), []
+
+    class Silent:
+        @staticmethod
+        def list_resources():
+            asked.append("network")
+            ended.wait()
+            return ["TCPIP::late::INSTR"]
+
+    class Local:
+        @staticmethod
+        def list_resources():
+            return ["ASRL/dev/none::INSTR"]
+
+    kinds = [((InterfaceType.tcpip, "INSTR"), Silent), ((InterfaceType.asrl, "INSTR"), Local)]
+    monkeypatch.setattr(sessions.Session, "iter_valid_session_classes", classmethod(lambda cls: iter(kinds)))
+    monkeypatch.setattr("instrument.discovery.LAN_PATIENCE_S", 0.05)
+    try:
+        assert [one.resource_name for one in find_resources(manager)] == ["ASRL/dev/none::INSTR"]
+        assert [one.resource_name for one in find_resources(manager, lan=False)] == ["ASRL/dev/none::INSTR"]
+    finally:
+        ended.set()
+    assert asked == ["network"]
 
 
 def test_missing_transports_name_the_remedy(monkeypatch):

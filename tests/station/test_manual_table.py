@@ -13,6 +13,8 @@ import pytest
 
 from instrument import ManualRateTable
 from instrument.simulated import VirtualClock
+from station.dead_band.settings import DEAD_BAND
+from station.dead_band.take import take_on as sweep_on
 from station.errors import UsageError
 from station.lock_in.settings import load_settings
 from station.lock_in.take import take_on
@@ -24,6 +26,7 @@ from station.runs.store import SavedRun, open_run
 from station.runs.taking import Session, facts_of, take
 from station.scope.open import open_scope
 from station.scope.serve import serve
+from station.settings.load import load
 from tests.ideal_bench import ideal_bench
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="needs a pseudo-terminal for the operator")
@@ -174,3 +177,58 @@ def test_a_rate_that_does_not_fit_the_beat_is_asked_again(tmp_path: Path, insist
     assert "clockwise, - on the display" in operator.questions[1]
     seen = [one.conditions["table_rate_dps"] for one in taken.run().taken_for("measure")]
     assert seen == pytest.approx(2 * [3.507], abs=0.02)
+
+
+class Sweeping:
+    """An operator who sets some rates of a sweep wrong, and mends them when asked again, or insists."""
+
+    def __init__(self, instruments: SimulatedInstruments, wrong: dict[int, float], insists: bool) -> None:
+        self._instruments, self._wrong, self._insists = instruments, wrong, insists
+        self.doubts: list[str] = []
+        self._asked, self._rates = 0.0, 0
+
+    def __call__(self, question: str) -> str:
+        factor = 1.0
+        if "does not fit" in question:
+            self.doubts.append(question)
+            if self._insists:
+                return "ok"
+        else:
+            self._asked = float(question.split("rate table to ")[1].split(" deg/s")[0])
+            self._rates += 1
+            factor = self._wrong.get(self._rates, 1.0)
+        self._instruments.table.set_rate(factor * self._asked)
+        return ""
+
+
+@pytest.mark.parametrize(
+    ("wrong", "insists", "said"),
+    [
+        ({1: 0.4}, False, "rate of -0.08 deg/s: it has"),  # the first rate, beyond lock-in: too slow shows
+        ({5: 5.0}, False, "Hz at most"),  # a later one: too fast shows
+        ({1: 5.0, 6: 5.0}, True, "rate of -0.08 deg/s: it has"),  # one who insists is asked once
+    ],
+)
+def test_the_rates_of_a_sweep_are_checked_against_the_beat(
+    tmp_path: Path, wrong: dict[int, float], insists: bool, said: str
+) -> None:
+    overrides = {
+        "simulation": {"seed": 5, "tilt_deg": 60.0, "lock_in_rate_dps": 0.01},
+        "gyro": {"scale_factor_pulses_per_deg": 2000.0, "expected_lock_in_rate_dps": 0.01},
+        "table": {"tilt_deg": 60.0, "settle_s": 0.0},
+        "sweep": {"rates_over_lock_in": [0.5, 2.0, 4.0], "records": 1},
+    }
+    settings = load(DEAD_BAND, None, overrides)
+    instruments = build_instruments(settings, VirtualClock())
+    operator = Sweeping(instruments, wrong, insists)
+    facts = facts_of("deadband", settings.model_dump(mode="json"), simulated=True)
+    session = Session(facts, tmp_path, Progress(quiet=True))
+    with serve(instruments.scope, "tcp") as resource, open_scope(resource, read_twice=False) as scope:
+        clock = instruments.clock
+        turned = Bench(scope, ManualRateTable(ask=operator), sleep=clock.sleep, now=clock.now)
+        taken = take(session, lambda of: sweep_on(turned, settings, of))
+    assert taken.failure is None, taken.failure
+    assert len(operator.doubts) == 1
+    assert said in operator.doubts[0]
+    records = taken.run().taken_for("deadband")
+    assert len(records) == 11

@@ -82,7 +82,7 @@ def test_limits_judge_a_ring_laser_too(tmp_path: Path, capsys) -> None:
     assert "FAIL · " in page
     assert "deg/s, limit 0.005 deg/s" in page
     assert main(["analyze", str(run), "--config", str(tmp_path / "limits.toml")]) == 1
-    assert "FAIL lock in rate: " in capsys.readouterr().out
+    assert "FAIL lock-in rate: " in capsys.readouterr().out
 
 
 def test_a_measurement_beyond_its_limit_ends_with_one(tmp_path: Path, gyrolock) -> None:
@@ -93,7 +93,7 @@ def test_a_measurement_beyond_its_limit_ends_with_one(tmp_path: Path, gyrolock) 
         "measure", "--config", "my.toml", "--unit", "SN <7> & Co", "--operator", "Ada", "--note", "a\\b"
     )
     assert done.code == 1, done.err
-    assert "FAIL lock in rate: " in done.out
+    assert "FAIL lock-in rate: " in done.out
     (run,) = (tmp_path / "runs").iterdir()
     page = (run / "report.html").read_text(encoding="utf-8")
     assert page.index("SN &lt;7&gt; &amp; Co") < page.index("<section")

@@ -46,11 +46,6 @@ def axis_column(axis: str) -> str:
     return f"{COUNTS}_{axis.lower()}"
 
 
-def is_output(name: str) -> bool:
-    """Whether a column holds an output: of the gyro, or of one of its axes."""
-    return name == COUNTS or (name.startswith(f"{COUNTS}_") and name[len(COUNTS) + 1 :] in ("x", "y", "z"))
-
-
 def default_names(width: int) -> list[str]:
     """Names of the columns of a file without a header."""
     known = _DEFAULT.get(width, _LONG_DEFAULT)

@@ -12,14 +12,13 @@ from typing import IO
 import numpy as np
 
 from instrument.errors import FileFormatError
-from instrument.fibre_gyro.frame_format import COUNTER, COUNTS, STATUS, TEMPERATURE
+from instrument.fibre_gyro.frame_format import COUNTER, COUNTS, STATUS, TEMPERATURE, is_output
 from instrument.fibre_gyro.logs.clock import LogClock, Places, clock_of_counter, find_clock, line_through
 from instrument.fibre_gyro.logs.columns import (
     OUTPUT_UNITS,
     TIME,
     axis_column,
     default_names,
-    is_output,
     named_columns,
     output_unit,
     seconds_of,

@@ -5,11 +5,13 @@ Source: programmer manual 071-1075-04, chapters 2 and 3.
 
 from __future__ import annotations
 
-from instrument.simulated.commands.action import Action, answer, no_argument, one_number
+from instrument.simulated.commands.action import Action, answer, no_argument, one_argument, one_number
 from instrument.simulated.panel.formats import quoted
+from instrument.simulated.panel.kinds import Words
 from instrument.simulated.panel.parsing import Argument
 from instrument.simulated.state import ScopeState
 
+_ALL = Words("ALL")
 _OUT_OF_RANGE = 200  # *SRE and its like out of range: an execution error, p. 2-199
 
 
@@ -61,6 +63,12 @@ def _ignored(state: ScopeState, arguments: tuple[Argument, ...]) -> None:
     """Accepted with any argument and without effect here."""
 
 
+def _unlock(state: ScopeState, arguments: tuple[Argument, ...]) -> None:
+    """As LOCk NONe. (In remote with lockout, which no link here has, a real unit ignores it.)"""
+    _ALL.read(one_argument(arguments))
+    state.set("LOCK", "NONE")
+
+
 def _all_events(state: ScopeState) -> str:
     return ",".join(f"{code},{quoted(text)}" for code, text in state.status.all_events())
 
@@ -100,6 +108,6 @@ ACTIONS = {
     "BUSY": Action(answer("BUSY", lambda state: str(int(state.busy())))),
     "*OPC": Action(answer("", lambda state: "1"), _report_completion, waits=lambda state: state.busy()),
     "*WAI": Action(order=_nothing, waits=lambda state: state.busy()),
-    "UNLock": Action(order=_ignored),
+    "UNLock": Action(order=_unlock),
     "REM": Action(order=_ignored),
 }

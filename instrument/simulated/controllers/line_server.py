@@ -5,9 +5,8 @@ from __future__ import annotations
 import time
 from typing import Protocol
 
-from instrument.simulated.links.stream_server import Port, StreamServer
+from instrument.simulated.links.stream_server import LOOK_UP, Port, StreamServer
 
-_LOOK_UP = 0.2
 _LONGEST = 4096
 
 
@@ -55,7 +54,7 @@ class LineServer(StreamServer):
         super()._drop(port)
 
     def _pause(self) -> float:
-        return _LOOK_UP
+        return LOOK_UP
 
     def _serve(self, port: Port) -> None:
         now = time.monotonic()

@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from instrument.fibre_gyro.frame_format import FrameFormat
-from instrument.fibre_gyro.messages import compose
+from instrument.fibre_gyro.frame_format.messages import compose
 from instrument.simulated.fibre_gyro.faults import GyroFaults
-from instrument.simulated.fibre_gyro.frames import CommandReader, encode_frame
+from instrument.simulated.fibre_gyro.frames import POLL, CommandReader, encode_frame
 from instrument.simulated.links.stream_server import Port, StreamServer
 
 _PACE_S = 0.005  # s of real time whose frames are sent in one piece
@@ -40,7 +40,12 @@ class GyroModel(Protocol):
 
 
 class GyroServer(StreamServer):
-    """A gyro that makes its frames in time, whether they are read or not.
+    """A gyro that makes its frames in time, whether they are read or not, or one for each poll.
+
+    Parameters
+    ----------
+    clock_ppm : float
+        How much faster the gyro's clock runs than it should.
 
     Attributes
     ----------
@@ -55,12 +60,19 @@ class GyroServer(StreamServer):
     port = ""
 
     def __init__(
-        self, model: GyroModel, layout: FrameFormat, *, speed: float = 1.0, faults: GyroFaults | None = None
+        self,
+        model: GyroModel,
+        layout: FrameFormat,
+        *,
+        speed: float = 1.0,
+        faults: GyroFaults | None = None,
+        clock_ppm: float = 0.0,
     ) -> None:
         if not speed > 0:
             raise ValueError(f"the speed of a simulated gyro must be positive, not {speed:g}")
         super().__init__()
         self.layout, self.speed = layout, speed
+        self._rate_hz = layout.output_rate_hz * (1 + 1e-6 * clock_ppm)
         self.faults = faults if faults is not None else GyroFaults()
         self.frames_made = 0
         self.commands: list[tuple[str, float]] = []
@@ -89,12 +101,12 @@ class GyroServer(StreamServer):
         self._send(port, now)
 
     def _pause(self) -> float:
-        return 0.0 if self._due() > 0 else _PACE_S
+        return 0.0 if self.layout.poll is None and self._due() > 0 else _PACE_S
 
     # Frames
 
     def _advance(self) -> None:
-        if (count := min(self._due(), _AT_ONCE)) > 0:
+        if self.layout.poll is None and (count := min(self._due(), _AT_ONCE)) > 0:
             self._make_frames(count)
         super()._advance()
 
@@ -111,7 +123,7 @@ class GyroServer(StreamServer):
         """Frames to be made now."""
         if math.isinf(self.speed):
             return _AT_ONCE if self._ports and self.unsent < _FULL else 0
-        passed = (time.monotonic() - self._began) * self.speed * self.layout.output_rate_hz
+        passed = (time.monotonic() - self._began) * self.speed * self._rate_hz
         return int(passed) - self.frames_made
 
     def _frame(self, values: Mapping[str, float]) -> bytes:
@@ -133,6 +145,9 @@ class GyroServer(StreamServer):
     # Commands
 
     def _obey(self, port: Port, name: str, number: int) -> None:
+        if name == POLL:
+            self._make_frames(1)
+            return
         kinds = {fault.kind for fault in self.faults.hits_command(self._commands_seen)}
         self._commands_seen += 1
         if "lost command" in kinds:
@@ -168,9 +183,15 @@ class PtyGyroServer(GyroServer):
     """
 
     def __init__(
-        self, model: GyroModel, layout: FrameFormat, *, speed: float = 1.0, faults: GyroFaults | None = None
+        self,
+        model: GyroModel,
+        layout: FrameFormat,
+        *,
+        speed: float = 1.0,
+        faults: GyroFaults | None = None,
+        clock_ppm: float = 0.0,
     ) -> None:
-        super().__init__(model, layout, speed=speed, faults=faults)
+        super().__init__(model, layout, speed=speed, faults=faults, clock_ppm=clock_ppm)
         self.port = self._open_terminal()
         self._thread.start()
 
@@ -180,7 +201,7 @@ class TcpGyroServer(GyroServer):
 
     Parameters
     ----------
-    model, layout, speed, faults
+    model, layout, speed, faults, clock_ppm
         As for `PtyGyroServer`.
     host : str
         Address to listen on; only this computer unless told otherwise.
@@ -202,7 +223,8 @@ class TcpGyroServer(GyroServer):
         tcp_port: int = 0,
         speed: float = 1.0,
         faults: GyroFaults | None = None,
+        clock_ppm: float = 0.0,
     ) -> None:
-        super().__init__(model, layout, speed=speed, faults=faults)
+        super().__init__(model, layout, speed=speed, faults=faults, clock_ppm=clock_ppm)
         self.port = "socket://{}:{}".format(*self._listen(host, tcp_port))
         self._thread.start()

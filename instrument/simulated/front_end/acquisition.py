@@ -21,6 +21,7 @@ import numpy as np
 from instrument.facts import DIVISIONS, POINTS_PER_DIVISION
 from instrument.simulated.clock import Clock
 from instrument.simulated.faults import Faults
+from instrument.simulated.front_end.comparator import Comparator
 from instrument.simulated.front_end.frontend import (
     Floats,
     Signal,
@@ -31,7 +32,7 @@ from instrument.simulated.front_end.frontend import (
     slow_part,
 )
 from instrument.simulated.front_end.smooth import tells_its_noise
-from instrument.simulated.front_end.trigger import HYSTERESIS, Comparator, EdgeSearch, PulseSearch
+from instrument.simulated.front_end.trigger import HYSTERESIS, EdgeSearch, PulseSearch
 from instrument.simulated.front_end.video_trigger import VideoSearch
 from instrument.simulated.panel.panel import (
     ChannelSettings,
@@ -304,7 +305,17 @@ class Acquisition:
         if not tells_its_noise(signal) or channel.coupling == "GND":
             return Comparator(smooth)
         noise = partial(shown_noise, signal, channel)
-        return Comparator(smooth, noise, abs(gain(channel)) * signal.noise_rms, signal.interval)
+        alternating = channel.coupling == "AC" or coupling in ("AC", "LFREJ")
+
+        def bounds(start: float, stop: float) -> tuple[float, float]:
+            low, high = signal.bounds(start, stop)
+            swing = high - low
+            ends = (-swing, swing) if alternating else (low, high)  # a mean taken away lies between them
+            first, last = (gain(channel) * end for end in ends)
+            return min(first, last), max(first, last)
+
+        rms = abs(gain(channel)) * signal.noise_rms
+        return Comparator(smooth, noise, rms, signal.interval, bounds)
 
     def _edge_search(self, trigger: TriggerSettings) -> EdgeSearch:
         """The search of this acquisition, with the level of now."""

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from instrument.simulated.front_end.comparator import SHORTEST_STRETCH, Comparator, Part, Stretch
 from instrument.simulated.front_end.frontend import Floats
 from instrument.simulated.front_end.smooth import Between
 from instrument.simulated.panel.panel import TriggerSettings
@@ -21,91 +22,14 @@ HYSTERESIS = 0.3  # divisions (a guess; the sensitivity is given as one division
 _FIRST_CHUNK = 1024
 _LONGEST_CHUNK = 16_384
 _MOST_POINTS = 60_000  # samples of one search, however long the time
+_LONG = 4096  # samples of a search, from which on it is worth to know whether the level can be reached at all
 _REFINEMENTS = 3
 _MOST_NOISE = 6.5  # standard deviations; a sample of white noise is never further off
-_BEND = 0.25  # of the largest second difference: how far a signal may leave the straight line, twice over
-_FEWEST_CELLS, _MOST_CELLS = 5, 4096  # of a stretch
-_SHORTEST_STRETCH = 1e-9  # s
 _PLACES: Floats = np.arange(65.0) / 64
 GUARD_BAND = 0.05  # of the width, p. 159
 SHORTEST_GUARD_BAND = 16.5e-9  # s
 _SAMPLES_A_WIDTH = 16  # of a search for pulses
 _LOOKS_A_CELL = 64  # of such a search, between two points that tell all about the smooth part
-
-
-class Stretch:
-    """The smooth part of a trigger signal from one time to another, at even steps.
-
-    Attributes
-    ----------
-    times, volts : (n,) arrays
-        s and V.
-    between : callable
-        Volts at times between them.
-    bend : float
-        V by which the signal may leave straight lines through `volts`.
-    interval : float
-        s between looks that tell all.
-    """
-
-    def __init__(self, smooth: Callable[[Floats], Floats], start: float, stop: float, interval: float) -> None:
-        self.interval = interval
-        self.times: Floats = np.linspace(start, stop, max(_FEWEST_CELLS, math.ceil((stop - start) / interval)) + 1)
-        self.volts = smooth(self.times)
-        self.between = Between(start, stop, self.volts)
-        self.bend = _BEND * float(np.abs(np.diff(self.volts, 2)).max())
-
-
-class Comparator:
-    """What the trigger comparator sees: volts at absolute times in s (rising).
-
-    Parameters
-    ----------
-    smooth : callable
-        Volts at absolute times in s (rising), all but the noise.
-    noise : callable
-        What comes on top of it, V.
-    noise_rms : float
-        V in each sample.
-    interval : callable
-        Start and stop in s -> distance in s of looks between which the smooth part is smooth; 0: not known.
-    """
-
-    def __init__(
-        self,
-        smooth: Callable[[Floats], Floats],
-        noise: Callable[[Floats], Floats] = np.zeros_like,
-        noise_rms: float = 0.0,
-        interval: Callable[[float, float], float] = lambda start, stop: 0.0,
-    ) -> None:
-        self.noise, self.noise_rms = noise, noise_rms
-        self._smooth, self._interval = smooth, interval
-        self._seen: Stretch | None = None
-
-    def __call__(self, times: Floats) -> Floats:
-        """Volts with the noise."""
-        return self._smooth(times) + self.noise(times)
-
-    def interval(self, start: float, stop: float) -> float:
-        """Distance in s of looks between which the smooth part is smooth, between two times; 0: not known."""
-        seen = self._seen
-        if seen is not None and seen.times[0] <= start and stop <= seen.times[-1]:
-            return seen.interval
-        return self._interval(start, stop)
-
-    def stretch(self, start: float, until: float, now: float) -> Stretch:
-        """What is seen from `start` to `now`, or not so far; the last one again if it holds the start.
-
-        Up to `until` looks between which the signal is smooth are known to do.
-        """
-        seen = self._seen
-        if seen is None or not seen.times[0] <= start < seen.times[-1] - _SHORTEST_STRETCH:
-            end, interval = now, self._interval(start, now)
-            if not interval:  # behind `until` the table changes its rate, or the gyro locks
-                end, interval = until, self._interval(start, until)
-            end = min(end, start + _MOST_CELLS * interval)
-            seen = self._seen = Stretch(self._smooth, start, end, interval)
-        return seen
 
 
 @dataclass
@@ -138,6 +62,8 @@ class EdgeSearch:
         noise = _MOST_NOISE * self.volts_at.noise_rms
         if noise < self.hysteresis and self.volts_at.interval(self.searched_until, until) > 2 * step:
             return self._advance_coarsely(until, now, step, noise)
+        if span > _LONG * step and self._passes_by(until, noise):
+            return None
         size = _FIRST_CHUNK
         while self.searched_until < until:
             count = min(size, int((until - self.searched_until) / step) + 1)
@@ -150,9 +76,20 @@ class EdgeSearch:
             size = min(size * 4, _LONGEST_CHUNK)
         return None
 
+    def _passes_by(self, until: float, noise: float) -> bool:
+        """Go on to a time before which the signal stays far below the level, if that is known."""
+        low, high = self.volts_at.bounds(self.searched_until, until)
+        nearest = high - self.level if self.rising else self.level - low
+        if nearest + noise >= -self.hysteresis:
+            return False
+        self.searched_until, self.armed = until, True
+        return True
+
     def _advance_coarsely(self, until: float, now: float, step: float, noise: float) -> float | None:
         """The same where looks far apart tell where the edge may be, and `noise` is as far as noise goes."""
-        while until - self.searched_until > _SHORTEST_STRETCH:
+        while until - self.searched_until > SHORTEST_STRETCH:
+            if self.volts_at.has_to_look(self.searched_until) and self._passes_by(until, noise):
+                break
             stretch = self.volts_at.stretch(self.searched_until, until, now)
             edge = self._edge_along(stretch, until, step, noise)
             if edge is not None:
@@ -162,33 +99,27 @@ class EdgeSearch:
 
     def _edge_along(self, stretch: Stretch, until: float, step: float, noise: float) -> float | None:
         """The edge in what is left of a stretch."""
-        first, last = np.searchsorted(stretch.times, (self.searched_until, until), side="right")
-        ends = np.array([self.searched_until, min(until, float(stretch.times[-1]))])
-        times = np.concatenate([ends[:1], stretch.times[first : last - 1], ends[1:]])
-        at_ends = stretch.between(ends)
-        volts = np.concatenate([at_ends[:1], stretch.volts[first : last - 1], at_ends[1:]])
-        above = self._turned(volts - self.level)
-        margin = noise + stretch.bend
-        near = np.flatnonzero(np.maximum(above[1:], above[:-1]) >= -margin)  # cells in which it may cross
+        start, stop = self.searched_until, min(until, float(stretch.times[-1]))
+        heights = stretch.heights(self.level, self.rising, self.hysteresis, noise)
+        ends = [stretch.between.at(when) - self.level for when in (start, stop)]
+        part = Part(stretch, heights, start, stop, (ends[0], ends[1]) if self.rising else (-ends[0], -ends[1]))
         begin = 0
         while True:
             if not self.armed:
-                below = above[begin:] < -self.hysteresis
-                lowest = int(below.argmax())
-                if not below[lowest]:
+                lowest = part.low_from(begin, self.hysteresis)
+                if lowest is None:
                     return None
-                self.armed, begin = True, begin + lowest
-            at = int(np.searchsorted(near, begin))
-            if at == len(near):
+                self.armed, begin = True, lowest
+            cell = part.near_from(begin)
+            if cell is None:
                 return None
-            end = at
-            while end + 1 < len(near) and near[end + 1] == near[end] + 1 and above[near[end] + 1] < margin:
+            end = cell
+            while part.near_from(end + 1) == end + 1 and part.above(end + 1) < heights.margin:
                 end += 1
-            begin, stop = int(near[at]), int(near[end]) + 1
-            edge = self._edge_near(stretch.between, float(times[begin]), float(times[stop]), step, noise)
+            begin = end + 1
+            edge = self._edge_near(stretch.between, part.time(cell), part.time(begin), step, noise)
             if edge is not None:
                 return edge
-            begin = stop
 
     def _edge_near(self, between: Between, start: float, stop: float, step: float, noise: float) -> float | None:
         """The first edge in a short time, sample by sample with the noise."""
@@ -304,7 +235,7 @@ class PulseSearch:
 
     def _advance_coarsely(self, until: float, now: float, step: float, noise: float) -> float | None:
         """The same where looks far apart tell on which side the signal is, and `noise` is as far as noise goes."""
-        while until - self.searched_until > _SHORTEST_STRETCH:
+        while until - self.searched_until > SHORTEST_STRETCH:
             stretch = self.volts_at.stretch(self.searched_until, until, now)
             times = self._telling_times(stretch, min(until, float(stretch.times[-1])), step, noise)
             found = self._pulse_in(times, self._turned(stretch.between(times) + self.volts_at.noise(times)))

@@ -11,8 +11,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from instrument.simulated.front_end.comparator import Comparator
 from instrument.simulated.front_end.frontend import Floats
-from instrument.simulated.front_end.trigger import Comparator, refine
+from instrument.simulated.front_end.trigger import refine
 from instrument.simulated.panel.panel import TriggerSettings
 
 LINE_TIMES = {"NTSC": 1.001 / 15_750, "PAL": 64e-6}  # s

@@ -18,6 +18,7 @@ from instrument.simulated.scope import Picture, SimulatedTDS2014
 
 _MOST_WAITING = 1000
 _MASTER_SUMMARY = 64
+_VIRTUAL_POLL = 0.001  # s of real time between two jumps of a virtual clock
 _TERMINATORS = {"LF": b"\n", "CR": b"\r", "CRLF": b"\r\n", "LFCR": b"\n\r"}
 
 
@@ -112,6 +113,20 @@ class MessageExchange:
         with self.scope.lock:
             while most > 0 and self.scope.powered and not self.scope.faults.hung and self._advance():
                 most -= 1
+
+    def let_time_pass(self, most: float = math.inf) -> None:
+        """Carry out what has come in; a virtual clock then jumps to where there is more to do."""
+        self.pump(most)
+        if self.scope.clock.virtual and self.next_change() < math.inf:
+            with self.scope.lock:
+                self.scope.clock.sleep(self.next_change() - self.scope.clock.now() + 1e-9)
+
+    def pause(self) -> float:
+        """Seconds of real time after which there may be more to do; inf if only new bytes help."""
+        change = self.next_change()
+        if change == math.inf:
+            return change
+        return _VIRTUAL_POLL if self.scope.clock.virtual else max(0.0, change - self.scope.clock.now())
 
     def take(self) -> bytes | None:
         """The oldest answer whose time has come; sets `closed` if the link breaks with it."""

@@ -11,14 +11,13 @@ import time
 from dataclasses import dataclass, field
 
 from instrument.simulated.links.exchange import MessageExchange
-from instrument.simulated.links.stream_server import Line, Port, StreamServer
+from instrument.simulated.links.stream_server import LOOK_UP, Line, Port, StreamServer
 from instrument.simulated.scope import SimulatedTDS2014
 
 _VERSION = b"Simulated GPIB adapter, version 6.107\r\n"
 _ESCAPE, _LINE_FEED, _RETURN = 0x1B, 0x0A, 0x0D
 _APPENDED = (b"\r\n", b"\r", b"\n", b"")  # ++eos 0 to 3
-_LOOK_UP = 0.2  # s
-_VIRTUAL_POLL = 0.001  # s
+_UNSENT = 0.001  # s
 _UNRECOGNIZED = b"Unrecognized command\r\n"
 
 
@@ -105,25 +104,20 @@ class GpibAdapterServer(StreamServer):
         super()._drop(port)
 
     def _pause(self) -> float:
-        pauses, now = [_LOOK_UP], time.monotonic()
+        pauses, now = [LOOK_UP], time.monotonic()
         for port, client in self._clients.items():
             if len(port.outgoing):
-                pauses.append(_VIRTUAL_POLL)
+                pauses.append(_UNSENT)
             if client.reading_until:
                 pauses.append(client.reading_until - now)
-            change = client.exchange.next_change()
-            if change < float("inf"):
-                pauses.append(_VIRTUAL_POLL if self.scope.clock.virtual else change - self.scope.clock.now())
+            pauses.append(client.exchange.pause())
         return max(0.0, min(pauses))
 
     def _serve(self, port: Port) -> None:
         client, now = self._clients[port], time.monotonic()
         self._take_lines(port, client, now)
         exchange = client.exchange
-        exchange.pump()
-        if self.scope.clock.virtual and exchange.next_change() < float("inf"):
-            with self.scope.lock:
-                self.scope.clock.sleep(exchange.next_change() - self.scope.clock.now() + 1e-9)
+        exchange.let_time_pass()
         if client.reading_until:
             self._read_on(port, client, now)
         self._send(port, now)

@@ -6,10 +6,8 @@ import time
 from collections import defaultdict, deque
 from collections.abc import Sequence
 
-from instrument.simulated.links.stream_server import Port, StreamServer
+from instrument.simulated.links.stream_server import LOOK_UP, Port, StreamServer
 from instrument.transcripts.reading import Exchange
-
-_LOOK_UP = 0.2  # s
 
 
 class ReplayServer(StreamServer):
@@ -55,7 +53,7 @@ class ReplayServer(StreamServer):
         super()._drop(port)
 
     def _pause(self) -> float:
-        return _LOOK_UP
+        return LOOK_UP
 
     def _serve(self, port: Port) -> None:
         now, begun = time.monotonic(), self._begun[port]

@@ -10,15 +10,12 @@ from __future__ import annotations
 import time
 
 from instrument.simulated.links.exchange import MessageExchange
-from instrument.simulated.links.stream_server import Line, Port, StreamServer
+from instrument.simulated.links.stream_server import FULL, LOOK_UP, Line, Port, StreamServer
 from instrument.simulated.scope import SimulatedTDS2014
 
-_FULL = 1 << 20  # bytes of unread answers at which no more questions are taken
 _TURN = 4  # messages of one client before the next one has its turn
 _AT_ONCE = 4096  # bytes whose questions are taken before answers are sent
 _PACE = 0.004  # s of line time that travel in one piece
-_LOOK_UP = 0.2  # s after which an idle server looks whether the instrument is still on
-_VIRTUAL_POLL = 0.001  # s of real time between two jumps of a virtual clock
 
 
 class ScopeServer(StreamServer):
@@ -50,16 +47,13 @@ class ScopeServer(StreamServer):
         super()._drop(port)
 
     def _pause(self) -> float:
-        pauses = [_LOOK_UP]
+        pauses = [LOOK_UP]
         for port in self._ports:
             if len(port.outgoing) or len(port.incoming):
                 pauses.append(_PACE)
             if self._exchanges[port].ready:
                 pauses.append(0.0)
-            change = self._exchanges[port].next_change()
-            if change < float("inf"):
-                wait = max(0.0, change - self.scope.clock.now())
-                pauses.append(_VIRTUAL_POLL if self.scope.clock.virtual else wait)
+            pauses.append(self._exchanges[port].pause())
         return min(pauses)
 
     def _serve(self, port: Port) -> None:
@@ -67,26 +61,19 @@ class ScopeServer(StreamServer):
             self._drop(port)
             return
         exchange, now = self._exchanges[port], time.monotonic()
-        takes = len(port.outgoing) < _FULL and not exchange.full
+        takes = len(port.outgoing) < FULL and not exchange.full
         if takes and (arrived := port.incoming.take(now, _AT_ONCE)):
             exchange.receive(arrived, now)
         if exchange.output_dropped:
             exchange.output_dropped = False
             port.outgoing.clear()
-        self._skip_virtual_wait(exchange)
+        exchange.let_time_pass(_TURN)
+        exchange.pump(_TURN)
         while (answer := exchange.take()) is not None:
             port.outgoing.put(answer, now)
         self._send(port, now)
         if exchange.closed and not len(port.outgoing):
             self._drop(port)
-
-    def _skip_virtual_wait(self, exchange: MessageExchange) -> None:
-        clock = self.scope.clock
-        exchange.pump(_TURN)
-        if clock.virtual and exchange.next_change() < float("inf"):
-            with self.scope.lock:
-                clock.sleep(exchange.next_change() - clock.now() + 1e-9)
-            exchange.pump(_TURN)
 
 
 class TcpServer(ScopeServer):

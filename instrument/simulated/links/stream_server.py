@@ -17,6 +17,12 @@ from typing import Self
 CHUNK = 65_536
 """Bytes that are read at once."""
 
+LOOK_UP = 0.2
+"""Seconds after which an idle server looks whether its instrument is still on."""
+
+FULL = 1 << 20
+"""Bytes of unread answers at which no more questions are taken."""
+
 _CLIENTS = 16  # connections at once on one server
 _UNTAKEN = 4 * CHUNK  # bytes of a client that have not been taken yet, at which it is not listened to
 _NO_DESCRIPTOR = (errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM)

@@ -162,6 +162,9 @@ class _Session:
 class SimulatedVisaLibrary(VisaLibraryBase):
     """The part of VISA that message-based programs use."""
 
+    in_this_program = True
+    """No other program can reach its instruments."""
+
     @staticmethod
     def get_library_paths() -> tuple[LibraryPath, ...]:
         """One name, so that PyVISA can make a library without a file."""

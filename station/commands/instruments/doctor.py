@@ -73,7 +73,7 @@ def command(
         with recorded(said) if bundle is not None else nullcontext():
             checks = examine(settings, resource or settings.scope.resource or None)
             if station is not None:
-                from station.campaign.checks import examine_campaign
+                from station.campaign.bench.checks import examine_campaign
                 from station.campaign.file import read_campaign
 
                 checks += examine_campaign(read_campaign(station, _ANY_UNIT))

@@ -7,23 +7,27 @@ from pathlib import Path
 import click
 
 from station.shell.options import config_option, json_option, transcript_option
-from station.terminal.lines import print_json, say
+from station.terminal.lines import print_json, remark, say
 
 
 @click.command("list")
+@click.option("--lan/--no-lan", default=True, help="Look on the network too, for two seconds.  [default: --lan]")
 @transcript_option
 @config_option
 @json_option
-def command(config: Path | None, as_json: bool) -> int:
+def command(lan: bool, config: Path | None, as_json: bool) -> int:
     """List the instruments that VISA can see, and say why one cannot be used.
 
-    A name that is not listed may work all the same: raw TCP sockets cannot be found by looking.
+    A name that is not listed may work all the same: raw TCP sockets cannot be found by looking, and on a slow
+    network an instrument may need longer than it is waited for.
     """
     from instrument import find_resources
     from station.lock_in.settings import load_settings
 
     load_settings(config)
-    found = find_resources()
+    if lan:
+        remark("looking for instruments, on the network too...")
+    found = find_resources(lan=lan)
     if as_json:
         print_json(
             {

@@ -8,7 +8,7 @@ from pathlib import Path
 from station.fibre_gyro.allan.evaluate import PURPOSE, evaluate
 from station.fibre_gyro.allan.result import LIMITED, result
 from station.fibre_gyro.allan.sections import sections
-from station.fibre_gyro.common import output_facts, truth_of
+from station.fibre_gyro.common import output_facts, truth_of, with_link_remarks
 from station.fibre_gyro.logs import LogRow, is_list, read_logs, read_whole_logs
 from station.fibre_gyro.segments import PlannedSegment, take_logs, take_segments, unusable_segments
 from station.fibre_gyro.serial_bench import open_fog_bench
@@ -50,7 +50,7 @@ MEASUREMENT = Measurement(
     take=take,
     take_files=take_files,
     evaluate=evaluate,
-    result=result,
+    result=with_link_remarks(result),
     sections=sections,
     facts=output_facts,
     gives=LIMITED,

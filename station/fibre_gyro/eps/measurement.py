@@ -7,7 +7,7 @@ from pathlib import Path
 
 from analysis.fibre_gyro import steps_beyond_dac
 from station.fibre_gyro.at_once import watch
-from station.fibre_gyro.common import beyond_converter, output_facts, truth_of
+from station.fibre_gyro.common import beyond_converter, output_facts, truth_of, with_link_remarks
 from station.fibre_gyro.eps.evaluate import PURPOSE, evaluate
 from station.fibre_gyro.eps.result import LIMITED, result
 from station.fibre_gyro.eps.sections import sections
@@ -65,7 +65,7 @@ MEASUREMENT = Measurement(
     take=take,
     take_files=take_files,
     evaluate=evaluate,
-    result=result,
+    result=with_link_remarks(result),
     sections=sections,
     facts=output_facts,
     gives=LIMITED,

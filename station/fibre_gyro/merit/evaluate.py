@@ -23,7 +23,7 @@ from analysis.fibre_gyro import (
     temperature_coefficient_ppm,
 )
 from station.errors import NoUsableSignal
-from station.fibre_gyro.common import reasons_of
+from station.fibre_gyro.common import angle_clock_u, reasons_of
 from station.fibre_gyro.recordings import Segment, segments_of
 from station.fibre_gyro.settings import FogSettings
 from station.fibre_gyro.windows import check_table_rate, remarks_on, window_at_rest, window_of_any_length
@@ -151,12 +151,13 @@ def _one_axis(
         return None
     k = np.array([one.figures.fit.slope for one in runs])
     each = [one.figures for one in runs]
+    clock_u = angle_clock_u([segment for of_run in by_run.values() for segment in of_run])
     return AxisMerit(
         axis=axis,
         runs=runs,
         at_temperatures=others,
         scale_factor=float(k.mean()),
-        scale_factor_u=_scale_u(k, each[0]),
+        scale_factor_u=math.hypot(_scale_u(k, each[0]), clock_u * float(k.mean())),
         nonlinearity_ppm=_largest([one.nonlinearity_ppm for one in each]),
         nonlinearity_of_point_ppm=_largest([one.nonlinearity_of_point_ppm for one in each]),
         asymmetry_ppm=_largest([one.asymmetry_ppm for one in each]),

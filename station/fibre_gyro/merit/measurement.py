@@ -7,7 +7,7 @@ from pathlib import Path
 
 from analysis.fibre_gyro import turn_time
 from station.fibre_gyro.at_once import watch
-from station.fibre_gyro.common import output_facts, truth_of
+from station.fibre_gyro.common import output_facts, truth_of, with_link_remarks
 from station.fibre_gyro.examine import examine
 from station.fibre_gyro.logs import LogRow, read_logs, table_conditions
 from station.fibre_gyro.merit.evaluate import PURPOSE, evaluate
@@ -89,7 +89,7 @@ MEASUREMENT = Measurement(
     take=take,
     take_files=take_files,
     evaluate=evaluate,
-    result=result,
+    result=with_link_remarks(result),
     sections=sections,
     facts=output_facts,
     gives=LIMITED,

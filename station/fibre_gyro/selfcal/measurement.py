@@ -8,7 +8,7 @@ from pathlib import Path
 from analysis.fibre_gyro import InjectionPlan, steps_beyond_dac
 from station.fibre_gyro.allan.noise_model import NOISE
 from station.fibre_gyro.at_once import watch
-from station.fibre_gyro.common import beyond_converter, output_facts, truth_of
+from station.fibre_gyro.common import beyond_converter, output_facts, truth_of, with_link_remarks
 from station.fibre_gyro.examine import examine
 from station.fibre_gyro.logs import LogRow, read_logs
 from station.fibre_gyro.segments import PlannedSegment, take_logs, take_segments, unusable_segments
@@ -103,7 +103,7 @@ MEASUREMENT = Measurement(
     take=take,
     take_files=take_files,
     evaluate=evaluate,
-    result=result,
+    result=with_link_remarks(result),
     sections=sections,
     facts=output_facts,
     gives=LIMITED,

@@ -130,7 +130,8 @@ def _together(table: AxisResult) -> TableTogether | None:
     made, fit = table.differences, table.fit
     if made is None or made.factors is None:
         return None
-    own = math.sqrt(max(fit.scale_factor_u**2 - fit.contributions["table rate"] ** 2, 0.0))
+    common = sum(fit.contributions.get(name, 0.0) ** 2 for name in ("table rate", "clock"))
+    own = math.sqrt(max(fit.scale_factor_u**2 - common, 0.0))
     return TableTogether([own, *made.number_u.tolist()], correlation_with_numbers(fit, made.factors).tolist())
 
 

@@ -33,6 +33,9 @@ def axis_budget(one: AxisResult, settings: FogSettings) -> dict[str, Any]:
         _drift(one),
         _left_out(one),
     ]
+    if "clock" in parts:
+        quantity, note = "clock of the gyro against the computer's", "an angle in each word: K holds its interval"
+        lines.append(Contribution("clock", quantity, parts["clock"], True, note))
     return budget_document("scale factor", lines, PPM * fit.scale_factor_u / abs(fit.scale_factor))
 
 

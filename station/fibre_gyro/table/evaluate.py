@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -34,7 +34,7 @@ from analysis.fibre_gyro import (
 )
 from station.errors import NoUsableSignal
 from station.fibre_gyro.allan.noise_model import NoiseModel, noise_of
-from station.fibre_gyro.common import reasons_of
+from station.fibre_gyro.common import angle_clock_u, reasons_of
 from station.fibre_gyro.recordings import Segment, segments_of
 from station.fibre_gyro.settings import FogSettings
 from station.fibre_gyro.windows import begins_of, check_table_rate, remarks_on, window_over_turns
@@ -286,6 +286,16 @@ def _axis_result(
     fit = fit_axis(
         runs, irreproducibility_ppm=irreproducibility, table_rate_u_ppm=settings.table.rate_u_ppm or 0.0
     )
+    if clock_u := angle_clock_u(segments):
+        part = clock_u * abs(fit.scale_factor)
+        fit = replace(
+            fit,
+            scale_factor_u=math.hypot(fit.scale_factor_u, part),
+            contributions={**fit.contributions, "clock": part},
+        )
+        if differences is not None:
+            common = np.hypot(differences.irreproducibility_u, clock_u * differences.number)
+            differences = replace(differences, irreproducibility_u=common)
     return AxisResult(
         axis=axis,
         keys=tuple(windows),

@@ -9,7 +9,7 @@ from analysis.fibre_gyro import check_whole_turns, turn_time
 from station.errors import UsageError
 from station.fibre_gyro.allan.noise_model import NOISE
 from station.fibre_gyro.at_once import watch
-from station.fibre_gyro.common import output_facts, truth_of
+from station.fibre_gyro.common import output_facts, truth_of, with_link_remarks
 from station.fibre_gyro.examine import examine
 from station.fibre_gyro.logs import LogRow, read_logs, table_conditions
 from station.fibre_gyro.segments import (
@@ -96,7 +96,7 @@ MEASUREMENT = Measurement(
     take=take,
     take_files=take_files,
     evaluate=evaluate,
-    result=result,
+    result=with_link_remarks(result),
     sections=sections,
     facts=output_facts,
     gives=LIMITED,

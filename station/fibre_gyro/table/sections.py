@@ -8,6 +8,7 @@ import numpy as np
 
 from station.fibre_gyro.common import COLOURS, COUNTS_PER_DPS, PPM, staircase_section
 from station.fibre_gyro.settings import FogSettings
+from station.fibre_gyro.table.budget import noise_sentence
 from station.fibre_gyro.table.evaluate import AxisResult, TableFound
 from station.fibre_gyro.table.result import ladder_table, matrix_table
 from station.report.figure import HALF, SOFT, WIDE, legend_above, svg_element
@@ -52,9 +53,7 @@ def sections(found: TableFound, run: SavedRun, settings: FogSettings, result: Re
     if any(one.linearity is not None for one in found.axes):
         made.append(_ladder_section(found))
     for axis, one in zip(result.document["axes"], found.axes, strict=True):
-        sentences = tuple(
-            said for said in result.sentences if said.startswith(f"{one.axis}: to u(K) the noise model")
-        )
+        sentences = tuple(said for said in [noise_sentence(one)] if said)
         table = budget_table(f"K({one.axis})", axis["budget"])
         made.append(Section(f"Budget of K({one.axis})", sentences=sentences, table=table))
     return [*made, staircase_section(settings), Section("Runs", table=_run_table(found))]

@@ -121,15 +121,25 @@ def _witnessed(name: str, saved: SavedRecord, settings: FogSettings) -> Witnesse
         raise ValueError("it was taken in Peak Detect, which has no levels: use Sample mode")
     if waveform.clipped:
         raise ValueError("it is clipped: use more volts per division, or shift the position")
+    return WitnessedRecord(name, waveform, *witnessed(waveform, settings.coil.transit_time))
+
+
+def witnessed(waveform: Waveform, transit_time: float) -> tuple[StaircaseWitness, bool]:
+    """Return the staircase of a record, and whether it was found with the transit time of the coil (s) only.
+
+    Raises
+    ------
+    ValueError
+        There is none; the text says why and what to change.
+    """
     volts, interval = waveform.volts, waveform.sample_interval
     try:
-        return WitnessedRecord(name, waveform, witness_staircase(volts, interval), False)
+        return witness_staircase(volts, interval), False
     except ValueError as alone:
         try:
-            found = witness_staircase(volts, interval, step_time=settings.coil.transit_time)
+            return witness_staircase(volts, interval, step_time=transit_time), True
         except ValueError:
             raise alone from None
-        return WitnessedRecord(name, waveform, found, True)
 
 
 def _found(

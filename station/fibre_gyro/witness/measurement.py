@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from station.fibre_gyro.settings import FIBRE_GYRO
+from station.fibre_gyro.witness.at_once import watch
 from station.fibre_gyro.witness.evaluate import PURPOSE, evaluate
 from station.fibre_gyro.witness.result import LIMITED, result
 from station.fibre_gyro.witness.sections import facts, sections
@@ -26,4 +27,5 @@ MEASUREMENT = Measurement(
     facts=facts,
     gives=LIMITED,
     simulated=is_simulated,
+    watch=watch,
 )

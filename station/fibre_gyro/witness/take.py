@@ -16,8 +16,9 @@ from instrument.fibre_gyro import FibreGyroLink
 from station.errors import UsageError
 from station.fibre_gyro.common import PPM, beyond_converter
 from station.fibre_gyro.segments import PlannedSegment
-from station.fibre_gyro.serial_bench import SerialFogBench, read_frame_format
+from station.fibre_gyro.serial_bench import SerialFogBench
 from station.fibre_gyro.settings import FogSettings
+from station.fibre_gyro.sniff.known import read_frame_format
 from station.fibre_gyro.witness.evaluate import PURPOSE
 from station.runs.operator import ask_operator
 from station.runs.store import NewRecord

@@ -18,8 +18,9 @@ from analysis.errors import NoFit
 from station.events.seen import See, Seen, Value
 from station.lock_in.settings import Settings
 from station.results.numbers import with_uncertainty
-from station.ring_laser.at_once import harmonics_of, trace_of, waveform_of
+from station.ring_laser.at_once import harmonics_of, trace_of_beat
 from station.runs.store import NewRecord
+from station.scope.at_once import waveform_of
 
 _SHARE = 0.2  # of the time at most goes into fitting several rates together, which takes a tenth of a second
 
@@ -76,7 +77,7 @@ class _Watch:
         record = records[0]  # a second photodiode says the same
         waveform = waveform_of(record)
         fit, group = harmonics_of(waveform), _group(record)
-        trace = trace_of(waveform, fit)
+        trace = trace_of_beat(waveform, fit)
         if fit is None:
             return Seen(record.key, group, (), flags=("no_beat",), trace=trace)
         alone = _Rate(1)

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -15,6 +17,9 @@ from station.lock_in.presentation.budget_table import budget_document
 from station.lock_in.presentation.rates_sentences import describe_frequencies, describe_rates
 from station.lock_in.presentation.table_sentences import table_sentences
 from station.results.as_json import picked
+
+_AT_ONCE = 2000
+"""Records whose documents are made together."""
 
 # name in JSON: field of the estimate. What belongs to one rate alone is null in a run at several.
 _OF_ONE_RATE = {
@@ -180,33 +185,35 @@ def _of_all(found: LockInFound) -> dict[str, Any]:
     return document
 
 
-def record_documents(found: LockInFound, called: str) -> list[dict[str, Any]]:
-    """Return one document for each record, with the names of :func:`result_document`.
+def record_documents(found: LockInFound, called: str) -> Iterator[dict[str, Any]]:
+    """Yield one document for each record, with the names of :func:`result_document`.
 
     Parameters
     ----------
     called : str
         Key of the record's name: ``"record"`` of a run, or ``"file"``.
     """
-    each = found.each
     common = {
         "method": describe_method(found.method),
         "scale_factor_pulses_per_deg": found.method.scale_factor,
     }
-    low, high = found.record_intervals_95
-    columns = {
-        "lock_in_rate_dps": each.lock_in_rate,
-        "lock_in_rate_u_dps": found.record_u,
-        "lock_in_rate_low_95_dps": low,
-        "lock_in_rate_high_95_dps": high,
-        "lock_in_rate_noise_u_dps": each.lock_in_rate_u,
-        **picked(each, _OF_ONE_RATE | _OF_ALL),
-    }
-    rows = zip(found.names, each.flags.tolist(), *(column.tolist() for column in columns.values()), strict=True)
-    return [
-        {called: name, **dict(zip(columns, values, strict=True)), **common, "flags": flag_names(flags)}
-        for name, flags, *values in rows
-    ]
+    for first in range(0, len(found.names), _AT_ONCE):
+        rows = slice(first, first + _AT_ONCE)
+        some = replace(found, each=found.each[rows], record_u=found.record_u[rows], names=found.names[rows])
+        low, high = some.record_intervals_95
+        columns = {
+            "lock_in_rate_dps": some.each.lock_in_rate,
+            "lock_in_rate_u_dps": some.record_u,
+            "lock_in_rate_low_95_dps": low,
+            "lock_in_rate_high_95_dps": high,
+            "lock_in_rate_noise_u_dps": some.each.lock_in_rate_u,
+            **picked(some.each, _OF_ONE_RATE | _OF_ALL),
+        }
+        flags = some.each.flags.tolist()
+        for name, bits, *values in zip(
+            some.names, flags, *(one.tolist() for one in columns.values()), strict=True
+        ):
+            yield {called: name, **dict(zip(columns, values, strict=True)), **common, "flags": flag_names(bits)}
 
 
 def _several_rates(found: LockInFound) -> dict[str, Any] | None:

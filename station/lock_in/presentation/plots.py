@@ -23,6 +23,7 @@ Array = NDArray[np.float64]
 _PERIODS_SHOWN = 4
 _SAMPLES_SHOWN = 300  # dots that can still be told apart; each is an element of the page
 _HARMONICS = 4
+RECORDS_SHOWN = 2000  # of more every so many: a page of a million bars cannot be opened
 
 
 def time_record_svg(waveform: Waveform) -> str:
@@ -160,8 +161,10 @@ def line_svg(waveform: Waveform, order: int) -> str:
 
 def values_svg(evaluation: LockInFound) -> str:
     """Draw the lock-in rate of every record, the combined value, and the truth if it is known."""
-    each, combined = evaluation.each, evaluation.combined
-    number = np.arange(1, len(evaluation.names) + 1)
+    combined, count = evaluation.combined, len(evaluation.names)
+    apart = -(-count // RECORDS_SHOWN)
+    each, number = evaluation.each[::apart], np.arange(1, count + 1, apart)
+    which = "one record" if apart == 1 else f"one record in {apart}"
     low, high = evaluation.interval_95
 
     def draw(figure: Figure) -> None:
@@ -183,12 +186,12 @@ def values_svg(evaluation: LockInFound) -> str:
             linewidth=0.6 if many else 1.0,
             capsize=0 if many else 2.5,
             color=INK,
-            label="one record, ±1 u of its noise",
+            label=f"{which}, ±1 u of its noise",
         )
         if evaluation.truth is not None:
             true = evaluation.truth["lock_in_rate_dps"]
             axes.axhline(true, color=THIRD, linestyle=(0, (5, 3)), linewidth=1.2, label="truth of the simulation")
-        axes.set(xlabel="record", ylabel="lock-in rate, deg/s", xlim=(0.4, number.size + 0.6))
+        axes.set(xlabel="record", ylabel="lock-in rate, deg/s", xlim=(0.4, count + 0.6))
         axes.xaxis.set_major_locator(MaxNLocator(integer=True))
         axes.ticklabel_format(axis="y", useOffset=False)
         legend_above(axes)

@@ -12,6 +12,7 @@ from analysis import RatesFit
 from analysis.lock_in_run import RateGroup
 from analysis.lockin_equation import beat_frequency, lock_in_from_rate
 from analysis.several_rates import RatioData, predicted_ratio
+from station.lock_in.presentation.plots import RECORDS_SHOWN
 from station.report.figure import ACCENT, HALF, INK, SECOND, SOFT, THIRD, WIDE, legend_above, svg_element
 
 if TYPE_CHECKING:
@@ -105,8 +106,9 @@ def deviations_svg(fit: RatesFit) -> str:
     def draw(figure: Figure) -> None:
         axes = figure.add_subplot()
         for sense, colour, marker, name in _SENSES:
-            inside = (np.sign(fit.rate) == sense) & np.isfinite(fit.deviation)
-            if inside.any():
+            inside = np.flatnonzero((np.sign(fit.rate) == sense) & np.isfinite(fit.deviation))
+            inside = inside[:: -(-inside.size // RECORDS_SHOWN) or 1]
+            if inside.size:
                 axes.plot(
                     np.abs(fit.rate[inside]),
                     fit.deviation[inside],

@@ -41,7 +41,7 @@ def rates_table(several: SeveralRates) -> TextTable:
 
 def records_table(found: LockInFound, most: int) -> TextTable:
     """Return one row for each record, at most so many."""
-    each, rows = found.each, list[tuple[str, ...]]()
+    each, rows = found.each[:most], list[tuple[str, ...]]()
     for index, name in enumerate(found.names[:most]):
         rows.append(
             (

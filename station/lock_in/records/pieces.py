@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import itertools
 import math
+import threading
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -61,7 +62,7 @@ class Gathered:
     method : Method or None
         ``None`` where it could not be read, or was known.
     sha256 : str
-        Of the source; empty where only a piece of it was read.
+        Of the source; empty where only a piece of it was read that does not know it.
     about : dict
         Unit, gyro, operator, instrument and software as the source names them.
     numbers, places : ndarray of int, shape (n,)
@@ -72,7 +73,7 @@ class Gathered:
         ``samples``, ``sample_interval_s``, ``level_spacing_v`` and the conditions, nan where not known.
     labels : dict of list of str
         ``key``, ``taken_at``, ``channel``, ``wfid`` of each record.
-    truth : dict of ndarray, shape (n,)
+    truth : mapping of ndarray, shape (n,)
         True values of a simulated bench.
     each : LockInEstimate or None
         Fields of shape (n,); ``None`` where there is no record.
@@ -86,6 +87,9 @@ class Gathered:
         What could not be read.
     paired : bool
         Whether there are records of a second photodiode.
+    seconds : ndarray of int, shape (n,)
+        Number in the source of the record of the second photodiode that belongs to each; 0: there is none, -1: it
+        is damaged.
     front_end : dict or None
         Settings of the run, where they describe a channel that is to be taken out of its records.
     """
@@ -99,13 +103,14 @@ class Gathered:
     taken: int
     columns: dict[str, NDArray[np.float64]]
     labels: dict[str, list[str]]
-    truth: dict[str, NDArray[np.float64]]
+    truth: Mapping[str, NDArray[np.float64]]
     each: LockInEstimate | None
     fast: tuple[SavedRecord, ...]
     damaged: tuple[int, ...]
     damage: tuple[str, ...]
     left_out: tuple[LeftOut, ...]
     paired: bool
+    seconds: NDArray[np.int64]
     front_end: dict[str, Any] | None = None
 
     def __len__(self) -> int:
@@ -114,9 +119,16 @@ class Gathered:
 
 _ABOUT = ("unit", "operator")
 _COLUMNS = ("samples", "sample_interval_s", "level_spacing_v", *CONDITIONS)
-_LABELS = ("key", "taken_at", "channel", "wfid")
 _NAN = math.nan
+V = TypeVar("V", np.float64, np.int64)
 _Estimates = list[tuple[NDArray[np.intp], LockInEstimate]]
+
+
+def described_records(piece: Piece) -> Gathered:
+    """Read a source, and say all of its records but their estimates."""
+    reading = _Reading(piece, _NoRoom(AT_ONCE))
+    reading.read()
+    return reading.gathered()
 
 
 def estimate_pieces(pieces: Sequence[Piece], at_once: int = AT_ONCE) -> list[Gathered]:
@@ -146,23 +158,27 @@ class _Room:
 
     def __init__(self, at_once: int) -> None:
         self._at_once = at_once
-        self._waiting: dict[tuple[Any, ...], list[tuple[_Reading, int, SavedRecord, Preamble]]] = {}
+        self._waiting: dict[tuple[Any, ...], list[_Waits]] = {}
+        self._last: tuple[Any, ...] = None, None, (), []
 
     def add(self, reading: _Reading, row: int, record: SavedRecord, preamble: Preamble) -> None:
-        key = preamble.nr_pt, preamble.xincr, preamble.byt_nr, reading.method
-        waiting = self._waiting.setdefault(key, [])
+        if preamble is not self._last[0] or reading is not self._last[1]:
+            key = preamble.nr_pt, preamble.xincr, preamble.byt_nr, reading.method
+            self._last = preamble, reading, key, self._waiting.setdefault(key, [])
+        _, _, key, waiting = self._last
         waiting.append((reading, row, record, preamble))
         if len(waiting) >= self._at_once:
             self._estimate(self._waiting.pop(key))
+            self._last = None, None, (), []
 
     def estimate_all(self) -> None:
         while self._waiting:
             self._estimate(self._waiting.popitem()[1])
 
-    def _estimate(self, waiting: list[tuple[_Reading, int, SavedRecord, Preamble]]) -> None:
+    def _estimate(self, waiting: list[_Waits]) -> None:
         method = waiting[0][0].method
         batch = batch_of([(record, preamble) for _, _, record, preamble in waiting])
-        estimate = estimate_batch(batch, method) if method is not None else None
+        estimate = estimate_batch(batch, method, _kept_room(batch.codes.shape)) if method is not None else None
         begin = 0
         for end in range(1, len(waiting) + 1):
             if end == len(waiting) or waiting[end][0] is not waiting[begin][0]:
@@ -170,6 +186,40 @@ class _Room:
                 if estimate is not None:
                     waiting[begin][0].estimates.append((rows, estimate[begin:end]))
                 begin = end
+
+
+class _NoRoom(_Room):
+    """Records that nobody estimates."""
+
+    def add(self, reading: _Reading, row: int, record: SavedRecord, preamble: Preamble) -> None:
+        pass
+
+
+_OF_THREAD = threading.local()
+
+
+def _kept_room(shape: tuple[int, ...]) -> NDArray[np.float64]:
+    """Memory for volts that the batches of one thread use in turn: the system clears new one first, each time."""
+    room: NDArray[np.float64] | None = getattr(_OF_THREAD, "room", None)
+    if room is None or room.shape[1:] != shape[1:] or len(room) < shape[0]:
+        room = _OF_THREAD.room = np.empty(shape)
+    return room
+
+
+@dataclass
+class _Alike:
+    """Records one behind the other that share preamble and conditions, as most of a run do."""
+
+    preamble: Preamble
+    known: Mapping[str, Any]
+    count: int = 1
+
+    @property
+    def columns(self) -> list[float]:
+        """Values of `_COLUMNS`; nan where not known."""
+        one = self.preamble
+        values = (one.nr_pt, one.xincr, abs(one.ymult), *map(self.known.get, CONDITIONS))
+        return [_NAN if value is None else float(value) for value in values]
 
 
 class _Reading:
@@ -183,14 +233,16 @@ class _Reading:
         self._numbers: list[int] = []
         self._places: list[int] = []
         self._taken = 0
-        self._columns: list[tuple[float, ...]] = []
-        self._labels: list[tuple[str, ...]] = []
+        self._keys: list[str] = []
+        self._taken_at: list[str] = []
+        self._alike: list[_Alike] = []
         self._truth: dict[str, list[float]] = {}
         self._fast: list[SavedRecord] = []
         self._damaged: list[int] = []
         self._damage: list[str] = []
         self._left_out: list[LeftOut] = []
-        self._paired = False
+        self._paired, self._last = False, 0
+        self._seconds: dict[int, int] = {}
         self._front_end: dict[str, Any] | None = None
 
     def read(self) -> None:
@@ -208,31 +260,38 @@ class _Reading:
             self._front_end = settings if any((settings.get("front_end") or {}).values()) else None
             for record in source.records(piece.numbers):
                 self._take(record, source)
-            self._sha256 = source.sha256 if piece.numbers is None else ""
+            self._sha256 = source.sha256 if piece.numbers is None else piece.sha256
         except (StationError, InstrumentError, OSError) as error:
             self._left_out.append(LeftOut(self._name, None, str(error).removeprefix(f"{self._name}: ")))
 
     def _take(self, record: SavedRecord, source: Source) -> None:
-        self._damage += filter(None, [damaged_record(record)])
+        if not record.intact:
+            self._damage += filter(None, [damaged_record(record)])
         if record.purpose != MEASURE:
             counts = record.purpose == FAST and record.intact and not record.aside
             self._fast += [record] if counts else []
-            self._paired = self._paired or record.purpose == SECOND
+            if record.purpose == SECOND:
+                self._paired = True
+                # saved in one commit with the record before it
+                self._seconds[self._last] = record.number if record.intact else -1
             return
+        self._last = record.number
         place, self._taken = self._taken, self._taken + 1
         if not record.intact:
             self._damaged.append(place)
         read = read_one(record, source, self._left_out.append)
         if read is None:
             return
-        preamble = read[1]
+        preamble, known = read[1], record.conditions
         self._room.add(self, len(self._numbers), record, preamble)
         self._numbers.append(record.number)
         self._places.append(place)
-        known = record.conditions
-        values = (preamble.nr_pt, preamble.xincr, abs(preamble.ymult), *map(known.get, CONDITIONS))
-        self._columns.append(tuple([_NAN if value is None else float(value) for value in values]))
-        self._labels.append((record.key, record.taken_at, str(known.get("channel", "")), preamble.wfid))
+        self._keys.append(record.key)
+        self._taken_at.append(record.taken_at)
+        if self._alike and self._alike[-1].preamble is preamble and self._alike[-1].known is known:
+            self._alike[-1].count += 1
+        else:
+            self._alike.append(_Alike(preamble, known))
         for name, value in (known.get("truth") or {}).items():
             # a record that does not say it makes the mean of the run unknown, as it should be
             here = self._truth.setdefault(name, [])
@@ -242,8 +301,9 @@ class _Reading:
     def gathered(self) -> Gathered:
         """What was found, when everything that waited has been estimated."""
         rows = [rows for rows, _ in self.estimates]
-        count = len(self._numbers)
-        columns = np.array(self._columns, dtype=np.float64).reshape(count, len(_COLUMNS))
+        count, alike = len(self._numbers), self._alike
+        columns = np.array([one.columns for one in alike], dtype=np.float64).reshape(len(alike), len(_COLUMNS))
+        columns = columns.repeat([one.count for one in alike], axis=0)
         return Gathered(
             name=self._name,
             method=self.method,
@@ -252,8 +312,13 @@ class _Reading:
             numbers=np.array(self._numbers, dtype=np.int64),
             places=np.array(self._places, dtype=np.int64),
             taken=self._taken,
-            columns=dict(zip(_COLUMNS, np.ascontiguousarray(columns.T), strict=True)),
-            labels={name: [row[place] for row in self._labels] for place, name in enumerate(_LABELS)},
+            columns={name: _spread(columns[:, place]) for place, name in enumerate(_COLUMNS)},
+            labels={
+                "key": self._keys,
+                "taken_at": self._taken_at,
+                "channel": [text for one in alike for text in [str(one.known.get("channel", ""))] * one.count],
+                "wfid": [text for one in alike for text in [one.preamble.wfid] * one.count],
+            },
             truth={
                 name: np.array([*values, *[_NAN] * (count - len(values))]) for name, values in self._truth.items()
             },
@@ -263,8 +328,15 @@ class _Reading:
             damage=tuple(self._damage),
             left_out=tuple(self._left_out),
             paired=self._paired,
+            seconds=np.array([self._seconds.get(number, 0) for number in self._numbers], dtype=np.int64)
+            if self._paired
+            else np.zeros(count, dtype=np.int64),
             front_end=self._front_end,
         )
+
+
+_Waits = tuple[_Reading, int, SavedRecord, Preamble]
+"""Whose record it is, its place there, and the record."""
 
 
 def method_of(source: Source, choices: Mapping[str, Any]) -> Method:
@@ -340,7 +412,7 @@ def together(parts: Sequence[Gathered]) -> Gathered:
         numbers=np.concatenate([part.numbers for part in parts]),
         places=np.concatenate([part.places + begin for part, begin in zip(parts, begins, strict=False)]),
         taken=int(begins[-1]),
-        columns={name: np.concatenate([part.columns[name] for part in parts]) for name in first.columns},
+        columns={name: _one_behind_the_other([part.columns[name] for part in parts]) for name in first.columns},
         labels={name: [text for part in parts for text in part.labels[name]] for name in first.labels},
         truth={
             name: np.concatenate([part.truth.get(name, np.full(len(part), _NAN)) for part in parts])
@@ -354,7 +426,24 @@ def together(parts: Sequence[Gathered]) -> Gathered:
         damage=tuple(sentence for part in parts for sentence in part.damage),
         left_out=tuple(one for part in parts for one in part.left_out),
         paired=any(part.paired for part in parts),
+        seconds=_spread(np.concatenate([part.seconds for part in parts])),
     )
+
+
+def _spread(values: NDArray[V]) -> NDArray[V]:
+    """The same values; where all have the same bits, they stand in the memory once."""
+    values = np.ascontiguousarray(values)
+    bits = values.view(np.int64)
+    return np.broadcast_to(values[:1].copy(), values.shape) if np.all(bits == bits[:1]) else values
+
+
+def _one_behind_the_other(columns: Sequence[NDArray[np.float64]]) -> NDArray[np.float64]:
+    filled = [column for column in columns if column.size]
+    alike = all(column.size == 1 or column.strides == (0,) for column in filled)
+    firsts = _spread(np.array([column[0] for column in filled])) if alike else np.empty(0)
+    if firsts.size > 1 and firsts.strides == (0,):
+        return np.broadcast_to(firsts[:1], (sum(column.size for column in filled),))
+    return np.concatenate(columns)
 
 
 def _behind_each_other(parts: Sequence[LockInEstimate]) -> LockInEstimate:

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import itertools
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
-from typing import Any
+from typing import Any, overload
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,8 +49,36 @@ ORDER = (
 )
 """All columns, as a reader meets them."""
 
+_PAIRED = (
+    "its records are pairs of two photodiodes, and a row of one of them would hold its distortion: "
+    "`gyrolock analyze --jsonl` evaluates them together"
+)
+
 Texts = str | list[str | None] | None
 Values = Texts | int | float | NDArray[Any]
+Column = Sequence[Any] | NDArray[Any]
+"""One value for each row; None, or nan of a number: not known."""
+
+
+@dataclass(frozen=True)
+class Repeated(Sequence[Any]):
+    """One value that all rows share."""
+
+    value: Any
+    size: int
+
+    def __len__(self) -> int:
+        return self.size
+
+    @overload
+    def __getitem__(self, place: int) -> Any: ...
+    @overload
+    def __getitem__(self, place: slice) -> Sequence[Any]: ...
+    def __getitem__(self, place: int | slice) -> Any:
+        return ([self.value] * self.size)[place]
+
+    def __iter__(self) -> Iterator[Any]:
+        return itertools.repeat(self.value, self.size)
 
 
 @dataclass(frozen=True)
@@ -75,10 +104,28 @@ class Rows:
     left_out: tuple[LeftOut, ...]
     known: bool = False
 
-    def column(self, name: str) -> Sequence[Any] | NDArray[Any]:
+    def column(self, name: str) -> Column:
         """One value for each row."""
         values = self.columns[name]
-        return values if isinstance(values, list | np.ndarray) else [values] * self.count
+        return values if isinstance(values, list | np.ndarray) else Repeated(values, self.count)
+
+
+def joined_columns(parts: Sequence[Rows]) -> dict[str, Column]:
+    """Put rows of several sources behind each other; every one of `ORDER` is there."""
+    filled = [part for part in parts if part.count]
+    if len(filled) == 1:
+        return {name: filled[0].column(name) for name in ORDER}
+    return {name: _joined([part.column(name) for part in filled]) for name in ORDER}
+
+
+def _joined(columns: Sequence[Column]) -> Column:
+    arrays = [column for column in columns if isinstance(column, np.ndarray)]
+    if len(arrays) == len(columns):
+        return np.concatenate(arrays)
+    shared = {column.value for column in columns if isinstance(column, Repeated)}
+    if len(shared) == 1 and all(isinstance(column, Repeated) for column in columns):
+        return Repeated(shared.pop(), sum(map(len, columns)))
+    return [value for column in columns for value in column]
 
 
 def analysis_of(choices: Mapping[str, Any]) -> str:
@@ -104,6 +151,8 @@ def rows_of_pieces(pieces: Sequence[Piece]) -> list[Rows]:
 def _rows(piece: Piece, gathered: Gathered) -> Rows:
     if gathered.method is None:
         return Rows(gathered.name, 0, {}, gathered.left_out, known=bool(gathered.sha256))
+    if gathered.paired:
+        return Rows(gathered.name, 0, {}, (LeftOut(gathered.name, None, _PAIRED),))
     try:
         return Rows(gathered.name, len(gathered), _columns(piece, gathered), gathered.left_out)
     except StationError as error:
@@ -126,7 +175,7 @@ def _columns(piece: Piece, gathered: Gathered) -> dict[str, Values]:
         **gathered.about,
         **{name: known[name] for name in known if name in NUMBERS},
         "source": gathered.name,
-        "source_sha256": gathered.sha256 or piece.sha256,
+        "source_sha256": gathered.sha256,
         "analysis": analysis_of(piece.choices),
         "software": software(),
         "schema_version": VERSION,

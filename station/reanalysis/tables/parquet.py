@@ -2,14 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from station.datasets.packages import package
 from station.errors import CannotWrite, RunError
-from station.reanalysis.tables.columns import INTEGERS, NAME, ORDER, TEXTS, VERSION, Rows
+from station.reanalysis.tables.columns import (
+    INTEGERS,
+    NAME,
+    ORDER,
+    TEXTS,
+    VERSION,
+    Column,
+    Repeated,
+    Rows,
+    joined_columns,
+)
 from station.reanalysis.tables.table import Key, TableFile
 
 pyarrow, compute, parquet = (package(name, "data") for name in ("pyarrow", "pyarrow.compute", "pyarrow.parquet"))
@@ -54,15 +67,23 @@ class Parquet(TableFile):
     def begin(self) -> None:
         """Open the draft; see `TableFile`."""
         try:
-            self._writer = parquet.ParquetWriter(self._draft, SCHEMA, compression="zstd")
+            self._writer = parquet.ParquetWriter(
+                self._draft, SCHEMA, compression="zstd", compression_level=1, use_dictionary=list(TEXTS)
+            )
         except OSError as error:
             raise CannotWrite(f"{self.path}: cannot be written ({error})") from None
 
-    def add(self, rows: Rows) -> None:
+    @staticmethod
+    def packed(parts: Sequence[Rows]) -> bytes:
+        """Columns as Arrow lays them out in memory; see `TableFile`."""
+        columns = joined_columns(parts)
+        arrays = [_texts(columns[name]) if name in TEXTS else _numbers(columns[name], name) for name in ORDER]
+        return bytes(pyarrow.RecordBatch.from_arrays(arrays, schema=SCHEMA).serialize())
+
+    def add(self, packed: bytes) -> None:
         """Collect rows to row groups; see `TableFile`."""
-        arrays = [_array(rows, name) for name in ORDER]
-        self._waiting.append(pyarrow.Table.from_arrays(arrays, schema=SCHEMA))
-        if sum(len(table) for table in self._waiting) >= ROW_GROUP:
+        self._waiting.append(pyarrow.ipc.read_record_batch(pyarrow.py_buffer(packed), SCHEMA))
+        if sum(map(len, self._waiting)) >= ROW_GROUP:
             self._flush()
 
     def end(self, replaced: set[Key]) -> None:
@@ -90,7 +111,8 @@ class Parquet(TableFile):
     def _flush(self) -> None:
         if self._waiting:
             try:
-                self._writer.write_table(pyarrow.concat_tables(self._waiting), row_group_size=2 * ROW_GROUP)
+                table = pyarrow.Table.from_batches(self._waiting, SCHEMA)
+                self._writer.write_table(table, row_group_size=2 * ROW_GROUP)
             except OSError as error:
                 raise CannotWrite(f"{self.path}: cannot be written ({error})") from None
             self._waiting = []
@@ -109,8 +131,34 @@ class Parquet(TableFile):
             ) from None
 
 
-def _array(rows: Rows, name: str) -> Any:
-    value = rows.columns[name]
-    if isinstance(value, str | None):
-        return pyarrow.nulls(rows.count, _KINDS[name]) if value is None else pyarrow.repeat(value, rows.count)
-    return pyarrow.array(rows.column(name), _KINDS[name], from_pandas=True)  # nan: not known
+def _texts(column: Column) -> Any:
+    """Texts as Arrow lays them out: all of them one behind the other, and where each begins."""
+    if isinstance(column, Repeated) and column.value is None:
+        return pyarrow.nulls(len(column), pyarrow.string())
+    if isinstance(column, Repeated):
+        text = column.value.encode()
+        joined, ends = text * len(column), np.arange(len(column) + 1, dtype=np.int32) * np.int32(len(text))
+        known = None
+    else:
+        encoded = [b"" if text is None else text.encode() for text in column]
+        joined, ends = b"".join(encoded), np.cumsum([0, *map(len, encoded)], dtype=np.int32)
+        known = None if None not in column else _bits(np.array([text is not None for text in column]))
+    buffers = [known, pyarrow.py_buffer(ends), pyarrow.py_buffer(joined)]
+    return pyarrow.Array.from_buffers(pyarrow.string(), len(column), buffers)
+
+
+def _numbers(column: Column, name: str) -> Any:
+    """Numbers as Arrow lays them out; nan: not known."""
+    kind = np.int64 if name in INTEGERS else np.float64
+    if isinstance(column, Repeated):
+        column = np.full(len(column), np.nan if column.value is None else column.value)
+    elif not isinstance(column, np.ndarray):
+        column = np.array([np.nan if value is None else value for value in column])
+    values = np.ascontiguousarray(column, kind)
+    unknown = np.isnan(values) if kind is np.float64 else np.zeros(0, dtype=bool)
+    buffers = [_bits(~unknown) if unknown.any() else None, pyarrow.py_buffer(values)]
+    return pyarrow.Array.from_buffers(_KINDS[name], values.size, buffers)
+
+
+def _bits(known: NDArray[np.bool_]) -> Any:
+    return pyarrow.py_buffer(np.packbits(known, bitorder="little"))

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import sqlite3
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import closing
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from station.errors import CannotWrite, RunError
-from station.reanalysis.tables.columns import INTEGERS, ORDER, TEXTS, VERSION, Rows
+from station.reanalysis.tables.columns import INTEGERS, ORDER, TEXTS, VERSION, Column, Rows, joined_columns
 from station.reanalysis.tables.table import Key, TableFile
 
 APPLICATION_ID = 0x47_59_4C_52
@@ -66,10 +68,15 @@ class Sqlite(TableFile):
         except sqlite3.Error as error:
             raise CannotWrite(f"{self.path}: cannot be written ({error})") from None
 
-    def add(self, rows: Rows) -> None:
+    @staticmethod
+    def packed(parts: Sequence[Rows]) -> dict[str, Column]:
+        """Columns; see `TableFile`."""
+        return joined_columns(parts)
+
+    def add(self, packed: dict[str, Column]) -> None:
         """Insert rows; see `TableFile`."""
-        columns = [rows.column(name) for name in ORDER]
-        plain = [column.tolist() if hasattr(column, "tolist") else column for column in columns]
+        columns = (packed[name] for name in ORDER)
+        plain = [column.tolist() if isinstance(column, np.ndarray) else column for column in columns]
         marks = ", ".join("?" * len(ORDER))
         try:
             self._opened().executemany(f"INSERT INTO added VALUES ({marks})", zip(*plain, strict=True))

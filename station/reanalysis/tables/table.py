@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -43,9 +43,14 @@ class TableFile(ABC):
     def begin(self) -> None:
         """Begin to write; what is there stays valid until `end`."""
 
+    @staticmethod
     @abstractmethod
-    def add(self, rows: Rows) -> None:
-        """Add rows."""
+    def packed(parts: Sequence[Rows]) -> Any:
+        """Return rows as :meth:`add` takes them: done by the process that computes them, many at a time."""
+
+    @abstractmethod
+    def add(self, packed: Any) -> None:
+        """Add rows that were packed."""
 
     @abstractmethod
     def end(self, replaced: set[Key]) -> None:

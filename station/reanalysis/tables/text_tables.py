@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import csv
+import io
 import json
-import math
 from abc import abstractmethod
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import IO, Any
 
+import numpy as np
+
 from station.errors import CannotWrite, RunError
-from station.reanalysis.tables.columns import INTEGERS, ORDER, TEXTS, Rows
+from station.reanalysis.tables.columns import INTEGERS, ORDER, TEXTS, Column, Repeated, Rows, joined_columns
 from station.reanalysis.tables.table import Key, TableFile
 
 
@@ -34,12 +36,15 @@ class TextTable(TableFile):
         """Open the draft; see `TableFile`."""
         self._file = self._draft.open("w", encoding="utf-8", newline="")
 
-    def add(self, rows: Rows) -> None:
+    @classmethod
+    def packed(cls, parts: Sequence[Rows]) -> str:
+        """Lines; see `TableFile`."""
+        columns = joined_columns(parts)
+        return cls._lines(zip(*(_known(columns[name]) for name in ORDER), strict=True))
+
+    def add(self, packed: str) -> None:
         """Write lines to the draft; see `TableFile`."""
-        columns = [rows.column(name) for name in ORDER]
-        plain = [column.tolist() if hasattr(column, "tolist") else column for column in columns]
-        for values in zip(*plain, strict=True):
-            self._write(values)
+        self._opened().write(packed)
 
     def end(self, replaced: set[Key]) -> None:
         """Write what stays before the new lines; see `TableFile`."""
@@ -51,7 +56,7 @@ class TextTable(TableFile):
             if self.path.exists():
                 for row in self.rows():
                     if (row["source"], row["analysis"]) not in replaced:
-                        self._write(tuple(row.get(name) for name in ORDER))
+                        self._file.write(self._lines([tuple(row.get(name) for name in ORDER)]))
             with self._draft.open(encoding="utf-8", newline="") as new:
                 for line in new:
                     self._file.write(line)
@@ -73,9 +78,22 @@ class TextTable(TableFile):
     def _headings(self) -> None:
         """Write what stands above the rows."""
 
+    @staticmethod
     @abstractmethod
-    def _write(self, values: tuple[Any, ...]) -> None:
-        """Write one row, in `ORDER`."""
+    def _lines(rows: Iterable[tuple[Any, ...]]) -> str:
+        """Rows, in `ORDER`, as lines; None: not known."""
+
+
+def _known(column: Column) -> Sequence[Any]:
+    """Values, None where they are nan."""
+    if isinstance(column, Repeated):
+        return Repeated(None, len(column)) if column.value != column.value else column
+    if not isinstance(column, np.ndarray):
+        return [None if value != value else value for value in column]
+    values: list[Any] = column.tolist()
+    if column.dtype.kind == "f" and np.isnan(column).any():
+        return [None if value != value else value for value in values]
+    return values
 
 
 class JsonLines(TextTable):
@@ -94,9 +112,10 @@ class JsonLines(TextTable):
         except (OSError, UnicodeDecodeError) as error:
             raise RunError(f"{self.path}: cannot be read ({error})") from None
 
-    def _write(self, values: tuple[Any, ...]) -> None:
-        named = {name: None if _is_nan(value) else value for name, value in zip(ORDER, values, strict=True)}
-        self._opened().write(json.dumps(named, allow_nan=False, default=str) + "\n")
+    @staticmethod
+    def _lines(rows: Iterable[tuple[Any, ...]]) -> str:
+        named = (dict(zip(ORDER, row, strict=True)) for row in rows)
+        return "".join([f"{json.dumps(row, allow_nan=False, default=str)}\n" for row in named])
 
 
 def _json_row(line: str) -> dict[str, Any] | None:
@@ -133,9 +152,11 @@ class Csv(TextTable):
     def _headings(self) -> None:
         csv.writer(self._opened(), lineterminator="\n").writerow(ORDER)
 
-    def _write(self, values: tuple[Any, ...]) -> None:
-        cells = ["" if value is None or _is_nan(value) else value for value in values]
-        csv.writer(self._opened(), lineterminator="\n").writerow(cells)
+    @staticmethod
+    def _lines(rows: Iterable[tuple[Any, ...]]) -> str:
+        text = io.StringIO()
+        csv.writer(text, lineterminator="\n").writerows(rows)
+        return text.getvalue()
 
 
 def _csv_row(row: Mapping[str, str]) -> dict[str, Any] | None:
@@ -151,7 +172,3 @@ def _csv_value(name: str, text: str) -> Any:
     if name in TEXTS:
         return text
     return int(text) if name in INTEGERS else float(text)
-
-
-def _is_nan(value: object) -> bool:
-    return isinstance(value, float) and math.isnan(value)

@@ -60,6 +60,25 @@ def test_a_line_far_from_the_harmonics_costs_less_than_one_on_the_third():
     assert np.all(np.abs(far.lock_in_rate - X) < 5 * far.lock_in_rate_u)
 
 
+def test_a_step_in_the_codes_that_no_line_shows_is_seen_by_all_harmonics_together():
+    k, volts, noise = records(60, 7, noise=1.3)
+    levels = volts + noise
+    e = estimate_lock_in(np.rint(levels + 2 * (levels > 25)), 1.0, scale_factor=k)
+    error = np.abs(e.lock_in_rate - X)
+    noise_u = 2 * np.sqrt(np.trace(e.complex_ratio_covariance, axis1=-2, axis2=-1) / 2)
+    assert np.median(error / noise_u) > 5
+    assert np.mean(has(e, Flag.MISFIT)) > 0.9
+    assert np.all(error < 3 * e.lock_in_rate_u)
+
+
+def test_noise_that_rises_to_low_frequencies_does_not_repeat_with_the_beat():
+    k, volts, noise = records(60, 8, periods=23.7)
+    pink = scipy.signal.lfilter([1], [1, -0.9], noise, axis=-1)
+    e = estimate_lock_in(volts + pink, 1.0, scale_factor=k)
+    assert not has(e, Flag.MISFIT).any()
+    assert np.mean(e.misfit_u > 0) < 0.05
+
+
 def test_misfit_is_no_noise_and_does_not_shift_the_value():
     """Freeing the ratio of the bias of noise by the misfit would make it too small."""
     k, volts, noise = records(1, 3)

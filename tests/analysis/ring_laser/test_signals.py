@@ -12,6 +12,7 @@ from analysis.ring_laser import (
     NoisySignal,
     beat_phase_on_table,
     beat_signal_on_table,
+    signal_bounds,
     smooth_interval,
 )
 from instrument.simulated.rate_table import Motion
@@ -49,6 +50,32 @@ def test_where_the_gyro_locks_and_unlocks_no_interval_is_known():
     assert smooth_interval(GYRO, DETECTOR, passing, 0.5, 0.9) > 0
     assert smooth_interval(GYRO, DETECTOR, passing, 0.5, 1.1) == 0
     assert smooth_interval(GYRO, DETECTOR, (Motion(0.0, 0.0, 0.3),), 0.0, 1.0) == 0
+
+
+@pytest.mark.parametrize("rate", [3.5, -50.0, 1.2])
+@pytest.mark.parametrize(
+    "detector",
+    [
+        DETECTOR,
+        replace(DETECTOR, offset=0.3, second_order=0.02, third_order=0.04),
+        replace(DETECTOR, offset=0.3, low_pass_hz=2e3, ac_corner_hz=1.0, pump_ripple=0.02, pump_hz=100.0),
+    ],
+)
+def test_the_signal_does_not_leave_its_bounds(detector, rate):
+    motion = (Motion(0.0, 40.0, 0.0), Motion(1.0, 40.0, rate))
+    low, high = signal_bounds(GYRO, detector, motion, 2.0, 400.0)
+    volts = beat_signal_on_table(GYRO, detector, motion, np.random.default_rng(1).uniform(2.0, 400.0, 20_000))
+    assert low <= volts.min() and volts.max() <= high
+    assert high - low < 1.6 * np.ptp(volts)
+
+
+def test_bounds_are_not_known_where_the_gyro_may_lock_or_the_table_slews():
+    passing = (Motion(0.0, 0.0, 50.0), Motion(1.0, 50.0, 50.0, -100.0), Motion(2.0, 50.0, -50.0))
+    assert np.isfinite(signal_bounds(GYRO, DETECTOR, passing, 0.5, 0.9)).all()
+    assert np.isinf(signal_bounds(GYRO, DETECTOR, passing, 0.5, 1.1)).all()
+    assert np.isinf(signal_bounds(GYRO, DETECTOR, (Motion(0.0, 0.0, 0.3),), 0.0, 1.0)).all()
+    low, high = signal_bounds(GYRO, DETECTOR, (Motion(0.0, 0.0, 0.0),), 0.0, 1.0)
+    assert low == high == beat_signal_on_table(GYRO, DETECTOR, (Motion(0.0, 0.0, 0.0),), np.zeros(1))[0]
 
 
 @pytest.mark.parametrize("ripple_hz", [0.0, 5.0, 200.0])

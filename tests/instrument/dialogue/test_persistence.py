@@ -94,6 +94,22 @@ def scales(waveform):
     return waveform.preamble.ymult, waveform.preamble.xincr
 
 
+def test_a_question_of_which_only_the_mark_arrives_is_asked_again(shown, manager, quick):
+    class CutOnce(RecordingScope):
+        cut = 0
+
+        def execute(self, message, **how):
+            if b":SET?" in message and not self.cut:
+                self.cut += 1
+                message = message[: message.index(b":SET?")].rstrip(b";")
+            return super().execute(message, **how)
+
+    with TcpServer(CutOnce.watch(shown)) as server, persistent(server.resource_name, manager) as driver:
+        setup = driver.read_setup()
+        assert shown.cut == 1 and driver.link_faults.repeated == 1
+        assert setup == driver.read_setup() and "CH1:" in setup
+
+
 def test_a_request_that_never_arrives_gives_no_old_record(shown, manager, quick):
     # Without persistence too: the scope then holds the record of the last request.
     with TcpServer(shown) as server, TDS2014(server.resource_name, resource_manager=manager) as driver:

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from instrument.fibre_gyro.frame_format import CounterRule
+from instrument.fibre_gyro.frame_format.fields import CounterRule
 from instrument.fibre_gyro.record_builder import CounterClock
 
 

@@ -1,6 +1,7 @@
 """One scope from several threads and tasks, two scopes at once, and two programs on one port."""
 
 import asyncio
+import os
 import subprocess
 import sys
 import threading
@@ -89,7 +90,7 @@ def test_a_second_program_on_a_serial_port_is_refused_by_name():
         second = subprocess.run(
             [sys.executable, "-c", SECOND, server.resource_name], capture_output=True, text=True, timeout=60
         )
-        assert f"{server.resource_name} is in use by another program" in second.stdout
+        assert f"{server.resource_name} is in use by process {os.getpid()} (" in second.stdout
         assert len(scope.acquire("CH1")) == 2500
         with pytest.raises(LinkError, match="in use"):
             TDS2014(server.resource_name)

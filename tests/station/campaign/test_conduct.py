@@ -12,6 +12,7 @@ import pytest
 
 from instrument import LinkError
 from station.campaign import journal
+from station.campaign.bench.in_use import bench_in_use
 from station.campaign.conduct import conduct
 from station.campaign.file import read_campaign
 from station.campaign.journal import JOURNAL, Journal, read_test
@@ -188,6 +189,46 @@ def test_a_test_is_carried_out_by_one_program_and_by_the_campaign_that_began_it(
         outcome_of(changed, "GOOD", resumed=begun.directory)
     with pytest.raises(UsageError, match="is a test of GOOD, not of BAD"):
         outcome_of(campaign(), "BAD", resumed=begun.directory)
+
+
+HOLDS = """
+import sys, time
+from pathlib import Path
+from station.campaign.bench.in_use import bench_in_use
+from station.campaign.file import read_campaign
+with bench_in_use(read_campaign(Path("other.toml"), "LIMIT")):
+    print("holds", flush=True)
+    time.sleep(60)
+"""
+
+
+def test_two_campaigns_on_one_bench_exclude_each_other(campaign: Write, tmp_path: Path) -> None:
+    """They share the rate table only; the bench is a real one as far as the campaign knows."""
+    table = "TCPIP0::127.0.0.1::1::SOCKET"
+
+    def bench(port: int) -> str:
+        return (
+            f'[bench.scope]\nresource = "TCPIP0::127.0.0.1::{port}::SOCKET"\n'
+            "[bench.gyro]\nscale_factor_pulses_per_deg = 2000.0\n"
+            f'[bench.table]\nkind = "controller"\n[bench.controllers.rate_table]\nresource = "{table}"\n'
+            "[bench.budget]"
+        )
+
+    other = campaign(("[bench.budget]", bench(2)), ('name = "Acceptance"', 'name = "Other"'), steps=1)
+    other.rename(tmp_path / "other.toml")
+    file = campaign(("[bench.budget]", bench(3)), steps=1)
+    with subprocess.Popen(
+        [sys.executable, "-c", HOLDS], cwd=tmp_path, stdout=subprocess.PIPE, text=True
+    ) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline() == "holds\n"
+        told = rf"{table} is in use by process {process.pid} \(campaign Other, unit LIMIT\), since 20"
+        with pytest.raises(LinkError, match=told):
+            outcome_of(file, "GOOD")
+        assert not (tmp_path / "tests").exists()
+        process.kill()
+    with bench_in_use(read_campaign(file, "GOOD")):
+        pass  # what was killed holds nothing
 
 
 SURROUNDED = """

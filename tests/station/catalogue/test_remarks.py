@@ -11,9 +11,9 @@ from pathlib import Path
 import pytest
 
 from station.catalogue.index import list_runs
-from station.catalogue.remarks import add_remark, read_remarks, remarks_file
 from station.cli import main
 from station.errors import CannotWrite, RunError, UsageError
+from station.runs.remarks import add_remark, read_remarks, remarks_file
 from station.runs.store import open_run
 
 GOLDEN = Path(__file__).parents[2] / "golden"
@@ -48,6 +48,24 @@ def test_the_list_shows_what_was_said_at_once(run: Path) -> None:
     assert (entry.mark, entry.tags, entry.remarks[0]["note"]) == ("bad", ("x",), "why")
 
 
+def test_the_report_shows_what_was_said_and_by_whom(run: Path) -> None:
+    assert main(["report", str(run)]) == 0
+    page = (run.parent / "report.html").read_text()
+    assert "Said of it afterwards" not in page
+    add_remark(run, note="the lamp <was> changed", tags=["drift"], mark="bad", by="Grace")
+    add_remark(run, untagged=["drift"], by="Ada")
+    assert main(["report", str(run)]) == 0
+    page = (run.parent / "report.html").read_text()
+    assert "Said of it afterwards" in page
+    assert "bad, by Grace, " in page
+    assert "marked bad; +drift; the lamp &lt;was&gt; changed" in page
+    assert "-drift" in page
+    assert page.index("Grace") < page.index("Ada")
+    remarks_file(run).write_text('{"schema": {"name": "gyrolock remark", "version": 9}}\n')
+    assert main(["report", str(run)]) == 0
+    assert "written by a newer gyrolock" in (run.parent / "report.html").read_text()
+
+
 def test_a_line_that_a_power_failure_cut_costs_itself_only(run: Path) -> None:
     add_remark(run, note="first")
     file = remarks_file(run)
@@ -59,7 +77,7 @@ def test_a_line_that_a_power_failure_cut_costs_itself_only(run: Path) -> None:
 
 def test_two_who_say_something_at_the_same_time(run: Path) -> None:
     program = (
-        "import sys; from pathlib import Path; from station.catalogue.remarks import add_remark\n"
+        "import sys; from pathlib import Path; from station.runs.remarks import add_remark\n"
         "for n in range(50): add_remark(Path(sys.argv[1]), note=f'{sys.argv[2]} {n}')"
     )
     both = [subprocess.Popen([sys.executable, "-c", program, str(run), name]) for name in ("a", "b")]

@@ -7,7 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from station.datasets.outputs import OUTPUTS
 from station.datasets.rows import COLUMNS, NUMBERS, SCHEMA, TEXT, WHOLE
+from station.fibre_gyro.recordings import segments_of
 from station.runs.store import SavedRecord, open_run
 
 from .conftest import GOLDEN, RUNS
@@ -24,7 +26,8 @@ COUNT = sum(len(open_run(GOLDEN / f"{name}.sqlite").records) for name in RUNS)
 def test_parquet_has_codes_of_one_length_flat_columns_and_its_schema(exported: dict[str, str]) -> None:
     parquet = pytest.importorskip("pyarrow.parquet", reason="the extra `data` is not installed")
     schema = parquet.read_schema(exported["all.parquet"])
-    assert schema.names == [*COLUMNS, "codes", "payload"]
+    assert schema.names == [*COLUMNS, "codes", "payload", *OUTPUTS]
+    assert {str(schema.field(name).type) for name in OUTPUTS} == {"list<element: double>"}
     assert {str(schema.field(name).type) for name in TEXT} == {"string"}
     assert {str(schema.field(name).type) for name in WHOLE} == {"int64"}
     assert {str(schema.field(name).type) for name in NUMBERS} == {"double"}
@@ -78,3 +81,37 @@ def test_hdf5_numpy_and_csv_without_us(exported: dict[str, str], single: tuple[S
     with h5py.File(exported["all.h5"]) as file:
         assert np.array_equal(file["records/codes"][: len(single)], expected)
         assert json.loads(file.attrs["gyrolock"]) == {"schema": SCHEMA}
+
+
+def test_output_of_a_fibre_gyro_is_columns_for_others(exported: dict[str, str]) -> None:
+    """Times and counts of the stretches of a run, as the program itself has them."""
+    duckdb = pytest.importorskip("duckdb", reason="DuckDB is not installed")
+    h5py = pytest.importorskip("h5py", reason="the extra `data` is not installed")
+    run = open_run(GOLDEN / "fog_table.sqlite")
+    stretches = [
+        one for purpose in dict.fromkeys(r.purpose for r in run.records) for one in segments_of(run, purpose)
+    ]
+    expected = {one.key: (one.recording.times, one.recording.counts) for one in stretches}
+    with duckdb.connect() as db:
+        rows = db.execute(
+            "SELECT key, unnest(output_time_s) AS t, unnest(output_counts) AS c FROM read_parquet(?) "
+            "WHERE source LIKE '%fog_table.sqlite' ORDER BY number, t",
+            [exported["all.parquet"]],
+        ).fetchall()
+    assert [key for key, _, _ in rows] == [key for key, (times, _) in expected.items() for _ in times]
+    for column, wanted in zip(zip(*rows, strict=True), ((), *zip(*expected.values(), strict=True)), strict=True):
+        if wanted:
+            assert np.array_equal(column, np.concatenate(wanted))
+    with h5py.File(exported["all.h5"]) as file, np.load(exported["all.npz"]) as arrays:
+        group = file["records"]
+        for place, key in enumerate(group["key"].asstr()[:]):
+            if key in expected and group["output_counts"][place].size == expected[key][1].size:
+                ends = arrays["output_counts_end"]
+                flat = arrays["output_counts"][ends[place - 1] : ends[place]]
+                assert np.array_equal(group["output_counts"][place], flat)
+    with open(exported["all.csv"], newline="", encoding="utf-8") as file:
+        written = [row for row in csv.DictReader(file) if row["source"].endswith("fog_table.sqlite")]
+    assert len(written) == len(expected)
+    for row in written:
+        assert np.array_equal(np.array(row["output_counts"].split(), dtype=float), expected[row["key"]][1])
+        assert row["payload"] == row["code_0"] == ""

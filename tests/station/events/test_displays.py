@@ -4,6 +4,7 @@ import io
 import json
 import os
 import re
+import signal
 import subprocess
 import sys
 import time
@@ -19,7 +20,7 @@ from station.display.lines import PlainLines
 from station.display.picture import picture
 from station.display.plot import plot
 from station.events.event import Events
-from station.events.running import STATE_VARIABLE, StatusFile, running_programs
+from station.events.running import STATE_VARIABLE, Running, StatusFile, running_programs
 from station.events.situation import Situation
 from station.runs.progress import Progress
 from station.runs.store import open_run
@@ -155,6 +156,27 @@ def test_a_measurement_is_watched_and_stopped_from_another_shell(
     run = open_run(Path(told["run"]["run"]))
     assert len(run.taken_for("measure")) > 0
     assert "SIGTERM" in run.facts.outcome_text
+
+
+def test_a_program_ends_as_by_a_signal_where_none_can_be_sent_to_its_main_thread(state: Path) -> None:
+    """As on Windows: the main thread is not disturbed, but hears of it as soon as it does something."""
+    text = (
+        "import signal, sys, time; from station.events.running import StatusFile\n"
+        "del signal.pthread_kill\n"
+        "from station.errors import Stopped; from station.runs.stop import ending_signals\n"
+        "with ending_signals():\n"
+        "    StatusFile(); print('there', flush=True)\n"
+        "    try:\n"
+        "        while True: time.sleep(0.05)\n"
+        "    except Stopped as stopped: sys.exit(stopped.number)\n"
+    )
+    with subprocess.Popen([sys.executable, "-c", text], stdout=subprocess.PIPE, text=True) as program:
+        assert program.stdout is not None
+        assert program.stdout.readline() == "there\n"
+        (path,) = state.glob("*.lock")
+        Running(path.with_suffix(".json"), program.pid, True, Situation()).stop()
+        assert program.wait(60) == signal.SIGTERM
+    assert list(state.glob("*.stop")) == []
 
 
 def test_a_program_that_was_killed_is_told_as_such(

@@ -32,7 +32,9 @@ def seen(name: str) -> list[Seen]:
     return [one for one in found if one is not None]
 
 
-@pytest.mark.parametrize("name", ["single", "turning", "channel", "quadrature", "locked", "fog_table", "fog_eps"])
+@pytest.mark.parametrize(
+    "name", ["single", "turning", "channel", "quadrature", "locked", "fog_table", "fog_eps", "fog_witness"]
+)
 def test_every_record_shows_something(name: str) -> None:
     found = seen(name)
     assert len(found) == len(open_run(GOLDEN / f"{name}.sqlite").records)
@@ -64,3 +66,29 @@ def test_at_several_rates_distortion_is_taken_out() -> None:
 
 def test_a_gyro_that_is_locked_shows_no_beat() -> None:
     assert all(not one.trace.fit or one.values for one in seen("locked") if one.trace is not None)
+
+
+def test_of_the_staircase_all_so_far_say_what_the_run_says() -> None:
+    result = json.loads((GOLDEN / "fog_witness.json").read_text(encoding="utf-8"))
+    found = seen("fog_witness")
+    so_far = found[-1].so_far[0]
+    assert so_far.records == len(result["records"])
+    assert abs(so_far.value - result["two_pi_voltage_v"]) < result["two_pi_voltage_u_without_gain_v"]
+    assert "V" in so_far.text
+    # the even staircase goes through the samples, but for the edges and the bias that the fit has
+    trace = found[0].trace
+    assert trace is not None
+    near = [abs(one - model) < 0.1 for one, model in zip(trace.samples, trace.fit, strict=True)]
+    assert sum(near) > 0.9 * len(near)
+
+
+def test_a_record_without_a_staircase_is_shown_as_it_is() -> None:
+    run = open_run(GOLDEN / "fog_witness.sqlite")
+    kind = kind_of(run)
+    assert kind.watch is not None
+    see = kind.watch(saved_settings(kind.kind, run.facts.settings, "fog_witness"))
+    one = run.records[0]
+    flat = NewRecord(one.key, one.purpose, one.header, bytes(len(one.payload)), one.conditions)
+    shown = see([flat])
+    assert shown is not None and shown.trace is not None
+    assert (shown.values, shown.flags, shown.trace.fit) == ((), ("no_staircase",), [])

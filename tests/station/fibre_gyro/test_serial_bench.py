@@ -4,8 +4,10 @@ import tomllib
 from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
 
 from instrument.fibre_gyro import FibreGyroLink, Recording, parse_frame_format
@@ -16,8 +18,9 @@ from station.fibre_gyro.merit import measurement as figures
 from station.fibre_gyro.segments import PlannedSegment
 from station.fibre_gyro.selfcal import measurement as selfcal
 from station.fibre_gyro.selfcal.numbers import numbers_for
-from station.fibre_gyro.serial_bench import SerialFogBench, read_frame_format
+from station.fibre_gyro.serial_bench import SerialFogBench
 from station.fibre_gyro.served import ServedGyro
+from station.fibre_gyro.sniff.known import read_frame_format
 from station.fibre_gyro.table import measurement as table
 from station.settings.load import shipped_settings
 from station.shell.evaluated import Evaluated
@@ -238,3 +241,50 @@ def test_frame_formats_are_found_by_name(fog_settings, tmp_path: Path) -> None:
         read_frame_format(fog_settings(link={"frame_format": "mine"}))
     with pytest.raises(SettingsError, match="cannot be read"):
         read_frame_format(fog_settings(link={"frame_format_file": str(tmp_path / "no.toml")}))
+
+
+class ThreeGyros:
+    """Outputs of three gyros of which the table turns Z, as angles a frame by a clock that is `fast`."""
+
+    def __init__(self, settings: Any, interval_s: float, fast: float) -> None:
+        self.rate_dps, self._rng = 0.0, np.random.default_rng(4)
+        self._degrees = interval_s / (1 + fast)
+        self._mixed = {"counts_x": 0.002, "counts_y": -0.001, "counts_z": 1.0003}
+
+    def samples(self, count: int) -> dict[str, Any]:
+        noise = {name: self._rng.normal(0, 2e-4, count) for name in self._mixed}
+        angle = {name: k * self.rate_dps + noise[name] for name, k in self._mixed.items()}
+        return {name: np.deg2rad(self._degrees * values) for name, values in angle.items()}
+
+    def command(self, name: str, step: float) -> None:
+        raise ValueError(name)
+
+
+def test_three_axes_as_angles_by_a_clock_that_is_two_per_cent_fast(fog_settings, result_of) -> None:
+    """K of an angle a frame rests on the rate of the frames: by the stated rate it would be 2 % off."""
+    settings = fog_settings(
+        site={"latitude_deg": 0.0},
+        table={"axes": ["Z"], "rates_dps": [90.0, 100.0], "turns": 1, "settle_s": 0.0, "both_ends_up": False},
+    )
+    values = tomllib.loads(shipped_settings("frames/kvh_1750").read_text())["formats"]["kvh_1750"]
+    layout = parse_frame_format(values | {"output_rate_hz": 250.0}, where="test")
+    gyro = ThreeGyros(settings, layout.interval_s, 0.02)
+    with (
+        TcpGyroServer(gyro, layout, speed=8.0, clock_ppm=20_000.0) as server,
+        FibreGyroLink(server.port, layout, speed=8.0) as link,
+    ):
+        table_of = TableUnderTheGyro(gyro)  # type: ignore[arg-type]
+        bench = SerialFogBench(link, table_of, lambda asked: "", counts_per_dps=settings.nominal_scale_factor)
+        served = SimpleNamespace(bench=bench)
+        evaluated = result_of("table", settings, served, table.plan(settings))
+    (axis,) = evaluated.document()["axes"]
+    off_ppm = axis["nominal_difference_ppm"] - 300
+    assert abs(off_ppm) < 4 * axis["scale_factor_u_ppm"] < 20_000
+    assert axis["scale_factor_u_ppm"] > 25  # the computer's clock is in it
+    clock = evaluated.document()["gyro_clock"]
+    assert clock["used"] and abs(clock["difference_ppm"] - 20_000) < 4 * clock["difference_u_ppm"]
+    assert any("K rests on that rate" in said for said in evaluated.result.sentences)
+    (x, y, z) = evaluated.document()["matrix"]["scale_factors_counts_per_dps"]
+    assert x[0] == pytest.approx(0.002 * settings.nominal_scale_factor, rel=0.05)
+    assert y[0] == pytest.approx(-0.001 * settings.nominal_scale_factor, rel=0.05)
+    assert bench.refuses(table.plan(settings, ["W"])[0]).endswith("none of axis W")

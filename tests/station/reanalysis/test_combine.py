@@ -67,7 +67,7 @@ def test_a_card_gives_one_result_with_budget_and_report(tmp_path: Path) -> None:
 def test_the_same_bits_by_two_processes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     folder = card(tmp_path, 0.3, 0.3, 0.3)
     alone = combined(folder).document()
-    monkeypatch.setattr("station.reanalysis.combine.TOGETHER", 1)
+    monkeypatch.setattr("station.reanalysis.work.TOGETHER", 1)
     assert combined(folder, processes=2).document() == alone
 
 
@@ -133,7 +133,13 @@ def test_gyros_and_scale_factors_are_not_mixed(tmp_path: Path) -> None:
     ):
         with pytest.raises(UsageError, match=problem):
             combine([first, second], {}, ThisProcess(), Progress(quiet=True))
-    assert len(combine([first, first], {}, ThisProcess(), Progress(quiet=True)).found.names) == 2
+    copy = tmp_path / "copy.sqlite"
+    copy.write_bytes((first / "run.sqlite").read_bytes())
+    found = combine([first, first, copy], {}, ThisProcess(), Progress(quiet=True))
+    assert len(found.found.names) == 1  # counted twice, a record would seem better known than it is
+    assert [one.reason for one in found.left_out] == [
+        f"holds the same records as {first}/run.sqlite: counted once"
+    ]
 
 
 def test_the_scale_factor_of_a_side_file(tmp_path: Path) -> None:

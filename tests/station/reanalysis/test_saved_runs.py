@@ -6,7 +6,10 @@ from pathlib import Path
 
 import pytest
 
+from station.lock_in.records.on_disk import EstimatesOnDisk
 from station.lock_in.records.pieces import pieces_of
+from station.reanalysis.fill import fill_table
+from station.report.report import render_report
 from station.runs.progress import Progress
 from station.runs.store import NewRecord, RunWriter, open_run
 from station.shell.evaluated import Evaluated, evaluate_run, evaluate_saved
@@ -26,7 +29,24 @@ def test_streamed_and_from_memory_are_the_same(name: str, tmp_path: Path) -> Non
     path = Path(shutil.copy(GOLDEN / f"{name}.sqlite", tmp_path))
     from_memory, as_stream = evaluate_run(open_run(path)), streamed(path)
     assert as_stream.document() == from_memory.document()
-    assert as_stream.rows() == from_memory.rows()
+    assert list(as_stream.rows()) == list(from_memory.rows())
+
+
+@pytest.mark.parametrize("name", ["single", "several", "turning", "channel"])
+def test_estimates_that_lie_on_the_disk_give_the_same(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Those of a long run do; the report is drawn from them too."""
+    path = Path(shutil.copy(GOLDEN / f"{name}.sqlite", tmp_path))
+    in_memory = streamed(path)
+    monkeypatch.setattr("station.lock_in.records.collected.LONG", 1)
+    monkeypatch.setattr("station.lock_in.records.pieces.AT_ONCE", 3)
+    monkeypatch.setattr("station.lock_in.records.collected.FOLDED", 2)
+    on_disk = streamed(path)
+    assert isinstance(on_disk.found.each, EstimatesOnDisk) or name == "channel"
+    assert on_disk.document() == in_memory.document()
+    assert list(on_disk.rows()) == list(in_memory.rows())
+    assert render_report(on_disk) == render_report(in_memory)
 
 
 def test_a_run_cut_into_pieces_by_two_processes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -49,6 +69,40 @@ def test_a_run_cut_into_pieces_by_two_processes(tmp_path: Path, monkeypatch: pyt
     assert as_stream.document()["damaged"] == ["record 7 (6) is damaged", "record 20 is missing"]
     assert as_stream.document()["records"] == 39
     assert as_stream.found.waveforms[10] == from_memory.found.waveforms[10]
+
+
+@pytest.mark.parametrize("damaged", ["", "measure", "quadrature"])
+def test_pairs_of_two_photodiodes_are_read_as_they_are_needed(
+    damaged: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = Path(shutil.copy(GOLDEN / "quadrature.sqlite", tmp_path))
+    if damaged:
+        with sqlite3.connect(path) as db:
+            codes = (
+                "codes" if "codes" in {row[1] for row in db.execute("PRAGMA table_info(record)")} else "payload"
+            )
+            db.execute(
+                f"UPDATE record SET {codes} = zeroblob(2500) WHERE number = "
+                "(SELECT max(number) FROM record WHERE purpose = ?)",
+                [damaged],
+            )
+    from_memory = evaluate_run(open_run(path))
+    monkeypatch.setattr("station.shell.evaluated.open_run", None)  # nobody holds all of it
+    monkeypatch.setattr("analysis.lock_in_run.records._RECORDS_AT_ONCE", 2)
+    as_stream = streamed(path)
+    assert as_stream.found.quadratures is not None
+    assert as_stream.document() == from_memory.document()
+    assert list(as_stream.rows()) == list(from_memory.rows())
+    assert bool(damaged) == bool(as_stream.found.damaged)
+
+
+def test_pairs_of_two_photodiodes_give_no_rows_of_one(tmp_path: Path) -> None:
+    with Processes(1) as workers:
+        table = tmp_path / "results.csv"
+        done = fill_table([GOLDEN / "quadrature.sqlite"], table, {}, workers, Progress(quiet=True))
+    assert (done.records, done.sources) == (0, 0)
+    assert [one.reason.split(",")[0] for one in done.left_out] == ["its records are pairs of two photodiodes"]
+    assert not table.exists()
 
 
 def test_the_measurement_has_one_sum_wherever_it_lies_and_whatever_is_said_of_it(tmp_path: Path) -> None:

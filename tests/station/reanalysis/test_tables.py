@@ -81,7 +81,7 @@ def test_only_what_is_new_or_has_changed_is_computed(tree: Path, tmp_path: Path)
 def test_the_same_bits_by_any_number_of_processes(
     tree: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("station.reanalysis.fill.TOGETHER", 1)  # every source by itself
+    monkeypatch.setattr("station.reanalysis.work.TOGETHER", 1)  # every source by itself
     filled(tmp_path / "two.jsonl", tree, processes=2)
     monkeypatch.undo()
     filled(tmp_path / "one.jsonl", tree)
@@ -96,7 +96,7 @@ def test_parts_of_a_large_run_make_the_same_rows(tmp_path: Path, monkeypatch: py
     with RunWriter.create(tmp_path / "runs", {"command": "measure", "settings": old.facts.settings}) as writer:
         writer.save_records(new)
     whole = filled(tmp_path / "whole.csv", tmp_path / "runs")
-    monkeypatch.setattr("station.reanalysis.fill.LARGE", 1)
+    monkeypatch.setattr("station.reanalysis.work.LARGE", 1)
     cut = filled(tmp_path / "cut.csv", tmp_path / "runs")
     assert whole.records == cut.records == 1100
     assert (tmp_path / "whole.csv").read_bytes() == (tmp_path / "cut.csv").read_bytes()

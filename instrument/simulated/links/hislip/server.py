@@ -20,17 +20,15 @@ from instrument.simulated.links.hislip.frames import (
 )
 from instrument.simulated.links.hislip.locks import Locks
 from instrument.simulated.links.hislip.session import LARGEST_MESSAGE, Session
-from instrument.simulated.links.stream_server import Port, StreamServer
+from instrument.simulated.links.stream_server import FULL, LOOK_UP, Port, StreamServer
 from instrument.simulated.scope import SimulatedTDS2014
 
 STANDARD_PORT = 4880
 _VERSION = 0x0100  # 1.0: everything that this server does is in it
 _VENDOR = int.from_bytes(b"GY")
 _NAME = "hislip"
-_LOOK_UP = 0.2  # s after which an idle server looks whether the instrument is still on
-_VIRTUAL_POLL = 0.001  # s of real time between two jumps of a virtual clock
+_UNSENT = 0.001  # s after which a client that has not taken everything is sent more
 _CLIENTS = 16  # sessions, of two connections each
-_FULL = 1 << 20  # bytes of unread answers at which no more messages are taken
 
 
 class HislipServer(StreamServer):
@@ -43,15 +41,8 @@ class HislipServer(StreamServer):
     ----------
     scopes : SimulatedTDS2014 or sequence of them
         The instruments: `hislip0`, `hislip1` and so on.
-    host : str
-        Address to listen on; only this computer unless told otherwise.
-    port : int
-        0 takes any free port; VISA's own is 4880.
-
-    Raises
-    ------
-    OSError
-        If the port cannot be had.
+    host, port
+        As of `TcpServer`, and the same error; VISA's own port is 4880.
 
     Examples
     --------
@@ -113,15 +104,13 @@ class HislipServer(StreamServer):
     # The loop
 
     def _pause(self) -> float:
-        pauses = [_LOOK_UP]
+        pauses = [LOOK_UP]
         for port in self._ports:
             if len(port.outgoing):
-                pauses.append(_VIRTUAL_POLL)
+                pauses.append(_UNSENT)
         for session in set(self._sessions.values()):
             pauses.append(0.0 if session.ready else session.request_at - time.monotonic())
-            change, clock = session.changes_at, session.exchange.scope.clock
-            if change < float("inf"):
-                pauses.append(_VIRTUAL_POLL if clock.virtual else max(0.0, change - clock.now()))
+            pauses.append(session.exchange.pause())
         return max(0.0, min(*pauses, *(locks.next_deadline() - time.monotonic() for locks in self._locks)))
 
     def _advance(self) -> None:
@@ -135,7 +124,7 @@ class HislipServer(StreamServer):
             if not session.exchange.scope.powered:
                 self._drop(session.sync)
                 continue
-            self._skip_virtual_wait(session)
+            session.exchange.let_time_pass()
             session.work(now)
             if session.exchange.closed:
                 self._leaving.add(session.sync)
@@ -146,7 +135,7 @@ class HislipServer(StreamServer):
 
     def _serve(self, port: Port) -> None:
         now = time.monotonic()
-        if port in self._leaving or len(port.outgoing) >= _FULL:
+        if port in self._leaving or len(port.outgoing) >= FULL:
             return
         try:
             for frame in self._readers[port].feed(port.incoming.take(now)):
@@ -155,13 +144,6 @@ class HislipServer(StreamServer):
                     return
         except PoorHeader:
             self._refuse(port, Fatal.POOR_HEADER, now)
-
-    def _skip_virtual_wait(self, session: Session) -> None:
-        exchange = session.exchange
-        exchange.pump()
-        if exchange.scope.clock.virtual and exchange.next_change() < float("inf"):
-            with exchange.scope.lock:
-                exchange.scope.clock.sleep(exchange.next_change() - exchange.scope.clock.now() + 1e-9)
 
     def _hear(self, port: Port, frame: Frame, now: float) -> None:
         """Where a frame belongs."""

@@ -58,11 +58,6 @@ class Session:
         self.request_at = math.inf
 
     @property
-    def changes_at(self) -> float:
-        """Clock time in s at which the instrument may have more to say; inf if only new frames help."""
-        return self.exchange.next_change()
-
-    @property
     def ready(self) -> bool:
         """True while a message waits and could be carried out now."""
         idle = not (self.exchange.working or self.exchange.answering or self.exchange.closed)

@@ -5,9 +5,10 @@ from dataclasses import dataclass, field
 import numpy as np
 import pytest
 
+from instrument.simulated.front_end.comparator import Comparator
 from instrument.simulated.front_end.frontend import slow_part
 from instrument.simulated.front_end.smooth import Between, CoarseLook
-from instrument.simulated.front_end.trigger import Comparator, EdgeSearch
+from instrument.simulated.front_end.trigger import EdgeSearch
 
 FREQUENCY = 163.7  # Hz
 
@@ -33,6 +34,9 @@ class Beat:
 
     def interval(self, start, stop):
         return 1 / (16 * FREQUENCY * 2)
+
+    def bounds(self, start, stop):
+        return -1.1, 1.1
 
 
 def plain(beat):
@@ -99,6 +103,21 @@ def test_noise_beyond_the_hysteresis_triggers(make_bench):
     bench.ask("*OPC?")
     bench.clock.sleep(0.2)
     assert int(bench.ask("ACQ:NUMACQ?")) > 3
+
+
+def test_a_level_out_of_reach_is_passed_by_without_a_look(make_bench):
+    beat = Beat()
+    bench = bench_on(make_bench, beat, "HOR:SCALE 0.5;:TRIG:MAIN:MODE NORMAL;LEVEL 1.6")
+    bench.clock.sleep(3.0)
+    beat.looks = 0
+    for _ in range(3):
+        bench.clock.sleep(10.0)
+        assert bench.ask("TRIG:STATE?") == "READY"
+    assert beat.looks == 0
+    # far below the level it has been armed: the first edge counts
+    bench.write("TRIG:MAIN:LEVEL 0.2")
+    bench.clock.sleep(0.1)
+    assert bench.ask("TRIG:STATE?") == "TRIGGER"
 
 
 def test_few_looks_tell_what_the_scope_shows(make_bench):

@@ -46,6 +46,13 @@ class Remark:
     untagged: tuple[str, ...] = ()
     mark: str | None = ""
 
+    @property
+    def words(self) -> str:
+        """What was said, in one line for a person."""
+        marked = {"": "", None: "mark taken away"}.get(self.mark, f"marked {self.mark}")
+        tags = [*(f"+{tag}" for tag in self.tags), *(f"-{tag}" for tag in self.untagged)]
+        return "; ".join(filter(None, [marked, " ".join(tags), self.note]))
+
     def as_json(self) -> dict[str, Any]:
         """Return the line of the file as a plain object; what says nothing is left out."""
         said: dict[str, Any] = {"schema": SCHEMA, "at": self.at, "by": self.by}
@@ -71,10 +78,14 @@ class Remarks:
     unreadable: int = 0
 
     @property
+    def last_mark(self) -> Remark | None:
+        """The remark that marked it last, or took its mark away."""
+        return next((remark for remark in reversed(self.said) if remark.mark != ""), None)
+
+    @property
     def mark(self) -> str | None:
         """``"good"``, ``"bad"`` or ``None``: the last word counts."""
-        marks = [remark.mark for remark in self.said if remark.mark != ""]
-        return marks[-1] if marks else None
+        return None if self.last_mark is None else self.last_mark.mark
 
     @property
     def tags(self) -> tuple[str, ...]:

@@ -1,4 +1,4 @@
-"""Commands to a gyro and its answers, as templates: fixed bytes with places for a number; and their checksums.
+"""Commands to a gyro and its answers, as templates: fixed bytes with places for a number and a checksum.
 
 In a text message everything but the places stands as it is sent: ``"$INJ,{step}*{checksum}\\r\\n"``. In a binary
 one the bytes are spelled in hex: ``"A5 01 {step:4} {checksum}"``. The places are
@@ -14,85 +14,14 @@ one the bytes are spelled in hex: ``"A5 01 {step:4} {checksum}"``. The places ar
 
 from __future__ import annotations
 
-import binascii
 import re
-import zlib
-from collections.abc import Callable
 from dataclasses import dataclass
-from functools import reduce
-from operator import xor
-from typing import Literal
 
 from instrument.errors import FrameFormatError
-
-ByteOrder = Literal["little", "big"]
+from instrument.fibre_gyro.frame_format.checksums import ByteOrder, CheckRule
 
 _PLACE = re.compile(r"\{([^{}]*)\}")
 _TEXT_STEP = re.compile(r"\+?(0[1-9]\d?)?")
-
-
-@dataclass(frozen=True)
-class Checksum:
-    """A checksum: how many bytes it has, and how it follows from the bytes that it covers."""
-
-    size: int
-    compute: Callable[[bytes], int]
-
-
-def _modbus(data: bytes) -> int:
-    register = 0xFFFF
-    for byte in data:
-        register ^= byte
-        for _ in range(8):
-            register = (register >> 1) ^ (0xA001 if register & 1 else 0)
-    return register
-
-
-CHECKSUMS: dict[str, Checksum] = {
-    "sum8": Checksum(1, lambda data: sum(data) & 0xFF),
-    # All bytes and the checksum itself add up to zero.
-    "sum8-negated": Checksum(1, lambda data: -sum(data) & 0xFF),
-    "xor8": Checksum(1, lambda data: reduce(xor, data, 0)),
-    "sum16": Checksum(2, lambda data: sum(data) & 0xFFFF),
-    # Polynomial 0x1021, not reflected: "CCITT" in most data sheets is the first of these two.
-    "crc16-ccitt-false": Checksum(2, lambda data: binascii.crc_hqx(data, 0xFFFF)),
-    "crc16-xmodem": Checksum(2, lambda data: binascii.crc_hqx(data, 0)),
-    "crc16-modbus": Checksum(2, _modbus),
-    "crc32": Checksum(4, zlib.crc32),
-}
-
-
-@dataclass(frozen=True)
-class CheckRule:
-    """Which checksum the messages and frames of a gyro carry, and over what.
-
-    Attributes
-    ----------
-    kind : str
-        Key of `CHECKSUMS`.
-    skips : bytes
-        The header, if the checksum does not cover it; else empty.
-    mark : bytes
-        What stands in front of the checksum and is not covered; only in text, else empty.
-    """
-
-    kind: str
-    skips: bytes
-    mark: bytes
-    byte_order: ByteOrder
-
-    @property
-    def size(self) -> int:
-        """Bytes of the checksum itself; text spells each with two hex digits."""
-        return CHECKSUMS[self.kind].size
-
-    def of(self, before: bytes, *, start: int | None = None, binary: bool) -> bytes:
-        """The checksum as it is sent, over what stands `before` it, from byte `start` on if that is given."""
-        if start is None:
-            start = len(self.skips) if before.startswith(self.skips) else 0
-        covered = before[start:].removesuffix(self.mark)
-        value = CHECKSUMS[self.kind].compute(covered)
-        return value.to_bytes(self.size, self.byte_order) if binary else b"%0*X" % (2 * self.size, value)
 
 
 @dataclass(frozen=True)

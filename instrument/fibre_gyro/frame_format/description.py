@@ -41,6 +41,19 @@ class Description:
         """The error that says what is wrong with an entry."""
         return FrameFormatError(f"{self.name(key)} {problem}")
 
+    def refuse(self, wrong: bool, key: str, problem: str) -> None:
+        """Raise the error if something is wrong."""
+        if wrong:
+            raise self.error(key, problem)
+
+    def has(self, key: str) -> bool:
+        """Whether an entry is there that was not taken yet."""
+        return key in self._entries
+
+    def peek(self, key: str) -> Any:
+        """Value of an entry that is taken later, None without one."""
+        return self._entries.get(key)
+
     def take(self, key: str, default: Any = _MISSING) -> Any:
         """Value of an entry of any type; each can be taken once."""
         if key in self._entries:
@@ -71,6 +84,13 @@ class Description:
         if value < lowest or (highest is not None and value > highest):
             limits = f"at least {lowest}" if highest is None else f"from {lowest} to {highest}"
             raise self.error(key, f"must be {limits}, not {value}")
+        return value
+
+    def flag(self, key: str, default: bool) -> bool:
+        """Value of an entry that is true or false."""
+        value = self.take(key, default)
+        if not isinstance(value, bool):
+            raise self.error(key, f"must be true or false, not {value!r}")
         return value
 
     def number(self, key: str, default: float | None = None, *, positive: bool = False) -> float:

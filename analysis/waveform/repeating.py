@@ -1,0 +1,93 @@
+"""What a residual repeats with the beat: errors of the converter, by the level where the waveform stands.
+
+A wrong code, or a step between two, leaves little on each of many harmonics: too little for a line to stand out of
+noise. Together they do. The third harmonic is not among them: a smooth curve of third order makes that one alone.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import scipy.special
+
+from analysis.arrays import Bools, Floats, Indices, Samples
+from analysis.waveform.series.frequency_search import Sizes
+
+FIRST, LAST = 4, 12
+"""Harmonics that are looked at, each in the two bins next to it."""
+
+SEEN, SURE = 2e-3, 1e-6
+"""Shares of records of noise alone in which they are so strong that it counts, and that a flag says so."""
+
+HIDDEN = 2.0
+"""Size of what such an error puts onto the second harmonic, over the root of the power that it leaves on these."""
+
+BESIDE = 24
+"""Bins on either side of a harmonic over which the noise is taken to be flat, or half the way to the next one."""
+
+FEWEST_BESIDE = 24
+"""Bins of noise without which nothing is said."""
+
+
+def may_repeat(sizes: Sizes, omega: Floats, mean: Floats, n_samples: int) -> Bools:
+    """Where the harmonics are stronger than white noise explains, (R,): a first look at all records.
+
+    Parameters
+    ----------
+    sizes : (R, N//2 + 1)
+        Sizes of the lines of the spectrum.
+    omega : (R,)
+        rad per sample.
+    mean : (R,)
+        Mean power of a line.
+    """
+    turns = omega[:, np.newaxis] / (2 * np.pi) * np.arange(FIRST, LAST + 1)
+    below = (np.abs(turns - np.rint(turns)) * n_samples).astype(np.intp)
+    below = np.clip(below, 1, sizes.shape[1] - 2)
+    rows = np.arange(len(sizes))[:, np.newaxis]
+    found = np.square(sizes[rows, below]) + np.square(sizes[rows, below + 1])
+    return np.asarray(found.sum(axis=-1) > scipy.special.gammainccinv(2 * below.shape[1], SEEN) * mean)
+
+
+def repeating(power: Samples, line: float, n_samples: int) -> tuple[float, bool]:
+    """Power (the sum of lines) on the harmonics beyond that of the noise beside them, and whether a flag says so.
+
+    Parameters
+    ----------
+    power : (L,)
+        Squared sizes of the lines 1, 2, ... of a spectrum.
+    line : float
+        Number of beats in the record.
+
+    Returns
+    -------
+    power : float
+        0 where it may be chance.
+    sure : bool
+    """
+    harmonics = [_bins_of(order * line, n_samples, power.size) for order in range(1, LAST + 1)]
+    free = np.ones(power.size + 1, dtype=bool)
+    free[0] = False
+    free[np.concatenate(harmonics)] = False
+    untouched = np.ones(power.size + 1, dtype=bool)  # by the fit, and counted once
+    untouched[np.concatenate(harmonics[: FIRST - 1])] = False
+    reach = int(np.clip(line / 2, 2, BESIDE))
+    surplus, times, n_on, n_beside = 0.0, 0.0, 0, 0
+    for bins in harmonics[FIRST - 1 :]:
+        around = np.arange(max(int(bins[0]) - reach, 1), min(int(bins[-1]) + reach, power.size) + 1)
+        around = around[free[around]]
+        if around.size < 2 or not untouched[bins].all():
+            continue
+        untouched[bins] = False
+        on, level = float(power[bins - 1].sum()), float(power[around - 1].mean())
+        surplus, times = surplus + on - level * bins.size, times + on / level
+        n_on, n_beside = n_on + bins.size, n_beside + around.size
+    if n_beside < FEWEST_BESIDE:
+        return 0.0, False
+    chance = float(scipy.special.fdtrc(2 * n_on, 2 * n_beside, times / n_on))
+    return (surplus if chance < SEEN else 0.0), chance < SURE
+
+
+def _bins_of(place: float, n_samples: int, n_lines: int) -> Indices:
+    """Numbers of the two lines of a spectrum next to a (folded) place."""
+    folded = int(abs((place + n_samples / 2) % n_samples - n_samples / 2))
+    return np.asarray(np.clip([folded, folded + 1], 1, n_lines))

@@ -1,0 +1,83 @@
+"""One piece of work of this benchmark, in a process of its own: prints what it took, as JSON."""
+
+from __future__ import annotations
+
+import json
+import resource
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.reanalysis.records import INTERVAL, SAMPLES, SCALE_FACTOR, codes_of_beats, make_runs
+
+
+def main(mode: str, folder: Path, records: int, processes: int) -> None:
+    """Do ``make`` (`processes`: records a run), ``estimates``, ``table``, ``result`` or ``combined``."""
+    if mode == "make":
+        make_runs(folder, records, processes)
+        processes = 1
+    began = _begin()
+    if mode == "estimates":
+        began = _estimates(records)
+    elif mode != "make":
+        began = _analysis(mode, folder, processes)
+    now = _begin()
+    own, others = (
+        resource.getrusage(who).ru_maxrss / 1e3 for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)
+    )
+    spent = dict(zip(("wall_s", "own_s", "others_s"), np.subtract(now, began).tolist(), strict=True))
+    from station.terminal.lines import say
+
+    say(json.dumps({**spent, "peak_mb": own, "worker_mb": others if processes > 1 else 0.0}))
+
+
+def _begin() -> tuple[float, float, float]:
+    """The clock, and processor time of this process and of those that it started."""
+    both = (resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
+    return time.perf_counter(), *(one.ru_utime + one.ru_stime for one in both)
+
+
+def _estimates(records: int) -> tuple[float, float, float]:
+    """Estimate so many records that lie in memory as volts."""
+    from analysis import estimate_lock_in
+
+    volts = 0.02 * codes_of_beats(1000, 1).astype(np.float64)
+    clipped = np.zeros(volts.shape, dtype=bool)
+    estimate_lock_in(volts[:2], INTERVAL, scale_factor=SCALE_FACTOR)  # what is made once
+    began = _begin()
+    for _ in range(max(1, records // 1000)):
+        estimate_lock_in(volts, INTERVAL, scale_factor=SCALE_FACTOR, clipped=clipped, nan_policy="omit")
+    return began
+
+
+def _analysis(mode: str, folder: Path, processes: int) -> tuple[float, float, float]:
+    """Analyse what is saved in a folder, as the command does; imports are not counted."""
+    import station.lock_in.measurement  # noqa: F401
+    import station.reanalysis.tables.parquet  # noqa: F401
+    from analysis import estimate_lock_in
+    from station.reanalysis.combine import combine
+    from station.reanalysis.fill import fill_table
+    from station.runs.progress import Progress
+    from station.shell.evaluated import evaluate_saved
+    from station.sources.find import find_sources
+    from station.sources.workers import Processes
+
+    estimate_lock_in(np.zeros((2, SAMPLES)), INTERVAL, scale_factor=SCALE_FACTOR)  # what is made once
+    began, quiet = _begin(), Progress(quiet=True)
+    with Processes(processes) as workers:
+        if mode == "table":
+            with tempfile.TemporaryDirectory() as place:
+                fill_table(find_sources([folder]), Path(place) / "results.parquet", {}, workers, quiet)
+        elif mode == "combined":
+            combine(find_sources([folder]), {}, workers, quiet).document()
+        else:
+            (run,) = find_sources([folder])
+            evaluate_saved(run, workers, quiet, config=None, choices={}).document()
+    return began
+
+
+if __name__ == "__main__":
+    main(sys.argv[1], Path(sys.argv[2]), *map(int, sys.argv[3:]))

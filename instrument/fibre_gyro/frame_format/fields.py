@@ -1,0 +1,337 @@
+"""The fields of a frame: what may be described, and how the description is read."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import cast
+
+from instrument.fibre_gyro.frame_format.checksums import CHECKSUMS, ByteOrder, Checksum
+from instrument.fibre_gyro.frame_format.description import Description
+
+COUNTER, COUNTS, TEMPERATURE, STATUS, UNUSED = "counter", "counts", "temperature", "status", "unused"
+FIXED, PARITY, CHECK = "fixed", "parity", "check"
+_WITHOUT_VALUE = (UNUSED, FIXED, PARITY, CHECK)
+
+FRAME_UNITS = ("counts", "deg/s", "deg/h", "rad/s", "deg", "rad")
+"""Units of an output; the last two are the angle since the output before."""
+
+_LARGEST_CYCLE = 256
+_LONGEST_ORDER = 8
+
+
+@dataclass(frozen=True)
+class StatusRule:
+    """A frame may be used if ``status & mask == value``."""
+
+    mask: int = 0
+    value: int = 0
+
+
+ANY_STATUS = StatusRule()
+"""Every status is good."""
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """One of the quantities that take turns in a field.
+
+    Attributes
+    ----------
+    phases : tuple of int
+        Values of the counter, modulo the cycle, at which the field holds it; at several, its parts, lowest first.
+    status : StatusRule or None
+        It is a status: while it is bad no frame is used.
+    """
+
+    name: str
+    phases: tuple[int, ...]
+    kind: str
+    scale: float = 1.0
+    offset: float = 0.0
+    status: StatusRule | None = None
+
+
+@dataclass(frozen=True)
+class Field:
+    """One field of a frame.
+
+    Attributes
+    ----------
+    name : str
+        "counter", "counts" or "counts_x" to "counts_z", "temperature", "status", any other word for a further
+        column; "unused", "fixed", "parity" and "check" deliver nothing.
+    kind : str
+        Binary: "signed", "unsigned", "float". Text: "decimal", "hex". Parity: "odd", "even".
+    size : int
+        Binary: bytes, 0 for a field of bits. Text: 0.
+    order : tuple of int
+        Significance of each byte in the order in which they are sent; empty: `byte_order` says it.
+    bits : int
+        Of a field that is no whole bytes.
+    data_bits : int
+        Bits of each byte that carry data; those above them must be 0.
+    value_bits : int
+        Bits of the number; of all that the bytes carry, those above it must be 0. 0: all.
+    scale, offset : float
+        Delivered is ``number * scale + offset``.
+    lowest, highest : float
+        A delivered value outside is not used.
+    unit : str
+        Of an output, one of `FRAME_UNITS`.
+    expected : int
+        What a fixed field holds.
+    decimals : int or None
+        Digits behind the point that a number in text must have.
+    cycle : int
+        Frames after which `quantities` come again; 0 for a field that always holds the same.
+    check : Checksum or None
+        Of the field "check": over everything between header and here.
+    """
+
+    name: str
+    kind: str
+    size: int
+    byte_order: ByteOrder
+    scale: float = 1.0
+    offset: float = 0.0
+    lowest: float = -math.inf
+    highest: float = math.inf
+    order: tuple[int, ...] = ()
+    bits: int = 0
+    data_bits: int = 8
+    value_bits: int = 0
+    unit: str = COUNTS
+    expected: int = 0
+    decimals: int | None = None
+    cycle: int = 0
+    quantities: tuple[Quantity, ...] = ()
+    check: Checksum | None = None
+
+    @property
+    def carried_bits(self) -> int:
+        """Bits of the number."""
+        return self.bits or self.value_bits or self.size * self.data_bits
+
+    @property
+    def significance(self) -> tuple[int, ...]:
+        """Significance of each byte in the order in which they are sent."""
+        rising = tuple(range(self.size))
+        return self.order or (rising if self.byte_order == "little" else rising[::-1])
+
+    @property
+    def delivers(self) -> bool:
+        """Whether it is a column of what is delivered; the counter is none."""
+        return self.name not in (COUNTER, *_WITHOUT_VALUE)
+
+
+@dataclass(frozen=True)
+class CounterRule:
+    """The counter of frames: it grows by `per_frame` and begins again at `first` after `modulus` numbers."""
+
+    modulus: int
+    per_frame: int = 1
+    first: int = 0
+
+
+def is_output(name: str) -> bool:
+    """Whether a column holds an output: of the gyro, or of one of its axes."""
+    return name == COUNTS or (name.startswith(f"{COUNTS}_") and name[len(COUNTS) + 1 :] in ("x", "y", "z"))
+
+
+def byte_order(table: Description, default: ByteOrder) -> ByteOrder:
+    """Byte order that a table names."""
+    return cast(ByteOrder, table.choice("byte_order", ("little", "big"), default))
+
+
+def read_fields(
+    table: Description, binary: bool, order: ByteOrder
+) -> tuple[tuple[Field, ...], CounterRule | None, StatusRule]:
+    """Read all fields of a format.
+
+    Raises
+    ------
+    FrameFormatError
+        Names the entry, what is wrong and what is right.
+    """
+    fields: list[Field] = []
+    counter, status = None, ANY_STATUS
+    for entry in table.tables("fields"):
+        one = _read_field(entry, binary, order)
+        if one.delivers and one.name in [known.name for known in fields]:
+            raise entry.error("name", f'"{one.name}" is there twice')
+        if one.name == COUNTER:
+            entry.refuse(counter is not None, "name", '"counter" is there twice')
+            counter = _read_counter(entry, one)
+        if one.name == STATUS:
+            status = _read_status(entry)
+        entry.finish()
+        fields.append(one)
+    _check_outputs(table, fields)
+    _check_bits(table, fields)
+    _check_cycles(table, fields, counter)
+    return tuple(fields), counter, status
+
+
+def _read_field(entry: Description, binary: bool, order: ByteOrder) -> Field:
+    name = entry.text("name")
+    entry.refuse(not name.isidentifier(), "name", f"must be a word such as counts, not {name!r}")
+    entry.refuse(not binary and name in (FIXED, PARITY, CHECK), "name", f'"{name}" is for binary frames only')
+    if name == PARITY:
+        bits = entry.whole("bits", 1, lowest=1, highest=1)
+        return Field(name, entry.choice("type", ("odd", "even")), 0, order, bits=bits)
+    if name == CHECK:
+        kind = entry.choice("kind", tuple(CHECKSUMS))
+        return Field(name, "unsigned", CHECKSUMS[kind].size, byte_order(entry, order), check=CHECKSUMS[kind])
+    one = _read_place(entry, name, binary, order)
+    if name == FIXED:
+        return replace(one, expected=entry.whole("value", lowest=0, highest=(1 << one.carried_bits) - 1))
+    if name in (COUNTER, STATUS, UNUSED):
+        return one
+    if binary and (cycle := entry.whole("cycle", 0, highest=_LARGEST_CYCLE)):
+        return _read_turns(entry, replace(one, cycle=cycle, kind="unsigned"))
+    return _read_value(entry, one, binary)
+
+
+def _read_place(entry: Description, name: str, binary: bool, order: ByteOrder) -> Field:
+    """Where the field stands and what kind of number it is."""
+    whole = name in (COUNTER, STATUS)
+    default = ("unsigned" if whole or name == FIXED else "signed") if binary else "decimal"
+    kind = entry.choice("type", ("signed", "unsigned", "float") if binary else ("decimal", "hex"), default)
+    entry.refuse(whole and kind in ("float", "signed"), "type", f"must be unsigned for the {name}")
+    if not binary:
+        return Field(name, kind, 0, byte_order(entry, order))
+    if entry.has("bits"):
+        entry.refuse(kind == "float", "type", "of a field of bits must be signed or unsigned")
+        return Field(name, kind, 0, order, bits=entry.whole("bits", lowest=1, highest=64))
+    size = entry.whole("bytes", lowest=1, highest=64 if name in (UNUSED, FIXED) else 10)
+    one = Field(name, kind, size, order, data_bits=entry.whole("data_bits", 8, lowest=1, highest=8))
+    if isinstance(entry.peek("byte_order"), list):
+        one = replace(one, order=_read_order(entry, size))
+    else:
+        one = replace(one, byte_order=byte_order(entry, order))
+    if kind == "float":
+        entry.refuse(size not in (4, 8) or one.data_bits != 8, "bytes", "of a float must be 4 or 8")
+        return one
+    most = size * one.data_bits
+    limited = name not in (UNUSED, FIXED)
+    entry.refuse(limited and one.data_bits == 8 and size > 8, "bytes", f"must be from 1 to 8, not {size}")
+    return replace(
+        one, value_bits=entry.whole("value_bits", min(most, 64) if limited else most, lowest=1, highest=most)
+    )
+
+
+def _read_order(entry: Description, size: int) -> tuple[int, ...]:
+    given = entry.take("byte_order")
+    if sorted(map(str, given)) != sorted(map(str, range(size))) or size > _LONGEST_ORDER:
+        raise entry.error(
+            "byte_order",
+            'must be "little", "big" or the significance of each byte as it is sent, such as [0, 2, 1], '
+            f"not {given!r}",
+        )
+    return tuple(int(one) for one in given)
+
+
+def _read_value(entry: Description, one: Field, binary: bool) -> Field:
+    scale = entry.number("scale", 1.0)
+    entry.refuse(scale == 0, "scale", "must not be 0")
+    lowest, highest = entry.number("lowest", -math.inf), entry.number("highest", math.inf)
+    entry.refuse(lowest >= highest, "lowest", "must lie below highest")
+    decimals = None
+    if not binary and entry.has("decimals"):
+        decimals = entry.whole("decimals", lowest=0, highest=15)
+    return replace(
+        one,
+        scale=scale,
+        offset=entry.number("offset", 0.0),
+        lowest=lowest,
+        highest=highest,
+        unit=entry.choice("unit", FRAME_UNITS, COUNTS) if is_output(one.name) else COUNTS,
+        decimals=decimals,
+    )
+
+
+def _read_turns(entry: Description, one: Field) -> Field:
+    """A field in which several quantities take turns by the counter."""
+    quantities = []
+    for inner in entry.tables("quantities"):
+        name = inner.text("name")
+        inner.refuse(
+            not name.isidentifier() or name in (COUNTER, *_WITHOUT_VALUE), "name", "must be a word of its own"
+        )
+        inner.refuse(is_output(name), "name", "must not be an output: outputs come with every frame")
+        phases = inner.take("phases")
+        right = isinstance(phases, list) and bool(phases) and all(type(phase) is int for phase in phases)
+        inner.refuse(
+            not right or not all(0 <= phase < one.cycle for phase in phases) or len(set(phases)) < len(phases),
+            "phases",
+            f"must be a list of different numbers from 0 to {one.cycle - 1}, not {phases!r}",
+        )
+        status = _read_status(inner) if name == STATUS else None
+        kind = inner.choice("type", ("signed", "unsigned", "float"), "unsigned" if name == STATUS else "signed")
+        size = len(phases) * one.size
+        inner.refuse(kind == "float" and size != 4, "type", "of a float needs four bytes")
+        inner.refuse(size > 6, "phases", "make more than 6 bytes")
+        quantities.append(
+            Quantity(name, tuple(phases), kind, inner.number("scale", 1.0), inner.number("offset", 0.0), status)
+        )
+        inner.finish()
+    return replace(one, quantities=tuple(quantities))
+
+
+def _read_status(entry: Description) -> StatusRule:
+    rule = StatusRule(entry.whole("good_mask", 0), entry.whole("good_value", 0))
+    entry.refuse(bool(rule.value & ~rule.mask), "good_value", "has bits that good_mask has not")
+    return rule
+
+
+def _read_counter(entry: Description, one: Field) -> CounterRule:
+    full = 1 << one.carried_bits if one.carried_bits else None
+    modulus = entry.whole("modulus", full, lowest=2, highest=full)
+    first = entry.whole("first", 0, highest=None if full is None else full - modulus)
+    return CounterRule(modulus, entry.whole("per_frame", 1, lowest=1, highest=modulus - 1), first)
+
+
+def _check_outputs(table: Description, fields: list[Field]) -> None:
+    outputs = [one for one in fields if is_output(one.name)]
+    names = [one.name for one in outputs]
+    if not outputs:
+        raise table.error(
+            "fields", 'must hold one with name = "counts", the gyro\'s output (or counts_x, counts_y, counts_z)'
+        )
+    if COUNTS in names and len(names) > 1:
+        raise table.error(
+            "fields", "must name the outputs of several axes counts_x, counts_y, counts_z, none of them counts"
+        )
+    if len({one.unit for one in outputs}) > 1:
+        raise table.error("fields", "must give all outputs in the same unit")
+
+
+def _check_bits(table: Description, fields: list[Field]) -> None:
+    """Fields of bits fill whole bytes."""
+    open_bits = 0
+    for number, one in enumerate([*fields, Field(UNUSED, "unsigned", 1, "big")]):
+        if one.bits:
+            open_bits += one.bits
+        elif open_bits % 8:
+            raise table.error(
+                f"fields[{number}]", f"ends {open_bits} bits in succession, which are no whole bytes"
+            )
+        else:
+            open_bits = 0
+
+
+def _check_cycles(table: Description, fields: list[Field], counter: CounterRule | None) -> None:
+    turning = [one for one in fields if one.cycle]
+    if len(turning) > 1:
+        raise table.error("fields", "may hold one field with a cycle only")
+    for one in turning:
+        if counter is None or counter.modulus % one.cycle:
+            raise table.error(
+                "fields", f"{one.name}.cycle needs a counter whose modulus is a multiple of {one.cycle}"
+            )
+        names = [quantity.name for quantity in one.quantities]
+        if len(set(names) | {known.name for known in fields if known.delivers}) < len(names) + sum(
+            known.delivers for known in fields
+        ):
+            raise table.error("fields", f"{one.name}.quantities: a name is there twice")

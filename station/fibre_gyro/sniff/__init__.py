@@ -1,0 +1,1 @@
+"""Which description of frames fits a gyro: ``gyrolock fog sniff``, and the descriptions that are known."""

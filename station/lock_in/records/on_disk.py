@@ -1,0 +1,156 @@
+"""Estimates of a long run on the disk, a file for each column: one is read when it is asked for, and not kept."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+import weakref
+from collections.abc import Mapping
+from dataclasses import fields
+from typing import IO, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis import LockInEstimate
+from analysis.lockin_rate import noise_model
+from station.errors import CannotWrite
+
+
+class ColumnFiles:
+    """Columns of numbers that grow together, in files without a name: they end with the program.
+
+    Attributes
+    ----------
+    count : int
+        Rows.
+    """
+
+    def __init__(self) -> None:
+        self.count = 0
+        self._files: dict[str, tuple[IO[bytes], np.dtype[Any], tuple[int, ...]]] = {}
+        weakref.finalize(self, _close, self._files)
+
+    def add(self, columns: Mapping[str, NDArray[Any]], count: int) -> None:
+        """Add `count` rows (n, ...); a column that has none of them gets nan.
+
+        Raises
+        ------
+        CannotWrite
+            The disk does not take them.
+        """
+        try:
+            for name in columns.keys() - self._files.keys():
+                file = tempfile.TemporaryFile(buffering=0)  # noqa: SIM115  # open as long as this object
+                self._files[name] = file, columns[name].dtype, columns[name].shape[1:]
+                if self.count:
+                    self._write(name, np.full((self.count, *columns[name].shape[1:]), np.nan))
+            for name, (_, kind, inner) in self._files.items():
+                values = columns.get(name)
+                self._write(name, np.full((count, *inner), np.nan, kind) if values is None else values)
+        except OSError as error:
+            raise CannotWrite(
+                f"{tempfile.gettempdir()}: takes no more of the estimates of a long run "
+                f"({error.strerror or error}): make room, or name another folder in TMPDIR"
+            ) from None
+        self.count += count
+
+    def _write(self, name: str, values: NDArray[Any]) -> None:
+        file, kind, _ = self._files[name]
+        file.seek(0, os.SEEK_END)
+        if values.size:
+            file.write(np.ascontiguousarray(values, kind).data.cast("B"))
+
+    def read(self, name: str, first: int = 0, count: int | None = None) -> NDArray[Any]:
+        """Return rows of one column, all of them without `count`."""
+        file, kind, inner = self._files[name]
+        rows = np.empty((self.count - first if count is None else count, *inner), kind)
+        file.seek(first * rows[:1].nbytes if len(rows) else 0)
+        if len(rows) and file.readinto(rows.data.cast("B")) != rows.nbytes:  # type: ignore[attr-defined]  # raw file
+            raise OSError(f"{tempfile.gettempdir()}: the estimates of a long run are gone from the disk")
+        return rows
+
+
+def _close(files: Mapping[str, tuple[IO[bytes], np.dtype[Any], tuple[int, ...]]]) -> None:
+    for file, _, _ in files.values():
+        file.close()
+
+
+ARRAYS = tuple(
+    field.name for field in fields(LockInEstimate) if field.type not in ("float", "bool", "str", "Relation")
+)
+
+
+class EstimatesOnDisk(LockInEstimate):
+    """What is said of many records, its arrays on the disk; made by :meth:`of`.
+
+    Every field is read anew each time: who needs one more than once keeps it. What is derived from it by
+    `dataclasses.replace` is in memory.
+    """
+
+    _columns: ColumnFiles
+    _rows: NDArray[np.intp] | None
+
+    @classmethod
+    def of(
+        cls, columns: ColumnFiles, like: LockInEstimate, rows: NDArray[np.intp] | None = None
+    ) -> EstimatesOnDisk:
+        """Return the estimates in columns called as the fields.
+
+        Parameters
+        ----------
+        like : LockInEstimate
+            Gives scale factor, relation and reference.
+        rows : ndarray of int, optional
+            Only these of them.
+        """
+        made = object.__new__(cls)
+        common = {
+            field.name: getattr(like, field.name) for field in fields(LockInEstimate) if field.name not in ARRAYS
+        }
+        for name, value in {**common, "_columns": columns, "_rows": rows}.items():
+            object.__setattr__(made, name, value)
+        object.__setattr__(made, "noise_model", noise_model(made.flags))  # of all, not of the first piece
+        return made
+
+    def __getattr__(self, name: str) -> NDArray[Any]:
+        if name not in ARRAYS or "_columns" not in vars(self):
+            raise AttributeError(name)
+        values = self._columns.read(name)
+        return values if self._rows is None else values[self._rows]
+
+    @property
+    def _is_here(self) -> bool:
+        """Whether it is in memory: `dataclasses.replace` makes such ones."""
+        return "_columns" not in vars(self)
+
+    def __len__(self) -> int:
+        if self._is_here:
+            return super().__len__()
+        return self._columns.count if self._rows is None else int(self._rows.size)
+
+    def __getitem__(self, key: Any) -> LockInEstimate:
+        """Some of the records: one or a slice in memory, others on the disk as they are."""
+        if self._is_here:
+            return super().__getitem__(key)
+        rows = np.asarray(np.arange(len(self))[key] if self._rows is None else self._rows[key])
+        if isinstance(key, slice) or rows.ndim == 0:
+            return self._in_memory(rows)
+        if rows.size == len(self) and self._rows is None and np.array_equal(rows, np.arange(len(self))):
+            return self
+        return EstimatesOnDisk.of(self._columns, self, rows)
+
+    def reshaped(self, *shape: int) -> LockInEstimate:
+        """The same records in another leading shape; as they are where that is theirs already."""
+        return self if shape == (-1,) and not self._is_here else super().reshaped(*shape)
+
+    def _in_memory(self, rows: NDArray[np.intp]) -> LockInEstimate:
+        values: dict[str, Any] = {
+            field.name: getattr(self, field.name) for field in fields(LockInEstimate) if field.name not in ARRAYS
+        }
+        first, count = int(rows.flat[0]) if rows.size else 0, rows.size
+        side_by_side = count > 0 and int(rows.flat[-1]) - first == count - 1
+        for name in ARRAYS:
+            found = self._columns.read(name, first, count) if side_by_side else self._columns.read(name)[rows]
+            values[name] = found.reshape((*rows.shape, *found.shape[1:]))
+        return LockInEstimate(**values)

@@ -1,0 +1,68 @@
+"""The gyro's clock against the computer's: right within its uncertainty, whatever holds frames back."""
+
+import numpy as np
+import pytest
+
+from instrument.fibre_gyro.host_clock import Arrivals
+
+
+def clock_of(rng, *, rate, seconds, off_ppm, latency=0.0, stalls=0.0, stall_at_end=False):
+    """Frames of a gyro whose clock is fast by `off_ppm`, read in slices of 20 ms, simulated frame by frame."""
+    interval = 1 / (rate * (1 + 1e-6 * off_ppm))
+    sent = np.arange(int(seconds / interval)) * interval + rng.uniform(0, 0.02)
+    arrived = sent + rng.exponential(3e-4, sent.size)
+    if latency:  # a USB adapter hands over what it has every so often
+        arrived = np.ceil(arrived / latency) * latency + rng.exponential(2e-4, sent.size)
+    arrived = np.maximum.accumulate(arrived)
+    arrivals, now, place = Arrivals(), 0.0, 0
+    while place < sent.size:
+        now += 0.02 + rng.exponential(1.5e-4)
+        if rng.random() < stalls:
+            now += rng.exponential(0.1)
+        if stall_at_end and now > seconds - 0.6:
+            now += 0.5
+        behind = int(np.searchsorted(arrived, now, side="right"))
+        if behind > place:
+            arrivals.add(behind - 1, now)
+            place = behind
+    return arrivals.clock(1 / rate)
+
+
+@pytest.mark.parametrize("rate", [10.0, 100.0, 1000.0])
+@pytest.mark.parametrize("latency", [0.0, 0.016])
+def test_the_difference_lies_within_its_uncertainty(rate, latency):
+    rng = np.random.default_rng(int(rate + 1000 * latency))
+    pulls = []
+    for seconds, off_ppm in ((4, 0), (12, 21_000), (40, -28_000), (40, 500)):
+        for stalls in (0.0, 0.01):
+            clock = clock_of(rng, rate=rate, seconds=seconds, off_ppm=off_ppm, latency=latency, stalls=stalls)
+            pulls.append((clock.difference_ppm - off_ppm) / clock.u_ppm)
+    assert np.abs(pulls).max() < 4  # its uncertainty is a bound more than a standard deviation
+
+
+def test_a_minute_tells_fifty_ppm_and_two_per_cent_are_used():
+    rng = np.random.default_rng(1)
+    right = clock_of(rng, rate=100.0, seconds=60, off_ppm=0)
+    assert right.u_ppm < 60 and not right.used
+    off = clock_of(rng, rate=100.0, seconds=60, off_ppm=-20_000)
+    assert off.used and off.interval_s == pytest.approx(0.01 / 0.98, rel=1e-4)
+    assert str(off).startswith(("-199", "-200")) and "u " in str(off)
+    # a difference that changes no result leaves the gyro its own rate
+    assert not clock_of(rng, rate=100.0, seconds=60, off_ppm=150).used
+
+
+def test_a_stall_at_the_end_moves_nothing():
+    clock = clock_of(np.random.default_rng(2), rate=200.0, seconds=30, off_ppm=0, stall_at_end=True)
+    assert abs(clock.difference_ppm) < 60  # a straight fit would be off by hundreds
+
+
+def test_what_is_too_little_says_nothing():
+    arrivals = Arrivals()
+    assert arrivals.clock(0.01) is None
+    for index in range(10):
+        arrivals.add(index, 0.01 * index)
+    assert arrivals.clock(0.01) is None
+    stuck = Arrivals()
+    for index in range(40):
+        stuck.add(5, 0.01 * index)
+    assert stuck.clock(0.01) is None

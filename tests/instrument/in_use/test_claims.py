@@ -1,0 +1,122 @@
+"""Who has an instrument: two processes on one link, one that was killed, and names that mean the same link."""
+
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+
+from instrument import TDS2014, LinkError
+from instrument.discovery import check_resource
+from instrument.in_use import claim
+from instrument.in_use.links import link_of
+from instrument.simulated import SimulatedTDS2014, TcpServer
+from instrument.simulated.controllers import LineServer, SimulatedPowerSupply
+from instrument.templates import Controller, parse_template
+
+HOLDS = """
+import sys, time
+from instrument.in_use.claims import claim
+claim(sys.argv[1], "campaign Acceptance, unit 7")
+print("holds", flush=True)
+time.sleep(60)
+"""
+
+
+@pytest.fixture(autouse=True)
+def locks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setenv("GYROLOCK_LOCKS", str(tmp_path))
+    return tmp_path
+
+
+@contextmanager
+def another_program(name: str) -> Iterator[subprocess.Popen[str]]:
+    with subprocess.Popen([sys.executable, "-c", HOLDS, name], stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline() == "holds\n"
+        try:
+            yield process
+        finally:
+            process.kill()
+
+
+@pytest.mark.skipif(os.name != "posix", reason="needs SIGKILL")
+def test_a_second_program_is_refused_by_name_and_one_that_was_killed_holds_nothing(locks: Path) -> None:
+    supply = SimulatedPowerSupply()
+    with TcpServer(SimulatedTDS2014()) as server, LineServer(supply, tcp_port=0, end="\n") as other:
+        host, port = f"localhost::{server.port}", str(server.port)
+        with another_program(f"TCPIP::{host}::SOCKET") as process:
+            said = rf"is in use by process {process.pid} \(campaign Acceptance, unit 7\), since 20\d\d-.* UTC; end"
+            with pytest.raises(LinkError, match=rf"^TCPIP0::127\.0\.0\.1::{port}::SOCKET {said}"):
+                TDS2014(server.resource_name)
+            assert "is in use by process" in str(check_resource(server.resource_name).problem)
+            process.send_signal(signal.SIGKILL)
+            process.wait(10)
+        assert len(list(locks.iterdir())) == 1  # what is left of it
+        with TDS2014(server.resource_name) as scope, TDS2014(server.resource_name) as again:
+            assert scope.identity == again.identity  # one program may do so twice
+        assert list(locks.iterdir()) == []
+        with another_program(other.resource_name), pytest.raises(LinkError, match="is in use by process"):
+            template = {"kind": "power supply", "name": "x", "voltage": {"ask": "VOLT?"}}
+            Controller(other.resource_name, parse_template(template, "x"))
+
+
+def test_a_claim_is_kept_until_the_last_one_is_released(locks: Path) -> None:
+    first, second = claim("GPIB0::1::INSTR"), claim("gpib0::1")
+    first.release()
+    first.release()
+    with another_process_tries("GPIB::1::INSTR") as refused:
+        assert refused
+    second.release()
+    with another_process_tries("GPIB::1::INSTR") as refused:
+        assert not refused
+
+
+@contextmanager
+def another_process_tries(name: str) -> Iterator[bool]:
+    text = "import sys; from instrument.in_use.claims import claim; claim(sys.argv[1])"
+    done = subprocess.run([sys.executable, "-c", text, name], capture_output=True, text=True, check=False)
+    assert done.returncode == 0 or "is in use by process" in done.stderr
+    yield done.returncode != 0
+
+
+@pytest.mark.skipif(not hasattr(os, "geteuid") or os.geteuid() == 0, reason="root may write every file")
+def test_another_users_file_that_cannot_be_written_is_locked_all_the_same(locks: Path) -> None:
+    with claim("GPIB0::5::INSTR"):
+        (path,) = locks.iterdir()
+    path.write_text('{"link": "gpib 0 5", "pid": 1, "user": "li", "doing": "old", "since": "2020"}')
+    path.chmod(0o444)
+    with claim("GPIB0::5::INSTR"), another_process_tries("GPIB0::5::INSTR") as refused:
+        assert refused
+
+
+def test_where_no_file_can_be_written_nobody_is_kept_from_anything(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("GYROLOCK_LOCKS", "/nowhere/at/all")
+    with claim("GPIB0::1::INSTR"), claim("loop://"):
+        pass
+
+
+def test_names_of_one_link(tmp_path: Path) -> None:
+    device = tmp_path / "ttyUSB0"
+    device.write_text("")
+    link = tmp_path / "by-id"
+    link.symlink_to(device)
+    alike = [
+        ("TCPIP0::localhost::4001::SOCKET", "TCPIP::127.0.0.1::4001::SOCKET"),
+        ("socket://[::1]:4002", "TCPIP0::127.0.0.1::4002::SOCKET"),
+        ("PRLGX-TCPIP0::127.0.0.1::1234::GPIB0::1::INSTR", "PRLGX-TCPIP::127.0.0.1::1234::GPIB::7"),
+        ("TCPIP0::10.0.0.5::INSTR", "TCPIP::10.0.0.5::inst0::INSTR"),
+        (f"ASRL{link}::INSTR", f"asrl{device}::INSTR"),
+        ("COM3", "ASRL3::INSTR"),
+        ("USB0::0x0699::0x0368::C012345::INSTR", "USB::1689::872::c012345::0::INSTR"),
+        ("GPIB0::1::INSTR", "gpib::1"),
+    ]
+    for one, other in alike:
+        assert link_of(one) == link_of(other), one
+    different = [one for one, _ in alike]
+    assert len({link_of(one) for one in different}) == len(different)
+    assert link_of("TCPIP0::10.0.0.5::hislip0::INSTR") != link_of("TCPIP0::10.0.0.5::hislip1::INSTR")

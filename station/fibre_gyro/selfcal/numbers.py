@@ -151,6 +151,7 @@ def numbers_against_table_u(
     own = table.of(settings.selfcal.axis) if table is not None else None
     if reference is None or settings.selfcal.numbers != "differences":
         return None
+    together: TableTogether | None
     if CORRELATION in run.facts:
         together, made = TableTogether(**run.facts[CORRELATION]), _saved_differences(run.facts)
     elif own is not None and own.differences is not None and REFERENCE not in run.facts:
@@ -172,7 +173,8 @@ def _saved_differences(facts: Mapping[str, Any]) -> RateDifferences | None:
     if made is None:
         return None
     delta, number, noise, spread = (np.array(made[name], dtype=np.float64) for name in _ARRAYS)
-    return RateDifferences(delta, number, noise, spread, *(float(made[name]) for name in _BASE))
+    base, base_u = (float(made[name]) for name in _BASE)
+    return RateDifferences(delta, number, noise, spread, base, base_u)
 
 
 def numbers_u_of(facts: Mapping[str, Any], settings: FogSettings) -> Callable[[float], float]:

@@ -1,7 +1,9 @@
 """Settings that must stand before NumPy is imported anywhere in the tests, and how hard property tests search."""
 
+import atexit
 import importlib.util
 import os
+import shutil
 import tempfile
 from pathlib import Path
 
@@ -13,6 +15,10 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 # Programs that the tests start say here how they stand, and not beside those of the user.
 os.environ.setdefault("GYROLOCK_STATE", str(Path(tempfile.gettempdir()) / "gyrolock-tests"))
+
+# Each test process has instruments of its own: two of them may open the same made-up name at the same time.
+os.environ["GYROLOCK_LOCKS"] = tempfile.mkdtemp(prefix="gyrolock-locks-")
+atexit.register(shutil.rmtree, os.environ["GYROLOCK_LOCKS"], ignore_errors=True)
 
 # The same examples in every run: a red test is the work of the last change. `make explore` searches freely.
 settings.register_profile("fixed", derandomize=True, database=None, deadline=None, max_examples=100)

@@ -19,7 +19,7 @@ from instrument.simulated.links.exchange import MessageExchange
 from instrument.simulated.panel.parsing import LONGEST_BLOCK
 
 DEFAULT_COUNT = 1_000_000
-LONGEST = 1.0  # s of real time that one string may take
+LONGEST = 1.0  # s of work that one string may take; a busy machine does not count
 PIECES = (
     *(
         b"*IDN?",
@@ -128,7 +128,7 @@ def run(count: int, *, seed: int = 0, model: str = "TDS2014") -> Outcome:
     outcome = Outcome()
     for number in range(count):
         message, stream = random_string(source), bool(number % 2)
-        began = time.perf_counter()
+        began = time.thread_time()
         try:
             outcome.cleared += victim.take(message, stream=stream)
             answer = victim.answers(stream=stream)
@@ -139,7 +139,7 @@ def run(count: int, *, seed: int = 0, model: str = "TDS2014") -> Outcome:
             if answer != victim.identity:
                 outcome.failures.append((message, f"*IDN? was answered by {answer!r:.60}"))
                 victim = Victim(model)
-        spent = time.perf_counter() - began
+        spent = time.thread_time() - began
         outcome.longest = max(outcome.longest, spent)
         if spent > LONGEST:
             outcome.failures.append((message, f"took {spent:.1f} s"))

@@ -182,7 +182,8 @@ class Station:
             self.outcome.panels_altered += not by_hand and self._panel() != before
             self._weigh()
             tell(
-                f"day {day}: {self.outcome.records} records, {self.outcome.wrong} wrong, {self.outcome.lost} lost"
+                f"day {day}: {self.outcome.records} records, {self.outcome.wrong} wrong, "
+                f"{self.outcome.lost} lost, {self.outcome.memory_mb[-1]:.0f} MB"
             )
         self.outcome.faults.update(fault.kind for fault in self._scope.faults.happened)
         self._manager.close()

@@ -76,11 +76,13 @@ def profile(data: RatioData, prior: Prior, start: Floats, sizes: Floats) -> Floa
     Parameters
     ----------
     start : (N_PARAMETERS,)
-        A minimum near by.
+        A minimum near by. Its valley may end at a wall: every size is reached from nothing but distortion as well.
     """
     points = np.tile(start, (sizes.size, 1))
     points[:, :2] *= (sizes / np.hypot(*start[:2]))[:, np.newaxis]
-    return _minimised(data, prior, points, _PROFILE_ITERATIONS, sizes).chi_square
+    both = np.concatenate([points, _with_distortion_alone(points, data, prior)])
+    lowest = _minimised(data, prior, both, _PROFILE_ITERATIONS, np.tile(sizes, 2)).chi_square
+    return np.asarray(lowest.reshape(2, -1).min(axis=0))
 
 
 def _minimised(
@@ -258,10 +260,16 @@ def _around(found: Floats, data: RatioData, prior: Prior) -> Floats:
     """Starts beside what was found (B, N_PARAMETERS): another lock-in rate, and nothing but distortion."""
     starts = np.repeat(found, _BESIDE.size, axis=0)
     starts[:, :2] *= np.tile(_BESIDE, len(found))[:, np.newaxis]
-    starts[:, 2:] = np.where(prior.sd > 0, prior.mean, found[0])[2:]
+    return _bounded(_with_distortion_alone(starts, data, prior), data)
+
+
+def _with_distortion_alone(points: Floats, data: RatioData, prior: Prior) -> Floats:
+    """The same lock-in rates and phases (B, N_PARAMETERS), with the best distortion for each and nothing else."""
+    alone = points.copy()
+    alone[:, 2:] = np.where(prior.sd > 0, prior.mean, points)[:, 2:]
     if prior.sd[2] > 0:
-        starts[:, 2] = _best_distortion(starts, data, prior)
-    return _bounded(starts, data)
+        alone[:, 2] = _best_distortion(alone, data, prior)
+    return alone
 
 
 def _best_distortion(points: Floats, data: RatioData, prior: Prior) -> Floats:

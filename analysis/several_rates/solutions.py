@@ -87,7 +87,10 @@ def by_profile(said: Answer, found: RatioFit, data: RatioData, prior: Prior, wid
 
 _WELL_KNOWN = 6.0
 _NORMAL_95 = 1.959964
-_REACH = np.array([-6.0, -4.5, -3.5, -2.8, -2.2, -1.7, -1.2, 0.0, 1.2, 1.7, 2.2, 2.8, 3.5, 4.5, 6.0])
+_OUTWARDS = np.array([1.2, 1.7, 2.2, 2.8, 3.5, 4.5, 6.0, 8.0, 11.0, 15.0, 20.0, 28.0, 40.0])
+_REACH = np.concatenate([-_OUTWARDS[::-1], [0.0], _OUTWARDS])
+"""Standard uncertainties about a minimum, as its curvature has them, at which the valley is sounded: a bent one is
+much longer than that says."""
 
 
 def _ends(height: Callable[[Floats], Floats], sizes: Floats, allowed: float) -> tuple[float, float]:

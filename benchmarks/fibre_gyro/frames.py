@@ -1,8 +1,9 @@
-"""`python -m benchmarks.fibre_gyro.frames`: damaged frames of every kind of real gyro, and what is delivered of them.
+"""`python -m benchmarks.fibre_gyro.frames`: damaged frames of real gyros, and what is delivered of them.
 
-Frames that share no code with the product are damaged, each with the same chance, by a byte lost or inserted or a bit
-flipped, and read by the product. Printed for each kind: how many delivered frames were never sent (wrong), how many
-that arrived whole were not delivered (lost), and how fast they were read, damaged and undamaged.
+Frames that share no code with the product are damaged, each with the same chance, by a byte lost or inserted or a
+bit flipped, and read by the product. Printed for each kind: how many delivered frames were never sent (wrong), how
+far off they are at most, in standard deviations of the noise, how many of those that arrived whole were not
+delivered (lost), and how fast they were read, damaged and undamaged (seconds of one core).
 
     python -m benchmarks.fibre_gyro.frames --frames 4000 --damage 0.09 --seeds 1
 """
@@ -81,11 +82,17 @@ def judge(gyro: RealGyro, raw: list[int] | list[tuple[int, int, int]], delivered
                 break
         else:
             score.wrong += 1
-            near = [gyro.values(n, raw[n])[1] for n in range(max(0, place - 1), min(place + 3, len(raw)))]
-            score.far = max(
-                score.far, min(max(abs(a - b) for a, b in zip(frame.values, v, strict=True)) for v in near)
-            )
+            score.far = max(score.far, _far(gyro, raw, place, frame))
     return score
+
+
+def _far(gyro: RealGyro, raw: list[int] | list[tuple[int, int, int]], place: int, frame: Frame) -> float:
+    """How far a frame that was never sent lies from those around it, in standard deviations of the noise."""
+    around = [gyro.values(n, raw[n])[1] for n in range(max(0, place - 200), min(place + 200, len(raw)))]
+    table = np.array(around)
+    spread = table.std(axis=0)
+    moving = spread > 0
+    return float(np.max(np.abs(np.array(frame.values) - table.mean(axis=0))[moving] / spread[moving], initial=0.0))
 
 
 def main() -> int:
@@ -96,8 +103,8 @@ def main() -> int:
     parser.add_argument("--seeds", type=int, default=1)
     given = parser.parse_args()
     lines = [
-        "| format | bytes | frames | whole | wrong | lost, % of the whole ones | MB/s damaged | MB/s |",
-        "|---|---|---|---|---|---|---|---|",
+        "| format | bytes | frames | whole | wrong | off by, sd | lost, % | MB/s, damaged | MB/s |",
+        "|---|---|---|---|---|---|---|---|---|",
     ]
     for gyro in REAL_GYROS:
         total, slow, fast = Score(), [], []
@@ -111,7 +118,8 @@ def main() -> int:
         lost = 100 * (1 - (total.delivered - total.wrong) / total.whole)
         size = len(gyro.pack(1, (700_000,) * 3 if gyro.axes == 3 else 700_000))
         lines.append(
-            f"| `{gyro.name}` | {size} | {total.sent} | {total.whole} | {total.wrong} | {lost:.1f} | "
+            f"| `{gyro.name}` | {size} | {total.sent} | {total.whole} | {total.wrong} | "
+            f"{f'{total.far:.1f}' if total.wrong else '-'} | {max(lost, 0.0):.1f} | "
             f"{max(slow) / 1e6:.2f} | {max(fast) / 1e6:.2f} |"
         )
     sys.stdout.write("\n".join(lines) + "\n")

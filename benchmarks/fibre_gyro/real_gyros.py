@@ -1,4 +1,4 @@
-"""Frames as real fibre gyros send them, packed here by hand: nothing of the product's encoder or checksums is used."""
+"""Frames as real fibre gyros send them, packed here by hand, without the product's encoder or checksums."""
 
 from __future__ import annotations
 
@@ -40,6 +40,7 @@ class RealGyro:
 
 
 def xor_of(data: bytes) -> int:
+    """Exclusive or of all bytes."""
     total = 0
     for byte in data:
         total = total ^ byte
@@ -74,6 +75,7 @@ def temperature_of(n: int) -> int:
 
 
 def float32(value: float) -> float:
+    """The nearest number of single precision."""
     return float(struct.unpack(">f", struct.pack(">f", value))[0])
 
 
@@ -81,41 +83,49 @@ def float32(value: float) -> float:
 
 
 def packed_7(n: int, raw: int) -> bytes:
+    """80, five bytes of seven bits, xor."""
     body = sevens(raw & 0xFFFFFFFF, 5)
     return b"\x80" + body + bytes([xor_of(body)])
 
 
 def packed_7_temperature(n: int, raw: int) -> bytes:
+    """The same with a temperature of 14 bits and a second xor."""
     first = sevens(raw & 0xFFFFFFFF, 5)
     body = first + bytes([xor_of(first)]) + sevens(temperature_of(n), 2)
     return b"\x80" + body + bytes([xor_of(body)])
 
 
 def packed_7_sum(n: int, raw: int) -> bytes:
+    """80, four bytes of seven bits, high ones first, temperature, sum."""
     body = sevens(raw & 0xFFFFFFF, 4)[::-1] + bytes([temperature_of(n) // 16])
     return b"\x80" + body + bytes([sum(body) % 256])
 
 
 def eb90(n: int, raw: int) -> bytes:
+    """EB 90, four bytes, sum."""
     body = struct.pack("<i", raw)
     return b"\xeb\x90" + body + bytes([sum(body) % 256])
 
 
 def eb90_temperature(n: int, raw: int) -> bytes:
+    """EB 90, four bytes, temperature, sum."""
     body = struct.pack("<ih", raw, temperature_of(n))
     return b"\xeb\x90" + body + bytes([sum(body) % 256])
 
 
 def header_99_66(n: int, raw: int) -> bytes:
+    """99 66, A5, three bytes, temperature, sum."""
     body = b"\xa5" + struct.pack("<i", raw)[:3] + struct.pack("<h", temperature_of(n))
     return b"\x99\x66" + body + bytes([sum(body) % 256])
 
 
 def dsp_3000_text(n: int, raw: int) -> bytes:
+    """A line of text, deg/s with six decimals, and 1."""
     return f"{raw * 1e-6:.6f} 1\r\n".encode()
 
 
 def dsp_3000_bits(n: int, raw: int, kind: int = 0) -> bytes:
+    """32 bits: valid, two that count, two of type, odd parity, 26 of output."""
     word = 1 << 31 | n % 4 << 29 | kind << 27 | raw & 0x3FFFFFF
     if f"{word:b}".count("1") % 2 == 0:
         word |= 1 << 26
@@ -123,6 +133,7 @@ def dsp_3000_bits(n: int, raw: int, kind: int = 0) -> bytes:
 
 
 def kvh_1750(n: int, raw: tuple[int, int, int]) -> bytes:
+    """Format A: three floats of rotation, three of acceleration, state, sequence, temperature, CRC."""
     body = (
         b"\xfe\x81\xff\x55"
         + struct.pack(">3f", *(one * 1e-10 for one in raw))
@@ -133,6 +144,7 @@ def kvh_1750(n: int, raw: tuple[int, int, int]) -> bytes:
 
 
 def kvh_1775_c(n: int, raw: tuple[int, int, int]) -> bytes:
+    """Format C: a float in which four quantities take turns."""
     body = (
         b"\xfe\x81\xff\x57"
         + struct.pack(">3f", *(one * 1e-10 for one in raw))
@@ -143,10 +155,12 @@ def kvh_1775_c(n: int, raw: tuple[int, int, int]) -> bytes:
 
 
 def in_turn(n: int) -> float:
+    """What that float holds."""
     return (temperature_of(n) / 16, 0.21, -0.05, 0.44)[n % 4]
 
 
 def low_high_mid(n: int, raw: int) -> bytes:
+    """C0 C0, counter, low, high and middle byte, housekeeping in turn, CRC of eight bits."""
     low, mid, high = (raw >> shift & 0xFF for shift in (0, 8, 16))
     temperature = temperature_of(n - n % 4) * 8
     housekeeping = (temperature & 0xFF, temperature >> 8, 93, 1)[n % 4]
@@ -155,17 +169,20 @@ def low_high_mid(n: int, raw: int) -> bytes:
 
 
 def three_axes(n: int, raw: tuple[int, int, int]) -> bytes:
+    """AA AA, counter from 1, state, three gyros and what goes with them, xor from byte 4, BB."""
     celsius = temperature_of(n)
     body = struct.pack("<3i3f", *raw, 0.0, 0.01, 1.0) + struct.pack("<5h", *[celsius] * 5)
     return b"\xaa\xaa" + bytes([1 + n % 200, 0xFF]) + body + bytes([xor_of(body)]) + b"\xbb"
 
 
 def text_with_sum(n: int, raw: int) -> bytes:
+    """$FOG, counter, counts, temperature, status, xor."""
     body = f"FOG,{n % 65536:05d},{raw % 0x7FFFFF},25.31,00".encode()
     return b"$" + body + f"*{xor_of(body):02X}\r\n".encode()
 
 
 def crc_frames(n: int, raw: int) -> bytes:
+    """55 AA, counter, counts, temperature, status, CRC."""
     body = struct.pack("<Hih", n % 65536, raw, 2531) + b"\x80"
     return b"\x55\xaa" + body + struct.pack(">H", binascii.crc_hqx(body, 0xFFFF))
 
@@ -258,6 +275,7 @@ def damaged(data: bytes, rng: np.random.Generator) -> bytes:
 
 
 def is_same(delivered: tuple[float, ...], sent: tuple[float, ...]) -> bool:
+    """Whether two frames hold the same numbers."""
     return len(delivered) == len(sent) and all(
         math.isclose(one, other, rel_tol=1e-12, abs_tol=1e-12) for one, other in zip(delivered, sent, strict=True)
     )

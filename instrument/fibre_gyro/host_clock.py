@@ -19,8 +19,8 @@ NOT_WORTH_PPM = 200.0
 WRONG = 0.1
 """No oscillator is off by a tenth: then the description of the frames is wrong."""
 
-_HOST_U = 5e-5 / 3**0.5
-"""Of the computer's clock: its crystal within 50 ppm, corrected by a time server or not."""
+HOST_CLOCK_U = 5e-5 / 3**0.5
+"""Relative, of the computer's clock: its crystal within 50 ppm, corrected by a time server or not."""
 
 _FEWEST = 16  # arrivals
 _BLOCKS = 512  # of which the earliest arrival is kept
@@ -57,7 +57,7 @@ class Arrivals:
         interval, u = _earliest_line(index - index[0], host - host[0])
         if not (np.isfinite(u) and interval > 0 and u < _WORST_U * interval):
             return None
-        u = float(np.hypot(u, _HOST_U * interval))
+        u = float(np.hypot(u, HOST_CLOCK_U * interval))
         off = abs(stated_s / interval - 1)
         used = bool(off > 1e-6 * NOT_WORTH_PPM and off > _SIGNIFICANT * u / interval)
         return HostClock(stated_s, interval, u, used)

@@ -144,6 +144,7 @@ class RecordBuilder:
         self._gaps: list[_Missing] = []
         self._damaged_before, self._silent_s = 0, 0.0  # since the last frame
         self._cause = ""
+        self._behind: tuple[list[Event], float] = ([], 0.0)  # came with the last one that was wanted
         self._standing = ""  # what the last status said that takes turns with others
         self._polled_counter: int | None = None
         self._exact = True  # whether all places are exact
@@ -156,8 +157,9 @@ class RecordBuilder:
         """Take what came at `host_s` (s of the gyro's time), or nothing for `silent_s`; or in answer to a poll."""
         self._silent_s += silent_s
         before = self.index
-        for event in events:
+        for number, event in enumerate(events):
             if self.done:
+                self._behind = events[number:], host_s
                 return
             if isinstance(event, Damage):
                 self._take_damage(event)
@@ -175,6 +177,9 @@ class RecordBuilder:
         """Record more intervals than were asked for first."""
         self._wanted = max(self._wanted, wanted)
         self.done = self.index - self._skip >= self._wanted - 1
+        if not self.done:
+            (events, host_s), self._behind = self._behind, ([], 0.0)
+            self.take(events, host_s=host_s, silent_s=0.0)
 
     def host_clock(self) -> HostClock | None:
         """The gyro's clock beside the computer's so far."""

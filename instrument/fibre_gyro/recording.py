@@ -129,7 +129,7 @@ class HostClock:
         """Say it in a few words."""
         rate = math.floor(math.log10(max(self.u_ppm, 1e-3)))
         digits = max(0, 1 - rate)
-        return f"{self.difference_ppm:+.{digits}f} ppm, u {self.u_ppm:.{digits}f} ppm"
+        return f"{self.difference_ppm:+.{digits}f} ppm (u {self.u_ppm:.{digits}f} ppm)"
 
 
 @dataclass(frozen=True, eq=False)

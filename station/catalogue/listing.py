@@ -6,14 +6,15 @@ import csv
 import io
 import math
 import os
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 from station.catalogue.entry import Entry
 from station.results.parts import TextTable
 
 SCHEMA = {"name": "gyrolock runs", "version": 1}
-_LONGEST_NOTE = 40
+_LONGEST_NOTE = 60
 
 COLUMNS = (
     "run", "command", "started_at", "ended_at", "unit", "operator", "gyro", "simulated", "records", "outcome",
@@ -32,7 +33,7 @@ def runs_table(entries: Sequence[Entry], directory: Path) -> TextTable:
             entry.operator or "",
             entry.result_text,
             entry.verdict or "",
-            entry.mark or "",
+            _mark(entry),
             " ".join(entry.tags),
             _shortened(_last_word(entry)),
             _short_name(entry, directory),
@@ -56,7 +57,7 @@ def runs_csv(entries: Iterable[Entry]) -> str:
         known |= {
             "simulated": int(entry.simulated),
             "tags": " ".join(entry.tags),
-            "remarks": "; ".join(f"{one['by']}: {one['note']}" for one in entry.remarks if one.get("note")),
+            "remarks": "; ".join(_signed(one) for one in entry.remarks if one.get("note")),
         }
         values = [
             {
@@ -71,9 +72,19 @@ def runs_csv(entries: Iterable[Entry]) -> str:
     return text.getvalue()
 
 
+def _mark(entry: Entry) -> str:
+    """The mark, who made it and on which day."""
+    by = next((one for one in reversed(entry.remarks) if one.get("mark") == entry.mark), None)
+    return f"{entry.mark}, {by['by']} {str(by['at'])[:10]}" if entry.mark and by is not None else entry.mark or ""
+
+
+def _signed(remark: Mapping[str, Any]) -> str:
+    return f"{str(remark['at'])[:10]} {remark['by']}: {remark['note']}"
+
+
 def _last_word(entry: Entry) -> str:
-    """What is wrong with it, or the newest note, or the operator's own."""
-    notes = [str(one["note"]) for one in entry.remarks if one.get("note")]
+    """What is wrong with it, or the newest note with its day and author, or the operator's own."""
+    notes = [_signed(one) for one in entry.remarks if one.get("note")]
     return entry.problem or next(reversed(notes), entry.note or "")
 
 

@@ -183,7 +183,7 @@ class Analysis:
 
     def combined(self, channel: str | None, rates: Path | None, report: Path | None, answer: Answer) -> int:
         """Make one result of all records."""
-        from station.errors import EXIT_OK, EXIT_USAGE
+        from station.errors import EXIT_OK, EXIT_OUTPUT, EXIT_USAGE, CannotWrite, Failure
         from station.reanalysis.combine import combine, said_of
         from station.reanalysis.report import FilesReport
         from station.report.report import write_report
@@ -200,10 +200,14 @@ class Analysis:
         for line in said_of(found.left_out):
             remark(line)
         document, failure = found.document(), _no_result(found.result.problem)
+        if report is not None:
+            try:
+                document["report"] = str(write_report(FilesReport(found), report))
+            except OSError as error:  # the result is there all the same
+                problem = f"{report}: the report cannot be written ({error.strerror or error})"
+                failure = failure or Failure(CannotWrite.kind, problem, EXIT_OUTPUT)
         if failure is not None:
             document["error"] = failure.as_json()
-        if report is not None:
-            document["report"] = str(write_report(FilesReport(found), report))
         if answer.jsonl:
             for row in found.rows():
                 print_json(row)
@@ -211,7 +215,7 @@ class Analysis:
             print_json(document)
         else:
             _print(found)
-            if report is not None:
+            if "report" in document:
                 say(f"report  {document['report']}")
         if failure is not None:
             print_failure(failure)

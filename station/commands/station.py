@@ -102,6 +102,7 @@ def _dry_run(plan: CampaignPlan, as_json: bool) -> int:
 
 
 def _test(plan: CampaignPlan, given: dict[str, Any]) -> int:
+    from station.campaign.bench.in_use import bench_in_use
     from station.campaign.conduct import conduct
     from station.campaign.journal import test_to_resume
     from station.campaign.log import station_log
@@ -112,16 +113,17 @@ def _test(plan: CampaignPlan, given: dict[str, Any]) -> int:
         named = given["resume"]
         resumed = test_to_resume(plan.directory, plan.unit) if named == _LATEST else Path(named)
     labels = {name: given[name] for name in ("operator", "note")}
-    if plan.ask_for_unit:
-        _ask_for_unit(plan)
-    with shown(given, "station", unit=plan.unit, **labels) as progress, station_log(plan.directory) as log:
-        progress.events.read_by(log)
-        evaluated: dict[str, Evaluated] = {}
-        texts = {name: text or "" for name, text in labels.items()}
-        outcome = conduct(plan, progress, **texts, resumed=resumed, evaluated=evaluated)
-        page, lost = _write_record(outcome, evaluated)
-        code = outcome.exit_code if lost is None or outcome.failure is not None else lost.exit_code
-        progress.end(code, outcome.message if lost is None else lost.message)
+    with bench_in_use(plan):  # before anybody carries a unit to a bench that is taken
+        if plan.ask_for_unit:
+            _ask_for_unit(plan)
+        with shown(given, "station", unit=plan.unit, **labels) as progress, station_log(plan.directory) as log:
+            progress.events.read_by(log)
+            evaluated: dict[str, Evaluated] = {}
+            texts = {name: text or "" for name, text in labels.items()}
+            outcome = conduct(plan, progress, **texts, resumed=resumed, evaluated=evaluated)
+            page, lost = _write_record(outcome, evaluated)
+            code = outcome.exit_code if lost is None or outcome.failure is not None else lost.exit_code
+            progress.end(code, outcome.message if lost is None else lost.message)
     _tell(outcome, given, page)
     for failure in (outcome.failure, lost):
         if failure is not None:

@@ -63,7 +63,7 @@ class LiveDisplay:
 
     def _say(self, text: str, style: str | None) -> None:
         with suppress(*_LOST):
-            self._console.print(text, style=style, soft_wrap=False)
+            self._console.print(text, style=style, soft_wrap=True)  # a path is copied as a whole
 
     def _show(self) -> None:
         with self._lock, suppress(*_LOST):

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from analysis.fibre_gyro import ClosedLoop, largest_step, predicted_table_scale
-from instrument.fibre_gyro import ANGLES, HostClock
+from instrument.fibre_gyro import ANGLES, HOST_CLOCK_U, HostClock
 from station.fibre_gyro.recordings import Segment, segments_of
 from station.fibre_gyro.settings import FogSettings
 from station.fibre_gyro.simulated_bench import loop_settings, quiet
@@ -101,10 +101,17 @@ def clock_of(segments: Sequence[Segment]) -> HostClock | None:
 
 def angle_clock_u(segments: Sequence[Segment]) -> float:
     """Relative standard uncertainty of K that the clock gives where the output is an angle a frame; else 0."""
-    if not any(one.conditions.get("output_unit") in ANGLES for one in segments):
-        return 0.0
-    clock = clock_of(segments)
-    return _UNKNOWN_CLOCK_U if clock is None else clock.u_ppm / PPM
+    angles = [one for one in segments if one.conditions.get("output_unit") in ANGLES]
+    each = [_interval_u(one) for one in angles]
+    return float(np.sqrt(np.mean(np.square(each)))) if each else 0.0
+
+
+def _interval_u(segment: Segment) -> float:
+    """Relative standard uncertainty of the interval between two outputs."""
+    clock = segment.recording.host_clock
+    if clock is not None:
+        return clock.u_ppm / PPM
+    return HOST_CLOCK_U if segment.recording.clock == "polls" else _UNKNOWN_CLOCK_U
 
 
 def _all_segments(run: SavedRun) -> list[Segment]:

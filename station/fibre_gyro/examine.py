@@ -18,10 +18,16 @@ def examine(settings: FogSettings) -> list[Check]:
     try:
         with open_fog_bench(settings, tell=told.append) as bench:
             planned = PlannedSegment("look", _SECONDS, 0.0, {"purpose": "look", "rate_dps": 0.0})
-            losses = bench.record(planned, lambda seconds: None).losses
+            recording = bench.record(planned, lambda seconds: None)
     except (InstrumentError, StationError, OSError) as error:
         return [Check("fibre gyro", "bad", one_line(error))]
     at = settings.link.port or "the simulated bench"
+    losses, clock = recording.losses, recording.host_clock
     text = f"{losses.good} frames in {_SECONDS:g} s at {at}, {losses.missing} missing"
     state: list[Check] = [Check("fibre gyro", "note" if losses.missing else "ok", text)]
+    if clock is not None and clock.used:
+        state.append(
+            Check("gyro's clock", "note", f"{clock} against the computer's: it is measured and allowed for")
+        )
+    state += [Check("frame format", "bad", doubt) for doubt in recording.doubts]
     return [*state, *(Check("bench", "note", one) for one in told)]

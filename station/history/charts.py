@@ -110,7 +110,8 @@ def course_svg(course: Course, name: str) -> str:
         above.set(ylabel="value")
         above.ticklabel_format(axis="y", useOffset=False)
         below.set(xlabel="test, in the order of time", ylabel="moving range", xlim=(0.4, number.size + 0.6))
-        below.set_ylim(bottom=0)
+        largest = np.max(chart.moving_range[1:], initial=chart.range_limit if chart.has_limits else 0.0)
+        below.set_ylim(0, 1.15 * largest if largest > 0 else None)
         below.xaxis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))
 
     return svg_element(name, TALL, draw)

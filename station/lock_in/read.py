@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from statistics import fmean
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -177,11 +177,18 @@ def _evaluated(
         raise UsageError(str(error)) from None
 
 
+class ReadAgain(Protocol):
+    """Records that are read when they are asked for."""
+
+    def many(self, rows: NDArray[np.intp]) -> list[Waveform]:
+        """Read some of them, whose rows rise, in one pass."""
+
+
 @dataclass(frozen=True)
 class _AskedFor:
     """Volts of records that are estimated already, for what looks at some of them again."""
 
-    waveforms: Sequence[Waveform]
+    waveforms: ReadAgain
     intervals: NDArray[np.float64]
     samples: NDArray[np.int64]
 
@@ -189,15 +196,12 @@ class _AskedFor:
         for shape in rows_of_batches(self.intervals, self.samples):
             for first in range(0, shape.size, _LOOKED_AT):
                 rows = shape[first : first + _LOOKED_AT]
-                if isinstance(self.waveforms, SavedWaveforms):
-                    waves = self.waveforms.many(rows)
-                else:
-                    waves = [self.waveforms[row] for row in rows.tolist()]
+                waves = self.waveforms.many(rows)
                 volts, clipped = [wave.volts for wave in waves], [wave.clipped_samples for wave in waves]
                 yield Batch(rows, waves[0].sample_interval, np.array([volts]), np.array([clipped]))
 
 
-def gathered_arrays(gathered: Gathered, waveforms: Sequence[Waveform]) -> RecordArrays:
+def gathered_arrays(gathered: Gathered, waveforms: ReadAgain) -> RecordArrays:
     """Records as arrays; their samples are read again where some are asked for."""
     columns = gathered.columns
     samples = columns["samples"].astype(np.int64)

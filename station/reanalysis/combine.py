@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from analysis.lock_in_run import AxisRates, RecordArrays, RunArrays, evaluate
 from instrument import Waveform
 from station.errors import NoUsableSignal, UsageError
-from station.lock_in.found import LockInFound
+from station.lock_in.found import LockInFound, SavedWaveforms
 from station.lock_in.knowledge import knowledge_of_records, run_knowledge
 from station.lock_in.read import gathered_arrays
 from station.lock_in.records.collected import Collected
@@ -24,7 +24,6 @@ from station.lock_in.result import result
 from station.lock_in.settings import load_settings
 from station.reanalysis.files import AnalyzedFiles
 from station.reanalysis.work import Work
-from station.ring_laser.records import saved_waveform
 from station.runs.operator import ask_number
 from station.runs.progress import Progress
 from station.settings.toml_files import read_text
@@ -348,11 +347,17 @@ class _Waveforms(Sequence[Waveform]):
     def __getitem__(self, place: int | slice) -> Waveform | Sequence[Waveform]:
         if isinstance(place, slice):
             return [self[one] for one in range(*place.indices(len(self)))]
-        name = self._used[int(np.searchsorted(self._ends, place, side="right"))].name
-        source = self._opened.get(name) or open_source(Path(name))
-        number = int(self._numbers[place])
-        (record,) = source.records(range(number, number + 1))
-        return saved_waveform(record, source.path)
+        return self.many(np.array([place]))[0]
+
+    def many(self, rows: NDArray[np.intp]) -> list[Waveform]:
+        """Read some records, whose rows rise, each source in one pass."""
+        found: list[Waveform] = []
+        of = np.searchsorted(self._ends, rows, side="right")
+        for place in np.unique(of).tolist():
+            name = self._used[place].name
+            source = self._opened.get(name) or open_source(Path(name))
+            found += SavedWaveforms(source, self._numbers[rows[of == place]]).many(np.arange(np.sum(of == place)))
+        return found
 
 
 def said_of(left_out: Sequence[LeftOut], most: int = 20) -> list[str]:

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from station.errors import NoUsableSignal, UsageError
+from station.errors import NoUsableSignal, RunError, UsageError
 from station.reanalysis.tables.columns import rows_of_pieces
 from station.reanalysis.tables.open_table import KINDS, table_file
 from station.reanalysis.work import Work
@@ -293,6 +293,8 @@ def read_records(place: str, choices: Mapping[str, Any], workers: Workers, analy
     work = Work(find_sources([place]), choices, whole=True)
     parts = [rows for found in work.done_by(workers, rows_of_pieces, Progress(quiet=True)) for rows in found]
     left_out = tuple(one for part in parts for one in part.left_out)
+    if left_out and not any(part.count for part in parts):
+        raise RunError(f"{left_out[0]}")
     names = (*_TEXTS, "record", *QUANTITIES, *(u for u, _, _ in QUANTITIES.values()))
     given = (
         dict(zip(names, values, strict=True))

@@ -8,11 +8,12 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from station.errors import RunError
 from station.lock_in.records.pieces import Piece
 from station.reanalysis.tables.columns import Rows, analysis_of, rows_of_pieces
 from station.reanalysis.tables.lock import only_writer
 from station.reanalysis.tables.open_table import table_file
-from station.reanalysis.tables.table import TableFile
+from station.reanalysis.tables.table import Key, TableFile
 from station.reanalysis.work import Work
 from station.runs.progress import Progress
 from station.sources.batches import LeftOut
@@ -87,11 +88,11 @@ def fill_table(
     """
     file, analysis, done = table_file(table), analysis_of(choices), Filled(table)
     with only_writer(table):
-        known = {source: sha256 for (source, made), sha256 in file.known().items() if made == analysis}
+        known = {source: sha256 for (source, made), sha256 in _known(file).items() if made == analysis}
         replaced: set[tuple[str, str]] = set()
         before = ""
-        file.begin()
         try:
+            file.begin()
             work = Work(sources, choices, known, whole=True)
             for packed, found in work.done_by(workers, partial(_packed_rows, type(file)), progress):
                 if packed is not None:
@@ -117,6 +118,13 @@ def fill_table(
             file.give_up()
             raise
     return done
+
+
+def _known(file: TableFile) -> dict[Key, str]:
+    try:
+        return file.known()
+    except RunError as error:
+        raise RunError(f"{error}; or name another table with --to") from None
 
 
 def _packed_rows(kind: type[TableFile], pieces: Sequence[Piece]) -> tuple[Any, list[Rows]]:

@@ -10,7 +10,7 @@ from station.errors import RunError
 from station.provenance import version
 from station.report.page import render_page, write_page
 from station.results.limits import Tested
-from station.results.parts import FactTable, Rows, Section, TextTable
+from station.results.parts import FactTable, Rows, Section
 from station.results.result import Result
 from station.runs.facts import RunFacts
 from station.runs.remarks import Remark, Remarks, read_remarks
@@ -115,18 +115,18 @@ def _remarks(run: Path) -> Remarks:
     try:
         return read_remarks(run)
     except RunError as error:
-        return Remarks((Remark("", "", str(error)),))
+        return Remarks((Remark(at="", by="", note=str(error)),))
 
 
 def _said_afterwards(remarks: Remarks) -> Section:
     """Notes, tags and marks: who, and when. The measurement itself is what it was."""
-    rows = tuple((_time_of_day(one.at), one.by, one.words) for one in remarks.said)
-    lost = f"{remarks.unreadable} lines of its remarks cannot be read." if remarks.unreadable else ""
-    return Section("Said of it afterwards", lost, table=TextTable(("when", "who", "what"), rows))
+    said = [f"{_time_of_day(one.at)}, {one.by}: {one.words}" if one.at else one.words for one in remarks.said]
+    lost = [f"{remarks.unreadable} lines of its remarks cannot be read."] if remarks.unreadable else []
+    return Section("Said of it afterwards", sentences=(*said, *lost))
 
 
 def _time_of_day(at: str) -> str:
-    return f"{at[:16].replace('T', ' ')} UTC" if at else ""
+    return f"{at[:16].replace('T', ' ')} UTC"
 
 
 def _labels(facts: RunFacts, remarks: Remarks) -> Rows:

@@ -168,7 +168,7 @@ def add_remark(
     for tag in (*tags, *untagged):
         if not tag or any(letter.isspace() or letter == "," for letter in tag):
             raise UsageError(f"the tag {tag!r} is no single word: write it without blanks and commas")
-    remark = Remark(utc_now(), by or _user(), note.strip(), tuple(tags), tuple(untagged), mark)
+    remark = Remark(utc_now(), " ".join(by.split()) or _user(), note.strip(), tuple(tags), tuple(untagged), mark)
     file = remarks_file(run)
     line = f"{json.dumps(remark.as_json(), ensure_ascii=False)}\n".encode()
     try:

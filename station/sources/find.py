@@ -51,25 +51,52 @@ def find_sources(paths: Iterable[Path | str]) -> Iterator[Path | Source]:
             yield path
             continue
         found = False
-        for source in _below(path):
+        for source in _below(path, {os.path.realpath(path)}):
             found = True
             yield source
         if not found:
             raise UsageError(f"{path}: holds no run and no CSV or ISF file, neither it nor a folder below it")
 
 
-def _below(folder: Path) -> Iterator[Path]:
-    with os.scandir(folder) as entries:
-        names = sorted(entries, key=lambda entry: entry.name)
+def _below(folder: Path, entered: set[str]) -> Iterator[Path]:
+    """All in and below a folder that may be a source; what cannot be looked at is named when it is opened.
+
+    Parameters
+    ----------
+    entered : set of str
+        Where links have led so far.
+    """
+    try:
+        with os.scandir(folder) as entries:
+            # hidden ones are drafts, indexes, and what some computers leave beside the files of a card
+            names = sorted((one for one in entries if not one.name.startswith(".")), key=lambda entry: entry.name)
+    except OSError:
+        yield folder
+        return
     for entry in names:
         path = Path(entry.path)
-        if entry.is_dir():
-            if _holds_run(path):
-                yield path
-            else:
-                yield from _below(path)
-        elif entry.is_file() and (_is_waveform_file(path) or _is_run_file(path)):
+        try:
+            is_folder = entry.is_dir()
+            found = _holds_run(path) if is_folder else entry.is_file() and _may_be_source(path)
+        except OSError:
+            is_folder, found = False, True
+        if found:
             yield path
+        elif is_folder and (not entry.is_symlink() or _first_time(entry.path, entered)):
+            yield from _below(path, entered)
+
+
+def _may_be_source(file: Path) -> bool:
+    return _is_waveform_file(file) or _is_run_file(file)
+
+
+def _first_time(path: str, entered: set[str]) -> bool:
+    """Whether a link leads to where nobody has been: a link to a folder above would never end."""
+    target = os.path.realpath(path)
+    if any(target == one or one.startswith(f"{target}{os.sep}") for one in entered):
+        return False
+    entered.add(target)
+    return True
 
 
 def _holds_run(folder: Path) -> bool:
@@ -107,4 +134,7 @@ def open_source(path: Path | Source) -> Source:
     """
     if isinstance(path, Source):
         return path
+    if path.is_dir() and not _holds_run(path):
+        with os.scandir(path):  # one that may not be looked at says so
+            pass
     return RunSource(path) if is_database(path) else TekFile(path)

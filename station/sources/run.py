@@ -42,7 +42,7 @@ class RunSource(Source):
         self.name = str(self.path)
         with reading(self.path) as (db, _):
             facts, self.unusable, self.protected = read_facts(db)
-        self.facts = RunFacts(facts)
+        self.facts, self._sha256 = RunFacts(facts), ""
 
     @cached_property
     def _numbers(self) -> tuple[int | None, int | None, int]:
@@ -77,6 +77,7 @@ class RunSource(Source):
     def records(self, numbers: range | None = None) -> Iterator[SavedRecord]:
         """Read the records one at a time; see `Source`."""
         texts, parsed = _Cache(_decoded), _Cache(_conditions)
+        digest = self._of_facts() if numbers is None else None
         with reading(self.path) as (db, layout):
             db.text_factory = bytes  # decoded below: most texts of a run are the same
             if numbers is None:
@@ -85,24 +86,40 @@ class RunSource(Source):
                 rows = db.execute(layout.select_between, (numbers.start, numbers.stop - 1))
             for row in rows:
                 number, key, taken_at, purpose, header, payload, sum_, said = row
+                if digest is not None:
+                    digest.update(_line(number, sum_))
                 if layout is TODAY and _sum(row) == sum_ and parsed[said] is not None:
                     taken = _decoded(key), _decoded(taken_at), texts[purpose], texts[header]
                     yield SavedRecord(number, *taken, payload, True, parsed[said])
                 else:
                     yield read_record([_text(cell, place) for place, cell in enumerate(row)], layout)
+        if digest is not None:
+            self._sha256 = digest.hexdigest()
 
-    @cached_property
+    @property
     def sha256(self) -> str:
-        """SHA-256 of the measurement; see `Source`."""
+        """SHA-256 of the measurement; see `Source`. Whoever has read all records has it already."""
+        if not self._sha256:
+            digest = self._of_facts()
+            with reading(self.path) as (db, layout):
+                db.text_factory = bytes
+                for number, sum_ in db.execute(f"SELECT number, sha256 FROM {layout.table} ORDER BY number"):
+                    digest.update(_line(number, sum_))
+            self._sha256 = digest.hexdigest()
+        return self._sha256
+
+    def _of_facts(self) -> hashlib._Hash:
+        """Sum of what a result may rest on beside the records; theirs follow in it."""
         digest = hashlib.sha256()
         for name in MEASUREMENT:
             if name in self.facts:
                 text = json.dumps(self.facts[name], sort_keys=True, allow_nan=False)
                 digest.update(f"{name} {text}\n".encode())
-        with reading(self.path) as (db, layout):
-            for number, sum_ in db.execute(f"SELECT number, sha256 FROM {layout.table} ORDER BY number"):
-                digest.update(f"{number} {sum_}\n".encode())
-        return digest.hexdigest()
+        return digest
+
+
+def _line(number: Any, sum_: Any) -> bytes:
+    return b"%d %b\n" % (number, sum_ if type(sum_) is bytes else str(sum_).encode())
 
 
 _PAYLOAD = COLUMNS.index("payload")

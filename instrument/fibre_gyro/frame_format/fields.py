@@ -268,6 +268,7 @@ def _read_turns(entry: Description, one: Field) -> Field:
             f"must be a list of different numbers from 0 to {one.cycle - 1}, not {phases!r}",
         )
         status = _read_status(inner) if name == STATUS else None
+        inner.refuse(status is not None and len(phases) > 1, "phases", "of a status must be one")
         kind = inner.choice("type", ("signed", "unsigned", "float"), "unsigned" if name == STATUS else "signed")
         size = len(phases) * one.size
         inner.refuse(kind == "float" and size != 4, "type", "of a float needs four bytes")

@@ -13,7 +13,8 @@ from instrument.fibre_gyro.frame_format.layout import FrameFormat
 from instrument.fibre_gyro.frame_format.messages import compose
 from instrument.fibre_gyro.link import drop_backlog, open_port
 
-_LARGEST = 64 * 1024 * 1024  # bytes of a file that are looked at
+LOOKED_AT = 500_000
+"""Bytes of a file that are looked at."""
 
 
 @dataclass(frozen=True)
@@ -84,9 +85,9 @@ def capture_port(port: str, layout: FrameFormat, seconds: float, *, poll: bytes 
 
 
 def captured_file(path: Path) -> Capture:
-    """Bytes that were saved before; OSError if they cannot be read."""
+    """The first bytes of a file; OSError if it cannot be read."""
     with path.open("rb") as file:
-        return Capture(((0.0, file.read(_LARGEST)),))
+        return Capture(((0.0, file.read(LOOKED_AT)),))
 
 
 def poll_of(layout: FrameFormat) -> bytes:

@@ -14,7 +14,8 @@ from instrument.fibre_gyro.record_builder import CounterClock
 from instrument.fibre_gyro.recording import HostClock
 from instrument.fibre_gyro.sniff.capture import Capture
 
-_PIECE = 65_536  # bytes of a file that are looked at in one go
+_PIECE = 16_384  # bytes of a file that are looked at in one go
+_ENOUGH = 60_000  # bytes without a frame after which none is expected
 _FEWEST = 8  # frames that are more than chance
 _MOSTLY = 0.5  # of the bytes that a description must explain to be proposed
 
@@ -88,6 +89,8 @@ def try_format(name: str, layout: FrameFormat, capture: Capture) -> Trial:
     index = -1
     for host_s, piece in [*_pieces(capture), (capture.seconds, b"")]:
         before = index
+        if index < 0 and stream.tally.received > _ENOUGH:
+            break
         for event in stream.feed(piece, silent=not piece):
             if isinstance(event, Damage):
                 damaged += event.frames

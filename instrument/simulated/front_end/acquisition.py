@@ -196,18 +196,19 @@ class Acquisition:
 
     def update(self) -> None:
         """Catch up with the clock."""
-        if not self.running or not self._displayed_channels():
+        if not self.running or not (shown := self._displayed_channels()):
             return
         now = self._clock.now()
         if self._panel.scanning:
             self._update_scan(now)
             return
+        trigger = self._panel.trigger()
         while self.running:
             if self._completes_at is None:
-                self._look_for_trigger(now)
+                self._look_for_trigger(trigger, now)
             if self._completes_at is None or self._triggered_at is None or self._completes_at > now:
                 return
-            self._complete(self._triggered_at, self._completes_at, now)
+            self._complete(self._triggered_at, self._completes_at, now, trigger, shown)
 
     def trigger_signal(self, trigger: TriggerSettings, times: Floats) -> Floats:
         """Volts that the trigger comparator sees at absolute times in s."""
@@ -253,10 +254,9 @@ class Acquisition:
             at += skipped
         self._arm(at)
 
-    def _look_for_trigger(self, now: float) -> None:
+    def _look_for_trigger(self, trigger: TriggerSettings, now: float) -> None:
         if now < self._ready_at:
             return
-        trigger = self._panel.trigger()
         edge = None
         if not self._faults.no_trigger:
             step = min(self._step(), _LONGEST_SEARCH_STEP)
@@ -359,7 +359,14 @@ class Acquisition:
         self._triggered_at, self._forced = at, forced
         self._completes_at = at + max(0.0, after)
 
-    def _complete(self, triggered_at: float, at: float, now: float) -> None:
+    def _complete(
+        self,
+        triggered_at: float,
+        at: float,
+        now: float,
+        trigger: TriggerSettings,
+        shown: Mapping[str, ChannelSettings],
+    ) -> None:
         """Keep the record; stop after a sequence, else arm again."""
         panel = self._panel
         jitter = self._jitter.uniform(-0.5, 0.5) * self._step()
@@ -377,13 +384,13 @@ class Acquisition:
             xzero=xzero,
             seconds_per_division=panel.seconds_per_division,
             mode=mode,
-            channels=self._displayed_channels(),
+            channels=shown,
         )
         if self.single and self.acquisitions >= count:
             panel.values["ACQUIRE:STATE"] = 0
             return
         waited = triggered_at - self._ready_at
-        self._arm_again(at + max(DEAD_TIME, panel.trigger().holdoff), now, waited)
+        self._arm_again(at + max(DEAD_TIME, trigger.holdoff), now, waited)
 
     def _update_scan(self, now: float) -> None:
         """A single sequence in scan mode ends when the screen is full."""

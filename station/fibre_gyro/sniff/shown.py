@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from instrument.fibre_gyro.sniff import Structure, Trial
+from instrument.fibre_gyro.sniff import LOOKED_AT, Structure, Trial
 from station.fibre_gyro.sniff.known import KnownFormat
 from station.fibre_gyro.sniff.search import Sniffed
 from station.report.console import text_table
@@ -75,7 +75,8 @@ def show(found: Sniffed, formats: Mapping[str, KnownFormat]) -> None:
     """Print the table of descriptions and the proposal, or what the bytes show without one."""
     capture = found.capture
     how = f" at {capture.line} in {capture.seconds:.3g} s" if capture.timed else ""
-    say(f"{found.source}: {capture.size} bytes{how}")
+    first = "the first " if not capture.timed and capture.size >= LOOKED_AT else ""
+    say(f"{found.source}: {first}{capture.size} bytes{how}")
     rows = tuple(_row(one) for one in found.trials if one.frames)
     if rows:
         stdout_console().print(text_table(TextTable(_HEADER, rows), left=1))

@@ -31,9 +31,11 @@ def only_writer(path: Path) -> Iterator[None]:
             raise CannotWrite(
                 f"{path}: another analysis is writing this table: wait for its end, or name another with --to"
             ) from None
-        yield
-        with suppress(OSError):
-            lock.unlink()
+        try:
+            yield
+        finally:
+            with suppress(OSError):
+                lock.unlink()
     finally:
         os.close(descriptor)
 

@@ -35,9 +35,11 @@ def table_file(path: Path) -> TableFile:
     Raises
     ------
     UsageError
-        Another ending, or Parquet without pyarrow.
+        Another ending, a folder, or Parquet without pyarrow.
     """
     kind = KINDS.get(path.suffix.lower())
     if kind is None:
         raise UsageError(f"{path}: a results table ends in {', '.join(KINDS)}")
+    if path.is_dir():
+        raise UsageError(f"{path}: is a folder, not a results table: name a file in it")
     return kind(path)

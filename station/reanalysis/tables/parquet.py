@@ -97,14 +97,19 @@ class Parquet(TableFile):
                 keys = compute.binary_join_element_wise(batch["source"], batch["analysis"], "\n")
                 kept = batch.filter(compute.invert(compute.is_in(keys, gone)))
                 if len(kept):
-                    self._writer.write_batch(kept.cast(SCHEMA))
-        self._writer.close()
-        self._draft.replace(self.path)
+                    self._waiting.append(kept.cast(SCHEMA))
+                    self._flush()
+        try:
+            self._writer.close()
+            self._draft.replace(self.path)
+        except OSError as error:
+            raise CannotWrite(f"{self.path}: cannot be written ({error})") from None
 
     def give_up(self) -> None:
         """Take the draft away; see `TableFile`."""
-        if self._writer is not None:
-            self._writer.close()
+        with suppress(OSError):  # a disk that is full does not take its end
+            if self._writer is not None:
+                self._writer.close()
         with suppress(OSError):
             self._draft.unlink()
 

@@ -24,6 +24,7 @@ class Sqlite(TableFile):
     def __init__(self, path: Path) -> None:
         super().__init__(path)
         self._db: sqlite3.Connection | None = None
+        self._new = False
 
     def known(self) -> dict[Key, str]:
         """SHA-256 by source and analysis; see `TableFile`."""
@@ -55,10 +56,10 @@ class Sqlite(TableFile):
             **dict.fromkeys(INTEGERS, "INTEGER"),
         }
         columns = ", ".join(f"{name} {kinds[name]}" for name in ORDER)
-        new = not self.path.exists()
+        self._new = not self.path.exists()
         try:
             self._db = db = sqlite3.connect(self.path, isolation_level=None)
-            if new:
+            if self._new:
                 db.execute(f"PRAGMA application_id = {APPLICATION_ID}")
                 db.execute(f"PRAGMA user_version = {VERSION}")
             db.execute("BEGIN IMMEDIATE")
@@ -98,6 +99,8 @@ class Sqlite(TableFile):
         """Roll back; see `TableFile`."""
         if self._db is not None:
             self._db.close()
+        if self._new:
+            self.path.unlink(missing_ok=True)
 
     def _opened(self) -> sqlite3.Connection:
         if self._db is None:

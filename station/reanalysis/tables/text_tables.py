@@ -7,7 +7,7 @@ import io
 import json
 from abc import abstractmethod
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import IO, Any
 
@@ -24,6 +24,7 @@ class TextTable(TableFile):
     def __init__(self, path: Path) -> None:
         super().__init__(path)
         self._draft = path.with_name(f".{path.name}.part")
+        self._joined = path.with_name(f".{path.name}.new")
         self._file: IO[str] | None = None
 
     def known(self) -> dict[Key, str]:
@@ -34,7 +35,8 @@ class TextTable(TableFile):
 
     def begin(self) -> None:
         """Open the draft; see `TableFile`."""
-        self._file = self._draft.open("w", encoding="utf-8", newline="")
+        with self._writing():
+            self._file = self._draft.open("w", encoding="utf-8", newline="")
 
     @classmethod
     def packed(cls, parts: Sequence[Rows]) -> str:
@@ -44,31 +46,40 @@ class TextTable(TableFile):
 
     def add(self, packed: str) -> None:
         """Write lines to the draft; see `TableFile`."""
-        self._opened().write(packed)
+        with self._writing():
+            self._opened().write(packed)
 
     def end(self, replaced: set[Key]) -> None:
         """Write what stays before the new lines; see `TableFile`."""
-        file = self._opened()
-        file.close()
-        joined = self.path.with_name(f".{self.path.name}.new")
-        with joined.open("w", encoding="utf-8", newline="") as self._file:
-            self._headings()
-            if self.path.exists():
-                for row in self.rows():
-                    if (row["source"], row["analysis"]) not in replaced:
-                        self._file.write(self._lines([tuple(row.get(name) for name in ORDER)]))
-            with self._draft.open(encoding="utf-8", newline="") as new:
-                for line in new:
-                    self._file.write(line)
-        joined.replace(self.path)
+        with self._writing():
+            self._opened().close()
+            with self._joined.open("w", encoding="utf-8", newline="") as self._file:
+                self._headings()
+                if self.path.exists():
+                    for row in self.rows():
+                        if (row["source"], row["analysis"]) not in replaced:
+                            self._file.write(self._lines([tuple(row.get(name) for name in ORDER)]))
+                with self._draft.open(encoding="utf-8", newline="") as new:
+                    for line in new:
+                        self._file.write(line)
+            self._joined.replace(self.path)
         self._draft.unlink()
 
     def give_up(self) -> None:
         """Take the draft away; see `TableFile`."""
-        if self._file is not None:
-            self._file.close()
-        with suppress(OSError):
-            self._draft.unlink()
+        with suppress(OSError):  # a disk that is full does not take what is held back
+            if self._file is not None:
+                self._file.close()
+        for path in (self._draft, self._joined):
+            with suppress(OSError):
+                path.unlink()
+
+    @contextmanager
+    def _writing(self) -> Iterator[None]:
+        try:
+            yield
+        except OSError as error:
+            raise CannotWrite(f"{self.path}: cannot be written ({error.strerror or error})") from None
 
     def _opened(self) -> IO[str]:
         if self._file is None:

@@ -36,6 +36,15 @@ def test_two_rates_in_one_sense_show_both_solutions():
     assert several >= 2
 
 
+def test_a_bent_valley_is_sounded_to_its_ends():
+    """3 and 30 times lock-in: at these phases the valley goes on far beyond what its curvature says."""
+    for number, phase in enumerate((2.91, 3.36, 5.22, 6.04)):
+        rng = np.random.default_rng(number)
+        fits = [drawn((3, 30), 8, phase, NOISE, rng) for _ in range(4)]
+        assert max(abs(fit.lock_in_rate - LOCK_IN) / fit.lock_in_rate_u for fit in fits) < 4
+        assert sum(fit.lock_in_rate_low_95 <= LOCK_IN <= fit.lock_in_rate_high_95 for fit in fits) >= 3
+
+
 def test_a_narrow_valley_is_not_missed():
     """One sense of 8 to 60 times lock-in, where a false minimum lies 5 % lower."""
     rng = np.random.default_rng(1)

@@ -81,6 +81,15 @@ def changed(**entries):
 
 
 COUNTS = {"name": "counts", "bytes": 4}
+COUNTER = {"name": "counter", "bytes": 1}
+
+
+def turning(**quantity):
+    described = {"name": "supply_v", **quantity}
+    return {"name": "turns", "bytes": 1, "cycle": 4, "quantities": [described]}
+
+
+TURNS = turning(phases=[0])
 
 
 @pytest.mark.parametrize(
@@ -121,6 +130,41 @@ COUNTS = {"name": "counts", "bytes": 4}
         (changed(answers={"refused": "15"}), r"f\.answers\.accepted is missing"),
         (changed(answers=3), r"f\.answers must be a table"),
         ("text", r"f must be a table of named entries"),
+        (changed(fields=[COUNTS | {"byte_order": [0, 1, 1, 2]}]), r"significance of each byte as it is sent"),
+        (
+            changed(fields=[COUNTS | {"unit": "furlong"}]),
+            r"unit must be one of counts, deg/s, deg/h, rad/s, deg, rad",
+        ),
+        (changed(fields=[COUNTS, COUNTS | {"name": "counts_x"}]), r"must name the outputs of several axes"),
+        (
+            changed(fields=[COUNTS | {"name": "counts_x"}, COUNTS | {"name": "counts_y", "unit": "deg"}]),
+            r"must give all outputs in the same unit",
+        ),
+        (
+            changed(fields=[{"name": "counts", "bits": 26}]),
+            r"ends 26 bits in succession, which are no whole bytes",
+        ),
+        (
+            changed(fields=[COUNTS | {"data_bits": 7, "value_bits": 29}]),
+            r"value_bits must be from 1 to 28, not 29",
+        ),
+        (changed(fields=[COUNTS, {"name": "fixed", "bits": 8, "value": 256}]), r"value must be from 0 to 255"),
+        (changed(fields=[COUNTS | {"decimals": 3}]), r"decimals is not an entry that is known here"),
+        (changed(fields=[COUNTS, TURNS]), r"cycle needs a counter whose modulus is a multiple of 4"),
+        (changed(fields=[COUNTER, COUNTS, TURNS, TURNS]), r'"turns" is there twice'),
+        (changed(fields=[COUNTER, COUNTS, turning(phases=[4])]), r"different numbers from 0 to 3, not \[4\]"),
+        (changed(fields=[COUNTER, COUNTS, turning(phases=[0], type="float")]), r"of a float needs four bytes"),
+        (changed(fields=[COUNTER, COUNTS, turning(name="counts", phases=[0])]), r"outputs come with every frame"),
+        (changed(fields=[COUNTER, COUNTS, turning(name="status", phases=[0, 1])]), r"of a status must be one"),
+        (changed(fields=[COUNTS, COUNTER | {"first": 1}]), r"first must be from 0 to 0, not 1"),
+        (changed(checksum={"kind": "crc", "width": 4, "polynomial": 3}), r"width must be from 8 to 64"),
+        (changed(checksum={"kind": "crc", "width": 8, "polynomial": 300}), r"polynomial must be from 1 to 255"),
+        (
+            changed(checksum={"kind": "crc", "width": 8, "polynomial": 7, "reflect_in": "no"}),
+            r"reflect_in must be true or false, not 'no'",
+        ),
+        (changed(poll={"answer_time_s": 1.0}), r"f\.poll\.command is missing"),
+        (changed(poll={"command": "A5 {step:2}"}), r"must not hold \{step\}"),
     ],
 )
 def test_every_mistake_is_named_in_one_sentence(entries, said):
@@ -128,6 +172,13 @@ def test_every_mistake_is_named_in_one_sentence(entries, said):
         parse_frame_format(entries, where="f")
     assert "\n" not in str(caught.value)
     assert isinstance(caught.value, SettingError)
+
+
+def test_frames_without_a_header_need_something_else_that_shows_where_they_begin():
+    counted = changed(header="", fields=[COUNTS, {"name": "counter", "bits": 8}])
+    assert parse_frame_format(counted).evidence_bits == 8
+    polled = changed(header="", fields=[COUNTS], poll={"command": "3F"})
+    assert parse_frame_format(polled).evidence_bits == 0
 
 
 def test_step_range_is_the_narrower_of_field_and_converter():

@@ -3,29 +3,8 @@
 import numpy as np
 import pytest
 
+from benchmarks.fibre_gyro.host_clock import clock_of
 from instrument.fibre_gyro.host_clock import Arrivals
-
-
-def clock_of(rng, *, rate, seconds, off_ppm, latency=0.0, stalls=0.0, stall_at_end=False):
-    """Frames of a gyro whose clock is fast by `off_ppm`, read in slices of 20 ms, simulated frame by frame."""
-    interval = 1 / (rate * (1 + 1e-6 * off_ppm))
-    sent = np.arange(int(seconds / interval)) * interval + rng.uniform(0, 0.02)
-    arrived = sent + rng.exponential(3e-4, sent.size)
-    if latency:  # a USB adapter hands over what it has every so often
-        arrived = np.ceil(arrived / latency) * latency + rng.exponential(2e-4, sent.size)
-    arrived = np.maximum.accumulate(arrived)
-    arrivals, now, place = Arrivals(), 0.0, 0
-    while place < sent.size:
-        now += 0.02 + rng.exponential(1.5e-4)
-        if rng.random() < stalls:
-            now += rng.exponential(0.1)
-        if stall_at_end and now > seconds - 0.6:
-            now += 0.5
-        behind = int(np.searchsorted(arrived, now, side="right"))
-        if behind > place:
-            arrivals.add(behind - 1, now)
-            place = behind
-    return arrivals.clock(1 / rate)
 
 
 @pytest.mark.parametrize("rate", [10.0, 100.0, 1000.0])

@@ -225,6 +225,7 @@ def test_two_campaigns_on_one_bench_exclude_each_other(campaign: Write, tmp_path
         told = rf"{table} is in use by process {process.pid} \(campaign Other, unit LIMIT\), since 20"
         with pytest.raises(LinkError, match=told):
             outcome_of(file, "GOOD")
+        assert main(["station", str(file), "--unit", "GOOD"]) == 3
         assert not (tmp_path / "tests").exists()
         process.kill()
     with bench_in_use(read_campaign(file, "GOOD")):

@@ -3,6 +3,7 @@
 import tomllib
 from collections.abc import Callable
 from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -260,31 +261,47 @@ class ThreeGyros:
         raise ValueError(name)
 
 
-def test_three_axes_as_angles_by_a_clock_that_is_two_per_cent_fast(fog_settings, result_of) -> None:
-    """K of an angle a frame rests on the rate of the frames: by the stated rate it would be 2 % off."""
+class _Doubting:
+    """A bench whose recordings show that the frame format may be wrong."""
+
+    def __init__(self, bench: SerialFogBench) -> None:
+        self.refuses, self.prepare, self.leave, self._record = (
+            bench.refuses,
+            bench.prepare,
+            bench.leave,
+            bench.record,
+        )
+
+    def record(self, planned: PlannedSegment, progress: Callable[[float], None]) -> Recording:
+        return replace(self._record(planned, progress), doubts=("counts: perhaps data_bits = 7",))
+
+
+def test_three_axes_as_angles_by_a_clock_that_is_fast(fog_settings, result_of) -> None:
+    """K of an angle a frame rests on the rate of the frames: by the stated rate it would be 8 % off."""
     settings = fog_settings(
         site={"latitude_deg": 0.0},
-        table={"axes": ["Z"], "rates_dps": [90.0, 100.0], "turns": 1, "settle_s": 0.0, "both_ends_up": False},
+        table={"axes": ["Z"], "rates_dps": [90.0, 100.0], "turns": 2, "settle_s": 0.0, "both_ends_up": False},
     )
     values = tomllib.loads(shipped_settings("frames/kvh_1750").read_text())["formats"]["kvh_1750"]
     layout = parse_frame_format(values | {"output_rate_hz": 250.0}, where="test")
-    gyro = ThreeGyros(settings, layout.interval_s, 0.02)
+    gyro = ThreeGyros(settings, layout.interval_s, 0.08)
     with (
-        TcpGyroServer(gyro, layout, speed=8.0, clock_ppm=20_000.0) as server,
-        FibreGyroLink(server.port, layout, speed=8.0) as link,
+        TcpGyroServer(gyro, layout, speed=5.0, clock_ppm=80_000.0) as server,
+        FibreGyroLink(server.port, layout, speed=5.0) as link,
     ):
         table_of = TableUnderTheGyro(gyro)  # type: ignore[arg-type]
         bench = SerialFogBench(link, table_of, lambda asked: "", counts_per_dps=settings.nominal_scale_factor)
-        served = SimpleNamespace(bench=bench)
+        served = SimpleNamespace(bench=_Doubting(bench))
         evaluated = result_of("table", settings, served, table.plan(settings))
     (axis,) = evaluated.document()["axes"]
     off_ppm = axis["nominal_difference_ppm"] - 300
-    assert abs(off_ppm) < 4 * axis["scale_factor_u_ppm"] < 20_000
+    assert abs(off_ppm) < 3 * axis["scale_factor_u_ppm"] < 75_000
     assert axis["scale_factor_u_ppm"] > 25  # the computer's clock is in it
     clock = evaluated.document()["gyro_clock"]
-    assert clock["used"] and abs(clock["difference_ppm"] - 20_000) < 4 * clock["difference_u_ppm"]
+    assert clock["used"] and abs(clock["difference_ppm"] - 80_000) < 4 * clock["difference_u_ppm"]
     assert any("K rests on that rate" in said for said in evaluated.result.sentences)
-    (x, y, z) = evaluated.document()["matrix"]["scale_factors_counts_per_dps"]
+    assert [flag for flag in evaluated.result.flags if "data_bits" in flag] == ["counts: perhaps data_bits = 7."]
+    x, y, _ = evaluated.document()["matrix"]["scale_factors_counts_per_dps"]
     assert x[0] == pytest.approx(0.002 * settings.nominal_scale_factor, rel=0.05)
     assert y[0] == pytest.approx(-0.001 * settings.nominal_scale_factor, rel=0.05)
     assert bench.refuses(table.plan(settings, ["W"])[0]).endswith("none of axis W")

@@ -4,6 +4,8 @@ import json
 import math
 import shutil
 import sqlite3
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -128,6 +130,35 @@ def test_two_writers_and_strangers_are_refused(ending: str, tree: Path, tmp_path
     with pytest.raises(RunError, match=r"results\."):
         filled(table, tree)
     assert table.read_text() == "something else\n"
+
+
+@pytest.mark.parametrize("ending", KINDS)
+@pytest.mark.parametrize("limit", [pytest.param(0, marks=pytest.mark.slow), 5000])
+def test_a_disk_that_is_full_costs_no_table(ending: str, limit: int, tree: Path, tmp_path: Path) -> None:
+    """By a process of its own that may write so many bytes to a file."""
+    resource = pytest.importorskip("resource", reason="limits of a process are those of POSIX")
+    table = tmp_path / f"results{ending}"
+    if limit:
+        filled(table, tree / "single.sqlite")
+    before = table.read_bytes() if limit else b""
+    command = [sys.executable, "-m", "station.cli", "analyze", str(tree), "--to", str(table), "--quiet"]
+    done = subprocess.run(
+        command,
+        capture_output=True,
+        text=True,
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit)),
+    )
+    assert done.returncode == 5, done.stderr
+    assert f"{table}: cannot be written" in done.stderr
+    assert done.stderr.count("\n") == 1
+    assert [path.name for path in tmp_path.iterdir()] == ([table.name] if limit else [])
+    assert not limit or table.read_bytes() == before
+
+
+def test_a_folder_is_no_table(tree: Path, tmp_path: Path) -> None:
+    (tmp_path / "results.csv").mkdir()
+    with pytest.raises(UsageError, match="is a folder, not a results table"):
+        filled(tmp_path / "results.csv", tree)
 
 
 @pytest.mark.parametrize("ending", KINDS)

@@ -4,7 +4,14 @@
 modulator's drive on an oscilloscope; the rest evaluates runs.
 """
 
-from analysis.fibre_gyro.allan import AllanCurve, NoiseFit, allan_curve, allan_variance, fit_noise
+from analysis.fibre_gyro.allan import (
+    AllanCurve,
+    NoiseFit,
+    allan_curve,
+    allan_variance,
+    fit_noise,
+    window_covariance,
+)
 from analysis.fibre_gyro.bias.over_temperature import (
     Candidate,
     OverTemperature,
@@ -34,29 +41,32 @@ from analysis.fibre_gyro.merit import (
     scale_figures,
     temperature_coefficient_ppm,
 )
-from analysis.fibre_gyro.rate_table.input_axis import InputAxisTilt, ThreeAxes, fit_three_axes, input_axis_tilt
-from analysis.fibre_gyro.rate_table.odd_even import (
+from analysis.fibre_gyro.rate_table.axis_fit import (
     AxisFit,
-    OddEven,
-    RateDifferences,
-    TableRuns,
     bias_at_latitude,
+    correlation_with_numbers,
     fit_axis,
     horizontal_earth_rate_dps,
-    missing_senses,
-    odd_even_parts,
-    rate_differences,
-    table_runs,
     vertical_earth_rate_dph,
 )
+from analysis.fibre_gyro.rate_table.input_axis import InputAxisTilt, ThreeAxes, fit_three_axes, input_axis_tilt
+from analysis.fibre_gyro.rate_table.linearity import Linearity, scale_linearity
+from analysis.fibre_gyro.rate_table.odd_even import OddEven, RateDifferences, odd_even_parts, rate_differences
 from analysis.fibre_gyro.rate_table.scatter import (
     NORMAL_95,
     RunScatter,
     few_values_factor,
     find_run_scatter,
 )
+from analysis.fibre_gyro.rate_table.table_runs import TableRuns, missing_senses, table_runs
 from analysis.fibre_gyro.rate_table.whole_turns import check_whole_turns, turn_time, whole_turns_in
-from analysis.fibre_gyro.rate_table.window_mean import WindowMean, mean_at_rest, mean_over_turns, pooled_noise
+from analysis.fibre_gyro.rate_table.window_mean import (
+    WindowMean,
+    mean_at_rest,
+    mean_over_turns,
+    noise_of_means,
+    pooled_noise,
+)
 from analysis.fibre_gyro.staircase import (
     StaircaseWitness,
     describe_witness_flag,
@@ -97,6 +107,7 @@ __all__ = [
     "InputAxisTilt",
     "Kernel",
     "Ladder",
+    "Linearity",
     "LoopDesign",
     "NetOutputs",
     "NoiseFit",
@@ -127,6 +138,7 @@ __all__ = [
     "bias_at_latitude",
     "check_whole_turns",
     "compare_scale",
+    "correlation_with_numbers",
     "describe_witness_flag",
     "drift_in_slope",
     "estimate_two_pi_error",
@@ -144,6 +156,7 @@ __all__ = [
     "mean_over_turns",
     "missing_senses",
     "net_outputs",
+    "noise_of_means",
     "odd_even_parts",
     "plan_ladder",
     "pooled_noise",
@@ -159,6 +172,7 @@ __all__ = [
     "round_to_words",
     "rounding_left",
     "scale_figures",
+    "scale_linearity",
     "scaled_numbers",
     "small_rates",
     "static_level",
@@ -172,5 +186,6 @@ __all__ = [
     "two_pi_error_of_drive",
     "vertical_earth_rate_dph",
     "whole_turns_in",
+    "window_covariance",
     "witness_staircase",
 ]

@@ -31,7 +31,9 @@ class StaticLevel:
     modelled : bool
         Whether the level follows the static outputs in time.
     unseen_slope_u : float
-        Standard uncertainty of what is left of a drift, counts per unit of the times.
+        Standard uncertainty of a drift that is not modelled, counts per unit of the times; 0 where it is.
+    weights : ndarray, shape (n, m)
+        Factors of the static outputs in the level of each point.
     """
 
     level: Floats
@@ -42,6 +44,7 @@ class StaticLevel:
     drift_u: float
     modelled: bool
     unseen_slope_u: float
+    weights: Floats
 
 
 def static_level(times: ArrayLike, static_times: ArrayLike, static: ArrayLike, static_u: ArrayLike) -> StaticLevel:
@@ -71,17 +74,19 @@ def static_level(times: ArrayLike, static_times: ArrayLike, static: ArrayLike, s
     mean, mean_u = float(first + last) / 2, float(np.hypot(u[0], u[-1])) / 2
     if level.size == 1:
         nan = float("nan")
-        return StaticLevel(np.full(at.size, mean), np.full(at.size, u[0]), mean, float(u[0]), nan, nan, False, 0.0)
+        alone = np.ones((at.size, 1))
+        return StaticLevel(alone @ level, alone @ u, mean, float(u[0]), nan, nan, False, 0.0, alone)
     drift, drift_u = float(last - first), float(np.hypot(u[0], u[-1]))
     span = float(when[-1] - when[0]) or 1.0
     modelled = level.size > 2 or abs(drift) > _SIGNIFICANT * drift_u
     if modelled:
         weights = _interpolation(at, when)
         return StaticLevel(
-            weights @ level, np.sqrt(weights**2 @ u**2), mean, mean_u, drift, drift_u, True, drift_u / span
+            weights @ level, np.sqrt(weights**2 @ u**2), mean, mean_u, drift, drift_u, True, 0.0, weights
         )
-    whole = np.full(at.size, mean), np.full(at.size, mean_u)
-    return StaticLevel(*whole, mean, mean_u, drift, drift_u, False, float(np.hypot(drift, drift_u)) / span)
+    halves = np.full((at.size, 2), 0.5)
+    left = float(np.hypot(drift, drift_u)) / span
+    return StaticLevel(halves @ level, np.full(at.size, mean_u), mean, mean_u, drift, drift_u, False, left, halves)
 
 
 def drift_in_slope(rates: ArrayLike, weights: ArrayLike, times: ArrayLike) -> float:

@@ -97,6 +97,7 @@ def gyro_measurement(
     plan: Callable[[FogSettings], Sequence[PlannedSegment]] | None = None,
     purposes: Sequence[str] = (),
     unusable: Callable[[SavedRun, FogSettings], Mapping[str, str]] | None = None,
+    choices: tuple[str, ...] = (),
 ) -> Measurement[FogSettings, F]:
     """Return the measurement ``gyrolock fog NAME``; see :class:`station.measurements.Measurement`.
 
@@ -110,6 +111,8 @@ def gyro_measurement(
         Of all its segments, where it takes those of another measurement too.
     unusable : callable, optional
         Where a table rate that is off does not spoil a segment.
+    choices : tuple of str, optional
+        Names of the user's choices that it takes.
     """
     return Measurement(
         name=name,
@@ -126,6 +129,7 @@ def gyro_measurement(
         watch=watch,
         examine=examine,
         unusable=unusable or (lambda run, settings: unusable_segments(run, settings, purposes or (name,))),
+        choices=choices,
         seconds=lambda settings: None if plan is None else seconds_of(plan(settings)),
     )
 

@@ -86,11 +86,32 @@ def _run(name: str, paths: tuple[Path, ...], given: dict[str, Any], **more: Any)
     return run_measurement(name, given, paths=paths, places={"port": "link.port"}, for_files=_OF_LOGS, **more)
 
 
+_noise_option = click.option(
+    "--noise",
+    type=click.Path(path_type=Path),
+    metavar="RUN|FILE",
+    help="Noise model to count: a run of `fog allan`, its JSON, or a JSON file with the numbers of a data sheet.",
+)
+
+
+def _with_noise(
+    name: str, paths: tuple[Path, ...], noise: Path | None, given: dict[str, Any], known: dict[str, Any]
+) -> int:
+    """Run what a noise model belongs to."""
+    from station.fibre_gyro.allan.noise_model import noise_facts
+
+    if noise is not None and given["resume"] is not None:
+        raise click.UsageError("--noise belongs to a new run, or to one that is finished: go on with it first")
+    facts = noise_facts(noise)
+    return _run(name, paths, given, known={**known, **facts}, choices=facts)
+
+
 @command.command("table")
+@_noise_option
 @_options
-def table(paths: tuple[Path, ...], **given: Any) -> int:
+def table(paths: tuple[Path, ...], noise: Path | None, **given: Any) -> int:
     """Rate-table run: whole turns, both senses; K of each axis, earth rate and bias, numbers of small rates."""
-    return _run("table", paths, given)
+    return _with_noise("table", paths, noise, given, {})
 
 
 @command.command("selfcal")
@@ -101,17 +122,20 @@ def table(paths: tuple[Path, ...], **given: Any) -> int:
     metavar="RUN",
     help="Rate-table run that gives the numbers, and the K to compare with.",
 )
+@_noise_option
 @_options
-def selfcal(paths: tuple[Path, ...], table_run: Path | None, **given: Any) -> int:
+def selfcal(paths: tuple[Path, ...], table_run: Path | None, noise: Path | None, **given: Any) -> int:
     """Self-calibration: inject a staircase for each rate, fit the slope, and say what it can show."""
     if table_run is None:
-        return _run("selfcal", paths, given)
+        return _with_noise("selfcal", paths, noise, given, {})
     if given["resume"] is not None:
         raise click.UsageError("--table belongs to a new run; one that is gone on with has its numbers")
     from station.fibre_gyro.selfcal.numbers import facts_of_table
     from station.fibre_gyro.settings import load_fog_settings
 
-    return _run("selfcal", paths, given, known=facts_of_table(load_fog_settings(given["config"]), table_run))
+    return _with_noise(
+        "selfcal", paths, noise, given, facts_of_table(load_fog_settings(given["config"]), table_run)
+    )
 
 
 @command.command("eps")

@@ -93,7 +93,7 @@ def read_logs(
         logs.append(
             (
                 key,
-                {"purpose": purpose, "source": str(row["path"]), **conditions},
+                {"purpose": purpose, "source": str(row["path"]), **_begin(read[1], row), **conditions},
                 _recording(read[1], row, settings.nominal_scale_factor),
             )
         )
@@ -190,6 +190,12 @@ def _number(text: str, place: str) -> float:
     if not math.isfinite(value):
         raise UsageError(f"{place}: {text!r} is not a number")
     return value
+
+
+def _begin(log: GyroLog, row: LogRow) -> dict[str, float]:
+    """When the output begins, by the clock of the log; nothing where its times begin at 0, like those of all."""
+    begin = float(row.get("start_s", log.begin_s))
+    return {"begin_s": begin} if begin else {}
 
 
 def _recording(log: GyroLog, row: LogRow, counts_per_dps: float) -> Recording:

@@ -33,12 +33,15 @@ class Segment:
         Empty where it is not intact.
     intact : bool
         Whether it still is what was once saved.
+    taken_at : str
+        When it was saved, UTC, ISO 8601.
     """
 
     key: str
     conditions: dict[str, Any]
     recording: Recording
     intact: bool
+    taken_at: str = ""
 
 
 def segments_of(run: SavedRun, purpose: str) -> tuple[Segment, ...]:
@@ -80,7 +83,7 @@ def _segment(record: SavedRecord, run: SavedRun) -> Segment:
             recording = _recording_from(json.loads(record.header), record.payload)
         except (zlib.error, ValueError, KeyError, TypeError) as error:
             raise RunError(f"{run.path}: {record.key}: is damaged and cannot be read ({error})") from None
-    return Segment(record.key, record.conditions, recording, record.intact)
+    return Segment(record.key, record.conditions, recording, record.intact, record.taken_at)
 
 
 def _columns_of(recording: Recording) -> dict[str, NDArray[np.float64]]:

@@ -70,6 +70,7 @@ class TableSettings(SettingsSection):
     settle_s: NotNegative
     rate_tolerance_ppm: Positive
     irreproducibility_ppm: NotNegative | None = None
+    rate_u_ppm: NotNegative | None = None
 
 
 class SelfcalSettings(SettingsSection):

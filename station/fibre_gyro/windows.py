@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections.abc import Sequence
 from dataclasses import replace
+from datetime import datetime
 from typing import Any
 
 import numpy as np
@@ -24,6 +26,8 @@ from station.fibre_gyro.settings import FogSettings
 
 Floats = NDArray[np.float64]
 
+_OVERLAP_S = 2.0
+"""By so much a log may begin before the one before has ended: stamps are rounded, or tell the end of a word."""
 _APPROXIMATE = ("counter jump", "silence")
 """Causes of gaps whose length nobody knows exactly: the turn of the table is not known behind them."""
 
@@ -88,6 +92,36 @@ def window_of_any_length(
     tilt = 1e-3 * (settings.figures.misalignment_mrad if tilt_mrad is None else tilt_mrad)
     seen = settings.nominal_scale_factor * tilt * horizontal_earth_rate_dps(settings.site.latitude_deg)
     return replace(mean, mean_u=math.hypot(mean.mean_u, seen))
+
+
+def begins_of(segments: Sequence[Segment]) -> list[float]:
+    """When each segment began, s: by the logs' own clock, by when it was saved, else one right after the other.
+
+    A clock counts if by it no segment begins before the one before has ended.
+    """
+    lengths = [one.recording.duration_s for one in segments]
+    of_logs = [one.conditions.get("begin_s") for one in segments]
+    if all(begin is not None for begin in of_logs) and _one_after_another(begins := np.array(of_logs), lengths):
+        return [float(one) for one in begins]
+    saved = [_seconds(one.taken_at) for one in segments]
+    if _one_after_another(begins := np.array(saved) - lengths, lengths):
+        return [float(one) for one in begins]
+    return [float(one) for one in np.cumsum(lengths) - lengths]
+
+
+def _one_after_another(begins: Floats, lengths: Sequence[float]) -> bool:
+    if not np.all(np.isfinite(begins)):
+        return False
+    order = np.argsort(begins)
+    ends = (begins + lengths)[order]
+    return bool(np.all(begins[order][1:] >= ends[:-1] - _OVERLAP_S))
+
+
+def _seconds(iso: str) -> float:
+    try:
+        return datetime.fromisoformat(iso).timestamp()
+    except ValueError:
+        return math.nan
 
 
 def words_of(recording: Recording, column: str = "") -> Floats:

@@ -29,6 +29,7 @@ def run_measurement(
     paths: tuple[Path, ...] = (),
     known: Mapping[str, object] | None = None,
     for_files: Mapping[str, str] | None = None,
+    choices: Mapping[str, object] | None = None,
 ) -> int:
     """Carry out a command that takes records, from its options to its exit code.
 
@@ -46,6 +47,8 @@ def run_measurement(
         Further facts of a new run, plain JSON.
     for_files : mapping, optional
         As `places`: options that say how files are read.
+    choices : mapping, optional
+        Those of the further facts by which a saved run can be evaluated too.
 
     Returns
     -------
@@ -73,7 +76,8 @@ def run_measurement(
     if lines:
         raise click.UsageError("--jsonl acknowledges records as they are taken; these are saved already")
     taken = saved_run(paths[0], measurement(name))
-    return finish(taken, report=report, as_json=as_json, saved=True, config=given["config"])
+    how = {"saved": True, "config": given["config"], "choices": choices}
+    return finish(taken, report=report, as_json=as_json, **how)
 
 
 @contextmanager

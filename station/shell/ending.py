@@ -19,6 +19,7 @@ from station.errors import (
 from station.terminal.lines import print_failure, print_json, remark, say
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
     from pathlib import Path
 
     from station.events.event import Events
@@ -35,6 +36,7 @@ def finish(
     quiet: bool = False,
     saved: bool = False,
     config: Path | None = None,
+    choices: Mapping[str, Any] | None = None,
     events: Events | None = None,
 ) -> int:
     """Say what a run says, also when it holds less than was planned.
@@ -49,6 +51,8 @@ def finish(
         It was taken before: a file that cannot be read is then the file's fault.
     config : Path, optional
         Settings file with what is known of the bench now, and with the limits.
+    choices : mapping, optional
+        What the user wants of the evaluation.
     events : Events, optional
         Those who watch are told the result.
 
@@ -63,7 +67,7 @@ def finish(
     document: dict[str, Any] = {"command": run.facts.command, **about_run(run)}
     verdict, lost, unfinished = None, None, None
     try:
-        evaluated = evaluate_run(run, config=config)
+        evaluated = evaluate_run(run, config=config, choices=choices)
         document, lost = keep(evaluated, report=report)
         verdict = evaluated.verdict
         if events is not None:

@@ -56,17 +56,58 @@ def block_covariance(term: str, lags: Floats, block_s: float) -> Floats:
     distance = np.abs(lags)
     if term == "quantization":
         return np.asarray(((distance == 0) * 2.0 - (distance == 1)) / block_s**2)
+    outer = _grown(term, (distance + 1) * block_s) + _grown(term, (distance - 1) * block_s)
+    return np.asarray(0.5 * (outer - 2 * _grown(term, distance * block_s)) / block_s**2)
 
-    def grown(t: Floats) -> Floats:
-        """Function whose second derivative is twice the covariance of the rate."""
-        size = np.abs(t)
-        if term == "angle_random_walk":
-            return np.asarray(size * block_s)
-        if term == "bias_instability":
-            return np.asarray(-(t**2) * np.log(np.maximum(size, 1e-300)) * block_s**2 / np.pi)
-        return np.asarray(-(size**3) * block_s**3 / 6)
 
-    return np.asarray(0.5 * (grown(distance + 1) - 2 * grown(distance) + grown(distance - 1)) / block_s**2)
+def window_covariance(coefficients: Mapping[str, float], begin_s: ArrayLike, end_s: ArrayLike) -> Floats:
+    """Generalised covariance of the means over windows anywhere in time, (deg/s)^2.
+
+    It gives the variance of whatever combines the means with factors that add up to zero.
+
+    Parameters
+    ----------
+    coefficients : mapping
+        Of the terms, in deg and s; a ramp is no noise and not counted.
+    begin_s, end_s : (n,)
+
+    Returns
+    -------
+    ndarray, shape (n, n)
+
+    Examples
+    --------
+    White noise has the variance N^2/T, a random walk of the rate K^2 T between the means of neighbours, about.
+
+    >>> window_covariance({"angle_random_walk": 2.0}, [0.0], [8.0]).tolist()
+    [[0.5]]
+    >>> walk = window_covariance({"rate_random_walk": 1.0}, [0.0, 10.0], [1.0, 11.0])
+    >>> round(float(walk[0, 0] + walk[1, 1] - 2 * walk[0, 1]), 3)
+    9.667
+    """
+    begin, end = np.asarray(begin_s, dtype=np.float64), np.asarray(end_s, dtype=np.float64)
+    products = np.outer(end - begin, end - begin)
+    first, last, total = begin[:, np.newaxis], end[:, np.newaxis], np.zeros(products.shape)
+    for term, value in coefficients.items():
+        if term == "quantization":
+            met = (begin == first).astype(np.float64) + (end == last) - (begin == last) - (end == first)
+        elif term in RANDOM:
+            apart = _grown(term, end - first) + _grown(term, begin - last)
+            met = 0.5 * (apart - _grown(term, begin - first) - _grown(term, end - last))
+        else:
+            continue
+        total += value**2 * met / products
+    return np.asarray(total, dtype=np.float64)
+
+
+def _grown(term: str, time_s: Floats) -> Floats:
+    """Function of the time whose second derivative is twice the covariance of the rate, for a coefficient of 1."""
+    size = np.abs(time_s)
+    if term == "angle_random_walk":
+        return size
+    if term == "bias_instability":
+        return np.asarray(-(size**2) * np.log(np.maximum(size, 1e-300)) / np.pi)
+    return np.asarray(-(size**3) / 6)
 
 
 def increment_spectrum(term: str, omega: Floats, interval_s: float) -> Floats:

@@ -19,12 +19,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.optimize
-import scipy.special
 from numpy.typing import ArrayLike
 
 from analysis.arrays import Floats
+from analysis.fibre_gyro.rate_table.noncentral import noncentrality
 from analysis.fibre_gyro.rate_table.scatter import find_run_scatter
+from analysis.fibre_gyro.rate_table.table_runs import with_drift
 
 _RIGHT_ANGLE_MRAD = 500.0 * np.pi
 
@@ -44,7 +44,9 @@ class InputAxisTilt:
     high_95_mrad: float
 
 
-def input_axis_tilt(sines: ArrayLike, sines_u: ArrayLike, horizontal_counts: float) -> InputAxisTilt:
+def input_axis_tilt(
+    sines: ArrayLike, sines_u: ArrayLike, horizontal_counts: float, *, freedom: float = 1e6
+) -> InputAxisTilt:
     """Angle between input axis and table axis from the once-per-turn sines of several windows.
 
     Parameters
@@ -53,6 +55,8 @@ def input_axis_tilt(sines: ArrayLike, sines_u: ArrayLike, horizontal_counts: flo
         Complex amplitudes, counts, and the standard uncertainty of each of their two parts.
     horizontal_counts : float
         What the horizontal earth rate would be along the input axis, counts.
+    freedom : float, optional
+        Degrees of freedom of the uncertainties, which have one cause: the noise is known as well as that.
 
     Raises
     ------
@@ -68,27 +72,11 @@ def input_axis_tilt(sines: ArrayLike, sines_u: ArrayLike, horizontal_counts: flo
     power = float(np.sum((amplitude[known] / u[known]) ** 2))
     # of the power for an amplitude of one count
     each = float(np.sum(u[known] ** -2.0))
-    freedom = 2 * int(known.sum())
-    squares = [
-        max(power - freedom, 0.0),
-        _noncentrality(power, freedom, 0.975),
-        _noncentrality(power, freedom, 0.025),
-    ]
+    own = 2 * int(known.sum())
+    squares = [max(power - own, 0.0), *(noncentrality(power, own, freedom, part) for part in (0.975, 0.025))]
     sizes = np.sqrt(np.array(squares) / each) / horizontal_counts
     tilts = [1e3 * float(np.arcsin(size)) if size < 1 else _RIGHT_ANGLE_MRAD for size in sizes]
     return InputAxisTilt(*tilts)
-
-
-def _noncentrality(power: float, freedom: int, probability: float) -> float:
-    """Noncentrality with which so much power or less has this probability; 0 if there is none."""
-    if float(scipy.special.chndtr(power, freedom, 0.0)) < probability:
-        return 0.0
-    high = 4.0 * power + 100.0
-    return float(
-        scipy.optimize.brentq(
-            lambda size: float(scipy.special.chndtr(power, freedom, size)) - probability, 0.0, high
-        )
-    )
 
 
 @dataclass(frozen=True)
@@ -130,8 +118,11 @@ def fit_three_axes(
     means_u: ArrayLike,
     *,
     end_up: ArrayLike = 1,
+    at_s: ArrayLike = np.nan,
     vertical_earth_rate_dps: float = 0.0,
     irreproducibility_ppm: float | None = None,
+    table_rate_u_ppm: float = 0.0,
+    slow: Sequence[Floats | None] = (),
 ) -> ThreeAxes:
     """Fit the matrix of scale factors and misalignments to all runs.
 
@@ -147,8 +138,12 @@ def fit_three_axes(
         Means over whole turns, counts.
     end_up : (n,), optional
         +1 or -1.
-    irreproducibility_ppm : float or None, optional
+    at_s : (n,), optional
+        Middle of each window: a drift of each bias is fitted where the runs can bear it.
+    irreproducibility_ppm, table_rate_u_ppm : optional
         As for one axis.
+    slow : sequence of ndarray or None, optional
+        Generalised covariance of the slow noise of each gyro, counts^2, (n, n).
 
     Raises
     ------
@@ -164,22 +159,24 @@ def fit_three_axes(
         if np.unique(np.sign((ends * rates)[chosen > 0])).size < 2:
             raise ValueError(f"axis {axis} was turned in one sense only")
     along = ends * (rates + vertical_earth_rate_dps)
-    design = np.column_stack([about * along[:, np.newaxis], np.ones(rates.size)])
+    when = np.broadcast_to(np.asarray(at_s, dtype=np.float64), rates.shape)
+    design = with_drift(np.column_stack([about * along[:, np.newaxis], np.ones(rates.size)]), when)
     stated = None if irreproducibility_ppm is None else 1e-6 * irreproducibility_ppm
     count = len(axes)
     matrix, matrix_u = np.empty((len(gyros), count)), np.empty((len(gyros), count))
     bias, bias_u, scale_u = np.empty(len(gyros)), np.empty(len(gyros)), np.empty(len(gyros))
     angle, angle_u = np.zeros((len(gyros), count)), np.zeros((len(gyros), count))
     for place, gyro in enumerate(gyros):
-        scatter = find_run_scatter(design, mean[:, place], u[:, place], stated)
-        weight = np.sqrt(scatter.mean_variance())
-        size = np.linalg.norm(design / weight[:, np.newaxis], axis=0)
-        estimator = np.linalg.pinv(design / weight[:, np.newaxis] / size) / weight / size[:, np.newaxis]
+        scatter = find_run_scatter(design, mean[:, place], u[:, place], stated, slow=slow[place] if slow else None)
+        estimator = scatter.estimator(design)
         values = estimator @ mean[:, place]
         spread = [scatter.standard_u(row) for row in estimator]
+        common = 1e-6 * table_rate_u_ppm * np.abs(values[:count])
+        size = float(np.linalg.norm(values[:count]))
         matrix[place], bias[place] = values[:count], values[count]
-        matrix_u[place], bias_u[place] = spread[:count], spread[count]
-        scale_u[place] = scatter.standard_u(values[:count] @ estimator[:count] / np.linalg.norm(values[:count]))
+        matrix_u[place], bias_u[place] = np.hypot(spread[:count], common), spread[count]
+        along_axis = scatter.standard_u(values[:count] @ estimator[:count] / size)
+        scale_u[place] = np.hypot(along_axis, 1e-6 * table_rate_u_ppm * size)
         own = axes.index(gyro) if gyro in axes else None
         for other in range(count):
             if own is None:

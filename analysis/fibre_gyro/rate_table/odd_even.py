@@ -1,13 +1,7 @@
-"""Scale factor of one axis from a rate-table run in both senses.
+"""Odd and even parts of the output over the sense of rotation, and the numbers of small rates.
 
-Model of the mean output over whole turns, gyro axis along the vertical table axis (end = +1) or against it (-1):
-
-    N = end K (Omega + w_v) + B
-
-K counts per deg/s, Omega the table's signed rate, w_v the vertical earth rate, B the bias in counts. Runs in
-both senses separate the odd part K Omega from the even part K w_v + B; runs with both ends of the axis up also
-separate the earth rate from the bias. All runs enter one weighted least-squares fit; the differences that the
-patent CN104634364A makes numbers of small rates from are given beside it, with what they are worth.
+Runs in both senses separate the odd part K Omega from the even part K w_v + B. The differences of odd parts are
+what the patent CN104634364A makes numbers of small rates from; they are given with what they are worth.
 """
 
 from __future__ import annotations
@@ -15,83 +9,19 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from analysis.arrays import Floats, Ints
+from analysis.arrays import Floats
 from analysis.fibre_gyro.rate_table.scatter import find_run_scatter
-from analysis.rotation import EARTH_RATE_DPS
+from analysis.fibre_gyro.rate_table.table_runs import (
+    SAME_RATE,
+    TableRuns,
+    design_of,
+    distinct_rates,
+    missing_senses,
+    with_drift,
+)
 
-_EARTH_RATE_DPH = 3600.0 * EARTH_RATE_DPS
-_SAME_RATE = 1e-9
 _PPM = 1e6
-
-
-@dataclass(frozen=True)
-class TableRuns:
-    """Means over whole turns of one axis, one element a run.
-
-    Attributes
-    ----------
-    nominal_dps : ndarray, shape (n,)
-        Rate that was asked for, signed. Runs are paired by it.
-    rate_dps : ndarray, shape (n,)
-        Rate that the table had, signed.
-    mean, mean_u : ndarray, shape (n,)
-        Counts.
-    duration_s : ndarray, shape (n,)
-    end_up : ndarray of int, shape (n,)
-        +1 where the axis points up, -1 where it points down.
-    """
-
-    nominal_dps: Floats
-    rate_dps: Floats
-    mean: Floats
-    mean_u: Floats
-    duration_s: Floats
-    end_up: Ints
-
-
-def table_runs(
-    nominal_dps: ArrayLike,
-    mean: ArrayLike,
-    mean_u: ArrayLike,
-    *,
-    rate_dps: ArrayLike | None = None,
-    duration_s: ArrayLike = np.nan,
-    end_up: ArrayLike = 1,
-) -> TableRuns:
-    """Put the means of one axis together; the fields are those of :class:`TableRuns`.
-
-    Raises
-    ------
-    ValueError
-        Shapes that do not fit, a rate of zero, or an uncertainty that is not positive.
-    """
-    nominal = np.atleast_1d(np.asarray(nominal_dps, dtype=np.float64))
-    given = (nominal if rate_dps is None else rate_dps, mean, mean_u, duration_s)
-    rate, means, u, duration = (np.broadcast_to(np.asarray(v, dtype=np.float64), nominal.shape) for v in given)
-    ends = np.broadcast_to(np.asarray(end_up, dtype=np.int64), nominal.shape)
-    if not np.all(np.abs(nominal) > 0):
-        raise ValueError("a rate-table run needs rates other than zero")
-    if not np.all(u > 0):
-        raise ValueError("every mean needs a positive standard uncertainty: it is the weight of the run")
-    return TableRuns(nominal, rate, means, u, duration, ends)
-
-
-def missing_senses(runs: TableRuns) -> list[float]:
-    """Signed rates that lack their opposite, in the order of the runs.
-
-    Examples
-    --------
-    >>> missing_senses(table_runs([20.0, -20.0, 21.0], [1.0, 1.0, 1.0], 1.0))
-    [21.0]
-    """
-    alone = []
-    for rate, end in zip(runs.nominal_dps, runs.end_up, strict=True):
-        opposite = (np.abs(runs.nominal_dps + rate) < _SAME_RATE) & (runs.end_up == end)
-        if not opposite.any():
-            alone.append(float(rate))
-    return alone
 
 
 @dataclass(frozen=True)
@@ -135,7 +65,7 @@ def odd_even_parts(runs: TableRuns, *, end_up: int = 1) -> OddEven:
         names = ", ".join(f"{rate:+g} deg/s" for rate in alone)
         raise ValueError(f"the opposite sense of {names} is missing: run it, or leave the point out")
     rows = []
-    for rate in _distinct(np.abs(chosen.nominal_dps)):
+    for rate in distinct_rates(np.abs(chosen.nominal_dps)):
         forward, backward = (_average(chosen, sense * rate) for sense in (1, -1))
         u = float(np.hypot(forward[2], backward[2])) / 2
         odd, even = (forward[1] - backward[1]) / 2, (forward[1] + backward[1]) / 2
@@ -147,21 +77,12 @@ def _of_end(runs: TableRuns, end_up: int) -> TableRuns:
     kept = runs.end_up == end_up
     if not kept.any():
         raise ValueError(f"there is no run with the {'upper' if end_up > 0 else 'lower'} end of the axis up")
-    means = (runs.mean[kept], runs.mean_u[kept], runs.duration_s[kept])
-    return TableRuns(runs.nominal_dps[kept], runs.rate_dps[kept], *means, runs.end_up[kept])
-
-
-def _distinct(rates: Floats) -> list[float]:
-    found: list[float] = []
-    for rate in np.sort(rates):
-        if not found or rate - found[-1] > _SAME_RATE:
-            found.append(float(rate))
-    return found
+    return runs.chosen(kept)
 
 
 def _average(runs: TableRuns, nominal: float) -> tuple[float, float, float, float]:
     """Rate, mean, its uncertainty and the window of all runs at one signed rate, weighted by 1/u^2."""
-    kept = np.abs(runs.nominal_dps - nominal) < _SAME_RATE
+    kept = np.abs(runs.nominal_dps - nominal) < SAME_RATE
     weights = runs.mean_u[kept] ** -2.0
     mean = float(np.average(runs.mean[kept], weights=weights))
     rate = float(np.average(runs.rate_dps[kept], weights=weights))
@@ -183,6 +104,8 @@ class RateDifferences:
         From the irreproducibility of scale factor and table rate: about s base/delta of the number.
     base_dps, base_u : float
         The rate that is subtracted, and the uncertainty of its odd part from noise (it is in every number).
+    factors : ndarray, shape (k, n), or None
+        Of the mean of each run in each number, where the runs are known.
     """
 
     delta_dps: Floats
@@ -191,6 +114,7 @@ class RateDifferences:
     irreproducibility_u: Floats
     base_dps: float
     base_u: float
+    factors: Floats | None = None
 
     @property
     def number_u(self) -> Floats:
@@ -237,198 +161,43 @@ def rate_differences(
     if parts.rate_dps.size < 2:
         raise ValueError("a difference needs at least two rates")
     base, rates = float(parts.rate_dps[0]), parts.rate_dps[1:]
-    number = parts.odd[1:] - parts.odd[0]
     noise = np.hypot(parts.odd_u[1:], parts.odd_u[0])
+    number, factors = parts.odd[1:] - parts.odd[0], None
     if runs is None:
         slope = abs(float(parts.odd[0])) / base
         spread = (irreproducibility_ppm or 0.0) / _PPM * slope * np.sqrt((rates**2 + base**2) / 2)
     else:
-        spread = _spread_of_differences(runs, end_up, noise, irreproducibility_ppm)
-    return RateDifferences(rates - base, number, noise, spread, base, float(parts.odd_u[0]))
+        factors, spread = _differences_of(runs, end_up, noise, irreproducibility_ppm)
+        number = factors @ runs.mean
+    return RateDifferences(rates - base, number, noise, spread, base, float(parts.odd_u[0]), factors)
 
 
-def _spread_of_differences(runs: TableRuns, end_up: int, noise: Floats, stated_ppm: float | None) -> Floats:
-    """What comes to the noise of each difference by the scatter between the runs, counts."""
-    design, stated = _design(runs), None if stated_ppm is None else stated_ppm / _PPM
-    sizes = _distinct(np.abs(runs.nominal_dps[runs.end_up == end_up]))
+def _differences_of(
+    runs: TableRuns, end_up: int, noise: Floats, stated_ppm: float | None
+) -> tuple[Floats, Floats]:
+    """Factors of the means in each difference freed of a drift, and what scatter adds to its noise, counts."""
+    design, stated = design_of(runs), None if stated_ppm is None else stated_ppm / _PPM
+    sizes = distinct_rates(np.abs(runs.nominal_dps[runs.end_up == end_up]))
     base = _odd_part_of(runs, end_up, sizes[0])
-    spread = []
+    factors, spread = [], []
     for size, noise_u in zip(sizes[1:], noise, strict=True):
         difference = _odd_part_of(runs, end_up, size) - base
         # its own deviation from the line is not counted as scatter: it need not lie on the line
-        scatter = find_run_scatter(np.column_stack([design, difference]), runs.mean, runs.mean_u, stated)
+        own = np.column_stack([design, difference])
+        whole = with_drift(own, runs.at_s)
+        scatter = find_run_scatter(whole, runs.mean, runs.mean_u, stated, slow=runs.slow)
+        if whole.shape[1] > own.shape[1]:
+            difference = difference - (difference @ whole[:, -1]) * scatter.estimator(whole)[-1]
+        factors.append(difference)
         spread.append(np.sqrt(max(scatter.standard_u(difference) ** 2 - noise_u**2, 0.0)))
-    return np.array(spread, dtype=np.float64)
+    return np.array(factors, dtype=np.float64), np.array(spread, dtype=np.float64)
 
 
 def _odd_part_of(runs: TableRuns, end_up: int, size: float) -> Floats:
     """Factor of each run's mean in the odd part at one rate, shape (n,)."""
     factors = np.zeros(runs.mean.size)
     for sense in (1, -1):
-        kept = (np.abs(runs.nominal_dps - sense * size) < _SAME_RATE) & (runs.end_up == end_up)
+        kept = (np.abs(runs.nominal_dps - sense * size) < SAME_RATE) & (runs.end_up == end_up)
         weights = runs.mean_u[kept] ** -2.0
         factors[kept] = end_up * sense * weights / weights.sum() / 2
     return factors
-
-
-@dataclass(frozen=True)
-class AxisFit:
-    """Scale factor of one axis by weighted least squares over all runs.
-
-    Attributes
-    ----------
-    scale_factor, scale_factor_u : float
-        K, counts per deg/s.
-    even, even_u : float
-        Even part, counts: K w_v + B with the axis up, B - K w_v with the axis down.
-    even_dph : tuple of float
-        The same as a rate, deg/h, and its standard uncertainty: vertical earth rate and bias together.
-    earth_rate_dph, bias_dph : tuple of float
-        Vertical earth rate and bias each by itself, with uncertainty; nan unless both ends were up in turn.
-    end_up : int
-        Which end of the axis was up in all runs, 1 or -1; 0 if both were.
-    residual_ppm : ndarray, shape (n,)
-        Of every run, ppm of its own output.
-    chi_square : float
-        Of the residuals, with the uncertainties that were the weights.
-    scatter_ppm : float
-        Irreproducibility from run to run that the residuals show beyond noise, ppm; 0 where noise explains them.
-    scatter_assumed : bool
-        Whether the runs cannot show their irreproducibility and nobody states it: a bound is counted.
-    angle_random_walk : float
-        deg/sqrt(h), from the uncertainties of the means: the white noise that would explain them.
-    """
-
-    scale_factor: float
-    scale_factor_u: float
-    even: float
-    even_u: float
-    even_dph: tuple[float, float]
-    earth_rate_dph: tuple[float, float]
-    bias_dph: tuple[float, float]
-    end_up: int
-    residual_ppm: Floats
-    chi_square: float
-    degrees_of_freedom: int
-    scatter_ppm: float
-    scatter_assumed: bool
-    angle_random_walk: float
-
-
-def fit_axis(runs: TableRuns, *, irreproducibility_ppm: float | None = None) -> AxisFit:
-    """Fit scale factor, earth rate and bias of one axis to all runs.
-
-    Weights are 1/u^2 with u the noise of the mean and, in quadrature, the irreproducibility of the run, stated or
-    as the residuals show it. All uncertainties count the scatter that the residuals allow (`scatter`); 1.96 of
-    them are half a 95 % interval.
-
-    Parameters
-    ----------
-    irreproducibility_ppm : float or None, optional
-        Known standard deviation of scale factor and table rate from run to run, ppm.
-
-    Raises
-    ------
-    ValueError
-        All runs are in one sense.
-    """
-    if not (np.any(runs.rate_dps > 0) and np.any(runs.rate_dps < 0)):
-        raise ValueError("the scale factor needs runs in both senses")
-    design = _design(runs)
-    both_ends = design.shape[1] == 3
-    stated = None if irreproducibility_ppm is None else irreproducibility_ppm / _PPM
-    scatter = find_run_scatter(design, runs.mean, runs.mean_u, stated)
-    if stated is None:
-        u = np.sqrt(scatter.mean_variance())
-    else:
-        guess = float(np.abs(runs.mean).max() / np.abs(runs.rate_dps).max())
-        u = np.hypot(runs.mean_u, stated * guess * np.abs(runs.rate_dps))
-    estimator = _weighted_least_squares(design, u)
-    values = estimator @ runs.mean
-    residual = runs.mean - design @ values
-    constants = np.eye(values.size)[1:]
-    even = constants.sum(axis=0)
-    freedom = runs.mean.size - values.size
-
-    def as_dph(combination: Floats) -> tuple[float, float]:
-        """Rate in deg/h, and its uncertainty, of a combination of the constant terms: divided by K."""
-        k = float(values[0])
-        rate = float(combination @ values) / k
-        slopes = (combination - rate * np.eye(values.size)[0]) / k
-        return 3600.0 * rate, 3600.0 * scatter.standard_u(slopes @ estimator)
-
-    nan = (float("nan"), float("nan"))
-    earth, bias = [as_dph(one) for one in constants] if both_ends else [nan, nan]
-    return AxisFit(
-        scale_factor=float(values[0]),
-        scale_factor_u=scatter.standard_u(estimator[0]),
-        even=float(even @ values),
-        even_u=scatter.standard_u(even @ estimator),
-        even_dph=as_dph(even),
-        earth_rate_dph=earth,
-        bias_dph=bias,
-        end_up=0 if both_ends else int(runs.end_up[0]),
-        residual_ppm=np.asarray(_PPM * residual / np.abs(runs.mean), dtype=np.float64),
-        chi_square=float(np.sum((residual / u) ** 2)),
-        degrees_of_freedom=freedom,
-        scatter_ppm=_excess_scatter(runs, residual, freedom),
-        scatter_assumed=scatter.assumed,
-        angle_random_walk=_angle_random_walk(runs, float(values[0])),
-    )
-
-
-def _design(runs: TableRuns) -> Floats:
-    """Columns of scale factor and constants: one constant, or with both ends up earth rate and bias."""
-    columns = [runs.end_up * runs.rate_dps, runs.end_up, np.ones_like(runs.rate_dps)]
-    both_ends = bool(np.any(runs.end_up > 0) and np.any(runs.end_up < 0))
-    return np.column_stack(columns if both_ends else [columns[0], columns[2]])
-
-
-def bias_at_latitude(fit: AxisFit, latitude_deg: float) -> tuple[float, float]:
-    """Bias, deg/h, and its standard uncertainty, from the even part and the known vertical earth rate."""
-    if fit.end_up == 0:
-        return fit.bias_dph
-    value, u = fit.even_dph
-    return value - fit.end_up * vertical_earth_rate_dph(latitude_deg), u
-
-
-def _weighted_least_squares(design: Floats, u: Floats) -> Floats:
-    """Factors of the values in each parameter, (p, n); columns are scaled first, the rates and the ones differ."""
-    scale = np.linalg.norm(design / u[:, np.newaxis], axis=0)
-    weighted = design / u[:, np.newaxis] / scale
-    return np.asarray(np.linalg.pinv(weighted) / u / scale[:, np.newaxis], dtype=np.float64)
-
-
-def _excess_scatter(runs: TableRuns, residual: Floats, freedom: int) -> float:
-    """Run-to-run irreproducibility, ppm, that the residuals show beyond the noise of the means."""
-    if freedom < 1:
-        return 0.0
-    excess = float(np.sum(residual**2 - runs.mean_u**2 * freedom / residual.size)) / freedom
-    return _PPM * float(np.sqrt(max(excess, 0.0) / np.mean(runs.mean**2)))
-
-
-def _angle_random_walk(runs: TableRuns, scale_factor: float) -> float:
-    each = 60.0 * runs.mean_u / abs(scale_factor) * np.sqrt(runs.duration_s)
-    return float(np.sqrt(np.mean(each**2)))
-
-
-def vertical_earth_rate_dph(latitude_deg: float) -> float:
-    """Earth rate along the upward vertical, deg/h.
-
-    Examples
-    --------
-    >>> round(vertical_earth_rate_dph(45.78), 3)
-    10.779
-    """
-    return float(_EARTH_RATE_DPH * np.sin(np.deg2rad(latitude_deg)))
-
-
-def horizontal_earth_rate_dps(latitude_deg: float) -> float:
-    """Earth rate in the horizontal plane, towards the north, deg/s.
-
-    Examples
-    --------
-    >>> round(3600 * horizontal_earth_rate_dps(60.0), 3)
-    7.521
-    """
-    return float(EARTH_RATE_DPS * np.cos(np.deg2rad(latitude_deg)))

@@ -6,7 +6,8 @@ only, so every size of that scatter which they allow is weighed with its likelih
 
     variance of a run     v = u^2 + (s_0 F)^2 + rho^2 [ (1 - a) (F/F_rms)^2 + a ]
     likelihood            of the residuals given v (restricted: freed of the fitted parameters)
-    prior                 1/(rho + u_rms/3) and a part at rho = 0, a even in 0..1
+    slow noise            where the noise model of the gyro is known, its covariance comes to v, window by window
+    prior                 rho/(rho + u_rms)^2 and a part of 1.5 at rho = 0; a from 0 to 1
 
 F is the run's own output, s_0 what is stated, rho the scatter beyond it, a the part of it that does not grow with
 the output (bias) while the rest does (scale factor, table). What is linear in the means has, given rho and a, a
@@ -19,13 +20,16 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import scipy.linalg
 import scipy.special
 
 from analysis.arrays import Floats
 
 NORMAL_95 = float(scipy.special.ndtri(0.975))
-_SIZES, _PARTS = 32, 4
-_NONE_BEYOND = 0.6  # weight of no scatter at all, in that of one up to the noise
+_SIZES = 32
+_PARTS = np.array([0.0, 0.001, 0.01, 0.1, 0.5, 1.0])
+"""Shares of the variance that do not grow with the output; of three axes at once outputs differ a thousandfold."""
+_NONE_BEYOND = 1.5  # weight of no scatter at all
 _ASSUMED = 10e-6
 """Scatter of scale factor and table from run to run where no run repeats another and nobody states it: of a table
 that is neither the best (1 ppm) nor a cheap one (100 ppm)."""
@@ -54,15 +58,41 @@ class RunScatter:
         Probability of each hypothesis.
     assumed : bool
         Whether the runs cannot show their scatter and nobody states it.
+    noise, stated : ndarray, shape (n,)
+        Parts of the variance that are known: noise within each run, and stated irreproducibility.
+    slow : ndarray, shape (n, n)
+        Covariance of slow noise by a noise model, about its mean over all runs; zeros without one.
     """
 
     variance: Floats
     weight: Floats
     assumed: bool
+    noise: Floats
+    stated: Floats
+    slow: Floats
 
-    def mean_variance(self) -> Floats:
-        """Mean of the variances, shape (n,)."""
-        return np.asarray(self.weight @ self.variance, dtype=np.float64)
+    def mean_covariance(self) -> Floats:
+        """Mean of the covariances, shape (n, n)."""
+        return np.asarray(np.diag(self.weight @ self.variance) + self.slow, dtype=np.float64)
+
+    def known_covariance(self) -> Floats:
+        """Covariance without the scatter that the residuals show, shape (n, n)."""
+        return np.asarray(np.diag(self.noise + self.stated) + self.slow, dtype=np.float64)
+
+    def estimator(self, design: Floats, *, by_known: bool = False) -> Floats:
+        """Factors of the means in each parameter by weighted least squares, shape (p, n).
+
+        Parameters
+        ----------
+        by_known : bool, optional
+            Weights by what is known alone, else with the scatter that the residuals show.
+        """
+        root = np.linalg.cholesky(self.known_covariance() if by_known else self.mean_covariance())
+        weighted = np.asarray(scipy.linalg.solve_triangular(root, design, lower=True))
+        # columns are scaled first, the rates and the ones differ
+        scale = np.linalg.norm(weighted, axis=0)
+        factors = np.linalg.pinv(weighted / scale) / scale[:, np.newaxis]
+        return np.asarray(scipy.linalg.solve_triangular(root, factors.T, lower=True, trans="T").T)
 
     def standard_u(self, combination: Floats) -> float:
         """Standard uncertainty of a combination of the means: 1.96 of it are the half width of the 95 % interval.
@@ -72,7 +102,7 @@ class RunScatter:
         combination : ndarray, shape (n,)
             Factor of each mean.
         """
-        sigma = np.sqrt(self.variance @ combination**2)
+        sigma = np.sqrt(self.variance @ combination**2 + combination @ self.slow @ combination)
         low, high = 0.0, 60.0 * float(sigma.max()) + 1e-300
         sigma = np.maximum(sigma, 1e-300)
         for _ in range(60):
@@ -81,8 +111,20 @@ class RunScatter:
             low, high = (middle, high) if inside < 0.975 else (low, middle)
         return (low + high) / 2 / NORMAL_95
 
+    def parts(self, combination: Floats) -> dict[str, float]:
+        """What each cause contributes to the standard uncertainty of a combination of the means, counts."""
+        squares = {
+            "noise": float(self.noise @ combination**2),
+            "slow noise": float(combination @ self.slow @ combination),
+            "stated": float(self.stated @ combination**2),
+        }
+        seen = self.standard_u(combination) ** 2 - sum(squares.values())
+        return {name: float(np.sqrt(max(one, 0.0))) for name, one in {**squares, "scatter": seen}.items()}
 
-def find_run_scatter(design: Floats, mean: Floats, noise_u: Floats, stated: float | None) -> RunScatter:
+
+def find_run_scatter(
+    design: Floats, mean: Floats, noise_u: Floats, stated: float | None, *, slow: Floats | None = None
+) -> RunScatter:
     """Weigh the scatter that the residuals of the runs allow.
 
     Parameters
@@ -93,36 +135,63 @@ def find_run_scatter(design: Floats, mean: Floats, noise_u: Floats, stated: floa
         Counts.
     stated : float or None
         Relative standard deviation of scale factor and table from run to run, where it is known.
+    slow : ndarray, shape (n, n), optional
+        Generalised covariance of slow noise, counts^2: `window_covariance`, less what is in `noise_u`.
     """
-    known = noise_u**2 + ((stated or 0.0) * mean) ** 2
+    noise, irreproducible = noise_u**2, ((stated or 0.0) * mean) ** 2
+    known = noise + irreproducible
+    covariance = np.zeros((mean.size, mean.size)) if slow is None else _about_its_mean(slow)
+    parts = noise, irreproducible, covariance
     freedom = mean.size - design.shape[1]
     if freedom < 1:
         beyond = _ASSUMED if stated is None else 0.0
-        return RunScatter((known + (beyond * mean) ** 2)[np.newaxis], np.ones(1), stated is None)
+        return RunScatter((known + (beyond * mean) ** 2)[np.newaxis], np.ones(1), stated is None, *parts)
     scaled = design / np.linalg.norm(design, axis=0)
     left = mean - scaled @ np.linalg.lstsq(scaled, mean, rcond=None)[0]
-    quiet = float(np.sqrt(np.mean(known)))
+    quiet = float(np.sqrt(np.mean(known + np.diag(covariance))))
     largest = 30.0 * float(np.sqrt(left @ left / freedom)) + 10.0 * quiet
     size = np.concatenate([[0.0], np.geomspace(2e-2 * quiet, largest, _SIZES)])
     width = np.gradient(size)
-    part = (np.arange(_PARTS) + 0.5) / _PARTS
     square = (mean / np.sqrt(np.mean(mean**2))) ** 2
-    shape = (1 - part[:, np.newaxis]) * square + part[:, np.newaxis]
-    variance = known + size[:, np.newaxis, np.newaxis] ** 2 * shape
-    likelihood = _log_likelihood(variance.reshape(-1, mean.size), scaled, left)
-    share = width / (size + quiet / 3)
-    share[0] = _NONE_BEYOND * float(share[size < quiet].sum())
+    shape = (1 - _PARTS[:, np.newaxis]) * square + _PARTS[:, np.newaxis]
+    variance = (known + size[:, np.newaxis, np.newaxis] ** 2 * shape).reshape(-1, mean.size)
+    likelihood = _log_likelihood(variance, scaled, left, None if slow is None else covariance)
+    # with them 1.96 u hold 92 to 97 % whatever the scatter is, with five degrees of freedom and more
+    share = width * size / (size + quiet) ** 2
+    share[0] = _NONE_BEYOND
     prior = np.log(share)
-    weight = np.exp(likelihood + np.repeat(prior, _PARTS) - (likelihood + np.repeat(prior, _PARTS)).max())
-    return RunScatter(variance.reshape(-1, mean.size), weight / weight.sum(), assumed=False)
+    likelihood += np.repeat(prior, _PARTS.size)
+    weight = np.exp(likelihood - likelihood.max())
+    return RunScatter(variance, weight / weight.sum(), False, *parts)
 
 
-def _log_likelihood(variance: Floats, design: Floats, left: Floats) -> Floats:
+def _about_its_mean(covariance: Floats) -> Floats:
+    """Covariance of what is left when the mean over all runs is taken off; constants have none."""
+    centred = covariance - covariance.mean(axis=0)
+    return np.asarray(centred - centred.mean(axis=1)[:, np.newaxis])
+
+
+def _log_likelihood(variance: Floats, design: Floats, left: Floats, slow: Floats | None) -> Floats:
     """Restricted likelihood of the residuals under each row of variances, shape (h,)."""
+    if slow is not None:
+        return _log_likelihood_with(variance, design, left, slow)
     heavy = 1 / variance
-    normal = np.einsum("hn,ni,nj->hij", heavy, design, design)
-    moment = np.einsum("hn,ni,n->hi", heavy, design, left)
+    normal = np.einsum("hn,ni,nj->hij", heavy, design, design, optimize=True)
+    moment = np.einsum("hn,ni->hi", heavy * left, design)
     fitted = np.linalg.solve(normal, moment[..., np.newaxis])[..., 0]
     square = heavy @ left**2 - np.einsum("hi,hi->h", moment, fitted)
     determinant = np.linalg.slogdet(normal)[1]
     return np.asarray(-0.5 * (np.log(variance).sum(axis=1) + determinant + square), dtype=np.float64)
+
+
+def _log_likelihood_with(variance: Floats, design: Floats, left: Floats, slow: Floats) -> Floats:
+    """The same with a covariance that comes to each of them."""
+    whole = slow + variance[:, :, np.newaxis] * np.eye(left.size)
+    both = np.column_stack([design, left])
+    solved = np.linalg.solve(whole, np.broadcast_to(both, (variance.shape[0], *both.shape)))
+    products = both.T @ solved
+    normal, moment = products[:, :-1, :-1], products[:, :-1, -1]
+    fitted = np.linalg.solve(normal, moment[..., np.newaxis])[..., 0]
+    square = products[:, -1, -1] - np.einsum("hi,hi->h", moment, fitted)
+    determinant = np.linalg.slogdet(whole)[1] + np.linalg.slogdet(normal)[1]
+    return np.asarray(-0.5 * (determinant + square), dtype=np.float64)

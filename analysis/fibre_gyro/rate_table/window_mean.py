@@ -48,6 +48,8 @@ class WindowMean:
         Once-per-turn part c: the output holds Re[c exp(i angle)], angle the turn since the begin of the window.
     sine_u : float
         Standard uncertainty of each of its two parts; nan without whole turns.
+    sine_freedom : int
+        Degrees of freedom of that uncertainty.
     """
 
     total: float
@@ -62,6 +64,7 @@ class WindowMean:
     worst: float = 0.0
     sine: complex = 0j
     sine_u: float = float("nan")
+    sine_freedom: int = 0
 
 
 def mean_over_turns(
@@ -128,7 +131,7 @@ def mean_over_turns(
     u = _with_resolution(scatter, words[:whole], resolution)
     return WindowMean(
         total, mean, u, whole, length * sample_interval_s, turns, missing, int(far.sum()), freedom, worst,
-        sine, sine_u if np.isfinite(sine_u) else float(np.sqrt(2.0)) * scatter,
+        sine, *((sine_u, 2 * (turns - 1)) if np.isfinite(sine_u) else (float(np.sqrt(2.0)) * scatter, freedom)),
     )  # fmt: skip
 
 
@@ -188,6 +191,32 @@ def pooled_noise(means: Sequence[WindowMean]) -> Floats:
         if alike.any():
             density = float(np.sum((freedom * u**2 * duration)[alike]) / np.sum(freedom[alike]))
     return np.where(alike, np.sqrt(density / duration), u)
+
+
+def noise_of_means(means: Sequence[WindowMean], expected_u: ArrayLike | None = None) -> tuple[Floats, bool]:
+    """Standard uncertainty of each mean by the noise within the windows: as a noise model expects it, or as it is.
+
+    Parameters
+    ----------
+    expected_u : (n,), optional
+        By a noise model. It is better known than the noise of the words, unless these scatter by more.
+
+    Returns
+    -------
+    ndarray, shape (n,)
+        Counts; words without any scatter (a simulation without noise) still have a weight.
+    bool
+        Whether it is that of the noise model.
+    """
+    floor = np.array([1e-12 * abs(one.mean) + 1e-12 for one in means])
+    seen = np.maximum(pooled_noise(means), floor)
+    if expected_u is None:
+        return seen, False
+    expected = np.maximum(np.asarray(expected_u, dtype=np.float64), floor)
+    freedom = float(sum(max(one.freedom, 1) for one in means))
+    if float(np.mean((seen / expected) ** 2)) > float(scipy.special.chdtri(freedom, _RARE)) / freedom:
+        return seen, False
+    return expected, True
 
 
 def _without_outliers(values: Floats) -> tuple[Floats, Bools]:

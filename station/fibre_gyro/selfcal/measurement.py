@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from analysis.fibre_gyro import InjectionPlan, steps_beyond_dac
+from station.fibre_gyro.allan.noise_model import NOISE
 from station.fibre_gyro.bench_or_logs import NamedSegment, gyro_measurement, listed_logs
 from station.fibre_gyro.common import beyond_converter, truth_of
 from station.fibre_gyro.logs import LogRow
@@ -101,4 +102,5 @@ MEASUREMENT = gyro_measurement(
     sections=sections,
     gives=LIMITED,
     purposes=(TABLE, PURPOSE),
+    choices=(NOISE,),
 )

@@ -9,18 +9,29 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from analysis.fibre_gyro import InjectionPlan, RateDifferences, scaled_numbers, superposed_numbers
+from analysis.fibre_gyro import (
+    InjectionPlan,
+    RateDifferences,
+    correlation_with_numbers,
+    scaled_numbers,
+    superposed_numbers,
+)
 from station.errors import UsageError
 from station.fibre_gyro.settings import FIBRE_GYRO, FogSettings
 from station.fibre_gyro.table.evaluate import AxisResult, TableFound, find_axes
 from station.runs.store import SavedRun, open_run
 from station.settings.load import saved_settings
 
+Floats = NDArray[np.float64]
+
 # facts of a run whose numbers come from another
 REFERENCE, NUMBERS, DIFFERENCES = "table_reference", "numbers", "table_differences"
+CORRELATION = "table_correlation"
 
 _ARRAYS = ("delta_dps", "number", "noise_u", "irreproducibility_u")
+_BASE = ("base_dps", "base_u")
 
 
 @dataclass(frozen=True)
@@ -95,8 +106,75 @@ def facts_of_table(settings: FogSettings, table_run: Path) -> dict[str, Any]:
     known = {REFERENCE: asdict(reference), NUMBERS: numbers}
     if found.differences is None:
         return known
-    plain = {name: np.asarray(value).tolist() for name, value in asdict(found.differences).items()}
-    return {**known, DIFFERENCES: plain}
+    plain = {name: np.asarray(getattr(found.differences, name)).tolist() for name in (*_ARRAYS, *_BASE)}
+    together = _together(found)
+    return {**known, DIFFERENCES: plain, **({CORRELATION: asdict(together)} if together else {})}
+
+
+@dataclass(frozen=True)
+class TableTogether:
+    """How scale factor and numbers of one table run hang together.
+
+    Attributes
+    ----------
+    u : list of float
+        Standard uncertainty of the scale factor, without the table's common error, and of each number; counts.
+    correlation : list of list of float
+    """
+
+    u: list[float]
+    correlation: list[list[float]]
+
+
+def _together(table: AxisResult) -> TableTogether | None:
+    made, fit = table.differences, table.fit
+    if made is None or made.factors is None:
+        return None
+    common = sum(fit.contributions.get(name, 0.0) ** 2 for name in ("table rate", "clock"))
+    own = math.sqrt(max(fit.scale_factor_u**2 - common, 0.0))
+    return TableTogether([own, *made.number_u.tolist()], correlation_with_numbers(fit, made.factors).tolist())
+
+
+def numbers_against_table_u(
+    run: SavedRun, table: TableFound | None, settings: FogSettings, rates_dps: Floats, weights: Floats
+) -> float | None:
+    """Relative standard uncertainty of the slope of the numbers over the K of the table run that both come from.
+
+    Their errors have one source and cancel in part; ``None`` where nobody knows how.
+
+    Parameters
+    ----------
+    weights : ndarray, shape (n,)
+        Of the steps in the slope.
+    """
+    reference = reference_of(run, settings, table)
+    own = table.of(settings.selfcal.axis) if table is not None else None
+    if reference is None or settings.selfcal.numbers != "differences":
+        return None
+    together: TableTogether | None
+    if CORRELATION in run.facts:
+        together, made = TableTogether(**run.facts[CORRELATION]), _saved_differences(run.facts)
+    elif own is not None and own.differences is not None and REFERENCE not in run.facts:
+        together, made = _together(own), own.differences
+    else:
+        return None
+    if together is None or made is None:
+        return None
+    plan = superposed_numbers(rates_dps, made)
+    centred = weights * (rates_dps - float(weights @ rates_dps) / float(weights.sum()))
+    of_numbers = centred @ plan.multiples / float(centred @ rates_dps)
+    slope = float(of_numbers @ made.number)
+    factors = np.concatenate([[-1 / reference.scale_factor], of_numbers / slope]) * np.array(together.u)
+    return float(np.sqrt(factors @ np.array(together.correlation) @ factors))
+
+
+def _saved_differences(facts: Mapping[str, Any]) -> RateDifferences | None:
+    made = facts.get(DIFFERENCES)
+    if made is None:
+        return None
+    delta, number, noise, spread = (np.array(made[name], dtype=np.float64) for name in _ARRAYS)
+    base, base_u = (float(made[name]) for name in _BASE)
+    return RateDifferences(delta, number, noise, spread, base, base_u)
 
 
 def numbers_u_of(facts: Mapping[str, Any], settings: FogSettings) -> Callable[[float], float]:
@@ -105,15 +183,12 @@ def numbers_u_of(facts: Mapping[str, Any], settings: FogSettings) -> Callable[[f
     By the scale factor of the table where the numbers are made of it, else by its differences; without a table
     run, and for numbers by design, nothing is known that would be uncertain.
     """
-    reference, made = facts.get(REFERENCE), facts.get(DIFFERENCES)
+    reference, made = facts.get(REFERENCE), _saved_differences(facts)
     if reference is None or settings.selfcal.numbers == "nominal":
         return lambda rate: 0.0
     if settings.selfcal.numbers == "fit" or made is None:
         return lambda rate: abs(rate) * float(reference["scale_factor_u"])
-    delta, number, noise, spread = (np.array(made[name], dtype=np.float64) for name in _ARRAYS)
-    base = float(made["base_dps"]), float(made["base_u"])
-    differences = RateDifferences(delta, number, noise, spread, *base)
-    return lambda rate: float(superposed_numbers([rate], differences).number_u[0])
+    return lambda rate: float(superposed_numbers([rate], made).number_u[0])
 
 
 def numbers_of(run: SavedRun, settings: FogSettings) -> InjectionPlan:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from typing import Any
 
 from analysis.fibre_gyro import (
@@ -15,6 +16,7 @@ from station.fibre_gyro.selfcal.evaluate import SelfcalFound
 from station.fibre_gyro.settings import FogSettings
 from station.fibre_gyro.table.result import to_watch as to_watch_of_table
 from station.results.as_json import picked
+from station.results.contributions import Contribution, budget_document
 from station.results.numbers import ppm, with_uncertainty
 from station.results.result import Measured, Result
 from station.runs.store import SavedRun
@@ -98,9 +100,48 @@ def _document(found: SelfcalFound, settings: FogSettings) -> dict[str, Any]:
         "self_minus_table_ppm": compared.difference_ppm if reference else None,
         "self_minus_table_u_ppm": compared.difference_u_ppm if reference else None,
         "self_minus_design_ppm": PPM * (fit.slope / settings.nominal_scale_factor - 1),
+        "noise_model": None if found.noise is None else found.noise.source,
+        "budget": budget_document(
+            f"K_self against K {'of the table' if reference else 'by design'}", _budget(found), _u_ppm(found)
+        ),
         "points": [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)],
         "left_out": found.left_out,
     }
+
+
+def _u_ppm(found: SelfcalFound) -> float:
+    """Standard uncertainty of K_self against the scale factor that it is compared with, ppm."""
+    return found.comparison.difference_u_ppm
+
+
+def _budget(found: SelfcalFound) -> list[Contribution]:
+    """Say what each input contributes to the uncertainty of K_self against the scale factor of the table."""
+    parts, model = found.contributions, found.noise
+    by_words = "by the scatter of the words"
+    at_rest = "static output, and slow noise between it and the steps"
+    if model is None:
+        note = "static output; no noise model (--noise): slow noise counts as far as the steps scatter by it"
+    else:
+        note = f"noise model of {model.source}"
+    drift = "interpolated in time" if found.drift_removed else "as large as the static outputs allow"
+    table = found.reference.source if found.reference else "compared with K by design, exact by definition"
+    return [
+        Contribution(
+            "noise", "noise within the steps", parts["noise"], True,
+            "by the noise model" if found.noise_by_model else by_words,
+        ),
+        Contribution("slow noise", at_rest, parts["slow noise"], model is not None, note),
+        Contribution("scatter", "scatter of the steps beyond these", parts["scatter"], True, "residuals"),
+        Contribution("drift", "drift of the bias", parts["drift"], True, drift),
+        Contribution("numbers", "numbers for the rates", parts["numbers"], True, _numbers_note(parts)),
+        Contribution("table", "scale factor compared with", parts["table"], True, table),
+    ]  # fmt: skip
+
+
+def _numbers_note(parts: Mapping[str, float]) -> str:
+    if parts["numbers"] and not parts["table"]:
+        return "of the table run, with its scale factor: their errors cancel in part"
+    return "of the table run"
 
 
 def _sentences(found: SelfcalFound, settings: FogSettings) -> list[str]:

@@ -12,6 +12,7 @@ from station.fibre_gyro.selfcal.evaluate import SelfcalFound
 from station.fibre_gyro.settings import FogSettings
 from station.fibre_gyro.table.sections import axis_table
 from station.report.figure import ACCENT, HALF, SECOND, SOFT, legend_above, svg_element
+from station.results.contributions import budget_table
 from station.results.numbers import with_uncertainty
 from station.results.parts import PlacedFigure, Section, TextTable
 from station.results.result import Result
@@ -36,6 +37,7 @@ def sections(found: SelfcalFound, run: SavedRun, settings: FogSettings, result: 
             table=_step_table(found),
         ),
         Section("Slope, intercept and static output", table=_slope_table(found)),
+        Section("Budget", table=budget_table("K_self", result.document["budget"])),
         staircase_section(settings),
     ]
     if found.table is not None and found.table.axes:

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 from analysis.fibre_gyro import check_whole_turns, turn_time
 from station.errors import UsageError
+from station.fibre_gyro.allan.noise_model import NOISE
 from station.fibre_gyro.bench_or_logs import NamedSegment, gyro_measurement, listed_logs, planned_segments
 from station.fibre_gyro.logs import LogRow, table_conditions
 from station.fibre_gyro.segments import MARGIN_S, PlannedSegment
@@ -81,4 +82,5 @@ MEASUREMENT = gyro_measurement(
     sections=sections,
     gives=LIMITED,
     plan=plan,
+    choices=(NOISE,),
 )

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator, Sequence
 from typing import Any
 
-from analysis.fibre_gyro import NORMAL_95, ThreeAxes, vertical_earth_rate_dph
+from analysis.fibre_gyro import NORMAL_95, Linearity, ThreeAxes, vertical_earth_rate_dph
 from station.fibre_gyro.common import COUNTS_PER_DPS, PPM
 from station.fibre_gyro.settings import FogSettings
+from station.fibre_gyro.table.budget import axis_budget, noise_sentence
 from station.fibre_gyro.table.evaluate import AxisResult, TableFound
 from station.results.as_json import picked
 from station.results.numbers import ppm, with_uncertainty
@@ -60,12 +62,24 @@ def result(found: TableFound, run: SavedRun, settings: FogSettings) -> Result:
         measured=tuple(_measured(axis, name) for axis in axes for name in LIMITED),
         lines=lines,
         summary=[("", line) for line in lines],
-        sentences=(_even_part_sentence(settings),),
+        sentences=(
+            _even_part_sentence(settings),
+            *(said for one in found.axes if (said := noise_sentence(one))),
+            *(said for one in found.axes if (said := _ladder_sentence(one))),
+        ),
         to_watch=watched,
         flags=watched,
         left_out=found.left_out,
-        tables=(_axes_on_terminal(found), *([matrix_table(found.matrix)] if found.matrix else [])),
+        tables=tuple(_tables(found)),
     )
+
+
+def _tables(found: TableFound) -> Iterator[TextTable]:
+    yield _axes_on_terminal(found)
+    if any(one.linearity is not None for one in found.axes):
+        yield ladder_table(found.axes)
+    if found.matrix is not None:
+        yield matrix_table(found.matrix)
 
 
 def _measured(axis: dict[str, Any], name: str) -> Measured:
@@ -119,8 +133,13 @@ def _axis(one: AxisResult, settings: FogSettings) -> dict[str, Any]:
         "scale_factor_at_base_rate_counts_per_dps": one.parts.odd[0] / one.parts.rate_dps[0],
         **{f"{name}_dph": value for name, (value, _) in rates.items()},
         **{f"{name}_u_dph": u for name, (_, u) in rates.items()},
+        "bias_drift_dph_per_h": fit.drift_dph_per_h[0],
+        "bias_drift_u_dph_per_h": fit.drift_dph_per_h[1],
         **_tilt(one),
         "differences": _differences(one),
+        "linearity": None if one.linearity is None else _linearity(one.linearity),
+        "noise_model": None if one.noise is None else one.noise.source,
+        "budget": axis_budget(one, settings),
         "points": [
             {"name": key, "table_rate_dps": rate, **picked(window, _WINDOW), "residual_ppm": residual}
             for key, rate, window, residual in rows
@@ -135,6 +154,67 @@ def _tilt(one: AxisResult) -> dict[str, float | None]:
         "input_axis_tilt_low_95_mrad": tilt.low_95_mrad if tilt else None,
         "input_axis_tilt_high_95_mrad": tilt.high_95_mrad if tilt else None,
     }
+
+
+def _linearity(ladder: Linearity) -> dict[str, Any]:
+    terms = {}
+    for name, value in ladder.value.items():
+        u = ladder.value_u[name]
+        terms[f"{name}_ppm"] = value
+        terms[f"{name}_u_ppm"] = u
+        terms[f"{name}_low_95_ppm"], terms[f"{name}_high_95_ppm"] = value - NORMAL_95 * u, value + NORMAL_95 * u
+    columns = (ladder.rate_dps, ladder.error_ppm, ladder.error_u_ppm)
+    return {
+        "terms": ladder.chosen,
+        **terms,
+        "nonlinearity_rms_ppm": ladder.rms_ppm,
+        "nonlinearity_rms_low_95_ppm": ladder.rms_low_95_ppm,
+        "nonlinearity_rms_high_95_ppm": ladder.rms_high_95_ppm,
+        "nonlinearity_ppm": ladder.largest_ppm,
+        "nonlinearity_low_95_ppm": ladder.largest_low_95_ppm,
+        "nonlinearity_high_95_ppm": ladder.largest_high_95_ppm,
+        "points": [
+            {"rate_dps": rate, "error_ppm": error, "error_u_ppm": u}
+            for rate, error, u in zip(*columns, strict=True)
+        ],
+    }
+
+
+def ladder_table(axes: Sequence[AxisResult]) -> TextTable:
+    """Return the terms of the scale-factor error and the nonlinearity of every axis that was run over a ladder."""
+    rows = []
+    for one in axes:
+        ladder = one.linearity
+        if ladder is None:
+            continue
+        for name, value in ladder.value.items():
+            u = ladder.value_u[name]
+            low, high = value - NORMAL_95 * u, value + NORMAL_95 * u
+            seen = "in the polynomial" if name in ladder.chosen else "not seen"
+            rows.append((f"{one.axis}, {name}", with_uncertainty(value, u), f"{low:+.3g} to {high:+.3g}", seen))
+        rms = f"{ladder.rms_low_95_ppm:.3g} to {ladder.rms_high_95_ppm:.3g}"
+        largest = f"{ladder.largest_low_95_ppm:.3g} to {ladder.largest_high_95_ppm:.3g}"
+        rows.append((f"{one.axis}, nonlinearity, rms", f"{ladder.rms_ppm:.3g}", rms, "freed of noise"))
+        rows.append((f"{one.axis}, nonlinearity, largest", f"{ladder.largest_ppm:.3g}", largest, "freed of noise"))
+    return TextTable(("scale-factor error at the largest rate", "ppm", "95 %", ""), tuple(rows))
+
+
+def _ladder_sentence(one: AxisResult) -> str:
+    ladder = one.linearity
+    if ladder is None:
+        return ""
+    interval = f"{ladder.rms_low_95_ppm:.2g} to {ladder.rms_high_95_ppm:.2g} ppm of full scale"
+    if not ladder.chosen:
+        return (
+            f"{one.axis}: over the rates the output is a straight line within its noise; freed of it the "
+            f"nonlinearity is {interval} (rms, 95 %)."
+        )
+    terms = ", ".join(f"{name} {ppm(ladder.value[name], ladder.value_u[name])}" for name in ladder.chosen)
+    return (
+        f"{one.axis}: over the rates the scale factor changes; in the polynomial: {terms}. Freed of noise the "
+        f"nonlinearity is {ladder.rms_ppm:.2g} ppm of full scale, {interval} (rms, 95 %). K is that of the "
+        "straight line, and what the output lies off it counts in its uncertainty."
+    )
 
 
 def _differences(one: AxisResult) -> list[dict[str, Any]]:
@@ -199,6 +279,11 @@ def _to_watch_of(one: AxisResult, settings: FogSettings) -> list[str]:
         said.append(
             f"{one.axis}: the runs scatter by {fit.scatter_ppm:.2g} ppm, more than their noise and the "
             f"{stated:g} ppm of table.irreproducibility_ppm; the uncertainties were widened to match."
+        )
+    drift, drift_u = fit.drift_dph_per_h
+    if abs(drift) > 3 * drift_u:
+        said.append(
+            f"{one.axis}: the bias drifted by {with_uncertainty(drift, drift_u)} deg/h per h; it is taken out."
         )
     said += one.remarks
     return said

@@ -8,9 +8,11 @@ import numpy as np
 
 from station.fibre_gyro.common import COLOURS, COUNTS_PER_DPS, PPM, staircase_section
 from station.fibre_gyro.settings import FogSettings
+from station.fibre_gyro.table.budget import noise_sentence
 from station.fibre_gyro.table.evaluate import AxisResult, TableFound
-from station.fibre_gyro.table.result import matrix_table
+from station.fibre_gyro.table.result import ladder_table, matrix_table
 from station.report.figure import HALF, SOFT, WIDE, legend_above, svg_element
+from station.results.contributions import budget_table
 from station.results.numbers import ppm, with_uncertainty
 from station.results.parts import PlacedFigure, Section, TextTable
 from station.results.result import Result
@@ -48,7 +50,23 @@ def sections(found: TableFound, run: SavedRun, settings: FogSettings, result: Re
             "direction of the input axis towards that axis, as the fixture brings it to the table's."
         )
         made.append(Section("Scale factors and misalignments", text, table=matrix_table(found.matrix)))
+    if any(one.linearity is not None for one in found.axes):
+        made.append(_ladder_section(found))
+    for axis, one in zip(result.document["axes"], found.axes, strict=True):
+        sentences = tuple(said for said in [noise_sentence(one)] if said)
+        table = budget_table(f"K({one.axis})", axis["budget"])
+        made.append(Section(f"Budget of K({one.axis})", sentences=sentences, table=table))
     return [*made, staircase_section(settings), Section("Runs", table=_run_table(found))]
+
+
+def _ladder_section(found: TableFound) -> Section:
+    text = (
+        "Scale-factor error as a polynomial of the rate over the largest: asymmetry between the senses, linear, "
+        "quadratic and quartic term. A term is in it where it is more than three of its uncertainties. The "
+        "nonlinearity is freed of what noise and scatter make of it."
+    )
+    figure = PlacedFigure(_ladder_svg(found), "Mean output less the straight line; curve: polynomial, ±1 u.")
+    return Section("Scale-factor error over the rates", text, figures=(figure,), table=ladder_table(found.axes))
 
 
 def axis_table(found: TableFound, settings: FogSettings) -> TextTable:
@@ -166,6 +184,33 @@ def _residuals_svg(found: TableFound) -> str:
         legend_above(axes)
 
     return svg_element("residuals", HALF, draw)
+
+
+def _ladder_svg(found: TableFound) -> str:
+    """Draw how far the output lies off the straight line at each rate, ppm of full scale, and the polynomial."""
+
+    def draw(figure: Figure) -> None:
+        axes = figure.add_subplot()
+        for index, one in enumerate(found.axes):
+            ladder, colour = one.linearity, COLOURS[index % 7]
+            if ladder is None:
+                continue
+            rate = one.runs.end_up * one.runs.rate_dps
+            full = float(np.abs(rate).max())
+            along = one.runs.end_up * one.runs.mean
+            left = PPM * (along - np.polyval(np.polyfit(rate, along, 1), rate)) / np.abs(along).max()
+            bars = PPM * one.runs.mean_u / np.abs(one.runs.mean).max()
+            axes.errorbar(
+                rate, left, bars, fmt=_MARKERS[index % 6], ms=4, mfc="none", color=colour, label=one.axis
+            )
+            curve, u = (part * ladder.rate_dps / full for part in (ladder.error_ppm, ladder.error_u_ppm))
+            axes.plot(ladder.rate_dps, curve, color=colour, linewidth=1.0)
+            axes.fill_between(ladder.rate_dps, curve - u, curve + u, color=colour, alpha=0.2, linewidth=0)
+        axes.axhline(0, color=SOFT, linewidth=0.8)
+        axes.set(xlabel="rate along the axis, deg/s", ylabel="off the line, ppm of full scale")
+        legend_above(axes, columns=6)
+
+    return svg_element("ladder", WIDE, draw)
 
 
 def _differences_svg(made: list[tuple[AxisResult, RateDifferences]]) -> str:

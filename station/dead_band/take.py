@@ -7,6 +7,7 @@ from dataclasses import asdict, dataclass
 from itertools import groupby
 
 from analysis import earth_rate_on_axis
+from analysis.rotation import EARTH_RATE_DPS
 from instrument import ManualRateTable, Waveform
 from station.dead_band.settings import DeadBandSettings
 from station.dead_band.sweep import Step, sweep, time_base
@@ -22,7 +23,8 @@ from station.scope.autoset import KnobPositions, find_beat
 
 PURPOSE = "deadband"
 _SURELY_BEYOND = 1.5
-"""Of the expected lock-in rate: from there on a beat that is too slow, as `beats_at` says, shows a wrong rate."""
+"""Of the expected lock-in rate, whatever the earth adds: from there on a beat that is too slow, as `beats_at` says,
+shows a wrong rate."""
 
 _LARGE = 0.5  # of the beat that the vertical scale was fitted to: what is no noise
 _FASTER_THAN_RATE = 2.0  # the bias may add to the first rate, but the gyro sees no more than so many times it
@@ -96,7 +98,9 @@ class _Answers:
         if not isinstance(table, ManualRateTable) or self.insists:
             return False
         beats = beats_at(self.settings, table.rate(), self.settings.table.tilt_deg)
-        if may_lock or abs(step.rate_dps) < _SURELY_BEYOND * expected:
+        # the earth rate may bring the axis nearer to lock-in than the table's rate says
+        slowest = abs(step.rate_dps) - EARTH_RATE_DPS
+        if may_lock or slowest < _SURELY_BEYOND * expected:
             beats = Beats(0.0, beats.highest)
         if beats.holds(frequency):
             return False

@@ -23,8 +23,8 @@ from station.scope.autoset import KnobPositions, find_beat
 
 PURPOSE = "deadband"
 _SURELY_BEYOND = 1.5
-"""Of the expected lock-in rate, whatever the earth adds: from there on a beat that is too slow, as `beats_at` says,
-shows a wrong rate."""
+"""Of the expected lock-in rate, whatever the earth adds: from there on a beat that is too slow, as `beats_at`
+says, shows a wrong rate."""
 
 _LARGE = 0.5  # of the beat that the vertical scale was fitted to: what is no noise
 _FASTER_THAN_RATE = 2.0  # the bias may add to the first rate, but the gyro sees no more than so many times it

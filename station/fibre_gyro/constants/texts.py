@@ -150,8 +150,10 @@ def identifier(text: str) -> str:
 
 
 def _about(constants: Constants) -> Iterator[str]:
-    gyro = " ".join(constants.gyro.replace("*/", "").split())
-    yield f"{gyro}, axis {constants.axis}: from {constants.run.parent.name}, by gyrolock fog constants."
+    run = constants.run.parent.name
+    whose = f"{constants.gyro}, axis {constants.axis}: from {run}, by gyrolock fog constants."
+    # no name ends the comment: neither its line nor, in C, the whole
+    yield " ".join(whose.replace("*", " ").split())
     for column in constants.columns:
         words = column.words
         yield (

@@ -99,7 +99,7 @@ def test_words_beyond_32_bits(tmp_path: Path) -> None:
     values = np.array([-(2.0**40) / 3, 2.0**62 - 512.0])
     words = round_to_words(values, width=64, fraction=0)
     column = Column("N", "numbers", "codes", np.array([0.1, 1.0]), values, np.zeros(2), words)
-    found = Constants("numbers", "Z", "gyro */ of \n two lines", tmp_path / "run" / "run.sqlite", (column,))
+    found = Constants("numbers", "Z", "gyro **// of \n two lines", tmp_path / "run" / "run.sqlite", (column,))
     names = [f"GYRO_NUMBERS_Z_N_{name}" for name in ("0_1", "1")]
     told = compiled(
         c_text(found), [f"{name} == {word}LL" for name, word in zip(names, words.words, strict=True)], tmp_path

@@ -27,6 +27,8 @@ BESIDE = 24
 FEWEST_BESIDE = 24
 """Bins of noise without which nothing is said."""
 
+NOTHING = 1e-200
+
 
 def may_repeat(sizes: Sizes, omega: Floats, mean: Floats, n_samples: int) -> Bools:
     """Where the harmonics are stronger than white noise explains, (R,): a first look at all records.
@@ -78,7 +80,8 @@ def repeating(power: Samples, line: float, n_samples: int) -> tuple[float, bool]
         if around.size < 2 or not untouched[bins].all():
             continue
         untouched[bins] = False
-        on, level = float(power[bins - 1].sum()), float(power[around - 1].mean())
+        # arithmetic without noise may leave exactly nothing beside a harmonic
+        on, level = float(power[bins - 1].sum()), max(float(power[around - 1].mean()), NOTHING)
         surplus, times = surplus + on - level * bins.size, times + on / level
         n_on, n_beside = n_on + bins.size, n_beside + around.size
     if n_beside < FEWEST_BESIDE:

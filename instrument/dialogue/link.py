@@ -116,7 +116,7 @@ class Link:
         self._claim = claim_instrument(resource_name, resource_manager)
         try:
             self._resource, self._beneath = open_instrument(resource_name, resource_manager, ANSWER_TIME)
-        except LinkError:
+        except BaseException:  # Ctrl-C while it is opened, too
             self._claim.release()
             raise
         self._adapter = adapter_of(self._resource)

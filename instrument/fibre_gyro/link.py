@@ -69,7 +69,7 @@ class FibreGyroLink:
         self._claim = claim(port)
         try:
             self._port = open_port(port, layout)
-        except LinkError:
+        except BaseException:  # Ctrl-C while it is opened, too
             self._claim.release()
             raise
 

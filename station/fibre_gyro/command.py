@@ -10,7 +10,7 @@ import click
 
 from station.fibre_gyro.constants.command import constants
 from station.fibre_gyro.sniff.command import command as sniff
-from station.shell.command import run_measurement
+from station.shell.command import hold_a_run, run_measurement
 from station.shell.options import (
     CHANNELS,
     SuggestingGroup,
@@ -128,8 +128,8 @@ def selfcal(paths: tuple[Path, ...], table_run: Path | None, noise: Path | None,
     """Self-calibration: inject a staircase for each rate, fit the slope, and say what it can show."""
     if table_run is None:
         return _with_noise("selfcal", paths, noise, given, {})
-    if given["resume"] is not None:
-        raise click.UsageError("--table belongs to a new run; one that is gone on with has its numbers")
+    if given["resume"] is not None or hold_a_run(paths):
+        raise click.UsageError("--table belongs to a new run; a run that was begun has its numbers")
     from station.fibre_gyro.selfcal.numbers import facts_of_table
     from station.fibre_gyro.settings import load_fog_settings
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -56,12 +56,11 @@ def run_measurement(
         Exit code.
     """
     from station.measurements import measurement
-    from station.runs.database import is_database
     from station.shell.running import saved_run
 
     report, as_json, lines = given["report"], given["as_json"], given["jsonl"]
     read_as = [option for option in for_files or {} if given.get(option) is not None]
-    if not any(path.exists() and is_database(path) for path in paths):
+    if not hold_a_run(paths):
         if read_as and not paths:
             raise click.UsageError(f"--{read_as[0].replace('_', '-')} says how files are read: name them too")
         chosen = overrides(given, for_files or {})
@@ -78,6 +77,13 @@ def run_measurement(
     taken = saved_run(paths[0], measurement(name))
     how = {"saved": True, "config": given["config"], "choices": choices}
     return finish(taken, report=report, as_json=as_json, **how)
+
+
+def hold_a_run(paths: Iterable[Path]) -> bool:
+    """Whether one of the paths is a saved run, and they are no files to make one of."""
+    from station.runs.database import is_database
+
+    return any(path.exists() and is_database(path) for path in paths)
 
 
 @contextmanager

@@ -62,6 +62,8 @@ def test_a_self_calibration_says_what_it_cannot_see(gyrolock, tmp_path: Path) ->
     # the coil has changed by 500 ppm since the table run: K_self does not know
     assert abs(found["self_minus_table_ppm"]) < 4 * found["self_minus_table_u_ppm"]
     assert found["table_source"].startswith("rate-table run")
+    refused = gyrolock("fog", "selfcal", run, "--table", table, "--no-report")
+    assert refused.code == 2 and "--table belongs to a new run" in refused.err
 
 
 @pytest.mark.slow
@@ -125,6 +127,7 @@ def test_what_the_operator_says_stands_in_json_and_report(gyrolock, tmp_path: Pa
         (("table", "--resume", "a", "list.csv"), 2, "--resume goes on with a run"),
         (("table", "list.csv", "--port", "x"), 2, "saved records and --port exclude each other"),
         (("selfcal", "--resume", "a", "--table", "b"), 2, "--table belongs to a new run"),
+        (("sniff", "."), 2, "is a folder"),
         (("eps", "list.csv"), 2, "has no column step_codes"),
         (("table", "list.csv"), 2, "log.csv"),
         (("witness", "nowhere.csv"), 2, "nowhere.csv"),

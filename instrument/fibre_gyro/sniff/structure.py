@@ -81,10 +81,9 @@ def _lines(data: bytes) -> Structure:
     usual = max(set(fields), key=fields.count)
     begins = lines[0][: _common(lines)]
     share = _percent(fields.count(usual), len(fields))
-    said = [
-        f"lines of text that end with {ending.decode()!r}",
-        f"{usual} fields separated by {separator.decode()!r} in {share} of them",
-    ]
+    said = [f"lines of text that end with {ending.decode()!r}"]
+    if usual > 1:
+        said.append(f"{usual} fields separated by {separator.decode()!r} in {share} of them")
     if begins:
         said.append(f"every line begins with {begins.decode('ascii', 'replace')!r}")
     length = int(np.median([len(line) + len(ending) for line in lines]))

@@ -44,6 +44,8 @@ def command(
     if own:
         formats |= known_formats(list(own))  # a name of the user's own wins
     path = Path(source)
+    if path.is_dir():
+        raise click.UsageError(f"{source}: is a folder; give a port, or a file with the gyro's bytes")
     if _is_port(source, path):
         found = sniff_port(source, formats, seconds=seconds, baud=baud, poll=poll, tell=remark)
     else:

@@ -6,6 +6,7 @@ import scipy.signal
 
 from analysis import DOUBTFUL, FATAL, Flag, beat_signal, combine_estimates, estimate_lock_in
 from analysis.waveform.damage import is_a_piece
+from analysis.waveform.repeating import repeating
 from analysis.waveform.steadiness import passing_power
 from benchmarks.hostile.classes import CLASSES
 from benchmarks.hostile.gyro import N_SAMPLES, beat, draw_gyro, levels_of, steady, step_times
@@ -77,6 +78,13 @@ def test_noise_that_rises_to_low_frequencies_does_not_repeat_with_the_beat():
     e = estimate_lock_in(volts + pink, 1.0, scale_factor=k)
     assert not has(e, Flag.MISFIT).any()
     assert np.mean(e.misfit_u > 0) < 0.05
+
+
+def test_lines_beside_which_there_is_nothing_repeat_for_sure():
+    power = np.zeros(1250)
+    assert repeating(power, 50.0, 2500) == (0.0, False)
+    power[[199, 249, 299]] = 1e-3  # the fourth to the sixth harmonic
+    assert repeating(power, 50.0, 2500) == (pytest.approx(3e-3), True)
 
 
 def test_misfit_is_no_noise_and_does_not_shift_the_value():

@@ -11,6 +11,7 @@ from analysis.ring_laser.motion import Motion
 from analysis.ring_laser.signals import (
     NoisySignal,
     beat_signal_on_table,
+    signal_above,
     signal_bounds,
     smooth_interval,
     with_detector_noise,
@@ -29,6 +30,7 @@ __all__ = [
     "beat_phase_on_table",
     "beat_signal_on_table",
     "detector_signal",
+    "signal_above",
     "signal_bounds",
     "smooth_interval",
     "steady_beat",

@@ -39,6 +39,8 @@ class Detector:
         harmonics of a pure beat are then second_order / 2 and third_order / 4 of it.
     low_pass_hz, ac_corner_hz : float
         Corners of one pole each; 0: there is none.
+    coupling_hz : float
+        Corner of the AC coupling of what looks at the signal, as `ac_corner_hz`.
     pump_ripple, pump_hz : float
         The light swings by this share.
     single_beams : float
@@ -55,15 +57,16 @@ class Detector:
     pump_ripple: float = 0.0
     pump_hz: float = 0.0
     single_beams: float = 0.0
+    coupling_hz: float = 0.0
 
     @property
     def filtered(self) -> bool:
         """Whether anything in it depends on the frequency."""
-        return self.low_pass_hz > 0 or self.ac_corner_hz > 0
+        return self.low_pass_hz > 0 or self.ac_corner_hz > 0 or self.coupling_hz > 0
 
     def without_filters(self) -> Detector:
         """The same detector with an amplifier for all frequencies."""
-        return replace(self, low_pass_hz=0.0, ac_corner_hz=0.0) if self.filtered else self
+        return replace(self, low_pass_hz=0.0, ac_corner_hz=0.0, coupling_hz=0.0) if self.filtered else self
 
     def volts(self, fringe: Complexes, backscatter_phase: float) -> Floats:
         """Signal before any filter, V, for exp(i (phi + beta))."""
@@ -77,8 +80,9 @@ class Detector:
         gain = np.ones_like(frequency, dtype=np.complex128)
         if self.low_pass_hz > 0:
             gain *= low_pass(frequency, self.low_pass_hz)
-        if self.ac_corner_hz > 0:
-            gain *= high_pass(frequency, self.ac_corner_hz)
+        for corner in (self.ac_corner_hz, self.coupling_hz):
+            if corner > 0:
+                gain *= high_pass(frequency, corner)
         return gain
 
     def swing(self, times: Floats) -> Floats:

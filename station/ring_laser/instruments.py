@@ -16,6 +16,7 @@ from analysis.ring_laser import (
     Winking,
     axis_rate_on_table,
     beat_signal_on_table,
+    signal_above,
     signal_bounds,
     smooth_interval,
 )
@@ -189,7 +190,10 @@ def _signal(
     def bounds(start: float, stop: float) -> tuple[float, float]:
         return signal_bounds(gyro, detector, table.motion, start, stop)
 
-    return NoisySignal(silent, simulation.detector_noise_v, simulation.seed, channel, interval, bounds)
+    def above(corner_hz: float, start: float, stop: float) -> Callable[[Array], Array] | None:
+        return signal_above(gyro, detector, table.motion, corner_hz, start, stop)
+
+    return NoisySignal(silent, simulation.detector_noise_v, simulation.seed, channel, interval, bounds, above)
 
 
 def true_values(instruments: SimulatedInstruments) -> dict[str, float]:

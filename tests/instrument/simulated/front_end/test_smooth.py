@@ -163,7 +163,7 @@ def test_looks_of_an_average_are_kept(make_bench, kind):
     bench.codes()
     codes = bench.codes().astype(float)
     steps = np.diff(codes).std()
-    assert steps < 2.5  # of 16 looks; of one it would be more than 5
+    assert steps < 3.5  # of 16 looks; of one it would be more than 5
 
 
 def test_a_search_goes_on_where_smooth_looks_are_known_up_to_its_end_only():

@@ -3,8 +3,9 @@
 The scope looks at the gyro of `config/simulated.toml` with its detector noise, at the slow rate, on a virtual
 clock. Each line is one time base in one mode. A client lets some time pass, as its own work would, then sends one
 message; the table gives the CPU time of the answer, the median and the largest of some, and what they are in
-transforms of 2500 points (`rfft`) made in the same run. It fails if a median is above its limit: on a busy machine
-the largest one tells of the machine.
+transforms of 2500 points (`rfft`) made in the same run. Averages are full. In the columns "after a silence" nobody
+has asked for anything for two hundred records. It fails if a median is above its limit: on a busy machine the
+largest one tells of the machine.
 """
 
 from __future__ import annotations
@@ -42,6 +43,8 @@ MODES = {
 }
 GAINS: Values = {"simulation": {"contaminants": {"gain_corner_hz": 2e4, "bandwidth_hz": 2e4, "ac_corner_hz": 1.0}}}
 LIMITS_MS = {"CURVE?": 5.0, "TRIGGER:STATE?": 1.0}
+_SILENCE = 200  # records
+_SHORTEST_CYCLE = 0.02  # s, of the scope with its dead time and the wait for a trigger
 
 
 @dataclass(frozen=True)
@@ -70,6 +73,8 @@ class Client:
         self.write("HEADER OFF;:DATA:ENCDG RIBINARY;WIDTH 1;:CH1:PROBE 1;SCALE 0.1;POSITION -1.2;BANDWIDTH ON")
         self.write(f"TRIGGER:MAIN:LEVEL 0.12;:HORIZONTAL:MAIN:SCALE {base:g};:{mode}")
         self.ask("CURVE?" if "NORMAL" not in mode else "*OPC?")
+        self.clock.sleep(_SILENCE * max(10 * base, _SHORTEST_CYCLE))
+        self.ask("CURVE?")
 
     def write(self, message: str) -> None:
         """Send a message and have it carried out."""
@@ -81,11 +86,12 @@ class Client:
         self.write(message)
         return self.link.wait_for_answer(3600.0) or b""
 
-    def cost(self, act: Callable[[], object], repeats: int) -> Cost:
-        """CPU time of an act, each time after a pause of up to two records."""
+    def cost(self, act: Callable[[], object], repeats: int, silence: float = 0.0) -> Cost:
+        """CPU time of an act, each time after a pause of up to two records, or after a silence of so many."""
         seconds = []
         for _ in range(repeats):
             self.clock.sleep(float(self.pauses.uniform(0.0, 2.0)) * max(10 * self.base, 0.05))
+            self.clock.sleep(silence * max(10 * self.base, _SHORTEST_CYCLE))
             began = time.thread_time()
             act()
             seconds.append(time.thread_time() - began)
@@ -97,6 +103,8 @@ class Client:
             name: self.cost(functools.partial(self.ask, name), repeats)
             for name in ("CURVE?", "TRIGGER:STATE?", "ACQUIRE:STATE?")
         }
+        for name in LIMITS_MS:
+            found[f"{name} after a silence"] = self.cost(functools.partial(self.ask, name), repeats, _SILENCE)
         positions = iter(range(1000))
         found["a setting"] = self.cost(
             lambda: self.write(f"CH1:POSITION {next(positions) % 9 / 100 - 1.2:g}"), repeats
@@ -132,7 +140,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     given = parser.parse_args(arguments)
     unit, too_slow, out = transform_ms(), 0, sys.stdout.write
     out(f"CPU time, median / largest in ms; in brackets the median over one rfft of {POINTS} ({unit:.3f} ms)\n\n")
-    columns = ("CURVE?", "TRIGGER:STATE?", "ACQUIRE:STATE?", "a setting", "a single")
+    silent = [f"{name} after a silence" for name in LIMITS_MS]
+    columns = (*LIMITS_MS, *silent, "ACQUIRE:STATE?", "a setting", "a single")
     out(f"| mode | s/div | {' | '.join(columns)} |\n|---|---|{'---|' * len(columns)}\n")
     for mode in given.mode or [*MODES, "gyro with filters"]:
         for base in given.base or TIME_BASES:

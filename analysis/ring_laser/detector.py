@@ -87,8 +87,17 @@ class Detector:
 
     def swing(self, times: Floats) -> Floats:
         """The light at absolute times in s over its mean."""
+        return np.asarray(1 + self.pump_ripple * np.sin(self._pump_phase(times)))
+
+    def mean_swing(self, starts: Floats, times: Floats) -> Floats:
+        """Mean over several starts (absolute, s) of `swing` at times in s behind each."""
+        together = np.exp(1j * self._pump_phase(starts)).mean()
+        return np.asarray(1 + self.pump_ripple * (np.exp(1j * self._pump_phase(times)) * together).imag)
+
+    def _pump_phase(self, times: Floats) -> Floats:
+        """Phase of the light's swing in rad, less whole turns."""
         cycles = self.pump_hz * times
-        return np.asarray(1 + self.pump_ripple * np.sin(2 * np.pi * (cycles - np.floor(cycles))))
+        return np.asarray(2 * np.pi * (cycles - np.floor(cycles)))
 
 
 def detector_signal(gyro: Gyro, detector: Detector, axis_rate: Floats, beat_phase: Floats) -> Floats:
@@ -164,6 +173,15 @@ def _by_harmonics(gyro: Gyro, detector: Detector, rates: Floats, phases: Floats,
         left, right = _real_series(_either_side(gyro, detector, cell, sense), turning[inside])
         volts[inside] = left + (place[inside] - cell) * (right - left)
     return volts
+
+
+def amplitudes_at(gyro: Gyro, detector: Detector, axis_rate: float) -> Complexes:
+    """Complex amplitudes of the harmonics 0, 1, ... behind the filters, V, at a rate beyond lock-in in deg/s.
+
+    That of the nearest point of the finer grid, a four thousandth of the rate away at most.
+    """
+    place = float(grid_place(np.array([abs(axis_rate)]), gyro.lock_in_rate)[0])
+    return _between(gyro, detector, round(place * FINER), 1 if axis_rate > 0 else -1)
 
 
 @lru_cache(maxsize=8192)

@@ -16,11 +16,13 @@ from analysis.ring_laser.detector import Detector, detector_signal, volts_betwee
 from analysis.ring_laser.gyro import Gyro
 from analysis.ring_laser.motion import Motion, split
 
+UNSEEN = 5e-4
+"""Of the amplitude: a twentieth of a level on a full screen."""
+
 _SAME_NOISE_S = 20e-6
 _POINTS_A_PERIOD = 6
 _NEGLIGIBLE = 1e-4  # harmonics below this share of the fundamental do not count
 _DISTORTED = 3.0  # the detector's cube makes three of one
-_UNSEEN = 5e-4  # of the amplitude: a twentieth of a level on a full screen
 _SHARPEST = 0.9  # ratio of successive harmonics
 
 
@@ -163,8 +165,8 @@ def _coupling_shows_no_swing(gyro: Gyro, detector: Detector, segment: Motion, co
     sideways = (
         gyro.scale_factor * gyro.ripple_dps * corner_hz / slowest**2
     )  # of the side bands that the ripple makes
-    faint = detector.pump_ripple < 2 * _UNSEEN and detector.pump_hz > 2 * corner_hz
-    return sideways < _UNSEEN and (faint or not detector.pump_ripple)
+    faint = detector.pump_ripple < 2 * UNSEEN and detector.pump_hz > 2 * corner_hz
+    return sideways < UNSEEN and (faint or not detector.pump_ripple)
 
 
 def _rates_in(gyro: Gyro, segment: Motion) -> tuple[float, float, int]:
@@ -198,6 +200,9 @@ class NoisySignal:
     above : callable
         A corner in Hz and two absolute times in s -> the smooth part behind a high-pass of one pole, between these
         times; ``None`` where that is not known.
+    mean : callable
+        Starts (absolute, s) and times behind each, a corner in Hz (0: none) and its settling time in s -> the mean
+        of the smooth part, behind that high-pass, over all starts; ``None`` where that is not known.
     """
 
     smooth: Callable[[Floats], Floats]
@@ -207,6 +212,7 @@ class NoisySignal:
     interval: Callable[[float, float], float] = lambda start, stop: 0.0
     bounds: Callable[[float, float], tuple[float, float]] = lambda start, stop: (-math.inf, math.inf)
     above: Callable[[float, float, float], Callable[[Floats], Floats] | None] = lambda corner, start, stop: None
+    mean: Callable[[Floats, Floats, float, float], Floats | None] = lambda starts, times, corner, settling: None
 
     def __call__(self, times: Floats) -> Floats:
         """Volts at absolute times in s."""

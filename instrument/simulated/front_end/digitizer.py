@@ -28,6 +28,7 @@ from instrument.simulated.panel.panel import ChannelSettings
 _PEAK_RATE = 100e6  # S/s at which Peak Detect looks for the smallest and the largest sample
 _PEAK_TIME_CONSTANT = 1 / (2 * math.pi * 75e6)  # s, bandwidth of Peak Detect, user manual p. 151
 _MOST_PEAK_SAMPLES = 64  # a pair
+_LINES = 4  # straight ones between two points that tell all about the smooth part
 _KEPT = 16  # records by channel
 
 
@@ -113,20 +114,20 @@ class Digitizer:
         irregular = rng.random(count, dtype=np.float32)
         step = 2 * record.xincr / samples
         signal = self._signal(name)
-        if tells_its_noise(signal) and signal.interval(record.starts[-1], record.starts[-1] + count * step) > step:
-            # nothing hides: straight lines from one sample to the next, and both noises in one
-            edges = shown_smooth(signal, slower, record.starts[-1] + step * np.arange(count + 1.0)).astype(
-                np.float32
-            )
-            volts = edges[:-1] + np.diff(edges) * irregular
+        start, smooth = record.starts[-1], 0.0
+        if tells_its_noise(signal) and (smooth := signal.interval(start, start + count * step)) > step:
+            # nothing hides: straight lines, and both noises in one
+            together = _samples_a_line(samples, smooth / step)
+            edges = shown_smooth(signal, slower, start + together * step * np.arange(count // together + 1.0))
+            edges = edges.astype(np.float32)
+            places = (irregular.reshape(-1, together) + np.arange(together, dtype=np.float32)) / together
+            volts = (edges[:-1, np.newaxis] + np.diff(edges)[:, np.newaxis] * places).ravel()
             rms = float(
                 np.hypot(self._noise_levels, signal.noise_rms * abs(gain(channel)) * levels_per_volt(channel))
             )
             noise = np.float32(rms) * self._rng(record.number, name).standard_normal(count, dtype=np.float32)
         else:
-            volts = shown_volts(
-                signal, slower, record.starts[-1] + step * (np.arange(count, dtype=np.float64) + irregular)
-            )
+            volts = shown_volts(signal, slower, start + step * (np.arange(count, dtype=np.float64) + irregular))
             noise = self._noise(record.number, name, count)
         levels = (volts * levels_per_volt(channel) + noise).reshape(-1, samples)
         ends = np.stack([levels.min(axis=1), levels.max(axis=1)], axis=1).ravel()
@@ -154,3 +155,9 @@ class Digitizer:
 
     def _rng(self, number: int, name: str, sweep: int = 0) -> np.random.Generator:
         return np.random.default_rng([self._seed, number, int(name.removeprefix("CH")), sweep])
+
+
+def _samples_a_line(samples: int, smooth: float) -> int:
+    """Samples of a pair on one straight line: a divisor of all, with several lines in an interval `smooth`."""
+    divisors = (many for many in range(1, samples + 1) if samples % many == 0)
+    return max(many for many in divisors if many == 1 or many * _LINES <= smooth)

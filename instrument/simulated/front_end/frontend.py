@@ -15,6 +15,7 @@ from instrument.facts import HIGHEST_CODE, LEVELS_PER_DIVISION
 from instrument.simulated.front_end.smooth import (
     Between,
     CoarseLook,
+    known_ahead,
     look,
     look_above,
     noise_of,
@@ -35,6 +36,7 @@ _STRAIGHT = 0.02  # of all that was seen from peak to peak: how far a smooth sig
 _SETTLING = 5 / (2 * math.pi * AC_CORNER)  # s of history after which the coupling has forgotten
 _AC_RATES = (51_283.7, 47_013.1, 57_942.9)  # S/s for the slow part; a frequency can beat with one of them
 _AC_POINTS = 1 << 17
+_MANY_LOOKS = 6000  # at the acquisitions of an average, from which on the signal is asked for their mean
 _INTERVALS_A_STEP = 2  # of the grid on which a signal is smooth
 
 
@@ -144,6 +146,11 @@ def mean_shown(signal: Signal, channel: ChannelSettings, starts: Floats, times: 
     if not isinstance(looked, CoarseLook):
         return None
     grid = looked.grid(0.0, span, len(times))
+    if known_ahead(signal) and len(starts) * (len(times) if grid is None else len(grid)) > _MANY_LOOKS:
+        corner = AC_CORNER if channel.coupling == "AC" else 0.0
+        mean = signal.mean(starts - looked.delay, times, corner, _SETTLING)
+        if mean is not None:
+            return mean * gain(channel)
     if grid is None or starts[-1] - starts[0] < (len(starts) - 1) * span:
         return None
     values = looked.smooth((starts[:, np.newaxis] + (grid - looked.delay)).ravel())

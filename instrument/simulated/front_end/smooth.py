@@ -47,11 +47,14 @@ class SmoothAndNoise(Protocol):
         """Volts that the smooth part does not leave between two times; inf where that is not known."""
 
 
-class KnownAbove(SmoothAndNoise, Protocol):
-    """One that knows what an AC coupling makes of it: nothing has to be looked at before the record."""
+class KnownAhead(SmoothAndNoise, Protocol):
+    """One that knows what an AC coupling, and an average, make of it: far fewer looks are needed."""
 
     def above(self, corner_hz: float, start: float, stop: float, /) -> Callable[[Floats], Floats] | None:
         """The smooth part behind a high-pass of one pole, for times between two in s; None where not known."""
+
+    def mean(self, starts: Floats, times: Floats, corner_hz: float, settling_s: float, /) -> Floats | None:
+        """Mean over many starts of the smooth part at times behind each, behind a high-pass (0: none); or None."""
 
 
 def tells_its_noise(signal: Callable[[Floats], Floats]) -> TypeGuard[SmoothAndNoise]:
@@ -59,8 +62,8 @@ def tells_its_noise(signal: Callable[[Floats], Floats]) -> TypeGuard[SmoothAndNo
     return hasattr(signal, "noise_rms")
 
 
-def knows_above(signal: Callable[[Floats], Floats]) -> TypeGuard[KnownAbove]:
-    """Whether a signal is a `KnownAbove`."""
+def known_ahead(signal: Callable[[Floats], Floats]) -> TypeGuard[KnownAhead]:
+    """Whether a signal is a `KnownAhead`."""
     return hasattr(signal, "above")
 
 
@@ -155,7 +158,7 @@ def look_above(
     signal: Callable[[Floats], Floats], corner_hz: float, start: float, stop: float
 ) -> CoarseLook | None:
     """What `look` gives, behind a high-pass of one pole that has settled before the start; None: not known."""
-    if not knows_above(signal):
+    if not known_ahead(signal):
         return None
     above = signal.above(corner_hz, start, stop)
     return None if above is None else CoarseLook(above, signal.interval(start, stop))

@@ -34,7 +34,7 @@ _PLACES: Floats = np.arange(65.0) / 64
 GUARD_BAND = 0.05  # of the width, p. 159
 SHORTEST_GUARD_BAND = 16.5e-9  # s
 _SAMPLES_A_WIDTH = 16  # of a search for pulses
-_LOOKS_A_CELL = 64  # of such a search, between two points that tell all about the smooth part
+_LOOKS_A_CELL = 16  # of such a search, between two points that tell all about the smooth part
 
 
 @dataclass

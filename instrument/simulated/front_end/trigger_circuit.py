@@ -24,6 +24,7 @@ HIGH_FREQUENCY_REJECT = 1 / (2 * math.pi * 80e3)  # s, p. 101
 LOW_FREQUENCY_REJECT = 1 / (2 * math.pi * 300e3)  # s
 MAINS_FREQUENCY = 50.0  # Hz, of the trigger source AC LINE
 _LONGEST_SEARCH_STEP = 20e-6  # s; the comparator is faster than the samples of a slow sweep
+_FURTHER = 3.0  # times as far, where others were found
 _EXTERNAL = ChannelSettings(1.0, 0.0, "DC", 1.0, limited=False, inverted=False)
 
 
@@ -60,26 +61,36 @@ class TriggerCircuit:
     def __init__(self, panel: Panel, signal: Callable[[str], Signal]) -> None:
         self._panel, self._signal = panel, signal
         self._compared: tuple[tuple[str, str, ChannelSettings], Comparator] | None = None
+        self._cells = 0  # of a stretch that the last search has looked at
 
     def edge(self, sweep: Sweep, trigger: TriggerSettings, now: float) -> float | None:
         """Time of the trigger of an acquisition, if it has come by now."""
         until = min(now, sweep.auto_at)
-        match trigger.kind:
-            case "PULSE":
-                return self._pulse_search(sweep, trigger).advance(until, self._step, now)
-            case "VIDEO":
-                return self._video_search(sweep, trigger).advance(until)
-        return self._edge_search(sweep, trigger).advance(until, self._step, now)
+        if trigger.kind == "VIDEO":
+            return self._video_search(sweep, trigger).advance(until)
+        is_new = sweep.search is None
+        search = (
+            self._pulse_search(sweep, trigger) if trigger.kind == "PULSE" else self._edge_search(sweep, trigger)
+        )
+        if is_new:
+            search.cells = max(search.cells, self._cells // 2)  # it may have to look as far as the one before
+        edge = search.advance(until, self._step, now)
+        self._cells = search.cells
+        return edge
 
     def edges(self, ready: Floats, reach: float, trigger: TriggerSettings) -> Floats:
         """Times of the triggers of several acquisitions that are not yet looked for, by when they were ready.
 
-        nan where none is found within `reach` (s), or where only `edge` finds it.
+        nan where none is found within some `reach` (s), or where only `edge` finds it.
         """
         if trigger.kind != "EDGE":
             return np.full(ready.shape, np.nan)
         search = self._edge_search(Sweep(0.0, 0.0, math.inf), trigger)
-        return first_edges(search, ready, reach, self._step)
+        edges = first_edges(search, ready, reach, self._step)
+        missing = np.isnan(edges)
+        if 0 < np.count_nonzero(missing) < len(edges):
+            edges[missing] = first_edges(search, ready[missing], _FURTHER * reach, self._step)
+        return edges
 
     @property
     def _step(self) -> float:
@@ -121,6 +132,8 @@ class TriggerCircuit:
         def bounds(start: float, stop: float) -> tuple[float, float]:
             low, high = signal.bounds(start, stop)
             swing = high - low
+            if coupling == "LFREJ" and (interval := signal.interval(start, stop)) > LOW_FREQUENCY_REJECT:
+                swing *= LOW_FREQUENCY_REJECT / interval  # of a signal with six looks a period: twice its slope
             ends = (-swing, swing) if without_mean else (low, high)  # a mean taken away lies between them
             first, last = (gain(channel) * end for end in ends)
             return min(first, last), max(first, last)

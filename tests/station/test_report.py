@@ -152,7 +152,6 @@ def test_a_result_that_means_nothing_is_told_as_such(run: SavedRun) -> None:
 
 
 def _silenced(record):
-
     if record.purpose == "tilt":
         return record
     return record._replace(payload=bytes(len(record.payload)))

@@ -349,14 +349,19 @@ class Acquisition:
         if owed.size > _FEW and not self._faults.no_trigger:
             edges = self._circuit.edges(owed, self._usual_wait * _LONGER, trigger)
             edges[edges + self._after > self._caught_up] = np.nan
+        one_by_one = bool(np.isnan(edges).all())
         found = iter(zip(owed.tolist(), edges.tolist(), strict=True))
         starts: list[float] = []
+        again = -math.inf
         for sweep in latest:
             if isinstance(sweep, _LeftOut):
                 ready_at, edge = next(found)
+                if one_by_one and again > -math.inf:
+                    ready_at = again
                 at = self._edge_after(ready_at, trigger) if math.isnan(edge) else edge
                 if at is not None:
                     starts.append(self._start(at))
+                    again = at + self._cycle
             else:
                 starts.append(sweep)
         self._swept = deque(starts, maxlen=_MOST_AVERAGED)

@@ -206,7 +206,7 @@ def test_many_edges_at_once_are_those_of_one_search_after_the_other(rising):
 def test_averages_after_a_silence_are_those_of_a_scope_that_was_asked_all_the_time(make_bench):
     shown = []
     for naps, nap in ((1, 12.0), (400, 0.01)):  # 20 ms for each message
-        bench = bench_on(make_bench, Beat(0.05), "HOR:SCALE 1E-3;:ACQ:MODE AVERAGE;NUMAVG 64")
+        bench = bench_on(make_bench, Beat(0.01), "HOR:SCALE 1E-3;:ACQ:MODE AVERAGE;NUMAVG 64")
         bench.codes()
         for _ in range(naps):
             bench.clock.sleep(nap)

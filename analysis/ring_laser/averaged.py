@@ -26,6 +26,7 @@ from analysis.ring_laser.signals import UNSEEN, signal_above, smooth_interval
 _FEW = 8  # times at which d_k is worked out; as many again for each turn of the ripple
 _FEWEST_NODES, _NODES_A_TURN = 8, 24  # of Z_n; 8 for each turn of the third harmonic
 _MOST_PHASES = 60_000
+_NEGLIGIBLE = 1e-5  # of the largest harmonic
 
 
 def mean_beat_on_table(
@@ -75,7 +76,8 @@ def mean_beat_on_table(
     differences = (chebyshev.chebvander(np.linspace(-1, 1, nodes), len(few) - 1) @ series).T
     coupled = replace(detector, coupling_hz=corner_hz, pump_ripple=0.0)
     begin, end = (amplitudes_at(gyro, coupled, float(rates[:, at].mean())) for at in (0, -1))
-    order, sense = min(begin.size, end.size), 1 if rates[0, 0] > 0 else -1
+    order = int(np.count_nonzero(np.abs(begin) > _NEGLIGIBLE * np.abs(begin).max()))
+    order, sense = max(min(order + 1, begin.size, end.size), 2), 1 if rates[0, 0] > 0 else -1
     apart = np.exp(1j * sense * differences)
     power, together = np.ones_like(apart), np.empty((order - 1, nodes), dtype=np.complex128)
     for n in range(order - 1):

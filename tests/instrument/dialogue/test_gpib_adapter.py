@@ -99,13 +99,8 @@ def test_a_program_that_reads_to_a_line_feed_gets_a_curve_of_them_piece_by_piece
             lines.write(b"".join(order + b"\n" for order in orders))
             lines.flush()
 
-        send(
-            b"++addr 1",
-            b"++auto 0",
-            b"HEADER OFF;:CH1:PROBE 1;SCALE 0.5;:DATA:STOP 5;:*CLS",
-            b"CURVE?",
-            b"++read 10",
-        )
+        send(b"++addr 1", b"++auto 0", b"*CLS;HEADER OFF;:CH1:PROBE 1;SCALE 0.5;:DATA:STOP 5")
+        send(b"CURVE?", b"++read 10")
         assert lines.read(4) == b"#15\n"
         send(b"++read 10")
         assert lines.read(1) == b"\n"

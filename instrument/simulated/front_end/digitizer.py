@@ -29,6 +29,7 @@ _PEAK_RATE = 100e6  # S/s at which Peak Detect looks for the smallest and the la
 _PEAK_TIME_CONSTANT = 1 / (2 * math.pi * 75e6)  # s, bandwidth of Peak Detect, user manual p. 151
 _MOST_PEAK_SAMPLES = 64  # a pair
 _LINES = 4  # straight ones between two points that tell all about the smooth part
+_FEW_NEW = 3  # acquisitions of an average that are added to the mean of the others
 _KEPT = 16  # records by channel
 
 
@@ -48,6 +49,7 @@ class Digitizer:
     def __init__(self, signal: Callable[[str], Signal], noise_levels: float, seed: int) -> None:
         self._signal, self._noise_levels, self._seed = signal, noise_levels, seed
         self._averaged: dict[str, tuple[tuple[float, ChannelSettings], dict[float, Floats]]] = {}
+        self._means: dict[str, tuple[tuple[float, ChannelSettings, int], tuple[float, ...], Floats]] = {}
         self._kept: OrderedDict[tuple[int, float, str], Codes] = OrderedDict()
 
     def codes(self, record: Record, name: str) -> Codes:
@@ -77,15 +79,39 @@ class Digitizer:
         count = len(record.starts)
         noise = self._noise(record.number, name, POINTS) / np.sqrt(count)
         if count > 1:
-            times = record.xincr * np.arange(POINTS, dtype=np.float64)
             signal = self._signal(name)
-            mean = mean_shown(signal, channel, np.array(record.starts), times)
+            mean = self._smooth_mean(record, name, channel)
             if mean is not None and tells_its_noise(signal):
                 # the noise of the signal and that of the scope in one
                 levels = signal.noise_rms * abs(gain(channel)) * levels_per_volt(channel) / np.sqrt(count)
                 noise = noise + levels * self._rng(record.number, name, 1).standard_normal(POINTS)
                 return convert(mean, channel, noise)
         return convert(self._mean(record, name, channel), channel, noise)
+
+    def _smooth_mean(self, record: Record, name: str, channel: ChannelSettings) -> Floats | None:
+        """Mean volts of the acquisitions of a record without noise: that of before, and what is new of it.
+
+        None where it takes a look at each of them.
+        """
+        times = record.xincr * np.arange(POINTS, dtype=np.float64)
+        signal, settings = self._signal(name), (record.xincr, channel, len(record.starts))
+        before = self._means.get(name)
+        if before is not None and before[0] == settings:
+            come = set(record.starts).difference(before[1])
+            gone = set(before[1]).difference(record.starts)
+            if len(come) <= _FEW_NEW:
+
+                def look(start: float) -> Floats:
+                    return shown_smooth(signal, channel, start + times)
+
+                change = sum(map(look, come)) - sum(map(look, gone))
+                mean = before[2] + change / len(record.starts)
+                self._means[name] = settings, record.starts, mean
+                return mean
+        found = mean_shown(signal, channel, np.array(record.starts), times)
+        if found is not None:
+            self._means[name] = settings, record.starts, found
+        return found
 
     def _mean(self, record: Record, name: str, channel: ChannelSettings) -> Floats:
         """Mean volts of the acquisitions of a record; those that the last average had, too, are kept."""

@@ -151,6 +151,7 @@ class Acquisition:
             return "ARMED"
         if sweep.triggered_at is not None:
             return "AUTO" if sweep.forced else "TRIGGER"
+        _ = self.record  # whether the one before had a trigger
         return "AUTO" if self._untriggered else "READY"
 
     def next_change(self) -> float:
@@ -358,23 +359,25 @@ class Acquisition:
                 ready_at, edge = next(found)
                 if one_by_one and again > -math.inf:
                     ready_at = again
-                at = self._edge_after(ready_at, trigger) if math.isnan(edge) else edge
-                if at is not None:
+                triggered = self._edge_after(ready_at, trigger) if math.isnan(edge) else (edge, False)
+                if triggered is not None:
+                    at, self._untriggered = triggered
                     starts.append(self._start(at))
                     again = at + self._cycle
             else:
                 starts.append(sweep)
+                again = -math.inf
         self._swept = deque(starts, maxlen=_MOST_AVERAGED)
         return tuple(starts)
 
-    def _edge_after(self, ready_at: float, trigger: TriggerSettings) -> float | None:
-        """When an acquisition that is over by now was triggered, with or without a trigger; None: not at all."""
+    def _edge_after(self, ready_at: float, trigger: TriggerSettings) -> tuple[float, bool] | None:
+        """When an acquisition that is over by now was triggered, and whether by AUTO; None: not at all."""
         for _ in range(_FEW):
             sweep = self._armed(ready_at)
             edge = None if self._faults.no_trigger else self._circuit.edge(sweep, trigger, self._caught_up)
             at = sweep.auto_at if edge is None else edge
             if at + self._after <= self._caught_up:
-                return at
+                return at, edge is None
             ready_at -= min(at + self._after - self._caught_up, self._cycle + AUTO_WAIT)
         return None
 

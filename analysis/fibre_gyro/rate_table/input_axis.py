@@ -167,7 +167,10 @@ def fit_three_axes(
     bias, bias_u, scale_u = np.empty(len(gyros)), np.empty(len(gyros)), np.empty(len(gyros))
     angle, angle_u = np.zeros((len(gyros), count)), np.zeros((len(gyros), count))
     for place, gyro in enumerate(gyros):
-        scatter = find_run_scatter(design, mean[:, place], u[:, place], stated, slow=slow[place] if slow else None)
+        known = slow[place] if slow else None
+        scatter = find_run_scatter(
+            design, mean[:, place], u[:, place], stated, slow=known, by_model=known is not None
+        )
         estimator = scatter.estimator(design)
         values = estimator @ mean[:, place]
         spread = [scatter.standard_u(row) for row in estimator]

@@ -13,6 +13,8 @@ import numpy as np
 
 from benchmarks.reanalysis.records import INTERVAL, SAMPLES, SCALE_FACTOR, codes_of_beats, make_runs
 
+IN_MEMORY, AT_ONCE = 5000, 1000
+
 
 def main(mode: str, folder: Path, records: int, processes: int) -> None:
     """Do ``make`` (`processes`: records a run), ``estimates``, ``table``, ``result`` or ``combined``."""
@@ -41,15 +43,18 @@ def _begin() -> tuple[float, float, float]:
 
 
 def _estimates(records: int) -> tuple[float, float, float]:
-    """Estimate so many records that lie in memory as volts."""
+    """Estimate so many records that lie in memory as volts: more of them than a processor's cache holds."""
     from analysis import estimate_lock_in
 
-    volts = 0.02 * codes_of_beats(1000, 1).astype(np.float64)
+    volts = 0.02 * codes_of_beats(IN_MEMORY, 1).astype(np.float64)
     clipped = np.zeros(volts.shape, dtype=bool)
     estimate_lock_in(volts[:2], INTERVAL, scale_factor=SCALE_FACTOR)  # what is made once
     began = _begin()
-    for _ in range(max(1, records // 1000)):
-        estimate_lock_in(volts, INTERVAL, scale_factor=SCALE_FACTOR, clipped=clipped, nan_policy="omit")
+    for number in range(max(1, records // AT_ONCE)):
+        some = slice(number * AT_ONCE % IN_MEMORY, number * AT_ONCE % IN_MEMORY + AT_ONCE)
+        estimate_lock_in(
+            volts[some], INTERVAL, scale_factor=SCALE_FACTOR, clipped=clipped[some], nan_policy="omit"
+        )
     return began
 
 

@@ -19,7 +19,7 @@ from instrument.dialogue.identity import Identity
 from instrument.dialogue.link import SLICE_TIME, Link, NoAnswer
 from instrument.dialogue.patience import Patience
 from instrument.dialogue.persistence import Persistence, Tally
-from instrument.dialogue.who_is_there import WhoIsThere
+from instrument.dialogue.who_is_there import WhoIsThere, nobody_known
 from instrument.errors import (
     InstrumentError,
     LinkError,
@@ -40,6 +40,7 @@ _MASK = "*ESE"
 _MARKS = 256
 _LONGEST_TEXT = 16_384
 _OPENING_ATTEMPTS = 6  # nobody has answered on this name yet: it may be wrong
+_UNREAD = 8  # answers in a row that are none: a line that spoils one exchange in five has one of 3000 links so
 _IDENTITIES, _TRIES = 3, 4
 _FIRST_PAUSE, _LONGEST_PAUSE = 0.1, 2.0  # s between two attempts to connect
 
@@ -438,8 +439,9 @@ class Exchange(ABC):
 
     def _greet(self) -> Identity:
         """Ask who is there; a persistent program opens the link again after damage and silence."""
-        silent, told = 0, ""
-        for attempt in range(1, 2 * self.persistence.attempts):
+        silent = unread = 0
+        told, tries = "", 2 * self.persistence.attempts - 1
+        for attempt in range(1, tries + 1):
             try:
                 if attempt > 1:
                     self.link.reopen()
@@ -447,15 +449,17 @@ class Exchange(ABC):
                 if self.link.is_serial or self.link.framed:
                     self.link.clear()
                 identity = self._who.ask()
+                unread = 0
                 if self.persistence.careful:
                     with self._recovery():
                         self._meet_again(identity)
                 return identity
             except (LinkError, TransferError, WrongInstrument) as error:
                 silent += isinstance(error, LinkError)
+                unread += isinstance(error, TransferError)
                 alike = isinstance(error, WrongInstrument) and str(error) == told
-                if alike or silent == _OPENING_ATTEMPTS or attempt == 2 * self.persistence.attempts - 1:
-                    raise
+                if alike or silent == _OPENING_ATTEMPTS or unread == _UNREAD or attempt == tries:
+                    raise nobody_known(self.link, error, attempt) from error
                 told = str(error)
                 self.tally.repeated += 1
                 self.persistence.clock.sleep(_FIRST_PAUSE)

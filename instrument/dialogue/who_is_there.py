@@ -7,7 +7,7 @@ from collections.abc import Callable
 from instrument import scpi
 from instrument.dialogue.identity import Identity, parse_identity
 from instrument.dialogue.link import Link, NoAnswer
-from instrument.errors import InstrumentError, TransferError, WrongInstrument
+from instrument.errors import InstrumentError, LinkError, TransferError, WrongInstrument
 from instrument.facts import POINTS
 
 LINE_END = ":RS232:TRANSMIT:TERMINATOR"
@@ -76,3 +76,20 @@ class WhoIsThere:
             line = self._link.read_text(longest=8192)
             values = [scpi.split_header(part)[1] for part in scpi.split_parts(line)]
         self._markers_due = 0
+
+
+def nobody_known(link: Link, error: InstrumentError, attempts: int) -> InstrumentError:
+    """Return the error that ends the greeting on a link after so many attempts, with what to do about it."""
+    speed = f", and its speed {link.baud_rate} baud" if link.is_serial else ""
+    if isinstance(error, TransferError):
+        times = f"{attempts} times " if attempts > 1 else ""
+        return TransferError(
+            f"{link.name}: what came after *IDN? is no answer of an oscilloscope, {times}"
+            f"({str(error).removesuffix('; ask again')}): check that the name is the oscilloscope's{speed}"
+        )
+    if isinstance(error, NoAnswer):
+        more = f" ({attempts} times)" if attempts > 1 else ""
+        return LinkError(
+            f"{error}{more}: check that it is switched on and connected, and that the name is right{speed}"
+        )
+    return error

@@ -18,10 +18,10 @@ from station.sources.workers import Workers
 
 R = TypeVar("R")
 
-TOGETHER = 6_000_000
+TOGETHER = 8_000_000
 """Bytes of small sources that make one piece of work: some 2000 records."""
 
-LARGE = 4 * TOGETHER
+LARGE = 3 * TOGETHER
 """Bytes from which on a source is cut into pieces."""
 
 _MEGABYTE = 1_000_000

@@ -154,7 +154,13 @@ class DatabaseWriter:
 
 @contextmanager
 def reading(file: Path, *, fold: bool = True) -> Iterator[tuple[sqlite3.Connection, Layout]]:
-    """Open a run to read it, finished or cut short.
+    """Open a run to read it, finished or cut short; see :func:`opened`."""
+    with told(file), ExitStack() as held:
+        yield opened(file, held, fold=fold)
+
+
+def opened(file: Path, held: ExitStack, *, fold: bool = True) -> tuple[sqlite3.Connection, Layout]:
+    """Open a run to read it, finished or cut short; it is closed with `held`.
 
     Parameters
     ----------
@@ -167,23 +173,29 @@ def reading(file: Path, *, fold: bool = True) -> Iterator[tuple[sqlite3.Connecti
     RunError
         If it is no run, of a newer version, or damaged.
     """
-    try:
+    with told(file):
         if fold and file.resolve() not in _BEING_WRITTEN:
             if not is_database(file):
                 raise RunError(f"{file}: is not a saved run")
             _fold(file)
-        with ExitStack() as held:
-            db = _connected(file, held)
-            db.text_factory = _text
-            (application,) = db.execute("PRAGMA application_id").fetchone()
-            (version,) = db.execute("PRAGMA user_version").fetchone()
-            try:
-                layout = layout_of(application, version)
-            except ValueError as error:
-                raise RunError(f"{file}: was written by a newer gyrolock ({error}): update this one") from None
-            if layout is None:
-                raise RunError(f"{file}: is a database, but not a saved run of gyrolock")
-            yield db, layout
+        db = _connected(file, held)
+        db.text_factory = _text
+        (application,) = db.execute("PRAGMA application_id").fetchone()
+        (version,) = db.execute("PRAGMA user_version").fetchone()
+        try:
+            layout = layout_of(application, version)
+        except ValueError as error:
+            raise RunError(f"{file}: was written by a newer gyrolock ({error}): update this one") from None
+        if layout is None:
+            raise RunError(f"{file}: is a database, but not a saved run of gyrolock")
+        return db, layout
+
+
+@contextmanager
+def told(file: Path) -> Iterator[None]:
+    """Turn what goes wrong while a run is read into a sentence about it (RunError)."""
+    try:
+        yield
     except (sqlite3.Error, ValueError, OverflowError, OSError) as error:
         if isinstance(error, OSError) or getattr(error, "sqlite_errorcode", 0) & 0xFF == sqlite3.SQLITE_IOERR:
             raise RunError(

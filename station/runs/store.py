@@ -13,7 +13,7 @@ import shutil
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,8 +37,7 @@ _ASIDE = " (set aside "
 _NAMED = 20  # gaps among the records that are named one by one
 
 
-@dataclass(frozen=True)
-class SavedRecord:
+class SavedRecord(NamedTuple):
     """One record of a run.
 
     Attributes

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable, Iterator
+from contextlib import ExitStack
 from pathlib import Path
 
 from station.errors import UsageError
@@ -124,8 +125,13 @@ def is_run(source: Path | Source) -> bool:
     return is_database(source) if isinstance(source, Path) else source.is_run
 
 
-def open_source(path: Path | Source) -> Source:
+def open_source(path: Path | Source, held: ExitStack | None = None) -> Source:
     """Open one source; its content decides what it is. One of a data set is open already.
+
+    Parameters
+    ----------
+    held : ExitStack, optional
+        A run's file stays open until this is closed: for who reads it at once.
 
     Raises
     ------
@@ -137,4 +143,4 @@ def open_source(path: Path | Source) -> Source:
     if path.is_dir() and not _holds_run(path):
         with os.scandir(path):  # one that may not be looked at says so
             pass
-    return RunSource(path) if is_database(path) else TekFile(path)
+    return RunSource(path, held) if is_database(path) else TekFile(path)

@@ -67,17 +67,23 @@ def batch_arrays(batch: RecordBatch, room: NDArray[np.float64] | None = None) ->
 
 def _volts(batch: RecordBatch, room: NDArray[np.float64] | None) -> NDArray[np.float64]:
     """(code - YOFF) YMULT + YZERO, some records at a time: they stay in the processor's cache meanwhile."""
-    yoff, ymult, yzero = (
-        np.array([getattr(preamble, name) for preamble in batch.preambles])[:, np.newaxis]
-        for name in ("yoff", "ymult", "yzero")
-    )
     fits = room is not None and room.shape[1:] == batch.codes.shape[1:] and len(room) >= len(batch)
     volts = room[: len(batch)] if room is not None and fits else np.empty(batch.codes.shape)
+    # one number for all rows is quicker than one for each, and most batches have one preamble
+    alike = all(preamble is batch.preambles[0] for preamble in batch.preambles)
+    preambles = batch.preambles[:1] if alike else batch.preambles
+    yoff, ymult, yzero = (
+        np.array([getattr(preamble, name) for preamble in preambles])[:, np.newaxis]
+        for name in ("yoff", "ymult", "yzero")
+    )
     for first in range(0, len(batch), _IN_CACHE):
-        some = slice(first, first + _IN_CACHE)
-        np.subtract(batch.codes[some], yoff[some], out=volts[some])
-        volts[some] *= ymult[some]
-        volts[some] += yzero[some]
+        rows = slice(first, first + _IN_CACHE)
+        of = slice(None) if alike else rows
+        some = volts[rows]
+        some[...] = batch.codes[rows]
+        some -= yoff[of]
+        some *= ymult[of]
+        some += yzero[of]
     return volts
 
 

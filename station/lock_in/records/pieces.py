@@ -6,6 +6,7 @@ import itertools
 import math
 import threading
 from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, TypeVar
@@ -247,22 +248,24 @@ class _Reading:
 
     def read(self) -> None:
         """Read the source; what is wrong with it is kept as a sentence."""
-        piece = self._piece
         try:
-            source = open_source(piece.path)
-            self._name = source.name
-            if piece.known and source.sha256 == piece.known:
-                self._sha256 = piece.known
-                return
-            self._about = about(source)
-            self.method = method_of(source, piece.choices)
-            settings = source.facts.settings
-            self._front_end = settings if any((settings.get("front_end") or {}).values()) else None
-            for record in source.records(piece.numbers):
-                self._take(record, source)
-            self._sha256 = source.sha256 if piece.numbers is None else piece.sha256
+            with ExitStack() as held:
+                self._read_from(open_source(self._piece.path, held))
         except (StationError, InstrumentError, OSError) as error:
             self._left_out.append(LeftOut(self._name, None, str(error).removeprefix(f"{self._name}: ")))
+
+    def _read_from(self, source: Source) -> None:
+        piece, self._name = self._piece, source.name
+        if piece.known and source.sha256 == piece.known:
+            self._sha256 = piece.known
+            return
+        self._about = about(source)
+        self.method = method_of(source, piece.choices)
+        settings = source.facts.settings
+        self._front_end = settings if any((settings.get("front_end") or {}).values()) else None
+        for record in source.records(piece.numbers):
+            self._take(record, source)
+        self._sha256 = source.sha256 if piece.numbers is None else piece.sha256
 
     def _take(self, record: SavedRecord, source: Source) -> None:
         if not record.intact:

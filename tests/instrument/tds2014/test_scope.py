@@ -383,6 +383,12 @@ def test_listener_that_never_answers(manager, impatient):
             TDS2014(name, resource_manager=manager)
 
 
+def test_somebody_who_answers_no_text(line_server, line_scope, manager, impatient):
+    line_scope.damage = lambda line, answer: b"\xfe\xff\x80\n"
+    with pytest.raises(TransferError, match=r"what came after \*IDN\? is no answer .* check that the name"):
+        TDS2014(line_server.resource_name, resource_manager=manager)
+
+
 @pytest.mark.parametrize("name", ["nonsense", "GPIB0::77::INSTR", "ASRL/dev/none::INSTR", ""])
 def test_resource_that_does_not_exist(manager, name):
     with pytest.raises(LinkError, match="cannot open"):

@@ -23,7 +23,7 @@ pytest.importorskip("h5py", reason="the extra `data` is not installed")
 
 
 def content(run: SavedRun) -> tuple[object, ...]:
-    return ([vars(record) for record in run.records], dict(run.facts), run.unusable, run.protected, run.damaged)
+    return (list(run.records), dict(run.facts), run.unusable, run.protected, run.damaged)
 
 
 def without_place(document: dict[str, object]) -> dict[str, object]:

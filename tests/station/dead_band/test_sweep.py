@@ -86,7 +86,7 @@ def test_a_tilted_axis_is_turned_faster_and_freed_of_the_horizontal_earth_rate(s
     curve = result["hyperbola"]
     assert curve["lock_in_rate_dps"] == pytest.approx(0.01, abs=2e-5)
     # an operator's table has no azimuth: what that leaves open is in the uncertainty
-    unknown = [replace(one, conditions=without_azimuth(one.conditions)) for one in run.records]
+    unknown = [one._replace(conditions=without_azimuth(one.conditions)) for one in run.records]
     blind = evaluate_run(replace(run, records=tuple(unknown)))
     part = blind.found.parts["earth_rate"]
     assert part == pytest.approx(
@@ -173,7 +173,7 @@ def test_hysteresis_is_found_told_and_paid_for(sweep: Sweep) -> None:
 def test_a_damaged_record_is_left_out_by_name(sweep: Sweep) -> None:
     run = sweep()
     first, *others = run.records
-    spoilt = replace(run, records=(replace(first, intact=False), *others))
+    spoilt = replace(run, records=(first._replace(intact=False), *others))
     found = evaluate_run(spoilt)
     assert [one.name for one in found.result.left_out] == [first.key]
     assert found.document()["records"] == len(others)

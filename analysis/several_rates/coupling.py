@@ -42,8 +42,10 @@ class CouplingSeen:
 
     @property
     def most(self) -> float:
-        """Largest size of c that is likely."""
-        return abs(self.share) + self.reach * self.u
+        """Largest c that is likely. It is never negative: where it surely seems so, the rates are wrong."""
+        if self.share < -self.reach * self.u:
+            return abs(self.share) + self.reach * self.u
+        return max(self.share + self.reach * self.u, self.u)
 
 
 def coupling_seen(

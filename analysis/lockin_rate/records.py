@@ -100,7 +100,7 @@ def estimate_lock_in(
     third, third_u = third_harmonic(fit, stack.n_samples)
     with np.errstate(all="ignore"):  # records without a beat divide by zero; their flags are fatal
         beat = Beat.of(fit, stack.n_samples, sample_interval)
-        beat, flags = compare_pieces(beat, fit.flags, stack, mask, sample_interval)
+        beat, flags = compare_pieces(beat, fit, stack, mask, sample_interval)
         per_degree = np.array([scale_factor, 1.0])
         value, value_u, low, high = rate_of_ratio(
             beat.size,

@@ -242,10 +242,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
             out(f"| {mode} | {base:g} | {' | '.join(cells)} |\n")
             sys.stdout.flush()
     for column in (*LIMITS_MS, *silent):
-        found_ms, cells = medians[column], len(medians[column])
-        out(
-            f"\n{column}: {np.median(found_ms):.2f} ms in the median of {cells} cells, {max(found_ms):.2f} ms at most"
-        )
+        found_ms = medians[column]
+        middle, largest = float(np.median(found_ms)), max(found_ms)
+        out(f"\n{column}: {middle:.2f} ms in the median of {len(found_ms)} cells, {largest:.2f} ms at most")
     out(f"\n\n{too_slow} of them above the limit: {LIMITS_MS} ms\n")
     return int(too_slow > 0)
 

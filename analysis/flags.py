@@ -24,6 +24,7 @@ class Flag(IntFlag):
     ROUNDING_REPEATS = 8192
     AMPLITUDE_LOST = 16384
     PARTS_DIFFER = 32768
+    FEW_LEVELS = 65536
     TABLE_MISMATCH = 1 << 20
     SCALE_FACTOR_MISMATCH = 1 << 21
 
@@ -31,7 +32,7 @@ class Flag(IntFlag):
 FATAL = Flag.NO_BEAT | Flag.CONSTANT | Flag.TOO_FEW_SAMPLES | Flag.NOT_LOCK_IN_LIKE
 """With any of these no lock-in rate can be given; the estimate's fields are nan."""
 
-DOUBTFUL = Flag.MISFIT | Flag.AMPLITUDE_LOST | Flag.PARTS_DIFFER | Flag.FEW_PERIODS
+DOUBTFUL = Flag.MISFIT | Flag.AMPLITUDE_LOST | Flag.PARTS_DIFFER | Flag.FEW_PERIODS | Flag.FEW_LEVELS
 """With any of these the record was not what the estimate rests on: the number may be off by more than u."""
 
 _SENTENCES = {
@@ -58,6 +59,8 @@ _SENTENCES = {
     "averaged over a phase that was not triggered, which spoils the ratio. Use SAMPLE mode.",
     Flag.PARTS_DIFFER: "Parts of the record show different lock-in rates, or no beat: something changed while it "
     "was taken (beam, rate, time base, vibration). The uncertainty holds the difference.",
+    Flag.FEW_LEVELS: "The beat has the height of a few levels of the converter only: a gyro that swings inside "
+    "lock-in looks like that. Use a finer vertical scale, and see that the gyro turns.",
     Flag.TABLE_MISMATCH: "Beat frequencies, harmonics and table rates do not fit together: a slow or AC-coupled "
     "channel or distortion changes the second harmonic, or scale factor, table rate or north are not as stated.",
     Flag.SCALE_FACTOR_MISMATCH: "The scale factor that an independent angle or the earth rate gives is not the "

@@ -8,7 +8,7 @@ from analysis.lock_in_run.records import Batch, RecordArrays, RunArrays, RunKnow
 from analysis.lock_in_run.result import LockInRun
 from analysis.lock_in_run.seen import LockInSeen, lock_in_seen
 from analysis.lock_in_run.table_check import ScaleFactorCheck, TableCheck
-from analysis.lock_in_run.table_rate import AxisRates, Tilt, find_tilt
+from analysis.lock_in_run.table_rate import AxisRates, Tilt, fast_estimates, find_tilt
 
 __all__ = [
     "AxisRates",
@@ -26,6 +26,7 @@ __all__ = [
     "TableCheck",
     "Tilt",
     "evaluate",
+    "fast_estimates",
     "find_tilt",
     "joined",
     "lock_in_seen",

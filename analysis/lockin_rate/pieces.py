@@ -15,10 +15,11 @@ from analysis.flags import FATAL, Flag
 from analysis.lockin_rate.beat import Beat
 from analysis.lockin_rate.rate import rate_and_slopes
 from analysis.waveform.records import Stack, never_alone
-from analysis.waveform.waveform_fit import fit_waveform
+from analysis.waveform.waveform_fit import WaveformFit, fit_waveform
 
-SUSPECT = Flag.MISFIT | Flag.RATE_WANDER | Flag.COLOURED_NOISE
-"""What makes the parts worth a look."""
+SUSPECT = Flag.MISFIT | Flag.RATE_WANDER
+"""What makes the parts worth a look; noise that is not white does where it is stronger at the beat than elsewhere,
+since what happens in one part never leaves less there."""
 
 PERIODS = 4.0
 SAMPLES = 100
@@ -30,18 +31,20 @@ UNLIKELY, RARE = 1e-4, 1e-2
 
 
 def compare_pieces(
-    beat: Beat, flags: Ints, stack: Stack, clipped: Bools | None, sample_interval: float
+    beat: Beat, fit: WaveformFit, stack: Stack, clipped: Bools | None, sample_interval: float
 ) -> tuple[Beat, Ints]:
     """The beats, their uncertainty enlarged by what their parts say, and the flags with that of parts that differ.
 
     Parameters
     ----------
-    beat, flags : (R,)
+    beat, fit : (R,)
         Of the whole records.
     clipped : (R, N) of bool or None
         As for `fit_waveform`.
     """
-    suspect = ((flags & int(SUSPECT)) != 0) & ((flags & int(FATAL)) == 0)
+    flags = fit.flags
+    louder = ((flags & int(Flag.COLOURED_NOISE)) != 0) & (fit.excess.max(axis=-1) > 1)
+    suspect = (((flags & int(SUSPECT)) != 0) | louder) & ((flags & int(FATAL)) == 0)
     pieces = np.minimum(np.minimum(beat.periods / PERIODS, stack.n_samples / SAMPLES), MOST_PIECES)
     number = np.where(suspect & np.isfinite(pieces), pieces, 0).astype(int)
     for n_pieces in range(2, MOST_PIECES + 1):

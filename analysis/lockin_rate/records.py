@@ -12,6 +12,7 @@ from analysis.lockin_rate.beat import Beat, beat_flags, is_weaker
 from analysis.lockin_rate.estimate import LockInEstimate
 from analysis.lockin_rate.pieces import compare_pieces
 from analysis.lockin_rate.rate import backscatter_phase, rate_of_ratio
+from analysis.waveform.quantisation import of_few_levels
 from analysis.waveform.records import NanPolicy, as_stack, never_alone
 from analysis.waveform.third_harmonic import third_harmonic
 from analysis.waveform.waveform_fit import fit_waveform
@@ -99,7 +100,7 @@ def estimate_lock_in(
     third, third_u = third_harmonic(fit, stack.n_samples)
     with np.errstate(all="ignore"):  # records without a beat divide by zero; their flags are fatal
         beat = Beat.of(fit, stack.n_samples, sample_interval)
-        beat, flags = compare_pieces(beat, fit.flags, stack, mask, sample_interval)
+        beat, flags = compare_pieces(beat, fit, stack, mask, sample_interval)
         per_degree = np.array([scale_factor, 1.0])
         value, value_u, low, high = rate_of_ratio(
             beat.size,
@@ -111,6 +112,7 @@ def estimate_lock_in(
             relation,
         )
     flags = flags | beat_flags(beat, flags, stack.n_samples)
+    flags[of_few_levels(stack.volts, beat.amplitude, fit.noise_rms)] |= Flag.FEW_LEVELS
     if full_amplitude is not None:
         flags[is_weaker(beat, fit, full_amplitude, stack.n_samples)] |= Flag.AMPLITUDE_LOST
     fatal = (flags & int(FATAL)) != 0

@@ -20,6 +20,7 @@ from analysis.arrays import Bools, Complexes, Floats
 from analysis.errors import NoFit
 from analysis.lockin_rate import LockInEstimate
 from analysis.several_rates.checks import leave_out, rates_flags, rates_that_differ, scale_factor_of_rates
+from analysis.several_rates.coupling import CouplingSeen, coupling_seen
 from analysis.several_rates.least_squares import RatioFit, all_solutions, fit_ratios, whitened
 from analysis.several_rates.points import Points, gather
 from analysis.several_rates.ratio_model import (
@@ -40,7 +41,7 @@ from analysis.several_rates.ratio_records import (
 )
 from analysis.several_rates.receiver import ReceiverKnowledge
 from analysis.several_rates.result import Model, ModelFit, RatesFit, RatesFlag
-from analysis.several_rates.solutions import answer, by_profile, lock_in_u, polar_covariance, with_coupling
+from analysis.several_rates.solutions import Answer, answer, by_profile, lock_in_u, polar_covariance, with_coupling
 
 FREE: dict[Model, tuple[bool, ...]] = {
     "lock-in": (False, False, False, False),
@@ -204,7 +205,7 @@ def _fit(
     if found.singular[0]:
         raise NoFit(f"these records cannot tell the unknowns of the model {model!r} apart: {MORE_RECORDS}")
     fits = _models(points, found, known, chosen)
-    result = _result(records, used, points, fits, found, known, chosen, receiver)
+    result = _result(records, used, points, fits, found, known, chosen, receiver, rate_u)
     return replace(result, flags=result.flags | (RatesFlag.STATED_LIMITS_EXCEEDED if contradicted else 0))
 
 
@@ -264,6 +265,7 @@ def _result(
     known: Prior,
     chosen: Model,
     receiver: ReceiverKnowledge | None,
+    rate_u: Floats,
 ) -> RatesFit:
     fit, prior = fits[chosen], _prior(chosen, known)
     degrees = _degrees(fit, points, prior)
@@ -275,7 +277,9 @@ def _result(
     mismatch = _rate_mismatch(records, said.value)
     # coupling without loss bends the beat against the rate as well
     differ = bool(np.any(rates_that_differ(np.abs(records.rate), said.value, said.u, mismatch)))
-    said = with_coupling(said, fit, records.scale_factor, failed=p_value < UNLIKELY or differ)
+    coupling = _coupling(records, used, rate_u, mismatch, said, float(fit.parameters[0, 3]))
+    failed = p_value < UNLIKELY or differ
+    said = with_coupling(said, fit, records.scale_factor, failed=failed, by_beats=coupling)
     us, fitted = np.sqrt(np.diagonal(covariance)), np.where([True, True, *FREE[chosen]], 1.0, np.nan)
     at_least = _at_least(records, said.high)
     left, deviation = _residuals(fit, points.records, used)
@@ -391,6 +395,21 @@ def _at_least(records: RatioRecords, high: float) -> float:
     rates = np.abs(records.rate[records.locked])
     possible = rates[rates <= high]
     return float(possible.max()) if possible.size else 0.0
+
+
+def _coupling(
+    records: RatioRecords, used: Bools, rate_u: Floats, mismatch: Floats, said: Answer, gain_time: float
+) -> CouplingSeen | None:
+    """Coupling without loss by the beats of the records used; ``None`` where the rates given tell nothing."""
+    used = used & np.isfinite(mismatch)
+    if records.rate_of_beat or not (used.any() and said.value > 0):
+        return None
+    rate, frequency = records.rate[used], records.beat_frequency[used]
+    square = (said.value / rate) ** 2
+    rate_u = np.broadcast_to(rate_u, records.rate.shape)[used] / np.abs(rate) / (1 - square)
+    us = np.hypot(records.beat_frequency_u[used] / frequency, rate_u)
+    slowness = 2 * np.pi * frequency * gain_time
+    return coupling_seen(rate, mismatch[used], us, square, slowness, said.u / said.value)
 
 
 def _rate_mismatch(records: RatioRecords, lock_in_rate: float) -> Floats:

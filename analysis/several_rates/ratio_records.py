@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from analysis.arrays import Bools, Complexes, Floats
+from analysis.budget.unstated import SECOND_ORDER_LIMIT
 from analysis.flags import Flag
 from analysis.lockin_rate import LockInEstimate
 
@@ -30,6 +31,7 @@ class RatioRecords:
     third, third_u : third harmonic beyond the waveform in phase with distortion, over the amplitude; inf: unknown
     usable, locked : records with a ratio; records that show no beat
     misfit : records whose waveform is not the lock-in one within its noise
+    rate_of_beat : whether the rates are those that the records themselves gave, and test no beat
     """
 
     rate: Floats
@@ -45,6 +47,7 @@ class RatioRecords:
     misfit: Bools
     scale_factor: float
     noise_model: str
+    rate_of_beat: bool
 
 
 def records_of_estimates(
@@ -86,6 +89,8 @@ def records_of_estimates(
         third_harmonic_u=np.concatenate([e.third_harmonic_u for e in flat]),
         misfit=(flags & int(Flag.MISFIT)) != 0,
         noise_model="; ".join(dict.fromkeys(e.noise_model for e in flat)),
+        rate_of_beat=not any(e.rate_given for e in flat)
+        and np.allclose(np.abs(rate), own, rtol=_THE_SAME, equal_nan=True),
     )
 
 
@@ -102,6 +107,7 @@ def records_of_arrays(
     third_harmonic_u: ArrayLike = np.inf,
     misfit: ArrayLike = False,
     noise_model: str = "the covariances given",
+    rate_of_beat: bool = False,
 ) -> RatioRecords:
     """Records of plain arrays of n values; a beat frequency of 0 marks a record without a beat.
 
@@ -145,14 +151,19 @@ def records_of_arrays(
         misfit=_column("misfit", misfit, w.size).astype(bool),
         scale_factor=float(scale_factor),
         noise_model=noise_model,
+        rate_of_beat=rate_of_beat,
     )
+
+
+_THE_SAME = 1e-9
 
 
 def common_mismatch(records: RatioRecords) -> float:
     """What all beats have in common against their rates: f/(K W), freed of lock-in by each record's own ratio.
 
-    1 where that is within `FASTER_THAN_POSSIBLE`; nan without a usable record. Anything else is a wrong scale
-    factor, or an error that all rates share. The fast records say it, whose own ratio matters least.
+    1 where that is within `FASTER_THAN_POSSIBLE` and what distortion may do to those ratios; nan without a usable
+    record. Anything else is a wrong scale factor, or an error that all rates share. The fast records say it, whose
+    own ratio matters least.
     """
     if not records.usable.any():
         return float("nan")
@@ -161,7 +172,9 @@ def common_mismatch(records: RatioRecords) -> float:
     square = np.minimum(size[fast] ** 2, 0.99)
     own = records.beat_frequency[records.usable][fast] / records.scale_factor * (1 + square) / (1 - square)
     found = float(np.median(own / np.abs(records.rate[records.usable][fast])))
-    return 1.0 if abs(found - 1) < FASTER_THAN_POSSIBLE else found
+    # W = (f/K)(1 + r^2)/(1 - r^2), and r may be off by the distortion
+    by_distortion = 4 * SECOND_ORDER_LIMIT * float(np.median(size[fast]))
+    return 1.0 if abs(found - 1) < FASTER_THAN_POSSIBLE + by_distortion else found
 
 
 def inconsistent_rate(records: RatioRecords, mismatch: float = 1.0) -> Bools:

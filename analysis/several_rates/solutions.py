@@ -11,6 +11,7 @@ import scipy.special
 
 from analysis.arrays import Floats
 from analysis.lockin_rate import size_interval
+from analysis.several_rates.coupling import GAIN_OVER_DIFFERENCE, CouplingSeen
 from analysis.several_rates.least_squares import RatioFit, profile
 from analysis.several_rates.ratio_model import N_PARAMETERS, Prior, RatioData
 from analysis.several_rates.result import Alternative
@@ -109,11 +110,14 @@ def _ends(height: Callable[[Floats], Floats], sizes: Floats, allowed: float) -> 
 _REFINEMENTS, _FINER = 1, 6
 
 
-def with_coupling(said: Answer, fit: RatioFit, scale_factor: float, *, failed: bool) -> Answer:
+def with_coupling(
+    said: Answer, fit: RatioFit, scale_factor: float, *, failed: bool, by_beats: CouplingSeen | None
+) -> Answer:
     """The answer with what coupling without loss may do to it, for a gain corner that is seen.
 
-    Nobody knows that coupling and the ratios do not show it: it counts with the angle that it may have where all
-    fits, and with twice that angle where the model failed, or the beats are not those of the rates.
+    The ratios do not show that coupling: it counts with the angle that it may have where all fits, and with twice
+    that angle where the model failed, or the beats are not those of the rates; but with no more than beats and
+    rates allow.
 
     With an angle between the backscatter of the two beams WL comes out too high by up to (B_s/g_d)^2, B_s = 2 pi K
     WL tan(eps/2) and g_d a third of g_c for a cross saturation of half the self saturation
@@ -122,8 +126,11 @@ def with_coupling(said: Answer, fit: RatioFit, scale_factor: float, *, failed: b
     gain_time, u = float(fit.parameters[0, 3]), float(np.sqrt(fit.covariance[0, 3, 3]))
     if not gain_time > _SEEN * u:
         return said
-    coupling = _LARGEST_COUPLING if failed else _USUAL_COUPLING
-    share = (2 * math.pi * scale_factor * said.value * coupling * _OVER_G_D * gain_time) ** 2
+    doubtful = failed or (by_beats is not None and by_beats.significant)
+    coupling = _LARGEST_COUPLING if doubtful else _USUAL_COUPLING
+    share = (2 * math.pi * scale_factor * said.value * coupling * GAIN_OVER_DIFFERENCE * gain_time) ** 2
+    if by_beats is not None:
+        share = min(share, by_beats.most)
     extra = share * said.value / math.sqrt(3)
     wide = math.hypot(said.u, extra)
     reach = _NORMAL_95 * extra
@@ -136,7 +143,6 @@ def with_coupling(said: Answer, fit: RatioFit, scale_factor: float, *, failed: b
 _SEEN = 3.3
 _LARGEST_COUPLING, _USUAL_COUPLING = math.sqrt(3.0), 1 / math.sqrt(3.0)
 """tan(eps/2) of 120 and of 60 degrees between the backscatter of the beams."""
-_OVER_G_D = 3.0
 
 
 def polar_covariance(fit: RatioFit) -> Floats:

@@ -44,6 +44,10 @@ SAME_PHASE = 0.05
 AS_OFTEN = 2.5
 """The spectrum's lines scatter, so the repetition found may exceed the number of cycles by this factor."""
 
+FEW_LEVELS = 16.0
+"""Levels of amplitude below which a beat fills so little of the converter (127 levels) that whoever set it saw
+something larger, or nothing like a beat."""
+
 FEW_ERRORS = 1.25
 """Factor of the variance for so few errors, which are not Gaussian, from random records as above."""
 
@@ -74,6 +78,30 @@ def level_spacing(values: Samples, residual_rms: Floats) -> Floats:
         exact = _exact_spacing(values[suspects])
         spacing[suspects] = np.where(residual_rms[suspects] < QUIET * exact, exact, 0.0)
     return spacing
+
+
+def of_few_levels(volts: Samples, amplitude: Floats, residual_rms: Floats) -> Bools:
+    """Where the amplitude of the beat is less than `FEW_LEVELS` levels of the converter, (R,).
+
+    Parameters
+    ----------
+    volts : (R, N)
+        As the converter gave them, in any unit.
+    amplitude, residual_rms : (R,)
+        In that unit.
+    """
+    few = np.zeros(len(volts), dtype=bool)
+    # rounding leaves the root of a twelfth of a level at least
+    suspects = np.flatnonzero(amplitude < FEW_LEVELS * np.sqrt(12) * residual_rms)
+    for run in (*RUNS, volts.shape[1]):
+        differences = np.abs(np.diff(volts[suspects, :run].astype(np.float64), axis=-1))
+        limit = (amplitude[suspects] / FEW_LEVELS)[:, np.newaxis]
+        finer = (differences > 1e-6 * limit) & (differences < limit * (1 - 1e-6))
+        suspects = suspects[~finer.any(axis=-1)]
+    if suspects.size:
+        spacing = _exact_spacing(volts[suspects].astype(np.float64))
+        few[suspects] = amplitude[suspects] < FEW_LEVELS * spacing
+    return few
 
 
 def _exact_spacing(values: Samples) -> Floats:

@@ -22,12 +22,13 @@ from analysis.lock_in_run import (
     RunArrays,
     Tilt,
     evaluate,
+    fast_estimates,
     find_tilt,
     lock_in_seen,
     rows_of_batches,
 )
 from instrument import Waveform
-from station.errors import RunError, UsageError
+from station.errors import NoUsableSignal, RunError, UsageError
 from station.lock_in.found import LockInFound, Numbered, SavedWaveforms
 from station.lock_in.knowledge import knowledge_of_files, run_knowledge
 from station.lock_in.records.collected import Collected
@@ -230,12 +231,21 @@ def fast_run_tilt(run: SavedRun, settings: Settings) -> Tilt:
 
     Raises
     ------
+    NoUsableSignal
+        If a record shows no beat.
     RunError
         If beat and table rate do not fit together.
     """
+    fast, knowledge = _fast_run(run), run_knowledge(settings)
     try:
-        return find_tilt(_fast_run(run), run_knowledge(settings))
+        return find_tilt(fast, knowledge)
     except NoTilt as error:
+        silent = int((~fast_estimates(fast, knowledge).usable).sum())
+        if silent:
+            raise NoUsableSignal(
+                f"{silent} of {len(fast)} records of the fast run show no steady beat: is the gyro locked for a "
+                "part of them? Turn faster (table.fast_rate_dps)"
+            ) from None
         raise RunError(_no_tilt(error)) from None
 
 

@@ -40,8 +40,10 @@ _EAST = 90.0
 _WHY_FAST = "This fast run finds the angle between gyro axis and table axis; then the other sense follows."
 _WHY_OTHER_SENSE = "The other sense takes the earth's rotation out; then the slow rates follow."
 
-_FASTER = 5.0
-"""A fast run in which the gyro is locked is repeated at so many times its rate."""
+_FASTER, _CLEAR = 5.0, 3.0
+"""A fast run in which the gyro is locked, or beats at less than so many expected lock-in rates, is repeated at so
+many times its rate: near lock-in the beat stops where the earth turns the other way, and tells little of the
+tilt."""
 
 
 def take(settings: Settings, session: Session) -> None:
@@ -186,15 +188,24 @@ class _Taking:
             self.progress.note(f"fast run at {fast:+g} deg/s")
             rate = self.bench.turn_table(fast, settings.table.settle_s, _WHY_FAST)
             highest = settings.gyro.scale_factor_pulses_per_deg * fast
+            faster = min(_FASTER * fast, settings.table.highest_rate_dps)
+            is_last = faster <= fast or not settings.rates_are_chosen
             try:
                 knobs = self._find_beat(highest, partial(beats_at, settings, tilt_deg=None))
-                return self._confirmed(rate), knobs
+                if is_last or self._is_clear(knobs):
+                    return self._confirmed(rate), knobs
+                self.progress.note(f"close to lock-in at {fast:g} deg/s, a beat of {knobs.beat_frequency:.4g} Hz")
             except NoUsableSignal as error:
-                faster = min(_FASTER * fast, settings.table.highest_rate_dps)
-                if faster <= fast or not settings.rates_are_chosen:
+                if is_last:
                     raise
                 self.progress.note(f"no record at {fast:g} deg/s: {error}")
-                fast = faster
+            fast = faster
+
+    def _is_clear(self, knobs: KnobPositions) -> bool:
+        """Whether a beat is that of a gyro far above the expected lock-in rate."""
+        gyro = self.settings.gyro
+        seen_dps = knobs.beat_frequency / gyro.scale_factor_pulses_per_deg
+        return seen_dps > _CLEAR * gyro.expected_lock_in_rate_dps
 
     def _take_step(self, step: RateStep, count: int) -> None:
         """Go to one rate, find the beat and take the records; without a table it turns already."""

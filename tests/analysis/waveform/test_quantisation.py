@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from reference import adler_beat, bound, random_records
 
-from analysis import estimate_lock_in
+from analysis import Flag, estimate_lock_in
 
 
 @pytest.mark.parametrize("noise", [0.1, 0.2])
@@ -37,3 +37,17 @@ def test_the_mean_rounding_error_is_that_of_a_simulation():
         ours = mean_rounding(wave[np.newaxis], codes[:1], np.ones(1), rms)[0]
         assert np.abs(ours - seen).max() < 0.025
         assert np.abs(seen).max() > 0.05
+
+
+@pytest.mark.parametrize("scale", [1.0, 0.0032])
+def test_a_beat_of_few_levels_says_so(scale):
+    """A swing inside lock-in looks like a small beat; a beat that fills the converter does not."""
+    rng, n = np.random.default_rng(52), np.arange(2500)
+    heights = np.array([6.0, 12.0, 20.0, 90.0])
+    noise = rng.normal(scale=[[0.3], [2.0], [3.0], [3.0]], size=(4, n.size))
+    codes = np.rint(heights[:, np.newaxis] * np.sin(2 * np.pi * n / 61.3) + noise)
+    flags = estimate_lock_in(scale * codes, 1.0, scale_factor=1.0).flags
+    assert [bool(one & Flag.FEW_LEVELS) for one in flags] == [True, True, False, False]
+    # codes as the scope sends them, and values of no converter
+    assert np.array_equal(estimate_lock_in(codes.astype(np.int8), 1.0, scale_factor=1.0).flags, flags)
+    assert not int(estimate_lock_in(codes[0] + noise[0], 1.0, scale_factor=1.0).flags) & Flag.FEW_LEVELS

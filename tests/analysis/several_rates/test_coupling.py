@@ -1,0 +1,70 @@
+"""Coupling without loss: what beats and rates say of it, against the integrated equations of the laser."""
+
+import numpy as np
+import pytest
+from bench_signals import WL, K, both_senses, ratios_of_slow_gain, volts
+
+from analysis import estimate_lock_in, fit_rate_ratios, fit_rates
+from analysis.several_rates.coupling import coupling_seen
+
+NOISE = 1e-4
+CORNER = 15 * K * WL
+RATES = both_senses(3, 5.3, 9.5, 17, 30)
+
+
+def fitted(phase_sum, *, rates=RATES, steady=1e-5, reference="beat", seed=1):
+    """Records of a laser with its gain corner among the rates, noise on ratios and beats."""
+    rng = np.random.default_rng(seed)
+    rate, ratio, beat = ratios_of_slow_gain(rates, CORNER, np.deg2rad(phase_sum))
+    ratio = ratio + NOISE * (rng.normal(size=rate.size) + 1j * rng.normal(size=rate.size))
+    beat = beat * (1 + steady * rng.normal(size=rate.size))
+    covariance, beat_u = np.eye(2) * NOISE**2, steady * beat
+    return fit_rate_ratios(
+        rate, ratio, covariance, beat, scale_factor=K, beat_frequency_u=beat_u, reference=reference
+    )
+
+
+def test_beats_that_follow_the_rates_rule_coupling_out():
+    """Where nothing tests it, it counts with (1.732 tan(30 deg) K WL/corner * 3)^2 / sqrt 3, 0.8 %."""
+    steady = fitted(0.0)
+    assert steady.lock_in_rate_u < 0.0012 * WL
+    assert abs(steady.lock_in_rate / WL - 1) < 0.005
+    # beats scattered by 1 % about their rates tell nothing
+    assert fitted(0.0, steady=0.01).lock_in_rate_u > 0.007 * WL
+
+
+@pytest.mark.parametrize("reference", ["beat", "rate"])
+@pytest.mark.parametrize("phase_sum", [20, 40, 60])
+def test_coupling_that_the_beats_show_counts_with_its_size(phase_sum, reference):
+    fit = fitted(phase_sum, reference=reference)
+    share = (3 * np.tan(np.deg2rad(phase_sum / 2)) * K * WL / CORNER) ** 2
+    assert fit.lock_in_rate_low_95 < WL < fit.lock_in_rate_high_95
+    assert 0.3 * share < abs(fit.lock_in_rate / WL - 1) < 1.2 * share
+    assert 0.5 * share < fit.lock_in_rate_u / WL < 0.7 * share + 0.002
+
+
+def test_the_size_of_the_coupling_is_found():
+    """By the pattern of the beats alone, beside a wrong scale factor and a rate that is there all the time."""
+    rate, _, beat = ratios_of_slow_gain(RATES, CORNER, np.deg2rad(40))
+    share = (3 * np.tan(np.deg2rad(20)) * K * WL / CORNER) ** 2
+    square = ((1 + share) * WL / rate) ** 2  # as the ratios have it
+    wrong = 1.003 * rate + 1e-4 * WL
+    mismatch = beat / (K * np.abs(wrong) * np.sqrt(1 - square)) - 1
+    seen = coupling_seen(wrong, mismatch, np.full(rate.size, 1e-6), square, beat / CORNER, 1e-6)
+    assert seen is not None
+    assert seen.share == pytest.approx(share, rel=0.1)
+    assert seen.significant
+    assert coupling_seen(wrong[:3], mismatch[:3], np.full(3, 1e-6), square[:3], beat[:3] / CORNER, 1e-6) is None
+
+
+def test_rates_that_come_from_the_beats_test_nothing():
+    """The record's own rate follows the beat, whatever pushes it."""
+    rng, made = np.random.default_rng(5), []
+    for multiple in RATES:
+        records, interval = volts(multiple * WL, 2, rng, gain_corner_hz=CORNER)
+        made.append(estimate_lock_in(records, interval, scale_factor=K))
+    given = np.repeat(RATES * WL, 2)
+    own = np.sign(given) * np.concatenate([one.input_rate for one in made])
+    known, circular = (fit_rates(made, input_rate=rate, reference="beat") for rate in (given, own))
+    assert circular.lock_in_rate == pytest.approx(known.lock_in_rate, rel=1e-3)
+    assert known.lock_in_rate_u < 0.003 * WL < 0.007 * WL < circular.lock_in_rate_u

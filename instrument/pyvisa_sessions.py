@@ -73,22 +73,37 @@ def forget_adapter(interface_name: str) -> None:
 
     PyVISA-py enters it before it is open and leaves it there, socket and all: every GPIB name would go to it.
     """
-    try:
-        module = importlib.import_module("pyvisa_py.prologix")
-    except ImportError:
-        return
-    board = re.sub(r"\D", "", interface_name.partition("::")[0]) or "0"
-    known = getattr(module, "_PrologixIntfcSession", None)
-    session = known.boards.pop(board, None) if known is not None else None
+    session = _adapters().pop(_board(interface_name), None)
     if session is not None:
         with contextlib.suppress(Exception):
             session.interface.close()
 
 
+def _adapters() -> dict[str, Any]:
+    """PyVISA-py's sessions of adapters, by the number of the board that they stand for."""
+    try:
+        module = importlib.import_module("pyvisa_py.prologix")
+    except ImportError:
+        return {}
+    boards: dict[str, Any] = getattr(getattr(module, "_PrologixIntfcSession", None), "boards", {})
+    return boards
+
+
+def _board(name: str) -> str:
+    """Number of the interface that a name begins with."""
+    return re.sub(r"\D", "", name.partition("::")[0]) or "0"
+
+
 def session_of(resource: MessageBasedResource) -> object | None:
     """PyVISA-py's own session of a resource; None with another VISA."""
-    sessions = getattr(resource.visalib, "sessions", None)
-    return sessions.get(resource.session) if isinstance(sessions, dict) else None
+    sessions = _sessions_of(resource.visalib)
+    return None if sessions is None else sessions.get(resource.session)
+
+
+def _sessions_of(library: object) -> dict[Any, Any] | None:
+    """PyVISA-py's own sessions; None with another VISA."""
+    sessions = getattr(library, "sessions", None)
+    return sessions if isinstance(sessions, dict) else None
 
 
 def socket_of(holder: object | None) -> socket.socket | None:
@@ -124,7 +139,32 @@ def claim_instrument(name: str, manager: pyvisa.ResourceManager | None) -> Claim
     An instrument that is simulated within this program is nobody else's.
     """
     manager = _manager(name, manager)
-    return Claim(None) if getattr(manager.visalib, "in_this_program", False) else claim(name)
+    return (
+        Claim(None)
+        if getattr(manager.visalib, "in_this_program", False)
+        else claim(name, means=_meant(name, manager))
+    )
+
+
+def meant_by(name: str) -> str:
+    """The resource name that an alias stands for with PyVISA's own choice of a VISA; any other name as it is."""
+    if "::" in name or "/" in name:
+        return name
+    try:
+        return _meant(name, pyvisa.ResourceManager())
+    except Exception:  # without any VISA there are no aliases
+        return name
+
+
+def _meant(name: str, manager: pyvisa.ResourceManager) -> str:
+    """What a VISA understands by an alias; of a GPIB name the adapter that PyVISA-py has put behind its board."""
+    if name.upper().startswith("GPIB") and _sessions_of(manager.visalib) is not None:
+        adapter = _adapters().get(_board(name))
+        return name if adapter is None else str(adapter.parsed)
+    try:
+        return manager.resource_info(name).resource_name or name
+    except Exception:  # a name of ours, or none at all: opening it will say so
+        return name
 
 
 def open_instrument(

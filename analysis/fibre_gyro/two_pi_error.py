@@ -7,17 +7,20 @@ phi = 2 pi s (1 + eps)/2^N + phi_0, phi_0 the phase at rest, the mean errors of 
     with one          e_r = -A [ sin(phi) + sin(phi -+ 2 pi eps) ]      - for s > 0, + for s < 0           (19)
 
 Their ratio does not hold A, so that the light level need not be known; both senses separate phi_0. A, eps and
-phi_0 are fitted to all segments by weighted least squares.
+phi_0 are fitted to all segments by weighted least squares. What the segments scatter beyond their noise counts in
+the uncertainties, as for the runs of a rate table (`rate_table/scatter.py`).
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from analysis.arrays import Floats
+from analysis.fibre_gyro.rate_table.scatter import find_run_scatter
 
 _ITERATIONS = 20
 _CONVERGED = 1e-9  # of the standard uncertainty
@@ -37,6 +40,8 @@ class TwoPiError:
         phi_0: rotation, and the feedback step that was held.
     degrees_of_freedom : int
         Two errors a segment less the three parameters.
+    contributions : mapping of str to float
+        To the uncertainty of eps: "normal" and "reset" noise of either kind of pairs, "scatter" beyond both.
     """
 
     two_pi_error: float
@@ -47,6 +52,7 @@ class TwoPiError:
     rest_phase_u_rad: float
     chi_square: float
     degrees_of_freedom: int
+    contributions: Mapping[str, float]
 
 
 def estimate_two_pi_error(
@@ -70,8 +76,8 @@ def estimate_two_pi_error(
     normal_error, reset_error : array_like, shape (n,)
         Mean errors of the sample pairs without and with a fall of the staircase, in any one unit.
     normal_u, reset_u : array_like, shape (n,)
-        Their standard uncertainties; those of the result grow by sqrt(chi^2/degrees of freedom) where they are
-        too small for the scatter.
+        Their standard uncertainties; the scatter that the segments show beyond them counts too. 1.96 of what is
+        given are half a 95 % interval.
     dac_bits : int
         N.
 
@@ -111,12 +117,29 @@ def estimate_two_pi_error(
             break
     else:
         raise ValueError("the errors do not fit an open loop: no 2 pi error agrees with them")
-    chi_square = float(np.sum(((error - _model(parameters, turns)[0]) * weight) ** 2))
-    freedom = error.size - 3
-    u = np.sqrt(np.diag(covariance) * max(1.0, chi_square / freedom))
+    model, slopes = _model(parameters, turns)
+    design, left = slopes.reshape(-1, 3), (error - model).ravel()
+    scatter = find_run_scatter(design, left + design @ parameters, error_u.ravel(), 0.0)
+    factors = scatter.estimator(design, by_known=True)
+    u = [scatter.standard_u(row) for row in factors]
+    normal_part, reset_part = np.linalg.norm(factors[1].reshape(error.shape) * error_u, axis=1)
     values = [float(v) for pair in zip(parameters, u, strict=True) for v in pair]
     amplitude, amplitude_u, eps, eps_u, rest, rest_u = values
-    return TwoPiError(eps, eps_u, amplitude, amplitude_u, rest, rest_u, chi_square, freedom)
+    return TwoPiError(
+        two_pi_error=eps,
+        two_pi_error_u=eps_u,
+        amplitude=amplitude,
+        amplitude_u=amplitude_u,
+        rest_phase_rad=rest,
+        rest_phase_u_rad=rest_u,
+        chi_square=float(np.sum((left * weight.ravel()) ** 2)),
+        degrees_of_freedom=error.size - 3,
+        contributions={
+            "normal": float(normal_part),
+            "reset": float(reset_part),
+            "scatter": scatter.parts(factors[1])["scatter"],
+        },
+    )
 
 
 def _check(step: Floats, turns: Floats, error: Floats, error_u: Floats) -> None:

@@ -1,9 +1,11 @@
 """A simulated ring laser gyro on a turning table: its beat, and what detector and bench add to it.
 
 `motion` the table, `gyro` the fringes at a given rate, `winking` those of a laser with slow gain, `beat` the phase
-over time, `detector` the volts with distortion and filters, `signals` the whole as functions of absolute time.
+over time, `detector` the volts with distortion and filters, `signals` the whole as functions of absolute time,
+`averaged` the mean of many stretches of it.
 """
 
+from analysis.ring_laser.averaged import mean_beat_on_table
 from analysis.ring_laser.beat import axis_rate_on_table, beat_phase_on_table
 from analysis.ring_laser.detector import Detector, detector_signal
 from analysis.ring_laser.gyro import Gyro
@@ -11,6 +13,7 @@ from analysis.ring_laser.motion import Motion
 from analysis.ring_laser.signals import (
     NoisySignal,
     beat_signal_on_table,
+    signal_above,
     signal_bounds,
     smooth_interval,
     with_detector_noise,
@@ -29,6 +32,8 @@ __all__ = [
     "beat_phase_on_table",
     "beat_signal_on_table",
     "detector_signal",
+    "mean_beat_on_table",
+    "signal_above",
     "signal_bounds",
     "smooth_interval",
     "steady_beat",

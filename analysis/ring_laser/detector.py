@@ -39,6 +39,8 @@ class Detector:
         harmonics of a pure beat are then second_order / 2 and third_order / 4 of it.
     low_pass_hz, ac_corner_hz : float
         Corners of one pole each; 0: there is none.
+    coupling_hz : float
+        Corner of the AC coupling of what looks at the signal, as `ac_corner_hz`.
     pump_ripple, pump_hz : float
         The light swings by this share.
     single_beams : float
@@ -55,15 +57,16 @@ class Detector:
     pump_ripple: float = 0.0
     pump_hz: float = 0.0
     single_beams: float = 0.0
+    coupling_hz: float = 0.0
 
     @property
     def filtered(self) -> bool:
         """Whether anything in it depends on the frequency."""
-        return self.low_pass_hz > 0 or self.ac_corner_hz > 0
+        return self.low_pass_hz > 0 or self.ac_corner_hz > 0 or self.coupling_hz > 0
 
     def without_filters(self) -> Detector:
         """The same detector with an amplifier for all frequencies."""
-        return replace(self, low_pass_hz=0.0, ac_corner_hz=0.0) if self.filtered else self
+        return replace(self, low_pass_hz=0.0, ac_corner_hz=0.0, coupling_hz=0.0) if self.filtered else self
 
     def volts(self, fringe: Complexes, backscatter_phase: float) -> Floats:
         """Signal before any filter, V, for exp(i (phi + beta))."""
@@ -77,14 +80,24 @@ class Detector:
         gain = np.ones_like(frequency, dtype=np.complex128)
         if self.low_pass_hz > 0:
             gain *= low_pass(frequency, self.low_pass_hz)
-        if self.ac_corner_hz > 0:
-            gain *= high_pass(frequency, self.ac_corner_hz)
+        for corner in (self.ac_corner_hz, self.coupling_hz):
+            if corner > 0:
+                gain *= high_pass(frequency, corner)
         return gain
 
     def swing(self, times: Floats) -> Floats:
         """The light at absolute times in s over its mean."""
+        return np.asarray(1 + self.pump_ripple * np.sin(self._pump_phase(times)))
+
+    def mean_swing(self, starts: Floats, times: Floats) -> Floats:
+        """Mean over several starts (absolute, s) of `swing` at times in s behind each."""
+        together = np.exp(1j * self._pump_phase(starts)).mean()
+        return np.asarray(1 + self.pump_ripple * (np.exp(1j * self._pump_phase(times)) * together).imag)
+
+    def _pump_phase(self, times: Floats) -> Floats:
+        """Phase of the light's swing in rad, less whole turns."""
         cycles = self.pump_hz * times
-        return np.asarray(1 + self.pump_ripple * np.sin(2 * np.pi * (cycles - np.floor(cycles))))
+        return np.asarray(2 * np.pi * (cycles - np.floor(cycles)))
 
 
 def detector_signal(gyro: Gyro, detector: Detector, axis_rate: Floats, beat_phase: Floats) -> Floats:
@@ -160,6 +173,15 @@ def _by_harmonics(gyro: Gyro, detector: Detector, rates: Floats, phases: Floats,
         left, right = _real_series(_either_side(gyro, detector, cell, sense), turning[inside])
         volts[inside] = left + (place[inside] - cell) * (right - left)
     return volts
+
+
+def amplitudes_at(gyro: Gyro, detector: Detector, axis_rate: float) -> Complexes:
+    """Complex amplitudes of the harmonics 0, 1, ... behind the filters, V, at a rate beyond lock-in in deg/s.
+
+    That of the nearest point of the finer grid, a four thousandth of the rate away at most.
+    """
+    place = float(grid_place(np.array([abs(axis_rate)]), gyro.lock_in_rate)[0])
+    return _between(gyro, detector, round(place * FINER), 1 if axis_rate > 0 else -1)
 
 
 @lru_cache(maxsize=8192)

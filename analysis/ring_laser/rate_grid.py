@@ -54,7 +54,7 @@ def interpolate(rates: Floats, lock_in_rate: float, at_point: Callable[[int, Ind
     values = np.empty(rates.shape)
     for cell in np.unique(cells):
         inside = np.flatnonzero(cells == cell)
-        weights = _lagrange(place[inside] - cell)
+        weights = six_weights(place[inside] - cell)
         values[inside] = sum(
             weight * at_point(int(cell + offset), inside) for offset, weight in zip(_OFFSETS, weights, strict=True)
         )
@@ -64,7 +64,7 @@ def interpolate(rates: Floats, lock_in_rate: float, at_point: Callable[[int, Ind
 def weights_at(place: float) -> list[tuple[int, float]]:
     """Points of the grid around one place, and their weights."""
     cell = math.floor(place)
-    weights = _lagrange(place - cell)
+    weights = six_weights(place - cell)
     return [(int(cell + offset), weight) for offset, weight in zip(_OFFSETS, weights, strict=True)]
 
 
@@ -74,8 +74,8 @@ def grid_place(size: Floats, lock_in_rate: float) -> Floats:
     return np.asarray(np.log(np.maximum(beat_rate, _LOWEST_DPS)) / STEP)
 
 
-def _lagrange(x: X) -> list[X]:
-    """Weights of the points around places x between 0 and 1: of an array, or of one number, which is faster."""
+def six_weights(x: X) -> list[X]:
+    """Weights of points -2, -1, ... 3 around places x between 0 and 1: of an array, or of a number (faster)."""
     weights = []
     for own in _OFFSETS:
         first, *rest = (other for other in _OFFSETS if other != own)

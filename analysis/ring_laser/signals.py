@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
@@ -15,6 +15,9 @@ from analysis.ring_laser.beat import beat_phase_on_table
 from analysis.ring_laser.detector import Detector, detector_signal, volts_between
 from analysis.ring_laser.gyro import Gyro
 from analysis.ring_laser.motion import Motion, split
+
+UNSEEN = 5e-4
+"""Of the amplitude: a twentieth of a level on a full screen."""
 
 _SAME_NOISE_S = 20e-6
 _POINTS_A_PERIOD = 6
@@ -120,6 +123,52 @@ def _bounds(gyro: Gyro, detector: Detector, segment: Motion) -> tuple[float, flo
     return low - swing, high + swing
 
 
+def signal_above(
+    gyro: Gyro, detector: Detector, motion: Sequence[Motion], corner_hz: float, start: float, stop: float
+) -> Callable[[Floats], Floats] | None:
+    """The signal behind an AC coupling of one pole, between two absolute times in s.
+
+    Light and rate that swing a little do not show in what the coupling does: their share of it is left out.
+
+    Returns
+    -------
+    callable or None
+        Absolute times in s -> V. ``None`` where the table changes its rate, the gyro locks, or light or rate swing
+        too much: what a coupling makes of that is not known beforehand.
+    """
+    segments = tuple(motion)
+    pieces = split(segments, np.array([start, stop]))
+    if len(pieces) > 1 or not _coupling_shows_no_swing(gyro, detector, segments[pieces[0][0]], corner_hz):
+        return None
+    coupled = replace(detector, coupling_hz=corner_hz, pump_ripple=0.0)
+
+    def volts(times: Floats) -> Floats:
+        beat = beat_signal_on_table(gyro, coupled, segments, times)
+        if not detector.pump_ripple:
+            return beat
+        swing = detector.swing(times)
+        return np.asarray(
+            beat * swing + detector.offset * (swing - 1)
+        )  # what swings faster than the corner passes
+
+    return volts
+
+
+@lru_cache(maxsize=64)
+def _coupling_shows_no_swing(gyro: Gyro, detector: Detector, segment: Motion, corner_hz: float) -> bool:
+    """Whether a beat goes on steadily enough to know it behind an AC coupling."""
+    if not _smooth_interval(gyro, detector, segment):
+        return False
+    if _resting_volts(gyro, detector, segment) is not None:
+        return not detector.pump_ripple
+    slowest = float(gyro.beat_frequency(np.array([_rates_in(gyro, segment)[0]]))[0])
+    sideways = (
+        gyro.scale_factor * gyro.ripple_dps * corner_hz / slowest**2
+    )  # of the side bands that the ripple makes
+    faint = detector.pump_ripple < 2 * UNSEEN and detector.pump_hz > 2 * corner_hz
+    return sideways < UNSEEN and (faint or not detector.pump_ripple)
+
+
 def _rates_in(gyro: Gyro, segment: Motion) -> tuple[float, float, int]:
     """Slowest and fastest rate on the axis in a turn of the table, deg/s, and their sense; 0: both."""
     rates = gyro.axis_rate(segment.rate_dps, np.arange(0.0, 360.0, 10.0))
@@ -148,6 +197,12 @@ class NoisySignal:
         the smooth part; 0 where that is not known.
     bounds : callable
         Two absolute times in s -> V that the smooth part does not leave between them.
+    above : callable
+        A corner in Hz and two absolute times in s -> the smooth part behind a high-pass of one pole, between these
+        times; ``None`` where that is not known.
+    mean : callable
+        Starts (absolute, s) and times behind each, a corner in Hz (0: none) and its settling time in s -> the mean
+        of the smooth part, behind that high-pass, over all starts; ``None`` where that is not known.
     """
 
     smooth: Callable[[Floats], Floats]
@@ -156,6 +211,8 @@ class NoisySignal:
     stream: int = 0
     interval: Callable[[float, float], float] = lambda start, stop: 0.0
     bounds: Callable[[float, float], tuple[float, float]] = lambda start, stop: (-math.inf, math.inf)
+    above: Callable[[float, float, float], Callable[[Floats], Floats] | None] = lambda corner, start, stop: None
+    mean: Callable[[Floats, Floats, float, float], Floats | None] = lambda starts, times, corner, settling: None
 
     def __call__(self, times: Floats) -> Floats:
         """Volts at absolute times in s."""

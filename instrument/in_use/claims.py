@@ -75,7 +75,7 @@ class Claim:
             _let_go(path)
 
 
-def claim(name: str, doing: str = "") -> Claim:
+def claim(name: str, doing: str = "", *, means: str = "") -> Claim:
     """Keep other programs of this computer from a link. The same process may do so more than once.
 
     Where no file can be locked (no directory that takes one) nobody is kept from anything.
@@ -86,13 +86,15 @@ def claim(name: str, doing: str = "") -> Claim:
         Resource name, as `instrument.in_use.links.link_of` takes it.
     doing : str, optional
         What the others are told that it is used for; the command line if not given.
+    means : str, optional
+        The resource name that `name` stands for, where it is an alias.
 
     Raises
     ------
     LinkError
         Another program uses it; the text says which.
     """
-    link = link_of(name)
+    link = link_of(means or name)
     if not link:
         return Claim(None)
     path = _directory() / _file_name(link)

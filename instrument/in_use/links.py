@@ -6,12 +6,15 @@ import ipaddress
 import os
 import re
 import socket
+from contextlib import suppress
+
+from pyvisa import rname
 
 from instrument.names import behind_adapter, visa_name
 
 _URL = re.compile(r"(?:ASRL)?(?:socket|rfc2217)://(?P<host>[^:/]+|\[[^]]+\]):(?P<port>\d+).*", re.I)
-_NUMBER = re.compile(r"0x[0-9a-f]+|\d+", re.I)
 _CLASSES = ("INSTR", "SOCKET", "INTFC", "RAW")
+_HISLIP_PORT = ",4880"  # the one that is meant where none is named
 
 
 def link_of(name: str) -> str:
@@ -38,28 +41,42 @@ def link_of(name: str) -> str:
     if "loop://" in name.lower():
         return ""
     adapter = behind_adapter(name)
-    first, *rest = (adapter[0] if adapter else visa_name(name)).split("::")
-    kind, family = first.upper(), rest.pop().upper() if rest and rest[-1].upper() in _CLASSES else "INSTR"
-    bare_port = kind.startswith("PRLGX-TCPIP") or (kind.startswith("TCPIP") and family == "SOCKET")
-    if bare_port and len(rest) > 1:
-        return f"tcp {_address(rest[0])} {rest[1]}"
-    if kind.startswith("PRLGX-ASRL") and rest:
-        return _serial(rest[0])
-    if kind.startswith("TCPIP") and rest:
-        return f"lan {_address(rest[0])} {(rest[1] if rest[1:] else 'inst0').lower()}"
-    if kind.startswith("ASRL"):
-        return _serial(first[4:])
-    if kind.startswith("USB") and len(rest) > 2:
-        numbers = (str(int(one, 0)) if _NUMBER.fullmatch(one) else one for one in rest[:2])
-        return f"usb {' '.join(numbers)} {rest[2].upper()}"
-    if kind.startswith("GPIB"):
-        return " ".join(["gpib", kind[4:] or "0", *rest])
+    match _parsed(adapter[0] if adapter else visa_name(name)):
+        case rname.TCPIPSocket() | rname.PrlgxTCPIPIntfc() as one:
+            return f"tcp {_address(one.host_address)} {_plain(one.port)}"
+        case rname.TCPIPInstr() as one:
+            return f"lan {_address(one.host_address)} {one.lan_device_name.lower().removesuffix(_HISLIP_PORT)}"
+        case rname.ASRLInstr() as one:
+            return _serial(one.board)
+        case rname.PrlgxASRLIntfc() as one:
+            return _serial(one.serial_device)
+        case rname.USBInstr() | rname.USBRaw() as one:
+            return f"usb {_plain(one.manufacturer_id)} {_plain(one.model_code)} {one.serial_number.upper()}"
+        case rname.GPIBInstr() as one:
+            numbers = (one.board, one.primary_address, one.secondary_address)
+            return " ".join(["gpib", *(_plain(number) for number in numbers if number is not None)])
     return name.upper()
 
 
+def _parsed(name: str) -> rname.ResourceName | None:
+    """A VISA name taken apart, in capitals or not; None if it is none, but an alias perhaps."""
+    head, colons, last = name.rpartition("::")
+    try:
+        return rname.parse_resource_name(head + colons + last.upper() if last.upper() in _CLASSES else name)
+    except ValueError:
+        return None
+
+
+def _plain(number: str) -> str:
+    """A number in one spelling, be it decimal or hexadecimal; any other text in capitals."""
+    with suppress(ValueError):
+        return str(int(number, 16 if number[:2].lower() == "0x" else 10))
+    return number.upper()
+
+
 def _serial(port: str) -> str:
-    """A serial port: links to a device of Linux lead to it."""
-    return f"serial {os.path.realpath(port) if port.startswith('/') else port.upper()}"
+    """A serial port: links to a device of Linux lead to it, and COM3 of Windows is VISA's port 3."""
+    return f"serial {os.path.realpath(port) if port.startswith('/') else port.upper().removeprefix('COM')}"
 
 
 def _address(host: str) -> str:

@@ -95,6 +95,8 @@ class ScopeState(ABC):
     def set(self, key: str, value: Value) -> None:
         """Change a setting as a command or a hand on the front panel would."""
         self.acquisition.update()
+        if key.startswith(panel_rules.RESTARTING):
+            self.acquisition.settle()
         if key == "ACQUIRE:STATE":
             if value:
                 self.panel.values[key] = 1
@@ -104,7 +106,8 @@ class ScopeState(ABC):
             return
         before = dict(self.panel.values)
         panel_rules.store(self.panel, key, value)
-        if self.panel.values != before and panel_rules.restarts(key):
+        averages = self.panel.text("ACQUIRE:MODE") == "AVERAGE"
+        if self.panel.values != before and panel_rules.restarts(key, averages=averages):
             self.acquisition.restart()
 
     def busy(self) -> bool:

@@ -16,6 +16,8 @@ from analysis.ring_laser import (
     Winking,
     axis_rate_on_table,
     beat_signal_on_table,
+    mean_beat_on_table,
+    signal_above,
     signal_bounds,
     smooth_interval,
 )
@@ -189,7 +191,16 @@ def _signal(
     def bounds(start: float, stop: float) -> tuple[float, float]:
         return signal_bounds(gyro, detector, table.motion, start, stop)
 
-    return NoisySignal(silent, simulation.detector_noise_v, simulation.seed, channel, interval, bounds)
+    def above(corner_hz: float, start: float, stop: float) -> Callable[[Array], Array] | None:
+        return signal_above(gyro, detector, table.motion, corner_hz, start, stop)
+
+    def mean(starts: Array, times: Array, corner_hz: float, settling_s: float) -> Array | None:
+        return mean_beat_on_table(
+            gyro, detector, table.motion, starts, times, corner_hz=corner_hz, settling_s=settling_s
+        )
+
+    noise = simulation.detector_noise_v
+    return NoisySignal(silent, noise, simulation.seed, channel, interval, bounds, above, mean)
 
 
 def true_values(instruments: SimulatedInstruments) -> dict[str, float]:

@@ -8,21 +8,25 @@ The sum of both log-likelihoods is maximised over the squares of the coefficient
 gives their covariance too.
 
 A term stands in the model if it improves the likelihood by more than the Bayesian information criterion asks
-for; of those that do not, the interval says how large they may be. A ramp and a drift with the temperature are
-no noise: they are fitted to the increments of the blocks, with their covariance.
+for; of those that do not, the interval says how large they may be. A record that ends within the slow noise
+cannot tell bias instability from a random walk or a ramp: every model that is nearly as likely counts in
+uncertainties and intervals, with its probability. A ramp and a drift with the temperature are no noise: they are
+fitted to the increments of the blocks, with their covariance.
 """
 
 from __future__ import annotations
 
 import itertools
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 import scipy.linalg
+import scipy.special
 from numpy.typing import ArrayLike
 
 from analysis.arrays import Floats
-from analysis.fibre_gyro.allan.terms import RANDOM, block_covariance, increment_spectrum
+from analysis.fibre_gyro.allan.terms import RANDOM, TERMS, block_covariance, increment_spectrum
 from analysis.fibre_gyro.rate_table.outliers import outliers
 from analysis.fibre_gyro.rate_table.scatter import NORMAL_95
 
@@ -31,6 +35,13 @@ _FEWEST_WORDS = 512
 _BINS = 1500
 _TAPER = 0.02  # of a stretch, at each end
 _ROUNDS = 40
+_RAMP = "rate_ramp"
+_SLOW = ("bias_instability", "rate_random_walk", _RAMP)  # one may be taken for another
+_OPEN = 0.1  # of the probability of the best model: what is like one that has so much is tried too
+_COUNTS = 1e-3  # of all
+
+Model = frozenset[str]
+"""Terms, the ramp among them."""
 
 
 @dataclass(frozen=True)
@@ -40,7 +51,7 @@ class NoiseFit:
     Attributes
     ----------
     coefficients, coefficients_u : dict of str to float
-        Of the terms in the model; `TERMS` has their units.
+        Of the terms in the model; `TERMS` has their units. 1.96 of the uncertainty are half the 95 % interval.
     low_95, high_95 : dict of str to float
         Of every term; of one that is not in the model up to where it may be hidden, from 0.
     chosen : tuple of str
@@ -95,13 +106,77 @@ def fit_noise(words: ArrayLike, interval_s: float, *, temperature: ArrayLike | N
         slope, slope_u = _Likelihood(values, interval_s, heat).temperature_slope()
         values = values - slope * (heat - np.nanmean(heat))
     seen = _Likelihood(values, interval_s, None)
-    chosen, ramp = seen.choose()
-    found = seen.coefficients(chosen, ramp)
+    models = seen.likely_models()
+    found = seen.coefficients(models)
     value, u, low, high = ({name: spread * one for name, one in part.items()} for part in found)
-    terms = (*chosen, *(["rate_ramp"] if ramp else []))
+    chosen = tuple(name for name in TERMS if name in next(iter(models)))
     return NoiseFit(
-        value, u, low, high, terms, spread * slope, spread * slope_u, values.size, missing, int(far.sum())
+        value, u, low, high, chosen, spread * slope, spread * slope_u, values.size, missing, int(far.sum())
     )
+
+
+@dataclass(frozen=True)
+class _Part:
+    """What one model says of one coefficient.
+
+    Attributes
+    ----------
+    probability : float
+        Of the model.
+    value, u : float
+    square, square_u : float
+        Of a random term its square, which is what is fitted; nan for the ramp.
+    """
+
+    probability: float
+    value: float
+    u: float
+    square: float = float("nan")
+    square_u: float = float("nan")
+
+    def below(self, size: float) -> float:
+        """Probability that the coefficient is below some size, given the model."""
+        if not np.isfinite(self.square):
+            inside = scipy.special.ndtr([(size - self.value) / self.u, (-size - self.value) / self.u])
+            return float(inside[0] - inside[1])
+        if self.square > 2 * self.square_u:
+            return float(scipy.special.ndtr(self.value / self.u * np.log(max(size, 1e-300) / self.value)))
+        cut, upto = scipy.special.ndtr(np.array([0.0, size**2]) / self.square_u - self.square / self.square_u)
+        return float((upto - cut) / (1 - cut))
+
+    def bound(self) -> float:
+        """Upper end of the 95 % interval where the coefficient may as well be 0."""
+        if np.isfinite(self.square):
+            return float(np.sqrt(self.square + NORMAL_95 * self.square_u))
+        return self.value + NORMAL_95 * self.u
+
+
+def _quantile(parts: list[_Part], probability: float) -> float:
+    """Quantile of a coefficient over all models; those without it say that it is 0."""
+    without = 1 - sum(one.probability for one in parts)
+    if without >= probability:
+        return 0.0
+    low, high = 0.0, max(one.value + 10 * one.u + np.sqrt(10 * np.nan_to_num(one.square_u)) for one in parts)
+    for _ in range(60):
+        middle = (low + high) / 2
+        inside = without + sum(one.probability * one.below(middle) for one in parts)
+        low, high = (middle, high) if inside < probability else (low, middle)
+    return float((low + high) / 2)
+
+
+def _names_of(model: Model) -> tuple[list[str], list[str]]:
+    """Random terms of a model, and the columns that are fitted beside them."""
+    return [name for name in RANDOM if name in model], ["ramp"] if _RAMP in model else []
+
+
+def _like(model: Model) -> Iterator[Model]:
+    """Models with a term more, a term less, or a slow term in the place of another one."""
+    for name in TERMS:
+        if name not in model:
+            yield model | {name}
+            yield from (model - {other} | {name} for other in _SLOW if name in _SLOW and other in model)
+        elif len(model - {name, _RAMP}) > 0:
+            yield model - {name}
 
 
 class _Likelihood:
@@ -140,56 +215,67 @@ class _Likelihood:
         value, covariance = self._regression(squares, ["ramp", "heat"])
         return float(value[1]), float(np.sqrt(covariance[1, 1]))
 
-    def choose(self) -> tuple[tuple[str, ...], bool]:
-        """Terms that the data ask for: one after the other, the one that helps most, while it helps enough."""
-        chosen, drift = ["angle_random_walk"], False
-        best = self._maximum(chosen, [])[1]
-        enough = 0.5 * np.log(self._increments.size)
+    def likely_models(self) -> dict[Model, float]:
+        """Models that the data leave open and their probabilities; the most probable one first."""
+        best = Model({"angle_random_walk"})
         while True:
-            trials = [([*chosen, name], drift) for name in RANDOM if name not in chosen]
-            if not drift:
-                trials.append((chosen, True))
-            gains = [self._maximum(names, ["ramp"] if ramp else [])[1] - best for names, ramp in trials]
-            if not gains or max(gains) <= enough:
+            # one term after the other, the one that helps most, while it helps enough
+            larger = max((best | {name} for name in TERMS if name not in best), key=self._score, default=best)
+            if self._score(larger) <= self._score(best):
                 break
-            (chosen, drift), best = trials[int(np.argmax(gains))], best + max(gains)
-        # one that came first may have stood for another one that came later
-        for name in [one for one in chosen if len(chosen) > 1]:
-            without = [one for one in chosen if one != name]
-            if without and best - self._maximum(without, ["ramp"] if drift else [])[1] <= enough:
-                chosen, best = without, self._maximum(without, ["ramp"] if drift else [])[1]
-        return tuple(name for name in RANDOM if name in chosen), drift
+            best = larger
+        scores, waiting = {best: self._score(best)}, [best]
+        while waiting:
+            for other in _like(waiting.pop()):
+                if other not in scores:
+                    scores[other] = self._score(other)
+                    if scores[other] > max(scores.values()) + np.log(_OPEN):
+                        waiting.append(other)
+        highest = max(scores.values())
+        weight = {model: float(np.exp(score - highest)) for model, score in scores.items()}
+        total = sum(weight.values())
+        likely = {model: one / total for model, one in weight.items() if one > _COUNTS * total}
+        ranked = sorted(likely, key=lambda model: -likely[model])
+        return {model: likely[model] / sum(likely.values()) for model in ranked}
+
+    def _score(self, model: Model) -> float:
+        """Logarithm of the probability of a model by the Bayesian information criterion, up to a constant."""
+        return self._maximum(*_names_of(model))[1] - 0.5 * float(np.log(self._increments.size)) * len(model)
 
     def coefficients(
-        self, chosen: tuple[str, ...], ramp: bool
+        self, models: dict[Model, float]
     ) -> tuple[dict[str, float], dict[str, float], dict[str, float], dict[str, float]]:
-        """Values, standard uncertainties and 95 % intervals of the terms, and upper bounds of the others."""
-        columns = ["ramp"] if ramp else []
-        squares, _ = self._maximum(list(chosen), columns)
-        covariance = np.linalg.inv(self._information(squares, list(chosen)))
-        value, u, low, high = {}, {}, {}, {}
-        for place, name in enumerate(chosen):
-            value[name] = float(np.sqrt(squares[name]))
-            u[name] = float(np.sqrt(covariance[place, place])) / (2 * value[name])
-            wide = float(np.exp(NORMAL_95 * u[name] / value[name]))
-            low[name], high[name] = value[name] / wide, value[name] * wide
-        for name in RANDOM:
-            if name not in chosen:
-                with_it = [*chosen, name]
-                more, _ = self._maximum(with_it, columns)
-                own = np.linalg.inv(self._information(more, with_it))[-1, -1]
-                low[name], high[name] = 0.0, float(np.sqrt(more[name] + NORMAL_95 * np.sqrt(own)))
-        slope, spread = self._regression(squares, ["ramp"])
-        size, size_u = abs(float(slope[0])), float(np.sqrt(spread[0, 0]))
-        low["rate_ramp"] = max(size - NORMAL_95 * size_u, 0.0) if ramp else 0.0
-        high["rate_ramp"] = size + NORMAL_95 * size_u
-        if ramp:
-            value["rate_ramp"], u["rate_ramp"] = size, size_u
+        """Values and standard uncertainties of the terms of the first model, and 95 % intervals of all terms."""
+        chosen, value, u, low, high = next(iter(models)), {}, {}, {}, {}
+        known = [self._parts_of(model, probability) for model, probability in models.items()]
+        for name in TERMS:
+            parts = [of_model[name] for of_model in known if name in of_model]
+            low[name], high[name] = (_quantile(parts, probability) for probability in (0.025, 0.975))
+            if name in chosen:
+                value[name] = known[0][name].value
+                u[name] = (high[name] - low[name]) / (2 * NORMAL_95)
+            else:
+                # a term that is not asked for may be as large as the data allow beside the others
+                high[name] = max(high[name], self._parts_of(chosen | {name}, 1.0)[name].bound())
         return value, u, low, high
+
+    def _parts_of(self, model: Model, probability: float) -> dict[str, _Part]:
+        """What one model says of each of its coefficients."""
+        names, columns = _names_of(model)
+        squares, _ = self._maximum(names, columns)
+        spread = np.sqrt(np.diag(np.linalg.inv(self._information(squares, names))))
+        found = {}
+        for name, one in zip(names, spread, strict=True):
+            size = float(np.sqrt(squares[name]))
+            found[name] = _Part(probability, size, float(one) / (2 * size), squares[name], float(one))
+        if columns:
+            slope, covariance = self._regression(squares, columns)
+            found[_RAMP] = _Part(probability, abs(float(slope[0])), float(np.sqrt(covariance[0, 0])))
+        return found
 
     def _maximum(self, names: list[str], columns: list[str]) -> tuple[dict[str, float], float]:
         """Squares of the coefficients at the maximum of the likelihood, and its logarithm there."""
-        asked = (tuple(names), tuple(columns))
+        asked = (tuple(sorted(names)), tuple(columns))
         if asked in self._known:
             return self._known[asked]
         squares = self._start(names)

@@ -103,7 +103,9 @@ def fit_axis(
     design = with_drift(plain, runs.at_s)
     drifts, both_ends = design.shape[1] > plain.shape[1], plain.shape[1] == 3
     stated = None if irreproducibility_ppm is None else irreproducibility_ppm / _PPM
-    scatter = find_run_scatter(design, runs.mean, runs.mean_u, stated, slow=runs.slow)
+    scatter = find_run_scatter(
+        design, runs.mean, runs.mean_u, stated, slow=runs.slow, by_model=runs.slow is not None
+    )
     estimator = scatter.estimator(design, by_known=stated is not None)
     values = estimator @ runs.mean
     k = float(values[0])

@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from analysis.arrays import Floats
-from analysis.fibre_gyro.rate_table.noncentral import noncentrality
+from analysis.fibre_gyro.rate_table.noncentral import signal_interval
 from analysis.fibre_gyro.rate_table.scatter import find_run_scatter
 from analysis.fibre_gyro.rate_table.table_runs import with_drift
 
@@ -73,7 +73,7 @@ def input_axis_tilt(
     # of the power for an amplitude of one count
     each = float(np.sum(u[known] ** -2.0))
     own = 2 * int(known.sum())
-    squares = [max(power - own, 0.0), *(noncentrality(power, own, freedom, part) for part in (0.975, 0.025))]
+    squares = [max(power - own, 0.0), *signal_interval(power, own, freedom)]
     sizes = np.sqrt(np.array(squares) / each) / horizontal_counts
     tilts = [1e3 * float(np.arcsin(size)) if size < 1 else _RIGHT_ANGLE_MRAD for size in sizes]
     return InputAxisTilt(*tilts)
@@ -167,7 +167,10 @@ def fit_three_axes(
     bias, bias_u, scale_u = np.empty(len(gyros)), np.empty(len(gyros)), np.empty(len(gyros))
     angle, angle_u = np.zeros((len(gyros), count)), np.zeros((len(gyros), count))
     for place, gyro in enumerate(gyros):
-        scatter = find_run_scatter(design, mean[:, place], u[:, place], stated, slow=slow[place] if slow else None)
+        known = slow[place] if slow else None
+        scatter = find_run_scatter(
+            design, mean[:, place], u[:, place], stated, slow=known, by_model=known is not None
+        )
         estimator = scatter.estimator(design)
         values = estimator @ mean[:, place]
         spread = [scatter.standard_u(row) for row in estimator]

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from analysis.arrays import Floats
-from analysis.fibre_gyro.rate_table.noncentral import noncentrality
+from analysis.fibre_gyro.rate_table.noncentral import signal_interval
 from analysis.fibre_gyro.rate_table.scatter import RunScatter, find_run_scatter
 from analysis.fibre_gyro.rate_table.table_runs import TableRuns, design_of, distinct_rates, with_drift
 
@@ -87,7 +87,9 @@ def scale_linearity(runs: TableRuns, *, irreproducibility_ppm: float | None = No
 
     def scatter_with(names: tuple[str, ...]) -> tuple[Floats, RunScatter]:
         design = with_drift(np.column_stack([plain, *(columns[name] for name in names)]), runs.at_s)
-        return design, find_run_scatter(design, runs.mean, runs.mean_u, stated, slow=runs.slow)
+        return design, find_run_scatter(
+            design, runs.mean, runs.mean_u, stated, slow=runs.slow, by_model=runs.slow is not None
+        )
 
     def values_of(names: tuple[str, ...]) -> tuple[dict[str, tuple[float, float]], Floats, RunScatter]:
         design, scatter = scatter_with(names)
@@ -165,11 +167,7 @@ def _rms_of(deviation: Floats, covariance: Floats, freedom: int) -> tuple[float,
     noise, square = float(np.trace(covariance)), float(np.sum(covariance**2))
     power = float(deviation @ deviation)
     scale, own = square / noise, noise**2 / square
-    sizes = [
-        max(power - noise, 0.0),
-        scale * noncentrality(power / scale, own, freedom, 0.975),
-        scale * noncentrality(power / scale, own, freedom, 0.025),
-    ]
+    sizes = [max(power - noise, 0.0), *(scale * end for end in signal_interval(power / scale, own, freedom))]
     rms, low, high = (float(np.sqrt(size / deviation.size)) for size in sizes)
     return rms, low, high
 

@@ -185,7 +185,9 @@ def _differences_of(
         # its own deviation from the line is not counted as scatter: it need not lie on the line
         own = np.column_stack([design, difference])
         whole = with_drift(own, runs.at_s)
-        scatter = find_run_scatter(whole, runs.mean, runs.mean_u, stated, slow=runs.slow)
+        scatter = find_run_scatter(
+            whole, runs.mean, runs.mean_u, stated, slow=runs.slow, by_model=runs.slow is not None
+        )
         if whole.shape[1] > own.shape[1]:
             difference = difference - (difference @ whole[:, -1]) * scatter.estimator(whole)[-1]
         factors.append(difference)

@@ -7,7 +7,7 @@ only, so every size of that scatter which they allow is weighed with its likelih
     variance of a run     v = u^2 + (s_0 F)^2 + rho^2 [ (1 - a) (F/F_rms)^2 + a ]
     likelihood            of the residuals given v (restricted: freed of the fitted parameters)
     slow noise            where the noise model of the gyro is known, its covariance comes to v, window by window
-    prior                 rho/(rho + u_rms)^2 and a part of 1.5 at rho = 0; a from 0 to 1
+    prior                 rho/(rho + u_rms)^2 and a part of 1.5 at rho = 0 (4 with a noise model); a from 0 to 1
 
 F is the run's own output, s_0 what is stated, rho the scatter beyond it, a the part of it that does not grow with
 the output (bias) while the rest does (scale factor, table). What is linear in the means has, given rho and a, a
@@ -30,6 +30,7 @@ _SIZES = 32
 _PARTS = np.array([0.0, 0.001, 0.01, 0.1, 0.5, 1.0])
 """Shares of the variance that do not grow with the output; of three axes at once outputs differ a thousandfold."""
 _NONE_BEYOND = 1.5  # weight of no scatter at all
+_NONE_BEYOND_A_MODEL = 4.0  # where a noise model says what the gyro's slow noise makes of the runs
 _ASSUMED = 10e-6
 """Scatter of scale factor and table from run to run where no run repeats another and nobody states it: of a table
 that is neither the best (1 ppm) nor a cheap one (100 ppm)."""
@@ -123,7 +124,13 @@ class RunScatter:
 
 
 def find_run_scatter(
-    design: Floats, mean: Floats, noise_u: Floats, stated: float | None, *, slow: Floats | None = None
+    design: Floats,
+    mean: Floats,
+    noise_u: Floats,
+    stated: float | None,
+    *,
+    slow: Floats | None = None,
+    by_model: bool = False,
 ) -> RunScatter:
     """Weigh the scatter that the residuals of the runs allow.
 
@@ -137,6 +144,8 @@ def find_run_scatter(
         Relative standard deviation of scale factor and table from run to run, where it is known.
     slow : ndarray, shape (n, n), optional
         Generalised covariance of slow noise, counts^2: `window_covariance`, less what is in `noise_u`.
+    by_model : bool, optional
+        Whether `slow` is that of a noise model: then a scatter beyond all that is known is less likely.
     """
     noise, irreproducible = noise_u**2, ((stated or 0.0) * mean) ** 2
     known = noise + irreproducible
@@ -158,7 +167,7 @@ def find_run_scatter(
     likelihood = _log_likelihood(variance, scaled, left, None if slow is None else covariance)
     # with them 1.96 u hold 92 to 97 % whatever the scatter is, with five degrees of freedom and more
     share = width * size / (size + quiet) ** 2
-    share[0] = _NONE_BEYOND
+    share[0] = _NONE_BEYOND_A_MODEL if by_model else _NONE_BEYOND
     prior = np.log(share)
     likelihood += np.repeat(prior, _PARTS.size)
     weight = np.exp(likelihood - likelihood.max())

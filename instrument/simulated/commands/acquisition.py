@@ -37,6 +37,7 @@ def _level_to_half(state: ScopeState, arguments: tuple[Argument, ...]) -> None:
     _SET_LEVEL.read(one_argument(arguments))
     if not state.acquisition.running:
         raise Refusal(221)
+    state.acquisition.settle()
     volts = _recent_trigger_signal(state)
     middle = float(volts.max() + volts.min()) / 2
     panel_rules.store(state.panel, "TRIGGER:MAIN:LEVEL", float(f"{middle:.6e}"))

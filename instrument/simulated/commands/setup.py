@@ -61,7 +61,7 @@ def save(state: ScopeState, arguments: tuple[Argument, ...]) -> None:
 
 def _recall(state: ScopeState, arguments: tuple[Argument, ...]) -> None:
     number = one_number(arguments, 1, MEMORIES, Guess.MEMORY_NUMBER_OUT_OF_RANGE)
-    state.acquisition.update()
+    state.acquisition.settle()
     if number in state.setups:
         state.panel.recall(state.setups[number])
         state.acquisition.restart()

@@ -12,8 +12,7 @@ import itertools
 import math
 from collections import deque
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
-from functools import partial
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -21,37 +20,19 @@ import numpy as np
 from instrument.facts import DIVISIONS, POINTS_PER_DIVISION
 from instrument.simulated.clock import Clock
 from instrument.simulated.faults import Faults
-from instrument.simulated.front_end.comparator import Comparator
-from instrument.simulated.front_end.frontend import (
-    Floats,
-    Signal,
-    gain,
-    ground,
-    shown_noise,
-    shown_smooth,
-    slow_part,
-)
-from instrument.simulated.front_end.smooth import tells_its_noise
-from instrument.simulated.front_end.trigger import HYSTERESIS, EdgeSearch, PulseSearch
-from instrument.simulated.front_end.video_trigger import VideoSearch
-from instrument.simulated.panel.panel import (
-    ChannelSettings,
-    Panel,
-    TriggerSettings,
-)
+from instrument.simulated.front_end.frontend import Floats, Signal, ground
+from instrument.simulated.front_end.trigger_circuit import Sweep, TriggerCircuit
+from instrument.simulated.panel.panel import ChannelSettings, Panel, TriggerSettings
 
 State = Literal["ARMED", "READY", "TRIGGER", "AUTO", "SAVE", "SCAN"]
 
 DEAD_TIME = 1 / 180  # s between two acquisitions: up to 180 waveforms a second, p. 151
 AUTO_WAIT = 0.05  # s that AUTO waits at least for a trigger (a guess)
 PEAK_DETECT_FROM = 5e-6  # s/div; faster sweeps sample without saying so, p. 76
-HIGH_FREQUENCY_REJECT = 1 / (2 * math.pi * 80e3)  # s, p. 101
-LOW_FREQUENCY_REJECT = 1 / (2 * math.pi * 300e3)  # s
-MAINS_FREQUENCY = 50.0  # Hz, of the trigger source AC LINE
 _FORGET_WAITS = 0.9  # what one acquisition leaves of the longest wait for a trigger
-_FORGET_AFTER = 1  # acquisition times; of a longer silence only the end is simulated
-_LONGEST_SEARCH_STEP = 20e-6  # s; the comparator is faster than the samples of a slow sweep
-_EXTERNAL = ChannelSettings(1.0, 0.0, "DC", 1.0, limited=False, inverted=False)
+_MOST_AVERAGED = 128
+_FEW = 4  # acquisitions that are looked for one by one
+_LONGER = 1.25  # than usual: a wait that is looked for in all of many at once
 _SHORTEST_POLL, _LONGEST_POLL = 1e-3, 0.1  # s between two looks for a trigger while somebody waits
 
 
@@ -94,6 +75,13 @@ class Record:
         return self.seconds_per_division / POINTS_PER_DIVISION
 
 
+@dataclass(frozen=True)
+class _LeftOut:
+    """An acquisition that nobody has asked for yet: when it was ready for its trigger, absolute time in s."""
+
+    ready_at: float
+
+
 class Acquisition:
     """Takes records from the signals with the settings of the panel."""
 
@@ -104,8 +92,16 @@ class Acquisition:
         self._signals = dict(signals)
         self._jitter = np.random.default_rng([seed, 0x7161])
         self._numbers = itertools.count(1)
-        self._compared: tuple[tuple[str, str, ChannelSettings], Comparator] | None = None
-        self.record: Record | None = None
+        self._circuit = TriggerCircuit(panel, self.signal)
+        self._record: Record | None = None
+        self._swept: deque[float | _LeftOut] = deque(
+            maxlen=_MOST_AVERAGED
+        )  # the latest acquisitions, by their start
+        self._newest: Mapping[str, ChannelSettings] | None = (
+            None  # channels of an acquisition that is no record yet
+        )
+        self._number = 0  # of that one
+        self._caught_up = 0.0  # absolute time in s up to which all is known
         self.acquisitions = 0  # ACQuire:NUMACq?
         self.restart()
 
@@ -122,13 +118,25 @@ class Acquisition:
         return self.running and self._panel.text("ACQUIRE:STOPAFTER") == "SEQUENCE"
 
     @property
+    def record(self) -> Record | None:
+        """The newest; what was left out for it is caught up with now."""
+        if self._newest is not None:
+            self._record, self._newest = self._made(self._newest), None
+        return self._record
+
+    @record.setter
+    def record(self, record: Record | None) -> None:
+        self._record, self._newest = record, None
+
+    @property
     def awaited(self) -> bool:
         """True while a record with all displayed channels is bound to come but is not there yet."""
         auto = self._panel.text("TRIGGER:MAIN:MODE") == "AUTO"
         if not self.running or not auto or self._panel.scanning:
             return False
         shown = {name for name in self._panel.displayed if name in self._panel.model.channel_names}
-        return bool(shown) and (self.record is None or not shown <= self.record.channels.keys())
+        taken = self._newest if self._newest is not None else self._record.channels if self._record else None
+        return bool(shown) and (taken is None or not shown <= taken.keys())
 
     def state(self) -> State:
         """The word of TRIGger:STATE?."""
@@ -138,10 +146,12 @@ class Acquisition:
             return "SAVE"
         if self._panel.scanning:
             return "SCAN"
-        if now < self._ready_at:
+        sweep = self._sweep
+        if now < sweep.ready_at:
             return "ARMED"
-        if self._triggered_at is not None:
-            return "AUTO" if self._forced else "TRIGGER"
+        if sweep.triggered_at is not None:
+            return "AUTO" if sweep.forced else "TRIGGER"
+        _ = self.record  # whether the one before had a trigger
         return "AUTO" if self._untriggered else "READY"
 
     def next_change(self) -> float:
@@ -151,13 +161,15 @@ class Acquisition:
             return now + _LONGEST_POLL
         if self._panel.scanning:
             return now + self._panel.seconds_per_division
-        if self._completes_at is not None:
-            return max(self._completes_at, now)
-        if now < self._ready_at:
-            return self._ready_at
-        waited = now - self._ready_at
-        poll = max(_SHORTEST_POLL, self._panel.seconds_per_division, min(waited / 10, _LONGEST_POLL))
-        return min(now + poll, self._auto_at) if now < self._auto_at else now + poll
+        sweep = self._sweep
+        if sweep.completes_at is not None:
+            return max(sweep.completes_at, now)
+        if now < (usually := sweep.ready_at + self._usual_wait):
+            return usually
+        poll = max(
+            _SHORTEST_POLL, self._panel.seconds_per_division, min((now - sweep.ready_at) / 10, _LONGEST_POLL)
+        )
+        return min(now + poll, sweep.auto_at) if now < sweep.auto_at else now + poll
 
     def latest(self) -> Record:
         """The record that CURVe? would send now; one without data if there was no trigger yet."""
@@ -174,7 +186,7 @@ class Acquisition:
 
     def restart(self) -> None:
         """Begin anew with the settings of now (a setting changed, or STATE RUN)."""
-        self._averaged: deque[float] = deque(maxlen=128)
+        self._swept.clear()
         self._usual_wait = 0.0
         self._untriggered = False
         self.acquisitions = 0
@@ -189,7 +201,7 @@ class Acquisition:
 
     def force_trigger(self) -> bool:
         """TRIGger FORCe: completes the acquisition in READY, else nothing."""
-        if self.state() not in ("READY", "AUTO") or self._triggered_at is not None:
+        if self.state() not in ("READY", "AUTO") or self._sweep.triggered_at is not None:
             return False
         self._trigger(self._clock.now(), forced=True)
         return True
@@ -198,21 +210,29 @@ class Acquisition:
         """Catch up with the clock."""
         if not self.running or not (shown := self._displayed_channels()):
             return
-        now = self._clock.now()
+        now = self._caught_up = self._clock.now()
         if self._panel.scanning:
             self._update_scan(now)
             return
         trigger = self._panel.trigger()
+        if trigger.mode == "AUTO" and self._sweep.triggered_at is None and self.acquisitions:
+            self._leave_out(self._sweep.began, now)
         while self.running:
-            if self._completes_at is None:
+            sweep = self._sweep
+            if sweep.completes_at is None and now >= sweep.ready_at:
                 self._look_for_trigger(trigger, now)
-            if self._completes_at is None or self._triggered_at is None or self._completes_at > now:
+            if sweep.completes_at is None or sweep.completes_at > now:
                 return
-            self._complete(self._triggered_at, self._completes_at, now, trigger, shown)
+            self._complete(sweep.completes_at, now, shown)
+
+    def settle(self) -> None:
+        """Catch up with everything before a setting changes: what was taken was taken with the old one."""
+        self.update()
+        _ = self.record
 
     def trigger_signal(self, trigger: TriggerSettings, times: Floats) -> Floats:
         """Volts that the trigger comparator sees at absolute times in s."""
-        return self._comparator(trigger)(times)
+        return self._circuit.comparator(trigger)(times)
 
     def signal(self, name: str) -> Signal:
         """Signal at the input of `CH1` and so on; 0 is the EXT TRIG input."""
@@ -225,176 +245,145 @@ class Acquisition:
 
     def _arm(self, at: float) -> None:
         """Begin to fill the part before the trigger."""
-        scale, position = self._panel.seconds_per_division, self._panel.horizontal_position
-        self._began = at
-        self._ready_at = at + max(0.0, DIVISIONS / 2 * scale - position)
-        self._auto_at = self._ready_at + max(AUTO_WAIT, DIVISIONS * scale)
-        if self._panel.text("TRIGGER:MAIN:MODE") != "AUTO":
-            self._auto_at = math.inf
-        self._triggered_at: float | None = None
-        self._completes_at: float | None = None
-        self._forced = False
-        self._search: EdgeSearch | PulseSearch | VideoSearch | None = None
+        self._sweep = self._armed(at + self._before)
 
-    def _arm_again(self, at: float, now: float, waited: float) -> None:
-        """Arm after a record; of hours without a question only the last acquisitions are simulated.
+    def _armed(self, ready_at: float) -> Sweep:
+        auto = self._panel.text("TRIGGER:MAIN:MODE") == "AUTO"
+        wait = max(AUTO_WAIT, DIVISIONS * self._panel.seconds_per_division) if auto else math.inf
+        return Sweep(ready_at - self._before, ready_at, ready_at + wait)
 
-        A trigger that was `waited` for longer than an acquisition takes is rare: then nothing is left out.
+    @property
+    def _before(self) -> float:
+        """Seconds of a record before its trigger."""
+        return max(0.0, DIVISIONS / 2 * self._panel.seconds_per_division - self._panel.horizontal_position)
+
+    @property
+    def _after(self) -> float:
+        """Seconds from the trigger to the end of the record."""
+        return max(0.0, DIVISIONS / 2 * self._panel.seconds_per_division + self._panel.horizontal_position)
+
+    @property
+    def _cycle(self) -> float:
+        """Seconds from one acquisition to the next where no trigger is waited for."""
+        return self._before + self._after + max(DEAD_TIME, self._panel.trigger().holdoff)
+
+    @property
+    def _count(self) -> int:
+        """Acquisitions that a record is made of."""
+        averages = self._panel.text("ACQUIRE:MODE") == "AVERAGE"
+        return int(self._panel.number("ACQUIRE:NUMAVG")) if averages else 1
+
+    def _leave_out(self, at: float, now: float) -> bool:
+        """Arm for the acquisition that is under way now, if one at `at` was several ago; else do nothing.
+
+        Those between them are looked for when somebody asks for a record that is made of them.
         """
-        sweep = DIVISIONS * self._panel.seconds_per_division + DEAD_TIME
-        cycle = sweep + AUTO_WAIT
-        self._usual_wait = max(waited, _FORGET_WAITS * self._usual_wait)
-        wanted = _FORGET_AFTER
-        if self._panel.text("ACQUIRE:MODE") == "AVERAGE":
-            wanted += int(self._panel.number("ACQUIRE:NUMAVG"))
-        usual = min(cycle, sweep + self._usual_wait)
-        skipped = now - wanted * usual - at
-        if skipped > usual and waited < cycle and not self.single:
-            self.acquisitions += int(skipped / usual)
-            at += skipped
-        self._arm(at)
+        usual = min(self._cycle + AUTO_WAIT, self._cycle + self._usual_wait)
+        count = int((now - at) / usual) - 1
+        if count < 1 or self.single:
+            return False
+        self._arm(now - usual * self._jitter.random())
+        ready = self._sweep.ready_at
+        self._swept.extend(_LeftOut(ready - usual * ago) for ago in range(min(count, self._count), 0, -1))
+        self.acquisitions += count
+        self._newest, self._number = self._displayed_channels(), next(self._numbers)
+        return True
 
     def _look_for_trigger(self, trigger: TriggerSettings, now: float) -> None:
-        if now < self._ready_at:
-            return
-        edge = None
-        if not self._faults.no_trigger:
-            step = min(self._step(), _LONGEST_SEARCH_STEP)
-            until = min(now, self._auto_at)
-            match trigger.kind:
-                case "EDGE":
-                    edge = self._edge_search(trigger).advance(until, step, now)
-                case "PULSE":
-                    edge = self._pulse_search(trigger).advance(until, step, now)
-                case "VIDEO":
-                    edge = self._video_search(trigger).advance(until)
+        sweep = self._sweep
+        edge = None if self._faults.no_trigger else self._circuit.edge(sweep, trigger, now)
         if edge is not None:
             self._trigger(edge, forced=False)
-        elif now >= self._auto_at:
-            self._trigger(self._auto_at, forced=True)
-
-    def _step(self) -> float:
-        return self._panel.seconds_per_division / POINTS_PER_DIVISION
-
-    def _comparator(self, trigger: TriggerSettings) -> Comparator:
-        """The trigger signal; the same one as long as nothing changes it, so that it can keep what it has seen."""
-        channel = _EXTERNAL
-        if trigger.source in self._panel.model.channel_names:
-            channel = self._panel.channel(trigger.source)
-        key = (trigger.source, trigger.coupling, channel)
-        if self._compared is None or self._compared[0] != key:
-            self._compared = key, self._new_comparator(*key)
-        return self._compared[1]
-
-    def _new_comparator(self, source: str, coupling: str, channel: ChannelSettings) -> Comparator:
-        if source in ("AC LINE", "LINE"):
-            return Comparator(lambda times: np.sin(2 * math.pi * MAINS_FREQUENCY * times))
-        signal = self.signal(source)
-        shown = partial(shown_smooth, signal, channel)
-
-        def smooth(times: Floats) -> Floats:
-            match coupling:
-                case "HFREJ":
-                    return shown(times, HIGH_FREQUENCY_REJECT)
-                case "LFREJ":
-                    return shown(times) - shown(times, LOW_FREQUENCY_REJECT)
-                case "AC" if channel.coupling == "DC":
-                    return shown(times) - gain(channel) * slow_part(signal, times)
-            return shown(times)
-
-        if not tells_its_noise(signal) or channel.coupling == "GND":
-            return Comparator(smooth)
-        noise = partial(shown_noise, signal, channel)
-        alternating = channel.coupling == "AC" or coupling in ("AC", "LFREJ")
-
-        def bounds(start: float, stop: float) -> tuple[float, float]:
-            low, high = signal.bounds(start, stop)
-            swing = high - low
-            ends = (-swing, swing) if alternating else (low, high)  # a mean taken away lies between them
-            first, last = (gain(channel) * end for end in ends)
-            return min(first, last), max(first, last)
-
-        rms = abs(gain(channel)) * signal.noise_rms
-        return Comparator(smooth, noise, rms, signal.interval, bounds)
-
-    def _edge_search(self, trigger: TriggerSettings) -> EdgeSearch:
-        """The search of this acquisition, with the level of now."""
-        search = self._search
-        if not isinstance(search, EdgeSearch):
-            search = self._search = EdgeSearch(Comparator(ground), 0.0, True, 0.0, self._ready_at)
-        search.volts_at = self._comparator(trigger)
-        search.level, search.rising = trigger.level, trigger.slope == "RISE"
-        search.hysteresis = self._hysteresis(trigger)
-        return search
-
-    def _pulse_search(self, trigger: TriggerSettings) -> PulseSearch:
-        """The search of this acquisition for a pulse, with the settings of now."""
-        search = self._search
-        if not isinstance(search, PulseSearch):
-            search = self._search = PulseSearch(trigger, Comparator(ground), 0.0, self._ready_at)
-        search.trigger, search.hysteresis = trigger, self._hysteresis(trigger)
-        search.volts_at = self._comparator(trigger)
-        return search
-
-    def _video_search(self, trigger: TriggerSettings) -> VideoSearch:
-        """The search of this acquisition for a sync pulse, with the settings of now."""
-        search = self._search
-        if not isinstance(search, VideoSearch) or search.trigger != trigger:
-            since = search.searched_until if search is not None else self._ready_at
-            search = self._search = VideoSearch(trigger, Comparator(ground), 0.0, since)
-        search.smallest = 2 * self._hysteresis(trigger)
-        direct = replace(trigger, coupling="DC")  # the coupling belongs to the edge trigger
-        search.volts_at = self._comparator(direct)
-        return search
-
-    def _hysteresis(self, trigger: TriggerSettings) -> float:
-        """Volts by which the signal has to leave the level; noise reject doubles them."""
-        scale = 0.2  # V, external inputs
-        if trigger.source in self._panel.model.channel_names:
-            scale = self._panel.number(f"{trigger.source}:SCALE")
-        return HYSTERESIS * scale * (2 if trigger.coupling == "NOISEREJ" else 1)
+        elif now >= sweep.auto_at:
+            self._trigger(sweep.auto_at, forced=True)
 
     def _trigger(self, at: float, *, forced: bool) -> None:
-        after = DIVISIONS / 2 * self._panel.seconds_per_division + self._panel.horizontal_position
-        self._triggered_at, self._forced = at, forced
-        self._completes_at = at + max(0.0, after)
+        self._sweep.triggered_at, self._sweep.forced = at, forced
+        self._sweep.completes_at = at + self._after
 
-    def _complete(
-        self,
-        triggered_at: float,
-        at: float,
-        now: float,
-        trigger: TriggerSettings,
-        shown: Mapping[str, ChannelSettings],
-    ) -> None:
-        """Keep the record; stop after a sequence, else arm again."""
-        panel = self._panel
-        jitter = self._jitter.uniform(-0.5, 0.5) * self._step()
-        xzero = panel.horizontal_position - DIVISIONS / 2 * panel.seconds_per_division
-        self._averaged.append(triggered_at + xzero + jitter)
+    def _complete(self, at: float, now: float, shown: Mapping[str, ChannelSettings]) -> None:
+        """Keep the acquisition; stop after a sequence, else arm again."""
+        sweep = self._sweep
+        triggered_at = sweep.ready_at if sweep.triggered_at is None else sweep.triggered_at
+        self._swept.append(self._start(triggered_at))
         self.acquisitions += 1
-        self._untriggered = self._forced
-        mode = panel.text("ACQUIRE:MODE")
+        self._untriggered = sweep.forced
+        self._newest, self._number = shown, next(self._numbers)
+        if self.single and self.acquisitions >= self._count:
+            self._panel.values["ACQUIRE:STATE"] = 0
+            return
+        waited = triggered_at - sweep.ready_at
+        self._usual_wait = max(waited, _FORGET_WAITS * self._usual_wait)
+        again = at + self._cycle - self._before - self._after
+        often = waited < self._cycle + AUTO_WAIT  # a trigger that is rarer is not left out
+        if not (often and self._leave_out(again, now)):
+            self._arm(again)
+
+    def _start(self, triggered_at: float) -> float:
+        """Absolute time in s of the first sample: the converter's clock does not know the trigger."""
+        step = self._panel.seconds_per_division / POINTS_PER_DIVISION
+        return triggered_at + self._xzero + self._jitter.uniform(-0.5, 0.5) * step
+
+    @property
+    def _xzero(self) -> float:
+        return self._panel.horizontal_position - DIVISIONS / 2 * self._panel.seconds_per_division
+
+    def _made(self, shown: Mapping[str, ChannelSettings]) -> Record | None:
+        """The record of the newest acquisitions; the one before if none of them had a trigger."""
+        panel, mode = self._panel, self._panel.text("ACQUIRE:MODE")
         if mode == "PEAKDETECT" and panel.seconds_per_division < PEAK_DETECT_FROM * (1 - 1e-9):
             mode = "SAMPLE"
-        count = int(panel.number("ACQUIRE:NUMAVG")) if mode == "AVERAGE" else 1
-        self.record = Record(
-            number=next(self._numbers),
-            starts=tuple(self._averaged)[-count:],
-            xzero=xzero,
-            seconds_per_division=panel.seconds_per_division,
-            mode=mode,
-            channels=shown,
-        )
-        if self.single and self.acquisitions >= count:
-            panel.values["ACQUIRE:STATE"] = 0
-            return
-        waited = triggered_at - self._ready_at
-        self._arm_again(at + max(DEAD_TIME, trigger.holdoff), now, waited)
+        starts = self._latest_starts()
+        if not starts:
+            return self._record
+        scale = panel.seconds_per_division
+        return Record(self._number, starts, self._xzero, scale, mode, shown)
+
+    def _latest_starts(self) -> tuple[float, ...]:
+        """Starts of the acquisitions that a record is made of; those that were left out are looked for now."""
+        latest = list(self._swept)[-self._count :]
+        owed = np.array([sweep.ready_at for sweep in latest if isinstance(sweep, _LeftOut)])
+        if not owed.size:
+            return tuple(sweep for sweep in latest if not isinstance(sweep, _LeftOut))
+        trigger = self._panel.trigger()
+        edges = np.full(owed.shape, np.nan)
+        if owed.size > _FEW and not self._faults.no_trigger:
+            edges = self._circuit.edges(owed, self._usual_wait * _LONGER, trigger)
+            edges[edges + self._after > self._caught_up] = np.nan
+        one_by_one = bool(np.isnan(edges).all())
+        found = iter(zip(owed.tolist(), edges.tolist(), strict=True))
+        starts: list[float] = []
+        again = -math.inf
+        for sweep in latest:
+            if isinstance(sweep, _LeftOut):
+                ready_at, edge = next(found)
+                if one_by_one and again > -math.inf:
+                    ready_at = again
+                triggered = self._edge_after(ready_at, trigger) if math.isnan(edge) else (edge, False)
+                if triggered is not None:
+                    at, self._untriggered = triggered
+                    starts.append(self._start(at))
+                    again = at + self._cycle
+            else:
+                starts.append(sweep)
+                again = -math.inf
+        self._swept = deque(starts, maxlen=_MOST_AVERAGED)
+        return tuple(starts)
+
+    def _edge_after(self, ready_at: float, trigger: TriggerSettings) -> tuple[float, bool] | None:
+        """When an acquisition that is over by now was triggered, and whether by AUTO; None: not at all."""
+        for _ in range(_FEW):
+            sweep = self._armed(ready_at)
+            edge = None if self._faults.no_trigger else self._circuit.edge(sweep, trigger, self._caught_up)
+            at = sweep.auto_at if edge is None else edge
+            if at + self._after <= self._caught_up:
+                return at, edge is None
+            ready_at -= min(at + self._after - self._caught_up, self._cycle + AUTO_WAIT)
+        return None
 
     def _update_scan(self, now: float) -> None:
         """A single sequence in scan mode ends when the screen is full."""
-        full = self._began + DIVISIONS * self._panel.seconds_per_division
+        full = self._sweep.began + DIVISIONS * self._panel.seconds_per_division
         if self.single and now >= full:
             self.record = self._rolling_record(full)
             self._panel.values["ACQUIRE:STATE"] = 0
@@ -402,7 +391,7 @@ class Acquisition:
     def _rolling_record(self, until: float) -> Record:
         return Record(
             number=self._scan_number,
-            starts=(self._began,),
+            starts=(self._sweep.began,),
             xzero=0.0,
             seconds_per_division=self._panel.seconds_per_division,
             mode=self._panel.text("ACQUIRE:MODE"),

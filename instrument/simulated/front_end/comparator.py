@@ -13,8 +13,9 @@ from instrument.simulated.front_end.frontend import Floats
 from instrument.simulated.front_end.smooth import Between
 
 SHORTEST_STRETCH = 1e-9  # s
-_BEND = 0.25  # of the largest second difference: how far a signal may leave the straight line, twice over
-_FEWEST_CELLS, _MOST_CELLS = 5, 4096  # of a stretch
+BEND = 0.25
+"""Of the largest second difference: how far a signal may leave the straight line, twice over."""
+_FEWEST_CELLS = 5  # of a stretch
 
 
 class Stretch:
@@ -37,7 +38,7 @@ class Stretch:
         self.times: Floats = np.linspace(start, stop, max(_FEWEST_CELLS, math.ceil((stop - start) / interval)) + 1)
         self.volts = smooth(self.times)
         self.between = Between(start, stop, self.volts)
-        self.bend = _BEND * float(np.abs(np.diff(self.volts, 2)).max())
+        self.bend = BEND * float(np.abs(np.diff(self.volts, 2)).max())
         self._heights: Heights | None = None
 
     def heights(self, level: float, rising: bool, hysteresis: float, noise: float) -> Heights:
@@ -154,12 +155,12 @@ class Comparator:
         bounds: Callable[[float, float], tuple[float, float]] = lambda start, stop: (-math.inf, math.inf),
     ) -> None:
         self.noise, self.noise_rms, self.bounds = noise, noise_rms, bounds
-        self._smooth, self._interval = smooth, interval
+        self.smooth, self._interval = smooth, interval
         self._seen: Stretch | None = None
 
     def __call__(self, times: Floats) -> Floats:
         """Volts with the noise."""
-        return self._smooth(times) + self.noise(times)
+        return self.smooth(times) + self.noise(times)
 
     def interval(self, start: float, stop: float) -> float:
         """Distance in s of looks between which the smooth part is smooth, between two times; 0: not known."""
@@ -173,16 +174,16 @@ class Comparator:
         seen = self._seen
         return seen is None or not seen.times[0] <= start < seen.times[-1] - SHORTEST_STRETCH
 
-    def stretch(self, start: float, until: float, now: float) -> Stretch:
+    def stretch(self, start: float, until: float, now: float, most: int) -> Stretch:
         """What is seen from `start` to `now`, or not so far; the last one again if it holds the start.
 
-        Up to `until` looks between which the signal is smooth are known to do.
+        Up to `until` looks between which the signal is smooth are known to do. A new one has `most` cells at most.
         """
         seen = self._seen
         if seen is None or self.has_to_look(start):
             end, interval = now, self._interval(start, now)
             if not interval:  # behind `until` the table changes its rate, or the gyro locks
                 end, interval = until, self._interval(start, until)
-            end = min(end, start + _MOST_CELLS * interval)
-            seen = self._seen = Stretch(self._smooth, start, end, interval)
+            end = min(end, start + most * interval)
+            seen = self._seen = Stretch(self.smooth, start, end, interval)
         return seen

@@ -12,7 +12,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from instrument.facts import HIGHEST_CODE, LEVELS_PER_DIVISION
-from instrument.simulated.front_end.smooth import Between, CoarseLook, look, noise_of, tells_its_noise
+from instrument.simulated.front_end.smooth import (
+    Between,
+    CoarseLook,
+    known_ahead,
+    look,
+    look_above,
+    noise_of,
+    tells_its_noise,
+)
 from instrument.simulated.panel.panel import ChannelSettings
 
 Floats = NDArray[np.float64]
@@ -28,6 +36,7 @@ _STRAIGHT = 0.02  # of all that was seen from peak to peak: how far a smooth sig
 _SETTLING = 5 / (2 * math.pi * AC_CORNER)  # s of history after which the coupling has forgotten
 _AC_RATES = (51_283.7, 47_013.1, 57_942.9)  # S/s for the slow part; a frequency can beat with one of them
 _AC_POINTS = 1 << 17
+_MANY_LOOKS = 6000  # at the acquisitions of an average, from which on the signal is asked for their mean
 _INTERVALS_A_STEP = 2  # of the grid on which a signal is smooth
 
 
@@ -106,11 +115,20 @@ def shown_smooth(signal: Signal, channel: ChannelSettings, times: Floats, more: 
     """What `shown_volts` gives without the noise of the signal; behind one `more` pole (time constant in s)."""
     if channel.coupling == "GND":
         return np.zeros_like(times)
-    looked = look(signal, float(times[0]), float(times[-1]))
+    start, stop = float(times[0]), float(times[-1])
+    coupled = _look_coupled(signal, channel, start, stop)
+    looked = look(signal, start, stop) if coupled is None else coupled
     volts = evaluate(low_pass(low_pass(looked, channel.time_constant), more), times)
-    if channel.coupling == "AC":
+    if coupled is None and channel.coupling == "AC":
         volts = volts - slow_part(signal, times)
     return volts * gain(channel)
+
+
+def _look_coupled(signal: Signal, channel: ChannelSettings, start: float, stop: float) -> CoarseLook | None:
+    """The signal behind the AC coupling of a channel, where it knows that itself."""
+    if channel.coupling != "AC":
+        return None
+    return look_above(signal, AC_CORNER, start - _SETTLING, stop)
 
 
 def mean_shown(signal: Signal, channel: ChannelSettings, starts: Floats, times: Floats) -> Floats | None:
@@ -119,13 +137,20 @@ def mean_shown(signal: Signal, channel: ChannelSettings, starts: Floats, times: 
     From one look at the coarse grids of all: polynomials through the means are the mean of the polynomials.
     None where the signal does not tell that this is right.
     """
-    if channel.coupling != "DC" or not tells_its_noise(signal):
+    if channel.coupling == "GND" or not tells_its_noise(signal):
         return None
     span = float(times[-1])
-    looked = low_pass(look(signal, float(starts[0]), float(starts[-1]) + span), channel.time_constant)
+    start, stop = float(starts[0]), float(starts[-1]) + span
+    whole = look(signal, start, stop) if channel.coupling == "DC" else _look_coupled(signal, channel, start, stop)
+    looked = None if whole is None else low_pass(whole, channel.time_constant)
     if not isinstance(looked, CoarseLook):
         return None
     grid = looked.grid(0.0, span, len(times))
+    if known_ahead(signal) and len(starts) * (len(times) if grid is None else len(grid)) > _MANY_LOOKS:
+        corner = AC_CORNER if channel.coupling == "AC" else 0.0
+        mean = signal.mean(starts - looked.delay, times, corner, _SETTLING)
+        if mean is not None:
+            return mean * gain(channel)
     if grid is None or starts[-1] - starts[0] < (len(starts) - 1) * span:
         return None
     values = looked.smooth((starts[:, np.newaxis] + (grid - looked.delay)).ravel())

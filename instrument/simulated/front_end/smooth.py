@@ -16,6 +16,9 @@ from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
 
+SIX = 6
+"""Values that a polynomial goes through."""
+
 _TO_POLYNOMIAL = np.linalg.inv(np.vander(np.arange(-2.0, 4.0), increasing=True)).T  # six values -> coefficients
 _WORTH = 2  # times fewer points on the grid than wanted, from which on it is taken
 _FOLLOWS = 0.05  # of the interval: a pole so fast only delays
@@ -44,9 +47,29 @@ class SmoothAndNoise(Protocol):
         """Volts that the smooth part does not leave between two times; inf where that is not known."""
 
 
+class KnownAhead(SmoothAndNoise, Protocol):
+    """One that knows what an AC coupling, and an average, make of it: far fewer looks are needed."""
+
+    def above(self, corner_hz: float, start: float, stop: float, /) -> Callable[[Floats], Floats] | None:
+        """The smooth part behind a high-pass of one pole, for times between two in s; None where not known."""
+
+    def mean(self, starts: Floats, times: Floats, corner_hz: float, settling_s: float, /) -> Floats | None:
+        """Mean over many starts of the smooth part at times behind each, behind a high-pass (0: none); or None."""
+
+
 def tells_its_noise(signal: Callable[[Floats], Floats]) -> TypeGuard[SmoothAndNoise]:
     """Whether a signal has the attributes of `SmoothAndNoise` (this is asked often: not with all of them)."""
     return hasattr(signal, "noise_rms")
+
+
+def known_ahead(signal: Callable[[Floats], Floats]) -> TypeGuard[KnownAhead]:
+    """Whether a signal is a `KnownAhead`."""
+    return hasattr(signal, "above")
+
+
+def polynomials(values: Floats) -> Floats:
+    """Coefficients (..., 6) of the quintic polynomials through six values (..., 6) at the places -2, -1, ... 3."""
+    return np.asarray(values @ _TO_POLYNOMIAL)
 
 
 class Between:
@@ -62,7 +85,7 @@ class Between:
 
     def __init__(self, first: float, last: float, values: Floats) -> None:
         self._first, self._pace = first, (len(values) - 1) / (last - first)
-        self._polynomials = np.lib.stride_tricks.sliding_window_view(values, 6) @ _TO_POLYNOMIAL
+        self._polynomials = polynomials(np.lib.stride_tricks.sliding_window_view(values, SIX))
 
     def at(self, time: float) -> float:
         """The value at one time in s: as of an array, and faster."""
@@ -129,6 +152,16 @@ class CoarseLook:
         if time_constant > _FOLLOWS * self.interval:
             return None
         return replace(self, delay=self.delay + time_constant)
+
+
+def look_above(
+    signal: Callable[[Floats], Floats], corner_hz: float, start: float, stop: float
+) -> CoarseLook | None:
+    """What `look` gives, behind a high-pass of one pole that has settled before the start; None: not known."""
+    if not known_ahead(signal):
+        return None
+    above = signal.above(corner_hz, start, stop)
+    return None if above is None else CoarseLook(above, signal.interval(start, stop))
 
 
 def look(signal: Callable[[Floats], Floats], start: float, stop: float) -> Callable[[Floats], Floats]:

@@ -13,23 +13,28 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from instrument.simulated.front_end.comparator import SHORTEST_STRETCH, Comparator, Part, Stretch
+from instrument.simulated.front_end.comparator import BEND, SHORTEST_STRETCH, Comparator, Part, Stretch
 from instrument.simulated.front_end.frontend import Floats
-from instrument.simulated.front_end.smooth import Between
+from instrument.simulated.front_end.smooth import SIX, Between, polynomials
 from instrument.simulated.panel.panel import TriggerSettings
 
 HYSTERESIS = 0.3  # divisions (a guess; the sensitivity is given as one division)
 _FIRST_CHUNK = 1024
 _LONGEST_CHUNK = 16_384
 _MOST_POINTS = 60_000  # samples of one search, however long the time
+_USUAL_SPAN = 0.05  # s that a search takes at most, usually
 _LONG = 4096  # samples of a search, from which on it is worth to know whether the level can be reached at all
 _REFINEMENTS = 3
+_FIRST_CELLS, _MOST_CELLS = (
+    96,
+    4096,
+)  # of a stretch of the smooth part; further ones are longer, if nothing was found
 _MOST_NOISE = 6.5  # standard deviations; a sample of white noise is never further off
 _PLACES: Floats = np.arange(65.0) / 64
 GUARD_BAND = 0.05  # of the width, p. 159
 SHORTEST_GUARD_BAND = 16.5e-9  # s
 _SAMPLES_A_WIDTH = 16  # of a search for pulses
-_LOOKS_A_CELL = 64  # of such a search, between two points that tell all about the smooth part
+_LOOKS_A_CELL = 16  # of such a search, between two points that tell all about the smooth part
 
 
 @dataclass
@@ -44,6 +49,8 @@ class EdgeSearch:
         In the same volts; negative edges are searched on the negated signal.
     searched_until : float
         Absolute time in s up to which there was no edge.
+    cells : int
+        Of the next stretch of a smooth part.
     """
 
     volts_at: Comparator
@@ -52,6 +59,7 @@ class EdgeSearch:
     hysteresis: float
     searched_until: float
     armed: bool = False
+    cells: int = _FIRST_CELLS
 
     def advance(self, until: float, step: float, now: float) -> float | None:
         """Search on to `until`, not later than `now`, in steps of about `step`; the time of the edge, or None."""
@@ -90,11 +98,12 @@ class EdgeSearch:
         while until - self.searched_until > SHORTEST_STRETCH:
             if self.volts_at.has_to_look(self.searched_until) and self._passes_by(until, noise):
                 break
-            stretch = self.volts_at.stretch(self.searched_until, until, now)
+            stretch = self.volts_at.stretch(self.searched_until, until, now, self.cells)
             edge = self._edge_along(stretch, until, step, noise)
             if edge is not None:
                 return edge
             self.searched_until = min(until, float(stretch.times[-1]))
+            self.cells = min(2 * self.cells, _MOST_CELLS)
         return None
 
     def _edge_along(self, stretch: Stretch, until: float, step: float, noise: float) -> float | None:
@@ -125,11 +134,11 @@ class EdgeSearch:
         """The first edge in a short time, sample by sample with the noise."""
 
         def above(times: Floats) -> Floats:
-            return self._turned(between(times) + self.volts_at.noise(times) - self.level)
+            return self.turned(between(times) + self.volts_at.noise(times) - self.level)
 
         # not before the smooth signal is so high that noise could do it
         places: Floats = start + (stop - start) * _PLACES
-        possible = self._turned(between(places) - self.level) >= -noise
+        possible = self.turned(between(places) - self.level) >= -noise
         first = float(places[max(int(possible.argmax()) - 1, 0)])
         size = _FIRST_CHUNK
         while first < stop:
@@ -148,13 +157,13 @@ class EdgeSearch:
             first = float(times[-1])
         return None
 
-    def _turned(self, volts: Floats) -> Floats:
+    def turned(self, volts: Floats) -> Floats:
         """Volts with the sign in which the wanted edge rises."""
         return volts if self.rising else -volts
 
     def _above(self, times: Floats) -> Floats:
         """Signal over the level, turned so that the wanted edge rises."""
-        return self._turned(self.volts_at(times) - self.level)
+        return self.turned(self.volts_at(times) - self.level)
 
     def _edge_in(self, times: Floats) -> float | None:
         above = self._above(times)
@@ -174,6 +183,74 @@ class EdgeSearch:
 
     def _refine(self, low: float, high: float) -> float:
         return refine(self._above, low, high)
+
+
+def first_edges(search: EdgeSearch, ready: Floats, reach: float, step: float) -> Floats:
+    """First edges after each of several times, all at once: what a search from each of them would find.
+
+    Parameters
+    ----------
+    search : EdgeSearch
+        What to look for; from where is not asked.
+    ready : (n,) array
+        Absolute times in s, rising, from which on to look.
+    reach : float
+        s behind each of them; what comes later is not looked at.
+    step : float
+        s between samples with noise.
+
+    Returns
+    -------
+    (n,) array
+        Absolute times in s; nan where there is no edge, or none that is as clear as all this takes for granted.
+    """
+    volts_at, noise = search.volts_at, _MOST_NOISE * search.volts_at.noise_rms
+    step = max(step, _USUAL_SPAN / _MOST_POINTS)
+    edges = np.full(ready.shape, np.nan)
+    interval = volts_at.interval(float(ready[0]), float(ready[-1]) + reach)
+    if noise >= search.hysteresis or interval <= step:
+        return edges
+    looks = math.ceil(reach / interval) + SIX
+    times = ready[:, np.newaxis] + interval * np.arange(looks, dtype=np.float64)
+    above = search.turned(volts_at.smooth(times.ravel()).reshape(times.shape) - search.level)
+    margin = noise + BEND * np.abs(np.diff(above, 2)).max()
+    places = np.arange(looks)
+    low = np.where((above < -search.hysteresis).any(axis=1), (above < -search.hysteresis).argmax(axis=1), looks)
+    behind = places > low[:, np.newaxis]
+    over = (above >= 0) & behind
+    near = (above >= -margin) & behind
+    first, begins = over.argmax(axis=1), near.argmax(axis=1)
+    clear = over.any(axis=1) & (first - begins < SIX // 2) & (first + SIX // 2 <= looks)
+    rows = np.flatnonzero(clear)
+    if not rows.size:
+        return edges
+    around = np.minimum(np.maximum(first[rows] - SIX // 2, 0), looks - SIX)
+    six = np.take_along_axis(above[rows], around[:, np.newaxis] + np.arange(SIX), axis=1)
+    start = (begins[rows] - 1 - around).astype(np.float64)
+    rise = polynomials(six)
+
+    def heights(inside: Floats) -> Floats:
+        """V over the level, at places in intervals from the first of the six looks."""
+        total = np.broadcast_to(rise[:, SIX - 1, np.newaxis], inside.shape)
+        for order in range(SIX - 2, -1, -1):
+            total = total * (inside - 2.0) + rise[:, order, np.newaxis]
+        return total
+
+    # not before the smooth signal is so high that noise could do it, and as long again behind the level
+    cells = (first - begins + 1)[rows].astype(np.float64)
+    inside = start[:, np.newaxis] + cells[:, np.newaxis] * _PLACES
+    possible = np.maximum((heights(inside) >= -noise).argmax(axis=1) - 1, 0)
+    start = np.take_along_axis(inside, possible[:, np.newaxis], axis=1)[:, 0]
+    longest = float((first[rows] - around - start).max())
+    samples = start[:, np.newaxis] + step / interval * np.arange(math.ceil(2 * longest * interval / step) + 2.0)
+    seen = heights(samples) + search.turned(volts_at.noise(samples.ravel()).reshape(samples.shape))
+    crossed = seen >= 0
+    at = np.maximum(crossed.argmax(axis=1), 1)[:, np.newaxis]
+    high, before = np.take_along_axis(seen, at, axis=1), np.take_along_axis(seen, at - 1, axis=1)
+    share = high / np.where(high > before, high - before, np.inf)
+    found = (np.take_along_axis(samples, at, axis=1) - share * step / interval)[:, 0] + around
+    edges[rows] = np.where(crossed.any(axis=1), ready[rows] + interval * found, np.nan)
+    return edges
 
 
 def refine(above: Callable[[Floats], Floats], low: float, high: float, rounds: int = _REFINEMENTS) -> float:
@@ -198,7 +275,7 @@ class PulseSearch:
     ----------
     trigger : TriggerSettings
         Level, polarity, condition and width.
-    volts_at, hysteresis, searched_until
+    volts_at, hysteresis, searched_until, cells
         As of EdgeSearch.
     state : int
         1 within a pulse, -1 outside, 0 as long as that is not known.
@@ -212,6 +289,7 @@ class PulseSearch:
     searched_until: float
     state: int = 0
     began: Bracket | None = None
+    cells: int = _FIRST_CELLS
 
     def advance(self, until: float, step: float, now: float) -> float | None:
         """Search on to `until`, not later than `now`, in steps of `step` or finer; the time of the trigger."""
@@ -236,12 +314,13 @@ class PulseSearch:
     def _advance_coarsely(self, until: float, now: float, step: float, noise: float) -> float | None:
         """The same where looks far apart tell on which side the signal is, and `noise` is as far as noise goes."""
         while until - self.searched_until > SHORTEST_STRETCH:
-            stretch = self.volts_at.stretch(self.searched_until, until, now)
+            stretch = self.volts_at.stretch(self.searched_until, until, now, self.cells)
             times = self._telling_times(stretch, min(until, float(stretch.times[-1])), step, noise)
             found = self._pulse_in(times, self._turned(stretch.between(times) + self.volts_at.noise(times)))
             if found is not None:
                 return found
             self.searched_until = float(times[-1])
+            self.cells = min(2 * self.cells, _MOST_CELLS)
         return None
 
     def _telling_times(self, stretch: Stretch, end: float, step: float, noise: float) -> Floats:

@@ -8,6 +8,7 @@ Source: Prologix GPIB-Ethernet controller user manual, version 1.6.6, sections 7
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from instrument.simulated.links.exchange import MessageExchange
@@ -18,6 +19,7 @@ _VERSION = b"Simulated GPIB adapter, version 6.107\r\n"
 _ESCAPE, _LINE_FEED, _RETURN = 0x1B, 0x0A, 0x0D
 _APPENDED = (b"\r\n", b"\r", b"\n", b"")  # ++eos 0 to 3
 _UNSENT = 0.001  # s
+_NOTHING_TO_SAY = 420  # what an instrument posts that is addressed to talk and was not asked
 _UNRECOGNIZED = b"Unrecognized command\r\n"
 
 
@@ -41,6 +43,7 @@ class _Client:
         }
     )
     reading_until: float = 0.0  # time in s at which a read gives up; 0: not reading
+    last: int | None = None  # the character that ends a read, before the message does
     escaped: bool = False
 
 
@@ -126,11 +129,14 @@ class GpibAdapterServer(StreamServer):
 
     def _read_on(self, port: Port, client: _Client, now: float) -> None:
         """Hand over what the instrument says, or give up."""
-        here = int(client.settings["addr"].split()[0]) == self.address
-        answer = client.exchange.take() if here else None
+        answer = client.exchange.take() if self._here(client) else None
         if answer is not None:
+            end = len(answer) if client.last is None else answer.find(client.last) + 1 or len(answer)
             eot = bytes([int(client.settings["eot_char"])]) if client.settings["eot_enable"] == "1" else b""
-            port.outgoing.put(answer + eot, now)
+            if end < len(answer):
+                client.exchange.put_back(answer[end:])
+                eot = b""
+            port.outgoing.put(answer[:end] + eot, now)
             client.reading_until = 0.0
         elif now >= client.reading_until:
             client.reading_until = 0.0
@@ -154,7 +160,7 @@ class GpibAdapterServer(StreamServer):
         if line.startswith(b"++"):
             self._order(port, client, line[2:].decode("ascii", errors="replace").split(), now)
             return
-        if int(client.settings["addr"].split()[0]) == self.address:
+        if self._here(client):
             client.exchange.receive(_unshielded(line) + _APPENDED[int(client.settings["eos"])])
         if client.settings["auto"] == "1":
             self._start_reading(client, now)
@@ -168,7 +174,7 @@ class GpibAdapterServer(StreamServer):
             else:
                 port.outgoing.put(f"{client.settings[name]}\r\n".encode(), now)
         elif name == "read":
-            self._start_reading(client, now)
+            self._start_reading(client, now, values)
         elif name == "clr":
             exchange.clear()
             client.reading_until = 0.0
@@ -182,8 +188,18 @@ class GpibAdapterServer(StreamServer):
         elif name not in ("ifc", "loc", "llo", "rst"):
             port.outgoing.put(_UNRECOGNIZED, now)
 
-    def _start_reading(self, client: _Client, now: float) -> None:
+    def _start_reading(self, client: _Client, now: float, values: Sequence[str] = ()) -> None:
+        """Listen to the instrument: to the end of its message, or to a character."""
         client.reading_until = now + int(client.settings["read_tmo_ms"]) / 1000
+        client.last = int(values[0]) if values and values[0].isdigit() else None
+        client.exchange.pump()
+        if self._here(client) and not (client.exchange.working or client.exchange.answering):
+            with self.scope.lock:
+                self.scope.status.post(_NOTHING_TO_SAY)
+
+    def _here(self, client: _Client) -> bool:
+        """Whether the instrument has the address that is set."""
+        return int(client.settings["addr"].split()[0]) == self.address
 
 
 def _unshielded(line: bytes) -> bytes:

@@ -61,9 +61,9 @@ def _conflicts(panel: Panel, key: str, value: Value) -> bool:
     return key == "CURSOR:FUNCTION" and value != "OFF" and panel.text("DISPLAY:FORMAT") == "XY"
 
 
-def restarts(key: str) -> bool:
-    """True if changing this setting starts the acquisition anew, p. 2-47."""
-    return key.startswith(RESTARTING) and key not in NOT_RESTARTING
+def restarts(key: str, *, averages: bool = False) -> bool:
+    """True if changing this setting starts the acquisition anew, p. 2-47; averages begin anew with every one."""
+    return key.startswith(RESTARTING) and (averages or key not in NOT_RESTARTING)
 
 
 def _store_channel(panel: Panel, name: str, leaf: str, value: Value) -> None:

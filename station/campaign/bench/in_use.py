@@ -7,6 +7,7 @@ from contextlib import ExitStack, contextmanager
 from typing import Any
 
 from instrument.in_use import claim
+from instrument.pyvisa_sessions import meant_by
 from station.campaign.bench.surroundings import controllers_of
 from station.campaign.plan import CampaignPlan
 
@@ -28,7 +29,7 @@ def bench_in_use(plan: CampaignPlan) -> Iterator[None]:
     doing = f"campaign {plan.name}, unit {plan.unit}"
     with ExitStack() as claims:
         for name in instruments_of(plan):
-            claims.enter_context(claim(name, doing))
+            claims.enter_context(claim(name, doing, means=meant_by(name)))
         yield
 
 

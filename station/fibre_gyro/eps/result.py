@@ -9,6 +9,7 @@ from station.fibre_gyro.common import PPM, small_ppm
 from station.fibre_gyro.eps.evaluate import EpsFound
 from station.fibre_gyro.settings import FogSettings
 from station.results.as_json import picked
+from station.results.contributions import Contribution, budget_document
 from station.results.numbers import ppm
 from station.results.result import Measured, Result
 from station.runs.store import SavedRun
@@ -52,9 +53,25 @@ def _document(found: EpsFound) -> dict[str, Any]:
         **picked(found.error, _NUMBERS),
         "two_pi_error_ppm": PPM * found.error.two_pi_error,
         "two_pi_error_u_ppm": PPM * found.error.two_pi_error_u,
+        "budget": budget_document("1, the range over 2π", _budget(found), PPM * found.error.two_pi_error_u),
         "points": [dict(zip(names, row, strict=True)) for row in zip(*columns, strict=True)],
         "left_out": found.left_out,
     }
+
+
+def _budget(found: EpsFound) -> list[Contribution]:
+    """Say what each input contributes to the uncertainty of eps."""
+    parts = {name: PPM * value for name, value in found.error.contributions.items()}
+    noise = "by the scatter of the words, of both senses of a step together"
+    freedom = f"residuals, {found.error.degrees_of_freedom} degrees of freedom"
+    return [
+        Contribution("normal", "noise of the pairs without a reset", parts["normal"], True, noise),
+        Contribution("reset", "noise of the pairs with a reset", parts["reset"], True, noise),
+        Contribution("scatter", "scatter of the steps beyond these", parts["scatter"], True, freedom),
+        Contribution(
+            "light level", "light level", 0.0, True, "fitted: the ratio of both kinds of pairs tells eps"
+        ),
+    ]
 
 
 def _sentences(found: EpsFound, settings: FogSettings) -> list[str]:

@@ -10,6 +10,7 @@ from station.fibre_gyro.common import staircase_section
 from station.fibre_gyro.eps.evaluate import EpsFound
 from station.fibre_gyro.settings import FogSettings
 from station.report.figure import ACCENT, HALF, INK, SECOND, SOFT, legend_above, svg_element
+from station.results.contributions import budget_table
 from station.results.numbers import with_uncertainty
 from station.results.parts import PlacedFigure, Section, TextTable
 from station.results.result import Result
@@ -38,6 +39,7 @@ def sections(found: EpsFound, run: SavedRun, settings: FogSettings, result: Resu
             ),
             table=TextTable(header, rows),
         ),
+        Section("Budget", table=budget_table("2π error", result.document["budget"])),
         staircase_section(settings, open_loop_step=float(abs(found.step_codes).min())),
     ]
 

@@ -145,7 +145,7 @@ def _scale_factors_svg(found: MeritFound) -> str:
             groups = (("from cold starts", axis.runs), ("at other temperatures", axis.at_temperatures))
             for place, (name, chosen) in enumerate(groups):
                 slopes = np.array([one.figures.fit.slope for one in chosen], dtype=np.float64)
-                u = PPM * np.array([one.figures.fit.slope_u for one in chosen]) / axis.scale_factor
+                u = PPM * np.array([one.figures.fit.slope_u for one in chosen]) / abs(axis.scale_factor)
                 off = PPM * (slopes / axis.scale_factor - 1)
                 if chosen:
                     colour, temperatures = COLOURS[(2 * index + place) % 7], [one.temperature_c for one in chosen]

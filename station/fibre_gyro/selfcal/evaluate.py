@@ -231,7 +231,7 @@ def _contributions(
         "numbers": numbers_u,
     }
     relative = {name: PPM * value / abs(fit.slope) for name, value in causes.items()}
-    return {**relative, "table": PPM * against[1] / against[0]}
+    return {**relative, "table": PPM * against[1] / abs(against[0])}
 
 
 def _mapping_u(steps: Sequence[_Row], rates: NDArray[np.float64], u: NDArray[np.float64]) -> float:

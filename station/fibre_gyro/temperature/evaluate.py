@@ -176,7 +176,7 @@ def _bias_points(blocks: Blocks, course: Course, scale: Modelled | None, setting
     if scale is not None:
         k = k * (1 + scale.model.at(np.clip(warm, scale.model.lowest, scale.model.highest))[0] / PPM)
     earth = blocks.end_up * vertical_earth_rate_dph(settings.site.latitude_deg)
-    return Points(3600 * blocks.mean / k - earth, 3600 * blocks.mean_u / k, blocks.at_s, warm, rate)
+    return Points(3600 * blocks.mean / k - earth, 3600 * blocks.mean_u / np.abs(k), blocks.at_s, warm, rate)
 
 
 def _scale_points(turned: Turned, course: Course, bias: Modelled | None, settings: FogSettings) -> Points:

@@ -178,7 +178,7 @@ def _scale_factor(points: Sequence[Point], settings: FogSettings) -> tuple[float
     first, last = (choose(points, key=lambda one: one.input_dps, default=None) for choose in (min, max))
     if first is not None and last is not None and first.input_dps < 0 < last.input_dps:
         slope = (last.mean.mean - first.mean.mean) / (last.input_dps - first.input_dps)
-        if abs(slope / design - 1) < _NOT_THE_DESIGN:
+        if abs(abs(slope / design) - 1) < _NOT_THE_DESIGN:  # an output may fall with the rate
             return slope, False
     return design, True
 

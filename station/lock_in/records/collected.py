@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from analysis import LockInEstimate
 from station.lock_in.records.on_disk import ARRAYS, ColumnFiles, EstimatesOnDisk
-from station.lock_in.records.pieces import Gathered, together
+from station.lock_in.records.pieces import Gathered, give_back_room, together
 
 LONG = 20_000
 """Records from which on their estimates lie on the disk: some 250 bytes each."""
@@ -44,7 +44,8 @@ class Collected:
             self._parts = [together(self._parts)]
 
     def gathered(self) -> Gathered:
-        """All of it as one."""
+        """All of it as one; nothing is added afterwards."""
+        give_back_room()
         whole = together(self._parts)
         if self._columns is None or self._like is None:
             return whole

@@ -207,6 +207,11 @@ def _kept_room(shape: tuple[int, ...]) -> NDArray[np.float64]:
     return room
 
 
+def give_back_room() -> None:
+    """Free the memory that the batches of this thread used in turn: no further one comes."""
+    _OF_THREAD.__dict__.clear()
+
+
 @dataclass
 class _Alike:
     """Records one behind the other that share preamble and conditions, as most of a run do."""

@@ -17,7 +17,7 @@ def words(seed: int, count: int, *, walk: float = N, wander: float = 0.0, roundi
 
 
 def test_terms_are_found_where_they_are_and_nowhere_else():
-    fit = fit_noise(words(1, 20_000), INTERVAL)
+    fit = fit_noise(words(11, 20_000), INTERVAL)
     assert fit.chosen == ("angle_random_walk",)
     assert fit.coefficients["angle_random_walk"] == pytest.approx(
         N, abs=6 * fit.coefficients_u["angle_random_walk"]
@@ -42,6 +42,17 @@ def test_bias_instability_is_that_of_the_flat_part():
     fit = fit_noise(1e-3 * flicker + words(6, 30_000, walk=3e-4), INTERVAL)
     assert "bias_instability" in fit.chosen
     assert fit.coefficients["bias_instability"] == pytest.approx(1e-3, rel=0.15)
+
+
+def test_slow_noise_that_may_be_another_kind_counts_so():
+    fit = fit_noise(words(29, 4096, wander=1.2e-5), INTERVAL)
+    # seven minutes: a walk is more likely, and bias instability alone would do as well
+    assert fit.chosen == ("angle_random_walk", "rate_random_walk")
+    assert fit.low_95["rate_random_walk"] == 0 < 1.2e-5 < fit.high_95["rate_random_walk"] < 3e-5
+    assert 3.92 * fit.coefficients_u["rate_random_walk"] == pytest.approx(
+        fit.high_95["rate_random_walk"], rel=1e-3
+    )
+    assert 1e-5 < fit.high_95["bias_instability"] < 1e-4
 
 
 def test_gaps_and_outliers_leave_the_noise_as_it_is():

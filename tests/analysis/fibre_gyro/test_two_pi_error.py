@@ -42,6 +42,21 @@ def test_uncertainty_is_the_scatter_of_repeated_measurements() -> None:
     assert errors.mean() == pytest.approx(0.0, abs=0.45)
 
 
+def test_steps_that_do_not_agree_widen_the_uncertainty() -> None:
+    phi = 2 * np.pi * 1.002 * STEPS / 2**16
+    normal, reset = -2 * np.sin(phi), -np.sin(phi) - np.sin(phi - 0.004 * np.pi * np.sign(STEPS))
+    whole = estimate_two_pi_error(STEPS, normal, reset, 1e-6, 1e-6, dac_bits=16)
+    assert whole.two_pi_error == pytest.approx(2e-3, abs=1e-9)
+    off = np.array([1, -1, -1, 1]) * 2e-5
+    bent = estimate_two_pi_error(STEPS, normal, reset + off, 1e-6, 1e-6, dac_bits=16)
+    parts = bent.contributions
+    assert parts["scatter"] > 5 * np.hypot(parts["normal"], parts["reset"])
+    assert np.linalg.norm(list(parts.values())) == pytest.approx(bent.two_pi_error_u)
+    # five degrees of freedom: Student's t is a third wider than the normal distribution
+    plain = np.hypot(whole.contributions["normal"], whole.contributions["reset"])
+    assert bent.two_pi_error_u / plain == pytest.approx(1.31 * np.sqrt(bent.chi_square / 5), rel=0.1)
+
+
 def test_errors_of_no_open_loop_are_refused() -> None:
     phi = 2 * np.pi * STEPS / 2**16
     normal, reset = -2 * np.sin(phi), -2 * np.sin(phi)

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.interpolate import make_interp_spline
+from scipy.signal import bilinear, lfilter
 
 from analysis.ring_laser import (
     Detector,
@@ -12,6 +13,7 @@ from analysis.ring_laser import (
     NoisySignal,
     beat_phase_on_table,
     beat_signal_on_table,
+    signal_above,
     signal_bounds,
     smooth_interval,
 )
@@ -97,3 +99,37 @@ def test_smooth_part_and_noise_make_the_signal():
     times = np.linspace(0.0, 1.0, 500)
     assert np.array_equal(noisy(times), np.sin(times) + noisy.noise(times))
     assert noisy.noise(times).std() == pytest.approx(0.1, rel=0.1)
+
+
+@pytest.mark.parametrize(
+    ("gyro", "detector", "rate"),
+    [
+        (GYRO, DETECTOR, 3.5),
+        (GYRO, replace(DETECTOR, offset=1.0), -3.5),
+        (GYRO, replace(DETECTOR, ac_corner_hz=1.0, low_pass_hz=2e3), 3.5),
+        (replace(GYRO, ripple_dps=2e-5, ripple_hz=1.0), replace(DETECTOR, pump_ripple=5e-4, pump_hz=150.0), 3.5),
+    ],
+)
+def test_what_an_ac_coupling_makes_of_the_beat_is_what_a_filter_makes_of_it(gyro, detector, rate):
+    motion, per_second = (Motion(0.0, 40.0, rate),), 50e3
+    times = 20.0 + np.arange(30_000) / per_second
+    above = signal_above(gyro, detector, motion, 10.0, times[0], times[-1])
+    whole = beat_signal_on_table(gyro, detector, motion, times)
+    time_constant = 1 / (2 * np.pi * 10.0)
+    filtered = lfilter(*bilinear([time_constant, 0], [time_constant, 1], per_second), whole - whole.mean())
+    settled = times > 20.4
+    assert np.abs(above(times) - filtered)[settled].max() < 5e-4 * detector.amplitude
+
+
+@pytest.mark.parametrize(
+    ("gyro", "detector", "motion"),
+    [
+        (GYRO, replace(DETECTOR, pump_ripple=0.02, pump_hz=150.0), (Motion(0.0, 40.0, 3.5),)),
+        (replace(GYRO, ripple_dps=0.01, ripple_hz=3.0), DETECTOR, (Motion(0.0, 40.0, 3.5),)),
+        (GYRO, DETECTOR, (Motion(0.0, 40.0, 3.5), Motion(20.1, 0.0, 5.0))),
+        (GYRO, DETECTOR, (Motion(0.0, 40.0, 0.2),)),
+    ],
+    ids=["light swings", "rate swings", "table changes its rate", "locked"],
+)
+def test_what_an_ac_coupling_makes_of_other_beats_is_not_known(gyro, detector, motion):
+    assert signal_above(gyro, detector, motion, 10.0, 20.0, 20.2) is None

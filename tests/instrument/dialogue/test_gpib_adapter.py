@@ -1,5 +1,6 @@
 """The driver behind a GPIB adapter of Prologix' kind, on TCP and on a terminal; plain names and advice."""
 
+import socket
 import sys
 
 import numpy as np
@@ -86,3 +87,24 @@ def test_what_to_do_about_a_name_that_does_not_open():
     pytest.importorskip("pyvisa_py")
     with pytest.raises(LinkError, match=r"driver.*PRLGX"):
         TDS2014("GPIB0::1::INSTR", resource_manager=pyvisa.ResourceManager("@py"))
+
+
+def test_a_program_that_reads_to_a_line_feed_gets_a_curve_of_them_piece_by_piece():
+    """By the adapter's own orders: what `++read 10` leaves is there for the next read."""
+    flat = SimulatedTDS2014({1: lambda times: np.full_like(times, LINE_FEED * 0.02)}, noise_levels=0.0)
+    with GpibAdapterServer(flat) as server, socket.create_connection((server.host, server.port), 5.0) as link:
+        lines = link.makefile("rwb")
+
+        def send(*orders):
+            lines.write(b"".join(order + b"\n" for order in orders))
+            lines.flush()
+
+        send(b"++addr 1", b"++auto 0", b"*CLS;HEADER OFF;:CH1:PROBE 1;SCALE 0.5;:DATA:STOP 5")
+        send(b"CURVE?", b"++read 10")
+        assert lines.read(4) == b"#15\n"
+        send(b"++read 10")
+        assert lines.read(1) == b"\n"
+        send(b"++read eoi")
+        assert lines.read(4) == b"\n" * 4  # three points and the end
+        send(b"++read eoi", b"*ESR?;:EVENT?", b"++read eoi")  # nothing was asked: query error
+        assert lines.readline() == b"4;420\n"

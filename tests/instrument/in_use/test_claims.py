@@ -7,15 +7,20 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from types import SimpleNamespace
+from typing import cast
 
 import pytest
+import pyvisa
 
 from instrument import TDS2014, LinkError
 from instrument.discovery import check_resource
 from instrument.in_use import claim
 from instrument.in_use.links import link_of
+from instrument.pyvisa_sessions import claim_instrument
 from instrument.simulated import SimulatedTDS2014, TcpServer
 from instrument.simulated.controllers import LineServer, SimulatedPowerSupply
+from instrument.simulated.links.gpib_adapter import GpibAdapterServer
 from instrument.templates import Controller, parse_template
 
 HOLDS = """
@@ -111,12 +116,48 @@ def test_names_of_one_link(tmp_path: Path) -> None:
         ("PRLGX-TCPIP0::127.0.0.1::1234::GPIB0::1::INSTR", "PRLGX-TCPIP::127.0.0.1::1234::GPIB::7"),
         ("TCPIP0::10.0.0.5::INSTR", "TCPIP::10.0.0.5::inst0::INSTR"),
         (f"ASRL{link}::INSTR", f"asrl{device}::INSTR"),
-        ("COM3", "ASRL3::INSTR"),
-        ("USB0::0x0699::0x0368::C012345::INSTR", "USB::1689::872::c012345::0::INSTR"),
-        ("GPIB0::1::INSTR", "gpib::1"),
+        ("COM3", "ASRL3::INSTR", "ASRLCOM3::INSTR"),
+        (
+            "USB0::0x0699::0x0368::C012345::INSTR",
+            "USB0::0x0699::0x0368::C012345::0::INSTR",
+            "USB::1689::872::c012345::0::INSTR",
+            "usb0::0X0699::0x368::C012345::instr",
+            "USB0::0x0699::0x0368::C012345",
+        ),
+        ("GPIB0::1::INSTR", "gpib::1", "GPIB0::01::instr"),
+        ("TCPIP0::10.0.0.6::hislip0::INSTR", "TCPIP::10.0.0.6::hislip0,4880"),
+        ("PRLGX-TCPIP0::10.0.0.7::GPIB0::1::INSTR", "PRLGX-TCPIP0::10.0.0.7::1234::INTFC"),
     ]
-    for one, other in alike:
-        assert link_of(one) == link_of(other), one
-    different = [one for one, _ in alike]
+    for names in alike:
+        assert len({link_of(one) for one in names}) == 1, names
+    different = [names[0] for names in alike]
     assert len({link_of(one) for one in different}) == len(different)
     assert link_of("TCPIP0::10.0.0.5::hislip0::INSTR") != link_of("TCPIP0::10.0.0.5::hislip1::INSTR")
+
+
+def test_an_alias_of_a_vendors_visa_is_the_scope_that_it_stands_for(locks: Path) -> None:
+    class Vendor:
+        visalib = object()
+
+        def resource_info(self, name: str) -> SimpleNamespace:
+            return SimpleNamespace(
+                resource_name="USB0::0x0699::0x036A::C7::INSTR" if name == "bench scope" else None
+            )
+
+    vendor = cast(pyvisa.ResourceManager, Vendor())
+    with another_program("USB0::1689::874::C7::0::INSTR") as process, pytest.raises(LinkError) as refused:
+        claim_instrument("bench scope", vendor)
+    assert str(refused.value).startswith(f"bench scope is in use by process {process.pid} ")
+    with claim_instrument("another scope", vendor):
+        pass
+
+
+def test_a_gpib_name_behind_an_adapter_that_is_open_is_that_adapter(locks: Path) -> None:
+    with GpibAdapterServer(SimulatedTDS2014(), address=7) as server:
+        manager = pyvisa.ResourceManager("@py")
+        adapter = manager.open_resource(server.interface_name)
+        try:
+            with another_program(server.resource_name), pytest.raises(LinkError, match="in use by process"):
+                claim_instrument("GPIB0::7::INSTR", manager)
+        finally:
+            adapter.close()

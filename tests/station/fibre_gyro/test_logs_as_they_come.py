@@ -57,14 +57,15 @@ def figures(logs: Logs, axis: str, scale: float, end: int = 1, drift: float = 0.
 
 def test_three_axes_in_one_list_are_three_gyros(tmp_path: Path) -> None:
     logs = Logs(tmp_path, "file,axis,rate_dps,end_up")
-    for axis, scale in (("X", K), ("Y", 1.002 * K), ("Z", 0.997 * K)):
+    for axis, scale in (("X", K), ("Y", 1.002 * K), ("Z", -0.997 * K)):
         figures(logs, axis, scale)
     found = logs.evaluate("figures")
     assert found["scale_factor_counts_per_dps"] is None
     assert [one["axis"] for one in found["axes"]] == ["X", "Y", "Z"]
     scales = [one["scale_factor_counts_per_dps"] for one in found["axes"]]
-    assert scales == pytest.approx([K, 1.002 * K, 0.997 * K], rel=3e-6)
+    assert scales == pytest.approx([K, 1.002 * K, -0.997 * K], rel=3e-6)
     assert found["nonlinearity_ppm"] < 1.0
+    assert evaluate_run(open_run(found["path"])).sections()  # an output that falls with the rate can be drawn too
 
 
 def test_both_ends_of_an_axis_give_one_line(tmp_path: Path) -> None:

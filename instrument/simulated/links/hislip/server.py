@@ -109,7 +109,8 @@ class HislipServer(StreamServer):
             if len(port.outgoing):
                 pauses.append(_UNSENT)
         for session in set(self._sessions.values()):
-            pauses.append(0.0 if session.ready else session.request_at - time.monotonic())
+            able = session.ready or session.exchange.ready
+            pauses.append(0.0 if able else session.request_at - time.monotonic())
             pauses.append(session.exchange.pause())
         return max(0.0, min(*pauses, *(locks.next_deadline() - time.monotonic() for locks in self._locks)))
 

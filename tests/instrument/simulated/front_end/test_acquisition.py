@@ -133,6 +133,32 @@ def test_signal_smaller_than_the_sensitivity_does_not_trigger(make_bench):
     assert bench.ask("*OPC?", timeout=100) is None
 
 
+@pytest.mark.parametrize("nap", [0.3, 30.0])
+def test_auto_says_that_the_signal_is_gone_however_seldom_it_is_asked(make_bench, nap):
+    bench = make_bench({1: lambda t: np.sin(6283.0 * t) * (t < 20.0)}, noise_levels=0.0)
+    bench.write("HEADER OFF;:CH1:PROBE 1;SCALE 0.5;:HOR:SCALE 2.5E-4")
+    bench.clock.sleep(5.0)
+    assert {bench.ask("TRIG:STATE?") for _ in range(9)} <= {"ARMED", "READY", "TRIGGER"}
+    bench.clock.sleep(20.0)
+    for _ in range(9):
+        bench.clock.sleep(nap)
+        assert bench.ask("TRIG:STATE?") in ("ARMED", "AUTO")
+    assert set(bench.codes().tolist()) == {0}
+
+
+def test_averages_are_of_sweeps_one_after_the_other_and_the_latest(make_bench):
+    bench = make_bench({1: lambda t: np.sin(6283.0 * t)}, noise_levels=0.0)
+    bench.write("HEADER OFF;:CH1:PROBE 1;SCALE 0.5;:HOR:SCALE 1E-5;:ACQ:MODE AVERAGE;NUMAVG 16")
+    bench.codes()
+    for pause in (0.02, 0.5, 0.07, 3.0):
+        bench.clock.sleep(pause)
+        bench.ask("TRIG:STATE?")
+        bench.codes()
+        starts = np.array(bench.scope.acquisition.record.starts)
+        assert np.diff(starts).min() > 5e-3
+        assert 0.0 < bench.clock.now() - starts[-1] - 1e-4 < 0.05
+
+
 def test_force_trigger_completes_a_waiting_acquisition(bench):
     bench.write("HEADER OFF;:HOR:SCALE 1E-2;:TRIG:MAIN:LEVEL 7;MODE NORMAL;:ACQ:STOPAFTER SEQ;STATE ON")
     bench.write("TRIG FORCE")

@@ -61,6 +61,19 @@ def test_messages_and_their_ends(visa):
     assert len(visa.query_binary_values("CURVE?", datatype="b")) == 2500  # and the answer comes in pieces, too
 
 
+def test_no_message_waits_for_the_server_to_look_up(monkeypatch):
+    """Clients take turns of some messages: what is left of a turn comes in the next, and not after a pause."""
+    monkeypatch.setattr("instrument.simulated.links.hislip.server.LOOK_UP", 60.0)
+    with HislipServer(SimulatedTDS2014()) as server:
+        client = Instrument("127.0.0.1", port=server.port, timeout=5.0)
+        for count in range(1, 12):
+            for number in range(count):
+                client.send(f"CH1:SCALE {number + 1}".encode())
+            client.send(b"HEADER OFF;:CH1:PROBE?")
+            assert client.receive() == b"10\n"
+        client.close()
+
+
 def test_device_clear_frees_a_waiting_query(visa):
     visa.write("CH1:COUPLING GND;:TRIGGER:MAIN:MODE NORMAL;LEVEL 5;:ACQ:STOPA SEQ;STATE RUN;:HEADER OFF")
     visa.timeout = 100

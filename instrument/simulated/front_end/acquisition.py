@@ -151,7 +151,8 @@ class Acquisition:
             return "ARMED"
         if sweep.triggered_at is not None:
             return "AUTO" if sweep.forced else "TRIGGER"
-        _ = self.record  # whether the one before had a trigger
+        if now > sweep.ready_at + self._usual_wait:
+            self._look_for_the_one_before()
         return "AUTO" if self._untriggered else "READY"
 
     def next_change(self) -> float:
@@ -369,6 +370,15 @@ class Acquisition:
                 again = -math.inf
         self._swept = deque(starts, maxlen=_MOST_AVERAGED)
         return tuple(starts)
+
+    def _look_for_the_one_before(self) -> None:
+        """Find out whether the acquisition before this one had a trigger, if it was left out."""
+        if self._swept and isinstance(before := self._swept[-1], _LeftOut):
+            self._swept.pop()
+            triggered = self._edge_after(before.ready_at, self._panel.trigger())
+            if triggered is not None:
+                at, self._untriggered = triggered
+                self._swept.append(self._start(at))
 
     def _edge_after(self, ready_at: float, trigger: TriggerSettings) -> tuple[float, bool] | None:
         """When an acquisition that is over by now was triggered, and whether by AUTO; None: not at all."""

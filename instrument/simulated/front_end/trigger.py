@@ -12,6 +12,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from instrument.simulated.front_end.comparator import BEND, SHORTEST_STRETCH, Comparator, Part, Stretch
 from instrument.simulated.front_end.frontend import Floats
@@ -265,6 +266,7 @@ def refine(above: Callable[[Floats], Floats], low: float, high: float, rounds: i
 
 
 Bracket = tuple[float, float]
+Bools = NDArray[np.bool_]
 
 
 @dataclass
@@ -355,11 +357,12 @@ class PulseSearch:
             places = np.arange(len(times))
             last_below = np.maximum.accumulate(np.where(above < 0, places, 0))
             last_over = np.maximum.accumulate(np.where(above > 0, places, 0))
-            for index in changes.tolist():
-                rising = bool(sides[index] > 0)
-                last = int((last_below if rising else last_over)[index])
-                edge = float(times[last]), float(times[min(last + 1, index)])
-                if rising:
+            rising = sides[changes] > 0
+            last = np.where(rising, last_below[changes], last_over[changes])
+            lows, highs = times[last], times[np.minimum(last + 1, changes)]
+            for at in np.flatnonzero(self._worth_judging(rising, lows, highs)).tolist():
+                edge = float(lows[at]), float(highs[at])
+                if rising[at]:
                     self.began = edge
                 elif self.began is not None:
                     found = self._judge(self.began, edge, ended=True)
@@ -371,6 +374,16 @@ class PulseSearch:
         end = float(times[-1])
         return None if self.began is None else self._judge(self.began, (end, end), ended=False)
 
+    def _worth_judging(self, rising: Bools, lows: Floats, highs: Floats) -> Bools:
+        """Which edges, given by their brackets, are those of a pulse that could trigger, or not of a whole one."""
+        possible = ~rising[1:] & self._possible(lows[1:] - highs[:-1], highs[1:] - lows[:-1], ended=True)
+        worth = np.zeros(rising.shape, dtype=np.bool_)
+        worth[1:] = possible
+        worth[:-1] |= possible
+        worth[0] |= ~rising[0]
+        worth[-1] |= rising[-1]
+        return worth
+
     def _exactly(self, edge: Bracket, *, rising: bool) -> float:
         """The crossing of the level within a bracket."""
         sign = 1.0 if rising else -1.0
@@ -381,7 +394,8 @@ class PulseSearch:
 
         Its edges are only looked for where the brackets leave it open.
         """
-        if not self._possible(until[0] - began[1], until[1] - began[0], ended=ended):
+        lasted_between = np.array([until[0] - began[1]]), np.array([until[1] - began[0]])
+        if not self._possible(*lasted_between, ended=ended)[0]:
             return None
         start = self._exactly(began, rising=True)
         self.began = start, start
@@ -403,14 +417,16 @@ class PulseSearch:
         """Seconds around the width that still count as equal."""
         return max(GUARD_BAND * self.trigger.width, SHORTEST_GUARD_BAND)
 
-    def _possible(self, shortest: float, longest: float, *, ended: bool) -> bool:
-        """Whether a pulse could trigger that has lasted at least and at most so long (s)."""
+    def _possible(self, shortest: Floats, longest: Floats, *, ended: bool) -> Bools:
+        """Whether pulses could trigger that have lasted at least and at most so long (s)."""
         width, guard = self.trigger.width, self._guard
         match self.trigger.when:
             case "EQUAL":
-                return ended and longest >= width - guard and shortest <= width + guard
+                found = (longest >= width - guard) & (shortest <= width + guard) & ended
             case "INSIDE":
-                return ended and shortest < width
+                found = (shortest < width) & ended
             case "OUTSIDE":
-                return longest > width
-        return longest > width + guard or (ended and shortest < width - guard)
+                found = longest > width
+            case _:
+                found = (longest > width + guard) | ((shortest < width - guard) & ended)
+        return np.asarray(found)

@@ -25,7 +25,7 @@ from analysis.waveform.residuals import Residual, examine_residual, residual_of,
 from analysis.waveform.series.geometric_series import Series, sampled_series
 from analysis.waveform.series.minimise import SeriesFit, Task, gauss_newton
 from analysis.waveform.series.series_fit import fit_series, fit_series_again
-from analysis.waveform.steadiness import passing_power
+from analysis.waveform.steadiness import passing_power, slow_curve_power
 
 SINGLE_PRECISION_SWING = 1e-12, 1e12
 """Volts between which squares are safe in single precision."""
@@ -278,7 +278,8 @@ def _judged(
             flags[row] |= Flag.MISFIT
             report.misfit[row] = np.hypot(report.misfit[row], turned_by(sidebands, abs(moved.ratio)))
     for row in map(int, np.flatnonzero(at_rest & ((flags & int(SUSPECT)) != 0) & ~fatal)):
-        passing = passing_power(_valid_left(records.values, weights, series, row))
+        left_over = _valid_left(records.values, weights, series, row)
+        passing = max(passing_power(left_over), slow_curve_power(left_over))
         if passing:
             flags[row] |= Flag.MISFIT
             report.misfit[row] = np.hypot(report.misfit[row], np.sqrt(passing / beat_power[row]))

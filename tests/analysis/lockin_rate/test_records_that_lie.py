@@ -7,7 +7,7 @@ import scipy.signal
 from analysis import DOUBTFUL, FATAL, Flag, beat_signal, combine_estimates, estimate_lock_in
 from analysis.waveform.damage import is_a_piece
 from analysis.waveform.repeating import repeating
-from analysis.waveform.steadiness import passing_power
+from analysis.waveform.steadiness import passing_power, slow_curve_power
 from benchmarks.hostile.classes import CLASSES
 from benchmarks.hostile.gyro import N_SAMPLES, beat, draw_gyro, levels_of, steady, step_times
 from benchmarks.hostile.measure import answer_to, measure
@@ -194,10 +194,13 @@ def test_noise_of_any_colour_is_there_all_the_time_and_a_transient_is_not():
     slow = scipy.signal.lfilter([1], [1, -0.97], white)
     louder = white * np.where((N > 600) & (N < 900), 4.0, 1.0)
     for noise in (white, pink, slow, 3 * np.sin(0.05 * N) + white, louder):
-        assert not any(passing_power(one) for one in noise)
+        assert not any(passing_power(one) or slow_curve_power(one) for one in noise)
     settling = 8 * np.exp(-N / 20)
     found = np.array([passing_power(one + settling) for one in white[:50]])
     assert np.all(found > 0.5 * settling @ settling) and np.all(found < 2 * settling @ settling)
+    dying = 3 * (np.exp(-N / 500) - np.exp(-N / 500).mean())
+    found = np.array([slow_curve_power(one + dying) for one in 0.3 * white[:50]])
+    assert found == pytest.approx(np.full(50, dying @ dying), rel=0.1)
 
 
 def test_spikes_at_random_places_are_no_piece_and_a_broken_piece_is():

@@ -12,9 +12,9 @@ PIP    := -m pip install --quiet --disable-pip-version-check
 measure: $(READY)
 	$(BIN)/gyrolock measure
 
-# Three at once on two cores: many wait for an instrument.
+# Four at once on two cores: many wait for an instrument.
 test: $(READY)
-	$(BIN)/python -m pytest -n 3
+	$(BIN)/python -m pytest -n 4
 
 # All tests with the lowest versions that pyproject.toml states.
 test-lowest: $(LOWEST)/.ready

@@ -318,7 +318,11 @@ class PulseSearch:
         while until - self.searched_until > SHORTEST_STRETCH:
             stretch = self.volts_at.stretch(self.searched_until, until, now, self.cells)
             times = self._telling_times(stretch, min(until, float(stretch.times[-1])), step, noise)
-            found = self._pulse_in(times, self._turned(stretch.between(times) + self.volts_at.noise(times)))
+            volts = stretch.between(times)
+            # further off, noise turns no side
+            near = np.flatnonzero(np.abs(volts - self.trigger.level) <= self.hysteresis + noise)
+            volts[near] += self.volts_at.noise(times[near])
+            found = self._pulse_in(times, self._turned(volts))
             if found is not None:
                 return found
             self.searched_until = float(times[-1])
@@ -328,8 +332,10 @@ class PulseSearch:
     def _telling_times(self, stretch: Stretch, end: float, step: float, noise: float) -> Floats:
         """The looks of a stretch, with more of them, `step` apart, wherever the signal may cross the level."""
         first, last = np.searchsorted(stretch.times, (self.searched_until, end), side="right")
-        times = np.concatenate([[self.searched_until], stretch.times[first : last - 1], [end]])
-        above = self._turned(stretch.between(times))
+        looks = slice(first, last - 1)
+        times = np.concatenate([[self.searched_until], stretch.times[looks], [end]])
+        ends = stretch.between(times[[0, -1]])
+        above = self._turned(np.concatenate([ends[:1], stretch.volts[looks], ends[1:]]))
         sure = self.hysteresis + noise + stretch.bend
         sides = np.where(above > sure, 1, np.where(above < -sure, -1, 0))
         steady = (sides[1:] == sides[:-1]) & (sides[1:] != 0)

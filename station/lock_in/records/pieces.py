@@ -257,7 +257,8 @@ class _Reading:
             with ExitStack() as held:
                 self._read_from(open_source(self._piece.path, held))
         except (StationError, InstrumentError, OSError) as error:
-            self._left_out.append(LeftOut(self._name, None, str(error).removeprefix(f"{self._name}: ")))
+            reason = (isinstance(error, OSError) and error.strerror) or str(error)
+            self._left_out.append(LeftOut(self._name, None, reason.removeprefix(f"{self._name}: ")))
 
     def _read_from(self, source: Source) -> None:
         piece, self._name = self._piece, source.name

@@ -10,8 +10,8 @@ from instrument.simulated.front_end.comparator import Comparator
 from instrument.simulated.front_end.digitizer import Digitizer
 from instrument.simulated.front_end.frontend import slow_part
 from instrument.simulated.front_end.smooth import Between, CoarseLook
-from instrument.simulated.front_end.trigger import EdgeSearch, first_edges
-from instrument.simulated.panel.panel import ChannelSettings
+from instrument.simulated.front_end.trigger import EdgeSearch, PulseSearch, first_edges
+from instrument.simulated.panel.panel import ChannelSettings, TriggerSettings
 
 FREQUENCY = 163.7  # Hz
 
@@ -260,3 +260,14 @@ def test_the_state_after_a_silence_is_every_one_in_its_turn(make_bench):
     shares = {state: states.count(state) / len(states) for state in set(states)}
     assert shares["ARMED"] == pytest.approx(0.54, abs=0.15) and shares["TRIGGER"] == pytest.approx(0.37, abs=0.15)
     assert 0.01 < shares["READY"] < 0.25
+
+
+@pytest.mark.parametrize(("noise", "triggers"), [(0.0, False), (0.012, True)])
+def test_noise_lifts_a_pulse_over_the_hysteresis(noise, triggers):
+    beat = Beat(noise)
+    peak = beat.smooth(np.linspace(0.0, 1 / FREQUENCY, 10_000)).max()
+    level = peak - 0.08  # the hysteresis is a little more: 0.8 of the noise is missing
+    trigger = TriggerSettings("NORMAL", "PULSE", "CH1", "DC", "RISE", level, 0.0, "POSITIVE", "INSIDE", 8e-3)
+    volts_at = Comparator(beat.smooth, beat.noise, noise, beat.interval, beat.bounds)
+    search = PulseSearch(trigger, volts_at, 0.09, 0.0)
+    assert (search.advance(0.5, 1e-3, 0.5) is not None) == triggers

@@ -270,4 +270,4 @@ def test_noise_lifts_a_pulse_over_the_hysteresis(noise, triggers):
     trigger = TriggerSettings("NORMAL", "PULSE", "CH1", "DC", "RISE", level, 0.0, "POSITIVE", "INSIDE", 8e-3)
     volts_at = Comparator(beat.smooth, beat.noise, noise, beat.interval, beat.bounds)
     search = PulseSearch(trigger, volts_at, 0.09, 0.0)
-    assert (search.advance(0.5, 1e-3, 0.5) is not None) == triggers
+    assert (search.advance(0.5, 1e-5, 0.5) is not None) == triggers

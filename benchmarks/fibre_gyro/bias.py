@@ -176,12 +176,12 @@ def temperature(
     held["bias dT/dt"] = within(found["bias"]["dph_per_k_per_min"], found["bias"]["dph_u_per_k_per_min"], c)
     table = found["compensation"]
     for celsius in (-15.0, 20.0, 55.0):
-        at, x = table["temperature_c"].index(celsius), celsius - 20
-        scale = K * np.cos(TILT) * (1 + 1e-6 * float(off_scale(x)))
+        at, off = table["temperature_c"].index(celsius), celsius - 20
+        scale = K * np.cos(TILT) * (1 + 1e-6 * float(off_scale(off)))
         value, u = (table[f"scale_factor{mark}_counts_per_dps"][at] for mark in ("", "_u"))
         held[f"K({celsius:g})"] = within(value, u, scale)
         value, u = (table[f"bias{mark}_dph"][at] for mark in ("", "_u"))
-        held[f"bias({celsius:g})"] = within(value, u, float(bias_of(x)))
+        held[f"bias({celsius:g})"] = within(value, u, float(bias_of(off)))
     return held
 
 

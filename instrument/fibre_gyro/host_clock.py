@@ -6,8 +6,8 @@ is the one that no arrival lies below and that is nearest to all of them: an edg
 stall of the computer, even at the end, only lifts points off it. (S. B. Moon, P. Skelly, D. Towsley, "Estimation
 and removal of clock skew from network delay measurements", INFOCOM 1999.)
 
-What does not show: frames that keep step with an adapter's timer are all held back alike, and drift by a part of its
-period without a trace.
+What does not show: frames that keep step with an adapter's timer are all held back alike, and drift by a part of
+its period without a trace.
 """
 
 from __future__ import annotations

@@ -4,8 +4,8 @@ Frames that share no code with the product are damaged, each with the same chanc
 bit flipped, and read by the product. Printed for each kind: how many delivered frames were never sent (wrong), how
 far off they are at most, in standard deviations of the noise, how far those that the outlier check of every mean
 leaves move the mean of all, in its standard uncertainty by that noise, how many of those that arrived whole were
-not delivered (lost), and how fast they were read, damaged and undamaged (seconds of one core). Off by and moved are
-the worst of several seeds.
+not delivered (lost), and how fast they were read, damaged and undamaged (seconds of one core). Off by and moved
+are the worst of several seeds.
 
     python -m benchmarks.fibre_gyro.frames --frames 4000 --damage 0.09 --seeds 1 [--only kvh_dsp]
 """

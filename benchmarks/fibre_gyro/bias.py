@@ -240,6 +240,7 @@ CASES: dict[str, Callable[[int, Path], Answers]] = {
     "temperature": temperature,
     "temperature, straight lines": lambda seed, folder: temperature(seed, folder, curved=False),
     "temperature, small third term": lambda seed, folder: temperature(seed, folder, cubic=2.0),
+    "temperature, instability 0.01 deg/h": lambda seed, folder: temperature(seed, folder, instability_dph=0.01),
     "temperature, instability 0.2 deg/h": lambda seed, folder: temperature(seed, folder, instability_dph=0.2),
     "switched on": switched_on,
     "switched on, two exponentials": lambda seed, folder: switched_on(seed, folder, two=True),

@@ -271,3 +271,40 @@ def test_noise_lifts_a_pulse_over_the_hysteresis(noise, triggers):
     volts_at = Comparator(beat.smooth, beat.noise, noise, beat.interval, beat.bounds)
     search = PulseSearch(trigger, volts_at, 0.09, 0.0)
     assert (search.advance(0.5, 1e-5, 0.5) is not None) == triggers
+
+
+def ringing(height, phase, points):
+    """A slow sine with a faster one, which is left within the hysteresis of 0.1 V or crosses it several times."""
+
+    def smooth(times):
+        return np.sin(2 * np.pi * 7.3 * times) + height * np.sin(2 * np.pi * FREQUENCY * times + phase)
+
+    return Comparator(smooth, interval=lambda start, stop: 1 / (points * FREQUENCY)), Comparator(smooth)
+
+
+@pytest.mark.parametrize(
+    ("height", "phase", "points"),
+    [
+        (0.0, 0.3, 20),
+        (0.06, 0.3, 20),
+        (0.12, 0.3, 10),
+        (0.3, 0.3, 10),
+        (0.1725, 4.778, 6.26),
+        (0.1763, 3.164, 6.17),
+    ],
+)
+@pytest.mark.parametrize(
+    ("when", "width"), [("INSIDE", 4e-3), ("EQUAL", 68.5e-3), ("NOTEQUAL", 68.5e-3), ("OUTSIDE", 50e-3)]
+)
+def test_pulses_are_those_that_many_looks_find(when, width, height, phase, points):
+    trigger = TriggerSettings("NORMAL", "PULSE", "CH1", "DC", "RISE", 0.0, 0.0, "POSITIVE", when, width)
+    found = []
+    for volts_at in ringing(height, phase, points):
+        pulses, search = [], PulseSearch(trigger, volts_at, 0.1, 0.013)
+        while len(pulses) < 8 and (pulse := search.advance(1.5, 2e-5, 1.5)) is not None:
+            pulses.append(pulse)
+            search = PulseSearch(trigger, volts_at, 0.1, pulse + 1e-4)
+        found.append(pulses)
+    few, many = found
+    assert few == pytest.approx(many, abs=1e-4)
+    assert len(many) == 8 or height < 0.3 or when != "INSIDE"

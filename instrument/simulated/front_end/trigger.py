@@ -405,7 +405,7 @@ class PulseSearch:
             rising = sides[changes] > 0
             last = np.where(rising, last_below[changes], last_over[changes])
             lows, highs = times[last], times[np.minimum(last + 1, changes)]
-            for at in np.flatnonzero(last < 0):  # it left its side in an earlier stretch
+            for at in np.flatnonzero(last < 0).tolist():  # it left its side in an earlier stretch
                 lows[at], highs[at] = self.left_below if rising[at] else self.left_above
             for at in np.flatnonzero(self._worth_judging(rising, lows, highs)).tolist():
                 edge = float(lows[at]), float(highs[at])

@@ -308,3 +308,35 @@ def test_pulses_are_those_that_many_looks_find(when, width, height, phase, point
     few, many = found
     assert few == pytest.approx(many, abs=1e-4)
     assert len(many) == 8 or height < 0.3 or when != "INSIDE"
+
+
+@dataclass
+class Ending(Beat):
+    """A beat that ends."""
+
+    ends: float = 7.0
+
+    def smooth(self, times):
+        return np.where(times < self.ends, super().smooth(times), -0.1)
+
+    def interval(self, start, stop):
+        return 0.0 if start < self.ends < stop else super().interval(start, stop)
+
+
+@KINDS
+@pytest.mark.parametrize(("acquire", "records"), [("SAMPLE", 1), ("AVERAGE;NUMAVG 16", 16)])
+@pytest.mark.parametrize("silence", [6.999, 7.3, 25.0])
+def test_a_signal_that_ends_while_nobody_asks_leaves_its_last_records(make_bench, kind, acquire, records, silence):
+    bench = bench_on(
+        make_bench, kind(Ending(0.01)), f"TRIG:MAIN:MODE NORMAL;:HOR:SCALE 2.5E-3;:ACQ:MODE {acquire}"
+    )
+    bench.clock.sleep(silence)
+    codes = bench.codes().astype(int)
+    record = bench.scope.acquisition.record
+    triggers = np.array(record.starts) - record.xzero
+    assert len(triggers) == records and np.ptp(codes) > 150
+    # one takes 25 ms and 3 to 9 ms more; the last one that fits was triggered at most two of them before the end
+    assert 7.0 - 0.08 < triggers[-1] < 7.0 and triggers[0] > 7.0 - 0.75
+    assert (np.diff(triggers) > 0.025).all() and bench.ask("TRIG:STATE?") in ("READY", "ARMED")
+    bench.clock.sleep(3.0)
+    assert (bench.codes() == codes).all()

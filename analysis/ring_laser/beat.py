@@ -130,9 +130,12 @@ def _pieces(gyro: Gyro, segment: Motion, first: int, last: int) -> tuple[Floats,
         if len(known) > _KEPT_PIECES:
             known.clear()
             missing = list(range(first, last + 1))
-        middles = np.array(missing)[:, np.newaxis] + 0.5
-        times = segment.start + _piece_length(gyro, segment) * (middles + 0.5 * _NODES)
-        at_nodes = _exactly(gyro, (segment,), 0, times.ravel()).reshape(2, len(missing), _NODES.size)
+        length = _piece_length(gyro, segment)
+        middles, elapsed = segment.start + length * (np.array(missing) + 0.5), 0.5 * length * _NODES
+        times = middles[:, np.newaxis] + elapsed
+        cycles = _cycles(gyro, segment, middles, elapsed)
+        phases = _advance(gyro, (segment,), 0, middles)[:, np.newaxis] + 2 * np.pi * cycles
+        at_nodes = np.stack([_rate(gyro, segment, times.ravel()).reshape(times.shape), phases])
         slopes = (at_nodes[..., -1:] - at_nodes[..., :1]) / (_NODES[-1] - _NODES[0])
         means = at_nodes.mean(axis=-1, keepdims=True)
         series = (at_nodes - means - slopes * _NODES) @ _TO_SERIES
@@ -180,18 +183,21 @@ def _advance(gyro: Gyro, motion: tuple[Motion, ...], number: int, times: Floats)
     segment = motion[number]
     if segment.acceleration_dps2 != 0.0:
         return np.interp(times, *_slew_phase(gyro.without_winking(), segment, motion[number + 1].start))
+    return np.asarray(2 * np.pi * _cycles(gyro, segment, np.array([segment.start]), times - segment.start)[0])
+
+
+def _cycles(gyro: Gyro, segment: Motion, starts: Floats, elapsed: Floats) -> Floats:
+    """Advance of psi in turns from each of some starts in a steady segment, after each of some times: (m, n)."""
     turn_rate = segment.rate_dps if abs(segment.rate_dps) >= _REST_DPS else 0.0
     mean, orders, terms = _frequency_series(gyro, *_turning(segment))
-    elapsed = (times - segment.start)[:, np.newaxis]
     speeds = orders @ np.array([math.radians(turn_rate), 2 * np.pi * gyro.ripple_hz])
-    at_start = [math.radians(segment.azimuth_deg % 360.0), float(gyro.ripple_phase(segment.start))]
-    begun = terms * np.exp(1j * (orders @ np.array(at_start)))
-    cycles = mean * elapsed[:, 0] + (_integral(speeds, elapsed) @ begun).real
-    growth = gyro.drift_per_s
-    if growth:
-        moment = mean * elapsed[:, 0] ** 2 / 2 + (_first_moment(speeds, elapsed) @ begun).real
-        cycles = cycles * (1.0 + growth * segment.start) + growth * moment
-    return np.asarray(2 * np.pi * cycles)
+    at_start = np.stack([np.radians(segment.azimuth_at(starts) % 360.0), gyro.ripple_phase(starts)])
+    begun = terms * np.exp(1j * (orders @ at_start).T)
+    cycles = mean * elapsed + (begun @ _integral(speeds, elapsed[:, np.newaxis]).T).real
+    if growth := gyro.drift_per_s:
+        moment = mean * elapsed**2 / 2 + (begun @ _first_moment(speeds, elapsed[:, np.newaxis]).T).real
+        cycles = cycles * (1.0 + growth * starts[:, np.newaxis]) + growth * moment
+    return np.asarray(cycles)
 
 
 def _turning(segment: Motion) -> tuple[float, float | None]:

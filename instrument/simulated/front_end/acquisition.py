@@ -359,14 +359,14 @@ class Acquisition:
         one_by_one = bool(np.isnan(edges).all())
         found = iter(zip(owed.tolist(), edges.tolist(), strict=True))
         starts: list[float] = []
-        first, again = math.nan, -math.inf
+        first, again, dead = math.nan, -math.inf, self._cycle - self._before - self._after
         for sweep in latest:
             if isinstance(sweep, _LeftOut):
                 ready_at, edge = next(found)
                 if one_by_one and again > -math.inf:
                     ready_at = again
                 triggered = self._edge_after(ready_at, trigger) if math.isnan(edge) else (edge, False)
-                if triggered is not None and triggered[0] >= again:
+                if triggered is not None and triggered[0] >= again - dead:  # no two at the same time
                     at, self._untriggered = triggered
                     first = first if starts else ready_at
                     starts.append(self._start(at))

@@ -107,7 +107,7 @@ def threshold(seed: int, folder: Path, *, backlash: bool = False, none: bool = F
     inputs = [0.0]
     for place, size in enumerate(rungs):
         inputs += [size, -size] + ([0.0] if place % 2 else [])
-    slow = 0.04 / 3600 * flicker(rng, count * (len(inputs) + 1))
+    slow = 0.0354 / 3600 * flicker(rng, count * (len(inputs) + 1))
     for place, size in enumerate([*inputs, 0.0]):
         seen = np.full(count, size) + np.sin(TILT) * HORIZONTAL * np.cos(rng.uniform(0, 2 * np.pi))
         edge = np.where(seen > 0, edges[0], edges[1])

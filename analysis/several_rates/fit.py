@@ -19,7 +19,13 @@ from numpy.typing import ArrayLike
 from analysis.arrays import Bools, Complexes, Floats
 from analysis.errors import NoFit
 from analysis.lockin_rate import LockInEstimate
-from analysis.several_rates.checks import leave_out, rates_flags, rates_that_differ, scale_factor_of_rates
+from analysis.several_rates.checks import (
+    leave_out,
+    mismatch_of_all,
+    rates_flags,
+    rates_that_differ,
+    scale_factor_of_rates,
+)
 from analysis.several_rates.coupling import CouplingSeen, coupling_seen
 from analysis.several_rates.least_squares import RatioFit, all_solutions, fit_ratios, whitened
 from analysis.several_rates.points import Points, gather
@@ -275,8 +281,7 @@ def _result(
     if np.unique(np.sign(points.points.rate)).size == 1:
         said = by_profile(said, found, points.points, prior, widen, freedom)
     mismatch = _rate_mismatch(records, said.value)
-    # coupling without loss bends the beat against the rate as well
-    differ = bool(np.any(rates_that_differ(np.abs(records.rate), said.value, said.u, mismatch)))
+    differ = _rates_differ(np.abs(records.rate), said, mismatch, several=bool(np.ptp(points.rate_group)))
     coupling = _coupling(records, used, rate_u, mismatch, said, float(fit.parameters[0, 3]))
     failed = p_value < UNLIKELY or differ
     said = with_coupling(said, fit, records.scale_factor, failed=failed, by_beats=coupling)
@@ -410,6 +415,15 @@ def _coupling(
     us = np.hypot(records.beat_frequency_u[used] / frequency, rate_u)
     slowness = 2 * np.pi * frequency * gain_time
     return coupling_seen(rate, mismatch[used], us, square, slowness, said.u / said.value)
+
+
+def _rates_differ(rate: Floats, said: Answer, mismatch: Floats, *, several: bool) -> bool:
+    """Whether some beat departs from its rate: coupling without loss bends the one against the other.
+
+    Beats at several rates that all depart alike show a wrong scale factor instead.
+    """
+    common = mismatch_of_all(rate, said.value, said.u, mismatch) if several else 0.0
+    return bool(np.any(rates_that_differ(rate, said.value, said.u, (1 + mismatch) / (1 + common) - 1)))
 
 
 def _rate_mismatch(records: RatioRecords, lock_in_rate: float) -> Floats:

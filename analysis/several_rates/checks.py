@@ -93,7 +93,7 @@ def rates_that_differ(rate: Floats, size: float, u: float, mismatch: Floats) -> 
 
 
 def mismatch_of_all(rate: Floats, size: float, u: float, mismatch: Floats) -> float:
-    """What the beats have in common against their rates (n,), as the fast records say it; 0 where that may be chance.
+    """What all beats have in common against their rates (n,), by the fast ones; 0 where that may be chance.
 
     Less than what `rates_that_differ` asks of a single record is enough. nan where no mismatch is known.
     """

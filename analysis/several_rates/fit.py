@@ -47,7 +47,15 @@ from analysis.several_rates.ratio_records import (
 )
 from analysis.several_rates.receiver import ReceiverKnowledge
 from analysis.several_rates.result import Model, ModelFit, RatesFit, RatesFlag
-from analysis.several_rates.solutions import Answer, answer, by_profile, lock_in_u, polar_covariance, with_coupling
+from analysis.several_rates.solutions import (
+    Answer,
+    answer,
+    by_profile,
+    lock_in_u,
+    polar_covariance,
+    widened,
+    with_coupling,
+)
 
 FREE: dict[Model, tuple[bool, ...]] = {
     "lock-in": (False, False, False, False),
@@ -281,10 +289,12 @@ def _result(
     if np.unique(np.sign(points.points.rate)).size == 1:
         said = by_profile(said, found, points.points, prior, widen, freedom)
     mismatch = _rate_mismatch(records, said.value)
-    differ = _rates_differ(np.abs(records.rate), said, mismatch, several=bool(np.ptp(points.rate_group)))
+    common, differ = _rates_differ(records, said, mismatch, bool(np.ptp(points.rate_group)))
     coupling = _coupling(records, used, rate_u, mismatch, said, float(fit.parameters[0, 3]))
-    failed = p_value < UNLIKELY or differ
-    said = with_coupling(said, fit, records.scale_factor, failed=failed, by_beats=coupling)
+    failed = p_value < UNLIKELY
+    if failed and differ and not records.rate_of_beat:
+        said = widened(said, _by_other_reference(points.points, said.value, common))
+    said = with_coupling(said, fit, records.scale_factor, failed=failed or differ, by_beats=coupling)
     us, fitted = np.sqrt(np.diagonal(covariance)), np.where([True, True, *FREE[chosen]], 1.0, np.nan)
     at_least = _at_least(records, said.high)
     left, deviation = _residuals(fit, points.records, used)
@@ -330,7 +340,8 @@ def _result(
         flags=0,
         noise_model=records.noise_model + (ENLARGED if widen > 1 else ""),
     )
-    return replace(result, flags=rates_flags(result, records, _left_over(points, prior)))
+    flags = rates_flags(result, records, _left_over(points, prior))
+    return replace(result, flags=flags | (RatesFlag.RATE_AND_BEAT_DISAGREE if differ else 0))
 
 
 def _test(fit: RatioFit, points: Points, degrees: int) -> tuple[float, float, float, int]:
@@ -417,13 +428,31 @@ def _coupling(
     return coupling_seen(rate, mismatch[used], us, square, slowness, said.u / said.value)
 
 
-def _rates_differ(rate: Floats, said: Answer, mismatch: Floats, *, several: bool) -> bool:
-    """Whether some beat departs from its rate: coupling without loss bends the one against the other.
+def _rates_differ(records: RatioRecords, said: Answer, mismatch: Floats, several: bool) -> tuple[float, bool]:
+    """What beats at several rates have in common against them, and whether some depart from their rates beside it.
 
-    Beats at several rates that all depart alike show a wrong scale factor instead.
+    Beats that all depart alike show a wrong scale factor, others coupling without loss.
     """
+    rate = np.abs(records.rate)
+    if np.any(records.usable & (rate <= said.value)):
+        return 0.0, True
     common = mismatch_of_all(rate, said.value, said.u, mismatch) if several else 0.0
-    return bool(np.any(rates_that_differ(rate, said.value, said.u, (1 + mismatch) / (1 + common) - 1)))
+    beside = (1 + mismatch) / (1 + common) - 1
+    return common, bool(np.any(rates_that_differ(rate, said.value, said.u, beside)))
+
+
+def _by_other_reference(points: RatioData, lock_in_rate: float, common: float) -> float:
+    """Largest relative change of the lock-in rate of any point with the other reference, beside what is common.
+
+    Where neither the ratios fit nor the beats are those of the rates, nobody knows which of the two is right.
+    """
+    rate, beat_rate = np.abs(points.rate), points.beat_rate / (1 + common)
+    if points.reference == "beat":
+        changed = rate / np.hypot(beat_rate, lock_in_rate)
+    else:
+        square = np.maximum((rate - lock_in_rate) * (rate + lock_in_rate), 1e-300)
+        changed = beat_rate / np.sqrt(square)
+    return float(np.abs(changed - 1).max())
 
 
 def _rate_mismatch(records: RatioRecords, lock_in_rate: float) -> Floats:

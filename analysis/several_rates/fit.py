@@ -292,7 +292,7 @@ def _result(
     common, differ = _rates_differ(records, said, mismatch, bool(np.ptp(points.rate_group)))
     coupling = _coupling(records, used, rate_u, mismatch, said, float(fit.parameters[0, 3]))
     failed = p_value < UNLIKELY
-    if failed and differ and not records.rate_of_beat:
+    if differ and (failed or _left_over(points, prior) <= 0) and not records.rate_of_beat:
         said = widened(said, _by_other_reference(points.points, said.value, common))
     said = with_coupling(said, fit, records.scale_factor, failed=failed or differ, by_beats=coupling)
     us, fitted = np.sqrt(np.diagonal(covariance)), np.where([True, True, *FREE[chosen]], 1.0, np.nan)
@@ -444,7 +444,8 @@ def _rates_differ(records: RatioRecords, said: Answer, mismatch: Floats, several
 def _by_other_reference(points: RatioData, lock_in_rate: float, common: float) -> float:
     """Largest relative change of the lock-in rate of any point with the other reference, beside what is common.
 
-    Where neither the ratios fit nor the beats are those of the rates, nobody knows which of the two is right.
+    Where beats are not those of their rates, and the ratios do not fit either or test nothing, nobody knows which
+    of the two is right.
     """
     rate, beat_rate = np.abs(points.rate), points.beat_rate / (1 + common)
     if points.reference == "beat":

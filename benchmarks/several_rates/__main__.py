@@ -104,6 +104,7 @@ SCENARIOS = {
     "1.2, 2, 4 both": Scenario(both(1.2, 2, 4), 4),
     "1.2, 2, 4 one sense": Scenario((1.2, 2, 4), 4),
     "the same, -46 dBc": Scenario((1.2, 2, 4), 4, {"distortion": 0.005}),
+    "the same, gain corner 2 to 80 WL": Scenario((1.2, 2, 4), 4, {"gain_time": corner_within(2, 80)}),
     "8, 15, 30, 60 both": Scenario(both(8, 15, 30, 60), 4),
     "3, 5 both": Scenario(both(3, 5), 4),
     "8 both": Scenario(both(8), 8),

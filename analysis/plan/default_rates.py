@@ -13,6 +13,9 @@ second harmonic of lock-in has become small, bandwidth and gain corner where the
 STEPS = 5
 """So many rates determine lock-in rate, phase, distortion, gain corner and bandwidth, and leave a test of them."""
 
+LEAST_STEP = 1.25
+"""One rate over the next: where they cannot go far, more of them still tell whether the beats follow the rates."""
+
 DEFAULT_RECORDS = 3
 """At each rate and sense: fewer would not show whether they scatter by more than their noise."""
 
@@ -28,7 +31,8 @@ def default_rates(
     """Rates to measure at, in expected lock-in rates, each in both senses.
 
     Five rates from 1.5 times the largest lock-in rate that is possible to ten times that, evenly on a logarithmic
-    scale; fewer where table or receiver do not go so far.
+    scale; closer together where table or receiver do not go so far, and fewer where less than a quarter would lie
+    between two.
 
     Parameters
     ----------
@@ -71,6 +75,6 @@ def default_rates(
             f"{highest * expected_lock_in_rate:.3g} deg/s only: no rate is safe"
         )
     span = min(SPAN, highest / slowest)
-    count = max(2, 1 + round((STEPS - 1) * math.log(span) / math.log(SPAN))) if span > 1 else 1
+    count = min(STEPS, max(2, 1 + math.floor(math.log(span) / math.log(LEAST_STEP)))) if span > 1 else 1
     steps = [slowest * span ** (step / max(count - 1, 1)) for step in range(count)]
     return tuple(float(f"{ratio:.2g}") for ratio in steps)

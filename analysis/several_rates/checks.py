@@ -9,7 +9,7 @@ from analysis.arrays import Bools, Floats
 from analysis.several_rates.least_squares import RatioFit, fit_ratios
 from analysis.several_rates.points import Points
 from analysis.several_rates.ratio_model import Prior
-from analysis.several_rates.ratio_records import RatioRecords, common_mismatch, inconsistent_rate
+from analysis.several_rates.ratio_records import FASTER_THAN_POSSIBLE, RatioRecords, inconsistent_rate
 from analysis.several_rates.result import RatesFit, RatesFlag, WithoutOneRate
 from analysis.several_rates.solutions import lock_in_u
 
@@ -89,9 +89,30 @@ def scale_factor_of_rates(scale_factor: float, points: Points, fit: RatioFit) ->
 
 def rates_that_differ(rate: Floats, size: float, u: float, mismatch: Floats) -> Bools:
     """Records whose rates (n,) do not fit their beats, beyond what a lock-in rate `size` with `u` explains."""
+    return np.asarray(np.abs(mismatch) > MISMATCH + 3 * _stretch(rate, size, u))
+
+
+def mismatch_of_all(rate: Floats, size: float, u: float, mismatch: Floats) -> float:
+    """What all beats have in common against their rates (n,), by the fast ones; 0 where that may be chance.
+
+    Less than what `rates_that_differ` asks of a single record is enough. nan where no mismatch is known.
+    """
+    known = np.isfinite(mismatch)
+    if not known.any():
+        return float("nan")
+    fast = known & (rate >= _FAST * rate[known].max())
+    found = float(np.median(mismatch[fast]))
+    explained = FASTER_THAN_POSSIBLE + 3 * float(np.median(_stretch(rate[fast], size, u)))
+    return found if abs(found) > explained else 0.0
+
+
+_FAST = 0.5
+
+
+def _stretch(rate: Floats, size: float, u: float) -> Floats:
+    """Relative uncertainty of the beats at rates (n,) that a lock-in rate `size` with `u` leaves."""
     with np.errstate(over="ignore"):
-        stretch = size**2 / np.maximum(rate**2 - size**2, 1e-300) * (u / size if size else 0.0)
-    return np.asarray(np.abs(mismatch) > MISMATCH + 3 * stretch)
+        return np.asarray(size**2 / np.maximum(rate**2 - size**2, 1e-300) * (u / size if size else 0.0))
 
 
 def rates_flags(fit: RatesFit, records: RatioRecords, tested: int) -> int:
@@ -102,7 +123,7 @@ def rates_flags(fit: RatesFit, records: RatioRecords, tested: int) -> int:
     rate = np.abs(fit.rate)
     differ = rates_that_differ(rate, size, u, fit.rate_mismatch)
     no_beat_above = fit.locked & (rate > fit.lock_in_rate_high_95)
-    inconsistent = inconsistent_rate(records) | (common_mismatch(records) != 1.0)
+    inconsistent = inconsistent_rate(records) | (mismatch_of_all(rate, size, u, fit.rate_mismatch) != 0)
     explained = abs(fit.third_order) > EXPLAINED * fit.third_order_u
     misfits = int(np.sum(records.misfit & fit.used))
     conditions = {

@@ -19,7 +19,13 @@ from numpy.typing import ArrayLike
 from analysis.arrays import Bools, Complexes, Floats
 from analysis.errors import NoFit
 from analysis.lockin_rate import LockInEstimate
-from analysis.several_rates.checks import leave_out, rates_flags, rates_that_differ, scale_factor_of_rates
+from analysis.several_rates.checks import (
+    leave_out,
+    mismatch_of_all,
+    rates_flags,
+    rates_that_differ,
+    scale_factor_of_rates,
+)
 from analysis.several_rates.coupling import CouplingSeen, coupling_seen
 from analysis.several_rates.least_squares import RatioFit, all_solutions, fit_ratios, whitened
 from analysis.several_rates.points import Points, gather
@@ -41,7 +47,15 @@ from analysis.several_rates.ratio_records import (
 )
 from analysis.several_rates.receiver import ReceiverKnowledge
 from analysis.several_rates.result import Model, ModelFit, RatesFit, RatesFlag
-from analysis.several_rates.solutions import Answer, answer, by_profile, lock_in_u, polar_covariance, with_coupling
+from analysis.several_rates.solutions import (
+    Answer,
+    answer,
+    by_profile,
+    lock_in_u,
+    polar_covariance,
+    widened,
+    with_coupling,
+)
 
 FREE: dict[Model, tuple[bool, ...]] = {
     "lock-in": (False, False, False, False),
@@ -275,11 +289,12 @@ def _result(
     if np.unique(np.sign(points.points.rate)).size == 1:
         said = by_profile(said, found, points.points, prior, widen, freedom)
     mismatch = _rate_mismatch(records, said.value)
-    # coupling without loss bends the beat against the rate as well
-    differ = bool(np.any(rates_that_differ(np.abs(records.rate), said.value, said.u, mismatch)))
+    common, differ = _rates_differ(records, said, mismatch, bool(np.ptp(points.rate_group)))
     coupling = _coupling(records, used, rate_u, mismatch, said, float(fit.parameters[0, 3]))
-    failed = p_value < UNLIKELY or differ
-    said = with_coupling(said, fit, records.scale_factor, failed=failed, by_beats=coupling)
+    failed = p_value < UNLIKELY
+    if differ and (failed or _left_over(points, prior) <= 0) and not records.rate_of_beat:
+        said = widened(said, _by_other_reference(points.points, said.value, common))
+    said = with_coupling(said, fit, records.scale_factor, failed=failed or differ, by_beats=coupling)
     us, fitted = np.sqrt(np.diagonal(covariance)), np.where([True, True, *FREE[chosen]], 1.0, np.nan)
     at_least = _at_least(records, said.high)
     left, deviation = _residuals(fit, points.records, used)
@@ -325,7 +340,8 @@ def _result(
         flags=0,
         noise_model=records.noise_model + (ENLARGED if widen > 1 else ""),
     )
-    return replace(result, flags=rates_flags(result, records, _left_over(points, prior)))
+    flags = rates_flags(result, records, _left_over(points, prior))
+    return replace(result, flags=flags | (RatesFlag.RATE_AND_BEAT_DISAGREE if differ else 0))
 
 
 def _test(fit: RatioFit, points: Points, degrees: int) -> tuple[float, float, float, int]:
@@ -410,6 +426,34 @@ def _coupling(
     us = np.hypot(records.beat_frequency_u[used] / frequency, rate_u)
     slowness = 2 * np.pi * frequency * gain_time
     return coupling_seen(rate, mismatch[used], us, square, slowness, said.u / said.value)
+
+
+def _rates_differ(records: RatioRecords, said: Answer, mismatch: Floats, several: bool) -> tuple[float, bool]:
+    """What beats at several rates have in common against them, and whether some depart from their rates beside it.
+
+    Beats that all depart alike show a wrong scale factor, others coupling without loss.
+    """
+    rate = np.abs(records.rate)
+    if np.any(records.usable & (rate <= said.value)):
+        return 0.0, True
+    common = mismatch_of_all(rate, said.value, said.u, mismatch) if several else 0.0
+    beside = (1 + mismatch) / (1 + common) - 1
+    return common, bool(np.any(rates_that_differ(rate, said.value, said.u, beside)))
+
+
+def _by_other_reference(points: RatioData, lock_in_rate: float, common: float) -> float:
+    """Largest relative change of the lock-in rate of any point with the other reference, beside what is common.
+
+    Where beats are not those of their rates, and the ratios do not fit either or test nothing, nobody knows which
+    of the two is right.
+    """
+    rate, beat_rate = np.abs(points.rate), points.beat_rate / (1 + common)
+    if points.reference == "beat":
+        changed = rate / np.hypot(beat_rate, lock_in_rate)
+    else:
+        square = np.maximum((rate - lock_in_rate) * (rate + lock_in_rate), 1e-300)
+        changed = beat_rate / np.sqrt(square)
+    return float(np.abs(changed - 1).max())
 
 
 def _rate_mismatch(records: RatioRecords, lock_in_rate: float) -> Floats:

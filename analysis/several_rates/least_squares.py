@@ -185,10 +185,11 @@ def _cost(parameters: Floats, data: RatioData, prior: Prior) -> Floats:
 
 def _bounded(point: Floats, data: RatioData) -> Floats:
     """The same with the lock-in rate below the slowest rate that shows a beat."""
-    if data.reference == "beat":
-        return point
     there = np.abs(data.whitening).sum(axis=(-1, -2)) > 0
-    slowest = np.where(there, np.abs(data.rate), np.inf).min(axis=-1)
+    # a beat f belongs to the rate W with (f/K)^2 = W^2 - WL^2
+    by_beat = data.reference == "beat"
+    rate = data.beat_rate / np.sqrt(1 - _LARGEST**2) if by_beat else np.abs(data.rate)
+    slowest = np.where(there, rate, np.inf).min(axis=-1)
     size = np.hypot(point[:, 0], point[:, 1])
     return _of_size(point, np.minimum(size, _LARGEST * slowest))
 

@@ -161,9 +161,9 @@ _THE_SAME = 1e-9
 def common_mismatch(records: RatioRecords) -> float:
     """What all beats have in common against their rates: f/(K W), freed of lock-in by each record's own ratio.
 
-    1 where that is within `FASTER_THAN_POSSIBLE` and what distortion may do to those ratios; nan without a usable
-    record. Anything else is a wrong scale factor, or an error that all rates share. The fast records say it, whose
-    own ratio matters least.
+    At least 1 where that is near 1, within `FASTER_THAN_POSSIBLE` and what distortion may do to those ratios; nan
+    without a usable record. Anything else is a wrong scale factor, or an error that all rates share. The fast
+    records say it, whose own ratio matters least.
     """
     if not records.usable.any():
         return float("nan")
@@ -174,7 +174,7 @@ def common_mismatch(records: RatioRecords) -> float:
     found = float(np.median(own / np.abs(records.rate[records.usable][fast])))
     # W = (f/K)(1 + r^2)/(1 - r^2), and r may be off by the distortion
     by_distortion = 4 * SECOND_ORDER_LIMIT * float(np.median(size[fast]))
-    return 1.0 if abs(found - 1) < FASTER_THAN_POSSIBLE + by_distortion else found
+    return max(found, 1.0) if abs(found - 1) < FASTER_THAN_POSSIBLE + by_distortion else found
 
 
 def inconsistent_rate(records: RatioRecords, mismatch: float = 1.0) -> Bools:

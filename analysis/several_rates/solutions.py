@@ -131,13 +131,16 @@ def with_coupling(
     share = (2 * math.pi * scale_factor * said.value * coupling * GAIN_OVER_DIFFERENCE * gain_time) ** 2
     if by_beats is not None:
         share = min(share, by_beats.most)
+    return widened(said, share)
+
+
+def widened(said: Answer, share: float) -> Answer:
+    """The answer with one more unknown beside what it counts: a rectangle of half width `share` of its value."""
     extra = share * said.value / math.sqrt(3)
-    wide = math.hypot(said.u, extra)
     reach = _NORMAL_95 * extra
     low = said.value - math.hypot(said.value - said.low, reach)
-    return Answer(
-        said.value, wide, max(low, 0.0), said.value + math.hypot(said.high - said.value, reach), said.others
-    )
+    high = said.value + math.hypot(said.high - said.value, reach)
+    return Answer(said.value, math.hypot(said.u, extra), max(low, 0.0), high, said.others)
 
 
 _SEEN = 3.3

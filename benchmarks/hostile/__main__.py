@@ -28,6 +28,8 @@ def main(arguments: list[str] | None = None) -> int:
         options.page.write_text(f"{before}{PAGE_MARKS[0]}\n\n{report}\n{PAGE_MARKS[1]}{after}")
     if options.benches and not options.only:
         sys.stdout.write("\n" + benches.run(options.seed, options.benches) + "\n")
+    if options.grid and not options.only:
+        sys.stdout.write("\n" + benches.grid(options.seed, options.grid) + "\n")
     return 0
 
 
@@ -50,6 +52,13 @@ def _options(arguments: list[str] | None) -> argparse.Namespace:
         default=benches.DEFAULT_BENCHES,
         metavar="N",
         help="whole measurements in each of two tables, some seconds each; none with --only (default %(default)s)",
+    )
+    parser.add_argument(
+        "--grid",
+        type=int,
+        default=0,
+        metavar="N",
+        help="seeds of whole measurements with each of 21 gyros, some seconds each (default none)",
     )
     parser.add_argument("--seed", type=int, default=1, metavar="S", help="of every random number (default 1)")
     parser.add_argument("--only", default="", metavar="TEXT", help='classes with this in "kind: name"')

@@ -6,11 +6,13 @@ looked for, records saved and evaluated. What spoils it is drawn from what bench
 
 from __future__ import annotations
 
+import itertools
 import math
 import tempfile
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -129,7 +131,11 @@ def spoilt_bench(seed: int) -> Bench:
 def slow_or_fast_bench(seed: int) -> Bench:
     """The shipped bench with another gyro: lock-in from 0.0005 to 2 deg/s, 200 to 5000 pulses a degree."""
     draw = np.random.default_rng([seed, 0x5F])
-    lock_in, scale_factor = _log_uniform(draw, 0.0005, 2.0), _log_uniform(draw, 200.0, 5000.0)
+    return shipped_bench(_log_uniform(draw, 0.0005, 2.0), _log_uniform(draw, 200.0, 5000.0), seed)
+
+
+def shipped_bench(lock_in: float, scale_factor: float, seed: int) -> Bench:
+    """The shipped bench with a gyro of this lock-in rate, deg/s, and scale factor, pulses per degree."""
     gyro = {"scale_factor_pulses_per_deg": scale_factor, "expected_lock_in_rate_dps": lock_in}
     simulation = {"seed": seed, "link": "tcp", "lock_in_rate_dps": lock_in}
     what = f"{lock_in:.2g} deg/s, {scale_factor:.0f} pulses/deg"
@@ -197,6 +203,24 @@ def run(seed: int = 1, count: int = DEFAULT_BENCHES) -> str:
             benches_table("Slow and fast gyros on the shipped bench", others),
         )
     )
+
+
+GRID_LOCK_IN = (0.0005, 0.002, 0.01, 0.05, 0.25, 1.0, 2.0)
+GRID_SCALE_FACTORS = (200.0, 1000.0, 5000.0)
+
+
+def grid(seed: int, count: int) -> str:
+    """Measure with every gyro of the grid on the shipped bench, `count` seeds each; return one line for each."""
+    lines = [f"Every gyro of a grid on the shipped bench, {count} seeds", ""]
+    lines.append(f"{'deg/s':>7} {'pulses/deg':>10} {'U95 median, %':>14} {'largest, %':>11}  ended")
+    for lock_in, scale_factor in itertools.product(GRID_LOCK_IN, GRID_SCALE_FACTORS):
+        outcomes = _all(partial(shipped_bench, lock_in, scale_factor), range(seed, seed + count))
+        found = [100 * one.u_95 / one.truth for one in outcomes if math.isfinite(one.u_95)] or [math.nan]
+        counted = Counter(one.verdict for one in outcomes)
+        told = ", ".join(f"{verdict} {counted[verdict]}" for verdict in VERDICTS if counted[verdict])
+        size = f"{np.median(found):>14.3g} {max(found):>11.3g}"
+        lines.append(f"{lock_in:>7g} {scale_factor:>10.0f} {size}  {told}")
+    return "\n".join(lines)
 
 
 def _all(make: Callable[[int], Bench], seeds: Iterable[int]) -> list[Outcome]:

@@ -17,7 +17,12 @@ def test_table_and_receiver_end_the_rates(limit: dict) -> None:
     rates = default_rates(0.01, 2000.0, **limit)
     assert min(rates) == 3.0
     assert max(rates) == 12.0
-    assert len(rates) == 3
+    assert len(rates) == 5
+
+
+def test_rates_lie_a_quarter_apart_at_least() -> None:
+    assert default_rates(0.01, 2000.0, fastest_rate=0.06) == (3.0, 3.8, 4.8, 6.0)
+    assert default_rates(0.01, 2000.0, fastest_rate=0.035) == (3.0, 3.5)
 
 
 def test_a_bench_that_reaches_one_safe_rate_only() -> None:

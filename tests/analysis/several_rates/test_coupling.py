@@ -5,6 +5,7 @@ import pytest
 from bench_signals import WL, K, both_senses, ratios_of_slow_gain, volts
 
 from analysis import estimate_lock_in, fit_rate_ratios, fit_rates
+from analysis.several_rates import RatesFlag
 from analysis.several_rates.coupling import coupling_seen
 
 NOISE = 1e-4
@@ -12,15 +13,15 @@ CORNER = 15 * K * WL
 RATES = both_senses(3, 5.3, 9.5, 17, 30)
 
 
-def fitted(phase_sum, *, rates=RATES, steady=1e-5, reference="beat", seed=1):
+def fitted(phase_sum, *, rates=RATES, corner=CORNER, steady=1e-5, reference="beat", seed=1, scale_factor=K):
     """Records of a laser with its gain corner among the rates, noise on ratios and beats."""
     rng = np.random.default_rng(seed)
-    rate, ratio, beat = ratios_of_slow_gain(rates, CORNER, np.deg2rad(phase_sum))
+    rate, ratio, beat = ratios_of_slow_gain(rates, corner, np.deg2rad(phase_sum))
     ratio = ratio + NOISE * (rng.normal(size=rate.size) + 1j * rng.normal(size=rate.size))
     beat = beat * (1 + steady * rng.normal(size=rate.size))
     covariance, beat_u = np.eye(2) * NOISE**2, steady * beat
     return fit_rate_ratios(
-        rate, ratio, covariance, beat, scale_factor=K, beat_frequency_u=beat_u, reference=reference
+        rate, ratio, covariance, beat, scale_factor=scale_factor, beat_frequency_u=beat_u, reference=reference
     )
 
 
@@ -68,3 +69,28 @@ def test_rates_that_come_from_the_beats_test_nothing():
     known, circular = (fit_rates(made, input_rate=rate, reference="beat") for rate in (given, own))
     assert circular.lock_in_rate == pytest.approx(known.lock_in_rate, rel=1e-3)
     assert known.lock_in_rate_u < 0.003 * WL < 0.007 * WL < circular.lock_in_rate_u
+
+
+def test_a_wrong_scale_factor_is_no_coupling():
+    """All beats depart alike from their rates: that is said, and 60 deg between the beams count, not 120."""
+    right, wrong = (fitted(0.0, rates=(5, 9, 17), reference="rate", scale_factor=k) for k in (K, 1.02 * K))
+    assert wrong.flags & RatesFlag.RATE_AND_BEAT_DISAGREE and not right.flags & RatesFlag.RATE_AND_BEAT_DISAGREE
+    assert wrong.lock_in_rate_u == pytest.approx(right.lock_in_rate_u, rel=0.1)
+
+
+def test_slow_gain_is_no_wrong_scale_factor():
+    """The second harmonic of the fast records is half gone, and yet their beats are those of their rates."""
+    for reference in ("rate", "beat"):
+        fit = fitted(0.0, rates=both_senses(1.2, 2, 4), corner=2.3 * K * WL, reference=reference)
+        assert fit.lock_in_rate_low_95 < WL < fit.lock_in_rate_high_95
+        assert not fit.flags & (RatesFlag.RATE_AND_BEAT_DISAGREE | RatesFlag.RECORDS_LEFT_OUT)
+
+
+def test_strong_coupling_near_the_threshold_counts_with_what_rates_and_beats_differ_by():
+    """Equation (1) does not hold there: the answers with the two references are far apart."""
+    near = {"rates": both_senses(1.2, 2, 4), "corner": 20 * K * WL}
+    by_beat, by_rate = (fitted(108, reference=reference, **near) for reference in ("beat", "rate"))
+    assert by_beat.lock_in_rate < 0.8 * WL and by_rate.lock_in_rate > 1.1 * WL
+    for fit in (by_beat, by_rate):
+        assert fit.flags & (RatesFlag.RATE_AND_BEAT_DISAGREE | RatesFlag.MISFIT)
+        assert abs(fit.lock_in_rate - WL) < 2.5 * fit.lock_in_rate_u

@@ -20,11 +20,12 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from functools import lru_cache
+from itertools import pairwise
 
 import numpy as np
 from numpy.polynomial import chebyshev
 
-from analysis.arrays import Complexes, Floats
+from analysis.arrays import Complexes, Floats, Indices
 from analysis.ring_laser.gyro import Gyro
 from analysis.ring_laser.motion import Motion, split
 
@@ -89,13 +90,29 @@ def _rate_and_advance(gyro: Gyro, motion: tuple[Motion, ...], number: int, times
         return _exactly(gyro, motion, number, times)
     lines, series = _pieces(gyro, segment, first, last)
     place = (times - segment.start) / length
-    middle: Floats | float = first + 0.5
-    if last > first:
-        which = np.clip(np.floor(place).astype(np.intp), first, last) - first
-        lines, series = lines.take(which, axis=-1), series.take(which, axis=-1)
-        middle = np.asarray(middle + which, dtype=np.float64)
-    place = 2 * (place - middle)
-    return np.asarray(lines[0] + lines[1] * place + _chebyshev_sum(place, series))
+    which = np.minimum(np.maximum(np.floor(place), first), last)
+    inside, pieces = 2 * (place - (which + 0.5)), (which - first).astype(np.intp)
+    if (pieces[1:] >= pieces[:-1]).all():
+        return _by_pieces(pieces, inside, lines, series)
+    order, found = np.argsort(pieces, kind="stable"), np.empty((2, times.size))
+    found[:, order] = _by_pieces(pieces[order], inside[order], lines, series)
+    return found
+
+
+def _by_pieces(pieces: Indices, places: Floats, lines: Floats, series: Floats) -> Floats:
+    """Lines and series (as `_pieces` gives them) of rising pieces, at places in them between -1 and 1: (2, n)."""
+    chebyshevs, twice = np.empty((_NODES.size, places.size)), 2 * places
+    chebyshevs[0], chebyshevs[1] = 1.0, places
+    for order in range(2, _NODES.size):
+        np.multiply(twice, chebyshevs[order - 1], out=chebyshevs[order])
+        chebyshevs[order] -= chebyshevs[order - 2]
+    found = np.empty((2, places.size))
+    ends = np.searchsorted(pieces, np.arange(series.shape[-1] + 1)).tolist()
+    for piece, (start, stop) in enumerate(pairwise(ends)):
+        np.matmul(series[..., piece].T, chebyshevs[:, start:stop], out=found[:, start:stop])
+    # the line is far larger: what it adds comes last, and is rounded once
+    constants, slopes = lines.take(pieces, axis=-1) if series.shape[-1] > 1 else lines
+    return np.asarray(constants + slopes * places + found)
 
 
 def _exactly(gyro: Gyro, motion: tuple[Motion, ...], number: int, times: Floats) -> Floats:
@@ -113,9 +130,12 @@ def _pieces(gyro: Gyro, segment: Motion, first: int, last: int) -> tuple[Floats,
         if len(known) > _KEPT_PIECES:
             known.clear()
             missing = list(range(first, last + 1))
-        middles = np.array(missing)[:, np.newaxis] + 0.5
-        times = segment.start + _piece_length(gyro, segment) * (middles + 0.5 * _NODES)
-        at_nodes = _exactly(gyro, (segment,), 0, times.ravel()).reshape(2, len(missing), _NODES.size)
+        length = _piece_length(gyro, segment)
+        middles, elapsed = segment.start + length * (np.array(missing) + 0.5), 0.5 * length * _NODES
+        times = middles[:, np.newaxis] + elapsed
+        cycles = _cycles(gyro, segment, middles, elapsed)
+        phases = _advance(gyro, (segment,), 0, middles)[:, np.newaxis] + 2 * np.pi * cycles
+        at_nodes = np.stack([_rate(gyro, segment, times.ravel()).reshape(times.shape), phases])
         slopes = (at_nodes[..., -1:] - at_nodes[..., :1]) / (_NODES[-1] - _NODES[0])
         means = at_nodes.mean(axis=-1, keepdims=True)
         series = (at_nodes - means - slopes * _NODES) @ _TO_SERIES
@@ -145,14 +165,6 @@ def _piece_length(gyro: Gyro, segment: Motion) -> float:
     return min(_RADIANS_A_PIECE / fastest, _LONGEST_PIECE) if fastest > 0 else _LONGEST_PIECE
 
 
-def _chebyshev_sum(x: Floats, series: Floats) -> Floats:
-    """Sum of Chebyshev polynomials whose coefficients (order, k, n) may differ from point to point (Clenshaw)."""
-    twice, before, last = 2 * x, series[-2], series[-1]
-    for coefficients in series[-3::-1]:
-        before, last = coefficients - last, before + last * twice
-    return np.asarray(before + last * x)
-
-
 def _rate(gyro: Gyro, segment: Motion, times: Floats) -> Floats:
     return gyro.axis_rate(segment.rate_at(times), segment.azimuth_at(times), gyro.ripple_phase(times))
 
@@ -171,18 +183,21 @@ def _advance(gyro: Gyro, motion: tuple[Motion, ...], number: int, times: Floats)
     segment = motion[number]
     if segment.acceleration_dps2 != 0.0:
         return np.interp(times, *_slew_phase(gyro.without_winking(), segment, motion[number + 1].start))
+    return np.asarray(2 * np.pi * _cycles(gyro, segment, np.array([segment.start]), times - segment.start)[0])
+
+
+def _cycles(gyro: Gyro, segment: Motion, starts: Floats, elapsed: Floats) -> Floats:
+    """Advance of psi in turns from each of some starts in a steady segment, after each of some times: (m, n)."""
     turn_rate = segment.rate_dps if abs(segment.rate_dps) >= _REST_DPS else 0.0
     mean, orders, terms = _frequency_series(gyro, *_turning(segment))
-    elapsed = (times - segment.start)[:, np.newaxis]
     speeds = orders @ np.array([math.radians(turn_rate), 2 * np.pi * gyro.ripple_hz])
-    at_start = [math.radians(segment.azimuth_deg % 360.0), float(gyro.ripple_phase(segment.start))]
-    begun = terms * np.exp(1j * (orders @ np.array(at_start)))
-    cycles = mean * elapsed[:, 0] + (_integral(speeds, elapsed) @ begun).real
-    growth = gyro.drift_per_s
-    if growth:
-        moment = mean * elapsed[:, 0] ** 2 / 2 + (_first_moment(speeds, elapsed) @ begun).real
-        cycles = cycles * (1.0 + growth * segment.start) + growth * moment
-    return np.asarray(2 * np.pi * cycles)
+    at_start = np.stack([np.radians(segment.azimuth_at(starts) % 360.0), gyro.ripple_phase(starts)])
+    begun = terms * np.exp(1j * (orders @ at_start).T)
+    cycles = mean * elapsed + (begun @ _integral(speeds, elapsed[:, np.newaxis]).T).real
+    if growth := gyro.drift_per_s:
+        moment = mean * elapsed**2 / 2 + (begun @ _first_moment(speeds, elapsed[:, np.newaxis]).T).real
+        cycles = cycles * (1.0 + growth * starts[:, np.newaxis]) + growth * moment
+    return np.asarray(cycles)
 
 
 def _turning(segment: Motion) -> tuple[float, float | None]:
@@ -193,7 +208,9 @@ def _turning(segment: Motion) -> tuple[float, float | None]:
 def _integral(speeds: Floats, elapsed: Floats) -> Complexes:
     """Integral of exp(i speed t) from 0 to the time elapsed; this form keeps short times exact."""
     half = 0.5 * speeds * elapsed
-    return np.asarray(elapsed * np.sinc(half / np.pi) * np.exp(1j * half))
+    turned = np.exp(1j * half)
+    sinc = np.divide(turned.imag, half, out=np.ones_like(half), where=half != 0.0)
+    return np.asarray(elapsed * sinc * turned)
 
 
 def _first_moment(speeds: Floats, elapsed: Floats) -> Complexes:

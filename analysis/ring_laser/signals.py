@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from analysis.arrays import Floats
 from analysis.ring_laser.beat import beat_phase_on_table
-from analysis.ring_laser.detector import Detector, detector_signal, volts_between
+from analysis.ring_laser.detector import Detector, amplitudes_at, detector_signal, volts_between
 from analysis.ring_laser.gyro import Gyro
 from analysis.ring_laser.motion import Motion, split
 
@@ -20,9 +20,9 @@ UNSEEN = 5e-4
 """Of the amplitude: a twentieth of a level on a full screen."""
 
 _SAME_NOISE_S = 20e-6
-_POINTS_A_PERIOD = 6
-_NEGLIGIBLE = 1e-4  # harmonics below this share of the fundamental do not count
-_DISTORTED = 3.0  # the detector's cube makes three of one
+_POINTS_A_PERIOD = 6  # of the light, while the gyro is locked
+_LEFT = 1e-4  # of the amplitude, by the polynomials between the points
+_NODE_POLYNOMIAL = 16.9 / 720  # of six points at even steps, largest between the outer two, over 6!
 _SHARPEST = 0.9  # ratio of successive harmonics
 
 
@@ -85,18 +85,25 @@ def smooth_interval(gyro: Gyro, detector: Detector, motion: Sequence[Motion], st
 
 @lru_cache(maxsize=64)
 def _smooth_interval(gyro: Gyro, detector: Detector, segment: Motion) -> float:
-    """Of one piece of motion: a number of points for each period of the fastest harmonic that counts."""
+    """Of one piece of motion: polynomials are off by that of their nodes times the sixth derivative over 6!."""
     if _resting_volts(gyro, detector, segment) is not None:
         return 1.0 / (_POINTS_A_PERIOD * max(detector.pump_hz, 1.0))
     if segment.acceleration_dps2:
         return 0.0
     low, high, sense = _rates_in(gyro, segment)
-    ratio = float(gyro.harmonic_ratio(np.array(low)))
-    if low <= gyro.lock_in_rate or ratio >= _SHARPEST or not sense:
+    if low <= gyro.lock_in_rate or gyro.harmonic_ratio(np.array(low)) >= _SHARPEST or not sense:
         return 0.0
-    harmonics = _DISTORTED + (math.log(_NEGLIGIBLE) / math.log(ratio) if ratio > 0 else 0.0)
-    fastest = gyro.scale_factor * high * harmonics + abs(gyro.ripple_hz) + detector.pump_hz
-    return 1.0 / (_POINTS_A_PERIOD * fastest)
+    # harmonics are largest at the slowest rate, or, behind a high-pass, at the fastest
+    slow, fast = (np.abs(amplitudes_at(gyro, detector, sense * rate)[1:]) for rate in (low, high))
+    amplitudes = np.zeros(max(slow.size, fast.size))
+    amplitudes[: slow.size] = slow
+    amplitudes[: fast.size] = np.maximum(amplitudes[: fast.size], fast)
+    beats = gyro.scale_factor * high * np.arange(1, amplitudes.size + 1)
+    turns = beats + abs(gyro.ripple_hz) + detector.pump_hz
+    sixth_derivative = float(amplitudes @ (2 * np.pi * turns) ** 6)
+    if not sixth_derivative:
+        return 0.0
+    return float((_LEFT * amplitudes.max() / (_NODE_POLYNOMIAL * sixth_derivative)) ** (1 / 6))
 
 
 def signal_bounds(

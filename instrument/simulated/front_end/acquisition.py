@@ -101,6 +101,8 @@ class Acquisition:
             None  # channels of an acquisition that is no record yet
         )
         self._number = 0  # of that one
+        self._completed = 0.0, 0.0  # ready and triggered, s: the latest acquisition that was not left out
+        self._left_out_since: float | None = None  # absolute time in s; None: nothing is left out
         self._caught_up = 0.0  # absolute time in s up to which all is known
         self.acquisitions = 0  # ACQuire:NUMACq?
         self.restart()
@@ -288,6 +290,7 @@ class Acquisition:
         self._swept.extend(_LeftOut(ready - usual * ago) for ago in range(min(count, self._count), 0, -1))
         self.acquisitions += count
         self._newest, self._number = self._displayed_channels(), next(self._numbers)
+        self._left_out_since = at
         return True
 
     def _look_for_trigger(self, trigger: TriggerSettings, now: float) -> None:
@@ -306,6 +309,7 @@ class Acquisition:
         """Keep the acquisition; stop after a sequence, else arm again."""
         sweep = self._sweep
         triggered_at = sweep.ready_at if sweep.triggered_at is None else sweep.triggered_at
+        self._completed = sweep.ready_at, triggered_at
         self._swept.append(self._start(triggered_at))
         self.acquisitions += 1
         self._untriggered = sweep.forced
@@ -334,7 +338,8 @@ class Acquisition:
         panel, mode = self._panel, self._panel.text("ACQUIRE:MODE")
         if mode == "PEAKDETECT" and panel.seconds_per_division < PEAK_DETECT_FROM * (1 - 1e-9):
             mode = "SAMPLE"
-        starts = self._latest_starts()
+        starts = self._latest_starts() or self._starts_before_the_silence()
+        self._left_out_since = None
         if not starts:
             return self._record
         scale = panel.seconds_per_division
@@ -354,22 +359,54 @@ class Acquisition:
         one_by_one = bool(np.isnan(edges).all())
         found = iter(zip(owed.tolist(), edges.tolist(), strict=True))
         starts: list[float] = []
-        again = -math.inf
+        first, again, dead = math.nan, -math.inf, self._cycle - self._before - self._after
         for sweep in latest:
             if isinstance(sweep, _LeftOut):
                 ready_at, edge = next(found)
                 if one_by_one and again > -math.inf:
                     ready_at = again
                 triggered = self._edge_after(ready_at, trigger) if math.isnan(edge) else (edge, False)
-                if triggered is not None:
+                if triggered is not None and triggered[0] >= again - dead:  # no two at the same time
                     at, self._untriggered = triggered
+                    first = first if starts else ready_at
                     starts.append(self._start(at))
                     again = at + self._cycle
             else:
                 starts.append(sweep)
                 again = -math.inf
+        # where the last ones are not over, or have no trigger any more, as many come before all others
+        usual, since = self._cycle + self._usual_wait, self._left_out_since or 0.0
+        while starts and len(starts) < len(latest) and (first := first - usual) > since:
+            if (triggered := self._edge_after(first, trigger)) is not None:
+                starts.insert(0, self._start(triggered[0]))
         self._swept = deque(starts, maxlen=_MOST_AVERAGED)
         return tuple(starts)
+
+    def _starts_before_the_silence(self) -> tuple[float, ...]:
+        """Starts of the last acquisitions of a signal that ended while nobody asked: NORMAL keeps them."""
+        if self._left_out_since is None or self._faults.no_trigger:
+            return ()
+        ready_at, edge = self._last_trigger(self._left_out_since)
+        self._caught_up = edge + self._after
+        usual = self._cycle + self._usual_wait
+        count = min(self._count, 1 + int((edge - self._completed[1]) / usual))
+        self._swept.extend(_LeftOut(ready_at - usual * ago) for ago in range(count - 1, -1, -1))
+        return self._latest_starts()
+
+    def _last_trigger(self, since: float) -> tuple[float, float]:
+        """When the last of the acquisitions that were left out was ready, and its trigger; absolute times in s."""
+        trigger, last = self._panel.trigger(), self._completed
+        earliest, latest = since + self._before, self._caught_up
+        while True:  # one that is ready at the latest finds no trigger
+            ready_at = earliest if last == self._completed else (earliest + latest) / 2
+            until = min(latest + self._cycle, self._caught_up)
+            edge = self._circuit.edge(self._armed(ready_at), trigger, until)
+            if edge is not None and edge + self._after <= self._caught_up:
+                last, earliest = (ready_at, edge), edge + self._cycle
+            else:
+                latest = ready_at
+            if latest - earliest < self._cycle:
+                return last
 
     def _look_for_the_one_before(self) -> None:
         """Find out whether the acquisition before this one had a trigger, if it was left out."""

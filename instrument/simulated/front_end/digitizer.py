@@ -28,7 +28,7 @@ from instrument.simulated.panel.panel import ChannelSettings
 _PEAK_RATE = 100e6  # S/s at which Peak Detect looks for the smallest and the largest sample
 _PEAK_TIME_CONSTANT = 1 / (2 * math.pi * 75e6)  # s, bandwidth of Peak Detect, user manual p. 151
 _MOST_PEAK_SAMPLES = 64  # a pair
-_LINES = 4  # straight ones between two points that tell all about the smooth part
+_LINES = 8  # straight ones between two points that tell all about the smooth part
 _FEW_NEW = 3  # acquisitions of an average that are added to the mean of the others
 _KEPT = 16  # records by channel
 

@@ -37,7 +37,6 @@ _SETTLING = 5 / (2 * math.pi * AC_CORNER)  # s of history after which the coupli
 _AC_RATES = (51_283.7, 47_013.1, 57_942.9)  # S/s for the slow part; a frequency can beat with one of them
 _AC_POINTS = 1 << 17
 _MANY_LOOKS = 6000  # at the acquisitions of an average, from which on the signal is asked for their mean
-_INTERVALS_A_STEP = 2  # of the grid on which a signal is smooth
 
 
 def ground(times: Floats) -> Floats:
@@ -182,7 +181,7 @@ def slow_part(signal: Signal, times: Floats) -> Floats:
     """
     looked = look(signal, float(times[0]) - _SETTLING, float(times[-1]))
     if isinstance(looked, CoarseLook) and looked.interval > 0:
-        return _slow_part_on_grid(looked, times, 1 / (_INTERVALS_A_STEP * looked.interval))
+        return _slow_part_on_grid(looked, times, 1 / looked.interval)
     return np.asarray(np.median([_slow_part_on_grid(looked, times, rate) for rate in _AC_RATES], axis=0))
 
 

@@ -21,7 +21,7 @@ SIX = 6
 
 _TO_POLYNOMIAL = np.linalg.inv(np.vander(np.arange(-2.0, 4.0), increasing=True)).T  # six values -> coefficients
 _WORTH = 2  # times fewer points on the grid than wanted, from which on it is taken
-_FOLLOWS = 0.05  # of the interval: a pole so fast only delays
+_FOLLOWS = 0.025  # of the interval: a pole so fast only delays
 
 
 class SmoothAndNoise(Protocol):
@@ -84,14 +84,13 @@ class Between:
     """
 
     def __init__(self, first: float, last: float, values: Floats) -> None:
-        self._first, self._pace = first, (len(values) - 1) / (last - first)
-        self._polynomials = polynomials(np.lib.stride_tricks.sliding_window_view(values, SIX))
+        self._first, self._pace, self._values = first, (len(values) - 1) / (last - first), values
 
     def at(self, time: float) -> float:
         """The value at one time in s: as of an array, and faster."""
         place = (time - self._first) * self._pace - 2.0
-        around = min(max(int(place), 0), len(self._polynomials) - 1)
-        inside, coefficients = place - around, self._polynomials[around].tolist()
+        around = min(max(int(place), 0), len(self._values) - SIX)
+        inside, coefficients = place - around, polynomials(self._values[around : around + SIX]).tolist()
         total: float = coefficients[5]
         for order in (4, 3, 2, 1, 0):
             total = total * inside + coefficients[order]
@@ -100,12 +99,16 @@ class Between:
     def __call__(self, times: Floats) -> Floats:
         """Values at times in s between the first and the last."""
         places = (times - self._first) * self._pace - 2.0
-        around = np.minimum(np.maximum(places.astype(np.intp), 0), len(self._polynomials) - 1)  # clip is slow
+        around = np.minimum(np.maximum(places.astype(np.intp), 0), len(self._values) - SIX)  # clip is slow
         inside = places - around
-        total = self._polynomials[:, 5][around]
+        lowest, highest = int(around.min()), int(around.max()) + 1
+        around -= lowest
+        six = np.stack([self._values[lowest + place : highest + place] for place in range(SIX)])
+        coefficients = _TO_POLYNOMIAL.T @ six  # (order, polynomial): rows are gathered faster than columns
+        total = coefficients[5].take(around)
         for order in (4, 3, 2, 1, 0):
             total *= inside
-            total += self._polynomials[:, order][around]
+            total += coefficients[order].take(around)
         return np.asarray(total)
 
 

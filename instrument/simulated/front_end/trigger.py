@@ -35,7 +35,7 @@ _PLACES: Floats = np.arange(65.0) / 64
 GUARD_BAND = 0.05  # of the width, p. 159
 SHORTEST_GUARD_BAND = 16.5e-9  # s
 _SAMPLES_A_WIDTH = 16  # of a search for pulses
-_LOOKS_A_CELL = 16  # of such a search, between two points that tell all about the smooth part
+_LOOKS_A_CELL = 32  # of such a search, between two points that tell all about the smooth part
 
 
 @dataclass
@@ -269,6 +269,11 @@ Bracket = tuple[float, float]
 Bools = NDArray[np.bool_]
 
 
+def _last_so_far(found: Bools) -> NDArray[np.intp]:
+    """Place of the last one that is true, at each place; -1 where there is none yet."""
+    return np.maximum.accumulate(np.where(found, np.arange(len(found)), -1))
+
+
 @dataclass
 class PulseSearch:
     """A search for a pulse of the wanted width that goes on where it stopped.
@@ -283,6 +288,8 @@ class PulseSearch:
         1 within a pulse, -1 outside, 0 as long as that is not known.
     began : tuple of float or None
         Absolute times in s between which the leading edge of the pulse that is under way lies.
+    left_below, left_above : tuple of float
+        Absolute times in s between which the signal was below, and above, the level for the last time.
     """
 
     trigger: TriggerSettings
@@ -291,6 +298,8 @@ class PulseSearch:
     searched_until: float
     state: int = 0
     began: Bracket | None = None
+    left_below: Bracket = (-math.inf, -math.inf)
+    left_above: Bracket = (-math.inf, -math.inf)
     cells: int = _FIRST_CELLS
 
     def advance(self, until: float, step: float, now: float) -> float | None:
@@ -317,8 +326,7 @@ class PulseSearch:
         """The same where looks far apart tell on which side the signal is, and `noise` is as far as noise goes."""
         while until - self.searched_until > SHORTEST_STRETCH:
             stretch = self.volts_at.stretch(self.searched_until, until, now, self.cells)
-            times = self._telling_times(stretch, min(until, float(stretch.times[-1])), step, noise)
-            volts = stretch.between(times)
+            times, volts = self._telling_looks(stretch, min(until, float(stretch.times[-1])), step, noise)
             # further off, noise turns no side
             near = np.flatnonzero(np.abs(volts - self.trigger.level) <= self.hysteresis + noise)
             volts[near] += self.volts_at.noise(times[near])
@@ -329,21 +337,54 @@ class PulseSearch:
             self.cells = min(2 * self.cells, _MOST_CELLS)
         return None
 
-    def _telling_times(self, stretch: Stretch, end: float, step: float, noise: float) -> Floats:
-        """The looks of a stretch, with more of them, `step` apart, wherever the signal may cross the level."""
+    def _telling_looks(self, stretch: Stretch, end: float, step: float, noise: float) -> tuple[Floats, Floats]:
+        """Times and volts at the looks of a stretch, and more, `step` apart, where the signal may turn about."""
         first, last = np.searchsorted(stretch.times, (self.searched_until, end), side="right")
         looks = slice(first, last - 1)
         times = np.concatenate([[self.searched_until], stretch.times[looks], [end]])
-        ends = stretch.between(times[[0, -1]])
-        above = self._turned(np.concatenate([ends[:1], stretch.volts[looks], ends[1:]]))
-        sure = self.hysteresis + noise + stretch.bend
-        sides = np.where(above > sure, 1, np.where(above < -sure, -1, 0))
-        steady = (sides[1:] == sides[:-1]) & (sides[1:] != 0)
+        ends = [[stretch.between.at(float(times[place]))] for place in (0, -1)]
+        volts = np.concatenate([ends[0], stretch.volts[looks], ends[1]])
         lengths = np.diff(times)
-        counts = np.where(steady, 1, np.maximum(np.ceil(lengths / step), 1)).astype(np.intp)
+        unsure = self._may_turn_about(self._turned(volts), noise, stretch.bend)
+        counts = np.where(unsure, np.maximum(np.ceil(lengths / step), 1), 1).astype(np.intp)
+        if counts.sum() == counts.size:
+            return times, volts
         cells = np.repeat(np.arange(len(counts)), counts)
         inside = np.arange(len(cells)) - (np.cumsum(counts) - counts)[cells]
-        return np.append(times[cells] + inside * (lengths / counts)[cells], end)
+        more = np.flatnonzero(inside)
+        times, volts = np.append(times[cells], end), np.append(volts[cells], ends[1])
+        times[more] += inside[more] * (lengths / counts)[cells[more]]
+        volts[more] = stretch.between(times[more])
+        return times, volts
+
+    def _may_turn_about(self, above: Floats, noise: float, bend: float) -> Bools:
+        """In which cells between looks the signal may cross the level more than once, or touch it.
+
+        Where looks on the way from one side to the other only rise, or only fall, there is one edge, and to know
+        its place to a cell is enough.
+
+        Parameters
+        ----------
+        above : (n,) array
+            V over the level.
+        noise, bend : float
+            V by which noise, and the way between two looks, may leave straight lines.
+        """
+        sure = self.hysteresis + noise + bend
+        sides = np.where(above > sure, 1, np.where(above < -sure, -1, 0))
+        known = np.flatnonzero(sides)
+        unsure = np.ones(len(above) - 1, dtype=np.bool_)
+        if known.size < 2:
+            return unsure
+        before, after = known[:-1], known[1:]
+        steps = after - before
+        rises = np.concatenate([[0], np.cumsum(above[1:] > above[:-1])])
+        risen = rises[after] - rises[before]
+        steady = (sides[before] == sides[after]) & (steps == 1)
+        crosses = (sides[before] != sides[after]) & (risen == np.where(sides[after] > 0, steps, 0))
+        crosses &= bend < self.hysteresis - noise  # noise alone cannot take it to the other side and back
+        unsure[known[0] : known[-1]] = np.repeat(~(steady | crosses), steps)
+        return unsure
 
     def _turned(self, volts: Floats) -> Floats:
         """Volts over the level, with the sign in which the pulse points up."""
@@ -359,13 +400,13 @@ class PulseSearch:
         known = np.flatnonzero(sides)
         previous = np.concatenate([[self.state], sides[known]])
         changes = known[(previous[1:] != previous[:-1]) & (previous[:-1] != 0)]
+        last_below, last_over = (_last_so_far(side) for side in (above < 0, above > 0))
         if len(changes):
-            places = np.arange(len(times))
-            last_below = np.maximum.accumulate(np.where(above < 0, places, 0))
-            last_over = np.maximum.accumulate(np.where(above > 0, places, 0))
             rising = sides[changes] > 0
             last = np.where(rising, last_below[changes], last_over[changes])
             lows, highs = times[last], times[np.minimum(last + 1, changes)]
+            for at in np.flatnonzero(last < 0).tolist():  # it left its side in an earlier stretch
+                lows[at], highs[at] = self.left_below if rising[at] else self.left_above
             for at in np.flatnonzero(self._worth_judging(rising, lows, highs)).tolist():
                 edge = float(lows[at]), float(highs[at])
                 if rising[at]:
@@ -377,6 +418,10 @@ class PulseSearch:
                         return found
         if len(known):
             self.state = int(sides[known[-1]])
+        if (place := int(last_below[-1])) >= 0:
+            self.left_below = float(times[place]), float(times[min(place + 1, len(times) - 1)])
+        if (place := int(last_over[-1])) >= 0:
+            self.left_above = float(times[place]), float(times[min(place + 1, len(times) - 1)])
         end = float(times[-1])
         return None if self.began is None else self._judge(self.began, (end, end), ended=False)
 

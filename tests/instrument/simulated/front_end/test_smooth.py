@@ -271,3 +271,72 @@ def test_noise_lifts_a_pulse_over_the_hysteresis(noise, triggers):
     volts_at = Comparator(beat.smooth, beat.noise, noise, beat.interval, beat.bounds)
     search = PulseSearch(trigger, volts_at, 0.09, 0.0)
     assert (search.advance(0.5, 1e-5, 0.5) is not None) == triggers
+
+
+def ringing(height, phase, points):
+    """A slow sine with a faster one, which is left within the hysteresis of 0.1 V or crosses it several times."""
+
+    def smooth(times):
+        return np.sin(2 * np.pi * 7.3 * times) + height * np.sin(2 * np.pi * FREQUENCY * times + phase)
+
+    return Comparator(smooth, interval=lambda start, stop: 1 / (points * FREQUENCY)), Comparator(smooth)
+
+
+@pytest.mark.parametrize(
+    ("height", "phase", "points"),
+    [
+        (0.0, 0.3, 20),
+        (0.06, 0.3, 20),
+        (0.12, 0.3, 10),
+        (0.3, 0.3, 10),
+        (0.1725, 4.778, 6.26),
+        (0.1763, 3.164, 6.17),
+    ],
+)
+@pytest.mark.parametrize(
+    ("when", "width"), [("INSIDE", 4e-3), ("EQUAL", 68.5e-3), ("NOTEQUAL", 68.5e-3), ("OUTSIDE", 50e-3)]
+)
+def test_pulses_are_those_that_many_looks_find(when, width, height, phase, points):
+    trigger = TriggerSettings("NORMAL", "PULSE", "CH1", "DC", "RISE", 0.0, 0.0, "POSITIVE", when, width)
+    found = []
+    for volts_at in ringing(height, phase, points):
+        pulses, search = [], PulseSearch(trigger, volts_at, 0.1, 0.013)
+        while len(pulses) < 8 and (pulse := search.advance(1.5, 2e-5, 1.5)) is not None:
+            pulses.append(pulse)
+            search = PulseSearch(trigger, volts_at, 0.1, pulse + 1e-4)
+        found.append(pulses)
+    few, many = found
+    assert few == pytest.approx(many, abs=1e-4)
+    assert len(many) == 8 or height < 0.3 or when != "INSIDE"
+
+
+@dataclass
+class Ending(Beat):
+    """A beat that ends."""
+
+    ends: float = 7.0
+
+    def smooth(self, times):
+        return np.where(times < self.ends, super().smooth(times), -0.1)
+
+    def interval(self, start, stop):
+        return 0.0 if start < self.ends < stop else super().interval(start, stop)
+
+
+@KINDS
+@pytest.mark.parametrize(("acquire", "records"), [("SAMPLE", 1), ("AVERAGE;NUMAVG 16", 16)])
+@pytest.mark.parametrize("silence", [6.999, 7.3, 25.0])
+def test_a_signal_that_ends_while_nobody_asks_leaves_its_last_records(make_bench, kind, acquire, records, silence):
+    bench = bench_on(
+        make_bench, kind(Ending(0.01)), f"TRIG:MAIN:MODE NORMAL;:HOR:SCALE 2.5E-3;:ACQ:MODE {acquire}"
+    )
+    bench.clock.sleep(silence)
+    codes = bench.codes().astype(int)
+    record = bench.scope.acquisition.record
+    triggers = np.array(record.starts) - record.xzero
+    assert len(triggers) == records and np.ptp(codes) > 150
+    # one takes 25 ms and 3 to 9 ms more; the last one that fits was triggered at most two of them before the end
+    assert 7.0 - 0.08 < triggers[-1] < 7.0 and triggers[0] > 7.0 - 0.75
+    assert (np.diff(triggers) > 0.025).all() and bench.ask("TRIG:STATE?") in ("READY", "ARMED")
+    bench.clock.sleep(3.0)
+    assert (bench.codes() == codes).all()

@@ -19,8 +19,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.polynomial import Legendre, Polynomial
 from numpy.typing import NDArray
 
+from benchmarks.fibre_gyro.independent_gyro import flicker
 from station.fibre_gyro.settings import load_fog_settings
 from station.measurements import measurement
 from station.runs.progress import Progress
@@ -39,16 +41,6 @@ WALK = 0.005  # deg/sqrt(h)
 TILT = 1e-3
 NORMAL_95 = 1.959964
 QUIET = Progress(quiet=True)
-
-
-def flicker(rng: np.random.Generator, count: int, instability_dph: float) -> Floats:
-    """A series of 1/f noise, deg/s, whose Allan deviation is 0.664 of the bias instability on its flat part."""
-    size = 1 << (2 * count - 1).bit_length()
-    frequency = np.fft.rfftfreq(size)
-    shape = np.zeros(frequency.size)
-    shape[1:] = frequency[1:] ** -0.5
-    series = np.fft.irfft(np.fft.rfft(rng.normal(size=size)) * shape, size)[:count] / np.sqrt(2.0)
-    return np.asarray(instability_dph / 3600 * series, dtype=np.float64)
 
 
 @dataclass
@@ -115,7 +107,7 @@ def threshold(seed: int, folder: Path, *, backlash: bool = False, none: bool = F
     inputs = [0.0]
     for place, size in enumerate(rungs):
         inputs += [size, -size] + ([0.0] if place % 2 else [])
-    slow = flicker(rng, count * (len(inputs) + 1), 0.02)
+    slow = 0.0354 / 3600 * flicker(rng, count * (len(inputs) + 1))
     for place, size in enumerate([*inputs, 0.0]):
         seen = np.full(count, size) + np.sin(TILT) * HORIZONTAL * np.cos(rng.uniform(0, 2 * np.pi))
         edge = np.where(seen > 0, edges[0], edges[1])
@@ -130,15 +122,29 @@ def threshold(seed: int, folder: Path, *, backlash: bool = False, none: bool = F
     }
 
 
-def temperature(seed: int, folder: Path, *, instability_dph: float = 0.0, curved: bool = True) -> Answers:
-    """A ramp up and down: rest, a turn in both senses, rest; thermometer with noise and steps of 0.01 K."""
+def temperature(
+    seed: int, folder: Path, *, instability_dph: float = 0.0, curved: bool = True, cubic: float = 0.0
+) -> Answers:
+    """A ramp up and down: rest, a turn in both senses, rest; thermometer with noise and steps of 0.01 K.
+
+    Parameters
+    ----------
+    cubic : float
+        Standard deviation of a term of the third order over the range, in that of what noise makes of it.
+    """
     rng = np.random.default_rng([seed, 12])
     recorder = Recorder(folder, rng, 4.0)
     begin, end, ramp, turned = -20.0, 60.0, 1.0, 20.0
     minutes = (end - begin) / ramp
     k1, k2 = rng.normal(0, 2.0), rng.normal(0, 0.02) if curved else 0.0  # ppm/K, ppm/K^2
     b0, b1, b2, c = rng.normal(0, [0.1, 5e-3, 1e-4 if curved else 0.0, 0.1])  # deg/h
-    slow = flicker(rng, int(2 * minutes * 60 * 4) + 2000, instability_dph)
+    # noise of a third term: means of 61 pairs of 18 s in both senses, of 122 minutes at rest
+    third = Legendre.basis(3, domain=[begin, end]).convert(kind=Polynomial)(Polynomial([20.0, 1.0]))
+    sizes = cubic * WALK / 60 * np.sqrt(7 / np.array([61 * 36.0, 122 * 60.0])) * [1e6 / turned, 3600]
+    sizes *= rng.normal(size=2) if cubic else 0.0
+    off_scale = Polynomial([0.0, k1, k2]) + float(sizes[0]) * third  # of the temperature less 20 deg C
+    bias_of = Polynomial([b0, b1, b2]) + float(sizes[1]) * third
+    slow = instability_dph / 3600 * flicker(rng, int(2 * minutes * 60 * 4) + 2000)
     cycle = [(0.0, 120.0), (turned, 18.25), (-turned, 18.25)]
     azimuth = rng.uniform(0, 2 * np.pi)  # whole turns bring the table back to it
     place, words = 0, int(2 * minutes * 60 * 4)
@@ -151,8 +157,8 @@ def temperature(seed: int, folder: Path, *, instability_dph: float = 0.0, curved
         angle = np.deg2rad(rate) * np.arange(at.size + 1) / 4 + azimuth
         north = np.diff(np.sin(angle)) / np.diff(angle) if rate else np.full(at.size, np.cos(angle[0]))
         omega = np.cos(TILT) * (rate + VERTICAL) + np.sin(TILT) * HORIZONTAL * north
-        bias = (b0 + b1 * x + b2 * x**2 + c * change) / 3600
-        seen = (1 + 1e-6 * (k1 * x + k2 * x**2)) * (omega + bias) + slow[recorder.words : recorder.words + at.size]
+        bias = (bias_of(x) + c * change) / 3600
+        seen = (1 + 1e-6 * off_scale(x)) * (omega + bias) + slow[recorder.words : recorder.words + at.size]
         thermometer = np.round(warm + rng.normal(0, 0.02, at.size), 2)
         recorder.take(seen, f"{rate:g}", thermometer)
         place += 1
@@ -160,23 +166,22 @@ def temperature(seed: int, folder: Path, *, instability_dph: float = 0.0, curved
     held = {}
     to_design = K * np.cos(TILT) / DESIGN
     for name, one, unit, truth in (
-        ("K", found["scale_factor"], "ppm", (1e6 * (to_design - 1), k1 * to_design, k2 * to_design)),
-        ("bias", found["bias"], "dph", (b0, b1, b2)),
+        ("K", found["scale_factor"], "ppm", off_scale * to_design + 1e6 * (to_design - 1)),
+        ("bias", found["bias"], "dph", bias_of),
     ):
-        for power, value in enumerate(truth):
+        for power, value in enumerate([*truth.coef, 0.0, 0.0][:3]):
             if power < len(one[f"coefficients_{unit}"]):
                 u = one[f"coefficients_u_{unit}"][power]
                 held[f"{name} T^{power}"] = within(one[f"coefficients_{unit}"][power], u, value)
-    if found["bias"]["with_rate"]:
-        held["bias dT/dt"] = within(found["bias"]["dph_per_k_per_min"], found["bias"]["dph_u_per_k_per_min"], c)
+    held["bias dT/dt"] = within(found["bias"]["dph_per_k_per_min"], found["bias"]["dph_u_per_k_per_min"], c)
     table = found["compensation"]
-    for warm in (-15.0, 20.0, 55.0):
-        at, x = table["temperature_c"].index(warm), warm - 20
-        scale = K * np.cos(TILT) * (1 + 1e-6 * (k1 * x + k2 * x**2))
+    for celsius in (-15.0, 20.0, 55.0):
+        at, off = table["temperature_c"].index(celsius), celsius - 20
+        scale = K * np.cos(TILT) * (1 + 1e-6 * float(off_scale(off)))
         value, u = (table[f"scale_factor{mark}_counts_per_dps"][at] for mark in ("", "_u"))
-        held[f"K({warm:g})"] = within(value, u, scale)
+        held[f"K({celsius:g})"] = within(value, u, scale)
         value, u = (table[f"bias{mark}_dph"][at] for mark in ("", "_u"))
-        held[f"bias({warm:g})"] = within(value, u, b0 + b1 * x + b2 * x**2)
+        held[f"bias({celsius:g})"] = within(value, u, float(bias_of(off)))
     return held
 
 
@@ -234,7 +239,9 @@ CASES: dict[str, Callable[[int, Path], Answers]] = {
     "no dead zone": lambda seed, folder: threshold(seed, folder, none=True),
     "temperature": temperature,
     "temperature, straight lines": lambda seed, folder: temperature(seed, folder, curved=False),
-    "temperature, instability 0.1 deg/h": lambda seed, folder: temperature(seed, folder, instability_dph=0.1),
+    "temperature, small third term": lambda seed, folder: temperature(seed, folder, cubic=2.0),
+    "temperature, instability 0.01 deg/h": lambda seed, folder: temperature(seed, folder, instability_dph=0.01),
+    "temperature, instability 0.2 deg/h": lambda seed, folder: temperature(seed, folder, instability_dph=0.2),
     "switched on": switched_on,
     "switched on, two exponentials": lambda seed, folder: switched_on(seed, folder, two=True),
 }

@@ -5,6 +5,9 @@ a rule and now and then much longer; so all arrivals lie above the line of those
 is the one that no arrival lies below and that is nearest to all of them: an edge of their lower convex hull. A
 stall of the computer, even at the end, only lifts points off it. (S. B. Moon, P. Skelly, D. Towsley, "Estimation
 and removal of clock skew from network delay measurements", INFOCOM 1999.)
+
+What does not show: frames that keep step with an adapter's timer are all held back alike, and drift by a part of
+its period without a trace.
 """
 
 from __future__ import annotations
@@ -28,6 +31,8 @@ _GROUPS = 16  # that say how far from the line the earliest arrivals lie
 _WORST_U = 0.05  # of the interval; a line that says less says nothing
 _SIGNIFICANT = 4.0  # standard uncertainties
 _BEAT_S = 0.018  # frames beat with the reads of 20 ms and an adapter's 16 ms, by so much or one interval at most
+_ADAPTER_S = 0.016  # a USB adapter hands over what it has so often
+_PLACES = 20_000  # frames whose places in that period are looked at
 _BEATS = 100  # arrivals in which a beat shows as what it is; in fewer it may look like a slope
 
 
@@ -82,7 +87,15 @@ def _earliest_line(index: Floats, host: Floats) -> tuple[float, float]:
     off = float(np.median(groups)) + float(np.ptp(np.sort(groups)[: max(2, len(groups) // 2)]))
     span = float(index[-1] - index[0])
     off = max(off, min(_BEAT_S, slope) * min(1.0, _BEATS / index.size))
-    return slope + edge, 2 * off / span
+    # rectangular: what is hidden is anything up to that
+    hidden = _widest_gap(slope + edge, int(span)) / np.sqrt(3.0)
+    return slope + edge, float(np.hypot(2 * off, hidden)) / span
+
+
+def _widest_gap(interval: float, frames: int) -> float:
+    """Part of an adapter's period, s, in which no frame comes: all may drift by it and come out as before."""
+    places = np.sort(np.mod(interval * np.arange(min(frames, _PLACES)), _ADAPTER_S))
+    return float(np.max(np.diff(places, append=places[0] + _ADAPTER_S)))
 
 
 def _lower_hull(x: Floats, y: Floats) -> list[int]:

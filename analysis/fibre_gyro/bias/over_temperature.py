@@ -5,37 +5,46 @@
 Noise: that of each value, and a slow one beside it of unknown size, found by its likelihood. It may scatter from
 value to value, over a fiftieth of the run (segments), with all times alike (1/f, the bias instability of fibre
 gyros), or walk over the whole run: so neighbours that lie off together count once, and what is too slow to show is
-known from what is not. Order p and the term dT/dt are chosen by the corrected Akaike criterion
+known from what is not. A walk has no mean of its own: the constant is that of the run. Order p and the term dT/dt
+are chosen by the corrected Akaike criterion
 
     AICc = -2 ln L + 2 k + 2 k (k + 1)/(n - k - 1)            k parameters, two of the noise among them
 
-and the uncertainty counts that another model may be the right one (Burnham and Anderson): with w its weight,
-exp(-AICc/2) of all,
+and the uncertainty counts that another model may be the right one (Burnham and Anderson), or another noise: with
+the weight w of each model, exp(-AICc/2) of all, and the probability p of each noise under it, the coefficients are
 
-    covariance = sum_m w_m [ C_m + (b_m - b)(b_m - b)^T ]     b those of the chosen model
+    sum_m sum_h w_m p_mh Normal(b_mh, C_mh)
+
+and u is such that 1.96 u on both sides of the chosen model hold 95 % of that. (Its standard deviation would be
+ruled by what is unlikely and far off.)
 
 Inside, Legendre polynomials over the measured range stand for the powers. Beyond that range nothing is given.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import scipy.linalg
 from numpy.polynomial import Legendre, Polynomial
 from numpy.typing import ArrayLike
+from scipy.special import ndtr
 
 from analysis.arrays import Floats, Ints
 
 _SIZES = 18
 SLOW_NOISES = ("from value to value", "from segment to segment", "as 1/f", "as a walk")
 """Kinds of slow noise."""
-_SEGMENT, _WALK = 0.02, 2.0  # of the time of the run
+_SHARES = (0.15, 0.15, 0.5, 0.2)  # of them before the data: 1/f is what fibre gyros are known for
+_SEGMENT, _SLOWEST = 0.02, 2.0  # of the time of the run
 _FLICKER_TERMS = 10
 _SEPARATE = 0.1
 """Part of the change of dT/dt that no polynomial in T explains: less cannot be told from one."""
-_NOTHING_BEYOND = 3.0  # weight of no slow noise, in that of one up to the noise of a value
+_NORMAL_95 = 1.959964
+_NEGLIGIBLE = 1e-7  # probability
+_NOTHING_BEYOND = 2.0  # weight of no slow noise, in that of one up to the noise of a value
 
 
 @dataclass(frozen=True)
@@ -46,6 +55,41 @@ class Candidate:
     with_rate: bool
     aicc: float
     weight: float
+
+
+@dataclass(frozen=True)
+class Mixture:
+    """What the coefficients may be: normal distributions, each with its probability.
+
+    Attributes
+    ----------
+    weight : ndarray, shape (m,)
+    mean : ndarray, shape (m, p)
+    covariance : ndarray, shape (m, p, p)
+    """
+
+    weight: Floats
+    mean: Floats
+    covariance: Floats
+
+    def standard_u(self, combinations: Floats, about: Floats) -> Floats:
+        """Standard uncertainty of combinations of coefficients: 1.96 of it on both sides hold 95 %.
+
+        Parameters
+        ----------
+        combinations : ndarray, shape (n, p)
+        about : ndarray, shape (p,)
+            Coefficients that are stated.
+        """
+        off = (self.mean - about) @ combinations.T
+        sigma = np.sqrt(np.einsum("ni,mij,nj->mn", combinations, self.covariance, combinations, optimize=True))
+        sigma = np.maximum(sigma, 1e-300)
+        low, high = np.zeros(off.shape[1]), np.max(np.abs(off) + 8 * sigma, axis=0)
+        for _ in range(50):
+            middle = (low + high) / 2
+            inside = self.weight @ (ndtr((middle - off) / sigma) - ndtr((-middle - off) / sigma))
+            low, high = np.where(inside < 0.95, middle, low), np.where(inside < 0.95, high, middle)
+        return np.asarray((low + high) / 2 / _NORMAL_95, dtype=np.float64)
 
 
 @dataclass(frozen=True)
@@ -92,7 +136,7 @@ class OverTemperature:
     slow: float
     slow_kind: str
     legendre: Floats
-    covariance: Floats
+    likely: Mixture
 
     def at(self, temperature: ArrayLike) -> tuple[Floats, Floats]:
         """Value without dT/dt, and its standard uncertainty; nan outside the measured temperatures.
@@ -104,18 +148,22 @@ class OverTemperature:
         """
         wanted = np.atleast_1d(np.asarray(temperature, dtype=np.float64))
         inside = (wanted >= self.lowest) & (wanted <= self.highest)
-        basis = _legendre(wanted, self.lowest, self.highest, self.covariance.shape[0] - 2)
-        value = basis @ self.legendre[:-1]
-        u = np.sqrt(np.einsum("ni,ij,nj->n", basis, self.covariance[:-1, :-1], basis))
+        basis = self._basis(wanted)
+        value, u = basis @ self.legendre, self.likely.standard_u(basis, self.legendre)
         return np.where(inside, value, np.nan), np.where(inside, u, np.nan)
 
     def span(self) -> tuple[float, float]:
         """Largest less smallest value over the measured temperatures, and the standard uncertainty."""
         everywhere = np.linspace(self.lowest, self.highest, 201)
-        basis = _legendre(everywhere, self.lowest, self.highest, self.covariance.shape[0] - 2)
-        value = basis @ self.legendre[:-1]
+        basis = self._basis(everywhere)
+        value = basis @ self.legendre
         apart = basis[int(np.argmax(value))] - basis[int(np.argmin(value))]
-        return float(np.ptp(value)), float(np.sqrt(apart @ self.covariance[:-1, :-1] @ apart))
+        return float(np.ptp(value)), float(self.likely.standard_u(apart[np.newaxis], self.legendre)[0])
+
+    def _basis(self, temperature: Floats) -> Floats:
+        """Legendre polynomials there, and 0 for dT/dt, shape (n, p)."""
+        polynomials = _legendre(temperature, self.lowest, self.highest, self.legendre.size - 2)
+        return np.column_stack([polynomials, np.zeros(temperature.size)])
 
 
 def fit_over_temperature(
@@ -182,22 +230,19 @@ def fit_over_temperature(
     weight /= weight.sum()
     best = int(np.argmax(weight))
     chosen = fits[best]
-    covariance = np.zeros((design.shape[1],) * 2)
-    for share, one in zip(weight, fits, strict=True):
-        apart = one.coefficients - chosen.coefficients
-        covariance += share * (one.covariance + np.outer(apart, apart))
+    likely = _mixture(fits, weight, design.shape[1])
     order, with_rate = trials[best]
     to_powers = _to_powers(lowest, highest, reference, most)
-    all_powers = to_powers @ chosen.coefficients[:-1]
-    powers_u = np.sqrt(np.diag(to_powers @ covariance[:-1, :-1] @ to_powers.T))
+    powers = np.column_stack([to_powers, np.zeros(most + 1)])
+    powers_u = likely.standard_u(powers, chosen.coefficients)
     ranked = sorted(range(len(trials)), key=lambda one: -float(weight[one]))
-    rate_u = float(np.sqrt(covariance[-1, -1])) / scale if known else float("nan")
+    rate_u = _rate_u(likely, chosen.coefficients, with_rate=with_rate) / scale if known else float("nan")
     return OverTemperature(
         order=order,
         with_rate=with_rate,
         rate_known=known,
         reference=reference,
-        coefficients=all_powers[: order + 1],
+        coefficients=(powers @ chosen.coefficients)[: order + 1],
         coefficients_u=powers_u[: order + 1],
         rate_coefficient=float(chosen.coefficients[-1]) / (scale or 1.0) if known else float("nan"),
         rate_coefficient_u=rate_u,
@@ -209,8 +254,18 @@ def fit_over_temperature(
         slow=float(chosen.likely @ noise.size),
         slow_kind=SLOW_NOISES[int(np.argmax(np.bincount(noise.kind, chosen.likely * noise.size)))],
         legendre=chosen.coefficients,
-        covariance=covariance,
+        likely=likely,
     )
+
+
+def _rate_u(likely: Mixture, chosen: Floats, *, with_rate: bool) -> float:
+    """Standard uncertainty of the coefficient of dT/dt."""
+    u = float(likely.standard_u(np.eye(chosen.size)[-1:], chosen)[0])
+    if with_rate:
+        return u
+    # most models hold it to be nothing at all: 95 % of them would leave what may be hidden out
+    hidden = likely.weight @ (likely.mean[:, -1] ** 2 + likely.covariance[:, -1, -1])
+    return max(u, float(np.sqrt(hidden)))
 
 
 def _columns(trial: tuple[int, bool], most: int) -> list[int]:
@@ -265,8 +320,12 @@ def _slow_noises(at: Floats) -> list[Floats]:
     apart, span = np.abs(np.subtract.outer(at, at)), float(np.ptp(at)) or 1.0
     shortest = span / max(at.size - 1, 1)
     # equal parts for each decade of time make 1/f
-    parts = [np.exp(-apart / theta) for theta in np.geomspace(shortest, _WALK * span, _FLICKER_TERMS)]
-    walk, segments = (np.exp(-apart / (part * span)) for part in (_WALK, _SEGMENT))
+    parts = [np.exp(-apart / theta) for theta in np.geomspace(shortest, _SLOWEST * span, _FLICKER_TERMS)]
+    segments = np.exp(-apart / (_SEGMENT * span))
+    walk = np.minimum.outer(at - at.min(), at - at.min())
+    walk -= walk.mean(axis=0)
+    walk -= walk.mean(axis=1)[:, np.newaxis]
+    walk /= np.trace(walk) / at.size or 1.0
     return [np.eye(at.size), segments, np.asarray(np.mean(parts, axis=0)), walk]
 
 
@@ -280,7 +339,7 @@ def _noise_hypotheses(value: Floats, u: Floats, at: Floats, design: Floats) -> _
     shapes = _slow_noises(at)
     rows = [(0.0, 0, float(share[0]))]
     rows += [
-        (float(one), kind, float(weight) / len(shapes))
+        (float(one), kind, float(weight) * _SHARES[kind])
         for one, weight in zip(size[1:], share[1:], strict=True)
         for kind in range(len(shapes))
     ]
@@ -297,36 +356,58 @@ def _noise_hypotheses(value: Floats, u: Floats, at: Floats, design: Floats) -> _
 
 @dataclass(frozen=True)
 class _Fit:
-    """Of one model: coefficients of all columns (0 for those that are not in it), covariance, AICc."""
+    """Of one model: mean coefficients of all columns (0 for those that are not in it), AICc, and each hypothesis.
+
+    Attributes
+    ----------
+    columns : list of int
+    likely : ndarray, shape (h,)
+        Probability of each hypothesis of the noise.
+    found, covariances : ndarray, shape (h, k), (h, k, k)
+        Under each of them.
+    """
 
     coefficients: Floats
-    covariance: Floats
     aicc: float
     likely: Floats
+    columns: list[int]
+    found: Floats
+    covariances: Floats
 
 
 def _fit(columns: list[int], noise: _Noise, n: int) -> _Fit:
     """Fit a model under every hypothesis of the noise, and weigh these with their restricted likelihood."""
     normal = noise.products[:, columns][:, :, columns]
     moment = noise.products[:, columns, -1]
-    covariances = np.linalg.inv(normal)
-    found = np.einsum("hij,hj->hi", covariances, moment)
+    covariances = np.asarray(np.linalg.inv(normal), dtype=np.float64)
+    found = np.asarray(np.einsum("hij,hj->hi", covariances, moment), dtype=np.float64)
     left = noise.products[:, -1, -1] - np.einsum("hi,hi->h", found, moment)
     likelihood = -0.5 * (noise.log_determinant + left)
     likely = likelihood - 0.5 * np.linalg.slogdet(normal)[1] + noise.log_prior
     likely = np.exp(likely - likely.max())
     likely /= likely.sum()
-    mean = likely @ found
-    apart = found - mean
-    covariance = np.einsum("h,hij->ij", likely, covariances + np.einsum("hi,hj->hij", apart, apart))
-    count = noise.products.shape[1] - 1
-    wide, wide_covariance = np.zeros(count), np.zeros((count, count))
-    wide[columns] = mean
-    wide_covariance[np.ix_(columns, columns)] = covariance
+    wide = np.zeros(noise.products.shape[1] - 1)
+    wide[columns] = likely @ found
     parameters = len(columns) + 2
     aicc = -2 * float(likelihood.max()) + 2 * parameters
     aicc += 2 * parameters * (parameters + 1) / max(n - parameters - 1, 1)
-    return _Fit(wide, wide_covariance, aicc, np.asarray(likely, dtype=np.float64))
+    return _Fit(wide, aicc, np.asarray(likely, dtype=np.float64), columns, found, covariances)
+
+
+def _mixture(fits: Sequence[_Fit], weight: Floats, count: int) -> Mixture:
+    """All models under all hypotheses of the noise, each with its probability."""
+    weights, means, covariances = [], [], []
+    for share, one in zip(weight, fits, strict=True):
+        heard = share * one.likely > _NEGLIGIBLE
+        mean = np.zeros((int(heard.sum()), count))
+        mean[:, one.columns] = one.found[heard]
+        covariance = np.zeros((mean.shape[0], count, count))
+        covariance[np.ix_(range(mean.shape[0]), one.columns, one.columns)] = one.covariances[heard]
+        weights.append(share * one.likely[heard])
+        means.append(mean)
+        covariances.append(covariance)
+    shares = np.concatenate(weights)
+    return Mixture(shares / shares.sum(), np.concatenate(means), np.concatenate(covariances))
 
 
 def temperature_course(

@@ -19,6 +19,17 @@ def test_the_difference_lies_within_its_uncertainty(rate, latency):
     assert np.abs(pulls).max() < 4  # its uncertainty is a bound more than a standard deviation
 
 
+@pytest.mark.parametrize("off_ppm", [-130.0, 120.0])
+def test_frames_in_step_with_an_adapter_hide_what_they_drift(off_ppm):
+    # 125 frames/s are two in each of its 16 ms: 7 ms of drift in a minute move none of them to the next
+    clock = clock_of(np.random.default_rng(3), rate=125.0, seconds=60, off_ppm=off_ppm, latency=0.016)
+    assert abs(clock.difference_ppm) < 20  # nothing of it is seen
+    assert clock.u_ppm == pytest.approx(1e6 * 0.008 / 60 / 3**0.5, rel=0.15)
+    # 110 frames/s come at 44 places of the period, 0.4 ms from each other
+    told = clock_of(np.random.default_rng(3), rate=110.0, seconds=60, off_ppm=off_ppm, latency=0.016)
+    assert abs(told.difference_ppm - off_ppm) < 2 * told.u_ppm < 120
+
+
 def test_a_minute_tells_fifty_ppm_and_two_per_cent_are_used():
     rng = np.random.default_rng(1)
     right = clock_of(rng, rate=100.0, seconds=60, off_ppm=0)

@@ -4,8 +4,11 @@ import math
 
 import numpy as np
 import pytest
+from scipy.optimize import brentq
+from scipy.stats import norm
 
 from analysis.fibre_gyro import fit_over_temperature, temperature_course
+from analysis.fibre_gyro.bias.over_temperature import Mixture
 
 
 def up_and_down(count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -63,6 +66,26 @@ def test_slow_noise_counts_in_the_uncertainty() -> None:
     assert abs(middle[0] - 2.2) < 5 * u[0]
     assert 0.06 < found.slow < 0.25  # what is slower than the run is in it
     assert found.slow_kind in ("from segment to segment", "as 1/f", "as a walk")
+
+
+def test_what_is_unlikely_and_far_off_does_not_rule_the_interval() -> None:
+    at, warm, rate = up_and_down(120)
+    ratios = []
+    for seed in range(8):
+        value = 1.0 + 0.02 * warm + np.random.default_rng(seed).normal(0, 0.1, at.size)
+        found = fit_over_temperature(value, np.full(at.size, 0.1), at, warm, rate, reference=20.0)
+        ratios.append(found.coefficients_u[0] / (0.1 / math.sqrt(at.size)))
+    assert 1.0 < np.median(ratios) < 1.8  # 1.5 of it are those of a parabola, which is likely enough
+
+
+def test_u_is_the_half_width_of_95_per_cent_of_a_mixture() -> None:
+    alone = Mixture(np.ones(1), np.array([[1.0, 2.0]]), np.array([np.diag([0.04, 0.09])]))
+    both = alone.standard_u(np.array([[1.0, 0.0], [3.0, 4.0]]), np.array([1.0, 2.0]))
+    assert both == pytest.approx([0.2, math.hypot(0.6, 1.2)], rel=1e-6)
+    weight, mean, sigma = np.array([0.9, 0.07, 0.03]), np.array([0.0, 1.5, -2.0]), np.array([1.0, 2.0, 40.0])
+    mixed = Mixture(weight, mean[:, np.newaxis], (sigma**2)[:, np.newaxis, np.newaxis])
+    expected = brentq(lambda h: weight @ (norm.cdf(h, mean, sigma) - norm.cdf(-h, mean, sigma)) - 0.95, 0, 100)
+    assert mixed.standard_u(np.eye(1), np.zeros(1))[0] * norm.ppf(0.975) == pytest.approx(expected, rel=1e-6)
 
 
 @pytest.mark.slow

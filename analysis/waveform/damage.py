@@ -128,6 +128,9 @@ def _limit(records: Records, fit: SeriesFit, suspects: Indices, sign: int) -> Fl
     level = top - second
     in_second = np.count_nonzero(below == second[:, np.newaxis], axis=-1)
     noisy = np.sqrt(fit.residual_power[suspects] / n_samples) > NOISY * level
+    # What a moving rate leaves is no noise: that shows between neighbouring samples too.
+    for place in np.flatnonzero(noisy & (crowd > CROWDING_IN_NOISE * in_second) & (crowd <= CROWDING * in_second)):
+        noisy[place] = np.std(np.diff(records.values[suspects[place]], n=2)) > np.sqrt(6) * NOISY * level[place]
     found = crowd > np.where(noisy, CROWDING_IN_NOISE, CROWDING) * in_second
     # What one level of clipping does to the counts, a smooth crest may nearly do.
     for place in np.flatnonzero(~found & (crowd > CROWDING_IN_NOISE * in_second)):

@@ -24,6 +24,9 @@ LINES, IN_PHASE, FIRST_LINES, STRONGER = 24, 0.8, 3, 4.0
 """So many lines from the lowest on are looked at. Steps from one to the next whose directions have a mean of this
 length come by chance in 2 of 10^7 records."""
 
+LONGEST_RUN, FAR = 20, 5.0
+"""Samples of one sign in a row beyond so many (robust) standard deviations that no noise has."""
+
 SMOOTH = 3.0
 """Standard deviations by which the products of neighbouring samples must exceed those of white noise."""
 
@@ -34,6 +37,8 @@ def passing_power(left: Floats) -> float:
     The power of a part of m samples has as many degrees of freedom as its noise has independent values: m for
     white noise, and m (mean S)^2/mean(S^2) for one of the spectrum S, which the residual itself shows.
     """
+    if far := _power_of_runs(left):
+        return far
     length = left.size // PARTS
     cut = left[: length * PARTS].reshape(PARTS, length)
     parts = np.sum(cut**2, axis=1)
@@ -55,6 +60,15 @@ def passing_power(left: Floats) -> float:
     alike = products.sum(axis=1)
     curve = float(np.sum(alike - alike[quiet].mean()))
     return curve if curve > SMOOTH * float(np.linalg.norm(products)) else 0.0
+
+
+def _power_of_runs(left: Floats) -> float:
+    """Sum of squares of long runs of one sign far beyond what the rest of a residual (N,) shows; 0 without."""
+    far = np.sign(left) * (np.abs(left) > FAR * 1.4826 * np.median(np.abs(left)))
+    starts = np.concatenate([[0], np.flatnonzero(np.diff(far)) + 1])
+    lengths = np.diff(np.append(starts, far.size))
+    in_long_run = np.repeat(lengths >= LONGEST_RUN, lengths) & (far != 0)
+    return float(np.sum(left[in_long_run] ** 2))
 
 
 def slow_curve_power(left: Floats) -> float:

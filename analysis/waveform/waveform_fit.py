@@ -46,6 +46,10 @@ rate. What is no beat at all needs more."""
 SUSPECT = Flag.MISFIT | Flag.COLOURED_NOISE | Flag.DAMAGED
 """What makes it worth asking whether the residual is there all the time."""
 
+UNLIKELY, RARE = 1e-4, 1e-2
+"""Shares of records in which noise shows so large a drift of the lock-in rate that a flag says so, or that it
+counts: there is none within a record, unless something else changed."""
+
 FEW_PERIODS = 6.5
 """A motion that is no smooth curve may leave less than the noise, and with few periods looks like a harmonic: the
 ratio's variance grows with the sixth power of this over the periods."""
@@ -274,6 +278,10 @@ def _judged(
         covariance[row] /= moved.variance
         flags[row] = (flags[row] & ~report.flags[row]) | told | moved.flags
         excess[row], report.misfit[row], third[row] = factors, again.misfit[0], np.nan
+        if moved.drift_chance < RARE:
+            report.misfit[row] = np.hypot(report.misfit[row], moved.drift / np.sqrt(3))
+        if moved.drift_chance < UNLIKELY:
+            flags[row] |= Flag.PARTS_DIFFER
         if moved.vibrates:
             flags[row] |= Flag.MISFIT
             report.misfit[row] = np.hypot(report.misfit[row], turned_by(sidebands, abs(moved.ratio)))

@@ -19,8 +19,9 @@ def main(arguments: list[str] | None = None) -> int:
     """Run the command; returns the exit code."""
     options = _options(arguments)
     chosen = [one for one in CLASSES if options.only.lower() in f"{one.kind}: {one.name}".lower()]
-    outcomes = measure(chosen, options.records, options.seed)
-    report = records_table(outcomes, options.records, options.seed) + "\n"
+    seeds = range(options.seed, options.seed + options.seeds)
+    outcomes = measure(chosen, options.records, seeds)
+    report = records_table(outcomes, options.records, seeds) + "\n"
     sys.stdout.write(report)
     if options.page:
         before, rest = options.page.read_text().split(PAGE_MARKS[0], 1)
@@ -44,7 +45,7 @@ def _options(arguments: list[str] | None) -> argparse.Namespace:
         type=int,
         default=DEFAULT_RECORDS,
         metavar="N",
-        help="of each class (default %(default)s)",
+        help="of each class and seed (default %(default)s)",
     )
     parser.add_argument(
         "--benches",
@@ -61,9 +62,18 @@ def _options(arguments: list[str] | None) -> argparse.Namespace:
         help="seeds of whole measurements with each of 21 gyros, some seconds each (default none)",
     )
     parser.add_argument("--seed", type=int, default=1, metavar="S", help="of every random number (default 1)")
+    parser.add_argument(
+        "--seeds",
+        type=int,
+        default=1,
+        metavar="N",
+        help="so many seeds, from S on, each with as many records, added up (default %(default)s)",
+    )
     parser.add_argument("--only", default="", metavar="TEXT", help='classes with this in "kind: name"')
     parser.add_argument("--page", type=Path, metavar="FILE", help="put the tables between the marks of this page")
     options = parser.parse_args(arguments)
+    if min(options.records, options.seeds) < 1:
+        parser.error("--records and --seeds must be 1 or more")
     if options.page and not (options.page.is_file() and all(m in options.page.read_text() for m in PAGE_MARKS)):
         parser.error(f"{options.page} is no file with the marks {PAGE_MARKS[0]} and {PAGE_MARKS[1]}")
     return options

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from analysis.arrays import Floats
 from benchmarks.hostile.gyro import (
     N_SAMPLES,
+    Gyro,
     beat,
     converted,
     draw_gyro,
@@ -59,11 +62,34 @@ def dead_samples(rng: np.random.Generator) -> HostileRecord:
     return record_of(gyro, codes[live] if rng.uniform() < 0.5 else np.where(dead, 0.0, codes))
 
 
+SEEN_APART = 0.15
+"""Turns by which two beats must part over the record to be seen as two; below they are one, of another ratio."""
+
+
 def second_beat(rng: np.random.Generator) -> HostileRecord:
-    """A second mode beats too, with a frequency within 10 % and 0.3 to 50 % of the amplitude."""
+    """A second mode beats too, at phases of its own: within 10 % in frequency, 0.3 to 50 % of the amplitude."""
     gyro = draw_gyro(rng, amplitude=(40.0, 80.0))
-    other = steady(gyro) * (1 + log_uniform(rng, 0.002, 0.1) * rng.choice([-1, 1]))
-    signal = beat(gyro, steady(gyro)) + log_uniform(rng, 0.003, 0.5) * beat(gyro, other)
+    return _with_second_beat(rng, gyro, log_uniform(rng, SEEN_APART, max(0.1 * gyro.periods, 2 * SEEN_APART)))
+
+
+def second_beat_unseen(rng: np.random.Generator) -> HostileRecord:
+    """The same so close that the two part by less than a seventh of a turn."""
+    gyro = draw_gyro(rng, amplitude=(40.0, 80.0))
+    return _with_second_beat(rng, gyro, log_uniform(rng, SEEN_APART / 30, SEEN_APART))
+
+
+def _with_second_beat(rng: np.random.Generator, gyro: Gyro, turns_apart: float) -> HostileRecord:
+    frequency = np.sqrt(gyro.input_rate**2 - gyro.lock_in_rate**2)
+    frequency *= 1 + turns_apart / gyro.periods * rng.choice([-1, 1])
+    start, backscatter, readout = rng.uniform(-np.pi, np.pi, 3)
+    other = replace(
+        gyro,
+        input_rate=float(np.hypot(frequency, gyro.lock_in_rate) * np.sign(gyro.input_rate)),
+        start=start,
+        backscatter=backscatter,
+        readout=readout,
+    )
+    signal = beat(gyro, steady(gyro)) + log_uniform(rng, 0.003, 0.5) * beat(other, steady(other))
     return recorded(rng, gyro, signal)
 
 
@@ -88,6 +114,7 @@ CLASSES = (
     RecordClass("signal lost for a part", "detect", signal_lost),
     RecordClass("dead samples", "detect", dead_samples),
     RecordClass("second beat within 10 %", "detect", second_beat),
+    RecordClass("second beat less than a seventh of a turn apart", "blind", second_beat_unseen),
     RecordClass("intensity ripple at 0.05 to 2 times the beat", "detect", intensity_ripple),
     RecordClass("intensity ripple at the beat frequency itself", "blind", intensity_ripple_at_the_beat),
 )

@@ -72,16 +72,17 @@ class Outcome:
         return float(np.median(shares)) if shares else float("nan")
 
 
-def measure(classes: Sequence[RecordClass], n_records: int, seed: int) -> list[Outcome]:
-    """Draw so many records of each class, and estimate each by itself."""
+def measure(classes: Sequence[RecordClass], n_records: int, seeds: Sequence[int]) -> list[Outcome]:
+    """Draw so many records of each class with each seed, and estimate each by itself."""
     outcomes = []
-    with Progress("records", len(classes) * n_records) as progress:
+    with Progress("records", len(classes) * n_records * len(seeds)) as progress:
         for one in classes:
-            rng = np.random.default_rng([seed, zlib.crc32(one.name.encode())])
             answers = []
-            for _ in range(n_records):
-                answers.append(answer_to(one.make(rng)))
-                progress.done()
+            for seed in seeds:
+                rng = np.random.default_rng([seed, zlib.crc32(one.name.encode())])
+                for _ in range(n_records):
+                    answers.append(answer_to(one.make(rng)))
+                    progress.done()
             outcomes.append(Outcome(one.name, one.kind, tuple(answers)))
     return outcomes
 

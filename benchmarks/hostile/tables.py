@@ -20,7 +20,7 @@ _HEAD = (
 )
 
 
-def records_table(outcomes: Sequence[Outcome], n_records: int, seed: int) -> str:
+def records_table(outcomes: Sequence[Outcome], n_records: int, seeds: Sequence[int]) -> str:
     """One line for each class of records."""
     rows = [_HEAD, tuple("---" for _ in _HEAD)]
     for one in outcomes:
@@ -44,4 +44,5 @@ def records_table(outcomes: Sequence[Outcome], n_records: int, seed: int) -> str
             )
         )
     table = "\n".join(f"| {' | '.join(row)} |" for row in rows)
-    return f"{n_records} records of each class, seed {seed}.\n\n{table}"
+    drawn = f"seed {seeds[0]}" if len(seeds) == 1 else f"each of the seeds {seeds[0]} to {seeds[-1]}"
+    return f"{n_records} records of each class, {drawn}.\n\n{table}"

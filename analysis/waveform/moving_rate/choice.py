@@ -47,9 +47,19 @@ def terms_needed(fitted: Fitted, count: float) -> Terms:
     return best
 
 
-def with_terms(trajectory: Trajectory, terms: Terms) -> Trajectory:
-    """The trajectory with fewer terms, the others as they were."""
-    return Trajectory(trajectory.phase, trajectory.parameters[_places(trajectory.terms, terms)], terms)
+def with_terms(fitted: Fitted, terms: Terms) -> Trajectory:
+    """The trajectory with fewer terms, the others as they come out best without those that are dropped."""
+    trajectory, normal = fitted.trajectory, fitted.normal
+    kept = _places(trajectory.terms, terms)
+    dropped = np.setdiff1d(np.arange(trajectory.terms.count), kept)
+    scale = 1 / np.sqrt(np.maximum(np.diagonal(normal), 1e-300))
+    scaled = normal * scale * scale[:, np.newaxis]
+    scaled[np.diag_indices_from(scaled)] += RIDGE
+    taken_over = scaled[np.ix_(kept, dropped)] @ (trajectory.parameters[dropped] / scale[dropped])
+    parameters = trajectory.parameters[kept] + scale[kept] * np.linalg.solve(
+        scaled[np.ix_(kept, kept)], taken_over
+    )
+    return Trajectory(trajectory.phase, parameters, terms)
 
 
 def _places(terms: Terms, fewer: Terms) -> Indices:

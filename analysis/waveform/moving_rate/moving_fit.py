@@ -22,6 +22,9 @@ RATE_TERMS, RATE_TERMS_PER_PERIOD = 6, 2.0
 """A motion as fast as the beat itself could not be told from lock-in: with so many polynomials per period, the
 fastest has two thirds of the frequency of the beat."""
 
+ENOUGH_TERMS, TERMS_FOR_A_THIRD = 130, 1.4
+"""Of many periods not all that could be told apart are tried: so many, or those that reach a third of the beat."""
+
 ROOM, ROOM_AT_LEAST = 1.25, 2
 """So many more polynomials of the rate are kept than the criterion asks for: it is content with a fault as large
 as the noise."""
@@ -39,11 +42,17 @@ NOISY_RATE = 12.0
 FINEST = 0.1
 """Logarithm of the looseness to which the strength of such noise is found."""
 
+SILENT = 1e-6
+"""Noise over amplitude below which no converter goes: all there is has then been taken for noise of the rate."""
+
 NEARLY_LOCKED = 0.99999
 
 SLOWEST = 1.02
 """Rate over lock-in rate down to which a motion is believed: below it the gyro creeps, and what was fitted there
 may be anything."""
+
+AT_ENDS = 0.01
+"""Share of the samples that may lie below: many polynomials are hardly known at the very ends of a record."""
 
 WEAKEST = 0.3
 """The same for the amplitude, over its largest: a beam that is weaker than that was not drifting."""
@@ -61,7 +70,9 @@ class MovingFit:
     left : (N,) residual
     flags : what moved
     walk : rad, rms, by which noise of the rate moved the phase over the record; 0 where there is none
-    vibrates : whether that noise holds a line, which no noise has
+    vibrates : whether that noise holds a line, which no noise has, or has taken up all there is
+    drift, drift_chance : change of the size of the ratio from the middle of the record to its end if the lock-in
+        rate drifted, and the share of records in which noise alone shows so much
     """
 
     offset: float
@@ -75,6 +86,8 @@ class MovingFit:
     flags: int
     walk: float
     vibrates: bool
+    drift: float
+    drift_chance: float
 
 
 def fit_moving_rate(values: Floats, mask: Floats) -> MovingFit | None:
@@ -117,7 +130,7 @@ def _fitted(record: Record, seen: FirstPhase) -> tuple[Fitted, Terms, bool]:
     best = best if noisy else last
     needed = terms_needed(best, record.count)
     kept = replace(needed, rate=min(int(ROOM * needed.rate) + ROOM_AT_LEAST, best.trajectory.terms.rate))
-    again = record.fit(with_terms(best.trajectory, kept), best.looseness, ITERATIONS)
+    again = record.fit(with_terms(best, kept), best.looseness, ITERATIONS)
     if noisy:
         return _with_noise_of_the_rate(record, again), needed, True
     return record.fit(again.trajectory, EXACT / scale, LAST_ITERATIONS), needed, False
@@ -131,7 +144,13 @@ def _roughly(record: Record, seen: FirstPhase, scale: float) -> Fitted:
     offset = np.linalg.lstsq(of_offset.T, seen.offset, rcond=None)[0]
     for looseness in LOOSENESS[:2]:
         periods = (phase[-1] - phase[0]) / (2 * np.pi)
-        most = int(min(HIGHEST, RATE_TERMS + RATE_TERMS_PER_PERIOD * periods))
+        most = int(
+            min(
+                HIGHEST,
+                RATE_TERMS + RATE_TERMS_PER_PERIOD * periods,
+                max(ENOUGH_TERMS, TERMS_FOR_A_THIRD * periods),
+            )
+        )
         motion = matched_motion(phase, (amplitude @ of_amplitude) * np.cos(phase) * record.mask, most)
         rate = np.zeros(min(int(ROOM * motion.rate.size) + ROOM_AT_LEAST, most))
         rate[: motion.rate.size] = motion.rate
@@ -201,21 +220,29 @@ def _as_beat(record: Record, fitted: Fitted, needed: Terms, noisy: bool) -> Movi
     to_parameters[5, 0] = n_samples / 2
     whole = to_parameters @ jacobian
     places = np.array([0, terms.rate, terms.rate + 1])
+    covariance = fitted.covariance[np.ix_(places, places)]
+    if not np.linalg.eigvalsh(covariance).min() > 0:
+        return None
     flags = int(Flag.RATE_WANDER) if needed.rate > 1 or noisy else 0
     if _goes_too_far(trajectory, to_amplitude, n_samples):
         flags |= int(Flag.MISFIT)
+    silent = fitted.variance < (SILENT * amplitude) ** 2
+    gain, gain_covariance = record.drift_of_pull(fitted)
+    chi_square = float(gain @ np.linalg.solve(gain_covariance, gain))
     return MovingFit(
         offset=offset + amplitude * ratio * turn.real,
         first=complex(-amplitude * turn * (1 - ratio**2) * u),
         ratio=complex(q),
         omega=omega,
-        covariance=whole @ fitted.covariance[np.ix_(places, places)] @ whole.T,
+        covariance=whole @ covariance @ whole.T,
         variance=fitted.variance,
         degrees=fitted.degrees,
         left=fitted.left,
         flags=flags,
         walk=float(np.sqrt(fitted.looseness * fitted.variance * n_samples)) if noisy else 0.0,
-        vibrates=noisy and line_stands_out(np.abs(np.fft.rfft(fitted.moved)[1:]) ** 2),
+        vibrates=noisy and (silent or line_stands_out(np.abs(np.fft.rfft(fitted.moved)[1:]) ** 2)),
+        drift=float(ratio / (root * size) * np.linalg.norm(gain)),
+        drift_chance=float(np.exp(-chi_square / 2)),
     )
 
 
@@ -224,5 +251,5 @@ def _goes_too_far(trajectory: Trajectory, to_amplitude: Floats, n_samples: int) 
     rate = trajectory.rate @ polynomials(n_samples).values[: trajectory.rate.size]
     height = trajectory.amplitude @ to_amplitude
     moves = rate.max() > rate.min()
-    too_slow = moves and rate.min() < SLOWEST * float(np.hypot(*trajectory.pull))
+    too_slow = moves and float(np.quantile(rate, AT_ENDS)) < SLOWEST * float(np.hypot(*trajectory.pull))
     return bool(too_slow or height.min() < WEAKEST * height.max())

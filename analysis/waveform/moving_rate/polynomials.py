@@ -10,8 +10,8 @@ from numpy.polynomial import legendre
 
 from analysis.arrays import Floats
 
-HIGHEST = 130
-"""Degree: enough for a motion of forty cycles in the record."""
+HIGHEST = 260
+"""Degree: enough for a motion of eighty cycles in the record."""
 
 
 @dataclass(frozen=True)

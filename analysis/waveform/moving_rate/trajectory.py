@@ -175,6 +175,28 @@ class Record:
             now, looseness, cost, degrees, equations.normal, evidence, model.left, model.moved, converged
         )
 
+    def drift_of_pull(self, fitted: Fitted) -> tuple[Floats, Floats]:
+        """What s and c would gain from the middle of the record to its end if they drifted evenly.
+
+        One step from the minimum of a fit without such a drift.
+
+        Returns
+        -------
+        gain : (2,) rad per sample
+        covariance : (2, 2)
+        """
+        at, model = fitted.trajectory, self._model(fitted.trajectory)
+        equations = _Equations.of(self, at, model, fitted.looseness, drifting=True)
+        # the two of the drift last
+        first = at.terms.rate + 2
+        order = np.concatenate([np.delete(np.arange(at.terms.count + 2), [first, first + 1]), [first, first + 1]])
+        normal, gradient = equations.normal[np.ix_(order, order)], equations.gradient[order]
+        scale = 1 / np.sqrt(np.maximum(np.diagonal(normal), 1e-300))
+        scaled = normal * scale * scale[:, np.newaxis]
+        scaled[np.diag_indices_from(scaled)] += RIDGE
+        inverse = (np.linalg.inv(scaled) * scale * scale[:, np.newaxis])[-2:]
+        return inverse @ gradient, inverse[:, -2:] * fitted.variance
+
     def columns(self, terms: Terms) -> tuple[Floats, Floats]:
         """What A and C are made of, (terms, N) each."""
         low = polynomials(self.values.size).values
@@ -221,7 +243,10 @@ class _Equations:
     evidence: float
 
     @staticmethod
-    def of(record: Record, at: Trajectory, model: _Model, looseness: float) -> _Equations:
+    def of(
+        record: Record, at: Trajectory, model: _Model, looseness: float, *, drifting: bool = False
+    ) -> _Equations:
+        """`drifting`: behind s and c two more parameters, by which they grow from the middle to the end."""
         steps, tight = model.steps, 1 / looseness
         diagonal = model.by_phase**2
         diagonal += RIDGE * np.mean(diagonal)
@@ -231,10 +256,13 @@ class _Equations:
         if failed:
             raise np.linalg.LinAlgError("the phases are not determined")
         basis = polynomials(record.values.size).means[: at.terms.rate]
-        n_moved, n_all = at.terms.rate + 2, at.terms.count
+        n_rate, n_more = at.terms.rate, 2 if drifting else 0
+        n_moved, n_all = n_rate + 2 + n_more, at.terms.count + n_more
         by_step = np.empty((n_moved, record.values.size - 1))
-        np.multiply(basis, steps.by_rate, out=by_step[:-2])
-        by_step[-2:] = steps.by_sine, steps.by_cosine
+        np.multiply(basis, steps.by_rate, out=by_step[:n_rate])
+        by_step[n_rate : n_rate + 2] = steps.by_sine, steps.by_cosine
+        if drifting:
+            by_step[-2:] = by_step[n_rate : n_rate + 2] * polynomials(record.values.size).means[1]
         sides = np.zeros((n_all, record.values.size))
         np.multiply(by_step, steps.by_phase * tight, out=sides[:n_moved, :-1])
         sides[:n_moved, 1:] -= tight * by_step

@@ -3,10 +3,12 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from analysis import estimate_lock_in, flag_names, rate_varying_beat
-from analysis.waveform.moving_rate.choice import terms_needed
+from analysis.waveform.moving_rate import fit_moving_rate
+from analysis.waveform.moving_rate.choice import terms_needed, with_terms
 from analysis.waveform.moving_rate.exact_steps import exact_steps
 from analysis.waveform.moving_rate.first_phase import first_phase
-from analysis.waveform.moving_rate.trajectory import Record, Terms, Trajectory
+from analysis.waveform.moving_rate.trajectory import Fitted, Record, Terms, Trajectory
+from benchmarks.hostile.gyro import beat, converted, draw_gyro, levels_of, noisy, step_times
 
 N, PERIODS, X = 2500, 60.3, 0.1
 TIME = np.arange(N) / N
@@ -107,6 +109,11 @@ def moved_record(rng, x, periods, wander, cycles, *, walk=0.0, intensity=0.0, dr
     return k, np.rint(levels + rng.normal(scale=0.6, size=N)), float(rates.mean())
 
 
+def codes_of(rng, gyro, signal):
+    """A signal of unit size as a good converter gives it."""
+    return converted(noisy(rng, gyro, levels_of(gyro, signal)))
+
+
 @pytest.mark.parametrize(
     ("gyro", "also"),
     [
@@ -151,6 +158,46 @@ def test_a_rate_with_noise_of_its_own_is_paid_for_in_u():
         assert float(e.lock_in_rate_u) / 0.3 == pytest.approx(0.0284, rel=0.25)
     # Chi-square with 8 degrees of freedom: 99.99 % lie below 31.8.
     assert np.sum(np.square(z)) < 31.8
+
+
+@pytest.mark.parametrize("drift", [0.0, 0.2])
+def test_a_lock_in_rate_that_drifts_is_seen_while_the_rate_moves(drift):
+    rng = np.random.default_rng(48)
+    gyro = draw_gyro(
+        rng, rate_over_lock_in=(3.0, 3.0), periods=(12.3, 12.3), noise=(0.6, 0.6), amplitude=(90.0, 90.0)
+    )
+    rates = gyro.input_rate * (1 + 0.1 * np.cos(4 * np.pi * step_times()))
+    # a time base that stretches: K W and K WL drift alike
+    intervals = gyro.sample_interval * (1 + drift * (2 * step_times() - 1))
+    fit = fit_moving_rate(codes_of(rng, gyro, beat(gyro, rates, intervals)), np.ones(N))
+    # d r = r/sqrt(1 - x^2) d(WL)/WL
+    expected = abs(fit.ratio) / np.sqrt(8 / 9) * drift
+    assert fit.drift == pytest.approx(expected, rel=0.25, abs=4e-3)
+    assert (fit.drift_chance < 1e-6) == (drift > 0)
+
+
+def test_a_crest_of_few_levels_without_noise_is_not_clipped_because_the_rate_moves():
+    rng = np.random.default_rng(50)
+    gyro = draw_gyro(
+        rng, rate_over_lock_in=(25.0, 25.0), periods=(17.1, 17.1), noise=(0.05, 0.05), amplitude=(23.0, 23.0)
+    )
+    rates = gyro.input_rate * (1 + 0.08 * np.cos(2 * np.pi * 3.5 * step_times()))
+    e = estimate_lock_in(
+        codes_of(rng, gyro, beat(gyro, rates)), gyro.sample_interval, scale_factor=gyro.scale_factor
+    )
+    assert flag_names(int(e.flags)) == ["rate_wander"]
+    assert abs(float(e.lock_in_rate) - gyro.lock_in_rate) < 4 * float(e.lock_in_rate_u)
+
+
+def test_terms_that_are_dropped_leave_the_others_at_their_best():
+    rng = np.random.default_rng(51)
+    more, fewer = Terms(rate=6, amplitude=2, offset=2), Terms(rate=3, amplitude=1, offset=2)
+    trajectory = Trajectory(np.zeros(N), rng.normal(size=more.count), more)
+    root = rng.normal(size=(20, more.count))
+    fitted = Fitted(trajectory, 1.0, 1.0, 1.0, root.T @ root, 0.0, np.zeros(N), np.zeros(N - 1), True)
+    kept = [0, 1, 2, 6, 7, 8, 10, 11]
+    best = np.linalg.lstsq(root[:, kept], root @ trajectory.parameters, rcond=None)[0]
+    assert with_terms(fitted, fewer).parameters == pytest.approx(best, rel=1e-6)
 
 
 def test_records_that_are_no_beat_do_not_stop_their_batch():

@@ -37,6 +37,7 @@ _NEGLIGIBLE = 1e-13
 _RADIANS_A_PIECE = 2.0  # of the fastest swing; 12 Chebyshev points then leave less than rounding
 _LONGEST_PIECE = 100.0  # s
 _KEPT_PIECES = 1000
+_AHEAD = 8
 _NODES = np.cos(np.pi * (np.arange(12) + 0.5) / 12)[::-1]
 _TO_SERIES = np.linalg.inv(chebyshev.chebvander(_NODES, 11)).T
 
@@ -127,6 +128,8 @@ def _pieces(gyro: Gyro, segment: Motion, first: int, last: int) -> tuple[Floats,
     known = _known_pieces(gyro, segment)
     missing = [piece for piece in range(first, last + 1) if piece not in known]
     if missing:
+        if missing[0] - 1 in known:  # who goes on from piece to piece wants the next ones too
+            missing += range(last + 1, last + 1 + _AHEAD)
         if len(known) > _KEPT_PIECES:
             known.clear()
             missing = list(range(first, last + 1))

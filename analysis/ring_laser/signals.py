@@ -98,9 +98,9 @@ def _smooth_interval(gyro: Gyro, detector: Detector, segment: Motion) -> float:
     amplitudes = np.zeros(max(slow.size, fast.size))
     amplitudes[: slow.size] = slow
     amplitudes[: fast.size] = np.maximum(amplitudes[: fast.size], fast)
-    beats = gyro.scale_factor * high * np.arange(1, amplitudes.size + 1)
-    turns = beats + abs(gyro.ripple_hz) + detector.pump_hz
-    sixth_derivative = float(amplitudes @ (2 * np.pi * turns) ** 6)
+    beats = gyro.scale_factor * high * np.arange(1, amplitudes.size + 1) + abs(gyro.ripple_hz)
+    swings = amplitudes @ (beats + detector.pump_hz) ** 6 + abs(detector.offset) * detector.pump_hz**6
+    sixth_derivative = float(amplitudes @ beats**6 + detector.pump_ripple * swings) * (2 * math.pi) ** 6
     if not sixth_derivative:
         return 0.0
     return float((_LEFT * amplitudes.max() / (_NODE_POLYNOMIAL * sixth_derivative)) ** (1 / 6))

@@ -20,7 +20,7 @@ UNSEEN = 5e-4
 """Of the amplitude: a twentieth of a level on a full screen."""
 
 _SAME_NOISE_S = 20e-6
-_POINTS_A_PERIOD = 6  # of the light, while the gyro is locked
+_POINTS_A_PERIOD = 6  # of the light, where nothing beats
 _LEFT = 1e-4  # of the amplitude, by the polynomials between the points
 _NODE_POLYNOMIAL = 16.9 / 720  # of six points at even steps, largest between the outer two, over 6!
 _SHARPEST = 0.9  # ratio of successive harmonics
@@ -98,11 +98,11 @@ def _smooth_interval(gyro: Gyro, detector: Detector, segment: Motion) -> float:
     amplitudes = np.zeros(max(slow.size, fast.size))
     amplitudes[: slow.size] = slow
     amplitudes[: fast.size] = np.maximum(amplitudes[: fast.size], fast)
+    if not amplitudes.any():  # there is light, and no beat
+        return 1.0 / (_POINTS_A_PERIOD * max(detector.pump_hz, 1.0))
     beats = gyro.scale_factor * high * np.arange(1, amplitudes.size + 1) + abs(gyro.ripple_hz)
     swings = amplitudes @ (beats + detector.pump_hz) ** 6 + abs(detector.offset) * detector.pump_hz**6
     sixth_derivative = float(amplitudes @ beats**6 + detector.pump_ripple * swings) * (2 * math.pi) ** 6
-    if not sixth_derivative:
-        return 0.0
     return float((_LEFT * amplitudes.max() / (_NODE_POLYNOMIAL * sixth_derivative)) ** (1 / 6))
 
 

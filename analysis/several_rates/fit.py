@@ -152,7 +152,7 @@ def fit_rate_ratios(
     Parameters
     ----------
     input_rate : (n,)
-        deg/s, signed.
+        deg/s, signed. Where nobody knows them (`input_rate_u=inf`), what beat and ratio of each record make of it.
     ratio : (n,) complex
         rho = c2 |c1| / c1^2; nan for a record that cannot be used.
     covariance : (n, 2, 2) or (2, 2)
@@ -171,6 +171,8 @@ def fit_rate_ratios(
     """
     if third_harmonic is None and receiver is None:
         receiver = ReceiverKnowledge(third_order_limit=0.0)
+    rate_u = np.asarray(input_rate_u, dtype=np.float64)
+    unknown = bool(np.isinf(rate_u).all())
     records = records_of_arrays(
         input_rate,
         ratio,
@@ -181,8 +183,9 @@ def fit_rate_ratios(
         amplitude=amplitude,
         third_harmonic=0.0 if third_harmonic is None else third_harmonic,
         third_harmonic_u=third_harmonic_u,
+        rate_of_beat=unknown,
     )
-    return _fit(records, np.asarray(input_rate_u, dtype=np.float64), reference, model, receiver)
+    return _fit(records, np.zeros_like(rate_u) if unknown else rate_u, reference, model, receiver)
 
 
 def _fit(

@@ -376,8 +376,9 @@ class Acquisition:
                 again = -math.inf
         # where the last ones are not over, or have no trigger any more, as many come before all others
         usual, since = self._cycle + self._usual_wait, self._left_out_since or 0.0
-        while starts and len(starts) < len(latest) and (first := first - usual) > since:
-            if (triggered := self._edge_after(first, trigger)) is not None:
+        for _ in range(len(latest) - len(starts) if starts else 0):
+            first -= usual
+            if first > since and (triggered := self._edge_after(first, trigger)) is not None:
                 starts.insert(0, self._start(triggered[0]))
         self._swept = deque(starts, maxlen=_MOST_AVERAGED)
         return tuple(starts)

@@ -23,6 +23,7 @@ from station.runs.store import NewRecord
 from station.scope.at_once import waveform_of
 
 _SHARE = 0.2  # of the time at most goes into fitting several rates together, which takes a tenth of a second
+_LARGEST = 0.99  # square of a ratio; that of a beat is below 1
 
 
 def watch(settings: Settings) -> See:
@@ -110,7 +111,9 @@ class _Watch:
             return self._values(rates[0])[:1] if rates else ()
         ratios = [rate.ratio for rate in rates]
         beats = np.array([rate.beat for rate in rates])
+        squares = np.array([min(abs(ratio) ** 2, _LARGEST) for ratio, _ in ratios])
         on_axis = np.array([rate.sense for rate in rates]) * beats / self._scale_factor
+        on_axis *= (1 + squares) / (1 - squares)
         covariance = np.array([u * u * np.eye(2) for _, u in ratios])
         try:
             fit = fit_rate_ratios(
@@ -119,6 +122,7 @@ class _Watch:
                 covariance,
                 beats,
                 scale_factor=self._scale_factor,
+                input_rate_u=math.inf,
                 reference="beat",
                 model="distortion",
             )

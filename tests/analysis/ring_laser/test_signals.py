@@ -54,6 +54,11 @@ def test_where_the_gyro_locks_and_unlocks_no_interval_is_known():
     assert smooth_interval(GYRO, DETECTOR, (Motion(0.0, 0.0, 0.3),), 0.0, 1.0) == 0
 
 
+def test_light_without_a_beat_is_followed_as_it_swings():
+    dark = replace(DETECTOR, amplitude=0.0, offset=0.3, pump_ripple=0.02, pump_hz=100.0)
+    assert 1 / 2000 < smooth_interval(GYRO, dark, (Motion(0.0, 40.0, 3.5),), 20.0, 20.2) < 1 / 500
+
+
 @pytest.mark.parametrize("rate", [3.5, -50.0, 1.2])
 @pytest.mark.parametrize(
     "detector",

@@ -22,6 +22,7 @@ from instrument.waveform import Waveform
 _FORMAT_QUERY = ":HEADER?;:VERBOSE?;:DATA:ENCDG?;:DATA:SOURCE?;:DATA:START?;:DATA:STOP?;:DATA:WIDTH?"
 _OUR_FORMAT = f":HEADER OFF;:VERBOSE ON;:DATA:ENCDG RIBINARY;:DATA:WIDTH 1;:DATA:START 1;:DATA:STOP {POINTS}"
 _HELD_FORMAT = {":DATA:ENCDG": "RIBINARY", ":DATA:WIDTH": "1", ":DATA:START": "1", ":DATA:STOP": str(POINTS)}
+_ROUNDS = 3
 _SOFT_FLAGGING = ":RS232:SOFTFLAGGING"
 _HARD_FLAGGING = ":RS232:HARDFLAGGING"
 
@@ -50,11 +51,7 @@ class Dialogue(Exchange):
         super().__init__(link, persistence)
         self._found_line = self.set_line()
         found = [scpi.split_header(part)[1] for part in self.ask(_FORMAT_QUERY, parts=7, twice=True)]
-        header, verbose, encoding, source, start, stop, width = found
-        self._found_format = (
-            f":DATA:ENCDG {encoding};:DATA:SOURCE {source};:DATA:START {start};:DATA:STOP {stop};"
-            f":DATA:WIDTH {width};:VERBOSE {verbose};:HEADER {header}"
-        )
+        self._found_format = _format_commands(found)
         self.repeated(self.set_format)
 
     def close(self) -> None:
@@ -62,7 +59,7 @@ class Dialogue(Exchange):
         if self.link.closed:
             return
         try:
-            self.command(self._found_format)
+            self._put_format_back()
             self.end()
             if self._found_line:
                 # An answer could not be read any more, so nothing is asked.
@@ -181,6 +178,16 @@ class Dialogue(Exchange):
             undo.append(f"{LINE_END} {line_end}")
         return ";".join(undo)
 
+    def _put_format_back(self) -> None:
+        """Put headers and transfer format back, and see that they are."""
+        held = ""
+        for _ in range(_ROUNDS):
+            answers = self.checked(f"{self._found_format};{_FORMAT_QUERY};*ESR?", parts=7)
+            held = _format_commands([scpi.split_header(part)[1] for part in answers])
+            if held == self._found_format:
+                return
+        raise TransferError(f"the transfer format was {self._found_format} and is {held} after it was put back")
+
     def _confirm(self, preambles: dict[str, str]) -> None:
         """Ask for new preambles a second time; TransferError if one of them differs."""
         question = ";".join(f":DATA:SOURCE {source};:WFMPRE?" for source in preambles)
@@ -220,3 +227,12 @@ class Dialogue(Exchange):
         # Our own fixed commands are right, so on a stream it was the line that spoiled them.
         told = f" ({found[0]})" if found else ""
         raise TransferError(f"the request for a record was damaged on its way{told}; ask again")
+
+
+def _format_commands(values: list[str]) -> str:
+    """The commands that put the values back which `_FORMAT_QUERY` asked for; headers come last."""
+    header, verbose, encoding, source, start, stop, width = values
+    return (
+        f":DATA:ENCDG {encoding};:DATA:SOURCE {source};:DATA:START {start};:DATA:STOP {stop};"
+        f":DATA:WIDTH {width};:VERBOSE {verbose};:HEADER {header}"
+    )

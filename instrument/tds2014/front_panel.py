@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import contextlib
+import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
@@ -320,11 +321,39 @@ class FrontPanel:
         pairs = list(zip(group_commands(group), values, strict=True))
         if group == "TRIGGER" and "LINE" in values[2]:
             pairs.pop()  # the mains have no trigger level; setting one is refused (event 221)
-        commands = ";".join(f"{command} {value}" for command, value in pairs)
-        # A scope may refuse to move cursors that it does not show now; nobody misses those.
-        refusable = (ExecutionError,) if group == "CURSOR" else ()
-        with contextlib.suppress(*refusable):
-            self.dialogue.command(commands)
+        if group == "CURSOR":
+            # A scope may refuse to move cursors that it does not show now; nobody misses those.
+            with contextlib.suppress(ExecutionError):
+                self.dialogue.command(_settings(pairs))
+            return
+        # A single acquisition that is put back in its course ends by itself.
+        lasting = pairs[:-1] if group == "ACQUIRE" and values[2].startswith("SEQ") else pairs
+        queries = ";".join(f"{command}?" for command, _ in lasting)
+        lost: list[tuple[str, str, str]] = []
+        for _ in range(_ROUNDS):
+            # A damaged message may have set another value that is a right one too, so they are read back.
+            held = self.dialogue.checked(f"{_settings(pairs)};{queries};*ESR?", parts=len(lasting))
+            lost = [(*pair, got) for pair, got in zip(lasting, held, strict=True) if not _is_back(pair[1], got)]
+            if not lost:
+                return
+        command, found, got = lost[0]
+        raise SettingError(
+            f"{command.lstrip(':')} was found at {found} and is {got} after it was put back; set it at the scope"
+        )
+
+
+def _settings(pairs: list[tuple[str, str]]) -> str:
+    return ";".join(f"{command} {value}" for command, value in pairs)
+
+
+def _is_back(found: str, got: str) -> bool:
+    """Whether a setting is as it was found, but for last digits, which a scope may round."""
+    if found == got:
+        return True
+    try:
+        return math.isclose(float(found), float(got), rel_tol=1e-4, abs_tol=1e-12)
+    except ValueError:
+        return False
 
 
 def one_of(name: str, value: str, allowed: tuple[str, ...]) -> str:

@@ -119,6 +119,58 @@ def test_a_request_that_never_arrives_gives_no_old_record(shown, manager, quick)
             driver.acquire("CH1")
 
 
+class SpoilingOnce(RecordingScope):
+    """Takes one command in another form that is right as well, as damage on the way may give it."""
+
+    spoil: tuple[bytes, bytes] | None = None
+    spoiled = 0
+
+    def execute(self, message, **how):
+        if self.spoil is not None and self.spoil[0] in message:
+            message = message.replace(*self.spoil, 1)
+            self.spoil = None
+            self.spoiled += 1
+        return super().execute(message, **how)
+
+
+@pytest.mark.parametrize("persistence", [{}, {"attempts": 1, "reconnect_for": 0.0}])
+@pytest.mark.parametrize(
+    "spoil",
+    [
+        (b":ACQUIRE:STATE 1", b":ACQUIRE:STATE 0"),
+        (b":ACQUIRE:NUMAVG 16", b":ACQUIRE:NUMAVG 64"),
+        (b":TRIGGER:MAIN:EDGE:SLOPE FALL", b":TRIGGER:MAIN:EDGE:SLOPE RISE"),
+        (b":CH1:SCALE 2.0E-1", b":CH1:SCALE 5.0E-1"),
+        (b":DATA:STOP 2400", b":DATA:STOP 2500"),
+    ],
+)
+def test_a_right_but_other_value_is_not_left_on_the_front_panel(shown, manager, quick, spoil, persistence):
+    scope = SpoilingOnce.watch(shown)
+    list(scope.execute(b":DATA:STOP 2400;:CH1:SCALE 0.2;:TRIGGER:MAIN:EDGE:SLOPE FALL"))
+    before, running = panel_of(scope), list(scope.execute(b":ACQUIRE:STATE?"))
+    with TcpServer(scope) as server:
+        with persistent(server.resource_name, manager, **persistence) as driver:
+            set_up(driver)
+            driver.acquire("CH1")
+            scope.spoil = spoil
+        assert scope.spoiled == 1
+    assert panel_of(scope) == before
+    assert list(scope.execute(b":ACQUIRE:STATE?")) == running
+
+
+def test_what_does_not_come_back_is_named(shown, manager, quick):
+    class Stuck(RecordingScope):
+        def execute(self, message, **how):
+            return super().execute(message.replace(b":CH1:SCALE 1.0E0", b":CH1:SCALE 5.0E-1"), **how)
+
+    with (
+        TcpServer(Stuck.watch(shown)) as server,
+        pytest.raises(SettingError, match=r"CH1:SCALE was found at 1\.0E0 and is 5\.0E-1 after it was put back"),
+        TDS2014(server.resource_name, resource_manager=manager) as driver,
+    ):
+        driver.set_channel("CH1", scale=0.5)
+
+
 def test_switched_off_and_on_with_other_settings(shown, manager, quick):
     told = []
     before = panel_of(shown)

@@ -19,9 +19,10 @@ from instrument import (
 
 
 @pytest.fixture
-def scope(line_server, manager, impatient):
+def scope(line_server, line_scope, manager, impatient):
     with TDS2014(line_server.resource_name, resource_manager=manager) as scope:
         yield scope
+        line_scope.forced.clear()  # what is put back in the end is read back, too
 
 
 def expected_codes(line_scope):

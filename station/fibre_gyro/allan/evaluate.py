@@ -71,7 +71,5 @@ def _noise_of(segment: Segment, settings: FogSettings) -> NoiseOf:
         )
     fit = fit_noise(words, recording.interval_s, temperature=temperature)
     shown = words if temperature is None else words - fit.temperature_slope * (temperature - temperature.mean())
-    gone = np.isnan(shown)
-    if gone.any():
-        shown = np.interp(np.arange(shown.size), np.flatnonzero(~gone), shown[~gone])
-    return NoiseOf(segment.key, words.size * recording.interval_s, fit, allan_curve(shown, recording.interval_s))
+    curve = allan_curve(shown, recording.interval_s, fit.coefficients)
+    return NoiseOf(segment.key, words.size * recording.interval_s, fit, curve)

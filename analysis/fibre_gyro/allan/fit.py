@@ -38,6 +38,7 @@ _BINS = 1500
 _FILLINGS = 8  # at most
 _SETTLED = 0.03  # standard uncertainties that the model still moves
 _MOST_UNKNOWN = 0.7
+_BOUND_ROUNDS = 3
 _TAPER = 0.02  # of a stretch, at each end
 _ROUNDS = 40
 _RAMP = "rate_ramp"
@@ -169,12 +170,6 @@ class _Part:
         cut, upto = scipy.special.ndtr(np.array([0.0, size**2]) / self.square_u - self.square / self.square_u)
         return float((upto - cut) / (1 - cut))
 
-    def bound(self) -> float:
-        """Upper end of the 95 % interval where the coefficient may as well be 0."""
-        if np.isfinite(self.square):
-            return float(np.sqrt(self.square + NORMAL_95 * self.square_u))
-        return self.value + NORMAL_95 * self.u
-
 
 def _quantile(parts: list[_Part], probability: float) -> float:
     """Quantile of a coefficient over all models; those without it say that it is 0."""
@@ -295,8 +290,23 @@ class _Likelihood:
                 u[name] = (high[name] - low[name]) / (2 * NORMAL_95)
             else:
                 # a term that is not asked for may be as large as the data allow beside the others
-                high[name] = max(high[name], self._parts_of(chosen | {name}, 1.0)[name].bound())
+                high[name] = max(high[name], self._bound(chosen | {name}, name))
         return value, u, low, high
+
+    def _bound(self, model: Model, name: str) -> float:
+        """Upper end of the 95 % interval of a term that may as well be 0: the size that would hardly show so little.
+
+        The square of a random term scatters the more the larger it is; so its uncertainty is that at the bound.
+        """
+        part = self._parts_of(model, 1.0)[name]
+        if name == _RAMP:
+            return part.value + NORMAL_95 * part.u
+        names, columns = _names_of(model)
+        squares, place, u = self._maximum(names, columns)[0], names.index(name), part.square_u
+        for _ in range(_BOUND_ROUNDS):
+            at = {**squares, name: part.square + NORMAL_95 * u}
+            u = float(np.sqrt(np.linalg.inv(self._information(at, names))[place, place]))
+        return float(np.sqrt(part.square + NORMAL_95 * u))
 
     def _parts_of(self, model: Model, probability: float) -> dict[str, _Part]:
         """What one model says of each of its coefficients."""

@@ -56,6 +56,17 @@ def test_slow_noise_that_may_be_another_kind_counts_so():
     assert 1e-5 < fit.high_95["bias_instability"] < 1e-4
 
 
+def test_a_walk_that_hides_behind_flicker_is_within_its_bound():
+    """The data can do without the walk: its bound counts how much a larger one would have scattered."""
+    rng, walk = np.random.default_rng([6, 2]), 8e-6
+    frequency = np.fft.rfftfreq(1 << 16)
+    shape = np.append(0.0, (2 * np.pi * frequency[1:]) ** -0.5)
+    flicker = np.fft.irfft(np.fft.rfft(rng.normal(size=1 << 16)) * shape)[:20_000]
+    fit = fit_noise(1e-4 * flicker + words(6, 20_000, wander=walk), INTERVAL)
+    assert "rate_random_walk" not in fit.chosen
+    assert walk < fit.high_95["rate_random_walk"] < 3 * walk
+
+
 def test_gaps_and_outliers_leave_the_noise_as_it_is():
     values = words(3, 20_000)
     values[4000] += 1.0

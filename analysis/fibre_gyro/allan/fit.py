@@ -294,7 +294,7 @@ class _Likelihood:
         return value, u, low, high
 
     def _bound(self, model: Model, name: str) -> float:
-        """Upper end of the 95 % interval of a term that may as well be 0: the size that would hardly show so little.
+        """Upper end of the 95 % interval of a term that may be 0: the size that would hardly show so little.
 
         The square of a random term scatters the more the larger it is; so its uncertainty is that at the bound.
         """

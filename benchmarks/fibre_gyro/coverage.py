@@ -259,6 +259,8 @@ CASES: dict[str, tuple[Case, Gyro]] = {
     "at rest: N": (noise_case, Gyro()),
     "at rest: N, B": (noise_case, Gyro(instability_dph=0.2)),
     "at rest: N, B, lost words, spikes": (noise_case, Gyro(instability_dph=0.2, lost=0.01, spikes=2)),
+    "at rest: N, Q, 5 % lost words": (noise_case, Gyro(quantization_deg=6e-5, lost=0.05)),
+    "at rest: N, B, K": (noise_case, Gyro(instability_dph=0.15, rate_walk_dph=0.4)),
     "at rest: N, K, Q": (noise_case, Gyro(rate_walk_dph=0.4, quantization_deg=2e-5)),
 }
 SERIAL: dict[str, tuple[Case, Gyro]] = {

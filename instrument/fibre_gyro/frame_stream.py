@@ -12,7 +12,8 @@ same place, and with an exclusive-or even their sums may be right. Frames withou
 fixed in them, so many of them in succession that chance cannot bring it about. An output that jumps and comes
 back with the next frame, on a line that damages frames, is not used: a byte lost in a frame, and one inserted
 before the next header, leave the bytes of another whole frame in 1 of 256 cases (one byte of sum), and nothing
-else tells it from one that was sent.
+else tells it from one that was sent. In text without a checksum a changed digit leaves a whole line too: there an
+output is not used that lies beyond those before it while those behind are back among them.
 """
 
 from __future__ import annotations
@@ -23,13 +24,14 @@ from dataclasses import dataclass
 from instrument.fibre_gyro.course import Course
 from instrument.fibre_gyro.frame_format.checksums import CHECKSUMS
 from instrument.fibre_gyro.frame_format.layout import FrameFormat
-from instrument.fibre_gyro.frames import Damaged, Frame, FrameReader
+from instrument.fibre_gyro.frames import ONE_CHARACTER, STANDS_OUT, Damaged, Frame, FrameReader
 
 _MOST_ANSWERS = 8  # an old one that still comes is rubbish
 _FOLLOWERS = 3  # frames behind one with a weak checksum that may bear it out
 _STRONG_CHECK = 2  # bytes of a checksum that lets less than one damaged frame in 65 000 pass
 _ENOUGH_BITS = 24  # of evidence that frames without a header need, to begin with
 _IN_STEP = 2  # followers that frames without a header need, once their begin is known
+_WITNESSES = 3  # lines behind one whose output stands out, all back where the output was: it is damage
 _RECENTLY = 2000  # good frames after which a line that damaged one counts as clean again
 
 
@@ -71,10 +73,16 @@ class Tally:
 
 
 class FrameStream:
-    """Takes bytes as they come and gives what is in them, in order: frames, answers, damage."""
+    """Takes bytes as they come and gives what is in them, in order: frames, answers, damage.
 
-    def __init__(self, layout: FrameFormat) -> None:
-        self._layout = layout
+    Parameters
+    ----------
+    patience : int
+        So many silent reads in succession end the wait for lines behind one whose output stands out.
+    """
+
+    def __init__(self, layout: FrameFormat, *, patience: int = 1) -> None:
+        self._layout, self._patience = layout, patience
         self._header, self._length = layout.header, layout.frame_bytes
         self._reader = FrameReader(layout)
         self._lines = layout.kind == "ascii"
@@ -105,7 +113,8 @@ class FrameStream:
         self._counter: int | None = None  # of the last frame
         self._bad_bytes, self._reason = 0, ""
         self._too_long = False
-        self._held_line: Frame | None = None  # its output jumps; the next line decides
+        self._held: list[Frame | Damage] = []  # a line whose output stands out, and what came behind it
+        self._silent_reads = 0
         self._last_damage = -_RECENTLY  # good frames before it
         if self._course is not None:
             self._course.forget()
@@ -128,7 +137,8 @@ class FrameStream:
         self._found: list[Event] = []
         if self._lines:
             self._take_lines()
-            if silent:
+            self._silent_reads = self._silent_reads + 1 if silent else 0
+            if self._silent_reads >= self._patience:
                 self._let_held_go()
         else:
             self._take_binary(silent)
@@ -356,23 +366,37 @@ class FrameStream:
         return True
 
     def _give_line(self, frame: Frame) -> None:
-        """Give a frame, or hold it until the next one shows whether its output only jumped."""
-        jumps = self._course is not None and self._course.jumps(frame) and self._line_is_bad()
-        if self._held_line is not None:
-            if jumps:
-                self._let_held_go()
-            else:
-                self._held_line, self._reason = None, "output jumps and comes back"
-                self._give_damage(1)
-        if jumps and self._course is not None and self._course.jumps(frame):
-            self._held_line = frame
+        """Give a frame; on a line that damages frames hold one whose output stands out, until others follow."""
+        if self._held:
+            self._held.append(frame)
+            self._judge_held()
+        elif self._course is not None and self._line_is_bad() and self._course.stands_out(frame):
+            self._held.append(frame)
         else:
             self._give(frame)
 
+    def _judge_held(self, *, now: bool = False) -> None:
+        """Give or refuse the line that is held, once those behind it show which, or `now`."""
+        first, *behind = self._held
+        witnesses = [one for one in behind if isinstance(one, Frame) and not one.problem]
+        stays = self._course is None or not all(self._course.is_back(one) for one in witnesses)
+        if not (stays or now or len(witnesses) >= _WITNESSES):
+            return
+        self._held = []
+        if isinstance(first, Frame) and (stays or not witnesses):
+            self._give(first)
+        else:
+            self._reason = STANDS_OUT
+            self._give_damage(1)
+        for event in behind:
+            if isinstance(event, Frame):
+                self._give_line(event)
+            else:
+                (self._held or self._found).append(event)
+
     def _let_held_go(self) -> None:
-        if self._held_line is not None:
-            held, self._held_line = self._held_line, None
-            self._give(held)
+        while self._held:
+            self._judge_held(now=True)
 
     def _frame_in(self, text: bytes) -> Frame | None:
         """The frame of a line; of one that lost its line end, the frame at its end if a checksum proves it."""
@@ -381,7 +405,8 @@ class FrameStream:
         try:
             return self._reader.read(text)
         except Damaged as damaged:
-            self._reason = str(damaged)
+            unproven = self._layout.check is None and self._reader.has_one_character_changed(text)
+            self._reason = ONE_CHARACTER if unproven else str(damaged)
         begin = text.rfind(self._header, 1) if self._header else -1
         if begin < 0 or self._layout.check is None:
             return None
@@ -408,7 +433,7 @@ class FrameStream:
     def _give_damage(self, frames: int) -> None:
         self.tally.damaged += frames
         self._last_damage = self.tally.good
-        self._found.append(Damage(frames, self._reason or "bytes between frames"))
+        (self._held or self._found).append(Damage(frames, self._reason or "bytes between frames"))
 
 
 def _is_distinct(layout: FrameFormat) -> bool:

@@ -13,7 +13,16 @@ from instrument.fibre_gyro.frame_format.layout import FrameFormat
 
 _DECIMAL = re.compile(rb"[+-]?(\d+(\.\d*)?|\.\d+)([eE][+-]?\d{1,3})?")
 _WHOLE = re.compile(rb"\d{1,20}")
+_PLAIN = re.compile(rb"[+-]?\d+\.?\d*")  # as it is written with a fixed number of decimals
 _HEX = re.compile(rb"[0-9A-Fa-f]{1,16}")
+
+_NO_TEXT = re.compile(rb"[^\t\x20-\x7e]")
+_IN_NUMBERS = b"0123456789abcdefABCDEF+-."
+
+ONE_CHARACTER = "one character changed"
+"""Reason for a damaged line of text that would be whole, had one of its characters been a digit."""
+STANDS_OUT = "output stands out from those around it"
+"""Reason for a whole line of text that was not sent, by all that can be told without a checksum."""
 
 Number = Callable[[bytes], float]
 
@@ -79,6 +88,24 @@ class FrameReader:
         """
         return self._frame(self._binary_numbers(data) if self._binary else self._text_numbers(data))
 
+    def has_one_character_changed(self, line: bytes) -> bool:
+        """Whether a damaged line would be whole, had one character that cannot stand there been a digit."""
+        known = _IN_NUMBERS + self._layout.separator
+        begin = len(self._layout.header)
+        strange = [place for place in range(begin, len(line)) if line[place] not in known]
+        if len(strange) != 1:
+            return False
+        before, behind = line[: strange[0]], line[strange[0] + 1 :]
+        # one that is there too much was put in
+        return self._is_whole(before + b"0" + behind) and not self._is_whole(before + behind)
+
+    def _is_whole(self, line: bytes) -> bool:
+        try:
+            self._text_numbers(line)
+        except Damaged:
+            return False
+        return True
+
     def counter_of(self, data: bytes) -> int | None:
         """Counter of a binary frame that may be cut behind it; None without one, or cut before it."""
         if self._counter_number is None or len(data) < self._counter_end:
@@ -104,6 +131,8 @@ class FrameReader:
         if not line.startswith(layout.header):
             raise Damaged("no header")
         body = line
+        if layout.check is None and _NO_TEXT.search(line):
+            raise Damaged("a byte that is no text")
         if layout.check is not None:
             digits = 2 * layout.check.size
             body, found = line[:-digits], line[-digits:]
@@ -308,8 +337,10 @@ def _text_number(word: bytes, entry: Field) -> float:
         if _WHOLE.fullmatch(word):
             return int(word)
     elif _DECIMAL.fullmatch(word):
-        behind = len(word.partition(b".")[2])
-        if entry.decimals is not None and behind != entry.decimals:
-            raise Damaged("wrong number of decimals")
+        if entry.decimals is not None:
+            if not _PLAIN.fullmatch(word):
+                raise Damaged("not a number")
+            if len(word.partition(b".")[2]) != entry.decimals:
+                raise Damaged("wrong number of decimals")
         return float(word)
     raise Damaged("not a number")

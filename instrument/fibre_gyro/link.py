@@ -34,6 +34,7 @@ ATTEMPTS = 3
 
 _CHUNK = 4096
 _BACKLOG = 1 << 20  # bytes that an operating system may have kept for us; more means that nobody paces them
+_LINES_WAITED_FOR = 4  # by a line that has to be borne out
 _UNPACED_S = 10.0  # an answer waits behind frames that were sent before, if they come as fast as they are read
 
 
@@ -64,7 +65,8 @@ class FibreGyroLink:
         self.name, self.layout, self.speed = port, layout, speed
         frame_s = layout.frame_bytes * layout.byte_time_s
         self._patience_s = longest_silence_s + 2 * (layout.interval_s / max(speed, 1e-9)) + frame_s
-        self._stream = FrameStream(layout)
+        patience = max(1, math.ceil(_LINES_WAITED_FOR * layout.interval_s / SLICE_S))
+        self._stream = FrameStream(layout, patience=patience)
         self._session = Losses()
         self._claim = claim(port)
         try:

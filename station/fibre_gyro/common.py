@@ -29,6 +29,10 @@ PPM = 1e6
 COUNTS_PER_DPS = "counts per deg/s"
 COLOURS = (ACCENT, SECOND, THIRD, INK, "#8a5a9e", "#b0902c", SOFT)
 """Of axes or runs side by side in one figure."""
+_HIDDEN = 6.5
+"""Standard deviations of the noise behind which a changed digit cannot be seen."""
+_NOTICEABLE = 0.1
+"""Of the standard uncertainty of a mean: what may move it by more is told."""
 _UNKNOWN_CLOCK_U = 0.03 / math.sqrt(3)
 """Of the interval between two outputs where nobody compared it: clocks of real gyros are up to 3 % off."""
 _TRACE_RATE_DPS = 20.0
@@ -72,6 +76,7 @@ def with_link_remarks(result: Callable[[Any, SavedRun, FogSettings], Result]) ->
         made = result(found, run, settings)
         segments = _all_segments(run)
         doubts = tuple(dict.fromkeys(f"{doubt}." for one in segments for doubt in one.recording.doubts))
+        doubts += _unseen_digits(segments)
         clock = clock_of(segments)
         if clock is None:
             return replace(made, to_watch=made.to_watch + doubts, flags=made.flags + doubts)
@@ -90,6 +95,20 @@ def with_link_remarks(result: Callable[[Any, SavedRun, FogSettings], Result]) ->
         )
 
     return told
+
+
+def _unseen_digits(segments: Sequence[Segment]) -> tuple[str, ...]:
+    """Say how many outputs may hold a changed digit that nothing shows, where they may matter to a mean."""
+    losses = [one.recording.losses for one in segments]
+    moved = max((_HIDDEN * one.unseen_digits / math.sqrt(max(one.good, 1)) for one in losses), default=0.0)
+    if moved < _NOTICEABLE:
+        return ()
+    unseen, good = sum(one.unseen_digits for one in losses), sum(one.good for one in losses)
+    return (
+        f"In about {unseen:.0f} of {good} outputs a digit was changed on the line and nothing shows which: the "
+        f"text has no checksum. They move a mean by {moved:.2g} of its noise at most, if all to one side; mend "
+        "the line, or let the gyro send a checksum.",
+    )
 
 
 def clock_of(segments: Sequence[Segment]) -> HostClock | None:

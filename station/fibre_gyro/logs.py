@@ -93,7 +93,13 @@ def read_logs(
         logs.append(
             (
                 key,
-                {"purpose": purpose, "source": str(row["path"]), **_begin(read[1], row), **conditions},
+                {
+                    "purpose": purpose,
+                    "source": str(row["path"]),
+                    **_unit(read[1]),
+                    **_begin(read[1], row),
+                    **conditions,
+                },
                 _recording(read[1], row, settings.nominal_scale_factor),
             )
         )
@@ -122,6 +128,7 @@ def read_whole_logs(
                 "purpose": purpose,
                 "source": str(path),
                 "rate_dps": 0.0,
+                **_unit(log),
                 **({"axis": axis} if axis else {}),
             }
             recording = log.recording(axis, counts_per_dps=settings.nominal_scale_factor)
@@ -190,6 +197,11 @@ def _number(text: str, place: str) -> float:
     if not math.isfinite(value):
         raise UsageError(f"{place}: {text!r} is not a number")
     return value
+
+
+def _unit(log: GyroLog) -> dict[str, str]:
+    """Unit of an output that is turned into counts by the scale factor by design."""
+    return {} if log.unit == "counts" else {"output_unit": log.unit}
 
 
 def _begin(log: GyroLog, row: LogRow) -> dict[str, float]:

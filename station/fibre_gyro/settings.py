@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -257,6 +258,11 @@ class FogSettings(SettingsSection):
     def nominal_scale_factor(self) -> float:
         """Scale factor by design, counts per deg/s."""
         return self.coil.nominal_scale(self.gyro.dac_bits) * self.gyro.counts_per_code
+
+    @property
+    def gyro_is_described(self) -> bool:
+        """Whether anything that the scale factor by design rests on differs from what is shipped."""
+        return not math.isclose(self.nominal_scale_factor, load_fog_settings().nominal_scale_factor, rel_tol=1e-12)
 
     @property
     def coil(self) -> FibreCoil:

@@ -11,7 +11,8 @@ A term stands in the model if it improves the likelihood by more than the Bayesi
 for; of those that do not, the interval says how large they may be. A record that ends within the slow noise
 cannot tell bias instability from a random walk or a ramp: every model that is nearly as likely counts in
 uncertainties and intervals, with its probability. A ramp and a drift with the temperature are no noise: they are
-fitted to the increments of the blocks, with their covariance.
+fitted to the increments of the blocks, with their covariance. Missing words are put in by the model itself
+(`missing_words`).
 """
 
 from __future__ import annotations
@@ -26,6 +27,7 @@ import scipy.special
 from numpy.typing import ArrayLike
 
 from analysis.arrays import Floats
+from analysis.fibre_gyro.allan.missing_words import fillable, on_lines, with_words_put_in
 from analysis.fibre_gyro.allan.terms import RANDOM, TERMS, block_covariance, increment_spectrum
 from analysis.fibre_gyro.rate_table.outliers import outliers
 from analysis.fibre_gyro.rate_table.scatter import NORMAL_95
@@ -33,6 +35,10 @@ from analysis.fibre_gyro.rate_table.scatter import NORMAL_95
 _MOST_BLOCKS = 256
 _FEWEST_WORDS = 512
 _BINS = 1500
+_FILLINGS = 8  # at most
+_SETTLED = 0.03  # standard uncertainties that the model still moves
+_MOST_UNKNOWN = 0.7
+_BOUND_ROUNDS = 3
 _TAPER = 0.02  # of a stretch, at each end
 _ROUNDS = 40
 _RAMP = "rate_ramp"
@@ -103,9 +109,9 @@ def fit_noise(words: ArrayLike, interval_s: float, *, temperature: ArrayLike | N
     heat = None if temperature is None else np.asarray(temperature, dtype=np.float64)
     slope, slope_u = float("nan"), float("nan")
     if heat is not None:
-        slope, slope_u = _Likelihood(values, interval_s, heat).temperature_slope()
+        slope, slope_u = _Likelihood(on_lines(values), interval_s, heat).temperature_slope()
         values = values - slope * (heat - np.nanmean(heat))
-    seen = _Likelihood(values, interval_s, None)
+    seen = _with_gaps_filled(values, interval_s)
     models = seen.likely_models()
     found = seen.coefficients(models)
     value, u, low, high = ({name: spread * one for name, one in part.items()} for part in found)
@@ -113,6 +119,26 @@ def fit_noise(words: ArrayLike, interval_s: float, *, temperature: ArrayLike | N
     return NoiseFit(
         value, u, low, high, chosen, spread * slope, spread * slope_u, values.size, missing, int(far.sum())
     )
+
+
+def _with_gaps_filled(values: Floats, interval_s: float) -> _Likelihood:
+    """Likelihood of the words with the missing ones put in, by the model of all terms that it gives itself.
+
+    What one round leaves of the step of the round before is the share of the information that is missing.
+    """
+    seen = _Likelihood(on_lines(values), interval_s, None)
+    if not fillable(values).any():
+        return seen
+    squares, unknown, last = seen.of_all_terms(), 0.0, 0.0
+    for _ in range(_FILLINGS):
+        seen = _Likelihood(with_words_put_in(values, squares, interval_s), interval_s, None)
+        before, squares = squares, seen.of_all_terms()
+        step = seen.distance(before, squares)
+        unknown, last = max(unknown, step / last if last else 0.0), step
+        if step < _SETTLED:
+            break
+    seen.forgo(min(unknown, _MOST_UNKNOWN))
+    return seen
 
 
 @dataclass(frozen=True)
@@ -143,12 +169,6 @@ class _Part:
             return float(scipy.special.ndtr(self.value / self.u * np.log(max(size, 1e-300) / self.value)))
         cut, upto = scipy.special.ndtr(np.array([0.0, size**2]) / self.square_u - self.square / self.square_u)
         return float((upto - cut) / (1 - cut))
-
-    def bound(self) -> float:
-        """Upper end of the 95 % interval where the coefficient may as well be 0."""
-        if np.isfinite(self.square):
-            return float(np.sqrt(self.square + NORMAL_95 * self.square_u))
-        return self.value + NORMAL_95 * self.u
 
 
 def _quantile(parts: list[_Part], probability: float) -> float:
@@ -209,6 +229,20 @@ class _Likelihood:
         rows = of_means[1:] - of_means[:-1]
         return np.asarray(rows[:, 1:] - rows[:, :-1])
 
+    def of_all_terms(self) -> dict[str, float]:
+        """Squares of the coefficients of all terms together."""
+        return self._maximum(list(RANDOM), ["ramp"])[0]
+
+    def distance(self, squares: dict[str, float], others: dict[str, float]) -> float:
+        """How far two models are apart, in standard uncertainties."""
+        apart = np.array([squares[name] - others[name] for name in RANDOM])
+        return float(np.sqrt(apart @ self._information(others, list(RANDOM)) @ apart))
+
+    def forgo(self, unknown: float) -> None:
+        """Count so much of the information on fast noise as drawn: it says nothing, and its chance adds to u."""
+        self._number = self._number * (1 - unknown) / (1 + unknown)
+        self._known.clear()
+
     def temperature_slope(self) -> tuple[float, float]:
         """Slope with the temperature under the best model, and its standard uncertainty."""
         squares, _ = self._maximum(list(RANDOM), ["ramp", "heat"])
@@ -256,8 +290,23 @@ class _Likelihood:
                 u[name] = (high[name] - low[name]) / (2 * NORMAL_95)
             else:
                 # a term that is not asked for may be as large as the data allow beside the others
-                high[name] = max(high[name], self._parts_of(chosen | {name}, 1.0)[name].bound())
+                high[name] = max(high[name], self._bound(chosen | {name}, name))
         return value, u, low, high
+
+    def _bound(self, model: Model, name: str) -> float:
+        """Upper end of the 95 % interval of a term that may be 0: the size that would hardly show so little.
+
+        The square of a random term scatters the more the larger it is; so its uncertainty is that at the bound.
+        """
+        part = self._parts_of(model, 1.0)[name]
+        if name == _RAMP:
+            return part.value + NORMAL_95 * part.u
+        names, columns = _names_of(model)
+        squares, place, u = self._maximum(names, columns)[0], names.index(name), part.square_u
+        for _ in range(_BOUND_ROUNDS):
+            at = {**squares, name: part.square + NORMAL_95 * u}
+            u = float(np.sqrt(np.linalg.inv(self._information(at, names))[place, place]))
+        return float(np.sqrt(part.square + NORMAL_95 * u))
 
     def _parts_of(self, model: Model, probability: float) -> dict[str, _Part]:
         """What one model says of each of its coefficients."""
@@ -378,16 +427,6 @@ def _spectrum(values: Floats, width: int) -> tuple[Floats, Floats, Floats]:
 
 
 def _stretches(values: Floats, shortest: int) -> list[Floats]:
-    """Stretches without missing words; up to three in a row are put in on a straight line."""
-    gone = np.isnan(values)
-    if not gone.any():
-        return [values]
-    ends = np.flatnonzero(np.diff(np.concatenate([[False], gone, [False]]).astype(np.int8)))
-    filled = values.copy()
-    there = np.flatnonzero(~gone)
-    for begin, end in zip(ends[::2], ends[1::2], strict=True):
-        if end - begin <= 3 and begin > 0 and end < values.size:
-            filled[begin:end] = np.interp(np.arange(begin, end), there, values[there])
-    edges = np.concatenate([[-1], np.flatnonzero(np.isnan(filled)), [values.size]])
-    cut = [filled[begin + 1 : end] for begin, end in itertools.pairwise(edges)]
-    return [one for one in cut if one.size >= shortest]
+    """Stretches without missing words."""
+    edges = np.concatenate([[-1], np.flatnonzero(np.isnan(values)), [values.size]])
+    return [values[begin + 1 : end] for begin, end in itertools.pairwise(edges) if end - begin - 1 >= shortest]

@@ -122,6 +122,8 @@ def turn_on_transient(at_s: ArrayLike, values: ArrayLike, bound: float) -> TurnO
     drawn = rng.multinomial(_DRAWS, [float(one.sum()) / total for one in weights])
     final, transient, warm_up, slow = [], [], [], 0.0
     for grid, weight, count in zip(grids, weights, drawn, strict=True):
+        if count == 0:
+            continue  # where the noise is next to nothing, all its weights are
         places = rng.choice(weight.size, count, p=weight / weight.sum())
         amplitudes = _draws(grid, places, value.size, alike, rng)
         final.append(amplitudes[:, 0])

@@ -22,12 +22,19 @@ PURPOSE = "allan"
 
 @dataclass(frozen=True)
 class NoiseOf:
-    """Noise of one record at rest; `curve` in deg/s, of the words with the missing ones put in."""
+    """Noise of one record at rest; `curve` in deg/s, of the words with the missing ones put in.
+
+    Attributes
+    ----------
+    by_design : bool
+        Whether the output came in counts, which only the scale factor by design turns into deg/s.
+    """
 
     key: str
     duration_s: float
     fit: NoiseFit
     curve: AllanCurve
+    by_design: bool
 
 
 @dataclass(frozen=True)
@@ -71,7 +78,6 @@ def _noise_of(segment: Segment, settings: FogSettings) -> NoiseOf:
         )
     fit = fit_noise(words, recording.interval_s, temperature=temperature)
     shown = words if temperature is None else words - fit.temperature_slope * (temperature - temperature.mean())
-    gone = np.isnan(shown)
-    if gone.any():
-        shown = np.interp(np.arange(shown.size), np.flatnonzero(~gone), shown[~gone])
-    return NoiseOf(segment.key, words.size * recording.interval_s, fit, allan_curve(shown, recording.interval_s))
+    curve = allan_curve(shown, recording.interval_s, fit.coefficients)
+    by_design = segment.conditions.get("output_unit", "counts") == "counts"
+    return NoiseOf(segment.key, words.size * recording.interval_s, fit, curve, by_design)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from station.fibre_gyro.allan.evaluate import AllanFound, NoiseOf
+from station.fibre_gyro.common import COUNTS_PER_DPS
 from station.fibre_gyro.settings import FogSettings
 from station.results.numbers import with_uncertainty
 from station.results.parts import TextTable
@@ -19,6 +20,10 @@ UNITS = {
     "rate_ramp": ("rate_ramp_dph_per_h", "rate ramp", "deg/h/h", 3600.0**2),
 }
 """Of each term: its name in JSON, in words, its unit, and how many of that one in deg and s is."""
+_DESCRIBE = (
+    "That is the shipped gyro: with another scale factor all numbers here are wrong by its ratio. Describe the "
+    "coil in [gyro], or change gyro.counts_per_code in the ratio of a measured K to this one."
+)
 LIMITED = ("angle_random_walk_deg_per_sqrt_h", "bias_instability_dph", "rate_random_walk_dph_per_sqrt_h")
 
 
@@ -36,7 +41,11 @@ def result(found: AllanFound, run: SavedRun, settings: FogSettings) -> Result:
         f"{first.key}: {first.duration_s / 3600:.3g} h of output; by maximum likelihood, "
         f"in the model: {', '.join(UNITS[name][1] for name in first.fit.chosen)}.",
     )
+    counts = not run.facts.simulated and any(one.by_design for one in found.records)
+    design = _by_design(settings) if counts else ""
     watched = tuple(_to_watch(found))
+    if design and not settings.gyro_is_described:
+        watched = (*watched, f"{design} {_DESCRIBE}")
     return Result(
         name="result",
         value=value,
@@ -44,7 +53,7 @@ def result(found: AllanFound, run: SavedRun, settings: FogSettings) -> Result:
         measured=tuple(Measured(n, one[n], one["name"] if several else "") for one in records for n in LIMITED),
         lines=lines,
         summary=[("", line) for line in lines],
-        sentences=tuple(_sentences(found)),
+        sentences=(*_sentences(found), *([design] if design and settings.gyro_is_described else [])),
         to_watch=watched,
         flags=watched,
         left_out=found.left_out,
@@ -97,6 +106,13 @@ def _sentences(found: AllanFound) -> list[str]:
             if one.fit.temperature_slope == one.fit.temperature_slope
         ),
     ]
+
+
+def _by_design(settings: FogSettings) -> str:
+    return (
+        f"The output is in counts; it was turned into deg/h by the scale factor by design, "
+        f"{settings.nominal_scale_factor:.6g} {COUNTS_PER_DPS}."
+    )
 
 
 def _to_watch(found: AllanFound) -> list[str]:

@@ -288,7 +288,8 @@ def _one_run(
         name, _temperature(segments), rate, output, u,
         largest.drift if both else math.nan, largest.drift_u if both else math.nan,
         figures, residual_pattern(rate, output, u), any(one.modelled for one in drifts),
-        sum(one for one, _ in bias) / len(bias), bias_u, _turn_on(switched_on, settings, left_out), tuple(remarks),
+        sum(one for one, _ in bias) / len(bias), bias_u,
+        _turn_on(switched_on, figures.fit.slope, settings, left_out), tuple(remarks),
     )  # fmt: skip
 
 
@@ -298,8 +299,10 @@ def _bias(found: StaticLevel, end_up: int, scale: float, settings: FogSettings) 
     return 3600 * found.mean / scale - earth, 3600 * found.mean_u / abs(scale)
 
 
-def _turn_on(segments: Sequence[Segment], settings: FogSettings, left_out: list[LeftOut]) -> TurnOn | None:
-    """Fit the transient of the first output from switching on that can be used."""
+def _turn_on(
+    segments: Sequence[Segment], scale: float, settings: FogSettings, left_out: list[LeftOut]
+) -> TurnOn | None:
+    """Fit the transient of the first output from switching on that can be used, by the K of its run."""
     for segment in segments:
         try:
             recording = checked(segment)
@@ -309,7 +312,7 @@ def _turn_on(segments: Sequence[Segment], settings: FogSettings, left_out: list[
             count = np.bincount(place, minlength=blocks)
             with np.errstate(invalid="ignore"):
                 means = np.bincount(place, recording.counts, minlength=blocks) / count
-            values = 3600 * means / settings.nominal_scale_factor
+            values = 3600 * means / scale
             since = float(segment.conditions["since_on_s"])
             return turn_on_transient(
                 since + (edges[:-1] + edges[1:]) / 2, values, settings.figures.warm_up_bound_dph

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from analysis.fibre_gyro import allan_curve, allan_variance, fit_noise
+from analysis.fibre_gyro.allan.missing_words import with_words_put_in
 
 INTERVAL = 0.1
 N, K, Q = 1e-4, 2e-5, 3e-5
@@ -55,6 +56,17 @@ def test_slow_noise_that_may_be_another_kind_counts_so():
     assert 1e-5 < fit.high_95["bias_instability"] < 1e-4
 
 
+def test_a_walk_that_hides_behind_flicker_is_within_its_bound():
+    """The data can do without the walk: its bound counts how much a larger one would have scattered."""
+    rng, walk = np.random.default_rng([6, 2]), 8e-6
+    frequency = np.fft.rfftfreq(1 << 16)
+    shape = np.append(0.0, (2 * np.pi * frequency[1:]) ** -0.5)
+    flicker = np.fft.irfft(np.fft.rfft(rng.normal(size=1 << 16)) * shape)[:20_000]
+    fit = fit_noise(1e-4 * flicker + words(6, 20_000, wander=walk), INTERVAL)
+    assert "rate_random_walk" not in fit.chosen
+    assert walk < fit.high_95["rate_random_walk"] < 3 * walk
+
+
 def test_gaps_and_outliers_leave_the_noise_as_it_is():
     values = words(3, 20_000)
     values[4000] += 1.0
@@ -69,6 +81,29 @@ def test_gaps_and_outliers_leave_the_noise_as_it_is():
         fit_noise(values[:100], INTERVAL)
     with pytest.raises(ValueError, match="does not move"):
         fit_noise(np.zeros(2000), INTERVAL)
+
+
+def test_lost_words_leave_the_fast_noise_as_it_is():
+    """Lines over the gaps make it twice as large: they tear apart what quantization keeps together."""
+    values = words(20, 6000, rounding=4 * Q)
+    values[np.flatnonzero(np.random.default_rng(3).random(6000) < 0.05)[1:-1]] = np.nan
+    fit = fit_noise(values, INTERVAL)
+    assert fit.coefficients["angle_random_walk"] == pytest.approx(
+        N, abs=4 * fit.coefficients_u["angle_random_walk"]
+    )
+    assert fit.coefficients_u["angle_random_walk"] < 0.1 * N
+    assert fit.low_95["quantization"] * 0.97 <= 4 * Q <= fit.high_95["quantization"] * 1.03
+
+
+def test_words_put_in_have_the_noise_of_the_others():
+    """Increments of quantized angles: put in by the model they stay small; on lines their sums wander."""
+    values = words(31, 20_000, rounding=10 * Q)
+    gone = np.arange(50, 19_950, 40)
+    squares = {"quantization": (10 * Q) ** 2, "angle_random_walk": N**2}
+    filled = with_words_put_in(np.where(np.isin(np.arange(20_000), gone), np.nan, values), squares, INTERVAL)
+    assert np.array_equal(np.delete(filled, gone), np.delete(values, gone))
+    assert 0 < np.std(filled[gone] - values[gone]) < 0.5 * np.std(values)
+    assert np.std(filled[gone]) == pytest.approx(np.std(values), rel=0.2)
 
 
 def test_ramp_and_temperature_are_no_noise():
@@ -89,4 +124,9 @@ def test_the_curve_and_the_variances_of_the_terms_agree():
     terms = {"quantization": Q, "angle_random_walk": N, "rate_random_walk": K}
     model = np.sqrt(allan_variance(terms, curve.tau_s))
     short = curve.tau_s < 100
+    values = words(4, 50_000, wander=K, rounding=Q)
+    values[1000] += 1e3
+    values[20_000:20_040], values[5::50] = np.nan, np.nan
+    gappy = allan_curve(values, INTERVAL, terms)
+    assert np.all(np.abs(gappy.deviation / curve.deviation - 1)[short] < 0.02)
     assert np.all(np.abs(curve.deviation - model)[short] < 6 * curve.deviation_u[short] + 0.02 * model[short])

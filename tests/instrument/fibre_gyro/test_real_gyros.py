@@ -10,7 +10,7 @@ import pytest
 from benchmarks.fibre_gyro.frames import judge, layout_of, read
 from benchmarks.fibre_gyro.real_gyros import REAL_GYROS, crc_mpeg, damaged, is_same, raw_outputs, sevens
 from instrument.fibre_gyro import parse_frame_format
-from instrument.fibre_gyro.frame_stream import FrameStream
+from instrument.fibre_gyro.frame_stream import Damage, FrameStream
 from instrument.fibre_gyro.record_builder import RecordBuilder
 
 BY_NAME = {gyro.name: gyro for gyro in REAL_GYROS}
@@ -51,18 +51,69 @@ def test_damage_makes_no_wrong_number(gyro):
     assert score.delivered > (0.7 if gyro.name == "kvh_dsp_3000_1khz" else 0.9) * whole
 
 
+TEXT = BY_NAME["kvh_dsp_3000_100hz"]
+NOISE = 0.02  # deg/s, of raw_outputs
+
+
+def on_a_bad_line(raw, rng, damage=0.09) -> bytes:
+    """Lines of text, some of them damaged."""
+    clean = [TEXT.pack(n, one) for n, one in enumerate(raw)]
+    return b"".join(damaged(one, rng) if rng.random() < damage else one for one in clean)
+
+
 def test_text_without_a_checksum_is_wrong_by_less_than_its_noise():
-    """Nothing tells one digit from another; what makes the output jump is not used."""
-    gyro, rng = BY_NAME["kvh_dsp_3000_100hz"], np.random.default_rng(17)
-    raw = raw_outputs(gyro, 3000, rng)
-    clean = [gyro.pack(n, one) for n, one in enumerate(raw)]
-    parts = [damaged(one, rng) if rng.random() < 0.09 else one for one in clean]
-    delivered = read(layout_of(gyro), b"".join(parts))
-    values = np.array([frame.values[0] for frame in delivered])
-    noise = 0.02  # deg/s
-    assert np.abs(values - 0.7).max() < 30 * noise
-    assert values.mean() == pytest.approx(0.7, abs=4 * 2 * noise / np.sqrt(3000))
-    assert judge(gyro, raw, delivered).wrong < 0.01 * 3000
+    """Nothing tells one digit from another within the noise; what stands out is not used, the rest is counted."""
+    rng = np.random.default_rng(17)
+    raw = raw_outputs(TEXT, 3000, rng)
+    builder = RecordBuilder(layout_of(TEXT), 0, 2980)
+    stream = FrameStream(layout_of(TEXT))
+    builder.take(stream.feed(on_a_bad_line(raw, rng)), host_s=30.0, silent_s=0.0)
+    recording = builder.recording(0, counts_per_dps=1.0)
+    sent = {float(f"{one * 1e-6:.6f}") for one in raw}
+    wrong = [value for value in recording.counts if value not in sent]
+    assert 5 <= len(wrong) <= 30 and recording.counts.size > 2500
+    assert max(abs(value - 0.7) for value in wrong) < 7 * NOISE
+    assert abs(recording.losses.unseen_digits - len(wrong)) < 4 * np.sqrt(len(wrong))
+    assert recording.counts.mean() == pytest.approx(0.7, abs=4 * 1.1 * NOISE / np.sqrt(3000))
+
+
+@pytest.mark.parametrize("line", [b"\r0.712345 1", b".712345 1", b"0.712345 3", b"0.712345 71", b"0.71e345 1"])
+def test_a_line_that_is_certainly_damaged_is_not_used(line):
+    """A sign turned into a line end, a digit that is gone, a status that no gyro sends, a power of ten."""
+    good = [TEXT.pack(n, one) for n, one in enumerate(raw_outputs(TEXT, 20, np.random.default_rng(2)))]
+    assert len(read(layout_of(TEXT), b"".join([*good[:10], line + b"\r\n", *good[10:]]))) == 19
+
+
+@pytest.mark.parametrize("step", [0.1, 0.13, 0.2, 5.0])
+def test_a_turn_of_the_table_is_kept_on_a_bad_line(step):
+    """Between two lines and over ten of them, there and back: every line that arrived whole is delivered."""
+    rng = np.random.default_rng(5)
+    course = np.r_[np.zeros(300), np.ones(300), np.linspace(1, 0, 10), np.zeros(300)]
+    raw = [one + round(1e6 * step * part) for one, part in zip(raw_outputs(TEXT, 910, rng), course, strict=True)]
+    clean = [TEXT.pack(n, one) for n, one in enumerate(raw)]
+    parts = [b"0.7123z5 1\r\n" if n % 50 == 30 else one for n, one in enumerate(clean)]
+    assert judge(TEXT, raw, read(layout_of(TEXT), b"".join(parts))).wrong == 0
+    assert len(read(layout_of(TEXT), b"".join(parts))) == 910 - 18 - 1  # the first is never believed
+
+
+def test_a_line_that_stands_out_waits_for_those_behind_it():
+    """A changed high digit is left out, with its place in time kept; silence ends the wait."""
+    raw = raw_outputs(TEXT, 100, np.random.default_rng(6))
+    lines = [TEXT.pack(n, one) for n, one in enumerate(raw)]
+    lines[40] = b"0.7!2345 1\r\n"
+    lines[60] = b"0.9" + lines[60][3:]
+    stream = FrameStream(layout_of(TEXT), patience=3)
+    before = stream.feed(b"".join(lines[:60]))
+    assert stream.feed(lines[60]) == []
+    assert stream.feed(b"", silent=True) == []
+    assert stream.feed(b"bad" + lines[61]) == []
+    behind = stream.feed(b"".join(lines[62:65]))
+    assert [type(event).__name__ for event in behind] == ["Damage", "Damage", "Frame", "Frame", "Frame"]
+    assert behind[0].reason == "output stands out from those around it"
+    assert sum(event.frames for event in [*before, *behind] if isinstance(event, Damage)) == 3
+    assert stream.feed(b"9.000000 1\r\n") == []
+    silent = [stream.feed(b"", silent=True) for _ in range(3)]
+    assert silent[:2] == [[], []] and silent[2][0].values == (9.0, 1)
 
 
 def test_a_spike_of_the_gyro_on_a_clean_line_is_kept():

@@ -141,3 +141,39 @@ def test_rates_below_one_turn_are_not_left_out(tmp_path: Path) -> None:
     found = logs.evaluate("figures")
     assert found["left_out"] == []
     assert "near zero" in found["runs"][0]["pattern"]
+
+
+@pytest.mark.parametrize(
+    ("head", "gyro", "where"),
+    [("counts", {}, "watch"), ("counts", {"counts_per_code": 15.5}, "said"), ("rate [deg/h]", {}, "")],
+)
+def test_noise_in_counts_says_which_scale_factor_made_degrees_of_it(
+    tmp_path: Path, head: str, gyro: dict[str, float], where: str
+) -> None:
+    """Without a table the scale factor is the one by design; that of the shipped gyro is hardly this one's."""
+    words = np.random.default_rng(4).normal(0, 1, 600)
+    path = tmp_path / "rest.csv"
+    np.savetxt(
+        path, np.column_stack([np.arange(600) / 10, words]), "%.6g", ",", header=f"time_s,{head}", comments=""
+    )
+    settings = load_fog_settings(overrides={"gyro": gyro, "output": {"directory": str(tmp_path)}})
+    made = evaluate_run(open_run(start_run(measurement("allan"), settings, QUIET, paths=[path]).path)).result
+    told = {"watch": made.to_watch, "said": made.sentences}
+    by_design = f"by design, {settings.nominal_scale_factor:.6g} counts per deg/s"
+    assert [any(by_design in one for one in told[name]) for name in told] == [name == where for name in told]
+
+
+def test_the_transient_of_switching_on_is_by_the_measured_scale_factor(tmp_path: Path) -> None:
+    """10 deg/h that die away with 20 s, of a gyro of ten times the scale factor by design."""
+    logs, scale = Logs(tmp_path, "file,axis,rate_dps,end_up,since_on_s"), 10 * K
+    times = np.arange(3000) / 10
+    values = scale * (VERTICAL + 10 / 3600 * np.exp(-times / 20)) + logs.rng.normal(0, 0.01, times.size)
+    np.savetxt(
+        tmp_path / "on.csv", np.column_stack([times, values]), "%.9g", ",", header="time,counts", comments=""
+    )
+    logs.rows.append("on.csv,Z,0,1,0")
+    logs.now = 400.0
+    for rate in (0, 40.0, -40.0, 60.0, -60.0, 80.0, -80.0, 0):
+        logs.add(f"Z,{rate},1,", scale * (rate + VERTICAL))
+    (run,) = logs.evaluate("figures")["runs"]
+    assert run["turn_on"]["transient_dph"] == pytest.approx(10, rel=0.05)

@@ -212,3 +212,15 @@ def test_what_is_saved_comes_back_as_it_was(tmp_path: Path) -> None:
         recording.gaps, recording.losses, recording.interval_s, recording.clock,
     )  # fmt: skip
     assert json.dumps(segment.conditions)
+
+
+@pytest.mark.parametrize(("changed", "told"), [(20, True), (0, False)])
+def test_digits_that_were_changed_unseen_are_told(table_result, changed: int, told: bool) -> None:
+    """20 lines with a character that is none, of text without a checksum: in 12 more a digit became another."""
+
+    def spoil(recording: Recording) -> Recording:
+        reasons = {"one character changed": changed, "bad status": 3}
+        return replace(recording, losses=replace(recording.losses, damaged=changed, reasons=reasons))
+
+    said = [one for one in table_result(spoil).result.to_watch if "nothing shows which" in one]
+    assert [one.startswith("In about 12 of ") for one in said] == [True] * told

@@ -11,12 +11,17 @@ import scipy.special
 
 from analysis.arrays import Bools, Floats, Indices, Samples
 from analysis.waveform.series.frequency_search import Sizes
+from analysis.waveform.series.harmonic_sums import data_sums
 
 FIRST, LAST = 4, 12
 """Harmonics that are looked at, each in the two bins next to it."""
 
 SEEN, SURE = 2e-3, 1e-6
 """Shares of records of noise alone in which they are so strong that it counts, and that a flag says so."""
+
+THIRD = 3
+WORTH_A_LOOK, COUNTS = 0.07, 1e-2
+"""The same for the harmonics from the third on in white noise, by the lines of the spectrum and by themselves."""
 
 HIDDEN = 2.0
 """Size of what such an error puts onto the second harmonic, over the root of the power that it leaves on these."""
@@ -30,8 +35,8 @@ FEWEST_BESIDE = 24
 NOTHING = 1e-200
 
 
-def may_repeat(sizes: Sizes, omega: Floats, mean: Floats, n_samples: int) -> Bools:
-    """Where the harmonics are stronger than white noise explains, (R,): a first look at all records.
+def may_repeat(sizes: Sizes, omega: Floats, mean: Floats, n_samples: int) -> tuple[Bools, Bools]:
+    """Where the harmonics are stronger than white noise explains: a first look at all records.
 
     Parameters
     ----------
@@ -41,13 +46,44 @@ def may_repeat(sizes: Sizes, omega: Floats, mean: Floats, n_samples: int) -> Boo
         rad per sample.
     mean : (R,)
         Mean power of a line.
+
+    Returns
+    -------
+    often, sometimes : (R,)
+        For `repeating`, and from the third harmonic on for `hidden_by_harmonics`.
     """
-    turns = omega[:, np.newaxis] / (2 * np.pi) * np.arange(FIRST, LAST + 1)
+    turns = omega[:, np.newaxis] / (2 * np.pi) * np.arange(THIRD, LAST + 1)
     below = (np.abs(turns - np.rint(turns)) * n_samples).astype(np.intp)
     below = np.clip(below, 1, sizes.shape[1] - 2)
     rows = np.arange(len(sizes))[:, np.newaxis]
     found = np.square(sizes[rows, below]) + np.square(sizes[rows, below + 1])
-    return np.asarray(found.sum(axis=-1) > scipy.special.gammainccinv(2 * below.shape[1], SEEN) * mean)
+    number, higher = 2 * below.shape[1], found[:, FIRST - THIRD :].sum(axis=-1)
+    often = higher > scipy.special.gammainccinv(number - 2, SEEN) * mean
+    return often, (higher + found[:, 0]) > scipy.special.gammainccinv(number, WORTH_A_LOOK) * mean
+
+
+def hidden_by_harmonics(left: Samples, omega: Floats, mean: Floats) -> Floats:
+    """Size (as a line's) that may hide on the second harmonic behind those from the third on, (R,).
+
+    Parameters
+    ----------
+    left : (R, N)
+        What the waveform leaves of the samples.
+    omega, mean : (R,)
+        rad per sample; mean power of a line, that of white noise.
+
+    Returns
+    -------
+    (R,)
+        0 where noise alone often has so much there.
+    """
+    power = np.abs(data_sums(left, omega, LAST, 0, lowest=1)[:, 0, THIRD - 1 :]) ** 2
+    # folded ones fall onto each other where the sampling is nearly locked to the beat
+    power[omega[:, np.newaxis] * np.arange(THIRD, LAST + 1) > np.pi] = 0.0
+    number = np.count_nonzero(power, axis=-1)
+    total = power.sum(axis=-1)
+    stronger = scipy.special.gammaincc(np.maximum(number, 1), total / mean) < COUNTS
+    return np.asarray(HIDDEN * np.sqrt(np.where(stronger, np.maximum(total - number * mean, 0.0), 0.0)))
 
 
 def repeating(power: Samples, line: float, n_samples: int) -> tuple[float, bool]:

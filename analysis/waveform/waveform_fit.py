@@ -56,7 +56,7 @@ rate. What is no beat at all needs more."""
 SUSPECT = Flag.MISFIT | Flag.COLOURED_NOISE | Flag.DAMAGED
 """What makes it worth asking whether the residual is there all the time."""
 
-FEW_PERIODS = 6.5
+FEW_PERIODS = 7.5
 """A motion that is no smooth curve may leave less than the noise, and with few periods looks like a harmonic: the
 ratio's variance grows with the sixth power of this over the periods."""
 

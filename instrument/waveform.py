@@ -7,6 +7,7 @@ are computed when they are asked for; the codes stay what the analogue-digital c
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
+from functools import lru_cache
 from html import escape
 from typing import Any
 
@@ -65,8 +66,8 @@ class Preamble:
     yoff: float
     yunit: str
 
-    @classmethod
-    def parse(cls, text: str) -> Preamble:
+    @staticmethod
+    def parse(text: str) -> Preamble:
         """Read a preamble with or without headers, in long or short spelling.
 
         With headers the fields may come in any order and among others that are not known here (newer scopes
@@ -77,21 +78,7 @@ class Preamble:
         TransferError
             If a field is missing, is not what it should be, or contradicts another.
         """
-        parts = [split_header(part) for part in split_parts(text.strip().rstrip(";"))]
-        names = [field.name for field in fields(cls)]
-        if any(header for header, _ in parts):
-            values = _by_header(parts)
-            missing = [name for name in names if name not in values]
-            if missing:
-                raise TransferError(f"the preamble has no {missing[0].upper()} ({text[:60]!r}); ask again")
-        elif len(parts) == len(names):
-            values = dict(zip(names, (value for _, value in parts), strict=True))
-        else:
-            raise TransferError(
-                f"the preamble has {len(parts)} fields instead of {len(names)} ({text[:60]!r}); ask again"
-            )
-        read: dict[str, Any] = {name: _READERS[name](values[name]) for name in names}
-        return _checked(cls(**read))
+        return _parsed(text)
 
     @property
     def implausible(self) -> bool:
@@ -117,6 +104,26 @@ class Preamble:
             else:
                 words.append(nr3(value) if isinstance(value, float) else str(value))
         return ";".join(words)
+
+
+@lru_cache(maxsize=4096)
+def _parsed(text: str) -> Preamble:
+    """See `Preamble.parse`: most records of a run have the same text."""
+    parts = [split_header(part) for part in split_parts(text.strip().rstrip(";"))]
+    names = [field.name for field in fields(Preamble)]
+    if any(header for header, _ in parts):
+        values = _by_header(parts)
+        missing = [name for name in names if name not in values]
+        if missing:
+            raise TransferError(f"the preamble has no {missing[0].upper()} ({text[:60]!r}); ask again")
+    elif len(parts) == len(names):
+        values = dict(zip(names, (value for _, value in parts), strict=True))
+    else:
+        raise TransferError(
+            f"the preamble has {len(parts)} fields instead of {len(names)} ({text[:60]!r}); ask again"
+        )
+    read: dict[str, Any] = {name: _READERS[name](values[name]) for name in names}
+    return _checked(Preamble(**read))
 
 
 @dataclass(frozen=True, eq=False, repr=False)

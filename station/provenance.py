@@ -19,13 +19,19 @@ def provenance() -> dict[str, object]:
     dict
         Plain JSON: version of gyrolock, Python, platform, packages, and the git state of a source tree.
     """
+    gyrolock, git = program()
     return {
-        "gyrolock": version("gyrolock"),
+        "gyrolock": gyrolock,
         "python": platform.python_version(),
         "platform": platform.platform(terse=True),
         "packages": {name: version(name) for name in _PACKAGES},
-        "git": git_state(Path(__file__).resolve().parent.parent),
+        "git": git,
     }
+
+
+def program() -> tuple[str, str | None]:
+    """Return the version of gyrolock, and the git state of its source tree."""
+    return version("gyrolock"), git_state(Path(__file__).resolve().parent.parent)
 
 
 def version(distribution: str) -> str:

@@ -113,10 +113,14 @@ def joined(parts: Sequence[Estimate], rows: Sequence[Indices]) -> Estimate:
     rows : sequence of ndarray
         Which of the records are in each.
     """
-    return _in_order(parts, np.argsort(np.concatenate(rows)))
+    places = np.concatenate(rows)
+    in_order = np.array_equal(places, np.arange(places.size))
+    if in_order and len(parts) == 1:
+        return _of_all(parts[0])
+    return _of_all(_in_order(parts, None if in_order else np.argsort(places)))
 
 
-def _in_order(parts: Sequence[Estimate], order: Indices) -> Estimate:
+def _in_order(parts: Sequence[Estimate], order: Indices | None) -> Estimate:
     first: Any = parts[0]
     values: dict[str, Any] = {}
     for field in fields(first):
@@ -124,8 +128,14 @@ def _in_order(parts: Sequence[Estimate], order: Indices) -> Estimate:
         if is_dataclass(each[0]):
             values[field.name] = _in_order(each, order)
         elif np.ndim(each[0]):
-            values[field.name] = np.concatenate(each)[order]
-    if isinstance(first, LockInEstimate):
-        values["noise_model"] = noise_model(values["flags"])  # of all, not of the first batch
+            values[field.name] = np.concatenate(each) if order is None else np.concatenate(each)[order]
     joint: Estimate = replace(first, **values)
     return joint
+
+
+def _of_all(each: Estimate) -> Estimate:
+    """The same estimates, their noise model that of all of them: not that of the batch they were made in."""
+    if not isinstance(each, LockInEstimate):
+        return each
+    words = noise_model(each.flags)
+    return each if words == each.noise_model else replace(each, noise_model=words)

@@ -20,7 +20,7 @@ w_v and w_h are the vertical and the horizontal earth rate. Three things follow 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import Literal
 
 import numpy as np
@@ -50,7 +50,7 @@ _TELLS_NOTHING = 0.1
 _HARMONICS_TRUSTED = 0.1
 """Relative standard uncertainty that the lock-in rate by the harmonics has where it must not decide on K."""
 
-_ROUNDS = 60
+_ROUNDS, _AT_ONCE = 60, 10_000
 _PLACES = 5
 """A, P, Q, h^2 and the place of a record between its two readings of the azimuth."""
 
@@ -244,6 +244,9 @@ class _Seen:
             setting=setting,
         )
 
+    def __getitem__(self, rows: slice) -> _Seen:
+        return _Seen(*(getattr(self, field.name)[rows] for field in fields(self)))
+
     @property
     def oriented(self) -> Bools:
         """Whether the azimuth of each is known."""
@@ -319,12 +322,12 @@ def _fitted(
     prior = _prior(seen, known, settings)
     aim, moving, stretch = prior @ values, 0.0, 1.0
     for _ in range(_ROUNDS):
-        left, slopes = _linearised(values, seen, stated)
         noise = np.sqrt((stretch * seen.frequency_u) ** 2 + moving)
-        white = np.concatenate([slopes / noise[:, np.newaxis], prior])
-        size = np.linalg.norm(white, axis=0)
-        inverse = np.linalg.pinv(white / size, rcond=1e-12) / size[:, np.newaxis]
-        change = inverse @ np.concatenate([left / noise, aim - prior @ values])
+        known_left = (aim - prior @ values)[:, np.newaxis]
+        left, white = _triangle(np.hstack([prior, known_left]), values, seen, noise, stated)
+        size = np.linalg.norm(white[:, :-1], axis=0)
+        inverse = np.linalg.pinv(white[:, :-1] / size, rcond=1e-12) / size[:, np.newaxis]
+        change = inverse @ white[:, -1]
         values = values + change
         covariance = inverse @ inverse.T
         if np.all(np.abs(change) < 1e-6 * np.sqrt(np.diagonal(covariance))):
@@ -337,6 +340,23 @@ def _fitted(
             else:
                 stretch *= math.sqrt(1 + beyond_noise / free)
     return _Curve(values, covariance)
+
+
+def _triangle(
+    triangle: Floats, values: Floats, seen: _Seen, noise: Floats, stated: _Stated
+) -> tuple[Floats, Floats]:
+    """Distances of all records from the curve, and the triangle that stands for their equations, over the noise.
+
+    It comes out of a QR decomposition, some records at a time: those of a million need no room. Its last column is
+    the right side; it begins with the equations of what is known before.
+    """
+    left = np.empty_like(noise)
+    for first in range(0, noise.size, _AT_ONCE):
+        rows = slice(first, first + _AT_ONCE)
+        left[rows], slopes = _linearised(values, seen[rows], stated)
+        equations = np.column_stack([slopes, left[rows]]) / noise[rows, np.newaxis]
+        triangle = np.asarray(np.linalg.qr(np.concatenate([triangle, equations]), mode="r"))
+    return left, triangle
 
 
 def _prior(seen: _Seen, known: dict[int, float], settings: int) -> Floats:

@@ -16,12 +16,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from instrument import InstrumentError
+from instrument import InstrumentError, Preamble
 from station.datasets.outputs import Floats, bytes_of, packed, unpacked
 from station.errors import RunError
 from station.runs.layouts import TODAY
 from station.runs.store import SavedRecord
-from station.sources.batches import parsed_preamble
 from station.sources.source import Source
 
 VERSION = 2
@@ -205,7 +204,7 @@ def _rows(source: Source, about: str, records: Sequence[SavedRecord]) -> Rows:
 def _preamble_columns(record: SavedRecord) -> tuple[dict[str, Any], bool]:
     """What the preamble says, and whether the payload is codes that fit it."""
     try:
-        preamble = None if record.header.startswith("{") else parsed_preamble(record.header)
+        preamble = None if record.header.startswith("{") else Preamble.parse(record.header)
     except InstrumentError:
         preamble = None
     if preamble is None or len(record.payload) != preamble.nr_pt * preamble.byt_nr:

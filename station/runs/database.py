@@ -174,14 +174,16 @@ def opened(file: Path, held: ExitStack, *, fold: bool = True) -> tuple[sqlite3.C
         If it is no run, of a newer version, or damaged.
     """
     with told(file):
-        if fold and file.resolve() not in _BEING_WRITTEN:
+        real = file.resolve()
+        if fold and real not in _BEING_WRITTEN:
             if not is_database(file):
                 raise RunError(f"{file}: is not a saved run")
             _fold(file)
-        db = _connected(file, held)
+        db = _connected(real, held)
         db.text_factory = _text
         (application,) = db.execute("PRAGMA application_id").fetchone()
         (version,) = db.execute("PRAGMA user_version").fetchone()
+        db.commit()
         try:
             layout = layout_of(application, version)
         except ValueError as error:
@@ -208,9 +210,10 @@ def told(file: Path) -> Iterator[None]:
 
 def _connected(file: Path, held: ExitStack) -> sqlite3.Connection:
     """Open a run to read it, also where nothing may be written: then its journal cannot be used as it lies."""
-    name = file.resolve().as_uri()
+    name = file.as_uri()
     try:
         db = held.enter_context(closing(sqlite3.connect(f"{name}?mode=ro", uri=True)))
+        db.execute("BEGIN")  # else each of the next questions locks the file and looks for a journal again
         db.execute("SELECT count(*) FROM sqlite_master").fetchone()
         return db
     except sqlite3.OperationalError as error:
@@ -259,7 +262,7 @@ def read_facts(db: sqlite3.Connection) -> tuple[dict[str, Any], dict[str, str], 
         sums, unusable[SUMS] = {}, str(error)
     for name, text in db.execute("SELECT name, value FROM run WHERE name <> ?", (SUMS,)):
         try:
-            if sums.get(name, _sum(text)) != _sum(text):
+            if name in sums and sums[name] != _sum(text):
                 raise ValueError("is not what was once saved")
             known[name] = checked_fact(name, json.loads(text))
         except (ValueError, TypeError, AttributeError, RecursionError) as error:

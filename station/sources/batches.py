@@ -15,6 +15,7 @@ from station.errors import NoUsableSignal, StationError
 from station.runs.store import SavedRecord
 from station.sources.over_time import check_over_time
 from station.sources.source import Source
+from station.sources.stretch import Stretch
 
 AT_ONCE = 1000
 """Records in a batch: 2.5 MB of codes. Results do not depend on it."""
@@ -43,18 +44,18 @@ class RecordBatch:
     preambles : tuple of Preamble
         Of each record, as it was read; equal ones are one object.
     records : tuple of SavedRecord
-        As they were saved.
+        As they were saved; empty where nobody needs them.
     sources : tuple of Source
         That of each record, where they are read from several.
     """
 
     codes: NDArray[np.int8] | NDArray[np.int16]
     preambles: tuple[Preamble, ...]
-    records: tuple[SavedRecord, ...]
-    sources: tuple[Source, ...]
+    records: tuple[SavedRecord, ...] = ()
+    sources: tuple[Source, ...] = ()
 
     def __len__(self) -> int:
-        return len(self.records)
+        return len(self.preambles)
 
     @property
     def sample_interval(self) -> float:
@@ -119,45 +120,56 @@ def read_one(
     record: SavedRecord, source: Source, left_out: Callable[[LeftOut], None]
 ) -> tuple[SavedRecord, Preamble, Source] | None:
     """See that a record can be used; what cannot is left out, and `left_out` is told why."""
-    reason = "" if record.intact else "is damaged: it is not what was once saved"
-    if not reason:
-        try:
-            preamble = usable_preamble(record.header)
-            if len(record.payload) == preamble.nr_pt * preamble.byt_nr:
-                return record, preamble, source
-            reason = f"has {len(record.payload)} bytes of codes, its preamble says {preamble.nr_pt} points"
-        except (InstrumentError, NoUsableSignal) as error:
-            reason = f"cannot be used: {error}"
-    left_out(LeftOut(source.name, record.key, f"{record.number} ({record.key}) {reason}"))
+    preamble = preamble_of(Stretch.of(record))
+    if preamble is not None:
+        return record, preamble, source
+    left_out(LeftOut(source.name, record.key, why_not(record)))
     return None
 
 
+def preamble_of(stretch: Stretch) -> Preamble | None:
+    """Preamble of records that can be used; ``None`` where not all of them can, see `why_not`."""
+    if not stretch.intact:
+        return None
+    try:
+        preamble = usable_preamble(stretch.header)
+    except (InstrumentError, NoUsableSignal):
+        return None
+    return preamble if set(map(len, stretch.payloads)) == {preamble.nr_pt * preamble.byt_nr} else None
+
+
+def why_not(record: SavedRecord) -> str:
+    """Say of a record that cannot be used what is wrong with it."""
+    reason = "is damaged: it is not what was once saved"
+    if record.intact:
+        try:
+            points = usable_preamble(record.header).nr_pt
+            reason = f"has {len(record.payload)} bytes of codes, its preamble says {points} points"
+        except (InstrumentError, NoUsableSignal) as error:
+            reason = f"cannot be used: {error}"
+    return f"{record.number} ({record.key}) {reason}"
+
+
 def _collected(rows: list[tuple[SavedRecord, Preamble, Source]]) -> RecordBatch:
-    return batch_of([row[:2] for row in rows], [row[2] for row in rows])
-
-
-@lru_cache(maxsize=4096)
-def parsed_preamble(text: str) -> Preamble:
-    """Parse a preamble; most records of a run have the same."""
-    return Preamble.parse(text)
+    """Put records of one length and time base into one batch."""
+    records, preambles, sources = zip(*rows, strict=True)
+    return RecordBatch(codes_of([record.payload for record in records], preambles[0]), preambles, records, sources)
 
 
 @lru_cache(maxsize=4096)
 def usable_preamble(text: str) -> Preamble:
     """The preamble of a record over time; an error for other records."""
-    preamble = parsed_preamble(text)
+    preamble = Preamble.parse(text)
     check_over_time(preamble, "it")
     return preamble
 
 
-def batch_of(rows: Sequence[tuple[SavedRecord, Preamble]], sources: Sequence[Source] = ()) -> RecordBatch:
-    """Put records of one length and time base into one batch."""
-    records, preambles = zip(*rows, strict=True)
-    first = preambles[0]
-    wide = first.byt_nr > 1
-    data = b"".join([record.payload for record in records])
-    codes: NDArray[Any] = np.frombuffer(data, ">i2" if wide else np.int8).reshape(len(rows), first.nr_pt)
-    return RecordBatch(codes.astype(np.int16) if wide else codes, preambles, records, tuple(sources))
+def codes_of(payloads: Sequence[bytes], preamble: Preamble) -> NDArray[np.int8] | NDArray[np.int16]:
+    """Codes (n, n_samples) of records of the length that a preamble says."""
+    wide = preamble.byt_nr > 1
+    codes: NDArray[Any] = np.frombuffer(b"".join(payloads), ">i2" if wide else np.int8)
+    codes = codes.reshape(len(payloads), preamble.nr_pt)
+    return codes.astype(np.int16) if wide else codes
 
 
 def _without_name(text: str, name: str) -> str:

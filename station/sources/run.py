@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import sqlite3
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from functools import cached_property
 from pathlib import Path
@@ -16,6 +16,7 @@ from station.runs.facts import RunFacts
 from station.runs.layouts import COLUMNS, TODAY, Layout
 from station.runs.store import SavedRecord, damaged_facts, missing_records, read_record, run_file
 from station.sources.source import Source
+from station.sources.stretch import MOST_BYTES, MOST_RECORDS, Stretch
 
 AT_ONCE = 1000
 
@@ -90,7 +91,11 @@ class RunSource(Source):
 
     def records(self, numbers: range | None = None) -> Iterator[SavedRecord]:
         """Read the records one at a time; see `Source`."""
-        texts, parsed = _Cache(_decoded), _Cache(_conditions)
+        for stretch in self.stretches(numbers):
+            yield from stretch.records()
+
+    def stretches(self, numbers: range | None = None) -> Iterator[Stretch]:
+        """Read the records, those together that are alike; see `Source`."""
         digest = self._of_facts() if numbers is None else None
         with self._reading() as (db, layout):
             db.text_factory = bytes  # decoded below: most texts of a run are the same
@@ -98,15 +103,10 @@ class RunSource(Source):
                 rows = db.execute(layout.select)
             else:
                 rows = db.execute(layout.select_between, (numbers.start, numbers.stop - 1))
-            for row in rows:
-                number, key, taken_at, purpose, header, payload, sum_, said = row
+            for stretch, sums in _stretches(rows, layout):
                 if digest is not None:
-                    digest.update(_line(number, sum_))
-                if layout is TODAY and _sum(row) == sum_ and parsed[said] is not None:
-                    taken = _decoded(key), _decoded(taken_at), texts[purpose], texts[header]
-                    yield SavedRecord(number, *taken, payload, True, parsed[said])
-                else:
-                    yield read_record([_text(cell, place) for place, cell in enumerate(row)], layout)
+                    digest.update(b"".join(map(_line, stretch.numbers, sums)))
+                yield stretch
         if digest is not None:
             self._sha256 = digest.hexdigest()
 
@@ -130,6 +130,40 @@ class RunSource(Source):
                 text = json.dumps(self.facts[name], sort_keys=True, allow_nan=False)
                 digest.update(f"{name} {text}\n".encode())
         return digest
+
+
+def _stretches(rows: Iterable[tuple[Any, ...]], layout: Layout) -> Iterator[tuple[Stretch, list[Any]]]:
+    """Stretches of the rows of a run, and the saved checksum of each record; on an error, what came before it."""
+    texts, parsed = _Cache(_decoded), _Cache(_conditions)
+    waiting, sums, alike, room = None, list[Any](), None, 0
+    try:
+        for row in rows:
+            number, key, taken_at, purpose, header, payload, sum_, said = row
+            right = layout is TODAY and _sum(row) == sum_ and parsed[said] is not None
+            like = (purpose, header, said) if right else None
+            if waiting is not None and like is not None and like == alike and room > 0:
+                waiting.numbers.append(number)
+                waiting.keys.append(_decoded(key))
+                waiting.taken_at.append(_decoded(taken_at))
+                waiting.payloads.append(payload)
+                sums.append(sum_)
+                room -= 1
+                continue
+            if waiting is not None:
+                yield waiting, sums
+            if right:
+                taken = _decoded(key), _decoded(taken_at), texts[purpose], texts[header]
+                record = SavedRecord(number, *taken, payload, True, parsed[said])
+            else:
+                record = read_record([_text(cell, place) for place, cell in enumerate(row)], layout)
+            waiting, sums, alike = Stretch.of(record), [sum_], like
+            room = min(MOST_RECORDS, MOST_BYTES // max(1, len(record.payload))) - 1
+    except sqlite3.Error:
+        if waiting is not None:
+            yield waiting, sums
+        raise
+    if waiting is not None:
+        yield waiting, sums
 
 
 def _line(number: Any, sum_: Any) -> bytes:

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from station.runs.facts import RunFacts
 from station.runs.store import SavedRecord
+from station.sources.stretch import Stretch, stretches_of
 
 
 class Source(ABC):
@@ -53,6 +54,13 @@ class Source(ABC):
         StationError, InstrumentError
             It cannot be read, or no further.
         """
+
+    def stretches(self, numbers: range | None = None) -> Iterator[Stretch]:
+        """Read the same records, those together that lie one behind the other and are alike.
+
+        Errors are those of `records`; what could be read before comes first.
+        """
+        return stretches_of(self.records(numbers))
 
     def __str__(self) -> str:
         return self.name

@@ -10,10 +10,14 @@ from numpy.typing import NDArray
 
 from analysis import LockInEstimate
 from station.lock_in.records.on_disk import ARRAYS, ColumnFiles, EstimatesOnDisk
-from station.lock_in.records.pieces import Gathered, give_back_room, together
+from station.lock_in.records.pieces import Gathered, together
+from station.lock_in.records.room import give_back_room
 
 LONG = 20_000
 """Records from which on their estimates lie on the disk: some 250 bytes each."""
+
+AT_ONCE = 5000
+"""Records whose estimates go to the disk together: writing them run by run takes longer than making them one."""
 
 FOLDED = 256
 """Pieces that are made one: ten thousand of them take memory of their own."""
@@ -26,31 +30,40 @@ class Collected:
 
     def __init__(self) -> None:
         self._parts: list[Gathered] = []
-        self._count = 0
+        self._fresh: list[Gathered] = []
+        self._count = self._fresh_count = 0
         self._columns: ColumnFiles | None = None
         self._like: LockInEstimate | None = None
         self._truths: dict[str, None] = {}
 
     def add(self, part: Gathered) -> None:
         """Add a piece; its labels are not kept."""
-        self._parts.append(replace(part, labels={}))
+        self._fresh.append(replace(part, labels={}))
         self._count += len(part)
-        if self._columns is not None:
-            self._parts[-1] = self._put_away(self._parts[-1])
-        elif self._count > LONG:
+        self._fresh_count += len(part)
+        if self._columns is None and self._count > LONG:
             self._columns = ColumnFiles()
-            self._parts = [self._put_away(one) for one in self._parts]
-        if self._columns is not None and len(self._parts) >= FOLDED:
-            self._parts = [together(self._parts)]
+        if self._columns is not None and (self._fresh_count >= AT_ONCE or len(self._fresh) >= FOLDED):
+            self._put_fresh_away()
 
     def gathered(self) -> Gathered:
         """All of it as one; nothing is added afterwards."""
         give_back_room()
+        if self._columns is None:
+            return together(self._fresh)
+        self._put_fresh_away()
         whole = together(self._parts)
-        if self._columns is None or self._like is None:
+        if self._like is None:
             return whole
         each = EstimatesOnDisk.of(self._columns, self._like)
         return replace(whole, each=each, truth=_TruthOnDisk(self._columns, self._truths))
+
+    def _put_fresh_away(self) -> None:
+        if self._fresh:
+            self._parts.append(self._put_away(together(self._fresh)))
+            self._fresh, self._fresh_count = [], 0
+        if len(self._parts) >= FOLDED:
+            self._parts = [together(self._parts)]
 
     def _put_away(self, part: Gathered) -> Gathered:
         """Write the estimates of a piece to the disk; what is left of it is small."""

@@ -83,7 +83,8 @@ def _volts(batch: RecordBatch, room: NDArray[np.float64] | None) -> NDArray[np.f
         some[...] = batch.codes[rows]
         some -= yoff[of]
         some *= ymult[of]
-        some += yzero[of]
+        if yzero.any():
+            some += yzero[of]
     return volts
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 import math
-import threading
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
@@ -18,11 +17,12 @@ from analysis import LockInEstimate
 from analysis.lock_in_run import Method, joined
 from instrument import InstrumentError, Preamble
 from station.errors import RunError, StationError, UsageError
-from station.lock_in.records.estimates import estimate_batch
+from station.lock_in.records.room import NoRoom, Room, Wanted
 from station.runs.store import SavedRecord, damaged_record
-from station.sources.batches import AT_ONCE, LeftOut, batch_of, read_one
+from station.sources.batches import AT_ONCE, LeftOut, preamble_of, why_not
 from station.sources.find import open_source
 from station.sources.source import Source
+from station.sources.stretch import Stretch
 
 MEASURE, FAST, SECOND = "measure", "tilt", "quadrature"
 CONDITIONS = ("table_rate_dps", "azimuth_start_deg", "azimuth_end_deg", "over_lock_in")
@@ -122,12 +122,11 @@ _ABOUT = ("unit", "operator")
 _COLUMNS = ("samples", "sample_interval_s", "level_spacing_v", *CONDITIONS)
 _NAN = math.nan
 V = TypeVar("V", np.float64, np.int64)
-_Estimates = list[tuple[NDArray[np.intp], LockInEstimate]]
 
 
 def described_records(piece: Piece) -> Gathered:
     """Read a source, and say all of its records but their estimates."""
-    reading = _Reading(piece, _NoRoom(AT_ONCE))
+    reading = _Reading(piece, NoRoom(AT_ONCE))
     reading.read()
     return reading.gathered()
 
@@ -146,70 +145,12 @@ def estimate_pieces(pieces: Sequence[Piece], at_once: int = AT_ONCE) -> list[Gat
     list of Gathered
         One for each piece. What cannot be read is left out, and named there.
     """
-    room = _Room(at_once)
+    room = Room(at_once)
     found = [_Reading(piece, room) for piece in pieces]
     for one in found:
         one.read()
     room.estimate_all()
     return [one.gathered() for one in found]
-
-
-class _Room:
-    """Records that wait for the estimator, by what a batch must have in common."""
-
-    def __init__(self, at_once: int) -> None:
-        self._at_once = at_once
-        self._waiting: dict[tuple[Any, ...], list[_Waits]] = {}
-        self._last: tuple[Any, ...] = None, None, (), []
-
-    def add(self, reading: _Reading, row: int, record: SavedRecord, preamble: Preamble) -> None:
-        if preamble is not self._last[0] or reading is not self._last[1]:
-            key = preamble.nr_pt, preamble.xincr, preamble.byt_nr, reading.method
-            self._last = preamble, reading, key, self._waiting.setdefault(key, [])
-        _, _, key, waiting = self._last
-        waiting.append((reading, row, record, preamble))
-        if len(waiting) >= self._at_once:
-            self._estimate(self._waiting.pop(key))
-            self._last = None, None, (), []
-
-    def estimate_all(self) -> None:
-        while self._waiting:
-            self._estimate(self._waiting.popitem()[1])
-
-    def _estimate(self, waiting: list[_Waits]) -> None:
-        method = waiting[0][0].method
-        batch = batch_of([(record, preamble) for _, _, record, preamble in waiting])
-        estimate = estimate_batch(batch, method, _kept_room(batch.codes.shape)) if method is not None else None
-        begin = 0
-        for end in range(1, len(waiting) + 1):
-            if end == len(waiting) or waiting[end][0] is not waiting[begin][0]:
-                rows = np.array([row for _, row, _, _ in waiting[begin:end]], dtype=np.intp)
-                if estimate is not None:
-                    waiting[begin][0].estimates.append((rows, estimate[begin:end]))
-                begin = end
-
-
-class _NoRoom(_Room):
-    """Records that nobody estimates."""
-
-    def add(self, reading: _Reading, row: int, record: SavedRecord, preamble: Preamble) -> None:
-        pass
-
-
-_OF_THREAD = threading.local()
-
-
-def _kept_room(shape: tuple[int, ...]) -> NDArray[np.float64]:
-    """Memory for volts that the batches of one thread use in turn: the system clears new one first, each time."""
-    room: NDArray[np.float64] | None = getattr(_OF_THREAD, "room", None)
-    if room is None or room.shape[1:] != shape[1:] or len(room) < shape[0]:
-        room = _OF_THREAD.room = np.empty(shape)
-    return room
-
-
-def give_back_room() -> None:
-    """Free the memory that the batches of this thread used in turn: no further one comes."""
-    _OF_THREAD.__dict__.clear()
 
 
 @dataclass
@@ -231,10 +172,8 @@ class _Alike:
 class _Reading:
     """One piece while it is read."""
 
-    def __init__(self, piece: Piece, room: _Room) -> None:
-        self._piece, self._room = piece, room
-        self.method: Method | None = None
-        self.estimates: _Estimates = []
+    def __init__(self, piece: Piece, room: Room) -> None:
+        self._piece, self._room, self._wanted = piece, room, Wanted()
         self._name, self._sha256, self._about = str(piece.path), "", dict[str, str | None]()
         self._numbers: list[int] = []
         self._places: list[int] = []
@@ -266,62 +205,75 @@ class _Reading:
             self._sha256 = piece.known
             return
         self._about = about(source)
-        self.method = method_of(source, piece.choices)
+        self._wanted.method = method_of(source, piece.choices)
         settings = source.facts.settings
         self._front_end = settings if any((settings.get("front_end") or {}).values()) else None
-        for record in source.records(piece.numbers):
-            self._take(record, source)
+        for stretch in source.stretches(piece.numbers):
+            self._take(stretch, source)
         self._sha256 = source.sha256 if piece.numbers is None else piece.sha256
 
-    def _take(self, record: SavedRecord, source: Source) -> None:
-        if not record.intact:
-            self._damage += filter(None, [damaged_record(record)])
-        if record.purpose != MEASURE:
-            counts = record.purpose == FAST and record.intact and not record.aside
-            self._fast += [record] if counts else []
+    def _take(self, stretch: Stretch, source: Source) -> None:
+        if stretch.purpose != MEASURE:
+            self._take_others(stretch)
+            return
+        preamble = preamble_of(stretch)
+        if preamble is None and len(stretch) > 1:
+            for record in stretch.records():
+                self._take(Stretch.of(record), source)
+            return
+        place, row, count = self._taken, len(self._numbers), len(stretch)
+        self._taken, self._last = place + count, stretch.numbers[-1]
+        if preamble is None:
+            (record,) = stretch.records()
+            self._leave_out(record, place, source)
+            return
+        self._room.add(self._wanted, row, stretch.payloads, preamble)
+        self._numbers += stretch.numbers
+        self._places += range(place, place + count)
+        self._keys += stretch.keys
+        self._taken_at += stretch.taken_at
+        known = stretch.conditions
+        if self._alike and self._alike[-1].preamble is preamble and self._alike[-1].known is known:
+            self._alike[-1].count += count
+        else:
+            self._alike.append(_Alike(preamble, known, count))
+        for name, value in (known.get("truth") or {}).items():
+            # a record that does not say it makes the mean of the run unknown, as it should be
+            here = self._truth.setdefault(name, [])
+            here += [_NAN] * (row - len(here)) + [float(value)] * count
+
+    def _take_others(self, stretch: Stretch) -> None:
+        for record in stretch.records():
+            if not record.intact:
+                self._damage += filter(None, [damaged_record(record)])
+            elif record.purpose == FAST and not record.aside:
+                self._fast.append(record)
             if record.purpose == SECOND:
                 self._paired = True
                 # saved in one commit with the record before it
                 self._seconds[self._last] = record.number if record.intact else -1
-            return
-        self._last = record.number
-        place, self._taken = self._taken, self._taken + 1
+
+    def _leave_out(self, record: SavedRecord, place: int, source: Source) -> None:
         if not record.intact:
+            self._damage += filter(None, [damaged_record(record)])
             self._damaged.append(place)
-        read = read_one(record, source, self._left_out.append)
-        if read is None:
-            return
-        preamble, known = read[1], record.conditions
-        self._room.add(self, len(self._numbers), record, preamble)
-        self._numbers.append(record.number)
-        self._places.append(place)
-        self._keys.append(record.key)
-        self._taken_at.append(record.taken_at)
-        if self._alike and self._alike[-1].preamble is preamble and self._alike[-1].known is known:
-            self._alike[-1].count += 1
-        else:
-            self._alike.append(_Alike(preamble, known))
-        for name, value in (known.get("truth") or {}).items():
-            # a record that does not say it makes the mean of the run unknown, as it should be
-            here = self._truth.setdefault(name, [])
-            here += [_NAN] * (len(self._numbers) - 1 - len(here))
-            here.append(float(value))
+        self._left_out.append(LeftOut(source.name, record.key, why_not(record)))
 
     def gathered(self) -> Gathered:
         """What was found, when everything that waited has been estimated."""
-        rows = [rows for rows, _ in self.estimates]
+        rows = [rows for rows, _ in self._wanted.parts]
         count, alike = len(self._numbers), self._alike
         columns = np.array([one.columns for one in alike], dtype=np.float64).reshape(len(alike), len(_COLUMNS))
-        columns = columns.repeat([one.count for one in alike], axis=0)
+        times = [one.count for one in alike]
         return Gathered(
             name=self._name,
-            method=self.method,
+            method=self._wanted.method,
             sha256=self._sha256,
             about=self._about,
             numbers=np.array(self._numbers, dtype=np.int64),
             places=np.array(self._places, dtype=np.int64),
             taken=self._taken,
-            columns={name: _spread(columns[:, place]) for place, name in enumerate(_COLUMNS)},
+            columns={name: _repeated(columns[:, place], times) for place, name in enumerate(_COLUMNS)},
             labels={
                 "key": self._keys,
                 "taken_at": self._taken_at,
@@ -331,7 +283,7 @@ class _Reading:
             truth={
                 name: np.array([*values, *[_NAN] * (count - len(values))]) for name, values in self._truth.items()
             },
-            each=joined([estimate for _, estimate in self.estimates], rows) if rows else None,
+            each=joined([estimate for _, estimate in self._wanted.parts], rows) if rows else None,
             fast=tuple(self._fast),
             damaged=tuple(self._damaged),
             damage=tuple(self._damage),
@@ -342,10 +294,6 @@ class _Reading:
             else np.zeros(count, dtype=np.int64),
             front_end=self._front_end,
         )
-
-
-_Waits = tuple[_Reading, int, SavedRecord, Preamble]
-"""Whose record it is, its place there, and the record."""
 
 
 def method_of(source: Source, choices: Mapping[str, Any]) -> Method:
@@ -444,6 +392,13 @@ def _spread(values: NDArray[V]) -> NDArray[V]:
     values = np.ascontiguousarray(values)
     bits = values.view(np.int64)
     return np.broadcast_to(values[:1].copy(), values.shape) if np.all(bits == bits[:1]) else values
+
+
+def _repeated(values: NDArray[np.float64], times: Sequence[int]) -> NDArray[np.float64]:
+    """Each value so many times; where all have the same bits, they stand in the memory once."""
+    if len(times) == 1 or (one := _spread(values)).strides == (0,):
+        return np.broadcast_to(values[:1].copy(), (sum(times),))
+    return one.repeat(times)
 
 
 def _one_behind_the_other(columns: Sequence[NDArray[np.float64]]) -> NDArray[np.float64]:

@@ -20,7 +20,7 @@ from station.lock_in.knowledge import channel_response
 from station.lock_in.records.estimates import COLUMNS, columns_of
 from station.lock_in.records.pieces import Gathered, Piece, estimate_pieces
 from station.lock_in.settings import RING_LASER
-from station.provenance import provenance
+from station.provenance import program
 from station.settings.load import saved_settings
 from station.sources.batches import LeftOut
 
@@ -139,8 +139,7 @@ def analysis_of(choices: Mapping[str, Any]) -> str:
 @cache
 def software() -> str:
     """Version of this program, with the state of its source where it runs from one."""
-    made = provenance()
-    return " ".join(str(made[name]) for name in ("gyrolock", "git") if made[name])
+    return " ".join(filter(None, program()))
 
 
 def rows_of_pieces(pieces: Sequence[Piece]) -> list[Rows]:

@@ -41,6 +41,7 @@ def test_estimates_that_lie_on_the_disk_give_the_same(
     in_memory = streamed(path)
     monkeypatch.setattr("station.lock_in.records.collected.LONG", 1)
     monkeypatch.setattr("station.lock_in.records.pieces.AT_ONCE", 3)
+    monkeypatch.setattr("station.lock_in.records.collected.AT_ONCE", 4)
     monkeypatch.setattr("station.lock_in.records.collected.FOLDED", 2)
     on_disk = streamed(path)
     assert isinstance(on_disk.found.each, EstimatesOnDisk) or name == "channel"

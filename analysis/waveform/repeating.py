@@ -6,6 +6,8 @@ noise. Together they do. The third harmonic is not among them: a smooth curve of
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 import scipy.special
 
@@ -103,30 +105,31 @@ def repeating(power: Samples, line: float, n_samples: int) -> tuple[float, bool]
     sure : bool
     """
     harmonics = [_bins_of(order * line, n_samples, power.size) for order in range(1, LAST + 1)]
-    free = np.ones(power.size + 1, dtype=bool)
-    free[0] = False
-    free[np.concatenate(harmonics)] = False
-    untouched = np.ones(power.size + 1, dtype=bool)  # by the fit, and counted once
-    untouched[np.concatenate(harmonics[: FIRST - 1])] = False
-    reach = int(np.clip(line / 2, 2, BESIDE))
+    free = np.ones(power.size + 1)
+    free[[0, *itertools.chain(*harmonics)]] = 0.0
+    # sums of what lies below, so that every neighbourhood is one difference
+    lines_below, power_below = np.cumsum(free), np.cumsum(free * np.append(0.0, power))
+    touched = set(itertools.chain(*harmonics[: FIRST - 1]))  # by the fit, or counted before
+    reach = int(min(max(line / 2, 2), BESIDE))
     surplus, times, n_on, n_beside = 0.0, 0.0, 0, 0
     for bins in harmonics[FIRST - 1 :]:
-        around = np.arange(max(int(bins[0]) - reach, 1), min(int(bins[-1]) + reach, power.size) + 1)
-        around = around[free[around]]
-        if around.size < 2 or not untouched[bins].all():
+        before, last = max(bins[0] - reach, 1) - 1, min(bins[-1] + reach, power.size)
+        beside = int(lines_below[last] - lines_below[before])
+        if beside < 2 or touched.intersection(bins):
             continue
-        untouched[bins] = False
+        touched.update(bins)
         # arithmetic without noise may leave exactly nothing beside a harmonic
-        on, level = float(power[bins - 1].sum()), max(float(power[around - 1].mean()), NOTHING)
-        surplus, times = surplus + on - level * bins.size, times + on / level
-        n_on, n_beside = n_on + bins.size, n_beside + around.size
+        on = sum(float(power[number - 1]) for number in bins)
+        level = max(float(power_below[last] - power_below[before]) / beside, NOTHING)
+        surplus, times = surplus + on - level * len(bins), times + on / level
+        n_on, n_beside = n_on + len(bins), n_beside + beside
     if n_beside < FEWEST_BESIDE:
         return 0.0, False
     chance = float(scipy.special.fdtrc(2 * n_on, 2 * n_beside, times / n_on))
     return (surplus if chance < SEEN else 0.0), chance < SURE
 
 
-def _bins_of(place: float, n_samples: int, n_lines: int) -> Indices:
+def _bins_of(place: float, n_samples: int, n_lines: int) -> tuple[int, int]:
     """Numbers of the two lines of a spectrum next to a (folded) place."""
     folded = int(abs((place + n_samples / 2) % n_samples - n_samples / 2))
-    return np.asarray(np.clip([folded, folded + 1], 1, n_lines))
+    return min(max(folded, 1), n_lines), min(max(folded + 1, 1), n_lines)

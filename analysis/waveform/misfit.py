@@ -59,10 +59,10 @@ class Misfit:
 
 def surroundings(power: Samples) -> Floats:
     """Level of the noise about each line of a spectrum (L,), whatever lines stand in it."""
-    width = 2 * NEIGHBOURS + 1
+    from scipy.ndimage import median_filter  # takes longer to import than most that use this module would wait for
+
     # The median, since a wrong waveform leaves a comb of lines.
-    padded = np.pad(power.astype(np.float64), NEIGHBOURS, mode="reflect")
-    around = np.median(np.lib.stride_tricks.sliding_window_view(padded, width), axis=-1) / math.log(2)
+    around = median_filter(power.astype(np.float64), size=2 * NEIGHBOURS + 1, mode="mirror") / math.log(2)
     # Below the first whole window the noise may rise as 1/f: its neighbours are then those on the same side.
     bins = np.arange(1, NEIGHBOURS)
     around[: bins.size] = np.maximum(around[NEIGHBOURS], around[: bins.size]) * NEIGHBOURS / bins

@@ -10,9 +10,9 @@ import scipy.special
 
 from analysis.arrays import Bools, Complexes, Floats, Indices, Ints, Samples
 from analysis.flags import Flag
-from analysis.waveform.misfit import LINE_CHANCE, NEIGHBOURS, left_over, line_stands_out, misfit_of
+from analysis.waveform.misfit import CURVED, LINE_CHANCE, NEIGHBOURS, left_over, line_stands_out, misfit_of
 from analysis.waveform.records import sums_of_squares
-from analysis.waveform.repeating import HIDDEN, may_repeat, repeating
+from analysis.waveform.repeating import HIDDEN, SEEN, may_repeat, repeating
 from analysis.waveform.series.frequency_search import Sizes, line_sizes, neighbours
 from analysis.waveform.series.geometric_series import Series, sampled_blocks, sampled_series
 from analysis.waveform.series.harmonic_sums import data_sums
@@ -36,6 +36,9 @@ chirp has a flat spectrum too, but is no noise."""
 
 LEFT_BY_MOTION = 0.01
 """The same where a moving phase was fitted, which can follow nearly anything."""
+
+ABOUT_SECOND = 2.0
+"""Levels of noise about the second harmonic, in five bins, from which on the ratio may drift: 3 % of records."""
 
 FEWEST_PERIODS = 3.0
 GROSS_MISFIT_OF_A_CURVE = 0.002
@@ -91,20 +94,31 @@ def residual_of(values: Samples, weights: Samples | None, series: Series) -> Res
 def residual_samples(values: Samples, weights: Samples | None, series: Series, row: int) -> Samples:
     """What the waveform leaves of one record, (N,)."""
     here = np.array([row])
-    left = values[row] - sampled_series(series.take(here), values.shape[1], values.dtype)[0]
-    return np.asarray(left if weights is None else left * weights[row])
+    left = left_by(series.take(here), values[here], None if weights is None else weights[here])
+    return np.asarray(left[0])
+
+
+def left_by(series: Series, values: Samples, weights: Samples | None) -> Samples:
+    """What the waveforms leave of (R, N) records, (R, N)."""
+    left = values - sampled_series(series, values.shape[1], values.dtype)
+    return np.asarray(left if weights is None else left * weights)
 
 
 @dataclass(frozen=True)
 class ResidualReport:
     """flags : (R,); excess : (R, 3) variance factors of frequency, ratio size and ratio phase over white noise;
-    uneven : (R,) where the spectrum is not flat, by lines or by broad humps;
-    misfit : (R,) standard uncertainty of the ratio by what is no noise."""
+    uneven : (R,) where the spectrum is not flat, by lines or by broad humps; mean : (R,) mean power of a line;
+    misfit : (R,) standard uncertainty of the ratio by what is no noise;
+    stronger, drifting : (R,) for a closer look, where the noise is white but perhaps not all there is on the
+    harmonics, and where the ratio may drift."""
 
     flags: Ints
     excess: Floats
     uneven: Bools
+    mean: Floats
     misfit: Floats
+    stronger: Bools
+    drifting: Bools
 
 
 def examine_residual(
@@ -197,14 +211,26 @@ def examine_residual(
             ratio_u[row] = np.hypot(ratio_u[row], np.sqrt(surplus / beat))
             if surplus > LEFT_BY_MOTION * beat:
                 flags[row] |= Flag.NOT_LOCK_IN_LIKE
-    suspects = np.zeros(n_records, dtype=bool) if moved else may_repeat(sizes, omega, mean, n_samples) & ~rounding
+    if not moved:
+        # one place, so that less than a line anywhere counts
+        third = np.abs(residual.third) * (n_samples / 2)
+        level, rows = mean.copy(), np.flatnonzero(uneven | coloured)
+        level[rows] = np.maximum(level[rows], _local_level(sizes[rows], 3 * omega[rows], n_samples))
+        cubic = (third**2 > -np.log(SEEN) * level) & ~rounding
+        ratio_u[cubic] = np.maximum(ratio_u, CURVED * third / (first * n_samples / 2))[cubic]
+    suspects, stronger, drifting = np.zeros((3, n_records), dtype=bool)
+    if not moved:
+        suspects, stronger = (found & ~rounding for found in may_repeat(sizes, omega, mean, n_samples))
+        stronger &= ~(uneven | coloured)
+        drifting = uneven | coloured | (_local_level(sizes, 2 * omega, n_samples, 2) > ABOUT_SECOND * mean)
+        drifting &= ~rounding
     for row in np.flatnonzero(suspects):
         beats = omega[row] * n_samples / (2 * np.pi)
         surplus, sure = repeating(np.square(sizes[row, 1:]), beats, n_samples)
         ratio_u[row] = np.hypot(ratio_u[row], HIDDEN * np.sqrt(surplus) / (first[row] * n_samples / 2))
         if sure:
             flags[row] |= Flag.MISFIT
-    return ResidualReport(flags, excess, uneven, ratio_u)
+    return ResidualReport(flags, excess, uneven, mean, ratio_u, stronger, drifting)
 
 
 def _neighbours_agree(sizes: Samples) -> float:
@@ -245,11 +271,11 @@ def _low_levels(power: Samples, line: float) -> Floats:
     return np.array(levels)
 
 
-def _local_level(sizes: Sizes, omega: Floats, n_samples: int) -> Floats:
-    """Mean power of the bins around a (folded) frequency; (R,)."""
+def _local_level(sizes: Sizes, omega: Floats, n_samples: int, most: int = NEIGHBOURS) -> Floats:
+    """Mean power of the bins around a (folded) frequency, so many on either side; (R,)."""
     folded = np.abs((omega + np.pi) % (2 * np.pi) - np.pi)
     centre = np.rint(folded * n_samples / (2 * np.pi)).astype(int)
     n_lines = sizes.shape[1] - 1
-    reach = min(NEIGHBOURS, (n_lines - 1) // 2)
+    reach = min(most, (n_lines - 1) // 2)
     found = neighbours(sizes, np.clip(centre, reach + 1, n_lines - reach) - reach, 2 * reach + 1)
     return np.asarray(np.vecdot(found, found) / found.shape[1], dtype=np.float64)

@@ -9,6 +9,7 @@ import numpy as np
 from analysis.arrays import Bools, Complexes, Floats, Indices, Ints, Samples
 from analysis.flags import FATAL, Flag
 from analysis.waveform.damage import find_damage, outliers
+from analysis.waveform.drifting_ratio import HIDDEN, RARE, UNLIKELY, drift_of_ratio
 from analysis.waveform.misfit import turned_by
 from analysis.waveform.moving_rate import MovingFit, fit_moving_rate, may_be_motion
 from analysis.waveform.quantisation import (
@@ -21,9 +22,18 @@ from analysis.waveform.quantisation import (
     repetition,
 )
 from analysis.waveform.records import Records, Stack, never_alone
-from analysis.waveform.residuals import Residual, examine_residual, residual_of, residual_samples
+from analysis.waveform.repeating import hidden_by_harmonics
+from analysis.waveform.residuals import (
+    Residual,
+    ResidualReport,
+    examine_residual,
+    left_by,
+    residual_of,
+    residual_samples,
+)
 from analysis.waveform.series.geometric_series import Series, sampled_series
 from analysis.waveform.series.minimise import SeriesFit, Task, gauss_newton
+from analysis.waveform.series.sampled_equations import drift_by_samples
 from analysis.waveform.series.series_fit import fit_series, fit_series_again
 from analysis.waveform.steadiness import passing_power, slow_curve_power
 
@@ -46,11 +56,7 @@ rate. What is no beat at all needs more."""
 SUSPECT = Flag.MISFIT | Flag.COLOURED_NOISE | Flag.DAMAGED
 """What makes it worth asking whether the residual is there all the time."""
 
-UNLIKELY, RARE = 1e-4, 1e-2
-"""Shares of records in which noise shows so large a drift of the lock-in rate that a flag says so, or that it
-counts: there is none within a record, unless something else changed."""
-
-FEW_PERIODS = 6.5
+FEW_PERIODS = 7.5
 """A motion that is no smooth curve may leave less than the noise, and with few periods looks like a harmonic: the
 ratio's variance grows with the sixth power of this over the periods."""
 
@@ -279,7 +285,7 @@ def _judged(
         flags[row] = (flags[row] & ~report.flags[row]) | told | moved.flags
         excess[row], report.misfit[row], third[row] = factors, again.misfit[0], np.nan
         if moved.drift_chance < RARE:
-            report.misfit[row] = np.hypot(report.misfit[row], moved.drift / np.sqrt(3))
+            report.misfit[row] = np.hypot(report.misfit[row], HIDDEN * moved.drift)
         if moved.drift_chance < UNLIKELY:
             flags[row] |= Flag.PARTS_DIFFER
         if moved.vibrates:
@@ -291,11 +297,44 @@ def _judged(
         if passing:
             flags[row] |= Flag.MISFIT
             report.misfit[row] = np.hypot(report.misfit[row], np.sqrt(passing / beat_power[row]))
+    variance = power / np.maximum(free, 1)
+    _look_closer(records.values, weights, series, report, variance * excess[:, 1], at_rest, flags)
     flags[records.constant] = Flag.CONSTANT
     flags[count < FEWEST_SAMPLES] |= Flag.TOO_FEW_SAMPLES
-    variance = power / np.maximum(free, 1)
     covariance *= variance[:, np.newaxis, np.newaxis]
     return WaveformFit(series, covariance, excess, np.sqrt(variance), report.misfit, third, flags)
+
+
+def _look_closer(
+    values: Samples,
+    weights: Samples | None,
+    series: Series,
+    report: ResidualReport,
+    variance: Floats,
+    at_rest: Bools,
+    flags: Ints,
+) -> None:
+    """What shows in the samples only: harmonics too weak for lines, and a ratio that drifts.
+
+    The report's misfit and the flags are changed. variance (R,): of the noise of a sample, as strong as it is at
+    the harmonics.
+    """
+
+    def taken(chosen: Bools) -> tuple[Indices, Samples, Samples | None, Series]:
+        rows = never_alone(np.flatnonzero(chosen))
+        return rows, values[rows], None if weights is None else weights[rows], series.take(rows)
+
+    rows, some, mask, waves = taken(report.stronger)
+    if rows.size:
+        hidden = hidden_by_harmonics(left_by(waves, some, mask), waves.omega, report.mean[rows])
+        hidden *= 2 / (values.shape[1] * np.abs(waves.first))
+        report.misfit[rows] = np.maximum(report.misfit[rows], hidden)
+    rows, some, mask, waves = taken(report.drifting & at_rest)
+    if rows.size:
+        drift, covariance = drift_by_samples(some, mask, waves)
+        drift_u, sure = drift_of_ratio(drift, covariance * variance[rows, np.newaxis, np.newaxis])
+        report.misfit[rows] = np.hypot(report.misfit[rows], drift_u)
+        flags[rows[sure]] |= Flag.PARTS_DIFFER
 
 
 def _valid_left(values: Samples, weights: Samples | None, series: Series, row: int) -> Floats:

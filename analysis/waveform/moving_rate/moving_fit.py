@@ -54,6 +54,10 @@ may be anything."""
 AT_ENDS = 0.01
 """Share of the samples that may lie below: many polynomials are hardly known at the very ends of a record."""
 
+FEW_PERIODS, SLOWED = 10.0, 0.35
+"""With fewer periods than that a rate that falls below this share of its mean is doubtful too: a gyro that comes
+to rest leaves too little of a beat to show it."""
+
 WEAKEST = 0.3
 """The same for the amplitude, over its largest: a beam that is weaker than that was not drifting."""
 
@@ -226,6 +230,8 @@ def _as_beat(record: Record, fitted: Fitted, needed: Terms, noisy: bool) -> Movi
     flags = int(Flag.RATE_WANDER) if needed.rate > 1 or noisy else 0
     if _goes_too_far(trajectory, to_amplitude, n_samples):
         flags |= int(Flag.MISFIT)
+    if _nearly_rests(trajectory):
+        flags |= int(Flag.PARTS_DIFFER)
     silent = fitted.variance < (SILENT * amplitude) ** 2
     gain, gain_covariance = record.drift_of_pull(fitted)
     chi_square = float(gain @ np.linalg.solve(gain_covariance, gain))
@@ -244,6 +250,13 @@ def _as_beat(record: Record, fitted: Fitted, needed: Terms, noisy: bool) -> Movi
         drift=float(ratio / (root * size) * np.linalg.norm(gain)),
         drift_chance=float(np.exp(-chi_square / 2)),
     )
+
+
+def _nearly_rests(trajectory: Trajectory) -> bool:
+    """Whether a rate of few periods falls to a small share of its mean."""
+    few = trajectory.phase[-1] - trajectory.phase[0] < 2 * np.pi * FEW_PERIODS
+    rate = trajectory.rate @ polynomials(trajectory.phase.size).values[: trajectory.rate.size]
+    return bool(few and np.quantile(rate, AT_ENDS) < SLOWED * trajectory.rate[0])
 
 
 def _goes_too_far(trajectory: Trajectory, to_amplitude: Floats, n_samples: int) -> bool:

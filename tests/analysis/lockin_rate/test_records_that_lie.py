@@ -3,10 +3,13 @@
 import numpy as np
 import pytest
 import scipy.signal
+from scipy.optimize import least_squares
 
 from analysis import DOUBTFUL, FATAL, Flag, beat_signal, combine_estimates, estimate_lock_in
 from analysis.waveform.damage import is_a_piece
 from analysis.waveform.repeating import repeating
+from analysis.waveform.series.sampled_equations import drift_by_samples
+from analysis.waveform.series.series_fit import fit_series
 from analysis.waveform.steadiness import passing_power, slow_curve_power
 from benchmarks.hostile.classes import CLASSES
 from benchmarks.hostile.gyro import N_SAMPLES, beat, draw_gyro, levels_of, steady, step_times
@@ -222,3 +225,47 @@ def test_spikes_at_random_places_are_no_piece_and_a_broken_piece_is():
     short, tail = np.zeros((2, 2500), dtype=bool)
     short[50:54] = tail[50:58] = True
     assert is_a_piece(short, tail) and not is_a_piece(short, short)
+
+
+def test_a_second_beat_that_hardly_parts_is_seen_by_the_drift_of_the_ratio():
+    rng = np.random.default_rng(31)
+    gyro = draw_gyro(rng, rate_over_lock_in=(2.0, 2.0), periods=(40.3, 40.3))
+    turns = 40.3 + 0.3
+    volts = 90 * beat(gyro, steady(gyro)) + rng.normal(scale=0.5, size=(10, 2500))
+    other = 0.006 * 90 * np.cos(2 * np.pi * turns / 2500 * N + rng.uniform(0, 7, 10)[:, np.newaxis])
+    alone, both = (
+        estimate_lock_in(v, gyro.sample_interval, scale_factor=gyro.scale_factor) for v in (volts, volts + other)
+    )
+    assert np.mean(alone.misfit_u > 0) < 0.4 and np.mean(both.misfit_u > 0) > 0.6
+    assert (np.abs(both.lock_in_rate - gyro.lock_in_rate) / both.lock_in_rate_u).max() < 5
+
+
+def test_the_drift_of_the_ratio_is_that_of_a_linear_fit():
+    _, volts, noise = records(2, 32, periods=7.3)
+    values = volts + noise - np.mean(volts + noise, axis=-1, keepdims=True)
+    series = fit_series(values, None).series
+    drift, covariance = drift_by_samples(values, None, series)
+    time = (N - 1249.5) / 1249.5
+
+    def model(p):
+        first, ratio = p[1] + 1j * p[2], p[3] + 1j * p[4]
+        turn = np.exp(1j * p[5] * (N - 1249.5))
+        q = ratio + (p[7] + 1j * p[8]) * time
+        return p[0] + ((1 + p[6] * time) * first * turn / (1 - q * turn)).real
+
+    for row in range(2):
+        of = [field[row] for field in (series.offset, series.first, series.ratio, series.omega)]
+        start = [of[0], of[1].real, of[1].imag, of[2].real, of[2].imag, of[3], 0.0, 0.0, 0.0]
+        fit = least_squares(lambda p, row=row: values[row] - model(p), start, x_scale="jac")
+        spread = np.linalg.inv(fit.jac.T @ fit.jac)[7:, 7:]
+        assert np.allclose(drift[row], fit.x[7:], atol=0.05 * np.sqrt(0.25 * spread[0, 0]))
+        assert np.allclose(covariance[row], spread, rtol=0.02, atol=0.02 * spread[0, 0])
+
+
+def test_weak_harmonics_count_together_and_noise_alone_does_not():
+    k, volts, noise = records(80, 33, noise=1.5)
+    carry = 2.0 * (volts + noise > 21)
+    clean, wrong = (estimate_lock_in(np.rint(v + noise), 1.0, scale_factor=k) for v in (volts, volts + carry))
+    assert np.mean(clean.misfit_u > 0) < 0.2
+    assert np.mean(wrong.misfit_u > 0) > 0.9
+    assert (np.abs(wrong.lock_in_rate - X) / wrong.lock_in_rate_u).max() < 5

@@ -11,7 +11,7 @@ import itertools
 import numpy as np
 import scipy.special
 
-from analysis.arrays import Bools, Floats, Indices, Samples
+from analysis.arrays import Bools, Floats, Samples
 from analysis.waveform.series.frequency_search import Sizes
 from analysis.waveform.series.harmonic_sums import data_sums
 

@@ -180,7 +180,7 @@ def small_disk(folder: Path, kilobytes: int, script: str) -> subprocess.Complete
     return run_shell(folder, f"unshare -m bash -c '{mount} && {script}'")
 
 
-@pytest.mark.parametrize("kilobytes", [100, 300])
+@pytest.mark.parametrize("kilobytes", [100, pytest.param(300, marks=pytest.mark.slow)])
 def test_a_full_disk_is_told_as_what_it_is(tmp_path: Path, kilobytes: int) -> None:
     measure = f"{COMMAND} measure --config ../my.toml --records 40 --json; code=$?; echo"
     measure += f"; {COMMAND} analyze runs/* --json; exit $code"

@@ -166,7 +166,7 @@ def test_the_number_is_the_step_that_was_really_sent(served, fog_settings, resul
     """A format with steps of 1/4 code: 1 deg/s is 246.25 codes on the line, 395 ppm more than wanted."""
     settings = fog_settings(
         gyro=GYRO,
-        selfcal={"numbers": "nominal", "rates_dps": [1.0, 2.0], "step_s": 1.0, "static_s": 1.0, "settle_s": 0.1},
+        selfcal={"numbers": "nominal", "rates_dps": [1.0, 2.0], "step_s": 1.5, "static_s": 1.5, "settle_s": 0.1},
         simulation={"angle_random_walk": 1e-3},
     )
     bench = served(settings, step_scale=4)

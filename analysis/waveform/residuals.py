@@ -183,14 +183,9 @@ def examine_residual(
     coloured &= ~rounding
     flags[coloured] |= Flag.COLOURED_NOISE
     for row in np.flatnonzero(coloured):
-        line = omega[row] * n_samples / (2 * np.pi)
         first_level, second_level = float(at_first[row]), float(at_second[row])
-        if line < 2 * NEIGHBOURS:
-            levels = _low_levels(np.square(sizes[row, 1:]) / mean[row], line)
-            first_level, second_level = levels[1:]
-            if line < FEW_PERIODS:
-                # So few periods do not keep the lines apart: the stronger noise reaches both, and what is below.
-                first_level = second_level = levels[0 if line < VERY_FEW_PERIODS else 1 :].max()
+        if (line := omega[row] * n_samples / (2 * np.pi)) < 2 * NEIGHBOURS:
+            first_level, second_level = _levels_of_few_periods(np.square(sizes[row, 1:]) / mean[row], line)
         # the ratio knows the noise of the fundamental too, less by the ratio itself
         squared = float(np.abs(series.ratio[row])) ** 2
         of_ratio = max(second_level, (second_level + squared * first_level) / (1 + squared))
@@ -211,15 +206,10 @@ def examine_residual(
             ratio_u[row] = np.hypot(ratio_u[row], np.sqrt(surplus / beat))
             if surplus > LEFT_BY_MOTION * beat:
                 flags[row] |= Flag.NOT_LOCK_IN_LIKE
-    if not moved:
-        # one place, so that less than a line anywhere counts
-        third = np.abs(residual.third) * (n_samples / 2)
-        level, rows = mean.copy(), np.flatnonzero(uneven | coloured)
-        level[rows] = np.maximum(level[rows], _local_level(sizes[rows], 3 * omega[rows], n_samples))
-        cubic = (third**2 > -np.log(SEEN) * level) & ~rounding
-        ratio_u[cubic] = np.maximum(ratio_u, CURVED * third / (first * n_samples / 2))[cubic]
     suspects, stronger, drifting = np.zeros((3, n_records), dtype=bool)
     if not moved:
+        by_third = _by_third_harmonic(residual, series, mean, uneven | coloured, n_samples)
+        ratio_u = np.maximum(ratio_u, np.where(rounding, 0.0, by_third))
         suspects, stronger = (found & ~rounding for found in may_repeat(sizes, omega, mean, n_samples))
         stronger &= ~(uneven | coloured)
         drifting = uneven | coloured | (_local_level(sizes, 2 * omega, n_samples, 2) > ABOUT_SECOND * mean)
@@ -231,6 +221,28 @@ def examine_residual(
         if sure:
             flags[row] |= Flag.MISFIT
     return ResidualReport(flags, excess, uneven, mean, ratio_u, stronger, drifting)
+
+
+def _by_third_harmonic(residual: Residual, series: Series, mean: Floats, uneven: Bools, n_samples: int) -> Floats:
+    """Standard uncertainty of the ratio (R,) by a third harmonic alone; 0 where noise often has as much.
+
+    It has one place, so that less than a line anywhere counts.
+    """
+    third = np.abs(residual.third) * (n_samples / 2)
+    level, rows = mean.copy(), np.flatnonzero(uneven)
+    level[rows] = np.maximum(level[rows], _local_level(residual.lines[rows], 3 * series.omega[rows], n_samples))
+    hidden = CURVED * third / (np.abs(series.first) * n_samples / 2)
+    return np.where(third**2 > -np.log(SEEN) * level, hidden, 0.0)
+
+
+def _levels_of_few_periods(power: Samples, line: float) -> tuple[float, float]:
+    """Noise at the fundamental and at the second harmonic, from the lines of a spectrum over their mean."""
+    levels = _low_levels(power, line)
+    if line < FEW_PERIODS:
+        # So few periods do not keep the lines apart: the stronger noise reaches both, and what is below.
+        strongest = float(levels[0 if line < VERY_FEW_PERIODS else 1 :].max())
+        return strongest, strongest
+    return float(levels[1]), float(levels[2])
 
 
 def _neighbours_agree(sizes: Samples) -> float:

@@ -80,7 +80,7 @@ def run_budget(found: LockInRun, slow: RecordArrays, bench: BenchKnowledge) -> B
         As for :func:`known_of_bench`, which gives `bench`.
     """
     if found.several is not None and found.several.by_beat is not None:
-        one, rows = found.several.reference_group.combined, np.array(found.several.reference_group.rows)
+        one, rows = found.several.reference_group.combined, found.several.reference_group.rows
         point = _operating_point(found.each[rows], one, slow)
         return _rates_budget(found.each, found.several.by_beat, point, bench, int(slow.samples.min()))
     return _one_rate_budget(found, found.each, found.combined, slow, bench)
@@ -91,7 +91,7 @@ def record_uncertainties(found: LockInRun, slow: RecordArrays, bench: BenchKnowl
     each = found.each
     groups = [(np.arange(each.flags.size), found.combined)]
     if found.several is not None:
-        groups = [(np.array(group.rows), group.combined) for group in found.several.groups]
+        groups = [(group.rows, group.combined) for group in found.several.groups]
     us = np.full(each.flags.size, math.nan)
     for rows, one in groups:
         if np.isfinite(one.lock_in_rate_u) and each[rows].usable.any():

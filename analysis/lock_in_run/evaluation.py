@@ -66,27 +66,24 @@ def evaluate(
     each, quadratures = _each_record(
         run.slow, method, None if knowledge is None else knowledge.response, estimated
     )
-    # 2. all of them as if at one rate
-    unknown = np.full(each.flags.size, np.nan)
-    found = LockInRun(method, each, combine_estimates(each), quadratures=quadratures, record_u=unknown)
     if knowledge is None:
         knowledge = RunKnowledge(method.scale_factor, latitude_deg=math.nan)
-    if axis is not None:
-        if at_several_rates(run.slow):
-            several = evaluate_rates(run.slow, each, axis, ReceiverKnowledge.of(knowledge.bench))
-            found = replace(found, several=several, combined=combined_estimate(several))
-    elif axis_rate_is_known(run, knowledge):
-        # 3. the table: tilt, and the rate on the axis
+    # 2. the table: tilt, and the rate on the axis
+    tilt = None
+    if axis is None and axis_rate_is_known(run, knowledge):
         tilt = find_tilt(run.fast, knowledge, _best_shown(each))
         axis = axis_rates(run.slow, tilt, knowledge)
-        found = replace(found, tilt=tilt)
-        if at_several_rates(run.slow):
-            # 4. each rate alone, then one fit
-            several = evaluate_rates(run.slow, each, axis, ReceiverKnowledge.of(knowledge.bench))
-            found = replace(found, several=several, combined=combined_estimate(several))
-        # 5. the same by the table
+    # 3. the mean of all records, or each rate alone and then one fit
+    several = None
+    if axis is not None and at_several_rates(run.slow):
+        several = evaluate_rates(run.slow, each, axis, ReceiverKnowledge.of(knowledge.bench))
+    combined = combine_estimates(each) if several is None else combined_estimate(several)
+    unknown = np.broadcast_to(math.nan, each.flags.shape)
+    found = LockInRun(method, each, combined, unknown, tilt, several=several, quadratures=quadratures)
+    # 4. the same by the table
+    if axis is not None and tilt is not None:
         found = _checked_by_table(found, run, axis, knowledge)
-    # 6. what all inputs make of the uncertainty
+    # 5. what all inputs make of the uncertainty
     if not found.usable:
         return found
     bench = known_of_bench(found, run.slow, knowledge)

@@ -131,9 +131,9 @@ def evaluate_source(
     if paired:
         slow = replace(slow, batches=Pairs(source, gathered), n_channels=2)
     found = _evaluated(RunArrays(slow, fast), settings, Method(**chosen), gathered.each)
-    rows: slice | list[int] = slice(None)
+    rows: slice | NDArray[np.intp] = slice(None)
     if found.several is not None:
-        rows = list(found.several.reference_group.rows)
+        rows = found.several.reference_group.rows
     in_words = LockInFound(
         **vars(found),
         names=Numbered(gathered.places),

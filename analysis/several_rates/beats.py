@@ -45,14 +45,20 @@ def mismatch_of_all(rate: Floats, size: float, u: float, mismatch: Floats) -> fl
 
     Less than what `rates_differ` asks of a single record is enough. nan where no mismatch is known.
     """
-    known = np.isfinite(mismatch)
-    if not known.any():
+    fastest = 0.0
+    for some in in_blocks(rate.size):
+        known = np.isfinite(mismatch[some])
+        fastest = max(fastest, float(np.max(np.abs(rate[some]), where=known, initial=0.0)))
+    if fastest == 0:
         return float("nan")
-    speed = np.abs(rate)
-    fast = known & (speed >= _FAST * speed[known].max())
-    found = float(np.median(mismatch[fast]))
-    explained = FASTER_THAN_POSSIBLE + 3 * float(np.median(_stretch(speed[fast], size, u)))
-    return found if abs(found) > explained else 0.0
+    seen, explained = [], []
+    for some in in_blocks(rate.size):
+        speed = np.abs(rate[some])
+        fast = np.isfinite(mismatch[some]) & (speed >= _FAST * fastest)
+        seen.append(mismatch[some][fast])
+        explained.append(_stretch(speed[fast], size, u))
+    found, stretch = (float(np.median(np.concatenate(each), overwrite_input=True)) for each in (seen, explained))
+    return found if abs(found) > FASTER_THAN_POSSIBLE + 3 * stretch else 0.0
 
 
 def _stretch(rate: Floats, size: float, u: float) -> Floats:

@@ -89,8 +89,8 @@ def rates_flags(fit: RatesFit, records: RatioRecords, tested: int) -> int:
     size, u = fit.lock_in_rate, fit.lock_in_rate_u
     plain = next((m.lock_in_rate_u for m in fit.models if m.model == "lock-in"), u)
     distorted = next((m.lock_in_rate_u for m in fit.models if m.model == "distortion"), u)
-    rate, mismatch = np.abs(fit.rate), fit.rate_mismatch
-    no_beat_above = fit.locked & (rate > fit.lock_in_rate_high_95)
+    rate, mismatch = fit.rate, fit.rate_mismatch
+    no_beat_above = np.abs(rate[fit.locked]) > fit.lock_in_rate_high_95
     disagree = rates_differ(rate, size, u, mismatch) or mismatch_of_all(rate, size, u, mismatch) != 0
     disagree = disagree or bool(np.any(inconsistent_rate(records)))
     explained = abs(fit.third_order) > EXPLAINED * fit.third_order_u
@@ -102,13 +102,13 @@ def rates_flags(fit: RatesFit, records: RatioRecords, tested: int) -> int:
         RatesFlag.NOT_TESTED: tested <= 0,
         RatesFlag.MISFIT: fit.p_value < UNLIKELY,
         RatesFlag.ONE_RATE_DISAGREES: bool(np.any(fit.left_out.p_value < UNLIKELY)),
-        RatesFlag.ONE_SENSE: np.unique(np.sign(fit.rate[fit.used])).size == 1,
+        RatesFlag.ONE_SENSE: bool(np.any(rate > 0, where=fit.used) != np.any(rate < 0, where=fit.used)),
         RatesFlag.GAIN_CORNER_ASSUMED_HIGH: fit.model in FREE_OF_GAIN,
         RatesFlag.LOCKED_RECORDS: fit.at_least > 0,
         RatesFlag.NO_BEAT_ABOVE_LOCK_IN: bool(np.any(no_beat_above)),
         RatesFlag.RECORDS_LEFT_OUT: not bool(np.all(fit.used | fit.locked)),
         RatesFlag.RATE_AND_BEAT_DISAGREE: disagree,
-        RatesFlag.RATE_BELOW_LOCK_IN: bool(np.any(fit.used & (rate <= size))),
+        RatesFlag.RATE_BELOW_LOCK_IN: bool(np.any(np.abs(rate) <= size, where=fit.used)),
         RatesFlag.SEVERAL_SOLUTIONS: bool(fit.alternatives),
         RatesFlag.RECORDS_MISFIT: misfits > max(2, MISFITS_BY_CHANCE * fit.used.sum()) and not explained,
     }

@@ -120,6 +120,6 @@ def give_back_room() -> None:
 
 
 def give_back_memory() -> None:
-    """Return to the system what is free: glibc keeps some 60 MB after the last batch. Elsewhere nothing is done."""
+    """Return to the system what is free: glibc keeps some 60 MB after the last batch. Others need nothing."""
     with suppress(OSError, AttributeError):
         ctypes.CDLL("libc.so.6").malloc_trim(0)

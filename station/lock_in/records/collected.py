@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from analysis import LockInEstimate
 from station.lock_in.records.on_disk import ARRAYS, ColumnFiles, EstimatesOnDisk
 from station.lock_in.records.pieces import Gathered, together
-from station.lock_in.records.room import give_back_memory, give_back_room
+from station.lock_in.records.room import give_back_room
 
 LONG = 20_000
 """Records from which on their estimates lie on the disk: some 250 bytes each."""
@@ -49,16 +49,10 @@ class Collected:
     def gathered(self) -> Gathered:
         """All of it as one; nothing is added afterwards."""
         give_back_room()
-        whole = self._whole()
-        give_back_memory()
-        return whole
-
-    def _whole(self) -> Gathered:
         if self._columns is None:
             return together(self._fresh)
         self._put_fresh_away()
         whole = together(self._parts)
-        self._parts = []
         if self._like is None:
             return whole
         each = EstimatesOnDisk.of(self._columns, self._like)

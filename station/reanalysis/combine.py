@@ -155,7 +155,8 @@ class _Sources:
             return
         self._check(part)
         self.wfids |= dict.fromkeys(part.labels["wfid"])
-        self._collected.add(part)
+        # what says the rates is asked of whoever combines: the fast run of each source is not needed
+        self._collected.add(replace(part, fast=()))
         if self.used and self.used[-1].name == part.name:
             self.used[-1].taken += part.taken
             self.used[-1].count += len(part)

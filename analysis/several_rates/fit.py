@@ -27,6 +27,7 @@ from analysis.several_rates.checks import (
     scale_factor_of_rates,
 )
 from analysis.several_rates.coupling import CouplingSeen, coupling_seen
+from analysis.several_rates.gain_within_bounds import over_gain_times
 from analysis.several_rates.least_squares import RatioFit, all_solutions, fit_ratios, whitened
 from analysis.several_rates.points import Points, gather
 from analysis.several_rates.ratio_model import (
@@ -291,6 +292,8 @@ def _result(
     said = answer(found, widen, freedom)
     if np.unique(np.sign(points.points.rate)).size == 1:
         said = by_profile(said, found, points.points, prior, widen, freedom)
+        if chosen == "all" and prior.sd[3] > 0 and _left_over(points, prior) <= 0:
+            said = over_gain_times(said, found, points.points, prior, widen)
     mismatch = _rate_mismatch(records, said.value)
     common, differ = _rates_differ(records, said, mismatch, bool(np.ptp(points.rate_group)))
     coupling = _coupling(records, used, rate_u, mismatch, said, float(fit.parameters[0, 3]))

@@ -5,11 +5,10 @@ from __future__ import annotations
 import numpy as np
 import scipy.special
 
-from analysis.several_rates.beats import mismatch_of_all, rates_differ
 from analysis.several_rates.least_squares import RatioFit, fit_ratios
 from analysis.several_rates.points import Points
 from analysis.several_rates.ratio_model import Prior
-from analysis.several_rates.ratio_records import RatioRecords, inconsistent_rate
+from analysis.several_rates.ratio_records import RatioRecords, inconsistent_rate, mismatch_of_all, rates_differ
 from analysis.several_rates.result import RatesFit, RatesFlag, WithoutOneRate
 from analysis.several_rates.solutions import lock_in_u
 

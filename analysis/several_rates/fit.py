@@ -19,9 +19,9 @@ from numpy.typing import ArrayLike
 from analysis.arrays import Floats
 from analysis.errors import NoFit
 from analysis.lockin_rate import LockInEstimate
-from analysis.several_rates.beats import mismatch_of_all, rate_mismatch, rates_differ
 from analysis.several_rates.checks import leave_out, rates_flags, scale_factor_of_rates
 from analysis.several_rates.coupling import beats_of_rates, coupling_seen
+from analysis.several_rates.gain_within_bounds import over_gain_times
 from analysis.several_rates.least_squares import RatioFit, all_solutions, fit_ratios
 from analysis.several_rates.points import Points, UsedRecords, gather
 from analysis.several_rates.ratio_model import N_PARAMETERS, Prior, RatioData, Reference
@@ -29,6 +29,9 @@ from analysis.several_rates.ratio_records import (
     RatioRecords,
     common_mismatch,
     inconsistent_rate,
+    mismatch_of_all,
+    rate_mismatch,
+    rates_differ,
     records_of_arrays,
     records_of_estimates,
 )
@@ -253,6 +256,8 @@ def _result(
     said = answer(found, widen, freedom)
     if np.unique(np.sign(points.points.rate)).size == 1:
         said = by_profile(said, found, points.points, prior, widen, freedom)
+        if chosen == "all" and prior.sd[3] > 0 and _left_over(points, prior) <= 0:
+            said = over_gain_times(said, found, points.points, prior, widen)
     mismatch = rate_mismatch(records, said.value)
     common, differ = _rates_differ(records, said, mismatch, bool(np.ptp(points.rate_group)))
     coupling = None

@@ -80,7 +80,7 @@ def profile(data: RatioData, prior: Prior, start: Floats, sizes: Floats) -> Floa
     """
     points = np.tile(start, (sizes.size, 1))
     points[:, :2] *= (sizes / np.hypot(*start[:2]))[:, np.newaxis]
-    both = np.concatenate([points, _with_distortion_alone(points, data, prior)])
+    both = np.concatenate([points, with_distortion_alone(points, data, prior)])
     lowest = _minimised(data, prior, both, _PROFILE_ITERATIONS, np.tile(sizes, 2)).chi_square
     return np.asarray(lowest.reshape(2, -1).min(axis=0))
 
@@ -265,10 +265,10 @@ def _around(found: Floats, data: RatioData, prior: Prior) -> Floats:
     """Starts beside what was found (B, N_PARAMETERS): another lock-in rate, and nothing but distortion."""
     starts = np.repeat(found, _BESIDE.size, axis=0)
     starts[:, :2] *= np.tile(_BESIDE, len(found))[:, np.newaxis]
-    return _bounded(_with_distortion_alone(starts, data, prior), data)
+    return _bounded(with_distortion_alone(starts, data, prior), data)
 
 
-def _with_distortion_alone(points: Floats, data: RatioData, prior: Prior) -> Floats:
+def with_distortion_alone(points: Floats, data: RatioData, prior: Prior) -> Floats:
     """The same lock-in rates and phases (B, N_PARAMETERS), with the best distortion for each and nothing else."""
     alone = points.copy()
     alone[:, 2:] = np.where(prior.sd > 0, prior.mean, points)[:, 2:]

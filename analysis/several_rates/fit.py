@@ -8,7 +8,7 @@ docs/several_rates.md). What they leave open is bounded by what is known of rece
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Literal
 
@@ -16,7 +16,7 @@ import numpy as np
 import scipy.special
 from numpy.typing import ArrayLike
 
-from analysis.arrays import Floats
+from analysis.arrays import Complexes, Floats
 from analysis.errors import NoFit
 from analysis.lockin_rate import LockInEstimate
 from analysis.several_rates.checks import leave_out, rates_flags, scale_factor_of_rates
@@ -119,6 +119,24 @@ def fit_rates(
     """
     records = records_of_estimates(estimates, input_rate)
     return _fit(records, np.asarray(input_rate_u, dtype=np.float64), reference, model, receiver)
+
+
+def fit_again(
+    fit: RatesFit, *, factor: Callable[[Floats], Complexes], receiver: ReceiverKnowledge | None = None
+) -> RatesFit:
+    """The fit of the same records, with the ratio of each times a factor of its beat frequency.
+
+    Parameters
+    ----------
+    fit : RatesFit
+        Its rates count as exact now.
+    factor : callable
+        Of frequencies in Hz, (m,), complex.
+    receiver : ReceiverKnowledge, optional
+        As for :func:`fit_rates`, and so are the errors.
+    """
+    records = fit.each.records.records.times(factor)
+    return _fit(records, np.zeros(()), fit.reference, fit.model, receiver)
 
 
 def fit_rate_ratios(

@@ -95,6 +95,16 @@ class RatioRecords:
             block = self.read(some)
             yield some, replace(block, amplitude=block.amplitude / self.mean_amplitude)
 
+    def times(self, factor: Callable[[Floats], Complexes]) -> RatioRecords:
+        """The same records with the ratio of each times a factor of its beat frequency, Hz."""
+
+        def read(some: slice) -> RatioBlock:
+            block = self.read(some)
+            frequency = np.where(block.locked, np.nan, block.beat_frequency)
+            return replace(block, ratio=block.ratio * factor(frequency))
+
+        return replace(self, read=read)
+
 
 def in_blocks(count: int) -> Iterator[slice]:
     """So many records, `AT_ONCE` of them at a time."""

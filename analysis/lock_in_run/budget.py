@@ -227,7 +227,7 @@ def _line(name: str, quantity: str, corner: Corner, u: float, kind: Distribution
 def _without(
     factor: Callable[[Floats, float], Complexes], corner: Corner, corrected: Corner | None = None
 ) -> Callable[[Floats], Complexes]:
-    """What takes a filter out of the ratios, by their beat frequencies; `corrected`: what was taken out already."""
+    """What takes a filter out of the ratios, by their beat frequencies; `corrected`: what has been taken out."""
 
     def of(frequency: Floats) -> Complexes:
         seen = factor(frequency, corner.hz)

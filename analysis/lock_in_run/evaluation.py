@@ -11,7 +11,14 @@ from analysis.channel import ChannelResponse
 from analysis.combine import combine_estimates
 from analysis.flags import Flag
 from analysis.lock_in_run.budget import known_of_bench, record_uncertainties, run_budget
-from analysis.lock_in_run.estimates import Method, at_known_rates, estimate_records, only_beats, without_channel
+from analysis.lock_in_run.estimates import (
+    Method,
+    at_known_rates,
+    by_themselves,
+    estimate_records,
+    only_beats,
+    without_channel_model,
+)
 from analysis.lock_in_run.groups import at_several_rates, combined_estimate, evaluate_rates, rates_by_table
 from analysis.lock_in_run.pairs import QuadratureResult, estimate_pairs, mean_of_pairs
 from analysis.lock_in_run.records import RecordArrays, RunArrays, RunKnowledge
@@ -43,8 +50,8 @@ def evaluate(
         what everything may be at worst.
     method : Method
     estimated : LockInEstimate, optional
-        Of the slow records by this method, fields of shape (n,), where they are known already; then `run` needs no
-        samples of them. Not for two channels.
+        Of the slow records by this method, :func:`by_themselves`, fields of shape (n,), where they are known
+        already; then `run` needs no samples of them. Not for two channels.
     axis : AxisRates, optional
         Rates on the gyro's axis where they are stated and need no table. `run` has them as those of its table, by
         which it falls into groups.
@@ -103,8 +110,9 @@ def _each_record(
     if slow.n_channels == 2:
         pairs = estimate_pairs(slow, method, response)
         return only_beats(pairs.estimate), mean_of_pairs(pairs)
-    each = only_beats(estimate_records(slow, method) if estimated is None else estimated)
-    return (each if response is None else without_channel(each, response)), None
+    if estimated is None:
+        return by_themselves(estimate_records(slow, method), response), None
+    return (estimated if response is None else estimated.described(without_channel_model(estimated))), None
 
 
 def _checked_by_table(found: LockInRun, run: RunArrays, axis: AxisRates, knowledge: RunKnowledge) -> LockInRun:

@@ -162,6 +162,14 @@ class EstimatesOnDisk(LockInEstimate):
         """The same records in another leading shape; as they are where that is theirs already."""
         return self if shape == (-1,) and not self._is_here else super().reshaped(*shape)
 
+    def described(self, noise_model: str) -> LockInEstimate:
+        """The same records, with other words on what their uncertainties rest on."""
+        if self._is_here:
+            return super().described(noise_model)
+        made = EstimatesOnDisk.of(self._columns, self, self._rows)
+        object.__setattr__(made, "noise_model", noise_model)
+        return made
+
     def _in_memory(self, rows: NDArray[np.intp]) -> LockInEstimate:
         values: dict[str, Any] = {
             field.name: getattr(self, field.name) for field in fields(LockInEstimate) if field.name not in ARRAYS

@@ -44,7 +44,8 @@ def test_estimates_that_lie_on_the_disk_give_the_same(
     monkeypatch.setattr("station.lock_in.records.collected.AT_ONCE", 4)
     monkeypatch.setattr("station.lock_in.records.collected.FOLDED", 2)
     on_disk = streamed(path)
-    assert isinstance(on_disk.found.each, EstimatesOnDisk) or name == "channel"
+    assert isinstance(on_disk.found.each, EstimatesOnDisk)
+    assert "_columns" in vars(on_disk.found.each)
     assert on_disk.document() == in_memory.document()
     assert list(on_disk.rows()) == list(in_memory.rows())
     assert render_report(on_disk) == render_report(in_memory)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from analysis.arrays import Bools, Floats, Indices
+from analysis.arrays import Bools, Complexes, Floats, Indices
 from analysis.several_rates.ratio_model import N_PARAMETERS, Prior, RatioData, predicted
 
 ITERATIONS = 80
@@ -158,9 +158,13 @@ def _apart(found: RatioFit, u: Floats) -> RatioFit:
 def whitened(parameters: Floats, data: RatioData) -> tuple[Floats, Floats]:
     """What the model leaves in standard uncertainties: of the ratios (B, n, 2), of the third harmonics (B, n)."""
     ratio, third = predicted(parameters, data)
-    left = data.ratio - ratio
-    parts = np.stack([left.real, left.imag], axis=-1)
-    return np.einsum("...ji,...j->...i", data.whitening, parts), (data.third - third) * data.third_weight
+    return in_standard_uncertainties(data.ratio - ratio, data.third - third, data)
+
+
+def in_standard_uncertainties(ratio: Complexes, third: Floats, data: RatioData) -> tuple[Floats, Floats]:
+    """Differences of ratios and of third harmonics (B, n) in their standard uncertainties, as :func:`whitened`."""
+    parts = np.stack([ratio.real, ratio.imag], axis=-1)
+    return np.einsum("...ji,...j->...i", data.whitening, parts), third * data.third_weight
 
 
 def _finished(found: _Linearised) -> RatioFit:

@@ -16,7 +16,7 @@ FEWEST_PERIODS = 3.0
 FEW_FOR_A_MOTION = 10.0
 """Periods below which a fitted motion can make a beat of any slow curve; the second harmonic must speak for it."""
 
-SWING_LAGS, LAG_SCATTERS = 0.3, 3.0
+SWING_LAGS, LAG_SCATTERS = 0.2, 2.0
 """rad by which the second harmonic of a swing inside lock-in may lag behind the fundamental, and standard
 uncertainties of its phase beside them."""
 

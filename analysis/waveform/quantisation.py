@@ -100,14 +100,14 @@ def of_few_levels(volts: Samples, amplitude: Floats, residual_rms: Floats, may_s
     few = np.zeros(len(volts), dtype=bool)
     # rounding leaves the root of a twelfth of a level at least
     suspects = np.flatnonzero(amplitude < fewest * np.sqrt(12) * residual_rms)
-    for run in (*RUNS, volts.shape[1]):
+    for run in RUNS:
         differences = np.abs(np.diff(volts[suspects, :run].astype(np.float64), axis=-1))
         limit = (amplitude[suspects] / fewest[suspects])[:, np.newaxis]
         finer = (differences > 1e-6 * limit) & (differences < limit * (1 - 1e-6))
-        suspects = suspects[~finer.any(axis=-1)]
-    if suspects.size:
-        spacing = _exact_spacing(volts[suspects].astype(np.float64))
-        few[suspects] = amplitude[suspects] < fewest[suspects] * spacing
+        coarse = ~finer.any(axis=-1)
+        suspects = suspects[coarse]
+    # where they are all the same they say nothing
+    few[suspects] = differences[coarse].any(axis=-1)
     return few
 
 

@@ -48,6 +48,10 @@ FEW_LEVELS = 16.0
 """Levels of amplitude below which a beat fills so little of the converter (127 levels) that whoever set it saw
 something larger, or nothing like a beat."""
 
+FEW_LEVELS_OF_A_SWING = 40.0
+"""The same for a waveform that a gyro which swings inside lock-in may show. Vertical scales in steps of 1, 2, 5
+leave more than that of a beat that was to fill the screen."""
+
 FEW_ERRORS = 1.25
 """Factor of the variance for so few errors, which are not Gaussian, from random records as above."""
 
@@ -80,7 +84,7 @@ def level_spacing(values: Samples, residual_rms: Floats) -> Floats:
     return spacing
 
 
-def of_few_levels(volts: Samples, amplitude: Floats, residual_rms: Floats) -> Bools:
+def of_few_levels(volts: Samples, amplitude: Floats, residual_rms: Floats, may_swing: Bools) -> Bools:
     """Where the amplitude of the beat is less than `FEW_LEVELS` levels of the converter, (R,).
 
     Parameters
@@ -89,18 +93,21 @@ def of_few_levels(volts: Samples, amplitude: Floats, residual_rms: Floats) -> Bo
         As the converter gave them, in any unit.
     amplitude, residual_rms : (R,)
         In that unit.
+    may_swing : (R,)
+        Where `FEW_LEVELS_OF_A_SWING` is asked for.
     """
+    fewest = np.where(may_swing, FEW_LEVELS_OF_A_SWING, FEW_LEVELS)
     few = np.zeros(len(volts), dtype=bool)
     # rounding leaves the root of a twelfth of a level at least
-    suspects = np.flatnonzero(amplitude < FEW_LEVELS * np.sqrt(12) * residual_rms)
-    for run in (*RUNS, volts.shape[1]):
+    suspects = np.flatnonzero(amplitude < fewest * np.sqrt(12) * residual_rms)
+    for run in RUNS:
         differences = np.abs(np.diff(volts[suspects, :run].astype(np.float64), axis=-1))
-        limit = (amplitude[suspects] / FEW_LEVELS)[:, np.newaxis]
+        limit = (amplitude[suspects] / fewest[suspects])[:, np.newaxis]
         finer = (differences > 1e-6 * limit) & (differences < limit * (1 - 1e-6))
-        suspects = suspects[~finer.any(axis=-1)]
-    if suspects.size:
-        spacing = _exact_spacing(volts[suspects].astype(np.float64))
-        few[suspects] = amplitude[suspects] < FEW_LEVELS * spacing
+        coarse = ~finer.any(axis=-1)
+        suspects = suspects[coarse]
+    # where they are all the same they say nothing
+    few[suspects] = differences[coarse].any(axis=-1)
     return few
 
 

@@ -10,9 +10,17 @@ import scipy.special
 
 from analysis.arrays import Bools, Complexes, Floats, Indices, Ints, Samples
 from analysis.flags import Flag
-from analysis.waveform.misfit import CURVED, LINE_CHANCE, NEIGHBOURS, left_over, line_stands_out, misfit_of
+from analysis.waveform.misfit import (
+    CURVED,
+    LINE_CHANCE,
+    NEIGHBOURS,
+    left_over,
+    line_stands_out,
+    misfit_of,
+    pedestal_power,
+)
 from analysis.waveform.records import sums_of_squares
-from analysis.waveform.repeating import HIDDEN, SEEN, may_repeat, repeating
+from analysis.waveform.repeating import HIDDEN, SEEN, SURE, may_repeat, repeating
 from analysis.waveform.series.frequency_search import Sizes, line_sizes, neighbours
 from analysis.waveform.series.geometric_series import Series, sampled_blocks, sampled_series
 from analysis.waveform.series.harmonic_sums import data_sums
@@ -194,10 +202,12 @@ def examine_residual(
     for row in np.flatnonzero(misfit | coloured):
         power, beat = np.square(sizes[row, 1:]), (first[row] * n_samples / 2) ** 2
         line = omega[row] * n_samples / (2 * np.pi)
-        found = misfit_of(power, n_samples, line, float(first[row]), float(np.abs(series.ratio[row])))
-        if found.pedestal:
+        pedestal = pedestal_power(power, line)
+        if pedestal:
             flags[row] |= Flag.MISFIT
         if flags[row] & Flag.MISFIT:
+            ratio = float(np.abs(series.ratio[row]))
+            found = misfit_of(power, n_samples, line, float(first[row]), ratio, pedestal)
             excess[row, 0] += found.frequency
             ratio_u[row] = found.ratio
         surplus = left_over(power) if moved else 0.0
@@ -208,8 +218,9 @@ def examine_residual(
                 flags[row] |= Flag.NOT_LOCK_IN_LIKE
     suspects, stronger, drifting = np.zeros((3, n_records), dtype=bool)
     if not moved:
-        by_third = _by_third_harmonic(residual, series, mean, uneven | coloured, n_samples)
+        by_third, curved = _by_third_harmonic(residual, series, mean, uneven | coloured, n_samples)
         ratio_u = np.maximum(ratio_u, np.where(rounding, 0.0, by_third))
+        flags[curved & ~rounding] |= Flag.MISFIT
         suspects, stronger = (found & ~rounding for found in may_repeat(sizes, omega, mean, n_samples))
         stronger &= ~(uneven | coloured)
         drifting = uneven | coloured | (_local_level(sizes, 2 * omega, n_samples, 2) > ABOUT_SECOND * mean)
@@ -223,8 +234,11 @@ def examine_residual(
     return ResidualReport(flags, excess, uneven, mean, ratio_u, stronger, drifting)
 
 
-def _by_third_harmonic(residual: Residual, series: Series, mean: Floats, uneven: Bools, n_samples: int) -> Floats:
-    """Standard uncertainty of the ratio (R,) by a third harmonic alone; 0 where noise often has as much.
+def _by_third_harmonic(
+    residual: Residual, series: Series, mean: Floats, uneven: Bools, n_samples: int
+) -> tuple[Floats, Bools]:
+    """Standard uncertainty of the ratio (R,) by a third harmonic alone, 0 where noise often has as much, and where
+    it is no chance.
 
     It has one place, so that less than a line anywhere counts.
     """
@@ -232,7 +246,8 @@ def _by_third_harmonic(residual: Residual, series: Series, mean: Floats, uneven:
     level, rows = mean.copy(), np.flatnonzero(uneven)
     level[rows] = np.maximum(level[rows], _local_level(residual.lines[rows], 3 * series.omega[rows], n_samples))
     hidden = CURVED * third / (np.abs(series.first) * n_samples / 2)
-    return np.where(third**2 > -np.log(SEEN) * level, hidden, 0.0)
+    power = third**2 / level
+    return np.where(power > -np.log(SEEN), hidden, 0.0), power > -np.log(SURE)
 
 
 def _levels_of_few_periods(power: Samples, line: float) -> tuple[float, float]:

@@ -43,7 +43,7 @@ def test_the_mean_rounding_error_is_that_of_a_simulation():
 def test_a_beat_of_few_levels_says_so(scale):
     """A swing inside lock-in looks like a small beat; a beat that fills the converter does not."""
     rng, n = np.random.default_rng(52), np.arange(2500)
-    heights = np.array([6.0, 12.0, 20.0, 90.0])
+    heights = np.array([6.0, 30.0, 45.0, 90.0])
     noise = rng.normal(scale=[[0.3], [2.0], [3.0], [3.0]], size=(4, n.size))
     codes = np.rint(heights[:, np.newaxis] * np.sin(2 * np.pi * n / 61.3) + noise)
     flags = estimate_lock_in(scale * codes, 1.0, scale_factor=1.0).flags
@@ -51,3 +51,30 @@ def test_a_beat_of_few_levels_says_so(scale):
     # codes as the scope sends them, and values of no converter
     assert np.array_equal(estimate_lock_in(codes.astype(np.int8), 1.0, scale_factor=1.0).flags, flags)
     assert not int(estimate_lock_in(codes[0] + noise[0], 1.0, scale_factor=1.0).flags) & Flag.FEW_LEVELS
+
+
+def test_a_swing_inside_lock_in_of_a_quarter_of_the_screen_says_so():
+    """Its phase is arc sine of W/WL, its second harmonic in phase with the fundamental; that of a beat is not."""
+    rng, n = np.random.default_rng(53), np.arange(2500)
+    swing = np.arcsin(0.3 * np.sin(2 * np.pi * n / 61.3))
+    seen = 90 * np.cos(swing + np.array([[0.9], [-0.6]]))
+    turning = {"f_over_k": 1.0, "wl": 0.05, "k": 1 / 61.3, "theta": 0.2, "amplitude": 30.0, "offset": 0.0}
+    beats = np.stack([adler_beat(n + 0.0, delta=delta, **turning) for delta in (1.0, 2.0, -1.2)])
+    codes = np.rint(np.concatenate([seen, beats]) + rng.normal(scale=0.4, size=(5, n.size)))
+    e = estimate_lock_in(codes, 1.0, scale_factor=1.0)
+    assert np.all(e.amplitude / (90 * 0.3) < 1.2)
+    assert [bool(one & Flag.FEW_LEVELS) for one in e.flags] == [True, True, False, False, False]
+
+
+def test_a_third_harmonic_too_weak_for_a_line_anywhere_is_a_misfit():
+    """It has one place: 20 times the mean power there is no chance, among all lines it may be."""
+    n, rng = np.arange(2500), np.random.default_rng(54)
+    phase = 2 * np.pi * 40.0 * n / n.size
+    noise = rng.normal(size=n.size)
+    for order in range(1, 4):
+        turn = np.exp(-1j * order * phase)
+        noise -= 2 * np.real(np.mean(noise * turn) * np.conj(turn))
+    third = np.sqrt(18.0 * 2 * np.mean(noise**2) * 2 / n.size)
+    records = 60 * np.cos(phase) + noise + np.array([[third], [third / 2]]) * np.cos(3 * phase)
+    flags = estimate_lock_in(records, 1.0, scale_factor=1.0).flags
+    assert [bool(one & Flag.MISFIT) for one in flags] == [True, False]

@@ -12,7 +12,7 @@ from analysis.arrays import Complexes, Floats, Ints
 from analysis.flags import Flag
 from analysis.lockin_rate import LockInEstimate, rate_and_slopes, size_interval
 
-_AT_ONCE = 1 << 16
+_AT_ONCE = 1 << 14
 """Records whose numbers are worked out together: those of a million would take much memory."""
 
 UNLIKELY = 0.001
@@ -140,29 +140,42 @@ class _CoherentMean:
 
 
 def _coherent_mean(used: LockInEstimate) -> _CoherentMean:
-    values, radial, tangential, misfit = _complex_rates(used)
-    weights = 1 / np.maximum((radial + tangential) / 2, 1e-300)
+    each = _complex_rates(used)
+    weights = 1 / np.maximum((each.radial + each.tangential) / 2, 1e-300)
     weights /= weights.sum()
-    mean = complex(np.sum(weights * values))
+    mean = complex(sum(np.sum(weights[some] * each.values[some]) for some in _blocks(used)))
     along = np.conj(mean / abs(mean)) if mean != 0 else 1.0
-    own = float(np.hypot(np.sqrt(np.sum(weights**2 * (radial - misfit**2))), np.sum(weights * misfit)))
-    across_u = float(np.sqrt(np.sum(weights**2 * (tangential - misfit**2))))
-    turned = values * along
-    inflation, stretch, unequal = _scatter(turned.real - abs(mean), radial, weights)
-    phases_differ = _scatter(turned.imag, tangential, weights)[2]
-    return _CoherentMean(mean, weights, own * inflation, across_u, stretch, unequal, phases_differ)
+    by_noise = by_misfit = across = 0.0
+    radial, tangential = _Scatter(), _Scatter()
+    for some in _blocks(used):
+        w, misfit, turned = weights[some], each.misfit[some], each.values[some] * along
+        by_noise += float(np.sum(w**2 * (each.radial[some] - misfit**2)))
+        by_misfit += float(np.sum(w * misfit))
+        across += float(np.sum(w**2 * (each.tangential[some] - misfit**2)))
+        radial.add(turned.real - abs(mean), each.radial[some], w)
+        tangential.add(turned.imag, each.tangential[some], w)
+    inflation, stretch, unequal = radial.said()
+    rate_u = float(np.hypot(np.sqrt(by_noise), by_misfit)) * inflation
+    return _CoherentMean(mean, weights, rate_u, float(np.sqrt(across)), stretch, unequal, tangential.said()[2])
 
 
-def _complex_rates(used: LockInEstimate) -> tuple[Complexes, Floats, Floats, Floats]:
+@dataclass(frozen=True)
+class _ComplexRates:
     """WL exp(i beta') of each record, its variances along and across its own direction, and the standard
     uncertainty in both of them by what is no noise."""
-    values, radial, tangential, misfit = (
-        np.empty(len(used), np.complex128),
-        *(np.empty(len(used)) for _ in range(3)),
-    )
+
+    values: Complexes
+    radial: Floats
+    tangential: Floats
+    misfit: Floats
+
+
+def _complex_rates(used: LockInEstimate) -> _ComplexRates:
+    found = _ComplexRates(np.empty(len(used), np.complex128), *(np.empty(len(used)) for _ in range(3)))
     for some in _blocks(used):
-        values[some], radial[some], tangential[some], misfit[some] = _complex_rates_of_some(used[some])
-    return values, radial, tangential, misfit
+        parts = _complex_rates_of_some(used[some])
+        found.values[some], found.radial[some], found.tangential[some], found.misfit[some] = parts
+    return found
 
 
 def _blocks(used: LockInEstimate) -> Iterator[slice]:
@@ -183,19 +196,36 @@ def _complex_rates_of_some(used: LockInEstimate) -> tuple[Complexes, Floats, Flo
     return vector, used.lock_in_rate_u**2, np.asarray(across * scale**2 + misfit**2), np.asarray(misfit)
 
 
-def _scatter(deviation: Floats, variance: Floats, weights: Floats) -> tuple[float, float, bool]:
-    """Factor for the uncertainty, factor for the 95 % interval beyond it, and whether the scatter is real."""
-    degrees = deviation.size - 1
-    if degrees < 1 or not np.all(variance > 0):
-        return 1.0, 1.0, False
-    chi_square = float(np.sum(deviation**2 / variance))
-    if scipy.special.chdtrc(degrees, chi_square) > UNLIKELY:
-        return 1.0, 1.0, False
-    # Uncertainty of the weighted mean from the scatter itself, with Student's factor for the interval.
-    seen = float(np.sum(weights**2 * deviation**2)) * (degrees + 1) / degrees
-    expected = float(np.sum(weights**2 * variance))
-    student = float(scipy.special.stdtrit(degrees, 0.975)) / -float(scipy.special.ndtri(0.025))
-    return max(float(np.sqrt(seen / expected)), 1.0), student, True
+@dataclass
+class _Scatter:
+    """Deviations of records from their mean against their variances, as they come."""
+
+    count: int = 0
+    known: bool = True
+    chi_square: float = 0.0
+    seen: float = 0.0
+    expected: float = 0.0
+
+    def add(self, deviation: Floats, variance: Floats, weights: Floats) -> None:
+        """Take some records."""
+        self.count += deviation.size
+        self.known = self.known and bool(np.all(variance > 0))
+        if self.known:
+            self.chi_square += float(np.sum(deviation**2 / variance))
+            self.seen += float(np.sum(weights**2 * deviation**2))
+            self.expected += float(np.sum(weights**2 * variance))
+
+    def said(self) -> tuple[float, float, bool]:
+        """Factor for the uncertainty, factor for the 95 % interval beyond it, and whether the scatter is real."""
+        degrees = self.count - 1
+        if degrees < 1 or not self.known:
+            return 1.0, 1.0, False
+        if scipy.special.chdtrc(degrees, self.chi_square) > UNLIKELY:
+            return 1.0, 1.0, False
+        # Uncertainty of the weighted mean from the scatter itself, with Student's factor for the interval.
+        seen = self.seen * (degrees + 1) / degrees
+        student = float(scipy.special.stdtrit(degrees, 0.975)) / -float(scipy.special.ndtri(0.025))
+        return max(float(np.sqrt(seen / self.expected)), 1.0), student, True
 
 
 def _interval(size: float, rate_u: float, stretch: float) -> tuple[float, float]:

@@ -10,6 +10,7 @@ gain can follow the difference of the beams. WL^2 of this method is the differen
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from enum import IntFlag
 
@@ -23,6 +24,7 @@ from analysis.errors import NoFit
 ROUNDS = 20
 UNLIKELY = 0.001
 NORMAL_95 = 1.959964
+_AT_ONCE = 1 << 14
 
 
 class FrequencyFlag(IntFlag):
@@ -124,17 +126,15 @@ def fit_frequencies(
         raise ValueError("scale_factor must be positive (pulses per degree), its uncertainty not negative")
     finite = np.isfinite(rate) & np.isfinite(f) & np.isfinite(fu) & np.isfinite(rate_u)
     used, locked = finite & (f > 0), finite & (f == 0)
-    if not used.any() or not np.any(rate[used]):
+    if not np.any(rate, where=used):
         raise NoFit("no beat frequency at a rate other than zero: nothing can be fitted")
-    point, covariance, chi_square = _parabola(
-        rate[used], f[used], fu[used], rate_u[used], scale_factor, scale_factor_u, bias
-    )
+    seen = _Seen(rate, f, fu, rate_u, used)
+    point, covariance, chi_square = _parabola(seen, scale_factor, scale_factor_u, bias)
     degrees = int(used.sum()) + (scale_factor is not None) - point.size
     p_value, widen, quantile = _test(chi_square, degrees)
     values, covariance = _physical(point, covariance * widen, bias)
     square, square_u = float(values[0]), float(np.sqrt(covariance[0, 0]))
     low, high = _interval(square, quantile * square_u, np.abs(rate[locked] - values[1]))
-    expected = values[2] * np.sqrt(np.maximum((rate - values[1]) ** 2 - square, 0.0))
     flags = _flags(rate, used, locked, values, square_u, high, p_value, degrees)
     root, us = float(np.sqrt(square)) if square > 0 else float("nan"), np.sqrt(np.diagonal(covariance))
     return FrequencyFit(
@@ -152,7 +152,7 @@ def fit_frequencies(
         chi_square=chi_square,
         degrees_of_freedom=degrees,
         p_value=p_value,
-        residual=np.where(used, f - expected, np.nan),
+        residual=seen.residual(values),
         used=used,
         locked=locked,
         flags=flags,
@@ -201,41 +201,86 @@ def _interval(square: float, half: float, locked: Floats) -> tuple[float, float]
     return max([low, *locked[locked <= high]]), high
 
 
+@dataclass(frozen=True)
+class _Seen:
+    """Frequencies, Hz, at rates, deg/s, with their uncertainties; which of them count. All of shape (n,)."""
+
+    rate: Floats
+    f: Floats
+    fu: Floats
+    rate_u: Floats
+    used: Bools
+
+    def blocks(self) -> Iterator[tuple[slice, tuple[Floats, ...]]]:
+        """Those that count, some at a time: what is worked out of a million at once would take much memory."""
+        for first in range(0, self.used.size, _AT_ONCE):
+            some = slice(first, first + _AT_ONCE)
+            yield some, tuple(each[some][self.used[some]] for each in (self.rate, self.f, self.fu, self.rate_u))
+
+    def residual(self, values: Floats) -> Floats:
+        """Hz, f less the one by WL^2, W0 and K; nan where not used."""
+        left = np.full(self.used.shape, np.nan)
+        for some, (rate, f, _, _) in self.blocks():
+            expected = values[2] * np.sqrt(np.maximum((rate - values[1]) ** 2 - values[0], 0.0))
+            left[some][self.used[some]] = f - expected
+        return left
+
+
 def _parabola(
-    rate: Floats,
-    f: Floats,
-    fu: Floats,
-    rate_u: Floats,
-    scale_factor: float | None,
-    scale_factor_u: float,
-    bias: bool,
+    seen: _Seen, scale_factor: float | None, scale_factor_u: float, bias: bool
 ) -> tuple[Floats, Floats, float]:
     """a, (b,) c of f^2 = a W^2 + b W + c, their covariance, and chi-square."""
-    columns = [rate**2, rate, np.ones_like(rate)] if bias else [rate**2, np.ones_like(rate)]
-    design, target = np.stack(columns, axis=-1), f**2
+    unknowns = 3 if bias else 2
+    fastest = np.max(np.abs(seen.rate), where=seen.used, initial=0.0)
+    slope = 2 * (scale_factor or float(np.max(seen.f, where=seen.used, initial=0.0) / fastest)) ** 2, 0.0
+    known = np.zeros((0, unknowns + 1))
     if scale_factor is not None:
-        design = np.concatenate([design, np.eye(1, len(columns))])
-        target = np.append(target, scale_factor**2)
-    slope = 2 * (scale_factor or float(np.max(f) / np.max(np.abs(rate)))) ** 2 * rate
+        # An exact K is one known far better than any frequency can show.
+        u = max(2 * scale_factor * scale_factor_u, 1e-12 * scale_factor**2)
+        known = np.concatenate([np.eye(1, unknowns), [[scale_factor**2]]], axis=1) / u
     for _ in range(ROUNDS):
-        us = np.hypot(2 * f * fu, slope * rate_u)
-        if scale_factor is not None:
-            # An exact K is one known far better than any frequency can show.
-            us = np.append(us, max(2 * scale_factor * scale_factor_u, 1e-12 * scale_factor**2))
-        white = design / us[:, np.newaxis]
+        triangle = _triangle(seen, slope, known, bias)
+        white, aim = triangle[:-1, :-1], triangle[:-1, -1]
         size = np.linalg.norm(white, axis=0)
-        if white.shape[0] < white.shape[1] or np.any(size == 0) or np.linalg.cond(white / size) > 1e8:
+        few = int(seen.used.sum()) + len(known) < unknowns
+        if few or np.any(size == 0) or np.linalg.cond(white / size) > 1e8:
             raise NoFit(
                 "these rates do not determine the unknowns: without a bias rate two different |W| are needed, "
                 "with it also both senses or a third rate; a known scale factor saves one"
             )
         inverse = np.linalg.pinv(white / size) / size[:, np.newaxis]
-        point = inverse @ (target / us)
-        new = 2 * point[0] * rate + (point[1] if bias else 0.0)
-        if not np.any(rate_u) or np.allclose(new, slope, rtol=1e-12, atol=0):
+        point = inverse @ aim
+        before, slope = slope, (2 * float(point[0]), float(point[1]) if bias else 0.0)
+        if not np.any(seen.rate_u) or _alike(seen, before, slope):
             break
-        slope = new
-    return point, inverse @ inverse.T, float(np.sum(((target - design @ point) / us) ** 2))
+    return point, inverse @ inverse.T, float(triangle[-1, -1] ** 2)
+
+
+def _triangle(seen: _Seen, slope: tuple[float, float], known: Floats, bias: bool) -> Floats:
+    """The triangle that stands for the equations of all frequencies, by QR; its last column is the right side.
+
+    Parameters
+    ----------
+    slope : tuple of float
+        Of f^2 against W, over W and beside it.
+    known : (k, unknowns + 1)
+        Equations of what is known before.
+    """
+    triangle = np.concatenate([known, np.zeros((3 + bias - len(known), 3 + bias))])
+    for _, (rate, f, fu, rate_u) in seen.blocks():
+        us = np.hypot(2 * f * fu, (slope[0] * rate + slope[1]) * rate_u)
+        columns = [rate**2, rate, np.ones_like(rate)] if bias else [rate**2, np.ones_like(rate)]
+        equations = np.stack([*columns, f**2], axis=-1) / us[:, np.newaxis]
+        triangle = np.asarray(np.linalg.qr(np.concatenate([triangle, equations]), mode="r"))
+    return triangle
+
+
+def _alike(seen: _Seen, before: tuple[float, float], slope: tuple[float, float]) -> bool:
+    """Whether two slopes are one at all rates."""
+    return all(
+        np.allclose(slope[0] * rate + slope[1], before[0] * rate + before[1], rtol=1e-12, atol=0)
+        for _, (rate, *_) in seen.blocks()
+    )
 
 
 def _physical(point: Floats, covariance: Floats, bias: bool) -> tuple[Floats, Floats]:

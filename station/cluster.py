@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-import ctypes
 import itertools
 import logging
 import socket
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack, suppress
-from functools import cache
 from types import TracebackType
 from typing import Any, Self, TypeVar
 
 from station.datasets.packages import package
 from station.errors import RunError, UsageError
+from station.memory import keep_for_batches
 from station.provenance import version
 
 T = TypeVar("T")
@@ -24,7 +23,6 @@ LOCAL = "local"
 _PATIENCE_S = 10.0  # for a scheduler to answer, and for its first worker
 _AHEAD = 3
 """Pieces for each worker that are begun before the first of them is asked for."""
-_M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD, _KEPT_BYTES = -1, -3, 1 << 25  # of mallopt(3), and the most it takes
 _SAME = ("gyrolock", "numpy", "scipy")
 """What must be of one version everywhere: another one may give another last bit."""
 
@@ -175,21 +173,9 @@ class Cluster:
 
 def done(work: Callable[[T], R], piece: T) -> R:
     """Do a piece of work: what a worker is asked for."""
-    _keep_memory()
+    # Dask makes its workers give every large array back to the system (MALLOC_TRIM_THRESHOLD_)
+    keep_for_batches()
     return work(piece)
-
-
-@cache
-def _keep_memory() -> None:
-    """Let this process keep the memory of its arrays for the next ones.
-
-    Dask makes its workers give every large array back to the system (MALLOC_TRIM_THRESHOLD_): the pages of those
-    that follow are then cleared anew, which takes as long as the estimates. Without glibc nothing is done.
-    """
-    with suppress(OSError, AttributeError):
-        libc = ctypes.CDLL("libc.so.6")
-        for parameter in (_M_MMAP_THRESHOLD, _M_TRIM_THRESHOLD):
-            libc.mallopt(parameter, _KEPT_BYTES)
 
 
 def versions() -> dict[str, str]:

@@ -1,6 +1,6 @@
 """What all records of one run say together: arrays in, one result out."""
 
-from analysis.lock_in_run.estimates import Method, joined, only_beats, without_channel
+from analysis.lock_in_run.estimates import Method, by_themselves, joined, only_beats, without_channel
 from analysis.lock_in_run.evaluation import evaluate
 from analysis.lock_in_run.groups import RateGroup, SeveralRates
 from analysis.lock_in_run.pairs import QuadratureResult
@@ -25,6 +25,7 @@ __all__ = [
     "SeveralRates",
     "TableCheck",
     "Tilt",
+    "by_themselves",
     "evaluate",
     "fast_estimates",
     "find_tilt",

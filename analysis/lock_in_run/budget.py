@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -31,7 +31,7 @@ from analysis.lock_in_run.third_harmonic import third_order_limit
 from analysis.lockin_equation import lock_in_from_beat, lock_in_from_rate
 from analysis.lockin_rate import LockInEstimate
 from analysis.rotation import earth_rate_on_axis
-from analysis.several_rates import Model, RatesFit, RatesFlag, ReceiverKnowledge, fit_rates
+from analysis.several_rates import Model, RatesFit, RatesFlag, ReceiverKnowledge, fit_again
 
 _RECTANGLE = math.sqrt(3.0)
 _SAMPLES_FITTED = 6
@@ -80,7 +80,7 @@ def run_budget(found: LockInRun, slow: RecordArrays, bench: BenchKnowledge) -> B
         As for :func:`known_of_bench`, which gives `bench`.
     """
     if found.several is not None and found.several.by_beat is not None:
-        one, rows = found.several.reference_group.combined, np.array(found.several.reference_group.rows)
+        one, rows = found.several.reference_group.combined, found.several.reference_group.rows
         point = _operating_point(found.each[rows], one, slow)
         return _rates_budget(found.each, found.several.by_beat, point, bench, int(slow.samples.min()))
     return _one_rate_budget(found, found.each, found.combined, slow, bench)
@@ -91,7 +91,7 @@ def record_uncertainties(found: LockInRun, slow: RecordArrays, bench: BenchKnowl
     each = found.each
     groups = [(np.arange(each.flags.size), found.combined)]
     if found.several is not None:
-        groups = [(np.array(group.rows), group.combined) for group in found.several.groups]
+        groups = [(group.rows, group.combined) for group in found.several.groups]
     us = np.full(each.flags.size, math.nan)
     for rows, one in groups:
         if np.isfinite(one.lock_in_rate_u) and each[rows].usable.any():
@@ -200,7 +200,6 @@ def _from_channel(
     each: LockInEstimate, fit: RatesFit, known: Bounded, point: OperatingPoint, receiver: ReceiverKnowledge
 ) -> Iterator[BudgetInput]:
     """Filters of channel and laser: the fit again with the ratios that would be seen without them."""
-    frequency = each.beat_frequency
     for name, field, quantity, factor in CORNERS:
         corner: Corner = getattr(known.knowledge, field)
         if name in known.knowledge.separated:
@@ -208,11 +207,11 @@ def _from_channel(
         elif corner.hz in (0.0, math.inf):
             yield BudgetInput(name, quantity, "Hz", corner.hz, 0.0, "rectangular", 0.0, note="none")
         elif corner.corrected:
-            moved = factor(frequency, corner.hz + corner.u_hz) / factor(frequency, corner.hz)
-            shift = _shift(each, fit, 1 / moved, point, receiver)
+            wider = replace(corner, hz=corner.hz + corner.u_hz)
+            shift = _shift(each, fit, _without(factor, wider, corner), point, receiver)
             yield _line(name, quantity, corner, abs(shift), "normal", "corrected for")
         else:
-            u = abs(_shift(each, fit, 1 / factor(frequency, corner.hz), point, receiver)) / _RECTANGLE
+            u = abs(_shift(each, fit, _without(factor, corner), point, receiver)) / _RECTANGLE
             line = _line(name, quantity, corner, u, "rectangular", "not corrected for")
             bound = f"{corner.hz:.4g} Hz; the fit repeated with its effect"
             yield replace(line, note=known.note(name, bound, line.note), stated=name not in known.assumed)
@@ -225,18 +224,30 @@ def _line(name: str, quantity: str, corner: Corner, u: float, kind: Distribution
     return BudgetInput(name, f"{quantity}: shift of the fit", "deg/s", 0.0, u, kind, 1.0, note=note)
 
 
+def _without(
+    factor: Callable[[Floats, float], Complexes], corner: Corner, corrected: Corner | None = None
+) -> Callable[[Floats], Complexes]:
+    """What takes a filter out of the ratios, by their beat frequencies; `corrected`: what has been taken out."""
+
+    def of(frequency: Floats) -> Complexes:
+        seen = factor(frequency, corner.hz)
+        return np.asarray(1 / (seen if corrected is None else seen / factor(frequency, corrected.hz)))
+
+    return of
+
+
 def _shift(
-    each: LockInEstimate, fit: RatesFit, factor: Complexes, point: OperatingPoint, receiver: ReceiverKnowledge
+    each: LockInEstimate,
+    fit: RatesFit,
+    factor: Callable[[Floats], Complexes],
+    point: OperatingPoint,
+    receiver: ReceiverKnowledge,
 ) -> float:
-    """Change of the lock-in rate in deg/s if the ratios were multiplied by a factor."""
-    moved = replace(each, complex_ratio=each.complex_ratio * factor)
+    """Change of the lock-in rate in deg/s if the ratios were multiplied by a factor of their beat frequency."""
     try:
-        before, after = (
-            fit_rates(one, input_rate=fit.rate, reference=fit.reference, model=fit.model, receiver=receiver)
-            for one in (each, moved)
-        )
+        before, after = (fit_again(fit, factor=one, receiver=receiver) for one in (np.ones_like, factor))
     except NoFit:
         # as at the rate that determines the result best
         place = int(np.nanargmin(np.abs(each.beat_frequency - point.beat_frequency)))
-        return fit.lock_in_rate * float(np.abs(factor[place]) - 1)
+        return fit.lock_in_rate * float(np.abs(factor(each.beat_frequency[place : place + 1])[0]) - 1)
     return after.lock_in_rate - before.lock_in_rate

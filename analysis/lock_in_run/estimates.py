@@ -66,6 +66,18 @@ def estimate_records(records: RecordArrays, method: Method) -> LockInEstimate:
     return joined(parts, rows)
 
 
+def by_themselves(each: LockInEstimate, response: ChannelResponse | None) -> LockInEstimate:
+    """What records say that went through a channel, each by itself; it does not depend on the others.
+
+    Raises
+    ------
+    OutsideResponse
+        As :func:`without_channel`.
+    """
+    beats = only_beats(each)
+    return beats if response is None else without_channel(beats, response)
+
+
 def only_beats(each: LockInEstimate) -> LockInEstimate:
     """Withhold what rests on a piece of some curve: fewer than 3 periods that do not fit either."""
     curve = int(Flag.FEW_PERIODS | Flag.MISFIT)
@@ -94,7 +106,7 @@ def without_channel_model(each: LockInEstimate) -> str:
 
     That of the response is not among it: all records share it, so it stands in the budget.
     """
-    return f"{each.noise_model}; corrected for the response of the channel"
+    return f"{noise_model(each.flags)}; corrected for the response of the channel"
 
 
 def at_known_rates(each: LockInEstimate, rates: Floats) -> LockInEstimate:

@@ -11,7 +11,14 @@ from analysis.channel import ChannelResponse
 from analysis.combine import combine_estimates
 from analysis.flags import Flag
 from analysis.lock_in_run.budget import known_of_bench, record_uncertainties, run_budget
-from analysis.lock_in_run.estimates import Method, at_known_rates, estimate_records, only_beats, without_channel
+from analysis.lock_in_run.estimates import (
+    Method,
+    at_known_rates,
+    by_themselves,
+    estimate_records,
+    only_beats,
+    without_channel_model,
+)
 from analysis.lock_in_run.groups import at_several_rates, combined_estimate, evaluate_rates, rates_by_table
 from analysis.lock_in_run.pairs import QuadratureResult, estimate_pairs, mean_of_pairs
 from analysis.lock_in_run.records import RecordArrays, RunArrays, RunKnowledge
@@ -43,8 +50,8 @@ def evaluate(
         what everything may be at worst.
     method : Method
     estimated : LockInEstimate, optional
-        Of the slow records by this method, fields of shape (n,), where they are known already; then `run` needs no
-        samples of them. Not for two channels.
+        Of the slow records by this method, :func:`by_themselves`, fields of shape (n,), where they are known
+        already; then `run` needs no samples of them. Not for two channels.
     axis : AxisRates, optional
         Rates on the gyro's axis where they are stated and need no table. `run` has them as those of its table, by
         which it falls into groups.
@@ -66,27 +73,24 @@ def evaluate(
     each, quadratures = _each_record(
         run.slow, method, None if knowledge is None else knowledge.response, estimated
     )
-    # 2. all of them as if at one rate
-    unknown = np.full(each.flags.size, np.nan)
-    found = LockInRun(method, each, combine_estimates(each), quadratures=quadratures, record_u=unknown)
     if knowledge is None:
         knowledge = RunKnowledge(method.scale_factor, latitude_deg=math.nan)
-    if axis is not None:
-        if at_several_rates(run.slow):
-            several = evaluate_rates(run.slow, each, axis, ReceiverKnowledge.of(knowledge.bench))
-            found = replace(found, several=several, combined=combined_estimate(several))
-    elif axis_rate_is_known(run, knowledge):
-        # 3. the table: tilt, and the rate on the axis
+    # 2. the table: tilt, and the rate on the axis
+    tilt = None
+    if axis is None and axis_rate_is_known(run, knowledge):
         tilt = find_tilt(run.fast, knowledge, _best_shown(each))
         axis = axis_rates(run.slow, tilt, knowledge)
-        found = replace(found, tilt=tilt)
-        if at_several_rates(run.slow):
-            # 4. each rate alone, then one fit
-            several = evaluate_rates(run.slow, each, axis, ReceiverKnowledge.of(knowledge.bench))
-            found = replace(found, several=several, combined=combined_estimate(several))
-        # 5. the same by the table
+    # 3. the mean of all records, or each rate alone and then one fit
+    several = None
+    if axis is not None and at_several_rates(run.slow):
+        several = evaluate_rates(run.slow, each, axis, ReceiverKnowledge.of(knowledge.bench))
+    combined = combine_estimates(each) if several is None else combined_estimate(several)
+    unknown = np.broadcast_to(math.nan, each.flags.shape)
+    found = LockInRun(method, each, combined, unknown, tilt, several=several, quadratures=quadratures)
+    # 4. the same by the table
+    if axis is not None and tilt is not None:
         found = _checked_by_table(found, run, axis, knowledge)
-    # 6. what all inputs make of the uncertainty
+    # 5. what all inputs make of the uncertainty
     if not found.usable:
         return found
     bench = known_of_bench(found, run.slow, knowledge)
@@ -106,8 +110,9 @@ def _each_record(
     if slow.n_channels == 2:
         pairs = estimate_pairs(slow, method, response)
         return only_beats(pairs.estimate), mean_of_pairs(pairs)
-    each = only_beats(estimate_records(slow, method) if estimated is None else estimated)
-    return (each if response is None else without_channel(each, response)), None
+    if estimated is None:
+        return by_themselves(estimate_records(slow, method), response), None
+    return (estimated if response is None else estimated.described(without_channel_model(estimated))), None
 
 
 def _checked_by_table(found: LockInRun, run: RunArrays, axis: AxisRates, knowledge: RunKnowledge) -> LockInRun:

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from analysis.arrays import Floats
+from analysis.arrays import Floats, Indices
 from analysis.combine import combine_estimates
 from analysis.errors import NoFit, OneRateOnly
 from analysis.flags import FATAL, Flag
@@ -20,7 +20,7 @@ from analysis.lockin_rate import LockInEstimate
 from analysis.several_rates import RatesFit, RatesFlag, ReceiverKnowledge, Reference, fit_rates
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class RateGroup:
     """The records at one rate of the table.
 
@@ -32,7 +32,7 @@ class RateGroup:
         Mean rate on the gyro's axis by the table, deg/s, signed.
     over_lock_in : float or None
         What was asked for, in expected lock-in rates.
-    rows : tuple of int
+    rows : ndarray of int, rising
         Which of the records they are.
     combined : LockInEstimate
         Fields of shape (): what this rate says alone.
@@ -41,7 +41,7 @@ class RateGroup:
     table_rate: float
     input_rate: float
     over_lock_in: float | None
-    rows: tuple[int, ...]
+    rows: Indices
     combined: LockInEstimate
 
 
@@ -109,7 +109,8 @@ def evaluate_rates(
         raise OneRateOnly(
             "this run has several rates: they are fitted with the exact relation and their own rates"
         )
-    rates, place, counts = np.unique(slow.table_rate, return_inverse=True, return_counts=True)
+    rates, counts = np.unique(slow.table_rate, return_counts=True)
+    place = np.searchsorted(rates, slow.table_rate)
     groups = []
     for index in range(rates.size)[::-1]:
         rows = np.flatnonzero(place == index)
@@ -118,7 +119,7 @@ def evaluate_rates(
             table_rate=float(rates[index]),
             input_rate=float(np.mean(axis.rates[rows])),
             over_lock_in=asked if math.isfinite(asked) else None,
-            rows=tuple(rows.tolist()),
+            rows=rows,
             combined=combine_estimates(each[rows]),
         )
         groups.append(group)
@@ -142,7 +143,7 @@ def _fit(
 def _frequencies(each: LockInEstimate, axis: AxisRates, rates_u: Floats) -> FrequencyFit | None:
     """Fit the beat frequencies; with one sense alone a bias rate cannot be told from the rest."""
     usable = each.usable
-    both = len(set(np.sign(axis.rates[usable]))) == 2
+    both = np.unique(np.sign(axis.rates[usable])).size == 2
     frequency = np.where(usable, each.beat_frequency, np.nan)
     try:
         return fit_frequencies(axis.rates, frequency, each.beat_frequency_u, input_rate_u=rates_u, bias=both)

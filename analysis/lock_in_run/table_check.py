@@ -20,7 +20,8 @@ w_v and w_h are the vertical and the horizontal earth rate. Three things follow 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields, replace
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -28,7 +29,7 @@ import scipy.special
 
 from analysis.arrays import Bools, Floats, Indices
 from analysis.budget.unstated import LATITUDE_LIMIT_DEG
-from analysis.lock_in_run.records import RecordArrays, RunArrays, RunKnowledge
+from analysis.lock_in_run.records import RunArrays, RunKnowledge
 from analysis.lock_in_run.table_rate import AxisRates, Tilt
 from analysis.lockin_rate import LockInEstimate
 from analysis.rotation import EARTH_RATE_DPS
@@ -192,7 +193,7 @@ def check_by_table(
     over_u = difference_u / (2 * turning)
     shared = math.hypot(float(np.max(axis.common_u)), float(np.max(axis.azimuth_u)) / abs(by_table.input_rate))
     ways = [_by_tilt(curve, knowledge, stated, used)]
-    if seen.oriented.all():
+    if not seen.blind.any():
         far = 10 * stated.earth[0]
         free = _fitted(seen, start, {1: far, 2: far, 3: 2 * _HARMONICS_TRUSTED * squared}, stated, rate_moves=True)
         ways.append(_by_earth(free, stated, used))
@@ -215,8 +216,8 @@ def _p_value(difference: float, u: float) -> float:
 
 
 @dataclass(frozen=True)
-class _Seen:
-    """Records with a beat, slow and fast, (n,): Hz, deg/s, rad from north, rad turned in each, table's setting."""
+class _Some:
+    """Some records with a beat, (m,): Hz, deg/s, rad from north, rad turned in each, table's setting."""
 
     frequency: Floats
     frequency_u: Floats
@@ -225,36 +226,70 @@ class _Seen:
     turned: Floats
     setting: Indices
 
-    @classmethod
-    def of(cls, run: RunArrays, each: tuple[LockInEstimate, LockInEstimate], knowledge: RunKnowledge) -> _Seen:
-        def both(part: Floats, other: Floats) -> Floats:
-            return np.concatenate([part, other])
-
-        slow, fast = run.slow, run.fast
-        beating = np.concatenate([one.usable & (one.beat_frequency_u > 0) for one in each])
-        table = both(slow.table_rate, fast.table_rate)
-        _, setting = np.unique(table[beating], return_inverse=True)
-        azimuth = np.radians(both(slow.azimuth, fast.azimuth) - knowledge.north_azimuth_deg)
-        return cls(
-            frequency=both(each[0].beat_frequency, each[1].beat_frequency)[beating],
-            frequency_u=both(each[0].beat_frequency_u, each[1].beat_frequency_u)[beating],
-            table_rate=table[beating],
-            azimuth=azimuth[beating],
-            turned=np.radians(both(_signed_turn(slow), _signed_turn(fast)))[beating],
-            setting=setting,
-        )
-
-    def __getitem__(self, rows: slice) -> _Seen:
-        return _Seen(*(getattr(self, field.name)[rows] for field in fields(self)))
-
     @property
     def oriented(self) -> Bools:
         """Whether the azimuth of each is known."""
         return np.isfinite(self.azimuth)
 
 
-def _signed_turn(records: RecordArrays) -> Floats:
-    return records.azimuth_end - records.azimuth_start
+@dataclass(frozen=True)
+class _Seen:
+    """Records of the table, slow and then fast (n,): Hz, and which of them beat; the rest is read some at a time.
+
+    frequency, frequency_u, beating : (n,)
+    settings : (s,) rates of the table at which records beat, deg/s, rising
+    blind : (s,) whether the azimuth of some record there is not known
+    """
+
+    run: RunArrays
+    frequency: Floats
+    frequency_u: Floats
+    beating: Bools
+    settings: Floats
+    blind: Bools
+    north_deg: float
+
+    @classmethod
+    def of(cls, run: RunArrays, each: tuple[LockInEstimate, LockInEstimate], knowledge: RunKnowledge) -> _Seen:
+        table = (run.slow.table_rate, run.fast.table_rate)
+        beating = [one.usable & (one.beat_frequency_u > 0) for one in each]
+        settings = np.unique(
+            np.concatenate([np.unique(rate[there]) for rate, there in zip(table, beating, strict=True)])
+        )
+        seen = cls(
+            run,
+            np.concatenate([one.beat_frequency for one in each]),
+            np.concatenate([one.beat_frequency_u for one in each]),
+            np.concatenate(beating),
+            settings,
+            np.zeros(settings.size, dtype=bool),
+            knowledge.north_azimuth_deg,
+        )
+        for some in seen.blocks():
+            seen.blind[some.setting[~some.oriented]] = True
+        return seen
+
+    def blocks(self) -> Iterator[_Some]:
+        """Records that beat, some at a time."""
+        slow, fast = self.run.slow, self.run.fast
+        for first in range(0, self.beating.size, _AT_ONCE):
+            last = first + _AT_ONCE
+            rows = slice(first, last), slice(max(first - len(slow), 0), max(last - len(slow), 0))
+            there = self.beating[first:last]
+
+            def of(name: str, rows: tuple[slice, slice] = rows, there: Bools = there) -> Floats:
+                parts = [getattr(one, name)[some] for one, some in zip((slow, fast), rows, strict=True)]
+                return np.asarray(np.concatenate(parts)[there], dtype=np.float64)
+
+            table_rate, start, end = of("table_rate"), of("azimuth_start"), of("azimuth_end")
+            yield _Some(
+                self.frequency[first:last][there],
+                self.frequency_u[first:last][there],
+                table_rate,
+                np.radians((start + end) / 2 - self.north_deg),
+                np.radians(end - start),
+                np.searchsorted(self.settings, table_rate),
+            )
 
 
 @dataclass(frozen=True)
@@ -317,52 +352,58 @@ def _fitted(
     own. A scatter beyond the noise of the frequencies enlarges that noise; with `rate_moves` it is the same in Hz
     for all (Paule and Mandel, J. Res. NBS 87, 377).
     """
-    settings = int(seen.setting.max()) + 1
-    values = np.concatenate([start, np.zeros(2 * settings)])
-    prior = _prior(seen, known, settings)
+    values = np.concatenate([start, np.zeros(2 * seen.settings.size)])
+    prior = _prior(seen, known)
     aim, moving, stretch = prior @ values, 0.0, 1.0
+    free = max(int(seen.beating.sum()) - seen.settings.size - 1, 1)
     for _ in range(_ROUNDS):
-        noise = np.sqrt((stretch * seen.frequency_u) ** 2 + moving)
         known_left = (aim - prior @ values)[:, np.newaxis]
-        left, white = _triangle(np.hstack([prior, known_left]), values, seen, noise, stated)
+        equations = _Equations(np.hstack([prior, known_left]))
+        for some in seen.blocks():
+            equations.add(*_linearised(values, some, stated), np.sqrt((stretch * some.frequency_u) ** 2 + moving))
+        white = equations.triangle
         size = np.linalg.norm(white[:, :-1], axis=0)
         inverse = np.linalg.pinv(white[:, :-1] / size, rcond=1e-12) / size[:, np.newaxis]
         change = inverse @ white[:, -1]
         values = values + change
         covariance = inverse @ inverse.T
         if np.all(np.abs(change) < 1e-6 * np.sqrt(np.diagonal(covariance))):
-            free = max(left.size - settings - 1, 1)
-            beyond_noise = float(np.sum((left / noise) ** 2)) - free
+            beyond_noise = equations.chi_square - free
             if beyond_noise <= 0.01 * free:
                 break
             if rate_moves:
-                moving += beyond_noise / float(np.sum(left**2 / noise**4))
+                moving += beyond_noise / equations.slope_by_variance
             else:
                 stretch *= math.sqrt(1 + beyond_noise / free)
     return _Curve(values, covariance)
 
 
-def _triangle(
-    triangle: Floats, values: Floats, seen: _Seen, noise: Floats, stated: _Stated
-) -> tuple[Floats, Floats]:
-    """Distances of all records from the curve, and the triangle that stands for their equations, over the noise.
+@dataclass
+class _Equations:
+    """The triangle that stands for the equations of all records, over their noise; right side in its last column.
 
-    It comes out of a QR decomposition, some records at a time: those of a million need no room. Its last column is
-    the right side; it begins with the equations of what is known before.
+    It comes out of a QR decomposition, some records at a time: those of a million need no room. It begins with the
+    equations of what is known before.
+
+    chi_square, slope_by_variance : of the records' distances from the curve, and how it falls with their variance
     """
-    left = np.empty_like(noise)
-    for first in range(0, noise.size, _AT_ONCE):
-        rows = slice(first, first + _AT_ONCE)
-        left[rows], slopes = _linearised(values, seen[rows], stated)
-        equations = np.column_stack([slopes, left[rows]]) / noise[rows, np.newaxis]
-        triangle = np.asarray(np.linalg.qr(np.concatenate([triangle, equations]), mode="r"))
-    return left, triangle
+
+    triangle: Floats
+    chi_square: float = 0.0
+    slope_by_variance: float = 0.0
+
+    def add(self, left: Floats, slopes: Floats, noise: Floats) -> None:
+        """Distances of some records from the curve, Hz, their derivatives by all values, and their noise."""
+        equations = np.column_stack([slopes, left]) / noise[:, np.newaxis]
+        self.triangle = np.asarray(np.linalg.qr(np.concatenate([self.triangle, equations]), mode="r"))
+        self.chi_square += float(np.sum((left / noise) ** 2))
+        self.slope_by_variance += float(np.sum(left**2 / noise**4))
 
 
-def _prior(seen: _Seen, known: dict[int, float], settings: int) -> Floats:
+def _prior(seen: _Seen, known: dict[int, float]) -> Floats:
     """Rows of what is known before: some of the first values, the place in a record, errors and earth rates."""
-    blind = np.bincount(seen.setting, ~seen.oriented, settings) > 0
-    weights = np.concatenate([[_UNIFORM], np.ones(settings), np.where(blind, 1.0, 1e6)])
+    settings = seen.settings.size
+    weights = np.concatenate([[_UNIFORM], np.ones(settings), np.where(seen.blind, 1.0, 1e6)])
     rows = np.zeros((len(known) + weights.size, _PLACES + 2 * settings))
     for row, (place, u) in enumerate(known.items()):
         rows[row, place] = 1 / u
@@ -370,7 +411,7 @@ def _prior(seen: _Seen, known: dict[int, float], settings: int) -> Floats:
     return rows
 
 
-def _linearised(values: Floats, seen: _Seen, stated: _Stated) -> tuple[Floats, Floats]:
+def _linearised(values: Floats, seen: _Some, stated: _Stated) -> tuple[Floats, Floats]:
     """Distance of the records from the curve, Hz, and its derivatives by all values."""
     along, north, east, squared, place = values[:_PLACES]
     error, earth = np.split(values[_PLACES:], 2)

@@ -17,6 +17,7 @@ _UNIFORM = math.sqrt(12)
 """Width over standard deviation: a record lies somewhere between two readings of the azimuth."""
 
 _EAST, _NORTH = 90.0, 0.0
+_AT_ONCE = 1 << 14
 
 
 @dataclass(frozen=True)
@@ -115,15 +116,21 @@ def axis_rates(slow: RecordArrays, tilt: Tilt, knowledge: RunKnowledge) -> AxisR
     def earth_rate(azimuth_deg: float | Floats) -> Floats:
         return earth_rate_on_axis(knowledge.latitude_deg, tilt.tilt_deg, azimuth_deg)
 
-    oriented = np.isfinite(slow.azimuth)
-    # where nobody knows the azimuth, only the vertical part of the earth rate is left: that at east
-    azimuth = np.where(oriented, slow.azimuth - knowledge.north_azimuth_deg, _EAST)
+    found = AxisRates(*(np.empty(len(slow)) for _ in range(3)))
     vertical = earth_rate(_EAST)
-    rates = slow.table_rate * math.cos(math.radians(tilt.tilt_deg)) + earth_rate(azimuth)
-    slope = np.abs(earth_rate(azimuth + 90.0) - vertical)
-    between = np.where(oriented, slope * np.radians(slow.turned) / _UNIFORM, 0.0)
     tilt_part = math.tan(math.radians(tilt.tilt_deg)) * math.radians(tilt.tilt_u_deg)
     # the horizontal part at an azimuth that nobody knows: a cosine has a mean square of one half
     swing = abs(float(earth_rate(_NORTH) - vertical)) / math.sqrt(2)
-    earth_part = np.where(oriented, 0.0, swing / np.abs(rates))
-    return AxisRates(rates, np.hypot(tilt_part, earth_part), between)
+    for first in range(0, len(slow), _AT_ONCE):
+        some = slice(first, first + _AT_ONCE)
+        middle = (slow.azimuth_start[some] + slow.azimuth_end[some]) / 2
+        oriented = np.isfinite(middle)
+        # then only the vertical part of the earth rate is left: that at east
+        azimuth = np.where(oriented, middle - knowledge.north_azimuth_deg, _EAST)
+        rates = slow.table_rate[some] * math.cos(math.radians(tilt.tilt_deg)) + earth_rate(azimuth)
+        slope = np.abs(earth_rate(azimuth + 90.0) - vertical)
+        turned = np.abs(slow.azimuth_end[some] - slow.azimuth_start[some])
+        found.rates[some] = rates
+        found.azimuth_u[some] = np.where(oriented, slope * np.radians(turned) / _UNIFORM, 0.0)
+        found.common_u[some] = np.hypot(tilt_part, np.where(oriented, 0.0, swing / np.abs(rates)))
+    return found

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from html import escape
 from typing import Any
 
@@ -78,6 +78,10 @@ class LockInEstimate:
             if isinstance(value, np.ndarray):
                 changed[name] = value.reshape((*shape, *value.shape[inner:]))
         return LockInEstimate(**changed)
+
+    def described(self, noise_model: str) -> LockInEstimate:
+        """The same records, with other words on what their uncertainties rest on."""
+        return replace(self, noise_model=noise_model)
 
     @property
     def usable(self) -> Bools:

@@ -5,11 +5,10 @@ from __future__ import annotations
 import numpy as np
 import scipy.special
 
-from analysis.arrays import Bools, Floats
 from analysis.several_rates.least_squares import RatioFit, fit_ratios
 from analysis.several_rates.points import Points
 from analysis.several_rates.ratio_model import Prior
-from analysis.several_rates.ratio_records import FASTER_THAN_POSSIBLE, RatioRecords, inconsistent_rate
+from analysis.several_rates.ratio_records import RatioRecords, inconsistent_rate, mismatch_of_all, rates_differ
 from analysis.several_rates.result import RatesFit, RatesFlag, WithoutOneRate
 from analysis.several_rates.solutions import lock_in_u
 
@@ -23,9 +22,6 @@ DISTORTION_COST = 10.0
 
 LOOSE = 0.3
 """A lock-in rate with a larger relative uncertainty is not determined."""
-
-MISMATCH = 0.005
-"""A rate that misses the one of the beat by more is worth a flag: it goes 1:1 into the lock-in rate."""
 
 MISFITS_BY_CHANCE = 0.05
 EXPLAINED = 5.0
@@ -87,45 +83,17 @@ def scale_factor_of_rates(scale_factor: float, points: Points, fit: RatioFit) ->
     return mean, spread
 
 
-def rates_that_differ(rate: Floats, size: float, u: float, mismatch: Floats) -> Bools:
-    """Records whose rates (n,) do not fit their beats, beyond what a lock-in rate `size` with `u` explains."""
-    return np.asarray(np.abs(mismatch) > MISMATCH + 3 * _stretch(rate, size, u))
-
-
-def mismatch_of_all(rate: Floats, size: float, u: float, mismatch: Floats) -> float:
-    """What all beats have in common against their rates (n,), by the fast ones; 0 where that may be chance.
-
-    Less than what `rates_that_differ` asks of a single record is enough. nan where no mismatch is known.
-    """
-    known = np.isfinite(mismatch)
-    if not known.any():
-        return float("nan")
-    fast = known & (rate >= _FAST * rate[known].max())
-    found = float(np.median(mismatch[fast]))
-    explained = FASTER_THAN_POSSIBLE + 3 * float(np.median(_stretch(rate[fast], size, u)))
-    return found if abs(found) > explained else 0.0
-
-
-_FAST = 0.5
-
-
-def _stretch(rate: Floats, size: float, u: float) -> Floats:
-    """Relative uncertainty of the beats at rates (n,) that a lock-in rate `size` with `u` leaves."""
-    with np.errstate(over="ignore"):
-        return np.asarray(size**2 / np.maximum(rate**2 - size**2, 1e-300) * (u / size if size else 0.0))
-
-
 def rates_flags(fit: RatesFit, records: RatioRecords, tested: int) -> int:
     """Bits of `RatesFlag` of a result that has none yet; `tested`: values that the records leave over."""
     size, u = fit.lock_in_rate, fit.lock_in_rate_u
     plain = next((m.lock_in_rate_u for m in fit.models if m.model == "lock-in"), u)
     distorted = next((m.lock_in_rate_u for m in fit.models if m.model == "distortion"), u)
-    rate = np.abs(fit.rate)
-    differ = rates_that_differ(rate, size, u, fit.rate_mismatch)
-    no_beat_above = fit.locked & (rate > fit.lock_in_rate_high_95)
-    inconsistent = inconsistent_rate(records) | (mismatch_of_all(rate, size, u, fit.rate_mismatch) != 0)
+    rate, mismatch = fit.rate, fit.rate_mismatch
+    no_beat_above = np.abs(rate[fit.locked]) > fit.lock_in_rate_high_95
+    disagree = rates_differ(rate, size, u, mismatch) or mismatch_of_all(rate, size, u, mismatch) != 0
+    disagree = disagree or bool(np.any(inconsistent_rate(records)))
     explained = abs(fit.third_order) > EXPLAINED * fit.third_order_u
-    misfits = int(np.sum(records.misfit & fit.used))
+    misfits = sum(int(np.sum(block.misfit & fit.used[some])) for some, block in records.blocks())
     conditions = {
         RatesFlag.NOT_SIGNIFICANT: not size > SIGNIFICANT * u,
         RatesFlag.RATES_TOO_CLOSE: fit.model not in FREE_OF_DISTORTION and distorted > DISTORTION_COST * plain,
@@ -133,13 +101,13 @@ def rates_flags(fit: RatesFit, records: RatioRecords, tested: int) -> int:
         RatesFlag.NOT_TESTED: tested <= 0,
         RatesFlag.MISFIT: fit.p_value < UNLIKELY,
         RatesFlag.ONE_RATE_DISAGREES: bool(np.any(fit.left_out.p_value < UNLIKELY)),
-        RatesFlag.ONE_SENSE: len(set(np.sign(fit.rate[fit.used]))) == 1,
+        RatesFlag.ONE_SENSE: bool(np.any(rate > 0, where=fit.used) != np.any(rate < 0, where=fit.used)),
         RatesFlag.GAIN_CORNER_ASSUMED_HIGH: fit.model in FREE_OF_GAIN,
         RatesFlag.LOCKED_RECORDS: fit.at_least > 0,
         RatesFlag.NO_BEAT_ABOVE_LOCK_IN: bool(np.any(no_beat_above)),
         RatesFlag.RECORDS_LEFT_OUT: not bool(np.all(fit.used | fit.locked)),
-        RatesFlag.RATE_AND_BEAT_DISAGREE: bool(np.any(differ | inconsistent)),
-        RatesFlag.RATE_BELOW_LOCK_IN: bool(np.any(fit.used & (rate <= size))),
+        RatesFlag.RATE_AND_BEAT_DISAGREE: disagree,
+        RatesFlag.RATE_BELOW_LOCK_IN: bool(np.any(np.abs(rate) <= size, where=fit.used)),
         RatesFlag.SEVERAL_SOLUTIONS: bool(fit.alternatives),
         RatesFlag.RECORDS_MISFIT: misfits > max(2, MISFITS_BY_CHANCE * fit.used.sum()) and not explained,
     }

@@ -18,7 +18,7 @@ import numpy as np
 import scipy.special
 
 from analysis.arrays import Floats
-from analysis.several_rates.points import rate_groups
+from analysis.several_rates.points import Points
 
 GAIN_OVER_DIFFERENCE = 3.0
 """g_c/g_d, for a cross saturation of half the self saturation."""
@@ -48,10 +48,42 @@ class CouplingSeen:
         return max(self.share + self.reach * self.u, self.u)
 
 
-def coupling_seen(
-    rate: Floats, mismatch: Floats, mismatch_u: Floats, square: Floats, slowness: Floats, lock_in_u: float
-) -> CouplingSeen | None:
-    """Coupling without loss by n records with a beat; ``None`` where rates and beats do not determine it.
+def coupling_seen(beats: Floats, lock_in_u: float) -> CouplingSeen | None:
+    """Coupling without loss by beats at several rates; ``None`` where rates and beats do not determine it.
+
+    Parameters
+    ----------
+    beats : (5, p)
+        Sums of what :func:`said_by_beats` gives, over the records of each rate in each sense.
+    lock_in_u : float
+        Relative standard uncertainty of WL by the ratios.
+    """
+    total = beats[0]
+    if total.size == 0:
+        return None
+    seen, pulled, slowness, drift = beats[1:] / total
+    pushed = 0.5 / (1 + (GAIN_OVER_DIFFERENCE * slowness) ** 2)
+    columns = np.stack([pushed + pulled, np.ones(total.size), drift / np.abs(drift).max(), pulled], axis=-1)
+    free = total.size - columns.shape[1] + 1
+    if free < 1:
+        return None
+    # that WL is known from elsewhere is one more value
+    white = np.concatenate([columns * np.sqrt(total)[:, np.newaxis], [[0.0, 0.0, 0.0, 1 / lock_in_u]]])
+    aim = np.append(seen * np.sqrt(total), 0.0)
+    size = np.linalg.norm(white, axis=0)
+    scaled = white / size
+    if np.linalg.cond(scaled) > _ALIKE:
+        return None
+    inverse = np.linalg.inv(scaled.T @ scaled)
+    found = inverse @ (scaled.T @ aim)
+    left = aim - scaled @ found
+    scatter = max(float(left @ left) / free, 1.0)
+    u = float(np.sqrt(inverse[0, 0] * scatter)) / size[0]
+    return CouplingSeen(float(found[0] / size[0]), u, float(scipy.special.stdtrit(free, 0.975)))
+
+
+def said_by_beats(rate: Floats, mismatch: Floats, mismatch_u: Floats, square: Floats, slowness: Floats) -> Floats:
+    """What n records with a beat say: their weights, and weighted values that are to be added up, (5, n).
 
     Parameters
     ----------
@@ -63,36 +95,35 @@ def coupling_seen(
         (WL/W)^2.
     slowness : (n,)
         w/g_c.
-    lock_in_u : float
-        Relative standard uncertainty of WL by the ratios.
     """
-    _, place = np.unique(2 * rate_groups(rate) + (rate > 0), return_inverse=True)
     weights = 1 / (mismatch_u**2 + LEAST_U**2)
-    total = np.bincount(place, weights)
+    return np.asarray(
+        weights * np.stack([np.ones_like(rate), mismatch, square / (1 - square), slowness, 1 / rate])
+    )
 
-    def mean(values: Floats) -> Floats:
-        return np.asarray(np.bincount(place, weights * values) / total)
 
-    pulled = mean(square / (1 - square))
-    pushed = 0.5 / (1 + (GAIN_OVER_DIFFERENCE * mean(slowness)) ** 2)
-    drift = np.abs(rate).min() * mean(1 / rate)
-    columns = np.stack([pushed + pulled, np.ones(total.size), drift, pulled], axis=-1)
-    free = total.size - columns.shape[1] + 1
-    if free < 1:
-        return None
-    # that WL is known from elsewhere is one more value
-    white = np.concatenate([columns * np.sqrt(total)[:, np.newaxis], [[0.0, 0.0, 0.0, 1 / lock_in_u]]])
-    aim = np.append(mean(mismatch) * np.sqrt(total), 0.0)
-    size = np.linalg.norm(white, axis=0)
-    scaled = white / size
-    if np.linalg.cond(scaled) > _ALIKE:
-        return None
-    inverse = np.linalg.inv(scaled.T @ scaled)
-    found = inverse @ (scaled.T @ aim)
-    left = aim - scaled @ found
-    scatter = max(float(left @ left) / free, 1.0)
-    u = float(np.sqrt(inverse[0, 0] * scatter)) / size[0]
-    return CouplingSeen(float(found[0] / size[0]), u, float(scipy.special.stdtrit(free, 0.975)))
+def beats_of_rates(points: Points, mismatch: Floats, lock_in_rate: float, gain_time: float) -> Floats:
+    """What the records of a fit say at each rate in each sense, (5, p), for :func:`coupling_seen`.
+
+    Parameters
+    ----------
+    mismatch : (n,)
+        Of all records, nan where it is not known.
+    lock_in_rate, gain_time : float
+        deg/s, s: WL by the ratios, 1/g_c.
+    """
+    records, sums = points.records, np.zeros((5, len(points.places)))
+    for some, every in records.records.blocks():
+        rows = np.flatnonzero(records.used[some] & np.isfinite(mismatch[some]))
+        block, frequency = every[rows], every.beat_frequency[rows]
+        square = (lock_in_rate / block.rate) ** 2
+        rate_u = records.rate_u[some][rows] / np.abs(block.rate) / (1 - square)
+        us = np.hypot(block.beat_frequency_u / frequency, rate_u)
+        slowness = 2 * np.pi * frequency * gain_time
+        sums += points.places.sums(block, *said_by_beats(block.rate, mismatch[some][rows], us, square, slowness))
+    there = sums[0] > 0
+    _, place = np.unique(2 * points.rate_group[there] + (points.points.rate[there] > 0), return_inverse=True)
+    return np.stack([np.bincount(place, column) for column in sums[:, there]])
 
 
 _ALIKE = 1e6

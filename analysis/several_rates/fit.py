@@ -8,7 +8,7 @@ docs/several_rates.md). What they leave open is bounded by what is known of rece
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Literal
 
@@ -16,37 +16,27 @@ import numpy as np
 import scipy.special
 from numpy.typing import ArrayLike
 
-from analysis.arrays import Bools, Complexes, Floats
+from analysis.arrays import Complexes, Floats
 from analysis.errors import NoFit
 from analysis.lockin_rate import LockInEstimate
-from analysis.several_rates.checks import (
-    leave_out,
-    mismatch_of_all,
-    rates_flags,
-    rates_that_differ,
-    scale_factor_of_rates,
-)
-from analysis.several_rates.coupling import CouplingSeen, coupling_seen
-from analysis.several_rates.least_squares import RatioFit, all_solutions, fit_ratios, whitened
-from analysis.several_rates.points import Points, gather
-from analysis.several_rates.ratio_model import (
-    N_PARAMETERS,
-    Prior,
-    RatioData,
-    Reference,
-    predicted_ratio,
-    whitening_factor,
-)
+from analysis.several_rates.checks import leave_out, rates_flags, scale_factor_of_rates
+from analysis.several_rates.coupling import beats_of_rates, coupling_seen
+from analysis.several_rates.gain_within_bounds import over_gain_times
+from analysis.several_rates.least_squares import RatioFit, all_solutions, fit_ratios
+from analysis.several_rates.points import Points, UsedRecords, gather
+from analysis.several_rates.ratio_model import N_PARAMETERS, Prior, RatioData, Reference
 from analysis.several_rates.ratio_records import (
-    SMALLEST_U,
     RatioRecords,
     common_mismatch,
     inconsistent_rate,
+    mismatch_of_all,
+    rate_mismatch,
+    rates_differ,
     records_of_arrays,
     records_of_estimates,
 )
 from analysis.several_rates.receiver import ReceiverKnowledge
-from analysis.several_rates.result import Model, ModelFit, RatesFit, RatesFlag
+from analysis.several_rates.result import FittedRecords, Model, ModelFit, RatesFit, RatesFlag
 from analysis.several_rates.solutions import (
     Answer,
     answer,
@@ -131,6 +121,24 @@ def fit_rates(
     return _fit(records, np.asarray(input_rate_u, dtype=np.float64), reference, model, receiver)
 
 
+def fit_again(
+    fit: RatesFit, *, factor: Callable[[Floats], Complexes], receiver: ReceiverKnowledge | None = None
+) -> RatesFit:
+    """The fit of the same records, with the ratio of each times a factor of its beat frequency.
+
+    Parameters
+    ----------
+    fit : RatesFit
+        Its rates count as exact now.
+    factor : callable
+        Of frequencies in Hz, (m,), complex.
+    receiver : ReceiverKnowledge, optional
+        As for :func:`fit_rates`, and so are the errors.
+    """
+    records = fit.each.records.records.times(factor)
+    return _fit(records, np.zeros(()), fit.reference, fit.model, receiver)
+
+
 def fit_rate_ratios(
     input_rate: ArrayLike,
     ratio: ArrayLike,
@@ -204,7 +212,9 @@ def _fit(
         used &= ~inconsistent_rate(records, common_mismatch(records))
     if not used.any():
         raise NoFit("no record with a usable beat: nothing can be fitted")
-    points = _points(records, used, rate_u, reference)
+    if not np.all(np.isfinite(rate_u)) or np.any(rate_u < 0):
+        raise ValueError("input_rate_u must be finite and not negative (deg/s)")
+    points = gather(UsedRecords(records, used, np.broadcast_to(rate_u, records.rate.shape), reference))
     chosen: Model = "all" if model == "auto" else model
     known = (receiver or ReceiverKnowledge()).prior(float(points.points.angular.min()) / (2 * np.pi))
     found = all_solutions(points.points, _prior(chosen, known))
@@ -222,33 +232,8 @@ def _fit(
     if found.singular[0]:
         raise NoFit(f"these records cannot tell the unknowns of the model {model!r} apart: {MORE_RECORDS}")
     fits = _models(points, found, known, chosen)
-    result = _result(records, used, points, fits, found, known, chosen, receiver, rate_u)
+    result = _result(points, fits, found, known, chosen, receiver)
     return replace(result, flags=result.flags | (RatesFlag.STATED_LIMITS_EXCEEDED if contradicted else 0))
-
-
-def _points(records: RatioRecords, used: Bools, rate_u: Floats, reference: Reference) -> Points:
-    if not np.all(np.isfinite(rate_u)) or np.any(rate_u < 0):
-        raise ValueError("input_rate_u must be finite and not negative (deg/s)")
-    rate, frequency, ratio = records.rate[used], records.beat_frequency[used], records.ratio[used]
-    if reference == "rate":
-        relative = np.broadcast_to(rate_u, records.rate.shape)[used] / np.abs(rate)
-    else:
-        relative = records.beat_frequency_u[used] / frequency
-    along = np.stack([ratio.real, ratio.imag], axis=-1) * relative[:, np.newaxis]
-    covariance = records.covariance[used] + along[:, :, np.newaxis] * along[:, np.newaxis, :]
-    covariance = covariance + SMALLEST_U**2 * np.eye(2)
-    data = RatioData(
-        rate=rate,
-        beat_rate=frequency / records.scale_factor,
-        angular=2 * np.pi * frequency,
-        ratio=ratio,
-        whitening=whitening_factor(covariance)[np.newaxis],
-        amplitude=records.amplitude[used],
-        third=records.third[used],
-        third_weight=1 / records.third_u[used],
-        reference=reference,
-    )
-    return gather(data, covariance)
 
 
 def _prior(model: Model, known: Prior) -> Prior:
@@ -274,16 +259,14 @@ def _models(points: Points, found: RatioFit, known: Prior, chosen: Model) -> dic
 
 
 def _result(
-    records: RatioRecords,
-    used: Bools,
     points: Points,
     fits: dict[Model, RatioFit],
     found: RatioFit,
     known: Prior,
     chosen: Model,
     receiver: ReceiverKnowledge | None,
-    rate_u: Floats,
 ) -> RatesFit:
+    records = points.records.records
     fit, prior = fits[chosen], _prior(chosen, known)
     degrees = _degrees(fit, points, prior)
     chi_square, p_value, widen, freedom = _test(fit, points, degrees)
@@ -291,16 +274,20 @@ def _result(
     said = answer(found, widen, freedom)
     if np.unique(np.sign(points.points.rate)).size == 1:
         said = by_profile(said, found, points.points, prior, widen, freedom)
-    mismatch = _rate_mismatch(records, said.value)
+        if chosen == "all" and prior.sd[3] > 0 and _left_over(points, prior) <= 0:
+            said = over_gain_times(said, found, points.points, prior, widen)
+    mismatch = rate_mismatch(records, said.value)
     common, differ = _rates_differ(records, said, mismatch, bool(np.ptp(points.rate_group)))
-    coupling = _coupling(records, used, rate_u, mismatch, said, float(fit.parameters[0, 3]))
+    coupling = None
+    if said.value > 0 and not records.rate_of_beat:
+        beats = beats_of_rates(points, mismatch, said.value, float(fit.parameters[0, 3]))
+        coupling = coupling_seen(beats, said.u / said.value)
     failed = p_value < UNLIKELY
     if differ and (failed or _left_over(points, prior) <= 0) and not records.rate_of_beat:
         said = widened(said, _by_other_reference(points.points, said.value, common))
     said = with_coupling(said, fit, records.scale_factor, failed=failed or differ, by_beats=coupling)
     us, fitted = np.sqrt(np.diagonal(covariance)), np.where([True, True, *FREE[chosen]], 1.0, np.nan)
     at_least = _at_least(records, said.high)
-    left, deviation = _residuals(fit, points.records, used)
     scale_factor, scale_factor_u = scale_factor_of_rates(records.scale_factor, points, fit)
     values = fit.parameters[0] * fitted
     result = RatesFit(
@@ -332,13 +319,7 @@ def _result(
         p_value=p_value,
         cost=lock_in_u(fit) / lock_in_u(fits.get("lock-in", fit)),
         left_out=leave_out(points, fit, prior),
-        rate=records.rate,
-        ratio=records.ratio,
-        residual=left,
-        deviation=deviation,
-        used=used,
-        locked=records.locked,
-        rate_mismatch=mismatch,
+        each=FittedRecords(points.records, fit.parameters, said.value),
         at_least=at_least,
         flags=0,
         noise_model=records.noise_model + (ENLARGED if widen > 1 else ""),
@@ -401,14 +382,6 @@ def _gain_time_limit(fits: dict[Model, RatioFit], chosen: Model) -> float:
     return float(max(fits[fuller].parameters[0, 3], 0.0) + 1.96 * np.sqrt(fits[fuller].covariance[0, 3, 3]))
 
 
-def _residuals(fit: RatioFit, data: RatioData, used: Bools) -> tuple[Complexes, Floats]:
-    left = (data.ratio - predicted_ratio(fit.parameters, data))[0]
-    white = whitened(fit.parameters, data)[0][0]
-    residual, deviation = np.full(used.shape, np.nan, dtype=complex), np.full(used.shape, np.nan)
-    residual[used], deviation[used] = left, np.hypot(white[:, 0], white[:, 1])
-    return residual, deviation
-
-
 def _at_least(records: RatioRecords, high: float) -> float:
     """Fastest rate without a beat that is possible within the interval."""
     rates = np.abs(records.rate[records.locked])
@@ -416,32 +389,16 @@ def _at_least(records: RatioRecords, high: float) -> float:
     return float(possible.max()) if possible.size else 0.0
 
 
-def _coupling(
-    records: RatioRecords, used: Bools, rate_u: Floats, mismatch: Floats, said: Answer, gain_time: float
-) -> CouplingSeen | None:
-    """Coupling without loss by the beats of the records used; ``None`` where the rates given tell nothing."""
-    used = used & np.isfinite(mismatch)
-    if records.rate_of_beat or not (used.any() and said.value > 0):
-        return None
-    rate, frequency = records.rate[used], records.beat_frequency[used]
-    square = (said.value / rate) ** 2
-    rate_u = np.broadcast_to(rate_u, records.rate.shape)[used] / np.abs(rate) / (1 - square)
-    us = np.hypot(records.beat_frequency_u[used] / frequency, rate_u)
-    slowness = 2 * np.pi * frequency * gain_time
-    return coupling_seen(rate, mismatch[used], us, square, slowness, said.u / said.value)
-
-
 def _rates_differ(records: RatioRecords, said: Answer, mismatch: Floats, several: bool) -> tuple[float, bool]:
     """What beats at several rates have in common against them, and whether some depart from their rates beside it.
 
     Beats that all depart alike show a wrong scale factor, others coupling without loss.
     """
-    rate = np.abs(records.rate)
-    if np.any(records.usable & (rate <= said.value)):
+    rate = records.rate
+    if np.any(records.usable & (np.abs(rate) <= said.value)):
         return 0.0, True
     common = mismatch_of_all(rate, said.value, said.u, mismatch) if several else 0.0
-    beside = (1 + mismatch) / (1 + common) - 1
-    return common, bool(np.any(rates_that_differ(rate, said.value, said.u, beside)))
+    return common, rates_differ(rate, said.value, said.u, mismatch, common)
 
 
 def _by_other_reference(points: RatioData, lock_in_rate: float, common: float) -> float:
@@ -457,13 +414,3 @@ def _by_other_reference(points: RatioData, lock_in_rate: float, common: float) -
         square = np.maximum((rate - lock_in_rate) * (rate + lock_in_rate), 1e-300)
         changed = beat_rate / np.sqrt(square)
     return float(np.abs(changed - 1).max())
-
-
-def _rate_mismatch(records: RatioRecords, lock_in_rate: float) -> Floats:
-    rate = np.abs(records.rate)
-    square = (rate - lock_in_rate) * (rate + lock_in_rate)
-    known = records.usable & (square > 0)
-    mismatch = np.full(rate.shape, np.nan)
-    expected = records.scale_factor * np.sqrt(square[known])
-    mismatch[known] = records.beat_frequency[known] / expected - 1
-    return mismatch

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from analysis.arrays import Bools, Floats, Indices
+from analysis.arrays import Bools, Complexes, Floats, Indices
 from analysis.several_rates.ratio_model import N_PARAMETERS, Prior, RatioData, predicted
 
 ITERATIONS = 80
@@ -80,7 +80,7 @@ def profile(data: RatioData, prior: Prior, start: Floats, sizes: Floats) -> Floa
     """
     points = np.tile(start, (sizes.size, 1))
     points[:, :2] *= (sizes / np.hypot(*start[:2]))[:, np.newaxis]
-    both = np.concatenate([points, _with_distortion_alone(points, data, prior)])
+    both = np.concatenate([points, with_distortion_alone(points, data, prior)])
     lowest = _minimised(data, prior, both, _PROFILE_ITERATIONS, np.tile(sizes, 2)).chi_square
     return np.asarray(lowest.reshape(2, -1).min(axis=0))
 
@@ -158,9 +158,13 @@ def _apart(found: RatioFit, u: Floats) -> RatioFit:
 def whitened(parameters: Floats, data: RatioData) -> tuple[Floats, Floats]:
     """What the model leaves in standard uncertainties: of the ratios (B, n, 2), of the third harmonics (B, n)."""
     ratio, third = predicted(parameters, data)
-    left = data.ratio - ratio
-    parts = np.stack([left.real, left.imag], axis=-1)
-    return np.einsum("...ji,...j->...i", data.whitening, parts), (data.third - third) * data.third_weight
+    return in_standard_uncertainties(data.ratio - ratio, data.third - third, data)
+
+
+def in_standard_uncertainties(ratio: Complexes, third: Floats, data: RatioData) -> tuple[Floats, Floats]:
+    """Differences of ratios and of third harmonics (B, n) in their standard uncertainties, as :func:`whitened`."""
+    parts = np.stack([ratio.real, ratio.imag], axis=-1)
+    return np.einsum("...ji,...j->...i", data.whitening, parts), third * data.third_weight
 
 
 def _finished(found: _Linearised) -> RatioFit:
@@ -261,10 +265,10 @@ def _around(found: Floats, data: RatioData, prior: Prior) -> Floats:
     """Starts beside what was found (B, N_PARAMETERS): another lock-in rate, and nothing but distortion."""
     starts = np.repeat(found, _BESIDE.size, axis=0)
     starts[:, :2] *= np.tile(_BESIDE, len(found))[:, np.newaxis]
-    return _bounded(_with_distortion_alone(starts, data, prior), data)
+    return _bounded(with_distortion_alone(starts, data, prior), data)
 
 
-def _with_distortion_alone(points: Floats, data: RatioData, prior: Prior) -> Floats:
+def with_distortion_alone(points: Floats, data: RatioData, prior: Prior) -> Floats:
     """The same lock-in rates and phases (B, N_PARAMETERS), with the best distortion for each and nothing else."""
     alone = points.copy()
     alone[:, 2:] = np.where(prior.sd > 0, prior.mean, points)[:, 2:]

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import IntFlag
 from typing import Literal
 
 import numpy as np
 
 from analysis.arrays import Bools, Complexes, Floats
-from analysis.several_rates.ratio_model import Reference
+from analysis.several_rates.least_squares import whitened
+from analysis.several_rates.points import UsedRecords
+from analysis.several_rates.ratio_model import Reference, predicted_ratio
+from analysis.several_rates.ratio_records import rate_mismatch
 
 Model = Literal["lock-in", "distortion", "gain", "both", "all"]
 
@@ -96,6 +99,62 @@ class WithoutOneRate:
     p_value: Floats
 
 
+@dataclass(frozen=True, eq=False)
+class FittedRecords:
+    """The n records of a fit and what it says of each, worked out when asked for: a million take much memory.
+
+    records : UsedRecords
+    parameters : (1, N_PARAMETERS) of the fit
+    lock_in_rate : deg/s
+    """
+
+    records: UsedRecords = field(repr=False)
+    parameters: Floats
+    lock_in_rate: float
+
+    @property
+    def rate(self) -> Floats:
+        """deg/s, signed."""
+        return self.records.records.rate
+
+    @property
+    def used(self) -> Bools:
+        """Records in the fit."""
+        return self.records.used
+
+    @property
+    def locked(self) -> Bools:
+        """Records without a beat."""
+        return self.records.records.locked
+
+    @property
+    def ratio(self) -> Complexes:
+        """rho."""
+        return np.concatenate([block.ratio for _, block in self.records.records.blocks()])
+
+    @property
+    def residual(self) -> Complexes:
+        """What the fit leaves of the ratio; nan where it was not used."""
+        found = np.full(self.used.shape, np.nan, dtype=np.complex128)
+        for rows, data, _ in self.records.blocks():
+            found[rows] = (data.ratio - predicted_ratio(self.parameters, data))[0]
+        return found
+
+    @property
+    def deviation(self) -> Floats:
+        """The same in standard uncertainties: the root of its chi-square."""
+        found = np.full(self.used.shape, np.nan)
+        for rows, data, _ in self.records.blocks():
+            white = whitened(self.parameters, data)[0][0]
+            found[rows] = np.hypot(white[:, 0], white[:, 1])
+        return found
+
+    @property
+    def rate_mismatch(self) -> Floats:
+        """f/(K sqrt(W^2 - WL^2)) - 1; nan where it is not known."""
+        return rate_mismatch(self.records.records, self.lock_in_rate)
+
+
 @dataclass(frozen=True)
 class RatesFit:
     """Lock-in rate of many records at several rates.
@@ -123,10 +182,7 @@ class RatesFit:
         was known beforehand; the last is the smaller of that and of the chance of the scatter about those means
     cost : uncertainty over that of the same data with distortion and gain corner known
     left_out : the leave-one-rate-out check; empty arrays where the others would not determine the lock-in rate
-    rate, ratio, residual, deviation : (n,) of every record as given: deg/s signed, rho, what the fit leaves of it,
-        the same in standard uncertainties (root of its chi-square); nan where not used
-    used, locked : (n,) records in the fit; records without a beat, which say WL >= |W|
-    rate_mismatch : (n,) f/(K sqrt(W^2 - WL^2)) - 1, nan where one is not known
+    each : every record as given; worked out when asked for
     at_least : deg/s, the fastest rate at which the gyro was seen locked, 0 if none
     flags : bits of `RatesFlag`
     noise_model : what the uncertainties rest on
@@ -160,16 +216,45 @@ class RatesFit:
     p_value: float
     cost: float
     left_out: WithoutOneRate
-    rate: Floats
-    ratio: Complexes
-    residual: Complexes
-    deviation: Floats
-    used: Bools
-    locked: Bools
-    rate_mismatch: Floats
+    each: FittedRecords
     at_least: float
     flags: int
     noise_model: str
+
+    @property
+    def rate(self) -> Floats:
+        """Of every record, deg/s, signed, (n,)."""
+        return self.each.rate
+
+    @property
+    def ratio(self) -> Complexes:
+        """rho of every record, (n,)."""
+        return self.each.ratio
+
+    @property
+    def residual(self) -> Complexes:
+        """What the fit leaves of the ratio of every record, (n,); nan where it was not used."""
+        return self.each.residual
+
+    @property
+    def deviation(self) -> Floats:
+        """The same in standard uncertainties: the root of its chi-square."""
+        return self.each.deviation
+
+    @property
+    def used(self) -> Bools:
+        """Which records are in the fit, (n,)."""
+        return self.each.used
+
+    @property
+    def locked(self) -> Bools:
+        """Records without a beat, which say WL >= |W|, (n,)."""
+        return self.each.locked
+
+    @property
+    def rate_mismatch(self) -> Floats:
+        """f/(K sqrt(W^2 - WL^2)) - 1 of every record, (n,); nan where it is not known."""
+        return self.each.rate_mismatch
 
     @property
     def gain_corner_hz(self) -> float:

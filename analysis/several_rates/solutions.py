@@ -54,7 +54,7 @@ def answer(found: RatioFit, widen: float, degrees: int) -> Answer:
     )
     values, us = (np.array([one[k] for one in each]) for k in (0, 1))
     # By Laplace: the share of the probability under each minimum goes with its height and its volume.
-    weights = _volumes(possible) * np.exp(-0.5 * above[above <= POSSIBLE])
+    weights = minimum_volumes(possible) * np.exp(-0.5 * above[above <= POSSIBLE])
     weights = weights / weights.sum()
     u = math.sqrt(float(np.sum(weights * (us**2 + (values - values[0]) ** 2))))
     return Answer(float(values[0]), u, min(one[2] for one in each), max(one[3] for one in each), others)
@@ -158,8 +158,15 @@ def polar_covariance(fit: RatioFit) -> Floats:
 
 
 def lock_in_u(fit: RatioFit) -> float:
-    """Standard uncertainty of |z|; where z is near 0, of its larger part."""
-    return float(np.sqrt(polar_covariance(fit)[0, 0]))
+    """Standard uncertainty of |z| of the first set."""
+    return float(size_us(fit[:1])[0])
+
+
+def size_us(fits: RatioFit) -> Floats:
+    """Standard uncertainty of every |z|, (B,), deg/s."""
+    z = fits.parameters[:, :2]
+    along = z / np.maximum(np.hypot(z[:, 0], z[:, 1]), 1e-300)[:, np.newaxis]
+    return np.asarray(np.sqrt(np.einsum("bi,bij,bj->b", along, fits.covariance[:, :2, :2], along)))
 
 
 def _size(fit: RatioFit, widen: float, degrees: int) -> tuple[float, float, float, float]:
@@ -173,7 +180,7 @@ def _size(fit: RatioFit, widen: float, degrees: int) -> tuple[float, float, floa
     return float(np.sqrt(max(size**2 - across, 0.0))), u, float(low) * u * student, float(high) * u * student
 
 
-def _volumes(possible: RatioFit) -> Floats:
+def minimum_volumes(possible: RatioFit) -> Floats:
     """Root of the determinant of each covariance, without what is held."""
     held = np.diagonal(possible.covariance, axis1=-2, axis2=-1) == 0
     matrices = possible.covariance + np.eye(N_PARAMETERS) * held[:, np.newaxis, :]

@@ -49,12 +49,10 @@ PEDESTAL = 6.0
 
 @dataclass(frozen=True)
 class Misfit:
-    """Variance of the frequency over that of white noise, standard uncertainty of the ratio, and the power of what
-    rises towards the fundamental on both sides, over that of the fundamental."""
+    """Variance of the frequency over that of white noise, and standard uncertainty of the ratio."""
 
     frequency: float
     ratio: float
-    pedestal: float
 
 
 def surroundings(power: Samples) -> Floats:
@@ -80,7 +78,7 @@ def line_stands_out(power: Samples, *, few_lines: bool = False) -> bool:
     return strongest > math.log(power.size / LINE_CHANCE)
 
 
-def misfit_of(power: Samples, n_samples: int, line: float, first: float, ratio: float) -> Misfit:
+def misfit_of(power: Samples, n_samples: int, line: float, first: float, ratio: float, pedestal: float) -> Misfit:
     """Judge the lines of one residual.
 
     Parameters
@@ -91,6 +89,8 @@ def misfit_of(power: Samples, n_samples: int, line: float, first: float, ratio: 
         Number of beats in the record: where the fundamental is.
     first, ratio : float
         Sizes of the fundamental, in the residual's unit, and of the harmonic ratio.
+    pedestal : float
+        Of `pedestal_power`.
     """
     mean = float(power.mean())
     beat = (first * n_samples / 2) ** 2
@@ -102,9 +102,8 @@ def misfit_of(power: Samples, n_samples: int, line: float, first: float, ratio: 
     curved = CURVED**2 * np.max(feet[2:], axis=0)
     by_ratio = float(stands_out @ (ratio**2 * feet[0] + np.maximum(feet[1], curved)))
     lines = float(stands_out.sum()) * mean / beat
-    pedestal = _pedestal(power, line) / beat
-    turned = 1.5 * ratio * pedestal + turned_by(lines, ratio)
-    return Misfit(2 * by_frequency, math.sqrt(by_ratio * mean / beat + turned**2), pedestal)
+    turned = 1.5 * ratio * pedestal / beat + turned_by(lines, ratio)
+    return Misfit(2 * by_frequency, math.sqrt(by_ratio * mean / beat + turned**2))
 
 
 def turned_by(sidebands: float, ratio: float) -> float:
@@ -122,8 +121,14 @@ def _foot(distance: Floats) -> Floats:
     return np.asarray(1 / np.maximum(np.pi * np.abs(distance), 1.0))
 
 
-def _pedestal(power: Samples, line: float) -> float:
-    """Power about the fundamental beyond that of its sides, where that is no chance."""
+def pedestal_power(power: Samples, line: float) -> float:
+    """Power of what rises towards the fundamental on both sides; 0 where that may be chance.
+
+    Parameters
+    ----------
+    power, line
+        As in `misfit_of`.
+    """
     at = np.arange(1, power.size + 1)
     away = np.abs(at - line) / line
     inside, below, above = away < 0.25, (away >= 0.25) & (away < 0.5) & (at < line), (away >= 0.25) & (away < 0.5)

@@ -10,7 +10,15 @@ import scipy.special
 
 from analysis.arrays import Bools, Complexes, Floats, Indices, Ints, Samples
 from analysis.flags import Flag
-from analysis.waveform.misfit import CURVED, LINE_CHANCE, NEIGHBOURS, left_over, line_stands_out, misfit_of
+from analysis.waveform.misfit import (
+    CURVED,
+    LINE_CHANCE,
+    NEIGHBOURS,
+    left_over,
+    line_stands_out,
+    misfit_of,
+    pedestal_power,
+)
 from analysis.waveform.records import sums_of_squares
 from analysis.waveform.repeating import HIDDEN, SEEN, SURE, may_repeat, repeating
 from analysis.waveform.series.frequency_search import Sizes, line_sizes, neighbours
@@ -194,10 +202,12 @@ def examine_residual(
     for row in np.flatnonzero(misfit | coloured):
         power, beat = np.square(sizes[row, 1:]), (first[row] * n_samples / 2) ** 2
         line = omega[row] * n_samples / (2 * np.pi)
-        found = misfit_of(power, n_samples, line, float(first[row]), float(np.abs(series.ratio[row])))
-        if found.pedestal:
+        pedestal = pedestal_power(power, line)
+        if pedestal:
             flags[row] |= Flag.MISFIT
         if flags[row] & Flag.MISFIT:
+            ratio = float(np.abs(series.ratio[row]))
+            found = misfit_of(power, n_samples, line, float(first[row]), ratio, pedestal)
             excess[row, 0] += found.frequency
             ratio_u[row] = found.ratio
         surplus = left_over(power) if moved else 0.0

@@ -2,6 +2,7 @@
 
     python -m benchmarks.reanalysis                      # 10 000 and 100 000 records, of one run and of many
     python -m benchmarks.reanalysis --records 1000000    # peak memory of `gyrolock analyze` too
+    python -m benchmarks.reanalysis --several-rates      # runs at several rates, and the fit to all of them
     python -m benchmarks.reanalysis --records 40000 --pairs 3     # one process against two, in turn
 
 Every figure is of a process of its own. The ratio is to estimating as many records that lie in memory as volts:
@@ -66,22 +67,23 @@ def peak_of_command(*arguments: str) -> float:
     return used.ru_maxrss / 1e3
 
 
-def report(records: int) -> None:
-    """Print the figures for so many records."""
+def report(records: int, *, several_rates: bool = False) -> None:
+    """Print the figures for so many records, at one rate or at several."""
+    at = " at rates" if several_rates else ""
     say(f"\n{records} records, load of the machine {os.getloadavg()[0]:.1f}")
     say(f"{'':38}{'records/s':>10}{'CPU us':>8}{'ratio: wall':>13}{'CPU':>6}{'peak MB':>9}{'worker':>8}")
-    for name, per_run in (("one run", records), (f"runs of {PER_RUN}", PER_RUN)):
-        with saved(records, per_run) as folder:
+    for name, per_run in ((f"one run{at}", records), (f"runs of {PER_RUN}{at}", PER_RUN)):
+        with saved(records, per_run, several_rates=several_rates) as folder:
             alone = measured("estimates", folder, min(records, 40_000))
             each = alone.wall_s / min(records, 40_000), alone.cpu_s / min(records, 40_000)
             _line("estimates alone", alone, min(records, 40_000), each)
-            for processes in (1, 2):
+            for processes in () if several_rates else (1, 2):
                 words = f"{name} to a table, {processes} process{'es' * (processes > 1)}"
                 _line(words, measured("table", folder, records, processes), records, each)
-            result = "result" if per_run == records else "combined"
+            result = "result" if per_run == records else f"combined{at}"
             _line(f"{name}, one result", measured(result, folder, records), records, each)
             if records >= MEMORY_FROM:
-                _memory(name, folder, one=per_run == records)
+                _memory(name, folder, one=per_run == records, rates=folder.parent / "rates.csv")
 
 
 def _line(name: str, done: Spent, records: int, alone: tuple[float, float]) -> None:
@@ -91,13 +93,15 @@ def _line(name: str, done: Spent, records: int, alone: tuple[float, float]) -> N
     say(f"{name:38}{1 / wall:10.0f}{1e6 * cpu:8.1f}{rest}")
 
 
-def _memory(name: str, folder: Path, *, one: bool) -> None:
-    """Memory of the command as a user types it."""
+def _memory(name: str, folder: Path, *, one: bool, rates: Path) -> None:
+    """Memory of the command as a user types it; `rates`: of the runs, if that file is there."""
     table, report = folder / "results.parquet", folder / "report.html"
     run = next(folder.glob("*/run.sqlite"))
     result = (
         ["analyze", str(run), "--json"] if one else ["analyze", str(folder), "--combine", "--report", str(report)]
     )
+    if rates.exists() and not one:
+        result += ["--rates-from", str(rates)]
     told = {f"gyrolock analyze of {name}": result}
     told |= {"gyrolock report": ["report", str(run)]} if one else {}
     told |= {"gyrolock analyze --to": ["analyze", str(folder), "--to", str(table)]}
@@ -124,11 +128,13 @@ def pairs(records: int, count: int) -> None:
 
 
 @contextmanager
-def saved(records: int, per_run: int) -> Iterator[Path]:
+def saved(records: int, per_run: int, *, several_rates: bool = False) -> Iterator[Path]:
     """A folder with so many records; made by another process, whose memory does not count."""
     with tempfile.TemporaryDirectory() as place:
-        measured("make", Path(place), records, per_run)
-        yield Path(place)
+        folder = Path(place) / "runs"
+        folder.mkdir()
+        measured("make at rates" if several_rates else "make", folder, records, per_run)
+        yield folder
 
 
 def _environment() -> dict[str, str]:
@@ -140,12 +146,13 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
     parser.add_argument("--records", type=int)
     parser.add_argument("--pairs", type=int, default=0, help="compare one process with two so many times")
+    parser.add_argument("--several-rates", action="store_true", help="runs at several rates")
     given = parser.parse_args()
     if given.pairs:
         pairs(given.records or 40_000, given.pairs)
         return
     for records in [given.records] if given.records else [10_000, 100_000]:
-        report(records)
+        report(records, several_rates=given.several_rates)
 
 
 if __name__ == "__main__":

@@ -11,20 +11,32 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.reanalysis.records import INTERVAL, SAMPLES, SCALE_FACTOR, codes_of_beats, make_runs
+from benchmarks.reanalysis.records import (
+    INTERVAL,
+    SAMPLES,
+    SCALE_FACTOR,
+    codes_of_beats,
+    make_runs,
+    make_runs_at_rates,
+)
 
 IN_MEMORY, AT_ONCE = 5000, 1000
 
 
 def main(mode: str, folder: Path, records: int, processes: int) -> None:
-    """Do ``make`` (`processes`: records a run), ``estimates``, ``table``, ``result`` or ``combined``."""
-    if mode == "make":
-        make_runs(folder, records, processes)
+    """Do a piece of work: ``estimates``, ``table``, ``result``, ``combined``, or what makes records.
+
+    ``make`` and ``make at rates`` take for `processes` the records of a run; ``combined at rates`` knows the rates
+    of the runs from the file beside the folder.
+    """
+    making = {"make": make_runs, "make at rates": make_runs_at_rates}
+    if mode in making:
+        making[mode](folder, records, processes)
         processes = 1
     began = _begin()
     if mode == "estimates":
         began = _estimates(records)
-    elif mode != "make":
+    elif mode not in making:
         began = _analysis(mode, folder, processes)
     now = _begin()
     own, others = (
@@ -76,8 +88,9 @@ def _analysis(mode: str, folder: Path, processes: int) -> tuple[float, float, fl
         if mode == "table":
             with tempfile.TemporaryDirectory() as place:
                 fill_table(find_sources([folder]), Path(place) / "results.parquet", {}, workers, quiet)
-        elif mode == "combined":
-            combine(find_sources([folder]), {}, workers, quiet).document()
+        elif mode.startswith("combined"):
+            rates = folder.parent / "rates.csv" if mode == "combined at rates" else None
+            combine(find_sources([folder]), {}, workers, quiet, rates=rates).document()
         else:
             (run,) = find_sources([folder])
             evaluate_saved(run, workers, quiet, config=None, choices={}).document()

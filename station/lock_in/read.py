@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from statistics import fmean
 from typing import Any, Protocol
@@ -119,7 +120,7 @@ def evaluate_source(
     gathered = _read_pairs(source, chosen) if settings.scope.quadrature_channel else None
     paired = gathered is not None
     if gathered is None:
-        gathered = _estimated(source, chosen, workers, progress)
+        gathered = _estimated(source, settings, chosen, workers, progress)
     if gathered.paired and not paired:
         return None
     if not len(gathered):
@@ -131,9 +132,9 @@ def evaluate_source(
     if paired:
         slow = replace(slow, batches=Pairs(source, gathered), n_channels=2)
     found = _evaluated(RunArrays(slow, fast), settings, Method(**chosen), gathered.each)
-    rows: slice | list[int] = slice(None)
+    rows: slice | NDArray[np.intp] = slice(None)
     if found.several is not None:
-        rows = list(found.several.reference_group.rows)
+        rows = found.several.reference_group.rows
     in_words = LockInFound(
         **vars(found),
         names=Numbered(gathered.places),
@@ -145,14 +146,17 @@ def evaluate_source(
     return in_words, gathered.damage
 
 
-def _estimated(source: Source, choices: Mapping[str, Any], workers: Workers, progress: Progress) -> Gathered:
+def _estimated(
+    source: Source, settings: Settings, choices: Mapping[str, Any], workers: Workers, progress: Progress
+) -> Gathered:
     """Estimates of all records of a run, piece by piece; RunError if it cannot be read."""
-    collected, pieces = Collected(), pieces_of(source, choices)
+    collected, pieces = Collected(run_knowledge(settings).response), pieces_of(source, choices)
     progress.start("thousands of records", len(pieces))
     for (part,) in workers.map(estimate_pieces, pieces):
         if part.left_out and part.left_out[-1].record is None:
             raise RunError(str(part.left_out[-1]))
-        collected.add(part)
+        with _in_words():
+            collected.add(part)
         progress.advance()
     return collected.gathered()
 
@@ -168,8 +172,15 @@ def _read_pairs(source: Source, choices: Mapping[str, Any]) -> Gathered | None:
 def _evaluated(
     arrays: RunArrays, settings: Settings, method: Method, estimated: LockInEstimate | None = None
 ) -> LockInRun:
-    try:
+    with _in_words():
         return evaluate(arrays, run_knowledge(settings), method, estimated)
+
+
+@contextmanager
+def _in_words() -> Iterator[None]:
+    """Errors of the evaluation as those of a run."""
+    try:
+        yield
     except NoTilt as error:
         raise RunError(_no_tilt(error)) from None
     except OutsideResponse as error:

@@ -12,6 +12,7 @@ from typing import Any, overload
 import numpy as np
 from numpy.typing import NDArray
 
+from analysis.channel import ChannelResponse
 from analysis.lock_in_run import AxisRates, RecordArrays, RunArrays, evaluate
 from instrument import Waveform
 from station.errors import NoUsableSignal, UsageError
@@ -71,7 +72,8 @@ def combine(
         None of them holds a record of a beat.
     """
     work = Work(sources, choices, whole=True)
-    found = _Sources(channel)
+    knowledge = run_knowledge(load_settings(config)) if config is not None else None
+    found = _Sources(channel, None if knowledge is None else knowledge.response)
     for parts in work.done_by(workers, estimate_pieces, progress):
         for part in parts:
             found.add(part)
@@ -81,7 +83,6 @@ def combine(
         raise NoUsableSignal(f"none of {len(work)} sources holds a record of a beat{reason}")
     used, method, estimated = found.used, whole.method, whole.each
     names, waveforms = _Names(used, whole.places), _Waveforms(used, whole.numbers, work.opened)
-    knowledge = run_knowledge(load_settings(config)) if config is not None else None
     if knowledge is None:
         knowledge = knowledge_of_records(found.wfids, method)
     axis = _stated_rates(used, rates)
@@ -128,10 +129,12 @@ class _Sources:
     ----------
     channel : str or None
         Only records of this input.
+    response : ChannelResponse or None
+        Of the channel, to be taken out of them.
     """
 
-    def __init__(self, channel: str | None) -> None:
-        self._channel, self._collected = channel, Collected()
+    def __init__(self, channel: str | None, response: ChannelResponse | None) -> None:
+        self._channel, self._collected = channel, Collected(response)
         self._said: dict[str, tuple[str, str]] = {}
         self._seen: dict[str, str] = {}
         self._last = ""
@@ -155,7 +158,8 @@ class _Sources:
             return
         self._check(part)
         self.wfids |= dict.fromkeys(part.labels["wfid"])
-        self._collected.add(part)
+        # what says the rates is asked of whoever combines: the fast run of each source is not needed
+        self._collected.add(replace(part, fast=()))
         if self.used and self.used[-1].name == part.name:
             self.used[-1].taken += part.taken
             self.used[-1].count += len(part)

@@ -27,6 +27,18 @@ class SpectralStart:
     first: Complexes
     second: Complexes
 
+    @staticmethod
+    def of(values: Samples) -> SpectralStart:
+        """From centred records (R, N), a few at a time: their spectra are used up at once."""
+        n_records, n_samples = values.shape
+        start = SpectralStart(np.empty(n_records), *np.empty((2, n_records), dtype=np.complex128))
+        at_once = records_at_once(n_samples, np.float32)
+        for first in range(0, n_records, at_once):
+            here = slice(first, first + at_once)
+            some = Spectra.of(values[here]).start()
+            start.omega[here], start.first[here], start.second[here] = some.omega, some.first, some.second
+        return start
+
 
 @dataclass(frozen=True)
 class Spectra:
@@ -46,19 +58,8 @@ class Spectra:
     @staticmethod
     def of(values: Samples) -> Spectra:
         """Spectra of centred records (R, N)."""
-        n_records, n_samples = values.shape
-        lines = np.empty((n_records, n_samples // 2 + 1), dtype=np.complex64)
-        strongest = np.empty(n_records, dtype=np.intp)
-        at_once = records_at_once(n_samples, np.float32)
-        for start in range(0, n_records, at_once):
-            here = slice(start, start + at_once)
-            lines[here] = found = _transformed(values[here])
-            strongest[here] = _strongest(found)
-        return Spectra(lines, strongest, n_samples)
-
-    def take(self, part: Indices) -> Spectra:
-        """Some of the records."""
-        return Spectra(self.lines[part], self.strongest[part], self.n_samples)
+        lines = _transformed(values)
+        return Spectra(lines, _strongest(lines), values.shape[1])
 
     def start(self) -> SpectralStart:
         """Frequency of the strongest line, its amplitude, and that at twice its frequency.
@@ -159,4 +160,4 @@ def line_sizes(values: Samples) -> Sizes:
 
 def coarse_frequency(values: Samples) -> Floats:
     """Angular frequency of the strongest line of centred records, rad per sample; (R, N) -> (R,)."""
-    return Spectra.of(values).start().omega
+    return SpectralStart.of(values).omega

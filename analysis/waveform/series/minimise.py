@@ -11,7 +11,7 @@ from analysis.waveform.records import are_all, never_alone, sums, sums_of_square
 from analysis.waveform.series.geometric_series import LARGEST_RATIO, Series, ratio_classes
 from analysis.waveform.series.normal_equations import Step, empty_matrices
 from analysis.waveform.series.sampled_equations import equations_by_samples
-from analysis.waveform.series.tied_equations import equations_by_sums
+from analysis.waveform.series.tied_equations import SeriesSums, equations_of_sums
 
 NEWTON_ITERATIONS = 10
 MARQUARDT_ITERATIONS = 40
@@ -56,18 +56,17 @@ class Task:
 
     def equations(self, series: Series) -> Step:
         """Normal equations at the given parameters."""
-        n_records = series.omega.size
-        step = Step(empty_matrices(n_records, 6), np.empty((n_records, 6)), np.empty(n_records))
-        for largest, part in ratio_classes(series.ratio):
-            some, here = self.take(part), series.take(part)
-            if largest == LARGEST_RATIO:
-                # the samples are cheaper than so many harmonics
-                found = equations_by_samples(some.values, some.weights, here)
-            else:
-                found = equations_by_sums(some.values, some.weights, some.power, some.total, here, largest)
-            if are_all(part, n_records):
-                return found
-            step.put(part, found)
+        classes = dict(ratio_classes(series.ratio))
+        narrow = classes.pop(LARGEST_RATIO, None)
+        sums = SeriesSums.zeros(series.omega.size)
+        for largest, part in classes.items():
+            some = self.take(part)
+            sums.put(part, SeriesSums.of(some.values, some.weights, series.take(part), largest))
+        step = equations_of_sums(series, sums, self.power, self.total)
+        if narrow is not None:
+            # the samples are cheaper than so many harmonics
+            some = self.take(narrow)
+            step.put(narrow, equations_by_samples(some.values, some.weights, series.take(narrow)))
         return step
 
 

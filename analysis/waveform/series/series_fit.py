@@ -6,7 +6,7 @@ import numpy as np
 
 from analysis.arrays import Samples
 from analysis.waveform.records import never_alone
-from analysis.waveform.series.frequency_search import Spectra
+from analysis.waveform.series.frequency_search import SpectralStart
 from analysis.waveform.series.geometric_series import Series
 from analysis.waveform.series.minimise import SeriesFit, Task, gauss_newton, levenberg_marquardt
 from analysis.waveform.series.series_start import start_of_series
@@ -30,9 +30,8 @@ def fit_series(values: Samples, weights: Samples | None) -> SeriesFit:
         1 for a valid sample, 0 for a missing one.
     """
     n_records, n_samples = values.shape
-    spectra = Spectra.of(values)
     task = Task.of(values, weights)
-    line = spectra.start()
+    line = SpectralStart.of(values)
     size = np.abs(line.first)
     ratio = line.second / np.where(size > 0, line.first, 1.0)
     explained = size**2 / 2 * n_samples / (1 - np.minimum(np.abs(ratio), 0.9) ** 2)
@@ -49,7 +48,7 @@ def fit_series(values: Samples, weights: Samples | None) -> SeriesFit:
     hard = never_alone(np.flatnonzero(~plain))
     if hard.size:
         some = task.take(hard)
-        fit.put(hard, levenberg_marquardt(some, start_of_series(some.values, some.weights, spectra.take(hard))))
+        fit.put(hard, levenberg_marquardt(some, start_of_series(some.values, some.weights)))
     return fit
 
 

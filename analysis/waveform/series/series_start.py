@@ -24,20 +24,18 @@ REFINEMENTS = (0.12, 0.06)
 """The start is then improved to within about this many bins."""
 
 
-def start_of_series(values: Samples, weights: Samples | None, spectra: Spectra) -> Series:
+def start_of_series(values: Samples, weights: Samples | None) -> Series:
     """Best of many candidate frequencies, each with the linear fit of `_equation_error_fit`.
 
     Parameters
     ----------
     values : (R, N); weights : (R, N) or None
         Centred, 0 where missing.
-    spectra : Spectra
-        Of `values`.
     """
     n_samples = values.shape[1]
     one_bin = 2 * np.pi / n_samples
     search = _Search(values, weights)
-    lines = spectra.candidates(LINES)
+    lines = Spectra.of(values).candidates(LINES)
     beside = lines[:, : LINES // 2, np.newaxis] + np.array(BESIDE) * one_bin
     search.try_at(np.concatenate([lines, beside.reshape(len(lines), -1)], axis=1))
     slow = never_alone(np.flatnonzero(lines[:, 0] < FEW_PERIODS * one_bin))

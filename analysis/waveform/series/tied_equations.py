@@ -16,12 +16,13 @@ not orthogonal, and folded harmonics, which fall onto each other, are exact.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
 import scipy.special
 
-from analysis.arrays import Floats, Phasors, Samples
+from analysis.arrays import Floats, Indices, Phasors, Samples
 from analysis.waveform.series.geometric_series import Series, orders_needed
 from analysis.waveform.series.harmonic_sums import UNIFORM_PHASES, data_sums, uniform_kernels
 from analysis.waveform.series.normal_equations import Step, empty_matrices
@@ -33,37 +34,48 @@ zero frequency, has a large sum, and the coefficients hold factors up to its ord
 so they must be small indeed."""
 
 
-def equations_by_sums(
-    values: Samples, weights: Samples | None, power: Floats, total: Floats, series: Series, largest: float
-) -> Step:
-    """Normal equations of (R,) records at the given parameters.
+@dataclass(frozen=True)
+class SeriesSums:
+    """Sums over the samples of (R,) records, of which the normal equations are made.
 
-    Parameters
-    ----------
-    values : (R, N); weights : (R, N) or None
-        0 where missing.
-    power, total : (R,)
-        Sums of squares of `values`, and of `values`.
-    largest : float
-        That no ratio exceeds.
+    counts : (R, 3) of t^p
+    of_g : (R, 3, 4) of t^p g^j, j = 1..4
+    of_data : (R, 2, 2) of v t^p g^j, j = 1, 2
     """
-    n_samples, kind = values.shape[1], values.dtype
-    n_harmonics = orders_needed(largest, LEFT_OUT_OF_DATA[kind], 3)
-    n_orders = orders_needed(largest, LEFT_OUT_OF_KERNELS[kind], 6)
-    of_powers = _powers_of_g(series.ratio, n_orders)
-    if weights is None:
-        kernels = uniform_kernels(series.omega, n_samples, n_orders)
-        counts = kernels[:, :, 0]
-        # real matrices times complex ones, as two real ones side by side
-        g_sums = np.matmul(kernels[:, :, 1:], of_powers.view(np.float64)).view(np.complex128)
-        g_sums *= np.conj(UNIFORM_PHASES)
-    else:
-        of_weights = np.conj(data_sums(weights, series.omega, n_orders, 2))
-        counts = of_weights[:, :, 0].real
-        g_sums = np.matmul(of_weights[:, :, 1:], of_powers)
-    of_data = np.conj(data_sums(values, series.omega, n_harmonics, 1, lowest=1))
-    v_sums = np.matmul(of_data, of_powers[:, :n_harmonics, :2])
-    return _assembled(series, counts, g_sums, total, v_sums, power)
+
+    counts: Floats
+    of_g: Phasors
+    of_data: Phasors
+
+    @staticmethod
+    def zeros(n_records: int) -> SeriesSums:
+        """Room for those of so many records."""
+        of_g, of_data = (np.zeros((n_records, *shape), dtype=np.complex128) for shape in ((3, 4), (2, 2)))
+        return SeriesSums(np.zeros((n_records, 3)), of_g, of_data)
+
+    @staticmethod
+    def of(values: Samples, weights: Samples | None, series: Series, largest: float) -> SeriesSums:
+        """Sums of (R, N) records, 0 where missing, none of whose ratios exceeds `largest`."""
+        n_samples, kind = values.shape[1], values.dtype
+        n_harmonics = orders_needed(largest, LEFT_OUT_OF_DATA[kind], 3)
+        n_orders = orders_needed(largest, LEFT_OUT_OF_KERNELS[kind], 6)
+        of_powers = _powers_of_g(series.ratio, n_orders)
+        if weights is None:
+            kernels = uniform_kernels(series.omega, n_samples, n_orders)
+            counts = kernels[:, :, 0]
+            # real matrices times complex ones, as two real ones side by side
+            of_g = np.matmul(kernels[:, :, 1:], of_powers.view(np.float64)).view(np.complex128)
+            of_g *= np.conj(UNIFORM_PHASES)
+        else:
+            of_weights = np.conj(data_sums(weights, series.omega, n_orders, 2))
+            counts = of_weights[:, :, 0].real
+            of_g = np.matmul(of_weights[:, :, 1:], of_powers)
+        of_data = np.conj(data_sums(values, series.omega, n_harmonics, 1, lowest=1))
+        return SeriesSums(counts, of_g, np.matmul(of_data, of_powers[:, :n_harmonics, :2]))
+
+    def put(self, part: Indices, other: SeriesSums) -> None:
+        """Write the other's records into the places `part` of this one."""
+        self.counts[part], self.of_g[part], self.of_data[part] = other.counts, other.of_g, other.of_data
 
 
 def _powers_of_g(ratio: Phasors, n_orders: int) -> Phasors:
@@ -84,13 +96,15 @@ def _binomials(n_orders: int) -> list[Floats]:
     return [np.asarray(scipy.special.comb(np.arange(j, n_orders), j)) for j in range(4)]
 
 
-def _assembled(
-    series: Series, counts: Floats, g_sums: Phasors, v_sum: Floats, v_sums: Phasors, power: Floats
-) -> Step:
-    """Put the sums together.
+def equations_of_sums(series: Series, sums: SeriesSums, power: Floats, total: Floats) -> Step:
+    """Normal equations of (R,) records at the given parameters.
 
-    counts (R, 3) sums of t^p; g_sums (R, 3, 4) of t^p g^j; v_sum (R,) of v; v_sums (R, 2, 2) of v t^p g^j.
+    Parameters
+    ----------
+    power, total : (R,)
+        Sums of the squares of the samples, and of the samples.
     """
+    counts, g_sums, v_sums = sums.counts, sums.of_g, sums.of_data
     first, ratio, offset = series.first, series.ratio, series.offset
     column = ratio[:, np.newaxis]
     poisson = 1 / (1 - np.abs(column) ** 2)
@@ -123,7 +137,7 @@ def _assembled(
 
     # what the model leaves, times 1, g, g^2 and the slope
     back = np.conj(first)
-    left = v_sum - offset * counts[:, 0] - (first * one[:, 0]).real
+    left = total - offset * counts[:, 0] - (first * one[:, 0]).real
     left_g = v_sums[:, 0, 0] - offset * one[:, 0] - (first * two[:, 0] + back * g_g[:, 0]) / 2
     left_gg = v_sums[:, 0, 1] - offset * two[:, 0] - (first * three[:, 0] + back * gg_g[:, 0]) / 2
     left_s = v_sums[:, 1, 0] + ratio * v_sums[:, 1, 1] - offset * s_[:, 1]
@@ -132,7 +146,7 @@ def _assembled(
     gradient = np.stack(
         [left, left_g.real, -left_g.imag, by_ratio.real, -by_ratio.imag, (turn * left_s).real], axis=-1
     )
-    explained = offset * (v_sum + left) + (first * (v_sums[:, 0, 0] + left_g)).real
+    explained = offset * (total + left) + (first * (v_sums[:, 0, 0] + left_g)).real
     return Step(normal, gradient, np.maximum(power - explained, 0.0))
 
 

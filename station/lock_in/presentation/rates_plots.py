@@ -104,14 +104,14 @@ def deviations_svg(fit: RatesFit) -> str:
     """
 
     def draw(figure: Figure) -> None:
-        axes = figure.add_subplot()
+        axes, deviation = figure.add_subplot(), fit.deviation
         for sense, colour, marker, name in _SENSES:
-            inside = np.flatnonzero((np.sign(fit.rate) == sense) & np.isfinite(fit.deviation))
+            inside = np.flatnonzero((sense * fit.rate > 0) & np.isfinite(deviation))
             inside = inside[:: -(-inside.size // RECORDS_SHOWN) or 1]
             if inside.size:
                 axes.plot(
                     np.abs(fit.rate[inside]),
-                    fit.deviation[inside],
+                    deviation[inside],
                     marker,
                     ms=3.5,
                     color=colour,

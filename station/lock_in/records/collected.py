@@ -9,6 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis import LockInEstimate
+from analysis.channel import ChannelResponse
+from analysis.lock_in_run import by_themselves
 from station.lock_in.records.on_disk import ARRAYS, ColumnFiles, EstimatesOnDisk
 from station.lock_in.records.pieces import Gathered, together
 from station.lock_in.records.room import give_back_room
@@ -26,9 +28,16 @@ _TRUTH = "truth "
 
 
 class Collected:
-    """Estimates of the records of one source, or of several that are to be one result, in their order."""
+    """Estimates of the records of one source, or of several that are to be one result, in their order.
 
-    def __init__(self) -> None:
+    Parameters
+    ----------
+    response : ChannelResponse or None
+        Of the channel, to be taken out of them.
+    """
+
+    def __init__(self, response: ChannelResponse | None) -> None:
+        self._response = response
         self._parts: list[Gathered] = []
         self._fresh: list[Gathered] = []
         self._count = self._fresh_count = 0
@@ -37,8 +46,9 @@ class Collected:
         self._truths: dict[str, None] = {}
 
     def add(self, part: Gathered) -> None:
-        """Add a piece; its labels are not kept."""
-        self._fresh.append(replace(part, labels={}))
+        """Add a piece; its labels are not kept. OutsideResponse where a beat lies outside a measured response."""
+        each = None if part.each is None else by_themselves(part.each, self._response)
+        self._fresh.append(replace(part, labels={}, each=each))
         self._count += len(part)
         self._fresh_count += len(part)
         if self._columns is None and self._count > LONG:

@@ -16,6 +16,9 @@ from analysis import LockInEstimate
 from analysis.lockin_rate import noise_model
 from station.errors import CannotWrite
 
+_AT_ONCE = 1 << 16
+"""Rows that are read together where only some of them are wanted."""
+
 
 class ColumnFiles:
     """Columns of numbers that grow together, in files without a name: they end with the program.
@@ -70,6 +73,19 @@ class ColumnFiles:
             raise OSError(f"{tempfile.gettempdir()}: the estimates of a long run are gone from the disk")
         return rows
 
+    def rows(self, name: str, rows: NDArray[np.intp]) -> NDArray[Any]:
+        """Return some rows (n,) of one column; what lies between them is not in memory all at once."""
+        if rows.size and int(rows[-1]) - int(rows[0]) == rows.size - 1:
+            return self.read(name, int(rows[0]), rows.size)
+        _, kind, inner = self._files[name]
+        found = np.empty((rows.size, *inner), kind)
+        for first in range(0, self.count, _AT_ONCE):
+            there = np.flatnonzero((rows >= first) & (rows < first + _AT_ONCE))
+            if there.size:
+                values = self.read(name, first, min(_AT_ONCE, self.count - first))
+                found[there] = values[rows[there] - first]
+        return found
+
 
 def _close(files: Mapping[str, tuple[IO[bytes], np.dtype[Any], tuple[int, ...]]]) -> None:
     for file, _, _ in files.values():
@@ -116,8 +132,7 @@ class EstimatesOnDisk(LockInEstimate):
     def __getattr__(self, name: str) -> NDArray[Any]:
         if name not in ARRAYS or "_columns" not in vars(self):
             raise AttributeError(name)
-        values = self._columns.read(name)
-        return values if self._rows is None else values[self._rows]
+        return self._columns.read(name) if self._rows is None else self._columns.rows(name, self._rows)
 
     @property
     def _is_here(self) -> bool:
@@ -133,7 +148,10 @@ class EstimatesOnDisk(LockInEstimate):
         """Some of the records: one or a slice in memory, others on the disk as they are."""
         if self._is_here:
             return super().__getitem__(key)
-        rows = np.asarray(np.arange(len(self))[key] if self._rows is None else self._rows[key])
+        if self._rows is None:
+            rows = np.arange(*key.indices(len(self))) if isinstance(key, slice) else np.arange(len(self))[key]
+        else:
+            rows = np.asarray(self._rows[key])
         if isinstance(key, slice) or rows.ndim == 0:
             return self._in_memory(rows)
         if rows.size == len(self) and self._rows is None and np.array_equal(rows, np.arange(len(self))):
@@ -144,13 +162,19 @@ class EstimatesOnDisk(LockInEstimate):
         """The same records in another leading shape; as they are where that is theirs already."""
         return self if shape == (-1,) and not self._is_here else super().reshaped(*shape)
 
+    def described(self, noise_model: str) -> LockInEstimate:
+        """The same records, with other words on what their uncertainties rest on."""
+        if self._is_here:
+            return super().described(noise_model)
+        made = EstimatesOnDisk.of(self._columns, self, self._rows)
+        object.__setattr__(made, "noise_model", noise_model)
+        return made
+
     def _in_memory(self, rows: NDArray[np.intp]) -> LockInEstimate:
         values: dict[str, Any] = {
             field.name: getattr(self, field.name) for field in fields(LockInEstimate) if field.name not in ARRAYS
         }
-        first, count = int(rows.flat[0]) if rows.size else 0, rows.size
-        side_by_side = count > 0 and int(rows.flat[-1]) - first == count - 1
         for name in ARRAYS:
-            found = self._columns.read(name, first, count) if side_by_side else self._columns.read(name)[rows]
+            found = self._columns.rows(name, rows.ravel())
             values[name] = found.reshape((*rows.shape, *found.shape[1:]))
         return LockInEstimate(**values)

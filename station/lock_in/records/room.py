@@ -13,6 +13,7 @@ from analysis import LockInEstimate
 from analysis.lock_in_run import Method
 from instrument import Preamble
 from station.lock_in.records.estimates import estimate_batch
+from station.memory import give_back, keep_for_batches
 from station.sources.batches import RecordBatch, codes_of
 
 
@@ -60,6 +61,7 @@ class Room:
     """
 
     def __init__(self, at_once: int) -> None:
+        keep_for_batches()
         self._at_once = at_once
         self._batches: dict[tuple[int, float, int, Method | None], _Batch] = {}
 
@@ -115,3 +117,4 @@ def _kept_room(shape: tuple[int, ...]) -> NDArray[np.float64]:
 def give_back_room() -> None:
     """Free the memory that the batches of this thread used in turn: no further one comes."""
     _OF_THREAD.__dict__.clear()
+    give_back()

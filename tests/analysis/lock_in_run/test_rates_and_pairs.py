@@ -37,7 +37,7 @@ def test_one_fit_frees_the_rates_of_distortion():
     found = evaluate(whole_run(bench(square=square), SENSES), KNOWN, PLAIN)
     several = found.several
     assert [group.over_lock_in for group in several.groups] == [16.0, 5.0, 5.0, 16.0]
-    assert [group.rows for group in several.groups] == [(2, 3), (0, 1), (4, 5), (6, 7)]
+    assert [group.rows.tolist() for group in several.groups] == [[2, 3], [0, 1], [4, 5], [6, 7]]
     for group in several.groups:
         assert group.input_rate == pytest.approx(axis_rate(group.table_rate), rel=1e-4)
         # -r exp(-+ i phase) and what the receiver adds to it, by hand

@@ -90,8 +90,10 @@ SINGLE = {
     "gain": {"knowledge": bench(100.0, gain=Corner(300.0)), "rates_over_lock_in": (5.0,)},
 }
 
+SLOW = ("20 times",)
 
-@pytest.mark.parametrize("case", SINGLE)
+
+@pytest.mark.parametrize("case", [pytest.param(c, marks=pytest.mark.slow) if c in SLOW else c for c in SINGLE])
 def test_predictions_agree_with_simulation_within_10_percent(case: str) -> None:
     plan = plan_measurement(replace(REQUEST, **SINGLE[case]))
     rate, request = plan.rates[0], plan.request

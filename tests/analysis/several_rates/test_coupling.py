@@ -6,7 +6,7 @@ from bench_signals import WL, K, both_senses, ratios_of_slow_gain, volts
 
 from analysis import estimate_lock_in, fit_rate_ratios, fit_rates
 from analysis.several_rates import RatesFlag
-from analysis.several_rates.coupling import coupling_seen
+from analysis.several_rates.coupling import coupling_seen, said_by_beats
 
 NOISE = 1e-4
 CORNER = 15 * K * WL
@@ -51,11 +51,12 @@ def test_the_size_of_the_coupling_is_found():
     square = ((1 + share) * WL / rate) ** 2  # as the ratios have it
     wrong = 1.003 * rate + 1e-4 * WL
     mismatch = beat / (K * np.abs(wrong) * np.sqrt(1 - square)) - 1
-    seen = coupling_seen(wrong, mismatch, np.full(rate.size, 1e-6), square, beat / CORNER, 1e-6)
+    beats = said_by_beats(wrong, mismatch, np.full(rate.size, 1e-6), square, beat / CORNER)
+    seen = coupling_seen(beats, 1e-6)
     assert seen is not None
     assert seen.share == pytest.approx(share, rel=0.1)
     assert seen.significant
-    assert coupling_seen(wrong[:3], mismatch[:3], np.full(3, 1e-6), square[:3], beat[:3] / CORNER, 1e-6) is None
+    assert coupling_seen(beats[:, :3], 1e-6) is None
 
 
 def test_rates_that_come_from_the_beats_test_nothing():

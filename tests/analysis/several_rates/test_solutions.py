@@ -45,6 +45,15 @@ def test_a_bent_valley_is_sounded_to_its_ends():
         assert sum(fit.lock_in_rate_low_95 <= LOCK_IN <= fit.lock_in_rate_high_95 for fit in fits) >= 3
 
 
+@pytest.mark.parametrize("seed", [2, 3, 5])
+def test_a_bench_far_along_the_valley_is_inside(seed):
+    """3 and 30 times lock-in, all contaminants within their bounds, far from where the minimum puts them."""
+    contaminants = {"distortion": 0.00277, "third_order": 0.00191, "gain_time": 1.04e-4, "lag_square": 9.72e-9}
+    fit = drawn((3, 30), 8, 4.476, NOISE, np.random.default_rng(seed), **contaminants)
+    assert abs(fit.lock_in_rate - LOCK_IN) < 2.5 * fit.lock_in_rate_u
+    assert fit.lock_in_rate_low_95 <= LOCK_IN <= fit.lock_in_rate_high_95
+
+
 def test_a_narrow_valley_is_not_missed():
     """One sense of 8 to 60 times lock-in, where a false minimum lies 5 % lower."""
     rng = np.random.default_rng(1)

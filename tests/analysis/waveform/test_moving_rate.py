@@ -59,8 +59,14 @@ def test_a_wandering_phase_costs_neither_bias_nor_honesty(shape, rms):
     assert np.median(u) < 0.0042
 
 
-@pytest.mark.parametrize("x", [0.8, 0.93])
-@pytest.mark.parametrize("rms", [0.3, 1.5])
+@pytest.mark.parametrize(
+    ("rms", "x"),
+    [
+        (0.3, 0.93),
+        (1.5, 0.8),
+        *(pytest.param(*slow, marks=pytest.mark.slow) for slow in ((0.3, 0.8), (1.5, 0.93))),
+    ],
+)
 def test_next_to_lock_in_where_every_harmonic_has_its_sidebands(x, rms):
     rng = np.random.default_rng(44)
     z = []

@@ -6,7 +6,7 @@ import pytest
 from analysis.waveform.series.geometric_series import Series, sampled_series
 from analysis.waveform.series.harmonic_sums import UNIFORM_PHASES, data_sums, uniform_kernels
 from analysis.waveform.series.sampled_equations import equations_by_samples
-from analysis.waveform.series.tied_equations import equations_by_sums
+from analysis.waveform.series.tied_equations import SeriesSums, equations_of_sums
 
 
 def direct_sums(values, omega, n_harmonics, highest_power):
@@ -66,7 +66,8 @@ def test_normal_equations_in_closed_form_are_those_of_the_samples(share_missing)
         weights = (rng.uniform(size=values.shape) > share_missing).astype(float)
         values = values * weights
     power, total = np.sum(values**2, axis=-1), np.sum(values, axis=-1)
-    closed = equations_by_sums(values, weights, power, total, trial, float(np.abs(trial.ratio).max()))
+    sums = SeriesSums.of(values, weights, trial, float(np.abs(trial.ratio).max()))
+    closed = equations_of_sums(trial, sums, power, total)
     plain = equations_by_samples(values, weights, trial)
     size = np.sqrt(np.diagonal(plain.normal, axis1=1, axis2=2))
     both = size[:, :, np.newaxis] * size[:, np.newaxis, :]

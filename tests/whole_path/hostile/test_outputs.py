@@ -49,7 +49,7 @@ def whole_run(folder: Path, *files: str) -> None:
     assert sorted(file.name for file in path.parent.iterdir()) == [*files, "run.sqlite"]
 
 
-@pytest.mark.parametrize("where", ["2>/dev/full", "2> >(true)"])
+@pytest.mark.parametrize("where", ["2>/dev/full", pytest.param("2> >(true)", marks=pytest.mark.slow)])
 def test_progress_that_cannot_be_written_touches_nothing(tmp_path: Path, where: str) -> None:
     done = run_shell(tmp_path, f"{MEASURE} --no-report --json {where}")
     assert done.returncode == 0

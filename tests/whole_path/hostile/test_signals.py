@@ -32,7 +32,11 @@ def only_run(folder: Path) -> Path:
 
 @pytest.mark.parametrize(
     ("name", "code", "kind"),
-    [("SIGINT", 130, "interrupted"), ("SIGTERM", 143, "terminated"), ("SIGHUP", 129, "hung_up")],
+    [
+        pytest.param("SIGINT", 130, "interrupted", marks=pytest.mark.slow),  # as in test_failures
+        ("SIGTERM", 143, "terminated"),
+        ("SIGHUP", 129, "hung_up"),
+    ],
 )
 def test_a_signal_ends_a_run_as_a_whole(tmp_path: Path, gyrolock, cut_gyrolock, name, code, kind) -> None:
     ended = cut_gyrolock(name, 1 + 3, "measure", "--config", "my.toml", "--records", 6, "--json")

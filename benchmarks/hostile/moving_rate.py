@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from analysis.arrays import Floats
@@ -93,6 +95,17 @@ def shaken_in_lock_in(rng: np.random.Generator) -> HostileRecord:
     return recorded(rng, gyro, beat(gyro, rates))
 
 
+def swings_in_lock_in(rng: np.random.Generator) -> HostileRecord:
+    """A dither that never leaves the lock-in zone, and that began long before the record: a steady swing."""
+    gyro = draw_gyro(rng, rate_over_lock_in=(1.5, 10.0))
+    mean = rng.uniform(-0.5, 0.5) * gyro.lock_in_rate
+    shaken = rng.uniform(0.1, 0.97) * (gyro.lock_in_rate - abs(mean))
+    turns = log_uniform(rng, 2.0, 150.0)
+    rates = mean + shaken * np.cos(2 * np.pi * turns * step_times() + rng.uniform(0, 2 * np.pi))
+    settled = np.arcsin(rates[0] / gyro.lock_in_rate) - gyro.backscatter
+    return recorded(rng, gyro, beat(replace(gyro, start=settled), rates))
+
+
 def sampling_jitter(rng: np.random.Generator) -> HostileRecord:
     """The samples are taken too early or too late at random, by 1 to 30 % of the sample interval."""
     gyro = draw_gyro(rng)
@@ -109,6 +122,7 @@ CLASSES = (
     RecordClass("another time base in the second half", "detect", other_time_base),
     RecordClass("phase jump", "detect", phase_jump),
     RecordClass("shaken inside lock-in", "detect", shaken_in_lock_in),
+    RecordClass("swings inside lock-in", "detect", swings_in_lock_in),
     RecordClass("sampling jitter", "detect", sampling_jitter),
     RecordClass("vibration at the beat frequency itself", "blind", vibration_at_the_beat),
 )

@@ -111,8 +111,12 @@ def without_channel_model(each: LockInEstimate) -> str:
 
 def at_known_rates(each: LockInEstimate, rates: Floats) -> LockInEstimate:
     """The same ratios with rates on the gyro's axis (n,), deg/s, signed, as reference instead of the beat."""
-    given = replace(each, input_rate=rates, rate_given=True)
-    return with_ratio(given, each.complex_ratio, each.complex_ratio_covariance)
+
+    def given(some: LockInEstimate, rows: slice) -> LockInEstimate:
+        known = replace(some, input_rate=rates[rows], rate_given=True)
+        return with_ratio(known, some.complex_ratio, some.complex_ratio_covariance)
+
+    return each.changed(given)
 
 
 def joined(parts: Sequence[Estimate], rows: Sequence[Indices]) -> Estimate:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 from html import escape
 from typing import Any
@@ -78,6 +79,10 @@ class LockInEstimate:
             if isinstance(value, np.ndarray):
                 changed[name] = value.reshape((*shape, *value.shape[inner:]))
         return LockInEstimate(**changed)
+
+    def changed(self, change: Callable[[LockInEstimate, slice], LockInEstimate]) -> LockInEstimate:
+        """The records (n,) as a function makes others of them, which is told which ones it is given."""
+        return change(self, slice(0, len(self)))
 
     def described(self, noise_model: str) -> LockInEstimate:
         """The same records, with other words on what their uncertainties rest on."""

@@ -241,7 +241,7 @@ def _stated_rates(parts: Sequence[_Used], rates: Path | None) -> AxisRates | Non
 def _axis_rates(parts: Sequence[_Used], found: Sequence[tuple[float, float]]) -> AxisRates:
     counts = [part.count for part in parts]
     rates = np.repeat([rate for rate, _ in found], counts)
-    return AxisRates(rates, np.zeros(rates.size), np.repeat([u for _, u in found], counts))
+    return AxisRates(rates, np.broadcast_to(0.0, rates.shape), np.repeat([u for _, u in found], counts))
 
 
 def _stated(name: str, stated: Mapping[str, tuple[float, float]]) -> tuple[float, float] | None:

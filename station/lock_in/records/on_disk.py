@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import tempfile
 import weakref
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import fields
 from typing import IO, Any
 
@@ -16,8 +16,8 @@ from analysis import LockInEstimate
 from analysis.lockin_rate import noise_model
 from station.errors import CannotWrite
 
-_AT_ONCE = 1 << 16
-"""Rows that are read together where only some of them are wanted."""
+_AT_ONCE = 1 << 14
+"""Rows that are read together where not all of them are to be in memory."""
 
 
 class ColumnFiles:
@@ -161,6 +161,17 @@ class EstimatesOnDisk(LockInEstimate):
     def reshaped(self, *shape: int) -> LockInEstimate:
         """The same records in another leading shape; as they are where that is theirs already."""
         return self if shape == (-1,) and not self._is_here else super().reshaped(*shape)
+
+    def changed(self, change: Callable[[LockInEstimate, slice], LockInEstimate]) -> LockInEstimate:
+        """The records as a function makes others of them, some at a time: they lie on the disk too."""
+        if self._is_here or not len(self):
+            return super().changed(change)
+        columns = ColumnFiles()
+        for first in range(0, len(self), _AT_ONCE):
+            rows = slice(first, min(first + _AT_ONCE, len(self)))
+            part = change(self[rows], rows)
+            columns.add({name: getattr(part, name) for name in ARRAYS}, len(part))
+        return EstimatesOnDisk.of(columns, part).described(part.noise_model)
 
     def described(self, noise_model: str) -> LockInEstimate:
         """The same records, with other words on what their uncertainties rest on."""

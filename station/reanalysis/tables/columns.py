@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis import flag_names
-from analysis.lock_in_run import only_beats, without_channel
+from analysis.lock_in_run import by_themselves
 from station.errors import StationError
 from station.lock_in.found import describe_method
 from station.lock_in.knowledge import channel_response
@@ -162,11 +162,11 @@ def _columns(piece: Piece, gathered: Gathered) -> dict[str, Values]:
     each, method = gathered.each, gathered.method
     if each is None or method is None:
         return {}
-    each = only_beats(each)
+    response = None
     if gathered.front_end is not None:
         settings = saved_settings(RING_LASER, dict(gathered.front_end), gathered.name)
         response = channel_response(settings.front_end)
-        each = each if response is None else without_channel(each, response)
+    each = by_themselves(each, response)
     known, labels = gathered.columns, gathered.labels
     columns: dict[str, Values] = {
         **dict.fromkeys(ORDER),

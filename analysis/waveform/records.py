@@ -21,7 +21,7 @@ MINIMUM_SAMPLES = 8
 NO_DATA, LARGEST_CODE = -128, 127
 LARGEST_INTEGER = 2**52
 
-SAMPLES_AT_ONCE = 2_500_000
+SAMPLES_AT_ONCE = 5_000_000
 """Samples worked on together: enough that the cost of calling NumPy does not count, and a bound on the memory of
 any batch."""
 

@@ -19,7 +19,7 @@ from analysis.waveform.misfit import (
     misfit_of,
     pedestal_power,
 )
-from analysis.waveform.records import sums_of_squares
+from analysis.waveform.records import records_at_once, sums_of_squares
 from analysis.waveform.repeating import HIDDEN, SEEN, SURE, may_repeat, repeating
 from analysis.waveform.series.frequency_search import Sizes, line_sizes, neighbours
 from analysis.waveform.series.geometric_series import Series, sampled_blocks, sampled_series
@@ -90,6 +90,8 @@ class Residual:
 def residual_of(values: Samples, weights: Samples | None, series: Series) -> Residual:
     """Subtract the waveform from (R, N) records; a few at a time, since the samples left are used up at once."""
     n_records, n_samples = values.shape
+    if n_records <= records_at_once(n_samples, values.dtype):
+        return Residual.of(left_by(series, values, weights), series.omega)
     residual = Residual.empty(n_records, n_samples, values.dtype)
     for rows, model in sampled_blocks(series, n_samples, values.dtype):
         np.subtract(values[rows], model, out=model)

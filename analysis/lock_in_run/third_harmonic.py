@@ -12,14 +12,15 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from analysis.arrays import Bools, Complexes, Floats
+from analysis.arrays import Bools, Floats
 from analysis.flags import Flag
+from analysis.harmonics import fit_free_harmonics
 from analysis.lock_in_run.records import RecordArrays
 from analysis.lockin_rate import LockInEstimate
 
 _HARMONICS = 4
 _MOST_RECORDS = 400
-_AT_ONCE = 50
+_AT_ONCE = 200
 
 _OWN_UNCERTAIN = 0.05
 """Share of the beat's own third harmonic, r^2, that a slow channel may take away."""
@@ -64,24 +65,13 @@ def _beside_own(slow: RecordArrays, each: LockInEstimate, good: Bools) -> Iterat
         left -= kept.size
         for part in (kept[first : first + _AT_ONCE] for first in range(0, kept.size, _AT_ONCE)):
             rows, volts = batch.rows[part], batch.volts[0][part]
-            c = _harmonics(volts, each.beat_frequency[rows] * batch.sample_interval)
+            omega = 2 * np.pi * batch.sample_interval * each.beat_frequency[rows]
+            # one step from amplitudes of zero: linear least squares at this frequency
+            centred = volts - volts.mean(axis=-1, keepdims=True)
+            _, _, c, _ = fit_free_harmonics(centred, None, omega, _HARMONICS, iterations=1)
             size, turn = np.abs(c[:, 0]), np.exp(-1j * np.angle(c[:, 0]))
             second, third = c[:, 1] / size * turn**2, c[:, 2] / size * turn**3
             noise_u = each.noise_rms[rows] / size * math.sqrt(2 / volts.shape[1])
             yield (third - second**2).real, noise_u, np.abs(second) ** 2
         if left <= 0:
             return
-
-
-def _harmonics(volts: Floats, turns: Floats) -> Complexes:
-    """Complex amplitudes (n, harmonics) of records (n, N) by least squares; `turns` periods a sample, (n,)."""
-    n_records, n_samples = volts.shape
-    first = np.exp(2j * np.pi * np.outer(turns, np.arange(n_samples) - n_samples / 2))
-    waves = np.ones((n_records, 1 + 2 * _HARMONICS, n_samples))
-    power = first
-    for order in range(_HARMONICS):
-        waves[:, 1 + 2 * order], waves[:, 2 + 2 * order] = power.real, power.imag
-        power = power * first
-    normal = waves @ waves.swapaxes(-1, -2)
-    solved = np.linalg.solve(normal, waves @ volts[:, :, np.newaxis])[:, 1:, 0]
-    return np.asarray(solved[:, ::2] - 1j * solved[:, 1::2], dtype=np.complex128)

@@ -155,7 +155,7 @@ def _estimated(
     for (part,) in workers.map(estimate_pieces, pieces):
         if part.left_out and part.left_out[-1].record is None:
             raise RunError(str(part.left_out[-1]))
-        with _in_words():
+        with errors_in_words():
             collected.add(part)
         progress.advance()
     return collected.gathered()
@@ -172,12 +172,12 @@ def _read_pairs(source: Source, choices: Mapping[str, Any]) -> Gathered | None:
 def _evaluated(
     arrays: RunArrays, settings: Settings, method: Method, estimated: LockInEstimate | None = None
 ) -> LockInRun:
-    with _in_words():
+    with errors_in_words():
         return evaluate(arrays, run_knowledge(settings), method, estimated)
 
 
 @contextmanager
-def _in_words() -> Iterator[None]:
+def errors_in_words() -> Iterator[None]:
     """Errors of the evaluation as those of a run."""
     try:
         yield

@@ -18,7 +18,7 @@ from instrument import Waveform
 from station.errors import NoUsableSignal, UsageError
 from station.lock_in.found import LockInFound, SavedWaveforms
 from station.lock_in.knowledge import knowledge_of_records, run_knowledge
-from station.lock_in.read import gathered_arrays
+from station.lock_in.read import errors_in_words, gathered_arrays
 from station.lock_in.records.collected import Collected
 from station.lock_in.records.pieces import Gathered, estimate_pieces
 from station.lock_in.result import result
@@ -76,7 +76,8 @@ def combine(
     found = _Sources(channel, None if knowledge is None else knowledge.response)
     for parts in work.done_by(workers, estimate_pieces, progress):
         for part in parts:
-            found.add(part)
+            with errors_in_words():
+                found.add(part)
     whole, left_out = found.gathered(), found.left_out
     if whole is None or whole.each is None or whole.method is None:
         reason = f": {left_out[0]}" if left_out else ""
@@ -96,7 +97,8 @@ def combine(
         azimuth_end=unknown,
         over_lock_in=unknown,
     )
-    found_run = evaluate(RunArrays(slow, _nothing(slow)), knowledge, method, estimated, axis)
+    with errors_in_words():
+        found_run = evaluate(RunArrays(slow, _nothing(slow)), knowledge, method, estimated, axis)
     shown = LockInFound(
         **vars(found_run), names=names, waveforms=waveforms, damaged=tuple(str(n + 1) for n in whole.damaged)
     )

@@ -8,7 +8,7 @@ import pytest
 from analysis import beat_signal
 from instrument import Preamble, Waveform
 from instrument.tek_files import csv_text
-from station.errors import NoUsableSignal, UsageError
+from station.errors import NoUsableSignal, RunError, UsageError
 from station.reanalysis.combine import combine
 from station.reanalysis.files import AnalyzedFiles, scale_factor_of_files
 from station.reanalysis.report import FilesReport
@@ -98,6 +98,13 @@ def test_a_file_of_rates_that_does_not_fit_is_refused(text: str, problem: str, t
     rates.write_text(text)
     with pytest.raises(UsageError, match=problem):
         combined(folder, rates=rates)
+
+
+def test_a_beat_outside_the_response_of_the_channel_is_told(tmp_path: Path) -> None:
+    settings = tmp_path / "bench.toml"
+    settings.write_text("[front_end]\nresponse = [[1, 1.0, 0.0], [2, 0.98, -5]]\n")
+    with pytest.raises(RunError, match=r"known from 1 to 2 Hz, but .* Hz is needed"):
+        combined(card(tmp_path / "card", 0.3, 0.3), config=settings)
 
 
 def test_two_inputs_are_not_two_records(tmp_path: Path) -> None:

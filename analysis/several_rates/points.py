@@ -37,12 +37,17 @@ class UsedRecords:
     rate_u: Floats
     reference: Reference
 
-    def blocks(self) -> Iterator[tuple[Indices, RatioData, Floats]]:
-        """Some of them at a time: which they are, one set of data (m,), and the covariance of their ratios."""
+    def blocks(self) -> Iterator[tuple[Indices, RatioBlock]]:
+        """Some of them at a time, and which they are."""
         for some, block in self.records.blocks():
             rows = np.flatnonzero(self.used[some])
             if rows.size:
-                yield some.start + rows, *self._data(block[rows], self.rate_u[some][rows])
+                yield some.start + rows, block[rows]
+
+    def data(self) -> Iterator[tuple[Indices, RatioData, Floats]]:
+        """The same as one set of data (m,), and the covariance of their ratios."""
+        for rows, block in self.blocks():
+            yield rows, *self._data(block, self.rate_u[rows])
 
     def _data(self, block: RatioBlock, rate_u: Floats) -> tuple[RatioData, Floats]:
         frequency, ratio = block.beat_frequency, block.ratio
@@ -80,10 +85,10 @@ class Places:
     @classmethod
     def of(cls, records: UsedRecords) -> Places:
         """The points that some records make."""
-        rates = first_of_groups((np.abs(data.rate) for _, data, _ in records.blocks()), SAME_RATE)
-        amplitudes = first_of_groups((data.amplitude for _, data, _ in records.blocks()), SAME_AMPLITUDE)
+        rates = first_of_groups((np.abs(block.rate) for _, block in records.blocks()), SAME_RATE)
+        amplitudes = first_of_groups((block.amplitude for _, block in records.blocks()), SAME_AMPLITUDE)
         found = cls(rates, amplitudes, np.empty(0, dtype=np.intp))
-        each = [np.unique(found._key(data)) for _, data, _ in records.blocks()]
+        each = [np.unique(found._key(block)) for _, block in records.blocks()]
         return cls(rates, amplitudes, np.unique(np.concatenate(each)))
 
     def __len__(self) -> int:
@@ -128,7 +133,7 @@ class Points:
         """
         mean, mean_third = self._left_of_means(parameters)
         chi_square, thirds_known = 0.0, np.zeros(len(self.places))
-        for _, data, _ in self.records.blocks():
+        for _, data, _ in self.records.data():
             left, rest = _left(parameters, data)
             place = self.places[data]
             of_ratio, of_third = in_standard_uncertainties(left - mean[place], rest - mean_third[place], data)
@@ -140,7 +145,7 @@ class Points:
     def _left_of_means(self, parameters: Floats) -> tuple[Complexes, Floats]:
         """Mean of what the model leaves of the records of each point: of ratios and of third harmonics, (p,)."""
         sums = np.zeros((5, len(self.places)))
-        for _, data, _ in self.records.blocks():
+        for _, data, _ in self.records.data():
             left, rest = _left(parameters, data)
             weights, precision = _weights(data), data.third_weight**2
             columns = weights, weights * left.real, weights * left.imag, precision, precision * rest
@@ -153,14 +158,14 @@ def gather(records: UsedRecords) -> Points:
     """Mean of the records of each rate, sense and amplitude, and its covariance."""
     places = Places.of(records)
     sums, spread = np.zeros((9, len(places))), np.zeros((4, len(places)))
-    for _, data, _ in records.blocks():
+    for _, data, _ in records.data():
         weights, precision = _weights(data), data.third_weight**2
         means = data.rate, data.beat_rate, data.angular, data.ratio.real, data.ratio.imag, data.amplitude
         weighted = (weights * values for values in means)
         sums += places.sums(data, weights, *weighted, precision, precision * data.third)
     total, precision, third = sums[[0, 7, 8]]
     rate, beat_rate, angular, real, imaginary, amplitude = sums[1:7] / total
-    for _, data, covariance in records.blocks():
+    for _, data, covariance in records.data():
         share = (_weights(data) / total[places[data]]) ** 2
         spread += places.sums(data, *(share * values for values in covariance.reshape(-1, 4).T))
     points = RatioData(

@@ -136,7 +136,7 @@ class FittedRecords:
     def residual(self) -> Complexes:
         """What the fit leaves of the ratio; nan where it was not used."""
         found = np.full(self.used.shape, np.nan, dtype=np.complex128)
-        for rows, data, _ in self.records.blocks():
+        for rows, data, _ in self.records.data():
             found[rows] = (data.ratio - predicted_ratio(self.parameters, data))[0]
         return found
 
@@ -144,7 +144,7 @@ class FittedRecords:
     def deviation(self) -> Floats:
         """The same in standard uncertainties: the root of its chi-square."""
         found = np.full(self.used.shape, np.nan)
-        for rows, data, _ in self.records.blocks():
+        for rows, data, _ in self.records.data():
             white = whitened(self.parameters, data)[0][0]
             found[rows] = np.hypot(white[:, 0], white[:, 1])
         return found

@@ -87,9 +87,7 @@ def find_damage(records: Records, fit: SeriesFit, clipped: Bools | None) -> Dama
         high = np.minimum(high, _limit(records, fit, np.flatnonzero(np.isfinite(low) & ~np.isfinite(high)), 1))
         low = -np.minimum(low, _limit(records, fit, np.flatnonzero(np.isfinite(high) & ~np.isfinite(low)), -1))
     else:
-        known = clipped if weights is None else clipped & (weights > 0)
-        low = np.where(known & (values < 0), values, -np.inf).max(axis=-1)
-        high = np.where(known & (values >= 0), values, np.inf).min(axis=-1)
+        low, high = _known_limits(values, weights, clipped)
     if weights is not None:
         flags[(weights == 0).any(axis=-1)] |= Flag.DAMAGED
     hit = (np.isfinite(low) | np.isfinite(high)) & ~records.constant
@@ -99,6 +97,18 @@ def find_damage(records: Records, fit: SeriesFit, clipped: Bools | None) -> Dama
     kept = (values > low[:, np.newaxis]) & (values < high[:, np.newaxis])
     undamaged = kept.astype(values.dtype) if weights is None else kept * weights
     return Damage(undamaged, np.stack([low, high], axis=-1), flags)
+
+
+def _known_limits(values: Samples, weights: Samples | None, clipped: Bools) -> tuple[Samples, Samples]:
+    """Lowest and highest value that is not clipped as the caller knows it, -inf and inf where none is; (R,) each."""
+    low, high = (np.full(len(values), end, dtype=values.dtype) for end in (-np.inf, np.inf))
+    rows = np.flatnonzero(clipped.any(axis=-1))
+    known, some = clipped[rows], values[rows]
+    if weights is not None:
+        known &= weights[rows] > 0
+    low[rows] = np.where(known & (some < 0), some, -np.inf).max(axis=-1)
+    high[rows] = np.where(known & (some >= 0), some, np.inf).min(axis=-1)
+    return low, high
 
 
 def _crowded(records: Records, end: Samples, at_end: Counts) -> Indices:

@@ -100,7 +100,7 @@ def find_damage(records: Records, fit: SeriesFit, clipped: Bools | None) -> Dama
 
 
 def _known_limits(values: Samples, weights: Samples | None, clipped: Bools) -> tuple[Samples, Samples]:
-    """Lowest and highest value that is not clipped as the caller knows it, -inf and inf where none is; (R,) each."""
+    """Values (R,) between which nothing is clipped, as the caller knows it; -inf and inf where nothing is."""
     low, high = (np.full(len(values), end, dtype=values.dtype) for end in (-np.inf, np.inf))
     rows = np.flatnonzero(clipped.any(axis=-1))
     known, some = clipped[rows], values[rows]

@@ -37,7 +37,7 @@ def wait_for_records(folder: Path, count: int) -> None:
     raise AssertionError("the records did not come")
 
 
-@pytest.mark.parametrize("how", ["SIGINT", "SIGKILL"])
+@pytest.mark.parametrize("how", ["SIGINT", pytest.param("SIGKILL", marks=pytest.mark.slow)])
 def test_ctrl_c_and_kill_leave_a_valid_run(tmp_path: Path, cut_gyrolock, serve_scope, how: str) -> None:
     scope = serve_scope("--tcp", "0", "--config", "ideal.toml")
     ended = cut_gyrolock(how, 3, "measure", "--resource", scope.resource, *GIVEN, "--records", 10_000, "--json")

@@ -112,7 +112,7 @@ def test_parts_of_other_time_bases_differ_and_their_difference_enters_u():
 
 
 def test_a_beam_blocked_for_a_third_is_refused_or_flagged():
-    k, volts, noise = records(20, 5)
+    k, volts, noise = records(8, 5)
     volts[:, 800:1600] = 0.0
     e = estimate_lock_in(np.rint(volts + noise), 1.0, scale_factor=k)
     assert np.all(has(e, FATAL | DOUBTFUL))

@@ -117,7 +117,10 @@ def test_prediction_by_the_table_agrees_with_simulation() -> None:
 
 
 # `benchmarks.several_rates.planned` has more rates and trials
-@pytest.mark.parametrize(("over", "both"), [((3.0,), True), ((3.0, 30.0), False), ((8.0, 15.0, 30.0), False)])
+@pytest.mark.parametrize(
+    ("over", "both"),
+    [((3.0,), True), ((3.0, 30.0), False), pytest.param((8.0, 15.0, 30.0), False, marks=pytest.mark.slow)],
+)
 def test_prediction_for_several_rates_agrees_with_their_fit(over: tuple[float, ...], both: bool) -> None:
     plan = planned(over, both)
     assert next(line for line in plan.budget.inputs if line.name == "distortion").contribution == 0

@@ -14,7 +14,7 @@ pytestmark = pytest.mark.skipif(os.name != "posix", reason="signals and serial t
     [
         ("server killed", True, True),
         pytest.param("serial line gone", True, True, marks=pytest.mark.slow),
-        ("cable pulled", False, False),
+        pytest.param("cable pulled", False, False, marks=pytest.mark.slow),
         pytest.param("hang", False, False, marks=pytest.mark.slow),
     ],
 )

@@ -35,7 +35,7 @@ class Sizes:
     @staticmethod
     def of(records: int) -> Sizes:
         """The shares of a run of so many records on the grid."""
-        return Sizes(records, max(records // 10, 200), max(records // 20, 200), min(max(records // 6, 200), 1000))
+        return Sizes(records, max(records // 10, 200), max(records // 20, 200), min(max(records // 6, 200), 5000))
 
 
 def main(arguments: list[str] | None = None) -> int:

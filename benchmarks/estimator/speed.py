@@ -21,7 +21,7 @@ from benchmarks.estimator.methods.general_fit import fit_curve
 from benchmarks.estimator.progress import Progress
 
 ROUNDS = 9
-SMALL_BATCH = 200
+SMALLER_BATCHES = 1000, 200
 """Records for which the cost of calling NumPy shows."""
 
 FEW = 25
@@ -49,13 +49,13 @@ def measure_speed(n_records: int, seed: int) -> list[Speed]:
     """All comparisons, with batches of `n_records`."""
     rng = np.random.default_rng([seed, 300])
     far, near = (_codes(rng, n_records, limits) for limits in ((3.0, 100.0), (1.02, 3.0)))
-    with Progress("speed", 9) as progress:
+    smaller = [few for few in SMALLER_BATCHES if few < n_records]
+    with Progress("speed", 8 + len(smaller)) as progress:
         results = []
-        few = min(n_records, SMALL_BATCH)
         for what, codes in (
-            ("W/WL 3 to 100", far),
-            ("W/WL 1.02 to 3", near),
-            (f"W/WL 3 to 100, batches of {few}", far[:few]),
+            (f"W/WL 3 to 100, batches of {n_records}", far),
+            (f"W/WL 1.02 to 3, batches of {n_records}", near),
+            *((f"W/WL 3 to 100, batches of {few}", far[:few]) for few in smaller),
         ):
             ours, fft = _alternate([partial(_estimate, codes), partial(scipy.fft.rfft, codes, axis=1)])
             results.append(Speed(f"estimate / rfft, {what}", ours / len(codes), fft / len(codes), ours / fft))

@@ -96,7 +96,7 @@ class Cluster:
         work : callable
             A function of a module, which the workers have too.
         pieces : iterable
-            What can be pickled; files by a path that is the same everywhere, or by a URL.
+            What Dask can send; files by a path that is the same everywhere, or by a URL.
 
         Raises
         ------

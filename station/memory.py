@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import ctypes
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 
 _M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD = -1, -3  # of mallopt(3)
 _KEPT_BYTES, _GIVEN_BACK_BYTES = 1 << 25, 1 << 20
@@ -18,14 +19,20 @@ def keep_for_batches() -> None:
     _set_limits(_KEPT_BYTES)
 
 
-def give_back() -> None:
-    """Return what is free, some 60 MB after the last batch, and from now on every large array when it goes.
+@contextmanager
+def given_back() -> Iterator[None]:
+    """Return what is free, some 60 MB after the last batch, and meanwhile every large array when it goes.
 
-    Arrays of one number for each of a million records come and go in all sizes: kept, they leave holes.
+    Arrays of one number for each of a million records come and go in all sizes: kept, they leave holes. Estimates
+    that follow, in a notebook, are batches again.
     """
     _set_limits(_GIVEN_BACK_BYTES)
     with suppress(OSError, AttributeError):
         ctypes.CDLL("libc.so.6").malloc_trim(0)
+    try:
+        yield
+    finally:
+        keep_for_batches()
 
 
 def _set_limits(size: int) -> None:

@@ -36,6 +36,7 @@ from station.lock_in.records.collected import Collected
 from station.lock_in.records.pairs import Pairs, whole_pairs
 from station.lock_in.records.pieces import Gathered, Piece, described_records, estimate_pieces, pieces_of
 from station.lock_in.settings import Settings
+from station.memory import given_back
 from station.ring_laser.records import saved_waveform
 from station.runs.progress import Progress
 from station.runs.store import SavedRecord, SavedRun
@@ -172,7 +173,7 @@ def _read_pairs(source: Source, choices: Mapping[str, Any]) -> Gathered | None:
 def _evaluated(
     arrays: RunArrays, settings: Settings, method: Method, estimated: LockInEstimate | None = None
 ) -> LockInRun:
-    with errors_in_words():
+    with errors_in_words(), given_back():
         return evaluate(arrays, run_knowledge(settings), method, estimated)
 
 

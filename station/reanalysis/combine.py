@@ -23,6 +23,7 @@ from station.lock_in.records.collected import Collected
 from station.lock_in.records.pieces import Gathered, estimate_pieces
 from station.lock_in.result import result
 from station.lock_in.settings import load_settings
+from station.memory import given_back
 from station.reanalysis.files import AnalyzedFiles
 from station.reanalysis.work import Work
 from station.runs.operator import ask_number
@@ -97,7 +98,7 @@ def combine(
         azimuth_end=unknown,
         over_lock_in=unknown,
     )
-    with errors_in_words():
+    with errors_in_words(), given_back():
         found_run = evaluate(RunArrays(slow, _nothing(slow)), knowledge, method, estimated, axis)
     shown = LockInFound(
         **vars(found_run), names=names, waveforms=waveforms, damaged=tuple(str(n + 1) for n in whole.damaged)

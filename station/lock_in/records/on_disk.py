@@ -75,7 +75,7 @@ class ColumnFiles:
 
     def rows(self, name: str, rows: NDArray[np.intp]) -> NDArray[Any]:
         """Return some rows (n,) of one column; what lies between them is not in memory all at once."""
-        if rows.size and int(rows[-1]) - int(rows[0]) == rows.size - 1:
+        if rows.size and np.all(np.diff(rows) == 1):
             return self.read(name, int(rows[0]), rows.size)
         _, kind, inner = self._files[name]
         found = np.empty((rows.size, *inner), kind)

@@ -13,7 +13,7 @@ from analysis import LockInEstimate
 from analysis.lock_in_run import Method
 from instrument import Preamble
 from station.lock_in.records.estimates import estimate_batch
-from station.memory import give_back, keep_for_batches
+from station.memory import keep_for_batches
 from station.sources.batches import RecordBatch, codes_of
 
 
@@ -117,4 +117,3 @@ def _kept_room(shape: tuple[int, ...]) -> NDArray[np.float64]:
 def give_back_room() -> None:
     """Free the memory that the batches of this thread used in turn: no further one comes."""
     _OF_THREAD.__dict__.clear()
-    give_back()

@@ -4,9 +4,10 @@ import shutil
 import sqlite3
 from pathlib import Path
 
+import numpy as np
 import pytest
 
-from station.lock_in.records.on_disk import EstimatesOnDisk
+from station.lock_in.records.on_disk import ColumnFiles, EstimatesOnDisk
 from station.lock_in.records.pieces import pieces_of
 from station.reanalysis.fill import fill_table
 from station.report.report import render_report
@@ -49,6 +50,14 @@ def test_estimates_that_lie_on_the_disk_give_the_same(
     assert on_disk.document() == in_memory.document()
     assert list(on_disk.rows()) == list(in_memory.rows())
     assert render_report(on_disk) == render_report(in_memory)
+
+
+def test_rows_of_a_column_on_the_disk_come_in_the_order_they_are_asked_for() -> None:
+    columns = ColumnFiles()
+    columns.add({"value": np.arange(8) * 1.5}, 8)
+    for rows in ([2, 3, 4], [0, 2, 1, 3], [3, 3, 4, 6], [5], []):
+        asked = np.array(rows, dtype=np.intp)
+        assert columns.rows("value", asked).tolist() == [1.5 * row for row in rows]
 
 
 BLOCKS = (

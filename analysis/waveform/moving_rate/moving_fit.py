@@ -40,8 +40,8 @@ ITERATIONS, LAST_ITERATIONS = 4, 8
 NOISY_RATE = 12.0
 """-2 log likelihood by which noise of the rate must explain a record better than an exact motion."""
 
-FINEST = 0.1
-"""Logarithm of the looseness to which the strength of such noise is found."""
+COARSEST, FINEST = 1.2, 0.1
+"""Logarithm of the looseness to which such noise is found, before the terms are chosen, and after."""
 
 SILENT = 1e-6
 """Noise over amplitude below which no converter goes: all there is has then been taken for noise of the rate."""
@@ -78,8 +78,8 @@ class MovingFit:
     vibrates : whether that noise holds a line, which no noise has, or has taken up all there is
     drift, drift_chance : change of the size of the ratio from the middle of the record to its end if the lock-in
         rate drifted, and the share of records in which noise alone shows so much
-    stepped_u : standard uncertainty of the size of the ratio where the rate stepped, because the time base may have
-        stepped instead
+    stepped_u : standard uncertainty of the size of the ratio where the rate stepped, because the time base may
+        have stepped instead
     """
 
     offset: float
@@ -145,7 +145,7 @@ def _fitted(record: Record, seen: FirstPhase) -> tuple[Fitted, Terms, bool]:
     kept = replace(needed, rate=min(int(ROOM * needed.rate) + ROOM_AT_LEAST, best.trajectory.terms.rate))
     again = record.fit(with_terms(best, kept), best.looseness, ITERATIONS)
     if noisy:
-        return _with_noise_of_the_rate(record, again), needed, True
+        return *_with_noise_of_the_rate(record, again), True
     return record.fit(again.trajectory, EXACT / scale, LAST_ITERATIONS), needed, False
 
 
@@ -187,11 +187,22 @@ def _with_step_moved(record: Record, trajectory: Trajectory, seen: FirstPhase) -
     return replace(trajectory, terms=replace(trajectory.terms, step=step))
 
 
-def _with_noise_of_the_rate(record: Record, fitted: Fitted) -> Fitted:
-    """The fit at the looseness of greatest likelihood."""
+def _with_noise_of_the_rate(record: Record, fitted: Fitted) -> tuple[Fitted, Terms]:
+    """The fit at the looseness of greatest likelihood, and the terms that are needed beside such noise.
+
+    No more of them are kept: the noise takes up what they leave.
+    """
+    width = float(np.log(LOOSENESS[0] / LOOSENESS[1])) / 2
+    roughly = _likeliest(record, fitted, width, COARSEST)
+    needed = terms_needed(roughly, record.count)
+    again = record.fit(with_terms(roughly, needed), roughly.looseness, ITERATIONS)
+    return _likeliest(record, again, COARSEST, FINEST), needed
+
+
+def _likeliest(record: Record, fitted: Fitted, width: float, finest: float) -> Fitted:
+    """The fit at the looseness of greatest likelihood; `width` and `finest` are steps of its logarithm."""
     tried, middle = {0.0: fitted}, 0.0
-    width = np.log(LOOSENESS[0] / LOOSENESS[1]) / 2
-    while width > FINEST:
+    while width > finest:
         for place in (middle - width, middle + width):
             if place not in tried:
                 near = tried[middle].trajectory

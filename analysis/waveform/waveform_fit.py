@@ -286,6 +286,7 @@ def _judged(
         excess[row], report.misfit[row], third[row] = factors, again.misfit[0], np.nan
         if moved.drift_chance < RARE:
             report.misfit[row] = np.hypot(report.misfit[row], HIDDEN * moved.drift)
+        report.misfit[row] = np.hypot(report.misfit[row], moved.stepped_u)
         if moved.drift_chance < UNLIKELY:
             flags[row] |= Flag.PARTS_DIFFER
         if moved.vibrates:

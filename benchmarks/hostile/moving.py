@@ -9,6 +9,7 @@ import numpy as np
 from analysis.arrays import Floats
 from benchmarks.hostile.gyro import (
     N_SAMPLES,
+    STEPS,
     Gyro,
     beat,
     converted,
@@ -69,6 +70,15 @@ def random_walk(rng: np.random.Generator, gyro: Gyro) -> Floats:
     return random_walk_rates(rng, gyro, 1.0)
 
 
+def random_walk_about_a_line(rng: np.random.Generator, gyro: Gyro) -> Floats:
+    """White noise of the rate: the phase departs from its straight line by 1 rad (rms)."""
+    rates = random_walk_rates(rng, gyro, 1.0)
+    phase = np.cumsum(rates - rates.mean()) * gyro.radians / STEPS
+    times = step_times() - 0.5
+    phase -= phase.mean() + times * (times @ phase) / (times @ times)
+    return np.asarray(rates.mean() + (rates - rates.mean()) / phase.std())
+
+
 def at_rest(_rng: np.random.Generator, gyro: Gyro) -> Floats:
     """A steady rate."""
     return steady(gyro)
@@ -102,7 +112,7 @@ def _moving(
             )
             rates = motion(rng, gyro)
             slowest = np.min(rates * np.sign(gyro.input_rate))
-            if motion is random_walk or slowest > ABOVE_LOCK_IN * gyro.lock_in_rate:
+            if motion in (random_walk, random_walk_about_a_line) or slowest > ABOVE_LOCK_IN * gyro.lock_in_rate:
                 break
         times = sample_times()
         swing = 1 + intensity * rng.uniform(-1, 1) * _bent(rng, times)
@@ -131,6 +141,7 @@ CLASSES: tuple[RecordClass, ...] = (
     RecordClass("baseline drifts by 20 levels", "cure", _moving(at_rest, drift=LEVELS)),
     RecordClass("baseline steps by 20 levels", "cure", _moving(at_rest, step=LEVELS)),
     RecordClass("random-walk phase of 1 rad", "cure", _moving(random_walk)),
+    RecordClass("random-walk phase of 1 rad about a line", "cure", _moving(random_walk_about_a_line)),
     RecordClass("wander, drifts of both", "cure", _moving(all_together, intensity=INTENSITY, drift=10.0)),
     RecordClass("wander, drift and baseline step", "cure", _moving(all_together, intensity=0.1, step=LEVELS)),
 )

@@ -58,20 +58,20 @@ def _vibrating(rng: np.random.Generator, gyro: Gyro, turns: float) -> Floats:
     return gyro.input_rate + size * np.cos(2 * np.pi * turns * step_times() + rng.uniform(0, 2 * np.pi))
 
 
-def rate_step(rng: np.random.Generator) -> HostileRecord:
-    """Another rate in the second half: by 0.1 to 50 %."""
+def rate_step(rng: np.random.Generator, place: float = 0.5) -> HostileRecord:
+    """Another rate from a place on, as a share of the record: by 0.1 to 50 %."""
     gyro = draw_gyro(rng)
     rates = steady(gyro)
     step = log_uniform(rng, 0.001, 0.5)
-    rates[rates.size // 2 :] *= 1 + step * rng.choice([-1, 1])
+    rates[step_times() > place] *= 1 + step * rng.choice([-1, 1])
     return recorded(rng, gyro, beat(gyro, rates))
 
 
-def other_time_base(rng: np.random.Generator) -> HostileRecord:
-    """Another time base in the second half: by 0.1 to 30 %."""
+def other_time_base(rng: np.random.Generator, place: float = 0.5, largest: float = 0.3) -> HostileRecord:
+    """Another time base from a place on, as a share of the record: longer or shorter by 0.1 % to `largest`."""
     gyro = draw_gyro(rng)
     interval = np.full(N_SAMPLES * STEPS, gyro.sample_interval)
-    interval[interval.size // 2 :] *= 1 + log_uniform(rng, 0.001, 0.3) * rng.choice([-1, 1])
+    interval[step_times() > place] *= (1 + log_uniform(rng, 0.001, largest)) ** rng.choice([-1.0, 1.0])
     return recorded(rng, gyro, beat(gyro, steady(gyro), interval))
 
 
@@ -120,6 +120,10 @@ CLASSES = (
     RecordClass("vibration at 0.1 to 2 times the beat", "detect", vibration),
     RecordClass("another rate in the second half", "detect", rate_step),
     RecordClass("another time base in the second half", "detect", other_time_base),
+    RecordClass("another rate for a part", "detect", lambda rng: rate_step(rng, rng.uniform(0.2, 0.8))),
+    RecordClass(
+        "another time base for a part", "detect", lambda rng: other_time_base(rng, rng.uniform(0.2, 0.8), 1.5)
+    ),
     RecordClass("phase jump", "detect", phase_jump),
     RecordClass("shaken inside lock-in", "detect", shaken_in_lock_in),
     RecordClass("swings inside lock-in", "detect", swings_in_lock_in),

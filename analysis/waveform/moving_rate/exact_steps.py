@@ -38,7 +38,9 @@ class Steps:
     by_cosine: Floats
 
 
-def exact_steps(phase: Floats, mean_rate: Floats, rate: Floats, sine: float, cosine: float) -> Steps:
+def exact_steps(
+    phase: Floats, mean_rate: Floats, rate: Floats, sine: float | Floats, cosine: float | Floats
+) -> Steps:
     """Steps from the first N - 1 of N phases.
 
     Parameters
@@ -47,7 +49,7 @@ def exact_steps(phase: Floats, mean_rate: Floats, rate: Floats, sine: float, cos
         rad; a in rad per sample, at the samples.
     mean_rate : (N - 1,)
         Mean of a over each step.
-    sine, cosine : float
+    sine, cosine : float or (N - 1,)
         s and c, rad per sample.
     """
     n0, d0 = np.sin(phase[:-1] / 2), np.cos(phase[:-1] / 2)
@@ -94,7 +96,7 @@ class _Edge:
     cosine_slope: Floats
 
     @staticmethod
-    def of(sin: Floats, cos: Floats, rate: Floats, sine: float, cosine: float) -> _Edge:
+    def of(sin: Floats, cos: Floats, rate: Floats, sine: float | Floats, cosine: float | Floats) -> _Edge:
         pull = sine * cos + cosine * sin
         speed = rate - sine * sin + cosine * cos
         return _Edge(sin, cos, pull, -cos * speed - sin * pull, -sin * speed + cos * pull)

@@ -12,8 +12,9 @@ from analysis.waveform.misfit import line_stands_out
 from analysis.waveform.moving_rate.choice import terms_needed, with_terms
 from analysis.waveform.moving_rate.first_phase import FirstPhase, first_phase
 from analysis.waveform.moving_rate.matching import matched_motion
-from analysis.waveform.moving_rate.polynomials import HIGHEST, polynomials
-from analysis.waveform.moving_rate.trajectory import Fitted, Record, Terms, Trajectory
+from analysis.waveform.moving_rate.polynomials import HIGHEST
+from analysis.waveform.moving_rate.rate_step import Stepped, with_rate_step
+from analysis.waveform.moving_rate.trajectory import Fitted, Record, Terms, Trajectory, rate_columns
 
 SLOW_TERMS = 4
 """Polynomials of amplitude and offset to begin with: up to the third degree."""
@@ -39,8 +40,8 @@ ITERATIONS, LAST_ITERATIONS = 4, 8
 NOISY_RATE = 12.0
 """-2 log likelihood by which noise of the rate must explain a record better than an exact motion."""
 
-FINEST = 0.1
-"""Logarithm of the looseness to which the strength of such noise is found."""
+COARSEST, FINEST = 1.2, 0.1
+"""Logarithm of the looseness to which such noise is found, before the terms are chosen, and after."""
 
 SILENT = 1e-6
 """Noise over amplitude below which no converter goes: all there is has then been taken for noise of the rate."""
@@ -77,6 +78,8 @@ class MovingFit:
     vibrates : whether that noise holds a line, which no noise has, or has taken up all there is
     drift, drift_chance : change of the size of the ratio from the middle of the record to its end if the lock-in
         rate drifted, and the share of records in which noise alone shows so much
+    stepped_u : standard uncertainty of the size of the ratio where the rate stepped, because the time base may
+        have stepped instead
     """
 
     offset: float
@@ -92,6 +95,7 @@ class MovingFit:
     vibrates: bool
     drift: float
     drift_chance: float
+    stepped_u: float
 
 
 def fit_moving_rate(values: Floats, mask: Floats) -> MovingFit | None:
@@ -114,7 +118,12 @@ def fit_moving_rate(values: Floats, mask: Floats) -> MovingFit | None:
     try:
         with np.errstate(all="ignore"):  # a step too far gives nan, and is taken back
             fitted, needed, noisy = _fitted(record, seen)
-            return _as_beat(record, fitted, needed, noisy)
+            stepped = None
+            if noisy or needed.rate > 1:
+                stepped = with_rate_step(record, fitted, EXACT / float(np.mean(seen.amplitude)) ** 2)
+            if stepped is None:
+                return _as_beat(record, fitted, noisy=noisy, moves=noisy or needed.rate > 1)
+            return _with_step(_as_beat(record, stepped.fitted, noisy=False, moves=True), stepped)
     except np.linalg.LinAlgError:
         return None
 
@@ -136,7 +145,7 @@ def _fitted(record: Record, seen: FirstPhase) -> tuple[Fitted, Terms, bool]:
     kept = replace(needed, rate=min(int(ROOM * needed.rate) + ROOM_AT_LEAST, best.trajectory.terms.rate))
     again = record.fit(with_terms(best, kept), best.looseness, ITERATIONS)
     if noisy:
-        return _with_noise_of_the_rate(record, again), needed, True
+        return *_with_noise_of_the_rate(record, again), True
     return record.fit(again.trajectory, EXACT / scale, LAST_ITERATIONS), needed, False
 
 
@@ -178,11 +187,22 @@ def _with_step_moved(record: Record, trajectory: Trajectory, seen: FirstPhase) -
     return replace(trajectory, terms=replace(trajectory.terms, step=step))
 
 
-def _with_noise_of_the_rate(record: Record, fitted: Fitted) -> Fitted:
-    """The fit at the looseness of greatest likelihood."""
+def _with_noise_of_the_rate(record: Record, fitted: Fitted) -> tuple[Fitted, Terms]:
+    """The fit at the looseness of greatest likelihood, and the terms that are needed beside such noise.
+
+    No more of them are kept: the noise takes up what they leave.
+    """
+    width = float(np.log(LOOSENESS[0] / LOOSENESS[1])) / 2
+    roughly = _likeliest(record, fitted, width, COARSEST)
+    needed = terms_needed(roughly, record.count)
+    again = record.fit(with_terms(roughly, needed), roughly.looseness, ITERATIONS)
+    return _likeliest(record, again, COARSEST, FINEST), needed
+
+
+def _likeliest(record: Record, fitted: Fitted, width: float, finest: float) -> Fitted:
+    """The fit at the looseness of greatest likelihood; `width` and `finest` are steps of its logarithm."""
     tried, middle = {0.0: fitted}, 0.0
-    width = np.log(LOOSENESS[0] / LOOSENESS[1]) / 2
-    while width > FINEST:
+    while width > finest:
         for place in (middle - width, middle + width):
             if place not in tried:
                 near = tried[middle].trajectory
@@ -192,7 +212,7 @@ def _with_noise_of_the_rate(record: Record, fitted: Fitted) -> Fitted:
     return tried[middle]
 
 
-def _as_beat(record: Record, fitted: Fitted, needed: Terms, noisy: bool) -> MovingFit | None:
+def _as_beat(record: Record, fitted: Fitted, *, noisy: bool, moves: bool) -> MovingFit | None:
     """What a gyro at the mean rate would have shown; None where it would be locked."""
     trajectory, terms, n_samples = fitted.trajectory, fitted.trajectory.terms, record.values.size
     rate, pull = float(trajectory.rate[0]), complex(*trajectory.pull)
@@ -227,7 +247,7 @@ def _as_beat(record: Record, fitted: Fitted, needed: Terms, noisy: bool) -> Movi
     covariance = fitted.covariance[np.ix_(places, places)]
     if not np.linalg.eigvalsh(covariance).min() > 0:
         return None
-    flags = int(Flag.RATE_WANDER) if needed.rate > 1 or noisy else 0
+    flags = int(Flag.RATE_WANDER) if moves else 0
     if _goes_too_far(trajectory, to_amplitude, n_samples):
         flags |= int(Flag.MISFIT)
     if _nearly_rests(trajectory):
@@ -249,19 +269,31 @@ def _as_beat(record: Record, fitted: Fitted, needed: Terms, noisy: bool) -> Movi
         vibrates=noisy and (silent or line_stands_out(np.abs(np.fft.rfft(fitted.moved)[1:]) ** 2)),
         drift=float(ratio / (root * size) * np.linalg.norm(gain)),
         drift_chance=float(np.exp(-chi_square / 2)),
+        stepped_u=0.0,
     )
+
+
+def _with_step(fit: MovingFit | None, stepped: Stepped) -> MovingFit | None:
+    """With what a step of the time base may have done to the ratio."""
+    if fit is None:
+        return None
+    trajectory, ratio = stepped.fitted.trajectory, abs(fit.ratio)
+    root = (1 - ratio**2) / (1 + ratio**2)
+    differ = int(Flag.PARTS_DIFFER) if stepped.stretched else 0
+    u = ratio / (root * float(np.hypot(*trajectory.pull))) * stepped.pull_u
+    return replace(fit, stepped_u=u, flags=fit.flags | differ)
 
 
 def _nearly_rests(trajectory: Trajectory) -> bool:
     """Whether a rate of few periods falls to a small share of its mean."""
     few = trajectory.phase[-1] - trajectory.phase[0] < 2 * np.pi * FEW_PERIODS
-    rate = trajectory.rate @ polynomials(trajectory.phase.size).values[: trajectory.rate.size]
+    rate = trajectory.rate @ rate_columns(trajectory.phase.size, trajectory.terms)[0]
     return bool(few and np.quantile(rate, AT_ENDS) < SLOWED * trajectory.rate[0])
 
 
 def _goes_too_far(trajectory: Trajectory, to_amplitude: Floats, n_samples: int) -> bool:
     """Whether the gyro would have come close to lock-in, or the beam would have been lost, for a part."""
-    rate = trajectory.rate @ polynomials(n_samples).values[: trajectory.rate.size]
+    rate = trajectory.rate @ rate_columns(n_samples, trajectory.terms)[0]
     height = trajectory.amplitude @ to_amplitude
     moves = rate.max() > rate.min()
     too_slow = moves and float(np.quantile(rate, AT_ENDS)) < SLOWEST * float(np.hypot(*trajectory.pull))

@@ -36,12 +36,20 @@ RIDGE = 1e-12
 
 @dataclass(frozen=True)
 class Terms:
-    """How many polynomials rate, amplitude and offset have, and the first sample behind a step of the offset."""
+    """How many terms rate, amplitude and offset have, polynomials unless said otherwise.
+
+    step : first sample behind a step of the offset, which is then one term more
+    jump : number of the step from sample to sample in which the rate jumps; its last two terms are then the jump,
+        and what it does in that step
+    stretched : whether s and c jump with it, as where the time base does
+    """
 
     rate: int
     amplitude: int
     offset: int
     step: int | None = None
+    jump: int | None = None
+    stretched: bool = False
 
     @property
     def count(self) -> int:
@@ -61,7 +69,7 @@ class Trajectory:
 
     @property
     def rate(self) -> Floats:
-        """Legendre coefficients of a(t), rad per sample."""
+        """Coefficients of a(t), rad per sample: of the columns of `rate_columns`, its mean first."""
         return self.parameters[: self.terms.rate]
 
     @property
@@ -78,6 +86,22 @@ class Trajectory:
     def offset(self) -> Floats:
         """Legendre coefficients of C(t), and its step last, if it has one."""
         return self.parameters[self.terms.rate + 2 + self.terms.amplitude :]
+
+
+def rate_columns(n_samples: int, terms: Terms) -> tuple[Floats, Floats]:
+    """What a(t) is made of: at the samples (terms, N), and its mean between them (terms, N - 1)."""
+    low = polynomials(n_samples)
+    if terms.jump is None:
+        return low.values[: terms.rate], low.means[: terms.rate]
+    smooth, places = terms.rate - 2, np.arange(n_samples)
+    after, during = (places > terms.jump).astype(np.float64), (places == terms.jump).astype(np.float64)
+    at_samples = np.stack([after, np.zeros(n_samples)])
+    between = np.stack([after[:-1], during[:-1]])
+    means = between.mean(axis=1, keepdims=True)
+    return (
+        np.concatenate([low.values[:smooth], at_samples - means]),
+        np.concatenate([low.means[:smooth], between - means]),
+    )
 
 
 @dataclass(frozen=True)
@@ -216,11 +240,12 @@ class Record:
         of_amplitude, of_offset = self.columns(trajectory.terms)
         amplitude, sine = trajectory.amplitude @ of_amplitude, np.sin(trajectory.phase)
         left = (self.values - trajectory.offset @ of_offset - amplitude * sine) * self.mask
-        basis = polynomials(self.values.size)
+        at_samples, between = rate_columns(self.values.size, trajectory.terms)
         rate = trajectory.rate
-        steps = exact_steps(
-            trajectory.phase, rate @ basis.means[: rate.size], rate @ basis.values[: rate.size], *trajectory.pull
-        )
+        pull = trajectory.pull
+        if trajectory.terms.stretched:
+            pull = pull[:, np.newaxis] * (rate @ between / rate[0])
+        steps = exact_steps(trajectory.phase, rate @ between, rate @ at_samples, *pull)
         return _Model(
             left,
             np.diff(trajectory.phase) - steps.advance,
@@ -255,12 +280,18 @@ class _Equations:
         factor, ratios, failed = lapack.dpttrf(diagonal, -steps.by_phase * tight)
         if failed:
             raise np.linalg.LinAlgError("the phases are not determined")
-        basis = polynomials(record.values.size).means[: at.terms.rate]
+        basis = rate_columns(record.values.size, at.terms)[1]
         n_rate, n_more = at.terms.rate, 2 if drifting else 0
         n_moved, n_all = n_rate + 2 + n_more, at.terms.count + n_more
         by_step = np.empty((n_moved, record.values.size - 1))
         np.multiply(basis, steps.by_rate, out=by_step[:n_rate])
         by_step[n_rate : n_rate + 2] = steps.by_sine, steps.by_cosine
+        if at.terms.stretched:
+            growth = at.rate @ basis / at.rate[0]
+            pulled = (at.pull @ by_step[n_rate : n_rate + 2]) / at.rate[0]
+            by_step[0] += (1 - growth) * pulled
+            by_step[1:n_rate] += basis[1:] * pulled
+            by_step[n_rate : n_rate + 2] *= growth
         if drifting:
             by_step[-2:] = by_step[n_rate : n_rate + 2] * polynomials(record.values.size).means[1]
         sides = np.zeros((n_all, record.values.size))

@@ -166,6 +166,15 @@ def test_a_rate_with_noise_of_its_own_is_paid_for_in_u():
     assert np.sum(np.square(z)) < 31.8
 
 
+def test_no_polynomials_are_kept_beside_noise_of_the_rate_that_would_lead_it_into_lock_in():
+    k, codes, _ = moved_record(np.random.default_rng(87), 0.6, 8.1, 0.0, 1.0, walk=3.9)
+    fit = fit_moving_rate(codes - codes.mean(), np.ones(N))
+    assert fit.walk > 3
+    assert flag_names(fit.flags) == ["rate_wander"]
+    e = estimate_lock_in(codes, 1.0, scale_factor=k)
+    assert abs(float(e.lock_in_rate) - 0.6) < 3 * float(e.lock_in_rate_u)
+
+
 @pytest.mark.parametrize("drift", [0.0, 0.2])
 def test_a_lock_in_rate_that_drifts_is_seen_while_the_rate_moves(drift):
     rng = np.random.default_rng(48)

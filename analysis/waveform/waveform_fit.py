@@ -22,7 +22,7 @@ from analysis.waveform.quantisation import (
     repetition,
 )
 from analysis.waveform.records import Records, Stack, never_alone
-from analysis.waveform.repeating import hidden_by_harmonics
+from analysis.waveform.repeating import by_level, hidden_by_harmonics
 from analysis.waveform.residuals import (
     Residual,
     ResidualReport,
@@ -288,6 +288,11 @@ def _judged(
             report.misfit[row] = np.hypot(report.misfit[row], HIDDEN * moved.drift)
         if moved.drift_chance < UNLIKELY:
             flags[row] |= Flag.PARTS_DIFFER
+        valid = slice(None) if weights is None else weights[row] > 0
+        hidden, sure = by_level(moved.left[valid], (records.values[row] - moved.left)[valid], moved.degrees)
+        report.misfit[row] = np.hypot(report.misfit[row], hidden / abs(moved.first))
+        if sure:
+            flags[row] |= Flag.MISFIT
         if moved.vibrates:
             flags[row] |= Flag.MISFIT
             report.misfit[row] = np.hypot(report.misfit[row], turned_by(sidebands, abs(moved.ratio)))

@@ -41,8 +41,10 @@ from analysis.several_rates.solutions import (
     Answer,
     answer,
     by_profile,
+    largest_possible,
     lock_in_u,
     polar_covariance,
+    up_to,
     widened,
     with_coupling,
 )
@@ -231,8 +233,10 @@ def _fit(
         raise NoFit(f"these records cannot tell {what}: {MORE_RECORDS}")
     if found.singular[0]:
         raise NoFit(f"these records cannot tell the unknowns of the model {model!r} apart: {MORE_RECORDS}")
+    most = np.inf if records.rate_of_beat else largest_possible(found, points.points)
+    found = up_to(found, most)
     fits = _models(points, found, known, chosen)
-    result = _result(points, fits, found, known, chosen, receiver)
+    result = _result(points, fits, found, known, chosen, receiver, most)
     return replace(result, flags=result.flags | (RatesFlag.STATED_LIMITS_EXCEEDED if contradicted else 0))
 
 
@@ -265,6 +269,7 @@ def _result(
     known: Prior,
     chosen: Model,
     receiver: ReceiverKnowledge | None,
+    most: float,
 ) -> RatesFit:
     records = points.records.records
     fit, prior = fits[chosen], _prior(chosen, known)
@@ -273,7 +278,7 @@ def _result(
     covariance = polar_covariance(fit) * widen
     said = answer(found, widen, freedom)
     if np.unique(np.sign(points.points.rate)).size == 1:
-        said = by_profile(said, found, points.points, prior, widen, freedom)
+        said = by_profile(said, found, points.points, prior, widen, freedom, most)
         if chosen == "all" and prior.sd[3] > 0 and _left_over(points, prior) <= 0:
             said = over_gain_times(said, found, points.points, prior, widen)
     mismatch = rate_mismatch(records, said.value)

@@ -60,11 +60,36 @@ def answer(found: RatioFit, widen: float, degrees: int) -> Answer:
     return Answer(float(values[0]), u, min(one[2] for one in each), max(one[3] for one in each), others)
 
 
-def by_profile(said: Answer, found: RatioFit, data: RatioData, prior: Prior, widen: float, degrees: int) -> Answer:
+def largest_possible(found: RatioFit, data: RatioData) -> float:
+    """Lock-in rate beyond which beats would contradict their rates, deg/s; inf where they say nothing.
+
+    A gyro that beats turns faster than its lock-in rate. That holds if the rates given are those at which the
+    records were taken, and not just senses: if they agree with the beats for one of the minima found.
+    """
+    rate, sizes = np.abs(data.rate), np.hypot(found.parameters[:, 0], found.parameters[:, 1])
+    off = np.abs(np.hypot(data.beat_rate, sizes[:, np.newaxis]) / rate - 1)
+    if not np.any(np.all(off < _SAME_RATE, axis=-1)):
+        return math.inf
+    return float(np.sqrt(np.min((_OTHER_RATE * rate) ** 2 - data.beat_rate**2)))
+
+
+def up_to(found: RatioFit, most: float) -> RatioFit:
+    """The minima whose lock-in rate is not above `most`, deg/s."""
+    return found[np.flatnonzero(np.hypot(found.parameters[:, 0], found.parameters[:, 1]) <= most)]
+
+
+_SAME_RATE, _OTHER_RATE = 0.1, 1.5
+"""Shares by which a rate may be off and still be that of its beat, and a factor by which none is off."""
+
+
+def by_profile(
+    said: Answer, found: RatioFit, data: RatioData, prior: Prior, widen: float, degrees: int, most: float
+) -> Answer:
     """The interval from chi-square itself, and an uncertainty to match, where straight lines would not do.
 
     In one sense distortion and gain corner together bend the valley in which the answer lies. The interval holds
-    every lock-in rate for which chi-square is above the best by no more than 95 % allow, the rest being free.
+    every lock-in rate for which chi-square is above the best by no more than 95 % allow, the rest being free, and
+    which is not above `most`.
     """
     if not said.value > _WELL_KNOWN * said.u:
         return said
@@ -72,14 +97,15 @@ def by_profile(said: Answer, found: RatioFit, data: RatioData, prior: Prior, wid
     minima = range(1 + len(said.others))
     units = [lock_in_u(found[row : row + 1]) * math.sqrt(widen) for row in minima]
     around = [float(np.hypot(*found.parameters[row, :2])) + units[row] * _REACH for row in minima]
-    tried = np.concatenate(around)
+    tried = np.append(np.concatenate(around), most)
     starts = found.parameters[list(minima)]
 
     def height(sizes: Floats) -> Floats:
         lowest = np.min([profile(data, prior, start, sizes) for start in starts], axis=0)
         return np.asarray(lowest - found.chi_square[0])
 
-    low, high = _ends(height, np.sort(tried[tried > 0]), widen * student**2)
+    tried = tried[(tried > 0) & (tried <= most) & np.isfinite(tried)]
+    low, high = _ends(height, np.sort(tried), widen * student**2)
     low, high = min(low, said.value), max(high, said.value)
     # one side may be much longer than the other: the root of their mean square, as of a deviation to either side
     u = math.hypot(high - said.value, said.value - low) / math.sqrt(2) / student

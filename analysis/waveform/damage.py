@@ -133,13 +133,13 @@ def _limit(records: Records, fit: SeriesFit, suspects: Indices, sign: int) -> Fl
     end = records.highest if sign > 0 else records.lowest
     values, top = sign * records.values[suspects], sign * end[suspects]
     at_top = values >= top[:, np.newaxis]
-    crowd = at_top.view(np.uint8).sum(axis=-1, dtype=np.uint32)
+    crowd = _how_many(at_top)
     if records.weights is not None:
-        values = np.where(records.weights[suspects] > 0, values, -np.inf)
-    below = np.where(at_top, -np.inf, values)
-    second = below.max(axis=-1)
+        values[records.weights[suspects] == 0] = -np.inf
+    np.copyto(values, -np.inf, where=at_top)
+    second = values.max(axis=-1)
     level = top - second
-    in_second = np.count_nonzero(below == second[:, np.newaxis], axis=-1)
+    in_second = _how_many(values == second[:, np.newaxis])
     noisy = np.sqrt(fit.residual_power[suspects] / n_samples) > NOISY * level
     # What a moving rate leaves is no noise: that shows between neighbouring samples too.
     for place in np.flatnonzero(noisy & (crowd > CROWDING_IN_NOISE * in_second) & (crowd <= CROWDING * in_second)):
@@ -152,10 +152,18 @@ def _limit(records: Records, fit: SeriesFit, suspects: Indices, sign: int) -> Fl
     found &= crowd > SHARE_AT_END * n_samples
     last_code = _is_last_code(end[suspects] + records.centre[suspects])
     for place in np.flatnonzero(last_code & (crowd > SHARE_AT_LAST_CODE * n_samples)):
-        codes = values[place][np.isfinite(values[place])] + sign * records.centre[suspects[place]]
+        row = suspects[place]
+        codes = records.values[row] + records.centre[row]
+        if records.weights is not None:
+            codes = codes[records.weights[row] > 0]
         found[place] = np.abs(codes - np.rint(codes)).max() < NEARLY_WHOLE
     limit[suspects[found]] = top[found]
     return limit
+
+
+def _how_many(found: Bools) -> Counts:
+    """True values of each row; several times faster than `np.count_nonzero`."""
+    return np.asarray(found.view(np.uint8).sum(axis=-1, dtype=np.uint32))
 
 
 def outliers(

@@ -165,10 +165,10 @@ def find_beat(
     for _ in range(_TRIALS_MAX):
         waveform = search.trial()
         seen = None if waveform is None else _beat_frequency(waveform)
-        if waveform is None or seen is None:
-            search.set_time_base(_slower(search.base, slowest))
+        if waveform is not None and (seen is not None or waveform.clipped) and search.improve_vertical(waveform):
             continue
-        if search.improve_vertical(waveform):
+        if seen is None:
+            search.set_time_base(_slower(search.base, slowest))
             continue
         wanted = _STEPS.time_base(seen, measurement.periods_min, measurement.samples_per_period_min)
         if math.isclose(wanted, search.base, rel_tol=1e-3):

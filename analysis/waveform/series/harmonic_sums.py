@@ -10,6 +10,7 @@ of two short vectors, and all sums of a record become one small matrix product.
 from __future__ import annotations
 
 import math
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -42,16 +43,25 @@ def phasors(omega: Floats, index: Floats, precision: np.dtype[Any]) -> Phasors:
 
     The angle may be thousands of turns: it is reduced in double precision before it is rounded to single.
     """
-    angle = omega[:, np.newaxis] * (index if omega.ndim == 1 else index[:, np.newaxis])
+    turn = np.empty((len(omega), index.size, *omega.shape[1:]), dtype=np.result_type(precision, np.complex64))
+    # before the middle of the record stand the conjugates of what stands behind it, to the last bit
+    half = index.size // 2 if index[0] == -index[-1] else 0
+    behind = index[half:]
+    angle = omega[:, np.newaxis] * (behind if omega.ndim == 1 else behind[:, np.newaxis])
     if precision == np.float32:
-        angle -= 2 * np.pi * np.rint(angle / (2 * np.pi))
+        turns = angle / (2 * np.pi)
+        np.rint(turns, out=turns)
+        turns *= 2 * np.pi
+        angle -= turns
         angle = angle.astype(np.float32)
-    turn = np.empty(angle.shape, dtype=np.result_type(precision, np.complex64))
-    np.cos(angle, out=turn.real)
-    np.sin(angle, out=turn.imag)
+    np.cos(angle, out=turn.real[:, half:])
+    np.sin(angle, out=turn.imag[:, half:])
+    if half:
+        np.conjugate(turn[:, : -half - 1 : -1], out=turn[:, :half])
     return turn
 
 
+@cache
 def record_grid(n_samples: int) -> tuple[Floats, Floats]:
     """Centred sample index as a sum of two short ones, m = outer[i] + inner[j] for sample n = L i + j.
 
@@ -105,9 +115,7 @@ def _some_sums(values: Samples, omega: Floats, n_powers: int, lowest: int, highe
     rows = values.reshape(n_records, outer.size, inner.size)
     fine = harmonic_powers(phasors(-omega, inner, kind), highest, lowest).reshape(n_records, inner.size, -1)
     coarse = harmonic_powers(phasors(-omega, outer, kind), highest, lowest).reshape(n_records, outer.size, -1)
-    outer, inner = outer * (2 / n_samples), inner * (2 / n_samples)
-    far_powers = (outer ** np.arange(n_powers)[:, np.newaxis]).astype(kind)
-    near = np.broadcast_to(inner.astype(kind)[:, np.newaxis], fine.shape[1:]).copy()
+    far_powers, near = _grid_powers(n_samples, n_powers, fine.shape[2], kind)
     sums = np.zeros((n_records, n_powers, fine.shape[2]), dtype=np.complex128)
     # (outer + inner)^p is expanded. Each power of `inner` costs one product over the samples, those of `outer`
     # only one over the rows. Real and imaginary parts are columns side by side: half a complex product's work.
@@ -118,8 +126,18 @@ def _some_sums(values: Samples, omega: Floats, n_powers: int, lowest: int, highe
         turned *= coarse
         mixed = np.matmul(far_powers[: n_powers - q], turned.view(kind)).view(fine.dtype)
         for p in range(q, n_powers):
-            sums[:, p] += math.comb(p, q) * mixed[:, p - q]
+            sums[:, p] += mixed[:, p - q] if q in (0, p) else math.comb(p, q) * mixed[:, p - q]
     return sums
+
+
+@cache
+def _grid_powers(
+    n_samples: int, n_powers: int, n_columns: int, precision: np.dtype[Any]
+) -> tuple[Samples, Samples]:
+    """Powers (p, rows) of the coarse index in units of N/2, and the fine one, (length, columns)."""
+    outer, inner = (index * (2 / n_samples) for index in record_grid(n_samples))
+    far_powers = (outer ** np.arange(n_powers)[:, np.newaxis]).astype(precision)
+    return far_powers, np.broadcast_to(inner.astype(precision)[:, np.newaxis], (inner.size, n_columns)).copy()
 
 
 def uniform_kernels(omega: Floats, n_samples: int, n_orders: int) -> Floats:

@@ -7,7 +7,7 @@ from bench_signals import WL, K, both_senses, estimates, ratios_of_slow_gain
 from analysis import RatesFlag, fit_rate_ratios, fit_rates
 from analysis.several_rates import ReceiverKnowledge
 from analysis.several_rates.ratio_model import third_harmonic_share
-from benchmarks.several_rates.__main__ import LOCK_IN, NOISE, drawn
+from benchmarks.several_rates.__main__ import LOCK_IN, NOISE, drawn, times
 
 PHASES = np.arange(36) * np.pi / 18
 
@@ -52,6 +52,27 @@ def test_a_bench_far_along_the_valley_is_inside(seed):
     fit = drawn((3, 30), 8, 4.476, NOISE, np.random.default_rng(seed), **contaminants)
     assert abs(fit.lock_in_rate - LOCK_IN) < 2.5 * fit.lock_in_rate_u
     assert fit.lock_in_rate_low_95 <= LOCK_IN <= fit.lock_in_rate_high_95
+
+
+@pytest.mark.parametrize("seed, phase", [(10, 6.004), (12, 1.575), (16, 3.56)])
+def test_no_solution_is_locked_where_the_gyro_beat(seed, phase):
+    """1.2, 2 and 4 times lock-in in much noise: by their ratios alone some lie at four times it."""
+    fit = drawn((1.2, 2, 4), 2, phase, 100 * NOISE, np.random.default_rng(seed), gain_time=times(30))
+    assert fit.lock_in_rate_low_95 <= LOCK_IN <= fit.lock_in_rate_high_95 <= 1.5 * 1.2 * LOCK_IN
+    assert all(one.lock_in_rate < 1.5 * 1.2 * LOCK_IN for one in fit.alternatives)
+
+
+def test_rates_that_are_not_those_of_the_axis_forbid_no_solution():
+    """As those of a table whose axis is tilted: they serve for the sense."""
+    phase, rate = 2.50764, np.array([1.2, 2, 4, 1.2, 2, 4]) * LOCK_IN
+    frequency, noise = K * np.sqrt(rate**2 - LOCK_IN**2), np.random.default_rng(18).normal(size=(2, 6))
+    ratio = np.tan(np.arcsin(LOCK_IN / rate) / 2) * np.exp(1j * phase) / (1 - 1j * frequency / 3000)
+    ratio += 0.015 * (noise[0] + 1j * noise[1])
+    known, tilted = (
+        fit_rate_ratios(given, ratio, np.eye(2) * 0.015**2, frequency, scale_factor=K, reference="beat")
+        for given in (rate, 3 * rate)
+    )
+    assert known.lock_in_rate_high_95 < 1.5 * 1.2 * LOCK_IN < tilted.lock_in_rate_high_95
 
 
 def test_a_narrow_valley_is_not_missed():

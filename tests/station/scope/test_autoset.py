@@ -1,6 +1,7 @@
 """Time base and vertical scale from trial records, on the simulated scope."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -104,6 +105,23 @@ def test_a_slow_beat_is_found(frequency: float, expected_over_true: float) -> No
     assert 14 <= periods <= 40
     # where AUTO would roll the trace, a trigger that always comes
     assert ("LINE" in source) == (found.seconds_per_division >= 0.1)
+
+
+@pytest.mark.parametrize("times_as_high", [8.0, 60.0])
+def test_a_beat_that_is_much_higher_at_the_next_rate_is_found(times_as_high: float) -> None:
+    # as behind an amplifier that is slow for the beat of the fast run
+    shown = [beat(15e3, 0.004)]
+    simulated = SimulatedTDS2014({1: lambda times: shown[0](times)}, clock=VirtualClock())
+    manager = resource_manager(scopes={NAME: simulated})
+    with TDS2014(NAME, resource_manager=manager) as scope:
+        scope.set_channel(1, probe=1)
+        before = find_beat(scope, SETTINGS.scope, SETTINGS.measurement, start=15e3)
+        shown[0] = beat(600.0, 0.004 * times_as_high)
+        found = find_beat(scope, SETTINGS.scope, SETTINGS.measurement, start=replace(before, beat_frequency=620.0))
+        record = scope.acquire(1)
+    manager.close()
+    assert found.beat_frequency == pytest.approx(600.0, rel=5e-3)
+    assert not record.clipped
 
 
 def test_what_stands_on_the_front_panel_comes_back_after_a_slow_beat() -> None:

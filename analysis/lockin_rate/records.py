@@ -117,6 +117,8 @@ def estimate_lock_in(
     flags[few] |= Flag.FEW_LEVELS
     if full_amplitude is not None:
         flags[is_weaker(beat, fit, full_amplitude, stack.n_samples)] |= Flag.AMPLITUDE_LOST
+    # a fit without bounds or without any error, as of a few samples of a slow curve
+    flags[((flags & int(FATAL)) == 0) & ~(np.isfinite(value + value_u) & (value_u > 0))] |= Flag.NOT_LOCK_IN_LIKE
     fatal = (flags & int(FATAL)) != 0
 
     def shaped(values: Floats) -> Floats:

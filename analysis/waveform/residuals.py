@@ -275,10 +275,12 @@ def _low_levels(power: Samples, line: float) -> Floats:
     Instead its logarithm is fitted by a parabola in the logarithm of the frequency, by maximum likelihood: the
     power of each bin scatters about the level as an exponential variable. White and 1/f noise are exact cases.
     The bins of the lines themselves are left out: the fit has emptied them. A level that rests on few bins is
-    raised by what Student's distribution asks for.
+    raised by what Student's distribution asks for. Where none is left the noise counts as white.
     """
     bins = np.arange(1, min(int(4 * line) + 12, power.size) + 1)
     free = (np.abs(bins - line) > 1.5) & (np.abs(bins - 2 * line) > 1.5)
+    if not free.any():
+        return np.ones(3)
     position = np.log(bins / line)
     columns = np.stack([np.ones(bins.size), position, position**2], axis=-1)[free]
     seen = power[: bins.size][free].astype(np.float64)

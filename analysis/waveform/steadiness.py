@@ -37,6 +37,8 @@ def passing_power(left: Floats) -> float:
     The power of a part of m samples has as many degrees of freedom as its noise has independent values: m for
     white noise, and m (mean S)^2/mean(S^2) for one of the spectrum S, which the residual itself shows.
     """
+    if left.size < PARTS:
+        return 0.0
     if far := _power_of_runs(left):
         return far
     length = left.size // PARTS
@@ -44,7 +46,7 @@ def passing_power(left: Floats) -> float:
     parts = np.sum(cut**2, axis=1)
     power = np.abs(np.fft.rfft(left)[1:]) ** 2
     spread = float(np.mean(power**2))
-    if length == 0 or not spread > 0:
+    if not spread > 0:
         return 0.0
     # a line of noise scatters as an exponential variable, with a mean square of twice the squared mean
     degrees = float(min(max(2 * length * float(np.mean(power)) ** 2 / spread, 1.0), length))
@@ -81,7 +83,7 @@ def slow_curve_power(left: Floats) -> float:
     lines, power = spectrum[: LINES + 1], np.abs(spectrum) ** 2
     steps = lines[1:] * np.conj(lines[:-1])
     sizes = np.abs(steps)
-    if steps.size < LINES or not sizes.min() > 0 or abs(np.mean(steps / sizes)) < IN_PHASE:
+    if power.size <= LINES + 1 or not sizes.min() > 0 or abs(np.mean(steps / sizes)) < IN_PHASE:
         return 0.0
     low, others = power[: LINES + 1], power[LINES + 1 :]
     if int(low.argmax()) >= FIRST_LINES or not low.mean() > STRONGER * others.mean():

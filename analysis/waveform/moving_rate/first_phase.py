@@ -87,7 +87,7 @@ def _smoothed(values: Floats) -> Floats:
     allowed = (QUIET * np.ptp(values) / 2 / max(noise, 1e-300)) ** 2 * power.size
     if allowed > power.size:
         return values
-    kept = max(allowed, KEPT_LINES * float(power.argmax()))
+    kept = max(allowed, KEPT_LINES * float(power.argmax()), 1.0)
     return np.fft.irfft(lines * np.exp(-np.log(2) * (bins / kept) ** 2), values.size)
 
 

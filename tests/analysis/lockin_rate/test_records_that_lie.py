@@ -149,6 +149,20 @@ def test_no_record_stops_the_others():
     assert np.all(has(together, FATAL)[refused])
 
 
+@pytest.mark.parametrize("n_samples", [8, 9, 12, 19, 50, 51])
+def test_few_samples_of_anything_end_in_flags_and_no_warning(n_samples):
+    """As few samples as leave no line of noise, no part of a record, no other line than the lowest ones."""
+    rng, n = np.random.default_rng(n_samples), np.arange(n_samples)
+    odd = [rng.normal(size=n_samples) for _ in range(20)] + [50 * np.sin(w * n) for w in (0.1, 0.7, 2.9)]
+    odd += [np.cumsum(rng.normal(size=n_samples)), np.zeros(n_samples), n % 3.0, np.sign(np.sin(n / 2.0))]
+    gaps = np.array(odd)
+    gaps[rng.random(gaps.shape) < 0.5] = np.nan
+    for volts in (np.array(odd), gaps):
+        e = estimate_lock_in(volts, 1.0, scale_factor=1.0, nan_policy="omit")
+        assert np.all(has(e, FATAL)[np.isnan(e.lock_in_rate)])
+        assert np.all(e.lock_in_rate_low_95[e.usable] <= e.lock_in_rate_high_95[e.usable])
+
+
 def test_hardly_an_ideal_record_is_suspected():
     ideal = [one for one in CLASSES if one.name == "nothing is wrong"]
     (outcome,) = measure(ideal, 150, [1])

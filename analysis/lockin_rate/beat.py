@@ -16,10 +16,6 @@ FEWEST_PERIODS = 3.0
 FEW_FOR_A_MOTION = 10.0
 """Periods below which a fitted motion can make a beat of any slow curve; the second harmonic must speak for it."""
 
-SWING_LAGS, LAG_SCATTERS = 0.2, 2.0
-"""rad by which the second harmonic of a swing inside lock-in may lag behind the fundamental, and standard
-uncertainties of its phase beside them."""
-
 LOSS = 0.01
 """Share of the amplitude that may be missing; an averaged moving phase that costs it costs the ratio 3 %."""
 
@@ -120,18 +116,6 @@ def beat_flags(beat: Beat, fit_flags: Ints, n_samples: int) -> Ints:
     # A gyro that swings inside lock-in leaves such a curve.
     flags[moved & silent & (beat.periods < FEW_FOR_A_MOTION)] |= Flag.MISFIT
     return flags
-
-
-def may_swing(beat: Beat) -> Bools:
-    """Where the waveform may be that of a gyro which is shaken inside lock-in, (R,).
-
-    Its phase follows the rate that shakes it, arc sine of W/WL. So the signal is a curve of that rate, and the
-    second harmonic stands in phase with the fundamental or against it; in a beat any phase is as likely.
-    """
-    across = np.abs(beat.rho.imag)
-    return np.asarray(
-        across < SWING_LAGS * np.abs(beat.rho) + LAG_SCATTERS * np.sqrt(beat.rho_covariance[:, 1, 1])
-    )
 
 
 def is_weaker(beat: Beat, fit: WaveformFit, full: Floats, n_samples: int) -> Bools:

@@ -8,10 +8,11 @@ from numpy.typing import ArrayLike
 from analysis.arrays import Floats, Ints
 from analysis.flags import FATAL, Flag
 from analysis.lockin_equation import Relation, input_rate_from_beat, lock_in_from_rate
-from analysis.lockin_rate.beat import Beat, beat_flags, is_weaker, may_swing
+from analysis.lockin_rate.beat import Beat, beat_flags, is_weaker
 from analysis.lockin_rate.estimate import LockInEstimate
 from analysis.lockin_rate.pieces import compare_pieces
 from analysis.lockin_rate.rate import backscatter_phase, rate_of_ratio
+from analysis.lockin_rate.swing import fewest_levels
 from analysis.waveform.quantisation import of_few_levels
 from analysis.waveform.records import NanPolicy, as_stack, never_alone
 from analysis.waveform.third_harmonic import third_harmonic
@@ -112,7 +113,8 @@ def estimate_lock_in(
             relation,
         )
     flags = flags | beat_flags(beat, flags, stack.n_samples)
-    flags[of_few_levels(stack.volts, beat.amplitude, fit.noise_rms, may_swing(beat))] |= Flag.FEW_LEVELS
+    few = of_few_levels(stack.volts, beat.amplitude, fit.noise_rms, fewest_levels(beat, third, third_u))
+    flags[few] |= Flag.FEW_LEVELS
     if full_amplitude is not None:
         flags[is_weaker(beat, fit, full_amplitude, stack.n_samples)] |= Flag.AMPLITUDE_LOST
     # a fit without bounds or without any error, as of a few samples of a slow curve

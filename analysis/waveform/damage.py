@@ -43,6 +43,9 @@ SPIKE = 7.0
 LONGEST_SPIKE = 4
 """Samples in a row beyond which it is no spike, but a piece of another signal."""
 
+SETTLING = 20
+"""Samples from the first one on in which something that dies away so soon may be seen."""
+
 BESIDE = 3.5
 """The same for a sample beside one beyond `SPIKE`: noise has one there in a thousand spikes."""
 
@@ -190,7 +193,13 @@ def outliers(
 
 
 def is_a_piece(found: Bools, suspect: Bools) -> bool:
-    """Whether outliers (N,) stand closer together than spikes do, or go on in what is `suspect` (N,) there."""
+    """Whether outliers (N,) stand closer together than spikes do, or go on in what is `suspect` (N,) there.
+
+    Where they stand in the very first samples only they are the end of something that dies away, as a gyro that
+    settles does.
+    """
+    if found[0] and not found[SETTLING:].any():
+        return True
     edges = np.flatnonzero(np.diff(suspect, prepend=False, append=False)).reshape(-1, 2)
     if any(stop - start > LONGEST_SPIKE and found[start:stop].any() for start, stop in edges):
         return True

@@ -44,14 +44,6 @@ SAME_PHASE = 0.05
 AS_OFTEN = 2.5
 """The spectrum's lines scatter, so the repetition found may exceed the number of cycles by this factor."""
 
-FEW_LEVELS = 16.0
-"""Levels of amplitude below which a beat fills so little of the converter (127 levels) that whoever set it saw
-something larger, or nothing like a beat."""
-
-FEW_LEVELS_OF_A_SWING = 40.0
-"""The same for a waveform that a gyro which swings inside lock-in may show. Vertical scales in steps of 1, 2, 5
-leave more than that of a beat that was to fill the screen."""
-
 FEW_ERRORS = 1.25
 """Factor of the variance for so few errors, which are not Gaussian, from random records as above."""
 
@@ -84,8 +76,8 @@ def level_spacing(values: Samples, residual_rms: Floats) -> Floats:
     return spacing
 
 
-def of_few_levels(volts: Samples, amplitude: Floats, residual_rms: Floats, may_swing: Bools) -> Bools:
-    """Where the amplitude of the beat is less than `FEW_LEVELS` levels of the converter, (R,).
+def of_few_levels(volts: Samples, amplitude: Floats, residual_rms: Floats, fewest: Floats) -> Bools:
+    """Where the amplitude of the beat is less than so many levels of the converter, (R,).
 
     Parameters
     ----------
@@ -93,10 +85,9 @@ def of_few_levels(volts: Samples, amplitude: Floats, residual_rms: Floats, may_s
         As the converter gave them, in any unit.
     amplitude, residual_rms : (R,)
         In that unit.
-    may_swing : (R,)
-        Where `FEW_LEVELS_OF_A_SWING` is asked for.
+    fewest : (R,)
+        Levels.
     """
-    fewest = np.where(may_swing, FEW_LEVELS_OF_A_SWING, FEW_LEVELS)
     few = np.zeros(len(volts), dtype=bool)
     # rounding leaves the root of a twelfth of a level at least
     suspects = np.flatnonzero(amplitude < fewest * np.sqrt(12) * residual_rms)

@@ -129,6 +129,38 @@ def repeating(power: Samples, line: float, n_samples: int) -> tuple[float, bool]
     return (surplus if chance < SEEN else 0.0), chance < SURE
 
 
+def by_level(left: Floats, level: Floats, degrees: float) -> tuple[float, bool]:
+    """Size (as an amplitude) that may hide on the second harmonic behind what follows the level in a residual.
+
+    Where rate or baseline moves, what a curved or damaged characteristic leaves has no frequency of its own. It is
+    a function of the level yet, and polynomials of that take it up.
+
+    Parameters
+    ----------
+    left, level : (N,)
+        What a fit leaves of the samples, and the waveform that it found.
+    degrees : float
+        Of freedom, of the first.
+
+    Returns
+    -------
+    size : float
+        In the unit of the samples; 0 where noise alone often has so much.
+    sure : bool
+        Whether a flag says so.
+    """
+    lowest, highest = float(level.min()), float(level.max())
+    place = (2 * level - lowest - highest) / max(highest - lowest, NOTHING)
+    # offset and amplitude are fitted
+    basis = np.linalg.qr(np.polynomial.chebyshev.chebvander(place, LAST))[0][:, 2:]
+    found, number = float(np.sum((basis.T @ left) ** 2)), basis.shape[1]
+    free = max(degrees - number, 1.0)
+    variance = max(float(left @ left) - found, NOTHING) / free
+    chance = float(scipy.special.fdtrc(number, free, found / number / variance))
+    surplus = max(found - number * variance, 0.0)
+    return (HIDDEN * float(np.sqrt(2 * surplus / left.size)) if chance < SEEN else 0.0), chance < SURE
+
+
 def _bins_of(place: float, n_samples: int, n_lines: int) -> tuple[int, int]:
     """Numbers of the two lines of a spectrum next to a (folded) place."""
     folded = int(abs((place + n_samples / 2) % n_samples - n_samples / 2))

@@ -22,7 +22,7 @@ from analysis.waveform.quantisation import (
     repetition,
 )
 from analysis.waveform.records import Records, Stack, never_alone
-from analysis.waveform.repeating import hidden_by_harmonics
+from analysis.waveform.repeating import by_level, hidden_by_harmonics
 from analysis.waveform.residuals import (
     Residual,
     ResidualReport,
@@ -289,6 +289,10 @@ def _judged(
         report.misfit[row] = np.hypot(report.misfit[row], moved.stepped_u)
         if moved.drift_chance < UNLIKELY:
             flags[row] |= Flag.PARTS_DIFFER
+        hidden, sure = _following_the_level(records.values[here], weights, row, moved)
+        report.misfit[row] = np.hypot(report.misfit[row], hidden / abs(moved.first))
+        if sure:
+            flags[row] |= Flag.MISFIT
         if moved.vibrates:
             flags[row] |= Flag.MISFIT
             report.misfit[row] = np.hypot(report.misfit[row], turned_by(sidebands, abs(moved.ratio)))
@@ -336,6 +340,19 @@ def _look_closer(
         drift_u, sure = drift_of_ratio(drift, covariance * variance[rows, np.newaxis, np.newaxis])
         report.misfit[rows] = np.hypot(report.misfit[rows], drift_u)
         flags[rows[sure]] |= Flag.PARTS_DIFFER
+
+
+def _following_the_level(
+    values: Samples, weights: Samples | None, row: int, moved: MovingFit
+) -> tuple[float, bool]:
+    """What `by_level` says of one record (1, N); rounding without noise follows the level too, and is known."""
+    level = values - moved.left
+    left, rms = moved.left, np.array([np.sqrt(moved.variance)])
+    spacing = level_spacing(values, rms)
+    if spacing[0]:
+        left = left - mean_rounding(level, values, spacing, rms)[0]
+    valid = slice(None) if weights is None else weights[row] > 0
+    return by_level(left[valid].astype(np.float64), level[0, valid], moved.degrees)
 
 
 def _valid_left(values: Samples, weights: Samples | None, series: Series, row: int) -> Floats:

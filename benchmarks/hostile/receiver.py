@@ -11,6 +11,7 @@ from analysis.arrays import Floats
 from benchmarks.hostile.gyro import (
     LAST_CODE,
     N_SAMPLES,
+    Gyro,
     beat,
     converted,
     draw_gyro,
@@ -21,13 +22,32 @@ from benchmarks.hostile.gyro import (
     recorded,
     steady,
 )
+from benchmarks.hostile.moving import ABOVE_LOCK_IN, wander
 from benchmarks.hostile.record_class import HostileRecord, RecordClass
 
 
-def _through(rng: np.random.Generator, converter: Callable[[Floats], Floats]) -> HostileRecord:
-    """A good signal through a bad converter, from levels to codes."""
+def _wandering(rng: np.random.Generator) -> tuple[Gyro, Floats]:
+    """A gyro that wanders by 1 to 3 rad in 3 to 25 cycles, above lock-in, and its beat."""
+    while True:
+        gyro = draw_gyro(rng)
+        rates = wander(rng, gyro)
+        if np.min(rates * np.sign(gyro.input_rate)) > ABOVE_LOCK_IN * gyro.lock_in_rate:
+            return gyro, beat(gyro, rates)
+
+
+def _at_rest(rng: np.random.Generator) -> tuple[Gyro, Floats]:
     gyro = draw_gyro(rng)
-    codes = converter(noisy(rng, gyro, levels_of(gyro, beat(gyro, steady(gyro)))))
+    return gyro, beat(gyro, steady(gyro))
+
+
+def _through(
+    rng: np.random.Generator,
+    converter: Callable[[Floats], Floats],
+    gyro_and_beat: Callable[[np.random.Generator], tuple[Gyro, Floats]] = _at_rest,
+) -> HostileRecord:
+    """A good signal through a bad converter, from levels to codes."""
+    gyro, signal = gyro_and_beat(rng)
+    codes = converter(noisy(rng, gyro, levels_of(gyro, signal)))
     return record_of(gyro, np.clip(codes, -LAST_CODE, LAST_CODE))
 
 
@@ -59,12 +79,25 @@ def step_in_the_codes(rng: np.random.Generator) -> HostileRecord:
     return _through(rng, lambda levels: converted(levels + step * (levels > at)))
 
 
+def step_while_the_rate_wanders(rng: np.random.Generator) -> HostileRecord:
+    """The same wrong carry under a beat that wanders."""
+    at, step = rng.uniform(-60, 60), rng.integers(1, 13) * rng.choice([-1, 1])
+    return _through(rng, lambda levels: converted(levels + step * (levels > at)), _wandering)
+
+
 def soft_clipping(rng: np.random.Generator) -> HostileRecord:
     """The amplifier saturates softly, as tanh, about a level that need not be the middle of the beat."""
-    gyro = draw_gyro(rng)
+    return _saturated(rng, *_at_rest(rng))
+
+
+def soft_clipping_while_the_rate_wanders(rng: np.random.Generator) -> HostileRecord:
+    """The same under a beat that wanders."""
+    return _saturated(rng, *_wandering(rng))
+
+
+def _saturated(rng: np.random.Generator, gyro: Gyro, signal: Floats) -> HostileRecord:
     drive, lift = log_uniform(rng, 0.05, 2.0), rng.uniform(-0.25, 0.25) * (rng.uniform() < 0.5)
-    signal = np.tanh(drive * (beat(gyro, steady(gyro)) + lift)) / np.tanh(drive * (1 + abs(lift)))
-    return recorded(rng, gyro, signal)
+    return recorded(rng, gyro, np.tanh(drive * (signal + lift)) / np.tanh(drive * (1 + abs(lift))))
 
 
 def slow_slewing(rng: np.random.Generator) -> HostileRecord:
@@ -114,6 +147,8 @@ CLASSES = (
     RecordClass("stuck bit", "detect", stuck_bit),
     RecordClass("step in the codes", "detect", step_in_the_codes),
     RecordClass("soft clipping", "detect", soft_clipping),
+    RecordClass("step in the codes, the rate wandering", "detect", step_while_the_rate_wanders),
+    RecordClass("soft clipping, the rate wandering", "detect", soft_clipping_while_the_rate_wanders),
     RecordClass("slow slewing", "detect", slow_slewing),
     RecordClass("two converters that differ", "detect", two_converters),
     RecordClass("second-order bow", "blind", bow),

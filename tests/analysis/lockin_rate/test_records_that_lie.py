@@ -239,6 +239,9 @@ def test_spikes_at_random_places_are_no_piece_and_a_broken_piece_is():
     short, tail = np.zeros((2, 2500), dtype=bool)
     short[50:54] = tail[50:58] = True
     assert is_a_piece(short, tail) and not is_a_piece(short, short)
+    # a gyro that settles as the record begins
+    settling = np.arange(2500) < 2
+    assert is_a_piece(settling, settling) and not is_a_piece(settling | short, settling | short)
 
 
 def test_a_second_beat_that_hardly_parts_is_seen_by_the_drift_of_the_ratio():

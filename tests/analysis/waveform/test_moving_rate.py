@@ -2,12 +2,13 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from analysis import estimate_lock_in, flag_names, rate_varying_beat
+from analysis import DOUBTFUL, Flag, estimate_lock_in, flag_names, rate_varying_beat
 from analysis.waveform.moving_rate import fit_moving_rate
 from analysis.waveform.moving_rate.choice import terms_needed, with_terms
 from analysis.waveform.moving_rate.exact_steps import exact_steps
 from analysis.waveform.moving_rate.first_phase import first_phase
 from analysis.waveform.moving_rate.trajectory import Fitted, Record, Terms, Trajectory
+from analysis.waveform.repeating import by_level
 from benchmarks.hostile.gyro import beat, converted, draw_gyro, levels_of, noisy, step_times
 
 N, PERIODS, X = 2500, 60.3, 0.1
@@ -189,6 +190,26 @@ def test_a_lock_in_rate_that_drifts_is_seen_while_the_rate_moves(drift):
     expected = abs(fit.ratio) / np.sqrt(8 / 9) * drift
     assert fit.drift == pytest.approx(expected, rel=0.25, abs=4e-3)
     assert (fit.drift_chance < 1e-6) == (drift > 0)
+
+
+def test_a_step_in_the_codes_is_seen_under_a_beat_that_wanders():
+    """It stands on no frequency then; it is a function of the level yet."""
+    rng = np.random.default_rng(66)
+    k, good, _ = moved_record(rng, 0.4, 60.0, 2.0, 6.0)
+    bad = good + 2 * (good > -50)
+    e = estimate_lock_in(np.stack([good, bad]), 1.0, scale_factor=k)
+    assert not e.flags[0] & int(DOUBTFUL) and e.flags[1] & int(Flag.MISFIT)
+    assert np.all(np.abs(e.lock_in_rate - 0.4) < 3 * e.lock_in_rate_u)
+
+
+def test_noise_hardly_ever_follows_the_level():
+    rng = np.random.default_rng(67)
+    level = 80 * np.sin(0.15 * np.arange(2500))
+    sizes, sure = zip(*(by_level(one, level, 2490.0) for one in rng.normal(size=(500, 2500))), strict=True)
+    assert np.count_nonzero(sizes) <= 5 and not any(sure)
+    bent = 0.2 * np.sin(3 * np.arcsin(level / 80))
+    size, certain = by_level(rng.normal(size=2500) + bent, level, 2490.0)
+    assert certain and size == pytest.approx(0.4, rel=0.4)
 
 
 def test_a_crest_of_few_levels_without_noise_is_not_clipped_because_the_rate_moves():

@@ -1,8 +1,16 @@
+from dataclasses import fields, replace
+
 import numpy as np
 import pytest
 from reference import adler_beat, bound, random_records
 
 from analysis import Flag, estimate_lock_in
+from analysis.lockin_rate.beat import Beat
+from analysis.lockin_rate.swing import fewest_levels
+
+
+def _no_beat(n_records):
+    return Beat(**{field.name: np.zeros(n_records) for field in fields(Beat)})
 
 
 @pytest.mark.parametrize("noise", [0.1, 0.2])
@@ -64,6 +72,24 @@ def test_a_swing_inside_lock_in_of_a_quarter_of_the_screen_says_so():
     e = estimate_lock_in(codes, 1.0, scale_factor=1.0)
     assert np.all(e.amplitude / (90 * 0.3) < 1.2)
     assert [bool(one & Flag.FEW_LEVELS) for one in e.flags] == [True, True, False, False, False]
+
+
+def test_a_beat_whose_third_harmonic_shows_is_no_swing_whatever_the_phase_of_its_second():
+    rng, n = np.random.default_rng(56), np.arange(2500)
+    turning = {"f_over_k": 1.0, "k": 1 / 61.3, "theta": 0.2, "amplitude": 30.0, "offset": 0.0}
+    beats = np.stack([adler_beat(n + 0.0, wl=wl, delta=d, **turning) for wl in (0.3, 0.02) for d in (0.0, np.pi)])
+    e = estimate_lock_in(np.rint(beats + rng.normal(scale=0.4, size=beats.shape)), 1.0, scale_factor=1.0)
+    assert np.abs(e.complex_ratio.imag / e.complex_ratio.real).max() < 0.1
+    # far above lock-in it is too weak to be seen
+    assert [bool(one & Flag.FEW_LEVELS) for one in e.flags] == [False, False, True, True]
+
+
+def test_where_the_third_harmonic_is_amiss_a_larger_or_a_quicker_swing_has_few_levels_too():
+    rho = np.array([0.03, 0.03, 0.03 * np.exp(0.6j), 0.03 * np.exp(0.6j), 0.03j])
+    third = np.array([0.0, 0.004, 0.0, 0.004, 0.004])
+    ones = np.ones(5)
+    beat = replace(_no_beat(5), rho=rho, rho_covariance=1e-6 * np.eye(2) * ones[:, np.newaxis, np.newaxis])
+    assert np.array_equal(fewest_levels(beat, third, 1e-3 * ones), [40.0, 64.0, 16.0, 64.0, 16.0])
 
 
 def test_a_third_harmonic_too_weak_for_a_line_anywhere_is_a_misfit():

@@ -48,7 +48,7 @@ def fewest_levels(beat: Beat, third: Complexes, third_u: Floats) -> Floats:
         What the waveform leaves at three times the beat, of `third_harmonic`.
     """
     size, across = np.abs(beat.rho), np.abs(beat.rho.imag)
-    scatter = LAG_SCATTERS * np.sqrt(beat.rho_covariance[:, 1, 1])
+    scatter = LAG_SCATTERS * np.sqrt(np.maximum(beat.rho_covariance[:, 1, 1], 0.0))
     amiss = np.abs(third) > PROBABLY * third_u
     # the third harmonic of a beat is r times its second
     turns = size**2 > np.maximum(SHOWS * third_u, CLOSE * np.abs(third))

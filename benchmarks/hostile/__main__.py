@@ -52,7 +52,7 @@ def _options(arguments: list[str] | None) -> argparse.Namespace:
         type=int,
         default=benches.DEFAULT_BENCHES,
         metavar="N",
-        help="whole measurements in each of two tables, some seconds each; none with --only (default %(default)s)",
+        help="whole measurements in each of three tables, seconds each; none with --only (default %(default)s)",
     )
     parser.add_argument(
         "--grid",

@@ -29,12 +29,13 @@ from station.shell.running import start_run
 DEFAULT_BENCHES = 40
 
 Sections = dict[str, dict[str, Any]]
+Possible = dict[str, Callable[[], dict[str, float]]]
 
 _HARMLESS = frozenset({"rate_wander", "coloured_noise"})
 """Flags that say how a record was fitted, not that its result is in doubt."""
 
 _NOBODY_SAYS = {"distortion_limit_dbc": 0.0, "bandwidth_hz": 0.0, "gain_corner_hz": 0.0}
-_FASTEST_OVER_LOCK_IN = 30.0
+_SLOWEST_OVER_LOCK_IN, _FASTEST_OVER_LOCK_IN = 3.0, 30.0
 
 
 @dataclass(frozen=True)
@@ -90,7 +91,7 @@ def spoilt_bench(seed: int) -> Bench:
     lock_in = _log_uniform(draw, 0.004, 0.1)
     scale_factor = float(draw.uniform(800.0, 4000.0))
     fastest_beat = scale_factor * lock_in * _FASTEST_OVER_LOCK_IN
-    possible: dict[str, Callable[[], dict[str, float]]] = {
+    possible: Possible = {
         "second harmonic": lambda: {"second_harmonic_dbc": float(draw.uniform(-60.0, -42.0))},
         "third harmonic": lambda: {"third_harmonic_dbc": float(draw.uniform(-70.0, -45.0))},
         "bandwidth": lambda: {"bandwidth_hz": fastest_beat * _log_uniform(draw, 1.0, 20.0)},
@@ -103,21 +104,68 @@ def spoilt_bench(seed: int) -> Bench:
         "scale factor": lambda: {"scale_factor_error_ppm": float(draw.normal(0.0, 50.0))},
         "phase of backscatter": lambda: {"backscatter_phase_sum_deg": float(draw.uniform(-40.0, 40.0))},
     }
-    names = [name for name in possible if draw.random() < 0.5]
+    return _unstated(draw, seed, lock_in, scale_factor, possible, share=0.5, guess=2.0, tilts=(60.0, 89.0))
+
+
+def odd_bench(seed: int) -> Bench:
+    """The same with more that may be wrong, and by more: of channel, laser, tilt, and what is expected."""
+    draw = np.random.default_rng([seed, 0x0DD])
+    lock_in = _log_uniform(draw, 0.001, 0.5)
+    scale_factor = _log_uniform(draw, 500.0, 4000.0)
+    beat = scale_factor * lock_in
+    slowest_beat, fastest_beat = beat * _SLOWEST_OVER_LOCK_IN, beat * _FASTEST_OVER_LOCK_IN
+    possible: Possible = {
+        "second harmonic": lambda: {"second_harmonic_dbc": float(draw.uniform(-60.0, -40.0))},
+        "third harmonic": lambda: {"third_harmonic_dbc": float(draw.uniform(-70.0, -40.0))},
+        "bandwidth": lambda: {"bandwidth_hz": fastest_beat * _log_uniform(draw, 0.7, 20.0)},
+        "AC coupling": lambda: {"ac_corner_hz": slowest_beat * _log_uniform(draw, 0.001, 0.05)},
+        "gain corner": lambda: {
+            "gain_corner_hz": fastest_beat * _log_uniform(draw, 0.3, 20.0),
+            "cross_saturation": float(draw.uniform(0.2, 0.8)),
+        },
+        "table ripple": lambda: {
+            "rate_ripple_dps": lock_in * _log_uniform(draw, 1e-3, 3e-2),
+            "rate_ripple_hz": _log_uniform(draw, 0.2, 5.0),
+        },
+        "pump ripple": lambda: {
+            "pump_ripple": _log_uniform(draw, 2e-4, 5e-3),
+            "pump_ripple_hz": _log_uniform(draw, 50.0, 300.0),
+        },
+        "scale factor": lambda: {"scale_factor_error_ppm": float(draw.normal(0.0, 50.0))},
+        "drift of it": lambda: {"scale_factor_drift_ppm_per_hour": float(draw.normal(0.0, 50.0))},
+        "light of single beams": lambda: {"single_beams": float(draw.uniform(0.0, 0.3))},
+        "phase of backscatter": lambda: {"backscatter_phase_sum_deg": float(draw.uniform(-60.0, 60.0))},
+    }
+    return _unstated(draw, seed, lock_in, scale_factor, possible, share=0.4, guess=10.0, tilts=(0.0, 89.7))
+
+
+def _unstated(
+    draw: np.random.Generator,
+    seed: int,
+    lock_in: float,
+    scale_factor: float,
+    possible: Possible,
+    *,
+    share: float,
+    guess: float,
+    tilts: tuple[float, float],
+) -> Bench:
+    """A bench with a share of what is possible, its lock-in rate guessed wrong by up to a factor, tilts in deg."""
+    names = [name for name in possible if draw.random() < share]
     contaminants: dict[str, float] = dict(_CLEAN)
     for name in names:
         contaminants |= possible[name]()
     settings: Sections = {
         "gyro": {
             "scale_factor_pulses_per_deg": scale_factor,
-            "expected_lock_in_rate_dps": lock_in * _log_uniform(draw, 0.5, 2.0),
+            "expected_lock_in_rate_dps": lock_in * _log_uniform(draw, 1 / guess, guess),
         },
         "site": {"latitude_deg": float(draw.uniform(-60.0, 60.0))},
         "simulation": {
             "seed": seed,
             "link": "tcp",
             "lock_in_rate_dps": lock_in,
-            "tilt_deg": float(draw.uniform(60.0, 89.0)),
+            "tilt_deg": float(draw.uniform(*tilts)),
             "backscatter_phase_deg": float(draw.uniform(0.0, 360.0)),
             "amplitude_v": _log_uniform(draw, 0.05, 2.0),
             "contaminants": contaminants,
@@ -194,15 +242,13 @@ def benches_table(title: str, outcomes: Sequence[Outcome]) -> str:
 
 
 def run(seed: int = 1, count: int = DEFAULT_BENCHES) -> str:
-    """Measure on `count` spoilt benches, and on as many slow and fast gyros; return both tables."""
-    spoilt = _all(spoilt_bench, range(seed, seed + count))
-    others = _all(slow_or_fast_bench, range(seed, seed + count))
-    return "\n\n".join(
-        (
-            benches_table("Benches with contaminants that nobody has stated", spoilt),
-            benches_table("Slow and fast gyros on the shipped bench", others),
-        )
-    )
+    """Measure on `count` benches of each kind; return a table for each."""
+    kinds: dict[str, Callable[[int], Bench]] = {
+        "Benches with contaminants that nobody has stated": spoilt_bench,
+        "Odd benches, with more of them": odd_bench,
+        "Slow and fast gyros on the shipped bench": slow_or_fast_bench,
+    }
+    return "\n\n".join(benches_table(what, _all(make, range(seed, seed + count))) for what, make in kinds.items())
 
 
 GRID_LOCK_IN = (0.0005, 0.002, 0.01, 0.05, 0.25, 1.0, 2.0)

@@ -47,6 +47,7 @@ from analysis.several_rates.solutions import (
     up_to,
     widened,
     with_coupling,
+    with_third_order,
 )
 from analysis.several_rates.table_noise import table_noise
 
@@ -310,6 +311,7 @@ def _result(
     if differ and (failed or _left_over(points, prior) <= 0) and not records.rate_of_beat:
         said = widened(said, _by_other_reference(points.points, said.value, common))
     said = with_coupling(said, fit, records.scale_factor, failed=failed or differ, by_beats=coupling)
+    said = with_third_order(said, fit, points.points)
     us, fitted = np.sqrt(np.diagonal(covariance)), np.where([True, True, *FREE[chosen]], 1.0, np.nan)
     at_least = _at_least(records, said.high)
     scale_factor, scale_factor_u = scale_factor_of_rates(records.scale_factor, points, fit)

@@ -68,7 +68,7 @@ class Controller:
         """Questions and orders that were given again."""
         try:
             self.identity = self._who()
-        except InstrumentError:
+        except BaseException:  # Ctrl-C, too
             self._lines.close()
             raise
 

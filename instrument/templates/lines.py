@@ -48,7 +48,7 @@ class Lines:
         self._claim = claim(resource_name)
         try:
             self.open()
-        except LinkError:
+        except BaseException:
             self._claim.release()
             raise
 

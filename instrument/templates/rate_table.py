@@ -19,13 +19,20 @@ class ControlledRateTable:
     Parameters
     ----------
     controller : Controller
-        Of a rate table; it is closed with the table.
+        Of a rate table; it is closed with the table, and where that cannot be switched on.
     guard : Guard, optional
         Stops the table if this program is killed.
     tell : callable, optional
         Is told if the table cannot be stopped.
     now : callable, optional
         The clock that the table turns by; the computer's if not given.
+
+    Raises
+    ------
+    SettingError
+        The controller is not one of a rate table, or the table cannot be switched on.
+    LinkError
+        The controller does not answer.
     """
 
     def __init__(
@@ -35,12 +42,16 @@ class ControlledRateTable:
         tell: Callable[[str], None] = lambda text: None,
         now: Callable[[], float] = time.monotonic,
     ) -> None:
-        if controller.template.kind != "rate table":
-            raise SettingError(f"{controller.name} is a {controller.template.kind}, not a rate table")
         self.controller, self._guard, self._tell, self._now = controller, guard, tell, now
         self._rate_dps = 0.0
         self._last: tuple[float, float] | None = None
-        controller.do("on")
+        try:
+            if controller.template.kind != "rate table":
+                raise SettingError(f"{controller.name} is a {controller.template.kind}, not a rate table")
+            controller.do("on")
+        except BaseException:
+            controller.close()
+            raise
 
     def set_rate(self, rate_dps: float) -> None:
         """Bring the table to a rate in deg/s and return when it turns steadily.

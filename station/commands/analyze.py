@@ -87,7 +87,8 @@ def command(paths: tuple[str, ...], config: Path | None, **given: Any) -> int:
     whole source, 4 if any gives no result, 1 if one is beyond a limit.
 
     A run is evaluated with the settings that it was taken with. With --config, what FILE states of the bench, and
-    its [limits], replace what the run holds of them, for a channel that was measured later; the rest stays.
+    its [limits], replace what the run holds of them, for a channel that was measured later; the rest stays. Of the
+    bench that files come from nothing is known but what FILE states.
     """
     _check(given)
     from station.sources.find import find_sources
@@ -183,7 +184,7 @@ class Analysis:
 
     def combined(self, channel: str | None, rates: Path | None, report: Path | None, answer: Answer) -> int:
         """Make one result of all records."""
-        from station.errors import EXIT_OK, EXIT_OUTPUT, EXIT_USAGE, CannotWrite, Failure
+        from station.errors import EXIT_FAIL, EXIT_OK, EXIT_OUTPUT, EXIT_USAGE, CannotWrite, Failure
         from station.reanalysis.combine import combine, said_of
         from station.reanalysis.report import FilesReport
         from station.report.report import write_report
@@ -220,7 +221,9 @@ class Analysis:
         if failure is not None:
             print_failure(failure)
             return failure.exit_code
-        return EXIT_USAGE if found.left_out else EXIT_OK
+        if found.left_out:
+            return EXIT_USAGE
+        return EXIT_FAIL if found.verdict == "FAIL" else EXIT_OK
 
     def each(self, answer: Answer) -> int:
         """Evaluate every source by itself; one that cannot be read must not keep the others from it."""
@@ -292,12 +295,13 @@ def _no_result(problem: str) -> Failure | None:
 
 
 def _print(analyzed: Evaluated | AnalyzedFiles) -> None:
-    from station.report.console import print_result, print_values
+    from station.report.console import print_result, print_tested, print_values
     from station.shell.evaluated import Evaluated
 
     if isinstance(analyzed, Evaluated):
         print_result(analyzed)
         return
     print_values(analyzed.result)
+    print_tested(analyzed.tested)
     for line in analyzed.taken_with():
         say(line)

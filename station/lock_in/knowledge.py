@@ -3,13 +3,22 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
+from dataclasses import replace
+from pathlib import Path
 
 from analysis.budget import FRONT_END_LIMIT, LATITUDE_LIMIT_DEG, BenchKnowledge, Corner
 from analysis.channel import ChannelResponse
 from analysis.lock_in_run import Method, RunKnowledge
-from instrument import Waveform
-from station.lock_in.settings import FrontEndSettings, Settings
+from station.lock_in.settings import (
+    RING_LASER,
+    BudgetSettings,
+    FrontEndSettings,
+    Settings,
+    default_settings,
+    load_settings,
+)
+from station.settings.toml_files import read_toml
 
 _RECTANGLE = math.sqrt(3.0)
 
@@ -62,16 +71,52 @@ def bench_knowledge(settings: Settings) -> BenchKnowledge:
     )
 
 
-def knowledge_of_files(waveforms: Sequence[Waveform], method: Method) -> RunKnowledge:
-    """Collect what files say of their bench: the coupling of the channel, where it is written."""
-    return knowledge_of_records([waveform.preamble.wfid for waveform in waveforms], method)
+_NOTHING_KNOWN = BudgetSettings(
+    scale_factor_u_ppm=0.0,
+    time_base_limit_ppm=BenchKnowledge().time_base_limit_ppm,
+    distortion_limit_dbc=0.0,
+    bandwidth_hz=0.0,
+    front_end_u_percent=0.0,
+    gain_corner_hz=0.0,
+    table_rate_u_ppm=0.0,
+    latitude_u_deg=0.0,
+)
 
 
-def knowledge_of_records(wfids: Iterable[str], method: Method) -> RunKnowledge:
-    """The same from the sentences of their preambles."""
+def stated_of_files(config: Path | None) -> Settings | None:
+    """Settings in which nothing of the bench is known but what a file states; ``None`` without one.
+
+    What the shipped settings say of their simulated bench is not true of the one that the records come from.
+    """
+    if config is None:
+        return None
+    nothing = default_settings().model_copy(update={"budget": _NOTHING_KNOWN})
+    if "coupling" in read_toml(config).get("scope", {}):
+        nothing = nothing.model_copy(update={"scope": load_settings(config).scope})
+    return RING_LASER.with_knowledge(nothing, config)
+
+
+def knowledge_of_files(wfids: Iterable[str], method: Method, config: Path | None = None) -> RunKnowledge:
+    """Collect what is known of the bench that files come from.
+
+    Parameters
+    ----------
+    wfids : iterable of str
+        Sentences of their preambles, which may say how the channel was coupled.
+    config : Path, optional
+        Settings file: what it states counts, and nothing else.
+    """
     coupled = all("DC coupling" in wfid for wfid in wfids)
     bench = BenchKnowledge(high_pass=Corner(0.0 if coupled else math.nan))
-    return RunKnowledge(method.scale_factor, latitude_deg=math.nan, bench=bench)
+    known = RunKnowledge(method.scale_factor, latitude_deg=math.nan, bench=bench)
+    settings = stated_of_files(config)
+    if settings is None or config is None:
+        return known
+    bench = bench_knowledge(settings)
+    said = "coupling" in read_toml(config).get("scope", {}) or math.isfinite(bench.response_u)
+    if not (said or bench.high_pass.corrected):
+        bench = replace(bench, high_pass=known.bench.high_pass)
+    return replace(known, bench=bench, response=channel_response(settings.front_end))
 
 
 def _amplitude(level_dbc: float) -> float:

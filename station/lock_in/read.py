@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from pathlib import Path
 from statistics import fmean
 from typing import Any, Protocol
 
@@ -230,11 +231,15 @@ def gathered_arrays(gathered: Gathered, waveforms: ReadAgain) -> RecordArrays:
     )
 
 
-def evaluate_waveforms(waveforms: Sequence[Waveform], names: Sequence[str], method: Method) -> LockInFound:
-    """Evaluate records that come from files: at least one, each with its name."""
+def evaluate_waveforms(
+    waveforms: Sequence[Waveform], names: Sequence[str], method: Method, config: Path | None = None
+) -> LockInFound:
+    """Evaluate records that come from files: at least one, each with its name; `config` states their bench."""
     nothing: tuple[Waveform, ...] = ()
     arrays = RunArrays(_arrays((waveforms,)), _arrays((nothing,)))
-    found = evaluate(arrays, knowledge_of_files(waveforms, method), method)
+    known = knowledge_of_files((waveform.preamble.wfid for waveform in waveforms), method, config)
+    with errors_in_words():
+        found = evaluate(arrays, known, method)
     return LockInFound(**vars(found), names=tuple(names), waveforms=tuple(waveforms))
 
 

@@ -21,7 +21,7 @@ from station.lock_in.presentation.sentences import (
     truth_is_missed,
     truth_sentence,
 )
-from station.lock_in.presentation.table_sentences import beat_over_table_words, table_sentences
+from station.lock_in.presentation.table_sentences import beat_over_table_words, by_table_words, table_sentences
 from station.lock_in.presentation.tables import rates_table, records_table
 from station.lock_in.settings import LimitSettings, Settings
 from station.results.numbers import with_prefix, with_uncertainty
@@ -119,8 +119,8 @@ def _summary(found: LockInFound) -> Rows:
     if found.tilt is not None:
         rows.append(("tilt of the axis", with_uncertainty(found.tilt.tilt_deg, found.tilt.tilt_u_deg, "deg")))
     if (check := found.table_check) is not None:
-        by_table = with_uncertainty(check.lock_in_rate, check.lock_in_rate_u, "deg/s")
-        rows.append(("by the table's rate", f"{by_table}, beat over table {beat_over_table_words(check)}"))
+        said = f"{by_table_words(check)}, beat over table {beat_over_table_words(check)}"
+        rows.append(("by the table's rate", said))
         rows += [
             (f"K by the {one.by}", with_uncertainty(one.scale_factor, one.scale_factor_u, "pulses/deg"))
             for one in check.scale_factors

@@ -17,14 +17,13 @@ from analysis.lock_in_run import AxisRates, RecordArrays, RunArrays, evaluate
 from instrument import Waveform
 from station.errors import NoUsableSignal, UsageError
 from station.lock_in.found import LockInFound, SavedWaveforms
-from station.lock_in.knowledge import knowledge_of_records, run_knowledge
+from station.lock_in.knowledge import channel_response, knowledge_of_files, stated_of_files
 from station.lock_in.read import errors_in_words, gathered_arrays
 from station.lock_in.records.collected import Collected
 from station.lock_in.records.pieces import Gathered, estimate_pieces
 from station.lock_in.result import result
-from station.lock_in.settings import load_settings
 from station.memory import given_back
-from station.reanalysis.files import AnalyzedFiles
+from station.reanalysis.files import AnalyzedFiles, tested_by
 from station.reanalysis.work import Work
 from station.runs.operator import ask_number
 from station.runs.progress import Progress
@@ -59,7 +58,7 @@ def combine(
     choices : mapping
         Of :class:`analysis.lock_in_run.Method`.
     config : Path, optional
-        Settings file: what is known of the bench.
+        Settings file: what it states is known of the bench, and its limits are tested.
     channel : str, optional
         Only records of this input.
     rates : Path, optional
@@ -73,8 +72,8 @@ def combine(
         None of them holds a record of a beat.
     """
     work = Work(sources, choices, whole=True)
-    knowledge = run_knowledge(load_settings(config)) if config is not None else None
-    found = _Sources(channel, None if knowledge is None else knowledge.response)
+    settings = stated_of_files(config)
+    found = _Sources(channel, None if settings is None else channel_response(settings.front_end))
     for parts in work.done_by(workers, estimate_pieces, progress):
         for part in parts:
             with errors_in_words():
@@ -85,8 +84,7 @@ def combine(
         raise NoUsableSignal(f"none of {len(work)} sources holds a record of a beat{reason}")
     used, method, estimated = found.used, whole.method, whole.each
     names, waveforms = _Names(used, whole.places), _Waveforms(used, whole.numbers, work.opened)
-    if knowledge is None:
-        knowledge = knowledge_of_records(found.wfids, method)
+    knowledge = knowledge_of_files(found.wfids, method, config)
     axis = _stated_rates(used, rates)
     if axis is None and method.input_rate is None:
         axis = _asked_rates(used, estimated.beat_frequency)
@@ -104,7 +102,8 @@ def combine(
         **vars(found_run), names=names, waveforms=waveforms, damaged=tuple(str(n + 1) for n in whole.damaged)
     )
     paths = tuple(Path(one.name) for one in used)
-    return AnalyzedFiles(paths, shown, None, result(shown), tuple(left_out), tuple(one.about for one in used))
+    said, about = result(shown), tuple(one.about for one in used)
+    return AnalyzedFiles(paths, shown, None, said, tuple(left_out), about, tested_by(config, said))
 
 
 @dataclass

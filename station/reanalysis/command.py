@@ -33,11 +33,12 @@ def command(first: str, second: str, config: Path | None, as_json: bool, **given
     """Compare two analyses of the same records, or records of two gyros.
 
     A and B are results tables of `gyrolock analyze --to`, or runs, files and folders, which are then analysed.
-    Where records are in both, they are compared one by one, in their uncertainties; else the means are. Only noise
-    and scatter count here: what two results share, such as a scale factor, makes no difference. With --config the
-    scale factor of files is that of FILE.
+    Where records are in both, they are compared one by one, in the uncertainties of their noise, which is all that
+    two methods can differ by. Else the results are, every input counted: those of runs, and of files at one rate.
+    Results tables know the noise of records only, and are compared by their means. With --config the scale factor
+    of files is that of FILE.
     """
-    from station.reanalysis.compare import compare, read_records
+    from station.reanalysis.compare import compare, read_records, with_headlines
     from station.report.console import text_table
     from station.sources.workers import Processes
     from station.terminal.console import stdout_console
@@ -52,6 +53,7 @@ def command(first: str, second: str, config: Path | None, as_json: bool, **given
             read_records(place, {"scale_factor": factor, "relation": given[relation]}, workers, given[part])
             for place, relation, part in ((first, "relation_a", "part_a"), (second, "relation_b", "part_b"))
         )
+        a, b = with_headlines(a, b, workers)
     for one in (*a.left_out, *b.left_out):
         remark(f"left out: {one}")
     found = compare(a, b)

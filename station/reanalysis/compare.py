@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from station.errors import NoUsableSignal, RunError, UsageError
+from station.reanalysis.files import scale_factor_of_files
+from station.reanalysis.headline import Headline, headline_of
 from station.reanalysis.tables.columns import rows_of_pieces
 from station.reanalysis.tables.open_table import KINDS, table_file
 from station.reanalysis.work import Work
@@ -20,7 +22,7 @@ from station.results.numbers import with_uncertainty
 from station.results.parts import TextTable
 from station.runs.progress import Progress
 from station.sources.batches import LeftOut
-from station.sources.find import find_sources
+from station.sources.find import find_sources, is_run
 from station.sources.workers import Workers
 
 Floats = NDArray[np.float64]
@@ -51,6 +53,10 @@ class Records:
         Source and number, as they are shown.
     values, us : dict of ndarray
         Of each of `QUANTITIES`, nan where there is none; standard uncertainty by noise.
+    choices : mapping or None
+        By which they were estimated; ``None`` of a table, which knows the noise of records only.
+    headline : Headline or None
+        What they say together, every input counted.
     """
 
     name: str
@@ -60,6 +66,8 @@ class Records:
     values: dict[str, Floats]
     us: dict[str, Floats]
     left_out: tuple[LeftOut, ...] = ()
+    choices: Mapping[str, Any] | None = None
+    headline: Headline | None = None
 
 
 @dataclass(frozen=True)
@@ -102,7 +110,7 @@ class Difference:
 
     @property
     def differs(self) -> bool:
-        """Whether noise does not explain the difference of the means."""
+        """Whether the uncertainty does not explain the difference."""
         return bool(abs(self.difference) > _SURE * self.difference_u)
 
 
@@ -117,6 +125,8 @@ class Comparison:
         larger of the two uncertainties; else in both together.
     only_first, only_second : int
         Records that have a lock-in rate in one of them only.
+    by_noise : Difference or None
+        Of the lock-in rates by noise and scatter alone, where `differences` count every input of both results.
     """
 
     first: Records
@@ -125,6 +135,12 @@ class Comparison:
     only_first: int
     only_second: int
     differences: tuple[Difference, ...]
+    by_noise: Difference | None = None
+
+    @property
+    def counted(self) -> str:
+        """What the uncertainties of the lock-in rates count."""
+        return "noise and scatter" if self.by_noise is None else "every input"
 
     def document(self) -> dict[str, Any]:
         """Return it as plain JSON."""
@@ -138,10 +154,11 @@ class Comparison:
             for one in (self.first, self.second)
         ]
         document = {
-            "schema": {"name": "gyrolock compare", "version": 1},
+            "schema": {"name": "gyrolock compare", "version": 2},
             "first": sides[0],
             "second": sides[1],
             "same_records": self.same_records,
+            "counted": self.counted,
             "only_in_first": self.only_first,
             "only_in_second": self.only_second,
             "differences": each,
@@ -168,12 +185,21 @@ class Comparison:
 
     def sentences(self) -> list[str]:
         """Say what the numbers mean."""
-        said = []
+        said, first = [], self.differences[0]
         if self.same_records:
-            said.append("The same records: noise is common to both, u is the larger of the two of each record.")
+            said.append(
+                "The same records: their noise is common to both, u is the larger of the two that it gives each."
+            )
+        elif self.by_noise is not None:
+            said.append(
+                "No record is in both: the results are compared, every input counted; what both share, such as a "
+                "scale factor, counts too."
+            )
         else:
-            said.append("No record is in both: the means are compared, with the scatter of their records alone.")
-        first = self.differences[0]
+            said.append(
+                "No record is in both: the means are compared, by noise and scatter of their records alone. Scale "
+                "factor, detector and channel are not counted: compare runs, or files at one rate, for that."
+            )
         if self.only_first or self.only_second:
             said.append(f"A lock-in rate in A alone: {self.only_first} records, in B alone: {self.only_second}.")
         if self.same_records and first.largest_of:
@@ -184,8 +210,16 @@ class Comparison:
         elif first.differs:
             said.append(f"The lock-in rates differ by {first.difference / first.difference_u:+.3g} u.")
         else:
-            said.append("The lock-in rates agree within their scatter.")
+            within = "their scatter" if self.by_noise is None else "their uncertainties"
+            said.append(f"The lock-in rates agree within {within}.")
+        if self.by_noise is not None and self._at_one_rate and self.by_noise.differs:
+            by_noise = self.by_noise.difference / self.by_noise.difference_u
+            said.append(f"By noise and scatter of their records alone they differ by {by_noise:+.3g} u.")
         return said
+
+    @property
+    def _at_one_rate(self) -> bool:
+        return all(one.headline is not None and one.headline.one_rate for one in (self.first, self.second))
 
 
 def compare(first: Records, second: Records) -> Comparison:
@@ -209,7 +243,27 @@ def compare(first: Records, second: Records) -> Comparison:
     if here is not None and there is not None:
         known_a, known_b = np.isfinite(a[here]), np.isfinite(b[there])
         only = int((known_a & ~known_b).sum()), int((known_b & ~known_a).sum())
-    return Comparison(first, second, same, *only, differences)
+    if same or first.headline is None or second.headline is None:
+        return Comparison(first, second, same, *only, differences)
+    by_noise, *others = differences
+    headlines = _of_headlines(by_noise, first.headline, second.headline)
+    # a mean over several rates is nobody's beat and nobody's ratio
+    at_one_rate = first.headline.one_rate and second.headline.one_rate
+    shown = (headlines, *others) if at_one_rate else (headlines,)
+    return Comparison(first, second, same, *only, shown, by_noise)
+
+
+def _of_headlines(by_noise: Difference, a: Headline, b: Headline) -> Difference:
+    """The difference of two results, which knows more than noise."""
+    return replace(
+        by_noise,
+        mean_first=a.rate,
+        mean_first_u=a.u,
+        mean_second=b.rate,
+        mean_second_u=b.u,
+        difference=b.rate - a.rate,
+        difference_u=math.hypot(a.u, b.u),
+    )
 
 
 def _difference(
@@ -290,7 +344,10 @@ def read_records(place: str, choices: Mapping[str, Any], workers: Workers, analy
     inside = Path(place.partition("#")[0])  # a source in a data set
     if "://" not in place and not (path.exists() or inside.exists()):
         raise UsageError(f"{place}: No such file or directory")
-    work = Work(find_sources([place]), choices, whole=True)
+    sources = list(find_sources([place]))
+    if choices.get("scale_factor") is None and all(isinstance(one, Path) and not is_run(one) for one in sources):
+        choices = {**choices, "scale_factor": scale_factor_of_files(None, sources)}
+    work = Work(sources, choices, whole=True)
     parts = [rows for found in work.done_by(workers, rows_of_pieces, Progress(quiet=True)) for rows in found]
     left_out = tuple(one for part in parts for one in part.left_out)
     if left_out and not any(part.count for part in parts):
@@ -302,7 +359,20 @@ def read_records(place: str, choices: Mapping[str, Any], workers: Workers, analy
         if part.count
         for values in zip(*(part.column(name) for name in names), strict=True)
     )
-    return _records(place, given, left_out)
+    return replace(_records(place, given, left_out), choices=choices)
+
+
+def with_headlines(first: Records, second: Records, workers: Workers) -> tuple[Records, Records]:
+    """Evaluate both sides as a whole, where they hold no record in common: then noise is not all that counts."""
+    if not set(first.keys).isdisjoint(second.keys):
+        return first, second
+    a, b = (
+        one
+        if one.choices is None
+        else replace(one, headline=headline_of(one.name, one.choices, one.values["beat_frequency_hz"], workers))
+        for one in (first, second)
+    )
+    return a, b
 
 
 def _is_table(path: Path) -> bool:

@@ -52,7 +52,7 @@ def _records(figure: Figure, found: Comparison) -> None:
 
 def _means(figure: Figure, found: Comparison) -> None:
     """Both means with twice their uncertainty, one panel for each quantity."""
-    panels = figure.subplots(1, len(found.differences))
+    panels = figure.subplots(1, len(found.differences), squeeze=False)[0]
     for axes, one in zip(panels, found.differences, strict=True):
         pairs = ((one.mean_first, one.mean_first_u, ACCENT), (one.mean_second, one.mean_second_u, SECOND))
         for place, (value, u, color) in enumerate(pairs):
@@ -61,4 +61,7 @@ def _means(figure: Figure, found: Comparison) -> None:
         axes.set(xlim=(-0.6, 1.6), title=f"{one.title}{', ' + one.unit if one.unit else ''}")
         axes.title.set_fontsize(9)
         axes.ticklabel_format(axis="y", useOffset=False)
-    figure.supxlabel("with twice the standard uncertainty by noise and scatter", fontsize=9, color=SOFT)
+    counted = (
+        "noise and scatter" if found.by_noise is None else "every input for the lock-in rate, noise for the rest"
+    )
+    figure.supxlabel(f"with twice the standard uncertainty: {counted}", fontsize=9, color=SOFT)

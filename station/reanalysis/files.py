@@ -15,12 +15,14 @@ from analysis.lock_in_run import Method
 from instrument import Waveform
 from station.errors import UsageError
 from station.lock_in.found import LockInFound
+from station.lock_in.knowledge import stated_of_files
 from station.lock_in.presentation.documents import record_documents
 from station.lock_in.read import evaluate_waveforms
 from station.lock_in.records.pieces import about
 from station.lock_in.result import result
 from station.lock_in.settings import ask_scale_factor, load_settings
 from station.results.as_json import plain
+from station.results.limits import Tested, check_limits, verdict
 from station.results.numbers import with_prefix
 from station.results.parts import TextTable
 from station.results.result import Result
@@ -48,12 +50,19 @@ class AnalyzedFiles:
     result: Result
     left_out: tuple[LeftOut, ...] = ()
     about: tuple[dict[str, str | None], ...] = ()
+    tested: tuple[Tested, ...] = ()
+
+    @property
+    def verdict(self) -> str | None:
+        """``"PASS"``, ``"FAIL"`` or, without limits, ``None``."""
+        return verdict(self.tested)
 
     def document(self) -> dict[str, Any]:
         """Return the result as plain JSON; of one file with its harmonics."""
         schema = {"name": "gyrolock files", "version": SCHEMA_VERSION}
         document = {"schema": schema, **self.result.document, "flags": self.result.flags, "run": None}
         document |= standing_document(self.result)
+        document |= {"limits": [one.as_json() for one in self.tested], "verdict": self.verdict}
         if len(self.paths) > 1:
             missing = [{"source": o.source, "record": o.record, "reason": o.reason} for o in self.left_out]
             scopes = [dict(one) for one in dict.fromkeys(tuple(about.items()) for about in self.about)]
@@ -79,7 +88,7 @@ def analyze_file(source: Path | Source, config: Path | None, choices: Mapping[st
     Parameters
     ----------
     config : Path or None
-        Settings file: may give the scale factor that a file does not know.
+        Settings file: may give the scale factor that a file does not know, and what is known of bench and limits.
     choices : mapping
         Of :class:`analysis.lock_in_run.Method`; ``None`` is left out.
 
@@ -98,8 +107,14 @@ def analyze_file(source: Path | Source, config: Path | None, choices: Mapping[st
     chosen = {name: value for name, value in choices.items() if value is not None}
     if "scale_factor" not in chosen:
         chosen["scale_factor"] = scale_factor_of_files(config, [source])
-    analyzed = analyze_waveforms([waveform], [Path(opened.name)], Method(**chosen))
+    analyzed = analyze_waveforms([waveform], [Path(opened.name)], Method(**chosen), config)
     return replace(analyzed, about=(about(opened),))
+
+
+def tested_by(config: Path | None, said: Result) -> tuple[Tested, ...]:
+    """Test a result of files against the limits that a settings file states."""
+    settings = stated_of_files(config)
+    return () if settings is None else check_limits(said.measured, settings.limits.model_dump())
 
 
 def scale_factor_of_files(config: Path | None, files: Sequence[Path | Source] = ()) -> float:
@@ -146,16 +161,19 @@ def _asked_scale_factor() -> float:
     return ask_scale_factor()
 
 
-def analyze_waveforms(waveforms: Sequence[Waveform], paths: Sequence[Path], method: Method) -> AnalyzedFiles:
+def analyze_waveforms(
+    waveforms: Sequence[Waveform], paths: Sequence[Path], method: Method, config: Path | None = None
+) -> AnalyzedFiles:
     """Analyse what was read from files; NoUsableSignal if one holds no signal over time."""
     for waveform, path in zip(waveforms, paths, strict=True):
         check_over_time(waveform, str(path))
-    found = evaluate_waveforms(waveforms, [str(path) for path in paths], method)
+    found = evaluate_waveforms(waveforms, [str(path) for path in paths], method, config)
     said, harmonics = result(found), None
     if len(waveforms) == 1 and not int(found.combined.flags) & int(Flag.NO_BEAT | Flag.CONSTANT):
         harmonics = harmonics_of(waveforms[0])
     tables = (*said.tables, _harmonics_table(harmonics)) if harmonics else said.tables
-    return AnalyzedFiles(tuple(paths), found, harmonics, Result(**{**vars(said), "tables": tables}))
+    shown = Result(**{**vars(said), "tables": tables})
+    return AnalyzedFiles(tuple(paths), found, harmonics, shown, tested=tested_by(config, said))
 
 
 def harmonics_of(waveform: Waveform) -> list[dict[str, float]] | None:

@@ -20,8 +20,16 @@ class FilesReport:
     """Files as the report needs them; see `station.report.report.Shown`."""
 
     files: AnalyzedFiles
-    tested: Sequence[Tested] = ()
-    verdict: str | None = None
+
+    @property
+    def tested(self) -> Sequence[Tested]:
+        """Numbers against their limits."""
+        return self.files.tested
+
+    @property
+    def verdict(self) -> str | None:
+        """``"PASS"``, ``"FAIL"`` or, without limits, ``None``."""
+        return self.files.verdict
 
     @property
     def heading(self) -> str:

@@ -11,7 +11,10 @@ from station.terminal.console import stdout_console
 from station.terminal.visible import visible
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from station.report.report import Shown
+    from station.results.limits import Tested
     from station.results.parts import Rows, TextTable
     from station.results.result import Result
 
@@ -31,7 +34,7 @@ def text_table(table: TextTable, *, left: int = 0) -> Table:
 
 def print_result(evaluated: Shown) -> None:
     """Print what a run says."""
-    console, facts = stdout_console(), evaluated.run.facts
+    facts = evaluated.run.facts
     rows = [*((name, text) for name, text in facts.labels.items())]
     if facts.resumed_at:
         rows.append(("resumed", ", ".join(facts.resumed_at)))
@@ -40,8 +43,13 @@ def print_result(evaluated: Shown) -> None:
         told = evaluated.result.truth or ", ".join(known) or "no truth is saved"
         rows.append(("bench", f"simulated; {told}"))
     print_values(evaluated.result, rows)
-    for tested in evaluated.tested:
-        console.print(tested.sentence, style="green" if tested.passed else "bold red")
+    print_tested(evaluated.tested)
+
+
+def print_tested(tested: Sequence[Tested]) -> None:
+    """Print a line for each limit."""
+    for one in tested:
+        stdout_console().print(one.sentence, style="green" if one.passed else "bold red")
 
 
 def print_values(result: Result, more: Rows = ()) -> None:

@@ -16,6 +16,7 @@ import pytest
 import pyvisa
 
 from instrument import TDS2014
+from instrument.in_use import claims
 from instrument.simulated import Faults, PtyServer, SimulatedTDS2014, TcpServer, resource_manager
 
 IDENTITY = "TEKTRONIX,TDS 2014,0,CF:91.1CT FV:v4.12 TDS2CM:CMV:v1.04"
@@ -247,10 +248,31 @@ def manager() -> pyvisa.ResourceManager:
     return pyvisa.ResourceManager("@py")
 
 
+@pytest.fixture(autouse=True)
+def links_of_its_own(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """A test finds no link of another one, which may run in another process, and leaves none in use.
+
+    The number of a pseudo-terminal is given to the next one as soon as both its ends are closed: who opens a
+    device that is gone would find a stranger there. So one end stays open until the test is over.
+    """
+    openpty, kept = getattr(os, "openpty", None), contextlib.ExitStack()
+
+    def open_and_keep() -> tuple[int, int]:
+        master, slave = openpty()
+        kept.callback(os.close, os.dup(slave))
+        return master, slave
+
+    if openpty is not None:
+        monkeypatch.setattr(os, "openpty", open_and_keep)
+    with kept:
+        yield
+    assert not claims._held
+
+
 @pytest.fixture
 def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
     """A peer on this computer answers at once, so silence need not be waited for as long as at the bench."""
-    monkeypatch.setattr("instrument.dialogue.link.ANSWER_TIME", 1.5)
+    monkeypatch.setattr("instrument.dialogue.link.ANSWER_TIME", 3.0)
 
 
 @pytest.fixture

@@ -6,18 +6,20 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from analysis.budget import bounded
 from analysis.lock_in_run import Method
 from instrument import Preamble, Waveform
 from station.errors import NoUsableSignal, RunError
 from station.lock_in.found import LockInFound
-from station.lock_in.knowledge import run_knowledge
+from station.lock_in.knowledge import bench_knowledge, run_knowledge
 from station.lock_in.read import (
     acquisitions_of,
     evaluate_run,
     evaluate_waveforms,
     fast_run_tilt,
 )
-from station.lock_in.settings import RING_LASER, Settings
+from station.lock_in.result import result
+from station.lock_in.settings import RING_LASER, Settings, default_settings
 from station.runs.store import SavedRecord, SavedRun, open_run
 from station.settings.load import saved_settings
 
@@ -97,6 +99,19 @@ def test_what_the_settings_say_of_the_bench(pairs: SavedRun) -> None:
     assert nothing.table_rate_u_ppm == 0
     assert nothing.latitude_u_deg == pytest.approx(0.1 / 3**0.5)
     assert np.isnan(nothing.bench.scale_factor_u_ppm)
+
+
+def test_what_counts_noise_alone_says_so(pairs: SavedRun) -> None:
+    said = result(evaluated(pairs))
+    rows = dict(said.summary)
+    assert "u by noise and table" in rows["by the table's rate"]
+    assert [name for name in said.tables[0].header if "(noise)" in name] == ["lock-in rate (noise), deg/s"]
+
+
+def test_of_a_real_bench_nothing_is_known_that_nobody_stated() -> None:
+    known = bench_knowledge(default_settings("bench"))
+    found = bounded(known, 100.0)
+    assert found.assumed >= {"scale_factor", "distortion", "third_order", "bandwidth", "gain_corner"}
 
 
 def sines(codes: np.ndarray, ymult: str = "1.0E-2") -> Waveform:

@@ -30,6 +30,11 @@ def beat_over_table_words(check: TableCheck) -> str:
     return with_uncertainty(check.beat_over_table, check.beat_over_table_u)
 
 
+def by_table_words(check: TableCheck) -> str:
+    """Return the lock-in rate by the table; its u leaves out detector and channel."""
+    return f"{with_uncertainty(check.lock_in_rate, check.lock_in_rate_u, 'deg/s')} (u by noise and table)"
+
+
 def _beat_over_table(check: TableCheck, lock_in_rate: float) -> str:
     over = (check.beat_over_table - 1) / check.beat_over_table_u
     verdict = "as far as this check sees, they fit together"
@@ -70,7 +75,7 @@ def _scale_factor(one: ScaleFactorCheck, used: float) -> str:
 def _unseen(check: TableCheck) -> str:
     text = (
         "The tilt was found with the same scale factor, and an error of it is absorbed there: scale factor, tilt "
-        "and lock-in rate change together, and beat over table stays at 1."
+        "and lock-in rate change together, and beat over table moves by what the earth's rate does not share only."
     )
     if check.scale_factors:
         return f"{text} Only what is said above of the scale factor tests it."

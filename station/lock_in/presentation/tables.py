@@ -8,14 +8,14 @@ from analysis import flag_names
 from analysis.lock_in_run import SeveralRates
 from station.lock_in.found import LockInFound
 from station.lock_in.presentation.sentences import span_words
-from station.lock_in.presentation.table_sentences import beat_over_table_words
+from station.lock_in.presentation.table_sentences import beat_over_table_words, by_table_words
 from station.lock_in.settings import Settings
 from station.results.numbers import with_prefix, with_uncertainty
 from station.results.parts import FactTable, Rows, TextTable
 from station.runs.store import SavedRun
 
-_RATES = ("rate/WL", "table, deg/s", "axis, deg/s", "beat, Hz", "r = A2/A1", "WL alone, deg/s", "records")
-_RECORDS = ("record", "lock-in rate, deg/s", "beat, Hz", "r = A2/A1", "noise rms", "flags")
+_RATES = ("rate/WL", "table, deg/s", "axis, deg/s", "beat, Hz", "r = A2/A1", "WL alone (noise), deg/s", "records")
+_RECORDS = ("record", "lock-in rate (noise), deg/s", "beat, Hz", "r = A2/A1", "noise rms", "flags")
 
 
 def rates_table(several: SeveralRates) -> TextTable:
@@ -74,7 +74,11 @@ def _result_rows(found: LockInFound) -> Rows:
         ("method", found.method_text),
         ("scale factor K", f"{found.method.scale_factor:g} pulses/deg"),
         ("noise model", combined.noise_model),
-        ("uncertainty", "standard (k = 1) in brackets, every input counted; the interval covers 95 %"),
+        (
+            "uncertainty",
+            "standard (k = 1) in brackets, every input counted; of single records and rates their noise. The "
+            "interval covers 95 %",
+        ),
         ("records", f"{counted}, left out {found.records_rejected}"),
     ]
     if found.usable:
@@ -107,7 +111,7 @@ def _rate_rows(found: LockInFound, run: SavedRun, settings: Settings) -> Rows:
         rows += [
             ("rate on the axis, by the table", f"{check.input_rate:.6f} deg/s"),
             ("beat over table", f"{beat_over_table_words(check)} (K and tilt found with it cancel)"),
-            ("lock-in rate, by the table", with_uncertainty(check.lock_in_rate, check.lock_in_rate_u, "deg/s")),
+            ("lock-in rate, by the table", by_table_words(check)),
         ]
     if several is None and (table_rate := run.facts.get("table_rate_dps")) is not None:
         rows.append(("table rate", f"{table_rate:.5f} deg/s"))

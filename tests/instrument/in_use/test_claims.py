@@ -4,6 +4,7 @@ import os
 import signal
 import subprocess
 import sys
+import tomllib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -13,15 +14,17 @@ from typing import cast
 import pytest
 import pyvisa
 
-from instrument import TDS2014, LinkError
+from instrument import TDS2014, LinkError, SettingError
 from instrument.discovery import check_resource
 from instrument.in_use import claim
 from instrument.in_use.links import link_of
 from instrument.pyvisa_sessions import claim_instrument
-from instrument.simulated import SimulatedTDS2014, TcpServer
-from instrument.simulated.controllers import LineServer, SimulatedPowerSupply
+from instrument.simulated import SimulatedRateTable, SimulatedTDS2014, TcpServer
+from instrument.simulated.controllers import LineServer, RateTableController, SimulatedPowerSupply
 from instrument.simulated.links.gpib_adapter import GpibAdapterServer
-from instrument.templates import Controller, parse_template
+from instrument.templates import ControlledRateTable, Controller, parse_template
+
+SHIPPED = Path(__file__).parents[3] / "config" / "controllers" / "rate_table.toml"
 
 HOLDS = """
 import sys, time
@@ -47,6 +50,22 @@ def another_program(name: str) -> Iterator[subprocess.Popen[str]]:
             yield process
         finally:
             process.kill()
+
+
+class Refusing(RateTableController):
+    """A rate table whose drive cannot be switched on."""
+
+    def answer(self, line: str) -> str | None:
+        return "ERR the interlock is open" if line == "ENABLE" else super().answer(line)
+
+
+def test_a_table_that_cannot_be_switched_on_is_let_go() -> None:
+    template = parse_template(tomllib.loads(SHIPPED.read_text(encoding="utf-8")), "rate_table")
+    with LineServer(Refusing(SimulatedRateTable()), tcp_port=0) as server:
+        with pytest.raises(SettingError, match="refuses 'ENABLE': ERR the interlock is open"):
+            ControlledRateTable(Controller(server.resource_name, template))
+        with another_program(server.resource_name):
+            pass
 
 
 @pytest.mark.skipif(os.name != "posix", reason="needs SIGKILL")

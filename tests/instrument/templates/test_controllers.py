@@ -7,6 +7,7 @@ import subprocess
 import sys
 import time
 import tomllib
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -87,8 +88,7 @@ def test_the_azimuth_does_not_jump_where_the_display_begins_anew() -> None:
 def test_units_and_sense_of_the_controller_are_those_of_the_template() -> None:
     hourly = {"per_dps": -3600.0, "lowest_dps": -0.1, "highest_dps": 0.1}
     turned = Turned(rate=hourly)
-    with turned.server:
-        table = turned.open()
+    with turned.server, closing(turned.open()) as table:
         table.set_rate(0.01)
         assert "RATE -36.000000" in turned.device.lines
         assert turned.table.motion[-1].rate_dps == -36.0
@@ -100,16 +100,14 @@ def test_units_and_sense_of_the_controller_are_those_of_the_template() -> None:
 
 def test_a_table_that_refuses_or_does_not_come_to_its_rate_is_an_error() -> None:
     turned = Turned(rate={"highest_dps": 5000.0})
-    with turned.server:
-        table = turned.open()
-        with pytest.raises(SettingError, match=r"refuses 'RATE 2000\.000000': ERR the rate table turns at most"):
-            table.set_rate(2000.0)
+    refused = r"refuses 'RATE 2000\.000000': ERR the rate table turns at most"
+    with turned.server, closing(turned.open()) as table, pytest.raises(SettingError, match=refused):
+        table.set_rate(2000.0)
     stuck = Turned(rate={"per_dps": 1.0, "answer": r"^RATE ([-+.0-9eE]+)$"})
     stuck.table.set_rate = lambda rate_dps: None  # type: ignore[method-assign]  # the drive hums and does not turn
-    with stuck.server:
-        table = stuck.open()
-        with pytest.raises(SettingError, match="was to be 5 dps and reads 0 after"):
-            table.set_rate(5.0)
+    reads = "was to be 5 dps and reads 0 after"
+    with stuck.server, closing(stuck.open()) as table, pytest.raises(SettingError, match=reads):
+        table.set_rate(5.0)
 
 
 class Spoiled:
@@ -152,6 +150,7 @@ def test_a_lost_link_is_opened_again_and_one_that_stays_lost_is_told_loudly() ->
     with LineServer(turned.device, tcp_port=port):
         assert table.rate() == 5.0
         assert "is there again" in turned.told[-1]
+        table.close()
     gone = Turned(link={"answer_s": 0.2, "reconnect_s": 0.2, "attempts": 1})
     with gone.server:
         table = gone.open()

@@ -8,9 +8,10 @@ import pytest
 from analysis import beat_signal
 from instrument import Preamble, Waveform
 from instrument.tek_files import csv_text
+from station.cli import main
 from station.errors import NoUsableSignal, RunError, UsageError
 from station.reanalysis.combine import combine
-from station.reanalysis.files import AnalyzedFiles, scale_factor_of_files
+from station.reanalysis.files import AnalyzedFiles, analyze_file, scale_factor_of_files
 from station.reanalysis.report import FilesReport
 from station.report.report import render_report
 from station.runs.progress import Progress
@@ -105,6 +106,38 @@ def test_a_beat_outside_the_response_of_the_channel_is_told(tmp_path: Path) -> N
     settings.write_text("[front_end]\nresponse = [[1, 1.0, 0.0], [2, 0.98, -5]]\n")
     with pytest.raises(RunError, match=r"known from 1 to 2 Hz, but .* Hz is needed"):
         combined(card(tmp_path / "card", 0.3, 0.3), config=settings)
+
+
+def test_a_settings_file_counts_with_what_it_states_and_nothing_else(tmp_path: Path) -> None:
+    (file,) = sorted(card(tmp_path / "card", 0.16).rglob("*.CSV"))
+    settings = tmp_path / "gyro.toml"
+    settings.write_text(f"[gyro]\nscale_factor_pulses_per_deg = {K}\n")
+    nothing = combined(file).document()
+    # the shipped settings know the bandwidth of their simulated bench, and its scale factor to 50 ppm
+    assert {"bandwidth", "scale_factor"} < set(nothing["budget"]["not_stated"])
+    for found in (combined(file, config=settings), analyze_file(file, settings, {})):
+        assert found.document()["budget"] == nothing["budget"]
+    settings.write_text(settings.read_text() + "[front_end]\nlow_pass_hz = 1000\n[budget]\ngain_corner_hz = 1e5\n")
+    told = analyze_file(file, settings, {}).document()
+    assert told["lock_in_rate_dps"] > 1.01 * nothing["lock_in_rate_dps"]
+    assert told["lock_in_rate_dps"] == combined(file, config=settings).document()["lock_in_rate_dps"]
+    assert {"bandwidth", "gain_corner"}.isdisjoint(told["budget"]["not_stated"])
+
+
+def test_files_are_judged_by_the_limits_of_a_settings_file(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (file,) = sorted(card(tmp_path / "card", 0.16).rglob("*.CSV"))
+    settings = tmp_path / "bench.toml"
+    for limit, verdict, exit_code in ((0.01, "FAIL", 1), (1.0, "PASS", 0)):
+        settings.write_text(
+            f"[gyro]\nscale_factor_pulses_per_deg = {K}\n[limits]\nlock_in_rate_high_95_dps = {limit}\n"
+        )
+        assert analyze_file(file, settings, {}).document()["verdict"] == verdict
+        assert FilesReport(combined(file, config=settings)).verdict == verdict
+        for how in ([], ["--combine"]):
+            assert main(["analyze", str(file), "--config", str(settings), *how]) == exit_code
+            assert f"{verdict} lock-in rate high 95" in capsys.readouterr().out
 
 
 def test_two_inputs_are_not_two_records(tmp_path: Path) -> None:

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from station.errors import CannotWrite, RunError, UsageError
-from station.reanalysis.compare import compare, read_records
+from station.reanalysis.compare import compare, read_records, with_headlines
 from station.reanalysis.fill import Filled, fill_table
 from station.reanalysis.tables.columns import ORDER
 from station.reanalysis.tables.lock import only_writer
@@ -222,6 +222,38 @@ def test_two_gyros_are_compared_by_their_means(tree: Path) -> None:
     assert one.difference == pytest.approx(one.mean_second - one.mean_first)
     assert one.difference_u == pytest.approx(math.hypot(one.mean_first_u, one.mean_second_u))
     assert math.isnan(one.largest_over_u)
+
+
+def test_runs_are_compared_by_their_results_with_every_input_counted(tree: Path) -> None:
+    single, channel, several = (
+        read_records(str(tree / f"{name}.sqlite"), {}, ThisProcess()) for name in ("single", "channel", "several")
+    )
+    found = compare(*with_headlines(single, channel, ThisProcess()))
+    one, document = found.differences[0], found.document()
+    us = [
+        json.loads((GOLDEN / f"{name}.json").read_text())["lock_in_rate_u_dps"] for name in ("single", "channel")
+    ]
+    assert (one.mean_first_u, one.mean_second_u) == pytest.approx(tuple(us), rel=1e-6)
+    assert one.difference_u == pytest.approx(math.hypot(*us), rel=1e-6)
+    assert document["counted"] == "every input"
+    # what noise alone says is kept apart
+    assert found.by_noise is not None and found.by_noise.difference_u < one.difference_u
+    assert [row.quantity for row in found.differences] == ["lock_in_rate_dps", "beat_frequency_hz", "ratio"]
+    # several rates have no one beat and no one ratio
+    found = compare(*with_headlines(single, several, ThisProcess()))
+    assert [row.quantity for row in found.differences] == ["lock_in_rate_dps"]
+    # two methods differ by what they make of the same noise
+    assert with_headlines(single, single, ThisProcess())[0].headline is None
+
+
+def test_a_table_is_compared_by_noise_and_says_so(tree: Path, tmp_path: Path) -> None:
+    table = tmp_path / "results.sqlite"
+    filled(table, tree / "single.sqlite")
+    first = read_records(str(table), {}, ThisProcess())
+    second = read_records(str(tree / "channel.sqlite"), {}, ThisProcess())
+    found = compare(*with_headlines(first, second, ThisProcess()))
+    assert found.counted == "noise and scatter"
+    assert "by noise and scatter of their records alone" in found.sentences()[0]
 
 
 def test_what_is_not_there_cannot_be_compared(tmp_path: Path) -> None:

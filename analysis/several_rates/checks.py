@@ -90,8 +90,9 @@ def rates_flags(fit: RatesFit, records: RatioRecords, tested: int) -> int:
     distorted = next((m.lock_in_rate_u for m in fit.models if m.model == "distortion"), u)
     rate, mismatch = fit.rate, fit.rate_mismatch
     no_beat_above = np.abs(rate[fit.locked]) > fit.lock_in_rate_high_95
-    disagree = rates_differ(rate, size, u, mismatch) or mismatch_of_all(rate, size, u, mismatch) != 0
-    disagree = disagree or bool(np.any(inconsistent_rate(records)))
+    rate_u = fit.each.records.rate_u
+    disagree = rates_differ(rate, size, u, mismatch, rate_u) or mismatch_of_all(rate, size, u, mismatch) != 0
+    disagree = disagree or bool(np.any(inconsistent_rate(records, rate_u)))
     explained = abs(fit.third_order) > EXPLAINED * fit.third_order_u
     misfits = sum(int(np.sum(block.misfit & fit.used[some])) for some, block in records.blocks())
     conditions = {

@@ -23,7 +23,7 @@ from analysis.several_rates.checks import leave_out, rates_flags, scale_factor_o
 from analysis.several_rates.coupling import beats_of_rates, coupling_seen
 from analysis.several_rates.gain_within_bounds import over_gain_times
 from analysis.several_rates.least_squares import RatioFit, all_solutions, fit_ratios
-from analysis.several_rates.points import Points, UsedRecords, gather
+from analysis.several_rates.points import Points, UsedRecords, gather, with_rate_noise
 from analysis.several_rates.ratio_model import N_PARAMETERS, Prior, RatioData, Reference
 from analysis.several_rates.ratio_records import (
     RatioRecords,
@@ -47,7 +47,9 @@ from analysis.several_rates.solutions import (
     up_to,
     widened,
     with_coupling,
+    with_third_order,
 )
+from analysis.several_rates.table_noise import table_noise
 
 FREE: dict[Model, tuple[bool, ...]] = {
     "lock-in": (False, False, False, False),
@@ -209,14 +211,15 @@ def _fit(
         raise ValueError(f"reference {reference!r} is neither 'rate' nor 'beat'")
     if model != "auto" and model not in FREE:
         raise ValueError(f"model {model!r} is none of 'auto', {', '.join(map(repr, FREE))}")
-    used = records.usable.copy()
-    if reference == "rate":
-        used &= ~inconsistent_rate(records, common_mismatch(records))
-    if not used.any():
-        raise NoFit("no record with a usable beat: nothing can be fitted")
     if not np.all(np.isfinite(rate_u)) or np.any(rate_u < 0):
         raise ValueError("input_rate_u must be finite and not negative (deg/s)")
-    points = gather(UsedRecords(records, used, np.broadcast_to(rate_u, records.rate.shape), reference))
+    rate_u = np.broadcast_to(rate_u, records.rate.shape)
+    used = records.usable.copy()
+    if reference == "rate":
+        used &= ~inconsistent_rate(records, rate_u, common_mismatch(records))
+    if not used.any():
+        raise NoFit("no record with a usable beat: nothing can be fitted")
+    points = gather(UsedRecords(records, used, rate_u, reference))
     chosen: Model = "all" if model == "auto" else model
     known = (receiver or ReceiverKnowledge()).prior(float(points.points.angular.min()) / (2 * np.pi))
     found = all_solutions(points.points, _prior(chosen, known))
@@ -235,9 +238,26 @@ def _fit(
         raise NoFit(f"these records cannot tell the unknowns of the model {model!r} apart: {MORE_RECORDS}")
     most = np.inf if records.rate_of_beat else largest_possible(found, points.points)
     found = up_to(found, most)
+    points, found = _with_table_noise(points, found, _prior(chosen, known), most)
     fits = _models(points, found, known, chosen)
     result = _result(points, fits, found, known, chosen, receiver, most)
     return replace(result, flags=result.flags | (RatesFlag.STATED_LIMITS_EXCEEDED if contradicted else 0))
+
+
+def _with_table_noise(points: Points, found: RatioFit, prior: Prior, most: float) -> tuple[Points, RatioFit]:
+    """Points and minima, with what the beats say of the errors of the rates.
+
+    Where the ratios do not fit with it either, something else moves the beats: then nothing changes.
+    """
+    share = 0.0 if points.records.records.rate_of_beat else table_noise(points, found)
+    if share == 0:
+        return points, found
+    noisy = with_rate_noise(points, share)
+    with_noise = up_to(all_solutions(noisy.points, prior), most)
+    degrees = _degrees(with_noise[:1], noisy, prior)
+    if degrees > 0 and scipy.special.chdtrc(degrees, with_noise.chi_square[0]) < UNLIKELY:
+        return points, found
+    return noisy, with_noise
 
 
 def _prior(model: Model, known: Prior) -> Prior:
@@ -282,7 +302,7 @@ def _result(
         if chosen == "all" and prior.sd[3] > 0 and _left_over(points, prior) <= 0:
             said = over_gain_times(said, found, points.points, prior, widen)
     mismatch = rate_mismatch(records, said.value)
-    common, differ = _rates_differ(records, said, mismatch, bool(np.ptp(points.rate_group)))
+    common, differ = _rates_differ(points.records, said, mismatch, bool(np.ptp(points.rate_group)))
     coupling = None
     if said.value > 0 and not records.rate_of_beat:
         beats = beats_of_rates(points, mismatch, said.value, float(fit.parameters[0, 3]))
@@ -291,6 +311,7 @@ def _result(
     if differ and (failed or _left_over(points, prior) <= 0) and not records.rate_of_beat:
         said = widened(said, _by_other_reference(points.points, said.value, common))
     said = with_coupling(said, fit, records.scale_factor, failed=failed or differ, by_beats=coupling)
+    said = with_third_order(said, fit, points.points)
     us, fitted = np.sqrt(np.diagonal(covariance)), np.where([True, True, *FREE[chosen]], 1.0, np.nan)
     at_least = _at_least(records, said.high)
     scale_factor, scale_factor_u = scale_factor_of_rates(records.scale_factor, points, fit)
@@ -394,16 +415,16 @@ def _at_least(records: RatioRecords, high: float) -> float:
     return float(possible.max()) if possible.size else 0.0
 
 
-def _rates_differ(records: RatioRecords, said: Answer, mismatch: Floats, several: bool) -> tuple[float, bool]:
+def _rates_differ(of: UsedRecords, said: Answer, mismatch: Floats, several: bool) -> tuple[float, bool]:
     """What beats at several rates have in common against them, and whether some depart from their rates beside it.
 
     Beats that all depart alike show a wrong scale factor, others coupling without loss.
     """
-    rate = records.rate
-    if np.any(records.usable & (np.abs(rate) <= said.value)):
+    rate = of.records.rate
+    if np.any(of.records.usable & (np.abs(rate) <= said.value)):
         return 0.0, True
     common = mismatch_of_all(rate, said.value, said.u, mismatch) if several else 0.0
-    return common, rates_differ(rate, said.value, said.u, mismatch, common)
+    return common, rates_differ(rate, said.value, said.u, mismatch, of.rate_u, common)
 
 
 def _by_other_reference(points: RatioData, lock_in_rate: float, common: float) -> float:

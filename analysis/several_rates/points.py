@@ -6,7 +6,7 @@ Records are read some at a time, and only sums of them are kept: a million need 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -51,11 +51,11 @@ class UsedRecords:
 
     def _data(self, block: RatioBlock, rate_u: Floats) -> tuple[RatioData, Floats]:
         frequency, ratio = block.beat_frequency, block.ratio
-        by_rate = self.reference == "rate"
-        relative = rate_u / np.abs(block.rate) if by_rate else block.beat_frequency_u / frequency
-        along = np.stack([ratio.real, ratio.imag], axis=-1) * relative[:, np.newaxis]
-        covariance = block.covariance + along[:, :, np.newaxis] * along[:, np.newaxis, :]
-        covariance = covariance + SMALLEST_U**2 * np.eye(2)
+        if self.reference == "rate":
+            by_reference = _by_rate(ratio, rate_u / np.abs(block.rate))
+        else:
+            by_reference = _along(ratio * (block.beat_frequency_u / frequency))
+        covariance = block.covariance + by_reference + SMALLEST_U**2 * np.eye(2)
         data = RatioData(
             rate=block.rate,
             beat_rate=frequency / self.records.scale_factor,
@@ -180,6 +180,34 @@ def gather(records: UsedRecords) -> Points:
         reference=records.reference,
     )
     return Points(records, places, points, rate_groups(rate))
+
+
+def with_rate_noise(points: Points, share: float) -> Points:
+    """The points with one more uncertainty of their rates, a share of each: common to all records of a point."""
+    data = points.points
+    whitening = data.whitening[0]
+    covariance = np.linalg.inv(whitening @ whitening.swapaxes(-1, -2)) + _by_rate(data.ratio, share)
+    return replace(points, points=replace(data, whitening=whitening_factor(covariance)[np.newaxis]))
+
+
+def _by_rate(ratio: Complexes, relative: Floats | float) -> Floats:
+    """Covariance (..., 2, 2) of ratios (...) by the relative u of their rates.
+
+    d ln r = -(1 + r^2)/(1 - r^2) d ln W.
+    """
+    square = np.minimum(np.abs(ratio) ** 2, _LARGEST_SQUARE)
+    # far from lock-in the factor is 1 to 8 % of that u, and saved runs give what they gave
+    steeper = np.where(square > _NEAR, (1 + square) / (1 - square), 1.0)
+    return _along(ratio * (steeper * relative))
+
+
+def _along(step: Complexes) -> Floats:
+    """Covariance (..., 2, 2) of complex numbers that are uncertain by so much, in one direction."""
+    parts = np.stack([step.real, step.imag], axis=-1)
+    return np.asarray(parts[..., :, np.newaxis] * parts[..., np.newaxis, :])
+
+
+_NEAR, _LARGEST_SQUARE = 0.04, 0.99
 
 
 def rate_groups(rate: Floats) -> Indices:

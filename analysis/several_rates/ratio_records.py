@@ -268,11 +268,12 @@ def _usable(records: RatioRecords) -> Iterator[RatioBlock]:
             yield block[records.usable[some]]
 
 
-def inconsistent_rate(records: RatioRecords, mismatch: float = 1.0) -> Bools:
-    """Records whose beat is faster than their rate allows, f > K |W|, beyond the mismatch that all have."""
+def inconsistent_rate(records: RatioRecords, rate_u: Floats, mismatch: float = 1.0) -> Bools:
+    """Records whose beat is faster than their rate (n,) allows, f > K |W|, beyond the mismatch that all have."""
     found = np.empty(records.rate.size, dtype=bool)
     for some, block in records.blocks():
-        fastest = records.scale_factor * mismatch * np.abs(block.rate) * (1 + FASTER_THAN_POSSIBLE)
+        most = np.abs(block.rate) * (1 + FASTER_THAN_POSSIBLE) + 3 * rate_u[some]
+        fastest = records.scale_factor * mismatch * most
         found[some] = block.beat_frequency > fastest + 4 * block.beat_frequency_u
     return found & records.usable
 
@@ -289,17 +290,22 @@ def rate_mismatch(records: RatioRecords, lock_in_rate: float) -> Floats:
     return mismatch
 
 
-def rates_differ(rate: Floats, size: float, u: float, mismatch: Floats, common: float = 0.0) -> bool:
+def rates_differ(
+    rate: Floats, size: float, u: float, mismatch: Floats, rate_u: Floats, common: float = 0.0
+) -> bool:
     """Whether a rate of some (n,) does not fit its beat, beyond what a lock-in rate `size` with `u` explains.
 
     Parameters
     ----------
+    rate_u : (n,)
+        deg/s, what is known of the rates.
     common : float
         What all beats have in common against their rates, beside which the others count.
     """
     for some in in_blocks(rate.size):
-        beside = (1 + mismatch[some]) / (1 + common) - 1
-        if np.any(np.abs(beside) > MISMATCH + 3 * _stretch(np.abs(rate[some]), size, u)):
+        beside, speed = (1 + mismatch[some]) / (1 + common) - 1, np.abs(rate[some])
+        by_rate = rate_u[some] * speed / np.maximum(speed**2 - size**2, 1e-300)
+        if np.any(np.abs(beside) > MISMATCH + 3 * (_stretch(speed, size, u) + by_rate)):
             return True
     return False
 

@@ -6,7 +6,9 @@ from bench_signals import WL, K, both_senses, estimates, ratios_of_slow_gain
 
 from analysis import RatesFlag, fit_rate_ratios, fit_rates
 from analysis.several_rates import ReceiverKnowledge
-from analysis.several_rates.ratio_model import third_harmonic_share
+from analysis.several_rates.least_squares import RatioFit
+from analysis.several_rates.ratio_model import RatioData, third_harmonic_share
+from analysis.several_rates.solutions import Answer, with_third_order
 from benchmarks.several_rates.__main__ import LOCK_IN, NOISE, drawn, times
 
 PHASES = np.arange(36) * np.pi / 18
@@ -142,3 +144,16 @@ def test_120_degrees_between_the_beams_lie_inside_the_interval(multiples, noise)
     assert fit.lock_in_rate / WL - 1 > 0.01
     assert fit.flags & (RatesFlag.MISFIT | RatesFlag.RATE_AND_BEAT_DISAGREE)
     assert fit.lock_in_rate_low_95 < WL < fit.lock_in_rate_high_95
+
+
+@pytest.mark.parametrize("multiple", [1.2, 3])
+def test_what_first_order_leaves_of_third_order_distortion_counts(multiple):
+    """-40 dBc that is seen: 10 H^2 of r as a rectangle, less next to lock-in; nothing where it is noise."""
+    said, beat_rate = Answer(WL, 1e-5 * WL, 0.99 * WL, 1.01 * WL, ()), np.sqrt(multiple**2 - 1) * WL
+    one = np.ones(1)
+    data = RatioData(one, beat_rate * one, one, one, one, one, one, one, "rate")
+    for u, share in ((1e-4, 1e-3 * (1 - 1 / multiple**2)), (5e-3, 0.0)):
+        covariance = np.diag([0, 0, 0, 0, 0, u**2])[np.newaxis]
+        fit = RatioFit(np.array([[WL, 0, 0, 0, 0, 0.01]]), covariance, one, one > 2)
+        counted = with_third_order(said, fit, data).u
+        assert counted == pytest.approx(np.hypot(said.u, share * WL / np.sqrt(3)), rel=1e-6)

@@ -24,7 +24,14 @@ from analysis.several_rates.coupling import beats_of_rates, coupling_seen
 from analysis.several_rates.gain_within_bounds import over_gain_times
 from analysis.several_rates.least_squares import RatioFit, all_solutions, fit_ratios
 from analysis.several_rates.points import Points, UsedRecords, gather, with_rate_noise
-from analysis.several_rates.ratio_model import N_PARAMETERS, Prior, RatioData, Reference
+from analysis.several_rates.ratio_model import (
+    N_PARAMETERS,
+    Prior,
+    RatioData,
+    Reference,
+    beyond_first_order,
+    ratio_of_light,
+)
 from analysis.several_rates.ratio_records import (
     RatioRecords,
     common_mismatch,
@@ -47,7 +54,6 @@ from analysis.several_rates.solutions import (
     up_to,
     widened,
     with_coupling,
-    with_third_order,
 )
 from analysis.several_rates.table_noise import table_noise
 
@@ -238,10 +244,27 @@ def _fit(
         raise NoFit(f"these records cannot tell the unknowns of the model {model!r} apart: {MORE_RECORDS}")
     most = np.inf if records.rate_of_beat else largest_possible(found, points.points)
     found = up_to(found, most)
+    points, found = _beyond_first_order(points, found, _prior(chosen, known), most)
     points, found = _with_table_noise(points, found, _prior(chosen, known), most)
     fits = _models(points, found, known, chosen)
     result = _result(points, fits, found, known, chosen, receiver, most)
     return replace(result, flags=result.flags | (RatesFlag.STATED_LIMITS_EXCEEDED if contradicted else 0))
+
+
+def _beyond_first_order(points: Points, found: RatioFit, prior: Prior, most: float) -> tuple[Points, RatioFit]:
+    """Points and minima, the ratios freed of what (1) leaves of third-order distortion, where that is seen."""
+    if abs(found.parameters[0, 5]) <= _SEEN * np.sqrt(found.covariance[0, 5, 5]):
+        return points, found
+    data = points.points
+    for _ in range(_PASSES):
+        best = found.parameters[:1]
+        left = beyond_first_order(ratio_of_light(best, data), best[:, 5, np.newaxis] * data.amplitude**2)
+        found = fit_ratios(replace(data, ratio=data.ratio - left[0]), prior, found.parameters)
+    freed = replace(points, points=replace(data, ratio=data.ratio - left[0]))
+    return freed, up_to(all_solutions(freed.points, prior), most)
+
+
+_SEEN, _PASSES = 5.0, 2
 
 
 def _with_table_noise(points: Points, found: RatioFit, prior: Prior, most: float) -> tuple[Points, RatioFit]:
@@ -311,7 +334,6 @@ def _result(
     if differ and (failed or _left_over(points, prior) <= 0) and not records.rate_of_beat:
         said = widened(said, _by_other_reference(points.points, said.value, common))
     said = with_coupling(said, fit, records.scale_factor, failed=failed or differ, by_beats=coupling)
-    said = with_third_order(said, fit, points.points)
     us, fitted = np.sqrt(np.diagonal(covariance)), np.where([True, True, *FREE[chosen]], 1.0, np.nan)
     at_least = _at_least(records, said.high)
     scale_factor, scale_factor_u = scale_factor_of_rates(records.scale_factor, points, fit)

@@ -7,7 +7,7 @@ r harmonic ratio of the lock-in equation, b backscatter phase less readout phase
 the mean of all. D and H, second- and third-order distortion of the receiver: the second and third harmonic that it
 makes of a pure sine of that mean amplitude, over its fundamental. The brackets are what a square and a cubic law
 make of the ratio of the geometric series that fits the distorted signal best, to first order in D and H
-(docs/several_rates.md).
+(docs/several_rates.md); `beyond_first_order` has the rest for H.
 
 G and c are what the time T = 1/g_c does that the gain needs to follow the intensity: 1 for fast gain, and F =
 1/(1 + 2 pi i f T) and 1 far above lock-in. `gain_factors` has them at any rate: with equal backscatter of both
@@ -93,9 +93,21 @@ def predicted_ratio(parameters: Floats, data: RatioData) -> Complexes:
 
 def predicted(parameters: Floats, data: RatioData) -> tuple[Complexes, Floats]:
     """Equation (1), and the third harmonic beyond the waveform, for parameters (B, N_PARAMETERS), each (B, n)."""
+    distortion, lag_square, third_order = (parameters[..., k, np.newaxis] for k in (2, 4, 5))
+    own = ratio_of_light(parameters, data)
+    share = np.minimum(np.abs(own) ** 2, _LARGEST_SQUARE)
+    ratio = own * low_pass_factor(share, data.angular**2 * lag_square)
+    ratio = ratio + distortion * data.amplitude * (1 - share - 2j * own * own.imag)
+    size = third_order * data.amplitude**2
+    ratio = ratio + size * by_cubic_law(own)
+    third = size * third_harmonic_share(share) + (own**2 * _third_by_low_pass(data.angular**2 * lag_square)).real
+    return np.asarray(ratio), np.asarray(third)
+
+
+def ratio_of_light(parameters: Floats, data: RatioData) -> Complexes:
+    """rho0 of equation (1), before the receiver, for parameters (B, N_PARAMETERS), shape (B, n)."""
     z = (parameters[..., 0] + 1j * parameters[..., 1])[..., np.newaxis]
-    distortion, gain_time, lag_square, third_order = (parameters[..., k, np.newaxis] for k in range(2, 6))
-    square = np.abs(z) ** 2
+    gain_time, square = parameters[..., 3, np.newaxis], np.abs(z) ** 2
     if data.reference == "beat":
         per_rate = 1 / (data.beat_rate + np.sqrt(data.beat_rate**2 + square))
     else:
@@ -104,14 +116,7 @@ def predicted(parameters: Floats, data: RatioData) -> tuple[Complexes, Floats]:
         per_rate = 1 / (rate + np.sqrt((rate - np.sqrt(square)) * (rate + np.sqrt(square))))
     fast = np.where(data.rate > 0, -z, np.conj(z)) * per_rate
     gain, turn = gain_factors(fast, data.angular * gain_time)
-    own = fast * gain * turn
-    share = np.minimum(np.abs(own) ** 2, _LARGEST_SQUARE)
-    ratio = own * low_pass_factor(share, data.angular**2 * lag_square)
-    ratio = ratio + distortion * data.amplitude * (1 - share - 2j * own * own.imag)
-    size = third_order * data.amplitude**2
-    ratio = ratio + size * (2j * own * (own**2).imag - (1 - share) * np.conj(own))
-    third = size * third_harmonic_share(share) + (own**2 * _third_by_low_pass(data.angular**2 * lag_square)).real
-    return np.asarray(ratio), np.asarray(third)
+    return np.asarray(fast * gain * turn)
 
 
 _LARGEST_SQUARE = 0.99
@@ -159,6 +164,50 @@ def low_pass_factor(square: Floats, lag: Floats) -> Complexes:
     of_first = (1 + 4 * square + square**2 - square * (7 + 10 * square + square**2)) / rest**3
     later = (2 * np.arctan(x) - np.arctan(2 * x)) * (moments - of_first) / 6
     return np.asarray(np.exp(np.sign(lag) * (weaker + 1j * later)))
+
+
+def by_cubic_law(own: Complexes) -> Complexes:
+    """What a cubic law adds to rho0, over H, to first order: the last bracket of equation (1)."""
+    share = np.minimum(np.abs(own) ** 2, _LARGEST_SQUARE)
+    return np.asarray(2j * own * (own**2).imag - (1 - share) * np.conj(own))
+
+
+def beyond_first_order(own: Complexes, third_order: Floats) -> Complexes:
+    """What a cubic law of size H adds to rho0 beyond the first order in H: about 2 H^2 of it.
+
+    The beat is Re Y, Y(z) = (z - q*)/(1 - q z) on the unit circle, and the receiver makes Re (Y + H Y^3) of it.
+    With c_n the lines of that and D(w) = sum c_n w^(n-1), the geometric series nearest to it has the ratio g = w*
+    where (1 - |w|^2) |D(w)|^2 is largest, D'/D = w*/(1 - |w|^2), and the fundamental (1 - |w|^2) D(w).
+
+    Parameters
+    ----------
+    own : (...)
+        rho0.
+    third_order : (...)
+        H of each.
+    """
+    share = np.abs(own) ** 2
+    possible = (share > _SMALLEST_SQUARE) & (share < _LARGEST_SQUARE)
+    own = np.where(possible, own, 0.5)
+    w, rest = np.conj(own), 1 - np.abs(own) ** 2
+    for _ in range(_ROUNDS):
+        lines, slope = _lines_of_cubic_law(own, w, third_order)
+        w = w + rest * (np.conj(slope * (1 - np.abs(w) ** 2) / lines) - w)
+    lines, _ = _lines_of_cubic_law(own, w, third_order)
+    exact = np.conj(w) * np.abs(lines) / lines
+    return np.asarray(np.where(possible, exact - own - third_order * by_cubic_law(own), 0.0))
+
+
+_SMALLEST_SQUARE, _ROUNDS = 1e-16, 4
+
+
+def _lines_of_cubic_law(own: Complexes, w: Complexes, third_order: Floats) -> tuple[Complexes, Complexes]:
+    """D(w) of :func:`beyond_first_order`, over the fundamental of the beat itself, and its derivative."""
+    zero, rest, pole = np.conj(own), 1 - np.abs(own) ** 2, 1 - own * w
+    wave, slope = (w - zero) / pole, rest / pole**2
+    cubic = wave**3 + zero**3
+    lines = 1 / pole + third_order * cubic / (w * rest)
+    return lines, own / pole**2 + third_order * (3 * wave**2 * slope / w - cubic / w**2) / rest
 
 
 def third_harmonic_share(square: Floats) -> Floats:

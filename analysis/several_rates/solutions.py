@@ -160,22 +160,6 @@ def with_coupling(
     return widened(said, share)
 
 
-def with_third_order(said: Answer, fit: RatioFit, data: RatioData) -> Answer:
-    """The answer with what equation (1), of first order in H, leaves of third-order distortion that is seen.
-
-    A cubic law applied to the beat itself leaves up to 10 H^2 of r, 0.1 % at -40 dBc, of another sign at another
-    phase, and of the lock-in rate less next to lock-in, by 1 - (WL/W)^2 of the slowest rate; with the beat as
-    reference the root of that. What adds less than 5 % to u is left out.
-    """
-    third, u = abs(float(fit.parameters[0, 5])), float(np.sqrt(fit.covariance[0, 5, 5]))
-    beat_rate = float(data.beat_rate.min())
-    less = beat_rate / math.hypot(beat_rate, said.value)
-    share = _LEFT_OF_THIRD * third**2 * (less if data.reference == "beat" else less**2)
-    if third <= _SURELY * u or share * said.value <= 0.5 * said.u:
-        return said
-    return widened(said, share)
-
-
 def widened(said: Answer, share: float) -> Answer:
     """The answer with one more unknown beside what it counts: a rectangle of half width `share` of its value."""
     extra = share * said.value / math.sqrt(3)
@@ -186,7 +170,6 @@ def widened(said: Answer, share: float) -> Answer:
 
 
 _SEEN = 3.3
-_SURELY, _LEFT_OF_THIRD = 5.0, 10.0
 _LARGEST_COUPLING, _USUAL_COUPLING = math.sqrt(3.0), 1 / math.sqrt(3.0)
 """tan(eps/2) of 120 and of 60 degrees between the backscatter of the beams."""
 

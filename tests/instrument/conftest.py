@@ -16,7 +16,6 @@ import pytest
 import pyvisa
 
 from instrument import TDS2014
-from instrument.in_use import claims
 from instrument.simulated import Faults, PtyServer, SimulatedTDS2014, TcpServer, resource_manager
 
 IDENTITY = "TEKTRONIX,TDS 2014,0,CF:91.1CT FV:v4.12 TDS2CM:CMV:v1.04"
@@ -249,12 +248,14 @@ def manager() -> pyvisa.ResourceManager:
 
 
 @pytest.fixture(autouse=True)
-def links_of_its_own(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+def links_of_its_own(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """A test finds no link of another one, which may run in another process, and leaves none in use.
 
     The number of a pseudo-terminal is given to the next one as soon as both its ends are closed: who opens a
     device that is gone would find a stranger there. So one end stays open until the test is over.
     """
+    claims = tmp_path_factory.mktemp("claims")
+    monkeypatch.setenv("GYROLOCK_LOCKS", str(claims))
     openpty, kept = getattr(os, "openpty", None), contextlib.ExitStack()
 
     def open_and_keep() -> tuple[int, int]:
@@ -266,7 +267,7 @@ def links_of_its_own(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
         monkeypatch.setattr(os, "openpty", open_and_keep)
     with kept:
         yield
-    assert not claims._held
+    assert not list(claims.iterdir())
 
 
 @pytest.fixture

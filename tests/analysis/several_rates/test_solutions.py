@@ -2,13 +2,12 @@
 
 import numpy as np
 import pytest
+import scipy.optimize
 from bench_signals import WL, K, both_senses, estimates, ratios_of_slow_gain
 
 from analysis import RatesFlag, fit_rate_ratios, fit_rates
 from analysis.several_rates import ReceiverKnowledge
-from analysis.several_rates.least_squares import RatioFit
-from analysis.several_rates.ratio_model import RatioData, third_harmonic_share
-from analysis.several_rates.solutions import Answer, with_third_order
+from analysis.several_rates.ratio_model import beyond_first_order, by_cubic_law, third_harmonic_share
 from benchmarks.several_rates.__main__ import LOCK_IN, NOISE, drawn, times
 
 PHASES = np.arange(36) * np.pi / 18
@@ -146,14 +145,43 @@ def test_120_degrees_between_the_beams_lie_inside_the_interval(multiples, noise)
     assert fit.lock_in_rate_low_95 < WL < fit.lock_in_rate_high_95
 
 
-@pytest.mark.parametrize("multiple", [1.2, 3])
-def test_what_first_order_leaves_of_third_order_distortion_counts(multiple):
-    """-40 dBc that is seen: 10 H^2 of r as a rectangle, less next to lock-in; nothing where it is noise."""
-    said, beat_rate = Answer(WL, 1e-5 * WL, 0.99 * WL, 1.01 * WL, ()), np.sqrt(multiple**2 - 1) * WL
-    one = np.ones(1)
-    data = RatioData(one, beat_rate * one, one, one, one, one, one, one, "rate")
-    for u, share in ((1e-4, 1e-3 * (1 - 1 / multiple**2)), (5e-3, 0.0)):
-        covariance = np.diag([0, 0, 0, 0, 0, u**2])[np.newaxis]
-        fit = RatioFit(np.array([[WL, 0, 0, 0, 0, 0.01]]), covariance, one, one > 2)
-        counted = with_third_order(said, fit, data).u
-        assert counted == pytest.approx(np.hypot(said.u, share * WL / np.sqrt(3)), rel=1e-6)
+def distorted(own, third_order):
+    """Complex ratio of the geometric series nearest to Re (Y + H Y^3), by least squares."""
+    circle = np.exp(2j * np.pi * np.arange(256) / 256)
+    light = (circle - np.conj(own)) / (1 - own * circle)
+    samples = (light + third_order * light**3).real
+
+    def left(parameters):
+        first, ratio = complex(*parameters[:2]), complex(*parameters[2:4])
+        return (first * circle / (1 - ratio * circle)).real + parameters[4] - samples
+
+    start = [1 - abs(own) ** 2, 0.0, own.real, own.imag, 0.0]
+    found = scipy.optimize.least_squares(left, start, xtol=1e-15, ftol=1e-15, gtol=1e-15).x
+    first, ratio = complex(*found[:2]), complex(*found[2:4])
+    return ratio * abs(first) / first
+
+
+@pytest.mark.parametrize("third_order", [0.01, -0.02])
+def test_a_cubic_law_beyond_first_order(third_order):
+    own = np.array([0.02, 0.2, 0.4, 0.6, 0.8]) * np.exp(1j * np.array([0.4, 1.7, 3.0, 4.5, 6.0]))
+    exact = np.array([distorted(one, third_order) for one in own])
+    first = own + third_order * by_cubic_law(own)
+    assert np.all(np.abs(exact - first) > third_order**2 * np.abs(own))
+    beyond = beyond_first_order(own, np.full(own.size, third_order))
+    np.testing.assert_allclose(first + beyond, exact, rtol=1e-6)
+    assert np.all(beyond_first_order(np.array([0.0, 1.0]), np.array([0.01, 0.01])) == 0)
+
+
+def test_third_order_distortion_that_is_seen_leaves_nothing():
+    """-34 dBc on the beat itself, without noise: (1) alone is 0.08 % off."""
+    rates = WL * both_senses(3, 5, 9, 17, 30)
+    beat = K * np.sqrt(rates**2 - WL**2)
+    r = WL / (np.abs(rates) + beat / K)
+    own = np.where(rates > 0, -r * np.exp(0.9j), r * np.exp(-0.9j))
+    third = 0.02 * third_harmonic_share(r**2)
+    ratio = np.array([distorted(one, 0.02) for one in own])
+    known = {"third_harmonic": third, "third_harmonic_u": 1e-6}
+    for reference in ("rate", "beat"):
+        fit = fit_rate_ratios(rates, ratio, np.eye(2) * 1e-12, beat, scale_factor=K, reference=reference, **known)
+        assert fit.third_order == pytest.approx(0.02, rel=1e-4)
+        assert fit.lock_in_rate == pytest.approx(WL, rel=3e-5)

@@ -9,7 +9,8 @@ import numpy as np
 
 from analysis.arrays import Bools, Floats, Indices, Ints, Samples
 from analysis.flags import Flag
-from analysis.waveform.records import LARGEST_CODE, THINNING, Counts, Records
+from analysis.waveform.masks import Masks
+from analysis.waveform.records import LARGEST_CODE, THINNING, Counts, Records, never_alone
 from analysis.waveform.residuals import Residual, residual_samples
 from analysis.waveform.series.geometric_series import Series, sampled_series
 from analysis.waveform.series.minimise import SeriesFit
@@ -63,12 +64,13 @@ class Outliers:
 
 @dataclass(frozen=True)
 class Damage:
-    """weights : (R, N) with clipped samples left out, or None if none is; limits : (R, 2) the range between the
-    clipping limits, +-inf where not clipped; flags : (R,)."""
+    """flags : (R,); rows : (H,) of the clipped records; weights : (H, N) of them, clipped samples left out;
+    limits : (H, 2) the range between their clipping limits, +-inf on the side where not clipped."""
 
-    weights: Samples | None
-    limits: Floats | None
     flags: Ints
+    rows: Indices
+    weights: Samples
+    limits: Floats
 
 
 def find_damage(records: Records, fit: SeriesFit, clipped: Bools | None) -> Damage:
@@ -93,13 +95,12 @@ def find_damage(records: Records, fit: SeriesFit, clipped: Bools | None) -> Dama
         low, high = _known_limits(values, weights, clipped)
     if weights is not None:
         flags[(weights == 0).any(axis=-1)] |= Flag.DAMAGED
-    hit = (np.isfinite(low) | np.isfinite(high)) & ~records.constant
-    if not hit.any():
-        return Damage(None, None, flags)
-    flags[hit] |= Flag.CLIPPED
-    kept = (values > low[:, np.newaxis]) & (values < high[:, np.newaxis])
-    undamaged = kept.astype(values.dtype) if weights is None else kept * weights
-    return Damage(undamaged, np.stack([low, high], axis=-1), flags)
+    rows = never_alone(np.flatnonzero((np.isfinite(low) | np.isfinite(high)) & ~records.constant))
+    flags[rows] |= Flag.CLIPPED
+    some, limits = values[rows], np.stack([low, high], axis=-1)[rows]
+    kept = (some > limits[:, :1]) & (some < limits[:, 1:])
+    undamaged = kept.astype(values.dtype) if weights is None else kept * weights[rows]
+    return Damage(flags, rows, undamaged, limits)
 
 
 def _known_limits(values: Samples, weights: Samples | None, clipped: Bools) -> tuple[Samples, Samples]:
@@ -167,13 +168,13 @@ def _how_many(found: Bools) -> Counts:
 
 
 def outliers(
-    values: Samples, weights: Samples | None, series: Series, residual: Residual, swing: Samples
+    values: Samples, masks: Masks, series: Series, residual: Residual, swing: Samples
 ) -> dict[int, Outliers]:
     """Samples that are single spikes, by record. Many of them are a misfit, not spikes, and are kept.
 
     Parameters
     ----------
-    values : (R, N); weights : (R, N) or None
+    values : (R, N); masks : (R,)
     series, residual : Series, Residual
         Fitted to them, and what that leaves.
     swing : (R,)
@@ -183,9 +184,8 @@ def outliers(
     # A single spike cannot hide: it stands out of the rms that it itself has raised. Missing samples are 0.
     rms = np.sqrt(residual.power / values.shape[1])
     for row in map(int, np.flatnonzero(residual.largest > 5 * rms)):
-        size = np.abs(residual_samples(values, weights, series, row))
-        valid = size if weights is None else size[weights[row] > 0]
-        noise = 1.4826 * float(np.median(valid))
+        size, mask = np.abs(residual_samples(values, masks, series, row)), masks.of_one(row)
+        noise = 1.4826 * float(np.median(size if mask is None else size[mask > 0]))
         found = size > max(SPIKE * noise, NOTHING * float(swing[row]))
         if found.any() and found.mean() <= 0.02:
             spikes[row] = Outliers(found, is_a_piece(found, size > BESIDE * noise))

@@ -10,6 +10,7 @@ import scipy.special
 
 from analysis.arrays import Bools, Complexes, Floats, Indices, Ints, Samples
 from analysis.flags import Flag
+from analysis.waveform.masks import Masks
 from analysis.waveform.misfit import (
     CURVED,
     LINE_CHANCE,
@@ -87,25 +88,25 @@ class Residual:
         self.lines[part], self.third[part] = other.lines, other.third
 
 
-def residual_of(values: Samples, weights: Samples | None, series: Series) -> Residual:
+def residual_of(values: Samples, masks: Masks, series: Series) -> Residual:
     """Subtract the waveform from (R, N) records; a few at a time, since the samples left are used up at once."""
     n_records, n_samples = values.shape
     if n_records <= records_at_once(n_samples, values.dtype):
-        return Residual.of(left_by(series, values, weights), series.omega)
+        left = left_by(series, values, None)
+        masks.clear(left, slice(None))
+        return Residual.of(left, series.omega)
     residual = Residual.empty(n_records, n_samples, values.dtype)
     for rows, model in sampled_blocks(series, n_samples, values.dtype):
         np.subtract(values[rows], model, out=model)
-        if weights is not None:
-            model *= weights[rows]
+        masks.clear(model, rows)
         residual.put(rows, Residual.of(model, series.omega[rows]))
     return residual
 
 
-def residual_samples(values: Samples, weights: Samples | None, series: Series, row: int) -> Samples:
+def residual_samples(values: Samples, masks: Masks, series: Series, row: int) -> Samples:
     """What the waveform leaves of one record, (N,)."""
     here = np.array([row])
-    left = left_by(series.take(here), values[here], None if weights is None else weights[here])
-    return np.asarray(left[0])
+    return np.asarray(left_by(series.take(here), values[here], masks.of_any(here))[0])
 
 
 def left_by(series: Series, values: Samples, weights: Samples | None) -> Samples:

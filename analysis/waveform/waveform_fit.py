@@ -10,6 +10,7 @@ from analysis.arrays import Bools, Complexes, Floats, Indices, Ints, Samples
 from analysis.flags import FATAL, Flag
 from analysis.waveform.damage import find_damage, outliers
 from analysis.waveform.drifting_ratio import HIDDEN, RARE, UNLIKELY, drift_of_ratio
+from analysis.waveform.masks import Masks
 from analysis.waveform.misfit import turned_by
 from analysis.waveform.moving_rate import MovingFit, fit_moving_rate, may_be_motion
 from analysis.waveform.quantisation import (
@@ -160,41 +161,39 @@ def _fit_records(records: Records, clipped: Bools | None) -> WaveformFit:
 
 def _fit_alike(records: Records, clipped: Bools | None) -> WaveformFit:
     """Fit two records or more all of which have missing samples, or none."""
-    values, weights = records.values, records.weights
-    fit = fit_series(values, weights)
+    values, masks = records.values, Masks.of(records.values, records.weights)
+    fit = fit_series(values, records.weights)
     damage = find_damage(records, fit, clipped)
-    flags = damage.flags
-    hit = never_alone(np.flatnonzero(flags & int(Flag.CLIPPED)))
-    if hit.size and damage.weights is not None and damage.limits is not None:
-        weights = np.ones_like(values) if weights is None else weights.copy()
-        refitted, weights[hit] = _fit_between_limits(
-            values[hit], weights[hit], damage.weights[hit], damage.limits[hit]
-        )
+    flags, hit = damage.flags, damage.rows
+    if hit.size:
+        refitted, kept = _fit_between_limits(values[hit], masks.of_all(hit), damage.weights, damage.limits)
+        masks = masks.changed(hit, kept)
         fit.put(hit, refitted)
 
-    left = residual_of(values, weights, fit.series)
-    spikes = outliers(values, weights, fit.series, left, records.highest - records.lowest)
+    left = residual_of(values, masks, fit.series)
+    spikes = outliers(values, masks, fit.series, left, records.highest - records.lowest)
     if spikes:
-        weights = np.ones_like(values) if weights is None else weights.copy()
-        for row, one in spikes.items():
-            weights[row, one.found] = 0.0
         spiked = never_alone(np.array(list(spikes)))
-        some, mask = values[spiked] * weights[spiked], weights[spiked]
+        mask = masks.of_all(spiked)
+        for place, row in enumerate(map(int, spiked)):
+            mask[place, spikes[row].found] = 0.0
+        masks = masks.changed(spiked, mask)
+        some = values[spiked] * mask
         refitted = fit_series(some, mask)  # anew: the spikes may have led the first fit astray
         fit.put(spiked, refitted)
-        left.put(spiked, residual_of(some, mask, refitted.series))
+        left.put(spiked, residual_of(some, Masks.of(some, mask), refitted.series))
         flags[spiked] |= Flag.DAMAGED
-    count = records.count if weights is None else weights.sum(axis=-1, dtype=np.float64)
-    rounding, repeats = _take_out_rounding(values, weights, fit, left, count)
+    count = masks.counted(records.count)
+    rounding, repeats = _take_out_rounding(values, masks, fit, left, count)
     flags[repeats] |= Flag.ROUNDING_REPEATS
     covariance = fit.covariance * rounding[:, np.newaxis, np.newaxis]
-    judged = _judged(records, weights, fit.series, covariance, left, count, flags)
+    judged = _judged(records, masks, fit.series, covariance, left, count, flags)
     judged.flags[[row for row, one in spikes.items() if one.piece]] |= Flag.MISFIT
     return judged
 
 
 def _take_out_rounding(
-    values: Samples, weights: Samples | None, fit: SeriesFit, left: Residual, count: Floats
+    values: Samples, masks: Masks, fit: SeriesFit, left: Residual, count: Floats
 ) -> tuple[Floats, Bools]:
     """Fit quiet records again with the mean rounding error taken out; fit and left are changed.
 
@@ -214,11 +213,11 @@ def _take_out_rounding(
     # The rounding error is taken where the first fit has put the waveform. That fit was moved by it by little, but
     # with next to no noise the error changes within a small part of a level.
     noisy = rms[quiet] > SILENT * spacing[quiet]
-    whole = np.ones(quiet.size, dtype=bool) if weights is None else weights[quiet].all(axis=-1)
+    whole = masks.whole(quiet)
     for times, few in ((1, noisy), (2, ~noisy)):
         for masked, chosen in ((False, few & whole), (True, few & ~whole)):
             if (rows := never_alone(quiet[chosen])).size:
-                mask = weights[rows] if masked and weights is not None else None
+                mask = masks.of_all(rows) if masked else None
                 refitted, rest = _without_rounding(
                     values[rows], mask, fit.series.take(rows), spacing[rows], rms[rows], times
                 )
@@ -238,12 +237,12 @@ def _without_rounding(
             corrected *= weights
         refitted, _ = gauss_newton(Task.of(corrected, weights), fitted)
         fitted = refitted.series
-    return refitted, residual_of(corrected, weights, fitted)
+    return refitted, residual_of(corrected, Masks.of(corrected, weights), fitted)
 
 
 def _judged(
     records: Records,
-    weights: Samples | None,
+    masks: Masks,
     series: Series,
     covariance: Floats,
     left: Residual,
@@ -263,7 +262,7 @@ def _judged(
     beat_power = np.abs(series.first) ** 2 / 2 * count
     at_rest = np.ones(len(count), dtype=bool)
     for row in map(int, np.flatnonzero(report.uneven & worth_it)):
-        moved = _moving_fit(records, weights, series, row, bool(fatal[row]))
+        moved = _moving_fit(records, masks, series, row, bool(fatal[row]))
         if moved is None or moved.variance > WORTH_MOVING * power[row] / free[row]:
             continue
         here = np.array([row])
@@ -289,7 +288,7 @@ def _judged(
         report.misfit[row] = np.hypot(report.misfit[row], moved.stepped_u)
         if moved.drift_chance < UNLIKELY:
             flags[row] |= Flag.PARTS_DIFFER
-        hidden, sure = _following_the_level(records.values[here], weights, row, moved)
+        hidden, sure = _following_the_level(records.values[here], masks.of_one(row), moved)
         report.misfit[row] = np.hypot(report.misfit[row], hidden / abs(moved.first))
         if sure:
             flags[row] |= Flag.MISFIT
@@ -297,13 +296,13 @@ def _judged(
             flags[row] |= Flag.MISFIT
             report.misfit[row] = np.hypot(report.misfit[row], turned_by(sidebands, abs(moved.ratio)))
     for row in map(int, np.flatnonzero(at_rest & ((flags & int(SUSPECT)) != 0) & ~fatal)):
-        left_over = _valid_left(records.values, weights, series, row)
+        left_over = _valid_left(records.values, masks, series, row)
         passing = max(passing_power(left_over), slow_curve_power(left_over))
         if passing:
             flags[row] |= Flag.MISFIT
             report.misfit[row] = np.hypot(report.misfit[row], np.sqrt(passing / beat_power[row]))
     variance = power / np.maximum(free, 1)
-    _look_closer(records.values, weights, series, report, variance * excess[:, 1], at_rest, flags)
+    _look_closer(records.values, masks, series, report, variance * excess[:, 1], at_rest, flags)
     flags[records.constant] = Flag.CONSTANT
     flags[count < FEWEST_SAMPLES] |= Flag.TOO_FEW_SAMPLES
     covariance *= variance[:, np.newaxis, np.newaxis]
@@ -312,7 +311,7 @@ def _judged(
 
 def _look_closer(
     values: Samples,
-    weights: Samples | None,
+    masks: Masks,
     series: Series,
     report: ResidualReport,
     variance: Floats,
@@ -327,7 +326,7 @@ def _look_closer(
 
     def taken(chosen: Bools) -> tuple[Indices, Samples, Samples | None, Series]:
         rows = never_alone(np.flatnonzero(chosen))
-        return rows, values[rows], None if weights is None else weights[rows], series.take(rows)
+        return rows, values[rows], masks.of_any(rows), series.take(rows)
 
     rows, some, mask, waves = taken(report.stronger)
     if rows.size:
@@ -342,35 +341,31 @@ def _look_closer(
         flags[rows[sure]] |= Flag.PARTS_DIFFER
 
 
-def _following_the_level(
-    values: Samples, weights: Samples | None, row: int, moved: MovingFit
-) -> tuple[float, bool]:
+def _following_the_level(values: Samples, mask: Samples | None, moved: MovingFit) -> tuple[float, bool]:
     """What `by_level` says of one record (1, N); rounding without noise follows the level too, and is known."""
     level = values - moved.left
     left, rms = moved.left, np.array([np.sqrt(moved.variance)])
     spacing = level_spacing(values, rms)
     if spacing[0]:
         left = left - mean_rounding(level, values, spacing, rms)[0]
-    valid = slice(None) if weights is None else weights[row] > 0
+    valid = slice(None) if mask is None else mask > 0
     return by_level(left[valid].astype(np.float64), level[0, valid], moved.degrees)
 
 
-def _valid_left(values: Samples, weights: Samples | None, series: Series, row: int) -> Floats:
+def _valid_left(values: Samples, masks: Masks, series: Series, row: int) -> Floats:
     """What the waveform leaves of the samples of one record that are believed."""
-    left = residual_samples(values, weights, series, row).astype(np.float64)
-    return left if weights is None else left[weights[row] > 0]
+    left, mask = residual_samples(values, masks, series, row).astype(np.float64), masks.of_one(row)
+    return left if mask is None else left[mask > 0]
 
 
-def _moving_fit(
-    records: Records, weights: Samples | None, series: Series, row: int, fatal: bool
-) -> MovingFit | None:
+def _moving_fit(records: Records, masks: Masks, series: Series, row: int, fatal: bool) -> MovingFit | None:
     """The record fitted with a motion, where its residual may come from one."""
-    left = residual_samples(records.values, weights, series, row).astype(np.float64)
+    left = residual_samples(records.values, masks, series, row).astype(np.float64)
     found = (float(series.omega[row]), complex(series.first[row]), float(np.abs(series.ratio[row])))
     if not fatal and not may_be_motion(left, *found):
         return None
-    values = records.values[row].astype(np.float64)
-    return fit_moving_rate(values, np.ones_like(values) if weights is None else weights[row].astype(np.float64))
+    values, mask = records.values[row].astype(np.float64), masks.of_one(row)
+    return fit_moving_rate(values, np.ones_like(values) if mask is None else mask.astype(np.float64))
 
 
 def _fit_between_limits(

@@ -99,7 +99,8 @@ def _lines(found: LockInFound) -> list[str]:
         f"95 % interval {interval_words(found)}, every input counted, from {counted} "
         f"record{'s' if counted != 1 else ''}{at}; the noise of the records alone: {noise_words(found)}."
     ]
-    return [*lines, truth_sentence(found)] if found.truth is not None else lines
+    missed = truth_is_missed(found)  # then it is said as what failed
+    return lines if missed or found.truth is None else [*lines, truth_sentence(found)]
 
 
 def _truth(found: LockInFound) -> str:

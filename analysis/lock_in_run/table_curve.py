@@ -1,0 +1,372 @@
+"""Beat frequencies over the rates of a table, by least squares: the curve that `table_check` tests them with.
+
+    sqrt(f^2 + h^2) = A (W_T + w_v) + P cos(a) + Q sin(a) + B
+
+with h = K WL, table rate W_T, vertical earth rate w_v, azimuth a and a bias B of the gyro.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.optimize
+import scipy.special
+
+from analysis.arrays import Bools, Floats, Indices
+from analysis.budget.unstated import BIAS_LIMIT_DPH, LATITUDE_LIMIT_DEG
+from analysis.lock_in_run.records import RunArrays, RunKnowledge
+from analysis.lock_in_run.table_rate import Tilt
+from analysis.lockin_rate import LockInEstimate
+from analysis.rotation import EARTH_RATE_DPS
+
+BIAS, _PLACES = 4, 6
+"""A, P, Q, h^2, B, and the place of a record between its two readings of the azimuth."""
+
+_RECTANGLE = math.sqrt(3.0)
+_UNIFORM = math.sqrt(12.0)
+_NORTH_U = math.radians(0.1)
+"""Of the azimuth that is stated for north: somebody aligned it with care."""
+
+_FEWEST = 3
+"""Degrees of freedom: fewer tell next to nothing of a variance."""
+
+_ROUNDS, _AT_ONCE = 60, 10_000
+_STILL = 1e-6
+"""Of the swing of the earth rate: what does not move."""
+
+
+@dataclass(frozen=True)
+class _Some:
+    """_Some records with a beat, (m,): Hz, deg/s, rad from north, rad turned in each, table's setting."""
+
+    frequency: Floats
+    frequency_u: Floats
+    table_rate: Floats
+    azimuth: Floats
+    turned: Floats
+    setting: Indices
+
+    @property
+    def oriented(self) -> Bools:
+        """Whether the azimuth of each is known."""
+        return np.isfinite(self.azimuth)
+
+
+@dataclass(frozen=True)
+class Seen:
+    """Records of the table, slow and then fast (n,): Hz, and which of them beat; the rest is read some at a time.
+
+    frequency, frequency_u, beating : (n,)
+    settings : (s,) rates of the table at which records beat, deg/s, rising
+    blind : (s,) whether the azimuth of some record there is not known
+    """
+
+    run: RunArrays
+    frequency: Floats
+    frequency_u: Floats
+    beating: Bools
+    settings: Floats
+    blind: Bools
+    north_deg: float
+
+    @classmethod
+    def of(cls, run: RunArrays, each: tuple[LockInEstimate, LockInEstimate], knowledge: RunKnowledge) -> Seen:
+        """Of a run and the estimates of each of its slow and fast records, fields of shape (n,)."""
+        table = (run.slow.table_rate, run.fast.table_rate)
+        beating = [one.usable & (one.beat_frequency_u > 0) for one in each]
+        settings = np.unique(
+            np.concatenate([np.unique(rate[there]) for rate, there in zip(table, beating, strict=True)])
+        )
+        seen = cls(
+            run,
+            np.concatenate([one.beat_frequency for one in each]),
+            np.concatenate([one.beat_frequency_u for one in each]),
+            np.concatenate(beating),
+            settings,
+            np.zeros(settings.size, dtype=bool),
+            knowledge.north_azimuth_deg,
+        )
+        for some in seen.blocks():
+            seen.blind[some.setting[~some.oriented]] = True
+        return seen
+
+    def blocks(self) -> Iterator[_Some]:
+        """Records that beat, some at a time."""
+        slow, fast = self.run.slow, self.run.fast
+        for first in range(0, self.beating.size, _AT_ONCE):
+            last = first + _AT_ONCE
+            rows = slice(first, last), slice(max(first - len(slow), 0), max(last - len(slow), 0))
+            there = self.beating[first:last]
+
+            def of(name: str, rows: tuple[slice, slice] = rows, there: Bools = there) -> Floats:
+                parts = [getattr(one, name)[some] for one, some in zip((slow, fast), rows, strict=True)]
+                return np.asarray(np.concatenate(parts)[there], dtype=np.float64)
+
+            table_rate, start, end = of("table_rate"), of("azimuth_start"), of("azimuth_end")
+            yield _Some(
+                self.frequency[first:last][there],
+                self.frequency_u[first:last][there],
+                table_rate,
+                np.radians((start + end) / 2 - self.north_deg),
+                np.radians(end - start),
+                np.searchsorted(self.settings, table_rate),
+            )
+
+
+@dataclass(frozen=True)
+class Stated:
+    """What enters the curve from elsewhere.
+
+    earth, earth_u : P and Q with the scale factor, north and latitude that are stated, Hz
+    vertical, horizontal : of the earth rate, deg/s; latitude_u relative, of the second
+    bias_u : of B, Hz
+    table_u, scale_u : relative
+    """
+
+    earth: tuple[float, float]
+    earth_u: tuple[float, float]
+    vertical: float
+    horizontal: float
+    latitude_u: float
+    bias_u: float
+    table_u: float
+    scale_u: float
+
+    @property
+    def swing(self) -> float:
+        """Of the earth rate at a phase that nobody knows, Hz; a cosine has a mean square of one half there."""
+        return math.hypot(*self.earth) / math.sqrt(2)
+
+    @classmethod
+    def of(cls, knowledge: RunKnowledge, tilt: Tilt) -> Stated:
+        """Of what is known of the bench; the tilt is that by the fast run."""
+        latitude = math.radians(knowledge.latitude_deg)
+        scale_u = knowledge.relative_scale_u
+        latitude_u = math.radians(knowledge.latitude_u_deg or LATITUDE_LIMIT_DEG / _RECTANGLE) * abs(
+            math.tan(latitude)
+        )
+        horizontal = EARTH_RATE_DPS * math.cos(latitude)
+        swing = knowledge.scale_factor * horizontal * math.sin(math.radians(tilt.tilt_deg))
+        return cls(
+            earth=(swing, 0.0),
+            earth_u=(
+                max(swing * math.hypot(scale_u, latitude_u), 1e-12),
+                max(swing * _NORTH_U, 1e-12),
+            ),
+            vertical=EARTH_RATE_DPS * math.sin(latitude),
+            horizontal=horizontal,
+            latitude_u=latitude_u,
+            bias_u=knowledge.scale_factor * BIAS_LIMIT_DPH / 3600 / _RECTANGLE,
+            table_u=knowledge.relative_table_u,
+            scale_u=scale_u,
+        )
+
+
+@dataclass(frozen=True)
+class Spread:
+    """A standard uncertainty, and the degrees of freedom that it was found with."""
+
+    u: float
+    degrees: float
+
+    def beside(self, known_u: float) -> Spread:
+        """Together with another one that is known."""
+        u = math.hypot(self.u, known_u)
+        return Spread(u, self.degrees * (u / self.u) ** 4 if self.u > 0 else math.inf)
+
+    def times(self, factor: float) -> Spread:
+        """Of so many times the number."""
+        return Spread(abs(factor) * self.u, self.degrees)
+
+    def p_value(self, difference: float) -> float:
+        """Probability of so large a difference, nan without an uncertainty."""
+        if not self.u > 0:
+            return math.nan
+        beyond = -abs(difference) / self.u
+        known = math.isinf(self.degrees)
+        return 2 * float(scipy.special.ndtr(beyond) if known else scipy.special.stdtr(self.degrees, beyond))
+
+    def seen(self, unlikely: float) -> float:
+        """Difference that has this probability."""
+        known = math.isinf(self.degrees)
+        low = scipy.special.ndtri(unlikely / 2) if known else scipy.special.stdtrit(self.degrees, unlikely / 2)
+        return -self.u * float(low)
+
+
+@dataclass(frozen=True)
+class Curve:
+    """A, P, Q, h^2 and what else was fitted, with their covariance.
+
+    still : covariance if nothing moved from one setting of the table to the next
+    degrees : of freedom that the size of that motion was found with
+    """
+
+    values: Floats
+    covariance: Floats
+    still: Floats
+    degrees: int
+
+    def u(self, place: int) -> float:
+        """Standard uncertainty of one value."""
+        return math.sqrt(self.covariance[place, place])
+
+    def spread(self, slope: Floats) -> Spread:
+        """Of a number with this slope by the first values.
+
+        By Welch and Satterthwaite: the noise is known, what moves between settings is found from few of them.
+        """
+        first = slope.size
+        variance, still = (float(slope @ c[:first, :first] @ slope) for c in (self.covariance, self.still))
+        share = max(1 - still / variance, 0.0) if variance > 0 else 0.0
+        return Spread(math.sqrt(variance), self.degrees / share**2 if share > 0 else math.inf)
+
+
+def fitted_curve(
+    seen: Seen, start: Floats, known: dict[int, float], stated: Stated, *, rate_moves: bool = False
+) -> Curve:
+    """Curve (1) by least squares; `known` holds the standard uncertainties of start values that are known.
+
+    Every setting of the table has an error of its own, and where nobody knows the azimuth, an earth rate of its
+    own. A scatter beyond the noise of the frequencies enlarges that noise; with `rate_moves` it is the same in Hz
+    for all (Paule and Mandel, J. Res. NBS 87, 377). What the records of a setting have in common beyond that, as a
+    ripple in step with them makes it, or coupling at a slow rate, is as large in Hz at every setting; its size is
+    found in the same way.
+    """
+    settings = seen.settings.size
+    values = np.concatenate([start, np.zeros(2 * settings)])
+    moving, stretch = 0.0, 1.0
+    told = 4 if rate_moves else 2  # of the first values, by the records
+    for _ in range(_ROUNDS):
+        equations = _Equations.none(settings, values.size)
+        for some in seen.blocks():
+            noise = np.sqrt((stretch * some.frequency_u) ** 2 + moving)
+            equations.add(*_linearised(values, some, stated), noise, some.setting)
+        scatter, free = equations.within_settings(), int(seen.beating.sum()) - settings
+        beyond = scatter.chi_square - free
+        as_expected = abs(beyond) <= 0.01 * free or (beyond < 0 and moving == 0 and stretch == 1)
+        before = _Before(seen, start, known, values, stated.swing, equations.triangle)
+        common = before.common_to_a_setting(scatter.chi_square, settings - told)
+        change, covariance = before.solved(common)
+        values = values + change
+        if as_expected and np.all(np.abs(change) < 1e-6 * np.sqrt(np.diagonal(covariance))):
+            break
+        if not as_expected and rate_moves:
+            moving = max(moving + beyond / scatter.slope_by_variance, 0.0)
+        elif not as_expected:
+            stretch = max(stretch * math.sqrt(scatter.chi_square / free), 1.0)
+    return Curve(values, covariance, before.solved(0.0)[1], settings - told)
+
+
+@dataclass(frozen=True)
+class _Scatter:
+    """Of the records about the means of their settings: chi-square, and how it falls with their variance."""
+
+    chi_square: float
+    slope_by_variance: float
+
+
+@dataclass
+class _Equations:
+    """The triangle that stands for the equations of all records, over their noise; right side in its last column.
+
+    It comes out of a QR decomposition, some records at a time: those of a million need no room.
+
+    moments : (6, s) sums over the records of a setting, by which they scatter about their mean
+    """
+
+    triangle: Floats
+    moments: Floats
+
+    @staticmethod
+    def none(n_settings: int, n_values: int) -> _Equations:
+        return _Equations(np.empty((0, n_values + 1)), np.zeros((6, n_settings)))
+
+    def add(self, left: Floats, slopes: Floats, noise: Floats, setting: Indices) -> None:
+        """Distances of some records from the curve, Hz, their derivatives by all values, and their noise."""
+        equations = np.column_stack([slopes, left]) / noise[:, np.newaxis]
+        self.triangle = np.asarray(np.linalg.qr(np.concatenate([self.triangle, equations]), mode="r"))
+        for row, (power, of_noise) in enumerate(itertools.product((0, 1, 2), (2, 4))):
+            np.add.at(self.moments[row], setting, left**power / noise**of_noise)
+
+    def within_settings(self) -> _Scatter:
+        """How the records scatter about the means of their settings."""
+        n2, n4, l2, l4, ll2, ll4 = self.moments
+        mean = l2 / np.maximum(n2, 1e-300)
+        return _Scatter(float(np.sum(ll2 - mean * l2)), float(np.sum(ll4 - 2 * mean * l4 + mean**2 * n4)))
+
+
+@dataclass(frozen=True)
+class _Before:
+    """What is known before, beside the equations of the records."""
+
+    seen: Seen
+    start: Floats
+    known: dict[int, float]
+    values: Floats
+    swing: float
+    of_records: Floats
+
+    def _rows(self, common: float) -> Floats:
+        """Equations of what is known: some of the first values, the place in a record, errors of the settings."""
+        settings = self.seen.settings.size
+        own = np.hypot(np.where(self.seen.blind, 1.0, _STILL), common / self.swing if self.swing > 0 else 0.0)
+        weights = np.concatenate([[_UNIFORM], np.ones(settings), 1 / own])
+        rows = np.zeros((len(self.known) + weights.size, self.values.size + 1))
+        for row, (place, u) in enumerate(self.known.items()):
+            rows[row, place], rows[row, -1] = 1 / u, (self.start[place] - self.values[place]) / u
+        rows[len(self.known) :, _PLACES - 1 : -1] = np.diag(weights)
+        rows[len(self.known) :, -1] = -weights * self.values[_PLACES - 1 :]
+        return rows
+
+    def _white(self, common: float) -> Floats:
+        return np.asarray(np.linalg.qr(np.concatenate([self._rows(common), self.of_records]), mode="r"))
+
+    def common_to_a_setting(self, within: float, degrees: int) -> float:
+        """Standard deviation, Hz, of what the records of a setting have in common.
+
+        Chi-square beyond that `within` the settings is then as expected for so many degrees of freedom.
+        """
+        least, most = (share * self.swing for share in (_STILL, 1 / _STILL))
+        if degrees < _FEWEST or not least > 0:
+            return 0.0
+        expected = max(within, self._chi_square(most)) + degrees
+        if self._chi_square(least) <= expected:
+            return 0.0
+        ends = math.log(least), math.log(most)
+        return math.exp(
+            float(scipy.optimize.brentq(lambda log: self._chi_square(math.exp(log)) - expected, *ends, xtol=1e-9))
+        )
+
+    def _chi_square(self, common: float) -> float:
+        return float(self._white(common)[-1, -1] ** 2)
+
+    def solved(self, common: float) -> tuple[Floats, Floats]:
+        """Change of the values, and their covariance."""
+        white = self._white(common)[:-1]
+        size = np.linalg.norm(white[:, :-1], axis=0)
+        inverse = np.linalg.pinv(white[:, :-1] / size, rcond=1e-12) / size[:, np.newaxis]
+        return np.asarray(inverse @ white[:, -1]), np.asarray(inverse @ inverse.T)
+
+
+def _linearised(values: Floats, seen: _Some, stated: Stated) -> tuple[Floats, Floats]:
+    """Distance of the records from the curve, Hz, and its derivatives by all values."""
+    along, north, east, squared, bias, place = values[:_PLACES]
+    error, earth = np.split(values[_PLACES:], 2)
+    settings = error.size
+    own = np.eye(settings)[seen.setting]
+    azimuth = np.where(seen.oriented, seen.azimuth + place * seen.turned, 0.0)
+    cos, sin = np.where(seen.oriented, (np.cos(azimuth), np.sin(azimuth)), 0.0)
+    moved = np.where(seen.oriented, seen.turned * (east * cos - north * sin), 0.0)
+    swing = stated.swing
+    sense = np.sign(seen.table_rate)
+    table = seen.table_rate * stated.table_u
+    rate = seen.table_rate + stated.vertical + table * error[seen.setting]
+    y = along * rate + north * cos + east * sin + bias + swing * earth[seen.setting]
+    left = np.sqrt(np.maximum(seen.frequency**2 + squared, 0.0)) - sense * y
+    ones = np.ones(y.size)
+    columns = [rate, cos, sin, -sense / (2 * np.abs(y)), ones, moved, *(along * table * own.T), *(swing * own.T)]
+    return left, np.asarray(sense[:, np.newaxis] * np.stack(columns, axis=-1))

@@ -67,8 +67,8 @@ def _scale_factor(one: ScaleFactorCheck, used: float) -> str:
         wrong = 100 * (one.scale_factor / used - 1)
         return (
             f"{text}. They differ by {wrong:+.2g} %, more than chance explains, and by so much the lock-in rate "
-            "is then wrong: measure the scale factor, or look for a wrong angle, latitude or table rate, or a bias of "
-            "the gyro."
+            "is then wrong: measure the scale factor, or look for a wrong angle, latitude or table rate, or a "
+            "bias of the gyro."
         )
     return f"{text}, which agrees."
 

@@ -116,7 +116,8 @@ def tilt_from_fast_runs(
     if not f.shape == fu.shape == table.shape or not np.all(np.isfinite(f + fu + table)) or np.any(table == 0):
         raise NoTilt("every fast run needs a beat frequency, its uncertainty and a table rate that is not zero")
     measured = np.sign(table) * np.hypot(f / scale_factor, lock_in_rate)
-    first = _first_tilt(measured, table)
+    own = np.maximum(fu / scale_factor, SMALLEST_U_DPS)
+    first = _first_tilt(measured, table, own)
     turned = np.broadcast_to(np.asarray(turned_deg, dtype=np.float64), f.shape)
     latitude = np.deg2rad(latitude_deg)
     swing = EARTH_RATE_DPS * np.cos(latitude) * np.sinc(turned / 360)
@@ -128,7 +129,6 @@ def tilt_from_fast_runs(
         azimuth = np.deg2rad(np.broadcast_to(np.asarray(azimuth_deg, dtype=np.float64), f.shape))
         crossing = swing * np.cos(azimuth)
         unknown = np.abs(swing * np.sin(azimuth)) * np.sin(first) * np.deg2rad(azimuth_u_deg)
-    own = np.maximum(fu / scale_factor, SMALLEST_U_DPS)
     # Weights alike for all azimuths: a run at a lucky one must not stand for both senses, or a drift would count.
     us = np.hypot(own, np.sqrt(np.mean(unknown**2)))
     tilt = _least_squares(measured, us, turning, crossing, first)
@@ -154,10 +154,11 @@ def _mean_u(turning: Floats, us: Floats, own: Floats, unknown: Floats, table: Fl
     return float(np.hypot(np.linalg.norm(weights * own), np.linalg.norm(shared)) / np.sum(weights * turning))
 
 
-def _first_tilt(measured: Floats, table: Floats) -> float:
-    """Tilt, rad, without the earth rate."""
+def _first_tilt(measured: Floats, table: Floats, own: Floats) -> float:
+    """Tilt, rad, without the earth rate; `own` is the standard uncertainty of each measured rate."""
     cosine = float(np.sum(measured * table) / np.sum(table**2))
-    if cosine > 1 + FASTER_THAN_POSSIBLE:
+    noise = float(np.linalg.norm(own * table) / np.sum(table**2))
+    if cosine > 1 + FASTER_THAN_POSSIBLE + 4 * noise:
         raise NoTilt(
             f"the beat is {cosine:.4f} times K times the table rate; at most 1 is possible: "
             "check the scale factor and the table rate"

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from analysis.arrays import Floats
+from analysis.flags import Flag
 from analysis.lock_in_run.estimates import Method, estimate_records
 from analysis.lock_in_run.records import RecordArrays, RunArrays, RunKnowledge
 from analysis.lockin_rate import LockInEstimate
@@ -76,10 +77,14 @@ def find_tilt(fast: RecordArrays, knowledge: RunKnowledge, lock_in_rate: float =
     """
     each = fast_estimates(fast, knowledge)
     frequency, frequency_u = each.beat_frequency, each.beat_frequency_u
-    by_itself = not math.isfinite(lock_in_rate)
-    if by_itself:
-        # lock-in pulls the beat down by (WL/W)^2 / 2
-        frequency_u = np.hypot(frequency_u, frequency * 4 * each.ratio * each.ratio_u)
+    pulling: float | Floats = lock_in_rate
+    if not math.isfinite(lock_in_rate):
+        # lock-in pulls the beat down by (WL/W)^2 / 2, nearly 2 r^2; a ratio in the noise bounds it
+        seen = (each.flags & int(Flag.RATIO_NOT_SIGNIFICANT)) == 0
+        seen &= seen.mean() > 0.5  # otherwise it is one by chance
+        pulling = np.where(seen, each.lock_in_rate, 0.0)
+        unknown = np.where(seen, 4 * each.ratio * each.ratio_u, 2 * (each.ratio**2 + each.ratio_u**2))
+        frequency_u = np.hypot(frequency_u, frequency * unknown)
     oriented = bool(np.isfinite(fast.azimuth).all())
     fit = tilt_from_fast_runs(
         frequency,
@@ -89,7 +94,7 @@ def find_tilt(fast: RecordArrays, knowledge: RunKnowledge, lock_in_rate: float =
         latitude_deg=knowledge.latitude_deg,
         azimuth_deg=fast.azimuth - knowledge.north_azimuth_deg if oriented else None,
         azimuth_u_deg=fast.turned / _UNIFORM if oriented else 0.0,
-        lock_in_rate=each.lock_in_rate if by_itself else lock_in_rate,
+        lock_in_rate=pulling,
         scale_factor_u=knowledge.scale_factor * knowledge.relative_scale_u,
         table_rate_u=knowledge.relative_table_u,
         by_scatter=True,

@@ -261,7 +261,7 @@ def fast_run_tilt(run: SavedRun, settings: Settings) -> Tilt:
         if silent:
             raise NoUsableSignal(
                 f"{silent} of {len(fast)} records of the fast run show no steady beat: is the gyro locked for a "
-                "part of them? Turn faster (table.fast_rate_dps)"
+                "part of them? Turn faster (table.fast_rate_dps), or slower where the detector cannot follow"
             ) from None
         raise RunError(_no_tilt(error)) from None
 

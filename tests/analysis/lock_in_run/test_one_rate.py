@@ -114,6 +114,15 @@ def test_the_tilt_with_and_without_azimuths(gyro):
     assert abs(by_itself.tilt_deg - TILT) < 4 * by_itself.tilt_u_deg
 
 
+def test_the_tilt_of_a_fast_run_whose_second_harmonic_is_lost_in_the_noise(monkeypatch):
+    """As behind a detector that is far too slow for the fast run; an axis along the table's shows it most."""
+    monkeypatch.setattr("array_bench.TILT", 4.0)
+    for seed in range(8):
+        weak = Gyro(np.random.default_rng(seed), noise=1.7)
+        tilt = find_tilt(records(weak, [2.0] * 4 + [-2.0] * 4, periods=25.8), KNOWN)
+        assert abs(tilt.tilt_deg - 4.0) < 2 * tilt.tilt_u_deg < 12
+
+
 def test_a_beat_faster_than_the_table_is_no_tilt(gyro):
     run = whole_run(gyro, [0.08] * 2)
     with pytest.raises(NoTilt, match="at most 1 is possible"):

@@ -240,16 +240,18 @@ def fitted_curve(
     values = np.concatenate([start, np.zeros(2 * settings)])
     moving, stretch = 0.0, 1.0
     told = 4 if rate_moves else 2  # of the first values, by the records
+    few = settings - told < _FEWEST
+    free = max(int(seen.beating.sum()) - settings - few, 1)
     for _ in range(_ROUNDS):
         equations = _Equations.none(settings, values.size)
         for some in seen.blocks():
             noise = np.sqrt((stretch * some.frequency_u) ** 2 + moving)
             equations.add(*_linearised(values, some, stated), noise, some.setting)
-        scatter, free = equations.within_settings(), int(seen.beating.sum()) - settings
+        scatter = equations.about_the_curve() if few else equations.within_settings()
         beyond = scatter.chi_square - free
         as_expected = abs(beyond) <= 0.01 * free or (beyond < 0 and moving == 0 and stretch == 1)
         before = _Before(seen, start, known, values, stated.swing, equations.triangle)
-        common = before.common_to_a_setting(scatter.chi_square, settings - told)
+        common = 0.0 if few else before.common_to_a_setting(scatter.chi_square, settings - told)
         change, covariance = before.solved(common)
         values = values + change
         if as_expected and np.all(np.abs(change) < 1e-6 * np.sqrt(np.diagonal(covariance))):
@@ -263,7 +265,7 @@ def fitted_curve(
 
 @dataclass(frozen=True)
 class _Scatter:
-    """Of the records about the means of their settings: chi-square, and how it falls with their variance."""
+    """Of records: chi-square, and how it falls with their variance."""
 
     chi_square: float
     slope_by_variance: float
@@ -291,6 +293,10 @@ class _Equations:
         self.triangle = np.asarray(np.linalg.qr(np.concatenate([self.triangle, equations]), mode="r"))
         for row, (power, of_noise) in enumerate(itertools.product((0, 1, 2), (2, 4))):
             np.add.at(self.moments[row], setting, left**power / noise**of_noise)
+
+    def about_the_curve(self) -> _Scatter:
+        """How the records scatter where too few settings tell what moves from one to the next."""
+        return _Scatter(float(np.sum(self.moments[4])), float(np.sum(self.moments[5])))
 
     def within_settings(self) -> _Scatter:
         """How the records scatter about the means of their settings."""
@@ -331,7 +337,7 @@ class _Before:
         Chi-square beyond that `within` the settings is then as expected for so many degrees of freedom.
         """
         least, most = (share * self.swing for share in (_STILL, 1 / _STILL))
-        if degrees < _FEWEST or not least > 0:
+        if not least > 0:
             return 0.0
         expected = max(within, self._chi_square(most)) + degrees
         if self._chi_square(least) <= expected:

@@ -30,7 +30,7 @@ from analysis.several_rates.ratio_model import (
     RatioData,
     Reference,
     beyond_first_order,
-    ratio_of_light,
+    third_order_by_third_harmonic,
 )
 from analysis.several_rates.ratio_records import (
     RatioRecords,
@@ -252,15 +252,21 @@ def _fit(
 
 
 def _beyond_first_order(points: Points, found: RatioFit, prior: Prior, most: float) -> tuple[Points, RatioFit]:
-    """Points and minima, the ratios freed of what (1) leaves of third-order distortion, where that is seen."""
-    if abs(found.parameters[0, 5]) <= _SEEN * np.sqrt(found.covariance[0, 5, 5]):
-        return points, found
+    """Points and minima, freed of what (1) leaves of third-order distortion, where the third harmonic shows it.
+
+    Ratios alone do not: what misfits looks like it.
+    """
     data = points.points
+    alone, alone_u = third_order_by_third_harmonic(found.parameters[:1], data)
+    third_order_u = np.sqrt(found.covariance[0, 5, 5])
+    if abs(alone) <= _SEEN * alone_u or abs(found.parameters[0, 5]) <= _SEEN * third_order_u:
+        return points, found
     for _ in range(_PASSES):
         best = found.parameters[:1]
-        left = beyond_first_order(ratio_of_light(best, data), best[:, 5, np.newaxis] * data.amplitude**2)
-        found = fit_ratios(replace(data, ratio=data.ratio - left[0]), prior, found.parameters)
-    freed = replace(points, points=replace(data, ratio=data.ratio - left[0]))
+        ratio, third = (left[0] for left in beyond_first_order(best, data))
+        freed_data = replace(data, ratio=data.ratio - ratio, third=data.third - third)
+        found = fit_ratios(freed_data, prior, found.parameters)
+    freed = replace(points, points=freed_data)
     return freed, up_to(all_solutions(freed.points, prior), most)
 
 

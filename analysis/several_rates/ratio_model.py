@@ -106,6 +106,13 @@ def predicted(parameters: Floats, data: RatioData) -> tuple[Complexes, Floats]:
 
 def ratio_of_light(parameters: Floats, data: RatioData) -> Complexes:
     """rho0 of equation (1), before the receiver, for parameters (B, N_PARAMETERS), shape (B, n)."""
+    fast, slowness = _of_fast_gain(parameters, data)
+    gain, turn = gain_factors(fast, slowness)
+    return np.asarray(fast * gain * turn)
+
+
+def _of_fast_gain(parameters: Floats, data: RatioData) -> tuple[Complexes, Floats]:
+    """q of equation (1), and 2 pi f T, (B, n)."""
     z = (parameters[..., 0] + 1j * parameters[..., 1])[..., np.newaxis]
     gain_time, square = parameters[..., 3, np.newaxis], np.abs(z) ** 2
     if data.reference == "beat":
@@ -115,8 +122,7 @@ def ratio_of_light(parameters: Floats, data: RatioData) -> Complexes:
         rate = np.maximum(np.abs(data.rate), np.sqrt(square))
         per_rate = 1 / (rate + np.sqrt((rate - np.sqrt(square)) * (rate + np.sqrt(square))))
     fast = np.where(data.rate > 0, -z, np.conj(z)) * per_rate
-    gain, turn = gain_factors(fast, data.angular * gain_time)
-    return np.asarray(fast * gain * turn)
+    return np.asarray(fast), np.asarray(data.angular * gain_time)
 
 
 _LARGEST_SQUARE = 0.99
@@ -172,42 +178,65 @@ def by_cubic_law(own: Complexes) -> Complexes:
     return np.asarray(2j * own * (own**2).imag - (1 - share) * np.conj(own))
 
 
-def beyond_first_order(own: Complexes, third_order: Floats) -> Complexes:
-    """What a cubic law of size H adds to rho0 beyond the first order in H: about 2 H^2 of it.
+def beyond_first_order(parameters: Floats, data: RatioData) -> tuple[Complexes, Floats]:
+    """What a cubic law adds to the ratio and to the third harmonic beside what (1) says of it.
 
-    The beat is Re Y, Y(z) = (z - q*)/(1 - q z) on the unit circle, and the receiver makes Re (Y + H Y^3) of it.
-    With c_n the lines of that and D(w) = sum c_n w^(n-1), the geometric series nearest to it has the ratio g = w*
-    where (1 - |w|^2) |D(w)|^2 is largest, D'/D = w*/(1 - |w|^2), and the fundamental (1 - |w|^2) D(w).
+    (1) is of first order in H, and takes the light to be as large at every phase of the beat. Slow gain leaves it
+    to wink: with q e^(...) of size r, the light of the fringes is (z - r)^2/[(1 - p z)(z - p*)], p = r G, and the
+    cube of what the receiver sees of it has three times the winking in its fundamental.
 
-    Parameters
-    ----------
-    own : (...)
-        rho0.
-    third_order : (...)
-        H of each.
+    The lines d_n of the distorted signal come from one period of it. With D(w) = sum d_n w^(n-1), the geometric
+    series nearest to them has the ratio w* where (1 - |w|^2) |D(w)|^2 is largest, D'/D = w*/(1 - |w|^2), and the
+    fundamental (1 - |w|^2) D(w).
+
+    Returns
+    -------
+    ratio, third : (B, n)
+        0 where there is next to no lock-in or next to nothing else.
     """
-    share = np.abs(own) ** 2
-    possible = (share > _SMALLEST_SQUARE) & (share < _LARGEST_SQUARE)
-    own = np.where(possible, own, 0.5)
-    w, rest = np.conj(own), 1 - np.abs(own) ** 2
+    fast, slowness = _of_fast_gain(parameters, data)
+    gain, turn = gain_factors(fast, slowness)
+    own = fast * gain * turn
+    size = parameters[..., 5, np.newaxis] * data.amplitude**2
+    possible = (np.abs(own) > _SMALLEST) & (np.abs(fast) < _LARGEST)
+    fast, gain, own = np.where(possible, (fast, gain, own), np.array([0.5, 1.0, 0.5])[:, np.newaxis, np.newaxis])
+    distorted = _distorted(fast, gain, own, size)
+    w = np.conj(own)
     for _ in range(_ROUNDS):
-        lines, slope = _lines_of_cubic_law(own, w, third_order)
-        w = w + rest * (np.conj(slope * (1 - np.abs(w) ** 2) / lines) - w)
-    lines, _ = _lines_of_cubic_law(own, w, third_order)
-    exact = np.conj(w) * np.abs(lines) / lines
-    return np.asarray(np.where(possible, exact - own - third_order * by_cubic_law(own), 0.0))
+        value, slope = _polynomial(distorted, w)
+        w = w + (1 - np.abs(own) ** 2) * (np.conj(slope * (1 - np.abs(w) ** 2) / value) - w)
+    value, _ = _polynomial(distorted, w)
+    turned = np.abs(value) / value
+    ratio = np.conj(w) * turned - own - size * by_cubic_law(own)
+    left = distorted[..., 2] - (1 - np.abs(w) ** 2) * value * np.conj(w) ** 2
+    third = (left * turned**3).real / np.abs(value) - size * third_harmonic_share(np.abs(own) ** 2)
+    return np.where(possible, ratio, 0.0), np.where(possible, third, 0.0)
 
 
-_SMALLEST_SQUARE, _ROUNDS = 1e-16, 4
+_SMALLEST, _LARGEST = 1e-8, 0.95
+"""Ratios between which a cubic law is worked out."""
+
+_PHASES, _ROUNDS = 512, 6
 
 
-def _lines_of_cubic_law(own: Complexes, w: Complexes, third_order: Floats) -> tuple[Complexes, Complexes]:
-    """D(w) of :func:`beyond_first_order`, over the fundamental of the beat itself, and its derivative."""
-    zero, rest, pole = np.conj(own), 1 - np.abs(own) ** 2, 1 - own * w
-    wave, slope = (w - zero) / pole, rest / pole**2
-    cubic = wave**3 + zero**3
-    lines = 1 / pole + third_order * cubic / (w * rest)
-    return lines, own / pole**2 + third_order * (3 * wave**2 * slope / w - cubic / w**2) / rest
+def _distorted(fast: Complexes, gain: Complexes, own: Complexes, third_order: Floats) -> Complexes:
+    """Lines (..., L) of the beat behind a cubic law, its amplitude 1 and its fundamental real before it."""
+    square, rest = np.abs(fast) ** 2, 1 - np.abs(own) ** 2
+    image = (1 - square * gain) ** 2 + (fast * (1 - gain)) ** 2
+    constant = (np.conj(fast) * (square * gain + np.conj(gain) - 2)).real * rest / np.abs(image)
+    phases = np.exp(2j * np.pi * np.arange(_PHASES) / _PHASES)
+    pole = 1 - own[..., np.newaxis] * phases
+    signal = constant[..., np.newaxis] + (rest[..., np.newaxis] * phases / pole).real
+    cubic = (third_order / (1 - 3 * third_order))[..., np.newaxis]
+    signal = (signal + 4 * cubic * signal**3) / (1 + 3 * cubic)
+    return np.asarray(2 / _PHASES * np.fft.rfft(signal)[..., 1:-1])
+
+
+def _polynomial(lines: Complexes, w: Complexes) -> tuple[Complexes, Complexes]:
+    """Sum of d_n w^(n-1), and its derivative."""
+    orders = np.arange(lines.shape[-1])
+    powers = w[..., np.newaxis] ** orders
+    return np.vecdot(np.conj(lines), powers), np.vecdot(np.conj(lines[..., 1:]), orders[1:] * powers[..., :-1])
 
 
 def third_harmonic_share(square: Floats) -> Floats:
@@ -218,6 +247,14 @@ def third_harmonic_share(square: Floats) -> Floats:
     """
     rest = 1 - square
     return np.asarray(rest * (rest**2 - 4 * rest * square + square**2))
+
+
+def third_order_by_third_harmonic(parameters: Floats, data: RatioData) -> tuple[float, float]:
+    """H by the third harmonics of the points alone, and its standard uncertainty, inf where they are not known."""
+    share = third_harmonic_share(np.abs(ratio_of_light(parameters, data)) ** 2) * data.amplitude**2
+    weight = data.third_weight**2
+    power = float(np.sum(weight * share**2))
+    return (float(np.sum(weight * share * data.third)) / power, power**-0.5) if power > 0 else (0.0, np.inf)
 
 
 def _third_by_low_pass(lag: Floats) -> Complexes:

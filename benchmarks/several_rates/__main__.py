@@ -18,7 +18,7 @@ import numpy as np
 from analysis.budget import Corner
 from analysis.budget.unstated import SECOND_ORDER_LIMIT, THIRD_ORDER_LIMIT, lowest_bandwidth, lowest_gain_corner
 from analysis.several_rates import RatesFit, RatesFlag, RatioData, ReceiverKnowledge, Reference, fit_rate_ratios
-from analysis.several_rates.ratio_model import beyond_first_order, predicted, ratio_of_light
+from analysis.several_rates.ratio_model import beyond_first_order, predicted
 
 K, LOCK_IN = 2000.0, 0.05
 NOISE = 0.01 * np.sqrt(2 / 2500)
@@ -151,8 +151,10 @@ def drawn(
         third_weight=nothing,
         reference=reference,
     )
-    ratio, third = (values[0] for values in predicted(truth, data))
-    ratio = ratio + beyond_first_order(ratio_of_light(truth, data), truth[:, 5, np.newaxis])[0]
+    ratio, third = (
+        first[0] + more[0]
+        for first, more in zip(predicted(truth, data), beyond_first_order(truth, data), strict=True)
+    )
     shaken = ratio + noise * (rng.normal(size=rate.size) + 1j * rng.normal(size=rate.size))
     return fit_rate_ratios(
         rate,

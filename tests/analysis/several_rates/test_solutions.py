@@ -7,7 +7,7 @@ from bench_signals import WL, K, both_senses, estimates, ratios_of_slow_gain
 
 from analysis import RatesFlag, fit_rate_ratios, fit_rates
 from analysis.several_rates import ReceiverKnowledge
-from analysis.several_rates.ratio_model import beyond_first_order, by_cubic_law, third_harmonic_share
+from analysis.several_rates.ratio_model import RatioData, beyond_first_order, predicted, third_harmonic_share
 from benchmarks.several_rates.__main__ import LOCK_IN, NOISE, drawn, times
 
 PHASES = np.arange(36) * np.pi / 18
@@ -145,43 +145,82 @@ def test_120_degrees_between_the_beams_lie_inside_the_interval(multiples, noise)
     assert fit.lock_in_rate_low_95 < WL < fit.lock_in_rate_high_95
 
 
-def distorted(own, third_order):
-    """Complex ratio of the geometric series nearest to Re (Y + H Y^3), by least squares."""
-    circle = np.exp(2j * np.pi * np.arange(256) / 256)
-    light = (circle - np.conj(own)) / (1 - own * circle)
-    samples = (light + third_order * light**3).real
+def nearest_series(samples, circle):
+    """Fundamental and ratio of the geometric series nearest to one period, by least squares, and what is left."""
 
     def left(parameters):
         first, ratio = complex(*parameters[:2]), complex(*parameters[2:4])
         return (first * circle / (1 - ratio * circle)).real + parameters[4] - samples
 
-    start = [1 - abs(own) ** 2, 0.0, own.real, own.imag, 0.0]
+    lines = 2 * np.fft.rfft(samples) / samples.size
+    start = [
+        lines[1].real,
+        lines[1].imag,
+        (lines[2] / lines[1]).real,
+        (lines[2] / lines[1]).imag,
+        lines[0].real / 2,
+    ]
     found = scipy.optimize.least_squares(left, start, xtol=1e-15, ftol=1e-15, gtol=1e-15).x
-    first, ratio = complex(*found[:2]), complex(*found[2:4])
-    return ratio * abs(first) / first
+    return complex(*found[:2]), complex(*found[2:4]), -left(found)
 
 
+def distorted(own, third_order, slowness=0.0):
+    """Ratio and third harmonic behind a cubic law of the beat with rho0 = `own` for fast gain.
+
+    `slowness` is 2 pi f T: the light I of both beams is 1/(M psi'), M being 1/psi' behind one pole.
+    """
+    circle = np.exp(2j * np.pi * np.arange(512) / 512)
+    r, turn = abs(own), np.conj(own) / abs(own)
+    per_speed = 1 + r**2 - 2 * r * circle.real  # 1/psi', but for a constant
+    behind_pole = 1 + r**2 - 2 * r * (circle / (1 + 1j * slowness)).real
+    light = turn * per_speed / behind_pole * (circle - r) / (1 - r * circle)
+    first, ratio, _ = nearest_series(light.real, circle)
+    clean = light.real * (1 - abs(ratio) ** 2) / abs(first)
+    h = third_order / (1 - 3 * third_order)
+    first, ratio, left = nearest_series((clean + 4 * h * clean**3) / (1 + 3 * h), circle)
+    line = 2 * np.mean(left / circle**3) * (np.conj(first) / abs(first)) ** 3
+    return ratio * abs(first) / first, line.real / (abs(first) / (1 - abs(ratio) ** 2))
+
+
+@pytest.mark.parametrize("slowness", [0.0, 0.3, 2.0])
 @pytest.mark.parametrize("third_order", [0.01, -0.02])
-def test_a_cubic_law_beyond_first_order(third_order):
-    own = np.array([0.02, 0.2, 0.4, 0.6, 0.8]) * np.exp(1j * np.array([0.4, 1.7, 3.0, 4.5, 6.0]))
-    exact = np.array([distorted(one, third_order) for one in own])
-    first = own + third_order * by_cubic_law(own)
-    assert np.all(np.abs(exact - first) > third_order**2 * np.abs(own))
-    beyond = beyond_first_order(own, np.full(own.size, third_order))
-    np.testing.assert_allclose(first + beyond, exact, rtol=1e-6)
-    assert np.all(beyond_first_order(np.array([0.0, 1.0]), np.array([0.01, 0.01])) == 0)
+@pytest.mark.parametrize("phase", [0.4, 1.9, 4.4])
+def test_a_cubic_law_beyond_first_order(third_order, slowness, phase):
+    rate = WL * np.array([1.1, 1.5, 3.0, 20.0])
+    beat = np.sqrt(rate**2 - WL**2)
+    nothing = np.zeros(rate.size)
+    whole = (np.zeros((1, 4, 2, 2)), np.ones(4), nothing, nothing, "beat")
+    data = RatioData(rate, beat, np.ones(4), nothing + 0j, *whole)
+    truth = np.array([[WL * np.cos(phase), WL * np.sin(phase), 0.0, slowness, 0.0, third_order]])
+    own = -np.exp(1j * phase) * WL / (rate + beat)
+    exact = np.array([distorted(one, third_order, slowness) for one in own]).T
+    first, more = predicted(truth, data), beyond_first_order(truth, data)
+    assert np.abs(exact[0] - first[0]).max() > third_order**2 * np.abs(own).max()
+    np.testing.assert_allclose((first[0] + more[0])[0], exact[0], rtol=1e-6)
+    np.testing.assert_allclose((first[1] + more[1])[0], exact[1].real, atol=1e-7)
 
 
-def test_third_order_distortion_that_is_seen_leaves_nothing():
-    """-34 dBc on the beat itself, without noise: (1) alone is 0.08 % off."""
+def test_no_lock_in_is_not_changed_by_a_cubic_law():
+    nothing = np.zeros(2)
+    whole = (np.zeros((1, 2, 2, 2)), np.ones(2), nothing, nothing, "rate")
+    data = RatioData(np.array([1.0, 1.0]), nothing, np.ones(2), nothing + 0j, *whole)
+    for lock_in in (0.0, 1.0):
+        ratio, third = beyond_first_order(np.array([[lock_in, 0.0, 0.0, 0.0, 0.0, 0.01]]), data)
+        assert np.all(ratio == 0) and np.all(third == 0)
+
+
+@pytest.mark.parametrize("corner", [np.inf, 15.0])
+def test_third_order_distortion_that_is_seen_leaves_nothing(corner):
+    """-34 dBc on the beat itself, without noise: (1) alone is 0.08 % off, with the gain corner at 15 WL 0.4 %."""
     rates = WL * both_senses(3, 5, 9, 17, 30)
     beat = K * np.sqrt(rates**2 - WL**2)
     r = WL / (np.abs(rates) + beat / K)
     own = np.where(rates > 0, -r * np.exp(0.9j), r * np.exp(-0.9j))
-    third = 0.02 * third_harmonic_share(r**2)
-    ratio = np.array([distorted(one, 0.02) for one in own])
-    known = {"third_harmonic": third, "third_harmonic_u": 1e-6}
+    slowness = beat / K / WL / corner
+    ratio, third = np.array([distorted(one, 0.02, slow) for one, slow in zip(own, slowness, strict=True)]).T
+    known = {"third_harmonic": third.real, "third_harmonic_u": 1e-6}
     for reference in ("rate", "beat"):
         fit = fit_rate_ratios(rates, ratio, np.eye(2) * 1e-12, beat, scale_factor=K, reference=reference, **known)
         assert fit.third_order == pytest.approx(0.02, rel=1e-4)
         assert fit.lock_in_rate == pytest.approx(WL, rel=3e-5)
+        assert fit.gain_time == pytest.approx(1 / (2 * np.pi * corner * K * WL), rel=1e-3, abs=1e-9)

@@ -63,7 +63,7 @@ def test_rows_of_a_column_on_the_disk_come_in_the_order_they_are_asked_for() -> 
 BLOCKS = (
     "analysis.combine._AT_ONCE",
     "analysis.frequency_method._AT_ONCE",
-    "analysis.lock_in_run.table_check._AT_ONCE",
+    "analysis.lock_in_run.table_curve._AT_ONCE",
     "analysis.lock_in_run.table_rate._AT_ONCE",
     "analysis.several_rates.ratio_records.AT_ONCE",
     "station.lock_in.records.on_disk._AT_ONCE",

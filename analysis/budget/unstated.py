@@ -60,8 +60,8 @@ TABLE_RATE_LIMIT = 1e-3
 LATITUDE_LIMIT_DEG = 0.1
 """Of a bench whose latitude was looked up for its town."""
 
-BIAS_LIMIT_DPH = 0.1
-"""Bias of the gyro, deg/h: some ten times that of a navigation gyro. A discharge whose two arms carry different
+BIAS_LIMIT_DPH = 0.03
+"""Bias of the gyro, deg/h: some three times that of a navigation gyro. A discharge whose two arms carry different
 currents makes degrees per hour; who measures lock-in balances it first."""
 
 FRONT_END_LIMIT = 0.1

@@ -78,7 +78,7 @@ def test_a_rate_that_moves_from_setting_to_setting_makes_no_scale_factor_wrong()
 
 @pytest.mark.parametrize("sense", [1, -1])
 def test_a_small_bias_of_the_gyro_makes_no_scale_factor_wrong(sense):
-    check = evaluate(run(60, table_u=20e-6, bias=sense * 0.08 / 3600), KNOWN, Method(K)).table_check
+    check = evaluate(run(60, table_u=20e-6, bias=sense * 0.025 / 3600), KNOWN, Method(K)).table_check
     (way,) = check.scale_factors
     assert abs(way.scale_factor - K) < 3 * way.scale_factor_u < 0.03 * K
     assert not check.mismatch and not check.scale_factor_mismatch

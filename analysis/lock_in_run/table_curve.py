@@ -228,7 +228,7 @@ class Curve:
 def fitted_curve(
     seen: Seen, start: Floats, known: dict[int, float], stated: Stated, *, rate_moves: bool = False
 ) -> Curve:
-    """Curve (1) by least squares; `known` holds the standard uncertainties of start values that are known.
+    """Fit the curve by least squares; `known` holds the standard uncertainties of start values that are known.
 
     Every setting of the table has an error of its own, and where nobody knows the azimuth, an earth rate of its
     own. A scatter beyond the noise of the frequencies enlarges that noise; with `rate_moves` it is the same in Hz
@@ -250,9 +250,9 @@ def fitted_curve(
         scatter = equations.about_the_curve() if few else equations.within_settings()
         beyond = scatter.chi_square - free
         as_expected = abs(beyond) <= 0.01 * free or (beyond < 0 and moving == 0 and stretch == 1)
-        before = _Before(seen, start, known, values, stated.swing, equations.triangle)
-        common = 0.0 if few else before.common_to_a_setting(scatter.chi_square, settings - told)
-        change, covariance = before.solved(common)
+        system = _System(seen, start, known, values, stated.swing, equations.triangle)
+        common = 0.0 if few else system.common_to_a_setting(scatter.chi_square, settings - told)
+        change, covariance = system.solved(common)
         values = values + change
         if as_expected and np.all(np.abs(change) < 1e-6 * np.sqrt(np.diagonal(covariance))):
             break
@@ -260,7 +260,7 @@ def fitted_curve(
             moving = max(moving + beyond / scatter.slope_by_variance, 0.0)
         elif not as_expected:
             stretch = max(stretch * math.sqrt(scatter.chi_square / free), 1.0)
-    return Curve(values, covariance, before.solved(0.0)[1], settings - told)
+    return Curve(values, covariance, system.solved(0.0)[1], settings - told)
 
 
 @dataclass(frozen=True)
@@ -277,7 +277,8 @@ class _Equations:
 
     It comes out of a QR decomposition, some records at a time: those of a million need no room.
 
-    moments : (6, s) sums over the records of a setting, by which they scatter about their mean
+    moments : (6, s) sums over the records of a setting, by which they scatter about a mean: the distance to the
+        power 0, 1 and 2, each over the noise to the power 2 and 4
     """
 
     triangle: Floats
@@ -306,8 +307,8 @@ class _Equations:
 
 
 @dataclass(frozen=True)
-class _Before:
-    """What is known before, beside the equations of the records."""
+class _System:
+    """The equations of the records, and of what is known before them."""
 
     seen: Seen
     start: Floats

@@ -7,7 +7,7 @@ LOWEST := .venv-lowest
 SEED   ?= $(shell date +%s)
 PIP    := -m pip install --quiet --disable-pip-version-check
 
-.PHONY: measure test test-slow test-lowest explore lint docs site clean
+.PHONY: measure test test-slow test-lowest explore golden lint docs site clean
 
 measure: $(READY)
 	$(BIN)/gyrolock measure
@@ -27,6 +27,10 @@ test-slow: $(READY)
 # Property tests alone, each searching freely from a new seed; `make explore SEED=...` goes the same way again.
 explore: $(READY)
 	$(BIN)/python -m pytest -n 2 -m hypothesis --timeout 1800 --hypothesis-profile explore --hypothesis-seed $(SEED)
+
+# What the golden runs give, written again: only where a change of it is wanted, and said in CHANGELOG.md.
+golden: $(READY)
+	$(BIN)/python tests/golden_outputs/outputs.py --store
 
 lint: $(READY)
 	$(BIN)/ruff check .

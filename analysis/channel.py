@@ -148,16 +148,6 @@ class ChannelResponse:
 def ratio_factor(response: ChannelResponse, frequency: ArrayLike, ratio: ArrayLike = 0.0) -> Complexes:
     """Measured over true rho of a beat that went through the channel.
 
-    Parameters
-    ----------
-    frequency, ratio : (...)
-        Beat frequency in Hz, and the true |rho|.
-
-    Returns
-    -------
-    (...) complex
-        Its size minus 1 is the relative error of r, and far above lock-in that of WL.
-
     Examples
     --------
     One pole at five times the beat takes 5.3 % off, AC coupling at a fifth of it adds 1.5 %.

@@ -162,7 +162,8 @@ def _coherent_mean(used: LockInEstimate) -> _CoherentMean:
 @dataclass(frozen=True)
 class _ComplexRates:
     """WL exp(i beta') of each record, its variances along and across its own direction, and the standard
-    uncertainty in both of them by what is no noise."""
+    uncertainty in both of them by what is no noise.
+    """
 
     values: Complexes
     radial: Floats

@@ -69,18 +69,6 @@ class ControlChart:
 def control_chart(values: ArrayLike, *, baseline: int = 25) -> ControlChart:
     """Draw up the chart of values in the order of time.
 
-    Parameters
-    ----------
-    values : (n,)
-        Finite.
-    baseline : int
-        The first so many give the limits, for all that follow; all of them where there are fewer.
-
-    Raises
-    ------
-    ValueError
-        Not one row of finite numbers, or a baseline of fewer than eight.
-
     Examples
     --------
     >>> chart = control_chart([10, 11, 10, 9, 10, 11, 9, 10, 10, 16])

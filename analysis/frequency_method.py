@@ -257,15 +257,7 @@ def _parabola(
 
 
 def _triangle(seen: _Seen, slope: tuple[float, float], known: Floats, bias: bool) -> Floats:
-    """The triangle that stands for the equations of all frequencies, by QR; its last column is the right side.
-
-    Parameters
-    ----------
-    slope : tuple of float
-        Of f^2 against W, over W and beside it.
-    known : (k, unknowns + 1)
-        Equations of what is known before.
-    """
+    """The triangle that stands for the equations of all frequencies, by QR; its last column is the right side."""
     triangle = np.concatenate([known, np.zeros((3 + bias - len(known), 3 + bias))])
     for _, (rate, f, fu, rate_u) in seen.blocks():
         us = np.hypot(2 * f * fu, (slope[0] * rate + slope[1]) * rate_u)

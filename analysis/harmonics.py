@@ -108,17 +108,7 @@ def _fit_part(records: Records, harmonics: int) -> tuple[Floats, Floats, Floats,
 def fit_free_harmonics(
     values: Floats, weights: Floats | None, omega: Floats, harmonics: int, iterations: int = ITERATIONS
 ) -> tuple[Floats, Floats, Complexes, Step]:
-    """Offset, frequency and independent harmonics; phases count from the middle of the record.
-
-    Parameters
-    ----------
-    values : (R, N); weights : (R, N) or None; omega : (R,) start, rad per sample
-
-    Returns
-    -------
-    omega (R,), offset (R,), amplitudes (R, harmonics), and the last Step (parameter order: offset,
-    Re c_1, Im c_1, ..., frequency)
-    """
+    """Offset, frequency and independent harmonics; phases count from the middle of the record."""
     n_records, n_samples = values.shape
     tangents = np.broadcast_to(_free_tangents(harmonics), (n_records, 2 * harmonics + 1, 2 * harmonics + 1))
     parameters = np.zeros((n_records, 2 * harmonics + 1))

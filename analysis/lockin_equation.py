@@ -165,17 +165,6 @@ def _chained(even: Floats, down: Floats, up: Floats, n0: Floats, d0: Floats) -> 
     """(N, D) after each of a chain of steps [[even - down, up], [-up, even + down]], and before the first.
 
     The chain is cut into runs. All runs are multiplied out at the same time, step by step; then they are joined.
-
-    Parameters
-    ----------
-    even, down, up : (..., n_steps)
-    n0, d0 : (...)
-        At the start.
-
-    Returns
-    -------
-    n, d : (..., n_steps + 1)
-        Up to a common positive factor.
     """
     n_steps = up.shape[-1]
     length = math.isqrt(max(n_steps - 1, 0)) + 1

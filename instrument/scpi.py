@@ -64,13 +64,7 @@ def unquote(text: str) -> str:
 
 
 def number(text: str) -> float:
-    """Read an NR1, NR2 or NR3 number.
-
-    Raises
-    ------
-    TransferError
-        If `text` is not a finite number: something was lost on the way.
-    """
+    """Read an NR1, NR2 or NR3 number."""
     stripped = text.strip()
     try:
         # float() alone would also take "nan", "inf" and "1_000".
@@ -126,20 +120,6 @@ def bytes_missing(message: bytes | bytearray, *, longest: int, blocks: int = 1) 
 
     Counts the line feed behind the last block. 0 means complete; where the length is not known yet, the answer
     is the number of bytes that are needed to know more.
-
-    Parameters
-    ----------
-    message : bytes
-        What has arrived so far, from the first byte of the answer.
-    longest : int
-        Longest block that can be meant; a larger length is a damaged length.
-    blocks : int
-        Number of blocks that are expected. A line feed outside a block ends the answer before them.
-
-    Raises
-    ------
-    TransferError
-        If a block header is not ``#<n><n digits>`` or its length is not plausible.
     """
     position = 0
     for _ in range(blocks):
@@ -176,18 +156,6 @@ def split_blocks(
     A block is cut by its own length, so data may hold any byte. Behind it only a ``;`` or the line end may
     follow, and on a link one of them must: without it the last byte of the data would be the line end, and one
     byte before it lost.
-
-    Returns
-    -------
-    pieces : list of (str, bytes)
-        Text before a block and its data; at most `blocks` of them, fewer if the answer holds fewer.
-    rest : str
-        Text behind the last block without the line end; the whole answer if there is no block.
-
-    Raises
-    ------
-    TransferError
-        If a block is cut, too long or followed by something else.
     """
     pieces: list[tuple[str, bytes]] = []
     position = 0
@@ -205,15 +173,7 @@ def split_blocks(
 
 
 def split_block(message: bytes, *, longest: int, terminated: bool = True) -> tuple[str, bytes]:
-    """Separate a complete answer that ends with one binary block; errors as `split_blocks`.
-
-    Returns
-    -------
-    text : str
-        Everything before the ``#``; the whole message without its line end if there is no block.
-    data : bytes
-        The bytes of the block, empty if there is none.
-    """
+    """Separate a complete answer that ends with one binary block; errors as `split_blocks`."""
     pieces, rest = split_blocks(message, longest=longest, terminated=terminated)
     if not pieces:
         return rest, b""

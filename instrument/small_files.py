@@ -19,15 +19,7 @@ _WITHOUT_WAITING = getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)  # 
 
 
 def read_small_file(path: str | os.PathLike[str], largest: int) -> bytes:
-    """Read a file of at most `largest` bytes.
-
-    Raises
-    ------
-    FileFormatError
-        It is larger, or no plain file: nothing of it is read then.
-    OSError
-        It is not there or cannot be read.
-    """
+    """Read a file of at most `largest` bytes."""
     with open_plain_file(path) as file:
         size = os.fstat(file.fileno()).st_size
         content = file.read(largest + 1) if size <= largest else b""

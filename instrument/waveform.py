@@ -266,18 +266,6 @@ def decode_curve(data: bytes, preamble: Preamble) -> Waveform:
     Codes and preamble come out as one signed byte a point: positive integers are shifted to signed ones and
     the empty low byte of two-byte points is dropped, with `yoff` and `ymult` changed to fit, so that the
     volts are the same.
-
-    Parameters
-    ----------
-    data : bytes
-        Data of the binary block, or the comma-separated text of an ASCII curve.
-    preamble : Preamble
-        The preamble of the same record.
-
-    Raises
-    ------
-    TransferError
-        If the number of points or a value does not fit the preamble.
     """
     values = _ascii_codes(data, preamble) if preamble.encdg == "ASC" else _binary_codes(data, preamble)
     if len(values) != preamble.nr_pt:

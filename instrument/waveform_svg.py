@@ -25,17 +25,6 @@ def waveform_svg(
     """The curve over the divisions of the screen, with the values at its edges.
 
     A column of the picture shows the lowest and the highest of its points, as the scope's own screen does.
-
-    Parameters
-    ----------
-    values : float array, shape (n,)
-        In the second of the `units`; nan where there are no data.
-    start, interval : float
-        Of the points, in the first of the `units`.
-    screen : tuple of float
-        Values at the lower and the upper edge of the screen.
-    units : tuple of str
-        Across and up.
     """
     across = np.linspace(_LEFT, _LEFT + _WIDTH, DIVISIONS + 1)
     up = np.linspace(_MARGIN, _MARGIN + _HEIGHT, VERTICAL_DIVISIONS + 1)

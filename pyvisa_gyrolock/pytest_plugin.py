@@ -22,17 +22,7 @@ _LOOK, _PATIENCE = 1e-3, 2.0  # s
 
 
 class ServedScope:
-    """A simulated scope on a link.
-
-    Attributes
-    ----------
-    resource_name : str
-        VISA name by which the program under test opens it.
-    scope : SimulatedTDS2014
-        The instrument itself: what the program did to it.
-    link : str
-        ``tcp``, ``hislip``, ``pty``, or ``visa`` for a resource manager in this process without any socket.
-    """
+    """A simulated scope on a link."""
 
     def __init__(self, scope: SimulatedTDS2014, link: str, stack: ExitStack) -> None:
         from instrument.simulated import HislipServer, PtyServer, TcpServer, resource_manager

@@ -125,18 +125,7 @@ def gyrolock() -> None:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command line; every error becomes one line and an exit code.
-
-    Parameters
-    ----------
-    arguments : sequence of str, optional
-        By default those of the process.
-
-    Returns
-    -------
-    int
-        Exit code.
-    """
+    """Run the command line; every error becomes one line and an exit code."""
     given = list(sys.argv[1:] if arguments is None else arguments)
     for name in _ONE_THREAD:
         os.environ.setdefault(name, "1")

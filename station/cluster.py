@@ -31,27 +31,6 @@ class Cluster:
     """Workers that a Dask scheduler has, to be used as a context.
 
     A worker that is lost costs time only: what it had begun, or held, is done again by another.
-
-    Parameters
-    ----------
-    address : str
-        ``"tcp://host:8786"``, or ``"local"`` for a cluster of its own on this computer.
-    workers : int, optional
-        Of a local one; by default as many as the computer has cores.
-
-    Attributes
-    ----------
-    count : int
-        Workers, when it was opened.
-
-    Raises
-    ------
-    MissingPackage
-        Dask is not installed.
-    UsageError
-        The address is none.
-    RunError
-        The scheduler does not answer, has no worker, or its workers are of other versions.
     """
 
     def __init__(self, address: str, workers: int | None = None) -> None:
@@ -89,20 +68,7 @@ class Cluster:
             self._open.close()
 
     def map(self, work: Callable[[T], R], pieces: Iterable[T]) -> Iterator[R]:
-        """Do the work on every piece; the results come in the order of the pieces.
-
-        Parameters
-        ----------
-        work : callable
-            A function of a module, which the workers have too.
-        pieces : iterable
-            What Dask can send; files by a path that is the same everywhere, or by a URL.
-
-        Raises
-        ------
-        RunError
-            The cluster was lost, or a piece has cost several workers their life.
-        """
+        """Do the work on every piece; the results come in the order of the pieces."""
         distributed = package("distributed", "cluster")
         rest = iter(pieces)
         begun: deque[Any] = deque()

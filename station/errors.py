@@ -17,18 +17,10 @@ EXIT_INTERRUPTED = 130  # 128 and the number of the signal, as shells count: 129
 
 
 class StationError(Exception):
-    """Base of the errors of this package; its text is one clear sentence for the user.
+    """Base of the errors of this package; its text is one clear sentence for the user."""
 
-    Attributes
-    ----------
-    kind : str
-        One word for programs: the ``kind`` in the JSON of an error.
-    exit_code : int
-        Exit code of the command that meets it.
-    """
-
-    kind = "error"
-    exit_code = EXIT_USAGE
+    kind = "error"  # one word for programs: the ``kind`` in the JSON of an error
+    exit_code = EXIT_USAGE  # exit code of the command that meets it
 
 
 class UsageError(StationError):
@@ -71,13 +63,7 @@ class OutOfControl(StationError):
 
 
 class Stopped(KeyboardInterrupt):
-    """A signal came that ends the program.
-
-    Parameters
-    ----------
-    number : int
-        Of the signal.
-    """
+    """A signal came that ends the program."""
 
     def __init__(self, number: int) -> None:
         super().__init__(number)
@@ -104,13 +90,7 @@ _SIGNALS = {
 
 
 def describe_failure(error: BaseException) -> Failure | None:
-    """Put an exception into words and an exit code.
-
-    Returns
-    -------
-    Failure or None
-        ``None`` for an exception that is a defect of the program, not of its surroundings.
-    """
+    """Put an exception into words and an exit code."""
     if isinstance(error, StationError):
         return Failure(error.kind, one_line(error), error.exit_code)
     if isinstance(error, Stopped) and error.number != signal.SIGINT:

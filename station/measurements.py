@@ -34,70 +34,43 @@ def _no_rows(found: Any) -> list[dict[str, Any]]:
 
 @dataclass(frozen=True, kw_only=True)
 class Measurement(Generic[S, F]):
-    """What one kind of measurement knows; everything else is the same for all.
+    """What one kind of measurement knows; everything else is the same for all."""
 
-    Attributes
-    ----------
-    name : str
-        What a run is marked with.
-    command : str
-        What a user types: ``"gyrolock fog table"``.
-    title : str
-        Heading of the report.
-    take : callable
-        Gets settings and session: opens the bench, begins the run, saves records. For a run that was cut short it
-        takes what is missing.
-    take_files : callable or None
-        Gets settings, paths and session: makes a run of files instead.
-    evaluate : callable
-        Gets a run, its settings and the user's choices by name: the one step that computes. Raises NoUsableSignal.
-    evaluate_source : callable or None
-        Gets a source, its settings, the choices, workers and progress: the same without holding the samples of a
-        long run, and which records are damaged, in sentences. It gives ``None`` where it cannot.
-    choices : tuple of str
-        Names of the choices that it takes.
-    result : callable
-        Gets what was found, the run and the settings: numbers and sentences.
-    sections : callable
-        Gets what was found, the run, the settings and the result: figures and tables of the report.
-    facts : callable
-        Gets what was found, the run and the settings: settings and conditions, for the end of the report.
-    rows : callable
-        Gets what was found: one JSON object for each record, or none.
-    gives : tuple of str
-        Names of the numbers that limits can be set on.
-    unusable : callable
-        Gets a run and its settings: keys of records that are to be taken again when it is gone on with, and why.
-    simulated : callable
-        Gets settings: whether the bench that they describe is simulated.
-    seconds : callable
-        Gets settings: how long a real bench takes, or ``None`` where nobody knows that beforehand.
-    examine : callable or None
-        Gets settings: opens the bench and says what is there and what is not well.
-    watch : callable or None
-        Gets settings, and returns what says of each record at once what it says, for those who watch.
-    """
-
-    name: str
-    command: str
-    title: str
+    name: str  # what a run is marked with
+    command: str  # what a user types: ``"gyrolock fog table"``
+    title: str  # heading of the report
     kind: SettingsKind[S]
+    # gets settings and session: opens the bench, begins the run, saves records. For a run that was cut short it
+    # takes what is missing.
     take: Callable[[S, Session], None]
+    # gets settings, paths and session: makes a run of files instead
     take_files: Callable[[S, Sequence[Path], Session], None] | None = None
+    # gets a run, its settings and the user's choices by name: the one step that computes. Raises NoUsableSignal.
     evaluate: Callable[[SavedRun, S, Mapping[str, Any]], F]
+    # gets a source, its settings, the choices, workers and progress: the same without holding the samples of a
+    # long run, and which records are damaged, in sentences. It gives ``None`` where it cannot.
     evaluate_source: (
         Callable[[Source, S, Mapping[str, Any], Workers, Progress], tuple[F, tuple[str, ...]] | None] | None
     ) = None
-    choices: tuple[str, ...] = ()
+    choices: tuple[str, ...] = ()  # names of the choices that it takes
+    # gets what was found, the run and the settings: numbers and sentences
     result: Callable[[F, SavedRun, S], Result]
+    # gets what was found, the run, the settings and the result: figures and tables of the report
     sections: Callable[[F, SavedRun, S, Result], list[Section]]
+    # gets what was found, the run and the settings: settings and conditions, for the end of the report
     facts: Callable[[F, SavedRun, S], list[FactTable]]
+    # gets what was found: one JSON object for each record, or none
     rows: Callable[[F], Iterable[dict[str, Any]]] = field(default=_no_rows)
-    gives: tuple[str, ...] = ()
+    gives: tuple[str, ...] = ()  # names of the numbers that limits can be set on
+    # gets a run and its settings: keys of records that are to be taken again when it is gone on with, and why
     unusable: Callable[[SavedRun, S], Mapping[str, str]] = field(default=_nothing_unusable)
+    # gets settings: whether the bench that they describe is simulated
     simulated: Callable[[S], bool] = field(default=lambda settings: bool(settings.simulated))
+    # gets settings: how long a real bench takes, or ``None`` where nobody knows that beforehand
     seconds: Callable[[S], float | None] = field(default=lambda settings: None)
+    # gets settings: opens the bench and says what is there and what is not well
     examine: Callable[[S], list[Check]] | None = None
+    # gets settings, and returns what says of each record at once what it says, for those who watch
     watch: Callable[[S], See] | None = None
 
 

@@ -12,13 +12,7 @@ _PACKAGES = ("numpy", "scipy", "pyvisa", "pyvisa-py", "pyserial")
 
 
 def provenance() -> dict[str, object]:
-    """Collect what is needed to make the same numbers again.
-
-    Returns
-    -------
-    dict
-        Plain JSON: version of gyrolock, Python, platform, packages, and the git state of a source tree.
-    """
+    """Collect what is needed to make the same numbers again."""
     gyrolock, git = program()
     return {
         "gyrolock": gyrolock,
@@ -43,18 +37,7 @@ def version(distribution: str) -> str:
 
 
 def git_state(source: Path) -> str | None:
-    """Return the commit of a source tree, with ``+changes`` where files differ from it.
-
-    Parameters
-    ----------
-    source : Path
-        Directory that holds ``.git``.
-
-    Returns
-    -------
-    str or None
-        ``None`` for an installed package, or where there is no git.
-    """
+    """Return the commit of a source tree, with ``+changes`` where files differ from it."""
     git = shutil.which("git")
     if git is None or not (source / ".git").exists():
         return None

@@ -20,18 +20,11 @@ _RECTANGLE = math.sqrt(3.0)
 
 @dataclass(frozen=True)
 class Bounded:
-    """Knowledge without gaps.
+    """Knowledge without gaps."""
 
-    Attributes
-    ----------
-    knowledge : BenchKnowledge
-        Without nan, but for `response_u`, which is nan where there is no measured response.
-    assumed : set of str
-        Names of the lines that rest on a bound.
-    """
-
+    # without nan, but for `response_u`, which is nan where there is no measured response
     knowledge: BenchKnowledge
-    assumed: frozenset[str]
+    assumed: frozenset[str]  # names of the lines that rest on a bound
 
     def note(self, name: str, bound: str, otherwise: str) -> str:
         """Say of a line where its size comes from."""
@@ -39,13 +32,7 @@ class Bounded:
 
 
 def bounded(knowledge: BenchKnowledge, slowest_beat_hz: float) -> Bounded:
-    """Put bounds where nothing is known.
-
-    Parameters
-    ----------
-    slowest_beat_hz : float
-        Of the records: bandwidth and gain corner are bounded in multiples of it.
-    """
+    """Put bounds where nothing is known."""
     bounds = {
         "scale_factor": ("scale_factor_u_ppm", 1e6 * SCALE_FACTOR_LIMIT / _RECTANGLE),
         "distortion": ("distortion_limit", SECOND_ORDER_LIMIT),

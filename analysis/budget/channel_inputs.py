@@ -32,18 +32,7 @@ CORNERS: tuple[tuple[str, str, str, Factor], ...] = (
 
 
 def channel_inputs(point: OperatingPoint, known: Bounded, slope: float) -> Iterator[BudgetInput]:
-    """Lines of everything between the mirrors and the samples.
-
-    Parameters
-    ----------
-    slope : float
-        Derivative of the lock-in rate by r, deg/s.
-
-    Raises
-    ------
-    NoBudget
-        A corner that lets no beat through.
-    """
+    """Lines of everything between the mirrors and the samples."""
     yield distortion_input(point, known, slope)
     yield third_order_input(point, known, slope)
     for name, field, quantity, response in CORNERS:

@@ -20,42 +20,21 @@ NORMAL_95 = float(scipy.special.ndtri(0.975))
 
 @dataclass(frozen=True)
 class BudgetInput:
-    """One line of a budget.
+    """One line of a budget."""
 
-    Attributes
-    ----------
-    name : str
-        One word for programs.
-    quantity : str
-        In words.
-    unit : str
-        Of `value` and `u`.
-    value, u : float
-        Estimate and standard uncertainty (k = 1).
-    distribution : {"normal", "rectangular", "arcsine"}
-        What is known of the input.
-    sensitivity : float
-        Derivative of the lock-in rate by this input, deg/s per `unit`. 0: the input does not enter.
-    degrees_of_freedom : float
-        Of `u`; inf where it was not found by repeating.
-    note : str
-        Where the number comes from, or why it does not enter.
-    common : bool
-        Whether it acts on every rate alike: a fit over several rates leaves its share as it is at one.
-    stated : bool
-        Whether somebody stated or measured it; otherwise it is a bound of `analysis.budget.unstated`.
-    """
-
-    name: str
-    quantity: str
-    unit: str
-    value: float
+    name: str  # one word for programs
+    quantity: str  # in words
+    unit: str  # of `value` and `u`
+    value: float  # estimate and standard uncertainty (k = 1)
     u: float
-    distribution: Distribution
+    distribution: Distribution  # {"normal", "rectangular", "arcsine"}: What is known of the input
+    # derivative of the lock-in rate by this input, deg/s per `unit`. 0: the input does not enter.
     sensitivity: float
-    degrees_of_freedom: float = math.inf
-    note: str = ""
+    degrees_of_freedom: float = math.inf  # of `u`; inf where it was not found by repeating
+    note: str = ""  # where the number comes from, or why it does not enter
+    # whether it acts on every rate alike: a fit over several rates leaves its share as it is at one
     common: bool = False
+    # whether somebody stated or measured it; otherwise it is a bound of `analysis.budget.unstated`
     stated: bool = True
 
     def __post_init__(self) -> None:
@@ -75,20 +54,11 @@ class BudgetInput:
 
 @dataclass(frozen=True)
 class Budget:
-    """All inputs of a lock-in rate, the largest contribution first.
+    """All inputs of a lock-in rate, the largest contribution first."""
 
-    Attributes
-    ----------
-    lock_in_rate : float
-        deg/s.
-    reference : {"beat", "rate"}
-    inputs : tuple of BudgetInput
-        Independent of each other.
-    """
-
-    lock_in_rate: float
-    reference: Reference
-    inputs: tuple[BudgetInput, ...]
+    lock_in_rate: float  # deg/s
+    reference: Reference  # {"beat", "rate"}
+    inputs: tuple[BudgetInput, ...]  # independent of each other
 
     def __post_init__(self) -> None:
         ordered = tuple(sorted(self.inputs, key=lambda line: -line.contribution))

@@ -27,28 +27,14 @@ from analysis.lockin_equation import beat_frequency, harmonic_ratio
 
 @dataclass(frozen=True)
 class RecordShape:
-    """How each record is taken.
-
-    Attributes
-    ----------
-    sample_interval : float
-        s.
-    amplitude : float
-        A of the beat at the converter, V.
-    noise_rms : float
-        White noise in each sample, V, without that of rounding.
-    level_spacing : float
-        V per level of the converter; 0: no rounding.
-    records : int
-        At one rate.
-    """
+    """How each record is taken."""
 
     samples: int
-    sample_interval: float
-    amplitude: float
-    noise_rms: float
-    level_spacing: float = 0.0
-    records: int = 1
+    sample_interval: float  # s
+    amplitude: float  # A of the beat at the converter, V
+    noise_rms: float  # white noise in each sample, V, without that of rounding
+    level_spacing: float = 0.0  # V per level of the converter; 0: no rounding
+    records: int = 1  # at one rate
 
     def __post_init__(self) -> None:
         if self.samples < 8 or self.records < 1:
@@ -119,22 +105,7 @@ def expected_point(
     scatter: float = 0.0,
     phase: float = math.nan,
 ) -> OperatingPoint:
-    """The operating point of a budget for records that are still to be taken.
-
-    Parameters
-    ----------
-    scale_factor, input_rate, lock_in_rate : float
-        Pulses per degree, deg/s, deg/s.
-    scatter : float, optional
-        Standard deviation of the lock-in rate itself from record to record, deg/s.
-    phase : float, optional
-        Readout phase less backscatter phase, rad; nan: unknown.
-
-    Raises
-    ------
-    ValueError
-        Rate not above lock-in, impossible values.
-    """
+    """The operating point of a budget for records that are still to be taken."""
     ratio = float(harmonic_ratio(min(lock_in_rate / abs(input_rate), 1.0))) if input_rate else 1.0
     noise = expected_noise(shape, min(ratio, 1 - 1e-12))
     frequency = float(beat_frequency(scale_factor, input_rate, min(lock_in_rate, abs(input_rate))))

@@ -26,18 +26,6 @@ _EARTH_RATE_U_DPS = 1e-8 * EARTH_RATE_DPS
 def lock_in_budget(point: OperatingPoint, knowledge: BenchKnowledge, reference: Reference = "beat") -> Budget:
     """Uncertainty budget of a lock-in rate; what nobody stated counts with its bound.
 
-    Parameters
-    ----------
-    reference : {"beat", "rate"}
-        Whether WL was found with f/K of the record itself or with a given rate.
-
-    Raises
-    ------
-    NoBudget
-        A corner that lets no beat through.
-    ValueError
-        Impossible values.
-
     Examples
     --------
     A perfect bench but for 100 ppm of K and 50 ppm of time base: sqrt(100^2 + 50^2/3) = 104 ppm of 0.01 deg/s.

@@ -18,39 +18,19 @@ _FITTED = 6
 
 @dataclass(frozen=True)
 class OperatingPoint:
-    """A lock-in rate that was measured, or that is expected, and what the records themselves say of it.
+    """A lock-in rate that was measured, or that is expected, and what the records themselves say of it."""
 
-    Attributes
-    ----------
-    scale_factor : float
-        K, pulses per degree.
-    input_rate, lock_in_rate : float
-        W (signed) and WL, deg/s.
-    ratio_u, beat_frequency_u : float
-        Of the mean of all records, from their noise, rounding included; Hz for the second.
-    rounding_share : float
-        Share of that variance that the converter's rounding makes.
-    noise_degrees_of_freedom : float
-        Of the noise as the fit's residual shows it.
-    scatter_u, scatter_degrees_of_freedom : float
-        deg/s; scatter of the mean beyond what noise explains.
-    phase : float
-        Readout phase less backscatter phase, rad; nan where unknown.
-    periods : float
-        Of the beat, in each record.
-    """
-
-    scale_factor: float
-    input_rate: float
+    scale_factor: float  # k, pulses per degree
+    input_rate: float  # W (signed) and WL, deg/s
     lock_in_rate: float
-    ratio_u: float
+    ratio_u: float  # of the mean of all records, from their noise, rounding included; Hz for the second
     beat_frequency_u: float = 0.0
-    rounding_share: float = 0.0
-    noise_degrees_of_freedom: float = math.inf
-    scatter_u: float = 0.0
+    rounding_share: float = 0.0  # share of that variance that the converter's rounding makes
+    noise_degrees_of_freedom: float = math.inf  # of the noise as the fit's residual shows it
+    scatter_u: float = 0.0  # deg/s; scatter of the mean beyond what noise explains
     scatter_degrees_of_freedom: float = math.inf
-    phase: float = math.nan
-    periods: float = math.inf
+    phase: float = math.nan  # readout phase less backscatter phase, rad; nan where unknown
+    periods: float = math.inf  # of the beat, in each record
 
     def __post_init__(self) -> None:
         if not (self.scale_factor > 0 and self.lock_in_rate >= 0 and math.isfinite(self.input_rate)):
@@ -74,41 +54,26 @@ class OperatingPoint:
 
 @dataclass(frozen=True)
 class Corner:
-    """A first-order corner that weighs the first and the second harmonic differently.
+    """A first-order corner that weighs the first and the second harmonic differently."""
 
-    Attributes
-    ----------
-    hz : float
-        -3 dB frequency. nan: nothing is known of it. inf (0 for a high pass): there is none.
-    u_hz : float
-        Standard uncertainty.
-    corrected : bool
-        Whether the lock-in rate has been freed of its effect. Otherwise the whole effect is a limit.
-    """
-
+    # -3 dB frequency. nan: nothing is known of it. inf (0 for a high pass): there is none.
     hz: float = math.nan
-    u_hz: float = 0.0
+    u_hz: float = 0.0  # standard uncertainty
+    # whether the lock-in rate has been freed of its effect. Otherwise the whole effect is a limit.
     corrected: bool = False
 
 
 @dataclass(frozen=True)
 class TableGeometry:
-    """How the rate on the gyro's axis comes about: W = W_table cos(tilt) + earth rate on the axis.
+    """How the rate on the gyro's axis comes about: W = W_table cos(tilt) + earth rate on the axis."""
 
-    Attributes
-    ----------
-    table_rate, table_rate_u : float
-        deg/s.
-    azimuth_deg, azimuth_u_deg : float
-        Of the horizontal part of the axis, from north, during the record; nan where nobody knows it.
-    """
-
-    table_rate: float
+    table_rate: float  # deg/s
     table_rate_u: float
     tilt_deg: float
     tilt_u_deg: float
     latitude_deg: float
     latitude_u_deg: float
+    # of the horizontal part of the axis, from north, during the record; nan where nobody knows it
     azimuth_deg: float = math.nan
     azimuth_u_deg: float = 0.0
 
@@ -118,38 +83,24 @@ class BenchKnowledge:
     """Everything that a budget counts besides the records.
 
     nan: nobody said anything of it, so that it counts with a bound of `analysis.budget.unstated`.
-
-    Attributes
-    ----------
-    scale_factor_u_ppm : float
-        Of K.
-    time_base_limit_ppm : float
-        Largest error of the scope's time base.
-    distortion_limit : float
-        Largest second harmonic that detector, amplifier and scope make of a pure sine of the beat's size, over
-        its amplitude (0.01: -40 dBc).
-    third_order_limit : float
-        The same for the third harmonic.
-    separated : set of str
-        Names of lines that the records themselves were freed of, by several rates, both senses or two photodiodes:
-        ``"distortion"``, ``"third_order"``, ``"bandwidth"``, ``"gain_corner"``.
-    bandwidth, high_pass, gain : Corner
-        Of the channel (low pass), of its coupling, and of the laser's gain saturation (g_c / 2 pi).
-    response_u : float
-        Relative, of a measured response of the channel at 2f over that at f that the ratio was freed of.
-    table : TableGeometry or None
-        For the rate as reference; without one nobody said how well the rate is known.
     """
 
-    scale_factor_u_ppm: float = math.nan
-    time_base_limit_ppm: float = TIME_BASE_LIMIT_PPM
+    scale_factor_u_ppm: float = math.nan  # of K
+    time_base_limit_ppm: float = TIME_BASE_LIMIT_PPM  # largest error of the scope's time base
+    # largest second harmonic that detector, amplifier and scope make of a pure sine of the beat's size, over its
+    # amplitude (0.01: -40 dBc)
     distortion_limit: float = math.nan
-    third_order_limit: float = math.nan
+    third_order_limit: float = math.nan  # the same for the third harmonic
+    # names of lines that the records themselves were freed of, by several rates, both senses or two photodiodes:
+    # ``"distortion"``, ``"third_order"``, ``"bandwidth"``, ``"gain_corner"``
     separated: frozenset[str] = frozenset()
+    # of the channel (low pass), of its coupling, and of the laser's gain saturation (g_c / 2 pi)
     bandwidth: Corner = field(default_factory=Corner)
     high_pass: Corner = field(default_factory=Corner)
     gain: Corner = field(default_factory=Corner)
+    # relative, of a measured response of the channel at 2f over that at f that the ratio was freed of
     response_u: float = math.nan
+    # for the rate as reference; without one nobody said how well the rate is known
     table: TableGeometry | None = None
 
 
@@ -168,24 +119,7 @@ NOTHING_BUT_RECORDS = BenchKnowledge(
 def operating_point(
     each: LockInEstimate, combined: LockInEstimate, *, samples: int, level_spacing: float = 0.0
 ) -> OperatingPoint:
-    """What some records at one rate, and their combination, tell a budget.
-
-    Parameters
-    ----------
-    each : LockInEstimate
-        Fields of shape (n_records,).
-    combined : LockInEstimate
-        Fields of shape (), from `combine_estimates`.
-    samples : int
-        In each record.
-    level_spacing : float, optional
-        Volts per level of the converter.
-
-    Raises
-    ------
-    NoBudget
-        The records gave no lock-in rate.
-    """
+    """What some records at one rate, and their combination, tell a budget."""
     rate, rate_u = float(combined.lock_in_rate), float(combined.lock_in_rate_u)
     if not (math.isfinite(rate) and math.isfinite(rate_u)):
         raise NoBudget("records without a lock-in rate have no budget")

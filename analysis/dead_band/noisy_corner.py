@@ -35,17 +35,6 @@ def rounded_pulse_rate(
 ) -> Floats:
     """Mean pulse rate, Hz, with the sign of the rate: equation (1). Arguments broadcast.
 
-    Parameters
-    ----------
-    input_rate : (...)
-        deg/s, bias taken off.
-    scale_factor : float
-        Pulses per degree.
-    lock_in_rate : (...)
-        deg/s.
-    random_walk : (...)
-        N, deg/sqrt(s); 0 for the sharp corner f = K sqrt(W^2 - WL^2).
-
     Examples
     --------
     At the corner itself noise gives pulses, where there should be none.

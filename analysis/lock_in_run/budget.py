@@ -52,16 +52,7 @@ OF_EACH_RECORD = ("noise", "quantization", "beat_frequency", "scatter")
 
 
 def known_of_bench(found: LockInRun, slow: RecordArrays, knowledge: RunKnowledge) -> BenchKnowledge:
-    """What was stated of the bench, and what the records themselves say of table and channel.
-
-    Parameters
-    ----------
-    found : LockInRun
-        All but the budget.
-    slow : RecordArrays
-        The records that it was found from.
-    knowledge : RunKnowledge
-    """
+    """What was stated of the bench, and what the records themselves say of table and channel."""
     stated = knowledge.bench
     return replace(
         stated,
@@ -72,13 +63,7 @@ def known_of_bench(found: LockInRun, slow: RecordArrays, knowledge: RunKnowledge
 
 
 def run_budget(found: LockInRun, slow: RecordArrays, bench: BenchKnowledge) -> Budget:
-    """Make the budget of a run that gave a lock-in rate; what nobody stated counts with its bound.
-
-    Parameters
-    ----------
-    found, slow
-        As for :func:`known_of_bench`, which gives `bench`.
-    """
+    """Make the budget of a run that gave a lock-in rate; what nobody stated counts with its bound."""
     if found.several is not None and found.several.by_beat is not None:
         one, rows = found.several.reference_group.combined, found.several.reference_group.rows
         point = _operating_point(found.each[rows], one, slow)

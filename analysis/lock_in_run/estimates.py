@@ -20,36 +20,15 @@ Estimate = TypeVar("Estimate")
 
 @dataclass(frozen=True)
 class Method:
-    """How records are turned into a lock-in rate.
+    """How records are turned into a lock-in rate."""
 
-    Attributes
-    ----------
-    scale_factor : float
-        K, pulses per degree.
-    relation : {"exact", "paper-13", "paper-10"}
-    input_rate : float or None
-        Rate on the gyro's axis in deg/s; ``None``: each record is its own reference.
-    """
-
-    scale_factor: float
-    relation: Relation = "exact"
-    input_rate: float | None = None
+    scale_factor: float  # k, pulses per degree
+    relation: Relation = "exact"  # {"exact", "paper-13", "paper-10"}
+    input_rate: float | None = None  # rate on the gyro's axis in deg/s; ``None``: each record is its own reference
 
 
 def estimate_records(records: RecordArrays, method: Method) -> LockInEstimate:
-    """Estimate each record from its first channel.
-
-    Parameters
-    ----------
-    records : RecordArrays
-        At least one.
-    method : Method
-
-    Returns
-    -------
-    LockInEstimate
-        Fields of shape (n,), in the order of the records.
-    """
+    """Estimate each record from its first channel."""
     parts, rows = [], []
     for batch in records.batches:
         estimate = estimate_lock_in(
@@ -67,13 +46,7 @@ def estimate_records(records: RecordArrays, method: Method) -> LockInEstimate:
 
 
 def by_themselves(each: LockInEstimate, response: ChannelResponse | None) -> LockInEstimate:
-    """What records say that went through a channel, each by itself; it does not depend on the others.
-
-    Raises
-    ------
-    OutsideResponse
-        As :func:`without_channel`.
-    """
+    """What records say that went through a channel, each by itself; it does not depend on the others."""
     beats = only_beats(each)
     return beats if response is None else without_channel(beats, response)
 
@@ -91,13 +64,7 @@ def only_beats(each: LockInEstimate) -> LockInEstimate:
 
 
 def without_channel(each: LockInEstimate, response: ChannelResponse) -> LockInEstimate:
-    """The estimates that the records would have given without the channel.
-
-    Raises
-    ------
-    OutsideResponse
-        If a beat or its second harmonic lies outside a measured table.
-    """
+    """The estimates that the records would have given without the channel."""
     return replace(correct_response(each, response), noise_model=without_channel_model(each))
 
 
@@ -120,15 +87,7 @@ def at_known_rates(each: LockInEstimate, rates: Floats) -> LockInEstimate:
 
 
 def joined(parts: Sequence[Estimate], rows: Sequence[Indices]) -> Estimate:
-    """Put estimates of several batches into the order of the records.
-
-    Parameters
-    ----------
-    parts : sequence of LockInEstimate or QuadratureEstimate
-        Fields of shape (n_batch, ...).
-    rows : sequence of ndarray
-        Which of the records are in each.
-    """
+    """Put estimates of several batches into the order of the records."""
     places = np.concatenate(rows)
     in_order = np.array_equal(places, np.arange(places.size))
     if in_order and len(parts) == 1:

@@ -39,36 +39,7 @@ def evaluate(
     estimated: LockInEstimate | None = None,
     axis: AxisRates | None = None,
 ) -> LockInRun:
-    """Evaluate the records that a run took at its slow rate, or at its slow rates.
-
-    Parameters
-    ----------
-    run : RunArrays
-        With one slow record at least.
-    knowledge : RunKnowledge or None
-        ``None``: nothing is known of the bench. Then there is no correction and no table, and the budget counts
-        what everything may be at worst.
-    method : Method
-    estimated : LockInEstimate, optional
-        Of the slow records by this method, :func:`by_themselves`, fields of shape (n,), where they are known
-        already; then `run` needs no samples of them. Not for two channels.
-    axis : AxisRates, optional
-        Rates on the gyro's axis where they are stated and need no table. `run` has them as those of its table, by
-        which it falls into groups.
-
-    Returns
-    -------
-    LockInRun
-
-    Raises
-    ------
-    NoTilt
-        If beat and table rate of the fast run do not fit together.
-    OutsideResponse
-        If a beat or its second harmonic lies outside the measured response of the channel.
-    OneRateOnly
-        If the method is one for a single rate, and the run has several.
-    """
+    """Evaluate the records that a run took at its slow rate, or at its slow rates."""
     # 1. every record by itself, as before the channel
     each, quadratures = _each_record(
         run.slow, method, None if knowledge is None else knowledge.response, estimated

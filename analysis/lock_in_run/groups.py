@@ -22,50 +22,26 @@ from analysis.several_rates import RatesFit, RatesFlag, ReceiverKnowledge, Refer
 
 @dataclass(frozen=True, eq=False)
 class RateGroup:
-    """The records at one rate of the table.
+    """The records at one rate of the table."""
 
-    Attributes
-    ----------
-    table_rate : float
-        deg/s, signed.
-    input_rate : float
-        Mean rate on the gyro's axis by the table, deg/s, signed.
-    over_lock_in : float or None
-        What was asked for, in expected lock-in rates.
-    rows : ndarray of int, rising
-        Which of the records they are.
-    combined : LockInEstimate
-        Fields of shape (): what this rate says alone.
-    """
-
-    table_rate: float
-    input_rate: float
-    over_lock_in: float | None
-    rows: Indices
-    combined: LockInEstimate
+    table_rate: float  # deg/s, signed
+    input_rate: float  # mean rate on the gyro's axis by the table, deg/s, signed
+    over_lock_in: float | None  # what was asked for, in expected lock-in rates
+    rows: Indices  # which of the records they are
+    combined: LockInEstimate  # fields of shape (): what this rate says alone
 
 
 @dataclass(frozen=True)
 class SeveralRates:
-    """What records at several rates, or in both senses, say together.
+    """What records at several rates, or in both senses, say together."""
 
-    Attributes
-    ----------
-    groups : tuple of RateGroup
-        From the fastest in the positive sense to the fastest in the negative one.
-    by_beat, by_table : RatesFit or None
-        Fit with the beat frequency, and with the table, as reference; ``None`` where it is not possible.
-    by_frequency : FrequencyFit or None
-        The other route: beat frequency against rate, without harmonics, scale factor free.
-    problem : str
-        Why there is no fit by the beat.
-    """
-
-    groups: tuple[RateGroup, ...]
+    groups: tuple[RateGroup, ...]  # from the fastest in the positive sense to the fastest in the negative one
+    # fit with the beat frequency, and with the table, as reference; ``None`` where it is not possible
     by_beat: RatesFit | None
     by_table: RatesFit | None
+    # the other route: beat frequency against rate, without harmonics, scale factor free
     by_frequency: FrequencyFit | None = None
-    problem: str = ""
+    problem: str = ""  # why there is no fit by the beat
 
     @property
     def reference_group(self) -> RateGroup:
@@ -87,24 +63,7 @@ def at_several_rates(slow: RecordArrays) -> bool:
 def evaluate_rates(
     slow: RecordArrays, each: LockInEstimate, axis: AxisRates, receiver: ReceiverKnowledge
 ) -> SeveralRates:
-    """Combine the records at each rate, and fit all of them.
-
-    Parameters
-    ----------
-    slow : RecordArrays
-        With their table rates.
-    each : LockInEstimate
-        Fields of shape (n,), with the beat as reference.
-    axis : AxisRates
-        Of the same records.
-    receiver : ReceiverKnowledge
-        What was stated of receiver and laser.
-
-    Raises
-    ------
-    OneRateOnly
-        If the estimates were made with a given rate, or with an approximation of the paper.
-    """
+    """Combine the records at each rate, and fit all of them."""
     if each.rate_given or each.relation != "exact":
         raise OneRateOnly(
             "this run has several rates: they are fitted with the exact relation and their own rates"
@@ -152,14 +111,7 @@ def _frequencies(each: LockInEstimate, axis: AxisRates, rates_u: Floats) -> Freq
 
 
 def combined_estimate(several: SeveralRates) -> LockInEstimate:
-    """The result of the fit in the form that a result at one rate has.
-
-    Returns
-    -------
-    LockInEstimate
-        Fields of shape (). Lock-in rate and phase are those of the fit by the beat; beat frequency, ratio and the
-        like those of the rate that determines it best.
-    """
+    """The result of the fit in the form that a result at one rate has."""
     one, fit = several.reference_group.combined, several.by_beat
     rejected = sum(int(group.combined.records_rejected) for group in several.groups)
     total = sum(len(group.rows) for group in several.groups)

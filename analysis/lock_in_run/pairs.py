@@ -21,65 +21,28 @@ _BY_CHANCE = 0.05
 
 @dataclass(frozen=True)
 class QuadratureResult:
-    """What two channels say of each other; means over the records that could be used.
+    """What two channels say of each other; means over the records that could be used."""
 
-    Attributes
-    ----------
-    records : int
-        That the means rest on.
-    sense : int
-        +1, -1, or 0 where the records differ or it cannot be told.
-    gain_ratio, gain_ratio_u : float
-        Amplitude of the sine over that of the cosine.
-    phase_error, phase_error_u : float
-        rad, beyond a right angle.
-    distortion, distortion_u : tuple of float
-        Second harmonic that the receivers of sine and cosine make, over the fundamental.
-    images : tuple of float
-        Image of the first harmonic before the correction, of the second and third after it, over the first.
-    sine_alone, cosine_alone : float
-        Lock-in rate that each channel alone would give, deg/s: mean over the records.
-    flags : tuple of str
-        Names of `QuadratureFlag`, lower case.
-    """
-
-    records: int
-    sense: int
-    gain_ratio: float
+    records: int  # that the means rest on
+    sense: int  # +1, -1, or 0 where the records differ or it cannot be told
+    gain_ratio: float  # amplitude of the sine over that of the cosine
     gain_ratio_u: float
-    phase_error: float
+    phase_error: float  # rad, beyond a right angle
     phase_error_u: float
+    # second harmonic that the receivers of sine and cosine make, over the fundamental
     distortion: tuple[float, float]
     distortion_u: tuple[float, float]
+    # image of the first harmonic before the correction, of the second and third after it, over the first
     images: tuple[float, float, float]
-    sine_alone: float
+    sine_alone: float  # lock-in rate that each channel alone would give, deg/s: mean over the records
     cosine_alone: float
-    flags: tuple[str, ...]
+    flags: tuple[str, ...]  # names of `QuadratureFlag`, lower case
 
 
 def estimate_pairs(
     records: RecordArrays, method: Method, response: ChannelResponse | None = None
 ) -> QuadratureEstimate:
-    """Estimate records of two channels, each pair corrected for distortion.
-
-    Parameters
-    ----------
-    records : RecordArrays
-        Of two channels.
-    method : Method
-    response : ChannelResponse, optional
-        Of both channels: taken out first.
-
-    Returns
-    -------
-    QuadratureEstimate
-        Of shape (n,), in the order of the records.
-
-    Raises
-    ------
-    OutsideResponse
-        If a beat or its second harmonic lies outside a measured response.
-    """
+    """Estimate records of two channels, each pair corrected for distortion."""
     parts, rows = [], []
     for batch in records.batches:
         sine, cosine = batch.volts
@@ -109,22 +72,7 @@ def equalised(volts: Floats, sample_interval: float, response: ChannelResponse) 
     For two channels that are corrected with each other: distortion arises before the filters, and is a real share
     of the beat only there.
 
-    Parameters
-    ----------
-    volts : ndarray, shape (n_records, n_samples)
-    sample_interval : float
-        s.
-    response : ChannelResponse
-
-    Returns
-    -------
-    ndarray, shape (n_records, n_samples)
-        Records without a beat come back as they are.
-
-    Raises
-    ------
-    OutsideResponse
-        If a beat or its second harmonic lies outside a measured table.
+    Shapes: volts (n_records, n_samples).
     """
     fit = fit_harmonics(volts, sample_interval, harmonics=_HARMONICS, nan_policy="omit")
     beating = np.isfinite(fit.frequency)

@@ -19,57 +19,29 @@ _RECORDS_AT_ONCE = 1000
 
 @dataclass(frozen=True)
 class Batch:
-    """Records of one time base and length.
+    """Records of one time base and length."""
 
-    Attributes
-    ----------
-    rows : ndarray of int, shape (n,)
-        Which of the records they are.
-    sample_interval : float
-        s.
-    volts : ndarray, shape (n_channels, n, n_samples)
-        nan where there is no sample. The first channel is that of the measurement, a second one that of the
-        other photodiode.
-    clipped : ndarray of bool, shape as `volts`
-        Samples at the end of the converter's range.
-    """
-
-    rows: Indices
-    sample_interval: float
+    rows: Indices  # (n,): Which of the records they are
+    sample_interval: float  # s
+    # (n_channels, n, n_samples): nan where there is no sample. The first channel is that of the measurement, a
+    # second one that of the other photodiode.
     volts: Floats
-    clipped: Bools
+    clipped: Bools  # samples at the end of the converter's range
 
 
 @dataclass(frozen=True)
 class RecordArrays:
-    """Records that were taken for one purpose, in their order; a number that nobody knows is nan.
+    """Records that were taken for one purpose, in their order; a number that nobody knows is nan."""
 
-    Attributes
-    ----------
-    batches : iterable of Batch
-        Every record once. It may make the volts as it goes: those of a long run need much memory.
-    n_channels : int
-        1, or 2 where every record has a second photodiode.
-    samples : ndarray of int, shape (n,)
-        Of each record.
-    level_spacing : ndarray, shape (n,)
-        Volts per level of the converter.
-    table_rate : ndarray, shape (n,)
-        deg/s, signed.
-    azimuth_start, azimuth_end : ndarray, shape (n,)
-        deg, as the table counts, read before and after each record.
-    over_lock_in : ndarray, shape (n,)
-        Rate that was asked for, in expected lock-in rates.
-    """
-
+    # every record once. It may make the volts as it goes: those of a long run need much memory.
     batches: Iterable[Batch]
-    n_channels: int
-    samples: Ints
-    level_spacing: Floats
-    table_rate: Floats
-    azimuth_start: Floats
+    n_channels: int  # 1, or 2 where every record has a second photodiode
+    samples: Ints  # (n,): Of each record
+    level_spacing: Floats  # (n,): Volts per level of the converter
+    table_rate: Floats  # (n,): deg/s, signed
+    azimuth_start: Floats  # (n,): deg, as the table counts, read before and after each record
     azimuth_end: Floats
-    over_lock_in: Floats
+    over_lock_in: Floats  # (n,): Rate that was asked for, in expected lock-in rates
 
     def __len__(self) -> int:
         return int(self.samples.size)
@@ -87,50 +59,26 @@ class RecordArrays:
 
 @dataclass(frozen=True)
 class RunArrays:
-    """All records of a run.
+    """All records of a run."""
 
-    Attributes
-    ----------
-    slow : RecordArrays
-        Those that show lock-in, at one rate or at several.
-    fast : RecordArrays
-        Those of the fast run, which shows the tilt; none where there was no table.
-    """
-
-    slow: RecordArrays
-    fast: RecordArrays
+    slow: RecordArrays  # those that show lock-in, at one rate or at several
+    fast: RecordArrays  # those of the fast run, which shows the tilt; none where there was no table
 
 
 @dataclass(frozen=True)
 class RunKnowledge:
-    """What is known of gyro, table and channel beside the records of a run.
+    """What is known of gyro, table and channel beside the records of a run."""
 
-    Attributes
-    ----------
-    scale_factor : float
-        K in pulses per degree, by which the fast run gives the tilt.
-    latitude_deg, north_azimuth_deg : float
-        Of the bench; the azimuth of the table at which the gyro's axis points north.
-    both_senses : bool
-        Whether the fast run goes through both senses of rotation.
-    response : ChannelResponse or None
-        Of the channel, to be taken out of the records.
-    bench : BenchKnowledge
-        What the budget counts besides the records, without a table.
-    latitude_u_deg, table_rate_u_ppm : float
-        Standard uncertainties; 0: not known.
-    known_tilt_deg, known_tilt_u_deg : float
-        Angle between gyro axis and table axis as it is known without the gyro; nan: it is not.
-    """
-
-    scale_factor: float
-    latitude_deg: float
+    scale_factor: float  # K in pulses per degree, by which the fast run gives the tilt
+    latitude_deg: float  # of the bench; the azimuth of the table at which the gyro's axis points north
     north_azimuth_deg: float = 0.0
-    both_senses: bool = True
-    response: ChannelResponse | None = None
+    both_senses: bool = True  # whether the fast run goes through both senses of rotation
+    response: ChannelResponse | None = None  # of the channel, to be taken out of the records
+    # what the budget counts besides the records, without a table
     bench: BenchKnowledge = field(default_factory=BenchKnowledge)
-    latitude_u_deg: float = 0.0
+    latitude_u_deg: float = 0.0  # standard uncertainties; 0: not known
     table_rate_u_ppm: float = 0.0
+    # angle between gyro axis and table axis as it is known without the gyro; nan: it is not
     known_tilt_deg: float = math.nan
     known_tilt_u_deg: float = math.nan
 

@@ -20,36 +20,18 @@ from analysis.lockin_rate import LockInEstimate, size_interval
 
 @dataclass(frozen=True)
 class LockInRun:
-    """What the records of a run say.
-
-    Attributes
-    ----------
-    method : Method
-    each : LockInEstimate
-        Fields of shape (n_records,).
-    combined : LockInEstimate
-        Fields of shape (). Its uncertainty and its interval know the noise of the records only.
-    record_u : ndarray, shape (n_records,)
-        deg/s; standard uncertainty of each record alone, every input counted.
-    tilt, table_check : Tilt, TableCheck or None
-        Where a table with known rate was used.
-    several : SeveralRates or None
-        Where records were taken at several rates or in both senses.
-    quadratures : QuadratureResult or None
-        Where a second photodiode was recorded.
-    budget : Budget or None
-        ``None`` without a lock-in rate.
-    """
+    """What the records of a run say."""
 
     method: Method
-    each: LockInEstimate
+    each: LockInEstimate  # fields of shape (n_records,)
+    # fields of shape (). Its uncertainty and its interval know the noise of the records only.
     combined: LockInEstimate
-    record_u: Floats
-    tilt: Tilt | None = None
+    record_u: Floats  # (n_records,): deg/s; standard uncertainty of each record alone, every input counted
+    tilt: Tilt | None = None  # where a table with known rate was used
     table_check: TableCheck | None = None
-    several: SeveralRates | None = None
-    quadratures: QuadratureResult | None = None
-    budget: Budget | None = None
+    several: SeveralRates | None = None  # where records were taken at several rates or in both senses
+    quadratures: QuadratureResult | None = None  # where a second photodiode was recorded
+    budget: Budget | None = None  # ``None`` without a lock-in rate
 
     @property
     def usable(self) -> bool:

@@ -45,62 +45,36 @@ Way = Literal["known tilt", "earth rate"]
 
 @dataclass(frozen=True)
 class ScaleFactorCheck:
-    """K by a way of its own.
+    """K by a way of its own."""
 
-    Attributes
-    ----------
-    by : {"known tilt", "earth rate"}
-    scale_factor, scale_factor_u : float
-        Pulses per degree.
-    p_value : float
-        Probability of so large a difference from the scale factor used, with what is known of both.
-    """
-
-    by: Way
-    scale_factor: float
+    by: Way  # {"known tilt", "earth rate"}
+    scale_factor: float  # pulses per degree
     scale_factor_u: float
-    p_value: float
+    p_value: float  # probability of so large a difference from the scale factor used, with what is known of both
 
 
 @dataclass(frozen=True)
 class TableCheck:
-    """The same records, with the rate of the table as reference instead of the beat frequency.
+    """The same records, with the rate of the table as reference instead of the beat frequency."""
 
-    Attributes
-    ----------
-    lock_in_rate, lock_in_rate_u : float
-        deg/s.
-    input_rate : float
-        Mean rate on the gyro's axis from table, tilt and earth rate, deg/s.
-    beat_over_table, beat_over_table_u : float
-        Rate by the beat over rate by the table. The uncertainty counts frequencies, harmonics, table rates, earth
-        rate and azimuth; the scale factor only in so far as it does not cancel.
-    p_value : float
-        Probability of so large a difference from 1.
-    p_value_by_all : float
-        The same where the lock-in rate by the harmonics may be wrong by all that its budget counts: what nobody
-        knows of detector and channel explains a difference, chance need not. nan: there is no budget yet.
-    by_frequencies, by_frequencies_u : float
-        deg/s; the lock-in rate by how far the slow beats are pulled down and the fast ones are not.
-    least_error_seen : float
-        Relative error of the lock-in rate from which on this check would show it.
-    scale_factors : tuple of ScaleFactorCheck
-        Empty: nothing in the records and in what is known tests the scale factor.
-    degrees_of_freedom : float
-        Of beat_over_table_u: what moves from one setting of the table to the next is found from few of them.
-    """
-
-    lock_in_rate: float
+    lock_in_rate: float  # deg/s
     lock_in_rate_u: float
-    input_rate: float
+    input_rate: float  # mean rate on the gyro's axis from table, tilt and earth rate, deg/s
+    # rate by the beat over rate by the table. The uncertainty counts frequencies, harmonics, table rates, earth
+    # rate and azimuth; the scale factor only in so far as it does not cancel.
     beat_over_table: float
     beat_over_table_u: float
-    p_value: float
-    least_error_seen: float
+    p_value: float  # probability of so large a difference from 1
+    least_error_seen: float  # relative error of the lock-in rate from which on this check would show it
+    # deg/s; the lock-in rate by how far the slow beats are pulled down and the fast ones are not
     by_frequencies: float
     by_frequencies_u: float
+    # empty: nothing in the records and in what is known tests the scale factor
     scale_factors: tuple[ScaleFactorCheck, ...] = ()
+    # of beat_over_table_u: what moves from one setting of the table to the next is found from few of them
     degrees_of_freedom: float = math.inf
+    # the same where the lock-in rate by the harmonics may be wrong by all that its budget counts: what nobody
+    # knows of detector and channel explains a difference, chance need not. nan: there is no budget yet.
     p_value_by_all: float = math.nan
 
     @property
@@ -114,13 +88,7 @@ class TableCheck:
         return self.mismatch and not self.p_value_by_all >= UNLIKELY
 
     def beside_budget(self, lock_in_rate: float, others_u: float) -> TableCheck:
-        """The same, knowing what the lock-in rate by the harmonics may be wrong by.
-
-        Parameters
-        ----------
-        lock_in_rate, others_u : float
-            deg/s; its standard uncertainty by all that does not cancel in the check: not noise, not K.
-        """
+        """The same, knowing what the lock-in rate by the harmonics may be wrong by."""
         allowed = abs(lock_in_rate) * others_u / self.input_rate**2
         spread = Spread(self.beat_over_table_u, self.degrees_of_freedom).beside(allowed)
         return replace(self, p_value_by_all=spread.p_value(self.beat_over_table - 1))
@@ -150,22 +118,7 @@ def check_by_table(
     tilt: Tilt,
     knowledge: RunKnowledge,
 ) -> TableCheck:
-    """Test beat frequencies, harmonics and table rates of a run against each other.
-
-    Parameters
-    ----------
-    run : RunArrays
-    each : tuple of LockInEstimate
-        Fields of shape (n,): of the slow records and of the fast ones.
-    result : LockInEstimate
-        Fields of shape (): the lock-in rate by the beat.
-    by_table : ByTable
-    axis : AxisRates
-        Of the slow records.
-    tilt : Tilt
-        By the fast run and the scale factor of `knowledge`.
-    knowledge : RunKnowledge
-    """
+    """Test beat frequencies, harmonics and table rates of a run against each other."""
     used = result.scale_factor
     squared = (used * float(result.lock_in_rate)) ** 2
     squared_u = 2 * used**2 * float(result.lock_in_rate) * float(result.lock_in_rate_u)

@@ -34,22 +34,14 @@ class Tilt:
 
 @dataclass(frozen=True)
 class AxisRates:
-    """Rates on the gyro's axis by the table.
+    """Rates on the gyro's axis by the table."""
 
-    Attributes
-    ----------
-    rates : ndarray, shape (n,)
-        deg/s, signed, one for each record.
-    common_u : ndarray, shape (n,)
-        Relative standard uncertainty of them that all records share: tilt, with the scale factor by which it was
-        found, and an azimuth that nobody knows.
-    azimuth_u : ndarray, shape (n,)
-        deg/s; standard uncertainty from the place of a record between two readings of the azimuth. It is much the
-        same for all records at one rate.
-    """
-
-    rates: Floats
+    rates: Floats  # (n,): deg/s, signed, one for each record
+    # (n,): Relative standard uncertainty of them that all records share: tilt, with the scale factor by which it
+    # was found, and an azimuth that nobody knows
     common_u: Floats
+    # (n,): deg/s; standard uncertainty from the place of a record between two readings of the azimuth. It is much
+    # the same for all records at one rate.
     azimuth_u: Floats
 
 
@@ -60,21 +52,7 @@ def axis_rate_is_known(run: RunArrays, knowledge: RunKnowledge) -> bool:
 
 
 def find_tilt(fast: RecordArrays, knowledge: RunKnowledge, lock_in_rate: float = math.nan) -> Tilt:
-    """Find the tilt from the records of the fast run.
-
-    Parameters
-    ----------
-    fast : RecordArrays
-        With their table rates.
-    knowledge : RunKnowledge
-    lock_in_rate : float, optional
-        deg/s, from slower records. Without it that of each fast record counts, which the laser's gain weakens.
-
-    Raises
-    ------
-    NoTilt
-        If beat and table rate do not fit together.
-    """
+    """Find the tilt from the records of the fast run."""
     each = fast_estimates(fast, knowledge)
     frequency, frequency_u = each.beat_frequency, each.beat_frequency_u
     pulling: float | Floats = lock_in_rate
@@ -108,15 +86,7 @@ def fast_estimates(fast: RecordArrays, knowledge: RunKnowledge) -> LockInEstimat
 
 
 def axis_rates(slow: RecordArrays, tilt: Tilt, knowledge: RunKnowledge) -> AxisRates:
-    """Work out the rate on the axis during each record from table rate, tilt and earth rate.
-
-    Parameters
-    ----------
-    slow : RecordArrays
-        With their table rates.
-    tilt : Tilt
-    knowledge : RunKnowledge
-    """
+    """Work out the rate on the axis during each record from table rate, tilt and earth rate."""
 
     def earth_rate(azimuth_deg: float | Floats) -> Floats:
         return earth_rate_on_axis(knowledge.latitude_deg, tilt.tilt_deg, azimuth_deg)

@@ -29,20 +29,7 @@ _UNSTEADY = int(Flag.CLIPPED | Flag.RATE_WANDER | Flag.HARMONICS_ALIASED | Flag.
 
 
 def third_order_limit(slow: RecordArrays, each: LockInEstimate, stated: float) -> float:
-    """Largest third harmonic that the receiver may make of a pure sine, over the sine, as the records show it.
-
-    Parameters
-    ----------
-    slow, each : RecordArrays, LockInEstimate
-        Records, and what each says; fields of shape (n,).
-    stated : float
-        The same by a statement; nan: there is none.
-
-    Returns
-    -------
-    float
-        The smaller of the two, but no less than what is surely seen; nan where there is neither.
-    """
+    """Largest third harmonic that the receiver may make of a pure sine, over the sine, as the records show it."""
     good = each.usable & ((each.flags & _UNSTEADY) == 0)
     found = list(_beside_own(slow, each, good))
     if not found:

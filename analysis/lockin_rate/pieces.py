@@ -33,15 +33,7 @@ UNLIKELY, RARE = 1e-4, 1e-2
 def compare_pieces(
     beat: Beat, fit: WaveformFit, stack: Stack, clipped: Bools | None, sample_interval: float
 ) -> tuple[Beat, Ints]:
-    """The beats, their uncertainty enlarged by what their parts say, and the flags with that of parts that differ.
-
-    Parameters
-    ----------
-    beat, fit : (R,)
-        Of the whole records.
-    clipped : (R, N) of bool or None
-        As for `fit_waveform`.
-    """
+    """Beats, their uncertainty enlarged by what their parts say, and the flags plus that of parts that differ."""
     flags = fit.flags
     louder = ((flags & int(Flag.COLOURED_NOISE)) != 0) & (fit.excess.max(axis=-1) > 1)
     suspect = (((flags & int(SUSPECT)) != 0) | louder) & ((flags & int(FATAL)) == 0)

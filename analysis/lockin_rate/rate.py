@@ -25,19 +25,7 @@ def rate_of_ratio(
     rate: Floats | None,
     relation: Relation,
 ) -> tuple[Floats, Floats, Floats, Floats]:
-    """Lock-in rate, its standard uncertainty and the ends of its 95 % interval, deg/s.
-
-    Parameters
-    ----------
-    size, ratio : (...)
-        |rho| as observed, and freed of its bias.
-    beat_rate, rate : (...)
-        f/K and the rate given, deg/s; `rate` None: the record is its own reference.
-    covariance : (..., 2, 2)
-        Of f/K and the ratio, from noise.
-    misfit : (...)
-        Standard uncertainty of the ratio by what is no noise.
-    """
+    """Lock-in rate, its standard uncertainty and the ends of its 95 % interval, deg/s."""
     value, by_ratio, by_beat_rate = rate_and_slopes(ratio, beat_rate, rate, relation)
     variance = _variance_along(by_beat_rate, by_ratio, covariance)
     value_u = np.sqrt(np.maximum(variance, 0.0) + (by_ratio * misfit) ** 2)
@@ -85,17 +73,7 @@ def with_ratio(
     sense: Floats | None = None,
     misfit_u: Floats | None = None,
 ) -> LockInEstimate:
-    """The estimate with a corrected rho: lock-in rate, interval and phase from it; frequency and noise stay.
-
-    Parameters
-    ----------
-    ratio : (...) complex, covariance : (..., 2, 2)
-        The corrected rho and the covariance of its two parts.
-    sense : (...), optional
-        Sign of the rate where the estimate was made without one; without it positive, as in the estimate.
-    misfit_u : (...), optional
-        What the correction leaves of the estimate's own.
-    """
+    """The estimate with a corrected rho: lock-in rate, interval and phase from it; frequency and noise stay."""
     misfit_u = estimate.misfit_u if misfit_u is None else misfit_u
     size = np.abs(ratio)
     unit = ratio / np.where(size > 0, size, 1.0)

@@ -40,13 +40,7 @@ PROBABLY = 3.0
 
 
 def fewest_levels(beat: Beat, third: Complexes, third_u: Floats) -> Floats:
-    """Levels of the converter below which the amplitude of each record speaks against a beat, (R,).
-
-    Parameters
-    ----------
-    third, third_u : (R,)
-        What the waveform leaves at three times the beat, of `third_harmonic`.
-    """
+    """Levels of the converter below which the amplitude of each record speaks against a beat, (R,)."""
     size, across = np.abs(beat.rho), np.abs(beat.rho.imag)
     scatter = LAG_SCATTERS * np.sqrt(np.maximum(beat.rho_covariance[:, 1, 1], 0.0))
     amiss = np.abs(third) > PROBABLY * third_u

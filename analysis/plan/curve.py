@@ -32,37 +32,20 @@ _GROUPS: dict[str, tuple[str, ...]] = {
 
 @dataclass(frozen=True)
 class UncertaintyCurve:
-    """Relative standard uncertainties, each of shape (n,), for W/WL = `over_lock_in`.
-
-    Attributes
-    ----------
-    noise, distortion, reference, channel : ndarray
-        What noise, distortion, the rate (K and time base, or table), and bandwidth and gain contribute.
-    records : int
-        For which this holds.
-    """
+    """Relative standard uncertainties, each of shape (n,), for W/WL = `over_lock_in`."""
 
     over_lock_in: Floats
     total: Floats
+    # what noise, distortion, the rate (K and time base, or table), and bandwidth and gain contribute
     noise: Floats
     distortion: Floats
     reference: Floats
     channel: Floats
-    records: int
+    records: int  # for which this holds
 
 
 def uncertainty_curve(request: PlanRequest, records: int, *, fastest: float = 100.0) -> UncertaintyCurve:
-    """Predict the uncertainty at rates from close above lock-in to `fastest` times lock-in.
-
-    Parameters
-    ----------
-    request : PlanRequest
-        Several rates are taken as one rate: the curve is that of each alone, in both senses where asked for.
-    records : int
-        At each rate (and sense).
-    fastest : float, optional
-        Largest W/WL.
-    """
+    """Predict the uncertainty at rates from close above lock-in to `fastest` times lock-in."""
     single = replace(request, rates_over_lock_in=())
     over = np.geomspace(1.06, fastest, _POINTS)
     budgets = [predicted_budget(single, float(ratio), records) for ratio in over]

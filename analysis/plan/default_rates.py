@@ -34,29 +34,6 @@ def default_rates(
     scale; closer together where table or receiver do not go so far, and fewer where less than a quarter would lie
     between two.
 
-    Parameters
-    ----------
-    expected_lock_in_rate : float
-        deg/s.
-    scale_factor : float
-        Pulses per degree.
-    lock_in_factor : float, optional
-        The lock-in rate may be this factor larger or smaller.
-    fastest_rate : float, optional
-        deg/s on the gyro's axis that the table can give.
-    fastest_beat_hz : float, optional
-        Hz that receiver and oscilloscope pass.
-
-    Returns
-    -------
-    tuple of float
-        Ascending, rounded to two digits.
-
-    Raises
-    ------
-    ValueError
-        Values that are not positive; a table or receiver that does not reach a rate that is safe.
-
     Examples
     --------
     >>> default_rates(0.01, 2000.0)

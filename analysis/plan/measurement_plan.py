@@ -29,56 +29,30 @@ _CANDIDATES = 60
 
 @dataclass(frozen=True)
 class PlannedRate:
-    """One rate of a plan, and how its records are taken.
+    """One rate of a plan, and how its records are taken."""
 
-    Attributes
-    ----------
-    over_lock_in : float
-        |W|/WL.
-    input_rate, table_rate : float
-        deg/s, signed; the second is nan where no table is described.
-    beat_frequency : float
-        Hz.
-    levels : float
-        Amplitude of the beat in levels of the converter.
-    shape : RecordShape
-        With the number of records at this rate.
-    """
-
-    over_lock_in: float
-    input_rate: float
+    over_lock_in: float  # |W|/WL
+    input_rate: float  # deg/s, signed; the second is nan where no table is described
     table_rate: float
-    beat_frequency: float
+    beat_frequency: float  # Hz
     seconds_per_division: float
     volts_per_division: float
     periods: float
     samples_per_period: float
-    levels: float
-    shape: RecordShape
+    levels: float  # amplitude of the beat in levels of the converter
+    shape: RecordShape  # with the number of records at this rate
 
 
 @dataclass(frozen=True)
 class Plan:
-    """What to do, and what will come of it.
-
-    Attributes
-    ----------
-    budget : Budget
-        Predicted, of all records together.
-    reached : bool
-        Whether the wanted uncertainty is reached.
-    floor_u : float
-        Relative uncertainty that no number of records goes below.
-    duration_s : float
-        Of all records with their transfer.
-    """
+    """What to do, and what will come of it."""
 
     request: PlanRequest
     rates: tuple[PlannedRate, ...]
-    budget: Budget
-    reached: bool
-    floor_u: float
-    duration_s: float
+    budget: Budget  # predicted, of all records together
+    reached: bool  # whether the wanted uncertainty is reached
+    floor_u: float  # relative uncertainty that no number of records goes below
+    duration_s: float  # of all records with their transfer
 
     @property
     def records(self) -> int:
@@ -91,24 +65,13 @@ def plan_measurement(request: PlanRequest) -> Plan:
 
     Without rates in the request the rate is the one that needs the fewest records, or, where no number of them
     is enough, the one with the smallest uncertainty that remains.
-
-    Raises
-    ------
-    ValueError
-        The signal does not fit on the screen, or the rates cannot tell distortion from lock-in.
     """
     chosen = request.rates_over_lock_in or (_best_rate(request),)
     return _planned(request, chosen)
 
 
 def plan_of_records(request: PlanRequest, records: int) -> Plan:
-    """Say what so many records at each rate of the request give, and how long they take.
-
-    Raises
-    ------
-    ValueError
-        As for :func:`plan_measurement`; or the request names no rates.
-    """
+    """Say what so many records at each rate of the request give, and how long they take."""
     if not request.rates_over_lock_in:
         raise ValueError("without rates nobody knows what the records give")
     ratios = request.rates_over_lock_in
@@ -126,13 +89,7 @@ def predicted_budget(request: PlanRequest, over_lock_in: float, records: int) ->
 
 
 def budget_elsewhere(plan: Plan, lock_in_rate: float) -> Budget:
-    """Budget of the same rates and records if the lock-in rate is another than expected, deg/s.
-
-    Raises
-    ------
-    ValueError
-        The gyro would be locked, or too close to it, at one of the rates.
-    """
+    """Budget of the same rates and records if the lock-in rate is another than expected, deg/s."""
     ratios = tuple(abs(rate.input_rate) / lock_in_rate for rate in plan.rates)
     request = replace(plan.request, lock_in_rate=lock_in_rate, rates_over_lock_in=ratios)
     return _budget(request, _rates(request, ratios, plan.records))

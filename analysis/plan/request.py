@@ -17,20 +17,11 @@ FASTEST_OVER_LOCK_IN = 100.0
 
 @dataclass(frozen=True)
 class OscilloscopeSteps:
-    """What the knobs of an oscilloscope allow.
+    """What the knobs of an oscilloscope allow."""
 
-    Attributes
-    ----------
-    time_bases : sequence of float
-        s/div, ascending.
-    vertical_scales : sequence of float
-        V/div at the input, ascending.
-    samples, divisions, levels_per_division : int
-        Of a record: its samples, its horizontal divisions, the converter's levels per vertical division.
-    """
-
-    time_bases: Sequence[float]
-    vertical_scales: Sequence[float]
+    time_bases: Sequence[float]  # s/div, ascending
+    vertical_scales: Sequence[float]  # v/div at the input, ascending
+    # of a record: its samples, its horizontal divisions, the converter's levels per vertical division
     samples: int = 2500
     divisions: int = 10
     levels_per_division: int = 25
@@ -89,58 +80,27 @@ class TableSpread:
 
 @dataclass(frozen=True)
 class PlanRequest:
-    """What is wanted, and what is known beforehand.
+    """What is wanted, and what is known beforehand."""
 
-    Attributes
-    ----------
-    lock_in_rate : float
-        As expected, deg/s.
-    lock_in_factor : float
-        It may be this factor larger or smaller.
-    wanted_u : float
-        Relative standard uncertainty of the lock-in rate that is wanted.
-    scale_factor : float
-        K, pulses per degree.
-    amplitude, noise_rms : float
-        Of the beat, and of the white noise in each sample, at the input, V.
-    noise_levels : float
-        Noise of the oscilloscope itself, rms, levels.
-    knowledge : BenchKnowledge
-        Its `table` is made from `table` below.
-    reference : {"beat", "rate"}
-    rates_over_lock_in : tuple of float
-        W/WL to measure at; empty: the best one is looked for.
-    both_senses : bool
-        Every rate in both senses of rotation.
-    phase : float
-        Readout phase less backscatter phase, rad; nan: unknown.
-    scatter : float
-        Standard deviation of the lock-in rate itself from record to record, relative.
-    periods_min, samples_per_period_min, fill_levels : float
-        How a record is to be taken.
-    seconds_between_records : float
-        For the transfer.
-    """
-
-    lock_in_rate: float
-    wanted_u: float
-    scale_factor: float
-    amplitude: float
+    lock_in_rate: float  # as expected, deg/s
+    wanted_u: float  # relative standard uncertainty of the lock-in rate that is wanted
+    scale_factor: float  # k, pulses per degree
+    amplitude: float  # of the beat, and of the white noise in each sample, at the input, V
     noise_rms: float
     oscilloscope: OscilloscopeSteps
-    knowledge: BenchKnowledge
-    lock_in_factor: float = 2.0
-    noise_levels: float = 0.0
-    reference: Reference = "beat"
+    knowledge: BenchKnowledge  # its `table` is made from `table` below
+    lock_in_factor: float = 2.0  # it may be this factor larger or smaller
+    noise_levels: float = 0.0  # noise of the oscilloscope itself, rms, levels
+    reference: Reference = "beat"  # {"beat", "rate"}
     table: TableSpread | None = None
-    rates_over_lock_in: tuple[float, ...] = ()
-    both_senses: bool = False
-    phase: float = math.nan
-    scatter: float = 0.0
-    periods_min: float = 15.0
+    rates_over_lock_in: tuple[float, ...] = ()  # w/WL to measure at; empty: the best one is looked for
+    both_senses: bool = False  # every rate in both senses of rotation
+    phase: float = math.nan  # readout phase less backscatter phase, rad; nan: unknown
+    scatter: float = 0.0  # standard deviation of the lock-in rate itself from record to record, relative
+    periods_min: float = 15.0  # how a record is to be taken
     samples_per_period_min: float = 20.0
     fill_levels: float = 100.0
-    seconds_between_records: float = 0.0
+    seconds_between_records: float = 0.0  # for the transfer
 
     def __post_init__(self) -> None:
         for name in ("lock_in_rate", "wanted_u", "scale_factor", "amplitude"):

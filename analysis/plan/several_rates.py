@@ -37,27 +37,6 @@ def expected_joint_u(
 
     It counts the noise of the records, and what they do not tell of distortion, bandwidth and gain corner. Few
     rates in one sense may have a second solution; then it is that of both together.
-
-    Parameters
-    ----------
-    shapes : (n,) of RecordShape
-        Of the records at each rate, their number included.
-    input_rates : (n,)
-        deg/s, signed.
-    lock_in_rate, scale_factor : float
-        deg/s, pulses per degree.
-    reference : {"beat", "rate"}
-    phase : float, optional
-        Readout phase less backscatter phase, rad; nan: the rms over all phases.
-    receiver : ReceiverKnowledge, optional
-        What is known of receiver and laser; without it the usual bounds.
-    all_else_known : bool, optional
-        Noise alone: as if receiver and laser were known without any uncertainty.
-
-    Raises
-    ------
-    ValueError
-        The rates cannot tell distortion from lock-in.
     """
     phases = np.array([phase]) if np.isfinite(phase) else np.arange(_PHASES) * (2 * np.pi / _PHASES)
     rate = np.asarray(input_rates, dtype=np.float64)

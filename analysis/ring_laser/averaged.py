@@ -41,22 +41,7 @@ def mean_beat_on_table(
 ) -> Floats | None:
     """Mean over several starts of the volts at the detector at some times behind each.
 
-    Parameters
-    ----------
-    starts : ndarray, shape (k,)
-        Absolute times, s, rising.
-    times : ndarray, shape (n,)
-        s, rising from 0.
-    corner_hz : float, optional
-        Of an AC coupling behind the detector, as :func:`signal_above` has it; 0: there is none.
-    settling_s : float, optional
-        Time before the first start that this coupling has to forget.
-
-    Returns
-    -------
-    ndarray, shape (n,), or None
-        V, to 1e-3 of the amplitude. ``None`` where the table changes its rate, the gyro locks, light swings too
-        much, or the stretches differ too much.
+    Shapes: starts (k,), times (n,).
     """
     segments, span = tuple(motion), float(times[-1])
     first, last = float(starts[0]), float(starts[-1]) + span

@@ -45,19 +45,7 @@ _TO_SERIES = np.linalg.inv(chebyshev.chebvander(_NODES, 11)).T
 def beat_phase_on_table(gyro: Gyro, motion: Sequence[Motion], times: Floats) -> tuple[Floats, Floats]:
     """Rate on the axis and phase of the beat while the table moves.
 
-    Parameters
-    ----------
-    motion : sequence of Motion
-        In order of time; the last one goes on for ever, the first one also holds before its start.
-    times : ndarray, shape (n,)
-        Absolute times, s.
-
-    Returns
-    -------
-    rates : ndarray, shape (n,)
-        deg/s.
-    phases : ndarray, shape (n,)
-        psi, rad.
+    Shapes: times (n,).
     """
     segments = tuple(motion)
     start_phases = _start_phases(gyro, segments)

@@ -26,38 +26,22 @@ _OVERSHOOT = 0.05  # of the swing: more than a polynomial between points of the 
 
 @dataclass(frozen=True)
 class Detector:
-    """A photodiode that looks at the fringes, with its amplifier.
+    """A photodiode that looks at the fringes, with its amplifier."""
 
-    Attributes
-    ----------
-    readout_phase : float
-        delta, where it reads the fringes, rad.
-    amplitude, offset : float
-        Of its signal, V.
-    second_order, third_order : float
-        Distortion: s + second_order s^2 + third_order s^3 of the signal s in units of the amplitude. The
-        harmonics of a pure beat are then second_order / 2 and third_order / 4 of it.
-    low_pass_hz, ac_corner_hz : float
-        Corners of one pole each; 0: there is none.
-    coupling_hz : float
-        Corner of the AC coupling of what looks at the signal, as `ac_corner_hz`.
-    pump_ripple, pump_hz : float
-        The light swings by this share.
-    single_beams : float
-        Light of the single beams over that of the fringes: how much of their winking is seen.
-    """
-
-    readout_phase: float
-    amplitude: float = 1.0
+    readout_phase: float  # delta, where it reads the fringes, rad
+    amplitude: float = 1.0  # of its signal, V
     offset: float = 0.0
+    # distortion: s + second_order s^2 + third_order s^3 of the signal s in units of the amplitude. The harmonics
+    # of a pure beat are then second_order / 2 and third_order / 4 of it.
     second_order: float = 0.0
     third_order: float = 0.0
-    low_pass_hz: float = 0.0
+    low_pass_hz: float = 0.0  # corners of one pole each; 0: there is none
     ac_corner_hz: float = 0.0
-    pump_ripple: float = 0.0
+    pump_ripple: float = 0.0  # the light swings by this share
     pump_hz: float = 0.0
+    # light of the single beams over that of the fringes: how much of their winking is seen
     single_beams: float = 0.0
-    coupling_hz: float = 0.0
+    coupling_hz: float = 0.0  # corner of the AC coupling of what looks at the signal, as `ac_corner_hz`
 
     @property
     def filtered(self) -> bool:
@@ -103,17 +87,7 @@ class Detector:
 def detector_signal(gyro: Gyro, detector: Detector, axis_rate: Floats, beat_phase: Floats) -> Floats:
     """Volts at the detector for given rate on the axis and slow beat phase.
 
-    Parameters
-    ----------
-    axis_rate : ndarray, shape (n,)
-        W, deg/s.
-    beat_phase : ndarray, shape (n,)
-        psi, rad, growing with positive and falling with negative rate.
-
-    Returns
-    -------
-    ndarray, shape (n,)
-        V. A locked gyro gives a constant.
+    Shapes: axis_rate (n,), beat_phase (n,).
     """
     if not detector.filtered and gyro.winking is None:
         return detector.volts(gyro.fringe(axis_rate, beat_phase), gyro.backscatter_phase)
@@ -135,15 +109,7 @@ def detector_signal(gyro: Gyro, detector: Detector, axis_rate: Floats, beat_phas
 def volts_between(
     gyro: Gyro, detector: Detector, slowest: float, fastest: float, sense: int
 ) -> tuple[float, float]:
-    """Volts that the detector does not leave at any phase of the beat.
-
-    Parameters
-    ----------
-    slowest, fastest : float
-        Rates on the axis between which it is meant, deg/s, positive and beyond lock-in.
-    sense : {1, -1}
-        Of the rotation.
-    """
+    """Volts that the detector does not leave at any phase of the beat."""
     low, high = np.inf, -np.inf
     first, last = grid_place(np.array([slowest, fastest]), gyro.lock_in_rate)
     for point in range(math.floor(first) - 2, math.ceil(last) + 4):  # those that are interpolated between

@@ -17,39 +17,21 @@ _SECONDS_PER_HOUR = 3600.0
 
 @dataclass(frozen=True)
 class Gyro:
-    """A ring laser gyro on a tilted axis.
+    """A ring laser gyro on a tilted axis."""
 
-    Attributes
-    ----------
-    scale_factor : float
-        K, beat periods per degree, at time zero.
-    lock_in_rate : float
-        WL, deg/s, not negative.
-    backscatter_phase : float
-        beta of the lock-in equation, rad.
-    tilt_deg, latitude_deg, north_azimuth_deg : float
-        Angle between gyro axis and (vertical) table axis; site; table azimuth at which the axis points north.
-    start_phase : float
-        Phase of the beat at the start of the motion, rad.
-    scale_factor_drift_ppm_per_hour : float
-        K grows by so much.
-    ripple_dps, ripple_hz : float
-        A swing of the rate on the axis. Its frequency has to be far below that of the beat.
-    winking : Winking or None
-        Gain saturation; ``None``: the lock-in equation holds.
-    """
-
-    scale_factor: float
-    lock_in_rate: float
-    backscatter_phase: float
+    scale_factor: float  # k, beat periods per degree, at time zero
+    lock_in_rate: float  # WL, deg/s, not negative
+    backscatter_phase: float  # beta of the lock-in equation, rad
+    # angle between gyro axis and (vertical) table axis; site; table azimuth at which the axis points north
     tilt_deg: float
     latitude_deg: float
     north_azimuth_deg: float = 0.0
-    start_phase: float = 0.0
-    scale_factor_drift_ppm_per_hour: float = 0.0
+    start_phase: float = 0.0  # phase of the beat at the start of the motion, rad
+    scale_factor_drift_ppm_per_hour: float = 0.0  # K grows by so much
+    # A swing of the rate on the axis. Its frequency has to be far below that of the beat.
     ripple_dps: float = 0.0
     ripple_hz: float = 0.0
-    winking: Winking | None = None
+    winking: Winking | None = None  # gain saturation; ``None``: the lock-in equation holds
 
     def axis_rate(
         self, table_rate_dps: ArrayLike, azimuth_deg: ArrayLike, ripple_phase: ArrayLike = 0.0
@@ -89,17 +71,7 @@ class Gyro:
     def fringe(self, axis_rate: Floats, beat_phase: Floats) -> Complexes:
         """exp(i (phi + beta)) for given rate on the axis and slow beat phase.
 
-        Parameters
-        ----------
-        axis_rate : ndarray, shape (...)
-            W, deg/s.
-        beat_phase : ndarray, shape (...)
-            psi, rad, growing with positive and falling with negative rate.
-
-        Returns
-        -------
-        ndarray of complex, shape (...)
-            A locked gyro rests where sin(phi + beta) = W/WL.
+        Shapes: axis_rate (...), beat_phase (...).
         """
         ratio = self.harmonic_ratio(axis_rate)
         rotating = np.exp(1j * np.where(axis_rate < 0, -beat_phase, beat_phase))

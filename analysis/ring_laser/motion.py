@@ -49,12 +49,7 @@ Inside = NDArray[np.intp] | slice
 def split(motion: tuple[Motion, ...], times: Array) -> list[tuple[int, Inside]]:
     """Sort times into pieces: number of the piece, and the indices of the times that fall into it.
 
-    Parameters
-    ----------
-    motion : tuple of Motion
-        In order of time; the last one goes on for ever, the first one also holds before its start.
-    times : ndarray, shape (n,)
-        Absolute times, s.
+    Shapes: times (n,).
     """
     if times.size == 0:
         return []

@@ -35,19 +35,7 @@ def rate_at(point: int, lock_in_rate: float) -> float:
 def interpolate(rates: Floats, lock_in_rate: float, at_point: Callable[[int, Indices], Floats | float]) -> Floats:
     """Interpolate between the points of the grid, by polynomials of the fifth degree.
 
-    Parameters
-    ----------
-    rates : ndarray, shape (n,)
-        deg/s, either sign, all beyond the lock-in rate.
-    lock_in_rate : float
-        deg/s.
-    at_point : callable
-        Gets the number of a point and the indices of the rates that need it; gives their values there, or one
-        value for all of them.
-
-    Returns
-    -------
-    ndarray, shape (n,)
+    Shapes: rates (n,).
     """
     place = grid_place(np.abs(rates), lock_in_rate)
     cells = np.floor(place).astype(np.intp)

@@ -29,17 +29,7 @@ _SHARPEST = 0.9  # ratio of successive harmonics
 def beat_signal_on_table(gyro: Gyro, detector: Detector, motion: Sequence[Motion], times: Floats) -> Floats:
     """Volts at the detector while the table moves.
 
-    Parameters
-    ----------
-    motion : sequence of Motion
-        In order of time; the last one goes on for ever, the first one also holds before its start.
-    times : ndarray, shape (n,)
-        Absolute times, s.
-
-    Returns
-    -------
-    ndarray, shape (n,)
-        V, without noise.
+    Shapes: times (n,).
     """
     segments, volts = tuple(motion), np.empty_like(times)
     for number, inside in split(segments, times):
@@ -71,11 +61,6 @@ def smooth_interval(gyro: Gyro, detector: Detector, motion: Sequence[Motion], st
     """Distance in s of points between which polynomials of the fifth degree give the signal of the detector.
 
     They leave 1e-4 of its amplitude. 0 where the gyro locks or unlocks: there are no such points then.
-
-    Parameters
-    ----------
-    start, stop : float
-        Absolute times in s between which the signal is wanted.
     """
     segments = tuple(motion)
     pieces = split(segments, np.array([start, stop]))
@@ -136,12 +121,6 @@ def signal_above(
     """The signal behind an AC coupling of one pole, between two absolute times in s.
 
     Light and rate that swing a little do not show in what the coupling does: their share of it is left out.
-
-    Returns
-    -------
-    callable or None
-        Absolute times in s -> V. ``None`` where the table changes its rate, the gyro locks, or light or rate swing
-        too much: what a coupling makes of that is not known beforehand.
     """
     segments = tuple(motion)
     pieces = split(segments, np.array([start, stop]))
@@ -187,38 +166,22 @@ def _rates_in(gyro: Gyro, segment: Motion) -> tuple[float, float, int]:
 
 @dataclass(frozen=True)
 class NoisySignal:
-    """A signal at an input with white noise: its two parts can be looked at one by one.
+    """A signal at an input with white noise: its two parts can be looked at one by one."""
 
-    Attributes
-    ----------
-    smooth : callable
-        Absolute times in s -> V, without noise.
-    noise_rms : float
-        V in each sample.
-    seed : int
-        Not negative.
-    stream : int
-        Another number, another noise: one for each channel.
-    interval : callable
-        Two absolute times in s -> the distance in s of points between which polynomials of the fifth degree give
-        the smooth part; 0 where that is not known.
-    bounds : callable
-        Two absolute times in s -> V that the smooth part does not leave between them.
-    above : callable
-        A corner in Hz and two absolute times in s -> the smooth part behind a high-pass of one pole, between these
-        times; ``None`` where that is not known.
-    mean : callable
-        Starts (absolute, s) and times behind each, a corner in Hz (0: none) and its settling time in s -> the mean
-        of the smooth part, behind that high-pass, over all starts; ``None`` where that is not known.
-    """
-
-    smooth: Callable[[Floats], Floats]
-    noise_rms: float
-    seed: int
-    stream: int = 0
+    smooth: Callable[[Floats], Floats]  # absolute times in s -> V, without noise
+    noise_rms: float  # V in each sample
+    seed: int  # not negative
+    stream: int = 0  # another number, another noise: one for each channel
+    # two absolute times in s -> the distance in s of points between which polynomials of the fifth degree give the
+    # smooth part; 0 where that is not known
     interval: Callable[[float, float], float] = lambda start, stop: 0.0
+    # two absolute times in s -> V that the smooth part does not leave between them
     bounds: Callable[[float, float], tuple[float, float]] = lambda start, stop: (-math.inf, math.inf)
+    # A corner in Hz and two absolute times in s -> the smooth part behind a high-pass of one pole, between these
+    # times; ``None`` where that is not known
     above: Callable[[float, float, float], Callable[[Floats], Floats] | None] = lambda corner, start, stop: None
+    # starts (absolute, s) and times behind each, a corner in Hz (0: none) and its settling time in s -> the mean
+    # of the smooth part, behind that high-pass, over all starts; ``None`` where that is not known
     mean: Callable[[Floats, Floats, float, float], Floats | None] = lambda starts, times, corner, settling: None
 
     def __call__(self, times: Floats) -> Floats:
@@ -249,11 +212,5 @@ def _words(*numbers: int) -> NDArray[np.uint32]:
 def with_detector_noise(
     signal: Callable[[Floats], Floats], rms: float, seed: int, stream: int = 0
 ) -> Callable[[Floats], Floats]:
-    """Add white noise to a signal, the same for the same seed and the same sample times.
-
-    Returns
-    -------
-    callable
-        Absolute times in s -> V: a :class:`NoisySignal`, or `signal` itself without noise.
-    """
+    """Add white noise to a signal, the same for the same seed and the same sample times."""
     return NoisySignal(signal, rms, seed, stream) if rms else signal

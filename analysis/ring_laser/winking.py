@@ -44,27 +44,13 @@ DETOUR = (4.0, 2.0, 1.5, 1.2, 1.1, 1.05, 1.02, 1.01, 1.0)
 
 @dataclass(frozen=True)
 class WinkingLaser:
-    """Ring laser of equations (1).
+    """Ring laser of equations (1)."""
 
-    Attributes
-    ----------
-    scale_factor : float
-        K, pulses per degree.
-    backscatter : (float, float)
-        a1 and a2, rad/s.
-    phase_sum : float
-        eps, rad.
-    gain_rate : float
-        g, rad/s.
-    cross_saturation : float
-        xi, 0 <= xi < 1.
-    """
-
-    scale_factor: float
-    backscatter: tuple[float, float]
-    phase_sum: float
-    gain_rate: float
-    cross_saturation: float
+    scale_factor: float  # k, pulses per degree
+    backscatter: tuple[float, float]  # (float, float): a1 and a2, rad/s
+    phase_sum: float  # eps, rad
+    gain_rate: float  # g, rad/s
+    cross_saturation: float  # xi, 0 <= xi < 1
 
     def __post_init__(self) -> None:
         values = (self.scale_factor, *self.backscatter, self.phase_sum, self.gain_rate, self.cross_saturation)
@@ -130,16 +116,6 @@ def steady_beat(laser: WinkingLaser, input_rate: float) -> SteadyBeat:
     The phase is the independent variable, and the intensities are periodic in it: their values at even steps over
     one turn follow from Newton's method with the derivative of their Fourier series. Neither slow transients nor a
     gain far faster than the beat (a stiff equation) matter.
-
-    Parameters
-    ----------
-    input_rate : float
-        deg/s, either sign.
-
-    Raises
-    ------
-    ValueError
-        The phase does not turn at this rate: the gyro is locked, or the beat has no steady form.
 
     Examples
     --------
@@ -230,7 +206,8 @@ def _phases(n: int, input_rate: float) -> Floats:
 
 def _derivative(n: int) -> Floats:
     """Matrix (n, n) of the derivative of a periodic function at n (odd) even steps over one turn; exact for its
-    trigonometric polynomial."""
+    trigonometric polynomial.
+    """
     steps = np.subtract.outer(np.arange(n), np.arange(n))
     with np.errstate(divide="ignore"):
         matrix = 0.5 * np.where(steps % 2 == 0, 1.0, -1.0) / np.sin(np.pi * steps / n)
@@ -267,27 +244,13 @@ def _harmonics(laser: WinkingLaser, input_rate: float, values: Floats) -> Steady
 
 @dataclass(frozen=True)
 class Winking:
-    """Gain saturation of a laser with equal backscatter of both beams, its beat worked out on the grid of rates.
+    """Gain saturation of a laser with equal backscatter of both beams; its beat on the grid of rates."""
 
-    Attributes
-    ----------
-    scale_factor : float
-        Pulses per degree.
-    lock_in_rate : float
-        deg/s, at low rates.
-    gain_corner_hz : float
-        Relaxation rate of the common intensity over 2 pi.
-    phase_sum : float
-        Sum of the phases of the backscatter, rad: 0 is the dissipative kind, which locks.
-    cross_saturation : float
-        Over self saturation.
-    """
-
-    scale_factor: float
-    lock_in_rate: float
-    gain_corner_hz: float
-    phase_sum: float = 0.0
-    cross_saturation: float = 0.5
+    scale_factor: float  # pulses per degree
+    lock_in_rate: float  # deg/s, at low rates
+    gain_corner_hz: float  # relaxation rate of the common intensity over 2 pi
+    phase_sum: float = 0.0  # sum of the phases of the backscatter, rad: 0 is the dissipative kind, which locks
+    cross_saturation: float = 0.5  # over self saturation
 
     def frequency_factor(self, rates: Floats) -> Floats:
         """Beat frequency at rates in deg/s over that of the lock-in equation; all beyond the lock-in rate."""

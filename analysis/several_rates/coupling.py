@@ -49,15 +49,7 @@ class CouplingSeen:
 
 
 def coupling_seen(beats: Floats, lock_in_u: float) -> CouplingSeen | None:
-    """Coupling without loss by beats at several rates; ``None`` where rates and beats do not determine it.
-
-    Parameters
-    ----------
-    beats : (5, p)
-        Sums of what :func:`said_by_beats` gives, over the records of each rate in each sense.
-    lock_in_u : float
-        Relative standard uncertainty of WL by the ratios.
-    """
+    """Coupling without loss by beats at several rates; ``None`` where rates and beats do not determine it."""
     total = beats[0]
     if total.size == 0:
         return None
@@ -83,19 +75,7 @@ def coupling_seen(beats: Floats, lock_in_u: float) -> CouplingSeen | None:
 
 
 def said_by_beats(rate: Floats, mismatch: Floats, mismatch_u: Floats, square: Floats, slowness: Floats) -> Floats:
-    """What n records with a beat say: their weights, and weighted values that are to be added up, (5, n).
-
-    Parameters
-    ----------
-    rate : (n,)
-        deg/s, signed, known beside the beats.
-    mismatch, mismatch_u : (n,)
-        f/(K sqrt(W^2 - WL^2)) - 1, WL from the ratios, and its standard uncertainty without that of WL.
-    square : (n,)
-        (WL/W)^2.
-    slowness : (n,)
-        w/g_c.
-    """
+    """What n records with a beat say: their weights, and weighted values that are to be added up, (5, n)."""
     weights = 1 / (mismatch_u**2 + LEAST_U**2)
     return np.asarray(
         weights * np.stack([np.ones_like(rate), mismatch, square / (1 - square), slowness, 1 / rate])
@@ -103,15 +83,7 @@ def said_by_beats(rate: Floats, mismatch: Floats, mismatch_u: Floats, square: Fl
 
 
 def beats_of_rates(points: Points, mismatch: Floats, lock_in_rate: float, gain_time: float) -> Floats:
-    """What the records of a fit say at each rate in each sense, (5, p), for :func:`coupling_seen`.
-
-    Parameters
-    ----------
-    mismatch : (n,)
-        Of all records, nan where it is not known.
-    lock_in_rate, gain_time : float
-        deg/s, s: WL by the ratios, 1/g_c.
-    """
+    """What the records of a fit say at each rate in each sense, (5, p), for :func:`coupling_seen`."""
     records, sums = points.records, np.zeros((5, len(points.places)))
     for some, every in records.records.blocks():
         rows = np.flatnonzero(records.used[some] & np.isfinite(mismatch[some]))

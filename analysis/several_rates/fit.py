@@ -134,17 +134,7 @@ def fit_rates(
 def fit_again(
     fit: RatesFit, *, factor: Callable[[Floats], Complexes], receiver: ReceiverKnowledge | None = None
 ) -> RatesFit:
-    """The fit of the same records, with the ratio of each times a factor of its beat frequency.
-
-    Parameters
-    ----------
-    fit : RatesFit
-        Its rates count as exact now.
-    factor : callable
-        Of frequencies in Hz, (m,), complex.
-    receiver : ReceiverKnowledge, optional
-        As for :func:`fit_rates`, and so are the errors.
-    """
+    """The fit of the same records, with the ratio of each times a factor of its beat frequency."""
     records = fit.each.records.records.times(factor)
     return _fit(records, np.zeros(()), fit.reference, fit.model, receiver)
 

@@ -29,15 +29,6 @@ def over_gain_times(said: Answer, found: RatioFit, data: RatioData, prior: Prior
 
     The bench may have no gain time to speak of, as `said` takes it, or one anywhere within the bound: both count
     half, so that u is the root of the mean of both squares. The interval holds that of either.
-
-    Parameters
-    ----------
-    said : Answer
-        From the minima, with the gain time's prior as a bell about its mean.
-    found : RatioFit
-        All minima.
-    widen : float
-        Factor of the variances by scatter that noise does not explain.
     """
     times = _gain_times(found, prior, widen)
     if times.size < 2:

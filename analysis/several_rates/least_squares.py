@@ -41,7 +41,8 @@ _LARGEST = 0.999
 @dataclass(frozen=True)
 class RatioFit:
     """parameters (B, P) and covariance (B, P, P), zero where held; chi_square (B,), what is known beforehand
-    included; singular (B,)."""
+    included; singular (B,).
+    """
 
     parameters: Floats
     covariance: Floats
@@ -59,25 +60,12 @@ class RatioFit:
 
 
 def fit_ratios(data: RatioData, prior: Prior, start: Floats) -> RatioFit:
-    """Weighted least squares for every set, from a start for each.
-
-    Parameters
-    ----------
-    prior : Prior
-        Parameters with a standard deviation of 0 stay at the start.
-    start : (B, N_PARAMETERS)
-    """
+    """Weighted least squares for every set, from a start for each."""
     return _minimised(data, prior, np.array(start, dtype=np.float64), ITERATIONS)
 
 
 def profile(data: RatioData, prior: Prior, start: Floats, sizes: Floats) -> Floats:
-    """Least chi-square for every lock-in rate of `sizes` (S,), deg/s, the other parameters free.
-
-    Parameters
-    ----------
-    start : (N_PARAMETERS,)
-        A minimum near by. Its valley may end at a wall: every size is reached from nothing but distortion as well.
-    """
+    """Least chi-square for every lock-in rate of `sizes` (S,), deg/s, the other parameters free."""
     points = np.tile(start, (sizes.size, 1))
     points[:, :2] *= (sizes / np.hypot(*start[:2]))[:, np.newaxis]
     both = np.concatenate([points, with_distortion_alone(points, data, prior)])

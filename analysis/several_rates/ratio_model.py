@@ -134,13 +134,6 @@ def gain_factors(fast_ratio: Complexes, slowness: Floats) -> tuple[Complexes, Co
     With F = 1/(1 + i w T) and q e^(...) of size r, the lines of the beat stay a geometric series, of ratio p = r G
     with |p|/(1 + |p|^2) = |F| r/(1 + r^2) and the phase of F. Its image makes the fundamental
     c = (1 - r^2 G)^2 + q^2 (1 - G)^2.
-
-    Parameters
-    ----------
-    fast_ratio : (...)
-        q.
-    slowness : (...)
-        w T, of the beat's angular frequency w.
     """
     square = np.abs(fast_ratio) ** 2
     follow = 1 / (1 + 1j * slowness)
@@ -154,15 +147,7 @@ def gain_factors(fast_ratio: Complexes, slowness: Floats) -> tuple[Complexes, Co
 
 
 def low_pass_factor(square: Floats, lag: Floats) -> Complexes:
-    """What one pole makes of rho: H(2f) |H(f)|/H(f)^2, close to lock-in that of the nearest geometric series.
-
-    Parameters
-    ----------
-    square : (...)
-        r^2.
-    lag : (...)
-        (w tau)^2 of the beat's angular frequency; negative: the opposite effect.
-    """
+    """What one pole makes of rho: H(2f) |H(f)|/H(f)^2, close to lock-in that of the nearest geometric series."""
     size, rest = np.abs(lag), 1 - square
     x = np.sqrt(size)
     weaker = 0.5 * np.log((1 + size) / (1 + 4 * size)) * (3 + square) / (3 * rest)
@@ -188,11 +173,6 @@ def beyond_first_order(parameters: Floats, data: RatioData) -> tuple[Complexes, 
     The lines d_n of the distorted signal come from one period of it. With D(w) = sum d_n w^(n-1), the geometric
     series nearest to them has the ratio w* where (1 - |w|^2) |D(w)|^2 is largest, D'/D = w*/(1 - |w|^2), and the
     fundamental (1 - |w|^2) D(w).
-
-    Returns
-    -------
-    ratio, third : (B, n)
-        0 where there is next to no lock-in or next to nothing else.
     """
     fast, slowness = _of_fast_gain(parameters, data)
     gain, turn = gain_factors(fast, slowness)

@@ -114,13 +114,7 @@ def in_blocks(count: int) -> Iterator[slice]:
 def records_of_estimates(
     estimates: LockInEstimate | Sequence[LockInEstimate], input_rate: ArrayLike | None
 ) -> RatioRecords:
-    """Records of one or several estimates.
-
-    Raises
-    ------
-    ValueError
-        No records; estimates without a given rate and none given here; different scale factors.
-    """
+    """Records of one or several estimates."""
     several = [estimates] if isinstance(estimates, LockInEstimate) else list(estimates)
     flat = [e.reshaped(-1) for e in several]
     count = sum(len(e) for e in flat)
@@ -160,13 +154,7 @@ def records_of_arrays(
     third_harmonic_u: ArrayLike = np.inf,
     rate_of_beat: bool = False,
 ) -> RatioRecords:
-    """Records of plain arrays of n values; a beat frequency of 0 marks a record without a beat.
-
-    Raises
-    ------
-    ValueError
-        Rates that are zero or not finite, shapes that do not fit, a scale factor that is not positive.
-    """
+    """Records of plain arrays of n values; a beat frequency of 0 marks a record without a beat."""
     w = np.asarray(rate, dtype=np.float64).ravel()
     spread = np.asarray(covariance, dtype=np.float64)
     if spread.shape not in ((w.size, 2, 2), (2, 2)):
@@ -293,15 +281,7 @@ def rate_mismatch(records: RatioRecords, lock_in_rate: float) -> Floats:
 def rates_differ(
     rate: Floats, size: float, u: float, mismatch: Floats, rate_u: Floats, common: float = 0.0
 ) -> bool:
-    """Whether a rate of some (n,) does not fit its beat, beyond what a lock-in rate `size` with `u` explains.
-
-    Parameters
-    ----------
-    rate_u : (n,)
-        deg/s, what is known of the rates.
-    common : float
-        What all beats have in common against their rates, beside which the others count.
-    """
+    """Whether a rate of some (n,) does not fit its beat, beyond what a lock-in rate `size` with `u` explains."""
     for some in in_blocks(rate.size):
         beside, speed = (1 + mismatch[some]) / (1 + common) - 1, np.abs(rate[some])
         by_rate = rate_u[some] * speed / np.maximum(speed**2 - size**2, 1e-300)

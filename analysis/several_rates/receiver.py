@@ -20,22 +20,15 @@ matters only where the records themselves cannot tell it."""
 
 @dataclass(frozen=True)
 class ReceiverKnowledge:
-    """What somebody knows of the receiver and of the laser's gain; nan: nothing, then the usual bounds hold.
+    """What somebody knows of the receiver and of the laser's gain; nan: nothing, then the usual bounds hold."""
 
-    Attributes
-    ----------
-    second_order_limit, third_order_limit : float
-        Largest second and third harmonic that the receiver makes of a pure sine of the beat's size, over its
-        amplitude.
-    bandwidth : Corner
-        -3 dB corner of the receiver (one pole), as in `BenchKnowledge`: corrected for, or its effect a limit.
-    gain_corner : Corner
-        g_c/2 pi; with an uncertainty it is a value, without one it is the lowest that is possible.
-    """
-
+    # largest second and third harmonic that the receiver makes of a pure sine of the beat's size, over its
+    # amplitude
     second_order_limit: float = math.nan
     third_order_limit: float = math.nan
+    # -3 dB corner of the receiver (one pole), as in `BenchKnowledge`: corrected for, or its effect a limit
     bandwidth: Corner = field(default_factory=Corner)
+    # g_c/2 pi; with an uncertainty it is a value, without one it is the lowest that is possible
     gain_corner: Corner = field(default_factory=Corner)
 
     @staticmethod
@@ -52,11 +45,6 @@ class ReceiverKnowledge:
         """Mean and standard deviation of every parameter of the fit before there are data.
 
         Limits count as rectangular: half width over the root of three.
-
-        Parameters
-        ----------
-        slowest_beat_hz : float
-            Of the records, to which the usual bounds refer.
         """
         mean, sd = np.zeros(N_PARAMETERS), np.full(N_PARAMETERS, np.inf)
         second, third = self.second_order_limit, self.third_order_limit

@@ -33,17 +33,7 @@ class Answer:
 
 
 def answer(found: RatioFit, widen: float, degrees: int) -> Answer:
-    """The lock-in rate that a fit with one or several minima gives.
-
-    Parameters
-    ----------
-    found : RatioFit
-        All minima, the best first.
-    widen : float
-        Factor of the variances by scatter that noise does not explain.
-    degrees : int
-        Of freedom of that scatter; 0: the noise is known.
-    """
+    """The lock-in rate that a fit with one or several minima gives."""
     above = (found.chi_square - found.chi_square[0]) / widen
     possible = found[np.flatnonzero(above <= POSSIBLE)]
     each = [_size(possible[row : row + 1], widen, degrees) for row in range(possible.chi_square.size)]

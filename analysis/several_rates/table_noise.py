@@ -38,11 +38,6 @@ def table_noise(points: Points, fit: RatioFit) -> float:
     0 where that is chance or does not matter. 0 as well where it is more than `MISMATCH`: no table is that bad,
     some rate is another one, or coupling moves the beats; the tests of the fit then say which. From few points it
     is larger, by Student's factor.
-
-    Parameters
-    ----------
-    fit : RatioFit
-        Of the points; the first set.
     """
     data, records = points.points, points.records
     size, rate = float(np.hypot(*fit.parameters[0, :2])), np.abs(data.rate)

@@ -42,31 +42,17 @@ _PHASES = 8
 
 @dataclass(frozen=True)
 class Causes:
-    """Relative errors of the lock-in rate of n gyros, the largest over initial phases; by window where it matters.
+    """Relative errors of the lock-in rate of n gyros, largest over initial phases; by window where it matters."""
 
-    Attributes
-    ----------
-    points : tuple of (float, float)
-        Input rate, lock-in rate, deg/s.
-    bin_offset : ndarray
-        Distance of the beat from the middle of its bin, in bins.
-    together : dict of ndarray
-        The paper's method: peaks and equation (13).
-    euler, runge_kutta : ndarray
-        Integrated with 20 kHz in first and fourth order.
-    rounding : ndarray
-        Ours on eight bits; its rms over phases.
-    """
-
-    points: tuple[tuple[float, float], ...]
-    bin_offset: Floats
-    together: dict[str, Floats]
+    points: tuple[tuple[float, float], ...]  # (float, float): Input rate, lock-in rate, deg/s
+    bin_offset: Floats  # distance of the beat from the middle of its bin, in bins
+    together: dict[str, Floats]  # the paper's method: peaks and equation (13)
     formula: Floats
     peak: dict[str, Floats]
     leakage: dict[str, Floats]
-    euler: Floats
+    euler: Floats  # integrated with 20 kHz in first and fourth order
     runge_kutta: Floats
-    rounding: Floats
+    rounding: Floats  # ours on eight bits; its rms over phases
     ours: Floats
 
 
@@ -80,15 +66,7 @@ class PeakReading:
 
 
 def find_causes(points: tuple[tuple[float, float], ...] = POINTS, windows: tuple[str, ...] = WINDOWS) -> Causes:
-    """Take the error apart for some gyros.
-
-    Parameters
-    ----------
-    points : tuple of (float, float)
-        Input rate and lock-in rate, deg/s.
-    windows : tuple of str
-        Names that `scipy.signal.get_window` knows.
-    """
+    """Take the error apart for some gyros."""
     rate, lock_in = np.array(points).T
     phases = np.arange(_PHASES) * (2 * np.pi / _PHASES)
     gyros = Gyros.of(rate[:, np.newaxis], lock_in[:, np.newaxis], phases)

@@ -15,24 +15,14 @@ RATE_RATIOS = (0.01, 0.02, 0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0
 
 @dataclass(frozen=True)
 class BiasTable:
-    """Arrays of shape (n,).
+    """Arrays of shape (n,)."""
 
-    Attributes
-    ----------
-    rate_ratio : ndarray
-        x = WL/W.
-    ratio : ndarray
-        r = A2/A1 = tan(asin(x)/2).
-    formula_13, formula_10 : ndarray
-        Relative bias of the paper's equations, the ratio being exact: (1 + r^2)/sqrt(1 + 4 r^2) - 1 and r^2.
-    ours : ndarray
-        Largest relative error of the whole exact method on records of the exact solution, several phases.
-    """
-
-    rate_ratio: Floats
-    ratio: Floats
+    rate_ratio: Floats  # x = WL/W
+    ratio: Floats  # r = A2/A1 = tan(asin(x)/2)
+    # relative bias of the paper's equations, the ratio being exact: (1 + r^2)/sqrt(1 + 4 r^2) - 1 and r^2
     formula_13: Floats
     formula_10: Floats
+    # largest relative error of the whole exact method on records of the exact solution, several phases
     ours: Floats
 
 

@@ -31,29 +31,16 @@ READINGS = ("boxcar", "hann", "flattop")
 
 @dataclass(frozen=True)
 class WaveformStudy:
-    """One gyro in time and frequency (the paper's Figs. 2 and 3).
+    """One gyro in time and frequency (the paper's Figs. 2 and 3)."""
 
-    Attributes
-    ----------
-    input_rate, lock_in_rate : float
-        deg/s.
-    beat_frequency : float
-        Hz.
-    times, volts : (n,)
-        The whole record, s; amplitude 1.
-    frequencies, amplitudes : (m,)
-        Its spectrum without a window, Hz.
-    exact, peaks, fitted : (ORDERS,)
-        Amplitudes of the harmonics: by theory, the highest line near each, by least squares.
-    """
-
-    input_rate: float
+    input_rate: float  # deg/s
     lock_in_rate: float
-    beat_frequency: float
-    times: Floats
+    beat_frequency: float  # Hz
+    times: Floats  # (n,): The whole record, s; amplitude 1
     volts: Floats
-    frequencies: Floats
+    frequencies: Floats  # (m,): Its spectrum without a window, Hz
     amplitudes: Floats
+    # (ORDERS,): Amplitudes of the harmonics: by theory, the highest line near each, by least squares
     exact: Floats
     peaks: Floats
     fitted: Floats
@@ -69,28 +56,16 @@ class WaveformStudy:
 
 @dataclass(frozen=True)
 class ErrorStudy:
-    """Relative error of the lock-in rate along one axis, a row for each curve.
+    """Relative error of the lock-in rate along one axis, a row for each curve."""
 
-    Attributes
-    ----------
-    axis : (n,)
-        Initial phase in rad, input rate or lock-in rate in deg/s.
-    curves : tuple of (float, float)
-        Input rate and lock-in rate of each curve, deg/s; nan for the one that is the axis.
-    by_peaks : dict
-        For each window (n_curves, n): error of the paper's method; the largest over initial phases unless the
-        phase is the axis.
-    formula : (n_curves, n)
-        Error of the paper's equation (13) alone, the ratio being exact.
-    ours : (n_curves, n)
-        Error of the exact method, from the first 2500 samples of the same records.
-    """
-
-    axis: Floats
+    axis: Floats  # (n,): Initial phase in rad, input rate or lock-in rate in deg/s
+    # (float, float): Input rate and lock-in rate of each curve, deg/s; nan for the one that is the axis
     curves: tuple[tuple[float, float], ...]
+    # for each window (n_curves, n): error of the paper's method; the largest over initial phases unless the phase
+    # is the axis
     by_peaks: dict[str, Floats]
-    formula: Floats
-    ours: Floats
+    formula: Floats  # (n_curves, n): Error of the paper's equation (13) alone, the ratio being exact
+    ours: Floats  # (n_curves, n): Error of the exact method, from the first 2500 samples of the same records
 
 
 def waveform_study(lock_in_rate: float, input_rate: float = 1.0) -> WaveformStudy:

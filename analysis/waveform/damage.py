@@ -65,7 +65,8 @@ class Outliers:
 @dataclass(frozen=True)
 class Damage:
     """flags : (R,); rows : (H,) of the clipped records; weights : (H, N) of them, clipped samples left out;
-    limits : (H, 2) the range between their clipping limits, +-inf on the side where not clipped."""
+    limits : (H, 2) the range between their clipping limits, +-inf on the side where not clipped.
+    """
 
     flags: Ints
     rows: Indices
@@ -74,15 +75,7 @@ class Damage:
 
 
 def find_damage(records: Records, fit: SeriesFit, clipped: Bools | None) -> Damage:
-    """Find clipped samples, from the caller's mask, in raw codes, or at levels that are too crowded.
-
-    Parameters
-    ----------
-    fit : SeriesFit
-        Of them as they are.
-    clipped : (R, N) of bool or None
-        The caller's own knowledge; replaces the search where it is given.
-    """
+    """Find clipped samples, from the caller's mask, in raw codes, or at levels that are too crowded."""
     values, weights = records.values, records.weights
     flags = np.zeros(len(values), dtype=np.int64)
     if clipped is None:
@@ -170,16 +163,7 @@ def _how_many(found: Bools) -> Counts:
 def outliers(
     values: Samples, masks: Masks, series: Series, residual: Residual, swing: Samples
 ) -> dict[int, Outliers]:
-    """Samples that are single spikes, by record. Many of them are a misfit, not spikes, and are kept.
-
-    Parameters
-    ----------
-    values : (R, N); masks : (R,)
-    series, residual : Series, Residual
-        Fitted to them, and what that leaves.
-    swing : (R,)
-        Range of the record itself: what is next to nothing beside it is arithmetic.
-    """
+    """Samples that are single spikes, by record. Many of them are a misfit, not spikes, and are kept."""
     spikes = {}
     # A single spike cannot hide: it stands out of the rms that it itself has raised. Missing samples are 0.
     rms = np.sqrt(residual.power / values.shape[1])

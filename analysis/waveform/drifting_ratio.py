@@ -23,13 +23,7 @@ a seventh of a turn."""
 
 
 def drift_of_ratio(drift: Floats, covariance: Floats) -> tuple[Floats, Bools]:
-    """Standard uncertainty of the ratio (R,) by drifts that noise hardly makes, and where it never does.
-
-    Parameters
-    ----------
-    drift, covariance : (R, 2), (R, 2, 2)
-        Change of the complex ratio from the middle of the record to its end, and what noise makes of it.
-    """
+    """Standard uncertainty of the ratio (R,) by drifts that noise hardly makes, and where it never does."""
     a, b, c = covariance[:, 0, 0], covariance[:, 0, 1], covariance[:, 1, 1]
     x, y = drift.T
     with np.errstate(all="ignore"):  # records without a beat, or without noise

@@ -79,19 +79,7 @@ def line_stands_out(power: Samples, *, few_lines: bool = False) -> bool:
 
 
 def misfit_of(power: Samples, n_samples: int, line: float, first: float, ratio: float, pedestal: float) -> Misfit:
-    """Judge the lines of one residual.
-
-    Parameters
-    ----------
-    power : (L,)
-        Squared sizes of the lines 1, 2, ... of its spectrum.
-    line : float
-        Number of beats in the record: where the fundamental is.
-    first, ratio : float
-        Sizes of the fundamental, in the residual's unit, and of the harmonic ratio.
-    pedestal : float
-        Of `pedestal_power`.
-    """
+    """Judge the lines of one residual."""
     mean = float(power.mean())
     beat = (first * n_samples / 2) ** 2
     around = surroundings(power) if power.size > 2 * NEIGHBOURS else np.full(power.size, mean)
@@ -122,13 +110,7 @@ def _foot(distance: Floats) -> Floats:
 
 
 def pedestal_power(power: Samples, line: float) -> float:
-    """Power of what rises towards the fundamental on both sides; 0 where that may be chance.
-
-    Parameters
-    ----------
-    power, line
-        As in `misfit_of`.
-    """
+    """Power of what rises towards the fundamental on both sides; 0 where that may be chance."""
     at = np.arange(1, power.size + 1)
     away = np.abs(at - line) / line
     inside, below, above = away < 0.25, (away >= 0.25) & (away < 0.5) & (at < line), (away >= 0.25) & (away < 0.5)

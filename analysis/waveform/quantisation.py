@@ -53,14 +53,7 @@ those of which the first have not cleared it."""
 
 
 def level_spacing(values: Samples, residual_rms: Floats) -> Floats:
-    """Spacing of the converter's levels where rounding is not white in a record, else 0; (R,).
-
-    Parameters
-    ----------
-    values : (R, N)
-    residual_rms : (R,)
-        In the unit of `values`.
-    """
+    """Spacing of the converter's levels where rounding is not white in a record, else 0; (R,)."""
     # No two different values are closer than the spacing, so any small difference clears a record.
     suspects = np.arange(len(values))
     for run in RUNS:
@@ -77,17 +70,7 @@ def level_spacing(values: Samples, residual_rms: Floats) -> Floats:
 
 
 def of_few_levels(volts: Samples, amplitude: Floats, residual_rms: Floats, fewest: Floats) -> Bools:
-    """Where the amplitude of the beat is less than so many levels of the converter, (R,).
-
-    Parameters
-    ----------
-    volts : (R, N)
-        As the converter gave them, in any unit.
-    amplitude, residual_rms : (R,)
-        In that unit.
-    fewest : (R,)
-        Levels.
-    """
+    """Where the amplitude of the beat is less than so many levels of the converter, (R,)."""
     few = np.zeros(len(volts), dtype=bool)
     # rounding leaves the root of a twelfth of a level at least
     suspects = np.flatnonzero(amplitude < fewest * np.sqrt(12) * residual_rms)
@@ -118,15 +101,7 @@ def _exact_spacing(values: Samples) -> Floats:
 
 
 def mean_rounding(model: Samples, values: Samples, spacing: Floats, residual_rms: Floats) -> Samples:
-    """Mean of the rounding error on each sample, (R, N), in the unit of `values`.
-
-    Parameters
-    ----------
-    model, values : (R, N)
-        The waveform without noise, and the record, whose values lie on the levels.
-    spacing, residual_rms : (R,)
-        Of the levels, and the rms that a fit left of the record as it is.
-    """
+    """Mean of the rounding error on each sample, (R, N), in the unit of `values`."""
     noise = np.sqrt(np.maximum((residual_rms / spacing) ** 2 - 1 / 12, 0.0))
     step = spacing.astype(values.dtype)[:, np.newaxis]
     level = (model - values[:, :1]) / step
@@ -159,13 +134,6 @@ def locked_to_the_beat(omega: Floats, repeated: Floats, n_samples: int) -> Bools
     After some number of samples the beat must stand at the same phase again, all through the record; its errors
     can then repeat no more often than the record holds such cycles. A waveform of another shape repeats too, but
     with every beat, and so more often.
-
-    Parameters
-    ----------
-    omega : (R,)
-        rad per sample.
-    repeated : (R,)
-        From `repetition`.
     """
     locked = repeated > LOCKED
     cycles = np.arange(2, n_samples // 2)
@@ -182,13 +150,6 @@ def leftover_excess(residual: Residual, n_samples: int, spacing: Floats) -> Floa
 
     What the correction leaves of the rounding error is not white noise: it sits on the few samples next to a
     change of level, and follows the waveform. The factor is calibrated on random records (`benchmarks.estimator`).
-
-    Parameters
-    ----------
-    residual : Residual
-        Of quiet records after the correction.
-    spacing : (R,)
-        Of the levels.
     """
     rms = np.sqrt(residual.power / n_samples) / spacing
     along = 1 + LEFTOVER * np.exp((LEAST_RMS - rms) / LEFTOVER_FALL)

@@ -104,7 +104,8 @@ class Records:
 
     def groups(self) -> Iterator[tuple[Indices, Records]]:
         """Records without and with missing samples, and which they are: sums over all samples have a closed form,
-        which none of them may lose by its neighbours."""
+        which none of them may lose by its neighbours.
+        """
         if self.weights is None and len(self.values) != 1:
             yield np.arange(len(self.values)), self
             return
@@ -135,13 +136,7 @@ class Stack:
             yield slice(start, start + at_once)
 
     def take(self, part: slice | Indices, precision: DTypeLike = np.float64) -> Records:
-        """Centre some records.
-
-        Raises
-        ------
-        ValueError
-            Infinite values; nan, unless `nan_policy` is "omit".
-        """
+        """Centre some records."""
         raw, kind, missing = self.volts[part], np.dtype(precision), None
         centred = _Centred.of(raw, missing, kind)
         if not np.all(np.isfinite(centred.centre)):
@@ -238,22 +233,7 @@ def _some_places(n_samples: int) -> Indices:
 
 
 def as_stack(volts: ArrayLike, sample_interval: float, nan_policy: NanPolicy = "raise") -> Stack:
-    """Check an array of records.
-
-    Parameters
-    ----------
-    volts : (..., n_samples)
-        In raw codes, -128 marks a missing sample: a scope sends it where scan mode has no sample yet.
-    sample_interval : float
-        Seconds.
-    nan_policy : {"raise", "omit"}
-        Whether nan is an error or a missing sample.
-
-    Raises
-    ------
-    ValueError
-        Says what is wrong: type, shape, number of samples, sample interval.
-    """
+    """Check an array of records."""
     array = np.asarray(volts)
     if array.dtype.kind not in "fiub":
         raise ValueError(f"volts must be real numbers, not {array.dtype}")

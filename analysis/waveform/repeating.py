@@ -38,22 +38,7 @@ NOTHING = 1e-200
 
 
 def may_repeat(sizes: Sizes, omega: Floats, mean: Floats, n_samples: int) -> tuple[Bools, Bools]:
-    """Where the harmonics are stronger than white noise explains: a first look at all records.
-
-    Parameters
-    ----------
-    sizes : (R, N//2 + 1)
-        Sizes of the lines of the spectrum.
-    omega : (R,)
-        rad per sample.
-    mean : (R,)
-        Mean power of a line.
-
-    Returns
-    -------
-    often, sometimes : (R,)
-        For `repeating`, and from the third harmonic on for `hidden_by_harmonics`.
-    """
+    """Where the harmonics are stronger than white noise explains: a first look at all records."""
     turns = omega[:, np.newaxis] / (2 * np.pi) * np.arange(THIRD, LAST + 1)
     below = (np.abs(turns - np.rint(turns)) * n_samples).astype(np.intp)
     below = np.clip(below, 1, sizes.shape[1] - 2)
@@ -65,20 +50,7 @@ def may_repeat(sizes: Sizes, omega: Floats, mean: Floats, n_samples: int) -> tup
 
 
 def hidden_by_harmonics(left: Samples, omega: Floats, mean: Floats) -> Floats:
-    """Size (as a line's) that may hide on the second harmonic behind those from the third on, (R,).
-
-    Parameters
-    ----------
-    left : (R, N)
-        What the waveform leaves of the samples.
-    omega, mean : (R,)
-        rad per sample; mean power of a line, that of white noise.
-
-    Returns
-    -------
-    (R,)
-        0 where noise alone often has so much there.
-    """
+    """Size (as a line's) that may hide on the second harmonic behind those from the third on, (R,)."""
     power = np.abs(data_sums(left, omega, LAST, 0, lowest=1)[:, 0, THIRD - 1 :]) ** 2
     # folded ones fall onto each other where the sampling is nearly locked to the beat
     power[omega[:, np.newaxis] * np.arange(THIRD, LAST + 1) > np.pi] = 0.0
@@ -89,21 +61,7 @@ def hidden_by_harmonics(left: Samples, omega: Floats, mean: Floats) -> Floats:
 
 
 def repeating(power: Samples, line: float, n_samples: int) -> tuple[float, bool]:
-    """Power (the sum of lines) on the harmonics beyond that of the noise beside them, and whether a flag says so.
-
-    Parameters
-    ----------
-    power : (L,)
-        Squared sizes of the lines 1, 2, ... of a spectrum.
-    line : float
-        Number of beats in the record.
-
-    Returns
-    -------
-    power : float
-        0 where it may be chance.
-    sure : bool
-    """
+    """Power (sum of lines) on the harmonics beyond that of the noise beside them, and whether that is flagged."""
     harmonics = [_bins_of(order * line, n_samples, power.size) for order in range(1, LAST + 1)]
     free = np.ones(power.size + 1)
     free[[0, *itertools.chain(*harmonics)]] = 0.0
@@ -134,20 +92,6 @@ def by_level(left: Floats, level: Floats, degrees: float) -> tuple[float, bool]:
 
     Where rate or baseline moves, what a curved or damaged characteristic leaves has no frequency of its own. It is
     a function of the level yet, and polynomials of that take it up.
-
-    Parameters
-    ----------
-    left, level : (N,)
-        What a fit leaves of the samples, and the waveform that it found.
-    degrees : float
-        Of freedom, of the first.
-
-    Returns
-    -------
-    size : float
-        In the unit of the samples; 0 where noise alone often has so much.
-    sure : bool
-        Whether a flag says so.
     """
     lowest, highest = float(level.min()), float(level.max())
     place = (2 * level - lowest - highest) / max(highest - lowest, NOTHING)

@@ -121,7 +121,8 @@ class ResidualReport:
     uneven : (R,) where the spectrum is not flat, by lines or by broad humps; mean : (R,) mean power of a line;
     misfit : (R,) standard uncertainty of the ratio by what is no noise;
     stronger, drifting : (R,) for a closer look, where the noise is white but perhaps not all there is on the
-    harmonics, and where the ratio may drift."""
+    harmonics, and where the ratio may drift.
+    """
 
     flags: Ints
     excess: Floats
@@ -135,19 +136,7 @@ class ResidualReport:
 def examine_residual(
     residual: Residual, n_samples: int, count: Floats, series: Series, repeated: Bools, *, moved: bool = False
 ) -> ResidualReport:
-    """Judge the residual of each record by its spectrum.
-
-    Parameters
-    ----------
-    count : (R,)
-        Valid samples.
-    series : Series
-        The waveforms that left it.
-    repeated : (R,) of bool
-        Where the residual is known to be rounding that repeats with the beat: neither noise nor misfit.
-    moved : bool
-        Whether a moving phase left it, which should have left noise only.
-    """
+    """Judge the residual of each record by its spectrum."""
     sizes, residual_power, n_records = residual.lines, residual.power, len(count)
     omega, first = series.omega, np.abs(series.first)
     flags = np.zeros(n_records, dtype=np.int64)

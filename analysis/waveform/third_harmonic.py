@@ -26,13 +26,6 @@ def third_harmonic(fit: WaveformFit, n_samples: int) -> tuple[Complexes, Floats]
     """Third harmonic beyond the waveform that was fitted, over the amplitude of the beat, of (R,) records.
 
     Its phase is referred to three times that of the fundamental, so that the time origin does not enter.
-
-    Returns
-    -------
-    excess : (R,) complex
-        0 where it is not known.
-    u : (R,)
-        Standard uncertainty of its real and its imaginary part from noise; inf where it is not known.
     """
     series = fit.series
     with np.errstate(all="ignore"):  # records without a beat; they are blanked

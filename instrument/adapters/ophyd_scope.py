@@ -24,19 +24,7 @@ _SCALES = ("sample_interval_s", "first_sample_s")
 
 
 class OphydScope(Device):
-    """A TDS1000, TDS2000 or TPS2000 in Bluesky.
-
-    Parameters
-    ----------
-    resource_name : str
-        VISA name.
-    channels : sequence of str
-        Those that are read.
-    name : str
-        What Bluesky calls it; the data are ``NAME-CH1`` and so on, in volts.
-    **options
-        Arguments of `TDS2014`.
-    """
+    """A TDS1000, TDS2000 or TPS2000 in Bluesky."""
 
     def __init__(
         self, resource_name: str, *, channels: Sequence[str] = ("CH1",), name: str = "scope", **options: Any

@@ -78,15 +78,7 @@ class ScopeChannel(Channel):
 
 
 class PyMeasureScope(Instrument):
-    """A TDS1000, TDS2000 or TPS2000 in PyMeasure.
-
-    Parameters
-    ----------
-    scope : str or TDS2014
-        VISA name, or a driver that is open already.
-    **options
-        Arguments of `TDS2014`.
-    """
+    """A TDS1000, TDS2000 or TPS2000 in PyMeasure."""
 
     def __init__(self, scope: str | TDS2014, name: str = "Tektronix TDS2014", **options: Any) -> None:
         driver = TDS2014(scope, **options) if isinstance(scope, str) else scope

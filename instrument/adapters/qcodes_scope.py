@@ -73,17 +73,7 @@ class ScopeChannel(InstrumentChannel):
 
 
 class QCoDeSScope(Instrument):
-    """A TDS1000, TDS2000 or TPS2000 in QCoDeS.
-
-    Parameters
-    ----------
-    name : str
-        What QCoDeS calls it.
-    address : str
-        VISA name.
-    **options
-        Arguments of `TDS2014`.
-    """
+    """A TDS1000, TDS2000 or TPS2000 in QCoDeS."""
 
     def __init__(self, name: str, address: str, **options: Any) -> None:
         super().__init__(name)

@@ -28,20 +28,7 @@ _HARD_FLAGGING = ":RS232:HARDFLAGGING"
 
 
 class Dialogue(Exchange):
-    """Questions and answers with one scope over an open link: records, pictures, and what `Exchange` does.
-
-    Parameters
-    ----------
-    link : Link
-        Open link; the dialogue closes it.
-    persistence : Persistence, optional
-        Default: every fault is raised.
-
-    Raises
-    ------
-    LinkError, WrongInstrument
-        If nothing, or the wrong instrument, answers.
-    """
+    """Questions and answers with one scope over an open link: records, pictures, and what `Exchange` does."""
 
     def __init__(self, link: Link, persistence: Persistence | None = None) -> None:
         self.source: str | None = None
@@ -110,26 +97,6 @@ class Dialogue(Exchange):
         asked for a second time, because a lost digit in it could not be noticed otherwise; a persistent program
         has each record sent twice instead. Of several sources the scope tells before and after them that it is
         stopped: then they are of one acquisition.
-
-        Parameters
-        ----------
-        commands, afterwards : str
-            Commands before and behind the records, without a ``;`` at either end.
-        sources : tuple of str
-            What to read, in this order.
-        wait : float
-            Time in s that the commands may take.
-
-        Raises
-        ------
-        NoAnswer
-            If nothing came in time: the caller knows what it waited for.
-        ExecutionError
-            If a source is not displayed.
-        SettingError
-            If the scope acquires on, so that several sources would not be of one acquisition.
-        TransferError
-            If a record is damaged, or is not in the format asked for; it has been set again.
         """
         clean = "*CLS" if self.unread_events else ""
         self.unread_events = False

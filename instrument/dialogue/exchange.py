@@ -46,31 +46,7 @@ _FIRST_PAUSE, _LONGEST_PAUSE = 0.1, 2.0  # s between two attempts to connect
 
 
 class Exchange(ABC):
-    """Text to and from one scope over an open link.
-
-    Parameters
-    ----------
-    link : Link
-        Open link; it belongs to this object from now on.
-    persistence : Persistence, optional
-        Default: every fault is raised.
-
-    Attributes
-    ----------
-    identity : Identity
-        Who answered first.
-    tally : Tally
-        What it took to keep the link.
-    in_doubt : bool
-        Whether a fault, or another switching on, may have changed settings since they were verified.
-    lost : bool
-        Whether the link was given up.
-
-    Raises
-    ------
-    LinkError, WrongInstrument
-        If nothing, or the wrong instrument, answers.
-    """
+    """Text to and from one scope over an open link."""
 
     def __init__(self, link: Link, persistence: Persistence | None = None) -> None:
         self.link = link
@@ -130,22 +106,7 @@ class Exchange(ABC):
     # ------------------------------------------------------------------ questions
 
     def ask(self, text: str, *, parts: int | None = 1, wait: float = 0.0, twice: bool = False) -> list[str]:
-        """Send one message with `parts` queries in it and return their answers (None: any number).
-
-        Parameters
-        ----------
-        twice : bool
-            A persistent program has the queries answered twice in the same message: a damaged answer would differ.
-
-        Raises
-        ------
-        ScopeEvent
-            If the scope refused a query (it then sends nothing at all).
-        TransferError
-            If the answer was damaged; the dialogue is in step again.
-        LinkError
-            If the scope answers nothing any more.
-        """
+        """Send one message with `parts` queries in it and return their answers (None: any number)."""
         if not (twice and self.persistence.careful):
             return self.repeated(lambda: self._ask_once(text, parts=parts, wait=wait))
         return self.repeated(lambda: self._ask_twice(text, parts, wait))
@@ -303,13 +264,7 @@ class Exchange(ABC):
     # ------------------------------------------------------------------ getting back into step
 
     def resynchronise(self) -> None:
-        """Clear the link, and make sure that the same scope still answers.
-
-        Raises
-        ------
-        LinkError, WrongInstrument
-            If it does not.
-        """
+        """Clear the link, and make sure that the same scope still answers."""
         self.link.clear()
         other = ""
         for _ in range(_IDENTITIES):  # damage on the way does not strike twice alike

@@ -45,13 +45,7 @@ class Identity:
 
 
 def parse_identity(answer: str) -> Identity:
-    """Read ``*IDN?`` and check that the unit is of this family.
-
-    Raises
-    ------
-    WrongInstrument
-        If it is not; the text quotes the answer.
-    """
+    """Read ``*IDN?`` and check that the unit is of this family."""
     parts = [part.strip() for part in answer.strip().split(",", 3)]
     if len(parts) == 4 and parts[0].upper() == "TEKTRONIX" and _FAMILY_MODEL.fullmatch(parts[1].upper()):
         manufacturer, model, serial, firmware = parts

@@ -74,25 +74,7 @@ class NoAnswer(LinkError):
 
 
 class Link:
-    """One open link to an instrument; a context manager.
-
-    Parameters
-    ----------
-    resource_name : str
-        VISA resource name, for example ``"GPIB0::1::INSTR"`` or ``"ASRL/dev/ttyUSB0::INSTR"``.
-    resource_manager : pyvisa.ResourceManager, optional
-        Default: PyVISA's own choice (a vendor's VISA if there is one, else PyVISA-py).
-    baud_rate : int, optional
-        Speed of the serial line. For a TCP socket it is the speed behind the serial-to-Ethernet converter;
-        it only lengthens time limits there.
-    clock : Clock, optional
-        What time limits are measured on; the computer's own unless the instrument is simulated in this process.
-
-    Raises
-    ------
-    LinkError
-        If it cannot be opened; the text says why.
-    """
+    """One open link to an instrument; a context manager."""
 
     def __init__(
         self,
@@ -191,23 +173,7 @@ class Link:
             ) from None
 
     def read_text(self, *, wait: float = 0.0, longest: int = 4096) -> str:
-        """Read one answer of text.
-
-        Parameters
-        ----------
-        wait : float
-            Time in s that the instrument may need before it can answer (an acquisition, for example), beyond
-            `ANSWER_TIME`.
-        longest : int
-            Longest answer in bytes that can be meant.
-
-        Raises
-        ------
-        NoAnswer
-            If nothing came.
-        TransferError
-            If it began and did not end, is longer than `longest`, or is not text.
-        """
+        """Read one answer of text."""
         return scpi.decode_text(self._read_message(wait, longest, blocks=0))
 
     def read_blocks(
@@ -247,11 +213,6 @@ class Link:
 
         GPIB, USB and VXI-11 have a device clear. On RS-232 a break does the same, and the scope answers
         ``DCL`` (071-1064-00, p. 142). A bare socket has nothing like it: there only late bytes are dropped.
-
-        Parameters
-        ----------
-        silence : float, optional
-            Time in s for which a stream must be silent, `PAUSE_TIME` by default.
         """
         note(self.name, "clear")
         if self.on_bus:
@@ -443,15 +404,7 @@ class Link:
 
 
 class _Arriving:
-    """An answer on a stream while it arrives: its bytes, and how much longer it may take.
-
-    Parameters
-    ----------
-    wait : float
-        Time in s that the instrument may need before it begins, beyond the link's `answer_time`.
-    pauses : int
-        How often the instrument may think again inside the answer.
-    """
+    """An answer on a stream while it arrives: its bytes, and how much longer it may take."""
 
     def __init__(self, link: Link, wait: float, *, pauses: int) -> None:
         self._link, self._thinking = link, pauses * link.answer_time

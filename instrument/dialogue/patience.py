@@ -35,15 +35,9 @@ class _Seen:
 
 @dataclass
 class Patience:
-    """Waits for answers to begin.
+    """Waits for answers to begin."""
 
-    Parameters
-    ----------
-    shortest, longest : float
-        Limits in s; the longest is also waited while too little is known.
-    """
-
-    shortest: float
+    shortest: float  # limits in s; the longest is also waited while too little is known
     longest: float
     _seen: dict[str, _Seen] = field(default_factory=dict)
 

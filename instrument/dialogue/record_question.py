@@ -27,20 +27,11 @@ _STOPPED, _RUNNING = "0", "1"
 
 @dataclass(frozen=True)
 class RecordQuestion:
-    """Which records are asked for.
+    """Which records are asked for."""
 
-    Attributes
-    ----------
-    sources : tuple of str
-        ``CH1``..., in the order in which they are wanted.
-    selected : str or None
-        What ``DATa:SOUrce`` names before the question; None if not known.
-    twice : bool
-        Each record is asked for two times and must come alike: nothing else shows a changed byte in a curve.
-    """
-
-    sources: tuple[str, ...]
-    selected: str | None = None
+    sources: tuple[str, ...]  # ``CH1``..., in the order in which they are wanted
+    selected: str | None = None  # what ``DATa:SOUrce`` names before the question; None if not known
+    # each record is asked for two times and must come alike: nothing else shows a changed byte in a curve
     twice: bool = False
 
     @property
@@ -65,31 +56,7 @@ class RecordQuestion:
     def split(
         self, pieces: list[tuple[str, bytes]], rest: str, mark: str = ""
     ) -> tuple[str, list[str], list[bytes]]:
-        """Take an answer apart.
-
-        Parameters
-        ----------
-        pieces, rest
-            As `scpi.split_blocks` gives them.
-        mark : str, optional
-            What the answer must begin with, to be the one to this question.
-
-        Returns
-        -------
-        register : str
-            Answer to ``*ESR?``.
-        texts : list of str
-            The preambles; one with `TRANSMISSION_FIELDS` fields only for a source that is not displayed.
-        curves : list of bytes
-            Data of the sources that are displayed.
-
-        Raises
-        ------
-        TransferError
-            If the answer is not of that form.
-        SettingError
-            If the scope acquires on while several sources are read.
-        """
+        """Take an answer apart."""
         several = len(self.sources) > 1
         fields: list[str] = []
         ends: list[int] = []  # numbers of fields before each block

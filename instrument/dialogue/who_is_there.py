@@ -15,13 +15,7 @@ _MARKER = ":HEADER?"
 
 
 class WhoIsThere:
-    """The question ``*IDN?`` on one link.
-
-    Parameters
-    ----------
-    send : callable
-        Sends a message and returns the mark that it put in front of it, or "".
-    """
+    """The question ``*IDN?`` on one link."""
 
     def __init__(self, link: Link, send: Callable[[str], str]) -> None:
         self._link, self._send = link, send

@@ -28,22 +28,7 @@ def columns_of(
     interval_s: float,
     counts_per_dps: float | None,
 ) -> dict[str, Floats]:
-    """All columns by name, outputs in counts; quantities that take turns hold until they come again.
-
-    Parameters
-    ----------
-    counters : sequence of int
-        Of the rows; needed where quantities take turns.
-    interval_s : float
-        Time between two outputs: an output that is an angle becomes a rate by it.
-    counts_per_dps : float or None
-        What an output that is no counts is turned into.
-
-    Raises
-    ------
-    SettingError
-        The output is not in counts, and nobody says what a count is.
-    """
+    """All columns by name, outputs in counts; quantities that take turns hold until they come again."""
     table = np.array(rows, dtype=np.float64).reshape(-1, len(layout.names))
     columns: dict[str, Floats] = dict(zip(layout.names, table.T.copy(), strict=True))
     turning = layout.turning

@@ -17,13 +17,7 @@ _BEYOND = 4.5
 
 
 class Course:
-    """The usual movement of the outputs, and of the temperature, from one frame to the next.
-
-    Parameters
-    ----------
-    layout : FrameFormat
-        Says which columns are outputs and what their smallest step is.
-    """
+    """The usual movement of the outputs, and of the temperature, from one frame to the next."""
 
     def __init__(self, layout: FrameFormat) -> None:
         steps = {one.name: abs(one.scale) for one in layout.fields}

@@ -55,31 +55,17 @@ Event = Frame | Answer | Damage
 
 @dataclass
 class Tally:
-    """What became of the bytes so far.
+    """What became of the bytes so far."""
 
-    Attributes
-    ----------
-    good, damaged, unusable : int
-        Frames: delivered as usable; damaged; whole, but with a bad status or a value out of range.
-    received, discarded : int
-        Bytes that came, and those that belong to no frame and no answer.
-    """
-
-    good: int = 0
+    good: int = 0  # frames: delivered as usable; damaged; whole, but with a bad status or a value out of range
     damaged: int = 0
     unusable: int = 0
-    received: int = 0
+    received: int = 0  # bytes that came, and those that belong to no frame and no answer
     discarded: int = 0
 
 
 class FrameStream:
-    """Takes bytes as they come and gives what is in them, in order: frames, answers, damage.
-
-    Parameters
-    ----------
-    patience : int
-        So many silent reads in succession end the wait for lines behind one whose output stands out.
-    """
+    """Takes bytes as they come and gives what is in them, in order: frames, answers, damage."""
 
     def __init__(self, layout: FrameFormat, *, patience: int = 1) -> None:
         self._layout, self._patience = layout, patience
@@ -125,13 +111,7 @@ class FrameStream:
         return len(self._buffer)
 
     def feed(self, data: bytes, *, silent: bool = False) -> list[Event]:
-        """Take bytes.
-
-        Parameters
-        ----------
-        silent : bool
-            Nothing more will follow for a while: a frame with nothing behind it waits no longer.
-        """
+        """Take bytes."""
         self.tally.received += len(data)
         self._buffer += data
         self._found: list[Event] = []

@@ -29,22 +29,13 @@ Number = Callable[[bytes], float]
 
 @dataclass(frozen=True)
 class Frame:
-    """A frame that arrived whole.
-
-    Attributes
-    ----------
-    values : tuple of float
-        In the order of `FrameFormat.names`.
-    problem : str
-        Why the values must not be used although nothing was damaged; empty if they may.
-    standing : str or None
-        What a status that takes turns with others says of this frame and those behind it: a problem, or none
-        (empty). None where the frame does not hold it.
-    """
+    """A frame that arrived whole."""
 
     counter: int | None
-    values: tuple[float, ...]
-    problem: str = ""
+    values: tuple[float, ...]  # in the order of `FrameFormat.names`
+    problem: str = ""  # why the values must not be used although nothing was damaged; empty if they may
+    # what a status that takes turns with others says of this frame and those behind it: a problem, or none
+    # (empty). None where the frame does not hold it.
     standing: str | None = None
 
 
@@ -79,13 +70,7 @@ class FrameReader:
                 self._counter_end = _end_of_counter(layout)
 
     def read(self, data: bytes) -> Frame:
-        """Read the bytes of one frame, in text without its line end.
-
-        Raises
-        ------
-        Damaged
-            If header, ending, checksum, number of fields or a number is not as it should be.
-        """
+        """Read the bytes of one frame, in text without its line end."""
         return self._frame(self._binary_numbers(data) if self._binary else self._text_numbers(data))
 
     def has_one_character_changed(self, line: bytes) -> bool:

@@ -49,13 +49,7 @@ class Arrivals:
         self._host_s.append(host_s)
 
     def clock(self, stated_s: float) -> HostClock | None:
-        """The clocks compared; None if too few frames came, or over too short a time.
-
-        Parameters
-        ----------
-        stated_s : float
-            Interval that the description of the frames states.
-        """
+        """The clocks compared; None if too few frames came, or over too short a time."""
         if len(self._index) < _FEWEST or self._index[-1] == self._index[0]:
             return None
         index, host = np.array(self._index, dtype=np.float64), np.array(self._host_s)

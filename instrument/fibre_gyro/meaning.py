@@ -28,13 +28,7 @@ Bytes = NDArray[np.uint8]
 
 
 def doubts_about(layout: FrameFormat, rows: Sequence[tuple[float, ...]]) -> tuple[str, ...]:
-    """What the outputs of some frames show of a wrong description; sentences, none where nothing does.
-
-    Parameters
-    ----------
-    rows : sequence of tuple
-        Values of frames in succession, in the order of `FrameFormat.names`.
-    """
+    """What the outputs of some frames show of a wrong description; sentences, none where nothing does."""
     if len(rows) < _FEWEST or layout.kind != "binary":
         return ()
     table = np.array(rows[:_MOST], dtype=np.float64)

@@ -22,30 +22,14 @@ HOST_DELAY_S = 0.5
 
 @dataclass(frozen=True)
 class Tick:
-    """Place of a frame in time.
+    """Place of a frame in time."""
 
-    Attributes
-    ----------
-    index : int
-        Intervals since the first frame.
-    cause : str
-        Of the gap before the frame; empty if there is none.
-    """
-
-    index: int
-    cause: str = ""
+    index: int  # intervals since the first frame
+    cause: str = ""  # of the gap before the frame; empty if there is none
 
 
 class CounterClock:
-    """Counts intervals from frame to frame, over wraps of the counter and over frames that are missing.
-
-    Parameters
-    ----------
-    rule : CounterRule or None
-        None for frames without a counter: then damage and silence are all that tells of missing frames.
-    interval_s : float
-        Between two frames.
-    """
+    """Counts intervals from frame to frame, over wraps of the counter and over frames that are missing."""
 
     def __init__(self, rule: CounterRule | None, interval_s: float) -> None:
         self._rule, self._interval_s = rule, interval_s
@@ -56,24 +40,7 @@ class CounterClock:
         self._first_host_s = 0.0
 
     def place(self, counter: int | None, *, host_s: float, silent_s: float, damaged: int) -> Tick | None:
-        """Place the next frame.
-
-        Parameters
-        ----------
-        counter : int or None
-            What the frame carries.
-        host_s : float
-            When it was read, in s of the gyro's time.
-        silent_s : float
-            How long nothing came before it although somebody listened.
-        damaged : int
-            Damaged frames just before it.
-
-        Returns
-        -------
-        Tick or None
-            None if the counter stands still: then the frame is a copy of the one before, or none at all.
-        """
+        """Place the next frame."""
         if self._last is None:
             self._first_host_s = host_s
             return self._keep(0, counter, host_s, "")
@@ -117,22 +84,7 @@ _APPROXIMATE = ("silence", "counter jump")
 
 
 class RecordBuilder:
-    """Takes events until the time that was asked for is over.
-
-    Parameters
-    ----------
-    skip, wanted : int
-        Intervals from the first frame on that are left out, and those that are recorded after them.
-    paced : bool
-        Whether frames come in the gyro's time, so that their arrival tells its clock.
-
-    Attributes
-    ----------
-    done : bool
-        Whether the last interval has passed.
-    index : int
-        Intervals that have passed, the left out ones included; -1 before the first frame.
-    """
+    """Takes events until the time that was asked for is over."""
 
     def __init__(self, layout: FrameFormat, skip: int, wanted: int, *, paced: bool = False) -> None:
         self._layout, self._skip, self._wanted, self._paced = layout, skip, wanted, paced
@@ -188,15 +140,7 @@ class RecordBuilder:
     def recording(
         self, discarded_bytes: int, *, output: str = COUNTS, counts_per_dps: float | None = None
     ) -> Recording:
-        """What was recorded; call it when it is done.
-
-        Parameters
-        ----------
-        output : str
-            Column that is the output of the recording, where frames hold those of several axes.
-        counts_per_dps : float, optional
-            Turns an output that is no counts into counts.
-        """
+        """What was recorded; call it when it is done."""
         self._close_gap(self._wanted)
         clock = self.host_clock()
         if clock is not None and self._layout.unit in ANGLES:

@@ -36,20 +36,12 @@ _READABLE = 0o644
 
 @dataclass(frozen=True)
 class Holder:
-    """The program that uses a link.
-
-    Attributes
-    ----------
-    doing : str
-        What it does: its command line, or the campaign.
-    since : str
-        UTC, ISO 8601.
-    """
+    """The program that uses a link."""
 
     pid: int
     user: str
-    doing: str
-    since: str
+    doing: str  # what it does: its command line, or the campaign
+    since: str  # UTC, ISO 8601
 
     def __str__(self) -> str:
         of_user = f" of {self.user}" if self.user != _user() else ""
@@ -79,20 +71,6 @@ def claim(name: str, doing: str = "", *, means: str = "") -> Claim:
     """Keep other programs of this computer from a link. The same process may do so more than once.
 
     Where no file can be locked (no directory that takes one) nobody is kept from anything.
-
-    Parameters
-    ----------
-    name : str
-        Resource name, as `instrument.in_use.links.link_of` takes it.
-    doing : str, optional
-        What the others are told that it is used for; the command line if not given.
-    means : str, optional
-        The resource name that `name` stands for, where it is an alias.
-
-    Raises
-    ------
-    LinkError
-        Another program uses it; the text says which.
     """
     link = link_of(means or name)
     if not link:

@@ -23,11 +23,6 @@ def link_of(name: str) -> str:
     An adapter is one link, whatever is behind it: two programs that send it to two instruments spoil both. What
     never leaves the process (pySerial's ``loop://``) has no link: an empty text.
 
-    Parameters
-    ----------
-    name : str
-        VISA resource name, name of a serial port, or ``socket://host:port``.
-
     Examples
     --------
     >>> link_of("TCPIP0::127.0.0.1::4001::SOCKET"), link_of("socket://127.0.0.2:4001")

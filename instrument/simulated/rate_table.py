@@ -23,18 +23,10 @@ _STEP_S = 0.05  # s that pass in one piece while the table comes to its rate
 
 @dataclass(frozen=True)
 class Motion:
-    """A piece of the motion of a table, with constant acceleration.
+    """A piece of the motion of a table, with constant acceleration."""
 
-    Attributes
-    ----------
-    start : float
-        Absolute time, s.
-    azimuth_deg, rate_dps, acceleration_dps2 : float
-        At the start; the acceleration holds for the whole piece.
-    """
-
-    start: float
-    azimuth_deg: float
+    start: float  # absolute time, s
+    azimuth_deg: float  # at the start; the acceleration holds for the whole piece
     rate_dps: float
     acceleration_dps2: float = 0.0
 

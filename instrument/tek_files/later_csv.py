@@ -29,19 +29,7 @@ def heading_row(rows: list[list[str]]) -> int | None:
 
 
 def parse_later(rows: list[list[str]], heading: int) -> tuple[Waveform, dict[str, str]]:
-    """Read the cells of such a file.
-
-    Returns
-    -------
-    Waveform
-    dict
-        Its keys.
-
-    Raises
-    ------
-    FileFormatError
-        It holds no single record over time.
-    """
+    """Read the cells of such a file."""
     header = {row[0].title(): row[1] for row in rows[:heading] if len(row) > 1 and row[0]}
     columns = [name for name in rows[heading][1:] if name]
     if any("peak detect" in name.lower() for name in columns):

@@ -18,17 +18,7 @@ _PARTS, _OFF = 8, 0.15
 
 
 def spacing_of(values: NDArray[np.float64]) -> float:
-    """Spacing of the levels on which values lie; nan where all are equal.
-
-    Parameters
-    ----------
-    values : ndarray, shape (n,)
-
-    Raises
-    ------
-    FileFormatError
-        They do not lie on equidistant levels.
-    """
+    """Spacing of the levels on which values lie; nan where all are equal."""
     levels = np.unique(values)
     if levels.size < 2:
         return math.nan

@@ -30,21 +30,12 @@ _KEYS = {
 
 @dataclass(frozen=True)
 class TekFile:
-    """A record and what the file says of the scope that wrote it.
-
-    Attributes
-    ----------
-    kind : {"csv", "isf", "curve"}
-        CSV; ISF; the answers of ``WFMPre?`` and ``CURVe?`` as they came.
-    keys : dict
-        Rows of a CSV by their names, as they stand there.
-    setup : str
-        Content of the ``*TEK.SET`` file beside it: the settings of the scope as one text; empty if there is none.
-    """
+    """A record and what the file says of the scope that wrote it."""
 
     waveform: Waveform
-    kind: str
-    keys: dict[str, str]
+    kind: str  # {"csv", "isf", "curve"}: CSV; ISF; the answers of ``WFMPre?`` and ``CURVe?`` as they came
+    keys: dict[str, str]  # rows of a CSV by their names, as they stand there
+    # content of the ``*TEK.SET`` file beside it: the settings of the scope as one text; empty if there is none
     setup: str
 
     @property
@@ -73,30 +64,7 @@ def read_waveform(path: str | os.PathLike[str]) -> Waveform:
 
 
 def read_tek_file(path: str | os.PathLike[str]) -> TekFile:
-    """Read a waveform file of a Tektronix oscilloscope; the content decides which kind it is, not the name.
-
-    Parameters
-    ----------
-    path : path-like
-        CSV: as TDS1000/2000 (B, C), TPS2000 and TBS1000 save it, or as later models do with one channel. A title
-        row above it, Windows line ends, a byte order mark, semicolons or tabs, decimal commas, short numbers and
-        missing key rows, as spreadsheets leave them, are accepted. ISF: ``WFMPre`` with headers in long or short
-        spelling, then ``CURVe`` with a binary block or a list of numbers. Answers of ``WFMPre?`` and ``CURVe?``
-        behind each other, or that of ``CURVe?`` alone with that of ``WFMPre?`` beside it in a file of the same
-        name that ends in ``.wfmpre``.
-
-    Returns
-    -------
-    TekFile
-        With the codes as the converter gave them. An FFT (`preamble.xunit` is ``Hz``) has no time axis.
-
-    Raises
-    ------
-    FileFormatError
-        If it is none of these; names the file, the place and what is wrong there.
-    OSError
-        If it cannot be read.
-    """
+    """Read a waveform file of a Tektronix oscilloscope; the content decides which kind it is, not the name."""
     file = Path(path)
     content = read_small_file(file, _LARGEST_FILE)
     try:

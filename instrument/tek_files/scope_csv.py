@@ -30,14 +30,7 @@ def parse_csv(text: str) -> Waveform:
 
 
 def parse_cells(rows: list[list[str]]) -> tuple[Waveform, dict[str, str]]:
-    """Read the cells of a scope's CSV file; errors as `read_waveform`.
-
-    Returns
-    -------
-    Waveform
-    dict
-        Its key rows. A missing interval is taken from the times, a missing scale from the levels of the values.
-    """
+    """Read the cells of a scope's CSV file; errors as `read_waveform`."""
     header, times, values = _csv_columns(rows)
     check_length(len(values))
     if "Vertical Scale" in header:

@@ -20,21 +20,7 @@ _DECIMALS = 12
 
 
 def csv_text(waveform: Waveform, keys: Mapping[str, str] | None = None) -> str:
-    """Return the text of the CSV file; `read_waveform` of it gives the same codes.
-
-    Parameters
-    ----------
-    waveform : Waveform
-        One byte a point, over time.
-    keys : mapping, optional
-        Further key rows in their order, as they are to stand there: ``Probe Atten``, ``Model Number``,
-        ``Serial Number``, ``Firmware Version``.
-
-    Raises
-    ------
-    FileFormatError
-        A scope of this family could not have written it.
-    """
+    """Return the text of the CSV file; `read_waveform` of it gives the same codes."""
     preamble = waveform.preamble
     if waveform.codes.dtype != np.int8 or preamble.xunit != "s":
         raise FileFormatError("a CSV of this family holds records over time of eight bits: take another kind")

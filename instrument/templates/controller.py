@@ -30,24 +30,6 @@ class Controller:
 
     Every question and every order is tried as often as the template says. An order names the value that is wanted,
     never a step from where it is: so it can be given again.
-
-    Parameters
-    ----------
-    resource_name : str
-        VISA resource name.
-    template : ControllerTemplate
-    resource_manager : pyvisa.ResourceManager, optional
-    sleep, now : callable, optional
-        Waits so many seconds, and the clock that this is counted on; those of the computer if not given.
-    tell : callable, optional
-        Is told when the link is lost, and when it is there again.
-
-    Raises
-    ------
-    LinkError
-        It cannot be opened.
-    WrongInstrument
-        Something else answers.
     """
 
     def __init__(
@@ -88,15 +70,7 @@ class Controller:
         self._lines.close()
 
     def read(self, name: str) -> float:
-        """Return a quantity, in our unit.
-
-        Raises
-        ------
-        SettingError
-            The template does not say how it is read.
-        LinkError
-            The controller does not answer, after all attempts.
-        """
+        """Return a quantity, in our unit."""
         quantity = self._quantity(name)
         if not quantity.ask:
             raise SettingError(f"{self.name}: its template does not say how the {name} is read")
@@ -108,20 +82,7 @@ class Controller:
         return {f"{name}_{quantity.unit}": self.read(name) for name, quantity in there if quantity.ask}
 
     def set(self, name: str, value: float) -> float:
-        """Bring a quantity to a value and return when it is steady there.
-
-        Returns
-        -------
-        float
-            What the controller reads then, or the value where it cannot be read.
-
-        Raises
-        ------
-        SettingError
-            The value lies beyond the limits, the controller refuses it or does not come to it.
-        LinkError
-            The controller does not answer, after all attempts.
-        """
+        """Bring a quantity to a value and return when it is steady there."""
         quantity = self._quantity(name)
         if not quantity.lowest <= value <= quantity.highest:
             raise SettingError(

@@ -234,20 +234,7 @@ class ControllerTemplate(TemplateSection):
 
 
 def parse_template(values: Mapping[str, Any], where: str) -> ControllerTemplate:
-    """Read a template.
-
-    Parameters
-    ----------
-    values : mapping
-        As they stand in its TOML file.
-    where : str
-        Its file, for the text of an error.
-
-    Raises
-    ------
-    SettingError
-        Every mistake of it in one text.
-    """
+    """Read a template."""
     try:
         return ControllerTemplate.model_validate(dict(values))
     except ValidationError as error:

@@ -19,15 +19,7 @@ _FAREWELL = "done"
 
 
 class Guard:
-    """The other process, as long as the table may turn.
-
-    Parameters
-    ----------
-    resource_name : str
-        VISA resource name of the table's controller.
-    template : mapping
-        Its template, as it stands in the TOML file.
-    """
+    """The other process, as long as the table may turn."""
 
     def __init__(self, resource_name: str, template: Mapping[str, Any]) -> None:
         self._process = subprocess.Popen(

@@ -23,21 +23,7 @@ _LONGEST = 4096  # bytes of an answer
 
 
 class Lines:
-    """A link that carries lines; a context manager.
-
-    Parameters
-    ----------
-    resource_name : str
-        VISA resource name.
-    link : LinkSection
-        Of the template.
-    resource_manager : pyvisa.ResourceManager, optional
-
-    Raises
-    ------
-    LinkError
-        If it cannot be opened; the text says why.
-    """
+    """A link that carries lines; a context manager."""
 
     def __init__(
         self, resource_name: str, link: LinkSection, resource_manager: pyvisa.ResourceManager | None = None
@@ -101,15 +87,7 @@ class Lines:
             time.sleep(self._link.pause_s)
 
     def read(self) -> str:
-        """Read one line, without its end.
-
-        Raises
-        ------
-        TransferError
-            None came in time, or it is no text.
-        LinkError
-            The link is lost.
-        """
+        """Read one line, without its end."""
         end, found = self._link.answer_end.encode("ascii"), b""
         until = time.monotonic() + self._link.answer_s
         while not found.endswith(end):

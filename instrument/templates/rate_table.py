@@ -14,26 +14,7 @@ _TURN_DEG = 360.0
 
 
 class ControlledRateTable:
-    """A :class:`instrument.rate_table.RateTable` that a controller turns.
-
-    Parameters
-    ----------
-    controller : Controller
-        Of a rate table; it is closed with the table, and where that cannot be switched on.
-    guard : Guard, optional
-        Stops the table if this program is killed.
-    tell : callable, optional
-        Is told if the table cannot be stopped.
-    now : callable, optional
-        The clock that the table turns by; the computer's if not given.
-
-    Raises
-    ------
-    SettingError
-        The controller is not one of a rate table, or the table cannot be switched on.
-    LinkError
-        The controller does not answer.
-    """
+    """A :class:`instrument.rate_table.RateTable` that a controller turns."""
 
     def __init__(
         self,
@@ -54,15 +35,7 @@ class ControlledRateTable:
             raise
 
     def set_rate(self, rate_dps: float) -> None:
-        """Bring the table to a rate in deg/s and return when it turns steadily.
-
-        Raises
-        ------
-        SettingError
-            It does not go so fast, refuses, or does not come to the rate.
-        LinkError
-            The controller does not answer.
-        """
+        """Bring the table to a rate in deg/s and return when it turns steadily."""
         self._last = None  # while the rate changes nobody knows how many turns pass
         self._rate_dps = self.controller.set("rate", rate_dps)
 

@@ -22,13 +22,7 @@ class Exchange:
 
 
 def read_transcript(path: Path) -> list[Exchange]:
-    """All exchanges of a file, in their order.
-
-    Raises
-    ------
-    FileFormatError
-        If a line is not one of a transcript; the text names it.
-    """
+    """All exchanges of a file, in their order."""
     found: list[Exchange] = []
     for entry in _entries(path):
         link, did, data = str(entry["link"]), entry["did"], _data(entry)

@@ -67,12 +67,12 @@ class Transcript:
 
 
 def as_text(data: bytes) -> dict[str, str]:
-    """Bytes as JSON can hold them: `text` where they are plain ASCII, else `base64`.
+    r"""Bytes as JSON can hold them: `text` where they are plain ASCII, else `base64`.
 
     Examples
     --------
-    >>> as_text(b"*IDN?\\n"), as_text(b"\\x80\\x81")
-    ({'text': '*IDN?\\n'}, {'base64': 'gIE='})
+    >>> as_text(b"*IDN?\n"), as_text(b"\x80\x81")
+    ({'text': '*IDN?\n'}, {'base64': 'gIE='})
     """
     if _PLAIN.issuperset(data):
         return {"text": data.decode("ascii")}

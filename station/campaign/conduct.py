@@ -33,30 +33,7 @@ def conduct(
     resumed: Path | None = None,
     evaluated: dict[str, Evaluated] | None = None,
 ) -> CampaignOutcome:
-    """Test one unit.
-
-    Parameters
-    ----------
-    plan : CampaignPlan
-    progress : Progress
-        Shows what happens; its events are what programs read.
-    resumed : Path, optional
-        Folder of a test that was cut short: what it holds is not taken again.
-    evaluated : dict, optional
-        Is filled with what was evaluated, by the keys of the steps: nobody has to do it again.
-
-    Returns
-    -------
-    CampaignOutcome
-        Also when the test was aborted or the bench has failed: then it can be gone on with.
-
-    Raises
-    ------
-    StationError
-        The test cannot begin: its folder cannot be written, or another program carries it out.
-    LinkError
-        Another program uses an instrument of the bench.
-    """
+    """Test one unit."""
     before = None if resumed is None else to_go_on_with(resumed, plan)
     with bench_in_use(plan), undisturbed():  # a signal ends what is measured, and nothing of what closes the test
         kept = {} if evaluated is None else evaluated
@@ -64,13 +41,7 @@ def conduct(
 
 
 def to_go_on_with(directory: Path, plan: CampaignPlan) -> Written:
-    """Return what a test holds that is to be gone on with by this plan.
-
-    Raises
-    ------
-    UsageError
-        It has come to its end, is of another unit, or other settings are given now.
-    """
+    """Return what a test holds that is to be gone on with by this plan."""
     before = read_journal(directory)
     if before.plan.unit != plan.unit:
         raise UsageError(f"{directory}: is a test of {before.plan.unit}, not of {plan.unit}")

@@ -49,18 +49,7 @@ class _Reading:
 
 
 def read_campaign(path: Path, unit: str) -> CampaignPlan:
-    """Read a campaign file for one unit.
-
-    Parameters
-    ----------
-    unit : str
-        Serial number; what ``[unit."SN"]`` says of it is laid over ``[bench]``.
-
-    Raises
-    ------
-    SettingsError
-        With every mistake of the file in one text: place, line, what is wrong, what was perhaps meant.
-    """
+    """Read a campaign file for one unit."""
     given = read_toml(path)
     reading = _Reading(path)
     try:

@@ -33,15 +33,9 @@ _UNSAFE = re.compile(r"[^A-Za-z0-9._-]")
 
 @dataclass
 class Journal:
-    """The journal of one test, open to be written.
+    """The journal of one test, open to be written."""
 
-    Parameters
-    ----------
-    directory : Path
-        Of the test.
-    """
-
-    directory: Path
+    directory: Path  # of the test
     _descriptor: int = field(default=-1, init=False)
 
     @classmethod
@@ -56,15 +50,7 @@ class Journal:
         return journal
 
     def open(self) -> None:
-        """Open it for writing, alone.
-
-        Raises
-        ------
-        UsageError
-            Another program writes it.
-        CannotWrite
-            The disk does not take it.
-        """
+        """Open it for writing, alone."""
         try:
             flags = os.O_RDWR | os.O_CREAT | os.O_APPEND | getattr(os, "O_CLOEXEC", 0)
             self._descriptor = os.open(self.directory / JOURNAL, flags, 0o644)
@@ -114,13 +100,7 @@ def tests_of(directory: Path, unit: str) -> list[Path]:
 
 
 def test_to_resume(directory: Path, unit: str) -> Path:
-    """Return the one test of a unit that has not come to its end.
-
-    Raises
-    ------
-    UsageError
-        There is none, or there are several.
-    """
+    """Return the one test of a unit that has not come to its end."""
     left = [path for path in tests_of(directory, unit) if read_journal(path).left]
     if not left:
         raise UsageError(f"{folder_of(directory, unit)}: no test of {unit} is to be gone on with")
@@ -134,19 +114,7 @@ def test_to_resume(directory: Path, unit: str) -> Path:
 
 @dataclass(frozen=True)
 class Written:
-    """What a journal says.
-
-    Attributes
-    ----------
-    steps : dict
-        Steps that have ended, by key; of one that was done again the last.
-    failure : Failure or None
-        What ended the last session before its time.
-    ended_at : str
-        Empty where the program was killed.
-    begun : tuple of str
-        Keys of steps that were begun.
-    """
+    """What a journal says."""
 
     directory: Path
     plan: CampaignPlan
@@ -154,10 +122,10 @@ class Written:
     note: str
     started_at: str
     resumed_at: tuple[str, ...]
-    ended_at: str
-    failure: Failure | None
-    steps: Mapping[str, StepOutcome]
-    begun: tuple[str, ...]
+    ended_at: str  # empty where the program was killed
+    failure: Failure | None  # what ended the last session before its time
+    steps: Mapping[str, StepOutcome]  # steps that have ended, by key; of one that was done again the last
+    begun: tuple[str, ...]  # keys of steps that were begun
 
     @property
     def left(self) -> tuple[PlannedStep, ...]:
@@ -191,13 +159,7 @@ def to_repeat(outcome: StepOutcome) -> bool:
 
 
 def read_test(directory: Path) -> CampaignOutcome:
-    """Return how a test has ended, from its folder; also of one whose program was killed.
-
-    Raises
-    ------
-    RunError
-        There is no test, or its journal cannot be read.
-    """
+    """Return how a test has ended, from its folder; also of one whose program was killed."""
     return read_journal(directory).outcome()
 
 

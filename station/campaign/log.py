@@ -19,12 +19,7 @@ _NOT_TOLD = frozenset({"counted", "record", "value"})
 
 
 class StationLog:
-    """Reads events and writes lines; a disk that takes none harms nothing.
-
-    Parameters
-    ----------
-    handler : logging.Handler
-    """
+    """Reads events and writes lines; a disk that takes none harms nothing."""
 
     def __init__(self, handler: logging.Handler) -> None:
         self._handler = handler

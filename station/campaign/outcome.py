@@ -14,46 +14,22 @@ from station.results.verdict import ABORTED, ERROR, FAIL, MARGINAL, LimitOutcome
 
 @dataclass(frozen=True)
 class StepOutcome:
-    """How one step has ended.
-
-    Attributes
-    ----------
-    verdict : str or None
-        ``None``: it was measured, and has no limits.
-    limits : tuple of LimitOutcome
-    document : mapping
-        JSON of the result; empty where there is none.
-    run : Path or None
-        The run's file.
-    run_sha256 : str
-        Of that file as the step left it.
-    failure : Failure or None
-        What kept it from a result.
-    remarks : tuple of str
-        What else is to be known: what was left out, what is doubtful, what was tried again.
-    started_at, ended_at : str
-        UTC, ISO 8601.
-    elapsed_s : float
-        By a clock that nobody sets; of the last session.
-    attempts : int
-        How often it was begun anew.
-    conditions : mapping
-        What the controllers showed at its beginning.
-    """
+    """How one step has ended."""
 
     step: PlannedStep
-    verdict: Verdict | None
+    verdict: Verdict | None  # ``None``: it was measured, and has no limits
     limits: tuple[LimitOutcome, ...] = ()
-    document: Mapping[str, Any] = field(default_factory=dict)
-    run: Path | None = None
-    run_sha256: str = ""
-    failure: Failure | None = None
+    document: Mapping[str, Any] = field(default_factory=dict)  # JSON of the result; empty where there is none
+    run: Path | None = None  # the run's file
+    run_sha256: str = ""  # of that file as the step left it
+    failure: Failure | None = None  # what kept it from a result
+    # what else is to be known: what was left out, what is doubtful, what was tried again
     remarks: tuple[str, ...] = ()
-    started_at: str = ""
+    started_at: str = ""  # UTC, ISO 8601
     ended_at: str = ""
-    elapsed_s: float = 0.0
-    attempts: int = 1
-    conditions: Mapping[str, float] = field(default_factory=dict)
+    elapsed_s: float = 0.0  # by a clock that nobody sets; of the last session
+    attempts: int = 1  # how often it was begun anew
+    conditions: Mapping[str, float] = field(default_factory=dict)  # what the controllers showed at its beginning
 
     def lasting(self, seconds: float) -> StepOutcome:
         """Return it with the time that it took."""
@@ -69,29 +45,17 @@ class StepOutcome:
 
 @dataclass(frozen=True)
 class CampaignOutcome:
-    """How the test of a unit has ended.
-
-    Attributes
-    ----------
-    directory : Path
-        Of this test: runs, log, journal.
-    steps : tuple of StepOutcome
-        Those that were begun, in the order of the plan.
-    failure : Failure or None
-        What ended all of it before its time.
-    resumed_at : tuple of str
-        When it was gone on with, UTC.
-    """
+    """How the test of a unit has ended."""
 
     plan: CampaignPlan
     operator: str
     note: str
-    directory: Path
+    directory: Path  # of this test: runs, log, journal
     started_at: str
     ended_at: str
-    steps: tuple[StepOutcome, ...]
-    failure: Failure | None = None
-    resumed_at: tuple[str, ...] = ()
+    steps: tuple[StepOutcome, ...]  # those that were begun, in the order of the plan
+    failure: Failure | None = None  # what ended all of it before its time
+    resumed_at: tuple[str, ...] = ()  # when it was gone on with, UTC
 
     @property
     def verdict(self) -> Verdict | None:

@@ -13,65 +13,33 @@ from station.results.verdict import Limit
 
 @dataclass(frozen=True)
 class InstrumentCard:
-    """An instrument of the bench, as its papers say.
+    """An instrument of the bench, as its papers say."""
 
-    Attributes
-    ----------
-    role : str
-        ``"oscilloscope"``, ``"rate table"``, ``"chamber"``, ...
-    model, serial, firmware : str
-        Empty where nobody has stated them.
-    calibrated_on, calibration_due : date or None
-        ``None``: it needs no calibration, or nobody has stated it.
-    """
-
-    role: str
-    model: str = ""
+    role: str  # ``"oscilloscope"``, ``"rate table"``, ``"chamber"``, ..
+    model: str = ""  # empty where nobody has stated them
     serial: str = ""
     firmware: str = ""
-    calibrated_on: date | None = None
+    calibrated_on: date | None = None  # ``None``: it needs no calibration, or nobody has stated it
     calibration_due: date | None = None
 
 
 @dataclass(frozen=True)
 class PlannedStep:
-    """One measurement of a campaign.
+    """One measurement of a campaign."""
 
-    Attributes
-    ----------
-    key : str
-        Unique in the campaign: ``"2 lock-in, 1 of 3"``.
-    name : str
-        As the campaign calls it; the same for its repeats.
-    number : int
-        Place in the sequence, from 1.
-    measurement : str
-        Name that the run is marked with: ``"measure"``.
-    repeat, of_repeats : int
-        Which of how many, from 1.
-    settings : mapping
-        Complete settings of the measurement, plain JSON.
-    conditions : mapping
-        What the controllers are set to before it: ``temperature_degc``, ``voltage_v``.
-    warm_up_s, settle_s : float
-        Time that passes before it: with the unit on, and at its conditions.
-    limits : tuple of Limit
-    doubtful : {"marginal", "as_it_is"}
-        Verdict of a limit on a result that does not stand.
-    """
-
-    key: str
-    name: str
-    number: int
-    measurement: str
-    repeat: int
+    key: str  # unique in the campaign: ``"2 lock-in, 1 of 3"``
+    name: str  # as the campaign calls it; the same for its repeats
+    number: int  # place in the sequence, from 1
+    measurement: str  # name that the run is marked with: ``"measure"``
+    repeat: int  # which of how many, from 1
     of_repeats: int
-    settings: Mapping[str, Any]
+    settings: Mapping[str, Any]  # complete settings of the measurement, plain JSON
+    # what the controllers are set to before it: ``temperature_degc``, ``voltage_v``
     conditions: Mapping[str, float]
-    warm_up_s: float
+    warm_up_s: float  # time that passes before it: with the unit on, and at its conditions
     settle_s: float
     limits: tuple[Limit, ...]
-    doubtful: str = "marginal"
+    doubtful: str = "marginal"  # {"marginal", "as_it_is"}: Verdict of a limit on a result that does not stand
 
 
 @dataclass(frozen=True)
@@ -84,53 +52,26 @@ class ReferenceUnit:
 
 @dataclass(frozen=True)
 class CampaignPlan:
-    """A campaign as it is carried out with one unit.
-
-    Attributes
-    ----------
-    file : Path
-        Where the campaign was read from.
-    file_sha256 : str
-        Of its bytes and of those of the files that it names.
-    settings : mapping
-        The whole campaign with every default, plain JSON.
-    unit : str
-        Serial number.
-    unit_type : str
-        Model of the unit: histories are kept for each.
-    directory : Path
-        Where the folders of all tested units lie.
-    simulated : bool
-        Whether all of its benches are.
-    attempts : int
-        How often a step that the bench ended is begun or gone on with in all.
-    retry_after_s : float
-        Time between two attempts.
-    reports : bool
-        Whether every run gets a report of its own.
-    switch_off_afterwards : bool
-        Whether chamber and power supply are switched off when the test has ended.
-    ask_for_unit : bool
-        Whether an operator is asked to bring the unit before it begins.
-    """
+    """A campaign as it is carried out with one unit."""
 
     name: str
-    file: Path
-    file_sha256: str
-    settings: Mapping[str, Any]
+    file: Path  # where the campaign was read from
+    file_sha256: str  # of its bytes and of those of the files that it names
+    settings: Mapping[str, Any]  # the whole campaign with every default, plain JSON
     station: str
-    unit: str
-    unit_type: str
-    directory: Path
-    simulated: bool
+    unit: str  # serial number
+    unit_type: str  # model of the unit: histories are kept for each
+    directory: Path  # where the folders of all tested units lie
+    simulated: bool  # whether all of its benches are
     steps: tuple[PlannedStep, ...]
     instruments: tuple[InstrumentCard, ...] = ()
     reference: ReferenceUnit | None = None
-    attempts: int = 1
-    retry_after_s: float = 0.0
-    reports: bool = True
+    attempts: int = 1  # how often a step that the bench ended is begun or gone on with in all
+    retry_after_s: float = 0.0  # time between two attempts
+    reports: bool = True  # whether every run gets a report of its own
+    # whether chamber and power supply are switched off when the test has ended
     switch_off_afterwards: bool = False
-    ask_for_unit: bool = False
+    ask_for_unit: bool = False  # whether an operator is asked to bring the unit before it begins
 
     @property
     def is_reference(self) -> bool:

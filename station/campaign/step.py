@@ -54,31 +54,7 @@ def carry_out(
     started_at: str,
     evaluated: dict[str, Evaluated],
 ) -> StepOutcome:
-    """Carry out one step of a test.
-
-    Parameters
-    ----------
-    directory : Path
-        Of the test; the run gets a folder below it.
-    labels : mapping
-        Unit, operator and note of the run.
-    warm_up_s : float
-        Time with the unit on before anything is taken.
-    evaluated : dict
-        Gets what was evaluated, by the key of the step, as long as there is room for it.
-
-    Returns
-    -------
-    StepOutcome
-        With verdict ERROR, and what has happened, where the bench gave no result.
-
-    Raises
-    ------
-    KeyboardInterrupt
-        It was stopped; what was taken is kept.
-    CannotWrite
-        The disk takes no more.
-    """
+    """Carry out one step of a test."""
     begun = StepOutcome(step, None, started_at=started_at)
     attempt = _Attempts(step, plan, directory / "runs" / _folder(step.key), progress, labels)
     try:

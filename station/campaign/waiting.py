@@ -12,16 +12,10 @@ _SLICE_S = 0.5
 
 @dataclass(frozen=True)
 class Wait:
-    """Waits, and says for what.
-
-    Attributes
-    ----------
-    skipped : bool
-        On a simulated bench no time passes.
-    """
+    """Waits, and says for what."""
 
     progress: Progress
-    skipped: bool = False
+    skipped: bool = False  # on a simulated bench no time passes
 
     def __call__(self, what: str, seconds: float) -> None:
         """Wait so many seconds; zero or less returns at once."""

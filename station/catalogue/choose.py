@@ -17,31 +17,17 @@ NO_LIMITS = "none"
 
 @dataclass(frozen=True)
 class Wanted:
-    """What a run must be to be listed; what is empty or ``None`` asks for nothing.
+    """What a run must be to be listed; what is empty or ``None`` asks for nothing."""
 
-    Attributes
-    ----------
-    command, unit, operator, gyro : str
-        Patterns with ``*`` and ``?``; capital letters do not count.
-    verdict : {"PASS", "FAIL", "none", ""}
-    mark : {"good", "bad", "none", ""}
-    tags : tuple of str
-        All of them.
-    text : str
-        Stands in a note, whoever wrote it.
-    since, until : str
-        UTC, ISO 8601, from its beginning: ``"2026-11"`` is the whole month in both.
-    """
-
-    command: str = ""
+    command: str = ""  # patterns with ``*`` and ``?``; capital letters do not count
     unit: str = ""
     operator: str = ""
     gyro: str = ""
-    verdict: str = ""
-    mark: str = ""
-    tags: tuple[str, ...] = ()
-    text: str = ""
-    since: str = ""
+    verdict: str = ""  # {"PASS", "FAIL", "none", ""}
+    mark: str = ""  # {"good", "bad", "none", ""}
+    tags: tuple[str, ...] = ()  # all of them
+    text: str = ""  # stands in a note, whoever wrote it
+    since: str = ""  # UTC, ISO 8601, from its beginning: ``"2026-11"`` is the whole month in both
     until: str = ""
 
     def admits(self, entry: Entry) -> bool:
@@ -61,18 +47,7 @@ class Wanted:
 
 
 def chosen(entries: Iterable[Entry], wanted: Wanted, sort: Sequence[str] = ()) -> list[Entry]:
-    """Return the runs that are wanted, in the order that is wanted.
-
-    Parameters
-    ----------
-    sort : sequence of str
-        Names of `ORDERS`; the first rules, one that begins with ``-`` turns its order round.
-
-    Raises
-    ------
-    UsageError
-        There is no such order.
-    """
+    """Return the runs that are wanted, in the order that is wanted."""
     found = [entry for entry in entries if wanted.admits(entry)]
     for name in reversed(sort):
         key = name.removeprefix("-")

@@ -23,20 +23,12 @@ _SHOWN_FIRST = {"witness": "two_pi_voltage_v"}
 
 @dataclass(frozen=True)
 class Value:
-    """A number of a result with its standard uncertainty; nan where the run gives none.
+    """A number of a result with its standard uncertainty; nan where the run gives none."""
 
-    Attributes
-    ----------
-    name : str
-        Key in the JSON document: with its unit.
-    of : str
-        What it is of, where there are several: ``"X"``.
-    """
-
-    name: str
+    name: str  # key in the JSON document: with its unit
     value: float
     u: float
-    of: str = ""
+    of: str = ""  # what it is of, where there are several: ``"X"``
 
     @property
     def unit(self) -> str:
@@ -55,25 +47,9 @@ class Value:
 
 @dataclass(frozen=True)
 class Entry:
-    """A run as the list of all runs knows it.
+    """A run as the list of all runs knows it."""
 
-    Attributes
-    ----------
-    run : str
-        Its SQLite file, from the folder that was listed.
-    values : tuple of Value
-        What the result begins with; empty for a run that was never evaluated.
-    records : int
-        How many it holds, of every purpose.
-    standing : str or None
-        Whether the result holds.
-    mark, tags, remarks
-        What was said of it afterwards; remarks are plain JSON.
-    problem : str
-        Why it cannot be read, or what of it is damaged; empty if nothing is wrong.
-    """
-
-    run: str
+    run: str  # its SQLite file, from the folder that was listed
     command: str = ""
     started_at: str = ""
     ended_at: str | None = None
@@ -83,16 +59,16 @@ class Entry:
     gyro: str | None = None
     simulated: bool = False
     outcome: str = ""
-    records: int = 0
-    values: tuple[Value, ...] = ()
+    records: int = 0  # how many it holds, of every purpose
+    values: tuple[Value, ...] = ()  # what the result begins with; empty for a run that was never evaluated
     verdict: str | None = None
-    standing: str | None = None
+    standing: str | None = None  # whether the result holds
     instrument_serial: str | None = None
     software: str | None = None
-    mark: str | None = None
+    mark: str | None = None  # what was said of it afterwards; remarks are plain JSON
     tags: tuple[str, ...] = ()
     remarks: tuple[dict[str, Any], ...] = ()
-    problem: str = ""
+    problem: str = ""  # why it cannot be read, or what of it is damaged; empty if nothing is wrong
 
     def as_json(self) -> dict[str, Any]:
         """Return it as plain JSON."""
@@ -125,13 +101,6 @@ def read_entry(file: Path, name: str) -> Entry | None:
     """Look at a run without opening a record; ``None`` for a database of somebody else.
 
     A run that is written at this moment is not disturbed, and what is found is what is on the disk.
-
-    Parameters
-    ----------
-    file : Path
-        Its SQLite file.
-    name : str
-        What the list calls it.
     """
     try:
         remarks, problem = read_remarks(file), ""

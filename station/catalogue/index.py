@@ -40,19 +40,7 @@ Stamps = dict[str, str]
 
 
 def list_runs(directory: Path, *, progress: Progress | None = None) -> list[Entry]:
-    """Return all runs below a folder, the oldest first.
-
-    Parameters
-    ----------
-    directory : Path
-    progress : Progress, optional
-        Is told of the look at many runs.
-
-    Raises
-    ------
-    UsageError
-        There is no such folder.
-    """
+    """Return all runs below a folder, the oldest first."""
     if not directory.is_dir():
         raise UsageError(f"{directory}: there is no such folder of runs")
     there = dict(_stamps(directory))

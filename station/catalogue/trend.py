@@ -22,17 +22,7 @@ Series = dict[str, dict[str, list[tuple[Entry, Value]]]]
 
 
 def write_trend(path: Path, entries: Sequence[Entry]) -> int:
-    """Draw the results of runs over time into a file, and return how many.
-
-    Raises
-    ------
-    UsageError
-        Its name does not say which kind of picture.
-    NoUsableSignal
-        No run has a result.
-    OSError
-        It cannot be written.
-    """
+    """Draw the results of runs over time into a file, and return how many."""
     series = series_of(entries)
     write_picture(path, "trend", trend_size(series), lambda figure: draw_trend(figure, series))
     return sum(len(values) for units in series.values() for values in units.values())
@@ -71,13 +61,7 @@ def trend_size(series: Series) -> tuple[float, float]:
 
 
 def series_of(entries: Sequence[Entry]) -> Series:
-    """Sort results by what they are and by unit.
-
-    Raises
-    ------
-    NoUsableSignal
-        No run has one.
-    """
+    """Sort results by what they are and by unit."""
     found: Series = {}
     for entry in entries:
         for value in entry.values:

@@ -141,21 +141,11 @@ class Answer:
 
 @dataclass(frozen=True)
 class Analysis:
-    """Sources, how they are evaluated, and by whom; each method returns the exit code.
+    """Sources, how they are evaluated, and by whom; each method returns the exit code."""
 
-    Attributes
-    ----------
-    sources : sequence of Path or Source
-        Of :func:`station.sources.find_sources`.
-    choices : dict
-        Of :class:`analysis.lock_in_run.Method`; ``None`` where nothing was asked for.
-    config : Path or None
-        Settings file: what is known of the bench now.
-    """
-
-    sources: Sequence[Path | Source]
-    choices: dict[str, Any]
-    config: Path | None
+    sources: Sequence[Path | Source]  # of :func:`station.sources.find_sources`
+    choices: dict[str, Any]  # of :class:`analysis.lock_in_run.Method`; ``None`` where nothing was asked for
+    config: Path | None  # settings file: what is known of the bench now
     workers: Workers
     progress: Progress
 

@@ -28,20 +28,7 @@ Tell = Callable[[str], None]
 def open_controller(
     settings: ControllerSettings, name: str, *, tell: Tell, clock: Clock | None = None
 ) -> Iterator[Controller]:
-    """Open one controller; it is left as it is.
-
-    Parameters
-    ----------
-    name : str
-        ``"rate_table"``, ``"chamber"`` or ``"power_supply"``.
-    clock : Clock, optional
-        The time that is waited by; the computer's if not given.
-
-    Raises
-    ------
-    InstrumentError
-        It does not answer, or another one does.
-    """
+    """Open one controller; it is left as it is."""
     template = parse_template(settings.template, settings.file or name)
     sleep, now = (time.sleep, time.monotonic) if clock is None else (clock.sleep, clock.now)
     with Controller(settings.resource, template, tell=tell, sleep=sleep, now=now) as controller:
@@ -50,13 +37,7 @@ def open_controller(
 
 @contextmanager
 def open_rate_table(settings: ControllerSettings, *, tell: Tell) -> Iterator[ControlledRateTable]:
-    """Open the rate table; whatever ends this stops it, a killed program too.
-
-    Raises
-    ------
-    InstrumentError
-        As for :func:`open_controller`.
-    """
+    """Open the rate table; whatever ends this stops it, a killed program too."""
     with open_controller(settings, "rate_table", tell=tell) as controller:
         guard = Guard(settings.resource, settings.template)
         table = ControlledRateTable(controller, guard, tell)
@@ -94,20 +75,7 @@ def served_device(device: LineDevice) -> Iterator[str]:
 
 @contextmanager
 def served_controllers(table: SimulatedRateTable | None, *, tcp: bool) -> Iterator[dict[str, str]]:
-    """Serve the controller of a simulated table, a chamber and a power supply in real time.
-
-    Parameters
-    ----------
-    table : SimulatedRateTable or None
-        Without one nothing is served.
-    tcp : bool
-        On TCP; else on serial terminals.
-
-    Yields
-    ------
-    dict
-        VISA names, by the names of the controllers in the settings.
-    """
+    """Serve the controller of a simulated table, a chamber and a power supply in real time."""
     devices: dict[str, LineDevice] = {}
     if table is not None:
         devices["rate_table"] = RateTableController(table)
@@ -132,13 +100,7 @@ def simulated_device(name: str) -> tuple[LineDevice, Clock]:
 def open_chamber_or_supply(
     settings: ControllerSettings, name: str, *, tell: Tell, simulated: bool
 ) -> Iterator[Controller]:
-    """Open a chamber or a power supply; on a simulated bench one without a resource is simulated as well.
-
-    Raises
-    ------
-    InstrumentError
-        It does not answer, or has no resource on a real bench.
-    """
+    """Open a chamber or a power supply; on a simulated bench one without a resource is simulated as well."""
     if settings.resource or not simulated:
         with open_controller(settings, name, tell=tell) as controller:
             yield controller

@@ -18,21 +18,11 @@ KINDS = {"rate_table": "rate table", "chamber": "chamber", "power_supply": "powe
 
 
 class ControllerSettings(SettingsSection):
-    """One controller.
+    """One controller."""
 
-    Attributes
-    ----------
-    resource : str
-        VISA resource name; empty: the one that is simulated.
-    file : str
-        Template; empty: the one that comes with the program.
-    template : dict
-        What stands in that file: a run carries it along.
-    """
-
-    resource: str = ""
-    file: str = ""
-    template: dict[str, Any] = Field(default={})
+    resource: str = ""  # VISA resource name; empty: the one that is simulated
+    file: str = ""  # template; empty: the one that comes with the program
+    template: dict[str, Any] = Field(default={})  # what stands in that file: a run carries it along
 
 
 class ControllersSettings(SettingsSection):
@@ -52,22 +42,7 @@ S = TypeVar("S", bound=SettingsSection)
 
 
 def with_controllers(settings: S, table_kind: str, path: Path) -> S:
-    """Return settings whose controllers have their templates with them, so that a run carries them along.
-
-    Parameters
-    ----------
-    settings : SettingsSection
-        With ``controllers``.
-    table_kind : str
-        How its rate table is turned: ``"controller"`` needs one.
-    path : Path
-        Settings file: a relative name of a template is meant from where it stands.
-
-    Raises
-    ------
-    SettingsError
-        A controller is missing, cannot be read, or holds mistakes: every one of them is named.
-    """
+    """Return settings whose controllers have their templates with them, so that a run carries them along."""
     controllers: ControllersSettings | None = getattr(settings, "controllers", None)
     if table_kind == "controller" and (controllers is None or controllers.rate_table is None):
         raise SettingsError(

@@ -167,11 +167,6 @@ def codes_of(cells: bytes) -> bytes:
 
     They are taken apart all at once: one by one they would take as long as their estimates, ten times over.
 
-    Raises
-    ------
-    ValueError
-        Something else stands there.
-
     Examples
     --------
     >>> np.frombuffer(codes_of(b"-128,0,7,127"), np.int8).tolist()

@@ -23,18 +23,7 @@ _CALLED = dict(zip(("times", "counts", "temperature", "status"), OUTPUTS, strict
 
 
 def unpacked(header: str, payload: bytes) -> dict[str, Floats] | None:
-    """Return the output that a record of a run holds, by the names of `OUTPUTS`.
-
-    Parameters
-    ----------
-    header : str
-        JSON; its ``columns`` name what is packed.
-
-    Returns
-    -------
-    dict or None
-        ``None`` where it is no output, an empty one, or not what its header says: then the bytes stay as they are.
-    """
+    """Return the output that a record of a run holds, by the names of `OUTPUTS`."""
     if not header.startswith("{"):
         return None
     try:
@@ -51,13 +40,7 @@ def unpacked(header: str, payload: bytes) -> dict[str, Floats] | None:
 
 
 def bytes_of(header: str, outputs: Mapping[str, Floats]) -> bytes:
-    """Return the columns one behind the other, as the header names them: what the checksum is over.
-
-    Raises
-    ------
-    ValueError, KeyError, TypeError
-        They are not what the header says.
-    """
+    """Return the columns one behind the other, as the header names them: what the checksum is over."""
     names: Sequence[str] = json.loads(header)["columns"]
     length = len(outputs[OUTPUTS[0]])
     if not length:

@@ -13,13 +13,7 @@ class MissingPackage(UsageError, ImportError):
 
 
 def package(name: str, extra: str = "data") -> Any:
-    """Import a package of an extra.
-
-    Raises
-    ------
-    MissingPackage
-        It is not installed; the text says how to get it.
-    """
+    """Import a package of an extra."""
     try:
         return importlib.import_module(name)
     except ImportError:

@@ -27,15 +27,7 @@ _READ = ("number", "key", "taken_at", "purpose", "header", "conditions", "sha256
 
 
 class ParquetWriter:
-    """Writes one file.
-
-    Parameters
-    ----------
-    file : file object
-        Open for writing bytes.
-    width : int
-        Bytes of the codes of a record; what is longer or shorter goes into the column ``payload``.
-    """
+    """Writes one file."""
 
     def __init__(self, file: Any, width: int) -> None:
         pyarrow, parquet = package("pyarrow"), package("pyarrow.parquet")
@@ -87,13 +79,7 @@ class ParquetWriter:
 
 
 class ParquetTable:
-    """Reads one file; path or URL.
-
-    Raises
-    ------
-    RunError
-        It is damaged, none of ours, or of a newer program.
-    """
+    """Reads one file; path or URL."""
 
     def __init__(self, place: str) -> None:
         self.place = place
@@ -216,13 +202,7 @@ def _opened(place: str) -> Iterator[Any]:
 
 @contextmanager
 def opened_bytes(place: str, mode: str) -> Iterator[Any]:
-    """Open a file of this machine, or one of an object store by fsspec.
-
-    Raises
-    ------
-    UsageError
-        There is no such kind of store, or its package is not installed.
-    """
+    """Open a file of this machine, or one of an object store by fsspec."""
     if not is_url(place):
         with Path(place).open(mode) as file:
             yield file

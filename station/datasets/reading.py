@@ -52,13 +52,7 @@ class _Stretch:
 
 
 class DatasetSource(Source):
-    """A source as it was when it was exported.
-
-    Attributes
-    ----------
-    origin : str
-        Its kind at that time.
-    """
+    """A source as it was when it was exported."""
 
     kind = "data set"
 
@@ -124,13 +118,7 @@ class DatasetSource(Source):
 
 
 def is_dataset(place: str | Path) -> bool:
-    """Tell whether something that can be read is a data set: by its name, a CSV by its first line.
-
-    Raises
-    ------
-    OSError
-        It cannot be read.
-    """
+    """Tell whether something that can be read is a data set: by its name, a CSV by its first line."""
     text = str(place)
     path = Path(text)
     if is_url(text):
@@ -147,13 +135,7 @@ def is_dataset(place: str | Path) -> bool:
 
 
 def tables_of(place: str | Path) -> list[Table]:
-    """Return the files of a data set: one, or the parts in a folder or below a URL that ends with ``/``.
-
-    Raises
-    ------
-    RunError, OSError
-        One of them cannot be read.
-    """
+    """Return the files of a data set: one, or the parts in a folder or below a URL that ends with ``/``."""
     return [_table(one) for one in parts_of(place)]
 
 
@@ -175,20 +157,7 @@ def parts_of(place: str | Path) -> list[str]:
 
 
 def sources_of(place: str | Path) -> list[DatasetSource]:
-    """Return the sources that a data set was exported from, in their order.
-
-    Parameters
-    ----------
-    place : path or URL
-        A file, a folder of parts, or a URL that fsspec knows.
-
-    Raises
-    ------
-    RunError, OSError
-        It cannot be read, or was written by a newer program.
-    MissingPackage
-        The package that reads it is not installed.
-    """
+    """Return the sources that a data set was exported from, in their order."""
     found: dict[str, DatasetSource] = {}
     seen: dict[int, DatasetSource] = {}  # by the text as one object: it is not taken apart for each row
     for table in tables_of(place):

@@ -53,24 +53,13 @@ COLUMNS = (*TEXT[:1], *WHOLE[:1], *TEXT[1:6], *WHOLE[1:], *NUMBERS, *TEXT[6:])
 
 @dataclass(frozen=True)
 class Rows:
-    """Some rows of the table.
+    """Some rows of the table."""
 
-    Attributes
-    ----------
-    columns : dict
-        By the names of `COLUMNS`: lists of text, of int, of float (nan where nobody knows).
-    payloads : list of bytes
-        What the instrument sent; empty where it stands in `outputs`.
-    coded : ndarray of bool
-        Whether it is the codes of an oscilloscope's record.
-    outputs : list of dict or None
-        Output of a fibre gyro, by the names of `OUTPUTS`.
-    """
-
+    # by the names of `COLUMNS`: lists of text, of int, of float (nan where nobody knows)
     columns: dict[str, list[Any]]
-    payloads: list[bytes]
-    coded: NDArray[np.bool_]
-    outputs: list[dict[str, Floats] | None]
+    payloads: list[bytes]  # what the instrument sent; empty where it stands in `outputs`
+    coded: NDArray[np.bool_]  # whether it is the codes of an oscilloscope's record
+    outputs: list[dict[str, Floats] | None]  # output of a fibre gyro, by the names of `OUTPUTS`
 
     def __len__(self) -> int:
         return len(self.payloads)
@@ -100,13 +89,7 @@ def described(source: Source, records: int) -> str:
 
 
 def rows_of(source: Source, about: str, records: Iterable[SavedRecord]) -> Iterator[Rows]:
-    """Yield the records of a source as rows, not more than `AT_ONCE` together.
-
-    Parameters
-    ----------
-    about : str
-        Of :func:`described`.
-    """
+    """Yield the records of a source as rows, not more than `AT_ONCE` together."""
     held: list[SavedRecord] = []
     size = 0
     for record in records:
@@ -155,12 +138,7 @@ def rows_with(numbers: range, held: NDArray[np.int64], first: int) -> tuple[int,
 
 
 def check_schema(schema: Mapping[str, Any] | None, place: str) -> None:
-    """Refuse what is no data set, or one of a newer program.
-
-    Raises
-    ------
-    RunError
-    """
+    """Refuse what is no data set, or one of a newer program."""
     if not schema or schema.get("name") != SCHEMA["name"]:
         raise RunError(f"{place}: is no data set of gyrolock: `gyrolock export` writes one")
     if schema.get("version") not in range(1, VERSION + 1):

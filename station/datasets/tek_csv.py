@@ -29,22 +29,6 @@ def write_tek_files(
 
     Several sources, or records of several purposes, get folders of their own. Beside them stands what such files
     do not hold: ``gyrolock.toml`` with the scale factor of the gyro.
-
-    Parameters
-    ----------
-    folder : Path
-        Made if it is missing.
-    replace : bool
-        Write over files that are there.
-    left_out : list of LeftOut, optional
-        What could not be opened, so far; what cannot be written so is added.
-
-    Raises
-    ------
-    UsageError
-        The folder holds something, or there is no record.
-    CannotWrite
-        The disk does not take it.
     """
     done = Exported(left_out=[] if left_out is None else left_out)
     if not replace and folder.is_dir() and any(folder.iterdir()):

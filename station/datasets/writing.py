@@ -44,30 +44,16 @@ class Writer(Protocol):
 
 @dataclass
 class Exported:
-    """What was written.
-
-    Attributes
-    ----------
-    files : list of str
-    records, sources : int
-    left_out : list of LeftOut
-        What could not be read, or holds no record.
-    """
+    """What was written."""
 
     files: list[str] = field(default_factory=list)
     records: int = 0
     sources: int = 0
-    left_out: list[LeftOut] = field(default_factory=list)
+    left_out: list[LeftOut] = field(default_factory=list)  # what could not be read, or holds no record
 
 
 def check_target(place: str, *, replace: bool) -> None:
-    """See that something can be written to a place, before anything is read.
-
-    Raises
-    ------
-    UsageError
-        Its name says no format, or it is there already.
-    """
+    """See that something can be written to a place, before anything is read."""
     path = Path(place)
     if place.endswith("/"):
         there = not is_url(place) and path.is_dir() and any(path.glob("part-*"))
@@ -90,28 +76,7 @@ def export(
     left_out: list[LeftOut] | None = None,
     told: Callable[[int], None] = lambda records: None,
 ) -> Exported:
-    """Write all records of sources to a data set.
-
-    Parameters
-    ----------
-    sources : iterable of Source
-        May open them as it goes.
-    place : str
-        Path or URL; its ending says the format, one that ends with ``/`` is a folder of Parquet parts.
-    records_of_part : int, optional
-        Of each part, at most; a part that is begun ends with a row group.
-    left_out : list of LeftOut, optional
-        What could not be opened, so far; what cannot be read is added.
-    told : callable, optional
-        Gets the number of records that were written, again and again.
-
-    Raises
-    ------
-    UsageError
-        No source holds a record.
-    CannotWrite
-        The disk does not take it: what was there before is still there.
-    """
+    """Write all records of sources to a data set."""
     done = Exported(left_out=[] if left_out is None else left_out)
     rows = joined_rows(_all_rows(sources, done))
     first = next(rows, None)

@@ -38,35 +38,18 @@ _TURNS_TO_FIT = 2.0  # with fewer in a record, the uncertainty of a frequency te
 
 @dataclass(frozen=True)
 class Records:
-    """The records of a sweep in the order in which they were taken, one element for each.
+    """The records of a sweep in the order in which they were taken, one element for each."""
 
-    Attributes
-    ----------
-    direction : tuple of str
-        ``"up"`` or ``"down"``.
-    table_rate, rate : ndarray, shape (n,)
-        deg/s, signed: of the table, and on the axis without the vertical earth rate.
-    duration : ndarray, shape (n,)
-        s.
-    beat, beat_u : ndarray, shape (n,)
-        Hz, not negative: 0 of a gyro that is locked, nan where there is less than a beat that could be fitted.
-    swing : ndarray, shape (n,)
-        V, largest less smallest.
-    clock : ndarray, shape (n,)
-        s, from any beginning; the number of the record where nobody wrote down the time.
-    azimuth_known : bool
-        Whether the horizontal earth rate is in the rates.
-    """
-
-    direction: tuple[str, ...]
-    table_rate: Array
+    direction: tuple[str, ...]  # ``"up"`` or ``"down"``
+    table_rate: Array  # (n,): deg/s, signed: of the table, and on the axis without the vertical earth rate
     rate: Array
-    duration: Array
+    duration: Array  # (n,): s
+    # (n,): Hz, not negative: 0 of a gyro that is locked, nan where there is less than a beat that could be fitted
     beat: Array
     beat_u: Array
-    swing: Array
-    clock: Array
-    azimuth_known: bool
+    swing: Array  # (n,): V, largest less smallest
+    clock: Array  # (n,): s, from any beginning; the number of the record where nobody wrote down the time
+    azimuth_known: bool  # whether the horizontal earth rate is in the rates
 
     @property
     def turns(self) -> Array:
@@ -83,47 +66,21 @@ class Records:
 
 @dataclass(frozen=True)
 class DeadBandFound:
-    """What a sweep says.
-
-    Attributes
-    ----------
-    records : Records
-    band : DeadBand
-        Edges, lock-in rate and bias with what steps, hysteresis and noise leave open.
-    lock_in_rate_u, bias_rate_u : float
-        deg/s, with everything that is known to spoil them.
-    parts : dict
-        Standard uncertainties that ``lock_in_rate_u`` is made of, deg/s, by name.
-    hyperbola : FrequencyFit or None
-        Beat frequency against rate; ``None`` where too few rates gave a beat.
-    earth_rate : float
-        deg/s: the vertical earth rate on the axis.
-    scale_factor : float
-        Pulses per degree, as used.
-    left_out : tuple of LeftOut
-    """
+    """What a sweep says."""
 
     records: Records
-    band: DeadBand
-    lock_in_rate_u: float
+    band: DeadBand  # edges, lock-in rate and bias with what steps, hysteresis and noise leave open
+    lock_in_rate_u: float  # deg/s, with everything that is known to spoil them
     bias_rate_u: float
-    parts: dict[str, float]
-    hyperbola: FrequencyFit | None
-    earth_rate: float
-    scale_factor: float
+    parts: dict[str, float]  # standard uncertainties that ``lock_in_rate_u`` is made of, deg/s, by name
+    hyperbola: FrequencyFit | None  # beat frequency against rate; ``None`` where too few rates gave a beat
+    earth_rate: float  # deg/s: the vertical earth rate on the axis
+    scale_factor: float  # pulses per degree, as used
     left_out: tuple[LeftOut, ...]
 
 
 def evaluate(run: SavedRun, settings: DeadBandSettings, choices: Mapping[str, Any]) -> DeadBandFound:
-    """Evaluate the records of a sweep.
-
-    Raises
-    ------
-    NoUsableSignal
-        No edge of a dead band is in it.
-    RunError
-        Its records cannot be read.
-    """
+    """Evaluate the records of a sweep."""
     taken = run.taken_for(PURPOSE)
     damaged = [one.key for one in taken if not one.intact]
     intact = [one for one in taken if one.intact]

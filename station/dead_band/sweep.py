@@ -17,17 +17,10 @@ _DIVISIONS = 10  # of a record
 
 @dataclass(frozen=True)
 class Step:
-    """One rate of the sweep.
+    """One rate of the sweep."""
 
-    Attributes
-    ----------
-    direction : {"up", "down"}
-    rate_dps : float
-        On the gyro's axis, without the earth rate.
-    """
-
-    direction: str
-    rate_dps: float
+    direction: str  # {"up", "down"}
+    rate_dps: float  # on the gyro's axis, without the earth rate
 
     def key(self, number: int) -> str:
         """Key of one of its records; numbers count from 1."""

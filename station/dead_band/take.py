@@ -40,13 +40,7 @@ class _TrialShape:
 
 
 def take(settings: DeadBandSettings, session: Session) -> None:
-    """Sweep and save; of a run that was cut short, what is missing.
-
-    Raises
-    ------
-    NoUsableSignal
-        There is no beat at the first rate, where there must be one.
-    """
+    """Sweep and save; of a run that was cut short, what is missing."""
     take_on(open_for(session, settings), settings, session)
 
 
@@ -87,13 +81,7 @@ class _Answers:
     insists: bool = False
 
     def doubted(self, step: Step, frequency: float, *, may_lock: bool = False) -> bool:
-        """Ask again where the beat does not fit the rate; whether it is to be looked at again.
-
-        Parameters
-        ----------
-        may_lock : bool, optional
-            The gyro may be locked, or nearly: then only a beat that is too fast is wrong.
-        """
+        """Ask again where the beat does not fit the rate; whether it is to be looked at again."""
         table, expected = self.bench.table, self.settings.gyro.expected_lock_in_rate_dps
         if not isinstance(table, ManualRateTable) or self.insists:
             return False

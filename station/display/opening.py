@@ -39,22 +39,7 @@ def display_options(function: F) -> F:
 
 @contextmanager
 def shown(given: Mapping[str, Any], command: str, **labels: str | None) -> Iterator[Progress]:
-    """Show what happens while a command measures.
-
-    Parameters
-    ----------
-    given : mapping
-        Values of :func:`display_options`; what is missing is not wanted.
-    command : str
-        What a user types after ``gyrolock``.
-    **labels : str
-        ``unit``, ``operator`` and ``note``, those that were given.
-
-    Raises
-    ------
-    UsageError
-        Events cannot be written where they are wanted.
-    """
+    """Show what happens while a command measures."""
     from station.events.lines import open_lines
     from station.events.running import StatusFile
 

@@ -34,13 +34,7 @@ _NAMES = {
 
 
 def picture(situation: Situation, width: int, height: int) -> RenderableType:
-    """Return how things stand, within so many characters and lines.
-
-    Parameters
-    ----------
-    width, height : int
-        Of the terminal; a wide one shows plot and table side by side.
-    """
+    """Return how things stand, within so many characters and lines."""
     parts: list[RenderableType] = [_head(situation, width)]
     taken = _LINES_BELOW
     if situation.steps:

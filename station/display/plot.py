@@ -20,24 +20,7 @@ def plot(
     unit: str,
     seconds: float,
 ) -> list[Text]:
-    """Draw samples as dots and a fit as a line, with the ends of both axes.
-
-    Parameters
-    ----------
-    samples, fit : sequence of float
-        At equal steps; ``None`` where there is none. The fit may be empty.
-    width, height : int
-        Of the whole picture, in characters.
-    unit : str
-        Of the values.
-    seconds : float
-        From the first sample to the last.
-
-    Returns
-    -------
-    list of Text
-        `height` lines.
-    """
+    """Draw samples as dots and a fit as a line, with the ends of both axes."""
     known = [value for value in (*samples, *fit) if value is not None and math.isfinite(value)]
     if not known or width < 16 or height < 3:
         return [Text("no record to show", style="dim")]

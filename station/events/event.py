@@ -47,24 +47,12 @@ WAYPOINTS = frozenset(KINDS) - {"counted", "record", "value", "link", "note"}
 
 @dataclass(frozen=True)
 class Event:
-    """Something that happened.
+    """Something that happened."""
 
-    Attributes
-    ----------
-    counter : int
-        Counts from 1 within the program: a gap shows.
-    kind : str
-        One of :data:`KINDS`.
-    at : str
-        UTC, ISO 8601.
-    facts : mapping
-        Plain JSON.
-    """
-
-    counter: int
-    kind: str
-    at: str
-    facts: Mapping[str, Any]
+    counter: int  # counts from 1 within the program: a gap shows
+    kind: str  # one of :data:`KINDS`
+    at: str  # UTC, ISO 8601
+    facts: Mapping[str, Any]  # plain JSON
 
     def line(self) -> str:
         """Return the event as one line of JSON, without its end."""
@@ -85,13 +73,7 @@ class Events:
         self.wants_values = False
 
     def read_by(self, reader: Reader, *, values: bool = False) -> None:
-        """Add a reader.
-
-        Parameters
-        ----------
-        values : bool, optional
-            Whether it wants ``value`` events: each record is then fitted as it comes, beside the measurement.
-        """
+        """Add a reader."""
         with self._lock:
             self._readers.append(reader)
             self.wants_values = self.wants_values or values

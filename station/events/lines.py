@@ -21,15 +21,7 @@ _LAST_S = 1.0  # for so long the end of the program waits for a reader
 
 
 class EventLines:
-    """Writes events to a descriptor as it takes them.
-
-    Attributes
-    ----------
-    lost : int
-        Lines that were not written.
-    error : str
-        Why nothing more is written; empty while all is well.
-    """
+    """Writes events to a descriptor as it takes them."""
 
     def __init__(self, descriptor: int) -> None:
         self._descriptor = descriptor
@@ -87,18 +79,7 @@ def takes_now(descriptor: int) -> bool:
 
 
 def open_lines(target: str) -> EventLines:
-    """Open where events are written to.
-
-    Parameters
-    ----------
-    target : str
-        Name of a file, to which lines are added, or of a pipe; or the number of an open descriptor.
-
-    Raises
-    ------
-    UsageError
-        It cannot be written to.
-    """
+    """Open where events are written to."""
     try:
         return EventLines(_opened(target))
     except OSError as error:

@@ -98,17 +98,11 @@ class StatusFile:
 
 @dataclass(frozen=True)
 class Running:
-    """A program that is measuring, or was when it was killed.
-
-    Attributes
-    ----------
-    alive : bool
-        Whether it still runs.
-    """
+    """A program that is measuring, or was when it was killed."""
 
     path: Path
     pid: int
-    alive: bool
+    alive: bool  # whether it still runs
     situation: Situation
 
     @property
@@ -126,13 +120,7 @@ class Running:
         _take_away(self.path)
 
     def stop(self) -> None:
-        """Ask it to end, as Ctrl-C in its terminal does: what it has taken is kept.
-
-        Raises
-        ------
-        UsageError
-            It cannot be told.
-        """
+        """Ask it to end, as Ctrl-C in its terminal does: what it has taken is kept."""
         try:
             self.path.with_suffix(_STOP).touch()
         except OSError as error:

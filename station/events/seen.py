@@ -21,36 +21,20 @@ _LAST_S = 1.0  # for so long the end of a run waits for values that are still to
 
 @dataclass(frozen=True)
 class Value:
-    """A number with its standard uncertainty, of noise alone.
+    """A number with its standard uncertainty, of noise alone."""
 
-    Attributes
-    ----------
-    name : str
-        With the unit at its end: ``"lock_in_rate_dps"``.
-    text : str
-        As a person reads it.
-    records : int
-        How many it is of.
-    """
-
-    name: str
+    name: str  # with the unit at its end: ``"lock_in_rate_dps"``
     value: float
     u: float
-    text: str
-    records: int = 1
+    text: str  # as a person reads it
+    records: int = 1  # how many it is of
 
 
 @dataclass(frozen=True)
 class Trace:
-    """A few periods of a record, and its fit at the same times; at most some hundred points.
+    """A few periods of a record, and its fit at the same times; at most some hundred points."""
 
-    Attributes
-    ----------
-    seconds : float
-        From the first point to the last.
-    """
-
-    seconds: float
+    seconds: float  # from the first point to the last
     unit: str
     samples: Sequence[float]
     fit: Sequence[float] = ()
@@ -58,25 +42,14 @@ class Trace:
 
 @dataclass(frozen=True)
 class Seen:
-    """What a record says.
-
-    Attributes
-    ----------
-    group : str
-        What is taken together: records at one rate.
-    values : tuple of Value
-        Of this record.
-    running : tuple of Value
-        Of all records of its group so far; the first is the one to show in a table of groups.
-    so_far : tuple of Value
-        Of all records so far.
-    """
+    """What a record says."""
 
     key: str
-    group: str
-    values: tuple[Value, ...]
+    group: str  # what is taken together: records at one rate
+    values: tuple[Value, ...]  # of this record
+    # of all records of its group so far; the first is the one to show in a table of groups
     running: tuple[Value, ...] = ()
-    so_far: tuple[Value, ...] = ()
+    so_far: tuple[Value, ...] = ()  # of all records so far
     flags: tuple[str, ...] = ()
     trace: Trace | None = None
 

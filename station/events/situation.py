@@ -14,38 +14,23 @@ _NOTES = 4
 
 @dataclass
 class Situation:
-    """What a person wants to know of a program that is measuring.
-
-    Attributes
-    ----------
-    program, run, link, result, waiting : dict
-        The last event of that kind; empty if there was none.
-    notes : list of str
-        The last few.
-    counted : dict
-        ``what``, ``done``, ``total``, ``left_s`` and ``at``, the time of the count.
-    records : int
-        On the disk, of all runs of this program.
-    value : dict
-        The last record's values and trace.
-    groups : dict
-        For each group of records what all of them so far say.
-    steps : list of dict
-        Of a campaign: ``step``, ``state`` ("to come", "now" or a verdict).
-    """
+    """What a person wants to know of a program that is measuring."""
 
     at: str = ""
-    program: dict[str, Any] = field(default_factory=dict)
+    program: dict[str, Any] = field(default_factory=dict)  # the last event of that kind; empty if there was none
     run: dict[str, Any] = field(default_factory=dict)
-    notes: list[str] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)  # the last few
     waiting: dict[str, Any] = field(default_factory=dict)
+    # ``what``, ``done``, ``total``, ``left_s`` and ``at``, the time of the count
     counted: dict[str, Any] = field(default_factory=dict)
-    records: int = 0
-    value: dict[str, Any] = field(default_factory=dict)
+    records: int = 0  # on the disk, of all runs of this program
+    value: dict[str, Any] = field(default_factory=dict)  # the last record's values and trace
+    # for each group of records what all of them so far say
     groups: dict[str, list[dict[str, Any]]] = field(default_factory=dict)
     link: dict[str, Any] = field(default_factory=dict)
     result: dict[str, Any] = field(default_factory=dict)
     campaign: dict[str, Any] = field(default_factory=dict)
+    # of a campaign: ``step``, ``state`` ("to come", "now" or a verdict)
     steps: list[dict[str, Any]] = field(default_factory=list)
     conditions: dict[str, Any] = field(default_factory=dict)
     ended: dict[str, Any] = field(default_factory=dict)

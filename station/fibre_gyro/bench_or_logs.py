@@ -37,14 +37,7 @@ def planned_segments(
     plan: Callable[[FogSettings], Sequence[PlannedSegment]],
     left_out: Callable[[FogSettings], Mapping[str, str]] = lambda settings: {},
 ) -> Take:
-    """Return what takes on the bench the segments that are planned.
-
-    Parameters
-    ----------
-    plan : callable
-    left_out : callable, optional
-        What is not even planned, and why.
-    """
+    """Return what takes on the bench the segments that are planned."""
 
     def take(settings: FogSettings, session: Session) -> None:
         bench, facts = open_fog_bench(settings), truth_of(settings)
@@ -60,19 +53,7 @@ def listed_logs(
     *,
     whole: bool = False,
 ) -> TakeFiles:
-    """Return what makes a run of the logs that lists name.
-
-    Parameters
-    ----------
-    purpose : str
-        Of the segments.
-    columns : sequence of str
-        That a list must have besides ``file``.
-    named : callable
-        Gives each row the name and the conditions of its segment.
-    whole : bool, optional
-        Whether a log itself may stand for a list: at rest, with every axis that it holds.
-    """
+    """Return what makes a run of the logs that lists name."""
 
     def take(settings: FogSettings, paths: Sequence[Path], session: Session) -> None:
         lists = [path for path in paths if not whole or is_list(path)]
@@ -99,21 +80,7 @@ def gyro_measurement(
     unusable: Callable[[SavedRun, FogSettings], Mapping[str, str]] | None = None,
     choices: tuple[str, ...] = (),
 ) -> Measurement[FogSettings, F]:
-    """Return the measurement ``gyrolock fog NAME``; see :class:`station.measurements.Measurement`.
-
-    Parameters
-    ----------
-    name : str
-        Also the purpose of its segments.
-    plan : callable, optional
-        All segments, where they are known before anything is taken.
-    purposes : sequence of str, optional
-        Of all its segments, where it takes those of another measurement too.
-    unusable : callable, optional
-        Where a table rate that is off does not spoil a segment.
-    choices : tuple of str, optional
-        Names of the user's choices that it takes.
-    """
+    """Return the measurement ``gyrolock fog NAME``; see :class:`station.measurements.Measurement`."""
     return Measurement(
         name=name,
         command=f"gyrolock fog {name}",

@@ -180,13 +180,7 @@ def beyond_converter(step_codes: float, dac_bits: int) -> str:
 def undecided_limits(
     documents: Sequence[Mapping[str, Any]], names: Sequence[str], settings: FogSettings
 ) -> list[str]:
-    """Say which limits of the settings lie inside the 95 % interval of what they are for.
-
-    Parameters
-    ----------
-    documents : sequence of mapping
-        Of each axis, with ``NAME``, ``NAME_low_95`` and ``NAME_high_95``, the unit at the end of each.
-    """
+    """Say which limits of the settings lie inside the 95 % interval of what they are for."""
     limits, said = settings.limits.model_dump(exclude_none=True), []
     for document in documents:
         for name in (one for one in names if one in limits):
@@ -243,13 +237,7 @@ def _condition_rows(run: SavedRun, settings: FogSettings) -> Rows:
 
 
 def staircase_section(settings: FogSettings, open_loop_step: float | None = None) -> Section:
-    """Return staircase and detector signal over a few resets, computed from the design.
-
-    Parameters
-    ----------
-    open_loop_step : float, optional
-        Codes; by default the loop is closed and the gyro turns.
-    """
+    """Return staircase and detector signal over a few resets, computed from the design."""
     loop, coil = quiet(loop_settings(settings)), settings.coil
     gyro = ClosedLoop(coil, loop, 0, kernel="numpy")
     step = open_loop_step or coil.nominal_scale(loop.dac_bits) * _TRACE_RATE_DPS

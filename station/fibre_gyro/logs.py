@@ -59,25 +59,7 @@ Named = Callable[[Sequence[LogRow]], Sequence[tuple[str, dict[str, Any]]]]
 def read_logs(
     lists: Sequence[Path], purpose: str, needed: Sequence[str], named: Named, settings: FogSettings
 ) -> list[tuple[str, dict[str, Any], Recording]]:
-    """Read every log that the lists name: key, conditions and recording of its segment.
-
-    Parameters
-    ----------
-    purpose : str
-        Of the segments.
-    needed : sequence of str
-        Columns that must be there besides ``file``.
-    named : callable
-    settings : FogSettings
-        How logs are read, and what a count is where they stand in deg/s or deg/h.
-
-    Raises
-    ------
-    UsageError
-        A list is not usable: the text names file, line and column.
-    FileFormatError
-        A log cannot be read.
-    """
+    """Read every log that the lists name: key, conditions and recording of its segment."""
     rows = [row for path in lists for row in read_list(path, purpose, needed)]
     logs = []
     taken: set[str] = set()

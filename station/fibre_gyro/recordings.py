@@ -21,37 +21,17 @@ _EMPTY = Recording(np.empty(0), np.empty(0), None, None, {}, (), Losses(), 1.0, 
 
 @dataclass(frozen=True)
 class Segment:
-    """One stretch of output under constant conditions: a table rate, an injected step, rest.
+    """One stretch of output under constant conditions: a table rate, an injected step, rest."""
 
-    Attributes
-    ----------
-    key : str
-        What it is, unique in its run: ``"Z +20"``.
-    conditions : dict
-        Plain JSON: rates, injected step, axis, ...
-    recording : Recording
-        Empty where it is not intact.
-    intact : bool
-        Whether it still is what was once saved.
-    taken_at : str
-        When it was saved, UTC, ISO 8601.
-    """
-
-    key: str
-    conditions: dict[str, Any]
-    recording: Recording
-    intact: bool
-    taken_at: str = ""
+    key: str  # what it is, unique in its run: ``"Z +20"``
+    conditions: dict[str, Any]  # plain JSON: rates, injected step, axis, ..
+    recording: Recording  # empty where it is not intact
+    intact: bool  # whether it still is what was once saved
+    taken_at: str = ""  # when it was saved, UTC, ISO 8601
 
 
 def segments_of(run: SavedRun, purpose: str) -> tuple[Segment, ...]:
-    """Return the stretches of one purpose that are not set aside, in the order in which they were taken.
-
-    Raises
-    ------
-    RunError
-        If one is not what its header says.
-    """
+    """Return the stretches of one purpose that are not set aside, in the order in which they were taken."""
     return tuple(_segment(record, run) for record in run.taken_for(purpose))
 
 

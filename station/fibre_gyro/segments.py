@@ -22,21 +22,12 @@ MARGIN_S = 1.0
 
 @dataclass(frozen=True)
 class PlannedSegment:
-    """What shall be recorded.
+    """What shall be recorded."""
 
-    Attributes
-    ----------
-    key : str
-        Unique in the run, short enough for a table: ``"Z +20.01"``.
-    seconds, settle_s : float
-        Of output that is kept, and that is left out before it.
-    conditions : mapping
-        Plain JSON: ``purpose`` and what the bench has to bring about (axis, rate_dps, number, ...).
-    """
-
-    key: str
-    seconds: float
+    key: str  # unique in the run, short enough for a table: ``"Z +20.01"``
+    seconds: float  # of output that is kept, and that is left out before it
     settle_s: float
+    # plain JSON: ``purpose`` and what the bench has to bring about (axis, rate_dps, number, ...)
     conditions: Mapping[str, Any]
 
 
@@ -65,16 +56,7 @@ def take_segments(
     facts: Mapping[str, object],
     left_out: Mapping[str, str] | None = None,
 ) -> None:
-    """Begin the run or go on with it, and take what is missing of every stage.
-
-    Parameters
-    ----------
-    stages : sequence of callable
-    facts : mapping
-        What is known of the run when the bench is open; plain JSON.
-    left_out : mapping, optional
-        What is not even planned, and why.
-    """
+    """Begin the run or go on with it, and take what is missing of every stage."""
     opened = session.open(bench)
     writer = session.begin(facts)
     session.progress.note(f"{settings.gyro.name} ({settings.link.port or 'simulated'}), run {writer.path}")

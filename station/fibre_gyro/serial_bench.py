@@ -19,19 +19,7 @@ Ask = Callable[[str], str]
 
 
 class SerialFogBench:
-    """A gyro on a serial link, and a table.
-
-    Parameters
-    ----------
-    table : RateTable
-        Turned only for segments that name a rate.
-    ask : callable
-        Asks the operator to change what cannot be commanded: the axis, the power, the temperature.
-    surroundings : callable, optional
-        What chamber and power supply read now, under names with their units.
-    counts_per_dps : float, optional
-        By design; turns an output in deg/s, deg/h or an angle into counts.
-    """
+    """A gyro on a serial link, and a table."""
 
     _BY_HAND = ("axis", "end_up", "run", "temperature_c", "by_hand")
 
@@ -155,20 +143,7 @@ def _table(settings: FogSettings, tell: Callable[[str], None]) -> Iterator[RateT
 
 @contextmanager
 def open_fog_bench(settings: FogSettings, tell: Callable[[str], None] = remark) -> Iterator[FogBench]:
-    """Open the bench that the settings describe; afterwards the injection is off and the loop is closed.
-
-    Parameters
-    ----------
-    tell : callable, optional
-        Is told when the link to a controller is lost; stderr if not given.
-
-    Raises
-    ------
-    InstrumentError
-        The port cannot be opened.
-    SettingsError
-        The frame format cannot be read.
-    """
+    """Open the bench that the settings describe; afterwards the injection is off and the loop is closed."""
     if settings.simulated:
         from station.fibre_gyro.simulated_bench import SimulatedFogBench
 

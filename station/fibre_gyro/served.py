@@ -18,19 +18,7 @@ from station.fibre_gyro.simulated_bench import as_the_gyro_sees, loop_settings
 
 
 class ServedGyro:
-    """What a gyro server asks for numbers: output words of the settings' gyro at a rate that can be changed.
-
-    Parameters
-    ----------
-    interval_s : float
-        Between two output words.
-
-    Attributes
-    ----------
-    rate_dps : float
-        Rate of the table, deg/s; the vertical earth rate is added to it.
-    temperature_c : float
-    """
+    """What a gyro server asks for numbers: output words of the settings' gyro at a rate that can be changed."""
 
     def __init__(self, settings: FogSettings, interval_s: float) -> None:
         self.rate_dps = 0.0
@@ -117,29 +105,7 @@ def serve_gyro(
     rate_dps: float = 0.0,
     clock_ppm: float = 0.0,
 ) -> Iterator[PtyGyroServer | TcpGyroServer]:
-    """Serve the simulated gyro until the context ends.
-
-    Parameters
-    ----------
-    tcp_port : int, optional
-        0: any free port. Without one a serial terminal.
-    speed : float, optional
-        Seconds of the gyro's time in one second.
-    rate_dps : float, optional
-        Of the table.
-    clock_ppm : float, optional
-        How much faster than stated the gyro's clock runs.
-
-    Yields
-    ------
-    PtyGyroServer or TcpGyroServer
-        With what ``--port`` takes, and with an event that is set when it serves no more.
-
-    Raises
-    ------
-    UsageError
-        The system has no such terminal, or the port is taken.
-    """
+    """Serve the simulated gyro until the context ends."""
     gyro = ServedGyro(settings, layout.interval_s)
     gyro.rate_dps = rate_dps
     model = SpokenAs(gyro, settings, layout)

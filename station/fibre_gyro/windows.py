@@ -35,26 +35,7 @@ _APPROXIMATE = ("counter jump", "silence")
 def window_over_turns(
     segment: Segment, *, turns: int, window_s: float, resolution: float, column: str = ""
 ) -> WindowMean:
-    """Mean over whole turns.
-
-    Parameters
-    ----------
-    segment : Segment
-        Its conditions hold ``rate_dps``; ``window_s`` where a log names its own window.
-    turns : int
-        At most so many whole turns; fewer where the record is shorter.
-    window_s : float
-        A window of fixed length instead, if not 0.
-    resolution : float
-        Of the output word, counts.
-    column : str, optional
-        A further column instead of the counts.
-
-    Raises
-    ------
-    ValueError
-        In words that follow "is left out:".
-    """
+    """Mean over whole turns."""
     recording, rate = checked(segment), float(segment.conditions["rate_dps"])
     turning = float(segment.conditions.get("table_rate_dps", rate))
     interval = recording.interval_s
@@ -163,13 +144,7 @@ def remarks_on(segment: Segment, window: WindowMean) -> list[str]:
 
 
 def checked(segment: Segment) -> Recording:
-    """Return the recording of a segment that can be used.
-
-    Raises
-    ------
-    ValueError
-        It is damaged, or holds next to nothing.
-    """
+    """Return the recording of a segment that can be used."""
     recording = segment.recording
     if not segment.intact:
         raise ValueError("what is saved is not what was once saved (its checksum is wrong)")

@@ -14,37 +14,16 @@ from station.history.past_tests import PastTest, read_tests
 
 @dataclass(frozen=True)
 class BenchCheck:
-    """Whether units may be tested.
-
-    Attributes
-    ----------
-    ok : bool
-    sentence : str
-        Why, and what to do if not.
-    """
+    """Whether units may be tested."""
 
     ok: bool
-    sentence: str
+    sentence: str  # why, and what to do if not
 
 
 def in_control(
     directory: Path, reference_unit: str, unit_type: str, now: datetime, every_s: float, *, simulated: bool = False
 ) -> BenchCheck:
-    """Say whether the bench is in control.
-
-    Parameters
-    ----------
-    directory : Path
-        With the tests of all units.
-    reference_unit, unit_type : str
-        Its serial number and model.
-    now : datetime
-        With its time zone.
-    every_s : float
-        How old its last test may be.
-    simulated : bool, optional
-        Whether the bench is simulated: a simulated reference unit says nothing of a real bench.
-    """
+    """Say whether the bench is in control."""
     tests = [
         one
         for one in read_tests(directory)[0]

@@ -21,24 +21,12 @@ BASELINE = 25
 
 @dataclass(frozen=True)
 class Course:
-    """One number over time, of one type of unit or of one reference unit.
+    """One number over time, of one type of unit or of one reference unit."""
 
-    Attributes
-    ----------
-    of : str
-        ``"RLG-2000"``, or ``"bench, by REF-1"``.
-    name : str
-        Of step and number.
-    tests : tuple of PastTest
-        In the order of time.
-    us : tuple of float
-        Standard uncertainty of each value; nan where nobody knows it.
-    """
-
-    of: str
-    name: str
-    tests: tuple[PastTest, ...]
-    us: tuple[float, ...]
+    of: str  # ``"RLG-2000"``, or ``"bench, by REF-1"``
+    name: str  # of step and number
+    tests: tuple[PastTest, ...]  # in the order of time
+    us: tuple[float, ...]  # standard uncertainty of each value; nan where nobody knows it
     chart: ControlChart
 
     @property

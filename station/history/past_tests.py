@@ -23,38 +23,22 @@ _FOLLOWED = (
 
 @dataclass(frozen=True)
 class Followed:
-    """A number of a test.
+    """A number of a test."""
 
-    Attributes
-    ----------
-    name : str
-        Of the step and of the number: ``"lock-in rate: lock_in_rate_dps"``.
-    u : float
-        Standard uncertainty; nan where nobody knows it.
-    """
-
-    name: str
+    name: str  # of the step and of the number: ``"lock-in rate: lock_in_rate_dps"``
     value: float
-    u: float
+    u: float  # standard uncertainty; nan where nobody knows it
 
 
 @dataclass(frozen=True)
 class PastTest:
-    """A test of a unit, as its record says.
-
-    Attributes
-    ----------
-    at : str
-        When it began, UTC.
-    page : Path
-        Its record as a page.
-    """
+    """A test of a unit, as its record says."""
 
     path: Path
     unit: str
     unit_type: str
     is_reference: bool
-    at: str
+    at: str  # when it began, UTC
     campaign: str
     verdict: str | None
     message: str

@@ -24,27 +24,13 @@ RELATIONS = {
 
 @dataclass(frozen=True, kw_only=True)
 class LockInFound(LockInRun):
-    """What the records of a run say, and the records.
+    """What the records of a run say, and the records."""
 
-    Attributes
-    ----------
-    names : sequence of str
-        What each record is called: its number in the run, or its file.
-    waveforms : sequence of Waveform
-        The records; those of a long run are read when they are asked for.
-    damaged : tuple of str
-        Records that were left out because they are not what was once saved.
-    truth : dict or None
-        The true values of a simulated run.
-    without_beat : tuple of str
-        Rates of several that gave no record.
-    """
-
-    names: Sequence[str]
-    waveforms: Sequence[Waveform]
-    damaged: tuple[str, ...] = ()
-    truth: dict[str, float] | None = None
-    without_beat: tuple[str, ...] = ()
+    names: Sequence[str]  # what each record is called: its number in the run, or its file
+    waveforms: Sequence[Waveform]  # the records; those of a long run are read when they are asked for
+    damaged: tuple[str, ...] = ()  # records that were left out because they are not what was once saved
+    truth: dict[str, float] | None = None  # the true values of a simulated run
+    without_beat: tuple[str, ...] = ()  # rates of several that gave no record
 
     @property
     def method_text(self) -> str:

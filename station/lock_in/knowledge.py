@@ -97,15 +97,7 @@ def stated_of_files(config: Path | None) -> Settings | None:
 
 
 def knowledge_of_files(wfids: Iterable[str], method: Method, config: Path | None = None) -> RunKnowledge:
-    """Collect what is known of the bench that files come from.
-
-    Parameters
-    ----------
-    wfids : iterable of str
-        Sentences of their preambles, which may say how the channel was coupled.
-    config : Path, optional
-        Settings file: what it states counts, and nothing else.
-    """
+    """Collect what is known of the bench that files come from."""
     coupled = all("DC coupling" in wfid for wfid in wfids)
     bench = BenchKnowledge(high_pass=Corner(0.0 if coupled else math.nan))
     known = RunKnowledge(method.scale_factor, latitude_deg=math.nan, bench=bench)

@@ -38,38 +38,20 @@ _CHANNEL_OVER_BEAT = 5.0
 
 @dataclass(frozen=True)
 class RateStep:
-    """One rate of a campaign.
+    """One rate of a campaign."""
 
-    Attributes
-    ----------
-    over_lock_in : float
-        Rate on the gyro's axis over the expected lock-in rate.
-    sense : {1, -1}
-        Of the rotation.
-    rate_dps : float
-        Rate on the gyro's axis, deg/s, signed.
-    """
-
-    over_lock_in: float
-    sense: int
-    rate_dps: float
+    over_lock_in: float  # rate on the gyro's axis over the expected lock-in rate
+    sense: int  # {1, -1}: Of the rotation
+    rate_dps: float  # rate on the gyro's axis, deg/s, signed
 
 
 @dataclass(frozen=True)
 class RatePlan:
-    """The steps of a campaign: one sense after the other, each from the fastest rate to the slowest.
-
-    Attributes
-    ----------
-    planned_for_dps : float
-        Lock-in rate for which the rates were chosen.
-    changes : int
-        How often they were chosen anew.
-    """
+    """The steps of a campaign: one sense after the other, each from the fastest rate to the slowest."""
 
     steps: tuple[RateStep, ...]
-    planned_for_dps: float
-    changes: int = 0
+    planned_for_dps: float  # lock-in rate for which the rates were chosen
+    changes: int = 0  # how often they were chosen anew
 
     def as_json(self) -> dict[str, object]:
         """Return it as a fact of the run; :func:`saved_plan` reads it."""
@@ -78,20 +60,7 @@ class RatePlan:
 
 
 def rate_plan(settings: Settings, tilt_deg: float = 0.0, likely_factor: float = LIKELY_FACTOR) -> RatePlan:
-    """Return the plan of a campaign: rates that the user has named, or those chosen for the expected lock-in rate.
-
-    Parameters
-    ----------
-    tilt_deg : float, optional
-        Between gyro axis and table axis, where there is a table that can be set.
-    likely_factor : float, optional
-        By which the lock-in rate may differ from the expected one.
-
-    Raises
-    ------
-    NoUsableSignal
-        The table does not go to a rate that is safe.
-    """
+    """The plan of a campaign: rates that the user has named, or those chosen for the expected lock-in rate."""
     expected = settings.gyro.expected_lock_in_rate_dps
     if settings.rates_are_chosen:
         sizes = _chosen_rates(settings, expected, tilt_deg, likely_factor)
@@ -128,20 +97,7 @@ def changed_plan(
     tried: Iterable[RateStep],
     without_beat: Iterable[RateStep],
 ) -> RatePlan | None:
-    """Choose the rates anew where the lock-in rate is surely far from the one that they were chosen for.
-
-    Parameters
-    ----------
-    seen : LockInSeen or None
-        ``None`` as long as no beat was seen.
-    tried, without_beat : RateStep
-        Where records were wanted so far, and where none came.
-
-    Returns
-    -------
-    RatePlan or None
-        With the steps that were tried, and those to come; ``None`` if the plan stays.
-    """
+    """Choose the rates anew where the lock-in rate is surely far from the one that they were chosen for."""
     silent = {step.over_lock_in for step in without_beat}
     taken = [abs(step.rate_dps) for step in tried if step.over_lock_in not in silent]
     locked = max((abs(step.rate_dps) for step in without_beat), default=0.0)

@@ -49,22 +49,7 @@ _LOOKED_AT = 200
 
 
 def evaluate_run(run: SavedRun, settings: Settings, method: Method | None = None) -> LockInFound:
-    """Evaluate the records that a run took at its slow rate, or at its slow rates.
-
-    Parameters
-    ----------
-    settings : Settings
-        Those of the run, with what is known of channel and bench.
-    method : Method, optional
-        By default the run's own scale factor, exact, self-referenced.
-
-    Raises
-    ------
-    RunError
-        If the run holds no such record, or its records contradict what is known of the bench.
-    UsageError
-        If the method is one for a single rate, and the run has several.
-    """
+    """Evaluate the records that a run took at its slow rate, or at its slow rates."""
     method = method or Method(settings.gyro.scale_factor_pulses_per_deg)
     acquisitions = acquisitions_of(run)
     intact = [taken for taken in acquisitions if taken.intact]
@@ -92,32 +77,7 @@ def evaluate_run(run: SavedRun, settings: Settings, method: Method | None = None
 def evaluate_source(
     source: Source, settings: Settings, choices: Mapping[str, Any], workers: Workers, progress: Progress
 ) -> tuple[LockInFound, tuple[str, ...]] | None:
-    """Evaluate a saved run without holding its samples: the same numbers as :func:`evaluate_run`, bit for bit.
-
-    Parameters
-    ----------
-    source : Source
-        A run of this measurement.
-    settings : Settings
-        As for :func:`evaluate_run`.
-    choices : mapping
-        Of :class:`analysis.lock_in_run.Method`.
-    workers : Workers
-        Estimate the records, piece by piece.
-    progress : Progress
-        Is told how many thousands of records are done.
-
-    Returns
-    -------
-    LockInFound, tuple of str
-        And which records are damaged, in sentences. ``None`` where only some of the records have a second one of
-        another channel.
-
-    Raises
-    ------
-    RunError, UsageError
-        As :func:`evaluate_run`.
-    """
+    """Evaluate a saved run without holding its samples: the same numbers as :func:`evaluate_run`, bit for bit."""
     chosen = {"scale_factor": settings.gyro.scale_factor_pulses_per_deg, **choices}
     gathered = _read_pairs(source, chosen) if settings.scope.quadrature_channel else None
     paired = gathered is not None
@@ -244,15 +204,7 @@ def evaluate_waveforms(
 
 
 def fast_run_tilt(run: SavedRun, settings: Settings) -> Tilt:
-    """Find the tilt from the fast run alone, while the slow records are still to be taken.
-
-    Raises
-    ------
-    NoUsableSignal
-        If a record shows no beat.
-    RunError
-        If beat and table rate do not fit together.
-    """
+    """Find the tilt from the fast run alone, while the slow records are still to be taken."""
     fast, knowledge = _fast_run(run), run_knowledge(settings)
     try:
         return find_tilt(fast, knowledge)
@@ -274,21 +226,11 @@ def lock_in_so_far(records: Sequence[SavedRecord], run: SavedRun, settings: Sett
 
 @dataclass(frozen=True)
 class Acquisition:
-    """What was recorded at one time.
+    """What was recorded at one time."""
 
-    Attributes
-    ----------
-    name : str
-        Its number among the acquisitions at the slow rates, from 1.
-    sine : SavedRecord
-        The channel of the measurement.
-    cosine : SavedRecord or None
-        The second photodiode, where there is one.
-    """
-
-    name: str
-    sine: SavedRecord
-    cosine: SavedRecord | None
+    name: str  # its number among the acquisitions at the slow rates, from 1
+    sine: SavedRecord  # the channel of the measurement
+    cosine: SavedRecord | None  # the second photodiode, where there is one
 
     @property
     def intact(self) -> bool:

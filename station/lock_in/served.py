@@ -27,22 +27,7 @@ def simulated_scopes(
     models: Sequence[str] = (),
     faults: Sequence[Fault] = (),
 ) -> list[SimulatedTDS2014]:
-    """Oscilloscopes in real time, set so that what they show fills their screens.
-
-    Parameters
-    ----------
-    signals : sequence of ShownSignal, optional
-        What stands at their inputs; without any it is the beat of the gyro of the settings, at the slow rate.
-    models : sequence of str, optional
-        One scope for each; without any, one of the model of the settings. Each has noise of its own.
-    faults : sequence of Fault, optional
-        What befalls each of them.
-
-    Raises
-    ------
-    UsageError
-        If there is no such model, a model has no such channel, or a channel has two signals.
-    """
+    """Oscilloscopes in real time, set so that what they show fills their screens."""
     clock, scopes = RealClock(), []
     for number, model in enumerate(models or ("",)):
         one = _changed(settings, model, number)

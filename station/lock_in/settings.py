@@ -160,23 +160,7 @@ class Settings(SettingsSection):
 def load_settings(
     path: Path | None = None, *, resource: str | None = None, overrides: Values | None = None
 ) -> Settings:
-    """Read the settings of a run.
-
-    Parameters
-    ----------
-    path : Path, optional
-        The user's file. Only what differs from the shipped file need stand in it.
-    resource : str, optional
-        VISA resource name from the command line. Where one is given, here or in the file, the defaults
-        are those of ``bench.toml``, else those of ``simulated.toml``.
-    overrides : mapping of mapping, optional
-        Values from the command line, by section and name; they win over the file.
-
-    Raises
-    ------
-    SettingsError
-        With every mistake of the file in one text: file, place, what is wrong.
-    """
+    """Read the settings of a run."""
     named = {"scope": {"resource": resource}} if resource else {}
     return load(RING_LASER, path, merged(overrides or {}, named))
 
@@ -257,24 +241,7 @@ def _with_response(path: Path, settings: Settings) -> Settings:
 
 
 def read_response(path: Path) -> tuple[ResponseRow, ...]:
-    """Read a table of the channel's response.
-
-    Parameters
-    ----------
-    path : Path
-        CSV with the columns frequency in Hz, gain (1 is neutral) and phase in deg; a line of headings and lines
-        that begin with ``#`` are passed over.
-
-    Returns
-    -------
-    tuple of (float, float, float)
-        As they stand in the file.
-
-    Raises
-    ------
-    SettingsError
-        If it cannot be read or a line is not what it should be.
-    """
+    """Read a table of the channel's response."""
     lines = read_text(path).splitlines()
     rows: list[ResponseRow] = []
     for number, line in enumerate(lines, start=1):
@@ -293,13 +260,7 @@ def read_response(path: Path) -> tuple[ResponseRow, ...]:
 
 
 def check_response(rows: list[ResponseRow] | tuple[ResponseRow, ...], where: str) -> None:
-    """See that a table can be interpolated.
-
-    Raises
-    ------
-    SettingsError
-        If it has fewer than two rows, or frequencies that do not rise, or gains that are not positive.
-    """
+    """See that a table can be interpolated."""
     if len(rows) < 2:
         raise SettingsError(f"{where}: a response needs at least two frequencies")
     if any(after[0] <= before[0] for before, after in itertools.pairwise(rows)):

@@ -35,15 +35,7 @@ class Picture(Figure):
 
 
 def draw_record(waveform: Waveform, title: str, ratio: float) -> Figure:
-    """Draw a record with the harmonics fitted to it, and below what they leave.
-
-    Parameters
-    ----------
-    waveform : Waveform
-    title : str
-    ratio : float
-        r = A2/A1, which tells how many harmonics there are; nan without a beat: samples alone.
-    """
+    """Draw a record with the harmonics fitted to it, and below what they leave."""
     volts, times = waveform.volts, waveform.times
     if not np.isfinite(ratio):
         return _samples(times, volts, title, "time from trigger, s", "V")

@@ -114,20 +114,7 @@ class TakenRun(Run):
         mark: str | None = "",
         by: str = "",
     ) -> Remarks:
-        """Say something of the run, beside it: the measurement stays as it is.
-
-        Parameters
-        ----------
-        mark : {"good", "bad", None}, optional
-            ``None`` takes the mark away.
-        by : str, optional
-            Who says it; by default the user of the computer.
-
-        Returns
-        -------
-        Remarks
-            All that was said of it.
-        """
+        """Say something of the run, beside it: the measurement stays as it is."""
         add_remark(self.path, note=note, tags=tags, untagged=untagged, mark=mark, by=by)
         return self.remarks
 

@@ -85,15 +85,7 @@ class Station:
 
 
 class TestedUnit:
-    """How the test of a unit has ended.
-
-    Attributes
-    ----------
-    outcome : CampaignOutcome
-        Every step with its verdict, its limits and its run.
-    files : RecordFiles
-        The record of the test as JSON, JUnit XML, CSV and page.
-    """
+    """How the test of a unit has ended."""
 
     __test__ = False  # pytest takes whatever begins with Test for one of its own
 

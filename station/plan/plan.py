@@ -36,62 +36,38 @@ PAPER_OVER_LOCK_IN = 20.0
 
 @dataclass(frozen=True)
 class PlanOptions:
-    """What the command line says; ``None`` takes the settings.
+    """What the command line says; ``None`` takes the settings."""
 
-    Attributes
-    ----------
-    lock_in_factor : float
-        The lock-in rate may be this factor larger or smaller.
-    wanted_percent : float
-        Relative standard uncertainty.
-    rates : tuple of float, or None
-        W/WL; empty: the best one; ``None``: those that ``gyrolock measure`` goes to.
-    reference : {"beat", "rate"}
-    transfer_s : float or None
-        Seconds between records.
-    """
-
-    wanted_percent: float = 1.0
+    wanted_percent: float = 1.0  # relative standard uncertainty
     lock_in_rate_dps: float | None = None
-    lock_in_factor: float = 2.0
+    lock_in_factor: float = 2.0  # the lock-in rate may be this factor larger or smaller
     scale_factor: float | None = None
     amplitude_v: float | None = None
     noise_v: float | None = None
     distortion_dbc: float | None = None
+    # w/WL; empty: the best one; ``None``: those that ``gyrolock measure`` goes to
     rates: tuple[float, ...] | None = None
     both_senses: bool = False
-    reference: str = "beat"
+    reference: str = "beat"  # {"beat", "rate"}
     tilt_deg: float | None = None
     tilt_u_deg: float = 0.01
-    transfer_s: float | None = None
+    transfer_s: float | None = None  # seconds between records
     baud: int | None = None
 
 
 @dataclass(frozen=True)
 class PlannedMeasurement:
-    """A plan with what surrounds it.
-
-    Attributes
-    ----------
-    curve : UncertaintyCurve
-        For the plan's number of records.
-    elsewhere : tuple of (float, float)
-        Lock-in rate in deg/s, and the relative uncertainty that the same settings give if that is the true one.
-    """
+    """A plan with what surrounds it."""
 
     plan: Plan
-    curve: UncertaintyCurve
+    curve: UncertaintyCurve  # for the plan's number of records
+    # (float, float): Lock-in rate in deg/s, and the relative uncertainty that the same settings give if that is
+    # the true one
     elsewhere: tuple[tuple[float, float], ...]
 
 
 def make_plan(settings: Settings, options: PlanOptions) -> PlannedMeasurement:
-    """Plan a measurement.
-
-    Raises
-    ------
-    UsageError
-        The numbers do not fit together; the text says which.
-    """
+    """Plan a measurement."""
     try:
         request = plan_request(settings, options)
         plan = plan_measurement(request)
@@ -102,13 +78,7 @@ def make_plan(settings: Settings, options: PlanOptions) -> PlannedMeasurement:
 
 
 def plan_request(settings: Settings, options: PlanOptions) -> PlanRequest:
-    """Put settings and options together.
-
-    Raises
-    ------
-    ValueError
-        Values outside what can be planned.
-    """
+    """Put settings and options together."""
     simulated = settings.simulation
     knowledge = bench_knowledge(settings)
     if options.distortion_dbc is not None:
@@ -143,13 +113,7 @@ def plan_request(settings: Settings, options: PlanOptions) -> PlanRequest:
 
 
 def plan_document(planned: PlannedMeasurement, sentences: list[str]) -> dict[str, Any]:
-    """Return a plan as plain JSON.
-
-    Parameters
-    ----------
-    sentences : list of str
-        What is said about it.
-    """
+    """Return a plan as plain JSON."""
     plan, curve = planned.plan, planned.curve
     return {
         "lock_in_rate_dps": plan.request.lock_in_rate,

@@ -25,12 +25,7 @@ def plan_svg(planned: PlannedMeasurement) -> str:
 
 
 def write_plan_plot(path: Path, planned: PlannedMeasurement) -> None:
-    """Draw the curve of a plan into a .svg, .png or .pdf file.
-
-    Raises
-    ------
-    UsageError, OSError
-    """
+    """Draw the curve of a plan into a .svg, .png or .pdf file."""
     write_picture(path, "plan", _SIZE, lambda figure: _draw(figure, planned))
 
 

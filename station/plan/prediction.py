@@ -19,36 +19,17 @@ _TRIALS = 3
 
 @dataclass(frozen=True)
 class Prediction:
-    """What is known of a step beforehand.
+    """What is known of a step beforehand."""
 
-    Attributes
-    ----------
-    seconds : float or None
-        On a real bench, without warm-up and settling of the campaign; ``None`` where nobody knows it.
-    u : float or None
-        Standard uncertainty of the lock-in rate, deg/s, every input counted.
-    u95 : float or None
-        Half of its 95 % interval.
-    why_not : str
-        Why there is no uncertainty.
-    """
-
+    # on a real bench, without warm-up and settling of the campaign; ``None`` where nobody knows it
     seconds: float | None
-    u: float | None = None
-    u95: float | None = None
-    why_not: str = ""
+    u: float | None = None  # standard uncertainty of the lock-in rate, deg/s, every input counted
+    u95: float | None = None  # half of its 95 % interval
+    why_not: str = ""  # why there is no uncertainty
 
 
 def predict(name: str, settings: Mapping[str, Any]) -> Prediction:
-    """Predict one measurement.
-
-    Parameters
-    ----------
-    name : str
-        Of the measurement: ``"measure"``.
-    settings : mapping
-        Complete, as a campaign's step holds them.
-    """
+    """Predict one measurement."""
     kind = measurement(name)
     values = kind.kind.model.model_validate(dict(settings))
     if isinstance(values, Settings):

@@ -49,28 +49,7 @@ def combine(
     channel: str | None = None,
     rates: Path | None = None,
 ) -> AnalyzedFiles:
-    """Make one result with its budget of the records of many sources.
-
-    Parameters
-    ----------
-    sources : iterable of Path or Source
-        Files, runs, what lies in data sets.
-    choices : mapping
-        Of :class:`analysis.lock_in_run.Method`.
-    config : Path, optional
-        Settings file: what it states is known of the bench, and its limits are tested.
-    channel : str, optional
-        Only records of this input.
-    rates : Path, optional
-        CSV with the rate on the gyro's axis of each file, where they are at several.
-
-    Raises
-    ------
-    UsageError
-        The sources are not of one gyro, or of one channel, or at several rates that nobody states.
-    NoUsableSignal
-        None of them holds a record of a beat.
-    """
+    """Make one result with its budget of the records of many sources."""
     work = Work(sources, choices, whole=True)
     settings = stated_of_files(config)
     found = _Sources(channel, None if settings is None else channel_response(settings.front_end))
@@ -108,32 +87,16 @@ def combine(
 
 @dataclass
 class _Used:
-    """A source of which records count.
-
-    Attributes
-    ----------
-    about : dict
-        What it says of unit, gyro and oscilloscope.
-    taken, count : int
-        Records that it holds, and that were estimated.
-    """
+    """A source of which records count."""
 
     name: str
-    about: dict[str, str | None]
-    taken: int
+    about: dict[str, str | None]  # what it says of unit, gyro and oscilloscope
+    taken: int  # records that it holds, and that were estimated
     count: int
 
 
 class _Sources:
-    """Sources of one gyro and one channel, as their pieces come: their estimates, and what else is needed of each.
-
-    Parameters
-    ----------
-    channel : str or None
-        Only records of this input.
-    response : ChannelResponse or None
-        Of the channel, to be taken out of them.
-    """
+    """Sources of one gyro and one channel, as their pieces come: their estimates, and what else is needed."""
 
     def __init__(self, channel: str | None, response: ChannelResponse | None) -> None:
         self._channel, self._collected = channel, Collected(response)
@@ -145,13 +108,7 @@ class _Sources:
         self.left_out: list[LeftOut] = []
 
     def add(self, part: Gathered) -> None:
-        """Take a piece of a source, or a whole one.
-
-        Raises
-        ------
-        UsageError
-            It is not of the same gyro, or not of the same channel.
-        """
+        """Take a piece of a source, or a whole one."""
         self.left_out += part.left_out
         if part.each is None or self._is_known(part):
             return
@@ -256,23 +213,7 @@ def _stated(name: str, stated: Mapping[str, tuple[float, float]]) -> tuple[float
 
 
 def read_rates(path: Path) -> dict[str, tuple[float, float]]:
-    """Read the rates of files.
-
-    Parameters
-    ----------
-    path : Path
-        CSV with the columns ``file``, ``input_rate_dps`` and, if known, ``input_rate_u_dps``.
-
-    Returns
-    -------
-    dict
-        Rate on the gyro's axis and its standard uncertainty, deg/s, by the file's name as it stands there.
-
-    Raises
-    ------
-    UsageError
-        A column or a number is missing, or a file is there twice.
-    """
+    """Read the rates of files."""
     text = read_text(path)
     separator = ";" if text.partition("\n")[0].count(";") else ","
     rows = csv.DictReader(text.splitlines(), delimiter=separator, skipinitialspace=True)
@@ -295,13 +236,7 @@ def read_rates(path: Path) -> dict[str, tuple[float, float]]:
 
 
 def _asked_rates(parts: Sequence[_Used], frequency: NDArray[np.float64]) -> AxisRates | None:
-    """Ask for the rate of each source where the beats show that there are several; ``None`` at one rate.
-
-    Raises
-    ------
-    UsageError
-        There is nobody to ask.
-    """
+    """Ask for the rate of each source where the beats show that there are several; ``None`` at one rate."""
     beats = frequency[np.isfinite(frequency)]
     if len(parts) < 2 or not beats.size or np.ptp(beats) < ONE_RATE * beats.max():
         return None

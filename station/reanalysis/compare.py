@@ -39,74 +39,40 @@ _SURE = 3.0
 
 @dataclass(frozen=True)
 class Records:
-    """Rows of one analysis.
+    """Rows of one analysis."""
 
-    Attributes
-    ----------
-    name : str
-        The table or path.
-    analyses : tuple of str
-        By which they were made.
-    keys : list of (str, int)
-        SHA-256 of the source and number in it, of each row.
-    labels : list of str
-        Source and number, as they are shown.
-    values, us : dict of ndarray
-        Of each of `QUANTITIES`, nan where there is none; standard uncertainty by noise.
-    choices : mapping or None
-        By which they were estimated; ``None`` of a table, which knows the noise of records only.
-    headline : Headline or None
-        What they say together, every input counted.
-    """
-
-    name: str
-    analyses: tuple[str, ...]
-    keys: list[tuple[str, int]]
-    labels: list[str]
-    values: dict[str, Floats]
+    name: str  # the table or path
+    analyses: tuple[str, ...]  # by which they were made
+    keys: list[tuple[str, int]]  # (str, int): SHA-256 of the source and number in it, of each row
+    labels: list[str]  # source and number, as they are shown
+    values: dict[str, Floats]  # of each of `QUANTITIES`, nan where there is none; standard uncertainty by noise
     us: dict[str, Floats]
     left_out: tuple[LeftOut, ...] = ()
+    # by which they were estimated; ``None`` of a table, which knows the noise of records only
     choices: Mapping[str, Any] | None = None
-    headline: Headline | None = None
+    headline: Headline | None = None  # what they say together, every input counted
 
 
 @dataclass(frozen=True)
 class Difference:
-    """What two analyses differ by in one quantity: the second less the first.
-
-    Attributes
-    ----------
-    compared : int
-        Records that both have a value of; of sets that share none, the records of both.
-    mean_first, mean_second, mean_first_u, mean_second_u : float
-        Weighted means, and their standard uncertainties by the scatter or the noise, whichever is more.
-    difference, difference_u : float
-        Of the means.
-    rms_over_u, largest_over_u : float
-        Of the differences of the records over their uncertainties; nan where no record is in both.
-    largest_of : str
-        The record of the largest.
-    beyond_2 : float
-        Share of the records that differ by more than two uncertainties.
-    over_u : ndarray
-        Difference of each record over its uncertainty.
-    """
+    """What two analyses differ by in one quantity: the second less the first."""
 
     quantity: str
     unit: str
     title: str
-    compared: int
+    compared: int  # records that both have a value of; of sets that share none, the records of both
+    # weighted means, and their standard uncertainties by the scatter or the noise, whichever is more
     mean_first: float
     mean_first_u: float
     mean_second: float
     mean_second_u: float
-    difference: float
+    difference: float  # of the means
     difference_u: float
-    rms_over_u: float
+    rms_over_u: float  # of the differences of the records over their uncertainties; nan where no record is in both
     largest_over_u: float
-    largest_of: str
-    beyond_2: float
-    over_u: Floats
+    largest_of: str  # the record of the largest
+    beyond_2: float  # share of the records that differ by more than two uncertainties
+    over_u: Floats  # difference of each record over its uncertainty
 
     @property
     def differs(self) -> bool:
@@ -116,25 +82,17 @@ class Difference:
 
 @dataclass(frozen=True)
 class Comparison:
-    """Two analyses side by side.
-
-    Attributes
-    ----------
-    same_records : bool
-        Whether they are of the same records: then noise is common to both, and a difference is counted in the
-        larger of the two uncertainties; else in both together.
-    only_first, only_second : int
-        Records that have a lock-in rate in one of them only.
-    by_noise : Difference or None
-        Of the lock-in rates by noise and scatter alone, where `differences` count every input of both results.
-    """
+    """Two analyses side by side."""
 
     first: Records
     second: Records
+    # whether they are of the same records: then noise is common to both, and a difference is counted in the larger
+    # of the two uncertainties; else in both together
     same_records: bool
-    only_first: int
+    only_first: int  # records that have a lock-in rate in one of them only
     only_second: int
     differences: tuple[Difference, ...]
+    # of the lock-in rates by noise and scatter alone, where `differences` count every input of both results
     by_noise: Difference | None = None
 
     @property
@@ -223,13 +181,7 @@ class Comparison:
 
 
 def compare(first: Records, second: Records) -> Comparison:
-    """Compare the lock-in rates, beat frequencies and ratios of two analyses.
-
-    Raises
-    ------
-    NoUsableSignal
-        One of them holds no lock-in rate.
-    """
+    """Compare the lock-in rates, beat frequencies and ratios of two analyses."""
     for one in (first, second):
         if not np.isfinite(one.values["lock_in_rate_dps"]).any():
             raise NoUsableSignal(f"{one.name}: holds no record with a lock-in rate")
@@ -321,22 +273,7 @@ def _mean(values: Floats, us: Floats) -> tuple[float, float]:
 
 
 def read_records(place: str, choices: Mapping[str, Any], workers: Workers, analysis: str = "") -> Records:
-    """Read the rows of a results table, or estimate the records of runs and files.
-
-    Parameters
-    ----------
-    place : str
-        A results table, or what :func:`station.sources.find_sources` takes.
-    choices : mapping
-        Of :class:`analysis.lock_in_run.Method`, for records that are to be estimated.
-    analysis : str, optional
-        Part of the column `analysis` of a table that holds several.
-
-    Raises
-    ------
-    UsageError, RunError
-        It cannot be read, or holds several analyses of the same records.
-    """
+    """Read the rows of a results table, or estimate the records of runs and files."""
     path = Path(place)
     if path.suffix.lower() in KINDS and path.is_file() and _is_table(path):
         rows = (row for row in table_file(path).rows() if analysis in str(row["analysis"]))

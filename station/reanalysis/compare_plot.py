@@ -18,12 +18,7 @@ _POINTS = 20_000
 
 
 def write_comparison_plot(path: Path, found: Comparison) -> None:
-    """Draw a comparison into a .svg, .png or .pdf file.
-
-    Raises
-    ------
-    UsageError, OSError
-    """
+    """Draw a comparison into a .svg, .png or .pdf file."""
     write_picture(path, "compare", _SIZE, lambda figure: _draw(figure, found))
 
 

@@ -83,24 +83,7 @@ class AnalyzedFiles:
 
 
 def analyze_file(source: Path | Source, config: Path | None, choices: Mapping[str, Any]) -> AnalyzedFiles:
-    """Analyse a file of an oscilloscope.
-
-    Parameters
-    ----------
-    config : Path or None
-        Settings file: may give the scale factor that a file does not know, and what is known of bench and limits.
-    choices : mapping
-        Of :class:`analysis.lock_in_run.Method`; ``None`` is left out.
-
-    Raises
-    ------
-    UsageError
-        Nothing gives the scale factor, and there is nobody to ask.
-    FileFormatError, OSError
-        If it cannot be read.
-    NoUsableSignal
-        If the file holds no signal over time.
-    """
+    """Analyse a file of an oscilloscope."""
     opened = open_source(source)
     (record,) = opened.records()
     waveform = saved_waveform(record, opened.path)
@@ -122,13 +105,6 @@ def scale_factor_of_files(config: Path | None, files: Sequence[Path | Source] = 
 
     From a settings file, from ``gyrolock.toml`` beside the files or in the folder above, or asked for once. What
     the shipped settings say of their simulated gyro is not true of another one.
-
-    Raises
-    ------
-    SettingsError
-        A settings file holds mistakes.
-    UsageError
-        It is not given, or not the same for all files, and there is nobody to ask.
     """
     if config is not None and (stated := _stated(config)) is not None:
         return stated
@@ -177,13 +153,7 @@ def analyze_waveforms(
 
 
 def harmonics_of(waveform: Waveform) -> list[dict[str, float]] | None:
-    """Return the harmonics of a record, also where they are none of a gyro; ``None`` if it has none.
-
-    Returns
-    -------
-    list of dict or None
-        ``order``, ``frequency_hz``, ``amplitude_v``, ``phase_rad`` (at the first sample).
-    """
+    """Return the harmonics of a record, also where they are none of a gyro; ``None`` if it has none."""
     if np.nanmax(waveform.volts) == np.nanmin(waveform.volts):
         return None
     fit = fit_harmonics(waveform.volts, waveform.sample_interval, harmonics=_HARMONICS, nan_policy="omit")

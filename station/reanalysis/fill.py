@@ -23,26 +23,14 @@ from station.sources.workers import Workers
 
 @dataclass
 class Filled:
-    """What was done.
-
-    Attributes
-    ----------
-    table : Path
-    sources, records : int
-        That were computed.
-    known : int
-        Sources that the table held already.
-    empty : int
-        Sources without a record of a beat that can be read.
-    left_out : list of LeftOut
-        What could not be read, whole sources and single records.
-    """
+    """What was done."""
 
     table: Path
-    sources: int = 0
+    sources: int = 0  # that were computed
     records: int = 0
-    known: int = 0
-    empty: int = 0
+    known: int = 0  # sources that the table held already
+    empty: int = 0  # sources without a record of a beat that can be read
+    # what could not be read, whole sources and single records
     left_out: list[LeftOut] = field(default_factory=list)
 
     def document(self) -> dict[str, Any]:
@@ -67,25 +55,7 @@ def fill_table(
     progress: Progress,
     left_out: Callable[[LeftOut], None] = lambda one: None,
 ) -> Filled:
-    """Estimate every record of the sources by itself, and put one row for each into a table.
-
-    Parameters
-    ----------
-    sources : iterable of Path or Source
-        Of :func:`station.sources.find_sources`.
-    table : Path
-        ``.parquet``, ``.sqlite``, ``.csv`` or ``.jsonl``. Rows that it holds of the same source (by its SHA-256),
-        method and program stay; those of a source that has changed are replaced.
-    choices : mapping
-        Of :class:`analysis.lock_in_run.Method`.
-    left_out : callable
-        Is told at once of what cannot be read.
-
-    Raises
-    ------
-    UsageError, RunError
-        The table's name or what it holds is wrong, or another process writes it.
-    """
+    """Estimate every record of the sources by itself, and put one row for each into a table."""
     file, analysis, done = table_file(table), analysis_of(choices), Filled(table)
     with only_writer(table):
         known = {source: sha256 for (source, made), sha256 in _known(file).items() if made == analysis}

@@ -21,35 +21,17 @@ from station.sources.workers import Workers
 
 @dataclass(frozen=True)
 class Headline:
-    """A lock-in rate as `gyrolock analyze` gives it.
+    """A lock-in rate as `gyrolock analyze` gives it."""
 
-    Attributes
-    ----------
-    rate, u : float
-        deg/s; the combined standard uncertainty.
-    one_rate : bool
-        Whether it was measured at one rate: several have no one beat and no one ratio.
-    """
-
-    rate: float
+    rate: float  # deg/s; the combined standard uncertainty
     u: float
-    one_rate: bool
+    one_rate: bool  # whether it was measured at one rate: several have no one beat and no one ratio
 
 
 def headline_of(
     place: str, choices: Mapping[str, Any], beats: NDArray[np.float64], workers: Workers
 ) -> Headline | None:
-    """Evaluate a run, or records at one rate, with their budget; ``None`` where they have no one result.
-
-    Parameters
-    ----------
-    place : str
-        What :func:`station.sources.find_sources` takes.
-    choices : mapping
-        Of :class:`analysis.lock_in_run.Method`.
-    beats : ndarray, shape (n,)
-        Beat frequencies of its records, Hz: of files at several rates nobody is asked for the rates.
-    """
+    """Evaluate a run, or records at one rate, with their budget; ``None`` where they have no one result."""
     quiet = Progress(quiet=True)
     try:
         sources = list(find_sources([place]))

@@ -29,18 +29,7 @@ _NOTHING: Mapping[str, str] = {}
 
 
 class Work:
-    """Estimating the records of many sources: small ones together, large ones in parts.
-
-    Parameters
-    ----------
-    sources : iterable of Path or Source
-    choices : mapping
-        Of :class:`analysis.lock_in_run.Method`.
-    known : mapping, optional
-        SHA-256 of sources whose estimates are there already, by their names.
-    whole : bool, optional
-        Whether each part of a source is to know the SHA-256 of all of it.
-    """
+    """Estimating the records of many sources: small ones together, large ones in parts."""
 
     def __init__(
         self,

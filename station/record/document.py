@@ -25,13 +25,7 @@ SCHEMA_FILE = Path(__file__).with_name("test-record-1.schema.json")
 
 
 def record_document(outcome: CampaignOutcome, evaluated: Mapping[str, Evaluated]) -> dict[str, Any]:
-    """Return the record of a test as plain JSON.
-
-    Parameters
-    ----------
-    evaluated : mapping
-        By the key of its step what was evaluated: gives the table of records.
-    """
+    """Return the record of a test as plain JSON."""
     plan = outcome.plan
     settings = plain(plan.settings)
     document = {

@@ -19,15 +19,7 @@ _ROWS = 60
 
 
 def render_record(record: Mapping[str, Any], outcome: CampaignOutcome, evaluated: Mapping[str, Evaluated]) -> str:
-    """Return the page of a record of a test as HTML.
-
-    Parameters
-    ----------
-    record : mapping
-        As :func:`station.record.document.record_document` gives it.
-    evaluated : mapping
-        By the key of its step what was evaluated: gives figures and tables.
-    """
+    """Return the page of a record of a test as HTML."""
     verdict = record["outcome"]["verdict"]
     unit = record["unit"]
     tables = [table for table in _facts(record) if table.rows]

@@ -24,27 +24,15 @@ _SAME = 1e-6  # of a value: what another processor or another NumPy may change; 
 
 @dataclass(frozen=True)
 class Check:
-    """Something that was looked at.
+    """Something that was looked at."""
 
-    Attributes
-    ----------
-    about : str
-        The record, or the key of a step.
-    """
-
-    about: str
+    about: str  # the record, or the key of a step
     holds: bool
     sentence: str
 
 
 def read_record(path: Path) -> tuple[Path, dict[str, Any]]:
-    """Return the file of a record, given by itself or by its folder, and what stands in it.
-
-    Raises
-    ------
-    UsageError
-        It is no record of a test, or one of a version that this program does not know.
-    """
+    """Return the file of a record, given by itself or by its folder, and what stands in it."""
     file = path / RECORD_FILE if path.is_dir() else path
     try:
         document = json.loads(file.read_text(encoding="utf-8"))
@@ -63,23 +51,7 @@ def read_record(path: Path) -> tuple[Path, dict[str, Any]]:
 
 
 def verify(path: Path) -> list[Check]:
-    """Look at a record and at its runs.
-
-    Parameters
-    ----------
-    path : Path
-        The record's JSON file, or its folder.
-
-    Returns
-    -------
-    list of Check
-        In the order of the record.
-
-    Raises
-    ------
-    UsageError
-        It is no record of a test.
-    """
+    """Look at a record and at its runs."""
     file, record = read_record(path)
     found = [_content(record)]
     try:

@@ -36,19 +36,7 @@ class RecordFiles:
 
 
 def write_record(outcome: CampaignOutcome, *, evaluated: Mapping[str, Evaluated] | None = None) -> RecordFiles:
-    """Write the record of a test into its folder; each file appears whole or not at all.
-
-    Parameters
-    ----------
-    evaluated : mapping, optional
-        By the key of its step what was evaluated; what is missing is evaluated again. Of a test that was aborted
-        only what is given: whoever stops a station does not want to wait.
-
-    Raises
-    ------
-    CannotWrite
-        The disk does not take it. The runs are there.
-    """
+    """Write the record of a test into its folder; each file appears whole or not at all."""
     known = dict(evaluated or {})
     if outcome.verdict != ABORTED:
         for step in outcome.steps:

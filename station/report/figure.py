@@ -42,36 +42,13 @@ STYLE: dict[str, Any] = {
 
 
 def svg_element(name: str, size: tuple[float, float], draw: Callable[[Figure], None]) -> str:
-    """Draw a figure as an SVG element that can stand beside others in one page.
-
-    Parameters
-    ----------
-    name : str
-        Sets the ids of this figure apart.
-    size : tuple of float
-        Width and height, inches.
-    draw : callable
-        Draws on the figure that it is given.
-
-    Returns
-    -------
-    str
-        The same for the same data.
-    """
+    """Draw a figure as an SVG element that can stand beside others in one page."""
     drawn = _drawn(name, size, draw, "svg", transparent=True, metadata={"Date": None, "Creator": None})
     return _embeddable(drawn.decode(), name)
 
 
 def write_picture(path: Path, name: str, size: tuple[float, float], draw: Callable[[Figure], None]) -> None:
-    """Draw a figure into a file; its suffix says which kind. The file appears as a whole or not at all.
-
-    Raises
-    ------
-    UsageError
-        Another suffix than .svg, .png and .pdf.
-    OSError
-        The file cannot be written.
-    """
+    """Draw a figure into a file; its suffix says which kind. The file appears as a whole or not at all."""
     check_picture_name(path)
     kind = path.suffix.lower()
     metadata: dict[str, Any] = {
@@ -89,12 +66,7 @@ def write_picture(path: Path, name: str, size: tuple[float, float], draw: Callab
 
 
 def check_picture_name(path: Path) -> None:
-    """Refuse a file name of which the kind of picture cannot be told, before any work is done.
-
-    Raises
-    ------
-    UsageError
-    """
+    """Refuse a file name of which the kind of picture cannot be told, before any work is done."""
     if path.suffix.lower() not in FILE_KINDS:
         raise UsageError(f"{path}: a picture's name ends with {', '.join(FILE_KINDS[:-1])} or {FILE_KINDS[-1]}")
 

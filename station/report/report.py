@@ -48,23 +48,7 @@ class Shown(Protocol):
 
 
 def write_report(evaluated: Shown, path: Path | None = None) -> Path:
-    """Write the report of a run.
-
-    Parameters
-    ----------
-    path : Path, optional
-        By default ``report.html`` beside the run's file.
-
-    Returns
-    -------
-    Path
-        What was written. The file appears whole or not at all.
-
-    Raises
-    ------
-    OSError
-        If it cannot be written.
-    """
+    """Write the report of a run."""
     return write_page(path or evaluated.run.path.parent / REPORT_FILE, render_report(evaluated))
 
 

@@ -14,11 +14,6 @@ import numpy as np
 def plain(value: Any) -> Any:
     """Return a value as plain JSON.
 
-    Parameters
-    ----------
-    value : object
-        Numbers, text, arrays, mappings, sequences and dataclasses of them.
-
     Examples
     --------
     >>> plain({"a": np.float64("nan"), "b": np.arange(2), "c": (1.5, None)})
@@ -38,11 +33,5 @@ def plain(value: Any) -> Any:
 
 
 def picked(source: object, names: Mapping[str, str]) -> dict[str, Any]:
-    """Return attributes of an object under the names that programs rely on.
-
-    Parameters
-    ----------
-    names : mapping
-        Key in the document, and the attribute that it holds.
-    """
+    """Return attributes of an object under the names that programs rely on."""
     return {key: getattr(source, attribute) for key, attribute in names.items()}

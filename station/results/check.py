@@ -11,19 +11,12 @@ from station.errors import StationError, one_line
 
 @dataclass(frozen=True)
 class Check:
-    """One finding.
-
-    Attributes
-    ----------
-    state : {"ok", "note", "bad"}
-        ``note``: works, but something cannot be used or is not known; ``bad``: must be mended.
-    text : str
-        What was found, and where it is not well what to do.
-    """
+    """One finding."""
 
     name: str
+    # {"ok", "note", "bad"}: ``note``: works, but something cannot be used or is not known; ``bad``: must be mended
     state: Literal["ok", "note", "bad"]
-    text: str
+    text: str  # what was found, and where it is not well what to do
 
 
 def guarded(name: str, check: Callable[[], Check]) -> Check:

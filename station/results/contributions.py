@@ -11,27 +11,14 @@ from station.results.parts import TextTable
 
 @dataclass(frozen=True)
 class Contribution:
-    """One line of a budget.
+    """One line of a budget."""
 
-    Attributes
-    ----------
-    name : str
-        For programs.
-    quantity : str
-        In words.
-    ppm : float
-        Standard uncertainty that it makes of the result, ppm of it; 0 where it is taken out or not counted.
-    stated : bool
-        Whether it is known: stated, measured, or taken out; else `note` says what counts instead.
-    note : str
-        Where it comes from.
-    """
-
-    name: str
-    quantity: str
+    name: str  # for programs
+    quantity: str  # in words
+    # standard uncertainty that it makes of the result, ppm of it; 0 where it is taken out or not counted
     ppm: float
-    stated: bool
-    note: str
+    stated: bool  # whether it is known: stated, measured, or taken out; else `note` says what counts instead
+    note: str  # where it comes from
 
 
 def budget_document(reference: str, lines: Sequence[Contribution], combined_ppm: float) -> dict[str, Any]:

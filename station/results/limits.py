@@ -11,15 +11,9 @@ from station.results.result import Measured, plain_words
 
 @dataclass(frozen=True)
 class Tested:
-    """One number against its limit.
+    """One number against its limit."""
 
-    Attributes
-    ----------
-    measured : Measured
-        Its size counts; nan where the run gave none, which fails.
-    """
-
-    measured: Measured
+    measured: Measured  # its size counts; nan where the run gave none, which fails
     limit: float
 
     @property

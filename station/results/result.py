@@ -23,23 +23,12 @@ def plain_words(name: str) -> str:
 
 @dataclass(frozen=True)
 class Measured:
-    """A number that limits can be set on.
+    """A number that limits can be set on."""
 
-    Attributes
-    ----------
-    name : str
-        With the unit at its end: the key in ``[limits]``.
-    value : float
-        nan where the run gives none.
-    of : str
-        What it is of, where there are several: ``"X"``.
-    u : float
-        Standard uncertainty, where the result does not hold one under the name that goes with it.
-    """
-
-    name: str
-    value: float
-    of: str = ""
+    name: str  # with the unit at its end: the key in ``[limits]``
+    value: float  # nan where the run gives none
+    of: str = ""  # what it is of, where there are several: ``"X"``
+    # standard uncertainty, where the result does not hold one under the name that goes with it
     u: float = math.nan
 
     @property
@@ -69,72 +58,34 @@ class LeftOut:
 
 @dataclass(frozen=True)
 class Standing:
-    """Whether a result holds, and what speaks against it.
+    """Whether a result holds, and what speaks against it."""
 
-    Attributes
-    ----------
-    state : {"stands", "doubtful", "fails"}
-        "doubtful": something that was noticed, or that nobody knows, rules it. "fails": there is no result, a
-        check of it fails, or a simulation knows better.
-    reasons : tuple of str
-        Sentences; empty where it stands.
-    """
-
+    # {"stands", "doubtful", "fails"}: "doubtful": something that was noticed, or that nobody knows, rules it.
+    # "fails": there is no result, a check of it fails, or a simulation knows better.
     state: Literal["stands", "doubtful", "fails"]
-    reasons: tuple[str, ...] = ()
+    reasons: tuple[str, ...] = ()  # sentences; empty where it stands
 
 
 @dataclass(frozen=True)
 class Result:
-    """What a run says.
+    """What a run says."""
 
-    Attributes
-    ----------
-    name : str
-        Of the value: ``"lock-in rate"``.
-    value : str
-        In large letters.
-    document : dict
-        The body of the JSON document; arrays and nan may be in it.
-    measured : tuple of Measured
-        What limits can be set on.
-    lines : tuple of str
-        Below the value in the report.
-    summary : list of (str, str)
-        Below the value on the terminal.
-    sentences : tuple of str
-        What the result means.
-    to_watch : tuple of str
-        What spoils it or may spoil it.
-    flags : tuple of str
-        The same for programs.
-    tables : tuple of TextTable
-        Above the value on the terminal.
-    problem : str
-        Why there is no result; empty if there is one.
-    truth : str
-        Truth of a simulated run, in words; empty: the run's facts tell it.
-    doubts : tuple of str or None
-        What rules the result and is not known or not right; ``None``: whatever is `to_watch`.
-    failures : tuple of str
-        Checks of the result that fail.
-    """
-
-    name: str
-    value: str
-    document: dict[str, Any]
-    measured: tuple[Measured, ...] = ()
-    lines: tuple[str, ...] = ()
-    summary: Rows = ()
-    sentences: tuple[str, ...] = ()
-    to_watch: tuple[str, ...] = ()
-    flags: tuple[str, ...] = ()
+    name: str  # of the value: ``"lock-in rate"``
+    value: str  # in large letters
+    document: dict[str, Any]  # the body of the JSON document; arrays and nan may be in it
+    measured: tuple[Measured, ...] = ()  # what limits can be set on
+    lines: tuple[str, ...] = ()  # below the value in the report
+    summary: Rows = ()  # (str, str): Below the value on the terminal
+    sentences: tuple[str, ...] = ()  # what the result means
+    to_watch: tuple[str, ...] = ()  # what spoils it or may spoil it
+    flags: tuple[str, ...] = ()  # the same for programs
     left_out: tuple[LeftOut, ...] = ()
-    tables: tuple[TextTable, ...] = ()
-    problem: str = ""
-    truth: str = ""
+    tables: tuple[TextTable, ...] = ()  # above the value on the terminal
+    problem: str = ""  # why there is no result; empty if there is one
+    truth: str = ""  # truth of a simulated run, in words; empty: the run's facts tell it
+    # what rules the result and is not known or not right; ``None``: whatever is `to_watch`
     doubts: tuple[str, ...] | None = None
-    failures: tuple[str, ...] = ()
+    failures: tuple[str, ...] = ()  # checks of the result that fail
 
     @property
     def standing(self) -> Standing:

@@ -14,15 +14,7 @@ _COVERAGE = 2.0
 
 
 def values_of(result: Result, document: Mapping[str, Any], number: str, prefix: str = "result.") -> list[Value]:
-    """Return a number of a result: one value, or several where it is of several axes; empty if there is none.
-
-    Parameters
-    ----------
-    document : mapping
-        JSON of the result, plain.
-    number : str
-        One that limits can be set on, or `prefix` and a place in the JSON: ``"result.table_check.tilt_deg"``.
-    """
+    """Return a number of a result: one value, or several where it is of several axes; empty if there is none."""
     if number.startswith(prefix):
         *way, name = number.removeprefix(prefix).split(".")
         inner = _at(document, way)

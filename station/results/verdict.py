@@ -30,49 +30,27 @@ _K95 = 1.959963984540054
 
 @dataclass(frozen=True)
 class Limit:
-    """What a number has to keep to.
+    """What a number has to keep to."""
 
-    Attributes
-    ----------
-    number : str
-        Name of the number, with its unit at the end.
-    at_least, at_most : float or None
-        At least one of them is given.
-    rule : {"none", "U95", "simple"}
-        "U95": the whole 95 % interval has to lie within. "simple": the value has to (simple acceptance), and the
-        risk that this is wrong is told. "none": the value has to, and its uncertainty is not asked for.
-    highest_risk : float
-        With "simple": no PASS and no FAIL whose risk of being wrong is above this share.
-    """
-
-    number: str
-    at_least: float | None = None
+    number: str  # name of the number, with its unit at the end
+    at_least: float | None = None  # at least one of them is given
     at_most: float | None = None
+    # {"none", "U95", "simple"}: "U95": the whole 95 % interval has to lie within. "simple": the value has to
+    # (simple acceptance), and the risk that this is wrong is told. "none": the value has to, and its uncertainty
+    # is not asked for.
     rule: Rule = "U95"
-    highest_risk: float = 0.5
+    highest_risk: float = 0.5  # with "simple": no PASS and no FAIL whose risk of being wrong is above this share
 
 
 @dataclass(frozen=True)
 class Value:
-    """A number as a run gives it.
+    """A number as a run gives it."""
 
-    Attributes
-    ----------
-    value : float
-        nan where the run gives none.
-    unit : str
-        As a person reads it.
-    low_95, high_95 : float
-        Ends of its 95 % interval, every input counted; nan where nobody knows them.
-    of : str
-        What it is of, where a run gives several: ``"X"``.
-    """
-
-    value: float
-    unit: str
-    low_95: float = math.nan
+    value: float  # nan where the run gives none
+    unit: str  # as a person reads it
+    low_95: float = math.nan  # ends of its 95 % interval, every input counted; nan where nobody knows them
     high_95: float = math.nan
-    of: str = ""
+    of: str = ""  # what it is of, where a run gives several: ``"X"``
 
     @property
     def uncertain(self) -> bool:
@@ -82,28 +60,16 @@ class Value:
 
 @dataclass(frozen=True)
 class LimitOutcome:
-    """A number against its limit.
-
-    Attributes
-    ----------
-    acceptance_low, acceptance_high : float or None
-        Where the value has to lie for PASS, after the guard band.
-    risk : float or None
-        Probability that PASS or FAIL is wrong: that the true value lies on the other side.
-    margin : float
-        From the value to the nearest limit, positive within.
-    sentence : str
-        All of it in one line.
-    """
+    """A number against its limit."""
 
     limit: Limit
     measured: Value
     verdict: Verdict
-    acceptance_low: float | None
+    acceptance_low: float | None  # where the value has to lie for PASS, after the guard band
     acceptance_high: float | None
-    risk: float | None
-    margin: float
-    sentence: str
+    risk: float | None  # probability that PASS or FAIL is wrong: that the true value lies on the other side
+    margin: float  # from the value to the nearest limit, positive within
+    sentence: str  # all of it in one line
 
     @property
     def name(self) -> str:
@@ -126,14 +92,7 @@ def worst(verdicts: Iterable[Verdict]) -> Verdict | None:
 
 
 def decide(limit: Limit, measured: Value) -> LimitOutcome:
-    """Judge a number by a limit.
-
-    Returns
-    -------
-    LimitOutcome
-        ERROR where the run gives no value, or no uncertainty though the rule asks for one: that is not the unit's
-        fault.
-    """
+    """Judge a number by a limit."""
     low = -math.inf if limit.at_least is None else limit.at_least
     high = math.inf if limit.at_most is None else limit.at_most
     value = measured.value

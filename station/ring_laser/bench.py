@@ -13,47 +13,19 @@ from station.errors import UsageError
 
 @dataclass(frozen=True)
 class Bench:
-    """What a measurement works with.
-
-    Attributes
-    ----------
-    table : RateTable or None
-        ``None`` where the table turns by itself.
-    sleep : callable
-        Waits so many seconds, of the clock that the instruments live by.
-    now : callable
-        Seconds on that clock, from any beginning.
-    truth : callable or None
-        On a simulated bench: the true values of the last record, with the names of the results.
-    surroundings : callable
-        What chamber and power supply read now, under names with their units; nothing where there are none.
-    """
+    """What a measurement works with."""
 
     scope: TDS2014
-    table: RateTable | None
-    sleep: Callable[[float], None] = time.sleep
+    table: RateTable | None  # ``None`` where the table turns by itself
+    sleep: Callable[[float], None] = time.sleep  # waits so many seconds, of the clock that the instruments live by
+    # on a simulated bench: the true values of the last record, with the names of the results
     truth: Callable[[], dict[str, float]] | None = None
-    now: Callable[[], float] = time.time
+    now: Callable[[], float] = time.time  # seconds on that clock, from any beginning
+    # what chamber and power supply read now, under names with their units; nothing where there are none
     surroundings: Callable[[], dict[str, float]] = dict
 
     def turn_table(self, rate_dps: float, settle_s: float, why: str = "") -> float:
-        """Set the table's rate, wait until it turns steadily, and then let it settle.
-
-        Parameters
-        ----------
-        why : str, optional
-            What the rate is for and what comes then: for an operator who has to set it.
-
-        Returns
-        -------
-        float
-            The rate that the table has, deg/s.
-
-        Raises
-        ------
-        UsageError
-            If there is no table that could be set.
-        """
+        """Set the table's rate, wait until it turns steadily, and then let it settle."""
         if self.table is None:
             raise UsageError("this bench has no rate table that could be set")
         if isinstance(self.table, ManualRateTable):

@@ -29,18 +29,7 @@ class _TrialShape:
 
 
 def examine(settings: BenchSettings, rate_dps: float) -> list[Check]:
-    """Open the bench, turn the table and look at the beat.
-
-    Parameters
-    ----------
-    rate_dps : float
-        Of the table, at which there is a beat for sure.
-
-    Returns
-    -------
-    list of Check
-        As far as the bench lets it look.
-    """
+    """Open the bench, turn the table and look at the beat."""
     told: list[str] = []
     checks: list[Check] = []
     try:

@@ -66,22 +66,7 @@ class SimulatedInstruments:
 
 
 def build_instruments(settings: BenchSettings, clock: Clock, *, times_resumed: int = 0) -> SimulatedInstruments:
-    """Put gyro, table and oscilloscope together, as the settings and their seed say.
-
-    Parameters
-    ----------
-    settings : BenchSettings
-        With ``simulation``.
-    clock : Clock
-        The time of all of them.
-    times_resumed : int, optional
-        How often they were switched on before for the same run.
-
-    Raises
-    ------
-    UsageError
-        If the settings describe a real bench only, or a model that does not exist.
-    """
+    """Put gyro, table and oscilloscope together, as the settings and their seed say."""
     simulation = settings.simulation
     if simulation is None:
         raise UsageError("these settings describe a real bench: there is no [simulation] in them")
@@ -204,13 +189,7 @@ def _signal(
 
 
 def true_values(instruments: SimulatedInstruments) -> dict[str, float]:
-    """Return what the last record should give, with the names of the results.
-
-    Returns
-    -------
-    dict
-        Means over the time of the record; empty if there is no record.
-    """
+    """Return what the last record should give, with the names of the results."""
     with instruments.scope.lock:
         record = instruments.scope.acquisition.record
     if record is None:

@@ -23,26 +23,7 @@ def open_bench(
     put_back: FoundPanel | None = None,
     same_as: Identity | None = None,
 ) -> Iterator[Bench]:
-    """Open the bench; afterwards the front panel of the oscilloscope is as it was found.
-
-    Parameters
-    ----------
-    times_resumed : int, optional
-        How often the run was gone on with: a simulated bench that is switched on again has other noise.
-    tell : callable, optional
-        Is told when the link is lost, and when it is there again.
-    put_back : FoundPanel, optional
-        The front panel to put back, where an earlier session found it and could not do it.
-    same_as : Identity, optional
-        The oscilloscope that it must be: that of the run which is gone on with.
-
-    Raises
-    ------
-    InstrumentError
-        If the oscilloscope cannot be opened or is another instrument.
-    UsageError
-        If an operator is needed and there is no terminal.
-    """
+    """Open the bench; afterwards the front panel of the oscilloscope is as it was found."""
     said = tell or (lambda text: None)
     if settings.simulated:
         # PyVISA's simulated side and the gyro are not for a real bench
@@ -89,13 +70,7 @@ def _table(settings: BenchSettings, tell: Callable[[str], None]) -> Iterator[Rat
 
 
 def open_for(session: Session, settings: BenchSettings) -> Bench:
-    """Open the bench for the taking of a run; the run keeps what the link took, and the front panel as found.
-
-    Raises
-    ------
-    InstrumentError, UsageError
-        As for :func:`open_bench`.
-    """
+    """Open the bench for the taking of a run; the run keeps what the link took, and the front panel as found."""
     bench = session.open(
         open_bench(
             settings,

@@ -27,21 +27,7 @@ def set_up(bench: Bench, wanted: ScopeSettings, channels: Sequence[str]) -> None
 
 
 def take_record(bench: Bench, channels: tuple[str, ...]) -> tuple[tuple[Waveform, ...], dict[str, object]]:
-    """Acquire the records of one acquisition and the conditions under which they were taken.
-
-    Returns
-    -------
-    tuple of Waveform
-        One for each channel.
-    dict
-        Plain JSON: azimuth before and after where it is known, what chamber and power supply read, truth on a
-        simulated bench.
-
-    Raises
-    ------
-    InstrumentError
-        If they do not come, after as many attempts as the oscilloscope was opened for.
-    """
+    """Acquire the records of one acquisition and the conditions under which they were taken."""
     azimuth, waveforms, azimuth_after = bench.scope.step(
         lambda: (bench.azimuth(), bench.scope.acquire(channels), bench.azimuth())
     )
@@ -69,15 +55,7 @@ def acquisition_records(
 
 
 def saved_waveform(record: SavedRecord, run: Path) -> Waveform:
-    """Return a saved record as the waveform that the scope sent.
-
-    Raises
-    ------
-    RunError
-        If codes and preamble do not belong together.
-    NoUsableSignal
-        If it is no record over time.
-    """
+    """Return a saved record as the waveform that the scope sent."""
     try:
         waveform = Waveform(record.codes, Preamble.parse(record.preamble))
     except InstrumentError as error:

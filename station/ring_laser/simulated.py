@@ -20,15 +20,7 @@ from station.scope.serve import serve
 def open_simulated_bench(
     settings: BenchSettings, *, times_resumed: int = 0, tell: Callable[[str], None] = lambda text: None
 ) -> Iterator[Bench]:
-    """Open the simulated bench: on a clock that jumps instead of waiting, through a real link.
-
-    Parameters
-    ----------
-    times_resumed : int, optional
-        How often it was switched on before for the same run: phases and noise are other ones each time.
-    tell : callable, optional
-        Is told when a link to a controller is lost, and when it is there again.
-    """
+    """Open the simulated bench: on a clock that jumps instead of waiting, through a real link."""
     instruments = build_instruments(settings, VirtualClock(), times_resumed=times_resumed)
     with (
         serve(instruments.scope, instruments.link) as resource,

@@ -38,11 +38,6 @@ def beats_at(settings: BenchSettings, table_rate_dps: float, tilt_deg: float | N
 
     The earth rate on the axis depends on an azimuth that nobody knows, and how near lock-in is, nobody knows
     either: both widen what fits. The sense of rotation shows in no single beat.
-
-    Parameters
-    ----------
-    tilt_deg : float or None
-        Between table axis and gyro axis; ``None`` before it is found: then only a beat that is too fast is wrong.
     """
     scale_factor, latitude = settings.gyro.scale_factor_pulses_per_deg, math.radians(settings.site.latitude_deg)
     if tilt_deg is None:
@@ -56,13 +51,7 @@ def beats_at(settings: BenchSettings, table_rate_dps: float, tilt_deg: float | N
 
 
 def beats_of_other_sense(settings: BenchSettings, table_rate_dps: float, first: tuple[float, float]) -> Beats:
-    """Return the beats that fit the fast run in the other sense.
-
-    Parameters
-    ----------
-    first : tuple of float
-        Rate of the table in the first sense, deg/s, and its beat, Hz.
-    """
+    """Return the beats that fit the fast run in the other sense."""
     scaled = first[1] * abs(table_rate_dps / first[0])
     earth = 2 * EARTH_RATE_DPS * settings.gyro.scale_factor_pulses_per_deg
     return Beats(max(scaled * (1 - _TOLERANCE) - earth, 0.0), scaled * (1 + _TOLERANCE) + earth)

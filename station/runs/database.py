@@ -33,13 +33,7 @@ def utc_now() -> str:
 
 
 def new_run_directory(parent: Path) -> Path:
-    """Make the directory of a new run below `parent`, named by the time of day; two runs never share one.
-
-    Raises
-    ------
-    RunError
-        If nothing can be written there.
-    """
+    """Make the directory of a new run below `parent`, named by the time of day; two runs never share one."""
     stamp = datetime.now(UTC).strftime("%Y-%m-%dT%H%M%SZ")
     for count in range(1, 10_000):
         directory = parent / f"{stamp}_{count:03d}"
@@ -56,13 +50,7 @@ def new_run_directory(parent: Path) -> Path:
 
 
 def create_database(path: Path) -> None:
-    """Make an empty run; it appears under its name only when it is whole.
-
-    Raises
-    ------
-    RunError
-        If it cannot be written.
-    """
+    """Make an empty run; it appears under its name only when it is whole."""
     draft = path.with_name(f".{path.name}")
     try:
         with closing(sqlite3.connect(draft, isolation_level=None)) as db:
@@ -83,18 +71,7 @@ _BEING_WRITTEN: set[Path] = set()
 
 
 class DatabaseWriter:
-    """Writes one run. What a method returned for survives a killed process.
-
-    Parameters
-    ----------
-    path : Path
-        A file that :func:`create_database` made, now or once.
-
-    Raises
-    ------
-    RunError
-        If it cannot be written.
-    """
+    """Writes one run. What a method returned for survives a killed process."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -160,19 +137,7 @@ def reading(file: Path, *, fold: bool = True) -> Iterator[tuple[sqlite3.Connecti
 
 
 def opened(file: Path, held: ExitStack, *, fold: bool = True) -> tuple[sqlite3.Connection, Layout]:
-    """Open a run to read it, finished or cut short; it is closed with `held`.
-
-    Parameters
-    ----------
-    fold : bool, optional
-        Make one file of a run whose program was killed. Without it nothing but SQLite touches the file, and
-        nothing is changed: for a look at many runs, some of which may be written at this moment.
-
-    Raises
-    ------
-    RunError
-        If it is no run, of a newer version, or damaged.
-    """
+    """Open a run to read it, finished or cut short; it is closed with `held`."""
     with told(file):
         real = file.resolve()
         if fold and real not in _BEING_WRITTEN:
@@ -229,13 +194,7 @@ def _connected(file: Path, held: ExitStack) -> sqlite3.Connection:
 
 
 def _fold(file: Path) -> None:
-    """Make one file of a run whose program was killed; one that is being written, or may not be, stays as it is.
-
-    Raises
-    ------
-    RunError
-        The journal is damaged before its end: SQLite would drop what lies behind.
-    """
+    """Make one file of a run whose program was killed; one that is being written stays as it is."""
     journal = journal_of(file)
     with suppress(FileNotFoundError, PermissionError):
         if lost := lost_commits(journal.read_bytes()):
@@ -288,13 +247,7 @@ def _sum(text: str) -> str:
 
 
 def save_result(path: Path, document: Mapping[str, object]) -> None:
-    """Keep what was computed from the records of a run beside them; `document` is plain JSON.
-
-    Raises
-    ------
-    CannotWrite
-        If the disk does not take it.
-    """
+    """Keep what was computed from the records of a run beside them; `document` is plain JSON."""
     try:
         with closing(sqlite3.connect(path)) as db, db:
             db.execute("PRAGMA synchronous = FULL")
@@ -305,13 +258,7 @@ def save_result(path: Path, document: Mapping[str, object]) -> None:
 
 
 def is_database(path: Path) -> bool:
-    """Tell whether a path looks like a run: a directory, or an SQLite file.
-
-    Raises
-    ------
-    OSError
-        There is nothing, or it cannot be read.
-    """
+    """Tell whether a path looks like a run: a directory, or an SQLite file."""
     kind = path.stat().st_mode
     if not stat.S_ISREG(kind):
         return stat.S_ISDIR(kind)  # reading a FIFO would wait for a writer

@@ -32,13 +32,7 @@ def checked_fact(name: str, value: Any) -> Any:
 
 
 class RunFacts(Mapping[str, Any]):
-    """Facts of a run by name, and the common ones as attributes.
-
-    Parameters
-    ----------
-    values : mapping
-        As they are saved: plain JSON.
-    """
+    """Facts of a run by name, and the common ones as attributes."""
 
     def __init__(self, values: Mapping[str, Any]) -> None:
         self._values = dict(values)

@@ -18,24 +18,14 @@ COLUMNS = ("number", "key", "taken_at", "purpose", "header", "payload", "sha256"
 
 @dataclass(frozen=True)
 class Layout:
-    """One layout.
+    """One layout."""
 
-    Attributes
-    ----------
-    application_id : int
-        Four letters at the beginning of the file, by which ``file`` and we tell it from other databases.
-    table : str
-        Table of the records.
-    columns : tuple of str
-        SQL that gives each of `COLUMNS`.
-    checksum : callable
-        SHA-256 of a record, as this layout makes it; gets its cells by the names of `COLUMNS`.
-    """
-
+    # four letters at the beginning of the file, by which ``file`` and we tell it from other databases
     application_id: int
     version: int
-    table: str
-    columns: tuple[str, ...]
+    table: str  # table of the records
+    columns: tuple[str, ...]  # SQL that gives each of `COLUMNS`
+    # SHA-256 of a record, as this layout makes it; gets its cells by the names of `COLUMNS`
     checksum: Callable[[Mapping[str, Any]], str]
 
     @property
@@ -116,13 +106,7 @@ LAYOUTS = (TODAY, _RING_LASER_2, _RING_LASER_1, _FIBRE_GYRO_1)
 
 
 def layout_of(application_id: int, version: int) -> Layout | None:
-    """Return the layout of a file, ``None`` if it is no run of ours.
-
-    Raises
-    ------
-    ValueError
-        It is one of ours, of a version that this program does not know.
-    """
+    """Return the layout of a file, ``None`` if it is no run of ours."""
     ours = [layout for layout in LAYOUTS if layout.application_id == application_id]
     if not ours:
         return None

@@ -19,13 +19,7 @@ WIRING = """\
 
 
 def ask_operator(question: str) -> str:
-    """Ask on stderr, since stdout belongs to the result.
-
-    Raises
-    ------
-    UsageError
-        There is no terminal to ask on, or it was closed meanwhile.
-    """
+    """Ask on stderr, since stdout belongs to the result."""
     check_terminal()
     try:
         with free_terminal(question):
@@ -40,13 +34,7 @@ def ask_operator(question: str) -> str:
 
 
 def ask_number(question: str, missing: str) -> float:
-    """Ask for a positive number until one is typed.
-
-    Raises
-    ------
-    UsageError
-        There is no terminal; the text is `missing`.
-    """
+    """Ask for a positive number until one is typed."""
     if not sys.stdin.isatty():
         raise UsageError(missing)
     asked = question

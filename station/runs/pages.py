@@ -31,17 +31,7 @@ def page_size_of(content: bytes) -> int:
 
 
 def rows_of(page: bytes, first: bool, others: Mapping[int, bytes]) -> Iterator[Row]:
-    """Give the rows of one page, those that can be read.
-
-    Parameters
-    ----------
-    page : bytes
-        If it is no leaf of a tree, there are none.
-    first : bool
-        Whether it is the first page of the file, which begins with the file's header.
-    others : mapping
-        All pages by their number: a long row goes on there.
-    """
+    """Give the rows of one page, those that can be read."""
     start = 100 if first else 0
     kind = page[start]
     if kind not in (_TABLE_LEAF, _INDEX_LEAF):

@@ -8,15 +8,7 @@ from station.events.event import Events
 
 
 class Progress:
-    """Tells how far a run is.
-
-    Parameters
-    ----------
-    events : Events, optional
-        Where it is told. By default it is shown on stderr.
-    quiet : bool, optional
-        Tell nobody, where no events are given.
-    """
+    """Tells how far a run is."""
 
     def __init__(self, events: Events | None = None, *, quiet: bool = False) -> None:
         if events is None:

@@ -23,27 +23,14 @@ _MARKS = ("good", "bad", None)
 
 @dataclass(frozen=True)
 class Remark:
-    """One thing that was said of a run.
+    """One thing that was said of a run."""
 
-    Attributes
-    ----------
-    at : str
-        UTC, ISO 8601.
-    by : str
-        Who said it.
-    note : str
-        Empty where only tags or the mark were changed.
-    tags, untagged : tuple of str
-        That were added, and taken away.
-    mark : {"good", "bad", None, ""}
-        ``None`` takes the mark away, the empty text leaves it as it is.
-    """
-
-    at: str
-    by: str
-    note: str = ""
-    tags: tuple[str, ...] = ()
+    at: str  # UTC, ISO 8601
+    by: str  # who said it
+    note: str = ""  # empty where only tags or the mark were changed
+    tags: tuple[str, ...] = ()  # that were added, and taken away
     untagged: tuple[str, ...] = ()
+    # {"good", "bad", None, ""}: ``None`` takes the mark away, the empty text leaves it as it is
     mark: str | None = ""
 
     @property
@@ -64,18 +51,10 @@ class Remark:
 
 @dataclass(frozen=True)
 class Remarks:
-    """All that was said of a run.
+    """All that was said of a run."""
 
-    Attributes
-    ----------
-    said : tuple of Remark
-        The oldest first.
-    unreadable : int
-        Lines of the file that are none: cut by a power failure, or of somebody else.
-    """
-
-    said: tuple[Remark, ...] = ()
-    unreadable: int = 0
+    said: tuple[Remark, ...] = ()  # the oldest first
+    unreadable: int = 0  # lines of the file that are none: cut by a power failure, or of somebody else
 
     @property
     def last_mark(self) -> Remark | None:
@@ -109,13 +88,7 @@ def remarks_file(run: Path) -> Path:
 
 
 def read_remarks(run: Path) -> Remarks:
-    """Return what was said of a run; `run` is its SQLite file.
-
-    Raises
-    ------
-    RunError
-        A newer gyrolock has written there, or the file cannot be read.
-    """
+    """Return what was said of a run; `run` is its SQLite file."""
     file = remarks_file(run)
     try:
         lines = file.read_text(encoding="utf-8", errors="replace").splitlines()
@@ -145,24 +118,7 @@ def add_remark(
     mark: str | None = "",
     by: str = "",
 ) -> Remark:
-    """Say something of a run; when this returns, it is on the disk.
-
-    Parameters
-    ----------
-    run : Path
-        Its SQLite file, which is not touched.
-    mark : {"good", "bad", None}, optional
-        ``None`` takes the mark away.
-    by : str, optional
-        Who says it; by default the name that the computer knows the user by.
-
-    Raises
-    ------
-    UsageError
-        Nothing is said, or a tag holds a blank or is empty.
-    CannotWrite
-        The disk does not take it.
-    """
+    """Say something of a run; when this returns, it is on the disk."""
     if not (note.strip() or tags or untagged or mark != ""):
         raise UsageError("nothing is said of the run: give a note, a tag or a mark")
     for tag in (*tags, *untagged):

@@ -22,36 +22,15 @@ _COMMIT = 100  # records that are saved at once
 
 @dataclass(frozen=True)
 class Salvaged:
-    """What was got out of a damaged run.
+    """What was got out of a damaged run."""
 
-    Attributes
-    ----------
-    path : Path
-        The new run.
-    records : int
-        So many are in it.
-    lost : tuple of str
-        What is known to have been there and could not be read.
-    """
-
-    path: Path
-    records: int
-    lost: tuple[str, ...]
+    path: Path  # the new run
+    records: int  # so many are in it
+    lost: tuple[str, ...]  # what is known to have been there and could not be read
 
 
 def salvage(path: Path, parent: Path | None = None) -> Salvaged:
-    """Make a new run of what can be read of a damaged one, which stays as it is.
-
-    Parameters
-    ----------
-    parent : Path, optional
-        Directory of runs; by default that of the damaged one.
-
-    Raises
-    ------
-    RunError
-        Nothing can be read.
-    """
+    """Make a new run of what can be read of a damaged one, which stays as it is."""
     file = run_file(path)
     content, journal = file.read_bytes(), _content(journal_of(file))  # as they lie: opening a run may fold them
     records, facts = _scanned(content, journal)

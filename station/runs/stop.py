@@ -59,13 +59,7 @@ _now: _Signals | None = None
 
 @contextmanager
 def ending_signals(*, second_ends: bool = True) -> Iterator[None]:
-    """Let signals end what runs within, by raising :class:`station.errors.Stopped`.
-
-    Parameters
-    ----------
-    second_ends : bool, optional
-        Whether a second signal ends the program at once; if not, it raises at once, whatever is being done.
-    """
+    """Let signals end what runs within, by raising :class:`station.errors.Stopped`."""
     global _now
     if threading.current_thread() is not threading.main_thread() or _now is not None:
         yield

@@ -38,36 +38,16 @@ _NAMED = 20  # gaps among the records that are named one by one
 
 
 class SavedRecord(NamedTuple):
-    """One record of a run.
+    """One record of a run."""
 
-    Attributes
-    ----------
-    number : int
-        Counts from 1 within the run.
-    key : str
-        What it is, unique in its run: ``"Z +20"``.
-    taken_at : str
-        UTC, ISO 8601.
-    purpose : str
-        Which part of which measurement it was taken for: ``"tilt"``, ``"measure"``, ``"table"``, ...
-    header : str
-        Preamble as the scope sent it, or JSON that describes the columns of an output.
-    payload : bytes
-        Codes as the scope sent them, or the columns of an output.
-    intact : bool
-        Whether it still has the checksum that it was saved with.
-    conditions : dict
-        Channel, table rate, azimuth, injected step...: plain JSON.
-    """
-
-    number: int
-    key: str
-    taken_at: str
-    purpose: str
-    header: str
-    payload: bytes
-    intact: bool
-    conditions: dict[str, Any]
+    number: int  # counts from 1 within the run
+    key: str  # what it is, unique in its run: ``"Z +20"``
+    taken_at: str  # UTC, ISO 8601
+    purpose: str  # which part of which measurement it was taken for: ``"tilt"``, ``"measure"``, ``"table"``, ..
+    header: str  # preamble as the scope sent it, or JSON that describes the columns of an output
+    payload: bytes  # codes as the scope sent them, or the columns of an output
+    intact: bool  # whether it still has the checksum that it was saved with
+    conditions: dict[str, Any]  # channel, table rate, azimuth, injected step...: plain JSON
 
     @property
     def aside(self) -> bool:
@@ -87,33 +67,18 @@ class SavedRecord(NamedTuple):
 
 @dataclass(frozen=True)
 class SavedRun:
-    """A run as it was read from its file.
+    """A run as it was read from its file."""
 
-    Attributes
-    ----------
-    path : Path
-        The SQLite file.
-    facts : RunFacts
-        What was known beside the records: command, settings, identity, provenance, truth, times, outcome.
-    records : sequence of SavedRecord
-        In the order in which they were taken; those of a long run may be read when they are asked for.
-    results : dict or None
-        What was last computed from them.
-    unusable : dict
-        Facts that are not what was once saved, and why they are left out.
-    protected : bool
-        Whether damage to a fact would show: an earlier version kept no sums of them.
-    damaged : tuple of str
-        What of the run is not what was once saved, one sentence each.
-    """
-
-    path: Path
+    path: Path  # the SQLite file
+    # what was known beside the records: command, settings, identity, provenance, truth, times, outcome
     facts: RunFacts
+    # in the order in which they were taken; those of a long run may be read when they are asked for
     records: Sequence[SavedRecord]
-    results: dict[str, Any] | None
+    results: dict[str, Any] | None  # what was last computed from them
+    # facts that are not what was once saved, and why they are left out
     unusable: Mapping[str, str] = field(default_factory=dict)
-    protected: bool = True
-    damaged: tuple[str, ...] = ()
+    protected: bool = True  # whether damage to a fact would show: an earlier version kept no sums of them
+    damaged: tuple[str, ...] = ()  # what of the run is not what was once saved, one sentence each
 
     @property
     def whole(self) -> SavedRun:
@@ -148,31 +113,13 @@ class RunWriter(DatabaseWriter):
     """Writes one run. Records that :meth:`save_records` returned for survives a killed process.
 
     Use :meth:`create`, or the class itself for a run that is gone on with.
-
-    Attributes
-    ----------
-    acknowledge : callable or None
-        Is told of records when they are on the disk.
     """
 
-    acknowledge: Acknowledge | None = None
+    acknowledge: Acknowledge | None = None  # is told of records when they are on the disk
 
     @classmethod
     def create(cls, parent: Path, facts: Mapping[str, object]) -> Self:
-        """Begin a run in a new directory.
-
-        Parameters
-        ----------
-        parent : Path
-            Directory of all runs; made if it is missing.
-        facts : mapping
-            What is known at the start, by name; values must be plain JSON.
-
-        Raises
-        ------
-        RunError
-            If nothing can be written there.
-        """
+        """Begin a run in a new directory."""
         path = new_run_directory(parent) / RUN_FILE
         try:
             create_database(path)
@@ -184,13 +131,7 @@ class RunWriter(DatabaseWriter):
         return writer
 
     def save_records(self, records: Sequence[NewRecord]) -> None:
-        """Save the records of one acquisition durably: when this returns, all of them are on the disk.
-
-        Raises
-        ------
-        RunError
-            If the disk does not take them, or the run has a record of one of the keys: then it holds none of them.
-        """
+        """Save the records of one acquisition durably: when this returns, all of them are on the disk."""
         rows = []
         for record in records:
             conditions = json.dumps(dict(record.conditions), allow_nan=False)
@@ -218,18 +159,7 @@ class RunWriter(DatabaseWriter):
 
 
 def open_run(path: Path) -> SavedRun:
-    """Read a run, finished or not, whole or cut short by a crash.
-
-    Parameters
-    ----------
-    path : Path
-        The SQLite file or its directory.
-
-    Raises
-    ------
-    RunError
-        If there is no run at ``path``.
-    """
+    """Read a run, finished or not, whole or cut short by a crash."""
     file = run_file(path)
     with reading(file) as (db, layout):
         facts, unusable, protected = read_facts(db)
@@ -299,13 +229,7 @@ def _results(row: Sequence[Any] | None) -> dict[str, Any] | None:
 
 
 def run_file(path: Path) -> Path:
-    """Return the SQLite file of a run given by its file or by its directory.
-
-    Raises
-    ------
-    RunError
-        If there is none.
-    """
+    """Return the SQLite file of a run given by its file or by its directory."""
     if path.is_dir():
         for name in RUN_FILES:
             if (path / name).is_file():

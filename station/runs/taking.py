@@ -26,21 +26,11 @@ _PANEL, _LINK = "front_panel", "link"
 
 @dataclass(frozen=True)
 class Taken:
-    """How the taking of a run ended.
+    """How the taking of a run ended."""
 
-    Attributes
-    ----------
-    path : Path
-        The run's SQLite file; it holds every record that was acknowledged.
-    failure : Failure or None
-        What stopped it before its time.
-    error : BaseException or None
-        The same, as it was raised.
-    """
-
-    path: Path
-    failure: Failure | None
-    error: BaseException | None = None
+    path: Path  # the run's SQLite file; it holds every record that was acknowledged
+    failure: Failure | None  # what stopped it before its time
+    error: BaseException | None = None  # the same, as it was raised
 
     def run(self, outcome: str | Mapping[str, Any] | None = None) -> SavedRun:
         """Return the run, with another outcome if one is given."""
@@ -57,23 +47,7 @@ class Taken:
 
 
 class Session:
-    """One taking of records, of a new run or of one that is gone on with: bench, writer, progress.
-
-    Parameters
-    ----------
-    facts : mapping
-        What is known before the bench is opened, or of the run that is gone on with; plain JSON.
-    directory : Path
-        Of all runs.
-    resumed : SavedRun, optional
-        The run that is gone on with.
-    again : mapping, optional
-        Keys of its records that are to be taken again, and why.
-    acknowledge : callable, optional
-        Is told of records when they are on the disk.
-    see : callable, optional
-        Says at once what a record says, for those who watch.
-    """
+    """One taking of records, of a new run or of one that is gone on with: bench, writer, progress."""
 
     def __init__(
         self,
@@ -139,13 +113,7 @@ class Session:
         return {_LINK: faults, _PANEL: {**found, "put_back": self._scope.front_panel_is_back}}
 
     def begin(self, facts: Mapping[str, object] | None = None) -> RunWriter:
-        """Begin the run, or go on with it, when the bench is open: before that a failure leaves no run.
-
-        Parameters
-        ----------
-        facts : mapping, optional
-            What is known now besides; plain JSON.
-        """
+        """Begin the run, or go on with it, when the bench is open: before that a failure leaves no run."""
         scope = self.about_scope()
         if self.resumed is None:
             with undisturbed():
@@ -234,15 +202,7 @@ class Session:
 def facts_of(
     command: str, settings: Mapping[str, Any], *, simulated: bool, labels: Mapping[str, str] | None = None
 ) -> dict[str, object]:
-    """Return what every run knows of itself from the beginning, as plain JSON.
-
-    Parameters
-    ----------
-    command : str
-        Name of the measurement.
-    labels : mapping, optional
-        ``unit``, ``operator`` and ``note``, those that were given.
-    """
+    """Return what every run knows of itself from the beginning, as plain JSON."""
     return {
         "command": command,
         "settings": dict(settings),
@@ -253,23 +213,7 @@ def facts_of(
 
 
 def take(session: Session, work: Callable[[Session], None]) -> Taken:
-    """Take what is wanted and close the run.
-
-    Parameters
-    ----------
-    work : callable
-        Opens the bench, begins the run and saves records; may be called for a run that was cut short.
-
-    Returns
-    -------
-    Taken
-        Also when it was interrupted or the link was lost: the run then holds the records so far.
-
-    Raises
-    ------
-    InstrumentError, StationError
-        If the bench cannot be opened or the run cannot be written: then there is no run.
-    """
+    """Take what is wanted and close the run."""
     with undisturbed():  # a signal ends the work, and nothing of what closes it
         return _take(session, work)
 

@@ -22,15 +22,7 @@ def waveform_of(record: NewRecord) -> Waveform:
 
 
 def trace_of(waveform: Waveform, seconds: float, fit: Callable[[Floats], Floats] | None) -> Trace:
-    """Return the beginning of a record with its fit; all of it where it is no longer than that.
-
-    Parameters
-    ----------
-    seconds : float
-        To be shown; ``inf`` for the whole record.
-    fit : callable or None
-        Times in s from the first sample on -> volts.
-    """
+    """Return the beginning of a record with its fit; all of it where it is no longer than that."""
     volts, interval = waveform.volts, waveform.sample_interval
     shown = int(min(volts.size, np.ceil(seconds / interval) + 1))
     places = np.unique(np.linspace(0, shown - 1, min(_POINTS, shown)).round().astype(int))

@@ -64,23 +64,13 @@ class RecordShape(Protocol):
 
 @dataclass(frozen=True)
 class KnobPositions:
-    """How the scope was set to see the beat.
-
-    Attributes
-    ----------
-    position : float
-        Vertical position, divisions.
-    trigger_level : float
-        V.
-    beat_frequency : float
-        Hz, of the last trial record.
-    """
+    """How the scope was set to see the beat."""
 
     seconds_per_division: float
     volts_per_division: float
-    position: float
-    trigger_level: float
-    beat_frequency: float
+    position: float  # vertical position, divisions
+    trigger_level: float  # V
+    beat_frequency: float  # hz, of the last trial record
 
 
 @dataclass(frozen=True)
@@ -94,22 +84,7 @@ class VerticalSetting:
 def next_vertical(
     waveform: Waveform, current: VerticalSetting, fill_levels: float, probe: int
 ) -> VerticalSetting | None:
-    """Choose a better vertical setting, if there is one.
-
-    Parameters
-    ----------
-    waveform : Waveform
-        Taken with ``current``.
-    fill_levels : float
-        Levels that the signal shall reach on both sides of the screen's centre.
-    probe : int
-        Attenuation of the probe.
-
-    Returns
-    -------
-    VerticalSetting or None
-        ``None`` if the record fills the screen well.
-    """
+    """Choose a better vertical setting, if there is one."""
     low_limit, high_limit = VERTICAL_SCALES[0] * probe, VERTICAL_SCALES[-1] * probe
     valid = np.isfinite(waveform.volts)
     if not valid.any():
@@ -138,20 +113,7 @@ def next_vertical(
 def find_beat(
     scope: TDS2014, settings: ScopeInput, measurement: RecordShape, start: KnobPositions | float
 ) -> KnobPositions:
-    """Set the scope so that a record shows the beat well.
-
-    Parameters
-    ----------
-    start : KnobPositions or float
-        Where to begin: the setting of the scope as it stands, whose frequency is looked for, or
-        the highest frequency in Hz that the beat may have. A beat ten times slower is found as well, and any above
-        6 Hz.
-
-    Raises
-    ------
-    NoUsableSignal
-        If no beat is found.
-    """
+    """Set the scope so that a record shows the beat well."""
     search = _Search(scope, settings, measurement)
     highest = start.beat_frequency if isinstance(start, KnobPositions) else start
     slowest = max(_QUICK_S, _PERIODS_SEEN * _SLOWER_THAN_EXPECTED / highest / DIVISIONS)
@@ -183,13 +145,7 @@ def find_beat(
 def fit_channel(
     scope: TDS2014, channel: str, settings: ScopeInput, measurement: RecordShape, setting: KnobPositions
 ) -> VerticalSetting:
-    """Fit the vertical scale of a second channel; time base and trigger stay as they are.
-
-    Parameters
-    ----------
-    setting : KnobPositions
-        That of the first channel: where to begin.
-    """
+    """Fit the vertical scale of a second channel; time base and trigger stay as they are."""
     begin = VerticalSetting(setting.volts_per_division, setting.position)
     vertical = _set_vertical(scope, settings, begin, channel)
     for _ in range(_TRIALS_MAX):

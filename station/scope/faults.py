@@ -14,11 +14,6 @@ _DEFAULT_CHANCE = 0.01
 def parse_fault(text: str) -> Fault:
     """Read `KIND`, `KIND:CHANCE` or `knob turned:CHANCE:COMMAND`; without a chance, one answer in a hundred.
 
-    Raises
-    ------
-    UsageError
-        If there is no such fault, or the chance is none.
-
     Examples
     --------
     >>> parse_fault("cut answer:0.05").probability

@@ -19,30 +19,7 @@ def open_scope(
     put_back: FoundPanel | None = None,
     same_as: Identity | None = None,
 ) -> Iterator[TDS2014]:
-    """Open an oscilloscope and put its front panel back afterwards.
-
-    Parameters
-    ----------
-    resource : str
-        VISA resource name.
-    baud_rate : int, optional
-        RS-232 only; 0: the driver's default.
-    reconnect_s : float, optional
-        For how long a lost link is tried again.
-    read_twice : bool, optional
-        Whether each record is sent twice, so that a changed byte shows.
-    tell : callable, optional
-        Is told when the link is lost, and when it is there again.
-    put_back : FoundPanel, optional
-        The front panel to put back, where an earlier session found it and could not do it.
-    same_as : Identity, optional
-        The unit that it must be: that of the run which is gone on with.
-
-    Raises
-    ------
-    InstrumentError
-        If it cannot be opened or is another instrument.
-    """
+    """Open an oscilloscope and put its front panel back afterwards."""
     persistence = Persistence(ATTEMPTS, reconnect_s, read_twice, tell or (lambda _: None))
     with TDS2014(resource, baud_rate=baud_rate or None, persistence=persistence) as scope:
         if same_as is not None and not scope.identity.same_unit(same_as):

@@ -36,24 +36,7 @@ def serve(scope: SimulatedTDS2014, link: str, *, tcp_port: int = 0) -> Iterator[
 def served(
     scopes: Sequence[SimulatedTDS2014], link: str, *, port: int = 0, baud_rate: int | None = None
 ) -> Iterator[Served]:
-    """Put simulated oscilloscopes behind a link.
-
-    Parameters
-    ----------
-    scopes : sequence of SimulatedTDS2014
-        HiSLIP serves them behind one port; on TCP each has a port of its own, one behind the other.
-    link : {"auto", "pty", "tcp", "hislip", "prologix"}
-        ``"auto"``: a serial terminal where the system has one.
-    port : int, optional
-        Of the first one; 0: any free one.
-    baud_rate : int, optional
-        Paces the serial terminals.
-
-    Raises
-    ------
-    UsageError
-        If the system has no such link, or a port is taken.
-    """
+    """Put simulated oscilloscopes behind a link."""
     with ExitStack() as stack:
         try:
             yield _start(stack, scopes, link, port, baud_rate)

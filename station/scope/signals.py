@@ -72,11 +72,6 @@ class ShownSignal:
 def parse_signal(text: str) -> ShownSignal:
     """Read `[CHn=]gyro`, `[CHn=]sine[:Hz[:V[:offset V]]]`, the same with `square`, or `[CHn=]FILE`.
 
-    Raises
-    ------
-    UsageError
-        If it is none of these, or the file cannot be read.
-
     Examples
     --------
     >>> parse_signal("CH2=sine:50:0.5").signal(np.array([0.005])).round(6).tolist()

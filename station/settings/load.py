@@ -26,41 +26,24 @@ _FREE = ("limits", "output")
 
 @dataclass(frozen=True)
 class SettingsKind(Generic[S]):
-    """How the settings of one kind of measurement are read.
+    """How the settings of one kind of measurement are read."""
 
-    Attributes
-    ----------
-    model : type
-        What may stand in a file.
-    shipped : callable
-        Name of the shipped file that gives the defaults, for what the user has given.
-    adapt : callable
-        Changes defaults that do not go with what the user has given; gets all values.
-    check : callable
-        Checks what no single value shows, and completes the settings; gets them and the file's path. Raises
-        SettingsError.
-    later : str
-        Shipped file that gives what a run of an earlier version was saved without; empty: the model's defaults.
-    knowledge : tuple of str
-        What is known of the bench, with which a saved run can be evaluated later: ``section.name``, ``section.*``
-        for each of its values, or ``section`` where its values belong together and are replaced together.
-    """
-
-    model: type[S]
+    model: type[S]  # what may stand in a file
+    # name of the shipped file that gives the defaults, for what the user has given
     shipped: Callable[[Mapping[str, Any]], str]
+    # changes defaults that do not go with what the user has given; gets all values
     adapt: Callable[[dict[str, Any]], None]
+    # checks what no single value shows, and completes the settings; gets them and the file's path. Raises
+    # SettingsError.
     check: Callable[[S, Path], S]
+    # shipped file that gives what a run of an earlier version was saved without; empty: the model's defaults
     later: str = ""
+    # what is known of the bench, with which a saved run can be evaluated later: ``section.name``, ``section.*``
+    # for each of its values, or ``section`` where its values belong together and are replaced together
     knowledge: tuple[str, ...] = ("limits.*",)
 
     def with_knowledge(self, saved: S, path: Path, overrides: Values | None = None) -> S:
-        """Return saved settings with what a file states of the bench today; what it does not state stays.
-
-        Raises
-        ------
-        SettingsError
-            The file holds mistakes.
-        """
+        """Return saved settings with what a file states of the bench today; what it does not state stays."""
         now, stated = load(self, path, overrides), _given(path, overrides)
         updates: dict[str, Any] = {}
         for place in self.knowledge:
@@ -83,23 +66,7 @@ class SettingsKind(Generic[S]):
 
 
 def shipped_settings(name: str) -> Path:
-    """Find a settings file that came with the package.
-
-    Parameters
-    ----------
-    name : str
-        ``"simulated"``, ``"bench"``, ``"fibre_gyro"``, ...
-
-    Returns
-    -------
-    Path
-        In an installed package ``station/config``, in a source tree ``config`` beside the package.
-
-    Raises
-    ------
-    SettingsError
-        If the installation is incomplete.
-    """
+    """Find a settings file that came with the package."""
     package = Path(__file__).resolve().parent.parent
     for folder in (package / "config", package.parent / "config"):
         if (file := folder / f"{name}.toml").is_file():
@@ -110,20 +77,7 @@ def shipped_settings(name: str) -> Path:
 
 
 def load(kind: SettingsKind[S], path: Path | None = None, overrides: Values | None = None) -> S:
-    """Read the settings of a run.
-
-    Parameters
-    ----------
-    path : Path, optional
-        The user's file. Only what differs from the shipped file need stand in it.
-    overrides : mapping of mapping, optional
-        Values from the command line; they win over the file.
-
-    Raises
-    ------
-    SettingsError
-        With every mistake of the file in one text: file, place, line, what is wrong.
-    """
+    """Read the settings of a run."""
     given = _given(path, overrides)
     shipped = shipped_settings(kind.shipped(given))
     values = merged(read_toml(shipped), given)
@@ -132,20 +86,7 @@ def load(kind: SettingsKind[S], path: Path | None = None, overrides: Values | No
 
 
 def saved_settings(kind: SettingsKind[S], values: Mapping[str, Any], place: str) -> S:
-    """Return the settings that a run was taken with.
-
-    Parameters
-    ----------
-    values : mapping
-        As the run holds them.
-    place : str
-        Its path, for the text of the error.
-
-    Raises
-    ------
-    RunError
-        If this version does not understand them.
-    """
+    """Return the settings that a run was taken with."""
     if values and kind.later:
         values = merged(read_toml(shipped_settings(kind.later)), values)
     try:
@@ -160,22 +101,6 @@ def settings_to_resume(
     """Return the settings of a run that is gone on with, with what a file knows of the bench now.
 
     What is given must not change what is measured.
-
-    Parameters
-    ----------
-    saved : SettingsSection
-        The run's own.
-    path : Path or None
-        A settings file that was given too.
-    overrides : mapping of mapping or None
-        Values from the command line that were given too.
-
-    Raises
-    ------
-    SettingsError
-        The file holds mistakes.
-    UsageError
-        Something differs: the text names every value.
     """
     if path is not None or overrides:
         load(kind, path, overrides)  # its mistakes come first

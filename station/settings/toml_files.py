@@ -26,13 +26,7 @@ _KEY = re.compile(r"\s*([A-Za-z0-9_.\-\"' ]+?)\s*=")
 
 
 def read_toml(path: Path) -> dict[str, Any]:
-    """Read a TOML file.
-
-    Raises
-    ------
-    SettingsError
-        If it cannot be read or is not TOML.
-    """
+    """Read a TOML file."""
     try:
         found = tomllib.loads(read_text(path))
     except (ValueError, ArithmeticError) as error:  # also for a number of too many digits
@@ -139,18 +133,7 @@ def _model_in(annotation: object) -> type[BaseModel] | None:
 
 
 def line_of(path: Path, place: Sequence[str]) -> int | None:
-    """Find the line of a TOML file that a value stands in.
-
-    Parameters
-    ----------
-    place : sequence of str
-        Names from the outermost section to the value.
-
-    Returns
-    -------
-    int or None
-        Counts from 1; that of the section where the value has no line of its own.
-    """
+    """Find the line of a TOML file that a value stands in."""
     try:
         lines = read_text(path).splitlines()
     except SettingsError:

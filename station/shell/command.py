@@ -31,30 +31,7 @@ def run_measurement(
     for_files: Mapping[str, str] | None = None,
     choices: Mapping[str, object] | None = None,
 ) -> int:
-    """Carry out a command that takes records, from its options to its exit code.
-
-    Parameters
-    ----------
-    name : str
-        Of the measurement.
-    given : mapping
-        Values of :func:`station.shell.options.run_options`, ``report``, and of the options in `places`.
-    places : mapping
-        Options of this command alone, and where they stand in the settings.
-    paths : tuple of Path, optional
-        A saved run, or files to make one of.
-    known : mapping, optional
-        Further facts of a new run, plain JSON.
-    for_files : mapping, optional
-        As `places`: options that say how files are read.
-    choices : mapping, optional
-        Those of the further facts by which a saved run can be evaluated too.
-
-    Returns
-    -------
-    int
-        Exit code.
-    """
+    """Carry out a command that takes records, from its options to its exit code."""
     from station.measurements import measurement
     from station.shell.running import saved_run
 
@@ -107,13 +84,7 @@ def take_measurement(
     known: Mapping[str, object] | None = None,
     chosen: Mapping[str, Mapping[str, object]] | None = None,
 ) -> Taken:
-    """Take a new run, make one of files or go on with one; arguments as :func:`run_measurement`.
-
-    Parameters
-    ----------
-    chosen : mapping, optional
-        Further settings by section.
-    """
+    """Take a new run, make one of files or go on with one; arguments as :func:`run_measurement`."""
     if not given["jsonl"]:
         return _taken(name, given, progress, places, paths, known, chosen or {}, None)
     acknowledgement = Acknowledgement()

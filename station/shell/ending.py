@@ -39,28 +39,7 @@ def finish(
     choices: Mapping[str, Any] | None = None,
     events: Events | None = None,
 ) -> int:
-    """Say what a run says, also when it holds less than was planned.
-
-    Parameters
-    ----------
-    report, as_json : bool
-        Write the report; print one JSON document instead of words.
-    quiet : bool, optional
-        Print no words: stdout belongs to the acknowledged records.
-    saved : bool, optional
-        It was taken before: a file that cannot be read is then the file's fault.
-    config : Path, optional
-        Settings file with what is known of the bench now, and with the limits.
-    choices : mapping, optional
-        What the user wants of the evaluation.
-    events : Events, optional
-        Those who watch are told the result.
-
-    Returns
-    -------
-    int
-        Exit code.
-    """
+    """Say what a run says, also when it holds less than was planned."""
     from station.shell.evaluated import about_run, evaluate_run
 
     run, failure = run_as_it_ends(taken) if not saved else taken.run(), taken.failure
@@ -114,15 +93,7 @@ def run_as_it_ends(taken: Taken) -> SavedRun:
 
 
 def keep(evaluated: Evaluated, *, report: bool) -> tuple[dict[str, Any], Failure | None]:
-    """Write the report if it is wanted, and save the result beside its records.
-
-    Returns
-    -------
-    dict
-        The document, with the path of the report that was written.
-    Failure or None
-        What could not be written: the result is there all the same.
-    """
+    """Write the report if it is wanted, and save the result beside its records."""
     from station.report.report import write_report
     from station.runs.database import save_result
 

@@ -29,20 +29,12 @@ DAMAGE = (ArithmeticError, AttributeError, LookupError, RecursionError, TypeErro
 
 @dataclass(frozen=True)
 class Evaluated:
-    """A run and what it says.
-
-    Attributes
-    ----------
-    settings : Section
-        Those of the run, with what is known of the bench now where that was given.
-    found : object
-        What the measurement computed.
-    """
+    """A run and what it says."""
 
     kind: Measurement[Any, Any]
     run: SavedRun
-    settings: Any
-    found: Any
+    settings: Any  # those of the run, with what is known of the bench now where that was given
+    found: Any  # what the measurement computed
     result: Result
     tested: tuple[Tested, ...]
 
@@ -136,24 +128,7 @@ def about_run(run: SavedRun) -> dict[str, Any]:
 def evaluate_run(
     run: SavedRun, *, config: Path | None = None, choices: Mapping[str, Any] | None = None
 ) -> Evaluated:
-    """Evaluate a run by the measurement that it is of.
-
-    Parameters
-    ----------
-    config : Path, optional
-        Settings file: what it states of the bench, and of the limits, replaces what the run holds of them.
-    choices : mapping, optional
-        What the user wants of the evaluation, by name; ``None`` is left out.
-
-    Raises
-    ------
-    RunError
-        The run cannot be evaluated by this version.
-    NoUsableSignal
-        It gives no result.
-    UsageError
-        This measurement has no such choice.
-    """
+    """Evaluate a run by the measurement that it is of."""
     kind, settings, wanted = _how(run, config, choices or {})
     run, found, result = _evaluated(kind, run, settings, wanted)
     return _judged(kind, run, settings, found, result)

@@ -26,27 +26,7 @@ def start_run(
     known: Mapping[str, object] | None = None,
     acknowledge: Acknowledge | None = None,
 ) -> Taken:
-    """Take a new run on the bench, or make it of files.
-
-    Parameters
-    ----------
-    settings : Section
-        Of its kind; with an attribute ``simulated``, and a section ``output``.
-    labels : mapping, optional
-        ``unit``, ``operator`` and ``note``, those that were given.
-    paths : sequence of Path, optional
-        Files to make the run of.
-    known : mapping, optional
-        Further facts of the run, plain JSON.
-    acknowledge : callable, optional
-        Is told of records when they are on the disk.
-
-    Raises
-    ------
-    InstrumentError, StationError, OSError
-        The bench cannot be opened, a file not read, the run not written, or what is wanted cannot be done: then
-        there is no run.
-    """
+    """Take a new run on the bench, or make it of files."""
     simulated = kind.simulated(settings) and not paths
     facts = facts_of(kind.name, settings.model_dump(mode="json"), simulated=simulated, labels=labels)
     facts |= known or {}
@@ -70,28 +50,7 @@ def resume_run(
     labels: Mapping[str, str] | None = None,
     acknowledge: Acknowledge | None = None,
 ) -> Taken:
-    """Go on with a run that was cut short, with the settings that are saved with it.
-
-    Parameters
-    ----------
-    path : Path
-        The run's file or directory.
-    kind : Measurement
-        Whose run it must be.
-    config, overrides
-        Settings that were given too: they must not change what is measured.
-    labels : mapping, optional
-        ``unit``, ``operator`` and ``note`` that take the place of the run's own.
-    acknowledge : callable, optional
-        Is told of records when they are on the disk.
-
-    Raises
-    ------
-    UsageError
-        It is another measurement's run, made of files, finished, or other settings are given.
-    InstrumentError, StationError
-        As for :func:`start_run`.
-    """
+    """Go on with a run that was cut short, with the settings that are saved with it."""
     run = open_run(path)
     check_kind(run, kind)
     if run.facts.sources:

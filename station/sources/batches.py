@@ -35,24 +35,13 @@ class LeftOut:
 
 @dataclass(frozen=True)
 class RecordBatch:
-    """Records of one length and time base.
+    """Records of one length and time base."""
 
-    Attributes
-    ----------
-    codes : int8 array, shape (n, n_samples)
-        Contiguous; -128 means "no data". int16 from scopes with more than eight bits.
-    preambles : tuple of Preamble
-        Of each record, as it was read; equal ones are one object.
-    records : tuple of SavedRecord
-        As they were saved; empty where nobody needs them.
-    sources : tuple of Source
-        That of each record, where they are read from several.
-    """
-
+    # (n, n_samples): Contiguous; -128 means "no data". int16 from scopes with more than eight bits.
     codes: NDArray[np.int8] | NDArray[np.int16]
-    preambles: tuple[Preamble, ...]
-    records: tuple[SavedRecord, ...] = ()
-    sources: tuple[Source, ...] = ()
+    preambles: tuple[Preamble, ...]  # of each record, as it was read; equal ones are one object
+    records: tuple[SavedRecord, ...] = ()  # as they were saved; empty where nobody needs them
+    sources: tuple[Source, ...] = ()  # that of each record, where they are read from several
 
     def __len__(self) -> int:
         return len(self.preambles)
@@ -70,25 +59,7 @@ def batches_of(
     at_once: int = AT_ONCE,
     wanted: Callable[[SavedRecord], bool] = lambda record: True,
 ) -> Iterator[RecordBatch]:
-    """Read all records of oscilloscopes, source by source, in batches.
-
-    Parameters
-    ----------
-    sources : iterable of Source
-        May open them as it goes: no more than one is held open.
-    left_out : callable
-        Is told of what cannot be read; the rest goes on.
-    at_once : int
-        Records in a batch, at most.
-    wanted : callable, optional
-        Tells which records are wanted.
-
-    Yields
-    ------
-    RecordBatch
-        In the order of the sources and their records, as long as length and time base stay the same; where they
-        change, a batch of each shape collects its own.
-    """
+    """Read all records of oscilloscopes, source by source, in batches."""
     open_batches: dict[tuple[int, float, int], list[tuple[SavedRecord, Preamble, Source]]] = {}
     held = 0
     for source in sources:

@@ -19,27 +19,7 @@ WAVEFORM_FILES = (".csv", ".isf")
 
 
 def find_sources(paths: Iterable[Path | str]) -> Iterator[Path | Source]:
-    """Expand paths: a folder that holds no run stands for every run and every waveform file in and below it.
-
-    Parameters
-    ----------
-    paths : iterable of path
-        Runs (file or directory), files of an oscilloscope, folders of them such as a memory card; data sets, each
-        of which stands for all that was exported to it (those that lie in a folder beside runs are passed over). A
-        URL is a data set in an object store.
-
-    Yields
-    ------
-    Path or Source
-        One source each, for :func:`open_source`; those of a folder sorted by name, on every machine alike.
-
-    Raises
-    ------
-    UsageError
-        A folder holds nothing that could be a source.
-    RunError, OSError
-        A data set cannot be read.
-    """
+    """Expand paths: a folder that holds no run stands for every run and every waveform file in and below it."""
     # data sets are made of the other files of this package: they are there when it is
     from station.datasets.reading import is_dataset, sources_of
 
@@ -60,13 +40,7 @@ def find_sources(paths: Iterable[Path | str]) -> Iterator[Path | Source]:
 
 
 def _below(folder: Path, entered: set[str]) -> Iterator[Path]:
-    """All in and below a folder that may be a source; what cannot be looked at is named when it is opened.
-
-    Parameters
-    ----------
-    entered : set of str
-        Where links have led so far.
-    """
+    """All in and below a folder that may be a source; what cannot be looked at is named when it is opened."""
     try:
         with os.scandir(folder) as entries:
             # hidden ones are drafts, indexes, and what some computers leave beside the files of a card
@@ -126,18 +100,7 @@ def is_run(source: Path | Source) -> bool:
 
 
 def open_source(path: Path | Source, held: ExitStack | None = None) -> Source:
-    """Open one source; its content decides what it is. One of a data set is open already.
-
-    Parameters
-    ----------
-    held : ExitStack, optional
-        A run's file stays open until this is closed: for who reads it at once.
-
-    Raises
-    ------
-    StationError, InstrumentError, OSError
-        It cannot be read.
-    """
+    """Open one source; its content decides what it is. One of a data set is open already."""
     if isinstance(path, Source):
         return path
     if path.is_dir() and not _holds_run(path):

@@ -7,13 +7,7 @@ from station.errors import NoUsableSignal
 
 
 def check_over_time(waveform: Waveform | Preamble, name: str) -> None:
-    """Refuse what only looks like a record.
-
-    Raises
-    ------
-    NoUsableSignal
-        A spectrum, or pairs of minima and maxima.
-    """
+    """Refuse what only looks like a record."""
     preamble = waveform if isinstance(waveform, Preamble) else waveform.preamble
     unit = preamble.xunit
     if unit.lower() in ("v", "volts"):

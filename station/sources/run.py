@@ -25,20 +25,7 @@ MEASUREMENT = ("command", "settings", "truth", "injected", "rates", "rates_witho
 
 
 class RunSource(Source):
-    """One run.
-
-    Parameters
-    ----------
-    path : Path
-        Its SQLite file or its directory.
-    held : ExitStack, optional
-        The file stays open until this is closed: opening it takes as long as reading a hundred of its records.
-
-    Raises
-    ------
-    RunError
-        If there is no run at `path`, or it cannot be read.
-    """
+    """One run."""
 
     kind = "run"
 

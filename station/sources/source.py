@@ -12,48 +12,20 @@ from station.sources.stretch import Stretch, stretches_of
 
 
 class Source(ABC):
-    """Records that were taken together: one run, or one file of an oscilloscope. It is read anew each time.
+    """Records that were taken together: one run, or one file of an oscilloscope. It is read anew each time."""
 
-    Attributes
-    ----------
-    path : Path
-        The file that holds it: that of the run, the CSV or ISF file, or the data set.
-    name : str
-        What it is called in results: its path, or in a data set the path that it was exported from.
-    kind : {"run", "csv", "isf", "curve", "data set"}
-        How it is laid out.
-    facts : RunFacts
-        What is known beside the records; of a file what it says of its oscilloscope.
-    unusable : mapping
-        Facts that are not what was once saved, and why they are left out.
-    protected : bool
-        Whether damage to a fact would show.
-    damaged : tuple of str
-        Records that are missing and facts that are damaged; damaged records show when they are read.
-    """
-
-    path: Path
-    name: str
-    kind: str
-    facts: RunFacts
-    unusable: Mapping[str, str]
-    protected: bool = True
+    path: Path  # the file that holds it: that of the run, the CSV or ISF file, or the data set
+    name: str  # what it is called in results: its path, or in a data set the path that it was exported from
+    kind: str  # {"run", "csv", "isf", "curve", "data set"}: How it is laid out
+    facts: RunFacts  # what is known beside the records; of a file what it says of its oscilloscope
+    unusable: Mapping[str, str]  # facts that are not what was once saved, and why they are left out
+    protected: bool = True  # whether damage to a fact would show
+    # records that are missing and facts that are damaged; damaged records show when they are read
     damaged: tuple[str, ...] = ()
 
     @abstractmethod
     def records(self, numbers: range | None = None) -> Iterator[SavedRecord]:
-        """Read the records in the order in which they were taken, one at a time, damaged ones too.
-
-        Parameters
-        ----------
-        numbers : range, optional
-            Only records with these numbers.
-
-        Raises
-        ------
-        StationError, InstrumentError
-            It cannot be read, or no further.
-        """
+        """Read the records in the order in which they were taken, one at a time, damaged ones too."""
 
     def stretches(self, numbers: range | None = None) -> Iterator[Stretch]:
         """Read the same records, those together that lie one behind the other and are alike.

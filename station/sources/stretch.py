@@ -16,18 +16,13 @@ MOST_RECORDS, MOST_BYTES = 1000, 4_000_000
 
 @dataclass(slots=True)
 class Stretch:
-    """Some records; numbers, keys, times and payloads as :class:`SavedRecord` has them, a place for each record.
-
-    Attributes
-    ----------
-    purpose, header, intact, conditions
-        Of every one of them. A damaged record is a stretch of its own.
-    """
+    """Some records; numbers, keys, times and payloads as of `SavedRecord`, a place for each record."""
 
     numbers: list[int]
     keys: list[str]
     taken_at: list[str]
     payloads: list[bytes]
+    # of every one of them. A damaged record is a stretch of its own.
     purpose: str
     header: str
     intact: bool

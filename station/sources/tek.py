@@ -21,13 +21,7 @@ PURPOSE = "measure"
 
 
 class TekFile(Source):
-    """One CSV, ISF or curve file; what the ``TEK.SET`` beside it says of the channel is taken into the preamble.
-
-    Raises
-    ------
-    FileFormatError, OSError
-        If it cannot be read.
-    """
+    """One CSV, ISF or curve file; what the ``TEK.SET`` beside it says of the channel goes into the preamble."""
 
     def __init__(self, path: Path) -> None:
         self.path, self.name, self.unusable = path, str(path), {}

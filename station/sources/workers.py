@@ -41,13 +41,7 @@ class ThisProcess:
 
 
 class Processes(AbstractContextManager["Processes"]):
-    """Several processes of this computer.
-
-    Parameters
-    ----------
-    count : int
-        With 1 the work is done by this process.
-    """
+    """Several processes of this computer."""
 
     def __init__(self, count: int) -> None:
         self.count = count
@@ -63,13 +57,7 @@ class Processes(AbstractContextManager["Processes"]):
             self._pool.shutdown(wait=error is None, cancel_futures=True)
 
     def map(self, work: Callable[[T], R], pieces: Iterable[T]) -> Iterator[R]:
-        """Do the work; see `Workers`.
-
-        Raises
-        ------
-        StationError
-            A process was killed from outside.
-        """
+        """Do the work; see `Workers`."""
         if self.count == 1:
             yield from map(work, pieces)
             return

@@ -25,18 +25,7 @@ _FLOOR_PERCENT = 1e-3
 
 
 def write_study_plots(folder: Path, study: Study, kind: str) -> list[Path]:
-    """Draw everything that was computed, one file each.
-
-    Parameters
-    ----------
-    folder : Path
-        It exists.
-    kind : {"svg", "png", "pdf"}
-
-    Raises
-    ------
-    OSError
-    """
+    """Draw everything that was computed, one file each."""
     written = []
 
     def write(name: str, size: tuple[float, float], draw: Callable[[Figure], None]) -> None:

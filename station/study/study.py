@@ -51,17 +51,11 @@ _LOCK_IN_RATES = np.linspace(0.01, 0.5, 50)
 
 @dataclass(frozen=True)
 class Study:
-    """What was computed.
+    """What was computed."""
 
-    Attributes
-    ----------
-    waveforms : dict
-        Figs. 2 and 3.
-    errors : dict
-        Figs. 4, 5 and 6; both halves of Fig. 4 in one.
-    """
-
+    # figs. 2 and 3.
     waveforms: dict[int, WaveformStudy] = field(default_factory=dict)
+    # figs. 4, 5 and 6; both halves of Fig. 4 in one.
     errors: dict[int, ErrorStudy] = field(default_factory=dict)
     bias: BiasTable | None = None
     causes: Causes | None = None
@@ -70,13 +64,7 @@ class Study:
 
 
 def run_study(figures: Sequence[int], progress: Progress) -> Study:
-    """Compute some figures of the paper; all of them bring the bias table and the causes too.
-
-    Parameters
-    ----------
-    figures : sequence of int
-        Numbers out of `FIGURES`; empty: everything.
-    """
+    """Compute some figures of the paper; all of them bring the bias table and the causes too."""
     wanted = sorted(set(figures)) or list(FIGURES)
     parts: dict[int, Callable[[], WaveformStudy | ErrorStudy]] = {
         2: lambda: waveform_study(0.5),
@@ -106,15 +94,7 @@ def run_study(figures: Sequence[int], progress: Progress) -> Study:
 
 
 def study_document(study: Study, sentences: list[str], files: list[str]) -> dict[str, Any]:
-    """Return the study as plain JSON.
-
-    Parameters
-    ----------
-    sentences : list of str
-        What is concluded.
-    files : list of str
-        What was written.
-    """
+    """Return the study as plain JSON."""
     document: dict[str, Any] = {
         "scale_factor_pulses_per_deg": 2000.0,
         "sampling_hz": 20_000.0,

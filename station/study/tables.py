@@ -16,24 +16,14 @@ _SHOWN_ROWS = 13
 
 @dataclass(frozen=True)
 class StudyTable:
-    """A table of numbers.
+    """A table of numbers."""
 
-    Attributes
-    ----------
-    name : str
-        Also that of its file.
-    columns, formats : tuple of str
-        Heads, and how to write the numbers below.
-    shown : tuple of int
-        The rows that a terminal shows; empty: all.
-    """
-
-    name: str
+    name: str  # also that of its file
     title: str
-    columns: tuple[str, ...]
+    columns: tuple[str, ...]  # heads, and how to write the numbers below
     formats: tuple[str, ...]
     rows: list[Sequence[float | str]]
-    shown: tuple[int, ...] = ()
+    shown: tuple[int, ...] = ()  # the rows that a terminal shows; empty: all
 
     def texts(self) -> list[list[str]]:
         """Return the rows that a terminal shows as text."""

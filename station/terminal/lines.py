@@ -35,13 +35,7 @@ def print_json(document: Mapping[str, Any]) -> None:
 
 
 class JsonResults:
-    """JSON documents that are printed together at the end: ten thousand of them wait in a file.
-
-    Parameters
-    ----------
-    alone : bool
-        Whether there is one only, which is then the document itself; several are a list ``results``.
-    """
+    """JSON documents that are printed together at the end: ten thousand of them wait in a file."""
 
     def __init__(self, *, alone: bool) -> None:
         self._alone, self._count = alone, 0

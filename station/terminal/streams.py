@@ -33,13 +33,7 @@ _PLAIN = {
 
 
 class _Descriptor(io.RawIOBase):
-    """An open file that takes what it can.
-
-    Attributes
-    ----------
-    error : OSError or None
-        Why something that was to be written is lost.
-    """
+    """An open file that takes what it can."""
 
     def __init__(self, descriptor: int, *, waits: bool) -> None:
         self._descriptor, self._waits = descriptor, waits

@@ -1,8 +1,7 @@
 """Everything that the commands print and write of the golden runs: what a moved wall must not change.
 
-``outputs.py FOLDER`` writes it, ``outputs.py --store`` into ``stored`` (``make golden``); ``compare.py`` beside this
-file compares it with what another commit writes, byte for byte. Only the command line is used, so that it holds for
-any state of the house.
+``outputs.py FOLDER`` writes it, ``outputs.py --store`` into ``stored`` (``make golden``); ``compare.py`` beside it
+compares with what another commit writes, byte for byte. Only the command line is used, in any state of the house.
 """
 
 from __future__ import annotations

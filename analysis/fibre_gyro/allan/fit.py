@@ -143,21 +143,12 @@ def _with_gaps_filled(values: Floats, interval_s: float) -> _Likelihood:
 
 @dataclass(frozen=True)
 class _Part:
-    """What one model says of one coefficient.
+    """What one model says of one coefficient."""
 
-    Attributes
-    ----------
-    probability : float
-        Of the model.
-    value, u : float
-    square, square_u : float
-        Of a random term its square, which is what is fitted; nan for the ramp.
-    """
-
-    probability: float
+    probability: float  # of the model
     value: float
     u: float
-    square: float = float("nan")
+    square: float = float("nan")  # of a random term its square, which is what is fitted; nan for the ramp
     square_u: float = float("nan")
 
     def below(self, size: float) -> float:

@@ -47,20 +47,7 @@ def on_lines(values: Floats) -> Floats:
 
 
 def with_words_put_in(values: Floats, squares: Mapping[str, float], interval_s: float) -> Floats:
-    """Draw missing words, with the same random numbers each time.
-
-    Parameters
-    ----------
-    values : (n,)
-        nan where a word is missing.
-    squares : mapping of str to float
-        Squares of the coefficients of the noise model, in the unit of the values and s.
-
-    Returns
-    -------
-    ndarray, shape (n,)
-        nan only where a gap is too long.
-    """
+    """Draw missing words, with the same random numbers each time."""
     size = int(scipy.fft.next_fast_len(values.size + _MARGIN, real=True))
     known = np.zeros(size)
     gone = np.ones(size, dtype=np.bool_)

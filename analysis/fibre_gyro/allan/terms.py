@@ -45,14 +45,7 @@ def allan_variance(coefficients: Mapping[str, float], tau_s: ArrayLike) -> Float
 
 
 def block_covariance(term: str, lags: Floats, block_s: float) -> Floats:
-    """Generalised covariance of the means of two blocks, for a coefficient of 1.
-
-    Parameters
-    ----------
-    lags : ndarray
-        Whole blocks between the begins of both.
-    block_s : float
-    """
+    """Generalised covariance of the means of two blocks, for a coefficient of 1."""
     distance = np.abs(lags)
     if term == "quantization":
         return np.asarray(((distance == 0) * 2.0 - (distance == 1)) / block_s**2)
@@ -111,13 +104,7 @@ def _grown(term: str, time_s: Floats) -> Floats:
 
 
 def increment_spectrum(term: str, omega: Floats, interval_s: float) -> Floats:
-    """Spectrum of the increments from word to word, for a coefficient of 1; its mean is their variance.
-
-    Parameters
-    ----------
-    omega : ndarray
-        rad per word, within 0 and pi.
-    """
+    """Spectrum of the increments from word to word, for a coefficient of 1; its mean is their variance."""
     square = 4 * np.sin(omega / 2) ** 2
     if term == "quantization":
         return np.asarray(square**2 / interval_s**2)

@@ -59,27 +59,16 @@ class Candidate:
 
 @dataclass(frozen=True)
 class Mixture:
-    """What the coefficients may be: normal distributions, each with its probability.
+    """What the coefficients may be: normal distributions, each with its probability."""
 
-    Attributes
-    ----------
-    weight : ndarray, shape (m,)
-    mean : ndarray, shape (m, p)
-    covariance : ndarray, shape (m, p, p)
-    """
-
-    weight: Floats
-    mean: Floats
-    covariance: Floats
+    weight: Floats  # (m,)
+    mean: Floats  # (m, p)
+    covariance: Floats  # (m, p, p)
 
     def standard_u(self, combinations: Floats, about: Floats) -> Floats:
         """Standard uncertainty of combinations of coefficients: 1.96 of it on both sides hold 95 %.
 
-        Parameters
-        ----------
-        combinations : ndarray, shape (n, p)
-        about : ndarray, shape (p,)
-            Coefficients that are stated.
+        Shapes: combinations (n, p), about (p,).
         """
         off = (self.mean - about) @ combinations.T
         sigma = np.sqrt(np.einsum("ni,mij,nj->mn", combinations, self.covariance, combinations, optimize=True))
@@ -296,23 +285,13 @@ def _is_separate(powers: Floats, rate: Floats) -> bool:
 
 @dataclass(frozen=True)
 class _Noise:
-    """Hypotheses of the noise, (h, ...).
+    """Hypotheses of the noise, (h, ...)."""
 
-    Attributes
-    ----------
-    size, kind : ndarray, shape (h,)
-        Of the slow noise; `kind` a place in `SLOW_NOISES`.
-    log_determinant, log_prior : ndarray, shape (h,)
-        Of the covariance V; of the hypothesis.
-    products : ndarray, shape (h, p + 1, p + 1)
-        X^T V^-1 X, X the columns of the design and, last, the values.
-    """
-
-    size: Floats
+    size: Floats  # (h,): Of the slow noise; `kind` a place in `SLOW_NOISES`
     kind: Ints
-    log_determinant: Floats
+    log_determinant: Floats  # (h,): Of the covariance V; of the hypothesis
     log_prior: Floats
-    products: Floats
+    products: Floats  # (h, p + 1, p + 1): X^T V^-1 X, X the columns of the design and, last, the values
 
 
 def _slow_noises(at: Floats) -> list[Floats]:
@@ -356,22 +335,13 @@ def _noise_hypotheses(value: Floats, u: Floats, at: Floats, design: Floats) -> _
 
 @dataclass(frozen=True)
 class _Fit:
-    """Of one model: mean coefficients of all columns (0 for those that are not in it), AICc, and each hypothesis.
-
-    Attributes
-    ----------
-    columns : list of int
-    likely : ndarray, shape (h,)
-        Probability of each hypothesis of the noise.
-    found, covariances : ndarray, shape (h, k), (h, k, k)
-        Under each of them.
-    """
+    """Mean coefficients of all columns (0 where not in it), AICc, and hypotheses of one model."""
 
     coefficients: Floats
     aicc: float
-    likely: Floats
+    likely: Floats  # (h,): Probability of each hypothesis of the noise
     columns: list[int]
-    found: Floats
+    found: Floats  # (h, k): Under each of them
     covariances: Floats
 
 

@@ -159,26 +159,13 @@ def turn_on_transient(at_s: ArrayLike, values: ArrayLike, bound: float) -> TurnO
 
 @dataclass(frozen=True)
 class _Grid:
-    """Linear fits for time constants on a grid.
+    """Linear fits for time constants on a grid."""
 
-    Attributes
-    ----------
-    taus : ndarray, shape (m, k)
-    amplitudes : ndarray, shape (m, 1 + k)
-        B_end, A_1, ...
-    root : ndarray, shape (m, 1 + k, 1 + k)
-        Square root of the covariance of the amplitudes, for noise of one.
-    square : ndarray, shape (m,)
-        Sum of squares that is left.
-    share : float
-        Of the whole range of time constants, in the logarithm, that one point stands for.
-    """
-
-    taus: Floats
-    amplitudes: Floats
-    root: Floats
-    square: Floats
-    share: float
+    taus: Floats  # (m, k)
+    amplitudes: Floats  # (m, 1 + k): B_end, A_1, ..
+    root: Floats  # (m, 1 + k, 1 + k): Square root of the covariance of the amplitudes, for noise of one
+    square: Floats  # (m,): Sum of squares that is left
+    share: float  # of the whole range of time constants, in the logarithm, that one point stands for
 
     def curve(self, place: int, when: Floats) -> Floats:
         """Model of one point of the grid."""

@@ -24,13 +24,7 @@ class OutputClock:
         self.time, self.pairs = 0.0, 0
 
     def next_outputs(self, n_outputs: int, period: float) -> tuple[Floats, Ints]:
-        """End of each of the next output periods, s, and its number of pairs; the clock goes on.
-
-        Raises
-        ------
-        ValueError
-            No output, or a period shorter than one sample pair.
-        """
+        """End of each of the next output periods, s, and its number of pairs; the clock goes on."""
         if n_outputs < 1:
             raise ValueError(f"the number of outputs must be at least 1, not {n_outputs}")
         if not self.pair_time <= period < np.inf:

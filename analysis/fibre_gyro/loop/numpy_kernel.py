@@ -56,18 +56,7 @@ def run_pairs(
 ) -> None:
     """Run the loops over all segments.
 
-    Parameters
-    ----------
-    converter_phase : ndarray, shape (codes * 3/2,)
-        Turns of every code, without the 2 pi error.
-    words : ndarray of int, shape (runs, 3)
-        State, changed in place.
-    phases : ndarray, shape (runs, 3)
-        State, changed in place.
-    sums : ndarray of int, shape (runs, segments, 4)
-        Filled.
-    watch : callable, optional
-        Gets the signals of every pair.
+    Shapes: converter_phase (codes * 3/2,), words (runs, 3), phases (runs, 3), sums (runs, segments, 4).
     """
     loops = _Loops(constants, converter_phase, words, phases)
     runs, total = words.shape[0], int(drive.pairs.sum())

@@ -78,24 +78,10 @@ def loop_constants(design: LoopDesign, *, closed: bool) -> LoopConstants:
 
 
 class LoopInput(NamedTuple):
-    """What drives the loops over some segments of time; a segment has one injected step and belongs to one output.
+    """What drives the loops over some segments of time: each has one injected step and belongs to one output."""
 
-    Attributes
-    ----------
-    pairs : ndarray of int, shape (segments,)
-        Sample pairs of each segment.
-    injected : ndarray of int, shape (runs, segments)
-        Injected step in 2^-F codes.
-    sagnac : ndarray, shape (runs, segments) or (runs, pairs)
-        Sagnac phase in turns, by segment or by pair.
-    by_pair : bool
-        Which of the two.
-    noise : ndarray, shape (runs, 2 pairs)
-        Detector noise of every sample, in counts of its converter.
-    """
-
-    pairs: Ints
-    injected: Ints
-    sagnac: Floats
-    by_pair: bool
-    noise: Floats
+    pairs: Ints  # (segments,): Sample pairs of each segment
+    injected: Ints  # (runs, segments): Injected step in 2^-F codes
+    sagnac: Floats  # (runs, segments): Sagnac phase in turns, by segment or by pair
+    by_pair: bool  # which of the two
+    noise: Floats  # (runs, 2 pairs): Detector noise of every sample, in counts of its converter

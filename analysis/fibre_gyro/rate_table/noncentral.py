@@ -33,15 +33,6 @@ def signal_interval(power: float, own: float, freedom: float) -> tuple[float, fl
     Power over the variance of the noise is chi-square with the signal's power over the same variance as
     noncentrality; the variance is the one that was measured times `freedom` over chi-square.
 
-    Parameters
-    ----------
-    power : float
-        Sum of squares over the measured variance of the noise; so are both ends.
-    own : float
-        Degrees of freedom of the power: how many squares.
-    freedom : float
-        Of the measured variance: the fewer, the more power may be noise.
-
     Examples
     --------
     >>> [round(end) for end in signal_interval(4.0, 10.0, 1e6)]
@@ -66,20 +57,13 @@ def signal_interval(power: float, own: float, freedom: float) -> tuple[float, fl
 
 @dataclass(frozen=True)
 class _Plane:
-    """Signals against powers, for all powers that noise alone may have.
+    """Signals against powers, for all powers that noise alone may have."""
 
-    Attributes
-    ----------
-    signal : ndarray, shape (s,)
-    favour, share : ndarray, shape (s, p)
-        Logarithm of the density of a power over that under the signal that suits it best; probability.
-    variances : ndarray, shape (v,)
-    """
-
-    signal: Floats
+    signal: Floats  # (s,)
+    # (s, p): Logarithm of the density of a power over that under the signal that suits it best; probability
     favour: Floats
     share: Floats
-    variances: Floats
+    variances: Floats  # (v,)
 
 
 @functools.lru_cache(maxsize=16)

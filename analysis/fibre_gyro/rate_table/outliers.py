@@ -20,15 +20,6 @@ _FEW = 0.002  # of all words, or three
 def outliers(words: ArrayLike) -> Bools:
     """Tell which words are outliers; nan is none.
 
-    Parameters
-    ----------
-    words : (n,)
-        At equal intervals.
-
-    Returns
-    -------
-    ndarray of bool, shape (n,)
-
     Examples
     --------
     >>> outliers([5.0, 5.1, 4.9, 5.0, 1e6, 5.1, 4.9, 5.0]).tolist().index(True)

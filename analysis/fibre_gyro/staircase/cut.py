@@ -39,20 +39,7 @@ class Cut:
 
 
 def find_cut(volts: Floats, period: float | None) -> Cut:
-    """The cut of a record that fits its edges.
-
-    Parameters
-    ----------
-    volts : (n,)
-        nan where missing.
-    period : float or None
-        Samples per step within 2 %, if known.
-
-    Raises
-    ------
-    ValueError
-        If the record is too short for `period`.
-    """
+    """The cut of a record that fits its edges."""
     filled = _filled(volts)
     n = len(filled)
     if period is not None:

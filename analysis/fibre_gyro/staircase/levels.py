@@ -17,20 +17,10 @@ _SPIKE = 6.0  # times the noise; a sample farther away does not belong to its le
 
 @dataclass(frozen=True)
 class Levels:
-    """The levels between the edges.
+    """The levels between the edges."""
 
-    Attributes
-    ----------
-    numbers : (K,) of the levels, rising; ones without a usable sample are left out
-    heights, counts : (K,) mean of the usable samples of each, and how many they are
-    noise : rms of a sample about its level
-    settling : samples after an edge that are not used
-    settled : whether the end of the levels is free of what the edges leave behind
-    slope : change from edge to edge within the levels, in volts
-    """
-
-    numbers: Ints
-    heights: Floats
+    numbers: Ints  # (K,)
+    heights: Floats  # (K,)
     counts: Floats
     noise: float
     settling: int

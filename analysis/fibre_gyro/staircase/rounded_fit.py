@@ -25,20 +25,11 @@ _MOST_LEVELS = 600  # twice as many as an eight-bit converter has: what stands o
 
 @dataclass(frozen=True, eq=False)
 class RoundedFit:
-    """Result of `fit_rounded`.
+    """Result of `fit_rounded`."""
 
-    Attributes
-    ----------
-    values : dict of str to float
-        Parameters by name.
-    model : (K,)
-    scatter : float
-        Variance of the data about the model, over the variance that was expected.
-    """
-
-    values: dict[str, float]
-    model: Floats
-    scatter: float
+    values: dict[str, float]  # parameters by name
+    model: Floats  # (K,)
+    scatter: float  # variance of the data about the model, over the variance that was expected
     _columns: Floats
     _estimator: Floats
     _covariance: Floats
@@ -91,15 +82,7 @@ def rounding_left(dither: float) -> float:
 
 
 def dither_of(noise: float, means: Floats, counts: Floats) -> float:
-    """Noise before a converter, 0 where it is so small that only two neighbouring levels ever alternate.
-
-    Parameters
-    ----------
-    noise : float
-        Rms behind it about constant values, pooled over them.
-    means, counts : (K,)
-        Mean of what came for each constant value, and of how many. All in levels, from a level on.
-    """
+    """Noise before a converter, 0 where it is so small that only two neighbouring levels ever alternate."""
     part = means - np.floor(means)
     # Two levels scatter by p (1 - p), however small the noise is that flips between them near their threshold; a
     # mean of n samples takes its share of that.
@@ -111,23 +94,7 @@ def dither_of(noise: float, means: Floats, counts: Floats) -> float:
 def fit_rounded(
     columns: dict[str, Floats], data: Floats, variance: Floats, *, spacing: float, origin: float, dither: float
 ) -> RoundedFit:
-    """Weighted linear least squares.
-
-    Parameters
-    ----------
-    columns : dict of str to (K,)
-        What each parameter is multiplied with.
-    data, variance : (K,)
-    spacing, origin : float
-        Levels of the converter are at ``origin + n spacing``; spacing 0: it does not round.
-    dither : float
-        Noise before the converter, in levels.
-
-    Raises
-    ------
-    ValueError
-        If the data do not determine the parameters.
-    """
+    """Weighted linear least squares."""
     matrix = np.stack(list(columns.values()), axis=-1)
     root = 1 / np.sqrt(variance)
     weighted = matrix * root[:, np.newaxis]

@@ -19,13 +19,7 @@ RIDGE = 1e-12
 
 
 def terms_needed(fitted: Fitted, count: float) -> Terms:
-    """Least Bayesian criterion among all numbers of terms up to those of a fit.
-
-    Parameters
-    ----------
-    count : float
-        Number of samples.
-    """
+    """Least Bayesian criterion among all numbers of terms up to those of a fit."""
     terms, parameters = fitted.trajectory.terms, fitted.trajectory.parameters
     price = np.log(count)
     best, least = terms, np.inf

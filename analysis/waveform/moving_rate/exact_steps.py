@@ -41,17 +41,7 @@ class Steps:
 def exact_steps(
     phase: Floats, mean_rate: Floats, rate: Floats, sine: float | Floats, cosine: float | Floats
 ) -> Steps:
-    """Steps from the first N - 1 of N phases.
-
-    Parameters
-    ----------
-    phase, rate : (N,)
-        rad; a in rad per sample, at the samples.
-    mean_rate : (N - 1,)
-        Mean of a over each step.
-    sine, cosine : float or (N - 1,)
-        s and c, rad per sample.
-    """
+    """Steps from the first N - 1 of N phases."""
     n0, d0 = np.sin(phase[:-1] / 2), np.cos(phase[:-1] / 2)
     turn = (rate[1:] - rate[:-1]) / 12
     s, c = sine - turn * cosine, cosine + turn * sine
@@ -87,7 +77,8 @@ def exact_steps(
 @dataclass(frozen=True)
 class _Edge:
     """At one end of the steps: sine and cosine, the rate at which a disturbance dies, and the slopes of what a
-    change of s and c adds to the phase, as seen at the end of the step."""
+    change of s and c adds to the phase, as seen at the end of the step.
+    """
 
     sin: Floats
     cos: Floats

@@ -31,13 +31,7 @@ class Motion:
 
 
 def matched_motion(phase: Floats, weights: Floats, terms: int) -> Motion:
-    """Motion with as many polynomials as the phase asks for (Bayesian information criterion), at most `terms`.
-
-    Parameters
-    ----------
-    phase, weights : (N,)
-        rad; A cos(phi), 0 where a sample says nothing.
-    """
+    """Motion with as many polynomials as the phase asks for (Bayesian information criterion), at most `terms`."""
     others = [np.ones(phase.size), -_integral(np.sin(phase)), _integral(np.cos(phase))]
     columns = np.concatenate([others, polynomials(phase.size).integrals[:terms]])
     columns *= weights

@@ -99,18 +99,7 @@ class MovingFit:
 
 
 def fit_moving_rate(values: Floats, mask: Floats) -> MovingFit | None:
-    """Fit one record.
-
-    Parameters
-    ----------
-    values, mask : (N,)
-        Centred samples, and 0 where one is missing, else 1.
-
-    Returns
-    -------
-    MovingFit or None
-        None where the samples show no beat that turns, or do not determine one.
-    """
+    """Fit one record."""
     seen = first_phase(values, mask)
     if seen is None:
         return None

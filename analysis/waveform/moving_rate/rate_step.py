@@ -51,13 +51,6 @@ def with_rate_step(record: Record, fitted: Fitted, looseness: float) -> Stepped 
 
     Where a(t) steps, W may have stepped, or the time base. Then b steps too, and the lock-in rate is that of one
     part or the other, in units of the time base that is stated. Both are tried, and each is as likely as it fits.
-
-    Parameters
-    ----------
-    fitted : Fitted
-        With any number of polynomials, or with noise of the rate.
-    looseness : float
-        At which the equation holds exactly.
     """
     found = _found_step(fitted)
     if found is None:

@@ -34,13 +34,6 @@ def may_be_motion(left: Floats, omega: float, first: complex, ratio: float) -> b
     so its sidebands there have k^2 r^(2k-2) of the power of those about the fundamental; the ratio found at a
     steady rate is too small, which the power 1.5 allows for. Noise of whatever colour moves phase and amplitude
     alike, a motion of the rate the phase alone, one of the intensity the amplitude.
-
-    Parameters
-    ----------
-    left : (N,)
-        Residual of the fit.
-    omega, first, ratio : float, complex, float
-        As fitted: rad per sample, fundamental with its phase in the middle of the record, size of the ratio.
     """
     power = np.abs(np.fft.rfft(left)[1:]) ** 2
     if _repeats(left, omega, power):

@@ -161,13 +161,7 @@ class Record:
         self.values, self.mask, self.count = values, mask, float(mask.sum())
 
     def fit(self, start: Trajectory, looseness: float, iterations: int) -> Fitted:
-        """Gauss-Newton from a start; `looseness` is l above, in 1 over squared units of the samples.
-
-        Raises
-        ------
-        numpy.linalg.LinAlgError
-            The samples do not determine the parameters.
-        """
+        """Gauss-Newton from a start; `looseness` is l above, in 1 over squared units of the samples."""
         now, model = start, self._model(start)
         cost, converged = model.cost(looseness), False
         for _ in range(iterations):
@@ -203,11 +197,6 @@ class Record:
         """What s and c would gain from the middle of the record to its end if they drifted evenly.
 
         One step from the minimum of a fit without such a drift.
-
-        Returns
-        -------
-        gain : (2,) rad per sample
-        covariance : (2, 2)
         """
         at, model = fitted.trajectory, self._model(fitted.trajectory)
         equations = _Equations.of(self, at, model, fitted.looseness, drifting=True)

@@ -21,7 +21,8 @@ TAKEN = 2.5
 @dataclass(frozen=True)
 class SpectralStart:
     """omega (R,) rad per sample; first, second (R,) amplitudes of the strongest line and at twice its frequency,
-    phases from the middle of the record."""
+    phases from the middle of the record.
+    """
 
     omega: Floats
     first: Complexes
@@ -85,11 +86,6 @@ class Spectra:
 
         Close to lock-in the harmonics are nearly as strong as the fundamental, and where few samples fall into a
         period several of them fold onto one line.
-
-        Returns
-        -------
-        (R, n_candidates)
-            rad per sample, strongest first.
         """
         remaining, strongest = self.lines.copy(), self.strongest
         bins = np.arange(remaining.shape[1])

@@ -51,7 +51,8 @@ class Series:
 
     def moved(self, change: Floats, n_samples: int) -> Series:
         """The parameters after a change (R, 6) in the order c0, Re H, Im H, Re q, Im q, w (rad at the record's
-        ends), kept inside their domain."""
+        ends), kept inside their domain.
+        """
         ratio = self.ratio + change[:, 3] + 1j * change[:, 4]
         size = np.abs(ratio)
         ratio = np.where(size > LARGEST_RATIO, ratio * (LARGEST_RATIO / np.maximum(size, 1e-300)), ratio)

@@ -78,22 +78,7 @@ def record_grid(n_samples: int) -> tuple[Floats, Floats]:
 def data_sums(
     values: Samples, omega: Floats, n_harmonics: int, highest_power: int = 1, lowest: int = 0
 ) -> Phasors:
-    """Sums of v t^p exp(-i k w m), with m the centred sample index and t = 2 m / N.
-
-    Parameters
-    ----------
-    values : (R, N)
-        The sums are computed in its precision. Single is twice as fast, and good to about 1e-8 of N times the
-        largest value.
-    omega : (R,) or (R, C)
-        Angular frequency of each record, or C of them, rad per sample.
-    n_harmonics, highest_power, lowest : int
-        k = lowest..n_harmonics with lowest 0 or 1, p = 0..highest_power.
-
-    Returns
-    -------
-    (R, p, k) or (R, C, p, k), complex128
-    """
+    """Sums of v t^p exp(-i k w m), with m the centred sample index and t = 2 m / N."""
     n_records = len(values)
     n_powers, n_orders = highest_power + 1, n_harmonics + 1 - lowest
     columns = omega.reshape(n_records, -1)
@@ -144,19 +129,6 @@ def uniform_kernels(omega: Floats, n_samples: int, n_orders: int) -> Floats:
     """`data_sums` of a record of ones, p = 0, 1, 2, in closed form (Dirichlet kernel and its derivatives).
 
     The sums are real for p = 0 and 2, and imaginary for p = 1: the factor i is left out there.
-
-    Parameters
-    ----------
-    omega : (R,)
-        rad per sample.
-    n_samples, n_orders : int
-        N, and the highest k.
-
-    Returns
-    -------
-    (R, 3, n_orders + 1)
-        Sum over n of t^p exp(-i k w m), without the factor i: the entries of every Gram matrix of the harmonic
-        model.
     """
     n = n_samples
     half = harmonic_powers(np.exp(0.5j * omega), n_orders, 1)

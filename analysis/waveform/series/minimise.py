@@ -94,13 +94,7 @@ class SeriesFit:
 
 
 def gauss_newton(task: Task, start: Series) -> tuple[SeriesFit, Bools]:
-    """From a start that is close already: mostly one step.
-
-    Returns
-    -------
-    SeriesFit, converged (R,) of bool
-        The covariance is that where the last step began, the residual power that expected after it.
-    """
+    """From a start that is close already: mostly one step."""
     n_records, n_samples = task.values.shape
     fit = SeriesFit.empty(start.take(np.arange(n_records)))
     active = np.arange(n_records)

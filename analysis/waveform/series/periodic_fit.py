@@ -31,19 +31,7 @@ class RecordSums:
 
 
 def record_sums(volts: Floats, omega: Floats, n_harmonics: int, weights: Floats | None) -> RecordSums:
-    """Sums of each record, k = -K..K.
-
-    Parameters
-    ----------
-    volts : (R, N)
-        Zero where `weights` is zero.
-    omega : (R,)
-        rad per sample.
-    n_harmonics : int
-        K.
-    weights : (R, N) or None
-        1 for a valid sample, 0 for one left out; None when all are valid (closed form, faster).
-    """
+    """Sums of each record, k = -K..K."""
     n_samples = volts.shape[-1]
     one_sided = data_sums(volts, omega, n_harmonics, 1)
     data = np.concatenate([np.conj(one_sided[..., :0:-1]), one_sided], axis=-1)
@@ -68,21 +56,7 @@ def two_sided(offset: Floats, amplitudes: Complexes) -> Complexes:
 
 
 def gauss_newton_step(sums: RecordSums, coefficients: Complexes, tangents: Complexes) -> Step:
-    """Normal equations of a model with two-sided `coefficients`.
-
-    Parameters
-    ----------
-    sums : RecordSums
-        At the model's frequency.
-    coefficients : (R, 2K+1)
-    tangents : (R, P, 2K+1)
-        Derivative of the coefficients with respect to each real parameter but the frequency.
-
-    Returns
-    -------
-    Step
-        P + 1 parameters.
-    """
+    """Normal equations of a model with two-sided `coefficients`."""
     t0, t1, t2 = sums.gram
     order = np.arange(coefficients.shape[-1]) - coefficients.shape[-1] // 2
     slope = 1j * order * coefficients

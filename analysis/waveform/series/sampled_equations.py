@@ -11,13 +11,7 @@ from analysis.waveform.series.normal_equations import Step
 
 
 def equations_by_samples(values: Samples, weights: Samples | None, series: Series) -> Step:
-    """Normal equations of (R,) records at the given parameters, in the precision of `values`.
-
-    Parameters
-    ----------
-    values : (R, N); weights : (R, N) or None
-        0 where missing.
-    """
+    """Normal equations of (R,) records at the given parameters, in the precision of `values`."""
     tangents, left = _tangents(values, weights, series, drifting=False)
     return _step(tangents, left)
 
@@ -26,13 +20,6 @@ def drift_by_samples(values: Samples, weights: Samples | None, series: Series) -
     """By how much the complex ratio of fitted records would change from the middle to the end if it drifted.
 
     The amplitude may drift beside it, by any share. One step from the minimum of a fit without.
-
-    Returns
-    -------
-    drift : (R, 2)
-        Real and imaginary part.
-    covariance : (R, 2, 2)
-        For unit noise.
     """
     change, covariance = _step(*_tangents(values, weights, series, drifting=True)).solve_and_invert()
     return change[:, 7:], covariance[:, 7:, 7:]
@@ -49,7 +36,8 @@ def _tangents(
     values: Samples, weights: Samples | None, series: Series, *, drifting: bool
 ) -> tuple[Samples, Samples]:
     """Derivatives (R, P, N) of the model, and what it leaves of the records; `drifting`: of the amplitude and of
-    both parts of the ratio that grow from the middle of the record, too."""
+    both parts of the ratio that grow from the middle of the record, too.
+    """
     n_records, n_samples = values.shape
     outer, inner = record_grid(n_samples)
     coarse, fine = (phasors(series.omega, index, values.dtype) for index in (outer, inner))

@@ -20,15 +20,7 @@ of the harmonics of a gyro close to lock-in would explain less than half of it."
 
 
 def fit_series(values: Samples, weights: Samples | None) -> SeriesFit:
-    """Fit the waveform to each record, of two at least.
-
-    Parameters
-    ----------
-    values : (R, N)
-        Centred, 0 where missing. The fit is as precise as they are: single precision is enough for eight bits.
-    weights : (R, N) or None
-        1 for a valid sample, 0 for a missing one.
-    """
+    """Fit the waveform to each record, of two at least."""
     n_records, n_samples = values.shape
     task = Task.of(values, weights)
     line = SpectralStart.of(values)

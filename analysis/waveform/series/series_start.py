@@ -25,13 +25,7 @@ REFINEMENTS = (0.12, 0.06)
 
 
 def start_of_series(values: Samples, weights: Samples | None) -> Series:
-    """Best of many candidate frequencies, each with the linear fit of `_equation_error_fit`.
-
-    Parameters
-    ----------
-    values : (R, N); weights : (R, N) or None
-        Centred, 0 where missing.
-    """
+    """Best of many candidate frequencies, each with the linear fit of `_equation_error_fit`."""
     n_samples = values.shape[1]
     one_bin = 2 * np.pi / n_samples
     search = _Search(values, weights)

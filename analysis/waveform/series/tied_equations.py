@@ -97,13 +97,7 @@ def _binomials(n_orders: int) -> list[Floats]:
 
 
 def equations_of_sums(series: Series, sums: SeriesSums, power: Floats, total: Floats) -> Step:
-    """Normal equations of (R,) records at the given parameters.
-
-    Parameters
-    ----------
-    power, total : (R,)
-        Sums of the squares of the samples, and of the samples.
-    """
+    """Normal equations of (R,) records at the given parameters."""
     counts, g_sums, v_sums = sums.counts, sums.of_g, sums.of_data
     first, ratio, offset = series.first, series.ratio, series.offset
     column = ratio[:, np.newaxis]

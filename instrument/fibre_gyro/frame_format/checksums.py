@@ -32,15 +32,6 @@ def crc(
 ) -> Checksum:
     """A CRC by the parameters of the usual catalogue (R. N. Williams, "A painless guide to CRC", 1993).
 
-    Parameters
-    ----------
-    width : int
-        Bits of the register, 8 to 64.
-    polynomial, initial, xor_out : int
-        As the catalogue has them: not reflected, without the highest bit of the polynomial.
-    reflect_in, reflect_out : bool
-        Whether the bits of each byte, and of the result, are taken in reverse.
-
     Examples
     --------
     >>> hex(crc(32, 0x04C11DB7, initial=0xFFFFFFFF).compute(b"123456789"))  # CRC-32/MPEG-2
@@ -118,24 +109,13 @@ CHECKSUMS: dict[str, Checksum] = {
 
 @dataclass(frozen=True)
 class CheckRule:
-    """Which checksum the messages and frames of a gyro carry, and over what.
+    """Which checksum the messages and frames of a gyro carry, and over what."""
 
-    Attributes
-    ----------
-    checksum : Checksum
-        One of `CHECKSUMS`, or a `crc`.
-    skips : bytes
-        The header, if the checksum does not cover it; else empty.
-    mark : bytes
-        What stands in front of the checksum and is not covered; only in text, else empty.
-    begins : int or None
-        Bytes at the begin of a frame that it does not cover, where these are not just the header.
-    """
-
-    checksum: Checksum
-    skips: bytes
-    mark: bytes
+    checksum: Checksum  # one of `CHECKSUMS`, or a `crc`
+    skips: bytes  # the header, if the checksum does not cover it; else empty
+    mark: bytes  # what stands in front of the checksum and is not covered; only in text, else empty
     byte_order: ByteOrder
+    # bytes at the begin of a frame that it does not cover, where these are not just the header
     begins: int | None = None
 
     @property

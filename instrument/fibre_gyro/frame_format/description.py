@@ -12,20 +12,7 @@ _MISSING: Any = object()
 
 
 class Description:
-    """One table and the place where it stands, for error texts.
-
-    Parameters
-    ----------
-    entries : mapping
-        As a TOML reader gives it.
-    where : str
-        Name of the table, ``formats.mine.fields[2]`` for instance.
-
-    Raises
-    ------
-    FrameFormatError
-        By every method, in one sentence with the full name of the entry.
-    """
+    """One table and the place where it stands, for error texts."""
 
     def __init__(self, entries: object, where: str) -> None:
         self.where = where

@@ -34,79 +34,45 @@ ANY_STATUS = StatusRule()
 
 @dataclass(frozen=True)
 class Quantity:
-    """One of the quantities that take turns in a field.
-
-    Attributes
-    ----------
-    phases : tuple of int
-        Values of the counter, modulo the cycle, at which the field holds it; at several, its parts, lowest first.
-    status : StatusRule or None
-        It is a status: while it is bad no frame is used.
-    """
+    """One of the quantities that take turns in a field."""
 
     name: str
+    # values of the counter, modulo the cycle, at which the field holds it; at several, its parts, lowest first
     phases: tuple[int, ...]
     kind: str
     scale: float = 1.0
     offset: float = 0.0
-    status: StatusRule | None = None
+    status: StatusRule | None = None  # it is a status: while it is bad no frame is used
 
 
 @dataclass(frozen=True)
 class Field:
-    """One field of a frame.
+    """One field of a frame."""
 
-    Attributes
-    ----------
-    name : str
-        "counter", "counts" or "counts_x" to "counts_z", "temperature", "status", any other word for a further
-        column; "unused", "fixed", "parity" and "check" deliver nothing.
-    kind : str
-        Binary: "signed", "unsigned", "float". Text: "decimal", "hex". Parity: "odd", "even".
-    size : int
-        Binary: bytes, 0 for a field of bits. Text: 0.
-    order : tuple of int
-        Significance of each byte in the order in which they are sent; empty: `byte_order` says it.
-    bits : int
-        Of a field that is no whole bytes.
-    data_bits : int
-        Bits of each byte that carry data; those above them must be 0.
-    value_bits : int
-        Bits of the number; of all that the bytes carry, those above it must be 0. 0: all.
-    scale, offset : float
-        Delivered is ``number * scale + offset``.
-    lowest, highest : float
-        A delivered value outside is not used.
-    unit : str
-        Of an output, one of `FRAME_UNITS`.
-    expected : int
-        What a fixed field holds.
-    decimals : int or None
-        Digits behind the point that a number in text must have.
-    cycle : int
-        Frames after which `quantities` come again; 0 for a field that always holds the same.
-    check : Checksum or None
-        Of the field "check": over everything between header and here.
-    """
-
+    # "counter", "counts" or "counts_x" to "counts_z", "temperature", "status", any other word for a further
+    # column; "unused", "fixed", "parity" and "check" deliver nothing
     name: str
+    # binary: "signed", "unsigned", "float". Text: "decimal", "hex". Parity: "odd", "even".
     kind: str
+    # binary: bytes, 0 for a field of bits. Text: 0.
     size: int
     byte_order: ByteOrder
-    scale: float = 1.0
+    scale: float = 1.0  # delivered is ``number * scale + offset``
     offset: float = 0.0
-    lowest: float = -math.inf
+    lowest: float = -math.inf  # A delivered value outside is not used
     highest: float = math.inf
+    # significance of each byte in the order in which they are sent; empty: `byte_order` says it
     order: tuple[int, ...] = ()
-    bits: int = 0
-    data_bits: int = 8
+    bits: int = 0  # of a field that is no whole bytes
+    data_bits: int = 8  # bits of each byte that carry data; those above them must be 0
+    # bits of the number; of all that the bytes carry, those above it must be 0. 0: all.
     value_bits: int = 0
-    unit: str = COUNTS
-    expected: int = 0
-    decimals: int | None = None
-    cycle: int = 0
+    unit: str = COUNTS  # of an output, one of `FRAME_UNITS`
+    expected: int = 0  # what a fixed field holds
+    decimals: int | None = None  # digits behind the point that a number in text must have
+    cycle: int = 0  # frames after which `quantities` come again; 0 for a field that always holds the same
     quantities: tuple[Quantity, ...] = ()
-    check: Checksum | None = None
+    check: Checksum | None = None  # of the field "check": over everything between header and here
 
     @property
     def carried_bits(self) -> int:
@@ -147,13 +113,7 @@ def byte_order(table: Description, default: ByteOrder) -> ByteOrder:
 def read_fields(
     table: Description, binary: bool, order: ByteOrder
 ) -> tuple[tuple[Field, ...], CounterRule | None, StatusRule]:
-    """Read all fields of a format.
-
-    Raises
-    ------
-    FrameFormatError
-        Names the entry, what is wrong and what is right.
-    """
+    """Read all fields of a format."""
     fields: list[Field] = []
     counter, status = None, ANY_STATUS
     for entry in table.tables("fields"):

@@ -26,22 +26,13 @@ _TEXT_STEP = re.compile(r"\+?(0[1-9]\d?)?")
 
 @dataclass(frozen=True)
 class Message:
-    """A template that was read.
+    """A template that was read."""
 
-    Attributes
-    ----------
-    parts : tuple of bytes or str
-        Bytes as they are sent; ``"step"``, ``"checksum"`` or ``"start"`` for a place.
-    step_format : str
-        Text: format of the number. Binary: its bytes as a decimal number. Empty without a number.
-    byte_order : "little" or "big"
-        Of a binary number.
-    """
-
-    parts: tuple[bytes | str, ...]
+    parts: tuple[bytes | str, ...]  # bytes as they are sent; ``"step"``, ``"checksum"`` or ``"start"`` for a place
+    # text: format of the number. Binary: its bytes as a decimal number. Empty without a number.
     step_format: str
     binary: bool
-    byte_order: ByteOrder
+    byte_order: ByteOrder  # of a binary number
 
     @property
     def has_step(self) -> bool:
@@ -57,13 +48,7 @@ class Message:
 
 
 def read_message(template: str, *, binary: bool, byte_order: ByteOrder, where: str) -> Message:
-    """Read a template.
-
-    Raises
-    ------
-    FrameFormatError
-        Names `where` and what is wrong.
-    """
+    """Read a template."""
     parts: list[bytes | str] = []
     step_format = ""
     for number, piece in enumerate(_PLACE.split(template)):

@@ -29,21 +29,11 @@ _STEPS = (1.0, 0.5, 0.2, 0.1)
 
 @dataclass(frozen=True)
 class LogClock:
-    """Place of each row on the gyro's clock.
+    """Place of each row on the gyro's clock."""
 
-    Attributes
-    ----------
-    interval_s : float
-        Between two outputs.
-    places : ndarray of int, shape (n,)
-        Intervals since the first row.
-    regular : bool
-        Whether the stamps are so coarse that `places` tell the time better than they do.
-    """
-
-    interval_s: float
-    places: Places
-    regular: bool
+    interval_s: float  # between two outputs
+    places: Places  # (n,): Intervals since the first row
+    regular: bool  # whether the stamps are so coarse that `places` tell the time better than they do
 
 
 def clock_of_counter(counter: Floats) -> Places:
@@ -81,15 +71,7 @@ def line_through(places: Places, times: Floats) -> float:
 
 
 def find_clock(times: Floats, interval_s: float | None) -> LogClock:
-    """Find interval and missing rows.
-
-    Parameters
-    ----------
-    times : (n,)
-        Rising; equal neighbours only where the stamps are coarse.
-    interval_s : float or None
-        Where it is known; a clock that goes wrong by up to 5 % is found and allowed for.
-    """
+    """Find interval and missing rows."""
     rows = np.arange(times.size, dtype=np.int64)
     step = _rounding(times)
     slope = line_through(rows, times)

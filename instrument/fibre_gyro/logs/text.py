@@ -22,25 +22,13 @@ _SAMPLE = 400  # lines that tell the separator
 
 @dataclass(frozen=True)
 class Dialect:
-    """How the numbers of a file are written.
+    """How the numbers of a file are written."""
 
-    Attributes
-    ----------
-    separator : str or None
-        None for any number of blanks.
-    header : list of str or None
-        Cells of the line above the numbers that has as many columns.
-    first_line : int
-        Line of the first row.
-    width : int
-        Columns.
-    """
-
-    separator: str | None
+    separator: str | None  # none for any number of blanks
     decimal_comma: bool
-    header: list[str] | None
-    first_line: int
-    width: int
+    header: list[str] | None  # cells of the line above the numbers that has as many columns
+    first_line: int  # line of the first row
+    width: int  # columns
 
 
 @dataclass(frozen=True)
@@ -56,13 +44,7 @@ Names = Callable[[Dialect], list[str]]
 
 
 def read_table(text: IO[str], names_of: Names) -> tuple[Dialect, list[str], Table]:
-    """Read all rows.
-
-    Raises
-    ------
-    FileFormatError
-        Names the line and what is wrong there.
-    """
+    """Read all rows."""
     blocks = _blocks(text)
     first = next(blocks, None)
     if first is None:

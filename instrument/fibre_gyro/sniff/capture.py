@@ -19,21 +19,13 @@ LOOKED_AT = 500_000
 
 @dataclass(frozen=True)
 class Capture:
-    """Bytes as they came.
+    """Bytes as they came."""
 
-    Attributes
-    ----------
-    pieces : tuple of (float, bytes)
-        Time in s by the computer's clock at which a piece was read, and its bytes. From a file there is one piece.
-    line : str
-        How the port was set, "115200 baud 8N1"; empty for a file.
-    timed : bool
-        Whether the times mean anything.
-    """
-
+    # (float, bytes): Time in s by the computer's clock at which a piece was read, and its bytes. From a file there
+    # is one piece.
     pieces: tuple[tuple[float, bytes], ...]
-    line: str = ""
-    timed: bool = False
+    line: str = ""  # how the port was set, "115200 baud 8N1"; empty for a file
+    timed: bool = False  # whether the times mean anything
 
     @property
     def data(self) -> bytes:
@@ -52,20 +44,7 @@ class Capture:
 
 
 def capture_port(port: str, layout: FrameFormat, seconds: float, *, poll: bytes = b"") -> Capture:
-    """Listen to a port with the line settings of a format.
-
-    Parameters
-    ----------
-    seconds : float
-        How long.
-    poll : bytes
-        Sent at the output rate of the format, for gyros that only speak when asked; empty: nothing is sent.
-
-    Raises
-    ------
-    LinkError
-        The port cannot be opened, or is lost.
-    """
+    """Listen to a port with the line settings of a format."""
     opened = open_port(port, layout)
     pieces: list[tuple[float, bytes]] = []
     try:

@@ -23,36 +23,17 @@ _TRIED = 200  # frames on which checksums are tried
 
 @dataclass(frozen=True)
 class Structure:
-    """What is periodic in some bytes.
+    """What is periodic in some bytes."""
 
-    Attributes
-    ----------
-    text : bool
-        Lines of text.
-    length : int
-        Bytes of a frame, or of a typical line; 0 where nothing repeats.
-    constant : dict of int to int
-        Place in the frame, counted from the first constant byte of the longest run, and what stands there.
-    counting : dict of int to int
-        Place of a byte that counts, and by how much a frame.
-    checks : tuple of str
-        Checksums that hold: ``"xor8 of bytes 1 to 5 in byte 6"``.
-    highest_bit_clear : tuple of int
-        Places of bytes whose highest bit is never set, although they move.
-    remarks : tuple of str
-        Of lines: fields, separator.
-    example : bytes
-        One frame.
-    """
-
-    text: bool = False
-    length: int = 0
+    text: bool = False  # lines of text
+    length: int = 0  # bytes of a frame, or of a typical line; 0 where nothing repeats
+    # place in the frame, counted from the first constant byte of the longest run, and what stands there
     constant: dict[int, int] = field(default_factory=dict)
-    counting: dict[int, int] = field(default_factory=dict)
-    checks: tuple[str, ...] = ()
-    highest_bit_clear: tuple[int, ...] = ()
-    remarks: tuple[str, ...] = ()
-    example: bytes = b""
+    counting: dict[int, int] = field(default_factory=dict)  # place of a byte that counts, and by how much a frame
+    checks: tuple[str, ...] = ()  # checksums that hold: ``"xor8 of bytes 1 to 5 in byte 6"``
+    highest_bit_clear: tuple[int, ...] = ()  # places of bytes whose highest bit is never set, although they move
+    remarks: tuple[str, ...] = ()  # of lines: fields, separator
+    example: bytes = b""  # one frame
 
 
 def find_structure(data: bytes) -> Structure:

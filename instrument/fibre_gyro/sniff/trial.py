@@ -22,49 +22,23 @@ _MOSTLY = 0.5  # of the bytes that a description must explain to be proposed
 
 @dataclass(frozen=True)
 class Trial:
-    """What one description makes of the bytes.
+    """What one description makes of the bytes."""
 
-    Attributes
-    ----------
-    name : str
-        Of the description.
-    frames, unusable : int
-        Frames that are right in everything; of them those with a bad status or a value out of range.
-    damaged : int
-        Frames, in lengths of one, between right ones that are not.
-    checksum_misses : int
-        Of the damaged ones those with header, length and ending, but another checksum.
-    has_checksum, has_counter : bool
-        Whether the description has them at all.
-    gaps, missing : int
-        Places where the counter skips, and frames that it skips.
-    rate_hz : float or None
-        Frames per second of the computer's clock; None for a file.
-    clock : HostClock or None
-        The same with its uncertainty, where it can be told.
-    explained : float
-        Part of all bytes that right frames are made of.
-    doubts : tuple of str
-        What shows that the numbers may mean something else.
-    evidence_bits : int
-        Bits of each frame that only the right one has.
-    """
-
-    name: str
-    frames: int
+    name: str  # of the description
+    frames: int  # frames that are right in everything; of them those with a bad status or a value out of range
     unusable: int
-    damaged: int
-    checksum_misses: int
-    has_checksum: bool
+    damaged: int  # frames, in lengths of one, between right ones that are not
+    checksum_misses: int  # of the damaged ones those with header, length and ending, but another checksum
+    has_checksum: bool  # whether the description has them at all
     has_counter: bool
-    gaps: int
+    gaps: int  # places where the counter skips, and frames that it skips
     missing: int
     stated_rate_hz: float
-    rate_hz: float | None
-    clock: HostClock | None
-    explained: float
-    doubts: tuple[str, ...]
-    evidence_bits: int
+    rate_hz: float | None  # frames per second of the computer's clock; None for a file
+    clock: HostClock | None  # the same with its uncertainty, where it can be told
+    explained: float  # part of all bytes that right frames are made of
+    doubts: tuple[str, ...]  # what shows that the numbers may mean something else
+    evidence_bits: int  # bits of each frame that only the right one has
 
     @property
     def fits(self) -> bool:

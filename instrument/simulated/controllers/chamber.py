@@ -8,17 +8,7 @@ from instrument.simulated.clock import Clock, RealClock
 
 
 class SimulatedChamber:
-    """A chamber whose air comes to the set point at a constant rate.
-
-    Parameters
-    ----------
-    clock : Clock, optional
-        RealClock() if not given.
-    ambient_degc : float, optional
-        Temperature at the beginning.
-    speed_degc_per_s : float, optional
-        How fast it changes.
-    """
+    """A chamber whose air comes to the set point at a constant rate."""
 
     _LOWEST, _HIGHEST = -70.0, 150.0
 

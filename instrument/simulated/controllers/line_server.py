@@ -18,21 +18,7 @@ class LineDevice(Protocol):
 
 
 class LineServer(StreamServer):
-    """Serves a device until it is closed.
-
-    Parameters
-    ----------
-    device : LineDevice
-    tcp_port : int, optional
-        0 takes any free one; without it the device is served on a pseudo-terminal.
-    end : str, optional
-        What ends an answer.
-
-    Raises
-    ------
-    OSError
-        The system has no pseudo-terminals, or the port is taken.
-    """
+    """Serves a device until it is closed."""
 
     def __init__(self, device: LineDevice, *, tcp_port: int | None = None, end: str = "\r\n") -> None:
         super().__init__()

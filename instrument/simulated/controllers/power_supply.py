@@ -6,13 +6,7 @@ import math
 
 
 class SimulatedPowerSupply:
-    """A supply with a resistance as its load.
-
-    Parameters
-    ----------
-    highest_v : float, optional
-    load_ohm : float, optional
-    """
+    """A supply with a resistance as its load."""
 
     def __init__(self, *, highest_v: float = 36.0, load_ohm: float = 48.0) -> None:
         self._highest, self._load = highest_v, load_ohm

@@ -11,13 +11,6 @@ class RateTableController:
     """Answers lines: ``RATE 3.5`` sets deg/s, ``RATE?`` and ``POSITION?`` read, ``STOP`` stops.
 
     An order is answered by OK or by ERR and a reason, which ``ERROR?`` repeats.
-
-    Parameters
-    ----------
-    table : SimulatedRateTable
-        What it turns.
-    name : str, optional
-        What it answers to ``ID?``.
     """
 
     def __init__(self, table: SimulatedRateTable, name: str = "GYROLOCK RATE TABLE, SIM-1, 1.0") -> None:

@@ -16,36 +16,22 @@ _COMMAND_KINDS = ("lost command", "lost answer", "refusal")
 
 @dataclass(frozen=True)
 class GyroFault:
-    """One fault and the frames, or commands, that it meets.
+    """One fault and the frames, or commands, that it meets."""
 
-    Attributes
-    ----------
-    kind : str
-        "lost byte", "inserted byte", "flipped bit" at a random place of the frame; "lost frame": it is not sent;
-        "counter jump": the counter goes on from somewhere else, nothing is lost; "silence": the gyro measures on
-        but nothing of it is sent. "lost command", "lost answer", "refusal" meet a command instead.
-    number : int, optional
-        Number of the frame, or command, counted from 0 since the server began. None: any.
-    probability : float
-        Chance that one that fits is hit. A fault with a number, or with probability 1, happens once.
-    amount : int
-        Bytes, bits or frames that are lost, inserted or flipped; ticks that the counter jumps; frames of silence.
-    """
-
+    # "lost byte", "inserted byte", "flipped bit" at a random place of the frame; "lost frame": it is not sent;
+    # "counter jump": the counter goes on from somewhere else, nothing is lost; "silence": the gyro measures on but
+    # nothing of it is sent. "lost command", "lost answer", "refusal" meet a command instead.
     kind: FrameFaultKind | CommandFaultKind
+    # number of the frame, or command, counted from 0 since the server began. None: any.
     number: int | None = None
+    # chance that one that fits is hit. A fault with a number, or with probability 1, happens once.
     probability: float = 1.0
+    # bytes, bits or frames that are lost, inserted or flipped; ticks that the counter jumps; frames of silence
     amount: int = 1
 
 
 class GyroFaults:
-    """The faults of one simulated gyro; `add` them at any time, also while it is served.
-
-    Attributes
-    ----------
-    happened : list of (int, GyroFault)
-        Number of the frame or command, and what happened to it.
-    """
+    """The faults of one simulated gyro; `add` them at any time, also while it is served."""
 
     def __init__(self, *faults: GyroFault, seed: int = 0) -> None:
         self._armed = list(faults)

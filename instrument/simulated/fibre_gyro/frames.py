@@ -16,19 +16,7 @@ POLL = "poll"
 
 
 def encode_frame(layout: FrameFormat, counter: int, values: Mapping[str, float]) -> bytes:
-    """The bytes of one frame.
-
-    Parameters
-    ----------
-    values : mapping of str to float
-        As they are to be delivered: scale and offset are taken off here. Fields without a value are 0, a status
-        without one is good.
-
-    Raises
-    ------
-    ValueError
-        If a number does not fit into its field.
-    """
+    """The bytes of one frame."""
     if layout.kind == "ascii":
         words = [_written(entry, _number(layout, entry, counter, values)) for entry in layout.fields]
         body = layout.header + layout.separator.join(words)

@@ -40,24 +40,9 @@ class GyroModel(Protocol):
 
 
 class GyroServer(StreamServer):
-    """A gyro that makes its frames in time, whether they are read or not, or one for each poll.
+    """A gyro that makes its frames in time, whether they are read or not, or one for each poll."""
 
-    Parameters
-    ----------
-    clock_ppm : float
-        How much faster the gyro's clock runs than it should.
-
-    Attributes
-    ----------
-    port : str
-        What `FibreGyroLink` opens.
-    frames_made : int
-        Outputs that the model was asked for.
-    commands : list of (str, float)
-        Name and step of every command that was carried out.
-    """
-
-    port = ""
+    port = ""  # what `FibreGyroLink` opens
 
     def __init__(
         self,
@@ -167,20 +152,7 @@ class GyroServer(StreamServer):
 
 
 class PtyGyroServer(GyroServer):
-    """Serves a gyro on a pseudo-terminal, which programs open like a serial port.
-
-    Parameters
-    ----------
-    layout : FrameFormat
-        From `parse_frame_format`.
-    speed : float
-        Seconds of the gyro's time in one second; inf: as fast as it is read.
-
-    Raises
-    ------
-    OSError
-        If this system has no pseudo-terminals (Windows).
-    """
+    """Serves a gyro on a pseudo-terminal, which programs open like a serial port."""
 
     def __init__(
         self,
@@ -197,22 +169,7 @@ class PtyGyroServer(GyroServer):
 
 
 class TcpGyroServer(GyroServer):
-    """Serves a gyro on a TCP port, as behind a serial-to-Ethernet adapter; one client at a time.
-
-    Parameters
-    ----------
-    model, layout, speed, faults, clock_ppm
-        As for `PtyGyroServer`.
-    host : str
-        Address to listen on; only this computer unless told otherwise.
-    tcp_port : int
-        0 takes any free one.
-
-    Raises
-    ------
-    OSError
-        If the port cannot be had.
-    """
+    """Serves a gyro on a TCP port, as behind a serial-to-Ethernet adapter; one client at a time."""
 
     def __init__(
         self,

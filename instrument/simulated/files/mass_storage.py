@@ -18,19 +18,7 @@ _NOT_FOUND, _BAD_NAME, _FULL, _NO_MEDIUM = 256, 257, 254, 252
 
 
 class MassStorage:
-    """Files by their whole path, such as ``A:\\\\ALL0000\\\\F0000CH1.CSV``.
-
-    Attributes
-    ----------
-    files : dict of str to bytes
-        Read and change it as one who takes the card into a computer would.
-    folders : set of str
-        Whole paths that end with a backslash; the root is always one.
-    present : bool
-        False while no card is in the slot.
-    folder : str
-        The folder in which names without a path are looked up.
-    """
+    r"""Files by their whole path, such as ``A:\\ALL0000\\F0000CH1.CSV``."""
 
     def __init__(self) -> None:
         self.present = True

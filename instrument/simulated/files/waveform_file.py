@@ -17,17 +17,7 @@ _UNITS = {"Volts": "V"}
 
 
 def csv_file(trace: Trace, source: str, probe: float, keys: dict[str, str]) -> bytes:
-    """Content of the file.
-
-    Parameters
-    ----------
-    source : str
-        ``CH1``, ``MATH`` or ``REFA``.
-    probe : float
-        Attenuation factor.
-    keys : dict of str to str
-        Last rows with a key: firmware, and on B and C models the model and its serial number.
-    """
+    """Content of the file."""
     spectrum = trace.xunit == "Hz"
     width = trace.points / DIVISIONS if spectrum else POINTS_PER_DIVISION
     values = (trace.codes.astype(np.float64) - trace.yoff) * trace.ymult + trace.yzero

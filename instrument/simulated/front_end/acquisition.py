@@ -38,36 +38,16 @@ _SHORTEST_POLL, _LONGEST_POLL = 1e-3, 0.1  # s between two looks for a trigger w
 
 @dataclass(frozen=True)
 class Record:
-    """One completed acquisition: when its samples were taken and with which settings.
+    """One completed acquisition: when its samples were taken and with which settings."""
 
-    Attributes
-    ----------
-    number : int
-        Counts all acquisitions since power-on; seeds the noise.
-    starts : tuple of float
-        Absolute times in s of the first sample; several where records are averaged.
-    xzero : float
-        Time in s of the first sample relative to the trigger, as the preamble gives it.
-    seconds_per_division : float
-        Time base.
-    mode : str
-        SAMPLE, PEAKDETECT or AVERAGE.
-    channels : mapping
-        Vertical settings of the displayed channels.
-    until : float
-        Absolute time in s of the end; only rolling records need it.
-    rolling : bool
-        True for scan mode.
-    """
-
-    number: int
-    starts: tuple[float, ...]
-    xzero: float
-    seconds_per_division: float
-    mode: str
-    channels: Mapping[str, ChannelSettings]
-    until: float = 0.0
-    rolling: bool = False
+    number: int  # counts all acquisitions since power-on; seeds the noise
+    starts: tuple[float, ...]  # absolute times in s of the first sample; several where records are averaged
+    xzero: float  # time in s of the first sample relative to the trigger, as the preamble gives it
+    seconds_per_division: float  # time base
+    mode: str  # SAMPLE, PEAKDETECT or AVERAGE
+    channels: Mapping[str, ChannelSettings]  # vertical settings of the displayed channels
+    until: float = 0.0  # absolute time in s of the end; only rolling records need it
+    rolling: bool = False  # true for scan mode
 
     @property
     def xincr(self) -> float:

@@ -19,19 +19,7 @@ _FEWEST_CELLS = 5  # of a stretch
 
 
 class Stretch:
-    """The smooth part of a trigger signal from one time to another, at even steps.
-
-    Attributes
-    ----------
-    times, volts : (n,) arrays
-        s and V.
-    between : callable
-        Volts at times between them.
-    bend : float
-        V by which the signal may leave straight lines through `volts`.
-    interval : float
-        s between looks that tell all.
-    """
+    """The smooth part of a trigger signal from one time to another, at even steps."""
 
     def __init__(self, smooth: Callable[[Floats], Floats], start: float, stop: float, interval: float) -> None:
         self.interval = interval
@@ -55,27 +43,13 @@ class Stretch:
 
 @dataclass(frozen=True, eq=False)
 class Heights:
-    """A stretch over a level, turned so that the wanted edge rises.
+    """A stretch over a level, turned so that the wanted edge rises."""
 
-    Attributes
-    ----------
-    asked : tuple
-        Level, sense, hysteresis and noise that it is for.
-    above : (n,) array
-        V over the level at each look.
-    low : list of int
-        Looks that are so low that the search is armed.
-    near : list of int
-        Cells, each from a look to the next, in which the signal may cross the level.
-    margin : float
-        V by which noise and bends may lift it.
-    """
-
-    asked: tuple[float, bool, float, float]
-    above: Floats
-    low: list[int]
-    near: list[int]
-    margin: float
+    asked: tuple[float, bool, float, float]  # level, sense, hysteresis and noise that it is for
+    above: Floats  # (n,): V over the level at each look
+    low: list[int]  # looks that are so low that the search is armed
+    near: list[int]  # cells, each from a look to the next, in which the signal may cross the level
+    margin: float  # V by which noise and bends may lift it
 
 
 class Part:
@@ -130,21 +104,7 @@ class Part:
 
 
 class Comparator:
-    """What the trigger comparator sees: volts at absolute times in s (rising).
-
-    Parameters
-    ----------
-    smooth : callable
-        Volts at absolute times in s (rising), all but the noise.
-    noise : callable
-        What comes on top of it, V.
-    noise_rms : float
-        V in each sample.
-    interval : callable
-        Start and stop in s -> distance in s of looks between which the smooth part is smooth; 0: not known.
-    bounds : callable
-        Start and stop in s -> volts that the smooth part does not leave; inf: not known.
-    """
+    """What the trigger comparator sees: volts at absolute times in s (rising)."""
 
     def __init__(
         self,

@@ -34,17 +34,7 @@ _KEPT = 16  # records by channel
 
 
 class Digitizer:
-    """Turns records into codes; the same record gives the same codes every time.
-
-    Parameters
-    ----------
-    signal : callable
-        Gives the signal at the input named `CH1` and so on.
-    noise_levels : float
-        Standard deviation of the noise in levels (1/25 division).
-    seed : int
-        Makes the noise repeatable; each acquisition and channel has its own noise.
-    """
+    """Turns records into codes; the same record gives the same codes every time."""
 
     def __init__(self, signal: Callable[[str], Signal], noise_levels: float, seed: int) -> None:
         self._signal, self._noise_levels, self._seed = signal, noise_levels, seed
@@ -53,13 +43,7 @@ class Digitizer:
         self._kept: OrderedDict[tuple[int, float, str], Codes] = OrderedDict()
 
     def codes(self, record: Record, name: str) -> Codes:
-        """Codes of one channel of a record.
-
-        Returns
-        -------
-        (2500,) int8 array
-            -128 stands for "no data".
-        """
+        """Codes of one channel of a record."""
         channel = record.channels.get(name)
         if channel is None:
             return np.full(POINTS, NO_DATA, dtype=np.int8)

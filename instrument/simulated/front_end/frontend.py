@@ -53,11 +53,6 @@ def low_pass(signal: Signal, time_constant: float) -> Signal:
     them, on both sides, it is smooth, and that formula is right to a hundredth of a level on a full screen.
     Samples that lie close together are all taken the long way if one of them is: a short pulse may fall between
     the looks.
-
-    Parameters
-    ----------
-    time_constant : float
-        In s; 0 leaves the signal alone.
     """
     if time_constant == 0:
         return signal
@@ -95,18 +90,7 @@ def evaluate(signal: Signal, times: Floats) -> Floats:
 
 
 def shown_volts(signal: Signal, channel: ChannelSettings, times: Floats) -> Floats:
-    """Volts that the screen would show without the scope's noise: band-limited, coupled, times probe, inverted.
-
-    Parameters
-    ----------
-    times : (n,) array
-        Absolute times in s, rising.
-
-    Returns
-    -------
-    (n,) array
-        Volts at the probe tip.
-    """
+    """Volts that the screen would show without the scope's noise: band-limited, coupled, times probe, inverted."""
     return shown_smooth(signal, channel, times) + shown_noise(signal, channel, times)
 
 
@@ -221,13 +205,6 @@ def smoothed(values: Floats, gain: float, first: float) -> Floats:
 
 def convert(volts: Floats, channel: ChannelSettings, noise: Floats | float = 0.0) -> Codes:
     """Codes of the converter: 25 levels a division around the centre, rounded, clipped at +-127.
-
-    Parameters
-    ----------
-    volts : (n,) array
-        Volts at the probe tip.
-    noise : (n,) array or float
-        Noise in levels.
 
     Examples
     --------

@@ -44,18 +44,7 @@ def clipping_event(trace: Trace) -> int:
 
 
 def measure(kind: str, trace: Trace) -> float:
-    """Value of a measurement.
-
-    Parameters
-    ----------
-    kind : str
-        FREQUENCY, MEAN, PERIOD, PK2PK, CRMS, RMS, MINIMUM, MAXIMUM, RISE, FALL, PWIDTH or NWIDTH.
-
-    Raises
-    ------
-    Refusal
-        With the event that says why there is no value.
-    """
+    """Value of a measurement."""
     codes = trace.codes[trace.codes != NO_DATA].astype(np.float64)
     if not len(codes):
         raise Refusal(2225)
@@ -91,13 +80,7 @@ def _seconds(samples: float, trace: Trace) -> float:
 
 
 def phase(first: Trace, second: Trace) -> float:
-    """Degrees by which the first trace leads the second, by their first rising crossings of the middle.
-
-    Raises
-    ------
-    Refusal
-        With the event that says why there is no value.
-    """
+    """Degrees by which the first trace leads the second, by their first rising crossings of the middle."""
     edges = []
     for trace, no_period in ((first, 2202), (second, 2203)):
         codes = trace.codes[trace.codes != NO_DATA].astype(np.float64)

@@ -73,15 +73,7 @@ def polynomials(values: Floats) -> Floats:
 
 
 class Between:
-    """Quintic polynomials through values at even steps.
-
-    Parameters
-    ----------
-    first, last : float
-        Times in s of the first and the last value.
-    values : (n,) array
-        At least six.
-    """
+    """Quintic polynomials through values at even steps."""
 
     def __init__(self, first: float, last: float, values: Floats) -> None:
         self._first, self._pace, self._values = first, (len(values) - 1) / (last - first), values
@@ -114,21 +106,11 @@ class Between:
 
 @dataclass(frozen=True)
 class CoarseLook:
-    """The smooth part of a signal, from a coarse grid where that is worth it.
+    """The smooth part of a signal, from a coarse grid where that is worth it."""
 
-    Attributes
-    ----------
-    smooth : callable
-        Absolute times in s -> V.
-    interval : float
-        s, as `SmoothAndNoise.interval` gives it for the times that will be asked for.
-    delay : float
-        s by which it comes late.
-    """
-
-    smooth: Callable[[Floats], Floats]
-    interval: float
-    delay: float = 0.0
+    smooth: Callable[[Floats], Floats]  # absolute times in s -> V
+    interval: float  # s, as `SmoothAndNoise.interval` gives it for the times that will be asked for
+    delay: float = 0.0  # s by which it comes late
 
     def __call__(self, times: Floats) -> Floats:
         """Volts at rising absolute times in s."""

@@ -40,27 +40,15 @@ _LOOKS_A_CELL = 32  # of such a search, between two points that tell all about t
 
 @dataclass
 class EdgeSearch:
-    """A search that goes on where it stopped.
+    """A search that goes on where it stopped."""
 
-    Attributes
-    ----------
-    volts_at : Comparator
-        Volts at given absolute times.
-    level, hysteresis : float
-        In the same volts; negative edges are searched on the negated signal.
-    searched_until : float
-        Absolute time in s up to which there was no edge.
-    cells : int
-        Of the next stretch of a smooth part.
-    """
-
-    volts_at: Comparator
-    level: float
+    volts_at: Comparator  # volts at given absolute times
+    level: float  # in the same volts; negative edges are searched on the negated signal
     rising: bool
     hysteresis: float
-    searched_until: float
+    searched_until: float  # absolute time in s up to which there was no edge
     armed: bool = False
-    cells: int = _FIRST_CELLS
+    cells: int = _FIRST_CELLS  # of the next stretch of a smooth part
 
     def advance(self, until: float, step: float, now: float) -> float | None:
         """Search on to `until`, not later than `now`, in steps of about `step`; the time of the edge, or None."""
@@ -187,24 +175,7 @@ class EdgeSearch:
 
 
 def first_edges(search: EdgeSearch, ready: Floats, reach: float, step: float) -> Floats:
-    """First edges after each of several times, all at once: what a search from each of them would find.
-
-    Parameters
-    ----------
-    search : EdgeSearch
-        What to look for; from where is not asked.
-    ready : (n,) array
-        Absolute times in s, rising, from which on to look.
-    reach : float
-        s behind each of them; what comes later is not looked at.
-    step : float
-        s between samples with noise.
-
-    Returns
-    -------
-    (n,) array
-        Absolute times in s; nan where there is no edge, or none that is as clear as all this takes for granted.
-    """
+    """First edges after each of several times, all at once: what a search from each of them would find."""
     volts_at, noise = search.volts_at, _MOST_NOISE * search.volts_at.noise_rms
     step = max(step, _USUAL_SPAN / _MOST_POINTS)
     edges = np.full(ready.shape, np.nan)
@@ -276,28 +247,16 @@ def _last_so_far(found: Bools) -> NDArray[np.intp]:
 
 @dataclass
 class PulseSearch:
-    """A search for a pulse of the wanted width that goes on where it stopped.
+    """A search for a pulse of the wanted width that goes on where it stopped."""
 
-    Attributes
-    ----------
-    trigger : TriggerSettings
-        Level, polarity, condition and width.
-    volts_at, hysteresis, searched_until, cells
-        As of EdgeSearch.
-    state : int
-        1 within a pulse, -1 outside, 0 as long as that is not known.
-    began : tuple of float or None
-        Absolute times in s between which the leading edge of the pulse that is under way lies.
-    left_below, left_above : tuple of float
-        Absolute times in s between which the signal was below, and above, the level for the last time.
-    """
-
-    trigger: TriggerSettings
-    volts_at: Comparator
+    trigger: TriggerSettings  # level, polarity, condition and width
+    volts_at: Comparator  # as of EdgeSearch
     hysteresis: float
     searched_until: float
-    state: int = 0
+    state: int = 0  # 1 within a pulse, -1 outside, 0 as long as that is not known
+    # absolute times in s between which the leading edge of the pulse that is under way lies
     began: Bracket | None = None
+    # absolute times in s between which the signal was below, and above, the level for the last time
     left_below: Bracket = (-math.inf, -math.inf)
     left_above: Bracket = (-math.inf, -math.inf)
     cells: int = _FIRST_CELLS
@@ -362,13 +321,6 @@ class PulseSearch:
 
         Where looks on the way from one side to the other only rise, or only fall, there is one edge, and to know
         its place to a cell is enough.
-
-        Parameters
-        ----------
-        above : (n,) array
-            V over the level.
-        noise, bend : float
-            V by which noise, and the way between two looks, may leave straight lines.
         """
         sure = self.hysteresis + noise + bend
         sides = np.where(above > sure, 1, np.where(above < -sure, -1, 0))

@@ -30,29 +30,15 @@ _EXTERNAL = ChannelSettings(1.0, 0.0, "DC", 1.0, limited=False, inverted=False)
 
 @dataclass
 class Sweep:
-    """One acquisition, from when it is armed to its last sample; absolute times in s.
+    """One acquisition, from when it is armed to its last sample; absolute times in s."""
 
-    Attributes
-    ----------
-    began, ready_at : float
-        Armed, and filled as far as the trigger.
-    auto_at : float
-        When AUTO waits no longer; inf in mode NORMAL.
-    triggered_at, completes_at : float or None
-        As far as that is known.
-    forced : bool
-        Without a trigger.
-    search : object
-        For the trigger, as far as it has come.
-    """
-
-    began: float
+    began: float  # armed, and filled as far as the trigger
     ready_at: float
-    auto_at: float
-    triggered_at: float | None = None
+    auto_at: float  # when AUTO waits no longer; inf in mode NORMAL
+    triggered_at: float | None = None  # as far as that is known
     completes_at: float | None = None
-    forced: bool = False
-    search: EdgeSearch | PulseSearch | VideoSearch | None = None
+    forced: bool = False  # without a trigger
+    search: EdgeSearch | PulseSearch | VideoSearch | None = None  # for the trigger, as far as it has come
 
 
 class TriggerCircuit:

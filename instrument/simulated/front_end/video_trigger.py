@@ -28,24 +28,12 @@ _LONGEST_LOOK = 0.09  # s: two frames and more; of a longer time only the end is
 
 @dataclass
 class VideoSearch:
-    """A search that goes on where it stopped.
+    """A search that goes on where it stopped."""
 
-    Attributes
-    ----------
-    trigger : TriggerSettings
-        Sync, polarity, line and standard.
-    volts_at : Comparator
-        Volts of the source at given absolute times (rising).
-    smallest : float
-        Height in V below which there is no video signal.
-    searched_until : float
-        Absolute time in s up to which there was nothing.
-    """
-
-    trigger: TriggerSettings
-    volts_at: Comparator
-    smallest: float
-    searched_until: float
+    trigger: TriggerSettings  # sync, polarity, line and standard
+    volts_at: Comparator  # volts of the source at given absolute times (rising)
+    smallest: float  # height in V below which there is no video signal
+    searched_until: float  # absolute time in s up to which there was nothing
     _began: float | None = None  # start of the pulse that is under way
     _last_start: float = -np.inf  # of any short pulse that begins a line or half of one
     _last_line: float = -np.inf  # of the last pulse as wide as those of lines

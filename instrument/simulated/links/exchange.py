@@ -23,17 +23,7 @@ _TERMINATORS = {"LF": b"\n", "CR": b"\r", "CRLF": b"\r\n", "LFCR": b"\n\r"}
 
 
 class MessageExchange:
-    """Input buffer, the message at work, and output queue of one link.
-
-    Parameters
-    ----------
-    scope : SimulatedTDS2014
-        The instrument.
-    message_ends : bool
-        True where each piece received is a whole message, False on a stream.
-    serial : bool
-        True for RS-232: answers end as RS232:TRANsmit:TERMinator says, else with LF.
-    """
+    """Input buffer, the message at work, and output queue of one link."""
 
     def __init__(self, scope: SimulatedTDS2014, *, message_ends: bool, serial: bool = False) -> None:
         self.scope = scope

@@ -15,18 +15,6 @@ class ReplayServer(StreamServer):
 
     A message is looked for among those that have not been asked yet, in their order; asked more often than it was
     then, it gets the last answer again. A message that the transcript does not have gets none.
-
-    Parameters
-    ----------
-    exchanges : sequence of Exchange
-        Of one instrument.
-    port : int
-        0 takes any free port.
-
-    Attributes
-    ----------
-    unknown : list of bytes
-        Messages that were not in the transcript.
     """
 
     def __init__(self, exchanges: Sequence[Exchange], host: str = "127.0.0.1", port: int = 0) -> None:

@@ -18,13 +18,7 @@ HELD_BYTES = 4  # bytes that wait for it (a guess; `*IDN?` in one burst is too l
 
 
 class SerialInput:
-    """What becomes of bytes on their way from the line into the input buffer.
-
-    Attributes
-    ----------
-    output_stopped : bool
-        The computer sent XOFF under soft flagging and no XON since.
-    """
+    """What becomes of bytes on their way from the line into the input buffer."""
 
     def __init__(self, panel: Panel, faults: Faults) -> None:
         self._panel, self._faults = panel, faults
@@ -37,22 +31,7 @@ class SerialInput:
         self._arrived_at = self._idle_at = 0.0
 
     def receive(self, data: bytes, now: float) -> tuple[bytes, int]:
-        """Pass bytes on.
-
-        Parameters
-        ----------
-        data : bytes
-            Sent without a pause.
-        now : float
-            Time in s at which the first of them may have been sent.
-
-        Returns
-        -------
-        bytes
-            What reaches the input buffer.
-        int
-            Event of an input error (361 to 363), or 0.
-        """
+        """Pass bytes on."""
         event = self._faults.input_error(data)
         if event:
             return b"", event

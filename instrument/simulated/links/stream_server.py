@@ -82,17 +82,7 @@ class Port:
 
 
 class StreamServer(ABC):
-    """Runs a thread that moves bytes between clients and an instrument, until it is closed.
-
-    Attributes
-    ----------
-    error : BaseException or None
-        What ended the thread, if something did: an instrument that fails must not look like a silent one.
-    ended : threading.Event
-        Is set when nobody is served any more.
-    clients : int
-        Connections at once; further ones are hung up on.
-    """
+    """Runs a thread that moves bytes between clients and an instrument, until it is closed."""
 
     def __init__(self) -> None:
         self.error: BaseException | None = None

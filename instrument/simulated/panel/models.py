@@ -113,13 +113,7 @@ MODELS = {
 
 
 def find_model(name: str) -> Model:
-    """Look up a model by its name.
-
-    Raises
-    ------
-    ValueError
-        If the family has no such model.
-    """
+    """Look up a model by its name."""
     try:
         return MODELS[name.upper().replace(" ", "")]
     except KeyError:

@@ -87,13 +87,7 @@ def _remembered(make: Callable[[Panel], View]) -> Callable[[Panel], View]:
 
 
 class Panel:
-    """Values of all settings by their full header in capitals (`CH1:SCALE`).
-
-    Attributes
-    ----------
-    views : dict
-        What was made of the values at their change number `viewed_at`.
-    """
+    """Values of all settings by their full header in capitals (`CH1:SCALE`)."""
 
     def __init__(self, model: Model) -> None:
         self.model = model

@@ -22,13 +22,7 @@ NOT_RESTARTING = ("TRIGGER:MAIN:LEVEL", "TRIGGER:MAIN:HOLDOFF:VALUE")
 
 
 def store(panel: Panel, key: str, value: Value) -> None:
-    """Put a value on the panel, bounded by the other settings, and let the others follow.
-
-    Raises
-    ------
-    Refusal
-        If the other settings forbid it (event 221).
-    """
+    """Put a value on the panel, bounded by the other settings, and let the others follow."""
     old = panel.values[key]
     head, _, leaf = key.partition(":")
     if head in panel.model.channel_names:

@@ -78,13 +78,13 @@ def block_end(data: bytes, start: int, *, final: bool) -> int | None:
 
 
 class StreamSplitter:
-    """Cuts a stream of bytes into program messages at LF or CR, but not inside a block.
+    r"""Cuts a stream of bytes into program messages at LF or CR, but not inside a block.
 
     Examples
     --------
     >>> splitter = StreamSplitter()
-    >>> splitter.feed(b"*IDN?\\r\\nCURVE #13"), splitter.feed(b"\\n\\n\\n\\n")
-    ([b'*IDN?'], [b'CURVE #13\\n\\n\\n'])
+    >>> splitter.feed(b"*IDN?\r\nCURVE #13"), splitter.feed(b"\n\n\n\n")
+    ([b'*IDN?'], [b'CURVE #13\n\n\n'])
     """
 
     def __init__(self) -> None:

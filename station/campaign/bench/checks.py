@@ -27,13 +27,7 @@ _EARLIEST = datetime(2025, 1, 1, tzinfo=UTC)
 
 
 def examine_campaign(plan: CampaignPlan) -> list[Check]:
-    """Look at everything that a campaign will need, in the order in which a person would.
-
-    Parameters
-    ----------
-    plan : CampaignPlan
-        For any unit: the bench is looked at as it stands, with whatever unit is on it.
-    """
+    """Look at everything that a campaign will need, in the order in which a person would."""
     summary = f"{plan.file}: {len(plan.steps)} steps, {sum(len(step.limits) for step in plan.steps)} limits"
     checks = [Check("campaign", "ok", summary), _disk(plan), *_clock(plan), *_calibrations(plan.instruments)]
     looked: list[Check] = []

@@ -20,11 +20,6 @@ def bench_in_use(plan: CampaignPlan) -> Iterator[None]:
     """Keep other programs of this computer from every instrument that a campaign names.
 
     A simulated bench is a program's own and names none.
-
-    Raises
-    ------
-    LinkError
-        Another program uses one of them; the text says which, and since when.
     """
     doing = f"campaign {plan.name}, unit {plan.unit}"
     with ExitStack() as claims:

@@ -29,18 +29,7 @@ class Surroundings:
     progress: Progress
 
     def bring_about(self, step: PlannedStep) -> dict[str, float]:
-        """Set what a step asks for, and wait until it is steady.
-
-        Returns
-        -------
-        dict
-            What the controllers read then.
-
-        Raises
-        ------
-        InstrumentError
-            A controller does not answer, refuses or does not come to the value.
-        """
+        """Set what a step asks for, and wait until it is steady."""
         reached: dict[str, float] = {}
         for name, one in controllers_of(step.settings).there.items():
             wanted = {

@@ -38,11 +38,11 @@ MEANING = {
 
 
 def large(word: str) -> list[str]:
-    """Return a word in letters five lines high; lines of one length.
+    r"""Return a word in letters five lines high; lines of one length.
 
     Examples
     --------
-    >>> print("\\n".join(line.rstrip() for line in large("FAIL")))
+    >>> print("\n".join(line.rstrip() for line in large("FAIL")))
     #####   ###   ###  #
     #      #   #   #   #
     ####   #####   #   #

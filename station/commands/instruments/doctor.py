@@ -106,18 +106,7 @@ def _pack(bundle: Path, settings: Settings, checks: list[Check], said: Path) -> 
 
 
 def examine(settings: Settings, resource: str | None = None) -> list[Check]:
-    """Examine this installation, and one instrument if it is named.
-
-    Parameters
-    ----------
-    resource : str, optional
-        VISA resource name.
-
-    Returns
-    -------
-    list of Check
-        In the order in which a person would look.
-    """
+    """Examine this installation, and one instrument if it is named."""
     checks = [
         _python(),
         _packages(),

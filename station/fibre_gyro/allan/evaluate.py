@@ -22,19 +22,13 @@ PURPOSE = "allan"
 
 @dataclass(frozen=True)
 class NoiseOf:
-    """Noise of one record at rest; `curve` in deg/s, of the words with the missing ones put in.
-
-    Attributes
-    ----------
-    by_design : bool
-        Whether the output came in counts, which only the scale factor by design turns into deg/s.
-    """
+    """Noise of one record at rest; `curve` in deg/s, of the words with the missing ones put in."""
 
     key: str
     duration_s: float
     fit: NoiseFit
     curve: AllanCurve
-    by_design: bool
+    by_design: bool  # whether the output came in counts, which only the scale factor by design turns into deg/s
 
 
 @dataclass(frozen=True)
@@ -46,13 +40,7 @@ class AllanFound:
 
 
 def evaluate(run: SavedRun, settings: FogSettings, choices: Mapping[str, Any]) -> AllanFound:
-    """Fit the noise model to each record.
-
-    Raises
-    ------
-    NoUsableSignal
-        No record is long and whole enough.
-    """
+    """Fit the noise model to each record."""
     found, left_out = [], []
     for segment in segments_of(run, PURPOSE):
         try:

@@ -35,18 +35,10 @@ _AXES = ("X", "Y", "Z")
 
 @dataclass(frozen=True)
 class NoiseModel:
-    """Noise of one gyro.
+    """Noise of one gyro."""
 
-    Attributes
-    ----------
-    coefficients : dict of str to float
-        deg and s.
-    source : str
-        Where it comes from, in words.
-    """
-
-    coefficients: dict[str, float]
-    source: str
+    coefficients: dict[str, float]  # deg and s
+    source: str  # where it comes from, in words
 
     def fast_variance(self, duration_s: Floats) -> Floats:
         """Variance of means by white noise and quantization, (deg/s)^2."""
@@ -60,15 +52,7 @@ class NoiseModel:
 
 
 def noise_facts(path: Path | None) -> dict[str, Any]:
-    """Return a noise model as fact of the run that uses it; nothing without a path.
-
-    Raises
-    ------
-    UsageError
-        There is no noise model.
-    RunError
-        The run cannot be read.
-    """
+    """Return a noise model as fact of the run that uses it; nothing without a path."""
     if path is None:
         return {}
     records = _of_run(path) if path.exists() and _is_run(path) else _of_json(path)

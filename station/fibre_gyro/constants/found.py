@@ -29,67 +29,36 @@ _LEAST_ERROR_PPM, _MOST_ERROR_PPM = 0.01, 10.0
 
 @dataclass(frozen=True)
 class Wanted:
-    """How words are made.
+    """How words are made."""
 
-    Attributes
-    ----------
-    axis : str
-        Empty: that of the settings, or the only one.
-    numbers : {"differences", "fit"}
-        Of a rate-table run: from differences of two rates, or the scale factor by least squares times the rate.
-    unit : {"codes", "counts"}
-        Codes of the staircase's step, or counts of the output.
-    width, fraction : int or None
-        Bits of a word, and behind the point.
-    error_ppm : float or None
-        Largest rounding error; a tenth of the standard uncertainty if not given.
-    """
-
-    axis: str = ""
+    axis: str = ""  # empty: that of the settings, or the only one
+    # {"differences", "fit"}: Of a rate-table run: from differences of two rates, or the scale factor by least
+    # squares times the rate
     numbers: str = "differences"
-    unit: str = "codes"
-    width: int | None = None
+    unit: str = "codes"  # {"codes", "counts"}: Codes of the staircase's step, or counts of the output
+    width: int | None = None  # bits of a word, and behind the point
     fraction: int | None = None
-    error_ppm: float | None = None
+    error_ppm: float | None = None  # largest rounding error; a tenth of the standard uncertainty if not given
 
 
 @dataclass(frozen=True)
 class Column:
-    """Constants of one kind, with their words.
+    """Constants of one kind, with their words."""
 
-    Attributes
-    ----------
-    name : str
-        Part of an identifier: ``"N"``, ``"K"``, ``"BIAS"``.
-    what : str
-        In words.
-    unit : str
-    at : ndarray, shape (n,)
-        Rates, deg/s, or temperatures, deg C, that they belong to; empty for a single constant.
-    values, values_u : ndarray, shape (n,)
-    words : FixedPoint
-    """
-
-    name: str
-    what: str
+    name: str  # part of an identifier: ``"N"``, ``"K"``, ``"BIAS"``
+    what: str  # in words
     unit: str
-    at: Floats
-    values: Floats
+    at: Floats  # (n,): Rates, deg/s, or temperatures, deg C, that they belong to; empty for a single constant
+    values: Floats  # (n,)
     values_u: Floats
     words: FixedPoint
 
 
 @dataclass(frozen=True)
 class Constants:
-    """All constants of a run.
+    """All constants of a run."""
 
-    Attributes
-    ----------
-    kind : {"numbers", "temperature"}
-        Whether `at` are rates or temperatures.
-    """
-
-    kind: str
+    kind: str  # {"numbers", "temperature"}: Whether `at` are rates or temperatures
     axis: str
     gyro: str
     run: Path
@@ -97,17 +66,7 @@ class Constants:
 
 
 def constants_of(path: Path, wanted: Wanted) -> Constants:
-    """Evaluate a saved run and round what it gives.
-
-    Raises
-    ------
-    UsageError
-        It is of another kind, gives no such constants, or they do not fit into the words.
-    RunError
-        It is no run.
-    NoUsableSignal
-        It gives no result.
-    """
+    """Evaluate a saved run and round what it gives."""
     run = open_run(path)
     command = run.facts.command
     if command not in _GIVE:

@@ -65,13 +65,7 @@ def _vhdl_word(word: int, width: int) -> str:
 
 
 def c_text(constants: Constants, *, floats: bool = False) -> str:
-    """Return a C header.
-
-    Parameters
-    ----------
-    floats : bool, optional
-        Doubles instead of words: nothing is rounded beyond 17 digits.
-    """
+    """Return a C header."""
     name = f"GYRO_{constants.kind}_{identifier(constants.axis)}".upper()
     lines = [
         "/*",

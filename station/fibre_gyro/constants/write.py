@@ -17,24 +17,7 @@ _SCHEMA = {"name": "gyrolock fog constants", "version": 1}
 
 
 def write_constants(constants: Constants, files: Mapping[str, Path], *, floats: bool, replace: bool) -> None:
-    """Write the files.
-
-    Parameters
-    ----------
-    files : mapping
-        Path by ``"vhdl"``, ``"c"`` and ``"csv"``.
-    floats : bool
-        Of the C header.
-    replace : bool
-        Write over what is there.
-
-    Raises
-    ------
-    UsageError
-        A file is there already.
-    CannotWrite
-        A file cannot be written.
-    """
+    """Write the files."""
     for path in files.values():
         if path.exists() and not replace:
             raise UsageError(f"{path}: is there already; --replace writes over it")

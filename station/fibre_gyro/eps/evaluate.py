@@ -26,19 +26,11 @@ _BLOCKS = 10
 
 @dataclass(frozen=True)
 class EpsFound:
-    """Result of the open-loop measurement.
+    """Result of the open-loop measurement."""
 
-    Attributes
-    ----------
-    keys : tuple of str
-        Segments in the result, one for each element of the arrays.
-    step_codes : ndarray, shape (n,)
-    normal, normal_u, reset, reset_u : ndarray, shape (n,)
-        Mean demodulated error of the sample pairs without and with a reset, counts of the detector's converter.
-    """
-
-    keys: tuple[str, ...]
-    step_codes: NDArray[np.float64]
+    keys: tuple[str, ...]  # segments in the result, one for each element of the arrays
+    step_codes: NDArray[np.float64]  # (n,)
+    # (n,): Mean demodulated error of the sample pairs without and with a reset, counts of the detector's converter
     normal: NDArray[np.float64]
     normal_u: NDArray[np.float64]
     reset: NDArray[np.float64]
@@ -48,13 +40,7 @@ class EpsFound:
 
 
 def evaluate(run: SavedRun, settings: FogSettings, choices: Mapping[str, Any]) -> EpsFound:
-    """Evaluate the open-loop segments of a run.
-
-    Raises
-    ------
-    NoUsableSignal
-        Fewer than two steps are left.
-    """
+    """Evaluate the open-loop segments of a run."""
     rows: list[tuple[str, float, WindowMean, WindowMean]] = []
     left_out = not_taken(run)
     for segment in segments_of(run, PURPOSE):

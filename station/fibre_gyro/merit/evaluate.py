@@ -44,75 +44,39 @@ _TURN_ON_BLOCKS = 180
 
 @dataclass(frozen=True)
 class MeritRun:
-    """One run over the range, of one axis.
+    """One run over the range, of one axis."""
 
-    Attributes
-    ----------
-    name : str
-        ``"run 1"`` or ``"run at +60 deg C"``, with the axis in front where there are several.
-    temperature_c : float
-        As the gyro or the log gives it, else as planned; nan if nobody knows.
-    rate_dps : ndarray, shape (n,)
-        Along the axis: with its end down the rate of the table changes its sign.
-    output, output_u : ndarray, shape (n,)
-        Net output: less the static output.
-    static_drift, static_drift_u : float
-        Last static output less the first, counts; nan if one is missing.
-    drift_removed : bool
-        Whether the static output was interpolated in time.
-    bias_dph, bias_u_dph : float
-        Static output less the vertical earth rate; the uncertainty by its noise.
-    turn_on : TurnOn or None
-        Transient after switching on, deg/h; ``None`` without a usable record of it.
-    remarks : tuple of str
-        What was missing or left out within the windows.
-    """
-
-    name: str
-    temperature_c: float
-    rate_dps: NDArray[np.float64]
-    output: NDArray[np.float64]
+    name: str  # ``"run 1"`` or ``"run at +60 deg C"``, with the axis in front where there are several
+    temperature_c: float  # as the gyro or the log gives it, else as planned; nan if nobody knows
+    rate_dps: NDArray[np.float64]  # (n,): Along the axis: with its end down the rate of the table changes its sign
+    output: NDArray[np.float64]  # (n,): Net output: less the static output
     output_u: NDArray[np.float64]
-    static_drift: float
+    static_drift: float  # last static output less the first, counts; nan if one is missing
     static_drift_u: float
     figures: ScaleFigures
     pattern: ResidualPattern
-    drift_removed: bool
-    bias_dph: float
+    drift_removed: bool  # whether the static output was interpolated in time
+    bias_dph: float  # static output less the vertical earth rate; the uncertainty by its noise
     bias_u_dph: float
-    turn_on: TurnOn | None
-    remarks: tuple[str, ...]
+    turn_on: TurnOn | None  # transient after switching on, deg/h; ``None`` without a usable record of it
+    remarks: tuple[str, ...]  # what was missing or left out within the windows
 
 
 @dataclass(frozen=True)
 class AxisMerit:
-    """Figures of merit of one axis.
-
-    Attributes
-    ----------
-    runs : tuple of MeritRun
-        From cold starts at the reference temperature.
-    scale_factor, scale_factor_u : float
-        Mean of the runs, and its standard uncertainty; counts per deg/s.
-    nonlinearity_ppm, nonlinearity_of_point_ppm, asymmetry_ppm : float
-        The largest of the runs; nan where no run gives one.
-    repeatability_ppm, temperature_coefficient_ppm : float
-        nan where there are too few runs.
-    bias : Repeatability or None
-        Of the bias from one switching on to the next, deg/h; ``None`` with one run.
-    """
+    """Figures of merit of one axis."""
 
     axis: str
-    runs: tuple[MeritRun, ...]
+    runs: tuple[MeritRun, ...]  # from cold starts at the reference temperature
     at_temperatures: tuple[MeritRun, ...]
-    scale_factor: float
+    scale_factor: float  # mean of the runs, and its standard uncertainty; counts per deg/s
     scale_factor_u: float
-    nonlinearity_ppm: float
+    nonlinearity_ppm: float  # the largest of the runs; nan where no run gives one
     nonlinearity_of_point_ppm: float
     asymmetry_ppm: float
-    repeatability_ppm: float
+    repeatability_ppm: float  # nan where there are too few runs
     temperature_coefficient_ppm: float
-    bias: Repeatability | None
+    bias: Repeatability | None  # of the bias from one switching on to the next, deg/h; ``None`` with one run
 
     @property
     def bias_repeatability_dph(self) -> float:
@@ -154,13 +118,7 @@ class MeritFound:
 
 
 def evaluate(run: SavedRun, settings: FogSettings, choices: Mapping[str, Any]) -> MeritFound:
-    """Evaluate the segments of a run.
-
-    Raises
-    ------
-    NoUsableSignal
-        No run is complete enough for a line.
-    """
+    """Evaluate the segments of a run."""
     left_out: list[LeftOut] = []
     by_axis: dict[str, dict[str, list[Segment]]] = {}
     for segment in segments_of(run, PURPOSE):

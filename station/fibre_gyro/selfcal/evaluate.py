@@ -61,62 +61,30 @@ class _Row:
 
 @dataclass(frozen=True)
 class SelfcalFound:
-    """Result of a self-calibration.
+    """Result of a self-calibration."""
 
-    Attributes
-    ----------
-    keys : tuple of str
-        Segments in the fit, one for each element of the arrays.
-    rate_dps, number : ndarray, shape (n,)
-        What the steps stand for, and the steps in counts.
-    fit : SlopeFit
-        Net output against rate: K_self.
-    numbers : SlopeFit
-        Injected numbers against rate, with the same weights: the mapping that was given.
-    comparison : ScaleComparison
-        Against the table, or where there is none against the design.
-    static_missing : {"", "before", "after"}
-        Which static output is missing, if one is.
-    drift_removed : bool
-        Whether the static output was interpolated in time.
-    contributions : mapping of str to float
-        What each cause contributes to the uncertainty of K_self/K_table - 1 (or against the design), ppm.
-    noise : NoiseModel or None
-        The noise model that was counted.
-    noise_by_model : bool
-        Whether the noise within the segments is that of the model; else that of their words, which is larger.
-    remarks : tuple of str
-        What was missing or left out within the windows.
-    table : TableFound or None
-        Of the rate-table segments in the same run.
-    """
-
-    keys: tuple[str, ...]
-    rate_dps: NDArray[np.float64]
+    keys: tuple[str, ...]  # segments in the fit, one for each element of the arrays
+    rate_dps: NDArray[np.float64]  # (n,): What the steps stand for, and the steps in counts
     number: NDArray[np.float64]
     net: NetOutputs
-    fit: SlopeFit
-    numbers: SlopeFit
+    fit: SlopeFit  # net output against rate: K_self
+    numbers: SlopeFit  # injected numbers against rate, with the same weights: the mapping that was given
     reference: TableReference | None
-    comparison: ScaleComparison
-    static_missing: str
-    drift_removed: bool
+    comparison: ScaleComparison  # against the table, or where there is none against the design
+    static_missing: str  # {"", "before", "after"}: Which static output is missing, if one is
+    drift_removed: bool  # whether the static output was interpolated in time
+    # what each cause contributes to the uncertainty of K_self/K_table - 1 (or against the design), ppm
     contributions: Mapping[str, float]
-    noise: NoiseModel | None
+    noise: NoiseModel | None  # the noise model that was counted
+    # whether the noise within the segments is that of the model; else that of their words, which is larger
     noise_by_model: bool
-    remarks: tuple[str, ...]
+    remarks: tuple[str, ...]  # what was missing or left out within the windows
     left_out: tuple[LeftOut, ...]
-    table: TableFound | None
+    table: TableFound | None  # of the rate-table segments in the same run
 
 
 def evaluate(run: SavedRun, settings: FogSettings, choices: Mapping[str, Any]) -> SelfcalFound:
-    """Evaluate a self-calibration, and the rate-table segments of the same run.
-
-    Raises
-    ------
-    NoUsableSignal
-        Fewer than three steps or no static output are left.
-    """
+    """Evaluate a self-calibration, and the rate-table segments of the same run."""
     rows, left_out = _usable(run, settings)
     left_out += not_taken(run)
     static = [row for row in rows if row.conditions["static"]]

@@ -36,34 +36,15 @@ _BASE = ("base_dps", "base_u")
 
 @dataclass(frozen=True)
 class TableReference:
-    """The rate-table result that a self-calibration is compared with.
+    """The rate-table result that a self-calibration is compared with."""
 
-    Attributes
-    ----------
-    scale_factor, scale_factor_u : float
-        Counts per deg/s.
-    source : str
-        Where it comes from, in words.
-    """
-
-    scale_factor: float
+    scale_factor: float  # counts per deg/s
     scale_factor_u: float
-    source: str
+    source: str  # where it comes from, in words
 
 
 def numbers_for(settings: FogSettings, table: AxisResult | None) -> InjectionPlan:
-    """Numbers to inject, in counts, for every rate of the settings in both senses.
-
-    Parameters
-    ----------
-    table : AxisResult or None
-        Of the axis of the settings.
-
-    Raises
-    ------
-    UsageError
-        The settings want numbers from a table run and there is none.
-    """
+    """Numbers to inject, in counts, for every rate of the settings in both senses."""
     chosen = settings.selfcal
     rates = [sense * rate for rate in chosen.rates_dps for sense in (1.0, -1.0)]
     if chosen.numbers == "nominal":
@@ -79,22 +60,7 @@ def numbers_for(settings: FogSettings, table: AxisResult | None) -> InjectionPla
 
 
 def facts_of_table(settings: FogSettings, table_run: Path) -> dict[str, Any]:
-    """Return numbers and reference of another run, as facts of the one that uses them.
-
-    Parameters
-    ----------
-    settings : FogSettings
-        Of the run that uses them.
-    table_run : Path
-        A rate-table run, or a self-calibration with one of its own.
-
-    Raises
-    ------
-    UsageError
-        It gives no scale factor of the axis.
-    RunError
-        It is no run.
-    """
+    """Return numbers and reference of another run, as facts of the one that uses them."""
     run = open_run(table_run)
     saved = saved_settings(FIBRE_GYRO, run.facts.settings, str(run.path))
     found = find_axes(run, saved).of(settings.selfcal.axis)
@@ -113,15 +79,9 @@ def facts_of_table(settings: FogSettings, table_run: Path) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class TableTogether:
-    """How scale factor and numbers of one table run hang together.
+    """How scale factor and numbers of one table run hang together."""
 
-    Attributes
-    ----------
-    u : list of float
-        Standard uncertainty of the scale factor, without the table's common error, and of each number; counts.
-    correlation : list of list of float
-    """
-
+    # standard uncertainty of the scale factor, without the table's common error, and of each number; counts
     u: list[float]
     correlation: list[list[float]]
 
@@ -141,11 +101,6 @@ def numbers_against_table_u(
     """Relative standard uncertainty of the slope of the numbers over the K of the table run that both come from.
 
     Their errors have one source and cancel in part; ``None`` where nobody knows how.
-
-    Parameters
-    ----------
-    weights : ndarray, shape (n,)
-        Of the steps in the slope.
     """
     reference = reference_of(run, settings, table)
     own = table.of(settings.selfcal.axis) if table is not None else None

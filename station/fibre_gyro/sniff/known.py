@@ -38,18 +38,7 @@ def shipped_files() -> list[Path]:
 
 
 def known_formats(files: list[Path] | None = None) -> dict[str, KnownFormat]:
-    """Read all descriptions.
-
-    Parameters
-    ----------
-    files : list of Path, optional
-        Those that came with the program if not given.
-
-    Raises
-    ------
-    SettingsError
-        A file cannot be read, or a description in it is wrong.
-    """
+    """Read all descriptions."""
     found: dict[str, KnownFormat] = {}
     for file in shipped_files() if files is None else files:
         for name, table in _tables(file):
@@ -58,13 +47,7 @@ def known_formats(files: list[Path] | None = None) -> dict[str, KnownFormat]:
 
 
 def read_frame_format(settings: FogSettings) -> FrameFormat:
-    """Find and parse the frame format that the settings name.
-
-    Raises
-    ------
-    SettingsError
-        There is no such file or no such format, or the description is wrong.
-    """
+    """Find and parse the frame format that the settings name."""
     name, given = settings.link.frame_format, settings.link.frame_format_file
     files = [Path(given)] if given else shipped_files()
     there = []

@@ -29,27 +29,13 @@ Tell = Callable[[str], None]
 
 @dataclass(frozen=True)
 class Sniffed:
-    """What was found out.
+    """What was found out."""
 
-    Attributes
-    ----------
-    source : str
-        The port or file.
-    capture : Capture
-        The bytes that speak most clearly.
-    trials : tuple of Trial
-        Of every known description on them, the likeliest first.
-    structure : Structure or None
-        Where no description fits.
-    quiet : tuple of str
-        Line settings with which nothing fitting came.
-    """
-
-    source: str
-    capture: Capture
-    trials: tuple[Trial, ...]
-    structure: Structure | None
-    quiet: tuple[str, ...] = ()
+    source: str  # the port or file
+    capture: Capture  # the bytes that speak most clearly
+    trials: tuple[Trial, ...]  # of every known description on them, the likeliest first
+    structure: Structure | None  # where no description fits
+    quiet: tuple[str, ...] = ()  # line settings with which nothing fitting came
 
     @property
     def proposed(self) -> Trial | None:
@@ -66,13 +52,7 @@ class Sniffed:
 
 
 def sniff_file(path: Path, formats: Mapping[str, KnownFormat]) -> Sniffed:
-    """Try every description on the bytes of a file.
-
-    Raises
-    ------
-    UsageError
-        It cannot be read, or is empty.
-    """
+    """Try every description on the bytes of a file."""
     try:
         capture = captured_file(path)
     except OSError as error:
@@ -85,22 +65,7 @@ def sniff_file(path: Path, formats: Mapping[str, KnownFormat]) -> Sniffed:
 def sniff_port(
     port: str, formats: Mapping[str, KnownFormat], *, seconds: float, baud: int | None, poll: bool, tell: Tell
 ) -> Sniffed:
-    """Listen to a port with one line setting after the other until a description fits.
-
-    Parameters
-    ----------
-    seconds : float
-        With each setting.
-    baud : int or None
-        Only this rate; by default those of the known descriptions.
-    poll : bool
-        Whether gyros that speak only when asked are asked.
-
-    Raises
-    ------
-    LinkError
-        The port cannot be opened, or nothing came.
-    """
+    """Listen to a port with one line setting after the other until a description fits."""
     heard: list[Sniffed] = []
     quiet: list[str] = []
     refused: LinkError | None = None

@@ -49,61 +49,33 @@ _OUTPUTS = {"counts_x": "X", "counts_y": "Y", "counts_z": "Z"}  # columns with t
 
 @dataclass(frozen=True)
 class AxisResult:
-    """What the table run says of one axis.
-
-    Attributes
-    ----------
-    keys : tuple of str
-        Segments in the result, one for each element of ``runs``.
-    windows : tuple of WindowMean
-        One for each key.
-    parts : OddEven
-        Of the runs with the upper end up (or, if there are none, the lower).
-    differences : RateDifferences or None
-        ``None`` with fewer than two rates.
-    bias_dph : tuple of float
-        And its standard uncertainty: from the even part and the latitude, or from both ends up.
-    tilt : InputAxisTilt or None
-        Of the input axis against the table's axis, by the horizontal earth rate; ``None`` if it cannot show.
-    linearity : Linearity or None
-        Scale-factor error over the rates; ``None`` where they are no ladder.
-    noise : NoiseModel or None
-        The noise model that was counted.
-    noise_by_model : bool
-        Whether the noise within the runs is that of the model; else that of their words, which is larger.
-    remarks : tuple of str
-        What was missing or left out within the windows.
-    """
+    """What the table run says of one axis."""
 
     axis: str
-    keys: tuple[str, ...]
-    windows: tuple[WindowMean, ...]
+    keys: tuple[str, ...]  # segments in the result, one for each element of ``runs``
+    windows: tuple[WindowMean, ...]  # one for each key
     runs: TableRuns
-    parts: OddEven
-    differences: RateDifferences | None
+    parts: OddEven  # of the runs with the upper end up (or, if there are none, the lower)
+    differences: RateDifferences | None  # ``None`` with fewer than two rates
     fit: AxisFit
+    # and its standard uncertainty: from the even part and the latitude, or from both ends up
     bias_dph: tuple[float, float]
+    # of the input axis against the table's axis, by the horizontal earth rate; ``None`` if it cannot show
     tilt: InputAxisTilt | None
-    linearity: Linearity | None
-    noise: NoiseModel | None
+    linearity: Linearity | None  # scale-factor error over the rates; ``None`` where they are no ladder
+    noise: NoiseModel | None  # the noise model that was counted
+    # whether the noise within the runs is that of the model; else that of their words, which is larger
     noise_by_model: bool
-    remarks: tuple[str, ...]
+    remarks: tuple[str, ...]  # what was missing or left out within the windows
 
 
 @dataclass(frozen=True)
 class TableFound:
-    """Results of all axes, and what was left out.
+    """Results of all axes, and what was left out."""
 
-    Attributes
-    ----------
-    axes : tuple of AxisResult
-        Those that give a result.
-    matrix : ThreeAxes or None
-        Of all gyros, where the segments hold the output of more than the one along the table's axis.
-    """
-
-    axes: tuple[AxisResult, ...]
+    axes: tuple[AxisResult, ...]  # those that give a result
     left_out: tuple[LeftOut, ...]
+    # of all gyros, where the segments hold the output of more than the one along the table's axis
     matrix: ThreeAxes | None = None
 
     def of(self, axis: str) -> AxisResult | None:
@@ -112,13 +84,7 @@ class TableFound:
 
 
 def evaluate(run: SavedRun, settings: FogSettings, choices: Mapping[str, Any]) -> TableFound:
-    """Evaluate a rate-table run.
-
-    Raises
-    ------
-    NoUsableSignal
-        No axis was turned in both senses.
-    """
+    """Evaluate a rate-table run."""
     found = find_axes(run, settings, choices)
     if not found.axes:
         raise NoUsableSignal(f"no axis has runs in both senses{reasons_of(found.left_out)}")
@@ -126,13 +92,7 @@ def evaluate(run: SavedRun, settings: FogSettings, choices: Mapping[str, Any]) -
 
 
 def find_axes(run: SavedRun, settings: FogSettings, choices: Mapping[str, Any] | None = None) -> TableFound:
-    """Evaluate the rate-table segments of a run, whatever else it holds; perhaps no axis gives a result.
-
-    Parameters
-    ----------
-    choices : mapping, optional
-        Perhaps a noise model.
-    """
+    """Evaluate the rate-table segments of a run, whatever else it holds; perhaps no axis gives a result."""
     segments = segments_of(run, PURPOSE)
     windows: dict[str, tuple[Segment, WindowMean]] = {}
     left_out: list[LeftOut] = []

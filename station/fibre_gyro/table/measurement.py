@@ -18,13 +18,7 @@ from station.runs.taking import Session
 
 
 def plan(settings: FogSettings, axes: Sequence[str] | None = None) -> list[PlannedSegment]:
-    """List the segments of a run: each axis, each end up, each rate in both senses.
-
-    Parameters
-    ----------
-    axes : sequence of str, optional
-        By default those of the settings.
-    """
+    """List the segments of a run: each axis, each end up, each rate in both senses."""
     table, planned = settings.table, []
     for axis in axes or table.axes:
         for end_up in (1, -1) if table.both_ends_up else (1,):

@@ -83,13 +83,7 @@ class Course:
 
 
 def course_of(segments: Sequence[TimedSegment], window_s: float) -> Course:
-    """Return the course of the temperature: of the gyro's thermometer, else of the chamber's or the list's.
-
-    Raises
-    ------
-    ValueError
-        Nobody gives a temperature.
-    """
+    """Return the course of the temperature: of the gyro's thermometer, else of the chamber's or the list's."""
     times, warm = [], []
     for one in segments:
         recording, conditions = one.segment.recording, one.segment.conditions

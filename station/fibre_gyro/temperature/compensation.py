@@ -17,26 +17,14 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Compensation:
-    """Table of one axis; nan where a quantity was not measured at a temperature.
+    """Table of one axis; nan where a quantity was not measured at a temperature."""
 
-    Attributes
-    ----------
-    temperature : ndarray, shape (n,)
-        deg C, whole multiples of the step.
-    scale_factor, scale_factor_u : ndarray, shape (n,)
-        Counts per deg/s.
-    bias, bias_u : ndarray, shape (n,)
-        deg/h, without dT/dt.
-    bias_rate, bias_rate_u : float
-        deg/h per kelvin a minute; 0 where the model has no such term.
-    """
-
-    temperature: Floats
-    scale_factor: Floats
+    temperature: Floats  # (n,): deg C, whole multiples of the step
+    scale_factor: Floats  # (n,): Counts per deg/s
     scale_factor_u: Floats
-    bias: Floats
+    bias: Floats  # (n,): deg/h, without dT/dt
     bias_u: Floats
-    bias_rate: float
+    bias_rate: float  # deg/h per kelvin a minute; 0 where the model has no such term
     bias_rate_u: float
 
 

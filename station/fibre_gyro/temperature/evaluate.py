@@ -65,30 +65,17 @@ class Modelled:
 
 @dataclass(frozen=True)
 class AxisTemperature:
-    """One axis over the temperature.
-
-    Attributes
-    ----------
-    bias : Modelled or None
-        deg/h; ``None`` without enough output at rest.
-    bias_u_constant : float
-        Standard uncertainty of a constant in the bias that the run cannot show: the horizontal earth rate by a
-        misalignment; deg/h.
-    scale : Modelled or None
-        ppm off the scale factor by design; ``None`` without enough outputs at a rate.
-    scale_u_constant : float
-        Standard uncertainty of the gyro's clock in it, where the output is an angle a frame; ppm.
-    rate_noise : float
-        Part of the scatter of dT/dt that is noise of the thermometer.
-    remarks : tuple of str
-    """
+    """One axis over the temperature."""
 
     axis: str
-    bias: Modelled | None
+    bias: Modelled | None  # deg/h; ``None`` without enough output at rest
+    # standard uncertainty of a constant in the bias that the run cannot show: the horizontal earth rate by a
+    # misalignment; deg/h
     bias_u_constant: float
-    scale: Modelled | None
+    scale: Modelled | None  # ppm off the scale factor by design; ``None`` without enough outputs at a rate
+    # standard uncertainty of the gyro's clock in it, where the output is an angle a frame; ppm
     scale_u_constant: float
-    rate_noise: float
+    rate_noise: float  # part of the scatter of dT/dt that is noise of the thermometer
     remarks: tuple[str, ...]
 
 
@@ -101,13 +88,7 @@ class TemperatureFound:
 
 
 def evaluate(run: SavedRun, settings: FogSettings, choices: Mapping[str, Any]) -> TemperatureFound:
-    """Evaluate the segments of a run.
-
-    Raises
-    ------
-    NoUsableSignal
-        No axis has outputs at several temperatures.
-    """
+    """Evaluate the segments of a run."""
     left_out: list[LeftOut] = []
     segments = timed_segments(run, PURPOSE, left_out)
     found = []

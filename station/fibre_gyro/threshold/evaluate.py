@@ -36,46 +36,23 @@ _LINEAR = (0.8, 1.2)
 
 @dataclass(frozen=True)
 class Series:
-    """A ladder of inputs about one reference input.
+    """A ladder of inputs about one reference input."""
 
-    Attributes
-    ----------
-    keys : tuple of str
-        One for each response.
-    reference_dps : float
-        True input of the references, with the earth rate.
-    found : Responses
-    says : SmallRates
-    """
-
-    keys: tuple[str, ...]
-    reference_dps: float
+    keys: tuple[str, ...]  # one for each response
+    reference_dps: float  # true input of the references, with the earth rate
     found: Responses
     says: SmallRates
 
 
 @dataclass(frozen=True)
 class AxisThreshold:
-    """Small rates of one axis.
-
-    Attributes
-    ----------
-    ladder : Series
-        Inputs about zero.
-    resolution : Series or None
-        Changes about another input.
-    scale_factor : float
-        That responses are compared with, counts per deg/s.
-    by_design : bool
-        Whether that is the one by design: the largest inputs give none that could be right.
-    remarks : tuple of str
-    """
+    """Small rates of one axis."""
 
     axis: str
-    ladder: Series
-    resolution: Series | None
-    scale_factor: float
-    by_design: bool
+    ladder: Series  # inputs about zero
+    resolution: Series | None  # changes about another input
+    scale_factor: float  # that responses are compared with, counts per deg/s
+    by_design: bool  # whether that is the one by design: the largest inputs give none that could be right
     remarks: tuple[str, ...]
 
 
@@ -103,13 +80,7 @@ class Point:
 
 
 def evaluate(run: SavedRun, settings: FogSettings, choices: Mapping[str, Any]) -> ThresholdFound:
-    """Evaluate the segments of a run.
-
-    Raises
-    ------
-    NoUsableSignal
-        No axis has outputs at small rates and at rest.
-    """
+    """Evaluate the segments of a run."""
     left_out = not_taken(run)
     points = points_of(run, settings, left_out)
     found = []
@@ -191,18 +162,7 @@ def series_of(
     *,
     about_reference: bool = False,
 ) -> Series:
-    """Return the responses of one ladder, and what they say.
-
-    Parameters
-    ----------
-    about_reference : bool, optional
-        Inputs are changes about the reference, not about zero.
-
-    Raises
-    ------
-    ValueError
-        There is no reference, or nothing beside it.
-    """
+    """Return the responses of one ladder, and what they say."""
     references = [one for one in points if one.is_reference]
     if not references:
         raise ValueError("it has no output at rest: take one before and one after")

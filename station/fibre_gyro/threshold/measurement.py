@@ -42,13 +42,7 @@ def plan_noise(settings: FogSettings) -> list[PlannedSegment]:
 
 
 def plan(settings: FogSettings, angle_random_walk: float) -> list[PlannedSegment]:
-    """List the segments of the ladder and of the resolution.
-
-    Parameters
-    ----------
-    angle_random_walk : float
-        deg/sqrt(h).
-    """
+    """List the segments of the ladder and of the resolution."""
     ladder, base = ladder_for(settings, angle_random_walk), settings.threshold.resolution_at_dps
     senses = [(sense * float(rate), float(s)) for rate, s in _rungs(ladder) for sense in (1, -1)]
     planned = _with_references("", LADDER, 0.0, senses, settings)

@@ -33,69 +33,36 @@ class Uncertain:
 
 @dataclass(frozen=True, eq=False)
 class WitnessedRecord:
-    """One record.
+    """One record."""
 
-    Attributes
-    ----------
-    name : str
-        Its number, or the name of its file.
-    found : StaircaseWitness
-        Without the uncertainty of the oscilloscope's gain and time base.
-    step_time_given : bool
-        Its steps were found with the transit time of the coil only.
-    """
-
-    name: str
+    name: str  # its number, or the name of its file
     waveform: Waveform
-    found: StaircaseWitness
-    step_time_given: bool
+    found: StaircaseWitness  # without the uncertainty of the oscilloscope's gain and time base
+    step_time_given: bool  # its steps were found with the transit time of the coil only
 
 
 @dataclass(frozen=True, eq=False)
 class WitnessFound:
-    """Means over the records; gain and time base are in every `u` but those of `record_u`.
-
-    Attributes
-    ----------
-    step_height, step_time, reset_height, two_pi_voltage, bias_height : Uncertain
-        V and s.
-    two_pi_voltage_record_u : float
-        Without the gain: for comparison with another run with the same settings of the oscilloscope.
-    step_codes : Uncertain
-        Step over 2-pi voltage, times the codes of the converter; free of the gain.
-    step_time_ppm : Uncertain
-        Step time over transit time of the coil by design, less one.
-    half_wave_v : float
-        0 if it is not known.
-    two_pi_error : Uncertain
-        V_2pi/(2 V_pi) - 1.
-    flags : tuple of str
-        Of `analysis.fibre_gyro.staircase`, of any record.
-    """
+    """Means over the records; gain and time base are in every `u` but those of `record_u`."""
 
     records: tuple[WitnessedRecord, ...]
-    step_height: Uncertain
+    step_height: Uncertain  # V and s
     step_time: Uncertain
     reset_height: Uncertain
     two_pi_voltage: Uncertain
     bias_height: Uncertain
+    # without the gain: for comparison with another run with the same settings of the oscilloscope
     two_pi_voltage_record_u: float
-    step_codes: Uncertain
-    step_time_ppm: Uncertain
-    half_wave_v: float
-    two_pi_error: Uncertain
-    flags: tuple[str, ...]
+    step_codes: Uncertain  # step over 2-pi voltage, times the codes of the converter; free of the gain
+    step_time_ppm: Uncertain  # step time over transit time of the coil by design, less one
+    half_wave_v: float  # 0 if it is not known
+    two_pi_error: Uncertain  # v_2pi/(2 V_pi) - 1
+    flags: tuple[str, ...]  # of `analysis.fibre_gyro.staircase`, of any record
     left_out: tuple[LeftOut, ...]
 
 
 def evaluate(run: SavedRun, settings: FogSettings, choices: Mapping[str, Any]) -> WitnessFound:
-    """Evaluate the records of a run.
-
-    Raises
-    ------
-    NoUsableSignal
-        No record shows a staircase.
-    """
+    """Evaluate the records of a run."""
     records, left_out = [], []
     for saved in run.taken_for(PURPOSE):
         name = str(saved.conditions.get("file") or f"record {saved.number}")
@@ -125,13 +92,7 @@ def _witnessed(name: str, saved: SavedRecord, settings: FogSettings) -> Witnesse
 
 
 def witnessed(waveform: Waveform, transit_time: float) -> tuple[StaircaseWitness, bool]:
-    """Return the staircase of a record, and whether it was found with the transit time of the coil (s) only.
-
-    Raises
-    ------
-    ValueError
-        There is none; the text says why and what to change.
-    """
+    """Return the staircase of a record, and whether it was found with the transit time of the coil (s) only."""
     volts, interval = waveform.volts, waveform.sample_interval
     try:
         return witness_staircase(volts, interval), False

@@ -27,11 +27,6 @@ def modulator_voltage(settings: FogSettings) -> Callable[[Floats], Floats]:
 
     The loop is computed at every transit time for a while and its staircase then continued with the same steps:
     in open loop nothing else happens.
-
-    Returns
-    -------
-    callable
-        Volts at times in s.
     """
     coil, loop = settings.coil, loop_settings(settings)
     gyro = ClosedLoop(coil, loop, settings.simulation.seed, kernel="numpy")
@@ -60,13 +55,7 @@ def modulator_voltage(settings: FogSettings) -> Callable[[Floats], Floats]:
 
 @contextmanager
 def open_simulated_scope(settings: FogSettings, *, times_resumed: int = 0) -> Iterator[TDS2014]:
-    """Open a simulated oscilloscope on the modulator, through a real byte stream; its clock jumps over waiting.
-
-    Parameters
-    ----------
-    times_resumed : int, optional
-        How often it was switched on before for the same run: its noise is another one each time.
-    """
+    """Open a simulated oscilloscope on the modulator, through a real byte stream; its clock jumps over waiting."""
     witness, seed = settings.witness, settings.simulation.seed
     if times_resumed:
         seed = int(np.random.SeedSequence([seed, times_resumed]).generate_state(1)[0])

@@ -68,15 +68,7 @@ def take(settings: FogSettings, session: Session) -> None:
 
 
 def take_files(settings: FogSettings, paths: Sequence[Path], session: Session) -> None:
-    """Make a run of files that the oscilloscope or its PC software wrote.
-
-    Raises
-    ------
-    FileFormatError, OSError
-        A file cannot be read; then there is no run.
-    UsageError
-        A file holds more than eight bits a point.
-    """
+    """Make a run of files that the oscilloscope or its PC software wrote."""
     waveforms = [read_waveform(path) for path in paths]
     for path, waveform in zip(paths, waveforms, strict=True):
         if waveform.codes.dtype != np.int8:

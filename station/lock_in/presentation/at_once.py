@@ -33,15 +33,10 @@ def watch(settings: Settings) -> See:
 
 @dataclass
 class _Rate:
-    """Records at one rate and in one sense.
-
-    Attributes
-    ----------
-    ratios, ratio_us, beats : list
-        Of each record: rho = c2 |c1| / c1^2, the standard uncertainty of either part, and the beat's frequency.
-    """
+    """Records at one rate and in one sense."""
 
     sense: int
+    # of each record: rho = c2 |c1| / c1^2, the standard uncertainty of either part, and the beat's frequency
     ratios: list[complex] = field(default_factory=list)
     ratio_us: list[float] = field(default_factory=list)
     beats: list[float] = field(default_factory=list)

@@ -17,18 +17,7 @@ _SMALLEST_SHOWN = 1e-4
 
 
 def budget_svg(budget: Budget, name: str = "budget") -> str:
-    """Draw the contributions of a budget in percent of the lock-in rate.
-
-    Parameters
-    ----------
-    name : str, optional
-        Sets the ids of the figure apart from those of others on one page.
-
-    Returns
-    -------
-    str
-        SVG element.
-    """
+    """Draw the contributions of a budget in percent of the lock-in rate."""
 
     def draw(figure: Figure) -> None:
         draw_budget(figure.add_subplot(), budget)

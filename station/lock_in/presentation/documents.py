@@ -186,13 +186,7 @@ def _of_all(found: LockInFound) -> dict[str, Any]:
 
 
 def record_documents(found: LockInFound, called: str) -> Iterator[dict[str, Any]]:
-    """Yield one document for each record, with the names of :func:`result_document`.
-
-    Parameters
-    ----------
-    called : str
-        Key of the record's name: ``"record"`` of a run, or ``"file"``.
-    """
+    """Yield one document for each record, with the names of :func:`result_document`."""
     common = {
         "method": describe_method(found.method),
         "scale_factor_pulses_per_deg": found.method.scale_factor,

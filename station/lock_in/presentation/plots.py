@@ -27,18 +27,7 @@ RECORDS_SHOWN = 2000  # of more every so many: a page of a million bars cannot b
 
 
 def time_record_svg(waveform: Waveform) -> str:
-    """Draw the first periods of a record: samples and fitted harmonics, and below what the fit leaves of them.
-
-    Parameters
-    ----------
-    waveform : Waveform
-        With a beat.
-
-    Returns
-    -------
-    str
-        SVG element.
-    """
+    """Draw the first periods of a record: samples and fitted harmonics, and below what the fit leaves of them."""
     fit = fit_harmonics(waveform.volts, waveform.sample_interval, harmonics=_HARMONICS, nan_policy="omit")
     frequency = float(fit.frequency)
     periods = int(np.ceil(_PERIODS_SHOWN / frequency / waveform.sample_interval))
@@ -115,18 +104,7 @@ def spectrum_svg(waveform: Waveform) -> str:
 
 
 def line_svg(waveform: Waveform, order: int) -> str:
-    """Draw one harmonic enlarged, as the paper's Fig. 8 (c) and (d), beside what least squares gives.
-
-    Parameters
-    ----------
-    order : int
-        1 for the fundamental.
-
-    Returns
-    -------
-    str
-        SVG element.
-    """
+    """Draw one harmonic enlarged, as the paper's Fig. 8 (c) and (d), beside what least squares gives."""
     fit = fit_harmonics(waveform.volts, waveform.sample_interval, harmonics=_HARMONICS, nan_policy="omit")
     centre = order * float(fit.frequency)
     height, height_u = float(np.abs(fit.amplitudes[order - 1])), float(fit.amplitudes_u[order - 1])

@@ -26,17 +26,7 @@ _SENSES = ((1, ACCENT, "o", "positive sense"), (-1, SECOND, "s", "negative sense
 def rates_svg(
     groups: Sequence[RateGroup], fit: RatesFit, scale_factor: float, true_lock_in_rate: float | None = None
 ) -> str:
-    """Draw what each rate alone gives for the lock-in rate, and the fit to all of them, as an SVG element.
-
-    Parameters
-    ----------
-    groups : sequence of RateGroup
-    fit : RatesFit
-    scale_factor : float
-        Pulses per degree.
-    true_lock_in_rate : float, optional
-        Of a simulated run, deg/s.
-    """
+    """Draw what each rate alone gives for the lock-in rate, and the fit to all of them, as an SVG element."""
 
     def draw(figure: Figure) -> None:
         axes = figure.add_subplot()
@@ -95,13 +85,7 @@ def _seen_at(rates: Array, fit: RatesFit, scale_factor: float) -> Array:
 
 
 def deviations_svg(fit: RatesFit) -> str:
-    """Draw how far each record lies from the fit, in standard uncertainties.
-
-    Returns
-    -------
-    str
-        SVG element.
-    """
+    """Draw how far each record lies from the fit, in standard uncertainties."""
 
     def draw(figure: Figure) -> None:
         axes, deviation = figure.add_subplot(), fit.deviation

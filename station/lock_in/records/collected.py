@@ -28,13 +28,7 @@ _TRUTH = "truth "
 
 
 class Collected:
-    """Estimates of the records of one source, or of several that are to be one result, in their order.
-
-    Parameters
-    ----------
-    response : ChannelResponse or None
-        Of the channel, to be taken out of them.
-    """
+    """Estimates of the records of one source, or of several that are to be one result, in their order."""
 
     def __init__(self, response: ChannelResponse | None) -> None:
         self._response = response

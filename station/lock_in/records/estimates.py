@@ -45,13 +45,7 @@ COLUMNS: Mapping[str, tuple[str, Any]] = {
 
 
 def batch_arrays(batch: RecordBatch, room: NDArray[np.float64] | None = None) -> Batch:
-    """Volts and clipped samples of a batch; all its records must have one time base.
-
-    Parameters
-    ----------
-    room : ndarray, optional
-        Where the volts may be put: memory that was used before is quicker than new one.
-    """
+    """Volts and clipped samples of a batch; all its records must have one time base."""
     codes, wide = batch.codes, batch.codes.dtype != np.int8
     highest = HIGHEST_CODE * 256 if wide else HIGHEST_CODE
     clipped = (codes >= highest) | (codes <= -highest)
@@ -89,21 +83,7 @@ def _volts(batch: RecordBatch, room: NDArray[np.float64] | None) -> NDArray[np.f
 
 
 def estimate_batch(batch: RecordBatch, method: Method, room: NDArray[np.float64] | None = None) -> LockInEstimate:
-    """Estimate every record of a batch by itself.
-
-    Parameters
-    ----------
-    batch : RecordBatch
-        Of :func:`station.sources.batches_of`.
-    method : Method
-    room : ndarray, optional
-        As for :func:`batch_arrays`; it is free again afterwards.
-
-    Returns
-    -------
-    LockInEstimate
-        Fields of shape (n,). A record has the same bits in every batch.
-    """
+    """Estimate every record of a batch by itself."""
     arrays = batch_arrays(batch, room)
     return estimate_lock_in(
         arrays.volts[0],

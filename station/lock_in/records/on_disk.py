@@ -21,13 +21,7 @@ _AT_ONCE = 1 << 14
 
 
 class ColumnFiles:
-    """Columns of numbers that grow together, in files without a name: they end with the program.
-
-    Attributes
-    ----------
-    count : int
-        Rows.
-    """
+    """Columns of numbers that grow together, in files without a name: they end with the program."""
 
     def __init__(self) -> None:
         self.count = 0
@@ -35,13 +29,7 @@ class ColumnFiles:
         weakref.finalize(self, _close, self._files)
 
     def add(self, columns: Mapping[str, NDArray[Any]], count: int) -> None:
-        """Add `count` rows (n, ...); a column that has none of them gets nan.
-
-        Raises
-        ------
-        CannotWrite
-            The disk does not take them.
-        """
+        """Add `count` rows (n, ...); a column that has none of them gets nan."""
         try:
             for name in columns.keys() - self._files.keys():
                 file = tempfile.TemporaryFile(buffering=0)  # noqa: SIM115  # open as long as this object
@@ -111,15 +99,7 @@ class EstimatesOnDisk(LockInEstimate):
     def of(
         cls, columns: ColumnFiles, like: LockInEstimate, rows: NDArray[np.intp] | None = None
     ) -> EstimatesOnDisk:
-        """Return the estimates in columns called as the fields.
-
-        Parameters
-        ----------
-        like : LockInEstimate
-            Gives scale factor, relation and reference.
-        rows : ndarray of int, optional
-            Only these of them.
-        """
+        """Return the estimates in columns called as the fields."""
         made = object.__new__(cls)
         common = {
             field.name: getattr(like, field.name) for field in fields(LockInEstimate) if field.name not in ARRAYS

@@ -16,16 +16,10 @@ from station.sources.source import Source
 
 @dataclass(frozen=True)
 class Pairs:
-    """Volts of both channels, batch by batch.
-
-    Attributes
-    ----------
-    gathered : Gathered
-        Of the whole source; every record has its second one.
-    """
+    """Volts of both channels, batch by batch."""
 
     source: Source
-    gathered: Gathered
+    gathered: Gathered  # of the whole source; every record has its second one
 
     def __iter__(self) -> Iterator[Batch]:
         columns = self.gathered.columns

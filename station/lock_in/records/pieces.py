@@ -30,88 +30,43 @@ CONDITIONS = ("table_rate_dps", "azimuth_start_deg", "azimuth_end_deg", "over_lo
 
 @dataclass(frozen=True)
 class Piece:
-    """Some records of one source.
-
-    Attributes
-    ----------
-    path : Path or Source
-    numbers : range or None
-        Of the records; ``None``: all.
-    choices : mapping
-        Of :class:`analysis.lock_in_run.Method`, what the user wants; a run knows its own scale factor.
-    known : str
-        SHA-256 of the source whose estimates are there already: then it is not read.
-    sha256 : str
-        Of the whole source, where this is a part of it.
-    """
+    """Some records of one source."""
 
     path: Path | Source
-    numbers: range | None = None
+    numbers: range | None = None  # of the records; ``None``: all
+    # of :class:`analysis.lock_in_run.Method`, what the user wants; a run knows its own scale factor
     choices: Mapping[str, Any] = field(default_factory=dict)
-    known: str = ""
-    sha256: str = ""
+    known: str = ""  # SHA-256 of the source whose estimates are there already: then it is not read
+    sha256: str = ""  # of the whole source, where this is a part of it
 
 
 @dataclass(frozen=True)
 class Gathered:
-    """Estimates of the records of one source, or of a piece of it, and what the results need besides.
+    """Estimates of the records of one source, or of a piece of it, and what the results need besides."""
 
-    Attributes
-    ----------
-    name : str
-        Of the source.
-    method : Method or None
-        ``None`` where it could not be read, or was known.
-    sha256 : str
-        Of the source; empty where only a piece of it was read that does not know it.
-    about : dict
-        Unit, gyro, operator, instrument and software as the source names them.
-    numbers, places : ndarray of int, shape (n,)
-        Number in the source of each record that was estimated, and its place among those that were taken, from 0.
-    taken : int
-        Records that were taken for the measurement, damaged ones too.
-    columns : dict of ndarray, shape (n,)
-        ``samples``, ``sample_interval_s``, ``level_spacing_v`` and the conditions, nan where not known.
-    labels : dict of list of str
-        ``key``, ``taken_at``, ``channel``, ``wfid`` of each record.
-    truth : mapping of ndarray, shape (n,)
-        True values of a simulated bench.
-    each : LockInEstimate or None
-        Fields of shape (n,); ``None`` where there is no record.
-    fast : tuple of SavedRecord
-        The fast run.
-    damaged : tuple of int
-        Places of damaged records.
-    damage : tuple of str
-        Damaged records of every purpose, one sentence each.
-    left_out : tuple of LeftOut
-        What could not be read.
-    paired : bool
-        Whether there are records of a second photodiode.
-    seconds : ndarray of int, shape (n,)
-        Number in the source of the record of the second photodiode that belongs to each; 0: there is none, -1: it
-        is damaged.
-    front_end : dict or None
-        Settings of the run, where they describe a channel that is to be taken out of its records.
-    """
-
-    name: str
-    method: Method | None
-    sha256: str
-    about: dict[str, str | None]
+    name: str  # of the source
+    method: Method | None  # ``None`` where it could not be read, or was known
+    sha256: str  # of the source; empty where only a piece of it was read that does not know it
+    about: dict[str, str | None]  # unit, gyro, operator, instrument and software as the source names them
+    # (n,): Number in the source of each record that was estimated, and its place among those that were taken, from
+    # 0
     numbers: NDArray[np.int64]
     places: NDArray[np.int64]
-    taken: int
+    taken: int  # records that were taken for the measurement, damaged ones too
+    # ``samples``, ``sample_interval_s``, ``level_spacing_v`` and the conditions, nan where not known
     columns: dict[str, NDArray[np.float64]]
-    labels: dict[str, list[str]]
-    truth: Mapping[str, NDArray[np.float64]]
-    each: LockInEstimate | None
-    fast: tuple[SavedRecord, ...]
-    damaged: tuple[int, ...]
-    damage: tuple[str, ...]
-    left_out: tuple[LeftOut, ...]
-    paired: bool
+    labels: dict[str, list[str]]  # ``key``, ``taken_at``, ``channel``, ``wfid`` of each record
+    truth: Mapping[str, NDArray[np.float64]]  # (n,): True values of a simulated bench
+    each: LockInEstimate | None  # fields of shape (n,); ``None`` where there is no record
+    fast: tuple[SavedRecord, ...]  # the fast run
+    damaged: tuple[int, ...]  # places of damaged records
+    damage: tuple[str, ...]  # damaged records of every purpose, one sentence each
+    left_out: tuple[LeftOut, ...]  # what could not be read
+    paired: bool  # whether there are records of a second photodiode
+    # (n,): Number in the source of the record of the second photodiode that belongs to each; 0: there is none, -1:
+    # it is damaged
     seconds: NDArray[np.int64]
+    # settings of the run, where they describe a channel that is to be taken out of its records
     front_end: dict[str, Any] | None = None
 
     def __len__(self) -> int:
@@ -132,19 +87,7 @@ def described_records(piece: Piece) -> Gathered:
 
 
 def estimate_pieces(pieces: Sequence[Piece], at_once: int = AT_ONCE) -> list[Gathered]:
-    """Estimate the records of some pieces; those of small ones go through the estimator together.
-
-    Parameters
-    ----------
-    pieces : sequence of Piece
-    at_once : int
-        Records in a batch, at most. No number depends on it.
-
-    Returns
-    -------
-    list of Gathered
-        One for each piece. What cannot be read is left out, and named there.
-    """
+    """Estimate the records of some pieces; those of small ones go through the estimator together."""
     room = Room(at_once)
     found = [_Reading(piece, room) for piece in pieces]
     for one in found:
@@ -297,15 +240,7 @@ class _Reading:
 
 
 def method_of(source: Source, choices: Mapping[str, Any]) -> Method:
-    """Return how the records of a source are evaluated: as wanted, and with the scale factor of its run.
-
-    Raises
-    ------
-    UsageError
-        Neither knows the scale factor.
-    RunError
-        The records are not those of a ring laser's beat, or the run does not say what it must.
-    """
+    """Return how the records of a source are evaluated: as wanted, and with the scale factor of its run."""
     wanted = {name: value for name, value in choices.items() if value is not None}
     if source.is_run and source.facts.command != MEASURE:
         raise RunError(
@@ -336,13 +271,7 @@ def about(source: Source) -> dict[str, str | None]:
 
 
 def pieces_of(source: Source, choices: Mapping[str, Any], *, whole: bool = False) -> list[list[Piece]]:
-    """Cut a source into pieces of so many records that their estimates take about a tenth of a second.
-
-    Parameters
-    ----------
-    whole : bool, optional
-        Whether each piece is to know the SHA-256 of the whole source.
-    """
+    """Cut a source into pieces of so many records that their estimates take about a tenth of a second."""
     first, last = source.span
     opened_by, sha256 = _again(source), source.sha256 if whole else ""
     if last - first < AT_ONCE:

@@ -19,17 +19,10 @@ from station.sources.batches import RecordBatch, codes_of
 
 @dataclass
 class Wanted:
-    """Estimates of one source.
+    """Estimates of one source."""
 
-    Attributes
-    ----------
-    method : Method or None
-        ``None``: nobody wants them.
-    parts : list of (rows, LockInEstimate)
-        What there is so far, and of which rows of the source.
-    """
-
-    method: Method | None = None
+    method: Method | None = None  # ``None``: nobody wants them
+    # (rows, LockInEstimate): What there is so far, and of which rows of the source
     parts: list[tuple[NDArray[np.intp], LockInEstimate]] = field(default_factory=list)
 
 
@@ -52,13 +45,7 @@ class _Batch:
 
 
 class Room:
-    """Records that wait, by what a batch must have in common.
-
-    Parameters
-    ----------
-    at_once : int
-        Records in a batch, at most.
-    """
+    """Records that wait, by what a batch must have in common."""
 
     def __init__(self, at_once: int) -> None:
         keep_for_batches()

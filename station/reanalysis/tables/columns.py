@@ -83,26 +83,15 @@ class Repeated(Sequence[Any]):
 
 @dataclass(frozen=True)
 class Rows:
-    """Rows of one source, or of a piece of it.
-
-    Attributes
-    ----------
-    source : str
-    count : int
-    columns : dict
-        By the names of `ORDER`: an array or list of `count` values, or one value that all rows share; None: not
-        known. Empty where the rows were known already.
-    left_out : tuple of LeftOut
-        What could not be read.
-    known : bool
-        Whether the table has them already.
-    """
+    """Rows of one source, or of a piece of it."""
 
     source: str
     count: int
+    # by the names of `ORDER`: an array or list of `count` values, or one value that all rows share; None: not
+    # known. Empty where the rows were known already.
     columns: dict[str, Values]
-    left_out: tuple[LeftOut, ...]
-    known: bool = False
+    left_out: tuple[LeftOut, ...]  # what could not be read
+    known: bool = False  # whether the table has them already
 
     def column(self, name: str) -> Column:
         """One value for each row."""

@@ -12,13 +12,7 @@ from station.errors import CannotWrite
 
 @contextmanager
 def only_writer(path: Path) -> Iterator[None]:
-    """Hold a file against other writers; a process that is killed holds nothing any more.
-
-    Raises
-    ------
-    CannotWrite
-        Another process writes it, or its folder takes no file.
-    """
+    """Hold a file against other writers; a process that is killed holds nothing any more."""
     lock = path.with_name(f".{path.name}.lock")
     try:
         descriptor = os.open(lock, os.O_RDWR | os.O_CREAT, 0o644)

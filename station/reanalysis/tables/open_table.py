@@ -30,13 +30,7 @@ KINDS: dict[str, Callable[[Path], TableFile]] = {
 
 
 def table_file(path: Path) -> TableFile:
-    """Return the table of a file by the ending of its name.
-
-    Raises
-    ------
-    UsageError
-        Another ending, a folder, or Parquet without pyarrow.
-    """
+    """Return the table of a file by the ending of its name."""
     kind = KINDS.get(path.suffix.lower())
     if kind is None:
         raise UsageError(f"{path}: a results table ends in {', '.join(KINDS)}")

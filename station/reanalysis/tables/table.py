@@ -15,25 +15,14 @@ Key = tuple[str, str]
 
 
 class TableFile(ABC):
-    """One kind of file.
-
-    Parameters
-    ----------
-    path : Path
-    """
+    """One kind of file."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
 
     @abstractmethod
     def known(self) -> dict[Key, str]:
-        """SHA-256 of each source and analysis that the table holds.
-
-        Raises
-        ------
-        RunError
-            It is no results table, of a newer version, or damaged.
-        """
+        """SHA-256 of each source and analysis that the table holds."""
 
     @abstractmethod
     def rows(self) -> Iterator[dict[str, Any]]:

@@ -84,23 +84,13 @@ class PoorHeader(Exception):
 
 @dataclass(frozen=True)
 class Frame:
-    """One frame.
+    """One frame."""
 
-    Attributes
-    ----------
-    kind : int
-        A `Kind`, or a number that none of them has.
-    control, parameter : int
-        Their meaning depends on the kind.
-    too_large : bool
-        It announced a longer payload than is taken; that was thrown away.
-    """
-
-    kind: int
-    control: int = 0
+    kind: int  # A `Kind`, or a number that none of them has
+    control: int = 0  # their meaning depends on the kind
     parameter: int = 0
     payload: bytes = b""
-    too_large: bool = False
+    too_large: bool = False  # it announced a longer payload than is taken; that was thrown away
 
     def encoded(self) -> bytes:
         """The bytes that travel.

@@ -31,17 +31,7 @@ _SIZE = struct.Struct("!Q")
 
 
 class Session:
-    """A client.
-
-    Attributes
-    ----------
-    number : int
-        By which the asynchronous channel finds the synchronous one.
-    sync, asynchronous : Port
-        The channels; the second comes later.
-    request_at : float
-        Time in s at which the client is told that service was requested, unless it polls before; inf: nothing.
-    """
+    """A client."""
 
     def __init__(self, number: int, scope: SimulatedTDS2014, locks: Locks, sync: Port) -> None:
         self.number, self.sync = number, sync

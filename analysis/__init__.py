@@ -21,13 +21,7 @@ from analysis.lockin_equation import (
 )
 from analysis.lockin_rate import LockInEstimate, estimate_lock_in
 from analysis.quadratures import QuadratureEstimate, QuadratureFlag, estimate_quadratures
-from analysis.rotation import (
-    EARTH_RATE_DPS,
-    TiltFit,
-    earth_rate_on_axis,
-    rate_on_axis,
-    tilt_from_fast_runs,
-)
+from analysis.rotation import EARTH_RATE_DPS, TiltFit, earth_rate_on_axis, rate_on_axis, tilt_from_fast_runs
 from analysis.several_rates import RatesFit, RatesFlag, fit_rate_ratios, fit_rates
 
 __all__ = [  # noqa: RUF022 - in the order of the work, not of the alphabet

@@ -18,8 +18,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from analysis.arrays import Bools, Complexes, Floats
-from analysis.errors import OutsideResponse
+from analysis.arrays import Bools, Complexes, Floats, OutsideResponse
 from analysis.lockin_rate import LockInEstimate, with_ratio
 
 EXPLAINED = 2.5

@@ -18,8 +18,7 @@ import numpy as np
 import scipy.special
 from numpy.typing import ArrayLike
 
-from analysis.arrays import Bools, Floats
-from analysis.errors import NoFit
+from analysis.arrays import Bools, Floats, NoFit
 
 ROUNDS = 20
 UNLIKELY = 0.001

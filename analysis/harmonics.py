@@ -8,10 +8,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from analysis.arrays import Complexes, Floats
-from analysis.waveform.records import NanPolicy, Records, as_stack
-from analysis.waveform.series.frequency_search import coarse_frequency
-from analysis.waveform.series.normal_equations import Step
-from analysis.waveform.series.periodic_fit import gauss_newton_step, record_sums, two_sided
+from analysis.waveform.frequency import NanPolicy, Records, as_stack, coarse_frequency
+from analysis.waveform.series import Step
+from analysis.waveform.series_fit import gauss_newton_step, record_sums, two_sided
 
 ITERATIONS = 12
 """Gauss-Newton converges quadratically here: 3 to 5 steps are used, the rest is for hopeless records."""

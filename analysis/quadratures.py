@@ -26,7 +26,7 @@ from analysis.arrays import Complexes, Floats, Ints
 from analysis.flags import FATAL, Flag
 from analysis.lockin_equation import Relation
 from analysis.lockin_rate import LockInEstimate, estimate_lock_in, with_ratio
-from analysis.waveform.records import NanPolicy
+from analysis.waveform.frequency import NanPolicy
 
 HARMONICS = 5
 """Of the two channels, compared at the frequency found: the phase between them, and the images."""

@@ -12,8 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from analysis.arrays import Floats
-from analysis.errors import NoTilt
+from analysis.arrays import Floats, NoTilt
 
 EARTH_RATE_DPS = 15.041067 / 3600.0
 """Sidereal rotation rate of the earth, deg/s."""

@@ -18,14 +18,12 @@ from pathlib import Path
 
 import numpy as np
 
-from station.cluster import Cluster
-from station.datasets.reading import sources_of
-from station.datasets.writing import export
-from station.lock_in.records.pieces import Piece, estimate_pieces, pieces_of, together
+from station.datasets.data_set import export, sources_of
+from station.lock_in.estimate import Piece, estimate_pieces, pieces_of, together
 from station.runs.store import NewRecord, RunWriter, open_run
 from station.sources import open_source
-from station.sources.workers import ThisProcess, Workers
-from station.terminal.lines import say
+from station.sources.workers import Cluster, ThisProcess, Workers
+from station.terminal import say
 
 RUN = Path(__file__).parents[1] / "tests" / "golden" / "single.sqlite"
 AT_ONCE = 1000

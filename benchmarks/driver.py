@@ -23,7 +23,7 @@ from pyvisa.resources import MessageBasedResource
 from analysis.arrays import Floats
 from benchmarks.links.delaying_proxy import DelayingProxy, Traffic
 from instrument import TDS2014
-from instrument.facts import POINTS
+from instrument.scpi import POINTS
 from instrument.simulated import PtyServer, SimulatedTDS2014, TcpServer, VirtualClock, resource_manager
 from instrument.simulated.links.exchange import MessageExchange
 

@@ -31,10 +31,10 @@ from station.lock_in.served import at_slow_rate
 from station.lock_in.settings import default_settings
 from station.measurements import measurement
 from station.ring_laser.instruments import build_instruments
-from station.runs.facts import TAKEN
+from station.runs.database import TAKEN
 from station.runs.progress import Progress
 from station.runs.store import open_run
-from station.shell.running import start_run
+from station.shell.finish import start_run
 
 FAULT_PROBABILITY = 0.02
 DEFAULT_RECORDS = 10_000

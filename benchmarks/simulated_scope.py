@@ -24,12 +24,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from instrument.facts import POINTS
+from instrument.scpi import POINTS
 from instrument.simulated import SimulatedTDS2014, TcpServer, VirtualClock
 from instrument.simulated.links.exchange import MessageExchange
 from station.lock_in.served import at_slow_rate, simulated_scopes
-from station.lock_in.settings import Values, load_settings
+from station.lock_in.settings import load_settings
 from station.ring_laser.instruments import build_instruments
+from station.settings import Values
 
 TIME_BASES = (1e-8, 1e-6, 1e-4, 1e-3, 1e-2, 5e-2, 0.5)  # s/div
 MODES = {

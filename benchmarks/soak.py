@@ -31,12 +31,12 @@ from instrument.simulated.faults import FaultKind
 from station.lock_in.served import at_slow_rate
 from station.lock_in.settings import Settings, default_settings
 from station.lock_in.take import take_on
-from station.ring_laser.bench import Bench
 from station.ring_laser.instruments import build_instruments
-from station.runs.facts import TAKEN
+from station.ring_laser.records import Bench
+from station.runs.acquisition import Session, Taken, facts_of, take
+from station.runs.database import TAKEN
 from station.runs.progress import Progress
 from station.runs.store import SavedRun, open_run
-from station.runs.taking import Session, Taken, facts_of, take
 
 RECORDS, DAYS = 100_000, 30
 SHARE = 0.01

@@ -32,13 +32,9 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from analysis import LockInEstimate, beat_signal, combine_estimates, estimate_lock_in, fit_rates
     from instrument import TDS2014, Waveform, read_waveform
-    from station.notebook.catalogue import Runs, runs
-    from station.notebook.export import export
-    from station.notebook.measure import measure
-    from station.notebook.records import Record
-    from station.notebook.result import Result
-    from station.notebook.run import Run, open_run, read, read_runs
-    from station.notebook.station import Station
+    from station.notebook.measure import Runs, Station, measure, runs
+    from station.notebook.result import Record, Result
+    from station.notebook.run import Run, export, open_run, read, read_runs
 
 __all__ = [
     "TDS2014",
@@ -65,13 +61,9 @@ __all__ = [
 _HOMES = {
     "analysis": ("LockInEstimate", "beat_signal", "combine_estimates", "estimate_lock_in", "fit_rates"),
     "instrument": ("TDS2014", "Waveform", "read_waveform"),
-    "station.notebook.catalogue": ("Runs", "runs"),
-    "station.notebook.export": ("export",),
-    "station.notebook.measure": ("measure",),
-    "station.notebook.records": ("Record",),
-    "station.notebook.result": ("Result",),
-    "station.notebook.run": ("Run", "open_run", "read", "read_runs"),
-    "station.notebook.station": ("Station",),
+    "station.notebook.measure": ("Runs", "Station", "measure", "runs"),
+    "station.notebook.result": ("Record", "Result"),
+    "station.notebook.run": ("Run", "export", "open_run", "read", "read_runs"),
 }
 
 

@@ -3,8 +3,8 @@
 `TDS2014` gives records as `Waveform`; `read_waveform` reads the files that these scopes write.
 """
 
-from instrument.dialogue.identity import Identity
-from instrument.dialogue.persistence import ATTEMPTS, RECONNECT_FOR, Persistence, Tally
+from instrument.dialogue.identify import Identity
+from instrument.dialogue.retry import ATTEMPTS, RECONNECT_FOR, Persistence, Tally
 from instrument.discovery import FoundResource, find_resources
 from instrument.errors import (
     CommandError,
@@ -22,9 +22,8 @@ from instrument.errors import (
 )
 from instrument.rate_table import ManualRateTable, RateTable
 from instrument.tds2014.front_panel import ChannelSettings, FoundPanel
-from instrument.tds2014.measurement import MEASUREMENTS, Cursors, Measurement
+from instrument.tds2014.knobs import MEASUREMENTS, Cursors, Measurement, ScreenPicture
 from instrument.tds2014.scope import TDS2014
-from instrument.tds2014.screen import ScreenPicture
 from instrument.tek_files import read_waveform
 from instrument.waveform import Preamble, Waveform
 

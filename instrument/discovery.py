@@ -15,7 +15,7 @@ import pyvisa
 from pyvisa.constants import InterfaceType
 
 from instrument.dialogue.dialogue import Dialogue
-from instrument.dialogue.identity import Identity
+from instrument.dialogue.identify import Identity
 from instrument.dialogue.link import Link
 from instrument.errors import InstrumentError, LinkError
 

@@ -17,9 +17,8 @@ import pyvisa
 from pyvisa.constants import ResourceAttribute, StatusCode
 from pyvisa.resources import MessageBasedResource
 
+from instrument.claims import Claim, advice, behind_adapter, claim, visa_name
 from instrument.errors import LinkError
-from instrument.in_use import Claim, claim
-from instrument.names import advice, behind_adapter, visa_name
 
 READ_TIME_MS = 3000
 """Longest time that such an adapter waits for a byte of the instrument; the most that it can be set to."""

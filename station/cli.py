@@ -1,4 +1,4 @@
-"""The command ``gyrolock``. Each command is a module of :mod:`station.commands`, imported when it is run."""
+"""The command ``gyrolock``. Modules of :mod:`station.commands` are imported when a command of theirs is run."""
 
 from __future__ import annotations
 
@@ -21,10 +21,9 @@ from station.errors import (
     describe_failure,
     one_line,
 )
-from station.runs.stop import ending_signals
+from station.runs.signals import ending_signals
 from station.shell.options import SuggestingGroup
-from station.terminal.lines import print_failure, print_json, remark
-from station.terminal.streams import unbreakable_streams
+from station.terminal import print_failure, print_json, remark, unbreakable_streams
 
 _TRACEBACK_VARIABLE = "GYROLOCK_TRACEBACK"
 
@@ -34,59 +33,65 @@ _ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VE
 
 # command: module and name in it, and the line that `gyrolock --help` shows without importing it
 COMMANDS = {
-    "measure": ("lock_in.command:measure", "Measure the lock-in rate: acquire, save, analyse, report."),
-    "acquire": ("lock_in.command:acquire", "Acquire and save records only."),
-    "deadband": ("dead_band.command:command", "Search the dead band: sweep the rate through zero, up and down."),
+    "measure": ("commands.measure:measure", "Measure the lock-in rate: acquire, save, analyse, report."),
+    "acquire": ("commands.measure:acquire", "Acquire and save records only."),
+    "deadband": ("commands.measure:deadband", "Search the dead band: sweep the rate through zero, up and down."),
     "analyze": (
         "commands.analyze:command",
         "Evaluate saved runs of any kind again, and files of Tektronix oscilloscopes.",
     ),
     "compare": (
-        "reanalysis.command:command",
+        "commands.saved:compare_command",
         "Compare two analyses of the same records, or records of two gyros.",
     ),
-    "report": ("commands.report:command", "Write the HTML report of saved runs."),
+    "report": ("commands.saved:report_command", "Write the HTML report of saved runs."),
     "runs": (
-        "commands.runs:command",
+        "commands.catalogue:runs_command",
         "List all runs below a folder: when, what, unit, operator, result, verdict.",
     ),
     "annotate": (
-        "commands.annotate:command",
+        "commands.saved:annotate_command",
         "Say something of saved runs afterwards: a note, tags, a good or bad mark.",
     ),
     "export": (
-        "commands.export:command",
+        "commands.saved:export_command",
         "Write the records of runs and files to a data set: CSV, Parquet, HDF5, NumPy.",
     ),
-    "verify": ("record.command:command", "Prove that the record of a test and its raw runs belong together."),
+    "verify": (
+        "commands.saved:verify_command",
+        "Prove that the record of a test and its raw runs belong together.",
+    ),
     "history": (
-        "history.command:command",
+        "commands.catalogue:history_command",
         "Show tested units and control charts: of a type of unit, of the bench.",
     ),
     "salvage": (
-        "commands.salvage:command",
+        "commands.saved:salvage_command",
         "Get everything that can still be read out of a damaged run, into a new one.",
     ),
     "status": ("commands.running:status", "Show how the measurements stand that run on this machine."),
     "stop": ("commands.running:stop", "Stop a measurement or a station that runs: what it has taken is kept."),
     "grab": (
-        "commands.instruments.grab:command",
+        "commands.instruments:grab_command",
         "Save the screen as PNG and the traces as CSV and NumPy.",
     ),
-    "plan": ("plan.command:command", "Plan a measurement: rate, scale and records for a wanted uncertainty."),
+    "plan": (
+        "commands.planning:plan_command",
+        "Plan a measurement: rate, scale and records for a wanted uncertainty.",
+    ),
     "station": (
         "commands.station:command",
         "Test a unit as the campaign FILE says: every step, every limit, one verdict.",
     ),
     "fog": ("fibre_gyro.command:command", "Scale factor of a fibre gyro: rate table, self-calibration, ..."),
-    "study": ("study.command:command", "Compute the paper's simulations, with its method and exactly."),
+    "study": ("commands.planning:study_command", "Compute the paper's simulations, with its method and exactly."),
     "simulate": (
-        "commands.instruments.simulate:command",
+        "commands.instruments:simulate_command",
         "Serve the simulated oscilloscope: TCP, HiSLIP, GPIB adapter, terminal.",
     ),
-    "list": ("commands.instruments.list:command", "List the instruments that VISA can see."),
+    "list": ("commands.instruments:list_command", "List the instruments that VISA can see."),
     "doctor": (
-        "commands.instruments.doctor:command",
+        "commands.doctor:doctor_command",
         "Check this installation, and say what to do about what is missing.",
     ),
     "settings": ("commands.settings:command", "Print a commented settings file to copy."),

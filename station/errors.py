@@ -105,14 +105,7 @@ def describe_failure(error: BaseException) -> Failure | None:
 
 def _describe_instrument_failure(error: BaseException) -> Failure | None:
     # imported here: `gyrolock --help` must not wait for PyVISA
-    from instrument import (
-        FileFormatError,
-        InstrumentError,
-        LinkError,
-        NoTrigger,
-        SettingError,
-        WrongInstrument,
-    )
+    from instrument import FileFormatError, InstrumentError, LinkError, NoTrigger, SettingError, WrongInstrument
 
     if not isinstance(error, InstrumentError):
         return None

@@ -8,16 +8,13 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
-from station.events.seen import See
-from station.results.check import Check
-from station.results.parts import FactTable, Section
-from station.results.result import Result
+from station.live.preview import See
+from station.results.result import Check, FactTable, Result, Section
+from station.runs.acquisition import Session
 from station.runs.progress import Progress
 from station.runs.store import SavedRun
-from station.runs.taking import Session
-from station.settings.load import SettingsKind
-from station.settings.parts import SettingsSection
-from station.sources.source import Source
+from station.settings import SettingsKind, SettingsSection
+from station.sources.batches import Source
 from station.sources.workers import Workers
 
 S = TypeVar("S", bound=SettingsSection)
@@ -78,14 +75,14 @@ class Measurement(Generic[S, F]):
 MEASUREMENTS = {
     "measure": "station.lock_in.measurement",
     "deadband": "station.dead_band.measurement",
-    "table": "station.fibre_gyro.table.measurement",
-    "selfcal": "station.fibre_gyro.selfcal.measurement",
-    "eps": "station.fibre_gyro.eps.measurement",
-    "figures": "station.fibre_gyro.merit.measurement",
-    "allan": "station.fibre_gyro.allan.measurement",
-    "threshold": "station.fibre_gyro.threshold.measurement",
-    "temperature": "station.fibre_gyro.temperature.measurement",
-    "witness": "station.fibre_gyro.witness.measurement",
+    "table": "station.fibre_gyro.table",
+    "selfcal": "station.fibre_gyro.selfcal",
+    "eps": "station.fibre_gyro.eps",
+    "figures": "station.fibre_gyro.figures",
+    "allan": "station.fibre_gyro.allan",
+    "threshold": "station.fibre_gyro.threshold",
+    "temperature": "station.fibre_gyro.temperature",
+    "witness": "station.fibre_gyro.witness",
 }
 
 

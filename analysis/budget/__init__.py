@@ -1,18 +1,21 @@
 """Uncertainty budget of a lock-in rate."""
 
-from analysis.budget.bounded import Bounded, bounded
-from analysis.budget.combination import Budget, BudgetInput, Distribution, Reference
-from analysis.budget.expected_noise import RecordShape, expected_noise, expected_point
-from analysis.budget.inputs import lock_in_budget
-from analysis.budget.knowledge import (
+from analysis.budget.bench import (
+    FRONT_END_LIMIT,
+    LATITUDE_LIMIT_DEG,
     NOTHING_BUT_RECORDS,
     BenchKnowledge,
+    Bounded,
     Corner,
     OperatingPoint,
+    RecordShape,
     TableGeometry,
+    bounded,
+    expected_noise,
+    expected_point,
     operating_point,
 )
-from analysis.budget.unstated import FRONT_END_LIMIT, LATITUDE_LIMIT_DEG
+from analysis.budget.inputs import Budget, BudgetInput, Distribution, Reference, lock_in_budget
 
 __all__ = [
     "FRONT_END_LIMIT",

@@ -7,13 +7,29 @@ rate given WL = W 2r/(1+r^2): K and the time base have none.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from typing import Literal
 
-from analysis.budget.bounded import Bounded, bounded
-from analysis.budget.channel_inputs import channel_inputs
-from analysis.budget.combination import Budget, BudgetInput, Reference
-from analysis.budget.knowledge import BenchKnowledge, OperatingPoint, TableGeometry, ratio_slope
-from analysis.budget.unstated import SCALE_FACTOR_LIMIT, TABLE_RATE_LIMIT
+import numpy as np
+import scipy.special
+
+from analysis.arrays import Complexes, Floats, NoBudget
+from analysis.budget.bench import (
+    SCALE_FACTOR_LIMIT,
+    TABLE_RATE_LIMIT,
+    THIRD_ORDER_LEAK,
+    THIRD_ORDER_ON_RATIO,
+    BenchKnowledge,
+    Bounded,
+    Corner,
+    OperatingPoint,
+    TableGeometry,
+    bounded,
+    ratio_slope,
+)
+from analysis.channel import gain_on_ratio, high_pass_on_ratio, low_pass_on_ratio
+from analysis.lockin_rate import size_interval
 from analysis.rotation import EARTH_RATE_DPS, earth_rate_on_axis
 
 _OWN = "does not enter: the record is its own reference"
@@ -158,3 +174,295 @@ def _rate_slopes(table: TableGeometry) -> tuple[float, float, float, float, floa
     by_azimuth = -EARTH_RATE_DPS * north * sine * math.sin(turned)
     along = float(earth_rate_on_axis(table.latitude_deg, table.tilt_deg, azimuth)) / EARTH_RATE_DPS
     return cosine, by_tilt * _DEGREE, by_latitude * _DEGREE, by_azimuth * _DEGREE, along
+
+
+# --------------------
+# What receiver, channel and laser do to the second harmonic: distortion, corners, a measured response
+
+
+_PHASES = 12
+_PHASE_LOST = 0.5
+"""rad: with a larger uncertainty the phase of the ratio is as good as unknown."""
+
+Factor = Callable[[float | Floats, float | Floats], Complexes]
+"""On rho, of beat frequencies and a corner in Hz."""
+
+CORNERS: tuple[tuple[str, str, str, Factor], ...] = (
+    ("bandwidth", "bandwidth", "bandwidth of the channel", low_pass_on_ratio),
+    ("high_pass", "high_pass", "AC coupling of the channel", high_pass_on_ratio),
+    ("gain_corner", "gain", "gain saturation of the laser", gain_on_ratio),
+)
+"""Name of the line, field of the knowledge, in words, and what such a corner does to rho."""
+
+
+def channel_inputs(point: OperatingPoint, known: Bounded, slope: float) -> Iterator[BudgetInput]:
+    """Lines of everything between the mirrors and the samples."""
+    yield distortion_input(point, known, slope)
+    yield third_order_input(point, known, slope)
+    for name, field, quantity, response in CORNERS:
+        if name in known.knowledge.separated:
+            yield separated_input(name, quantity)
+        else:
+            yield _corner(name, quantity, getattr(known.knowledge, field), response, point, slope, known)
+    if math.isfinite(known.knowledge.response_u):
+        yield response_input(known.knowledge.response_u, -slope * point.ratio)
+
+
+def separated_input(name: str, quantity: str) -> BudgetInput:
+    """The line of something that the records were freed of: its cost is in the noise."""
+    note = "does not enter: the records themselves were freed of it"
+    return BudgetInput(name, quantity, "1", 0.0, 0.0, "rectangular", 0.0, note=note, common=True)
+
+
+def response_input(response_u: float, sensitivity: float) -> BudgetInput:
+    """The line of a measured response at 2f over that at f, whose relative uncertainty is given."""
+    quantity = "response of the channel at 2f over f, measured"
+    return BudgetInput("response", quantity, "1", 1.0, response_u, "normal", sensitivity, note="corrected")
+
+
+def distortion_input(point: OperatingPoint, known: Bounded, slope: float) -> BudgetInput:
+    """Second-order distortion d, a real number within its limit.
+
+    A square law adds d to rho = -r exp(-i phase); what it makes of the higher harmonics takes r^2 of it away.
+    Where d is not small against r the effect is no straight line: the deviation is taken over the distribution.
+    """
+    name, quantity, limit = "distortion", "second-order distortion d", known.knowledge.distortion_limit
+    if name in known.knowledge.separated:
+        return separated_input(name, quantity)
+    u, weight = limit / _RECTANGLE, _weight_of_distortion(point, limit)
+    phase = "phase unknown" if _phase_lost(point) else "at the phase measured"
+    note = known.note(name, f"{level(limit)}, {phase}", f"within ±{limit:.2g} ({level(limit)}), {phase}")
+    by_d = slope * (1 - point.ratio**2) * weight
+    stated = name not in known.assumed
+    return BudgetInput(name, quantity, "1", 0.0, u, "rectangular", by_d, note=note, common=True, stated=stated)
+
+
+def third_order_input(point: OperatingPoint, known: Bounded, slope: float) -> BudgetInput:
+    """Third-order distortion: a share of r, the same at every rate, whose sign the readout phase decides."""
+    name, quantity, limit = "third_order", "third-order distortion", known.knowledge.third_order_limit
+    if name in known.knowledge.separated:
+        return separated_input(name, quantity)
+    by_level = slope * (point.ratio * THIRD_ORDER_ON_RATIO + THIRD_ORDER_LEAK / point.periods)
+    note = known.note(name, level(limit), f"within ±{limit:.2g} ({level(limit)}), stated or seen in the records")
+    stated = name not in known.assumed
+    return BudgetInput(
+        name,
+        quantity,
+        "1",
+        0.0,
+        limit / _RECTANGLE,
+        "rectangular",
+        by_level,
+        note=note,
+        common=True,
+        stated=stated,
+    )
+
+
+def level(amplitude: float) -> str:
+    """A level of a harmonic in words.
+
+    Examples
+    --------
+    >>> level(0.01), level(0.0)
+    ('-40 dBc', 'none')
+    """
+    return f"{20 * math.log10(amplitude):.0f} dBc" if amplitude > 0 else "none"
+
+
+def _phase_lost(point: OperatingPoint) -> bool:
+    return not (math.isfinite(point.phase) and point.ratio_u < _PHASE_LOST * point.ratio)
+
+
+def _weight_of_distortion(point: OperatingPoint, limit: float) -> float:
+    """Root mean square of what d within its limit makes of r, over that of d itself; signed as its slope.
+
+    At a right angle between the phases d turns rho and makes it longer: the slope is zero, the effect is not.
+    """
+    if _phase_lost(point):
+        phases: Floats = np.arange(_PHASES, dtype=np.float64) * (2 * np.pi / _PHASES)
+        weights: Floats = np.full(_PHASES, 1 / _PHASES)
+    else:
+        spread, shares = np.polynomial.hermite_e.hermegauss(5)
+        phases = point.phase + point.ratio_u / point.ratio * np.asarray(spread, dtype=np.float64)
+        weights = np.asarray(shares / shares.sum(), dtype=np.float64)
+    along = -math.copysign(1.0, point.input_rate) * np.cos(phases)
+    sign = math.copysign(1.0, float(along[weights.argmax()]))
+    if limit == 0:
+        return sign * float(np.sqrt(weights @ along**2))
+    places, lengths = np.polynomial.legendre.leggauss(8)
+    d = limit * places[:, np.newaxis]
+    true = np.sqrt(np.maximum(point.ratio**2 - 2 * point.ratio * d * along + d * d, 0.0))
+    mean_square = float(lengths / 2 @ (true - point.ratio) ** 2 @ weights)
+    return sign * math.sqrt(mean_square) * _RECTANGLE / limit
+
+
+def _corner(
+    name: str,
+    quantity: str,
+    corner: Corner,
+    response: Factor,
+    point: OperatingPoint,
+    slope: float,
+    known: Bounded,
+) -> BudgetInput:
+    """A first-order corner, whose `response` is the factor that it puts on rho."""
+    frequency, ratio = point.beat_frequency, point.ratio
+    with np.errstate(divide="ignore", invalid="ignore"):
+        factor = float(abs(response(frequency, corner.hz)))
+    if not (corner.hz >= 0 and math.isfinite(factor)):
+        raise NoBudget(f"{quantity}: a corner of {corner.hz!r} Hz lets no beat through")
+    corrected = corner.corrected and 0 < corner.hz < math.inf
+    if corrected and math.sqrt(3) * corner.u_hz < corner.hz:
+        by_hz = -slope * ratio * _relative_slope(response, frequency, corner)
+        note = f"corrected for, by {1 / factor - 1:+.2%} of r"
+        return BudgetInput(name, quantity, "Hz", corner.hz, corner.u_hz, "normal", by_hz, note=note)
+    lost = 1 / factor - 1 if corrected else 1 - factor
+    if abs(lost) < 1e-12:
+        note = "none"
+    elif corrected:
+        note = f"corrected for a corner that is hardly known: the whole correction, {lost:+.2%} of r, is a limit"
+    else:
+        note = f"corner {corner.hz:.4g} Hz, not corrected for: the whole effect is a limit"
+    return BudgetInput(
+        name,
+        f"{quantity}: share of r lost",
+        "1",
+        lost,
+        abs(lost) / _RECTANGLE,
+        "rectangular",
+        slope * ratio,
+        note=known.note(name, f"{corner.hz:.4g} Hz", note),
+        stated=name not in known.assumed,
+    )
+
+
+def _relative_slope(response: Factor, frequency: float, corner: Corner) -> float:
+    """Relative change of the response by the corner, per Hz, such that this times u is the standard deviation.
+
+    The effect goes with the square of the corner: over an uncertainty of a tenth its slope is not constant, so the
+    deviation is taken over the distribution (three-point Gauss-Hermite rule; JCGM 100, 5.1.3 allows it).
+    """
+    reach = math.sqrt(3) * corner.u_hz if corner.u_hz > 0 else 1e-4 * corner.hz
+    low, middle, high = (float(abs(response(frequency, corner.hz + side * reach))) for side in (-1, 0, 1))
+    mean = (low + 4 * middle + high) / 6
+    variance = ((low - mean) ** 2 + 4 * (middle - mean) ** 2 + (high - mean) ** 2) / 6
+    return math.copysign(math.sqrt(3 * variance) / (reach * middle), high - low)
+
+
+# --------------------
+# Uncertainty budget after the GUM (JCGM 100): inputs, sensitivities, combination, coverage
+
+
+Distribution = Literal["normal", "rectangular", "arcsine"]
+Reference = Literal["beat", "rate"]
+"""What WL is measured against: f/K of the record itself, or the rate given by a table."""
+
+NORMAL_95 = float(scipy.special.ndtri(0.975))
+"""Standard deviations of a normal distribution to either side that hold 95 % of it."""
+
+
+@dataclass(frozen=True)
+class BudgetInput:
+    """One line of a budget."""
+
+    name: str  # one word for programs
+    quantity: str  # in words
+    unit: str  # of `value` and `u`
+    value: float  # estimate and standard uncertainty (k = 1)
+    u: float
+    distribution: Distribution  # {"normal", "rectangular", "arcsine"}: What is known of the input
+    # derivative of the lock-in rate by this input, deg/s per `unit`. 0: the input does not enter.
+    sensitivity: float
+    degrees_of_freedom: float = math.inf  # of `u`; inf where it was not found by repeating
+    note: str = ""  # where the number comes from, or why it does not enter
+    # whether it acts on every rate alike: a fit over several rates leaves its share as it is at one
+    common: bool = False
+    # whether somebody stated or measured it; otherwise it is a bound of `analysis.budget.bench`
+    stated: bool = True
+
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.u) and self.u >= 0 and math.isfinite(self.sensitivity)):
+            raise ValueError(
+                f"{self.name}: the uncertainty must be finite and not negative and the sensitivity finite, "
+                f"not {self.u!r} and {self.sensitivity!r}"
+            )
+        if not self.degrees_of_freedom > 0:
+            raise ValueError(f"{self.name}: degrees of freedom must be positive, not {self.degrees_of_freedom!r}")
+
+    @property
+    def contribution(self) -> float:
+        """Standard uncertainty that this input gives to the lock-in rate, deg/s."""
+        return abs(self.sensitivity) * self.u
+
+
+@dataclass(frozen=True)
+class Budget:
+    """All inputs of a lock-in rate, the largest contribution first."""
+
+    lock_in_rate: float  # deg/s
+    reference: Reference  # {"beat", "rate"}
+    inputs: tuple[BudgetInput, ...]  # independent of each other
+
+    def __post_init__(self) -> None:
+        ordered = tuple(sorted(self.inputs, key=lambda line: -line.contribution))
+        object.__setattr__(self, "inputs", ordered)
+
+    @property
+    def combined_u(self) -> float:
+        """Standard uncertainty of the lock-in rate, deg/s."""
+        return math.hypot(*(line.contribution for line in self.inputs))
+
+    @property
+    def effective_degrees_of_freedom(self) -> float:
+        """After Welch and Satterthwaite (JCGM 100, G.4); inf where no line has any."""
+        total = self.combined_u
+        terms = sum((line.contribution / total) ** 4 / line.degrees_of_freedom for line in self.inputs if total)
+        return 1 / terms if terms > 0 else math.inf
+
+    @property
+    def coverage_factor(self) -> float:
+        """k of the 95 % interval: Student's factor for the effective degrees of freedom, cut to an integer."""
+        freedom = self.effective_degrees_of_freedom
+        if freedom > 1e6:
+            return NORMAL_95
+        return float(scipy.special.stdtrit(max(math.floor(freedom), 1), 0.975))
+
+    @property
+    def expanded_u_95(self) -> float:
+        """Half width of the 95 % interval, deg/s."""
+        return self.coverage_factor * self.combined_u
+
+    @property
+    def interval_95(self) -> tuple[float, float]:
+        """Ends of the 95 % interval, deg/s; it begins at zero where a size may be nothing but uncertainty.
+
+        Far above its uncertainty they lie U95 to both sides; near zero the interval is that of Feldman and Cousins
+        (:func:`analysis.lockin_rate.size_interval`) with the combined uncertainty.
+        """
+        wide = self.expanded_u_95 / NORMAL_95
+        if wide == 0:
+            return self.lock_in_rate, self.lock_in_rate
+        # the value is freed of the bias that noise gives to a size; the interval is made for one that has it
+        low, high = size_interval(math.hypot(self.lock_in_rate, wide) / wide)
+        return float(low) * wide, float(high) * wide
+
+    @property
+    def relative_u(self) -> float:
+        """Combined standard uncertainty over the lock-in rate."""
+        return self.combined_u / self.lock_in_rate if self.lock_in_rate else math.inf
+
+    def share(self, line: BudgetInput) -> float:
+        """Share of one line in the variance, 0 to 1."""
+        total = self.combined_u
+        return (line.contribution / total) ** 2 if total else 0.0
+
+    @property
+    def not_stated(self) -> tuple[BudgetInput, ...]:
+        """Lines that are bounds of what nobody stated or measured."""
+        return tuple(line for line in self.inputs if not line.stated)
+
+    def with_line(self, line: BudgetInput, share: float) -> Budget:
+        """The budget with one of its lines known so much better: `share` of its uncertainty is left."""
+        better = replace(line, u=share * line.u)
+        return replace(self, inputs=tuple(better if one is line else one for one in self.inputs))

@@ -12,13 +12,63 @@ from analysis.fibre_gyro.allan import (
     fit_noise,
     window_covariance,
 )
-from analysis.fibre_gyro.bias.over_temperature import (
-    Candidate,
-    OverTemperature,
-    fit_over_temperature,
-    temperature_course,
+from analysis.fibre_gyro.coil import FibreCoil
+from analysis.fibre_gyro.figures_of_merit import (
+    ResidualPattern,
+    ScaleFigures,
+    repeatability_ppm,
+    residual_pattern,
+    scale_figures,
+    temperature_coefficient_ppm,
 )
-from analysis.fibre_gyro.bias.small_rates import (
+from analysis.fibre_gyro.fixed_point import LONGEST_WORD, FixedPoint, round_to_words
+from analysis.fibre_gyro.injection import (
+    InjectionPlan,
+    NetOutputs,
+    ScaleComparison,
+    SlopeFit,
+    StaticLevel,
+    compare_scale,
+    drift_in_slope,
+    fit_slope,
+    largest_step,
+    net_outputs,
+    predicted_difference_ppm,
+    predicted_self_scale,
+    predicted_table_scale,
+    scaled_numbers,
+    static_level,
+    steps_beyond_dac,
+    superposed_numbers,
+)
+from analysis.fibre_gyro.input_axis import InputAxisTilt, ThreeAxes, fit_three_axes, input_axis_tilt
+from analysis.fibre_gyro.linearity import Linearity, scale_linearity
+from analysis.fibre_gyro.loop import ClosedLoop, Kernel, LoopDesign, OutputBlock, OutputModel, Trace
+from analysis.fibre_gyro.rate_table import (
+    AxisFit,
+    OddEven,
+    RateDifferences,
+    TableRuns,
+    bias_at_latitude,
+    correlation_with_numbers,
+    fit_axis,
+    horizontal_earth_rate_dps,
+    missing_senses,
+    odd_even_parts,
+    rate_differences,
+    table_runs,
+    vertical_earth_rate_dph,
+)
+from analysis.fibre_gyro.scatter import NORMAL_95, RunScatter, few_values_factor, find_run_scatter
+from analysis.fibre_gyro.staircase import (
+    StaircaseWitness,
+    describe_witness_flag,
+    rounding_left,
+    two_pi_error_of_drive,
+    witness_staircase,
+)
+from analysis.fibre_gyro.temperature import Candidate, OverTemperature, fit_over_temperature, temperature_course
+from analysis.fibre_gyro.threshold import (
     Edge,
     Ladder,
     References,
@@ -29,69 +79,18 @@ from analysis.fibre_gyro.bias.small_rates import (
     responses,
     small_rates,
 )
-from analysis.fibre_gyro.bias.turn_on import Repeatability, TurnOn, repeatability, turn_on_transient
-from analysis.fibre_gyro.coil import FibreCoil
-from analysis.fibre_gyro.fixed_point import LONGEST_WORD, FixedPoint, round_to_words
-from analysis.fibre_gyro.loop import ClosedLoop, Kernel, LoopDesign, OutputBlock, OutputModel, Trace
-from analysis.fibre_gyro.merit import (
-    ResidualPattern,
-    ScaleFigures,
-    repeatability_ppm,
-    residual_pattern,
-    scale_figures,
-    temperature_coefficient_ppm,
-)
-from analysis.fibre_gyro.rate_table.axis_fit import (
-    AxisFit,
-    bias_at_latitude,
-    correlation_with_numbers,
-    fit_axis,
-    horizontal_earth_rate_dps,
-    vertical_earth_rate_dph,
-)
-from analysis.fibre_gyro.rate_table.input_axis import InputAxisTilt, ThreeAxes, fit_three_axes, input_axis_tilt
-from analysis.fibre_gyro.rate_table.linearity import Linearity, scale_linearity
-from analysis.fibre_gyro.rate_table.odd_even import OddEven, RateDifferences, odd_even_parts, rate_differences
-from analysis.fibre_gyro.rate_table.scatter import (
-    NORMAL_95,
-    RunScatter,
-    few_values_factor,
-    find_run_scatter,
-)
-from analysis.fibre_gyro.rate_table.table_runs import TableRuns, missing_senses, table_runs
-from analysis.fibre_gyro.rate_table.whole_turns import check_whole_turns, turn_time, whole_turns_in
-from analysis.fibre_gyro.rate_table.window_mean import (
+from analysis.fibre_gyro.turn_on import Repeatability, TurnOn, repeatability, turn_on_transient
+from analysis.fibre_gyro.two_pi_error import TwoPiError, estimate_two_pi_error
+from analysis.fibre_gyro.window_mean import (
     WindowMean,
+    check_whole_turns,
     mean_at_rest,
     mean_over_turns,
     noise_of_means,
     pooled_noise,
+    turn_time,
+    whole_turns_in,
 )
-from analysis.fibre_gyro.staircase import (
-    StaircaseWitness,
-    describe_witness_flag,
-    rounding_left,
-    two_pi_error_of_drive,
-    witness_staircase,
-)
-from analysis.fibre_gyro.staircase_calibration import (
-    InjectionPlan,
-    NetOutputs,
-    ScaleComparison,
-    SlopeFit,
-    compare_scale,
-    fit_slope,
-    largest_step,
-    net_outputs,
-    predicted_difference_ppm,
-    predicted_self_scale,
-    predicted_table_scale,
-    scaled_numbers,
-    steps_beyond_dac,
-    superposed_numbers,
-)
-from analysis.fibre_gyro.static_output import StaticLevel, drift_in_slope, static_level
-from analysis.fibre_gyro.two_pi_error import TwoPiError, estimate_two_pi_error
 
 __all__ = [
     "LONGEST_WORD",

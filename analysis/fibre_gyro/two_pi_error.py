@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from analysis.arrays import Floats
-from analysis.fibre_gyro.rate_table.scatter import find_run_scatter
+from analysis.fibre_gyro.scatter import find_run_scatter
 
 _ITERATIONS = 20
 _CONVERGED = 1e-9  # of the standard uncertainty

@@ -1,14 +1,21 @@
 """What all records of one run say together: arrays in, one result out."""
 
-from analysis.lock_in_run.estimates import Method, by_themselves, joined, only_beats, without_channel
-from analysis.lock_in_run.evaluation import evaluate
-from analysis.lock_in_run.groups import RateGroup, SeveralRates
-from analysis.lock_in_run.pairs import QuadratureResult
-from analysis.lock_in_run.records import Batch, RecordArrays, RunArrays, RunKnowledge, rows_of_batches
-from analysis.lock_in_run.result import LockInRun
-from analysis.lock_in_run.seen import LockInSeen, lock_in_seen
-from analysis.lock_in_run.table_check import ScaleFactorCheck, TableCheck
-from analysis.lock_in_run.table_rate import AxisRates, Tilt, fast_estimates, find_tilt
+from analysis.lock_in_run.evaluation import LockInRun, QuadratureResult, RateGroup, SeveralRates, evaluate
+from analysis.lock_in_run.records import (
+    Batch,
+    LockInSeen,
+    Method,
+    RecordArrays,
+    RunArrays,
+    RunKnowledge,
+    by_themselves,
+    joined,
+    lock_in_seen,
+    only_beats,
+    rows_of_batches,
+    without_channel,
+)
+from analysis.lock_in_run.table import AxisRates, ScaleFactorCheck, TableCheck, Tilt, fast_estimates, find_tilt
 
 __all__ = [
     "AxisRates",

@@ -3,15 +3,21 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, field, fields, is_dataclass, replace
+from typing import Any, TypeVar
 
 import numpy as np
 
 from analysis.arrays import Bools, Floats, Indices, Ints
 from analysis.budget import BenchKnowledge
-from analysis.budget.unstated import SCALE_FACTOR_LIMIT, TABLE_RATE_LIMIT
-from analysis.channel import ChannelResponse
+from analysis.budget.bench import LOWEST_GAIN_CORNER_HZ, SCALE_FACTOR_LIMIT, SECOND_ORDER_LIMIT, TABLE_RATE_LIMIT
+from analysis.channel import ChannelResponse, correct_response
+from analysis.combine import combine_estimates
+from analysis.flags import FATAL, Flag
+from analysis.harmonics import fit_free_harmonics
+from analysis.lockin_equation import Relation
+from analysis.lockin_rate import LockInEstimate, estimate_lock_in, noise_model, with_ratio
 
 _RECORDS_AT_ONCE = 1000
 """20 MB of samples."""
@@ -111,3 +117,200 @@ def rows_of_batches(sample_interval: Floats, samples: Ints) -> list[Indices]:
         rows, left = left[alike], left[~alike]
         batches += [rows[begin : begin + _RECORDS_AT_ONCE] for begin in range(0, rows.size, _RECORDS_AT_ONCE)]
     return batches
+
+
+# --------------------
+# Each record by itself: those of one time base together, batch by batch
+
+
+Estimate = TypeVar("Estimate")
+
+
+@dataclass(frozen=True)
+class Method:
+    """How records are turned into a lock-in rate."""
+
+    scale_factor: float  # k, pulses per degree
+    relation: Relation = "exact"  # {"exact", "paper-13", "paper-10"}
+    input_rate: float | None = None  # rate on the gyro's axis in deg/s; ``None``: each record is its own reference
+
+
+def estimate_records(records: RecordArrays, method: Method) -> LockInEstimate:
+    """Estimate each record from its first channel."""
+    parts, rows = [], []
+    for batch in records.batches:
+        estimate = estimate_lock_in(
+            batch.volts[0],
+            batch.sample_interval,
+            scale_factor=method.scale_factor,
+            input_rate=method.input_rate,
+            relation=method.relation,
+            clipped=batch.clipped[0],
+            nan_policy="omit",
+        )
+        parts.append(estimate)
+        rows.append(batch.rows)
+    return joined(parts, rows)
+
+
+def by_themselves(each: LockInEstimate, response: ChannelResponse | None) -> LockInEstimate:
+    """What records say that went through a channel, each by itself; it does not depend on the others."""
+    beats = only_beats(each)
+    return beats if response is None else without_channel(beats, response)
+
+
+def only_beats(each: LockInEstimate) -> LockInEstimate:
+    """Withhold what rests on a piece of some curve: fewer than 3 periods that do not fit either."""
+    curve = int(Flag.FEW_PERIODS | Flag.MISFIT)
+    pieces = (each.flags & curve) == curve
+    if not pieces.any():
+        return each
+    rates = ("lock_in_rate", "lock_in_rate_u", "lock_in_rate_low_95", "lock_in_rate_high_95")
+    withheld: dict[str, Any] = {name: np.where(pieces, np.nan, getattr(each, name)) for name in rates}
+    flags = np.where(pieces, each.flags | int(Flag.NOT_LOCK_IN_LIKE), each.flags)
+    return replace(each, flags=flags, **withheld)
+
+
+def without_channel(each: LockInEstimate, response: ChannelResponse) -> LockInEstimate:
+    """The estimates that the records would have given without the channel."""
+    return replace(correct_response(each, response), noise_model=without_channel_model(each))
+
+
+def without_channel_model(each: LockInEstimate) -> str:
+    """What the uncertainties rest on where the channel is taken out.
+
+    That of the response is not among it: all records share it, so it stands in the budget.
+    """
+    return f"{noise_model(each.flags)}; corrected for the response of the channel"
+
+
+def at_known_rates(each: LockInEstimate, rates: Floats) -> LockInEstimate:
+    """The same ratios with rates on the gyro's axis (n,), deg/s, signed, as reference instead of the beat."""
+
+    def given(some: LockInEstimate, rows: slice) -> LockInEstimate:
+        known = replace(some, input_rate=rates[rows], rate_given=True)
+        return with_ratio(known, some.complex_ratio, some.complex_ratio_covariance)
+
+    return each.changed(given)
+
+
+def joined(parts: Sequence[Estimate], rows: Sequence[Indices]) -> Estimate:
+    """Put estimates of several batches into the order of the records."""
+    places = np.concatenate(rows)
+    in_order = np.array_equal(places, np.arange(places.size))
+    if in_order and len(parts) == 1:
+        return _of_all(parts[0])
+    return _of_all(_in_order(parts, None if in_order else np.argsort(places)))
+
+
+def _in_order(parts: Sequence[Estimate], order: Indices | None) -> Estimate:
+    first: Any = parts[0]
+    values: dict[str, Any] = {}
+    for part_field in fields(first):
+        each = [getattr(part, part_field.name) for part in parts]
+        if is_dataclass(each[0]):
+            values[part_field.name] = _in_order(each, order)
+        elif np.ndim(each[0]):
+            values[part_field.name] = np.concatenate(each) if order is None else np.concatenate(each)[order]
+    joint: Estimate = replace(first, **values)
+    return joint
+
+
+def _of_all(each: Estimate) -> Estimate:
+    """The same estimates, their noise model that of all of them: not that of the batch they were made in."""
+    if not isinstance(each, LockInEstimate):
+        return each
+    words = noise_model(each.flags)
+    return each if words == each.noise_model else replace(each, noise_model=words)
+
+
+# --------------------
+# What the records of one rate say of the lock-in rate, while those of others are still to be taken
+
+
+_SURE = 4.0
+"""Standard uncertainties within which a value surely lies: rates that are chosen anew by chance cost the run."""
+
+
+@dataclass(frozen=True)
+class LockInSeen:
+    """A lock-in rate, and between which values it surely lies, deg/s."""
+
+    lock_in_rate: float
+    least: float
+    most: float
+
+    @property
+    def spread(self) -> float:
+        """Of the values that are possible, a factor."""
+        return self.most / max(self.least, 1e-3 * self.most)
+
+
+def lock_in_seen(records: RecordArrays, scale_factor: float) -> LockInSeen | None:
+    """Say what records at one rate say of the lock-in rate; ``None`` if they show none.
+
+    Distortion and a gain corner of which nobody knows anything count in it: the first adds to the second harmonic
+    or takes from it, the second takes from it where the beat is fast.
+    """
+    mean = combine_estimates(only_beats(estimate_records(records, Method(scale_factor))))
+    rate, rate_u = float(mean.lock_in_rate), float(mean.lock_in_rate_u)
+    if int(mean.flags) & int(FATAL) or not (rate > 0 and math.isfinite(rate_u)):
+        return None
+    # second order d puts the lock-in rate off by 2 W d
+    off = math.hypot(_SURE * rate_u, 2 * abs(float(mean.input_rate)) * SECOND_ORDER_LIMIT)
+    lost = math.hypot(1.0, float(mean.beat_frequency) / LOWEST_GAIN_CORNER_HZ)
+    return LockInSeen(rate, max(rate - off, 0.0), (rate + off) * lost)
+
+
+# --------------------
+# Third-order distortion of the receiver, by the third harmonic of the records.
+#
+# The beat's own third harmonic is c3 = c2^2/c1, whatever second-order distortion adds. A cube adds a real number h
+# to c3 |c1|^-1 exp(-3i arg c1), the same in every record of one amplitude, and changes r by up to its share h
+# (`analysis.budget.bench`)
+
+
+_HARMONICS = 4
+_MOST_RECORDS = 400
+_AT_ONCE = 200
+
+_OWN_UNCERTAIN = 0.05
+"""Share of the beat's own third harmonic, r^2, that a slow channel may take away."""
+
+_UNSTEADY = int(Flag.CLIPPED | Flag.RATE_WANDER | Flag.HARMONICS_ALIASED | Flag.SECOND_HARMONIC_ABOVE_NYQUIST)
+
+
+def third_order_limit(slow: RecordArrays, each: LockInEstimate, stated: float) -> float:
+    """Largest third harmonic that the receiver may make of a pure sine, over the sine, as the records show it."""
+    good = each.usable & ((each.flags & _UNSTEADY) == 0)
+    found = list(_beside_own(slow, each, good))
+    if not found:
+        return stated
+    beside, noise_u, own = (np.concatenate(column) for column in zip(*found, strict=True))
+    weights = 1 / (noise_u**2 + (_OWN_UNCERTAIN * own) ** 2)
+    weights /= weights.sum()
+    seen = abs(float(weights @ beside))
+    scatter = float(np.sqrt(weights**2 @ (beside - weights @ beside) ** 2)) if beside.size > 2 else 0.0
+    u = math.hypot(max(float(np.sqrt(weights**2 @ noise_u**2)), scatter), _OWN_UNCERTAIN * float(own.min()))
+    most = seen + 2 * u
+    return most if math.isnan(stated) else max(min(stated, most), seen - 2 * u)
+
+
+def _beside_own(slow: RecordArrays, each: LockInEstimate, good: Bools) -> Iterator[tuple[Floats, Floats, Floats]]:
+    """Of some records at a time: the third harmonic beside the beat's own, its noise, and r^2."""
+    left = _MOST_RECORDS
+    for batch in slow.batches:
+        kept = np.flatnonzero(good[batch.rows] & np.isfinite(batch.volts[0]).all(axis=-1))[:left]
+        left -= kept.size
+        for part in (kept[first : first + _AT_ONCE] for first in range(0, kept.size, _AT_ONCE)):
+            rows, volts = batch.rows[part], batch.volts[0][part]
+            omega = 2 * np.pi * batch.sample_interval * each.beat_frequency[rows]
+            # one step from amplitudes of zero: linear least squares at this frequency
+            centred = volts - volts.mean(axis=-1, keepdims=True)
+            _, _, c, _ = fit_free_harmonics(centred, None, omega, _HARMONICS, iterations=1)
+            size, turn = np.abs(c[:, 0]), np.exp(-1j * np.angle(c[:, 0]))
+            second, third = c[:, 1] / size * turn**2, c[:, 2] / size * turn**3
+            noise_u = each.noise_rms[rows] / size * math.sqrt(2 / volts.shape[1])
+            yield (third - second**2).real, noise_u, np.abs(second) ** 2
+        if left <= 0:
+            return

@@ -5,20 +5,19 @@ over time, `detector` the volts with distortion and filters, `signals` the whole
 `averaged` the mean of many stretches of it.
 """
 
-from analysis.ring_laser.averaged import mean_beat_on_table
-from analysis.ring_laser.beat import axis_rate_on_table, beat_phase_on_table
-from analysis.ring_laser.detector import Detector, detector_signal
-from analysis.ring_laser.gyro import Gyro
-from analysis.ring_laser.motion import Motion
-from analysis.ring_laser.signals import (
+from analysis.ring_laser.detector import (
+    Detector,
     NoisySignal,
     beat_signal_on_table,
+    detector_signal,
+    mean_beat_on_table,
     signal_above,
     signal_bounds,
     smooth_interval,
     with_detector_noise,
 )
-from analysis.ring_laser.winking import SteadyBeat, Winking, WinkingLaser, steady_beat, symmetric_laser
+from analysis.ring_laser.gyro import Gyro, Motion, axis_rate_on_table, beat_phase_on_table
+from analysis.ring_laser.two_mode_laser import SteadyBeat, Winking, WinkingLaser, steady_beat, symmetric_laser
 
 __all__ = [
     "Detector",

@@ -8,15 +8,26 @@ grid of rates once and interpolated; without a filter the signal is computed sam
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
+from numpy.polynomial import chebyshev
+from numpy.typing import NDArray
 
 from analysis.arrays import Bools, Complexes, Floats, Indices
 from analysis.channel import high_pass, low_pass
-from analysis.ring_laser.gyro import Gyro
-from analysis.ring_laser.rate_grid import FINER, beat_rate_at, grid_place, interpolate, rate_at, weights_at
+from analysis.ring_laser.gyro import Gyro, Motion, beat_phase_on_table, split
+from analysis.ring_laser.two_mode_laser import (
+    FINER,
+    beat_rate_at,
+    grid_place,
+    interpolate,
+    rate_at,
+    six_weights,
+    weights_at,
+)
 
 _FEWEST_POINTS, _MOST_POINTS = 128, 8192
 _NEGLIGIBLE = 1e-9
@@ -208,3 +219,297 @@ def _one_period(gyro: Gyro, detector: Detector, point: int, sense: int) -> Float
     points = 1 << math.ceil(math.log2(min(max(wanted, _FEWEST_POINTS), _MOST_POINTS)))
     phases = sense * np.arange(points, dtype=np.float64) * (2 * np.pi / points)
     return detector.volts(gyro.fringe(np.full(points, rate), phases), gyro.backscatter_phase)
+
+
+# --------------------
+# Signals at the inputs of the oscilloscope, as functions of absolute time
+
+
+UNSEEN = 5e-4
+"""Of the amplitude: a twentieth of a level on a full screen."""
+
+_SAME_NOISE_S = 20e-6
+_POINTS_A_PERIOD = 6  # of the light, where nothing beats
+_LEFT = 1e-4  # of the amplitude, by the polynomials between the points
+_NODE_POLYNOMIAL = 16.9 / 720  # of six points at even steps, largest between the outer two, over 6!
+_SHARPEST = 0.9  # ratio of successive harmonics
+
+
+def beat_signal_on_table(gyro: Gyro, detector: Detector, motion: Sequence[Motion], times: Floats) -> Floats:
+    """Volts at the detector while the table moves.
+
+    Shapes: times (n,).
+    """
+    segments, volts = tuple(motion), np.empty_like(times)
+    for number, inside in split(segments, times):
+        resting = _resting_volts(gyro, detector, segments[number])
+        if resting is not None:
+            volts[inside] = resting
+            continue
+        rates, phases = beat_phase_on_table(gyro, segments, times[inside])
+        seen_by = (gyro, detector)
+        if segments[number].acceleration_dps2 != 0.0:
+            # nobody measures in a slew, and its rates are too many to work out all of their beats
+            seen_by = (gyro.without_winking(), detector.without_filters())
+        volts[inside] = detector_signal(*seen_by, rates, phases)
+    return np.asarray(volts * detector.swing(times)) if detector.pump_ripple else volts
+
+
+@lru_cache(maxsize=64)
+def _resting_volts(gyro: Gyro, detector: Detector, segment: Motion) -> float | None:
+    """The constant of a locked gyro on a table at rest; ``None`` where the beat moves."""
+    if segment.rate_dps or segment.acceleration_dps2 or gyro.ripple_dps:
+        return None
+    rate = np.atleast_1d(gyro.axis_rate(0.0, segment.azimuth_deg))
+    if not gyro.locked(rate).all():
+        return None
+    return float(detector_signal(gyro, detector, rate, np.zeros(1))[0])
+
+
+def smooth_interval(gyro: Gyro, detector: Detector, motion: Sequence[Motion], start: float, stop: float) -> float:
+    """Distance in s of points between which polynomials of the fifth degree give the signal of the detector.
+
+    They leave 1e-4 of its amplitude. 0 where the gyro locks or unlocks: there are no such points then.
+    """
+    segments = tuple(motion)
+    pieces = split(segments, np.array([start, stop]))
+    reached = segments[pieces[0][0] : pieces[-1][0] + 1]
+    return min(_smooth_interval(gyro, detector, segment) for segment in reached)
+
+
+@lru_cache(maxsize=64)
+def _smooth_interval(gyro: Gyro, detector: Detector, segment: Motion) -> float:
+    """Of one piece of motion: polynomials are off by that of their nodes times the sixth derivative over 6!."""
+    if _resting_volts(gyro, detector, segment) is not None:
+        return 1.0 / (_POINTS_A_PERIOD * max(detector.pump_hz, 1.0))
+    if segment.acceleration_dps2:
+        return 0.0
+    low, high, sense = _rates_in(gyro, segment)
+    if low <= gyro.lock_in_rate or gyro.harmonic_ratio(np.array(low)) >= _SHARPEST or not sense:
+        return 0.0
+    # harmonics are largest at the slowest rate, or, behind a high-pass, at the fastest
+    slow, fast = (np.abs(amplitudes_at(gyro, detector, sense * rate)[1:]) for rate in (low, high))
+    amplitudes = np.zeros(max(slow.size, fast.size))
+    amplitudes[: slow.size] = slow
+    amplitudes[: fast.size] = np.maximum(amplitudes[: fast.size], fast)
+    if not amplitudes.any():  # there is light, and no beat
+        return 1.0 / (_POINTS_A_PERIOD * max(detector.pump_hz, 1.0))
+    beats = gyro.scale_factor * high * np.arange(1, amplitudes.size + 1) + abs(gyro.ripple_hz)
+    swings = amplitudes @ (beats + detector.pump_hz) ** 6 + abs(detector.offset) * detector.pump_hz**6
+    sixth_derivative = float(amplitudes @ beats**6 + detector.pump_ripple * swings) * (2 * math.pi) ** 6
+    return float((_LEFT * amplitudes.max() / (_NODE_POLYNOMIAL * sixth_derivative)) ** (1 / 6))
+
+
+def signal_bounds(
+    gyro: Gyro, detector: Detector, motion: Sequence[Motion], start: float, stop: float
+) -> tuple[float, float]:
+    """Volts that the signal of the detector does not leave between two absolute times in s; inf: not known."""
+    segments = tuple(motion)
+    pieces = split(segments, np.array([start, stop]))
+    bounds = [_bounds(gyro, detector, piece) for piece in segments[pieces[0][0] : pieces[-1][0] + 1]]
+    return min(low for low, _ in bounds), max(high for _, high in bounds)
+
+
+@lru_cache(maxsize=64)
+def _bounds(gyro: Gyro, detector: Detector, segment: Motion) -> tuple[float, float]:
+    """Of one piece of motion."""
+    low, high = -math.inf, math.inf
+    if (resting := _resting_volts(gyro, detector, segment)) is not None:
+        low = high = resting
+    elif not segment.acceleration_dps2:
+        slowest, fastest, sense = _rates_in(gyro, segment)
+        if sense and slowest > gyro.lock_in_rate:
+            low, high = volts_between(gyro, detector, slowest, fastest, sense)
+    swing = detector.pump_ripple * max(abs(low), abs(high)) if detector.pump_ripple else 0.0
+    return low - swing, high + swing
+
+
+def signal_above(
+    gyro: Gyro, detector: Detector, motion: Sequence[Motion], corner_hz: float, start: float, stop: float
+) -> Callable[[Floats], Floats] | None:
+    """The signal behind an AC coupling of one pole, between two absolute times in s.
+
+    Light and rate that swing a little do not show in what the coupling does: their share of it is left out.
+    """
+    segments = tuple(motion)
+    pieces = split(segments, np.array([start, stop]))
+    if len(pieces) > 1 or not _coupling_shows_no_swing(gyro, detector, segments[pieces[0][0]], corner_hz):
+        return None
+    coupled = replace(detector, coupling_hz=corner_hz, pump_ripple=0.0)
+
+    def volts(times: Floats) -> Floats:
+        beat = beat_signal_on_table(gyro, coupled, segments, times)
+        if not detector.pump_ripple:
+            return beat
+        swing = detector.swing(times)
+        return np.asarray(
+            beat * swing + detector.offset * (swing - 1)
+        )  # what swings faster than the corner passes
+
+    return volts
+
+
+@lru_cache(maxsize=64)
+def _coupling_shows_no_swing(gyro: Gyro, detector: Detector, segment: Motion, corner_hz: float) -> bool:
+    """Whether a beat goes on steadily enough to know it behind an AC coupling."""
+    if not _smooth_interval(gyro, detector, segment):
+        return False
+    if _resting_volts(gyro, detector, segment) is not None:
+        return not detector.pump_ripple
+    slowest = float(gyro.beat_frequency(np.array([_rates_in(gyro, segment)[0]]))[0])
+    sideways = (
+        gyro.scale_factor * gyro.ripple_dps * corner_hz / slowest**2
+    )  # of the side bands that the ripple makes
+    faint = detector.pump_ripple < 2 * UNSEEN and detector.pump_hz > 2 * corner_hz
+    return sideways < UNSEEN and (faint or not detector.pump_ripple)
+
+
+def _rates_in(gyro: Gyro, segment: Motion) -> tuple[float, float, int]:
+    """Slowest and fastest rate on the axis in a turn of the table, deg/s, and their sense; 0: both."""
+    rates = gyro.axis_rate(segment.rate_dps, np.arange(0.0, 360.0, 10.0))
+    sizes, ripple = np.abs(rates), abs(gyro.ripple_dps)
+    senses = np.sign(rates)
+    sense = int(senses[0]) if (senses == senses[0]).all() else 0
+    return float(np.min(sizes)) - ripple, float(np.max(sizes)) + ripple, sense
+
+
+@dataclass(frozen=True)
+class NoisySignal:
+    """A signal at an input with white noise: its two parts can be looked at one by one."""
+
+    smooth: Callable[[Floats], Floats]  # absolute times in s -> V, without noise
+    noise_rms: float  # V in each sample
+    seed: int  # not negative
+    stream: int = 0  # another number, another noise: one for each channel
+    # two absolute times in s -> the distance in s of points between which polynomials of the fifth degree give the
+    # smooth part; 0 where that is not known
+    interval: Callable[[float, float], float] = lambda start, stop: 0.0
+    # two absolute times in s -> V that the smooth part does not leave between them
+    bounds: Callable[[float, float], tuple[float, float]] = lambda start, stop: (-math.inf, math.inf)
+    # A corner in Hz and two absolute times in s -> the smooth part behind a high-pass of one pole, between these
+    # times; ``None`` where that is not known
+    above: Callable[[float, float, float], Callable[[Floats], Floats] | None] = lambda corner, start, stop: None
+    # starts (absolute, s) and times behind each, a corner in Hz (0: none) and its settling time in s -> the mean
+    # of the smooth part, behind that high-pass, over all starts; ``None`` where that is not known
+    mean: Callable[[Floats, Floats, float, float], Floats | None] = lambda starts, times, corner, settling: None
+
+    def __call__(self, times: Floats) -> Floats:
+        """Volts at absolute times in s."""
+        return self.smooth(times) + self.noise(times)
+
+    def noise(self, times: Floats) -> Floats:
+        """The noise alone, V: another acquisition, another noise, the same for the same sample times."""
+        if self.noise_rms == 0 or times.size == 0:
+            return np.zeros(times.shape)
+        # an input stage that looks at delays of nanoseconds sees one noise
+        stamp = math.floor(float(times.flat[0]) / _SAME_NOISE_S) & (2**63 - 1)
+        numbers = (self.seed, stamp, times.size, self.stream) if self.stream else (self.seed, stamp, times.size)
+        generator = np.random.Generator(np.random.PCG64(_words(*numbers)))
+        return self.noise_rms * generator.standard_normal(times.shape)
+
+
+def _words(*numbers: int) -> NDArray[np.uint32]:
+    """The seed that NumPy makes of these numbers, none of them negative: their 32-bit words, the lowest first."""
+    words = []
+    for number in numbers:
+        words.append(number & 0xFFFFFFFF)
+        while number := number >> 32:
+            words.append(number & 0xFFFFFFFF)
+    return np.array(words, dtype=np.uint32)
+
+
+def with_detector_noise(
+    signal: Callable[[Floats], Floats], rms: float, seed: int, stream: int = 0
+) -> Callable[[Floats], Floats]:
+    """Add white noise to a signal, the same for the same seed and the same sample times."""
+    return NoisySignal(signal, rms, seed, stream) if rms else signal
+
+
+# --------------------
+# The mean of many stretches of a beat, as an oscilloscope averages: without working out each of them.
+#
+# In stretch k the phase runs as psi_k(t) = psi_0(t) + d_k(t), where d_k changes little in a stretch: it is worked
+# out at few times. With the harmonics c_n of the beat the mean of all stretches is
+#
+#     Re sum c_n exp(i n psi_0(t)) Z_n(t),    Z_n(t) = mean over k of exp(i n d_k(t))
+
+
+_FEW = 8  # times at which d_k is worked out; as many again for each turn of the ripple
+_FEWEST_NODES, _NODES_A_TURN = 8, 24  # of Z_n; 8 for each turn of the third harmonic
+_MOST_PHASES = 60_000
+_NEGLIGIBLE_MOTION = 1e-5  # of the largest harmonic
+
+
+def mean_beat_on_table(
+    gyro: Gyro,
+    detector: Detector,
+    motion: Sequence[Motion],
+    starts: Floats,
+    times: Floats,
+    *,
+    corner_hz: float = 0.0,
+    settling_s: float = 0.0,
+) -> Floats | None:
+    """Mean over several starts of the volts at the detector at some times behind each.
+
+    Shapes: starts (k,), times (n,).
+    """
+    segments, span = tuple(motion), float(times[-1])
+    first, last = float(starts[0]), float(starts[-1]) + span
+    steady = [piece for piece in segments if piece.start <= last]
+    turns = len(steady) == 1 or steady[-1].start <= first - settling_s
+    if not turns or detector.pump_ripple >= 2 * UNSEEN or not smooth_interval(gyro, detector, motion, first, last):
+        return None
+    if corner_hz and signal_above(gyro, detector, motion, corner_hz, first - settling_s, last) is None:
+        return None
+    middle = starts[len(starts) // 2]
+    few = chebyshev.chebpts1(_FEW + math.ceil(_FEW * gyro.ripple_hz * span) if gyro.ripple_dps else _FEW)
+    rates, slow = _differences(gyro, segments, starts, middle, (few + 1) * span / 2)
+    nodes = _FEWEST_NODES + math.ceil(_NODES_A_TURN * float(np.ptp(slow, axis=1).max()) / (2 * math.pi))
+    if nodes * len(starts) > _MOST_PHASES:
+        return None
+    series = np.linalg.solve(chebyshev.chebvander(few, len(few) - 1), slow.T)
+    differences = (chebyshev.chebvander(np.linspace(-1, 1, nodes), len(few) - 1) @ series).T
+    coupled = replace(detector, coupling_hz=corner_hz, pump_ripple=0.0)
+    begin, end = (amplitudes_at(gyro, coupled, float(rates[:, at].mean())) for at in (0, -1))
+    order = int(np.count_nonzero(np.abs(begin) > _NEGLIGIBLE_MOTION * np.abs(begin).max()))
+    order, sense = max(min(order + 1, begin.size, end.size), 2), 1 if rates[0, 0] > 0 else -1
+    apart = np.exp(1j * sense * differences)
+    power, together = np.ones_like(apart), np.empty((order - 1, nodes), dtype=np.complex128)
+    for n in range(order - 1):
+        power *= apart
+        together[n] = power.mean(axis=0)
+    shares = _mean_between(together, times / span)
+    turning = np.exp(1j * sense * beat_phase_on_table(gyro, segments, middle + times)[1])
+    growing = begin[1:order, np.newaxis] + (end - begin)[1:order, np.newaxis] * (times / span)
+    volts: Floats = begin[0].real + _sum_of_powers(growing * shares, turning)
+    if not detector.pump_ripple:
+        return volts
+    swing = detector.mean_swing(starts, times)
+    return np.asarray(volts * swing + (detector.offset * (swing - 1) if corner_hz else 0.0))
+
+
+def _differences(
+    gyro: Gyro, motion: tuple[Motion, ...], starts: Floats, middle: float, places: Floats
+) -> tuple[Floats, Floats]:
+    """Rates on the axis, and phases over those of the stretch in the middle, (k, places)."""
+    rates, phases = beat_phase_on_table(gyro, motion, (starts[:, np.newaxis] + places).ravel())
+    reference = beat_phase_on_table(gyro, motion, middle + places)[1]
+    return rates.reshape(len(starts), -1), phases.reshape(len(starts), -1) - reference
+
+
+def _sum_of_powers(factors: Complexes, base: Complexes) -> Floats:
+    """Real part of the sum of factors[n - 1] base^n (Horner)."""
+    total = factors[-1] * base
+    for factor in factors[-2::-1]:
+        total += factor
+        total *= base
+    return np.ascontiguousarray(total.real)
+
+
+def _mean_between(values: Complexes, places: Floats) -> Complexes:
+    """Values (m, nodes) at even steps from 0 to 1, at places (n,) between them: quintic polynomials."""
+    at = places * (values.shape[1] - 1)
+    cells = np.minimum(np.maximum(at.astype(np.intp), 2), values.shape[1] - 4)
+    weights = six_weights(at - cells)
+    return np.asarray(sum(weight * values[:, cells + n] for n, weight in zip(range(-2, 4), weights, strict=True)))

@@ -8,6 +8,7 @@ docs/several_rates.md). What they leave open is bounded by what is known of rece
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Literal
@@ -16,46 +17,52 @@ import numpy as np
 import scipy.special
 from numpy.typing import ArrayLike
 
-from analysis.arrays import Complexes, Floats
-from analysis.errors import NoFit
+from analysis.arrays import Bools, Complexes, Floats, Indices, NoFit
 from analysis.lockin_rate import LockInEstimate
-from analysis.several_rates.checks import leave_out, rates_flags, scale_factor_of_rates
-from analysis.several_rates.coupling import beats_of_rates, coupling_seen
-from analysis.several_rates.gain_within_bounds import over_gain_times
-from analysis.several_rates.least_squares import RatioFit, all_solutions, fit_ratios
-from analysis.several_rates.points import Points, UsedRecords, gather, with_rate_noise
-from analysis.several_rates.ratio_model import (
-    N_PARAMETERS,
-    Prior,
-    RatioData,
-    Reference,
-    beyond_first_order,
-    third_order_by_third_harmonic,
-)
-from analysis.several_rates.ratio_records import (
+from analysis.several_rates.points import (
+    MISMATCH,
+    Points,
     RatioRecords,
+    UsedRecords,
     common_mismatch,
+    gather,
     inconsistent_rate,
     mismatch_of_all,
     rate_mismatch,
     rates_differ,
     records_of_arrays,
     records_of_estimates,
+    with_rate_noise,
 )
-from analysis.several_rates.receiver import ReceiverKnowledge
-from analysis.several_rates.result import FittedRecords, Model, ModelFit, RatesFit, RatesFlag
+from analysis.several_rates.ratio_model import (
+    N_PARAMETERS,
+    Prior,
+    RatioData,
+    RatioFit,
+    ReceiverKnowledge,
+    Reference,
+    all_solutions,
+    beyond_first_order,
+    fit_ratios,
+    third_order_by_third_harmonic,
+    with_distortion_alone,
+)
+from analysis.several_rates.result import FittedRecords, Model, ModelFit, RatesFit, RatesFlag, WithoutOneRate
 from analysis.several_rates.solutions import (
     Answer,
     answer,
+    beats_of_rates,
     by_profile,
+    coupling_seen,
     largest_possible,
     lock_in_u,
+    minimum_volumes,
     polar_covariance,
+    size_us,
     up_to,
     widened,
     with_coupling,
 )
-from analysis.several_rates.table_noise import table_noise
 
 FREE: dict[Model, tuple[bool, ...]] = {
     "lock-in": (False, False, False, False),
@@ -109,7 +116,7 @@ def fit_rates(
         and bandwidth, each within what is known of it beforehand. The others fit what they name, take the rest
         to be zero, and know nothing beforehand.
     receiver : ReceiverKnowledge, optional
-        What is known of receiver and laser; without it the usual bounds hold (`analysis.budget.unstated`).
+        What is known of receiver and laser; without it the usual bounds hold (`analysis.budget.bench`).
 
     Raises
     ------
@@ -458,3 +465,253 @@ def _by_other_reference(points: RatioData, lock_in_rate: float, common: float) -
         square = np.maximum((rate - lock_in_rate) * (rate + lock_in_rate), 1e-300)
         changed = beat_rate / np.sqrt(square)
     return float(np.abs(changed - 1).max())
+
+
+# --------------------
+# What tests a fit over several rates: the fit without each rate, rates against beats, flags
+
+
+UNLIKELY_LEFT_OUT = 0.001
+SIGNIFICANT = 3.3
+FREE_OF_DISTORTION = ("lock-in", "gain")
+FREE_OF_GAIN = ("lock-in", "distortion")
+
+DISTORTION_COST = 10.0
+"""Distortion that costs more than this factor means rates too close together to tell it from lock-in."""
+
+LOOSE = 0.3
+"""A lock-in rate with a larger relative uncertainty is not determined."""
+
+MISFITS_BY_CHANCE = 0.05
+EXPLAINED = 5.0
+"""Third-order distortion of so many standard uncertainties is what the misfit of the records was."""
+
+
+def leave_out(points: Points, fit: RatioFit, prior: Prior) -> WithoutOneRate:
+    """The fit without each rate in turn, from the solution of all.
+
+    A rate disagrees where chi-square falls by more without it than its own values explain: that takes all its
+    values together, with their covariance and that of the fit.
+    """
+    data, group = points.points, points.rate_group
+    n_groups = int(group.max()) + 1
+    empty = np.empty(0)
+    if n_groups < 2:
+        return WithoutOneRate(empty, empty, empty, empty, empty)
+    kept = (group != np.arange(n_groups)[:, np.newaxis]).astype(float)
+    others = fit_ratios(data.weighted(kept), prior, np.repeat(fit.parameters, n_groups, axis=0))
+    along = fit.parameters[0, :2] / max(float(np.hypot(*fit.parameters[0, :2])), 1e-300)
+    value = np.hypot(others.parameters[:, 0], others.parameters[:, 1])
+    u = np.sqrt(np.einsum("i,bij,j->b", along, others.covariance[:, :2, :2], along))
+    shift = (others.parameters[:, :2] - fit.parameters[0, :2]) @ along
+    # The value of all is made of that of the others and of the rate left out, so variances subtract.
+    gained = np.maximum(u**2 - lock_in_u(fit) ** 2, (1e-3 * u) ** 2)
+    blank = np.where(others.singular, np.nan, 1.0)
+    fall = fit.chi_square[0] - others.chi_square
+    known = (data.third_weight > 0) & (prior.sd[5] > 0)
+    values = np.array([2 * np.sum(group == g) + np.sum(known & (group == g)) for g in range(n_groups)])
+    chance = scipy.special.chdtrc(values, np.maximum(fall, 0.0))
+    rates = np.array([np.abs(data.rate[group == g]).mean() for g in range(n_groups)])
+    return WithoutOneRate(
+        rates,
+        value * blank,
+        u * blank,
+        shift / np.sqrt(gained) * blank,
+        np.minimum(chance * n_groups, 1.0) * blank,
+    )
+
+
+def scale_factor_of_rates(scale_factor: float, points: Points, fit: RatioFit) -> tuple[float, float]:
+    """K that beats and rates given ask for, pulses per degree: f/W freed of lock-in by r of the fit.
+
+    The uncertainty is that of the mean of all points, from their scatter; an error that all rates share is not in
+    it.
+    """
+    data = points.points
+    size = float(np.hypot(*fit.parameters[0, :2]))
+    base = np.abs(data.rate) if data.reference == "rate" else data.beat_rate
+    x = np.minimum(size / base, 1.0 if data.reference == "rate" else np.inf)
+    free = np.sqrt(np.maximum(1 - x**2, 1e-12)) if data.reference == "rate" else 1 / np.sqrt(1 + x**2)
+    each = data.beat_rate * scale_factor / np.abs(data.rate) / free
+    # what is not known of the lock-in rate weighs with its square over that of the rate
+    weights = 1 / (1e-5 + (lock_in_u(fit) / size * x**2) ** 2) if size > 0 else np.ones_like(each)
+    mean = float(np.average(each, weights=weights))
+    if each.size < 2:
+        return mean, float("nan")
+    spread = float(np.sqrt(np.average((each - mean) ** 2, weights=weights) / (each.size - 1)))
+    return mean, spread
+
+
+def rates_flags(fit: RatesFit, records: RatioRecords, tested: int) -> int:
+    """Bits of `RatesFlag` of a result that has none yet; `tested`: values that the records leave over."""
+    size, u = fit.lock_in_rate, fit.lock_in_rate_u
+    plain = next((m.lock_in_rate_u for m in fit.models if m.model == "lock-in"), u)
+    distorted = next((m.lock_in_rate_u for m in fit.models if m.model == "distortion"), u)
+    rate, mismatch = fit.rate, fit.rate_mismatch
+    no_beat_above = np.abs(rate[fit.locked]) > fit.lock_in_rate_high_95
+    rate_u = fit.each.records.rate_u
+    disagree = rates_differ(rate, size, u, mismatch, rate_u) or mismatch_of_all(rate, size, u, mismatch) != 0
+    disagree = disagree or bool(np.any(inconsistent_rate(records, rate_u)))
+    explained = abs(fit.third_order) > EXPLAINED * fit.third_order_u
+    misfits = sum(int(np.sum(block.misfit & fit.used[some])) for some, block in records.blocks())
+    conditions = {
+        RatesFlag.NOT_SIGNIFICANT: not size > SIGNIFICANT * u,
+        RatesFlag.RATES_TOO_CLOSE: fit.model not in FREE_OF_DISTORTION and distorted > DISTORTION_COST * plain,
+        RatesFlag.NOT_DETERMINED: u > LOOSE * size,
+        RatesFlag.NOT_TESTED: tested <= 0,
+        RatesFlag.MISFIT: fit.p_value < UNLIKELY_LEFT_OUT,
+        RatesFlag.ONE_RATE_DISAGREES: bool(np.any(fit.left_out.p_value < UNLIKELY_LEFT_OUT)),
+        RatesFlag.ONE_SENSE: bool(np.any(rate > 0, where=fit.used) != np.any(rate < 0, where=fit.used)),
+        RatesFlag.GAIN_CORNER_ASSUMED_HIGH: fit.model in FREE_OF_GAIN,
+        RatesFlag.LOCKED_RECORDS: fit.at_least > 0,
+        RatesFlag.NO_BEAT_ABOVE_LOCK_IN: bool(np.any(no_beat_above)),
+        RatesFlag.RECORDS_LEFT_OUT: not bool(np.all(fit.used | fit.locked)),
+        RatesFlag.RATE_AND_BEAT_DISAGREE: disagree,
+        RatesFlag.RATE_BELOW_LOCK_IN: bool(np.any(np.abs(rate) <= size, where=fit.used)),
+        RatesFlag.SEVERAL_SOLUTIONS: bool(fit.alternatives),
+        RatesFlag.RECORDS_MISFIT: misfits > max(2, MISFITS_BY_CHANCE * fit.used.sum()) and not explained,
+    }
+    return int(sum(bit for bit, raised in conditions.items() if raised))
+
+
+# --------------------
+# The answer over every gain time that is possible, where few rates leave it to its bound.
+#
+# Two rates in one sense are four values for six unknowns. The minimum then lies where the priors, bells about
+# zero, put it, and a bench whose gain time is anywhere within its bound may lie far along the bent valley. So this
+# is followed: at every gain time the rest is fitted, and what these fits give is averaged over the bound
+
+
+_GAIN_TIME = 3
+_OF_THE_BOUND = np.concatenate([np.linspace(0.0, 1.0, 15), [1.2, 1.5, 2.0, 2.5]])
+_ABOUT_A_MINIMUM = np.linspace(-4.0, 4.0, 17)
+_SAME_SHARE, _SAME_U = 1e-3, 0.5
+_INTERVAL, _TAILS, _STEPS = (0.025, 0.975), 6.0, 4001
+
+
+def over_gain_times(said: Answer, found: RatioFit, data: RatioData, prior: Prior, widen: float) -> Answer:
+    """The same value with what any gain time within its bound may make of it.
+
+    The bench may have no gain time to speak of, as `said` takes it, or one anywhere within the bound: both count
+    half, so that u is the root of the mean of both squares. The interval holds that of either.
+    """
+    times = _gain_times(found, prior, widen)
+    if times.size < 2:
+        return said
+    fits, at = _fits_at(times, found, data, prior)
+    heights = 0.5 * (fits.chi_square - fits.chi_square.min()) / widen
+    weights = (_shares(times, prior)[at] * minimum_volumes(fits)) * np.exp(-heights)
+    weights /= weights.sum()
+    values, us = np.hypot(fits.parameters[:, 0], fits.parameters[:, 1]), size_us(fits) * math.sqrt(widen)
+    square = float(np.sum(weights * (us**2 + (values - said.value) ** 2)))
+    low, high = _interval(weights, values, us)
+    u = math.sqrt((said.u**2 + square) / 2)
+    return Answer(said.value, u, min(said.low, max(low, 0.0)), max(said.high, high), said.others)
+
+
+def _gain_times(found: RatioFit, prior: Prior, widen: float) -> Floats:
+    """Rising gain times, s: all that is possible beforehand, and closer about every minimum."""
+    mean, sd = prior.mean[_GAIN_TIME], prior.sd[_GAIN_TIME]
+    bound = math.sqrt(3) * sd
+    times = [mean + sd * _ABOUT_A_MINIMUM if mean > 0 else bound * _OF_THE_BOUND]
+    for minimum, variance in zip(found.parameters, found.covariance[:, _GAIN_TIME, _GAIN_TIME], strict=True):
+        times.append(minimum[_GAIN_TIME] + math.sqrt(variance * widen) * _ABOUT_A_MINIMUM)
+    rising = np.unique(np.concatenate(times))
+    return np.asarray(rising[rising >= 0])
+
+
+def _shares(times: Floats, prior: Prior) -> Floats:
+    """Probability beforehand about each gain time: of a bell where it is known, else of a rectangle."""
+    mean, sd = prior.mean[_GAIN_TIME], prior.sd[_GAIN_TIME]
+    beyond = times - mean if mean > 0 else np.maximum(times - math.sqrt(3) * sd, 0.0)
+    middles = (times[1:] + times[:-1]) / 2
+    edges = np.concatenate([times[:1], middles, times[-1:]])
+    return np.asarray(np.diff(edges) * np.exp(-0.5 * (beyond / sd) ** 2))
+
+
+def _fits_at(times: Floats, found: RatioFit, data: RatioData, prior: Prior) -> tuple[RatioFit, Indices]:
+    """Every minimum (F,) of the other parameters at each gain time, and the index of its time (F,)."""
+    held = np.arange(N_PARAMETERS) == _GAIN_TIME
+    rest = Prior(np.where(held, 0.0, prior.mean), np.where(held, 0.0, prior.sd))
+    starts = np.repeat(found.parameters, times.size, axis=0)
+    starts[:, _GAIN_TIME] = np.tile(times, len(found.parameters))
+    starts = np.concatenate([starts, with_distortion_alone(starts, data, rest)])
+    fits = fit_ratios(data, rest, starts)
+    kept = np.flatnonzero(_different(fits, times.size))
+    return fits[kept], kept % times.size
+
+
+def _different(fits: RatioFit, times: int) -> Bools:
+    """Which of the fits, all gain times from one start after the other, is not a better one found again."""
+    z = (fits.parameters[:, 0] + 1j * fits.parameters[:, 1]).reshape(-1, times)
+    reach = _SAME_U * np.sqrt(np.trace(fits.covariance[:, :2, :2], axis1=-2, axis2=-1)).reshape(z.shape)
+    height = fits.chi_square.reshape(z.shape)
+    order = np.argsort(height, axis=0, kind="stable")
+    z, reach = (np.take_along_axis(each, order, axis=0) for each in (z, reach))
+    new = np.ones(z.shape, dtype=bool)
+    for row in range(1, len(z)):
+        close = np.abs(z[:row] - z[row]) < _SAME_SHARE * np.abs(z[row]) + reach[row]
+        new[row] = ~np.any(close & new[:row], axis=0)
+    different = np.empty_like(new)
+    np.put_along_axis(different, order, new, axis=0)
+    return different.ravel()
+
+
+def _interval(weights: Floats, values: Floats, us: Floats) -> tuple[float, float]:
+    """95 % of the sum of bells."""
+    sizes = np.linspace(np.min(values - _TAILS * us), np.max(values + _TAILS * us), _STEPS)
+    below = scipy.special.ndtr((sizes[:, np.newaxis] - values) / us) @ weights
+    low, high = np.interp(_INTERVAL, below, sizes)
+    return float(low), float(high)
+
+
+# --------------------
+# Rates that are wrong, each in its own way: how far beats and rates of several points depart from each other.
+#
+# With the rate as reference an error of a rate goes into the lock-in rate, and no ratio shows it: in both senses
+# at 1.2, 2 and 4 WL a table that misses every rate by 0.1 % makes four times what the noise of the ratios does.
+# The beats show it. A share d of a rate, and a share e of the lock-in rate, move the beat by
+#
+#     f/(K sqrt(W^2 - WL^2)) - 1 = common + (d W^2 + e WL^2)/(W^2 - WL^2)
+#
+# so what is left of the beats beside a factor of all of them (scale factor, tilt), and beside what is not known of
+# WL, is the error of the rates
+
+
+UNLIKELY_TABLE = 0.001
+MATTERS = 0.3
+"""Table noise below this share of the relative u of the lock-in rate is left alone: it adds 5 % at most."""
+
+_LEAST_U = 1e-5
+"""Of a beat over its rate: what the motion of any table leaves in a mean over a record."""
+
+_NORMAL_95 = 1.959964
+
+
+def table_noise(points: Points, fit: RatioFit) -> float:
+    """Relative standard uncertainty of the rates of the points, beyond what was stated, as their beats show it.
+
+    0 where that is chance or does not matter. 0 as well where it is more than `MISMATCH`: no table is that bad,
+    some rate is another one, or coupling moves the beats; the tests of the fit then say which. From few points it
+    is larger, by Student's factor.
+    """
+    data, records = points.points, points.records
+    size, rate = float(np.hypot(*fit.parameters[0, :2])), np.abs(data.rate)
+    freedom = rate.size - 1
+    if data.reference != "rate" or freedom < 1 or not 0 < size < rate.min():
+        return 0.0
+    square, known = (size / rate) ** 2, lock_in_u(fit) / size
+    seen = (data.beat_rate / np.sqrt((rate - size) * (rate + size)) - 1) * (1 - square)
+    u = math.hypot(_LEAST_U, float(np.max((records.rate_u / np.abs(records.records.rate))[records.used])))
+    columns = np.stack([1 - square, square], axis=-1) / u
+    # that WL is known from the ratios is one more value
+    white = np.concatenate([columns, [[0.0, 1 / known]]])
+    aim = np.append(seen / u, 0.0)
+    found = np.linalg.lstsq(white, aim, rcond=None)[0]
+    left = float(np.sum((aim - white @ found) ** 2))
+    if scipy.special.chdtrc(freedom, left) > UNLIKELY_TABLE:
+        return 0.0
+    share = u * math.sqrt(left / freedom - 1)
+    if not MATTERS * known < share < MISMATCH:
+        return 0.0
+    return share * float(scipy.special.stdtrit(freedom, 0.975)) / _NORMAL_95

@@ -5,15 +5,385 @@ Records are read some at a time, and only sums of them are kept: a million need 
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, fields, replace
+from functools import partial
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from analysis.arrays import Bools, Complexes, Floats, Indices
-from analysis.several_rates.least_squares import in_standard_uncertainties
-from analysis.several_rates.ratio_model import RatioData, Reference, predicted, whitening_factor
-from analysis.several_rates.ratio_records import SMALLEST_U, RatioBlock, RatioRecords
+from analysis.budget.bench import SECOND_ORDER_LIMIT
+from analysis.flags import Flag
+from analysis.lockin_rate import LockInEstimate
+from analysis.several_rates.ratio_model import (
+    RatioData,
+    Reference,
+    in_standard_uncertainties,
+    predicted,
+    whitening_factor,
+)
+
+# --------------------
+# Complex ratios of many records for a fit over several rates: which can be used, and whether beats fit rates
+
+
+AT_ONCE = 1 << 14
+"""Records that are looked at together: all that a fit works out of each of a million would take much memory."""
+
+SMALLEST_U = 1e-7
+"""Least uncertainty of a ratio, far below any converter's: noise-free records must not weigh without limit."""
+
+FASTER_THAN_POSSIBLE = 2e-3
+"""f may exceed K|W| by this share (conservative coupling, K, rate): more means a rate that is too low."""
+
+MISMATCH = 0.005
+"""A rate that misses the one of the beat by more is worth a flag: it goes 1:1 into the lock-in rate."""
+
+_FAST = 0.5
+
+
+@dataclass(frozen=True)
+class RatioBlock:
+    """Some records, arrays of one value each; nan where a record has no beat.
+
+    rate : deg/s, signed
+    beat_frequency, beat_frequency_u : Hz; 0 where there is no beat
+    ratio, covariance : rho (m,) and that of its two parts (m, 2, 2)
+    amplitude : any unit; those that :class:`RatioRecords` gives are over the mean of its usable records
+    third, third_u : third harmonic beyond the waveform in phase with distortion, over the amplitude; inf: unknown
+    misfit : records whose waveform is not the lock-in one within its noise
+    """
+
+    rate: Floats
+    beat_frequency: Floats
+    beat_frequency_u: Floats
+    ratio: Complexes
+    covariance: Floats
+    amplitude: Floats
+    third: Floats
+    third_u: Floats
+    misfit: Bools
+
+    def __getitem__(self, rows: slice | Bools | Indices) -> RatioBlock:
+        return RatioBlock(*(getattr(self, field.name)[rows] for field in fields(self)))
+
+    @property
+    def locked(self) -> Bools:
+        """Records that show no beat."""
+        return np.asarray(self.beat_frequency == 0)
+
+    @property
+    def usable(self) -> Bools:
+        """Records with a ratio."""
+        numbers = (self.ratio, self.beat_frequency_u, self.amplitude)
+        there = (self.beat_frequency > 0) & (self.amplitude > 0) & np.isfinite(self.covariance).all(axis=(-1, -2))
+        return np.asarray(there & np.logical_and.reduce([np.isfinite(values) for values in numbers]))
+
+
+@dataclass(frozen=True)
+class RatioRecords:
+    """n records, of which little is held: the rest is read some records at a time.
+
+    rate : (n,) deg/s, signed
+    usable, locked : (n,) records with a ratio; records that show no beat
+    mean_amplitude : of the usable records
+    scale_factor : pulses per degree
+    noise_model : what the uncertainties rest on
+    rate_of_beat : whether the rates are those that the records themselves gave, and test no beat
+    read : gives some of the records
+    """
+
+    rate: Floats
+    usable: Bools
+    locked: Bools
+    mean_amplitude: float
+    scale_factor: float
+    noise_model: str
+    rate_of_beat: bool
+    read: Callable[[slice], RatioBlock]
+
+    def blocks(self) -> Iterator[tuple[slice, RatioBlock]]:
+        """All records in their order: which they are, and they."""
+        for some in in_blocks(self.rate.size):
+            block = self.read(some)
+            yield some, replace(block, amplitude=block.amplitude / self.mean_amplitude)
+
+    def times(self, factor: Callable[[Floats], Complexes]) -> RatioRecords:
+        """The same records with the ratio of each times a factor of its beat frequency, Hz."""
+
+        def read(some: slice) -> RatioBlock:
+            block = self.read(some)
+            frequency = np.where(block.locked, np.nan, block.beat_frequency)
+            return replace(block, ratio=block.ratio * factor(frequency))
+
+        return replace(self, read=read)
+
+
+def in_blocks(count: int) -> Iterator[slice]:
+    """So many records, `AT_ONCE` of them at a time."""
+    return (slice(first, min(first + AT_ONCE, count)) for first in range(0, count, AT_ONCE))
+
+
+def records_of_estimates(
+    estimates: LockInEstimate | Sequence[LockInEstimate], input_rate: ArrayLike | None
+) -> RatioRecords:
+    """Records of one or several estimates."""
+    several = [estimates] if isinstance(estimates, LockInEstimate) else list(estimates)
+    flat = [e.reshaped(-1) for e in several]
+    count = sum(len(e) for e in flat)
+    if count == 0:
+        raise ValueError("no record to fit")
+    if len({e.scale_factor for e in flat}) > 1:
+        raise ValueError("the records have different scale factors: fit one gyro at a time")
+    if input_rate is None and not all(e.rate_given for e in flat):
+        raise ValueError(
+            "the sense of rotation must be known: estimate the records with their signed input_rate, or give "
+            "it here"
+        )
+    if input_rate is None:
+        rate = np.concatenate([e.input_rate for e in flat])
+    else:
+        rate = np.broadcast_to(np.asarray(input_rate, dtype=np.float64).ravel(), (count,))
+    read = partial(_read, flat[0], rate) if len(flat) == 1 else _together(flat, rate).__getitem__
+    return _records(
+        rate,
+        read,
+        scale_factor=flat[0].scale_factor,
+        noise_model="; ".join(dict.fromkeys(e.noise_model for e in flat)),
+        rate_of_beat=not any(e.rate_given for e in flat) and _is_own(rate, [e.input_rate for e in flat]),
+    )
+
+
+def records_of_arrays(
+    rate: ArrayLike,
+    ratio: ArrayLike,
+    covariance: ArrayLike,
+    beat_frequency: ArrayLike,
+    *,
+    scale_factor: float,
+    beat_frequency_u: ArrayLike = 0.0,
+    amplitude: ArrayLike = 1.0,
+    third_harmonic: ArrayLike = 0.0,
+    third_harmonic_u: ArrayLike = np.inf,
+    rate_of_beat: bool = False,
+) -> RatioRecords:
+    """Records of plain arrays of n values; a beat frequency of 0 marks a record without a beat."""
+    w = np.asarray(rate, dtype=np.float64).ravel()
+    spread = np.asarray(covariance, dtype=np.float64)
+    if spread.shape not in ((w.size, 2, 2), (2, 2)):
+        raise ValueError(f"covariance must have shape ({w.size}, 2, 2), not {spread.shape}")
+    whole = RatioBlock(
+        rate=w,
+        beat_frequency=_column("beat_frequency", beat_frequency, w.size).astype(np.float64),
+        beat_frequency_u=_column("beat_frequency_u", beat_frequency_u, w.size).astype(np.float64),
+        ratio=_column("ratio", ratio, w.size).astype(np.complex128),
+        covariance=np.broadcast_to(spread, (w.size, 2, 2)),
+        amplitude=_column("amplitude", amplitude, w.size).astype(np.float64),
+        third=_column("third_harmonic", third_harmonic, w.size).astype(np.float64),
+        third_u=_column("third_harmonic_u", third_harmonic_u, w.size).astype(np.float64),
+        misfit=np.zeros(w.size, dtype=bool),
+    )
+    return _records(
+        w,
+        whole.__getitem__,
+        scale_factor=scale_factor,
+        noise_model="the covariances given",
+        rate_of_beat=rate_of_beat,
+    )
+
+
+def _records(
+    rate: Floats,
+    read: Callable[[slice], RatioBlock],
+    *,
+    scale_factor: float,
+    noise_model: str,
+    rate_of_beat: bool,
+) -> RatioRecords:
+    """Records that are read once, to see which can be used; ValueError where a number makes no sense."""
+    if not np.all(np.isfinite(rate)) or np.any(rate == 0):
+        raise ValueError("every input rate must be finite and not zero (deg/s, signed): its sense is needed")
+    if not np.isfinite(scale_factor) or scale_factor <= 0:
+        raise ValueError(f"scale_factor must be positive (pulses per degree), not {scale_factor!r}")
+    usable, locked, total = np.empty(rate.size, dtype=bool), np.empty(rate.size, dtype=bool), 0.0
+    for some in in_blocks(rate.size):
+        block = read(some)
+        if not (np.all(block.third_u > 0) and np.all(np.isfinite(block.third))):
+            raise ValueError(
+                "third_harmonic must be finite and third_harmonic_u positive; inf where it is not known"
+            )
+        usable[some], locked[some] = block.usable, block.locked
+        total += float(block.amplitude[usable[some]].sum())
+    return RatioRecords(
+        rate=rate,
+        usable=usable,
+        locked=locked,
+        mean_amplitude=total / int(usable.sum()) if usable.any() else 1.0,
+        scale_factor=float(scale_factor),
+        noise_model=noise_model,
+        rate_of_beat=rate_of_beat,
+        read=read,
+    )
+
+
+def _is_own(rate: Floats, own: Sequence[Floats]) -> bool:
+    """Whether rates (n,) are those that the records themselves gave, whatever their sense."""
+    each = np.concatenate(own) if len(own) > 1 else own[0]
+    return all(
+        np.allclose(np.abs(rate[some]), each[some], rtol=_THE_SAME, equal_nan=True)
+        for some in in_blocks(rate.size)
+    )
+
+
+_THE_SAME = 1e-9
+
+
+def common_mismatch(records: RatioRecords) -> float:
+    """What all beats have in common against their rates: f/(K W), freed of lock-in by each record's own ratio.
+
+    At least 1 where that is near 1, within `FASTER_THAN_POSSIBLE` and what distortion may do to those ratios; nan
+    without a usable record. Anything else is a wrong scale factor, or an error that all rates share. The fast
+    records say it, whose own ratio matters least.
+    """
+    if not records.usable.any():
+        return float("nan")
+    smallest = min(float(np.abs(block.ratio).min()) for block in _usable(records))
+    sizes, rates = [], []
+    for block in _usable(records):
+        fast = block[np.abs(block.ratio) <= 2 * smallest]
+        size = np.abs(fast.ratio)
+        square = np.minimum(size**2, 0.99)
+        # W = (f/K)(1 + r^2)/(1 - r^2), and r may be off by the distortion
+        own = fast.beat_frequency / records.scale_factor * (1 + square) / (1 - square)
+        sizes.append(size)
+        rates.append(own / np.abs(fast.rate))
+    found = float(np.median(np.concatenate(rates)))
+    by_distortion = 4 * SECOND_ORDER_LIMIT * float(np.median(np.concatenate(sizes)))
+    return max(found, 1.0) if abs(found - 1) < FASTER_THAN_POSSIBLE + by_distortion else found
+
+
+def _usable(records: RatioRecords) -> Iterator[RatioBlock]:
+    """The records with a ratio, some at a time."""
+    for some, block in records.blocks():
+        if records.usable[some].any():
+            yield block[records.usable[some]]
+
+
+def inconsistent_rate(records: RatioRecords, rate_u: Floats, mismatch: float = 1.0) -> Bools:
+    """Records whose beat is faster than their rate (n,) allows, f > K |W|, beyond the mismatch that all have."""
+    found = np.empty(records.rate.size, dtype=bool)
+    for some, block in records.blocks():
+        most = np.abs(block.rate) * (1 + FASTER_THAN_POSSIBLE) + 3 * rate_u[some]
+        fastest = records.scale_factor * mismatch * most
+        found[some] = block.beat_frequency > fastest + 4 * block.beat_frequency_u
+    return found & records.usable
+
+
+def rate_mismatch(records: RatioRecords, lock_in_rate: float) -> Floats:
+    """f/(K sqrt(W^2 - WL^2)) - 1 of every record, (n,); nan where it is not known."""
+    mismatch = np.full(records.rate.shape, np.nan)
+    for some, block in records.blocks():
+        rate = np.abs(block.rate)
+        square = (rate - lock_in_rate) * (rate + lock_in_rate)
+        known = records.usable[some] & (square > 0)
+        expected = records.scale_factor * np.sqrt(square[known])
+        mismatch[some][known] = block.beat_frequency[known] / expected - 1
+    return mismatch
+
+
+def rates_differ(
+    rate: Floats, size: float, u: float, mismatch: Floats, rate_u: Floats, common: float = 0.0
+) -> bool:
+    """Whether a rate of some (n,) does not fit its beat, beyond what a lock-in rate `size` with `u` explains."""
+    for some in in_blocks(rate.size):
+        beside, speed = (1 + mismatch[some]) / (1 + common) - 1, np.abs(rate[some])
+        by_rate = rate_u[some] * speed / np.maximum(speed**2 - size**2, 1e-300)
+        if np.any(np.abs(beside) > MISMATCH + 3 * (_stretch(speed, size, u) + by_rate)):
+            return True
+    return False
+
+
+def mismatch_of_all(rate: Floats, size: float, u: float, mismatch: Floats) -> float:
+    """What all beats have in common against their rates (n,), by the fast ones; 0 where that may be chance.
+
+    Less than what `rates_differ` asks of a single record is enough. nan where no mismatch is known.
+    """
+    fastest = 0.0
+    for some in in_blocks(rate.size):
+        known = np.isfinite(mismatch[some])
+        fastest = max(fastest, float(np.max(np.abs(rate[some]), where=known, initial=0.0)))
+    if fastest == 0:
+        return float("nan")
+    seen, explained = [], []
+    for some in in_blocks(rate.size):
+        speed = np.abs(rate[some])
+        fast = np.isfinite(mismatch[some]) & (speed >= _FAST * fastest)
+        seen.append(mismatch[some][fast])
+        explained.append(_stretch(speed[fast], size, u))
+    found, stretch = (float(np.median(np.concatenate(each), overwrite_input=True)) for each in (seen, explained))
+    return found if abs(found) > FASTER_THAN_POSSIBLE + 3 * stretch else 0.0
+
+
+def _stretch(rate: Floats, size: float, u: float) -> Floats:
+    """Relative uncertainty of the beats at rates (n,) that a lock-in rate `size` with `u` leaves."""
+    with np.errstate(over="ignore"):
+        return np.asarray(size**2 / np.maximum(rate**2 - size**2, 1e-300) * (u / size if size else 0.0))
+
+
+def _column(name: str, values: ArrayLike, n: int) -> NDArray[np.generic]:
+    array = np.asarray(values)
+    if array.ndim > 0 and array.size not in (1, n):
+        raise ValueError(f"{name} must hold {n} values, one for every rate, not {array.size}")
+    return np.broadcast_to(array.ravel(), (n,))
+
+
+def _read(estimate: LockInEstimate, rate: Floats, some: slice) -> RatioBlock:
+    """Some records of an estimate (n,), with the rates (n,) of all."""
+    return _block(estimate[some], rate[some])
+
+
+def _block(estimate: LockInEstimate, rate: Floats) -> RatioBlock:
+    """Records of an estimate (m,), with their rates (m,)."""
+    ratio, covariance = _as_measured(estimate)
+    # A gyro inside lock-in gives a constant or nothing but noise; other faults say nothing about its rate.
+    no_beat = (estimate.flags & int(Flag.NO_BEAT | Flag.CONSTANT)) != 0
+    return RatioBlock(
+        rate=rate,
+        beat_frequency=np.where(no_beat, 0.0, estimate.beat_frequency),
+        beat_frequency_u=estimate.beat_frequency_u,
+        ratio=ratio,
+        covariance=covariance,
+        amplitude=estimate.amplitude,
+        third=estimate.third_harmonic.real,
+        third_u=estimate.third_harmonic_u,
+        misfit=(estimate.flags & int(Flag.MISFIT)) != 0,
+    )
+
+
+def _together(estimates: Sequence[LockInEstimate], rate: Floats) -> RatioBlock:
+    """Records of several estimates, with the rates of all."""
+    ends = np.cumsum([len(one) for one in estimates])
+    parts = [_block(one, rate[end - len(one) : end]) for one, end in zip(estimates, ends, strict=True)]
+    return RatioBlock(*(np.concatenate([getattr(part, f.name) for part in parts]) for f in fields(RatioBlock)))
+
+
+def _as_measured(estimate: LockInEstimate) -> tuple[Complexes, Floats]:
+    """rho and its covariance as the record has them; a mean of records in the negative sense is turned back.
+
+    Such a mean holds the value of the positive sense. Which of the two it is shows in the backscatter phase, which
+    is the same in both senses: the angle of -rho in the positive one, the negative angle of rho in the other.
+    """
+    rho, phase = estimate.complex_ratio, np.exp(1j * estimate.backscatter_phase)
+    size = np.maximum(np.abs(rho), 1e-300)
+    with np.errstate(invalid="ignore"):  # records without a beat are nan
+        as_it_is = np.abs(phase - np.conj(rho) / size)
+        mirrored = np.abs(phase + rho / size)
+    turned = estimate.rate_given & (estimate.input_rate < 0) & (mirrored < as_it_is)
+    off_diagonal = np.where(turned, -1.0, 1.0)[:, np.newaxis, np.newaxis]
+    covariance = estimate.complex_ratio_covariance * np.where(np.eye(2, dtype=bool), 1.0, off_diagonal)
+    return np.where(turned, -np.conj(rho), rho), covariance
+
 
 SAME_RATE = 0.01
 SAME_AMPLITUDE = 0.05

@@ -9,10 +9,8 @@ from typing import Literal
 import numpy as np
 
 from analysis.arrays import Bools, Complexes, Floats
-from analysis.several_rates.least_squares import whitened
-from analysis.several_rates.points import UsedRecords
-from analysis.several_rates.ratio_model import Reference, predicted_ratio
-from analysis.several_rates.ratio_records import rate_mismatch
+from analysis.several_rates.points import UsedRecords, rate_mismatch
+from analysis.several_rates.ratio_model import Reference, predicted_ratio, whitened
 
 Model = Literal["lock-in", "distortion", "gain", "both", "all"]
 

@@ -7,7 +7,7 @@ it a beat at all), `moving_rate` (a rate, an intensity or a baseline that moved)
 through.
 """
 
-from analysis.waveform.records import Stack, as_stack
-from analysis.waveform.waveform_fit import WaveformFit, fit_waveform
+from analysis.waveform.fit import WaveformFit, fit_waveform
+from analysis.waveform.frequency import Stack, as_stack
 
 __all__ = ["Stack", "WaveformFit", "as_stack", "fit_waveform"]

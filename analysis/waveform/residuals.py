@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,21 +12,138 @@ import scipy.special
 
 from analysis.arrays import Bools, Complexes, Floats, Indices, Ints, Samples
 from analysis.flags import Flag
-from analysis.waveform.masks import Masks
-from analysis.waveform.misfit import (
-    CURVED,
-    LINE_CHANCE,
-    NEIGHBOURS,
-    left_over,
-    line_stands_out,
-    misfit_of,
-    pedestal_power,
-)
-from analysis.waveform.records import records_at_once, sums_of_squares
-from analysis.waveform.repeating import HIDDEN, SEEN, SURE, may_repeat, repeating
-from analysis.waveform.series.frequency_search import Sizes, line_sizes, neighbours
-from analysis.waveform.series.geometric_series import Series, sampled_blocks, sampled_series
-from analysis.waveform.series.harmonic_sums import data_sums
+from analysis.waveform.frequency import Sizes, line_sizes, neighbours, records_at_once, sums_of_squares
+from analysis.waveform.series import Series, data_sums, sampled_blocks, sampled_series
+
+# --------------------
+# What a residual that is not noise may have done to the frequency and to the ratio.
+#
+# A fit hides the part of a contaminant that looks like the waveform; what it leaves shows how large the rest is. A
+# line of the size a, next to a beat of the size A, may have a twin where nobody sees it:
+#
+# - at d bins from the second harmonic its foot there is a/(pi d), and moves the ratio by as much over A; at d bins
+#   from the fundamental it moves the ratio by r a/(pi d A);
+# - on a higher harmonic it comes from a curved characteristic, which makes a second harmonic of like size;
+# - sidebands of the power p (over that of the fundamental) are those of a phase that moves by sqrt(p) rad. Such a
+#   phase takes exp(-p/2) from the fundamental, exp(-2p) from the second harmonic, so 3p/2 from the ratio; and two
+#   sidebands make a third of the size p/4, which may fall onto the second harmonic.
+#
+# All of them enter as standard uncertainties. They are no noise: the ratio is not freed of a bias by them, and
+# what all records of a bench have in common does not average out
+
+
+LINE_CHANCE = 1e-6
+"""A residual line that noise would produce in fewer than this share of records is a misfit."""
+
+NEIGHBOURS = 24
+"""Bins on either side over which the spectrum of noise is taken to be flat."""
+
+CLEAR = 6.0
+"""Levels of its neighbourhood beyond which the power of a bin counts: noise does so once in 400 bins."""
+
+CURVED = 2.0
+"""Size of the second harmonic that a curved characteristic may make, over that of a higher one that is seen."""
+
+ORDERS = 12
+
+FLOOR_PARTS = 8
+"""Of so many parts of the spectrum the last but one in power is taken for the noise that a moving phase leaves."""
+
+LEFT_OVER = 6.0
+"""Standard deviations by which the whole must exceed it to say that the moving phase is not the right one."""
+
+PEDESTAL = 6.0
+"""Standard deviations by which the power about the fundamental must exceed that on its sides."""
+
+
+@dataclass(frozen=True)
+class Misfit:
+    """Variance of the frequency over that of white noise, and standard uncertainty of the ratio."""
+
+    frequency: float
+    ratio: float
+
+
+def surroundings(power: Samples) -> Floats:
+    """Level of the noise about each line of a spectrum (L,), whatever lines stand in it."""
+    from scipy.ndimage import median_filter  # takes longer to import than most that use this module would wait for
+
+    # The median, since a wrong waveform leaves a comb of lines.
+    around = median_filter(power.astype(np.float64), size=2 * NEIGHBOURS + 1, mode="mirror") / math.log(2)
+    # Below the first whole window the noise may rise as 1/f: its neighbours are then those on the same side.
+    bins = np.arange(1, NEIGHBOURS)
+    around[: bins.size] = np.maximum(around[NEIGHBOURS], around[: bins.size]) * NEIGHBOURS / bins
+    return np.asarray(around)
+
+
+def line_stands_out(power: Samples, *, few_lines: bool = False) -> bool:
+    """Whether a line of a spectrum (L,) stands out of its neighbours, as hardly any does in noise of any colour.
+
+    `few_lines` is the answer where there are too few lines to have neighbours.
+    """
+    if power.size < 2 * (2 * NEIGHBOURS + 1):
+        return few_lines
+    strongest = float((power / np.maximum(surroundings(power), 1e-300)).max())
+    return strongest > math.log(power.size / LINE_CHANCE)
+
+
+def misfit_of(power: Samples, n_samples: int, line: float, first: float, ratio: float, pedestal: float) -> Misfit:
+    """Judge the lines of one residual."""
+    mean = float(power.mean())
+    beat = (first * n_samples / 2) ** 2
+    around = surroundings(power) if power.size > 2 * NEIGHBOURS else np.full(power.size, mean)
+    stands_out = np.where(power > CLEAR * around, power, 0.0) / mean
+    at = np.arange(1, power.size + 1)
+    feet = [_foot(at - folded) ** 2 for folded in _folded(line * np.arange(1.0, ORDERS + 1), n_samples)]
+    by_frequency = float(stands_out @ feet[0])
+    curved = CURVED**2 * np.max(feet[2:], axis=0)
+    by_ratio = float(stands_out @ (ratio**2 * feet[0] + np.maximum(feet[1], curved)))
+    lines = float(stands_out.sum()) * mean / beat
+    turned = 1.5 * ratio * pedestal / beat + turned_by(lines, ratio)
+    return Misfit(2 * by_frequency, math.sqrt(by_ratio * mean / beat + turned**2))
+
+
+def turned_by(sidebands: float, ratio: float) -> float:
+    """What a moving phase may do to a ratio, by the power of its sidebands over that of the fundamental."""
+    return 1.5 * ratio * sidebands + 0.25 * sidebands
+
+
+def _folded(lines: Floats, n_samples: int) -> Floats:
+    """Where lines of any frequency stand in the spectrum of the samples."""
+    return np.abs((lines + n_samples / 2) % n_samples - n_samples / 2)
+
+
+def _foot(distance: Floats) -> Floats:
+    """Size of a line's foot at a distance in bins."""
+    return np.asarray(1 / np.maximum(np.pi * np.abs(distance), 1.0))
+
+
+def pedestal_power(power: Samples, line: float) -> float:
+    """Power of what rises towards the fundamental on both sides; 0 where that may be chance."""
+    at = np.arange(1, power.size + 1)
+    away = np.abs(at - line) / line
+    inside, below, above = away < 0.25, (away >= 0.25) & (away < 0.5) & (at < line), (away >= 0.25) & (away < 0.5)
+    above &= at > line
+    if min(below.sum(), above.sum()) < 2:
+        return 0.0
+    side = max(float(power[below].mean()), float(power[above].mean()))
+    scatter = side * math.sqrt(1 / inside.sum() + 1 / min(below.sum(), above.sum()))
+    surplus = float(power[inside].mean()) - side
+    return surplus * float(inside.sum()) if surplus > PEDESTAL * scatter else 0.0
+
+
+def left_over(power: Samples) -> float:
+    """Power (the sum of lines) that a moving phase leaves beyond the noise; 0 where that may be chance.
+
+    A moving phase that is the right one leaves noise. The noise is read where the spectrum (L,) is lowest, since
+    what is wrong stands about the harmonics, often as wide as they are apart.
+    """
+    parts = np.array_split(power.astype(np.float64), FLOOR_PARTS)
+    floor = float(np.sort([np.median(part) for part in parts])[1]) / math.log(2)
+    surplus = float(power.sum()) - floor * power.size
+    scatter = floor * math.sqrt(FLOOR_PARTS * power.size)
+    return surplus if surplus > LEFT_OVER * scatter else 0.0
+
 
 ROUNDING = 1e-12
 """A residual below this share of the power is arithmetic, not a measured signal: a synthetic record."""
@@ -300,3 +419,173 @@ def _local_level(sizes: Sizes, omega: Floats, n_samples: int, most: int = NEIGHB
     reach = min(most, (n_lines - 1) // 2)
     found = neighbours(sizes, np.clip(centre, reach + 1, n_lines - reach) - reach, 2 * reach + 1)
     return np.asarray(np.vecdot(found, found) / found.shape[1], dtype=np.float64)
+
+
+# --------------------
+# Which samples of records count. Few records have any that do not, and only of those the samples are kept
+
+
+@dataclass(frozen=True)
+class Masks:
+    """Masks of (R,) records.
+
+    place : (R,) of a record in `known`, -1 where all its samples count
+    known : (M, N) 1 where a sample counts, 0 where it is left out; in the precision of the samples
+    """
+
+    place: Indices
+    known: Samples
+
+    @staticmethod
+    def of(values: Samples, weights: Samples | None) -> Masks:
+        """Of (R, N) records all of which have a mask (R, N), or none."""
+        if weights is None:
+            return Masks(np.full(len(values), -1), np.empty((0, values.shape[1]), dtype=values.dtype))
+        return Masks(np.arange(len(values)), weights)
+
+    def changed(self, rows: Indices, masks: Samples) -> Masks:
+        """With other masks (r, N) of some records (r,)."""
+        place = self.place.copy()
+        place[rows] = len(self.known) + np.arange(rows.size)
+        return Masks(place, np.concatenate([self.known, masks]))
+
+    def of_one(self, row: int) -> Samples | None:
+        """Mask (N,) of a record, None where all samples count."""
+        place = self.place[row]
+        return None if place < 0 else np.asarray(self.known[place])
+
+    def of_all(self, rows: Indices) -> Samples:
+        """Masks (r, N) of records of which some may have none."""
+        masks: Samples = np.ones((rows.size, self.known.shape[1]), dtype=self.known.dtype)
+        place = self.place[rows]
+        masks[place >= 0] = self.known[place[place >= 0]]
+        return masks
+
+    def of_any(self, rows: Indices) -> Samples | None:
+        """The same, None where none of them has one."""
+        return self.of_all(rows) if np.any(self.place[rows] >= 0) else None
+
+    def whole(self, rows: Indices) -> Bools:
+        """Whether all samples of each of these records count, (r,)."""
+        place = self.place[rows]
+        whole = place < 0
+        whole[~whole] = self.known[place[~whole]].all(axis=-1)
+        return whole
+
+    def clear(self, samples: Samples, rows: slice | Indices) -> None:
+        """Set what does not count to 0 in samples (r, N) of these records."""
+        place = self.place[rows]
+        masked = np.flatnonzero(place >= 0)
+        if masked.size:
+            samples[masked] *= self.known[place[masked]]
+
+    def counted(self, count: Floats) -> Floats:
+        """How many samples of each record count, (R,): `count` where all of them do."""
+        masked = np.flatnonzero(self.place >= 0)
+        found = count.copy()
+        found[masked] = self.known[self.place[masked]].sum(axis=-1, dtype=np.float64)
+        return found
+
+
+# --------------------
+# What a residual repeats with the beat: errors of the converter, by the level where the waveform stands.
+#
+# A wrong code, or a step between two, leaves little on each of many harmonics: too little for a line to stand out
+# of noise. Together they do. The third harmonic is not among them: a smooth curve of third order makes that one
+# alone
+
+
+FIRST, LAST = 4, 12
+"""Harmonics that are looked at, each in the two bins next to it."""
+
+SEEN, SURE = 2e-3, 1e-6
+"""Shares of records of noise alone in which they are so strong that it counts, and that a flag says so."""
+
+THIRD = 3
+WORTH_A_LOOK, COUNTS = 0.07, 1e-2
+"""The same for the harmonics from the third on in white noise, by the lines of the spectrum and by themselves."""
+
+HIDDEN = 2.0
+"""Size of what such an error puts onto the second harmonic, over the root of the power that it leaves on these."""
+
+BESIDE = 24
+"""Bins on either side of a harmonic over which the noise is taken to be flat, or half the way to the next one."""
+
+FEWEST_BESIDE = 24
+"""Bins of noise without which nothing is said."""
+
+NOTHING = 1e-200
+
+
+def may_repeat(sizes: Sizes, omega: Floats, mean: Floats, n_samples: int) -> tuple[Bools, Bools]:
+    """Where the harmonics are stronger than white noise explains: a first look at all records."""
+    turns = omega[:, np.newaxis] / (2 * np.pi) * np.arange(THIRD, LAST + 1)
+    below = (np.abs(turns - np.rint(turns)) * n_samples).astype(np.intp)
+    below = np.clip(below, 1, sizes.shape[1] - 2)
+    rows = np.arange(len(sizes))[:, np.newaxis]
+    found = np.square(sizes[rows, below]) + np.square(sizes[rows, below + 1])
+    number, higher = 2 * below.shape[1], found[:, FIRST - THIRD :].sum(axis=-1)
+    often = higher > scipy.special.gammainccinv(number - 2, SEEN) * mean
+    return often, (higher + found[:, 0]) > scipy.special.gammainccinv(number, WORTH_A_LOOK) * mean
+
+
+def hidden_by_harmonics(left: Samples, omega: Floats, mean: Floats) -> Floats:
+    """Size (as a line's) that may hide on the second harmonic behind those from the third on, (R,)."""
+    power = np.abs(data_sums(left, omega, LAST, 0, lowest=1)[:, 0, THIRD - 1 :]) ** 2
+    # folded ones fall onto each other where the sampling is nearly locked to the beat
+    power[omega[:, np.newaxis] * np.arange(THIRD, LAST + 1) > np.pi] = 0.0
+    number = np.count_nonzero(power, axis=-1)
+    total = power.sum(axis=-1)
+    stronger = scipy.special.gammaincc(np.maximum(number, 1), total / mean) < COUNTS
+    return np.asarray(HIDDEN * np.sqrt(np.where(stronger, np.maximum(total - number * mean, 0.0), 0.0)))
+
+
+def repeating(power: Samples, line: float, n_samples: int) -> tuple[float, bool]:
+    """Power (sum of lines) on the harmonics beyond that of the noise beside them, and whether that is flagged."""
+    harmonics = [_bins_of(order * line, n_samples, power.size) for order in range(1, LAST + 1)]
+    free = np.ones(power.size + 1)
+    free[[0, *itertools.chain(*harmonics)]] = 0.0
+    # sums of what lies below, so that every neighbourhood is one difference
+    lines_below, power_below = np.cumsum(free), np.cumsum(free * np.append(0.0, power))
+    touched = set(itertools.chain(*harmonics[: FIRST - 1]))  # by the fit, or counted before
+    reach = int(min(max(line / 2, 2), BESIDE))
+    surplus, times, n_on, n_beside = 0.0, 0.0, 0, 0
+    for bins in harmonics[FIRST - 1 :]:
+        before, last = max(bins[0] - reach, 1) - 1, min(bins[-1] + reach, power.size)
+        beside = int(lines_below[last] - lines_below[before])
+        if beside < 2 or touched.intersection(bins):
+            continue
+        touched.update(bins)
+        # arithmetic without noise may leave exactly nothing beside a harmonic
+        on = sum(float(power[number - 1]) for number in bins)
+        level = max(float(power_below[last] - power_below[before]) / beside, NOTHING)
+        surplus, times = surplus + on - level * len(bins), times + on / level
+        n_on, n_beside = n_on + len(bins), n_beside + beside
+    if n_beside < FEWEST_BESIDE:
+        return 0.0, False
+    chance = float(scipy.special.fdtrc(2 * n_on, 2 * n_beside, times / n_on))
+    return (surplus if chance < SEEN else 0.0), chance < SURE
+
+
+def by_level(left: Floats, level: Floats, degrees: float) -> tuple[float, bool]:
+    """Size (as an amplitude) that may hide on the second harmonic behind what follows the level in a residual.
+
+    Where rate or baseline moves, what a curved or damaged characteristic leaves has no frequency of its own. It is
+    a function of the level yet, and polynomials of that take it up.
+    """
+    lowest, highest = float(level.min()), float(level.max())
+    place = (2 * level - lowest - highest) / max(highest - lowest, NOTHING)
+    # offset and amplitude are fitted
+    basis = np.linalg.qr(np.polynomial.chebyshev.chebvander(place, LAST))[0][:, 2:]
+    found, number = float(np.sum((basis.T @ left) ** 2)), basis.shape[1]
+    free = max(degrees - number, 1.0)
+    variance = max(float(left @ left) - found, NOTHING) / free
+    chance = float(scipy.special.fdtrc(number, free, found / number / variance))
+    surplus = max(found - number * variance, 0.0)
+    return (HIDDEN * float(np.sqrt(2 * surplus / left.size)) if chance < SEEN else 0.0), chance < SURE
+
+
+def _bins_of(place: float, n_samples: int, n_lines: int) -> tuple[int, int]:
+    """Numbers of the two lines of a spectrum next to a (folded) place."""
+    folded = int(abs((place + n_samples / 2) % n_samples - n_samples / 2))
+    return min(max(folded, 1), n_lines), min(max(folded + 1, 1), n_lines)

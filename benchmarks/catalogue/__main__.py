@@ -15,9 +15,9 @@ import tempfile
 import time
 from pathlib import Path
 
-from station.catalogue.index import INDEX_FILE, list_runs
-from station.runs.remarks import add_remark
-from station.terminal.lines import say
+from station.catalogue import INDEX_FILE, list_runs
+from station.runs.annotations import add_remark
+from station.terminal import say
 
 RUN = Path(__file__).parents[2] / "tests" / "golden" / "turning.sqlite"
 CHANGED = 20

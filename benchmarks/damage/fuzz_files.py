@@ -26,14 +26,13 @@ from pathlib import Path
 from instrument import Preamble, Waveform, read_waveform
 from station.errors import describe_failure
 from station.measurements import MEASUREMENTS, measurement
-from station.reanalysis.files import analyze_file
-from station.report.report import render_report
+from station.reanalysis.combine import analyze_file
+from station.report.show import render_report
 from station.runs.database import save_result
 from station.runs.progress import Progress
 from station.runs.store import open_run
-from station.settings.load import load, shipped_settings
-from station.shell.evaluated import evaluate_run
-from station.shell.running import start_run
+from station.settings import load, shipped_settings
+from station.shell.finish import evaluate_run, start_run
 
 COUNTS = {"csv": 5000, "isf": 5000, "toml": 5000, "runs": 2000}
 LONGEST_S = 20

@@ -27,8 +27,7 @@ from station.fibre_gyro.settings import load_fog_settings
 from station.measurements import measurement
 from station.runs.progress import Progress
 from station.runs.store import open_run
-from station.shell.evaluated import evaluate_run
-from station.shell.running import start_run
+from station.shell.finish import evaluate_run, start_run
 
 Floats = NDArray[np.float64]
 Answers = dict[str, bool]

@@ -29,8 +29,7 @@ from station.fibre_gyro.settings import load_fog_settings
 from station.measurements import measurement
 from station.runs.progress import Progress
 from station.runs.store import open_run
-from station.shell.evaluated import evaluate_run
-from station.shell.running import start_run
+from station.shell.finish import evaluate_run, start_run
 
 Answers = dict[str, bool]
 Case = Callable[[Gyro, int, Path], Answers]
@@ -125,7 +124,7 @@ def ladder_case(gyro: Gyro, seed: int, folder: Path) -> Answers:
 
 def selfcal_case(gyro: Gyro, seed: int, folder: Path) -> Answers:
     """K_self against the numbers, and K_self/K_table - 1 with numbers from a table run, all through logs."""
-    from station.fibre_gyro.selfcal.numbers import facts_of_table
+    from station.fibre_gyro.selfcal import facts_of_table
 
     found, bench = turn_table(gyro, seed, folder)
     settings = load_fog_settings(overrides={"site": {"latitude_deg": LATITUDE}, **gyro.settings})

@@ -20,12 +20,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from analysis.fibre_gyro.rate_table.outliers import outliers
+from analysis.fibre_gyro.scatter import outliers
 from benchmarks.fibre_gyro.real_gyros import REAL_GYROS, RealGyro, damaged, is_same, raw_outputs
 from instrument.fibre_gyro import FrameFormat, parse_frame_format
 from instrument.fibre_gyro.frame_stream import FrameStream
 from instrument.fibre_gyro.frames import Frame
-from station.settings.load import shipped_settings
+from station.settings import shipped_settings
 
 _AHEAD = 60  # frames behind the last delivered one among which the next is looked for
 _PIECE = 1000  # bytes that are read at once

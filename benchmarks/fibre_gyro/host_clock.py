@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from instrument.fibre_gyro import HostClock
-from instrument.fibre_gyro.host_clock import Arrivals
+from instrument.fibre_gyro.recording import Arrivals
 
 Floats = NDArray[np.float64]
 

@@ -92,7 +92,7 @@ def print_speed(seconds: float) -> None:
     out = sys.stdout.write
     out("Steps (transit times of one gyro) per second of computing\n\n")
     out("| kernel | gyros | steps/s |\n|---|---|---|\n")
-    if importlib.import_module("analysis.fibre_gyro.loop.scalar_kernel").COMPILED:
+    if importlib.import_module("analysis.fibre_gyro.loop.compiled_kernel").COMPILED:
         out(f"| compiled by Numba | 1 | {steps_per_second('numba', 1, seconds):.3g} |\n")
     hidden = (
         "import sys; sys.modules['numba'] = None; from benchmarks.fibre_gyro.loop import steps_per_second; "

@@ -17,19 +17,17 @@ from numpy.typing import NDArray
 
 from benchmarks.fibre_gyro.independent_gyro import HORIZONTAL, LATITUDE, VERTICAL, Gyro, K
 from instrument.fibre_gyro import FibreGyroLink, parse_frame_format
-from instrument.simulated.fibre_gyro.faults import GyroFault, GyroFaults
-from instrument.simulated.fibre_gyro.server import PtyGyroServer
+from instrument.simulated.fibre_gyro import GyroFault, GyroFaults, PtyGyroServer
+from station.fibre_gyro import selfcal, table
+from station.fibre_gyro.bench import SerialFogBench
 from station.fibre_gyro.segments import take_segments
-from station.fibre_gyro.selfcal import measurement as selfcal
-from station.fibre_gyro.selfcal.numbers import numbers_for
-from station.fibre_gyro.serial_bench import SerialFogBench
+from station.fibre_gyro.selfcal import numbers_for
 from station.fibre_gyro.settings import load_fog_settings
-from station.fibre_gyro.table import measurement as table
+from station.runs.acquisition import Session, facts_of, take
 from station.runs.progress import Progress
 from station.runs.store import open_run
-from station.runs.taking import Session, facts_of, take
-from station.settings.load import shipped_settings
-from station.shell.evaluated import evaluate_run
+from station.settings import shipped_settings
+from station.shell.finish import evaluate_run
 
 Floats = NDArray[np.float64]
 

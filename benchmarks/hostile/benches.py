@@ -23,8 +23,7 @@ from station.lock_in.measurement import MEASUREMENT
 from station.lock_in.settings import load_settings
 from station.runs.progress import Progress
 from station.runs.store import open_run
-from station.shell.evaluated import evaluate_run
-from station.shell.running import start_run
+from station.shell.finish import evaluate_run, start_run
 
 DEFAULT_BENCHES = 40
 

@@ -25,7 +25,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from benchmarks.reanalysis.records import PER_RUN
-from station.terminal.lines import say
+from station.terminal import say
 
 MEMORY_FROM = 100_000
 """Records from which on the memory of the command itself is measured too."""

@@ -55,7 +55,7 @@ def make_runs(folder: Path, records: int, per_run: int) -> None:
     """Save so many records as runs of the lock-in measurement."""
     from station.lock_in.settings import RING_LASER
     from station.runs.store import NewRecord, RunWriter
-    from station.settings.load import load
+    from station.settings import load
 
     settings = load(RING_LASER, overrides={"gyro": {"scale_factor_pulses_per_deg": SCALE_FACTOR}})
     facts = {"command": "measure", "settings": settings.model_dump(mode="json"), "unit": "SN 1", "simulated": True}
@@ -86,7 +86,7 @@ def make_runs_at_rates(folder: Path, records: int, per_run: int) -> None:
     from analysis.rotation import rate_on_axis
     from station.lock_in.settings import RING_LASER
     from station.runs.store import NewRecord, RunWriter
-    from station.settings.load import load
+    from station.settings import load
 
     settings = load(RING_LASER, overrides={"gyro": {"scale_factor_pulses_per_deg": SCALE_FACTOR}})
     facts = {"command": "measure", "settings": settings.model_dump(mode="json"), "unit": "SN 1", "simulated": True}

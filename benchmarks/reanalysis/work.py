@@ -43,7 +43,7 @@ def main(mode: str, folder: Path, records: int, processes: int) -> None:
         resource.getrusage(who).ru_maxrss / 1e3 for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)
     )
     spent = dict(zip(("wall_s", "own_s", "others_s"), np.subtract(now, began).tolist(), strict=True))
-    from station.terminal.lines import say
+    from station.terminal import say
 
     say(json.dumps({**spent, "peak_mb": own, "worker_mb": others if processes > 1 else 0.0}))
 
@@ -73,12 +73,12 @@ def _estimates(records: int) -> tuple[float, float, float]:
 def _analysis(mode: str, folder: Path, processes: int) -> tuple[float, float, float]:
     """Analyse what is saved in a folder, as the command does; imports are not counted."""
     import station.lock_in.measurement  # noqa: F401
-    import station.reanalysis.tables.parquet  # noqa: F401
+    import station.reanalysis.parquet_table  # noqa: F401
     from analysis import estimate_lock_in
+    from station.reanalysis.analyze_table import fill_table
     from station.reanalysis.combine import combine
-    from station.reanalysis.fill import fill_table
     from station.runs.progress import Progress
-    from station.shell.evaluated import evaluate_saved
+    from station.shell.finish import evaluate_saved
     from station.sources.find import find_sources
     from station.sources.workers import Processes
 

@@ -18,7 +18,7 @@ from event_model import DataKey
 from ophyd_async.core import AsyncStatus, Device
 
 from instrument import TDS2014, Waveform
-from instrument.facts import POINTS
+from instrument.scpi import POINTS
 
 _SCALES = ("sample_interval_s", "first_sample_s")
 

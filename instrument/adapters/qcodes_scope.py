@@ -18,7 +18,7 @@ from qcodes.parameters import Parameter, ParameterWithSetpoints
 from qcodes.validators import Arrays, Bool, Enum, Numbers
 
 from instrument import TDS2014, Waveform
-from instrument.facts import POINTS
+from instrument.scpi import POINTS
 
 _COUPLINGS = ("DC", "AC", "GND")
 

@@ -7,17 +7,468 @@ and put back as found when it ends.
 from __future__ import annotations
 
 import contextlib
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterator
+from typing import TypeVar
 
 from instrument import scpi
-from instrument.dialogue.events import ERROR_BITS, POWER_ON, is_error, scope_event
-from instrument.dialogue.exchange import LONG, RECORD, Exchange
-from instrument.dialogue.link import ANSWER_TIME, Link, NoAnswer
-from instrument.dialogue.persistence import Persistence
-from instrument.dialogue.record_question import PREAMBLE_FIELDS, RecordQuestion
-from instrument.dialogue.who_is_there import LINE_END
-from instrument.errors import InstrumentError, TransferError
-from instrument.facts import POINTS
+from instrument.dialogue.identify import (
+    ERROR_BITS,
+    LINE_END,
+    POWER_ON,
+    Identity,
+    WhoIsThere,
+    is_error,
+    nobody_known,
+    parse_events,
+    raise_errors,
+    scope_event,
+)
+from instrument.dialogue.link import ANSWER_TIME, SLICE_TIME, Link, NoAnswer
+from instrument.dialogue.record_query import PREAMBLE_FIELDS, RecordQuestion
+from instrument.dialogue.retry import Patience, Persistence, Tally
+from instrument.errors import (
+    InstrumentError,
+    LinkError,
+    QueryError,
+    ScopeEvent,
+    SettingError,
+    TransferError,
+    WrongInstrument,
+)
+from instrument.scpi import POINTS
 from instrument.waveform import Waveform
+
+# --------------------
+# Questions and answers that stay in step with one scope, whatever its link does to them.
+#
+# After damage or silence both sides are brought to rest, and the same scope must answer. With `Persistence` an
+# exchange is then done again, a lost link is opened again, and every answer on a stream must bear the mark of its
+# question: ``*ESE`` is set to another number each time and asked for with it. This enable mask serves service
+# requests only, which streams do not have; it is put back as found
+
+
+T = TypeVar("T")
+
+TEXT, RECORD, LONG = "text", "record", "long"
+"""Kinds of answers, by how long a scope thinks; what takes long anyway is not given up early."""
+
+_MASK = "*ESE"
+_MARKS = 256
+_LONGEST_TEXT = 16_384
+_OPENING_ATTEMPTS = 6  # nobody has answered on this name yet: it may be wrong
+_UNREAD = 8  # answers in a row that are none: a line that spoils one exchange in five has one of 3000 links so
+_IDENTITIES, _TRIES = 3, 4
+_FIRST_PAUSE, _LONGEST_PAUSE = 0.1, 2.0  # s between two attempts to connect
+
+
+class Exchange(ABC):
+    """Text to and from one scope over an open link."""
+
+    def __init__(self, link: Link, persistence: Persistence | None = None) -> None:
+        self.link = link
+        self.persistence = persistence or Persistence()
+        self.tally = Tally()
+        self.in_doubt = self.lost = False
+        self.unread_events = False
+        """Whether a question of the user's may have left events that are not about the next record."""
+        self._recovering = self._reconnecting = False
+        self._answer_due = False
+        self._mark: int | None = None
+        self._patience = Patience(link.pause_time, link.answer_time)
+        self._late_until: float | None = None
+        """Until when a message that nobody waits for any more may still arrive, and be obeyed."""
+        self._kind = TEXT
+        self.hasty = False
+        """Whether the last answer was waited for less long than a slow scope may take."""
+        self._who = WhoIsThere(link, self.send)
+        self._found_mask = 0
+        self.identity = self._greet()
+
+    @abstractmethod
+    def set_format(self) -> None:
+        """Make the scope answer in the form that is read here."""
+
+    @abstractmethod
+    def format_question(self) -> tuple[str, list[str]]:
+        """The same as commands with queries behind them, and what those shall answer; forgets what it changes."""
+
+    @abstractmethod
+    def set_line(self) -> str:
+        """Make the line carry what is sent here; returns the commands that undo it."""
+
+    def settings_in_doubt(self) -> bool:
+        """Whether settings may have changed since they were verified, by a message that came late, too."""
+        if self._late_until is not None and self.link.clock.now() > self._late_until:
+            self._late_until, self.in_doubt = None, True
+        return self.in_doubt
+
+    def let_late_messages_pass(self) -> None:
+        """Wait until no message that was given up can arrive any more, and be obeyed."""
+        if self._late_until is not None and not self.lost:
+            self.link.clock.sleep(max(0.0, self._late_until - self.link.clock.now()))
+
+    def end(self) -> None:
+        """Put the mask back that the marks stood in: it is the last mark."""
+        if self._mark is not None:
+            self.repeated(self._put_mask_back)
+            self._mark, self.link.answer_time = None, self._patience.longest
+
+    def _put_mask_back(self) -> None:
+        self._mark = self._found_mask - 1
+        (held,) = self._ask_once(f"{_MASK}?")
+        if held != str(self._found_mask):
+            raise TransferError(f"{_MASK} is {held} and not {self._found_mask} as it was found; ask again")
+
+    # ------------------------------------------------------------------ questions
+
+    def ask(self, text: str, *, parts: int | None = 1, wait: float = 0.0, twice: bool = False) -> list[str]:
+        """Send one message with `parts` queries in it and return their answers (None: any number)."""
+        if not (twice and self.persistence.careful):
+            return self.repeated(lambda: self._ask_once(text, parts=parts, wait=wait))
+        return self.repeated(lambda: self._ask_twice(text, parts, wait))
+
+    def command(self, text: str) -> None:
+        """Send commands and check in the same exchange that the scope took them."""
+        self.checked(f"{text};*ESR?", parts=0)
+
+    def checked(self, text: str, *, parts: int) -> list[str]:
+        """Send a message that ends with ``*ESR?``; return its other answers if no error bit is set."""
+        return self.repeated(lambda: self._checked_once(text, parts))
+
+    def ask_with_events(self, text: str, *, parts: int, wait: float = 0.0) -> tuple[list[str], list[ScopeEvent]]:
+        """As `ask`; besides, every event that the message caused, warnings too."""
+        clean = "*CLS;" if self.unread_events else ""
+        self.unread_events = False
+        return self.repeated(lambda: self._with_events_once(f"{clean}{text};*ESR?", parts, wait))
+
+    def events(self) -> list[ScopeEvent]:
+        """Read and empty the event queue."""
+        self.ask("*ESR?")
+        return self.repeated(self._read_event_queue)
+
+    def _with_events_once(self, text: str, parts: int, wait: float) -> tuple[list[str], list[ScopeEvent]]:
+        *answers, register = self._ask_once(text, parts=parts + 1, wait=wait)
+        return answers, self._read_event_queue() if self._register(register) & ERROR_BITS else []
+
+    def _checked_once(self, text: str, parts: int) -> list[str]:
+        *answers, register = self._ask_once(text, parts=parts + 1)
+        if self._register(register) & ERROR_BITS:
+            raise_errors(self._read_event_queue())
+        return answers
+
+    def _ask_twice(self, text: str, parts: int | None, wait: float) -> list[str]:
+        both = None if parts is None else 2 * parts
+        found = self._ask_once(f"{text};{text}", parts=both, wait=wait)
+        half = len(found) // 2
+        # A message of which nothing is left has no answer twice over.
+        if not found or len(found) % 2 or found[:half] != found[half:]:
+            raise self.after_damage(TransferError(f"{text!r:.60} was answered in two ways; ask again"))
+        return found[:half]
+
+    def _ask_once(self, text: str, *, parts: int | None = 1, wait: float = 0.0) -> list[str]:
+        try:
+            with self.exchange():
+                mark = self.send(text)
+                found = scpi.split_parts(self.link.read_text(wait=wait, longest=_LONGEST_TEXT))
+            if mark:
+                found = scpi.without_mark(found, mark)
+                self.came()
+            if parts is not None and len(found) != parts:
+                raise TransferError(
+                    f"{parts} answers to {text!r:.80} were expected, but {found!r:.80} came; ask again"
+                )
+        except NoAnswer as silence:
+            raise self.explain_silence(text, silence) from None
+        except TransferError as error:
+            raise self.after_damage(error) from error
+        return found
+
+    def send(self, text: str, *, kind: str = TEXT) -> str:
+        """Send a message, with a mark in front of it where marks are in use; returns the mark, else "".
+
+        Where marks are in use, its answer is waited for as long as those of its kind make likely.
+        """
+        if self._mark is None:
+            self.link.write(text)
+            return ""
+        self._mark = (self._mark + 1) % _MARKS
+        message = f"{_MASK} {self._mark};{_MASK}?;{text}"
+        patience = self._patience.seconds(kind)
+        self._kind, self.hasty = kind, patience < self._patience.longest
+        self.link.answer_time = patience + self.link.line_time(len(message))
+        self.link.write(message)
+        return str(self._mark)
+
+    def came(self, kind: str = TEXT) -> None:
+        """The answer of this kind bore the mark of its question."""
+        if kind != LONG:
+            self._patience.came(kind, self.link.began_after)
+
+    def _nothing_came(self) -> None:
+        if self._mark is not None:
+            self._patience.silent(self._kind)
+            self._late_until = self.link.clock.now() + self._patience.longest
+
+    # ------------------------------------------------------------------ doing it again
+
+    def repeated(self, work: Callable[[], T]) -> T:
+        """Do an exchange, or a step that can be done again as a whole, as often as the persistence allows.
+
+        What the scope refuses twice in the same words was not spoiled by the line, and is raised.
+        """
+        refused = ""
+        for attempt in range(1, self.persistence.attempts + 1):
+            last = self._recovering or attempt == self.persistence.attempts
+            try:
+                return work()
+            except TransferError:
+                if last:
+                    raise
+            except (ScopeEvent, SettingError) as refusal:
+                if last or str(refusal) == refused:
+                    raise
+                refused = str(refusal)
+            except LinkError as lost:
+                if last:
+                    raise
+                self._reconnect(lost)
+            self.tally.repeated += 1
+            self.in_doubt = True
+        raise LinkError(f"{self.link.name}: nothing was tried")
+
+    def _reconnect(self, lost: LinkError) -> None:
+        """Open the link again, for as long as the persistence allows; the first error is raised in the end."""
+        longest, clock = self.persistence.reconnect_for, self.persistence.clock
+        if self._reconnecting or self.lost or not longest:
+            raise lost
+        self.persistence.tell(f"{lost}; trying to connect again for {longest:g} s")
+        began, pause = clock.now(), _FIRST_PAUSE
+        self._reconnecting = True
+        try:
+            while not self._connected():
+                waited = clock.now() - began
+                if waited >= longest:
+                    self.lost = True
+                    raise LinkError(f"{lost}; it could not be reached again in {waited:.0f} s") from lost
+                clock.sleep(pause)
+                pause = min(2 * pause, _LONGEST_PAUSE)
+        finally:
+            self._reconnecting = False
+        self.tally.reconnected += 1
+        self.in_doubt = True
+        self.persistence.tell(f"{self.identity.model} answers again after {clock.now() - began:.1f} s")
+
+    def _connected(self) -> bool:
+        """Try once to open the link and to get ready; WrongInstrument if somebody else answers."""
+        try:
+            self.link.reopen()
+            self._answer_due = False
+            with self._recovery():
+                if self._mark is not None:
+                    self._ask_for_all()
+                else:
+                    self.resynchronise()
+            self.set_line()
+            if self._mark is None:
+                self.set_format()
+        except WrongInstrument:
+            raise
+        except InstrumentError:
+            return False
+        return True
+
+    # ------------------------------------------------------------------ getting back into step
+
+    def resynchronise(self) -> None:
+        """Clear the link, and make sure that the same scope still answers."""
+        self.link.clear()
+        other = ""
+        for _ in range(_IDENTITIES):  # damage on the way does not strike twice alike
+            try:
+                identity = self._who.ask()
+            except WrongInstrument as error:
+                text = str(error)
+            else:
+                if identity.same_unit(self.identity):
+                    return
+                text = identity.text
+            if text == other:
+                raise WrongInstrument(
+                    f"another instrument answers on {self.link.name} now: {text!r} instead of "
+                    f"{self.identity.text!r}; connect again"
+                )
+            other = text
+        raise TransferError(f"the identity of {self.identity.model} came damaged again and again; ask again")
+
+    def _come_into_step(self) -> list[ScopeEvent]:
+        """Get back into step, a persistent program after several tries; returns the events that waited."""
+        tries = _TRIES if self.persistence.careful else 1
+        for attempt in range(1, tries + 1):
+            try:
+                with self._recovery():
+                    if self._mark is not None:
+                        found = self._ask_for_all()
+                    else:
+                        self.resynchronise()
+                        found = self.events()
+                        self.set_format()
+            except (NoAnswer, TransferError):
+                if attempt == tries:
+                    raise
+            else:
+                break
+        return found
+
+    def _ask_for_all(self) -> list[ScopeEvent]:
+        """Events, format and identity in one marked message, up to which everything on the line is dropped."""
+        self.link.clear(SLICE_TIME)  # what comes later bears another mark
+        if not self.link.is_serial:
+            self.link.write("")  # ends a half-sent command, as a break does
+        commands, wanted = self.format_question()
+        mark = self.send(";".join(filter(None, ("*ESR?;:ALLEV?", commands, "*IDN?"))))
+        clock = self.link.clock
+        began, longest = clock.now(), self.link.answer_time + self.link.line_time(2 * POINTS)
+        while True:
+            try:
+                found = scpi.split_parts(self.link.read_text(longest=_LONGEST_TEXT))
+                _, events, *held, identity = scpi.without_mark(found, mark)
+            except NoAnswer:
+                self._nothing_came()
+                raise
+            except (TransferError, ValueError) as error:
+                if clock.now() - began > longest:
+                    raise TransferError("many answers came, and none to the last question; ask again") from error
+            else:
+                break
+        self.came()
+        if identity != self.identity.text:
+            self.resynchronise()  # damaged, or another instrument: it decides
+        if held != wanted:
+            raise TransferError(f"the transfer format was set and is {held!r:.60}; ask again")
+        return parse_events(events)
+
+    def resynchronise_or_raise(self, silence: NoAnswer) -> None:
+        """Get back into step after a wait that brought nothing; LinkError if the scope is gone."""
+        try:
+            self._come_into_step()
+        except NoAnswer:
+            raise LinkError(f"{silence}, and to *IDN? neither; is it switched on and connected?") from None
+
+    def explain_silence(self, text: str, silence: NoAnswer) -> InstrumentError:
+        """Find out why nothing came; returns the scope's own event if there is one, else the best guess."""
+        if self._recovering:
+            return silence
+        try:
+            found = self._come_into_step()
+        except NoAnswer:
+            return LinkError(f"{silence}, and to *IDN? neither; is it switched on and connected?")
+        except InstrumentError as error:
+            return error
+        # Event 420 only says that we read where nothing was sent; the other one names the cause.
+        causes = [event for event in found if is_error(event) and not isinstance(event, QueryError)]
+        if causes:
+            return causes[0]
+        if any(event.code == 401 for event in found):
+            return TransferError(f"the scope was switched off and on while {text!r} was asked; ask again")
+        return TransferError(f"no answer to {text!r} came, though the scope is there; ask again")
+
+    def after_damage(self, error: TransferError) -> InstrumentError:
+        """Get back into step after a damaged answer; returns the error to raise."""
+        if self._recovering:
+            return error
+        try:
+            self._come_into_step()
+        except NoAnswer:
+            return LinkError(f"{error}; after that the scope answered nothing any more: is it switched on?")
+        except InstrumentError as worse:
+            return worse
+        return error
+
+    @contextlib.contextmanager
+    def exchange(self) -> Iterator[None]:
+        """Around one question and its answer: if the last one was interrupted, get back into step first."""
+        if self._answer_due and not self._recovering:
+            self._come_into_step()
+        self._answer_due = True
+        try:
+            yield
+        except NoAnswer:
+            self._nothing_came()
+            raise
+        self._answer_due = False
+
+    @contextlib.contextmanager
+    def _recovery(self) -> Iterator[None]:
+        # A fault during recovery ends it; it must not start another one.
+        before, self._recovering = self._recovering, True
+        try:
+            yield
+        finally:
+            self._recovering = before
+
+    # ------------------------------------------------------------------ who is there
+
+    def _greet(self) -> Identity:
+        """Ask who is there; a persistent program opens the link again after damage and silence."""
+        silent = unread = 0
+        told, tries = "", 2 * self.persistence.attempts - 1
+        for attempt in range(1, tries + 1):
+            try:
+                if attempt > 1:
+                    self.link.reopen()
+                    self._answer_due = False
+                if self.link.is_serial or self.link.framed:
+                    self.link.clear()
+                identity = self._who.ask()
+                unread = 0
+                if self.persistence.careful:
+                    with self._recovery():
+                        self._meet_again(identity)
+                return identity
+            except (LinkError, TransferError, WrongInstrument) as error:
+                silent += isinstance(error, LinkError)
+                unread += isinstance(error, TransferError)
+                alike = isinstance(error, WrongInstrument) and str(error) == told
+                if alike or silent == _OPENING_ATTEMPTS or unread == _UNREAD or attempt == tries:
+                    raise nobody_known(self.link, error, attempt) from error
+                told = str(error)
+                self.tally.repeated += 1
+                self.persistence.clock.sleep(_FIRST_PAUSE)
+        raise LinkError(f"{self.link.name}: nothing was tried")
+
+    def _meet_again(self, identity: Identity) -> None:
+        """See that the identity comes alike once more; on a stream, begin with marks."""
+        mask, again, text = self._ask_once(f"{_MASK}?;{_MASK}?;*IDN?", parts=3)
+        if text != identity.text or mask != again:
+            raise TransferError("the identity was answered in two ways; ask again")
+        if not self.link.framed:
+            self._mark = self._found_mask = self._integer(mask)
+
+    # ------------------------------------------------------------------ what came
+
+    def _read_event_queue(self) -> list[ScopeEvent]:
+        answer = ";".join(self.ask(":ALLEV?", parts=None))
+        try:
+            return parse_events(answer)
+        except TransferError as error:
+            raise self.after_damage(error) from error
+
+    def _integer(self, text: str) -> int:
+        try:
+            return scpi.integer(scpi.split_header(text)[1])
+        except TransferError as error:
+            raise self.after_damage(error) from error
+
+    def _register(self, text: str) -> int:
+        """Value of an answer to ``*ESR?``."""
+        value = self._integer(text)
+        if value & POWER_ON:
+            # Whatever the scope forgot, it forgot our format first.
+            self.in_doubt = True
+            self.set_format()
+        return value
+
 
 _FORMAT_QUERY = ":HEADER?;:VERBOSE?;:DATA:ENCDG?;:DATA:SOURCE?;:DATA:START?;:DATA:STOP?;:DATA:WIDTH?"
 _OUR_FORMAT = f":HEADER OFF;:VERBOSE ON;:DATA:ENCDG RIBINARY;:DATA:WIDTH 1;:DATA:START 1;:DATA:STOP {POINTS}"

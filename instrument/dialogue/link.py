@@ -13,8 +13,10 @@ passed only when a look behind it found nothing: a program that was not given th
 from __future__ import annotations
 
 import contextlib
+import math
 import select
 import socket
+import time
 from collections.abc import Iterator
 from typing import Any
 
@@ -24,8 +26,7 @@ from pyvisa.constants import InterfaceType, StatusCode
 from pyvisa.resources import SerialInstrument
 
 from instrument import scpi
-from instrument.dialogue.clock import Clock, ComputerClock
-from instrument.dialogue.watchful_socket import HungUp, Overdue, WatchfulSocket
+from instrument.dialogue.retry import Clock, ComputerClock
 from instrument.errors import LinkError, TransferError
 from instrument.pyvisa_sessions import (
     READ_AGAIN_S,
@@ -36,7 +37,7 @@ from instrument.pyvisa_sessions import (
     session_of,
     socket_of,
 )
-from instrument.transcripts.recording import note
+from instrument.text_files import note
 
 ANSWER_TIME = 3.0
 """Longest time in s until an answer begins: twice the 1.5 s that units of this family were seen to take."""
@@ -439,3 +440,36 @@ def _bitmap_length(picture: bytes | bytearray) -> int:
     if picture[:2] != b"BM" or not _BITMAP_LENGTH_END < length <= LONGEST_PICTURE:
         raise TransferError(f"a picture was expected, but {bytes(picture[:20])!r} came; ask again")
     return length
+
+
+# --------------------
+# A TCP socket that notices what PyVISA-py waits over
+
+
+class HungUp(ConnectionError):
+    """The other side has closed the connection."""
+
+
+class Overdue(Exception):
+    """Bytes go on coming one by one, and not all that were asked for are there in time."""
+
+
+class WatchfulSocket(socket.socket):
+    """A socket that notices what PyVISA-py waits over: the other side's hanging up, and its trickling."""
+
+    _ends_at = math.inf
+    _looked_behind = False
+
+    def patience(self, seconds: float) -> None:
+        """Let one read take so long in all."""
+        self._ends_at, self._looked_behind = time.monotonic() + seconds, False
+
+    def recv(self, bufsize: int, flags: int = 0, /) -> bytes:
+        """Receive as a socket does; HungUp and Overdue beside its own errors."""
+        if self._looked_behind:
+            raise Overdue
+        self._looked_behind = time.monotonic() > self._ends_at
+        data = super().recv(bufsize, flags)
+        if not data and bufsize > 0:
+            raise HungUp
+        return data

@@ -6,12 +6,18 @@ and numbers, as `frame_format` describes them), `record_builder` (when, with `ho
 """
 
 from instrument.errors import CommandRefused, FrameFormatError, NoAcknowledgement
-from instrument.fibre_gyro.columns import ANGLES, counts_per_unit
 from instrument.fibre_gyro.frame_format import FrameFormat, parse_frame_format
-from instrument.fibre_gyro.host_clock import HOST_CLOCK_U
 from instrument.fibre_gyro.link import FibreGyroLink
 from instrument.fibre_gyro.logs import OUTPUT_UNITS, GyroLog, LogChoices, read_gyro_log, read_log, write_gyro_log
-from instrument.fibre_gyro.recording import Gap, HostClock, Losses, Recording
+from instrument.fibre_gyro.recording import (
+    ANGLES,
+    HOST_CLOCK_U,
+    Gap,
+    HostClock,
+    Losses,
+    Recording,
+    counts_per_unit,
+)
 
 __all__ = [
     "ANGLES",

@@ -21,10 +21,9 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from instrument.fibre_gyro.course import Course
-from instrument.fibre_gyro.frame_format.checksums import CHECKSUMS
-from instrument.fibre_gyro.frame_format.layout import FrameFormat
-from instrument.fibre_gyro.frames import ONE_CHARACTER, STANDS_OUT, Damaged, Frame, FrameReader
+from instrument.fibre_gyro.frame_fields import CHECKSUMS
+from instrument.fibre_gyro.frame_format import FrameFormat
+from instrument.fibre_gyro.frames import ONE_CHARACTER, STANDS_OUT, Course, Damaged, Frame, FrameReader
 
 _MOST_ANSWERS = 8  # an old one that still comes is rubbish
 _FOLLOWERS = 3  # frames behind one with a weak checksum that may bear it out

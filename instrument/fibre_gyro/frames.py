@@ -2,14 +2,30 @@
 
 from __future__ import annotations
 
+import itertools
 import re
 import struct
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections import deque
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from math import isfinite
 
-from instrument.fibre_gyro.frame_format.fields import COUNTER, FIXED, PARITY, STATUS, UNUSED, Field, Quantity
-from instrument.fibre_gyro.frame_format.layout import FrameFormat
+import numpy as np
+from numpy.typing import NDArray
+
+from instrument.fibre_gyro.frame_fields import (
+    COUNTER,
+    FIXED,
+    PARITY,
+    STATUS,
+    TEMPERATURE,
+    UNUSED,
+    ByteOrder,
+    Field,
+    Quantity,
+    is_output,
+)
+from instrument.fibre_gyro.frame_format import FrameFormat
 
 _DECIMAL = re.compile(rb"[+-]?(\d+(\.\d*)?|\.\d+)([eE][+-]?\d{1,3})?")
 _WHOLE = re.compile(rb"\d{1,20}")
@@ -329,3 +345,205 @@ def _text_number(word: bytes, entry: Field) -> float:
                 raise Damaged("wrong number of decimals")
         return float(word)
     raise Damaged("not a number")
+
+
+# --------------------
+# Numbers that a frame format gives although their bytes mean something else.
+#
+# A checksum shows that the bytes are right, not that they are read rightly: seven data bits a byte read as eight,
+# the bytes in another order, a signed number read as unsigned. A gyro's output moves little from one frame to the
+# next. Read wrongly it is torn over its whole range, or one bit of a lively byte never moves
+
+
+_FEWEST = 64  # frames: by chance a bit stands still so long once in 1e19
+_MOST = 4096
+_LIVELY = 24  # different values of a byte whose low bits all move
+_TORN = 2.0**-6  # part of its range that an output moves from frame to frame, read wrongly
+_CALM = 2.0**-5  # how much less it must move, read in another way, before that is said
+
+Bytes = NDArray[np.uint8]
+
+
+def doubts_about(layout: FrameFormat, rows: Sequence[tuple[float, ...]]) -> tuple[str, ...]:
+    """What the outputs of some frames show of a wrong description; sentences, none where nothing does."""
+    if len(rows) < _FEWEST or layout.kind != "binary":
+        return ()
+    table = np.array(rows[:_MOST], dtype=np.float64)
+    fields = {one.name: one for one in layout.fields}
+    said = []
+    for place, name in enumerate(layout.names):
+        if is_output(name):
+            said.append(_doubt(fields[name], table[:, place]))
+    return tuple(one for one in said if one)
+
+
+def _doubt(entry: Field, values: NDArray[np.float64]) -> str:
+    if entry.kind == "float":
+        return _strange_float(entry, (values - entry.offset) / entry.scale)
+    if entry.bits or entry.carried_bits > 52 or entry.carried_bits < 16:
+        return ""
+    sent = _as_sent(entry, values)
+    return _seven_bits(entry, sent) or _other_reading(entry, sent)
+
+
+def _strange_float(entry: Field, values: NDArray[np.float64]) -> str:
+    sizes = np.abs(values[values != 0])
+    if sizes.size < _FEWEST or np.mean((sizes < 1e-25) | (sizes > 1e25)) < 0.2:
+        return ""
+    return (
+        f"{entry.name}: its floats are of every size from {sizes.min():.0e} to {sizes.max():.0e}; is it a float, "
+        "in this byte order?"
+    )
+
+
+def _as_sent(entry: Field, values: NDArray[np.float64]) -> Bytes:
+    """The bytes of a whole number as they came, one row for each frame."""
+    whole = np.round((values - entry.offset) / entry.scale).astype(np.int64) & ((1 << entry.carried_bits) - 1)
+    shifts = entry.data_bits * np.array(entry.significance, dtype=np.int64)
+    return np.asarray(whole[:, None] >> shifts & ((1 << entry.data_bits) - 1), dtype=np.uint8)
+
+
+def _seven_bits(entry: Field, sent: Bytes) -> str:
+    """Seven data bits a byte, read as eight: a byte moves in all its low bits, none ever in the highest."""
+    if entry.data_bits != 8:
+        return ""
+    different = sorted((len(set(column.tolist())) for column in sent.T), reverse=True)
+    # a byte that carries into the next one has been through all of its values
+    if sent.max() >= 128 or different[0] < _LIVELY or different[1] < 2:
+        return ""
+    return (
+        f"{entry.name}: the highest bit of all its bytes was 0 in {len(sent)} frames; if they carry seven bits "
+        "each, say data_bits = 7"
+    )
+
+
+def _other_reading(entry: Field, sent: Bytes) -> str:
+    """Another order of the bytes, or a sign, with which the output moves much less."""
+    now = _moves(entry, sent)
+    if now < _TORN:
+        return ""
+    calmest, how = now, ""
+    for other, name in _readings(entry):
+        if (moves := _moves(other, sent)) < calmest:
+            calmest, how = moves, name
+    if calmest > _CALM * now:
+        return ""
+    return (
+        f"{entry.name}: jumps by {100 * now:.2g} % of its range from frame to frame; read {how} it would move by "
+        f"{100 * calmest:.2g} % only"
+    )
+
+
+def _readings(entry: Field) -> list[tuple[Field, str]]:
+    orders: dict[ByteOrder, str] = {"little": "low byte first", "big": "high byte first"}
+    kinds = {"signed": "as a signed number", "unsigned": "as an unsigned number"}
+    found = []
+    named = [(replace(entry, order=(), byte_order=order), text) for order, text in orders.items()]
+    if entry.size == 3:
+        mixed = (order for order in itertools.permutations(range(3)) if order not in ((0, 1, 2), (2, 1, 0)))
+        named += [(replace(entry, order=order), f"with byte_order = {list(order)}") for order in mixed]
+    for kind, sign in kinds.items():
+        for one, text in named:
+            if (one.significance, kind) != (entry.significance, entry.kind):
+                parts = [] if one.significance == entry.significance else [text]
+                parts += [] if kind == entry.kind else [sign]
+                found.append((replace(one, kind=kind), ", ".join(parts)))
+    return found
+
+
+def _moves(entry: Field, sent: Bytes) -> float:
+    """How far a number moves from frame to frame, the 95th percentile, as part of its range."""
+    shifts = entry.data_bits * np.array(entry.significance, dtype=np.int64)
+    numbers = np.sum(sent.astype(np.int64) << shifts, axis=1)
+    if entry.kind == "signed":
+        half = 1 << (entry.carried_bits - 1)
+        numbers = (numbers ^ half) - half
+    return float(np.quantile(np.abs(np.diff(numbers)), 0.95)) / float(1 << entry.carried_bits)
+
+
+# --------------------
+# How outputs move from frame to frame, and which of them jump further than they ever do
+
+
+_FEWEST_OUTPUTS = 24  # frames before anything is judged
+_MEMORY = 64  # frames over which the usual movement is taken
+_FAR = 10.0  # times the usual movement; Gaussian noise gets so far once in 1e14
+_AROUND = 8  # frames whose range tells whether an output stands out
+_BEYOND = 4.5
+"""Times the usual movement beyond that range: of Gaussian noise 6.5 standard deviations off, once in 1e8."""
+
+
+class Course:
+    """The usual movement of the outputs, and of the temperature, from one frame to the next."""
+
+    def __init__(self, layout: FrameFormat) -> None:
+        steps = {one.name: abs(one.scale) for one in layout.fields}
+        floats = {one.name for one in layout.fields if one.kind in ("float", "decimal")}
+        self._watched = [
+            (place, 0.0 if name in floats else 2.0 * steps[name])
+            for place, name in enumerate(layout.names)
+            if is_output(name) or name == TEMPERATURE
+        ]
+        self.forget()
+
+    def forget(self) -> None:
+        """Begin anew."""
+        self._last: tuple[float, ...] | None = None
+        self._recent: deque[tuple[float, ...]] = deque(maxlen=_AROUND)
+        self._usual = [0.0] * len(self._watched)
+        self._seen = 0
+
+    def follow(self, frame: Frame) -> None:
+        """Take a frame that is used."""
+        if frame.problem:
+            return
+        last, self._last = self._last, frame.values
+        self._recent.append(frame.values)
+        if last is None:
+            return
+        self._seen += 1
+        weight = 1.0 / self._seen if self._seen < _MEMORY else 1.0 / _MEMORY
+        values, usuals = frame.values, self._usual
+        for number, (place, _) in enumerate(self._watched):
+            moved = abs(values[place] - last[place])
+            if moved:  # an output that stands still most of the time moves by its smallest step
+                usual = usuals[number]
+                if (
+                    usual and moved > 8 * usual and self._seen > _FEWEST_OUTPUTS
+                ):  # a step of the rate is no usual movement
+                    moved = 8 * usual
+                usuals[number] = usual + weight * (moved - usual)
+
+    def jumps(self, frame: Frame) -> bool:
+        """Whether an output lies further from the last one than it ever moves."""
+        return self._last is not None and self._apart(self._last, frame.values)
+
+    def stands_out(self, frame: Frame) -> bool:
+        """Whether an output lies beyond all the last ones, by far more than it usually moves."""
+        return not frame.problem and self._beyond(frame, _BEYOND)
+
+    def is_back(self, frame: Frame) -> bool:
+        """Whether the outputs of a frame behind one that stood out lie again where they were before it."""
+        return not self._beyond(frame, _BEYOND / 2)
+
+    def leap(self, before: Frame, behind: Frame) -> bool:
+        """Whether two neighbours lie further apart than neighbours ever do."""
+        return self._apart(before.values, behind.values)
+
+    def _apart(self, one: tuple[float, ...], other: tuple[float, ...]) -> bool:
+        if self._seen < _FEWEST_OUTPUTS:
+            return False
+        return any(
+            usual + smallest > 0 and abs(other[place] - one[place]) > _FAR * (usual + smallest)
+            for usual, (place, smallest) in zip(self._usual, self._watched, strict=True)
+        )
+
+    def _beyond(self, frame: Frame, far: float) -> bool:
+        if self._seen < _FEWEST_OUTPUTS:
+            return False
+        for usual, (place, smallest) in zip(self._usual, self._watched, strict=True):
+            margin, value = far * (usual + smallest), frame.values[place]
+            around = [one[place] for one in self._recent]
+            if margin > 0 and not min(around) - margin <= value <= max(around) + margin:
+                return True
+        return False

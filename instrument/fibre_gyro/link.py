@@ -15,16 +15,12 @@ from typing import Any
 
 import serial
 
+from instrument.claims import claim
 from instrument.errors import CommandRefused, FrameFormatError, LinkError, NoAcknowledgement, SettingError
-from instrument.fibre_gyro.columns import counts_per_unit
-from instrument.fibre_gyro.frame_format import FrameFormat
-from instrument.fibre_gyro.frame_format.messages import compose
+from instrument.fibre_gyro.frame_format import FrameFormat, compose
 from instrument.fibre_gyro.frame_stream import Answer, Event, FrameStream
 from instrument.fibre_gyro.frames import Frame
-from instrument.fibre_gyro.host_clock import WRONG
-from instrument.fibre_gyro.record_builder import HOST_DELAY_S, RecordBuilder
-from instrument.fibre_gyro.recording import Losses, Recording
-from instrument.in_use import claim
+from instrument.fibre_gyro.recording import HOST_DELAY_S, WRONG, Losses, RecordBuilder, Recording, counts_per_unit
 
 SLICE_S = 0.02
 """Time in s that one read of the port waits for its bytes."""

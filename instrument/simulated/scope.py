@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from functools import lru_cache
 
-from instrument.simulated.commands.action import Action, one_argument
-from instrument.simulated.commands.all_commands import command_set
-from instrument.simulated.commands.command_tree import CommandTree, Node
-from instrument.simulated.panel.event_table import Guess, Refusal, status_bit
-from instrument.simulated.panel.formats import Leaf, join_leaves
-from instrument.simulated.panel.parsing import Argument, Command, Malformed, parse_message
+from instrument.simulated.commands import acquisition, files, setup_status, waveform
+from instrument.simulated.commands.tree import Action, CommandTree, Node, one_argument
+from instrument.simulated.panel.events import Guess, Refusal, status_bit
+from instrument.simulated.panel.models import Model
+from instrument.simulated.panel.parsing import Argument, Command, Leaf, Malformed, join_leaves, parse_message
+from instrument.simulated.panel.settings import setting_rows
 from instrument.simulated.state import ScopeState
 
 
@@ -193,3 +194,23 @@ class SimulatedTDS2014(ScopeState):
             for step in self.execute(command.encode("latin-1")):
                 if step is None:  # it would have to wait, and no knob does
                     break
+
+
+# --------------------
+# All commands of a model: the tree of their headers and what they do
+
+
+@lru_cache(maxsize=32)
+def command_set(model: Model) -> tuple[CommandTree, Mapping[str, Action]]:
+    """The headers of a model, and by its header every action that is more than a stored setting."""
+    actions = {
+        **setup_status.STATUS_ACTIONS,
+        **acquisition.ACQUISITION_ACTIONS,
+        **setup_status.SETUP_ACTIONS,
+        **acquisition.MEASUREMENT_ACTIONS,
+        **setup_status.HARD_COPY_ACTIONS,
+        **waveform.actions(model),
+        **acquisition.actions(model),
+        **(files.ACTIONS if model.has_storage else {}),
+    }
+    return CommandTree(setting_rows(model), actions), actions

@@ -9,20 +9,23 @@ from dataclasses import replace
 
 from instrument.simulated.clock import Clock, HeldClock, RealClock
 from instrument.simulated.faults import Faults
-from instrument.simulated.files.mass_storage import MassStorage
-from instrument.simulated.front_end.acquisition import Acquisition
-from instrument.simulated.front_end.digitizer import Digitizer
+from instrument.simulated.files.storage import MassStorage
+from instrument.simulated.front_end.acquisition import Acquisition, Digitizer
 from instrument.simulated.front_end.frontend import Signal
-from instrument.simulated.front_end.math_waveform import combine, multiply, spectrum, visible_part
-from instrument.simulated.front_end.traces import Trace, channel_trace, empty_reference
-from instrument.simulated.panel import panel_rules
-from instrument.simulated.panel.formats import Leaf
-from instrument.simulated.panel.kinds import Value
-from instrument.simulated.panel.math_expression import operands
+from instrument.simulated.front_end.traces import (
+    Trace,
+    channel_trace,
+    combine,
+    empty_reference,
+    multiply,
+    spectrum,
+    visible_part,
+)
+from instrument.simulated.panel.events import Status
 from instrument.simulated.panel.models import find_model
-from instrument.simulated.panel.panel import Panel
-from instrument.simulated.panel.settings_table import Row
-from instrument.simulated.panel.status import Status
+from instrument.simulated.panel.panel import RESTARTING, Panel, restarts, store
+from instrument.simulated.panel.parsing import Leaf
+from instrument.simulated.panel.settings import Row, Value, operands
 
 MESSAGE_TIME = 0.02  # s, on a virtual clock (a guess: 20 to 100 ms on GPIB)
 _DATA_SETTINGS = ("ENCDG", "DESTINATION", "SOURCE", "START", "STOP", "WIDTH")
@@ -95,7 +98,7 @@ class ScopeState(ABC):
     def set(self, key: str, value: Value) -> None:
         """Change a setting as a command or a hand on the front panel would."""
         self.acquisition.update()
-        if key.startswith(panel_rules.RESTARTING):
+        if key.startswith(RESTARTING):
             self.acquisition.settle()
         if key == "ACQUIRE:STATE":
             if value:
@@ -105,9 +108,9 @@ class ScopeState(ABC):
                 self.acquisition.stop()
             return
         before = dict(self.panel.values)
-        panel_rules.store(self.panel, key, value)
+        store(self.panel, key, value)
         averages = self.panel.text("ACQUIRE:MODE") == "AVERAGE"
-        if self.panel.values != before and panel_rules.restarts(key, averages=averages):
+        if self.panel.values != before and restarts(key, averages=averages):
             self.acquisition.restart()
 
     def busy(self) -> bool:

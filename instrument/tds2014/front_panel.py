@@ -1,19 +1,235 @@
-"""What can be set on the scope: the commands of each group, the values read back, and how close is equal.
-
-`FrontPanel` remembers a group as it was found before the first change in it and can put it back.
-"""
+"""One open scope: opening, closing, names, plain text, and what must be known again after settings changed."""
 
 from __future__ import annotations
 
 import contextlib
 import math
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, replace
+from typing import TypeVar
+
+import pyvisa
 
 from instrument import scpi
 from instrument.dialogue.dialogue import Dialogue
-from instrument.errors import ExecutionError, InstrumentError, LinkError, SettingError
-from instrument.tds2014.setup_text import read_setup, write_setup
+from instrument.dialogue.link import Link
+from instrument.dialogue.retry import Persistence, Tally
+from instrument.errors import (
+    ExecutionError,
+    InstrumentError,
+    LinkError,
+    NoTrigger,
+    ScopeEvent,
+    SettingError,
+    TransferError,
+)
+from instrument.scpi import DIVISIONS, POINTS_PER_DIVISION, SCAN_FROM
+from instrument.waveform import Waveform
+
+T = TypeVar("T")
+
+_TIMING_COMMANDS = (
+    ":HORIZONTAL:MAIN:SCALE",
+    ":ACQUIRE:MODE",
+    ":ACQUIRE:NUMAVG",
+    ":TRIGGER:MAIN:MODE",
+    ":TRIGGER:MAIN:HOLDOFF:VALUE",
+    ":TRIGGER:MAIN:TYPE",
+    ":TRIGGER:MAIN:EDGE:SOURCE",
+)
+
+
+_HURRIED = 5.0  # s for which a lost link is tried again when somebody wants the program to end
+
+
+class Session:
+    """What the parts of `TDS2014` share: the dialogue with the scope and its front panel."""
+
+    def __init__(
+        self,
+        resource_name: str,
+        resource_manager: pyvisa.ResourceManager | None,
+        baud_rate: int | None,
+        persistence: Persistence | None = None,
+    ) -> None:
+        wanted = persistence or Persistence()
+        link = Link(resource_name, resource_manager, baud_rate, wanted.clock)
+        try:
+            self.dialogue = Dialogue(link, wanted)
+            self.panel = FrontPanel(self.dialogue)
+            self.found: FoundPanel | None = self.panel.found() if wanted.careful else None
+        except BaseException:
+            link.close()
+            raise
+        self._timing: AcquisitionTime | None = None
+        self.panel_is_back = False
+        """Whether the front panel was put back on closing."""
+        self._closed = False
+        self._stepping = False
+
+    def close(self) -> None:
+        """Put the front panel back as found and close the link; closing twice does nothing."""
+        if self._closed:
+            return
+        self._closed = True
+        try:
+            self.dialogue.let_late_messages_pass()
+            self.restore()
+            self.panel_is_back = True
+        except LinkError:
+            self.dialogue.link.close()  # asking a lost scope for more would only cost time
+            raise
+        finally:
+            self.dialogue.close()
+
+    def restore(self) -> None:
+        """Put back every group of settings that was changed, as it was found."""
+        self.forget()
+        self.panel.restore()
+
+    # ------------------------------------------------------------------ a link with faults
+
+    @property
+    def link_faults(self) -> Tally:
+        """What it took so far to keep the link: exchanges repeated, connections, settings made again."""
+        return self.dialogue.tally
+
+    @property
+    def front_panel_found(self) -> FoundPanel | None:
+        """The front panel as it will be put back; None without persistence: groups are then read as needed."""
+        return self.found
+
+    def put_back_in_the_end(self, found: FoundPanel) -> None:
+        """Put this front panel back on closing, not the one that was found: an earlier session could not do it."""
+        self.found = found
+        self.panel.put_back_in_the_end(found)
+
+    def abandon(self) -> None:
+        """Close the link and put nothing back, as when the program is killed."""
+        self._closed = True
+        self.dialogue.link.close()
+
+    def hurry(self) -> None:
+        """Somebody wants the program to end: a lost link is not waited for any longer."""
+        patience = min(_HURRIED, self.dialogue.persistence.reconnect_for)
+        self.dialogue.persistence = replace(self.dialogue.persistence, reconnect_for=patience)
+
+    def step(self, work: Callable[[], T]) -> T:
+        """Do something that can be done again as a whole, until it succeeds, as often as the persistence allows.
+
+        After a fault the settings that records depend on are verified first, and made again where the scope has
+        lost them. A step inside a step is part of it. Errors are those of `work`.
+        """
+        if self._stepping or not self.dialogue.persistence.careful:
+            return work()
+        self._stepping = True
+        try:
+            return self.dialogue.repeated(lambda: self._with_settings_held(work))
+        finally:
+            self._stepping = False
+
+    def _with_settings_held(self, work: Callable[[], T]) -> T:
+        while self.dialogue.settings_in_doubt():
+            self.dialogue.in_doubt = False
+            self.panel.hold()
+            self.forget()
+        before = self.dialogue.tally.repeated
+        try:
+            return work()
+        except NoTrigger as missing:
+            if self.dialogue.tally.repeated == before and not self.dialogue.in_doubt:
+                raise
+            # Perhaps it was the trigger's setting that was spoiled on its way.
+            raise TransferError(f"{missing}; but there were faults on the link, so ask again") from missing
+
+    # ------------------------------------------------------------------ events and plain text
+
+    def events(self) -> list[ScopeEvent]:
+        """Read and empty the scope's event queue."""
+        return self.dialogue.events()
+
+    def query(self, text: str) -> str:
+        """Send a query of your own and return its answer as text.
+
+        Events that it causes without staying unanswered (a measurement that cannot be made, for example) are
+        there for `events` until the next record is read.
+        """
+        self.dialogue.unread_events = True
+        return ";".join(self.dialogue.ask(text, parts=None))
+
+    def write(self, text: str) -> None:
+        """Send commands of your own; raises `ScopeEvent` if the scope refuses them.
+
+        What they change is not put back on closing.
+        """
+        self.forget()
+        self.dialogue.command(text)
+
+    # ------------------------------------------------------------------ names
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """Names of the channels of this model, ``("CH1", "CH2", ...)``."""
+        return tuple(f"CH{number}" for number in range(1, self.dialogue.identity.channel_count + 1))
+
+    def channel(self, channel: str | int) -> str:
+        """Name of a channel of this model; SettingError if it has none like that."""
+        name = f"CH{channel}" if isinstance(channel, int) else channel.strip().upper()
+        if name not in self.channels:
+            raise SettingError(
+                f"{self.dialogue.identity.model} has no channel {name}; choose one of {', '.join(self.channels)}"
+            )
+        return name
+
+    def source(self, name: str | int) -> str:
+        """A channel, MATH, or one of the references (as many as channels)."""
+        word = str(name).strip().upper()
+        references = [f"REF{letter}" for letter in "ABCD"[: len(self.channels)]]
+        return word if word in ("MATH", *references) else self.channel(name)
+
+    # ------------------------------------------------------------------ settings that change
+
+    def before_changing(self, *groups: str) -> None:
+        """Remember these groups of settings as they are, to be put back on closing."""
+        self.panel.remember(*groups)
+        self.forget()
+
+    def before_changing_all(self) -> None:
+        """Remember the whole setup, to be put back on closing."""
+        self.panel.remember_all()
+        self.forget()
+
+    def forget(self) -> None:
+        """Settings may have changed: what was derived from them must be read again."""
+        self._timing = None
+        self.panel.lock = None
+        self.dialogue.source = None
+
+    def acquisition_time(self) -> AcquisitionTime:
+        """How long an acquisition takes with the settings of now."""
+        if self._timing is None:
+            scale, mode, averages, trigger_mode, holdoff, kind, source = self.panel.read(_TIMING_COMMANDS)
+            self._timing = AcquisitionTime(
+                seconds_per_division=scpi.number(scale),
+                acquisitions=scpi.integer(averages) if mode.startswith("AVE") else 1,
+                automatic=trigger_mode.startswith("AUTO"),
+                holdoff=scpi.number(holdoff),
+                mains=kind == "EDGE" and source.endswith("LINE"),
+            )
+        return self._timing
+
+    def check_time_base(self, waveform: Waveform) -> None:
+        """Somebody may have turned the knob: the record tells the time base it was taken with."""
+        taken_with = waveform.sample_interval * POINTS_PER_DIVISION
+        if self._timing and abs(taken_with / self._timing.seconds_per_division - 1) > 1e-3:
+            self._timing = None
+
+
+# --------------------
+# What can be set on the scope: the commands of each group, the values read back, and how close is equal.
+#
+# `FrontPanel` remembers a group as it was found before the first change in it and can put it back
+
 
 Value = str | int | float | bool
 
@@ -368,3 +584,137 @@ def one_of(name: str, value: str, allowed: tuple[str, ...]) -> str:
 def optional(command: str, value: Value | None, tolerance: float = 0.0) -> list[Change]:
     """A change if `value` is given, else none."""
     return [] if value is None else [Change(command, value, tolerance)]
+
+
+# --------------------
+# The answer to ``SET?``: all settings as a text that can be kept, compared and sent back.
+#
+# Programmer manual 071-1075-04, pp. 2-195 to 2-198
+
+
+_SETUP_ROUNDS = 3
+
+# These belong to the driver and its link, or say whether an acquisition runs at this moment.
+_NOT_PART = (":HEADER", ":VERBOSE", ":DATA", ":LOCK", ":RS232", ":ACQUIRE:STATE")
+
+
+def read_setup(dialogue: Dialogue) -> str:
+    """All settings as one text of commands."""
+    setup = ";".join(dialogue.ask(":SET?", parts=None, twice=True))
+    if not setup.startswith(":") or not settings_of(setup):
+        raise TransferError(f"a setup was expected, but {setup[:40]!r} came; ask again")
+    return setup
+
+
+def write_setup(dialogue: Dialogue, setup: str) -> None:
+    """Set what the scope holds otherwise than a setup, until all of it agrees.
+
+    The commands go one branch at a time, so that a slow line's input buffer is not overrun. A branch may move
+    settings of another one, which are set in the next round. What the scope refuses without need (the level of a
+    mains trigger) does not matter as long as the values agree at the end.
+
+    Raises
+    ------
+    SettingError
+        If a setting is not as in `setup`; names the first one.
+    """
+    wanted = settings_of(setup)
+    if not wanted:
+        raise SettingError(f"{setup[:40]!r} is not a setup; give a text that read_setup() returned")
+    for _ in range(_SETUP_ROUNDS):
+        other = _other(dialogue, wanted)
+        if not other:
+            return
+        for branch, commands in _branches(wanted).items():
+            if any(command.startswith(f"{branch}:") for command in other):
+                dialogue.ask_with_events(";".join(commands), parts=0)
+    for command, held in _other(dialogue, wanted).items():
+        raise SettingError(
+            f"{command.lstrip(':')} was set to {wanted[command]} but the scope holds {held}; "
+            "is the setup of another model?"
+        )
+
+
+def _other(dialogue: Dialogue, wanted: dict[str, str]) -> dict[str, str]:
+    """What the scope holds otherwise; a setting that it does not know is not missed."""
+    held = settings_of(read_setup(dialogue))
+    return {command: held[command] for command, value in wanted.items() if held.get(command, value) != value}
+
+
+def settings_of(setup: str) -> dict[str, str]:
+    """The settings of a setup by their whole command.
+
+    A part without a leading colon continues the branch of the one before it.
+
+    >>> settings_of(":CH1:PROBE 10;SCALE 1.0E0;:LOCK NONE;:CURSOR:SELECT:SOURCE CH1")
+    {':CH1:PROBE': '10', ':CH1:SCALE': '1.0E0', ':CURSOR:SELECT:SOURCE': 'CH1'}
+    """
+    found: dict[str, str] = {}
+    branch = ":"
+    for part in scpi.split_parts(setup):
+        header, value = scpi.split_header(part)
+        command = header if header.startswith(":") else f"{branch}{header}"
+        branch = command[: command.rindex(":") + 1]
+        if header and not command.startswith(_NOT_PART):
+            found[command] = value
+    return found
+
+
+def _branches(settings: dict[str, str]) -> dict[str, list[str]]:
+    """The commands of each branch, in the order of the setup."""
+    branches: dict[str, list[str]] = {}
+    for command, value in settings.items():
+        branches.setdefault(command[: command.rindex(":")], []).append(f"{command} {value}")
+    return branches
+
+
+# --------------------
+# How long one acquisition can take, from the settings that decide it
+
+
+AUTO_DELAY = 0.05
+"""Time in s after which AUTO mode triggers by itself at the latest, on short records: a generous guess."""
+
+
+@dataclass(frozen=True)
+class AcquisitionTime:
+    """The settings that an acquisition's duration follows from.
+
+    Attributes
+    ----------
+    acquisitions : int
+        Number of averages; 1 in Sample and Peak Detect.
+    automatic : bool
+        Trigger mode AUTO.
+    holdoff : float
+        Trigger holdoff in s.
+    mains : bool
+        Triggered by the mains, which are always there.
+    """
+
+    seconds_per_division: float
+    acquisitions: int = 1
+    automatic: bool = True
+    holdoff: float = 0.0
+    mains: bool = False
+
+    @property
+    def record_time(self) -> float:
+        """Time in s that the record spans."""
+        return DIVISIONS * self.seconds_per_division
+
+    @property
+    def longest(self) -> float:
+        """Time in s after which the sequence is complete if triggers come.
+
+        Every acquisition fills its record and may wait as long again for its trigger: a repetitive signal
+        with a period in the record gives one within that time.
+        """
+        trigger_wait = max(self.record_time, AUTO_DELAY)
+        return self.acquisitions * (self.record_time + trigger_wait + self.holdoff)
+
+    @property
+    def surely_ends(self) -> bool:
+        """Whether it completes whatever the signals are: without a trigger, or with one that always comes."""
+        scanning = self.automatic and self.seconds_per_division >= SCAN_FROM
+        return (self.automatic or self.mains) and not scanning

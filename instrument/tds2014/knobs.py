@@ -2,14 +2,28 @@
 
 from __future__ import annotations
 
+import io
+import struct
 from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 from instrument import scpi
-from instrument.errors import SettingError
-from instrument.facts import LEVELS_PER_DIVISION
-from instrument.tds2014.front_panel import Change, ChannelSettings, group_commands, is_on, one_of, optional
-from instrument.tds2014.session import Session
+from instrument.dialogue.identify import is_error, scope_event
+from instrument.errors import ScopeEvent, SettingError, TransferError
+from instrument.scpi import LEVELS_PER_DIVISION
+from instrument.tds2014.front_panel import (
+    Change,
+    ChannelSettings,
+    Session,
+    group_commands,
+    is_on,
+    one_of,
+    optional,
+    read_setup,
+    write_setup,
+)
 
 _TRIGGER_SOURCES = ("EXT", "EXT5", "EXT10", "LINE", "AC LINE")
 
@@ -185,3 +199,305 @@ class Knobs:
             return 16.0 / 200
         (scale,) = self._panel.read((f":{source}:SCALE",))
         return scpi.number(scale) / LEVELS_PER_DIVISION
+
+
+# --------------------
+# Whole setups: as a text, in the scope's ten memories, from the factory, or chosen by the scope itself.
+#
+# Programmer manual 071-1075-04, pp. 2-53, 2-186 to 2-198
+
+
+MEMORIES = range(1, 11)
+"""Numbers of the setup memories inside the scope."""
+
+FACTORY = "FACTORY"
+
+_AUTOSET_TIME = 10.0  # s: several acquisitions at different settings
+
+
+class Setups:
+    """All settings at once; what they change is put back on closing."""
+
+    def __init__(self, session: Session) -> None:
+        self._session = session
+
+    def read_setup(self) -> str:
+        """All settings as a text that `write_setup` takes."""
+        return read_setup(self._session.dialogue)
+
+    def write_setup(self, setup: str) -> None:
+        """Make all settings as in a text from `read_setup`; SettingError if one cannot be made."""
+        self._session.before_changing_all()
+        write_setup(self._session.dialogue, setup)
+
+    def save_setup(self, memory: int) -> None:
+        """Keep the present settings in memory 1 to 10 of the scope, over what was there."""
+        self._session.dialogue.command(f":SAVE:SETUP {_memory(memory)}")
+
+    def recall_setup(self, memory: int | str) -> None:
+        """Make all settings as in memory 1 to 10, or as at the ``"FACTORY"``; put back on closing."""
+        place = FACTORY if str(memory).upper() == FACTORY else str(_memory(memory))
+        self._session.before_changing_all()
+        self._session.dialogue.command(f":RECALL:SETUP {place}")
+        self._session.dialogue.set_format()
+
+    def autoset(self) -> None:
+        """Let the scope choose scales, time base and trigger; put back on closing."""
+        self._session.before_changing_all()
+        _, events = self._session.dialogue.ask_with_events(":AUTOSET EXECUTE;*WAI", parts=0, wait=_AUTOSET_TIME)
+        for event in events:
+            if is_error(event):
+                raise event
+
+
+def _memory(number: int | str) -> int:
+    if number not in MEMORIES:
+        raise SettingError(f"there is no setup memory {number!r}; choose 1 to {MEMORIES[-1]}")
+    return int(number)
+
+
+# --------------------
+# What the scope itself measures and computes: measurements, cursors, the math waveform, references.
+#
+# Programmer manual 071-1075-04, pp. 2-75 to 2-83, 2-148 and 2-159 to 2-170
+
+
+MEASUREMENTS = (
+    *("FREQUENCY", "PERIOD", "MEAN", "PK2PK", "CRMS", "MINIMUM", "MAXIMUM"),
+    *("RISE", "FALL", "PWIDTH", "NWIDTH"),
+)
+"""Names of the measurements of this family."""
+
+NO_VALUE = 9.9e37
+"""Stands for a value that could not be measured."""
+
+_CURSOR_PRECISION = 0.02  # of the largest position; cursors stand on pixels
+
+
+@dataclass(frozen=True)
+class Measurement:
+    """One value that the scope measured.
+
+    Attributes
+    ----------
+    kind, source : str
+        For example ``FREQUENCY`` of ``CH1``.
+    value : float
+        In `unit`.
+    unit : str
+        ``Hz``, ``s``, ``V``.
+    warnings : tuple of str
+        What the scope says about it, such as a clipped record; mostly empty.
+    """
+
+    kind: str
+    source: str
+    value: float
+    unit: str
+    warnings: tuple[str, ...] = ()
+
+    def __str__(self) -> str:
+        return f"{self.kind} of {self.source}: {self.value:.6g} {self.unit}"
+
+
+@dataclass(frozen=True)
+class Cursors:
+    """A pair of cursors as the scope holds it.
+
+    Attributes
+    ----------
+    bars : str
+        ``VBARS`` (times), ``HBARS`` (volts) or ``OFF``.
+    source : str
+        Waveform that they belong to.
+    positions : tuple of float
+        Of both, in `unit`; empty when off.
+    difference : float
+        Second minus first; 0 when off.
+    unit : str
+        ``s`` or what the scope calls it: ``VOLTS``, ``DECIBELS``...
+    """
+
+    bars: str
+    source: str
+    positions: tuple[float, ...] = ()
+    difference: float = 0.0
+    unit: str = ""
+
+
+class Measurements:
+    """The scope's MEASURE, CURSOR, MATH and REF menus."""
+
+    def __init__(self, session: Session) -> None:
+        self._session = session
+        self._panel = session.panel
+
+    def measure(self, kind: str, channel: str | int) -> Measurement:
+        """One of `MEASUREMENTS` on the record that the scope holds.
+
+        Raises
+        ------
+        ExecutionError
+            With the scope's event if there is no value: no period in the record, too small an amplitude...
+        """
+        word = one_of("the measurement", kind, MEASUREMENTS)
+        self._panel.remember("MEASUREMENT")
+        source, wait = self._session.source(channel), self._session.acquisition_time().longest
+        branch = ":MEASUREMENT:IMMED"
+        answers, events = self._session.dialogue.ask_with_events(
+            f"{branch}:TYPE {word};SOURCE {source};{branch}:VALUE?;UNITS?", parts=2, wait=wait
+        )
+        value = scpi.number(answers[0])
+        for event in events:
+            if is_error(event):
+                raise event
+        if abs(value) >= NO_VALUE:
+            raise scope_event(2200, f"{word} of {source} has no value", "look at the record: is the signal there?")
+        return Measurement(word, source, value, scpi.unquote(answers[1]), tuple(event.text for event in events))
+
+    def set_cursors(
+        self, bars: str, *, source: str | int = "CH1", positions: tuple[float, float] | None = None
+    ) -> Cursors:
+        """Show cursors: ``VBARS`` at two times in s, ``HBARS`` at two values in V, or ``OFF``."""
+        word = one_of("the cursors", bars, ("VBARS", "HBARS", "OFF"))
+        name = self._session.source(source)
+        self._panel.remember("CURSOR", "CURSOR KIND")
+        self._panel.change(Change(":CURSOR:SELECT:SOURCE", name), Change(":CURSOR:FUNCTION", word))
+        if word == "VBARS":
+            self._panel.change(Change(":CURSOR:VBARS:UNITS", "SECONDS"))
+        if positions is not None:
+            if word == "OFF":
+                raise SettingError("cursors that are off have no positions; choose VBARS or HBARS")
+            tolerance = _CURSOR_PRECISION * max(abs(position) for position in positions)
+            self._panel.change(
+                *(
+                    Change(f":CURSOR:{word}:POSITION{number}", position, tolerance)
+                    for number, position in enumerate(positions, start=1)
+                )
+            )
+        return self.cursors()
+
+    def cursors(self) -> Cursors:
+        """The cursors as they stand now."""
+        bars, source = self._panel.read((":CURSOR:FUNCTION", ":CURSOR:SELECT:SOURCE"))
+        if bars == "OFF":
+            return Cursors(bars, source)
+        branch = f":CURSOR:{bars}"
+        first, second, difference, unit = self._panel.read(
+            tuple(f"{branch}:{leaf}" for leaf in ("POSITION1", "POSITION2", "DELTA", "UNITS"))
+        )
+        unit = {"SECONDS": "s", "HERTZ": "Hz"}.get(unit, unit)
+        return Cursors(bars, source, (scpi.number(first), scpi.number(second)), scpi.number(difference), unit)
+
+    def set_math(self, expression: str, *, displayed: bool = True) -> None:
+        """Define the math waveform, ``"CH1 - CH2"`` or ``"FFT(CH1, HANNING)"``; read it with ``fetch("MATH")``.
+
+        Raises
+        ------
+        SettingError
+            If the scope holds another expression afterwards.
+        ExecutionError
+            If this model cannot compute it.
+        """
+        if '"' in expression or ";" in expression:
+            raise SettingError(f"{expression!r} is not a math expression; write for example CH1 - CH2 or FFT(CH1)")
+        self._session.before_changing("MATH")
+        on = "ON" if displayed else "OFF"
+        message = f':MATH:DEFINE "{expression}";:SELECT:MATH {on};:MATH:DEFINE?;*ESR?'
+        (held,) = self._session.dialogue.checked(message, parts=1)
+        # The scope writes blanks of its own and names the window that was left out.
+        if not _plain(scpi.unquote(held)).startswith(_plain(expression).rstrip(")")):
+            raise SettingError(f"the math waveform was set to {expression} but the scope holds {held}")
+
+    def save_reference(self, reference: str, source: str | int) -> None:
+        """Store a displayed waveform in ``REFA``..., over what was there, and show it. It stays stored."""
+        name = self._session.source(reference)
+        if not name.startswith("REF"):
+            raise SettingError(f"there is no reference {name}; choose REFA, REFB...")
+        self._session.before_changing(name)
+        self._session.dialogue.command(f":SAVE:WAVEFORM {self._session.source(source)},{name}")
+        self._panel.change(Change(f":SELECT:{name}", True))
+
+
+def _plain(expression: str) -> str:
+    return expression.replace(" ", "").upper()
+
+
+# --------------------
+# The picture of the scope's screen: fetched as BMP, given as PNG
+
+
+_PICTURE_TIME = 10.0  # s until the first byte: the scope draws the whole picture first
+
+
+@dataclass(frozen=True)
+class ScreenPicture:
+    """A picture of the screen; a notebook shows it by itself.
+
+    Attributes
+    ----------
+    png : bytes
+        The picture as a PNG file.
+    """
+
+    png: bytes
+
+    def save(self, path: str | Path) -> None:
+        """Write the PNG file. OSError if that is not possible."""
+        Path(path).write_bytes(self.png)
+
+    def _repr_png_(self) -> bytes:
+        return self.png
+
+
+class Screen:
+    """Has the scope draw its screen for us."""
+
+    def __init__(self, session: Session) -> None:
+        self._session = session
+
+    def screen(self) -> ScreenPicture:
+        """Picture of the screen, as PNG. Over RS-232 it takes about 80 s at 9600 baud."""
+        self._session.panel.remember("HARDCOPY")
+        self._choose_port()
+        return ScreenPicture(png_from_bmp(self._session.dialogue.picture(wait=_PICTURE_TIME)))
+
+    def _choose_port(self) -> None:
+        """Send pictures to our own link: first the word that fits it, then the others that this unit may know."""
+        dialogue = self._session.dialogue
+        words = ["GPIB", "USB"] if dialogue.link.on_bus else ["RS232"]
+        if dialogue.link.name.upper().startswith("USB"):
+            words.reverse()
+        for word in words:
+            try:
+                dialogue.command(f":HARDCOPY:FORMAT BMP;PORT {word}")
+            except ScopeEvent:
+                if word == words[-1]:
+                    raise
+            else:
+                return
+
+
+def png_from_bmp(bmp: bytes) -> bytes:
+    """Turn an uncompressed BMP file of 1, 4, 8 or 24 bits a pixel into a PNG file of the same pixels.
+
+    Raises
+    ------
+    TransferError
+        If it is not such a file, or is cut.
+    """
+    try:
+        width, bits, compression = struct.unpack_from("<18xi4x2xHI16x", bmp)
+    except struct.error:
+        raise TransferError(f"a picture of {len(bmp)} bytes is too short to be one; ask again") from None
+    if bmp[:2] != b"BM" or compression or bits not in (1, 4, 8, 24) or width <= 0:
+        raise TransferError(f"the picture is no plain BMP ({bits} bits, compression {compression}); ask again")
+    from PIL import Image  # takes 20 ms to import, and few sessions need a picture
+
+    png = io.BytesIO()
+    try:
+        with Image.open(io.BytesIO(bmp), formats=["BMP"]) as picture:
+            picture.save(png, "PNG")
+    except (OSError, ValueError, Image.DecompressionBombError):
+        raise TransferError("the picture is cut; ask again") from None
+    return png.getvalue()

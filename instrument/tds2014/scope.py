@@ -14,27 +14,111 @@ import asyncio
 import contextlib
 import functools
 import itertools
+import re
 import threading
 from collections.abc import Callable, Iterator
 from types import TracebackType
-from typing import Concatenate, ParamSpec, Self, TypeVar, cast, overload
+from typing import Any, Concatenate, ParamSpec, Self, TypeVar, cast, overload
 
 import pyvisa
 
-from instrument.dialogue.identity import Identity
+from instrument import scpi
+from instrument.dialogue.identify import Identity
 from instrument.dialogue.link import NoAnswer
-from instrument.dialogue.persistence import Persistence, Tally
+from instrument.dialogue.retry import Persistence, Tally
 from instrument.errors import InstrumentError, NoTrigger, SettingError, TransferError
-from instrument.facts import POINTS
-from instrument.tds2014.acquisition_time import AcquisitionTime
-from instrument.tds2014.front_panel import FoundPanel, FrontPanel, is_on
-from instrument.tds2014.knobs import Knobs
-from instrument.tds2014.measurement import Measurements
-from instrument.tds2014.screen import Screen
-from instrument.tds2014.session import Session
-from instrument.tds2014.setups import Setups
-from instrument.tds2014.snapshot import Snapshot
+from instrument.scpi import POINTS
+from instrument.tds2014.front_panel import (
+    AcquisitionTime,
+    FoundPanel,
+    FrontPanel,
+    Session,
+    is_on,
+    read_setup,
+    settings_of,
+)
+from instrument.tds2014.knobs import Knobs, Measurements, Screen, Setups
 from instrument.waveform import Waveform
+
+# --------------------
+# What measurement frameworks expect of an instrument: a name, an identity, a snapshot of all settings.
+#
+# QCoDeS takes any object with ``name`` and ``snapshot`` into its station, and PyMeasure procedures call ``id``,
+# ``check_errors`` and ``shutdown``. So the driver serves both without either being installed
+
+
+# Settings whose unit does not follow from the setting alone (cursors) are left without one.
+_UNITS = (
+    (re.compile(r"CH\d:SCALE"), "V/div"),
+    (re.compile(r"CH\d:POSITION"), "div"),
+    (re.compile(r"HORIZONTAL:(MAIN|DELAY):SCALE"), "s/div"),
+    (re.compile(r"HORIZONTAL:(MAIN|DELAY):POSITION"), "s"),
+    (re.compile(r"TRIGGER:MAIN:LEVEL"), "V"),
+    (re.compile(r"TRIGGER:MAIN:(HOLDOFF:VALUE|PULSE:WIDTH:WIDTH)"), "s"),
+)
+
+
+class Snapshot:
+    """All settings of one scope as a dictionary.
+
+    Parameters
+    ----------
+    class_name : str
+        What the dictionary names as the class of the instrument, with its module.
+    """
+
+    def __init__(self, session: Session, class_name: str) -> None:
+        self._session, self._class_name = session, class_name
+        self._last: dict[str, Any] | None = None
+
+    @property
+    def name(self) -> str:
+        """Model without blanks, such as ``TDS2014``."""
+        return self._session.dialogue.identity.model.replace(" ", "")
+
+    def get_idn(self) -> dict[str, str]:
+        """Vendor, model, serial number and firmware."""
+        known = self._session.dialogue.identity
+        return {
+            "vendor": known.manufacturer,
+            "model": known.model,
+            "serial": known.serial,
+            "firmware": known.firmware,
+        }
+
+    def snapshot(self, update: bool | None = True) -> dict[str, Any]:
+        """All settings of the scope as a dictionary that goes into JSON.
+
+        Parameters
+        ----------
+        update : bool, optional
+            Read them from the scope; otherwise those of the last snapshot serve, if there is one.
+        """
+        if update or self._last is None:
+            found = settings_of(read_setup(self._session.dialogue))
+            parameters = [_parameter(command.lstrip(":"), text) for command, text in found.items()]
+            self._last = {
+                "name": self.name,
+                "__class__": self._class_name,
+                "address": self._session.dialogue.link.name,
+                "functions": {},
+                "submodules": {},
+                "parameters": {
+                    "IDN": {"name": "IDN", "value": self.get_idn(), "unit": ""},
+                    **{parameter["name"]: parameter for parameter in parameters},
+                },
+            }
+        return self._last
+
+
+def _parameter(name: str, text: str) -> dict[str, Any]:
+    try:
+        value: float | str = scpi.number(text)
+    except TransferError:
+        value = scpi.unquote(text)
+    unit = next((unit for pattern, unit in _UNITS if pattern.fullmatch(name)), "")
+    return {"name": name, "value": value, "unit": unit}
+
 
 # A hand on RUN/STOP ends the single sequence, so it is asked for with every record: else an old one would come.
 _START = "ACQ:STOPA SEQ;STATE RUN"

@@ -1,9 +1,7 @@
 """Waveform files of this family: the CSV that the scopes save themselves, ISF and answers kept by PC software."""
 
-from instrument.tek_files.isf import parse_isf
-from instrument.tek_files.reading import TekFile, read_tek_file, read_waveform
-from instrument.tek_files.scope_csv import parse_csv
-from instrument.tek_files.writing import csv_text
+from instrument.tek_files.csv import csv_text, parse_csv
+from instrument.tek_files.read import TekFile, parse_isf, read_tek_file, read_waveform
 
 __all__ = [
     "TekFile",

@@ -6,25 +6,192 @@ A line that a power failure has cut is passed over: what it told is done again.
 from __future__ import annotations
 
 import json
+import logging
+import logging.handlers
 import math
 import os
 import re
+import time
 import zlib
 from collections.abc import Iterator, Mapping
-from contextlib import suppress
-from dataclasses import asdict, dataclass, field
+from contextlib import contextmanager, suppress
+from dataclasses import asdict, dataclass, field, replace
 from datetime import date
 from pathlib import Path
 from typing import Any, Self
 
-from instrument.in_use.file_lock import lock
-from station.campaign.outcome import CampaignOutcome, StepOutcome
-from station.campaign.plan import CampaignPlan, InstrumentCard, PlannedStep, ReferenceUnit
-from station.errors import CannotWrite, Failure, RunError, UsageError
-from station.results.as_json import plain
-from station.results.verdict import ERROR, Limit, LimitOutcome, Value
+from instrument.claims import lock
+from station.errors import (
+    EXIT_FAIL,
+    EXIT_INTERRUPTED,
+    EXIT_MARGINAL,
+    EXIT_NO_SIGNAL,
+    EXIT_OK,
+    CannotWrite,
+    Failure,
+    RunError,
+    UsageError,
+)
+from station.live.events import Event
+from station.results.result import plain
+from station.results.verdict import ABORTED, ERROR, FAIL, MARGINAL, Limit, LimitOutcome, Value, Verdict, worst
 from station.runs.database import new_run_directory, utc_now
 from station.runs.store import open_run
+
+# --------------------
+# What a campaign is going to do with a unit: instruments, steps in their order, limits
+
+
+@dataclass(frozen=True)
+class InstrumentCard:
+    """An instrument of the bench, as its papers say."""
+
+    role: str  # ``"oscilloscope"``, ``"rate table"``, ``"chamber"``, ..
+    model: str = ""  # empty where nobody has stated them
+    serial: str = ""
+    firmware: str = ""
+    calibrated_on: date | None = None  # ``None``: it needs no calibration, or nobody has stated it
+    calibration_due: date | None = None
+
+
+@dataclass(frozen=True)
+class PlannedStep:
+    """One measurement of a campaign."""
+
+    key: str  # unique in the campaign: ``"2 lock-in, 1 of 3"``
+    name: str  # as the campaign calls it; the same for its repeats
+    number: int  # place in the sequence, from 1
+    measurement: str  # name that the run is marked with: ``"measure"``
+    repeat: int  # which of how many, from 1
+    of_repeats: int
+    settings: Mapping[str, Any]  # complete settings of the measurement, plain JSON
+    # what the controllers are set to before it: ``temperature_degc``, ``voltage_v``
+    conditions: Mapping[str, float]
+    warm_up_s: float  # time that passes before it: with the unit on, and at its conditions
+    settle_s: float
+    limits: tuple[Limit, ...]
+    doubtful: str = "marginal"  # {"marginal", "as_it_is"}: Verdict of a limit on a result that does not stand
+
+
+@dataclass(frozen=True)
+class ReferenceUnit:
+    """The unit that tells whether the bench is in control: units are tested only after it."""
+
+    unit: str
+    every_h: float
+
+
+@dataclass(frozen=True)
+class CampaignPlan:
+    """A campaign as it is carried out with one unit."""
+
+    name: str
+    file: Path  # where the campaign was read from
+    file_sha256: str  # of its bytes and of those of the files that it names
+    settings: Mapping[str, Any]  # the whole campaign with every default, plain JSON
+    station: str
+    unit: str  # serial number
+    unit_type: str  # model of the unit: histories are kept for each
+    directory: Path  # where the folders of all tested units lie
+    simulated: bool  # whether all of its benches are
+    steps: tuple[PlannedStep, ...]
+    instruments: tuple[InstrumentCard, ...] = ()
+    reference: ReferenceUnit | None = None
+    attempts: int = 1  # how often a step that the bench ended is begun or gone on with in all
+    retry_after_s: float = 0.0  # time between two attempts
+    reports: bool = True  # whether every run gets a report of its own
+    # whether chamber and power supply are switched off when the test has ended
+    switch_off_afterwards: bool = False
+    ask_for_unit: bool = False  # whether an operator is asked to bring the unit before it begins
+
+    @property
+    def is_reference(self) -> bool:
+        """Whether the unit is the reference unit of the bench."""
+        return self.reference is not None and self.reference.unit == self.unit
+
+
+# --------------------
+# How the test of a unit has ended: each step, and all of them
+
+
+@dataclass(frozen=True)
+class StepOutcome:
+    """How one step has ended."""
+
+    step: PlannedStep
+    verdict: Verdict | None  # ``None``: it was measured, and has no limits
+    limits: tuple[LimitOutcome, ...] = ()
+    document: Mapping[str, Any] = field(default_factory=dict)  # JSON of the result; empty where there is none
+    run: Path | None = None  # the run's file
+    run_sha256: str = ""  # of that file as the step left it
+    failure: Failure | None = None  # what kept it from a result
+    # what else is to be known: what was left out, what is doubtful, what was tried again
+    remarks: tuple[str, ...] = ()
+    started_at: str = ""  # UTC, ISO 8601
+    ended_at: str = ""
+    elapsed_s: float = 0.0  # by a clock that nobody sets; of the last session
+    attempts: int = 1  # how often it was begun anew
+    conditions: Mapping[str, float] = field(default_factory=dict)  # what the controllers showed at its beginning
+
+    def lasting(self, seconds: float) -> StepOutcome:
+        """Return it with the time that it took."""
+        return replace(self, elapsed_s=round(seconds, 3))
+
+    @property
+    def message(self) -> str:
+        """In one line why the verdict is what it is; empty for PASS."""
+        if self.failure is not None:
+            return self.failure.message
+        return "; ".join(one.sentence for one in self.limits if one.verdict == self.verdict != "PASS")
+
+
+@dataclass(frozen=True)
+class CampaignOutcome:
+    """How the test of a unit has ended."""
+
+    plan: CampaignPlan
+    operator: str
+    note: str
+    directory: Path  # of this test: runs, log, journal
+    started_at: str
+    ended_at: str
+    steps: tuple[StepOutcome, ...]  # those that were begun, in the order of the plan
+    failure: Failure | None = None  # what ended all of it before its time
+    resumed_at: tuple[str, ...] = ()  # when it was gone on with, UTC
+
+    @property
+    def verdict(self) -> Verdict | None:
+        """The worst of all steps; ABORTED where it was ended from outside; ``None`` without limits."""
+        if self.failure is not None:
+            return ABORTED if _from_outside(self.failure) else ERROR
+        return worst(one.verdict for one in self.steps if one.verdict is not None)
+
+    @property
+    def exit_code(self) -> int:
+        """0 PASS or no limits, 1 FAIL, 6 MARGINAL; ERROR and ABORTED have the code of what happened."""
+        verdict = self.verdict
+        if self.failure is not None:
+            return self.failure.exit_code
+        if verdict in (ERROR, ABORTED):
+            failed = next((one.failure for one in self.steps if one.failure is not None), None)
+            return EXIT_NO_SIGNAL if failed is None else failed.exit_code
+        return EXIT_FAIL if verdict == FAIL else EXIT_MARGINAL if verdict == MARGINAL else EXIT_OK
+
+    @property
+    def message(self) -> str:
+        """In one line why the verdict is what it is; empty for PASS."""
+        if self.failure is not None:
+            return self.failure.message
+        said = (
+            f"{one.step.name}: {one.message}" for one in self.steps if one.verdict == self.verdict and one.message
+        )
+        return next(said, "")
+
+
+def _from_outside(failure: Failure) -> bool:
+    """Whether a person or the system ended it: a signal, or Ctrl-C."""
+    return failure.exit_code >= EXIT_INTERRUPTED - 1
+
 
 JOURNAL = "test.jsonl"
 SCHEMA = {"name": "gyrolock test journal", "version": 1}
@@ -285,3 +452,54 @@ def _limit_from_json(one: Mapping[str, Any]) -> LimitOutcome:
     limit, value = Limit(**one["limit"]), Value(**measured)
     margin = math.nan if one["margin"] is None else one["margin"]
     return LimitOutcome(**{**one, "limit": limit, "measured": value, "margin": margin})
+
+
+# --------------------
+# The station's log: what happened, in the words of its events, in files that do not grow for ever
+
+
+FILE = "station.log"
+_LARGEST = 1_000_000  # bytes of one file
+_LOGS_KEPT = 9  # files before the one that is written
+_NOT_TOLD = frozenset({"counted", "record", "value"})
+
+
+class StationLog:
+    """Reads events and writes lines; a disk that takes none harms nothing."""
+
+    def __init__(self, handler: logging.Handler) -> None:
+        self._handler = handler
+
+    def __call__(self, event: Event) -> None:
+        """Write an event."""
+        if event.kind in _NOT_TOLD:
+            return
+        told = event.facts.get("text") if event.kind == "note" else json.dumps(dict(event.facts))
+        record = logging.LogRecord("gyrolock", logging.INFO, "", 0, f"{event.kind}: {told}", None, None)
+        with suppress(OSError, ValueError):
+            self._handler.emit(record)
+
+
+@contextmanager
+def station_log(directory: Path) -> Iterator[StationLog]:
+    """Open the log of the station, with what the program itself logs; the oldest file goes for a new one."""
+    logging.raiseExceptions = False  # a log that cannot be written is not written to stderr either
+    handler: logging.Handler
+    try:
+        directory.mkdir(parents=True, exist_ok=True)
+        path = directory / FILE
+        handler = logging.handlers.RotatingFileHandler(
+            path, maxBytes=_LARGEST, backupCount=_LOGS_KEPT, encoding="utf-8", errors="replace"
+        )
+    except OSError:
+        handler = logging.NullHandler()
+    form = logging.Formatter("%(asctime)s.%(msecs)03dZ %(message)s", "%Y-%m-%dT%H:%M:%S")
+    form.converter = time.gmtime  # UTC: no hour that comes twice
+    handler.setFormatter(form)
+    ours = logging.getLogger("station")
+    ours.addHandler(handler)
+    try:
+        yield StationLog(handler)
+    finally:
+        ours.removeHandler(handler)
+        handler.close()

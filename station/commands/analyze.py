@@ -9,19 +9,18 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from station.display.opening import display_options, shown
-from station.shell.options import CHANNELS, config_option, json_option, not_zero, positive
-from station.terminal.lines import JsonResults, print_failure, print_json, remark, say
+from station.shell.options import CHANNELS, config_option, display_options, json_option, not_zero, positive, shown
+from station.terminal import JsonResults, print_failure, print_json, remark, say
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
     from contextlib import AbstractContextManager
 
     from station.errors import Failure
-    from station.reanalysis.files import AnalyzedFiles
+    from station.reanalysis.combine import AnalyzedFiles
     from station.runs.progress import Progress
-    from station.shell.evaluated import Evaluated
-    from station.sources.source import Source
+    from station.shell.finish import Evaluated
+    from station.sources.batches import Source
     from station.sources.workers import Workers
 
 _METHOD = ("scale_factor", "input_rate", "relation")
@@ -118,7 +117,7 @@ def _check(given: Mapping[str, Any]) -> None:
 
 def _workers(given: Mapping[str, Any]) -> AbstractContextManager[Workers]:
     if given["cluster"]:
-        from station.cluster import Cluster
+        from station.sources.workers import Cluster
 
         return Cluster(given["cluster"])
     from station.sources.workers import Processes
@@ -152,7 +151,7 @@ class Analysis:
     def to_table(self, table: Path, answer: Answer) -> int:
         """Put one row for each record into a table."""
         from station.errors import EXIT_OK, EXIT_USAGE
-        from station.reanalysis.fill import fill_table
+        from station.reanalysis.analyze_table import fill_table
 
         done = fill_table(
             self.sources,
@@ -175,9 +174,8 @@ class Analysis:
     def combined(self, channel: str | None, rates: Path | None, report: Path | None, answer: Answer) -> int:
         """Make one result of all records."""
         from station.errors import EXIT_FAIL, EXIT_OK, EXIT_OUTPUT, EXIT_USAGE, CannotWrite, Failure
-        from station.reanalysis.combine import combine, said_of
-        from station.reanalysis.report import FilesReport
-        from station.report.report import write_report
+        from station.reanalysis.combine import FilesReport, combine, said_of
+        from station.report.show import write_report
 
         found = combine(
             self.sources,
@@ -246,8 +244,8 @@ class Analysis:
     def _analyzed(self, source: Path | Source) -> tuple[Evaluated | AnalyzedFiles | None, Failure | None]:
         from instrument import InstrumentError
         from station.errors import StationError, describe_failure
-        from station.reanalysis.files import analyze_file
-        from station.shell.evaluated import evaluate_saved
+        from station.reanalysis.combine import analyze_file
+        from station.shell.finish import evaluate_saved
         from station.sources.find import is_run
 
         analyzed: Evaluated | AnalyzedFiles
@@ -265,7 +263,7 @@ class Analysis:
 
     def _with_scale_factor(self) -> dict[str, Any]:
         """The choices with the scale factor, where files need one that nobody has given."""
-        from station.reanalysis.files import scale_factor_of_files
+        from station.reanalysis.combine import scale_factor_of_files
         from station.sources.find import is_run
 
         files: list[Path | Source] = []
@@ -285,8 +283,8 @@ def _no_result(problem: str) -> Failure | None:
 
 
 def _print(analyzed: Evaluated | AnalyzedFiles) -> None:
-    from station.report.console import print_result, print_tested, print_values
-    from station.shell.evaluated import Evaluated
+    from station.report.show import print_result, print_tested, print_values
+    from station.shell.finish import Evaluated
 
     if isinstance(analyzed, Evaluated):
         print_result(analyzed)

@@ -11,10 +11,10 @@ import click
 
 from station.errors import EXIT_FAIL, EXIT_OK, UsageError
 from station.shell.options import config_option, json_option
-from station.terminal.lines import print_json, say
+from station.terminal import print_json, say
 
 if TYPE_CHECKING:
-    from station.events.running import Running
+    from station.live.status import Running
 
 _SCHEMA = {"name": "gyrolock status", "version": 1}
 _ASK_EVERY_S = 0.1
@@ -30,8 +30,8 @@ def status(watched: bool, config: Path | None, as_json: bool) -> int:
     It acts from any shell of the same user; `gyrolock stop` ends one. Exit codes: 0 something runs, 1 nothing
     does.
     """
-    from station.events.running import running_programs
-    from station.settings.toml_files import read_toml
+    from station.live.status import running_programs
+    from station.settings import read_toml
 
     if config is not None:
         read_toml(config)  # a file with a mistake is one here too
@@ -64,8 +64,8 @@ def _was_cut_short(program: Running) -> bool:
 
 
 def _print(program: Running) -> None:
-    from station.display.picture import picture
-    from station.terminal.console import stdout_console
+    from station.live.console import stdout_console
+    from station.live.display import picture
 
     console, situation = stdout_console(), program.situation
     if program.alive:
@@ -83,9 +83,9 @@ def _parent(program: Running) -> Any:
 def _watch() -> None:
     from rich.live import Live
 
-    from station.display.picture import picture
-    from station.events.running import running_programs
-    from station.terminal.console import stdout_console
+    from station.live.console import stdout_console
+    from station.live.display import picture
+    from station.live.status import running_programs
 
     console = stdout_console()
     with Live(console=console, auto_refresh=False) as live:
@@ -114,8 +114,8 @@ def stop(which: str | None, everything: bool, wait_s: float, config: Path | None
     --resume goes on. Without PID or RUN the only one that runs is meant. Exit codes: 0 it has ended, 1 it has not
     ended within --wait, 2 nothing runs or it is not clear which is meant.
     """
-    from station.events.running import running_programs
-    from station.settings.toml_files import read_toml
+    from station.live.status import running_programs
+    from station.settings import read_toml
 
     if config is not None:
         read_toml(config)  # a file with a mistake is one here too
@@ -166,7 +166,7 @@ def _named(alive: list[Running]) -> str:
 
 
 def _still_there(chosen: list[Running], wait_s: float) -> list[Running]:
-    from station.events.running import running_programs
+    from station.live.status import running_programs
 
     until = time.monotonic() + wait_s
     while True:

@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from station.shell.options import config_option, json_option
-from station.terminal.lines import print_json, say
+from station.terminal import print_json, say
 
 # file of defaults: the measurement that reads it
 _FILES = {"simulated": "measure", "bench": "measure", "dead_band": "deadband", "fibre_gyro": "table"}
@@ -34,8 +34,7 @@ def command(name: str, schema: bool, config: Path | None, as_json: bool) -> int:
     `power_supply` are templates of controllers, `acutrol` and `ideal_aerosmith` those of two kinds of rate tables.
     With --json, or with --config FILE, the values that would be used are printed instead of the file.
     """
-    from station.settings.load import shipped_settings
-    from station.settings.toml_files import read_toml
+    from station.settings import read_toml, shipped_settings
 
     if schema:
         print_json(_schema(name))
@@ -47,7 +46,7 @@ def command(name: str, schema: bool, config: Path | None, as_json: bool) -> int:
         values = read_toml(shipped)
     elif config is not None or as_json:
         from station.measurements import measurement
-        from station.settings.load import load
+        from station.settings import load
 
         kind = measurement(_FILES[name]).kind
         read = load(kind, config) if config is not None else kind.model.model_validate(read_toml(shipped))
@@ -61,7 +60,7 @@ def command(name: str, schema: bool, config: Path | None, as_json: bool) -> int:
 
 
 def _schema(name: str) -> dict[str, object]:
-    from station.campaign.schema import campaign_schema, settings_schema, template_schema
+    from station.campaign.file import campaign_schema, settings_schema, template_schema
 
     if name == "campaign":
         return campaign_schema()

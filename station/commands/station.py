@@ -9,15 +9,13 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from station.display.opening import display_options, shown
 from station.errors import EXIT_OK, Failure, OutOfControl, RunError, UsageError, describe_failure
-from station.shell.options import json_option, transcript_option
-from station.terminal.lines import print_json, remark, say
+from station.shell.options import display_options, json_option, shown, transcript_option
+from station.terminal import print_json, remark, say
 
 if TYPE_CHECKING:
-    from station.campaign.outcome import CampaignOutcome
-    from station.campaign.plan import CampaignPlan
-    from station.shell.evaluated import Evaluated
+    from station.campaign.journal import CampaignOutcome, CampaignPlan
+    from station.shell.finish import Evaluated
 
 _LATEST = "latest"
 
@@ -67,7 +65,7 @@ def command(file: Path, **given: Any) -> int:
 
 def _asked_unit() -> str:
     """Ask for the serial number; UsageError where there is nobody to ask."""
-    from station.runs.operator import ask_operator
+    from station.operator import ask_operator
 
     if not sys.stdin or not sys.stdin.isatty():
         raise UsageError("which unit is tested? Give its serial number: --unit SN")
@@ -88,8 +86,8 @@ def _checked(file: Path, plans: list[CampaignPlan], as_json: bool) -> int:
 
 
 def _dry_run(plan: CampaignPlan, as_json: bool) -> int:
-    from station.campaign.shown.dry_run import dry_run_document, print_dry_run
-    from station.plan.prediction import predict
+    from station.campaign.messages import dry_run_document, print_dry_run
+    from station.plan import predict
 
     predictions = [predict(step.measurement, step.settings) for step in plan.steps]
     times = [one.seconds for one in predictions]
@@ -102,10 +100,9 @@ def _dry_run(plan: CampaignPlan, as_json: bool) -> int:
 
 
 def _test(plan: CampaignPlan, given: dict[str, Any]) -> int:
-    from station.campaign.bench.in_use import bench_in_use
+    from station.campaign.bench import bench_in_use
     from station.campaign.conduct import conduct
-    from station.campaign.journal import test_to_resume
-    from station.campaign.log import station_log
+    from station.campaign.journal import station_log, test_to_resume
 
     _check_bench(plan)
     resumed = None
@@ -135,7 +132,7 @@ def _check_bench(plan: CampaignPlan) -> None:
     """Refuse a unit where the bench is not in control by its reference unit. Raises OutOfControl."""
     if plan.reference is None or plan.is_reference:
         return
-    from station.history.bench import in_control
+    from station.history import in_control
 
     every_s, now = 3600 * plan.reference.every_h, datetime.now(UTC)
     unit, simulated = plan.reference.unit, plan.simulated
@@ -146,7 +143,7 @@ def _check_bench(plan: CampaignPlan) -> None:
 
 def _ask_for_unit(plan: CampaignPlan) -> None:
     """Let the operator bring the unit to the bench; UsageError where there is nobody."""
-    from station.runs.operator import WIRING, ask_operator
+    from station.operator import WIRING, ask_operator
 
     if not sys.stdin or not sys.stdin.isatty():
         raise UsageError(
@@ -163,7 +160,7 @@ def _ask_for_unit(plan: CampaignPlan) -> None:
 
 def _write_record(outcome: CampaignOutcome, evaluated: dict[str, Evaluated]) -> tuple[Path | None, Failure | None]:
     """Write the record of the test; its page, or what kept it from that."""
-    from station.record.write import write_record
+    from station.campaign.record import write_record
 
     try:
         return write_record(outcome, evaluated=evaluated).page, None
@@ -172,9 +169,8 @@ def _write_record(outcome: CampaignOutcome, evaluated: dict[str, Evaluated]) -> 
 
 
 def _tell(outcome: CampaignOutcome, given: dict[str, Any], page: Path | None) -> None:
-    from station.campaign.shown.console import print_outcome
-    from station.campaign.shown.words import outcome_document
-    from station.results.as_json import plain
+    from station.campaign.messages import outcome_document, print_outcome
+    from station.results.result import plain
 
     if given["as_json"]:
         files: dict[str, str | None] = {"page": None, "record": None}

@@ -7,8 +7,10 @@ bytes of an oscilloscope's record are its codes; whatever else an instrument sen
 
 from __future__ import annotations
 
+import importlib
 import json
 import math
+import zlib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -17,11 +19,63 @@ import numpy as np
 from numpy.typing import NDArray
 
 from instrument import InstrumentError, Preamble
-from station.datasets.outputs import Floats, bytes_of, packed, unpacked
-from station.errors import RunError
-from station.runs.layouts import TODAY
+from station.errors import RunError, UsageError
+from station.runs.database import TODAY
 from station.runs.store import SavedRecord
-from station.sources.source import Source
+from station.sources.batches import Source
+
+# --------------------
+# Output of a fibre gyro as columns: times, counts, temperature and what else its frames hold.
+#
+# A record of it is a stretch of output. In a run its columns are packed; in a data set they stand as they are, for
+# other programs, and the checksum of the row is over them
+
+
+Floats = NDArray[np.float64]
+
+OUTPUTS = ("output_time_s", "output_counts", "output_temperature", "output_status", "output_extra")
+"""Columns of a data set. A stretch without a temperature or a status has none there; further columns, which its
+header names, stand one behind the other in the last."""
+
+_CALLED = dict(zip(("times", "counts", "temperature", "status"), OUTPUTS, strict=False))
+
+
+def unpacked(header: str, payload: bytes) -> dict[str, Floats] | None:
+    """Return the output that a record of a run holds, by the names of `OUTPUTS`."""
+    if not header.startswith("{"):
+        return None
+    try:
+        names = json.loads(header)["columns"]
+        data = zlib.decompress(payload)
+        table = np.frombuffer(data, "<f8").reshape(len(names), -1)
+        found: dict[str, Floats] = {name: np.empty(0) for name in OUTPUTS}
+        found |= {_CALLED[name]: column for name, column in zip(names, table, strict=True) if name in _CALLED}
+        further = [column for name, column in zip(names, table, strict=True) if name not in _CALLED]
+        found[OUTPUTS[-1]] = np.concatenate([np.empty(0), *further])
+        return found if data and bytes_of(header, found) == data else None
+    except (zlib.error, ValueError, KeyError, TypeError):
+        return None
+
+
+def bytes_of(header: str, outputs: Mapping[str, Floats]) -> bytes:
+    """Return the columns one behind the other, as the header names them: what the checksum is over."""
+    names: Sequence[str] = json.loads(header)["columns"]
+    length = len(outputs[OUTPUTS[0]])
+    if not length:
+        return b""
+    further = iter(np.asarray(outputs[OUTPUTS[-1]], np.float64).reshape(-1, length))
+    columns = [outputs[_CALLED[name]] if name in _CALLED else next(further, np.empty(0)) for name in names]
+    if any(len(column) != length for column in columns) or next(further, None) is not None:
+        raise ValueError("the columns of an output are not of one length")
+    # nan of every kind is one and the same in text: other bits than its usual ones would be lost there
+    return b"".join(np.where(np.isnan(column), np.nan, column).astype("<f8").tobytes() for column in columns)
+
+
+def packed(header: str, outputs: Mapping[str, Floats]) -> tuple[bytes, bytes]:
+    """Return the payload of a record in a run, and what its sum in a data set is over; errors as `bytes_of`."""
+    data = bytes_of(header, outputs)
+    return zlib.compress(data, 1), data
+
 
 VERSION = 2
 SCHEMA = {"name": "gyrolock records", "version": VERSION}
@@ -221,3 +275,21 @@ def _joined(parts: Sequence[Rows]) -> Rows:
     payloads = [payload for part in parts for payload in part.payloads]
     outputs = [output for part in parts for output in part.outputs]
     return Rows(columns, payloads, np.concatenate([part.coded for part in parts]), outputs)
+
+
+# --------------------
+# Packages that only some need, imported when they are
+
+
+class MissingPackage(UsageError, ImportError):
+    """An extra is not installed."""
+
+
+def package(name: str, extra: str = "data") -> Any:
+    """Import a package of an extra."""
+    try:
+        return importlib.import_module(name)
+    except ImportError:
+        raise MissingPackage(
+            f"{name.partition('.')[0]} is not installed: pip install 'gyrolock[{extra}]'"
+        ) from None

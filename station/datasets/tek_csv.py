@@ -11,12 +11,11 @@ import numpy as np
 
 from instrument import InstrumentError, Preamble, Waveform
 from instrument.tek_files import csv_text
-from station.datasets.writing import Exported
+from station.datasets.data_set import Exported
 from station.errors import CannotWrite, StationError, UsageError
-from station.runs.facts import RunFacts
+from station.runs.database import RunFacts
 from station.runs.store import SavedRecord
-from station.sources.batches import LeftOut
-from station.sources.source import Source
+from station.sources.batches import LeftOut, Source
 
 _SECOND = "quadrature"  # of the same acquisition as the record before it
 _SIDE_FILE = "gyrolock.toml"

@@ -1,25 +1,133 @@
-"""Step through the rates, up and down, and keep what the oscilloscope shows at each: a beat or none."""
+"""Settings of ``gyrolock deadband``: ``config/dead_band.toml``, and a user's file that holds what differs."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from itertools import groupby
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import Field
 
 from analysis import earth_rate_on_axis
 from analysis.rotation import EARTH_RATE_DPS
 from instrument import ManualRateTable, Waveform
-from station.dead_band.settings import DeadBandSettings
-from station.dead_band.sweep import Step, sweep, time_base
-from station.errors import NoUsableSignal
-from station.ring_laser.at_once import harmonics_of
-from station.ring_laser.bench import Bench
-from station.ring_laser.open import open_for
-from station.ring_laser.records import acquisition_records, set_up, take_record
-from station.ring_laser.table_answer import Beats, beats_at
-from station.runs.store import RunWriter
-from station.runs.taking import Session
-from station.scope.autoset import KnobPositions, find_beat
+from instrument.scpi import SCAN_FROM, TIME_BASES
+from station.controllers import ControllersSettings, with_controllers
+from station.errors import NoUsableSignal, SettingsError
+from station.live.preview import See, Seen, Value, harmonics_of, trace_of_beat, waveform_of
+from station.ring_laser.bench import Beats, beats_at, open_for
+from station.ring_laser.records import Bench, acquisition_records, set_up, take_record
+from station.ring_laser.settings import GyroSettings, ScopeSettings, SimulationSettings
+from station.runs.acquisition import Session
+from station.runs.store import NewRecord, RunWriter
+from station.scope.autoset import KnobPositions, find_beat, oscilloscope_steps
+from station.settings import (
+    Finite,
+    Limit,
+    NotNegative,
+    OutputSettings,
+    SettingsKind,
+    SettingsSection,
+    SiteSettings,
+)
+
+
+class TableSettings(SettingsSection):
+    """The rate table under the gyro."""
+
+    kind: Literal["simulated", "manual", "controller"]
+    settle_s: NotNegative
+    tilt_deg: Annotated[float, Field(ge=0, lt=90)]
+    north_azimuth_deg: Finite
+    rate_u_dps: NotNegative
+
+
+class SweepSettings(SettingsSection):
+    """Rates, how many records at each, and what a record shall look like."""
+
+    highest_over_lock_in: Annotated[float, Field(gt=1, le=1000)]
+    steps: Annotated[int, Field(ge=2, le=10_000)]
+    rates_over_lock_in: tuple[Annotated[float, Field(gt=0, le=1000)], ...] = ()
+    records: Annotated[int, Field(ge=1, le=1000)]
+    periods_min: Annotated[float, Field(ge=3, le=500)]
+    samples_per_period_min: Annotated[float, Field(ge=5, le=500)]
+    fill_levels: Annotated[float, Field(ge=10, le=120)]
+
+
+class LimitSettings(SettingsSection):
+    """Limits; one that is absent is not tested. Names as in the JSON of a result."""
+
+    dead_band_dps: Limit = None
+    lock_in_rate_dps: Limit = None
+    lock_in_rate_u_dps: Limit = None
+    bias_rate_dps: Limit = None
+    hysteresis_dps: Limit = None
+    bias_drift_dps: Limit = None
+
+
+class DeadBandSettings(SettingsSection):
+    """All settings of a sweep. ``simulation`` is absent on a real bench."""
+
+    gyro: GyroSettings
+    site: SiteSettings
+    table: TableSettings
+    scope: ScopeSettings
+    sweep: SweepSettings
+    output: OutputSettings
+    controllers: ControllersSettings | None = None
+    simulation: SimulationSettings | None = None
+    limits: LimitSettings = LimitSettings()
+
+    @property
+    def simulated(self) -> bool:
+        """Whether the bench is simulated: no oscilloscope is named."""
+        return not self.scope.resource
+
+    @property
+    def turning_dps(self) -> float:
+        """A simulated table rests at the beginning."""
+        return 0.0
+
+
+def _adapt(values: dict[str, Any]) -> None:
+    """Let an operator turn the table under a real gyro: a simulated one cannot."""
+    scope, table = values.get("scope"), values.get("table")
+    if isinstance(scope, dict) and scope.get("resource"):
+        values.pop("simulation", None)
+        if isinstance(table, dict) and table.get("kind") == "simulated":
+            table["kind"] = "manual"
+
+
+def _check(settings: DeadBandSettings, path: Path) -> DeadBandSettings:
+    if settings.simulated and settings.simulation is None:
+        raise SettingsError(f"{path}: scope.resource is empty and there is no [simulation]: name the oscilloscope")
+    if settings.simulated and settings.table.kind == "manual":
+        raise SettingsError(f'{path}: table.kind = "manual": an operator cannot turn a simulated table')
+    rates = settings.sweep.rates_over_lock_in
+    if rates and max(rates) <= 1:
+        raise SettingsError(
+            f"{path}: sweep.rates_over_lock_in: the highest, {max(rates):g}, must lie beyond lock-in: above 1"
+        )
+    if settings.scope.quadrature_channel:
+        raise SettingsError(f"{path}: scope.quadrature_channel: a sweep needs one channel only")
+    return with_controllers(settings, settings.table.kind, path)
+
+
+DEAD_BAND = SettingsKind(
+    model=DeadBandSettings,
+    shipped=lambda given: "dead_band",
+    adapt=_adapt,
+    check=_check,
+    knowledge=("limits.*", "table.tilt_deg", "table.north_azimuth_deg", "table.rate_u_dps"),
+)
+
+
+# --------------------
+# Step through the rates, up and down, and keep what the oscilloscope shows at each: a beat or none
+
 
 PURPOSE = "deadband"
 _SURELY_BEYOND = 1.5
@@ -173,3 +281,100 @@ def _beat_of(waveform: Waveform, settings: DeadBandSettings) -> float:
     fit = harmonics_of(waveform)
     large = _LARGE * settings.sweep.fill_levels * abs(waveform.preamble.ymult)
     return float(fit.frequency) if fit is not None and abs(complex(fit.amplitudes[0])) > large else 0.0
+
+
+# --------------------
+# The sweep: which rates, in which order, each with a time base that follows from the rate alone
+
+
+SLOWEST_S = max(step for step in TIME_BASES if step < SCAN_FROM)
+"""s/div. A slower one would scan in AUTO, and its records be patched."""
+
+_DIVISIONS = 10  # of a record
+
+
+@dataclass(frozen=True)
+class Step:
+    """One rate of the sweep."""
+
+    direction: str  # {"up", "down"}
+    rate_dps: float  # on the gyro's axis, without the earth rate
+
+    def key(self, number: int) -> str:
+        """Key of one of its records; numbers count from 1."""
+        return f"{self.direction} {self.rate_dps:+.9g}, {number}"
+
+
+def sweep(settings: DeadBandSettings) -> list[Step]:
+    """List the steps: from the lowest rate to the highest, and back."""
+    lock_in, asked = settings.gyro.expected_lock_in_rate_dps, settings.sweep
+    if asked.rates_over_lock_in:
+        sizes = sorted({lock_in * size for size in asked.rates_over_lock_in})
+        rates = [*(-size for size in reversed(sizes)), *sizes]
+    else:
+        # a quarter of a step beside zero: the rates of one sense lie halfway between those of the other, so that a
+        # gyro without bias does not meet the same error of the steps twice
+        one = lock_in * asked.highest_over_lock_in / asked.steps
+        rates = [one * (n + 0.25) for n in range(-asked.steps, asked.steps + 1)]
+    return [*(Step("up", rate) for rate in rates), *(Step("down", rate) for rate in reversed(rates[:-1]))]
+
+
+def time_base(step: Step, settings: DeadBandSettings) -> float:
+    """Return the time base of a step, s/div.
+
+    A beat is never faster than scale factor times rate. Below the expected lock-in rate there may be none at all:
+    the record is then as long as one at lock-in, and what it shows is taken as it is.
+    """
+    fastest = settings.gyro.scale_factor_pulses_per_deg * max(
+        abs(step.rate_dps), settings.gyro.expected_lock_in_rate_dps
+    )
+    shape = settings.sweep
+    wanted = oscilloscope_steps().time_base(fastest, shape.periods_min, shape.samples_per_period_min)
+    return min(wanted, SLOWEST_S)
+
+
+def seconds(settings: DeadBandSettings) -> float:
+    """Return how long a sweep takes at least: its records, and the settling after each change of the rate."""
+    steps = sweep(settings)
+    records = sum(_DIVISIONS * time_base(step, settings) for step in steps) * settings.sweep.records
+    return records + len(steps) * settings.table.settle_s
+
+
+def fastest_table_rate(settings: DeadBandSettings) -> float:
+    """Return the fastest rate of the table in a sweep, deg/s."""
+    fastest = max(abs(step.rate_dps) for step in sweep(settings))
+    return fastest / math.cos(math.radians(settings.table.tilt_deg))
+
+
+# --------------------
+# What one record of the sweep shows as soon as it is there, a beat or none: for those who watch
+
+
+_BEAT = 0.25
+"""Of the largest swing so far: less than this is no beat, but noise or the edge of one."""
+
+
+def watch(settings: DeadBandSettings) -> See:
+    """Return what looks at records of `gyrolock deadband` as they come."""
+    return _Watch()
+
+
+class _Watch:
+    def __init__(self) -> None:
+        self._largest = 0.0
+
+    def __call__(self, records: Sequence[NewRecord]) -> Seen | None:
+        record = records[0]
+        waveform = waveform_of(record)
+        fit = harmonics_of(waveform)
+        amplitude = 0.0 if fit is None else abs(complex(fit.amplitudes[0]))
+        self._largest = max(self._largest, amplitude)
+        beats = fit is not None and amplitude > _BEAT * self._largest
+        frequency = float(fit.frequency) if fit is not None and beats else math.nan
+        rate = float(record.conditions["rate_dps"])  # type: ignore[arg-type]  # plain JSON
+        values = (
+            Value("rate_dps", rate, math.nan, f"{rate:+.5g} deg/s"),
+            Value("beat_frequency_hz", frequency, math.nan, f"{frequency:.5g} Hz" if beats else "no beat"),
+        )
+        group = str(record.conditions["direction"])
+        return Seen(record.key, group, values, values, trace=trace_of_beat(waveform, fit if beats else None))

@@ -2,25 +2,150 @@
 
 from __future__ import annotations
 
+import stat
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeVar
 
 import click
 
-from station.fibre_gyro.constants.command import constants
-from station.fibre_gyro.sniff.command import command as sniff
-from station.shell.command import hold_a_run, run_measurement
+from station.errors import EXIT_NO_SIGNAL, EXIT_OK
 from station.shell.options import (
     CHANNELS,
     SuggestingGroup,
     config_option,
+    hold_a_run,
     json_option,
     positive,
     report_option,
+    run_measurement,
     run_options,
+    transcript_option,
 )
-from station.terminal.lines import print_json, say
+from station.terminal import print_json, say
+
+# --------------------
+# ``gyrolock fog sniff``: which description of frames fits a gyro
+
+
+@click.command("sniff")
+@click.argument("source", metavar="PORT|FILE")
+@click.option(
+    "--formats",
+    "own",
+    type=click.Path(path_type=Path),
+    metavar="FILE",
+    multiple=True,
+    help="TOML file with descriptions of your own, tried beside those that come with the program.",
+)
+@click.option("--seconds", type=click.FloatRange(0.2, 600), default=3.0, help="To listen with each setting [3].")
+@click.option("--baud", type=click.IntRange(50, 12_000_000), metavar="N", help="Only this baud rate.")
+@click.option("--poll", is_flag=True, help="Ask gyros that send only when they are asked; this sends bytes.")
+@transcript_option
+@json_option
+def sniff_command(
+    source: str, own: tuple[Path, ...], seconds: float, baud: int | None, poll: bool, as_json: bool
+) -> int:
+    """Find the frame format of a gyro on a serial PORT, or of bytes saved in a FILE.
+
+    Every description that comes with the program, and yours, is tried: frames, rate by the computer's clock, gaps
+    of the counter, checksums, bytes left over. One is proposed; if none fits, the length of the frames and what is
+    constant in them is shown (exit code 4).
+    """
+    from station.fibre_gyro.sniff import document_of, known_formats, show, sniff_file, sniff_port
+    from station.terminal import print_json, remark
+
+    formats = known_formats()
+    if own:
+        formats |= known_formats(list(own))  # a name of the user's own wins
+    path = Path(source)
+    if path.is_dir():
+        raise click.UsageError(f"{source}: is a folder; give a port, or a file with the gyro's bytes")
+    if _is_port(source, path):
+        found = sniff_port(source, formats, seconds=seconds, baud=baud, poll=poll, tell=remark)
+    else:
+        found = sniff_file(path, formats)
+    if as_json:
+        print_json(document_of(found, formats))
+    else:
+        show(found, formats)
+    return EXIT_OK if found.proposed is not None else EXIT_NO_SIGNAL
+
+
+def _is_port(source: str, path: Path) -> bool:
+    """Whether a name is that of a port: no file of that name is there, or it is a device."""
+    try:
+        return not stat.S_ISREG(path.stat().st_mode)
+    except OSError:
+        return not path.suffix or "://" in source or source.startswith("/dev/")
+
+
+# --------------------
+# ``gyrolock fog constants``: what a run gives the gyro's own logic
+
+
+@click.command("constants")
+@click.argument("run", type=click.Path(path_type=Path), metavar="RUN")
+@click.option("--vhdl", type=click.Path(path_type=Path), metavar="FILE", help="Write a VHDL package.")
+@click.option("--c", "c", type=click.Path(path_type=Path), metavar="FILE", help="Write a C header.")
+@click.option("--csv", type=click.Path(path_type=Path), metavar="FILE", help="Write a table.")
+@click.option("--axis", default="", metavar="AXIS", help="Which, where the run has several.")
+@click.option(
+    "--numbers",
+    type=click.Choice(["differences", "fit"]),
+    default="differences",
+    show_default=True,
+    help="Of a rate-table run: as in the patent, or K by least squares times the rate.",
+)
+@click.option(
+    "--unit",
+    type=click.Choice(["codes", "counts"]),
+    default="codes",
+    show_default=True,
+    help="Of numbers: codes of the staircase's step, or counts of the output.",
+)
+@click.option("--width", type=click.IntRange(2, 64), metavar="BITS", help="Of a word, with its sign.")
+@click.option("--fraction", type=click.IntRange(-32, 96), metavar="BITS", help="Behind the point.")
+@click.option(
+    "--rounding",
+    type=float,
+    callback=positive,
+    metavar="PPM",
+    help="Largest rounding error; without it, and without --width and --fraction, a tenth of the uncertainty.",
+)
+@click.option("--floats", is_flag=True, help="Doubles in the C header instead of words.")
+@click.option("--replace", is_flag=True, help="Write over files that are there.")
+@json_option
+def constants(run: Path, as_json: bool, **given: Any) -> int:
+    """Constants for the gyro's own logic: VHDL, C and CSV; word widths, and what the rounding costs.
+
+    RUN is a saved run of `table` or `selfcal`, which gives the numbers N of small rates, or of `temperature`,
+    which gives the compensation table.
+    """
+    from station.fibre_gyro.constants import (
+        Wanted,
+        constants_document,
+        constants_of,
+        constants_table,
+        write_constants,
+    )
+    from station.live.console import stdout_console
+    from station.report.show import text_table
+
+    if given["rounding"] and (given["width"] or given["fraction"] is not None):
+        raise click.UsageError("--rounding chooses the words; --width and --fraction give them")
+    names = ("axis", "numbers", "unit", "width", "fraction")
+    found = constants_of(run, Wanted(**{name: given[name] for name in names}, error_ppm=given["rounding"]))
+    files = {kind: given[kind] for kind in ("vhdl", "c", "csv") if given[kind] is not None}
+    write_constants(found, files, floats=given["floats"], replace=given["replace"])
+    if as_json:
+        print_json(constants_document(found, files))
+        return 0
+    stdout_console().print(text_table(constants_table(found)))
+    for path in files.values():
+        say(f"saved   {path}")
+    return 0
+
 
 _UNITS = ["counts", "deg/s", "deg/h", "rad/s"]
 F = TypeVar("F", bound=Callable[..., Any])
@@ -36,7 +161,7 @@ def command() -> None:
     """
 
 
-command.add_command(sniff)
+command.add_command(sniff_command)
 command.add_command(constants)
 
 
@@ -98,7 +223,7 @@ def _with_noise(
     name: str, paths: tuple[Path, ...], noise: Path | None, given: dict[str, Any], known: dict[str, Any]
 ) -> int:
     """Run what a noise model belongs to."""
-    from station.fibre_gyro.allan.noise_model import noise_facts
+    from station.fibre_gyro.allan import noise_facts
 
     if noise is not None and given["resume"] is not None:
         raise click.UsageError("--noise belongs to a new run, or to one that is finished: go on with it first")
@@ -130,7 +255,7 @@ def selfcal(paths: tuple[Path, ...], table_run: Path | None, noise: Path | None,
         return _with_noise("selfcal", paths, noise, given, {})
     if given["resume"] is not None or hold_a_run(paths):
         raise click.UsageError("--table belongs to a new run; a run that was begun has its numbers")
-    from station.fibre_gyro.selfcal.numbers import facts_of_table
+    from station.fibre_gyro.selfcal import facts_of_table
     from station.fibre_gyro.settings import load_fog_settings
 
     return _with_noise(
@@ -202,7 +327,7 @@ def settings_file(serial: bool, config: Path | None, as_json: bool) -> int:
 
     With --json, or with --config FILE, the values that would be used are printed instead of the file.
     """
-    from station.settings.load import shipped_settings
+    from station.settings import shipped_settings
 
     shipped = shipped_settings("fibre_gyro_serial" if serial else "fibre_gyro")
     if config is not None or as_json:
@@ -238,7 +363,7 @@ def serve(
 
     from station.fibre_gyro.served import serve_gyro
     from station.fibre_gyro.settings import load_fog_settings
-    from station.fibre_gyro.sniff.known import read_frame_format
+    from station.fibre_gyro.sniff import read_frame_format
 
     settings = load_fog_settings(config, {"link": {"frame_format": named}} if named else None)
     layout = read_frame_format(settings)

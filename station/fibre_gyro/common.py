@@ -11,13 +11,11 @@ import numpy as np
 
 from analysis.fibre_gyro import ClosedLoop, largest_step, predicted_table_scale
 from instrument.fibre_gyro import ANGLES, HOST_CLOCK_U, HostClock
-from station.fibre_gyro.recordings import Segment, segments_of
+from station.fibre_gyro.bench import loop_settings, quiet
+from station.fibre_gyro.segments import Segment, segments_of
 from station.fibre_gyro.settings import FogSettings
-from station.fibre_gyro.simulated_bench import loop_settings, quiet
 from station.report.figure import ACCENT, INK, SECOND, SOFT, THIRD, svg_element
-from station.results.numbers import with_uncertainty
-from station.results.parts import FactTable, PlacedFigure, Rows, Section
-from station.results.result import LeftOut, Result
+from station.results.result import FactTable, LeftOut, PlacedFigure, Result, Rows, Section, with_uncertainty
 from station.runs.store import SavedRun
 
 if TYPE_CHECKING:

@@ -1,20 +1,6 @@
-"""Saved logs as a run: a list in CSV says which file was taken under which conditions.
+"""What the tests of a fibre gyro have in common: segments are taken on the bench, or logs stand for them.
 
-The list has one line for each stretch of output and a header with the names of its columns:
-
-    file               CSV of the gyro's output (time, counts, temperature), beside the list
-    start_s, stop_s    optional: the part of the file, by its own times; for a table rate it must be whole turns
-    axis, rate_dps     table and figures: which axis, at which signed rate of the table; 0 at rest; in a file with
-                       the outputs of three axes it also says which of them is meant
-    table_rate_dps     optional: the rate that the table really had
-    base_dps           optional, threshold: the rate about which a change was made, for the resolution
-    end_up             optional: -1 where the axis pointed down
-    stands_for_dps     selfcal: the rate that the injected step stands for, 0 at rest
-    number             selfcal: the injected step in counts, 0 at rest
-    number_u           optional, selfcal: its standard uncertainty, how well it stands for the rate
-    step_codes         eps: the injected step in codes
-    run, temperature_c optional, figures: name of the run and its temperature
-    since_on_s         optional, figures: 0 for the output from switching on, for the transient
+A test says which segments it plans, and what the rows of a list of logs are; the rest is the same for all.
 """
 
 from __future__ import annotations
@@ -22,18 +8,151 @@ from __future__ import annotations
 import csv
 import io
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
-from instrument import FileFormatError
+from instrument import FileFormatError, InstrumentError
 from instrument.fibre_gyro import GyroLog, LogChoices, Losses, Recording, read_log
-from instrument.small_files import open_plain_file, read_small_file
-from station.errors import UsageError
-from station.fibre_gyro.settings import FogSettings
+from instrument.text_files import open_plain_file, read_small_file
+from station.errors import StationError, UsageError, one_line
+from station.fibre_gyro.bench import open_fog_bench
+from station.fibre_gyro.common import output_facts, truth_of, with_link_remarks
+from station.fibre_gyro.segments import (
+    PlannedSegment,
+    recording_of,
+    seconds_of,
+    take_logs,
+    take_segments,
+    unusable_segments,
+)
+from station.fibre_gyro.settings import FIBRE_GYRO, FogSettings
+from station.live.preview import See, Seen, Trace, Value
+from station.measurements import Measurement
+from station.results.result import Check, Result, Section, with_uncertainty
+from station.runs.acquisition import Session
+from station.runs.store import NewRecord, SavedRun
+
+F = TypeVar("F")
+NamedSegment = tuple[str, dict[str, Any]]
+"""Name and conditions."""
+Take = Callable[[FogSettings, Session], None]
+TakeFiles = Callable[[FogSettings, Sequence[Path], Session], None]
+
+_LOOK_S = 2.0
+
+
+def planned_segments(
+    plan: Callable[[FogSettings], Sequence[PlannedSegment]],
+    left_out: Callable[[FogSettings], Mapping[str, str]] = lambda settings: {},
+) -> Take:
+    """Return what takes on the bench the segments that are planned."""
+
+    def take(settings: FogSettings, session: Session) -> None:
+        bench, facts = open_fog_bench(settings), truth_of(settings)
+        take_segments(settings, session, bench, [lambda run: plan(settings)], facts, left_out(settings))
+
+    return take
+
+
+def listed_logs(
+    purpose: str,
+    columns: Sequence[str],
+    named: Callable[[Sequence[LogRow], FogSettings], Sequence[NamedSegment]],
+    *,
+    whole: bool = False,
+) -> TakeFiles:
+    """Return what makes a run of the logs that lists name."""
+
+    def take(settings: FogSettings, paths: Sequence[Path], session: Session) -> None:
+        lists = [path for path in paths if not whole or is_list(path)]
+        logs = read_whole_logs([path for path in paths if path not in lists], purpose, settings)
+        if lists:
+            logs += read_logs(lists, purpose, columns, lambda rows: named(rows, settings), settings)
+        take_logs(session, paths, logs)
+
+    return take
+
+
+def gyro_measurement(
+    name: str,
+    title: str,
+    *,
+    take: Take,
+    take_files: TakeFiles,
+    evaluate: Callable[[SavedRun, FogSettings, Mapping[str, Any]], F],
+    result: Callable[[F, SavedRun, FogSettings], Result],
+    sections: Callable[[F, SavedRun, FogSettings, Result], list[Section]],
+    gives: tuple[str, ...],
+    plan: Callable[[FogSettings], Sequence[PlannedSegment]] | None = None,
+    purposes: Sequence[str] = (),
+    unusable: Callable[[SavedRun, FogSettings], Mapping[str, str]] | None = None,
+    choices: tuple[str, ...] = (),
+) -> Measurement[FogSettings, F]:
+    """Return the measurement ``gyrolock fog NAME``; see :class:`station.measurements.Measurement`."""
+    return Measurement(
+        name=name,
+        command=f"gyrolock fog {name}",
+        title=title,
+        kind=FIBRE_GYRO,
+        take=take,
+        take_files=take_files,
+        evaluate=evaluate,
+        result=with_link_remarks(result),
+        sections=sections,
+        facts=output_facts,
+        gives=gives,
+        watch=watch,
+        examine=examine,
+        unusable=unusable or (lambda run, settings: unusable_segments(run, settings, purposes or (name,))),
+        choices=choices,
+        seconds=lambda settings: None if plan is None else seconds_of(plan(settings)),
+    )
+
+
+def examine(settings: FogSettings) -> list[Check]:
+    """Look at the bench before a campaign: does it send frames at rest, and without losses."""
+    told: list[str] = []
+    try:
+        with open_fog_bench(settings, tell=told.append) as bench:
+            planned = PlannedSegment("look", _LOOK_S, 0.0, {"purpose": "look", "rate_dps": 0.0})
+            recording = bench.record(planned, lambda seconds: None)
+    except (InstrumentError, StationError, OSError) as error:
+        return [Check("fibre gyro", "bad", one_line(error))]
+    at = settings.link.port or "the simulated bench"
+    losses, clock = recording.losses, recording.host_clock
+    text = f"{losses.good} frames in {_LOOK_S:g} s at {at}, {losses.missing} missing"
+    state: list[Check] = [Check("fibre gyro", "note" if losses.missing else "ok", text)]
+    if clock is not None and clock.used:
+        said = f"{clock} against the computer's: it is measured and allowed for"
+        state.append(Check("gyro's clock", "note", said))
+    state += [Check("frame format", "bad", doubt) for doubt in recording.doubts]
+    return [*state, *(Check("bench", "note", one) for one in told)]
+
+
+# --------------------
+# Saved logs as a run: a list in CSV says which file was taken under which conditions.
+#
+# The list has one line for each stretch of output and a header with the names of its columns:
+#
+#     file               CSV of the gyro's output (time, counts, temperature), beside the list
+#     start_s, stop_s    optional: the part of the file, by its own times; for a table rate it must be whole turns
+#     axis, rate_dps     table and figures: which axis, at which signed rate of the table; 0 at rest; in a file
+# with
+#                        the outputs of three axes it also says which of them is meant
+#     table_rate_dps     optional: the rate that the table really had
+#     base_dps           optional, threshold: the rate about which a change was made, for the resolution
+#     end_up             optional: -1 where the axis pointed down
+#     stands_for_dps     selfcal: the rate that the injected step stands for, 0 at rest
+#     number             selfcal: the injected step in counts, 0 at rest
+#     number_u           optional, selfcal: its standard uncertainty, how well it stands for the rate
+#     step_codes         eps: the injected step in codes
+#     run, temperature_c optional, figures: name of the run and its temperature
+#     since_on_s         optional, figures: 0 for the output from switching on, for the transient
+
 
 _LARGEST_LIST = 8_000_000  # bytes
 _NUMBERS = (
@@ -240,3 +359,31 @@ def table_conditions(row: LogRow) -> dict[str, Any]:
     if "start_s" in row and "stop_s" in row and row["rate_dps"]:
         found["window_s"] = row["stop_s"] - row["start_s"]
     return found
+
+
+# --------------------
+# What one stretch of output says as soon as it is there, its mean and its course: for those who watch
+
+
+_POINTS = 240
+
+
+def watch(settings: Any) -> See:
+    """Return what looks at stretches of output as they come, whatever test they are of."""
+    return _seen
+
+
+def _seen(records: Sequence[NewRecord]) -> Seen | None:
+    record = records[0]
+    recording = recording_of(record)
+    counts = recording.counts
+    if counts.size == 0:
+        return Seen(record.key, record.purpose, (), flags=("empty",))
+    mean, u = float(counts.mean()), float(counts.std() / math.sqrt(counts.size)) if counts.size > 1 else math.nan
+    values = (Value("output_counts", mean, u, with_uncertainty(mean, u, "counts"), counts.size),)
+    # neighbours are taken together: of a long stretch the mean of each part is shown
+    parts = np.array_split(counts, min(_POINTS, counts.size))
+    samples = [float(f"{part.mean():.6g}") for part in parts]
+    flags = () if recording.complete else ("gaps",)
+    trace = Trace(recording.duration_s, "counts", samples)
+    return Seen(record.key, record.key, values, values, flags=flags, trace=trace)

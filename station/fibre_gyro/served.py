@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 from analysis.fibre_gyro import OutputModel
 from analysis.rotation import EARTH_RATE_DPS
 from instrument.fibre_gyro import FrameFormat, counts_per_unit
-from instrument.simulated.fibre_gyro.server import PtyGyroServer, TcpGyroServer
+from instrument.simulated.fibre_gyro import PtyGyroServer, TcpGyroServer
 from station.errors import UsageError
+from station.fibre_gyro.bench import as_the_gyro_sees, loop_settings
 from station.fibre_gyro.settings import FogSettings
-from station.fibre_gyro.simulated_bench import as_the_gyro_sees, loop_settings
 
 
 class ServedGyro:

@@ -9,17 +9,19 @@ from typing import Annotated, Any, Literal
 from pydantic import Field
 
 from analysis.fibre_gyro import FibreCoil
-from station.controllers.settings import ControllersSettings, with_controllers
+from station.controllers import ControllersSettings, with_controllers
 from station.errors import SettingsError
-from station.settings.load import SettingsKind, Values, load
-from station.settings.parts import (
+from station.settings import (
     Finite,
     Limit,
     NotNegative,
     OutputSettings,
     Positive,
+    SettingsKind,
     SettingsSection,
     SiteSettings,
+    Values,
+    load,
 )
 
 Rates = Annotated[list[Positive], Field(min_length=1)]
@@ -272,7 +274,7 @@ class FogSettings(SettingsSection):
 
 
 def load_fog_settings(path: Path | None = None, overrides: Values | None = None) -> FogSettings:
-    """Read the settings; arguments and errors as :func:`station.settings.load.load`."""
+    """Read the settings; arguments and errors as :func:`station.settings.load`."""
     return load(FIBRE_GYRO, path, overrides)
 
 

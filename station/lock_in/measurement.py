@@ -2,22 +2,160 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any
 
+import numpy as np
+
+from analysis import HarmonicFit, fit_rate_ratios, lock_in_from_beat
+from analysis.arrays import NoFit
 from analysis.lock_in_run import Method
-from station.lock_in.found import LockInFound
-from station.lock_in.presentation.at_once import watch
-from station.lock_in.presentation.documents import record_documents
-from station.lock_in.presentation.sections import sections
-from station.lock_in.presentation.tables import fact_tables
-from station.lock_in.read import evaluate_run, evaluate_source
-from station.lock_in.result import result
+from station.live.preview import See, Seen, Value, harmonics_of, trace_of_beat, waveform_of
+from station.lock_in.evaluate import LockInFound, evaluate_run, evaluate_source
+from station.lock_in.report import sections
+from station.lock_in.result import fact_tables, record_documents, result
 from station.lock_in.settings import RING_LASER, LimitSettings, Settings
 from station.lock_in.take import take
 from station.measurements import Measurement
-from station.ring_laser.examine import examine
-from station.runs.store import SavedRun
+from station.results.result import with_uncertainty
+from station.ring_laser.bench import examine
+from station.runs.store import NewRecord, SavedRun
+
+# --------------------
+# What one record says of the lock-in rate as soon as it is there, and all so far: for those who watch.
+#
+# These values know the noise of the records and nothing else; the result, at the end, counts every input. They
+# come from a fit that takes milliseconds: that of the result also follows a rate that moves within a record
+
+
+_SHARE = 0.2  # of the time at most goes into fitting several rates together, which takes a tenth of a second
+_LARGEST = 0.99  # square of a ratio; that of a beat is below 1
+
+
+def watch(settings: Settings) -> See:
+    """Return what looks at records of `gyrolock measure` as they come."""
+    return _Watch(settings.gyro.scale_factor_pulses_per_deg)
+
+
+@dataclass
+class _Rate:
+    """Records at one rate and in one sense."""
+
+    sense: int
+    # of each record: rho = c2 |c1| / c1^2, the standard uncertainty of either part, and the beat's frequency
+    ratios: list[complex] = field(default_factory=list)
+    ratio_us: list[float] = field(default_factory=list)
+    beats: list[float] = field(default_factory=list)
+
+    def add(self, fit: HarmonicFit) -> None:
+        first, second = complex(fit.amplitudes[0]), complex(fit.amplitudes[1])
+        self.ratios.append(second * abs(first) / first**2)
+        self.ratio_us.append(float(fit.amplitudes_u[1]) / abs(first))
+        self.beats.append(float(fit.frequency))
+
+    @property
+    def ratio(self) -> tuple[complex, float]:
+        """Mean of the complex ratios and its u: of the noise, or of the scatter where that is larger."""
+        mean, count = complex(np.mean(self.ratios)), len(self.ratios)
+        noise = math.sqrt(sum(u * u for u in self.ratio_us)) / count
+        spread = (
+            np.sqrt(np.mean(np.abs(np.array(self.ratios) - mean) ** 2) / 2 / (count - 1)) if count > 1 else 0.0
+        )
+        return mean, max(noise, float(spread))
+
+    @property
+    def beat(self) -> float:
+        return float(np.mean(self.beats))
+
+
+class _Watch:
+    def __init__(self, scale_factor: float) -> None:
+        self._scale_factor = scale_factor
+        self._rates: dict[str, _Rate] = {}
+        self._together: tuple[Value, ...] = ()
+        self._next_at = -math.inf
+
+    def __call__(self, records: Sequence[NewRecord]) -> Seen | None:
+        record = records[0]  # a second photodiode says the same
+        waveform = waveform_of(record)
+        fit, group = harmonics_of(waveform), _group(record)
+        trace = trace_of_beat(waveform, fit)
+        if fit is None:
+            return Seen(record.key, group, (), flags=("no_beat",), trace=trace)
+        alone = _Rate(1)
+        alone.add(fit)
+        sense = -1 if _number(record, "table_rate_dps", 1.0) < 0 else 1
+        rate = self._rates.setdefault(group, _Rate(sense))
+        rate.add(fit)
+        flags = ("clipped",) if waveform.clipped else ()
+        # the fast run is there for the tilt: so weak a second harmonic says little of the lock-in rate
+        if record.purpose == "measure" and (began := time.monotonic()) >= self._next_at:
+            self._together = self._so_far()
+            ended = time.monotonic()
+            self._next_at = ended + (ended - began) / _SHARE
+        return Seen(record.key, group, self._values(alone), self._values(rate), self._together, flags, trace)
+
+    def _values(self, rate: _Rate) -> tuple[Value, ...]:
+        (ratio, u), beat, count = rate.ratio, rate.beat, len(rate.beats)
+        size = math.sqrt(max(abs(ratio) ** 2 - u * u, 0.0))  # noise makes a small complex number larger
+        lock_in, lock_in_u = _lock_in(size, beat / self._scale_factor, u)
+        return (
+            Value("lock_in_rate_dps", lock_in, lock_in_u, with_uncertainty(lock_in, lock_in_u, "deg/s"), count),
+            Value("beat_frequency_hz", beat, math.nan, f"{beat:.5g} Hz", count),
+            Value("ratio", size, u, with_uncertainty(size, u), count),
+        )
+
+    def _so_far(self) -> tuple[Value, ...]:
+        """The lock-in rate that all rates together give, with distortion of the receiver taken out if they can."""
+        rates = [rate for name, rate in self._rates.items() if not name.startswith("tilt")]
+        if len(rates) < 2:
+            return self._values(rates[0])[:1] if rates else ()
+        ratios = [rate.ratio for rate in rates]
+        beats = np.array([rate.beat for rate in rates])
+        squares = np.array([min(abs(ratio) ** 2, _LARGEST) for ratio, _ in ratios])
+        on_axis = np.array([rate.sense for rate in rates]) * beats / self._scale_factor
+        on_axis *= (1 + squares) / (1 - squares)
+        covariance = np.array([u * u * np.eye(2) for _, u in ratios])
+        try:
+            fit = fit_rate_ratios(
+                on_axis,
+                [ratio for ratio, _ in ratios],
+                covariance,
+                beats,
+                scale_factor=self._scale_factor,
+                input_rate_u=math.inf,
+                reference="beat",
+                model="distortion",
+            )
+        except NoFit:
+            return ()
+        value, u = fit.lock_in_rate, fit.lock_in_rate_u
+        count = sum(len(rate.beats) for rate in rates)
+        return (Value("lock_in_rate_dps", value, u, with_uncertainty(value, u, "deg/s"), count),)
+
+
+def _group(record: NewRecord) -> str:
+    """Records at one rate and in one sense."""
+    table, over = _number(record, "table_rate_dps", 1.0), _number(record, "over_lock_in", math.nan)
+    if record.purpose == "measure" and math.isfinite(over):
+        return f"rate {math.copysign(over, table):+g}"
+    return f"{record.purpose} {table:+g}" if "table_rate_dps" in record.conditions else record.purpose
+
+
+def _number(record: NewRecord, name: str, default: float) -> float:
+    value = record.conditions.get(name)
+    return float(value) if isinstance(value, int | float) else default
+
+
+def _lock_in(ratio: float, beat_rate: float, ratio_u: float) -> tuple[float, float]:
+    """Lock-in rate in deg/s of a record that is its own reference, and its u for that of the ratio."""
+    if not 0 <= ratio < 1:
+        return math.nan, math.nan
+    slope = 2 * beat_rate * (1 + ratio**2) / (1 - ratio**2) ** 2
+    return float(lock_in_from_beat(ratio, beat_rate)), slope * ratio_u
 
 
 def evaluate(run: SavedRun, settings: Settings, choices: Mapping[str, Any]) -> LockInFound:

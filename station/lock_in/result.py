@@ -3,12 +3,22 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Any
 
-from station.lock_in.found import LockInFound
-from station.lock_in.presentation.budget_table import budget_sentences, doubt_sentence
-from station.lock_in.presentation.documents import result_document
-from station.lock_in.presentation.rates_sentences import separated_words
-from station.lock_in.presentation.sentences import (
+import numpy as np
+
+from analysis import FrequencyFit, LockInEstimate, RatesFit, RatesFlag, flag_names
+from analysis.budget import Budget
+from analysis.frequency_method import FrequencyFlag
+from analysis.lock_in_run import RateGroup, SeveralRates
+from station.lock_in.evaluate import LockInFound, describe_method
+from station.lock_in.messages import (
+    beat_over_table_words,
+    by_table_words,
+    describe_frequencies,
+    describe_rates,
     flag_sentence,
     flag_sentences,
     interval_words,
@@ -17,16 +27,24 @@ from station.lock_in.presentation.sentences import (
     noise_words,
     quadrature_sentences,
     rates_sentences,
+    remedy_sentence,
+    separated_words,
     span_words,
+    table_sentences,
     truth_is_missed,
     truth_sentence,
 )
-from station.lock_in.presentation.table_sentences import beat_over_table_words, by_table_words, table_sentences
-from station.lock_in.presentation.tables import rates_table, records_table
 from station.lock_in.settings import LimitSettings, Settings
-from station.results.numbers import with_prefix, with_uncertainty
-from station.results.parts import Rows, TextTable
-from station.results.result import Measured, Result
+from station.results.result import (
+    FactTable,
+    Measured,
+    Result,
+    Rows,
+    TextTable,
+    picked,
+    with_prefix,
+    with_uncertainty,
+)
 from station.runs.store import SavedRun
 
 _RECORDS_SHOWN = 40
@@ -155,3 +173,515 @@ def _rate_rows(found: LockInFound) -> Rows:
     if math.isfinite(combined.input_rate):
         rows.append(("rate on the axis", f"{float(combined.input_rate):.6f} deg/s"))
     return rows
+
+
+# --------------------
+# The result as the JSON document holds it, with the names that programs rely on
+
+
+_AT_ONCE = 2000
+"""Records whose documents are made together."""
+
+# name in JSON: field of the estimate. What belongs to one rate alone is null in a run at several.
+_OF_ONE_RATE = {
+    "input_rate_dps": "input_rate",
+    "beat_frequency_hz": "beat_frequency",
+    "beat_frequency_u_hz": "beat_frequency_u",
+    "ratio": "ratio",
+    "ratio_u": "ratio_u",
+}
+_OF_ALL = {
+    "backscatter_phase_rad": "backscatter_phase",
+    "amplitude_v": "amplitude",
+    "noise_rms_v": "noise_rms",
+}
+_TABLE_CHECK = {
+    "lock_in_rate_dps": "lock_in_rate",
+    "lock_in_rate_u_dps": "lock_in_rate_u",
+    "input_rate_dps": "input_rate",
+    "beat_over_table": "beat_over_table",
+    "beat_over_table_u": "beat_over_table_u",
+    "p_value": "p_value",
+    "p_value_by_all": "p_value_by_all",
+    "lock_in_rate_by_frequencies_dps": "by_frequencies",
+    "lock_in_rate_by_frequencies_u_dps": "by_frequencies_u",
+    "least_error_seen": "least_error_seen",
+}
+_SCALE_FACTOR = {
+    "by": "by",
+    "scale_factor_pulses_per_deg": "scale_factor",
+    "scale_factor_u_pulses_per_deg": "scale_factor_u",
+    "p_value": "p_value",
+}
+_FIT = {
+    "lock_in_rate_dps": "lock_in_rate",
+    "lock_in_rate_u_dps": "lock_in_rate_u",
+    "lock_in_rate_low_95_dps": "lock_in_rate_low_95",
+    "lock_in_rate_high_95_dps": "lock_in_rate_high_95",
+    "chi_square": "chi_square",
+    "degrees_of_freedom": "degrees_of_freedom",
+    "p_value": "p_value",
+}
+_RATES_FIT = _FIT | {
+    "backscatter_phase_rad": "backscatter_phase",
+    "backscatter_phase_u_rad": "backscatter_phase_u",
+    "distortion": "distortion",
+    "distortion_u": "distortion_u",
+    "gain_corner_hz": "gain_corner_hz",
+    "gain_corner_low_95_hz": "gain_corner_low_95_hz",
+    "gain_corner_high_95_hz": "gain_corner_high_95_hz",
+    "bandwidth_hz": "bandwidth_hz",
+    "bandwidth_low_95_hz": "bandwidth_low_95_hz",
+    "third_order": "third_order",
+    "third_order_u": "third_order_u",
+    "scale_factor_by_rates_pulses_per_deg": "scale_factor",
+    "scale_factor_by_rates_u_pulses_per_deg": "scale_factor_u",
+    "model": "model",
+    "u_over_u_with_distortion_known": "cost",
+}
+_MODEL = {
+    "model": "model",
+    "lock_in_rate_dps": "lock_in_rate",
+    "lock_in_rate_u_dps": "lock_in_rate_u",
+    "chi_square": "chi_square",
+    "degrees_of_freedom": "degrees_of_freedom",
+}
+_FREQUENCY_FIT = _FIT | {
+    "scale_factor_pulses_per_deg": "scale_factor",
+    "scale_factor_u_pulses_per_deg": "scale_factor_u",
+    "bias_rate_dps": "bias_rate",
+    "bias_rate_u_dps": "bias_rate_u",
+}
+_ALTERNATIVE = {
+    "lock_in_rate_dps": "lock_in_rate",
+    "lock_in_rate_u_dps": "lock_in_rate_u",
+    "distortion": "distortion",
+    "chi_square": "chi_square",
+}
+_LEFT_OUT = {
+    "input_rate_dps": "rate",
+    "lock_in_rate_dps": "lock_in_rate",
+    "lock_in_rate_u_dps": "lock_in_rate_u",
+    "deviation_in_u": "deviation",
+    "p_value": "p_value",
+}
+_GROUP = {
+    "input_rate_dps": "input_rate",
+    "beat_frequency_hz": "beat_frequency",
+    "ratio": "ratio",
+    "ratio_u": "ratio_u",
+    "lock_in_rate_dps": "lock_in_rate",
+    "lock_in_rate_noise_u_dps": "lock_in_rate_u",
+}
+_QUADRATURES = {
+    "records": "records",
+    "sense": "sense",
+    "gain_ratio": "gain_ratio",
+    "gain_ratio_u": "gain_ratio_u",
+    "phase_error_rad": "phase_error",
+    "phase_error_u_rad": "phase_error_u",
+    "distortion": "distortion",
+    "distortion_u": "distortion_u",
+    "images": "images",
+    "sine_alone_dps": "sine_alone",
+    "cosine_alone_dps": "cosine_alone",
+    "flags": "flags",
+}
+
+
+def result_document(found: LockInFound) -> dict[str, Any]:
+    """Return the combined result.
+
+    Units stand in the names; uncertainties are standard ones unless the name says 95, and count every input unless
+    it says noise.
+    """
+    low, high = found.interval_95
+    document = {
+        "lock_in_rate_dps": found.lock_in_rate,
+        "lock_in_rate_u_dps": found.lock_in_rate_u,
+        "lock_in_rate_low_95_dps": low,
+        "lock_in_rate_high_95_dps": high,
+        "lock_in_rate_noise_u_dps": found.noise_u,
+        **_of_one_rate(found),
+        **_of_all(found),
+        "records": len(found.waveforms) + len(found.damaged),
+        "records_rejected": found.records_rejected,
+        "method": found.method_text,
+        "noise_model": found.combined.noise_model,
+        "scale_factor_pulses_per_deg": found.method.scale_factor,
+    }
+    if found.tilt is not None:
+        document |= {"tilt_deg": found.tilt.tilt_deg, "tilt_u_deg": found.tilt.tilt_u_deg}
+    if found.table_check is not None:
+        ways = [picked(one, _SCALE_FACTOR) for one in found.table_check.scale_factors]
+        document["table_check"] = picked(found.table_check, _TABLE_CHECK) | {
+            "scale_factors": ways,
+            "sentences": table_sentences(found),
+        }
+    if found.several is not None:
+        document["several_rates"] = _several_rates(found)
+    if found.quadratures is not None:
+        document["quadratures"] = picked(found.quadratures, _QUADRATURES)
+    if found.budget is not None:
+        document["budget"] = budget_document(found.budget)
+    if found.truth is not None:
+        alone = _OF_ONE_RATE if found.several is not None else ()
+        document["truth"] = {name: None if name in alone else value for name, value in found.truth.items()}
+    return document
+
+
+def _of_one_rate(found: LockInFound) -> dict[str, Any]:
+    """Rate, beat and ratio; several rates have no one value of them: each has its own under ``several_rates``."""
+    if found.several is not None:
+        return dict.fromkeys(_OF_ONE_RATE)
+    return picked(found.combined, _OF_ONE_RATE)
+
+
+def _of_all(found: LockInFound) -> dict[str, Any]:
+    """Phase, amplitude and noise; of several rates the mean amplitude and the rms noise of all records used."""
+    document = picked(found.combined, _OF_ALL)
+    if found.several is not None and (used := found.each.usable).any():
+        document["amplitude_v"] = found.each.amplitude[used].mean()
+        document["noise_rms_v"] = np.sqrt(np.mean(found.each.noise_rms[used] ** 2))
+    return document
+
+
+def record_documents(found: LockInFound, called: str) -> Iterator[dict[str, Any]]:
+    """Yield one document for each record, with the names of :func:`result_document`."""
+    common = {
+        "method": describe_method(found.method),
+        "scale_factor_pulses_per_deg": found.method.scale_factor,
+    }
+    for first in range(0, len(found.names), _AT_ONCE):
+        rows = slice(first, first + _AT_ONCE)
+        some = replace(found, each=found.each[rows], record_u=found.record_u[rows], names=found.names[rows])
+        low, high = some.record_intervals_95
+        columns = {
+            "lock_in_rate_dps": some.each.lock_in_rate,
+            "lock_in_rate_u_dps": some.record_u,
+            "lock_in_rate_low_95_dps": low,
+            "lock_in_rate_high_95_dps": high,
+            "lock_in_rate_noise_u_dps": some.each.lock_in_rate_u,
+            **picked(some.each, _OF_ONE_RATE | _OF_ALL),
+        }
+        flags = some.each.flags.tolist()
+        for name, bits, *values in zip(
+            some.names, flags, *(one.tolist() for one in columns.values()), strict=True
+        ):
+            yield {called: name, **dict(zip(columns, values, strict=True)), **common, "flags": flag_names(bits)}
+
+
+def _several_rates(found: LockInFound) -> dict[str, Any] | None:
+    """What each rate says, and what all of them say together."""
+    several = found.several
+    if several is None:
+        return None
+    by_frequency = several.by_frequency
+    return {
+        "rates": [_group(group) for group in several.groups],
+        "by_beat": None if several.by_beat is None else _rates_fit(several.by_beat),
+        "by_table": None if several.by_table is None else _rates_fit(several.by_table),
+        "by_frequency": None if by_frequency is None else _frequency_fit(by_frequency),
+        "problem": several.problem or None,
+        "rates_without_beat": found.without_beat,
+    }
+
+
+def _rates_fit(fit: RatesFit) -> dict[str, Any]:
+    columns = [getattr(fit.left_out, attribute) for attribute in _LEFT_OUT.values()]
+    return picked(fit, _RATES_FIT) | {
+        "distortion_dbc": 20 * math.log10(abs(fit.distortion)) if fit.distortion else None,
+        "alternatives": [picked(one, _ALTERNATIVE) for one in fit.alternatives],
+        "counted": sorted(fit.counted),
+        "models": [picked(one, _MODEL) for one in fit.models],
+        "left_out": [dict(zip(_LEFT_OUT, row, strict=True)) for row in zip(*columns, strict=True)],
+        "locked_up_to_dps": fit.at_least or None,
+        "flags": [str(flag.name).lower() for flag in RatesFlag if flag & fit.flags],
+        "sentences": describe_rates(fit),
+    }
+
+
+def _frequency_fit(fit: FrequencyFit) -> dict[str, Any]:
+    return picked(fit, _FREQUENCY_FIT) | {
+        "flags": [str(flag.name).lower() for flag in FrequencyFlag if flag & fit.flags],
+        "sentences": describe_frequencies(fit),
+    }
+
+
+def _group(group: RateGroup) -> dict[str, Any]:
+    one: LockInEstimate = group.combined
+    return picked(one, _GROUP) | {
+        "over_expected_lock_in": group.over_lock_in,
+        "table_rate_dps": group.table_rate,
+        "input_rate_by_table_dps": group.input_rate,
+        "records": len(group.rows),
+        "records_rejected": int(one.records_rejected),
+        "flags": flag_names(int(one.flags)),
+    }
+
+
+# --------------------
+# Records and rates as tables of text, and the facts at the end of the report
+
+
+_RATES = ("rate/WL", "table, deg/s", "axis, deg/s", "beat, Hz", "r = A2/A1", "WL alone (noise), deg/s", "records")
+_RECORDS = ("record", "lock-in rate (noise), deg/s", "beat, Hz", "r = A2/A1", "noise rms", "flags")
+
+
+def rates_table(several: SeveralRates) -> TextTable:
+    """Return what each rate of a run says alone."""
+    rows: list[tuple[str, ...]] = []
+    for group in several.groups:
+        one, sense = group.combined, "-" if group.input_rate < 0 else "+"
+        asked = "" if group.over_lock_in is None else f"{sense}{group.over_lock_in:g}"
+        left_out = int(one.records_rejected)
+        rows.append(
+            (
+                asked,
+                f"{group.table_rate:+.4f}",
+                f"{group.input_rate:+.5f}",
+                with_uncertainty(float(one.beat_frequency), float(one.beat_frequency_u)),
+                with_uncertainty(float(one.ratio), float(one.ratio_u)),
+                with_uncertainty(float(one.lock_in_rate), float(one.lock_in_rate_u)),
+                f"{len(group.rows)}, left out {left_out}" if left_out else f"{len(group.rows)}",
+            )
+        )
+    return TextTable(_RATES, tuple(rows))
+
+
+def records_table(found: LockInFound, most: int) -> TextTable:
+    """Return one row for each record, at most so many."""
+    each, rows = found.each[:most], list[tuple[str, ...]]()
+    for index, name in enumerate(found.names[:most]):
+        rows.append(
+            (
+                name,
+                with_uncertainty(float(each.lock_in_rate[index]), float(each.lock_in_rate_u[index])),
+                with_uncertainty(float(each.beat_frequency[index]), float(each.beat_frequency_u[index])),
+                with_uncertainty(float(each.ratio[index]), float(each.ratio_u[index])),
+                with_prefix(float(each.noise_rms[index]), "V"),
+                ", ".join(flag_names(int(each.flags[index]))).replace("_", " "),
+            )
+        )
+    if len(found.names) > most:
+        rows.append((f"and {len(found.names) - most} more", "", "", "", "", ""))
+    return TextTable(_RECORDS, tuple(rows))
+
+
+def fact_tables(found: LockInFound, run: SavedRun, settings: Settings) -> list[FactTable]:
+    """Return conditions and secondary results as small tables."""
+    return [
+        FactTable("Result", _result_rows(found)),
+        FactTable("Rate", _rows_of_rates(found, run, settings)),
+        FactTable("Oscilloscope", _scope_rows(found, run, settings)),
+    ]
+
+
+def _result_rows(found: LockInFound) -> Rows:
+    combined = found.combined
+    counted = len(found.waveforms) + len(found.damaged)
+    rows = [
+        ("method", found.method_text),
+        ("scale factor K", f"{found.method.scale_factor:g} pulses/deg"),
+        ("noise model", combined.noise_model),
+        (
+            "uncertainty",
+            "standard (k = 1) in brackets, every input counted; of single records and rates their noise. The "
+            "interval covers 95 %",
+        ),
+        ("records", f"{counted}, left out {found.records_rejected}"),
+    ]
+    if found.usable:
+        if found.several is None:
+            rows.append(("ratio r = A2/A1", with_uncertainty(float(combined.ratio), float(combined.ratio_u))))
+        rows += [
+            ("noise alone", f"{found.noise_u:.2g} deg/s of the lock-in rate (k = 1)"),
+            ("backscatter less readout phase", f"{math.degrees(float(combined.backscatter_phase)):.1f}°"),
+            ("amplitude", with_prefix(float(combined.amplitude), "V")),
+            ("noise in each sample", f"{with_prefix(float(combined.noise_rms), 'V')} rms"),
+        ]
+    return rows
+
+
+def _rows_of_rates(found: LockInFound, run: SavedRun, settings: Settings) -> Rows:
+    combined, several, rows = found.combined, found.several, []
+    if several is not None:
+        each = several.groups
+        rows += [
+            ("beat frequency", span_words((float(one.combined.beat_frequency) for one in each), "Hz")),
+            ("rate on the axis", span_words((one.input_rate for one in each), "deg/s")),
+            ("table rate", span_words((one.table_rate for one in each), "deg/s")),
+        ]
+    elif math.isfinite(combined.beat_frequency):
+        beat = with_uncertainty(float(combined.beat_frequency), float(combined.beat_frequency_u), "Hz")
+        rows.append(("beat frequency", beat))
+    if several is None and math.isfinite(combined.input_rate):
+        rows.append(("rate on the axis, by the beat", f"{float(combined.input_rate):.6f} deg/s"))
+    if (check := found.table_check) is not None:
+        rows += [
+            ("rate on the axis, by the table", f"{check.input_rate:.6f} deg/s"),
+            ("beat over table", f"{beat_over_table_words(check)} (K and tilt found with it cancel)"),
+            ("lock-in rate, by the table", by_table_words(check)),
+        ]
+    if several is None and (table_rate := run.facts.get("table_rate_dps")) is not None:
+        rows.append(("table rate", f"{table_rate:.5f} deg/s"))
+    if found.tilt is not None:
+        rows.append(("tilt of the axis", with_uncertainty(found.tilt.tilt_deg, found.tilt.tilt_u_deg, "deg")))
+    if found.table_check is not None:
+        rows += [
+            (
+                f"K by the {one.by}",
+                with_uncertainty(one.scale_factor, one.scale_factor_u, "pulses/deg"),
+            )
+            for one in found.table_check.scale_factors
+        ]
+        rows.append(("latitude", f"{settings.site.latitude_deg:g}°"))
+    return rows
+
+
+def _scope_rows(found: LockInFound, run: SavedRun, settings: Settings) -> Rows:
+    scope, knobs = settings.scope, run.facts.get("scope_setting", {})
+    wave, identity = found.waveforms[0], run.facts.get("identity", {})
+    rows = [
+        ("instrument", identity.get("text", "not known")),
+        ("resource", scope.resource or "simulated bench"),
+        ("record", wave.preamble.wfid or scope.channel),
+        ("sampling", f"{wave.codes.size} points, every {with_prefix(wave.sample_interval, 's')}"),
+        ("bandwidth limit", "20 MHz" if scope.bandwidth_limit else "off"),
+    ]
+    if knobs:
+        rows += [
+            ("vertical position", f"{knobs['position']:+.2f} div"),
+            ("trigger", f"{scope.channel}, rising, {with_prefix(knobs['trigger_level'], 'V')}"),
+        ]
+    return rows
+
+
+# --------------------
+# An uncertainty budget as JSON, as a table and in sentences
+
+
+_LINE = {
+    "name": "name",
+    "quantity": "quantity",
+    "unit": "unit",
+    "value": "value",
+    "u": "u",
+    "distribution": "distribution",
+    "sensitivity_dps_per_unit": "sensitivity",
+    "contribution_dps": "contribution",
+    "degrees_of_freedom": "degrees_of_freedom",
+    "note": "note",
+    "stated": "stated",
+}
+BUDGET_COLUMNS = (
+    "quantity",
+    "value",
+    "u (k = 1)",
+    "distribution",
+    "sensitivity, deg/s per unit",
+    "contribution, deg/s",
+    "share",
+    "d.o.f.",
+)
+_SHORT = (0, 2, 4, 5, 6)
+"""Columns that a terminal has room for."""
+
+
+def budget_document(budget: Budget) -> dict[str, Any]:
+    """Return a budget for the JSON document."""
+    return {
+        "reference": budget.reference,
+        "lock_in_rate_dps": budget.lock_in_rate,
+        "combined_u_dps": budget.combined_u,
+        "combined_u_percent": 100 * budget.relative_u,
+        "effective_degrees_of_freedom": budget.effective_degrees_of_freedom,
+        "coverage_factor": budget.coverage_factor,
+        "expanded_u_95_dps": budget.expanded_u_95,
+        "inputs": [{**picked(line, _LINE), "share_of_variance": budget.share(line)} for line in budget.inputs],
+        "not_stated": [line.name for line in budget.not_stated],
+        "largest_part": budget.inputs[0].name if budget.inputs else None,
+        "remedy": remedy_sentence(budget) or None,
+    }
+
+
+def budget_rows(budget: Budget) -> list[tuple[str, ...]]:
+    """Return the lines of a budget as text under `BUDGET_COLUMNS`, the largest contribution first.
+
+    The last one is the combined uncertainty.
+    """
+    rows: list[tuple[str, ...]] = []
+    for line in budget.inputs:
+        unit = "" if line.unit == "1" else f" {line.unit}"
+        rows.append(
+            (
+                line.quantity if line.stated else f"{line.quantity} (not stated)",
+                f"{line.value:.6g}{unit}",
+                f"{line.u:.2g}{unit}",
+                line.distribution,
+                f"{line.sensitivity:.3g}" if line.sensitivity else "0",
+                f"{line.contribution:.2g}" if line.contribution else "0",
+                _percent(budget.share(line)),
+                _freedom(line.degrees_of_freedom),
+            )
+        )
+    rows.append(
+        (
+            "lock-in rate, combined",
+            f"{budget.lock_in_rate:.6g} deg/s",
+            f"{budget.combined_u:.2g} deg/s",
+            "",
+            "",
+            f"{budget.combined_u:.2g}",
+            "100 %",
+            _freedom(budget.effective_degrees_of_freedom),
+        )
+    )
+    return rows
+
+
+def short_budget_table(budget: Budget) -> TextTable:
+    """Return the lines that contribute, the largest first, and the combined uncertainty: for a terminal."""
+    *rows, combined = budget_rows(budget)
+    shown = [row for line, row in zip(budget.inputs, rows, strict=True) if line.contribution > 0]
+    header = [BUDGET_COLUMNS[place].replace(", deg/s per unit", "") for place in _SHORT]
+    return TextTable(tuple(header), tuple(tuple(row[place] for place in _SHORT) for row in (*shown, combined)))
+
+
+def budget_sentences(budget: Budget) -> list[str]:
+    """Say in words what the budget comes to, what would make it smaller, and what it had to assume."""
+    value = with_uncertainty(budget.lock_in_rate, budget.combined_u, "deg/s")
+    percent = f" ({100 * budget.coverage_factor * budget.relative_u:.2g} %)" if budget.lock_in_rate > 0 else ""
+    said = [
+        f"Lock-in rate {value}, every input counted; U95 = {budget.expanded_u_95:.2g} deg/s{percent} with "
+        f"k = {budget.coverage_factor:.2f}."
+    ]
+    if remedy := remedy_sentence(budget):
+        said.append(remedy)
+    if assumed := assumed_sentence(budget):
+        said.append(assumed)
+    return said
+
+
+def assumed_sentence(budget: Budget) -> str:
+    """Name what counts with a bound because nobody stated it; empty where everything was stated."""
+    parts = [f"{line.quantity} ({line.note.removeprefix('not stated: bound of ')})" for line in budget.not_stated]
+    if not parts:
+        return ""
+    return f"Nobody stated, so it counts with what it may be at worst: {'; '.join(parts)}."
+
+
+def doubt_sentence(budget: Budget) -> str:
+    """Say that something unknown rules the uncertainty; empty where the largest part is known."""
+    first = budget.inputs[0] if budget.inputs else None
+    if first is None or first.stated or first.contribution == 0:
+        return ""
+    return f"What rules the uncertainty is not known: {first.quantity}, {first.note}."
+
+
+def _percent(share: float) -> str:
+    return "0" if share == 0 else "< 0.1 %" if share < 0.001 else f"{100 * share:.1f} %"
+
+
+def _freedom(value: float) -> str:
+    return "∞" if value > 1e6 else f"{value:.0f}"

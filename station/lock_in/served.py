@@ -6,13 +6,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from instrument.facts import LEVELS_PER_DIVISION, VERTICAL_SCALES
+from instrument.scpi import LEVELS_PER_DIVISION, VERTICAL_SCALES
 from instrument.simulated import Fault, RealClock, SimulatedRateTable, SimulatedTDS2014
 from station.errors import UsageError
 from station.lock_in.settings import Settings
 from station.ring_laser.instruments import SimulatedInstruments, build_instruments
 from station.scope.autoset import oscilloscope_steps
-from station.scope.signals import ShownSignal
+from station.scope.tools import ShownSignal
 
 
 def at_slow_rate(settings: Settings) -> Settings:

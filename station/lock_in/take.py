@@ -15,23 +15,14 @@ from analysis.lock_in_run import LockInSeen
 from analysis.rotation import earth_rate_on_axis
 from instrument import ManualRateTable
 from station.errors import NoUsableSignal
-from station.lock_in.rate_plan import (
-    RatePlan,
-    RateStep,
-    changed_plan,
-    rate_plan,
-    records_at_each,
-    saved_plan,
-)
-from station.lock_in.read import fast_run_tilt, lock_in_so_far
+from station.lock_in.evaluate import fast_run_tilt, lock_in_so_far
+from station.lock_in.rate_plan import RatePlan, RateStep, changed_plan, rate_plan, records_at_each, saved_plan
 from station.lock_in.settings import Settings, check_scale_factor
-from station.ring_laser.bench import Bench
-from station.ring_laser.open import open_for
-from station.ring_laser.records import acquisition_records, set_up, take_record
-from station.ring_laser.table_answer import Beats, beats_at, beats_of_other_sense
+from station.ring_laser.bench import Beats, beats_at, beats_of_other_sense, open_for
+from station.ring_laser.records import Bench, acquisition_records, set_up, take_record
+from station.runs.acquisition import Session
 from station.runs.progress import Progress
 from station.runs.store import RunWriter, SavedRecord
-from station.runs.taking import Session
 from station.scope.autoset import KnobPositions, find_beat, fit_channel
 
 _EAST = 90.0

@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 from analysis import fit_harmonics
 from instrument import Waveform
 from instrument.fibre_gyro import Recording
-from station.catalogue.entry import Entry
-from station.catalogue.trend import draw_trend, series_of, trend_size
+from station.catalogue import Entry, draw_trend, series_of, trend_size
 from station.report.figure import ACCENT, SECOND, STYLE, legend_above
 
 _SIZE = (9.0, 5.0)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
@@ -13,18 +14,18 @@ import numpy as np
 from analysis import LockInEstimate
 from analysis.lock_in_run import Method
 from instrument import Preamble, Waveform
-from station.datasets.reading import names_of, run_of
+from station.datasets.data_set import Exported, check_target, names_of, run_of
+from station.datasets.data_set import export as write
 from station.errors import EXIT_NO_SIGNAL, Failure, NoUsableSignal, UsageError
-from station.fibre_gyro.recordings import segments_of
-from station.lock_in.found import LockInFound
-from station.notebook.records import Record, Records
-from station.notebook.result import Result
-from station.reanalysis.files import AnalyzedFiles, analyze_waveforms
+from station.fibre_gyro.segments import segments_of
+from station.lock_in.evaluate import LockInFound
+from station.notebook.result import Record, Records, Result
+from station.reanalysis.combine import AnalyzedFiles, analyze_waveforms
 from station.ring_laser.records import saved_waveform
-from station.runs.remarks import Remarks, add_remark, read_remarks
+from station.runs.annotations import Remarks, add_remark, read_remarks
 from station.runs.store import SavedRecord, SavedRun
 from station.runs.store import open_run as read_run
-from station.shell.evaluated import Evaluated, evaluate_run, kind_of
+from station.shell.finish import Evaluated, evaluate_run, kind_of
 from station.sources import Source, find_sources, open_source
 
 PathLike = str | os.PathLike[str]
@@ -290,3 +291,40 @@ def _names(saved: SavedRun, purpose: str) -> list[str]:
 def _is_output(header: str) -> bool:
     """Whether a record is a stretch of a gyro's output: its columns are described in JSON."""
     return header.startswith("{")
+
+
+# --------------------
+# Export as a call
+
+
+def export(paths: PathLike | Iterable[PathLike], to: PathLike, *, replace: bool = False) -> Exported:
+    """Write the records of runs and files to a data set, as the command ``gyrolock export`` does.
+
+    Parameters
+    ----------
+    paths : path or iterable of path
+        Runs, files of an oscilloscope, data sets, folders of them; a `Run` of :func:`open_run` is one too.
+    to : path
+        Its ending says the format: ``.parquet``, ``.h5``, ``.npz``, ``.csv``; with ``/`` at its end a folder of
+        Parquet parts.
+    replace : bool, optional
+        Write over what is there.
+
+    Returns
+    -------
+    Exported
+        Files, number of records and sources, and what was left out: a warning names that too.
+
+    Raises
+    ------
+    UsageError, CannotWrite
+        It cannot be written there, or there is no record.
+    """
+    target = os.fspath(to)
+    check_target(target, replace=replace)
+    given = [paths] if isinstance(paths, str | os.PathLike) else list(paths)
+    found = find_sources([os.fspath(one) for one in given])
+    done = write((open_source(one) for one in found), target)
+    for one in done.left_out:
+        warnings.warn(f"left out: {one}", RuntimeWarning, stacklevel=2)
+    return done

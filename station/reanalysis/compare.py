@@ -6,24 +6,60 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from station.errors import NoUsableSignal, RunError, UsageError
-from station.reanalysis.files import scale_factor_of_files
-from station.reanalysis.headline import Headline, headline_of
-from station.reanalysis.tables.columns import rows_of_pieces
-from station.reanalysis.tables.open_table import KINDS, table_file
-from station.reanalysis.work import Work
-from station.results.as_json import plain
-from station.results.numbers import with_uncertainty
-from station.results.parts import TextTable
+from instrument import InstrumentError
+from station.errors import NoUsableSignal, RunError, StationError, UsageError
+from station.reanalysis.analyze_table import KINDS, Work, table_file
+from station.reanalysis.combine import ONE_RATE, combine, scale_factor_of_files
+from station.reanalysis.table_file import rows_of_pieces
+from station.report.figure import ACCENT, INK, SECOND, SOFT, write_picture
+from station.results.result import TextTable, plain, with_uncertainty
 from station.runs.progress import Progress
+from station.shell.finish import evaluate_saved
 from station.sources.batches import LeftOut
 from station.sources.find import find_sources, is_run
 from station.sources.workers import Workers
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+# --------------------
+# The first number of what is compared: its lock-in rate with every input counted
+
+
+@dataclass(frozen=True)
+class Headline:
+    """A lock-in rate as `gyrolock analyze` gives it."""
+
+    rate: float  # deg/s; the combined standard uncertainty
+    u: float
+    one_rate: bool  # whether it was measured at one rate: several have no one beat and no one ratio
+
+
+def headline_of(
+    place: str, choices: Mapping[str, Any], beats: NDArray[np.float64], workers: Workers
+) -> Headline | None:
+    """Evaluate a run, or records at one rate, with their budget; ``None`` where they have no one result."""
+    quiet = Progress(quiet=True)
+    try:
+        sources = list(find_sources([place]))
+        if len(sources) == 1 and is_run(sources[0]):
+            document = evaluate_saved(sources[0], workers, quiet, config=None, choices=choices).result.document
+        else:
+            known = beats[np.isfinite(beats)]
+            if not known.size or np.ptp(known) >= ONE_RATE * known.max():
+                return None
+            document = combine(sources, choices, workers, quiet).result.document
+    except (StationError, InstrumentError):
+        return None
+    rate, u = (float(document.get(name, math.nan)) for name in ("lock_in_rate_dps", "lock_in_rate_u_dps"))
+    return Headline(rate, u, "several_rates" not in document) if math.isfinite(rate + u) else None
+
 
 Floats = NDArray[np.float64]
 
@@ -349,3 +385,56 @@ def _float(value: Any) -> float:
 
 def _number(value: float) -> str:
     return "" if math.isnan(value) else f"{value:.3g}"
+
+
+# --------------------
+# Differences of two analyses over their uncertainties
+
+
+_SIZE = (9.0, 4.0)
+_POINTS = 20_000
+
+
+def write_comparison_plot(path: Path, found: Comparison) -> None:
+    """Draw a comparison into a .svg, .png or .pdf file."""
+    write_picture(path, "compare", _SIZE, lambda figure: _draw(figure, found))
+
+
+def _draw(figure: Figure, found: Comparison) -> None:
+    if found.same_records:
+        _draw_records(figure, found)
+    else:
+        _means(figure, found)
+
+
+def _draw_records(figure: Figure, found: Comparison) -> None:
+    """Every record's difference in the lock-in rate, and how often which size occurs."""
+    over_u = found.differences[0].over_u
+    left, right = figure.subplots(1, 2, width_ratios=(3, 1), sharey=True)
+    shown = np.linspace(0, over_u.size - 1, min(over_u.size, _POINTS)).astype(int)
+    left.plot(shown + 1, over_u[shown], ".", color=ACCENT, markersize=4 if over_u.size < 500 else 2)
+    for axes in (left, right):
+        axes.axhline(0, color=INK, linewidth=0.8)
+    left.set(xlabel="record in both", ylabel="lock-in rate: (B - A) over its uncertainty")
+    right.hist(over_u, bins=min(60, max(8, over_u.size // 5)), orientation="horizontal", color=SECOND)
+    right.set(xlabel="records")
+    figure.suptitle(
+        f"A: {Path(found.first.name).name}   B: {Path(found.second.name).name}", fontsize=9, color=SOFT
+    )
+
+
+def _means(figure: Figure, found: Comparison) -> None:
+    """Both means with twice their uncertainty, one panel for each quantity."""
+    panels = figure.subplots(1, len(found.differences), squeeze=False)[0]
+    for axes, one in zip(panels, found.differences, strict=True):
+        pairs = ((one.mean_first, one.mean_first_u, ACCENT), (one.mean_second, one.mean_second_u, SECOND))
+        for place, (value, u, color) in enumerate(pairs):
+            axes.errorbar([place], [value], [2 * u], fmt="o", color=color, capsize=4)
+        axes.set_xticks([0, 1], ["A", "B"])
+        axes.set(xlim=(-0.6, 1.6), title=f"{one.title}{', ' + one.unit if one.unit else ''}")
+        axes.title.set_fontsize(9)
+        axes.ticklabel_format(axis="y", useOffset=False)
+    counted = (
+        "noise and scatter" if found.by_noise is None else "every input for the lock-in rate, noise for the rest"
+    )
+    figure.supxlabel(f"with twice the standard uncertainty: {counted}", fontsize=9, color=SOFT)

@@ -3,10 +3,57 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, fields, is_dataclass
+from pathlib import Path
 from typing import Any, Literal
 
-from station.results.parts import Rows, TextTable
+import numpy as np
+
+from station.errors import StationError, one_line
+
+# --------------------
+# What a report or a page on the terminal is put together from
+
+
+Rows = Sequence[tuple[str, str]]
+"""Names and values."""
+
+
+@dataclass(frozen=True)
+class PlacedFigure:
+    """An SVG element with its caption."""
+
+    svg: str
+    caption: str
+
+
+@dataclass(frozen=True)
+class TextTable:
+    """Columns of text; in the first one stands what a row is about."""
+
+    header: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+
+
+@dataclass(frozen=True)
+class Section:
+    """A heading with sentences, figures (up to two side by side) and a table."""
+
+    title: str
+    text: str = ""
+    figures: tuple[PlacedFigure, ...] = ()
+    sentences: tuple[str, ...] = ()
+    table: TextTable | None = None
+
+
+@dataclass(frozen=True)
+class FactTable:
+    """A small table of names and values."""
+
+    title: str
+    rows: Rows
+
 
 UNITS = {"dps": "deg/s", "dph": "deg/h", "hz": "Hz", "v": "V", "s": "s", "deg": "deg", "rad": "rad", "ppm": "ppm"}
 """Suffix of a name, and the unit that it stands for."""
@@ -95,3 +142,180 @@ class Result:
         if failures:
             return Standing("fails", (*failures, *doubts))
         return Standing("doubtful", doubts) if doubts else Standing("stands")
+
+
+# --------------------
+# Numbers as a person reads them
+
+
+def with_uncertainty(value: float, u: float, unit: str = "") -> str:
+    """Write a value with its standard uncertainty in the last digits.
+
+    Examples
+    --------
+    >>> with_uncertainty(0.0100023, 0.0000121, "deg/s")
+    '0.010002(12) deg/s'
+    >>> with_uncertainty(159.9912, 0.25, "Hz")
+    '159.99(25) Hz'
+    >>> with_uncertainty(36.1, 12.0)
+    '36(12)'
+    """
+    tail = f" {unit}" if unit else ""
+    if not math.isfinite(value):
+        return "none"
+    if not math.isfinite(u) or u <= 0:
+        return f"{value:.6g}{tail}"
+    digits = 1 - math.floor(math.log10(u))
+    if round(u * 10.0**digits) >= 100:  # 0.0996 is written with the digits of 0.10
+        digits -= 1
+    if digits <= 0:
+        return f"{value:.0f}({u:.0f}){tail}"
+    return f"{value:.{digits}f}({round(u * 10.0**digits)}){tail}"
+
+
+def with_prefix(value: float, unit: str) -> str:
+    """Write a value with the unit prefix that fits.
+
+    Examples
+    --------
+    >>> with_prefix(0.025, "s/div")
+    '25 ms/div'
+    >>> with_prefix(0.000004, "s")
+    '4 µs'
+    """
+    if value == 0 or not math.isfinite(value):
+        return f"{value:g} {unit}"
+    for factor, prefix in (
+        (1e9, "G"),
+        (1e6, "M"),
+        (1e3, "k"),
+        (1.0, ""),
+        (1e-3, "m"),
+        (1e-6, "µ"),
+        (1e-9, "n"),
+    ):
+        if abs(value) >= factor * 0.9999995:
+            return f"{value / factor:.4g} {prefix}{unit}"
+    return f"{value:.4g} {unit}"
+
+
+def ppm(value: float, u: float = math.nan) -> str:
+    """Write a signed value in ppm with its uncertainty.
+
+    Examples
+    --------
+    >>> ppm(999.9213, 0.43), ppm(float("nan"))
+    ('+999.92(43) ppm', 'none')
+    """
+    if not math.isfinite(value):
+        return "none"
+    text = with_uncertainty(value, u) if math.isfinite(u) and u > 0 else f"{value:.4g}"
+    return f"{'' if text.startswith('-') else '+'}{text} ppm"
+
+
+# --------------------
+# The one way from values to plain JSON: what is not finite becomes null, arrays become lists
+
+
+def plain(value: Any) -> Any:
+    """Return a value as plain JSON.
+
+    Examples
+    --------
+    >>> plain({"a": np.float64("nan"), "b": np.arange(2), "c": (1.5, None)})
+    {'a': None, 'b': [0, 1], 'c': [1.5, None]}
+    """
+    if isinstance(value, np.ndarray | np.generic):
+        return plain(value.tolist())
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if isinstance(value, Mapping):
+        return {str(name): plain(one) for name, one in value.items()}
+    if isinstance(value, list | tuple | set | frozenset):
+        return [plain(one) for one in value]
+    if is_dataclass(value) and not isinstance(value, type):
+        return {field.name: plain(getattr(value, field.name)) for field in fields(value)}
+    return str(value) if isinstance(value, Path) else value
+
+
+def picked(source: object, names: Mapping[str, str]) -> dict[str, Any]:
+    """Return attributes of an object under the names that programs rely on."""
+    return {key: getattr(source, attribute) for key, attribute in names.items()}
+
+
+# --------------------
+# A budget in parts per million of the result: what each input contributes to its uncertainty
+
+
+@dataclass(frozen=True)
+class Contribution:
+    """One line of a budget."""
+
+    name: str  # for programs
+    quantity: str  # in words
+    # standard uncertainty that it makes of the result, ppm of it; 0 where it is taken out or not counted
+    ppm: float
+    stated: bool  # whether it is known: stated, measured, or taken out; else `note` says what counts instead
+    note: str  # where it comes from
+
+
+def budget_document(reference: str, lines: Sequence[Contribution], combined_ppm: float) -> dict[str, Any]:
+    """Return a budget for the JSON document, the largest contribution first."""
+    ordered = sorted(lines, key=lambda line: -line.ppm)
+    total = sum(line.ppm**2 for line in lines) or 1.0
+    return {
+        "reference": reference,
+        "combined_u_ppm": combined_ppm,
+        "inputs": [
+            {
+                "name": line.name,
+                "quantity": line.quantity,
+                "contribution_ppm": line.ppm,
+                "share_of_variance": line.ppm**2 / total,
+                "stated": line.stated,
+                "note": line.note,
+            }
+            for line in ordered
+        ],
+        "not_stated": [line.name for line in ordered if not line.stated],
+        "largest_part": ordered[0].name if ordered and ordered[0].ppm > 0 else None,
+    }
+
+
+def budget_table(of: str, document: Mapping[str, Any]) -> TextTable:
+    """Return a budget as a table; `of` names the result."""
+    rows = [
+        (
+            line["quantity"] if line["stated"] else f"{line['quantity']} (not stated)",
+            f"{line['contribution_ppm']:.2g}" if line["contribution_ppm"] else "0",
+            f"{100 * line['share_of_variance']:.0f} %",
+            line["note"],
+        )
+        for line in document["inputs"]
+    ]
+    combined = (f"{of}, combined", f"{document['combined_u_ppm']:.2g}", "100 %", "")
+    return TextTable(("input", "u, ppm", "share", "from"), (*rows, combined))
+
+
+# --------------------
+# A finding of `gyrolock doctor`: what was looked at, and what to do about it
+
+
+@dataclass(frozen=True)
+class Check:
+    """One finding."""
+
+    name: str
+    # {"ok", "note", "bad"}: ``note``: works, but something cannot be used or is not known; ``bad``: must be mended
+    state: Literal["ok", "note", "bad"]
+    text: str  # what was found, and where it is not well what to do
+
+
+def guarded(name: str, check: Callable[[], Check]) -> Check:
+    """Turn an error of the instruments or the store into a finding."""
+    from instrument import InstrumentError
+
+    try:
+        return check()
+    except (InstrumentError, StationError, OSError) as error:
+        return Check(name, "bad", one_line(error))

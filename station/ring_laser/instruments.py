@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -21,12 +22,17 @@ from analysis.ring_laser import (
     signal_bounds,
     smooth_interval,
 )
-from instrument.facts import POINTS
-from instrument.simulated import SimulatedRateTable, SimulatedTDS2014
+from instrument import RateTable
+from instrument.scpi import POINTS
+from instrument.simulated import SimulatedRateTable, SimulatedTDS2014, VirtualClock
 from instrument.simulated.clock import Clock
+from instrument.simulated.controllers import RateTableController
 from instrument.simulated.rate_table import Motion
+from station.controllers import open_simulated_rate_table, open_surroundings
 from station.errors import UsageError
+from station.ring_laser.records import Bench
 from station.ring_laser.settings import BenchSettings, ContaminantSettings, SimulationSettings
+from station.scope.tools import open_scope, serve
 
 Array = NDArray[np.float64]
 
@@ -205,3 +211,44 @@ def true_values(instruments: SimulatedInstruments) -> dict[str, float]:
         "backscatter_phase_rad": gyro.backscatter_phase - instruments.detector.readout_phase,
         "amplitude_v": instruments.detector.amplitude,
     }
+
+
+# --------------------
+# The simulated bench: table, gyro and oscilloscope on one clock, the scope behind a real byte stream
+
+
+@contextmanager
+def open_simulated_bench(
+    settings: BenchSettings, *, times_resumed: int = 0, tell: Callable[[str], None] = lambda text: None
+) -> Iterator[Bench]:
+    """Open the simulated bench: on a clock that jumps instead of waiting, through a real link."""
+    instruments = build_instruments(settings, VirtualClock(), times_resumed=times_resumed)
+    with (
+        serve(instruments.scope, instruments.link) as resource,
+        # no byte changes inside this computer
+        open_scope(resource, read_twice=False) as scope,
+        _table(settings, instruments, tell) as table,
+        open_surroundings(settings.controllers, tell=tell, simulated=True) as surroundings,
+    ):
+        yield Bench(
+            scope,
+            table=table,
+            surroundings=surroundings,
+            sleep=instruments.clock.sleep,
+            now=instruments.clock.now,
+            truth=lambda: true_values(instruments),
+        )
+
+
+@contextmanager
+def _table(
+    settings: BenchSettings, instruments: SimulatedInstruments, tell: Callable[[str], None]
+) -> Iterator[RateTable | None]:
+    """The simulated table: within this program, or through the bytes of its controller."""
+    named = None if settings.controllers is None else settings.controllers.rate_table
+    if settings.table.kind == "controller" and named is not None:
+        device = RateTableController(instruments.table)
+        with open_simulated_rate_table(device, named, instruments.clock, tell) as table:
+            yield table
+        return
+    yield None if settings.table.kind == "none" else instruments.table

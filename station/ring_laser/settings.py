@@ -9,8 +9,8 @@ from typing import Annotated, Literal, Protocol
 
 from pydantic import Field
 
-from station.controllers.settings import ControllersSettings
-from station.settings.parts import Finite, NotNegative, Positive, SettingsSection, SiteSettings
+from station.controllers import ControllersSettings
+from station.settings import Finite, NotNegative, Positive, SettingsSection, SiteSettings
 
 Dbc = Annotated[float, Field(ge=-200, le=0)]
 

@@ -20,15 +20,16 @@ from numpy.typing import NDArray
 
 from station.errors import RunError
 from station.runs.database import (
+    COLUMNS,
     DatabaseWriter,
+    Layout,
+    RunFacts,
     create_database,
     new_run_directory,
     read_facts,
     reading,
     utc_now,
 )
-from station.runs.facts import RunFacts
-from station.runs.layouts import COLUMNS, Layout
 
 RUN_FILE = "run.sqlite"
 REPORT_FILE = "report.html"

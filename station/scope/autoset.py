@@ -12,7 +12,7 @@ import numpy as np
 from analysis import FATAL, Flag, estimate_lock_in
 from analysis.plan import OscilloscopeSteps
 from instrument import TDS2014, NoTrigger, ScopeEvent, SettingError, Waveform
-from instrument.facts import DIVISIONS, LEVELS_PER_DIVISION, POINTS, SCAN_FROM, TIME_BASES, VERTICAL_SCALES
+from instrument.scpi import DIVISIONS, LEVELS_PER_DIVISION, POINTS, SCAN_FROM, TIME_BASES, VERTICAL_SCALES
 from station.errors import NoUsableSignal
 
 _TRIALS_MAX = 30

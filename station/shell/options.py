@@ -4,14 +4,23 @@ from __future__ import annotations
 
 import difflib
 import math
-from collections.abc import Callable, Mapping
+import os
+import sys
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
-from station.display.opening import display_options
-from station.errors import EXIT_USAGE
+from station.errors import EXIT_DEFECT, EXIT_OK, EXIT_USAGE, describe_failure
+from station.files import version
+from station.live.events import Events
+from station.runs.progress import Acknowledgement, Progress
+from station.terminal import remark, stepping_aside
+
+if TYPE_CHECKING:
+    from station.runs.acquisition import Taken
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -77,7 +86,7 @@ def transcript_option(function: F) -> F:
     def start(context: click.Context, _: click.Parameter, path: Path | None) -> None:
         if path is None:
             return
-        from instrument.transcripts.recording import recorded
+        from instrument.text_files import recorded
 
         try:
             context.with_resource(recorded(path))
@@ -140,3 +149,199 @@ def overrides(given: Mapping[str, Any], places: Mapping[str, str]) -> dict[str, 
             section, _, key = place.partition(".")
             chosen.setdefault(section, {})[key] = str(value) if isinstance(value, Path) else value
     return chosen
+
+
+# --------------------
+# A command that takes records: a new run, one that is gone on with, a saved one, or files
+
+
+_PLACES = {"seed": "simulation.seed", "out": "output.directory"}
+_LABELS = ("unit", "operator", "note")
+
+
+def run_measurement(
+    name: str,
+    given: Mapping[str, Any],
+    *,
+    places: Mapping[str, str],
+    paths: tuple[Path, ...] = (),
+    known: Mapping[str, object] | None = None,
+    for_files: Mapping[str, str] | None = None,
+    choices: Mapping[str, object] | None = None,
+) -> int:
+    """Carry out a command that takes records, from its options to its exit code."""
+    from station.measurements import measurement
+    from station.shell.finish import finish, saved_run
+
+    report, as_json, lines = given["report"], given["as_json"], given["jsonl"]
+    read_as = [option for option in for_files or {} if given.get(option) is not None]
+    if not hold_a_run(paths):
+        if read_as and not paths:
+            raise click.UsageError(f"--{read_as[0].replace('_', '-')} says how files are read: name them too")
+        chosen = overrides(given, for_files or {})
+        with shown_for(name, given) as progress:
+            taken = take_measurement(name, given, progress, places=places, paths=paths, known=known, chosen=chosen)
+            code = finish(taken, report=report, as_json=as_json, quiet=lines, events=progress.events)
+            progress.end(code)
+            return code
+    _exclude(given, {**places, **(for_files or {})}, paths)
+    if len(paths) > 1:
+        raise click.UsageError("give one saved run, or files to make one of")
+    if lines:
+        raise click.UsageError("--jsonl acknowledges records as they are taken; these are saved already")
+    taken = saved_run(paths[0], measurement(name))
+    how = {"saved": True, "config": given["config"], "choices": choices}
+    return finish(taken, report=report, as_json=as_json, **how)
+
+
+def hold_a_run(paths: Iterable[Path]) -> bool:
+    """Whether one of the paths is a saved run, and they are no files to make one of."""
+    from station.runs.database import is_database
+
+    return any(path.exists() and is_database(path) for path in paths)
+
+
+@contextmanager
+def shown_for(name: str, given: Mapping[str, Any]) -> Iterator[Progress]:
+    """Show what happens while a measurement is taken, as the options want it."""
+    from station.measurements import measurement
+
+    command = measurement(name).command.removeprefix("gyrolock ")
+    with shown(given, command, **{label: given[label] for label in _LABELS}) as progress:
+        yield progress
+
+
+def take_measurement(
+    name: str,
+    given: Mapping[str, Any],
+    progress: Progress,
+    *,
+    places: Mapping[str, str],
+    paths: tuple[Path, ...] = (),
+    known: Mapping[str, object] | None = None,
+    chosen: Mapping[str, Mapping[str, object]] | None = None,
+) -> Taken:
+    """Take a new run, make one of files or go on with one; arguments as :func:`run_measurement`."""
+    if not given["jsonl"]:
+        return _taken(name, given, progress, places, paths, known, chosen or {}, None)
+    acknowledgement = Acknowledgement()
+    try:
+        return _taken(name, given, progress, places, paths, known, chosen or {}, acknowledgement)
+    finally:
+        acknowledgement.rest()
+
+
+def _taken(
+    name: str,
+    given: Mapping[str, Any],
+    progress: Progress,
+    places: Mapping[str, str],
+    paths: tuple[Path, ...],
+    known: Mapping[str, object] | None,
+    further: Mapping[str, Mapping[str, object]],
+    told: Acknowledgement | None,
+) -> Taken:
+    from station.measurements import measurement
+    from station.settings import load
+    from station.shell.finish import resume_run, start_run
+
+    kind, config = measurement(name), given["config"]
+    labels = {label: given[label] for label in _LABELS if given[label] is not None}
+    chosen = {**overrides(given, {**_PLACES, **places}), **further}
+    _exclude(given, places, paths)
+    if given["resume"] is not None:
+        changes = {"config": config, "overrides": chosen, "labels": labels}
+        return resume_run(given["resume"], progress, kind=kind, **changes, acknowledge=told)
+    settings = load(kind.kind, config, chosen)
+    if given["seed"] is not None and not kind.simulated(settings):
+        raise click.UsageError("--seed belongs to a simulated bench; a real one has none")
+    return start_run(kind, settings, progress, labels=labels, paths=paths, known=known, acknowledge=told)
+
+
+def _exclude(given: Mapping[str, Any], places: Mapping[str, str], paths: tuple[Path, ...]) -> None:
+    """Refuse options that contradict each other."""
+    if given["resume"] is not None and paths:
+        raise click.UsageError("--resume goes on with a run: give it without a saved run or files")
+    live = [name for name in (*places, "seed") if given.get(name) is not None]
+    if paths and live:
+        raise click.UsageError(f"saved records and --{live[0].replace('_', '-')} exclude each other")
+
+
+# --------------------
+# Who reads the events of a command: the display that was asked for, a file, `gyrolock status`
+
+
+def display_options(function: F) -> F:
+    """Add ``--plain``, ``--quiet`` and ``--events``."""
+    options = (
+        click.option("--plain", is_flag=True, help="Progress as plain lines, also on a terminal."),
+        click.option("--quiet", is_flag=True, help="No progress: the result and what went wrong only."),
+        click.option(
+            "--events",
+            "events_to",
+            metavar="FILE",
+            help="What happens as lines of JSON: to this file, pipe or open descriptor (a number).",
+        ),
+    )
+    for option in reversed(options):
+        function = option(function)
+    return function
+
+
+@contextmanager
+def shown(given: Mapping[str, Any], command: str, **labels: str | None) -> Iterator[Progress]:
+    """Show what happens while a command measures."""
+    from station.live.events import open_lines
+    from station.live.status import StatusFile
+
+    events = Events()
+    with ExitStack() as readers:
+        if target := given.get("events_to"):
+            lines = open_lines(target)
+            events.read_by(lines, values=True)
+            readers.callback(_tell_lost, lines)
+        status = StatusFile()
+        events.read_by(status)
+        readers.callback(status.close)
+        if not given.get("quiet"):
+            if given.get("plain") or not _can_be_drawn_on(lines_on_stdout=bool(given.get("jsonl"))):
+                from station.live.console import PlainLines
+
+                events.read_by(PlainLines())
+            else:
+                from station.live.display import LiveDisplay
+
+                events.read_by(readers.enter_context(LiveDisplay()), values=True)
+        readers.enter_context(
+            stepping_aside(
+                lambda question: events.emit("asked", question=question), lambda: events.emit("answered")
+            )
+        )
+        named = {name: labels.get(name) for name in ("unit", "operator", "note")}
+        events.emit("program", command=command, **named, pid=os.getpid(), version=version("gyrolock"))
+        progress = Progress(events)
+        try:
+            yield progress
+        except BaseException as error:
+            failure = describe_failure(error)
+            if failure is None:
+                progress.end(EXIT_DEFECT, str(error))
+            else:
+                progress.end(failure.exit_code, failure.message)
+            raise
+        progress.end(EXIT_OK)
+
+
+def _can_be_drawn_on(*, lines_on_stdout: bool) -> bool:
+    """Whether stderr is a terminal on which nothing else writes meanwhile."""
+    try:
+        drawn_on = sys.stderr.isatty() and os.environ.get("TERM") != "dumb"
+        return drawn_on and not (lines_on_stdout and sys.stdout.isatty())
+    except (AttributeError, OSError, ValueError):
+        return False
+
+
+def _tell_lost(lines: Any) -> None:
+    lines.close()
+    if lines.lost:
+        remark(f"--events: {lines.lost} lines were not written ({lines.error or 'nobody read them in time'})")

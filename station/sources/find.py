@@ -2,18 +2,24 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
 from collections.abc import Iterable, Iterator
 from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
+import numpy as np
+
+from instrument import Waveform
+from instrument.tek_files import TekFile as File
+from instrument.tek_files import read_tek_file
 from station.errors import UsageError
-from station.runs.database import is_database
-from station.runs.layouts import LAYOUTS
-from station.runs.store import RUN_FILES
+from station.runs.database import LAYOUTS, RunFacts, is_database
+from station.runs.store import RUN_FILES, SavedRecord
+from station.sources.batches import Source
 from station.sources.run import RunSource
-from station.sources.source import Source
-from station.sources.tek import TekFile
 
 WAVEFORM_FILES = (".csv", ".isf")
 
@@ -21,7 +27,7 @@ WAVEFORM_FILES = (".csv", ".isf")
 def find_sources(paths: Iterable[Path | str]) -> Iterator[Path | Source]:
     """Expand paths: a folder that holds no run stands for every run and every waveform file in and below it."""
     # data sets are made of the other files of this package: they are there when it is
-    from station.datasets.reading import is_dataset, sources_of
+    from station.datasets.data_set import is_dataset, sources_of
 
     for given in paths:
         if is_dataset(given):
@@ -80,7 +86,7 @@ def _holds_run(folder: Path) -> bool:
 
 def _is_waveform_file(path: Path) -> bool:
     """Whether a file may be an oscilloscope's; records that were exported beside it are there twice."""
-    from station.datasets.reading import is_dataset
+    from station.datasets.data_set import is_dataset
 
     return path.suffix.lower() in WAVEFORM_FILES and not is_dataset(path)
 
@@ -107,3 +113,58 @@ def open_source(path: Path | Source, held: ExitStack | None = None) -> Source:
         with os.scandir(path):  # one that may not be looked at says so
             pass
     return RunSource(path, held) if is_database(path) else TekFile(path)
+
+
+# --------------------
+# A file of an oscilloscope as a source: one record, and what the file and its neighbours say of the scope
+
+
+PURPOSE = "measure"
+
+
+class TekFile(Source):
+    """One CSV, ISF or curve file; what the ``TEK.SET`` beside it says of the channel goes into the preamble."""
+
+    def __init__(self, path: Path) -> None:
+        self.path, self.name, self.unusable = path, str(path), {}
+        file = read_tek_file(path)
+        self.kind, self.waveform = file.kind, _with_coupling(file)
+        self.channel = self.waveform.preamble.wfid.split(",")[0].upper()
+        self.facts = RunFacts(_facts(file))
+
+    def __len__(self) -> int:
+        return 1
+
+    def records(self, numbers: range | None = None) -> Iterator[SavedRecord]:
+        """Give the one record; see `Source`."""
+        if numbers is not None and 1 not in numbers:
+            return
+        codes = self.waveform.codes
+        payload = codes.tobytes() if codes.dtype == np.int8 else codes.astype(">i2").tobytes()
+        header, conditions = self.waveform.preamble.to_text(), {"channel": self.channel}
+        yield SavedRecord(1, self.path.name, "", PURPOSE, header, payload, True, conditions)
+
+    @property
+    def sha256(self) -> str:
+        """SHA-256 of the file."""
+        return hashlib.sha256(self.path.read_bytes()).hexdigest()
+
+
+def _with_coupling(file: File) -> Waveform:
+    """A CSV does not say how its channel was coupled: the setup beside it does, in the words of a preamble."""
+    wave, coupling = file.waveform, file.setting("COUPLING")
+    if "coupling" in wave.preamble.wfid or not coupling:
+        return wave
+    source, _, rest = wave.preamble.wfid.partition(", ")
+    return Waveform(wave.codes, replace(wave.preamble, wfid=f"{source}, {coupling} coupling, {rest}"))
+
+
+def _facts(file: File) -> dict[str, Any]:
+    about, facts = file.about, dict[str, Any]()
+    if about:
+        facts["identity"] = {name: about[name] for name in ("model", "serial", "firmware") if name in about}
+    if "probe" in about:
+        facts["probe"] = float(about["probe"])
+    if file.setup:
+        facts["setup"] = file.setup
+    return facts

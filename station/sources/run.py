@@ -11,12 +11,9 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, overload
 
-from station.runs.database import opened, read_facts, reading, told
-from station.runs.facts import RunFacts
-from station.runs.layouts import COLUMNS, TODAY, Layout
+from station.runs.database import COLUMNS, TODAY, Layout, RunFacts, opened, read_facts, reading, told
 from station.runs.store import SavedRecord, damaged_facts, missing_records, read_record, run_file
-from station.sources.source import Source
-from station.sources.stretch import MOST_BYTES, MOST_RECORDS, Stretch
+from station.sources.batches import MOST_BYTES, MOST_RECORDS, Source, Stretch
 
 AT_ONCE = 1000
 

@@ -5,7 +5,7 @@ from reference import integrated_beat
 from analysis import fit_harmonics
 from analysis.frequency_method import FrequencyFlag, fit_frequencies
 from analysis.ring_laser import steady_beat, symmetric_laser
-from station.lock_in.presentation.rates_sentences import describe_frequencies
+from station.lock_in.messages import describe_frequencies
 
 K, WL = 2000.0, 0.05
 

@@ -11,6 +11,7 @@ import io
 import os
 import re
 import shutil
+import subprocess
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
@@ -161,9 +162,11 @@ def without_now(text: str, begun: datetime) -> str:
 
 @cache
 def _states_of_source() -> tuple[str, ...]:
-    from station.provenance import program
+    import station
 
-    commit = (program()[1] or "").removesuffix("+changes")
+    tree = Path(station.__file__).resolve().parents[1]
+    git = ["git", "-C", str(tree), "rev-parse", "--short=12", "HEAD"]
+    commit = subprocess.run(git, capture_output=True, text=True).stdout.strip()
     return (f"{commit}+changes", commit) if commit else ()
 
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from instrument import Waveform
-from station.lock_in.records import estimates
+from station.lock_in import estimate
 from tests.golden_outputs.differences import differences, differences_of_output, differences_of_text
 from tests.golden_outputs.outputs import FOG, GROUPS, commands, without_pictures, write_outputs
 
@@ -61,7 +61,7 @@ def test_rounding_as_of_another_processor_changes_nothing(tmp_path: Path, monkey
         shaken.append(volts.size)
         return volts * (1 + 1e-12 * rng.standard_normal(volts.shape))
 
-    plain = estimates.batch_arrays
+    plain = estimate.batch_arrays
 
     def batch_arrays(batch, room=None):
         arrays = plain(batch, room)
@@ -69,7 +69,7 @@ def test_rounding_as_of_another_processor_changes_nothing(tmp_path: Path, monkey
         return arrays
 
     volts = Waveform.volts
-    monkeypatch.setattr(estimates, "batch_arrays", batch_arrays)
+    monkeypatch.setattr(estimate, "batch_arrays", batch_arrays)
     monkeypatch.setattr(Waveform, "volts", property(lambda wave: shake(volts.__get__(wave))))
     told = write_outputs(tmp_path, ["ring_laser"], only="json")
     assert sum(shaken) > 2500 * 100

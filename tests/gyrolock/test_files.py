@@ -11,7 +11,7 @@ from analysis import beat_signal
 from instrument import FileFormatError, Preamble
 from station.cli import main
 from station.errors import NoUsableSignal, UsageError
-from station.reanalysis.files import analyze_file
+from station.reanalysis.combine import analyze_file
 
 N, INTERVAL, STEP = 2500, 4e-5, 0.008
 FIELDS = f'1;8;BIN;RI;MSB;{N};"Ch1, DC coupling, 2.0E-1 V/div, 1.0E-2 s/div, {N} points, Sample mode"'

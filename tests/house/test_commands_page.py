@@ -8,7 +8,7 @@ import click
 import pytest
 
 from station.cli import gyrolock
-from station.events.event import KINDS
+from station.live.events import KINDS
 
 DOCS = Path(__file__).parents[2] / "docs"
 

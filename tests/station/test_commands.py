@@ -8,9 +8,9 @@ import pytest
 
 from station import cli
 from station.cli import main
-from station.commands.instruments.doctor import examine
+from station.commands.doctor import examine
 from station.lock_in.settings import default_settings
-from station.results.numbers import with_prefix, with_uncertainty
+from station.results.result import with_prefix, with_uncertainty
 
 HEAVY = ("numpy", "scipy", "pyvisa", "matplotlib", "pydantic", "rich", "jinja2")
 

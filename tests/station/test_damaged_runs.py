@@ -14,7 +14,7 @@ import pytest
 
 from station.cli import main
 from station.errors import RunError
-from station.runs.journal import journal_of
+from station.runs.database import journal_of
 from station.runs.salvage import salvage
 from station.runs.store import NewRecord, RunWriter, SavedRun, open_run
 

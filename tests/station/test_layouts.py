@@ -11,7 +11,7 @@ from station.measurements import measurement
 from station.runs.progress import Progress
 from station.runs.salvage import salvage
 from station.runs.store import open_run
-from station.shell.running import resume_run
+from station.shell.finish import resume_run
 
 GOLDEN = Path(__file__).parents[1] / "golden"
 

@@ -13,20 +13,19 @@ import pytest
 
 from instrument import ManualRateTable
 from instrument.simulated import VirtualClock
-from station.dead_band.settings import DEAD_BAND
+from station.dead_band.take import DEAD_BAND
 from station.dead_band.take import take_on as sweep_on
 from station.errors import UsageError
 from station.lock_in.settings import load_settings
 from station.lock_in.take import take_on
-from station.ring_laser.bench import Bench
+from station.operator import operator_table
 from station.ring_laser.instruments import SimulatedInstruments, build_instruments
-from station.runs.operator import operator_table
+from station.ring_laser.records import Bench
+from station.runs.acquisition import Session, facts_of, take
 from station.runs.progress import Progress
 from station.runs.store import SavedRun, open_run
-from station.runs.taking import Session, facts_of, take
-from station.scope.open import open_scope
-from station.scope.serve import serve
-from station.settings.load import load
+from station.scope.tools import open_scope, serve
+from station.settings import load
 from tests.ideal_bench import ideal_bench
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="needs a pseudo-terminal for the operator")

@@ -9,16 +9,10 @@ import pytest
 from analysis.budget import BenchKnowledge, OperatingPoint, lock_in_budget
 from analysis.plan import default_rates
 from station.cli import main
-from station.lock_in.knowledge import bench_knowledge
-from station.lock_in.presentation.budget_plot import budget_svg
-from station.lock_in.presentation.budget_table import (
-    BUDGET_COLUMNS,
-    budget_document,
-    budget_rows,
-    budget_sentences,
-)
-from station.lock_in.settings import load_settings
-from station.results.as_json import plain
+from station.lock_in.report import budget_svg
+from station.lock_in.result import BUDGET_COLUMNS, budget_document, budget_rows, budget_sentences
+from station.lock_in.settings import bench_knowledge, load_settings
+from station.results.result import plain
 from tests.ideal_bench import ideal_bench
 
 

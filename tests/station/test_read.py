@@ -6,22 +6,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from analysis.budget import bounded
+from analysis.budget.bench import bounded
 from analysis.lock_in_run import Method
 from instrument import Preamble, Waveform
 from station.errors import NoUsableSignal, RunError
-from station.lock_in.found import LockInFound
-from station.lock_in.knowledge import bench_knowledge, run_knowledge
-from station.lock_in.read import (
-    acquisitions_of,
-    evaluate_run,
-    evaluate_waveforms,
-    fast_run_tilt,
-)
+from station.lock_in.evaluate import LockInFound, acquisitions_of, evaluate_run, evaluate_waveforms, fast_run_tilt
 from station.lock_in.result import result
-from station.lock_in.settings import RING_LASER, Settings, default_settings
+from station.lock_in.settings import RING_LASER, Settings, bench_knowledge, default_settings, run_knowledge
 from station.runs.store import SavedRecord, SavedRun, open_run
-from station.settings.load import saved_settings
+from station.settings import saved_settings
 
 GOLDEN = Path(__file__).parent.parent / "golden"
 TEXT = '1;8;BIN;RI;MSB;{points};"Ch1, DC";Y;1.0E-5;0;0.0E0;"s";{ymult};0.0E0;0.0E0;"Volts"'

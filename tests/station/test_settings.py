@@ -6,7 +6,7 @@ import pytest
 
 from station.errors import SettingsError
 from station.lock_in.settings import default_settings, load_settings
-from station.settings.load import shipped_settings
+from station.settings import shipped_settings
 
 
 def write(folder: Path, text: str) -> Path:

@@ -18,7 +18,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     from station.lock_in.measurement import MEASUREMENT
     from station.lock_in.settings import load_settings
     from station.runs.progress import Progress
-    from station.shell.running import start_run
+    from station.shell.finish import start_run
 
     folder = tmp_path_factory.mktemp("analyze")
     overrides = ideal_bench(measurement={"records": 5}, output={"directory": str(folder)})

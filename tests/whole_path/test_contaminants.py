@@ -9,14 +9,13 @@ import numpy as np
 import pytest
 
 from analysis.lockin_equation import harmonic_ratio, lock_in_from_rate
-from station.lock_in.found import LockInFound
+from station.lock_in.evaluate import LockInFound
 from station.lock_in.measurement import MEASUREMENT
 from station.lock_in.settings import load_settings
 from station.runs.progress import Progress
 from station.runs.store import open_run
-from station.settings.load import shipped_settings
-from station.shell.evaluated import evaluate_run
-from station.shell.running import start_run
+from station.settings import shipped_settings
+from station.shell.finish import evaluate_run, start_run
 from tests.ideal_bench import ideal_bench
 
 LOCK_IN = 0.01

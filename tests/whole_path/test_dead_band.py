@@ -107,10 +107,10 @@ def test_a_sweep_that_is_stopped_goes_on(gyrolock, cut_gyrolock, tmp_path: Path,
 def test_an_operator_leads_the_table_through_the_sweep(tmp_path: Path) -> None:
     """The operator of this test turns the simulated table by what the prompts say, a little off."""
     from instrument.simulated import VirtualClock
-    from station.dead_band.settings import DEAD_BAND
+    from station.dead_band.take import DEAD_BAND
     from station.ring_laser.instruments import build_instruments
-    from station.scope.serve import serve
-    from station.settings.load import load
+    from station.scope.tools import serve
+    from station.settings import load
 
     instruments = build_instruments(load(DEAD_BAND), VirtualClock())
     with serve(instruments.scope, "tcp") as resource:

@@ -10,9 +10,8 @@ from station.lock_in.measurement import MEASUREMENT
 from station.lock_in.settings import load_settings
 from station.runs.progress import Progress
 from station.runs.store import SavedRun, open_run
-from station.settings.load import shipped_settings
-from station.shell.evaluated import evaluate_run
-from station.shell.running import resume_run, start_run
+from station.settings import shipped_settings
+from station.shell.finish import evaluate_run, resume_run, start_run
 from tests.ideal_bench import IDEAL_TOML, Interrupting, ideal_bench
 
 IDEAL = ("--config", "ideal.toml")

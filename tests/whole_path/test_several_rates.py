@@ -11,12 +11,11 @@ import pytest
 
 from station.lock_in.measurement import MEASUREMENT
 from station.lock_in.settings import load_settings
-from station.report.report import render_report
-from station.runs.facts import RunFacts
+from station.report.show import render_report
+from station.runs.database import RunFacts
 from station.runs.progress import Progress
 from station.runs.store import SavedRun, open_run
-from station.shell.evaluated import evaluate_run
-from station.shell.running import start_run
+from station.shell.finish import evaluate_run, start_run
 from tests.ideal_bench import CLEAN, Interrupting, ideal_bench
 
 PLAN = "[measurement]\nrates_over_lock_in = [4, 15]\nboth_senses = true\nrecords = 2\ntilt_records = 2\n"

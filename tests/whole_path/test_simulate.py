@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 import pyvisa
 
-from instrument.simulated.fibre_gyro.server import GyroServer
-from instrument.simulated.links.scope_server import ScopeServer
+from instrument.simulated.fibre_gyro import GyroServer
+from instrument.simulated.links.scope_servers import ScopeServer
 from instrument.simulated.links.stream_server import StreamServer
 from station.cli import main
 

@@ -5,8 +5,7 @@ out when, `closed_loop` the simulation on one of two kernels, `output_model` the
 """
 
 from analysis.fibre_gyro.loop.closed_loop import ClosedLoop, Kernel
-from analysis.fibre_gyro.loop.design import LoopDesign
-from analysis.fibre_gyro.loop.output import OutputBlock, Trace
+from analysis.fibre_gyro.loop.design import LoopDesign, OutputBlock, Trace
 from analysis.fibre_gyro.loop.output_model import OutputModel
 
 __all__ = ["ClosedLoop", "Kernel", "LoopDesign", "OutputBlock", "OutputModel", "Trace"]

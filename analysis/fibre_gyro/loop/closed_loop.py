@@ -22,11 +22,9 @@ from numpy.typing import ArrayLike
 
 from analysis.arrays import Floats, Indices, Ints
 from analysis.fibre_gyro.coil import FibreCoil
-from analysis.fibre_gyro.loop import numpy_kernel as closed_loop_numpy
-from analysis.fibre_gyro.loop.clock import OutputClock
-from analysis.fibre_gyro.loop.design import LoopDesign
-from analysis.fibre_gyro.loop.output import OutputBlock, Trace
-from analysis.fibre_gyro.loop.registers import (
+from analysis.fibre_gyro.loop import kernels
+from analysis.fibre_gyro.loop.design import LoopDesign, OutputBlock, OutputClock, Trace
+from analysis.fibre_gyro.loop.kernels import (
     NORMAL,
     PHASE,
     REGISTER,
@@ -178,13 +176,13 @@ class ClosedLoop:
         first = self._clock.pairs
         drive = self._drive(chunk, np.full((self.runs, 1), float(rate_dps)), steps, first)
         constants = loop_constants(self.design, closed=self.design.closed if closed is None else closed)
-        seen: list[closed_loop_numpy.PairSignals] = []
+        seen: list[kernels.PairSignals] = []
         sums = np.zeros((self.runs, 1, 4), dtype=np.int64)
 
-        def watch(pair: closed_loop_numpy.PairSignals) -> None:
+        def watch(pair: kernels.PairSignals) -> None:
             seen.append(pair.of_run(0))
 
-        closed_loop_numpy.run_pairs(constants, self._phase, self._words, self._phases, drive, sums, watch)
+        kernels.run_pairs(constants, self._phase, self._words, self._phases, drive, sums, watch)
         self._clock.next_pairs(int(chunk.pairs[0]))
         return _trace(seen, 2 * first + 1, self.coil, self.design)
 
@@ -250,16 +248,16 @@ def _kernel(name: Kernel, runs: int) -> RunPairs:
     if name not in ("auto", "numba", "numpy"):
         raise ValueError(f"the kernel must be 'auto', 'numba' or 'numpy', not {name!r}")
     if name == "numpy":
-        return closed_loop_numpy.run_pairs
-    scalar = import_module("analysis.fibre_gyro.loop.scalar_kernel")
+        return kernels.run_pairs
+    scalar = import_module("analysis.fibre_gyro.loop.compiled_kernel")
     if name == "numba" and not scalar.COMPILED:
         raise ValueError("the compiled loop needs Numba: install gyrolock[fast], or take the kernel 'auto'")
     many = runs >= _MANY_RUNS and not scalar.COMPILED
-    run_pairs: RunPairs = closed_loop_numpy.run_pairs if many else scalar.run_pairs
+    run_pairs: RunPairs = kernels.run_pairs if many else scalar.run_pairs
     return run_pairs
 
 
-def _trace(seen: list[closed_loop_numpy.PairSignals], first: int, coil: FibreCoil, design: LoopDesign) -> Trace:
+def _trace(seen: list[kernels.PairSignals], first: int, coil: FibreCoil, design: LoopDesign) -> Trace:
     """Signals of the first run, pair after pair, as one series."""
     staircase, code, adc = (np.concatenate([pair[field] for pair in seen]) for field in (0, 1, 5))
     phase, turns, level = (np.concatenate([pair[field] for pair in seen]) for field in (2, 3, 4))

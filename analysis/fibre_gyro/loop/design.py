@@ -13,7 +13,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from analysis.arrays import Floats, Ints
+from analysis.arrays import Bools, Floats, Ints
 from analysis.fibre_gyro.coil import FibreCoil
 
 InjectionPath = Literal["shared", "separate"]
@@ -195,3 +195,105 @@ _RANGES = (
     ("light_level", 0.01, 1.0),
     ("two_pi_loop_gain", 0.0, 1.0),
 )
+
+
+# --------------------
+# Output periods in whole sample pairs: each holds the pairs that end in it, so times are exact on average
+
+
+class OutputClock:
+    """Time and sample pairs since the start of a gyro.
+
+    Examples
+    --------
+    >>> clock = OutputClock(FibreCoil())
+    >>> ends, pairs = clock.next_outputs(3, 0.01)
+    >>> ends.tolist(), pairs.tolist()
+    ([0.01, 0.02, 0.03], [1021, 1021, 1021])
+    """
+
+    def __init__(self, coil: FibreCoil) -> None:
+        self.pair_time = 2.0 * coil.transit_time
+        self.time, self.pairs = 0.0, 0
+
+    def next_outputs(self, n_outputs: int, period: float) -> tuple[Floats, Ints]:
+        """End of each of the next output periods, s, and its number of pairs; the clock goes on."""
+        if n_outputs < 1:
+            raise ValueError(f"the number of outputs must be at least 1, not {n_outputs}")
+        if not self.pair_time <= period < np.inf:
+            raise ValueError(
+                f"the output period must be at least one sample pair, {self.pair_time:.4g} s, not {period!r}"
+            )
+        ends: Floats = self.time + period * np.arange(1, n_outputs + 1, dtype=np.float64)
+        last = np.rint(ends / self.pair_time).astype(np.int64)
+        in_output: Ints = last - np.concatenate(([self.pairs], last[:-1]))
+        self.time, self.pairs = float(ends[-1]), int(last[-1])
+        return ends, in_output
+
+    def next_pairs(self, pairs: int) -> None:
+        """Go on by some pairs."""
+        self.pairs += pairs
+        self.time = self.pairs * self.pair_time
+
+
+# --------------------
+# What a fibre gyro gives: output words, and a trace of its staircase and detector signal
+
+
+@dataclass(frozen=True)
+class OutputBlock:
+    """Consecutive output words; shape (n,), or (runs, n) of several gyros side by side.
+
+    Attributes
+    ----------
+    times_s : ndarray, shape (n,)
+        End of each output period since the start of the gyro.
+    counts : ndarray
+        Mean feedback step over the period with its sign reversed, codes each transit time.
+    normal_error, reset_error : ndarray
+        Mean demodulated error, counts of the detector's converter, of the sample pairs without and with a 2 pi
+        reset; nan where there was none.
+    reset_pairs : ndarray of int
+        Number of sample pairs with a reset.
+    """
+
+    times_s: Floats
+    interval_s: float
+    counts: Floats
+    normal_error: Floats
+    reset_error: Floats
+    reset_pairs: Ints
+
+
+@dataclass(frozen=True)
+class Trace:
+    """The signals of one gyro at every transit time; shape (n,) each.
+
+    Attributes
+    ----------
+    times_s : ndarray
+        Since the start of the gyro.
+    staircase : ndarray of int
+        The staircase in whole codes, without the bias.
+    code : ndarray of int
+        What the converter gets: staircase and bias.
+    modulator_rad : ndarray
+        Phase of the modulator, with the errors of converter and 2 pi voltage, without a second electrode.
+    difference_rad : ndarray
+        Phase difference of the two beams: Sagnac phase and modulator now less modulator one transit time ago.
+    intensity : ndarray
+        At the detector without noise; 1 is the peak of the fringe.
+    adc : ndarray of int
+        As converted, with noise.
+    reset : ndarray of bool
+        The staircase or the code wrapped since the sample before.
+    """
+
+    times_s: Floats
+    staircase: Ints
+    code: Ints
+    modulator_rad: Floats
+    difference_rad: Floats
+    intensity: Floats
+    adc: Ints
+    reset: Bools

@@ -21,9 +21,7 @@ from numpy.typing import ArrayLike
 
 from analysis.arrays import Floats, Ints
 from analysis.fibre_gyro.coil import FibreCoil
-from analysis.fibre_gyro.loop.clock import OutputClock
-from analysis.fibre_gyro.loop.design import LoopDesign
-from analysis.fibre_gyro.loop.output import OutputBlock
+from analysis.fibre_gyro.loop.design import LoopDesign, OutputBlock, OutputClock
 
 Rate = ArrayLike | Callable[[Floats], ArrayLike]
 

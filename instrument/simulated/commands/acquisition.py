@@ -5,14 +5,19 @@ Source: programmer manual 071-1075-04, pp. 2-45 to 2-52 and 2-221 to 2-239.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import replace
+
 import numpy as np
 
-from instrument.simulated.commands.action import Action, answer, one_argument
-from instrument.simulated.panel import panel_rules
-from instrument.simulated.panel.event_table import Guess, Refusal
-from instrument.simulated.panel.formats import INVALID, nr3
-from instrument.simulated.panel.kinds import Words
-from instrument.simulated.panel.parsing import Argument
+from instrument.scpi import NO_DATA
+from instrument.simulated.commands.tree import Action, Order, Query, answer, no_argument, one_argument
+from instrument.simulated.front_end.traces import Trace, clipping_event, measure, phase, unit
+from instrument.simulated.panel.events import Guess, Refusal
+from instrument.simulated.panel.models import Model
+from instrument.simulated.panel.panel import store
+from instrument.simulated.panel.parsing import INVALID, Argument, Leaf, nr3, quoted
+from instrument.simulated.panel.settings import Words
 from instrument.simulated.state import ScopeState
 
 _COUNTER_GATE = 0.25  # s, window of the trigger frequency counter
@@ -40,7 +45,7 @@ def _level_to_half(state: ScopeState, arguments: tuple[Argument, ...]) -> None:
     state.acquisition.settle()
     volts = _recent_trigger_signal(state)
     middle = float(volts.max() + volts.min()) / 2
-    panel_rules.store(state.panel, "TRIGGER:MAIN:LEVEL", float(f"{middle:.6e}"))
+    store(state.panel, "TRIGGER:MAIN:LEVEL", float(f"{middle:.6e}"))
 
 
 def _trigger_frequency(state: ScopeState) -> str:
@@ -75,10 +80,238 @@ def _acquisitions(state: ScopeState) -> str:
     return str(0 if state.panel.scanning else state.acquisition.acquisitions)
 
 
-ACTIONS = {
+ACQUISITION_ACTIONS = {
     "ACQuire:NUMACq": Action(answer("ACQuire:NUMACq", _acquisitions)),
     "TRIGger": Action(order=_force_trigger),
     "TRIGger:STATE": Action(answer("TRIGger:STATE", _trigger_state)),
     "TRIGger:MAIn": Action(order=_level_to_half),
     "TRIGger:MAIn:FREQuency": Action(answer("TRIGger:MAIn:FREQuency", _trigger_frequency)),
 }
+
+
+# --------------------
+# MEASUrement and CURSor queries.
+#
+# Source: programmer manual 071-1075-04, pp. 2-75 to 2-83 and 2-159 to 2-170
+
+
+_MEASURED_DIGITS = 11
+_DECIMALS = 10  # of a measured value: a TDS2024 answered 9.99999046E-2 and 1.400003433E-1 V, 4.0E-4 s
+_ALL_DIGITS = 15
+
+
+def _value(branch: str) -> Query:
+    """The value of a measurement; 9.9E37 and an event where there is none."""
+    key = branch.upper()
+
+    def query(state: ScopeState) -> list[Leaf]:
+        try:
+            value = _measured(state, state.panel.text(f"{key}:TYPE"), _source(state, key))
+        except Refusal as refusal:
+            state.status.post(refusal.event)
+            value = INVALID
+        return [((*branch.split(":"), "VALue"), nr3(round(value, _DECIMALS), _ALL_DIGITS))]
+
+    return query
+
+
+def _measured(state: ScopeState, kind: str, source: str) -> float:
+    if kind == "NONE":
+        raise Refusal(2231)
+    if state.panel.scanning or state.panel.text("DISPLAY:FORMAT") == "XY":
+        raise Refusal(221)
+    trace = state.trace(source)
+    if trace is None or trace.yunit == "dB":
+        raise Refusal(2225)
+    if kind == "PHASE":
+        value = _phase(state, trace)
+    elif kind == "CURSORRMS":
+        value = measure("RMS", _between_cursors(state, trace))
+    else:
+        value = measure(kind, trace)
+    state.status.post(clipping_event(trace))
+    return value
+
+
+def _source(state: ScopeState, key: str) -> str:
+    """What a measurement looks at; later models call the one of IMMed SOURCE1."""
+    values = state.panel.values
+    return str(values[f"{key}:SOURCE1" if f"{key}:SOURCE1" in values else f"{key}:SOURCE"])
+
+
+def _phase(state: ScopeState, first: Trace) -> float:
+    """Degrees by which the first source leads the second, -180 to 180."""
+    second = state.trace(state.panel.text("MEASUREMENT:IMMED:SOURCE2"))
+    if second is None:
+        raise Refusal(2225)
+    return phase(first, second)
+
+
+def _between_cursors(state: ScopeState, trace: Trace) -> Trace:
+    """The part of a trace between the vertical bars; event 2302 while they are off."""
+    if state.panel.text("CURSOR:FUNCTION") != "VBARS":
+        raise Refusal(2302)
+    times = sorted(state.panel.number(f"CURSOR:VBARS:POSITION{n}") for n in (1, 2))
+    first, last = (round((time - trace.xzero) / trace.xincr) for time in times)
+    part = slice(max(first, 0), max(last, 0) + 1)
+    return replace(trace, codes=trace.codes[part])
+
+
+def _branch(branch: str) -> Query:
+    """Type, unit and source."""
+    path, key = tuple(branch.split(":")), branch.upper()
+
+    def query(state: ScopeState) -> list[Leaf]:
+        kind, *sources = state.leaves(state.rows_below(branch))
+        units = quoted(unit(state.panel.text(f"{key}:TYPE")))
+        return [kind, ((*path, "UNIts"), units), *sources]
+
+    return query
+
+
+def _units(branch: str) -> Query:
+    key = f"{branch.upper()}:TYPE"
+    return answer(f"{branch}:UNIts", lambda state: quoted(unit(state.panel.text(key))))
+
+
+def _cursor_delta(branch: str) -> Query:
+    def difference(state: ScopeState) -> str:
+        first, second = (state.panel.number(f"CURSOR:{branch.upper()}:POSITION{n}") for n in (1, 2))
+        return nr3(second - first, _MEASURED_DIGITS)
+
+    return answer(f"CURSor:{branch}:DELTa", difference)
+
+
+def _horizontal_bar_units(state: ScopeState) -> str:
+    source = state.panel.text("CURSOR:SELECT:SOURCE")
+    trace = state.trace(source)
+    word = {"Volts": "VOLTs", "V": "VOLTs", "dB": "DECIBELs", "U": "UNKNOWN"}
+    spelled = word.get(trace.yunit, "UNKNOWN") if trace is not None else "DIVs"
+    return spelled.upper()
+
+
+_BRANCHES = ("MEASUrement:IMMed", *(f"MEASUrement:MEAS{number}" for number in range(1, 6)))
+
+MEASUREMENT_ACTIONS = {
+    **{f"{branch}:VALue": Action(_value(branch), waits=lambda s: s.awaits_record()) for branch in _BRANCHES},
+    **{branch: Action(_branch(branch)) for branch in _BRANCHES},
+    **{f"{branch}:UNIts": Action(_units(branch)) for branch in _BRANCHES},
+    "CURSor:HBArs:DELTa": Action(_cursor_delta("HBArs")),
+    "CURSor:HBArs:UNIts": Action(answer("CURSor:HBArs:UNIts", _horizontal_bar_units)),
+    "CURSor:VBArs:DELTa": Action(_cursor_delta("VBArs")),
+}
+
+
+# --------------------
+# Commands of B, C and TPS models: cursors on the waveform, batteries, and the printer at the USB port.
+#
+# Source: programmer manual 071-1075-04, pp. 2-28 to 2-32, 2-79 to 2-83 and 2-171 ff. The words that the
+# battery answers are guesses
+
+
+_CURSORS_OFF, _SOURCE_OFF, _OFF_SCREEN = 2302, 2303, 2301
+_DIGITS = 11
+_BATTERIES = (1, 2)
+_CHARGE = 100  # percent: the battery of a simulated instrument stays full
+_MINUTES_LEFT = 480  # of both batteries together
+
+
+def _displayed(state: ScopeState) -> Trace:
+    """The waveform that the vertical bars stand on."""
+    if state.panel.text("CURSOR:FUNCTION") != "VBARS":
+        raise Refusal(_CURSORS_OFF)
+    trace = state.trace(state.panel.text("CURSOR:SELECT:SOURCE"))
+    if trace is None:
+        raise Refusal(_SOURCE_OFF)
+    return trace
+
+
+def _time(state: ScopeState, number: int) -> float:
+    """Where a bar stands, s."""
+    position = state.panel.number(f"CURSOR:VBARS:POSITION{number}")
+    hertz = state.panel.text("CURSOR:VBARS:UNITS") == "HERTZ"
+    return 1 / position if hertz and position else position
+
+
+def _height(state: ScopeState, number: int) -> float:
+    """Volts of the waveform where a bar stands."""
+    trace = _displayed(state)
+    point = round((_time(state, number) - trace.xzero) / trace.xincr)
+    if not 0 <= point < trace.points or trace.codes[point] == NO_DATA:
+        raise Refusal(_OFF_SCREEN)
+    return (float(trace.codes[point]) - trace.yoff) * trace.ymult + trace.yzero
+
+
+def _heights(state: ScopeState) -> tuple[float, float]:
+    return _height(state, 1), _height(state, 2)
+
+
+def _slope(state: ScopeState) -> float:
+    first, second = _heights(state)
+    elapsed = _time(state, 2) - _time(state, 1)
+    if not elapsed:
+        raise Refusal(_OFF_SCREEN)
+    return (second - first) / elapsed
+
+
+def _difference(state: ScopeState) -> float:
+    first, second = _heights(state)
+    return second - first
+
+
+def _distance(state: ScopeState) -> float:
+    first, second = (state.panel.number(f"CURSOR:VBARS:POSITION{number}") for number in (1, 2))
+    return second - first
+
+
+def _bar_answer(leaf: str) -> Query:
+    """9.9E37 and an event where the bars meet no waveform."""
+    compute = {
+        "HDELTa": _distance,
+        "VDELTa": _difference,
+        "HPOS1": lambda state: _height(state, 1),
+        "HPOS2": lambda state: _height(state, 2),
+        "SLOPE": _slope,
+    }[leaf]
+
+    def value(state: ScopeState) -> str:
+        try:
+            return nr3(compute(state), _DIGITS)
+        except Refusal as refusal:
+            state.status.post(refusal.event)
+            return nr3(INVALID)
+
+    return answer(f"CURSor:VBArs:{leaf}", value)
+
+
+def _constant(header: str, text: str) -> Action:
+    return Action(answer(header, lambda state: text))
+
+
+def _printer_defaults() -> Order:
+    def order(state: ScopeState, arguments: tuple[Argument, ...]) -> None:
+        no_argument(arguments)
+        for row in state.rows_below("PICTBridge"):
+            state.panel.values[row.header.upper()] = row.default
+
+    return order
+
+
+def actions(model: Model) -> Mapping[str, Action]:
+    """Those that a model has."""
+    table: dict[str, Action] = {}
+    if model.letter_series:
+        leaves = ("HDELTa", "VDELTa", "HPOS1", "HPOS2", *(("SLOPE",) if model.has_power_key else ()))
+        table |= {f"CURSor:VBArs:{leaf}": Action(_bar_answer(leaf)) for leaf in leaves}
+    if model.series in ("B", "C"):
+        table["PICTBridge:DEF"] = Action(order=_printer_defaults())
+    if model.series == "TPS":
+        battery = {"GASgauge": str(_CHARGE), "STATUS": "FULLYCHARGED"}
+        table |= {
+            f"POWer:BATTERY{number}:{leaf}": _constant(f"POWer:BATTERY{number}:{leaf}", text)
+            for number in _BATTERIES
+            for leaf, text in battery.items()
+        }
+        table["POWer:AC:PRESENt"] = _constant("POWer:AC:PRESENt", "1")
+        table["POWer:BATTERIES:TIME"] = _constant("POWer:BATTERIES:TIME", str(_MINUTES_LEFT))
+    return table

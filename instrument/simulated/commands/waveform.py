@@ -6,27 +6,26 @@ Source: programmer manual 071-1075-04, pp. 2-84 to 2-91 and 2-240 to 2-260.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
 
-from instrument.simulated.commands.action import Action, Query, one_argument
-from instrument.simulated.commands.reference import (
-    preamble_orders,
-    save_waveform,
-    transmission_orders,
-    write_curve,
-)
+import numpy as np
+
+from instrument.scpi import NO_DATA, POINTS
+from instrument.simulated.commands.tree import Action, Order, Query, one_argument
 from instrument.simulated.front_end.traces import (
     PREAMBLE_FIELDS,
     TRANSMISSION_FIELDS,
     Trace,
     Transfer,
+    decode,
     encode,
     preamble,
 )
-from instrument.simulated.panel.event_table import Refusal
-from instrument.simulated.panel.formats import Leaf
-from instrument.simulated.panel.kinds import Words
+from instrument.simulated.panel.events import Guess, Refusal
 from instrument.simulated.panel.models import Model
-from instrument.simulated.panel.parsing import Argument
+from instrument.simulated.panel.parsing import Argument, Leaf
+from instrument.simulated.panel.settings import Text, Words, number
 from instrument.simulated.state import ScopeState
 
 # WFMPre:<wfm>? leaves out the transmission and answers in another order, p. 2-260
@@ -128,3 +127,125 @@ def actions(model: Model) -> Mapping[str, Action]:
             query = _named_field(source, name)
             table[f"WFMPre:{source}:{name}"] = Action(query, own[name], _awaited)
     return table
+
+
+# --------------------
+# Writing references: CURVe, the set forms of WFMPre, and SAVe:WAVEform.
+#
+# Source: programmer manual 071-1075-04, pp. 2-42, 2-84, 2-191 and 2-243 to 2-260
+
+
+_NOT_A_REFERENCE = 2241
+_NUMBERS = {"XINcr": "xincr", "XZEro": "xzero", "YMUlt": "ymult", "YZEro": "yzero", "YOFf": "yoff"}
+_STRINGS = {"XUNit": "xunit", "YUNit": "yunit", "WFId": "wfid"}
+_POINT_FORMATS = Words("ENV", "Y")
+
+
+def save_waveform(state: ScopeState, arguments: tuple[Argument, ...]) -> None:
+    """SAVe:WAVEform <wfm>,REF<x>: copy what is displayed into a reference."""
+    if len(arguments) != 2:
+        raise Refusal(Guess.SURPLUS_ARGUMENT if len(arguments) > 2 else Guess.MISSING_ARGUMENT)
+    source = Words(*state.model.waveform_names).read(arguments[0])
+    target = Words(*state.model.reference_names).read(arguments[1])
+    trace = state.trace(source)
+    if trace is None:
+        raise Refusal(2245)
+    head, _, rest = trace.wfid.partition(",")
+    state.references[target] = replace(trace, wfid=f"Ref{target[-1]},{rest}" if rest else head)
+
+
+def write_curve(state: ScopeState, arguments: tuple[Argument, ...]) -> None:
+    """CURVe <block or list>: write codes into DATa:DESTination from point STARt on."""
+    if not arguments:
+        raise Refusal(Guess.MISSING_ARGUMENT)
+    transfer = Transfer.of(state.panel)
+    if arguments[0].data is not None:
+        if len(arguments) > 1:
+            raise Refusal(Guess.SURPLUS_ARGUMENT)
+        new = decode(arguments[0].data, transfer)
+    else:
+        scale = 256 if transfer.width == 2 else 1
+        values = np.array([number(argument) for argument in arguments]) / scale
+        new = np.clip(np.trunc(values), -128, 127).astype(np.int8)
+    name = state.panel.text("DATA:DESTINATION")
+    reference = state.references[name]
+    codes = np.full(POINTS, NO_DATA, dtype=np.int8)
+    codes[: reference.points] = reference.codes
+    room = POINTS - (transfer.start - 1)
+    if len(new) > room:
+        state.status.post(532)
+    codes[transfer.start - 1 : transfer.start - 1 + len(new)] = new[:room]
+    state.references[name] = replace(reference, codes=codes)
+
+
+def preamble_orders(target: str = "") -> dict[str, Order]:
+    """Set forms of the preamble of one waveform; without a name of the one DATa:DESTination names."""
+    orders: dict[str, Order] = {"NR_Pt": _accepted, "PT_Off": _accepted}
+    for header, attribute in {**_NUMBERS, **_STRINGS, "PT_Fmt": "pt_fmt"}.items():
+        orders[header] = _field_order(target, header, attribute)
+    return orders
+
+
+def _field_order(target: str, header: str, attribute: str) -> Order:
+    def order(state: ScopeState, arguments: tuple[Argument, ...]) -> None:
+        name = target or state.panel.text("DATA:DESTINATION")
+        if name not in state.references:
+            raise Refusal(_NOT_A_REFERENCE)
+        argument = one_argument(arguments)
+        value: Any
+        if header in _NUMBERS:
+            value = number(argument)
+            if state.panel.number("DATA:WIDTH") == 2:
+                value *= {"YMUlt": 256, "YOFf": 1 / 256}.get(header, 1)
+        else:
+            value = (Text() if header in _STRINGS else _POINT_FORMATS).read(argument)
+        state.references[name] = replace(state.references[name], **{attribute: value})
+
+    return order
+
+
+def _accepted(state: ScopeState, arguments: tuple[Argument, ...]) -> None:
+    number(one_argument(arguments))
+
+
+def transmission_orders() -> dict[str, Order]:
+    """Set forms of the first five fields: they change the DATa settings."""
+    return {
+        "BYT_Nr": _set_width(1),
+        "BIT_Nr": _set_width(8),
+        "ENCdg": _set_encoding,
+        "BN_Fmt": _set_format,
+        "BYT_Or": _set_byte_order,
+    }
+
+
+def _set_width(bits: int) -> Order:
+    def order(state: ScopeState, arguments: tuple[Argument, ...]) -> None:
+        state.panel.values["DATA:WIDTH"] = 2 if number(one_argument(arguments)) > 1.5 * bits else 1
+
+    return order
+
+
+def _set_encoding(state: ScopeState, arguments: tuple[Argument, ...]) -> None:
+    word = Words("ASCii", "BINary").read(one_argument(arguments))
+    was_ascii = state.panel.text("DATA:ENCDG") == "ASCII"
+    if word == "ASCII":
+        state.panel.values["DATA:ENCDG"] = "ASCII"
+    elif was_ascii:
+        state.panel.values["DATA:ENCDG"] = "RPBINARY"
+
+
+def _set_format(state: ScopeState, arguments: tuple[Argument, ...]) -> None:
+    word = Words("RI", "RP").read(one_argument(arguments))
+    _set_binary(state, word, Transfer.of(state.panel).fields["BYT_Or"])
+
+
+def _set_byte_order(state: ScopeState, arguments: tuple[Argument, ...]) -> None:
+    word = Words("LSB", "MSB").read(one_argument(arguments))
+    _set_binary(state, Transfer.of(state.panel).fields["BN_Fmt"], word)
+
+
+def _set_binary(state: ScopeState, number_format: str, byte_order: str) -> None:
+    if state.panel.text("DATA:ENCDG") != "ASCII":
+        swapped = "S" if byte_order == "LSB" else ""
+        state.panel.values["DATA:ENCDG"] = f"{swapped}{number_format}BINARY"

@@ -7,7 +7,7 @@ from collections import defaultdict, deque
 from collections.abc import Sequence
 
 from instrument.simulated.links.stream_server import LOOK_UP, Port, StreamServer
-from instrument.transcripts.reading import Exchange
+from instrument.text_files import Exchange
 
 
 class ReplayServer(StreamServer):

@@ -30,8 +30,7 @@ from pyvisa.typing import VISARMSession, VISASession
 from pyvisa.util import LibraryPath
 
 from instrument.simulated.front_end.frontend import Floats, Signal
-from instrument.simulated.links.exchange import MessageExchange
-from instrument.simulated.links.serial_input import XOFF, XON
+from instrument.simulated.links.exchange import XOFF, XON, MessageExchange
 from instrument.simulated.scope import SimulatedTDS2014
 
 DEFAULT_NAMES = ("GPIB0::1::INSTR", "USB0::0x0699::0x0368::C010101::INSTR")

@@ -6,7 +6,7 @@ import re
 from dataclasses import dataclass
 from functools import cached_property
 
-from instrument.simulated.panel.formats import Mnemonics
+from instrument.simulated.panel.parsing import Mnemonics
 
 
 @dataclass(frozen=True)

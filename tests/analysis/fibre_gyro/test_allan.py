@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from analysis.fibre_gyro import allan_curve, allan_variance, fit_noise
-from analysis.fibre_gyro.allan.missing_words import with_words_put_in
+from analysis.fibre_gyro.allan import with_words_put_in
 
 INTERVAL = 0.1
 N, K, Q = 1e-4, 2e-5, 3e-5

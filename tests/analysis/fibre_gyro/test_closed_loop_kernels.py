@@ -13,10 +13,10 @@ import pytest
 from slow_loop import slow_outputs
 
 from analysis.fibre_gyro import ClosedLoop, FibreCoil, LoopDesign
-from analysis.fibre_gyro.loop.numpy_kernel import cosine_of_turns
+from analysis.fibre_gyro.loop.kernels import cosine_of_turns
 
 COIL = FibreCoil()
-SCALAR = "analysis.fibre_gyro.loop.scalar_kernel"
+SCALAR = "analysis.fibre_gyro.loop.compiled_kernel"
 BUILDS = {
     "gated": LoopDesign(two_pi_error=0.01),
     "all samples": LoopDesign(two_pi_error=-0.01, gated=False),

@@ -3,12 +3,7 @@
 import numpy as np
 import pytest
 
-from analysis.fibre_gyro import (
-    repeatability_ppm,
-    residual_pattern,
-    scale_figures,
-    temperature_coefficient_ppm,
-)
+from analysis.fibre_gyro import repeatability_ppm, residual_pattern, scale_figures, temperature_coefficient_ppm
 
 RATES = np.array([-100, -50, -20, -10, -5, -2, -0.5, -0.1, 0.1, 0.5, 2, 5, 10, 20, 50, 100.0])
 

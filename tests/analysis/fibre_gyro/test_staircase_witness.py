@@ -5,7 +5,7 @@ import pytest
 from scipy import stats
 
 from analysis.fibre_gyro import describe_witness_flag, two_pi_error_of_drive, witness_staircase
-from analysis.fibre_gyro.staircase.rounded_fit import converter_spacing
+from analysis.fibre_gyro.staircase import converter_spacing
 
 SPAN = 8.0  # V for all codes of the converter
 DT = 0.2e-6

@@ -22,11 +22,11 @@ from array_bench import (
 )
 
 from analysis import Flag, estimate_lock_in
+from analysis.arrays import NoTilt
 from analysis.budget import BenchKnowledge, Corner
-from analysis.errors import NoTilt
 from analysis.lock_in_run import Method, RunArrays, Tilt, evaluate, find_tilt, rows_of_batches
-from analysis.lock_in_run.estimates import estimate_records, only_beats
-from analysis.lock_in_run.table_rate import axis_rates
+from analysis.lock_in_run.records import estimate_records, only_beats
+from analysis.lock_in_run.table import axis_rates
 
 PLAIN = Method(K)
 

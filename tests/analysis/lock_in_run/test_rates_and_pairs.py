@@ -18,9 +18,9 @@ from array_bench import (
     whole_run,
 )
 
+from analysis.arrays import OneRateOnly, OutsideResponse
 from analysis.budget import BenchKnowledge, Corner
 from analysis.channel import ChannelResponse
-from analysis.errors import OneRateOnly, OutsideResponse
 from analysis.lock_in_run import Batch, Method, RunArrays, evaluate
 from analysis.lockin_equation import harmonic_ratio, lock_in_from_beat
 

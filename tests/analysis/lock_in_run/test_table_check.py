@@ -179,7 +179,7 @@ def test_an_unknown_azimuth_leaves_the_check_open_by_the_earth_rate():
 def test_some_records_at_a_time_are_all_of_them(monkeypatch):
     """A million go through the check in blocks."""
     whole = evaluate(run(3, table_u=20e-6), KNOWN, Method(K)).table_check
-    monkeypatch.setattr("analysis.lock_in_run.table_curve._AT_ONCE", 5)
+    monkeypatch.setattr("analysis.lock_in_run.table._CURVES_AT_ONCE", 5)
     parts = evaluate(run(3, table_u=20e-6), KNOWN, Method(K)).table_check
     for name in ("beat_over_table", "beat_over_table_u", "by_frequencies", "by_frequencies_u", "p_value"):
         assert getattr(parts, name) == pytest.approx(getattr(whole, name), rel=1e-7)

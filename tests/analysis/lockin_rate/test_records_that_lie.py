@@ -6,11 +6,11 @@ import scipy.signal
 from scipy.optimize import least_squares
 
 from analysis import DOUBTFUL, FATAL, Flag, beat_signal, combine_estimates, estimate_lock_in
-from analysis.waveform.damage import is_a_piece
-from analysis.waveform.repeating import repeating
-from analysis.waveform.series.sampled_equations import drift_by_samples
-from analysis.waveform.series.series_fit import fit_series
-from analysis.waveform.steadiness import passing_power, slow_curve_power
+from analysis.waveform.converter import is_a_piece
+from analysis.waveform.fit import passing_power, slow_curve_power
+from analysis.waveform.residuals import repeating
+from analysis.waveform.series import drift_by_samples
+from analysis.waveform.series_fit import fit_series
 from benchmarks.hostile.classes import CLASSES
 from benchmarks.hostile.gyro import N_SAMPLES, beat, draw_gyro, levels_of, steady, step_times
 from benchmarks.hostile.measure import answer_to, measure

@@ -5,14 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from analysis.ring_laser import (
-    Detector,
-    Gyro,
-    Winking,
-    beat_signal_on_table,
-    mean_beat_on_table,
-    signal_above,
-)
+from analysis.ring_laser import Detector, Gyro, Winking, beat_signal_on_table, mean_beat_on_table, signal_above
 from instrument.simulated.rate_table import Motion
 
 GYRO = Gyro(2000.0, 0.01, 0.6, 88.7, 28.2, start_phase=1.0, ripple_dps=2e-5, ripple_hz=1.0)

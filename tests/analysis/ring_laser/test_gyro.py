@@ -6,13 +6,7 @@ import numpy as np
 import pytest
 
 from analysis.lockin_equation import rate_varying_beat
-from analysis.ring_laser import (
-    Detector,
-    Gyro,
-    axis_rate_on_table,
-    beat_signal_on_table,
-    with_detector_noise,
-)
+from analysis.ring_laser import Detector, Gyro, axis_rate_on_table, beat_signal_on_table, with_detector_noise
 from instrument.simulated.rate_table import Motion
 
 GYRO = Gyro(

@@ -6,7 +6,7 @@ from bench_signals import WL, K, both_senses, ratios_of_slow_gain, volts
 
 from analysis import estimate_lock_in, fit_rate_ratios, fit_rates
 from analysis.several_rates import RatesFlag
-from analysis.several_rates.coupling import coupling_seen, said_by_beats
+from analysis.several_rates.solutions import coupling_seen, said_by_beats
 
 NOISE = 1e-4
 CORNER = 15 * K * WL

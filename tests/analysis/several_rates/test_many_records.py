@@ -12,7 +12,7 @@ from analysis.flags import Flag
 from analysis.lock_in_run import joined
 from analysis.several_rates.points import first_of_groups, groups_of
 
-AT_ONCE = "analysis.several_rates.ratio_records.AT_ONCE"
+AT_ONCE = "analysis.several_rates.points.AT_ONCE"
 
 
 @pytest.fixture(scope="module")

@@ -3,14 +3,8 @@ import pytest
 from bench_signals import WL, K, both_senses, estimates, ratios_of_slow_gain, volts
 from reference import bound
 
-from analysis import (
-    RatesFlag,
-    combine_estimates,
-    estimate_lock_in,
-    fit_rate_ratios,
-    fit_rates,
-)
-from station.lock_in.presentation.rates_sentences import describe_rates
+from analysis import RatesFlag, combine_estimates, estimate_lock_in, fit_rate_ratios, fit_rates
+from station.lock_in.messages import describe_rates
 
 RATES = (8, 15, 30, 60)
 FASTEST_BEAT = K * 60 * WL

@@ -7,16 +7,20 @@ import pytest
 import reference
 
 from analysis.study import (
+    Gyros,
     bias_table,
+    errors_by_peaks,
     find_causes,
+    largest_over_phases,
     lock_in_study,
+    peak_ratio,
     peak_readings,
     phase_study,
     rate_study,
+    records,
+    spectrum,
     waveform_study,
 )
-from analysis.study.paper_figures import largest_over_phases
-from analysis.study.simulation import Gyros, errors_by_peaks, peak_ratio, records, spectrum
 
 # x, r = A2/A1, bias of (13) and (10) in percent: from amplitudes of an eighth-order integration
 PUBLISHED = [

@@ -3,12 +3,9 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from analysis import DOUBTFUL, Flag, estimate_lock_in, flag_names, rate_varying_beat
-from analysis.waveform.moving_rate import fit_moving_rate
-from analysis.waveform.moving_rate.choice import terms_needed, with_terms
-from analysis.waveform.moving_rate.exact_steps import exact_steps
-from analysis.waveform.moving_rate.first_phase import first_phase
-from analysis.waveform.moving_rate.trajectory import Fitted, Record, Terms, Trajectory
-from analysis.waveform.repeating import by_level
+from analysis.waveform.residuals import by_level
+from analysis.waveform.trajectory import Fitted, Record, Terms, Trajectory, exact_steps
+from analysis.waveform.varying_rate import first_phase, fit_moving_rate, terms_needed, with_terms
 from benchmarks.hostile.gyro import beat, converted, draw_gyro, levels_of, noisy, step_times
 
 N, PERIODS, X = 2500, 60.3, 0.1

@@ -5,8 +5,7 @@ import pytest
 from reference import adler_beat, bound, random_records
 
 from analysis import Flag, estimate_lock_in
-from analysis.lockin_rate.beat import Beat
-from analysis.lockin_rate.swing import fewest_levels
+from analysis.lockin_rate import Beat, fewest_levels
 
 
 def _no_beat(n_records):
@@ -33,7 +32,7 @@ def test_quiet_records_are_better_than_with_white_rounding(noise):
 
 def test_the_mean_rounding_error_is_that_of_a_simulation():
     """Against ten thousand noisy roundings of one waveform."""
-    from analysis.waveform.quantisation import mean_rounding
+    from analysis.waveform.converter import mean_rounding
 
     truth = {"f_over_k": 1.0, "wl": 0.3, "k": 0.01, "theta": 0.2, "delta": 1.0, "amplitude": 6.0, "offset": 0.3}
     wave = adler_beat(np.arange(200.0), **truth)

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from analysis import estimate_lock_in, flag_names
-from analysis.waveform.moving_rate.rate_step import with_rate_step
-from analysis.waveform.moving_rate.trajectory import Record, Terms, Trajectory
+from analysis.waveform.trajectory import Record, Terms, Trajectory, with_rate_step
 from benchmarks.hostile.gyro import N_SAMPLES, beat, converted, draw_gyro, levels_of, noisy, steady, step_times
 
 

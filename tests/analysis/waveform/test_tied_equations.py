@@ -3,10 +3,16 @@
 import numpy as np
 import pytest
 
-from analysis.waveform.series.geometric_series import Series, sampled_series
-from analysis.waveform.series.harmonic_sums import UNIFORM_PHASES, data_sums, uniform_kernels
-from analysis.waveform.series.sampled_equations import equations_by_samples
-from analysis.waveform.series.tied_equations import SeriesSums, equations_of_sums
+from analysis.waveform.series import (
+    UNIFORM_PHASES,
+    Series,
+    SeriesSums,
+    data_sums,
+    equations_by_samples,
+    equations_of_sums,
+    sampled_series,
+    uniform_kernels,
+)
 
 
 def direct_sums(values, omega, n_harmonics, highest_power):

@@ -2,7 +2,7 @@
 
 import pytest
 
-from instrument.dialogue.events import is_error, parse_events
+from instrument.dialogue.identify import is_error, parse_events
 from instrument.errors import TransferError
 
 

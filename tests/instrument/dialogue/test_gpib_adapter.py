@@ -8,10 +8,10 @@ import pytest
 import pyvisa
 
 from instrument import TDS2014
+from instrument.claims import USB_RULE, advice
 from instrument.errors import LinkError
-from instrument.names import USB_RULE, advice
 from instrument.simulated import PtyServer, SimulatedTDS2014
-from instrument.simulated.links.gpib_adapter import GpibAdapterServer
+from instrument.simulated.links.scope_servers import GpibAdapterServer
 
 POSIX = pytest.mark.skipif(sys.platform == "win32", reason="there are serial terminals on POSIX only")
 LINE_FEED = 10
@@ -57,7 +57,7 @@ def test_an_instrument_that_another_program_has_put_behind_an_adapter(server):
 
 def test_an_acquisition_that_takes_longer_than_the_adapter_listens(monkeypatch):
     monkeypatch.setattr("instrument.pyvisa_sessions.READ_TIME_MS", 200)
-    monkeypatch.setattr("instrument.dialogue.link.READ_AGAIN_S", 0.3)
+    monkeypatch.setattr("instrument.pyvisa_sessions.READ_AGAIN_S", 0.3)
     with GpibAdapterServer(SimulatedTDS2014({1: ramp})) as server, TDS2014(server.resource_name) as scope:
         scope.set_timebase(5e-2)
         scope.set_trigger(source="CH1", level=0.0, mode="NORMAL")

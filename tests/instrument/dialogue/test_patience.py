@@ -2,7 +2,7 @@
 
 import pytest
 
-from instrument.dialogue.patience import Patience
+from instrument.dialogue.retry import Patience
 
 
 def learned(*after: float, kind: str = "text") -> Patience:

@@ -8,8 +8,8 @@ import pytest
 
 from instrument import SettingError
 from instrument.fibre_gyro import FrameFormatError, parse_frame_format
-from instrument.fibre_gyro.frame_format.checksums import CHECKSUMS
-from instrument.fibre_gyro.frame_format.messages import compose
+from instrument.fibre_gyro.frame_fields import CHECKSUMS
+from instrument.fibre_gyro.frame_format import compose
 
 EXAMPLES = tomllib.loads((Path(__file__).parents[3] / "config/fibre_gyro_frames.toml").read_text())["formats"]
 

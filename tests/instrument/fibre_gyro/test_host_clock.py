@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from benchmarks.fibre_gyro.host_clock import clock_of
-from instrument.fibre_gyro.host_clock import Arrivals
+from instrument.fibre_gyro.recording import Arrivals
 
 
 @pytest.mark.parametrize("rate", [10.0, 100.0, 1000.0])

@@ -14,8 +14,7 @@ import pytest
 
 from instrument import LinkError, SettingError
 from instrument.fibre_gyro import CommandRefused, FibreGyroLink, NoAcknowledgement, parse_frame_format
-from instrument.simulated.fibre_gyro.faults import GyroFault, GyroFaults
-from instrument.simulated.fibre_gyro.server import PtyGyroServer, TcpGyroServer
+from instrument.simulated.fibre_gyro import GyroFault, GyroFaults, PtyGyroServer, TcpGyroServer
 
 if sys.platform != "win32":
     import tty

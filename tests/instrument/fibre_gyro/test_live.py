@@ -12,9 +12,8 @@ import pytest
 from benchmarks.fibre_gyro.real_gyros import kvh_1750
 from instrument import LinkError, SettingError
 from instrument.fibre_gyro import FibreGyroLink, FrameFormatError, parse_frame_format
-from instrument.simulated.fibre_gyro.faults import GyroFault, GyroFaults
-from instrument.simulated.fibre_gyro.server import PtyGyroServer, TcpGyroServer
-from station.settings.load import shipped_settings
+from instrument.simulated.fibre_gyro import GyroFault, GyroFaults, PtyGyroServer, TcpGyroServer
+from station.settings import shipped_settings
 
 no_pty = pytest.mark.skipif(sys.platform == "win32", reason="this system has no pseudo-terminals")
 COUNTED = {

@@ -5,8 +5,7 @@ import pytest
 
 from instrument import FileFormatError
 from instrument.fibre_gyro import LogChoices, read_gyro_log, read_log
-from instrument.fibre_gyro.logs import parse_gyro_log
-from instrument.fibre_gyro.logs.clock import clock_of_counter, find_clock
+from instrument.fibre_gyro.logs import clock_of_counter, find_clock, parse_gyro_log
 
 LOST = [500, 501, 502, 2000, 3500, 3501, 4000]
 

@@ -9,8 +9,8 @@ import pytest
 from benchmarks.fibre_gyro.frames import read
 from benchmarks.fibre_gyro.real_gyros import REAL_GYROS, raw_outputs
 from instrument.fibre_gyro import parse_frame_format
-from instrument.fibre_gyro.meaning import doubts_about
-from station.settings.load import shipped_settings
+from instrument.fibre_gyro.frames import doubts_about
+from station.settings import shipped_settings
 
 GYROS = {gyro.name: gyro for gyro in REAL_GYROS}
 

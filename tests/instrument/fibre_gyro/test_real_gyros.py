@@ -11,7 +11,7 @@ from benchmarks.fibre_gyro.frames import judge, layout_of, read
 from benchmarks.fibre_gyro.real_gyros import REAL_GYROS, crc_mpeg, damaged, is_same, raw_outputs, sevens
 from instrument.fibre_gyro import parse_frame_format
 from instrument.fibre_gyro.frame_stream import Damage, FrameStream
-from instrument.fibre_gyro.record_builder import RecordBuilder
+from instrument.fibre_gyro.recording import RecordBuilder
 
 BY_NAME = {gyro.name: gyro for gyro in REAL_GYROS}
 EXACT = [gyro for gyro in REAL_GYROS if gyro.name != "kvh_dsp_3000_100hz"]

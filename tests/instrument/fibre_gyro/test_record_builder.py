@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from instrument.fibre_gyro.frame_format.fields import CounterRule
-from instrument.fibre_gyro.record_builder import CounterClock
+from instrument.fibre_gyro.frame_fields import CounterRule
+from instrument.fibre_gyro.recording import CounterClock
 
 
 def places(clock, steps):

@@ -7,7 +7,7 @@ import pytest
 
 from benchmarks.fibre_gyro.frames import layout_of
 from benchmarks.fibre_gyro.real_gyros import REAL_GYROS, damaged, raw_outputs, xor_of
-from instrument.fibre_gyro.sniff import Capture, find_structure, try_format
+from instrument.fibre_gyro.identify import Capture, find_structure, try_format
 
 ALL = {gyro.name: layout_of(gyro) for gyro in REAL_GYROS}
 

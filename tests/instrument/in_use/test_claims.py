@@ -15,20 +15,19 @@ import pytest
 import pyvisa
 
 from instrument import TDS2014, LinkError, SettingError
+from instrument.claims import claim, link_of
+from instrument.controllers import ControlledRateTable, Controller, parse_template
 from instrument.discovery import check_resource
-from instrument.in_use import claim
-from instrument.in_use.links import link_of
 from instrument.pyvisa_sessions import claim_instrument
 from instrument.simulated import SimulatedRateTable, SimulatedTDS2014, TcpServer
 from instrument.simulated.controllers import LineServer, RateTableController, SimulatedPowerSupply
-from instrument.simulated.links.gpib_adapter import GpibAdapterServer
-from instrument.templates import ControlledRateTable, Controller, parse_template
+from instrument.simulated.links.scope_servers import GpibAdapterServer
 
 SHIPPED = Path(__file__).parents[3] / "config" / "controllers" / "rate_table.toml"
 
 HOLDS = """
 import sys, time
-from instrument.in_use.claims import claim
+from instrument.claims import claim
 claim(sys.argv[1], "campaign Acceptance, unit 7")
 print("holds", flush=True)
 time.sleep(60)
@@ -102,7 +101,7 @@ def test_a_claim_is_kept_until_the_last_one_is_released(locks: Path) -> None:
 
 @contextmanager
 def another_process_tries(name: str) -> Iterator[bool]:
-    text = "import sys; from instrument.in_use.claims import claim; claim(sys.argv[1])"
+    text = "import sys; from instrument.claims import claim; claim(sys.argv[1])"
     done = subprocess.run([sys.executable, "-c", text, name], capture_output=True, text=True, check=False)
     assert done.returncode == 0 or "is in use by process" in done.stderr
     yield done.returncode != 0

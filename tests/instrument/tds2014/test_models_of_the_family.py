@@ -5,7 +5,7 @@ import pytest
 
 from instrument import TDS2014
 from instrument.simulated import SimulatedTDS2014, VirtualClock, resource_manager
-from instrument.tds2014.setup_text import settings_of
+from instrument.tds2014.front_panel import settings_of
 
 USB = "USB0::0x0699::0x0368::C010101::INSTR"
 

@@ -9,7 +9,7 @@ from PIL import Image
 
 from instrument import TransferError
 from instrument.simulated import Fault
-from instrument.tds2014.screen import png_from_bmp
+from instrument.tds2014.knobs import png_from_bmp
 
 
 def test_screen_over_the_link(bench, tmp_path):
@@ -34,7 +34,7 @@ def test_screen_over_the_link(bench, tmp_path):
     "kind", [*(pytest.param(kind, marks=pytest.mark.slow) for kind in ("cut answer", "lost answer")), "garbage"]
 )
 def test_damaged_picture_is_refused(bench, bench_scope, kind, monkeypatch):
-    monkeypatch.setattr("instrument.tds2014.screen._PICTURE_TIME", 0.5)
+    monkeypatch.setattr("instrument.tds2014.knobs._PICTURE_TIME", 0.5)
     bench.screen()
     bench_scope.faults.add(Fault(kind, shortest=10_000, bytes_sent=2000))
     with pytest.raises(TransferError):

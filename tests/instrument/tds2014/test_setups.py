@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from instrument import ExecutionError, NoTrigger, SettingError
-from instrument.tds2014.setup_text import settings_of
+from instrument.tds2014.front_panel import settings_of
 
 
 def panel_of(simulated):

@@ -8,9 +8,9 @@ from pathlib import Path
 import pytest
 
 from instrument import LinkError, SettingError
+from instrument.controllers import ControlledRateTable, Controller, parse_template
 from instrument.simulated import SimulatedRateTable, VirtualClock
 from instrument.simulated.controllers import LineServer
-from instrument.templates import ControlledRateTable, Controller, parse_template
 
 SHIPPED = Path(__file__).parents[3] / "config" / "controllers"
 needs_ptys = pytest.mark.skipif(os.name != "posix", reason="needs pseudo-terminals")

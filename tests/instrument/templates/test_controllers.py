@@ -14,6 +14,7 @@ from typing import Any
 import pytest
 
 from instrument import LinkError, RateTable, SettingError, WrongInstrument
+from instrument.controllers import ControlledRateTable, Controller, ControllerTemplate, parse_template
 from instrument.simulated import SimulatedRateTable, VirtualClock
 from instrument.simulated.controllers import (
     LineServer,
@@ -21,7 +22,6 @@ from instrument.simulated.controllers import (
     SimulatedChamber,
     SimulatedPowerSupply,
 )
-from instrument.templates import ControlledRateTable, Controller, ControllerTemplate, parse_template
 
 SHIPPED = Path(__file__).parents[3] / "config" / "controllers"
 needs_ptys = pytest.mark.skipif(os.name != "posix", reason="needs pseudo-terminals")
@@ -169,7 +169,7 @@ def test_another_instrument_is_refused() -> None:
 
 KILLED = """
 import sys, tomllib, time
-from instrument.templates import *
+from instrument.controllers import *
 values = tomllib.load(open(sys.argv[2], "rb"))
 controller = Controller(sys.argv[1], parse_template(values, "x"))
 table = ControlledRateTable(controller, Guard(sys.argv[1], values))

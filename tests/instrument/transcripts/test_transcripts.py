@@ -10,8 +10,7 @@ import pytest
 from instrument import TDS2014, FileFormatError
 from instrument.simulated import SimulatedTDS2014, TcpServer
 from instrument.simulated.links.replay import ReplayServer
-from instrument.transcripts.reading import read_transcript
-from instrument.transcripts.recording import Transcript, recorded
+from instrument.text_files import Transcript, read_transcript, recorded
 from station.cli import main
 
 

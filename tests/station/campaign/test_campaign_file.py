@@ -7,13 +7,11 @@ from pathlib import Path
 import jsonschema
 import pytest
 
-from station.campaign.file import read_campaign
-from station.campaign.schema import campaign_schema
+from station.campaign.file import campaign_schema, read_campaign
 from station.cli import main
 from station.errors import SettingsError
 from station.results.verdict import Limit
-from station.settings.load import shipped_settings
-from station.settings.toml_files import line_of, read_toml
+from station.settings import line_of, read_toml, shipped_settings
 
 Write = Callable[..., Path]
 

@@ -12,21 +12,20 @@ import pytest
 
 from instrument import LinkError
 from station.campaign import journal
-from station.campaign.bench.in_use import bench_in_use
+from station.campaign.bench import bench_in_use
 from station.campaign.conduct import conduct
 from station.campaign.file import read_campaign
-from station.campaign.journal import JOURNAL, Journal, read_test
-from station.campaign.outcome import CampaignOutcome
+from station.campaign.journal import JOURNAL, CampaignOutcome, Journal, read_test
 from station.cli import main
-from station.controllers.open import served_controllers
+from station.controllers import served_controllers
 from station.errors import CannotWrite, UsageError
 from station.lock_in import take as lock_in_take
 from station.lock_in.served import scope_on_table
 from station.lock_in.settings import load_settings
-from station.plan.prediction import predict
+from station.plan import predict
 from station.runs.progress import Progress
 from station.runs.store import RunWriter, open_run
-from station.scope.serve import serve
+from station.scope.tools import serve
 from tests.ideal_bench import ideal_bench
 
 Write = Callable[..., Path]
@@ -140,7 +139,7 @@ def test_an_interrupted_test_is_aborted_and_goes_on(campaign: Write, monkeypatch
 KILLED = """
 import itertools, os, signal, sys
 from station.cli import main
-from station.controllers.open import served_controllers
+from station.controllers import served_controllers
 from station.runs.store import RunWriter
 commit, commits = RunWriter.save_records, itertools.count(1)
 def save_records(writer, records):
@@ -194,7 +193,7 @@ def test_a_test_is_carried_out_by_one_program_and_by_the_campaign_that_began_it(
 HOLDS = """
 import sys, time
 from pathlib import Path
-from station.campaign.bench.in_use import bench_in_use
+from station.campaign.bench import bench_in_use
 from station.campaign.file import read_campaign
 with bench_in_use(read_campaign(Path("other.toml"), "LIMIT")):
     print("holds", flush=True)

@@ -5,11 +5,10 @@ from typing import Any
 
 import pytest
 
-from station.campaign.plan import PlannedStep
-from station.campaign.step import judged
+from station.campaign.conduct import judged
+from station.campaign.journal import PlannedStep
 from station.results.result import Measured, Result
-from station.results.values import values_of
-from station.results.verdict import Limit, Value
+from station.results.verdict import Limit, Value, values_of
 
 DOCUMENT: dict[str, Any] = {
     "lock_in_rate_dps": 0.01,

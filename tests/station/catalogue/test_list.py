@@ -13,9 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from station.catalogue.choose import Wanted, chosen
-from station.catalogue.entry import Entry
-from station.catalogue.index import INDEX_FILE, list_runs
+from station.catalogue import INDEX_FILE, Entry, Wanted, chosen, list_runs
 from station.cli import main
 from station.errors import UsageError
 from station.runs.store import open_run

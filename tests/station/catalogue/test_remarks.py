@@ -10,10 +10,10 @@ from pathlib import Path
 
 import pytest
 
-from station.catalogue.index import list_runs
+from station.catalogue import list_runs
 from station.cli import main
 from station.errors import CannotWrite, RunError, UsageError
-from station.runs.remarks import add_remark, read_remarks, remarks_file
+from station.runs.annotations import add_remark, read_remarks, remarks_file
 from station.runs.store import open_run
 
 GOLDEN = Path(__file__).parents[2] / "golden"
@@ -87,7 +87,7 @@ def test_a_line_that_a_power_failure_cut_costs_itself_only(run: Path) -> None:
 
 def test_two_who_say_something_at_the_same_time(run: Path) -> None:
     program = (
-        "import sys; from pathlib import Path; from station.runs.remarks import add_remark\n"
+        "import sys; from pathlib import Path; from station.runs.annotations import add_remark\n"
         "for n in range(50): add_remark(Path(sys.argv[1]), note=f'{sys.argv[2]} {n}')"
     )
     both = [subprocess.Popen([sys.executable, "-c", program, str(run), name]) for name in ("a", "b")]

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from station.datasets.writing import export
+from station.datasets.data_set import export
 from station.sources import open_source
 
 GOLDEN = Path(__file__).parents[2] / "golden"

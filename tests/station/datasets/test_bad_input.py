@@ -9,9 +9,8 @@ import pytest
 
 import gyrolock
 from station.cli import main
-from station.datasets.packages import MissingPackage
-from station.datasets.reading import run_of, sources_of
-from station.datasets.writing import export
+from station.datasets.data_set import export, run_of, sources_of
+from station.datasets.rows import MissingPackage
 from station.errors import RunError, UsageError
 from station.sources import open_source
 
@@ -61,9 +60,8 @@ def test_bytes_that_changed_make_no_other_record(ending: str, tmp_path: Path) ->
 def test_a_future_schema(ending: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     file = tmp_path / f"new.{ending}"
     newer = {"name": "gyrolock records", "version": 3}
-    for name in ("parquet", "hdf5", "numpy_file"):
-        monkeypatch.setattr(f"station.datasets.{name}.SCHEMA", newer)
-    monkeypatch.setattr("station.datasets.csv_file._MARK", "gyrolock records 3")
+    monkeypatch.setattr("station.datasets.backends.SCHEMA", newer)
+    monkeypatch.setattr("station.datasets.backends._MARK", "gyrolock records 3")
     export([open_source(GOLDEN / "turning.sqlite")], str(file))
     with pytest.raises(RunError, match=r"written by a newer gyrolock \(records 3\): update this one"):
         sources_of(file)

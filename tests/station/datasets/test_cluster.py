@@ -14,14 +14,12 @@ import numpy as np
 import pytest
 
 from station.cli import main
-from station.cluster import Cluster
-from station.datasets.packages import MissingPackage
-from station.datasets.reading import sources_of
-from station.datasets.writing import export
+from station.datasets.data_set import export, sources_of
+from station.datasets.rows import MissingPackage
 from station.errors import RunError, UsageError
-from station.lock_in.records.pieces import Gathered, Piece, estimate_pieces, together
+from station.lock_in.estimate import Gathered, Piece, estimate_pieces, together
 from station.sources import open_source
-from station.sources.workers import ThisProcess
+from station.sources.workers import Cluster, ThisProcess
 
 from .conftest import GOLDEN
 
@@ -108,7 +106,7 @@ def divmod_by_zero(number: int) -> tuple[int, int]:
 
 
 def test_a_scheduler_that_is_not_there(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("station.cluster._PATIENCE_S", 1.0)
+    monkeypatch.setattr("station.sources.workers._PATIENCE_S", 1.0)
     with socket.create_server(("127.0.0.1", 0)) as listening:
         free = listening.getsockname()[1]
     for address, reason in (
@@ -125,7 +123,7 @@ def test_a_scheduler_that_is_not_there(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_a_scheduler_without_workers(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("station.cluster._PATIENCE_S", 1.0)
+    monkeypatch.setattr("station.sources.workers._PATIENCE_S", 1.0)
     with (
         distributed.LocalCluster(n_workers=0, processes=False, dashboard_address="127.0.0.1:0") as nobody,
         pytest.raises(RunError, match="the scheduler has no worker: start some with `dask worker"),
@@ -135,7 +133,7 @@ def test_a_scheduler_without_workers(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_other_versions_on_a_worker(cluster: Cluster, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("station.cluster.version", lambda name: "0.0.1")
+    monkeypatch.setattr("station.sources.workers.version", lambda name: "0.0.1")
     address = cluster._client.scheduler.address
     with (
         pytest.raises(RunError, match=r"this worker has gyrolock .*, here is 0\.0\.1: install the same"),

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from station.datasets.csv_file import codes_of
+from station.datasets.backends import codes_of
 
 CELL = st.one_of(st.integers(-128, 127).map(str), st.text("-0123456789+. ", max_size=4), st.integers().map(str))
 

@@ -8,9 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from station.datasets.outputs import OUTPUTS
-from station.datasets.reading import run_of, sources_of
-from station.datasets.rows import COLUMNS, NUMBERS, SCHEMA, TEXT
+from station.datasets.data_set import run_of, sources_of
+from station.datasets.rows import COLUMNS, NUMBERS, OUTPUTS, SCHEMA, TEXT
 from station.runs.store import open_run
 
 from .conftest import GOLDEN

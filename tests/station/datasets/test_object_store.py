@@ -7,8 +7,7 @@ import pytest
 
 import gyrolock
 from station.cli import main
-from station.datasets.reading import run_of, sources_of
-from station.datasets.writing import export
+from station.datasets.data_set import export, run_of, sources_of
 from station.errors import RunError, UsageError
 from station.runs.store import open_run
 from station.sources import open_source

@@ -7,9 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from station.datasets.outputs import OUTPUTS
-from station.datasets.rows import COLUMNS, NUMBERS, SCHEMA, TEXT, WHOLE
-from station.fibre_gyro.recordings import segments_of
+from station.datasets.rows import COLUMNS, NUMBERS, OUTPUTS, SCHEMA, TEXT, WHOLE
+from station.fibre_gyro.segments import segments_of
 from station.runs.store import SavedRecord, open_run
 
 from .conftest import GOLDEN, RUNS

@@ -9,10 +9,9 @@ import pytest
 
 import gyrolock
 from station.cli import main
-from station.datasets.reading import run_of, sources_of
-from station.datasets.writing import export
+from station.datasets.data_set import export, run_of, sources_of
 from station.runs.store import SavedRun, open_run
-from station.shell.evaluated import evaluate_run
+from station.shell.finish import evaluate_run
 from station.sources import find_sources, open_source
 from tests.gyrolock.test_files import write_isf
 

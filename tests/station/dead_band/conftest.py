@@ -9,8 +9,8 @@ import pytest
 from station.dead_band.measurement import MEASUREMENT
 from station.runs.progress import Progress
 from station.runs.store import SavedRun, open_run
-from station.settings.load import load
-from station.shell.running import start_run
+from station.settings import load
+from station.shell.finish import start_run
 
 Sweep = Callable[..., SavedRun]
 

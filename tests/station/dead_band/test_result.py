@@ -5,10 +5,8 @@ from dataclasses import replace
 import numpy as np
 
 from analysis import find_dead_band, simulate_sweep
-from station.dead_band.evaluate import DeadBandFound
-from station.dead_band.result import result
-from station.dead_band.sections import draw_sweep, sections
-from station.shell.evaluated import evaluate_run
+from station.dead_band.measurement import DeadBandFound, draw_sweep, result, sections
+from station.shell.finish import evaluate_run
 from tests.station.dead_band.conftest import Sweep
 
 

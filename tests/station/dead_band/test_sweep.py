@@ -10,15 +10,13 @@ import pytest
 from instrument import Preamble
 from station.dead_band import take as taking
 from station.dead_band.measurement import MEASUREMENT
-from station.dead_band.sweep import SLOWEST_S, Step, sweep, time_base
-from station.dead_band.take import PURPOSE
+from station.dead_band.take import PURPOSE, SLOWEST_S, Step, sweep, time_base
 from station.errors import NoUsableSignal, SettingsError
-from station.ring_laser.bench import Bench
+from station.ring_laser.records import Bench
 from station.runs.progress import Progress
 from station.runs.store import SavedRun, open_run
-from station.settings.load import load
-from station.shell.evaluated import evaluate_run
-from station.shell.running import resume_run, start_run
+from station.settings import load
+from station.shell.finish import evaluate_run, resume_run, start_run
 from tests.station.dead_band.conftest import Sweep, settings_of
 
 QUIET = Progress(quiet=True)

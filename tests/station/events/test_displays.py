@@ -16,12 +16,10 @@ import pytest
 from rich.console import Console
 
 from station.cli import main
-from station.display.lines import PlainLines
-from station.display.picture import picture
-from station.display.plot import plot
-from station.events.event import Events
-from station.events.running import STATE_VARIABLE, Running, StatusFile, running_programs
-from station.events.situation import Situation
+from station.live.console import PlainLines
+from station.live.display import picture, plot
+from station.live.events import Events
+from station.live.status import STATE_VARIABLE, Running, Situation, StatusFile, running_programs
 from station.runs.progress import Progress
 from station.runs.store import open_run
 
@@ -161,9 +159,9 @@ def test_a_measurement_is_watched_and_stopped_from_another_shell(
 def test_a_program_ends_as_by_a_signal_where_none_can_be_sent_to_its_main_thread(state: Path) -> None:
     """As on Windows: the main thread is not disturbed, but hears of it as soon as it does something."""
     text = (
-        "import signal, sys, time; from station.events.running import StatusFile\n"
+        "import signal, sys, time; from station.live.status import StatusFile\n"
         "del signal.pthread_kill\n"
-        "from station.errors import Stopped; from station.runs.stop import ending_signals\n"
+        "from station.errors import Stopped; from station.runs.signals import ending_signals\n"
         "with ending_signals():\n"
         "    StatusFile(); print('there', flush=True)\n"
         "    try:\n"
@@ -183,7 +181,7 @@ def test_a_program_that_was_killed_is_told_as_such(
     state: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     text = (
-        "import os; from station.events.running import StatusFile; from station.events.event import Events\n"
+        "import os; from station.live.status import StatusFile; from station.live.events import Events\n"
         "events = Events(); events.read_by(StatusFile())\n"
         "events.emit('program', command='measure')\n"
         "events.emit('run', run=os.environ['RUN'], records=0)\n"

@@ -11,10 +11,9 @@ import numpy as np
 import pytest
 
 from station.errors import UsageError
-from station.events.event import KINDS, SCHEMA, Event, Events
-from station.events.lines import EventLines, open_lines
-from station.events.seen import Seen, Watcher
-from station.events.situation import Situation
+from station.live.events import KINDS, SCHEMA, Event, EventLines, Events, open_lines
+from station.live.preview import Seen, Watcher
+from station.live.status import Situation
 from station.runs.progress import Progress
 from station.runs.store import NewRecord
 

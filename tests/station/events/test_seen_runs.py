@@ -6,12 +6,12 @@ from pathlib import Path
 
 import pytest
 
-from station.events.seen import Seen
-from station.lock_in.presentation import at_once
-from station.results.as_json import plain
+from station.live.preview import Seen
+from station.lock_in import measurement
+from station.results.result import plain
 from station.runs.store import NewRecord, open_run
-from station.settings.load import saved_settings
-from station.shell.evaluated import kind_of
+from station.settings import saved_settings
+from station.shell.finish import kind_of
 
 GOLDEN = Path(__file__).parents[2] / "golden"
 
@@ -19,7 +19,7 @@ GOLDEN = Path(__file__).parents[2] / "golden"
 @pytest.fixture(autouse=True)
 def all_the_time(monkeypatch: pytest.MonkeyPatch) -> None:
     """Fit the rates together after every record, however fast they come."""
-    monkeypatch.setattr(at_once, "_SHARE", math.inf)
+    monkeypatch.setattr(measurement, "_SHARE", math.inf)
 
 
 def seen(name: str) -> list[Seen]:

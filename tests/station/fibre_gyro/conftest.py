@@ -11,11 +11,10 @@ import pytest
 from station.fibre_gyro.segments import FogBench, PlannedSegment, take_segments
 from station.fibre_gyro.settings import FogSettings, load_fog_settings
 from station.measurements import measurement
+from station.runs.acquisition import Session, facts_of, take
 from station.runs.progress import Progress
 from station.runs.store import SavedRun, open_run
-from station.runs.taking import Session, facts_of, take
-from station.shell.evaluated import Evaluated, evaluate_run
-from station.shell.running import start_run
+from station.shell.finish import Evaluated, evaluate_run, start_run
 
 sys.path.insert(0, str(Path(__file__).parent))  # staircases.py
 

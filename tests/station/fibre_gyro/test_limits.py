@@ -30,9 +30,8 @@ def test_a_test_gives_the_numbers_that_it_says(taken, command: str) -> None:
 
 
 def test_a_limit_that_the_run_gives_no_number_for_is_said(taken_on, fog_settings) -> None:
-    from station.fibre_gyro.selfcal.measurement import plan
-    from station.fibre_gyro.selfcal.numbers import numbers_for
-    from station.fibre_gyro.simulated_bench import SimulatedFogBench
+    from station.fibre_gyro.bench import SimulatedFogBench
+    from station.fibre_gyro.selfcal import numbers_for, plan
 
     settings = fog_settings(
         selfcal={"numbers": "nominal", "step_s": 5.0, "static_s": 5.0}, limits={"self_minus_table_ppm": 5.0}

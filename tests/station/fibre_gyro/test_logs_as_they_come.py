@@ -8,13 +8,12 @@ import numpy as np
 import pytest
 
 from station.errors import UsageError
-from station.fibre_gyro.selfcal.numbers import facts_of_table
+from station.fibre_gyro.selfcal import facts_of_table
 from station.fibre_gyro.settings import load_fog_settings
 from station.measurements import measurement
 from station.runs.progress import Progress
 from station.runs.store import open_run
-from station.shell.evaluated import evaluate_run
-from station.shell.running import start_run
+from station.shell.finish import evaluate_run, start_run
 
 K, VERTICAL, SIZE = 246.0, 15.041067 / 3600 * np.sin(np.deg2rad(45.78)), 200
 QUIET = Progress(quiet=True)

@@ -7,10 +7,9 @@ from pathlib import Path
 import pytest
 
 from station.errors import UsageError
-from station.fibre_gyro.allan.noise_model import NOISE, noise_facts, noise_of
-from station.fibre_gyro.recordings import segments_of
-from station.fibre_gyro.windows import begins_of
-from station.shell.evaluated import evaluate_run
+from station.fibre_gyro.allan import NOISE, noise_facts, noise_of
+from station.fibre_gyro.segments import begins_of, segments_of
+from station.shell.finish import evaluate_run
 
 SHORT = {"table": {"axes": ["Z"], "turns": 8, "rates_dps": [20.0, 40.0, 60.0]}, "selfcal": {"step_s": 5.0}}
 

@@ -13,16 +13,14 @@ import pytest
 from instrument import LinkError
 from instrument.fibre_gyro import Gap, Recording
 from station.errors import EXIT_INSTRUMENT, RunError, UsageError
-from station.fibre_gyro import simulated_bench
+from station.fibre_gyro import bench as simulated_bench
+from station.fibre_gyro.bench import SimulatedFogBench
 from station.fibre_gyro.segments import PlannedSegment
-from station.fibre_gyro.simulated_bench import SimulatedFogBench
 from station.measurements import measurement
-from station.runs.facts import TAKEN
+from station.runs.database import TAKEN
 from station.runs.progress import Progress
 from station.runs.store import open_run
-from station.shell.ending import save_outcome
-from station.shell.evaluated import evaluate_run
-from station.shell.running import resume_run, start_run
+from station.shell.finish import evaluate_run, resume_run, save_outcome, start_run
 
 QUIET = Progress(quiet=True)
 TABLE = measurement("table")

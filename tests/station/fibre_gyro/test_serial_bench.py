@@ -12,21 +12,15 @@ import numpy as np
 import pytest
 
 from instrument.fibre_gyro import FibreGyroLink, Recording, parse_frame_format
-from instrument.simulated.fibre_gyro.faults import GyroFault, GyroFaults
-from instrument.simulated.fibre_gyro.server import TcpGyroServer
-from station.fibre_gyro.eps import measurement as eps
-from station.fibre_gyro.merit import measurement as figures
+from instrument.simulated.fibre_gyro import GyroFault, GyroFaults, TcpGyroServer
+from station.fibre_gyro import eps, figures, selfcal, table, temperature, threshold
+from station.fibre_gyro.bench import SerialFogBench
 from station.fibre_gyro.segments import PlannedSegment
-from station.fibre_gyro.selfcal import measurement as selfcal
-from station.fibre_gyro.selfcal.numbers import numbers_for
-from station.fibre_gyro.serial_bench import SerialFogBench
+from station.fibre_gyro.selfcal import numbers_for
 from station.fibre_gyro.served import ServedGyro
-from station.fibre_gyro.sniff.known import read_frame_format
-from station.fibre_gyro.table import measurement as table
-from station.fibre_gyro.temperature import measurement as temperature
-from station.fibre_gyro.threshold import measurement as threshold
-from station.settings.load import shipped_settings
-from station.shell.evaluated import Evaluated
+from station.fibre_gyro.sniff import read_frame_format
+from station.settings import shipped_settings
+from station.shell.finish import Evaluated
 
 GYRO = {"counts_per_code": 256.0, "output_resolution": 1.0}
 SPEED = 20.0

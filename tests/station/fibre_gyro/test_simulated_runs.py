@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from analysis.fibre_gyro.loop.closed_loop import ClosedLoop
-from station.fibre_gyro.simulated_bench import loop_settings
-from station.report.report import render_report
+from station.fibre_gyro.bench import loop_settings
+from station.report.show import render_report
 
 K0 = 2**16 * 1000 * 0.1 / (1.55e-6 * 299_792_458) * math.pi / 180  # counts per deg/s, by hand
 EARTH = 15.041067 * math.sin(math.radians(45.78))

@@ -13,15 +13,13 @@ import pytest
 
 from instrument.fibre_gyro import Gap, Losses, Recording
 from station.errors import NoUsableSignal, RunError, UsageError
-from station.fibre_gyro.recordings import new_record, segments_of
-from station.fibre_gyro.segments import PlannedSegment
-from station.fibre_gyro.simulated_bench import SimulatedFogBench
-from station.fibre_gyro.table.measurement import plan
+from station.fibre_gyro.bench import SimulatedFogBench
+from station.fibre_gyro.segments import PlannedSegment, new_record, segments_of
+from station.fibre_gyro.table import plan
 from station.measurements import measurement
 from station.runs.progress import Progress
 from station.runs.store import RunWriter, open_run
-from station.shell.evaluated import Evaluated, evaluate_run
-from station.shell.running import start_run
+from station.shell.finish import Evaluated, evaluate_run, start_run
 
 QUIET = Progress(quiet=True)
 ONE_AXIS = {"axes": ["Z"], "turns": 10}

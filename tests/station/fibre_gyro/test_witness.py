@@ -12,22 +12,19 @@ from staircases import counter_voltage, write_csv
 
 from instrument import Preamble, Waveform
 from instrument.simulated import SimulatedTDS2014, TcpServer, VirtualClock
-from instrument.simulated.fibre_gyro.server import TcpGyroServer
+from instrument.simulated.fibre_gyro import TcpGyroServer
 from station.errors import NoUsableSignal, UsageError
-from station.fibre_gyro.serial_bench import read_frame_format
 from station.fibre_gyro.served import ServedGyro
 from station.fibre_gyro.settings import FIBRE_GYRO
-from station.fibre_gyro.witness.evaluate import evaluate
-from station.fibre_gyro.witness.modulator import modulator_voltage
+from station.fibre_gyro.sniff import read_frame_format
+from station.fibre_gyro.witness import evaluate, modulator_voltage
 from station.measurements import measurement
-from station.report.report import render_report
-from station.runs.facts import RunFacts
+from station.report.show import render_report
+from station.runs.database import RunFacts
 from station.runs.progress import Progress
 from station.runs.store import open_run
-from station.settings.load import saved_settings
-from station.shell.ending import save_outcome
-from station.shell.evaluated import evaluate_run
-from station.shell.running import resume_run, start_run
+from station.settings import saved_settings
+from station.shell.finish import evaluate_run, resume_run, save_outcome, start_run
 
 QUIET = Progress(quiet=True)
 WITNESS = measurement("witness")

@@ -10,9 +10,7 @@ import numpy as np
 import pytest
 
 from station.cli import main
-from station.history.bench import in_control
-from station.history.charts import courses
-from station.history.past_tests import read_tests
+from station.history import courses, in_control, read_tests
 
 NOW = datetime(2026, 11, 22, 12, 0, tzinfo=UTC)
 STEADY = (0.01 + 1e-5 * np.random.default_rng(5).standard_normal(30)).tolist()

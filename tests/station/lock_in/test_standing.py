@@ -9,12 +9,12 @@ from pathlib import Path
 import pytest
 
 from analysis.budget import Budget, BudgetInput
-from station.lock_in.presentation.budget_table import assumed_sentence, doubt_sentence
-from station.lock_in.presentation.remedies import remedy_sentence
-from station.report.report import render_report
+from station.lock_in.messages import remedy_sentence
+from station.lock_in.result import assumed_sentence, doubt_sentence
+from station.report.show import render_report
 from station.results.result import Result
 from station.runs.store import open_run
-from station.shell.evaluated import Evaluated, evaluate_run
+from station.shell.finish import Evaluated, evaluate_run
 
 GOLDEN = Path(__file__).parents[2] / "golden"
 DISTORTION_MEASURED = "[budget]\ndistortion_limit_dbc = -70\nbandwidth_hz = 1e6\ngain_corner_hz = 1e5\n"

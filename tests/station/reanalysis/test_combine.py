@@ -10,10 +10,8 @@ from instrument import Preamble, Waveform
 from instrument.tek_files import csv_text
 from station.cli import main
 from station.errors import NoUsableSignal, RunError, UsageError
-from station.reanalysis.combine import combine
-from station.reanalysis.files import AnalyzedFiles, analyze_file, scale_factor_of_files
-from station.reanalysis.report import FilesReport
-from station.report.report import render_report
+from station.reanalysis.combine import AnalyzedFiles, FilesReport, analyze_file, combine, scale_factor_of_files
+from station.report.show import render_report
 from station.runs.progress import Progress
 from station.runs.store import NewRecord, RunWriter, open_run
 from station.sources.find import find_sources
@@ -68,7 +66,7 @@ def test_a_card_gives_one_result_with_budget_and_report(tmp_path: Path) -> None:
 def test_the_same_bits_by_two_processes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     folder = card(tmp_path, 0.3, 0.3, 0.3)
     alone = combined(folder).document()
-    monkeypatch.setattr("station.reanalysis.work.TOGETHER", 1)
+    monkeypatch.setattr("station.reanalysis.analyze_table.TOGETHER", 1)
     assert combined(folder, processes=2).document() == alone
 
 

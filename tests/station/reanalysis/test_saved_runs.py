@@ -7,13 +7,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from station.lock_in.records.on_disk import ColumnFiles, EstimatesOnDisk
-from station.lock_in.records.pieces import pieces_of
-from station.reanalysis.fill import fill_table
-from station.report.report import render_report
+from station.lock_in.columns import ColumnFiles, EstimatesOnDisk
+from station.lock_in.estimate import pieces_of
+from station.reanalysis.analyze_table import fill_table
+from station.report.show import render_report
 from station.runs.progress import Progress
 from station.runs.store import NewRecord, RunWriter, open_run
-from station.shell.evaluated import Evaluated, evaluate_run, evaluate_saved
+from station.shell.finish import Evaluated, evaluate_run, evaluate_saved
 from station.sources.find import find_sources, open_source
 from station.sources.workers import Processes
 
@@ -40,10 +40,10 @@ def test_estimates_that_lie_on_the_disk_give_the_same(
     """Those of a long run do; the report is drawn from them too."""
     path = Path(shutil.copy(GOLDEN / f"{name}.sqlite", tmp_path))
     in_memory = streamed(path)
-    monkeypatch.setattr("station.lock_in.records.collected.LONG", 1)
-    monkeypatch.setattr("station.lock_in.records.pieces.AT_ONCE", 3)
-    monkeypatch.setattr("station.lock_in.records.collected.AT_ONCE", 4)
-    monkeypatch.setattr("station.lock_in.records.collected.FOLDED", 2)
+    monkeypatch.setattr("station.lock_in.columns.LONG", 1)
+    monkeypatch.setattr("station.lock_in.estimate.AT_ONCE", 3)
+    monkeypatch.setattr("station.lock_in.columns.AT_ONCE", 4)
+    monkeypatch.setattr("station.lock_in.columns.FOLDED", 2)
     on_disk = streamed(path)
     assert isinstance(on_disk.found.each, EstimatesOnDisk)
     assert "_columns" in vars(on_disk.found.each)
@@ -63,10 +63,10 @@ def test_rows_of_a_column_on_the_disk_come_in_the_order_they_are_asked_for() -> 
 BLOCKS = (
     "analysis.combine._AT_ONCE",
     "analysis.frequency_method._AT_ONCE",
-    "analysis.lock_in_run.table_curve._AT_ONCE",
-    "analysis.lock_in_run.table_rate._AT_ONCE",
-    "analysis.several_rates.ratio_records.AT_ONCE",
-    "station.lock_in.records.on_disk._AT_ONCE",
+    "analysis.lock_in_run.table._CURVES_AT_ONCE",
+    "analysis.lock_in_run.table._AT_ONCE",
+    "analysis.several_rates.points.AT_ONCE",
+    "station.lock_in.columns._AT_ONCE",
 )
 
 
@@ -76,7 +76,7 @@ def test_numbers_do_not_depend_on_how_many_records_are_looked_at_together(
 ) -> None:
     path = Path(shutil.copy(GOLDEN / f"{name}.sqlite", tmp_path))
     at_once = streamed(path).document()
-    monkeypatch.setattr("station.lock_in.records.collected.LONG", 1)
+    monkeypatch.setattr("station.lock_in.columns.LONG", 1)
     for block in BLOCKS:
         monkeypatch.setattr(block, 4)
     by_fours = streamed(path).document()
@@ -106,7 +106,7 @@ def test_a_run_cut_into_pieces_by_two_processes(tmp_path: Path, monkeypatch: pyt
         db.execute("UPDATE record SET payload = zeroblob(2500) WHERE number = 7")
         db.execute("DELETE FROM record WHERE number = 20")
     from_memory = evaluate_run(open_run(writer.path))
-    monkeypatch.setattr("station.lock_in.records.pieces.AT_ONCE", 9)
+    monkeypatch.setattr("station.lock_in.estimate.AT_ONCE", 9)
     assert len(pieces_of(open_source(writer.path), {})) == 5
     as_stream = streamed(writer.path, processes=2)
     assert as_stream.document() == from_memory.document()
@@ -131,7 +131,7 @@ def test_pairs_of_two_photodiodes_are_read_as_they_are_needed(
                 [damaged],
             )
     from_memory = evaluate_run(open_run(path))
-    monkeypatch.setattr("station.shell.evaluated.open_run", None)  # nobody holds all of it
+    monkeypatch.setattr("station.runs.store.open_run", None)  # nobody holds all of it
     monkeypatch.setattr("analysis.lock_in_run.records._RECORDS_AT_ONCE", 2)
     as_stream = streamed(path)
     assert as_stream.found.quadratures is not None

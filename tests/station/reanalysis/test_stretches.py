@@ -7,10 +7,10 @@ import pytest
 
 from instrument import Preamble
 from station.errors import RunError
-from station.lock_in.records.pieces import Piece, estimate_pieces
+from station.lock_in.estimate import Piece, estimate_pieces
 from station.runs.store import NewRecord, RunWriter, open_run
+from station.sources.batches import stretches_of
 from station.sources.find import open_source
-from station.sources.stretch import stretches_of
 
 GOLDEN = Path(__file__).parents[2] / "golden"
 

@@ -12,11 +12,9 @@ import numpy as np
 import pytest
 
 from station.errors import CannotWrite, RunError, UsageError
+from station.reanalysis.analyze_table import KINDS, Filled, fill_table, table_file
 from station.reanalysis.compare import compare, read_records, with_headlines
-from station.reanalysis.fill import Filled, fill_table
-from station.reanalysis.tables.columns import ORDER
-from station.reanalysis.tables.lock import only_writer
-from station.reanalysis.tables.open_table import KINDS, table_file
+from station.reanalysis.table_file import ORDER, only_writer
 from station.runs.progress import Progress
 from station.runs.store import NewRecord, RunWriter, open_run
 from station.sources.find import find_sources
@@ -83,7 +81,7 @@ def test_only_what_is_new_or_has_changed_is_computed(tree: Path, tmp_path: Path)
 def test_the_same_bits_by_any_number_of_processes(
     tree: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("station.reanalysis.work.TOGETHER", 1)  # every source by itself
+    monkeypatch.setattr("station.reanalysis.analyze_table.TOGETHER", 1)  # every source by itself
     filled(tmp_path / "two.jsonl", tree, processes=2)
     monkeypatch.undo()
     filled(tmp_path / "one.jsonl", tree)
@@ -98,7 +96,7 @@ def test_parts_of_a_large_run_make_the_same_rows(tmp_path: Path, monkeypatch: py
     with RunWriter.create(tmp_path / "runs", {"command": "measure", "settings": old.facts.settings}) as writer:
         writer.save_records(new)
     whole = filled(tmp_path / "whole.csv", tmp_path / "runs")
-    monkeypatch.setattr("station.reanalysis.work.LARGE", 1)
+    monkeypatch.setattr("station.reanalysis.analyze_table.LARGE", 1)
     cut = filled(tmp_path / "cut.csv", tmp_path / "runs")
     assert whole.records == cut.records == 1100
     assert (tmp_path / "whole.csv").read_bytes() == (tmp_path / "cut.csv").read_bytes()
@@ -164,13 +162,12 @@ def test_a_folder_is_no_table(tree: Path, tmp_path: Path) -> None:
 @pytest.mark.parametrize("ending", KINDS)
 def test_a_table_of_a_newer_version_is_refused(ending: str, tree: Path, tmp_path: Path, monkeypatch) -> None:
     table = tmp_path / f"results{ending}"
-    for module in ("columns", "sqlite"):
-        monkeypatch.setattr(f"station.reanalysis.tables.{module}.VERSION", 2)
+    monkeypatch.setattr("station.reanalysis.table_file.VERSION", 2)
     if ending == ".parquet":
-        from station.reanalysis.tables import parquet
+        from station.reanalysis import parquet_table
 
-        newer = parquet.SCHEMA.with_metadata({"schema_name": "gyrolock results", "schema_version": "2"})
-        monkeypatch.setattr(parquet, "SCHEMA", newer)
+        newer = parquet_table.SCHEMA.with_metadata({"schema_name": "gyrolock results", "schema_version": "2"})
+        monkeypatch.setattr(parquet_table, "SCHEMA", newer)
     filled(table, tree / "single.sqlite")
     monkeypatch.undo()
     with pytest.raises(RunError, match="was written by a newer gyrolock"):

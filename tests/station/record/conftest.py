@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from station.notebook.station import Station, TestedUnit
+from station.notebook.measure import Station, TestedUnit
 from tests.small_campaign import write_campaign
 
 

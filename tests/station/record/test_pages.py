@@ -10,13 +10,11 @@ import pytest
 from PIL import Image
 from pypdf import PdfReader
 
-from station.history.charts import courses
-from station.history.page import write_index
-from station.history.past_tests import read_tests
-from station.notebook.station import TestedUnit
-from station.report.report import write_report
+from station.history import courses, read_tests, write_index
+from station.notebook.measure import TestedUnit
+from station.report.show import write_report
 from station.runs.store import open_run
-from station.shell.evaluated import evaluate_run
+from station.shell.finish import evaluate_run
 from tests.browser import Browser, browser_path
 
 pytestmark = pytest.mark.skipif(

@@ -11,12 +11,16 @@ import jsonschema
 import junitparser
 import pytest
 
+from station.campaign.record import (
+    SCHEMA_FILE,
+    content_sha256,
+    file_sha256,
+    junit_xml,
+    limits_csv,
+    record_document,
+)
 from station.errors import Failure
-from station.notebook.station import TestedUnit
-from station.record.document import SCHEMA_FILE, record_document
-from station.record.hashes import content_sha256, file_sha256
-from station.record.junit import junit_xml
-from station.record.tables import limits_csv
+from station.notebook.measure import TestedUnit
 
 SCHEMA = json.loads(SCHEMA_FILE.read_text(encoding="utf-8"))
 VALIDATOR = jsonschema.Draft202012Validator(SCHEMA)

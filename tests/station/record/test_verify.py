@@ -8,10 +8,9 @@ from typing import Any
 
 import pytest
 
+from station.campaign.record import CONTENT, RECORD_FILE, content_sha256
+from station.campaign.verify import verify
 from station.cli import main
-from station.record.hashes import CONTENT, content_sha256
-from station.record.verify import verify
-from station.record.write import RECORD_FILE
 
 
 def not_holding(folder: Path) -> list[str]:

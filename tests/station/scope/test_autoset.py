@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from instrument import TDS2014, SettingError
-from instrument.facts import TIME_BASES
+from instrument.scpi import TIME_BASES
 from instrument.simulated import SimulatedTDS2014, VirtualClock, resource_manager
 from instrument.tds2014.knobs import Knobs
 from station.errors import NoUsableSignal

@@ -5,8 +5,7 @@ import pytest
 
 from instrument.simulated import SimulatedTDS2014, VirtualClock, resource_manager
 from station.errors import UsageError
-from station.scope.faults import KINDS, parse_fault
-from station.scope.signals import parse_signal
+from station.scope.tools import KINDS, parse_fault, parse_signal
 
 
 def test_a_file_is_repeated_without_a_gap(tmp_path):

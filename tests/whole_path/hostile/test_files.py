@@ -18,7 +18,7 @@ READ = """
 import resource, sys
 from pathlib import Path
 from station.cli import main
-import station.reanalysis.files, station.lock_in.settings, station.shell.evaluated
+import station.reanalysis.combine, station.lock_in.settings, station.shell.finish
 pages = int(Path("/proc/self/statm").read_text().split()[0])
 limit = pages * resource.getpagesize() + (300 << 20)
 resource.setrlimit(resource.RLIMIT_AS, (limit, resource.getrlimit(resource.RLIMIT_AS)[1]))

@@ -144,7 +144,7 @@ def test_a_reader_that_sleeps_does_not_stop_the_measurement(tmp_path: Path) -> N
 # the report is longer than any file may be from then on; the run is not
 LONG_REPORT = """
 import resource, sys
-import station.report.report as report
+import station.report.show as report
 from station.cli import main
 render = report.render_report
 def render_report(evaluated):

@@ -103,7 +103,7 @@ def test_the_front_panel_is_put_back(tmp_path: Path, start_gyrolock, serve_scope
 HANGING = """
 import sys, time
 from station.cli import main
-from station.runs.taking import Session
+from station.runs.acquisition import Session
 def hang():
     print("closing", flush=True)
     time.sleep(1000)
@@ -171,7 +171,7 @@ def test_a_closed_terminal_ends_the_run_and_loses_nothing(tmp_path: Path) -> Non
 def test_a_signal_while_the_result_is_made_leaves_a_run_that_says_so(tmp_path: Path, gyrolock) -> None:
     code = """
 import os, signal, sys
-import station.report.report as report
+import station.report.show as report
 from station.cli import main
 def write_report(evaluated, path=None):
     os.kill(os.getpid(), signal.SIGTERM)

@@ -8,7 +8,7 @@ from scipy.optimize import brentq
 from scipy.stats import norm
 
 from analysis.fibre_gyro import fit_over_temperature, temperature_course
-from analysis.fibre_gyro.bias.over_temperature import Mixture
+from analysis.fibre_gyro.temperature import Mixture
 
 
 def up_and_down(count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -3,13 +3,7 @@
 import numpy as np
 import pytest
 
-from analysis.fibre_gyro import (
-    check_whole_turns,
-    mean_at_rest,
-    mean_over_turns,
-    turn_time,
-    whole_turns_in,
-)
+from analysis.fibre_gyro import check_whole_turns, mean_at_rest, mean_over_turns, turn_time, whole_turns_in
 
 
 @pytest.mark.parametrize(

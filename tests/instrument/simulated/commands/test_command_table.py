@@ -7,9 +7,11 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from benchmarks import fuzz
-from instrument.simulated.panel.formats import abbreviations
-from instrument.simulated.panel.kinds import (
+from instrument.simulated.panel.models import MODELS, find_model
+from instrument.simulated.panel.parsing import abbreviations
+from instrument.simulated.panel.settings import (
     Constant,
+    MathExpression,
     NumberedWords,
     QuotedWords,
     Real,
@@ -17,10 +19,8 @@ from instrument.simulated.panel.kinds import (
     Switch,
     Whole,
     Words,
+    setting_rows,
 )
-from instrument.simulated.panel.math_expression import MathExpression
-from instrument.simulated.panel.models import MODELS, find_model
-from instrument.simulated.panel.settings_table import setting_rows
 
 
 def settable(model):

@@ -14,9 +14,14 @@ import serial
 from benchmarks.fibre_gyro.frames import layout_of
 from benchmarks.fibre_gyro.real_gyros import REAL_GYROS, raw_outputs, temperature_of
 from instrument.fibre_gyro import parse_frame_format
-from instrument.simulated.fibre_gyro.faults import GyroFault, GyroFaults
-from instrument.simulated.fibre_gyro.frames import CommandReader, encode_frame
-from instrument.simulated.fibre_gyro.server import PtyGyroServer, TcpGyroServer
+from instrument.simulated.fibre_gyro import (
+    CommandReader,
+    GyroFault,
+    GyroFaults,
+    PtyGyroServer,
+    TcpGyroServer,
+    encode_frame,
+)
 
 BINARY = parse_frame_format(
     {

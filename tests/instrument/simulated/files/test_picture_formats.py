@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from instrument.simulated.files.picture_formats import FORMATS, eps, packed_bitmap, pcx
-from instrument.simulated.files.screen import COLOURS
+from instrument.simulated.files.pictures import COLOURS, FORMATS, eps, packed_bitmap, pcx
 
 
 def hard_copy(bench, name):

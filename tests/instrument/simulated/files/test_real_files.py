@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from instrument import read_waveform
-from instrument.simulated.files.waveform_file import csv_file
+from instrument.simulated.files.pictures import csv_file
 from instrument.simulated.front_end.traces import Trace
 
 FILES = Path(__file__).resolve().parents[5] / "shared" / "data" / "tek-files"

@@ -5,12 +5,9 @@ from dataclasses import dataclass, field
 import numpy as np
 import pytest
 
-from instrument.simulated.front_end.acquisition import Record
-from instrument.simulated.front_end.comparator import Comparator
-from instrument.simulated.front_end.digitizer import Digitizer
-from instrument.simulated.front_end.frontend import slow_part
-from instrument.simulated.front_end.smooth import Between, CoarseLook
-from instrument.simulated.front_end.trigger import EdgeSearch, PulseSearch, first_edges
+from instrument.simulated.front_end.acquisition import Digitizer, Record
+from instrument.simulated.front_end.frontend import Between, CoarseLook, slow_part
+from instrument.simulated.front_end.trigger import Comparator, EdgeSearch, PulseSearch, first_edges
 from instrument.simulated.panel.panel import ChannelSettings, TriggerSettings
 
 FREQUENCY = 163.7  # Hz

@@ -10,7 +10,7 @@ import pyvisa
 from pyvisa_py.protocols.hislip import Instrument
 
 from instrument.simulated import Fault, Faults, SimulatedTDS2014, VirtualClock, resource_manager
-from instrument.simulated.links.hislip.server import HislipServer
+from instrument.simulated.links.hislip import HislipServer
 
 HEADER = struct.Struct("!2sBBIQ")
 INITIALIZE, ASYNC_INITIALIZE, DATA, DATA_END, TRIGGER = 0, 17, 6, 7, 12
@@ -63,7 +63,7 @@ def test_messages_and_their_ends(visa):
 
 def test_no_message_waits_for_the_server_to_look_up(monkeypatch):
     """Clients take turns of some messages: what is left of a turn comes in the next, and not after a pause."""
-    monkeypatch.setattr("instrument.simulated.links.hislip.server.LOOK_UP", 60.0)
+    monkeypatch.setattr("instrument.simulated.links.stream_server.LOOK_UP", 60.0)
     with HislipServer(SimulatedTDS2014()) as server:
         client = Instrument("127.0.0.1", port=server.port, timeout=5.0)
         for count in range(1, 12):

@@ -2,8 +2,7 @@
 
 import pytest
 
-from instrument.simulated.panel.formats import block, nr3
-from instrument.simulated.panel.parsing import StreamSplitter, parse_message
+from instrument.simulated.panel.parsing import StreamSplitter, block, nr3, parse_message
 
 
 @pytest.mark.parametrize(

@@ -11,9 +11,16 @@ import pytest
 
 from analysis.fibre_gyro import round_to_words
 from station.errors import UsageError
-from station.fibre_gyro.constants.found import Column, Constants, Wanted, constants_of
-from station.fibre_gyro.constants.texts import c_text, csv_text, vhdl_text
-from station.fibre_gyro.constants.write import write_constants
+from station.fibre_gyro.constants import (
+    Column,
+    Constants,
+    Wanted,
+    c_text,
+    constants_of,
+    csv_text,
+    vhdl_text,
+    write_constants,
+)
 
 NUMBER = re.compile(r"^\s*constant (N_\w+) : n_t := (?:to_signed\((-?\d+), (\d+)\)|\"([01]+)\");$", re.M)
 SIZE = re.compile(r"constant (\w+)_(WIDTH|FRACTION)\s*: (?:positive|integer)\s*:= (-?\d+);")

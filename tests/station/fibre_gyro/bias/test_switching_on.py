@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from station.report.report import render_report
+from station.report.show import render_report
 
 FEW = {"runs": 4, "rates_dps": [10.0, 50.0, 100.0], "temperatures_c": [], "turn_on_s": 900.0, "static_s": 120.0}
 

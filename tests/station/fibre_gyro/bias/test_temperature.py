@@ -8,15 +8,14 @@ import pytest
 
 from instrument import LinkError
 from station.errors import NoUsableSignal
-from station.fibre_gyro import simulated_bench
+from station.fibre_gyro import bench as simulated_bench
+from station.fibre_gyro.bench import SimulatedFogBench
 from station.fibre_gyro.segments import PlannedSegment
-from station.fibre_gyro.simulated_bench import SimulatedFogBench
 from station.measurements import measurement
-from station.report.report import render_report
+from station.report.show import render_report
 from station.runs.progress import Progress
 from station.runs.store import open_run
-from station.shell.evaluated import evaluate_run
-from station.shell.running import resume_run, start_run
+from station.shell.finish import evaluate_run, resume_run, start_run
 
 QUIET = Progress(quiet=True)
 RAMP: dict[str, Any] = {"ramp_c_per_min": 4.0, "rest_s": 60.0, "window_s": 60.0, "settle_s": 1.0}

@@ -8,16 +8,14 @@ import pytest
 from instrument import LinkError
 from instrument.fibre_gyro import write_gyro_log
 from station.errors import NoUsableSignal, UsageError
-from station.fibre_gyro import simulated_bench
-from station.fibre_gyro.recordings import segments_of
-from station.fibre_gyro.segments import PlannedSegment
-from station.fibre_gyro.simulated_bench import SimulatedFogBench
+from station.fibre_gyro import bench as simulated_bench
+from station.fibre_gyro.bench import SimulatedFogBench
+from station.fibre_gyro.segments import PlannedSegment, segments_of
 from station.measurements import measurement
-from station.report.report import render_report
+from station.report.show import render_report
 from station.runs.progress import Progress
 from station.runs.store import open_run
-from station.shell.evaluated import evaluate_run
-from station.shell.running import resume_run, start_run
+from station.shell.finish import evaluate_run, resume_run, start_run
 
 QUIET = Progress(quiet=True)
 FEW: dict[str, Any] = {"per_decade": 1, "highest_dps": 0.1, "resolution_at_dps": 0.05}

@@ -12,8 +12,7 @@ from instrument import LinkError
 from station.cli import main
 from station.fibre_gyro.served import serve_gyro
 from station.fibre_gyro.settings import load_fog_settings
-from station.fibre_gyro.sniff.known import known_formats, read_frame_format, shipped_files
-from station.fibre_gyro.sniff.search import sniff_port
+from station.fibre_gyro.sniff import known_formats, read_frame_format, shipped_files, sniff_port
 
 GYROS = {gyro.name: gyro for gyro in REAL_GYROS}
 OWN = """

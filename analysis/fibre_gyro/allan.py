@@ -1,0 +1,668 @@
+"""The noise model by maximum likelihood: no slope of a curve is read.
+
+The words are seen in two ways that share next to no information. Slow noise: the increments of the means of some
+hundred blocks have a normal distribution whose covariance the model gives exactly, with blocks missing where
+words are. Fast noise: the spectrum of the increments of words above the frequency of the blocks is exponentially
+distributed about the model's (Whittle); a taper of a few per cent at the ends keeps the slow noise out of it.
+The sum of both log-likelihoods is maximised over the squares of the coefficients by Fisher's scoring, which
+gives their covariance too.
+
+A term stands in the model if it improves the likelihood by more than the Bayesian information criterion asks
+for; of those that do not, the interval says how large they may be. A record that ends within the slow noise
+cannot tell bias instability from a random walk or a ramp: every model that is nearly as likely counts in
+uncertainties and intervals, with its probability. A ramp and a drift with the temperature are no noise: they are
+fitted to the increments of the blocks, with their covariance. Missing words are put in by the model itself
+(`missing_words`).
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.fft
+import scipy.linalg
+import scipy.special
+from numpy.typing import ArrayLike
+from scipy.sparse.linalg import LinearOperator, cg
+
+from analysis.arrays import Bools, Floats
+from analysis.fibre_gyro.scatter import NORMAL_95, outliers
+
+_MOST_BLOCKS = 256
+_FEWEST_WORDS = 512
+_BINS = 1500
+_FILLINGS = 8  # at most
+_SETTLED = 0.03  # standard uncertainties that the model still moves
+_MOST_UNKNOWN = 0.7
+_BOUND_ROUNDS = 3
+_TAPER = 0.02  # of a stretch, at each end
+_ROUNDS = 40
+_RAMP = "rate_ramp"
+_SLOW = ("bias_instability", "rate_random_walk", _RAMP)  # one may be taken for another
+_OPEN = 0.1  # of the probability of the best model: what is like one that has so much is tried too
+_COUNTS = 1e-3  # of all
+
+Model = frozenset[str]
+"""Terms, the ramp among them."""
+
+
+@dataclass(frozen=True)
+class NoiseFit:
+    """Coefficients of the noise model, in deg and s.
+
+    Attributes
+    ----------
+    coefficients, coefficients_u : dict of str to float
+        Of the terms in the model; `TERMS` has their units. 1.96 of the uncertainty are half the 95 % interval.
+    low_95, high_95 : dict of str to float
+        Of every term; of one that is not in the model up to where it may be hidden, from 0.
+    chosen : tuple of str
+        Terms in the model.
+    temperature_slope, temperature_slope_u : float
+        deg/s per unit of the temperature; nan where it was not asked for.
+    words, missing, outliers : int
+    """
+
+    coefficients: dict[str, float]
+    coefficients_u: dict[str, float]
+    low_95: dict[str, float]
+    high_95: dict[str, float]
+    chosen: tuple[str, ...]
+    temperature_slope: float
+    temperature_slope_u: float
+    words: int
+    missing: int
+    outliers: int
+
+
+def fit_noise(words: ArrayLike, interval_s: float, *, temperature: ArrayLike | None = None) -> NoiseFit:
+    """Fit the noise model to words at rest.
+
+    Parameters
+    ----------
+    words : (n,)
+        Means of the rate over each interval, deg/s; nan where one is missing. Outliers are left out.
+    temperature : (n,), optional
+        Its drift is taken out; nan as above.
+
+    Raises
+    ------
+    ValueError
+        Fewer than 512 words, a fifth of them missing, or words that do not move.
+    """
+    values = np.array(words, dtype=np.float64)
+    if values.size < _FEWEST_WORDS:
+        raise ValueError(f"a noise model needs at least {_FEWEST_WORDS} output words, not {values.size}")
+    missing = int(np.isnan(values).sum())
+    far = outliers(values)
+    values[far] = np.nan
+    if np.isnan(values).mean() > 0.2:
+        raise ValueError(f"{int(np.isnan(values).sum())} of {values.size} output words are missing")
+    spread = float(np.nanstd(values))
+    if not spread > 0:
+        raise ValueError("the output does not move: its noise is below its smallest step")
+    values = (values - np.nanmean(values)) / spread
+    heat = None if temperature is None else np.asarray(temperature, dtype=np.float64)
+    slope, slope_u = float("nan"), float("nan")
+    if heat is not None:
+        slope, slope_u = _Likelihood(on_lines(values), interval_s, heat).temperature_slope()
+        values = values - slope * (heat - np.nanmean(heat))
+    seen = _with_gaps_filled(values, interval_s)
+    models = seen.likely_models()
+    found = seen.coefficients(models)
+    value, u, low, high = ({name: spread * one for name, one in part.items()} for part in found)
+    chosen = tuple(name for name in TERMS if name in next(iter(models)))
+    return NoiseFit(
+        value, u, low, high, chosen, spread * slope, spread * slope_u, values.size, missing, int(far.sum())
+    )
+
+
+def _with_gaps_filled(values: Floats, interval_s: float) -> _Likelihood:
+    """Likelihood of the words with the missing ones put in, by the model of all terms that it gives itself.
+
+    What one round leaves of the step of the round before is the share of the information that is missing.
+    """
+    seen = _Likelihood(on_lines(values), interval_s, None)
+    if not fillable(values).any():
+        return seen
+    squares, unknown, last = seen.of_all_terms(), 0.0, 0.0
+    for _ in range(_FILLINGS):
+        seen = _Likelihood(with_words_put_in(values, squares, interval_s), interval_s, None)
+        before, squares = squares, seen.of_all_terms()
+        step = seen.distance(before, squares)
+        unknown, last = max(unknown, step / last if last else 0.0), step
+        if step < _SETTLED:
+            break
+    seen.forgo(min(unknown, _MOST_UNKNOWN))
+    return seen
+
+
+@dataclass(frozen=True)
+class _Part:
+    """What one model says of one coefficient."""
+
+    probability: float  # of the model
+    value: float
+    u: float
+    square: float = float("nan")  # of a random term its square, which is what is fitted; nan for the ramp
+    square_u: float = float("nan")
+
+    def below(self, size: float) -> float:
+        """Probability that the coefficient is below some size, given the model."""
+        if not np.isfinite(self.square):
+            inside = scipy.special.ndtr([(size - self.value) / self.u, (-size - self.value) / self.u])
+            return float(inside[0] - inside[1])
+        if self.square > 2 * self.square_u:
+            return float(scipy.special.ndtr(self.value / self.u * np.log(max(size, 1e-300) / self.value)))
+        cut, upto = scipy.special.ndtr(np.array([0.0, size**2]) / self.square_u - self.square / self.square_u)
+        return float((upto - cut) / (1 - cut))
+
+
+def _quantile(parts: list[_Part], probability: float) -> float:
+    """Quantile of a coefficient over all models; those without it say that it is 0."""
+    without = 1 - sum(one.probability for one in parts)
+    if without >= probability:
+        return 0.0
+    low, high = 0.0, max(one.value + 10 * one.u + np.sqrt(10 * np.nan_to_num(one.square_u)) for one in parts)
+    for _ in range(60):
+        middle = (low + high) / 2
+        inside = without + sum(one.probability * one.below(middle) for one in parts)
+        low, high = (middle, high) if inside < probability else (low, middle)
+    return float((low + high) / 2)
+
+
+def _names_of(model: Model) -> tuple[list[str], list[str]]:
+    """Random terms of a model, and the columns that are fitted beside them."""
+    return [name for name in RANDOM if name in model], ["ramp"] if _RAMP in model else []
+
+
+def _like(model: Model) -> Iterator[Model]:
+    """Models with a term more, a term less, or a slow term in the place of another one."""
+    for name in TERMS:
+        if name not in model:
+            yield model | {name}
+            yield from (model - {other} | {name} for other in _SLOW if name in _SLOW and other in model)
+        elif len(model - {name, _RAMP}) > 0:
+            yield model - {name}
+
+
+class _Likelihood:
+    """Likelihood under squares of coefficients: by blocks where the words are slow, by spectrum where fast."""
+
+    def __init__(self, values: Floats, interval_s: float, heat: Floats | None) -> None:
+        self._known: dict[tuple[tuple[str, ...], tuple[str, ...]], tuple[dict[str, float], float]] = {}
+        width = max(1, -(-values.size // _MOST_BLOCKS))
+        count = values.size // width
+        self._block_s = width * interval_s
+        blocks = values[: count * width].reshape(count, width)
+        there = np.mean(~np.isnan(blocks), axis=1) >= 0.5
+        self._places = np.flatnonzero(there)
+        means = np.nanmean(blocks[there], axis=1)
+        self._increments = np.diff(means)
+        steps = np.diff(self._places) * self._block_s
+        self._regressors = {"ramp": steps}
+        if heat is not None:
+            self._regressors["heat"] = np.diff(
+                np.nanmean(heat[: count * width].reshape(count, width)[there], axis=1)
+            )
+        self._parts = {name: self._covariance(name) for name in RANDOM}
+        self._omega, self._power, self._number = _spectrum(values, width)
+        self._shapes = {name: increment_spectrum(name, self._omega, interval_s) for name in RANDOM}
+
+    def _covariance(self, name: str) -> Floats:
+        """Covariance of the increments of the block means, for a coefficient of 1."""
+        lags = (self._places[:, np.newaxis] - self._places).astype(np.float64)
+        of_means = block_covariance(name, lags, self._block_s)
+        rows = of_means[1:] - of_means[:-1]
+        return np.asarray(rows[:, 1:] - rows[:, :-1])
+
+    def of_all_terms(self) -> dict[str, float]:
+        """Squares of the coefficients of all terms together."""
+        return self._maximum(list(RANDOM), ["ramp"])[0]
+
+    def distance(self, squares: dict[str, float], others: dict[str, float]) -> float:
+        """How far two models are apart, in standard uncertainties."""
+        apart = np.array([squares[name] - others[name] for name in RANDOM])
+        return float(np.sqrt(apart @ self._information(others, list(RANDOM)) @ apart))
+
+    def forgo(self, unknown: float) -> None:
+        """Count so much of the information on fast noise as drawn: it says nothing, and its chance adds to u."""
+        self._number = self._number * (1 - unknown) / (1 + unknown)
+        self._known.clear()
+
+    def temperature_slope(self) -> tuple[float, float]:
+        """Slope with the temperature under the best model, and its standard uncertainty."""
+        squares, _ = self._maximum(list(RANDOM), ["ramp", "heat"])
+        value, covariance = self._regression(squares, ["ramp", "heat"])
+        return float(value[1]), float(np.sqrt(covariance[1, 1]))
+
+    def likely_models(self) -> dict[Model, float]:
+        """Models that the data leave open and their probabilities; the most probable one first."""
+        best = Model({"angle_random_walk"})
+        while True:
+            # one term after the other, the one that helps most, while it helps enough
+            larger = max((best | {name} for name in TERMS if name not in best), key=self._score, default=best)
+            if self._score(larger) <= self._score(best):
+                break
+            best = larger
+        scores, waiting = {best: self._score(best)}, [best]
+        while waiting:
+            for other in _like(waiting.pop()):
+                if other not in scores:
+                    scores[other] = self._score(other)
+                    if scores[other] > max(scores.values()) + np.log(_OPEN):
+                        waiting.append(other)
+        highest = max(scores.values())
+        weight = {model: float(np.exp(score - highest)) for model, score in scores.items()}
+        total = sum(weight.values())
+        likely = {model: one / total for model, one in weight.items() if one > _COUNTS * total}
+        ranked = sorted(likely, key=lambda model: -likely[model])
+        return {model: likely[model] / sum(likely.values()) for model in ranked}
+
+    def _score(self, model: Model) -> float:
+        """Logarithm of the probability of a model by the Bayesian information criterion, up to a constant."""
+        return self._maximum(*_names_of(model))[1] - 0.5 * float(np.log(self._increments.size)) * len(model)
+
+    def coefficients(
+        self, models: dict[Model, float]
+    ) -> tuple[dict[str, float], dict[str, float], dict[str, float], dict[str, float]]:
+        """Values and standard uncertainties of the terms of the first model, and 95 % intervals of all terms."""
+        chosen, value, u, low, high = next(iter(models)), {}, {}, {}, {}
+        known = [self._parts_of(model, probability) for model, probability in models.items()]
+        for name in TERMS:
+            parts = [of_model[name] for of_model in known if name in of_model]
+            low[name], high[name] = (_quantile(parts, probability) for probability in (0.025, 0.975))
+            if name in chosen:
+                value[name] = known[0][name].value
+                u[name] = (high[name] - low[name]) / (2 * NORMAL_95)
+            else:
+                # a term that is not asked for may be as large as the data allow beside the others
+                high[name] = max(high[name], self._bound(chosen | {name}, name))
+        return value, u, low, high
+
+    def _bound(self, model: Model, name: str) -> float:
+        """Upper end of the 95 % interval of a term that may be 0: the size that would hardly show so little.
+
+        The square of a random term scatters the more the larger it is; so its uncertainty is that at the bound.
+        """
+        part = self._parts_of(model, 1.0)[name]
+        if name == _RAMP:
+            return part.value + NORMAL_95 * part.u
+        names, columns = _names_of(model)
+        squares, place, u = self._maximum(names, columns)[0], names.index(name), part.square_u
+        for _ in range(_BOUND_ROUNDS):
+            at = {**squares, name: part.square + NORMAL_95 * u}
+            u = float(np.sqrt(np.linalg.inv(self._information(at, names))[place, place]))
+        return float(np.sqrt(part.square + NORMAL_95 * u))
+
+    def _parts_of(self, model: Model, probability: float) -> dict[str, _Part]:
+        """What one model says of each of its coefficients."""
+        names, columns = _names_of(model)
+        squares, _ = self._maximum(names, columns)
+        spread = np.sqrt(np.diag(np.linalg.inv(self._information(squares, names))))
+        found = {}
+        for name, one in zip(names, spread, strict=True):
+            size = float(np.sqrt(squares[name]))
+            found[name] = _Part(probability, size, float(one) / (2 * size), squares[name], float(one))
+        if columns:
+            slope, covariance = self._regression(squares, columns)
+            found[_RAMP] = _Part(probability, abs(float(slope[0])), float(np.sqrt(covariance[0, 0])))
+        return found
+
+    def _maximum(self, names: list[str], columns: list[str]) -> tuple[dict[str, float], float]:
+        """Squares of the coefficients at the maximum of the likelihood, and its logarithm there."""
+        asked = (tuple(sorted(names)), tuple(columns))
+        if asked in self._known:
+            return self._known[asked]
+        squares = self._start(names)
+        level, share = -np.inf, 1.0
+        for _ in range(_ROUNDS):
+            now, score, information = self._scored(squares, names, columns)
+            # in the logarithms the squares stay positive
+            scale = np.array([squares[name] for name in names])
+            curve = information * np.outer(scale, scale)
+            curve += 1e-9 * np.trace(curve) * np.eye(scale.size)
+            step = np.linalg.solve(curve, score * scale)
+            if now < level - 1e-9:
+                share *= 0.5
+            done = abs(now - level) < 1e-5 and share > 0.1
+            level = now
+            if done or share < 1e-3:
+                break
+            step = np.clip(share * step, -1.5, 1.5)
+            squares = {name: squares[name] * float(np.exp(one)) for name, one in zip(names, step, strict=True)}
+        self._known[asked] = squares, level
+        return squares, level
+
+    def _start(self, names: list[str]) -> dict[str, float]:
+        """Squares that explain what is seen at one end of the spectrum or the other, each alone."""
+        start = {}
+        for name in names:
+            fast = float(
+                np.median(self._power[-self._power.size // 4 :] / self._shapes[name][-self._power.size // 4 :])
+            )
+            slow = float(np.mean(self._increments**2) / np.mean(np.diag(self._parts[name])))
+            start[name] = {"quantization": 0.3 * fast, "angle_random_walk": min(fast, slow)}.get(name, 0.1 * slow)
+        return start
+
+    def _regression(self, squares: dict[str, float], columns: list[str]) -> tuple[Floats, Floats]:
+        """Slopes of the increments with the columns, and their covariance."""
+        factor = scipy.linalg.cho_factor(self._total(squares))
+        design = np.column_stack([self._regressors[name] for name in columns])
+        covariance = np.linalg.inv(design.T @ scipy.linalg.cho_solve(factor, design))
+        slopes = covariance @ (design.T @ scipy.linalg.cho_solve(factor, self._increments))
+        return np.asarray(slopes, dtype=np.float64), np.asarray(covariance, dtype=np.float64)
+
+    def _total(self, squares: dict[str, float]) -> Floats:
+        return np.asarray(sum(value * self._parts[name] for name, value in squares.items()))
+
+    def _scored(
+        self, squares: dict[str, float], names: list[str], columns: list[str]
+    ) -> tuple[float, Floats, Floats]:
+        """Logarithm of the likelihood, its derivatives with the squares, and Fisher's information."""
+        root = np.linalg.cholesky(self._total(squares))
+        inverse = scipy.linalg.cho_solve((root, True), np.eye(root.shape[0]))
+        left = self._increments
+        if columns:
+            design = np.column_stack([self._regressors[name] for name in columns])
+            weighted = inverse @ design
+            left = left - design @ np.linalg.solve(design.T @ weighted, weighted.T @ left)
+        seen = inverse @ left
+        level = -float(np.log(np.diag(root)).sum()) - 0.5 * float(left @ seen)
+        products = [inverse @ self._parts[name] for name in names]
+        score = np.array(
+            [0.5 * (seen @ self._parts[n] @ seen - np.trace(p)) for n, p in zip(names, products, strict=True)]
+        )
+        information = np.array([[0.5 * np.sum(one * other.T) for other in products] for one in products])
+        model = np.asarray(sum(value * self._shapes[name] for name, value in squares.items()))
+        ratio = self._power / model
+        level -= float(self._number @ (np.log(model) + ratio))
+        shares = np.array([self._shapes[name] / model for name in names])
+        score += shares @ (self._number * (ratio - 1))
+        information += (shares * self._number) @ shares.T
+        return level, score, information
+
+    def _information(self, squares: dict[str, float], names: list[str]) -> Floats:
+        return self._scored(squares, names, [])[2]
+
+
+def _spectrum(values: Floats, width: int) -> tuple[Floats, Floats, Floats]:
+    """Angular frequency, mean power of the increments, number of independent values, above the blocks' own."""
+    lowest = np.pi / width if width > 1 else np.pi / 8
+    edges = np.linspace(lowest, np.pi, _BINS + 1)
+    power, place, number = np.zeros(_BINS), np.zeros(_BINS), np.zeros(_BINS)
+    for stretch in _stretches(values, 4 * width + 64):
+        increments = np.diff(stretch)
+        size = increments.size
+        taper = np.ones(size)
+        rise = max(2, int(_TAPER * size))
+        taper[:rise] = np.sin(0.5 * np.pi * (np.arange(rise) + 0.5) / rise) ** 2
+        taper[-rise:] = taper[:rise][::-1]
+        periodogram = np.abs(np.fft.rfft(taper * increments)) ** 2 / float(taper @ taper)
+        omega = 2 * np.pi * np.arange(periodogram.size) / size
+        independent = float(taper @ taper) ** 2 / (size * float(np.sum(taper**4)))
+        kept = (omega > lowest) & (omega < np.pi * (1 - 1e-9))
+        into = np.minimum(np.searchsorted(edges, omega[kept], side="right") - 1, _BINS - 1)
+        power += np.bincount(into, periodogram[kept], _BINS)
+        place += np.bincount(into, omega[kept], _BINS)
+        number += np.bincount(into, minlength=_BINS).astype(np.float64)
+        share = independent
+    full = number > 0
+    if not full.any():
+        raise ValueError("there is no stretch without missing words that is long enough for a noise model")
+    return place[full] / number[full], power[full] / number[full], share * number[full]
+
+
+def _stretches(values: Floats, shortest: int) -> list[Floats]:
+    """Stretches without missing words."""
+    edges = np.concatenate([[-1], np.flatnonzero(np.isnan(values)), [values.size]])
+    return [values[begin + 1 : end] for begin, end in itertools.pairwise(edges) if end - begin - 1 >= shortest]
+
+
+# --------------------
+# Terms of the noise model of IEEE Std 952, in deg and s, and what each is in three views.
+#
+#     quantization Q          deg               white noise of the angle at the ends of the words
+#     angle random walk N     deg/sqrt(s)       white noise of the rate
+#     bias instability B      deg/s             flicker of the rate, spectrum B^2/(2 pi f)
+#     rate random walk K      deg/s/sqrt(s)     integrated white noise
+#     rate ramp R             deg/s/s           a constant drift: no noise, but in the Allan deviation as one
+#
+# Views, for words that are means over an interval: Allan variance; generalised covariance of the means of blocks
+# (what only increments of the means depend on, since bias instability and rate random walk have no variance);
+# spectrum of the increments of words
+
+
+TERMS = ("quantization", "angle_random_walk", "bias_instability", "rate_random_walk", "rate_ramp")
+RANDOM = TERMS[:4]
+_ALIASES = 12
+
+
+def allan_variance(coefficients: Mapping[str, float], tau_s: ArrayLike) -> Floats:
+    """Allan variance, (deg/s)^2, of the terms together, by their coefficients in deg and s.
+
+    Examples
+    --------
+    >>> float(allan_variance({"angle_random_walk": 2.0}, 4.0))
+    1.0
+    """
+    tau = np.asarray(tau_s, dtype=np.float64)
+    shapes = {
+        "quantization": 3 / tau**2,
+        "angle_random_walk": 1 / tau,
+        "bias_instability": np.full(tau.shape, 2 * np.log(2) / np.pi),
+        "rate_random_walk": tau / 3,
+        "rate_ramp": tau**2 / 2,
+    }
+    return np.asarray(sum(value**2 * shapes[name] for name, value in coefficients.items()), dtype=np.float64)
+
+
+def block_covariance(term: str, lags: Floats, block_s: float) -> Floats:
+    """Generalised covariance of the means of two blocks, for a coefficient of 1."""
+    distance = np.abs(lags)
+    if term == "quantization":
+        return np.asarray(((distance == 0) * 2.0 - (distance == 1)) / block_s**2)
+    outer = _grown(term, (distance + 1) * block_s) + _grown(term, (distance - 1) * block_s)
+    return np.asarray(0.5 * (outer - 2 * _grown(term, distance * block_s)) / block_s**2)
+
+
+def window_covariance(coefficients: Mapping[str, float], begin_s: ArrayLike, end_s: ArrayLike) -> Floats:
+    """Generalised covariance of the means over windows anywhere in time, (deg/s)^2.
+
+    It gives the variance of whatever combines the means with factors that add up to zero.
+
+    Parameters
+    ----------
+    coefficients : mapping
+        Of the terms, in deg and s; a ramp is no noise and not counted.
+    begin_s, end_s : (n,)
+
+    Returns
+    -------
+    ndarray, shape (n, n)
+
+    Examples
+    --------
+    White noise has the variance N^2/T, a random walk of the rate K^2 T between the means of neighbours, about.
+
+    >>> window_covariance({"angle_random_walk": 2.0}, [0.0], [8.0]).tolist()
+    [[0.5]]
+    >>> walk = window_covariance({"rate_random_walk": 1.0}, [0.0, 10.0], [1.0, 11.0])
+    >>> round(float(walk[0, 0] + walk[1, 1] - 2 * walk[0, 1]), 3)
+    9.667
+    """
+    begin, end = np.asarray(begin_s, dtype=np.float64), np.asarray(end_s, dtype=np.float64)
+    products = np.outer(end - begin, end - begin)
+    first, last, total = begin[:, np.newaxis], end[:, np.newaxis], np.zeros(products.shape)
+    for term, value in coefficients.items():
+        if term == "quantization":
+            met = (begin == first).astype(np.float64) + (end == last) - (begin == last) - (end == first)
+        elif term in RANDOM:
+            apart = _grown(term, end - first) + _grown(term, begin - last)
+            met = 0.5 * (apart - _grown(term, begin - first) - _grown(term, end - last))
+        else:
+            continue
+        total += value**2 * met / products
+    return np.asarray(total, dtype=np.float64)
+
+
+def _grown(term: str, time_s: Floats) -> Floats:
+    """Function of the time whose second derivative is twice the covariance of the rate, for a coefficient of 1."""
+    size = np.abs(time_s)
+    if term == "angle_random_walk":
+        return size
+    if term == "bias_instability":
+        return np.asarray(-(size**2) * np.log(np.maximum(size, 1e-300)) / np.pi)
+    return np.asarray(-(size**3) / 6)
+
+
+def increment_spectrum(term: str, omega: Floats, interval_s: float) -> Floats:
+    """Spectrum of the increments from word to word, for a coefficient of 1; its mean is their variance."""
+    square = 4 * np.sin(omega / 2) ** 2
+    if term == "quantization":
+        return np.asarray(square**2 / interval_s**2)
+    if term == "angle_random_walk":
+        return np.asarray(square / interval_s)
+    if term == "rate_random_walk":
+        return np.asarray(interval_s * (2 + np.cos(omega)) / 3)
+    turns = omega[..., np.newaxis] + 2 * np.pi * np.arange(-_ALIASES, _ALIASES + 1)
+    return np.asarray(square * np.sum(square[..., np.newaxis] / np.abs(turns) ** 3, axis=-1))
+
+
+# --------------------
+# Words that are missing, put in as the noise model says of them, given all that are there.
+#
+# A straight line over a gap takes power out of the fast noise and tears apart what quantization keeps together:
+# the sum of its words is the difference of two angles. A draw from the conditional distribution keeps both: under
+# the model the whole series then has the distribution that it would have had. The model is found from the series
+# with its gaps put in, so both are found in turn; each time some of the error of the model is left.
+#
+# The words are drawn all at once: a series of the model with no gaps, plus what is expected of the missing words
+# if it differs from the true one by what is seen where words are. That expectation makes the energy of the series,
+# each frequency weighted by the inverse of its spectrum, the least (conjugate gradients, products by Fourier
+# transforms)
+
+
+_LONGEST = 64  # words in a row that are put in
+_MARGIN = 256  # words behind the last one that nobody has seen: the transform joins both ends
+_POINTS = 4096  # of the spectrum, joined by lines in its logarithm
+_TOLERANCE = 1e-3
+_MOST_STEPS = 60
+
+
+def fillable(values: Floats) -> Bools:
+    """Tell which words are missing in so short a gap that they are put in."""
+    gone = np.isnan(values)
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], gone, [False]]).astype(np.int8)))
+    for begin, end in zip(edges[::2], edges[1::2], strict=True):
+        if end - begin > _LONGEST:
+            gone[begin:end] = False
+    return gone
+
+
+def on_lines(values: Floats) -> Floats:
+    """Put missing words on straight lines, to begin with; nan stays where a gap is too long."""
+    put_in, there = fillable(values), ~np.isnan(values)
+    filled = values.copy()
+    filled[put_in] = np.interp(np.flatnonzero(put_in), np.flatnonzero(there), values[there])
+    return filled
+
+
+def with_words_put_in(values: Floats, squares: Mapping[str, float], interval_s: float) -> Floats:
+    """Draw missing words, with the same random numbers each time."""
+    size = int(scipy.fft.next_fast_len(values.size + _MARGIN, real=True))
+    known = np.zeros(size)
+    gone = np.ones(size, dtype=np.bool_)
+    gone[: values.size] = np.isnan(values)
+    known[~gone] = values[~np.isnan(values)]
+    spectrum = _spectrum_of_words(squares, size, interval_s)
+    weight = np.concatenate([[0.0], float(np.median(spectrum)) / spectrum])  # the level may be anything
+    white = scipy.fft.rfft(np.random.default_rng(0).normal(size=size))
+    drawn = scipy.fft.irfft(white * np.concatenate([[0.0], np.sqrt(spectrum)]), size)
+
+    def weighted(series: Floats) -> Floats:
+        return np.asarray(scipy.fft.irfft(weight * scipy.fft.rfft(series), size)[gone])
+
+    def of_the_missing(words: Floats) -> Floats:
+        series = np.zeros(size)
+        series[gone] = words
+        return weighted(series)
+
+    count = int(gone.sum())
+    operator = LinearOperator((count, count), matvec=of_the_missing, dtype=np.float64)
+    expected, _ = cg(operator, -weighted(np.where(gone, 0.0, known - drawn)), rtol=_TOLERANCE, maxiter=_MOST_STEPS)
+    known[gone] = drawn[gone] + expected
+    return np.where(np.isnan(values) & ~fillable(values), np.nan, known[: values.size])
+
+
+def _spectrum_of_words(squares: Mapping[str, float], size: int, interval_s: float) -> Floats:
+    """Spectrum of the words at the frequencies of a transform, without 0; its mean is their variance."""
+    omega = 2 * np.pi * np.arange(1, size // 2 + 1) / size
+    grid = np.geomspace(omega[0], np.pi, _POINTS)
+    shape = sum(square * increment_spectrum(name, grid, interval_s) for name, square in squares.items())
+    return np.exp(np.interp(np.log(omega), np.log(grid), np.log(shape / (4 * np.sin(grid / 2) ** 2))))
+
+
+# --------------------
+# Overlapping Allan deviation of output words, for a picture: the fit does not read it
+
+
+_CURVE_POINTS = 60
+
+
+@dataclass(frozen=True)
+class AllanCurve:
+    """Overlapping Allan deviation.
+
+    Attributes
+    ----------
+    tau_s, deviation, deviation_u : ndarray, shape (m,)
+        s, and the unit of the words; the uncertainty by the number of independent differences.
+    """
+
+    tau_s: Floats
+    deviation: Floats
+    deviation_u: Floats
+
+
+def allan_curve(
+    words: ArrayLike, interval_s: float, coefficients: Mapping[str, float] | None = None
+) -> AllanCurve:
+    """Overlapping Allan deviation at times spaced evenly in their logarithm, up to a quarter of the record.
+
+    Parameters
+    ----------
+    words : (n,)
+        nan where one is missing.
+    coefficients : mapping of str to float, optional
+        Of the noise model: by it missing words and outliers are put in. Without it nothing may be missing.
+    """
+    import allantools  # type: ignore[import-untyped]
+
+    values = np.asarray(words, dtype=np.float64)
+    if coefficients:
+        values = _whole(values, interval_s, coefficients)
+    most = max(1, values.size // 4)
+    steps = np.unique(np.geomspace(1, most, _CURVE_POINTS).round().astype(np.int64))
+    tau, deviation, _, _ = allantools.oadev(
+        values - values.mean(), rate=1 / interval_s, data_type="freq", taus=steps * interval_s
+    )
+    independent = np.maximum(values.size * interval_s / tau - 1, 1.0)
+    return AllanCurve(
+        np.asarray(tau, dtype=np.float64), np.asarray(deviation), np.asarray(deviation / np.sqrt(2 * independent))
+    )
+
+
+def _whole(values: Floats, interval_s: float, coefficients: Mapping[str, float]) -> Floats:
+    """Words without gaps: short ones filled by the noise model, long ones by a straight line."""
+    level = float(np.nanmean(values))
+    seen = np.where(outliers(values), np.nan, values - level)
+    if not np.isnan(seen).any():
+        return values
+    squares = {name: value**2 for name, value in coefficients.items() if name in RANDOM}
+    filled = with_words_put_in(seen, squares, interval_s)
+    there = np.flatnonzero(~np.isnan(filled))
+    return np.asarray(level + np.interp(np.arange(values.size), there, filled[there]))

@@ -1,1 +1,0 @@
-"""What lies below the scale factor: small rates, the bias and K over the temperature, switching on."""

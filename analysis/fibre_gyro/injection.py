@@ -1,0 +1,448 @@
+"""Scale factor from an injected staircase: plan of the numbers, slope by least squares, and what it can show.
+
+The method of the patent CN104634364A: with the gyro at rest, the number that stands for a rate is added to the
+phase staircase; the mean output at each number, less the static output, gives K as a slope. In a closed loop
+whose feedback goes through the same adder, converter and electrode, the loop makes the sum of both staircases
+zero: the output is the number that was injected, whatever the coil, the wavelength, V_2pi or the converter do.
+The predictions here say so with numbers.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from analysis.arrays import Bools, Floats
+from analysis.fibre_gyro.rate_table import RateDifferences
+
+Path = Literal["shared", "separate"]
+
+_PPM = 1e6
+
+
+@dataclass(frozen=True)
+class InjectionPlan:
+    """Which step stands for which rate.
+
+    Attributes
+    ----------
+    rate_dps : ndarray, shape (n,)
+    number : ndarray, shape (n,)
+        Step of the staircase each transit time, in counts of the output (codes times the output gain).
+    number_u : ndarray, shape (n,)
+        Standard uncertainty: how well the number stands for the rate.
+    multiples : ndarray, shape (n, k)
+        How often each difference is in each number; shape (n, 0) for numbers by scaling.
+    """
+
+    rate_dps: Floats
+    number: Floats
+    number_u: Floats
+    multiples: Floats
+
+
+def superposed_numbers(rates_dps: ArrayLike, differences: RateDifferences) -> InjectionPlan:
+    """Build the numbers of rates from the differences of a rate-table run: whole multiples, the largest first.
+
+    What is left over after whole multiples of the smallest difference is scaled from it. The odd part at the base
+    rate is in every difference, which the uncertainty allows for.
+
+    Parameters
+    ----------
+    rates_dps : array_like, shape (n,)
+
+    Examples
+    --------
+    >>> differences = RateDifferences(np.array([0.01, 0.1, 1.0]), np.array([2.5, 24.6, 246.1]),
+    ...                               np.zeros(3), np.zeros(3), 20.0, 0.0)
+    >>> plan = superposed_numbers([-1.23], differences)
+    >>> plan.multiples.tolist(), plan.number.round(6).tolist()
+    ([[-3.0, -2.0, -1.0]], [-302.8])
+    """
+    rates = np.atleast_1d(np.asarray(rates_dps, dtype=np.float64))
+    order = np.argsort(-np.abs(differences.delta_dps))
+    left, multiples = rates.copy(), np.zeros((rates.size, order.size))
+    for place in order:
+        times = left / differences.delta_dps[place]
+        whole = np.round(times, 9) if place == order[-1] else np.trunc(np.round(times, 4))
+        multiples[:, place] = whole
+        left = left - whole * differences.delta_dps[place]
+    return InjectionPlan(rates, multiples @ differences.number, _superposed_u(multiples, differences), multiples)
+
+
+def _superposed_u(multiples: Floats, differences: RateDifferences) -> Floats:
+    """Uncertainty of sums of differences that all hold the same base."""
+    own = np.sqrt(np.maximum(differences.noise_u**2 - differences.base_u**2, 0.0))
+    # an irreproducible difference holds its two rates in nearly equal parts
+    scatter = differences.irreproducibility_u / np.sqrt(2.0)
+    of_own = (multiples**2) @ (own**2 + scatter**2)
+    base = differences.base_u**2 + (float(scatter.mean()) ** 2 if scatter.size else 0.0)
+    return np.asarray(np.sqrt(of_own + multiples.sum(axis=1) ** 2 * base), dtype=np.float64)
+
+
+def scaled_numbers(rates_dps: ArrayLike, scale_factor: float, scale_factor_u: float = 0.0) -> InjectionPlan:
+    """Numbers of rates as a scale factor times the rate.
+
+    Parameters
+    ----------
+    rates_dps : array_like, shape (n,)
+    scale_factor, scale_factor_u : float
+        Counts per deg/s.
+    """
+    rates = np.atleast_1d(np.asarray(rates_dps, dtype=np.float64))
+    return InjectionPlan(rates, scale_factor * rates, np.abs(scale_factor_u * rates), np.zeros((rates.size, 0)))
+
+
+def largest_step(dac_bits: int) -> float:
+    """Largest step, codes, that a converter of so many bits can hold: half of its range, a phase of pi.
+
+    Examples
+    --------
+    >>> largest_step(16)
+    32767.0
+    """
+    return float(2 ** (dac_bits - 1) - 1)
+
+
+def steps_beyond_dac(codes: ArrayLike, dac_bits: int) -> Bools:
+    """Tell which injected steps, in codes, the converter cannot make."""
+    steps = np.abs(np.asarray(codes, dtype=np.float64))
+    return np.asarray(steps > largest_step(dac_bits), dtype=np.bool_)
+
+
+@dataclass(frozen=True)
+class NetOutputs:
+    """Outputs with injection, less the static output.
+
+    Attributes
+    ----------
+    output, output_u : ndarray, shape (n,)
+        N_j = N_j0 - N_0, counts; the uncertainty is that of N_j0 alone, N_0 is common to all.
+    static, static_u : float
+        N_0: mean of the static outputs before and after.
+    drift, drift_u : float
+        Static output after less that before.
+    """
+
+    output: Floats
+    output_u: Floats
+    static: float
+    static_u: float
+    drift: float
+    drift_u: float
+
+
+def net_outputs(
+    mean: ArrayLike, mean_u: ArrayLike, before: tuple[float, float], after: tuple[float, float]
+) -> NetOutputs:
+    """Subtract the static output.
+
+    Parameters
+    ----------
+    mean, mean_u : array_like, shape (n,)
+        Mean output of every injected step, counts.
+    before, after : tuple of float
+        Mean static output and its standard uncertainty, before and after the steps.
+    """
+    static, u = (before[0] + after[0]) / 2, float(np.hypot(before[1], after[1]))
+    means = np.asarray(mean, dtype=np.float64)
+    return NetOutputs(means - static, np.asarray(mean_u, dtype=np.float64), static, u / 2, after[0] - before[0], u)
+
+
+@dataclass(frozen=True)
+class SlopeFit:
+    """Straight line through outputs against rates.
+
+    Attributes
+    ----------
+    slope, slope_u : float
+        K, counts per deg/s.
+    intercept, intercept_u : float
+        F_0, counts: the line at rate zero. Not the static mean.
+    residual : ndarray, shape (n,)
+        Output less line, counts.
+    chi_square : float
+        With the given uncertainties; nan without them.
+    """
+
+    slope: float
+    slope_u: float
+    intercept: float
+    intercept_u: float
+    residual: Floats
+    chi_square: float
+    degrees_of_freedom: int
+
+
+def fit_slope(rates_dps: ArrayLike, outputs: ArrayLike, outputs_u: ArrayLike | None = None) -> SlopeFit:
+    """Fit K and F_0 by least squares.
+
+    With equal weights these are the sums of the patent: with M points, K = [sum w F - (1/M) sum w sum F] /
+    [sum w^2 - (1/M) (sum w)^2] and F_0 = mean F - K mean w. Given uncertainties make weights 1/u^2; the standard
+    errors then grow by sqrt(chi^2/degrees of freedom) where the residuals exceed them. Without them the residuals
+    give the standard errors.
+
+    Parameters
+    ----------
+    rates_dps, outputs : array_like, shape (n,)
+    outputs_u : array_like, shape (n,), optional
+        Standard uncertainties, counts.
+
+    Raises
+    ------
+    ValueError
+        Fewer than three points, or all at one rate.
+    """
+    rate, output = (np.asarray(v, dtype=np.float64) for v in (rates_dps, outputs))
+    if rate.size < 3 or float(np.ptp(rate)) == 0:
+        raise ValueError("a slope with its standard error needs three points at two or more rates")
+    weight = np.ones_like(rate) if outputs_u is None else np.asarray(outputs_u, dtype=np.float64) ** -2.0
+    total = float(weight.sum())
+    centre, level = float(weight @ rate) / total, float(weight @ output) / total
+    spread = float(weight @ (rate - centre) ** 2)
+    slope = float(weight @ ((rate - centre) * (output - level))) / spread
+    intercept = level - slope * centre
+    residual = output - intercept - slope * rate
+    freedom = rate.size - 2
+    chi_square = float(weight @ residual**2)
+    variance = chi_square / freedom if outputs_u is None else max(1.0, chi_square / freedom)
+    return SlopeFit(
+        slope,
+        float(np.sqrt(variance / spread)),
+        intercept,
+        float(np.sqrt(variance * (1 / total + centre**2 / spread))),
+        residual,
+        chi_square if outputs_u is not None else float("nan"),
+        freedom,
+    )
+
+
+@dataclass(frozen=True)
+class ScaleComparison:
+    """Self-calibration against the rate table.
+
+    Attributes
+    ----------
+    difference_ppm, difference_u_ppm : float
+        K_self/K_table - 1.
+    against_numbers_ppm, against_numbers_u_ppm : float
+        K_self over the slope of the injected numbers themselves, less 1: what the method really tests.
+    """
+
+    difference_ppm: float
+    difference_u_ppm: float
+    against_numbers_ppm: float
+    against_numbers_u_ppm: float
+
+
+def compare_scale(
+    self_fit: SlopeFit, excess: SlopeFit, table: tuple[float, float], *, numbers_u: float = 0.0
+) -> ScaleComparison:
+    """Compare the slope of the outputs with the table's scale factor and with the slope of the numbers.
+
+    Parameters
+    ----------
+    self_fit : SlopeFit
+        Of the net outputs.
+    excess : SlopeFit
+        Of the net outputs less the injected numbers, with the same weights: it does not matter there that numbers
+        rounded to what can be injected do not lie on a line.
+    table : tuple of float
+        K of the rate table, counts per deg/s, and its standard uncertainty.
+    numbers_u : float, optional
+        Standard uncertainty of the slope of the numbers, counts per deg/s: how well they stand for the rates.
+    """
+    ratio, relative_u = self_fit.slope / table[0], self_fit.slope_u / abs(self_fit.slope)
+    numbers = self_fit.slope - excess.slope
+    return ScaleComparison(
+        _PPM * (ratio - 1),
+        _PPM * float(np.linalg.norm([relative_u, table[1] / table[0], numbers_u / numbers])),
+        _PPM * excess.slope / numbers,
+        _PPM * excess.slope_u / abs(numbers),
+    )
+
+
+def predicted_table_scale(scale_change: float = 0.0, two_pi_error: float = 0.0, *, gated: bool) -> float:
+    """K of the rate table over the nominal K0.
+
+    Parameters
+    ----------
+    scale_change : float, optional
+        Relative change d of L D/lambda.
+    two_pi_error : float, optional
+        eps = V_FS/(2 V_pi) - 1: the full range of the converter spans 2 pi (1 + eps).
+    gated : bool
+        Whether the sample pairs that hold a reset are left out of the integrator. Then the converter sets the
+        scale, 1/(1 + eps). Else the bounded phase makes 2 pi itself the scale, to the cubic term of the sine.
+
+    Examples
+    --------
+    >>> [round(1e6 * (predicted_table_scale(0.0, 0.01, gated=gated) - 1), 2) for gated in (True, False)]
+    [-9900.99, -6.58]
+    """
+    if gated:
+        return (1 + scale_change) / (1 + two_pi_error)
+    return (1 + scale_change) * (1 - two_pi_error * (2 * np.pi * two_pi_error) ** 2 / 6)
+
+
+def predicted_self_scale(
+    path: Path, two_pi_error: float = 0.0, injection_error: float = 0.0, *, gated: bool
+) -> float:
+    """K of the self-calibration over the slope of the injected numbers.
+
+    Parameters
+    ----------
+    path : {"shared", "separate"}
+        Through the feedback's own converter and electrode, or through another of its own gain.
+    two_pi_error : float, optional
+        eps of the feedback path.
+    injection_error : float, optional
+        The same of the injection path, for the second electrode.
+    gated : bool
+        As in :func:`predicted_table_scale`.
+
+    Examples
+    --------
+    >>> predicted_self_scale("shared", 0.01, gated=True)
+    1.0
+    >>> round(1e6 * (predicted_self_scale("separate", 0.003, gated=True) - 1), 1)
+    -2991.0
+    """
+    if path == "shared":
+        return 1.0
+    return (1 + injection_error) * predicted_table_scale(0.0, two_pi_error, gated=gated)
+
+
+def predicted_difference_ppm(numbers_over_nominal: float, self_scale: float, table_scale: float) -> float:
+    """Predicted K_self/K_table - 1 in ppm.
+
+    Parameters
+    ----------
+    numbers_over_nominal : float
+        Slope of the injected numbers over K0: 1 for numbers by design, K_table/K0 at the time they were made for
+        numbers from a rate-table run.
+    self_scale : float
+        Of :func:`predicted_self_scale`.
+    table_scale : float
+        Of :func:`predicted_table_scale`, now.
+
+    Examples
+    --------
+    The optical scale changed by 100 ppm: the injection still returns the old numbers.
+
+    >>> round(predicted_difference_ppm(1.0, 1.0, predicted_table_scale(1e-4, gated=True)), 2)
+    -99.99
+    """
+    return _PPM * (numbers_over_nominal * self_scale / table_scale - 1)
+
+
+# --------------------
+# The output without rotation or injection, taken off from the outputs with them: its level, and its drift.
+#
+# GJB style takes the mean of the static outputs before and after. Where they differ by more than their noise, or
+# where there are more than two, the level is interpolated in time between them
+
+
+_SIGNIFICANT = 3.0
+
+
+@dataclass(frozen=True)
+class StaticLevel:
+    """Static output at the time of each point.
+
+    Attributes
+    ----------
+    level, level_u : ndarray, shape (n,)
+        Counts.
+    mean, mean_u : float
+        Of the static outputs before and after.
+    drift, drift_u : float
+        Last static output less the first, counts; nan with one alone.
+    modelled : bool
+        Whether the level follows the static outputs in time.
+    unseen_slope_u : float
+        Standard uncertainty of a drift that is not modelled, counts per unit of the times; 0 where it is.
+    weights : ndarray, shape (n, m)
+        Factors of the static outputs in the level of each point.
+    """
+
+    level: Floats
+    level_u: Floats
+    mean: float
+    mean_u: float
+    drift: float
+    drift_u: float
+    modelled: bool
+    unseen_slope_u: float
+    weights: Floats
+
+
+def static_level(times: ArrayLike, static_times: ArrayLike, static: ArrayLike, static_u: ArrayLike) -> StaticLevel:
+    """Level of the static output at some times.
+
+    Parameters
+    ----------
+    times : (n,)
+        Of the points, in any unit.
+    static_times, static, static_u : (m,)
+        Of the static outputs, in the order in which they were taken; counts.
+
+    Raises
+    ------
+    ValueError
+        There is none.
+
+    Examples
+    --------
+    >>> static_level([1.0, 2.0, 3.0], [0.0, 4.0], [10.0, 14.0], [0.1, 0.1]).level.tolist()
+    [11.0, 12.0, 13.0]
+    """
+    at, when, level, u = (np.asarray(v, dtype=np.float64) for v in (times, static_times, static, static_u))
+    if level.size == 0:
+        raise ValueError("there is no static output")
+    first, last = level[0], level[-1]
+    mean, mean_u = float(first + last) / 2, float(np.hypot(u[0], u[-1])) / 2
+    if level.size == 1:
+        nan = float("nan")
+        alone = np.ones((at.size, 1))
+        return StaticLevel(alone @ level, alone @ u, mean, float(u[0]), nan, nan, False, 0.0, alone)
+    drift, drift_u = float(last - first), float(np.hypot(u[0], u[-1]))
+    span = float(when[-1] - when[0]) or 1.0
+    modelled = level.size > 2 or abs(drift) > _SIGNIFICANT * drift_u
+    if modelled:
+        weights = _interpolation(at, when)
+        return StaticLevel(
+            weights @ level, np.sqrt(weights**2 @ u**2), mean, mean_u, drift, drift_u, True, 0.0, weights
+        )
+    halves = np.full((at.size, 2), 0.5)
+    left = float(np.hypot(drift, drift_u)) / span
+    return StaticLevel(halves @ level, np.full(at.size, mean_u), mean, mean_u, drift, drift_u, False, left, halves)
+
+
+def drift_in_slope(rates: ArrayLike, weights: ArrayLike, times: ArrayLike) -> float:
+    """How much of a drift, counts per unit of the times, a weighted line through outputs takes for its slope.
+
+    Examples
+    --------
+    Rates in rising order take all of it, alternating ones nearly nothing.
+
+    >>> drift_in_slope([-1.0, 0.0, 1.0], [1.0, 1.0, 1.0], [0.0, 1.0, 2.0])
+    1.0
+    """
+    rate, weight, at = (np.asarray(v, dtype=np.float64) for v in (rates, weights, times))
+    total = float(weight.sum())
+    centred = rate - float(weight @ rate) / total
+    return float(weight @ (centred * (at - float(weight @ at) / total))) / float(weight @ centred**2)
+
+
+def _interpolation(at: Floats, when: Floats) -> Floats:
+    """Factors of the static outputs in the level at each time, (n, m); constant beyond the first and the last."""
+    place = np.clip(np.searchsorted(when, at) - 1, 0, when.size - 2)
+    part = np.clip((at - when[place]) / (when[place + 1] - when[place]), 0.0, 1.0)
+    weights = np.zeros((at.size, when.size))
+    weights[np.arange(at.size), place] = 1 - part
+    weights[np.arange(at.size), place + 1] += part
+    return weights

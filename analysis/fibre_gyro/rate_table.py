@@ -1,0 +1,526 @@
+"""Scale factor, earth rate, bias and its drift of one axis by weighted least squares over all runs."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from analysis.arrays import Floats, Ints
+from analysis.fibre_gyro.scatter import find_run_scatter
+from analysis.rotation import EARTH_RATE_DPS
+
+_EARTH_RATE_DPH = 3600.0 * EARTH_RATE_DPS
+_PPM = 1e6
+
+
+@dataclass(frozen=True)
+class AxisFit:
+    """Scale factor of one axis.
+
+    Attributes
+    ----------
+    scale_factor, scale_factor_u : float
+        K, counts per deg/s.
+    contributions : mapping of str to float
+        What each cause contributes to the uncertainty of K, counts per deg/s: "noise" within the runs, "slow
+        noise" by the noise model, "stated" irreproducibility, "scatter" beyond all of them, "table rate".
+    factors : ndarray, shape (n,)
+        Of the mean of each run in K, deg/s.
+    covariance : ndarray, shape (n, n)
+        Of the means, by noise and scatter, counts^2.
+    even, even_u : float
+        Even part, counts: K w_v + B with the axis up, B - K w_v with the axis down.
+    even_dph : tuple of float
+        The same as a rate, deg/h, and its standard uncertainty: vertical earth rate and bias together.
+    earth_rate_dph, bias_dph : tuple of float
+        Vertical earth rate and bias each by itself, with uncertainty; nan unless both ends were up in turn.
+    drift_dph_per_h : tuple of float
+        Drift of the bias that was taken out, and its uncertainty; nan where the runs are too few to show one.
+    drift_in_scale_factor : float
+        What the drift would have added to K, counts per deg/s.
+    end_up : int
+        Which end of the axis was up in all runs, 1 or -1; 0 if both were.
+    residual_ppm : ndarray, shape (n,)
+        Of every run, ppm of its own output.
+    chi_square : float
+        Of the residuals, with the uncertainties that were the weights.
+    scatter_ppm : float
+        Irreproducibility from run to run that the residuals show beyond noise, ppm; 0 where noise explains them.
+    scatter_assumed : bool
+        Whether the runs cannot show their irreproducibility and nobody states it: a bound is counted.
+    angle_random_walk : float
+        deg/sqrt(h), from the uncertainties of the means: the white noise that would explain them.
+    """
+
+    scale_factor: float
+    scale_factor_u: float
+    contributions: Mapping[str, float]
+    factors: Floats
+    covariance: Floats
+    even: float
+    even_u: float
+    even_dph: tuple[float, float]
+    earth_rate_dph: tuple[float, float]
+    bias_dph: tuple[float, float]
+    drift_dph_per_h: tuple[float, float]
+    drift_in_scale_factor: float
+    end_up: int
+    residual_ppm: Floats
+    chi_square: float
+    degrees_of_freedom: int
+    scatter_ppm: float
+    scatter_assumed: bool
+    angle_random_walk: float
+
+
+def fit_axis(
+    runs: TableRuns, *, irreproducibility_ppm: float | None = None, table_rate_u_ppm: float = 0.0
+) -> AxisFit:
+    """Fit scale factor, earth rate, bias and its drift of one axis to all runs.
+
+    Weights are 1/u^2 with u the noise of the mean and, in quadrature, the irreproducibility of the run, stated or
+    as the residuals show it. All uncertainties count the scatter that the residuals allow (`scatter`); 1.96 of
+    them are half a 95 % interval. The drift is fitted where three degrees of freedom are left with it.
+
+    Parameters
+    ----------
+    irreproducibility_ppm : float or None, optional
+        Known standard deviation of scale factor and table rate from run to run, ppm.
+    table_rate_u_ppm : float, optional
+        Standard uncertainty of the table's rate that is common to all runs, ppm.
+
+    Raises
+    ------
+    ValueError
+        All runs are in one sense.
+    """
+    if not (np.any(runs.rate_dps > 0) and np.any(runs.rate_dps < 0)):
+        raise ValueError("the scale factor needs runs in both senses")
+    plain = design_of(runs)
+    design = with_drift(plain, runs.at_s)
+    drifts, both_ends = design.shape[1] > plain.shape[1], plain.shape[1] == 3
+    stated = None if irreproducibility_ppm is None else irreproducibility_ppm / _PPM
+    scatter = find_run_scatter(
+        design, runs.mean, runs.mean_u, stated, slow=runs.slow, by_model=runs.slow is not None
+    )
+    estimator = scatter.estimator(design, by_known=stated is not None)
+    values = estimator @ runs.mean
+    k = float(values[0])
+    residual = runs.mean - design @ values
+    u = np.sqrt(np.diag(scatter.mean_covariance() if stated is None else scatter.known_covariance()))
+    constants = np.eye(values.size)[1 : plain.shape[1]]
+    even = constants.sum(axis=0)
+    freedom = runs.mean.size - values.size
+
+    def as_dph(combination: Floats) -> tuple[float, float]:
+        """Rate in deg/h, and its uncertainty, of a combination of the constant terms: divided by K."""
+        rate = float(combination @ values) / k
+        slopes = (combination - rate * np.eye(values.size)[0]) / k
+        return 3600.0 * rate, 3600.0 * scatter.standard_u(slopes @ estimator)
+
+    nan = (float("nan"), float("nan"))
+    earth, bias = [as_dph(one) for one in constants] if both_ends else [nan, nan]
+    drift = np.eye(values.size)[-1]
+    of_drift = float(scatter.estimator(plain)[0] @ design[:, -1] * values[-1]) if drifts else 0.0
+    contributions = {**scatter.parts(estimator[0]), "table rate": abs(k) * table_rate_u_ppm / _PPM}
+    return AxisFit(
+        scale_factor=k,
+        scale_factor_u=float(np.hypot(scatter.standard_u(estimator[0]), contributions["table rate"])),
+        contributions=contributions,
+        factors=estimator[0],
+        covariance=scatter.mean_covariance(),
+        even=float(even @ values),
+        even_u=scatter.standard_u(even @ estimator),
+        even_dph=as_dph(even),
+        earth_rate_dph=earth,
+        bias_dph=bias,
+        drift_dph_per_h=as_dph(drift) if drifts else nan,
+        drift_in_scale_factor=of_drift,
+        end_up=0 if both_ends else int(runs.end_up[0]),
+        residual_ppm=np.asarray(_PPM * residual / np.abs(runs.mean), dtype=np.float64),
+        chi_square=float(np.sum((residual / u) ** 2)),
+        degrees_of_freedom=freedom,
+        scatter_ppm=_excess_scatter(runs, residual, freedom),
+        scatter_assumed=scatter.assumed,
+        angle_random_walk=_angle_random_walk(runs, k),
+    )
+
+
+def correlation_with_numbers(fit: AxisFit, factors: Floats) -> Floats:
+    """Correlation of K and of numbers of small rates that come from the same runs, shape (1 + k, 1 + k).
+
+    Parameters
+    ----------
+    factors : ndarray, shape (k, n)
+        Of :class:`RateDifferences`.
+    """
+    both = np.vstack([fit.factors, factors])
+    covariance = both @ fit.covariance @ both.T
+    size = np.sqrt(np.diag(covariance))
+    return np.asarray(covariance / np.outer(size, size), dtype=np.float64)
+
+
+def bias_at_latitude(fit: AxisFit, latitude_deg: float) -> tuple[float, float]:
+    """Bias, deg/h, and its standard uncertainty, from the even part and the known vertical earth rate."""
+    if fit.end_up == 0:
+        return fit.bias_dph
+    value, u = fit.even_dph
+    return value - fit.end_up * vertical_earth_rate_dph(latitude_deg), u
+
+
+def _excess_scatter(runs: TableRuns, residual: Floats, freedom: int) -> float:
+    """Run-to-run irreproducibility, ppm, that the residuals show beyond the noise of the means."""
+    if freedom < 1:
+        return 0.0
+    excess = float(np.sum(residual**2 - runs.mean_u**2 * freedom / residual.size)) / freedom
+    return _PPM * float(np.sqrt(max(excess, 0.0) / np.mean(runs.mean**2)))
+
+
+def _angle_random_walk(runs: TableRuns, scale_factor: float) -> float:
+    each = 60.0 * runs.mean_u / abs(scale_factor) * np.sqrt(runs.duration_s)
+    return float(np.sqrt(np.mean(each**2)))
+
+
+def vertical_earth_rate_dph(latitude_deg: float) -> float:
+    """Earth rate along the upward vertical, deg/h.
+
+    Examples
+    --------
+    >>> round(vertical_earth_rate_dph(45.78), 3)
+    10.779
+    """
+    return float(_EARTH_RATE_DPH * np.sin(np.deg2rad(latitude_deg)))
+
+
+def horizontal_earth_rate_dps(latitude_deg: float) -> float:
+    """Earth rate in the horizontal plane, towards the north, deg/s.
+
+    Examples
+    --------
+    >>> round(3600 * horizontal_earth_rate_dps(60.0), 3)
+    7.521
+    """
+    return float(EARTH_RATE_DPS * np.cos(np.deg2rad(latitude_deg)))
+
+
+# --------------------
+# Odd and even parts of the output over the sense of rotation, and the numbers of small rates.
+#
+# Runs in both senses separate the odd part K Omega from the even part K w_v + B. The differences of odd parts are
+# what the patent CN104634364A makes numbers of small rates from; they are given with what they are worth
+
+
+@dataclass(frozen=True)
+class OddEven:
+    """Odd and even parts at each rate, in rising order of the rate.
+
+    Attributes
+    ----------
+    rate_dps : ndarray, shape (m,)
+        Mean size of the table's rate in both senses.
+    odd, odd_u : ndarray, shape (m,)
+        Half the difference of the senses, K Omega: free of bias and of the vertical earth rate. Counts.
+    even, even_u : ndarray, shape (m,)
+        Half their sum, K w_v + B. Counts.
+    duration_s : ndarray, shape (m,)
+        Mean window of the two senses.
+    """
+
+    rate_dps: Floats
+    odd: Floats
+    odd_u: Floats
+    even: Floats
+    even_u: Floats
+    duration_s: Floats
+
+
+def odd_even_parts(runs: TableRuns, *, end_up: int = 1) -> OddEven:
+    """Odd and even parts of the runs with one end of the axis up; several runs of a kind are averaged.
+
+    Parameters
+    ----------
+    end_up : {1, -1}, optional
+
+    Raises
+    ------
+    ValueError
+        A rate was run in one sense only; the text names it.
+    """
+    chosen = _of_end(runs, end_up)
+    if alone := missing_senses(chosen):
+        names = ", ".join(f"{rate:+g} deg/s" for rate in alone)
+        raise ValueError(f"the opposite sense of {names} is missing: run it, or leave the point out")
+    rows = []
+    for rate in distinct_rates(np.abs(chosen.nominal_dps)):
+        forward, backward = (_average(chosen, sense * rate) for sense in (1, -1))
+        u = float(np.hypot(forward[2], backward[2])) / 2
+        odd, even = (forward[1] - backward[1]) / 2, (forward[1] + backward[1]) / 2
+        rows.append(((forward[0] - backward[0]) / 2, end_up * odd, u, even, u, (forward[3] + backward[3]) / 2))
+    return OddEven(*np.array(rows, dtype=np.float64).T)
+
+
+def _of_end(runs: TableRuns, end_up: int) -> TableRuns:
+    kept = runs.end_up == end_up
+    if not kept.any():
+        raise ValueError(f"there is no run with the {'upper' if end_up > 0 else 'lower'} end of the axis up")
+    return runs.chosen(kept)
+
+
+def _average(runs: TableRuns, nominal: float) -> tuple[float, float, float, float]:
+    """Rate, mean, its uncertainty and the window of all runs at one signed rate, weighted by 1/u^2."""
+    kept = np.abs(runs.nominal_dps - nominal) < SAME_RATE
+    weights = runs.mean_u[kept] ** -2.0
+    mean = float(np.average(runs.mean[kept], weights=weights))
+    rate = float(np.average(runs.rate_dps[kept], weights=weights))
+    return rate, mean, float(weights.sum() ** -0.5), float(runs.duration_s[kept].mean())
+
+
+@dataclass(frozen=True)
+class RateDifferences:
+    """Output of one axis for small rates, as differences of two large ones.
+
+    Attributes
+    ----------
+    delta_dps : ndarray, shape (k,)
+    number : ndarray, shape (k,)
+        N(delta) = D(base + delta) - D(base), counts.
+    noise_u : ndarray, shape (k,)
+        Standard uncertainty from the scatter of the runs.
+    irreproducibility_u : ndarray, shape (k,)
+        From the irreproducibility of scale factor and table rate: about s base/delta of the number.
+    base_dps, base_u : float
+        The rate that is subtracted, and the uncertainty of its odd part from noise (it is in every number).
+    factors : ndarray, shape (k, n), or None
+        Of the mean of each run in each number, where the runs are known.
+    """
+
+    delta_dps: Floats
+    number: Floats
+    noise_u: Floats
+    irreproducibility_u: Floats
+    base_dps: float
+    base_u: float
+    factors: Floats | None = None
+
+    @property
+    def number_u(self) -> Floats:
+        """Both kinds together."""
+        return np.hypot(self.noise_u, self.irreproducibility_u)
+
+    @property
+    def relative_u_ppm(self) -> Floats:
+        """Uncertainty of each number, ppm of the number."""
+        return np.asarray(_PPM * self.number_u / np.abs(self.number), dtype=np.float64)
+
+
+def rate_differences(
+    parts: OddEven, *, irreproducibility_ppm: float | None, runs: TableRuns | None = None, end_up: int = 1
+) -> RateDifferences:
+    """Differences of the odd part at every higher rate from that at the lowest.
+
+    Parameters
+    ----------
+    irreproducibility_ppm : float or None
+        Standard deviation of scale factor and table rate from run to run, ppm, where it is known. Each odd part
+        holds two runs and a difference two odd parts, so that s of a single run gives s times the root mean square
+        of both rates.
+    runs : TableRuns, optional
+        Those that the parts were made of: the scatter that they show beyond noise and what is stated counts too,
+        that of a bias which moves between the runs among it.
+    end_up : {1, -1}, optional
+        Of the runs that the parts were made of.
+
+    Raises
+    ------
+    ValueError
+        Fewer than two rates.
+
+    Examples
+    --------
+    1 ppm between runs makes 20 ppm of the difference for 1 deg/s, and 2000 ppm of that for 0.01 deg/s.
+
+    >>> rates = np.array([20.0, 20.01, 21.0])
+    >>> parts = OddEven(rates, 246.0 * rates, np.full(3, 1e-9), 0 * rates, np.full(3, 1e-9), np.full(3, 540.0))
+    >>> rate_differences(parts, irreproducibility_ppm=1.0).relative_u_ppm.round(1).tolist()
+    [2000.5, 20.5]
+    """
+    if parts.rate_dps.size < 2:
+        raise ValueError("a difference needs at least two rates")
+    base, rates = float(parts.rate_dps[0]), parts.rate_dps[1:]
+    noise = np.hypot(parts.odd_u[1:], parts.odd_u[0])
+    number, factors = parts.odd[1:] - parts.odd[0], None
+    if runs is None:
+        slope = abs(float(parts.odd[0])) / base
+        spread = (irreproducibility_ppm or 0.0) / _PPM * slope * np.sqrt((rates**2 + base**2) / 2)
+    else:
+        factors, spread = _differences_of(runs, end_up, noise, irreproducibility_ppm)
+        number = factors @ runs.mean
+    return RateDifferences(rates - base, number, noise, spread, base, float(parts.odd_u[0]), factors)
+
+
+def _differences_of(
+    runs: TableRuns, end_up: int, noise: Floats, stated_ppm: float | None
+) -> tuple[Floats, Floats]:
+    """Factors of the means in each difference freed of a drift, and what scatter adds to its noise, counts."""
+    design, stated = design_of(runs), None if stated_ppm is None else stated_ppm / _PPM
+    sizes = distinct_rates(np.abs(runs.nominal_dps[runs.end_up == end_up]))
+    base = _odd_part_of(runs, end_up, sizes[0])
+    factors, spread = [], []
+    for size, noise_u in zip(sizes[1:], noise, strict=True):
+        difference = _odd_part_of(runs, end_up, size) - base
+        # its own deviation from the line is not counted as scatter: it need not lie on the line
+        own = np.column_stack([design, difference])
+        whole = with_drift(own, runs.at_s)
+        scatter = find_run_scatter(
+            whole, runs.mean, runs.mean_u, stated, slow=runs.slow, by_model=runs.slow is not None
+        )
+        if whole.shape[1] > own.shape[1]:
+            difference = difference - (difference @ whole[:, -1]) * scatter.estimator(whole)[-1]
+        factors.append(difference)
+        spread.append(np.sqrt(max(scatter.standard_u(difference) ** 2 - noise_u**2, 0.0)))
+    return np.array(factors, dtype=np.float64), np.array(spread, dtype=np.float64)
+
+
+def _odd_part_of(runs: TableRuns, end_up: int, size: float) -> Floats:
+    """Factor of each run's mean in the odd part at one rate, shape (n,)."""
+    factors = np.zeros(runs.mean.size)
+    for sense in (1, -1):
+        kept = (np.abs(runs.nominal_dps - sense * size) < SAME_RATE) & (runs.end_up == end_up)
+        weights = runs.mean_u[kept] ** -2.0
+        factors[kept] = end_up * sense * weights / weights.sum() / 2
+    return factors
+
+
+# --------------------
+# Runs of one axis on the rate table, as arrays, and what is fitted to all of them.
+#
+# Model of the mean output over whole turns, gyro axis along the vertical table axis (end = +1) or against it (-1):
+#
+#     N = end K (Omega + w_v) + B + D (t - t_0)
+#
+# K counts per deg/s, Omega the table's signed rate, w_v the vertical earth rate, B the bias in counts at the
+# middle of the runs, D its drift
+
+
+SAME_RATE = 1e-9
+"""deg/s: rates that were asked for and differ by less are the same."""
+_FREEDOM_FOR_DRIFT = 3
+_HOUR = 3600.0
+
+
+@dataclass(frozen=True)
+class TableRuns:
+    """Means over whole turns of one axis, one element a run.
+
+    Attributes
+    ----------
+    nominal_dps : ndarray, shape (n,)
+        Rate that was asked for, signed. Runs are paired by it.
+    rate_dps : ndarray, shape (n,)
+        Rate that the table had, signed.
+    mean, mean_u : ndarray, shape (n,)
+        Counts; the uncertainty is that of the noise within the run.
+    duration_s : ndarray, shape (n,)
+    end_up : ndarray of int, shape (n,)
+        +1 where the axis points up, -1 where it points down.
+    at_s : ndarray, shape (n,)
+        Middle of the window; nan where nobody knows it.
+    slow : ndarray, shape (n, n), or None
+        Generalised covariance of the slow noise by a noise model, counts^2.
+    """
+
+    nominal_dps: Floats
+    rate_dps: Floats
+    mean: Floats
+    mean_u: Floats
+    duration_s: Floats
+    end_up: Ints
+    at_s: Floats
+    slow: Floats | None = None
+
+    def chosen(self, kept: ArrayLike) -> TableRuns:
+        """Some of the runs; `kept` is a mask, shape (n,)."""
+        of = np.asarray(kept, dtype=np.bool_)
+        return replace(
+            self,
+            nominal_dps=self.nominal_dps[of],
+            rate_dps=self.rate_dps[of],
+            mean=self.mean[of],
+            mean_u=self.mean_u[of],
+            duration_s=self.duration_s[of],
+            end_up=self.end_up[of],
+            at_s=self.at_s[of],
+            slow=None if self.slow is None else self.slow[np.ix_(of, of)],
+        )
+
+
+def table_runs(
+    nominal_dps: ArrayLike,
+    mean: ArrayLike,
+    mean_u: ArrayLike,
+    *,
+    rate_dps: ArrayLike | None = None,
+    duration_s: ArrayLike = np.nan,
+    end_up: ArrayLike = 1,
+    at_s: ArrayLike = np.nan,
+    slow: Floats | None = None,
+) -> TableRuns:
+    """Put the means of one axis together; the fields are those of :class:`TableRuns`.
+
+    Raises
+    ------
+    ValueError
+        Shapes that do not fit, a rate of zero, or an uncertainty that is not positive.
+    """
+    nominal = np.atleast_1d(np.asarray(nominal_dps, dtype=np.float64))
+    given = (nominal if rate_dps is None else rate_dps, mean, mean_u, duration_s, at_s)
+    rate, means, u, duration, at = (np.broadcast_to(np.asarray(v, dtype=np.float64), nominal.shape) for v in given)
+    ends = np.broadcast_to(np.asarray(end_up, dtype=np.int64), nominal.shape)
+    if not np.all(np.abs(nominal) > 0):
+        raise ValueError("a rate-table run needs rates other than zero")
+    if not np.all(u > 0):
+        raise ValueError("every mean needs a positive standard uncertainty: it is the weight of the run")
+    return TableRuns(nominal, rate, means, u, duration, ends, at, slow)
+
+
+def missing_senses(runs: TableRuns) -> list[float]:
+    """Signed rates that lack their opposite, in the order of the runs.
+
+    Examples
+    --------
+    >>> missing_senses(table_runs([20.0, -20.0, 21.0], [1.0, 1.0, 1.0], 1.0))
+    [21.0]
+    """
+    alone = []
+    for rate, end in zip(runs.nominal_dps, runs.end_up, strict=True):
+        opposite = (np.abs(runs.nominal_dps + rate) < SAME_RATE) & (runs.end_up == end)
+        if not opposite.any():
+            alone.append(float(rate))
+    return alone
+
+
+def distinct_rates(rates: Floats) -> list[float]:
+    """Rates that differ, in rising order."""
+    found: list[float] = []
+    for rate in np.sort(rates):
+        if not found or rate - found[-1] > SAME_RATE:
+            found.append(float(rate))
+    return found
+
+
+def design_of(runs: TableRuns) -> Floats:
+    """Columns of scale factor and constants, (n, p): one constant, or with both ends up earth rate and bias."""
+    columns = [runs.end_up * runs.rate_dps, runs.end_up, np.ones_like(runs.rate_dps)]
+    both_ends = bool(np.any(runs.end_up > 0) and np.any(runs.end_up < 0))
+    return np.column_stack(columns if both_ends else [columns[0], columns[2]])
+
+
+def with_drift(design: Floats, at_s: Floats) -> Floats:
+    """The design with a column for a drift of the bias, counts per hour, where the runs can bear one more."""
+    known = bool(np.all(np.isfinite(at_s))) and float(np.ptp(at_s)) > 0
+    if not known or at_s.size - design.shape[1] - 1 < _FREEDOM_FOR_DRIFT:
+        return design
+    return np.column_stack([design, (at_s - at_s.mean()) / _HOUR])

@@ -1,0 +1,525 @@
+"""Rate, time base, vertical scale and number of records for a wanted uncertainty of the lock-in rate."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from analysis.arrays import Complexes, Floats
+from analysis.budget import BenchKnowledge, Budget, BudgetInput, Reference, TableGeometry, lock_in_budget
+from analysis.budget.bench import RecordShape, expected_noise, expected_point
+from analysis.lockin_equation import beat_frequency, harmonic_ratio
+from analysis.rotation import earth_rate_on_axis
+from analysis.several_rates import COUNTED, RatioData, ReceiverKnowledge, predicted_ratio
+from analysis.several_rates.ratio_model import N_PARAMETERS, all_solutions, fit_ratios, whitening_factor
+from analysis.several_rates.solutions import answer
+
+# --------------------
+# What somebody who plans a measurement knows and wants
+
+
+SAFE_ABOVE_LOCK_IN = 1.5
+"""The rate stays so far above the largest lock-in rate to be expected: no table turns perfectly steadily."""
+
+FASTEST_OVER_LOCK_IN = 100.0
+
+
+@dataclass(frozen=True)
+class OscilloscopeSteps:
+    """What the knobs of an oscilloscope allow."""
+
+    time_bases: Sequence[float]  # s/div, ascending
+    vertical_scales: Sequence[float]  # v/div at the input, ascending
+    # of a record: its samples, its horizontal divisions, the converter's levels per vertical division
+    samples: int = 2500
+    divisions: int = 10
+    levels_per_division: int = 25
+
+    def time_base(self, frequency: float, periods_min: float, samples_per_period_min: float) -> float:
+        """The fastest step that holds so many periods of the beat, s/div.
+
+        Where that would leave too few samples in a period it is the slowest step that leaves enough.
+        """
+        slowest = self.samples / (self.divisions * frequency * samples_per_period_min)
+        sampled = [base for base in self.time_bases if base <= slowest * (1 + 1e-9)] or [self.time_bases[0]]
+        enough = periods_min / (self.divisions * frequency)
+        return next((base for base in sampled if base >= enough * (1 - 1e-9)), sampled[-1])
+
+    def vertical_scale(self, amplitude: float, levels: float) -> float:
+        """The most sensitive step, V/div, on which an amplitude in V stays within so many levels of the middle."""
+        wanted = amplitude * self.levels_per_division / levels
+        found = next((scale for scale in self.vertical_scales if scale >= wanted * (1 - 1e-9)), None)
+        if found is None:
+            highest = self.vertical_scales[-1] * levels / self.levels_per_division
+            raise ValueError(
+                f"an amplitude of {amplitude:g} V does not fit on the screen, which takes {highest:g} V at most: "
+                "use a probe that divides"
+            )
+        return found
+
+
+@dataclass(frozen=True)
+class TableSpread:
+    """How well the rate on the axis is known where it is the reference; see `TableGeometry`."""
+
+    tilt_deg: float
+    tilt_u_deg: float
+    latitude_deg: float
+    latitude_u_deg: float
+    rate_u_ppm: float
+    azimuth_deg: float = math.nan
+    azimuth_u_deg: float = 0.0
+
+    def at(self, input_rate: float) -> TableGeometry:
+        """The geometry that gives a rate on the axis, deg/s."""
+        azimuth = self.azimuth_deg if math.isfinite(self.azimuth_deg) else 90.0
+        earth = float(earth_rate_on_axis(self.latitude_deg, self.tilt_deg, azimuth))
+        table_rate = (input_rate - earth) / math.cos(math.radians(self.tilt_deg))
+        return TableGeometry(
+            table_rate=table_rate,
+            table_rate_u=1e-6 * self.rate_u_ppm * abs(table_rate),
+            tilt_deg=self.tilt_deg,
+            tilt_u_deg=self.tilt_u_deg,
+            latitude_deg=self.latitude_deg,
+            latitude_u_deg=self.latitude_u_deg,
+            azimuth_deg=self.azimuth_deg,
+            azimuth_u_deg=self.azimuth_u_deg,
+        )
+
+
+@dataclass(frozen=True)
+class PlanRequest:
+    """What is wanted, and what is known beforehand."""
+
+    lock_in_rate: float  # as expected, deg/s
+    wanted_u: float  # relative standard uncertainty of the lock-in rate that is wanted
+    scale_factor: float  # k, pulses per degree
+    amplitude: float  # of the beat, and of the white noise in each sample, at the input, V
+    noise_rms: float
+    oscilloscope: OscilloscopeSteps
+    knowledge: BenchKnowledge  # its `table` is made from `table` below
+    lock_in_factor: float = 2.0  # it may be this factor larger or smaller
+    noise_levels: float = 0.0  # noise of the oscilloscope itself, rms, levels
+    reference: Reference = "beat"  # {"beat", "rate"}
+    table: TableSpread | None = None
+    rates_over_lock_in: tuple[float, ...] = ()  # w/WL to measure at; empty: the best one is looked for
+    both_senses: bool = False  # every rate in both senses of rotation
+    phase: float = math.nan  # readout phase less backscatter phase, rad; nan: unknown
+    scatter: float = 0.0  # standard deviation of the lock-in rate itself from record to record, relative
+    periods_min: float = 15.0  # how a record is to be taken
+    samples_per_period_min: float = 20.0
+    fill_levels: float = 100.0
+    seconds_between_records: float = 0.0  # for the transfer
+
+    def __post_init__(self) -> None:
+        for name in ("lock_in_rate", "wanted_u", "scale_factor", "amplitude"):
+            if not (getattr(self, name) > 0 and math.isfinite(getattr(self, name))):
+                raise ValueError(f"{name} must be a positive number, not {getattr(self, name)!r}")
+        if not 1 <= self.lock_in_factor <= FASTEST_OVER_LOCK_IN / 2:
+            raise ValueError(f"the lock-in rate can be wrong by a factor of 1 to 50, not {self.lock_in_factor!r}")
+        for ratio in self.rates_over_lock_in:
+            if not 1.05 <= ratio <= 1000:
+                raise ValueError(f"a rate must be 1.05 to 1000 times the lock-in rate, not {ratio:g} times")
+        if self.reference == "rate" and self.table is None:
+            raise ValueError("with the rate as reference, say how well table rate and tilt are known")
+
+    @property
+    def slowest_over_lock_in(self) -> float:
+        """W/WL below which the gyro could be locked, WL being known only within its factor."""
+        return SAFE_ABOVE_LOCK_IN * self.lock_in_factor
+
+    @property
+    def distortion_separated(self) -> bool:
+        """Whether the rates can tell distortion from lock-in: two rates, or both senses."""
+        return self.both_senses or len(set(self.rates_over_lock_in)) > 1
+
+
+MOST_RECORDS = 100_000
+
+FEWEST_RECORDS = 3
+"""In all: fewer would not show whether they scatter by more than their noise."""
+
+_FLOOR_SHARE = 3.0
+"""Where the wanted uncertainty is out of reach, noise is brought to this fraction of what remains."""
+
+_CLOSE_TO_FLOOR = 1.05
+
+_CANDIDATES = 60
+
+
+@dataclass(frozen=True)
+class PlannedRate:
+    """One rate of a plan, and how its records are taken."""
+
+    over_lock_in: float  # |W|/WL
+    input_rate: float  # deg/s, signed; the second is nan where no table is described
+    table_rate: float
+    beat_frequency: float  # Hz
+    seconds_per_division: float
+    volts_per_division: float
+    periods: float
+    samples_per_period: float
+    levels: float  # amplitude of the beat in levels of the converter
+    shape: RecordShape  # with the number of records at this rate
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What to do, and what will come of it."""
+
+    request: PlanRequest
+    rates: tuple[PlannedRate, ...]
+    budget: Budget  # predicted, of all records together
+    reached: bool  # whether the wanted uncertainty is reached
+    floor_u: float  # relative uncertainty that no number of records goes below
+    duration_s: float  # of all records with their transfer
+
+    @property
+    def records(self) -> int:
+        """At each rate."""
+        return self.rates[0].shape.records
+
+
+def plan_measurement(request: PlanRequest) -> Plan:
+    """Plan a measurement.
+
+    Without rates in the request the rate is the one that needs the fewest records, or, where no number of them
+    is enough, the one with the smallest uncertainty that remains.
+    """
+    chosen = request.rates_over_lock_in or (_best_rate(request),)
+    return _planned(request, chosen)
+
+
+def plan_of_records(request: PlanRequest, records: int) -> Plan:
+    """Say what so many records at each rate of the request give, and how long they take."""
+    if not request.rates_over_lock_in:
+        raise ValueError("without rates nobody knows what the records give")
+    ratios = request.rates_over_lock_in
+    rates = _rates(request, ratios, records)
+    budget, most = _budget(request, rates), _budget(request, _rates(request, ratios, MOST_RECORDS))
+    seconds = sum(rate.shape.records * (rate.shape.duration + request.seconds_between_records) for rate in rates)
+    wanted = request.wanted_u * request.lock_in_rate
+    return Plan(request, rates, budget, budget.combined_u <= wanted, most.relative_u, seconds)
+
+
+def predicted_budget(request: PlanRequest, over_lock_in: float, records: int) -> Budget:
+    """Budget of so many records at one rate, or at it in both senses."""
+    rates = _rates(request, (over_lock_in,), records)
+    return _budget(request, rates)
+
+
+def budget_elsewhere(plan: Plan, lock_in_rate: float) -> Budget:
+    """Budget of the same rates and records if the lock-in rate is another than expected, deg/s."""
+    ratios = tuple(abs(rate.input_rate) / lock_in_rate for rate in plan.rates)
+    request = replace(plan.request, lock_in_rate=lock_in_rate, rates_over_lock_in=ratios)
+    return _budget(request, _rates(request, ratios, plan.records))
+
+
+def _best_rate(request: PlanRequest) -> float:
+    slowest = request.slowest_over_lock_in
+    candidates = np.geomspace(slowest, max(FASTEST_OVER_LOCK_IN, 2 * slowest), _CANDIDATES)
+    plans = [_planned(request, (float(ratio),)) for ratio in candidates]
+    reached = [plan for plan in plans if plan.reached]
+    if reached:
+        best = min(reached, key=lambda plan: (plan.records, plan.budget.relative_u))
+    else:
+        best = min(plans, key=lambda plan: (float(f"{plan.floor_u:.3g}"), plan.budget.relative_u))
+    return best.rates[0].over_lock_in
+
+
+def _planned(request: PlanRequest, ratios: tuple[float, ...]) -> Plan:
+    one = _budget(request, _rates(request, ratios, 1))
+    most = _budget(request, _rates(request, ratios, MOST_RECORDS))
+    averaging = math.sqrt(max(one.combined_u**2 - most.combined_u**2, 0.0) / (1 - 1 / MOST_RECORDS))
+    fixed = math.sqrt(max(most.combined_u**2 - averaging**2 / MOST_RECORDS, 0.0))
+    wanted = request.wanted_u * request.lock_in_rate
+    room = wanted**2 - fixed**2
+    if room <= 0:
+        room = (fixed / _FLOOR_SHARE) ** 2
+    least = math.ceil(FEWEST_RECORDS / len(_rates(request, ratios, 1)))
+    records = min(max(math.ceil(averaging**2 / room * (1 - 1e-9)), least), MOST_RECORDS)
+    rates = _rates(request, ratios, records)
+    budget = _budget(request, rates)
+    # where what is known beforehand bounds the rest, the variance does not go with the number of records
+    while budget.combined_u > wanted >= fixed * _CLOSE_TO_FLOOR and records < MOST_RECORDS:
+        records = min(math.ceil(1.2 * records), MOST_RECORDS)
+        rates = _rates(request, ratios, records)
+        budget = _budget(request, rates)
+    seconds = sum(rate.shape.records * (rate.shape.duration + request.seconds_between_records) for rate in rates)
+    reached = budget.combined_u <= wanted * (1 + 1e-6)
+    return Plan(request, rates, budget, reached, fixed / request.lock_in_rate, seconds)
+
+
+def _rates(request: PlanRequest, ratios: tuple[float, ...], records: int) -> tuple[PlannedRate, ...]:
+    senses = (1, -1) if request.both_senses else (1,)
+    return tuple(_rate(request, ratio, sense, records) for ratio in sorted(set(ratios)) for sense in senses)
+
+
+def _rate(request: PlanRequest, ratio: float, sense: int, records: int) -> PlannedRate:
+    scope, rate = request.oscilloscope, sense * ratio * request.lock_in_rate
+    frequency = float(beat_frequency(request.scale_factor, rate, request.lock_in_rate))
+    base = scope.time_base(frequency, request.periods_min, request.samples_per_period_min)
+    scale = scope.vertical_scale(request.amplitude, request.fill_levels)
+    spacing = scale / scope.levels_per_division
+    shape = RecordShape(
+        samples=scope.samples,
+        sample_interval=scope.divisions * base / scope.samples,
+        amplitude=request.amplitude,
+        noise_rms=math.hypot(request.noise_rms, request.noise_levels * spacing),
+        level_spacing=spacing,
+        records=records,
+    )
+    return PlannedRate(
+        over_lock_in=ratio,
+        input_rate=rate,
+        table_rate=request.table.at(rate).table_rate if request.table is not None else math.nan,
+        beat_frequency=frequency,
+        seconds_per_division=base,
+        volts_per_division=scale,
+        periods=frequency * shape.duration,
+        samples_per_period=1 / (frequency * shape.sample_interval),
+        levels=request.amplitude / spacing,
+        shape=shape,
+    )
+
+
+def _separated(rates: tuple[PlannedRate, ...]) -> frozenset[str]:
+    """What the records will show: a third harmonic always; the fit to several rates counts all of it."""
+    return frozenset(COUNTED) if len(rates) > 1 else frozenset({"third_order"})
+
+
+def _budget(request: PlanRequest, rates: tuple[PlannedRate, ...]) -> Budget:
+    """Budget at the slowest rate, where most of what is known comes from, with the noise of all rates."""
+    slowest = rates[0]
+    point = expected_point(
+        slowest.shape,
+        scale_factor=request.scale_factor,
+        input_rate=slowest.input_rate,
+        lock_in_rate=request.lock_in_rate,
+        scatter=request.scatter * request.lock_in_rate,
+        phase=request.phase,
+    )
+    knowledge = replace(
+        request.knowledge,
+        separated=_separated(rates),
+        table=request.table.at(slowest.input_rate) if request.table is not None else None,
+    )
+    if len(rates) == 1:
+        return lock_in_budget(point, knowledge, request.reference)
+    alone = lock_in_budget(point, knowledge, request.reference)
+    own = math.hypot(*(line.contribution for line in alone.inputs if line.name in ("noise", "quantization")))
+    noise, joint = _joint_u(request, rates, all_else_known=True), _joint_u(request, rates)
+    point = replace(
+        point,
+        ratio_u=point.ratio_u * noise / own,
+        noise_degrees_of_freedom=point.noise_degrees_of_freedom * len(rates),
+        scatter_u=point.scatter_u / math.sqrt(len(rates)),
+    )
+    budget = lock_in_budget(point, knowledge, request.reference)
+    rest = math.sqrt(max(joint**2 - noise**2, 0.0))
+    quantity = "noise, by way of distortion, gain corner and bandwidth"
+    separation = BudgetInput("separation", quantity, "deg/s", 0.0, rest, "normal", 1.0, note=_SEPARATION_NOTE)
+    return Budget(budget.lock_in_rate, budget.reference, (*budget.inputs, separation))
+
+
+_SEPARATION_NOTE = "they are fitted to the same records, within what is known of them"
+
+
+def _joint_u(request: PlanRequest, rates: tuple[PlannedRate, ...], *, all_else_known: bool = False) -> float:
+    return expected_joint_u(
+        [rate.shape for rate in rates],
+        [rate.input_rate for rate in rates],
+        request.lock_in_rate,
+        request.scale_factor,
+        reference=request.reference,
+        phase=request.phase,
+        receiver=ReceiverKnowledge.of(request.knowledge),
+        all_else_known=all_else_known,
+    )
+
+
+# --------------------
+# What records at several rates or in both senses will say, with all that is unknown fitted too
+
+
+_PHASES = 12
+
+FEW_RATES = 4
+"""So many rates in one sense have no second solution; fewer may have one."""
+
+
+def expected_joint_u(
+    shapes: Sequence[RecordShape],
+    input_rates: Sequence[float],
+    lock_in_rate: float,
+    scale_factor: float,
+    *,
+    reference: Reference = "beat",
+    phase: float = np.nan,
+    receiver: ReceiverKnowledge | None = None,
+    all_else_known: bool = False,
+) -> float:
+    """Standard uncertainty of the lock-in rate that all rates give together, deg/s: that of `fit_rates`.
+
+    It counts the noise of the records, and what they do not tell of distortion, bandwidth and gain corner. Few
+    rates in one sense may have a second solution; then it is that of both together.
+    """
+    phases = np.array([phase]) if np.isfinite(phase) else np.arange(_PHASES) * (2 * np.pi / _PHASES)
+    rate = np.asarray(input_rates, dtype=np.float64)
+    if np.unique(rate).size < 2:
+        raise ValueError(
+            "these rates cannot tell distortion from lock-in: take both senses, or rates that differ by a factor "
+            "of two or more"
+        )
+    frequency = beat_frequency(scale_factor, np.abs(rate), lock_in_rate)
+    noise = [
+        expected_noise(shape, r)
+        for shape, r in zip(shapes, harmonic_ratio(lock_in_rate / np.abs(rate)), strict=True)
+    ]
+    along = np.array([float(one.ratio_u) for one in noise])
+    across = np.array([float(one.across_u) for one in noise])
+    z = lock_in_rate * np.exp(-1j * phases)
+    truth = np.zeros((phases.size, N_PARAMETERS))
+    truth[:, 0], truth[:, 1] = z.real, z.imag
+    data = RatioData(
+        rate=rate,
+        beat_rate=frequency / scale_factor,
+        angular=2 * np.pi * frequency,
+        ratio=np.zeros(rate.size, dtype=np.complex128),
+        whitening=np.zeros((phases.size, rate.size, 2, 2)),
+        amplitude=np.ones(rate.size),
+        third=np.zeros(rate.size),
+        third_weight=1 / along,
+        reference=reference,
+    )
+    rho = predicted_ratio(truth, data)
+    data = replace(data, ratio=rho, whitening=whitening_factor(_turned(rho, along, across)))
+    prior = (receiver or ReceiverKnowledge()).prior(float(frequency.min()))
+    if all_else_known:
+        prior = replace(prior, sd=np.where(np.isinf(prior.sd), np.inf, 0.0))
+    elif len(set(np.sign(rate))) == 1 and rate.size < FEW_RATES:
+        rows = range(0, phases.size, 2) if phases.size > 1 else range(1)
+        each = [replace(data, ratio=rho[row], whitening=data.whitening[row : row + 1]) for row in rows]
+        us = [answer(all_solutions(one, prior), 1.0, 0).u for one in each]
+        return float(np.sqrt(np.mean(np.square(us))))
+    fit = fit_ratios(data, prior, truth)
+    radial = np.stack([np.cos(phases), -np.sin(phases)], axis=-1)
+    variance = np.einsum("bi,bij,bj->b", radial, fit.covariance[:, :2, :2], radial)
+    return float(np.sqrt(variance.mean()))
+
+
+def _turned(rho: Complexes, along: Floats, across: Floats) -> Floats:
+    """Covariance (..., 2, 2) with given standard deviations along and across the direction of rho."""
+    unit = rho / np.abs(rho)
+    turn = np.stack([np.stack([unit.real, -unit.imag], -1), np.stack([unit.imag, unit.real], -1)], -2)
+    squares = np.stack([along**2, across**2], axis=-1)
+    return np.asarray(np.einsum("...ij,...j,...kj->...ik", turn, squares, turn))
+
+
+# --------------------
+# Rates for a gyro of which only the expected lock-in rate is known
+
+
+SPAN = 10.0
+"""The fastest rate over the slowest. The slow rates carry the lock-in rate; distortion shows itself where the
+second harmonic of lock-in has become small, bandwidth and gain corner where the beat is fast."""
+
+STEPS = 5
+"""So many rates determine lock-in rate, phase, distortion, gain corner and bandwidth, and leave a test of them."""
+
+LEAST_STEP = 1.25
+"""One rate over the next: where they cannot go far, more of them still tell whether the beats follow the rates."""
+
+DEFAULT_RECORDS = 3
+"""At each rate and sense: fewer would not show whether they scatter by more than their noise."""
+
+
+def default_rates(
+    expected_lock_in_rate: float,
+    scale_factor: float,
+    *,
+    lock_in_factor: float = 2.0,
+    fastest_rate: float = math.inf,
+    fastest_beat_hz: float = math.inf,
+) -> tuple[float, ...]:
+    """Rates to measure at, in expected lock-in rates, each in both senses.
+
+    Five rates from 1.5 times the largest lock-in rate that is possible to ten times that, evenly on a logarithmic
+    scale; closer together where table or receiver do not go so far, and fewer where less than a quarter would lie
+    between two.
+
+    Examples
+    --------
+    >>> default_rates(0.01, 2000.0)
+    (3.0, 5.3, 9.5, 17.0, 30.0)
+    """
+    for name, value in (("expected_lock_in_rate", expected_lock_in_rate), ("scale_factor", scale_factor)):
+        if not (value > 0 and math.isfinite(value)):
+            raise ValueError(f"{name} must be a positive number, not {value!r}")
+    if not lock_in_factor >= 1:
+        raise ValueError(f"the lock-in rate can be wrong by a factor of 1 or more, not {lock_in_factor!r}")
+    slowest = SAFE_ABOVE_LOCK_IN * lock_in_factor
+    highest = min(fastest_rate, fastest_beat_hz / scale_factor) / expected_lock_in_rate
+    if not highest >= slowest:
+        raise ValueError(
+            f"the gyro may be locked up to {slowest * expected_lock_in_rate:.3g} deg/s, and the bench goes to "
+            f"{highest * expected_lock_in_rate:.3g} deg/s only: no rate is safe"
+        )
+    span = min(SPAN, highest / slowest)
+    count = min(STEPS, max(2, 1 + math.floor(math.log(span) / math.log(LEAST_STEP)))) if span > 1 else 1
+    steps = [slowest * span ** (step / max(count - 1, 1)) for step in range(count)]
+    return tuple(float(f"{ratio:.2g}") for ratio in steps)
+
+
+# --------------------
+# Uncertainty of the lock-in rate against the rate at which it is measured
+
+
+_POINTS = 100
+_GROUPS: dict[str, tuple[str, ...]] = {
+    "noise": ("noise", "quantization", "beat_frequency", "scatter"),
+    "distortion": ("distortion", "third_order", "separation"),
+    "reference": (
+        "input_rate",
+        "scale_factor",
+        "time_base",
+        "table_rate",
+        "tilt",
+        "latitude",
+        "earth_rate",
+        "azimuth",
+    ),
+    "channel": ("bandwidth", "high_pass", "gain_corner", "response"),
+}
+
+
+@dataclass(frozen=True)
+class UncertaintyCurve:
+    """Relative standard uncertainties, each of shape (n,), for W/WL = `over_lock_in`."""
+
+    over_lock_in: Floats
+    total: Floats
+    # what noise, distortion, the rate (K and time base, or table), and bandwidth and gain contribute
+    noise: Floats
+    distortion: Floats
+    reference: Floats
+    channel: Floats
+    records: int  # for which this holds
+
+
+def uncertainty_curve(request: PlanRequest, records: int, *, fastest: float = 100.0) -> UncertaintyCurve:
+    """Predict the uncertainty at rates from close above lock-in to `fastest` times lock-in."""
+    single = replace(request, rates_over_lock_in=())
+    over = np.geomspace(1.06, fastest, _POINTS)
+    budgets = [predicted_budget(single, float(ratio), records) for ratio in over]
+    parts = {name: np.array([_part(budget, lines) for budget in budgets]) for name, lines in _GROUPS.items()}
+    return UncertaintyCurve(
+        over_lock_in=over, total=np.array([budget.relative_u for budget in budgets]), records=records, **parts
+    )
+
+
+def _part(budget: Budget, names: tuple[str, ...]) -> float:
+    return math.hypot(*(line.contribution for line in budget.inputs if line.name in names)) / budget.lock_in_rate

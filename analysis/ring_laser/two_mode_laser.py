@@ -1,0 +1,360 @@
+"""The beat of a ring laser whose intensities answer to the backscatter ("winking") with finite speed.
+
+Two beams of intensity I1, I2 (1 without backscatter) and beat phase psi obey the semiclassical equations of a
+two-mode ring laser (Aronowitz; Spreeuw et al., Phys. Rev. A 42, 4315 (1990)), here with equal gains:
+
+    d(ln I1)/dt = g [1 - (I1 + xi I2)/(1 + xi)] + 2 a2 sqrt(I2/I1) cos(psi + eps/2)
+    d(ln I2)/dt = g [1 - (I2 + xi I1)/(1 + xi)] + 2 a1 sqrt(I1/I2) cos(psi - eps/2)                    (1)
+    d(psi)/dt   = 2 pi K W - a1 sqrt(I1/I2) sin(psi - eps/2) - a2 sqrt(I2/I1) sin(psi + eps/2)
+
+g relaxation rate of the common intensity (rad/s; g/2 pi is the gain corner), xi cross over self saturation, a1 and
+a2 backscatter of the beams (rad/s), eps the sum of their phases. With infinite g this is the lock-in equation with
+
+    2 pi K WL exp(i beta) = a1 exp(-i eps/2) + a2 exp(i eps/2).                                        (2)
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import TypeVar
+
+import numpy as np
+
+from analysis.arrays import Complexes, Floats, Indices
+
+POINTS = 512
+"""Of one beat period; harmonics up to half of it, far more than a gyro at 1.05 times its threshold shows."""
+
+STANDSTILL = 1e-4
+"""A phase that turns by less than this share of its free speed counts as locked; no integrator gets through."""
+
+FEWEST = 33
+"""Points of the phase to begin with; twice as many until the last harmonics are `NEGLIGIBLE_LINE`."""
+
+NEGLIGIBLE_LINE = 1e-13
+ROUNDS = 30
+LONGEST_STEP = 0.5
+CONVERGED = 1e-8
+"""Newton's method squares its error: the next step would be rounding."""
+
+DETOUR = (4.0, 2.0, 1.5, 1.2, 1.1, 1.05, 1.02, 1.01, 1.0)
+"""Rates, over the one wanted, by which a solution is reached that Newton's method does not find at once."""
+
+
+@dataclass(frozen=True)
+class WinkingLaser:
+    """Ring laser of equations (1)."""
+
+    scale_factor: float  # k, pulses per degree
+    backscatter: tuple[float, float]  # (float, float): a1 and a2, rad/s
+    phase_sum: float  # eps, rad
+    gain_rate: float  # g, rad/s
+    cross_saturation: float  # xi, 0 <= xi < 1
+
+    def __post_init__(self) -> None:
+        values = (self.scale_factor, *self.backscatter, self.phase_sum, self.gain_rate, self.cross_saturation)
+        if not all(np.isfinite(values)):
+            raise ValueError("every parameter of the laser must be finite")
+        if self.scale_factor <= 0 or self.gain_rate <= 0 or min(self.backscatter) < 0:
+            raise ValueError("scale_factor and gain_rate must be positive, backscatter must not be negative")
+        if not 0 <= self.cross_saturation < 1:
+            raise ValueError(f"cross_saturation must be at least 0 and below 1, not {self.cross_saturation!r}")
+
+    @property
+    def coupling(self) -> complex:
+        """Right side of equation (2), rad/s."""
+        a1, a2 = self.backscatter
+        return complex(a1 * np.exp(-0.5j * self.phase_sum) + a2 * np.exp(0.5j * self.phase_sum))
+
+    @property
+    def lock_in_rate(self) -> float:
+        """WL of equation (2), deg/s."""
+        return abs(self.coupling) / (2 * np.pi * self.scale_factor)
+
+    @property
+    def backscatter_phase(self) -> float:
+        """beta of equation (2), rad."""
+        return float(np.angle(self.coupling))
+
+    @property
+    def differential_rate(self) -> float:
+        """Relaxation rate of the difference of the intensities, rad/s."""
+        return self.gain_rate * (1 - self.cross_saturation) / (1 + self.cross_saturation)
+
+
+def symmetric_laser(
+    lock_in_rate: float,
+    *,
+    scale_factor: float,
+    gain_corner_hz: float,
+    phase_sum: float = 0.0,
+    cross_saturation: float = 0.5,
+) -> WinkingLaser:
+    """Laser with equal backscatter of both beams that locks at a given rate (deg/s); beta is 0 for |eps| < pi."""
+    each = np.pi * scale_factor * lock_in_rate / abs(np.cos(phase_sum / 2))
+    return WinkingLaser(scale_factor, (each, each), phase_sum, 2 * np.pi * gain_corner_hz, cross_saturation)
+
+
+@dataclass(frozen=True)
+class SteadyBeat:
+    """Periodic signals of a laser turning at constant rate, as harmonics: x = Re sum c_n exp(2 pi i n f t).
+
+    frequency : Hz, positive
+    beat : (n,) of sqrt(I1 I2) exp(i psi), two-sided, order -n/2 .. n/2 - 1
+    beams : (2, n) of I1 and I2, the same order
+    """
+
+    frequency: float
+    beat: Complexes
+    beams: Complexes
+
+
+def steady_beat(laser: WinkingLaser, input_rate: float) -> SteadyBeat:
+    """Periodic solution of equations (1) at a constant rate.
+
+    The phase is the independent variable, and the intensities are periodic in it: their values at even steps over
+    one turn follow from Newton's method with the derivative of their Fourier series. Neither slow transients nor a
+    gain far faster than the beat (a stiff equation) matter.
+
+    Examples
+    --------
+    With fast gain, the beat of the lock-in equation: A2/A1 = tan(asin(0.5)/2).
+
+    >>> laser = symmetric_laser(0.05, scale_factor=2000, gain_corner_hz=1e6)
+    >>> beat = steady_beat(laser, 0.1)
+    >>> middle = beat.beat.size // 2
+    >>> round(float(abs(beat.beat[middle + 2] / beat.beat[middle + 1])), 4), round(beat.frequency, 2)
+    (0.2679, 173.21)
+    """
+    values = np.zeros((2, FEWEST))
+    for rate in [input_rate, *(input_rate * np.array(DETOUR))]:
+        found = _periodic(laser, float(rate), values)
+        if found is not None:
+            values = found
+        if found is not None and rate == input_rate:
+            return _harmonics(laser, input_rate, values)
+    raise ValueError(
+        f"the gyro is locked at {input_rate:.6g} deg/s, or its backscatter is too strong for its gain: "
+        "there is no steady beat"
+    )
+
+
+def _periodic(laser: WinkingLaser, input_rate: float, start: Floats) -> Floats | None:
+    """ln I1 and ln I2 (2, n) at n even steps of the phase over one turn, n as large as it must be; or None."""
+    n = start.shape[1]
+    while (values := _newton(laser, input_rate, start)) is not None:
+        lines = np.abs(np.fft.rfft(values)) / n
+        if n >= POINTS or np.max(lines[:, -n // 8 :]) < NEGLIGIBLE_LINE:
+            return values
+        n = 2 * n - 1
+        start = _resampled(values, n)
+    return None
+
+
+def _newton(laser: WinkingLaser, input_rate: float, values: Floats) -> Floats | None:
+    """Solution of the equations at all points at once; None where the phase stands still or nothing converges."""
+    n = values.shape[1]
+    psi = _phases(n, input_rate)
+    derive = _derivative(n) * np.sign(input_rate)
+    sagnac = 2 * np.pi * laser.scale_factor * abs(input_rate)
+    for _ in range(ROUNDS):
+        speed, growth, speed_by, growth_by = _slopes(laser, input_rate, psi, values)
+        if np.min(speed * np.sign(input_rate)) <= STANDSTILL * sagnac:
+            return None
+        slopes = values @ derive.T
+        jacobian = np.zeros((2, n, 2, n))
+        for beam in range(2):
+            jacobian[beam, :, beam] = speed[:, np.newaxis] * derive
+            for other in range(2):
+                part = slopes[beam] * speed_by[other] - growth_by[beam, other]
+                jacobian[beam, np.arange(n), other, np.arange(n)] += part
+        missing = (growth - speed * slopes).ravel()
+        step = np.linalg.solve(jacobian.reshape(2 * n, 2 * n), missing).reshape(2, n)
+        size = float(np.max(np.abs(step)))
+        values = values + step * min(1.0, LONGEST_STEP / max(size, 1e-300))
+        if size < CONVERGED:
+            return values
+    return None
+
+
+def _slopes(
+    laser: WinkingLaser, input_rate: float, psi: Floats, values: Floats
+) -> tuple[Floats, Floats, Floats, Floats]:
+    """d psi/dt (n,) and d ln I/dt (2, n); of both, the derivatives (2, n) and (2, 2, n) by the two ln I."""
+    a1, a2 = laser.backscatter
+    half, xi = laser.phase_sum / 2, laser.cross_saturation
+    gain = laser.gain_rate / (1 + xi)
+    first, second = np.exp(values)
+    ratio = np.exp((values[0] - values[1]) / 2)
+    pull = a1 * ratio * np.sin(psi - half), a2 / ratio * np.sin(psi + half)
+    feed = 2 * a2 / ratio * np.cos(psi + half), 2 * a1 * ratio * np.cos(psi - half)
+    speed = 2 * np.pi * laser.scale_factor * input_rate - pull[0] - pull[1]
+    growth = [gain * (1 + xi - first - xi * second) + feed[0], gain * (1 + xi - second - xi * first) + feed[1]]
+    turned = (pull[1] - pull[0]) / 2
+    by_beams = [
+        [-gain * first - feed[0] / 2, -gain * xi * second + feed[0] / 2],
+        [-gain * xi * first + feed[1] / 2, -gain * second - feed[1] / 2],
+    ]
+    return np.asarray(speed), np.array(growth), np.array([turned, -turned]), np.array(by_beams)
+
+
+def _phases(n: int, input_rate: float) -> Floats:
+    """n phases over one turn, in the order of time."""
+    return np.asarray(np.sign(input_rate) * 2 * np.pi * np.arange(n) / n)
+
+
+def _derivative(n: int) -> Floats:
+    """Matrix (n, n) of the derivative of a periodic function at n (odd) even steps over one turn; exact for its
+    trigonometric polynomial.
+    """
+    steps = np.subtract.outer(np.arange(n), np.arange(n))
+    with np.errstate(divide="ignore"):
+        matrix = 0.5 * np.where(steps % 2 == 0, 1.0, -1.0) / np.sin(np.pi * steps / n)
+    np.fill_diagonal(matrix, 0.0)
+    return np.asarray(matrix)
+
+
+def _resampled(values: Floats, n: int) -> Floats:
+    """The same trigonometric polynomial at n even steps, n no smaller than before."""
+    return np.asarray(np.fft.irfft(np.fft.rfft(values), n) * n / values.shape[1])
+
+
+def _harmonics(laser: WinkingLaser, input_rate: float, values: Floats) -> SteadyBeat:
+    """Harmonics in time from a path in phase: c_n = (1/T) integral of x exp(-i n w t) (dt/dpsi) over psi."""
+    psi = _phases(POINTS, input_rate)
+    # An even number of points has no place for the highest line of the longest solution; it is rounding.
+    lines = np.fft.rfft(values)[:, : POINTS // 2] * (POINTS / values.shape[1])
+    logs = np.fft.irfft(lines, POINTS)
+    slowness = 1 / np.abs(_slopes(laser, input_rate, psi, logs)[0])
+    period = 2 * np.pi * float(np.mean(slowness))
+    weight = slowness / np.mean(slowness)
+    orders = np.fft.rfftfreq(POINTS, 1 / POINTS)
+    ripple = np.fft.rfft(weight)
+    ripple[1:] /= 1j * orders[1:]
+    ripple[0] = 0
+    # Phase of the fundamental: the integral of its own speed, from 0 at psi = 0.
+    wave = np.fft.irfft(ripple, POINTS)
+    turned = np.abs(psi) + wave - wave[0]
+    kernel = np.exp(-1j * np.outer(np.arange(POINTS) - POINTS // 2, turned)) * weight / POINTS
+    intensities = np.exp(logs)
+    field = np.sqrt(intensities[0] * intensities[1]) * np.exp(1j * psi)
+    return SteadyBeat(1 / period, kernel @ field, np.asarray(intensities @ kernel.T))
+
+
+@dataclass(frozen=True)
+class Winking:
+    """Gain saturation of a laser with equal backscatter of both beams; its beat on the grid of rates."""
+
+    scale_factor: float  # pulses per degree
+    lock_in_rate: float  # deg/s, at low rates
+    gain_corner_hz: float  # relaxation rate of the common intensity over 2 pi
+    phase_sum: float = 0.0  # sum of the phases of the backscatter, rad: 0 is the dissipative kind, which locks
+    cross_saturation: float = 0.5  # over self saturation
+
+    def frequency_factor(self, rates: Floats) -> Floats:
+        """Beat frequency at rates in deg/s over that of the lock-in equation; all beyond the lock-in rate."""
+
+        def factor(point: int, _: Indices) -> float:
+            return self.frequency(point) / (self.scale_factor * beat_rate_at(point))
+
+        return interpolate(rates, self.lock_in_rate, factor)
+
+    def frequency(self, point: int) -> float:
+        """Beat frequency in Hz at a point of the grid."""
+        return _beat(self, point).frequency
+
+    def fringe(self, point: int) -> Complexes:
+        """Light of the fringes sqrt(I1 I2) exp(i psi) over one period, evenly in time, at a point of the grid."""
+        return _over_a_period(_beat(self, point).beat)
+
+    def pedestal(self, point: int) -> Floats:
+        """Mean light (I1 + I2)/2 of the single beams over one period, less its mean."""
+        light = _over_a_period(_beat(self, point).beams.sum(axis=0) / 2).real
+        return np.asarray(light - light.mean())
+
+
+@lru_cache(maxsize=1024)
+def _beat(winking: Winking, point: int) -> SteadyBeat:
+    laser = symmetric_laser(
+        winking.lock_in_rate,
+        scale_factor=winking.scale_factor,
+        gain_corner_hz=winking.gain_corner_hz,
+        phase_sum=winking.phase_sum,
+        cross_saturation=winking.cross_saturation,
+    )
+    return steady_beat(laser, rate_at(point, winking.lock_in_rate))
+
+
+def _over_a_period(harmonics: Complexes) -> Complexes:
+    """Values of a series with the orders -n/2 ... n/2 - 1 at n even steps of one period."""
+    return np.asarray(np.fft.ifft(np.fft.ifftshift(harmonics)) * harmonics.size)
+
+
+# --------------------
+# A grid of rates, at whose points a beat is worked out once, and the interpolation between them.
+#
+# The grid is even in the logarithm of sqrt(W^2 - WL^2), on which everything about a beat depends smoothly
+
+
+X = TypeVar("X", float, Floats)
+
+STEP = 0.05
+FINER = 100
+"""Points of a finer grid in one step: between them straight lines are good to 1e-7 of a second harmonic."""
+_OFFSETS = (-2.0, -1.0, 0.0, 1.0, 2.0, 3.0)  # six points around a place between 0 and 1
+_LOWEST_DPS = 1e-9
+
+
+def beat_rate_at(point: int) -> float:
+    """Value of sqrt(W^2 - WL^2) in deg/s at a point of the grid."""
+    return math.exp(STEP * point)
+
+
+def rate_at(point: int, lock_in_rate: float) -> float:
+    """Rate W in deg/s, positive, at a point of the grid."""
+    return math.hypot(beat_rate_at(point), lock_in_rate)
+
+
+def interpolate(rates: Floats, lock_in_rate: float, at_point: Callable[[int, Indices], Floats | float]) -> Floats:
+    """Interpolate between the points of the grid, by polynomials of the fifth degree.
+
+    Shapes: rates (n,).
+    """
+    place = grid_place(np.abs(rates), lock_in_rate)
+    cells = np.floor(place).astype(np.intp)
+    values = np.empty(rates.shape)
+    for cell in np.unique(cells):
+        inside = np.flatnonzero(cells == cell)
+        weights = six_weights(place[inside] - cell)
+        values[inside] = sum(
+            weight * at_point(int(cell + offset), inside) for offset, weight in zip(_OFFSETS, weights, strict=True)
+        )
+    return values
+
+
+def weights_at(place: float) -> list[tuple[int, float]]:
+    """Points of the grid around one place, and their weights."""
+    cell = math.floor(place)
+    weights = six_weights(place - cell)
+    return [(int(cell + offset), weight) for offset, weight in zip(_OFFSETS, weights, strict=True)]
+
+
+def grid_place(size: Floats, lock_in_rate: float) -> Floats:
+    """Places on the grid, in steps of it, of rates (deg/s, positive) beyond the lock-in rate."""
+    beat_rate = np.sqrt((size - lock_in_rate) * (size + lock_in_rate))
+    return np.asarray(np.log(np.maximum(beat_rate, _LOWEST_DPS)) / STEP)
+
+
+def six_weights(x: X) -> list[X]:
+    """Weights of points -2, -1, ... 3 around places x between 0 and 1: of an array, or of a number (faster)."""
+    weights = []
+    for own in _OFFSETS:
+        first, *rest = (other for other in _OFFSETS if other != own)
+        weight = (x - first) / (own - first)
+        for other in rest:
+            weight = weight * ((x - other) / (own - other))
+        weights.append(weight)
+    return weights

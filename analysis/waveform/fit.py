@@ -1,0 +1,538 @@
+"""Fit of the lock-in waveform to records as they come: clipped, spiked, noisy, or no beat at all."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+import scipy.special
+
+from analysis.arrays import Bools, Complexes, Floats, Indices, Ints, Samples
+from analysis.flags import FATAL, Flag
+from analysis.waveform.converter import (
+    FEW_ERRORS,
+    SILENT,
+    find_damage,
+    leftover_excess,
+    level_spacing,
+    locked_to_the_beat,
+    mean_rounding,
+    outliers,
+    repetition,
+)
+from analysis.waveform.frequency import Records, Stack, never_alone
+from analysis.waveform.residuals import (
+    Masks,
+    Residual,
+    ResidualReport,
+    by_level,
+    examine_residual,
+    hidden_by_harmonics,
+    left_by,
+    residual_of,
+    residual_samples,
+    turned_by,
+)
+from analysis.waveform.series import Series, drift_by_samples, sampled_series
+from analysis.waveform.series_fit import SeriesFit, Task, fit_series, fit_series_again, gauss_newton
+from analysis.waveform.varying_rate import MovingFit, fit_moving_rate, may_be_motion
+
+SINGLE_PRECISION_SWING = 1e-12, 1e12
+"""Volts between which squares are safe in single precision."""
+
+SINGLE_PRECISION_NOISE = 1e-4
+"""Noise over swing below which single precision would show: less than a fiftieth of an eight-bit level."""
+
+TRACKED_FROM = 1e-4
+"""Residual over fundamental below which no motion is tried: a wander of s rad leaves about s."""
+
+WORTH_MOVING = 0.98
+"""Share of the residual power that a motion may leave to be worth its parameters."""
+
+MOST_WALK = 20.0
+"""rad of random walk over the record up to which a record that is no beat at a steady rate may be one with a noisy
+rate. What is no beat at all needs more."""
+
+SUSPECT = Flag.MISFIT | Flag.COLOURED_NOISE | Flag.DAMAGED
+"""What makes it worth asking whether the residual is there all the time."""
+
+FEW_PERIODS = 7.5
+"""A motion that is no smooth curve may leave less than the noise, and with few periods looks like a harmonic: the
+ratio's variance grows with the sixth power of this over the periods."""
+
+N_PARAMETERS = 6
+FEWEST_SAMPLES = 12
+"""Twice the number of parameters: with fewer valid samples the noise could not be told from the fit."""
+
+
+@dataclass(frozen=True)
+class WaveformFit:
+    """Fit of a stack of records.
+
+    series : parameters (volts), phases from the middle of the record; the offset is less the record's mean
+    covariance : (R, 6, 6) for white noise, order c0, Re H, Im H, Re q, Im q, w (rad at the record's ends)
+    excess : (R, 3) variance factors of frequency, ratio size and ratio phase where the noise is not white
+    noise_rms : (R,) volts
+    misfit : (R,) standard uncertainty of the ratio by what is no noise
+    third : (R,) volts, complex: what the waveform leaves at three times the beat, its phase that in the middle of
+        the record; nan where samples are missing or something moved
+    flags : (R,)
+    """
+
+    series: Series
+    covariance: Floats
+    excess: Floats
+    noise_rms: Floats
+    misfit: Floats
+    third: Complexes
+    flags: Ints
+
+    def take(self, part: Indices) -> WaveformFit:
+        """Some of the records."""
+        return WaveformFit(self.series.take(part), *(getattr(self, f.name)[part] for f in fields(self)[1:]))
+
+    def put(self, part: Indices, other: WaveformFit) -> None:
+        """Write the other's records into the places `part` of this one."""
+        self.series.put(part, other.series)
+        for field in fields(WaveformFit)[1:]:
+            getattr(self, field.name)[part] = getattr(other, field.name)
+
+
+def fit_waveform(stack: Stack, clipped: Bools | None) -> WaveformFit:
+    """Fit every record; `clipped` (R, N) marks samples known to stand at the converter's end, None: find them."""
+    return _joined([fit for part in stack.parts() for fit in _fit_what_can_be(stack, part, clipped)])
+
+
+def _joined(parts: list[WaveformFit]) -> WaveformFit:
+    series = Series(*(np.concatenate([getattr(p.series, f.name) for p in parts]) for f in fields(Series)))
+    others = (np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(WaveformFit)[1:])
+    return WaveformFit(series, *others)
+
+
+def _fit_what_can_be(stack: Stack, part: slice, clipped: Bools | None) -> list[WaveformFit]:
+    """Fits of a part, in order; a record that the arithmetic cannot cope with is refused, and stops no other."""
+    try:
+        with np.errstate(over="ignore", under="ignore", invalid="ignore"):
+            return [_fit_part(stack, part, clipped)]
+    except (np.linalg.LinAlgError, ArithmeticError):
+        first, stop, _ = part.indices(len(stack.volts))
+        if stop - first == 1:
+            return [_refused()]
+        middle = (first + stop) // 2
+        halves = slice(first, middle), slice(middle, stop)
+        return [fit for half in halves for fit in _fit_what_can_be(stack, half, clipped)]
+
+
+def _refused() -> WaveformFit:
+    """One record of which nothing can be said."""
+    unknown = np.array([np.nan])
+    nothing = np.zeros(1)  # finite, so that what is computed from it for all records stays silent
+    none: Complexes = np.zeros(1, dtype=np.complex128)
+    series = Series(nothing, none, none.copy(), np.ones(1))
+    flags = np.array([int(Flag.NOT_LOCK_IN_LIKE)])
+    return WaveformFit(series, np.full((1, 6, 6), np.nan), np.ones((1, 3)), unknown, unknown, unknown + 0j, flags)
+
+
+def _fit_part(stack: Stack, part: slice, clipped: Bools | None) -> WaveformFit:
+    """Single precision, and double where single would show."""
+    records = stack.take(part, np.float32)
+    known = None if clipped is None else clipped[part]
+    fit = _fit_records(records, known)
+    swing = records.highest - records.lowest
+    good = (swing > SINGLE_PRECISION_SWING[0]) & (swing < SINGLE_PRECISION_SWING[1])
+    good &= fit.noise_rms > SINGLE_PRECISION_NOISE * swing
+    fine = never_alone(np.flatnonzero(~(good | records.constant)))
+    if fine.size:
+        again = stack.take(fine + part.start, np.float64)
+        fit.put(fine, _fit_records(again, None if known is None else known[fine]))
+    return fit
+
+
+def _fit_records(records: Records, clipped: Bools | None) -> WaveformFit:
+    """Fit records; each has the same digits whatever others are among them."""
+    fits: list[WaveformFit] = []
+    place = np.empty(len(records.values), dtype=np.intp)
+    for rows, some in records.groups():
+        place[rows] = sum(fit.flags.size for fit in fits) + np.arange(rows.size)
+        fits.append(_fit_alike(some, None if clipped is None else clipped[rows]))
+    return _joined(fits).take(place)
+
+
+def _fit_alike(records: Records, clipped: Bools | None) -> WaveformFit:
+    """Fit two records or more all of which have missing samples, or none."""
+    values, masks = records.values, Masks.of(records.values, records.weights)
+    fit = fit_series(values, records.weights)
+    damage = find_damage(records, fit, clipped)
+    flags, hit = damage.flags, damage.rows
+    if hit.size:
+        refitted, kept = _fit_between_limits(values[hit], masks.of_all(hit), damage.weights, damage.limits)
+        masks = masks.changed(hit, kept)
+        fit.put(hit, refitted)
+
+    left = residual_of(values, masks, fit.series)
+    spikes = outliers(values, masks, fit.series, left, records.highest - records.lowest)
+    if spikes:
+        spiked = never_alone(np.array(list(spikes)))
+        mask = masks.of_all(spiked)
+        for place, row in enumerate(map(int, spiked)):
+            mask[place, spikes[row].found] = 0.0
+        masks = masks.changed(spiked, mask)
+        some = values[spiked] * mask
+        refitted = fit_series(some, mask)  # anew: the spikes may have led the first fit astray
+        fit.put(spiked, refitted)
+        left.put(spiked, residual_of(some, Masks.of(some, mask), refitted.series))
+        flags[spiked] |= Flag.DAMAGED
+    count = masks.counted(records.count)
+    rounding, repeats = _take_out_rounding(values, masks, fit, left, count)
+    flags[repeats] |= Flag.ROUNDING_REPEATS
+    covariance = fit.covariance * rounding[:, np.newaxis, np.newaxis]
+    judged = _judged(records, masks, fit.series, covariance, left, count, flags)
+    judged.flags[[row for row, one in spikes.items() if one.piece]] |= Flag.MISFIT
+    return judged
+
+
+def _take_out_rounding(
+    values: Samples, masks: Masks, fit: SeriesFit, left: Residual, count: Floats
+) -> tuple[Floats, Bools]:
+    """Fit quiet records again with the mean rounding error taken out; fit and left are changed.
+
+    Returns the factor (R,) of the variance by what is left of the rounding, and where it repeats with the beat.
+    """
+    rms = np.sqrt(left.power / np.maximum(count - N_PARAMETERS, 1))
+    spacing = level_spacing(values, rms)
+    quiet, excess = np.flatnonzero(spacing), np.ones(len(values))
+    is_locked = np.zeros(len(values), dtype=bool)
+    if quiet.size:
+        silent = quiet[rms[quiet] < SILENT * spacing[quiet]]
+        repeated = repetition(left.lines[silent])
+        locked = locked_to_the_beat(fit.series.omega[silent], repeated, values.shape[1])
+        excess[silent[locked]] = repeated[locked] * FEW_ERRORS
+        is_locked[silent[locked]] = True
+        quiet = quiet[~is_locked[quiet]]
+    # The rounding error is taken where the first fit has put the waveform. That fit was moved by it by little, but
+    # with next to no noise the error changes within a small part of a level.
+    noisy = rms[quiet] > SILENT * spacing[quiet]
+    whole = masks.whole(quiet)
+    for times, few in ((1, noisy), (2, ~noisy)):
+        for masked, chosen in ((False, few & whole), (True, few & ~whole)):
+            if (rows := never_alone(quiet[chosen])).size:
+                mask = masks.of_all(rows) if masked else None
+                refitted, rest = _without_rounding(
+                    values[rows], mask, fit.series.take(rows), spacing[rows], rms[rows], times
+                )
+                fit.put(rows, refitted)
+                left.put(rows, rest)
+                excess[rows] = leftover_excess(rest, values.shape[1], spacing[rows])
+    return excess, is_locked
+
+
+def _without_rounding(
+    values: Samples, weights: Samples | None, fitted: Series, spacing: Floats, rms: Floats, times: int
+) -> tuple[SeriesFit, Residual]:
+    for _ in range(times):
+        model = sampled_series(fitted, values.shape[1], values.dtype)
+        corrected = values - mean_rounding(model, values, spacing, rms)
+        if weights is not None:
+            corrected *= weights
+        refitted, _ = gauss_newton(Task.of(corrected, weights), fitted)
+        fitted = refitted.series
+    return refitted, residual_of(corrected, Masks.of(corrected, weights), fitted)
+
+
+def _judged(
+    records: Records,
+    masks: Masks,
+    series: Series,
+    covariance: Floats,
+    left: Residual,
+    count: Floats,
+    flags: Ints,
+) -> WaveformFit:
+    """The fit with its noise and its flags; records that do not fit get a second chance with a motion."""
+    free, power = count - N_PARAMETERS, left.power
+    repeated = (flags & int(Flag.ROUNDING_REPEATS)) != 0
+    n_samples = records.values.shape[1]
+    report = examine_residual(left, n_samples, count, series, repeated)
+    flags |= report.flags
+    excess, third = report.excess, np.where(count < n_samples, np.nan, left.third)
+    # A residual as small as this cannot come from a motion that would move the ratio.
+    worth_it = power > TRACKED_FROM**2 * np.abs(series.first) ** 2 * count
+    fatal = (report.flags & int(FATAL)) != 0
+    beat_power = np.abs(series.first) ** 2 / 2 * count
+    at_rest = np.ones(len(count), dtype=bool)
+    for row in map(int, np.flatnonzero(report.uneven & worth_it)):
+        moved = _moving_fit(records, masks, series, row, bool(fatal[row]))
+        if moved is None or moved.variance > WORTH_MOVING * power[row] / free[row]:
+            continue
+        here = np.array([row])
+        beat = Series(*(np.array([getattr(moved, f.name)]) for f in fields(Series)))
+        # What noise of the rate leaves is white only together with that noise.
+        residual, white = Residual.of(moved.left[np.newaxis], beat.omega), moved.walk == 0
+        again = examine_residual(residual, n_samples, count[here], beat, repeated[here], moved=white)
+        # A motion takes noise from where it has its sidebands, and u knows of it: less there is no colour.
+        told, factors = int(again.flags[0]), np.maximum(again.excess[0], 1.0)
+        if not np.any(factors > 1.0):
+            told &= ~int(Flag.COLOURED_NOISE)
+        factors[1:] *= 1 + (FEW_PERIODS * 2 * np.pi / (n_samples * moved.omega)) ** 6
+        if fatal[row] and ((told | moved.flags) & int(FATAL | Flag.MISFIT) or moved.walk > MOST_WALK):
+            continue
+        series.put(here, beat)
+        at_rest[row], sidebands = False, float(power[row] / beat_power[row])
+        covariance[row], free[row], power[row] = moved.covariance, moved.degrees, moved.variance * moved.degrees
+        covariance[row] /= moved.variance
+        flags[row] = (flags[row] & ~report.flags[row]) | told | moved.flags
+        excess[row], report.misfit[row], third[row] = factors, again.misfit[0], np.nan
+        if moved.drift_chance < RARE:
+            report.misfit[row] = np.hypot(report.misfit[row], HIDDEN * moved.drift)
+        report.misfit[row] = np.hypot(report.misfit[row], moved.stepped_u)
+        if moved.drift_chance < UNLIKELY:
+            flags[row] |= Flag.PARTS_DIFFER
+        hidden, sure = _following_the_level(records.values[here], masks.of_one(row), moved)
+        report.misfit[row] = np.hypot(report.misfit[row], hidden / abs(moved.first))
+        if sure:
+            flags[row] |= Flag.MISFIT
+        if moved.vibrates:
+            flags[row] |= Flag.MISFIT
+            report.misfit[row] = np.hypot(report.misfit[row], turned_by(sidebands, abs(moved.ratio)))
+    for row in map(int, np.flatnonzero(at_rest & ((flags & int(SUSPECT)) != 0) & ~fatal)):
+        left_over = _valid_left(records.values, masks, series, row)
+        passing = max(passing_power(left_over), slow_curve_power(left_over))
+        if passing:
+            flags[row] |= Flag.MISFIT
+            report.misfit[row] = np.hypot(report.misfit[row], np.sqrt(passing / beat_power[row]))
+    variance = power / np.maximum(free, 1)
+    _look_closer(records.values, masks, series, report, variance * excess[:, 1], at_rest, flags)
+    flags[records.constant] = Flag.CONSTANT
+    flags[count < FEWEST_SAMPLES] |= Flag.TOO_FEW_SAMPLES
+    covariance *= variance[:, np.newaxis, np.newaxis]
+    return WaveformFit(series, covariance, excess, np.sqrt(variance), report.misfit, third, flags)
+
+
+def _look_closer(
+    values: Samples,
+    masks: Masks,
+    series: Series,
+    report: ResidualReport,
+    variance: Floats,
+    at_rest: Bools,
+    flags: Ints,
+) -> None:
+    """What shows in the samples only: harmonics too weak for lines, and a ratio that drifts.
+
+    The report's misfit and the flags are changed. variance (R,): of the noise of a sample, as strong as it is at
+    the harmonics.
+    """
+
+    def taken(chosen: Bools) -> tuple[Indices, Samples, Samples | None, Series]:
+        rows = never_alone(np.flatnonzero(chosen))
+        return rows, values[rows], masks.of_any(rows), series.take(rows)
+
+    rows, some, mask, waves = taken(report.stronger)
+    if rows.size:
+        hidden = hidden_by_harmonics(left_by(waves, some, mask), waves.omega, report.mean[rows])
+        hidden *= 2 / (values.shape[1] * np.abs(waves.first))
+        report.misfit[rows] = np.maximum(report.misfit[rows], hidden)
+    rows, some, mask, waves = taken(report.drifting & at_rest)
+    if rows.size:
+        drift, covariance = drift_by_samples(some, mask, waves)
+        drift_u, sure = drift_of_ratio(drift, covariance * variance[rows, np.newaxis, np.newaxis])
+        report.misfit[rows] = np.hypot(report.misfit[rows], drift_u)
+        flags[rows[sure]] |= Flag.PARTS_DIFFER
+
+
+def _following_the_level(values: Samples, mask: Samples | None, moved: MovingFit) -> tuple[float, bool]:
+    """What `by_level` says of one record (1, N); rounding without noise follows the level too, and is known."""
+    level = values - moved.left
+    left, rms = moved.left, np.array([np.sqrt(moved.variance)])
+    spacing = level_spacing(values, rms)
+    if spacing[0]:
+        left = left - mean_rounding(level, values, spacing, rms)[0]
+    valid = slice(None) if mask is None else mask > 0
+    return by_level(left[valid].astype(np.float64), level[0, valid], moved.degrees)
+
+
+def _valid_left(values: Samples, masks: Masks, series: Series, row: int) -> Floats:
+    """What the waveform leaves of the samples of one record that are believed."""
+    left, mask = residual_samples(values, masks, series, row).astype(np.float64), masks.of_one(row)
+    return left if mask is None else left[mask > 0]
+
+
+def _moving_fit(records: Records, masks: Masks, series: Series, row: int, fatal: bool) -> MovingFit | None:
+    """The record fitted with a motion, where its residual may come from one."""
+    left = residual_samples(records.values, masks, series, row).astype(np.float64)
+    found = (float(series.omega[row]), complex(series.first[row]), float(np.abs(series.ratio[row])))
+    if not fatal and not may_be_motion(left, *found):
+        return None
+    values, mask = records.values[row].astype(np.float64), masks.of_one(row)
+    return fit_moving_rate(values, np.ones_like(values) if mask is None else mask.astype(np.float64))
+
+
+def _fit_between_limits(
+    values: Samples, weights: Samples, undamaged: Samples, limits: Floats
+) -> tuple[SeriesFit, Samples]:
+    """Fit clipped records without their clipped samples.
+
+    Which samples are left out must not depend on their own noise, or the mean of the others is biased near the
+    limits. So after a first fit the model, not the sample, says what is too near to a limit.
+    """
+    fit = fit_series(values * undamaged, undamaged)
+    kept = undamaged
+    for _ in range(2):
+        model = sampled_series(fit.series, values.shape[1], values.dtype)
+        noise = np.sqrt(fit.residual_power / np.maximum(kept.sum(axis=-1) - N_PARAMETERS, 1))
+        margin = 4 * noise[:, np.newaxis]
+        inside = weights * ((model > limits[:, :1] + margin) & (model < limits[:, 1:] - margin))
+        enough = inside.sum(axis=-1, keepdims=True) > 0.2 * values.shape[1]
+        kept = np.where(enough, inside, undamaged).astype(values.dtype)
+        fit = fit_series_again(values * kept, kept, fit.series)
+    return fit, kept
+
+
+# --------------------
+# What the lock-in waveform leaves at three times the beat: third-order distortion shows itself there.
+#
+# s + k s^3 of the signal s = A sin(psi) is (1 + 3h) s - h A sin(3 psi), h = k A^2/4. The geometric series that
+# fits it best has another ratio than the beat, which no ratio shows; what no geometric series can take up is, at
+# the third harmonic, h A times a number that follows from r alone (`analysis.several_rates.ratio_model`)
+
+
+ORDER = 3
+
+NOT_KNOWN = int(FATAL | Flag.CLIPPED | Flag.DAMAGED | Flag.RATE_WANDER | Flag.ROUNDING_REPEATS)
+"""Records in which other things leave something at the third harmonic."""
+
+SMALLEST = 1e-4
+"""Least uncertainty, -80 dBc: rounding to levels leaves that much in quiet records."""
+
+
+def third_harmonic(fit: WaveformFit, n_samples: int) -> tuple[Complexes, Floats]:
+    """Third harmonic beyond the waveform that was fitted, over the amplitude of the beat, of (R,) records.
+
+    Its phase is referred to three times that of the fundamental, so that the time origin does not enter.
+    """
+    series = fit.series
+    with np.errstate(all="ignore"):  # records without a beat; they are blanked
+        unit = series.first / np.abs(series.first)
+        amplitude = np.abs(series.first) / (1 - np.abs(series.ratio) ** 2)
+        excess = fit.third * np.conj(unit) ** ORDER / amplitude
+        noise = fit.noise_rms * np.sqrt(2 / n_samples * fit.excess[:, 1]) / amplitude
+    known = ((fit.flags & NOT_KNOWN) == 0) & np.isfinite(excess) & np.isfinite(noise)
+    known &= ORDER * series.omega < np.pi
+    return np.where(known, excess, 0.0), np.where(known, np.hypot(noise, SMALLEST), np.inf)
+
+
+# --------------------
+# Whether what a fit leaves is there all the time, as noise is, or in one part of the record only.
+#
+# The start of a motion, a gyro that settles into lock-in, a beam that comes back: each leaves a smooth curve in
+# one part of the record. Its spectrum is as flat as that of coloured noise; in time it stands alone. Noise that is
+# louder for a while is no curve: its neighbouring samples do not agree.
+#
+# A curve so slow that no part stands out, as a motion leaves that dies away over the record, shows itself by the
+# phases of its lines: they turn evenly from one to the next, while those of noise are independent
+
+
+PARTS = 20
+
+CHANCE = 1e-6
+"""Share of records in which noise leaves so much more in one part than in the others."""
+
+LINES, IN_PHASE, FIRST_LINES, STRONGER = 24, 0.8, 3, 4.0
+"""So many lines from the lowest on are looked at. Steps from one to the next whose directions have a mean of this
+length come by chance in 2 of 10^7 records."""
+
+LONGEST_RUN, FAR = 20, 5.0
+"""Samples of one sign in a row beyond so many (robust) standard deviations that no noise has."""
+
+SMOOTH = 3.0
+"""Standard deviations by which the products of neighbouring samples must exceed those of white noise."""
+
+
+def passing_power(left: Floats) -> float:
+    """Sum of squares of a curve in one part of a residual (N,), beyond its steady noise; 0 where there is none.
+
+    The power of a part of m samples has as many degrees of freedom as its noise has independent values: m for
+    white noise, and m (mean S)^2/mean(S^2) for one of the spectrum S, which the residual itself shows.
+    """
+    if left.size < PARTS:
+        return 0.0
+    if far := _power_of_runs(left):
+        return far
+    length = left.size // PARTS
+    cut = left[: length * PARTS].reshape(PARTS, length)
+    parts = np.sum(cut**2, axis=1)
+    power = np.abs(np.fft.rfft(left)[1:]) ** 2
+    spread = float(np.mean(power**2))
+    if not spread > 0:
+        return 0.0
+    # a line of noise scatters as an exponential variable, with a mean square of twice the squared mean
+    degrees = float(min(max(2 * length * float(np.mean(power)) ** 2 / spread, 1.0), length))
+    # Half of the parts may be disturbed: the quieter half tells the noise. Its mean is below that of all.
+    below = float(scipy.special.chdtr(degrees + 2, float(scipy.special.chdtri(degrees, 0.5))) / 0.5)
+    quiet = np.argsort(parts)[: PARTS // 2]
+    level = float(parts[quiet].mean()) / below
+    largest = float(parts.max()) / max(level, 1e-300)
+    chance = PARTS * float(scipy.special.fdtrc(degrees, degrees * PARTS / 2, largest))
+    if not chance < CHANCE:
+        return 0.0
+    products = cut[:, 1:] * cut[:, :-1]
+    alike = products.sum(axis=1)
+    curve = float(np.sum(alike - alike[quiet].mean()))
+    return curve if curve > SMOOTH * float(np.linalg.norm(products)) else 0.0
+
+
+def _power_of_runs(left: Floats) -> float:
+    """Sum of squares of long runs of one sign far beyond what the rest of a residual (N,) shows; 0 without."""
+    far = np.sign(left) * (np.abs(left) > FAR * 1.4826 * np.median(np.abs(left)))
+    starts = np.concatenate([[0], np.flatnonzero(np.diff(far)) + 1])
+    lengths = np.diff(np.append(starts, far.size))
+    in_long_run = np.repeat(lengths >= LONGEST_RUN, lengths) & (far != 0)
+    return float(np.sum(left[in_long_run] ** 2))
+
+
+def slow_curve_power(left: Floats) -> float:
+    """Sum of squares of a curve in a residual (N,) whose lowest lines have the phases of one event; 0 without.
+
+    So have the lines of noise that is louder for a while: they must be stronger than all others are. And so have
+    the feet of a line that lies among them: the strongest must be one of the first.
+    """
+    spectrum = np.fft.rfft(left)[1:]
+    lines, power = spectrum[: LINES + 1], np.abs(spectrum) ** 2
+    steps = lines[1:] * np.conj(lines[:-1])
+    sizes = np.abs(steps)
+    if power.size <= LINES + 1 or not sizes.min() > 0 or abs(np.mean(steps / sizes)) < IN_PHASE:
+        return 0.0
+    low, others = power[: LINES + 1], power[LINES + 1 :]
+    if int(low.argmax()) >= FIRST_LINES or not low.mean() > STRONGER * others.mean():
+        return 0.0
+    return float(2 * low.sum() / left.size)
+
+
+# --------------------
+# A ratio that drifts within the record: the lock-in rate does not, so something else is there.
+#
+# A second beat close to the first looks like one beat of another ratio, which changes slowly: if the two part by d
+# turns over the record, the ratio changes by pi d times what it is off by, from the middle of the record to its
+# end
+
+
+UNLIKELY, RARE = 1e-4, 1e-2
+"""Shares of records in which noise shows so large a drift that a flag says so, where something moved besides, or
+that it counts."""
+
+SURE = 1e-6
+"""The same for the flag where nothing else speaks against the record."""
+
+HIDDEN = 2.0
+"""What may hide behind a drift from the middle of the record to its end, over that: as with two beats that part by
+a seventh of a turn."""
+
+
+def drift_of_ratio(drift: Floats, covariance: Floats) -> tuple[Floats, Bools]:
+    """Standard uncertainty of the ratio (R,) by drifts that noise hardly makes, and where it never does."""
+    a, b, c = covariance[:, 0, 0], covariance[:, 0, 1], covariance[:, 1, 1]
+    x, y = drift.T
+    with np.errstate(all="ignore"):  # records without a beat, or without noise
+        chi_square = (c * x**2 - 2 * b * x * y + a * y**2) / (a * c - b**2)
+        chance = np.where(np.isfinite(chi_square), np.exp(-chi_square / 2), 1.0)
+    return np.where(chance < RARE, HIDDEN * np.hypot(x, y), 0.0), chance < SURE

@@ -1,1 +1,0 @@
-"""The geometric series of harmonics, fitted to the samples."""

@@ -1,0 +1,573 @@
+"""The phase of every sample and the few numbers that rule them all, fitted at the same time.
+
+    minimise  sum over samples of (v - C - A sin(phi_n))^2  +  (1/l) sum over steps of (phi_(n+1) - F(phi_n))^2
+
+F is the exact step of the lock-in equation, a(t), A(t) and C(t) are polynomials. l is the variance of what moves
+the phase beside them over that of the noise of the samples: large, the phases follow the samples whatever the
+motion may be; small, the equation holds exactly. So a fit that starts large and goes small does not get lost, and
+one that stays in between is that of a rate with noise of its own: in a linear problem this is the estimate of
+generalised least squares, and its covariance.
+
+Each Gauss-Newton step solves one tridiagonal system for the phases, with one right side for each parameter.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import lru_cache
+
+import numpy as np
+from numpy.polynomial import legendre
+from scipy.linalg import lapack
+
+from analysis.arrays import Floats
+
+# --------------------
+# The lock-in equation from one sample to the next, exactly, and how the step moves with what it starts from.
+#
+#     d(phi)/dt = a(t) - s sin(phi) + c cos(phi),     s + i c = b exp(i gamma)
+#
+# phi is the phase that the detector sees, so v = C + A sin(phi) holds without another angle; a = 2 pi K W,
+# b = 2 pi K WL, gamma = readout phase less backscatter phase. With tan(phi/2) = n/d the equation is linear,
+#
+#     d(n, d)/dt = M (n, d),    M = [[-s, a + c], [c - a, s]] / 2
+#
+# and a step is one matrix exponential. While a changes by D within the step, the two first terms of Magnus' series
+# turn gamma by D/12; what is left out is of fourth order
+
+
+LOCKED_AT_MOST = 50.0
+"""Relaxation times in one step beyond which exponentials are cut off: no beat is sampled so coarsely."""
+
+
+@dataclass(frozen=True)
+class Steps:
+    """What each of (N - 1,) steps does.
+
+    advance : rad, phase gained
+    by_phase, by_rate, by_sine, by_cosine : derivatives of the phase at its end by that at its start, by a, s and c
+    """
+
+    advance: Floats
+    by_phase: Floats
+    by_rate: Floats
+    by_sine: Floats
+    by_cosine: Floats
+
+
+def exact_steps(
+    phase: Floats, mean_rate: Floats, rate: Floats, sine: float | Floats, cosine: float | Floats
+) -> Steps:
+    """Steps from the first N - 1 of N phases."""
+    n0, d0 = np.sin(phase[:-1] / 2), np.cos(phase[:-1] / 2)
+    turn = (rate[1:] - rate[:-1]) / 12
+    s, c = sine - turn * cosine, cosine + turn * sine
+    square = (mean_rate**2 - s**2 - c**2) / 4
+    root = np.sqrt(np.abs(square))
+    even, odd = np.cos(root), np.sinc(root / np.pi)
+    locked = np.flatnonzero(square < 0)
+    if locked.size:
+        slow = np.clip(root[locked], 1e-9, LOCKED_AT_MOST)
+        even[locked], odd[locked] = np.cosh(slow), np.sinh(slow) / slow
+    odd /= 2
+    n1 = even * n0 + odd * ((mean_rate + c) * d0 - s * n0)
+    d1 = even * d0 + odd * ((c - mean_rate) * n0 + s * d0)
+    # The matrix has determinant 1, so the square of the length says how neighbouring phases spread.
+    by_phase = 1 / (n1 * n1 + d1 * d1)
+    start = _Edge.of(2 * n0 * d0, (d0 - n0) * (d0 + n0), rate[:-1], sine, cosine)
+    end = _Edge.of(2 * n1 * d1 * by_phase, (d1 - n1) * (d1 + n1) * by_phase, rate[1:], sine, cosine)
+
+    def integrated(at_start: Floats, at_end: Floats, slope_at_start: Floats, slope_at_end: Floats) -> Floats:
+        # Hermite's rule: exact for cubics
+        return (at_start * by_phase + at_end) / 2 + (slope_at_start * by_phase - slope_at_end) / 12
+
+    one = np.ones_like(by_phase)
+    return Steps(
+        2 * np.arctan2(n1 * d0 - d1 * n0, d1 * d0 + n1 * n0),
+        by_phase,
+        integrated(one, one, start.pull, end.pull),
+        integrated(-start.sin, -end.sin, start.sine_slope, end.sine_slope),
+        integrated(start.cos, end.cos, start.cosine_slope, end.cosine_slope),
+    )
+
+
+@dataclass(frozen=True)
+class _Edge:
+    """At one end of the steps: sine and cosine, the rate at which a disturbance dies, and the slopes of what a
+    change of s and c adds to the phase, as seen at the end of the step.
+    """
+
+    sin: Floats
+    cos: Floats
+    pull: Floats
+    sine_slope: Floats
+    cosine_slope: Floats
+
+    @staticmethod
+    def of(sin: Floats, cos: Floats, rate: Floats, sine: float | Floats, cosine: float | Floats) -> _Edge:
+        pull = sine * cos + cosine * sin
+        speed = rate - sine * sin + cosine * cos
+        return _Edge(sin, cos, pull, -cos * speed - sin * pull, -sin * speed + cos * pull)
+
+
+LARGEST_TURN = 1.0
+"""rad by which a phase may change in one step of the fit."""
+
+SHORTER, SHORTENED = 4.0, 6
+"""A step that makes the fit worse is tried again so many times shorter, and so often."""
+
+ENOUGH = 1e-3
+"""Gain of a last step, in variances of a sample's noise: a thirtieth of a standard uncertainty."""
+
+RIDGE = 1e-12
+
+
+@dataclass(frozen=True)
+class Terms:
+    """How many terms rate, amplitude and offset have, polynomials unless said otherwise.
+
+    step : first sample behind a step of the offset, which is then one term more
+    jump : number of the step from sample to sample in which the rate jumps; its last two terms are then the jump,
+        and what it does in that step
+    stretched : whether s and c jump with it, as where the time base does
+    """
+
+    rate: int
+    amplitude: int
+    offset: int
+    step: int | None = None
+    jump: int | None = None
+    stretched: bool = False
+
+    @property
+    def count(self) -> int:
+        """Number of parameters, s and c included."""
+        return self.rate + 2 + self.amplitude + self.offset + (self.step is not None)
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    """phase : (N,) rad
+    parameters : (P,) rate, s, c, amplitude, offset, step of the offset; `terms` says how many of each.
+    """
+
+    phase: Floats
+    parameters: Floats
+    terms: Terms
+
+    @property
+    def rate(self) -> Floats:
+        """Coefficients of a(t), rad per sample: of the columns of `rate_columns`, its mean first."""
+        return self.parameters[: self.terms.rate]
+
+    @property
+    def pull(self) -> Floats:
+        """s and c, rad per sample."""
+        return self.parameters[self.terms.rate : self.terms.rate + 2]
+
+    @property
+    def amplitude(self) -> Floats:
+        """Legendre coefficients of A(t)."""
+        return self.parameters[self.terms.rate + 2 : self.terms.rate + 2 + self.terms.amplitude]
+
+    @property
+    def offset(self) -> Floats:
+        """Legendre coefficients of C(t), and its step last, if it has one."""
+        return self.parameters[self.terms.rate + 2 + self.terms.amplitude :]
+
+
+def rate_columns(n_samples: int, terms: Terms) -> tuple[Floats, Floats]:
+    """What a(t) is made of: at the samples (terms, N), and its mean between them (terms, N - 1)."""
+    low = polynomials(n_samples)
+    if terms.jump is None:
+        return low.values[: terms.rate], low.means[: terms.rate]
+    smooth, places = terms.rate - 2, np.arange(n_samples)
+    after, during = (places > terms.jump).astype(np.float64), (places == terms.jump).astype(np.float64)
+    at_samples = np.stack([after, np.zeros(n_samples)])
+    between = np.stack([after[:-1], during[:-1]])
+    means = between.mean(axis=1, keepdims=True)
+    return (
+        np.concatenate([low.values[:smooth], at_samples - means]),
+        np.concatenate([low.means[:smooth], between - means]),
+    )
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """A trajectory with what is known of it at the minimum.
+
+    cost : the sum that was minimised, in squared units of the samples
+    degrees : samples less parameters
+    normal : (P, P) normal matrix of the parameters, phases eliminated
+    evidence : -2 log of the restricted likelihood, without a constant, its noise at its best
+    left : (N,) residuals of the samples
+    moved : (N - 1,) rad, residuals of the steps: what moves the phase beside the equation
+    converged : whether the last step gained next to nothing
+    """
+
+    trajectory: Trajectory
+    looseness: float
+    cost: float
+    degrees: float
+    normal: Floats
+    evidence: float
+    left: Floats
+    moved: Floats
+    converged: bool
+
+    @property
+    def variance(self) -> float:
+        """Of the noise of a sample."""
+        return self.cost / self.degrees
+
+    @property
+    def covariance(self) -> Floats:
+        """Of the parameters, (P, P)."""
+        scale = 1 / np.sqrt(np.maximum(np.diagonal(self.normal), 1e-300))
+        scaled = self.normal * scale * scale[:, np.newaxis] + RIDGE * np.eye(scale.size)
+        return np.asarray(np.linalg.inv(scaled) * scale * scale[:, np.newaxis] * self.variance)
+
+
+@dataclass(frozen=True)
+class _Model:
+    """What a trajectory makes of a record: residuals of samples and steps, and their derivatives."""
+
+    left: Floats
+    moved: Floats
+    steps: Steps
+    by_phase: Floats
+    by_sample: Floats
+
+    def cost(self, looseness: float) -> float:
+        return float(self.left @ self.left + self.moved @ self.moved / looseness)
+
+
+class Record:
+    """One record (N,), `mask` 0 where a sample is missing."""
+
+    def __init__(self, values: Floats, mask: Floats) -> None:
+        self.values, self.mask, self.count = values, mask, float(mask.sum())
+
+    def fit(self, start: Trajectory, looseness: float, iterations: int) -> Fitted:
+        """Gauss-Newton from a start; `looseness` is l above, in 1 over squared units of the samples."""
+        now, model = start, self._model(start)
+        cost, converged = model.cost(looseness), False
+        for _ in range(iterations):
+            equations = _Equations.of(self, now, model, looseness)
+            by_phase, by_parameters, gain = equations.solve()
+            share = min(1.0, LARGEST_TURN / max(float(np.abs(by_phase).max()), 1e-300))
+            for _ in range(SHORTENED):
+                trial = replace(
+                    now, phase=now.phase + share * by_phase, parameters=now.parameters + share * by_parameters
+                )
+                trial_model = self._model(trial)
+                trial_cost = trial_model.cost(looseness)
+                if trial_cost <= cost:
+                    break
+                share /= SHORTER
+            enough = ENOUGH * cost / self.count
+            # At the minimum the cost repeats to rounding.
+            converged = share == 1.0 and gain < enough
+            if not trial_cost <= cost:
+                converged = gain < enough
+                break
+            now, model, cost = trial, trial_model, trial_cost
+            if converged:
+                break
+        # one more phase than parameters is free: that of the start
+        degrees = max(self.count - now.terms.count - 1, 1.0)
+        evidence = equations.evidence + degrees * np.log(max(cost, 1e-300))
+        return Fitted(
+            now, looseness, cost, degrees, equations.normal, evidence, model.left, model.moved, converged
+        )
+
+    def drift_of_pull(self, fitted: Fitted) -> tuple[Floats, Floats]:
+        """What s and c would gain from the middle of the record to its end if they drifted evenly.
+
+        One step from the minimum of a fit without such a drift.
+        """
+        at, model = fitted.trajectory, self._model(fitted.trajectory)
+        equations = _Equations.of(self, at, model, fitted.looseness, drifting=True)
+        # the two of the drift last
+        first = at.terms.rate + 2
+        order = np.concatenate([np.delete(np.arange(at.terms.count + 2), [first, first + 1]), [first, first + 1]])
+        normal, gradient = equations.normal[np.ix_(order, order)], equations.gradient[order]
+        scale = 1 / np.sqrt(np.maximum(np.diagonal(normal), 1e-300))
+        scaled = normal * scale * scale[:, np.newaxis]
+        scaled[np.diag_indices_from(scaled)] += RIDGE
+        inverse = (np.linalg.inv(scaled) * scale * scale[:, np.newaxis])[-2:]
+        return inverse @ gradient, inverse[:, -2:] * fitted.variance
+
+    def columns(self, terms: Terms) -> tuple[Floats, Floats]:
+        """What A and C are made of, (terms, N) each."""
+        low = polynomials(self.values.size).values
+        of_offset = low[: terms.offset]
+        if terms.step is not None:
+            behind = (np.arange(self.values.size) >= terms.step).astype(np.float64)
+            of_offset = np.concatenate([of_offset, behind[np.newaxis]])
+        return low[: terms.amplitude], of_offset
+
+    def waveform(self, trajectory: Trajectory) -> Floats:
+        """The samples that a trajectory makes, (N,)."""
+        of_amplitude, of_offset = self.columns(trajectory.terms)
+        amplitude = trajectory.amplitude @ of_amplitude
+        return np.asarray(trajectory.offset @ of_offset + amplitude * np.sin(trajectory.phase))
+
+    def _model(self, trajectory: Trajectory) -> _Model:
+        of_amplitude, of_offset = self.columns(trajectory.terms)
+        amplitude, sine = trajectory.amplitude @ of_amplitude, np.sin(trajectory.phase)
+        left = (self.values - trajectory.offset @ of_offset - amplitude * sine) * self.mask
+        at_samples, between = rate_columns(self.values.size, trajectory.terms)
+        rate = trajectory.rate
+        pull = trajectory.pull
+        if trajectory.terms.stretched:
+            pull = pull[:, np.newaxis] * (rate @ between / rate[0])
+        steps = exact_steps(trajectory.phase, rate @ between, rate @ at_samples, *pull)
+        return _Model(
+            left,
+            np.diff(trajectory.phase) - steps.advance,
+            steps,
+            amplitude * np.cos(trajectory.phase) * self.mask,
+            np.concatenate([of_amplitude * sine, of_offset]) * self.mask,
+        )
+
+
+@dataclass(frozen=True)
+class _Equations:
+    """Normal equations with the phases eliminated: tridiagonal for the phases, dense for the parameters."""
+
+    normal: Floats
+    gradient: Floats
+    sides: Floats
+    phase_gradient: Floats
+    full_gradient: Floats
+    factor: tuple[Floats, Floats]
+    evidence: float
+
+    @staticmethod
+    def of(
+        record: Record, at: Trajectory, model: _Model, looseness: float, *, drifting: bool = False
+    ) -> _Equations:
+        """`drifting`: behind s and c two more parameters, by which they grow from the middle to the end."""
+        steps, tight = model.steps, 1 / looseness
+        diagonal = model.by_phase**2
+        diagonal += RIDGE * np.mean(diagonal)
+        diagonal[1:] += tight
+        diagonal[:-1] += steps.by_phase**2 * tight
+        factor, ratios, failed = lapack.dpttrf(diagonal, -steps.by_phase * tight)
+        if failed:
+            raise np.linalg.LinAlgError("the phases are not determined")
+        basis = rate_columns(record.values.size, at.terms)[1]
+        n_rate, n_more = at.terms.rate, 2 if drifting else 0
+        n_moved, n_all = n_rate + 2 + n_more, at.terms.count + n_more
+        by_step = np.empty((n_moved, record.values.size - 1))
+        np.multiply(basis, steps.by_rate, out=by_step[:n_rate])
+        by_step[n_rate : n_rate + 2] = steps.by_sine, steps.by_cosine
+        if at.terms.stretched:
+            growth = at.rate @ basis / at.rate[0]
+            pulled = (at.pull @ by_step[n_rate : n_rate + 2]) / at.rate[0]
+            by_step[0] += (1 - growth) * pulled
+            by_step[1:n_rate] += basis[1:] * pulled
+            by_step[n_rate : n_rate + 2] *= growth
+        if drifting:
+            by_step[-2:] = by_step[n_rate : n_rate + 2] * polynomials(record.values.size).means[1]
+        sides = np.zeros((n_all, record.values.size))
+        np.multiply(by_step, steps.by_phase * tight, out=sides[:n_moved, :-1])
+        sides[:n_moved, 1:] -= tight * by_step
+        np.multiply(model.by_sample, model.by_phase, out=sides[n_moved:])
+        moved = model.moved * tight
+        phase_gradient = model.by_phase * model.left
+        phase_gradient[1:] -= moved
+        phase_gradient[:-1] += steps.by_phase * moved
+        normal = np.zeros((n_all, n_all))
+        normal[:n_moved, :n_moved] = tight * (by_step @ by_step.T)
+        normal[n_moved:, n_moved:] = model.by_sample @ model.by_sample.T
+        full_gradient = np.concatenate([by_step @ moved, model.by_sample @ model.left])
+        # Half a solution is enough: with L D L' the matrix of the phases and y = L^-1 sides they take y' D^-1 y.
+        band = np.stack([np.ones_like(factor), np.append(ratios, 0.0)])
+        half = lapack.dtbtrs(band, sides.T, uplo="L", diag="U")[0].T
+        half /= np.sqrt(factor)
+        normal -= half @ half.T
+        solved = lapack.dpttrs(factor, ratios, phase_gradient)[0]
+        evidence = float(np.log(factor).sum() + (record.values.size - 1) * np.log(looseness))
+        sign, size = np.linalg.slogdet(normal)
+        return _Equations(
+            normal,
+            full_gradient - sides @ solved,
+            sides,
+            phase_gradient,
+            full_gradient,
+            (factor, ratios),
+            evidence + (float(size) if sign > 0 else 0.0),
+        )
+
+    def solve(self) -> tuple[Floats, Floats, float]:
+        """Change of the phases and of the parameters, and what they gain if all is linear."""
+        scale = 1 / np.sqrt(np.maximum(np.diagonal(self.normal), 1e-300))
+        scaled = self.normal * scale * scale[:, np.newaxis]
+        scaled[np.diag_indices_from(scaled)] += RIDGE
+        by_parameters = scale * np.linalg.solve(scaled, scale * self.gradient)
+        by_phase = lapack.dpttrs(*self.factor, self.phase_gradient - by_parameters @ self.sides)[0]
+        gain = float(self.phase_gradient @ by_phase + self.full_gradient @ by_parameters)
+        return by_phase, by_parameters, gain
+
+
+# --------------------
+# A rate that takes two values, which no low polynomial describes; or a time base that does
+
+
+PLACES = 100
+"""So many places of a step are tried, and all samples beside the best of them."""
+
+END = 0.04
+"""Share of the record at either end in which no step is looked for: what happens there hardly moves the ratio."""
+
+LEFT_BY_STEP = 0.16
+"""Share of the phase's departure from a steady rate that may remain beside a step. Of an even change of the rate,
+the smooth motion which is most like a step, a quarter remains."""
+
+LOOSENESS = (1e-2, 1e-4, 1e-6)
+"""Times the squared amplitude, in turn, before the last one of the caller."""
+
+ITERATIONS, LAST_ITERATIONS = 4, 8
+
+SURE = 15.0
+"""-2 log likelihood by which a step of the time base must be likelier than one of the rate to be called one."""
+
+LARGEST = 50.0
+"""Logarithm at which likelihoods are cut off."""
+
+FARTHEST = 100
+"""Samples by which a step is moved at once."""
+
+
+@dataclass(frozen=True)
+class Stepped:
+    """fitted : with two rates
+    pull_u : rad per sample, what b may be off by because the time base may have stepped
+    stretched : whether it has
+    """
+
+    fitted: Fitted
+    pull_u: float
+    stretched: bool
+
+
+def with_rate_step(record: Record, fitted: Fitted, looseness: float) -> Stepped | None:
+    """The fit with two rates instead, where they explain the record better than `fitted` does with what it has.
+
+    Where a(t) steps, W may have stepped, or the time base. Then b steps too, and the lock-in rate is that of one
+    part or the other, in units of the time base that is stated. Both are tried, and each is as likely as it fits.
+    """
+    found = _found_step(fitted)
+    if found is None:
+        return None
+    old = fitted.trajectory
+    rate = np.array([1.0, found[1], 0.0]) * old.rate[0]
+    terms = replace(old.terms, rate=3, jump=found[0])
+    start = Trajectory(old.phase, np.concatenate([rate, old.parameters[old.terms.rate :]]), terms)
+    try:
+        steady = _fit(record, start, looseness)
+        start = steady.trajectory
+        stretched = _fit(record, replace(start, terms=replace(start.terms, stretched=True)), looseness)
+    except np.linalg.LinAlgError:
+        return None
+    best = min(steady, stretched, key=lambda one: one.cost)
+    better = fitted.evidence - best.evidence
+    if fitted.looseness <= looseness:
+        dropped = old.terms.count - terms.count
+        better = (fitted.cost - best.cost) / fitted.variance + np.log(record.count) * dropped
+    if not better > 0:
+        return None
+    surer = (steady.cost - stretched.cost) / best.variance
+    taken = stretched if surer > SURE else steady
+    at = stretched.trajectory
+    levels = (at.rate @ rate_columns(at.phase.size, at.terms)[1])[[0, -1]] / at.rate[0]
+    away = np.abs(np.hypot(*at.pull) * levels - np.hypot(*taken.trajectory.pull)).max()
+    chance = 1 / (1 + np.exp(-np.clip(surer / 2, -LARGEST, LARGEST)))
+    return Stepped(taken, float(away * np.sqrt(chance)), taken is stretched)
+
+
+def _found_step(fitted: Fitted) -> tuple[int, float] | None:
+    """Place and size, over the mean rate, of the step, if the rate takes two values and does nothing else."""
+    trajectory = fitted.trajectory
+    # what moves the phase beside the equation is motion of the rate too
+    advances = trajectory.rate @ rate_columns(trajectory.phase.size, trajectory.terms)[1] + fitted.moved
+    size = advances.size
+    angle = np.concatenate([[0.0], np.cumsum(advances)])
+    bent = _without_line(angle)
+    places = np.linspace(END * size, (1 - END) * size, PLACES).astype(int)
+    best = _best_place(bent, places)[0]
+    place, jump, left = _best_place(bent, np.arange(best - size // PLACES, best + size // PLACES + 1))
+    if not left <= LEFT_BY_STEP**2 * float(bent @ bent):
+        return None
+    return place, jump / (angle[-1] - angle[0]) * size
+
+
+def _fit(record: Record, start: Trajectory, looseness: float) -> Fitted:
+    """From loose to exact, the step moved to where it belongs in between."""
+    scale = float(start.amplitude[0]) ** 2
+    for looser in LOOSENESS:
+        start = _moved(record.fit(start, looser / scale, ITERATIONS).trajectory)
+    return record.fit(start, looseness, LAST_ITERATIONS)
+
+
+def _moved(trajectory: Trajectory) -> Trajectory:
+    """The jump where it belongs: one that came early has made up for it in the step in which it is said to be."""
+    terms = trajectory.terms
+    jump, made_up = (float(term) for term in trajectory.rate[-2:])
+    early = np.floor(made_up / jump) if jump else 0.0
+    if not 0 < abs(early) < FARTHEST:
+        return trajectory
+    parameters = trajectory.parameters.copy()
+    parameters[terms.rate - 1] -= early * jump
+    return replace(trajectory, parameters=parameters, terms=replace(terms, jump=int((terms.jump or 0) - early)))
+
+
+def _without_line(values: Floats) -> Floats:
+    """(..., N) less their straight lines."""
+    places = np.arange(values.shape[-1]) - (values.shape[-1] - 1) / 2
+    slope = values @ places / (places @ places)
+    return np.asarray(values - values.mean(axis=-1, keepdims=True) - slope[..., np.newaxis] * places)
+
+
+def _best_place(bent: Floats, places: np.ndarray) -> tuple[int, float, float]:
+    """Place at which a kink leaves least of a curve without its line, the kink, and the power that is left."""
+    kinks = _without_line(np.maximum(np.arange(bent.size) - places[:, np.newaxis], 0.0))
+    power, along = np.vecdot(kinks, kinks), kinks @ bent
+    best = int(np.argmax(along**2 / power))
+    return int(places[best]), float(along[best] / power[best]), float(bent @ bent - along[best] ** 2 / power[best])
+
+
+# --------------------
+# Legendre polynomials over a record: slow motions of rate, amplitude and offset are sums of them
+
+
+HIGHEST = 260
+"""Degree: enough for a motion of eighty cycles in the record."""
+
+
+@dataclass(frozen=True)
+class Polynomials:
+    """P_0 .. P_HIGHEST on the samples; time runs from -1 to 1 over the record.
+
+    values, integrals : (HIGHEST + 1, N) P_j, and its integral over the samples
+    means : (HIGHEST + 1, N - 1) mean of P_j between neighbouring samples
+    """
+
+    values: Floats
+    integrals: Floats
+    means: Floats
+
+
+@lru_cache(maxsize=4)
+def polynomials(n_samples: int) -> Polynomials:
+    """All polynomials that are used."""
+    time = (np.arange(n_samples) - (n_samples - 1) / 2) * (2 / n_samples)
+    values = legendre.legvander(time, HIGHEST + 1).T.copy()
+    # (2j + 1) P_j is the derivative of P_(j+1) - P_(j-1)
+    integrals = np.empty((HIGHEST + 1, n_samples))
+    integrals[0] = time
+    integrals[1:] = (values[2:] - values[:-2]) / (2 * np.arange(1, HIGHEST + 1)[:, np.newaxis] + 1)
+    integrals *= n_samples / 2
+    return Polynomials(values[:-1], integrals, np.diff(integrals, axis=1))

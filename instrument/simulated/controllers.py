@@ -1,0 +1,219 @@
+"""Serves a device that answers lines of text on a pseudo-terminal or a TCP port."""
+
+from __future__ import annotations
+
+import math
+import time
+from typing import Protocol
+
+from instrument.simulated.clock import Clock, RealClock
+from instrument.simulated.links.stream_server import LOOK_UP, Port, StreamServer
+from instrument.simulated.rate_table import SimulatedRateTable
+
+_LONGEST = 4096
+
+
+class LineDevice(Protocol):
+    """What answers a line."""
+
+    def answer(self, line: str) -> str | None:
+        """Return the answer to a line, both without their ends; ``None`` where there is none."""
+
+
+class LineServer(StreamServer):
+    """Serves a device until it is closed."""
+
+    def __init__(self, device: LineDevice, *, tcp_port: int | None = None, end: str = "\r\n") -> None:
+        super().__init__()
+        self._device, self._end = device, end
+        self._begun: dict[Port, bytes] = {}
+        if tcp_port is None:
+            self.resource_name = f"ASRL{self._open_terminal()}::INSTR"
+        else:
+            host, port = self._listen("127.0.0.1", tcp_port)
+            self.resource_name = f"TCPIP0::{host}::{port}::SOCKET"
+        self._thread.start()
+
+    def _add(self, port: Port) -> None:
+        self._begun[port] = b""
+        super()._add(port)
+
+    def _drop(self, port: Port) -> None:
+        self._begun.pop(port, None)
+        super()._drop(port)
+
+    def _pause(self) -> float:
+        return LOOK_UP
+
+    def _serve(self, port: Port) -> None:
+        now = time.monotonic()
+        *lines, rest = (self._begun[port] + port.incoming.take(now)).replace(b"\r", b"\n").split(b"\n")
+        self._begun[port] = rest[-_LONGEST:]
+        for line in lines:
+            text = line.decode("ascii", errors="replace").strip()
+            if text and (answer := self._device.answer(text)) is not None:
+                port.outgoing.put((answer + self._end).encode("ascii"), now)
+        self._send(port, now)
+
+
+# --------------------
+# The controller of the simulated rate table: the language of ``config/controllers/rate_table.toml``
+
+
+class RateTableController:
+    """Answers lines: ``RATE 3.5`` sets deg/s, ``RATE?`` and ``POSITION?`` read, ``STOP`` stops.
+
+    An order is answered by OK or by ERR and a reason, which ``ERROR?`` repeats.
+    """
+
+    def __init__(self, table: SimulatedRateTable, name: str = "GYROLOCK RATE TABLE, SIM-1, 1.0") -> None:
+        self._table, self._name = table, name
+        self._enabled = False
+        self._error = ""
+        self.lines: list[str] = []
+        """Orders, in the order in which they came."""
+
+    def answer(self, line: str) -> str | None:
+        """Carry out a line."""
+        word, _, rest = line.upper().partition(" ")
+        if word == "ID?":
+            return self._name
+        if word == "ERROR?":
+            error, self._error = self._error or "0", ""
+            return error
+        if word == "RATE?":
+            return f"RATE {self._table.rate():.6f}"
+        if word == "POSITION?":
+            return f"POSITION {self._table.azimuth() % 360.0:.4f}"
+        self.lines.append(line)
+        self._error = self._carry_out(word, rest)
+        return f"ERR {self._error}" if self._error else "OK"
+
+    def _carry_out(self, word: str, rest: str) -> str:
+        """Carry out an order; why not, or nothing."""
+        if word == "ENABLE":
+            self._enabled = True
+        elif word in ("STOP", "HOME"):
+            self._table.set_rate(0.0)
+        elif word == "RATE":
+            return self._turn(rest)
+        else:
+            return f"no such command {word}"
+        return ""
+
+    def _turn(self, text: str) -> str:
+        try:
+            rate = float(text)
+        except ValueError:
+            rate = math.nan
+        if not math.isfinite(rate):
+            return f"{text} is no rate"
+        if not self._enabled:
+            return "the drive is not enabled"
+        try:
+            self._table.set_rate(rate)
+        except ValueError as error:
+            return str(error)
+        return ""
+
+
+# --------------------
+# A simulated temperature chamber that speaks the commands of ``config/controllers/chamber.toml``
+
+
+class SimulatedChamber:
+    """A chamber whose air comes to the set point at a constant rate."""
+
+    _LOWEST, _HIGHEST = -70.0, 150.0
+
+    def __init__(
+        self, clock: Clock | None = None, *, ambient_degc: float = 23.0, speed_degc_per_s: float = 0.05
+    ) -> None:
+        self._clock: Clock = clock if clock is not None else RealClock()
+        self._from, self._since, self._to = ambient_degc, self._clock.now(), ambient_degc
+        self._speed, self._set, self.on = speed_degc_per_s, ambient_degc, False
+
+    @property
+    def temperature(self) -> float:
+        """Temperature now, deg C."""
+        left = self._to - self._from
+        gone = min(abs(left), self._speed * (self._clock.now() - self._since))
+        return self._from + math.copysign(gone, left)
+
+    def answer(self, line: str) -> str | None:
+        """Carry out a line."""
+        text = line.upper().replace(" ", "")
+        if text == "TYPE?":
+            return "T,T,S2,150.0"
+        if text == "TEMP?":
+            return f"{self.temperature:.1f},{self._set:.1f},{self._HIGHEST:.1f},{self._LOWEST:.1f}"
+        if text.startswith("TEMP,S"):
+            return self._go_to(text.removeprefix("TEMP,S"), line)
+        if text in ("MODE,CONSTANT", "MODE,STANDBY"):
+            self.on = text.endswith("CONSTANT")
+            self._begin(self._set if self.on else self.temperature)
+            return f"OK:{line}"
+        return f"NA:CMDERR:{line}"
+
+    def _go_to(self, text: str, line: str) -> str:
+        try:
+            wanted = float(text)
+        except ValueError:
+            return f"NA:PARAERR:{line}"
+        if not self._LOWEST <= wanted <= self._HIGHEST:
+            return f"NA:DATAOUTOFRANGE:{line}"
+        self._set = wanted
+        if self.on:
+            self._begin(wanted)
+        return f"OK:{line}"
+
+    def _begin(self, wanted: float) -> None:
+        self._from, self._since, self._to = self.temperature, self._clock.now(), wanted
+
+
+# --------------------
+# A simulated power supply that speaks SCPI, as ``config/controllers/power_supply.toml`` asks
+
+
+class SimulatedPowerSupply:
+    """A supply with a resistance as its load."""
+
+    def __init__(self, *, highest_v: float = 36.0, load_ohm: float = 48.0) -> None:
+        self._highest, self._load = highest_v, load_ohm
+        self._errors: list[str] = []
+        self.set_v, self.on = 0.0, False
+
+    @property
+    def voltage(self) -> float:
+        """Voltage at the terminals."""
+        return self.set_v if self.on else 0.0
+
+    def answer(self, line: str) -> str | None:
+        """Carry out a line."""
+        word, _, rest = line.upper().partition(" ")
+        questions = {
+            "*IDN?": "GYROLOCK,SIMULATED SUPPLY,SIM-2,1.0",
+            "MEAS:VOLT?": f"{self.voltage:+.5E}",
+            "MEAS:CURR?": f"{self.voltage / self._load:+.5E}",
+        }
+        if word in questions:
+            return questions[word]
+        if word == "SYST:ERR?":
+            return self._errors.pop(0) if self._errors else '+0,"No error"'
+        if word == "OUTP" and rest in ("ON", "OFF"):
+            self.on = rest == "ON"
+        elif word == "VOLT":
+            self._set(rest)
+        else:
+            self._errors.append('-113,"Undefined header"')
+        return None
+
+    def _set(self, text: str) -> None:
+        try:
+            wanted = float(text)
+        except ValueError:
+            wanted = math.nan
+        if 0 <= wanted <= self._highest:
+            self.set_v = wanted
+        else:
+            self._errors.append('-222,"Data out of range"')

@@ -1,1 +1,0 @@
-"""A fibre gyro on a serial line, simulated."""

@@ -1,1 +1,0 @@
-"""What a program and an instrument said to each other, as readable lines: written down, and served again."""

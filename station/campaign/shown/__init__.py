@@ -1,1 +1,0 @@
-"""A campaign on the terminal and as JSON: what it will do, how it has ended."""

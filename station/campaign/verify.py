@@ -1,0 +1,169 @@
+"""Proving that a record of a test and its raw runs belong together, and that the result follows from them."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from station.campaign.conduct import judged
+from station.campaign.journal import PlannedStep
+from station.campaign.record import (
+    CONTENT,
+    NAME,
+    RECORD_FILE,
+    VERSION,
+    content_sha256,
+    file_sha256,
+    limit_document,
+    records_sha256,
+)
+from station.errors import StationError, UsageError, one_line
+from station.results.verdict import Limit, worst
+from station.runs.store import SavedRun, open_run
+from station.shell.finish import Evaluated, evaluate_run
+
+_SAME = 1e-6  # of a value: what another processor or another NumPy may change; far below any uncertainty
+
+
+@dataclass(frozen=True)
+class Check:
+    """Something that was looked at."""
+
+    about: str  # the record, or the key of a step
+    holds: bool
+    sentence: str
+
+
+def read_record(path: Path) -> tuple[Path, dict[str, Any]]:
+    """Return the file of a record, given by itself or by its folder, and what stands in it."""
+    file = path / RECORD_FILE if path.is_dir() else path
+    try:
+        document = json.loads(file.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise UsageError(f"{one_line(error)}: there is no record of a test") from None
+    except (ValueError, RecursionError):
+        raise UsageError(f"{file}: is no record of a test: it cannot be read as JSON") from None
+    schema = document.get("schema") if isinstance(document, dict) else None
+    if not isinstance(schema, dict) or schema.get("name") != NAME:
+        raise UsageError(f"{file}: is no record of a test")
+    if schema.get("version") != VERSION:
+        raise UsageError(
+            f"{file}: is of version {schema.get('version')}; this gyrolock reads {VERSION}: update it"
+        )
+    return file, document
+
+
+def verify(path: Path) -> list[Check]:
+    """Look at a record and at its runs."""
+    file, record = read_record(path)
+    found = [_content(record)]
+    try:
+        for step in record["steps"]:
+            found += _step(step, file.parent)
+        found.append(_outcome(record))
+    except (KeyError, TypeError, AttributeError, ValueError) as error:
+        found.append(
+            Check("record", False, f"it is not laid out as a record is ({type(error).__name__}: {error})")
+        )
+    return found
+
+
+def _content(record: Mapping[str, Any]) -> Check:
+    try:
+        same = content_sha256(record) == record.get(CONTENT)
+    except ValueError:
+        same = False
+    said = "its content is what was written" if same else "its content was changed after it was written"
+    return Check("record", same, said)
+
+
+def _step(step: Mapping[str, Any], folder: Path) -> Iterator[Check]:
+    key, known = str(step["key"]), step["run"]
+    if known is None:
+        yield Check(key, not step["limits"], "it has no run" if not step["limits"] else "it has limits and no run")
+        return
+    path = folder / known["path"]
+    try:
+        run = open_run(path)
+    except StationError as error:
+        yield Check(key, False, f"its run is not there: {one_line(error)}")
+        return
+    if known["records_sha256"] is None:
+        yield Check(key, False, "the record holds no sum of the raw records")
+    elif records_sha256(run) != known["records_sha256"]:
+        yield Check(key, False, f"the raw records in {known['path']} are others than those of the record")
+    else:
+        whole = known["sha256"] == file_sha256(path)
+        told = "" if whole else "; the file was written to since (a result computed again, or a report)"
+        yield Check(key, True, f"the {len(run.records)} raw records are those of the record{told}")
+    yield from (Check(key, False, sentence) for sentence in run.damaged)
+    if step["limits"] or step["result"]:
+        yield from _recomputed(step, run)
+
+
+def _recomputed(step: Mapping[str, Any], run: SavedRun) -> Iterator[Check]:
+    key = str(step["key"])
+    try:
+        again = evaluate_run(run)
+    except StationError as error:
+        yield Check(key, False, f"the result cannot be computed again: {one_line(error)}")
+        return
+    changed = list(_changed(step["result"] or {}, again))
+    if changed:
+        yield Check(key, False, f"computed again, {'; '.join(changed)}")
+    else:
+        yield Check(key, True, f"computed again, the result is the same: {again.result.name} {again.result.value}")
+    if step["limits"]:
+        yield _judged_again(step, again)
+
+
+def _changed(before: Mapping[str, Any], again: Evaluated) -> Iterator[str]:
+    """Numbers of the result that come out otherwise: those at its top, with those that limits are set on."""
+    now = again.document()
+    for name, old in before.items():
+        new = now.get(name)
+        if isinstance(old, bool) or not isinstance(old, int | float) or name in ("version",):
+            if old is None and isinstance(new, float):
+                yield f"{name} was none and is {new:.9g}"
+            continue
+        if not isinstance(new, int | float) or not _same(float(old), float(new)):
+            yield f"{name} was {old:.9g} and is {new if new is None else f'{new:.9g}'}"
+
+
+def _same(one: float, other: float) -> bool:
+    return math.isclose(one, other, rel_tol=_SAME, abs_tol=1e-12)
+
+
+def _judged_again(step: Mapping[str, Any], again: Evaluated) -> Check:
+    """The limits of the record on what was computed again."""
+    key, limits = str(step["key"]), {}
+    for one in step["limits"]:
+        known = one["number"], one["at_least"], one["at_most"], one["guard_band"]
+        risk = 0.5 if one["highest_risk"] is None else one["highest_risk"]
+        limits[known] = Limit(one["number"], one["at_least"], one["at_most"], one["guard_band"], risk)
+    planned = PlannedStep(
+        key=key, name=step["name"], number=step["number"], measurement=step["measurement"], repeat=step["repeat"],
+        of_repeats=step["of_repeats"], settings={}, conditions={}, warm_up_s=0.0, settle_s=0.0,
+        limits=tuple(limits.values()), doubtful=step["doubtful"],
+    )  # fmt: skip
+    now = [limit_document(one) for one in judged(planned, again.result, again.document())]
+    before = {one["name"]: one["verdict"] for one in step["limits"]}
+    after = {one["name"]: one["verdict"] for one in now}
+    if before != after:
+        names = [name for name in {**before, **after} if before.get(name) != after.get(name)]
+        others = [f"{name} was {before.get(name)} and is {after.get(name)}" for name in names]
+        return Check(key, False, f"judged again, {'; '.join(others)}")
+    return Check(key, True, f"judged again, the verdict is the same: {step['verdict']}")
+
+
+def _outcome(record: Mapping[str, Any]) -> Check:
+    """Whether the verdict of all is that of the steps."""
+    said, verdicts = record["outcome"]["verdict"], [step["verdict"] for step in record["steps"]]
+    of_steps = worst(one for one in verdicts if one is not None)
+    if record["outcome"]["failure"] is not None:
+        return Check("record", said in ("ERROR", "ABORTED"), f"the test did not come to its end: {said}")
+    return Check("record", said == of_steps, f"its verdict is {said}, that of its steps {of_steps}")

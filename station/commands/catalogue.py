@@ -1,0 +1,252 @@
+"""``gyrolock runs``: all runs below a folder, chosen, sorted, drawn over time."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from station.errors import EXIT_FAIL, EXIT_OK, EXIT_OUTPUT, UsageError, one_line
+from station.shell.options import config_option, json_option
+from station.terminal import print_json, remark, say
+
+if TYPE_CHECKING:
+    from station.history import Course, PastTest
+
+_SHOWN = 100  # on a terminal; nobody reads more
+
+
+@click.command("runs")
+@click.argument("directory", default="runs", type=click.Path(path_type=Path), metavar="[DIR]")
+@click.option("--command", metavar="NAME", help="Of this measurement only: measure, deadband, table...")
+@click.option("--unit", metavar="TEXT", help="Of this unit; * and ? stand for other letters.")
+@click.option("--operator", metavar="TEXT", help="By this operator; * and ? stand for other letters.")
+@click.option("--gyro", metavar="TEXT", help="Of this gyro; * and ? stand for other letters.")
+@click.option("--verdict", type=click.Choice(["PASS", "FAIL", "none"]), help="With this verdict.")
+@click.option("--mark", type=click.Choice(["good", "bad", "none"]), help="With this mark.")
+@click.option("--tag", "tags", multiple=True, metavar="TAG", help="With this tag; may be given several times.")
+@click.option("--text", metavar="TEXT", help="With these letters in a note.")
+@click.option(
+    "--since", metavar="DATE", help="From this day on, UTC: 2026, 2026-11, 2026-11-21, 2026-11-21T06:05."
+)
+@click.option("--until", metavar="DATE", help="Up to this day, which counts too.")
+@click.option(
+    "--sort",
+    multiple=True,
+    metavar="KEY",
+    help="when, command, unit, operator, result, records, verdict or mark; -KEY turns it round; may be given "
+    "several times.  [default: when]",
+)
+@click.option(
+    "--limit", type=click.IntRange(min=0), metavar="N", help=f"The last N only; 0: all.  [{_SHOWN}, in words]"
+)
+@click.option(
+    "--plot", type=click.Path(path_type=Path), metavar="FILE", help="Draw the results over time: .svg .png .pdf."
+)
+@click.option("--csv", "as_csv", is_flag=True, help="CSV on stdout: one line for each value of a result.")
+@config_option
+@json_option
+def runs_command(
+    directory: Path,
+    sort: tuple[str, ...],
+    limit: int | None,
+    plot: Path | None,
+    config: Path | None,
+    as_csv: bool,
+    as_json: bool,
+    **wanted: Any,
+) -> int:
+    """List all runs below a folder: when, what, unit, operator, result, verdict, mark, note.
+
+    DIR is a folder of runs [./runs]. No record is opened, and a run that is written at this moment is not
+    disturbed. An index in the folder (.gyrolock-index.sqlite) makes the next list fast; it may be deleted at any
+    time. `gyrolock annotate` adds notes, tags and marks. A settings file changes nothing here but the folder.
+    """
+    from station.catalogue import SCHEMA, Wanted, chosen, list_runs, runs_csv, runs_table
+    from station.shell.options import shown as displayed
+
+    if as_json and as_csv:
+        raise click.UsageError("--json and --csv exclude each other")
+    if plot is not None:
+        from station.report.figure import check_picture_name
+
+        check_picture_name(plot)
+    if config is not None:
+        from station.settings import read_toml
+
+        read_toml(config)  # a file with a mistake is one here too
+    with displayed({"plain": True}, "runs") as progress:
+        entries = list_runs(directory, progress=progress)
+    asked = Wanted(**{name: value for name, value in wanted.items() if value})
+    found = chosen(entries, asked, sort)
+    shown = found[-(_SHOWN if limit is None and not (as_json or as_csv) else limit or len(found)) :]
+    if plot is not None:
+        from station.catalogue import write_trend
+
+        drawn = write_trend(plot, shown)
+        remark(f"{drawn} results are drawn in {plot}")
+    if as_json:
+        print_json({"schema": SCHEMA, "directory": str(directory), "runs": [entry.as_json() for entry in shown]})
+    elif as_csv:
+        say(runs_csv(shown).rstrip("\n"))
+    else:
+        _print(runs_table(shown, directory), len(shown), len(found), len(entries), directory)
+    return 0
+
+
+def _print(table: Any, shown: int, found: int, there: int, directory: Path) -> None:
+    import shutil
+    import sys
+
+    from station.live.console import PlainConsole
+    from station.report.show import text_table
+
+    if shown:
+        # a pipe has no width: nothing is cut off there
+        width = None if sys.stdout.isatty() else max(200, shutil.get_terminal_size().columns)
+        PlainConsole(width=width).print(text_table(table, left=len(table.header)))
+    if not there:
+        say(f"{directory}: holds no runs")
+    elif not found:
+        say(f"none of {there} runs is as asked for")
+    elif shown < found:
+        say(f"the last {shown} of {found} runs; --limit 0 shows all")
+
+
+# --------------------
+# ``gyrolock history``: tested units, and control charts of what was found
+
+
+_SCHEMA = {"name": "gyrolock history", "version": 1}
+
+
+@click.command("history")
+@click.argument("directory", default="tests", type=click.Path(path_type=Path), metavar="[DIR]")
+@click.option("--unit", metavar="TEXT", help="Tests of this unit only.")
+@click.option("--type", "unit_type", metavar="TEXT", help="Units of this type only.")
+@click.option(
+    "--number", metavar="TEXT", help="Charts of numbers with this in their name: lock_in_rate, scale_factor."
+)
+@click.option(
+    "--baseline",
+    type=click.IntRange(min=8),
+    default=25,
+    metavar="N",
+    help="The first N values give the limits of a chart [25].",
+)
+@click.option(
+    "--out", type=click.Path(path_type=Path), metavar="FILE", help="Where the page goes [DIR/index.html]."
+)
+@click.option("--page/--no-page", default=True, help="Write the page with the charts [yes].")
+@config_option
+@json_option
+def history_command(
+    directory: Path,
+    unit: str | None,
+    unit_type: str | None,
+    number: str | None,
+    baseline: int,
+    out: Path | None,
+    page: bool,
+    config: Path | None,
+    as_json: bool,
+) -> int:
+    """Show tested units and control charts: of a type of unit, and of the bench by its reference unit.
+
+    DIR is the folder in which `gyrolock station` keeps its tests [./tests]. Charts are of single values and of
+    their moving range, with the rules of Western Electric: lock-in rate, scale factor, and what limits are set
+    on.
+    Exit codes: 0 everything is in control, 1 the last value of a chart is not, 2 there is no test.
+    """
+    from station.history import courses, read_tests, write_index
+    from station.settings import read_toml
+
+    if config is not None:
+        read_toml(config)  # a file with a mistake is one here too
+    if not directory.is_dir():
+        raise UsageError(f"{directory}: there is no such folder of tests")
+    tests, unreadable = read_tests(directory)
+    tests = [one for one in tests if unit in (None, one.unit) and unit_type in (None, one.unit_type)]
+    if not tests and not unreadable:
+        raise UsageError(
+            f"{directory}: holds no record of a test" + (" of these units" if unit or unit_type else "")
+        )
+    charts = [one for one in courses(tests, baseline=baseline) if number is None or number in one.name]
+    for path in unreadable:
+        remark(f"{path}: cannot be read and is left out")
+    written, lost = None, ""
+    if page:
+        try:
+            written = write_index(directory, tests, charts, out)
+        except OSError as error:
+            lost = one_line(error)
+    if as_json:
+        print_json(_document(directory, tests, charts, unreadable, written))
+    else:
+        _print_history(tests, charts, written)
+    if lost:
+        remark(f"the page cannot be written ({lost})")
+        return EXIT_OUTPUT
+    return EXIT_OK if all(one.chart.last_is_in_control for one in charts) else EXIT_FAIL
+
+
+def _print_history(tests: list[PastTest], charts: list[Course], written: Path | None) -> None:
+    from station.live.console import stdout_console
+    from station.report.show import text_table
+    from station.results.result import TextTable
+
+    console = stdout_console()
+    rows = [
+        (one.unit, one.unit_type, one.at[:16].replace("T", " "), one.verdict or "measured", one.message)
+        for one in tests
+    ]
+    console.print(text_table(TextTable(("unit", "type", "begun, UTC", "verdict", "why"), tuple(rows)), left=5))
+    for one in charts:
+        console.print(f"\n{one.of}: {one.name}", style="bold")
+        for sentence in one.sentences:
+            console.print(f"• {sentence}")
+    if written is not None:
+        say(f"\npage    {written}")
+
+
+def _document(
+    directory: Path, tests: list[PastTest], charts: list[Course], unreadable: list[Path], written: Path | None
+) -> dict[str, Any]:
+    return {
+        "schema": _SCHEMA,
+        "directory": str(directory),
+        "tests": [
+            {
+                "unit": one.unit,
+                "unit_type": one.unit_type,
+                "is_reference": one.is_reference,
+                "started_at": one.at,
+                "verdict": one.verdict,
+                "message": one.message or None,
+                "simulated": one.simulated,
+                "record": str(one.path),
+            }
+            for one in tests
+        ],
+        "charts": [
+            {
+                "of": one.of,
+                "number": one.name,
+                "values": one.chart.values,
+                "u": list(one.us),
+                "units": [test.unit for test in one.tests],
+                "started_at": [test.at for test in one.tests],
+                "centre": one.chart.centre,
+                "sigma": one.chart.sigma,
+                "moving_range": one.chart.moving_range,
+                "moving_range_limit": one.chart.range_limit,
+                "baseline": one.chart.baseline,
+                "signals": [{"place": signal.place, "rule": signal.rule} for signal in one.chart.signals],
+                "in_control": one.chart.last_is_in_control,
+            }
+            for one in charts
+        ],
+        "unreadable": [str(path) for path in unreadable],
+        "page": None if written is None else str(written),
+    }

@@ -1,0 +1,230 @@
+"""``gyrolock doctor``: checks of an installation; each says what was found, and what to do about it."""
+
+from __future__ import annotations
+
+import json
+import os
+import platform
+import shutil
+import sqlite3
+import sys
+import tempfile
+import zipfile
+from contextlib import ExitStack, nullcontext
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from instrument.text_files import recorded
+from station.errors import EXIT_INSTRUMENT, EXIT_OK, CannotWrite, SettingsError, one_line
+from station.files import version
+from station.lock_in.settings import Settings, default_settings, load_settings
+from station.results.result import Check, guarded
+from station.settings import shipped_settings
+from station.shell.options import config_option, json_option, transcript_option
+from station.terminal import print_json, say
+
+if TYPE_CHECKING:
+    pass
+
+
+_PACKAGES = (
+    "numpy",
+    "scipy",
+    "pyvisa",
+    "pyvisa-py",
+    "pyserial",
+    "matplotlib",
+    "jinja2",
+    "pydantic",
+    "click",
+    "rich",
+)
+_DISK_LOW = 200 * 2**20
+_ANY_UNIT = "any unit"
+_TRANSCRIPT = "transcript.jsonl"
+
+
+@click.command("doctor")
+@click.option("--resource", metavar="NAME", help="Look at this instrument too.")
+@click.option(
+    "--station",
+    type=click.Path(path_type=Path),
+    metavar="FILE",
+    help="Look at everything that this campaign will need: the table moves.",
+)
+@click.option(
+    "--bundle",
+    type=click.Path(path_type=Path, dir_okay=False),
+    metavar="FILE.zip",
+    help="Pack versions, settings, findings and what was said to the instrument, for a bug report.",
+)
+@transcript_option
+@config_option
+@json_option
+def doctor_command(
+    resource: str | None, station: Path | None, bundle: Path | None, config: Path | None, as_json: bool
+) -> int:
+    """Check this installation, and say what to do about what is missing.
+
+    With --station the bench of a campaign is opened and looked at too: instruments and their calibration dates,
+    disk, clock, rate table, level, trigger and noise. Exit code 3 if something must be mended.
+    """
+    settings = load_settings(config, resource=resource)
+    with ExitStack() as stack:
+        said = Path(stack.enter_context(tempfile.TemporaryDirectory())) / _TRANSCRIPT
+        with recorded(said) if bundle is not None else nullcontext():
+            checks = examine(settings, resource or settings.scope.resource or None)
+            if station is not None:
+                from station.campaign.bench import examine_campaign
+                from station.campaign.file import read_campaign
+
+                checks += examine_campaign(read_campaign(station, _ANY_UNIT))
+        if bundle is not None:
+            _pack(bundle, settings, checks, said)
+    bad = [check for check in checks if check.state == "bad"]
+    if as_json:
+        print_json({"ok": not bad, "checks": [asdict(check) for check in checks]})
+    else:
+        for check in checks:
+            say(f"{check.state:<5}{check.name:<14}{check.text}")
+    return EXIT_INSTRUMENT if bad else EXIT_OK
+
+
+def _pack(bundle: Path, settings: Settings, checks: list[Check], said: Path) -> None:
+    """Write the ZIP file of a bug report: nothing is in it that these four files do not show."""
+    versions = {"gyrolock": version("gyrolock"), "python": sys.version, "system": platform.platform()}
+    contents = {
+        "versions.json": json.dumps(versions | {name: version(name) for name in _PACKAGES}, indent=2),
+        "settings.json": settings.model_dump_json(indent=2),
+        "findings.json": json.dumps([asdict(check) for check in checks], indent=2),
+        _TRANSCRIPT: said.read_text(encoding="ascii"),
+    }
+    try:
+        with zipfile.ZipFile(bundle, "w", zipfile.ZIP_DEFLATED) as file:
+            for name, text in contents.items():
+                file.writestr(name, text)
+    except OSError as error:
+        raise CannotWrite(f"{bundle} cannot be written: {error.strerror or error}") from None
+
+
+def examine(settings: Settings, resource: str | None = None) -> list[Check]:
+    """Examine this installation, and one instrument if it is named."""
+    checks = [
+        _python(),
+        _packages(),
+        _settings_files(),
+        _visa(),
+        _links(),
+        _serial_ports(),
+        _disk(settings),
+        _sqlite(),
+    ]
+    checks.append(guarded("test record", _test_record))
+    if resource:
+        checks.append(guarded("resource", lambda: _resource(resource, settings)))
+    return checks
+
+
+def _python() -> Check:
+    good = sys.version_info >= (3, 11)
+    text = f"{platform.python_version()} on {platform.platform(terse=True)}"
+    return Check("Python", "ok" if good else "bad", text if good else f"{text}: 3.11 or newer is needed")
+
+
+def _packages() -> Check:
+    versions = {name: version(name) for name in _PACKAGES}
+    missing = [name for name, found in versions.items() if found == "not installed"]
+    if missing:
+        return Check("packages", "bad", f"missing: {', '.join(missing)}; install gyrolock again")
+    return Check("packages", "ok", ", ".join(f"{name} {found}" for name, found in versions.items()))
+
+
+def _settings_files() -> Check:
+    try:
+        default_settings("simulated")
+        default_settings("bench")
+        return Check("settings", "ok", f"defaults in {shipped_settings('simulated').parent}")
+    except (SettingsError, ValueError) as error:
+        return Check("settings", "bad", f"{one_line(error)}; install gyrolock again")
+
+
+def _visa() -> Check:
+    import pyvisa
+
+    try:
+        manager = pyvisa.ResourceManager()
+    except (OSError, ValueError, pyvisa.Error) as error:
+        return Check("VISA", "bad", f"{one_line(error)}; install pyvisa-py or a vendor's VISA")
+    backend = str(manager.visalib)
+    manager.close()
+    return Check("VISA", "ok", backend)
+
+
+def _links() -> Check:
+    from instrument.discovery import missing_transports
+
+    missing = missing_transports()
+    if not missing:
+        return Check("links", "ok", "GPIB, USB, RS-232 and TCP can be used")
+    return Check("links", "note", "; ".join(f"no {kind}: {advice}" for kind, advice in missing.items()))
+
+
+def _serial_ports() -> Check:
+    from serial.tools.list_ports import comports
+
+    ports = [port.device for port in comports()]
+    if not ports:
+        return Check("serial ports", "ok", "none")
+    closed = [port for port in ports if os.path.exists(port) and not os.access(port, os.R_OK | os.W_OK)]
+    if closed:
+        advice = "your user may not open them; on Linux join the group that owns them (often dialout)"
+        return Check("serial ports", "bad", f"{', '.join(closed)}: {advice}")
+    return Check("serial ports", "ok", ", ".join(ports))
+
+
+def _disk(settings: Settings) -> Check:
+    directory = Path(settings.output.directory).absolute()
+    existing = next(folder for folder in (directory, *directory.parents) if folder.exists())
+    if not os.access(existing, os.W_OK):
+        return Check("disk", "bad", f"{directory} cannot be written: choose another with --out DIR")
+    free = shutil.disk_usage(existing).free
+    text = f"{free / 2**30:.1f} GiB free for {directory}"
+    return Check("disk", "ok", text) if free > _DISK_LOW else Check("disk", "bad", f"{text}: make room")
+
+
+def _sqlite() -> Check:
+    return Check("SQLite", "ok", sqlite3.sqlite_version)
+
+
+def _test_record() -> Check:
+    """Send one record of the simulated scope through a real link, the store and the analysis."""
+    from station.lock_in.evaluate import evaluate_run
+    from station.lock_in.served import at_slow_rate
+    from station.ring_laser.bench import open_bench
+    from station.ring_laser.records import acquisition_records, take_record
+    from station.runs.store import RunWriter, open_run
+
+    settings = at_slow_rate(default_settings("simulated"))
+    with tempfile.TemporaryDirectory() as folder, open_bench(settings) as bench:
+        with RunWriter.create(Path(folder), {"simulated": True}) as writer:
+            bench.scope.set_channel(1, scale=0.1)
+            bench.scope.set_timebase(0.025)
+            waveforms, conditions = take_record(bench, ("CH1",))
+            writer.save_records(acquisition_records("measure", "1", waveforms, ("CH1",), conditions))
+        evaluation = evaluate_run(open_run(writer.path), settings)
+        name = bench.scope.resource_name
+    if not evaluation.usable:
+        return Check("test record", "bad", f"the simulated scope at {name} gave no lock-in rate")
+    return Check("test record", "ok", f"{waveforms[0].codes.size} points from the simulated scope at {name}")
+
+
+def _resource(name: str, settings: Settings) -> Check:
+    from instrument.discovery import check_resource
+
+    found = check_resource(name, baud_rate=settings.scope.baud_rate or None)
+    if found.identity is None:
+        return Check("resource", "bad", f"{name}: {found.problem}")
+    return Check("resource", "ok", f"{name}: {found.identity.text}")

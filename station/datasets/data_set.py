@@ -1,0 +1,386 @@
+"""A data set as the sources that it was exported from."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Protocol
+
+from instrument import InstrumentError
+from station.datasets.backends import (
+    CsvTable,
+    CsvWriter,
+    Hdf5Table,
+    Hdf5Writer,
+    NumpyTable,
+    NumpyWriter,
+    ParquetTable,
+    ParquetWriter,
+    is_url,
+    opened_bytes,
+)
+from station.datasets.rows import AT_ONCE, Rows, described, joined_rows, package, record_of, rows_of
+from station.errors import CannotWrite, RunError, StationError, UsageError, one_line
+from station.runs.database import RunFacts, checked_fact
+from station.runs.store import SavedRecord, SavedRun, damage_of, damaged_facts, missing_records
+from station.sources.batches import LeftOut, Source
+
+PARTS = "part-*.parquet"
+_ENDINGS: dict[str, Callable[[str], Table]] = {
+    ".parquet": ParquetTable,
+    ".h5": Hdf5Table,
+    ".hdf5": Hdf5Table,
+    ".npz": NumpyTable,
+    ".csv": CsvTable,
+}
+
+
+class Table(Protocol):
+    """A file of a data set."""
+
+    place: str
+
+    def heads(self) -> Iterator[tuple[str, int]]:
+        """Yield what is known of the source of each row, equal ones as one object, and its number there."""
+
+    def rows(self, first: int, last: int, numbers: range | None = None) -> Iterator[tuple[dict[str, Any], bytes]]:
+        """Yield rows: what stands in the columns, and the bytes that were sent."""
+
+
+@dataclass
+class _Stretch:
+    """Rows of one source, one behind the other."""
+
+    table: Table
+    first: int
+    last: int
+
+
+class DatasetSource(Source):
+    """A source as it was when it was exported."""
+
+    kind = "data set"
+
+    def __init__(self, place: str, about: dict[str, Any]) -> None:
+        self.path, self.name, self.origin = Path(place), str(about["name"]), str(about["kind"])
+        self.facts = RunFacts({name: checked_fact(name, value) for name, value in about["facts"].items()})
+        self.unusable, self.protected = dict(about["unusable"]), bool(about["protected"])
+        self._sha256, self._is_run, self._records = (
+            str(about["sha256"]),
+            bool(about["is_run"]),
+            int(about["records"]),
+        )
+        self._stretches: list[_Stretch] = []
+        self._least, self._most = math.inf, -math.inf
+
+    def add(self, table: Table, row: int, number: int) -> None:
+        """Take a row to those that are its own."""
+        self._least, self._most = min(self._least, number), max(self._most, number)
+        stretch = self._stretches[-1] if self._stretches else None
+        if stretch is None or stretch.table is not table or stretch.last != row:
+            self._stretches.append(_Stretch(table, row, row + 1))
+        else:
+            stretch.last += 1
+
+    @property
+    def span(self) -> tuple[int, int]:
+        """Least and largest number of the records; see `Source`."""
+        far = self._most - self._least >= 2 * len(self) + AT_ONCE  # a damaged run may hold any number
+        return (1, 1) if far else (int(self._least), int(self._most))
+
+    def complete(self) -> None:
+        """Say what is missing or damaged, when all rows are there."""
+        whole = (self._least, self._most) == (1, len(self))
+        numbers = () if whole else sorted({record.number for record in self._records_there() if record.number > 0})
+        self.damaged = (*missing_records(numbers), *damaged_facts(self.unusable))
+
+    def __len__(self) -> int:
+        return sum(one.last - one.first for one in self._stretches)
+
+    def records(self, numbers: range | None = None) -> Iterator[SavedRecord]:
+        """Read the records one at a time; see `Source`."""
+        if len(self) < self._records:
+            raise RunError(
+                f"{self.path}: holds {len(self)} of {self._records} records of {self.name}: a part is missing"
+            )
+        yield from self._records_there(numbers)
+
+    def _records_there(self, numbers: range | None = None) -> Iterator[SavedRecord]:
+        for one in self._stretches:
+            for row, payload in one.table.rows(one.first, one.last, numbers):
+                if numbers is None or int(row["number"]) in numbers:
+                    yield record_of(row, payload)
+
+    @property
+    def sha256(self) -> str:
+        """That of the source that it was exported from; see `Source`."""
+        return self._sha256
+
+    @property
+    def is_run(self) -> bool:
+        """Whether it was taken by a measurement of ours."""
+        return self._is_run
+
+
+def is_dataset(place: str | Path) -> bool:
+    """Tell whether something that can be read is a data set: by its name, a CSV by its first line."""
+    text = str(place)
+    path = Path(text)
+    if is_url(text):
+        return True
+    if path.is_dir():
+        return any(path.glob(PARTS))
+    ending = path.suffix.lower()
+    if ending == ".csv":
+        if not path.is_file():  # a pipe would wait for its writer
+            return False
+        with path.open("rb") as file:
+            return file.read(64).removeprefix(b"\xef\xbb\xbf").startswith(b"schema,source,number,")
+    return ending in _ENDINGS
+
+
+def tables_of(place: str | Path) -> list[Table]:
+    """Return the files of a data set: one, or the parts in a folder or below a URL that ends with ``/``."""
+    return [_table(one) for one in parts_of(place)]
+
+
+def parts_of(place: str | Path) -> list[str]:
+    """Return path or URL of each file of a data set."""
+    text = str(place)
+    if is_url(text):
+        if not text.endswith("/"):
+            return [text]
+        fsspec = package("fsspec", "cluster")
+        system, folder = fsspec.core.url_to_fs(text)
+        found = sorted(system.glob(f"{folder.rstrip('/')}/{PARTS}"))
+        if not found:
+            raise RunError(f"{text}: holds no part of a data set ({PARTS})")
+        return [system.unstrip_protocol(one) for one in found]
+    if Path(text).is_dir():
+        return [str(one) for one in sorted(Path(text).glob(PARTS))]
+    return [text]
+
+
+def sources_of(place: str | Path) -> list[DatasetSource]:
+    """Return the sources that a data set was exported from, in their order."""
+    found: dict[str, DatasetSource] = {}
+    seen: dict[int, DatasetSource] = {}  # by the text as one object: it is not taken apart for each row
+    for table in tables_of(place):
+        texts: list[str] = []
+        for row, (about, number) in enumerate(table.heads()):
+            source = seen.get(id(about))
+            if source is None:
+                source = found.get(about)
+                if source is None:
+                    source = found[about] = DatasetSource(str(place), _taken_apart(about, table.place))
+                texts.append(about)  # held, so that no other object gets its id
+                seen[id(about)] = source
+            source.add(table, row, number)
+        seen.clear()
+    for source in found.values():
+        source.complete()
+    return list(found.values())
+
+
+def run_of(source: Source) -> SavedRun:
+    """Return a source as the run that it was: everything that evaluates a run takes it."""
+    records = tuple(source.records())
+    damaged = tuple(damage_of(records, source.unusable))
+    return SavedRun(source.path, source.facts, records, None, dict(source.unusable), source.protected, damaged)
+
+
+def names_of(sources: Sequence[Source]) -> str:
+    """Return names of sources for a message, the first few."""
+    names = [source.name for source in sources]
+    return ", ".join(names[:5]) + (f" and {len(names) - 5} more" if len(names) > 5 else "")
+
+
+def _table(place: str) -> Table:
+    kind = _ENDINGS.get(Path(place).suffix.lower())
+    if kind is None:
+        raise RunError(f"{place}: is no data set by its name: they end with {', '.join(_ENDINGS)}")
+    return kind(place)
+
+
+def _taken_apart(about: str, place: str) -> dict[str, Any]:
+    try:
+        known = json.loads(about)
+        wanted = {"name": str, "kind": str, "is_run": bool, "sha256": str, "records": int, "facts": dict}
+        wanted |= {"unusable": dict, "protected": bool}
+        if not all(isinstance(known[name], kind) for name, kind in wanted.items()):
+            raise ValueError("holds something that it never does")
+    except (ValueError, KeyError, TypeError, RecursionError) as error:
+        raise RunError(f"{place}: what it knows of a source is damaged ({error}): export it again") from None
+    return dict(known)
+
+
+# --------------------
+# Export: records of many sources into one file, or into parts of about 100 MB
+
+
+_WRITTEN_ENDINGS = {
+    ".parquet": ParquetWriter,
+    ".h5": Hdf5Writer,
+    ".hdf5": Hdf5Writer,
+    ".npz": NumpyWriter,
+    ".csv": CsvWriter,
+}
+ENDINGS = tuple(_WRITTEN_ENDINGS)
+RECORDS_OF_PART = 40_000
+"""100 MB of codes: what a worker of a cluster takes at once."""
+_USUAL_WIDTH = 2500
+
+
+class Writer(Protocol):
+    """Writes one file of a data set."""
+
+    def write(self, rows: Rows) -> None:
+        """Add rows."""
+
+    def close(self) -> None:
+        """Write the end."""
+
+
+@dataclass
+class Exported:
+    """What was written."""
+
+    files: list[str] = field(default_factory=list)
+    records: int = 0
+    sources: int = 0
+    left_out: list[LeftOut] = field(default_factory=list)  # what could not be read, or holds no record
+
+
+def check_target(place: str, *, replace: bool) -> None:
+    """See that something can be written to a place, before anything is read."""
+    path = Path(place)
+    if place.endswith("/"):
+        there = not is_url(place) and path.is_dir() and any(path.glob("part-*"))
+        if there and not replace:
+            raise UsageError(f"{place}: holds parts of a data set already: name another folder, or add --replace")
+        return
+    if path.suffix.lower() not in _WRITTEN_ENDINGS:
+        raise UsageError(f"{place}: a data set's name ends with {', '.join(ENDINGS)}, a folder of parts with /")
+    if is_url(place) and path.suffix.lower() != ".parquet":
+        raise UsageError(f"{place}: to an object store Parquet is written: a name that ends with .parquet or /")
+    if not is_url(place) and path.exists() and not replace:
+        raise UsageError(f"{place}: is there already: name another file, or add --replace")
+
+
+def export(
+    sources: Iterable[Source],
+    place: str,
+    *,
+    records_of_part: int = RECORDS_OF_PART,
+    left_out: list[LeftOut] | None = None,
+    told: Callable[[int], None] = lambda records: None,
+) -> Exported:
+    """Write all records of sources to a data set."""
+    done = Exported(left_out=[] if left_out is None else left_out)
+    rows = joined_rows(_all_rows(sources, done))
+    first = next(rows, None)
+    if first is None:
+        why = f" ({done.left_out[0]})" if done.left_out else ""
+        raise UsageError(f"there is no record to export{why}")
+    width = _width(first)
+    waiting: Rows | None = first
+    with _kept_whole(place) as draft:
+        while waiting is not None:
+            name, written = draft(len(done.files)), 0
+            with _writing(name, place, width) as writer:
+                while waiting is not None and (written < records_of_part or not place.endswith("/")):
+                    writer.write(waiting)
+                    written += len(waiting)
+                    done.records += len(waiting)
+                    told(done.records)
+                    waiting = next(rows, None)
+            done.files.append(name)
+    done.files = [_final(name) for name in done.files]
+    return done
+
+
+def _all_rows(sources: Iterable[Source], done: Exported) -> Iterator[Rows]:
+    names: set[str] = set()
+    for source in sources:
+        if source.name in names:
+            done.left_out.append(LeftOut(source.name, None, "was named twice"))
+            continue
+        names.add(source.name)
+        try:
+            records = len(source)
+            if not records:
+                done.left_out.append(LeftOut(source.name, None, "holds no record"))
+                continue
+            yield from rows_of(source, described(source, records), source.records())
+            done.sources += 1
+        except (StationError, InstrumentError, OSError) as error:
+            done.left_out.append(LeftOut(source.name, None, str(error).removeprefix(f"{source.name}: ")))
+
+
+def _width(rows: Rows) -> int:
+    """Bytes of the codes that most of the first records have."""
+    sizes = [len(payload) for payload, coded in zip(rows.payloads, rows.coded, strict=True) if coded]
+    return max(set(sizes), key=sizes.count) if sizes else _USUAL_WIDTH
+
+
+@contextmanager
+def _kept_whole(place: str) -> Iterator[Callable[[int], str]]:
+    """Give names to write to; they become the real ones when everything is there, or nothing is left."""
+    drafts: list[Path] = []
+    folder = place.endswith("/")
+
+    def draft(number: int) -> str:
+        if is_url(place):
+            return f"{place}part-{number:05d}.parquet" if folder else place
+        path = Path(place) / f"part-{number:05d}.parquet" if folder else Path(place)
+        drafts.append(path.with_name(f"{path.name}{_PARTIAL}"))
+        return str(drafts[-1])
+
+    try:
+        if folder and not is_url(place):
+            Path(place).mkdir(parents=True, exist_ok=True)
+        yield draft
+        if folder and not is_url(place):
+            for old in Path(place).glob("part-*.parquet"):
+                old.unlink()
+        for path in drafts:
+            os.replace(path, _final(str(path)))
+    except StationError:
+        raise
+    except OSError as error:
+        raise CannotWrite(f"{place}: the data set cannot be written ({error.strerror or error})") from None
+    except Exception as error:
+        if not is_url(place):
+            raise
+        # each store has errors of its own: no rights, no credentials, no network
+        raise CannotWrite(f"{place}: the store does not take it ({one_line(error)})") from None
+    finally:
+        for path in drafts:
+            with suppress(OSError):
+                path.unlink(missing_ok=True)
+
+
+_PARTIAL = ".partial"
+
+
+def _final(name: str) -> str:
+    return name.removesuffix(_PARTIAL)
+
+
+@contextmanager
+def _writing(name: str, place: str, width: int) -> Iterator[Writer]:
+    kind: Any = ParquetWriter if place.endswith("/") else _WRITTEN_ENDINGS[Path(place).suffix.lower()]
+    with opened_bytes(name, "w+b" if kind is Hdf5Writer else "wb") as file:
+        writer: Writer = kind(file, width)
+        try:
+            yield writer
+        except BaseException:
+            with suppress(Exception):  # what went wrong first is told
+                writer.close()
+            raise
+        writer.close()

@@ -1,1 +1,0 @@
-"""What happens, as events: every display, file and other program only reads them."""

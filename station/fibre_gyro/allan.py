@@ -1,0 +1,370 @@
+"""The noise at rest: what is taken, and how it goes on from there."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.fibre_gyro import AllanCurve, NoiseFit, allan_curve, allan_variance, fit_noise, window_covariance
+from instrument.text_files import read_small_file
+from station.errors import NoUsableSignal, UsageError
+from station.fibre_gyro.common import COLOURS, COUNTS_PER_DPS, reasons_of
+from station.fibre_gyro.logs import LogRow, NamedSegment, gyro_measurement, listed_logs, planned_segments
+from station.fibre_gyro.segments import PlannedSegment, Segment, checked, segments_of, words_of
+from station.fibre_gyro.settings import FogSettings
+from station.report.figure import INK, SOFT, WIDE, legend_above, svg_element
+from station.results.result import LeftOut, Measured, PlacedFigure, Result, Section, TextTable, with_uncertainty
+from station.runs.database import is_database
+from station.runs.store import SavedRun, open_run
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+# --------------------
+# What the output at rest says: the noise model, and the Allan deviation beside it
+
+
+PURPOSE = "allan"
+
+
+@dataclass(frozen=True)
+class NoiseOf:
+    """Noise of one record at rest; `curve` in deg/s, of the words with the missing ones put in."""
+
+    key: str
+    duration_s: float
+    fit: NoiseFit
+    curve: AllanCurve
+    by_design: bool  # whether the output came in counts, which only the scale factor by design turns into deg/s
+
+
+@dataclass(frozen=True)
+class AllanFound:
+    """Noise of each record that could be used."""
+
+    records: tuple[NoiseOf, ...]
+    left_out: tuple[LeftOut, ...]
+
+
+def evaluate(run: SavedRun, settings: FogSettings, choices: Mapping[str, Any]) -> AllanFound:
+    """Fit the noise model to each record."""
+    found, left_out = [], []
+    for segment in segments_of(run, PURPOSE):
+        try:
+            found.append(_noise_of(segment, settings))
+        except ValueError as error:
+            left_out.append(LeftOut(segment.key, str(error)))
+    if not found:
+        raise NoUsableSignal(f"there is no output at rest to make a noise model of{reasons_of(left_out)}")
+    return AllanFound(tuple(found), tuple(left_out))
+
+
+def _noise_of(segment: Segment, settings: FogSettings) -> NoiseOf:
+    recording = checked(segment)
+    words = words_of(recording) / settings.nominal_scale_factor
+    temperature = None
+    if settings.allan.temperature:
+        if recording.temperature is None or not np.ptp(recording.temperature) > 0:
+            raise ValueError("its temperature is not there or does not change: take allan.temperature away")
+        temperature = np.interp(
+            np.arange(words.size) * recording.interval_s,
+            recording.times - recording.times[0],
+            recording.temperature,
+        )
+    fit = fit_noise(words, recording.interval_s, temperature=temperature)
+    shown = words if temperature is None else words - fit.temperature_slope * (temperature - temperature.mean())
+    curve = allan_curve(shown, recording.interval_s, fit.coefficients)
+    by_design = segment.conditions.get("output_unit", "counts") == "counts"
+    return NoiseOf(segment.key, words.size * recording.interval_s, fit, curve, by_design)
+
+
+# --------------------
+# The noise model as numbers and sentences
+
+
+UNITS = {
+    "quantization": ("quantization_deg", "quantization", "deg", 1.0),
+    "angle_random_walk": ("angle_random_walk_deg_per_sqrt_h", "angle random walk", "deg/√h", 60.0),
+    "bias_instability": ("bias_instability_dph", "bias instability", "deg/h", 3600.0),
+    "rate_random_walk": ("rate_random_walk_dph_per_sqrt_h", "rate random walk", "deg/h/√h", 216_000.0),
+    "rate_ramp": ("rate_ramp_dph_per_h", "rate ramp", "deg/h/h", 3600.0**2),
+}
+"""Of each term: its name in JSON, in words, its unit, and how many of that one in deg and s is."""
+_DESCRIBE = (
+    "That is the shipped gyro: with another scale factor all numbers here are wrong by its ratio. Describe the "
+    "coil in [gyro], or change gyro.counts_per_code in the ratio of a measured K to this one."
+)
+LIMITED = ("angle_random_walk_deg_per_sqrt_h", "bias_instability_dph", "rate_random_walk_dph_per_sqrt_h")
+
+
+def result(found: AllanFound, run: SavedRun, settings: FogSettings) -> Result:
+    """Put into numbers and sentences what was found."""
+    records = [_record(one) for one in found.records]
+    several = len(records) > 1
+    first = found.records[0]
+    walk = first.fit.coefficients.get("angle_random_walk")
+    value = "no angle random walk"
+    if walk is not None:
+        u = first.fit.coefficients_u["angle_random_walk"]
+        value = f"N = {with_uncertainty(60 * walk, 60 * u)} deg/√h"
+    lines = (
+        f"{first.key}: {first.duration_s / 3600:.3g} h of output; by maximum likelihood, "
+        f"in the model: {', '.join(UNITS[name][1] for name in first.fit.chosen)}.",
+    )
+    counts = not run.facts.simulated and any(one.by_design for one in found.records)
+    design = _by_design(settings) if counts else ""
+    watched = tuple(_to_watch(found))
+    if design and not settings.gyro_is_described:
+        watched = (*watched, f"{design} {_DESCRIBE}")
+    return Result(
+        name="result",
+        value=value,
+        document={**({} if several else records[0]), "records": records, "left_out": found.left_out},
+        measured=tuple(Measured(n, one[n], one["name"] if several else "") for one in records for n in LIMITED),
+        lines=lines,
+        summary=[("", line) for line in lines],
+        sentences=(*_sentences(found), *([design] if design and settings.gyro_is_described else [])),
+        to_watch=watched,
+        flags=watched,
+        left_out=found.left_out,
+        tables=tuple(term_table(one) for one in found.records),
+    )
+
+
+def _record(one: NoiseOf) -> dict[str, Any]:
+    fit, document = one.fit, {"name": one.key, "duration_s": one.duration_s, "terms": one.fit.chosen}
+    for term, (name, _, _, scale) in UNITS.items():
+        document[name] = scale * fit.coefficients.get(term, 0.0)
+        document[f"{name}_u"] = scale * fit.coefficients_u[term] if term in fit.coefficients_u else None
+        document[f"{name}_low_95"] = scale * fit.low_95[term]
+        document[f"{name}_high_95"] = scale * fit.high_95[term]
+    return {
+        **document,
+        "temperature_slope_dph_per_k": 3600 * fit.temperature_slope,
+        "temperature_slope_u_dph_per_k": 3600 * fit.temperature_slope_u,
+        "words": fit.words,
+        "missing": fit.missing,
+        "outliers": fit.outliers,
+        "tau_s": one.curve.tau_s,
+        "allan_deviation_dph": 3600 * one.curve.deviation,
+    }
+
+
+def term_table(one: NoiseOf) -> TextTable:
+    """Return all terms of one record: value or bound, and interval."""
+    rows = []
+    for term, (_, words, unit, scale) in UNITS.items():
+        fit = one.fit
+        low, high = scale * fit.low_95[term], scale * fit.high_95[term]
+        if term in fit.coefficients:
+            said = with_uncertainty(scale * fit.coefficients[term], scale * fit.coefficients_u[term])
+        else:
+            said = "not seen"
+        rows.append((words, said, f"{low:.3g} to {high:.3g}", unit))
+    return TextTable((one.key, "coefficient", "95 %", "unit"), tuple(rows))
+
+
+def _sentences(found: AllanFound) -> list[str]:
+    return [
+        "Fitted is the likelihood of the output itself, not the slopes of the curve: the curve is for the eye. A "
+        "term stands in the model if the data ask for it (Bayesian information criterion); of the others it is "
+        "told how large they may be.",
+        *(
+            f"{one.key}: a drift with the temperature of {3600 * one.fit.temperature_slope:.3g}"
+            f"({3600 * one.fit.temperature_slope_u:.1g}) deg/h per kelvin was taken out."
+            for one in found.records
+            if one.fit.temperature_slope == one.fit.temperature_slope
+        ),
+    ]
+
+
+def _by_design(settings: FogSettings) -> str:
+    return (
+        f"The output is in counts; it was turned into deg/h by the scale factor by design, "
+        f"{settings.nominal_scale_factor:.6g} {COUNTS_PER_DPS}."
+    )
+
+
+def _to_watch(found: AllanFound) -> list[str]:
+    said = [f"{one.sentence}." for one in found.left_out]
+    for one in found.records:
+        if one.fit.missing:
+            said.append(f"{one.key}: {one.fit.missing} of {one.fit.words} output words are missing.")
+        if one.fit.outliers:
+            words = "1 output word lies" if one.fit.outliers == 1 else f"{one.fit.outliers} output words lie"
+            said.append(f"{one.key}: {words} far from all others: left out.")
+    return said
+
+
+# --------------------
+# The noise model in the report: Allan deviation with the fitted terms, and their table
+
+
+def sections(found: AllanFound, run: SavedRun, settings: FogSettings, result: Result) -> list[Section]:
+    """Return the sections of the report."""
+    caption = "Overlapping Allan deviation; bars: standard uncertainty. Line: fitted model; dashed: its terms."
+    return [
+        Section("What was fitted", sentences=result.sentences),
+        *(
+            Section(
+                f"Noise of {one.key}", figures=(PlacedFigure(_svg(one, place), caption),), table=term_table(one)
+            )
+            for place, one in enumerate(found.records)
+        ),
+    ]
+
+
+def _svg(one: NoiseOf, place: int) -> str:
+    """Draw the Allan deviation, the model and its terms."""
+
+    def draw(figure: Figure) -> None:
+        axes = figure.add_subplot()
+        tau = one.curve.tau_s
+        deviation, u = 3600 * one.curve.deviation, 3600 * one.curve.deviation_u
+        axes.errorbar(tau, deviation, u, fmt="o", ms=3, color=INK, linewidth=0.7, label="measured")
+        model = 3600 * np.sqrt(allan_variance(one.fit.coefficients, tau))
+        axes.plot(tau, model, color=COLOURS[0], linewidth=1.6, label="model")
+        for index, (term, value) in enumerate(one.fit.coefficients.items(), start=1):
+            curve = 3600 * np.sqrt(allan_variance({term: value}, tau))
+            axes.plot(tau, curve, "--", color=COLOURS[index % 7], linewidth=0.9, label=UNITS[term][1])
+        axes.set(xscale="log", yscale="log", xlabel="averaging time, s", ylabel="Allan deviation, deg/h")
+        axes.set_ylim(0.5 * float(deviation.min()), 2.0 * float(deviation.max()))
+        axes.grid(color=SOFT, linewidth=0.3)
+        legend_above(axes, columns=4)
+
+    return svg_element(f"allan-{place}", WIDE, draw)
+
+
+def plan(settings: FogSettings) -> list[PlannedSegment]:
+    """List the one segment: rest."""
+    chosen = settings.allan
+    conditions = {"purpose": PURPOSE, "rate_dps": 0.0, "axis": chosen.axis, "end_up": 1}
+    return [PlannedSegment(f"{chosen.axis} at rest", chosen.record_s, chosen.settle_s, conditions)]
+
+
+def named(rows: Sequence[LogRow], settings: FogSettings) -> list[NamedSegment]:
+    """Name the segment of each log by its axis."""
+    return [(f"{row.get('axis', '')} at rest".strip(), {"rate_dps": 0.0}) for row in rows]
+
+
+MEASUREMENT = gyro_measurement(
+    PURPOSE,
+    "Noise at rest",
+    take=planned_segments(plan),
+    take_files=listed_logs(PURPOSE, (), named, whole=True),
+    evaluate=evaluate,
+    result=result,
+    sections=sections,
+    gives=LIMITED,
+    plan=plan,
+)
+
+
+# --------------------
+# The noise model that another run found, for what the slow noise of the gyro makes of a run.
+#
+# `--noise` names a run of `gyrolock fog allan`, its JSON document, or a JSON file with the numbers of a data
+# sheet:
+#
+#     {"angle_random_walk_deg_per_sqrt_h": 0.005, "bias_instability_dph": 0.05}
+
+
+Floats = NDArray[np.float64]
+
+NOISE = "noise"
+"""Fact of a run, and choice of its evaluation."""
+_LARGEST = 64_000_000  # bytes
+_FAST = ("angle_random_walk", "quantization")
+_AXES = ("X", "Y", "Z")
+
+
+@dataclass(frozen=True)
+class NoiseModel:
+    """Noise of one gyro."""
+
+    coefficients: dict[str, float]  # deg and s
+    source: str  # where it comes from, in words
+
+    def fast_variance(self, duration_s: Floats) -> Floats:
+        """Variance of means by white noise and quantization, (deg/s)^2."""
+        white, angle = (self.coefficients.get(name, 0.0) for name in _FAST)
+        return np.asarray(white**2 / duration_s + 2 * (angle / duration_s) ** 2)
+
+    def slow_covariance(self, begin_s: Floats, end_s: Floats) -> Floats:
+        """Generalised covariance of means by bias instability and rate random walk, (deg/s)^2."""
+        slow = {name: value for name, value in self.coefficients.items() if name not in _FAST}
+        return window_covariance(slow, begin_s, end_s)
+
+
+def noise_facts(path: Path | None) -> dict[str, Any]:
+    """Return a noise model as fact of the run that uses it; nothing without a path."""
+    if path is None:
+        return {}
+    records = _of_run(path) if path.exists() and _is_run(path) else _of_json(path)
+    gyros: dict[str, dict[str, float]] = {}
+    for name, coefficients in records:
+        first = name.split(" ")[0].upper()
+        gyros.setdefault(first if first in _AXES and len(records) > 1 else "", coefficients)
+    return {NOISE: {"source": str(path), "gyros": gyros}}
+
+
+def noise_of(run: SavedRun, choices: Mapping[str, Any], axis: str) -> NoiseModel | None:
+    """Return the noise model of the gyro of one axis: one that is chosen now, or the one that the run knows."""
+    known = choices.get(NOISE) or run.facts.get(NOISE)
+    if not known:
+        return None
+    gyros = known["gyros"]
+    coefficients = gyros.get(axis.upper(), gyros.get(""))
+    return None if coefficients is None else NoiseModel(dict(coefficients), known["source"])
+
+
+def _is_run(path: Path) -> bool:
+    return path.is_dir() or is_database(path)
+
+
+def _of_run(path: Path) -> list[tuple[str, dict[str, float]]]:
+    from station.fibre_gyro.settings import FIBRE_GYRO
+    from station.settings import saved_settings
+
+    run = open_run(path)
+    if run.facts.command != PURPOSE:
+        raise UsageError(
+            f"{path}: is a run of {run.facts.command!r}; a noise model comes from `gyrolock fog allan`"
+        )
+    found = evaluate(run, saved_settings(FIBRE_GYRO, run.facts.settings, str(run.path)), {})
+    return [(one.key, dict(one.fit.coefficients)) for one in found.records]
+
+
+def _of_json(path: Path) -> list[tuple[str, dict[str, float]]]:
+    try:
+        document = json.loads(read_small_file(path, _LARGEST))
+    except (UnicodeDecodeError, json.JSONDecodeError):
+        document = None
+    if not isinstance(document, dict):
+        raise UsageError(
+            f"{path}: is neither a run of `gyrolock fog allan` nor its JSON: name one of them for the noise model"
+        )
+    records = document.get("records") or [document]
+    return [(str(one.get("name", "")), _coefficients(one, path)) for one in records if isinstance(one, dict)]
+
+
+def _coefficients(record: Mapping[str, Any], path: Path) -> dict[str, float]:
+    found = {}
+    for term, (name, _, unit, scale) in UNITS.items():
+        value = record.get(name) or 0.0
+        if isinstance(value, bool) or not isinstance(value, int | float) or not 0 <= value < math.inf:
+            raise UsageError(f"{path}: {name}: {value!r} is no number of {unit}, 0 or more")
+        if value:
+            found[term] = value / scale
+    if not any(name != "rate_ramp" for name in found):
+        names = ", ".join(name for name, *_ in UNITS.values())
+        raise UsageError(f"{path}: holds no noise model; it has numbers under the names {names}")
+    return found

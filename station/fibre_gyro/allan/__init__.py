@@ -1,1 +1,0 @@
-"""Noise model of a fibre gyro at rest."""

@@ -1,0 +1,343 @@
+"""The real bench of a fibre gyro: its serial link, and a rate table that an operator turns."""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.fibre_gyro import ClosedLoop, FibreCoil, LoopDesign, OutputBlock, OutputModel
+from analysis.rotation import EARTH_RATE_DPS
+from instrument import InstrumentError, ManualRateTable, RateTable
+from instrument.fibre_gyro import FibreGyroLink, Losses, Recording
+from station.controllers import open_rate_table, open_surroundings
+from station.fibre_gyro.segments import FogBench, PlannedSegment
+from station.fibre_gyro.settings import FogSettings
+from station.fibre_gyro.sniff import read_frame_format
+from station.operator import ask_operator
+from station.terminal import remark
+
+Ask = Callable[[str], str]
+
+
+class SerialFogBench:
+    """A gyro on a serial link, and a table."""
+
+    _BY_HAND = ("axis", "end_up", "run", "temperature_c", "by_hand")
+
+    def __init__(
+        self,
+        link: FibreGyroLink,
+        table: RateTable,
+        ask: Ask,
+        surroundings: Callable[[], dict[str, float]] = dict,
+        counts_per_dps: float | None = None,
+    ) -> None:
+        self._link, self._table, self._ask, self._surroundings = link, table, ask, surroundings
+        self._counts_per_dps = counts_per_dps
+        self._by_hand: tuple[Any, ...] = ()
+        self._rate = 0.0
+        self._step = 0.0
+        self._held = False
+
+    def refuses(self, planned: PlannedSegment) -> str:
+        """Axes that the frames do not hold, steps beyond what they can express, commands that are not there."""
+        layout, wanted = self._link.layout, planned.conditions
+        try:
+            layout.output_of(str(wanted.get("axis") or ""))
+        except InstrumentError as error:
+            return str(error)
+        if "loop" in wanted and "hold_feedback" not in layout.commands:
+            return "the frame format of this gyro has no command hold_feedback"
+        step = float(wanted.get("step_codes", 0.0))
+        lowest, highest = layout.step_range
+        if not lowest <= step <= highest:
+            return (
+                f"a step of {step:+.6g} codes cannot be injected, the gyro takes {lowest:g} to {highest:g}: "
+                "choose a smaller rate"
+            )
+        return ""
+
+    def prepare(self, planned: PlannedSegment) -> dict[str, Any]:
+        """Turn, inject, hold the feedback; return the rate and the step that were reached."""
+        wanted = planned.conditions
+        self._set_by_hand(wanted)
+        reached: dict[str, Any] = {}
+        rate = float(wanted["rate_dps"])
+        if rate != self._rate:
+            self._table.set_rate(rate)
+            self._rate = rate
+        if rate:
+            reached["table_rate_dps"] = self._table.rate()
+        self._set_loop(wanted.get("loop") == "held")
+        if "step_codes" in wanted:
+            reached |= self._inject(float(wanted["step_codes"]), wanted)
+        if not self._link.acknowledges and ("step_codes" in wanted or "loop" in wanted):
+            reached["acknowledged"] = False
+        if self._link.layout.unit != "counts":
+            reached["output_unit"] = self._link.layout.unit
+        return reached | self._surroundings()
+
+    def record(self, planned: PlannedSegment, progress: Callable[[float], None]) -> Recording:
+        """Record from the link; where frames hold several outputs, that of the segment's axis."""
+        return self._link.record(
+            planned.seconds,
+            skip_s=planned.settle_s,
+            progress=progress,
+            axis=str(planned.conditions.get("axis") or ""),
+            counts_per_dps=self._counts_per_dps,
+        )
+
+    def leave(self) -> None:
+        """Take the injection away, close the loop and stop the table; never raises."""
+        for undo in (self._stop_injecting, lambda: self._set_loop(False), self._stop_turning):
+            with suppress(InstrumentError, OSError):
+                undo()
+
+    def _set_by_hand(self, wanted: Any) -> None:
+        now = tuple(wanted.get(name) for name in self._BY_HAND)
+        if now == self._by_hand or now == (None,) * len(now):
+            return
+        self._by_hand = now
+        axis, end_up, run, temperature, also = now
+        asked = [f"Bring axis {axis} of the gyro to the table's axis, {'up' if end_up != -1 else 'upside down'}."]
+        if run is not None:
+            asked.append(f"For {run}: switch the gyro off, let it take {temperature:g} deg C, switch it on.")
+        if also is not None:
+            asked.append(str(also))
+        self._ask("\n".join([*asked, "Press Enter when done: "]))
+
+    def _set_loop(self, held: bool) -> None:
+        if held != self._held:
+            if held:
+                self._link.hold_feedback()
+            else:
+                self._link.close_loop()
+            self._held = held
+
+    def _inject(self, step: float, wanted: Any) -> dict[str, float]:
+        """Inject a step; the number that was really sent replaces the one that was wanted."""
+        sent = self._link.inject(step) if step or self._step else 0.0
+        self._step = sent
+        reached = {"step_codes": sent}
+        if step and "number" in wanted:
+            reached["number"] = float(wanted["number"]) * sent / step
+        return reached
+
+    def _stop_injecting(self) -> None:
+        if self._step:
+            self._link.inject(0.0)
+
+    def _stop_turning(self) -> None:
+        if self._rate:
+            self._table.close()
+
+
+@contextmanager
+def _table(settings: FogSettings, tell: Callable[[str], None]) -> Iterator[RateTable]:
+    named = None if settings.controllers is None else settings.controllers.rate_table
+    if settings.table.kind == "controller" and named is not None:
+        with open_rate_table(named, tell=tell) as table:
+            yield table
+    else:
+        yield ManualRateTable(ask=ask_operator)
+
+
+@contextmanager
+def open_fog_bench(settings: FogSettings, tell: Callable[[str], None] = remark) -> Iterator[FogBench]:
+    """Open the bench that the settings describe; afterwards the injection is off and the loop is closed."""
+    if settings.simulated:
+        yield SimulatedFogBench(settings)
+        return
+    layout = read_frame_format(settings)
+    with (
+        FibreGyroLink(settings.link.port, layout, speed=settings.link.speed) as link,
+        open_surroundings(settings.controllers, tell=tell) as surroundings,
+        _table(settings, tell) as table,
+    ):
+        bench = SerialFogBench(link, table, ask_operator, surroundings, settings.nominal_scale_factor)
+        try:
+            yield bench
+        finally:
+            bench.leave()
+
+
+# --------------------
+# The simulated bench of a fibre gyro: gyro and rate table, in as little time as the computation takes.
+#
+# Every segment begins with a gyro and a noise of its own, made from the seed and the segment's key: a run that is
+# resumed gives the same numbers as one in one go
+
+
+Floats = NDArray[np.float64]
+
+_PPM = 1e6
+_OPEN_LOOP_PERIOD_S = 0.05
+
+
+class SimulatedFogBench:
+    """Gyro and rate table of the settings' [simulation]."""
+
+    def __init__(self, settings: FogSettings) -> None:
+        self._settings = settings
+
+    def refuses(self, planned: PlannedSegment) -> str:
+        """The simulated bench can do everything that is planned."""
+        return ""
+
+    def prepare(self, planned: PlannedSegment) -> dict[str, Any]:
+        """The table reads what it was asked for: its own error from run to run is not on its display."""
+        reached: dict[str, Any] = {"model": self._model(planned)}
+        if planned.conditions["rate_dps"]:
+            reached["table_rate_dps"] = planned.conditions["rate_dps"]
+        if "planned_begin_s" in planned.conditions:
+            reached["begin_s"] = planned.conditions["planned_begin_s"]
+        return reached
+
+    def record(self, planned: PlannedSegment, progress: Callable[[float], None]) -> Recording:
+        """Compute the output of one segment."""
+        held = planned.conditions.get("loop") == "held"
+        period = min(_OPEN_LOOP_PERIOD_S, 1 / self._settings.simulation.output_rate_hz) if held else (
+            1 / self._settings.simulation.output_rate_hz
+        )  # fmt: skip
+        count = max(2, round(planned.seconds / period))
+        block = self._output(planned, count, period, held=held)
+        progress(planned.seconds + planned.settle_s)
+        return self._recording(planned, block, count, held=held)
+
+    def _model(self, planned: PlannedSegment) -> str:
+        chosen = self._settings.simulation.model
+        return (
+            ("transit" if planned.conditions.get("loop") == "held" else "output") if chosen == "auto" else chosen
+        )
+
+    def _output(self, planned: PlannedSegment, count: int, period: float, *, held: bool) -> OutputBlock:
+        """Run the gyro; one output more than is kept, the first holds the settling of the loop."""
+        rng = self._random(planned.key)
+        coil = self._coil(planned, rng)
+        loop = loop_settings(self._settings)
+        seed = int(rng.integers(2**31))
+        gyro: ClosedLoop | OutputModel
+        gyro = ClosedLoop(coil, loop, seed) if self._model(planned) == "transit" else OutputModel(coil, loop, seed)
+        return gyro.run(
+            count + 1,
+            output_period_s=period,
+            rate_dps=self._rates(planned, count + 1, period, rng),
+            injected_step=float(planned.conditions.get("step_codes", 0.0)),
+            closed=False if held else None,
+        )
+
+    def _random(self, key: str) -> np.random.Generator:
+        return np.random.default_rng([self._settings.simulation.seed, zlib.crc32(key.encode())])
+
+    def _coil(self, planned: PlannedSegment, rng: np.random.Generator) -> FibreCoil:
+        """The coil of one segment: drifted, warm, and with its own scatter at every switch-on."""
+        simulation, conditions = self._settings.simulation, planned.conditions
+        change = simulation.scale_change_ppm
+        if (run := conditions.get("run")) is not None:
+            change += float(self._random(f"switch-on {run}").normal(0, simulation.switch_on_scatter_ppm))
+        return self._settings.coil.scaled(1 + change / _PPM)
+
+    def _rates(self, planned: PlannedSegment, count: int, period: float, rng: np.random.Generator) -> Floats:
+        """Rate on the gyro's axis in each output period, deg/s, as the gyro's nonlinearity changes it."""
+        simulation, conditions = self._settings.simulation, planned.conditions
+        table = float(conditions["rate_dps"]) * (1 + rng.normal(0, simulation.table_irreproducibility_ppm) / _PPM)
+        end = int(conditions.get("end_up", 1))
+        latitude, tilt = np.deg2rad(self._settings.site.latitude_deg), 1e-3 * simulation.misalignment_mrad
+        edges = np.arange(count + 1) * period
+        azimuth = np.deg2rad(table * edges) + rng.uniform(0, 2 * np.pi)
+        # mean of the cosine over each period
+        north = np.diff(np.sin(azimuth)) / np.diff(azimuth) if table else np.full(count, np.cos(azimuth[0]))
+        vertical = table + EARTH_RATE_DPS * np.sin(latitude)
+        on_axis = end * np.cos(tilt) * vertical + np.sin(tilt) * EARTH_RATE_DPS * np.cos(latitude) * north
+        warm, times = self._warm(planned, count, period), np.asarray(edges[:-1] + period / 2, dtype=np.float64)
+        change = simulation.temperature_coefficient_ppm * warm + simulation.scale_curvature_ppm_per_k2 * warm**2
+        return as_the_gyro_sees(np.asarray(on_axis), self._settings) * (1 + change / _PPM) + self._bias(
+            planned, times, warm
+        )
+
+    def _warm(self, planned: PlannedSegment, count: int, period: float) -> Floats:
+        """Kelvin above the reference temperature in each output period; 0 where nobody says."""
+        conditions, reference = planned.conditions, self._settings.figures.reference_temperature_c
+        if (begin := conditions.get("planned_temperature_c")) is not None:
+            times = (np.arange(count) - 0.5) * period  # the first output is not kept
+            return np.asarray(begin - reference + conditions["ramp_c_per_min"] * times / 60, dtype=np.float64)
+        temperature = conditions.get("temperature_c")
+        return np.full(count, 0.0 if temperature is None else temperature - reference)
+
+    def _bias(self, planned: PlannedSegment, times: Floats, warm: Floats) -> Floats:
+        """What temperature and switching on add to the bias, deg/s."""
+        simulation, conditions = self._settings.simulation, planned.conditions
+        bias = simulation.bias_dph_per_k * warm + simulation.bias_dph_per_k2 * warm**2
+        bias = bias + simulation.bias_dph_per_k_per_min * float(conditions.get("ramp_c_per_min", 0.0))
+        if (run := conditions.get("run")) is not None:
+            bias = bias + self._random(f"bias at switch-on {run}").normal(0, simulation.switch_on_bias_dph)
+        if (since := conditions.get("since_on_s")) is not None:
+            bias = bias + simulation.warm_up_bias_dph * np.exp(-(since + times) / simulation.warm_up_time_s)
+        return np.asarray(bias / 3600, dtype=np.float64)
+
+    def _recording(self, planned: PlannedSegment, block: OutputBlock, count: int, *, held: bool) -> Recording:
+        gyro = self._settings.gyro
+        counts = gyro.counts_per_code * np.asarray(block.counts[1:], dtype=np.float64)
+        if gyro.output_resolution:
+            counts = gyro.output_resolution * np.round(counts / gyro.output_resolution)
+        extra = {"normal_error": block.normal_error[1:], "reset_error": block.reset_error[1:]} if held else {}
+        return Recording(
+            times=np.arange(count, dtype=np.float64) * block.interval_s,
+            counts=counts,
+            temperature=self._thermometer(planned, count, block.interval_s),
+            status=None,
+            extra={name: np.asarray(values, dtype=np.float64) for name, values in extra.items()},
+            gaps=(),
+            losses=Losses(good=count),
+            interval_s=block.interval_s,
+            clock="counter",
+        )
+
+    def _thermometer(self, planned: PlannedSegment, count: int, period: float) -> Floats | None:
+        """What the gyro says of its temperature; on a ramp with noise."""
+        conditions = planned.conditions
+        if conditions.get("planned_temperature_c", conditions.get("temperature_c")) is None:
+            return None
+        warm = self._warm(planned, count + 1, period)[1:] + self._settings.figures.reference_temperature_c
+        if "planned_temperature_c" in conditions:
+            noise = self._settings.simulation.temperature_noise_c
+            warm = warm + self._random(f"thermometer {planned.key}").normal(0, noise, count)
+        return warm
+
+
+def as_the_gyro_sees(rates: Floats, settings: FogSettings) -> Floats:
+    """Rates on the axis, deg/s, with the nonlinearity, asymmetry and dead zone of the simulated gyro."""
+    simulation = settings.simulation
+    full = max(settings.figures.rates_dps)
+    shape = (
+        1
+        + simulation.cubic_ppm / _PPM * (rates / full) ** 2
+        + simulation.asymmetry_ppm / _PPM / 2 * np.sign(rates)
+    )
+    return np.where(np.abs(rates) < simulation.dead_zone_dps, 0.0, rates * shape)
+
+
+def loop_settings(settings: FogSettings) -> LoopDesign:
+    """Electronics of the simulated gyro."""
+    gyro, simulation = settings.gyro, settings.simulation
+    return LoopDesign(
+        dac_bits=gyro.dac_bits,
+        fractional_bits=gyro.fraction_bits,
+        two_pi_error=simulation.two_pi_error,
+        gated=gyro.gated_resets,
+        injection_path=settings.selfcal.path,
+        injection_two_pi_error=simulation.injection_error,
+        angle_random_walk_deg_per_sqrt_h=simulation.angle_random_walk,
+        bias_dph=simulation.bias_dph,
+    )
+
+
+def quiet(settings: LoopDesign) -> LoopDesign:
+    """The same electronics without noise, for a picture of the signals."""
+    return replace(settings, angle_random_walk_deg_per_sqrt_h=0.0)

@@ -1,0 +1,316 @@
+"""The 2 pi error by injection in open loop: what is taken, and how it goes on from there."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.fibre_gyro import (
+    TwoPiError,
+    WindowMean,
+    estimate_two_pi_error,
+    mean_at_rest,
+    pooled_noise,
+    predicted_table_scale,
+    steps_beyond_dac,
+)
+from station.errors import NoUsableSignal
+from station.fibre_gyro.common import PPM, beyond_converter, not_taken, reasons_of, small_ppm, staircase_section
+from station.fibre_gyro.logs import LogRow, NamedSegment, gyro_measurement, listed_logs, planned_segments
+from station.fibre_gyro.segments import PlannedSegment, Segment, checked, segments_of
+from station.fibre_gyro.settings import FogSettings
+from station.report.figure import ACCENT, HALF, INK, SECOND, SOFT, legend_above, svg_element
+from station.results.result import (
+    Contribution,
+    LeftOut,
+    Measured,
+    PlacedFigure,
+    Result,
+    Section,
+    TextTable,
+    budget_document,
+    budget_table,
+    picked,
+    ppm,
+    with_uncertainty,
+)
+from station.runs.store import SavedRun
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+# --------------------
+# What the open-loop segments of a run say: the 2 pi error
+
+
+PURPOSE = "eps"
+NORMAL, RESET = "normal_error", "reset_error"
+_BLOCKS = 10
+"""Of a segment, whose means tell the noise: those of both senses are pooled, and long ones hold filtered words."""
+
+
+@dataclass(frozen=True)
+class EpsFound:
+    """Result of the open-loop measurement."""
+
+    keys: tuple[str, ...]  # segments in the result, one for each element of the arrays
+    step_codes: NDArray[np.float64]  # (n,)
+    # (n,): Mean demodulated error of the sample pairs without and with a reset, counts of the detector's converter
+    normal: NDArray[np.float64]
+    normal_u: NDArray[np.float64]
+    reset: NDArray[np.float64]
+    reset_u: NDArray[np.float64]
+    error: TwoPiError
+    left_out: tuple[LeftOut, ...]
+
+
+def evaluate(run: SavedRun, settings: FogSettings, choices: Mapping[str, Any]) -> EpsFound:
+    """Evaluate the open-loop segments of a run."""
+    rows: list[tuple[str, float, WindowMean, WindowMean]] = []
+    left_out = not_taken(run)
+    for segment in segments_of(run, PURPOSE):
+        try:
+            means = _mean_of(segment, NORMAL), _mean_of(segment, RESET)
+        except ValueError as error:
+            left_out.append(LeftOut(segment.key, str(error)))
+            continue
+        rows.append((segment.key, float(segment.conditions["step_codes"]), *means))
+    if len(rows) < 2:
+        raise NoUsableSignal(
+            f"the 2 pi error needs two injected steps, there are {len(rows)}: {reasons_of(left_out, '')}"
+        )
+    keys = tuple(key for key, *_ in rows)
+    step = np.array([size for _, size, *_ in rows])
+    kinds = [normal for *_, normal, _ in rows], [reset for *_, reset in rows]
+    normal, reset = (np.array([one.mean for one in of_kind]) for of_kind in kinds)
+    normal_u, reset_u = (_noise(step, of_kind) for of_kind in kinds)
+    try:
+        found = estimate_two_pi_error(step, normal, reset, normal_u, reset_u, dac_bits=settings.gyro.dac_bits)
+    except ValueError as error:
+        raise NoUsableSignal(f"the injected steps give no 2 pi error: {error}") from None
+    return EpsFound(keys, step, normal, normal_u, reset, reset_u, found, tuple(left_out))
+
+
+def _noise(step: NDArray[np.float64], means: Sequence[WindowMean]) -> NDArray[np.float64]:
+    """Uncertainty of each mean by the noise at its size of the step: a larger one has more resets in each word."""
+    u = np.empty(step.size)
+    for size in np.unique(np.abs(step)):
+        alike = np.abs(step) == size
+        u[alike] = pooled_noise([mean for mean, kept in zip(means, alike, strict=True) if kept])
+    return np.maximum(u, 1e-12)
+
+
+def _mean_of(segment: Segment, name: str) -> WindowMean:
+    """Mean of a column."""
+    recording = checked(segment)
+    if name not in recording.extra:
+        raise ValueError(
+            f"the output has no column {name}: name the demodulated error of the sample pairs "
+            f"{NORMAL} and {RESET} in the frame format or in the log"
+        )
+    values = recording.extra[name]
+    values = values[np.isfinite(values)]
+    if values.size < 3:
+        raise ValueError(f"{name} has {values.size} values: record longer, or inject a larger step")
+    return mean_at_rest(values, recording.interval_s, blocks=_BLOCKS)
+
+
+# --------------------
+# The 2 pi error as numbers and sentences
+
+
+LIMITED = ("two_pi_error_ppm",)
+_NUMBERS = {
+    "two_pi_error": "two_pi_error",
+    "two_pi_error_u": "two_pi_error_u",
+    "amplitude_counts": "amplitude",
+    "amplitude_u_counts": "amplitude_u",
+    "rest_phase_rad": "rest_phase_rad",
+    "rest_phase_u_rad": "rest_phase_u_rad",
+    "chi_square": "chi_square",
+    "degrees_of_freedom": "degrees_of_freedom",
+}
+
+
+def result(found: EpsFound, run: SavedRun, settings: FogSettings) -> Result:
+    """Put into numbers and sentences what was found."""
+    eps, u = PPM * found.error.two_pi_error, PPM * found.error.two_pi_error_u
+    lines = (f"The converter's range spans 2π (1 + eps); from {len(found.keys)} injected steps in open loop.",)
+    to_watch = tuple(_to_watch(found))
+    return Result(
+        name="result",
+        value=f"eps = {ppm(eps, u)}",
+        document=_document(found),
+        measured=(Measured("two_pi_error_ppm", eps),),
+        lines=lines,
+        summary=[("", line) for line in lines],
+        sentences=tuple(_sentences(found, settings)),
+        to_watch=to_watch,
+        flags=to_watch,
+        left_out=found.left_out,
+    )
+
+
+def _document(found: EpsFound) -> dict[str, Any]:
+    columns = (found.keys, found.step_codes, found.normal, found.normal_u, found.reset, found.reset_u)
+    names = ("name", "step_codes", "normal_error", "normal_error_u", "reset_error", "reset_error_u")
+    return {
+        **picked(found.error, _NUMBERS),
+        "two_pi_error_ppm": PPM * found.error.two_pi_error,
+        "two_pi_error_u_ppm": PPM * found.error.two_pi_error_u,
+        "budget": budget_document("1, the range over 2π", _budget(found), PPM * found.error.two_pi_error_u),
+        "points": [dict(zip(names, row, strict=True)) for row in zip(*columns, strict=True)],
+        "left_out": found.left_out,
+    }
+
+
+def _budget(found: EpsFound) -> list[Contribution]:
+    """Say what each input contributes to the uncertainty of eps."""
+    parts = {name: PPM * value for name, value in found.error.contributions.items()}
+    noise = "by the scatter of the words, of both senses of a step together"
+    freedom = f"residuals, {found.error.degrees_of_freedom} degrees of freedom"
+    return [
+        Contribution("normal", "noise of the pairs without a reset", parts["normal"], True, noise),
+        Contribution("reset", "noise of the pairs with a reset", parts["reset"], True, noise),
+        Contribution("scatter", "scatter of the steps beyond these", parts["scatter"], True, freedom),
+        Contribution(
+            "light level", "light level", 0.0, True, "fitted: the ratio of both kinds of pairs tells eps"
+        ),
+    ]
+
+
+def _sentences(found: EpsFound, settings: FogSettings) -> list[str]:
+    """Say what the 2 pi error means for the scale factor, and what this test does not see."""
+    eps, u = found.error.two_pi_error, found.error.two_pi_error_u
+    gated, ungated = (PPM * (predicted_table_scale(0.0, eps, gated=kind) - 1) for kind in (True, False))
+    used = "leaves reset samples out" if settings.gyro.gated_resets else "uses all samples"
+    return [
+        "The feedback is held and a large step injected: sample pairs with a reset differ from those without by "
+        f"the 2π error alone. The converter's range spans 2π (1 + eps), eps = {ppm(PPM * eps, PPM * u)}; the "
+        "detector's amplitude is the only calibration, and it comes from the same data.",
+        f"In closed loop such an eps changes K of the rate table by {gated:+.5g} ppm where reset samples are left "
+        f"out, and by {small_ppm(ungated)} where all are used; this gyro {used}.",
+        "It does not see L·D/λ: for that it takes the table. A self-calibration through the shared path sees "
+        "neither.",
+    ]
+
+
+def _to_watch(found: EpsFound) -> list[str]:
+    said = [f"{one.sentence}." for one in found.left_out]
+    error = found.error
+    if error.degrees_of_freedom > 0 and error.chi_square > 4 * error.degrees_of_freedom:
+        said.append(
+            "The steps do not agree within their noise: the converter is not linear, or the feedback was not held."
+        )
+    return said
+
+
+# --------------------
+# The 2 pi error in the report: figures and table of the injected steps
+
+
+def sections(found: EpsFound, run: SavedRun, settings: FogSettings, result: Result) -> list[Section]:
+    """Return the sections of the report."""
+    rows = tuple(
+        (f"{step:+g} codes", with_uncertainty(float(n), float(nu)), with_uncertainty(float(r), float(ru)))
+        for step, n, nu, r, ru in zip(
+            found.step_codes, found.normal, found.normal_u, found.reset, found.reset_u, strict=True
+        )
+    )
+    header = ("injected step", "error without reset, counts", "error with reset, counts")
+    return [
+        Section("What this result shows, and what it cannot", sentences=result.sentences),
+        Section(
+            "Pairs with and without a reset",
+            figures=(
+                PlacedFigure(_errors_svg(found), "Demodulated error against the injected step."),
+                PlacedFigure(_reset_differences_svg(found), "Their difference is the 2π error alone."),
+            ),
+            table=TextTable(header, rows),
+        ),
+        Section("Budget", table=budget_table("2π error", result.document["budget"])),
+        staircase_section(settings, open_loop_step=float(abs(found.step_codes).min())),
+    ]
+
+
+def _errors_svg(found: EpsFound) -> str:
+    """Draw the demodulated error of pairs with and without a reset against the injected step."""
+
+    def draw(figure: Figure) -> None:
+        axes = figure.add_subplot()
+        order = np.argsort(found.step_codes)
+        step = found.step_codes[order]
+        axes.plot(step, found.normal[order], "o-", ms=5, color=ACCENT, label="pairs without a reset")
+        axes.plot(step, found.reset[order], "s--", ms=8, mfc="none", color=SECOND, label="pairs with a reset")
+        axes.set(xlabel="injected step, codes", ylabel="error, converter counts")
+        legend_above(axes, columns=2)
+
+    return svg_element("errors", HALF, draw)
+
+
+def _reset_differences_svg(found: EpsFound) -> str:
+    """Draw the difference between pairs with and without a reset: the 2 pi error itself."""
+
+    def draw(figure: Figure) -> None:
+        axes = figure.add_subplot()
+        order = np.argsort(found.step_codes)
+        difference = (found.reset - found.normal)[order]
+        u = np.hypot(found.reset_u, found.normal_u)[order]
+        label = "measured, ±1 u"
+        axes.errorbar(found.step_codes[order], difference, u, fmt="o", ms=5, color=INK, capsize=3, label=label)
+        axes.axhline(0, color=SOFT, linewidth=0.8)
+        axes.set(xlabel="injected step, codes", ylabel="with less without reset, counts")
+        legend_above(axes)
+
+    return svg_element("reset-differences", HALF, draw)
+
+
+def plan(settings: FogSettings) -> list[PlannedSegment]:
+    """List the segments: every step in both senses that the converter can make."""
+    chosen, bits = settings.eps, settings.gyro.dac_bits
+    return [
+        PlannedSegment(_key(step), chosen.record_s, chosen.settle_s, {"purpose": PURPOSE, **_conditions(step)})
+        for step in _steps(settings)
+        if not steps_beyond_dac(step, bits)
+    ]
+
+
+def beyond(settings: FogSettings) -> dict[str, str]:
+    """Name the steps that are beyond the converter."""
+    bits = settings.gyro.dac_bits
+    return {_key(step): beyond_converter(step, bits) for step in _steps(settings) if steps_beyond_dac(step, bits)}
+
+
+def named(rows: Sequence[LogRow], settings: FogSettings) -> list[NamedSegment]:
+    """Name the segment of each log by the step that was injected."""
+    return [(_key(row["step_codes"]), _conditions(row["step_codes"])) for row in rows]
+
+
+def _steps(settings: FogSettings) -> list[float]:
+    return [step for size in settings.eps.steps_codes for step in (size, -size)]
+
+
+def _key(step_codes: float) -> str:
+    return f"open loop {step_codes:+.10g}"
+
+
+def _conditions(step_codes: float) -> dict[str, object]:
+    return {"loop": "held", "step_codes": step_codes, "rate_dps": 0.0}
+
+
+MEASUREMENT = gyro_measurement(
+    PURPOSE,
+    "2π error by open-loop injection",
+    take=planned_segments(plan, beyond),
+    take_files=listed_logs(PURPOSE, ("step_codes",), named),
+    evaluate=evaluate,
+    result=result,
+    sections=sections,
+    gives=LIMITED,
+    plan=plan,
+)

@@ -1,1 +1,0 @@
-"""2 pi error of a fibre gyro's modulator, in open loop."""

@@ -1,0 +1,798 @@
+"""The figures of merit: runs over the whole range, from cold starts and at other temperatures."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from analysis.fibre_gyro import (
+    Repeatability,
+    ResidualPattern,
+    ScaleFigures,
+    StaticLevel,
+    TurnOn,
+    WindowMean,
+    few_values_factor,
+    horizontal_earth_rate_dps,
+    pooled_noise,
+    repeatability,
+    repeatability_ppm,
+    residual_pattern,
+    scale_figures,
+    static_level,
+    temperature_coefficient_ppm,
+    turn_on_transient,
+    turn_time,
+    vertical_earth_rate_dph,
+)
+from station.errors import NoUsableSignal
+from station.fibre_gyro.common import COLOURS, COUNTS_PER_DPS, PPM, angle_clock_u, reasons_of, undecided_limits
+from station.fibre_gyro.logs import (
+    LogRow,
+    NamedSegment,
+    gyro_measurement,
+    listed_logs,
+    planned_segments,
+    table_conditions,
+)
+from station.fibre_gyro.segments import (
+    MARGIN_S,
+    PlannedSegment,
+    Segment,
+    check_table_rate,
+    checked,
+    remarks_on,
+    segments_of,
+    window_at_rest,
+    window_of_any_length,
+)
+from station.fibre_gyro.settings import FogSettings
+from station.report.figure import HALF, SOFT, WIDE, legend_above, svg_element
+from station.results.result import (
+    LeftOut,
+    Measured,
+    PlacedFigure,
+    Result,
+    Section,
+    TextTable,
+    picked,
+    ppm,
+    with_uncertainty,
+)
+from station.runs.store import SavedRun
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+
+# --------------------
+# What runs over the whole range say: the figures of merit, from cold starts and at other temperatures
+
+
+PURPOSE = "figures"
+_MANY_TURNS = 100_000
+_TURN_ON_BLOCKS = 180
+
+
+@dataclass(frozen=True)
+class MeritRun:
+    """One run over the range, of one axis."""
+
+    name: str  # ``"run 1"`` or ``"run at +60 deg C"``, with the axis in front where there are several
+    temperature_c: float  # as the gyro or the log gives it, else as planned; nan if nobody knows
+    rate_dps: NDArray[np.float64]  # (n,): Along the axis: with its end down the rate of the table changes its sign
+    output: NDArray[np.float64]  # (n,): Net output: less the static output
+    output_u: NDArray[np.float64]
+    static_drift: float  # last static output less the first, counts; nan if one is missing
+    static_drift_u: float
+    figures: ScaleFigures
+    pattern: ResidualPattern
+    drift_removed: bool  # whether the static output was interpolated in time
+    bias_dph: float  # static output less the vertical earth rate; the uncertainty by its noise
+    bias_u_dph: float
+    turn_on: TurnOn | None  # transient after switching on, deg/h; ``None`` without a usable record of it
+    remarks: tuple[str, ...]  # what was missing or left out within the windows
+
+
+@dataclass(frozen=True)
+class AxisMerit:
+    """Figures of merit of one axis."""
+
+    axis: str
+    runs: tuple[MeritRun, ...]  # from cold starts at the reference temperature
+    at_temperatures: tuple[MeritRun, ...]
+    scale_factor: float  # mean of the runs, and its standard uncertainty; counts per deg/s
+    scale_factor_u: float
+    nonlinearity_ppm: float  # the largest of the runs; nan where no run gives one
+    nonlinearity_of_point_ppm: float
+    asymmetry_ppm: float
+    repeatability_ppm: float  # nan where there are too few runs
+    temperature_coefficient_ppm: float
+    bias: Repeatability | None  # of the bias from one switching on to the next, deg/h; ``None`` with one run
+
+    @property
+    def bias_repeatability_dph(self) -> float:
+        """Standard deviation of the bias over the runs from cold starts."""
+        return math.nan if self.bias is None else self.bias.value
+
+    @property
+    def slowest(self) -> TurnOn | None:
+        """Transient with the longest warm-up."""
+        return max((one.turn_on for one in self.runs if one.turn_on), key=lambda one: one.warm_up_s, default=None)
+
+    @property
+    def turn_on_transient_dph(self) -> float:
+        """Largest bias just after switching on less the final one, with its sign."""
+        every = [one.turn_on.transient for one in self.runs if one.turn_on]
+        return max(every, key=abs, default=math.nan)
+
+    @property
+    def warm_up_s(self) -> float:
+        """Longest time until the bias stays within the bound of its final value."""
+        return math.nan if self.slowest is None else self.slowest.warm_up_s
+
+    @property
+    def all_runs(self) -> tuple[MeritRun, ...]:
+        """Those from cold starts first."""
+        return (*self.runs, *self.at_temperatures)
+
+
+@dataclass(frozen=True)
+class MeritFound:
+    """Figures of merit of each axis."""
+
+    axes: tuple[AxisMerit, ...]
+    left_out: tuple[LeftOut, ...]
+
+    def largest(self, name: str) -> float:
+        """Return a figure of the one axis, or the largest of several; nan where none gives one."""
+        return _largest([getattr(one, name) for one in self.axes])
+
+
+def evaluate(run: SavedRun, settings: FogSettings, choices: Mapping[str, Any]) -> MeritFound:
+    """Evaluate the segments of a run."""
+    left_out: list[LeftOut] = []
+    by_axis: dict[str, dict[str, list[Segment]]] = {}
+    for segment in segments_of(run, PURPOSE):
+        axis = str(segment.conditions.get("axis", settings.figures.axis))
+        by_axis.setdefault(axis, {}).setdefault(segment.conditions.get("run", "run 1"), []).append(segment)
+    found = [
+        _one_axis(axis, runs, settings, left_out, f"{axis} " if len(by_axis) > 1 else "")
+        for axis, runs in by_axis.items()
+    ]
+    axes = tuple(one for one in found if one is not None)
+    if not axes:
+        raise NoUsableSignal(f"no run has enough points for a scale factor{reasons_of(left_out)}")
+    return MeritFound(axes, tuple(left_out))
+
+
+def _one_axis(
+    axis: str, by_run: Mapping[str, list[Segment]], settings: FogSettings, left_out: list[LeftOut], before: str
+) -> AxisMerit | None:
+    """Evaluate the runs of one axis; what cannot be used is added to `left_out`."""
+    found = {name: _one_run(f"{before}{name}", of_run, settings, left_out) for name, of_run in by_run.items()}
+    good = {name: one for name, one in found.items() if one is not None}
+    reference = {name for name, of_run in by_run.items() if of_run[0].conditions.get("reference", True)}
+    runs = tuple(one for name, one in good.items() if name in reference)
+    others = tuple(one for name, one in good.items() if name not in reference)
+    if not runs:
+        left_out += [LeftOut(one.name, "there is no run at the reference temperature beside it") for one in others]
+        return None
+    k = np.array([one.figures.fit.slope for one in runs])
+    each = [one.figures for one in runs]
+    clock_u = angle_clock_u([segment for of_run in by_run.values() for segment in of_run])
+    return AxisMerit(
+        axis=axis,
+        runs=runs,
+        at_temperatures=others,
+        scale_factor=float(k.mean()),
+        scale_factor_u=math.hypot(_scale_u(k, each[0]), clock_u * float(k.mean())),
+        nonlinearity_ppm=_largest([one.nonlinearity_ppm for one in each]),
+        nonlinearity_of_point_ppm=_largest([one.nonlinearity_of_point_ppm for one in each]),
+        asymmetry_ppm=_largest([one.asymmetry_ppm for one in each]),
+        repeatability_ppm=repeatability_ppm(k) if k.size > 1 else math.nan,
+        temperature_coefficient_ppm=_temperature_coefficient(runs, others),
+        bias=_bias_repeatability(runs, settings),
+    )
+
+
+def _bias_repeatability(runs: Sequence[MeritRun], settings: FogSettings) -> Repeatability | None:
+    if len(runs) < 2:
+        return None
+    # the table need not come to rest towards the same side: a tilted axis sees another part of the earth rate
+    horizontal = 3600 * horizontal_earth_rate_dps(settings.site.latitude_deg)
+    turned = 1e-3 * settings.figures.misalignment_mrad * horizontal * math.sqrt(0.5)
+    return repeatability([one.bias_dph for one in runs], [one.bias_u_dph for one in runs], turned)
+
+
+def _scale_u(k: NDArray[np.float64], alone: ScaleFigures) -> float:
+    """Standard uncertainty of the mean scale factor, for few runs or points as wide as Student's t asks for."""
+    if k.size > 1:
+        return few_values_factor(k.size - 1) * float(np.std(k, ddof=1) / math.sqrt(k.size))
+    return few_values_factor(alone.fit.degrees_of_freedom) * alone.fit.slope_u
+
+
+def _largest(values: Sequence[float]) -> float:
+    known = [value for value in values if math.isfinite(value)]
+    return max(known, default=math.nan)
+
+
+def _temperature_coefficient(runs: Sequence[MeritRun], others: Sequence[MeritRun]) -> float:
+    known = [one for one in others if math.isfinite(one.temperature_c)]
+    middle = float(np.mean([one.temperature_c for one in runs]))
+    if not known or not math.isfinite(middle):
+        return math.nan
+    reference = (float(np.mean([one.figures.fit.slope for one in runs])), middle)
+    slopes, temperatures = [one.figures.fit.slope for one in known], [one.temperature_c for one in known]
+    try:
+        return temperature_coefficient_ppm(slopes, temperatures, reference=reference)
+    except ValueError:
+        return math.nan
+
+
+def _one_run(
+    name: str, segments: Sequence[Segment], settings: FogSettings, left_out: list[LeftOut]
+) -> MeritRun | None:
+    """Evaluate one run; segments that cannot be used are added to `left_out`."""
+    points, remarks, clock = [], [], 0.0
+    switched_on = [one for one in segments if "since_on_s" in one.conditions]
+    segments = [one for one in segments if "since_on_s" not in one.conditions]
+    for segment in segments:
+        length = segment.recording.duration_s
+        clock += length
+        try:
+            mean = _mean(segment, settings)
+        except ValueError as error:
+            left_out.append(LeftOut(segment.key, str(error)))
+            continue
+        remarks += remarks_on(segment, mean)
+        points.append(_Point(segment.key, segment.conditions, mean, clock - length / 2))
+    turned, static = [p for p in points if p.rate_dps], [p for p in points if not p.rate_dps]
+    turned = _with_a_static_output(turned, static, left_out)
+    if len({one.rate_dps for one in turned}) < 3 or not static:
+        left_out.append(
+            LeftOut(name, f"it has {len(turned)} rates and {len(static)} static outputs, 3 and 1 are needed")
+        )
+        return None
+    level, drifts, ends = np.empty(len(turned)), [], list(dict.fromkeys(one.end_up for one in turned))
+    for end_up in ends:
+        of_end = [place for place, one in enumerate(turned) if one.end_up == end_up]
+        at_rest = [one for one in static if one.end_up == end_up]
+        found = static_level(
+            [turned[place].at_s for place in of_end],
+            [one.at_s for one in at_rest],
+            [one.mean.mean for one in at_rest],
+            [one.mean.mean_u for one in at_rest],
+        )
+        level[of_end] = found.level
+        drifts.append(found)
+    rate = np.array([one.rate_dps for one in turned], dtype=np.float64)
+    output = np.array([one.mean.mean for one in turned]) - level
+    u = np.maximum(pooled_noise([one.mean for one in turned]), 1e-12 * np.abs(output).max())
+    largest = max(drifts, key=lambda one: abs(one.drift) if math.isfinite(one.drift) else math.inf)
+    both = len(static) > 1
+    figures = scale_figures(rate, output, u)
+    bias = [_bias(found, end_up, figures.fit.slope, settings) for end_up, found in zip(ends, drifts, strict=True)]
+    bias_u = math.sqrt(sum(one**2 for _, one in bias)) / len(bias)
+    return MeritRun(
+        name, _temperature(segments), rate, output, u,
+        largest.drift if both else math.nan, largest.drift_u if both else math.nan,
+        figures, residual_pattern(rate, output, u), any(one.modelled for one in drifts),
+        sum(one for one, _ in bias) / len(bias), bias_u,
+        _turn_on(switched_on, figures.fit.slope, settings, left_out), tuple(remarks),
+    )  # fmt: skip
+
+
+def _bias(found: StaticLevel, end_up: int, scale: float, settings: FogSettings) -> tuple[float, float]:
+    """Bias by the static output of one end of the axis, deg/h, and its noise."""
+    earth = end_up * vertical_earth_rate_dph(settings.site.latitude_deg)
+    return 3600 * found.mean / scale - earth, 3600 * found.mean_u / abs(scale)
+
+
+def _turn_on(
+    segments: Sequence[Segment], scale: float, settings: FogSettings, left_out: list[LeftOut]
+) -> TurnOn | None:
+    """Fit the transient of the first output from switching on that can be used, by the K of its run."""
+    for segment in segments:
+        try:
+            recording = checked(segment)
+            blocks = int(min(_TURN_ON_BLOCKS, recording.counts.size // 10))
+            edges = np.linspace(0, recording.times[-1] + recording.interval_s, max(blocks, 1) + 1)
+            place = np.digitize(recording.times + recording.interval_s / 2, edges[1:-1])
+            count = np.bincount(place, minlength=blocks)
+            with np.errstate(invalid="ignore"):
+                means = np.bincount(place, recording.counts, minlength=blocks) / count
+            values = 3600 * means / scale
+            since = float(segment.conditions["since_on_s"])
+            return turn_on_transient(
+                since + (edges[:-1] + edges[1:]) / 2, values, settings.figures.warm_up_bound_dph
+            )
+        except ValueError as error:
+            left_out.append(LeftOut(segment.key, str(error)))
+    return None
+
+
+@dataclass(frozen=True)
+class _Point:
+    """Mean of one segment; `at_s` in the middle of it, in seconds of output since the begin of the run."""
+
+    key: str
+    conditions: Mapping[str, Any]
+    mean: WindowMean
+    at_s: float
+
+    @property
+    def end_up(self) -> int:
+        return int(self.conditions.get("end_up", 1))
+
+    @property
+    def rate_dps(self) -> float:
+        """Along the axis."""
+        rate = self.conditions["rate_dps"]
+        return self.end_up * float(self.conditions.get("table_rate_dps", rate) if rate else 0.0)
+
+
+def _with_a_static_output(
+    turned: Sequence[_Point], static: Sequence[_Point], left_out: list[LeftOut]
+) -> list[_Point]:
+    """Those whose end of the axis was also up at rest: the vertical earth rate changes its sign with the end."""
+    ends = {one.end_up for one in static}
+    kept = []
+    for one in turned:
+        if one.end_up in ends or not ends:
+            kept.append(one)
+        else:
+            side = "up" if one.end_up > 0 else "down"
+            left_out.append(
+                LeftOut(one.key, f"there is no static output with this end of the axis {side}: take one")
+            )
+    return kept
+
+
+def _mean(segment: Segment, settings: FogSettings) -> WindowMean:
+    if segment.conditions["rate_dps"] == 0:
+        return window_at_rest(segment, resolution=settings.gyro.output_resolution)
+    check_table_rate(segment.conditions, settings.table.rate_tolerance_ppm)
+    return window_of_any_length(segment, settings, turns=_MANY_TURNS)
+
+
+def _temperature(segments: Sequence[Segment]) -> float:
+    """Mean temperature that the gyro gave, or the one that was planned."""
+    measured = [s.recording.temperature for s in segments if s.recording.temperature is not None]
+    values = np.concatenate(measured) if measured else np.empty(0)
+    values = values[np.isfinite(values)]
+    if values.size:
+        return float(values.mean())
+    planned: Any = segments[0].conditions.get("temperature_c")
+    return math.nan if planned is None else float(planned)
+
+
+# --------------------
+# The figures of merit as numbers and sentences
+
+
+LIMITED = (
+    "nonlinearity_ppm",
+    "nonlinearity_of_point_ppm",
+    "asymmetry_ppm",
+    "repeatability_ppm",
+    "temperature_coefficient_ppm",
+    "bias_repeatability_dph",
+    "turn_on_transient_dph",
+    "warm_up_s",
+)
+_GJB_RATES = 11
+_CAUSES = {
+    "odd": "odd in the rate (cubic: resets, converter)",
+    "even": "even in the rate (asymmetry)",
+    "near zero": "near zero (dead zone)",
+    "scatter": "irregular beyond their noise (bias, scale factor or table change between the rates)",
+}
+_FIT = {
+    "scale_factor_counts_per_dps": "slope",
+    "scale_factor_u_counts_per_dps": "slope_u",
+    "intercept_counts": "intercept",
+    "intercept_u_counts": "intercept_u",
+}
+_FIGURES = {
+    "scale_factor_positive_counts_per_dps": "scale_factor_positive",
+    "scale_factor_negative_counts_per_dps": "scale_factor_negative",
+    "nonlinearity_ppm": "nonlinearity_ppm",
+    "nonlinearity_u_ppm": "nonlinearity_u_ppm",
+    "nonlinearity_of_point_ppm": "nonlinearity_of_point_ppm",
+    "asymmetry_ppm": "asymmetry_ppm",
+    "asymmetry_u_ppm": "asymmetry_u_ppm",
+    "deviation_of_full_scale_ppm": "deviation_of_full_scale_ppm",
+    "deviation_of_point_ppm": "deviation_of_point_ppm",
+}
+_PATTERN = {"pattern": "names", "odd_ppm": "odd_ppm", "even_ppm": "even_ppm", "near_zero_ppm": "near_zero_ppm"}
+
+
+def result(found: MeritFound, run: SavedRun, settings: FogSettings) -> Result:
+    """Put into numbers and sentences what was found."""
+    lines = tuple(line for one in found.axes for line in _lines(one, several=len(found.axes) > 1))
+    watched = tuple(_to_watch(found, settings))
+    return Result(
+        name="result",
+        value=f"Nonlinearity {found.largest('nonlinearity_ppm'):.3g} ppm of full scale",
+        document=_document(found),
+        measured=_measured(found),
+        lines=lines,
+        summary=[("", line) for line in lines],
+        sentences=tuple(_sentences(found)),
+        to_watch=watched,
+        flags=watched,
+        left_out=found.left_out,
+    )
+
+
+def _lines(one: AxisMerit, *, several: bool) -> tuple[str, ...]:
+    begin = f"Axis {one.axis}: nonlinearity {_ppm(one.nonlinearity_ppm)}, asymmetry" if several else "Asymmetry"
+    return (
+        f"{begin} {_ppm(one.asymmetry_ppm)}, repeatability {_ppm(one.repeatability_ppm)} "
+        f"({len(one.runs)} runs), temperature coefficient {_ppm(one.temperature_coefficient_ppm)}/K.",
+        f"{f'K({one.axis})' if several else 'K'} = {with_uncertainty(one.scale_factor, one.scale_factor_u)} "
+        f"{COUNTS_PER_DPS}.",
+        *_bias_lines(one, several=several),
+    )
+
+
+def _bias_lines(one: AxisMerit, *, several: bool) -> list[str]:
+    said, begin = [], f"Axis {one.axis}: bias" if several else "Bias"
+    if one.bias is not None:
+        said.append(
+            f"{begin} from one switching on to the next: {one.bias.value:.2g} deg/h (95 %: {one.bias.low_95:.2g} "
+            f"to {one.bias.high_95:.2g}, {one.bias.count} runs)."
+        )
+    if (slowest := one.slowest) is not None:
+        high = f"{slowest.warm_up_high_95_s:.3g} s" if slowest.ends else "beyond the record"
+        said.append(
+            f"{begin} just after switching on {one.turn_on_transient_dph:+.2g} deg/h off its final value; within "
+            f"{slowest.bound:g} deg/h of it after {slowest.warm_up_s:.3g} s (95 %: "
+            f"{slowest.warm_up_low_95_s:.3g} s to {high})."
+        )
+    return said
+
+
+def _measured(found: MeritFound) -> tuple[Measured, ...]:
+    if len(found.axes) == 1:
+        return tuple(Measured(name, getattr(found.axes[0], name)) for name in LIMITED)
+    return tuple(Measured(name, getattr(one, name), one.axis) for one in found.axes for name in LIMITED)
+
+
+def _document(found: MeritFound) -> dict[str, Any]:
+    """Of one axis as of old; of several the largest figures, no common scale factor, and each axis by itself."""
+    alone = found.axes[0] if len(found.axes) == 1 else None
+    return {
+        "style": "GJB and IEEE style; nonlinearity is of full scale unless its name says of_point",
+        **(_scale(alone) if alone else dict.fromkeys(_scale(found.axes[0]))),
+        **{name: found.largest(name) for name in LIMITED},
+        **(_intervals(alone) if alone else {}),
+        "runs": [_run(run) for one in found.axes for run in one.runs],
+        "at_temperatures": [_run(run) for one in found.axes for run in one.at_temperatures],
+        "axes": [
+            {"axis": one.axis, **_scale(one), **{name: getattr(one, name) for name in LIMITED}, **_intervals(one)}
+            for one in found.axes
+        ],
+        "left_out": found.left_out,
+    }
+
+
+def _scale(one: AxisMerit) -> dict[str, float]:
+    return {
+        "scale_factor_counts_per_dps": one.scale_factor,
+        "scale_factor_u_counts_per_dps": one.scale_factor_u,
+        # IEEE texts give input over output
+        "input_per_count_dph": 3600 / one.scale_factor,
+    }
+
+
+def _intervals(one: AxisMerit) -> dict[str, float | None]:
+    """95 % intervals of what has one; the noise of the bias; the bound of the warm-up."""
+    bias, slowest = one.bias, one.slowest
+    return {
+        "bias_repeatability_low_95_dph": bias.low_95 if bias else None,
+        "bias_repeatability_high_95_dph": bias.high_95 if bias else None,
+        "bias_noise_u_dph": bias.noise_u if bias else None,
+        "warm_up_low_95_s": slowest.warm_up_low_95_s if slowest else None,
+        "warm_up_high_95_s": slowest.warm_up_high_95_s if slowest else None,
+        "warm_up_bound_dph": slowest.bound if slowest else None,
+    }
+
+
+def _ppm(value: float) -> str:
+    return f"{value:.3g} ppm" if math.isfinite(value) else "none"
+
+
+def _run(one: MeritRun) -> dict[str, Any]:
+    return {
+        "name": one.name,
+        "temperature_c": one.temperature_c,
+        **picked(one.figures.fit, _FIT),
+        "static_drift_counts": one.static_drift,
+        "bias_dph": one.bias_dph,
+        "bias_u_dph": one.bias_u_dph,
+        "turn_on": _turn_on_document(one.turn_on),
+        **picked(one.figures, _FIGURES),
+        **picked(one.pattern, _PATTERN),
+        "rate_dps": one.rate_dps,
+        "net_counts": one.output,
+    }
+
+
+def _turn_on_document(one: TurnOn | None) -> dict[str, Any] | None:
+    if one is None:
+        return None
+    return {
+        "exponentials": one.exponentials,
+        "time_constants_s": one.time_constants_s,
+        "transient_dph": one.transient,
+        "transient_u_dph": one.transient_u,
+        "transient_low_95_dph": one.transient_low_95,
+        "transient_high_95_dph": one.transient_high_95,
+        "warm_up_s": one.warm_up_s,
+        "warm_up_low_95_s": one.warm_up_low_95_s,
+        "warm_up_high_95_s": one.warm_up_high_95_s,
+        "ends": one.ends,
+    }
+
+
+def _sentences(found: MeritFound) -> list[str]:
+    """Say which pattern the deviations have."""
+    said = [
+        f"{one.name}: the deviations are {', and '.join(_CAUSES[name] for name in one.pattern.names)}."
+        for axis in found.axes
+        for one in axis.all_runs
+        if one.pattern.names
+    ]
+    return said or ["The deviations from the line show no pattern beyond their noise."]
+
+
+def _to_watch(found: MeritFound, settings: FogSettings) -> list[str]:
+    said = [f"{one.sentence}." for one in found.left_out]
+    for one in [run for axis in found.axes for run in axis.all_runs]:
+        said += _to_watch_in(one)
+    for axis in found.axes:
+        document = {name: getattr(axis, name) for name in LIMITED} | _intervals(axis)
+        said += undecided_limits([document], LIMITED, settings)
+    return said
+
+
+def _to_watch_in(one: MeritRun) -> list[str]:
+    said = []
+    if not math.isfinite(one.static_drift):
+        said.append(f"{one.name}: a static output before or after is missing, a drift of the bias is not seen.")
+    elif one.drift_removed:
+        said.append(
+            f"{one.name}: the static output drifted by {one.static_drift:+.3g} counts; it was interpolated."
+        )
+    senses = [sum(1 for rate in set(one.rate_dps) if sense * rate > 0) for sense in (1, -1)]
+    if min(senses) < _GJB_RATES:
+        said.append(
+            f"{one.name}: {senses[0]} rates in one sense and {senses[1]} in the other; GJB style asks for "
+            f"{_GJB_RATES} in each."
+        )
+    if one.turn_on is not None and not one.turn_on.ends:
+        said.append(
+            f"{one.name}: the record from switching on is too short to show that the bias stays within "
+            f"{one.turn_on.bound:g} deg/h: record longer (figures.turn_on_s)."
+        )
+    return [*said, *one.remarks]
+
+
+# --------------------
+# The figures of merit in the report: deviations from the line, and the scale factor of each run
+
+
+def sections(found: MeritFound, run: SavedRun, settings: FogSettings, result: Result) -> list[Section]:
+    """Return the sections of the report."""
+    header = ("run", "°C", f"K, {COUNTS_PER_DPS}", "nonlin. FS", "nonlin. point", "asymmetry", "pattern")
+    return [
+        Section(
+            "Deviations from the line",
+            "Measured less fitted output. GJB style gives the nonlinearity of full scale, IEEE style names "
+            "either.",
+            figures=(
+                PlacedFigure(_deviations_svg(found, of_point=False), "As ppm of the largest output."),
+                PlacedFigure(_deviations_svg(found, of_point=True), "As ppm of the point's own output."),
+            ),
+            sentences=result.sentences,
+        ),
+        Section(
+            "Scale factor of each run",
+            "Repeatability is the standard deviation over the runs from cold starts; the temperature coefficient "
+            "is the largest change of K per kelvin from their mean.",
+            figures=(PlacedFigure(_scale_factors_svg(found), "Each run less the mean of the runs."),),
+            table=TextTable(header, tuple(_row(one) for axis in found.axes for one in axis.all_runs)),
+        ),
+        *_bias_sections(found),
+    ]
+
+
+def _bias_sections(found: MeritFound) -> list[Section]:
+    """Bias of each switching on, and the transients."""
+    transients = [one for axis in found.axes for one in axis.runs if one.turn_on is not None]
+    rows = []
+    for one in (run for axis in found.axes for run in axis.runs):
+        turn_on = one.turn_on
+        ends = f"{turn_on.warm_up_high_95_s:.3g}" if turn_on and turn_on.ends else "beyond the record"
+        rows.append(
+            (
+                one.name,
+                with_uncertainty(one.bias_dph, one.bias_u_dph),
+                with_uncertainty(turn_on.transient, turn_on.transient_u) if turn_on else "",
+                f"{turn_on.warm_up_s:.3g} ({turn_on.warm_up_low_95_s:.3g} to {ends})" if turn_on else "",
+            )
+        )
+    header = ("run", "bias, deg/h", "transient, deg/h", "warm-up, s (95 %)")
+    text = "Static output less the vertical earth rate at the latitude of the settings."
+    figures: tuple[PlacedFigure, ...] = ()
+    if transients:
+        bound = next(one.turn_on.bound for one in transients if one.turn_on)
+        text += f" The warm-up is over when the bias stays within {bound:g} deg/h of its final value."
+        caption = "Fitted bias from each switching on, less its final value; dashed: the bound."
+        figures = (PlacedFigure(_transients_svg(transients), caption),)
+    return [
+        Section(
+            "Bias from one switching on to the next", text, figures=figures, table=TextTable(header, tuple(rows))
+        )
+    ]
+
+
+def _transients_svg(runs: Sequence[MeritRun]) -> str:
+    """Draw the bias after switching on, less its final value: means over equal times, and fitted."""
+
+    def draw(figure: Figure) -> None:
+        axes = figure.add_subplot()
+        for index, one in enumerate(runs):
+            if (turn_on := one.turn_on) is not None:
+                colour = COLOURS[index % 7]
+                axes.plot(turn_on.at_s, turn_on.values - turn_on.curve_end, ".", ms=3, color=colour, alpha=0.6)
+                axes.plot(
+                    turn_on.at_s, turn_on.curve - turn_on.curve_end, color=colour, linewidth=1.2, label=one.name
+                )
+                for sense in (1, -1):
+                    axes.axhline(sense * turn_on.bound, color=SOFT, linewidth=0.7, linestyle=(0, (4, 3)))
+        axes.set(xlabel="time since switching on, s", ylabel="bias less final, deg/h")
+        legend_above(axes, columns=6)
+
+    return svg_element("turn-on", WIDE, draw)
+
+
+def _row(one: MeritRun) -> tuple[str, ...]:
+    return (
+        one.name,
+        f"{one.temperature_c:.1f}" if math.isfinite(one.temperature_c) else "",
+        with_uncertainty(one.figures.fit.slope, one.figures.fit.slope_u),
+        f"{one.figures.nonlinearity_ppm:.3g} ppm",
+        f"{one.figures.nonlinearity_of_point_ppm:.3g} ppm",
+        ppm(one.figures.asymmetry_ppm, one.figures.asymmetry_u_ppm).lstrip("+"),
+        ", ".join(one.pattern.names) or "none",
+    )
+
+
+def _deviations_svg(found: MeritFound, *, of_point: bool) -> str:
+    """Draw the deviations from the line of every run, of full scale or of each point."""
+
+    def draw(figure: Figure) -> None:
+        axes = figure.add_subplot()
+        runs = [(one, one in axis.at_temperatures) for axis in found.axes for one in axis.all_runs]
+        for index, (one, hot) in enumerate(runs):
+            order = np.argsort(one.rate_dps)
+            values = one.figures.deviation_of_point_ppm if of_point else -one.figures.deviation_of_full_scale_ppm
+            axes.plot(
+                one.rate_dps[order], values[order], "s--" if hot else "o-", ms=3.5, linewidth=0.8,
+                color=COLOURS[index % 7], label=one.name,
+            )  # fmt: skip
+        axes.axhline(0, color=SOFT, linewidth=0.8)
+        axes.set(xlabel="rate, deg/s", ylabel="ppm of the point" if of_point else "ppm of full scale")
+        if of_point:
+            axes.set_xscale("symlog", linthresh=1.0)
+        else:
+            legend_above(axes, columns=4)
+
+    return svg_element("of-point" if of_point else "of-full-scale", HALF, draw)
+
+
+def _scale_factors_svg(found: MeritFound) -> str:
+    """Draw the scale factor of every run against the temperature."""
+
+    def draw(figure: Figure) -> None:
+        axes = figure.add_subplot()
+        everything = [one for axis in found.axes for one in axis.all_runs]
+        known = bool(np.all(np.isfinite([one.temperature_c for one in everything])))
+        for index, axis in enumerate(found.axes):
+            of_axis = f"axis {axis.axis}, " if len(found.axes) > 1 else ""
+            groups = (("from cold starts", axis.runs), ("at other temperatures", axis.at_temperatures))
+            for place, (name, chosen) in enumerate(groups):
+                slopes = np.array([one.figures.fit.slope for one in chosen], dtype=np.float64)
+                u = PPM * np.array([one.figures.fit.slope_u for one in chosen]) / abs(axis.scale_factor)
+                off = PPM * (slopes / axis.scale_factor - 1)
+                if chosen:
+                    colour, temperatures = COLOURS[(2 * index + place) % 7], [one.temperature_c for one in chosen]
+                    _against_temperature(axes, f"{of_axis}{name}", temperatures, off, u, colour)
+        axes.axhline(0, color=SOFT, linewidth=0.8)
+        axes.set(xlabel="temperature, °C" if known else "run", ylabel="K less mean, ppm")
+        legend_above(axes, columns=2)
+
+    return svg_element("scale-factors", WIDE, draw)
+
+
+def _against_temperature(
+    axes: Axes, name: str, temperature: ArrayLike, value: ArrayLike, u: ArrayLike, colour: str
+) -> None:
+    place = np.asarray(temperature, dtype=np.float64)
+    if not np.all(np.isfinite(place)):
+        place = np.arange(1.0, place.size + 1)
+    axes.errorbar(place, value, yerr=u, fmt="o", ms=4, capsize=2, color=colour, linewidth=0.9, label=name)
+
+
+_SAME_TEMPERATURE_K = 5.0
+
+
+def plan(settings: FogSettings) -> list[PlannedSegment]:
+    """List the segments: every run and every temperature with rest, all rates in both senses, rest."""
+    chosen, planned = settings.figures, []
+    names = [(f"run {number}", chosen.reference_temperature_c, True) for number in range(1, chosen.runs + 1)]
+    names += [(f"run at {t:+g} deg C", t, False) for t in chosen.temperatures_c]
+    for name, temperature, reference in names:
+        common = {"purpose": PURPOSE, "run": name, "axis": chosen.axis, "end_up": 1, "reference": reference}
+        common |= {"temperature_c": temperature}
+        rest = {**common, "rate_dps": 0.0}
+        if reference and chosen.turn_on_s:
+            planned.append(
+                PlannedSegment(f"{name}, switched on", chosen.turn_on_s, 0.0, {**rest, "since_on_s": 0.0})
+            )
+        planned.append(PlannedSegment(f"{name}, static before", chosen.static_s, chosen.settle_s, rest))
+        for size in chosen.rates_dps:
+            turns = max(1, round(chosen.seconds / turn_time(size)))
+            for rate in (size, -size):
+                key, seconds = f"{name}, {rate:+.10g} deg/s", turns * turn_time(rate) + MARGIN_S
+                planned.append(PlannedSegment(key, seconds, chosen.settle_s, {**common, "rate_dps": rate}))
+        planned.append(PlannedSegment(f"{name}, static after", chosen.static_s, chosen.settle_s, rest))
+    return planned
+
+
+def named(rows: Sequence[LogRow], settings: FogSettings) -> list[NamedSegment]:
+    """Name the segment of each log by the rate of the table, and by run and axis where there are several."""
+    several = len({row.get("axis", settings.figures.axis) for row in rows}) > 1
+    return [_named(row, settings, several=several) for row in rows]
+
+
+def _named(row: LogRow, settings: FogSettings, *, several: bool) -> NamedSegment:
+    temperature, rate = row.get("temperature_c"), row["rate_dps"]
+    axis, end_up = row.get("axis", settings.figures.axis), row["end_up"]
+    reference_c = settings.figures.reference_temperature_c
+    conditions = {
+        "run": row.get("run", "run 1"),
+        "axis": axis,
+        "temperature_c": temperature,
+        "reference": temperature is None or abs(temperature - reference_c) <= _SAME_TEMPERATURE_K,
+        "rate_dps": rate,
+        "end_up": end_up,
+        **table_conditions(row),
+        **({"since_on_s": row["since_on_s"]} if "since_on_s" in row else {}),
+    }
+    of_axis = f"{axis} " if several else ""
+    down = " down" if end_up < 0 else ""
+    what = "switched on" if "since_on_s" in row else "static" if rate == 0 else f"{rate:+.10g} deg/s"
+    return f"{of_axis}{conditions['run']}, {what}{down}", conditions
+
+
+MEASUREMENT = gyro_measurement(
+    PURPOSE,
+    "Figures of merit of the scale factor",
+    take=planned_segments(plan),
+    take_files=listed_logs(PURPOSE, ("rate_dps",), named),
+    evaluate=evaluate,
+    result=result,
+    sections=sections,
+    gives=LIMITED,
+    plan=plan,
+)

@@ -1,1 +1,0 @@
-"""Figures of merit of a fibre gyro's scale factor."""

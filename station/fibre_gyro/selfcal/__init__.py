@@ -1,1 +1,0 @@
-"""Self-calibration of a fibre gyro by an injected staircase."""

@@ -1,1 +1,0 @@
-"""Rate-table run of a fibre gyro."""

@@ -1,1 +1,0 @@
-"""Scale factor and bias of a fibre gyro over a temperature ramp."""

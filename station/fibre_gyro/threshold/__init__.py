@@ -1,1 +1,0 @@
-"""Threshold, resolution and dead zone of a fibre gyro."""

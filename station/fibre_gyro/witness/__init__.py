@@ -1,1 +1,0 @@
-"""The modulator's staircase, seen by the oscilloscope."""

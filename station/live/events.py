@@ -1,0 +1,211 @@
+"""What happens while something is measured: one event at a time, told to all who read.
+
+A reader that fails is not asked again, and what is measured goes on.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import select
+import stat
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from typing import Any
+
+from station.errors import UsageError
+
+SCHEMA = {"name": "gyrolock event", "version": 1}
+
+KINDS: Mapping[str, tuple[str, str]] = {
+    "program": ("command unit operator note pid version", "a command begins"),
+    "run": (
+        "run measurement gyro instrument resource simulated resumed records",
+        "the bench is open, a run begins",
+    ),
+    "note": ("text", "one line for the operator"),
+    "waiting": ("what seconds", "nothing is taken for so long: warm-up, settling"),
+    "asked": ("question", "the program waits for an answer of the operator"),
+    "answered": ("", "the operator has answered"),
+    "counting": ("what total", "from here on `total` things are counted"),
+    "counted": ("what done total left_s", "one more; the time left is a guess from those so far"),
+    "record": ("run number key purpose conditions", "a record is on the disk"),
+    "value": ("key group values running so_far flags trace problem", "what one record says, and all so far"),
+    "link": ("repeated reconnected set_again text", "what it took so far to keep the link"),
+    "run_ended": ("run outcome", "the taking of a run has ended"),
+    "result": ("run name value verdict standing measured", "what a run says"),
+    "campaign_begun": ("campaign unit steps of seconds resumed", "a test of a unit begins"),
+    "step_begun": ("step number of measurement title", "a step of it begins"),
+    "step_ended": ("step number verdict run message", "a step has ended"),
+    "conditions": ("*", "what instruments beside the bench read: names with their units"),
+    "campaign_ended": ("verdict exit_code message", "the test has ended"),
+    "ended": ("exit_code message", "the command has ended"),
+    "lost": ("count", "so many events were not written: the reader was too slow"),
+}
+"""Each kind of event: names of what it tells (``*``: any names), and what it means."""
+
+WAYPOINTS = frozenset(KINDS) - {"counted", "record", "value", "link", "note"}
+"""Kinds that come seldom, and that a reader of the state as it stands must not miss."""
+
+
+@dataclass(frozen=True)
+class Event:
+    """Something that happened."""
+
+    counter: int  # counts from 1 within the program: a gap shows
+    kind: str  # one of :data:`KINDS`
+    at: str  # UTC, ISO 8601
+    facts: Mapping[str, Any]  # plain JSON
+
+    def line(self) -> str:
+        """Return the event as one line of JSON, without its end."""
+        head = {"schema": SCHEMA, "counter": self.counter, "event": self.kind, "at": self.at}
+        return json.dumps({**head, **self.facts}, allow_nan=False)
+
+
+Reader = Callable[[Event], None]
+
+
+class Events:
+    """Tells its readers what happens, in the order in which it happens; any thread may emit."""
+
+    def __init__(self) -> None:
+        self._readers: list[Reader] = []
+        self._lock = threading.RLock()
+        self._counter = 0
+        self.wants_values = False
+
+    def read_by(self, reader: Reader, *, values: bool = False) -> None:
+        """Add a reader."""
+        with self._lock:
+            self._readers.append(reader)
+            self.wants_values = self.wants_values or values
+
+    def emit(self, kind: str, **facts: object) -> None:
+        """Tell what happened; never raises for a reader's sake."""
+        if not self._readers:
+            return
+        from station.results.result import plain  # needs NumPy
+
+        with self._lock:
+            self._counter += 1
+            event = Event(self._counter, kind, now_text(), plain(facts))
+            for reader in tuple(self._readers):
+                try:
+                    reader(event)
+                except Exception:  # whatever it is: it is the reader's, and not the measurement's
+                    self._readers.remove(reader)
+
+
+def now_text() -> str:
+    """Return the time, UTC, ISO 8601 with milliseconds."""
+    return datetime.now(UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")
+
+
+# --------------------
+# Events as lines of JSON, for other programs: to a file, a pipe, or a descriptor that the caller has opened.
+#
+# A reader that is slow, has gone or never came costs lines, never the measurement: nothing here waits for it
+
+
+_LINES = 1000  # that wait for a reader; of more the oldest are lost, and counted
+_PIECE = 4096  # bytes: a pipe that is said to take some takes so many (PIPE_BUF) without waiting
+_LAST_S = 1.0  # for so long the end of the program waits for a reader
+
+
+class EventLines:
+    """Writes events to a descriptor as it takes them."""
+
+    def __init__(self, descriptor: int) -> None:
+        self._descriptor = descriptor
+        self._held: deque[bytes] = deque()
+        self._begun = b""
+        """What is left of a line that is partly written."""
+        self._untold = 0
+        self.lost, self.error = 0, ""
+
+    def __call__(self, event: Event) -> None:
+        """Take an event, and write as much as is taken now."""
+        if self.error:
+            self.lost += 1
+            return
+        if len(self._held) >= _LINES:
+            self._held.popleft()
+            self._untold, self.lost = self._untold + 1, self.lost + 1
+        self._held.append(event.line().encode() + b"\n")
+        if self._untold and takes_now(self._descriptor):  # in the place of those that are lost
+            told = Event(event.counter, "lost", event.at, {"count": self._untold})
+            self._held.appendleft(told.line().encode() + b"\n")
+            self._untold = 0
+        self._write()
+
+    def close(self) -> None:
+        """Write what is left, if the reader takes it within a second, and close."""
+        until = time.monotonic() + _LAST_S
+        while (self._held or self._begun) and not self.error and time.monotonic() < until:
+            self._write()
+            if self._held or self._begun:
+                time.sleep(0.01)
+        self.lost += len(self._held) + bool(self._begun)
+        self._held.clear()
+        with suppress(OSError):
+            os.close(self._descriptor)
+
+    def _write(self) -> None:
+        try:
+            while (self._begun or self._held) and takes_now(self._descriptor):
+                self._begun = self._begun or self._held.popleft()
+                self._begun = self._begun[os.write(self._descriptor, self._begun[:_PIECE]) :]
+        except BlockingIOError:
+            return
+        except OSError as error:
+            self.error = error.strerror or str(error)
+
+
+def takes_now(descriptor: int) -> bool:
+    """Tell whether a descriptor takes :data:`_PIECE` bytes without waiting."""
+    if not hasattr(select, "poll"):
+        return True
+    poll = select.poll()
+    poll.register(descriptor, select.POLLOUT)
+    return bool(poll.poll(0))
+
+
+def open_lines(target: str) -> EventLines:
+    """Open where events are written to."""
+    try:
+        return EventLines(_opened(target))
+    except OSError as error:
+        raise UsageError(f"--events {target}: {error.strerror}") from None
+
+
+def _opened(target: str) -> int:
+    if target.isdecimal():
+        if int(target) == 1:
+            raise UsageError("--events 1: stdout belongs to the result; give a file or another descriptor")
+        descriptor = os.dup(int(target))
+        if not _writable(descriptor):
+            os.close(descriptor)
+            raise UsageError(f"--events {target}: this descriptor is not open for writing")
+    else:
+        mode = os.O_WRONLY | os.O_CREAT | os.O_APPEND
+        with suppress(FileNotFoundError):
+            if stat.S_ISFIFO(os.stat(target).st_mode):
+                mode = os.O_RDWR  # the reader of a pipe may come later, or go and come again
+        descriptor = os.open(target, mode | getattr(os, "O_NONBLOCK", 0), 0o666)
+    if stat.S_ISSOCK(os.fstat(descriptor).st_mode):
+        os.set_blocking(descriptor, False)
+    return descriptor
+
+
+def _writable(descriptor: int) -> bool:
+    try:
+        import fcntl
+    except ImportError:
+        return True
+    return fcntl.fcntl(descriptor, fcntl.F_GETFL) & os.O_ACCMODE != os.O_RDONLY

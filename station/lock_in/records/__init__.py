@@ -1,1 +1,0 @@
-"""Saved records through the estimator, batch by batch."""

@@ -1,0 +1,170 @@
+"""A results table as Parquet: columns, in row groups of some ten thousand records."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from station.datasets.rows import package
+from station.errors import CannotWrite, RunError
+from station.reanalysis.table_file import (
+    INTEGERS,
+    NAME,
+    ORDER,
+    TEXTS,
+    VERSION,
+    Column,
+    Key,
+    Repeated,
+    Rows,
+    TableFile,
+    joined_columns,
+)
+
+pyarrow, compute, parquet = (package(name, "data") for name in ("pyarrow", "pyarrow.compute", "pyarrow.parquet"))
+
+ROW_GROUP = 10_000
+_KINDS = {
+    **dict.fromkeys(ORDER, pyarrow.float64()),
+    **dict.fromkeys(TEXTS, pyarrow.string()),
+    **dict.fromkeys(INTEGERS, pyarrow.int64()),
+}
+SCHEMA = pyarrow.schema(
+    [(name, _KINDS[name]) for name in ORDER], {"schema_name": NAME, "schema_version": str(VERSION)}
+)
+
+
+class Parquet(TableFile):
+    """New rows go to a draft beside the table, which takes its place at the end."""
+
+    def __init__(self, path: Path) -> None:
+        super().__init__(path)
+        self._draft = path.with_name(f".{path.name}.part")
+        self._writer: Any = None
+        self._waiting: list[Any] = []
+
+    def known(self) -> dict[Key, str]:
+        """SHA-256 by source and analysis; see `TableFile`."""
+        found: dict[Key, str] = {}
+        if not self.path.exists():
+            return found
+        names = ["source", "analysis", "source_sha256"]
+        for batch in self._batches(names):
+            table = pyarrow.Table.from_batches([batch]).group_by(names).aggregate([])
+            for row in table.to_pylist():
+                found[row["source"], row["analysis"]] = row["source_sha256"]
+        return found
+
+    def rows(self) -> Iterator[dict[str, Any]]:
+        """Read the rows; see `TableFile`."""
+        for batch in self._batches(None):
+            yield from batch.to_pylist()
+
+    def begin(self) -> None:
+        """Open the draft; see `TableFile`."""
+        try:
+            self._writer = parquet.ParquetWriter(
+                self._draft, SCHEMA, compression="zstd", compression_level=1, use_dictionary=list(TEXTS)
+            )
+        except OSError as error:
+            raise CannotWrite(f"{self.path}: cannot be written ({error})") from None
+
+    @staticmethod
+    def packed(parts: Sequence[Rows]) -> bytes:
+        """Columns as Arrow lays them out in memory; see `TableFile`."""
+        columns = joined_columns(parts)
+        arrays = [_texts(columns[name]) if name in TEXTS else _numbers(columns[name], name) for name in ORDER]
+        return bytes(pyarrow.RecordBatch.from_arrays(arrays, schema=SCHEMA).serialize())
+
+    def add(self, packed: bytes) -> None:
+        """Collect rows to row groups; see `TableFile`."""
+        self._waiting.append(pyarrow.ipc.read_record_batch(pyarrow.py_buffer(packed), SCHEMA))
+        if sum(map(len, self._waiting)) >= ROW_GROUP:
+            self._flush()
+
+    def end(self, replaced: set[Key]) -> None:
+        """Write what stays behind the new rows; see `TableFile`."""
+        self._flush()
+        if self.path.exists():
+            gone = pyarrow.array(
+                [f"{source}\n{analysis}" for source, analysis in sorted(replaced)], pyarrow.string()
+            )
+            for batch in self._batches(None):
+                keys = compute.binary_join_element_wise(batch["source"], batch["analysis"], "\n")
+                kept = batch.filter(compute.invert(compute.is_in(keys, gone)))
+                if len(kept):
+                    self._waiting.append(kept.cast(SCHEMA))
+                    self._flush()
+        try:
+            self._writer.close()
+            self._draft.replace(self.path)
+        except OSError as error:
+            raise CannotWrite(f"{self.path}: cannot be written ({error})") from None
+
+    def give_up(self) -> None:
+        """Take the draft away; see `TableFile`."""
+        with suppress(OSError):  # a disk that is full does not take its end
+            if self._writer is not None:
+                self._writer.close()
+        with suppress(OSError):
+            self._draft.unlink()
+
+    def _flush(self) -> None:
+        if self._waiting:
+            try:
+                table = pyarrow.Table.from_batches(self._waiting, SCHEMA)
+                self._writer.write_table(table, row_group_size=2 * ROW_GROUP)
+            except OSError as error:
+                raise CannotWrite(f"{self.path}: cannot be written ({error})") from None
+            self._waiting = []
+
+    def _batches(self, names: list[str] | None) -> Iterator[Any]:
+        try:
+            with parquet.ParquetFile(self.path) as file:
+                known = file.schema_arrow.metadata or {}
+                ours = known.get(b"schema_name") == NAME.encode()
+                version = known.get(b"schema_version", b"").decode(errors="replace")
+                self._checked(int(version) if ours and version.isdigit() else None)
+                yield from file.iter_batches(ROW_GROUP, columns=names)
+        except (pyarrow.ArrowException, OSError) as error:
+            raise RunError(
+                f"{self.path}: is no Parquet file or is damaged ({str(error).splitlines()[0]})"
+            ) from None
+
+
+def _texts(column: Column) -> Any:
+    """Texts as Arrow lays them out: all of them one behind the other, and where each begins."""
+    if isinstance(column, Repeated) and column.value is None:
+        return pyarrow.nulls(len(column), pyarrow.string())
+    if isinstance(column, Repeated):
+        text = column.value.encode()
+        joined, ends = text * len(column), np.arange(len(column) + 1, dtype=np.int32) * np.int32(len(text))
+        known = None
+    else:
+        encoded = [b"" if text is None else text.encode() for text in column]
+        joined, ends = b"".join(encoded), np.cumsum([0, *map(len, encoded)], dtype=np.int32)
+        known = None if None not in column else _bits(np.array([text is not None for text in column]))
+    buffers = [known, pyarrow.py_buffer(ends), pyarrow.py_buffer(joined)]
+    return pyarrow.Array.from_buffers(pyarrow.string(), len(column), buffers)
+
+
+def _numbers(column: Column, name: str) -> Any:
+    """Numbers as Arrow lays them out; nan: not known."""
+    kind = np.int64 if name in INTEGERS else np.float64
+    if isinstance(column, Repeated):
+        column = np.full(len(column), np.nan if column.value is None else column.value)
+    elif not isinstance(column, np.ndarray):
+        column = np.array([np.nan if value is None else value for value in column])
+    values = np.ascontiguousarray(column, kind)
+    unknown = np.isnan(values) if kind is np.float64 else np.zeros(0, dtype=bool)
+    buffers = [_bits(~unknown) if unknown.any() else None, pyarrow.py_buffer(values)]
+    return pyarrow.Array.from_buffers(_KINDS[name], values.size, buffers)
+
+
+def _bits(known: NDArray[np.bool_]) -> Any:
+    return pyarrow.py_buffer(np.packbits(known, bitorder="little"))

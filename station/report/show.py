@@ -1,0 +1,269 @@
+"""One self-contained HTML file that shows a run: value, plots, tables, settings, conditions, provenance."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Protocol
+
+from rich.table import Table
+from rich.text import Text
+
+from station.errors import RunError
+from station.files import version
+from station.live.console import stdout_console
+from station.results.result import FactTable, Result, Rows, Section
+from station.results.verdict import Tested
+from station.runs.annotations import Remark, Remarks, read_remarks
+from station.runs.database import RunFacts
+from station.runs.store import REPORT_FILE, SavedRun
+from station.terminal import visible
+
+if TYPE_CHECKING:
+    from station.results.result import TextTable
+
+
+class Shown(Protocol):
+    """A run and what it says, as report and terminal need it."""
+
+    @property
+    def heading(self) -> str:
+        """What was measured, and of which gyro."""
+
+    @property
+    def run(self) -> SavedRun:
+        """The run itself."""
+
+    @property
+    def result(self) -> Result:
+        """Values and sentences."""
+
+    @property
+    def tested(self) -> Sequence[Tested]:
+        """Values against their limits."""
+
+    @property
+    def verdict(self) -> str | None:
+        """``"PASS"``, ``"FAIL"`` or, without limits, ``None``."""
+
+    def sections(self) -> list[Section]:
+        """Figures and tables."""
+
+    def fact_tables(self) -> list[FactTable]:
+        """Settings and conditions."""
+
+
+def write_report(evaluated: Shown, path: Path | None = None) -> Path:
+    """Write the report of a run."""
+    return write_page(path or evaluated.run.path.parent / REPORT_FILE, render_report(evaluated))
+
+
+def render_report(evaluated: Shown) -> str:
+    """Return the report as HTML text."""
+    facts, result = evaluated.run.facts, evaluated.result
+    tables = [*evaluated.fact_tables(), *_common_tables(evaluated)]
+    tables = [table for table in tables if table.rows]
+    middle = (len(tables) + 1) // 2
+    sections = evaluated.sections()
+    if result.to_watch:
+        sections = [*sections, Section("What to watch", sentences=result.to_watch)]
+    remarks = _remarks(evaluated.run.path)
+    if remarks.said:
+        sections = [_said_afterwards(remarks), *sections]
+    return render_page(
+        "report.html.j2",
+        title=", ".join(filter(None, (evaluated.heading, facts.started_at[:10]))),
+        heading=evaluated.heading,
+        version=version("gyrolock"),
+        simulated=facts.simulated,
+        state=_state(evaluated),
+        value=f"{evaluated.verdict} · {result.value}" if evaluated.verdict else result.value,
+        lines=(*result.lines, *(f"{one.sentence}." for one in evaluated.tested)),
+        reasons=_reasons(result),
+        labels=_labels(facts, remarks),
+        sections=sections,
+        fact_columns=[tables[:middle], tables[middle:]],
+        footer=_footer(evaluated),
+    )
+
+
+def _state(evaluated: Shown) -> str:
+    """Colour of the box: green where the result stands, amber in doubt, red where a limit or a check fails."""
+    state = evaluated.result.standing.state
+    if state == "fails" or evaluated.verdict == "FAIL":
+        return "bad"
+    return {"stands": "good", "doubtful": "doubtful"}[state]
+
+
+def _reasons(result: Result) -> tuple[str, ...]:
+    """Why the box is not green, beside what stands in it already."""
+    return tuple(reason for reason in result.standing.reasons if reason != result.problem)
+
+
+def _remarks(run: Path) -> Remarks:
+    """What was said of a run afterwards; what cannot be read is said to be so."""
+    try:
+        return read_remarks(run)
+    except RunError as error:
+        return Remarks((Remark(at="", by="", note=str(error)),))
+
+
+def _said_afterwards(remarks: Remarks) -> Section:
+    """Notes, tags and marks: who, and when. The measurement itself is what it was."""
+    said = [f"{_time_of_day(one.at)}, {one.by}: {one.words}" if one.at else one.words for one in remarks.said]
+    lost = [f"{remarks.unreadable} lines of its remarks cannot be read."] if remarks.unreadable else []
+    return Section("Said of it afterwards", sentences=(*said, *lost))
+
+
+def _time_of_day(at: str) -> str:
+    return f"{at[:16].replace('T', ' ')} UTC"
+
+
+def _labels(facts: RunFacts, remarks: Remarks) -> Rows:
+    """What a person looks for first: which unit, who, when, and whether somebody holds it for good or bad."""
+    rows = [*facts.labels.items()]
+    if (mark := remarks.last_mark) is not None and mark.mark:
+        rows.append(("marked", f"{mark.mark}, by {mark.by}, {_time_of_day(mark.at)}"))
+    if remarks.tags:
+        rows.append(("tags", " ".join(remarks.tags)))
+    if facts.started_at:
+        rows.append(("taken", _time_of_day(facts.started_at)))
+    if facts.resumed_at:
+        rows.append(("resumed", f"{len(facts.resumed_at)} times" if len(facts.resumed_at) > 1 else "once"))
+    return rows
+
+
+def _common_tables(evaluated: Shown) -> list[FactTable]:
+    facts = evaluated.run.facts
+    truth = [(name.replace("_", " "), f"{value:.9g}") for name, value in (facts.truth or {}).items()]
+    return [
+        FactTable("Limits", [(one.name, one.sentence) for one in evaluated.tested]),
+        FactTable("Truth of the simulation", truth),
+        FactTable("Provenance", _provenance_rows(facts)),
+    ]
+
+
+def _provenance_rows(facts: RunFacts) -> Rows:
+    if not facts.started_at:
+        return []  # files of an oscilloscope
+    rows = [
+        ("taken", f"{facts.started_at} to {facts.ended_at or 'unknown'}"),
+        ("outcome", facts.outcome_text),
+    ]
+    if facts.resumed_at:
+        rows.insert(1, ("resumed", ", ".join(facts.resumed_at)))
+    if made := facts.get("provenance"):
+        rows += [
+            ("gyrolock", f"{made['gyrolock']}{', source ' + made['git'] if made['git'] else ''}"),
+            ("Python", f"{made['python']} on {made['platform']}"),
+            ("packages", ", ".join(f"{name} {number}" for name, number in made["packages"].items())),
+        ]
+    if facts.simulated:
+        rows.append(("seed", str(facts.settings["simulation"]["seed"])))
+    return rows
+
+
+def _footer(evaluated: Shown) -> str:
+    name = evaluated.run.path.parent.name
+    return (
+        f"Made by gyrolock {version('gyrolock')} from the saved records of {name}. "
+        f"`gyrolock analyze {name}` computes the numbers again."
+    )
+
+
+# --------------------
+# HTML pages from the templates of :mod:`station`, written whole or not at all
+
+
+def render_page(template: str, **values: Any) -> str:
+    """Fill a template; a value that it needs and is not given is an error."""
+    from jinja2 import Environment, PackageLoader, StrictUndefined
+
+    environment = Environment(
+        loader=PackageLoader("station.report"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        finalize=_shown,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    return environment.get_template(template).render(**values)
+
+
+def _shown(value: Any) -> Any:
+    """Make visible what acts without being seen, in text of others; what is HTML already is ours."""
+    return visible(value) if type(value) is str else value
+
+
+def write_page(path: Path, text: str) -> Path:
+    """Write a page that appears under its name only when it is whole; OSError if it cannot be written."""
+    draft = path.with_name(f".{path.name}.{os.getpid()}")
+    try:
+        with draft.open("w", encoding="utf-8") as file:
+            file.write(text)
+            file.flush()
+            os.fsync(file.fileno())
+        draft.replace(path)
+    finally:
+        draft.unlink(missing_ok=True)
+    return path
+
+
+# --------------------
+# A result on a terminal: tables, values, what they mean, what to watch, the verdict
+
+
+_COLOURS = {"stands": "green", "doubtful": "yellow", "fails": "red"}
+
+
+def text_table(table: TextTable, *, left: int = 0) -> Table:
+    """Lay out a table of texts; numbers stand right, the first `left` columns and words left."""
+    shown = Table(box=None, header_style="dim", pad_edge=False, padding=(0, 2, 0, 0))
+    for place, name in enumerate(table.header):
+        words = place < left or name == "flags"
+        shown.add_column(name, justify="left" if words else "right", no_wrap=not words)
+    for row in table.rows:
+        shown.add_row(*row)
+    return shown
+
+
+def print_result(evaluated: Shown) -> None:
+    """Print what a run says."""
+    facts = evaluated.run.facts
+    rows = [*((name, text) for name, text in facts.labels.items())]
+    if facts.resumed_at:
+        rows.append(("resumed", ", ".join(facts.resumed_at)))
+    if facts.simulated:
+        known = (f"{name.replace('_', ' ')} {value:.9g}" for name, value in (facts.truth or {}).items())
+        told = evaluated.result.truth or ", ".join(known) or "no truth is saved"
+        rows.append(("bench", f"simulated; {told}"))
+    print_values(evaluated.result, rows)
+    print_tested(evaluated.tested)
+
+
+def print_tested(tested: Sequence[Tested]) -> None:
+    """Print a line for each limit."""
+    for one in tested:
+        stdout_console().print(one.sentence, style="green" if one.passed else "bold red")
+
+
+def print_values(result: Result, more: Rows = ()) -> None:
+    """Print a result without a run: tables, values, what they mean, what to watch."""
+    console = stdout_console()
+    for table in result.tables:
+        console.print(text_table(table))
+    summary = Table(box=None, show_header=False, pad_edge=False, padding=(0, 2, 0, 0))
+    summary.add_column(style="dim", no_wrap=True)
+    summary.add_column()
+    summary.add_row("", "")
+    style = f"bold {_COLOURS[result.standing.state]}"
+    summary.add_row(result.name, Text(visible(result.value), style=style))
+    for name, text in (*result.summary, *more):
+        summary.add_row(name, text)
+    console.print(summary)
+    for sentence in result.sentences:
+        console.print(f"• {sentence}")
+    shown = {*result.to_watch, result.problem}
+    for sentence in (*result.to_watch, *(one for one in result.standing.reasons if one not in shown)):
+        console.print(f"• {sentence}", style="red" if sentence in result.failures else "yellow")

@@ -1,0 +1,452 @@
+"""A saved run and what it says: evaluated by the measurement that it is of, judged by its limits."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from station.datasets.data_set import run_of
+from station.errors import (
+    EXIT_FAIL,
+    EXIT_NO_SIGNAL,
+    EXIT_OK,
+    EXIT_OUTPUT,
+    CannotWrite,
+    Failure,
+    NoUsableSignal,
+    RunError,
+    UsageError,
+    describe_failure,
+    one_line,
+)
+from station.live.preview import See
+from station.measurements import MEASUREMENTS, Measurement, measurement
+from station.results.result import FactTable, Result, Section, plain
+from station.results.verdict import Tested, check_limits, verdict
+from station.runs.acquisition import Session, Taken, facts_of, take
+from station.runs.database import SUMS
+from station.runs.progress import Progress
+from station.runs.store import Acknowledge, SavedRun, open_run
+from station.settings import Values, saved_settings, settings_to_resume
+from station.sources.batches import Source
+from station.sources.find import open_source
+from station.sources.run import SavedRecords
+from station.sources.workers import Workers
+from station.terminal import print_failure, print_json, remark, say
+
+if TYPE_CHECKING:
+    from station.live.events import Events
+
+SCHEMA_VERSION = 2
+DAMAGE = (ArithmeticError, AttributeError, LookupError, RecursionError, TypeError, ValueError)
+"""What values raise that no run ever holds."""
+
+
+@dataclass(frozen=True)
+class Evaluated:
+    """A run and what it says."""
+
+    kind: Measurement[Any, Any]
+    run: SavedRun
+    settings: Any  # those of the run, with what is known of the bench now where that was given
+    found: Any  # what the measurement computed
+    result: Result
+    tested: tuple[Tested, ...]
+
+    @property
+    def verdict(self) -> str | None:
+        """``"PASS"``, ``"FAIL"`` or, without limits, ``None``."""
+        return verdict(self.tested)
+
+    @property
+    def not_tested(self) -> list[str]:
+        """Which limits are set that nothing was tested against, and why; one sentence each kind."""
+        measured, gives = {one.name for one in self.result.measured}, self.kind.gives
+        limits = [name for name in self.settings.limits.model_dump(exclude_none=True) if name not in measured]
+        others = [f"limits.{name}" for name in limits if name not in gives]
+        said = [f"limits.{name} is not tested: this run gives no such number" for name in limits if name in gives]
+        if others and gives:
+            verb = "is" if len(others) == 1 else "are"
+            said.append(
+                f"{', '.join(others)} {verb} not tested by `{self.kind.command}`, which gives {', '.join(gives)}"
+            )
+        return said
+
+    @property
+    def heading(self) -> str:
+        """What was measured, and of which gyro."""
+        return f"{self.kind.title}: {self.settings.gyro.name}"
+
+    def document(self) -> dict[str, Any]:
+        """Return everything as one JSON document, without report and error."""
+        facts = self.run.facts
+        document: dict[str, Any] = {
+            "schema": {"name": f"gyrolock {self.kind.name}", "version": SCHEMA_VERSION},
+            "command": self.kind.name,
+            "gyro": self.settings.gyro.name,
+            "simulated": facts.simulated,
+            **self.result.document,
+            "flags": self.result.flags,
+            **standing_document(self.result),
+            "limits": [one.as_json() for one in self.tested],
+            "verdict": self.verdict,
+            **about_run(self.run),
+        }
+        if self.run.damaged:
+            document["damaged"] = self.run.damaged
+        if facts.truth is not None:
+            document["truth"] = facts.truth
+        return dict(plain(document))
+
+    def sections(self) -> list[Section]:
+        """Return figures and tables of the report."""
+        return self.kind.sections(self.found, self.run, self.settings, self.result)
+
+    def fact_tables(self) -> list[FactTable]:
+        """Return settings and conditions, for the end of the report."""
+        return self.kind.facts(self.found, self.run, self.settings)
+
+    def rows(self) -> Iterator[dict[str, Any]]:
+        """Yield one plain JSON object for each record; the whole document where there is none."""
+        none = True
+        for row in self.kind.rows(self.found):
+            none = False
+            yield {"run": str(self.run.path), **dict(plain(row))}
+        if none:
+            yield self.document()
+
+
+def standing_document(result: Result) -> dict[str, Any]:
+    """Return for the JSON whether a result holds, and what speaks against it."""
+    return {"standing": result.standing.state, "standing_reasons": list(result.standing.reasons)}
+
+
+def about_run(run: SavedRun) -> dict[str, Any]:
+    """Return what the JSON of every run says of it, whatever was measured."""
+    facts = run.facts
+    identity, made = facts.get("identity") or {}, facts.get("provenance") or {}
+    return {
+        "unit": facts.labels.get("unit"),
+        "operator": facts.labels.get("operator"),
+        "note": facts.labels.get("note"),
+        "started_at": facts.started_at or None,
+        "ended_at": facts.ended_at,
+        "resumed_at": list(facts.resumed_at),
+        "outcome": facts.outcome_text,
+        "instrument": {name: identity.get(name) for name in ("model", "serial", "firmware")} if identity else None,
+        "software": {name: made.get(name) for name in ("gyrolock", "git", "python")} if made else None,
+        **({} if facts.link_faults is None else {"link": asdict(facts.link_faults)}),
+        "run": str(run.path),
+    }
+
+
+def evaluate_run(
+    run: SavedRun, *, config: Path | None = None, choices: Mapping[str, Any] | None = None
+) -> Evaluated:
+    """Evaluate a run by the measurement that it is of."""
+    kind, settings, wanted = _how(run, config, choices or {})
+    run, found, result = _evaluated(kind, run, settings, wanted)
+    return _judged(kind, run, settings, found, result)
+
+
+def evaluate_saved(
+    path: Path | Source, workers: Workers, progress: Progress, *, config: Path | None, choices: Mapping[str, Any]
+) -> Evaluated:
+    """Evaluate a run by its path, or in a data set: in batches where its measurement can, which saves memory.
+
+    Parameters and errors as for :func:`evaluate_run`.
+    """
+    source = open_source(path)
+    run = SavedRun(
+        source.path, source.facts, SavedRecords(source), None, source.unusable, source.protected, source.damaged
+    )
+    kind, settings, wanted = _how(run, config, choices)
+    if kind.evaluate_source is None:
+        return evaluate_run(_whole(source), config=config, choices=choices)
+    try:
+        evaluated = kind.evaluate_source(source, settings, wanted, workers, progress)
+        if evaluated is None:
+            return evaluate_run(_whole(source), config=config, choices=choices)
+        found, damage = evaluated
+        run = replace(run, damaged=(*damage, *source.damaged))
+        return _judged(kind, run, settings, found, kind.result(found, run, settings))
+    except DAMAGE as error:
+        if source.protected and not run.damaged:
+            raise
+        raise RunError(
+            f"{run.path}: is damaged and cannot be evaluated ({type(error).__name__}: {error})"
+        ) from error
+
+
+def _whole(source: Source) -> SavedRun:
+    """The run with all its records in memory."""
+    return open_run(source.path) if source.kind == "run" else run_of(source)
+
+
+def _how(
+    run: SavedRun, config: Path | None, choices: Mapping[str, Any]
+) -> tuple[Measurement[Any, Any], Any, dict[str, Any]]:
+    """Measurement, settings and choices by which a run is evaluated."""
+    kind = kind_of(run)
+    for name in ("command", "settings"):
+        if name in run.unusable:
+            raise RunError(f"{run.path}: is damaged: its {name} {run.unusable[name]}")
+    settings = saved_settings(kind.kind, run.facts.settings, str(run.path))
+    if config is not None:
+        settings = kind.kind.with_knowledge(settings, config)
+    wanted = {name: value for name, value in choices.items() if value is not None}
+    for name in wanted:
+        if name not in kind.choices:
+            option = name.replace("_", "-")
+            raise UsageError(f"{run.path}: is a run of `{kind.command}`, for which --{option} means nothing")
+    return kind, settings, wanted
+
+
+def _judged(kind: Measurement[Any, Any], run: SavedRun, settings: Any, found: Any, result: Result) -> Evaluated:
+    limits = settings.limits.model_dump()
+    return Evaluated(kind, run, settings, found, result, check_limits(result.measured, limits))
+
+
+def _evaluated(
+    kind: Measurement[Any, Any], run: SavedRun, settings: Any, choices: Mapping[str, Any]
+) -> tuple[SavedRun, Any, Result]:
+    """Evaluate a run; one that is damaged without what is damaged, where it cannot be evaluated with it."""
+    for taken in (run, run.whole) if run.damaged else (run,):
+        try:
+            found = kind.evaluate(taken, settings, choices)
+            return taken, found, kind.result(found, taken, settings)
+        except DAMAGE as error:
+            if run.protected and not run.damaged:
+                raise
+            reason = f"{type(error).__name__}: {error}"
+    raise RunError(f"{run.path}: is damaged and cannot be evaluated ({reason})")
+
+
+def kind_of(run: SavedRun) -> Measurement[Any, Any]:
+    """Return the measurement that a run is of; RunError if this version does not know it."""
+    name = run.facts.command
+    if name not in MEASUREMENTS:
+        raise RunError(
+            f"{run.path}: is a run of {name!r}, which this gyrolock does not know "
+            f"(it knows {', '.join(MEASUREMENTS)}): update it"
+        )
+    return measurement(name)
+
+
+# --------------------
+# How every command that has a run ends: evaluated, reported, saved, printed, exit code
+
+
+def finish(
+    taken: Taken,
+    *,
+    report: bool,
+    as_json: bool,
+    quiet: bool = False,
+    saved: bool = False,
+    config: Path | None = None,
+    choices: Mapping[str, Any] | None = None,
+    events: Events | None = None,
+) -> int:
+    """Say what a run says, also when it holds less than was planned."""
+
+    run, failure = run_as_it_ends(taken) if not saved else taken.run(), taken.failure
+    document: dict[str, Any] = {"command": run.facts.command, **about_run(run)}
+    verdict, lost, unfinished = None, None, None
+    try:
+        evaluated = evaluate_run(run, config=config, choices=choices)
+        document, lost = keep(evaluated, report=report)
+        verdict = evaluated.verdict
+        if events is not None:
+            tell_result(evaluated, events)
+        show(evaluated, words=not (as_json or quiet))
+        if evaluated.result.problem:
+            failure = failure or Failure(NoUsableSignal.kind, evaluated.result.problem, EXIT_NO_SIGNAL)
+    except (NoUsableSignal, RunError) as error:
+        if saved and not isinstance(error, NoUsableSignal):
+            raise
+        # a run that was just taken and holds nothing of use: the signal is to blame, not the file
+        failure = unfinished = failure or Failure(error.kind, str(error), EXIT_NO_SIGNAL)
+        tell_damage(run)
+    except KeyboardInterrupt as error:
+        failure = unfinished = failure or describe_failure(error)
+    if not saved:
+        lost = save_outcome(run, taken.failure or lost or unfinished) or lost
+    failure = failure or lost
+    if failure is not None:
+        document["error"] = failure.as_json()
+    if failure is not None and failure in (lost, unfinished):
+        document["outcome"] = failure.message
+    if as_json or (quiet and failure is not None):
+        print_json(document if as_json else {"error": failure.as_json() if failure else None})
+    elif not quiet:
+        say(f"\nsaved   {run.path}")
+        if run.facts.link_faults is not None and not run.facts.link_faults.clean:
+            say(f"link    {run.facts.link_faults}")
+        if "report" in document:
+            say(f"report  {document['report']}")
+    if lost is not None and lost is not failure:
+        print_failure(lost)
+    if failure is None:
+        return EXIT_FAIL if verdict == "FAIL" else EXIT_OK
+    print_failure(failure if taken.failure is None else taken.to_tell)
+    return failure.exit_code
+
+
+def run_as_it_ends(taken: Taken) -> SavedRun:
+    """Return a run that was just taken with the outcome that it has when its result and its report are there."""
+    from station.runs.database import COMPLETE
+
+    return taken.run(COMPLETE if taken.failure is None else taken.failure.as_json())
+
+
+def keep(evaluated: Evaluated, *, report: bool) -> tuple[dict[str, Any], Failure | None]:
+    """Write the report if it is wanted, and save the result beside its records."""
+    from station.report.show import write_report
+    from station.runs.database import save_result
+
+    document, lost, path = evaluated.document(), None, evaluated.run.path
+    told = dict(document)
+    if report:
+        try:
+            told["report"] = str(write_report(evaluated))
+        except OSError as error:
+            reason = f"the report cannot be written ({one_line(error)})"
+            text = f"{path.parent}: {reason}: `gyrolock report {path.parent}` makes it again"
+            lost = Failure(CannotWrite.kind, text, EXIT_OUTPUT)
+            document["outcome"] = told["outcome"] = text
+    try:
+        save_result(path, document)
+    except RunError as error:
+        lost = lost or describe_failure(error)
+    return told, lost
+
+
+def tell_result(evaluated: Evaluated, events: Events) -> None:
+    """Tell those who watch what a run says."""
+    result = evaluated.result
+    events.emit(
+        "result",
+        run=str(evaluated.run.path),
+        name=result.name,
+        value=result.value,
+        verdict=evaluated.verdict,
+        standing=result.standing.state,
+        measured=[{"name": one.name, "of": one.of, "value": one.value} for one in result.measured],
+    )
+
+
+def save_outcome(run: SavedRun, failure: Failure | None) -> Failure | None:
+    """Save how a run has ended, when everything that belongs to it is there; returns what kept it from that."""
+    from station.runs.database import COMPLETE
+    from station.runs.store import RunWriter
+
+    try:
+        with RunWriter(run.path) as writer:
+            writer.save_facts({"outcome": COMPLETE if failure is None else failure.as_json()})
+    except RunError as error:
+        return describe_failure(error)
+    return None
+
+
+def show(evaluated: Evaluated, *, words: bool) -> None:
+    """Print a result in words, and what is left out or damaged on stderr."""
+    from station.report.show import print_result
+
+    if words:
+        print_result(evaluated)
+    for sentence in (*(one.sentence for one in evaluated.result.left_out), *evaluated.not_tested):
+        remark(sentence)
+    tell_damage(evaluated.run)
+
+
+def tell_damage(run: SavedRun) -> None:
+    """Print what of a run is not what was once saved, on stderr."""
+    for sentence in run.damaged:
+        remark(f"{run.path}: {sentence}")
+
+
+# --------------------
+# One run of a measurement from beginning to end: new, made of files, or gone on with
+
+
+def start_run(
+    kind: Measurement[Any, Any],
+    settings: Any,
+    progress: Progress,
+    *,
+    labels: Mapping[str, str] | None = None,
+    paths: Sequence[Path] = (),
+    known: Mapping[str, object] | None = None,
+    acknowledge: Acknowledge | None = None,
+) -> Taken:
+    """Take a new run on the bench, or make it of files."""
+    simulated = kind.simulated(settings) and not paths
+    facts = facts_of(kind.name, settings.model_dump(mode="json"), simulated=simulated, labels=labels)
+    facts |= known or {}
+    directory, see = Path(settings.output.directory), _see(kind, settings, progress)
+    session = Session(facts, directory, progress, acknowledge=acknowledge, see=see)
+    if not paths:
+        return take(session, lambda of: kind.take(settings, of))
+    make = kind.take_files
+    if make is None:
+        raise UsageError(f"`{kind.command}` makes no run of files: `gyrolock analyze` reads them")
+    return take(session, lambda of: make(settings, paths, of))
+
+
+def resume_run(
+    path: Path,
+    progress: Progress,
+    *,
+    kind: Measurement[Any, Any],
+    config: Path | None = None,
+    overrides: Values | None = None,
+    labels: Mapping[str, str] | None = None,
+    acknowledge: Acknowledge | None = None,
+) -> Taken:
+    """Go on with a run that was cut short, with the settings that are saved with it."""
+    run = open_run(path)
+    check_kind(run, kind)
+    if run.facts.sources:
+        raise UsageError(f"{path}: was made of saved files, there is nothing to go on with")
+    saved = saved_settings(kind.kind, run.facts.settings, str(run.path))
+    settings = settings_to_resume(kind.kind, saved, config, overrides, path)
+    if lost := [name for name in ("settings", SUMS) if name in run.unusable]:
+        raise RunError(f"{path}: cannot be gone on with: its {lost[0]} {run.unusable[lost[0]]}")
+    damaged = {record.key: "it is damaged" for record in run.records if not (record.intact or record.aside)}
+    again = {**damaged, **kind.unusable(run, settings)}
+    if run.facts.complete and not again:
+        raise UsageError(
+            f"{path}: is finished, there is nothing to go on with; `gyrolock analyze {path}` reads it"
+        )
+
+    facts = {**run.facts, **(labels or {}), "settings": settings.model_dump(mode="json")}
+    see = _see(kind, settings, progress)
+    session = Session(facts, run.path.parent, progress, resumed=run, again=again, acknowledge=acknowledge, see=see)
+    return take(session, lambda of: kind.take(settings, of))
+
+
+def _see(kind: Measurement[Any, Any], settings: Any, progress: Progress) -> See | None:
+    """What fits records as they come; nothing where nobody wants to see them."""
+    return None if kind.watch is None or not progress.events.wants_values else kind.watch(settings)
+
+
+def saved_run(path: Path, kind: Measurement[Any, Any]) -> Taken:
+    """Return a saved run of one measurement as if it had just been taken; UsageError if it is another's."""
+    run = open_run(path)
+    check_kind(run, kind)
+    return Taken(run.path, None)
+
+
+def check_kind(run: SavedRun, kind: Measurement[Any, Any]) -> None:
+    """See that a run is of one measurement; UsageError names the other."""
+    if run.facts.command != kind.name:
+        raise UsageError(f"{run.path}: is a run of `{command_of(run)}`, not of `{kind.command}`")
+
+
+def command_of(run: SavedRun) -> str:
+    """Return what a user types for the measurement that a run is of."""
+    name = run.facts.command
+    return measurement(name).command if name in MEASUREMENTS else name

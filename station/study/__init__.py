@@ -1,1 +1,0 @@
-"""The paper's simulations beside the exact method."""

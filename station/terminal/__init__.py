@@ -1,1 +1,0 @@
-"""What is shown: it may fail without harming what is measured, and nobody gets in through it."""

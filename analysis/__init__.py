@@ -4,25 +4,29 @@ An *estimate* is what each record says, in arrays of the shape of the records.
 A *fit* is one statement that many records make together.
 """
 
-from analysis.channel import ChannelResponse, correct_response
-from analysis.combine import combine_estimates
-from analysis.dead_band import DeadBand, find_dead_band, simulate_sweep
-from analysis.flags import DOUBTFUL, FATAL, Flag, describe_flag, flag_names
-from analysis.frequency_method import FrequencyFit, fit_frequencies
-from analysis.harmonics import HarmonicFit, fit_harmonics
-from analysis.lockin_equation import (
-    beat_frequency,
-    beat_signal,
-    harmonic_ratio,
-    input_rate_from_beat,
-    lock_in_from_beat,
-    lock_in_from_rate,
-    rate_varying_beat,
-)
-from analysis.lockin_rate import LockInEstimate, estimate_lock_in
-from analysis.quadratures import QuadratureEstimate, QuadratureFlag, estimate_quadratures
-from analysis.rotation import EARTH_RATE_DPS, TiltFit, earth_rate_on_axis, rate_on_axis, tilt_from_fast_runs
-from analysis.several_rates import RatesFit, RatesFlag, fit_rate_ratios, fit_rates
+import importlib
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from analysis.channel import ChannelResponse, correct_response
+    from analysis.combine import combine_estimates
+    from analysis.dead_band import DeadBand, find_dead_band, simulate_sweep
+    from analysis.flags import DOUBTFUL, FATAL, Flag, describe_flag, flag_names
+    from analysis.frequency_method import FrequencyFit, fit_frequencies
+    from analysis.harmonics import HarmonicFit, fit_harmonics
+    from analysis.lockin_equation import (
+        beat_frequency,
+        beat_signal,
+        harmonic_ratio,
+        input_rate_from_beat,
+        lock_in_from_beat,
+        lock_in_from_rate,
+        rate_varying_beat,
+    )
+    from analysis.lockin_rate import LockInEstimate, estimate_lock_in
+    from analysis.quadratures import QuadratureEstimate, QuadratureFlag, estimate_quadratures
+    from analysis.rotation import EARTH_RATE_DPS, TiltFit, earth_rate_on_axis, rate_on_axis, tilt_from_fast_runs
+    from analysis.several_rates import RatesFit, RatesFlag, fit_rate_ratios, fit_rates
 
 __all__ = [  # noqa: RUF022 - in the order of the work, not of the alphabet
     # make a beat, and what the lock-in equation says of it
@@ -66,3 +70,72 @@ __all__ = [  # noqa: RUF022 - in the order of the work, not of the alphabet
     "rate_on_axis",
     "tilt_from_fast_runs",
 ]
+
+
+# a name is imported when it is first used: most programs need few of them
+_HOMES = {
+    "analysis.channel": (
+        "ChannelResponse",
+        "correct_response",
+    ),
+    "analysis.combine": ("combine_estimates",),
+    "analysis.dead_band": (
+        "DeadBand",
+        "find_dead_band",
+        "simulate_sweep",
+    ),
+    "analysis.flags": (
+        "DOUBTFUL",
+        "FATAL",
+        "Flag",
+        "describe_flag",
+        "flag_names",
+    ),
+    "analysis.frequency_method": (
+        "FrequencyFit",
+        "fit_frequencies",
+    ),
+    "analysis.harmonics": (
+        "HarmonicFit",
+        "fit_harmonics",
+    ),
+    "analysis.lockin_equation": (
+        "beat_frequency",
+        "beat_signal",
+        "harmonic_ratio",
+        "input_rate_from_beat",
+        "lock_in_from_beat",
+        "lock_in_from_rate",
+        "rate_varying_beat",
+    ),
+    "analysis.lockin_rate": (
+        "LockInEstimate",
+        "estimate_lock_in",
+    ),
+    "analysis.quadratures": (
+        "QuadratureEstimate",
+        "QuadratureFlag",
+        "estimate_quadratures",
+    ),
+    "analysis.rotation": (
+        "EARTH_RATE_DPS",
+        "TiltFit",
+        "earth_rate_on_axis",
+        "rate_on_axis",
+        "tilt_from_fast_runs",
+    ),
+    "analysis.several_rates": (
+        "RatesFit",
+        "RatesFlag",
+        "fit_rate_ratios",
+        "fit_rates",
+    ),
+}
+
+
+def __getattr__(name: str) -> Any:
+    for home, names in _HOMES.items():
+        if name in names:
+            found = globals()[name] = getattr(importlib.import_module(home), name)
+            return found
+    raise AttributeError(f"module 'analysis' has no attribute {name!r}")

@@ -33,7 +33,7 @@ from station.lock_in.settings import Settings, default_settings
 from station.lock_in.take import take_on
 from station.ring_laser.instruments import build_instruments
 from station.ring_laser.records import Bench
-from station.runs.acquisition import Session, Taken, facts_of, take
+from station.runs.acquisition import Acquisition, Taken, facts_of, take
 from station.runs.database import TAKEN
 from station.runs.progress import Progress
 from station.runs.store import SavedRun, open_run
@@ -209,16 +209,16 @@ class Station:
             else facts_of("measure", self._settings.model_dump(mode="json"), simulated=True)
         )
         progress = Pacing(self._clock, self._pause, self._incident)
-        session = Session(facts, self._directory, progress, resumed=resumed)
+        session = Acquisition(facts, self._directory, progress, resumed=resumed)
         return take(session, lambda session: take_on(self._bench(session), self._settings, session))
 
-    def _bench(self, session: Session) -> Bench:
+    def _bench(self, session: Acquisition) -> Bench:
         scope = session.open(self._open(session))
         session.watch(scope)
         return Bench(scope, None, self._clock.sleep)
 
     @contextmanager
-    def _open(self, session: Session) -> Iterator[TDS2014]:
+    def _open(self, session: Acquisition) -> Iterator[TDS2014]:
         persistence = Persistence(ATTEMPTS, RECONNECT_FOR, clock=self._clock)
         scope = TDS2014(RESOURCE, resource_manager=self._manager, baud_rate=BAUD_RATE, persistence=persistence)
         if session.panel_to_put_back is not None:

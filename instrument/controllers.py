@@ -146,7 +146,7 @@ class Controller:
             raise WrongInstrument(f"{self.name}: something else answers there: {answer!r:.80}")
         return str(found[1])
 
-    def _quantity(self, name: str) -> Quantity:
+    def _quantity(self, name: str) -> ControlledQuantity:
         quantity = self.template.quantities.get(name)
         if quantity is None:
             raise SettingError(f"{self.name}: its template has no section [{name}]")
@@ -177,7 +177,7 @@ class Controller:
             raise TransferError(f"{self.name} answered {answer!r:.60} to {question!r}")
         return str(found[1])
 
-    def _number(self, quantity: Quantity) -> float:
+    def _number(self, quantity: ControlledQuantity) -> float:
         text = self._answer(quantity.ask, quantity.answer)
         with suppress(ValueError):
             if math.isfinite(number := float(text)):
@@ -212,7 +212,7 @@ class Controller:
                 self._tell(f"the link to {self.name} is there again")
                 return
 
-    def _steady(self, name: str, quantity: Quantity, value: float, before: float) -> float:
+    def _steady(self, name: str, quantity: ControlledQuantity, value: float, before: float) -> float:
         """Wait until a quantity has been steady for long enough."""
         shortest = abs(value - before) / quantity.change_per_s
         if not quantity.steady_within:
@@ -357,7 +357,7 @@ class InUnit:
         return {"per_unit": f"per_{self.unit}", "change_per_s": f"change_{self.unit}_per_s"}.get(name, name)
 
 
-class Quantity(TemplateSection):
+class ControlledQuantity(TemplateSection):
     """Something that is set, read, or both; the names in the file end in the unit."""
 
     set: Lines = ()
@@ -401,27 +401,27 @@ class Quantity(TemplateSection):
         return self
 
 
-class Rate(Quantity, alias_generator=InUnit("dps")):
+class Rate(ControlledQuantity, alias_generator=InUnit("dps")):
     """Rate of a table, deg/s, positive anticlockwise seen from above."""
 
 
-class Position(Quantity, alias_generator=InUnit("deg")):
+class Position(ControlledQuantity, alias_generator=InUnit("deg")):
     """Angle of a table, deg."""
 
 
-class Temperature(Quantity, alias_generator=InUnit("degc")):
+class Temperature(ControlledQuantity, alias_generator=InUnit("degc")):
     """Temperature of a chamber, deg C."""
 
 
-class Humidity(Quantity, alias_generator=InUnit("percent")):
+class Humidity(ControlledQuantity, alias_generator=InUnit("percent")):
     """Relative humidity of a chamber, percent."""
 
 
-class Voltage(Quantity, alias_generator=InUnit("v")):
+class Voltage(ControlledQuantity, alias_generator=InUnit("v")):
     """Voltage of a supply, V."""
 
 
-class Current(Quantity, alias_generator=InUnit("a")):
+class Current(ControlledQuantity, alias_generator=InUnit("a")):
     """Current of a supply, A."""
 
 
@@ -453,7 +453,7 @@ class ControllerTemplate(TemplateSection):
         return self
 
     @property
-    def quantities(self) -> dict[str, Quantity]:
+    def quantities(self) -> dict[str, ControlledQuantity]:
         """Everything that it sets or reads, by name."""
         names = ("rate", "position", "temperature", "humidity", "voltage", "current")
         return {name: found for name in names if (found := getattr(self, name)) is not None}

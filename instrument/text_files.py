@@ -111,7 +111,7 @@ def note(link: str, did: str, data: bytes = b"") -> None:
 
 
 @dataclass(frozen=True)
-class Exchange:
+class TranscriptExchange:
     """One message to the instrument and all bytes that came before the next one."""
 
     link: str
@@ -119,17 +119,17 @@ class Exchange:
     answer: bytes
 
 
-def read_transcript(path: Path) -> list[Exchange]:
+def read_transcript(path: Path) -> list[TranscriptExchange]:
     """All exchanges of a file, in their order."""
-    found: list[Exchange] = []
+    found: list[TranscriptExchange] = []
     for entry in _entries(path):
         link, did, data = str(entry["link"]), entry["did"], _data(entry)
         if did == "write":
-            found.append(Exchange(link, data, b""))
+            found.append(TranscriptExchange(link, data, b""))
         elif did == "read" and found:
             last = next((n for n in range(len(found) - 1, -1, -1) if found[n].link == link), None)
             if last is not None:
-                found[last] = Exchange(link, found[last].message, found[last].answer + data)
+                found[last] = TranscriptExchange(link, found[last].message, found[last].answer + data)
     return found
 
 

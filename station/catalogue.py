@@ -200,7 +200,7 @@ _SHOWN_FIRST = {"witness": "two_pi_voltage_v"}
 
 
 @dataclass(frozen=True)
-class Value:
+class ListedValue:
     """A number of a result with its standard uncertainty; nan where the run gives none."""
 
     name: str  # key in the JSON document: with its unit
@@ -238,7 +238,7 @@ class Entry:
     simulated: bool = False
     outcome: str = ""
     records: int = 0  # how many it holds, of every purpose
-    values: tuple[Value, ...] = ()  # what the result begins with; empty for a run that was never evaluated
+    values: tuple[ListedValue, ...] = ()  # what the result begins with; empty for a run that was never evaluated
     verdict: str | None = None
     standing: str | None = None  # whether the result holds
     instrument_serial: str | None = None
@@ -260,7 +260,7 @@ class Entry:
     def from_json(cls, saved: Mapping[str, Any]) -> Entry:
         """Return what :meth:`as_json` made plain."""
         values = tuple(
-            Value(one["name"], _or_nan(one["value"]), _or_nan(one["u"]), one["of"] or "")
+            ListedValue(one["name"], _or_nan(one["value"]), _or_nan(one["u"]), one["of"] or "")
             for one in saved["values"]
         )
         several = {name: tuple(saved[name]) for name in ("tags", "remarks")}
@@ -325,7 +325,7 @@ def read_entry(file: Path, name: str) -> Entry | None:
     )
 
 
-def values_of(document: Mapping[str, Any], command: str) -> tuple[Value, ...]:
+def values_of(document: Mapping[str, Any], command: str) -> tuple[ListedValue, ...]:
     """Return the numbers that a result begins with: the first one that has an uncertainty.
 
     Where a measurement has several axes, each of them gives one.
@@ -341,14 +341,14 @@ def values_of(document: Mapping[str, Any], command: str) -> tuple[Value, ...]:
     names = [first] if first in document else list(document)
     for name in names:
         if (key := _uncertainty_of(name, document)) is not None:
-            return (Value(name, _or_nan(document[name]), _or_nan(document[key])),)
+            return (ListedValue(name, _or_nan(document[name]), _or_nan(document[key])),)
     for several in document.values():
         if not (isinstance(several, list) and several and all(isinstance(one, dict) for one in several)):
             continue
         found = [(one, values_of(one, command)) for one in several]
         if all(values for _, values in found):
             return tuple(
-                Value(values[0].name, values[0].value, values[0].u, str(next(iter(one.values()))))
+                ListedValue(values[0].name, values[0].value, values[0].u, str(next(iter(one.values()))))
                 for one, values in found
             )
     return ()
@@ -391,7 +391,7 @@ NO_LIMITS = "none"
 
 
 @dataclass(frozen=True)
-class Wanted:
+class RunFilter:
     """What a run must be to be listed; what is empty or ``None`` asks for nothing."""
 
     command: str = ""  # patterns with ``*`` and ``?``; capital letters do not count
@@ -421,7 +421,7 @@ class Wanted:
         )
 
 
-def chosen(entries: Iterable[Entry], wanted: Wanted, sort: Sequence[str] = ()) -> list[Entry]:
+def chosen(entries: Iterable[Entry], wanted: RunFilter, sort: Sequence[str] = ()) -> list[Entry]:
     """Return the runs that are wanted, in the order that is wanted."""
     found = [entry for entry in entries if wanted.admits(entry)]
     for name in reversed(sort):
@@ -555,7 +555,7 @@ def _short_name(entry: Entry, directory: Path) -> str:
 _COLOURS = (ACCENT, SECOND, THIRD, "#8a4f9e", "#b08a1e", "#3f8f9b", "#a23b4a", "#5b6875")
 _MARKERS = "osD^vP<>"
 _WIDTH, _HEIGHT, _MOST_PANELS = 9.5, 3.0, 8
-Series = dict[str, dict[str, list[tuple[Entry, Value]]]]
+Series = dict[str, dict[str, list[tuple[Entry, ListedValue]]]]
 """Values by what they are, and by unit."""
 
 
@@ -612,7 +612,7 @@ def series_of(entries: Sequence[Entry]) -> Series:
     return found
 
 
-def _label(value: Value) -> str:
+def _label(value: ListedValue) -> str:
     """Name of an axis: words of the key, what it is of, unit."""
     parts = value.name.split("_")
     if "per" in parts:

@@ -118,7 +118,7 @@ def open_chamber_or_supply(
 
 
 @dataclass
-class Surroundings:
+class EnvironmentControllers:
     """Chamber and power supply, read beside each record.
 
     One that does not answer is told once and not asked again: the record is taken all the same, without it.
@@ -142,9 +142,9 @@ class Surroundings:
 @contextmanager
 def open_surroundings(
     controllers: ControllersSettings | None, *, tell: Tell, simulated: bool = False
-) -> Iterator[Surroundings]:
+) -> Iterator[EnvironmentControllers]:
     """Open chamber and power supply, where there are any. Raises as :func:`open_chamber_or_supply`."""
-    opened = Surroundings(tell)
+    opened = EnvironmentControllers(tell)
     with ExitStack() as stack:
         for name, one in ({} if controllers is None else controllers.there).items():
             if name != "rate_table":

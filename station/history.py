@@ -137,7 +137,7 @@ BASELINE = 25
 
 
 @dataclass(frozen=True)
-class Course:
+class ControlSeries:
     """One number over time, of one type of unit or of one reference unit."""
 
     of: str  # ``"RLG-2000"``, or ``"bench, by REF-1"``
@@ -167,7 +167,7 @@ class Course:
         return said
 
 
-def courses(tests: Sequence[PastTest], *, baseline: int = BASELINE) -> list[Course]:
+def courses(tests: Sequence[PastTest], *, baseline: int = BASELINE) -> list[ControlSeries]:
     """Return every number that is followed: those of the bench first, then by type of unit.
 
     A test without a verdict counts; one that was aborted, or that the bench spoilt, does not. Simulated benches
@@ -181,18 +181,20 @@ def courses(tests: Sequence[PastTest], *, baseline: int = BASELINE) -> list[Cour
     return [course for of, group in groups.items() for course in _of_group(of, group, baseline)]
 
 
-def _of_group(of: str, tests: Iterable[PastTest], baseline: int) -> list[Course]:
+def _of_group(of: str, tests: Iterable[PastTest], baseline: int) -> list[ControlSeries]:
     ordered = sorted(tests, key=lambda one: one.at)
     names = dict.fromkeys(number.name for test in ordered for number in test.numbers)
     found = []
     for name in names:
         pairs = [(test, one) for test in ordered for one in test.numbers if one.name == name]
         chart = control_chart([one.value for _, one in pairs], baseline=baseline)
-        found.append(Course(of, name, tuple(test for test, _ in pairs), tuple(one.u for _, one in pairs), chart))
+        found.append(
+            ControlSeries(of, name, tuple(test for test, _ in pairs), tuple(one.u for _, one in pairs), chart)
+        )
     return found
 
 
-def course_svg(course: Course, name: str) -> str:
+def course_svg(course: ControlSeries, name: str) -> str:
     """Draw a course as individuals above and moving range below; `name` sets its ids apart."""
     chart, number = course.chart, np.arange(1, course.chart.values.size + 1)
     flagged = sorted({one.place for one in chart.signals if one.rule < 5})
@@ -302,13 +304,13 @@ _STATES = {"PASS": "good", "MARGINAL": "doubtful", "FAIL": "bad", "ERROR": "bad"
 
 
 def write_index(
-    directory: Path, tests: Sequence[PastTest], courses: Sequence[Course], path: Path | None = None
+    directory: Path, tests: Sequence[PastTest], courses: Sequence[ControlSeries], path: Path | None = None
 ) -> Path:
     """Write the page, by default ``index.html`` in the folder of the tests; OSError if it cannot be written."""
     return write_page(path or directory / INDEX_FILE, render_index(path or directory / INDEX_FILE, tests, courses))
 
 
-def render_index(path: Path, tests: Sequence[PastTest], courses: Sequence[Course]) -> str:
+def render_index(path: Path, tests: Sequence[PastTest], courses: Sequence[ControlSeries]) -> str:
     """Return the page as HTML; its links start from `path`."""
     newest: dict[str, PastTest] = {one.unit: one for one in tests}
     counted = {verdict: sum(one.verdict == verdict for one in newest.values()) for verdict in _STATES}

@@ -10,7 +10,7 @@ from typing import Any, Generic, TypeVar
 
 from station.live.preview import See
 from station.results.result import Check, FactTable, Result, Section
-from station.runs.acquisition import Session
+from station.runs.acquisition import Acquisition
 from station.runs.progress import Progress
 from station.runs.store import SavedRun
 from station.settings import SettingsKind, SettingsSection
@@ -39,9 +39,9 @@ class Measurement(Generic[S, F]):
     kind: SettingsKind[S]
     # gets settings and session: opens the bench, begins the run, saves records. For a run that was cut short it
     # takes what is missing.
-    take: Callable[[S, Session], None]
+    take: Callable[[S, Acquisition], None]
     # gets settings, paths and session: makes a run of files instead
-    take_files: Callable[[S, Sequence[Path], Session], None] | None = None
+    take_files: Callable[[S, Sequence[Path], Acquisition], None] | None = None
     # gets a run, its settings and the user's choices by name: the one step that computes. Raises NoUsableSignal.
     evaluate: Callable[[SavedRun, S, Mapping[str, Any]], F]
     # gets a source, its settings, the choices, workers and progress: the same without holding the samples of a

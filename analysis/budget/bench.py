@@ -144,7 +144,7 @@ class OperatingPoint:
 
 
 @dataclass(frozen=True)
-class Corner:
+class ResponseCorner:
     """A first-order corner that weighs the first and the second harmonic differently."""
 
     # -3 dB frequency. nan: nothing is known of it. inf (0 for a high pass): there is none.
@@ -186,9 +186,9 @@ class BenchKnowledge:
     # ``"distortion"``, ``"third_order"``, ``"bandwidth"``, ``"gain_corner"``
     separated: frozenset[str] = frozenset()
     # of the channel (low pass), of its coupling, and of the laser's gain saturation (g_c / 2 pi)
-    bandwidth: Corner = field(default_factory=Corner)
-    high_pass: Corner = field(default_factory=Corner)
-    gain: Corner = field(default_factory=Corner)
+    bandwidth: ResponseCorner = field(default_factory=ResponseCorner)
+    high_pass: ResponseCorner = field(default_factory=ResponseCorner)
+    gain: ResponseCorner = field(default_factory=ResponseCorner)
     # relative, of a measured response of the channel at 2f over that at f that the ratio was freed of
     response_u: float = math.nan
     # for the rate as reference; without one nobody said how well the rate is known
@@ -200,9 +200,9 @@ NOTHING_BUT_RECORDS = BenchKnowledge(
     time_base_limit_ppm=0.0,
     distortion_limit=0.0,
     third_order_limit=0.0,
-    bandwidth=Corner(math.inf),
-    high_pass=Corner(0.0),
-    gain=Corner(math.inf),
+    bandwidth=ResponseCorner(math.inf),
+    high_pass=ResponseCorner(0.0),
+    gain=ResponseCorner(math.inf),
 )
 """A bench that is known to be perfect: the budget is that of the records alone."""
 
@@ -274,16 +274,16 @@ def bounded(knowledge: BenchKnowledge, slowest_beat_hz: float) -> Bounded:
         "scale_factor": ("scale_factor_u_ppm", 1e6 * SCALE_FACTOR_LIMIT / _RECTANGLE),
         "distortion": ("distortion_limit", SECOND_ORDER_LIMIT),
         "third_order": ("third_order_limit", THIRD_ORDER_LIMIT),
-        "bandwidth": ("bandwidth", Corner(lowest_bandwidth(slowest_beat_hz))),
-        "high_pass": ("high_pass", Corner(AC_CORNER_HZ)),
-        "gain_corner": ("gain", Corner(lowest_gain_corner(slowest_beat_hz))),
+        "bandwidth": ("bandwidth", ResponseCorner(lowest_bandwidth(slowest_beat_hz))),
+        "high_pass": ("high_pass", ResponseCorner(AC_CORNER_HZ)),
+        "gain_corner": ("gain", ResponseCorner(lowest_gain_corner(slowest_beat_hz))),
     }
     missing = {line: bound for line, bound in bounds.items() if _unknown(getattr(knowledge, bound[0]))}
     return Bounded(replace(knowledge, **dict(missing.values())), frozenset(missing))  # type: ignore[arg-type]
 
 
-def _unknown(value: float | Corner) -> bool:
-    return math.isnan(value.hz if isinstance(value, Corner) else value)
+def _unknown(value: float | ResponseCorner) -> bool:
+    return math.isnan(value.hz if isinstance(value, ResponseCorner) else value)
 
 
 # --------------------

@@ -22,8 +22,8 @@ from analysis.budget.bench import (
     THIRD_ORDER_ON_RATIO,
     BenchKnowledge,
     Bounded,
-    Corner,
     OperatingPoint,
+    ResponseCorner,
     TableGeometry,
     bounded,
     ratio_slope,
@@ -300,7 +300,7 @@ def _weight_of_distortion(point: OperatingPoint, limit: float) -> float:
 def _corner(
     name: str,
     quantity: str,
-    corner: Corner,
+    corner: ResponseCorner,
     response: Factor,
     point: OperatingPoint,
     slope: float,
@@ -337,7 +337,7 @@ def _corner(
     )
 
 
-def _relative_slope(response: Factor, frequency: float, corner: Corner) -> float:
+def _relative_slope(response: Factor, frequency: float, corner: ResponseCorner) -> float:
     """Relative change of the response by the corner, per Hz, such that this times u is the standard deviation.
 
     The effect goes with the square of the corner: over an uncertainty of a tenth its slope is not constant, so the

@@ -43,7 +43,7 @@ from analysis.fibre_gyro.injection import (
 )
 from analysis.fibre_gyro.input_axis import InputAxisTilt, ThreeAxes, fit_three_axes, input_axis_tilt
 from analysis.fibre_gyro.linearity import Linearity, scale_linearity
-from analysis.fibre_gyro.loop import ClosedLoop, Kernel, LoopDesign, OutputBlock, OutputModel, Trace
+from analysis.fibre_gyro.loop import ClosedLoop, Kernel, LoopDesign, LoopTrace, OutputBlock, OutputModel
 from analysis.fibre_gyro.rate_table import (
     AxisFit,
     OddEven,
@@ -108,6 +108,7 @@ __all__ = [
     "Ladder",
     "Linearity",
     "LoopDesign",
+    "LoopTrace",
     "NetOutputs",
     "NoiseFit",
     "OddEven",
@@ -128,7 +129,6 @@ __all__ = [
     "StaticLevel",
     "TableRuns",
     "ThreeAxes",
-    "Trace",
     "TurnOn",
     "TwoPiError",
     "WindowMean",

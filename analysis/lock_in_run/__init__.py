@@ -3,15 +3,15 @@
 from analysis.lock_in_run.evaluation import LockInRun, QuadratureResult, RateGroup, SeveralRates, evaluate
 from analysis.lock_in_run.records import (
     Batch,
-    LockInSeen,
     Method,
+    PreliminaryLockIn,
     RecordArrays,
     RunArrays,
     RunKnowledge,
     by_themselves,
     joined,
-    lock_in_seen,
     only_beats,
+    preliminary_lock_in,
     rows_of_batches,
     without_channel,
 )
@@ -21,8 +21,8 @@ __all__ = [
     "AxisRates",
     "Batch",
     "LockInRun",
-    "LockInSeen",
     "Method",
+    "PreliminaryLockIn",
     "QuadratureResult",
     "RateGroup",
     "RecordArrays",
@@ -37,8 +37,8 @@ __all__ = [
     "fast_estimates",
     "find_tilt",
     "joined",
-    "lock_in_seen",
     "only_beats",
+    "preliminary_lock_in",
     "rows_of_batches",
     "without_channel",
 ]

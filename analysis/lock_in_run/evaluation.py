@@ -15,9 +15,9 @@ from analysis.budget import (
     Bounded,
     Budget,
     BudgetInput,
-    Corner,
     Distribution,
     OperatingPoint,
+    ResponseCorner,
     TableGeometry,
     lock_in_budget,
     operating_point,
@@ -632,7 +632,7 @@ def _from_channel(
 ) -> Iterator[BudgetInput]:
     """Filters of channel and laser: the fit again with the ratios that would be seen without them."""
     for name, field, quantity, factor in CORNERS:
-        corner: Corner = getattr(known.knowledge, field)
+        corner: ResponseCorner = getattr(known.knowledge, field)
         if name in known.knowledge.separated:
             yield separated_input(name, quantity)
         elif corner.hz in (0.0, math.inf):
@@ -650,13 +650,15 @@ def _from_channel(
         yield response_input(known.knowledge.response_u, -fit.lock_in_rate)
 
 
-def _line(name: str, quantity: str, corner: Corner, u: float, kind: Distribution, what: str) -> BudgetInput:
+def _line(
+    name: str, quantity: str, corner: ResponseCorner, u: float, kind: Distribution, what: str
+) -> BudgetInput:
     note = f"corner {corner.hz:g} Hz, {what}: the fit repeated with its effect"
     return BudgetInput(name, f"{quantity}: shift of the fit", "deg/s", 0.0, u, kind, 1.0, note=note)
 
 
 def _without(
-    factor: Callable[[Floats, float], Complexes], corner: Corner, corrected: Corner | None = None
+    factor: Callable[[Floats, float], Complexes], corner: ResponseCorner, corrected: ResponseCorner | None = None
 ) -> Callable[[Floats], Complexes]:
     """What takes a filter out of the ratios, by their beat frequencies; `corrected`: what has been taken out."""
 

@@ -233,7 +233,7 @@ _SURE = 4.0
 
 
 @dataclass(frozen=True)
-class LockInSeen:
+class PreliminaryLockIn:
     """A lock-in rate, and between which values it surely lies, deg/s."""
 
     lock_in_rate: float
@@ -246,7 +246,7 @@ class LockInSeen:
         return self.most / max(self.least, 1e-3 * self.most)
 
 
-def lock_in_seen(records: RecordArrays, scale_factor: float) -> LockInSeen | None:
+def preliminary_lock_in(records: RecordArrays, scale_factor: float) -> PreliminaryLockIn | None:
     """Say what records at one rate say of the lock-in rate; ``None`` if they show none.
 
     Distortion and a gain corner of which nobody knows anything count in it: the first adds to the second harmonic
@@ -259,7 +259,7 @@ def lock_in_seen(records: RecordArrays, scale_factor: float) -> LockInSeen | Non
     # second order d puts the lock-in rate off by 2 W d
     off = math.hypot(_SURE * rate_u, 2 * abs(float(mean.input_rate)) * SECOND_ORDER_LIMIT)
     lost = math.hypot(1.0, float(mean.beat_frequency) / LOWEST_GAIN_CORNER_HZ)
-    return LockInSeen(rate, max(rate - off, 0.0), (rate + off) * lost)
+    return PreliminaryLockIn(rate, max(rate - off, 0.0), (rate + off) * lost)
 
 
 # --------------------

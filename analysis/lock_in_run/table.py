@@ -128,7 +128,7 @@ def check_by_table(
     used = result.scale_factor
     squared = (used * float(result.lock_in_rate)) ** 2
     squared_u = 2 * used**2 * float(result.lock_in_rate) * float(result.lock_in_rate_u)
-    seen = Seen.of(run, each, knowledge)
+    seen = TableReading.of(run, each, knowledge)
     stated = Stated.of(knowledge, tilt)
     along = knowledge.scale_factor * math.cos(math.radians(tilt.tilt_deg))
     start = np.array([along, *stated.earth, squared, 0.0, 0.0])
@@ -337,7 +337,7 @@ class _Some:
 
 
 @dataclass(frozen=True)
-class Seen:
+class TableReading:
     """Records of the table, slow and then fast (n,): Hz, and which of them beat; the rest is read some at a time.
 
     frequency, frequency_u, beating : (n,)
@@ -354,7 +354,9 @@ class Seen:
     north_deg: float
 
     @classmethod
-    def of(cls, run: RunArrays, each: tuple[LockInEstimate, LockInEstimate], knowledge: RunKnowledge) -> Seen:
+    def of(
+        cls, run: RunArrays, each: tuple[LockInEstimate, LockInEstimate], knowledge: RunKnowledge
+    ) -> TableReading:
         """Of a run and the estimates of each of its slow and fast records, fields of shape (n,)."""
         table = (run.slow.table_rate, run.fast.table_rate)
         beating = [one.usable & (one.beat_frequency_u > 0) for one in each]
@@ -506,7 +508,7 @@ class Curve:
 
 
 def fitted_curve(
-    seen: Seen, start: Floats, known: dict[int, float], stated: Stated, *, rate_moves: bool = False
+    seen: TableReading, start: Floats, known: dict[int, float], stated: Stated, *, rate_moves: bool = False
 ) -> Curve:
     """Fit the curve by least squares; `known` holds the standard uncertainties of start values that are known.
 
@@ -523,7 +525,7 @@ def fitted_curve(
     few = settings - told < _FEWEST
     free = max(int(seen.beating.sum()) - settings - few, 1)
     for _ in range(_ROUNDS):
-        equations = _Equations.none(settings, values.size)
+        equations = _TableEquations.none(settings, values.size)
         for some in seen.blocks():
             noise = np.sqrt((stretch * some.frequency_u) ** 2 + moving)
             equations.add(*_linearised(values, some, stated), noise, some.setting)
@@ -544,7 +546,7 @@ def fitted_curve(
 
 
 @dataclass(frozen=True)
-class _Scatter:
+class _TableScatter:
     """Of records: chi-square, and how it falls with their variance."""
 
     chi_square: float
@@ -552,7 +554,7 @@ class _Scatter:
 
 
 @dataclass
-class _Equations:
+class _TableEquations:
     """The triangle that stands for the equations of all records, over their noise; right side in its last column.
 
     It comes out of a QR decomposition, some records at a time: those of a million need no room.
@@ -565,8 +567,8 @@ class _Equations:
     moments: Floats
 
     @staticmethod
-    def none(n_settings: int, n_values: int) -> _Equations:
-        return _Equations(np.empty((0, n_values + 1)), np.zeros((6, n_settings)))
+    def none(n_settings: int, n_values: int) -> _TableEquations:
+        return _TableEquations(np.empty((0, n_values + 1)), np.zeros((6, n_settings)))
 
     def add(self, left: Floats, slopes: Floats, noise: Floats, setting: Indices) -> None:
         """Distances of some records from the curve, Hz, their derivatives by all values, and their noise."""
@@ -575,22 +577,22 @@ class _Equations:
         for row, (power, of_noise) in enumerate(itertools.product((0, 1, 2), (2, 4))):
             np.add.at(self.moments[row], setting, left**power / noise**of_noise)
 
-    def about_the_curve(self) -> _Scatter:
+    def about_the_curve(self) -> _TableScatter:
         """How the records scatter where too few settings tell what moves from one to the next."""
-        return _Scatter(float(np.sum(self.moments[4])), float(np.sum(self.moments[5])))
+        return _TableScatter(float(np.sum(self.moments[4])), float(np.sum(self.moments[5])))
 
-    def within_settings(self) -> _Scatter:
+    def within_settings(self) -> _TableScatter:
         """How the records scatter about the means of their settings."""
         n2, n4, l2, l4, ll2, ll4 = self.moments
         mean = l2 / np.maximum(n2, 1e-300)
-        return _Scatter(float(np.sum(ll2 - mean * l2)), float(np.sum(ll4 - 2 * mean * l4 + mean**2 * n4)))
+        return _TableScatter(float(np.sum(ll2 - mean * l2)), float(np.sum(ll4 - 2 * mean * l4 + mean**2 * n4)))
 
 
 @dataclass(frozen=True)
 class _System:
     """The equations of the records, and of what is known before them."""
 
-    seen: Seen
+    seen: TableReading
     start: Floats
     known: dict[int, float]
     values: Floats

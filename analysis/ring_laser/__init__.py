@@ -16,17 +16,17 @@ from analysis.ring_laser.detector import (
     smooth_interval,
     with_detector_noise,
 )
-from analysis.ring_laser.gyro import Gyro, Motion, axis_rate_on_table, beat_phase_on_table
-from analysis.ring_laser.two_mode_laser import SteadyBeat, Winking, WinkingLaser, steady_beat, symmetric_laser
+from analysis.ring_laser.gyro import Gyro, RateMotion, axis_rate_on_table, beat_phase_on_table
+from analysis.ring_laser.two_mode_laser import SteadyBeat, TwoModeLaser, Winking, steady_beat, symmetric_laser
 
 __all__ = [
     "Detector",
     "Gyro",
-    "Motion",
     "NoisySignal",
+    "RateMotion",
     "SteadyBeat",
+    "TwoModeLaser",
     "Winking",
-    "WinkingLaser",
     "axis_rate_on_table",
     "beat_phase_on_table",
     "beat_signal_on_table",

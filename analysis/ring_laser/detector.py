@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from analysis.arrays import Bools, Complexes, Floats, Indices
 from analysis.channel import high_pass, low_pass
-from analysis.ring_laser.gyro import Gyro, Motion, beat_phase_on_table, split
+from analysis.ring_laser.gyro import Gyro, RateMotion, beat_phase_on_table, split
 from analysis.ring_laser.two_mode_laser import (
     FINER,
     beat_rate_at,
@@ -235,7 +235,7 @@ _NODE_POLYNOMIAL = 16.9 / 720  # of six points at even steps, largest between th
 _SHARPEST = 0.9  # ratio of successive harmonics
 
 
-def beat_signal_on_table(gyro: Gyro, detector: Detector, motion: Sequence[Motion], times: Floats) -> Floats:
+def beat_signal_on_table(gyro: Gyro, detector: Detector, motion: Sequence[RateMotion], times: Floats) -> Floats:
     """Volts at the detector while the table moves.
 
     Shapes: times (n,).
@@ -256,7 +256,7 @@ def beat_signal_on_table(gyro: Gyro, detector: Detector, motion: Sequence[Motion
 
 
 @lru_cache(maxsize=64)
-def _resting_volts(gyro: Gyro, detector: Detector, segment: Motion) -> float | None:
+def _resting_volts(gyro: Gyro, detector: Detector, segment: RateMotion) -> float | None:
     """The constant of a locked gyro on a table at rest; ``None`` where the beat moves."""
     if segment.rate_dps or segment.acceleration_dps2 or gyro.ripple_dps:
         return None
@@ -266,7 +266,9 @@ def _resting_volts(gyro: Gyro, detector: Detector, segment: Motion) -> float | N
     return float(detector_signal(gyro, detector, rate, np.zeros(1))[0])
 
 
-def smooth_interval(gyro: Gyro, detector: Detector, motion: Sequence[Motion], start: float, stop: float) -> float:
+def smooth_interval(
+    gyro: Gyro, detector: Detector, motion: Sequence[RateMotion], start: float, stop: float
+) -> float:
     """Distance in s of points between which polynomials of the fifth degree give the signal of the detector.
 
     They leave 1e-4 of its amplitude. 0 where the gyro locks or unlocks: there are no such points then.
@@ -278,7 +280,7 @@ def smooth_interval(gyro: Gyro, detector: Detector, motion: Sequence[Motion], st
 
 
 @lru_cache(maxsize=64)
-def _smooth_interval(gyro: Gyro, detector: Detector, segment: Motion) -> float:
+def _smooth_interval(gyro: Gyro, detector: Detector, segment: RateMotion) -> float:
     """Of one piece of motion: polynomials are off by that of their nodes times the sixth derivative over 6!."""
     if _resting_volts(gyro, detector, segment) is not None:
         return 1.0 / (_POINTS_A_PERIOD * max(detector.pump_hz, 1.0))
@@ -301,7 +303,7 @@ def _smooth_interval(gyro: Gyro, detector: Detector, segment: Motion) -> float:
 
 
 def signal_bounds(
-    gyro: Gyro, detector: Detector, motion: Sequence[Motion], start: float, stop: float
+    gyro: Gyro, detector: Detector, motion: Sequence[RateMotion], start: float, stop: float
 ) -> tuple[float, float]:
     """Volts that the signal of the detector does not leave between two absolute times in s; inf: not known."""
     segments = tuple(motion)
@@ -311,7 +313,7 @@ def signal_bounds(
 
 
 @lru_cache(maxsize=64)
-def _bounds(gyro: Gyro, detector: Detector, segment: Motion) -> tuple[float, float]:
+def _bounds(gyro: Gyro, detector: Detector, segment: RateMotion) -> tuple[float, float]:
     """Of one piece of motion."""
     low, high = -math.inf, math.inf
     if (resting := _resting_volts(gyro, detector, segment)) is not None:
@@ -325,7 +327,7 @@ def _bounds(gyro: Gyro, detector: Detector, segment: Motion) -> tuple[float, flo
 
 
 def signal_above(
-    gyro: Gyro, detector: Detector, motion: Sequence[Motion], corner_hz: float, start: float, stop: float
+    gyro: Gyro, detector: Detector, motion: Sequence[RateMotion], corner_hz: float, start: float, stop: float
 ) -> Callable[[Floats], Floats] | None:
     """The signal behind an AC coupling of one pole, between two absolute times in s.
 
@@ -350,7 +352,7 @@ def signal_above(
 
 
 @lru_cache(maxsize=64)
-def _coupling_shows_no_swing(gyro: Gyro, detector: Detector, segment: Motion, corner_hz: float) -> bool:
+def _coupling_shows_no_swing(gyro: Gyro, detector: Detector, segment: RateMotion, corner_hz: float) -> bool:
     """Whether a beat goes on steadily enough to know it behind an AC coupling."""
     if not _smooth_interval(gyro, detector, segment):
         return False
@@ -364,7 +366,7 @@ def _coupling_shows_no_swing(gyro: Gyro, detector: Detector, segment: Motion, co
     return sideways < UNSEEN and (faint or not detector.pump_ripple)
 
 
-def _rates_in(gyro: Gyro, segment: Motion) -> tuple[float, float, int]:
+def _rates_in(gyro: Gyro, segment: RateMotion) -> tuple[float, float, int]:
     """Slowest and fastest rate on the axis in a turn of the table, deg/s, and their sense; 0: both."""
     rates = gyro.axis_rate(segment.rate_dps, np.arange(0.0, 360.0, 10.0))
     sizes, ripple = np.abs(rates), abs(gyro.ripple_dps)
@@ -443,7 +445,7 @@ _NEGLIGIBLE_MOTION = 1e-5  # of the largest harmonic
 def mean_beat_on_table(
     gyro: Gyro,
     detector: Detector,
-    motion: Sequence[Motion],
+    motion: Sequence[RateMotion],
     starts: Floats,
     times: Floats,
     *,
@@ -490,7 +492,7 @@ def mean_beat_on_table(
 
 
 def _differences(
-    gyro: Gyro, motion: tuple[Motion, ...], starts: Floats, middle: float, places: Floats
+    gyro: Gyro, motion: tuple[RateMotion, ...], starts: Floats, middle: float, places: Floats
 ) -> tuple[Floats, Floats]:
     """Rates on the axis, and phases over those of the stretch in the middle, (k, places)."""
     rates, phases = beat_phase_on_table(gyro, motion, (starts[:, np.newaxis] + places).ravel())

@@ -133,7 +133,7 @@ _NODES = np.cos(np.pi * (np.arange(12) + 0.5) / 12)[::-1]
 _TO_SERIES = np.linalg.inv(chebyshev.chebvander(_NODES, 11)).T
 
 
-def beat_phase_on_table(gyro: Gyro, motion: Sequence[Motion], times: Floats) -> tuple[Floats, Floats]:
+def beat_phase_on_table(gyro: Gyro, motion: Sequence[RateMotion], times: Floats) -> tuple[Floats, Floats]:
     """Rate on the axis and phase of the beat while the table moves.
 
     Shapes: times (n,).
@@ -147,7 +147,7 @@ def beat_phase_on_table(gyro: Gyro, motion: Sequence[Motion], times: Floats) -> 
     return rates, phases
 
 
-def axis_rate_on_table(gyro: Gyro, motion: Sequence[Motion], times: Floats) -> Floats:
+def axis_rate_on_table(gyro: Gyro, motion: Sequence[RateMotion], times: Floats) -> Floats:
     """Rate on the gyro's axis in deg/s while the table moves; arguments as :func:`beat_phase_on_table`."""
     segments, rates = tuple(motion), np.empty_like(times)
     for number, inside in split(segments, times):
@@ -155,7 +155,7 @@ def axis_rate_on_table(gyro: Gyro, motion: Sequence[Motion], times: Floats) -> F
     return rates
 
 
-def _rate_and_advance(gyro: Gyro, motion: tuple[Motion, ...], number: int, times: Floats) -> Floats:
+def _rate_and_advance(gyro: Gyro, motion: tuple[RateMotion, ...], number: int, times: Floats) -> Floats:
     """Rate on the axis and advance of psi since the start of a segment, (2, n).
 
     Both follow the turn of the table and the ripple, far slower than the samples of a record: they are worked out
@@ -195,11 +195,11 @@ def _by_pieces(pieces: Indices, places: Floats, lines: Floats, series: Floats) -
     return np.asarray(constants + slopes * places + found)
 
 
-def _exactly(gyro: Gyro, motion: tuple[Motion, ...], number: int, times: Floats) -> Floats:
+def _exactly(gyro: Gyro, motion: tuple[RateMotion, ...], number: int, times: Floats) -> Floats:
     return np.stack([_rate(gyro, motion[number], times), _advance(gyro, motion, number, times)])
 
 
-def _pieces(gyro: Gyro, segment: Motion, first: int, last: int) -> tuple[Floats, Floats]:
+def _pieces(gyro: Gyro, segment: RateMotion, first: int, last: int) -> tuple[Floats, Floats]:
     """Straight lines (2, 2, n) and Chebyshev series (order, 2, n) of what is left, of n pieces of time.
 
     Without the line what is left is small, and so is its rounding.
@@ -231,13 +231,13 @@ def _pieces(gyro: Gyro, segment: Motion, first: int, last: int) -> tuple[Floats,
 
 
 @lru_cache(maxsize=64)
-def _known_pieces(gyro: Gyro, segment: Motion) -> dict[int, tuple[Floats, Floats]]:
+def _known_pieces(gyro: Gyro, segment: RateMotion) -> dict[int, tuple[Floats, Floats]]:
     """Those that were worked out already, by their number."""
     return {}
 
 
 @lru_cache(maxsize=64)
-def _piece_length(gyro: Gyro, segment: Motion) -> float:
+def _piece_length(gyro: Gyro, segment: RateMotion) -> float:
     """Length in s of pieces of time that are short beside the turn of the table and the ripple; 0 for a slew."""
     if segment.acceleration_dps2 != 0.0:
         return 0.0
@@ -247,12 +247,12 @@ def _piece_length(gyro: Gyro, segment: Motion) -> float:
     return min(_RADIANS_A_PIECE / fastest, _LONGEST_PIECE) if fastest > 0 else _LONGEST_PIECE
 
 
-def _rate(gyro: Gyro, segment: Motion, times: Floats) -> Floats:
+def _rate(gyro: Gyro, segment: RateMotion, times: Floats) -> Floats:
     return gyro.axis_rate(segment.rate_at(times), segment.azimuth_at(times), gyro.ripple_phase(times))
 
 
 @lru_cache(maxsize=64)
-def _start_phases(gyro: Gyro, motion: tuple[Motion, ...]) -> tuple[float, ...]:
+def _start_phases(gyro: Gyro, motion: tuple[RateMotion, ...]) -> tuple[float, ...]:
     """Return psi at the start of each segment."""
     phases = [gyro.start_phase]
     for number, following in enumerate(motion[1:]):
@@ -260,7 +260,7 @@ def _start_phases(gyro: Gyro, motion: tuple[Motion, ...]) -> tuple[float, ...]:
     return tuple(phases)
 
 
-def _advance(gyro: Gyro, motion: tuple[Motion, ...], number: int, times: Floats) -> Floats:
+def _advance(gyro: Gyro, motion: tuple[RateMotion, ...], number: int, times: Floats) -> Floats:
     """Advance of psi in rad since the start of a segment."""
     segment = motion[number]
     if segment.acceleration_dps2 != 0.0:
@@ -268,7 +268,7 @@ def _advance(gyro: Gyro, motion: tuple[Motion, ...], number: int, times: Floats)
     return np.asarray(2 * np.pi * _cycles(gyro, segment, np.array([segment.start]), times - segment.start)[0])
 
 
-def _cycles(gyro: Gyro, segment: Motion, starts: Floats, elapsed: Floats) -> Floats:
+def _cycles(gyro: Gyro, segment: RateMotion, starts: Floats, elapsed: Floats) -> Floats:
     """Advance of psi in turns from each of some starts in a steady segment, after each of some times: (m, n)."""
     turn_rate = segment.rate_dps if abs(segment.rate_dps) >= _REST_DPS else 0.0
     mean, orders, terms = _frequency_series(gyro, *_turning(segment))
@@ -282,7 +282,7 @@ def _cycles(gyro: Gyro, segment: Motion, starts: Floats, elapsed: Floats) -> Flo
     return np.asarray(cycles)
 
 
-def _turning(segment: Motion) -> tuple[float, float | None]:
+def _turning(segment: RateMotion) -> tuple[float, float | None]:
     """Rate of a table that turns, and where one rests that does not."""
     return segment.rate_dps, segment.azimuth_deg % 360.0 if abs(segment.rate_dps) < _REST_DPS else None
 
@@ -325,7 +325,7 @@ def _frequency_series(
 
 
 @lru_cache(maxsize=64)
-def _slew_phase(gyro: Gyro, segment: Motion, end: float) -> tuple[Floats, Floats]:
+def _slew_phase(gyro: Gyro, segment: RateMotion, end: float) -> tuple[Floats, Floats]:
     """Times in a slew and psi since its start: cumulative trapezoidal rule; nobody measures in a slew."""
     grid = np.linspace(segment.start, end, _SLEW_POINTS)
     frequency = gyro.beat_frequency(_rate(gyro, segment, grid)) * gyro.drift(grid)
@@ -340,7 +340,7 @@ def _slew_phase(gyro: Gyro, segment: Motion, end: float) -> tuple[Floats, Floats
 Array = NDArray[np.float64]
 
 
-class Motion(Protocol):
+class RateMotion(Protocol):
     """A piece of the table's motion with constant acceleration, from an absolute time `start` (s) on.
 
     Any object with these attributes will do, as long as it does not change: phases that it led to are kept.
@@ -375,7 +375,7 @@ class Motion(Protocol):
 Inside = NDArray[np.intp] | slice
 
 
-def split(motion: tuple[Motion, ...], times: Array) -> list[tuple[int, Inside]]:
+def split(motion: tuple[RateMotion, ...], times: Array) -> list[tuple[int, Inside]]:
     """Sort times into pieces: number of the piece, and the indices of the times that fall into it.
 
     Shapes: times (n,).

@@ -45,7 +45,7 @@ DETOUR = (4.0, 2.0, 1.5, 1.2, 1.1, 1.05, 1.02, 1.01, 1.0)
 
 
 @dataclass(frozen=True)
-class WinkingLaser:
+class TwoModeLaser:
     """Ring laser of equations (1)."""
 
     scale_factor: float  # k, pulses per degree
@@ -92,10 +92,10 @@ def symmetric_laser(
     gain_corner_hz: float,
     phase_sum: float = 0.0,
     cross_saturation: float = 0.5,
-) -> WinkingLaser:
+) -> TwoModeLaser:
     """Laser with equal backscatter of both beams that locks at a given rate (deg/s); beta is 0 for |eps| < pi."""
     each = np.pi * scale_factor * lock_in_rate / abs(np.cos(phase_sum / 2))
-    return WinkingLaser(scale_factor, (each, each), phase_sum, 2 * np.pi * gain_corner_hz, cross_saturation)
+    return TwoModeLaser(scale_factor, (each, each), phase_sum, 2 * np.pi * gain_corner_hz, cross_saturation)
 
 
 @dataclass(frozen=True)
@@ -112,7 +112,7 @@ class SteadyBeat:
     beams: Complexes
 
 
-def steady_beat(laser: WinkingLaser, input_rate: float) -> SteadyBeat:
+def steady_beat(laser: TwoModeLaser, input_rate: float) -> SteadyBeat:
     """Periodic solution of equations (1) at a constant rate.
 
     The phase is the independent variable, and the intensities are periodic in it: their values at even steps over
@@ -142,7 +142,7 @@ def steady_beat(laser: WinkingLaser, input_rate: float) -> SteadyBeat:
     )
 
 
-def _periodic(laser: WinkingLaser, input_rate: float, start: Floats) -> Floats | None:
+def _periodic(laser: TwoModeLaser, input_rate: float, start: Floats) -> Floats | None:
     """ln I1 and ln I2 (2, n) at n even steps of the phase over one turn, n as large as it must be; or None."""
     n = start.shape[1]
     while (values := _newton(laser, input_rate, start)) is not None:
@@ -154,7 +154,7 @@ def _periodic(laser: WinkingLaser, input_rate: float, start: Floats) -> Floats |
     return None
 
 
-def _newton(laser: WinkingLaser, input_rate: float, values: Floats) -> Floats | None:
+def _newton(laser: TwoModeLaser, input_rate: float, values: Floats) -> Floats | None:
     """Solution of the equations at all points at once; None where the phase stands still or nothing converges."""
     n = values.shape[1]
     psi = _phases(n, input_rate)
@@ -181,7 +181,7 @@ def _newton(laser: WinkingLaser, input_rate: float, values: Floats) -> Floats | 
 
 
 def _slopes(
-    laser: WinkingLaser, input_rate: float, psi: Floats, values: Floats
+    laser: TwoModeLaser, input_rate: float, psi: Floats, values: Floats
 ) -> tuple[Floats, Floats, Floats, Floats]:
     """d psi/dt (n,) and d ln I/dt (2, n); of both, the derivatives (2, n) and (2, 2, n) by the two ln I."""
     a1, a2 = laser.backscatter
@@ -222,7 +222,7 @@ def _resampled(values: Floats, n: int) -> Floats:
     return np.asarray(np.fft.irfft(np.fft.rfft(values), n) * n / values.shape[1])
 
 
-def _harmonics(laser: WinkingLaser, input_rate: float, values: Floats) -> SteadyBeat:
+def _harmonics(laser: TwoModeLaser, input_rate: float, values: Floats) -> SteadyBeat:
     """Harmonics in time from a path in phase: c_n = (1/T) integral of x exp(-i n w t) (dt/dpsi) over psi."""
     psi = _phases(POINTS, input_rate)
     # An even number of points has no place for the highest line of the longest solution; it is rounding.

@@ -49,7 +49,7 @@ from analysis.several_rates.ratio_model import (
 )
 from analysis.several_rates.result import FittedRecords, Model, ModelFit, RatesFit, RatesFlag, WithoutOneRate
 from analysis.several_rates.solutions import (
-    Answer,
+    RatesAnswer,
     answer,
     beats_of_rates,
     by_profile,
@@ -440,7 +440,7 @@ def _at_least(records: RatioRecords, high: float) -> float:
     return float(possible.max()) if possible.size else 0.0
 
 
-def _rates_differ(of: UsedRecords, said: Answer, mismatch: Floats, several: bool) -> tuple[float, bool]:
+def _rates_differ(of: UsedRecords, said: RatesAnswer, mismatch: Floats, several: bool) -> tuple[float, bool]:
     """What beats at several rates have in common against them, and whether some depart from their rates beside it.
 
     Beats that all depart alike show a wrong scale factor, others coupling without loss.
@@ -589,7 +589,9 @@ _SAME_SHARE, _SAME_U = 1e-3, 0.5
 _INTERVAL, _TAILS, _STEPS = (0.025, 0.975), 6.0, 4001
 
 
-def over_gain_times(said: Answer, found: RatioFit, data: RatioData, prior: Prior, widen: float) -> Answer:
+def over_gain_times(
+    said: RatesAnswer, found: RatioFit, data: RatioData, prior: Prior, widen: float
+) -> RatesAnswer:
     """The same value with what any gain time within its bound may make of it.
 
     The bench may have no gain time to speak of, as `said` takes it, or one anywhere within the bound: both count
@@ -606,7 +608,7 @@ def over_gain_times(said: Answer, found: RatioFit, data: RatioData, prior: Prior
     square = float(np.sum(weights * (us**2 + (values - said.value) ** 2)))
     low, high = _interval(weights, values, us)
     u = math.sqrt((said.u**2 + square) / 2)
-    return Answer(said.value, u, min(said.low, max(low, 0.0)), max(said.high, high), said.others)
+    return RatesAnswer(said.value, u, min(said.low, max(low, 0.0)), max(said.high, high), said.others)
 
 
 def _gain_times(found: RatioFit, prior: Prior, widen: float) -> Floats:

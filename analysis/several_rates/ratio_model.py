@@ -31,7 +31,7 @@ from typing import Literal
 import numpy as np
 
 from analysis.arrays import Bools, Complexes, Floats, Indices
-from analysis.budget import BenchKnowledge, Corner
+from analysis.budget import BenchKnowledge, ResponseCorner
 from analysis.budget.bench import SECOND_ORDER_LIMIT, THIRD_ORDER_LIMIT, lowest_bandwidth, lowest_gain_corner
 
 Reference = Literal["rate", "beat"]
@@ -535,9 +535,9 @@ class ReceiverKnowledge:
     second_order_limit: float = math.nan
     third_order_limit: float = math.nan
     # -3 dB corner of the receiver (one pole), as in `BenchKnowledge`: corrected for, or its effect a limit
-    bandwidth: Corner = field(default_factory=Corner)
+    bandwidth: ResponseCorner = field(default_factory=ResponseCorner)
     # g_c/2 pi; with an uncertainty it is a value, without one it is the lowest that is possible
-    gain_corner: Corner = field(default_factory=Corner)
+    gain_corner: ResponseCorner = field(default_factory=ResponseCorner)
 
     @staticmethod
     def of(bench: BenchKnowledge) -> ReceiverKnowledge:

@@ -21,7 +21,7 @@ deviations of one unknown."""
 
 
 @dataclass(frozen=True)
-class Answer:
+class RatesAnswer:
     """Lock-in rate of all possible minima: value of the best, uncertainty and interval of all, deg/s."""
 
     value: float
@@ -31,7 +31,7 @@ class Answer:
     others: tuple[Alternative, ...]
 
 
-def answer(found: RatioFit, widen: float, degrees: int) -> Answer:
+def answer(found: RatioFit, widen: float, degrees: int) -> RatesAnswer:
     """The lock-in rate that a fit with one or several minima gives."""
     above = (found.chi_square - found.chi_square[0]) / widen
     possible = found[np.flatnonzero(above <= POSSIBLE)]
@@ -46,7 +46,7 @@ def answer(found: RatioFit, widen: float, degrees: int) -> Answer:
     weights = minimum_volumes(possible) * np.exp(-0.5 * above[above <= POSSIBLE])
     weights = weights / weights.sum()
     u = math.sqrt(float(np.sum(weights * (us**2 + (values - values[0]) ** 2))))
-    return Answer(float(values[0]), u, min(one[2] for one in each), max(one[3] for one in each), others)
+    return RatesAnswer(float(values[0]), u, min(one[2] for one in each), max(one[3] for one in each), others)
 
 
 def largest_possible(found: RatioFit, data: RatioData) -> float:
@@ -72,8 +72,8 @@ _SAME_RATE, _OTHER_RATE = 0.1, 1.5
 
 
 def by_profile(
-    said: Answer, found: RatioFit, data: RatioData, prior: Prior, widen: float, degrees: int, most: float
-) -> Answer:
+    said: RatesAnswer, found: RatioFit, data: RatioData, prior: Prior, widen: float, degrees: int, most: float
+) -> RatesAnswer:
     """The interval from chi-square itself, and an uncertainty to match, where straight lines would not do.
 
     In one sense distortion and gain corner together bend the valley in which the answer lies. The interval holds
@@ -98,7 +98,7 @@ def by_profile(
     low, high = min(low, said.value), max(high, said.value)
     # one side may be much longer than the other: the root of their mean square, as of a deviation to either side
     u = math.hypot(high - said.value, said.value - low) / math.sqrt(2) / student
-    return Answer(said.value, u, low, high, said.others)
+    return RatesAnswer(said.value, u, low, high, said.others)
 
 
 _WELL_KNOWN = 6.0
@@ -126,8 +126,8 @@ _REFINEMENTS, _FINER = 1, 6
 
 
 def with_coupling(
-    said: Answer, fit: RatioFit, scale_factor: float, *, failed: bool, by_beats: CouplingSeen | None
-) -> Answer:
+    said: RatesAnswer, fit: RatioFit, scale_factor: float, *, failed: bool, by_beats: CouplingSeen | None
+) -> RatesAnswer:
     """The answer with what coupling without loss may do to it, for a gain corner that is seen.
 
     The ratios do not show that coupling: it counts with the angle that it may have where all fits, and with twice
@@ -149,13 +149,13 @@ def with_coupling(
     return widened(said, share)
 
 
-def widened(said: Answer, share: float) -> Answer:
+def widened(said: RatesAnswer, share: float) -> RatesAnswer:
     """The answer with one more unknown beside what it counts: a rectangle of half width `share` of its value."""
     extra = share * said.value / math.sqrt(3)
     reach = _NORMAL_95 * extra
     low = said.value - math.hypot(said.value - said.low, reach)
     high = said.value + math.hypot(said.high - said.value, reach)
-    return Answer(said.value, math.hypot(said.u, extra), max(low, 0.0), high, said.others)
+    return RatesAnswer(said.value, math.hypot(said.u, extra), max(low, 0.0), high, said.others)
 
 
 _SEEN = 3.3

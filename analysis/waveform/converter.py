@@ -62,7 +62,7 @@ class Outliers:
 
 
 @dataclass(frozen=True)
-class Damage:
+class SampleDamage:
     """flags : (R,); rows : (H,) of the clipped records; weights : (H, N) of them, clipped samples left out;
     limits : (H, 2) the range between their clipping limits, +-inf on the side where not clipped.
     """
@@ -73,7 +73,7 @@ class Damage:
     limits: Floats
 
 
-def find_damage(records: Records, fit: SeriesFit, clipped: Bools | None) -> Damage:
+def find_damage(records: Records, fit: SeriesFit, clipped: Bools | None) -> SampleDamage:
     """Find clipped samples, from the caller's mask, in raw codes, or at levels that are too crowded."""
     values, weights = records.values, records.weights
     flags = np.zeros(len(values), dtype=np.int64)
@@ -92,7 +92,7 @@ def find_damage(records: Records, fit: SeriesFit, clipped: Bools | None) -> Dama
     some, limits = values[rows], np.stack([low, high], axis=-1)[rows]
     kept = (some > limits[:, :1]) & (some < limits[:, 1:])
     undamaged = kept.astype(values.dtype) if weights is None else kept * weights[rows]
-    return Damage(flags, rows, undamaged, limits)
+    return SampleDamage(flags, rows, undamaged, limits)
 
 
 def _known_limits(values: Samples, weights: Samples | None, clipped: Bools) -> tuple[Samples, Samples]:

@@ -41,7 +41,7 @@ LOCKED_AT_MOST = 50.0
 
 
 @dataclass(frozen=True)
-class Steps:
+class TrajectorySteps:
     """What each of (N - 1,) steps does.
 
     advance : rad, phase gained
@@ -57,7 +57,7 @@ class Steps:
 
 def exact_steps(
     phase: Floats, mean_rate: Floats, rate: Floats, sine: float | Floats, cosine: float | Floats
-) -> Steps:
+) -> TrajectorySteps:
     """Steps from the first N - 1 of N phases."""
     n0, d0 = np.sin(phase[:-1] / 2), np.cos(phase[:-1] / 2)
     turn = (rate[1:] - rate[:-1]) / 12
@@ -82,7 +82,7 @@ def exact_steps(
         return (at_start * by_phase + at_end) / 2 + (slope_at_start * by_phase - slope_at_end) / 12
 
     one = np.ones_like(by_phase)
-    return Steps(
+    return TrajectorySteps(
         2 * np.arctan2(n1 * d0 - d1 * n0, d1 * d0 + n1 * n0),
         by_phase,
         integrated(one, one, start.pull, end.pull),
@@ -234,7 +234,7 @@ class _Model:
 
     left: Floats
     moved: Floats
-    steps: Steps
+    steps: TrajectorySteps
     by_phase: Floats
     by_sample: Floats
 
@@ -242,7 +242,7 @@ class _Model:
         return float(self.left @ self.left + self.moved @ self.moved / looseness)
 
 
-class Record:
+class SampledRecord:
     """One record (N,), `mask` 0 where a sample is missing."""
 
     def __init__(self, values: Floats, mask: Floats) -> None:
@@ -346,7 +346,7 @@ class _Equations:
 
     @staticmethod
     def of(
-        record: Record, at: Trajectory, model: _Model, looseness: float, *, drifting: bool = False
+        record: SampledRecord, at: Trajectory, model: _Model, looseness: float, *, drifting: bool = False
     ) -> _Equations:
         """`drifting`: behind s and c two more parameters, by which they grow from the middle to the end."""
         steps, tight = model.steps, 1 / looseness
@@ -453,7 +453,7 @@ class Stepped:
     stretched: bool
 
 
-def with_rate_step(record: Record, fitted: Fitted, looseness: float) -> Stepped | None:
+def with_rate_step(record: SampledRecord, fitted: Fitted, looseness: float) -> Stepped | None:
     """The fit with two rates instead, where they explain the record better than `fitted` does with what it has.
 
     Where a(t) steps, W may have stepped, or the time base. Then b steps too, and the lock-in rate is that of one
@@ -504,7 +504,7 @@ def _found_step(fitted: Fitted) -> tuple[int, float] | None:
     return place, jump / (angle[-1] - angle[0]) * size
 
 
-def _fit(record: Record, start: Trajectory, looseness: float) -> Fitted:
+def _fit(record: SampledRecord, start: Trajectory, looseness: float) -> Fitted:
     """From loose to exact, the step moved to where it belongs in between."""
     scale = float(start.amplitude[0]) ** 2
     for looser in LOOSENESS:

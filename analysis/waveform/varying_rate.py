@@ -14,7 +14,7 @@ from analysis.waveform.residuals import line_stands_out
 from analysis.waveform.trajectory import (
     HIGHEST,
     Fitted,
-    Record,
+    SampledRecord,
     Stepped,
     Terms,
     Trajectory,
@@ -110,7 +110,7 @@ def fit_moving_rate(values: Floats, mask: Floats) -> MovingFit | None:
     seen = first_phase(values, mask)
     if seen is None:
         return None
-    record = Record(values, mask)
+    record = SampledRecord(values, mask)
     try:
         with np.errstate(all="ignore"):  # a step too far gives nan, and is taken back
             fitted, needed, noisy = _fitted(record, seen)
@@ -124,10 +124,10 @@ def fit_moving_rate(values: Floats, mask: Floats) -> MovingFit | None:
         return None
 
 
-def _fitted(record: Record, seen: FirstPhase) -> tuple[Fitted, Terms, bool]:
+def _fitted(record: SampledRecord, seen: FirstPhase) -> tuple[Fitted, Terms, bool]:
     """The fit, the terms that the data ask for, and whether the rate is noisy."""
     scale = float(np.mean(seen.amplitude)) ** 2
-    rough = _roughly(Record(record.values, record.mask * seen.trusted), seen, scale)
+    rough = _roughly(SampledRecord(record.values, record.mask * seen.trusted), seen, scale)
     trajectory = rough.trajectory if seen.step is None else _with_step_moved(record, rough.trajectory, seen)
     best = last = record.fit(trajectory, LOOSENESS[0] / scale, ITERATIONS)
     for looseness in LOOSENESS[1:]:
@@ -145,7 +145,7 @@ def _fitted(record: Record, seen: FirstPhase) -> tuple[Fitted, Terms, bool]:
     return record.fit(again.trajectory, EXACT / scale, LAST_ITERATIONS), needed, False
 
 
-def _roughly(record: Record, seen: FirstPhase, scale: float) -> Fitted:
+def _roughly(record: SampledRecord, seen: FirstPhase, scale: float) -> Fitted:
     """The phases followed wherever they go, then the motion that they show, and once more from there."""
     phase, slow = seen.phase, Terms(0, SLOW_TERMS, SLOW_TERMS, seen.step)
     of_amplitude, of_offset = record.columns(slow)
@@ -170,7 +170,7 @@ def _roughly(record: Record, seen: FirstPhase, scale: float) -> Fitted:
     return fitted
 
 
-def _with_step_moved(record: Record, trajectory: Trajectory, seen: FirstPhase) -> Trajectory:
+def _with_step_moved(record: SampledRecord, trajectory: Trajectory, seen: FirstPhase) -> Trajectory:
     """The step of the offset at the sample where the record says it is."""
     inside = np.flatnonzero(~seen.trusted)
     height = float(trajectory.parameters[-1])
@@ -183,7 +183,7 @@ def _with_step_moved(record: Record, trajectory: Trajectory, seen: FirstPhase) -
     return replace(trajectory, terms=replace(trajectory.terms, step=step))
 
 
-def _with_noise_of_the_rate(record: Record, fitted: Fitted) -> tuple[Fitted, Terms]:
+def _with_noise_of_the_rate(record: SampledRecord, fitted: Fitted) -> tuple[Fitted, Terms]:
     """The fit at the looseness of greatest likelihood, and the terms that are needed beside such noise.
 
     No more of them are kept: the noise takes up what they leave.
@@ -195,7 +195,7 @@ def _with_noise_of_the_rate(record: Record, fitted: Fitted) -> tuple[Fitted, Ter
     return _likeliest(record, again, COARSEST, FINEST), needed
 
 
-def _likeliest(record: Record, fitted: Fitted, width: float, finest: float) -> Fitted:
+def _likeliest(record: SampledRecord, fitted: Fitted, width: float, finest: float) -> Fitted:
     """The fit at the looseness of greatest likelihood; `width` and `finest` are steps of its logarithm."""
     tried, middle = {0.0: fitted}, 0.0
     while width > finest:
@@ -208,7 +208,7 @@ def _likeliest(record: Record, fitted: Fitted, width: float, finest: float) -> F
     return tried[middle]
 
 
-def _as_beat(record: Record, fitted: Fitted, *, noisy: bool, moves: bool) -> MovingFit | None:
+def _as_beat(record: SampledRecord, fitted: Fitted, *, noisy: bool, moves: bool) -> MovingFit | None:
     """What a gyro at the mean rate would have shown; None where it would be locked."""
     trajectory, terms, n_samples = fitted.trajectory, fitted.trajectory.terms, record.values.size
     rate, pull = float(trajectory.rate[0]), complex(*trajectory.pull)
@@ -386,7 +386,7 @@ MATCHING_RIDGE = 1e-12
 
 
 @dataclass(frozen=True)
-class Motion:
+class VaryingRate:
     """rate (J,): Legendre coefficients of a(t), rad per sample; sine, cosine: s and c."""
 
     rate: Floats
@@ -394,7 +394,7 @@ class Motion:
     cosine: float
 
 
-def matched_motion(phase: Floats, weights: Floats, terms: int) -> Motion:
+def matched_motion(phase: Floats, weights: Floats, terms: int) -> VaryingRate:
     """Motion with as many polynomials as the phase asks for (Bayesian information criterion), at most `terms`."""
     others = [np.ones(phase.size), -_integral(np.sin(phase)), _integral(np.cos(phase))]
     columns = np.concatenate([others, polynomials(phase.size).integrals[:terms]])
@@ -413,7 +413,7 @@ def matched_motion(phase: Floats, weights: Floats, terms: int) -> Motion:
     degree = int(np.argmin(count * np.log(left) + np.log(count) * np.arange(left.size)))
     size = degree + 4
     solution = scale[:size] * scipy.linalg.solve_triangular(factor[:size, :size].T, explained[:size])
-    return Motion(solution[3:], float(solution[1]), float(solution[2]))
+    return VaryingRate(solution[3:], float(solution[1]), float(solution[2]))
 
 
 def _integral(values: Floats) -> Floats:

@@ -23,7 +23,7 @@ from station.fibre_gyro.bench import SerialFogBench
 from station.fibre_gyro.segments import take_segments
 from station.fibre_gyro.selfcal import numbers_for
 from station.fibre_gyro.settings import load_fog_settings
-from station.runs.acquisition import Session, facts_of, take
+from station.runs.acquisition import Acquisition, facts_of, take
 from station.runs.progress import Progress
 from station.runs.store import open_run
 from station.settings import shipped_settings
@@ -116,7 +116,7 @@ def serial_case(gyro: Gyro, seed: int, folder: Path, command: str) -> dict[str, 
         bench = SerialFogBench(link, model, lambda question: "")
         facts = facts_of(command, settings.model_dump(mode="json"), simulated=False)
         done = take(
-            Session(facts, folder, Progress(quiet=True)),
+            Acquisition(facts, folder, Progress(quiet=True)),
             lambda session: take_segments(settings, session, nullcontext(bench), [lambda run: plan], {}),
         )
         bench.leave()

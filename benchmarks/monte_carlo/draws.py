@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from analysis.arrays import Floats
-from analysis.budget import BenchKnowledge, Corner, OperatingPoint, Reference, TableGeometry
+from analysis.budget import BenchKnowledge, OperatingPoint, Reference, ResponseCorner, TableGeometry
 from analysis.channel import gain_on_ratio, high_pass_on_ratio, low_pass_on_ratio
 from analysis.rotation import rate_on_axis
 
@@ -63,7 +63,7 @@ def draw_inputs(
     def common(values: float | Floats) -> Floats:
         return np.repeat(np.broadcast_to(np.asarray(values, dtype=np.float64), trials), records)
 
-    def corner(known: Corner, absent: float) -> Floats:
+    def corner(known: ResponseCorner, absent: float) -> Floats:
         if not known.corrected:  # drawn as a share of r instead
             return common(absent)
         return common(np.abs(rng.normal(known.hz, known.u_hz, trials)))
@@ -102,7 +102,7 @@ def corrected_factor(frequency: float, knowledge: BenchKnowledge) -> float:
     return math.prod(factor for corner, factor in _corners(frequency, knowledge) if corner.corrected)
 
 
-def _corners(frequency: float, knowledge: BenchKnowledge) -> Iterator[tuple[Corner, float]]:
+def _corners(frequency: float, knowledge: BenchKnowledge) -> Iterator[tuple[ResponseCorner, float]]:
     """Each corner that is known, and the factor that it puts on r."""
     for corner, on_ratio in (
         (knowledge.bandwidth, low_pass_on_ratio),

@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from analysis.budget import Corner
+from analysis.budget import ResponseCorner
 from analysis.budget.bench import SECOND_ORDER_LIMIT, THIRD_ORDER_LIMIT, lowest_bandwidth, lowest_gain_corner
 from analysis.several_rates import RatesFit, RatesFlag, RatioData, ReceiverKnowledge, Reference, fit_rate_ratios
 from analysis.several_rates.ratio_model import beyond_first_order, predicted
@@ -93,8 +93,8 @@ class Scenario:
 
 ALL_OF_IT = {"distortion": 0.005, "third_order": 0.003, "gain_time": times(60), "lag_square": times(40) ** 2}
 DEFAULT = both(3, 5.3, 9.5, 17, 30)
-FAST_CHANNEL = ReceiverKnowledge(bandwidth=Corner(np.inf))
-NO_CORNER = ReceiverKnowledge(bandwidth=Corner(np.inf), gain_corner=Corner(np.inf))
+FAST_CHANNEL = ReceiverKnowledge(bandwidth=ResponseCorner(np.inf))
+NO_CORNER = ReceiverKnowledge(bandwidth=ResponseCorner(np.inf), gain_corner=ResponseCorner(np.inf))
 SCENARIOS = {
     "default rates": Scenario(DEFAULT, 3),
     "default, second order -40 dBc": Scenario(DEFAULT, 3, {"distortion": 0.01}),

@@ -23,7 +23,7 @@ from instrument.scpi import POINTS
 _COUPLINGS = ("DC", "AC", "GND")
 
 
-class ScopeChannel(InstrumentChannel):
+class QcodesChannel(InstrumentChannel):
     """One channel: its knobs, the record of the last acquisition and the times of its samples."""
 
     def __init__(self, parent: QCoDeSScope, name: str, channel: str) -> None:
@@ -79,7 +79,7 @@ class QCoDeSScope(Instrument):
         super().__init__(name)
         self.driver = TDS2014(address, **options)
         for number, channel in enumerate(self.driver.channels, start=1):
-            self.add_submodule(f"ch{number}", ScopeChannel(self, f"ch{number}", channel))
+            self.add_submodule(f"ch{number}", QcodesChannel(self, f"ch{number}", channel))
         self.seconds_per_division: Parameter[float, Any] = self.add_parameter(
             "seconds_per_division",
             unit="s/div",

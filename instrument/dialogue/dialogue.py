@@ -26,7 +26,7 @@ from instrument.dialogue.identify import (
 )
 from instrument.dialogue.link import ANSWER_TIME, SLICE_TIME, Link, NoAnswer
 from instrument.dialogue.record_query import PREAMBLE_FIELDS, RecordQuestion
-from instrument.dialogue.retry import Patience, Persistence, Tally
+from instrument.dialogue.retry import AnswerTimeout, Persistence, Tally
 from instrument.errors import (
     InstrumentError,
     LinkError,
@@ -75,7 +75,7 @@ class Exchange(ABC):
         self._recovering = self._reconnecting = False
         self._answer_due = False
         self._mark: int | None = None
-        self._patience = Patience(link.pause_time, link.answer_time)
+        self._patience = AnswerTimeout(link.pause_time, link.answer_time)
         self._late_until: float | None = None
         """Until when a message that nobody waits for any more may still arrive, and be obeyed."""
         self._kind = TEXT

@@ -26,7 +26,7 @@ from pyvisa.constants import InterfaceType, StatusCode
 from pyvisa.resources import SerialInstrument
 
 from instrument import scpi
-from instrument.dialogue.retry import Clock, ComputerClock
+from instrument.dialogue.retry import ComputerClock, RetryClock
 from instrument.errors import LinkError, TransferError
 from instrument.pyvisa_sessions import (
     READ_AGAIN_S,
@@ -82,10 +82,10 @@ class Link:
         resource_name: str,
         resource_manager: pyvisa.ResourceManager | None = None,
         baud_rate: int | None = None,
-        clock: Clock | None = None,
+        clock: RetryClock | None = None,
     ) -> None:
         self.name = resource_name
-        self.clock: Clock = clock or ComputerClock()
+        self.clock: RetryClock = clock or ComputerClock()
         self.closed = False
         self.answer_time = ANSWER_TIME
         """Longest time in s until an answer begins; to be set for an unusually slow unit, or a known quick one."""
@@ -94,7 +94,7 @@ class Link:
         self.began_after = 0.0
         """Time in s until the last answer on a stream began, beyond what its question was known to take."""
         self._timeout: float | None = None
-        self._socket: WatchfulSocket | None = None
+        self._socket: DeadlineSocket | None = None
         self._manager = resource_manager
         self._claim = claim_instrument(resource_name, resource_manager)
         try:
@@ -363,7 +363,7 @@ class Link:
         if peer is not None:
             # PyVISA-py 0.8 has no attribute for it.
             peer.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-            self._socket = holder.interface = WatchfulSocket(fileno=peer.detach())
+            self._socket = holder.interface = DeadlineSocket(fileno=peer.detach())
 
     def _send_break(self) -> None:
         if not isinstance(self._resource, SerialInstrument):
@@ -454,7 +454,7 @@ class Overdue(Exception):
     """Bytes go on coming one by one, and not all that were asked for are there in time."""
 
 
-class WatchfulSocket(socket.socket):
+class DeadlineSocket(socket.socket):
     """A socket that notices what PyVISA-py waits over: the other side's hanging up, and its trickling."""
 
     _ends_at = math.inf

@@ -25,7 +25,7 @@ _FEWEST = 3
 
 
 @dataclass
-class _Seen:
+class _SeenAnswers:
     """Times in s until answers of one kind began, and how many in a row did not come."""
 
     count: int = 0
@@ -44,16 +44,16 @@ class _Seen:
 
 
 @dataclass
-class Patience:
+class AnswerTimeout:
     """Waits for answers to begin."""
 
     shortest: float  # limits in s; the longest is also waited while too little is known
     longest: float
-    _seen: dict[str, _Seen] = field(default_factory=dict)
+    _seen: dict[str, _SeenAnswers] = field(default_factory=dict)
 
     def seconds(self, kind: str) -> float:
         """How long to wait for the beginning of an answer of this kind."""
-        seen = self._seen.get(kind, _Seen())
+        seen = self._seen.get(kind, _SeenAnswers())
         if seen.count < _FEWEST:
             return self.longest
         usual = max(self.shortest, _MEANS * seen.mean + _SPREADS * seen.spread)
@@ -61,18 +61,18 @@ class Patience:
 
     def came(self, kind: str, after: float) -> None:
         """An answer that bears its mark began so many seconds after its question."""
-        self._seen.setdefault(kind, _Seen()).add(after)
+        self._seen.setdefault(kind, _SeenAnswers()).add(after)
 
     def silent(self, kind: str) -> None:
         """No answer of this kind came."""
-        self._seen.setdefault(kind, _Seen()).silences += 1
+        self._seen.setdefault(kind, _SeenAnswers()).silences += 1
 
 
 # --------------------
 # The time that limits are measured on
 
 
-class Clock(Protocol):
+class RetryClock(Protocol):
     """Seconds that pass, and a way to let them pass; a simulated instrument's virtual clock is one."""
 
     def now(self) -> float:
@@ -123,7 +123,7 @@ class Persistence:
     reconnect_for: float = 0.0
     read_twice: bool = True
     tell: Callable[[str], None] = _say_nothing
-    clock: Clock = field(default_factory=ComputerClock)
+    clock: RetryClock = field(default_factory=ComputerClock)
 
     @property
     def careful(self) -> bool:

@@ -281,7 +281,7 @@ ANY_STATUS = StatusRule()
 
 
 @dataclass(frozen=True)
-class Quantity:
+class FieldQuantity:
     """One of the quantities that take turns in a field."""
 
     name: str
@@ -319,7 +319,7 @@ class Field:
     expected: int = 0  # what a fixed field holds
     decimals: int | None = None  # digits behind the point that a number in text must have
     cycle: int = 0  # frames after which `quantities` come again; 0 for a field that always holds the same
-    quantities: tuple[Quantity, ...] = ()
+    quantities: tuple[FieldQuantity, ...] = ()
     check: Checksum | None = None  # of the field "check": over everything between header and here
 
     @property
@@ -482,7 +482,9 @@ def _read_turns(entry: Description, one: Field) -> Field:
         inner.refuse(kind == "float" and size != 4, "type", "of a float needs four bytes")
         inner.refuse(size > 6, "phases", "make more than 6 bytes")
         quantities.append(
-            Quantity(name, tuple(phases), kind, inner.number("scale", 1.0), inner.number("offset", 0.0), status)
+            FieldQuantity(
+                name, tuple(phases), kind, inner.number("scale", 1.0), inner.number("offset", 0.0), status
+            )
         )
         inner.finish()
     return replace(one, quantities=tuple(quantities))

@@ -23,7 +23,7 @@ from dataclasses import dataclass
 
 from instrument.fibre_gyro.frame_fields import CHECKSUMS
 from instrument.fibre_gyro.frame_format import FrameFormat
-from instrument.fibre_gyro.frames import ONE_CHARACTER, STANDS_OUT, Course, Damaged, Frame, FrameReader
+from instrument.fibre_gyro.frames import ONE_CHARACTER, STANDS_OUT, Damaged, Frame, FrameReader, OutputContinuity
 
 _MOST_ANSWERS = 8  # an old one that still comes is rubbish
 _FOLLOWERS = 3  # frames behind one with a weak checksum that may bear it out
@@ -53,7 +53,7 @@ Event = Frame | Answer | Damage
 
 
 @dataclass
-class Tally:
+class StreamCounts:
     """What became of the bytes so far."""
 
     good: int = 0  # frames: delivered as usable; damaged; whole, but with a bad status or a value out of range
@@ -73,13 +73,13 @@ class FrameStream:
         self._lines = layout.kind == "ascii"
         self._buffer = bytearray()
         self._answers: dict[bytes, None] = {}  # in the order in which they were expected
-        self.tally = Tally()
+        self.tally = StreamCounts()
         weak = layout.check is None or layout.check.size < _STRONG_CHECK
         self._confirm = weak and not self._lines
         self._distinct = _is_distinct(layout)
         self._to_begin = 2 if layout.header else math.ceil(_ENOUGH_BITS / max(1, layout.evidence_bits))
         self._followers = max(_FOLLOWERS, self._to_begin)
-        self._course = Course(layout) if weak and (not self._lines or layout.check is None) else None
+        self._course = OutputContinuity(layout) if weak and (not self._lines or layout.check is None) else None
         self.restart()
 
     def expect(self, message: bytes) -> bytes:

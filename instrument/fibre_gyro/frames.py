@@ -22,7 +22,7 @@ from instrument.fibre_gyro.frame_fields import (
     UNUSED,
     ByteOrder,
     Field,
-    Quantity,
+    FieldQuantity,
     is_output,
 )
 from instrument.fibre_gyro.frame_format import FrameFormat
@@ -185,7 +185,7 @@ class _Turns:
 
     def __init__(self, layout: FrameFormat) -> None:
         turning = layout.turning
-        quantities: tuple[Quantity, ...] = turning.quantities if turning else ()
+        quantities: tuple[FieldQuantity, ...] = turning.quantities if turning else ()
         self._status = next((one for one in quantities if one.status is not None and len(one.phases) == 1), None)
         self._cycle = turning.cycle if turning else 1
         self._column = layout.names.index(turning.name) if turning else 0
@@ -473,7 +473,7 @@ _BEYOND = 4.5
 """Times the usual movement beyond that range: of Gaussian noise 6.5 standard deviations off, once in 1e8."""
 
 
-class Course:
+class OutputContinuity:
     """The usual movement of the outputs, and of the temperature, from one frame to the next."""
 
     def __init__(self, layout: FrameFormat) -> None:

@@ -266,7 +266,7 @@ def _output_unit(outputs: dict[str, Floats], unit_of: dict[str, str], given: str
 
 
 def _clock(
-    times: Floats | None, counter: Floats | None, table: Table, interval_s: float | None
+    times: Floats | None, counter: Floats | None, table: LogTable, interval_s: float | None
 ) -> tuple[LogClock, str]:
     """Place of every row, and what that rests on."""
     if times is not None:
@@ -290,7 +290,7 @@ def _clock(
     return find_clock(times - times[0], interval_s), "time column"
 
 
-def _check_order(times: Floats, table: Table, *, coarse_allowed: bool) -> None:
+def _check_order(times: Floats, table: LogTable, *, coarse_allowed: bool) -> None:
     steps = np.diff(times)
     wrong = np.flatnonzero(steps < 0)
     if not wrong.size:
@@ -306,7 +306,7 @@ def _check_order(times: Floats, table: Table, *, coarse_allowed: bool) -> None:
         )
 
 
-def _counted(counter: Floats, table: Table) -> Places:
+def _counted(counter: Floats, table: LogTable) -> Places:
     try:
         return clock_of_counter(counter)
     except ValueError as error:
@@ -350,7 +350,7 @@ class Dialect:
 
 
 @dataclass(frozen=True)
-class Table:
+class LogTable:
     """Numbers of the columns that are wanted, with the line that each row stands on."""
 
     values: Floats
@@ -361,7 +361,7 @@ Names = Callable[[Dialect], list[str]]
 """Gives each column its name, "" to leave it out."""
 
 
-def read_table(text: IO[str], names_of: Names) -> tuple[Dialect, list[str], Table]:
+def read_table(text: IO[str], names_of: Names) -> tuple[Dialect, list[str], LogTable]:
     """Read all rows."""
     blocks = _blocks(text)
     first = next(blocks, None)
@@ -379,7 +379,7 @@ def read_table(text: IO[str], names_of: Names) -> tuple[Dialect, list[str], Tabl
         if numbered:
             parts.append(_numbers(numbered, dialect, names))
             lines.append(np.array([number for number, _ in numbered], dtype=np.int64))
-    return dialect, names, Table(np.concatenate(parts), np.concatenate(lines))
+    return dialect, names, LogTable(np.concatenate(parts), np.concatenate(lines))
 
 
 def seconds_of_day(cell: str) -> float:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from instrument.errors import SettingError
-from instrument.fibre_gyro.frame_fields import COUNTS, STATUS, TEMPERATURE, CounterRule, Field, Quantity
+from instrument.fibre_gyro.frame_fields import COUNTS, STATUS, TEMPERATURE, CounterRule, Field, FieldQuantity
 from instrument.fibre_gyro.frame_format import FrameFormat
 from instrument.fibre_gyro.frame_stream import Damage, Event
 from instrument.fibre_gyro.frames import ONE_CHARACTER, STANDS_OUT, Frame, doubts_about
@@ -575,7 +575,7 @@ def counts_per_unit(unit: str, interval_s: float, counts_per_dps: float | None) 
     return counts_per_dps * (_DPS[unit] if unit in _DPS else _DEGREES[unit] / interval_s)
 
 
-def _in_turn(turning: Field, quantity: Quantity, raw: Floats, counters: NDArray[np.int64]) -> Floats:
+def _in_turn(turning: Field, quantity: FieldQuantity, raw: Floats, counters: NDArray[np.int64]) -> Floats:
     """A quantity at every row: the last one that came whole, before the first the first."""
     turn, phase = np.divmod(counters, turning.cycle)
     turn = np.cumsum(np.concatenate([[0], np.diff(turn) != 0])) if turn.size else turn
@@ -597,7 +597,7 @@ def _in_turn(turning: Field, quantity: Quantity, raw: Floats, counters: NDArray[
     return np.asarray(found[held])
 
 
-def _number(value: int, bits: int, quantity: Quantity) -> float:
+def _number(value: int, bits: int, quantity: FieldQuantity) -> float:
     if quantity.kind == "float":
         number = float(np.array(value, dtype=np.uint32).view(np.float32))
     elif quantity.kind == "signed" and value >> (bits - 1):

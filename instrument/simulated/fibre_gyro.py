@@ -18,7 +18,7 @@ from typing import Literal, Protocol
 import numpy as np
 from numpy.typing import ArrayLike
 
-from instrument.fibre_gyro.frame_fields import COUNTER, FIXED, PARITY, STATUS, UNUSED, Field, Quantity
+from instrument.fibre_gyro.frame_fields import COUNTER, FIXED, PARITY, STATUS, UNUSED, Field, FieldQuantity
 from instrument.fibre_gyro.frame_format import FrameFormat, Message, compose
 from instrument.simulated.links.stream_server import Port, StreamServer
 
@@ -258,7 +258,7 @@ def _in_turn(entry: Field, phase: int, values: Mapping[str, float]) -> int:
     return 0
 
 
-def _quantity(quantity: Quantity, size: int, values: Mapping[str, float]) -> int:
+def _quantity(quantity: FieldQuantity, size: int, values: Mapping[str, float]) -> int:
     good = quantity.status.value if quantity.status is not None else quantity.offset
     number = (values.get(quantity.name, good) - quantity.offset) / quantity.scale
     if quantity.kind == "float":

@@ -22,7 +22,7 @@ _STEP_S = 0.05  # s that pass in one piece while the table comes to its rate
 
 
 @dataclass(frozen=True)
-class Motion:
+class TableMotion:
     """A piece of the motion of a table, with constant acceleration."""
 
     start: float  # absolute time, s
@@ -84,7 +84,7 @@ class SimulatedRateTable:
         self._clock: Clock = clock if clock is not None else RealClock()
         self._acceleration, self._highest_rate = acceleration, highest_rate
         self._lock = threading.Lock()
-        self.motion: tuple[Motion, ...] = (Motion(self._clock.now(), azimuth, 0.0),)
+        self.motion: tuple[TableMotion, ...] = (TableMotion(self._clock.now(), azimuth, 0.0),)
 
     def set_rate(self, rate_dps: float) -> None:
         """Command a rate in deg/s; the table accelerates to it and stays there.
@@ -106,10 +106,12 @@ class SimulatedRateTable:
                 return
             slew_s = abs(rate_dps - before) / self._acceleration
             if slew_s > 0:
-                passed.append(Motion(now, azimuth, before, math.copysign(self._acceleration, rate_dps - before)))
+                passed.append(
+                    TableMotion(now, azimuth, before, math.copysign(self._acceleration, rate_dps - before))
+                )
             reached = azimuth + slew_s * (before + rate_dps) / 2
             # one assignment: the thread of the scope may be reading it
-            self.motion = (*passed, Motion(now + slew_s, reached, float(rate_dps)))
+            self.motion = (*passed, TableMotion(now + slew_s, reached, float(rate_dps)))
 
     def wait_until_steady(self) -> None:
         """Let time pass on the clock until the table turns at the rate that was commanded."""

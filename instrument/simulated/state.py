@@ -10,7 +10,7 @@ from dataclasses import replace
 from instrument.simulated.clock import Clock, HeldClock, RealClock
 from instrument.simulated.faults import Faults
 from instrument.simulated.files.storage import MassStorage
-from instrument.simulated.front_end.acquisition import Acquisition, Digitizer
+from instrument.simulated.front_end.acquisition import AcquisitionSystem, Digitizer
 from instrument.simulated.front_end.frontend import Signal
 from instrument.simulated.front_end.traces import (
     Trace,
@@ -58,7 +58,7 @@ class ScopeState(ABC):
         self.panel = Panel(self.model)
         self.status: Status = Status()
         self.message_clock = HeldClock(self.clock)
-        self.acquisition: Acquisition = Acquisition(
+        self.acquisition: AcquisitionSystem = AcquisitionSystem(
             self.panel, signals or {}, self.message_clock, self.faults, seed
         )
         self.digitizer = Digitizer(self.acquisition.signal, noise_levels, seed)

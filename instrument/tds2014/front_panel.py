@@ -42,7 +42,7 @@ _TIMING_COMMANDS = (
 _HURRIED = 5.0  # s for which a lost link is tried again when somebody wants the program to end
 
 
-class Session:
+class ScopeConnection:
     """What the parts of `TDS2014` share: the dialogue with the scope and its front panel."""
 
     def __init__(

@@ -16,7 +16,7 @@ from instrument.scpi import LEVELS_PER_DIVISION
 from instrument.tds2014.front_panel import (
     Change,
     ChannelSettings,
-    Session,
+    ScopeConnection,
     group_commands,
     is_on,
     one_of,
@@ -31,7 +31,7 @@ _TRIGGER_SOURCES = ("EXT", "EXT5", "EXT10", "LINE", "AC LINE")
 class Knobs:
     """Makes settings and reads them back; what is changed is remembered and put back on closing."""
 
-    def __init__(self, session: Session) -> None:
+    def __init__(self, session: ScopeConnection) -> None:
         self._session = session
         self._panel = session.panel
 
@@ -218,7 +218,7 @@ _AUTOSET_TIME = 10.0  # s: several acquisitions at different settings
 class Setups:
     """All settings at once; what they change is put back on closing."""
 
-    def __init__(self, session: Session) -> None:
+    def __init__(self, session: ScopeConnection) -> None:
         self._session = session
 
     def read_setup(self) -> str:
@@ -328,7 +328,7 @@ class Cursors:
 class Measurements:
     """The scope's MEASURE, CURSOR, MATH and REF menus."""
 
-    def __init__(self, session: Session) -> None:
+    def __init__(self, session: ScopeConnection) -> None:
         self._session = session
         self._panel = session.panel
 
@@ -453,7 +453,7 @@ class ScreenPicture:
 class Screen:
     """Has the scope draw its screen for us."""
 
-    def __init__(self, session: Session) -> None:
+    def __init__(self, session: ScopeConnection) -> None:
         self._session = session
 
     def screen(self) -> ScreenPicture:

@@ -32,7 +32,7 @@ from instrument.tds2014.front_panel import (
     AcquisitionTime,
     FoundPanel,
     FrontPanel,
-    Session,
+    ScopeConnection,
     is_on,
     read_setup,
     settings_of,
@@ -67,7 +67,7 @@ class Snapshot:
         What the dictionary names as the class of the instrument, with its module.
     """
 
-    def __init__(self, session: Session, class_name: str) -> None:
+    def __init__(self, session: ScopeConnection, class_name: str) -> None:
         self._session, self._class_name = session, class_name
         self._last: dict[str, Any] | None = None
 
@@ -178,7 +178,7 @@ class TDS2014:
     ) -> None:
         self.alone = threading.RLock()
         """Held by the thread whose exchange is under way; hold it for several that belong together."""
-        self._session = Session(resource_name, resource_manager, baud_rate, persistence)
+        self._session = ScopeConnection(resource_name, resource_manager, baud_rate, persistence)
         self._panel = self._session.panel
         self._dialogue = self._session.dialogue
         self._knobs = Knobs(self._session)
@@ -238,14 +238,14 @@ class TDS2014:
 
     # ------------------------------------------------------------------ what the parts do
 
-    close = _of(lambda self: self._session, Session.close)
-    restore = _of(lambda self: self._session, Session.restore)
-    step = _of(lambda self: self._session, Session.step)
-    abandon = _of(lambda self: self._session, Session.abandon)
-    put_back_in_the_end = _of(lambda self: self._session, Session.put_back_in_the_end)
-    events = _of(lambda self: self._session, Session.events)
-    query = _of(lambda self: self._session, Session.query)
-    write = _of(lambda self: self._session, Session.write)
+    close = _of(lambda self: self._session, ScopeConnection.close)
+    restore = _of(lambda self: self._session, ScopeConnection.restore)
+    step = _of(lambda self: self._session, ScopeConnection.step)
+    abandon = _of(lambda self: self._session, ScopeConnection.abandon)
+    put_back_in_the_end = _of(lambda self: self._session, ScopeConnection.put_back_in_the_end)
+    events = _of(lambda self: self._session, ScopeConnection.events)
+    query = _of(lambda self: self._session, ScopeConnection.query)
+    write = _of(lambda self: self._session, ScopeConnection.write)
 
     setup = _of(lambda self: self._knobs, Knobs.setup)
     set_channel = _of(lambda self: self._knobs, Knobs.set_channel)

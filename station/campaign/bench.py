@@ -33,7 +33,7 @@ def controllers_of(settings: Mapping[str, Any]) -> ControllersSettings:
 
 
 @dataclass(frozen=True)
-class Surroundings:
+class Environment:
     """What stands round the unit."""
 
     plan: CampaignPlan

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from station.campaign.bench import Surroundings, bench_in_use
+from station.campaign.bench import Environment, bench_in_use
 from station.campaign.file import RESULT
 from station.campaign.journal import (
     CampaignOutcome,
@@ -149,8 +149,8 @@ class _Conducting:
                 self._one(journal, step, surroundings, wait, warm if again else step.warm_up_s)
 
     @contextmanager
-    def _surroundings(self) -> Iterator[Surroundings]:
-        surroundings = Surroundings(self.plan, self.progress)
+    def _surroundings(self) -> Iterator[Environment]:
+        surroundings = Environment(self.plan, self.progress)
         try:
             yield surroundings
         finally:
@@ -158,7 +158,7 @@ class _Conducting:
                 surroundings.switch_off()
 
     def _one(
-        self, journal: Journal, step: PlannedStep, surroundings: Surroundings, wait: Wait, warm_up_s: float
+        self, journal: Journal, step: PlannedStep, surroundings: Environment, wait: Wait, warm_up_s: float
     ) -> None:
         """Carry one step out and write how it has ended."""
         events, of = self.progress.events, len(self.plan.steps)
@@ -231,7 +231,7 @@ def carry_out(
     plan: CampaignPlan,
     directory: Path,
     progress: Progress,
-    surroundings: Surroundings,
+    surroundings: Environment,
     wait: Wait,
     *,
     labels: Mapping[str, str],

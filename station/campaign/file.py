@@ -49,7 +49,7 @@ _INSTEAD = {"limits": "limits of a step stand in [[step.limit]]", "output": "run
 
 
 @dataclass
-class _Reading:
+class _FileReading:
     """A file that is being read, and what is wrong with it so far."""
 
     path: Path
@@ -63,7 +63,7 @@ class _Reading:
 def read_campaign(path: Path, unit: str) -> CampaignPlan:
     """Read a campaign file for one unit."""
     given = read_toml(path)
-    reading = _Reading(path)
+    reading = _FileReading(path)
     try:
         campaign = CampaignFile.model_validate(given)
     except ValidationError as error:
@@ -119,7 +119,9 @@ def _model(kinds: Mapping[str, Measurement[Any, Any]], step: PlannedStep) -> Any
     return kinds[step.measurement].kind.model.model_validate(dict(step.settings))
 
 
-def _check_shared(reading: _Reading, campaign: CampaignFile, kinds: Mapping[str, Measurement[Any, Any]]) -> None:
+def _check_shared(
+    reading: _FileReading, campaign: CampaignFile, kinds: Mapping[str, Measurement[Any, Any]]
+) -> None:
     """Names under [bench] and [unit] have to be known to at least one of the measurements."""
     models = [kind.kind.model for kind in kinds.values()]
     places = [(("bench",), campaign.bench), *((("unit", name), one) for name, one in campaign.unit.items())]
@@ -168,7 +170,7 @@ def _known(values: Mapping[str, Any], model: type[BaseModel]) -> dict[str, Any]:
 
 
 def _steps(
-    reading: _Reading, campaign: CampaignFile, kinds: Mapping[str, Measurement[Any, Any]], unit: str
+    reading: _FileReading, campaign: CampaignFile, kinds: Mapping[str, Measurement[Any, Any]], unit: str
 ) -> Iterator[PlannedStep]:
     for place, step in enumerate(campaign.step):
         kind = kinds[step.measurement]
@@ -198,7 +200,7 @@ def _steps(
 
 
 def _settings(
-    reading: _Reading,
+    reading: _FileReading,
     place: int,
     step: StepSection,
     kind: Measurement[Any, Any],
@@ -229,7 +231,7 @@ def _settings(
     return checked
 
 
-def _check_conditions(reading: _Reading, place: int, step: StepSection, settings: BaseModel) -> None:
+def _check_conditions(reading: _FileReading, place: int, step: StepSection, settings: BaseModel) -> None:
     """A condition needs the controller that brings it about."""
     controllers = controllers_of(settings.model_dump())
     for name in step.conditions.model_dump(exclude_none=True):
@@ -240,7 +242,7 @@ def _check_conditions(reading: _Reading, place: int, step: StepSection, settings
 
 
 def _tell_mistake(
-    reading: _Reading, mistake: Any, place: int, step: StepSection, model: type[BaseModel], unit: str
+    reading: _FileReading, mistake: Any, place: int, step: StepSection, model: type[BaseModel], unit: str
 ) -> None:
     """Put a mistake where the value was written: in the step, with the unit, or at the bench."""
     loc = [str(part) for part in mistake["loc"] if part not in ("value", "auto")]
@@ -267,7 +269,7 @@ def _is_written(values: Any, place: Sequence[str]) -> bool:
 
 
 def _limits(
-    reading: _Reading, place: int, step: StepSection, kind: Measurement[Any, Any], campaign: CampaignFile
+    reading: _FileReading, place: int, step: StepSection, kind: Measurement[Any, Any], campaign: CampaignFile
 ) -> Iterator[Limit]:
     for number, one in enumerate(step.limit):
         where = ("step", str(place), "limit", str(number), "number")

@@ -30,7 +30,7 @@ _SAME = 1e-6  # of a value: what another processor or another NumPy may change; 
 
 
 @dataclass(frozen=True)
-class Check:
+class RecordCheck:
     """Something that was looked at."""
 
     about: str  # the record, or the key of a step
@@ -57,7 +57,7 @@ def read_record(path: Path) -> tuple[Path, dict[str, Any]]:
     return file, document
 
 
-def verify(path: Path) -> list[Check]:
+def verify(path: Path) -> list[RecordCheck]:
     """Look at a record and at its runs."""
     file, record = read_record(path)
     found = [_content(record)]
@@ -67,56 +67,60 @@ def verify(path: Path) -> list[Check]:
         found.append(_outcome(record))
     except (KeyError, TypeError, AttributeError, ValueError) as error:
         found.append(
-            Check("record", False, f"it is not laid out as a record is ({type(error).__name__}: {error})")
+            RecordCheck("record", False, f"it is not laid out as a record is ({type(error).__name__}: {error})")
         )
     return found
 
 
-def _content(record: Mapping[str, Any]) -> Check:
+def _content(record: Mapping[str, Any]) -> RecordCheck:
     try:
         same = content_sha256(record) == record.get(CONTENT)
     except ValueError:
         same = False
     said = "its content is what was written" if same else "its content was changed after it was written"
-    return Check("record", same, said)
+    return RecordCheck("record", same, said)
 
 
-def _step(step: Mapping[str, Any], folder: Path) -> Iterator[Check]:
+def _step(step: Mapping[str, Any], folder: Path) -> Iterator[RecordCheck]:
     key, known = str(step["key"]), step["run"]
     if known is None:
-        yield Check(key, not step["limits"], "it has no run" if not step["limits"] else "it has limits and no run")
+        yield RecordCheck(
+            key, not step["limits"], "it has no run" if not step["limits"] else "it has limits and no run"
+        )
         return
     path = folder / known["path"]
     try:
         run = open_run(path)
     except StationError as error:
-        yield Check(key, False, f"its run is not there: {one_line(error)}")
+        yield RecordCheck(key, False, f"its run is not there: {one_line(error)}")
         return
     if known["records_sha256"] is None:
-        yield Check(key, False, "the record holds no sum of the raw records")
+        yield RecordCheck(key, False, "the record holds no sum of the raw records")
     elif records_sha256(run) != known["records_sha256"]:
-        yield Check(key, False, f"the raw records in {known['path']} are others than those of the record")
+        yield RecordCheck(key, False, f"the raw records in {known['path']} are others than those of the record")
     else:
         whole = known["sha256"] == file_sha256(path)
         told = "" if whole else "; the file was written to since (a result computed again, or a report)"
-        yield Check(key, True, f"the {len(run.records)} raw records are those of the record{told}")
-    yield from (Check(key, False, sentence) for sentence in run.damaged)
+        yield RecordCheck(key, True, f"the {len(run.records)} raw records are those of the record{told}")
+    yield from (RecordCheck(key, False, sentence) for sentence in run.damaged)
     if step["limits"] or step["result"]:
         yield from _recomputed(step, run)
 
 
-def _recomputed(step: Mapping[str, Any], run: SavedRun) -> Iterator[Check]:
+def _recomputed(step: Mapping[str, Any], run: SavedRun) -> Iterator[RecordCheck]:
     key = str(step["key"])
     try:
         again = evaluate_run(run)
     except StationError as error:
-        yield Check(key, False, f"the result cannot be computed again: {one_line(error)}")
+        yield RecordCheck(key, False, f"the result cannot be computed again: {one_line(error)}")
         return
     changed = list(_changed(step["result"] or {}, again))
     if changed:
-        yield Check(key, False, f"computed again, {'; '.join(changed)}")
+        yield RecordCheck(key, False, f"computed again, {'; '.join(changed)}")
     else:
-        yield Check(key, True, f"computed again, the result is the same: {again.result.name} {again.result.value}")
+        yield RecordCheck(
+            key, True, f"computed again, the result is the same: {again.result.name} {again.result.value}"
+        )
     if step["limits"]:
         yield _judged_again(step, again)
 
@@ -138,7 +142,7 @@ def _same(one: float, other: float) -> bool:
     return math.isclose(one, other, rel_tol=_SAME, abs_tol=1e-12)
 
 
-def _judged_again(step: Mapping[str, Any], again: Evaluated) -> Check:
+def _judged_again(step: Mapping[str, Any], again: Evaluated) -> RecordCheck:
     """The limits of the record on what was computed again."""
     key, limits = str(step["key"]), {}
     for one in step["limits"]:
@@ -156,14 +160,14 @@ def _judged_again(step: Mapping[str, Any], again: Evaluated) -> Check:
     if before != after:
         names = [name for name in {**before, **after} if before.get(name) != after.get(name)]
         others = [f"{name} was {before.get(name)} and is {after.get(name)}" for name in names]
-        return Check(key, False, f"judged again, {'; '.join(others)}")
-    return Check(key, True, f"judged again, the verdict is the same: {step['verdict']}")
+        return RecordCheck(key, False, f"judged again, {'; '.join(others)}")
+    return RecordCheck(key, True, f"judged again, the verdict is the same: {step['verdict']}")
 
 
-def _outcome(record: Mapping[str, Any]) -> Check:
+def _outcome(record: Mapping[str, Any]) -> RecordCheck:
     """Whether the verdict of all is that of the steps."""
     said, verdicts = record["outcome"]["verdict"], [step["verdict"] for step in record["steps"]]
     of_steps = worst(one for one in verdicts if one is not None)
     if record["outcome"]["failure"] is not None:
-        return Check("record", said in ("ERROR", "ABORTED"), f"the test did not come to its end: {said}")
-    return Check("record", said == of_steps, f"its verdict is {said}, that of its steps {of_steps}")
+        return RecordCheck("record", said in ("ERROR", "ABORTED"), f"the test did not come to its end: {said}")
+    return RecordCheck("record", said == of_steps, f"its verdict is {said}, that of its steps {of_steps}")

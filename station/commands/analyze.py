@@ -95,7 +95,7 @@ def command(paths: tuple[str, ...], config: Path | None, **given: Any) -> int:
     with shown(given, command="analyze") as progress, _workers(given) as workers:
         sources = list(find_sources(paths))
         analysis = Analysis(sources, {name: given[name] for name in _METHOD}, config, workers, progress)
-        answer = Answer(given["as_json"], given["jsonl"])
+        answer = AnalyzeAnswer(given["as_json"], given["jsonl"])
         if given["table"] is not None:
             return analysis.to_table(given["table"], answer)
         if given["combine"]:
@@ -126,7 +126,7 @@ def _workers(given: Mapping[str, Any]) -> AbstractContextManager[Workers]:
 
 
 @dataclass(frozen=True)
-class Answer:
+class AnalyzeAnswer:
     """How a result is told: in words, as one JSON document, or as one JSON object a record."""
 
     as_json: bool
@@ -148,7 +148,7 @@ class Analysis:
     workers: Workers
     progress: Progress
 
-    def to_table(self, table: Path, answer: Answer) -> int:
+    def to_table(self, table: Path, answer: AnalyzeAnswer) -> int:
         """Put one row for each record into a table."""
         from station.errors import EXIT_OK, EXIT_USAGE
         from station.reanalysis.analyze_table import fill_table
@@ -171,7 +171,7 @@ class Analysis:
                 say(f"{len(done.left_out)} left out, named above")
         return EXIT_USAGE if done.left_out else EXIT_OK
 
-    def combined(self, channel: str | None, rates: Path | None, report: Path | None, answer: Answer) -> int:
+    def combined(self, channel: str | None, rates: Path | None, report: Path | None, answer: AnalyzeAnswer) -> int:
         """Make one result of all records."""
         from station.errors import EXIT_FAIL, EXIT_OK, EXIT_OUTPUT, EXIT_USAGE, CannotWrite, Failure
         from station.reanalysis.combine import FilesReport, combine, said_of
@@ -213,7 +213,7 @@ class Analysis:
             return EXIT_USAGE
         return EXIT_FAIL if found.verdict == "FAIL" else EXIT_OK
 
-    def each(self, answer: Answer) -> int:
+    def each(self, answer: AnalyzeAnswer) -> int:
         """Evaluate every source by itself; one that cannot be read must not keep the others from it."""
         from station.errors import EXIT_FAIL, EXIT_OK
 

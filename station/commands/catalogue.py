@@ -12,7 +12,7 @@ from station.shell.options import config_option, json_option
 from station.terminal import print_json, remark, say
 
 if TYPE_CHECKING:
-    from station.history import Course, PastTest
+    from station.history import ControlSeries, PastTest
 
 _SHOWN = 100  # on a terminal; nobody reads more
 
@@ -63,7 +63,7 @@ def runs_command(
     disturbed. An index in the folder (.gyrolock-index.sqlite) makes the next list fast; it may be deleted at any
     time. `gyrolock annotate` adds notes, tags and marks. A settings file changes nothing here but the folder.
     """
-    from station.catalogue import SCHEMA, Wanted, chosen, list_runs, runs_csv, runs_table
+    from station.catalogue import SCHEMA, RunFilter, chosen, list_runs, runs_csv, runs_table
     from station.shell.options import shown as displayed
 
     if as_json and as_csv:
@@ -78,7 +78,7 @@ def runs_command(
         read_toml(config)  # a file with a mistake is one here too
     with displayed({"plain": True}, "runs") as progress:
         entries = list_runs(directory, progress=progress)
-    asked = Wanted(**{name: value for name, value in wanted.items() if value})
+    asked = RunFilter(**{name: value for name, value in wanted.items() if value})
     found = chosen(entries, asked, sort)
     shown = found[-(_SHOWN if limit is None and not (as_json or as_csv) else limit or len(found)) :]
     if plot is not None:
@@ -191,7 +191,7 @@ def history_command(
     return EXIT_OK if all(one.chart.last_is_in_control for one in charts) else EXIT_FAIL
 
 
-def _print_history(tests: list[PastTest], charts: list[Course], written: Path | None) -> None:
+def _print_history(tests: list[PastTest], charts: list[ControlSeries], written: Path | None) -> None:
     from station.live.console import stdout_console
     from station.report.show import text_table
     from station.results.result import TextTable
@@ -211,7 +211,11 @@ def _print_history(tests: list[PastTest], charts: list[Course], written: Path | 
 
 
 def _document(
-    directory: Path, tests: list[PastTest], charts: list[Course], unreadable: list[Path], written: Path | None
+    directory: Path,
+    tests: list[PastTest],
+    charts: list[ControlSeries],
+    unreadable: list[Path],
+    written: Path | None,
 ) -> dict[str, Any]:
     return {
         "schema": _SCHEMA,

@@ -15,7 +15,7 @@ from station.terminal import print_failure, print_json, remark, say
 if TYPE_CHECKING:
     from station.report.show import Shown
     from station.runs.progress import Progress
-    from station.sources import LeftOut, Source
+    from station.sources import ExcludedRecord, Source
 
 
 @click.command("report")
@@ -183,7 +183,7 @@ def export_command(
         raise click.UsageError("--part-records belongs to a folder of parts: a name that ends with /")
     if config is not None:
         read_toml(config)  # a file with a mistake is one here too
-    left_out: list[LeftOut] = []
+    left_out: list[ExcludedRecord] = []
     if to is not None:
         check_target(to, replace=replace)
     with shown({"plain": True, "quiet": as_json}, "export") as progress:
@@ -212,11 +212,11 @@ def export_command(
     return EXIT_USAGE if left_out else EXIT_OK
 
 
-def _opened(paths: tuple[str, ...], left_out: list[LeftOut], progress: Progress) -> Iterator[Source]:
+def _opened(paths: tuple[str, ...], left_out: list[ExcludedRecord], progress: Progress) -> Iterator[Source]:
     """Open one source after the other; one that cannot be read must not keep the others from being written."""
     from instrument import InstrumentError
     from station.errors import StationError, one_line
-    from station.sources import LeftOut, find_sources, open_source
+    from station.sources import ExcludedRecord, find_sources, open_source
 
     given = list(find_sources(paths))
     progress.start("exporting", len(given))
@@ -224,7 +224,7 @@ def _opened(paths: tuple[str, ...], left_out: list[LeftOut], progress: Progress)
         try:
             yield open_source(one)
         except (StationError, InstrumentError, OSError) as error:
-            left_out.append(LeftOut(str(one), None, one_line(error).removeprefix(f"{one}: ")))
+            left_out.append(ExcludedRecord(str(one), None, one_line(error).removeprefix(f"{one}: ")))
         progress.advance()
 
 

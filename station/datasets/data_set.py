@@ -28,7 +28,7 @@ from station.datasets.rows import AT_ONCE, Rows, described, joined_rows, package
 from station.errors import CannotWrite, RunError, StationError, UsageError, one_line
 from station.runs.database import RunFacts, checked_fact
 from station.runs.store import SavedRecord, SavedRun, damage_of, damaged_facts, missing_records
-from station.sources.batches import LeftOut, Source
+from station.sources.batches import ExcludedRecord, Source
 
 PARTS = "part-*.parquet"
 _ENDINGS: dict[str, Callable[[str], Table]] = {
@@ -253,7 +253,7 @@ class Exported:
     files: list[str] = field(default_factory=list)
     records: int = 0
     sources: int = 0
-    left_out: list[LeftOut] = field(default_factory=list)  # what could not be read, or holds no record
+    left_out: list[ExcludedRecord] = field(default_factory=list)  # what could not be read, or holds no record
 
 
 def check_target(place: str, *, replace: bool) -> None:
@@ -277,7 +277,7 @@ def export(
     place: str,
     *,
     records_of_part: int = RECORDS_OF_PART,
-    left_out: list[LeftOut] | None = None,
+    left_out: list[ExcludedRecord] | None = None,
     told: Callable[[int], None] = lambda records: None,
 ) -> Exported:
     """Write all records of sources to a data set."""
@@ -308,18 +308,18 @@ def _all_rows(sources: Iterable[Source], done: Exported) -> Iterator[Rows]:
     names: set[str] = set()
     for source in sources:
         if source.name in names:
-            done.left_out.append(LeftOut(source.name, None, "was named twice"))
+            done.left_out.append(ExcludedRecord(source.name, None, "was named twice"))
             continue
         names.add(source.name)
         try:
             records = len(source)
             if not records:
-                done.left_out.append(LeftOut(source.name, None, "holds no record"))
+                done.left_out.append(ExcludedRecord(source.name, None, "holds no record"))
                 continue
             yield from rows_of(source, described(source, records), source.records())
             done.sources += 1
         except (StationError, InstrumentError, OSError) as error:
-            done.left_out.append(LeftOut(source.name, None, str(error).removeprefix(f"{source.name}: ")))
+            done.left_out.append(ExcludedRecord(source.name, None, str(error).removeprefix(f"{source.name}: ")))
 
 
 def _width(rows: Rows) -> int:

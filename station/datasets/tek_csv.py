@@ -15,14 +15,14 @@ from station.datasets.data_set import Exported
 from station.errors import CannotWrite, StationError, UsageError
 from station.runs.database import RunFacts
 from station.runs.store import SavedRecord
-from station.sources.batches import LeftOut, Source
+from station.sources.batches import ExcludedRecord, Source
 
 _SECOND = "quadrature"  # of the same acquisition as the record before it
 _SIDE_FILE = "gyrolock.toml"
 
 
 def write_tek_files(
-    sources: Iterable[Source], folder: Path, *, replace: bool, left_out: list[LeftOut] | None = None
+    sources: Iterable[Source], folder: Path, *, replace: bool, left_out: list[ExcludedRecord] | None = None
 ) -> Exported:
     """Write the records of sources as files ``ALL0000/F0000CH1.CSV``.
 
@@ -66,7 +66,7 @@ def _write(source: Source, folder: Path, done: Exported, taken: Counter[Path]) -
     try:
         records = [record for record in source.records() if not record.aside]
     except (StationError, InstrumentError) as error:
-        done.left_out.append(LeftOut(source.name, None, str(error).removeprefix(f"{source.name}: ")))
+        done.left_out.append(ExcludedRecord(source.name, None, str(error).removeprefix(f"{source.name}: ")))
         return
     keys = _keys(source.facts)
     purposes = dict.fromkeys(record.purpose for record in records if record.purpose != _SECOND)
@@ -80,7 +80,9 @@ def _write(source: Source, folder: Path, done: Exported, taken: Counter[Path]) -
             wave = _waveform(record)
             text = csv_text(wave, keys)
         except InstrumentError as error:
-            done.left_out.append(LeftOut(source.name, record.key, f"{record.number} ({record.key}) {error}"))
+            done.left_out.append(
+                ExcludedRecord(source.name, record.key, f"{record.number} ({record.key}) {error}")
+            )
             continue
         channel = wave.preamble.wfid.split(",")[0].upper() or "CH1"
         file = below / f"ALL{number:04d}" / f"F{number:04d}{channel}.CSV"

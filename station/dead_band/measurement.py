@@ -26,8 +26,8 @@ from instrument import Waveform
 from station.dead_band.take import (
     DEAD_BAND,
     PURPOSE,
+    DeadBandLimits,
     DeadBandSettings,
-    LimitSettings,
     fastest_table_rate,
     seconds,
     take,
@@ -37,8 +37,8 @@ from station.errors import NoUsableSignal
 from station.measurements import Measurement
 from station.report.figure import ACCENT, INK, LINE, SECOND, SOFT, legend_above, svg_element
 from station.results.result import (
+    Excluded,
     FactTable,
-    LeftOut,
     Measured,
     PlacedFigure,
     Result,
@@ -67,7 +67,7 @@ _TURNS_TO_FIT = 2.0  # with fewer in a record, the uncertainty of a frequency te
 
 
 @dataclass(frozen=True)
-class Records:
+class SweepRecords:
     """The records of a sweep in the order in which they were taken, one element for each."""
 
     direction: tuple[str, ...]  # ``"up"`` or ``"down"``
@@ -95,10 +95,10 @@ class Records:
 
 
 @dataclass(frozen=True)
-class DeadBandFound:
+class DeadBandEvaluation:
     """What a sweep says."""
 
-    records: Records
+    records: SweepRecords
     band: DeadBand  # edges, lock-in rate and bias with what steps, hysteresis and noise leave open
     lock_in_rate_u: float  # deg/s, with everything that is known to spoil them
     bias_rate_u: float
@@ -106,10 +106,10 @@ class DeadBandFound:
     hyperbola: FrequencyFit | None  # beat frequency against rate; ``None`` where too few rates gave a beat
     earth_rate: float  # deg/s: the vertical earth rate on the axis
     scale_factor: float  # pulses per degree, as used
-    left_out: tuple[LeftOut, ...]
+    left_out: tuple[Excluded, ...]
 
 
-def evaluate(run: SavedRun, settings: DeadBandSettings, choices: Mapping[str, Any]) -> DeadBandFound:
+def evaluate(run: SavedRun, settings: DeadBandSettings, choices: Mapping[str, Any]) -> DeadBandEvaluation:
     """Evaluate the records of a sweep."""
     taken = run.taken_for(PURPOSE)
     damaged = [one.key for one in taken if not one.intact]
@@ -122,7 +122,7 @@ def evaluate(run: SavedRun, settings: DeadBandSettings, choices: Mapping[str, An
     parts = _parts(records, band, settings, scale_factor)
     latitude, tilt = settings.site.latitude_deg, settings.table.tilt_deg
     others = [parts[name] for name in ("table", "earth_rate")]
-    return DeadBandFound(
+    return DeadBandEvaluation(
         records=records,
         band=band,
         lock_in_rate_u=math.hypot(*parts.values()),
@@ -131,11 +131,11 @@ def evaluate(run: SavedRun, settings: DeadBandSettings, choices: Mapping[str, An
         hyperbola=_hyperbola(records, band, settings.table.rate_u_dps),
         earth_rate=float(earth_rate_on_axis(latitude, tilt, 90.0)),
         scale_factor=scale_factor,
-        left_out=tuple(LeftOut(key, "its checksum is not that of the saved record") for key in damaged),
+        left_out=tuple(Excluded(key, "its checksum is not that of the saved record") for key in damaged),
     )
 
 
-def _read(taken: Sequence[SavedRecord], waveforms: Sequence[Waveform], settings: DeadBandSettings) -> Records:
+def _read(taken: Sequence[SavedRecord], waveforms: Sequence[Waveform], settings: DeadBandSettings) -> SweepRecords:
     """Find the beat of every record."""
     intervals = np.array([wave.sample_interval for wave in waveforms])
     sizes = np.array([wave.codes.size for wave in waveforms], dtype=np.int64)
@@ -151,7 +151,7 @@ def _read(taken: Sequence[SavedRecord], waveforms: Sequence[Waveform], settings:
         beat[rows], beat_u[rows] = np.where(whole, (fit.beat_frequency, fit.beat_frequency_u), math.nan)
     table_rate = np.array([float(one.conditions["table_rate_dps"]) for one in taken])
     azimuth = _azimuths(taken)
-    return Records(
+    return SweepRecords(
         direction=tuple(str(one.conditions["direction"]) for one in taken),
         table_rate=table_rate,
         rate=_rate_on_axis(table_rate, azimuth - settings.table.north_azimuth_deg, settings),
@@ -194,7 +194,7 @@ def _azimuths(taken: Sequence[SavedRecord]) -> Array:
     return np.asarray(np.mean(np.array(known, dtype=np.float64), axis=-1))
 
 
-def _dead_band(records: Records, scale_factor: float, rate_u: float) -> DeadBand:
+def _dead_band(records: SweepRecords, scale_factor: float, rate_u: float) -> DeadBand:
     """Dead band from the turns at each step, as a counter would have shown them."""
     step = records.step
     count = np.bincount(step)
@@ -227,7 +227,7 @@ def _dead_band(records: Records, scale_factor: float, rate_u: float) -> DeadBand
         raise NoUsableSignal(f"there is {which} beat at every rate of the sweep: take {advice} rates") from None
 
 
-def drift_of(records: Records, band: DeadBand) -> Array:
+def drift_of(records: SweepRecords, band: DeadBand) -> Array:
     """How far the bias had drifted at each record since the middle of the sweep, deg/s; 0 where nobody knows."""
     span = float(np.ptp(records.clock))
     if not math.isfinite(band.drift) or span == 0:
@@ -235,7 +235,9 @@ def drift_of(records: Records, band: DeadBand) -> Array:
     return np.asarray(band.drift * ((records.clock - records.clock[0]) / span - 0.5))
 
 
-def _parts(records: Records, band: DeadBand, settings: DeadBandSettings, scale_factor: float) -> dict[str, float]:
+def _parts(
+    records: SweepRecords, band: DeadBand, settings: DeadBandSettings, scale_factor: float
+) -> dict[str, float]:
     """Standard uncertainties of the lock-in rate, deg/s, by their cause."""
     tilt, latitude = settings.table.tilt_deg, settings.site.latitude_deg
     # a beat of less than a turn in the record is not seen: the true edge may lie so much below the one found
@@ -251,7 +253,7 @@ def _parts(records: Records, band: DeadBand, settings: DeadBandSettings, scale_f
     }
 
 
-def _hyperbola(records: Records, band: DeadBand, rate_u: float) -> FrequencyFit | None:
+def _hyperbola(records: SweepRecords, band: DeadBand, rate_u: float) -> FrequencyFit | None:
     """Fit f^2 = K^2 [(W - W0)^2 - WL^2] to the records with some periods, less the drift; K is fitted too."""
     used = records.beat * records.duration >= _TURNS_TO_FIT
     rate = (records.rate - drift_of(records, band))[used]
@@ -265,11 +267,11 @@ def _hyperbola(records: Records, band: DeadBand, rate_u: float) -> FrequencyFit 
 # The dead band as numbers and sentences
 
 
-LIMITED = tuple(LimitSettings.model_fields)
+LIMITED = tuple(DeadBandLimits.model_fields)
 _FAR = 3.0  # standard uncertainties
 
 
-def result(found: DeadBandFound, run: SavedRun, settings: DeadBandSettings) -> Result:
+def result(found: DeadBandEvaluation, run: SavedRun, settings: DeadBandSettings) -> Result:
     """Put into numbers and sentences what was found."""
     band, document = found.band, _document(found)
     lock_in = _with_u(band.lock_in_rate, found.lock_in_rate_u)
@@ -292,7 +294,7 @@ def _with_u(value: float, u: float) -> str:
     return with_uncertainty(value, u, "deg/s")
 
 
-def _count(found: DeadBandFound) -> str:
+def _count(found: DeadBandEvaluation) -> str:
     return f"{int(found.records.step[-1]) + 1} rates, {len(found.records.rate)} records"
 
 
@@ -304,7 +306,7 @@ def _truth(run: SavedRun) -> str:
     return f"the truth is a lock-in rate of {lock_in:g} deg/s and a bias of {bias:+.6g} deg/s"
 
 
-def _document(found: DeadBandFound) -> dict[str, Any]:
+def _document(found: DeadBandEvaluation) -> dict[str, Any]:
     band, records, fit = found.band, found.records, found.hyperbola
     return {
         "dead_band_dps": 2 * band.lock_in_rate,
@@ -330,7 +332,7 @@ def _document(found: DeadBandFound) -> dict[str, Any]:
     }
 
 
-def _edges(found: DeadBandFound) -> list[dict[str, Any]]:
+def _edges(found: DeadBandEvaluation) -> list[dict[str, Any]]:
     band = found.band
     return [
         {
@@ -369,7 +371,7 @@ def _hyperbola_document(fit: FrequencyFit) -> dict[str, Any]:
     }
 
 
-def record_rows(found: DeadBandFound) -> list[dict[str, Any]]:
+def record_rows(found: DeadBandEvaluation) -> list[dict[str, Any]]:
     """Return one JSON object for each record."""
     records = found.records
     return [
@@ -387,14 +389,14 @@ def record_rows(found: DeadBandFound) -> list[dict[str, Any]]:
     ]
 
 
-def signed_beat(found: DeadBandFound) -> Any:
+def signed_beat(found: DeadBandEvaluation) -> Any:
     """Beat frequency in Hz with the sense of the rate on the axis, bias included, shape (n,)."""
     bias = found.band.bias_rate
     seen = found.records.rate - (bias if math.isfinite(bias) else 0.0)
     return np.sign(seen) * found.records.beat
 
 
-def _summary(found: DeadBandFound) -> list[tuple[str, str]]:
+def _summary(found: DeadBandEvaluation) -> list[tuple[str, str]]:
     band, fit = found.band, found.hyperbola
     rows = [
         ("lock-in rate", with_uncertainty(band.lock_in_rate, found.lock_in_rate_u, "deg/s")),
@@ -409,7 +411,7 @@ def _summary(found: DeadBandFound) -> list[tuple[str, str]]:
     return rows
 
 
-def _sentences(found: DeadBandFound) -> Iterator[str]:
+def _sentences(found: DeadBandEvaluation) -> Iterator[str]:
     """Say what the band means, and what this test does not see."""
     band, fit = found.band, found.hyperbola
     half = float(np.nanmax(band.edge_half_widths))
@@ -442,7 +444,7 @@ def _sentences(found: DeadBandFound) -> Iterator[str]:
     )
 
 
-def _flags(found: DeadBandFound) -> list[str]:
+def _flags(found: DeadBandEvaluation) -> list[str]:
     band, apart = found.band, _apart(found)
     flags = [str(flag.name).lower() for flag in DeadBandFlag if flag & band.flags]
     if found.hyperbola is None:
@@ -450,7 +452,7 @@ def _flags(found: DeadBandFound) -> list[str]:
     return [*flags, "hyperbola_disagrees"] if abs(apart) > _FAR else flags
 
 
-def _apart(found: DeadBandFound) -> float:
+def _apart(found: DeadBandEvaluation) -> float:
     """Distance of the hyperbola's lock-in rate from the edges', in standard uncertainties; 0 if it has none."""
     fit = found.hyperbola
     if fit is None or not math.isfinite(fit.lock_in_rate):
@@ -458,7 +460,7 @@ def _apart(found: DeadBandFound) -> float:
     return (fit.lock_in_rate - found.band.lock_in_rate) / math.hypot(fit.lock_in_rate_u, found.lock_in_rate_u)
 
 
-def _to_watch(found: DeadBandFound) -> Iterator[str]:
+def _to_watch(found: DeadBandEvaluation) -> Iterator[str]:
     band = found.band
     for one in found.left_out:
         yield f"{one.sentence}."
@@ -508,7 +510,9 @@ _CAPTION = (
 )
 
 
-def sections(found: DeadBandFound, run: SavedRun, settings: DeadBandSettings, result: Result) -> list[Section]:
+def sections(
+    found: DeadBandEvaluation, run: SavedRun, settings: DeadBandSettings, result: Result
+) -> list[Section]:
     """Return the sections of the report."""
     return [
         Section("What this result shows, and what it cannot", sentences=result.sentences),
@@ -518,7 +522,7 @@ def sections(found: DeadBandFound, run: SavedRun, settings: DeadBandSettings, re
     ]
 
 
-def facts(found: DeadBandFound, run: SavedRun, settings: DeadBandSettings) -> list[FactTable]:
+def facts(found: DeadBandEvaluation, run: SavedRun, settings: DeadBandSettings) -> list[FactTable]:
     """Return how the sweep was taken and evaluated."""
     table, identity = settings.table, run.facts.get("identity", {})
     bases = sorted(set(found.records.duration.tolist()))
@@ -548,12 +552,12 @@ def facts(found: DeadBandFound, run: SavedRun, settings: DeadBandSettings) -> li
     ]
 
 
-def sweep_svg(found: DeadBandFound) -> str:
+def sweep_svg(found: DeadBandEvaluation) -> str:
     """Draw the beat against the rate, up and down, with the hyperbola and the dead band."""
     return svg_element("sweep", _SIZE, lambda figure: draw_sweep(found, figure))
 
 
-def draw_sweep(found: DeadBandFound, figure: Figure) -> None:
+def draw_sweep(found: DeadBandEvaluation, figure: Figure) -> None:
     """Draw on a figure what :func:`sweep_svg` shows."""
     axes, records, band, fit = figure.add_subplot(), found.records, found.band, found.hyperbola
     middle = band.bias_rate if math.isfinite(band.bias_rate) else 0.0
@@ -575,7 +579,7 @@ def draw_sweep(found: DeadBandFound, figure: Figure) -> None:
     legend_above(axes, columns=5)
 
 
-def _edges_table(found: DeadBandFound) -> TextTable:
+def _edges_table(found: DeadBandEvaluation) -> TextTable:
     rows = []
     for name, value, half in zip(
         ("positive, beat begins", "positive, beat ends", "negative, beat begins", "negative, beat ends"),
@@ -588,7 +592,7 @@ def _edges_table(found: DeadBandFound) -> TextTable:
     return TextTable(("edge", "rate, deg/s", "half of the step, deg/s"), tuple(rows))
 
 
-def _rates_table(found: DeadBandFound) -> TextTable:
+def _rates_table(found: DeadBandEvaluation) -> TextTable:
     records, beat = found.records, signed_beat(found)
     rows = tuple(
         (

@@ -17,11 +17,11 @@ from instrument import ManualRateTable, Waveform
 from instrument.scpi import SCAN_FROM, TIME_BASES
 from station.controllers import ControllersSettings, with_controllers
 from station.errors import NoUsableSignal, SettingsError
-from station.live.preview import See, Seen, Value, harmonics_of, trace_of_beat, waveform_of
+from station.live.preview import Preview, PreviewValue, See, harmonics_of, trace_of_beat, waveform_of
 from station.ring_laser.bench import Beats, beats_at, open_for
 from station.ring_laser.records import Bench, acquisition_records, set_up, take_record
-from station.ring_laser.settings import GyroSettings, ScopeSettings, SimulationSettings
-from station.runs.acquisition import Session
+from station.ring_laser.settings import RingLaserSettings, ScopeSettings, SimulationSettings
+from station.runs.acquisition import Acquisition
 from station.runs.store import NewRecord, RunWriter
 from station.scope.autoset import KnobPositions, find_beat, oscilloscope_steps
 from station.settings import (
@@ -35,7 +35,7 @@ from station.settings import (
 )
 
 
-class TableSettings(SettingsSection):
+class SweepTableSettings(SettingsSection):
     """The rate table under the gyro."""
 
     kind: Literal["simulated", "manual", "controller"]
@@ -57,7 +57,7 @@ class SweepSettings(SettingsSection):
     fill_levels: Annotated[float, Field(ge=10, le=120)]
 
 
-class LimitSettings(SettingsSection):
+class DeadBandLimits(SettingsSection):
     """Limits; one that is absent is not tested. Names as in the JSON of a result."""
 
     dead_band_dps: Limit = None
@@ -71,15 +71,15 @@ class LimitSettings(SettingsSection):
 class DeadBandSettings(SettingsSection):
     """All settings of a sweep. ``simulation`` is absent on a real bench."""
 
-    gyro: GyroSettings
+    gyro: RingLaserSettings
     site: SiteSettings
-    table: TableSettings
+    table: SweepTableSettings
     scope: ScopeSettings
     sweep: SweepSettings
     output: OutputSettings
     controllers: ControllersSettings | None = None
     simulation: SimulationSettings | None = None
-    limits: LimitSettings = LimitSettings()
+    limits: DeadBandLimits = DeadBandLimits()
 
     @property
     def simulated(self) -> bool:
@@ -139,7 +139,7 @@ _FASTER_THAN_RATE = 2.0  # the bias may add to the first rate, but the gyro sees
 
 
 @dataclass(frozen=True)
-class _TrialShape:
+class _SweepShape:
     """Trial records of few periods: a slower time base would need a trigger, and wait for it."""
 
     fill_levels: float
@@ -147,12 +147,12 @@ class _TrialShape:
     samples_per_period_min: float = 20.0
 
 
-def take(settings: DeadBandSettings, session: Session) -> None:
+def take(settings: DeadBandSettings, session: Acquisition) -> None:
     """Sweep and save; of a run that was cut short, what is missing."""
     take_on(open_for(session, settings), settings, session)
 
 
-def take_on(bench: Bench, settings: DeadBandSettings, session: Session) -> None:
+def take_on(bench: Bench, settings: DeadBandSettings, session: Acquisition) -> None:
     """Sweep on a bench that is open already."""
     set_up(bench, settings.scope, [settings.scope.channel])
     writer = session.begin({"identity": asdict(bench.scope.identity), **truth_of(settings)})
@@ -188,7 +188,7 @@ class _Answers:
     settings: DeadBandSettings
     insists: bool = False
 
-    def doubted(self, step: Step, frequency: float, *, may_lock: bool = False) -> bool:
+    def doubted(self, step: SweepStep, frequency: float, *, may_lock: bool = False) -> bool:
         """Ask again where the beat does not fit the rate; whether it is to be looked at again."""
         table, expected = self.bench.table, self.settings.gyro.expected_lock_in_rate_dps
         if not isinstance(table, ManualRateTable) or self.insists:
@@ -221,7 +221,7 @@ def truth_of(settings: DeadBandSettings) -> dict[str, dict[str, float]]:
 
 
 def _knobs(
-    settings: DeadBandSettings, session: Session, bench: Bench, writer: RunWriter, answers: _Answers
+    settings: DeadBandSettings, session: Acquisition, bench: Bench, writer: RunWriter, answers: _Answers
 ) -> KnobPositions:
     """Fit the vertical scale to the beat of the first rate, once a run: inside the band there is no beat."""
     if saved := session.facts.get("scope_setting"):
@@ -230,7 +230,7 @@ def _knobs(
     session.progress.note(f"looking for the beat at {first.rate_dps:+.4g} deg/s")
     _turn(bench, first, settings)
     fastest = _FASTER_THAN_RATE * settings.gyro.scale_factor_pulses_per_deg * abs(first.rate_dps)
-    shape = _TrialShape(settings.sweep.fill_levels)
+    shape = _SweepShape(settings.sweep.fill_levels)
     try:
         knobs = find_beat(bench.scope, settings.scope, shape, fastest)
         while answers.doubted(first, knobs.beat_frequency):
@@ -243,7 +243,7 @@ def _knobs(
     return knobs
 
 
-def _turn(bench: Bench, step: Step, settings: DeadBandSettings) -> float:
+def _turn(bench: Bench, step: SweepStep, settings: DeadBandSettings) -> float:
     """Bring the table to a step; the rate that it has then."""
     rate = step.rate_dps / math.cos(math.radians(settings.table.tilt_deg))
     why = f"A step of the sweep ({step.direction}). Records that are taken then: {settings.sweep.records}."
@@ -251,10 +251,10 @@ def _turn(bench: Bench, step: Step, settings: DeadBandSettings) -> float:
 
 
 def _take_step(
-    step: Step,
+    step: SweepStep,
     missing: list[int],
     settings: DeadBandSettings,
-    session: Session,
+    session: Acquisition,
     bench: Bench,
     knobs: KnobPositions,
     writer: RunWriter,
@@ -294,7 +294,7 @@ _DIVISIONS = 10  # of a record
 
 
 @dataclass(frozen=True)
-class Step:
+class SweepStep:
     """One rate of the sweep."""
 
     direction: str  # {"up", "down"}
@@ -305,7 +305,7 @@ class Step:
         return f"{self.direction} {self.rate_dps:+.9g}, {number}"
 
 
-def sweep(settings: DeadBandSettings) -> list[Step]:
+def sweep(settings: DeadBandSettings) -> list[SweepStep]:
     """List the steps: from the lowest rate to the highest, and back."""
     lock_in, asked = settings.gyro.expected_lock_in_rate_dps, settings.sweep
     if asked.rates_over_lock_in:
@@ -316,10 +316,13 @@ def sweep(settings: DeadBandSettings) -> list[Step]:
         # gyro without bias does not meet the same error of the steps twice
         one = lock_in * asked.highest_over_lock_in / asked.steps
         rates = [one * (n + 0.25) for n in range(-asked.steps, asked.steps + 1)]
-    return [*(Step("up", rate) for rate in rates), *(Step("down", rate) for rate in reversed(rates[:-1]))]
+    return [
+        *(SweepStep("up", rate) for rate in rates),
+        *(SweepStep("down", rate) for rate in reversed(rates[:-1])),
+    ]
 
 
-def time_base(step: Step, settings: DeadBandSettings) -> float:
+def time_base(step: SweepStep, settings: DeadBandSettings) -> float:
     """Return the time base of a step, s/div.
 
     A beat is never faster than scale factor times rate. Below the expected lock-in rate there may be none at all:
@@ -356,14 +359,14 @@ _BEAT = 0.25
 
 def watch(settings: DeadBandSettings) -> See:
     """Return what looks at records of `gyrolock deadband` as they come."""
-    return _Watch()
+    return _SweepPreview()
 
 
-class _Watch:
+class _SweepPreview:
     def __init__(self) -> None:
         self._largest = 0.0
 
-    def __call__(self, records: Sequence[NewRecord]) -> Seen | None:
+    def __call__(self, records: Sequence[NewRecord]) -> Preview | None:
         record = records[0]
         waveform = waveform_of(record)
         fit = harmonics_of(waveform)
@@ -373,8 +376,8 @@ class _Watch:
         frequency = float(fit.frequency) if fit is not None and beats else math.nan
         rate = float(record.conditions["rate_dps"])  # type: ignore[arg-type]  # plain JSON
         values = (
-            Value("rate_dps", rate, math.nan, f"{rate:+.5g} deg/s"),
-            Value("beat_frequency_hz", frequency, math.nan, f"{frequency:.5g} Hz" if beats else "no beat"),
+            PreviewValue("rate_dps", rate, math.nan, f"{rate:+.5g} deg/s"),
+            PreviewValue("beat_frequency_hz", frequency, math.nan, f"{frequency:.5g} Hz" if beats else "no beat"),
         )
         group = str(record.conditions["direction"])
-        return Seen(record.key, group, values, values, trace=trace_of_beat(waveform, fit if beats else None))
+        return Preview(record.key, group, values, values, trace=trace_of_beat(waveform, fit if beats else None))

@@ -20,7 +20,7 @@ from station.fibre_gyro.logs import LogRow, NamedSegment, gyro_measurement, list
 from station.fibre_gyro.segments import PlannedSegment, Segment, checked, segments_of, words_of
 from station.fibre_gyro.settings import FogSettings
 from station.report.figure import INK, SOFT, WIDE, legend_above, svg_element
-from station.results.result import LeftOut, Measured, PlacedFigure, Result, Section, TextTable, with_uncertainty
+from station.results.result import Excluded, Measured, PlacedFigure, Result, Section, TextTable, with_uncertainty
 from station.runs.database import is_database
 from station.runs.store import SavedRun, open_run
 
@@ -47,24 +47,24 @@ class NoiseOf:
 
 
 @dataclass(frozen=True)
-class AllanFound:
+class AllanEvaluation:
     """Noise of each record that could be used."""
 
     records: tuple[NoiseOf, ...]
-    left_out: tuple[LeftOut, ...]
+    left_out: tuple[Excluded, ...]
 
 
-def evaluate(run: SavedRun, settings: FogSettings, choices: Mapping[str, Any]) -> AllanFound:
+def evaluate(run: SavedRun, settings: FogSettings, choices: Mapping[str, Any]) -> AllanEvaluation:
     """Fit the noise model to each record."""
     found, left_out = [], []
     for segment in segments_of(run, PURPOSE):
         try:
             found.append(_noise_of(segment, settings))
         except ValueError as error:
-            left_out.append(LeftOut(segment.key, str(error)))
+            left_out.append(Excluded(segment.key, str(error)))
     if not found:
         raise NoUsableSignal(f"there is no output at rest to make a noise model of{reasons_of(left_out)}")
-    return AllanFound(tuple(found), tuple(left_out))
+    return AllanEvaluation(tuple(found), tuple(left_out))
 
 
 def _noise_of(segment: Segment, settings: FogSettings) -> NoiseOf:
@@ -105,7 +105,7 @@ _DESCRIBE = (
 LIMITED = ("angle_random_walk_deg_per_sqrt_h", "bias_instability_dph", "rate_random_walk_dph_per_sqrt_h")
 
 
-def result(found: AllanFound, run: SavedRun, settings: FogSettings) -> Result:
+def result(found: AllanEvaluation, run: SavedRun, settings: FogSettings) -> Result:
     """Put into numbers and sentences what was found."""
     records = [_record(one) for one in found.records]
     several = len(records) > 1
@@ -172,7 +172,7 @@ def term_table(one: NoiseOf) -> TextTable:
     return TextTable((one.key, "coefficient", "95 %", "unit"), tuple(rows))
 
 
-def _sentences(found: AllanFound) -> list[str]:
+def _sentences(found: AllanEvaluation) -> list[str]:
     return [
         "Fitted is the likelihood of the output itself, not the slopes of the curve: the curve is for the eye. A "
         "term stands in the model if the data ask for it (Bayesian information criterion); of the others it is "
@@ -193,7 +193,7 @@ def _by_design(settings: FogSettings) -> str:
     )
 
 
-def _to_watch(found: AllanFound) -> list[str]:
+def _to_watch(found: AllanEvaluation) -> list[str]:
     said = [f"{one.sentence}." for one in found.left_out]
     for one in found.records:
         if one.fit.missing:
@@ -208,7 +208,7 @@ def _to_watch(found: AllanFound) -> list[str]:
 # The noise model in the report: Allan deviation with the fitted terms, and their table
 
 
-def sections(found: AllanFound, run: SavedRun, settings: FogSettings, result: Result) -> list[Section]:
+def sections(found: AllanEvaluation, run: SavedRun, settings: FogSettings, result: Result) -> list[Section]:
     """Return the sections of the report."""
     caption = "Overlapping Allan deviation; bars: standard uncertainty. Line: fitted model; dashed: its terms."
     return [

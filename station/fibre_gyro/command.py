@@ -123,7 +123,7 @@ def constants(run: Path, as_json: bool, **given: Any) -> int:
     which gives the compensation table.
     """
     from station.fibre_gyro.constants import (
-        Wanted,
+        WordFormat,
         constants_document,
         constants_of,
         constants_table,
@@ -135,7 +135,7 @@ def constants(run: Path, as_json: bool, **given: Any) -> int:
     if given["rounding"] and (given["width"] or given["fraction"] is not None):
         raise click.UsageError("--rounding chooses the words; --width and --fraction give them")
     names = ("axis", "numbers", "unit", "width", "fraction")
-    found = constants_of(run, Wanted(**{name: given[name] for name in names}, error_ppm=given["rounding"]))
+    found = constants_of(run, WordFormat(**{name: given[name] for name in names}, error_ppm=given["rounding"]))
     files = {kind: given[kind] for kind in ("vhdl", "c", "csv") if given[kind] is not None}
     write_constants(found, files, floats=given["floats"], replace=given["replace"])
     if as_json:

@@ -15,13 +15,13 @@ from station.fibre_gyro.bench import loop_settings, quiet
 from station.fibre_gyro.segments import Segment, segments_of
 from station.fibre_gyro.settings import FogSettings
 from station.report.figure import ACCENT, INK, SECOND, SOFT, THIRD, svg_element
-from station.results.result import FactTable, LeftOut, PlacedFigure, Result, Rows, Section, with_uncertainty
+from station.results.result import Excluded, FactTable, PlacedFigure, Result, Rows, Section, with_uncertainty
 from station.runs.store import SavedRun
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from analysis.fibre_gyro import Trace
+    from analysis.fibre_gyro import LoopTrace
 
 PPM = 1e6
 COUNTS_PER_DPS = "counts per deg/s"
@@ -62,9 +62,9 @@ def truth_of(settings: FogSettings) -> dict[str, dict[str, float]]:
     return {"truth": truth}
 
 
-def not_taken(run: SavedRun) -> list[LeftOut]:
+def not_taken(run: SavedRun) -> list[Excluded]:
     """Return what was not taken at all."""
-    return [LeftOut(name, reason) for name, reason in run.facts.left_out_of_plan.items()]
+    return [Excluded(name, reason) for name, reason in run.facts.left_out_of_plan.items()]
 
 
 def with_link_remarks(result: Callable[[Any, SavedRun, FogSettings], Result]) -> Callable[..., Result]:
@@ -156,7 +156,7 @@ def _clock_sentences(clock: HostClock, segments: Sequence[Segment]) -> tuple[str
     return said, "K in counts per deg/s is a mean over words and does not depend on their rate."
 
 
-def reasons_of(left_out: Sequence[LeftOut], before: str = ": ") -> str:
+def reasons_of(left_out: Sequence[Excluded], before: str = ": ") -> str:
     """Return why something is left out, to follow the text of an error; empty if nothing is."""
     reasons = "; ".join(one.sentence for one in left_out)
     return f"{before}{reasons}" if reasons else ""
@@ -256,7 +256,7 @@ def staircase_section(settings: FogSettings, open_loop_step: float | None = None
     return Section("Staircase and detector signal", text, figures=(figure,))
 
 
-def _staircase_svg(trace: Trace, interval_s: float) -> str:
+def _staircase_svg(trace: LoopTrace, interval_s: float) -> str:
     """Draw the staircase, the phase difference and the detector signal over a few resets."""
 
     def draw(figure: Figure) -> None:

@@ -31,7 +31,7 @@ _LEAST_ERROR_PPM, _MOST_ERROR_PPM = 0.01, 10.0
 
 
 @dataclass(frozen=True)
-class Wanted:
+class WordFormat:
     """How words are made."""
 
     axis: str = ""  # empty: that of the settings, or the only one
@@ -68,7 +68,7 @@ class Constants:
     columns: tuple[Column, ...]
 
 
-def constants_of(path: Path, wanted: Wanted) -> Constants:
+def constants_of(path: Path, wanted: WordFormat) -> Constants:
     """Evaluate a saved run and round what it gives."""
     run = open_run(path)
     command = run.facts.command
@@ -89,7 +89,7 @@ def constants_of(path: Path, wanted: Wanted) -> Constants:
 
 
 def _of_small_rates(
-    run: SavedRun, settings: FogSettings, wanted: Wanted, command: str
+    run: SavedRun, settings: FogSettings, wanted: WordFormat, command: str
 ) -> tuple[str, tuple[Column, ...]]:
     if command == "selfcal":
         axis, plan = settings.selfcal.axis, numbers_of(run, settings)
@@ -126,7 +126,7 @@ def _plan_of(result: AxisResult, run: SavedRun, numbers: str) -> InjectionPlan:
     return InjectionPlan(made.delta_dps.round(9), made.number, made.number_u, np.eye(made.number.size))
 
 
-def _over_temperature(run: SavedRun, settings: FogSettings, wanted: Wanted) -> tuple[str, tuple[Column, ...]]:
+def _over_temperature(run: SavedRun, settings: FogSettings, wanted: WordFormat) -> tuple[str, tuple[Column, ...]]:
     found = evaluate_temperature(run, settings, {})
     one = _axis_of(found.axes, run, wanted.axis)
     table = compensation_of(one, settings)
@@ -157,7 +157,7 @@ def _axis_of(axes: tuple[AxisTemperature, ...], run: SavedRun, wanted: str) -> A
 
 
 def _column(
-    name: str, what: str, unit: str, at: Floats, values: Floats, values_u: Floats, wanted: Wanted
+    name: str, what: str, unit: str, at: Floats, values: Floats, values_u: Floats, wanted: WordFormat
 ) -> Column:
     """Words of a column; a bias goes through zero, so its rounding is measured by its uncertainty."""
     if wanted.width is not None or wanted.fraction is not None:
@@ -177,7 +177,7 @@ def _column(
     return Column(name, what, unit, at, values, values_u, round_to_words(values, fraction=fraction))
 
 
-def _error_for(values: Floats, values_u: Floats, wanted: Wanted) -> float:
+def _error_for(values: Floats, values_u: Floats, wanted: WordFormat) -> float:
     """Largest rounding error, ppm, that is hardly seen beside the uncertainty."""
     if wanted.error_ppm is not None:
         return wanted.error_ppm

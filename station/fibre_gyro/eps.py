@@ -26,7 +26,7 @@ from station.fibre_gyro.settings import FogSettings
 from station.report.figure import ACCENT, HALF, INK, SECOND, SOFT, legend_above, svg_element
 from station.results.result import (
     Contribution,
-    LeftOut,
+    Excluded,
     Measured,
     PlacedFigure,
     Result,
@@ -55,7 +55,7 @@ _BLOCKS = 10
 
 
 @dataclass(frozen=True)
-class EpsFound:
+class EpsEvaluation:
     """Result of the open-loop measurement."""
 
     keys: tuple[str, ...]  # segments in the result, one for each element of the arrays
@@ -66,10 +66,10 @@ class EpsFound:
     reset: NDArray[np.float64]
     reset_u: NDArray[np.float64]
     error: TwoPiError
-    left_out: tuple[LeftOut, ...]
+    left_out: tuple[Excluded, ...]
 
 
-def evaluate(run: SavedRun, settings: FogSettings, choices: Mapping[str, Any]) -> EpsFound:
+def evaluate(run: SavedRun, settings: FogSettings, choices: Mapping[str, Any]) -> EpsEvaluation:
     """Evaluate the open-loop segments of a run."""
     rows: list[tuple[str, float, WindowMean, WindowMean]] = []
     left_out = not_taken(run)
@@ -77,7 +77,7 @@ def evaluate(run: SavedRun, settings: FogSettings, choices: Mapping[str, Any]) -
         try:
             means = _mean_of(segment, NORMAL), _mean_of(segment, RESET)
         except ValueError as error:
-            left_out.append(LeftOut(segment.key, str(error)))
+            left_out.append(Excluded(segment.key, str(error)))
             continue
         rows.append((segment.key, float(segment.conditions["step_codes"]), *means))
     if len(rows) < 2:
@@ -93,7 +93,7 @@ def evaluate(run: SavedRun, settings: FogSettings, choices: Mapping[str, Any]) -
         found = estimate_two_pi_error(step, normal, reset, normal_u, reset_u, dac_bits=settings.gyro.dac_bits)
     except ValueError as error:
         raise NoUsableSignal(f"the injected steps give no 2 pi error: {error}") from None
-    return EpsFound(keys, step, normal, normal_u, reset, reset_u, found, tuple(left_out))
+    return EpsEvaluation(keys, step, normal, normal_u, reset, reset_u, found, tuple(left_out))
 
 
 def _noise(step: NDArray[np.float64], means: Sequence[WindowMean]) -> NDArray[np.float64]:
@@ -137,7 +137,7 @@ _NUMBERS = {
 }
 
 
-def result(found: EpsFound, run: SavedRun, settings: FogSettings) -> Result:
+def result(found: EpsEvaluation, run: SavedRun, settings: FogSettings) -> Result:
     """Put into numbers and sentences what was found."""
     eps, u = PPM * found.error.two_pi_error, PPM * found.error.two_pi_error_u
     lines = (f"The converter's range spans 2π (1 + eps); from {len(found.keys)} injected steps in open loop.",)
@@ -156,7 +156,7 @@ def result(found: EpsFound, run: SavedRun, settings: FogSettings) -> Result:
     )
 
 
-def _document(found: EpsFound) -> dict[str, Any]:
+def _document(found: EpsEvaluation) -> dict[str, Any]:
     columns = (found.keys, found.step_codes, found.normal, found.normal_u, found.reset, found.reset_u)
     names = ("name", "step_codes", "normal_error", "normal_error_u", "reset_error", "reset_error_u")
     return {
@@ -169,7 +169,7 @@ def _document(found: EpsFound) -> dict[str, Any]:
     }
 
 
-def _budget(found: EpsFound) -> list[Contribution]:
+def _budget(found: EpsEvaluation) -> list[Contribution]:
     """Say what each input contributes to the uncertainty of eps."""
     parts = {name: PPM * value for name, value in found.error.contributions.items()}
     noise = "by the scatter of the words, of both senses of a step together"
@@ -184,7 +184,7 @@ def _budget(found: EpsFound) -> list[Contribution]:
     ]
 
 
-def _sentences(found: EpsFound, settings: FogSettings) -> list[str]:
+def _sentences(found: EpsEvaluation, settings: FogSettings) -> list[str]:
     """Say what the 2 pi error means for the scale factor, and what this test does not see."""
     eps, u = found.error.two_pi_error, found.error.two_pi_error_u
     gated, ungated = (PPM * (predicted_table_scale(0.0, eps, gated=kind) - 1) for kind in (True, False))
@@ -200,7 +200,7 @@ def _sentences(found: EpsFound, settings: FogSettings) -> list[str]:
     ]
 
 
-def _to_watch(found: EpsFound) -> list[str]:
+def _to_watch(found: EpsEvaluation) -> list[str]:
     said = [f"{one.sentence}." for one in found.left_out]
     error = found.error
     if error.degrees_of_freedom > 0 and error.chi_square > 4 * error.degrees_of_freedom:
@@ -214,7 +214,7 @@ def _to_watch(found: EpsFound) -> list[str]:
 # The 2 pi error in the report: figures and table of the injected steps
 
 
-def sections(found: EpsFound, run: SavedRun, settings: FogSettings, result: Result) -> list[Section]:
+def sections(found: EpsEvaluation, run: SavedRun, settings: FogSettings, result: Result) -> list[Section]:
     """Return the sections of the report."""
     rows = tuple(
         (f"{step:+g} codes", with_uncertainty(float(n), float(nu)), with_uncertainty(float(r), float(ru)))
@@ -238,7 +238,7 @@ def sections(found: EpsFound, run: SavedRun, settings: FogSettings, result: Resu
     ]
 
 
-def _errors_svg(found: EpsFound) -> str:
+def _errors_svg(found: EpsEvaluation) -> str:
     """Draw the demodulated error of pairs with and without a reset against the injected step."""
 
     def draw(figure: Figure) -> None:
@@ -253,7 +253,7 @@ def _errors_svg(found: EpsFound) -> str:
     return svg_element("errors", HALF, draw)
 
 
-def _reset_differences_svg(found: EpsFound) -> str:
+def _reset_differences_svg(found: EpsEvaluation) -> str:
     """Draw the difference between pairs with and without a reset: the 2 pi error itself."""
 
     def draw(figure: Figure) -> None:

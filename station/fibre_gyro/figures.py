@@ -54,7 +54,7 @@ from station.fibre_gyro.segments import (
 from station.fibre_gyro.settings import FogSettings
 from station.report.figure import HALF, SOFT, WIDE, legend_above, svg_element
 from station.results.result import (
-    LeftOut,
+    Excluded,
     Measured,
     PlacedFigure,
     Result,
@@ -144,20 +144,20 @@ class AxisMerit:
 
 
 @dataclass(frozen=True)
-class MeritFound:
+class FiguresEvaluation:
     """Figures of merit of each axis."""
 
     axes: tuple[AxisMerit, ...]
-    left_out: tuple[LeftOut, ...]
+    left_out: tuple[Excluded, ...]
 
     def largest(self, name: str) -> float:
         """Return a figure of the one axis, or the largest of several; nan where none gives one."""
         return _largest([getattr(one, name) for one in self.axes])
 
 
-def evaluate(run: SavedRun, settings: FogSettings, choices: Mapping[str, Any]) -> MeritFound:
+def evaluate(run: SavedRun, settings: FogSettings, choices: Mapping[str, Any]) -> FiguresEvaluation:
     """Evaluate the segments of a run."""
-    left_out: list[LeftOut] = []
+    left_out: list[Excluded] = []
     by_axis: dict[str, dict[str, list[Segment]]] = {}
     for segment in segments_of(run, PURPOSE):
         axis = str(segment.conditions.get("axis", settings.figures.axis))
@@ -169,11 +169,11 @@ def evaluate(run: SavedRun, settings: FogSettings, choices: Mapping[str, Any]) -
     axes = tuple(one for one in found if one is not None)
     if not axes:
         raise NoUsableSignal(f"no run has enough points for a scale factor{reasons_of(left_out)}")
-    return MeritFound(axes, tuple(left_out))
+    return FiguresEvaluation(axes, tuple(left_out))
 
 
 def _one_axis(
-    axis: str, by_run: Mapping[str, list[Segment]], settings: FogSettings, left_out: list[LeftOut], before: str
+    axis: str, by_run: Mapping[str, list[Segment]], settings: FogSettings, left_out: list[Excluded], before: str
 ) -> AxisMerit | None:
     """Evaluate the runs of one axis; what cannot be used is added to `left_out`."""
     found = {name: _one_run(f"{before}{name}", of_run, settings, left_out) for name, of_run in by_run.items()}
@@ -182,7 +182,9 @@ def _one_axis(
     runs = tuple(one for name, one in good.items() if name in reference)
     others = tuple(one for name, one in good.items() if name not in reference)
     if not runs:
-        left_out += [LeftOut(one.name, "there is no run at the reference temperature beside it") for one in others]
+        left_out += [
+            Excluded(one.name, "there is no run at the reference temperature beside it") for one in others
+        ]
         return None
     k = np.array([one.figures.fit.slope for one in runs])
     each = [one.figures for one in runs]
@@ -237,7 +239,7 @@ def _temperature_coefficient(runs: Sequence[MeritRun], others: Sequence[MeritRun
 
 
 def _one_run(
-    name: str, segments: Sequence[Segment], settings: FogSettings, left_out: list[LeftOut]
+    name: str, segments: Sequence[Segment], settings: FogSettings, left_out: list[Excluded]
 ) -> MeritRun | None:
     """Evaluate one run; segments that cannot be used are added to `left_out`."""
     points, remarks, clock = [], [], 0.0
@@ -249,7 +251,7 @@ def _one_run(
         try:
             mean = _mean(segment, settings)
         except ValueError as error:
-            left_out.append(LeftOut(segment.key, str(error)))
+            left_out.append(Excluded(segment.key, str(error)))
             continue
         remarks += remarks_on(segment, mean)
         points.append(_Point(segment.key, segment.conditions, mean, clock - length / 2))
@@ -257,7 +259,7 @@ def _one_run(
     turned = _with_a_static_output(turned, static, left_out)
     if len({one.rate_dps for one in turned}) < 3 or not static:
         left_out.append(
-            LeftOut(name, f"it has {len(turned)} rates and {len(static)} static outputs, 3 and 1 are needed")
+            Excluded(name, f"it has {len(turned)} rates and {len(static)} static outputs, 3 and 1 are needed")
         )
         return None
     level, drifts, ends = np.empty(len(turned)), [], list(dict.fromkeys(one.end_up for one in turned))
@@ -296,7 +298,7 @@ def _bias(found: StaticLevel, end_up: int, scale: float, settings: FogSettings) 
 
 
 def _turn_on(
-    segments: Sequence[Segment], scale: float, settings: FogSettings, left_out: list[LeftOut]
+    segments: Sequence[Segment], scale: float, settings: FogSettings, left_out: list[Excluded]
 ) -> TurnOn | None:
     """Fit the transient of the first output from switching on that can be used, by the K of its run."""
     for segment in segments:
@@ -314,7 +316,7 @@ def _turn_on(
                 since + (edges[:-1] + edges[1:]) / 2, values, settings.figures.warm_up_bound_dph
             )
         except ValueError as error:
-            left_out.append(LeftOut(segment.key, str(error)))
+            left_out.append(Excluded(segment.key, str(error)))
     return None
 
 
@@ -339,7 +341,7 @@ class _Point:
 
 
 def _with_a_static_output(
-    turned: Sequence[_Point], static: Sequence[_Point], left_out: list[LeftOut]
+    turned: Sequence[_Point], static: Sequence[_Point], left_out: list[Excluded]
 ) -> list[_Point]:
     """Those whose end of the axis was also up at rest: the vertical earth rate changes its sign with the end."""
     ends = {one.end_up for one in static}
@@ -350,7 +352,7 @@ def _with_a_static_output(
         else:
             side = "up" if one.end_up > 0 else "down"
             left_out.append(
-                LeftOut(one.key, f"there is no static output with this end of the axis {side}: take one")
+                Excluded(one.key, f"there is no static output with this end of the axis {side}: take one")
             )
     return kept
 
@@ -414,7 +416,7 @@ _FIGURES = {
 _PATTERN = {"pattern": "names", "odd_ppm": "odd_ppm", "even_ppm": "even_ppm", "near_zero_ppm": "near_zero_ppm"}
 
 
-def result(found: MeritFound, run: SavedRun, settings: FogSettings) -> Result:
+def result(found: FiguresEvaluation, run: SavedRun, settings: FogSettings) -> Result:
     """Put into numbers and sentences what was found."""
     lines = tuple(line for one in found.axes for line in _lines(one, several=len(found.axes) > 1))
     watched = tuple(_to_watch(found, settings))
@@ -460,13 +462,13 @@ def _bias_lines(one: AxisMerit, *, several: bool) -> list[str]:
     return said
 
 
-def _measured(found: MeritFound) -> tuple[Measured, ...]:
+def _measured(found: FiguresEvaluation) -> tuple[Measured, ...]:
     if len(found.axes) == 1:
         return tuple(Measured(name, getattr(found.axes[0], name)) for name in LIMITED)
     return tuple(Measured(name, getattr(one, name), one.axis) for one in found.axes for name in LIMITED)
 
 
-def _document(found: MeritFound) -> dict[str, Any]:
+def _document(found: FiguresEvaluation) -> dict[str, Any]:
     """Of one axis as of old; of several the largest figures, no common scale factor, and each axis by itself."""
     alone = found.axes[0] if len(found.axes) == 1 else None
     return {
@@ -543,7 +545,7 @@ def _turn_on_document(one: TurnOn | None) -> dict[str, Any] | None:
     }
 
 
-def _sentences(found: MeritFound) -> list[str]:
+def _sentences(found: FiguresEvaluation) -> list[str]:
     """Say which pattern the deviations have."""
     said = [
         f"{one.name}: the deviations are {', and '.join(_CAUSES[name] for name in one.pattern.names)}."
@@ -554,7 +556,7 @@ def _sentences(found: MeritFound) -> list[str]:
     return said or ["The deviations from the line show no pattern beyond their noise."]
 
 
-def _to_watch(found: MeritFound, settings: FogSettings) -> list[str]:
+def _to_watch(found: FiguresEvaluation, settings: FogSettings) -> list[str]:
     said = [f"{one.sentence}." for one in found.left_out]
     for one in [run for axis in found.axes for run in axis.all_runs]:
         said += _to_watch_in(one)
@@ -590,7 +592,7 @@ def _to_watch_in(one: MeritRun) -> list[str]:
 # The figures of merit in the report: deviations from the line, and the scale factor of each run
 
 
-def sections(found: MeritFound, run: SavedRun, settings: FogSettings, result: Result) -> list[Section]:
+def sections(found: FiguresEvaluation, run: SavedRun, settings: FogSettings, result: Result) -> list[Section]:
     """Return the sections of the report."""
     header = ("run", "°C", f"K, {COUNTS_PER_DPS}", "nonlin. FS", "nonlin. point", "asymmetry", "pattern")
     return [
@@ -615,7 +617,7 @@ def sections(found: MeritFound, run: SavedRun, settings: FogSettings, result: Re
     ]
 
 
-def _bias_sections(found: MeritFound) -> list[Section]:
+def _bias_sections(found: FiguresEvaluation) -> list[Section]:
     """Bias of each switching on, and the transients."""
     transients = [one for axis in found.axes for one in axis.runs if one.turn_on is not None]
     rows = []
@@ -677,7 +679,7 @@ def _row(one: MeritRun) -> tuple[str, ...]:
     )
 
 
-def _deviations_svg(found: MeritFound, *, of_point: bool) -> str:
+def _deviations_svg(found: FiguresEvaluation, *, of_point: bool) -> str:
     """Draw the deviations from the line of every run, of full scale or of each point."""
 
     def draw(figure: Figure) -> None:
@@ -700,7 +702,7 @@ def _deviations_svg(found: MeritFound, *, of_point: bool) -> str:
     return svg_element("of-point" if of_point else "of-full-scale", HALF, draw)
 
 
-def _scale_factors_svg(found: MeritFound) -> str:
+def _scale_factors_svg(found: FiguresEvaluation) -> str:
     """Draw the scale factor of every run against the temperature."""
 
     def draw(figure: Figure) -> None:

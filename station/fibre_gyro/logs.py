@@ -30,17 +30,17 @@ from station.fibre_gyro.segments import (
     unusable_segments,
 )
 from station.fibre_gyro.settings import FIBRE_GYRO, FogSettings
-from station.live.preview import See, Seen, Trace, Value
+from station.live.preview import Preview, PreviewTrace, PreviewValue, See
 from station.measurements import Measurement
 from station.results.result import Check, Result, Section, with_uncertainty
-from station.runs.acquisition import Session
+from station.runs.acquisition import Acquisition
 from station.runs.store import NewRecord, SavedRun
 
 F = TypeVar("F")
 NamedSegment = tuple[str, dict[str, Any]]
 """Name and conditions."""
-Take = Callable[[FogSettings, Session], None]
-TakeFiles = Callable[[FogSettings, Sequence[Path], Session], None]
+Take = Callable[[FogSettings, Acquisition], None]
+TakeFiles = Callable[[FogSettings, Sequence[Path], Acquisition], None]
 
 _LOOK_S = 2.0
 
@@ -51,7 +51,7 @@ def planned_segments(
 ) -> Take:
     """Return what takes on the bench the segments that are planned."""
 
-    def take(settings: FogSettings, session: Session) -> None:
+    def take(settings: FogSettings, session: Acquisition) -> None:
         bench, facts = open_fog_bench(settings), truth_of(settings)
         take_segments(settings, session, bench, [lambda run: plan(settings)], facts, left_out(settings))
 
@@ -67,7 +67,7 @@ def listed_logs(
 ) -> TakeFiles:
     """Return what makes a run of the logs that lists name."""
 
-    def take(settings: FogSettings, paths: Sequence[Path], session: Session) -> None:
+    def take(settings: FogSettings, paths: Sequence[Path], session: Acquisition) -> None:
         lists = [path for path in paths if not whole or is_list(path)]
         logs = read_whole_logs([path for path in paths if path not in lists], purpose, settings)
         if lists:
@@ -373,17 +373,17 @@ def watch(settings: Any) -> See:
     return _seen
 
 
-def _seen(records: Sequence[NewRecord]) -> Seen | None:
+def _seen(records: Sequence[NewRecord]) -> Preview | None:
     record = records[0]
     recording = recording_of(record)
     counts = recording.counts
     if counts.size == 0:
-        return Seen(record.key, record.purpose, (), flags=("empty",))
+        return Preview(record.key, record.purpose, (), flags=("empty",))
     mean, u = float(counts.mean()), float(counts.std() / math.sqrt(counts.size)) if counts.size > 1 else math.nan
-    values = (Value("output_counts", mean, u, with_uncertainty(mean, u, "counts"), counts.size),)
+    values = (PreviewValue("output_counts", mean, u, with_uncertainty(mean, u, "counts"), counts.size),)
     # neighbours are taken together: of a long stretch the mean of each part is shown
     parts = np.array_split(counts, min(_POINTS, counts.size))
     samples = [float(f"{part.mean():.6g}") for part in parts]
     flags = () if recording.complete else ("gaps",)
-    trace = Trace(recording.duration_s, "counts", samples)
-    return Seen(record.key, record.key, values, values, flags=flags, trace=trace)
+    trace = PreviewTrace(recording.duration_s, "counts", samples)
+    return Preview(record.key, record.key, values, values, flags=flags, trace=trace)

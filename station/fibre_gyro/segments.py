@@ -27,7 +27,7 @@ from analysis.fibre_gyro import (
 from instrument.fibre_gyro import Gap, HostClock, Losses, Recording
 from station.errors import RunError
 from station.fibre_gyro.settings import FogSettings
-from station.runs.acquisition import Session
+from station.runs.acquisition import Acquisition
 from station.runs.progress import Progress
 from station.runs.store import NewRecord, RunWriter, SavedRecord, SavedRun
 
@@ -65,7 +65,7 @@ Plan = Callable[[SavedRun], Sequence[PlannedSegment]]
 
 def take_segments(
     settings: FogSettings,
-    session: Session,
+    session: Acquisition,
     bench: AbstractContextManager[FogBench],
     stages: Sequence[Plan],
     facts: Mapping[str, object],
@@ -83,7 +83,7 @@ def take_segments(
 
 
 def take_logs(
-    session: Session, paths: Sequence[Path], logs: Sequence[tuple[str, Mapping[str, Any], Recording]]
+    session: Acquisition, paths: Sequence[Path], logs: Sequence[tuple[str, Mapping[str, Any], Recording]]
 ) -> None:
     """Make a run of what was read from saved logs: key, conditions and recording of each."""
     writer = session.begin({"logs": [str(path) for path in paths]})
@@ -109,7 +109,7 @@ def unusable_segments(run: SavedRun, settings: FogSettings, purposes: Sequence[s
 
 
 def _take(
-    session: Session, writer: RunWriter, bench: FogBench, plan: Sequence[PlannedSegment], there: set[str]
+    session: Acquisition, writer: RunWriter, bench: FogBench, plan: Sequence[PlannedSegment], there: set[str]
 ) -> None:
     progress = session.progress
     left = [planned for planned in plan if planned.key not in there]

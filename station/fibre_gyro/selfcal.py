@@ -60,12 +60,12 @@ from station.fibre_gyro.settings import FIBRE_GYRO, FogSettings
 from station.fibre_gyro.table import axis_table
 from station.fibre_gyro.table import plan as plan_table
 from station.fibre_gyro.table_result import PURPOSE as TABLE
-from station.fibre_gyro.table_result import AxisResult, TableFound, find_axes
+from station.fibre_gyro.table_result import AxisResult, TableEvaluation, find_axes
 from station.fibre_gyro.table_result import to_watch as to_watch_of_table
 from station.report.figure import ACCENT, HALF, SECOND, SOFT, legend_above, svg_element
 from station.results.result import (
     Contribution,
-    LeftOut,
+    Excluded,
     Measured,
     PlacedFigure,
     Result,
@@ -77,7 +77,7 @@ from station.results.result import (
     ppm,
     with_uncertainty,
 )
-from station.runs.acquisition import Session
+from station.runs.acquisition import Acquisition
 from station.runs.store import SavedRun, open_run
 from station.settings import saved_settings
 
@@ -161,7 +161,7 @@ def _together(table: AxisResult) -> TableTogether | None:
 
 
 def numbers_against_table_u(
-    run: SavedRun, table: TableFound | None, settings: FogSettings, rates_dps: Floats, weights: Floats
+    run: SavedRun, table: TableEvaluation | None, settings: FogSettings, rates_dps: Floats, weights: Floats
 ) -> float | None:
     """Relative standard uncertainty of the slope of the numbers over the K of the table run that both come from.
 
@@ -218,7 +218,7 @@ def numbers_of(run: SavedRun, settings: FogSettings) -> InjectionPlan:
     return numbers_for(settings, find_axes(run, settings).of(settings.selfcal.axis))
 
 
-def reference_of(run: SavedRun, settings: FogSettings, table: TableFound | None) -> TableReference | None:
+def reference_of(run: SavedRun, settings: FogSettings, table: TableEvaluation | None) -> TableReference | None:
     """Return the scale factor of the rate table that belongs to a run: saved with it, or of its own table run."""
     if (saved := run.facts.get(REFERENCE)) is not None:
         return TableReference(**saved)
@@ -254,7 +254,7 @@ class _Row:
 
 
 @dataclass(frozen=True)
-class SelfcalFound:
+class SelfcalEvaluation:
     """Result of a self-calibration."""
 
     keys: tuple[str, ...]  # segments in the fit, one for each element of the arrays
@@ -273,11 +273,11 @@ class SelfcalFound:
     # whether the noise within the segments is that of the model; else that of their words, which is larger
     noise_by_model: bool
     remarks: tuple[str, ...]  # what was missing or left out within the windows
-    left_out: tuple[LeftOut, ...]
-    table: TableFound | None  # of the rate-table segments in the same run
+    left_out: tuple[Excluded, ...]
+    table: TableEvaluation | None  # of the rate-table segments in the same run
 
 
-def evaluate(run: SavedRun, settings: FogSettings, choices: Mapping[str, Any]) -> SelfcalFound:
+def evaluate(run: SavedRun, settings: FogSettings, choices: Mapping[str, Any]) -> SelfcalEvaluation:
     """Evaluate a self-calibration, and the rate-table segments of the same run."""
     rows, left_out = _usable(run, settings)
     left_out += not_taken(run)
@@ -324,7 +324,7 @@ def evaluate(run: SavedRun, settings: FogSettings, choices: Mapping[str, Any]) -
     together_u = numbers_against_table_u(run, table, settings, rates, u**-2.0)
     if together_u is not None:
         against, numbers_u = (against[0], 0.0), together_u * abs(fit_slope(rates, given, u).slope)
-    return SelfcalFound(
+    return SelfcalEvaluation(
         keys=tuple(row.key for row in steps),
         rate_dps=rates,
         number=given,
@@ -403,19 +403,19 @@ def _mapping_u(steps: Sequence[_Row], rates: NDArray[np.float64], u: NDArray[np.
     return float(np.sum(weight * np.abs(rates) * number_u) / np.sum(weight * rates**2))
 
 
-def _usable(run: SavedRun, settings: FogSettings) -> tuple[list[_Row], list[LeftOut]]:
+def _usable(run: SavedRun, settings: FogSettings) -> tuple[list[_Row], list[Excluded]]:
     """Mean of every segment that can be used."""
     rows: list[_Row] = []
     left_out, segments = [], segments_of(run, PURPOSE)
     for segment, begin_s in zip(segments, begins_of(segments), strict=True):
         step = segment.conditions["number"] / settings.gyro.counts_per_code
         if steps_beyond_dac(step, settings.gyro.dac_bits):
-            left_out.append(LeftOut(segment.key, beyond_converter(step, settings.gyro.dac_bits)))
+            left_out.append(Excluded(segment.key, beyond_converter(step, settings.gyro.dac_bits)))
             continue
         try:
             mean = window_at_rest(segment, resolution=settings.gyro.output_resolution)
         except ValueError as error:
-            left_out.append(LeftOut(segment.key, str(error)))
+            left_out.append(Excluded(segment.key, str(error)))
             continue
         rows.append(_Row(segment.key, segment.conditions, mean, begin_s, tuple(remarks_on(segment, mean))))
     return rows, left_out
@@ -442,7 +442,7 @@ _NET = {
 }
 
 
-def result(found: SelfcalFound, run: SavedRun, settings: FogSettings) -> Result:
+def result(found: SelfcalEvaluation, run: SavedRun, settings: FogSettings) -> Result:
     """Put into numbers and sentences what was found."""
     fit, net, compared = found.fit, found.net, found.comparison
     against = "K of the table" if found.reference else "K by design"
@@ -473,12 +473,12 @@ def result(found: SelfcalFound, run: SavedRun, settings: FogSettings) -> Result:
     )
 
 
-def _intercept_u(found: SelfcalFound) -> float:
+def _intercept_u(found: SelfcalEvaluation) -> float:
     """Standard uncertainty of the intercept, counts, with that of the static output which was taken off."""
     return math.hypot(found.fit.intercept_u, found.net.static_u)
 
 
-def _document(found: SelfcalFound, settings: FogSettings) -> dict[str, Any]:
+def _document(found: SelfcalEvaluation, settings: FogSettings) -> dict[str, Any]:
     fit, net, compared, reference = found.fit, found.net, found.comparison, found.reference
     columns = {
         "name": found.keys,
@@ -513,12 +513,12 @@ def _document(found: SelfcalFound, settings: FogSettings) -> dict[str, Any]:
     }
 
 
-def _u_ppm(found: SelfcalFound) -> float:
+def _u_ppm(found: SelfcalEvaluation) -> float:
     """Standard uncertainty of K_self against the scale factor that it is compared with, ppm."""
     return found.comparison.difference_u_ppm
 
 
-def _budget(found: SelfcalFound) -> list[Contribution]:
+def _budget(found: SelfcalEvaluation) -> list[Contribution]:
     """Say what each input contributes to the uncertainty of K_self against the scale factor of the table."""
     parts, model = found.contributions, found.noise
     by_words = "by the scatter of the words"
@@ -548,13 +548,13 @@ def _numbers_note(parts: Mapping[str, float]) -> str:
     return "of the table run"
 
 
-def _sentences(found: SelfcalFound, settings: FogSettings) -> list[str]:
+def _sentences(found: SelfcalEvaluation, settings: FogSettings) -> list[str]:
     """Say what this self-calibration can see and what it cannot, with the predicted sizes."""
     by_path = _shared_path_sentences if settings.selfcal.path == "shared" else _second_path_sentences
     return by_path(found, gated=settings.gyro.gated_resets)
 
 
-def _shared_path_sentences(found: SelfcalFound, *, gated: bool) -> list[str]:
+def _shared_path_sentences(found: SelfcalEvaluation, *, gated: bool) -> list[str]:
     compared = found.comparison
     numbers = ppm(compared.against_numbers_ppm, compared.against_numbers_u_ppm)
     scale = predicted_table_scale(_EXAMPLE_CHANGE, gated=gated)
@@ -593,7 +593,7 @@ def _two_pi_sentence(*, gated: bool) -> str:
     )
 
 
-def _second_path_sentences(found: SelfcalFound, *, gated: bool) -> list[str]:
+def _second_path_sentences(found: SelfcalEvaluation, *, gated: bool) -> list[str]:
     difference, u = found.comparison.against_numbers_ppm, found.comparison.against_numbers_u_ppm
     own = PPM * (predicted_self_scale("separate", 0.0, _EXAMPLE_EPS, gated=gated) - 1)
     feedback = PPM * (predicted_self_scale("separate", _EXAMPLE_EPS, gated=gated) - 1)
@@ -622,7 +622,7 @@ def _second_path_sentences(found: SelfcalFound, *, gated: bool) -> list[str]:
     ]
 
 
-def _to_watch(found: SelfcalFound, settings: FogSettings) -> list[str]:
+def _to_watch(found: SelfcalEvaluation, settings: FogSettings) -> list[str]:
     net, fit = found.net, found.fit
     said = [f"{one.sentence}." for one in found.left_out]
     if found.static_missing:
@@ -652,7 +652,7 @@ def _to_watch(found: SelfcalFound, settings: FogSettings) -> list[str]:
 # The self-calibration in the report: steps and output, slope and intercept, its own rate-table run
 
 
-def sections(found: SelfcalFound, run: SavedRun, settings: FogSettings, result: Result) -> list[Section]:
+def sections(found: SelfcalEvaluation, run: SavedRun, settings: FogSettings, result: Result) -> list[Section]:
     """Return the sections of the report."""
     made = [
         Section("What this result shows, and what it cannot", sentences=result.sentences),
@@ -675,7 +675,7 @@ def sections(found: SelfcalFound, run: SavedRun, settings: FogSettings, result: 
     return made
 
 
-def _step_table(found: SelfcalFound) -> TextTable:
+def _step_table(found: SelfcalEvaluation) -> TextTable:
     rows = tuple(
         (f"{rate:+.10g} deg/s", f"{given:.6f}", with_uncertainty(float(out), float(u)), f"{out - given:+.3g}")
         for rate, given, out, u in zip(
@@ -685,7 +685,7 @@ def _step_table(found: SelfcalFound) -> TextTable:
     return TextTable(("stands for", "injected, counts", "net output, counts", "difference, counts"), rows)
 
 
-def _slope_table(found: SelfcalFound) -> TextTable:
+def _slope_table(found: SelfcalEvaluation) -> TextTable:
     fit, net, reference = found.fit, found.net, found.reference
     rows = [
         (f"slope K_self, {COUNTS_PER_DPS}", with_uncertainty(fit.slope, fit.slope_u)),
@@ -701,7 +701,7 @@ def _slope_table(found: SelfcalFound) -> TextTable:
     return TextTable(("", "value"), tuple(rows))
 
 
-def _steps_svg(found: SelfcalFound) -> str:
+def _steps_svg(found: SelfcalEvaluation) -> str:
     """Draw the net output against the injected steps, and the fitted line."""
 
     def draw(figure: Figure) -> None:
@@ -715,7 +715,7 @@ def _steps_svg(found: SelfcalFound) -> str:
     return svg_element("injected", HALF, draw)
 
 
-def _residuals_svg(found: SelfcalFound) -> str:
+def _residuals_svg(found: SelfcalEvaluation) -> str:
     """Draw net output less injected number, which is what the shared path tests, and the residuals of the fit."""
     rate, u = found.rate_dps, found.net.output_u
     scale = PPM / np.abs(found.number).max()
@@ -756,7 +756,7 @@ def plan(settings: FogSettings, numbers: InjectionPlan) -> tuple[list[PlannedSeg
     return [*planned, rest], left_out
 
 
-def take(settings: FogSettings, session: Session) -> None:
+def take(settings: FogSettings, session: Acquisition) -> None:
     """Take the segments on the bench; a simulated one without the numbers of a table run takes that run first."""
     if not settings.simulated and NUMBERS not in session.facts:
         numbers_for(settings, None)  # says what is missing before anything moves
@@ -773,7 +773,7 @@ def take(settings: FogSettings, session: Session) -> None:
     take_segments(settings, session, open_fog_bench(settings), [own_table, injections], truth_of(settings))
 
 
-def take_files(settings: FogSettings, paths: Sequence[Path], session: Session) -> None:
+def take_files(settings: FogSettings, paths: Sequence[Path], session: Acquisition) -> None:
     """Make a run of logs; each names the step and the rate that it stands for, 0 at rest."""
     mapping_u = numbers_u_of(session.facts, settings)
 

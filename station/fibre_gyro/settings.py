@@ -28,7 +28,7 @@ Rates = Annotated[list[Positive], Field(min_length=1)]
 Name = Annotated[str, Field(min_length=1, pattern=r"^\S+$")]
 
 
-class GyroSettings(SettingsSection):
+class FibreGyroSettings(SettingsSection):
     """The gyro by design."""
 
     name: str
@@ -61,7 +61,7 @@ class LogSettings(SettingsSection):
     output_rate_hz: NotNegative
 
 
-class TableSettings(SettingsSection):
+class FogTableSettings(SettingsSection):
     """The rate-table run."""
 
     kind: Literal["simulated", "manual", "controller"]
@@ -171,7 +171,7 @@ class WitnessSettings(SettingsSection):
     time_base_u: NotNegative
 
 
-class SimulationSettings(SettingsSection):
+class FogSimulationSettings(SettingsSection):
     """The truth of the simulated gyro and table."""
 
     model: Literal["auto", "output", "transit"]
@@ -201,7 +201,7 @@ class SimulationSettings(SettingsSection):
     scope_gain_error: Annotated[float, Field(ge=-0.1, le=0.1)]
 
 
-class LimitSettings(SettingsSection):
+class FogLimits(SettingsSection):
     """Limits; one that is absent is not tested."""
 
     nominal_difference_ppm: Limit = None
@@ -234,11 +234,11 @@ class LimitSettings(SettingsSection):
 class FogSettings(SettingsSection):
     """All settings of ``gyrolock fog``."""
 
-    gyro: GyroSettings
+    gyro: FibreGyroSettings
     site: SiteSettings
     link: LinkSettings
     logs: LogSettings
-    table: TableSettings
+    table: FogTableSettings
     selfcal: SelfcalSettings
     eps: EpsSettings
     figures: FiguresSettings
@@ -247,8 +247,8 @@ class FogSettings(SettingsSection):
     temperature: TemperatureSettings
     witness: WitnessSettings
     controllers: ControllersSettings | None = None
-    simulation: SimulationSettings
-    limits: LimitSettings
+    simulation: FogSimulationSettings
+    limits: FogLimits
     output: OutputSettings
 
     @property

@@ -25,7 +25,7 @@ from station.fibre_gyro.table_result import (
     LIMITED,
     PURPOSE,
     AxisResult,
-    TableFound,
+    TableEvaluation,
     evaluate,
     ladder_table,
     matrix_table,
@@ -34,7 +34,7 @@ from station.fibre_gyro.table_result import (
 )
 from station.report.figure import HALF, SOFT, WIDE, legend_above, svg_element
 from station.results.result import PlacedFigure, Result, Section, TextTable, budget_table, ppm, with_uncertainty
-from station.runs.acquisition import Session
+from station.runs.acquisition import Acquisition
 from station.runs.store import SavedRun
 
 if TYPE_CHECKING:
@@ -50,7 +50,7 @@ if TYPE_CHECKING:
 _MARKERS = "osD^vP"
 
 
-def sections(found: TableFound, run: SavedRun, settings: FogSettings, result: Result) -> list[Section]:
+def sections(found: TableEvaluation, run: SavedRun, settings: FogSettings, result: Result) -> list[Section]:
     """Return the sections of the report."""
     residuals = (
         "Output less fit; the bars are the standard uncertainty of each mean. Filled: positive sense; open: "
@@ -83,7 +83,7 @@ def sections(found: TableFound, run: SavedRun, settings: FogSettings, result: Re
     return [*made, staircase_section(settings), Section("Runs", table=_run_table(found))]
 
 
-def _ladder_section(found: TableFound) -> Section:
+def _ladder_section(found: TableEvaluation) -> Section:
     text = (
         "Scale-factor error as a polynomial of the rate over the largest: asymmetry between the senses, linear, "
         "quadratic and quartic term. A term is in it where it is more than three of its uncertainties. The "
@@ -93,7 +93,7 @@ def _ladder_section(found: TableFound) -> Section:
     return Section("Scale-factor error over the rates", text, figures=(figure,), table=ladder_table(found.axes))
 
 
-def axis_table(found: TableFound, settings: FogSettings) -> TextTable:
+def axis_table(found: TableEvaluation, settings: FogSettings) -> TextTable:
     """Return what was found of each axis."""
     header = (
         "axis",
@@ -148,7 +148,7 @@ def _difference_section(made: list[tuple[AxisResult, RateDifferences]]) -> Secti
     return Section("Numbers of small rates", text, figures=(figure,), table=TextTable(header, tuple(rows)))
 
 
-def _run_table(found: TableFound) -> TextTable:
+def _run_table(found: TableEvaluation) -> TextTable:
     rows = tuple(
         (
             key,
@@ -164,7 +164,7 @@ def _run_table(found: TableFound) -> TextTable:
     return TextTable(("run", "turns", "window, s", "sum, counts", "mean, counts", "residual, ppm"), rows)
 
 
-def _output_svg(found: TableFound) -> str:
+def _output_svg(found: TableEvaluation) -> str:
     """Draw the mean output of every run against the table's rate, with the fitted lines."""
 
     def draw(figure: Figure) -> None:
@@ -184,7 +184,7 @@ def _output_svg(found: TableFound) -> str:
     return svg_element("output", HALF, draw)
 
 
-def _residuals_svg(found: TableFound) -> str:
+def _residuals_svg(found: TableEvaluation) -> str:
     """Draw the residuals of every run in ppm of its output, senses side by side."""
 
     def draw(figure: Figure) -> None:
@@ -210,7 +210,7 @@ def _residuals_svg(found: TableFound) -> str:
     return svg_element("residuals", HALF, draw)
 
 
-def _ladder_svg(found: TableFound) -> str:
+def _ladder_svg(found: TableEvaluation) -> str:
     """Draw how far the output lies off the straight line at each rate, ppm of full scale, and the polynomial."""
 
     def draw(figure: Figure) -> None:
@@ -275,7 +275,7 @@ def plan(settings: FogSettings, axes: Sequence[str] | None = None) -> list[Plann
     return planned
 
 
-def take(settings: FogSettings, session: Session) -> None:
+def take(settings: FogSettings, session: Acquisition) -> None:
     """Take the segments on the bench."""
     for fault in _fixed_window_faults(settings):
         session.progress.note(f"will be left out: {fault}")

@@ -47,7 +47,7 @@ from station.fibre_gyro.segments import (
 from station.fibre_gyro.settings import FogSettings
 from station.results.result import (
     Contribution,
-    LeftOut,
+    Excluded,
     Measured,
     Result,
     TextTable,
@@ -87,11 +87,11 @@ class AxisResult:
 
 
 @dataclass(frozen=True)
-class TableFound:
+class TableEvaluation:
     """Results of all axes, and what was left out."""
 
     axes: tuple[AxisResult, ...]  # those that give a result
-    left_out: tuple[LeftOut, ...]
+    left_out: tuple[Excluded, ...]
     # of all gyros, where the segments hold the output of more than the one along the table's axis
     matrix: ThreeAxes | None = None
 
@@ -100,7 +100,7 @@ class TableFound:
         return next((result for result in self.axes if result.axis == axis), None)
 
 
-def evaluate(run: SavedRun, settings: FogSettings, choices: Mapping[str, Any]) -> TableFound:
+def evaluate(run: SavedRun, settings: FogSettings, choices: Mapping[str, Any]) -> TableEvaluation:
     """Evaluate a rate-table run."""
     found = find_axes(run, settings, choices)
     if not found.axes:
@@ -108,16 +108,16 @@ def evaluate(run: SavedRun, settings: FogSettings, choices: Mapping[str, Any]) -
     return found
 
 
-def find_axes(run: SavedRun, settings: FogSettings, choices: Mapping[str, Any] | None = None) -> TableFound:
+def find_axes(run: SavedRun, settings: FogSettings, choices: Mapping[str, Any] | None = None) -> TableEvaluation:
     """Evaluate the rate-table segments of a run, whatever else it holds; perhaps no axis gives a result."""
     segments = segments_of(run, PURPOSE)
     windows: dict[str, tuple[Segment, WindowMean]] = {}
-    left_out: list[LeftOut] = []
+    left_out: list[Excluded] = []
     for segment in segments:
         try:
             windows[segment.key] = segment, _window(segment, settings)
         except ValueError as error:
-            left_out.append(LeftOut(segment.key, str(error)))
+            left_out.append(Excluded(segment.key, str(error)))
     axes = dict.fromkeys(segment.conditions["axis"] for segment in segments)
     results = []
     for axis in axes:
@@ -129,14 +129,14 @@ def find_axes(run: SavedRun, settings: FogSettings, choices: Mapping[str, Any] |
     used = {key: windows[key][0] for result in results for key in result.keys}
     models = {axis: noise_of(run, choices or {}, axis) for axis in _OUTPUTS.values()}
     matrix = _matrix(used, settings, models, left_out)
-    return TableFound(tuple(results), tuple(left_out), matrix)
+    return TableEvaluation(tuple(results), tuple(left_out), matrix)
 
 
 def _matrix(
     used: Mapping[str, Segment],
     settings: FogSettings,
     models: Mapping[str, NoiseModel | None],
-    left_out: list[LeftOut],
+    left_out: list[Excluded],
 ) -> ThreeAxes | None:
     """Fit the outputs of all gyros in the segments that are used, if they hold more than one."""
     columns = sorted({name for one in used.values() for name in one.recording.extra if name in _OUTPUTS})
@@ -168,7 +168,7 @@ def _matrix(
             slow=[one.slow for one in noise],
         )
     except (ValueError, KeyError) as error:
-        left_out.append(LeftOut("matrix of the axes", str(error)))
+        left_out.append(Excluded("matrix of the axes", str(error)))
         return None
 
 
@@ -179,7 +179,7 @@ def _sensitivity(means: Sequence[Sequence[float]], segments: Sequence[Segment], 
 
 
 @dataclass(frozen=True)
-class _Noise:
+class _AxisNoise:
     """Noise of the means of one gyro: within the runs, counts, and slow, counts^2."""
 
     u: Floats
@@ -187,13 +187,15 @@ class _Noise:
     by_model: bool
 
 
-def _noise(windows: Sequence[WindowMean], model: NoiseModel | None, scale_factor: float, begins: Floats) -> _Noise:
+def _noise(
+    windows: Sequence[WindowMean], model: NoiseModel | None, scale_factor: float, begins: Floats
+) -> _AxisNoise:
     """Noise by the model where there is one and the words do not scatter more than it says, else by the words."""
     if model is None:
-        return _Noise(noise_of_means(windows)[0], None, by_model=False)
+        return _AxisNoise(noise_of_means(windows)[0], None, by_model=False)
     duration = np.array([one.duration_s for one in windows])
     u, by_model = noise_of_means(windows, scale_factor * np.sqrt(model.fast_variance(duration)))
-    return _Noise(u, scale_factor**2 * model.slow_covariance(begins, begins + duration), by_model)
+    return _AxisNoise(u, scale_factor**2 * model.slow_covariance(begins, begins + duration), by_model)
 
 
 def _window(segment: Segment, settings: FogSettings, column: str = "") -> WindowMean:
@@ -205,7 +207,7 @@ def _window(segment: Segment, settings: FogSettings, column: str = "") -> Window
     )
 
 
-def _runs_of(windows: Mapping[str, tuple[Segment, WindowMean]], noise: _Noise, begins: Floats) -> TableRuns:
+def _runs_of(windows: Mapping[str, tuple[Segment, WindowMean]], noise: _AxisNoise, begins: Floats) -> TableRuns:
     conditions = [segment.conditions for segment, _ in windows.values()]
     means = [mean for _, mean in windows.values()]
     duration = np.array([mean.duration_s for mean in means])
@@ -226,7 +228,7 @@ def _no_time(conditions: Sequence[Mapping[str, Any]]) -> float:
     return math.nan if any("model" in one for one in conditions) else 0.0
 
 
-def _leave_out_single_senses(windows: dict[str, tuple[Segment, WindowMean]], left_out: list[LeftOut]) -> None:
+def _leave_out_single_senses(windows: dict[str, tuple[Segment, WindowMean]], left_out: list[Excluded]) -> None:
     """Take out, by name, every rate whose opposite is missing or was left out."""
     for end_up in (1, -1):
         of_end = {key: pair for key, pair in windows.items() if pair[0].conditions.get("end_up", 1) == end_up}
@@ -236,7 +238,7 @@ def _leave_out_single_senses(windows: dict[str, tuple[Segment, WindowMean]], lef
             if rate in alone:
                 opposite = -rate
                 left_out.append(
-                    LeftOut(key, f"the opposite sense ({opposite:+.10g} deg/s) is missing: take it too")
+                    Excluded(key, f"the opposite sense ({opposite:+.10g} deg/s) is missing: take it too")
                 )
                 del windows[key]
 
@@ -329,7 +331,7 @@ _WINDOW = {
 }
 
 
-def result(found: TableFound, run: SavedRun, settings: FogSettings) -> Result:
+def result(found: TableEvaluation, run: SavedRun, settings: FogSettings) -> Result:
     """Put into numbers and sentences what was found."""
     axes = [_axis(one, settings) for one in found.axes]
     fits = [(one.axis, one.fit) for one in found.axes]
@@ -363,7 +365,7 @@ def result(found: TableFound, run: SavedRun, settings: FogSettings) -> Result:
     )
 
 
-def _tables(found: TableFound) -> Iterator[TextTable]:
+def _tables(found: TableEvaluation) -> Iterator[TextTable]:
     yield _axes_on_terminal(found)
     if any(one.linearity is not None for one in found.axes):
         yield ladder_table(found.axes)
@@ -539,7 +541,7 @@ def _even_part_sentence(settings: FogSettings) -> str:
     )
 
 
-def to_watch(found: TableFound, settings: FogSettings) -> list[str]:
+def to_watch(found: TableEvaluation, settings: FogSettings) -> list[str]:
     """Say what spoils a rate-table run or may spoil it, also one within a self-calibration."""
     said = [f"{one.sentence}." for one in found.left_out]
     for one in found.axes:
@@ -578,7 +580,7 @@ def _to_watch_of(one: AxisResult, settings: FogSettings) -> list[str]:
     return said
 
 
-def _axes_on_terminal(found: TableFound) -> TextTable:
+def _axes_on_terminal(found: TableEvaluation) -> TextTable:
     rows = tuple(
         (
             one.axis,

@@ -45,7 +45,7 @@ from station.fibre_gyro.segments import (
 )
 from station.fibre_gyro.settings import FogSettings
 from station.report.figure import ACCENT, HALF, INK, SECOND, SOFT, WIDE, legend_above, svg_element
-from station.results.result import LeftOut, Measured, PlacedFigure, Result, Section, TextTable, with_uncertainty
+from station.results.result import Excluded, Measured, PlacedFigure, Result, Section, TextTable, with_uncertainty
 from station.runs.store import SavedRun
 
 if TYPE_CHECKING:
@@ -64,7 +64,7 @@ _TOO_FEW = "there are not four outputs {} at different temperatures"
 
 
 @dataclass(frozen=True)
-class Points:
+class TemperaturePoints:
     """Values that a model was fitted to; `at_s` since the begin of the run, `rate` kelvin a minute; (n,)."""
 
     value: Floats
@@ -78,7 +78,7 @@ class Points:
 class Modelled:
     """A quantity over the temperature: points and model."""
 
-    points: Points
+    points: TemperaturePoints
     model: OverTemperature
 
     @property
@@ -104,16 +104,16 @@ class AxisTemperature:
 
 
 @dataclass(frozen=True)
-class TemperatureFound:
+class TemperatureEvaluation:
     """Each axis over the temperature."""
 
     axes: tuple[AxisTemperature, ...]
-    left_out: tuple[LeftOut, ...]
+    left_out: tuple[Excluded, ...]
 
 
-def evaluate(run: SavedRun, settings: FogSettings, choices: Mapping[str, Any]) -> TemperatureFound:
+def evaluate(run: SavedRun, settings: FogSettings, choices: Mapping[str, Any]) -> TemperatureEvaluation:
     """Evaluate the segments of a run."""
-    left_out: list[LeftOut] = []
+    left_out: list[Excluded] = []
     segments = timed_segments(run, PURPOSE, left_out)
     found = []
     for axis in dict.fromkeys(_axis(one.segment, settings) for one in segments):
@@ -121,11 +121,11 @@ def evaluate(run: SavedRun, settings: FogSettings, choices: Mapping[str, Any]) -
         try:
             found.append(_one_axis(axis, of_axis, settings, left_out))
         except ValueError as error:
-            left_out.append(LeftOut(f"axis {axis}", str(error)))
+            left_out.append(Excluded(f"axis {axis}", str(error)))
     axes = tuple(one for one in found if one.bias or one.scale)
     if not axes:
         raise NoUsableSignal(f"nothing changes with the temperature that could be fitted{reasons_of(left_out)}")
-    return TemperatureFound(axes, tuple(left_out))
+    return TemperatureEvaluation(axes, tuple(left_out))
 
 
 def _axis(segment: Segment, settings: FogSettings) -> str:
@@ -133,7 +133,7 @@ def _axis(segment: Segment, settings: FogSettings) -> str:
 
 
 def _one_axis(
-    axis: str, segments: Sequence[TimedSegment], settings: FogSettings, left_out: list[LeftOut]
+    axis: str, segments: Sequence[TimedSegment], settings: FogSettings, left_out: list[Excluded]
 ) -> AxisTemperature:
     chosen = settings.temperature
     course = course_of(segments, chosen.window_s)
@@ -148,9 +148,9 @@ def _one_axis(
         bias = _model(_bias_points(blocks, course, scale, settings), settings)
         scale = _model(_scale_points(turned, course, bias, settings), settings, with_rate=False)
     if bias is None:
-        left_out.append(LeftOut(f"bias of axis {axis}", _TOO_FEW.format("at rest")))
+        left_out.append(Excluded(f"bias of axis {axis}", _TOO_FEW.format("at rest")))
     if scale is None:
-        left_out.append(LeftOut(f"scale factor of axis {axis}", _TOO_FEW.format("at a rate of the table")))
+        left_out.append(Excluded(f"scale factor of axis {axis}", _TOO_FEW.format("at a rate of the table")))
     horizontal = 3600 * horizontal_earth_rate_dps(settings.site.latitude_deg)
     # towards the north or the south or between: nobody says
     unseen = 1e-3 * chosen.misalignment_mrad * horizontal / np.sqrt(2.0)
@@ -158,7 +158,7 @@ def _one_axis(
     return AxisTemperature(axis, bias, float(unseen), scale, clock_u, _rate_noise(bias, course), tuple(remarks))
 
 
-def _model(points: Points, settings: FogSettings, *, with_rate: bool = True) -> Modelled | None:
+def _model(points: TemperaturePoints, settings: FogSettings, *, with_rate: bool = True) -> Modelled | None:
     try:
         model = fit_over_temperature(
             points.value,
@@ -174,17 +174,23 @@ def _model(points: Points, settings: FogSettings, *, with_rate: bool = True) -> 
     return Modelled(points, model)
 
 
-def _bias_points(blocks: Blocks, course: Course, scale: Modelled | None, settings: FogSettings) -> Points:
+def _bias_points(
+    blocks: Blocks, course: TemperatureCourse, scale: Modelled | None, settings: FogSettings
+) -> TemperaturePoints:
     """Bias of every block, deg/h: the output over the scale factor at its temperature, less the earth rate."""
     warm, rate = course.at(blocks.at_s)
     k = settings.nominal_scale_factor * np.ones(warm.size)
     if scale is not None:
         k = k * (1 + scale.model.at(np.clip(warm, scale.model.lowest, scale.model.highest))[0] / PPM)
     earth = blocks.end_up * vertical_earth_rate_dph(settings.site.latitude_deg)
-    return Points(3600 * blocks.mean / k - earth, 3600 * blocks.mean_u / np.abs(k), blocks.at_s, warm, rate)
+    return TemperaturePoints(
+        3600 * blocks.mean / k - earth, 3600 * blocks.mean_u / np.abs(k), blocks.at_s, warm, rate
+    )
 
 
-def _scale_points(turned: Turned, course: Course, bias: Modelled | None, settings: FogSettings) -> Points:
+def _scale_points(
+    turned: Turned, course: TemperatureCourse, bias: Modelled | None, settings: FogSettings
+) -> TemperaturePoints:
     """Scale factor of every output at a rate, ppm off that by design."""
     warm, change = course.at(turned.at_s)
     known, known_u = np.zeros(warm.size), np.zeros(warm.size)
@@ -199,10 +205,10 @@ def _scale_points(turned: Turned, course: Course, bias: Modelled | None, setting
     off = PPM * (turned.mean / nominal - known / 3600 - rate) / rate
     off_u = PPM * turned.mean_u / nominal / np.abs(rate)
     bias_u = PPM * known_u / 3600 / np.abs(rate)
-    return _in_pairs(Points(off, off_u, turned.at_s, warm, change), rate, bias_u)
+    return _in_pairs(TemperaturePoints(off, off_u, turned.at_s, warm, change), rate, bias_u)
 
 
-def _in_pairs(points: Points, rate_dps: Floats, bias_u: Floats) -> Points:
+def _in_pairs(points: TemperaturePoints, rate_dps: Floats, bias_u: Floats) -> TemperaturePoints:
     """Mean of neighbours in opposite senses, free of the bias; with one alone the bias counts in u."""
     columns = np.column_stack([points.value, points.value_u, points.at_s, points.temperature, points.rate])
     rows, place = [], 0
@@ -216,10 +222,10 @@ def _in_pairs(points: Points, rate_dps: Floats, bias_u: Floats) -> Points:
         else:
             rows.append(np.array([first[0], np.hypot(first[1], bias_u[place]), *first[2:]]))
             place += 1
-    return Points(*np.array(rows, dtype=np.float64).reshape(-1, 5).T)
+    return TemperaturePoints(*np.array(rows, dtype=np.float64).reshape(-1, 5).T)
 
 
-def _rate_noise(bias: Modelled | None, course: Course) -> float:
+def _rate_noise(bias: Modelled | None, course: TemperatureCourse) -> float:
     """Part of the variance of dT/dt that is noise: so much the coefficient of dT/dt comes out too small."""
     if bias is None or not np.ptp(bias.points.rate) > 0:
         return 0.0
@@ -245,7 +251,7 @@ class TimedSegment:
     begin_s: float
 
 
-def timed_segments(run: SavedRun, purpose: str, left_out: list[LeftOut]) -> list[TimedSegment]:
+def timed_segments(run: SavedRun, purpose: str, left_out: list[Excluded]) -> list[TimedSegment]:
     """Return the segments that can be used, in the order of time; the others are added to `left_out`.
 
     The time is that of the clock where they were taken, of the simulation, or of the list of logs. Where nobody
@@ -269,14 +275,14 @@ def timed_segments(run: SavedRun, purpose: str, left_out: list[LeftOut]) -> list
         try:
             checked(segment)
         except ValueError as error:
-            left_out.append(LeftOut(segment.key, str(error)))
+            left_out.append(Excluded(segment.key, str(error)))
         else:
             usable.append(TimedSegment(segment, follows if overlap else begin - ordered[0][1]))
     return usable
 
 
 @dataclass(frozen=True)
-class Course:
+class TemperatureCourse:
     """Temperature of the run in time, as the thermometer gave it."""
 
     times: Floats
@@ -293,7 +299,7 @@ class Course:
         return temperature_course(self.times, self.temperature, at_s, window_s=self.window_s)[2]
 
 
-def course_of(segments: Sequence[TimedSegment], window_s: float) -> Course:
+def course_of(segments: Sequence[TimedSegment], window_s: float) -> TemperatureCourse:
     """Return the course of the temperature: of the gyro's thermometer, else of the chamber's or the list's."""
     times, warm = [], []
     for one in segments:
@@ -314,7 +320,7 @@ def course_of(segments: Sequence[TimedSegment], window_s: float) -> Course:
     step = max(1, when.size // _MOST_SAMPLES)
     whole = when.size // step * step
     # neighbours are taken together: their mean keeps what they know
-    return Course(
+    return TemperatureCourse(
         when[:whole].reshape(-1, step).mean(axis=1), values[:whole].reshape(-1, step).mean(axis=1), window_s
     )
 
@@ -375,7 +381,7 @@ class Turned:
 
 
 def turned_means(
-    segments: Sequence[TimedSegment], settings: FogSettings, left_out: list[LeftOut], remarks: list[str]
+    segments: Sequence[TimedSegment], settings: FogSettings, left_out: list[Excluded], remarks: list[str]
 ) -> Turned:
     """Return the means over whole turns; adds to `left_out` what cannot be used, to `remarks` what was missing."""
     earth = vertical_earth_rate_dph(settings.site.latitude_deg) / 3600
@@ -386,7 +392,7 @@ def turned_means(
             check_table_rate(conditions, settings.table.rate_tolerance_ppm)
             mean = window_of_any_length(one.segment, settings, turns=_MANY_TURNS, tilt_mrad=tilt)
         except ValueError as error:
-            left_out.append(LeftOut(one.segment.key, str(error)))
+            left_out.append(Excluded(one.segment.key, str(error)))
             continue
         remarks += remarks_on(one.segment, mean)
         means.append(mean)
@@ -448,7 +454,7 @@ LIMITED = ("scale_factor_over_temperature_ppm", "bias_over_temperature_dph", "bi
 _NOISY_RATE = 0.01
 
 
-def result(found: TemperatureFound, run: SavedRun, settings: FogSettings) -> Result:
+def result(found: TemperatureEvaluation, run: SavedRun, settings: FogSettings) -> Result:
     """Put into numbers and sentences what was found."""
     axes = [_axis_document(one, settings) for one in found.axes]
     alone = len(axes) == 1
@@ -601,7 +607,7 @@ def _choice_in_words(name: str, modelled: Modelled) -> str:
     )
 
 
-def _to_watch(found: TemperatureFound, settings: FogSettings) -> list[str]:
+def _to_watch(found: TemperatureEvaluation, settings: FogSettings) -> list[str]:
     said = [f"{one.sentence}." for one in found.left_out]
     for one in found.axes:
         if one.bias is not None and not one.bias.model.rate_known:
@@ -627,7 +633,7 @@ def _to_watch(found: TemperatureFound, settings: FogSettings) -> list[str]:
 # Scale factor and bias over the temperature in the report: points, model, what it leaves, compensation table
 
 
-def sections(found: TemperatureFound, run: SavedRun, settings: FogSettings, result: Result) -> list[Section]:
+def sections(found: TemperatureEvaluation, run: SavedRun, settings: FogSettings, result: Result) -> list[Section]:
     """Return the sections of the report."""
     made = [Section("Which models, and why", sentences=result.sentences)]
     for one in found.axes:

@@ -40,8 +40,8 @@ from station.fibre_gyro.segments import (
 )
 from station.fibre_gyro.settings import FogSettings
 from station.report.figure import ACCENT, HALF, LINE, SECOND, SOFT, WIDE, legend_above, svg_element
-from station.results.result import LeftOut, Measured, PlacedFigure, Result, Section, TextTable, with_uncertainty
-from station.runs.acquisition import Session
+from station.results.result import Excluded, Measured, PlacedFigure, Result, Section, TextTable, with_uncertainty
+from station.runs.acquisition import Acquisition
 from station.runs.store import SavedRun
 
 if TYPE_CHECKING:
@@ -60,7 +60,7 @@ _LINEAR = (0.8, 1.2)
 
 
 @dataclass(frozen=True)
-class Series:
+class ThresholdSeries:
     """A ladder of inputs about one reference input."""
 
     keys: tuple[str, ...]  # one for each response
@@ -74,19 +74,19 @@ class AxisThreshold:
     """Small rates of one axis."""
 
     axis: str
-    ladder: Series  # inputs about zero
-    resolution: Series | None  # changes about another input
+    ladder: ThresholdSeries  # inputs about zero
+    resolution: ThresholdSeries | None  # changes about another input
     scale_factor: float  # that responses are compared with, counts per deg/s
     by_design: bool  # whether that is the one by design: the largest inputs give none that could be right
     remarks: tuple[str, ...]
 
 
 @dataclass(frozen=True)
-class ThresholdFound:
+class ThresholdEvaluation:
     """Small rates of each axis."""
 
     axes: tuple[AxisThreshold, ...]
-    left_out: tuple[LeftOut, ...]
+    left_out: tuple[Excluded, ...]
 
 
 @dataclass(frozen=True)
@@ -104,7 +104,7 @@ class Point:
         return bool(self.segment.conditions.get("reference"))
 
 
-def evaluate(run: SavedRun, settings: FogSettings, choices: Mapping[str, Any]) -> ThresholdFound:
+def evaluate(run: SavedRun, settings: FogSettings, choices: Mapping[str, Any]) -> ThresholdEvaluation:
     """Evaluate the segments of a run."""
     left_out = not_taken(run)
     points = points_of(run, settings, left_out)
@@ -114,10 +114,10 @@ def evaluate(run: SavedRun, settings: FogSettings, choices: Mapping[str, Any]) -
         try:
             found.append(_one_axis(axis, of_axis, settings, left_out))
         except ValueError as error:
-            left_out.append(LeftOut(f"axis {axis}", str(error)))
+            left_out.append(Excluded(f"axis {axis}", str(error)))
     if not found:
         raise NoUsableSignal(f"there are no outputs at small rates to find a threshold from{reasons_of(left_out)}")
-    return ThresholdFound(tuple(found), tuple(left_out))
+    return ThresholdEvaluation(tuple(found), tuple(left_out))
 
 
 def axis_of(point: Point, settings: FogSettings) -> str:
@@ -132,7 +132,7 @@ def earth_rate_along_axis(settings: FogSettings) -> float:
     return vertical_earth_rate_dph(settings.site.latitude_deg) / 3600
 
 
-def points_of(run: SavedRun, settings: FogSettings, left_out: list[LeftOut]) -> list[Point]:
+def points_of(run: SavedRun, settings: FogSettings, left_out: list[Excluded]) -> list[Point]:
     """Return the mean of every segment; those that cannot be used are added to `left_out`."""
     found, clock, earth = [], 0.0, earth_rate_along_axis(settings)
     for segment in segments_of(run, PURPOSE):
@@ -144,13 +144,15 @@ def points_of(run: SavedRun, settings: FogSettings, left_out: list[LeftOut]) -> 
         try:
             mean = window_at_rest(segment, resolution=settings.gyro.output_resolution)
         except ValueError as error:
-            left_out.append(LeftOut(segment.key, str(error)))
+            left_out.append(Excluded(segment.key, str(error)))
             continue
         found.append(Point(segment, mean, clock - length / 2, total))
     return found
 
 
-def _one_axis(axis: str, points: Sequence[Point], settings: FogSettings, left_out: list[LeftOut]) -> AxisThreshold:
+def _one_axis(
+    axis: str, points: Sequence[Point], settings: FogSettings, left_out: list[Excluded]
+) -> AxisThreshold:
     of_series = {
         name: [one for one in points if one.segment.conditions.get("series", LADDER) == name]
         for name in (LADDER, RESOLUTION)
@@ -163,7 +165,7 @@ def _one_axis(axis: str, points: Sequence[Point], settings: FogSettings, left_ou
         try:
             resolution = series_of(changes, scale, settings, left_out, about_reference=True)
         except ValueError as error:
-            left_out.append(LeftOut(f"resolution of axis {axis}", str(error)))
+            left_out.append(Excluded(f"resolution of axis {axis}", str(error)))
     remarks = [said for one in points for said in remarks_on(one.segment, one.mean)]
     return AxisThreshold(axis, ladder, resolution, scale, by_design, tuple(remarks))
 
@@ -183,10 +185,10 @@ def series_of(
     points: Sequence[Point],
     scale_factor: float,
     settings: FogSettings,
-    left_out: list[LeftOut],
+    left_out: list[Excluded],
     *,
     about_reference: bool = False,
-) -> Series:
+) -> ThresholdSeries:
     """Return the responses of one ladder, and what they say."""
     references = [one for one in points if one.is_reference]
     if not references:
@@ -195,7 +197,7 @@ def series_of(
     for one in references:
         if abs(one.input_dps - base) > _SAME_INPUT + 1e-3 * abs(base):
             reason = f"its input is {one.input_dps:.6g} deg/s, that of the other references {base:.6g}"
-            left_out.append(LeftOut(one.segment.key, reason))
+            left_out.append(Excluded(one.segment.key, reason))
     references = [one for one in references if abs(one.input_dps - base) <= _SAME_INPUT + 1e-3 * abs(base)]
     zero = base if about_reference else 0.0
     inputs = [one for one in points if not one.is_reference and abs(one.input_dps - zero) > _SAME_INPUT]
@@ -219,7 +221,7 @@ def series_of(
         * settings.threshold.misalignment_mrad
         * horizontal_earth_rate_dps(settings.site.latitude_deg),
     )
-    return Series(tuple(one.segment.key for one in inputs), base, found, small_rates(found))
+    return ThresholdSeries(tuple(one.segment.key for one in inputs), base, found, small_rates(found))
 
 
 # --------------------
@@ -230,7 +232,7 @@ LIMITED = ("threshold_dps", "resolution_dps", "dead_zone_dps")
 _SENSES = {1: "positive", -1: "negative"}
 
 
-def result(found: ThresholdFound, run: SavedRun, settings: FogSettings) -> Result:
+def result(found: ThresholdEvaluation, run: SavedRun, settings: FogSettings) -> Result:
     """Put into numbers and sentences what was found."""
     axes = [_axis(one) for one in found.axes]
     alone = len(axes) == 1
@@ -294,7 +296,7 @@ def _axis(one: AxisThreshold) -> dict[str, Any]:
     }
 
 
-def _points(series: Series) -> list[dict[str, Any]]:
+def _points(series: ThresholdSeries) -> list[dict[str, Any]]:
     found = series.found
     names = ("name", "input_dps", "ratio", "ratio_u")
     rows = zip(series.keys, found.input_dps, found.ratio, found.ratio_u, strict=True)
@@ -310,7 +312,7 @@ def _lines(one: AxisThreshold, *, several: bool) -> tuple[str, ...]:
     return tuple(lines)
 
 
-def _sentences(found: ThresholdFound, settings: FogSettings) -> tuple[str, ...]:
+def _sentences(found: ThresholdEvaluation, settings: FogSettings) -> tuple[str, ...]:
     said = [
         "r is the change of the output over the one that K times the change of the input would give. Threshold "
         "and resolution are the smallest inputs, of the worse sense, with r of one half or more; within the dead "
@@ -327,7 +329,7 @@ def _sentences(found: ThresholdFound, settings: FogSettings) -> tuple[str, ...]:
     return tuple(said)
 
 
-def _to_watch(found: ThresholdFound, settings: FogSettings) -> list[str]:
+def _to_watch(found: ThresholdEvaluation, settings: FogSettings) -> list[str]:
     said = [f"{one.sentence}." for one in found.left_out]
     for one in found.axes:
         said += _to_watch_of(one, settings)
@@ -362,7 +364,7 @@ def _to_watch_of(one: AxisThreshold, settings: FogSettings) -> list[str]:
 # Threshold, resolution and dead zone in the report: output over expected output against the input
 
 
-def sections(found: ThresholdFound, run: SavedRun, settings: FogSettings, result: Result) -> list[Section]:
+def sections(found: ThresholdEvaluation, run: SavedRun, settings: FogSettings, result: Result) -> list[Section]:
     """Return the sections of the report."""
     made = [Section("What was found", sentences=result.sentences, table=_table(found))]
     for one in found.axes:
@@ -381,7 +383,7 @@ def sections(found: ThresholdFound, run: SavedRun, settings: FogSettings, result
     return made
 
 
-def _table(found: ThresholdFound) -> TextTable:
+def _table(found: ThresholdEvaluation) -> TextTable:
     rows = []
     for one in found.axes:
         says = one.ladder.says
@@ -395,7 +397,7 @@ def _table(found: ThresholdFound) -> TextTable:
     return TextTable(("axis", "of", "found"), tuple(rows))
 
 
-def _rungs_figure(series: Series) -> TextTable:
+def _rungs_figure(series: ThresholdSeries) -> TextTable:
     found = series.found
     order = np.argsort(found.input_dps)
     rows = tuple(
@@ -405,7 +407,7 @@ def _rungs_figure(series: Series) -> TextTable:
     return TextTable(("input, deg/s", "r"), rows)
 
 
-def _ratios_svg(one: AxisThreshold, series: Series, name: str) -> str:
+def _ratios_svg(one: AxisThreshold, series: ThresholdSeries, name: str) -> str:
     """Draw r of both senses against the size of the input."""
 
     def draw(figure: Figure) -> None:
@@ -502,7 +504,7 @@ def angle_random_walk_of(run: SavedRun, settings: FogSettings) -> float:
     return 0.0
 
 
-def take(settings: FogSettings, session: Session) -> None:
+def take(settings: FogSettings, session: Acquisition) -> None:
     """Take the segments on the bench: noise, ladder, and further inputs about the edge that it shows."""
 
     def ladder(run: SavedRun) -> list[PlannedSegment]:

@@ -30,13 +30,13 @@ from station.fibre_gyro.common import PPM, beyond_converter, gyro_table
 from station.fibre_gyro.segments import PlannedSegment
 from station.fibre_gyro.settings import FIBRE_GYRO, FogSettings
 from station.fibre_gyro.sniff import read_frame_format
-from station.live.preview import See, Seen, Trace, Value, trace_of, waveform_of
+from station.live.preview import Preview, PreviewTrace, PreviewValue, See, trace_of, waveform_of
 from station.measurements import Measurement
 from station.operator import ask_operator
 from station.report.figure import ACCENT, INK, SECOND, SOFT, WIDE, legend_above, svg_element
 from station.results.result import (
+    Excluded,
     FactTable,
-    LeftOut,
     Measured,
     PlacedFigure,
     Result,
@@ -46,7 +46,7 @@ from station.results.result import (
     ppm,
     with_uncertainty,
 )
-from station.runs.acquisition import Session
+from station.runs.acquisition import Acquisition
 from station.runs.store import NewRecord, SavedRecord, SavedRun
 from station.scope.autoset import KnobPositions, fit_channel, oscilloscope_steps
 from station.scope.tools import open_scope, serve
@@ -79,7 +79,7 @@ def is_simulated(settings: FogSettings) -> bool:
     return not settings.witness.resource
 
 
-def take(settings: FogSettings, session: Session) -> None:
+def take(settings: FogSettings, session: Acquisition) -> None:
     """Take the records; of a run that was cut short those that are missing, with the scope set as it was."""
     _check(settings)
     witness, before = settings.witness, session.facts.get(_SETTING)
@@ -100,7 +100,7 @@ def take(settings: FogSettings, session: Session) -> None:
         session.progress.advance()
 
 
-def take_files(settings: FogSettings, paths: Sequence[Path], session: Session) -> None:
+def take_files(settings: FogSettings, paths: Sequence[Path], session: Acquisition) -> None:
     """Make a run of files that the oscilloscope or its PC software wrote."""
     waveforms = [read_waveform(path) for path in paths]
     for path, waveform in zip(paths, waveforms, strict=True):
@@ -145,7 +145,7 @@ def _truth(settings: FogSettings) -> dict[str, dict[str, float]]:
     return {"truth": truth}
 
 
-def _scope(settings: FogSettings, session: Session) -> AbstractContextManager[TDS2014]:
+def _scope(settings: FogSettings, session: Acquisition) -> AbstractContextManager[TDS2014]:
     witness = settings.witness
     if not is_simulated(settings):
         return open_scope(
@@ -286,7 +286,7 @@ class WitnessedRecord:
 
 
 @dataclass(frozen=True, eq=False)
-class WitnessFound:
+class WitnessEvaluation:
     """Means over the records; gain and time base are in every `u` but those of `record_u`."""
 
     records: tuple[WitnessedRecord, ...]
@@ -302,10 +302,10 @@ class WitnessFound:
     half_wave_v: float  # 0 if it is not known
     two_pi_error: Uncertain  # v_2pi/(2 V_pi) - 1
     flags: tuple[str, ...]  # of `analysis.fibre_gyro.staircase`, of any record
-    left_out: tuple[LeftOut, ...]
+    left_out: tuple[Excluded, ...]
 
 
-def evaluate(run: SavedRun, settings: FogSettings, choices: Mapping[str, Any]) -> WitnessFound:
+def evaluate(run: SavedRun, settings: FogSettings, choices: Mapping[str, Any]) -> WitnessEvaluation:
     """Evaluate the records of a run."""
     records, left_out = [], []
     for saved in run.taken_for(PURPOSE):
@@ -313,7 +313,7 @@ def evaluate(run: SavedRun, settings: FogSettings, choices: Mapping[str, Any]) -
         try:
             records.append(_witnessed(name, saved, settings))
         except (ValueError, TransferError) as error:
-            left_out.append(LeftOut(name, str(error)))
+            left_out.append(Excluded(name, str(error)))
     if not records:
         reasons = "; ".join(dict.fromkeys(one.reason for one in left_out)) or "there are no records"
         raise NoUsableSignal(f"no record shows the staircase of a modulator: {reasons}")
@@ -348,8 +348,8 @@ def witnessed(waveform: Waveform, transit_time: float) -> tuple[StaircaseWitness
 
 
 def _found(
-    records: tuple[WitnessedRecord, ...], left_out: tuple[LeftOut, ...], settings: FogSettings, *, simulated: bool
-) -> WitnessFound:
+    records: tuple[WitnessedRecord, ...], left_out: tuple[Excluded, ...], settings: FogSettings, *, simulated: bool
+) -> WitnessEvaluation:
     chosen = settings.witness
     gain, seconds = chosen.gain_u, chosen.time_base_u
     alone = _mean(records, "two_pi_voltage")
@@ -363,7 +363,7 @@ def _found(
     if half_wave and math.isfinite(voltage.value):
         error = Uncertain(*two_pi_error_of_drive(voltage.value, voltage.u, half_wave, chosen.half_wave_u_v))
     transit = settings.coil.transit_time
-    return WitnessFound(
+    return WitnessEvaluation(
         records=records,
         step_height=_widened(step, gain),
         step_time=time,
@@ -440,7 +440,7 @@ _RECORD = {
 }
 
 
-def result(found: WitnessFound, run: SavedRun, settings: FogSettings) -> Result:
+def result(found: WitnessEvaluation, run: SavedRun, settings: FogSettings) -> Result:
     """Put into numbers and sentences what was found."""
     voltage, lines = found.two_pi_voltage, tuple(_lines(found))
     value = "V_2π unknown: no reset is in the records"
@@ -464,7 +464,7 @@ def result(found: WitnessFound, run: SavedRun, settings: FogSettings) -> Result:
     )
 
 
-def _document(found: WitnessFound, settings: FogSettings) -> dict[str, Any]:
+def _document(found: WitnessEvaluation, settings: FogSettings) -> dict[str, Any]:
     return {
         **_pair("step_height", found.step_height, "_v"),
         **_pair("step_time", found.step_time, "_s"),
@@ -493,7 +493,7 @@ def _record_document(one: WitnessedRecord) -> dict[str, Any]:
     return {"name": one.name, **picked(one.found, _RECORD), "step_time_given": one.step_time_given}
 
 
-def _lines(found: WitnessFound) -> list[str]:
+def _lines(found: WitnessEvaluation) -> list[str]:
     step, fall, time, error = found.step_height, found.reset_height, found.step_time, found.two_pi_error
     lines = [
         f"Step {with_uncertainty(step.value, step.u, 'V')} every "
@@ -509,7 +509,7 @@ def _lines(found: WitnessFound) -> list[str]:
     return lines
 
 
-def _sentences(found: WitnessFound, settings: FogSettings, injected: float | None) -> list[str]:
+def _sentences(found: WitnessEvaluation, settings: FogSettings, injected: float | None) -> list[str]:
     """Say what the numbers show and what they cannot."""
     alone, difference = found.two_pi_voltage_record_u, found.step_time_ppm
     said = [
@@ -534,7 +534,7 @@ def _sentences(found: WitnessFound, settings: FogSettings, injected: float | Non
     return said
 
 
-def _to_watch(found: WitnessFound, settings: FogSettings) -> list[str]:
+def _to_watch(found: WitnessEvaluation, settings: FogSettings) -> list[str]:
     """Say what to watch, of the records and of the limits."""
     said = [f"{one.sentence}." for one in found.left_out]
     total = len(found.records)
@@ -560,7 +560,7 @@ def _to_watch(found: WitnessFound, settings: FogSettings) -> list[str]:
 _MICRO = 1e6
 
 
-def sections(found: WitnessFound, run: SavedRun, settings: FogSettings, result: Result) -> list[Section]:
+def sections(found: WitnessEvaluation, run: SavedRun, settings: FogSettings, result: Result) -> list[Section]:
     """Return the sections of the report."""
     first = found.records[0]
     return [
@@ -598,7 +598,7 @@ def _record_svg(record: WitnessedRecord) -> str:
     return svg_element("witness-record", WIDE, draw)
 
 
-def _level_residuals_svg(found: WitnessFound) -> str:
+def _level_residuals_svg(found: WitnessEvaluation) -> str:
     """Draw levels less fitted levels against their height."""
 
     def draw(figure: Figure) -> None:
@@ -612,7 +612,7 @@ def _level_residuals_svg(found: WitnessFound) -> str:
     return svg_element("witness-levels", WIDE, draw)
 
 
-def _record_table(found: WitnessFound) -> TextTable:
+def _record_table(found: WitnessEvaluation) -> TextTable:
     header = ("record", "step, V", "step time, µs", "fall, V", "V_2π, V", "bias, V", "resets", "noise, mV")
     return TextTable(header, tuple(_row(one) for one in found.records))
 
@@ -631,7 +631,7 @@ def _row(record: WitnessedRecord) -> tuple[str, ...]:
     )
 
 
-def facts(found: WitnessFound, run: SavedRun, settings: FogSettings) -> list[FactTable]:
+def facts(found: WitnessEvaluation, run: SavedRun, settings: FogSettings) -> list[FactTable]:
     """Return how the records were taken, for the facts of the report."""
     known, witness = run.facts, settings.witness
     identity, step = known.get("identity"), known.get("injected", {}).get("step_codes")
@@ -661,42 +661,42 @@ _RESETS = 3.0
 
 def watch(settings: FogSettings) -> See:
     """Return what looks at records of `gyrolock fog witness` as they come."""
-    return _Watch(settings)
+    return _WitnessPreview(settings)
 
 
-class _Watch:
+class _WitnessPreview:
     def __init__(self, settings: FogSettings) -> None:
         self._transit_time = settings.coil.transit_time
         self._found: list[StaircaseWitness] = []
 
-    def __call__(self, records: Sequence[NewRecord]) -> Seen | None:
+    def __call__(self, records: Sequence[NewRecord]) -> Preview | None:
         record = records[0]
         waveform = waveform_of(record)
         clipped = ("clipped",) if waveform.clipped else ()
         try:
             found, _ = witnessed(waveform, self._transit_time)
         except ValueError:  # the result will say why it is left out
-            return Seen(
+            return Preview(
                 record.key, record.purpose, (), flags=(*clipped, "no_staircase"), trace=_trace(waveform, None)
             )
         self._found.append(found)
         running = _values(self._found)
         flags = (*clipped, *found.flags)
-        return Seen(
+        return Preview(
             record.key, record.purpose, _values([found]), running, running[:1], flags, _trace(waveform, found)
         )
 
 
-def _values(found: Sequence[StaircaseWitness]) -> tuple[Value, ...]:
+def _values(found: Sequence[StaircaseWitness]) -> tuple[PreviewValue, ...]:
     """Means by their weights; without the gain of the oscilloscope, which all records share."""
     voltage, voltage_u = _mean_so_far([(one.two_pi_voltage, one.two_pi_voltage_u) for one in found])
     time, time_u = _mean_so_far([(one.step_time, one.step_time_u) for one in found])
     step, step_u = _mean_so_far([(one.step_height, one.step_height_u) for one in found])
     said = with_uncertainty(voltage, voltage_u, "V") if math.isfinite(voltage) else "no reset"
     return (
-        Value("two_pi_voltage_v", voltage, voltage_u, said, len(found)),
-        Value("step_height_v", step, step_u, with_uncertainty(step, step_u, "V"), len(found)),
-        Value("step_time_s", time, time_u, with_uncertainty(1e6 * time, 1e6 * time_u, "µs"), len(found)),
+        PreviewValue("two_pi_voltage_v", voltage, voltage_u, said, len(found)),
+        PreviewValue("step_height_v", step, step_u, with_uncertainty(step, step_u, "V"), len(found)),
+        PreviewValue("step_time_s", time, time_u, with_uncertainty(1e6 * time, 1e6 * time_u, "µs"), len(found)),
     )
 
 
@@ -708,7 +708,7 @@ def _mean_so_far(values: Sequence[tuple[float, float]]) -> tuple[float, float]:
     return float(np.average(known[:, 0], weights=weights)), float(1 / math.sqrt(weights.sum()))
 
 
-def _trace(waveform: Waveform, found: StaircaseWitness | None) -> Trace:
+def _trace(waveform: Waveform, found: StaircaseWitness | None) -> PreviewTrace:
     """A few resets with the even staircase through them; without one the whole record."""
     if found is None or not found.step_time > 0:
         return trace_of(waveform, math.inf, None)

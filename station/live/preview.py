@@ -26,7 +26,7 @@ _LAST_S = 1.0  # for so long the end of a run waits for values that are still to
 
 
 @dataclass(frozen=True)
-class Value:
+class PreviewValue:
     """A number with its standard uncertainty, of noise alone."""
 
     name: str  # with the unit at its end: ``"lock_in_rate_dps"``
@@ -37,7 +37,7 @@ class Value:
 
 
 @dataclass(frozen=True)
-class Trace:
+class PreviewTrace:
     """A few periods of a record, and its fit at the same times; at most some hundred points."""
 
     seconds: float  # from the first point to the last
@@ -47,20 +47,20 @@ class Trace:
 
 
 @dataclass(frozen=True)
-class Seen:
+class Preview:
     """What a record says."""
 
     key: str
     group: str  # what is taken together: records at one rate
-    values: tuple[Value, ...]  # of this record
+    values: tuple[PreviewValue, ...]  # of this record
     # of all records of its group so far; the first is the one to show in a table of groups
-    running: tuple[Value, ...] = ()
-    so_far: tuple[Value, ...] = ()  # of all records so far
+    running: tuple[PreviewValue, ...] = ()
+    so_far: tuple[PreviewValue, ...] = ()  # of all records so far
     flags: tuple[str, ...] = ()
-    trace: Trace | None = None
+    trace: PreviewTrace | None = None
 
 
-See = Callable[[Sequence["NewRecord"]], Seen | None]
+See = Callable[[Sequence["NewRecord"]], Preview | None]
 """Gets the records of one acquisition in the order in which they come; ``None`` if they are not to be shown."""
 
 
@@ -111,7 +111,7 @@ def waveform_of(record: NewRecord) -> Waveform:
     return Waveform(np.frombuffer(record.payload, dtype=np.int8), Preamble.parse(record.header))
 
 
-def trace_of(waveform: Waveform, seconds: float, fit: Callable[[Floats], Floats] | None) -> Trace:
+def trace_of(waveform: Waveform, seconds: float, fit: Callable[[Floats], Floats] | None) -> PreviewTrace:
     """Return the beginning of a record with its fit; all of it where it is no longer than that."""
     volts, interval = waveform.volts, waveform.sample_interval
     shown = int(min(volts.size, np.ceil(seconds / interval) + 1))
@@ -119,7 +119,7 @@ def trace_of(waveform: Waveform, seconds: float, fit: Callable[[Floats], Floats]
     through = [] if fit is None else rounded(fit(places * interval))
     unit = waveform.preamble.yunit
     unit = "V" if unit.lower() in ("", "volts") else unit
-    return Trace(float(places[-1] * interval), unit, rounded(volts[places]), through)
+    return PreviewTrace(float(places[-1] * interval), unit, rounded(volts[places]), through)
 
 
 def rounded(values: Floats) -> list[float]:
@@ -144,7 +144,7 @@ def harmonics_of(waveform: Waveform) -> HarmonicFit | None:
     return fit if math.isfinite(float(fit.frequency)) and float(np.abs(fit.amplitudes[0])) > 0 else None
 
 
-def trace_of_beat(waveform: Waveform, fit: HarmonicFit | None) -> Trace:
+def trace_of_beat(waveform: Waveform, fit: HarmonicFit | None) -> PreviewTrace:
     """Return a few periods of a record with its fit; without a beat the whole record, and no fit."""
     if fit is None:
         return trace_of(waveform, math.inf, None)

@@ -21,7 +21,16 @@ from instrument.scpi import HIGHEST_CODE, NO_DATA
 from station.errors import RunError, StationError, UsageError
 from station.files import keep_for_batches
 from station.runs.store import SavedRecord, damaged_record
-from station.sources.batches import AT_ONCE, LeftOut, RecordBatch, Source, Stretch, codes_of, preamble_of, why_not
+from station.sources.batches import (
+    AT_ONCE,
+    ExcludedRecord,
+    RecordBatch,
+    Source,
+    Stretch,
+    codes_of,
+    preamble_of,
+    why_not,
+)
 from station.sources.find import open_source
 
 MEASURE, FAST, SECOND = "measure", "tilt", "quadrature"
@@ -61,7 +70,7 @@ class Gathered:
     fast: tuple[SavedRecord, ...]  # the fast run
     damaged: tuple[int, ...]  # places of damaged records
     damage: tuple[str, ...]  # damaged records of every purpose, one sentence each
-    left_out: tuple[LeftOut, ...]  # what could not be read
+    left_out: tuple[ExcludedRecord, ...]  # what could not be read
     paired: bool  # whether there are records of a second photodiode
     # (n,): Number in the source of the record of the second photodiode that belongs to each; 0: there is none, -1:
     # it is damaged
@@ -116,7 +125,7 @@ class _Reading:
     """One piece while it is read."""
 
     def __init__(self, piece: Piece, room: Room) -> None:
-        self._piece, self._room, self._wanted = piece, room, Wanted()
+        self._piece, self._room, self._wanted = piece, room, SourceEstimates()
         self._name, self._sha256, self._about = str(piece.path), "", dict[str, str | None]()
         self._numbers: list[int] = []
         self._places: list[int] = []
@@ -128,7 +137,7 @@ class _Reading:
         self._fast: list[SavedRecord] = []
         self._damaged: list[int] = []
         self._damage: list[str] = []
-        self._left_out: list[LeftOut] = []
+        self._left_out: list[ExcludedRecord] = []
         self._paired, self._last = False, 0
         self._seconds: dict[int, int] = {}
         self._front_end: dict[str, Any] | None = None
@@ -140,7 +149,7 @@ class _Reading:
                 self._read_from(open_source(self._piece.path, held))
         except (StationError, InstrumentError, OSError) as error:
             reason = (isinstance(error, OSError) and error.strerror) or str(error)
-            self._left_out.append(LeftOut(self._name, None, reason.removeprefix(f"{self._name}: ")))
+            self._left_out.append(ExcludedRecord(self._name, None, reason.removeprefix(f"{self._name}: ")))
 
     def _read_from(self, source: Source) -> None:
         piece, self._name = self._piece, source.name
@@ -200,7 +209,7 @@ class _Reading:
         if not record.intact:
             self._damage += filter(None, [damaged_record(record)])
             self._damaged.append(place)
-        self._left_out.append(LeftOut(source.name, record.key, why_not(record)))
+        self._left_out.append(ExcludedRecord(source.name, record.key, why_not(record)))
 
     def gathered(self) -> Gathered:
         """What was found, when everything that waited has been estimated."""
@@ -444,7 +453,7 @@ def columns_of(estimate: LockInEstimate) -> dict[str, NDArray[Any]]:
 
 
 @dataclass
-class Wanted:
+class SourceEstimates:
     """Estimates of one source."""
 
     method: Method | None = None  # ``None``: nobody wants them
@@ -456,7 +465,7 @@ class Wanted:
 class _Waits:
     """Codes of some records of one source, and the row of the first."""
 
-    wanted: Wanted
+    wanted: SourceEstimates
     row: int
     payloads: Sequence[bytes]
     preamble: Preamble
@@ -478,7 +487,7 @@ class Room:
         self._at_once = at_once
         self._batches: dict[tuple[int, float, int, Method | None], _Batch] = {}
 
-    def add(self, wanted: Wanted, row: int, payloads: Sequence[bytes], preamble: Preamble) -> None:
+    def add(self, wanted: SourceEstimates, row: int, payloads: Sequence[bytes], preamble: Preamble) -> None:
         """Take records of one source whose rows follow each other, from `row` on."""
         key = preamble.nr_pt, preamble.xincr, preamble.byt_nr, wanted.method
         while payloads:
@@ -512,7 +521,7 @@ class Room:
 class NoRoom(Room):
     """Records that nobody estimates."""
 
-    def add(self, wanted: Wanted, row: int, payloads: Sequence[bytes], preamble: Preamble) -> None:
+    def add(self, wanted: SourceEstimates, row: int, payloads: Sequence[bytes], preamble: Preamble) -> None:
         """Take records, and let them go."""
 
 

@@ -18,15 +18,15 @@ from analysis.arrays import NoTilt, OneRateOnly, OutsideResponse
 from analysis.lock_in_run import (
     Batch,
     LockInRun,
-    LockInSeen,
     Method,
+    PreliminaryLockIn,
     RecordArrays,
     RunArrays,
     Tilt,
     evaluate,
     fast_estimates,
     find_tilt,
-    lock_in_seen,
+    preliminary_lock_in,
     rows_of_batches,
 )
 from instrument import Waveform
@@ -45,7 +45,7 @@ _LOOKED_AT = 200
 """Records that are read together where only some are looked at."""
 
 
-def evaluate_run(run: SavedRun, settings: Settings, method: Method | None = None) -> LockInFound:
+def evaluate_run(run: SavedRun, settings: Settings, method: Method | None = None) -> LockInEvaluation:
     """Evaluate the records that a run took at its slow rate, or at its slow rates."""
     method = method or Method(settings.gyro.scale_factor_pulses_per_deg)
     acquisitions = acquisitions_of(run)
@@ -61,7 +61,7 @@ def evaluate_run(run: SavedRun, settings: Settings, method: Method | None = None
     shown = records
     if found.several is not None:
         shown = [records[row] for row in found.several.reference_group.rows]
-    return LockInFound(
+    return LockInEvaluation(
         **vars(found),
         names=tuple(taken.name for taken in intact),
         waveforms=waveforms,
@@ -73,7 +73,7 @@ def evaluate_run(run: SavedRun, settings: Settings, method: Method | None = None
 
 def evaluate_source(
     source: Source, settings: Settings, choices: Mapping[str, Any], workers: Workers, progress: Progress
-) -> tuple[LockInFound, tuple[str, ...]] | None:
+) -> tuple[LockInEvaluation, tuple[str, ...]] | None:
     """Evaluate a saved run without holding its samples: the same numbers as :func:`evaluate_run`, bit for bit."""
     chosen = {"scale_factor": settings.gyro.scale_factor_pulses_per_deg, **choices}
     gathered = _read_pairs(source, chosen) if settings.scope.quadrature_channel else None
@@ -94,7 +94,7 @@ def evaluate_source(
     rows: slice | NDArray[np.intp] = slice(None)
     if found.several is not None:
         rows = found.several.reference_group.rows
-    in_words = LockInFound(
+    in_words = LockInEvaluation(
         **vars(found),
         names=Numbered(gathered.places),
         waveforms=waveforms,
@@ -190,14 +190,14 @@ def gathered_arrays(gathered: Gathered, waveforms: ReadAgain) -> RecordArrays:
 
 def evaluate_waveforms(
     waveforms: Sequence[Waveform], names: Sequence[str], method: Method, config: Path | None = None
-) -> LockInFound:
+) -> LockInEvaluation:
     """Evaluate records that come from files: at least one, each with its name; `config` states their bench."""
     nothing: tuple[Waveform, ...] = ()
     arrays = RunArrays(_arrays((waveforms,)), _arrays((nothing,)))
     known = knowledge_of_files((waveform.preamble.wfid for waveform in waveforms), method, config)
     with errors_in_words():
         found = evaluate(arrays, known, method)
-    return LockInFound(**vars(found), names=tuple(names), waveforms=tuple(waveforms))
+    return LockInEvaluation(**vars(found), names=tuple(names), waveforms=tuple(waveforms))
 
 
 def fast_run_tilt(run: SavedRun, settings: Settings) -> Tilt:
@@ -215,14 +215,14 @@ def fast_run_tilt(run: SavedRun, settings: Settings) -> Tilt:
         raise RunError(_no_tilt(error)) from None
 
 
-def lock_in_so_far(records: Sequence[SavedRecord], run: SavedRun, settings: Settings) -> LockInSeen | None:
+def lock_in_so_far(records: Sequence[SavedRecord], run: SavedRun, settings: Settings) -> PreliminaryLockIn | None:
     """Say what records of a run at one rate say of the lock-in rate; ``None`` if they show no beat."""
     arrays = _arrays(([saved_waveform(record, run.path) for record in records],), records)
-    return lock_in_seen(arrays, settings.gyro.scale_factor_pulses_per_deg)
+    return preliminary_lock_in(arrays, settings.gyro.scale_factor_pulses_per_deg)
 
 
 @dataclass(frozen=True)
-class Acquisition:
+class ChannelPair:
     """What was recorded at one time."""
 
     name: str  # its number among the acquisitions at the slow rates, from 1
@@ -235,15 +235,15 @@ class Acquisition:
         return self.sine.intact and (self.cosine is None or self.cosine.intact)
 
 
-def acquisitions_of(run: SavedRun) -> list[Acquisition]:
+def acquisitions_of(run: SavedRun) -> list[ChannelPair]:
     """Return the acquisitions at the slow rates of a run in their order; fast ones are left out."""
-    found: list[Acquisition] = []
+    found: list[ChannelPair] = []
     for record in run.records:
         if record.purpose == "measure":
-            found.append(Acquisition(str(len(found) + 1), record, None))
+            found.append(ChannelPair(str(len(found) + 1), record, None))
         elif record.purpose == "quadrature" and found:
             # saved in one commit with the sine before it
-            found[-1] = Acquisition(found[-1].name, found[-1].sine, record)
+            found[-1] = ChannelPair(found[-1].name, found[-1].sine, record)
     return found
 
 
@@ -312,7 +312,7 @@ RELATIONS = {
 
 
 @dataclass(frozen=True, kw_only=True)
-class LockInFound(LockInRun):
+class LockInEvaluation(LockInRun):
     """What the records of a run say, and the records."""
 
     names: Sequence[str]  # what each record is called: its number in the run, or its file

@@ -13,11 +13,11 @@ import numpy as np
 from analysis import HarmonicFit, fit_rate_ratios, lock_in_from_beat
 from analysis.arrays import NoFit
 from analysis.lock_in_run import Method
-from station.live.preview import See, Seen, Value, harmonics_of, trace_of_beat, waveform_of
-from station.lock_in.evaluate import LockInFound, evaluate_run, evaluate_source
+from station.live.preview import Preview, PreviewValue, See, harmonics_of, trace_of_beat, waveform_of
+from station.lock_in.evaluate import LockInEvaluation, evaluate_run, evaluate_source
 from station.lock_in.report import sections
 from station.lock_in.result import fact_tables, record_documents, result
-from station.lock_in.settings import RING_LASER, LimitSettings, Settings
+from station.lock_in.settings import RING_LASER, LockInLimits, Settings
 from station.lock_in.take import take
 from station.measurements import Measurement
 from station.results.result import with_uncertainty
@@ -37,7 +37,7 @@ _LARGEST = 0.99  # square of a ratio; that of a beat is below 1
 
 def watch(settings: Settings) -> See:
     """Return what looks at records of `gyrolock measure` as they come."""
-    return _Watch(settings.gyro.scale_factor_pulses_per_deg)
+    return _LockInPreview(settings.gyro.scale_factor_pulses_per_deg)
 
 
 @dataclass
@@ -71,20 +71,20 @@ class _Rate:
         return float(np.mean(self.beats))
 
 
-class _Watch:
+class _LockInPreview:
     def __init__(self, scale_factor: float) -> None:
         self._scale_factor = scale_factor
         self._rates: dict[str, _Rate] = {}
-        self._together: tuple[Value, ...] = ()
+        self._together: tuple[PreviewValue, ...] = ()
         self._next_at = -math.inf
 
-    def __call__(self, records: Sequence[NewRecord]) -> Seen | None:
+    def __call__(self, records: Sequence[NewRecord]) -> Preview | None:
         record = records[0]  # a second photodiode says the same
         waveform = waveform_of(record)
         fit, group = harmonics_of(waveform), _group(record)
         trace = trace_of_beat(waveform, fit)
         if fit is None:
-            return Seen(record.key, group, (), flags=("no_beat",), trace=trace)
+            return Preview(record.key, group, (), flags=("no_beat",), trace=trace)
         alone = _Rate(1)
         alone.add(fit)
         sense = -1 if _number(record, "table_rate_dps", 1.0) < 0 else 1
@@ -96,19 +96,21 @@ class _Watch:
             self._together = self._so_far()
             ended = time.monotonic()
             self._next_at = ended + (ended - began) / _SHARE
-        return Seen(record.key, group, self._values(alone), self._values(rate), self._together, flags, trace)
+        return Preview(record.key, group, self._values(alone), self._values(rate), self._together, flags, trace)
 
-    def _values(self, rate: _Rate) -> tuple[Value, ...]:
+    def _values(self, rate: _Rate) -> tuple[PreviewValue, ...]:
         (ratio, u), beat, count = rate.ratio, rate.beat, len(rate.beats)
         size = math.sqrt(max(abs(ratio) ** 2 - u * u, 0.0))  # noise makes a small complex number larger
         lock_in, lock_in_u = _lock_in(size, beat / self._scale_factor, u)
         return (
-            Value("lock_in_rate_dps", lock_in, lock_in_u, with_uncertainty(lock_in, lock_in_u, "deg/s"), count),
-            Value("beat_frequency_hz", beat, math.nan, f"{beat:.5g} Hz", count),
-            Value("ratio", size, u, with_uncertainty(size, u), count),
+            PreviewValue(
+                "lock_in_rate_dps", lock_in, lock_in_u, with_uncertainty(lock_in, lock_in_u, "deg/s"), count
+            ),
+            PreviewValue("beat_frequency_hz", beat, math.nan, f"{beat:.5g} Hz", count),
+            PreviewValue("ratio", size, u, with_uncertainty(size, u), count),
         )
 
-    def _so_far(self) -> tuple[Value, ...]:
+    def _so_far(self) -> tuple[PreviewValue, ...]:
         """The lock-in rate that all rates together give, with distortion of the receiver taken out if they can."""
         rates = [rate for name, rate in self._rates.items() if not name.startswith("tilt")]
         if len(rates) < 2:
@@ -134,7 +136,7 @@ class _Watch:
             return ()
         value, u = fit.lock_in_rate, fit.lock_in_rate_u
         count = sum(len(rate.beats) for rate in rates)
-        return (Value("lock_in_rate_dps", value, u, with_uncertainty(value, u, "deg/s"), count),)
+        return (PreviewValue("lock_in_rate_dps", value, u, with_uncertainty(value, u, "deg/s"), count),)
 
 
 def _group(record: NewRecord) -> str:
@@ -158,7 +160,7 @@ def _lock_in(ratio: float, beat_rate: float, ratio_u: float) -> tuple[float, flo
     return float(lock_in_from_beat(ratio, beat_rate)), slope * ratio_u
 
 
-def evaluate(run: SavedRun, settings: Settings, choices: Mapping[str, Any]) -> LockInFound:
+def evaluate(run: SavedRun, settings: Settings, choices: Mapping[str, Any]) -> LockInEvaluation:
     """Evaluate a run; the choices are those of :class:`analysis.lock_in_run.Method`."""
     chosen = {"scale_factor": settings.gyro.scale_factor_pulses_per_deg, **choices}
     return evaluate_run(run, settings, Method(**chosen))
@@ -173,7 +175,7 @@ MEASUREMENT = Measurement(
     evaluate=evaluate,
     evaluate_source=evaluate_source,
     choices=("scale_factor", "relation", "input_rate"),
-    gives=tuple(LimitSettings.model_fields),
+    gives=tuple(LockInLimits.model_fields),
     result=result,
     sections=lambda found, run, settings, result: sections(found, result),
     facts=fact_tables,

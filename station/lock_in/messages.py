@@ -11,7 +11,7 @@ from analysis import FATAL, Flag, FrequencyFit, QuadratureFlag, RatesFit, RatesF
 from analysis.budget import Budget, BudgetInput
 from analysis.frequency_method import FrequencyFlag
 from analysis.lock_in_run import ScaleFactorCheck, TableCheck
-from station.lock_in.evaluate import LockInFound
+from station.lock_in.evaluate import LockInEvaluation
 from station.results.result import with_uncertainty
 
 _SECONDS_PER_HOUR = 3600.0
@@ -28,7 +28,7 @@ _QUADRATURE_FLAGS = {
 }
 
 
-def lock_in_words(found: LockInFound) -> tuple[str, str]:
+def lock_in_words(found: LockInEvaluation) -> tuple[str, str]:
     """Return the lock-in rate in deg/s and in deg/h, each with its standard uncertainty, every input counted."""
     rate, u = found.lock_in_rate, found.lock_in_rate_u
     return with_uncertainty(rate, u, "deg/s"), with_uncertainty(
@@ -36,20 +36,20 @@ def lock_in_words(found: LockInFound) -> tuple[str, str]:
     )
 
 
-def interval_words(found: LockInFound) -> str:
+def interval_words(found: LockInEvaluation) -> str:
     """Return the 95 % interval of the lock-in rate in words; its digits follow the uncertainty."""
     (low, high), u = found.interval_95, found.lock_in_rate_u
     digits = max(0, 1 - math.floor(math.log10(u))) if math.isfinite(u) and u > 0 else 6
     return f"{low:.{digits}f} to {high:.{digits}f} deg/s"
 
 
-def noise_words(found: LockInFound) -> str:
+def noise_words(found: LockInEvaluation) -> str:
     """Return what the records' noise alone would make of the uncertainty."""
     relative = f", {100 * found.noise_u / found.lock_in_rate:.2g} %" if found.lock_in_rate > 0 else ""
     return f"u = {found.noise_u:.2g} deg/s{relative} (k = 1)"
 
 
-def truth_sentence(found: LockInFound) -> str:
+def truth_sentence(found: LockInEvaluation) -> str:
     """Compare a simulated truth with the 95 % interval; empty where there is none."""
     if found.truth is None:
         return ""
@@ -62,7 +62,7 @@ def truth_sentence(found: LockInFound) -> str:
     )
 
 
-def truth_is_missed(found: LockInFound) -> bool:
+def truth_is_missed(found: LockInEvaluation) -> bool:
     """Tell whether a simulated truth lies outside the 95 % interval."""
     if found.truth is None or not found.usable:
         return False
@@ -85,7 +85,7 @@ def span_words(values: Iterable[float], unit: str = "") -> str:
     return f"{' to '.join(ends)} {unit}".rstrip()
 
 
-def flag_sentence(evaluation: LockInFound, name: str) -> str:
+def flag_sentence(evaluation: LockInEvaluation, name: str) -> str:
     """Say in words what a flag means, and in how many records it was noticed."""
     sentence = describe_flag(name)
     bit = int(Flag.__members__.get(name.upper(), 0))
@@ -97,12 +97,12 @@ def flag_sentence(evaluation: LockInFound, name: str) -> str:
     return f"{sentence} ({count} of {total} records)" if 0 < count < total else sentence
 
 
-def flag_sentences(evaluation: LockInFound) -> list[str]:
+def flag_sentences(evaluation: LockInEvaluation) -> list[str]:
     """Say in words what was noticed, of the combined result and of single records."""
     return [flag_sentence(evaluation, name) for name in evaluation.flags]
 
 
-def rates_sentences(evaluation: LockInFound) -> list[str]:
+def rates_sentences(evaluation: LockInEvaluation) -> list[str]:
     """Say what records at several rates can tell and what they cannot; empty for one rate."""
     several = evaluation.several
     if several is None:
@@ -111,7 +111,7 @@ def rates_sentences(evaluation: LockInFound) -> list[str]:
     return [*fitted, *(f"No record at {text}" for text in evaluation.without_beat)]
 
 
-def quadrature_sentences(evaluation: LockInFound) -> list[str]:
+def quadrature_sentences(evaluation: LockInEvaluation) -> list[str]:
     """Say what sine and cosine channel show of each other; empty for one channel."""
     found = evaluation.quadratures
     if found is None:
@@ -140,7 +140,7 @@ def _level_words(distortion: float, u: float) -> str:
     return f"below {20 * math.log10(abs(distortion) + 2 * u):.0f} dBc"
 
 
-def no_result_words(evaluation: LockInFound) -> str:
+def no_result_words(evaluation: LockInEvaluation) -> str:
     """Say in one sentence why no lock-in rate is given."""
     if evaluation.several is not None and evaluation.several.problem:
         return f"no lock-in rate: {evaluation.several.problem}"
@@ -441,7 +441,7 @@ _WAYS = {
 }
 
 
-def table_sentences(found: LockInFound) -> list[str]:
+def table_sentences(found: LockInEvaluation) -> list[str]:
     """Say whether beat, harmonics and table fit together, and whether anything tests the scale factor."""
     check = found.table_check
     if check is None:

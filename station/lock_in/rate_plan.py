@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from analysis import plan as planning
-from analysis.lock_in_run import LockInSeen
+from analysis.lock_in_run import PreliminaryLockIn
 from analysis.rotation import EARTH_RATE_DPS
 from station.errors import NoUsableSignal
 from station.lock_in.settings import Settings
@@ -93,7 +93,7 @@ def changed_plan(
     plan: RatePlan,
     tilt_deg: float,
     *,
-    seen: LockInSeen | None,
+    seen: PreliminaryLockIn | None,
     tried: Iterable[RateStep],
     without_beat: Iterable[RateStep],
 ) -> RatePlan | None:

@@ -15,7 +15,7 @@ from analysis.lock_in_run import RateGroup, SeveralRates
 from analysis.lockin_equation import beat_frequency, lock_in_from_rate
 from analysis.several_rates import RatioData, predicted_ratio
 from instrument import Waveform
-from station.lock_in.evaluate import LockInFound
+from station.lock_in.evaluate import LockInEvaluation
 from station.lock_in.messages import describe_frequencies, quadrature_sentences, rates_sentences, table_sentences
 from station.lock_in.result import BUDGET_COLUMNS, budget_rows, budget_sentences, rates_table, records_table
 from station.report.figure import (
@@ -40,7 +40,7 @@ if TYPE_CHECKING:
 _RECORDS_SHOWN = 200
 
 
-def sections(found: LockInFound, result: Result) -> list[Section]:
+def sections(found: LockInEvaluation, result: Result) -> list[Section]:
     """Return the sections of the report in their order."""
     made = []
     if found.several is not None:
@@ -66,7 +66,7 @@ def _budget(budget: Budget) -> Section:
     return Section("Uncertainty budget", figures=(figure,), sentences=tuple(budget_sentences(budget)), table=table)
 
 
-def _several_rates(found: LockInFound, several: SeveralRates) -> Section:
+def _several_rates(found: LockInEvaluation, several: SeveralRates) -> Section:
     """Each rate alone, and the fit; without a fit the reason for that."""
     table = rates_table(several)
     sentences = tuple(rates_sentences(found))
@@ -103,7 +103,7 @@ def _checks(several: SeveralRates) -> list[Section]:
     return [Section("Does the model hold?", figures=tuple(figures), sentences=sentences)]
 
 
-def _one_record(found: LockInFound) -> list[Section]:
+def _one_record(found: LockInEvaluation) -> list[Section]:
     shown = _shown_record(found)
     if shown is None:
         return []
@@ -133,7 +133,7 @@ def _one_record(found: LockInFound) -> list[Section]:
     ]
 
 
-def _shown_record(found: LockInFound) -> int | None:
+def _shown_record(found: LockInEvaluation) -> int | None:
     """Pick the first record that gave a value, or else the first with a frequency."""
     rows: Iterable[int] = range(len(found.names))
     if found.several is not None:
@@ -270,7 +270,7 @@ def line_svg(waveform: Waveform, order: int) -> str:
     return svg_element(f"line{order}", HALF, draw)
 
 
-def values_svg(evaluation: LockInFound) -> str:
+def values_svg(evaluation: LockInEvaluation) -> str:
     """Draw the lock-in rate of every record, the combined value, and the truth if it is known."""
     combined, count = evaluation.combined, len(evaluation.names)
     apart = -(-count // RECORDS_SHOWN)

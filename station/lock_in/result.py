@@ -13,7 +13,7 @@ from analysis import FrequencyFit, LockInEstimate, RatesFit, RatesFlag, flag_nam
 from analysis.budget import Budget
 from analysis.frequency_method import FrequencyFlag
 from analysis.lock_in_run import RateGroup, SeveralRates
-from station.lock_in.evaluate import LockInFound, describe_method
+from station.lock_in.evaluate import LockInEvaluation, describe_method
 from station.lock_in.messages import (
     beat_over_table_words,
     by_table_words,
@@ -34,7 +34,7 @@ from station.lock_in.messages import (
     truth_is_missed,
     truth_sentence,
 )
-from station.lock_in.settings import LimitSettings, Settings
+from station.lock_in.settings import LockInLimits, Settings
 from station.results.result import (
     FactTable,
     Measured,
@@ -50,7 +50,7 @@ from station.runs.store import SavedRun
 _RECORDS_SHOWN = 40
 
 
-def result(found: LockInFound, run: SavedRun | None = None, settings: Settings | None = None) -> Result:
+def result(found: LockInEvaluation, run: SavedRun | None = None, settings: Settings | None = None) -> Result:
     """Put into numbers and sentences what was found; also for records that come from files, without a run."""
     document = result_document(found)
     budget = [] if found.budget is None else budget_sentences(found.budget)
@@ -63,7 +63,7 @@ def result(found: LockInFound, run: SavedRun | None = None, settings: Settings |
         name="lock-in rate",
         value=" = ".join(lock_in_words(found)) if found.usable else "none",
         document=document,
-        measured=tuple(Measured(name, _number(document.get(name))) for name in LimitSettings.model_fields),
+        measured=tuple(Measured(name, _number(document.get(name))) for name in LockInLimits.model_fields),
         lines=tuple(_lines(found)),
         summary=_summary(found),
         sentences=(*rates_sentences(found), *table_sentences(found), *quadrature_sentences(found), *budget),
@@ -84,13 +84,13 @@ _FAILING = {"table_mismatch", "scale_factor_mismatch"}
 """Flags of checks that say that something does not fit together."""
 
 
-def _failing(found: LockInFound) -> set[str]:
+def _failing(found: LockInEvaluation) -> set[str]:
     """The same, but for a difference that lies within what the budget counts: that is a doubt."""
     explained = found.table_check is not None and not found.table_check.unexplained
     return _FAILING - {"table_mismatch"} if explained else _FAILING
 
 
-def _doubts(found: LockInFound) -> list[str]:
+def _doubts(found: LockInEvaluation) -> list[str]:
     """What rules the result: a flag that the uncertainty does not answer, or something that nobody knows."""
     said = [flag_sentence(found, name) for name in found.flags if name not in _ANSWERED | _failing(found)]
     if found.budget is not None and (doubt := doubt_sentence(found.budget)):
@@ -98,7 +98,7 @@ def _doubts(found: LockInFound) -> list[str]:
     return said
 
 
-def _failures(found: LockInFound) -> list[str]:
+def _failures(found: LockInEvaluation) -> list[str]:
     said = [flag_sentence(found, name) for name in found.flags if name in _failing(found)]
     return [*said, truth_sentence(found)] if truth_is_missed(found) else said
 
@@ -107,7 +107,7 @@ def _number(value: object) -> float:
     return math.nan if value is None else float(value)  # type: ignore[arg-type]  # an array of no dimensions, or a number
 
 
-def _lines(found: LockInFound) -> list[str]:
+def _lines(found: LockInEvaluation) -> list[str]:
     """Below the value in the report."""
     if not found.usable:
         return [no_result_words(found)]
@@ -121,11 +121,11 @@ def _lines(found: LockInFound) -> list[str]:
     return lines if missed or found.truth is None else [*lines, truth_sentence(found)]
 
 
-def _truth(found: LockInFound) -> str:
+def _truth(found: LockInEvaluation) -> str:
     return f"the truth is {found.truth['lock_in_rate_dps']:.6g} deg/s" if found.truth is not None else ""
 
 
-def _summary(found: LockInFound) -> Rows:
+def _summary(found: LockInEvaluation) -> Rows:
     """Below the value on the terminal."""
     combined, rows = found.combined, []
     if found.usable:
@@ -155,7 +155,7 @@ def _summary(found: LockInFound) -> Rows:
     return rows
 
 
-def _rate_rows(found: LockInFound) -> Rows:
+def _rate_rows(found: LockInEvaluation) -> Rows:
     """Ratio, beat and rate; of several rates where they go from and to."""
     if found.several is not None:
         each = [group.combined for group in found.several.groups]
@@ -289,7 +289,7 @@ _QUADRATURES = {
 }
 
 
-def result_document(found: LockInFound) -> dict[str, Any]:
+def result_document(found: LockInEvaluation) -> dict[str, Any]:
     """Return the combined result.
 
     Units stand in the names; uncertainties are standard ones unless the name says 95, and count every input unless
@@ -330,14 +330,14 @@ def result_document(found: LockInFound) -> dict[str, Any]:
     return document
 
 
-def _of_one_rate(found: LockInFound) -> dict[str, Any]:
+def _of_one_rate(found: LockInEvaluation) -> dict[str, Any]:
     """Rate, beat and ratio; several rates have no one value of them: each has its own under ``several_rates``."""
     if found.several is not None:
         return dict.fromkeys(_OF_ONE_RATE)
     return picked(found.combined, _OF_ONE_RATE)
 
 
-def _of_all(found: LockInFound) -> dict[str, Any]:
+def _of_all(found: LockInEvaluation) -> dict[str, Any]:
     """Phase, amplitude and noise; of several rates the mean amplitude and the rms noise of all records used."""
     document = picked(found.combined, _OF_ALL)
     if found.several is not None and (used := found.each.usable).any():
@@ -346,7 +346,7 @@ def _of_all(found: LockInFound) -> dict[str, Any]:
     return document
 
 
-def record_documents(found: LockInFound, called: str) -> Iterator[dict[str, Any]]:
+def record_documents(found: LockInEvaluation, called: str) -> Iterator[dict[str, Any]]:
     """Yield one document for each record, with the names of :func:`result_document`."""
     common = {
         "method": describe_method(found.method),
@@ -371,7 +371,7 @@ def record_documents(found: LockInFound, called: str) -> Iterator[dict[str, Any]
             yield {called: name, **dict(zip(columns, values, strict=True)), **common, "flags": flag_names(bits)}
 
 
-def _several_rates(found: LockInFound) -> dict[str, Any] | None:
+def _several_rates(found: LockInEvaluation) -> dict[str, Any] | None:
     """What each rate says, and what all of them say together."""
     several = found.several
     if several is None:
@@ -449,7 +449,7 @@ def rates_table(several: SeveralRates) -> TextTable:
     return TextTable(_RATES, tuple(rows))
 
 
-def records_table(found: LockInFound, most: int) -> TextTable:
+def records_table(found: LockInEvaluation, most: int) -> TextTable:
     """Return one row for each record, at most so many."""
     each, rows = found.each[:most], list[tuple[str, ...]]()
     for index, name in enumerate(found.names[:most]):
@@ -468,7 +468,7 @@ def records_table(found: LockInFound, most: int) -> TextTable:
     return TextTable(_RECORDS, tuple(rows))
 
 
-def fact_tables(found: LockInFound, run: SavedRun, settings: Settings) -> list[FactTable]:
+def fact_tables(found: LockInEvaluation, run: SavedRun, settings: Settings) -> list[FactTable]:
     """Return conditions and secondary results as small tables."""
     return [
         FactTable("Result", _result_rows(found)),
@@ -477,7 +477,7 @@ def fact_tables(found: LockInFound, run: SavedRun, settings: Settings) -> list[F
     ]
 
 
-def _result_rows(found: LockInFound) -> Rows:
+def _result_rows(found: LockInEvaluation) -> Rows:
     combined = found.combined
     counted = len(found.waveforms) + len(found.damaged)
     rows = [
@@ -503,7 +503,7 @@ def _result_rows(found: LockInFound) -> Rows:
     return rows
 
 
-def _rows_of_rates(found: LockInFound, run: SavedRun, settings: Settings) -> Rows:
+def _rows_of_rates(found: LockInEvaluation, run: SavedRun, settings: Settings) -> Rows:
     combined, several, rows = found.combined, found.several, []
     if several is not None:
         each = several.groups
@@ -539,7 +539,7 @@ def _rows_of_rates(found: LockInFound, run: SavedRun, settings: Settings) -> Row
     return rows
 
 
-def _scope_rows(found: LockInFound, run: SavedRun, settings: Settings) -> Rows:
+def _scope_rows(found: LockInEvaluation, run: SavedRun, settings: Settings) -> Rows:
     scope, knobs = settings.scope, run.facts.get("scope_setting", {})
     wave, identity = found.waveforms[0], run.facts.get("identity", {})
     rows = [

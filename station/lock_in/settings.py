@@ -16,12 +16,12 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Discriminator, Field, Tag
 
-from analysis.budget import FRONT_END_LIMIT, LATITUDE_LIMIT_DEG, BenchKnowledge, Corner
+from analysis.budget import FRONT_END_LIMIT, LATITUDE_LIMIT_DEG, BenchKnowledge, ResponseCorner
 from analysis.channel import ChannelResponse
 from analysis.lock_in_run import Method, RunKnowledge
 from station.controllers import ControllersSettings, with_controllers
 from station.errors import SettingsError, UsageError
-from station.ring_laser.settings import GyroSettings, ScopeSettings, SimulationSettings
+from station.ring_laser.settings import RingLaserSettings, ScopeSettings, SimulationSettings
 from station.settings import (
     Finite,
     Limit,
@@ -57,7 +57,7 @@ Rates = Annotated[Annotated[tuple[Ratio, ...], Tag("value")] | Auto, _ByKind]
 Senses = Annotated[Annotated[bool, Tag("value")] | Auto, _ByKind]
 
 
-class TestedGyroSettings(GyroSettings):
+class TestedGyroSettings(RingLaserSettings):
     """The gyro whose lock-in rate is wanted; its scale factor is 0 as long as nobody has given it."""
 
     scale_factor_pulses_per_deg: NotNegative = 0.0
@@ -112,7 +112,7 @@ class BudgetSettings(SettingsSection):
     latitude_u_deg: NotNegative
 
 
-class LimitSettings(SettingsSection):
+class LockInLimits(SettingsSection):
     """Limits; one that is absent is not tested. Names as in the JSON of a result."""
 
     lock_in_rate_dps: Limit = None
@@ -135,7 +135,7 @@ class Settings(SettingsSection):
     budget: BudgetSettings | None = None  # runs of earlier versions were saved without it
     controllers: ControllersSettings | None = None
     simulation: SimulationSettings | None = None
-    limits: LimitSettings = LimitSettings()
+    limits: LockInLimits = LockInLimits()
 
     @property
     def simulated(self) -> bool:
@@ -335,16 +335,16 @@ def bench_knowledge(settings: Settings) -> BenchKnowledge:
     """Collect what an uncertainty budget counts besides the records; nan for whatever nobody stated."""
     scope, stated, front_end = settings.scope, settings.budget, settings.front_end
     share = 0.01 * (stated.front_end_u_percent if stated is not None else 0.0) or FRONT_END_LIMIT / _RECTANGLE
-    coupling = Corner(_AC_CORNER_HZ / scope.probe if scope.coupling == "AC" else 0.0)
+    coupling = ResponseCorner(_AC_CORNER_HZ / scope.probe if scope.coupling == "AC" else 0.0)
     if front_end.ac_corner_hz:
-        coupling = Corner(front_end.ac_corner_hz, share * front_end.ac_corner_hz, corrected=True)
-    bandwidth = Corner((stated.bandwidth_hz if stated is not None else 0.0) or math.nan)
+        coupling = ResponseCorner(front_end.ac_corner_hz, share * front_end.ac_corner_hz, corrected=True)
+    bandwidth = ResponseCorner((stated.bandwidth_hz if stated is not None else 0.0) or math.nan)
     if front_end.low_pass_hz:
-        bandwidth = Corner(front_end.low_pass_hz, share * front_end.low_pass_hz, corrected=True)
+        bandwidth = ResponseCorner(front_end.low_pass_hz, share * front_end.low_pass_hz, corrected=True)
     measured = share if front_end.response or front_end.response_file else math.nan
     if math.isfinite(measured):
         # a measured response holds every corner of the channel
-        bandwidth, coupling = Corner(math.inf), Corner(0.0)
+        bandwidth, coupling = ResponseCorner(math.inf), ResponseCorner(0.0)
     if stated is None:
         return BenchKnowledge(high_pass=coupling, bandwidth=bandwidth, response_u=measured)
     return BenchKnowledge(
@@ -354,7 +354,7 @@ def bench_knowledge(settings: Settings) -> BenchKnowledge:
         third_order_limit=_amplitude(stated.third_order_limit_dbc),
         bandwidth=bandwidth,
         high_pass=coupling,
-        gain=Corner(stated.gain_corner_hz or math.nan),
+        gain=ResponseCorner(stated.gain_corner_hz or math.nan),
         response_u=measured,
     )
 
@@ -387,7 +387,7 @@ def stated_of_files(config: Path | None) -> Settings | None:
 def knowledge_of_files(wfids: Iterable[str], method: Method, config: Path | None = None) -> RunKnowledge:
     """Collect what is known of the bench that files come from."""
     coupled = all("DC coupling" in wfid for wfid in wfids)
-    bench = BenchKnowledge(high_pass=Corner(0.0 if coupled else math.nan))
+    bench = BenchKnowledge(high_pass=ResponseCorner(0.0 if coupled else math.nan))
     known = RunKnowledge(method.scale_factor, latitude_deg=math.nan, bench=bench)
     settings = stated_of_files(config)
     if settings is None or config is None:

@@ -11,7 +11,7 @@ from dataclasses import asdict, dataclass, field
 from functools import partial
 from typing import Any
 
-from analysis.lock_in_run import LockInSeen
+from analysis.lock_in_run import PreliminaryLockIn
 from analysis.rotation import earth_rate_on_axis
 from instrument import ManualRateTable
 from station.errors import NoUsableSignal
@@ -20,7 +20,7 @@ from station.lock_in.rate_plan import RatePlan, RateStep, changed_plan, rate_pla
 from station.lock_in.settings import Settings, check_scale_factor
 from station.ring_laser.bench import Beats, beats_at, beats_of_other_sense, open_for
 from station.ring_laser.records import Bench, acquisition_records, set_up, take_record
-from station.runs.acquisition import Session
+from station.runs.acquisition import Acquisition
 from station.runs.progress import Progress
 from station.runs.store import RunWriter, SavedRecord
 from station.scope.autoset import KnobPositions, find_beat, fit_channel
@@ -37,13 +37,13 @@ many times its rate: near lock-in the beat stops where the earth turns the other
 tilt."""
 
 
-def take(settings: Settings, session: Session) -> None:
+def take(settings: Settings, session: Acquisition) -> None:
     """Do the whole experiment and save it; of a run that was cut short, what is missing."""
     check_scale_factor(settings)
     take_on(open_for(session, settings), settings, session)
 
 
-def take_on(bench: Bench, settings: Settings, session: Session) -> None:
+def take_on(bench: Bench, settings: Settings, session: Acquisition) -> None:
     """Do the experiment on a bench that is open already."""
     set_up(bench, settings.scope, _channels(settings))
     writer = session.begin({"identity": asdict(bench.scope.identity)})
@@ -69,7 +69,7 @@ class _Taking:
 
     settings: Settings
     bench: Bench
-    session: Session
+    session: Acquisition
     writer: RunWriter
     progress: Progress
     knobs: KnobPositions | None = None
@@ -84,7 +84,7 @@ class _Taking:
         plan = saved_plan(self.settings, saved) if saved else self._first_plan()
         tried: list[RateStep] = []
         without_beat: dict[RateStep, str] = {}
-        seen: LockInSeen | None = None
+        seen: PreliminaryLockIn | None = None
         while (step := next((one for one in plan.steps if one not in tried), None)) is not None:
             tried.append(step)
             try:
@@ -114,7 +114,7 @@ class _Taking:
         return self._look_again(plan, lock_in_so_far(fast, self.session.so_far(), self.settings), [], [])
 
     def _look_again(
-        self, plan: RatePlan, seen: LockInSeen | None, tried: list[RateStep], without_beat: list[RateStep]
+        self, plan: RatePlan, seen: PreliminaryLockIn | None, tried: list[RateStep], without_beat: list[RateStep]
     ) -> RatePlan:
         """Choose the rates to come anew where the lock-in rate is far from the expected one; a resumed run too."""
         changed = changed_plan(
@@ -134,7 +134,7 @@ class _Taking:
     def _save_plan(self, plan: RatePlan) -> None:
         self.writer.save_facts({"plan": plan.as_json()})
 
-    def _clearest(self, seen: LockInSeen | None, step: RateStep) -> LockInSeen | None:
+    def _clearest(self, seen: PreliminaryLockIn | None, step: RateStep) -> PreliminaryLockIn | None:
         """What the rates so far say of the lock-in rate: the one that can be least off."""
         if step.sense != 1 or not self.settings.rates_are_chosen:
             return seen

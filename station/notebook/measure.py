@@ -14,8 +14,8 @@ from station.campaign.conduct import conduct
 from station.campaign.file import read_campaign
 from station.campaign.journal import CampaignOutcome, CampaignPlan
 from station.campaign.record import RecordFiles, write_record
-from station.campaign.verify import Check, verify
-from station.catalogue import Entry, Wanted, chosen, list_runs, runs_table
+from station.campaign.verify import RecordCheck, verify
+from station.catalogue import Entry, RunFilter, chosen, list_runs, runs_table
 from station.errors import UsageError
 from station.measurements import measurement
 from station.notebook.result import Result, data_frame, html_table
@@ -240,7 +240,7 @@ class TestedUnit:
         """The record of the test as JSON."""
         return self.files.document
 
-    def verify(self) -> list[Check]:
+    def verify(self) -> list[RecordCheck]:
         """Prove that record and raw runs belong together, and compute the result again."""
         return verify(self.files.json)
 
@@ -329,5 +329,5 @@ def runs(directory: str | os.PathLike[str] = "runs", *, sort: Sequence[str] = ()
         There is no such folder, or no such order.
     """
     tags = wanted.pop("tags", ())
-    asked = Wanted(**wanted, tags=(tags,) if isinstance(tags, str) else tuple(tags))
+    asked = RunFilter(**wanted, tags=(tags,) if isinstance(tags, str) else tuple(tags))
     return Runs(chosen(list_runs(Path(directory)), asked, sort), Path(directory))

@@ -23,7 +23,7 @@ _SMALLEST = 1e-3  # of the fundamental; weaker harmonics are not drawn
 _MOST_HARMONICS = 40
 
 
-class Picture(Figure):
+class NotebookPicture(Figure):
     """A figure of Matplotlib that a notebook shows by itself."""
 
     def _repr_png_(self) -> bytes:
@@ -48,7 +48,7 @@ def draw_record(waveform: Waveform, title: str, ratio: float) -> Figure:
     )
     model = float(fit.offset) + (np.exp(2j * np.pi * turns) @ fit.amplitudes).real
     with _style():
-        figure = Picture(figsize=_SIZE, layout="constrained")
+        figure = NotebookPicture(figsize=_SIZE, layout="constrained")
         figure.suptitle(title)
         above, below = figure.subplots(2, sharex=True, height_ratios=(3, 1))
         above.plot(times, volts, ".", ms=3, color=SECOND, alpha=0.6, mew=0, label="samples")
@@ -72,7 +72,7 @@ def _style() -> AbstractContextManager[None]:
 
 def _samples(x: NDArray[np.float64], y: NDArray[np.float64], title: str, across: str, up: str) -> Figure:
     with _style():
-        figure = Picture(figsize=_SIZE, layout="constrained")
+        figure = NotebookPicture(figsize=_SIZE, layout="constrained")
         axes = figure.subplots()
         axes.plot(x, y, color=ACCENT, linewidth=0.9)
         axes.set(xlabel=across, ylabel=up, title=title)
@@ -83,6 +83,6 @@ def draw_runs(entries: Sequence[Entry]) -> Figure:
     """Draw the results of runs over time; NoUsableSignal if none has a result."""
     series = series_of(entries)
     with _style():
-        figure = Picture(figsize=trend_size(series), layout="constrained")
+        figure = NotebookPicture(figsize=trend_size(series), layout="constrained")
         draw_trend(figure, series)
     return figure

@@ -19,7 +19,7 @@ from instrument import Waveform
 from instrument.fibre_gyro import Recording
 from station.datasets.rows import package
 from station.errors import UsageError
-from station.lock_in.evaluate import LockInFound
+from station.lock_in.evaluate import LockInEvaluation
 from station.reanalysis.combine import AnalyzedFiles
 from station.results.result import Rows
 from station.shell.finish import Evaluated
@@ -41,7 +41,7 @@ class Result:
         a key ``error``.
     """
 
-    def __init__(self, evaluated: Evaluated | AnalyzedFiles, run: Records, document: Mapping[str, Any]) -> None:
+    def __init__(self, evaluated: Evaluated | AnalyzedFiles, run: RunRecords, document: Mapping[str, Any]) -> None:
         self.document, self.run = dict(document), run
         self._evaluated, self._said = evaluated, evaluated.result
 
@@ -82,7 +82,7 @@ class Result:
         if isinstance(shown.data, Recording):
             return draw_output(shown.data, name)
         ratio = math.nan
-        if isinstance(self.found, LockInFound) and shown.name in self.found.names:
+        if isinstance(self.found, LockInEvaluation) and shown.name in self.found.names:
             ratio = float(self.found.each.ratio[self.found.names.index(shown.name)])
         return draw_record(shown.waveform, name, ratio)
 
@@ -106,7 +106,7 @@ class Result:
             if wanted not in names:
                 raise UsageError(f"there is no record {wanted!r}; there are {', '.join(names)}")
             return self.run.records[names.index(wanted)]
-        if wanted is None and isinstance(self.found, LockInFound):
+        if wanted is None and isinstance(self.found, LockInEvaluation):
             usable = [name for name, good in zip(self.found.names, self.found.each.usable, strict=True) if good]
             wanted = names.index(usable[0]) if usable else 0
         return self.run.records[wanted or 0]
@@ -219,7 +219,7 @@ class Record:
         return known | {name: value for name, value in self.conditions.items() if name not in known}
 
 
-class Records(Sequence[Record]):
+class RunRecords(Sequence[Record]):
     """Records of one run, with what is known of it.
 
     Parameters

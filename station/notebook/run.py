@@ -18,8 +18,8 @@ from station.datasets.data_set import Exported, check_target, names_of, run_of
 from station.datasets.data_set import export as write
 from station.errors import EXIT_NO_SIGNAL, Failure, NoUsableSignal, UsageError
 from station.fibre_gyro.segments import segments_of
-from station.lock_in.evaluate import LockInFound
-from station.notebook.result import Record, Records, Result
+from station.lock_in.evaluate import LockInEvaluation
+from station.notebook.result import Record, Result, RunRecords
 from station.reanalysis.combine import AnalyzedFiles, analyze_waveforms
 from station.ring_laser.records import saved_waveform
 from station.runs.annotations import Remarks, add_remark, read_remarks
@@ -31,7 +31,7 @@ from station.sources import Source, find_sources, open_source
 PathLike = str | os.PathLike[str]
 
 
-class Run(Records):
+class Run(RunRecords):
     """Records, and what they say. Made by :func:`open_run` and :func:`read`."""
 
     def evaluated(self, config: PathLike | None = None, **choices: Any) -> Evaluated | AnalyzedFiles:
@@ -60,7 +60,7 @@ class Run(Records):
     def estimates(self) -> LockInEstimate:
         """What each record says alone, arrays of shape (n,); UsageError where that is no lock-in rate."""
         found = self.evaluated().found
-        if not isinstance(found, LockInFound):
+        if not isinstance(found, LockInEvaluation):
             raise UsageError(f"{self.path}: is a run of `{self.command}`: its records give no lock-in rate each")
         return found.each
 

@@ -16,16 +16,16 @@ from station.reanalysis.table_file import (
     Csv,
     JsonLines,
     Key,
-    Rows,
     Sqlite,
     TableFile,
+    TableRows,
     analysis_of,
     only_writer,
     rows_of_pieces,
 )
 from station.runs.progress import Progress
 from station.runs.store import RUN_FILES
-from station.sources.batches import LeftOut, Source
+from station.sources.batches import ExcludedRecord, Source
 from station.sources.find import open_source
 from station.sources.workers import Workers
 
@@ -40,7 +40,7 @@ class Filled:
     known: int = 0  # sources that the table held already
     empty: int = 0  # sources without a record of a beat that can be read
     # what could not be read, whole sources and single records
-    left_out: list[LeftOut] = field(default_factory=list)
+    left_out: list[ExcludedRecord] = field(default_factory=list)
 
     def document(self) -> dict[str, Any]:
         """Return it as plain JSON."""
@@ -62,7 +62,7 @@ def fill_table(
     choices: Mapping[str, Any],
     workers: Workers,
     progress: Progress,
-    left_out: Callable[[LeftOut], None] = lambda one: None,
+    left_out: Callable[[ExcludedRecord], None] = lambda one: None,
 ) -> Filled:
     """Estimate every record of the sources by itself, and put one row for each into a table."""
     file, analysis, done = table_file(table), analysis_of(choices), Filled(table)
@@ -106,7 +106,7 @@ def _known(file: TableFile) -> dict[Key, str]:
         raise RunError(f"{error}; or name another table with --to") from None
 
 
-def _packed_rows(kind: type[TableFile], pieces: Sequence[Piece]) -> tuple[Any, list[Rows]]:
+def _packed_rows(kind: type[TableFile], pieces: Sequence[Piece]) -> tuple[Any, list[TableRows]]:
     """Rows of some pieces, ready to be written; and what is said of each piece, without its columns."""
     parts = rows_of_pieces(pieces)
     packed = kind.packed(parts) if any(part.count for part in parts) else None

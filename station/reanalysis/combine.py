@@ -22,7 +22,7 @@ from station.files import given_back
 from station.lock_in.columns import Collected
 from station.lock_in.estimate import Gathered, about, estimate_pieces
 from station.lock_in.evaluate import (
-    LockInFound,
+    LockInEvaluation,
     SavedWaveforms,
     errors_in_words,
     evaluate_waveforms,
@@ -47,7 +47,7 @@ from station.runs.progress import Progress
 from station.runs.store import SavedRun
 from station.settings import read_text, read_toml
 from station.shell.finish import SCHEMA_VERSION, standing_document
-from station.sources.batches import LeftOut, Source, check_over_time
+from station.sources.batches import ExcludedRecord, Source, check_over_time
 from station.sources.find import open_source
 from station.sources.workers import Workers
 
@@ -95,7 +95,7 @@ def combine(
     )
     with errors_in_words(), given_back():
         found_run = evaluate(RunArrays(slow, _nothing(slow)), knowledge, method, estimated, axis)
-    shown = LockInFound(
+    shown = LockInEvaluation(
         **vars(found_run), names=names, waveforms=waveforms, damaged=tuple(str(n + 1) for n in whole.damaged)
     )
     paths = tuple(Path(one.name) for one in used)
@@ -123,7 +123,7 @@ class _Sources:
         self._last = ""
         self.used: list[_Used] = []
         self.wfids: dict[str, None] = {}
-        self.left_out: list[LeftOut] = []
+        self.left_out: list[ExcludedRecord] = []
 
     def add(self, part: Gathered) -> None:
         """Take a piece of a source, or a whole one."""
@@ -151,7 +151,9 @@ class _Sources:
     def _is_known(self, part: Gathered) -> bool:
         """Whether the same measurement was there already: counted twice it would seem better known than it is."""
         if part.sha256 and (first := self._seen.setdefault(part.sha256, part.name)) != part.name:
-            self.left_out.append(LeftOut(part.name, None, f"holds the same records as {first}: counted once"))
+            self.left_out.append(
+                ExcludedRecord(part.name, None, f"holds the same records as {first}: counted once")
+            )
             return True
         return False
 
@@ -319,7 +321,7 @@ class _Waveforms(Sequence[Waveform]):
         return found
 
 
-def said_of(left_out: Sequence[LeftOut], most: int = 20) -> list[str]:
+def said_of(left_out: Sequence[ExcludedRecord], most: int = 20) -> list[str]:
     """Name what was left out, at most so many of them."""
     said = [f"left out: {one}" for one in left_out[:most]]
     return said if len(left_out) <= most else [*said, f"left out: {len(left_out) - most} more"]
@@ -340,10 +342,10 @@ class AnalyzedFiles:
     """One file, or several as records at one rate, and what they say."""
 
     paths: tuple[Path, ...]
-    found: LockInFound
+    found: LockInEvaluation
     harmonics: list[dict[str, float]] | None
     result: Result
-    left_out: tuple[LeftOut, ...] = ()
+    left_out: tuple[ExcludedRecord, ...] = ()
     about: tuple[dict[str, str | None], ...] = ()
     tested: tuple[Tested, ...] = ()
 

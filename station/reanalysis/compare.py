@@ -20,7 +20,7 @@ from station.report.figure import ACCENT, INK, SECOND, SOFT, write_picture
 from station.results.result import TextTable, plain, with_uncertainty
 from station.runs.progress import Progress
 from station.shell.finish import evaluate_saved
-from station.sources.batches import LeftOut
+from station.sources.batches import ExcludedRecord
 from station.sources.find import find_sources, is_run
 from station.sources.workers import Workers
 
@@ -74,7 +74,7 @@ _SURE = 3.0
 
 
 @dataclass(frozen=True)
-class Records:
+class ComparedRecords:
     """Rows of one analysis."""
 
     name: str  # the table or path
@@ -83,7 +83,7 @@ class Records:
     labels: list[str]  # source and number, as they are shown
     values: dict[str, Floats]  # of each of `QUANTITIES`, nan where there is none; standard uncertainty by noise
     us: dict[str, Floats]
-    left_out: tuple[LeftOut, ...] = ()
+    left_out: tuple[ExcludedRecord, ...] = ()
     # by which they were estimated; ``None`` of a table, which knows the noise of records only
     choices: Mapping[str, Any] | None = None
     headline: Headline | None = None  # what they say together, every input counted
@@ -120,8 +120,8 @@ class Difference:
 class Comparison:
     """Two analyses side by side."""
 
-    first: Records
-    second: Records
+    first: ComparedRecords
+    second: ComparedRecords
     # whether they are of the same records: then noise is common to both, and a difference is counted in the larger
     # of the two uncertainties; else in both together
     same_records: bool
@@ -216,7 +216,7 @@ class Comparison:
         return all(one.headline is not None and one.headline.one_rate for one in (self.first, self.second))
 
 
-def compare(first: Records, second: Records) -> Comparison:
+def compare(first: ComparedRecords, second: ComparedRecords) -> Comparison:
     """Compare the lock-in rates, beat frequencies and ratios of two analyses."""
     for one in (first, second):
         if not np.isfinite(one.values["lock_in_rate_dps"]).any():
@@ -255,7 +255,11 @@ def _of_headlines(by_noise: Difference, a: Headline, b: Headline) -> Difference:
 
 
 def _difference(
-    name: str, first: Records, second: Records, here: NDArray[np.intp] | None, there: NDArray[np.intp] | None
+    name: str,
+    first: ComparedRecords,
+    second: ComparedRecords,
+    here: NDArray[np.intp] | None,
+    there: NDArray[np.intp] | None,
 ) -> Difference:
     _, unit, title = QUANTITIES[name]
     a, b, a_u, b_u = first.values[name], second.values[name], first.us[name], second.us[name]
@@ -308,7 +312,7 @@ def _mean(values: Floats, us: Floats) -> tuple[float, float]:
     return mean, u
 
 
-def read_records(place: str, choices: Mapping[str, Any], workers: Workers, analysis: str = "") -> Records:
+def read_records(place: str, choices: Mapping[str, Any], workers: Workers, analysis: str = "") -> ComparedRecords:
     """Read the rows of a results table, or estimate the records of runs and files."""
     path = Path(place)
     if path.suffix.lower() in KINDS and path.is_file() and _is_table(path):
@@ -335,7 +339,9 @@ def read_records(place: str, choices: Mapping[str, Any], workers: Workers, analy
     return replace(_records(place, given, left_out), choices=choices)
 
 
-def with_headlines(first: Records, second: Records, workers: Workers) -> tuple[Records, Records]:
+def with_headlines(
+    first: ComparedRecords, second: ComparedRecords, workers: Workers
+) -> tuple[ComparedRecords, ComparedRecords]:
     """Evaluate both sides as a whole, where they hold no record in common: then noise is not all that counts."""
     if not set(first.keys).isdisjoint(second.keys):
         return first, second
@@ -359,7 +365,7 @@ def _is_table(path: Path) -> bool:
     return True
 
 
-def _records(name: str, rows: Iterable[Mapping[str, Any]], left_out: Sequence[LeftOut]) -> Records:
+def _records(name: str, rows: Iterable[Mapping[str, Any]], left_out: Sequence[ExcludedRecord]) -> ComparedRecords:
     keys: list[tuple[str, int]] = []
     labels: list[str] = []
     analyses: dict[str, None] = {}
@@ -376,7 +382,7 @@ def _records(name: str, rows: Iterable[Mapping[str, Any]], left_out: Sequence[Le
         listed = "; ".join(f"'{one}'" for one in analyses)
         raise UsageError(f"{name}: holds several analyses: name one with --a or --b, by a part of {listed}")
     of_values, of_us = ({column: np.array(found) for column, found in one.items()} for one in (values, us))
-    return Records(name, tuple(analyses), keys, labels, of_values, of_us, tuple(left_out))
+    return ComparedRecords(name, tuple(analyses), keys, labels, of_values, of_us, tuple(left_out))
 
 
 def _float(value: Any) -> float:

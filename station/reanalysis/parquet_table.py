@@ -21,8 +21,8 @@ from station.reanalysis.table_file import (
     Column,
     Key,
     Repeated,
-    Rows,
     TableFile,
+    TableRows,
     joined_columns,
 )
 
@@ -75,7 +75,7 @@ class Parquet(TableFile):
             raise CannotWrite(f"{self.path}: cannot be written ({error})") from None
 
     @staticmethod
-    def packed(parts: Sequence[Rows]) -> bytes:
+    def packed(parts: Sequence[TableRows]) -> bytes:
         """Columns as Arrow lays them out in memory; see `TableFile`."""
         columns = joined_columns(parts)
         arrays = [_texts(columns[name]) if name in TEXTS else _numbers(columns[name], name) for name in ORDER]

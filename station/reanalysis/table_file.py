@@ -28,7 +28,7 @@ from station.lock_in.estimate import COLUMNS, Gathered, Piece, columns_of, estim
 from station.lock_in.evaluate import describe_method
 from station.lock_in.settings import RING_LASER, channel_response
 from station.settings import saved_settings
-from station.sources.batches import LeftOut
+from station.sources.batches import ExcludedRecord
 
 Key = tuple[str, str]
 """Source and analysis of a row."""
@@ -54,7 +54,7 @@ class TableFile(ABC):
 
     @staticmethod
     @abstractmethod
-    def packed(parts: Sequence[Rows]) -> Any:
+    def packed(parts: Sequence[TableRows]) -> Any:
         """Return rows as :meth:`add` takes them: done by the process that computes them, many at a time."""
 
     @abstractmethod
@@ -141,7 +141,7 @@ class Repeated(Sequence[Any]):
 
 
 @dataclass(frozen=True)
-class Rows:
+class TableRows:
     """Rows of one source, or of a piece of it."""
 
     source: str
@@ -149,7 +149,7 @@ class Rows:
     # by the names of `ORDER`: an array or list of `count` values, or one value that all rows share; None: not
     # known. Empty where the rows were known already.
     columns: dict[str, Values]
-    left_out: tuple[LeftOut, ...]  # what could not be read
+    left_out: tuple[ExcludedRecord, ...]  # what could not be read
     known: bool = False  # whether the table has them already
 
     def column(self, name: str) -> Column:
@@ -158,7 +158,7 @@ class Rows:
         return values if isinstance(values, list | np.ndarray) else Repeated(values, self.count)
 
 
-def joined_columns(parts: Sequence[Rows]) -> dict[str, Column]:
+def joined_columns(parts: Sequence[TableRows]) -> dict[str, Column]:
     """Put rows of several sources behind each other; every one of `ORDER` is there."""
     filled = [part for part in parts if part.count]
     if len(filled) == 1:
@@ -190,20 +190,22 @@ def software() -> str:
     return " ".join(filter(None, program()))
 
 
-def rows_of_pieces(pieces: Sequence[Piece]) -> list[Rows]:
+def rows_of_pieces(pieces: Sequence[Piece]) -> list[TableRows]:
     """Estimate the records of some pieces and make rows of them; a source that does not go is left out."""
     return [_rows(piece, gathered) for piece, gathered in zip(pieces, estimate_pieces(pieces), strict=True)]
 
 
-def _rows(piece: Piece, gathered: Gathered) -> Rows:
+def _rows(piece: Piece, gathered: Gathered) -> TableRows:
     if gathered.method is None:
-        return Rows(gathered.name, 0, {}, gathered.left_out, known=bool(gathered.sha256))
+        return TableRows(gathered.name, 0, {}, gathered.left_out, known=bool(gathered.sha256))
     if gathered.paired:
-        return Rows(gathered.name, 0, {}, (LeftOut(gathered.name, None, _PAIRED),))
+        return TableRows(gathered.name, 0, {}, (ExcludedRecord(gathered.name, None, _PAIRED),))
     try:
-        return Rows(gathered.name, len(gathered), _columns(piece, gathered), gathered.left_out)
+        return TableRows(gathered.name, len(gathered), _columns(piece, gathered), gathered.left_out)
     except StationError as error:
-        return Rows(gathered.name, 0, {}, (*gathered.left_out, LeftOut(gathered.name, None, str(error))))
+        return TableRows(
+            gathered.name, 0, {}, (*gathered.left_out, ExcludedRecord(gathered.name, None, str(error)))
+        )
 
 
 def _columns(piece: Piece, gathered: Gathered) -> dict[str, Values]:
@@ -289,7 +291,7 @@ def _hold(descriptor: int) -> None:
 # Results tables as text: comma-separated values, or one JSON object a line
 
 
-class TextTable(TableFile):
+class DelimitedTable(TableFile):
     """Lines of text; new ones go to a draft beside the table, which takes its place at the end."""
 
     def __init__(self, path: Path) -> None:
@@ -310,7 +312,7 @@ class TextTable(TableFile):
             self._file = self._draft.open("w", encoding="utf-8", newline="")
 
     @classmethod
-    def packed(cls, parts: Sequence[Rows]) -> str:
+    def packed(cls, parts: Sequence[TableRows]) -> str:
         """Lines; see `TableFile`."""
         columns = joined_columns(parts)
         return cls._lines(zip(*(_known(columns[name]) for name in ORDER), strict=True))
@@ -378,7 +380,7 @@ def _known(column: Column) -> Sequence[Any]:
     return values
 
 
-class JsonLines(TextTable):
+class JsonLines(DelimitedTable):
     """One JSON object a line; what is not known is null."""
 
     def rows(self) -> Iterator[dict[str, Any]]:
@@ -410,7 +412,7 @@ def _json_row(line: str) -> dict[str, Any] | None:
     return row
 
 
-class Csv(TextTable):
+class Csv(DelimitedTable):
     """Comma-separated values below a line of headings; what is not known is empty."""
 
     def rows(self) -> Iterator[dict[str, Any]]:
@@ -516,7 +518,7 @@ class Sqlite(TableFile):
             raise CannotWrite(f"{self.path}: cannot be written ({error})") from None
 
     @staticmethod
-    def packed(parts: Sequence[Rows]) -> dict[str, Column]:
+    def packed(parts: Sequence[TableRows]) -> dict[str, Column]:
         """Columns; see `TableFile`."""
         return joined_columns(parts)
 

@@ -91,7 +91,7 @@ class Measured:
 
 
 @dataclass(frozen=True)
-class LeftOut:
+class Excluded:
     """Something that was taken, or should have been, and is not in the result."""
 
     name: str
@@ -104,7 +104,7 @@ class LeftOut:
 
 
 @dataclass(frozen=True)
-class Standing:
+class Validity:
     """Whether a result holds, and what speaks against it."""
 
     # {"stands", "doubtful", "fails"}: "doubtful": something that was noticed, or that nobody knows, rules it.
@@ -126,7 +126,7 @@ class Result:
     sentences: tuple[str, ...] = ()  # what the result means
     to_watch: tuple[str, ...] = ()  # what spoils it or may spoil it
     flags: tuple[str, ...] = ()  # the same for programs
-    left_out: tuple[LeftOut, ...] = ()
+    left_out: tuple[Excluded, ...] = ()
     tables: tuple[TextTable, ...] = ()  # above the value on the terminal
     problem: str = ""  # why there is no result; empty if there is one
     truth: str = ""  # truth of a simulated run, in words; empty: the run's facts tell it
@@ -135,13 +135,13 @@ class Result:
     failures: tuple[str, ...] = ()  # checks of the result that fail
 
     @property
-    def standing(self) -> Standing:
+    def standing(self) -> Validity:
         """Whether it holds."""
         failures = (self.problem, *self.failures) if self.problem else self.failures
         doubts = self.to_watch if self.doubts is None else self.doubts
         if failures:
-            return Standing("fails", (*failures, *doubts))
-        return Standing("doubtful", doubts) if doubts else Standing("stands")
+            return Validity("fails", (*failures, *doubts))
+        return Validity("doubtful", doubts) if doubts else Validity("stands")
 
 
 # --------------------

@@ -16,7 +16,7 @@ from station.operator import check_terminal, operator_table
 from station.results.result import Check
 from station.ring_laser.records import Bench, set_up, take_record
 from station.ring_laser.settings import BenchSettings
-from station.runs.acquisition import Session
+from station.runs.acquisition import Acquisition
 from station.scope.autoset import find_beat
 from station.scope.tools import open_scope
 
@@ -76,7 +76,7 @@ def _table(settings: BenchSettings, tell: Callable[[str], None]) -> Iterator[Rat
         yield None
 
 
-def open_for(session: Session, settings: BenchSettings) -> Bench:
+def open_for(session: Acquisition, settings: BenchSettings) -> Bench:
     """Open the bench for the taking of a run; the run keeps what the link took, and the front panel as found."""
     bench = session.open(
         open_bench(

@@ -27,7 +27,7 @@ from instrument.scpi import POINTS
 from instrument.simulated import SimulatedRateTable, SimulatedTDS2014, VirtualClock
 from instrument.simulated.clock import Clock
 from instrument.simulated.controllers import RateTableController
-from instrument.simulated.rate_table import Motion
+from instrument.simulated.rate_table import TableMotion
 from station.controllers import open_simulated_rate_table, open_surroundings
 from station.errors import UsageError
 from station.ring_laser.records import Bench
@@ -46,7 +46,7 @@ class TurningTable(SimulatedRateTable):
     ``when_steady``, if it is set, is called with the new piece of motion then.
     """
 
-    when_steady: Callable[[Motion], None] | None = None
+    when_steady: Callable[[TableMotion], None] | None = None
 
     def set_rate(self, rate_dps: float) -> None:
         """Bring the table to a rate in deg/s and return when it turns steadily."""
@@ -107,7 +107,7 @@ def build_instruments(settings: BenchSettings, clock: Clock, *, times_resumed: i
     return SimulatedInstruments(clock, table, gyro, detector, scope, simulation.link)
 
 
-def _prepare(gyro: Gyro, detector: Detector, table: TurningTable, steady: Motion) -> None:
+def _prepare(gyro: Gyro, detector: Detector, table: TurningTable, steady: TableMotion) -> None:
     """Work out the beat of a whole turn beforehand: the scope must not keep a program waiting for it."""
     turn_s = 360.0 / max(abs(steady.rate_dps), 1e-3)
     beat_signal_on_table(gyro, detector, table.motion, steady.start + np.linspace(0.0, turn_s, _TURN_POINTS))

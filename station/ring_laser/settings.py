@@ -15,7 +15,7 @@ from station.settings import Finite, NotNegative, Positive, SettingsSection, Sit
 Dbc = Annotated[float, Field(ge=-200, le=0)]
 
 
-class GyroSettings(SettingsSection):
+class RingLaserSettings(SettingsSection):
     """The gyro under test, as far as it is known beforehand."""
 
     name: str
@@ -91,7 +91,7 @@ class BenchSettings(Protocol):
     """What a bench is opened with: the part of a measurement's settings that it needs."""
 
     @property
-    def gyro(self) -> GyroSettings:
+    def gyro(self) -> RingLaserSettings:
         """The gyro under test."""
 
     @property

@@ -45,7 +45,7 @@ class Taken:
         return Failure(self.failure.kind, told, self.failure.exit_code)
 
 
-class Session:
+class Acquisition:
     """One taking of records, of a new run or of one that is gone on with: bench, writer, progress."""
 
     def __init__(
@@ -211,13 +211,13 @@ def facts_of(
     }
 
 
-def take(session: Session, work: Callable[[Session], None]) -> Taken:
+def take(session: Acquisition, work: Callable[[Acquisition], None]) -> Taken:
     """Take what is wanted and close the run."""
     with undisturbed():  # a signal ends the work, and nothing of what closes it
         return _take(session, work)
 
 
-def _take(session: Session, work: Callable[[Session], None]) -> Taken:
+def _take(session: Acquisition, work: Callable[[Acquisition], None]) -> Taken:
     failure: Failure | None = None
     stopped_by: BaseException | None = None
     try:

@@ -75,7 +75,7 @@ def _scanned(content: bytes, journal: bytes) -> tuple[dict[int, SavedRecord], di
     return records, dict(_facts(texts))
 
 
-def _record(row: Row) -> SavedRecord | None:
+def _record(row: SalvagedRow) -> SavedRecord | None:
     """A row as a record, if it is one and has its checksum."""
     if len(row.cells) != len(COLUMNS):
         return None
@@ -135,7 +135,7 @@ Value = int | str | bytes | None
 
 
 @dataclass(frozen=True)
-class Row:
+class SalvagedRow:
     """One row: its number (0 in a table that has none), and its cells."""
 
     number: int
@@ -149,7 +149,7 @@ def page_size_of(content: bytes) -> int:
     return size if content[:6] == b"SQLite" and size >= 512 and size & (size - 1) == 0 else 16_384
 
 
-def rows_of(page: bytes, first: bool, others: Mapping[int, bytes]) -> Iterator[Row]:
+def rows_of(page: bytes, first: bool, others: Mapping[int, bytes]) -> Iterator[SalvagedRow]:
     """Give the rows of one page, those that can be read."""
     start = 100 if first else 0
     kind = page[start]
@@ -163,7 +163,7 @@ def rows_of(page: bytes, first: bool, others: Mapping[int, bytes]) -> Iterator[R
             continue
 
 
-def _row(page: bytes, at: int, kind: int, others: Mapping[int, bytes]) -> Row:
+def _row(page: bytes, at: int, kind: int, others: Mapping[int, bytes]) -> SalvagedRow:
     length, at = _varint(page, at)
     number = 0
     if kind == _TABLE_LEAF:
@@ -172,7 +172,7 @@ def _row(page: bytes, at: int, kind: int, others: Mapping[int, bytes]) -> Row:
         raise ValueError("no row is so long")
     most = len(page) - 35 if kind == _TABLE_LEAF else (len(page) - 12) * 64 // 255 - 23
     if length <= most:
-        return Row(number, _cells(page[at : at + length]))
+        return SalvagedRow(number, _cells(page[at : at + length]))
     least = (len(page) - 12) * 32 // 255 - 23
     here = least + (length - least) % (len(page) - 4)
     here = here if here <= most else least
@@ -180,7 +180,7 @@ def _row(page: bytes, at: int, kind: int, others: Mapping[int, bytes]) -> Row:
     while len(data) < length:
         more = others[following]
         data, following = data + more[4:], int.from_bytes(more[:4], "big")
-    return Row(number, _cells(data[:length]))
+    return SalvagedRow(number, _cells(data[:length]))
 
 
 def _cells(data: bytes) -> tuple[Value, ...]:

@@ -46,7 +46,7 @@ class ScopeInput(Protocol):
         """1, 10, 100 or 1000."""
 
 
-class RecordShape(Protocol):
+class ScreenShape(Protocol):
     """What a record shall look like."""
 
     @property
@@ -111,10 +111,10 @@ def next_vertical(
 
 
 def find_beat(
-    scope: TDS2014, settings: ScopeInput, measurement: RecordShape, start: KnobPositions | float
+    scope: TDS2014, settings: ScopeInput, measurement: ScreenShape, start: KnobPositions | float
 ) -> KnobPositions:
     """Set the scope so that a record shows the beat well."""
-    search = _Search(scope, settings, measurement)
+    search = _BeatSearch(scope, settings, measurement)
     highest = start.beat_frequency if isinstance(start, KnobPositions) else start
     slowest = max(_QUICK_S, _PERIODS_SEEN * _SLOWER_THAN_EXPECTED / highest / DIVISIONS)
     # begin with few periods: at 500 samples a period nothing can be aliased
@@ -143,7 +143,7 @@ def find_beat(
 
 
 def fit_channel(
-    scope: TDS2014, channel: str, settings: ScopeInput, measurement: RecordShape, setting: KnobPositions
+    scope: TDS2014, channel: str, settings: ScopeInput, measurement: ScreenShape, setting: KnobPositions
 ) -> VerticalSetting:
     """Fit the vertical scale of a second channel; time base and trigger stay as they are."""
     begin = VerticalSetting(setting.volts_per_division, setting.position)
@@ -157,10 +157,10 @@ def fit_channel(
     return vertical
 
 
-class _Search:
+class _BeatSearch:
     """The knobs as they stand while the beat is looked for."""
 
-    def __init__(self, scope: TDS2014, settings: ScopeInput, measurement: RecordShape) -> None:
+    def __init__(self, scope: TDS2014, settings: ScopeInput, measurement: ScreenShape) -> None:
         self._scope, self._settings, self._measurement = scope, settings, measurement
         self.vertical = VerticalSetting(1.0 * settings.probe)
         self.base = _QUICK_S

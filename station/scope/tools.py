@@ -287,7 +287,7 @@ def parse_fault(text: str) -> Fault:
 
 
 @dataclass(frozen=True)
-class Trace:
+class GrabbedTrace:
     """One trace, and what the scope measures on it: V and Hz; None where it has no value."""
 
     channel: str
@@ -301,7 +301,7 @@ class Trace:
         return f"{self.channel}: {cut}{self.peak_to_peak:.4g} Vpp, {frequency}"
 
 
-def grab_traces(scope: TDS2014, channels: Sequence[str] = ()) -> list[Trace]:
+def grab_traces(scope: TDS2014, channels: Sequence[str] = ()) -> list[GrabbedTrace]:
     """The traces on the screen, or those that are named.
 
     A scope that runs takes one record of all of them; one that is stopped keeps what it holds.
@@ -314,15 +314,15 @@ def grab_traces(scope: TDS2014, channels: Sequence[str] = ()) -> list[Trace]:
     return [_trace(scope, name, waveform) for name, waveform in zip(shown, waveforms, strict=True)]
 
 
-def _trace(scope: TDS2014, channel: str, waveform: Waveform) -> Trace:
+def _trace(scope: TDS2014, channel: str, waveform: Waveform) -> GrabbedTrace:
     try:
         frequency = scope.measure("FREQUENCY", channel).value
     except ExecutionError:
         frequency = None
-    return Trace(channel, waveform, float(np.nanmax(waveform.volts) - np.nanmin(waveform.volts)), frequency)
+    return GrabbedTrace(channel, waveform, float(np.nanmax(waveform.volts) - np.nanmin(waveform.volts)), frequency)
 
 
-def write_grab(folder: Path, name: str, traces: Sequence[Trace], picture: bytes | None) -> list[Path]:
+def write_grab(folder: Path, name: str, traces: Sequence[GrabbedTrace], picture: bytes | None) -> list[Path]:
     """Write `NAME.png`, `NAME.csv` (a column of times for each trace, and one of volts) and `NAME.npz`.
 
     The NumPy file has `CH1_times`, `CH1_volts`, `CH1_codes` and `CH1_preamble` for each channel. A file that is
@@ -344,7 +344,7 @@ def write_grab(folder: Path, name: str, traces: Sequence[Trace], picture: bytes 
     return written
 
 
-def _as_csv(traces: Sequence[Trace]) -> bytes:
+def _as_csv(traces: Sequence[GrabbedTrace]) -> bytes:
     columns = [column for trace in traces for column in (trace.waveform.times, trace.waveform.volts)]
     title = ",".join(f"{trace.channel}_time_s,{trace.channel}_volts" for trace in traces)
     text = io.StringIO()
@@ -352,7 +352,7 @@ def _as_csv(traces: Sequence[Trace]) -> bytes:
     return text.getvalue().encode()
 
 
-def _as_numpy(traces: Sequence[Trace]) -> bytes:
+def _as_numpy(traces: Sequence[GrabbedTrace]) -> bytes:
     arrays: dict[str, NDArray[Any]] = {}
     for trace in traces:
         arrays |= {

@@ -25,7 +25,7 @@ from station.live.preview import See
 from station.measurements import MEASUREMENTS, Measurement, measurement
 from station.results.result import FactTable, Result, Section, plain
 from station.results.verdict import Tested, check_limits, verdict
-from station.runs.acquisition import Session, Taken, facts_of, take
+from station.runs.acquisition import Acquisition, Taken, facts_of, take
 from station.runs.database import SUMS
 from station.runs.progress import Progress
 from station.runs.store import Acknowledge, SavedRun, open_run
@@ -387,7 +387,7 @@ def start_run(
     facts = facts_of(kind.name, settings.model_dump(mode="json"), simulated=simulated, labels=labels)
     facts |= known or {}
     directory, see = Path(settings.output.directory), _see(kind, settings, progress)
-    session = Session(facts, directory, progress, acknowledge=acknowledge, see=see)
+    session = Acquisition(facts, directory, progress, acknowledge=acknowledge, see=see)
     if not paths:
         return take(session, lambda of: kind.take(settings, of))
     make = kind.take_files
@@ -424,7 +424,9 @@ def resume_run(
 
     facts = {**run.facts, **(labels or {}), "settings": settings.model_dump(mode="json")}
     see = _see(kind, settings, progress)
-    session = Session(facts, run.path.parent, progress, resumed=run, again=again, acknowledge=acknowledge, see=see)
+    session = Acquisition(
+        facts, run.path.parent, progress, resumed=run, again=again, acknowledge=acknowledge, see=see
+    )
     return take(session, lambda of: kind.take(settings, of))
 
 

@@ -75,7 +75,7 @@ AT_ONCE = 1000
 
 
 @dataclass(frozen=True)
-class LeftOut:
+class ExcludedRecord:
     """Something that could not be read: a whole source, or one record of it."""
 
     source: str
@@ -107,7 +107,7 @@ class RecordBatch:
 
 def batches_of(
     sources: Iterable[Source],
-    left_out: Callable[[LeftOut], None],
+    left_out: Callable[[ExcludedRecord], None],
     *,
     at_once: int = AT_ONCE,
     wanted: Callable[[SavedRecord], bool] = lambda record: True,
@@ -135,19 +135,19 @@ def batches_of(
                         yield _collected(open_batches.pop(shape))
                     held = 0
         except (StationError, InstrumentError, OSError) as error:
-            left_out(LeftOut(source.name, None, _without_name(str(error), source.name)))
+            left_out(ExcludedRecord(source.name, None, _without_name(str(error), source.name)))
     for batch in open_batches.values():
         yield _collected(batch)
 
 
 def read_one(
-    record: SavedRecord, source: Source, left_out: Callable[[LeftOut], None]
+    record: SavedRecord, source: Source, left_out: Callable[[ExcludedRecord], None]
 ) -> tuple[SavedRecord, Preamble, Source] | None:
     """See that a record can be used; what cannot is left out, and `left_out` is told why."""
     preamble = preamble_of(Stretch.of(record))
     if preamble is not None:
         return record, preamble, source
-    left_out(LeftOut(source.name, record.key, why_not(record)))
+    left_out(ExcludedRecord(source.name, record.key, why_not(record)))
     return None
 
 

@@ -112,7 +112,7 @@ def open_source(path: Path | Source, held: ExitStack | None = None) -> Source:
     if path.is_dir() and not _holds_run(path):
         with os.scandir(path):  # one that may not be looked at says so
             pass
-    return RunSource(path, held) if is_database(path) else TekFile(path)
+    return RunSource(path, held) if is_database(path) else TekSource(path)
 
 
 # --------------------
@@ -122,7 +122,7 @@ def open_source(path: Path | Source, held: ExitStack | None = None) -> Source:
 PURPOSE = "measure"
 
 
-class TekFile(Source):
+class TekSource(Source):
     """One CSV, ISF or curve file; what the ``TEK.SET`` beside it says of the channel goes into the preamble."""
 
     def __init__(self, path: Path) -> None:

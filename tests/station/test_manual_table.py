@@ -21,7 +21,7 @@ from station.lock_in.take import take_on
 from station.operator import operator_table
 from station.ring_laser.instruments import SimulatedInstruments, build_instruments
 from station.ring_laser.records import Bench
-from station.runs.acquisition import Session, facts_of, take
+from station.runs.acquisition import Acquisition, facts_of, take
 from station.runs.progress import Progress
 from station.runs.store import SavedRun, open_run
 from station.scope.tools import open_scope, serve
@@ -162,7 +162,7 @@ def test_a_rate_that_does_not_fit_the_beat_is_asked_again(tmp_path: Path, insist
     instruments = build_instruments(settings, VirtualClock())
     operator = Careless(instruments, insists)
     facts = facts_of("measure", settings.model_dump(mode="json"), simulated=True)
-    session = Session(facts, tmp_path, Progress(quiet=True))
+    session = Acquisition(facts, tmp_path, Progress(quiet=True))
     with serve(instruments.scope, "tcp") as resource, open_scope(resource, read_twice=False) as scope:
         turned = Bench(scope, ManualRateTable(ask=operator), sleep=instruments.clock.sleep)
         taken = take(session, lambda of: take_on(turned, settings, of))
@@ -221,7 +221,7 @@ def test_the_rates_of_a_sweep_are_checked_against_the_beat(
     instruments = build_instruments(settings, VirtualClock())
     operator = Sweeping(instruments, wrong, insists)
     facts = facts_of("deadband", settings.model_dump(mode="json"), simulated=True)
-    session = Session(facts, tmp_path, Progress(quiet=True))
+    session = Acquisition(facts, tmp_path, Progress(quiet=True))
     with serve(instruments.scope, "tcp") as resource, open_scope(resource, read_twice=False) as scope:
         clock = instruments.clock
         turned = Bench(scope, ManualRateTable(ask=operator), sleep=clock.sleep, now=clock.now)

@@ -10,7 +10,13 @@ from analysis.budget.bench import bounded
 from analysis.lock_in_run import Method
 from instrument import Preamble, Waveform
 from station.errors import NoUsableSignal, RunError
-from station.lock_in.evaluate import LockInFound, acquisitions_of, evaluate_run, evaluate_waveforms, fast_run_tilt
+from station.lock_in.evaluate import (
+    LockInEvaluation,
+    acquisitions_of,
+    evaluate_run,
+    evaluate_waveforms,
+    fast_run_tilt,
+)
 from station.lock_in.result import result
 from station.lock_in.settings import RING_LASER, Settings, bench_knowledge, default_settings, run_knowledge
 from station.runs.store import SavedRecord, SavedRun, open_run
@@ -24,7 +30,7 @@ def settings_of(run: SavedRun) -> Settings:
     return saved_settings(RING_LASER, run.facts.settings, str(run.path))
 
 
-def evaluated(run: SavedRun) -> LockInFound:
+def evaluated(run: SavedRun) -> LockInEvaluation:
     return evaluate_run(run, settings_of(run))
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from analysis.lockin_equation import harmonic_ratio, lock_in_from_rate
-from station.lock_in.evaluate import LockInFound
+from station.lock_in.evaluate import LockInEvaluation
 from station.lock_in.measurement import MEASUREMENT
 from station.lock_in.settings import load_settings
 from station.runs.progress import Progress
@@ -23,7 +23,7 @@ PHASE = math.radians(20.0 - 35.0)  # readout phase less backscatter phase of the
 SENSES = {"rates_over_lock_in": [8.0], "both_senses": True}
 
 
-def measured(folder: Path, contaminants: dict[str, Any], **sections: dict[str, Any]) -> LockInFound:
+def measured(folder: Path, contaminants: dict[str, Any], **sections: dict[str, Any]) -> LockInEvaluation:
     """Take a run with some contaminants and evaluate it."""
     overrides = ideal_bench(
         simulation={"seed": 7, "link": "tcp", "contaminants": contaminants} | sections.pop("simulation", {}),
@@ -38,13 +38,13 @@ def measured(folder: Path, contaminants: dict[str, Any], **sections: dict[str, A
     return evaluate_run(open_run(taken.path)).found
 
 
-def distance(evaluation: LockInFound, expected: float = LOCK_IN) -> float:
+def distance(evaluation: LockInEvaluation, expected: float = LOCK_IN) -> float:
     """Distance from what is expected in standard uncertainties."""
     combined = evaluation.combined
     return abs(float(combined.lock_in_rate) - expected) / float(combined.lock_in_rate_u)
 
 
-def seen_with(evaluation: LockInFound, factor: complex = 1.0, added: complex = 0.0) -> float:
+def seen_with(evaluation: LockInEvaluation, factor: complex = 1.0, added: complex = 0.0) -> float:
     """Lock-in rate that a ratio -r exp(-i phase) would show after a factor and an addition, by the true rate."""
     assert evaluation.truth is not None
     rate = evaluation.truth["input_rate_dps"]

@@ -5,7 +5,7 @@ out when, `closed_loop` the simulation on one of two kernels, `output_model` the
 """
 
 from analysis.fibre_gyro.loop.closed_loop import ClosedLoop, Kernel
-from analysis.fibre_gyro.loop.design import LoopDesign, OutputBlock, Trace
+from analysis.fibre_gyro.loop.design import LoopDesign, LoopTrace, OutputBlock
 from analysis.fibre_gyro.loop.output_model import OutputModel
 
-__all__ = ["ClosedLoop", "Kernel", "LoopDesign", "OutputBlock", "OutputModel", "Trace"]
+__all__ = ["ClosedLoop", "Kernel", "LoopDesign", "LoopTrace", "OutputBlock", "OutputModel"]

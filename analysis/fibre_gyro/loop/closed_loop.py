@@ -23,7 +23,7 @@ from numpy.typing import ArrayLike
 from analysis.arrays import Floats, Indices, Ints
 from analysis.fibre_gyro.coil import FibreCoil
 from analysis.fibre_gyro.loop import kernels
-from analysis.fibre_gyro.loop.design import LoopDesign, OutputBlock, OutputClock, Trace
+from analysis.fibre_gyro.loop.design import LoopDesign, LoopTrace, OutputBlock, OutputClock
 from analysis.fibre_gyro.loop.kernels import (
     NORMAL,
     PHASE,
@@ -161,7 +161,7 @@ class ClosedLoop:
         rate_dps: float = 0.0,
         injected_step: float = 0.0,
         closed: bool | None = None,
-    ) -> Trace:
+    ) -> LoopTrace:
         """Signals of the first gyro at every transit time, for a plot; the gyro goes on as in :meth:`run`.
 
         Parameters
@@ -257,13 +257,13 @@ def _kernel(name: Kernel, runs: int) -> RunPairs:
     return run_pairs
 
 
-def _trace(seen: list[kernels.PairSignals], first: int, coil: FibreCoil, design: LoopDesign) -> Trace:
+def _trace(seen: list[kernels.PairSignals], first: int, coil: FibreCoil, design: LoopDesign) -> LoopTrace:
     """Signals of the first run, pair after pair, as one series."""
     staircase, code, adc = (np.concatenate([pair[field] for pair in seen]) for field in (0, 1, 5))
     phase, turns, level = (np.concatenate([pair[field] for pair in seen]) for field in (2, 3, 4))
     half_range = (design.wrap << design.fractional_bits) // 2
     fallen = np.abs(np.diff(staircase, prepend=staircase[:1])) > half_range
-    return Trace(
+    return LoopTrace(
         times_s=(first + np.arange(code.size, dtype=np.float64)) * coil.transit_time,
         staircase=staircase >> design.fractional_bits,
         code=code,

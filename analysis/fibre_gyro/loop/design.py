@@ -266,7 +266,7 @@ class OutputBlock:
 
 
 @dataclass(frozen=True)
-class Trace:
+class LoopTrace:
     """The signals of one gyro at every transit time; shape (n,) each.
 
     Attributes

@@ -33,8 +33,8 @@ from instrument.simulated.front_end.frontend import (
     shown_volts,
     tells_its_noise,
 )
-from instrument.simulated.front_end.trigger_circuit import Sweep, TriggerCircuit
-from instrument.simulated.panel.panel import ChannelSettings, Panel, TriggerSettings
+from instrument.simulated.front_end.trigger_circuit import TimeSweep, TriggerCircuit
+from instrument.simulated.panel.panel import Panel, PanelChannel, TriggerSettings
 
 State = Literal["ARMED", "READY", "TRIGGER", "AUTO", "SAVE", "SCAN"]
 
@@ -49,7 +49,7 @@ _SHORTEST_POLL, _LONGEST_POLL = 1e-3, 0.1  # s between two looks for a trigger w
 
 
 @dataclass(frozen=True)
-class Record:
+class DigitizedRecord:
     """One completed acquisition: when its samples were taken and with which settings."""
 
     number: int  # counts all acquisitions since power-on; seeds the noise
@@ -57,7 +57,7 @@ class Record:
     xzero: float  # time in s of the first sample relative to the trigger, as the preamble gives it
     seconds_per_division: float  # time base
     mode: str  # SAMPLE, PEAKDETECT or AVERAGE
-    channels: Mapping[str, ChannelSettings]  # vertical settings of the displayed channels
+    channels: Mapping[str, PanelChannel]  # vertical settings of the displayed channels
     until: float = 0.0  # absolute time in s of the end; only rolling records need it
     rolling: bool = False  # true for scan mode
 
@@ -74,7 +74,7 @@ class _LeftOut:
     ready_at: float
 
 
-class Acquisition:
+class AcquisitionSystem:
     """Takes records from the signals with the settings of the panel."""
 
     def __init__(
@@ -85,13 +85,11 @@ class Acquisition:
         self._jitter = np.random.default_rng([seed, 0x7161])
         self._numbers = itertools.count(1)
         self._circuit = TriggerCircuit(panel, self.signal)
-        self._record: Record | None = None
+        self._record: DigitizedRecord | None = None
         self._swept: deque[float | _LeftOut] = deque(
             maxlen=_MOST_AVERAGED
         )  # the latest acquisitions, by their start
-        self._newest: Mapping[str, ChannelSettings] | None = (
-            None  # channels of an acquisition that is no record yet
-        )
+        self._newest: Mapping[str, PanelChannel] | None = None  # channels of an acquisition that is no record yet
         self._number = 0  # of that one
         self._completed = 0.0, 0.0  # ready and triggered, s: the latest acquisition that was not left out
         self._left_out_since: float | None = None  # absolute time in s; None: nothing is left out
@@ -112,14 +110,14 @@ class Acquisition:
         return self.running and self._panel.text("ACQUIRE:STOPAFTER") == "SEQUENCE"
 
     @property
-    def record(self) -> Record | None:
+    def record(self) -> DigitizedRecord | None:
         """The newest; what was left out for it is caught up with now."""
         if self._newest is not None:
             self._record, self._newest = self._made(self._newest), None
         return self._record
 
     @record.setter
-    def record(self, record: Record | None) -> None:
+    def record(self, record: DigitizedRecord | None) -> None:
         self._record, self._newest = record, None
 
     @property
@@ -166,7 +164,7 @@ class Acquisition:
         )
         return min(now + poll, sweep.auto_at) if now < sweep.auto_at else now + poll
 
-    def latest(self) -> Record:
+    def latest(self) -> DigitizedRecord:
         """The record that CURVe? would send now; one without data if there was no trigger yet."""
         self.update()
         if self.running and self._panel.scanning and self._displayed_channels():
@@ -175,7 +173,7 @@ class Acquisition:
             return self.record
         scale = self._panel.seconds_per_division
         xzero = self._panel.horizontal_position - DIVISIONS / 2 * scale
-        return Record(0, (), xzero, scale, self._panel.text("ACQUIRE:MODE"), {})
+        return DigitizedRecord(0, (), xzero, scale, self._panel.text("ACQUIRE:MODE"), {})
 
     # What the rest of the instrument does
 
@@ -235,17 +233,17 @@ class Acquisition:
 
     # Inside
 
-    def _displayed_channels(self) -> dict[str, ChannelSettings]:
+    def _displayed_channels(self) -> dict[str, PanelChannel]:
         return self._panel.displayed_channels()
 
     def _arm(self, at: float) -> None:
         """Begin to fill the part before the trigger."""
         self._sweep = self._armed(at + self._before)
 
-    def _armed(self, ready_at: float) -> Sweep:
+    def _armed(self, ready_at: float) -> TimeSweep:
         auto = self._panel.text("TRIGGER:MAIN:MODE") == "AUTO"
         wait = max(AUTO_WAIT, DIVISIONS * self._panel.seconds_per_division) if auto else math.inf
-        return Sweep(ready_at - self._before, ready_at, ready_at + wait)
+        return TimeSweep(ready_at - self._before, ready_at, ready_at + wait)
 
     @property
     def _before(self) -> float:
@@ -297,7 +295,7 @@ class Acquisition:
         self._sweep.triggered_at, self._sweep.forced = at, forced
         self._sweep.completes_at = at + self._after
 
-    def _complete(self, at: float, now: float, shown: Mapping[str, ChannelSettings]) -> None:
+    def _complete(self, at: float, now: float, shown: Mapping[str, PanelChannel]) -> None:
         """Keep the acquisition; stop after a sequence, else arm again."""
         sweep = self._sweep
         triggered_at = sweep.ready_at if sweep.triggered_at is None else sweep.triggered_at
@@ -325,7 +323,7 @@ class Acquisition:
     def _xzero(self) -> float:
         return self._panel.horizontal_position - DIVISIONS / 2 * self._panel.seconds_per_division
 
-    def _made(self, shown: Mapping[str, ChannelSettings]) -> Record | None:
+    def _made(self, shown: Mapping[str, PanelChannel]) -> DigitizedRecord | None:
         """The record of the newest acquisitions; the one before if none of them had a trigger."""
         panel, mode = self._panel, self._panel.text("ACQUIRE:MODE")
         if mode == "PEAKDETECT" and panel.seconds_per_division < PEAK_DETECT_FROM * (1 - 1e-9):
@@ -335,7 +333,7 @@ class Acquisition:
         if not starts:
             return self._record
         scale = panel.seconds_per_division
-        return Record(self._number, starts, self._xzero, scale, mode, shown)
+        return DigitizedRecord(self._number, starts, self._xzero, scale, mode, shown)
 
     def _latest_starts(self) -> tuple[float, ...]:
         """Starts of the acquisitions that a record is made of; those that were left out are looked for now."""
@@ -428,8 +426,8 @@ class Acquisition:
             self.record = self._rolling_record(full)
             self._panel.values["ACQUIRE:STATE"] = 0
 
-    def _rolling_record(self, until: float) -> Record:
-        return Record(
+    def _rolling_record(self, until: float) -> DigitizedRecord:
+        return DigitizedRecord(
             number=self._scan_number,
             starts=(self._sweep.began,),
             xzero=0.0,
@@ -458,11 +456,11 @@ class Digitizer:
 
     def __init__(self, signal: Callable[[str], Signal], noise_levels: float, seed: int) -> None:
         self._signal, self._noise_levels, self._seed = signal, noise_levels, seed
-        self._averaged: dict[str, tuple[tuple[float, ChannelSettings], dict[float, Floats]]] = {}
-        self._means: dict[str, tuple[tuple[float, ChannelSettings, int], tuple[float, ...], Floats]] = {}
+        self._averaged: dict[str, tuple[tuple[float, PanelChannel], dict[float, Floats]]] = {}
+        self._means: dict[str, tuple[tuple[float, PanelChannel, int], tuple[float, ...], Floats]] = {}
         self._kept: OrderedDict[tuple[int, float, str], Codes] = OrderedDict()
 
-    def codes(self, record: Record, name: str) -> Codes:
+    def codes(self, record: DigitizedRecord, name: str) -> Codes:
         """Codes of one channel of a record."""
         channel = record.channels.get(name)
         if channel is None:
@@ -475,7 +473,7 @@ class Digitizer:
                 self._kept.popitem(last=False)
         return codes
 
-    def _digitize(self, record: Record, name: str, channel: ChannelSettings) -> Codes:
+    def _digitize(self, record: DigitizedRecord, name: str, channel: PanelChannel) -> Codes:
         if record.rolling:
             return self._scan(record, name, channel)
         if record.mode == "PEAKDETECT":
@@ -492,7 +490,7 @@ class Digitizer:
                 return convert(mean, channel, noise)
         return convert(self._mean(record, name, channel), channel, noise)
 
-    def _smooth_mean(self, record: Record, name: str, channel: ChannelSettings) -> Floats | None:
+    def _smooth_mean(self, record: DigitizedRecord, name: str, channel: PanelChannel) -> Floats | None:
         """Mean volts of the acquisitions of a record without noise: that of before, and what is new of it.
 
         None where it takes a look at each of them.
@@ -517,7 +515,7 @@ class Digitizer:
             self._means[name] = settings, record.starts, found
         return found
 
-    def _mean(self, record: Record, name: str, channel: ChannelSettings) -> Floats:
+    def _mean(self, record: DigitizedRecord, name: str, channel: PanelChannel) -> Floats:
         """Mean volts of the acquisitions of a record; those that the last average had, too, are kept."""
         times = record.xincr * np.arange(POINTS, dtype=np.float64)
         signal = self._signal(name)
@@ -534,7 +532,7 @@ class Digitizer:
         self._averaged[name] = settings, looks
         return np.asarray(np.mean(list(looks.values()), axis=0))
 
-    def _peaks(self, record: Record, name: str, channel: ChannelSettings) -> Codes:
+    def _peaks(self, record: DigitizedRecord, name: str, channel: PanelChannel) -> Codes:
         """Pairs of the smallest and the largest sample of two intervals, p. 2-250."""
         samples = min(_MOST_PEAK_SAMPLES, max(2, round(2 * record.xincr * _PEAK_RATE)))
         count = POINTS // 2 * samples
@@ -563,7 +561,7 @@ class Digitizer:
         ends = np.stack([levels.min(axis=1), levels.max(axis=1)], axis=1).ravel()
         return convert(ends / levels_per_volt(channel), channel)
 
-    def _scan(self, record: Record, name: str, channel: ChannelSettings) -> Codes:
+    def _scan(self, record: DigitizedRecord, name: str, channel: PanelChannel) -> Codes:
         """The rolling record at one moment: new samples up to the blank, old ones behind it."""
         codes = np.full(POINTS, NO_DATA, dtype=np.int8)
         taken = int((record.until - record.starts[0]) / record.xincr)  # samples since the scan began

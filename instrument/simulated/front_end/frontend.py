@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from instrument.scpi import HIGHEST_CODE, LEVELS_PER_DIVISION
-from instrument.simulated.panel.panel import ChannelSettings
+from instrument.simulated.panel.panel import PanelChannel
 
 Floats = NDArray[np.float64]
 Codes = NDArray[np.int8]
@@ -82,12 +82,12 @@ def evaluate(signal: Signal, times: Floats) -> Floats:
     return volts if volts.shape == times.shape else np.broadcast_to(volts, times.shape)
 
 
-def shown_volts(signal: Signal, channel: ChannelSettings, times: Floats) -> Floats:
+def shown_volts(signal: Signal, channel: PanelChannel, times: Floats) -> Floats:
     """Volts that the screen would show without the scope's noise: band-limited, coupled, times probe, inverted."""
     return shown_smooth(signal, channel, times) + shown_noise(signal, channel, times)
 
 
-def shown_smooth(signal: Signal, channel: ChannelSettings, times: Floats, more: float = 0.0) -> Floats:
+def shown_smooth(signal: Signal, channel: PanelChannel, times: Floats, more: float = 0.0) -> Floats:
     """What `shown_volts` gives without the noise of the signal; behind one `more` pole (time constant in s)."""
     if channel.coupling == "GND":
         return np.zeros_like(times)
@@ -100,14 +100,14 @@ def shown_smooth(signal: Signal, channel: ChannelSettings, times: Floats, more: 
     return volts * gain(channel)
 
 
-def _look_coupled(signal: Signal, channel: ChannelSettings, start: float, stop: float) -> CoarseLook | None:
+def _look_coupled(signal: Signal, channel: PanelChannel, start: float, stop: float) -> CoarseLook | None:
     """The signal behind the AC coupling of a channel, where it knows that itself."""
     if channel.coupling != "AC":
         return None
     return look_above(signal, AC_CORNER, start - _SETTLING, stop)
 
 
-def mean_shown(signal: Signal, channel: ChannelSettings, starts: Floats, times: Floats) -> Floats | None:
+def mean_shown(signal: Signal, channel: PanelChannel, starts: Floats, times: Floats) -> Floats | None:
     """Mean of what `shown_smooth` gives at `times` after each of the `starts`, all in s and rising.
 
     From one look at the coarse grids of all: polynomials through the means are the mean of the polynomials.
@@ -133,17 +133,17 @@ def mean_shown(signal: Signal, channel: ChannelSettings, starts: Floats, times: 
     return Between(0.0, span, values.reshape(len(starts), -1).mean(axis=0))(times) * gain(channel)
 
 
-def shown_noise(signal: Signal, channel: ChannelSettings, times: Floats) -> Floats:
+def shown_noise(signal: Signal, channel: PanelChannel, times: Floats) -> Floats:
     """The noise of the signal as `shown_volts` has it."""
     return np.zeros_like(times) if channel.coupling == "GND" else noise_of(signal, times) * gain(channel)
 
 
-def gain(channel: ChannelSettings) -> float:
+def gain(channel: PanelChannel) -> float:
     """Volts at the probe tip, upside down where the channel is, over those at the BNC."""
     return -channel.probe if channel.inverted else channel.probe
 
 
-def levels_per_volt(channel: ChannelSettings) -> float:
+def levels_per_volt(channel: PanelChannel) -> float:
     """Levels of the converter for a volt at the probe tip."""
     return LEVELS_PER_DIVISION / channel.scale
 
@@ -196,7 +196,7 @@ def smoothed(values: Floats, gain: float, first: float) -> Floats:
     return result
 
 
-def convert(volts: Floats, channel: ChannelSettings, noise: Floats | float = 0.0) -> Codes:
+def convert(volts: Floats, channel: PanelChannel, noise: Floats | float = 0.0) -> Codes:
     """Codes of the converter: 25 levels a division around the centre, rounded, clipped at +-127.
 
     Examples

@@ -12,10 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from instrument.scpi import HIGHEST_CODE, LEVELS_PER_DIVISION, NO_DATA, POINTS
-from instrument.simulated.front_end.acquisition import Record
+from instrument.simulated.front_end.acquisition import DigitizedRecord
 from instrument.simulated.front_end.frontend import Codes, Floats
 from instrument.simulated.panel.events import Refusal
-from instrument.simulated.panel.panel import ChannelSettings, Panel
+from instrument.simulated.panel.panel import Panel, PanelChannel
 from instrument.simulated.panel.parsing import block, nr3, quoted
 
 MODE_WORDS = {"SAMPLE": "Sample", "AVERAGE": "Average", "PEAKDETECT": "Pk Detect"}
@@ -102,7 +102,7 @@ def empty_reference(name: str) -> Trace:
     return Trace(codes, wfid, "Y", 2e-6, -2.5e-3, "s", 0.04, 0.0, 0.0, "Volts")
 
 
-def channel_trace(record: Record, name: str, codes: Codes, channel: ChannelSettings, yunit: str) -> Trace:
+def channel_trace(record: DigitizedRecord, name: str, codes: Codes, channel: PanelChannel, yunit: str) -> Trace:
     """Trace of a channel with the settings of its acquisition."""
     wfid = (
         f"Ch{name[2:]}, {channel.coupling} coupling, {nr3(channel.scale)} V/div, "

@@ -28,7 +28,7 @@ BEND = 0.25
 _FEWEST_CELLS = 5  # of a stretch
 
 
-class Stretch:
+class SignalStretch:
     """The smooth part of a trigger signal from one time to another, at even steps."""
 
     def __init__(self, smooth: Callable[[Floats], Floats], start: float, stop: float, interval: float) -> None:
@@ -66,7 +66,7 @@ class Part:
     """A part of a stretch between two times: its ends and the looks between them are points, counted from 0."""
 
     def __init__(
-        self, stretch: Stretch, heights: Heights, start: float, stop: float, ends: tuple[float, float]
+        self, stretch: SignalStretch, heights: Heights, start: float, stop: float, ends: tuple[float, float]
     ) -> None:
         first, last = (int(place) for place in np.searchsorted(stretch.times, (start, stop), side="right"))
         self._times, self._heights, self._ends = stretch.times, heights, ends
@@ -126,7 +126,7 @@ class Comparator:
     ) -> None:
         self.noise, self.noise_rms, self.bounds = noise, noise_rms, bounds
         self.smooth, self._interval = smooth, interval
-        self._seen: Stretch | None = None
+        self._seen: SignalStretch | None = None
 
     def __call__(self, times: Floats) -> Floats:
         """Volts with the noise."""
@@ -144,7 +144,7 @@ class Comparator:
         seen = self._seen
         return seen is None or not seen.times[0] <= start < seen.times[-1] - SHORTEST_STRETCH
 
-    def stretch(self, start: float, until: float, now: float, most: int) -> Stretch:
+    def stretch(self, start: float, until: float, now: float, most: int) -> SignalStretch:
         """What is seen from `start` to `now`, or not so far; the last one again if it holds the start.
 
         Up to `until` looks between which the signal is smooth are known to do. A new one has `most` cells at most.
@@ -155,7 +155,7 @@ class Comparator:
             if not interval:  # behind `until` the table changes its rate, or the gyro locks
                 end, interval = until, self._interval(start, until)
             end = min(end, start + most * interval)
-            seen = self._seen = Stretch(self.smooth, start, end, interval)
+            seen = self._seen = SignalStretch(self.smooth, start, end, interval)
         return seen
 
 
@@ -235,7 +235,7 @@ class EdgeSearch:
             self.cells = min(2 * self.cells, _MOST_CELLS)
         return None
 
-    def _edge_along(self, stretch: Stretch, until: float, step: float, noise: float) -> float | None:
+    def _edge_along(self, stretch: SignalStretch, until: float, step: float, noise: float) -> float | None:
         """The edge in what is left of a stretch."""
         start, stop = self.searched_until, min(until, float(stretch.times[-1]))
         heights = stretch.heights(self.level, self.rising, self.hysteresis, noise)
@@ -436,7 +436,9 @@ class PulseSearch:
             self.cells = min(2 * self.cells, _MOST_CELLS)
         return None
 
-    def _telling_looks(self, stretch: Stretch, end: float, step: float, noise: float) -> tuple[Floats, Floats]:
+    def _telling_looks(
+        self, stretch: SignalStretch, end: float, step: float, noise: float
+    ) -> tuple[Floats, Floats]:
         """Times and volts at the looks of a stretch, and more, `step` apart, where the signal may turn about."""
         first, last = np.searchsorted(stretch.times, (self.searched_until, end), side="right")
         looks = slice(first, last - 1)

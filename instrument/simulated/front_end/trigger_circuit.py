@@ -30,7 +30,7 @@ from instrument.simulated.front_end.trigger import (
     first_edges,
     refine,
 )
-from instrument.simulated.panel.panel import ChannelSettings, Panel, TriggerSettings
+from instrument.simulated.panel.panel import Panel, PanelChannel, TriggerSettings
 
 # --------------------
 # Looks for the sync pulses of a composite video signal: any line, one line, any field, the odd or the even one.
@@ -146,11 +146,11 @@ LOW_FREQUENCY_REJECT = 1 / (2 * math.pi * 300e3)  # s
 MAINS_FREQUENCY = 50.0  # Hz, of the trigger source AC LINE
 _LONGEST_SEARCH_STEP = 20e-6  # s; the comparator is faster than the samples of a slow sweep
 _FURTHER = 3.0  # times as far, where others were found
-_EXTERNAL = ChannelSettings(1.0, 0.0, "DC", 1.0, limited=False, inverted=False)
+_EXTERNAL = PanelChannel(1.0, 0.0, "DC", 1.0, limited=False, inverted=False)
 
 
 @dataclass
-class Sweep:
+class TimeSweep:
     """One acquisition, from when it is armed to its last sample; absolute times in s."""
 
     began: float  # armed, and filled as far as the trigger
@@ -167,10 +167,10 @@ class TriggerCircuit:
 
     def __init__(self, panel: Panel, signal: Callable[[str], Signal]) -> None:
         self._panel, self._signal = panel, signal
-        self._compared: tuple[tuple[str, str, ChannelSettings], Comparator] | None = None
+        self._compared: tuple[tuple[str, str, PanelChannel], Comparator] | None = None
         self._cells = 0  # of a stretch that the last search has looked at
 
-    def edge(self, sweep: Sweep, trigger: TriggerSettings, now: float) -> float | None:
+    def edge(self, sweep: TimeSweep, trigger: TriggerSettings, now: float) -> float | None:
         """Time of the trigger of an acquisition, if it has come by now."""
         until = min(now, sweep.auto_at)
         if trigger.kind == "VIDEO":
@@ -192,7 +192,7 @@ class TriggerCircuit:
         """
         if trigger.kind != "EDGE":
             return np.full(ready.shape, np.nan)
-        search = self._edge_search(Sweep(0.0, 0.0, math.inf), trigger)
+        search = self._edge_search(TimeSweep(0.0, 0.0, math.inf), trigger)
         edges = first_edges(search, ready, reach, self._step)
         missing = np.isnan(edges)
         if 0 < np.count_nonzero(missing) < len(edges):
@@ -214,7 +214,7 @@ class TriggerCircuit:
             self._compared = key, self._new_comparator(*key)
         return self._compared[1]
 
-    def _new_comparator(self, source: str, coupling: str, channel: ChannelSettings) -> Comparator:
+    def _new_comparator(self, source: str, coupling: str, channel: PanelChannel) -> Comparator:
         if source in ("AC LINE", "LINE"):
             return Comparator(lambda times: np.sin(2 * math.pi * MAINS_FREQUENCY * times))
         signal = self._signal(source)
@@ -248,7 +248,7 @@ class TriggerCircuit:
         rms = abs(gain(channel)) * signal.noise_rms
         return Comparator(smooth, noise, rms, signal.interval, bounds)
 
-    def _edge_search(self, sweep: Sweep, trigger: TriggerSettings) -> EdgeSearch:
+    def _edge_search(self, sweep: TimeSweep, trigger: TriggerSettings) -> EdgeSearch:
         """The search of an acquisition, with the level of now."""
         search = sweep.search
         if not isinstance(search, EdgeSearch):
@@ -258,7 +258,7 @@ class TriggerCircuit:
         search.hysteresis = self._hysteresis(trigger)
         return search
 
-    def _pulse_search(self, sweep: Sweep, trigger: TriggerSettings) -> PulseSearch:
+    def _pulse_search(self, sweep: TimeSweep, trigger: TriggerSettings) -> PulseSearch:
         """The search of an acquisition for a pulse, with the settings of now."""
         search = sweep.search
         if not isinstance(search, PulseSearch):
@@ -267,7 +267,7 @@ class TriggerCircuit:
         search.volts_at = self.comparator(trigger)
         return search
 
-    def _video_search(self, sweep: Sweep, trigger: TriggerSettings) -> VideoSearch:
+    def _video_search(self, sweep: TimeSweep, trigger: TriggerSettings) -> VideoSearch:
         """The search of an acquisition for a sync pulse, with the settings of now."""
         search = sweep.search
         if not isinstance(search, VideoSearch) or search.trigger != trigger:

@@ -51,8 +51,8 @@ class HislipServer(StreamServer):
         self.clients = 2 * _CLIENTS + 1  # one more, to be told that it is too many
         self.scopes = (scopes,) if isinstance(scopes, SimulatedTDS2014) else tuple(scopes)
         self._locks = [Locks() for _ in self.scopes]
-        self._readers: dict[Port, FrameReader] = {}
-        self._sessions: dict[Port, Session] = {}  # by either channel
+        self._readers: dict[Port, HislipReader] = {}
+        self._sessions: dict[Port, HislipClient] = {}  # by either channel
         self._numbers = itertools.cycle(range(1, 1 << 16))
         self._leaving: set[Port] = set()  # hung up on as soon as the last frame is out
         self.host, self.port = self._listen(host, port)
@@ -72,7 +72,7 @@ class HislipServer(StreamServer):
     # Connections
 
     def _add(self, port: Port) -> None:
-        self._readers[port] = FrameReader(LARGEST_MESSAGE)
+        self._readers[port] = HislipReader(LARGEST_MESSAGE)
         super()._add(port)
 
     def _drop(self, port: Port) -> None:
@@ -112,7 +112,7 @@ class HislipServer(StreamServer):
         now = time.monotonic()
         for locks in self._locks:
             for client, answer in locks.settle(now):
-                if isinstance(client, Session):
+                if isinstance(client, HislipClient):
                     client.answer_lock(answer, now)
         for session in list(dict.fromkeys(self._sessions.values())):
             if not session.exchange.scope.powered:
@@ -139,7 +139,7 @@ class HislipServer(StreamServer):
         except PoorHeader:
             self._refuse(port, Fatal.POOR_HEADER, now)
 
-    def _hear(self, port: Port, frame: Frame, now: float) -> None:
+    def _hear(self, port: Port, frame: HislipFrame, now: float) -> None:
         """Where a frame belongs."""
         session = self._sessions.get(port)
         if session is None:
@@ -147,14 +147,14 @@ class HislipServer(StreamServer):
             return
         aside = port is session.asynchronous
         answer = partial(session.tell, now=now, aside=aside)
-        if frame.kind in (Kind.FATAL_ERROR, Kind.ERROR):
-            if frame.kind == Kind.FATAL_ERROR:
+        if frame.kind in (MessageType.FATAL_ERROR, MessageType.ERROR):
+            if frame.kind == MessageType.FATAL_ERROR:
                 self._drop(port)
         elif frame.too_large:
             answer(mistake(Mistake.TOO_LARGE))
         elif frame.kind in VENDOR_KINDS:
             answer(mistake(Mistake.UNKNOWN_VENDOR_KIND))
-        elif frame.kind in (Kind.INITIALIZE, Kind.ASYNC_INITIALIZE):
+        elif frame.kind in (MessageType.INITIALIZE, MessageType.ASYNC_INITIALIZE):
             self._refuse(port, Fatal.BAD_INITIALIZATION, now)
         elif session.asynchronous is None:
             self._refuse(port, Fatal.CHANNEL_MISSING, now)
@@ -163,22 +163,22 @@ class HislipServer(StreamServer):
         else:
             session.hear(frame, now)
 
-    def _open(self, port: Port, frame: Frame, now: float) -> None:
+    def _open(self, port: Port, frame: HislipFrame, now: float) -> None:
         """The first frame of a connection: a new session, or the second channel of one."""
-        if frame.kind == Kind.INITIALIZE:
+        if frame.kind == MessageType.INITIALIZE:
             self._open_session(port, frame, now)
             return
         waiting = {s.number: s for s in self._sessions.values() if s.asynchronous is None}
         session = waiting.get(frame.parameter)
-        if frame.kind != Kind.ASYNC_INITIALIZE or session is None:
-            known = frame.kind in (Kind.ASYNC_INITIALIZE, Kind.FATAL_ERROR, Kind.ERROR)
+        if frame.kind != MessageType.ASYNC_INITIALIZE or session is None:
+            known = frame.kind in (MessageType.ASYNC_INITIALIZE, MessageType.FATAL_ERROR, MessageType.ERROR)
             self._refuse(port, Fatal.BAD_INITIALIZATION if known else Fatal.CHANNEL_MISSING, now)
             return
         session.asynchronous = port
         self._sessions[port] = session
-        session.tell(Frame(Kind.ASYNC_INITIALIZE_RESPONSE, 0, _VENDOR), now, aside=True)
+        session.tell(HislipFrame(MessageType.ASYNC_INITIALIZE_RESPONSE, 0, _VENDOR), now, aside=True)
 
-    def _open_session(self, port: Port, frame: Frame, now: float) -> None:
+    def _open_session(self, port: Port, frame: HislipFrame, now: float) -> None:
         name = frame.payload.decode("ascii", errors="replace").lower() or f"{_NAME}0"
         digits = name.removeprefix(_NAME)
         if not (name.startswith(_NAME) and digits.isdigit() and int(digits) < len(self.scopes)):
@@ -189,10 +189,10 @@ class HislipServer(StreamServer):
             return
         taken = {session.number for session in self._sessions.values()}
         number = next(number for number in self._numbers if number not in taken)
-        session = Session(number, self.scopes[int(digits)], self._locks[int(digits)], port)
+        session = HislipClient(number, self.scopes[int(digits)], self._locks[int(digits)], port)
         self._sessions[port] = session
         version = min(_VERSION, frame.parameter >> 16)
-        session.tell(Frame(Kind.INITIALIZE_RESPONSE, 0, version << 16 | number), now)
+        session.tell(HislipFrame(MessageType.INITIALIZE_RESPONSE, 0, version << 16 | number), now)
 
 
 # --------------------
@@ -217,7 +217,7 @@ _POLLING = 1.0  # s after a poll, in which a client counts as one that polls
 _SIZE = struct.Struct("!Q")
 
 
-class Session:
+class HislipClient:
     """A client."""
 
     def __init__(self, number: int, scope: SimulatedTDS2014, locks: Locks, sync: Port) -> None:
@@ -240,7 +240,7 @@ class Session:
         idle = not (self.exchange.working or self.exchange.answering or self.exchange.closed)
         return idle and bool(self._waiting) and self._locks.may_talk(self)
 
-    def tell(self, frame: Frame, now: float, *, aside: bool = False) -> None:
+    def tell(self, frame: HislipFrame, now: float, *, aside: bool = False) -> None:
         """Send a frame on the synchronous channel, or `aside` on the other one."""
         port = self.asynchronous if aside else self.sync
         if port is not None:
@@ -248,28 +248,28 @@ class Session:
 
     # What comes in on the synchronous channel
 
-    def hear(self, frame: Frame, now: float) -> None:
+    def hear(self, frame: HislipFrame, now: float) -> None:
         """Take a frame of the synchronous channel."""
         match frame.kind:
-            case Kind.DEVICE_CLEAR_COMPLETE:
+            case MessageType.DEVICE_CLEAR_COMPLETE:
                 self._clearing = False
-                self.tell(Frame(Kind.DEVICE_CLEAR_ACKNOWLEDGE), now)
+                self.tell(HislipFrame(MessageType.DEVICE_CLEAR_ACKNOWLEDGE), now)
             case _ if self._clearing:
                 return  # under way when the client cleared
-            case Kind.DATA | Kind.DATA_END | Kind.TRIGGER if frame.control & ~_DELIVERED:
+            case MessageType.DATA | MessageType.DATA_END | MessageType.TRIGGER if frame.control & ~_DELIVERED:
                 self.tell(mistake(Mistake.UNKNOWN_CONTROL_CODE), now)
-            case Kind.DATA:
+            case MessageType.DATA:
                 self._note(frame, now)
                 self._parts += frame.payload
-            case Kind.DATA_END | Kind.TRIGGER:
+            case MessageType.DATA_END | MessageType.TRIGGER:
                 self._note(frame, now)
-                message = b"*TRG" if frame.kind == Kind.TRIGGER else bytes(self._parts) + frame.payload
+                message = b"*TRG" if frame.kind == MessageType.TRIGGER else bytes(self._parts) + frame.payload
                 self._parts.clear()
                 self._waiting.append((frame.parameter, message))
             case _:
                 self.tell(mistake(Mistake.UNKNOWN_KIND), now)
 
-    def _note(self, frame: Frame, now: float) -> None:
+    def _note(self, frame: HislipFrame, now: float) -> None:
         """A new message: was the last answer read?"""
         if frame.control & _DELIVERED:
             self.exchange.unread = False
@@ -279,35 +279,39 @@ class Session:
     def _interrupt(self, by: int, now: float) -> None:
         """An answer is lost because a new message came before it was read."""
         self.exchange.drop_answers(_INTERRUPTED)
-        self.tell(Frame(Kind.INTERRUPTED, 0, by), now)
-        self.tell(Frame(Kind.ASYNC_INTERRUPTED, 0, by), now, aside=True)
+        self.tell(HislipFrame(MessageType.INTERRUPTED, 0, by), now)
+        self.tell(HislipFrame(MessageType.ASYNC_INTERRUPTED, 0, by), now, aside=True)
 
     # What comes in on the asynchronous channel
 
-    def hear_aside(self, frame: Frame, now: float) -> None:
+    def hear_aside(self, frame: HislipFrame, now: float) -> None:
         """Take a frame of the asynchronous channel."""
         match frame.kind:
-            case Kind.ASYNC_MAXIMUM_MESSAGE_SIZE if len(frame.payload) == _SIZE.size:
+            case MessageType.ASYNC_MAXIMUM_MESSAGE_SIZE if len(frame.payload) == _SIZE.size:
                 (size,) = _SIZE.unpack(frame.payload)
                 self._largest = max(_SMALLEST_MESSAGE, size - _HEADER_BYTES)
-                answer = Frame(Kind.ASYNC_MAXIMUM_MESSAGE_SIZE_RESPONSE, 0, 0, _SIZE.pack(LARGEST_MESSAGE))
-            case Kind.ASYNC_DEVICE_CLEAR:
+                answer = HislipFrame(
+                    MessageType.ASYNC_MAXIMUM_MESSAGE_SIZE_RESPONSE, 0, 0, _SIZE.pack(LARGEST_MESSAGE)
+                )
+            case MessageType.ASYNC_DEVICE_CLEAR:
                 self._clear()
-                answer = Frame(Kind.ASYNC_DEVICE_CLEAR_ACKNOWLEDGE)
-            case Kind.ASYNC_STATUS_QUERY:
+                answer = HislipFrame(MessageType.ASYNC_DEVICE_CLEAR_ACKNOWLEDGE)
+            case MessageType.ASYNC_STATUS_QUERY:
                 if frame.control & _DELIVERED:
                     self.exchange.unread = False
                 self.work(now)  # what came before on the other channel
                 self._polled_at, self.request_at = now, math.inf
-                answer = Frame(Kind.ASYNC_STATUS_RESPONSE, self.exchange.serial_poll())
-            case Kind.ASYNC_LOCK if frame.control in (0, 1):
+                answer = HislipFrame(MessageType.ASYNC_STATUS_RESPONSE, self.exchange.serial_poll())
+            case MessageType.ASYNC_LOCK if frame.control in (0, 1):
                 self._lock(frame, now)
                 return
-            case Kind.ASYNC_LOCK_INFO:
-                answer = Frame(Kind.ASYNC_LOCK_INFO_RESPONSE, int(self._locks.exclusive), self._locks.holders)
-            case Kind.ASYNC_REMOTE_LOCAL_CONTROL if frame.control in _REMOTE_CODES:
-                answer = Frame(Kind.ASYNC_REMOTE_LOCAL_RESPONSE)
-            case Kind.ASYNC_LOCK | Kind.ASYNC_REMOTE_LOCAL_CONTROL:
+            case MessageType.ASYNC_LOCK_INFO:
+                answer = HislipFrame(
+                    MessageType.ASYNC_LOCK_INFO_RESPONSE, int(self._locks.exclusive), self._locks.holders
+                )
+            case MessageType.ASYNC_REMOTE_LOCAL_CONTROL if frame.control in _REMOTE_CODES:
+                answer = HislipFrame(MessageType.ASYNC_REMOTE_LOCAL_RESPONSE)
+            case MessageType.ASYNC_LOCK | MessageType.ASYNC_REMOTE_LOCAL_CONTROL:
                 answer = mistake(Mistake.UNKNOWN_CONTROL_CODE)
             case _:
                 answer = mistake(Mistake.UNKNOWN_KIND)
@@ -321,7 +325,7 @@ class Session:
         self.exchange.clear()
         self.exchange.unread = False
 
-    def _lock(self, frame: Frame, now: float) -> None:
+    def _lock(self, frame: HislipFrame, now: float) -> None:
         """Ask for a lock (the parameter is a time-out in ms), or give it back when what came before is done."""
         if not frame.control:
             self._releases.append(True)
@@ -332,7 +336,7 @@ class Session:
 
     def answer_lock(self, answer: LockAnswer, now: float) -> None:
         """Tell what became of a request for a lock."""
-        self.tell(Frame(Kind.ASYNC_LOCK_RESPONSE, answer), now, aside=True)
+        self.tell(HislipFrame(MessageType.ASYNC_LOCK_RESPONSE, answer), now, aside=True)
 
     # What the instrument does
 
@@ -358,7 +362,7 @@ class Session:
             self.request_at = max(now + _HELD_BACK, self._polled_at + _POLLING)
         if now >= self.request_at:
             self.request_at = math.inf
-            self.tell(Frame(Kind.ASYNC_SERVICE_REQUEST, self.exchange.status_byte()), now, aside=True)
+            self.tell(HislipFrame(MessageType.ASYNC_SERVICE_REQUEST, self.exchange.status_byte()), now, aside=True)
 
     def _send(self, answer: bytes, now: float) -> None:
         """An answer in pieces that the client takes; one that is late for the next message is not sent."""
@@ -367,8 +371,8 @@ class Session:
             return
         for start in range(0, len(answer), self._largest):
             piece = answer[start : start + self._largest]
-            kind = Kind.DATA_END if start + self._largest >= len(answer) else Kind.DATA
-            self.tell(Frame(kind, 0, self._at_work, piece), now)
+            kind = MessageType.DATA_END if start + self._largest >= len(answer) else MessageType.DATA
+            self.tell(HislipFrame(kind, 0, self._at_work, piece), now)
         self.exchange.unread = True
 
 
@@ -382,7 +386,7 @@ _PROLOGUE = b"HS"
 _HEADER = struct.Struct("!2sBBIQ")
 
 
-class Kind(IntEnum):
+class MessageType(IntEnum):
     """Type of a frame."""
 
     INITIALIZE = 0
@@ -451,10 +455,10 @@ class PoorHeader(Exception):
 
 
 @dataclass(frozen=True)
-class Frame:
+class HislipFrame:
     """One frame."""
 
-    kind: int  # A `Kind`, or a number that none of them has
+    kind: int  # A `MessageType`, or a number that none of them has
     control: int = 0  # their meaning depends on the kind
     parameter: int = 0
     payload: bytes = b""
@@ -472,17 +476,17 @@ class Frame:
         return header + self.payload
 
 
-def fatal(reason: Fatal) -> Frame:
+def fatal(reason: Fatal) -> HislipFrame:
     """The last frame of a connection."""
-    return Frame(Kind.FATAL_ERROR, reason, 0, _WORDS[reason])
+    return HislipFrame(MessageType.FATAL_ERROR, reason, 0, _WORDS[reason])
 
 
-def mistake(reason: Mistake) -> Frame:
+def mistake(reason: Mistake) -> HislipFrame:
     """The answer to a frame that is not carried out."""
-    return Frame(Kind.ERROR, reason, 0, _WORDS[reason])
+    return HislipFrame(MessageType.ERROR, reason, 0, _WORDS[reason])
 
 
-class FrameReader:
+class HislipReader:
     """Cuts a stream of bytes into frames; `largest` is the longest payload that it collects."""
 
     def __init__(self, largest: int) -> None:
@@ -490,7 +494,7 @@ class FrameReader:
         self._buffer = bytearray()
         self._skipping = 0
 
-    def feed(self, data: bytes) -> Iterator[Frame]:
+    def feed(self, data: bytes) -> Iterator[HislipFrame]:
         """Take in bytes and give the frames that they complete; PoorHeader where there is no header."""
         self._buffer += data
         while True:
@@ -506,13 +510,13 @@ class FrameReader:
             if length > self._largest:
                 del self._buffer[: _HEADER.size]
                 self._skipping = length
-                yield Frame(kind, control, parameter, too_large=True)
+                yield HislipFrame(kind, control, parameter, too_large=True)
                 continue
             if len(self._buffer) < _HEADER.size + length:
                 return
             payload = bytes(self._buffer[_HEADER.size : _HEADER.size + length])
             del self._buffer[: _HEADER.size + length]
-            yield Frame(kind, control, parameter, payload)
+            yield HislipFrame(kind, control, parameter, payload)
 
 
 # --------------------

@@ -7,7 +7,7 @@ from collections import defaultdict, deque
 from collections.abc import Sequence
 
 from instrument.simulated.links.stream_server import LOOK_UP, Port, StreamServer
-from instrument.text_files import Exchange
+from instrument.text_files import TranscriptExchange
 
 
 class ReplayServer(StreamServer):
@@ -17,7 +17,7 @@ class ReplayServer(StreamServer):
     then, it gets the last answer again. A message that the transcript does not have gets none.
     """
 
-    def __init__(self, exchanges: Sequence[Exchange], host: str = "127.0.0.1", port: int = 0) -> None:
+    def __init__(self, exchanges: Sequence[TranscriptExchange], host: str = "127.0.0.1", port: int = 0) -> None:
         super().__init__()
         self._answers: dict[bytes, deque[bytes]] = defaultdict(deque)
         for exchange in exchanges:

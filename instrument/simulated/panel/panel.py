@@ -19,7 +19,7 @@ FULL_BANDWIDTH_SWEEP = 2.5e-6  # s/div
 
 
 @dataclass(frozen=True)
-class ChannelSettings:
+class PanelChannel:
     """Vertical settings of one channel. Volts include the probe factor, `position` is in divisions."""
 
     scale: float
@@ -123,19 +123,19 @@ class Panel:
     def _recalled(self) -> Iterator[tuple[str, Row]]:
         return ((key, row) for key, row in self.rows.items() if not row.kept)
 
-    def channel(self, name: str) -> ChannelSettings:
+    def channel(self, name: str) -> PanelChannel:
         """Vertical settings of `CH1` and so on."""
         return self._channels[name]
 
     @property
     @_remembered
-    def _channels(self) -> dict[str, ChannelSettings]:
+    def _channels(self) -> dict[str, PanelChannel]:
         return {name: self._channel(name) for name in self.model.channel_names}
 
-    def _channel(self, name: str) -> ChannelSettings:
+    def _channel(self, name: str) -> PanelChannel:
         limited = self.flag(f"{name}:BANDWIDTH")
         at_bnc = self.number(f"{name}:SCALE") / self.number(f"{name}:PROBE")
-        return ChannelSettings(
+        return PanelChannel(
             scale=self.number(f"{name}:SCALE"),
             position=self.number(f"{name}:POSITION"),
             coupling=self.text(f"{name}:COUPLING"),
@@ -193,7 +193,7 @@ class Panel:
         return self.number("HORIZONTAL:DELAY:POSITION" if window else "HORIZONTAL:MAIN:POSITION")
 
     @_remembered
-    def displayed_channels(self) -> dict[str, ChannelSettings]:
+    def displayed_channels(self) -> dict[str, PanelChannel]:
         """Vertical settings of the channels that are acquired: those on the screen, all for the math waveform."""
         shown = self.displayed
         names = (name for name in self.model.channel_names if name in shown or "MATH" in shown)

@@ -14,9 +14,9 @@ from analysis.budget import (
     BenchKnowledge,
     Budget,
     BudgetInput,
-    Corner,
     OperatingPoint,
     RecordShape,
+    ResponseCorner,
     TableGeometry,
     expected_noise,
     expected_point,
@@ -154,16 +154,16 @@ def test_corners_have_the_known_effect() -> None:
     point = OperatingPoint(K, 20 * WL, WL, 1e-4)
     f = point.beat_frequency
     for name, lost in (
-        ({"bandwidth": Corner(10 * f)}, 0.0145),
-        ({"high_pass": Corner(f / 5)}, -0.0148),
-        ({"gain": Corner(10 * f)}, 0.00496),
+        ({"bandwidth": ResponseCorner(10 * f)}, 0.0145),
+        ({"high_pass": ResponseCorner(f / 5)}, -0.0148),
+        ({"gain": ResponseCorner(10 * f)}, 0.00496),
     ):
         budget = lock_in_budget(point, bench(**name))
         found = line(budget, {"gain": "gain_corner"}.get(next(iter(name)), next(iter(name))))
         assert found.value == pytest.approx(lost, rel=0.02)
         assert found.u == pytest.approx(abs(lost) / math.sqrt(3), rel=0.02)
     with pytest.raises(ValueError, match="lets no beat through"):
-        lock_in_budget(point, bench(bandwidth=Corner(0.0)))
+        lock_in_budget(point, bench(bandwidth=ResponseCorner(0.0)))
 
 
 def test_what_nobody_stated_counts_with_its_bound() -> None:
@@ -182,7 +182,11 @@ def test_what_nobody_stated_counts_with_its_bound() -> None:
         ("scale_factor", 0.01),
     ):
         assert line(budget, name).contribution * math.sqrt(3) / WL == pytest.approx(size, rel=0.04), name
-    stated = {"bandwidth": Corner(math.inf), "gain": Corner(math.inf), "high_pass": Corner(0.0)}
+    stated = {
+        "bandwidth": ResponseCorner(math.inf),
+        "gain": ResponseCorner(math.inf),
+        "high_pass": ResponseCorner(0.0),
+    }
     known = BenchKnowledge(100.0, distortion_limit=0.001, third_order_limit=0.001, **stated)
     assert lock_in_budget(point, known).not_stated == ()
 
@@ -303,10 +307,10 @@ CHAINS = {
     "scale factor": (3.0, {"scale_factor_u_ppm": 3000.0}, {}),
     "distortion, phase known": (5.0, {"distortion_limit": 0.003}, {"phase": 0.6}),
     "distortion, phase unknown": (2.0, {"distortion_limit": 0.005}, {}),
-    "low pass corrected": (4.0, {"bandwidth": Corner(300.0, 20.0, corrected=True)}, {}),
-    "low pass not corrected": (4.0, {"bandwidth": Corner(400.0)}, {"noise": 0.002}),
-    "gain corrected": (4.0, {"gain": Corner(200.0, 15.0, corrected=True)}, {}),
-    "gain not corrected": (4.0, {"gain": Corner(500.0)}, {"noise": 0.002}),
+    "low pass corrected": (4.0, {"bandwidth": ResponseCorner(300.0, 20.0, corrected=True)}, {}),
+    "low pass not corrected": (4.0, {"bandwidth": ResponseCorner(400.0)}, {"noise": 0.002}),
+    "gain corrected": (4.0, {"gain": ResponseCorner(200.0, 15.0, corrected=True)}, {}),
+    "gain not corrected": (4.0, {"gain": ResponseCorner(500.0)}, {"noise": 0.002}),
     "response measured": (4.0, {"response_u": 0.01}, {"noise": 0.002}),
 }
 

@@ -23,7 +23,7 @@ from array_bench import (
 
 from analysis import Flag, estimate_lock_in
 from analysis.arrays import NoTilt
-from analysis.budget import BenchKnowledge, Corner
+from analysis.budget import BenchKnowledge, ResponseCorner
 from analysis.lock_in_run import Method, RunArrays, Tilt, evaluate, find_tilt, rows_of_batches
 from analysis.lock_in_run.records import estimate_records, only_beats
 from analysis.lock_in_run.table import axis_rates
@@ -191,7 +191,7 @@ def test_a_formula_of_the_paper_counts_with_its_own_error(gyro):
 
 
 def test_a_correction_with_a_corner_that_is_hardly_known_is_a_limit(gyro):
-    bench = BenchKnowledge(bandwidth=Corner(1000.0, 900.0, corrected=True))
+    bench = BenchKnowledge(bandwidth=ResponseCorner(1000.0, 900.0, corrected=True))
     found = evaluate(whole_run(gyro, [0.08] * 2), replace(KNOWN, bench=bench), PLAIN)
     line = sensitivity(found.budget, "bandwidth")
     assert "hardly known" in line.note

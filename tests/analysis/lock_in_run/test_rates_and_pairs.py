@@ -19,7 +19,7 @@ from array_bench import (
 )
 
 from analysis.arrays import OneRateOnly, OutsideResponse
-from analysis.budget import BenchKnowledge, Corner
+from analysis.budget import BenchKnowledge, ResponseCorner
 from analysis.channel import ChannelResponse
 from analysis.lock_in_run import Batch, Method, RunArrays, evaluate
 from analysis.lockin_equation import harmonic_ratio, lock_in_from_beat
@@ -57,7 +57,7 @@ def test_one_fit_frees_the_rates_of_distortion():
 
 
 def test_what_is_common_to_the_rates_goes_through_the_fit_unchanged():
-    stated = BenchKnowledge(scale_factor_u_ppm=100.0, distortion_limit=0.01, bandwidth=Corner(5000.0))
+    stated = BenchKnowledge(scale_factor_u_ppm=100.0, distortion_limit=0.01, bandwidth=ResponseCorner(5000.0))
     known = replace(KNOWN, bench=stated)
 
     def evaluated(k=K):
@@ -115,7 +115,7 @@ def test_a_corner_that_is_stated_tells_the_fit_what_it_need_not_find():
         assert {line.name: line for line in found.budget.inputs}["bandwidth"].contribution == 0
         return found.several.by_beat.lock_in_rate_u
 
-    assert u(Corner(corner, 10.0, True)) < u(Corner(corner, 200.0, True)) < u(Corner())
+    assert u(ResponseCorner(corner, 10.0, True)) < u(ResponseCorner(corner, 200.0, True)) < u(ResponseCorner())
 
 
 @pytest.mark.parametrize("method", [Method(K, input_rate=0.05), Method(K, relation="paper-13")])

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from array_bench import WL, Gyro, K, records, table_rate_for
 
-from analysis.lock_in_run import LockInSeen, lock_in_seen
+from analysis.lock_in_run import PreliminaryLockIn, preliminary_lock_in
 
 
-def found_at(over_lock_in: float, **receiver: float) -> LockInSeen | None:
+def found_at(over_lock_in: float, **receiver: float) -> PreliminaryLockIn | None:
     gyro = Gyro(np.random.default_rng(1), **receiver)
-    return lock_in_seen(records(gyro, [table_rate_for(over_lock_in * WL)] * 3), K)
+    return preliminary_lock_in(records(gyro, [table_rate_for(over_lock_in * WL)] * 3), K)
 
 
 @pytest.mark.parametrize("over_lock_in", [3.0, 8.0, 30.0])
@@ -35,8 +35,8 @@ def test_of_a_fast_beat_the_gain_may_have_taken_most() -> None:
     slow = records(Gyro(np.random.default_rng(1)), [table_rate_for(8 * WL)] * 3)
     # the same records a hundred times as fast, of a gyro with a hundred times the pulses
     hurried = [replace(batch, sample_interval=batch.sample_interval / 100) for batch in slow.batches]
-    fast = lock_in_seen(replace(slow, batches=hurried), 100 * K)
-    there = lock_in_seen(slow, K)
+    fast = preliminary_lock_in(replace(slow, batches=hurried), 100 * K)
+    there = preliminary_lock_in(slow, K)
     assert fast is not None
     assert there is not None
     assert fast.lock_in_rate == pytest.approx(there.lock_in_rate, rel=1e-6)

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from analysis.budget import NOTHING_BUT_RECORDS, BenchKnowledge, Corner
+from analysis.budget import NOTHING_BUT_RECORDS, BenchKnowledge, ResponseCorner
 from analysis.plan import (
     OscilloscopeSteps,
     PlanRequest,
@@ -87,7 +87,7 @@ SINGLE = {
     "distortion": {"knowledge": bench(100.0, distortion_limit=10 ** (-46 / 20)), "wanted_u": 0.02},
     "few periods": {"periods_min": 4.0, "noise_rms": 0.04},
     "scatter": {"scatter": 0.03, "wanted_u": 0.012},
-    "gain": {"knowledge": bench(100.0, gain=Corner(300.0)), "rates_over_lock_in": (5.0,)},
+    "gain": {"knowledge": bench(100.0, gain=ResponseCorner(300.0)), "rates_over_lock_in": (5.0,)},
 }
 
 SLOW = ("20 times",)

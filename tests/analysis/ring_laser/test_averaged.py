@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from analysis.ring_laser import Detector, Gyro, Winking, beat_signal_on_table, mean_beat_on_table, signal_above
-from instrument.simulated.rate_table import Motion
+from instrument.simulated.rate_table import TableMotion
 
 GYRO = Gyro(2000.0, 0.01, 0.6, 88.7, 28.2, start_phase=1.0, ripple_dps=2e-5, ripple_hz=1.0)
 WINKING = replace(GYRO, winking=Winking(2000.0, 0.01, gain_corner_hz=3000.0, phase_sum=0.0, cross_saturation=0.5))
@@ -17,7 +17,7 @@ DETECTOR = Detector(0.35, amplitude=0.4, offset=0.1, second_order=0.006, pump_ri
 @pytest.mark.parametrize(("gyro", "rate"), [(GYRO, 3.5), (GYRO, -3.5), (WINKING, 3.5)])
 @pytest.mark.parametrize("span", [0.01, 0.5])
 def test_the_mean_of_many_stretches_is_that_of_each(gyro, rate, span, corner_hz):
-    motion, times = (Motion(0.0, 40.0, rate),), np.linspace(0.0, span, 500)
+    motion, times = (TableMotion(0.0, 40.0, rate),), np.linspace(0.0, span, 500)
     starts = 50.0 + np.cumsum(np.random.default_rng(3).uniform(span, span + 0.006, 40))
     mean = mean_beat_on_table(gyro, DETECTOR, motion, starts, times, corner_hz=corner_hz, settling_s=0.1)
     each = signal_above(gyro, DETECTOR, motion, corner_hz, 49.0, starts[-1] + span) if corner_hz else None
@@ -30,9 +30,9 @@ def test_the_mean_of_many_stretches_is_that_of_each(gyro, rate, span, corner_hz)
 @pytest.mark.parametrize(
     ("detector", "motion"),
     [
-        (replace(DETECTOR, pump_ripple=0.02), (Motion(0.0, 40.0, 3.5),)),
-        (DETECTOR, (Motion(0.0, 40.0, 3.5), Motion(50.1, 0.0, 5.0))),
-        (DETECTOR, (Motion(0.0, 40.0, 0.2),)),
+        (replace(DETECTOR, pump_ripple=0.02), (TableMotion(0.0, 40.0, 3.5),)),
+        (DETECTOR, (TableMotion(0.0, 40.0, 3.5), TableMotion(50.1, 0.0, 5.0))),
+        (DETECTOR, (TableMotion(0.0, 40.0, 0.2),)),
     ],
     ids=["light swings", "table changes its rate", "locked"],
 )

@@ -9,13 +9,13 @@ from scipy.signal import lfilter
 
 from analysis.lockin_equation import rate_varying_beat
 from analysis.ring_laser import Detector, Gyro, axis_rate_on_table, beat_phase_on_table, beat_signal_on_table
-from instrument.simulated.rate_table import Motion
+from instrument.simulated.rate_table import TableMotion
 
 # the axis is that of the table, and there is no earth rate on the equator: the table's rate is the gyro's
 GYRO = Gyro(
     scale_factor=2000.0, lock_in_rate=0.01, backscatter_phase=0.6, tilt_deg=0.0, latitude_deg=0.0, start_phase=0.3
 )
-TURNING = (Motion(0.0, 10.0, 0.08),)
+TURNING = (TableMotion(0.0, 10.0, 0.08),)
 
 
 def one_pole(volts: np.ndarray, corner_hz: float, step: float) -> np.ndarray:
@@ -30,7 +30,7 @@ def one_pole(volts: np.ndarray, corner_hz: float, step: float) -> np.ndarray:
 @pytest.mark.parametrize("kind", ["low pass", "AC coupling"])
 def test_filters_do_what_a_filter_does_to_the_samples(rate: float, kind: str) -> None:
     step, corner = 1e-6, 300.0 if kind == "low pass" else 60.0
-    motion = (Motion(0.0, 10.0, rate),)
+    motion = (TableMotion(0.0, 10.0, rate),)
     plain = Detector(readout_phase=0.35, amplitude=0.4, offset=0.1, second_order=0.02)
     # enough of the past for the filter to have forgotten its start
     times = np.arange(160_000) * step
@@ -51,7 +51,7 @@ def test_a_filter_that_lets_everything_through_changes_nothing() -> None:
 
 
 def test_a_locked_gyro_behind_a_filter_is_a_constant() -> None:
-    resting = (Motion(0.0, 0.0, 0.005),)
+    resting = (TableMotion(0.0, 0.0, 0.005),)
     times = np.linspace(0, 1, 50)
     coupled = Detector(readout_phase=0.35, offset=0.1, ac_corner_hz=10.0)
     assert np.ptp(beat_signal_on_table(GYRO, coupled, resting, times)) == 0.0

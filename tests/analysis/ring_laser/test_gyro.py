@@ -7,7 +7,7 @@ import pytest
 
 from analysis.lockin_equation import rate_varying_beat
 from analysis.ring_laser import Detector, Gyro, axis_rate_on_table, beat_signal_on_table, with_detector_noise
-from instrument.simulated.rate_table import Motion
+from instrument.simulated.rate_table import TableMotion
 
 GYRO = Gyro(
     scale_factor=2000.0,
@@ -37,7 +37,7 @@ def test_beat_follows_the_lock_in_equation_while_the_earth_turns_under_it(
     table_rate: float, tolerance: float
 ) -> None:
     step = 4e-5
-    motion = (Motion(0.0, 10.0, table_rate),)
+    motion = (TableMotion(0.0, 10.0, table_rate),)
     times = np.arange(5001) * step
     rates = axis_rate_on_table(GYRO, motion, times[:-1] + step / 2)
     expected = rate_varying_beat(
@@ -54,7 +54,7 @@ def test_beat_follows_the_lock_in_equation_while_the_earth_turns_under_it(
 
 def test_rate_on_the_axis_swings_by_the_papers_13_deg_per_hour() -> None:
     quarter_turns = np.arange(5) * 90.0 / SLOW
-    rates = axis_rate_on_table(GYRO, (Motion(0.0, 0.0, SLOW),), quarter_turns)
+    rates = axis_rate_on_table(GYRO, (TableMotion(0.0, 0.0, SLOW),), quarter_turns)
     assert (rates[0] - rates[2]) / 2 * 3600 == pytest.approx(13.25, abs=0.005)
     assert rates[4] == pytest.approx(rates[0])
     assert rates[1] == pytest.approx(0.08 + 15.041067 / 3600 * math.sin(math.radians(28.2)) * SLOW_COSINE)
@@ -65,7 +65,7 @@ SLOW_COSINE = math.cos(math.radians(88.693))
 
 def test_the_phase_after_a_day_is_the_one_of_a_sum_over_whole_turns() -> None:
     turn = 360.0 / SLOW
-    motion = (Motion(0.0, 0.0, SLOW),)
+    motion = (TableMotion(0.0, 0.0, SLOW),)
     azimuth = np.linspace(0, 360, 20001)
     rates = GYRO.axis_rate(np.full(azimuth.size, SLOW), azimuth)
     cycles = np.trapezoid(2000 * np.sqrt(rates**2 - 0.01**2), azimuth) / SLOW
@@ -81,9 +81,9 @@ def test_the_beat_has_no_jump_where_the_table_changes_its_rate() -> None:
     slew = 0.035
     acceleration = (SLOW - 50.0) / slew
     motion = (
-        Motion(0.0, 0.0, 50.0),
-        Motion(1.0, 50.0, 50.0, acceleration),
-        Motion(1.0 + slew, 50.0 + slew * (50 + SLOW) / 2, SLOW),
+        TableMotion(0.0, 0.0, 50.0),
+        TableMotion(1.0, 50.0, 50.0, acceleration),
+        TableMotion(1.0 + slew, 50.0 + slew * (50 + SLOW) / 2, SLOW),
     )
     for edge in (1.0, 1.0 + slew):
         times = edge + np.array([-1e-9, 0.0, 1e-9])
@@ -93,8 +93,8 @@ def test_the_beat_has_no_jump_where_the_table_changes_its_rate() -> None:
 
 def test_a_locked_gyro_gives_a_constant() -> None:
     times = np.linspace(0.0, 1.0, 100)
-    volts = beat_signal_on_table(GYRO, DETECTOR, (Motion(0.0, 0.0, 0.0),), times)
-    rate = float(axis_rate_on_table(GYRO, (Motion(0.0, 0.0, 0.0),), times[:1])[0])
+    volts = beat_signal_on_table(GYRO, DETECTOR, (TableMotion(0.0, 0.0, 0.0),), times)
+    rate = float(axis_rate_on_table(GYRO, (TableMotion(0.0, 0.0, 0.0),), times[:1])[0])
     assert 0.003 < rate < 0.004
     assert np.ptp(volts) == 0.0
     assert volts[0] == pytest.approx(math.sin(math.asin(rate / 0.01) - 0.6 + 0.35))
@@ -103,7 +103,7 @@ def test_a_locked_gyro_gives_a_constant() -> None:
 def test_a_gyro_without_lock_in_gives_a_pure_sine() -> None:
     free = Gyro(**{**vars(GYRO), "lock_in_rate": 0.0, "latitude_deg": 90.0, "tilt_deg": 90.0 - 1e-9})
     times = np.arange(1000) * 1e-4
-    volts = beat_signal_on_table(free, DETECTOR, (Motion(0.0, 0.0, 0.0),), times)
+    volts = beat_signal_on_table(free, DETECTOR, (TableMotion(0.0, 0.0, 0.0),), times)
     assert np.ptp(volts) < 1e-6
     assert free.harmonic_ratio(np.array([0.0, 0.1])).tolist() == [0.0, 0.0]
 

@@ -17,7 +17,7 @@ from analysis.ring_laser import (
     signal_bounds,
     smooth_interval,
 )
-from instrument.simulated.rate_table import Motion
+from instrument.simulated.rate_table import TableMotion
 
 GYRO = Gyro(2000.0, 0.01, 0.6, 88.7, 28.2, start_phase=1.0)
 DETECTOR = Detector(0.35, amplitude=0.4)
@@ -37,7 +37,7 @@ DETECTOR = Detector(0.35, amplitude=0.4)
     ],
 )
 def test_between_points_at_the_interval_the_signal_is_a_polynomial(gyro, detector, rate):
-    motion = (Motion(0.0, 40.0, rate),)
+    motion = (TableMotion(0.0, 40.0, rate),)
     interval = smooth_interval(gyro, detector, motion, 20.0, 20.2)
     assert interval > 0
     grid = 20.0 + interval * np.arange(400)
@@ -48,15 +48,15 @@ def test_between_points_at_the_interval_the_signal_is_a_polynomial(gyro, detecto
 
 
 def test_where_the_gyro_locks_and_unlocks_no_interval_is_known():
-    passing = (Motion(0.0, 0.0, 50.0), Motion(1.0, 50.0, 50.0, -100.0), Motion(2.0, 50.0, -50.0))
+    passing = (TableMotion(0.0, 0.0, 50.0), TableMotion(1.0, 50.0, 50.0, -100.0), TableMotion(2.0, 50.0, -50.0))
     assert smooth_interval(GYRO, DETECTOR, passing, 0.5, 0.9) > 0
     assert smooth_interval(GYRO, DETECTOR, passing, 0.5, 1.1) == 0
-    assert smooth_interval(GYRO, DETECTOR, (Motion(0.0, 0.0, 0.3),), 0.0, 1.0) == 0
+    assert smooth_interval(GYRO, DETECTOR, (TableMotion(0.0, 0.0, 0.3),), 0.0, 1.0) == 0
 
 
 def test_light_without_a_beat_is_followed_as_it_swings():
     dark = replace(DETECTOR, amplitude=0.0, offset=0.3, pump_ripple=0.02, pump_hz=100.0)
-    assert 1 / 2000 < smooth_interval(GYRO, dark, (Motion(0.0, 40.0, 3.5),), 20.0, 20.2) < 1 / 500
+    assert 1 / 2000 < smooth_interval(GYRO, dark, (TableMotion(0.0, 40.0, 3.5),), 20.0, 20.2) < 1 / 500
 
 
 @pytest.mark.parametrize("rate", [3.5, -50.0, 1.2])
@@ -69,7 +69,7 @@ def test_light_without_a_beat_is_followed_as_it_swings():
     ],
 )
 def test_the_signal_does_not_leave_its_bounds(detector, rate):
-    motion = (Motion(0.0, 40.0, 0.0), Motion(1.0, 40.0, rate))
+    motion = (TableMotion(0.0, 40.0, 0.0), TableMotion(1.0, 40.0, rate))
     low, high = signal_bounds(GYRO, detector, motion, 2.0, 400.0)
     volts = beat_signal_on_table(GYRO, detector, motion, np.random.default_rng(1).uniform(2.0, 400.0, 20_000))
     assert low <= volts.min() and volts.max() <= high
@@ -77,19 +77,19 @@ def test_the_signal_does_not_leave_its_bounds(detector, rate):
 
 
 def test_bounds_are_not_known_where_the_gyro_may_lock_or_the_table_slews():
-    passing = (Motion(0.0, 0.0, 50.0), Motion(1.0, 50.0, 50.0, -100.0), Motion(2.0, 50.0, -50.0))
+    passing = (TableMotion(0.0, 0.0, 50.0), TableMotion(1.0, 50.0, 50.0, -100.0), TableMotion(2.0, 50.0, -50.0))
     assert np.isfinite(signal_bounds(GYRO, DETECTOR, passing, 0.5, 0.9)).all()
     assert np.isinf(signal_bounds(GYRO, DETECTOR, passing, 0.5, 1.1)).all()
-    assert np.isinf(signal_bounds(GYRO, DETECTOR, (Motion(0.0, 0.0, 0.3),), 0.0, 1.0)).all()
-    low, high = signal_bounds(GYRO, DETECTOR, (Motion(0.0, 0.0, 0.0),), 0.0, 1.0)
-    assert low == high == beat_signal_on_table(GYRO, DETECTOR, (Motion(0.0, 0.0, 0.0),), np.zeros(1))[0]
+    assert np.isinf(signal_bounds(GYRO, DETECTOR, (TableMotion(0.0, 0.0, 0.3),), 0.0, 1.0)).all()
+    low, high = signal_bounds(GYRO, DETECTOR, (TableMotion(0.0, 0.0, 0.0),), 0.0, 1.0)
+    assert low == high == beat_signal_on_table(GYRO, DETECTOR, (TableMotion(0.0, 0.0, 0.0),), np.zeros(1))[0]
 
 
 @pytest.mark.parametrize("ripple_hz", [0.0, 5.0, 200.0])
 @pytest.mark.parametrize("spacing", [1e-7, 4e-5, 2e-3])
 def test_phase_of_many_samples_is_that_of_each_alone(ripple_hz, spacing):
     gyro = replace(GYRO, ripple_dps=0.003 if ripple_hz else 0.0, ripple_hz=ripple_hz)
-    motion = (Motion(0.0, 0.0, 0.0), Motion(10.0, 40.0, 3.5))
+    motion = (TableMotion(0.0, 0.0, 0.0), TableMotion(10.0, 40.0, 3.5))
     times = 5000.0 + spacing * np.arange(2500)
     rates, phases = beat_phase_on_table(gyro, motion, times)
     some = np.arange(0, 2500, 229)
@@ -116,7 +116,7 @@ def test_smooth_part_and_noise_make_the_signal():
     ],
 )
 def test_what_an_ac_coupling_makes_of_the_beat_is_what_a_filter_makes_of_it(gyro, detector, rate):
-    motion, per_second = (Motion(0.0, 40.0, rate),), 50e3
+    motion, per_second = (TableMotion(0.0, 40.0, rate),), 50e3
     times = 20.0 + np.arange(30_000) / per_second
     above = signal_above(gyro, detector, motion, 10.0, times[0], times[-1])
     whole = beat_signal_on_table(gyro, detector, motion, times)
@@ -129,10 +129,10 @@ def test_what_an_ac_coupling_makes_of_the_beat_is_what_a_filter_makes_of_it(gyro
 @pytest.mark.parametrize(
     ("gyro", "detector", "motion"),
     [
-        (GYRO, replace(DETECTOR, pump_ripple=0.02, pump_hz=150.0), (Motion(0.0, 40.0, 3.5),)),
-        (replace(GYRO, ripple_dps=0.01, ripple_hz=3.0), DETECTOR, (Motion(0.0, 40.0, 3.5),)),
-        (GYRO, DETECTOR, (Motion(0.0, 40.0, 3.5), Motion(20.1, 0.0, 5.0))),
-        (GYRO, DETECTOR, (Motion(0.0, 40.0, 0.2),)),
+        (GYRO, replace(DETECTOR, pump_ripple=0.02, pump_hz=150.0), (TableMotion(0.0, 40.0, 3.5),)),
+        (replace(GYRO, ripple_dps=0.01, ripple_hz=3.0), DETECTOR, (TableMotion(0.0, 40.0, 3.5),)),
+        (GYRO, DETECTOR, (TableMotion(0.0, 40.0, 3.5), TableMotion(20.1, 0.0, 5.0))),
+        (GYRO, DETECTOR, (TableMotion(0.0, 40.0, 0.2),)),
     ],
     ids=["light swings", "rate swings", "table changes its rate", "locked"],
 )

@@ -6,7 +6,7 @@ from bench_signals import seen
 from scipy.integrate import solve_ivp
 
 from analysis import fit_harmonics, harmonic_ratio
-from analysis.ring_laser import WinkingLaser, steady_beat, symmetric_laser
+from analysis.ring_laser import TwoModeLaser, steady_beat, symmetric_laser
 
 K = 2000.0
 
@@ -36,7 +36,7 @@ def integrated_fields(laser, rate, duration, n_samples):
 
 @pytest.mark.parametrize(("rate", "phase_sum"), [(0.2, 0.0), (0.2, 1.1), (-0.2, 1.1), (0.1, 2.1)])
 def test_the_steady_beat_is_that_of_the_fields_in_time(rate, phase_sum):
-    laser = WinkingLaser(K, (200.0, 350.0), phase_sum, 2 * np.pi * 150, 0.6)
+    laser = TwoModeLaser(K, (200.0, 350.0), phase_sum, 2 * np.pi * 150, 0.6)
     beat = steady_beat(laser, rate)
     duration, n = 12.3 / beat.frequency, 3000
     first, second = integrated_fields(laser, rate, duration, n)
@@ -82,7 +82,7 @@ def test_conservative_coupling_pushes_the_frequency_up():
 
 
 def test_the_laser_locks_where_it_says():
-    laser = WinkingLaser(K, (300.0, 200.0), 0.8, 2 * np.pi * 5e4, 0.5)
+    laser = TwoModeLaser(K, (300.0, 200.0), 0.8, 2 * np.pi * 5e4, 0.5)
     assert abs(laser.coupling) == pytest.approx(2 * np.pi * K * laser.lock_in_rate)
     # Strong gain: the threshold is that of the lock-in equation.
     assert steady_beat(laser, 1.01 * laser.lock_in_rate).frequency < 0.2 * K * laser.lock_in_rate
@@ -108,7 +108,7 @@ def test_an_impossible_laser_is_refused(change, message):
         "cross_saturation": 0.5,
     }
     with pytest.raises(ValueError, match=message):
-        WinkingLaser(**{**good, **change})
+        TwoModeLaser(**{**good, **change})
 
 
 @pytest.mark.parametrize("corner", [1e5, 3e5, 1e7])

@@ -9,7 +9,7 @@ from scipy.integrate import solve_ivp
 
 from analysis import fit_harmonics
 from analysis.ring_laser import Detector, Gyro, Winking, beat_signal_on_table
-from instrument.simulated.rate_table import Motion
+from instrument.simulated.rate_table import TableMotion
 
 K, LOCK_IN, CORNER, XI, EPS = 2000.0, 0.01, 300.0, 0.6, 1.0
 WINKING = Winking(K, LOCK_IN, gain_corner_hz=CORNER, phase_sum=EPS, cross_saturation=XI)
@@ -51,7 +51,7 @@ def test_the_beat_is_that_of_the_integrated_equations(rate: float, single_beams:
     step = 10.0 / (K * abs(rate)) / 2500 * 2
     times = np.arange(2500) * step
     detector = replace(DETECTOR, single_beams=single_beams)
-    simulated = beat_signal_on_table(GYRO, detector, (Motion(0.0, 0.0, rate),), times)
+    simulated = beat_signal_on_table(GYRO, detector, (TableMotion(0.0, 0.0, rate),), times)
     expected = integrated(rate, single_beams, times)
     frequency, ratio, offset = seen(simulated, step)
     expected_frequency, expected_ratio, expected_offset = seen(expected, step)
@@ -59,14 +59,14 @@ def test_the_beat_is_that_of_the_integrated_equations(rate: float, single_beams:
     assert abs(ratio - expected_ratio) < 2e-6
     assert offset == pytest.approx(expected_offset, abs=1e-4)
     # far from what the lock-in equation alone would give
-    plain = beat_signal_on_table(GYRO.without_winking(), detector, (Motion(0.0, 0.0, rate),), times)
+    plain = beat_signal_on_table(GYRO.without_winking(), detector, (TableMotion(0.0, 0.0, rate),), times)
     assert abs(ratio - seen(plain, step)[1]) > 0.1 * abs(ratio)
 
 
 def test_fast_gain_is_the_lock_in_equation_behind_one_pole() -> None:
     fast = replace(GYRO, winking=replace(WINKING, gain_corner_hz=2e4))
     times = np.arange(2500) * 4e-5
-    turning = (Motion(0.0, 0.0, 0.08),)
+    turning = (TableMotion(0.0, 0.0, 0.08),)
     frequency, ratio, _ = seen(beat_signal_on_table(fast, DETECTOR, turning, times), 4e-5)
     plain_frequency, plain, _ = seen(beat_signal_on_table(GYRO.without_winking(), DETECTOR, turning, times), 4e-5)
     assert frequency == pytest.approx(plain_frequency, rel=5e-6)
@@ -75,7 +75,7 @@ def test_fast_gain_is_the_lock_in_equation_behind_one_pole() -> None:
 
 def test_behind_a_filter_the_second_harmonic_falls_once_more() -> None:
     times = np.arange(2500) * 4e-5
-    turning = (Motion(0.0, 0.0, 0.2),)
+    turning = (TableMotion(0.0, 0.0, 0.2),)
     _, ratio, _ = seen(beat_signal_on_table(GYRO, DETECTOR, turning, times), 4e-5)
     frequency, filtered, _ = seen(
         beat_signal_on_table(GYRO, replace(DETECTOR, low_pass_hz=800.0), turning, times), 4e-5

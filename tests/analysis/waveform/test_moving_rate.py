@@ -4,7 +4,7 @@ from scipy.integrate import solve_ivp
 
 from analysis import DOUBTFUL, Flag, estimate_lock_in, flag_names, rate_varying_beat
 from analysis.waveform.residuals import by_level
-from analysis.waveform.trajectory import Fitted, Record, Terms, Trajectory, exact_steps
+from analysis.waveform.trajectory import Fitted, SampledRecord, Terms, Trajectory, exact_steps
 from analysis.waveform.varying_rate import first_phase, fit_moving_rate, terms_needed, with_terms
 from benchmarks.hostile.gyro import beat, converted, draw_gyro, levels_of, noisy, step_times
 
@@ -294,7 +294,7 @@ def test_the_data_choose_the_terms():
     seen = first_phase(codes, np.ones(N))
     start = np.zeros(terms.count)
     start[[0, terms.rate + 2, terms.rate + 6, terms.rate + 7]] = frequency, 90.0, 10.0, 10.0
-    record = Record(codes, np.ones(N))
+    record = SampledRecord(codes, np.ones(N))
     fitted = record.fit(Trajectory(seen.phase, start, terms), 1 / 90**2, 10)
     fitted = record.fit(fitted.trajectory, 1e-6 / 90**2, 20)
     assert fitted.converged

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from analysis import estimate_lock_in, flag_names
-from analysis.waveform.trajectory import Record, Terms, Trajectory, with_rate_step
+from analysis.waveform.trajectory import SampledRecord, Terms, Trajectory, with_rate_step
 from benchmarks.hostile.gyro import N_SAMPLES, beat, converted, draw_gyro, levels_of, noisy, steady, step_times
 
 
@@ -59,6 +59,6 @@ def test_a_swing_is_no_step():
     phase = 2 * np.pi * (20 * step_times()[::8] + np.sin(4 * np.pi * step_times()[::8]) / 4)
     parameters = np.array([2 * np.pi * 20 / N_SAMPLES, 0.0, 0.0, 1e-3, 0.0, 90.0, 0.0])
     values = 90 * np.sin(phase) + rng.normal(size=N_SAMPLES)
-    record = Record(values, np.ones(N_SAMPLES))
+    record = SampledRecord(values, np.ones(N_SAMPLES))
     fitted = record.fit(Trajectory(phase, parameters, terms), 1e-2 / 90**2, 4)
     assert with_rate_step(record, fitted, 1e-8 / 90**2) is None

@@ -2,18 +2,18 @@
 
 import pytest
 
-from instrument.dialogue.retry import Patience
+from instrument.dialogue.retry import AnswerTimeout
 
 
-def learned(*after: float, kind: str = "text") -> Patience:
-    patience = Patience(0.5, 3.0)
+def learned(*after: float, kind: str = "text") -> AnswerTimeout:
+    patience = AnswerTimeout(0.5, 3.0)
     for seconds in after:
         patience.came(kind, seconds)
     return patience
 
 
 def test_of_what_is_not_known_the_longest_is_waited() -> None:
-    assert Patience(0.5, 3.0).seconds("text") == 3.0
+    assert AnswerTimeout(0.5, 3.0).seconds("text") == 3.0
     assert learned(0.01, 0.01).seconds("text") == 3.0
 
 

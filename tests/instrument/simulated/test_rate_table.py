@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from instrument.simulated import SimulatedRateTable, VirtualClock
-from instrument.simulated.rate_table import Motion
+from instrument.simulated.rate_table import TableMotion
 
 
 def test_azimuth_is_the_integral_of_the_rate():
@@ -57,7 +57,11 @@ def test_table_remembers_its_motion():
     table.set_rate(10.0)
     table.wait_until_steady()
     assert clock.now() == pytest.approx(6.0, abs=1e-6) and clock.now() > 6.0
-    assert table.motion == (Motion(0.0, 30.0, 0.0), Motion(1.0, 30.0, 0.0, 2.0), Motion(6.0, 55.0, 10.0))
+    assert table.motion == (
+        TableMotion(0.0, 30.0, 0.0),
+        TableMotion(1.0, 30.0, 0.0, 2.0),
+        TableMotion(6.0, 55.0, 10.0),
+    )
     clock.sleep(1.0)
     table.set_rate(10.0)  # it turns so already
     table.set_rate(-10.0)

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from station.catalogue import INDEX_FILE, Entry, Wanted, chosen, list_runs
+from station.catalogue import INDEX_FILE, Entry, RunFilter, chosen, list_runs
 from station.cli import main
 from station.errors import UsageError
 from station.runs.store import open_run
@@ -151,7 +151,7 @@ def test_a_run_that_is_being_written_is_listed_and_not_disturbed(folder: Path) -
         assert writer.stdin is not None
         for number in range(1, 4):
             assert writer.stdout.readline() == f"{number}\n"
-            (entry,) = chosen(list_runs(folder), Wanted(unit="RLG 9"))
+            (entry,) = chosen(list_runs(folder), RunFilter(unit="RLG 9"))
             assert entry.records == number
             assert Path(f"{entry.run}-wal").exists()
             writer.stdin.write("\n")
@@ -165,7 +165,7 @@ def test_runs_are_chosen_and_sorted(folder: Path) -> None:
     entries = list_runs(folder)
 
     def asked(*sort: str, **wanted: object) -> list[str]:
-        return names(chosen(entries, Wanted(**wanted), sort), folder)  # type: ignore[arg-type]
+        return names(chosen(entries, RunFilter(**wanted), sort), folder)  # type: ignore[arg-type]
 
     assert asked(unit="rlg*") == ["2026/a", "2026/b", "d"]
     assert asked(unit="RLG 1", command="measure") == ["2026/a", "d"]
@@ -177,7 +177,7 @@ def test_runs_are_chosen_and_sorted(folder: Path) -> None:
     assert asked(until="2026-10") == asked(since="2027") == []
     assert asked("-when") == ["c", "d", "2026/b", "2026/a"]
     assert asked("unit", "-when") == ["c", "d", "2026/a", "2026/b"]
-    by_result = chosen(entries, Wanted(command="measure"), ["result"])
+    by_result = chosen(entries, RunFilter(command="measure"), ["result"])
     assert [entry.values[0].value for entry in by_result if entry.values] == sorted(
         entry.values[0].value for entry in entries if entry.command == "measure" and entry.values
     )

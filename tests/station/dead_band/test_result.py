@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from analysis import find_dead_band, simulate_sweep
-from station.dead_band.measurement import DeadBandFound, draw_sweep, result, sections
+from station.dead_band.measurement import DeadBandEvaluation, draw_sweep, result, sections
 from station.shell.finish import evaluate_run
 from tests.station.dead_band.conftest import Sweep
 
@@ -16,7 +16,7 @@ def test_a_corner_rounded_by_noise_is_told(sweep: Sweep) -> None:
     pulses = simulate_sweep(rates, 2.0, scale_factor=2000, lock_in_rate=0.0512, random_walk=3e-4, seed=1)
     band = find_dead_band(rates, pulses, 2.0, scale_factor=2000)
     evaluated = evaluate_run(sweep())
-    found: DeadBandFound = replace(evaluated.found, band=band)
+    found: DeadBandEvaluation = replace(evaluated.found, band=band)
     said = result(found, evaluated.run, evaluated.settings)
     assert "rounded" in said.flags
     assert any("whole corner" in sentence for sentence in said.to_watch)

@@ -10,7 +10,7 @@ import pytest
 from instrument import Preamble
 from station.dead_band import take as taking
 from station.dead_band.measurement import MEASUREMENT
-from station.dead_band.take import PURPOSE, SLOWEST_S, Step, sweep, time_base
+from station.dead_band.take import PURPOSE, SLOWEST_S, SweepStep, sweep, time_base
 from station.errors import NoUsableSignal, SettingsError
 from station.ring_laser.records import Bench
 from station.runs.progress import Progress
@@ -40,10 +40,10 @@ def test_rates_of_ones_own_are_taken_in_both_senses(tmp_path: Path) -> None:
 
 def test_the_time_base_follows_from_the_rate_and_has_a_floor(tmp_path: Path) -> None:
     settings = settings_of(tmp_path, gyro={"scale_factor_pulses_per_deg": 20_000.0})
-    fast, slow = (time_base(Step("up", rate), settings) for rate in (0.1, 0.001))
+    fast, slow = (time_base(SweepStep("up", rate), settings) for rate in (0.1, 0.001))
     assert fast == 0.001  # 20 periods at 2000 Hz
-    assert slow == time_base(Step("up", 0.01), settings) == 0.01
-    assert time_base(Step("up", 0.001), settings_of(tmp_path)) == SLOWEST_S == 0.05
+    assert slow == time_base(SweepStep("up", 0.01), settings) == 0.01
+    assert time_base(SweepStep("up", 0.001), settings_of(tmp_path)) == SLOWEST_S == 0.05
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])

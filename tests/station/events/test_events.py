@@ -12,7 +12,7 @@ import pytest
 
 from station.errors import UsageError
 from station.live.events import KINDS, SCHEMA, Event, EventLines, Events, open_lines
-from station.live.preview import Seen, Watcher
+from station.live.preview import Preview, Watcher
 from station.live.status import Situation
 from station.runs.progress import Progress
 from station.runs.store import NewRecord
@@ -163,10 +163,10 @@ def test_records_are_fitted_beside_the_measurement_and_a_bad_one_spoils_its_own_
     events = Events()
     heard = told(events)
 
-    def see(records: Any) -> Seen | None:
+    def see(records: Any) -> Preview | None:
         if records[0].key == "bad":
             raise ValueError("no beat\nat all")
-        return None if records[0].key == "not shown" else Seen(records[0].key, "group", ())
+        return None if records[0].key == "not shown" else Preview(records[0].key, "group", ())
 
     watcher = Watcher(events, see)
     for key in ("1", "bad", "not shown", "2"):

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from station.live.preview import Seen
+from station.live.preview import Preview
 from station.lock_in import measurement
 from station.results.result import plain
 from station.runs.store import NewRecord, open_run
@@ -22,7 +22,7 @@ def all_the_time(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(measurement, "_SHARE", math.inf)
 
 
-def seen(name: str) -> list[Seen]:
+def seen(name: str) -> list[Preview]:
     run = open_run(GOLDEN / f"{name}.sqlite")
     kind = kind_of(run)
     assert kind.watch is not None

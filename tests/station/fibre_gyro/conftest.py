@@ -11,7 +11,7 @@ import pytest
 from station.fibre_gyro.segments import FogBench, PlannedSegment, take_segments
 from station.fibre_gyro.settings import FogSettings, load_fog_settings
 from station.measurements import measurement
-from station.runs.acquisition import Session, facts_of, take
+from station.runs.acquisition import Acquisition, facts_of, take
 from station.runs.progress import Progress
 from station.runs.store import SavedRun, open_run
 from station.shell.finish import Evaluated, evaluate_run, start_run
@@ -60,7 +60,7 @@ def taken_on(tmp_path: Path) -> TakenOn:
     ) -> Evaluated:
         facts = facts_of(command, settings.model_dump(mode="json"), simulated=simulated)
         done = take(
-            Session(facts, tmp_path, QUIET),
+            Acquisition(facts, tmp_path, QUIET),
             lambda session: take_segments(settings, session, nullcontext(bench), [lambda run: plan], {}),
         )
         assert done.failure is None, done.failure

@@ -4,7 +4,7 @@ from typing import Any
 
 import pytest
 
-from station.fibre_gyro.settings import LimitSettings
+from station.fibre_gyro.settings import FogLimits
 from station.measurements import MEASUREMENTS, measurement
 
 FAMILY = [name for name, module in MEASUREMENTS.items() if ".fibre_gyro." in module]
@@ -19,7 +19,7 @@ SMALL: dict[str, Any] = {
 
 def test_every_limit_is_given_by_one_test() -> None:
     given = [name for command in FAMILY for name in measurement(command).gives]
-    assert sorted(given) == sorted(LimitSettings.model_fields)
+    assert sorted(given) == sorted(FogLimits.model_fields)
 
 
 @pytest.mark.parametrize("command", FAMILY)

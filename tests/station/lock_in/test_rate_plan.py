@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from analysis.lock_in_run import LockInSeen
+from analysis.lock_in_run import PreliminaryLockIn
 from analysis.rotation import EARTH_RATE_DPS
 from station.errors import NoUsableSignal
 from station.lock_in.rate_plan import RatePlan, changed_plan, rate_plan, records_at_each, saved_plan
@@ -22,11 +22,13 @@ def ratios(plan: RatePlan, sense: int = 1) -> list[float]:
     return [step.over_lock_in for step in plan.steps if step.sense == sense]
 
 
-def seen(rate: float, off: float = 0.1) -> LockInSeen:
-    return LockInSeen(rate, rate * (1 - off), rate * (1 + off))
+def seen(rate: float, off: float = 0.1) -> PreliminaryLockIn:
+    return PreliminaryLockIn(rate, rate * (1 - off), rate * (1 + off))
 
 
-def changed(settings: Settings, plan: RatePlan, found: LockInSeen | None, tried: int, silent: int = 0) -> Any:
+def changed(
+    settings: Settings, plan: RatePlan, found: PreliminaryLockIn | None, tried: int, silent: int = 0
+) -> Any:
     """The plan after so many steps were tried, the last of which showed no beat."""
     steps = plan.steps[:tried]
     return changed_plan(settings, plan, 0.0, seen=found, tried=steps, without_beat=steps[tried - silent : tried])
@@ -110,7 +112,7 @@ def test_a_lock_in_rate_that_is_surely_another_gives_other_rates(found: float) -
     assert min(sizes) == pytest.approx(3, rel=0.21)
     assert max(sizes) == pytest.approx(30, rel=0.21)
     # told only if it is sure
-    assert changed(settings, plan, LockInSeen(found, 0.0, 1.0), tried=1) is None
+    assert changed(settings, plan, PreliminaryLockIn(found, 0.0, 1.0), tried=1) is None
 
 
 def test_rates_that_were_gone_to_are_not_gone_to_again() -> None:

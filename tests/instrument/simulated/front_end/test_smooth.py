@@ -5,10 +5,10 @@ from dataclasses import dataclass, field
 import numpy as np
 import pytest
 
-from instrument.simulated.front_end.acquisition import Digitizer, Record
+from instrument.simulated.front_end.acquisition import DigitizedRecord, Digitizer
 from instrument.simulated.front_end.frontend import Between, CoarseLook, slow_part
 from instrument.simulated.front_end.trigger import Comparator, EdgeSearch, PulseSearch, first_edges
-from instrument.simulated.panel.panel import ChannelSettings, TriggerSettings
+from instrument.simulated.panel.panel import PanelChannel, TriggerSettings
 
 FREQUENCY = 163.7  # Hz
 
@@ -223,12 +223,12 @@ def test_averages_after_a_silence_are_those_of_a_scope_that_was_asked_all_the_ti
 
 
 def test_an_average_that_goes_on_is_the_one_made_anew():
-    channel = ChannelSettings(0.3, 0.0, "DC", 1.0, limited=True, inverted=False, time_constant=8e-9)
+    channel = PanelChannel(0.3, 0.0, "DC", 1.0, limited=True, inverted=False, time_constant=8e-9)
     starts = 10.0 + np.cumsum(np.random.default_rng(6).uniform(0.02, 0.03, 30))
     going_on = Digitizer(lambda name: Beat(0.0), 0.0, 1)
     for number in range(10):
         latest = tuple(starts[number : number + 16].tolist())
-        record = Record(number, latest, -0.01, 2e-3, "AVERAGE", {"CH1": channel})
+        record = DigitizedRecord(number, latest, -0.01, 2e-3, "AVERAGE", {"CH1": channel})
         codes = going_on.codes(record, "CH1").astype(int)
     anew = Digitizer(lambda name: Beat(0.0), 0.0, 1).codes(record, "CH1").astype(int)
     assert np.abs(codes - anew).max() <= 1 and np.ptp(anew) > 20

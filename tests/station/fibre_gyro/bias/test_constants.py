@@ -14,7 +14,7 @@ from station.errors import UsageError
 from station.fibre_gyro.constants import (
     Column,
     Constants,
-    Wanted,
+    WordFormat,
     c_text,
     constants_of,
     csv_text,
@@ -68,7 +68,7 @@ def vhdl_numbers(text: str) -> tuple[dict[str, int], dict[str, int]]:
 
 def test_c_and_vhdl_stand_for_the_numbers_of_the_run(table_run, tmp_path: Path) -> None:
     evaluated, run = table_run
-    found = constants_of(run.path, Wanted())
+    found = constants_of(run.path, WordFormat())
     numbers = [one["number_counts"] for one in evaluated.document()["axes"][0]["differences"]]
     names = ["0_01", "0_1", "1"]
     before = "GYRO_NUMBERS_Z_N"
@@ -90,14 +90,14 @@ def test_c_and_vhdl_stand_for_the_numbers_of_the_run(table_run, tmp_path: Path) 
 
 def test_given_widths_and_what_they_cost(table_run) -> None:
     _, run = table_run
-    short = constants_of(run.path, Wanted(width=16)).columns[0]
+    short = constants_of(run.path, WordFormat(width=16)).columns[0]
     assert short.words.width == 16
     # 246.15 takes 8 bits before the point: 7 are left behind it, half a step of them is 1.6e-3 of 2.46
     assert short.words.fraction == 7
     assert short.words.largest_error_ppm <= 1e6 / 256 / 2.46
     with pytest.raises(UsageError, match=r"with 20 bits behind the point takes 29 bits, not 16"):
-        constants_of(run.path, Wanted(width=16, fraction=20))
-    fit = constants_of(run.path, Wanted(numbers="fit", error_ppm=0.01)).columns[0]
+        constants_of(run.path, WordFormat(width=16, fraction=20))
+    fit = constants_of(run.path, WordFormat(numbers="fit", error_ppm=0.01)).columns[0]
     assert fit.values[1] == pytest.approx(10 * fit.values[0], rel=1e-12)
     assert fit.words.largest_error_ppm <= 0.01
 
@@ -122,7 +122,7 @@ def test_words_beyond_32_bits(tmp_path: Path) -> None:
 
 def test_a_compensation_table_in_c(ramp_run, tmp_path: Path) -> None:
     evaluated, run = ramp_run
-    found, table = constants_of(run.path, Wanted()), evaluated.document()["compensation"]
+    found, table = constants_of(run.path, WordFormat()), evaluated.document()["compensation"]
     k = next(one for one in found.columns if one.name == "K")
     known = [value for value in table["scale_factor_counts_per_dps"] if value is not None]
     name = "GYRO_TEMPERATURE_Z_K"
@@ -140,7 +140,7 @@ def test_a_compensation_table_in_c(ramp_run, tmp_path: Path) -> None:
 
 def test_files_are_not_written_over_and_other_runs_are_refused(table_run, taken, tmp_path: Path) -> None:
     _, run = table_run
-    found = constants_of(run.path, Wanted())
+    found = constants_of(run.path, WordFormat())
     files = {"c": tmp_path / "n.h", "vhdl": tmp_path / "n.vhd"}
     write_constants(found, files, floats=False, replace=False)
     before = (tmp_path / "n.h").read_text()
@@ -150,10 +150,10 @@ def test_files_are_not_written_over_and_other_runs_are_refused(table_run, taken,
     write_constants(found, files, floats=False, replace=True)
     assert (tmp_path / "n.h").read_text() == before
     with pytest.raises(UsageError, match="gives no scale factor of axis X"):
-        constants_of(run.path, Wanted(axis="X"))
+        constants_of(run.path, WordFormat(axis="X"))
     few = {"per_decade": 1, "refine": 0, "resolution_at_dps": 0.0}
     _, other = taken("threshold", threshold=few)
     with pytest.raises(
         UsageError, match=r"gives no constants; those of `gyrolock fog` table, selfcal, temperature do"
     ):
-        constants_of(other.path, Wanted())
+        constants_of(other.path, WordFormat())

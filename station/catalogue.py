@@ -24,7 +24,8 @@ from typing import TYPE_CHECKING, Any
 
 from station.errors import NoUsableSignal, RunError, UsageError
 from station.report.figure import ACCENT, INK, SECOND, THIRD, legend_above, write_picture
-from station.results.result import UNITS, TextTable, with_uncertainty
+from station.results.quantity import Value, has_uncertainty, value_beside
+from station.results.result import TextTable, with_uncertainty
 from station.runs.annotations import Remarks, read_remarks, remarks_file
 from station.runs.database import COMPLETE, TAKEN, RunFacts, journal_of, read_facts, reading
 from station.runs.progress import Progress
@@ -199,28 +200,9 @@ _SHOWN_FIRST = {"witness": "two_pi_voltage_v"}
 """Measurements whose document does not begin with what people ask for."""
 
 
-@dataclass(frozen=True)
-class ListedValue:
-    """A number of a result with its standard uncertainty; nan where the run gives none."""
-
-    name: str  # key in the JSON document: with its unit
-    value: float
-    u: float
-    of: str = ""  # what it is of, where there are several: ``"X"``
-
-    @property
-    def unit(self) -> str:
-        """Unit as a person reads it."""
-        before, per, below = self.name.rpartition("_per_")
-        last = self.name.rpartition("_")[2]
-        if per:
-            return f"{before.rpartition('_')[2]}/({UNITS.get(below, below)})"
-        return UNITS.get(last, "")
-
-    @property
-    def text(self) -> str:
-        """Value with its uncertainty and unit."""
-        return f"{self.of} {with_uncertainty(self.value, self.u, self.unit)}".strip()
+def value_text(value: Value) -> str:
+    """A number with what it is of, its uncertainty and its unit."""
+    return f"{value.of} {with_uncertainty(value.value, value.u, value.unit)}".strip()
 
 
 @dataclass(frozen=True)
@@ -238,7 +220,7 @@ class Entry:
     simulated: bool = False
     outcome: str = ""
     records: int = 0  # how many it holds, of every purpose
-    values: tuple[ListedValue, ...] = ()  # what the result begins with; empty for a run that was never evaluated
+    values: tuple[Value, ...] = ()  # what the result begins with; empty for a run that was never evaluated
     verdict: str | None = None
     standing: str | None = None  # whether the result holds
     instrument_serial: str | None = None
@@ -260,8 +242,7 @@ class Entry:
     def from_json(cls, saved: Mapping[str, Any]) -> Entry:
         """Return what :meth:`as_json` made plain."""
         values = tuple(
-            ListedValue(one["name"], _or_nan(one["value"]), _or_nan(one["u"]), one["of"] or "")
-            for one in saved["values"]
+            Value.named(one["name"], one["value"], one["u"], of=one["of"] or "") for one in saved["values"]
         )
         several = {name: tuple(saved[name]) for name in ("tags", "remarks")}
         return cls(**{**saved, "values": values, **several})
@@ -272,7 +253,7 @@ class Entry:
         if self.problem and not self.values:
             return "damaged"
         ended = "not evaluated" if self.outcome in (COMPLETE, TAKEN) else self.outcome
-        return ", ".join(one.text for one in self.values) or ended
+        return ", ".join(map(value_text, self.values)) or ended
 
 
 def read_entry(file: Path, name: str) -> Entry | None:
@@ -325,42 +306,32 @@ def read_entry(file: Path, name: str) -> Entry | None:
     )
 
 
-def values_of(document: Mapping[str, Any], command: str) -> tuple[ListedValue, ...]:
+def values_of(document: Mapping[str, Any], command: str) -> tuple[Value, ...]:
     """Return the numbers that a result begins with: the first one that has an uncertainty.
 
     Where a measurement has several axes, each of them gives one.
 
     Examples
     --------
-    >>> values_of({"records": 3, "lock_in_rate_dps": 0.01, "lock_in_rate_u_dps": 1e-5}, "measure")[0].text
+    >>> found = values_of({"records": 3, "lock_in_rate_dps": 0.01, "lock_in_rate_u_dps": 1e-5}, "measure")
+    >>> value_text(found[0])
     '0.010000(10) deg/s'
-    >>> [one.text for one in values_of({"axes": [{"axis": "X", "tilt_deg": 1.5, "tilt_u_deg": 0.1}]}, "table")]
+    >>> axes = [{"axis": "X", "tilt_deg": 1.5, "tilt_u_deg": 0.1}]
+    >>> [value_text(one) for one in values_of({"axes": axes}, "table")]
     ['X 1.50(10) deg']
     """
     first = _SHOWN_FIRST.get(command, "")
     names = [first] if first in document else list(document)
     for name in names:
-        if (key := _uncertainty_of(name, document)) is not None:
-            return (ListedValue(name, _or_nan(document[name]), _or_nan(document[key])),)
+        if _is_number(document.get(name)) and has_uncertainty(document, name):
+            return (Value.named(name, document[name], value_beside(document, name).u),)
     for several in document.values():
         if not (isinstance(several, list) and several and all(isinstance(one, dict) for one in several)):
             continue
         found = [(one, values_of(one, command)) for one in several]
         if all(values for _, values in found):
-            return tuple(
-                ListedValue(values[0].name, values[0].value, values[0].u, str(next(iter(one.values()))))
-                for one, values in found
-            )
+            return tuple(replace(values[0], of=str(next(iter(one.values())))) for one, values in found)
     return ()
-
-
-def _uncertainty_of(name: str, document: Mapping[str, Any]) -> str | None:
-    """Key of the standard uncertainty of a number: ``_u`` stands before its unit."""
-    if not _is_number(document.get(name)):
-        return None
-    parts = name.split("_")
-    places = (["_".join([*parts[:at], "u", *parts[at:]]) for at in range(len(parts), 0, -1)]) if parts else []
-    return next((key for key in places if key in document and _is_number(document[key])), None)
 
 
 def _is_number(value: Any) -> bool:
@@ -376,10 +347,6 @@ def _document(row: tuple[Any, ...] | None) -> dict[str, Any]:
 
 def _or_null(value: float) -> float | None:
     return value if math.isfinite(value) else None
-
-
-def _or_nan(value: float | None) -> float:
-    return math.nan if value is None else float(value)
 
 
 # --------------------
@@ -555,7 +522,7 @@ def _short_name(entry: Entry, directory: Path) -> str:
 _COLOURS = (ACCENT, SECOND, THIRD, "#8a4f9e", "#b08a1e", "#3f8f9b", "#a23b4a", "#5b6875")
 _MARKERS = "osD^vP<>"
 _WIDTH, _HEIGHT, _MOST_PANELS = 9.5, 3.0, 8
-Series = dict[str, dict[str, list[tuple[Entry, ListedValue]]]]
+Series = dict[str, dict[str, list[tuple[Entry, Value]]]]
 """Values by what they are, and by unit."""
 
 
@@ -612,7 +579,7 @@ def series_of(entries: Sequence[Entry]) -> Series:
     return found
 
 
-def _label(value: ListedValue) -> str:
+def _label(value: Value) -> str:
     """Name of an axis: words of the key, what it is of, unit."""
     parts = value.name.split("_")
     if "per" in parts:

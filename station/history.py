@@ -19,6 +19,7 @@ from station.files import version
 from station.live.console import duration
 from station.report.figure import ACCENT, LINE, SECOND, SOFT, TALL, svg_element
 from station.report.show import render_page, write_page
+from station.results.quantity import value_beside
 from station.results.result import PlacedFigure, Section
 
 if TYPE_CHECKING:
@@ -121,12 +122,7 @@ def _numbers(step: Mapping[str, Any]) -> Iterator[Followed]:
 def _one(name: str, holder: Mapping[str, Any], number: str) -> Iterator[Followed]:
     value = holder.get(number)
     if isinstance(value, int | float) and math.isfinite(value):
-        stem, _, unit = number.rpartition("_")
-        for place in ("_dps", "_counts_per_dps", "_pulses_per_deg"):
-            if number.endswith(place):
-                stem, unit = number.removesuffix(place), place[1:]
-        u = holder.get(f"{stem}_u_{unit}")
-        yield Followed(name, float(value), float(u) if isinstance(u, int | float) else math.nan)
+        yield Followed(name, float(value), value_beside(holder, number).u)
 
 
 # --------------------

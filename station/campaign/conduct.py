@@ -35,6 +35,7 @@ from station.errors import (
     one_line,
 )
 from station.measurements import Measurement, measurement
+from station.results.quantity import Value
 from station.results.result import Result
 from station.results.verdict import (
     ABORTED,
@@ -43,7 +44,6 @@ from station.results.verdict import (
     MARGINAL,
     PASS,
     LimitOutcome,
-    Value,
     Verdict,
     decide,
     values_of,
@@ -366,7 +366,7 @@ def judged(step: PlannedStep, result: Result, document: Mapping[str, Any]) -> tu
     """Judge the numbers of a result by the limits of a step; one that does not stand decides nothing."""
     outcomes = []
     for limit in step.limits:
-        values = values_of(result, document, limit.number, RESULT) or [Value(float("nan"), "")]
+        values = values_of(result, document, limit.number, RESULT) or [Value(float("nan"))]
         outcomes += [decide(limit, value) for value in values]
     standing = result.standing
     if standing.state == "fails":

@@ -33,8 +33,9 @@ from station.errors import (
     UsageError,
 )
 from station.live.events import Event
+from station.results.quantity import Value
 from station.results.result import plain
-from station.results.verdict import ABORTED, ERROR, FAIL, MARGINAL, Limit, LimitOutcome, Value, Verdict, worst
+from station.results.verdict import ABORTED, ERROR, FAIL, MARGINAL, Limit, LimitOutcome, Verdict, worst
 from station.runs.database import new_run_directory, utc_now
 from station.runs.store import open_run
 
@@ -445,7 +446,7 @@ def _document(run: Path | None) -> dict[str, Any]:
 
 
 def _limit_from_json(one: Mapping[str, Any]) -> LimitOutcome:
-    numbers = ("value", "low_95", "high_95")
+    numbers = ("value", "u", "low_95", "high_95")
     measured: dict[str, Any] = {
         name: math.nan if value is None and name in numbers else value for name, value in one["measured"].items()
     }

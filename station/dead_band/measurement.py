@@ -36,10 +36,10 @@ from station.dead_band.take import (
 from station.errors import NoUsableSignal
 from station.measurements import Measurement
 from station.report.figure import ACCENT, INK, LINE, SECOND, SOFT, legend_above, svg_element
+from station.results.quantity import value_beside
 from station.results.result import (
     Excluded,
     FactTable,
-    Measured,
     PlacedFigure,
     Result,
     Section,
@@ -279,7 +279,7 @@ def result(found: DeadBandEvaluation, run: SavedRun, settings: DeadBandSettings)
         name="dead band",
         value=_with_u(2 * band.lock_in_rate, 2 * found.lock_in_rate_u),
         document=document,
-        measured=tuple(Measured(name, float(document[name])) for name in LIMITED),
+        measured=tuple(value_beside(document, name) for name in LIMITED),
         lines=(f"Half of it is the lock-in rate, {lock_in}; from {_count(found)}.",),
         summary=_summary(found),
         sentences=tuple(_sentences(found)),

@@ -20,7 +20,8 @@ from station.fibre_gyro.logs import LogRow, NamedSegment, gyro_measurement, list
 from station.fibre_gyro.segments import PlannedSegment, Segment, checked, segments_of, words_of
 from station.fibre_gyro.settings import FogSettings
 from station.report.figure import INK, SOFT, WIDE, legend_above, svg_element
-from station.results.result import Excluded, Measured, PlacedFigure, Result, Section, TextTable, with_uncertainty
+from station.results.quantity import value_beside
+from station.results.result import Excluded, PlacedFigure, Result, Section, TextTable, with_uncertainty
 from station.runs.database import is_database
 from station.runs.store import SavedRun, open_run
 
@@ -128,7 +129,7 @@ def result(found: AllanEvaluation, run: SavedRun, settings: FogSettings) -> Resu
         name="result",
         value=value,
         document={**({} if several else records[0]), "records": records, "left_out": found.left_out},
-        measured=tuple(Measured(n, one[n], one["name"] if several else "") for one in records for n in LIMITED),
+        measured=tuple(value_beside(one, n, one["name"] if several else "") for one in records for n in LIMITED),
         lines=lines,
         summary=[("", line) for line in lines],
         sentences=(*_sentences(found), *([design] if design and settings.gyro_is_described else [])),

@@ -24,10 +24,10 @@ from station.fibre_gyro.logs import LogRow, NamedSegment, gyro_measurement, list
 from station.fibre_gyro.segments import PlannedSegment, Segment, checked, segments_of
 from station.fibre_gyro.settings import FogSettings
 from station.report.figure import ACCENT, HALF, INK, SECOND, SOFT, legend_above, svg_element
+from station.results.quantity import Value
 from station.results.result import (
     Contribution,
     Excluded,
-    Measured,
     PlacedFigure,
     Result,
     Section,
@@ -146,7 +146,7 @@ def result(found: EpsEvaluation, run: SavedRun, settings: FogSettings) -> Result
         name="result",
         value=f"eps = {ppm(eps, u)}",
         document=_document(found),
-        measured=(Measured("two_pi_error_ppm", eps),),
+        measured=(Value.named("two_pi_error_ppm", eps, u),),
         lines=lines,
         summary=[("", line) for line in lines],
         sentences=tuple(_sentences(found, settings)),

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from operator import attrgetter
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -53,9 +54,9 @@ from station.fibre_gyro.segments import (
 )
 from station.fibre_gyro.settings import FogSettings
 from station.report.figure import HALF, SOFT, WIDE, legend_above, svg_element
+from station.results.quantity import Value, value_beside
 from station.results.result import (
     Excluded,
-    Measured,
     PlacedFigure,
     Result,
     Section,
@@ -462,10 +463,10 @@ def _bias_lines(one: AxisMerit, *, several: bool) -> list[str]:
     return said
 
 
-def _measured(found: FiguresEvaluation) -> tuple[Measured, ...]:
-    if len(found.axes) == 1:
-        return tuple(Measured(name, getattr(found.axes[0], name)) for name in LIMITED)
-    return tuple(Measured(name, getattr(one, name), one.axis) for one in found.axes for name in LIMITED)
+def _measured(found: FiguresEvaluation) -> tuple[Value, ...]:
+    alone = len(found.axes) == 1
+    numbers = [(_axis_document(axis), "" if alone else axis.axis) for axis in found.axes]
+    return tuple(value_beside(document, name, of) for document, of in numbers for name in LIMITED)
 
 
 def _document(found: FiguresEvaluation) -> dict[str, Any]:
@@ -478,12 +479,14 @@ def _document(found: FiguresEvaluation) -> dict[str, Any]:
         **(_intervals(alone) if alone else {}),
         "runs": [_run(run) for one in found.axes for run in one.runs],
         "at_temperatures": [_run(run) for one in found.axes for run in one.at_temperatures],
-        "axes": [
-            {"axis": one.axis, **_scale(one), **{name: getattr(one, name) for name in LIMITED}, **_intervals(one)}
-            for one in found.axes
-        ],
+        "axes": [_axis_document(axis) for axis in found.axes],
         "left_out": found.left_out,
     }
+
+
+def _axis_document(axis: AxisMerit) -> dict[str, Any]:
+    numbers = {name: getattr(axis, name) for name in LIMITED}
+    return {"axis": axis.axis, **_scale(axis), **numbers, **_intervals(axis)}
 
 
 def _scale(one: AxisMerit) -> dict[str, float]:
@@ -499,6 +502,8 @@ def _intervals(one: AxisMerit) -> dict[str, float | None]:
     """95 % intervals of what has one; the noise of the bias; the bound of the warm-up."""
     bias, slowest = one.bias, one.slowest
     return {
+        "nonlinearity_u_ppm": _u_of_largest(one, "nonlinearity_ppm", "nonlinearity_u_ppm"),
+        "asymmetry_u_ppm": _u_of_largest(one, "asymmetry_ppm", "asymmetry_u_ppm"),
         "bias_repeatability_low_95_dph": bias.low_95 if bias else None,
         "bias_repeatability_high_95_dph": bias.high_95 if bias else None,
         "bias_noise_u_dph": bias.noise_u if bias else None,
@@ -506,6 +511,12 @@ def _intervals(one: AxisMerit) -> dict[str, float | None]:
         "warm_up_high_95_s": slowest.warm_up_high_95_s if slowest else None,
         "warm_up_bound_dph": slowest.bound if slowest else None,
     }
+
+
+def _u_of_largest(axis: AxisMerit, name: str, u: str) -> float:
+    """The largest of the runs is as uncertain as that run."""
+    known = [run.figures for run in axis.runs if math.isfinite(getattr(run.figures, name))]
+    return float(getattr(max(known, key=attrgetter(name)), u)) if known else math.nan
 
 
 def _ppm(value: float) -> str:

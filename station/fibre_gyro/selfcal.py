@@ -63,10 +63,10 @@ from station.fibre_gyro.table_result import PURPOSE as TABLE
 from station.fibre_gyro.table_result import AxisResult, TableEvaluation, find_axes
 from station.fibre_gyro.table_result import to_watch as to_watch_of_table
 from station.report.figure import ACCENT, HALF, SECOND, SOFT, legend_above, svg_element
+from station.results.quantity import Value
 from station.results.result import (
     Contribution,
     Excluded,
-    Measured,
     PlacedFigure,
     Result,
     Section,
@@ -451,9 +451,11 @@ def result(found: SelfcalEvaluation, run: SavedRun, settings: FogSettings) -> Re
         f"Against {against}: {ppm(compared.difference_ppm, compared.difference_u_ppm)}.",
         f"Against the slope of the injected numbers: {numbers}.",
     )
-    measured = [Measured("self_minus_numbers_ppm", compared.against_numbers_ppm)]
+    measured = [
+        Value.named("self_minus_numbers_ppm", compared.against_numbers_ppm, compared.against_numbers_u_ppm)
+    ]
     if found.reference is not None:
-        measured.append(Measured("self_minus_table_ppm", compared.difference_ppm))
+        measured.append(Value.named("self_minus_table_ppm", compared.difference_ppm, compared.difference_u_ppm))
     watched = tuple(_to_watch(found, settings))
     return Result(
         name="result",

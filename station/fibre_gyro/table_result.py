@@ -45,10 +45,10 @@ from station.fibre_gyro.segments import (
     window_over_turns,
 )
 from station.fibre_gyro.settings import FogSettings
+from station.results.quantity import Value, value_beside
 from station.results.result import (
     Contribution,
     Excluded,
-    Measured,
     Result,
     TextTable,
     budget_document,
@@ -373,9 +373,10 @@ def _tables(found: TableEvaluation) -> Iterator[TextTable]:
         yield matrix_table(found.matrix)
 
 
-def _measured(axis: dict[str, Any], name: str) -> Measured:
-    u = axis["scale_factor_u_ppm"] if name == "nominal_difference_ppm" else math.nan
-    return Measured(name, axis[name], axis["axis"], u)
+def _measured(axis: dict[str, Any], name: str) -> Value:
+    if name == "nominal_difference_ppm":
+        return Value.named(name, axis[name], axis["scale_factor_u_ppm"], of=axis["axis"])
+    return value_beside(axis, name, axis["axis"])
 
 
 def _matrix_document(matrix: ThreeAxes | None) -> dict[str, Any] | None:

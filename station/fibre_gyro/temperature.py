@@ -45,7 +45,8 @@ from station.fibre_gyro.segments import (
 )
 from station.fibre_gyro.settings import FogSettings
 from station.report.figure import ACCENT, HALF, INK, SECOND, SOFT, WIDE, legend_above, svg_element
-from station.results.result import Excluded, Measured, PlacedFigure, Result, Section, TextTable, with_uncertainty
+from station.results.quantity import value_beside
+from station.results.result import Excluded, PlacedFigure, Result, Section, TextTable, with_uncertainty
 from station.runs.store import SavedRun
 
 if TYPE_CHECKING:
@@ -465,7 +466,7 @@ def result(found: TemperatureEvaluation, run: SavedRun, settings: FogSettings) -
         value="; ".join(_value(one, axis) for one, axis in zip(found.axes, axes, strict=True)),
         document={**(axes[0] if alone else {}), "axes": axes, "left_out": found.left_out},
         measured=tuple(
-            Measured(name, axis[name], "" if alone else axis["axis"]) for axis in axes for name in LIMITED
+            value_beside(axis, name, "" if alone else axis["axis"]) for axis in axes for name in LIMITED
         ),
         lines=lines,
         summary=[("", line) for line in lines],

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -40,7 +40,8 @@ from station.fibre_gyro.segments import (
 )
 from station.fibre_gyro.settings import FogSettings
 from station.report.figure import ACCENT, HALF, LINE, SECOND, SOFT, WIDE, legend_above, svg_element
-from station.results.result import Excluded, Measured, PlacedFigure, Result, Section, TextTable, with_uncertainty
+from station.results.quantity import Value, value_beside
+from station.results.result import Excluded, PlacedFigure, Result, Section, TextTable, with_uncertainty
 from station.runs.acquisition import Acquisition
 from station.runs.store import SavedRun
 
@@ -262,10 +263,10 @@ def in_words(edge: Edge) -> str:
     return f"below {edge.high_95:.3g} deg/s"
 
 
-def _measured(axis: dict[str, Any], name: str, of: str) -> Measured:
+def _measured(axis: dict[str, Any], name: str, of: str) -> Value:
     """A bound stands for what is below it."""
-    value = axis[name]
-    return Measured(name, axis[name.replace("_dps", "_high_95_dps")] if value is None else value, of)
+    value = value_beside(axis, name, of)
+    return replace(value, value=value.high_95) if math.isnan(value.value) else value
 
 
 def _edge(name: str, edge: Edge | None) -> dict[str, Any]:

@@ -34,10 +34,10 @@ from station.live.preview import Preview, PreviewTrace, PreviewValue, See, trace
 from station.measurements import Measurement
 from station.operator import ask_operator
 from station.report.figure import ACCENT, INK, SECOND, SOFT, WIDE, legend_above, svg_element
+from station.results.quantity import Value
 from station.results.result import (
     Excluded,
     FactTable,
-    Measured,
     PlacedFigure,
     Result,
     Section,
@@ -452,8 +452,8 @@ def result(found: WitnessEvaluation, run: SavedRun, settings: FogSettings) -> Re
         value=value,
         document=_document(found, settings),
         measured=(
-            Measured("witness_two_pi_error_ppm", PPM * found.two_pi_error.value, u=PPM * found.two_pi_error.u),
-            Measured("witness_step_time_ppm", found.step_time_ppm.value, u=found.step_time_ppm.u),
+            Value.named("witness_two_pi_error_ppm", PPM * found.two_pi_error.value, PPM * found.two_pi_error.u),
+            Value.named("witness_step_time_ppm", found.step_time_ppm.value, found.step_time_ppm.u),
         ),
         lines=lines,
         summary=[("", line) for line in lines],

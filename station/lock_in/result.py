@@ -35,9 +35,9 @@ from station.lock_in.messages import (
     truth_sentence,
 )
 from station.lock_in.settings import LockInLimits, Settings
+from station.results.quantity import value_beside
 from station.results.result import (
     FactTable,
-    Measured,
     Result,
     Rows,
     TextTable,
@@ -63,7 +63,7 @@ def result(found: LockInEvaluation, run: SavedRun | None = None, settings: Setti
         name="lock-in rate",
         value=" = ".join(lock_in_words(found)) if found.usable else "none",
         document=document,
-        measured=tuple(Measured(name, _number(document.get(name))) for name in LockInLimits.model_fields),
+        measured=tuple(value_beside(document, name) for name in LockInLimits.model_fields),
         lines=tuple(_lines(found)),
         summary=_summary(found),
         sentences=(*rates_sentences(found), *table_sentences(found), *quadrature_sentences(found), *budget),
@@ -101,10 +101,6 @@ def _doubts(found: LockInEvaluation) -> list[str]:
 def _failures(found: LockInEvaluation) -> list[str]:
     said = [flag_sentence(found, name) for name in found.flags if name in _failing(found)]
     return [*said, truth_sentence(found)] if truth_is_missed(found) else said
-
-
-def _number(value: object) -> float:
-    return math.nan if value is None else float(value)  # type: ignore[arg-type]  # an array of no dimensions, or a number
 
 
 def _lines(found: LockInEvaluation) -> list[str]:

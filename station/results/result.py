@@ -11,6 +11,7 @@ from typing import Any, Literal
 import numpy as np
 
 from station.errors import StationError, one_line
+from station.results.quantity import Value
 
 # --------------------
 # What a report or a page on the terminal is put together from
@@ -55,41 +56,6 @@ class FactTable:
     rows: Rows
 
 
-UNITS = {"dps": "deg/s", "dph": "deg/h", "hz": "Hz", "v": "V", "s": "s", "deg": "deg", "rad": "rad", "ppm": "ppm"}
-"""Suffix of a name, and the unit that it stands for."""
-
-
-def plain_words(name: str) -> str:
-    """Say a name of the JSON as a person writes it.
-
-    >>> plain_words("lock_in_rate")
-    'lock-in rate'
-    """
-    return name.replace("_", " ").replace("lock in", "lock-in")
-
-
-@dataclass(frozen=True)
-class Measured:
-    """A number that limits can be set on."""
-
-    name: str  # with the unit at its end: the key in ``[limits]``
-    value: float  # nan where the run gives none
-    of: str = ""  # what it is of, where there are several: ``"X"``
-    # standard uncertainty, where the result does not hold one under the name that goes with it
-    u: float = math.nan
-
-    @property
-    def unit_suffix(self) -> str:
-        """End of the name that stands for the unit; empty for a pure number."""
-        end = self.name.rpartition("_")[2]
-        return end if end in UNITS else ""
-
-    @property
-    def unit(self) -> str:
-        """Unit as a person reads it."""
-        return UNITS.get(self.unit_suffix, "")
-
-
 @dataclass(frozen=True)
 class Excluded:
     """Something that was taken, or should have been, and is not in the result."""
@@ -120,7 +86,7 @@ class Result:
     name: str  # of the value: ``"lock-in rate"``
     value: str  # in large letters
     document: dict[str, Any]  # the body of the JSON document; arrays and nan may be in it
-    measured: tuple[Measured, ...] = ()  # what limits can be set on
+    measured: tuple[Value, ...] = ()  # what limits can be set on
     lines: tuple[str, ...] = ()  # below the value in the report
     summary: Rows = ()  # (str, str): Below the value on the terminal
     sentences: tuple[str, ...] = ()  # what the result means

@@ -7,13 +7,14 @@ assessment), sections 8.2 (simple acceptance) and 8.3 (guard bands).
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
 from scipy.special import ndtr
 
-from station.results.result import UNITS, Measured, Result, plain_words
+from station.results.quantity import Value, plain_words, value_beside, without_unit
+from station.results.result import Result
 
 Verdict = Literal["PASS", "FAIL", "MARGINAL", "ERROR", "ABORTED"]
 Rule = Literal["none", "U95", "simple"]
@@ -40,22 +41,6 @@ class Limit:
     # is not asked for.
     rule: Rule = "U95"
     highest_risk: float = 0.5  # with "simple": no PASS and no FAIL whose risk of being wrong is above this share
-
-
-@dataclass(frozen=True)
-class Value:
-    """A number as a run gives it."""
-
-    value: float  # nan where the run gives none
-    unit: str  # as a person reads it
-    low_95: float = math.nan  # ends of its 95 % interval, every input counted; nan where nobody knows them
-    high_95: float = math.nan
-    of: str = ""  # what it is of, where a run gives several: ``"X"``
-
-    @property
-    def uncertain(self) -> bool:
-        """Whether its 95 % interval is known."""
-        return math.isfinite(self.low_95) and math.isfinite(self.high_95)
 
 
 @dataclass(frozen=True)
@@ -184,8 +169,7 @@ def _value_words(measured: Value) -> str:
 
 def number_words(number: str, measured: Value) -> str:
     """Say the name of a number, without the unit at its end: ``"lock-in rate"``, ``"scatter of X"``."""
-    name, _, end = number.removeprefix("result.").rpartition("_")
-    words = plain_words(name if end in UNITS and name else number.removeprefix("result."))
+    words = plain_words(without_unit(number.removeprefix("result.")))
     return f"{words} of {measured.of}" if measured.of else words
 
 
@@ -197,7 +181,7 @@ def number_words(number: str, measured: Value) -> str:
 class Tested:
     """One number against its limit."""
 
-    measured: Measured  # its size counts; nan where the run gave none, which fails
+    measured: Value  # its size counts; nan where the run gave none, which fails
     limit: float
 
     @property
@@ -213,8 +197,7 @@ class Tested:
     @property
     def sentence(self) -> str:
         """One line."""
-        words = plain_words(self.name.replace(f"_{self.measured.unit_suffix}", ""))
-        size, unit = abs(self.measured.value), self.measured.unit
+        words, size, unit = self.measured.words, abs(self.measured.value), self.measured.unit
         if math.isnan(size):
             return f"FAIL {words}: the run gives no value, the limit is {self.limit:g} {unit}".rstrip()
         verdict = "PASS" if self.passed else "FAIL"
@@ -230,7 +213,7 @@ class Tested:
         }
 
 
-def check_limits(measured: Sequence[Measured], limits: Mapping[str, float | None]) -> tuple[Tested, ...]:
+def check_limits(measured: Sequence[Value], limits: Mapping[str, float | None]) -> tuple[Tested, ...]:
     """Test what was measured against the limits that are set; one that nothing has the name of is not tested."""
     pairs = ((one, limits.get(one.name)) for one in measured)
     return tuple(Tested(one, limit) for one, limit in pairs if limit is not None)
@@ -247,76 +230,15 @@ def verdict(tested: Sequence[Tested]) -> str | None:
 # Numbers of a result with their 95 % intervals, as verdicts need them
 
 
-_COVERAGE = 2.0
-"""Half a 95 % interval in standard uncertainties where a result gives no interval (GUM 6.3.3)."""
-
-
 def values_of(result: Result, document: Mapping[str, Any], number: str, prefix: str = "result.") -> list[Value]:
     """Return a number of a result: one value, or several where it is of several axes; empty if there is none."""
-    if number.startswith(prefix):
-        *way, name = number.removeprefix(prefix).split(".")
-        inner = _at(document, way)
-        return [] if inner is None else [_value(inner, name)]
-    return [_of_measured(one, document) for one in result.measured if one.name == number]
-
-
-def _of_measured(one: Measured, document: Mapping[str, Any]) -> Value:
-    if math.isfinite(one.u):
-        half = _COVERAGE * one.u
-        return Value(one.value, one.unit, one.value - half, one.value + half, one.of)
-    holder = document if not one.of else next(_named(document, one.of), {})
-    low, high = _interval(holder, one.name, one.value)
-    return Value(one.value, one.unit, low, high, one.of)
-
-
-def _named(document: Mapping[str, Any], name: str) -> Iterator[Mapping[str, Any]]:
-    """Parts of a result that are of one axis."""
-    for value in document.values():
-        if isinstance(value, list):
-            yield from (one for one in value if isinstance(one, dict) and one.get("axis") == name)
-
-
-def _at(document: Any, way: list[str]) -> Mapping[str, Any] | None:
-    for name in way:
-        if isinstance(document, list) and name.isdecimal() and int(name) < len(document):
-            document = document[int(name)]
-        elif isinstance(document, dict):
-            document = document.get(name)
+    if not number.startswith(prefix):
+        return [one for one in result.measured if one.name == number]
+    *way, name = number.removeprefix(prefix).split(".")
+    inner: Any = document
+    for step in way:
+        if isinstance(inner, list) and step.isdecimal() and int(step) < len(inner):
+            inner = inner[int(step)]
         else:
-            return None
-    return document if isinstance(document, dict) else None
-
-
-def _value(holder: Mapping[str, Any], name: str) -> Value:
-    found = holder.get(name)
-    value = float(found) if isinstance(found, int | float) and not isinstance(found, bool) else math.nan
-    end = name.rpartition("_")[2]
-    return Value(value, UNITS.get(end, ""), *_interval(holder, name, value))
-
-
-def _interval(holder: Mapping[str, Any], name: str, value: float) -> tuple[float, float]:
-    """Ends of the 95 % interval by the names that stand beside a number; nan where there are none.
-
-    A number that is an end of an interval itself, or an uncertainty, has none.
-    """
-    stem, unit = _parted(name)
-    low, high = (_number(holder.get(f"{stem}_{end}_95{unit}")) for end in ("low", "high"))
-    if math.isfinite(low) and math.isfinite(high):
-        return low, high
-    u = _number(holder.get(f"{stem}_u{unit}"))
-    return (value - _COVERAGE * u, value + _COVERAGE * u) if math.isfinite(u) else (math.nan, math.nan)
-
-
-def _parted(name: str) -> tuple[str, str]:
-    """Stem and unit of a name, the unit with its line: ``("lock_in_rate", "_dps")``."""
-    for unit in sorted((*UNITS, *_LONG_UNITS), key=len, reverse=True):
-        if name.endswith(f"_{unit}"):
-            return name.removesuffix(f"_{unit}"), f"_{unit}"
-    return name, ""
-
-
-_LONG_UNITS = ("pulses_per_deg", "counts_per_dps", "deg_per_sqrt_h", "counts", "codes")
-
-
-def _number(value: object) -> float:
-    return float(value) if isinstance(value, int | float) else math.nan
+            inner = inner.get(step) if isinstance(inner, dict) else None
+    return [value_beside(inner, name)] if isinstance(inner, dict) else []

@@ -7,8 +7,9 @@ import pytest
 
 from station.campaign.conduct import judged
 from station.campaign.journal import PlannedStep
-from station.results.result import Measured, Result
-from station.results.verdict import Limit, Value, values_of
+from station.results.quantity import Value, value_beside
+from station.results.result import Result
+from station.results.verdict import Limit, values_of
 
 DOCUMENT: dict[str, Any] = {
     "lock_in_rate_dps": 0.01,
@@ -30,18 +31,15 @@ DOCUMENT: dict[str, Any] = {
 }
 
 
-def result(*measured: Measured, **more: Any) -> Result:
+def result(*measured: Value, **more: Any) -> Result:
     return Result("x", "1", DOCUMENT, measured=measured, **more)
 
 
 def test_the_interval_of_a_number_stands_beside_it_or_is_twice_its_uncertainty() -> None:
     found = result(
-        Measured("lock_in_rate_dps", 0.01),
-        Measured("tilt_deg", 88.7),
-        Measured("noise_rms_v", 0.004),
-        Measured("nominal_ppm", 10.0, "X", 1.5),
-        Measured("scatter_ppm", 3.0, "X"),
-        Measured("scatter_ppm", 5.0, "Z"),
+        *(value_beside(DOCUMENT, name) for name in ("lock_in_rate_dps", "tilt_deg", "noise_rms_v")),
+        Value.named("nominal_ppm", 10.0, 1.5, of="X"),
+        *(value_beside(axis, "scatter_ppm", axis["axis"]) for axis in DOCUMENT["axes"]),
     )
     (rate,) = values_of(found, DOCUMENT, "lock_in_rate_dps")
     assert rate == Value(0.01, "deg/s", 0.0098, 0.0103)
@@ -64,8 +62,8 @@ def step(*limits: Limit, doubtful: str = "marginal") -> PlannedStep:
     return PlannedStep("01 x", "x", 1, "measure", 1, 1, {}, {}, 0.0, 0.0, limits, doubtful)
 
 
-RATE = Measured("lock_in_rate_dps", 0.01)
-NOISE = Measured("noise_rms_v", 0.004)
+RATE = value_beside(DOCUMENT, "lock_in_rate_dps")
+NOISE = value_beside(DOCUMENT, "noise_rms_v")
 LIMITS = (
     Limit("lock_in_rate_dps", at_most=0.02),
     Limit("lock_in_rate_dps", at_most=0.005),

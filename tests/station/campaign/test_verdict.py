@@ -5,7 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from station.results.verdict import Limit, Rule, Value, decide, worst
+from station.results.quantity import Value
+from station.results.verdict import Limit, Rule, decide, worst
 
 K95 = 1.959963984540054
 

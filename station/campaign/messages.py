@@ -12,7 +12,7 @@ from station.live.console import stdout_console
 from station.measurements import measurement
 from station.report.show import text_table
 from station.results.result import TextTable
-from station.results.verdict import LimitOutcome, limit_words, number_words
+from station.results.verdict import LimitOutcome, interval_words, limit_words, margin_words, number_words
 from station.terminal import visible
 
 _LETTERS = {
@@ -68,15 +68,15 @@ def limits_table(steps: Sequence[StepOutcome]) -> TextTable:
 
 def _limit_row(step: StepOutcome, one: LimitOutcome) -> tuple[str, ...]:
     measured, unit = one.measured, one.measured.unit
-    interval = f"{measured.low_95:.6g} to {measured.high_95:.6g}" if measured.uncertain else ""
+    interval = interval_words(measured) if measured.uncertain else ""
     return (
         one.verdict,
         step.step.key,
         number_words(one.limit.number, measured),
-        f"{measured.value:.6g} {unit}".rstrip() if measured.value == measured.value else "none",
+        f"{measured.digits(measured.value)} {unit}".rstrip() if measured.value == measured.value else "none",
         interval,
         limit_words(one.limit, unit),
-        f"{one.margin:+.3g}" if one.margin == one.margin else "",
+        margin_words(measured, one.margin) if one.margin == one.margin else "",
         "" if one.risk is None else risk_words(one.risk),
     )
 

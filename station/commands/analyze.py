@@ -152,11 +152,12 @@ class Analysis:
         """Put one row for each record into a table."""
         from station.errors import EXIT_OK, EXIT_USAGE
         from station.reanalysis.analyze_table import fill_table
+        from station.reanalysis.combine import front_end_of_files
 
         done = fill_table(
             self.sources,
             table,
-            self._with_scale_factor(),
+            self._with_scale_factor() | {"front_end": front_end_of_files(self.config)},
             self.workers,
             self.progress,
             lambda one: remark(f"left out: {one}"),
@@ -270,9 +271,21 @@ class Analysis:
         for one in self.sources:
             with suppress(OSError):  # one that is not there is named when it is read
                 files += [] if is_run(one) else [one]
-        if self.choices["scale_factor"] is not None or not files:
+        if self.choices["scale_factor"] is not None or not any(map(_is_waveform, files)):
             return self.choices
         return self.choices | {"scale_factor": scale_factor_of_files(self.config, files)}
+
+
+def _is_waveform(file: Path | Source) -> bool:
+    """Whether a file can be read as one of an oscilloscope: a table of results beside runs needs no K."""
+    from instrument import InstrumentError
+    from station.errors import StationError
+    from station.sources.find import open_source
+
+    try:
+        return len(open_source(file)) > 0
+    except (InstrumentError, StationError, OSError):
+        return False
 
 
 def _no_result(problem: str) -> Failure | None:

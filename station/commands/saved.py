@@ -265,16 +265,15 @@ def compare_command(first: str, second: str, config: Path | None, as_json: bool,
     from station.sources.workers import Processes
 
     factor = given["scale_factor"]
-    if factor is None and config is not None:
-        from station.reanalysis.combine import scale_factor_of_files
-
-        factor = scale_factor_of_files(config)
     with Processes(given["processes"]) as workers:
         a, b = (
-            read_records(place, {"scale_factor": factor, "relation": given[relation]}, workers, given[part])
-            for place, relation, part in ((first, "relation_a", "part_a"), (second, "relation_b", "part_b"))
+            read_records(place, {"scale_factor": factor, "relation": given[relation]}, workers, of, config)
+            for place, relation, of in (
+                (first, "relation_a", given["part_a"]),
+                (second, "relation_b", given["part_b"]),
+            )
         )
-        a, b = with_headlines(a, b, workers)
+        a, b = with_headlines(a, b, workers, config)
     for one in (*a.left_out, *b.left_out):
         remark(f"left out: {one}")
     found = compare(a, b)

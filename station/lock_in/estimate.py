@@ -43,9 +43,10 @@ class Piece:
 
     path: Path | Source
     numbers: range | None = None  # of the records; ``None``: all
-    # of :class:`analysis.lock_in_run.Method`, what the user wants; a run knows its own scale factor
+    # of :class:`analysis.lock_in_run.Method`, what the user wants; a run knows its own scale factor. And
+    # ``front_end``: the channel as it is stated now
     choices: Mapping[str, Any] = field(default_factory=dict)
-    known: str = ""  # SHA-256 of the source whose estimates are there already: then it is not read
+    known: frozenset[str] = frozenset()  # SHA-256 of sources whose estimates are there already: not read again
     sha256: str = ""  # of the whole source, where this is a part of it
 
 
@@ -153,8 +154,8 @@ class _Reading:
 
     def _read_from(self, source: Source) -> None:
         piece, self._name = self._piece, source.name
-        if piece.known and source.sha256 == piece.known:
-            self._sha256 = piece.known
+        if piece.known and source.sha256 in piece.known:
+            self._sha256 = source.sha256
             return
         self._about = about(source)
         self._wanted.method = method_of(source, piece.choices)
@@ -250,7 +251,7 @@ class _Reading:
 
 def method_of(source: Source, choices: Mapping[str, Any]) -> Method:
     """Return how the records of a source are evaluated: as wanted, and with the scale factor of its run."""
-    wanted = {name: value for name, value in choices.items() if value is not None}
+    wanted = {name: value for name, value in choices.items() if value is not None and name != "front_end"}
     if source.is_run and source.facts.command != MEASURE:
         raise RunError(
             f"{source.name}: is a run of {source.facts.command!r}: its records give no lock-in rate each"
@@ -286,7 +287,7 @@ def pieces_of(source: Source, choices: Mapping[str, Any], *, whole: bool = False
     if last - first < AT_ONCE:
         return [[Piece(opened_by, None, choices, sha256=sha256)]]
     begins = range(first, last + 1, AT_ONCE)
-    return [[Piece(opened_by, range(begin, begin + AT_ONCE), choices, "", sha256)] for begin in begins]
+    return [[Piece(opened_by, range(begin, begin + AT_ONCE), choices, sha256=sha256)] for begin in begins]
 
 
 def _again(source: Source) -> Path | Source:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -68,6 +69,12 @@ def fill_table(
     file, analysis, done = table_file(table), analysis_of(choices), Filled(table)
     with only_writer(table):
         known = {source: sha256 for (source, made), sha256 in _known(file).items() if made == analysis}
+        # a source goes by the name that the table has for it, however its path is written now
+        written = {os.path.realpath(name): name for name in known}
+        sources = [
+            Path(written.get(os.path.realpath(_name(source)), source)) if isinstance(source, Path) else source
+            for source in sources
+        ]
         replaced: set[tuple[str, str]] = set()
         before = ""
         try:
@@ -140,9 +147,14 @@ class Work:
         *,
         whole: bool = False,
     ) -> None:
-        # one that was named twice counts once
-        self._sources = [(one, _size(one)) for one in {_name(source): source for source in sources}.values()]
+        # one that was named twice counts once, whichever way its path is written
+        once: dict[str, Path | Source] = {}
+        for source in sources:
+            name = _name(source)
+            once.setdefault(os.path.realpath(name) if isinstance(source, Path) else name, source)
+        self._sources = [(source, _size(source)) for source in once.values()]
         self._choices, self._known, self._whole = choices, known, whole
+        self._contents = frozenset(known.values())
         self._begun: deque[int] = deque()
 
     def __len__(self) -> int:
@@ -180,7 +192,7 @@ class Work:
                     self._begun.append(here // len(parts))
                     yield part
                 continue
-            waiting.append(Piece(source, None, self._choices, known=self._known.get(_name(source), "")))
+            waiting.append(Piece(source, None, self._choices, known=self._known_as(_name(source))))
             size += here
             if size >= TOGETHER:
                 self._begun.append(size)
@@ -190,11 +202,15 @@ class Work:
             self._begun.append(size)
             yield waiting
 
+    def _known_as(self, name: str) -> frozenset[str]:
+        """Contents that need no new rows: its own where the name is known, else those of any other name."""
+        return frozenset({self._known[name]}) if name in self._known else self._contents
+
     def _parts(self, source: Path | Source) -> list[list[Piece]] | None:
         """Parts of a large source; ``None`` where it is read as a whole: it is known, or cannot be opened."""
         try:
             opened = open_source(source)
-            if opened.name in self._known and self._known[opened.name] == opened.sha256:
+            if opened.sha256 in self._known_as(opened.name):
                 return None
             return pieces_of(opened, self._choices, whole=self._whole)
         except (StationError, InstrumentError, OSError):

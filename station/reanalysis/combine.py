@@ -414,6 +414,14 @@ def scale_factor_of_files(config: Path | None, files: Sequence[Path | Source] = 
     return _asked_scale_factor() if found is None else found
 
 
+def front_end_of_files(config: Path | None) -> dict[str, Any] | None:
+    """The channel that a settings file states, for records of any source; ``None`` where it states none."""
+    settings = stated_of_files(config)
+    if settings is None or config is None or "front_end" not in read_toml(config):
+        return None
+    return settings.front_end.model_dump()
+
+
 def _stated_of_files(config: Path) -> float | None:
     """The scale factor that a settings file states itself."""
     settings = load_settings(config)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from instrument import InstrumentError
 from station.errors import NoUsableSignal, RunError, StationError, UsageError
 from station.reanalysis.analyze_table import KINDS, Work, table_file
-from station.reanalysis.combine import ONE_RATE, combine, scale_factor_of_files
+from station.reanalysis.combine import ONE_RATE, combine, front_end_of_files, scale_factor_of_files
 from station.reanalysis.table_file import rows_of_pieces
 from station.report.figure import ACCENT, INK, SECOND, SOFT, write_picture
 from station.results.result import TextTable, plain, with_uncertainty
@@ -42,19 +42,21 @@ class Headline:
 
 
 def headline_of(
-    place: str, choices: Mapping[str, Any], beats: NDArray[np.float64], workers: Workers
+    side: ComparedRecords, choices: Mapping[str, Any], workers: Workers, config: Path | None
 ) -> Headline | None:
     """Evaluate a run, or records at one rate, with their budget; ``None`` where they have no one result."""
     quiet = Progress(quiet=True)
+    choices = {name: value for name, value in choices.items() if name != "front_end"}
     try:
-        sources = list(find_sources([place]))
+        sources = list(find_sources([side.name]))
         if len(sources) == 1 and is_run(sources[0]):
-            document = evaluate_saved(sources[0], workers, quiet, config=None, choices=choices).result.document
+            document = evaluate_saved(sources[0], workers, quiet, config=config, choices=choices).result.document
         else:
+            beats = side.values["beat_frequency_hz"]
             known = beats[np.isfinite(beats)]
             if not known.size or np.ptp(known) >= ONE_RATE * known.max():
                 return None
-            document = combine(sources, choices, workers, quiet).result.document
+            document = combine(sources, choices, workers, quiet, config=config).result.document
     except (StationError, InstrumentError):
         return None
     rate, u = (float(document.get(name, math.nan)) for name in ("lock_in_rate_dps", "lock_in_rate_u_dps"))
@@ -312,7 +314,9 @@ def _mean(values: Floats, us: Floats) -> tuple[float, float]:
     return mean, u
 
 
-def read_records(place: str, choices: Mapping[str, Any], workers: Workers, analysis: str = "") -> ComparedRecords:
+def read_records(
+    place: str, choices: Mapping[str, Any], workers: Workers, analysis: str = "", config: Path | None = None
+) -> ComparedRecords:
     """Read the rows of a results table, or estimate the records of runs and files."""
     path = Path(place)
     if path.suffix.lower() in KINDS and path.is_file() and _is_table(path):
@@ -323,7 +327,8 @@ def read_records(place: str, choices: Mapping[str, Any], workers: Workers, analy
         raise UsageError(f"{place}: No such file or directory")
     sources = list(find_sources([place]))
     if choices.get("scale_factor") is None and all(isinstance(one, Path) and not is_run(one) for one in sources):
-        choices = {**choices, "scale_factor": scale_factor_of_files(None, sources)}
+        choices = {**choices, "scale_factor": scale_factor_of_files(config, sources)}
+    choices = {**choices, "front_end": front_end_of_files(config)}
     work = Work(sources, choices, whole=True)
     parts = [rows for found in work.done_by(workers, rows_of_pieces, Progress(quiet=True)) for rows in found]
     left_out = tuple(one for part in parts for one in part.left_out)
@@ -340,15 +345,13 @@ def read_records(place: str, choices: Mapping[str, Any], workers: Workers, analy
 
 
 def with_headlines(
-    first: ComparedRecords, second: ComparedRecords, workers: Workers
+    first: ComparedRecords, second: ComparedRecords, workers: Workers, config: Path | None = None
 ) -> tuple[ComparedRecords, ComparedRecords]:
     """Evaluate both sides as a whole, where they hold no record in common: then noise is not all that counts."""
     if not set(first.keys).isdisjoint(second.keys):
         return first, second
     a, b = (
-        one
-        if one.choices is None
-        else replace(one, headline=headline_of(one.name, one.choices, one.values["beat_frequency_hz"], workers))
+        one if one.choices is None else replace(one, headline=headline_of(one, one.choices, workers, config))
         for one in (first, second)
     )
     return a, b

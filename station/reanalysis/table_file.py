@@ -26,7 +26,7 @@ from station.errors import CannotWrite, RunError, StationError
 from station.files import program
 from station.lock_in.estimate import COLUMNS, Gathered, Piece, columns_of, estimate_pieces
 from station.lock_in.evaluate import describe_method
-from station.lock_in.settings import RING_LASER, channel_response
+from station.lock_in.settings import RING_LASER, FrontEndSettings, channel_response
 from station.settings import saved_settings
 from station.sources.batches import ExcludedRecord
 
@@ -181,7 +181,8 @@ def analysis_of(choices: Mapping[str, Any]) -> str:
     wanted = {name: value for name, value in choices.items() if value is not None}
     scale = f"{wanted['scale_factor']!r} pulses/deg" if "scale_factor" in wanted else "scale factor of the source"
     rate = f"input rate {wanted['input_rate']!r} deg/s" if "input_rate" in wanted else "self-referenced"
-    return f"{wanted.get('relation', 'exact')}; {scale}; {rate}; {software()}"
+    channel = f"channel {wanted['front_end']}; " if "front_end" in wanted else ""
+    return f"{wanted.get('relation', 'exact')}; {scale}; {rate}; {channel}{software()}"
 
 
 @cache
@@ -213,7 +214,9 @@ def _columns(piece: Piece, gathered: Gathered) -> dict[str, Values]:
     if each is None or method is None:
         return {}
     response = None
-    if gathered.front_end is not None:
+    if (stated := piece.choices.get("front_end")) is not None:
+        response = channel_response(FrontEndSettings(**stated))
+    elif gathered.front_end is not None:
         settings = saved_settings(RING_LASER, dict(gathered.front_end), gathered.name)
         response = channel_response(settings.front_end)
     each = by_themselves(each, response)

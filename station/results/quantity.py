@@ -71,6 +71,18 @@ class Value:
         return math.isfinite(self.low_95) and math.isfinite(self.high_95)
 
     @property
+    def decimals(self) -> int | None:
+        """Places behind the point that its uncertainty leaves; ``None`` where nobody knows it."""
+        u = (self.high_95 - self.low_95) / (2 * _COVERAGE) if self.uncertain else self.u
+        return max(0, decimals_of(u)) if math.isfinite(u) and u > 0 else None
+
+    def digits(self, number: float, significant: int = 6) -> str:
+        """A number of the same kind with as many digits as this one; without an uncertainty so many of its own."""
+        if self.decimals is None or abs(number) >= 1e15:
+            return f"{number:.{significant}g}"
+        return f"{number:.{self.decimals}f}"
+
+    @property
     def words(self) -> str:
         """Its name as a person says it: ``"lock-in rate"``, ``"scatter of X"``."""
         words = plain_words(without_unit(self.name))
@@ -91,6 +103,16 @@ def value_beside(document: Mapping[str, Any], name: str, of: str = "") -> Value:
     return Value.named(
         name, _number(document.get(name)), _beside(document, name, "u"), low_95=low, high_95=high, of=of
     )
+
+
+def decimals_of(u: float) -> int:
+    """Places behind the point of two digits of an uncertainty.
+
+    >>> decimals_of(1.2e-5), decimals_of(0.0996), decimals_of(120.0)
+    (6, 2, -1)
+    """
+    places = 1 - math.floor(math.log10(u))
+    return places - (round(u * 10.0**places) >= 100)  # 0.0996 is written with the digits of 0.10
 
 
 def has_uncertainty(document: Mapping[str, Any], name: str) -> bool:

@@ -11,7 +11,7 @@ from typing import Any, Literal
 import numpy as np
 
 from station.errors import StationError, one_line
-from station.results.quantity import Value
+from station.results.quantity import Value, decimals_of
 
 # --------------------
 # What a report or a page on the terminal is put together from
@@ -131,9 +131,7 @@ def with_uncertainty(value: float, u: float, unit: str = "") -> str:
         return "none"
     if not math.isfinite(u) or u <= 0:
         return f"{value:.6g}{tail}"
-    digits = 1 - math.floor(math.log10(u))
-    if round(u * 10.0**digits) >= 100:  # 0.0996 is written with the digits of 0.10
-        digits -= 1
+    digits = decimals_of(u)
     if digits <= 0:
         return f"{value:.0f}({u:.0f}){tail}"
     return f"{value:.{digits}f}({round(u * 10.0**digits)}){tail}"

@@ -141,12 +141,17 @@ def _outcome(
     name = number_words(limit.number, measured)
     sentence = f"{verdict} {name}: {_value_words(measured)}, {limit_words(limit, measured.unit)}"
     if math.isfinite(margin):
-        sentence += f", margin {margin:+.3g} {measured.unit}".rstrip()
+        sentence += f", margin {margin_words(measured, margin)} {measured.unit}".rstrip()
     if risk is not None and limit.rule == "simple":
         sentence += f", risk {100 * risk:.2g} %"
     return LimitOutcome(
         limit, measured, verdict, low, high, risk, margin, f"{sentence}; {why}" if why else sentence
     )
+
+
+def margin_words(measured: Value, margin: float) -> str:
+    """Say a margin with its sign and the digits of its value."""
+    return f"{'' if margin < 0 else '+'}{measured.digits(margin, 3)}"
 
 
 def limit_words(limit: Limit, unit: str) -> str:
@@ -162,9 +167,13 @@ def limit_words(limit: Limit, unit: str) -> str:
 def _value_words(measured: Value) -> str:
     if not math.isfinite(measured.value):
         return "no value"
-    if not measured.uncertain:
-        return f"{measured.value:.6g} {measured.unit}".rstrip()
-    return f"{measured.value:.6g} [{measured.low_95:.6g}, {measured.high_95:.6g}] {measured.unit}".rstrip()
+    interval = f" [{interval_words(measured, ', ')}]" if measured.uncertain else ""
+    return f"{measured.digits(measured.value)}{interval} {measured.unit}".rstrip()
+
+
+def interval_words(measured: Value, between: str = " to ") -> str:
+    """Say a 95 % interval with the digits of its value."""
+    return between.join(measured.digits(end) for end in (measured.low_95, measured.high_95))
 
 
 def number_words(number: str, measured: Value) -> str:
@@ -200,8 +209,8 @@ class Tested:
         words, size, unit = self.measured.words, abs(self.measured.value), self.measured.unit
         if math.isnan(size):
             return f"FAIL {words}: the run gives no value, the limit is {self.limit:g} {unit}".rstrip()
-        verdict = "PASS" if self.passed else "FAIL"
-        return f"{verdict} {words}: {size:.4g} {unit}, limit {self.limit:g} {unit}".replace(" ,", ",").rstrip()
+        said = f"{words}: {self.measured.digits(size, 4)} {unit}".rstrip()
+        return f"{'PASS' if self.passed else 'FAIL'} {said}, limit {self.limit:g} {unit}".rstrip()
 
     def as_json(self) -> dict[str, object]:
         """Return name, value, limit and verdict, as the JSON of a result holds them."""

@@ -69,7 +69,10 @@ def test_margin_and_acceptance_interval_are_told() -> None:
     outcome = decide(Limit("tilt_deg", 1.0, 3.0), Value(1.5, "deg", 1.4, 1.7))
     assert outcome.margin == pytest.approx(0.5)
     assert (outcome.acceptance_low, outcome.acceptance_high) == (pytest.approx(1.1), pytest.approx(2.8))
-    assert outcome.sentence == "PASS tilt: 1.5 [1.4, 1.7] deg, at least 1 deg and at most 3 deg, margin +0.5 deg"
+    assert (
+        outcome.sentence
+        == "PASS tilt: 1.500 [1.400, 1.700] deg, at least 1 deg and at most 3 deg, margin +0.500 deg"
+    )
 
 
 def test_the_worst_verdict_rules() -> None:

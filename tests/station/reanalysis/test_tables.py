@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from station.cli import main
 from station.errors import CannotWrite, RunError, UsageError
 from station.reanalysis.analyze_table import KINDS, Filled, fill_table, table_file
 from station.reanalysis.compare import compare, read_records, with_headlines
@@ -256,3 +257,58 @@ def test_a_table_is_compared_by_noise_and_says_so(tree: Path, tmp_path: Path) ->
 def test_what_is_not_there_cannot_be_compared(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match="nothing there: No such file"):
         read_records(str(tmp_path / "nothing there"), {}, ThisProcess())
+
+
+CHANNEL = "[front_end]\nlow_pass_hz = 3000.0\n"
+
+
+def test_what_is_stated_of_the_channel_counts_in_a_table_too(
+    tree: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The rows are those of ``--jsonl``, and those of another channel stand beside them."""
+    run, config, table = tree / "single.sqlite", tmp_path / "channel.toml", tmp_path / "results.csv"
+    config.write_text(CHANNEL)
+    filled(table, run)
+    assert main(["analyze", str(run), "--to", str(table), "--config", str(config), "--quiet"]) == 0
+    capsys.readouterr()
+    assert main(["analyze", str(run), "--jsonl", "--config", str(config), "--quiet"]) == 0
+    then = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    rows = list(table_file(table).rows())
+    assert len(rows) == 2 * len(then)
+    for row, plain, record in zip(rows[len(then) :], rows, then, strict=False):
+        assert differences({name: record[name] for name in NUMBERS}, row) == []
+        assert row["lock_in_rate_dps"] > plain["lock_in_rate_dps"]
+    assert main(["analyze", str(run), "--to", str(table), "--config", str(tmp_path / "no.toml")]) == 2
+    assert "no.toml" in capsys.readouterr().err
+
+
+def test_a_run_under_another_spelling_of_its_path_stands_once(
+    tree: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    table, runs = tmp_path / "results.sqlite", tmp_path / "runs"
+    runs.mkdir()
+    shutil.copy(tree / "single.sqlite", runs)
+    monkeypatch.chdir(tmp_path)
+    first = filled(table, Path("runs"))
+    for place in (Path("runs/../runs"), runs, Path("./runs/single.sqlite"), runs / "single.sqlite"):
+        again = filled(table, place)
+        assert (again.records, again.known) == (0, 1), place
+    assert filled(table, Path("runs"), runs).known == 1
+    shutil.copy(tree / "single.sqlite", runs / "copy.sqlite")  # the same records under another name
+    assert filled(table, runs).records == 0
+    assert len(list(table_file(table).rows())) == first.records
+
+
+def test_nobody_is_asked_for_a_scale_factor_that_the_runs_know(
+    tree: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    config, mixed = tmp_path / "limits.toml", tmp_path / "mixed"
+    config.write_text("[limits]\nlock_in_rate_dps = 0.02\n")
+    runs = [str(tree / f"{name}.sqlite") for name in ("single", "channel")]
+    assert main(["compare", *runs, "--config", str(config)]) == 0
+    shutil.copytree(tree, mixed)
+    filled(mixed / "results.csv", mixed / "single.sqlite")
+    assert main(["analyze", str(mixed), "--to", str(tmp_path / "all.csv"), "--quiet"]) == 2
+    told = capsys.readouterr()
+    assert "results.csv" in told.err and "scale factor" not in told.err
+    assert "3 sources" in told.out

@@ -103,14 +103,14 @@ def test_the_front_panel_is_put_back(tmp_path: Path, start_gyrolock, serve_scope
 HANGING = """
 import sys, time
 from station.cli import main
-from station.runs.acquisition import Session
+from station.runs.acquisition import Acquisition
 def hang():
     print("closing", flush=True)
     time.sleep(1000)
-def begin(session, *given, begin=Session.begin):
+def begin(session, *given, begin=Acquisition.begin):
     session.bench.callback(hang)
     return begin(session, *given)
-Session.begin = begin
+Acquisition.begin = begin
 sys.exit(main(sys.argv[1:]))
 """
 

@@ -12,7 +12,8 @@ from typing import Any, TypeVar
 
 from pydantic import Field, ValidationError
 
-from instrument.controllers import ControlledRateTable, Controller, ControllerTemplate, Guard, parse_template
+from instrument.controlled_table import ControlledRateTable, Guard
+from instrument.controllers import Controller, ControllerTemplate, parse_template
 from instrument.errors import InstrumentError
 from instrument.simulated import SimulatedRateTable
 from instrument.simulated.clock import Clock, VirtualClock

@@ -16,7 +16,8 @@ import pyvisa
 
 from instrument import TDS2014, LinkError, SettingError
 from instrument.claims import claim, link_of
-from instrument.controllers import ControlledRateTable, Controller, parse_template
+from instrument.controlled_table import ControlledRateTable
+from instrument.controllers import Controller, parse_template
 from instrument.discovery import check_resource
 from instrument.pyvisa_sessions import claim_instrument
 from instrument.simulated import SimulatedRateTable, SimulatedTDS2014, TcpServer

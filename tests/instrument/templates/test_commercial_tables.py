@@ -8,7 +8,8 @@ from pathlib import Path
 import pytest
 
 from instrument import LinkError, SettingError
-from instrument.controllers import ControlledRateTable, Controller, parse_template
+from instrument.controlled_table import ControlledRateTable
+from instrument.controllers import Controller, parse_template
 from instrument.simulated import SimulatedRateTable, VirtualClock
 from instrument.simulated.controllers import LineServer
 

@@ -201,7 +201,7 @@ def convert(volts: Floats, channel: PanelChannel, noise: Floats | float = 0.0) -
 
     Examples
     --------
-    >>> channel = ChannelSettings(0.5, 1.0, "DC", 1.0, limited=False, inverted=False)
+    >>> channel = PanelChannel(0.5, 1.0, "DC", 1.0, limited=False, inverted=False)
     >>> convert(np.array([0.0, 0.5, 9.0, -9.0]), channel).tolist()
     [25, 50, 127, -127]
     """

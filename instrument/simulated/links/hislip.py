@@ -469,7 +469,7 @@ class HislipFrame:
 
         Examples
         --------
-        >>> Frame(Kind.DATA_END, 0, 0xFFFFFF00, b"*IDN?").encoded().hex(" ", -4)
+        >>> HislipFrame(MessageType.DATA_END, 0, 0xFFFFFF00, b"*IDN?").encoded().hex(" ", -4)
         '48530700 ffffff00 00000000 00000005 2a49444e 3f'
         """
         header = _HEADER.pack(_PROLOGUE, self.kind, self.control, self.parameter, len(self.payload))

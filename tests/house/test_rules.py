@@ -141,7 +141,6 @@ WALKS = {
     "measure --rates 8 --records 2 --no-report": 90,
     "analyze {golden}/default.sqlite": 75,
     "fog eps {golden}/fog_eps.sqlite --no-report": 70,
-    "fog table {golden}/fog_table.sqlite --no-report": 70,
     "fog witness --no-report": 70,
 }
 
@@ -160,9 +159,10 @@ def note(frame, event, _):
     if event == "call" and code.co_flags & 1 and code not in known and code.co_filename.startswith(root):
         if code.co_name != "<module>" and not importing(frame):
             known[code] = entered.add(code.co_filename.removeprefix(root))
+import jinja2, matplotlib.figure, numpy, pydantic, pyvisa, pyvisa_py, rich.live, scipy.optimize, scipy.stats
+from station.cli import main
 threading.setprofile(note)
 sys.setprofile(note)
-from station.cli import main
 main(sys.argv[2:])
 sys.setprofile(None)
 ours = {name for name in entered if name.endswith(".py") and not name.startswith(".venv")}

@@ -9,7 +9,6 @@ from __future__ import annotations
 import json
 import os
 import platform
-import sys
 import threading
 import time
 from collections.abc import Iterator, Mapping
@@ -18,6 +17,7 @@ from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 from typing import IO, Any, Self
 
+from instrument.claims import lock as lock_file
 from station.errors import UsageError
 from station.live.events import WAYPOINTS, Event
 from station.runs.signals import stop_from_within
@@ -170,7 +170,7 @@ class StatusFile:
             self._path.parent.mkdir(parents=True, exist_ok=True)
             _forget_old(self._path.parent)
             lock = self._path.with_suffix(_LOCK).open("ab")
-            if _locked(lock):
+            if lock_file(lock.fileno()):
                 self._lock = lock
                 self._path.with_suffix(_STOP).unlink(missing_ok=True)  # of a program that had this number before
                 threading.Thread(target=self._listen, name="stop", daemon=True).start()
@@ -263,25 +263,9 @@ def _is_held(path: Path) -> bool:
     """Whether the process that made a lock still holds it."""
     try:
         with path.open("ab") as lock:
-            return not _locked(lock)
+            return not lock_file(lock.fileno())
     except OSError:
         return False
-
-
-def _locked(file: IO[bytes]) -> bool:
-    """Lock an open file for this process as long as it is open; ``False`` if another one has it."""
-    try:
-        if sys.platform == "win32":
-            import msvcrt
-
-            msvcrt.locking(file.fileno(), msvcrt.LK_NBLCK, 1)
-        else:
-            import fcntl
-
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except OSError:
-        return False
-    return True
 
 
 def _take_away(path: Path) -> None:

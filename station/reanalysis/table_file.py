@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 
 from analysis import flag_names
 from analysis.lock_in_run import by_themselves
+from instrument.claims import lock
 from station.errors import CannotWrite, RunError, StationError
 from station.files import program
 from station.lock_in.estimate import COLUMNS, Gathered, Piece, columns_of, estimate_pieces
@@ -258,36 +259,23 @@ def _flags(bits: int) -> str:
 @contextmanager
 def only_writer(path: Path) -> Iterator[None]:
     """Hold a file against other writers; a process that is killed holds nothing any more."""
-    lock = path.with_name(f".{path.name}.lock")
+    place = path.with_name(f".{path.name}.lock")
     try:
-        descriptor = os.open(lock, os.O_RDWR | os.O_CREAT, 0o644)
+        descriptor = os.open(place, os.O_RDWR | os.O_CREAT, 0o644)
     except OSError as error:
         raise CannotWrite(f"{path}: cannot be written ({error.strerror or error})") from None
     try:
-        try:
-            _hold(descriptor)
-        except OSError:
+        if not lock(descriptor):
             raise CannotWrite(
                 f"{path}: another analysis is writing this table: wait for its end, or name another with --to"
-            ) from None
+            )
         try:
             yield
         finally:
             with suppress(OSError):
-                lock.unlink()
+                place.unlink()
     finally:
         os.close(descriptor)
-
-
-def _hold(descriptor: int) -> None:
-    if os.name == "posix":
-        import fcntl
-
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    else:
-        import msvcrt
-
-        msvcrt.locking(descriptor, msvcrt.LK_NBLCK, 1)  # type: ignore[attr-defined]  # Windows only
 
 
 # --------------------

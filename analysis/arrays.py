@@ -1,4 +1,4 @@
-"""What the arrays hold, in the words that signatures use."""
+"""What the arrays hold, in the words that signatures use; errors of the analysis."""
 
 from __future__ import annotations
 

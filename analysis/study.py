@@ -1,4 +1,4 @@
-"""Figures 2 to 6 of Zhan et al., Acta Optica Sinica 29, 960 (2009), computed again, and with the exact method."""
+"""Figures 2 to 6 of Zhan et al., Acta Optica Sinica 29, 960 (2009), again and exactly; causes of their error."""
 
 from __future__ import annotations
 

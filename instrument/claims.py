@@ -1,4 +1,4 @@
-"""A claim on a link: held by one process, told to the others, and gone with the process that made it.
+"""A claim on a link: one process holds it, tells the others, and loses it with its end; names of instruments.
 
 Each is a file in a directory that all users of the computer share, locked as long as the link is used. The lock
 decides; what stands in the file says who has it. Another user's file can be locked, too, but not written.

@@ -1,4 +1,4 @@
-"""A controller that a template describes: it is asked, told and waited for; what can be repeated is repeated."""
+"""Rate table, chamber or supply by a template: how it is described, asked, told, waited for; lines on a link."""
 
 from __future__ import annotations
 

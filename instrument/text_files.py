@@ -1,4 +1,4 @@
-r"""Writes down each message of every link with its time: one JSON object a line.
+r"""Small text files: read with a bound on their size, and transcripts of every message, written and read again.
 
     {"at": 0.012, "link": "GPIB0::1::INSTR", "did": "write", "text": "*IDN?\n"}
     {"at": 0.015, "link": "GPIB0::1::INSTR", "did": "read", "text": "TEKTRONIX,..."}

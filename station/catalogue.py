@@ -1,4 +1,4 @@
-"""The list of all runs below a folder, kept in an index: only runs that have changed are looked at again.
+"""The list of all runs below a folder, kept in an index; chosen, sorted, as a table, drawn over time.
 
 The index is a convenience: it is made again when it is missing, damaged, of another version or behind the runs. It
 lies in the folder, or in the user's cache where nothing may be written there.

@@ -1,4 +1,4 @@
-"""Opening the controllers of a bench: a table that turns, and what is read beside each record."""
+"""The controllers of a bench: their settings, opening them, what is read beside each record."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Which program, on which Python, from which state of the source, made a number."""
+"""Which program, on which Python, from which source, made a number; memory given back."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The tests of a folder, and the numbers of each that are followed over time."""
+"""Tests of a folder over time: control charts of a type of unit and of the bench, and their page."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""From settings and options to a plan, and the plan as JSON."""
+"""A plan from settings and options: prediction, JSON, sentences and its plot."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The paper's simulations beside the exact method: computed, and as JSON."""
+"""The paper's simulations beside the exact method: computed, as tables, sentences and plots."""
 
 from __future__ import annotations
 

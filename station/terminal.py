@@ -1,4 +1,4 @@
-"""Lines on stdout and stderr: words, one JSON document, the one line of an error."""
+"""Lines on stdout and stderr that do not break, whatever they hold and whoever has closed the stream."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The noise model by maximum likelihood: no slope of a curve is read.
+"""The noise model by maximum likelihood, no slope of a curve is read; the Allan deviation beside it.
 
 The words are seen in two ways that share next to no information. Slow noise: the increments of the means of some
 hundred blocks have a normal distribution whose covariance the model gives exactly, with blocks missing where

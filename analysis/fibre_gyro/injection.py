@@ -1,4 +1,4 @@
-"""Scale factor from an injected staircase: plan of the numbers, slope by least squares, and what it can show.
+"""Scale factor from an injected staircase: plan of the numbers, static output, slope, what it can show.
 
 The method of the patent CN104634364A: with the gyro at rest, the number that stands for a rate is added to the
 phase staircase; the mean output at each number, less the static output, gives K as a slope. In a closed loop

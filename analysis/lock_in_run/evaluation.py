@@ -1,4 +1,4 @@
-"""From the arrays of all records of a run to one result."""
+"""From all records of a run to one result: groups of a rate, pairs of photodiodes, the fit, the budget."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The records of one run as arrays, and what is known of the bench that they were taken on."""
+"""The records of one run as arrays, what is known of their bench, and the estimate of each."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The complex harmonic ratio as a function of rate: lock-in, laser and receiver.
+"""The complex harmonic ratio as a function of rate: lock-in, laser and receiver; its least squares.
 
     rho = L rho0 + D a [1 - r^2 - 2i rho0 Im rho0] + H a^2 [2i rho0 Im rho0^2 - (1 - r^2) rho0*]       (1)
     rho0 = q G |c|/c,     q = -r e^(+i b)  W > 0,     q = +r e^(-i b)  W < 0

@@ -1,4 +1,4 @@
-"""Samples that must not be believed: clipped at the converter's end, or single spikes."""
+"""What the converter does: clipped samples and spikes that must not be believed, and rounding."""
 
 from __future__ import annotations
 

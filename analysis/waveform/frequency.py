@@ -1,4 +1,4 @@
-"""First values of frequency, fundamental and second harmonic from the spectrum of each record."""
+"""Records as they come, and first values of frequency and harmonics from the spectrum of each."""
 
 from __future__ import annotations
 

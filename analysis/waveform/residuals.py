@@ -1,4 +1,4 @@
-"""What a fit leaves: is it white noise, is there a beat at all, is it the lock-in waveform?"""
+"""What a fit leaves: white noise, a beat at all, the lock-in waveform; masks; what misfit costs."""
 
 from __future__ import annotations
 

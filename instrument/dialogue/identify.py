@@ -1,4 +1,4 @@
-"""Asking who is there on a link, past whatever else comes first."""
+"""Who is there on a link: `*IDN?` past whatever else comes first, the model, the event queue as exceptions."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How hard a program tries before it gives an instrument up, and what it took.
+"""How hard a program tries: retry policy and its counts, time for an answer, the clock of both.
 
 A person at a keyboard wants to hear at once that something is wrong; a run that nobody watches goes on.
 """

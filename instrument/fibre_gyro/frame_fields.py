@@ -1,4 +1,4 @@
-"""The fields of a frame: what may be described, and how the description is read."""
+"""The fields of a frame: what may be described, how the description is read, and checksums."""
 
 from __future__ import annotations
 

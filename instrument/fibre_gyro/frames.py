@@ -1,4 +1,4 @@
-"""One frame: from its bytes to its numbers, or to the reason why it cannot be used."""
+"""One frame: from its bytes to its numbers, or to the reason why it cannot be used or cannot be meant."""
 
 from __future__ import annotations
 

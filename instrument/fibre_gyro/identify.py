@@ -1,4 +1,4 @@
-"""What bytes show without any description: how long a frame is, what is constant in it, what counts."""
+"""Which description fits unknown bytes: what they show by themselves, and what each description makes of them."""
 
 from __future__ import annotations
 

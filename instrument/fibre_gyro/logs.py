@@ -1,4 +1,4 @@
-"""A log file: its columns as recordings, of one gyro or of three axes, whole or in parts."""
+"""Log files of a gyro: dialect, columns and clock found out; one gyro or three axes, whole or in parts."""
 
 from __future__ import annotations
 

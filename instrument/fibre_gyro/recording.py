@@ -1,4 +1,4 @@
-"""Makes one recording out of what the stream gives: its time by the counter of the frames, and what is missing."""
+"""One recording out of frames: its time by counter and host clock, what is missing, its columns."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Serves a device that answers lines of text on a pseudo-terminal or a TCP port."""
+"""Simulated rate table, chamber and supply on lines of text, on a pseudo-terminal or a TCP port."""
 
 from __future__ import annotations
 

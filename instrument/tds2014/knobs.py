@@ -1,4 +1,4 @@
-"""The knobs of the front panel as methods: channels, time base, trigger, acquisition mode, each read back."""
+"""The front panel as methods, each read back; setups, measurements, cursors and the picture of the screen."""
 
 from __future__ import annotations
 

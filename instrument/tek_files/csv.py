@@ -1,4 +1,4 @@
-"""The CSV file that a scope of this family saves: key rows beside the first points.
+"""CSV files of every generation of these scopes, read and written: key rows beside the first points.
 
 It holds volts, not codes. Every value is a whole number of codes times V/div over 25, so the codes come back
 exactly. The FFT that a scope saves as CSV is read as well: its preamble says ``Hz`` and ``dB``.

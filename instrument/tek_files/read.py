@@ -1,4 +1,4 @@
-"""A waveform file of whatever kind: its content decides, not its name."""
+"""A waveform file of whatever kind: its content decides, not its name; ISF files."""
 
 from __future__ import annotations
 

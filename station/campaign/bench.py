@@ -1,4 +1,4 @@
-"""Chamber and power supply of a campaign: brought to the conditions of a step, read, switched off."""
+"""The bench of a campaign: looked at, kept from others, chamber and supply brought to conditions."""
 
 from __future__ import annotations
 

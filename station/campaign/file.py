@@ -1,4 +1,4 @@
-"""A campaign file becomes the plan of a unit's test: every mistake of it is told at once."""
+"""A campaign file becomes the plan of a unit's test, every mistake told at once; its settings and schema."""
 
 from __future__ import annotations
 

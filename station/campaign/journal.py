@@ -1,4 +1,4 @@
-"""The journal of a unit's test: one line for everything that has happened, on the disk before the next begins.
+"""The journal of a unit's test, on the disk before the next step begins; plan and outcome that it tells.
 
 A line that a power failure has cut is passed over: what it told is done again.
 """

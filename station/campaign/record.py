@@ -1,4 +1,4 @@
-"""Writing the record of a test: JSON, JUnit XML, CSV and a page, beside the runs that it was made of."""
+"""The record of a test: JSON with its hashes, JUnit XML, CSV and a page, beside the runs it was made of."""
 
 from __future__ import annotations
 

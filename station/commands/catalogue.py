@@ -1,4 +1,4 @@
-"""``gyrolock runs``: all runs below a folder, chosen, sorted, drawn over time."""
+"""``gyrolock runs``, all runs below a folder, and ``gyrolock history``, tested units over time."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``gyrolock measure``, the main job, and ``gyrolock acquire``, its first half."""
+"""``gyrolock measure``, the main job, ``acquire``, its first half, and ``deadband``."""
 
 from __future__ import annotations
 

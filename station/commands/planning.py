@@ -1,4 +1,4 @@
-"""``gyrolock plan``: which rate, time base, vertical scale and how many records reach a wanted uncertainty."""
+"""``gyrolock plan``, what reaches a wanted uncertainty, and ``gyrolock study``, the paper's simulations."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``gyrolock report``: the HTML report of saved runs, of data sets and of files of an oscilloscope."""
+"""Commands on what was saved: ``report``, ``export``, ``compare``, ``annotate``, ``salvage``, ``verify``."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""CSV: a row for each record, its codes in columns of their own behind what is known of it."""
+"""The files of a data set: CSV, HDF5, NumPy and Parquet, each a way to keep the one table."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A data set as the sources that it was exported from."""
+"""Data sets: written from sources, and read back as the sources that they were exported from."""
 
 from __future__ import annotations
 

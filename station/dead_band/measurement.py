@@ -1,4 +1,4 @@
-"""The dead band of a ring laser gyro: the skeleton of measurements, filled in."""
+"""The dead band of a ring laser gyro: evaluation, result and report of a sweep."""
 
 from __future__ import annotations
 

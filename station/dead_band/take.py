@@ -1,4 +1,4 @@
-"""Settings of ``gyrolock deadband``: ``config/dead_band.toml``, and a user's file that holds what differs."""
+"""The sweep through the dead band: its settings, its steps, taking it, and what a record says at once."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The noise at rest: what is taken, and how it goes on from there."""
+"""The noise at rest: plan, noise model, Allan deviation, result and report; the model for other tests."""
 
 from __future__ import annotations
 

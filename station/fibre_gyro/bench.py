@@ -1,4 +1,4 @@
-"""The real bench of a fibre gyro: its serial link, and a rate table that an operator turns."""
+"""The bench of a fibre gyro: a serial link and a table that an operator turns, or both simulated."""
 
 from __future__ import annotations
 

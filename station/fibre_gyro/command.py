@@ -1,4 +1,4 @@
-"""``gyrolock fog``: scale factor of a fibre gyro, by rate table and by injected staircase."""
+"""``gyrolock fog``: the tests of a fibre gyro, `constants`, `sniff`, `serve` and `settings`."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Which constants a run gives: numbers of small rates, or a compensation table over the temperature."""
+"""Constants for a gyro's own logic out of a run: VHDL, C and CSV, and what their rounding costs."""
 
 from __future__ import annotations
 

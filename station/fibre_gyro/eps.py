@@ -1,4 +1,4 @@
-"""The 2 pi error by injection in open loop: what is taken, and how it goes on from there."""
+"""The 2 pi error by injection in open loop: plan, evaluation, result and report."""
 
 from __future__ import annotations
 

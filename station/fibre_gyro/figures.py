@@ -1,4 +1,4 @@
-"""The figures of merit: runs over the whole range, from cold starts and at other temperatures."""
+"""The figures of merit over the whole range, from cold starts and at other temperatures: plan to report."""
 
 from __future__ import annotations
 

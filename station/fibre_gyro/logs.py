@@ -1,4 +1,4 @@
-"""What the tests of a fibre gyro have in common: segments are taken on the bench, or logs stand for them.
+"""A test of a fibre gyro on the bench or from logs: lists of logs, segments, and what one says at once.
 
 A test says which segments it plans, and what the rows of a list of logs are; the rest is the same for all.
 """

@@ -1,4 +1,4 @@
-"""Stretches of output, taken one after the other and saved one by one; what is there is not taken again."""
+"""Stretches of output: planned, taken, saved one by one, read again, and cut into windows."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The self-calibration by injected staircase: what is taken, and how it goes on from there."""
+"""The self-calibration by injected staircase: its numbers, plan, evaluation, result and report."""
 
 from __future__ import annotations
 

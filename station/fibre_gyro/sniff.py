@@ -1,4 +1,4 @@
-"""Listens to a gyro, or reads a file, and tries every known description on what comes."""
+"""Every known description tried on a gyro that is listened to, or on a file, and what fits in words."""
 
 from __future__ import annotations
 

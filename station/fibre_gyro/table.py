@@ -1,4 +1,4 @@
-"""The rate-table run: what is taken, and how it goes on from there."""
+"""The rate-table run: its plan, and its figures and tables in the report."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the segments of a rate-table run say: scale factor, earth rate and bias of each axis."""
+"""What a rate-table run says: scale factor, earth rate and bias of each axis, with their budget."""
 
 from __future__ import annotations
 

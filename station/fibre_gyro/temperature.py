@@ -1,4 +1,4 @@
-"""Scale factor and bias over a temperature ramp: what is taken, and how it goes on from there."""
+"""Scale factor and bias over a temperature ramp: plan, evaluation, compensation table, result and report."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Threshold, resolution and dead zone: what is taken, and how it goes on from there."""
+"""Threshold, resolution and dead zone by a ladder of small rates: plan, evaluation, result and report."""
 
 from __future__ import annotations
 

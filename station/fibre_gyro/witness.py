@@ -1,4 +1,4 @@
-"""The modulator staircase on an oscilloscope: what is taken, and how it goes on from there."""
+"""The modulator staircase on an oscilloscope: taking it, evaluation, result and report."""
 
 from __future__ import annotations
 

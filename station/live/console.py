@@ -1,4 +1,4 @@
-"""What happens as plain lines on stderr: for logs, pipes, and terminals that should not be drawn on."""
+"""What happens as plain lines on stderr, the sentences that displays share, and the consoles."""
 
 from __future__ import annotations
 

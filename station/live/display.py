@@ -1,4 +1,4 @@
-"""The live display: how things stand, drawn anew on one terminal while it is measured."""
+"""The live display: picture, curve of dots, drawn anew on one terminal while it is measured."""
 
 from __future__ import annotations
 

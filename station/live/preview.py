@@ -1,4 +1,4 @@
-"""What one record says at once, beside the measurement: for displays, never for the result."""
+"""What one record says at once, for displays and never for the result: of a scope, of a ring laser."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The lock-in rate of a ring laser gyro: the skeleton of measurements, filled in."""
+"""The lock-in rate of a ring laser gyro: the skeleton of measurements, filled in, and its live preview."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the records say, in sentences."""
+"""What the records say, in sentences: rates, table, flags, and what would help."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The lock-in rate as numbers and sentences."""
+"""The lock-in rate as numbers, tables and JSON, with its budget."""
 
 from __future__ import annotations
 

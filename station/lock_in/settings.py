@@ -1,4 +1,4 @@
-"""Settings of the ring laser: every name, its unit and what it may hold; which files they are read from.
+"""Settings of the ring laser, and what they state of its bench for the evaluation.
 
 Sections that came later have defaults here as well: a run that was saved without them can still be read.
 """

@@ -1,4 +1,4 @@
-"""The main job as a call."""
+"""A measurement, the test of a unit, and the list of runs, as calls."""
 
 from __future__ import annotations
 

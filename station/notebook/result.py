@@ -1,4 +1,4 @@
-"""A result: the JSON document of a command as an object that shows itself."""
+"""A result and its records as objects that show themselves."""
 
 from __future__ import annotations
 

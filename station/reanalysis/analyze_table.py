@@ -1,4 +1,4 @@
-"""Fill a results table from sources: only what it does not hold yet is computed."""
+"""A results table filled from sources: only what it does not hold yet is computed, piece by piece."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""One result out of many sources: files of a memory card, or runs of one gyro."""
+"""One result out of many sources, and files of an oscilloscope seen as a run."""
 
 from __future__ import annotations
 

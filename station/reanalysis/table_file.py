@@ -1,4 +1,4 @@
-"""What every results table gives, whatever file it is."""
+"""Results tables: their columns, one writer at a time, and CSV, JSON lines and SQLite files."""
 
 from __future__ import annotations
 

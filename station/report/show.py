@@ -1,4 +1,4 @@
-"""One self-contained HTML file that shows a run: value, plots, tables, settings, conditions, provenance."""
+"""A result shown: as one self-contained HTML file, and on the terminal."""
 
 from __future__ import annotations
 

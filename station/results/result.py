@@ -1,4 +1,4 @@
-"""What every measurement gives, in one form: report, terminal, JSON and limits need to know no more."""
+"""What every measurement gives, in one form: parts of a report, numbers as text, plain JSON, the budget."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Verdicts of a unit: a value with its uncertainty against a limit, and the worst of many.
+"""A value with its uncertainty against a limit: in [limits] and in campaigns, and the worst of many.
 
 Decision rules: JCGM 106:2012 (Evaluation of measurement data, the role of measurement uncertainty in conformity
 assessment), sections 8.2 (simple acceptance) and 8.3 (guard bands).

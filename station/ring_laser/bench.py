@@ -1,4 +1,4 @@
-"""Opening the bench that the settings describe, real or simulated."""
+"""The bench that the settings describe, real or simulated: opened, looked at, its table set."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Gyro, rate table and oscilloscope of the simulated bench, on one clock."""
+"""The simulated bench: gyro, rate table and oscilloscope on one clock."""
 
 from __future__ import annotations
 

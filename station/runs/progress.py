@@ -1,4 +1,4 @@
-"""How far a run is, told as events: whoever reads them shows it."""
+"""How far a run is, told as events; records acknowledged one a line."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What can still be read of a damaged run, as a new run: records that have their checksum, and no others."""
+"""What can still be read of a damaged run, down to the pages of its file, as a new run."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Opening an oscilloscope by name, for a run that nobody watches."""
+"""An oscilloscope opened by name, served to others, its screen grabbed, its signals and faults made."""
 
 from __future__ import annotations
 

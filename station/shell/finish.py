@@ -1,4 +1,4 @@
-"""A saved run and what it says: evaluated by the measurement that it is of, judged by its limits."""
+"""From a run to the exit code: evaluated, judged, saved, reported, printed; runs begun and gone on with."""
 
 from __future__ import annotations
 

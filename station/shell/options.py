@@ -1,4 +1,4 @@
-"""Options that several commands share."""
+"""From options to a run: options that commands share, the display, a command that takes records."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Records of many sources in batches: codes as one array, in bounded memory."""
+"""What a source of records is, and its records in batches: codes as one array, in bounded memory."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""From paths as a user gives them to sources: files, runs, memory cards and trees of them."""
+"""From paths as a user gives them to sources: runs, memory cards, trees, and files of an oscilloscope."""
 
 from __future__ import annotations
 

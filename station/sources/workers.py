@@ -1,4 +1,4 @@
-"""Work that falls into pieces, done by this process or by several: the same pieces in the same order."""
+"""Work in pieces, done by this process, by several or by a cluster: the same pieces in the same order."""
 
 from __future__ import annotations
 

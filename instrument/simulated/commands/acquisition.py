@@ -1,4 +1,4 @@
-"""Commands that act on the acquisition and the trigger.
+"""Commands of acquisition, trigger and measurements, and those that only later models have.
 
 Source: programmer manual 071-1075-04, pp. 2-45 to 2-52 and 2-221 to 2-239.
 """

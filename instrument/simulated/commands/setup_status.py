@@ -1,4 +1,4 @@
-"""Whole setups: SET?, *LRN?, save and recall, factory, autoset, self-tests and the defined trigger.
+"""Whole setups, autoset and self-tests; identity and status; the hard copy.
 
 Source: programmer manual 071-1075-04, pp. 2-53, 2-104, 2-186 to 2-198 and appendix B.
 """

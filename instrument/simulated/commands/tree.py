@@ -1,4 +1,4 @@
-"""The tree of headers: finds a command by any spelling between its short and its long form."""
+"""The tree of headers, found by any spelling, and what a header does."""
 
 from __future__ import annotations
 

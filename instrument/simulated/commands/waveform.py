@@ -1,4 +1,4 @@
-"""Waveform transfer: CURVe?, WFMPre?, WAVFrm? and DATa INIT.
+"""Waveform transfer: CURVe?, WFMPre?, WAVFrm? and DATa INIT; reference memories.
 
 Source: programmer manual 071-1075-04, pp. 2-84 to 2-91 and 2-240 to 2-260.
 """

@@ -1,4 +1,4 @@
-"""The picture of the screen that HARDCopy sends: 320 x 240 colour numbers."""
+"""The picture of the screen in every format, and waveforms as the files that the scope saves."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What stands on the screen as data: a trace is 8-bit codes with the scales that WFMPre? tells.
+"""What stands on the screen as data: traces as 8-bit codes with their scales, math, and measurements of them.
 
 Source: programmer manual 071-1075-04, pp. 2-84 to 2-91 and 2-240 to 2-260.
 """

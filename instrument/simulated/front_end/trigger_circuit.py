@@ -1,4 +1,4 @@
-"""The trigger circuit: what its comparator sees, by source and coupling, and where an acquisition triggers.
+"""The trigger circuit: what its comparator sees, by source and coupling; video; where an acquisition triggers.
 
 Source: user manual 071-1064-00, pp. 101 and 157.
 """

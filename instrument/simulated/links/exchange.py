@@ -1,4 +1,4 @@
-"""The message exchange: program messages in, answers out, one after the other, waiting where *WAI says so.
+"""Program messages in, answers out, one after the other; what RS-232 does to them on their way in.
 
 Two worlds use it. On links with message ends (GPIB, USB, in-process) a new message throws away an answer
 that nobody has read (event 410), and reading without a question is an error (420). On streams (RS-232, TCP)

@@ -1,4 +1,4 @@
-"""The simulated oscilloscope behind a TCP socket, and behind a serial port that is a pseudo-terminal.
+"""The simulated oscilloscope behind a TCP socket, a pseudo-terminal, or a GPIB adapter.
 
 A pseudo-terminal has no modem lines and carries no break, so RTS/CTS flagging always looks ready and the
 break that makes a real unit answer `DCL` does not arrive; call `break_signal` in its place. XON and XOFF work on

@@ -1,4 +1,4 @@
-"""The event codes of the family with their texts, and our guesses where the manual leaves the code open.
+"""The event codes of the family with their texts and our guesses; status registers and the event queue.
 
 Source: programmer manual 071-1075-04, tables 3-3 to 3-9.
 """

@@ -1,4 +1,4 @@
-"""From bytes to program messages, and from a message to commands with their arguments.
+"""From bytes to program messages and commands, and numbers and headers as the family writes them.
 
 Source: programmer manual 071-1075-04, pp. 2-3 to 2-14.
 """

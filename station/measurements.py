@@ -6,16 +6,19 @@ import importlib
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Generic, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
-from station.live.preview import See
-from station.results.result import Check, FactTable, Result, Section
-from station.runs.acquisition import Acquisition
-from station.runs.progress import Progress
-from station.runs.store import SavedRun
-from station.settings import SettingsKind, SettingsSection
-from station.sources.batches import Source
-from station.sources.workers import Workers
+from station.settings import SettingsSection
+
+if TYPE_CHECKING:
+    from station.live.preview import See
+    from station.results.result import Check, FactTable, Result, Section
+    from station.runs.acquisition import Acquisition
+    from station.runs.progress import Progress
+    from station.runs.store import SavedRun
+    from station.settings import SettingsKind
+    from station.sources.batches import Source
+    from station.sources.workers import Workers
 
 S = TypeVar("S", bound=SettingsSection)
 F = TypeVar("F")

@@ -13,12 +13,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis import HarmonicFit, fit_harmonics
 from instrument import Preamble, Waveform
 from station.errors import one_line
 from station.runs.store import NewRecord
 
 if TYPE_CHECKING:
+    from analysis import HarmonicFit
     from station.live.events import Events
 
 _BEHIND = 200  # acquisitions that may wait to be fitted; more are not shown
@@ -140,6 +140,8 @@ def harmonics_of(waveform: Waveform) -> HarmonicFit | None:
     volts = waveform.volts
     if not np.isfinite(volts).any() or np.nanmax(volts) == np.nanmin(volts):
         return None
+    from analysis import fit_harmonics
+
     fit = fit_harmonics(volts, waveform.sample_interval, harmonics=_HARMONICS, nan_policy="omit")
     return fit if math.isfinite(float(fit.frequency)) and float(np.abs(fit.amplitudes[0])) > 0 else None
 

@@ -7,9 +7,9 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager, ExitStack
 from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
-from instrument import TDS2014, FoundPanel, Identity, InstrumentError
+from instrument import FoundPanel, Identity, InstrumentError
 from station.errors import Failure, RunError, StationError, describe_failure
 from station.files import provenance
 from station.live.preview import See, Watcher
@@ -17,6 +17,9 @@ from station.runs.database import LABELS, TAKEN, utc_now
 from station.runs.progress import Progress
 from station.runs.signals import disturbed, undisturbed
 from station.runs.store import Acknowledge, NewRecord, RunWriter, SavedRun, open_run
+
+if TYPE_CHECKING:
+    from instrument import TDS2014
 
 T = TypeVar("T")
 

@@ -155,7 +155,7 @@ def without_now(text: str, begun: datetime) -> str:
         return "NOW" if digits >= begun.strftime("%Y%m%d%H%M") else found[0]
 
     for state in _states_of_source():
-        text = text.replace(state, "COMMIT")
+        text = text.replace(f" {state}", "").replace(state, "COMMIT")
     text = _TIME.sub(time, text.replace(str(Path.cwd()), "FOLDER"))
     return text
 
@@ -164,6 +164,8 @@ def without_now(text: str, begun: datetime) -> str:
 def _states_of_source() -> tuple[str, ...]:
     import station
 
+    if shutil.which("git") is None:
+        return ()
     tree = Path(station.__file__).resolve().parents[1]
     git = ["git", "-C", str(tree), "rev-parse", "--short=12", "HEAD"]
     commit = subprocess.run(git, capture_output=True, text=True).stdout.strip()

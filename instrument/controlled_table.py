@@ -7,7 +7,6 @@ breaks without a farewell, it opens the link and stops the table.
 
 from __future__ import annotations
 
-import itertools
 import json
 import math
 import signal
@@ -132,13 +131,13 @@ def watch() -> int:
     template = parse_template(order["template"], "guard")
     # the link may be held for a while by what is left of the killed program
     until = time.monotonic() + template.link.reconnect_s
-    for left in itertools.count(1 - template.link.attempts):
+    attempts = 0
+    while attempts < template.link.attempts or time.monotonic() < until:
         with suppress(InstrumentError, OSError):
             with Controller(order["resource"], template) as controller:
                 controller.stop()
             return 0
-        if left >= 0 and time.monotonic() > until:
-            return 1
+        attempts += 1
         time.sleep(_AGAIN_S)
     return 1
 

@@ -256,8 +256,8 @@ def compare_command(first: str, second: str, config: Path | None, as_json: bool,
     A and B are results tables of `gyrolock analyze --to`, or runs, files and folders, which are then analysed.
     Where records are in both, they are compared one by one, in the uncertainties of their noise, which is all that
     two methods can differ by. Else the results are, every input counted: those of runs, and of files at one rate.
-    Results tables know the noise of records only, and are compared by their means. With --config the scale factor
-    of files is that of FILE.
+    Results tables know the noise of records only, and are compared by their means. With --config the channel is
+    the one that FILE states, and the scale factor of files is that of FILE.
     """
     from station.live.console import stdout_console
     from station.reanalysis.compare import compare, read_records, with_headlines

@@ -419,7 +419,12 @@ def front_end_of_files(config: Path | None) -> dict[str, Any] | None:
     settings = stated_of_files(config)
     if settings is None or config is None or "front_end" not in read_toml(config):
         return None
-    return settings.front_end.model_dump()
+    return settings.front_end.model_dump(exclude={"response_file"})  # what it holds is read already
+
+
+def states_scale_factor(config: Path | None) -> bool:
+    """Whether a settings file says how many pulses per degree the gyro has."""
+    return config is not None and _stated_of_files(config) is not None
 
 
 def _stated_of_files(config: Path) -> float | None:

@@ -14,7 +14,13 @@ from numpy.typing import NDArray
 from instrument import InstrumentError
 from station.errors import NoUsableSignal, RunError, StationError, UsageError
 from station.reanalysis.analyze_table import KINDS, Work, table_file
-from station.reanalysis.combine import ONE_RATE, combine, front_end_of_files, scale_factor_of_files
+from station.reanalysis.combine import (
+    ONE_RATE,
+    combine,
+    front_end_of_files,
+    scale_factor_of_files,
+    states_scale_factor,
+)
 from station.reanalysis.table_file import rows_of_pieces
 from station.report.figure import ACCENT, INK, SECOND, SOFT, write_picture
 from station.results.result import TextTable, plain, with_uncertainty
@@ -326,8 +332,11 @@ def read_records(
     if "://" not in place and not (path.exists() or inside.exists()):
         raise UsageError(f"{place}: No such file or directory")
     sources = list(find_sources([place]))
-    if choices.get("scale_factor") is None and all(isinstance(one, Path) and not is_run(one) for one in sources):
-        choices = {**choices, "scale_factor": scale_factor_of_files(config, sources)}
+    files = [one for one in sources if isinstance(one, Path) and not is_run(one)]
+    # beside runs, which know their own, files get what somebody has stated and nobody is asked
+    asked = len(files) == len(sources) or states_scale_factor(config)
+    if choices.get("scale_factor") is None and files and asked:
+        choices = {**choices, "scale_factor": scale_factor_of_files(config, files)}
     choices = {**choices, "front_end": front_end_of_files(config)}
     work = Work(sources, choices, whole=True)
     parts = [rows for found in work.done_by(workers, rows_of_pieces, Progress(quiet=True)) for rows in found]

@@ -312,3 +312,31 @@ def test_nobody_is_asked_for_a_scale_factor_that_the_runs_know(
     told = capsys.readouterr()
     assert "results.csv" in told.err and "scale factor" not in told.err
     assert "3 sources" in told.out
+
+
+def test_a_measured_response_takes_few_words_in_each_row(tree: Path, tmp_path: Path) -> None:
+    response = [[10.0 * number, 1.0, 0.0] for number in range(1, 400)]
+    told = []
+    for name, gain in (("flat", 1.0), ("lower", 0.9)):
+        config = tmp_path / f"{name}.toml"
+        config.write_text(f"[front_end]\nresponse = {[*response, [5000.0, gain, 0.0]]}\n")
+        table = tmp_path / f"{name}.csv"
+        assert main(["analyze", str(tree / "single.sqlite"), "--to", str(table), "--config", str(config)]) == 0
+        told.append(next(iter(table_file(table).rows()))["analysis"])
+    assert told[0] != told[1]
+    assert max(map(len, told)) < 150
+
+
+def test_files_beside_runs_get_the_scale_factor_that_is_stated(
+    tree: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    mixed, config = tmp_path / "mixed", tmp_path / "gyro.toml"
+    config.write_text("[gyro]\nscale_factor_pulses_per_deg = 2000.0\n")
+    mixed.mkdir()
+    shutil.copy(tree / "single.sqlite", mixed)
+    assert main(["export", str(tree / "single.sqlite"), "--tek-csv", str(mixed / "card")]) == 0
+    capsys.readouterr()
+    assert main(["compare", str(mixed), str(tree / "channel.sqlite"), "--config", str(config), "--json"]) == 0
+    told = capsys.readouterr()
+    assert "pulses per degree" not in told.err
+    assert json.loads(told.out)["first"]["records"] > 6  # the run's and the card's

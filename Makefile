@@ -38,10 +38,11 @@ lint: $(READY)
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 
-# docs/commands.md and docs/api.md, from the commands and the docstrings themselves.
+# docs/commands.md, docs/api.md and docs/results.md, from commands, docstrings and declarations themselves.
 docs: $(READY)
 	$(BIN)/python docs/commands.py
 	$(BIN)/python docs/api.py
+	$(BIN)/python docs/results.py
 
 # The guides as a site in build/site; a link that leads nowhere ends it.
 site: $(READY)

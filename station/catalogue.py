@@ -23,8 +23,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from station.errors import NoUsableSignal, RunError, UsageError
+from station.measurements import MEASUREMENTS, measurement
 from station.report.figure import ACCENT, INK, SECOND, THIRD, legend_above, write_picture
-from station.results.quantity import Value, has_uncertainty, value_beside
+from station.results.quantity import Quantity, Value, headline_values
 from station.results.result import TextTable, with_uncertainty
 from station.runs.annotations import Remarks, read_remarks, remarks_file
 from station.runs.database import COMPLETE, TAKEN, RunFacts, journal_of, read_facts, reading
@@ -34,7 +35,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 INDEX_FILE = ".gyrolock-index.sqlite"
-_VERSION = 1
+_VERSION = 2
 _APPLICATION = 0x47_59_4C_49  # "GYLI"
 _MANY = 200  # runs: so many are looked at before anybody asks what takes so long
 _AT_ONCE = 500  # looked at between two commits: what was seen is kept when the look is interrupted
@@ -196,12 +197,11 @@ def _prepare(db: sqlite3.Connection) -> None:
 # One run in the list of all: what it says of itself, its result, and what is said of it
 
 
-_SHOWN_FIRST = {"witness": "two_pi_voltage_v"}
-"""Measurements whose document does not begin with what people ask for."""
-
-
 def value_text(value: Value) -> str:
-    """A number with what it is of, its uncertainty and its unit."""
+    """A number with what it is of, its uncertainty or its interval, and its unit."""
+    if math.isnan(value.u) and value.uncertain:
+        interval = " to ".join(value.digits(end) for end in (value.low_95, value.high_95))
+        return f"{value.of} {value.digits(value.value)} [{interval}] {value.unit}".strip()
     return f"{value.of} {with_uncertainty(value.value, value.u, value.unit)}".strip()
 
 
@@ -233,7 +233,15 @@ class Entry:
     def as_json(self) -> dict[str, Any]:
         """Return it as plain JSON."""
         values = [
-            {"name": one.name, "of": one.of or None, "value": _or_null(one.value), "u": _or_null(one.u)}
+            {
+                "name": one.name,
+                "of": one.of or None,
+                "value": _or_null(one.value),
+                "u": _or_null(one.u),
+                "low_95": _or_null(one.low_95),
+                "high_95": _or_null(one.high_95),
+                "quantity": one.quantity.name,
+            }
             for one in self.values
         ]
         return {**vars(self), "values": values, "tags": list(self.tags), "remarks": list(self.remarks)}
@@ -241,11 +249,13 @@ class Entry:
     @classmethod
     def from_json(cls, saved: Mapping[str, Any]) -> Entry:
         """Return what :meth:`as_json` made plain."""
-        values = tuple(
-            Value.named(one["name"], one["value"], one["u"], of=one["of"] or "") for one in saved["values"]
-        )
+        values = []
+        for one in saved["values"]:
+            quantity = Quantity(one["quantity"], one["name"].removeprefix(one["quantity"])[1:])
+            known = {quantity.key(what): one[what] for what in ("u", "low_95", "high_95")}
+            values.append(quantity.value_in({**known, one["name"]: one["value"]}, one["of"] or ""))
         several = {name: tuple(saved[name]) for name in ("tags", "remarks")}
-        return cls(**{**saved, "values": values, **several})
+        return cls(**{**saved, "values": tuple(values), **several})
 
     @property
     def result_text(self) -> str:
@@ -296,7 +306,7 @@ def read_entry(file: Path, name: str) -> Entry | None:
         simulated=facts.simulated,
         outcome=facts.outcome_text,
         records=records,
-        values=values_of(document, facts.command),
+        values=_headline(document, facts.command),
         verdict=document.get("verdict"),
         standing=document.get("standing"),
         instrument_serial=identity.get("serial"),
@@ -306,43 +316,16 @@ def read_entry(file: Path, name: str) -> Entry | None:
     )
 
 
-def values_of(document: Mapping[str, Any], command: str) -> tuple[Value, ...]:
-    """Return the numbers that a result begins with: the first one that has an uncertainty.
-
-    Where a measurement has several axes, each of them gives one.
-
-    Examples
-    --------
-    >>> found = values_of({"records": 3, "lock_in_rate_dps": 0.01, "lock_in_rate_u_dps": 1e-5}, "measure")
-    >>> value_text(found[0])
-    '0.010000(10) deg/s'
-    >>> axes = [{"axis": "X", "tilt_deg": 1.5, "tilt_u_deg": 0.1}]
-    >>> [value_text(one) for one in values_of({"axes": axes}, "table")]
-    ['X 1.50(10) deg']
-    """
-    first = _SHOWN_FIRST.get(command, "")
-    names = [first] if first in document else list(document)
-    for name in names:
-        if _is_number(document.get(name)) and has_uncertainty(document, name):
-            return (Value.named(name, document[name], value_beside(document, name).u),)
-    for several in document.values():
-        if not (isinstance(several, list) and several and all(isinstance(one, dict) for one in several)):
-            continue
-        found = [(one, values_of(one, command)) for one in several]
-        if all(values for _, values in found):
-            return tuple(replace(values[0], of=str(next(iter(one.values())))) for one, values in found)
-    return ()
-
-
-def _is_number(value: Any) -> bool:
-    return value is None or (isinstance(value, int | float) and not isinstance(value, bool))
-
-
 def _document(row: tuple[Any, ...] | None) -> dict[str, Any]:
     with suppress(TypeError, ValueError, RecursionError):
         found = json.loads(row[0]) if row else {}
         return found if isinstance(found, dict) else {}
     return {}
+
+
+def _headline(document: Mapping[str, Any], command: str) -> tuple[Value, ...]:
+    """The numbers that a result begins with: one, or that of each axis."""
+    return headline_values(document, measurement(command).quantities) if command in MEASUREMENTS else ()
 
 
 def _or_null(value: float) -> float | None:
@@ -581,10 +564,5 @@ def series_of(entries: Sequence[Entry]) -> Series:
 
 def _label(value: Value) -> str:
     """Name of an axis: words of the key, what it is of, unit."""
-    parts = value.name.split("_")
-    if "per" in parts:
-        parts = parts[: parts.index("per") - 1]
-    elif value.unit:
-        parts = parts[:-1]
-    words = " ".join(parts).replace("lock in", "lock-in")
+    words = value.quantity.words
     return f"{words} {value.of}".strip() + (f"\n{value.unit}" if value.unit else "")

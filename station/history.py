@@ -17,22 +17,14 @@ from analysis.control_chart import FEWEST, RULES, ControlChart, control_chart
 from station.campaign.record import NAME, PAGE_FILE, RECORD_FILE
 from station.files import version
 from station.live.console import duration
+from station.measurements import MEASUREMENTS, measurement
 from station.report.figure import ACCENT, LINE, SECOND, SOFT, TALL, svg_element
 from station.report.show import render_page, write_page
-from station.results.quantity import value_beside
 from station.results.result import PlacedFigure, Section
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-
-_FOLLOWED = (
-    "lock_in_rate_dps",
-    "dead_band_dps",
-    "scale_factor_counts_per_dps",
-    "scale_factor_self_counts_per_dps",
-)
-"""Numbers that are followed though no limit is set on them; the fibre gyro's for each axis."""
 
 
 @dataclass(frozen=True)
@@ -104,25 +96,17 @@ def _numbers(step: Mapping[str, Any]) -> Iterator[Followed]:
     """Numbers of a step: its lock-in rate and scale factors, and whatever a limit is set on."""
     name, result = str(step["name"]), step["result"] or {}
     repeat = f", {step['repeat']} of {step['of_repeats']}" if step["of_repeats"] > 1 else ""
-    for number in _FOLLOWED:
-        yield from _one(f"{name}{repeat}: {number}", result, number)
-    for axis in result.get("axes") or ():
-        for number in _FOLLOWED:
-            yield from _one(f"{name}{repeat}: {number} of {axis.get('axis')}", axis, number)
-    for check in (result.get("table_check") or {}).get("scale_factors") or ():
-        number = "scale_factor_pulses_per_deg"
-        yield from _one(f"{name}{repeat}: {number} by the {check.get('by')}", check, number)
+    declared = measurement(step["measurement"]).quantities if step["measurement"] in MEASUREMENTS else ()
+    for group in declared:
+        for value in group.values(result, lambda one: one.trend):
+            of = f" {'by the' if group.each == 'by' else 'of'} {value.of}" if value.of else ""
+            if math.isfinite(value.value):
+                yield Followed(f"{name}{repeat}: {value.name}{of}", value.value, value.u)
     for limit in step["limits"]:
         if isinstance(limit["value"], int | float):
             ends = limit["low_95"], limit["high_95"]
             u = math.nan if None in ends else (ends[1] - ends[0]) / 3.92
             yield Followed(f"{name}{repeat}: {limit['name']}", float(limit["value"]), u)
-
-
-def _one(name: str, holder: Mapping[str, Any], number: str) -> Iterator[Followed]:
-    value = holder.get(number)
-    if isinstance(value, int | float) and math.isfinite(value):
-        yield Followed(name, float(value), value_beside(holder, number).u)
 
 
 # --------------------

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
+from station.results.quantity import Quantities, limit_names
 from station.settings import SettingsSection
 
 if TYPE_CHECKING:
@@ -61,7 +62,7 @@ class Measurement(Generic[S, F]):
     facts: Callable[[F, SavedRun, S], list[FactTable]]
     # gets what was found: one JSON object for each record, or none
     rows: Callable[[F], Iterable[dict[str, Any]]] = field(default=_no_rows)
-    gives: tuple[str, ...] = ()  # names of the numbers that limits can be set on
+    quantities: Quantities = ()  # its numbers
     # gets a run and its settings: keys of records that are to be taken again when it is gone on with, and why
     unusable: Callable[[SavedRun, S], Mapping[str, str]] = field(default=_nothing_unusable)
     # gets settings: whether the bench that they describe is simulated
@@ -72,6 +73,11 @@ class Measurement(Generic[S, F]):
     examine: Callable[[S], list[Check]] | None = None
     # gets settings, and returns what says of each record at once what it says, for those who watch
     watch: Callable[[S], See] | None = None
+
+    @property
+    def gives(self) -> tuple[str, ...]:
+        """Names of the numbers that limits can be set on."""
+        return limit_names(self.quantities)
 
 
 # what a run is marked with: the module that holds MEASUREMENT
@@ -93,3 +99,8 @@ def measurement(name: str) -> Measurement[Any, Any]:
     """Return a measurement by the name that its runs are marked with; KeyError if there is none."""
     found: Measurement[Any, Any] = importlib.import_module(MEASUREMENTS[name]).MEASUREMENT
     return found
+
+
+def limits_of(*names: str) -> tuple[str, ...]:
+    """Return what [limits] of settings that some measurements share may name."""
+    return tuple(dict.fromkeys(limit for name in names for limit in measurement(name).gives))

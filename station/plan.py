@@ -31,6 +31,7 @@ from station.lock_in.result import budget_document
 from station.lock_in.settings import Settings, bench_knowledge
 from station.measurements import measurement
 from station.report.figure import ACCENT, INK, SECOND, SOFT, THIRD, legend_above, svg_element, write_picture
+from station.results.numbers import BEAT_FREQUENCY, INPUT_RATE, LOCK_IN_RATE, NOISE_RMS, SCALE_FACTOR
 from station.results.result import with_prefix
 from station.scope.autoset import oscilloscope_steps
 
@@ -131,8 +132,8 @@ def plan_document(planned: PlannedMeasurement, sentences: list[str]) -> dict[str
     """Return a plan as plain JSON."""
     plan, curve = planned.plan, planned.curve
     return {
-        "lock_in_rate_dps": plan.request.lock_in_rate,
-        "scale_factor_pulses_per_deg": plan.request.scale_factor,
+        LOCK_IN_RATE.key(): plan.request.lock_in_rate,
+        SCALE_FACTOR.key(): plan.request.scale_factor,
         "reference": plan.request.reference,
         "wanted_u_percent": 100 * plan.request.wanted_u,
         "reached": plan.reached,
@@ -144,7 +145,7 @@ def plan_document(planned: PlannedMeasurement, sentences: list[str]) -> dict[str
         "duration_s": plan.duration_s,
         "rates": [_rate_document(rate) for rate in plan.rates],
         "if_lock_in_rate_is": [
-            {"lock_in_rate_dps": rate, "predicted_u_percent": 100 * u} for rate, u in planned.elsewhere
+            {LOCK_IN_RATE.key(): rate, "predicted_u_percent": 100 * u} for rate, u in planned.elsewhere
         ],
         "budget": budget_document(plan.budget),
         "curve": {
@@ -162,16 +163,16 @@ def plan_document(planned: PlannedMeasurement, sentences: list[str]) -> dict[str
 def _rate_document(rate: PlannedRate) -> dict[str, Any]:
     return {
         "rate_over_lock_in": rate.over_lock_in,
-        "input_rate_dps": rate.input_rate,
+        INPUT_RATE.key(): rate.input_rate,
         "table_rate_dps": rate.table_rate,
-        "beat_frequency_hz": rate.beat_frequency,
+        BEAT_FREQUENCY.key(): rate.beat_frequency,
         "seconds_per_division_s": rate.seconds_per_division,
         "volts_per_division_v": rate.volts_per_division,
         "record_s": rate.shape.duration,
         "periods": rate.periods,
         "samples_per_period": rate.samples_per_period,
         "amplitude_levels": rate.levels,
-        "noise_rms_v": rate.shape.total_noise,
+        NOISE_RMS.key(): rate.shape.total_noise,
         "records": rate.shape.records,
     }
 
@@ -189,7 +190,7 @@ def _measured_rates(
     """
     if settings.table.kind == "none" and not settings.named_rates:
         return (), False
-    gyro = {"expected_lock_in_rate_dps": lock_in_rate, "scale_factor_pulses_per_deg": scale_factor}
+    gyro = {"expected_lock_in_rate_dps": lock_in_rate, SCALE_FACTOR.key(): scale_factor}
     expected = settings.model_copy(update={"gyro": settings.gyro.model_copy(update=gyro)})
     try:
         steps = rate_plan(expected, _tilt(settings, options) or 0.0, options.lock_in_factor).steps

@@ -10,10 +10,11 @@ import re
 import tomllib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any, Generic, TypeVar, cast, get_args
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, create_model
 
 from instrument.errors import FileFormatError
 from instrument.text_files import read_small_file
@@ -185,13 +186,16 @@ def _names(dotted: str) -> list[str]:
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Finite = Annotated[float, Field(allow_inf_nan=False)]
-Limit = Positive | None
 
 
 class SettingsSection(BaseModel):
     """A section of a settings file: an unknown name is a mistake, and nothing changes once it is read."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class Limits(SettingsSection):
+    """Limits; one that is absent is not tested. Names as in the JSON of a result."""
 
 
 class SiteSettings(SettingsSection):
@@ -218,7 +222,8 @@ _FREE = ("limits", "output")
 class SettingsKind(Generic[S]):
     """How the settings of one kind of measurement are read."""
 
-    model: type[S]  # what may stand in a file
+    sections: type[S]  # what may stand in a file, but for the names of its limits
+    limits: Callable[[], Sequence[str]]  # names that [limits] may have: numbers that measurements declare
     # name of the shipped file that gives the defaults, for what the user has given
     shipped: Callable[[Mapping[str, Any]], str]
     # changes defaults that do not go with what the user has given; gets all values
@@ -231,6 +236,18 @@ class SettingsKind(Generic[S]):
     # what is known of the bench, with which a saved run can be evaluated later: ``section.name``, ``section.*``
     # for each of its values, or ``section`` where its values belong together and are replaced together
     knowledge: tuple[str, ...] = ("limits.*",)
+
+    @cached_property
+    def model(self) -> type[S]:
+        """What may stand in a file."""
+        fields: dict[str, Any] = dict.fromkeys(self.limits(), (Positive | None, None))
+        limits = create_model(f"{self.sections.__name__}Limits", __base__=Limits, __doc__=Limits.__doc__, **fields)
+        return create_model(
+            self.sections.__name__,
+            __base__=self.sections,
+            __doc__=self.sections.__doc__,
+            limits=(limits, limits()),
+        )
 
     def with_knowledge(self, saved: S, path: Path, overrides: Values | None = None) -> S:
         """Return saved settings with what a file states of the bench today; what it does not state stays."""

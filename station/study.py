@@ -31,6 +31,7 @@ from analysis.study import (
     waveform_study,
 )
 from station.report.figure import ACCENT, INK, SECOND, SOFT, THIRD, legend_above, write_picture
+from station.results.numbers import BEAT_FREQUENCY, INPUT_RATE, LOCK_IN_RATE, SCALE_FACTOR
 from station.runs.progress import Progress
 
 if TYPE_CHECKING:
@@ -106,7 +107,7 @@ def run_study(figures: Sequence[int], progress: Progress) -> Study:
 def study_document(study: Study, sentences: list[str], files: list[str]) -> dict[str, Any]:
     """Return the study as plain JSON."""
     document: dict[str, Any] = {
-        "scale_factor_pulses_per_deg": 2000.0,
+        SCALE_FACTOR.key(): 2000.0,
         "sampling_hz": 20_000.0,
         "duration_s": 3.0,
         "figures": {},
@@ -164,9 +165,9 @@ def axis_name(number: int) -> str:
 def _waveform_document(wave: WaveformStudy) -> dict[str, Any]:
     by_peaks, by_fit = wave.lock_in_by(wave.peaks)[0], wave.lock_in_by(wave.fitted)[1]
     return {
-        "input_rate_dps": wave.input_rate,
-        "lock_in_rate_dps": wave.lock_in_rate,
-        "beat_frequency_hz": wave.beat_frequency,
+        INPUT_RATE.key(): wave.input_rate,
+        LOCK_IN_RATE.key(): wave.lock_in_rate,
+        BEAT_FREQUENCY.key(): wave.beat_frequency,
         "amplitudes": {
             "exact": wave.exact,
             "peaks": wave.peaks,
@@ -183,8 +184,8 @@ def _error_document(number: int, errors: ErrorStudy) -> dict[str, Any]:
         "values": errors.axis,
         "curves": [
             {
-                "input_rate_dps": rate,
-                "lock_in_rate_dps": lock_in,
+                INPUT_RATE.key(): rate,
+                LOCK_IN_RATE.key(): lock_in,
                 "by_peaks_percent": {name: 100 * found[place] for name, found in errors.by_peaks.items()},
                 "formula_13_percent": 100 * errors.formula[place],
                 "ours_percent": 100 * errors.ours[place],
@@ -199,8 +200,8 @@ def _causes_document(causes: Causes) -> list[dict[str, Any]]:
     windowed = ("together", "peak", "leakage")
     return [
         {
-            "input_rate_dps": rate,
-            "lock_in_rate_dps": lock_in,
+            INPUT_RATE.key(): rate,
+            LOCK_IN_RATE.key(): lock_in,
             "bin_offset": causes.bin_offset[place],
             **{f"{name}_percent": 100 * getattr(causes, name)[place] for name in single},
             **{

@@ -42,7 +42,7 @@ from analysis.fibre_gyro.injection import (
     superposed_numbers,
 )
 from analysis.fibre_gyro.input_axis import InputAxisTilt, ThreeAxes, fit_three_axes, input_axis_tilt
-from analysis.fibre_gyro.linearity import Linearity, scale_linearity
+from analysis.fibre_gyro.linearity import LADDER_TERMS, Linearity, scale_linearity
 from analysis.fibre_gyro.loop import ClosedLoop, Kernel, LoopDesign, LoopTrace, OutputBlock, OutputModel
 from analysis.fibre_gyro.rate_table import (
     AxisFit,
@@ -93,6 +93,7 @@ from analysis.fibre_gyro.window_mean import (
 )
 
 __all__ = [
+    "LADDER_TERMS",
     "LONGEST_WORD",
     "NORMAL_95",
     "AllanCurve",

@@ -25,7 +25,7 @@ _PPM = 1e6
 _SIGNIFICANT = 3.0
 _RANGE = 2.0  # largest rate of a ladder over its smallest
 _DRAWS = 4000
-TERMS = ("asymmetry", "quadratic", "linear", "quartic")
+LADDER_TERMS = ("asymmetry", "quadratic", "linear", "quartic")
 """Of the scale factor: s, c_2, c_1, c_4."""
 
 
@@ -80,7 +80,7 @@ def scale_linearity(runs: TableRuns, *, irreproducibility_ppm: float | None = No
     stated = None if irreproducibility_ppm is None else irreproducibility_ppm / _PPM
     rate = runs.end_up * runs.rate_dps
     full = float(np.abs(rate).max())
-    terms = TERMS[: 2 if len(sizes) < 5 else 4]
+    terms = LADDER_TERMS[: 2 if len(sizes) < 5 else 4]
     columns = _columns(rate, full)
     plain = design_of(runs)
 

@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import Any
 
 from station.campaign.bench import Environment, bench_in_use
-from station.campaign.file import RESULT
 from station.campaign.journal import (
     CampaignOutcome,
     CampaignPlan,
@@ -35,7 +34,7 @@ from station.errors import (
     one_line,
 )
 from station.measurements import Measurement, measurement
-from station.results.quantity import Value
+from station.results.quantity import Quantity, Value
 from station.results.result import Result
 from station.results.verdict import (
     ABORTED,
@@ -366,7 +365,8 @@ def judged(step: PlannedStep, result: Result, document: Mapping[str, Any]) -> tu
     """Judge the numbers of a result by the limits of a step; one that does not stand decides nothing."""
     outcomes = []
     for limit in step.limits:
-        values = values_of(result, document, limit.number, RESULT) or [Value(float("nan"))]
+        values = values_of(result, document, limit.number)
+        values = values or [Value(float("nan"), quantity=Quantity(limit.number))]
         outcomes += [decide(limit, value) for value in values]
     standing = result.standing
     if standing.state == "fails":

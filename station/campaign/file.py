@@ -21,7 +21,7 @@ from station.campaign.bench import CONTROLLER_OF, controllers_of
 from station.campaign.journal import CampaignPlan, InstrumentCard, PlannedStep, ReferenceUnit
 from station.errors import SettingsError
 from station.measurements import MEASUREMENTS, Measurement, measurement
-from station.results.verdict import Limit
+from station.results.verdict import RESULT, Limit
 from station.settings import (
     Finite,
     NotNegative,
@@ -35,9 +35,6 @@ from station.settings import (
     read_toml,
     shipped_settings,
 )
-
-RESULT = "result."
-"""Before the place of a number in a result's JSON that is none of those that the measurement gives by name."""
 
 _OURS = ("limits", "output")
 """Sections of a measurement's settings that the campaign has in its own way."""

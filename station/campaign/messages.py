@@ -11,6 +11,7 @@ from station.campaign.journal import CampaignOutcome, CampaignPlan, StepOutcome
 from station.live.console import stdout_console
 from station.measurements import measurement
 from station.report.show import text_table
+from station.results.numbers import LOCK_IN_RATE
 from station.results.result import TextTable
 from station.results.verdict import LimitOutcome, interval_words, limit_words, margin_words, number_words
 from station.terminal import visible
@@ -225,7 +226,7 @@ def dry_run_document(
             "warm_up_s": step.warm_up_s,
             "settle_s": step.settle_s,
             "seconds": time,
-            "lock_in_rate_u_dps": u,
+            LOCK_IN_RATE.key("u"): u,
             "lock_in_rate_expanded_u_95_dps": u95,
             "limits": [f"{one.number} {limit_words(one, '')}".strip() for one in step.limits],
         }
@@ -274,7 +275,7 @@ def print_dry_run(
     for step, (_, u95, _) in zip(plan.steps, uncertainties, strict=True):
         for one in step.limits:
             said = f"{step.key}: {one.number} {limit_words(one, '')}, guard band {one.rule}"
-            if u95 is not None and one.number == "lock_in_rate_dps" and one.rule == "U95":
+            if u95 is not None and one.number == LOCK_IN_RATE.key() and one.rule == "U95":
                 said += f"; MARGINAL within about {u95:.2g} of it"
             console.print(f"• {said}", soft_wrap=True)
     total = total_seconds(plan, seconds)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from station.results.numbers import AMPLITUDE, LOCK_IN_RATE
 from station.shell.options import config_option, json_option
 from station.terminal import print_json, say
 
@@ -34,7 +35,7 @@ def _numbers(_context: click.Context, _option: click.Parameter, text: str | None
 
 @click.command("plan")
 @click.option(
-    "--lock-in-rate", "lock_in_rate_dps", type=_positive, metavar="WL", help="Expected, deg/s [settings]."
+    "--lock-in-rate", LOCK_IN_RATE.key(), type=_positive, metavar="WL", help="Expected, deg/s [settings]."
 )
 @click.option(
     "--factor",
@@ -55,7 +56,7 @@ def _numbers(_context: click.Context, _option: click.Parameter, text: str | None
 )
 @click.option("--scale-factor", type=_positive, metavar="K", help="Pulses per degree [settings].")
 @click.option(
-    "--amplitude", "amplitude_v", type=_positive, metavar="V", help="Of the beat at the input [settings, 0.4]."
+    "--amplitude", AMPLITUDE.key(), type=_positive, metavar="V", help="Of the beat at the input [settings, 0.4]."
 )
 @click.option(
     "--noise",

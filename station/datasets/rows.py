@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from instrument import InstrumentError, Preamble
 from station.errors import RunError, UsageError
+from station.results.numbers import LOCK_IN_RATE
 from station.runs.database import TODAY
 from station.runs.store import SavedRecord
 from station.sources.batches import Source
@@ -255,7 +256,7 @@ def _preamble_columns(record: SavedRecord) -> tuple[dict[str, Any], bool]:
 
 def _condition_columns(conditions: Mapping[str, Any]) -> dict[str, Any]:
     truth = conditions.get("truth")
-    true = truth.get("lock_in_rate_dps") if isinstance(truth, dict) else None
+    true = truth.get(LOCK_IN_RATE.key()) if isinstance(truth, dict) else None
     return {
         "channel": str(conditions.get("channel") or ""),
         "axis": str(conditions.get("axis") or ""),

@@ -13,6 +13,7 @@ from instrument import InstrumentError, Preamble, Waveform
 from instrument.tek_files import csv_text
 from station.datasets.data_set import Exported
 from station.errors import CannotWrite, StationError, UsageError
+from station.results.numbers import SCALE_FACTOR
 from station.runs.database import RunFacts
 from station.runs.store import SavedRecord
 from station.sources.batches import ExcludedRecord, Source
@@ -118,7 +119,7 @@ def _keys(facts: RunFacts) -> Mapping[str, str]:
 
 
 def _write_side_file(folder: Path, facts: RunFacts) -> None:
-    known = facts.settings.get("gyro", {}).get("scale_factor_pulses_per_deg")
+    known = facts.settings.get("gyro", {}).get(SCALE_FACTOR.key())
     if isinstance(known, int | float) and folder.is_dir():
         line = f"scale_factor_pulses_per_deg = {known!r}"
         text = f"# of the gyro whose records these are\n[gyro]\n{line}\n"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -26,7 +26,6 @@ from instrument import Waveform
 from station.dead_band.take import (
     DEAD_BAND,
     PURPOSE,
-    DeadBandLimits,
     DeadBandSettings,
     fastest_table_rate,
     seconds,
@@ -36,7 +35,8 @@ from station.dead_band.take import (
 from station.errors import NoUsableSignal
 from station.measurements import Measurement
 from station.report.figure import ACCENT, INK, LINE, SECOND, SOFT, legend_above, svg_element
-from station.results.quantity import value_beside
+from station.results.numbers import BEAT_FREQUENCY, BIAS_RATE, DEAD_BAND_WIDTH, LOCK_IN_RATE, SCALE_FACTOR
+from station.results.quantity import Quantity, QuantityGroup, document
 from station.results.result import (
     Excluded,
     FactTable,
@@ -267,19 +267,63 @@ def _hyperbola(records: SweepRecords, band: DeadBand, rate_u: float) -> Frequenc
 # The dead band as numbers and sentences
 
 
-LIMITED = tuple(DeadBandLimits.model_fields)
 _FAR = 3.0  # standard uncertainties
+
+_OF_BAND: dict[str, Any] = {"of": "band.lock_in_rate", "u": "lock_in_rate_u", "limit": True, "trend": True}
+BAND = (
+    replace(
+        DEAD_BAND_WIDTH,
+        of="band.lock_in_rate",
+        u="lock_in_rate_u",
+        scale=2.0,
+        limit=True,
+        headline=True,
+        trend=True,
+    ),
+    replace(LOCK_IN_RATE, of="band.lock_in_rate", u="lock_in_rate_u", limit=True, trend=True),
+    Quantity("lock_in_rate_u", "dps", limit=True),
+    replace(BIAS_RATE, of="band.bias_rate", u="bias_rate_u", limit=True, doc="middle of the band"),
+    Quantity("earth_rate_on_axis", "dps", "earth_rate", doc="its vertical part"),
+    Quantity(
+        "hysteresis",
+        "dps",
+        "band.hysteresis",
+        u=True,
+        limit=True,
+        doc="from where the beat begins to where it ends",
+    ),
+    Quantity("bias_drift", "dps", "band.drift", u=True, limit=True, doc="from the first rate to the last"),
+    SCALE_FACTOR,
+)
+CORNER = (
+    replace(LOCK_IN_RATE, of="corner_rate"),
+    Quantity("random_walk", "deg_per_sqrt_s", u=True, doc="that rounds the corner"),
+)
+HYPERBOLA = (
+    LOCK_IN_RATE,
+    BIAS_RATE,
+    replace(SCALE_FACTOR, u=True),
+    Quantity("chi_square"),
+    Quantity("degrees_of_freedom"),
+)
+EDGE = (Quantity("rate", "dps"), Quantity("half_gap", "dps", doc="half of the step in which the edge lies"))
+QUANTITIES = (
+    QuantityGroup(BAND),
+    QuantityGroup(CORNER, "corner"),
+    QuantityGroup(HYPERBOLA, "hyperbola"),
+    QuantityGroup(EDGE, "edges", "sense"),
+)
 
 
 def result(found: DeadBandEvaluation, run: SavedRun, settings: DeadBandSettings) -> Result:
     """Put into numbers and sentences what was found."""
-    band, document = found.band, _document(found)
+    band = found.band
     lock_in = _with_u(band.lock_in_rate, found.lock_in_rate_u)
     return Result(
         name="dead band",
         value=_with_u(2 * band.lock_in_rate, 2 * found.lock_in_rate_u),
-        document=document,
-        measured=tuple(value_beside(document, name) for name in LIMITED),
+        document=_document(found),
+        quantities=QUANTITIES,
         lines=(f"Half of it is the lock-in rate, {lock_in}; from {_count(found)}.",),
         summary=_summary(found),
         sentences=tuple(_sentences(found)),
@@ -302,32 +346,23 @@ def _truth(run: SavedRun) -> str:
     truth = run.facts.truth
     if truth is None:
         return ""
-    lock_in, bias = truth["lock_in_rate_dps"], truth["bias_rate_dps"]
+    lock_in, bias = truth[LOCK_IN_RATE.key()], truth[BIAS_RATE.key()]
     return f"the truth is a lock-in rate of {lock_in:g} deg/s and a bias of {bias:+.6g} deg/s"
 
 
 def _document(found: DeadBandEvaluation) -> dict[str, Any]:
-    band, records, fit = found.band, found.records, found.hyperbola
+    band, corner = found.band, document(found.band, CORNER)
+    if not band.flags & DeadBandFlag.ROUNDED:
+        corner |= dict.fromkeys(CORNER[1].values(band))  # a random walk that rounds nothing is not known
     return {
-        "dead_band_dps": 2 * band.lock_in_rate,
-        "dead_band_u_dps": 2 * found.lock_in_rate_u,
-        "lock_in_rate_dps": band.lock_in_rate,
-        "lock_in_rate_u_dps": found.lock_in_rate_u,
+        **document(found, BAND),
         "lock_in_rate_u_parts_dps": {
             name.replace(", ", "_").replace(" ", "_"): u for name, u in found.parts.items()
         },
-        "bias_rate_dps": band.bias_rate,
-        "bias_rate_u_dps": found.bias_rate_u,
-        "earth_rate_on_axis_dps": found.earth_rate,
-        "hysteresis_dps": band.hysteresis,
-        "hysteresis_u_dps": band.hysteresis_u,
-        "bias_drift_dps": band.drift,
-        "bias_drift_u_dps": band.drift_u,
         "edges": _edges(found),
-        "corner": _corner(band),
-        "hyperbola": None if fit is None else _hyperbola_document(fit),
-        "scale_factor_pulses_per_deg": found.scale_factor,
-        "records": len(records.rate),
+        "corner": corner,
+        "hyperbola": None if found.hyperbola is None else document(found.hyperbola, HYPERBOLA),
+        "records": len(found.records.rate),
         "left_out": found.left_out,
     }
 
@@ -338,37 +373,13 @@ def _edges(found: DeadBandEvaluation) -> list[dict[str, Any]]:
         {
             "sense": sense,
             "from": coming,
-            "rate_dps": sense * float(band.edges[k, m]),
-            "half_gap_dps": float(band.edge_half_widths[k, m]),
+            EDGE[0].key(): sense * float(band.edges[k, m]),
+            EDGE[1].key(): float(band.edge_half_widths[k, m]),
         }
         for k, sense in enumerate((1, -1))
         for m, coming in enumerate(("inside", "outside"))
         if math.isfinite(band.edges[k, m])
     ]
-
-
-def _corner(band: DeadBand) -> dict[str, Any]:
-    """The fitted corner; a random walk that rounds nothing is not known."""
-    rounded = bool(band.flags & DeadBandFlag.ROUNDED)
-    return {
-        "lock_in_rate_dps": band.corner_rate,
-        "lock_in_rate_u_dps": band.corner_rate_u,
-        "random_walk_deg_per_sqrt_s": band.random_walk if rounded else None,
-        "random_walk_u_deg_per_sqrt_s": band.random_walk_u if rounded else None,
-    }
-
-
-def _hyperbola_document(fit: FrequencyFit) -> dict[str, Any]:
-    return {
-        "lock_in_rate_dps": fit.lock_in_rate,
-        "lock_in_rate_u_dps": fit.lock_in_rate_u,
-        "bias_rate_dps": fit.bias_rate,
-        "bias_rate_u_dps": fit.bias_rate_u,
-        "scale_factor_pulses_per_deg": fit.scale_factor,
-        "scale_factor_u_pulses_per_deg": fit.scale_factor_u,
-        "chi_square": fit.chi_square,
-        "degrees_of_freedom": fit.degrees_of_freedom,
-    }
 
 
 def record_rows(found: DeadBandEvaluation) -> list[dict[str, Any]]:
@@ -380,8 +391,8 @@ def record_rows(found: DeadBandEvaluation) -> list[dict[str, Any]]:
             "direction": records.direction[number],
             "table_rate_dps": records.table_rate[number],
             "rate_dps": records.rate[number],
-            "beat_frequency_hz": signed_beat(found)[number],
-            "beat_frequency_u_hz": records.beat_u[number],
+            BEAT_FREQUENCY.key(): signed_beat(found)[number],
+            BEAT_FREQUENCY.key("u"): records.beat_u[number],
             "locked": bool(records.beat[number] == 0),
             "swing_v": records.swing[number],
         }
@@ -626,7 +637,7 @@ MEASUREMENT = Measurement(
     sections=sections,
     facts=facts,
     rows=record_rows,
-    gives=LIMITED,
+    quantities=QUANTITIES,
     watch=watch,
     seconds=seconds,
     examine=lambda settings: examine(settings, fastest_table_rate(settings)),

@@ -18,6 +18,8 @@ from instrument.scpi import SCAN_FROM, TIME_BASES
 from station.controllers import ControllersSettings, with_controllers
 from station.errors import NoUsableSignal, SettingsError
 from station.live.preview import Preview, PreviewValue, See, harmonics_of, trace_of_beat, waveform_of
+from station.measurements import limits_of
+from station.results.numbers import BEAT_FREQUENCY, BIAS_RATE, DEAD_BAND_WIDTH, LOCK_IN_RATE
 from station.ring_laser.bench import Beats, beats_at, open_for
 from station.ring_laser.records import Bench, acquisition_records, set_up, take_record
 from station.ring_laser.settings import RingLaserSettings, ScopeSettings, SimulationSettings
@@ -26,7 +28,7 @@ from station.runs.store import NewRecord, RunWriter
 from station.scope.autoset import KnobPositions, find_beat, oscilloscope_steps
 from station.settings import (
     Finite,
-    Limit,
+    Limits,
     NotNegative,
     OutputSettings,
     SettingsKind,
@@ -57,17 +59,6 @@ class SweepSettings(SettingsSection):
     fill_levels: Annotated[float, Field(ge=10, le=120)]
 
 
-class DeadBandLimits(SettingsSection):
-    """Limits; one that is absent is not tested. Names as in the JSON of a result."""
-
-    dead_band_dps: Limit = None
-    lock_in_rate_dps: Limit = None
-    lock_in_rate_u_dps: Limit = None
-    bias_rate_dps: Limit = None
-    hysteresis_dps: Limit = None
-    bias_drift_dps: Limit = None
-
-
 class DeadBandSettings(SettingsSection):
     """All settings of a sweep. ``simulation`` is absent on a real bench."""
 
@@ -79,7 +70,7 @@ class DeadBandSettings(SettingsSection):
     output: OutputSettings
     controllers: ControllersSettings | None = None
     simulation: SimulationSettings | None = None
-    limits: DeadBandLimits = DeadBandLimits()
+    limits: Limits = Limits()
 
     @property
     def simulated(self) -> bool:
@@ -117,7 +108,8 @@ def _check(settings: DeadBandSettings, path: Path) -> DeadBandSettings:
 
 
 DEAD_BAND = SettingsKind(
-    model=DeadBandSettings,
+    sections=DeadBandSettings,
+    limits=lambda: limits_of("deadband"),
     shipped=lambda given: "dead_band",
     adapt=_adapt,
     check=_check,
@@ -217,7 +209,7 @@ def truth_of(settings: DeadBandSettings) -> dict[str, dict[str, float]]:
         return {}
     lock_in, tilt = settings.simulation.lock_in_rate_dps, settings.simulation.tilt_deg
     vertical = float(earth_rate_on_axis(settings.site.latitude_deg, tilt, 90.0))
-    return {"truth": {"lock_in_rate_dps": lock_in, "dead_band_dps": 2 * lock_in, "bias_rate_dps": -vertical}}
+    return {"truth": {LOCK_IN_RATE.key(): lock_in, DEAD_BAND_WIDTH.key(): 2 * lock_in, BIAS_RATE.key(): -vertical}}
 
 
 def _knobs(
@@ -377,7 +369,7 @@ class _SweepPreview:
         rate = float(record.conditions["rate_dps"])  # type: ignore[arg-type]  # plain JSON
         values = (
             PreviewValue("rate_dps", rate, math.nan, f"{rate:+.5g} deg/s"),
-            PreviewValue("beat_frequency_hz", frequency, math.nan, f"{frequency:.5g} Hz" if beats else "no beat"),
+            PreviewValue(BEAT_FREQUENCY.key(), frequency, math.nan, f"{frequency:.5g} Hz" if beats else "no beat"),
         )
         group = str(record.conditions["direction"])
         return Preview(record.key, group, values, values, trace=trace_of_beat(waveform, fit if beats else None))

@@ -20,7 +20,7 @@ from station.fibre_gyro.logs import LogRow, NamedSegment, gyro_measurement, list
 from station.fibre_gyro.segments import PlannedSegment, Segment, checked, segments_of, words_of
 from station.fibre_gyro.settings import FogSettings
 from station.report.figure import INK, SOFT, WIDE, legend_above, svg_element
-from station.results.quantity import value_beside
+from station.results.quantity import UNITS, Quantity, QuantityGroup, document, repeated
 from station.results.result import Excluded, PlacedFigure, Result, Section, TextTable, with_uncertainty
 from station.runs.database import is_database
 from station.runs.store import SavedRun, open_run
@@ -91,19 +91,33 @@ def _noise_of(segment: Segment, settings: FogSettings) -> NoiseOf:
 # The noise model as numbers and sentences
 
 
-UNITS = {
-    "quantization": ("quantization_deg", "quantization", "deg", 1.0),
-    "angle_random_walk": ("angle_random_walk_deg_per_sqrt_h", "angle random walk", "deg/√h", 60.0),
-    "bias_instability": ("bias_instability_dph", "bias instability", "deg/h", 3600.0),
-    "rate_random_walk": ("rate_random_walk_dph_per_sqrt_h", "rate random walk", "deg/h/√h", 216_000.0),
-    "rate_ramp": ("rate_ramp_dph_per_h", "rate ramp", "deg/h/h", 3600.0**2),
+# of each term of the model: its number, and how many of its unit one in deg and s is
+TERMS = {
+    "quantization": Quantity("quantization", "deg", u_last=True),
+    "angle_random_walk": Quantity(
+        "angle_random_walk", "deg_per_sqrt_h", u_last=True, scale=60.0, limit=True, headline=True
+    ),
+    "bias_instability": Quantity("bias_instability", "dph", u_last=True, scale=3600.0, limit=True),
+    "rate_random_walk": Quantity("rate_random_walk", "dph_per_sqrt_h", u_last=True, scale=216_000.0, limit=True),
+    "rate_ramp": Quantity("rate_ramp", "dph_per_h", u_last=True, scale=3600.0**2),
 }
-"""Of each term: its name in JSON, in words, its unit, and how many of that one in deg and s is."""
+RECORD = (
+    Quantity("duration", "s", "duration_s"),
+    Quantity("temperature_slope", "dph_per_k", "fit.temperature_slope", u=True, scale=3600.0),
+    Quantity("words", of="fit.words"),
+    Quantity("missing", of="fit.missing"),
+    Quantity("outliers", of="fit.outliers"),
+    Quantity("tau", "s", "curve.tau_s", doc="averaging times of the Allan deviation"),
+    Quantity("allan_deviation", "dph", "curve.deviation", scale=3600.0),
+)
+QUANTITIES = (
+    QuantityGroup((*TERMS.values(), *RECORD), "records", "name", alone=False),
+    QuantityGroup(repeated(TERMS.values())),
+)
 _DESCRIBE = (
     "That is the shipped gyro: with another scale factor all numbers here are wrong by its ratio. Describe the "
     "coil in [gyro], or change gyro.counts_per_code in the ratio of a measured K to this one."
 )
-LIMITED = ("angle_random_walk_deg_per_sqrt_h", "bias_instability_dph", "rate_random_walk_dph_per_sqrt_h")
 
 
 def result(found: AllanEvaluation, run: SavedRun, settings: FogSettings) -> Result:
@@ -118,7 +132,7 @@ def result(found: AllanEvaluation, run: SavedRun, settings: FogSettings) -> Resu
         value = f"N = {with_uncertainty(60 * walk, 60 * u)} deg/√h"
     lines = (
         f"{first.key}: {first.duration_s / 3600:.3g} h of output; by maximum likelihood, "
-        f"in the model: {', '.join(UNITS[name][1] for name in first.fit.chosen)}.",
+        f"in the model: {', '.join(TERMS[name].words for name in first.fit.chosen)}.",
     )
     counts = not run.facts.simulated and any(one.by_design for one in found.records)
     design = _by_design(settings) if counts else ""
@@ -129,7 +143,7 @@ def result(found: AllanEvaluation, run: SavedRun, settings: FogSettings) -> Resu
         name="result",
         value=value,
         document={**({} if several else records[0]), "records": records, "left_out": found.left_out},
-        measured=tuple(value_beside(one, n, one["name"] if several else "") for one in records for n in LIMITED),
+        quantities=QUANTITIES,
         lines=lines,
         summary=[("", line) for line in lines],
         sentences=(*_sentences(found), *([design] if design and settings.gyro_is_described else [])),
@@ -141,35 +155,29 @@ def result(found: AllanEvaluation, run: SavedRun, settings: FogSettings) -> Resu
 
 
 def _record(one: NoiseOf) -> dict[str, Any]:
-    fit, document = one.fit, {"name": one.key, "duration_s": one.duration_s, "terms": one.fit.chosen}
-    for term, (name, _, _, scale) in UNITS.items():
-        document[name] = scale * fit.coefficients.get(term, 0.0)
-        document[f"{name}_u"] = scale * fit.coefficients_u[term] if term in fit.coefficients_u else None
-        document[f"{name}_low_95"] = scale * fit.low_95[term]
-        document[f"{name}_high_95"] = scale * fit.high_95[term]
-    return {
-        **document,
-        "temperature_slope_dph_per_k": 3600 * fit.temperature_slope,
-        "temperature_slope_u_dph_per_k": 3600 * fit.temperature_slope_u,
-        "words": fit.words,
-        "missing": fit.missing,
-        "outliers": fit.outliers,
-        "tau_s": one.curve.tau_s,
-        "allan_deviation_dph": 3600 * one.curve.deviation,
-    }
+    fit, made = one.fit, {"name": one.key, "terms": one.fit.chosen, **document(one, RECORD)}
+    for term, declared in TERMS.items():
+        scale = declared.scale
+        made[declared.key()] = scale * fit.coefficients.get(term, 0.0)
+        made[declared.key("u")] = scale * fit.coefficients_u[term] if term in fit.coefficients_u else None
+        made[declared.key("low_95")], made[declared.key("high_95")] = (
+            scale * fit.low_95[term],
+            scale * fit.high_95[term],
+        )
+    return made
 
 
 def term_table(one: NoiseOf) -> TextTable:
     """Return all terms of one record: value or bound, and interval."""
     rows = []
-    for term, (_, words, unit, scale) in UNITS.items():
-        fit = one.fit
+    for term, declared in TERMS.items():
+        fit, scale = one.fit, declared.scale
         low, high = scale * fit.low_95[term], scale * fit.high_95[term]
         if term in fit.coefficients:
             said = with_uncertainty(scale * fit.coefficients[term], scale * fit.coefficients_u[term])
         else:
             said = "not seen"
-        rows.append((words, said, f"{low:.3g} to {high:.3g}", unit))
+        rows.append((declared.words, said, f"{low:.3g} to {high:.3g}", UNITS[declared.unit]))
     return TextTable((one.key, "coefficient", "95 %", "unit"), tuple(rows))
 
 
@@ -235,7 +243,7 @@ def _svg(one: NoiseOf, place: int) -> str:
         axes.plot(tau, model, color=COLOURS[0], linewidth=1.6, label="model")
         for index, (term, value) in enumerate(one.fit.coefficients.items(), start=1):
             curve = 3600 * np.sqrt(allan_variance({term: value}, tau))
-            axes.plot(tau, curve, "--", color=COLOURS[index % 7], linewidth=0.9, label=UNITS[term][1])
+            axes.plot(tau, curve, "--", color=COLOURS[index % 7], linewidth=0.9, label=TERMS[term].words)
         axes.set(xscale="log", yscale="log", xlabel="averaging time, s", ylabel="Allan deviation, deg/h")
         axes.set_ylim(0.5 * float(deviation.min()), 2.0 * float(deviation.max()))
         axes.grid(color=SOFT, linewidth=0.3)
@@ -264,7 +272,7 @@ MEASUREMENT = gyro_measurement(
     evaluate=evaluate,
     result=result,
     sections=sections,
-    gives=LIMITED,
+    quantities=QUANTITIES,
     plan=plan,
 )
 
@@ -359,13 +367,14 @@ def _of_json(path: Path) -> list[tuple[str, dict[str, float]]]:
 
 def _coefficients(record: Mapping[str, Any], path: Path) -> dict[str, float]:
     found = {}
-    for term, (name, _, unit, scale) in UNITS.items():
-        value = record.get(name) or 0.0
+    for term, declared in TERMS.items():
+        value = record.get(declared.key()) or 0.0
         if isinstance(value, bool) or not isinstance(value, int | float) or not 0 <= value < math.inf:
-            raise UsageError(f"{path}: {name}: {value!r} is no number of {unit}, 0 or more")
+            unit = UNITS[declared.unit]
+            raise UsageError(f"{path}: {declared.key()}: {value!r} is no number of {unit}, 0 or more")
         if value:
-            found[term] = value / scale
+            found[term] = value / declared.scale
     if not any(name != "rate_ramp" for name in found):
-        names = ", ".join(name for name, *_ in UNITS.values())
+        names = ", ".join(declared.key() for declared in TERMS.values())
         raise UsageError(f"{path}: holds no noise model; it has numbers under the names {names}")
     return found

@@ -15,6 +15,8 @@ from station.fibre_gyro.bench import loop_settings, quiet
 from station.fibre_gyro.segments import Segment, segments_of
 from station.fibre_gyro.settings import FogSettings
 from station.report.figure import ACCENT, INK, SECOND, SOFT, THIRD, svg_element
+from station.results.numbers import TWO_PI_ERROR_PPM
+from station.results.quantity import Quantities, limited_values
 from station.results.result import Excluded, FactTable, PlacedFigure, Result, Rows, Section, with_uncertainty
 from station.runs.store import SavedRun
 
@@ -50,7 +52,7 @@ def truth_of(settings: FogSettings) -> dict[str, dict[str, float]]:
     truth = {
         # about the table's axis, which the gyro's axis is tilted from
         "scale_factor_counts_per_dps": scale * settings.nominal_scale_factor * math.cos(tilt),
-        "two_pi_error_ppm": PPM * simulation.two_pi_error,
+        TWO_PI_ERROR_PPM.key(): PPM * simulation.two_pi_error,
         "bias_dph": simulation.bias_dph,
         "angle_random_walk_deg_per_sqrt_h": simulation.angle_random_walk,
         "threshold_dps": simulation.dead_zone_dps,
@@ -175,21 +177,16 @@ def beyond_converter(step_codes: float, dac_bits: int) -> str:
     )
 
 
-def undecided_limits(
-    documents: Sequence[Mapping[str, Any]], names: Sequence[str], settings: FogSettings
-) -> list[str]:
+def undecided_limits(document: Mapping[str, Any], declared: Quantities, settings: FogSettings) -> list[str]:
     """Say which limits of the settings lie inside the 95 % interval of what they are for."""
-    limits, said = settings.limits.model_dump(exclude_none=True), []
-    for document in documents:
-        for name in (one for one in names if one in limits):
-            begin, _, unit = name.rpartition("_")
-            low, high = (document.get(f"{begin}_{end}_95_{unit}") for end in ("low", "high"))
-            if low is not None and high is not None and low < limits[name] < high:
-                said.append(
-                    f"limits.{name} = {limits[name]:g} lies inside U95, {low:.3g} to {high:.3g}: the run does not "
-                    "decide it."
-                )
-    return said
+    limits = settings.limits.model_dump(exclude_none=True)
+    pairs = ((one, limits.get(one.quantity.limit_name, math.nan)) for one in limited_values(document, declared))
+    return [
+        f"limits.{one.quantity.limit_name} = {limit:g} lies inside U95, {one.low_95:.3g} to {one.high_95:.3g}: "
+        "the run does not decide it."
+        for one, limit in pairs
+        if one.low_95 < limit < one.high_95
+    ]
 
 
 def gyro_table(settings: FogSettings) -> FactTable:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -24,19 +24,18 @@ from station.fibre_gyro.logs import LogRow, NamedSegment, gyro_measurement, list
 from station.fibre_gyro.segments import PlannedSegment, Segment, checked, segments_of
 from station.fibre_gyro.settings import FogSettings
 from station.report.figure import ACCENT, HALF, INK, SECOND, SOFT, legend_above, svg_element
-from station.results.quantity import Value
+from station.results.numbers import TWO_PI_ERROR_PPM
+from station.results.quantity import Quantity, QuantityGroup, document, rows
 from station.results.result import (
     Contribution,
     Excluded,
     PlacedFigure,
     Result,
     Section,
-    TextTable,
     budget_document,
     budget_table,
-    picked,
     ppm,
-    with_uncertainty,
+    table,
 )
 from station.runs.store import SavedRun
 
@@ -71,7 +70,7 @@ class EpsEvaluation:
 
 def evaluate(run: SavedRun, settings: FogSettings, choices: Mapping[str, Any]) -> EpsEvaluation:
     """Evaluate the open-loop segments of a run."""
-    rows: list[tuple[str, float, WindowMean, WindowMean]] = []
+    means_of: list[tuple[str, float, WindowMean, WindowMean]] = []
     left_out = not_taken(run)
     for segment in segments_of(run, PURPOSE):
         try:
@@ -79,14 +78,14 @@ def evaluate(run: SavedRun, settings: FogSettings, choices: Mapping[str, Any]) -
         except ValueError as error:
             left_out.append(Excluded(segment.key, str(error)))
             continue
-        rows.append((segment.key, float(segment.conditions["step_codes"]), *means))
-    if len(rows) < 2:
+        means_of.append((segment.key, float(segment.conditions["step_codes"]), *means))
+    if len(means_of) < 2:
         raise NoUsableSignal(
-            f"the 2 pi error needs two injected steps, there are {len(rows)}: {reasons_of(left_out, '')}"
+            f"the 2 pi error needs two injected steps, there are {len(means_of)}: {reasons_of(left_out, '')}"
         )
-    keys = tuple(key for key, *_ in rows)
-    step = np.array([size for _, size, *_ in rows])
-    kinds = [normal for *_, normal, _ in rows], [reset for *_, reset in rows]
+    keys = tuple(key for key, *_ in means_of)
+    step = np.array([size for _, size, *_ in means_of])
+    kinds = [normal for *_, normal, _ in means_of], [reset for *_, reset in means_of]
     normal, reset = (np.array([one.mean for one in of_kind]) for of_kind in kinds)
     normal_u, reset_u = (_noise(step, of_kind) for of_kind in kinds)
     try:
@@ -124,17 +123,23 @@ def _mean_of(segment: Segment, name: str) -> WindowMean:
 # The 2 pi error as numbers and sentences
 
 
-LIMITED = ("two_pi_error_ppm",)
-_NUMBERS = {
-    "two_pi_error": "two_pi_error",
-    "two_pi_error_u": "two_pi_error_u",
-    "amplitude_counts": "amplitude",
-    "amplitude_u_counts": "amplitude_u",
-    "rest_phase_rad": "rest_phase_rad",
-    "rest_phase_u_rad": "rest_phase_u_rad",
-    "chi_square": "chi_square",
-    "degrees_of_freedom": "degrees_of_freedom",
-}
+NUMBERS = (
+    Quantity(
+        "two_pi_error", of="error.two_pi_error", u=True, headline=True, doc="of the converter's range over 2π"
+    ),
+    Quantity("amplitude", "counts", "error.amplitude", u=True, doc="of the detector, in counts of its converter"),
+    Quantity("rest_phase", "rad", "error.rest_phase_rad", "error.rest_phase_u_rad"),
+    Quantity("chi_square", of="error.chi_square"),
+    Quantity("degrees_of_freedom", of="error.degrees_of_freedom"),
+    replace(TWO_PI_ERROR_PPM, of="error.two_pi_error", u=True, limit=True),
+)
+POINTS = (
+    Quantity("name", of="keys"),
+    Quantity("step_codes", label="injected step", form="{:+g} codes"),
+    Quantity(NORMAL, of="normal", u=True, label="error without reset, counts"),
+    Quantity(RESET, of="reset", u=True, label="error with reset, counts"),
+)
+QUANTITIES = (QuantityGroup(NUMBERS), QuantityGroup(POINTS, "points", "name"))
 
 
 def result(found: EpsEvaluation, run: SavedRun, settings: FogSettings) -> Result:
@@ -145,8 +150,13 @@ def result(found: EpsEvaluation, run: SavedRun, settings: FogSettings) -> Result
     return Result(
         name="result",
         value=f"eps = {ppm(eps, u)}",
-        document=_document(found),
-        measured=(Value.named("two_pi_error_ppm", eps, u),),
+        document={
+            **document(found, NUMBERS),
+            "budget": budget_document("1, the range over 2π", _budget(found), u),
+            "points": rows(found, POINTS),
+            "left_out": found.left_out,
+        },
+        quantities=QUANTITIES,
         lines=lines,
         summary=[("", line) for line in lines],
         sentences=tuple(_sentences(found, settings)),
@@ -154,19 +164,6 @@ def result(found: EpsEvaluation, run: SavedRun, settings: FogSettings) -> Result
         flags=to_watch,
         left_out=found.left_out,
     )
-
-
-def _document(found: EpsEvaluation) -> dict[str, Any]:
-    columns = (found.keys, found.step_codes, found.normal, found.normal_u, found.reset, found.reset_u)
-    names = ("name", "step_codes", "normal_error", "normal_error_u", "reset_error", "reset_error_u")
-    return {
-        **picked(found.error, _NUMBERS),
-        "two_pi_error_ppm": PPM * found.error.two_pi_error,
-        "two_pi_error_u_ppm": PPM * found.error.two_pi_error_u,
-        "budget": budget_document("1, the range over 2π", _budget(found), PPM * found.error.two_pi_error_u),
-        "points": [dict(zip(names, row, strict=True)) for row in zip(*columns, strict=True)],
-        "left_out": found.left_out,
-    }
 
 
 def _budget(found: EpsEvaluation) -> list[Contribution]:
@@ -216,13 +213,6 @@ def _to_watch(found: EpsEvaluation) -> list[str]:
 
 def sections(found: EpsEvaluation, run: SavedRun, settings: FogSettings, result: Result) -> list[Section]:
     """Return the sections of the report."""
-    rows = tuple(
-        (f"{step:+g} codes", with_uncertainty(float(n), float(nu)), with_uncertainty(float(r), float(ru)))
-        for step, n, nu, r, ru in zip(
-            found.step_codes, found.normal, found.normal_u, found.reset, found.reset_u, strict=True
-        )
-    )
-    header = ("injected step", "error without reset, counts", "error with reset, counts")
     return [
         Section("What this result shows, and what it cannot", sentences=result.sentences),
         Section(
@@ -231,7 +221,7 @@ def sections(found: EpsEvaluation, run: SavedRun, settings: FogSettings, result:
                 PlacedFigure(_errors_svg(found), "Demodulated error against the injected step."),
                 PlacedFigure(_reset_differences_svg(found), "Their difference is the 2π error alone."),
             ),
-            table=TextTable(header, rows),
+            table=table(found, POINTS),
         ),
         Section("Budget", table=budget_table("2π error", result.document["budget"])),
         staircase_section(settings, open_loop_step=float(abs(found.step_codes).min())),
@@ -311,6 +301,6 @@ MEASUREMENT = gyro_measurement(
     evaluate=evaluate,
     result=result,
     sections=sections,
-    gives=LIMITED,
+    quantities=QUANTITIES,
     plan=plan,
 )

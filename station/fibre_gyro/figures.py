@@ -54,14 +54,13 @@ from station.fibre_gyro.segments import (
 )
 from station.fibre_gyro.settings import FogSettings
 from station.report.figure import HALF, SOFT, WIDE, legend_above, svg_element
-from station.results.quantity import Value, value_beside
+from station.results.quantity import Quantity, QuantityGroup, document, repeated
 from station.results.result import (
     Excluded,
     PlacedFigure,
     Result,
     Section,
     TextTable,
-    picked,
     ppm,
     with_uncertainty,
 )
@@ -380,15 +379,60 @@ def _temperature(segments: Sequence[Segment]) -> float:
 # The figures of merit as numbers and sentences
 
 
-LIMITED = (
-    "nonlinearity_ppm",
-    "nonlinearity_of_point_ppm",
-    "asymmetry_ppm",
-    "repeatability_ppm",
-    "temperature_coefficient_ppm",
-    "bias_repeatability_dph",
-    "turn_on_transient_dph",
-    "warm_up_s",
+def _figure(name: str, unit: str, u: str = "", **more: Any) -> Quantity:
+    """A figure of merit of one axis; u: the field of a run, of the run that gives the largest."""
+    key = f"{name}_{unit}"
+    return Quantity(name, unit, key, (lambda one: _u_of_largest(one, key, u)) if u else False, limit=True, **more)
+
+
+FIGURES = (
+    _figure("nonlinearity", "ppm", "nonlinearity_u_ppm", doc="of full scale"),
+    _figure("nonlinearity_of_point", "ppm", doc="of each output"),
+    _figure("asymmetry", "ppm", "asymmetry_u_ppm", doc="between the senses"),
+    _figure("repeatability", "ppm", doc="of K from one cold start to the next"),
+    _figure("temperature_coefficient", "ppm", doc="largest change of K per kelvin"),
+    _figure("bias_repeatability", "dph", interval=("bias.low_95", "bias.high_95")),
+    _figure("turn_on_transient", "dph", doc="bias just after switching on less the final one"),
+    _figure("warm_up", "s", interval=("slowest.warm_up_low_95_s", "slowest.warm_up_high_95_s")),
+)
+SCALE = (
+    Quantity("scale_factor", "counts_per_dps", u=True, headline=True, trend=True, doc="mean of the runs"),
+    Quantity("input_per_count", "dph", lambda one: 3600 / one.scale_factor, doc="as IEEE texts give it"),
+)
+BOUNDS = (
+    Quantity("bias_noise_u", "dph", "bias.noise_u", doc="noise within the repeatability of the bias"),
+    Quantity("warm_up_bound", "dph", "slowest.bound", doc="within which the bias has to stay"),
+)
+RUN = (
+    Quantity("temperature", "c", "temperature_c"),
+    Quantity("scale_factor", "counts_per_dps", "figures.fit.slope", u=True),
+    Quantity("intercept", "counts", "figures.fit.intercept", u=True),
+    Quantity("static_drift", "counts"),
+    Quantity("bias", "dph", "bias_dph", "bias_u_dph"),
+    Quantity("scale_factor_positive", "counts_per_dps", "figures.scale_factor_positive"),
+    Quantity("scale_factor_negative", "counts_per_dps", "figures.scale_factor_negative"),
+    Quantity("nonlinearity", "ppm", "figures.nonlinearity_ppm", "figures.nonlinearity_u_ppm"),
+    Quantity("nonlinearity_of_point", "ppm", "figures.nonlinearity_of_point_ppm"),
+    Quantity("asymmetry", "ppm", "figures.asymmetry_ppm", "figures.asymmetry_u_ppm"),
+    Quantity("deviation_of_full_scale", "ppm", "figures.deviation_of_full_scale_ppm"),
+    Quantity("deviation_of_point", "ppm", "figures.deviation_of_point_ppm"),
+    Quantity("odd", "ppm", "pattern.odd_ppm"),
+    Quantity("even", "ppm", "pattern.even_ppm"),
+    Quantity("near_zero", "ppm", "pattern.near_zero_ppm"),
+    Quantity("rate", "dps", "rate_dps"),
+    Quantity("net", "counts", "output", doc="output less the static output"),
+)
+TURN_ON = (
+    Quantity("exponentials"),
+    Quantity("time_constants", "s", "time_constants_s"),
+    Quantity("transient", "dph", "transient", u=True, interval=True),
+    Quantity("warm_up", "s", "warm_up_s", interval=("warm_up_low_95_s", "warm_up_high_95_s")),
+)
+QUANTITIES = (
+    QuantityGroup((*FIGURES, *SCALE, *BOUNDS), "axes", "axis", alone=False),
+    *(QuantityGroup(RUN, place, "name") for place in ("runs", "at_temperatures")),
+    *(QuantityGroup(TURN_ON, f"{place}.turn_on") for place in ("runs", "at_temperatures")),
+    QuantityGroup(repeated((*FIGURES, *SCALE, *BOUNDS))),  # of several axes the largest
 )
 _GJB_RATES = 11
 _CAUSES = {
@@ -397,24 +441,6 @@ _CAUSES = {
     "near zero": "near zero (dead zone)",
     "scatter": "irregular beyond their noise (bias, scale factor or table change between the rates)",
 }
-_FIT = {
-    "scale_factor_counts_per_dps": "slope",
-    "scale_factor_u_counts_per_dps": "slope_u",
-    "intercept_counts": "intercept",
-    "intercept_u_counts": "intercept_u",
-}
-_FIGURES = {
-    "scale_factor_positive_counts_per_dps": "scale_factor_positive",
-    "scale_factor_negative_counts_per_dps": "scale_factor_negative",
-    "nonlinearity_ppm": "nonlinearity_ppm",
-    "nonlinearity_u_ppm": "nonlinearity_u_ppm",
-    "nonlinearity_of_point_ppm": "nonlinearity_of_point_ppm",
-    "asymmetry_ppm": "asymmetry_ppm",
-    "asymmetry_u_ppm": "asymmetry_u_ppm",
-    "deviation_of_full_scale_ppm": "deviation_of_full_scale_ppm",
-    "deviation_of_point_ppm": "deviation_of_point_ppm",
-}
-_PATTERN = {"pattern": "names", "odd_ppm": "odd_ppm", "even_ppm": "even_ppm", "near_zero_ppm": "near_zero_ppm"}
 
 
 def result(found: FiguresEvaluation, run: SavedRun, settings: FogSettings) -> Result:
@@ -425,7 +451,7 @@ def result(found: FiguresEvaluation, run: SavedRun, settings: FogSettings) -> Re
         name="result",
         value=f"Nonlinearity {found.largest('nonlinearity_ppm'):.3g} ppm of full scale",
         document=_document(found),
-        measured=_measured(found),
+        quantities=QUANTITIES,
         lines=lines,
         summary=[("", line) for line in lines],
         sentences=tuple(_sentences(found)),
@@ -463,53 +489,21 @@ def _bias_lines(one: AxisMerit, *, several: bool) -> list[str]:
     return said
 
 
-def _measured(found: FiguresEvaluation) -> tuple[Value, ...]:
-    alone = len(found.axes) == 1
-    numbers = [(_axis_document(axis), "" if alone else axis.axis) for axis in found.axes]
-    return tuple(value_beside(document, name, of) for document, of in numbers for name in LIMITED)
-
-
 def _document(found: FiguresEvaluation) -> dict[str, Any]:
-    """Of one axis as of old; of several the largest figures, no common scale factor, and each axis by itself."""
-    alone = found.axes[0] if len(found.axes) == 1 else None
+    """Of one axis as it is; of several the largest figures, no common scale factor, and each axis by itself."""
+    axes = [{"axis": axis.axis, **document(axis, (*FIGURES, *SCALE, *BOUNDS))} for axis in found.axes]
+    top = {name: value for name, value in axes[0].items() if name != "axis"}
+    if len(axes) > 1:
+        top = dict.fromkeys(document(found.axes[0], SCALE)) | {
+            one.key(): found.largest(one.key()) for one in FIGURES
+        }
     return {
         "style": "GJB and IEEE style; nonlinearity is of full scale unless its name says of_point",
-        **(_scale(alone) if alone else dict.fromkeys(_scale(found.axes[0]))),
-        **{name: found.largest(name) for name in LIMITED},
-        **(_intervals(alone) if alone else {}),
+        **top,
         "runs": [_run(run) for one in found.axes for run in one.runs],
         "at_temperatures": [_run(run) for one in found.axes for run in one.at_temperatures],
-        "axes": [_axis_document(axis) for axis in found.axes],
+        "axes": axes,
         "left_out": found.left_out,
-    }
-
-
-def _axis_document(axis: AxisMerit) -> dict[str, Any]:
-    numbers = {name: getattr(axis, name) for name in LIMITED}
-    return {"axis": axis.axis, **_scale(axis), **numbers, **_intervals(axis)}
-
-
-def _scale(one: AxisMerit) -> dict[str, float]:
-    return {
-        "scale_factor_counts_per_dps": one.scale_factor,
-        "scale_factor_u_counts_per_dps": one.scale_factor_u,
-        # IEEE texts give input over output
-        "input_per_count_dph": 3600 / one.scale_factor,
-    }
-
-
-def _intervals(one: AxisMerit) -> dict[str, float | None]:
-    """95 % intervals of what has one; the noise of the bias; the bound of the warm-up."""
-    bias, slowest = one.bias, one.slowest
-    return {
-        "nonlinearity_u_ppm": _u_of_largest(one, "nonlinearity_ppm", "nonlinearity_u_ppm"),
-        "asymmetry_u_ppm": _u_of_largest(one, "asymmetry_ppm", "asymmetry_u_ppm"),
-        "bias_repeatability_low_95_dph": bias.low_95 if bias else None,
-        "bias_repeatability_high_95_dph": bias.high_95 if bias else None,
-        "bias_noise_u_dph": bias.noise_u if bias else None,
-        "warm_up_low_95_s": slowest.warm_up_low_95_s if slowest else None,
-        "warm_up_high_95_s": slowest.warm_up_high_95_s if slowest else None,
-        "warm_up_bound_dph": slowest.bound if slowest else None,
     }
 
 
@@ -524,36 +518,8 @@ def _ppm(value: float) -> str:
 
 
 def _run(one: MeritRun) -> dict[str, Any]:
-    return {
-        "name": one.name,
-        "temperature_c": one.temperature_c,
-        **picked(one.figures.fit, _FIT),
-        "static_drift_counts": one.static_drift,
-        "bias_dph": one.bias_dph,
-        "bias_u_dph": one.bias_u_dph,
-        "turn_on": _turn_on_document(one.turn_on),
-        **picked(one.figures, _FIGURES),
-        **picked(one.pattern, _PATTERN),
-        "rate_dps": one.rate_dps,
-        "net_counts": one.output,
-    }
-
-
-def _turn_on_document(one: TurnOn | None) -> dict[str, Any] | None:
-    if one is None:
-        return None
-    return {
-        "exponentials": one.exponentials,
-        "time_constants_s": one.time_constants_s,
-        "transient_dph": one.transient,
-        "transient_u_dph": one.transient_u,
-        "transient_low_95_dph": one.transient_low_95,
-        "transient_high_95_dph": one.transient_high_95,
-        "warm_up_s": one.warm_up_s,
-        "warm_up_low_95_s": one.warm_up_low_95_s,
-        "warm_up_high_95_s": one.warm_up_high_95_s,
-        "ends": one.ends,
-    }
+    turn_on = None if one.turn_on is None else {**document(one.turn_on, TURN_ON), "ends": one.turn_on.ends}
+    return {"name": one.name, **document(one, RUN), "pattern": one.pattern.names, "turn_on": turn_on}
 
 
 def _sentences(found: FiguresEvaluation) -> list[str]:
@@ -571,9 +537,7 @@ def _to_watch(found: FiguresEvaluation, settings: FogSettings) -> list[str]:
     said = [f"{one.sentence}." for one in found.left_out]
     for one in [run for axis in found.axes for run in axis.all_runs]:
         said += _to_watch_in(one)
-    for axis in found.axes:
-        document = {name: getattr(axis, name) for name in LIMITED} | _intervals(axis)
-        said += undecided_limits([document], LIMITED, settings)
+    said += undecided_limits(_document(found), QUANTITIES, settings)
     return said
 
 
@@ -806,6 +770,6 @@ MEASUREMENT = gyro_measurement(
     evaluate=evaluate,
     result=result,
     sections=sections,
-    gives=LIMITED,
+    quantities=QUANTITIES,
     plan=plan,
 )

@@ -32,6 +32,7 @@ from station.fibre_gyro.segments import (
 from station.fibre_gyro.settings import FIBRE_GYRO, FogSettings
 from station.live.preview import Preview, PreviewTrace, PreviewValue, See
 from station.measurements import Measurement
+from station.results.quantity import Quantities
 from station.results.result import Check, Result, Section, with_uncertainty
 from station.runs.acquisition import Acquisition
 from station.runs.store import NewRecord, SavedRun
@@ -86,7 +87,7 @@ def gyro_measurement(
     evaluate: Callable[[SavedRun, FogSettings, Mapping[str, Any]], F],
     result: Callable[[F, SavedRun, FogSettings], Result],
     sections: Callable[[F, SavedRun, FogSettings, Result], list[Section]],
-    gives: tuple[str, ...],
+    quantities: Quantities,
     plan: Callable[[FogSettings], Sequence[PlannedSegment]] | None = None,
     purposes: Sequence[str] = (),
     unusable: Callable[[SavedRun, FogSettings], Mapping[str, str]] | None = None,
@@ -104,7 +105,7 @@ def gyro_measurement(
         result=with_link_remarks(result),
         sections=sections,
         facts=output_facts,
-        gives=gives,
+        quantities=quantities,
         watch=watch,
         examine=examine,
         unusable=unusable or (lambda run, settings: unusable_segments(run, settings, purposes or (name,))),

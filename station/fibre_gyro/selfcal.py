@@ -63,7 +63,7 @@ from station.fibre_gyro.table_result import PURPOSE as TABLE
 from station.fibre_gyro.table_result import AxisResult, TableEvaluation, find_axes
 from station.fibre_gyro.table_result import to_watch as to_watch_of_table
 from station.report.figure import ACCENT, HALF, SECOND, SOFT, legend_above, svg_element
-from station.results.quantity import Value
+from station.results.quantity import Quantity, QuantityGroup, document, rows
 from station.results.result import (
     Contribution,
     Excluded,
@@ -73,7 +73,6 @@ from station.results.result import (
     TextTable,
     budget_document,
     budget_table,
-    picked,
     ppm,
     with_uncertainty,
 )
@@ -279,10 +278,10 @@ class SelfcalEvaluation:
 
 def evaluate(run: SavedRun, settings: FogSettings, choices: Mapping[str, Any]) -> SelfcalEvaluation:
     """Evaluate a self-calibration, and the rate-table segments of the same run."""
-    rows, left_out = _usable(run, settings)
+    means, left_out = _usable(run, settings)
     left_out += not_taken(run)
-    static = [row for row in rows if row.conditions["static"]]
-    steps = [row for row in rows if not row.conditions["static"]]
+    static = [row for row in means if row.conditions["static"]]
+    steps = [row for row in means if not row.conditions["static"]]
     names = {row.conditions["static"] for row in static}
     missing = [name for name in _STATIC if name not in names]
     if not static or len(steps) < 3:
@@ -338,7 +337,7 @@ def evaluate(run: SavedRun, settings: FogSettings, choices: Mapping[str, Any]) -
         contributions=_contributions(scatter, fit, rates, u, drift_u, against, numbers_u),
         noise=model,
         noise_by_model=by_model,
-        remarks=tuple(said for row in rows for said in row.remarks),
+        remarks=tuple(said for row in means for said in row.remarks),
         left_out=tuple(left_out),
         table=table,
     )
@@ -425,21 +424,33 @@ def _usable(run: SavedRun, settings: FogSettings) -> tuple[list[_Row], list[Excl
 # The self-calibration as numbers and sentences: what it shows, and what it cannot
 
 
-LIMITED = ("self_minus_numbers_ppm", "self_minus_table_ppm")
 _EXAMPLE_CHANGE = 100e-6
 _EXAMPLE_EPS = 1e-3
-_FIT = {
-    "scale_factor_self_counts_per_dps": "slope",
-    "scale_factor_self_u_counts_per_dps": "slope_u",
-    "intercept_counts": "intercept",
-    "intercept_u_counts": "intercept_u",
-}
-_NET = {
-    "static_counts": "static",
-    "static_u_counts": "static_u",
-    "static_drift_counts": "drift",
-    "static_drift_u_counts": "drift_u",
-}
+RESULT = (
+    Quantity("scale_factor_self", "counts_per_dps", "fit.slope", u=True, headline=True, trend=True),
+    Quantity("intercept", "counts", "fit.intercept", u=True),
+    Quantity("static", "counts", "net.static", u=True, doc="output at rest"),
+    Quantity("static_drift", "counts", "net.drift", u=True, doc="after less before the steps"),
+    Quantity("numbers_slope", "counts_per_dps", "numbers.slope", doc="of the injected numbers over the rates"),
+    Quantity(
+        "self_minus_numbers", "ppm", "comparison.against_numbers_ppm", "comparison.against_numbers_u_ppm",
+        limit=True, doc="K_self over the slope of the injected numbers, less one",
+    ),
+    Quantity("table_scale_factor", "counts_per_dps", "reference.scale_factor", u=True),
+    Quantity(
+        "self_minus_table", "ppm", lambda found: found.comparison.difference_ppm if found.reference else None,
+        lambda found: found.comparison.difference_u_ppm if found.reference else None, limit=True, optional=True,
+    ),
+)  # fmt: skip
+DESIGN = Quantity("self_minus_design", "ppm")
+POINTS = (
+    Quantity("name", of="keys"),
+    Quantity("rate", "dps", "rate_dps", doc="that the step stands for"),
+    Quantity("number", "counts", doc="that was injected"),
+    Quantity("net", "counts", "net.output", u=True, doc="output less the static output"),
+    Quantity("residual", "counts", "fit.residual"),
+)
+QUANTITIES = (QuantityGroup((*RESULT, DESIGN)), QuantityGroup(POINTS, "points", "name"))
 
 
 def result(found: SelfcalEvaluation, run: SavedRun, settings: FogSettings) -> Result:
@@ -451,17 +462,12 @@ def result(found: SelfcalEvaluation, run: SavedRun, settings: FogSettings) -> Re
         f"Against {against}: {ppm(compared.difference_ppm, compared.difference_u_ppm)}.",
         f"Against the slope of the injected numbers: {numbers}.",
     )
-    measured = [
-        Value.named("self_minus_numbers_ppm", compared.against_numbers_ppm, compared.against_numbers_u_ppm)
-    ]
-    if found.reference is not None:
-        measured.append(Value.named("self_minus_table_ppm", compared.difference_ppm, compared.difference_u_ppm))
     watched = tuple(_to_watch(found, settings))
     return Result(
         name="result",
         value=f"K_self = {with_uncertainty(fit.slope, fit.slope_u)} {COUNTS_PER_DPS}",
         document=_document(found, settings),
-        measured=tuple(measured),
+        quantities=QUANTITIES,
         lines=lines,
         summary=[
             *(("", line) for line in lines),
@@ -481,36 +487,19 @@ def _intercept_u(found: SelfcalEvaluation) -> float:
 
 
 def _document(found: SelfcalEvaluation, settings: FogSettings) -> dict[str, Any]:
-    fit, net, compared, reference = found.fit, found.net, found.comparison, found.reference
-    columns = {
-        "name": found.keys,
-        "rate_dps": found.rate_dps,
-        "number_counts": found.number,
-        "net_counts": net.output,
-        "net_u_counts": net.output_u,
-        "residual_counts": fit.residual,
-    }
+    reference = found.reference
+    against = f"K_self against K {'of the table' if reference else 'by design'}"
     return {
         "path": settings.selfcal.path,
         "numbers": settings.selfcal.numbers,
-        **picked(fit, _FIT),
-        **picked(net, _NET),
+        **document(found, RESULT),
+        DESIGN.key(): PPM * (found.fit.slope / settings.nominal_scale_factor - 1),
         "static_missing": found.static_missing or None,
-        "numbers_slope_counts_per_dps": found.numbers.slope,
-        "self_minus_numbers_ppm": compared.against_numbers_ppm,
-        "self_minus_numbers_u_ppm": compared.against_numbers_u_ppm,
         "compared_with": "table" if reference else "design",
-        "table_scale_factor_counts_per_dps": reference.scale_factor if reference else None,
-        "table_scale_factor_u_counts_per_dps": reference.scale_factor_u if reference else None,
         "table_source": reference.source if reference else None,
-        "self_minus_table_ppm": compared.difference_ppm if reference else None,
-        "self_minus_table_u_ppm": compared.difference_u_ppm if reference else None,
-        "self_minus_design_ppm": PPM * (fit.slope / settings.nominal_scale_factor - 1),
         "noise_model": None if found.noise is None else found.noise.source,
-        "budget": budget_document(
-            f"K_self against K {'of the table' if reference else 'by design'}", _budget(found), _u_ppm(found)
-        ),
-        "points": [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)],
+        "budget": budget_document(against, _budget(found), _u_ppm(found)),
+        "points": rows(found, POINTS),
         "left_out": found.left_out,
     }
 
@@ -819,7 +808,7 @@ MEASUREMENT = gyro_measurement(
     evaluate=evaluate,
     result=result,
     sections=sections,
-    gives=LIMITED,
+    quantities=QUANTITIES,
     purposes=(TABLE, PURPOSE),
     choices=(NOISE,),
 )

@@ -11,9 +11,10 @@ from pydantic import Field
 from analysis.fibre_gyro import FibreCoil
 from station.controllers import ControllersSettings, with_controllers
 from station.errors import SettingsError
+from station.measurements import MEASUREMENTS, limits_of
 from station.settings import (
     Finite,
-    Limit,
+    Limits,
     NotNegative,
     OutputSettings,
     Positive,
@@ -201,36 +202,6 @@ class FogSimulationSettings(SettingsSection):
     scope_gain_error: Annotated[float, Field(ge=-0.1, le=0.1)]
 
 
-class FogLimits(SettingsSection):
-    """Limits; one that is absent is not tested."""
-
-    nominal_difference_ppm: Limit = None
-    scale_factor_u_ppm: Limit = None
-    scatter_ppm: Limit = None
-    self_minus_table_ppm: Limit = None
-    self_minus_numbers_ppm: Limit = None
-    two_pi_error_ppm: Limit = None
-    nonlinearity_ppm: Limit = None
-    nonlinearity_of_point_ppm: Limit = None
-    asymmetry_ppm: Limit = None
-    repeatability_ppm: Limit = None
-    temperature_coefficient_ppm: Limit = None
-    bias_repeatability_dph: Limit = None
-    turn_on_transient_dph: Limit = None
-    warm_up_s: Limit = None
-    threshold_dps: Limit = None
-    resolution_dps: Limit = None
-    dead_zone_dps: Limit = None
-    scale_factor_over_temperature_ppm: Limit = None
-    bias_over_temperature_dph: Limit = None
-    bias_residual_dph: Limit = None
-    angle_random_walk_deg_per_sqrt_h: Limit = None
-    bias_instability_dph: Limit = None
-    rate_random_walk_dph_per_sqrt_h: Limit = None
-    witness_two_pi_error_ppm: Limit = None
-    witness_step_time_ppm: Limit = None
-
-
 class FogSettings(SettingsSection):
     """All settings of ``gyrolock fog``."""
 
@@ -248,7 +219,7 @@ class FogSettings(SettingsSection):
     witness: WitnessSettings
     controllers: ControllersSettings | None = None
     simulation: FogSimulationSettings
-    limits: FogLimits
+    limits: Limits
     output: OutputSettings
 
     @property
@@ -304,7 +275,8 @@ def _check(settings: FogSettings, path: Path) -> FogSettings:
 
 
 FIBRE_GYRO = SettingsKind(
-    model=FogSettings,
+    sections=FogSettings,
+    limits=lambda: limits_of(*(name for name, module in MEASUREMENTS.items() if ".fibre_gyro." in module)),
     shipped=lambda given: "fibre_gyro",
     adapt=_adapt,
     check=_check,

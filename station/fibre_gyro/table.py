@@ -22,8 +22,8 @@ from station.fibre_gyro.logs import (
 from station.fibre_gyro.segments import MARGIN_S, PlannedSegment
 from station.fibre_gyro.settings import FogSettings
 from station.fibre_gyro.table_result import (
-    LIMITED,
     PURPOSE,
+    QUANTITIES,
     AxisResult,
     TableEvaluation,
     evaluate,
@@ -319,7 +319,7 @@ MEASUREMENT = gyro_measurement(
     evaluate=evaluate,
     result=result,
     sections=sections,
-    gives=LIMITED,
+    quantities=QUANTITIES,
     plan=plan,
     choices=(NOISE,),
 )

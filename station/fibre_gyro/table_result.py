@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.fibre_gyro import (
+    LADDER_TERMS,
     NORMAL_95,
     AxisFit,
     InputAxisTilt,
@@ -45,14 +46,13 @@ from station.fibre_gyro.segments import (
     window_over_turns,
 )
 from station.fibre_gyro.settings import FogSettings
-from station.results.quantity import Value, value_beside
+from station.results.quantity import Quantity, QuantityGroup, document, rows
 from station.results.result import (
     Contribution,
     Excluded,
     Result,
     TextTable,
     budget_document,
-    picked,
     ppm,
     with_uncertainty,
 )
@@ -308,27 +308,95 @@ def _tilt(means: Sequence[WindowMean], fit: AxisFit, settings: FogSettings) -> I
 # The rate-table run as numbers and sentences
 
 
-LIMITED = ("nominal_difference_ppm", "scale_factor_u_ppm", "scatter_ppm")
-_FIT = {
-    "scale_factor_counts_per_dps": "scale_factor",
-    "scale_factor_u_counts_per_dps": "scale_factor_u",
-    "even_part_counts": "even",
-    "even_part_u_counts": "even_u",
-    "chi_square": "chi_square",
-    "degrees_of_freedom": "degrees_of_freedom",
-    "scatter_ppm": "scatter_ppm",
-    "angle_random_walk_deg_per_sqrt_h": "angle_random_walk",
-}
-_WINDOW = {
-    "turns": "turns",
-    "window_s": "duration_s",
-    "samples": "samples",
-    "sum_counts": "total",
-    "mean_counts": "mean",
-    "mean_u_counts": "mean_u",
-    "missing": "missing",
-    "outliers": "outliers",
-}
+_FIT_PPM = "scale_factor_u"
+NUMBERS = (
+    Quantity("scale_factor", "counts_per_dps", "fit.scale_factor", u=True, headline=True, trend=True),
+    Quantity("even_part", "counts", "fit.even", u=True, doc="mean over both senses: earth rate and bias"),
+    Quantity("chi_square", of="fit.chi_square"),
+    Quantity("degrees_of_freedom", of="fit.degrees_of_freedom"),
+    Quantity(
+        "angle_random_walk",
+        "deg_per_sqrt_h",
+        "fit.angle_random_walk",
+        doc="by the scatter of the words over the turns",
+    ),
+    Quantity("scale_factor_at_base_rate", "counts_per_dps", lambda one: one.parts.odd[0] / one.parts.rate_dps[0]),
+    Quantity("even_part", "dph", lambda one: one.fit.even_dph[0], lambda one: one.fit.even_dph[1]),
+    Quantity("bias", "dph", lambda one: one.bias_dph[0], lambda one: one.bias_dph[1], doc="less the earth rate"),
+    Quantity(
+        "vertical_earth_rate", "dph", lambda one: one.fit.earth_rate_dph[0], lambda one: one.fit.earth_rate_dph[1]
+    ),
+    Quantity(
+        "bias_drift", "dph_per_h", lambda one: one.fit.drift_dph_per_h[0], lambda one: one.fit.drift_dph_per_h[1]
+    ),
+    Quantity("input_axis_tilt", "mrad", "tilt.tilt_mrad", interval=("tilt.low_95_mrad", "tilt.high_95_mrad")),
+)
+NOMINAL_DIFFERENCE = Quantity(
+    "nominal_difference", "ppm", limit=True, u_at=f"{_FIT_PPM}_ppm", doc="K over the one by design, less one"
+)
+SCALE_FACTOR_U = Quantity(
+    _FIT_PPM, "ppm", lambda one: PPM * one.fit.scale_factor_u / abs(one.fit.scale_factor), limit=True
+)
+SCATTER = Quantity("scatter", "ppm", "fit.scatter_ppm", limit=True, doc="from run to run")
+WINDOW = (
+    Quantity("turns"),
+    Quantity("window", "s", "duration_s"),
+    Quantity("samples"),
+    Quantity("sum", "counts", "total"),
+    Quantity("mean", "counts", u=True),
+    Quantity("missing"),
+    Quantity("outliers"),
+)
+POINT = (Quantity("table_rate", "dps"), Quantity("residual", "ppm"))
+LADDER = (
+    Quantity(
+        "nonlinearity_rms", "ppm", "rms_ppm", interval=("rms_low_95_ppm", "rms_high_95_ppm"), doc="freed of noise"
+    ),
+    Quantity("nonlinearity", "ppm", "largest_ppm", interval=("largest_low_95_ppm", "largest_high_95_ppm")),
+)
+
+
+def _term(name: str) -> Quantity:
+    """One term of the scale-factor error, at the largest rate."""
+
+    def interval(ladder: Linearity) -> tuple[float, float]:
+        half = NORMAL_95 * ladder.value_u[name]
+        return ladder.value[name] - half, ladder.value[name] + half
+
+    return Quantity(name, "ppm", lambda ladder: ladder.value[name], lambda ladder: ladder.value_u[name], interval)
+
+
+LADDER_POINTS = (Quantity("rate", "dps", "rate_dps"), Quantity("error", "ppm", "error_ppm", "error_u_ppm"))
+DIFFERENCES = (
+    Quantity("delta", "dps", lambda made: made.delta_dps.round(9)),
+    Quantity("noise_u", "counts"),
+    Quantity("irreproducibility_u", "counts"),
+    Quantity("relative_u", "ppm", "relative_u_ppm"),
+    Quantity(
+        "number", "counts", u=True, doc="for the difference of two rates",
+        interval=(lambda made: made.number - NORMAL_95 * made.number_u,
+                  lambda made: made.number + NORMAL_95 * made.number_u),
+    ),
+)  # fmt: skip
+FROM_FIT = Quantity("from_fit", "ppm", doc="number over K times the difference, less one")
+MATRIX = (
+    Quantity(
+        "scale_factors", "counts_per_dps", "matrix", u=True, doc="of each gyro about each axis that was turned"
+    ),
+    Quantity("along_input_axis", "counts_per_dps", "scale_factor", u=True),
+    Quantity("misalignment", "mrad", "misalignment_mrad", "misalignment_u_mrad"),
+    Quantity("bias", "counts", u=True),
+)
+DESIGN = (Quantity("nominal_scale_factor", "counts_per_dps"), Quantity("irreproducibility", "ppm"))
+QUANTITIES = (
+    QuantityGroup((NOMINAL_DIFFERENCE, SCALE_FACTOR_U, SCATTER, *NUMBERS), "axes", "axis"),
+    QuantityGroup((*WINDOW, *POINT), "axes.points", "name"),
+    QuantityGroup((*LADDER, *map(_term, LADDER_TERMS)), "axes.linearity"),
+    QuantityGroup(LADDER_POINTS, "axes.linearity.points"),
+    QuantityGroup((*DIFFERENCES, FROM_FIT), "axes.differences"),
+    QuantityGroup(DESIGN),
+    QuantityGroup(MATRIX, "matrix"),
+)
 
 
 def result(found: TableEvaluation, run: SavedRun, settings: FogSettings) -> Result:
@@ -345,12 +413,12 @@ def result(found: TableEvaluation, run: SavedRun, settings: FogSettings) -> Resu
         value="; ".join(f"K({axis}) = {with_uncertainty(f.scale_factor, f.scale_factor_u)}" for axis, f in fits),
         document={
             "axes": axes,
-            "nominal_scale_factor_counts_per_dps": settings.nominal_scale_factor,
-            "irreproducibility_ppm": settings.table.irreproducibility_ppm,
+            DESIGN[0].key(): settings.nominal_scale_factor,
+            DESIGN[1].key(): settings.table.irreproducibility_ppm,
             "matrix": _matrix_document(found.matrix),
             "left_out": found.left_out,
         },
-        measured=tuple(_measured(axis, name) for axis in axes for name in LIMITED),
+        quantities=QUANTITIES,
         lines=lines,
         summary=[("", line) for line in lines],
         sentences=(
@@ -373,32 +441,15 @@ def _tables(found: TableEvaluation) -> Iterator[TextTable]:
         yield matrix_table(found.matrix)
 
 
-def _measured(axis: dict[str, Any], name: str) -> Value:
-    if name == "nominal_difference_ppm":
-        return Value.named(name, axis[name], axis["scale_factor_u_ppm"], of=axis["axis"])
-    return value_beside(axis, name, axis["axis"])
-
-
 def _matrix_document(matrix: ThreeAxes | None) -> dict[str, Any] | None:
     if matrix is None:
         return None
-    return {
-        "gyros": matrix.gyros,
-        "turned": matrix.turned,
-        "scale_factors_counts_per_dps": matrix.matrix,
-        "scale_factors_u_counts_per_dps": matrix.matrix_u,
-        "along_input_axis_counts_per_dps": matrix.scale_factor,
-        "along_input_axis_u_counts_per_dps": matrix.scale_factor_u,
-        "misalignment_mrad": matrix.misalignment_mrad,
-        "misalignment_u_mrad": matrix.misalignment_u_mrad,
-        "bias_counts": matrix.bias,
-        "bias_u_counts": matrix.bias_u,
-    }
+    return {"gyros": matrix.gyros, "turned": matrix.turned, **document(matrix, MATRIX)}
 
 
 def matrix_table(matrix: ThreeAxes) -> TextTable:
     """Return scale factors and misalignments of all gyros."""
-    rows = []
+    lines = []
     for place, gyro in enumerate(matrix.gyros):
         cells = [gyro]
         for other, axis in enumerate(matrix.turned):
@@ -408,73 +459,40 @@ def matrix_table(matrix: ThreeAxes) -> TextTable:
             )
             own = with_uncertainty(float(matrix.matrix[place, other]), float(matrix.matrix_u[place, other]))
             cells.append(own if axis == gyro or not math.isfinite(angle) else f"{with_uncertainty(angle, u)} mrad")
-        rows.append((*cells, with_uncertainty(float(matrix.bias[place]), float(matrix.bias_u[place]))))
+        lines.append((*cells, with_uncertainty(float(matrix.bias[place]), float(matrix.bias_u[place]))))
     header = ("gyro", *(f"about {axis}" for axis in matrix.turned), "bias, counts")
-    return TextTable(header, tuple(rows))
+    return TextTable(header, tuple(lines))
 
 
 def _axis(one: AxisResult, settings: FogSettings) -> dict[str, Any]:
-    fit, nominal = one.fit, settings.nominal_scale_factor
-    rates = {"even_part": fit.even_dph, "bias": one.bias_dph, "vertical_earth_rate": fit.earth_rate_dph}
-    rows = zip(one.keys, one.runs.rate_dps, one.windows, fit.residual_ppm, strict=True)
+    points = zip(one.runs.rate_dps, one.windows, one.fit.residual_ppm, one.keys, strict=True)
     return {
         "axis": one.axis,
-        **picked(fit, _FIT),
-        "scale_factor_u_ppm": PPM * fit.scale_factor_u / abs(fit.scale_factor),
-        "nominal_difference_ppm": PPM * (fit.scale_factor / nominal - 1),
-        "scale_factor_at_base_rate_counts_per_dps": one.parts.odd[0] / one.parts.rate_dps[0],
-        **{f"{name}_dph": value for name, (value, _) in rates.items()},
-        **{f"{name}_u_dph": u for name, (_, u) in rates.items()},
-        "bias_drift_dph_per_h": fit.drift_dph_per_h[0],
-        "bias_drift_u_dph_per_h": fit.drift_dph_per_h[1],
-        **_tilt_document(one),
+        **document(one, NUMBERS),
+        NOMINAL_DIFFERENCE.key(): PPM * (one.fit.scale_factor / settings.nominal_scale_factor - 1),
+        **document(one, (SCALE_FACTOR_U, SCATTER)),
         "differences": _differences(one),
         "linearity": None if one.linearity is None else _linearity(one.linearity),
         "noise_model": None if one.noise is None else one.noise.source,
         "budget": axis_budget(one, settings),
         "points": [
-            {"name": key, "table_rate_dps": rate, **picked(window, _WINDOW), "residual_ppm": residual}
-            for key, rate, window, residual in rows
+            {"name": key, POINT[0].key(): rate, **document(window, WINDOW), POINT[1].key(): residual}
+            for rate, window, residual, key in points
         ],
-    }
-
-
-def _tilt_document(one: AxisResult) -> dict[str, float | None]:
-    tilt = one.tilt
-    return {
-        "input_axis_tilt_mrad": tilt.tilt_mrad if tilt else None,
-        "input_axis_tilt_low_95_mrad": tilt.low_95_mrad if tilt else None,
-        "input_axis_tilt_high_95_mrad": tilt.high_95_mrad if tilt else None,
     }
 
 
 def _linearity(ladder: Linearity) -> dict[str, Any]:
-    terms = {}
-    for name, value in ladder.value.items():
-        u = ladder.value_u[name]
-        terms[f"{name}_ppm"] = value
-        terms[f"{name}_u_ppm"] = u
-        terms[f"{name}_low_95_ppm"], terms[f"{name}_high_95_ppm"] = value - NORMAL_95 * u, value + NORMAL_95 * u
-    columns = (ladder.rate_dps, ladder.error_ppm, ladder.error_u_ppm)
     return {
         "terms": ladder.chosen,
-        **terms,
-        "nonlinearity_rms_ppm": ladder.rms_ppm,
-        "nonlinearity_rms_low_95_ppm": ladder.rms_low_95_ppm,
-        "nonlinearity_rms_high_95_ppm": ladder.rms_high_95_ppm,
-        "nonlinearity_ppm": ladder.largest_ppm,
-        "nonlinearity_low_95_ppm": ladder.largest_low_95_ppm,
-        "nonlinearity_high_95_ppm": ladder.largest_high_95_ppm,
-        "points": [
-            {"rate_dps": rate, "error_ppm": error, "error_u_ppm": u}
-            for rate, error, u in zip(*columns, strict=True)
-        ],
+        **document(ladder, [*map(_term, ladder.value), *LADDER]),
+        "points": rows(ladder, LADDER_POINTS),
     }
 
 
 def ladder_table(axes: Sequence[AxisResult]) -> TextTable:
     """Return the terms of the scale-factor error and the nonlinearity of every axis that was run over a ladder."""
-    rows = []
+    lines = []
     for one in axes:
         ladder = one.linearity
         if ladder is None:
@@ -483,12 +501,14 @@ def ladder_table(axes: Sequence[AxisResult]) -> TextTable:
             u = ladder.value_u[name]
             low, high = value - NORMAL_95 * u, value + NORMAL_95 * u
             seen = "in the polynomial" if name in ladder.chosen else "not seen"
-            rows.append((f"{one.axis}, {name}", with_uncertainty(value, u), f"{low:+.3g} to {high:+.3g}", seen))
+            lines.append((f"{one.axis}, {name}", with_uncertainty(value, u), f"{low:+.3g} to {high:+.3g}", seen))
         rms = f"{ladder.rms_low_95_ppm:.3g} to {ladder.rms_high_95_ppm:.3g}"
         largest = f"{ladder.largest_low_95_ppm:.3g} to {ladder.largest_high_95_ppm:.3g}"
-        rows.append((f"{one.axis}, nonlinearity, rms", f"{ladder.rms_ppm:.3g}", rms, "freed of noise"))
-        rows.append((f"{one.axis}, nonlinearity, largest", f"{ladder.largest_ppm:.3g}", largest, "freed of noise"))
-    return TextTable(("scale-factor error at the largest rate", "ppm", "95 %", ""), tuple(rows))
+        lines.append((f"{one.axis}, nonlinearity, rms", f"{ladder.rms_ppm:.3g}", rms, "freed of noise"))
+        lines.append(
+            (f"{one.axis}, nonlinearity, largest", f"{ladder.largest_ppm:.3g}", largest, "freed of noise")
+        )
+    return TextTable(("scale-factor error at the largest rate", "ppm", "95 %", ""), tuple(lines))
 
 
 def _ladder_sentence(one: AxisResult) -> str:
@@ -510,21 +530,10 @@ def _ladder_sentence(one: AxisResult) -> str:
 
 
 def _differences(one: AxisResult) -> list[dict[str, Any]]:
-    made = one.differences
-    if made is None:
+    if (made := one.differences) is None:
         return []
-    columns = {
-        "delta_dps": made.delta_dps.round(9),
-        "number_counts": made.number,
-        "noise_u_counts": made.noise_u,
-        "irreproducibility_u_counts": made.irreproducibility_u,
-        "relative_u_ppm": made.relative_u_ppm,
-        "number_u_counts": made.number_u,
-        "number_low_95_counts": made.number - NORMAL_95 * made.number_u,
-        "number_high_95_counts": made.number + NORMAL_95 * made.number_u,
-        "from_fit_ppm": PPM * (made.number / (one.fit.scale_factor * made.delta_dps) - 1),
-    }
-    return [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
+    off = PPM * (made.number / (one.fit.scale_factor * made.delta_dps) - 1)
+    return [{**row, FROM_FIT.key(): value} for row, value in zip(rows(made, DIFFERENCES), off, strict=True)]
 
 
 def _even_part_sentence(settings: FogSettings) -> str:
@@ -582,7 +591,7 @@ def _to_watch_of(one: AxisResult, settings: FogSettings) -> list[str]:
 
 
 def _axes_on_terminal(found: TableEvaluation) -> TextTable:
-    rows = tuple(
+    lines = tuple(
         (
             one.axis,
             with_uncertainty(one.fit.scale_factor, one.fit.scale_factor_u),
@@ -592,7 +601,7 @@ def _axes_on_terminal(found: TableEvaluation) -> TextTable:
         )
         for one in found.axes
     )
-    return TextTable(("axis", f"K, {COUNTS_PER_DPS}", "even part, deg/h", "bias, deg/h", "scatter"), rows)
+    return TextTable(("axis", f"K, {COUNTS_PER_DPS}", "even part, deg/h", "bias, deg/h", "scatter"), lines)
 
 
 # --------------------

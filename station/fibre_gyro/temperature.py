@@ -45,7 +45,7 @@ from station.fibre_gyro.segments import (
 )
 from station.fibre_gyro.settings import FogSettings
 from station.report.figure import ACCENT, HALF, INK, SECOND, SOFT, WIDE, legend_above, svg_element
-from station.results.quantity import value_beside
+from station.results.quantity import Quantity, QuantityGroup, document, repeated
 from station.results.result import Excluded, PlacedFigure, Result, Section, TextTable, with_uncertainty
 from station.runs.store import SavedRun
 
@@ -451,7 +451,62 @@ def compensation_of(one: AxisTemperature, settings: FogSettings) -> Compensation
 # Scale factor and bias over the temperature as numbers and sentences
 
 
-LIMITED = ("scale_factor_over_temperature_ppm", "bias_over_temperature_dph", "bias_residual_dph")
+NUMBERS = (
+    Quantity(
+        "scale_factor_over_temperature", "ppm", lambda one: _span(one.scale)[0], lambda one: _span(one.scale)[1],
+        limit=True, headline=True, doc="largest less smallest K over the measured range",
+    ),
+    Quantity(
+        "bias_over_temperature", "dph", lambda one: _span(one.bias)[0], lambda one: _span(one.bias)[1], limit=True
+    ),
+    Quantity(
+        "bias_residual", "dph", lambda one: one.bias.residual_rms if one.bias else math.nan, limit=True,
+        doc="rms of what the model leaves",
+    ),
+    Quantity("rate_noise_share", of="rate_noise", doc="part of the scatter of dT/dt that is noise"),
+)  # fmt: skip
+DESIGN = (Quantity("reference_temperature", "c"), Quantity("nominal_scale_factor", "counts_per_dps"))
+COMPENSATION = (
+    Quantity("temperature", "c"),
+    Quantity("scale_factor", "counts_per_dps", u=True),
+    Quantity("bias", "dph", u=True),
+    Quantity("bias", "dph_per_k_per_min", "bias_rate", u=True, doc="by dT/dt"),
+)
+POINTS = (
+    Quantity("at", "s", "points.at_s"),
+    Quantity("temperature", "c", "points.temperature"),
+    Quantity("k_per_min", of="points.rate", doc="dT/dt"),
+)
+
+
+def _model_quantities(unit: str, constant_u: float = 0.0) -> tuple[Quantity, ...]:
+    """Numbers of a model; `constant_u` is added to the u of its constant."""
+
+    def coefficients_u(modelled: Modelled) -> Floats:
+        u = modelled.model.coefficients_u.copy()
+        u[0] = math.hypot(u[0], constant_u)
+        return u
+
+    return (
+        Quantity("order", of="model.order"),
+        Quantity("coefficients", unit, "model.coefficients", coefficients_u, doc="of powers of T - T0"),
+        Quantity("", f"{unit}_per_k_per_min", "model.rate_coefficient", u=True, u_at=f"{unit}_u_per_k_per_min"),
+        Quantity("lowest", "c", "model.lowest"),
+        Quantity("highest", "c", "model.highest"),
+        Quantity("noise_u", unit, "model.noise_u", doc="of a point"),
+        Quantity("slow", unit, "model.slow", doc="slow noise"),
+        Quantity("residual", unit, "residual_rms", doc="rms of what the model leaves"),
+    )
+
+
+_MODELS = {"scale_factor": "ppm", "bias": "dph"}
+QUANTITIES = (
+    QuantityGroup((*NUMBERS, *DESIGN), "axes", "axis", alone=False),
+    *(QuantityGroup(_model_quantities(unit), f"axes.{name}") for name, unit in _MODELS.items()),
+    *(QuantityGroup(POINTS, f"axes.{name}.points") for name in _MODELS),
+    QuantityGroup(COMPENSATION, "axes.compensation"),
+    QuantityGroup(repeated(NUMBERS)),
+)
 _NOISY_RATE = 0.01
 
 
@@ -463,11 +518,9 @@ def result(found: TemperatureEvaluation, run: SavedRun, settings: FogSettings) -
     watched = tuple(_to_watch(found, settings))
     return Result(
         name="result",
-        value="; ".join(_value(one, axis) for one, axis in zip(found.axes, axes, strict=True)),
+        value="; ".join(map(_value, found.axes)),
         document={**(axes[0] if alone else {}), "axes": axes, "left_out": found.left_out},
-        measured=tuple(
-            value_beside(axis, name, "" if alone else axis["axis"]) for axis in axes for name in LIMITED
-        ),
+        quantities=QUANTITIES,
         lines=lines,
         summary=[("", line) for line in lines],
         sentences=tuple(said for one in found.axes for said in _sentences(one)),
@@ -478,72 +531,44 @@ def result(found: TemperatureEvaluation, run: SavedRun, settings: FogSettings) -
     )
 
 
-def _value(one: AxisTemperature, axis: dict[str, Any]) -> str:
+def _value(one: AxisTemperature) -> str:
     parts = []
     if one.scale is not None:
-        k, u = (axis[f"scale_factor_over_temperature_{end}"] for end in ("ppm", "u_ppm"))
-        parts.append(f"K changes by {with_uncertainty(k, u)} ppm")
+        parts.append(f"K changes by {with_uncertainty(*_span(one.scale))} ppm")
     if one.bias is not None:
-        span, u = (axis[f"bias_over_temperature_{end}"] for end in ("dph", "u_dph"))
-        parts.append(f"the bias by {with_uncertainty(span, u)} deg/h")
+        parts.append(f"the bias by {with_uncertainty(*_span(one.bias))} deg/h")
     model = next(modelled.model for modelled in (one.bias, one.scale) if modelled is not None)
     return f"{', '.join(parts)} from {model.lowest:.3g} to {model.highest:.3g} °C"
 
 
+def _span(modelled: Modelled | None) -> tuple[float, float]:
+    return (math.nan, math.nan) if modelled is None else modelled.model.span()
+
+
 def _axis_document(one: AxisTemperature, settings: FogSettings) -> dict[str, Any]:
-    table = compensation_of(one, settings)
-    (k_span, k_span_u), (span, span_u) = (
-        (math.nan, math.nan) if modelled is None else modelled.model.span() for modelled in (one.scale, one.bias)
-    )
     return {
         "axis": one.axis,
-        "scale_factor_over_temperature_ppm": k_span,
-        "scale_factor_over_temperature_u_ppm": k_span_u,
-        "bias_over_temperature_dph": span,
-        "bias_over_temperature_u_dph": span_u,
-        "bias_residual_dph": one.bias.residual_rms if one.bias else math.nan,
-        "reference_temperature_c": settings.figures.reference_temperature_c,
-        "nominal_scale_factor_counts_per_dps": settings.nominal_scale_factor,
-        "scale_factor": _model_document(one.scale, "ppm", constant_u=one.scale_u_constant),
-        "bias": _model_document(one.bias, "dph", constant_u=one.bias_u_constant),
-        "rate_noise_share": one.rate_noise,
-        "compensation": {
-            "temperature_c": table.temperature,
-            "scale_factor_counts_per_dps": table.scale_factor,
-            "scale_factor_u_counts_per_dps": table.scale_factor_u,
-            "bias_dph": table.bias,
-            "bias_u_dph": table.bias_u,
-            "bias_dph_per_k_per_min": table.bias_rate,
-            "bias_u_dph_per_k_per_min": table.bias_rate_u,
-        },
+        **document(one, NUMBERS),
+        DESIGN[0].key(): settings.figures.reference_temperature_c,
+        DESIGN[1].key(): settings.nominal_scale_factor,
+        "scale_factor": _model_document(one.scale, "ppm", one.scale_u_constant),
+        "bias": _model_document(one.bias, "dph", one.bias_u_constant),
+        "compensation": document(compensation_of(one, settings), COMPENSATION),
     }
 
 
-def _model_document(modelled: Modelled | None, unit: str, constant_u: float = 0.0) -> dict[str, Any] | None:
+def _model_document(modelled: Modelled | None, unit: str, constant_u: float) -> dict[str, Any] | None:
     if modelled is None:
         return None
     model, points = modelled.model, modelled.points
-    u = model.coefficients_u.copy()
-    u[0] = math.hypot(u[0], constant_u)
     return {
-        "order": model.order,
+        **document(modelled, _model_quantities(unit, constant_u)),
         "with_rate": model.with_rate,
         "rate_known": model.rate_known,
-        f"coefficients_{unit}": model.coefficients,
-        f"coefficients_u_{unit}": u,
-        f"{unit}_per_k_per_min": model.rate_coefficient,
-        f"{unit}_u_per_k_per_min": model.rate_coefficient_u,
-        "lowest_c": model.lowest,
-        "highest_c": model.highest,
-        f"noise_u_{unit}": model.noise_u,
-        f"slow_{unit}": model.slow,
         "slow_noise": model.slow_kind,
-        f"residual_{unit}": modelled.residual_rms,
         "candidates": model.candidates,
         "points": {
-            "at_s": points.at_s,
-            "temperature_c": points.temperature,
-            "k_per_min": points.rate,
+            **document(modelled, POINTS),
             f"value_{unit}": points.value,
             f"residual_{unit}": model.residual,
         },
@@ -782,6 +807,6 @@ MEASUREMENT = gyro_measurement(
     evaluate=evaluate,
     result=result,
     sections=sections,
-    gives=LIMITED,
+    quantities=QUANTITIES,
     plan=plan,
 )

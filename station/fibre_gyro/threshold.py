@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -40,7 +40,7 @@ from station.fibre_gyro.segments import (
 )
 from station.fibre_gyro.settings import FogSettings
 from station.report.figure import ACCENT, HALF, LINE, SECOND, SOFT, WIDE, legend_above, svg_element
-from station.results.quantity import Value, value_beside
+from station.results.quantity import Quantity, QuantityGroup, document, repeated, rows
 from station.results.result import Excluded, PlacedFigure, Result, Section, TextTable, with_uncertainty
 from station.runs.acquisition import Acquisition
 from station.runs.store import SavedRun
@@ -229,7 +229,45 @@ def series_of(
 # Threshold, resolution and dead zone as numbers and sentences
 
 
-LIMITED = ("threshold_dps", "resolution_dps", "dead_zone_dps")
+def _edge(name: str, edge: Callable[[Any], Edge | None], **more: Any) -> Quantity:
+    """An edge: its value where it is seen, and its interval; an upper end that nobody knows is nan."""
+
+    def value(one: AxisThreshold) -> float | None:
+        found = edge(one)
+        return found.value if found is not None and found.seen else None
+
+    def interval(one: AxisThreshold) -> tuple[float, float] | None:
+        if (found := edge(one)) is None:
+            return None
+        return found.low_95, found.high_95 if math.isfinite(found.high_95) else math.nan
+
+    return Quantity(name, "dps", value, interval=interval, bound=True, **more)
+
+
+NUMBERS = (
+    _edge("threshold", lambda one: one.ladder.says.threshold, limit=True, headline=True),
+    _edge(
+        "resolution", lambda one: one.resolution.says.threshold if one.resolution else None, limit=True,
+        doc="smallest change that is seen about another input",
+    ),
+    _edge("dead_zone", lambda one: one.ladder.says.width, limit=True, doc="from its lower to its upper edge"),
+    _edge("dead_zone_above", lambda one: one.ladder.says.rising),
+    _edge("dead_zone_below", lambda one: one.ladder.says.falling),
+    Quantity("resolution_at", "dps", "resolution.reference_dps"),
+    Quantity("reference", "dps", "ladder.reference_dps", doc="input at rest, with the earth rate"),
+    Quantity("scale_factor", "counts_per_dps", doc="that responses are compared with"),
+    Quantity("wander", "dph", lambda one: 3600 * one.ladder.found.wander / abs(one.scale_factor)),
+)  # fmt: skip
+POINTS = (
+    Quantity("name", of="keys"),
+    Quantity("input", "dps", "found.input_dps"),
+    Quantity("ratio", of="found.ratio", u=True, doc="change of the output over the expected one"),
+)
+QUANTITIES = (
+    QuantityGroup(NUMBERS, "axes", "axis", alone=False),
+    QuantityGroup(repeated(NUMBERS)),
+    *(QuantityGroup(POINTS, f"axes.{name}", "name") for name in ("points", "resolution_points")),
+)
 _SENSES = {1: "positive", -1: "negative"}
 
 
@@ -238,13 +276,13 @@ def result(found: ThresholdEvaluation, run: SavedRun, settings: FogSettings) -> 
     axes = [_axis(one) for one in found.axes]
     alone = len(axes) == 1
     lines = tuple(line for one in found.axes for line in _lines(one, several=not alone))
-    watched = (*_to_watch(found, settings), *undecided_limits(axes, LIMITED, settings))
+    watched = (*_to_watch(found, settings), *undecided_limits({"axes": axes}, QUANTITIES, settings))
     first = found.axes[0]
     return Result(
         name="result",
         value=f"Threshold {in_words(first.ladder.says.threshold)}",
         document={**(axes[0] if alone else {}), "axes": axes, "left_out": found.left_out},
-        measured=tuple(_measured(one, name, "" if alone else one["axis"]) for one in axes for name in LIMITED),
+        quantities=QUANTITIES,
         lines=lines,
         summary=[("", line) for line in lines],
         sentences=_sentences(found, settings),
@@ -263,45 +301,13 @@ def in_words(edge: Edge) -> str:
     return f"below {edge.high_95:.3g} deg/s"
 
 
-def _measured(axis: dict[str, Any], name: str, of: str) -> Value:
-    """A bound stands for what is below it."""
-    value = value_beside(axis, name, of)
-    return replace(value, value=value.high_95) if math.isnan(value.value) else value
-
-
-def _edge(name: str, edge: Edge | None) -> dict[str, Any]:
-    if edge is None:
-        return dict.fromkeys((f"{name}_dps", f"{name}_low_95_dps", f"{name}_high_95_dps"))
-    return {
-        f"{name}_dps": edge.value if edge.seen else None,
-        f"{name}_low_95_dps": edge.low_95,
-        f"{name}_high_95_dps": edge.high_95 if math.isfinite(edge.high_95) else math.nan,
-    }
-
-
 def _axis(one: AxisThreshold) -> dict[str, Any]:
-    says, resolution = one.ladder.says, one.resolution
     return {
         "axis": one.axis,
-        **_edge("threshold", says.threshold),
-        **_edge("resolution", resolution.says.threshold if resolution else None),
-        **_edge("dead_zone", says.width),
-        **_edge("dead_zone_above", says.rising),
-        **_edge("dead_zone_below", says.falling),
-        "resolution_at_dps": resolution.reference_dps if resolution else None,
-        "reference_dps": one.ladder.reference_dps,
-        "scale_factor_counts_per_dps": one.scale_factor,
-        "wander_dph": 3600 * one.ladder.found.wander / abs(one.scale_factor),
-        "points": _points(one.ladder),
-        "resolution_points": _points(resolution) if resolution else [],
+        **document(one, NUMBERS),
+        "points": rows(one.ladder, POINTS),
+        "resolution_points": rows(one.resolution, POINTS) if one.resolution else [],
     }
-
-
-def _points(series: ThresholdSeries) -> list[dict[str, Any]]:
-    found = series.found
-    names = ("name", "input_dps", "ratio", "ratio_u")
-    rows = zip(series.keys, found.input_dps, found.ratio, found.ratio_u, strict=True)
-    return [dict(zip(names, row, strict=True)) for row in rows]
 
 
 def _lines(one: AxisThreshold, *, several: bool) -> tuple[str, ...]:
@@ -626,6 +632,6 @@ MEASUREMENT = gyro_measurement(
     evaluate=evaluate,
     result=result,
     sections=sections,
-    gives=LIMITED,
+    quantities=QUANTITIES,
     unusable=_unusable,
 )

@@ -34,7 +34,8 @@ from station.live.preview import Preview, PreviewTrace, PreviewValue, See, trace
 from station.measurements import Measurement
 from station.operator import ask_operator
 from station.report.figure import ACCENT, INK, SECOND, SOFT, WIDE, legend_above, svg_element
-from station.results.quantity import Value
+from station.results.numbers import TWO_PI_ERROR_PPM, TWO_PI_VOLTAGE
+from station.results.quantity import Quantity, QuantityGroup, document
 from station.results.result import (
     Excluded,
     FactTable,
@@ -42,7 +43,6 @@ from station.results.result import (
     Result,
     Section,
     TextTable,
-    picked,
     ppm,
     with_uncertainty,
 )
@@ -137,9 +137,9 @@ def _truth(settings: FogSettings) -> dict[str, dict[str, float]]:
         return {}
     eps, half_wave = settings.simulation.two_pi_error, settings.simulation.half_wave_v
     truth = {
-        "two_pi_voltage_v": 2 * half_wave * (1 + eps),
-        "two_pi_error_ppm": PPM * eps,
-        "step_time_s": settings.coil.transit_time,
+        TWO_PI_VOLTAGE.key(): 2 * half_wave * (1 + eps),
+        TWO_PI_ERROR_PPM.key(): PPM * eps,
+        STEP_TIME.key(): settings.coil.transit_time,
         "step_codes": settings.witness.step_codes,
     }
     return {"truth": truth}
@@ -421,23 +421,39 @@ def _widened(measured: Uncertain, relative_u: float) -> Uncertain:
 # What the staircase on the oscilloscope means, as numbers and sentences
 
 
-LIMITED = ("witness_two_pi_error_ppm", "witness_step_time_ppm")
-_RECORD = {
-    "step_height_v": "step_height",
-    "step_height_u_v": "step_height_u",
-    "step_time_s": "step_time",
-    "step_time_u_s": "step_time_u",
-    "reset_height_v": "reset_height",
-    "reset_height_u_v": "reset_height_u",
-    "two_pi_voltage_v": "two_pi_voltage",
-    "two_pi_voltage_u_v": "two_pi_voltage_u",
-    "bias_height_v": "bias_height",
-    "bias_height_u_v": "bias_height_u",
-    "steps": "steps",
-    "resets": "resets",
-    "noise_rms_v": "noise_rms",
-    "flags": "flags",
-}
+def _mean_quantity(name: str, unit: str, of: str, **more: Any) -> Quantity:
+    return Quantity(name, unit, f"{of}.value", f"{of}.u", **more)
+
+
+TWO_PI_ERROR = replace(
+    TWO_PI_ERROR_PPM, of="two_pi_error.value", u="two_pi_error.u", limit="witness_two_pi_error_ppm"
+)
+STEP_TIME = _mean_quantity("step_time", "s", "step_time")
+NUMBERS = (
+    replace(TWO_PI_VOLTAGE, headline=True),
+    _mean_quantity("step_height", "v", "step_height"),
+    STEP_TIME,
+    _mean_quantity("reset_height", "v", "reset_height", doc="fall of the staircase at a reset"),
+    _mean_quantity("bias_height", "v", "bias_height"),
+    _mean_quantity("step", "codes", "step_codes", doc="over V_2π, free of the oscilloscope's gain"),
+    _mean_quantity("two_pi_error", "", "two_pi_error"),
+    TWO_PI_ERROR,
+    _mean_quantity(
+        "step_time_difference", "ppm", "step_time_ppm", limit="witness_step_time_ppm",
+        doc="step time over the coil's transit time by design, less one",
+    ),
+    Quantity("two_pi_voltage_u_without_gain", "v", "two_pi_voltage_record_u"),
+    Quantity("half_wave", "v", lambda found: found.half_wave_v or None),
+)  # fmt: skip
+RECORD = (
+    *(Quantity(name, "v", f"found.{name}", u=True) for name in ("step_height", "reset_height")),
+    *(Quantity(name, "v", f"found.{name}", u=True) for name in ("two_pi_voltage", "bias_height")),
+    Quantity("step_time", "s", "found.step_time", u=True),
+    Quantity("steps", of="found.steps"),
+    Quantity("resets", of="found.resets"),
+    Quantity("noise_rms", "v", "found.noise_rms"),
+)
+QUANTITIES = (QuantityGroup(NUMBERS), QuantityGroup(RECORD, "records", "name"))
 
 
 def result(found: WitnessEvaluation, run: SavedRun, settings: FogSettings) -> Result:
@@ -451,10 +467,7 @@ def result(found: WitnessEvaluation, run: SavedRun, settings: FogSettings) -> Re
         name="result",
         value=value,
         document=_document(found, settings),
-        measured=(
-            Value.named("witness_two_pi_error_ppm", PPM * found.two_pi_error.value, PPM * found.two_pi_error.u),
-            Value.named("witness_step_time_ppm", found.step_time_ppm.value, found.step_time_ppm.u),
-        ),
+        quantities=QUANTITIES,
         lines=lines,
         summary=[("", line) for line in lines],
         sentences=tuple(_sentences(found, settings, run.facts.get("injected", {}).get("step_codes"))),
@@ -466,31 +479,20 @@ def result(found: WitnessEvaluation, run: SavedRun, settings: FogSettings) -> Re
 
 def _document(found: WitnessEvaluation, settings: FogSettings) -> dict[str, Any]:
     return {
-        **_pair("step_height", found.step_height, "_v"),
-        **_pair("step_time", found.step_time, "_s"),
-        **_pair("reset_height", found.reset_height, "_v"),
-        **_pair("two_pi_voltage", found.two_pi_voltage, "_v"),
-        **_pair("bias_height", found.bias_height, "_v"),
-        **_pair("step", found.step_codes, "_codes"),
-        **_pair("step_time_difference", found.step_time_ppm, "_ppm"),
-        **_pair("two_pi_error", found.two_pi_error, ""),
-        "two_pi_error_ppm": PPM * found.two_pi_error.value,
-        "two_pi_error_u_ppm": PPM * found.two_pi_error.u,
-        "two_pi_voltage_u_without_gain_v": found.two_pi_voltage_record_u,
-        "half_wave_v": found.half_wave_v or None,
+        **document(found, NUMBERS),
         "gain_u": settings.witness.gain_u,
         "time_base_u": settings.witness.time_base_u,
-        "records": [_record_document(one) for one in found.records],
+        "records": [
+            {
+                "name": one.name,
+                **document(one, RECORD),
+                "flags": one.found.flags,
+                "step_time_given": one.step_time_given,
+            }
+            for one in found.records
+        ],
         "left_out": found.left_out,
     }
-
-
-def _pair(name: str, value: Uncertain, unit: str) -> dict[str, float]:
-    return {f"{name}{unit}": value.value, f"{name}_u{unit}": value.u}
-
-
-def _record_document(one: WitnessedRecord) -> dict[str, Any]:
-    return {"name": one.name, **picked(one.found, _RECORD), "step_time_given": one.step_time_given}
 
 
 def _lines(found: WitnessEvaluation) -> list[str]:
@@ -544,7 +546,7 @@ def _to_watch(found: WitnessEvaluation, settings: FogSettings) -> list[str]:
         said.append(sentence if count == total else f"{sentence} ({count} of {total} records)")
     if any(one.step_time_given for one in found.records):
         said.append("Single steps hardly stand out: they were looked for at the transit time of the coil.")
-    limit, u = settings.limits.witness_two_pi_error_ppm, PPM * found.two_pi_error.u
+    limit, u = settings.limits.model_dump().get(TWO_PI_ERROR.limit_name), PPM * found.two_pi_error.u
     if limit is not None and u > limit:
         said.append(
             f"The 2π error is uncertain by {u:.3g} ppm, more than its limit of {limit:g} ppm: neither PASS nor "
@@ -694,9 +696,9 @@ def _values(found: Sequence[StaircaseWitness]) -> tuple[PreviewValue, ...]:
     step, step_u = _mean_so_far([(one.step_height, one.step_height_u) for one in found])
     said = with_uncertainty(voltage, voltage_u, "V") if math.isfinite(voltage) else "no reset"
     return (
-        PreviewValue("two_pi_voltage_v", voltage, voltage_u, said, len(found)),
-        PreviewValue("step_height_v", step, step_u, with_uncertainty(step, step_u, "V"), len(found)),
-        PreviewValue("step_time_s", time, time_u, with_uncertainty(1e6 * time, 1e6 * time_u, "µs"), len(found)),
+        PreviewValue(NUMBERS[0].key(), voltage, voltage_u, said, len(found)),
+        PreviewValue(NUMBERS[1].key(), step, step_u, with_uncertainty(step, step_u, "V"), len(found)),
+        PreviewValue(NUMBERS[2].key(), time, time_u, with_uncertainty(1e6 * time, 1e6 * time_u, "µs"), len(found)),
     )
 
 
@@ -735,7 +737,7 @@ MEASUREMENT = Measurement(
     result=result,
     sections=sections,
     facts=facts,
-    gives=LIMITED,
+    quantities=QUANTITIES,
     simulated=is_simulated,
     watch=watch,
 )

@@ -21,6 +21,7 @@ from rich.text import Text
 from station.live.console import PlainConsole, campaign_line, duration, link_words, run_name
 from station.live.events import Event
 from station.live.status import Situation
+from station.results.numbers import BEAT_FREQUENCY, LOCK_IN_RATE, TWO_PI_VOLTAGE
 from station.terminal import stepping_aside, visible
 
 _LOST = (OSError, ValueError)
@@ -120,12 +121,12 @@ _STEPS = 8
 _LINES_BELOW = 10  # beside plot and groups: the head, and what stands below
 _STATES = {"PASS": "green", "FAIL": "bold red", "MARGINAL": "yellow", "ERROR": "bold magenta", "now": "bold cyan"}
 _NAMES = {
-    "lock_in_rate_dps": "lock-in rate",
-    "beat_frequency_hz": "beat",
+    LOCK_IN_RATE.key(): "lock-in rate",
+    BEAT_FREQUENCY.key(): "beat",
     "ratio": "r",
     "rate_dps": "rate",
     "output_counts": "output",
-    "two_pi_voltage_v": "V_2π",
+    TWO_PI_VOLTAGE.key(): "V_2π",
     "step_height_v": "step",
     "step_time_s": "every",
 }

@@ -20,6 +20,16 @@ from instrument import InstrumentError, Preamble
 from instrument.scpi import HIGHEST_CODE, NO_DATA
 from station.errors import RunError, StationError, UsageError
 from station.files import keep_for_batches
+from station.results.numbers import (
+    AMPLITUDE,
+    BACKSCATTER_PHASE,
+    BEAT_FREQUENCY,
+    INPUT_RATE,
+    LOCK_IN_RATE,
+    LOCK_IN_RATE_NOISE_U,
+    NOISE_RMS,
+    SCALE_FACTOR,
+)
 from station.runs.store import SavedRecord, damaged_record
 from station.sources.batches import (
     AT_ONCE,
@@ -257,7 +267,7 @@ def method_of(source: Source, choices: Mapping[str, Any]) -> Method:
             f"{source.name}: is a run of {source.facts.command!r}: its records give no lock-in rate each"
         )
     if "scale_factor" not in wanted:
-        known = source.facts.settings.get("gyro", {}).get("scale_factor_pulses_per_deg")
+        known = source.facts.settings.get("gyro", {}).get(SCALE_FACTOR.key())
         if not isinstance(known, int | float) or not known > 0:
             raise UsageError(f"{source.name}: does not say how many pulses per degree: give --scale-factor")
         wanted["scale_factor"] = float(known)
@@ -363,13 +373,13 @@ _IN_CACHE = 16
 
 # name of the column: field of the estimate, and what of it
 COLUMNS: Mapping[str, tuple[str, Any]] = {
-    "lock_in_rate_dps": ("lock_in_rate", None),
-    "lock_in_rate_noise_u_dps": ("lock_in_rate_u", None),
+    LOCK_IN_RATE.key(): ("lock_in_rate", None),
+    LOCK_IN_RATE_NOISE_U.key(): ("lock_in_rate_u", None),
     "lock_in_rate_noise_low_95_dps": ("lock_in_rate_low_95", None),
     "lock_in_rate_noise_high_95_dps": ("lock_in_rate_high_95", None),
-    "input_rate_dps": ("input_rate", None),
-    "beat_frequency_hz": ("beat_frequency", None),
-    "beat_frequency_u_hz": ("beat_frequency_u", None),
+    INPUT_RATE.key(): ("input_rate", None),
+    BEAT_FREQUENCY.key(): ("beat_frequency", None),
+    BEAT_FREQUENCY.key("u"): ("beat_frequency_u", None),
     "ratio": ("ratio", None),
     "ratio_u": ("ratio_u", None),
     "ratio_misfit_u": ("misfit_u", None),
@@ -378,9 +388,9 @@ COLUMNS: Mapping[str, tuple[str, Any]] = {
     "complex_ratio_var_re": ("complex_ratio_covariance", lambda c: c[:, 0, 0]),
     "complex_ratio_cov_re_im": ("complex_ratio_covariance", lambda c: c[:, 0, 1]),
     "complex_ratio_var_im": ("complex_ratio_covariance", lambda c: c[:, 1, 1]),
-    "backscatter_phase_rad": ("backscatter_phase", None),
-    "amplitude_v": ("amplitude", None),
-    "noise_rms_v": ("noise_rms", None),
+    BACKSCATTER_PHASE.key(): ("backscatter_phase", None),
+    AMPLITUDE.key(): ("amplitude", None),
+    NOISE_RMS.key(): ("noise_rms", None),
     "third_harmonic_re": ("third_harmonic", np.real),
     "third_harmonic_im": ("third_harmonic", np.imag),
     "third_harmonic_u": ("third_harmonic_u", None),

@@ -15,11 +15,13 @@ from analysis.arrays import NoFit
 from analysis.lock_in_run import Method
 from station.live.preview import Preview, PreviewValue, See, harmonics_of, trace_of_beat, waveform_of
 from station.lock_in.evaluate import LockInEvaluation, evaluate_run, evaluate_source
+from station.lock_in.quantities import QUANTITIES, record_documents
 from station.lock_in.report import sections
-from station.lock_in.result import fact_tables, record_documents, result
-from station.lock_in.settings import RING_LASER, LockInLimits, Settings
+from station.lock_in.result import fact_tables, result
+from station.lock_in.settings import RING_LASER, Settings
 from station.lock_in.take import take
 from station.measurements import Measurement
+from station.results.numbers import BEAT_FREQUENCY, LOCK_IN_RATE, RATIO
 from station.results.result import with_uncertainty
 from station.ring_laser.bench import examine
 from station.runs.store import NewRecord, SavedRun
@@ -104,10 +106,10 @@ class _LockInPreview:
         lock_in, lock_in_u = _lock_in(size, beat / self._scale_factor, u)
         return (
             PreviewValue(
-                "lock_in_rate_dps", lock_in, lock_in_u, with_uncertainty(lock_in, lock_in_u, "deg/s"), count
+                LOCK_IN_RATE.key(), lock_in, lock_in_u, with_uncertainty(lock_in, lock_in_u, "deg/s"), count
             ),
-            PreviewValue("beat_frequency_hz", beat, math.nan, f"{beat:.5g} Hz", count),
-            PreviewValue("ratio", size, u, with_uncertainty(size, u), count),
+            PreviewValue(BEAT_FREQUENCY.key(), beat, math.nan, f"{beat:.5g} Hz", count),
+            PreviewValue(RATIO.key(), size, u, with_uncertainty(size, u), count),
         )
 
     def _so_far(self) -> tuple[PreviewValue, ...]:
@@ -136,7 +138,7 @@ class _LockInPreview:
             return ()
         value, u = fit.lock_in_rate, fit.lock_in_rate_u
         count = sum(len(rate.beats) for rate in rates)
-        return (PreviewValue("lock_in_rate_dps", value, u, with_uncertainty(value, u, "deg/s"), count),)
+        return (PreviewValue(LOCK_IN_RATE.key(), value, u, with_uncertainty(value, u, "deg/s"), count),)
 
 
 def _group(record: NewRecord) -> str:
@@ -175,7 +177,7 @@ MEASUREMENT = Measurement(
     evaluate=evaluate,
     evaluate_source=evaluate_source,
     choices=("scale_factor", "relation", "input_rate"),
-    gives=tuple(LockInLimits.model_fields),
+    quantities=QUANTITIES,
     result=result,
     sections=lambda found, run, settings, result: sections(found, result),
     facts=fact_tables,

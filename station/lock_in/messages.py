@@ -12,6 +12,7 @@ from analysis.budget import Budget, BudgetInput
 from analysis.frequency_method import FrequencyFlag
 from analysis.lock_in_run import ScaleFactorCheck, TableCheck
 from station.lock_in.evaluate import LockInEvaluation
+from station.results.numbers import LOCK_IN_RATE
 from station.results.result import with_uncertainty
 
 _SECONDS_PER_HOUR = 3600.0
@@ -53,7 +54,7 @@ def truth_sentence(found: LockInEvaluation) -> str:
     """Compare a simulated truth with the 95 % interval; empty where there is none."""
     if found.truth is None:
         return ""
-    true, (low, high) = found.truth["lock_in_rate_dps"], found.interval_95
+    true, (low, high) = found.truth[LOCK_IN_RATE.key()], found.interval_95
     distance = (found.lock_in_rate - true) / found.budget.expanded_u_95 if found.budget is not None else math.nan
     where = "inside" if low <= true <= high else "outside"
     return (
@@ -67,7 +68,7 @@ def truth_is_missed(found: LockInEvaluation) -> bool:
     if found.truth is None or not found.usable:
         return False
     low, high = found.interval_95
-    return not low <= found.truth["lock_in_rate_dps"] <= high
+    return not low <= found.truth[LOCK_IN_RATE.key()] <= high
 
 
 def span_words(values: Iterable[float], unit: str = "") -> str:

@@ -31,6 +31,7 @@ from station.report.figure import (
     legend_above,
     svg_element,
 )
+from station.results.numbers import LOCK_IN_RATE
 from station.results.result import PlacedFigure, Result, Section, TextTable
 
 if TYPE_CHECKING:
@@ -72,7 +73,7 @@ def _several_rates(found: LockInEvaluation, several: SeveralRates) -> Section:
     sentences = tuple(rates_sentences(found))
     if several.by_beat is None:
         return Section("Several rates", sentences=sentences, table=table)
-    truth = None if found.truth is None else found.truth["lock_in_rate_dps"]
+    truth = None if found.truth is None else found.truth[LOCK_IN_RATE.key()]
     figure = PlacedFigure(
         rates_svg(several.groups, several.by_beat, found.method.scale_factor, truth),
         "Lock-in rate that each rate alone would give, with its standard uncertainty. Lock-in itself is the same "
@@ -300,7 +301,7 @@ def values_svg(evaluation: LockInEvaluation) -> str:
             label=f"{which}, ±1 u of its noise",
         )
         if evaluation.truth is not None:
-            true = evaluation.truth["lock_in_rate_dps"]
+            true = evaluation.truth[LOCK_IN_RATE.key()]
             axes.axhline(true, color=THIRD, linestyle=(0, (5, 3)), linewidth=1.2, label="truth of the simulation")
         axes.set(xlabel="record", ylabel="lock-in rate, deg/s", xlim=(0.4, count + 0.6))
         axes.xaxis.set_major_locator(MaxNLocator(integer=True))

@@ -21,10 +21,11 @@ from analysis.channel import ChannelResponse
 from analysis.lock_in_run import Method, RunKnowledge
 from station.controllers import ControllersSettings, with_controllers
 from station.errors import SettingsError, UsageError
+from station.measurements import limits_of
 from station.ring_laser.settings import RingLaserSettings, ScopeSettings, SimulationSettings
 from station.settings import (
     Finite,
-    Limit,
+    Limits,
     NotNegative,
     OutputSettings,
     Positive,
@@ -112,16 +113,6 @@ class BudgetSettings(SettingsSection):
     latitude_u_deg: NotNegative
 
 
-class LockInLimits(SettingsSection):
-    """Limits; one that is absent is not tested. Names as in the JSON of a result."""
-
-    lock_in_rate_dps: Limit = None
-    lock_in_rate_u_dps: Limit = None
-    lock_in_rate_high_95_dps: Limit = None
-    noise_rms_v: Limit = None
-    tilt_deg: Limit = None
-
-
 class Settings(SettingsSection):
     """All settings of a run. ``simulation`` is absent on a real bench."""
 
@@ -135,7 +126,7 @@ class Settings(SettingsSection):
     budget: BudgetSettings | None = None  # runs of earlier versions were saved without it
     controllers: ControllersSettings | None = None
     simulation: SimulationSettings | None = None
-    limits: LockInLimits = LockInLimits()
+    limits: Limits = Limits()
 
     @property
     def simulated(self) -> bool:
@@ -178,7 +169,7 @@ def load_settings(
 @cache
 def default_settings(name: Literal["simulated", "bench"] = "simulated") -> Settings:
     """Return the settings of a shipped file as they stand."""
-    return Settings.model_validate(read_toml(shipped_settings(name)))
+    return RING_LASER.model.model_validate(read_toml(shipped_settings(name)))
 
 
 _NO_SCALE_FACTOR = (
@@ -296,7 +287,8 @@ def _first_written(lines: list[str]) -> int:
 
 
 RING_LASER = SettingsKind(
-    model=Settings,
+    sections=Settings,
+    limits=lambda: limits_of("measure"),
     shipped=_shipped,
     adapt=_adapt,
     check=_check,

@@ -97,7 +97,8 @@ class Result:
         if not isinstance(self._evaluated, Evaluated) or self._evaluated.kind.rows(self.found):
             return data_frame(self._evaluated.rows())
         return data_frame(
-            {"name": one.name, "of": one.of, "value": one.value, "unit": one.unit} for one in self._said.measured
+            {"name": one.quantity.limit_name, "of": one.of, "value": one.value, "unit": one.unit}
+            for one in self._said.measured
         )
 
     def _record(self, wanted: int | str | None) -> Record:

@@ -28,8 +28,9 @@ from station.lock_in.evaluate import (
     evaluate_waveforms,
     gathered_arrays,
 )
+from station.lock_in.quantities import record_documents
 from station.lock_in.report import sections
-from station.lock_in.result import record_documents, result
+from station.lock_in.result import result
 from station.lock_in.settings import (
     ask_scale_factor,
     channel_response,
@@ -39,6 +40,7 @@ from station.lock_in.settings import (
 )
 from station.operator import ask_number
 from station.reanalysis.analyze_table import Work
+from station.results.numbers import AMPLITUDE, BEAT_FREQUENCY, INPUT_RATE, SCALE_FACTOR
 from station.results.result import FactTable, Result, Section, TextTable, plain, with_prefix
 from station.results.verdict import Tested, check_limits, verdict
 from station.ring_laser.records import saved_waveform
@@ -54,7 +56,7 @@ from station.sources.workers import Workers
 ONE_RATE = 0.02
 """Beat frequencies of records at one rate differ by less than this share."""
 
-FILE_COLUMN, RATE_COLUMN, U_COLUMN = "file", "input_rate_dps", "input_rate_u_dps"
+FILE_COLUMN, RATE_COLUMN, U_COLUMN = "file", INPUT_RATE.key(), "input_rate_u_dps"
 
 
 def combine(
@@ -365,8 +367,8 @@ class AnalyzedFiles:
             scopes = [dict(one) for one in dict.fromkeys(tuple(about.items()) for about in self.about)]
             return dict(plain(document | {"files": self.paths, "left_out": missing, "taken_with": scopes}))
         document |= {"file": self.paths[0], "harmonics": self.harmonics}
-        if self.harmonics and not np.isfinite(document["beat_frequency_hz"]):
-            document["beat_frequency_hz"] = self.harmonics[0]["frequency_hz"]
+        if self.harmonics and not np.isfinite(document[BEAT_FREQUENCY.key()]):
+            document[BEAT_FREQUENCY.key()] = self.harmonics[0]["frequency_hz"]
         return dict(plain(document))
 
     def taken_with(self) -> list[str]:
@@ -430,7 +432,7 @@ def states_scale_factor(config: Path | None) -> bool:
 def _stated_of_files(config: Path) -> float | None:
     """The scale factor that a settings file states itself."""
     settings = load_settings(config)
-    if "scale_factor_pulses_per_deg" in read_toml(config).get("gyro", {}):
+    if SCALE_FACTOR.key() in read_toml(config).get("gyro", {}):
         return settings.gyro.scale_factor_pulses_per_deg
     return None
 
@@ -458,7 +460,7 @@ def analyze_waveforms(
     if len(waveforms) == 1 and not int(found.combined.flags) & int(Flag.NO_BEAT | Flag.CONSTANT):
         harmonics = harmonics_of(waveforms[0])
     tables = (*said.tables, _harmonics_table(harmonics)) if harmonics else said.tables
-    shown = Result(**{**vars(said), "tables": tables})
+    shown = replace(said, tables=tables)
     return AnalyzedFiles(tuple(paths), found, harmonics, shown, tested=tested_by(config, said))
 
 
@@ -473,7 +475,7 @@ def harmonics_of(waveform: Waveform) -> list[dict[str, float]] | None:
         {
             "order": order,
             "frequency_hz": order * float(fit.frequency),
-            "amplitude_v": float(np.abs(amplitude)),
+            AMPLITUDE.key(): float(np.abs(amplitude)),
             "phase_rad": float(np.angle(amplitude)),
         }
         for order, amplitude in enumerate(fit.amplitudes, start=1)
@@ -481,12 +483,12 @@ def harmonics_of(waveform: Waveform) -> list[dict[str, float]] | None:
 
 
 def _harmonics_table(harmonics: list[dict[str, float]]) -> TextTable:
-    first = harmonics[0]["amplitude_v"]
+    first = harmonics[0][AMPLITUDE.key()]
     rows = tuple(
         (
             f"{one['order']}",
             with_prefix(one["frequency_hz"], "Hz"),
-            with_prefix(one["amplitude_v"], "V"),
+            with_prefix(one[AMPLITUDE.key()], "V"),
             f"{one['amplitude_v'] / first:.4f}" if first > 0 else "",
         )
         for one in harmonics

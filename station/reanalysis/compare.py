@@ -23,6 +23,7 @@ from station.reanalysis.combine import (
 )
 from station.reanalysis.table_file import rows_of_pieces
 from station.report.figure import ACCENT, INK, SECOND, SOFT, write_picture
+from station.results.numbers import BEAT_FREQUENCY, LOCK_IN_RATE, LOCK_IN_RATE_NOISE_U
 from station.results.result import TextTable, plain, with_uncertainty
 from station.runs.progress import Progress
 from station.shell.finish import evaluate_saved
@@ -58,22 +59,22 @@ def headline_of(
         if len(sources) == 1 and is_run(sources[0]):
             document = evaluate_saved(sources[0], workers, quiet, config=config, choices=choices).result.document
         else:
-            beats = side.values["beat_frequency_hz"]
+            beats = side.values[BEAT_FREQUENCY.key()]
             known = beats[np.isfinite(beats)]
             if not known.size or np.ptp(known) >= ONE_RATE * known.max():
                 return None
             document = combine(sources, choices, workers, quiet, config=config).result.document
     except (StationError, InstrumentError):
         return None
-    rate, u = (float(document.get(name, math.nan)) for name in ("lock_in_rate_dps", "lock_in_rate_u_dps"))
+    rate, u = (float(document.get(name, math.nan)) for name in (LOCK_IN_RATE.key(), LOCK_IN_RATE.key("u")))
     return Headline(rate, u, "several_rates" not in document) if math.isfinite(rate + u) else None
 
 
 Floats = NDArray[np.float64]
 
 QUANTITIES = {
-    "lock_in_rate_dps": ("lock_in_rate_noise_u_dps", "deg/s", "lock-in rate"),
-    "beat_frequency_hz": ("beat_frequency_u_hz", "Hz", "beat frequency"),
+    LOCK_IN_RATE.key(): (LOCK_IN_RATE_NOISE_U.key(), "deg/s", "lock-in rate"),
+    BEAT_FREQUENCY.key(): (BEAT_FREQUENCY.key("u"), "Hz", "beat frequency"),
     "ratio": ("ratio_u", "", "r = A2/A1"),
 }
 _TEXTS = ("source", "source_sha256", "analysis", "unit")
@@ -227,14 +228,14 @@ class Comparison:
 def compare(first: ComparedRecords, second: ComparedRecords) -> Comparison:
     """Compare the lock-in rates, beat frequencies and ratios of two analyses."""
     for one in (first, second):
-        if not np.isfinite(one.values["lock_in_rate_dps"]).any():
+        if not np.isfinite(one.values[LOCK_IN_RATE.key()]).any():
             raise NoUsableSignal(f"{one.name}: holds no record with a lock-in rate")
     places = {key: row for row, key in enumerate(second.keys)}
     pairs = [(row, places[key]) for row, key in enumerate(first.keys) if key in places]
     same = bool(pairs)
     here, there = (np.array(rows, dtype=np.intp) for rows in zip(*pairs, strict=True)) if same else (None, None)
     differences = tuple(_difference(name, first, second, here, there) for name in QUANTITIES)
-    a, b = first.values["lock_in_rate_dps"], second.values["lock_in_rate_dps"]
+    a, b = first.values[LOCK_IN_RATE.key()], second.values[LOCK_IN_RATE.key()]
     only = (0, 0)
     if here is not None and there is not None:
         known_a, known_b = np.isfinite(a[here]), np.isfinite(b[there])

@@ -29,6 +29,7 @@ from station.files import program
 from station.lock_in.estimate import COLUMNS, Gathered, Piece, columns_of, estimate_pieces
 from station.lock_in.evaluate import describe_method
 from station.lock_in.settings import RING_LASER, FrontEndSettings, channel_response
+from station.results.numbers import LOCK_IN_RATE, LOCK_IN_RATE_NOISE_U, SCALE_FACTOR
 from station.settings import saved_settings
 from station.sources.batches import ExcludedRecord
 
@@ -95,15 +96,15 @@ TEXTS = (
 INTEGERS = ("schema_version", "record", "samples", "flag_bits")
 NUMBERS = (
     *("sample_interval_s", "table_rate_dps", "azimuth_start_deg", "azimuth_end_deg", "over_lock_in"),
-    *("scale_factor_pulses_per_deg", "given_input_rate_dps"),
+    *(SCALE_FACTOR.key(), "given_input_rate_dps"),
     *(name for name in COLUMNS if name != "flag_bits"),
 )
 ORDER = (
     *("source", "record", "key", "taken_at", "unit", "gyro", "operator", "channel"),
-    *("lock_in_rate_dps", "lock_in_rate_noise_u_dps"),
+    *(LOCK_IN_RATE.key(), LOCK_IN_RATE_NOISE_U.key()),
     *("lock_in_rate_noise_low_95_dps", "lock_in_rate_noise_high_95_dps"),
     *(name for name in NUMBERS if name in COLUMNS and not name.startswith("lock_in_rate")),
-    *("flags", "flag_bits", "method", "relation", "scale_factor_pulses_per_deg", "given_input_rate_dps"),
+    *("flags", "flag_bits", "method", "relation", SCALE_FACTOR.key(), "given_input_rate_dps"),
     *("table_rate_dps", "azimuth_start_deg", "azimuth_end_deg", "over_lock_in", "samples", "sample_interval_s"),
     *("model", "serial", "firmware", "probe", "taken_with"),
     *("source_sha256", "analysis", "software", "schema_version"),
@@ -249,7 +250,7 @@ def _columns(piece: Piece, gathered: Gathered) -> dict[str, Values]:
         "flags": [_flags(bits) for bits in each.flags.tolist()],
         "method": describe_method(method),
         "relation": method.relation,
-        "scale_factor_pulses_per_deg": method.scale_factor,
+        SCALE_FACTOR.key(): method.scale_factor,
         "given_input_rate_dps": math.nan if method.input_rate is None else method.input_rate,
     }
     columns["third_harmonic_u"] = np.where(np.isfinite(each.third_harmonic_u), each.third_harmonic_u, np.nan)

@@ -1,15 +1,15 @@
-"""A number of a result: its value, its 95 % interval and its unit, and how they stand in a JSON document.
+"""A number of a result, declared once: its key, its unit, where an evaluation holds it, and how well it is known.
 
-This is the one place where a key is read. The uncertainty of a number stands beside it, its name with ``u`` at any
-of its joints: ``ratio_u``, ``lock_in_rate_u_dps``, ``bias_instability_dph_u``; the ends of its interval in the
-same way with ``low_95`` and ``high_95``. The end of the name is its unit.
+JSON, limits, verdicts, the list of runs, control charts and docs/results.md are loops over declarations; nobody
+takes a key apart. The key of ``Quantity("lock_in_rate", "dps")`` is ``lock_in_rate_dps``; beside it stand its
+uncertainty, ``lock_in_rate_u_dps``, and its 95 % interval, ``lock_in_rate_low_95_dps`` and ``..._high_95_dps``.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 UNITS = {
@@ -18,6 +18,7 @@ UNITS = {
     "hz": "Hz",
     "v": "V",
     "s": "s",
+    "c": "°C",
     "deg": "deg",
     "rad": "rad",
     "mrad": "mrad",
@@ -29,11 +30,94 @@ UNITS = {
     "deg_per_sqrt_h": "deg/√h",
     "dph_per_sqrt_h": "deg/h/√h",
     "dph_per_h": "deg/h/h",
+    "deg_per_sqrt_s": "deg/√s",
+    "dph_per_k": "deg/h/K",
+    "dph_per_k_per_min": "deg/h per K/min",
+    "ppm_per_k_per_min": "ppm per K/min",
+    "k_per_min": "K/min",
 }
-"""End of a name, and the unit that it stands for."""
+"""Unit at the end of a key, and as a person reads it."""
 
 _COVERAGE = 2.0
 """Half a 95 % interval in standard uncertainties where a result gives no interval (GUM 6.3.3)."""
+
+Get = str | Callable[[Any], Any]
+"""Where an evaluation holds something: the way of its attribute, ``"fit.slope"``, or a function."""
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """One number, or one column of numbers, of a result."""
+
+    name: str  # without its unit: "lock_in_rate"
+    unit: str = ""  # end of its key, one of `UNITS`; "" for a pure number or a text
+    of: Get = ""  # by default the attribute called `name`
+    u: Get | bool = False  # standard uncertainty (k = 1); True: the attribute `of` with "_u" at its end
+    interval: Get | tuple[Get, Get] | bool = False  # 95 %, both ends; True: `of` with "_low_95" and "_high_95"
+    scale: float = 1.0  # from the unit of the analysis to this one
+    limit: bool | str = False  # whether [limits] may name it; a text: by another name than its key
+    headline: bool = False  # whether the list of runs shows it
+    trend: bool = False  # whether control charts follow it though no limit is set on it
+    bound: bool = False  # where there is no value, the upper end of its interval is judged: it is below that
+    optional: bool = False  # whether a run may be without it: a limit on it is then not tested
+    u_at: str = ""  # key of its uncertainty where that has another name
+    label: str = ""  # heading of its column; a column without is for programs only
+    form: str = "{}"  # how a value without uncertainty is written: "{:+g} codes"
+    u_last: bool = False  # "bias_instability_dph_u": older keys have the word behind the unit
+    doc: str = ""  # what it is, where its name does not say it
+
+    def key(self, what: str = "") -> str:
+        """Name in JSON; `what` is one of "u", "low_95", "high_95"."""
+        parts = (self.name, self.unit, what) if self.u_last else (self.name, what, self.unit)
+        return "_".join(filter(None, parts))
+
+    @property
+    def words(self) -> str:
+        """Its name as a person says it: ``"lock-in rate"``."""
+        name = self.limit.removesuffix(f"_{self.unit}") if isinstance(self.limit, str) else self.name
+        return name.replace("_", " ").replace("lock in", "lock-in")
+
+    @property
+    def limit_name(self) -> str:
+        """What [limits] call it; empty where they may not."""
+        return self.limit if isinstance(self.limit, str) else self.key() if self.limit else ""
+
+    def values(self, evaluation: Any) -> dict[str, Any]:
+        """Value, uncertainty and 95 % interval of an evaluation, by their keys."""
+        of = self.of or self.name
+        found = {self.key(): self._got(evaluation, of)}
+        if self.u:
+            found[self.u_at or self.key("u")] = self._got(evaluation, f"{of}_u" if self.u is True else self.u)
+        if self.interval:
+            ends: Any = self.interval
+            if ends is True:
+                ends = f"{of}_low_95", f"{of}_high_95"
+            if not isinstance(ends, tuple):
+                low, high = _got(evaluation, ends) or (None, None)
+            else:
+                low, high = (_got(evaluation, end) for end in ends)
+            found |= {self.key("low_95"): self._scaled(low), self.key("high_95"): self._scaled(high)}
+        return found
+
+    def _got(self, evaluation: Any, at: Get) -> Any:
+        return self._scaled(_got(evaluation, at))
+
+    def _scaled(self, value: Any) -> Any:
+        return value if value is None or self.scale == 1.0 else self.scale * value
+
+    def value_in(self, document: Mapping[str, Any], of: str = "") -> Value:
+        """The number as a JSON document holds it; nan for what it does not hold."""
+        value, u, low, high = (
+            _number(document.get(key))
+            for key in (self.key(), self.u_at or self.key("u"), self.key("low_95"), self.key("high_95"))
+        )
+        if self.bound and math.isnan(value):
+            value = high
+        if not math.isfinite(high - low):
+            low, high = (
+                (value - _COVERAGE * u, value + _COVERAGE * u) if math.isfinite(u) else (math.nan, math.nan)
+            )
+        return Value(value, UNITS.get(self.unit, ""), low, high, of, u, self)
 
 
 @dataclass(frozen=True)
@@ -45,25 +129,19 @@ class Value:
     low_95: float = math.nan  # ends of its 95 % interval, every input counted; nan where nobody knows them
     high_95: float = math.nan
     of: str = ""  # what it is of, where a run gives several: ``"X"``
-    name: str = field(default="", compare=False)  # its key, with the unit at its end
     u: float = field(default=math.nan, compare=False)  # standard uncertainty
+    quantity: Quantity = field(default=Quantity(""), compare=False)
 
-    @classmethod
-    def named(
-        cls,
-        name: str,
-        value: float | None,
-        u: float | None = None,
-        *,
-        low_95: float | None = None,
-        high_95: float | None = None,
-        of: str = "",
-    ) -> Value:
-        """By the key of a number; ``None`` is not known, and where there is no interval it is twice `u` wide."""
-        size, spread, low, high = (math.nan if one is None else float(one) for one in (value, u, low_95, high_95))
-        if not math.isfinite(high - low) and math.isfinite(spread):
-            low, high = size - _COVERAGE * spread, size + _COVERAGE * spread
-        return cls(size, UNITS.get(unit_at_end(name), ""), low, high, of, name, spread)
+    @property
+    def name(self) -> str:
+        """Its key in the JSON."""
+        return self.quantity.key()
+
+    @property
+    def limit_name(self) -> str:
+        """What a limit calls it, with what it is of where there are several."""
+        name = self.quantity.limit_name or self.name
+        return f"{name} of {self.of}" if self.of else name
 
     @property
     def uncertain(self) -> bool:
@@ -85,24 +163,112 @@ class Value:
     @property
     def words(self) -> str:
         """Its name as a person says it: ``"lock-in rate"``, ``"scatter of X"``."""
-        words = plain_words(without_unit(self.name))
-        return f"{words} of {self.of}" if self.of else words
+        return f"{self.quantity.words} of {self.of}" if self.of else self.quantity.words
 
 
-def value_beside(document: Mapping[str, Any], name: str, of: str = "") -> Value:
-    """Return a number of a document with what stands beside it of its uncertainty.
+@dataclass(frozen=True)
+class QuantityGroup:
+    """Quantities that stand together in one object of the JSON document, or in each of a list."""
 
-    Examples
-    --------
-    >>> value_beside({"ratio": 0.1, "ratio_u": 0.01}, "ratio").high_95
-    0.12000000000000001
-    >>> value_beside({"walk_deg_per_sqrt_h": 5.0, "walk_deg_per_sqrt_h_low_95": 4.0}, "walk_deg_per_sqrt_h").low_95
-    4.0
+    quantities: tuple[Quantity, ...]
+    place: str = ""  # way to it: "axes", "several_rates.by_beat"; "": the document itself
+    each: str = ""  # of a list: key of what tells its objects apart: "axis"
+    alone: bool = True  # whether a list of one object says what it is of
+
+    def objects(self, document: Mapping[str, Any]) -> Iterator[tuple[str, Mapping[str, Any]]]:
+        """Every object of a document that holds them, and what it is of."""
+        found: list[tuple[str, Any]] = [("", document)]
+        for name in filter(None, self.place.split(".")):
+            found = [pair for _, holder in found for pair in self._inside(holder, name)]
+        return ((of, holder) for of, holder in found if isinstance(holder, Mapping))
+
+    def _inside(self, holder: Any, name: str) -> Iterator[tuple[str, Any]]:
+        inner = holder.get(name) if isinstance(holder, Mapping) else None
+        if not isinstance(inner, list | tuple):
+            yield "", inner
+            return
+        named = self.each and (self.alone or len(inner) > 1)
+        for one in inner:
+            yield str(one.get(self.each, "")) if named and isinstance(one, Mapping) else "", one
+
+    def values(self, document: Mapping[str, Any], wanted: Callable[[Quantity], object]) -> Iterator[Value]:
+        """The wanted numbers of a document, object by object."""
+        for of, holder in self.objects(document):
+            for quantity in self.quantities:
+                if wanted(quantity):
+                    yield quantity.value_in(holder, of)
+
+
+Quantities = Sequence[QuantityGroup]
+"""All numbers of a measurement."""
+
+
+# --------------------
+# Loops over declarations
+
+
+def document(evaluation: Any, quantities: Iterable[Quantity]) -> dict[str, Any]:
+    """JSON of some quantities; null for each where there is no evaluation."""
+    return {key: value for one in quantities for key, value in one.values(evaluation).items()}
+
+
+def rows(evaluation: Any, columns: Iterable[Quantity]) -> list[dict[str, Any]]:
+    """JSON of a table: one object a row."""
+    made = document(evaluation, columns)
+    return [dict(zip(made, row, strict=True)) for row in zip(*made.values(), strict=True)]
+
+
+def limited_values(document: Mapping[str, Any], declared: Quantities) -> tuple[Value, ...]:
+    """What of a result limits can be set on."""
+    found = (value for group in declared for value in group.values(document, lambda one: one.limit))
+    return tuple(one for one in found if not (one.quantity.optional and math.isnan(one.value)))
+
+
+def headline_values(document: Mapping[str, Any], declared: Quantities) -> tuple[Value, ...]:
+    """What the list of runs shows of a result: one number, or that of each axis."""
+    wanted = (group.values(document, lambda one: one.headline) for group in declared)
+    found = (tuple(one for one in values if one.name in _keys_in(document, declared)) for values in wanted)
+    return next((values for values in found if values), ())
+
+
+def _keys_in(document: Mapping[str, Any], declared: Quantities) -> set[str]:
+    """Keys that a document has, of whatever value: an older one may lack a number."""
+    return {key for group in declared for _, holder in group.objects(document) for key in holder}
+
+
+def limit_names(declared: Quantities) -> tuple[str, ...]:
+    """Names that [limits] of a measurement may have."""
+    names = (quantity.limit_name for group in declared for quantity in group.quantities)
+    return tuple(dict.fromkeys(filter(None, names)))
+
+
+def value_at(document: Mapping[str, Any], place: str, declared: Quantities) -> Value | None:
+    """Any number of a result by its way in the JSON, ``"axes.1.scale_factor_counts_per_dps"``.
+
+    ``None`` where no object stands there; without uncertainty where the number is not declared.
     """
-    low, high = (_beside(document, name, f"{end}_95") for end in ("low", "high"))
-    return Value.named(
-        name, _number(document.get(name)), _beside(document, name, "u"), low_95=low, high_95=high, of=of
-    )
+    *way, key = place.split(".")
+    inner: Any = document
+    for step in way:
+        if isinstance(inner, list) and step.isdecimal() and int(step) < len(inner):
+            inner = inner[int(step)]
+        else:
+            inner = inner.get(step) if isinstance(inner, Mapping) else None
+    if not isinstance(inner, Mapping):
+        return None
+    above = ".".join(step for step in way if not step.isdecimal())
+    groups = sorted(declared, key=lambda group: group.place != above)
+    known = (one for group in groups for one in group.quantities if one.key() == key)
+    return next(known, Quantity(key)).value_in(inner)
+
+
+def repeated(quantities: Iterable[Quantity]) -> tuple[Quantity, ...]:
+    """The same numbers where the document of one axis has them once more."""
+    return tuple(replace(one, limit=False, trend=False) for one in quantities)
+
+
+# --------------------
+# Digits
 
 
 def decimals_of(u: float) -> int:
@@ -115,54 +281,18 @@ def decimals_of(u: float) -> int:
     return places - (round(u * 10.0**places) >= 100)  # 0.0996 is written with the digits of 0.10
 
 
-def has_uncertainty(document: Mapping[str, Any], name: str) -> bool:
-    """Whether a document has a place for the standard uncertainty of a number, though it may be empty."""
-    return any(_is_number(document[key]) for key in _names_with(name, "u") if key in document)
+def _got(evaluation: Any, at: Get) -> Any:
+    """What an evaluation holds somewhere; ``None`` where the way ends before."""
+    if callable(at):
+        return at(evaluation)
+    for name in at.split("."):
+        if evaluation is None:
+            return None
+        evaluation = getattr(evaluation, name)
+    return evaluation
 
 
-def unit_at_end(name: str) -> str:
-    """End of a name that stands for its unit; empty for a pure number.
-
-    >>> unit_at_end("angle_random_walk_deg_per_sqrt_h"), unit_at_end("ratio")
-    ('deg_per_sqrt_h', '')
-    """
-    return max((unit for unit in UNITS if name.endswith(f"_{unit}")), key=len, default="")
-
-
-def without_unit(name: str) -> str:
-    """Return a name without its unit."""
-    unit = unit_at_end(name)
-    return name.removesuffix(f"_{unit}") if unit else name
-
-
-def plain_words(name: str) -> str:
-    """Say a name of the JSON as a person writes it.
-
-    >>> plain_words("lock_in_rate")
-    'lock-in rate'
-    """
-    return name.replace("_", " ").replace("lock in", "lock-in")
-
-
-def _beside(document: Mapping[str, Any], name: str, what: str) -> float | None:
-    found = (_number(document.get(key)) for key in _names_with(name, what))
-    return next((one for one in found if one is not None), None)
-
-
-def _names_with(name: str, what: str) -> Iterator[str]:
-    """The name with a word at each of its joints, before its unit first."""
-    parts = name.split("_")
-    unit = unit_at_end(name)
-    joint = len(parts) - (unit.count("_") + 1 if unit else 0)
-    for at in (joint, *range(len(parts), 0, -1)):
-        yield "_".join([*parts[:at], what, *parts[at:]])
-
-
-def _is_number(value: object) -> bool:
-    return value is None or (isinstance(value, int | float) and not isinstance(value, bool))
-
-
-def _number(value: Any) -> float | None:
+def _number(value: Any) -> float:
     if getattr(value, "ndim", None) == 0:  # an array of no dimensions
         value = value.item()
-    return float(value) if isinstance(value, int | float) and not isinstance(value, bool) else None
+    return float(value) if isinstance(value, int | float) and not isinstance(value, bool) else math.nan

@@ -5,13 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, is_dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 
 from station.errors import StationError, one_line
-from station.results.quantity import Value, decimals_of
+from station.results.quantity import Quantities, Quantity, Value, decimals_of, limited_values
 
 # --------------------
 # What a report or a page on the terminal is put together from
@@ -86,7 +87,7 @@ class Result:
     name: str  # of the value: ``"lock-in rate"``
     value: str  # in large letters
     document: dict[str, Any]  # the body of the JSON document; arrays and nan may be in it
-    measured: tuple[Value, ...] = ()  # what limits can be set on
+    quantities: Quantities = ()  # what the numbers of the document are
     lines: tuple[str, ...] = ()  # below the value in the report
     summary: Rows = ()  # (str, str): Below the value on the terminal
     sentences: tuple[str, ...] = ()  # what the result means
@@ -99,6 +100,11 @@ class Result:
     # what rules the result and is not known or not right; ``None``: whatever is `to_watch`
     doubts: tuple[str, ...] | None = None
     failures: tuple[str, ...] = ()  # checks of the result that fail
+
+    @cached_property
+    def measured(self) -> tuple[Value, ...]:
+        """What limits can be set on."""
+        return limited_values(self.document, self.quantities)
 
     @property
     def standing(self) -> Validity:
@@ -175,6 +181,24 @@ def ppm(value: float, u: float = math.nan) -> str:
         return "none"
     text = with_uncertainty(value, u) if math.isfinite(u) and u > 0 else f"{value:.4g}"
     return f"{'' if text.startswith('-') else '+'}{text} ppm"
+
+
+def table(evaluation: Any, columns: Sequence[Quantity]) -> TextTable:
+    """Return columns of numbers as a person reads them; one without a label is for programs."""
+    shown = [one for one in columns if one.label]
+    return TextTable(
+        tuple(one.label for one in shown), tuple(zip(*(_cells(evaluation, one) for one in shown), strict=True))
+    )
+
+
+def _cells(evaluation: Any, column: Quantity) -> list[str]:
+    found = column.values(evaluation)
+    values = list(found[column.key()])
+    if not column.u:
+        return [column.form.format(value) for value in values]
+    return [
+        with_uncertainty(float(value), float(u)) for value, u in zip(values, found[column.key("u")], strict=True)
+    ]
 
 
 # --------------------

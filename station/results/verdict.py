@@ -13,7 +13,7 @@ from typing import Any, Literal
 
 from scipy.special import ndtr
 
-from station.results.quantity import Value, plain_words, value_beside, without_unit
+from station.results.quantity import Value, value_at
 from station.results.result import Result
 
 Verdict = Literal["PASS", "FAIL", "MARGINAL", "ERROR", "ABORTED"]
@@ -24,6 +24,9 @@ FAIL: Verdict = "FAIL"
 MARGINAL: Verdict = "MARGINAL"
 ERROR: Verdict = "ERROR"
 ABORTED: Verdict = "ABORTED"
+
+RESULT = "result."
+"""Before the place of a number in a result's JSON that is none of those that the measurement gives by name."""
 
 _FROM_BEST: tuple[Verdict, ...] = (PASS, MARGINAL, FAIL, ERROR, ABORTED)
 _K95 = 1.959963984540054
@@ -178,8 +181,8 @@ def interval_words(measured: Value, between: str = " to ") -> str:
 
 def number_words(number: str, measured: Value) -> str:
     """Say the name of a number, without the unit at its end: ``"lock-in rate"``, ``"scatter of X"``."""
-    words = plain_words(without_unit(number.removeprefix("result.")))
-    return f"{words} of {measured.of}" if measured.of else words
+    words = number.removeprefix(RESULT).replace(measured.name, measured.quantity.words)
+    return f"{words.replace('_', ' ')} of {measured.of}" if measured.of else words.replace("_", " ")
 
 
 # --------------------
@@ -201,7 +204,7 @@ class Tested:
     @property
     def name(self) -> str:
         """Name of the limit, with what it is of where there are several."""
-        return f"{self.measured.name} of {self.measured.of}" if self.measured.of else self.measured.name
+        return self.measured.limit_name
 
     @property
     def sentence(self) -> str:
@@ -224,7 +227,7 @@ class Tested:
 
 def check_limits(measured: Sequence[Value], limits: Mapping[str, float | None]) -> tuple[Tested, ...]:
     """Test what was measured against the limits that are set; one that nothing has the name of is not tested."""
-    pairs = ((one, limits.get(one.name)) for one in measured)
+    pairs = ((one, limits.get(one.quantity.limit_name)) for one in measured)
     return tuple(Tested(one, limit) for one, limit in pairs if limit is not None)
 
 
@@ -235,19 +238,9 @@ def verdict(tested: Sequence[Tested]) -> str | None:
     return "PASS" if all(one.passed for one in tested) else "FAIL"
 
 
-# --------------------
-# Numbers of a result with their 95 % intervals, as verdicts need them
-
-
-def values_of(result: Result, document: Mapping[str, Any], number: str, prefix: str = "result.") -> list[Value]:
+def values_of(result: Result, document: Mapping[str, Any], number: str) -> list[Value]:
     """Return a number of a result: one value, or several where it is of several axes; empty if there is none."""
-    if not number.startswith(prefix):
-        return [one for one in result.measured if one.name == number]
-    *way, name = number.removeprefix(prefix).split(".")
-    inner: Any = document
-    for step in way:
-        if isinstance(inner, list) and step.isdecimal() and int(step) < len(inner):
-            inner = inner[int(step)]
-        else:
-            inner = inner.get(step) if isinstance(inner, dict) else None
-    return [value_beside(inner, name)] if isinstance(inner, dict) else []
+    if not number.startswith(RESULT):
+        return [one for one in result.measured if one.quantity.limit_name == number]
+    found = value_at(document, number.removeprefix(RESULT), result.quantities)
+    return [] if found is None else [found]

@@ -30,6 +30,7 @@ from instrument.simulated.controllers import RateTableController
 from instrument.simulated.rate_table import TableMotion
 from station.controllers import open_simulated_rate_table, open_surroundings
 from station.errors import UsageError
+from station.results.numbers import AMPLITUDE, BACKSCATTER_PHASE, BEAT_FREQUENCY, INPUT_RATE, LOCK_IN_RATE
 from station.ring_laser.records import Bench
 from station.ring_laser.settings import BenchSettings, ContaminantSettings, SimulationSettings
 from station.scope.tools import open_scope, serve
@@ -204,12 +205,12 @@ def true_values(instruments: SimulatedInstruments) -> dict[str, float]:
     times = record.starts[-1] + np.linspace(0.0, duration, _TRUTH_POINTS)
     rates = axis_rate_on_table(gyro, instruments.table.motion, times)
     return {
-        "lock_in_rate_dps": gyro.lock_in_rate,
-        "input_rate_dps": float(np.mean(np.abs(rates))),
-        "beat_frequency_hz": float(np.mean(np.abs(gyro.beat_frequency(rates) * gyro.drift(times)))),
+        LOCK_IN_RATE.key(): gyro.lock_in_rate,
+        INPUT_RATE.key(): float(np.mean(np.abs(rates))),
+        BEAT_FREQUENCY.key(): float(np.mean(np.abs(gyro.beat_frequency(rates) * gyro.drift(times)))),
         "ratio": float(np.mean(gyro.harmonic_ratio(rates))),
-        "backscatter_phase_rad": gyro.backscatter_phase - instruments.detector.readout_phase,
-        "amplitude_v": instruments.detector.amplitude,
+        BACKSCATTER_PHASE.key(): gyro.backscatter_phase - instruments.detector.readout_phase,
+        AMPLITUDE.key(): instruments.detector.amplitude,
     }
 
 

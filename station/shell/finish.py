@@ -63,7 +63,7 @@ class Evaluated:
     @property
     def not_tested(self) -> list[str]:
         """Which limits are set that nothing was tested against, and why; one sentence each kind."""
-        measured, gives = {one.name for one in self.result.measured}, self.kind.gives
+        measured, gives = {one.quantity.limit_name for one in self.result.measured}, self.kind.gives
         limits = [name for name in self.settings.limits.model_dump(exclude_none=True) if name not in measured]
         others = [f"limits.{name}" for name in limits if name not in gives]
         said = [f"limits.{name} is not tested: this run gives no such number" for name in limits if name in gives]
@@ -334,7 +334,7 @@ def tell_result(evaluated: Evaluated, events: Events) -> None:
         value=result.value,
         verdict=evaluated.verdict,
         standing=result.standing.state,
-        measured=[{"name": one.name, "of": one.of, "value": one.value} for one in result.measured],
+        measured=[{"name": one.quantity.limit_name, "of": one.of, "value": one.value} for one in result.measured],
     )
 
 

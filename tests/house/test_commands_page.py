@@ -1,4 +1,4 @@
-"""docs/commands.md and docs/api.md hold every command, option and public name as they are."""
+"""docs/commands.md, docs/api.md and docs/results.md hold every command, public name and number as they are."""
 
 import runpy
 from collections.abc import Iterator
@@ -23,7 +23,7 @@ def commands(command: click.Command, context: click.Context) -> Iterator[tuple[s
 EVERY = dict(commands(gyrolock, click.Context(gyrolock, info_name="gyrolock")))
 
 
-@pytest.mark.parametrize("name", ["commands", "api"])
+@pytest.mark.parametrize("name", ["commands", "api", "results"])
 def test_the_page_is_what_the_program_says(name: str) -> None:
     written = runpy.run_path(str(DOCS / f"{name}.py"))["page"]()
     assert written == (DOCS / f"{name}.md").read_text(encoding="utf-8"), "`make docs` writes it again"

@@ -13,6 +13,8 @@ from pathlib import Path
 
 import pytest
 
+from station.measurements import MEASUREMENTS, measurement
+
 ROOT = Path(__file__).parents[2]
 BUILD = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["hatch"]["build"]
 PACKAGES: list[str] = BUILD["targets"]["wheel"]["packages"]
@@ -20,7 +22,7 @@ EVERYWHERE = [*PACKAGES, "benchmarks", "tests"]
 
 
 # shorter than a chapter: they declare what all others use
-DECLARATIONS = {"analysis/arrays.py"}
+DECLARATIONS = {"analysis/arrays.py", "station/results/numbers.py"}
 
 # public names that two faces share: a measurement of the scope and of the station, the Result of a notebook
 NAMES_OF_TWO_FACES = {"Measurement", "Result"}
@@ -178,3 +180,33 @@ def test_a_command_enters_few_files(walk: str, tmp_path: Path) -> None:
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=300)
     entered = [line for line in done.stderr.splitlines() if line.endswith(".py") or line == "simulated"]
     assert 20 < len(entered) <= WALKS[walk], done.stderr[-2000:]
+
+
+# keys that conditions of records, settings and options have too: there they mean what was set, not what was found
+ALSO_SET = {
+    *("rate_dps", "table_rate_dps", "input_rate_by_table_dps", "temperature_c", "step_codes", "window_s"),
+    *("duration_s", "warm_up_s", "tilt_deg", "tilt_u_deg"),
+}
+
+
+def literals(tree: ast.Module) -> Iterator[str]:
+    """Texts of a module but for those by which a quantity is declared."""
+    for node in ast.iter_child_nodes(tree):
+        if isinstance(node, ast.Constant):
+            yield str(node.value)
+        elif not (isinstance(node, ast.Call) and ast.unparse(node.func) in ("Quantity", "replace", "_figure")):
+            yield from literals(node)
+
+
+def test_the_key_of_a_number_stands_in_one_file() -> None:
+    """It is declared; who needs it elsewhere takes it from its declaration."""
+    groups = [group for name in MEASUREMENTS for group in measurement(name).quantities]
+    declared = [one for group in groups for one in group.quantities if one.unit]
+    keys = {key for one in declared for key in (one.key(), one.key("u"), one.key("low_95"))} - ALSO_SET
+    assert len(keys) > 400
+    places: dict[str, set[str]] = {}
+    for module, tree in OURS.items():
+        if module.startswith(("station", "gyrolock")):
+            for text in keys.intersection(literals(tree)):
+                places.setdefault(text, set()).add(module)
+    assert {key: found for key, found in places.items() if len(found) > 1} == {}

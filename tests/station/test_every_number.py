@@ -8,7 +8,7 @@ from typing import Any, get_args
 
 import pytest
 
-from station.results.quantity import Value, value_beside
+from station.results.quantity import Quantity
 from station.results.verdict import ERROR, Limit, Rule, decide, values_of
 from station.runs.store import open_run
 from station.shell.finish import evaluate_run
@@ -51,7 +51,7 @@ def test_a_number_whose_uncertainty_is_in_the_json_can_be_judged(name: str, tmp_
                 assert found.uncertain and found.low_95 <= found.value <= found.high_95, f"{way}.{key}"
                 judged += 1
     for measured in evaluated.result.measured:
-        if {"u", "low", "high"} & set(measured.name.split("_")):
+        if {"u", "low", "high"} & set(measured.name.split("_")) or math.isnan(measured.value):
             continue  # an uncertainty itself, which has none
         holders = [part for _, part in parts(document) if is_number(part.get(measured.name))]
         for rule in get_args(Rule):
@@ -61,10 +61,13 @@ def test_a_number_whose_uncertainty_is_in_the_json_can_be_judged(name: str, tmp_
     assert judged > 0 or name in ("fog_figures",)
 
 
-def test_the_unit_of_a_number_is_the_end_of_its_name() -> None:
-    walk = Value.named("angle_random_walk_deg_per_sqrt_h", 0.005, 1e-4)
-    assert (walk.unit, walk.words) == ("deg/√h", "angle random walk")
-    assert walk.low_95 == pytest.approx(0.0048)
-    assert Value.named("ratio", 0.1).unit == ""
-    assert math.isnan(value_beside({"ratio": None}, "ratio").value)
-    assert not value_beside({"ratio": 0.1, "ratio_low_95": 0.05}, "ratio").uncertain
+def test_a_number_is_read_as_it_is_declared() -> None:
+    walk = Quantity("angle_random_walk", "deg_per_sqrt_h", u_last=True)
+    document = {walk.key(): 0.005, "angle_random_walk_deg_per_sqrt_h_u": 1e-4}
+    assert walk.key("low_95") == "angle_random_walk_deg_per_sqrt_h_low_95"
+    assert (walk.value_in(document).unit, walk.value_in(document).words) == ("deg/√h", "angle random walk")
+    assert walk.value_in(document).low_95 == pytest.approx(0.0048)
+    ratio = Quantity("ratio")
+    assert (ratio.key("u"), ratio.value_in({"ratio": 0.1}).unit) == ("ratio_u", "")
+    assert math.isnan(ratio.value_in({"ratio": None}).value)
+    assert not ratio.value_in({"ratio": 0.1, "ratio_low_95": 0.05}).uncertain

@@ -7,7 +7,7 @@ import pytest
 
 from station.campaign.conduct import judged
 from station.campaign.journal import PlannedStep
-from station.results.quantity import Value, value_beside
+from station.results.quantity import Quantity, QuantityGroup, Value
 from station.results.result import Result
 from station.results.verdict import Limit, values_of
 
@@ -19,7 +19,7 @@ DOCUMENT: dict[str, Any] = {
     "tilt_deg": 88.7,
     "tilt_u_deg": 0.01,
     "axes": [
-        {"axis": "X", "scatter_ppm": 3.0},
+        {"axis": "X", "scatter_ppm": 3.0, "nominal_ppm": 10.0, "nominal_spread": 1.5},
         {
             "axis": "Z",
             "scatter_ppm": 5.0,
@@ -31,27 +31,29 @@ DOCUMENT: dict[str, Any] = {
 }
 
 
-def result(*measured: Value, **more: Any) -> Result:
-    return Result("x", "1", DOCUMENT, measured=measured, **more)
+RATE, NOISE = Quantity("lock_in_rate", "dps", limit=True), Quantity("noise_rms", "v", limit=True)
+TILT, NOMINAL = Quantity("tilt", "deg", limit=True), Quantity("nominal", "ppm", limit=True, u_at="nominal_spread")
+SCATTER, SCALE = Quantity("scatter", "ppm", limit=True), Quantity("scale_factor", "counts_per_dps")
+
+
+def result(*quantities: Quantity, of_axes: tuple[Quantity, ...] = (), **more: Any) -> Result:
+    groups = (QuantityGroup(quantities), QuantityGroup(of_axes, "axes", "axis"))
+    return Result("x", "1", DOCUMENT, quantities=groups, **more)
 
 
 def test_the_interval_of_a_number_stands_beside_it_or_is_twice_its_uncertainty() -> None:
-    found = result(
-        *(value_beside(DOCUMENT, name) for name in ("lock_in_rate_dps", "tilt_deg", "noise_rms_v")),
-        Value.named("nominal_ppm", 10.0, 1.5, of="X"),
-        *(value_beside(axis, "scatter_ppm", axis["axis"]) for axis in DOCUMENT["axes"]),
-    )
+    found = result(RATE, TILT, NOISE, of_axes=(NOMINAL, SCATTER))
     (rate,) = values_of(found, DOCUMENT, "lock_in_rate_dps")
     assert rate == Value(0.01, "deg/s", 0.0098, 0.0103)
     (tilt,) = values_of(found, DOCUMENT, "tilt_deg")
     assert (tilt.low_95, tilt.high_95) == (pytest.approx(88.68), pytest.approx(88.72))
     assert not values_of(found, DOCUMENT, "noise_rms_v")[0].uncertain
-    assert values_of(found, DOCUMENT, "nominal_ppm") == [Value(10.0, "ppm", 7.0, 13.0, "X")]
+    assert values_of(found, DOCUMENT, "nominal_ppm")[0] == Value(10.0, "ppm", 7.0, 13.0, "X")
     assert [one.of for one in values_of(found, DOCUMENT, "scatter_ppm")] == ["X", "Z"]
 
 
 def test_any_number_of_the_json_by_its_place() -> None:
-    (scale,) = values_of(result(), DOCUMENT, "result.axes.1.scale_factor_counts_per_dps")
+    (scale,) = values_of(result(of_axes=(SCALE,)), DOCUMENT, "result.axes.1.scale_factor_counts_per_dps")
     assert (scale.value, scale.low_95, scale.high_95) == (1e6, 1e6 - 4, 1e6 + 4)
     assert values_of(result(), DOCUMENT, "result.table_check.beat_over_table") == []
     (missing,) = values_of(result(), DOCUMENT, "result.axes.0.nothing_hz")
@@ -62,8 +64,6 @@ def step(*limits: Limit, doubtful: str = "marginal") -> PlannedStep:
     return PlannedStep("01 x", "x", 1, "measure", 1, 1, {}, {}, 0.0, 0.0, limits, doubtful)
 
 
-RATE = value_beside(DOCUMENT, "lock_in_rate_dps")
-NOISE = value_beside(DOCUMENT, "noise_rms_v")
 LIMITS = (
     Limit("lock_in_rate_dps", at_most=0.02),
     Limit("lock_in_rate_dps", at_most=0.005),

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from station.results.quantity import Value
+from station.results.quantity import Quantity, Value
 from station.results.verdict import Limit, Rule, decide, worst
 
 K95 = 1.959963984540054
@@ -66,7 +66,8 @@ def test_without_a_value_or_the_uncertainty_that_the_rule_asks_for_the_unit_is_n
 
 
 def test_margin_and_acceptance_interval_are_told() -> None:
-    outcome = decide(Limit("tilt_deg", 1.0, 3.0), Value(1.5, "deg", 1.4, 1.7))
+    tilt = Quantity("tilt", "deg")
+    outcome = decide(Limit(tilt.key(), 1.0, 3.0), Value(1.5, "deg", 1.4, 1.7, quantity=tilt))
     assert outcome.margin == pytest.approx(0.5)
     assert (outcome.acceptance_low, outcome.acceptance_high) == (pytest.approx(1.1), pytest.approx(2.8))
     assert (

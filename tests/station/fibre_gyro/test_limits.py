@@ -4,7 +4,7 @@ from typing import Any
 
 import pytest
 
-from station.fibre_gyro.settings import FogLimits
+from station.fibre_gyro.settings import FIBRE_GYRO
 from station.measurements import MEASUREMENTS, measurement
 
 FAMILY = [name for name, module in MEASUREMENTS.items() if ".fibre_gyro." in module]
@@ -19,13 +19,13 @@ SMALL: dict[str, Any] = {
 
 def test_every_limit_is_given_by_one_test() -> None:
     given = [name for command in FAMILY for name in measurement(command).gives]
-    assert sorted(given) == sorted(FogLimits.model_fields)
+    assert sorted(given) == sorted(FIBRE_GYRO.model.model_fields["limits"].annotation.model_fields)
 
 
 @pytest.mark.parametrize("command", FAMILY)
 def test_a_test_gives_the_numbers_that_it_says(taken, command: str) -> None:
     result, _ = taken(command, **SMALL)
-    assert {one.name for one in result.result.measured} == set(measurement(command).gives)
+    assert {one.quantity.limit_name for one in result.result.measured} == set(measurement(command).gives)
     assert result.not_tested == []
 
 

@@ -21,7 +21,14 @@ def write_record(folder: Path, unit: str, at: datetime, value: float, **changed:
     """A record of a test, as far as histories read it."""
     text = at.isoformat(timespec="milliseconds").replace("+00:00", "Z")
     result = {"lock_in_rate_dps": value, "lock_in_rate_u_dps": 1e-5, "table_check": TABLE}
-    step = {"name": "lock-in", "repeat": 1, "of_repeats": 1, "result": result, "limits": []}
+    step = {
+        "name": "lock-in",
+        "measurement": "measure",
+        "repeat": 1,
+        "of_repeats": 1,
+        "result": result,
+        "limits": [],
+    }
     record = {
         "schema": {"name": "gyrolock test record", "version": 1},
         "unit": {"serial": unit, "type": "RLG", "is_reference": unit == "REF"},

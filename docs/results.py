@@ -12,10 +12,10 @@ PAGE = Path(__file__).with_suffix(".md")
 
 HEAD = """# Numbers of results
 
-Written by `make docs` from the declarations of the measurements. A number stands in the JSON under its key; beside it
-stand `u`, its standard uncertainty (k = 1), and its 95 % interval: `lock_in_rate_dps`, `lock_in_rate_u_dps`,
-`lock_in_rate_low_95_dps`, `lock_in_rate_high_95_dps`. *limit*: `[limits]` and campaigns may name it. Any other number
-can be limited by a campaign too, as `result.` and its place."""
+Written by `make docs` from the declarations of the measurements. A number stands in the JSON under its key; beside
+it stand `u`, its standard uncertainty (k = 1), and its 95 % interval: `lock_in_rate_dps`, `lock_in_rate_u_dps`,
+`lock_in_rate_low_95_dps`, `lock_in_rate_high_95_dps`. *limit*: `[limits]` and campaigns may name it. A campaign
+can limit any other number too, as `result.` and its place."""
 
 
 def page() -> str:

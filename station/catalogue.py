@@ -25,7 +25,7 @@ from typing import TYPE_CHECKING, Any
 from station.errors import NoUsableSignal, RunError, UsageError
 from station.measurements import MEASUREMENTS, measurement
 from station.report.figure import ACCENT, INK, SECOND, THIRD, legend_above, write_picture
-from station.results.quantity import Quantity, Value, headline_values
+from station.results.quantity import Value, headline_values
 from station.results.result import TextTable, with_uncertainty
 from station.runs.annotations import Remarks, read_remarks, remarks_file
 from station.runs.database import COMPLETE, TAKEN, RunFacts, journal_of, read_facts, reading
@@ -232,30 +232,15 @@ class Entry:
 
     def as_json(self) -> dict[str, Any]:
         """Return it as plain JSON."""
-        values = [
-            {
-                "name": one.name,
-                "of": one.of or None,
-                "value": _or_null(one.value),
-                "u": _or_null(one.u),
-                "low_95": _or_null(one.low_95),
-                "high_95": _or_null(one.high_95),
-                "quantity": one.quantity.name,
-            }
-            for one in self.values
-        ]
+        values = [one.as_json() for one in self.values]
         return {**vars(self), "values": values, "tags": list(self.tags), "remarks": list(self.remarks)}
 
     @classmethod
     def from_json(cls, saved: Mapping[str, Any]) -> Entry:
         """Return what :meth:`as_json` made plain."""
-        values = []
-        for one in saved["values"]:
-            quantity = Quantity(one["quantity"], one["name"].removeprefix(one["quantity"])[1:])
-            known = {quantity.key(what): one[what] for what in ("u", "low_95", "high_95")}
-            values.append(quantity.value_in({**known, one["name"]: one["value"]}, one["of"] or ""))
+        values = tuple(map(Value.from_json, saved["values"]))
         several = {name: tuple(saved[name]) for name in ("tags", "remarks")}
-        return cls(**{**saved, "values": tuple(values), **several})
+        return cls(**{**saved, "values": values, **several})
 
     @property
     def result_text(self) -> str:
@@ -326,10 +311,6 @@ def _document(row: tuple[Any, ...] | None) -> dict[str, Any]:
 def _headline(document: Mapping[str, Any], command: str) -> tuple[Value, ...]:
     """The numbers that a result begins with: one, or that of each axis."""
     return headline_values(document, measurement(command).quantities) if command in MEASUREMENTS else ()
-
-
-def _or_null(value: float) -> float | None:
-    return value if math.isfinite(value) else None
 
 
 # --------------------

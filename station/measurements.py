@@ -41,6 +41,8 @@ class Measurement(Generic[S, F]):
     command: str  # what a user types: ``"gyrolock fog table"``
     title: str  # heading of the report
     kind: SettingsKind[S]
+    # its own section of settings that several measurements share, by its name; the others stand with the kind
+    section: type[SettingsSection] | None = None
     # gets settings and session: opens the bench, begins the run, saves records. For a run that was cut short it
     # takes what is missing.
     take: Callable[[S, Acquisition], None]
@@ -80,18 +82,22 @@ class Measurement(Generic[S, F]):
         return limit_names(self.quantities)
 
 
+# tests of a fibre gyro: `gyrolock fog NAME`, a module of station.fibre_gyro, and what its help says first
+FIBRE_GYRO_TESTS = {
+    "table": "Rate-table run: whole turns, both senses; K of each axis, earth rate, bias, numbers of small rates.",
+    "selfcal": "Self-calibration: inject a staircase for each rate, fit the slope, and say what it can show.",
+    "eps": "2π error of the modulator's converter, by injection in open loop.",
+    "figures": "Nonlinearity, asymmetry, repeatability, temperature coefficient; bias repeatability and warm-up.",
+    "allan": "Noise at rest: Allan deviation and noise model.",
+    "threshold": "Threshold, resolution and dead zone, by a ladder of small rates in both senses.",
+    "temperature": "Scale factor and bias over a temperature ramp, compensation table. PATH may be a log at rest.",
+    "witness": "Modulator staircase on an oscilloscope: step, step time, fall at a reset, V_2π, 2π error.",
+}
 # what a run is marked with: the module that holds MEASUREMENT
 MEASUREMENTS = {
     "measure": "station.lock_in.measurement",
     "deadband": "station.dead_band.measurement",
-    "table": "station.fibre_gyro.table",
-    "selfcal": "station.fibre_gyro.selfcal",
-    "eps": "station.fibre_gyro.eps",
-    "figures": "station.fibre_gyro.figures",
-    "allan": "station.fibre_gyro.allan",
-    "threshold": "station.fibre_gyro.threshold",
-    "temperature": "station.fibre_gyro.temperature",
-    "witness": "station.fibre_gyro.witness",
+    **{name: f"station.fibre_gyro.{name}" for name in FIBRE_GYRO_TESTS},
 }
 
 
@@ -104,3 +110,9 @@ def measurement(name: str) -> Measurement[Any, Any]:
 def limits_of(*names: str) -> tuple[str, ...]:
     """Return what [limits] of settings that some measurements share may name."""
     return tuple(dict.fromkeys(limit for name in names for limit in measurement(name).gives))
+
+
+def sections_of(*names: str) -> dict[str, type[SettingsSection]]:
+    """Return the sections that some measurements have for themselves in the settings that they share."""
+    sections = ((name, measurement(name).section) for name in names)
+    return {name: section for name, section in sections if section is not None}

@@ -233,6 +233,8 @@ class SettingsKind(Generic[S]):
     check: Callable[[S, Path], S]
     # shipped file that gives what a run of an earlier version was saved without; empty: the model's defaults
     later: str = ""
+    # sections that single measurements have for themselves, by their names
+    further: Callable[[], Mapping[str, type[SettingsSection]]] = dict
     # what is known of the bench, with which a saved run can be evaluated later: ``section.name``, ``section.*``
     # for each of its values, or ``section`` where its values belong together and are replaced together
     knowledge: tuple[str, ...] = ("limits.*",)
@@ -240,13 +242,15 @@ class SettingsKind(Generic[S]):
     @cached_property
     def model(self) -> type[S]:
         """What may stand in a file."""
-        fields: dict[str, Any] = dict.fromkeys(self.limits(), (Positive | None, None))
-        limits = create_model(f"{self.sections.__name__}Limits", __base__=Limits, __doc__=Limits.__doc__, **fields)
+        names: dict[str, Any] = dict.fromkeys(self.limits(), (Positive | None, None))
+        limits = create_model(f"{self.sections.__name__}Limits", __base__=Limits, __doc__=Limits.__doc__, **names)
+        fields: dict[str, Any] = {name: (section, ...) for name, section in self.further().items()}
         return create_model(
             self.sections.__name__,
             __base__=self.sections,
             __doc__=self.sections.__doc__,
             limits=(limits, limits()),
+            **fields,
         )
 
     def with_knowledge(self, saved: S, path: Path, overrides: Values | None = None) -> S:

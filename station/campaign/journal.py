@@ -407,7 +407,7 @@ def step_as_json(outcome: StepOutcome, directory: Path) -> dict[str, Any]:
         **values,
         "run": None if outcome.run is None else str(outcome.run.relative_to(directory)),
         "failure": None if outcome.failure is None else outcome.failure.as_json(),
-        "limits": [asdict(one) for one in outcome.limits],
+        "limits": [_limit_as_json(one) for one in outcome.limits],
     }
 
 
@@ -445,14 +445,14 @@ def _document(run: Path | None) -> dict[str, Any]:
         return {}
 
 
+def _limit_as_json(one: LimitOutcome) -> dict[str, Any]:
+    return {**vars(one), "limit": asdict(one.limit), "measured": one.measured.as_json()}
+
+
 def _limit_from_json(one: Mapping[str, Any]) -> LimitOutcome:
-    numbers = ("value", "u", "low_95", "high_95")
-    measured: dict[str, Any] = {
-        name: math.nan if value is None and name in numbers else value for name, value in one["measured"].items()
-    }
-    limit, value = Limit(**one["limit"]), Value(**measured)
     margin = math.nan if one["margin"] is None else one["margin"]
-    return LimitOutcome(**{**one, "limit": limit, "measured": value, "margin": margin})
+    known = {"limit": Limit(**one["limit"]), "measured": Value.from_json(one["measured"]), "margin": margin}
+    return LimitOutcome(**{**one, **known})
 
 
 # --------------------

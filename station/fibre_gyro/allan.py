@@ -18,12 +18,13 @@ from station.errors import NoUsableSignal, UsageError
 from station.fibre_gyro.common import COLOURS, COUNTS_PER_DPS, reasons_of
 from station.fibre_gyro.logs import LogRow, NamedSegment, gyro_measurement, listed_logs, planned_segments
 from station.fibre_gyro.segments import PlannedSegment, Segment, checked, segments_of, words_of
-from station.fibre_gyro.settings import FogSettings
+from station.fibre_gyro.settings import FogSettings, Name, TestSettings
 from station.report.figure import INK, SOFT, WIDE, legend_above, svg_element
 from station.results.quantity import UNITS, Quantity, QuantityGroup, document, repeated
 from station.results.result import Excluded, PlacedFigure, Result, Section, TextTable, with_uncertainty
 from station.runs.database import is_database
 from station.runs.store import SavedRun, open_run
+from station.settings import NotNegative, Positive
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -34,6 +35,18 @@ if TYPE_CHECKING:
 
 
 PURPOSE = "allan"
+
+
+class AllanSettings(TestSettings):
+    """The noise at rest."""
+
+    axis: Name
+    record_s: Positive
+    settle_s: NotNegative
+    temperature: bool
+
+
+_own = AllanSettings.of
 
 
 @dataclass(frozen=True)
@@ -72,7 +85,7 @@ def _noise_of(segment: Segment, settings: FogSettings) -> NoiseOf:
     recording = checked(segment)
     words = words_of(recording) / settings.nominal_scale_factor
     temperature = None
-    if settings.allan.temperature:
+    if _own(settings).temperature:
         if recording.temperature is None or not np.ptp(recording.temperature) > 0:
             raise ValueError("its temperature is not there or does not change: take allan.temperature away")
         temperature = np.interp(
@@ -254,7 +267,7 @@ def _svg(one: NoiseOf, place: int) -> str:
 
 def plan(settings: FogSettings) -> list[PlannedSegment]:
     """List the one segment: rest."""
-    chosen = settings.allan
+    chosen = _own(settings)
     conditions = {"purpose": PURPOSE, "rate_dps": 0.0, "axis": chosen.axis, "end_up": 1}
     return [PlannedSegment(f"{chosen.axis} at rest", chosen.record_s, chosen.settle_s, conditions)]
 
@@ -274,6 +287,7 @@ MEASUREMENT = gyro_measurement(
     sections=sections,
     quantities=QUANTITIES,
     plan=plan,
+    section=AllanSettings,
 )
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import stat
 from collections.abc import Callable
 from pathlib import Path
@@ -10,6 +11,7 @@ from typing import Any, TypeVar
 import click
 
 from station.errors import EXIT_NO_SIGNAL, EXIT_OK
+from station.measurements import FIBRE_GYRO_TESTS
 from station.shell.options import (
     CHANNELS,
     SuggestingGroup,
@@ -151,7 +153,35 @@ _UNITS = ["counts", "deg/s", "deg/h", "rad/s"]
 F = TypeVar("F", bound=Callable[..., Any])
 
 
-@click.group("fog", cls=SuggestingGroup)
+class _TestGroup(SuggestingGroup):
+    """Tests by their list, each with the options that all have where it has none of its own; then the others."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        return [*FIBRE_GYRO_TESTS, *(name for name in self.commands if name not in FIBRE_GYRO_TESTS)]
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        if cmd_name in self.commands or cmd_name not in FIBRE_GYRO_TESTS:
+            return super().get_command(ctx, cmd_name)
+
+        @click.command(cmd_name, help=FIBRE_GYRO_TESTS[cmd_name])
+        @_options
+        def test(paths: tuple[Path, ...], **given: Any) -> int:
+            return _run(cmd_name, paths, given)
+
+        return test
+
+
+def _test(name: str) -> Callable[[F], click.Command]:
+    """The command of a test that has options of its own; what its docstring says follows what the list says."""
+
+    def made(function: F) -> click.Command:
+        more = inspect.cleandoc(function.__doc__ or "")
+        return command.command(name, help="\n\n".join(filter(None, (FIBRE_GYRO_TESTS[name], more))))(function)
+
+    return made
+
+
+@click.group("fog", cls=_TestGroup)
 def command() -> None:
     """Scale factor of a fibre gyro: rate table, self-calibration, 2π error, figures of merit, oscilloscope.
 
@@ -231,15 +261,15 @@ def _with_noise(
     return _run(name, paths, given, known={**known, **facts}, choices=facts)
 
 
-@command.command("table")
+@_test("table")
 @_noise_option
 @_options
 def table(paths: tuple[Path, ...], noise: Path | None, **given: Any) -> int:
-    """Rate-table run: whole turns, both senses; K of each axis, earth rate and bias, numbers of small rates."""
+    """With --noise the slow noise of the gyro counts in the uncertainty of K."""
     return _with_noise("table", paths, noise, given, {})
 
 
-@command.command("selfcal")
+@_test("selfcal")
 @click.option(
     "--table",
     "table_run",
@@ -250,7 +280,7 @@ def table(paths: tuple[Path, ...], noise: Path | None, **given: Any) -> int:
 @_noise_option
 @_options
 def selfcal(paths: tuple[Path, ...], table_run: Path | None, noise: Path | None, **given: Any) -> int:
-    """Self-calibration: inject a staircase for each rate, fit the slope, and say what it can show."""
+    """Without --table the numbers come from the design, or a simulated bench takes a rate-table run first."""
     if table_run is None:
         return _with_noise("selfcal", paths, noise, given, {})
     if given["resume"] is not None or hold_a_run(paths):
@@ -263,44 +293,16 @@ def selfcal(paths: tuple[Path, ...], table_run: Path | None, noise: Path | None,
     )
 
 
-@command.command("eps")
-@_options
-def eps(paths: tuple[Path, ...], **given: Any) -> int:
-    """2π error of the modulator's converter, by injection in open loop."""
-    return _run("eps", paths, given)
-
-
-@command.command("figures")
-@_options
-def figures(paths: tuple[Path, ...], **given: Any) -> int:
-    """Nonlinearity, asymmetry, repeatability, temperature coefficient; bias repeatability and warm-up."""
-    return _run("figures", paths, given)
-
-
-@command.command("allan")
+@_test("allan")
 @click.option("--temperature", is_flag=True, default=None, help="Take the drift with the temperature of logs out.")
 @_options
 def allan(paths: tuple[Path, ...], **given: Any) -> int:
-    """Noise at rest: Allan deviation and noise model. PATH is a saved run, logs as they are, or a list of them."""
+    """PATH is a saved run, logs as they are, or a list of them."""
     more = {**_OF_LOGS, "temperature": "allan.temperature"}
     return run_measurement("allan", given, paths=paths, places={"port": "link.port"}, for_files=more)
 
 
-@command.command("threshold")
-@_options
-def threshold(paths: tuple[Path, ...], **given: Any) -> int:
-    """Threshold, resolution and dead zone, by a ladder of small rates in both senses without whole turns."""
-    return _run("threshold", paths, given)
-
-
-@command.command("temperature")
-@_options
-def temperature(paths: tuple[Path, ...], **given: Any) -> int:
-    """Scale factor and bias over a temperature ramp, and a compensation table. PATH may also be a log at rest."""
-    return _run("temperature", paths, given)
-
-
-@command.command("witness")
+@_test("witness")
 @click.argument("paths", nargs=-1, type=click.Path(path_type=Path), metavar="[PATH...]")
 @click.option("--resource", metavar="NAME", help="VISA name of the oscilloscope. Without one it is simulated.")
 @click.option("--channel", type=CHANNELS, metavar="CHn", help="Input channel, CH1 to CH4.")
@@ -309,9 +311,7 @@ def temperature(paths: tuple[Path, ...], **given: Any) -> int:
 @report_option
 @run_options
 def witness(paths: tuple[Path, ...], **given: Any) -> int:
-    """Record the modulator staircase with an oscilloscope: step, step time, fall at a reset, V_2π, 2π error.
-
-    PATH is a saved run, or Tektronix CSV or ISF files. With --config a saved run is judged by the [limits],
+    """PATH is a saved run, or Tektronix CSV or ISF files. With --config a saved run is judged by the [limits],
     half-wave voltage and gain of FILE.
     """
     places = {name: f"witness.{name}" for name in ("resource", "channel", "records")}

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 
 from analysis.fibre_gyro import (
     TwoPiError,
@@ -22,7 +23,7 @@ from station.errors import NoUsableSignal
 from station.fibre_gyro.common import PPM, beyond_converter, not_taken, reasons_of, small_ppm, staircase_section
 from station.fibre_gyro.logs import LogRow, NamedSegment, gyro_measurement, listed_logs, planned_segments
 from station.fibre_gyro.segments import PlannedSegment, Segment, checked, segments_of
-from station.fibre_gyro.settings import FogSettings
+from station.fibre_gyro.settings import FogSettings, TestSettings
 from station.report.figure import ACCENT, HALF, INK, SECOND, SOFT, legend_above, svg_element
 from station.results.numbers import TWO_PI_ERROR_PPM
 from station.results.quantity import Quantity, QuantityGroup, document, rows
@@ -38,6 +39,7 @@ from station.results.result import (
     table,
 )
 from station.runs.store import SavedRun
+from station.settings import NotNegative, Positive
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -51,6 +53,17 @@ PURPOSE = "eps"
 NORMAL, RESET = "normal_error", "reset_error"
 _BLOCKS = 10
 """Of a segment, whose means tell the noise: those of both senses are pooled, and long ones hold filtered words."""
+
+
+class EpsSettings(TestSettings):
+    """The open-loop measurement of the 2 pi error."""
+
+    steps_codes: Annotated[list[Positive], Field(min_length=1)]
+    record_s: Positive
+    settle_s: NotNegative
+
+
+_own = EpsSettings.of
 
 
 @dataclass(frozen=True)
@@ -262,7 +275,7 @@ def _reset_differences_svg(found: EpsEvaluation) -> str:
 
 def plan(settings: FogSettings) -> list[PlannedSegment]:
     """List the segments: every step in both senses that the converter can make."""
-    chosen, bits = settings.eps, settings.gyro.dac_bits
+    chosen, bits = _own(settings), settings.gyro.dac_bits
     return [
         PlannedSegment(_key(step), chosen.record_s, chosen.settle_s, {"purpose": PURPOSE, **_conditions(step)})
         for step in _steps(settings)
@@ -282,7 +295,7 @@ def named(rows: Sequence[LogRow], settings: FogSettings) -> list[NamedSegment]:
 
 
 def _steps(settings: FogSettings) -> list[float]:
-    return [step for size in settings.eps.steps_codes for step in (size, -size)]
+    return [step for size in _own(settings).steps_codes for step in (size, -size)]
 
 
 def _key(step_codes: float) -> str:
@@ -303,4 +316,5 @@ MEASUREMENT = gyro_measurement(
     sections=sections,
     quantities=QUANTITIES,
     plan=plan,
+    section=EpsSettings,
 )

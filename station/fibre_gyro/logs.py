@@ -36,6 +36,7 @@ from station.results.quantity import Quantities
 from station.results.result import Check, Result, Section, with_uncertainty
 from station.runs.acquisition import Acquisition
 from station.runs.store import NewRecord, SavedRun
+from station.settings import SettingsSection
 
 F = TypeVar("F")
 NamedSegment = tuple[str, dict[str, Any]]
@@ -92,6 +93,7 @@ def gyro_measurement(
     purposes: Sequence[str] = (),
     unusable: Callable[[SavedRun, FogSettings], Mapping[str, str]] | None = None,
     choices: tuple[str, ...] = (),
+    section: type[SettingsSection] | None = None,
 ) -> Measurement[FogSettings, F]:
     """Return the measurement ``gyrolock fog NAME``; see :class:`station.measurements.Measurement`."""
     return Measurement(
@@ -99,6 +101,7 @@ def gyro_measurement(
         command=f"gyrolock fog {name}",
         title=title,
         kind=FIBRE_GYRO,
+        section=section,
         take=take,
         take_files=take_files,
         evaluate=evaluate,

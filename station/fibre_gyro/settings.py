@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field
 
 from analysis.fibre_gyro import FibreCoil
 from station.controllers import ControllersSettings, with_controllers
 from station.errors import SettingsError
-from station.measurements import MEASUREMENTS, limits_of
+from station.measurements import FIBRE_GYRO_TESTS, limits_of, sections_of
 from station.settings import (
     Finite,
     Limits,
@@ -89,14 +89,6 @@ class SelfcalSettings(SettingsSection):
     settle_s: NotNegative
 
 
-class EpsSettings(SettingsSection):
-    """The open-loop measurement of the 2 pi error."""
-
-    steps_codes: Annotated[list[Positive], Field(min_length=1)]
-    record_s: Positive
-    settle_s: NotNegative
-
-
 class FiguresSettings(SettingsSection):
     """Runs for the figures of merit."""
 
@@ -111,65 +103,6 @@ class FiguresSettings(SettingsSection):
     misalignment_mrad: NotNegative
     turn_on_s: NotNegative
     warm_up_bound_dph: Positive
-
-
-class AllanSettings(SettingsSection):
-    """The noise at rest."""
-
-    axis: Name
-    record_s: Positive
-    settle_s: NotNegative
-    temperature: bool
-
-
-class ThresholdSettings(SettingsSection):
-    """Threshold, resolution and dead zone."""
-
-    axis: Name
-    table_axis: Literal["vertical", "east"]
-    lowest_dps: Positive
-    highest_dps: Positive
-    per_decade: Annotated[int, Field(ge=1, le=10)]
-    refine: Annotated[int, Field(ge=0, le=20)]
-    resolution_at_dps: NotNegative
-    angle_random_walk: NotNegative
-    ratio_u: Annotated[float, Field(gt=0, le=0.2)]
-    shortest_s: Positive
-    longest_s: Positive
-    settle_s: NotNegative
-    misalignment_mrad: NotNegative
-
-
-class TemperatureSettings(SettingsSection):
-    """Scale factor and bias over a temperature ramp."""
-
-    axis: Name
-    coldest_c: Finite
-    hottest_c: Finite
-    ramp_c_per_min: Positive
-    rate_dps: NotNegative
-    rest_s: Positive
-    settle_s: NotNegative
-    block_s: Positive
-    window_s: Positive
-    highest_order: Annotated[int, Field(ge=1, le=6)]
-    table_step_c: Positive
-    misalignment_mrad: NotNegative
-
-
-class WitnessSettings(SettingsSection):
-    """The oscilloscope on the phase modulator."""
-
-    resource: str
-    baud_rate: Annotated[int, Field(ge=0)]
-    channel: Literal["CH1", "CH2", "CH3", "CH4"]
-    probe: Literal[1, 10, 100, 1000]
-    records: Annotated[int, Field(ge=1, le=10_000)]
-    step_codes: Finite
-    half_wave_v: NotNegative
-    half_wave_u_v: NotNegative
-    gain_u: NotNegative
-    time_base_u: NotNegative
 
 
 class FogSimulationSettings(SettingsSection):
@@ -211,12 +144,7 @@ class FogSettings(SettingsSection):
     logs: LogSettings
     table: FogTableSettings
     selfcal: SelfcalSettings
-    eps: EpsSettings
     figures: FiguresSettings
-    allan: AllanSettings
-    threshold: ThresholdSettings
-    temperature: TemperatureSettings
-    witness: WitnessSettings
     controllers: ControllersSettings | None = None
     simulation: FogSimulationSettings
     limits: Limits
@@ -244,6 +172,21 @@ class FogSettings(SettingsSection):
         return FibreCoil(gyro.coil_length_m, gyro.coil_diameter_m, 1e-6 * gyro.wavelength_um, gyro.fibre_index)
 
 
+class TestSettings(SettingsSection):
+    """The section of one test, which stands with the test."""
+
+    __test__ = False  # pytest takes whatever begins with Test for one of its own
+
+    @classmethod
+    def of(cls, settings: FogSettings) -> Self:
+        """Return this section of all settings."""
+        return next(section for _, section in settings if isinstance(section, cls))
+
+    def wrong(self) -> str:
+        """Say what no single value shows; empty where all is well."""
+        return ""
+
+
 def load_fog_settings(path: Path | None = None, overrides: Values | None = None) -> FogSettings:
     """Read the settings; arguments and errors as :func:`station.settings.load`."""
     return load(FIBRE_GYRO, path, overrides)
@@ -261,12 +204,9 @@ def _check(settings: FogSettings, path: Path) -> FogSettings:
     axes = settings.table.axes
     if len(set(axes)) != len(axes):
         raise SettingsError(f"{path}: table.axes: {', '.join(axes)}: an axis stands there twice")
-    if settings.threshold.highest_dps <= settings.threshold.lowest_dps:
-        raise SettingsError(f"{path}: threshold.highest_dps must be larger than threshold.lowest_dps")
-    if settings.threshold.longest_s < settings.threshold.shortest_s:
-        raise SettingsError(f"{path}: threshold.longest_s must not be shorter than threshold.shortest_s")
-    if settings.temperature.hottest_c <= settings.temperature.coldest_c:
-        raise SettingsError(f"{path}: temperature.hottest_c must be above temperature.coldest_c")
+    for name, section in settings:
+        if isinstance(section, TestSettings) and (wrong := section.wrong()):
+            raise SettingsError(f"{path}: {name}.{wrong}")
     if settings.simulated and settings.table.kind == "manual":
         raise SettingsError(f'{path}: table.kind = "manual": an operator cannot turn a simulated gyro')
     if settings.simulated and settings.table.kind == "controller":
@@ -276,7 +216,8 @@ def _check(settings: FogSettings, path: Path) -> FogSettings:
 
 FIBRE_GYRO = SettingsKind(
     sections=FogSettings,
-    limits=lambda: limits_of(*(name for name, module in MEASUREMENTS.items() if ".fibre_gyro." in module)),
+    limits=lambda: limits_of(*FIBRE_GYRO_TESTS),
+    further=lambda: sections_of(*FIBRE_GYRO_TESTS),
     shipped=lambda given: "fibre_gyro",
     adapt=_adapt,
     check=_check,

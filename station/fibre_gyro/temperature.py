@@ -7,10 +7,11 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 
 from analysis.fibre_gyro import (
     NORMAL_95,
@@ -43,11 +44,12 @@ from station.fibre_gyro.segments import (
     segments_of,
     window_of_any_length,
 )
-from station.fibre_gyro.settings import FogSettings
+from station.fibre_gyro.settings import FogSettings, Name, TestSettings
 from station.report.figure import ACCENT, HALF, INK, SECOND, SOFT, WIDE, legend_above, svg_element
 from station.results.quantity import Quantity, QuantityGroup, document, repeated
 from station.results.result import Excluded, PlacedFigure, Result, Section, TextTable, with_uncertainty
 from station.runs.store import SavedRun
+from station.settings import Finite, NotNegative, Positive
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -62,6 +64,30 @@ Floats = NDArray[np.float64]
 PURPOSE = "temperature"
 _ROUNDS = 2
 _TOO_FEW = "there are not four outputs {} at different temperatures"
+
+
+class TemperatureSettings(TestSettings):
+    """Scale factor and bias over a temperature ramp."""
+
+    axis: Name
+    coldest_c: Finite
+    hottest_c: Finite
+    ramp_c_per_min: Positive
+    rate_dps: NotNegative
+    rest_s: Positive
+    settle_s: NotNegative
+    block_s: Positive
+    window_s: Positive
+    highest_order: Annotated[int, Field(ge=1, le=6)]
+    table_step_c: Positive
+    misalignment_mrad: NotNegative
+
+    def wrong(self) -> str:
+        """See that the ramp goes up."""
+        return "hottest_c must be above temperature.coldest_c" if self.hottest_c <= self.coldest_c else ""
+
+
+_own = TemperatureSettings.of
 
 
 @dataclass(frozen=True)
@@ -130,13 +156,13 @@ def evaluate(run: SavedRun, settings: FogSettings, choices: Mapping[str, Any]) -
 
 
 def _axis(segment: Segment, settings: FogSettings) -> str:
-    return str(segment.conditions.get("axis", settings.temperature.axis))
+    return str(segment.conditions.get("axis", _own(settings).axis))
 
 
 def _one_axis(
     axis: str, segments: Sequence[TimedSegment], settings: FogSettings, left_out: list[Excluded]
 ) -> AxisTemperature:
-    chosen = settings.temperature
+    chosen = _own(settings)
     course = course_of(segments, chosen.window_s)
     at_rest = [one for one in segments if not one.segment.conditions["rate_dps"]]
     remarks: list[str] = []
@@ -168,7 +194,7 @@ def _model(points: TemperaturePoints, settings: FogSettings, *, with_rate: bool 
             points.temperature,
             points.rate if with_rate else None,
             reference=settings.figures.reference_temperature_c,
-            highest_order=settings.temperature.highest_order,
+            highest_order=_own(settings).highest_order,
         )
     except ValueError:
         return None
@@ -342,7 +368,7 @@ def rest_blocks(segments: Sequence[TimedSegment], settings: FogSettings, remarks
     What was missing or far off is added to `remarks`.
     """
     whole = sum(one.segment.recording.duration_s for one in segments)
-    block_s = max(settings.temperature.block_s, whole / MOST_BLOCKS)
+    block_s = max(_own(settings).block_s, whole / MOST_BLOCKS)
     means, rows = [], []
     for one in segments:
         recording = one.segment.recording
@@ -386,7 +412,7 @@ def turned_means(
 ) -> Turned:
     """Return the means over whole turns; adds to `left_out` what cannot be used, to `remarks` what was missing."""
     earth = vertical_earth_rate_dph(settings.site.latitude_deg) / 3600
-    tilt, means, rows = settings.temperature.misalignment_mrad, [], []
+    tilt, means, rows = _own(settings).misalignment_mrad, [], []
     for one in segments:
         conditions = one.segment.conditions
         try:
@@ -425,7 +451,7 @@ class Compensation:
 
 def compensation_of(one: AxisTemperature, settings: FogSettings) -> Compensation:
     """Return the table of an axis; empty where the measured range holds no whole multiple of the step."""
-    step, nominal = settings.temperature.table_step_c, settings.nominal_scale_factor
+    step, nominal = _own(settings).table_step_c, settings.nominal_scale_factor
     models = [modelled.model for modelled in (one.bias, one.scale) if modelled is not None]
     first = math.ceil(min(model.lowest for model in models) / step - 1e-9)
     last = math.floor(max(model.highest for model in models) / step + 1e-9)
@@ -736,7 +762,7 @@ def _residual_svg(modelled: Modelled, axis: str) -> str:
 
 def plan(settings: FogSettings) -> list[PlannedSegment]:
     """List the segments: rest, a turn in both senses, rest, ..., while the chamber goes up and down again."""
-    chosen, planned, begin = settings.temperature, [], 0.0
+    chosen, planned, begin = _own(settings), [], 0.0
     lasts = 60 * (chosen.hottest_c - chosen.coldest_c) / chosen.ramp_c_per_min
     for name, start, end in (
         ("up", chosen.coldest_c, chosen.hottest_c),
@@ -767,7 +793,7 @@ def plan(settings: FogSettings) -> list[PlannedSegment]:
 
 def _cycle(settings: FogSettings) -> list[tuple[str, float, float]]:
     """Name, rate and seconds of what is repeated."""
-    chosen = settings.temperature
+    chosen = _own(settings)
     rates = (chosen.rate_dps, -chosen.rate_dps) if chosen.rate_dps else ()
     turns = [(f"{rate:+.10g} deg/s", rate, turn_time(rate) + MARGIN_S) for rate in rates]
     return [("rest", 0.0, chosen.rest_s), *turns]
@@ -780,7 +806,7 @@ def named(rows: Sequence[LogRow], settings: FogSettings) -> list[NamedSegment]:
 
 def _named(row: LogRow, settings: FogSettings) -> NamedSegment:
     axis, rate, warm = (
-        row.get("axis", settings.temperature.axis),
+        row.get("axis", _own(settings).axis),
         row.get("rate_dps", 0.0),
         row.get("temperature_c"),
     )
@@ -809,4 +835,5 @@ MEASUREMENT = gyro_measurement(
     sections=sections,
     quantities=QUANTITIES,
     plan=plan,
+    section=TemperatureSettings,
 )

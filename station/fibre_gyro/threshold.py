@@ -5,9 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
+from pydantic import Field
 
 from analysis.fibre_gyro import (
     NORMAL_95,
@@ -38,12 +39,13 @@ from station.fibre_gyro.segments import (
     take_segments,
     window_at_rest,
 )
-from station.fibre_gyro.settings import FogSettings
+from station.fibre_gyro.settings import FogSettings, Name, TestSettings
 from station.report.figure import ACCENT, HALF, LINE, SECOND, SOFT, WIDE, legend_above, svg_element
 from station.results.quantity import Quantity, QuantityGroup, document, repeated, rows
 from station.results.result import Excluded, PlacedFigure, Result, Section, TextTable, with_uncertainty
 from station.runs.acquisition import Acquisition
 from station.runs.store import SavedRun
+from station.settings import NotNegative, Positive
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -58,6 +60,35 @@ NOISE, LADDER, RESOLUTION = "noise", "ladder", "resolution"
 _SAME_INPUT = 1e-6  # deg/s
 _NOT_THE_DESIGN = 0.2
 _LINEAR = (0.8, 1.2)
+
+
+class ThresholdSettings(TestSettings):
+    """Threshold, resolution and dead zone."""
+
+    axis: Name
+    table_axis: Literal["vertical", "east"]
+    lowest_dps: Positive
+    highest_dps: Positive
+    per_decade: Annotated[int, Field(ge=1, le=10)]
+    refine: Annotated[int, Field(ge=0, le=20)]
+    resolution_at_dps: NotNegative
+    angle_random_walk: NotNegative
+    ratio_u: Annotated[float, Field(gt=0, le=0.2)]
+    shortest_s: Positive
+    longest_s: Positive
+    settle_s: NotNegative
+    misalignment_mrad: NotNegative
+
+    def wrong(self) -> str:
+        """See that both ranges have their ends in order."""
+        if self.highest_dps <= self.lowest_dps:
+            return "highest_dps must be larger than threshold.lowest_dps"
+        return (
+            "longest_s must not be shorter than threshold.shortest_s" if self.longest_s < self.shortest_s else ""
+        )
+
+
+_own = ThresholdSettings.of
 
 
 @dataclass(frozen=True)
@@ -123,12 +154,12 @@ def evaluate(run: SavedRun, settings: FogSettings, choices: Mapping[str, Any]) -
 
 def axis_of(point: Point, settings: FogSettings) -> str:
     """Return the axis that a segment is of."""
-    return str(point.segment.conditions.get("axis", settings.threshold.axis))
+    return str(point.segment.conditions.get("axis", _own(settings).axis))
 
 
 def earth_rate_along_axis(settings: FogSettings) -> float:
     """Return the earth rate along the table's axis, deg/s."""
-    if settings.threshold.table_axis == "east":
+    if _own(settings).table_axis == "east":
         return 0.0
     return vertical_earth_rate_dph(settings.site.latitude_deg) / 3600
 
@@ -205,7 +236,7 @@ def series_of(
     if not inputs:
         raise ValueError("it has outputs at rest only")
     u = np.maximum(pooled_noise([one.mean for one in (*references, *inputs)]), 1e-12)
-    near_zero = abs(base) <= settings.threshold.lowest_dps / 2
+    near_zero = abs(base) <= _own(settings).lowest_dps / 2
     found = responses(
         [round(one.input_dps - zero, 12) for one in inputs],
         [one.at_s for one in inputs],
@@ -218,9 +249,7 @@ def series_of(
         ),
         scale_factor,
         reference_dps=0.0 if about_reference or near_zero else base,
-        unseen_dps=1e-3
-        * settings.threshold.misalignment_mrad
-        * horizontal_earth_rate_dps(settings.site.latitude_deg),
+        unseen_dps=1e-3 * _own(settings).misalignment_mrad * horizontal_earth_rate_dps(settings.site.latitude_deg),
     )
     return ThresholdSeries(tuple(one.segment.key for one in inputs), base, found, small_rates(found))
 
@@ -331,7 +360,7 @@ def _sentences(found: ThresholdEvaluation, settings: FogSettings) -> tuple[str, 
             "The smallest input passes already: the result is a bound. A ladder that begins lower "
             "(threshold.lowest_dps) makes it smaller, as far as the noise lets it."
         )
-    if settings.threshold.table_axis == "vertical":
+    if _own(settings).table_axis == "vertical":
         said.append("Inputs count the vertical earth rate, which the table turns against where they are small.")
     return tuple(said)
 
@@ -354,7 +383,7 @@ def _to_watch_of(one: AxisThreshold, settings: FogSettings) -> list[str]:
             f"{settings.nominal_scale_factor:.6g} {COUNTS_PER_DPS}, which the outputs are compared with: is the "
             "coil in [gyro] that of this gyro, and is there an output at all?"
         )
-    if abs(ladder.reference_dps) > settings.threshold.lowest_dps / 2:
+    if abs(ladder.reference_dps) > _own(settings).lowest_dps / 2:
         said.append(
             f"{one.axis}: at rest the input is {ladder.reference_dps:.4g} deg/s, the earth rate along the axis, "
             "and the gyro is taken to be linear there. Where the table turns against it, or lies to the east, "
@@ -450,14 +479,14 @@ _REFINED = "refined"
 
 def plan_noise(settings: FogSettings) -> list[PlannedSegment]:
     """List the segment that says the noise, unless the settings do."""
-    if settings.threshold.angle_random_walk:
+    if _own(settings).angle_random_walk:
         return []
     return [_segment("noise at rest", NOISE, 0.0, _NOISE_S, settings, reference=False)]
 
 
 def plan(settings: FogSettings, angle_random_walk: float) -> list[PlannedSegment]:
     """List the segments of the ladder and of the resolution."""
-    ladder, base = ladder_for(settings, angle_random_walk), settings.threshold.resolution_at_dps
+    ladder, base = ladder_for(settings, angle_random_walk), _own(settings).resolution_at_dps
     senses = [(sense * float(rate), float(s)) for rate, s in _rungs(ladder) for sense in (1, -1)]
     planned = _with_references("", LADDER, 0.0, senses, settings)
     if base:
@@ -468,7 +497,7 @@ def plan(settings: FogSettings, angle_random_walk: float) -> list[PlannedSegment
 
 def plan_refined(settings: FogSettings, run: SavedRun) -> list[PlannedSegment]:
     """List further inputs about the edge that the ladder of a run shows."""
-    if not settings.threshold.refine:
+    if not _own(settings).refine:
         return []
     points = [
         one
@@ -480,13 +509,13 @@ def plan_refined(settings: FogSettings, run: SavedRun) -> list[PlannedSegment]:
     except ValueError:
         return []
     longest = {abs(one.input_dps): one.mean.duration_s for one in points if not one.is_reference}
-    between = [(rate, _seconds_near(abs(rate), longest)) for rate in refined(found, settings.threshold.refine)]
+    between = [(rate, _seconds_near(abs(rate), longest)) for rate in refined(found, _own(settings).refine)]
     return _with_references("further ", LADDER, 0.0, between, settings, further=True)
 
 
 def ladder_for(settings: FogSettings, angle_random_walk: float) -> Ladder:
     """Return the ladder of the settings for a noise, deg/sqrt(h)."""
-    chosen = settings.threshold
+    chosen = _own(settings)
     return plan_ladder(
         chosen.lowest_dps,
         chosen.highest_dps,
@@ -499,8 +528,8 @@ def ladder_for(settings: FogSettings, angle_random_walk: float) -> Ladder:
 
 def angle_random_walk_of(run: SavedRun, settings: FogSettings) -> float:
     """Return the noise by the settings, or by the segment at rest, deg/sqrt(h)."""
-    if settings.threshold.angle_random_walk:
-        return settings.threshold.angle_random_walk
+    if _own(settings).angle_random_walk:
+        return _own(settings).angle_random_walk
     for segment in segments_of(run, PURPOSE):
         if segment.conditions["series"] == NOISE:
             try:
@@ -529,10 +558,10 @@ def named(rows: Sequence[LogRow], settings: FogSettings) -> list[NamedSegment]:
 
 
 def _named(row: LogRow, settings: FogSettings) -> NamedSegment:
-    axis, rate, end_up = row.get("axis", settings.threshold.axis), row["rate_dps"], row["end_up"]
+    axis, rate, end_up = row.get("axis", _own(settings).axis), row["rate_dps"], row["end_up"]
     base = row.get("base_dps")
     change = rate - base if base is not None else rate + earth_rate_along_axis(settings)
-    reference = change == 0 or (base is None and (rate == 0 or abs(change) < settings.threshold.lowest_dps / 10))
+    reference = change == 0 or (base is None and (rate == 0 or abs(change) < _own(settings).lowest_dps / 10))
     conditions = {
         "axis": axis,
         "end_up": end_up,
@@ -551,7 +580,7 @@ def _rungs(ladder: Ladder) -> list[tuple[float, float]]:
 def _too_noisy(ladder: Ladder, settings: FogSettings) -> dict[str, str]:
     return {
         f"input {rate:g}": f"its output drowns in the noise: it takes {seconds:.3g} s to know it to a quarter, "
-        f"and threshold.longest_s is {settings.threshold.longest_s:g}"
+        f"and threshold.longest_s is {_own(settings).longest_s:g}"
         for rate, seconds in ladder.too_noisy
     }
 
@@ -602,14 +631,17 @@ def _segment(
     """The table turns against the earth rate, so that the gyro has the input that is wanted."""
     conditions = {
         "purpose": PURPOSE,
-        "axis": settings.threshold.axis,
+        "axis": _own(settings).axis,
         "end_up": 1,
         "rate_dps": input_dps - earth_rate_along_axis(settings),
         "series": series,
         "reference": reference,
     }
     return PlannedSegment(
-        key, seconds, settings.threshold.settle_s, {**conditions, **({_REFINED: True} if further else {})}
+        key,
+        seconds,
+        _own(settings).settle_s,
+        {**conditions, **({_REFINED: True} if further else {})},
     )
 
 
@@ -634,4 +666,5 @@ MEASUREMENT = gyro_measurement(
     sections=sections,
     quantities=QUANTITIES,
     unusable=_unusable,
+    section=ThresholdSettings,
 )

@@ -7,10 +7,11 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 
 from analysis.fibre_gyro import (
     ClosedLoop,
@@ -28,7 +29,7 @@ from station.errors import NoUsableSignal, UsageError
 from station.fibre_gyro.bench import SerialFogBench, loop_settings
 from station.fibre_gyro.common import PPM, beyond_converter, gyro_table
 from station.fibre_gyro.segments import PlannedSegment
-from station.fibre_gyro.settings import FIBRE_GYRO, FogSettings
+from station.fibre_gyro.settings import FIBRE_GYRO, FogSettings, TestSettings
 from station.fibre_gyro.sniff import read_frame_format
 from station.live.preview import Preview, PreviewTrace, PreviewValue, See, trace_of, waveform_of
 from station.measurements import Measurement
@@ -50,6 +51,7 @@ from station.runs.acquisition import Acquisition
 from station.runs.store import NewRecord, SavedRecord, SavedRun
 from station.scope.autoset import KnobPositions, fit_channel, oscilloscope_steps
 from station.scope.tools import open_scope, serve
+from station.settings import Finite, NotNegative
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -57,6 +59,24 @@ if TYPE_CHECKING:
 
 # --------------------
 # Records of the modulator staircase: from an oscilloscope while the gyro injects, or from its files
+
+
+class WitnessSettings(TestSettings):
+    """The oscilloscope on the phase modulator."""
+
+    resource: str
+    baud_rate: Annotated[int, Field(ge=0)]
+    channel: Literal["CH1", "CH2", "CH3", "CH4"]
+    probe: Literal[1, 10, 100, 1000]
+    records: Annotated[int, Field(ge=1, le=10_000)]
+    step_codes: Finite
+    half_wave_v: NotNegative
+    half_wave_u_v: NotNegative
+    gain_u: NotNegative
+    time_base_u: NotNegative
+
+
+_own = WitnessSettings.of
 
 
 _SETTING = "scope_setting"
@@ -76,13 +96,13 @@ _SHAPE = _Shape()
 
 def is_simulated(settings: FogSettings) -> bool:
     """Whether the oscilloscope is simulated: none is named."""
-    return not settings.witness.resource
+    return not _own(settings).resource
 
 
 def take(settings: FogSettings, session: Acquisition) -> None:
     """Take the records; of a run that was cut short those that are missing, with the scope set as it was."""
     _check(settings)
-    witness, before = settings.witness, session.facts.get(_SETTING)
+    witness, before = _own(settings), session.facts.get(_SETTING)
     injected = session.open(_injecting(settings))
     scope = session.open(_scope(settings, session))
     session.watch(scope)
@@ -117,7 +137,7 @@ def _record(key: str, waveform: Waveform, conditions: dict[str, object]) -> NewR
 
 def _check(settings: FogSettings) -> None:
     """Refuse what cannot be done, before anything moves."""
-    step, bits = settings.witness.step_codes, settings.gyro.dac_bits
+    step, bits = _own(settings).step_codes, settings.gyro.dac_bits
     if is_simulated(settings) and settings.link.port:
         raise UsageError(
             f"link.port names a real gyro ({settings.link.port}) and witness.resource no oscilloscope: give both, "
@@ -140,13 +160,13 @@ def _truth(settings: FogSettings) -> dict[str, dict[str, float]]:
         TWO_PI_VOLTAGE.key(): 2 * half_wave * (1 + eps),
         TWO_PI_ERROR_PPM.key(): PPM * eps,
         STEP_TIME.key(): settings.coil.transit_time,
-        "step_codes": settings.witness.step_codes,
+        "step_codes": _own(settings).step_codes,
     }
     return {"truth": truth}
 
 
 def _scope(settings: FogSettings, session: Acquisition) -> AbstractContextManager[TDS2014]:
-    witness = settings.witness
+    witness = _own(settings)
     if not is_simulated(settings):
         return open_scope(
             witness.resource,
@@ -163,9 +183,9 @@ def _scope(settings: FogSettings, session: Acquisition) -> AbstractContextManage
 def _injecting(settings: FogSettings) -> Iterator[dict[str, Any]]:
     """Hold the feedback and inject the step, if the gyro's port is named; in closed loop the two would cancel."""
     if not settings.link.port:
-        yield {"step_codes": settings.witness.step_codes} if is_simulated(settings) else {}
+        yield {"step_codes": _own(settings).step_codes} if is_simulated(settings) else {}
         return
-    wanted = {"loop": "held", "step_codes": settings.witness.step_codes, "rate_dps": 0.0}
+    wanted = {"loop": "held", "step_codes": _own(settings).step_codes, "rate_dps": 0.0}
     planned = PlannedSegment(PURPOSE, 0.0, 0.0, wanted)
     layout = read_frame_format(settings)
     with FibreGyroLink(settings.link.port, layout, speed=settings.link.speed) as link:
@@ -180,7 +200,7 @@ def _injecting(settings: FogSettings) -> Iterator[dict[str, Any]]:
 
 def _set_up(scope: TDS2014, settings: FogSettings, before: KnobPositions | None) -> KnobPositions:
     """Set the scope as it was set before, or so that a record holds enough steps and they fill the screen."""
-    witness, beat = settings.witness, 1 / settings.coil.transit_time
+    witness, beat = _own(settings), 1 / settings.coil.transit_time
     channel = witness.channel
     scope.set_channel(channel, coupling="DC", probe=witness.probe, bandwidth_limit=False, invert=False)
     scope.set_acquisition(mode="SAMPLE")
@@ -219,7 +239,7 @@ def modulator_voltage(settings: FogSettings) -> Callable[[Floats], Floats]:
     coil, loop = settings.coil, loop_settings(settings)
     gyro = ClosedLoop(coil, loop, settings.simulation.seed, kernel="numpy")
     gyro.clear_feedback()
-    trace = gyro.trace(_TRACE_SAMPLES, injected_step=settings.witness.step_codes, closed=False)
+    trace = gyro.trace(_TRACE_SAMPLES, injected_step=_own(settings).step_codes, closed=False)
     staircase, bias = trace.staircase.astype(np.int64), (trace.code - trace.staircase)[:2].astype(np.int64)
     whole = staircase.size - 2  # an even number, so that the bias fits
     grown = int(staircase[whole] - staircase[0])
@@ -244,7 +264,7 @@ def modulator_voltage(settings: FogSettings) -> Callable[[Floats], Floats]:
 @contextmanager
 def open_simulated_scope(settings: FogSettings, *, times_resumed: int = 0) -> Iterator[TDS2014]:
     """Open a simulated oscilloscope on the modulator, through a real byte stream; its clock jumps over waiting."""
-    witness, seed = settings.witness, settings.simulation.seed
+    witness, seed = _own(settings), settings.simulation.seed
     if times_resumed:
         seed = int(np.random.SeedSequence([seed, times_resumed]).generate_state(1)[0])
     voltage = modulator_voltage(settings)
@@ -350,7 +370,7 @@ def witnessed(waveform: Waveform, transit_time: float) -> tuple[StaircaseWitness
 def _found(
     records: tuple[WitnessedRecord, ...], left_out: tuple[Excluded, ...], settings: FogSettings, *, simulated: bool
 ) -> WitnessEvaluation:
-    chosen = settings.witness
+    chosen = _own(settings)
     gain, seconds = chosen.gain_u, chosen.time_base_u
     alone = _mean(records, "two_pi_voltage")
     voltage = _widened(alone, gain)
@@ -480,8 +500,8 @@ def result(found: WitnessEvaluation, run: SavedRun, settings: FogSettings) -> Re
 def _document(found: WitnessEvaluation, settings: FogSettings) -> dict[str, Any]:
     return {
         **document(found, NUMBERS),
-        "gain_u": settings.witness.gain_u,
-        "time_base_u": settings.witness.time_base_u,
+        "gain_u": _own(settings).gain_u,
+        "time_base_u": _own(settings).time_base_u,
         "records": [
             {
                 "name": one.name,
@@ -515,7 +535,7 @@ def _sentences(found: WitnessEvaluation, settings: FogSettings, injected: float 
     """Say what the numbers show and what they cannot."""
     alone, difference = found.two_pi_voltage_record_u, found.step_time_ppm
     said = [
-        f"Volts are the oscilloscope's reading: its gain is known to {100 * settings.witness.gain_u:.3g} % (k = "
+        f"Volts are the oscilloscope's reading: its gain is known to {100 * _own(settings).gain_u:.3g} % (k = "
         "1), which is in every uncertainty in volts here. A wrong resistor shows, a drift of 0.1 % does not."
     ]
     if math.isfinite(alone):
@@ -635,7 +655,7 @@ def _row(record: WitnessedRecord) -> tuple[str, ...]:
 
 def facts(found: WitnessEvaluation, run: SavedRun, settings: FogSettings) -> list[FactTable]:
     """Return how the records were taken, for the facts of the report."""
-    known, witness = run.facts, settings.witness
+    known, witness = run.facts, _own(settings)
     identity, step = known.get("identity"), known.get("injected", {}).get("step_codes")
     half_wave = "not known"
     if witness.half_wave_v:
@@ -739,5 +759,6 @@ MEASUREMENT = Measurement(
     facts=facts,
     quantities=QUANTITIES,
     simulated=is_simulated,
+    section=WitnessSettings,
     watch=watch,
 )

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, Self
 
 UNITS = {
     "dps": "deg/s",
@@ -120,6 +120,9 @@ class Quantity:
         return Value(value, UNITS.get(self.unit, ""), low, high, of, u, self)
 
 
+_NUMBERS = ("value", "u", "low_95", "high_95")
+
+
 @dataclass(frozen=True)
 class Value:
     """A number as a run gives it."""
@@ -159,6 +162,27 @@ class Value:
         if self.decimals is None or abs(number) >= 1e15:
             return f"{number:.{significant}g}"
         return f"{number:.{self.decimals}f}"
+
+    def as_json(self) -> dict[str, Any]:
+        """Return it as plain JSON; :meth:`from_json` is the way back."""
+        numbers = {name: getattr(self, name) for name in _NUMBERS}
+        plain = {name: value if math.isfinite(value) else None for name, value in numbers.items()}
+        return {
+            "name": self.name,
+            "of": self.of or None,
+            **plain,
+            "unit": self.unit,
+            "quantity": self.quantity.name,
+        }
+
+    @classmethod
+    def from_json(cls, saved: Mapping[str, Any]) -> Self:
+        """Return what was saved; of an early version without the declared name its key stands for it."""
+        name = saved.get("name") or ""
+        stem = saved.get("quantity") or name
+        quantity = Quantity(stem, name.removeprefix(stem)[1:])
+        numbers = {one: _number(saved.get(one)) for one in _NUMBERS}
+        return cls(unit=saved["unit"], of=saved["of"] or "", quantity=quantity, **numbers)
 
     @property
     def words(self) -> str:

@@ -95,6 +95,7 @@ class Link:
         """Time in s until the last answer on a stream began, beyond what its question was known to take."""
         self._timeout: float | None = None
         self._socket: DeadlineSocket | None = None
+        self._line: SerialLine | None = None
         self._manager = resource_manager
         self._claim = claim_instrument(resource_name, resource_manager)
         try:
@@ -144,7 +145,7 @@ class Link:
         Other programs are kept from it meanwhile.
         """
         self._hang_up()
-        self._timeout = self._socket = None
+        self._timeout = self._socket = self._line = None
         self._resource, self._beneath = open_instrument(self.name, self._manager, ANSWER_TIME)
         self._adapter = adapter_of(self._resource)
         self.closed = False
@@ -325,7 +326,10 @@ class Link:
         """One VISA read of at most `count` bytes; the flag tells whether it ended a message."""
         full = StatusCode.success_max_count_read
         with self._link_errors("reading from"), self._resource.ignore_warning(full):
-            data, status = self._resource.visalib.read(self._resource.session, count)
+            if self._line is not None:
+                data, status = self._line.read(count, (self._timeout or 0.0) / 1000), full
+            else:
+                data, status = self._resource.visalib.read(self._resource.session, count)
         note(self.name, "read", bytes(data))
         return bytes(data), status != full
 
@@ -353,6 +357,8 @@ class Link:
             # Hard flagging is the factory setting and the only one that passes binary data unharmed.
             resource.flow_control = constants.ControlFlow.rts_cts
             resource.end_input = constants.SerialTermination.termination_char
+            port: Any = getattr(session_of(resource), "interface", None)
+            self._line = SerialLine(port) if hasattr(port, "in_waiting") else None
         else:
             self._tune_socket()
 
@@ -443,7 +449,7 @@ def _bitmap_length(picture: bytes | bytearray) -> int:
 
 
 # --------------------
-# A TCP socket that notices what PyVISA-py waits over
+# A serial line and a TCP socket where PyVISA-py takes bytes one by one, or waits over what they notice
 
 
 class HungUp(ConnectionError):
@@ -452,6 +458,30 @@ class HungUp(ConnectionError):
 
 class Overdue(Exception):
     """Bytes go on coming one by one, and not all that were asked for are there in time."""
+
+
+class SerialLine:
+    """Bytes of a serial port of PyVISA-py, as many at a time as have come; it takes them one by one itself."""
+
+    def __init__(self, port: Any) -> None:
+        self._port, self._ahead = port, bytearray()
+
+    def read(self, count: int, seconds: float) -> bytes:
+        """Read up to a line feed, `count` bytes at most; Overdue if one is missing, and what came is dropped."""
+        ends_at, looked_behind = time.monotonic() + seconds, False
+        while True:
+            size = self._ahead.find(b"\n", 0, count) + 1 or (count if len(self._ahead) >= count else 0)
+            if size:
+                data = bytes(self._ahead[:size])
+                del self._ahead[:size]
+                return data
+            if looked_behind:
+                self._ahead.clear()
+                raise Overdue
+            late = time.monotonic() > ends_at
+            # waits for the first of them as long as the port's own limit says, which is that of the link
+            self._ahead += (came := self._port.read(max(1, self._port.in_waiting)))
+            looked_behind = late or not came
 
 
 class DeadlineSocket(socket.socket):

@@ -18,7 +18,6 @@ if TYPE_CHECKING:
     from station.runs.progress import Progress
     from station.runs.store import SavedRun
     from station.settings import SettingsKind
-    from station.sources.batches import Source
     from station.sources.workers import Workers
 
 S = TypeVar("S", bound=SettingsSection)
@@ -48,13 +47,12 @@ class Measurement(Generic[S, F]):
     take: Callable[[S, Acquisition], None]
     # gets settings, paths and session: makes a run of files instead
     take_files: Callable[[S, Sequence[Path], Acquisition], None] | None = None
-    # gets a run, its settings and the user's choices by name: the one step that computes. Raises NoUsableSignal.
-    evaluate: Callable[[SavedRun, S, Mapping[str, Any]], F]
-    # gets a source, its settings, the choices, workers and progress: the same without holding the samples of a
-    # long run, and which records are damaged, in sentences. It gives ``None`` where it cannot.
-    evaluate_source: (
-        Callable[[Source, S, Mapping[str, Any], Workers, Progress], tuple[F, tuple[str, ...]] | None] | None
-    ) = None
+    # gets a run, its settings, the user's choices by name, workers and progress: the one step that computes.
+    # Raises NoUsableSignal.
+    evaluate: Callable[[SavedRun, S, Mapping[str, Any], Workers, Progress], F]
+    streams: bool = False  # whether it reads a long run piece by piece, and needs it in memory at no time
+    # gets what was found: which records of such a run are damaged, in sentences
+    damage: Callable[[F], tuple[str, ...]] = field(default=lambda found: ())
     choices: tuple[str, ...] = ()  # names of the choices that it takes
     # gets what was found, the run and the settings: numbers and sentences
     result: Callable[[F, SavedRun, S], Result]

@@ -201,11 +201,13 @@ def _sqlite() -> Check:
 
 def _test_record() -> Check:
     """Send one record of the simulated scope through a real link, the store and the analysis."""
-    from station.lock_in.evaluate import evaluate_run
+    from station.lock_in.evaluate import evaluate_records
     from station.lock_in.served import at_slow_rate
     from station.ring_laser.bench import open_bench
     from station.ring_laser.records import acquisition_records, take_record
+    from station.runs.progress import Progress
     from station.runs.store import RunWriter, open_run
+    from station.sources.workers import ThisProcess
 
     settings = at_slow_rate(default_settings("simulated"))
     with tempfile.TemporaryDirectory() as folder, open_bench(settings) as bench:
@@ -214,7 +216,7 @@ def _test_record() -> Check:
             bench.scope.set_timebase(0.025)
             waveforms, conditions = take_record(bench, ("CH1",))
             writer.save_records(acquisition_records("measure", "1", waveforms, ("CH1",), conditions))
-        evaluation = evaluate_run(open_run(writer.path), settings)
+        evaluation = evaluate_records(open_run(writer.path), settings, {}, ThisProcess(), Progress(quiet=True))
         name = bench.scope.resource_name
     if not evaluation.usable:
         return Check("test record", "bad", f"the simulated scope at {name} gave no lock-in rate")

@@ -27,8 +27,9 @@ from station.datasets.backends import (
 from station.datasets.rows import AT_ONCE, Rows, described, joined_rows, package, record_of, rows_of
 from station.errors import CannotWrite, RunError, StationError, UsageError, one_line
 from station.runs.database import RunFacts, checked_fact
-from station.runs.store import SavedRecord, SavedRun, damage_of, damaged_facts, missing_records
+from station.runs.store import SavedRecord, SavedRun, damage_of, damaged_facts, missing_records, open_run
 from station.sources.batches import ExcludedRecord, Source
+from station.sources.run import HeldRun, RunSource
 
 PARTS = "part-*.parquet"
 _ENDINGS: dict[str, Callable[[str], Table]] = {
@@ -187,8 +188,12 @@ def sources_of(place: str | Path) -> list[DatasetSource]:
     return list(found.values())
 
 
-def run_of(source: Source) -> SavedRun:
-    """Return a source as the run that it was: everything that evaluates a run takes it."""
+def whole(source: Source) -> SavedRun:
+    """Return the run of a source with all its records in memory."""
+    if isinstance(source, HeldRun):
+        return source.run
+    if isinstance(source, RunSource):
+        return open_run(source.path)
     records = tuple(source.records())
     damaged = tuple(damage_of(records, source.unusable))
     return SavedRun(source.path, source.facts, records, None, dict(source.unusable), source.protected, damaged)

@@ -104,7 +104,7 @@ def gyro_measurement(
         section=section,
         take=take,
         take_files=take_files,
-        evaluate=evaluate,
+        evaluate=lambda run, settings, choices, workers, progress: evaluate(run, settings, choices),
         result=with_link_remarks(result),
         sections=sections,
         facts=output_facts,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -753,7 +753,7 @@ MEASUREMENT = Measurement(
     kind=replace(FIBRE_GYRO, knowledge=("limits.*", *(f"witness.{name}" for name in _KNOWN))),
     take=take,
     take_files=take_files,
-    evaluate=evaluate,
+    evaluate=lambda run, settings, choices, workers, progress: evaluate(run, settings, choices),
     result=result,
     sections=sections,
     facts=facts,

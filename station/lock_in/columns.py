@@ -298,9 +298,14 @@ def whole_pairs(gathered: Gathered) -> Gathered | None:
 
     What is left out is counted as damaged, with the record that it belongs to.
     """
-    if (gathered.seconds == 0).any():
-        return None
+    return None if (gathered.seconds == 0).any() else with_intact_seconds(gathered)
+
+
+def with_intact_seconds(gathered: Gathered) -> Gathered:
+    """The records whose second one, where there is one, is intact; others count as damaged."""
     lost = gathered.seconds < 0
+    if not lost.any():
+        return gathered
     kept = np.flatnonzero(~lost)
     return replace(
         gathered,
@@ -310,6 +315,7 @@ def whole_pairs(gathered: Gathered) -> Gathered | None:
         columns={name: values[kept] for name, values in gathered.columns.items()},
         labels={},
         truth={name: values[kept] for name, values in gathered.truth.items()},
+        each=None if gathered.each is None else gathered.each[kept],
         damaged=tuple(sorted({*gathered.damaged, *_list(gathered.places[lost])})),
     )
 

@@ -42,6 +42,7 @@ from station.sources.batches import (
     why_not,
 )
 from station.sources.find import open_source
+from station.sources.run import RunSource
 
 MEASURE, FAST, SECOND = "measure", "tilt", "quadrature"
 CONDITIONS = ("table_rate_dps", "azimuth_start_deg", "azimuth_end_deg", "over_lock_in")
@@ -220,7 +221,7 @@ class _Reading:
         if not record.intact:
             self._damage += filter(None, [damaged_record(record)])
             self._damaged.append(place)
-        self._left_out.append(ExcludedRecord(source.name, record.key, why_not(record)))
+        self._left_out.append(ExcludedRecord(source.name, record.key, why_not(record), damaged=not record.intact))
 
     def gathered(self) -> Gathered:
         """What was found, when everything that waited has been estimated."""
@@ -302,7 +303,7 @@ def pieces_of(source: Source, choices: Mapping[str, Any], *, whole: bool = False
 
 def _again(source: Source) -> Path | Source:
     """What another process opens a source by: a run is a file, one of a data set knows its rows."""
-    return source.path if source.kind == "run" else source
+    return source.path if isinstance(source, RunSource) else source
 
 
 def together(parts: Sequence[Gathered]) -> Gathered:

@@ -6,14 +6,13 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from pathlib import Path
 from statistics import fmean
 from typing import Any, Protocol, overload
 
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis import LockInEstimate, flag_names
+from analysis import flag_names
 from analysis.arrays import NoTilt, OneRateOnly, OutsideResponse
 from analysis.lock_in_run import (
     Batch,
@@ -32,77 +31,52 @@ from analysis.lock_in_run import (
 from instrument import Waveform
 from station.errors import NoUsableSignal, RunError, UsageError
 from station.files import given_back
-from station.lock_in.columns import Collected, Pairs, whole_pairs
-from station.lock_in.estimate import Gathered, Piece, described_records, estimate_pieces, pieces_of
-from station.lock_in.settings import Settings, knowledge_of_files, run_knowledge
+from station.lock_in.columns import Collected, Pairs, whole_pairs, with_intact_seconds
+from station.lock_in.estimate import FAST, Gathered, Piece, described_records, estimate_pieces, pieces_of
+from station.lock_in.settings import Settings, run_knowledge
 from station.ring_laser.records import saved_waveform
 from station.runs.progress import Progress
 from station.runs.store import SavedRecord, SavedRun
 from station.sources.batches import Source
+from station.sources.run import source_of
 from station.sources.workers import Workers
 
 _LOOKED_AT = 200
 """Records that are read together where only some are looked at."""
 
 
-def evaluate_run(run: SavedRun, settings: Settings, method: Method | None = None) -> LockInEvaluation:
-    """Evaluate the records that a run took at its slow rate, or at its slow rates."""
-    method = method or Method(settings.gyro.scale_factor_pulses_per_deg)
-    acquisitions = acquisitions_of(run)
-    intact = [taken for taken in acquisitions if taken.intact]
-    if not intact:
-        what = "only damaged records" if acquisitions else "no record at the slow rate"
-        raise RunError(f"{run.path}: the run holds {what}")
-    records = [taken.sine for taken in intact]
-    waveforms = tuple(saved_waveform(record, run.path) for record in records)
-    cosines = [saved_waveform(taken.cosine, run.path) for taken in intact if taken.cosine is not None]
-    channels = (waveforms, cosines) if len(cosines) == len(waveforms) else (waveforms,)
-    found = _evaluated(RunArrays(_arrays(channels, records), _fast_run(run)), settings, method)
-    shown = records
-    if found.several is not None:
-        shown = [records[row] for row in found.several.reference_group.rows]
-    return LockInEvaluation(
-        **vars(found),
-        names=tuple(taken.name for taken in intact),
-        waveforms=waveforms,
-        damaged=tuple(taken.name for taken in acquisitions if not taken.intact),
-        truth=_mean_truth(shown),
-        without_beat=tuple(run.facts.get("rates_without_beat", ())),
-    )
-
-
-def evaluate_source(
-    source: Source, settings: Settings, choices: Mapping[str, Any], workers: Workers, progress: Progress
-) -> tuple[LockInEvaluation, tuple[str, ...]] | None:
-    """Evaluate a saved run without holding its samples: the same numbers as :func:`evaluate_run`, bit for bit."""
+def evaluate_records(
+    run: SavedRun, settings: Settings, choices: Mapping[str, Any], workers: Workers, progress: Progress
+) -> LockInEvaluation:
+    """Evaluate the records that a run took at its slow rate, or at its slow rates; their samples are not held."""
+    source = source_of(run)
     chosen = {"scale_factor": settings.gyro.scale_factor_pulses_per_deg, **choices}
     gathered = _read_pairs(source, chosen) if settings.scope.quadrature_channel else None
     paired = gathered is not None
     if gathered is None:
-        gathered = _estimated(source, settings, chosen, workers, progress)
-    if gathered.paired and not paired:
-        return None
+        gathered = with_intact_seconds(_estimated(source, settings, chosen, workers, progress))
     if not len(gathered):
         what = "only damaged records" if gathered.taken else "no record at the slow rate"
         raise RunError(f"{source.name}: the run holds {what}")
-    fast = _arrays(([saved_waveform(record, source.path) for record in gathered.fast],), gathered.fast)
     waveforms = SavedWaveforms(source, gathered.numbers)
     slow = gathered_arrays(gathered, waveforms)
     if paired:
         slow = replace(slow, batches=Pairs(source, gathered), n_channels=2)
-    found = _evaluated(RunArrays(slow, fast), settings, Method(**chosen), gathered.each)
+    arrays = RunArrays(slow, _arrays(gathered.fast, run))
+    with errors_in_words(), given_back():
+        found = evaluate(arrays, run_knowledge(settings), Method(**chosen), gathered.each)
     rows: slice | NDArray[np.intp] = slice(None)
     if found.several is not None:
         rows = found.several.reference_group.rows
-    in_words = LockInEvaluation(
+    return LockInEvaluation(
         **vars(found),
         names=Numbered(gathered.places),
         waveforms=waveforms,
         damaged=tuple(str(place + 1) for place in gathered.damaged),
+        damage=gathered.damage,
         truth={name: fmean(values[rows]) for name, values in gathered.truth.items()} or None,
-        without_beat=tuple(source.facts.get("rates_without_beat", ())),
+        without_beat=tuple(run.facts.get("rates_without_beat", ())),
     )
-    return in_words, gathered.damage
 
 
 def _estimated(
@@ -112,8 +86,7 @@ def _estimated(
     collected, pieces = Collected(run_knowledge(settings).response), pieces_of(source, choices)
     progress.start("thousands of records", len(pieces))
     for (part,) in workers.map(estimate_pieces, pieces):
-        if part.left_out and part.left_out[-1].record is None:
-            raise RunError(str(part.left_out[-1]))
+        _refuse_unusable(part)
         with errors_in_words():
             collected.add(part)
         progress.advance()
@@ -123,16 +96,15 @@ def _estimated(
 def _read_pairs(source: Source, choices: Mapping[str, Any]) -> Gathered | None:
     """What is known of the records of two photodiodes but their samples; ``None`` where not all are pairs."""
     gathered = described_records(Piece(source, None, choices))
-    if gathered.left_out and gathered.left_out[-1].record is None:
-        raise RunError(str(gathered.left_out[-1]))
+    _refuse_unusable(gathered)
     return whole_pairs(gathered)
 
 
-def _evaluated(
-    arrays: RunArrays, settings: Settings, method: Method, estimated: LockInEstimate | None = None
-) -> LockInRun:
-    with errors_in_words(), given_back():
-        return evaluate(arrays, run_knowledge(settings), method, estimated)
+def _refuse_unusable(gathered: Gathered) -> None:
+    """RunError for a run that cannot be read, or a record of it that is whole and none of a beat over time."""
+    for one in gathered.left_out:
+        if not one.damaged:
+            raise RunError(str(one))
 
 
 @contextmanager
@@ -188,21 +160,9 @@ def gathered_arrays(gathered: Gathered, waveforms: ReadAgain) -> RecordArrays:
     )
 
 
-def evaluate_waveforms(
-    waveforms: Sequence[Waveform], names: Sequence[str], method: Method, config: Path | None = None
-) -> LockInEvaluation:
-    """Evaluate records that come from files: at least one, each with its name; `config` states their bench."""
-    nothing: tuple[Waveform, ...] = ()
-    arrays = RunArrays(_arrays((waveforms,)), _arrays((nothing,)))
-    known = knowledge_of_files((waveform.preamble.wfid for waveform in waveforms), method, config)
-    with errors_in_words():
-        found = evaluate(arrays, known, method)
-    return LockInEvaluation(**vars(found), names=tuple(names), waveforms=tuple(waveforms))
-
-
 def fast_run_tilt(run: SavedRun, settings: Settings) -> Tilt:
     """Find the tilt from the fast run alone, while the slow records are still to be taken."""
-    fast, knowledge = _fast_run(run), run_knowledge(settings)
+    fast, knowledge = _arrays(run.taken_for(FAST), run), run_knowledge(settings)
     try:
         return find_tilt(fast, knowledge)
     except NoTilt as error:
@@ -217,66 +177,37 @@ def fast_run_tilt(run: SavedRun, settings: Settings) -> Tilt:
 
 def lock_in_so_far(records: Sequence[SavedRecord], run: SavedRun, settings: Settings) -> PreliminaryLockIn | None:
     """Say what records of a run at one rate say of the lock-in rate; ``None`` if they show no beat."""
-    arrays = _arrays(([saved_waveform(record, run.path) for record in records],), records)
-    return preliminary_lock_in(arrays, settings.gyro.scale_factor_pulses_per_deg)
-
-
-@dataclass(frozen=True)
-class ChannelPair:
-    """What was recorded at one time."""
-
-    name: str  # its number among the acquisitions at the slow rates, from 1
-    sine: SavedRecord  # the channel of the measurement
-    cosine: SavedRecord | None  # the second photodiode, where there is one
-
-    @property
-    def intact(self) -> bool:
-        """Whether everything in it is what was once saved."""
-        return self.sine.intact and (self.cosine is None or self.cosine.intact)
-
-
-def acquisitions_of(run: SavedRun) -> list[ChannelPair]:
-    """Return the acquisitions at the slow rates of a run in their order; fast ones are left out."""
-    found: list[ChannelPair] = []
-    for record in run.records:
-        if record.purpose == "measure":
-            found.append(ChannelPair(str(len(found) + 1), record, None))
-        elif record.purpose == "quadrature" and found:
-            # saved in one commit with the sine before it
-            found[-1] = ChannelPair(found[-1].name, found[-1].sine, record)
-    return found
+    return preliminary_lock_in(_arrays(records, run), settings.gyro.scale_factor_pulses_per_deg)
 
 
 @dataclass(frozen=True)
 class _Volts:
-    """Volts of many waveforms, made batch by batch: those of a long run together need much memory."""
+    """Volts of some waveforms, made batch by batch."""
 
-    channels: Sequence[Sequence[Waveform]]
+    waveforms: Sequence[Waveform]
 
     def __iter__(self) -> Iterator[Batch]:
-        first = self.channels[0]
-        intervals = np.array([wave.sample_interval for wave in first])
-        for rows in rows_of_batches(intervals, np.array([wave.codes.size for wave in first], dtype=np.int64)):
-            picked = [[waves[row] for row in rows] for waves in self.channels]
-            volts = np.array([[wave.volts for wave in waves] for waves in picked])
-            clipped = np.array([[wave.clipped_samples for wave in waves] for waves in picked])
-            yield Batch(rows, first[rows[0]].sample_interval, volts, clipped)
+        intervals = np.array([wave.sample_interval for wave in self.waveforms])
+        samples = np.array([wave.codes.size for wave in self.waveforms], dtype=np.int64)
+        for rows in rows_of_batches(intervals, samples):
+            waves = [self.waveforms[row] for row in rows]
+            volts, clipped = [wave.volts for wave in waves], [wave.clipped_samples for wave in waves]
+            yield Batch(rows, waves[0].sample_interval, np.array([volts]), np.array([clipped]))
 
 
-def _arrays(channels: Sequence[Sequence[Waveform]], records: Sequence[SavedRecord] | None = None) -> RecordArrays:
-    """Records as arrays, with the conditions under which they were saved where they come from a run."""
+def _arrays(records: Sequence[SavedRecord], run: SavedRun) -> RecordArrays:
+    """A few records of a run as arrays, with the conditions under which they were saved."""
+    waveforms = [saved_waveform(record, run.path) for record in records]
 
     def condition(name: str) -> NDArray[np.float64]:
-        if records is None:
-            return np.full(len(channels[0]), math.nan)
         values = [record.conditions.get(name) for record in records]
         return np.array([math.nan if value is None else float(value) for value in values], dtype=np.float64)
 
     return RecordArrays(
-        batches=_Volts(channels),
-        n_channels=len(channels),
-        samples=np.array([wave.codes.size for wave in channels[0]], dtype=np.int64),
-        level_spacing=np.array([abs(wave.preamble.ymult) for wave in channels[0]]),
+        batches=_Volts(waveforms),
+        n_channels=1,
+        samples=np.array([wave.codes.size for wave in waveforms], dtype=np.int64),
+        level_spacing=np.array([abs(wave.preamble.ymult) for wave in waveforms]),
         table_rate=condition("table_rate_dps"),
         azimuth_start=condition("azimuth_start_deg"),
         azimuth_end=condition("azimuth_end_deg"),
@@ -284,20 +215,8 @@ def _arrays(channels: Sequence[Sequence[Waveform]], records: Sequence[SavedRecor
     )
 
 
-def _fast_run(run: SavedRun) -> RecordArrays:
-    records = run.taken_for("tilt")
-    return _arrays(([saved_waveform(record, run.path) for record in records],), records)
-
-
 def _no_tilt(error: NoTilt) -> str:
     return f"the fast run gives no tilt: {error}"
-
-
-def _mean_truth(records: Sequence[SavedRecord]) -> dict[str, float] | None:
-    truths = [record.conditions["truth"] for record in records if record.conditions.get("truth")]
-    if not truths:
-        return None
-    return {name: fmean(truth[name] for truth in truths) for name in truths[0]}
 
 
 # --------------------
@@ -318,6 +237,7 @@ class LockInEvaluation(LockInRun):
     names: Sequence[str]  # what each record is called: its number in the run, or its file
     waveforms: Sequence[Waveform]  # the records; those of a long run are read when they are asked for
     damaged: tuple[str, ...] = ()  # records that were left out because they are not what was once saved
+    damage: tuple[str, ...] = ()  # damaged records of every purpose, one sentence each
     truth: dict[str, float] | None = None  # the true values of a simulated run
     without_beat: tuple[str, ...] = ()  # rates of several that gave no record
 

@@ -4,17 +4,15 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 
 from analysis import HarmonicFit, fit_rate_ratios, lock_in_from_beat
 from analysis.arrays import NoFit
-from analysis.lock_in_run import Method
 from station.live.preview import Preview, PreviewValue, See, harmonics_of, trace_of_beat, waveform_of
-from station.lock_in.evaluate import LockInEvaluation, evaluate_run, evaluate_source
+from station.lock_in.evaluate import evaluate_records
 from station.lock_in.quantities import QUANTITIES, record_documents
 from station.lock_in.report import sections
 from station.lock_in.result import fact_tables, result
@@ -24,7 +22,7 @@ from station.measurements import Measurement
 from station.results.numbers import BEAT_FREQUENCY, LOCK_IN_RATE, RATIO
 from station.results.result import with_uncertainty
 from station.ring_laser.bench import examine
-from station.runs.store import NewRecord, SavedRun
+from station.runs.store import NewRecord
 
 # --------------------
 # What one record says of the lock-in rate as soon as it is there, and all so far: for those who watch.
@@ -162,20 +160,15 @@ def _lock_in(ratio: float, beat_rate: float, ratio_u: float) -> tuple[float, flo
     return float(lock_in_from_beat(ratio, beat_rate)), slope * ratio_u
 
 
-def evaluate(run: SavedRun, settings: Settings, choices: Mapping[str, Any]) -> LockInEvaluation:
-    """Evaluate a run; the choices are those of :class:`analysis.lock_in_run.Method`."""
-    chosen = {"scale_factor": settings.gyro.scale_factor_pulses_per_deg, **choices}
-    return evaluate_run(run, settings, Method(**chosen))
-
-
 MEASUREMENT = Measurement(
     name="measure",
     command="gyrolock measure",
     title="Lock-in rate",
     kind=RING_LASER,
     take=take,
-    evaluate=evaluate,
-    evaluate_source=evaluate_source,
+    evaluate=evaluate_records,
+    streams=True,
+    damage=lambda found: found.damage,
     choices=("scale_factor", "relation", "input_rate"),
     quantities=QUANTITIES,
     result=result,

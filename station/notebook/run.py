@@ -12,21 +12,23 @@ from typing import Any
 import numpy as np
 
 from analysis import LockInEstimate
-from analysis.lock_in_run import Method
 from instrument import Preamble, Waveform
-from station.datasets.data_set import Exported, check_target, names_of, run_of
+from station.datasets.data_set import Exported, check_target, names_of, whole
 from station.datasets.data_set import export as write
 from station.errors import EXIT_NO_SIGNAL, Failure, NoUsableSignal, UsageError
 from station.fibre_gyro.segments import segments_of
 from station.lock_in.evaluate import LockInEvaluation
 from station.notebook.result import Record, Result, RunRecords
-from station.reanalysis.combine import AnalyzedFiles, analyze_waveforms
+from station.reanalysis.combine import AnalyzedFiles, analyze_file, combine
 from station.ring_laser.records import saved_waveform
 from station.runs.annotations import Remarks, add_remark, read_remarks
+from station.runs.progress import Progress
 from station.runs.store import SavedRecord, SavedRun
 from station.runs.store import open_run as read_run
 from station.shell.finish import Evaluated, evaluate_run, kind_of
 from station.sources import Source, find_sources, open_source
+from station.sources.batches import check_over_time
+from station.sources.workers import ThisProcess
 
 PathLike = str | os.PathLike[str]
 
@@ -127,6 +129,7 @@ class FileRun(Run):
         self, path: Path, sources: Sequence[Source], channel: str | None, method: Mapping[str, Any]
     ) -> None:
         self._method = dict(method)
+        self._sources: list[Path | Source] = []
         records, damaged = [], []
         for source in sources:
             for record in source.records():
@@ -137,6 +140,7 @@ class FileRun(Run):
                 taken_from = waveform.preamble.wfid.split(",")[0].upper()
                 if channel is None or taken_from == channel.upper():
                     records.append(Record(source.name, {"channel": taken_from}, waveform))
+                    self._sources.append(source)
         if not records:
             raise UsageError(f"{path}: none of {len(sources)} files is of {channel}")
         outcome = f"{len(records)} files"
@@ -156,8 +160,11 @@ class FileRun(Run):
             raise UsageError(
                 f"{self.path}: files of {', '.join(sources)}: give one of them as channel to gyrolock.read"
             )
-        waveforms = [record.waveform for record in self.records]
-        return analyze_waveforms(waveforms, [Path(record.name) for record in self.records], Method(**given))
+        for record in self.records:
+            check_over_time(record.waveform, record.name)
+        if len(self._sources) == 1:
+            return analyze_file(self._sources[0], None, given)
+        return combine(self._sources, given, ThisProcess(), Progress(quiet=True))
 
 
 def open_run(path: PathLike) -> TakenRun:
@@ -235,7 +242,7 @@ def read(
             f"{place}: holds {len(taken)} runs{f' called {run}' if run else ''}: name one as run, or take all by "
             f"gyrolock.read_runs ({names_of(taken or _sources(paths)[1])})"
         )
-    return TakenRun(run_of(taken[0]), method)
+    return TakenRun(whole(taken[0]), method)
 
 
 def read_runs(paths: PathLike | Iterable[PathLike]) -> list[TakenRun]:
@@ -246,7 +253,7 @@ def read_runs(paths: PathLike | Iterable[PathLike]) -> list[TakenRun]:
     RunError, OSError
         One of them cannot be read.
     """
-    return [TakenRun(run_of(source)) for source in _sources(paths)[1] if source.is_run]
+    return [TakenRun(whole(source)) for source in _sources(paths)[1] if source.is_run]
 
 
 def waveform_of(record: SavedRecord) -> Waveform:

@@ -15,17 +15,16 @@ from numpy.typing import NDArray
 
 from analysis import Flag, fit_harmonics
 from analysis.channel import ChannelResponse
-from analysis.lock_in_run import AxisRates, Method, RecordArrays, RunArrays, evaluate
+from analysis.lock_in_run import AxisRates, RecordArrays, RunArrays, evaluate
 from instrument import Waveform
 from station.errors import NoUsableSignal, UsageError
 from station.files import given_back
 from station.lock_in.columns import Collected
-from station.lock_in.estimate import Gathered, about, estimate_pieces
+from station.lock_in.estimate import Gathered, estimate_pieces
 from station.lock_in.evaluate import (
     LockInEvaluation,
     SavedWaveforms,
     errors_in_words,
-    evaluate_waveforms,
     gathered_arrays,
 )
 from station.lock_in.quantities import record_documents
@@ -51,7 +50,7 @@ from station.settings import read_text, read_toml
 from station.shell.finish import SCHEMA_VERSION, standing_document
 from station.sources.batches import ExcludedRecord, Source, check_over_time
 from station.sources.find import open_source
-from station.sources.workers import Workers
+from station.sources.workers import ThisProcess, Workers
 
 ONE_RATE = 0.02
 """Beat frequencies of records at one rate differ by less than this share."""
@@ -382,15 +381,21 @@ class AnalyzedFiles:
 
 
 def analyze_file(source: Path | Source, config: Path | None, choices: Mapping[str, Any]) -> AnalyzedFiles:
-    """Analyse a file of an oscilloscope."""
+    """Analyse a file of an oscilloscope; NoUsableSignal if it holds no signal over time."""
     opened = open_source(source)
     (record,) = opened.records()
     waveform = saved_waveform(record, opened.path)
+    check_over_time(waveform, opened.name)
     chosen = {name: value for name, value in choices.items() if value is not None}
     if "scale_factor" not in chosen:
         chosen["scale_factor"] = scale_factor_of_files(config, [source])
-    analyzed = analyze_waveforms([waveform], [Path(opened.name)], Method(**chosen), config)
-    return replace(analyzed, about=(about(opened),))
+    analyzed = combine([opened], chosen, ThisProcess(), Progress(quiet=True), config=config)
+    if int(analyzed.found.combined.flags) & int(Flag.NO_BEAT | Flag.CONSTANT):
+        return analyzed
+    if (harmonics := harmonics_of(waveform)) is None:
+        return analyzed
+    tables = (*analyzed.result.tables, _harmonics_table(harmonics))
+    return replace(analyzed, harmonics=harmonics, result=replace(analyzed.result, tables=tables))
 
 
 def tested_by(config: Path | None, said: Result) -> tuple[Tested, ...]:
@@ -447,21 +452,6 @@ def _beside(folder: Path) -> float | None:
 @cache
 def _asked_scale_factor() -> float:
     return ask_scale_factor()
-
-
-def analyze_waveforms(
-    waveforms: Sequence[Waveform], paths: Sequence[Path], method: Method, config: Path | None = None
-) -> AnalyzedFiles:
-    """Analyse what was read from files; NoUsableSignal if one holds no signal over time."""
-    for waveform, path in zip(waveforms, paths, strict=True):
-        check_over_time(waveform, str(path))
-    found = evaluate_waveforms(waveforms, [str(path) for path in paths], method, config)
-    said, harmonics = result(found), None
-    if len(waveforms) == 1 and not int(found.combined.flags) & int(Flag.NO_BEAT | Flag.CONSTANT):
-        harmonics = harmonics_of(waveforms[0])
-    tables = (*said.tables, _harmonics_table(harmonics)) if harmonics else said.tables
-    shown = replace(said, tables=tables)
-    return AnalyzedFiles(tuple(paths), found, harmonics, shown, tested=tested_by(config, said))
 
 
 def harmonics_of(waveform: Waveform) -> list[dict[str, float]] | None:

@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from station.datasets.data_set import run_of
+from station.datasets.data_set import whole
 from station.errors import (
     EXIT_FAIL,
     EXIT_NO_SIGNAL,
@@ -32,8 +32,8 @@ from station.runs.store import Acknowledge, SavedRun, open_run
 from station.settings import Values, saved_settings, settings_to_resume
 from station.sources.batches import Source
 from station.sources.find import open_source
-from station.sources.run import SavedRecords
-from station.sources.workers import Workers
+from station.sources.run import SavedRecords, read_as_needed, source_of
+from station.sources.workers import ThisProcess, Workers
 from station.terminal import print_failure, print_json, remark, say
 
 if TYPE_CHECKING:
@@ -143,46 +143,38 @@ def about_run(run: SavedRun) -> dict[str, Any]:
 
 
 def evaluate_run(
-    run: SavedRun, *, config: Path | None = None, choices: Mapping[str, Any] | None = None
+    run: SavedRun,
+    workers: Workers | None = None,
+    progress: Progress | None = None,
+    *,
+    config: Path | None = None,
+    choices: Mapping[str, Any] | None = None,
 ) -> Evaluated:
     """Evaluate a run by the measurement that it is of."""
     kind, settings, wanted = _how(run, config, choices or {})
-    run, found, result = _evaluated(kind, run, settings, wanted)
-    return _judged(kind, run, settings, found, result)
+    if not kind.streams:
+        run = whole(source_of(run))
+    reason, workers, progress = "", workers or ThisProcess(), progress or Progress(quiet=True)
+    for taken in (run, run.whole) if run.damaged and not kind.streams else (run,):
+        try:
+            found = kind.evaluate(taken, settings, wanted, workers, progress)
+            if isinstance(run.records, SavedRecords):  # only now all of them were seen
+                taken = replace(taken, damaged=(*kind.damage(found), *taken.damaged))
+            result = kind.result(found, taken, settings)
+            limits = settings.limits.model_dump()
+            return Evaluated(kind, taken, settings, found, result, check_limits(result.measured, limits))
+        except DAMAGE as error:
+            if run.protected and not run.damaged:
+                raise
+            reason = f"{type(error).__name__}: {error}"
+    raise RunError(f"{run.path}: is damaged and cannot be evaluated ({reason})")
 
 
 def evaluate_saved(
     path: Path | Source, workers: Workers, progress: Progress, *, config: Path | None, choices: Mapping[str, Any]
 ) -> Evaluated:
-    """Evaluate a run by its path, or in a data set: in batches where its measurement can, which saves memory.
-
-    Parameters and errors as for :func:`evaluate_run`.
-    """
-    source = open_source(path)
-    run = SavedRun(
-        source.path, source.facts, SavedRecords(source), None, source.unusable, source.protected, source.damaged
-    )
-    kind, settings, wanted = _how(run, config, choices)
-    if kind.evaluate_source is None:
-        return evaluate_run(_whole(source), config=config, choices=choices)
-    try:
-        evaluated = kind.evaluate_source(source, settings, wanted, workers, progress)
-        if evaluated is None:
-            return evaluate_run(_whole(source), config=config, choices=choices)
-        found, damage = evaluated
-        run = replace(run, damaged=(*damage, *source.damaged))
-        return _judged(kind, run, settings, found, kind.result(found, run, settings))
-    except DAMAGE as error:
-        if source.protected and not run.damaged:
-            raise
-        raise RunError(
-            f"{run.path}: is damaged and cannot be evaluated ({type(error).__name__}: {error})"
-        ) from error
-
-
-def _whole(source: Source) -> SavedRun:
-    """The run with all its records in memory."""
-    return open_run(source.path) if source.kind == "run" else run_of(source)
+    """Evaluate a run by its path, or in a data set; a long one piece by piece, which saves memory."""
+    return evaluate_run(read_as_needed(open_source(path)), workers, progress, config=config, choices=choices)
 
 
 def _how(
@@ -202,26 +194,6 @@ def _how(
             option = name.replace("_", "-")
             raise UsageError(f"{run.path}: is a run of `{kind.command}`, for which --{option} means nothing")
     return kind, settings, wanted
-
-
-def _judged(kind: Measurement[Any, Any], run: SavedRun, settings: Any, found: Any, result: Result) -> Evaluated:
-    limits = settings.limits.model_dump()
-    return Evaluated(kind, run, settings, found, result, check_limits(result.measured, limits))
-
-
-def _evaluated(
-    kind: Measurement[Any, Any], run: SavedRun, settings: Any, choices: Mapping[str, Any]
-) -> tuple[SavedRun, Any, Result]:
-    """Evaluate a run; one that is damaged without what is damaged, where it cannot be evaluated with it."""
-    for taken in (run, run.whole) if run.damaged else (run,):
-        try:
-            found = kind.evaluate(taken, settings, choices)
-            return taken, found, kind.result(found, taken, settings)
-        except DAMAGE as error:
-            if run.protected and not run.damaged:
-                raise
-            reason = f"{type(error).__name__}: {error}"
-    raise RunError(f"{run.path}: is damaged and cannot be evaluated ({reason})")
 
 
 def kind_of(run: SavedRun) -> Measurement[Any, Any]:

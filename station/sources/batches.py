@@ -81,6 +81,7 @@ class ExcludedRecord:
     source: str
     record: str | None
     reason: str
+    damaged: bool = False  # whether it is not what was once saved
 
     def __str__(self) -> str:
         return f"{self.source}: {self.reason}" if self.record is None else f"{self.source}: record {self.reason}"

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, overload
 
 from station.runs.database import COLUMNS, TODAY, Layout, RunFacts, opened, read_facts, reading, told
-from station.runs.store import SavedRecord, damaged_facts, missing_records, read_record, run_file
+from station.runs.store import SavedRecord, SavedRun, damaged_facts, missing_records, read_record, run_file
 from station.sources.batches import MOST_BYTES, MOST_RECORDS, Source, Stretch
 
 AT_ONCE = 1000
@@ -204,17 +204,50 @@ class SavedRecords(Sequence[SavedRecord]):
     """The records of a source, read from it each time they are asked for."""
 
     def __init__(self, source: Source) -> None:
-        self._source = source
+        self.source = source
 
     def __iter__(self) -> Iterator[SavedRecord]:
-        return self._source.records()
+        return self.source.records()
 
     def __len__(self) -> int:
-        return sum(1 for _ in self._source.records())
+        return sum(1 for _ in self.source.records())
 
     @overload
     def __getitem__(self, place: int) -> SavedRecord: ...
     @overload
     def __getitem__(self, place: slice) -> Sequence[SavedRecord]: ...
     def __getitem__(self, place: int | slice) -> SavedRecord | Sequence[SavedRecord]:
-        return list(self._source.records())[place]
+        return list(self.source.records())[place]
+
+
+class HeldRun(Source):
+    """A run whose records are in memory: one that was just taken."""
+
+    kind = "run"
+
+    def __init__(self, run: SavedRun) -> None:
+        self.run, self.path, self.name, self.facts = run, run.path, str(run.path), run.facts
+        self.unusable, self.protected = run.unusable, run.protected
+
+    def records(self, numbers: range | None = None) -> Iterator[SavedRecord]:
+        """Give the records; see `Source`."""
+        return (one for one in self.run.records if numbers is None or one.number in numbers)
+
+    def __len__(self) -> int:
+        return len(self.run.records)
+
+    @property
+    def sha256(self) -> str:
+        """Nobody asks for it."""
+        return ""
+
+
+def read_as_needed(source: Source) -> SavedRun:
+    """Return a source as a run that reads its records each time they are asked for."""
+    facts, records = source.facts, SavedRecords(source)
+    return SavedRun(source.path, facts, records, None, source.unusable, source.protected, source.damaged)
+
+
+def source_of(run: SavedRun) -> Source:
+    """Return what the records of a run are read from."""
+    return run.records.source if isinstance(run.records, SavedRecords) else HeldRun(run)

@@ -9,7 +9,7 @@ import pytest
 
 import gyrolock
 from station.cli import main
-from station.datasets.data_set import export, run_of, sources_of
+from station.datasets.data_set import export, sources_of, whole
 from station.datasets.rows import MissingPackage
 from station.errors import RunError, UsageError
 from station.sources import open_source
@@ -50,7 +50,7 @@ def test_bytes_that_changed_make_no_other_record(ending: str, tmp_path: Path) ->
         file = tmp_path / f"{place}.{ending}"
         file.write_bytes(content[:place] + bytes([content[place] ^ 0x11]) + content[place + 1 :])
         try:
-            found = [record for source in sources_of(file) for record in run_of(source).records]
+            found = [record for source in sources_of(file) for record in whole(source).records]
         except RunError:
             continue
         assert all(record in was for record in found if record.intact)
@@ -90,7 +90,7 @@ def test_a_part_that_is_missing(tmp_path: Path) -> None:
     (source,) = sources_of(tmp_path / "all.npz")
     source._stretches[0].last -= 1  # as if the rest stood in a file that is not there
     with pytest.raises(RunError, match=r"holds 21 of 22 records of .*several\.sqlite: a part is missing"):
-        run_of(source)
+        whole(source)
 
 
 def test_what_holds_several_runs_or_runs_and_files(tmp_path: Path) -> None:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from station.datasets.data_set import run_of, sources_of
+from station.datasets.data_set import sources_of, whole
 from station.datasets.rows import COLUMNS, NUMBERS, OUTPUTS, SCHEMA, TEXT
 from station.runs.store import open_run
 
@@ -32,7 +32,7 @@ def test_an_old_file_is_read_as_what_it_was(file: Path) -> None:
     fibre_gyro = {"records-1": "fog_witness", "records-2": "fog_eps"}[file.parent.name]
     assert [source.name for source in sources] == ["runs/turning.sqlite", f"runs/{fibre_gyro}.sqlite"]
     for source in sources:
-        was, now = open_run(GOLDEN / Path(source.name).name), run_of(source)
+        was, now = open_run(GOLDEN / Path(source.name).name), whole(source)
         assert list(now.records) == list(was.records)
         assert dict(now.facts) == dict(was.facts)
 

@@ -7,7 +7,7 @@ import pytest
 
 import gyrolock
 from station.cli import main
-from station.datasets.data_set import export, run_of, sources_of
+from station.datasets.data_set import export, sources_of, whole
 from station.errors import RunError, UsageError
 from station.runs.store import open_run
 from station.sources import open_source
@@ -33,7 +33,7 @@ def test_one_object_and_a_folder_of_parts(store: Any) -> None:
         assert done.records == 5
         sources = sources_of(place)
         for source, run in zip(sources, runs, strict=True):
-            assert list(run_of(source).records) == list(open_run(run).records)
+            assert list(whole(source).records) == list(open_run(run).records)
     assert sorted(store.store) == ["/bucket/parts/part-00000.parquet", "/bucket/records.parquet"]
     with pytest.raises(RunError, match="holds no part of a data set"):
         sources_of("memory://bucket/empty/")

@@ -9,7 +9,7 @@ import pytest
 
 import gyrolock
 from station.cli import main
-from station.datasets.data_set import export, run_of, sources_of
+from station.datasets.data_set import export, sources_of, whole
 from station.runs.store import SavedRun, open_run
 from station.shell.finish import evaluate_run
 from station.sources import find_sources, open_source
@@ -35,7 +35,7 @@ def test_every_record_and_fact_of_every_kind_of_run(place: str, exported: dict[s
     assert [Path(source.name).stem for source in sources] == list(RUNS)
     for source in sources:
         was = open_source(Path(source.name))
-        assert content(run_of(source)) == content(open_run(Path(source.name)))
+        assert content(whole(source)) == content(open_run(Path(source.name)))
         assert (source.sha256, source.is_run, len(source)) == (was.sha256, was.is_run, len(was))
         assert [one.number for one in source.records(range(2, 4))] == [
             one.number for one in was.records(range(2, 4))
@@ -58,7 +58,7 @@ def test_a_damaged_record_stays_damaged(tmp_path: Path) -> None:
     file.write_bytes(data[:place] + bytes(100) + data[place + 100 :])
     for name in ("a.parquet", "a.csv"):
         export([open_source(file)], f"{tmp_path}/{name}")
-        again = run_of(sources_of(tmp_path / name)[0])
+        again = whole(sources_of(tmp_path / name)[0])
         assert again.damaged == open_run(file).damaged
         assert len(again.damaged) == 1
         assert evaluate_run(again).document()["damaged"]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import logging
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -34,18 +34,10 @@ from station.errors import (
     one_line,
 )
 from station.measurements import Measurement, measurement
-from station.results.quantity import Quantity, Value
-from station.results.result import Result
 from station.results.verdict import (
     ABORTED,
     ERROR,
-    FAIL,
-    MARGINAL,
-    PASS,
-    LimitOutcome,
-    Verdict,
-    decide,
-    values_of,
+    judged,
     worst,
 )
 from station.runs.acquisition import Taken
@@ -221,7 +213,6 @@ class _Conducting:
 
 
 _LOG = logging.getLogger(__name__)
-_DECIDED = (PASS, FAIL)
 _KEPT = 50  # evaluated runs in memory
 
 
@@ -353,39 +344,12 @@ def _evaluated(begun: StepOutcome, taken: Taken, plan: CampaignPlan, known: dict
         failure = Failure(NoUsableSignal.kind, result.problem, EXIT_NO_SIGNAL)
     if failure is not None:
         return _failed(begun, failure)
-    limits = judged(begun.step, result, document)
+    limits = judged(result, document, begun.step.limits, doubtful=begun.step.doubtful)
     return replace(begun, limits=limits, verdict=worst(one.verdict for one in limits), ended_at=utc_now())
 
 
 def _remarks(evaluated: Evaluated) -> list[str]:
     return [*(one.sentence for one in evaluated.result.left_out), *evaluated.run.damaged]
-
-
-def judged(step: PlannedStep, result: Result, document: Mapping[str, Any]) -> tuple[LimitOutcome, ...]:
-    """Judge the numbers of a result by the limits of a step; one that does not stand decides nothing."""
-    outcomes = []
-    for limit in step.limits:
-        values = values_of(result, document, limit.number)
-        values = values or [Value(float("nan"), quantity=Quantity(limit.number))]
-        outcomes += [decide(limit, value) for value in values]
-    standing = result.standing
-    if standing.state == "fails":
-        return tuple(_instead(one, ERROR, "the result does not hold", standing.reasons) for one in outcomes)
-    if standing.state == "doubtful" and step.doubtful == "marginal":
-        why = "the result is doubtful"
-        # what is decided without its uncertainty is not touched by what rules the uncertainty
-        return tuple(
-            one if one.limit.rule == "none" else _instead(one, MARGINAL, why, standing.reasons) for one in outcomes
-        )
-    return tuple(outcomes)
-
-
-def _instead(outcome: LimitOutcome, verdict: Verdict, why: str, reasons: Sequence[str]) -> LimitOutcome:
-    """Put another verdict where the value alone would have decided."""
-    if outcome.verdict not in _DECIDED:
-        return outcome
-    sentence = outcome.sentence.replace(outcome.verdict, verdict, 1)
-    return replace(outcome, verdict=verdict, sentence=f"{sentence}; {why}: {'; '.join(reasons)}")
 
 
 def _failed(begun: StepOutcome, failure: Failure | None) -> StepOutcome:

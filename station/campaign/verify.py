@@ -9,8 +9,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from station.campaign.conduct import judged
-from station.campaign.journal import PlannedStep
 from station.campaign.record import (
     CONTENT,
     NAME,
@@ -22,7 +20,7 @@ from station.campaign.record import (
     records_sha256,
 )
 from station.errors import StationError, UsageError, one_line
-from station.results.verdict import Limit, worst
+from station.results.verdict import Limit, judged, worst
 from station.runs.store import SavedRun, open_run
 from station.shell.finish import Evaluated, evaluate_run
 
@@ -149,12 +147,8 @@ def _judged_again(step: Mapping[str, Any], again: Evaluated) -> RecordCheck:
         known = one["number"], one["at_least"], one["at_most"], one["guard_band"]
         risk = 0.5 if one["highest_risk"] is None else one["highest_risk"]
         limits[known] = Limit(one["number"], one["at_least"], one["at_most"], one["guard_band"], risk)
-    planned = PlannedStep(
-        key=key, name=step["name"], number=step["number"], measurement=step["measurement"], repeat=step["repeat"],
-        of_repeats=step["of_repeats"], settings={}, conditions={}, warm_up_s=0.0, settle_s=0.0,
-        limits=tuple(limits.values()), doubtful=step["doubtful"],
-    )  # fmt: skip
-    now = [limit_document(one) for one in judged(planned, again.result, again.document())]
+    decided = judged(again.result, again.document(), limits.values(), doubtful=step["doubtful"])
+    now = [limit_document(one) for one in decided]
     before = {one["name"]: one["verdict"] for one in step["limits"]}
     after = {one["name"]: one["verdict"] for one in now}
     if before != after:

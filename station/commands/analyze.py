@@ -174,9 +174,10 @@ class Analysis:
 
     def combined(self, channel: str | None, rates: Path | None, report: Path | None, answer: AnalyzeAnswer) -> int:
         """Make one result of all records."""
-        from station.errors import EXIT_FAIL, EXIT_OK, EXIT_OUTPUT, EXIT_USAGE, CannotWrite, Failure
+        from station.errors import EXIT_OUTPUT, EXIT_USAGE, CannotWrite, Failure
         from station.reanalysis.combine import FilesReport, combine, said_of
         from station.report.show import write_report
+        from station.results.verdict import exit_code_of
 
         found = combine(
             self.sources,
@@ -212,18 +213,18 @@ class Analysis:
             return failure.exit_code
         if found.left_out:
             return EXIT_USAGE
-        return EXIT_FAIL if found.verdict == "FAIL" else EXIT_OK
+        return exit_code_of(found.verdict)
 
     def each(self, answer: AnalyzeAnswer) -> int:
         """Evaluate every source by itself; one that cannot be read must not keep the others from it."""
-        from station.errors import EXIT_FAIL, EXIT_OK
+        from station.results.verdict import exit_code_of, worst
 
-        exit_codes, failed = list[int](), False
+        exit_codes, verdicts = list[int](), list[Any]()
         with JsonResults(alone=len(self.sources) == 1) as results:
             for source in self.sources:
                 analyzed, failure = self._analyzed(source)
                 document: dict[str, Any] = {"file": str(source)} if analyzed is None else analyzed.document()
-                failed = failed or document.get("verdict") == "FAIL"
+                verdicts += filter(None, [document.get("verdict")])
                 if failure is not None:
                     exit_codes.append(failure.exit_code)
                     document["error"] = failure.as_json()
@@ -240,7 +241,7 @@ class Analysis:
             if answer.as_json:
                 results.print()
         # what could not be read at all (2) comes before what holds no result (4)
-        return min(exit_codes, default=EXIT_FAIL if failed else EXIT_OK)
+        return min(exit_codes, default=exit_code_of(worst(verdicts)))
 
     def _analyzed(self, source: Path | Source) -> tuple[Evaluated | AnalyzedFiles | None, Failure | None]:
         from instrument import InstrumentError

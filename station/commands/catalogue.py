@@ -17,13 +17,18 @@ if TYPE_CHECKING:
 _SHOWN = 100  # on a terminal; nobody reads more
 
 
+_VERDICTS = ["PASS", "MARGINAL", "FAIL", "ERROR", "none"]
+
+
 @click.command("runs")
 @click.argument("directory", default="runs", type=click.Path(path_type=Path), metavar="[DIR]")
 @click.option("--command", metavar="NAME", help="Of this measurement only: measure, deadband, table...")
 @click.option("--unit", metavar="TEXT", help="Of this unit; * and ? stand for other letters.")
 @click.option("--operator", metavar="TEXT", help="By this operator; * and ? stand for other letters.")
 @click.option("--gyro", metavar="TEXT", help="Of this gyro; * and ? stand for other letters.")
-@click.option("--verdict", type=click.Choice(["PASS", "FAIL", "none"]), help="With this verdict.")
+@click.option(
+    "--verdict", type=click.Choice(["PASS", "MARGINAL", "FAIL", "ERROR", "none"]), help="With this verdict."
+)
 @click.option("--mark", type=click.Choice(["good", "bad", "none"]), help="With this mark.")
 @click.option("--tag", "tags", multiple=True, metavar="TAG", help="With this tag; may be given several times.")
 @click.option("--text", metavar="TEXT", help="With these letters in a note.")

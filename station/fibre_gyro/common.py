@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -16,7 +16,6 @@ from station.fibre_gyro.segments import Segment, segments_of
 from station.fibre_gyro.settings import FogSettings
 from station.report.figure import ACCENT, INK, SECOND, SOFT, THIRD, svg_element
 from station.results.numbers import TWO_PI_ERROR_PPM
-from station.results.quantity import Quantities, limited_values
 from station.results.result import Excluded, FactTable, PlacedFigure, Result, Rows, Section, with_uncertainty
 from station.runs.store import SavedRun
 
@@ -175,18 +174,6 @@ def beyond_converter(step_codes: float, dac_bits: int) -> str:
         f"a step of {step_codes:+.6g} codes is beyond the {dac_bits}-bit converter, which takes "
         f"{largest_step(dac_bits):.0f} (half of its range): choose a smaller rate"
     )
-
-
-def undecided_limits(document: Mapping[str, Any], declared: Quantities, settings: FogSettings) -> list[str]:
-    """Say which limits of the settings lie inside the 95 % interval of what they are for."""
-    limits = settings.limits.model_dump(exclude_none=True)
-    pairs = ((one, limits.get(one.quantity.limit_name, math.nan)) for one in limited_values(document, declared))
-    return [
-        f"limits.{one.quantity.limit_name} = {limit:g} lies inside U95, {one.low_95:.3g} to {one.high_95:.3g}: "
-        "the run does not decide it."
-        for one, limit in pairs
-        if one.low_95 < limit < one.high_95
-    ]
 
 
 def gyro_table(settings: FogSettings) -> FactTable:

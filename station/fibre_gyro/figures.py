@@ -32,7 +32,7 @@ from analysis.fibre_gyro import (
     vertical_earth_rate_dph,
 )
 from station.errors import NoUsableSignal
-from station.fibre_gyro.common import COLOURS, COUNTS_PER_DPS, PPM, angle_clock_u, reasons_of, undecided_limits
+from station.fibre_gyro.common import COLOURS, COUNTS_PER_DPS, PPM, angle_clock_u, reasons_of
 from station.fibre_gyro.logs import (
     LogRow,
     NamedSegment,
@@ -537,7 +537,6 @@ def _to_watch(found: FiguresEvaluation, settings: FogSettings) -> list[str]:
     said = [f"{one.sentence}." for one in found.left_out]
     for one in [run for axis in found.axes for run in axis.all_runs]:
         said += _to_watch_in(one)
-    said += undecided_limits(_document(found), QUANTITIES, settings)
     return said
 
 

@@ -28,7 +28,7 @@ from analysis.fibre_gyro import (
 )
 from station.errors import NoUsableSignal
 from station.fibre_gyro.bench import open_fog_bench
-from station.fibre_gyro.common import COUNTS_PER_DPS, not_taken, reasons_of, truth_of, undecided_limits
+from station.fibre_gyro.common import COUNTS_PER_DPS, not_taken, reasons_of, truth_of
 from station.fibre_gyro.logs import LogRow, NamedSegment, gyro_measurement, listed_logs, table_conditions
 from station.fibre_gyro.segments import (
     PlannedSegment,
@@ -305,7 +305,7 @@ def result(found: ThresholdEvaluation, run: SavedRun, settings: FogSettings) -> 
     axes = [_axis(one) for one in found.axes]
     alone = len(axes) == 1
     lines = tuple(line for one in found.axes for line in _lines(one, several=not alone))
-    watched = (*_to_watch(found, settings), *undecided_limits({"axes": axes}, QUANTITIES, settings))
+    watched = tuple(_to_watch(found, settings))
     first = found.axes[0]
     return Result(
         name="result",

@@ -41,7 +41,7 @@ from station.operator import ask_number
 from station.reanalysis.analyze_table import Work
 from station.results.numbers import AMPLITUDE, BEAT_FREQUENCY, INPUT_RATE, SCALE_FACTOR
 from station.results.result import FactTable, Result, Section, TextTable, plain, with_prefix
-from station.results.verdict import Tested, check_limits, verdict
+from station.results.verdict import LimitOutcome, Verdict, judged, limits_in, worst
 from station.ring_laser.records import saved_waveform
 from station.runs.database import COMPLETE, RunFacts
 from station.runs.progress import Progress
@@ -348,12 +348,12 @@ class AnalyzedFiles:
     result: Result
     left_out: tuple[ExcludedRecord, ...] = ()
     about: tuple[dict[str, str | None], ...] = ()
-    tested: tuple[Tested, ...] = ()
+    tested: tuple[LimitOutcome, ...] = ()
 
     @property
-    def verdict(self) -> str | None:
-        """``"PASS"``, ``"FAIL"`` or, without limits, ``None``."""
-        return verdict(self.tested)
+    def verdict(self) -> Verdict | None:
+        """The worst of all limits; without limits ``None``."""
+        return worst(one.verdict for one in self.tested)
 
     def document(self) -> dict[str, Any]:
         """Return the result as plain JSON; of one file with its harmonics."""
@@ -398,10 +398,12 @@ def analyze_file(source: Path | Source, config: Path | None, choices: Mapping[st
     return replace(analyzed, harmonics=harmonics, result=replace(analyzed.result, tables=tables))
 
 
-def tested_by(config: Path | None, said: Result) -> tuple[Tested, ...]:
+def tested_by(config: Path | None, said: Result) -> tuple[LimitOutcome, ...]:
     """Test a result of files against the limits that a settings file states."""
     settings = stated_of_files(config)
-    return () if settings is None else check_limits(said.measured, settings.limits.model_dump())
+    if settings is None:
+        return ()
+    return judged(said, said.document, limits_in(settings.limits.model_dump(), said))
 
 
 def scale_factor_of_files(config: Path | None, files: Sequence[Path | Source] = ()) -> float:
@@ -497,13 +499,13 @@ class FilesReport:
     files: AnalyzedFiles
 
     @property
-    def tested(self) -> Sequence[Tested]:
+    def tested(self) -> Sequence[LimitOutcome]:
         """Numbers against their limits."""
         return self.files.tested
 
     @property
-    def verdict(self) -> str | None:
-        """``"PASS"``, ``"FAIL"`` or, without limits, ``None``."""
+    def verdict(self) -> Verdict | None:
+        """The worst of all limits; without limits ``None``."""
         return self.files.verdict
 
     @property

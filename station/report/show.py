@@ -14,7 +14,7 @@ from station.errors import RunError
 from station.files import version
 from station.live.console import stdout_console
 from station.results.result import FactTable, Result, Rows, Section
-from station.results.verdict import Tested
+from station.results.verdict import MARGINAL, LimitOutcome
 from station.runs.annotations import Remark, Remarks, read_remarks
 from station.runs.database import RunFacts
 from station.runs.store import REPORT_FILE, SavedRun
@@ -40,7 +40,7 @@ class Shown(Protocol):
         """Values and sentences."""
 
     @property
-    def tested(self) -> Sequence[Tested]:
+    def tested(self) -> Sequence[LimitOutcome]:
         """Values against their limits."""
 
     @property
@@ -91,9 +91,9 @@ def render_report(evaluated: Shown) -> str:
 def _state(evaluated: Shown) -> str:
     """Colour of the box: green where the result stands, amber in doubt, red where a limit or a check fails."""
     state = evaluated.result.standing.state
-    if state == "fails" or evaluated.verdict == "FAIL":
+    if state == "fails" or evaluated.verdict in ("FAIL", "ERROR"):
         return "bad"
-    return {"stands": "good", "doubtful": "doubtful"}[state]
+    return "good" if state == "stands" and evaluated.verdict != MARGINAL else "doubtful"
 
 
 def _reasons(result: Result) -> tuple[str, ...]:
@@ -242,10 +242,12 @@ def print_result(evaluated: Shown) -> None:
     print_tested(evaluated.tested)
 
 
-def print_tested(tested: Sequence[Tested]) -> None:
+def print_tested(tested: Sequence[LimitOutcome]) -> None:
     """Print a line for each limit."""
     for one in tested:
-        stdout_console().print(one.sentence, style="green" if one.passed else "bold red")
+        stdout_console().print(
+            one.sentence, style="green" if one.passed else "yellow" if one.verdict == MARGINAL else "bold red"
+        )
 
 
 def print_values(result: Result, more: Rows = ()) -> None:

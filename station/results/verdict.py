@@ -1,4 +1,4 @@
-"""A value with its uncertainty against a limit: in [limits] and in campaigns, and the worst of many.
+"""A value with its uncertainty against a limit: one rule for [limits] and campaigns, and the worst of many.
 
 Decision rules: JCGM 106:2012 (Evaluation of measurement data, the role of measurement uncertainty in conformity
 assessment), sections 8.2 (simple acceptance) and 8.3 (guard bands).
@@ -7,13 +7,14 @@ assessment), sections 8.2 (simple acceptance) and 8.3 (guard bands).
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 from scipy.special import ndtr
 
-from station.results.quantity import Value, value_at
+from station.errors import EXIT_FAIL, EXIT_MARGINAL, EXIT_NO_SIGNAL, EXIT_OK
+from station.results.quantity import Quantity, Value, value_at
 from station.results.result import Result
 
 Verdict = Literal["PASS", "FAIL", "MARGINAL", "ERROR", "ABORTED"]
@@ -60,6 +61,23 @@ class LimitOutcome:
     sentence: str  # all of it in one line
 
     @property
+    def passed(self) -> bool:
+        """Whether it keeps to the limit."""
+        return self.verdict == PASS
+
+    def as_json(self) -> dict[str, object]:
+        """Return name, size, limit and verdict, as the JSON of a result holds them."""
+        return {
+            "name": self.name,
+            "value": abs(self.measured.value),
+            "limit": self.limit.at_most,
+            "passed": self.passed,
+            "verdict": self.verdict,
+            "low_95": self.measured.low_95,
+            "high_95": self.measured.high_95,
+        }
+
+    @property
     def name(self) -> str:
         """Name of the number, with what it is of where there are several."""
         return f"{self.limit.number} of {self.measured.of}" if self.measured.of else self.limit.number
@@ -77,6 +95,12 @@ def worst(verdicts: Iterable[Verdict]) -> Verdict | None:
     """
     found = list(verdicts)
     return max(found, key=_FROM_BEST.index) if found else None
+
+
+def exit_code_of(verdict: Verdict | None) -> int:
+    """Return what a command ends with; without limits it is done."""
+    codes = {MARGINAL: EXIT_MARGINAL, FAIL: EXIT_FAIL, ERROR: EXIT_NO_SIGNAL, ABORTED: EXIT_NO_SIGNAL}
+    return codes.get(verdict, EXIT_OK) if verdict is not None else EXIT_OK
 
 
 def decide(limit: Limit, measured: Value) -> LimitOutcome:
@@ -159,6 +183,8 @@ def margin_words(measured: Value, margin: float) -> str:
 
 def limit_words(limit: Limit, unit: str) -> str:
     """Say a limit: ``"at most 0.012 deg/s"``."""
+    if limit.at_least is not None and limit.at_least == -(limit.at_most or math.nan):
+        return f"within ±{limit.at_most:g} {unit}".rstrip()
     ends = [
         f"{words} {end:g} {unit}".rstrip()
         for words, end in (("at least", limit.at_least), ("at most", limit.at_most))
@@ -181,61 +207,56 @@ def interval_words(measured: Value, between: str = " to ") -> str:
 
 def number_words(number: str, measured: Value) -> str:
     """Say the name of a number, without the unit at its end: ``"lock-in rate"``, ``"scatter of X"``."""
-    words = number.removeprefix(RESULT).replace(measured.name, measured.quantity.words)
-    return f"{words.replace('_', ' ')} of {measured.of}" if measured.of else words.replace("_", " ")
+    if number in (measured.name, measured.quantity.limit_name):
+        return measured.words
+    return number.removeprefix(RESULT).replace(measured.name, measured.quantity.words).replace("_", " ")
 
 
-# --------------------
-# Verdict: what was measured against the limits of the settings
+def judged(
+    result: Result, document: Mapping[str, Any], limits: Iterable[Limit], *, doubtful: str = "marginal"
+) -> tuple[LimitOutcome, ...]:
+    """Judge a result by limits; one that is doubtful passes nothing, one that fails decides nothing.
+
+    `doubtful` is "as_it_is" where a doubtful result is judged like any other.
+    """
+    outcomes = []
+    for limit in limits:
+        values = values_of(result, document, limit.number)
+        values = values or [Value(math.nan, quantity=Quantity(limit.number))]
+        outcomes += [decide(limit, value) for value in values]
+    standing = result.standing
+    if standing.state == "fails":
+        return tuple(_instead(one, ERROR, "the result does not hold", standing.reasons) for one in outcomes)
+    if standing.state == "doubtful" and doubtful == "marginal":
+        why = "the result is doubtful"
+        # what is decided without its uncertainty is not touched by what rules the uncertainty
+        passing = [one.verdict == PASS and one.limit.rule != "none" for one in outcomes]
+        return tuple(
+            _instead(one, MARGINAL, why, standing.reasons) if passed else one
+            for one, passed in zip(outcomes, passing, strict=True)
+        )
+    return tuple(outcomes)
 
 
-@dataclass(frozen=True)
-class Tested:
-    """One number against its limit."""
-
-    measured: Value  # its size counts; nan where the run gave none, which fails
-    limit: float
-
-    @property
-    def passed(self) -> bool:
-        """Whether the value keeps within the limit."""
-        return abs(self.measured.value) <= self.limit
-
-    @property
-    def name(self) -> str:
-        """Name of the limit, with what it is of where there are several."""
-        return self.measured.limit_name
-
-    @property
-    def sentence(self) -> str:
-        """One line."""
-        words, size, unit = self.measured.words, abs(self.measured.value), self.measured.unit
-        if math.isnan(size):
-            return f"FAIL {words}: the run gives no value, the limit is {self.limit:g} {unit}".rstrip()
-        said = f"{words}: {self.measured.digits(size, 4)} {unit}".rstrip()
-        return f"{'PASS' if self.passed else 'FAIL'} {said}, limit {self.limit:g} {unit}".rstrip()
-
-    def as_json(self) -> dict[str, object]:
-        """Return name, value, limit and verdict, as the JSON of a result holds them."""
-        return {
-            "name": self.name,
-            "value": abs(self.measured.value),
-            "limit": self.limit,
-            "passed": self.passed,
-        }
+def _instead(outcome: LimitOutcome, verdict: Verdict, why: str, reasons: Sequence[str]) -> LimitOutcome:
+    """Put another verdict where the value alone would have decided."""
+    if outcome.verdict not in (PASS, FAIL, MARGINAL):
+        return outcome
+    sentence = outcome.sentence.replace(outcome.verdict, verdict, 1)
+    return replace(outcome, verdict=verdict, sentence=f"{sentence}; {why}: {'; '.join(reasons)}")
 
 
-def check_limits(measured: Sequence[Value], limits: Mapping[str, float | None]) -> tuple[Tested, ...]:
-    """Test what was measured against the limits that are set; one that nothing has the name of is not tested."""
-    pairs = ((one, limits.get(one.quantity.limit_name)) for one in measured)
-    return tuple(Tested(one, limit) for one, limit in pairs if limit is not None)
+def limits_in(settings: Mapping[str, float | None], result: Result) -> Iterator[Limit]:
+    """Return the [limits] of settings that a result has the numbers of: on their sizes, with a guard band of U95.
 
-
-def verdict(tested: Sequence[Tested]) -> str | None:
-    """Return ``"PASS"`` or ``"FAIL"``, ``None`` without limits."""
-    if not tested:
-        return None
-    return "PASS" if all(one.passed for one in tested) else "FAIL"
+    What has no uncertainty, or is one itself, is decided by its value.
+    """
+    for name in dict.fromkeys(one.quantity.limit_name for one in result.measured):
+        if (most := settings.get(name)) is not None:
+            values = [one for one in result.measured if one.quantity.limit_name == name]
+            signed = any(min(one.value, one.low_95) < 0 for one in values)
+            rule: Rule = "U95" if all(one.uncertain for one in values) else "none"
+            yield Limit(name, -most if signed else None, most, rule)
 
 
 def values_of(result: Result, document: Mapping[str, Any], number: str) -> list[Value]:

@@ -9,9 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from station.datasets.data_set import whole
 from station.errors import (
-    EXIT_FAIL,
     EXIT_NO_SIGNAL,
-    EXIT_OK,
     EXIT_OUTPUT,
     CannotWrite,
     Failure,
@@ -24,7 +22,7 @@ from station.errors import (
 from station.live.preview import See
 from station.measurements import MEASUREMENTS, Measurement, measurement
 from station.results.result import FactTable, Result, Section, plain
-from station.results.verdict import Tested, check_limits, verdict
+from station.results.verdict import LimitOutcome, Verdict, exit_code_of, judged, limits_in, worst
 from station.runs.acquisition import Acquisition, Taken, facts_of, take
 from station.runs.database import SUMS
 from station.runs.progress import Progress
@@ -53,12 +51,12 @@ class Evaluated:
     settings: Any  # those of the run, with what is known of the bench now where that was given
     found: Any  # what the measurement computed
     result: Result
-    tested: tuple[Tested, ...]
+    tested: tuple[LimitOutcome, ...]
 
     @property
-    def verdict(self) -> str | None:
-        """``"PASS"``, ``"FAIL"`` or, without limits, ``None``."""
-        return verdict(self.tested)
+    def verdict(self) -> Verdict | None:
+        """``"PASS"``, ``"MARGINAL"``, ``"FAIL"``, ``"ERROR"`` or, without limits, ``None``."""
+        return worst(one.verdict for one in self.tested)
 
     @property
     def not_tested(self) -> list[str]:
@@ -161,8 +159,9 @@ def evaluate_run(
             if isinstance(run.records, SavedRecords):  # only now all of them were seen
                 taken = replace(taken, damaged=(*kind.damage(found), *taken.damaged))
             result = kind.result(found, taken, settings)
-            limits = settings.limits.model_dump()
-            return Evaluated(kind, taken, settings, found, result, check_limits(result.measured, limits))
+            limits = limits_in(settings.limits.model_dump(), result)
+            tested = judged(result, result.document, limits)
+            return Evaluated(kind, taken, settings, found, result, tested)
         except DAMAGE as error:
             if run.protected and not run.damaged:
                 raise
@@ -226,7 +225,8 @@ def finish(
 
     run, failure = run_as_it_ends(taken) if not saved else taken.run(), taken.failure
     document: dict[str, Any] = {"command": run.facts.command, **about_run(run)}
-    verdict, lost, unfinished = None, None, None
+    verdict: Verdict | None = None
+    lost, unfinished = None, None
     try:
         evaluated = evaluate_run(run, config=config, choices=choices)
         document, lost = keep(evaluated, report=report)
@@ -262,7 +262,7 @@ def finish(
     if lost is not None and lost is not failure:
         print_failure(lost)
     if failure is None:
-        return EXIT_FAIL if verdict == "FAIL" else EXIT_OK
+        return exit_code_of(verdict)
     print_failure(failure if taken.failure is None else taken.to_tell)
     return failure.exit_code
 

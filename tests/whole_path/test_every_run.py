@@ -49,7 +49,7 @@ def test_report_and_analyze_take_every_kind(name: str, tmp_path: Path, capsys) -
     assert document["started_at"].startswith("2026-")
     assert document["outcome"] == "complete"
     assert document["software"]["gyrolock"] == "0.1.0"
-    assert code == (1 if document["verdict"] == "FAIL" else 0)
+    assert code == {"FAIL": 1, "MARGINAL": 6}.get(document["verdict"], 0)
 
 
 def test_several_runs_of_several_kinds_in_one_go(tmp_path: Path, capsys) -> None:
@@ -68,7 +68,7 @@ def test_several_runs_of_several_kinds_in_one_go(tmp_path: Path, capsys) -> None
 def test_limits_judge_a_ring_laser_too(tmp_path: Path, capsys) -> None:
     run = saved("single", tmp_path)
     text = "[limits]\nlock_in_rate_dps = {}\ntilt_deg = 89.0\n"
-    for limit, code, verdict in ((0.02, 0, "PASS"), (0.005, 1, "FAIL")):
+    for limit, code, verdict in ((0.02, 0, "PASS"), (0.01, 6, "MARGINAL"), (0.005, 1, "FAIL")):
         (tmp_path / "limits.toml").write_text(text.format(limit))
         assert main(["analyze", str(run), "--config", str(tmp_path / "limits.toml"), "--json"]) == code
         document = json.loads(capsys.readouterr().out)
@@ -80,7 +80,7 @@ def test_limits_judge_a_ring_laser_too(tmp_path: Path, capsys) -> None:
     assert main(["report", str(run), "--config", str(tmp_path / "limits.toml")]) == 0
     page = (run.parent / "report.html").read_text(encoding="utf-8")
     assert "FAIL · " in page
-    assert "deg/s, limit 0.005 deg/s" in page
+    assert "deg/s, at most 0.005 deg/s" in page
     assert main(["analyze", str(run), "--config", str(tmp_path / "limits.toml")]) == 1
     assert "FAIL lock-in rate: " in capsys.readouterr().out
 

@@ -5,11 +5,9 @@ from typing import Any
 
 import pytest
 
-from station.campaign.conduct import judged
-from station.campaign.journal import PlannedStep
 from station.results.quantity import Quantity, QuantityGroup, Value
 from station.results.result import Result
-from station.results.verdict import Limit, values_of
+from station.results.verdict import Limit, judged, values_of
 
 DOCUMENT: dict[str, Any] = {
     "lock_in_rate_dps": 0.01,
@@ -60,10 +58,6 @@ def test_any_number_of_the_json_by_its_place() -> None:
     assert math.isnan(missing.value)
 
 
-def step(*limits: Limit, doubtful: str = "marginal") -> PlannedStep:
-    return PlannedStep("01 x", "x", 1, "measure", 1, 1, {}, {}, 0.0, 0.0, limits, doubtful)
-
-
 LIMITS = (
     Limit("lock_in_rate_dps", at_most=0.02),
     Limit("lock_in_rate_dps", at_most=0.005),
@@ -76,13 +70,13 @@ LIMITS = (
     ("more", "doubtful", "verdicts"),
     [
         ({}, "marginal", ["PASS", "FAIL", "PASS", "ERROR"]),
-        ({"doubts": ("nobody knows the bandwidth",)}, "marginal", ["MARGINAL", "MARGINAL", "PASS", "ERROR"]),
+        ({"doubts": ("nobody knows the bandwidth",)}, "marginal", ["MARGINAL", "FAIL", "PASS", "ERROR"]),
         ({"doubts": ("nobody knows the bandwidth",)}, "as_it_is", ["PASS", "FAIL", "PASS", "ERROR"]),
         ({"failures": ("beat and table differ",)}, "as_it_is", ["ERROR", "ERROR", "ERROR", "ERROR"]),
     ],
 )
 def test_a_result_that_does_not_stand_decides_nothing(more: Any, doubtful: str, verdicts: list[str]) -> None:
-    found = judged(step(*LIMITS, doubtful=doubtful), result(RATE, NOISE, **more), DOCUMENT)
+    found = judged(result(RATE, NOISE, **more), DOCUMENT, LIMITS, doubtful=doubtful)
     assert [one.verdict for one in found] == verdicts
     for one in found[:2]:
         assert one.sentence.startswith(one.verdict)

@@ -151,7 +151,7 @@ def test_only_what_is_not_measured_may_differ(cut_short, tmp_path: Path) -> None
     assert resume_run(done.path, QUIET, kind=measurement("eps"), config=config, labels=labels).failure is None
     after = open_run(done.path)
     assert after.facts.labels == labels
-    assert [one.limit for one in evaluate_run(after).tested] == [5.0]
+    assert [one.limit.at_most for one in evaluate_run(after).tested] == [5.0]
 
 
 @pytest.mark.parametrize(("name", "table"), [("eps", "segment"), ("witness", "record")])

@@ -140,7 +140,7 @@ def test_without_a_reset_no_two_pi_voltage_is_given(fog_settings, tmp_path: Path
     assert result.document()["two_pi_voltage_v"] is None
     assert result.document()["two_pi_error"] is None
     assert result.document()["step_height_v"] == pytest.approx(0.4, abs=4e-3)
-    assert result.verdict == "FAIL"  # a limit that nothing can be said about is not kept
+    assert result.verdict == "ERROR"  # a limit that nothing can be said about
     assert any("No reset is in the record" in flag for flag in result.result.flags)
     assert "V_2π unknown" in render_report(result)
 
@@ -149,11 +149,11 @@ def test_a_limit_finer_than_the_gain_is_said_to_prove_nothing(fog_settings, tmp_
     settings = fog_settings(limits={"witness_two_pi_error_ppm": 5000.0}, witness={"records": 1})
     run = scoped(settings)
     result = evaluate_run(run)
-    assert result.verdict == "PASS"
-    assert any("neither PASS nor FAIL is proved" in flag for flag in result.result.flags)
+    assert result.verdict == "MARGINAL"
+    assert "the limit lies within the 95 % interval" in result.tested[0].sentence
     better = tmp_path / "better.toml"
     better.write_text("[limits]\nwitness_two_pi_error_ppm = 5000.0\n[witness]\ngain_u = 0.001\n")
-    assert not any("is proved" in flag for flag in evaluate_run(run, config=better).result.flags)
+    assert "the limit lies within" not in evaluate_run(run, config=better).tested[0].sentence
 
 
 def test_the_gyro_on_its_port_is_injected_and_left_as_it_was(fog_settings) -> None:

@@ -127,7 +127,9 @@ def check_by_table(
     """Test beat frequencies, harmonics and table rates of a run against each other."""
     used = result.scale_factor
     squared = (used * float(result.lock_in_rate)) ** 2
-    squared_u = 2 * used**2 * float(result.lock_in_rate) * float(result.lock_in_rate_u)
+    # of the square of a normal number: it does not vanish where noise leaves a lock-in rate of zero
+    own_u = used * float(result.lock_in_rate_u)
+    squared_u = own_u * math.sqrt(4 * squared + 2 * own_u**2)
     seen = TableReading.of(run, each, knowledge)
     stated = Stated.of(knowledge, tilt)
     along = knowledge.scale_factor * math.cos(math.radians(tilt.tilt_deg))
@@ -146,7 +148,7 @@ def check_by_table(
     ways = [_by_tilt(curve, knowledge, stated, used)]
     if not seen.blind.any():
         far = 10 * stated.earth[0]
-        known |= {1: far, 2: far, 3: 2 * _HARMONICS_TRUSTED * squared}
+        known |= {1: far, 2: far, 3: max(2 * _HARMONICS_TRUSTED * squared, squared_u)}
         ways.append(_by_earth(fitted_curve(seen, start, known, stated, rate_moves=True), stated, used))
     return TableCheck(
         lock_in_rate=by_table.lock_in_rate,

@@ -475,10 +475,14 @@ def _beat_over_table(check: TableCheck, lock_in_rate: float) -> str:
             "more than chance explains, but not more than the budget counts for what is not known of detector and "
             "channel"
         )
-    seen = f"{100 * check.least_error_seen:.2g} %"
+    seen = (
+        "does not show here"
+        if check.least_error_seen > 1
+        else f"shows here from {100 * check.least_error_seen:.2g} % on"
+    )
     text = (
         f"Beat over table is {beat_over_table_words(check)}, {over:+.1f} u from 1: {verdict}. An error of the "
-        f"lock-in rate by the harmonics (a slow channel, distortion) shows here from {seen} on."
+        f"lock-in rate by the harmonics (a slow channel, distortion) {seen}."
     )
     if not check.mismatch or not check.by_frequencies > 0:
         return text

@@ -512,16 +512,18 @@ def draw_budget(axes: Axes, budget: Budget) -> None:
     """Draw the bars on given axes."""
     lines = _shown(budget)
     labels = ["combined", *(line.quantity for line in lines)]
-    percent = [100 * u / budget.lock_in_rate for u in (budget.combined_u, *(line.contribution for line in lines))]
+    # noise may leave a lock-in rate of zero, of which nothing is a percentage
+    unit, scale = ("%", 100 / budget.lock_in_rate) if budget.lock_in_rate > 0 else ("deg/s", 1.0)
+    sizes = [scale * u for u in (budget.combined_u, *(line.contribution for line in lines))]
     places = list(range(len(labels), 0, -1))
-    bars = axes.barh(places, percent, height=0.62, color=[SECOND, *[ACCENT] * len(lines)])
-    axes.bar_label(bars, labels=[f"{value:.2g} %" for value in percent], padding=4, color=INK, fontsize=8.5)
+    bars = axes.barh(places, sizes, height=0.62, color=[SECOND, *[ACCENT] * len(lines)])
+    axes.bar_label(bars, labels=[f"{size:.2g} {unit}" for size in sizes], padding=4, color=INK, fontsize=8.5)
     axes.set_yticks(places, labels, color=INK)
     axes.tick_params(axis="y", length=0)
     axes.grid(visible=False, axis="y")
     axes.set_xscale("log")
-    axes.set_xlim(min(percent) * 0.4, max(percent) * 4)
-    axes.set_xlabel("standard uncertainty, % of the lock-in rate")
+    axes.set_xlim(min(sizes) * 0.4, max(sizes) * 4)
+    axes.set_xlabel(f"standard uncertainty, {'% of the lock-in rate' if unit == '%' else unit}")
 
 
 def _shown(budget: Budget) -> list[BudgetInput]:

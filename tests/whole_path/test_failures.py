@@ -193,3 +193,25 @@ def test_an_empty_run_and_a_damaged_record(gyrolock, tmp_path: Path) -> None:
     done = gyrolock("analyze", result["run"], "--json")
     assert done.code == 2
     assert "no record" in done.document["error"]["message"]
+
+
+def test_noise_that_leaves_no_lock_in_at_all(gyrolock, tmp_path: Path) -> None:
+    """Exactly 0 in about every third run; it has an uncertainty, a budget and a report all the same."""
+    clean = "second_harmonic_dbc = -150.0\nthird_harmonic_dbc = -150.0\npump_ripple = 0.0\n"
+    settings = f"[simulation]\nlock_in_rate_dps = 0.0\n[simulation.contaminants]\n{clean}"
+    (tmp_path / "none.toml").write_text(settings, encoding="utf-8")
+    exact = []
+    for seed in (3, 6):
+        done = gyrolock("measure", "--config", "none.toml", "--rates", 8, "--records", 2, "--seed", seed, "--json")
+        assert done.code == 0, done.err
+        found = done.document
+        assert found["lock_in_rate_low_95_dps"] == 0
+        assert 0 < found["lock_in_rate_u_dps"] < found["lock_in_rate_high_95_dps"]
+        assert found["budget"]["combined_u_dps"] > 0
+        assert "ratio_not_significant" in found["flags"]
+        assert not any("inf" in one for one in found["table_check"]["sentences"])
+        if found["lock_in_rate_dps"] == 0:
+            page = Path(tmp_path, found["run"]).parent / "report.html"
+            exact.append(page.read_text(encoding="utf-8"))
+    assert exact
+    assert all("standard uncertainty, deg/s" in page for page in exact)

@@ -27,12 +27,15 @@ class Flag(IntFlag):
     FEW_LEVELS = 65536
     TABLE_MISMATCH = 1 << 20
     SCALE_FACTOR_MISMATCH = 1 << 21
+    RATE_MISMATCH = 1 << 22
 
 
 FATAL = Flag.NO_BEAT | Flag.CONSTANT | Flag.TOO_FEW_SAMPLES | Flag.NOT_LOCK_IN_LIKE
 """With any of these no lock-in rate can be given; the estimate's fields are nan."""
 
-DOUBTFUL = Flag.MISFIT | Flag.AMPLITUDE_LOST | Flag.PARTS_DIFFER | Flag.FEW_PERIODS | Flag.FEW_LEVELS
+DOUBTFUL = (
+    Flag.MISFIT | Flag.AMPLITUDE_LOST | Flag.PARTS_DIFFER | Flag.FEW_PERIODS | Flag.FEW_LEVELS | Flag.RATE_MISMATCH
+)
 """With any of these the record was not what the estimate rests on: the number may be off by more than u."""
 
 _SENTENCES = {
@@ -65,6 +68,8 @@ _SENTENCES = {
     "channel or distortion changes the second harmonic, or scale factor, table rate or north are not as stated.",
     Flag.SCALE_FACTOR_MISMATCH: "The scale factor that an independent angle or the earth rate gives is not the "
     "one that was used; its error goes 1 : 1 into the lock-in rate.",
+    Flag.RATE_MISMATCH: "The given rate is not the one that beat and second harmonic show: see that it is the "
+    "rate on the gyro's axis, that the scale factor is right, and that a faster time base shows the same beat.",
 }
 
 

@@ -128,6 +128,8 @@ def estimate_lock_in(
     blank = np.where(fatal, np.nan, 1.0)
     sense = np.where(rate < 0, -1.0, 1.0) if rate is not None else np.ones(beat.size.shape)
     own_rate = input_rate_from_beat(beat.ratio, beat.frequency / scale_factor)
+    if rate is not None:
+        flags[~fatal & differs_from_beat(rate, own_rate, beat)] |= Flag.RATE_MISMATCH
     return LockInEstimate(
         lock_in_rate=shaped(value),
         lock_in_rate_u=shaped(value_u),
@@ -297,6 +299,9 @@ FEWEST_PERIODS = 3.0
 FEW_FOR_A_MOTION = 10.0
 """Periods below which a fitted motion can make a beat of any slow curve; the second harmonic must speak for it."""
 
+RATE_ERROR = 0.002
+"""Share by which a given rate may differ from the beat's: what scale factor and tilt are known to."""
+
 LOSS = 0.01
 """Share of the amplitude that may be missing; an averaged moving phase that costs it costs the ratio 3 %."""
 
@@ -383,6 +388,13 @@ def _jacobian(first: Complexes, q: Complexes, hertz: float) -> Floats:
     squared = np.abs(first) ** 2
     jacobian[:, 2, 1], jacobian[:, 2, 2] = size * first.imag / squared, -size * first.real / squared
     return jacobian
+
+
+def differs_from_beat(rate: Floats, own_rate: Floats, beat: Beat) -> Bools:
+    """Whether a given rate (R,) is not that of beat and second harmonic, (f/K)(1 + r^2)/(1 - r^2)."""
+    r = beat.ratio
+    relative_u = np.hypot(beat.frequency_u / beat.frequency, 4 * r * beat.ratio_u / (1 - r**4))
+    return np.asarray(np.abs(np.abs(rate) / own_rate - 1) > np.maximum(5 * relative_u, RATE_ERROR))
 
 
 def beat_flags(beat: Beat, fit_flags: Ints, n_samples: int) -> Ints:

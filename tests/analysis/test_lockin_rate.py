@@ -219,6 +219,31 @@ def test_each_flag_is_raised_by_its_cause_and_not_without():
     assert "not_lock_in_like" in flags_of(square)
 
 
+@pytest.mark.parametrize(("error", "periods"), [(2.4, 40.3), (0.4, 40.3), (1.05, 12.7), (0.99, 90.1)])
+def test_a_given_rate_that_is_not_the_beats_is_named(error, periods):
+    rng = np.random.default_rng(31)
+    for sense in (1.0, -1.0):
+        k, volts = one_record(rng, periods=periods)
+        given = {"scale_factor": k, "input_rate": sense * error}
+        assert flag_names(int(estimate_lock_in(volts, 1.0, **given).flags)) == ["rate_mismatch"]
+
+
+def test_a_beat_above_half_the_sampling_rate_is_named_by_the_rate_it_is_given():
+    rng = np.random.default_rng(32)
+    for _ in range(20):
+        k, volts = one_record(rng, periods=2500 * rng.uniform(0.52, 0.95))
+        found = estimate_lock_in(volts, 1.0, scale_factor=k, input_rate=1.0)
+        assert int(found.flags) & int(Flag.RATE_MISMATCH | FATAL)
+
+
+def test_the_right_rate_is_never_called_wrong():
+    rng = np.random.default_rng(33)
+    records = [one_record(rng, periods=rng.uniform(3, 400), x=rng.uniform(0, 0.9), noise=3.0) for _ in range(300)]
+    for k, volts in records:
+        found = estimate_lock_in(volts, 1.0, scale_factor=k, input_rate=-1.0)
+        assert not int(found.flags) & int(Flag.RATE_MISMATCH)
+
+
 def averaged(rng, jitter):
     """Sixteen beats whose phase at the start scatters by `jitter` rad, averaged as AVErage mode does."""
     k, w = 0.02, 2 * np.pi * 30.3 / 2500

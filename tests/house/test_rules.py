@@ -126,7 +126,7 @@ def test_the_house_can_be_taken_in() -> None:
     classes = [node for tree in OURS.values() for node in ast.walk(tree) if isinstance(node, ast.ClassDef)]
     assert len(every) <= 260
     assert sum(every.values()) <= 77_000
-    assert len(classes) <= 700
+    assert len(classes) <= 697
 
 
 def test_the_name_of_a_class_means_one_thing() -> None:

@@ -14,6 +14,7 @@ from analysis.budget.bench import RecordShape, expected_noise, expected_point
 from analysis.lockin_equation import beat_frequency, harmonic_ratio
 from analysis.rotation import earth_rate_on_axis
 from analysis.several_rates import COUNTED, RatioData, ReceiverKnowledge, predicted_ratio
+from analysis.several_rates.points import place_in_run
 from analysis.several_rates.ratio_model import N_PARAMETERS, all_solutions, fit_ratios, whitening_factor
 from analysis.several_rates.solutions import answer
 
@@ -368,19 +369,19 @@ def expected_joint_u(
     rates in one sense may have a second solution; then it is that of both together.
     """
     phases = np.array([phase]) if np.isfinite(phase) else np.arange(_PHASES) * (2 * np.pi / _PHASES)
-    rate = np.asarray(input_rates, dtype=np.float64)
-    if np.unique(rate).size < 2:
+    given = np.asarray(input_rates, dtype=np.float64)
+    if np.unique(given).size < 2:
         raise ValueError(
             "these rates cannot tell distortion from lock-in: take both senses, or rates that differ by a factor "
             "of two or more"
         )
+    rate = np.array([visited for visited, _ in run_order(given.tolist())])
     frequency = beat_frequency(scale_factor, np.abs(rate), lock_in_rate)
-    noise = [
-        expected_noise(shape, r)
-        for shape, r in zip(shapes, harmonic_ratio(lock_in_rate / np.abs(rate)), strict=True)
-    ]
-    along = np.array([float(one.ratio_u) for one in noise])
-    across = np.array([float(one.across_u) for one in noise])
+    which = [int(np.flatnonzero(given == visited)[0]) for visited in rate]
+    fewer = np.sqrt([float(np.sum(rate == visited)) for visited in rate])  # two visits share the records
+    noise = [expected_noise(shapes[row], float(harmonic_ratio(lock_in_rate / abs(given[row])))) for row in which]
+    along = fewer * np.array([float(each.ratio_u) for each in noise])
+    across = fewer * np.array([float(each.across_u) for each in noise])
     z = lock_in_rate * np.exp(-1j * phases)
     truth = np.zeros((phases.size, N_PARAMETERS))
     truth[:, 0], truth[:, 1] = z.real, z.imag
@@ -391,16 +392,17 @@ def expected_joint_u(
         ratio=np.zeros(rate.size, dtype=np.complex128),
         whitening=np.zeros((phases.size, rate.size, 2, 2)),
         amplitude=np.ones(rate.size),
+        when=place_in_run(rate.size),
         third=np.zeros(rate.size),
         third_weight=1 / along,
         reference=reference,
     )
     rho = predicted_ratio(truth, data)
     data = replace(data, ratio=rho, whitening=whitening_factor(_turned(rho, along, across)))
-    prior = (receiver or ReceiverKnowledge()).prior(float(frequency.min()))
+    prior = (receiver or ReceiverKnowledge()).prior(float(frequency.min())).seen_by(data)
     if all_else_known:
         prior = replace(prior, sd=np.where(np.isinf(prior.sd), np.inf, 0.0))
-    elif len(set(np.sign(rate))) == 1 and rate.size < FEW_RATES:
+    elif len(set(np.sign(rate))) == 1 and np.unique(rate).size < FEW_RATES:
         rows = range(0, phases.size, 2) if phases.size > 1 else range(1)
         each = [replace(data, ratio=rho[row], whitening=data.whitening[row : row + 1]) for row in rows]
         us = [answer(all_solutions(one, prior), 1.0, 0).u for one in each]
@@ -435,6 +437,31 @@ LEAST_STEP = 1.25
 
 DEFAULT_RECORDS = 3
 """At each rate and sense: fewer would not show whether they scatter by more than their noise."""
+
+
+def run_order(rates: Sequence[float]) -> tuple[tuple[float, bool], ...]:
+    """Signed rates in the order in which a run goes to them, and whether it has been there before.
+
+    What drifts evenly over a run must not look like a change with the rate or with the sense: the slow rates,
+    which carry the lock-in rate, stand in its middle, and what came first comes once more at the end, unless the
+    other sense stands for it. Two visits of a rate share its records.
+
+    Examples
+    --------
+    >>> run_order([3.0, 30.0])
+    ((30.0, False), (3.0, False), (30.0, True))
+    >>> run_order([3.0, 30.0, -3.0, -30.0])
+    ((30.0, False), (3.0, False), (-3.0, False), (-30.0, False))
+    >>> run_order([8.0, -8.0])
+    ((8.0, False), (-8.0, False), (8.0, True))
+    """
+    first = 1.0 if max(rates) > 0 else -1.0
+    down = sorted({rate for rate in rates if rate * first > 0}, key=abs, reverse=True)
+    up = sorted({rate for rate in rates if rate * first < 0}, key=abs)
+    once = tuple((rate, False) for rate in [*down, *up])
+    if len(down) > 1 and up:
+        return once
+    return (*once, *((rate, True) for rate in (down if up else down[-2::-1])))
 
 
 def default_rates(

@@ -57,6 +57,15 @@ LOWEST_GAIN_CORNER_HZ = 5000.0
 """What is computed for a navigation gyro of 0.28 m with a net gain of 3e-5: where three beats would be more than
 this, this is the bound, since a fast beat does not make the gain faster."""
 
+PHASE_CHANGE_LIMIT = 1.0
+"""Largest change of the phase of the backscatter or of the readout, rad: between the two senses, and during a run.
+
+A mirror that moves by 10 nm turns the backscatter by 0.2 rad; a table that stops and turns back, or a frame that
+warms up by a kelvin, moves one by some tens."""
+
+LOCK_IN_DRIFT_LIMIT = 0.03
+"""Largest relative change of the lock-in rate during a run: that of a laser which is still warming up."""
+
 SCALE_FACTOR_LIMIT = 0.01
 """Relative error of a scale factor that stands on a data sheet or a type plate: rounded, and of another unit."""
 
@@ -182,6 +191,9 @@ class BenchKnowledge:
     # amplitude (0.01: -40 dBc)
     distortion_limit: float = math.nan
     third_order_limit: float = math.nan  # the same for the third harmonic
+    # largest change of the backscatter phase, rad, and of the lock-in rate, relative, during a run
+    phase_change_limit: float = math.nan
+    lock_in_drift_limit: float = math.nan
     # names of lines that the records themselves were freed of, by several rates, both senses or two photodiodes:
     # ``"distortion"``, ``"third_order"``, ``"bandwidth"``, ``"gain_corner"``
     separated: frozenset[str] = frozenset()

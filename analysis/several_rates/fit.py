@@ -24,6 +24,7 @@ from analysis.several_rates.points import (
     Points,
     RatioRecords,
     UsedRecords,
+    at_mean_times,
     common_mismatch,
     gather,
     inconsistent_rate,
@@ -35,7 +36,9 @@ from analysis.several_rates.points import (
     with_rate_noise,
 )
 from analysis.several_rates.ratio_model import (
+    DRIFT,
     N_PARAMETERS,
+    SENSES,
     Prior,
     RatioData,
     RatioFit,
@@ -64,14 +67,15 @@ from analysis.several_rates.solutions import (
     with_coupling,
 )
 
+_REST = N_PARAMETERS - 4
 FREE: dict[Model, tuple[bool, ...]] = {
-    "lock-in": (False, False, False, False),
-    "distortion": (True, False, False, False),
-    "gain": (False, True, False, False),
-    "both": (True, True, False, False),
-    "all": (True, True, True, True),
+    "lock-in": (False, False, *(False,) * _REST),
+    "distortion": (True, False, *(False,) * _REST),
+    "gain": (False, True, *(False,) * _REST),
+    "both": (True, True, *(False,) * _REST),
+    "all": (True, True, *(True,) * _REST),
 }
-"""Which of distortion, gain time, lag of the receiver and third order each model fits."""
+"""What each model fits beside the lock-in rate and its phase: distortion, gain time, and all the rest."""
 
 COUNTED = ("distortion", "gain_corner", "bandwidth", "third_order")
 """Lines of a budget that these parameters stand for."""
@@ -92,6 +96,7 @@ def fit_rates(
     reference: Reference = "rate",
     model: Model | Literal["auto"] = "auto",
     receiver: ReceiverKnowledge | None = None,
+    in_order: bool | None = None,
 ) -> RatesFit:
     """Lock-in rate, distortion and bandwidth of the receiver, and gain corner, from records at several rates.
 
@@ -117,6 +122,9 @@ def fit_rates(
         to be zero, and know nothing beforehand.
     receiver : ReceiverKnowledge, optional
         What is known of receiver and laser; without it the usual bounds hold (`analysis.budget.bench`).
+    in_order : bool, optional
+        Whether the records stand in the order in which they were taken. Then phase and lock-in rate may drift over
+        them, and the uncertainty counts it; without it only where the records do not fit otherwise.
 
     Raises
     ------
@@ -134,8 +142,17 @@ def fit_rates(
     >>> round(fit.lock_in_rate, 4), round(fit.distortion, 4)
     (0.1, 0.005)
     """
-    records = records_of_estimates(estimates, input_rate)
-    return _fit(records, np.asarray(input_rate_u, dtype=np.float64), reference, model, receiver)
+    rate_u = np.asarray(input_rate_u, dtype=np.float64)
+
+    def fit(ordered: bool) -> RatesFit:
+        records = records_of_estimates(estimates, input_rate, in_order=ordered)
+        return _fit(records, rate_u, reference, model, receiver)
+
+    found = fit(bool(in_order))
+    if in_order is None and found.flags & RatesFlag.MISFIT:
+        drifting = fit(True)
+        return found if drifting.flags & RatesFlag.MISFIT else drifting
+    return found
 
 
 def fit_again(
@@ -161,6 +178,7 @@ def fit_rate_ratios(
     reference: Reference = "rate",
     model: Model | Literal["auto"] = "auto",
     receiver: ReceiverKnowledge | None = None,
+    in_order: bool = False,
 ) -> RatesFit:
     """`fit_rates` on plain arrays of n records.
 
@@ -183,6 +201,8 @@ def fit_rate_ratios(
         `receiver`, the ratios are taken to be free of third-order distortion.
     input_rate_u, reference, model, receiver
         As in `fit_rates`.
+    in_order : bool
+        Whether they stand in the order in which they were taken: then phase and lock-in rate may drift over them.
     """
     if third_harmonic is None and receiver is None:
         receiver = ReceiverKnowledge(third_order_limit=0.0)
@@ -199,6 +219,7 @@ def fit_rate_ratios(
         third_harmonic=0.0 if third_harmonic is None else third_harmonic,
         third_harmonic_u=third_harmonic_u,
         rate_of_beat=unknown,
+        in_order=in_order,
     )
     return _fit(records, np.zeros_like(rate_u) if unknown else rate_u, reference, model, receiver)
 
@@ -224,23 +245,34 @@ def _fit(
         raise NoFit("no record with a usable beat: nothing can be fitted")
     points = gather(UsedRecords(records, used, rate_u, reference))
     chosen: Model = "all" if model == "auto" else model
-    known = (receiver or ReceiverKnowledge()).prior(float(points.points.angular.min()) / (2 * np.pi))
+    known, usual = (
+        knowledge.prior(float(points.points.angular.min()) / (2 * np.pi)).seen_by(points.points)
+        for knowledge in (receiver or ReceiverKnowledge(), ReceiverKnowledge())
+    )
     found = all_solutions(points.points, _prior(chosen, known))
     contradicted = False
     if receiver is not None and chosen == "all":
-        usual = ReceiverKnowledge().prior(float(points.points.angular.min()) / (2 * np.pi))
         free = fit_ratios(points.points, usual, found.parameters[:1])
         contradicted = bool(free.chi_square[0] < found.chi_square[0] - CONTRADICTED)
         if contradicted:
             known, found = usual, all_solutions(points.points, usual)
     # One rate in one sense tells nothing from lock-in, however many records there are.
-    if points.rate_group.size < 2 and chosen != "lock-in":
+    if points.settings < 2 and chosen != "lock-in":
         what = f"the unknowns of the model {model!r} apart" if model != "auto" else "distortion from lock-in"
         raise NoFit(f"these records cannot tell {what}: {MORE_RECORDS}")
     if found.singular[0]:
         raise NoFit(f"these records cannot tell the unknowns of the model {model!r} apart: {MORE_RECORDS}")
     most = np.inf if records.rate_of_beat else largest_possible(found, points.points)
     found = up_to(found, most)
+    if chosen == "all" and known.sd[SENSES] > 0 and not _sees(found, DRIFT):
+        # the senses stand for each other's times; in one sense nothing does, and any drift within its bound counts
+        known = replace(known, sd=np.where(np.arange(N_PARAMETERS) == DRIFT, 0.0, known.sd))
+        start = np.where(known.sd > 0, found.parameters, known.mean)
+        found = up_to(fit_ratios(points.points, known, start), most)
+    if chosen == "all" and np.any(np.abs(found.parameters[0, SENSES + 1 :]) > _DRIFTS):
+        known = _as_large_as_seen(known, found)
+        points = at_mean_times(points, found.parameters[:1])
+        found = up_to(all_solutions(points.points, known), most)
     points, found = _beyond_first_order(points, found, _prior(chosen, known), most)
     points, found = _with_table_noise(points, found, _prior(chosen, known), most)
     fits = _models(points, found, known, chosen)
@@ -268,6 +300,27 @@ def _beyond_first_order(points: Points, found: RatioFit, prior: Prior, most: flo
 
 
 _SEEN, _PASSES = 5.0, 2
+
+_DRIFTS = 0.05
+"""Drifts over a run, rad or relative, up to which the means of the visits lose nothing."""
+
+
+def _sees(found: RatioFit, parameter: int) -> bool:
+    """Whether a parameter of the best solution stands out of its uncertainty."""
+    return bool(
+        abs(found.parameters[0, parameter]) > SIGNIFICANT * np.sqrt(found.covariance[0, parameter, parameter])
+    )
+
+
+def _as_large_as_seen(known: Prior, found: RatioFit) -> Prior:
+    """What is known beforehand, with no bound against a phase or a drift that the records themselves show."""
+    size, u = np.abs(found.parameters[0]), np.sqrt(np.diagonal(found.covariance[0]))
+    shown = (size > known.sd) & (u < _SHOWN * known.sd) & (np.arange(N_PARAMETERS) >= SENSES)
+    return Prior(known.mean, np.where(shown, size, known.sd))
+
+
+_SHOWN = 0.3
+"""Share of its uncertainty beforehand that a drift has left where the records show it, whatever the bound says."""
 
 
 def _with_table_noise(points: Points, found: RatioFit, prior: Prior, most: float) -> tuple[Points, RatioFit]:
@@ -299,7 +352,7 @@ def _models(points: Points, found: RatioFit, known: Prior, chosen: Model) -> dic
     for name, free in FREE.items():
         if name == chosen:
             fits[name] = found[:1]
-        elif points.rate_group.size > 1 or name == "lock-in":
+        elif points.settings > 1 or name == "lock-in":
             prior = _prior(name, known)
             held = np.array([True, True, *free])
             fit = fit_ratios(points.points, prior, np.where(held, found.parameters[:1], prior.mean))
@@ -327,7 +380,7 @@ def _result(
         said = by_profile(said, found, points.points, prior, widen, freedom, most)
         if chosen == "all" and prior.sd[3] > 0 and _left_over(points, prior) <= 0:
             said = over_gain_times(said, found, points.points, prior, widen)
-    mismatch = rate_mismatch(records, said.value)
+    mismatch = rate_mismatch(records, said.value, float(fit.parameters[0, DRIFT]))
     common, differ = _rates_differ(points.records, said, mismatch, bool(np.ptp(points.rate_group)))
     coupling = None
     if said.value > 0 and not records.rate_of_beat:
@@ -359,6 +412,12 @@ def _result(
         lag_square_u=float(us[4] * fitted[4]),
         third_order=float(values[5]),
         third_order_u=float(us[5] * fitted[5]),
+        phase_between_senses=float(values[SENSES]),
+        phase_between_senses_u=float(us[SENSES] * fitted[SENSES]),
+        phase_drift=float(values[SENSES + 1]),
+        phase_drift_u=float(us[SENSES + 1] * fitted[SENSES + 1]),
+        lock_in_drift=float(values[DRIFT]),
+        lock_in_drift_u=float(us[DRIFT] * fitted[DRIFT]),
         scale_factor=scale_factor,
         scale_factor_u=scale_factor_u,
         covariance=covariance,
@@ -401,17 +460,21 @@ def _degrees(fit: RatioFit, points: Points, prior: Prior) -> int:
     """Values less unknowns; an unknown that was known as well beforehand as it is now costs none."""
     known = np.isfinite(prior.sd) & (prior.sd > 0)
     kept = np.diagonal(fit.covariance[0])[known] / prior.sd[known] ** 2
-    return _left_over(points, prior) + round(float(np.minimum(kept, 1.0).sum()))
+    return _left_over(points, prior, points.rate_group.size) + round(float(np.minimum(kept, 1.0).sum()))
 
 
-def _left_over(points: Points, prior: Prior) -> int:
-    """Two values of every point and the third harmonics, less all unknowns: what tests the model by itself."""
-    thirds = np.sum(points.points.third_weight > 0) if prior.sd[5] > 0 else 0
-    return int(2 * points.rate_group.size + thirds - np.sum(prior.sd > 0))
+def _left_over(points: Points, prior: Prior, count: int | None = None) -> int:
+    """Two values of every setting and their third harmonics, less all unknowns: what tests the model by itself.
+
+    `count`: of all visits in the place of settings. What changes over a run is tested by them alone, if at all.
+    """
+    has_thirds = prior.sd[5] > 0 and np.any(points.points.third_weight > 0)
+    unknowns = np.sum(prior.sd > 0) if count is not None else np.sum(prior.sd[:SENSES] > 0)
+    return int((3 if has_thirds else 2) * (count or points.settings) - unknowns)
 
 
 def _counted(chosen: Model, points: Points, receiver: ReceiverKnowledge | None) -> frozenset[str]:
-    counted = {name for name, free in zip(COUNTED, FREE[chosen], strict=True) if free}
+    counted = {name for name, free in zip(COUNTED, FREE[chosen], strict=False) if free}
     nothing_of_third = not np.any(points.points.third_weight > 0)
     if receiver is not None and receiver.third_order_limit == 0 and nothing_of_third:
         counted -= {"third_order"}
@@ -528,13 +591,13 @@ def scale_factor_of_rates(scale_factor: float, points: Points, fit: RatioFit) ->
     it.
     """
     data = points.points
-    size = float(np.hypot(*fit.parameters[0, :2]))
+    size = float(np.hypot(*fit.parameters[0, :2])) * (1 + fit.parameters[0, DRIFT] * data.when)
     base = np.abs(data.rate) if data.reference == "rate" else data.beat_rate
     x = np.minimum(size / base, 1.0 if data.reference == "rate" else np.inf)
     free = np.sqrt(np.maximum(1 - x**2, 1e-12)) if data.reference == "rate" else 1 / np.sqrt(1 + x**2)
     each = data.beat_rate * scale_factor / np.abs(data.rate) / free
     # what is not known of the lock-in rate weighs with its square over that of the rate
-    weights = 1 / (1e-5 + (lock_in_u(fit) / size * x**2) ** 2) if size > 0 else np.ones_like(each)
+    weights = 1 / (1e-5 + (lock_in_u(fit) / size * x**2) ** 2) if np.all(size > 0) else np.ones_like(each)
     mean = float(np.average(each, weights=weights))
     if each.size < 2:
         return mean, float("nan")
@@ -698,11 +761,11 @@ def table_noise(points: Points, fit: RatioFit) -> float:
     is larger, by Student's factor.
     """
     data, records = points.points, points.records
-    size, rate = float(np.hypot(*fit.parameters[0, :2])), np.abs(data.rate)
-    freedom = rate.size - 1
-    if data.reference != "rate" or freedom < 1 or not 0 < size < rate.min():
+    mean, rate = float(np.hypot(*fit.parameters[0, :2])), np.abs(data.rate)
+    freedom, size = rate.size - 1, mean * (1 + fit.parameters[0, DRIFT] * data.when)
+    if data.reference != "rate" or freedom < 1 or not (mean > 0 and np.all((size > 0) & (size < rate.min()))):
         return 0.0
-    square, known = (size / rate) ** 2, lock_in_u(fit) / size
+    square, known = (size / rate) ** 2, lock_in_u(fit) / mean
     seen = (data.beat_rate / np.sqrt((rate - size) * (rate + size)) - 1) * (1 - square)
     u = math.hypot(_LEAST_U, float(np.max((records.rate_u / np.abs(records.records.rate))[records.used])))
     columns = np.stack([1 - square, square], axis=-1) / u

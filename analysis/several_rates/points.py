@@ -51,6 +51,7 @@ class RatioBlock:
     beat_frequency, beat_frequency_u : Hz; 0 where there is no beat
     ratio, covariance : rho (m,) and that of its two parts (m, 2, 2)
     amplitude : any unit; those that :class:`RatioRecords` gives are over the mean of its usable records
+    when : place in the run, from -1/2 to 1/2; 0 where nobody knows it
     third, third_u : third harmonic beyond the waveform in phase with distortion, over the amplitude; inf: unknown
     misfit : records whose waveform is not the lock-in one within its noise
     """
@@ -61,6 +62,7 @@ class RatioBlock:
     ratio: Complexes
     covariance: Floats
     amplitude: Floats
+    when: Floats
     third: Floats
     third_u: Floats
     misfit: Bools
@@ -91,6 +93,7 @@ class RatioRecords:
     scale_factor : pulses per degree
     noise_model : what the uncertainties rest on
     rate_of_beat : whether the rates are those that the records themselves gave, and test no beat
+    visits : place in the run at which each visit of a rate begins, rising; one value where no order is known
     read : gives some of the records
     """
 
@@ -101,6 +104,7 @@ class RatioRecords:
     scale_factor: float
     noise_model: str
     rate_of_beat: bool
+    visits: Floats
     read: Callable[[slice], RatioBlock]
 
     def blocks(self) -> Iterator[tuple[slice, RatioBlock]]:
@@ -126,7 +130,7 @@ def in_blocks(count: int) -> Iterator[slice]:
 
 
 def records_of_estimates(
-    estimates: LockInEstimate | Sequence[LockInEstimate], input_rate: ArrayLike | None
+    estimates: LockInEstimate | Sequence[LockInEstimate], input_rate: ArrayLike | None, *, in_order: bool
 ) -> RatioRecords:
     """Records of one or several estimates."""
     several = [estimates] if isinstance(estimates, LockInEstimate) else list(estimates)
@@ -145,13 +149,15 @@ def records_of_estimates(
         rate = np.concatenate([e.input_rate for e in flat])
     else:
         rate = np.broadcast_to(np.asarray(input_rate, dtype=np.float64).ravel(), (count,))
-    read = partial(_read, flat[0], rate) if len(flat) == 1 else _together(flat, rate).__getitem__
+    run = rate, place_in_run(count) if in_order else np.broadcast_to(0.0, count)
+    read = partial(_read, flat[0], run) if len(flat) == 1 else _together(flat, run).__getitem__
     return _records(
         rate,
         read,
         scale_factor=flat[0].scale_factor,
         noise_model="; ".join(dict.fromkeys(e.noise_model for e in flat)),
         rate_of_beat=not any(e.rate_given for e in flat) and _is_own(rate, [e.input_rate for e in flat]),
+        when=run[1],
     )
 
 
@@ -167,9 +173,11 @@ def records_of_arrays(
     third_harmonic: ArrayLike = 0.0,
     third_harmonic_u: ArrayLike = np.inf,
     rate_of_beat: bool = False,
+    in_order: bool = False,
 ) -> RatioRecords:
     """Records of plain arrays of n values; a beat frequency of 0 marks a record without a beat."""
     w = np.asarray(rate, dtype=np.float64).ravel()
+    when = place_in_run(w.size) if in_order else np.broadcast_to(0.0, w.size)
     spread = np.asarray(covariance, dtype=np.float64)
     if spread.shape not in ((w.size, 2, 2), (2, 2)):
         raise ValueError(f"covariance must have shape ({w.size}, 2, 2), not {spread.shape}")
@@ -180,6 +188,7 @@ def records_of_arrays(
         ratio=_column("ratio", ratio, w.size).astype(np.complex128),
         covariance=np.broadcast_to(spread, (w.size, 2, 2)),
         amplitude=_column("amplitude", amplitude, w.size).astype(np.float64),
+        when=when,
         third=_column("third_harmonic", third_harmonic, w.size).astype(np.float64),
         third_u=_column("third_harmonic_u", third_harmonic_u, w.size).astype(np.float64),
         misfit=np.zeros(w.size, dtype=bool),
@@ -190,6 +199,7 @@ def records_of_arrays(
         scale_factor=scale_factor,
         noise_model="the covariances given",
         rate_of_beat=rate_of_beat,
+        when=when,
     )
 
 
@@ -200,6 +210,7 @@ def _records(
     scale_factor: float,
     noise_model: str,
     rate_of_beat: bool,
+    when: Floats,
 ) -> RatioRecords:
     """Records that are read once, to see which can be used; ValueError where a number makes no sense."""
     if not np.all(np.isfinite(rate)) or np.any(rate == 0):
@@ -223,6 +234,7 @@ def _records(
         scale_factor=float(scale_factor),
         noise_model=noise_model,
         rate_of_beat=rate_of_beat,
+        visits=when[visits_of_rates(rate)] if np.ptp(when) > 0 else when[:1],
         read=read,
     )
 
@@ -280,12 +292,13 @@ def inconsistent_rate(records: RatioRecords, rate_u: Floats, mismatch: float = 1
     return found & records.usable
 
 
-def rate_mismatch(records: RatioRecords, lock_in_rate: float) -> Floats:
-    """f/(K sqrt(W^2 - WL^2)) - 1 of every record, (n,); nan where it is not known."""
+def rate_mismatch(records: RatioRecords, lock_in_rate: float, drift: float) -> Floats:
+    """f/(K sqrt(W^2 - WL^2)) - 1 of every record, (n,), WL drifting by so much over the run; nan: not known."""
     mismatch = np.full(records.rate.shape, np.nan)
     for some, block in records.blocks():
         rate = np.abs(block.rate)
-        square = (rate - lock_in_rate) * (rate + lock_in_rate)
+        then = lock_in_rate * (1 + drift * block.when)
+        square = (rate - then) * (rate + then)
         known = records.usable[some] & (square > 0)
         expected = records.scale_factor * np.sqrt(square[known])
         mismatch[some][known] = block.beat_frequency[known] / expected - 1
@@ -338,13 +351,52 @@ def _column(name: str, values: ArrayLike, n: int) -> NDArray[np.generic]:
     return np.broadcast_to(array.ravel(), (n,))
 
 
-def _read(estimate: LockInEstimate, rate: Floats, some: slice) -> RatioBlock:
-    """Some records of an estimate (n,), with the rates (n,) of all."""
-    return _block(estimate[some], rate[some])
+Run = tuple[Floats, Floats]
+"""Of each record (n,): its rate, and its place in the run."""
 
 
-def _block(estimate: LockInEstimate, rate: Floats) -> RatioBlock:
-    """Records of an estimate (m,), with their rates (m,)."""
+def place_in_run(count: int) -> Floats:
+    """Place of each record in its run, (n,), from -1/2 to 1/2."""
+    return np.arange(count) / max(count - 1, 1) - 0.5
+
+
+def visits_of_rates(rate: Floats) -> Indices:
+    """First record of each visit of a rate, rising; what drifts differs between visits.
+
+    A long visit is cut in two halves, so that it shows by itself what drifts; where there are few settings any is.
+    Where the rates (n,) change all the time the quarters of the run are the visits.
+
+    Examples
+    --------
+    >>> visits_of_rates(np.repeat([3.0, 1.0, 3.0], [1, 8, 2]))
+    array([ 0,  1,  5,  9, 10])
+    """
+    groups = first_of_groups((np.abs(rate[some]) for some in in_blocks(rate.size)), SAME_RATE)
+    begins, seen = [np.zeros(1, dtype=np.intp)], []
+    for some in in_blocks(rate.size):
+        here = rate[max(some.start - 1, 0) : some.stop]
+        changes = np.abs(np.diff(here)) > SAME_RATE * np.abs(here[1:])
+        begins.append(max(some.start, 1) + np.flatnonzero(changes))
+        seen.append(np.unique(2 * groups_of(np.abs(here), groups) + (here > 0)))
+    settings, first = np.unique(np.concatenate(seen)).size, np.concatenate(begins)
+    if first.size > MOST_VISITS * settings:
+        return np.unique(rate.size * np.arange(4) // 4)
+    length = np.diff(np.append(first, rate.size))
+    is_long = length >= (2 if settings <= FEW_SETTINGS else LONG_VISIT)
+    return np.sort(np.concatenate([first, (first + length // 2)[is_long]]))
+
+
+MOST_VISITS, LONG_VISIT, FEW_SETTINGS = 4, 8, 5
+
+
+def _read(estimate: LockInEstimate, run: Run, some: slice) -> RatioBlock:
+    """Some records of an estimate (n,), with what is known of all (n,)."""
+    rate, when = run
+    return _block(estimate[some], rate[some], when[some])
+
+
+def _block(estimate: LockInEstimate, rate: Floats, when: Floats) -> RatioBlock:
+    """Records of an estimate (m,), with their rates (m,) and their places in the run."""
     ratio, covariance = _as_measured(estimate)
     # A gyro inside lock-in gives a constant or nothing but noise; other faults say nothing about its rate.
     no_beat = (estimate.flags & int(Flag.NO_BEAT | Flag.CONSTANT)) != 0
@@ -355,16 +407,19 @@ def _block(estimate: LockInEstimate, rate: Floats) -> RatioBlock:
         ratio=ratio,
         covariance=covariance,
         amplitude=estimate.amplitude,
+        when=when,
         third=estimate.third_harmonic.real,
         third_u=estimate.third_harmonic_u,
         misfit=(estimate.flags & int(Flag.MISFIT)) != 0,
     )
 
 
-def _together(estimates: Sequence[LockInEstimate], rate: Floats) -> RatioBlock:
-    """Records of several estimates, with the rates of all."""
-    ends = np.cumsum([len(one) for one in estimates])
-    parts = [_block(one, rate[end - len(one) : end]) for one, end in zip(estimates, ends, strict=True)]
+def _together(estimates: Sequence[LockInEstimate], run: Run) -> RatioBlock:
+    """Records of several estimates, with what is known of all."""
+    rate, when = run
+    ends = np.cumsum([len(each) for each in estimates])
+    slices = [slice(end - len(each), end) for each, end in zip(estimates, ends, strict=True)]
+    parts = [_block(each, rate[some], when[some]) for each, some in zip(estimates, slices, strict=True)]
     return RatioBlock(*(np.concatenate([getattr(part, f.name) for part in parts]) for f in fields(RatioBlock)))
 
 
@@ -433,6 +488,7 @@ class UsedRecords:
             ratio=ratio,
             whitening=whitening_factor(covariance)[np.newaxis],
             amplitude=block.amplitude,
+            when=block.when,
             third=block.third,
             third_weight=1 / block.third_u,
             reference=self.reference,
@@ -442,14 +498,16 @@ class UsedRecords:
 
 @dataclass(frozen=True)
 class Places:
-    """Which point a record belongs to: by its rate, its sense and its amplitude.
+    """Which point a record belongs to: by its rate, its sense, its amplitude and the visit.
 
     rates, amplitudes : least |W| and least amplitude of each group of them, rising
-    keys : rate, sense and amplitude of each point as one number, rising
+    visits : place in the run at which each visit begins, rising
+    keys : rate, sense, amplitude and visit of each point as one number, rising
     """
 
     rates: Floats
     amplitudes: Floats
+    visits: Floats
     keys: Indices
 
     @classmethod
@@ -457,9 +515,14 @@ class Places:
         """The points that some records make."""
         rates = first_of_groups((np.abs(block.rate) for _, block in records.blocks()), SAME_RATE)
         amplitudes = first_of_groups((block.amplitude for _, block in records.blocks()), SAME_AMPLITUDE)
-        found = cls(rates, amplitudes, np.empty(0, dtype=np.intp))
+        found = cls(rates, amplitudes, records.records.visits, np.empty(0, dtype=np.intp))
         each = [np.unique(found._key(block)) for _, block in records.blocks()]
-        return cls(rates, amplitudes, np.unique(np.concatenate(each)))
+        return replace(found, keys=np.unique(np.concatenate(each)))
+
+    @property
+    def settings(self) -> Indices:
+        """Rate, sense and amplitude of each point as one number: visits of one setting have the same."""
+        return self.keys // self.visits.size
 
     def __len__(self) -> int:
         return self.keys.size
@@ -470,7 +533,8 @@ class Places:
 
     def _key(self, data: RatioData | RatioBlock) -> Indices:
         rate_and_sense = 2 * groups_of(np.abs(data.rate), self.rates) + (data.rate > 0)
-        return rate_and_sense * self.amplitudes.size + groups_of(data.amplitude, self.amplitudes)
+        setting = rate_and_sense * self.amplitudes.size + groups_of(data.amplitude, self.amplitudes)
+        return setting * self.visits.size + groups_of(data.when, self.visits)
 
     def sums(self, data: RatioData | RatioBlock, *columns: Floats) -> Floats:
         """Sums (columns, points) of columns of one number for each record."""
@@ -495,6 +559,11 @@ class Points:
     places: Places
     points: RatioData
     rate_group: Indices
+
+    @property
+    def settings(self) -> int:
+        """Different rates, senses and amplitudes among the points."""
+        return int(np.unique(self.places.settings).size)
 
     def scatter(self, parameters: Floats) -> tuple[float, int]:
         """Chi-square of the records about the means of their points, and its degrees of freedom.
@@ -525,16 +594,19 @@ class Points:
 
 
 def gather(records: UsedRecords) -> Points:
-    """Mean of the records of each rate, sense and amplitude, and its covariance."""
+    """Mean of the records of each rate, sense, amplitude and visit, and its covariance."""
     places = Places.of(records)
-    sums, spread = np.zeros((9, len(places))), np.zeros((4, len(places)))
+    sums, spread = np.zeros((10, len(places))), np.zeros((4, len(places)))
     for _, data, _ in records.data():
         weights, precision = _weights(data), data.third_weight**2
-        means = data.rate, data.beat_rate, data.angular, data.ratio.real, data.ratio.imag, data.amplitude
+        means = (
+            *(data.rate, data.beat_rate, data.angular, data.ratio.real, data.ratio.imag),
+            *(data.amplitude, data.when),
+        )
         weighted = (weights * values for values in means)
         sums += places.sums(data, weights, *weighted, precision, precision * data.third)
-    total, precision, third = sums[[0, 7, 8]]
-    rate, beat_rate, angular, real, imaginary, amplitude = sums[1:7] / total
+    total, precision, third = sums[[0, 8, 9]]
+    rate, beat_rate, angular, real, imaginary, amplitude, when = sums[1:8] / total
     for _, data, covariance in records.data():
         share = (_weights(data) / total[places[data]]) ** 2
         spread += places.sums(data, *(share * values for values in covariance.reshape(-1, 4).T))
@@ -545,11 +617,27 @@ def gather(records: UsedRecords) -> Points:
         ratio=real + 1j * imaginary,
         whitening=whitening_factor(spread.T.reshape(-1, 2, 2))[np.newaxis],
         amplitude=amplitude,
+        when=when,
         third=third / np.maximum(precision, 1e-300),
         third_weight=np.sqrt(precision),
         reference=records.reference,
     )
     return Points(records, places, points, rate_groups(rate))
+
+
+def at_mean_times(points: Points, parameters: Floats) -> Points:
+    """The points with every record as it would be at the middle of its visit, by the drifts of a fit.
+
+    The mean of ratios that turn while they are taken is smaller than they are.
+    """
+    places, means = points.places, points.points
+    moved = np.zeros((3, len(places)))
+    for _, data, _ in points.records.data():
+        at_mean = predicted(parameters, replace(data, when=means.when[places[data]]))[0]
+        change, weights = (at_mean - predicted(parameters, data)[0])[0], _weights(data)
+        moved += places.sums(data, weights, weights * change.real, weights * change.imag)
+    shift = (moved[1] + 1j * moved[2]) / moved[0]
+    return replace(points, points=replace(means, ratio=means.ratio + shift))
 
 
 def with_rate_noise(points: Points, share: float) -> Points:

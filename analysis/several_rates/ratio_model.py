@@ -3,6 +3,12 @@
     rho = L rho0 + D a [1 - r^2 - 2i rho0 Im rho0] + H a^2 [2i rho0 Im rho0^2 - (1 - r^2) rho0*]       (1)
     rho0 = q G |c|/c,     q = -r e^(+i b)  W > 0,     q = +r e^(-i b)  W < 0
 
+A mirror that moves by a tenth of a micrometre turns b by radians, and WL drifts as a laser warms up. So
+b = b0 + s/2 in the positive sense, b0 - s/2 in the negative one, and with t the place of a record in its run, from
+-1/2 to 1/2,
+
+    b0 = b00 + d1 t + d2 (6 t^2 - 1/2),     WL = WL0 (1 + v t)                                          (2)
+
 r harmonic ratio of the lock-in equation, b backscatter phase less readout phase, a amplitude of the record over
 the mean of all. D and H, second- and third-order distortion of the receiver: the second and third harmonic that it
 makes of a pure sine of that mean amplitude, over its fundamental. The brackets are what a square and a cubic law
@@ -32,12 +38,22 @@ import numpy as np
 
 from analysis.arrays import Bools, Complexes, Floats, Indices
 from analysis.budget import BenchKnowledge, ResponseCorner
-from analysis.budget.bench import SECOND_ORDER_LIMIT, THIRD_ORDER_LIMIT, lowest_bandwidth, lowest_gain_corner
+from analysis.budget.bench import (
+    LOCK_IN_DRIFT_LIMIT,
+    PHASE_CHANGE_LIMIT,
+    SECOND_ORDER_LIMIT,
+    THIRD_ORDER_LIMIT,
+    lowest_bandwidth,
+    lowest_gain_corner,
+)
 
 Reference = Literal["rate", "beat"]
 
-N_PARAMETERS = 6
-"""Re z, Im z (deg/s), D, T (s), P (s^2), H."""
+N_PARAMETERS = 10
+"""Re z, Im z (deg/s), D, T (s), P (s^2), H, s, d1, d2 (rad), v."""
+
+SENSES, PHASES, DRIFT = 6, slice(6, 9), 9
+"""The phase between the senses, all phases that may change, the drift of WL."""
 
 
 @dataclass(frozen=True)
@@ -50,6 +66,7 @@ class RatioData:
     ratio : rho
     whitening : (B, n, 2, 2) lower factor C with C C^T = inverse covariance; zero leaves a point out
     amplitude : of the point, over that to which D and H refer
+    when : place in the run, from -1/2 to 1/2; 0 of all where nobody knows it
     third, third_weight : third harmonic beyond the waveform in phase with distortion, over the amplitude, and the
         reciprocal of its standard uncertainty, 0 where it is not known
     """
@@ -60,6 +77,7 @@ class RatioData:
     ratio: Complexes
     whitening: Floats
     amplitude: Floats
+    when: Floats
     third: Floats
     third_weight: Floats
     reference: Reference
@@ -82,6 +100,14 @@ class Prior:
 
     mean: Floats
     sd: Floats
+
+    def seen_by(self, data: RatioData) -> Prior:
+        """Without what these data cannot see: a phase between senses in one, drifts where no order is known."""
+        rate, when = data.rate, data.when
+        seen = np.ones(N_PARAMETERS, dtype=bool)
+        seen[SENSES] = bool(np.any(rate > 0) and np.any(rate < 0))
+        seen[SENSES + 1 :] = bool(np.ptp(when) > 0)
+        return Prior(self.mean, np.where(seen, self.sd, 0.0))
 
 
 def whitening_factor(covariance: Floats) -> Floats:
@@ -117,7 +143,11 @@ def ratio_of_light(parameters: Floats, data: RatioData) -> Complexes:
 def _of_fast_gain(parameters: Floats, data: RatioData) -> tuple[Complexes, Floats]:
     """q of equation (1), and 2 pi f T, (B, n)."""
     z = (parameters[..., 0] + 1j * parameters[..., 1])[..., np.newaxis]
-    gain_time, square = parameters[..., 3, np.newaxis], np.abs(z) ** 2
+    gain_time = parameters[..., 3, np.newaxis]
+    between, even, bent, drift = (parameters[..., k, np.newaxis] for k in range(6, N_PARAMETERS))
+    turned = between * np.sign(data.rate) / 2 + even * data.when + bent * (6 * data.when**2 - 0.5)
+    z = z * (1 + drift * data.when) * np.exp(1j * turned)
+    square = np.abs(z) ** 2
     if data.reference == "beat":
         per_rate = 1 / (data.beat_rate + np.sqrt(data.beat_rate**2 + square))
     else:
@@ -462,7 +492,7 @@ def _linearised(point: Floats, data: RatioData, prior: Prior, held: Floats | Non
 def _scales(data: RatioData) -> Floats:
     """Change of each parameter that changes rho of the slowest point by about one, (N_PARAMETERS,)."""
     slowest, fastest = float(np.min(data.beat_rate)), float(np.max(data.angular))
-    return np.array([slowest, slowest, 1.0, 1 / fastest, 1 / fastest**2, 1.0])
+    return np.array([slowest, slowest, 1.0, 1 / fastest, 1 / fastest**2, 1.0, 1.0, 1.0, 1.0, 1.0])
 
 
 def _starts(data: RatioData, prior: Prior) -> Floats:
@@ -538,6 +568,9 @@ class ReceiverKnowledge:
     bandwidth: ResponseCorner = field(default_factory=ResponseCorner)
     # g_c/2 pi; with an uncertainty it is a value, without one it is the lowest that is possible
     gain_corner: ResponseCorner = field(default_factory=ResponseCorner)
+    # largest change of the backscatter phase, rad, and of the lock-in rate, relative, during a run
+    phase_change_limit: float = math.nan
+    lock_in_drift_limit: float = math.nan
 
     @staticmethod
     def of(bench: BenchKnowledge) -> ReceiverKnowledge:
@@ -547,6 +580,8 @@ class ReceiverKnowledge:
             third_order_limit=bench.third_order_limit,
             bandwidth=bench.bandwidth,
             gain_corner=bench.gain,
+            phase_change_limit=bench.phase_change_limit,
+            lock_in_drift_limit=bench.lock_in_drift_limit,
         )
 
     def prior(self, slowest_beat_hz: float) -> Prior:
@@ -560,6 +595,9 @@ class ReceiverKnowledge:
         mean[3], sd[3] = self._gain_time(slowest_beat_hz)
         sd[4] = self._lag_square_u(slowest_beat_hz)
         sd[5] = (THIRD_ORDER_LIMIT if math.isnan(third) else third) / _RECTANGLE
+        phase, drift = self.phase_change_limit, self.lock_in_drift_limit
+        sd[PHASES] = (PHASE_CHANGE_LIMIT if math.isnan(phase) else phase) / _RECTANGLE
+        sd[DRIFT] = (LOCK_IN_DRIFT_LIMIT if math.isnan(drift) else drift) / _RECTANGLE
         return Prior(mean, sd)
 
     def _gain_time(self, slowest_beat_hz: float) -> tuple[float, float]:

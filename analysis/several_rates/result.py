@@ -10,7 +10,7 @@ import numpy as np
 
 from analysis.arrays import Bools, Complexes, Floats
 from analysis.several_rates.points import UsedRecords, rate_mismatch
-from analysis.several_rates.ratio_model import Reference, predicted_ratio, whitened
+from analysis.several_rates.ratio_model import DRIFT, Reference, predicted_ratio, whitened
 
 Model = Literal["lock-in", "distortion", "gain", "both", "all"]
 
@@ -150,7 +150,7 @@ class FittedRecords:
     @property
     def rate_mismatch(self) -> Floats:
         """f/(K sqrt(W^2 - WL^2)) - 1; nan where it is not known."""
-        return rate_mismatch(self.records.records, self.lock_in_rate)
+        return rate_mismatch(self.records.records, self.lock_in_rate, float(self.parameters[0, DRIFT]))
 
 
 @dataclass(frozen=True)
@@ -171,9 +171,13 @@ class RatesFit:
     lag_square, lag_square_u : s^2, square of the time constant of the receiver's pole; noise may make it negative
     bandwidth_hz, bandwidth_low_95_hz : the corner of that pole, and its lower 95 % limit
     third_order, third_order_u : as `distortion`, the third harmonic; positive in phase with a cubic law
+    phase_between_senses, phase_between_senses_u : rad, by which the backscatter phase is larger in the positive
+        sense
+    phase_drift, phase_drift_u : rad, by which it grew evenly over the run
+    lock_in_drift, lock_in_drift_u : relative, by which the lock-in rate grew; its value is that at mid-run
     scale_factor, scale_factor_u : pulses per degree that beats and rates given ask for, if those rates are right
-    covariance : (6, 6) of lock_in_rate, backscatter_phase, distortion, gain_time, lag_square, third_order; zero
-        where not fitted
+    covariance : (10, 10) of lock_in_rate, backscatter_phase, distortion, gain_time, lag_square, third_order,
+        phase_between_senses, phase_drift, its bend, lock_in_drift; zero where not fitted
     model, models : the one used, and what every model that the data allow gives
     reference : "rate": r follows from the rates given; "beat": from f/K
     chi_square, degrees_of_freedom, p_value : of the model used, of the means at each rate and sense and of what
@@ -203,6 +207,12 @@ class RatesFit:
     lag_square_u: float
     third_order: float
     third_order_u: float
+    phase_between_senses: float
+    phase_between_senses_u: float
+    phase_drift: float
+    phase_drift_u: float
+    lock_in_drift: float
+    lock_in_drift_u: float
     scale_factor: float
     scale_factor_u: float
     covariance: Floats

@@ -12,7 +12,7 @@ import scipy.special
 from analysis.arrays import Floats
 from analysis.lockin_rate import size_interval
 from analysis.several_rates.points import Points
-from analysis.several_rates.ratio_model import N_PARAMETERS, Prior, RatioData, RatioFit, profile
+from analysis.several_rates.ratio_model import N_PARAMETERS, SENSES, Prior, RatioData, RatioFit, profile
 from analysis.several_rates.result import Alternative
 
 POSSIBLE = 9.0
@@ -146,7 +146,12 @@ def with_coupling(
     share = (2 * math.pi * scale_factor * said.value * coupling * GAIN_OVER_DIFFERENCE * gain_time) ** 2
     if by_beats is not None:
         share = min(share, by_beats.most)
-    return widened(said, share)
+    turn_u = np.sqrt(fit.covariance[0, SENSES, SENSES])
+    return widened(said, share * (_BESIDE_A_TURN if abs(fit.parameters[0, SENSES]) > _SEEN * turn_u > 0 else 1.0))
+
+
+_BESIDE_A_TURN = 1.5
+"""Such coupling looks like a phase between the senses too; where one is fitted WL comes out so much farther."""
 
 
 def widened(said: RatesAnswer, share: float) -> RatesAnswer:

@@ -17,6 +17,7 @@ import numpy as np
 
 from analysis.budget import ResponseCorner
 from analysis.budget.bench import SECOND_ORDER_LIMIT, THIRD_ORDER_LIMIT, lowest_bandwidth, lowest_gain_corner
+from analysis.plan import run_order
 from analysis.several_rates import RatesFit, RatesFlag, RatioData, ReceiverKnowledge, Reference, fit_rate_ratios
 from analysis.several_rates.ratio_model import beyond_first_order, predicted
 
@@ -32,8 +33,8 @@ STARTS: tuple[tuple[float, ...], ...] = (
 
 
 def both(*rates: float) -> tuple[float, ...]:
-    """Rates in both senses."""
-    return (*rates, *(-rate for rate in rates))
+    """Rates in both senses, as a run goes through them: down in one, up in the other."""
+    return (*rates[::-1], *(-rate for rate in rates))
 
 
 def times(rates_fast: float) -> float:
@@ -78,16 +79,17 @@ class Scenario:
     def fits(self, trials: int) -> list[RatesFit]:
         """So many measurements and their fits."""
         rng, made = np.random.default_rng(1), []
+        visits, records = self.rates, self.records
+        if any(again for _, again in run_order(visits)):
+            down = [rate for rate, again in run_order(visits) if not again]
+            visits, records = (*down, *down[::-1]), records // 2
         for _ in range(trials):
             phase = rng.uniform(0, 2 * np.pi)
             sizes = {
                 name: float(size(rng) if callable(size) else size) for name, size in self.contaminants.items()
             }
-            made.append(
-                drawn(
-                    self.rates, self.records, phase, NOISE, rng, reference="beat", receiver=self.receiver, **sizes
-                )
-            )
+            known = {"reference": "beat", "receiver": self.receiver, "in_order": True}
+            made.append(drawn(visits, records, phase, NOISE, rng, **known, **sizes))
         return made
 
 
@@ -131,12 +133,13 @@ def drawn(
     *,
     reference: Reference = "beat",
     receiver: ReceiverKnowledge | None = None,
+    in_order: bool | None = None,
     **contaminants: float,
 ) -> RatesFit:
     """One measurement and its fit."""
     rate = np.repeat(np.array(rates, dtype=float) * LOCK_IN, records)
     frequency = K * np.sqrt(rate**2 - LOCK_IN**2)
-    names = ("distortion", "gain_time", "lag_square", "third_order")
+    names = ("distortion", "gain_time", "lag_square", "third_order", "between_senses", "turned", "bent", "drift")
     z = LOCK_IN * np.exp(1j * phase)
     truth = np.array([[z.real, z.imag, *(contaminants.get(name, 0.0) for name in names)]])
     nothing = np.zeros(rate.size)
@@ -147,6 +150,7 @@ def drawn(
         ratio=nothing.astype(complex),
         whitening=np.zeros((1, rate.size, 2, 2)),
         amplitude=np.ones(rate.size),
+        when=np.arange(rate.size) / (rate.size - 1) - 0.5 if rate.size > 1 else nothing,
         third=nothing,
         third_weight=nothing,
         reference=reference,
@@ -166,6 +170,7 @@ def drawn(
         third_harmonic_u=max(noise, 1e-6),
         reference=reference,
         receiver=receiver,
+        in_order=bool(in_order),
     )
 
 

@@ -157,6 +157,9 @@ def no_result_words(evaluation: LockInEvaluation) -> str:
 SEEN = 3.3
 """Standard uncertainties from zero beyond which something is called seen."""
 
+LEAST_DRIFT, LEAST_TURN = 0.001, 0.01
+"""Drift of the lock-in rate (relative) and change of the phase (rad) below which nobody needs to hear of them."""
+
 _DECIBELS = 20 / np.log(10)
 
 COUPLING_DEG = 60
@@ -188,6 +191,13 @@ def separated_words(fit: RatesFit) -> str:
     if fit.gain_time > SEEN * fit.gain_time_u:
         corner_u = fit.gain_corner_hz * fit.gain_time_u / fit.gain_time
         found.append(f"gain corner {with_uncertainty(fit.gain_corner_hz, corner_u, 'Hz')}")
+    if abs(fit.lock_in_drift) > max(SEEN * fit.lock_in_drift_u, LEAST_DRIFT):
+        drift = with_uncertainty(100 * fit.lock_in_drift, 100 * fit.lock_in_drift_u, "%")
+        found.append(f"lock-in rate drifting by {drift} over the run")
+    turns = (fit.phase_between_senses, fit.phase_between_senses_u), (fit.phase_drift, fit.phase_drift_u)
+    for (turn, turn_u), where in zip(turns, ("between the senses", "over the run"), strict=True):
+        if abs(turn) > max(SEEN * turn_u, LEAST_TURN):
+            found.append(f"backscatter phase turning by {with_uncertainty(turn, turn_u, 'rad')} {where}")
     return f"{', '.join(found)}: found and removed" if found else ""
 
 

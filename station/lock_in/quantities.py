@@ -82,6 +82,9 @@ RATES_FIT = (
     Quantity("bandwidth", "hz", "bandwidth_hz", doc="of the receiver"),
     Quantity("bandwidth_low_95", "hz", "bandwidth_low_95_hz"),
     Quantity("third_order", u=True, doc="third harmonic of the receiver over the fundamental"),
+    Quantity("phase_between_senses", "rad", "phase_between_senses", u=True, doc="of the backscatter"),
+    Quantity("phase_drift", "rad", "phase_drift", u=True, doc="of the backscatter, over the run"),
+    Quantity("lock_in_drift", u=True, doc="of the lock-in rate over the run, relative"),
     Quantity("scale_factor_by_rates", "pulses_per_deg", "scale_factor", u=True),
     Quantity("u_over_u_with_distortion_known", of="cost"),
 )  # fmt: skip

@@ -43,19 +43,33 @@ class RateStep:
     over_lock_in: float  # rate on the gyro's axis over the expected lock-in rate
     sense: int  # {1, -1}: Of the rotation
     rate_dps: float  # rate on the gyro's axis, deg/s, signed
+    again: bool = False  # whether the run was there before: two visits share the records
+
+    @property
+    def setting(self) -> tuple[float, int]:
+        """Rate and sense: what two visits have in common."""
+        return self.over_lock_in, self.sense
 
 
 @dataclass(frozen=True)
 class RatePlan:
-    """The steps of a campaign: one sense after the other, each from the fastest rate to the slowest."""
+    """The steps of a campaign: from the fastest rate to the slowest, and back in the other sense or the same."""
 
     steps: tuple[RateStep, ...]
     planned_for_dps: float  # lock-in rate for which the rates were chosen
     changes: int = 0  # how often they were chosen anew
 
+    @property
+    def settings(self) -> int:
+        """Different rates and senses."""
+        return len({step.setting for step in self.steps})
+
     def as_json(self) -> dict[str, object]:
         """Return it as a fact of the run; :func:`saved_plan` reads it."""
-        steps = [{"over_lock_in": step.over_lock_in, "sense": step.sense} for step in self.steps]
+        steps = [
+            {"over_lock_in": step.over_lock_in, "sense": step.sense} | ({"again": True} if step.again else {})
+            for step in self.steps
+        ]
         return {"steps": steps, "planned_for_dps": self.planned_for_dps, "changes": self.changes}
 
 
@@ -73,19 +87,30 @@ def saved_plan(settings: Settings, values: Mapping[str, Any]) -> RatePlan:
     """Return the plan that a run was begun with, from its facts."""
     expected = settings.gyro.expected_lock_in_rate_dps
     steps = tuple(
-        RateStep(one["over_lock_in"], one["sense"], one["sense"] * one["over_lock_in"] * expected)
-        for one in values["steps"]
+        RateStep(
+            step["over_lock_in"],
+            step["sense"],
+            step["sense"] * step["over_lock_in"] * expected,
+            step.get("again", False),
+        )
+        for step in values["steps"]
     )
     return RatePlan(steps, float(values["planned_for_dps"]), int(values["changes"]))
 
 
 def records_at_each(settings: Settings, plan: RatePlan) -> int:
-    """Records at each step of a plan: as many as the user says, or enough in all."""
+    """Records at each rate and sense of a plan: as many as the user says, or enough in all."""
     if settings.measurement.records != "auto":
         return settings.measurement.records
-    if len(plan.steps) == 1:
+    if plan.settings == 1:
         return RECORDS_AT_ONE_RATE
-    return max(planning.DEFAULT_RECORDS, round(RECORDS_IN_ALL / len(plan.steps)))
+    return max(planning.DEFAULT_RECORDS, round(RECORDS_IN_ALL / plan.settings))
+
+
+def records_after(plan: RatePlan, step: RateStep, count: int) -> int:
+    """Records that a setting has when a step is done, of so many: half of them where the run comes back to it."""
+    comes_back = any(later.again and later.setting == step.setting for later in plan.steps)
+    return math.ceil(count / 2) if comes_back and not step.again else count
 
 
 def changed_plan(
@@ -118,8 +143,8 @@ def changed_plan(
         return None
     senses = _senses(settings, len(sizes))
     done = tuple(step for step in tried if step.sense == 1)
-    known = {step.over_lock_in for step in done}
-    steps = [step for step in _steps(settings, sizes, senses) if step.sense != 1 or step.over_lock_in not in known]
+    known = {(step.setting, step.again) for step in done}
+    steps = [step for step in _steps(settings, sizes, senses) if (step.setting, step.again) not in known]
     return replace(plan, steps=(*done, *steps), planned_for_dps=wanted, changes=plan.changes + 1)
 
 
@@ -166,5 +191,8 @@ def _senses(settings: Settings, rates: int) -> tuple[int, ...]:
 
 def _steps(settings: Settings, sizes: Iterable[float], senses: tuple[int, ...]) -> tuple[RateStep, ...]:
     expected = settings.gyro.expected_lock_in_rate_dps
-    ratios = sorted({float(f"{size / expected:.4g}") for size in sizes}, reverse=True)
-    return tuple(RateStep(ratio, sense, sense * ratio * expected) for sense in senses for ratio in ratios)
+    signed = [sense * float(f"{size / expected:.4g}") for size in sizes for sense in senses]
+    return tuple(
+        RateStep(abs(ratio), 1 if ratio > 0 else -1, ratio * expected, again)
+        for ratio, again in planning.run_order(signed)
+    )

@@ -394,10 +394,6 @@ def _draw_sense(
 def _seen_at(rates: Array, fit: RatesFit, scale_factor: float) -> Array:
     """Lock-in rate in deg/s that one rate alone would show, if the fit is right."""
     frequency = beat_frequency(scale_factor, rates, fit.lock_in_rate)
-    turned = fit.lock_in_rate * np.exp(1j * fit.backscatter_phase)
-    known = np.nan_to_num(
-        [turned.real, turned.imag, fit.distortion, fit.gain_time, fit.lag_square, fit.third_order]
-    )
     data = RatioData(
         rate=rates,
         beat_rate=frequency / scale_factor,
@@ -405,11 +401,12 @@ def _seen_at(rates: Array, fit: RatesFit, scale_factor: float) -> Array:
         ratio=np.zeros(rates.shape, dtype=complex),
         whitening=np.zeros((1, rates.size, 2, 2)),
         amplitude=np.ones(rates.shape),
+        when=np.zeros(rates.shape),
         third=np.zeros(rates.shape),
         third_weight=np.zeros(rates.shape),
         reference="rate",
     )
-    return lock_in_from_rate(np.abs(predicted_ratio(known[np.newaxis], data))[0], rates)
+    return lock_in_from_rate(np.abs(predicted_ratio(fit.each.parameters, data))[0], rates)
 
 
 def deviations_svg(fit: RatesFit) -> str:

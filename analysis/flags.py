@@ -28,9 +28,12 @@ class Flag(IntFlag):
     TABLE_MISMATCH = 1 << 20
     SCALE_FACTOR_MISMATCH = 1 << 21
     RATE_MISMATCH = 1 << 22
+    BEAT_WANDERS = 1 << 23
+    PHASE_TURNS = 1 << 24
+    COPY = 1 << 25
 
 
-FATAL = Flag.NO_BEAT | Flag.CONSTANT | Flag.TOO_FEW_SAMPLES | Flag.NOT_LOCK_IN_LIKE
+FATAL = Flag.NO_BEAT | Flag.CONSTANT | Flag.TOO_FEW_SAMPLES | Flag.NOT_LOCK_IN_LIKE | Flag.COPY
 """With any of these no lock-in rate can be given; the estimate's fields are nan."""
 
 DOUBTFUL = (
@@ -70,6 +73,11 @@ _SENTENCES = {
     "one that was used; its error goes 1 : 1 into the lock-in rate.",
     Flag.RATE_MISMATCH: "The given rate is not the one that beat and second harmonic show: see that it is the "
     "rate on the gyro's axis, that the scale factor is right, and that a faster time base shows the same beat.",
+    Flag.BEAT_WANDERS: "The beat frequency differs between records of one setting by more than 0.2 %, and not as "
+    "a known rate does: look at the records one by one for a table that stopped, or a bench that was restarted.",
+    Flag.PHASE_TURNS: "The backscatter phase turned between the records: their sizes were averaged, not their "
+    "complex values. Wait until mirrors and frame are warm, or take the records faster.",
+    Flag.COPY: "The record is the copy of another one and was left out: name each record once.",
 }
 
 

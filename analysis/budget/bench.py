@@ -242,7 +242,8 @@ def operating_point(
         # at the very edge of lock-in their noise may exchange the two
         lock_in_rate=min(rate, abs(input_rate) * (1 - 1e-9)),
         ratio_u=noise_u / slope,
-        beat_frequency_u=float(combined.beat_frequency_u),
+        # each record is its own reference: that their rates differ does not enter
+        beat_frequency_u=float(1 / np.sqrt(np.sum(1 / np.maximum(used.beat_frequency_u**2, 1e-300)))),
         rounding_share=min(rounding, 1.0),
         noise_degrees_of_freedom=float(count * max(samples - _FITTED, 1)),
         scatter_u=beyond if beyond > 0.05 * rate_u else 0.0,

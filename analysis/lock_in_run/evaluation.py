@@ -28,7 +28,7 @@ from analysis.budget import (
 from analysis.budget.bench import bounded
 from analysis.budget.inputs import CORNERS, response_input, separated_input
 from analysis.channel import ChannelResponse
-from analysis.combine import combine_estimates
+from analysis.combine import combine_estimates, without_copies
 from analysis.flags import FATAL, Flag
 from analysis.frequency_method import FrequencyFit, fit_frequencies
 from analysis.harmonics import fit_harmonics
@@ -79,6 +79,7 @@ def evaluate(
     each, quadratures = _each_record(
         run.slow, method, None if knowledge is None else knowledge.response, estimated
     )
+    each = without_copies(each)
     if knowledge is None:
         knowledge = RunKnowledge(method.scale_factor, latitude_deg=math.nan)
     # 2. the table: tilt, and the rate on the axis
@@ -90,7 +91,8 @@ def evaluate(
     several = None
     if axis is not None and at_several_rates(run.slow):
         several = evaluate_rates(run.slow, each, axis, ReceiverKnowledge.of(knowledge.bench))
-    combined = combine_estimates(each) if several is None else combined_estimate(several)
+    rates = None if axis is None else axis.rates
+    combined = combine_estimates(each, rates) if several is None else combined_estimate(several)
     unknown = np.broadcast_to(math.nan, each.flags.shape)
     found = LockInRun(method, each, combined, unknown, tilt, several=several, quadratures=quadratures)
     # 4. the same by the table
@@ -222,7 +224,7 @@ def evaluate_rates(
             input_rate=float(np.mean(axis.rates[rows])),
             over_lock_in=asked if math.isfinite(asked) else None,
             rows=rows,
-            combined=combine_estimates(each[rows]),
+            combined=combine_estimates(each[rows], axis.rates[rows]),
         )
         groups.append(group)
     # shared by the records at one rate: their mean is no better than one of them

@@ -264,7 +264,8 @@ def _fit(
         raise NoFit(f"these records cannot tell the unknowns of the model {model!r} apart: {MORE_RECORDS}")
     most = np.inf if records.rate_of_beat else largest_possible(found, points.points)
     found = up_to(found, most)
-    if chosen == "all" and known.sd[SENSES] > 0 and not _sees(found, DRIFT):
+    drift_u = np.sqrt(found.covariance[0, DRIFT, DRIFT])
+    if chosen == "all" and known.sd[SENSES] > 0 and abs(found.parameters[0, DRIFT]) < _MAYBE * drift_u:
         # the senses stand for each other's times; in one sense nothing does, and any drift within its bound counts
         known = replace(known, sd=np.where(np.arange(N_PARAMETERS) == DRIFT, 0.0, known.sd))
         start = np.where(known.sd > 0, found.parameters, known.mean)
@@ -301,15 +302,11 @@ def _beyond_first_order(points: Points, found: RatioFit, prior: Prior, most: flo
 
 _SEEN, _PASSES = 5.0, 2
 
+_MAYBE = 2.0
+"""Standard uncertainties beyond which a drift of the lock-in rate may be there."""
+
 _DRIFTS = 0.05
 """Drifts over a run, rad or relative, up to which the means of the visits lose nothing."""
-
-
-def _sees(found: RatioFit, parameter: int) -> bool:
-    """Whether a parameter of the best solution stands out of its uncertainty."""
-    return bool(
-        abs(found.parameters[0, parameter]) > SIGNIFICANT * np.sqrt(found.covariance[0, parameter, parameter])
-    )
 
 
 def _as_large_as_seen(known: Prior, found: RatioFit) -> Prior:
@@ -378,8 +375,8 @@ def _result(
     said = answer(found, widen, freedom)
     if np.unique(np.sign(points.points.rate)).size == 1:
         said = by_profile(said, found, points.points, prior, widen, freedom, most)
-        if chosen == "all" and prior.sd[3] > 0 and _left_over(points, prior) <= 0:
-            said = over_gain_times(said, found, points.points, prior, widen)
+    if chosen == "all" and prior.sd[3] > 0 and _left_over(points, prior) <= 0:
+        said = over_gain_times(said, found, points.points, prior, widen)
     mismatch = rate_mismatch(records, said.value, float(fit.parameters[0, DRIFT]))
     common, differ = _rates_differ(points.records, said, mismatch, bool(np.ptp(points.rate_group)))
     coupling = None

@@ -363,27 +363,28 @@ def place_in_run(count: int) -> Floats:
 def visits_of_rates(rate: Floats) -> Indices:
     """First record of each visit of a rate, rising; what drifts differs between visits.
 
-    A long visit is cut in two halves, so that it shows by itself what drifts; where there are few settings any is.
-    Where the rates (n,) change all the time the quarters of the run are the visits.
+    A long visit is cut in two, and where there are few settings any is cut in four, so that it shows by itself
+    what drifts. Where the rates (n,) change all the time the quarters of the run are the visits.
 
     Examples
     --------
     >>> visits_of_rates(np.repeat([3.0, 1.0, 3.0], [1, 8, 2]))
-    array([ 0,  1,  5,  9, 10])
+    array([ 0,  1,  3,  5,  7,  9, 10])
     """
     groups = first_of_groups((np.abs(rate[some]) for some in in_blocks(rate.size)), SAME_RATE)
-    begins, seen = [np.zeros(1, dtype=np.intp)], []
+    changed, seen = [np.zeros(1, dtype=np.intp)], []
     for some in in_blocks(rate.size):
         here = rate[max(some.start - 1, 0) : some.stop]
         changes = np.abs(np.diff(here)) > SAME_RATE * np.abs(here[1:])
-        begins.append(max(some.start, 1) + np.flatnonzero(changes))
+        changed.append(max(some.start, 1) + np.flatnonzero(changes))
         seen.append(np.unique(2 * groups_of(np.abs(here), groups) + (here > 0)))
-    settings, first = np.unique(np.concatenate(seen)).size, np.concatenate(begins)
+    settings, first = np.unique(np.concatenate(seen)).size, np.concatenate(changed)
     if first.size > MOST_VISITS * settings:
         return np.unique(rate.size * np.arange(4) // 4)
     length = np.diff(np.append(first, rate.size))
-    is_long = length >= (2 if settings <= FEW_SETTINGS else LONG_VISIT)
-    return np.sort(np.concatenate([first, (first + length // 2)[is_long]]))
+    pieces = np.full(first.size, 4) if settings <= FEW_SETTINGS else np.where(length >= LONG_VISIT, 2, 1)
+    begins = [first + length * np.minimum(piece, pieces - 1) // pieces for piece in range(4)]
+    return np.unique(np.concatenate(begins))
 
 
 MOST_VISITS, LONG_VISIT, FEW_SETTINGS = 4, 8, 5

@@ -17,8 +17,8 @@ def pulls(run, seed, in_order=True, receiver=None, **drifts):
     rates, records = RUNS[run]
     rng = np.random.default_rng(seed)
     fits = [
-        drawn(rates, records, rng.uniform(0, 2 * np.pi), NOISE, rng, in_order=in_order, receiver=receiver, **drifts)
-        for _ in range(10)
+        drawn(rates, records, turn, NOISE, rng, in_order=in_order, receiver=receiver, **drifts)
+        for turn in rng.uniform(0, 2 * np.pi, 10)
     ]
     return np.array([(fit.lock_in_rate - LOCK_IN) / fit.lock_in_rate_u for fit in fits]), fits
 

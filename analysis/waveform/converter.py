@@ -167,12 +167,26 @@ def outliers(
     # A single spike cannot hide: it stands out of the rms that it itself has raised. Missing samples are 0.
     rms = np.sqrt(residual.power / values.shape[1])
     for row in map(int, np.flatnonzero(residual.largest > 5 * rms)):
-        size, mask = np.abs(residual_samples(values, masks, series, row)), masks.of_one(row)
-        noise = 1.4826 * float(np.median(size if mask is None else size[mask > 0]))
-        found = size > max(SPIKE * noise, NOTHING * float(swing[row]))
+        left, mask = residual_samples(values, masks, series, row), masks.of_one(row)
+        size, valid = np.abs(left), slice(None) if mask is None else mask > 0
+        noise = _noise_along(size, values[row] - left, valid)
+        found = size > np.maximum(SPIKE * noise, NOTHING * float(swing[row]))
         if found.any() and found.mean() <= 0.02:
             spikes[row] = Outliers(found, is_a_piece(found, size > BESIDE * noise))
     return spikes
+
+
+def _noise_along(size: Samples, wave: Samples, valid: slice | Bools) -> Floats:
+    """Standard deviation of the noise at each sample (N,), robust: that of light is larger where there is more."""
+    edges = np.quantile(wave[valid], np.linspace(0.0, 1.0, HEIGHTS + 1)[1:-1])
+    height = np.searchsorted(edges, wave)
+    whole, held = 1.4826 * float(np.median(size[valid])), height[valid]
+    at_heights = [np.median(some) if (some := size[valid][held == k]).size else 0.0 for k in range(HEIGHTS)]
+    return np.maximum(1.4826 * np.array(at_heights), whole)[height]
+
+
+HEIGHTS = 8
+"""Parts of the beat, from its lowest samples to its highest, that have a noise of their own."""
 
 
 def is_a_piece(found: Bools, suspect: Bools) -> bool:

@@ -25,6 +25,7 @@ from analysis.waveform.residuals import (
     Masks,
     Residual,
     ResidualReport,
+    by_code,
     by_level,
     examine_residual,
     hidden_by_harmonics,
@@ -260,6 +261,10 @@ def _judged(
     fatal = (report.flags & int(FATAL)) != 0
     beat_power = np.abs(series.first) ** 2 / 2 * count
     at_rest = np.ones(len(count), dtype=bool)
+    asked = ~fatal & (report.uneven | (report.misfit > 0) | ((report.flags & int(Flag.MISFIT)) != 0))
+    codes = _by_codes(records.values, masks, series, report, np.flatnonzero(asked), flags)
+    for values_of in (report.uneven, report.stronger, report.drifting):
+        values_of[codes] = False
     for row in map(int, np.flatnonzero(report.uneven & worth_it)):
         moved = _moving_fit(records, masks, series, row, bool(fatal[row]))
         if moved is None or moved.variance > WORTH_MOVING * power[row] / free[row]:
@@ -294,18 +299,40 @@ def _judged(
         if moved.vibrates:
             flags[row] |= Flag.MISFIT
             report.misfit[row] = np.hypot(report.misfit[row], turned_by(sidebands, abs(moved.ratio)))
+    variance = power / np.maximum(free, 1)
+    _look_closer(records.values, masks, series, report, variance * excess[:, 1], at_rest, flags)
+    seen_now = at_rest & ~fatal & ~asked & (report.misfit > 0)
+    _by_codes(records.values, masks, series, report, np.flatnonzero(seen_now), flags)
+    at_rest[codes] = False
     for row in map(int, np.flatnonzero(at_rest & ((flags & int(SUSPECT)) != 0) & ~fatal)):
         left_over = _valid_left(records.values, masks, series, row)
         passing = max(passing_power(left_over), slow_curve_power(left_over))
         if passing:
             flags[row] |= Flag.MISFIT
             report.misfit[row] = np.hypot(report.misfit[row], np.sqrt(passing / beat_power[row]))
-    variance = power / np.maximum(free, 1)
-    _look_closer(records.values, masks, series, report, variance * excess[:, 1], at_rest, flags)
     flags[records.constant] = Flag.CONSTANT
     flags[count < FEWEST_SAMPLES] |= Flag.TOO_FEW_SAMPLES
     covariance *= variance[:, np.newaxis, np.newaxis]
     return WaveformFit(series, covariance, excess, np.sqrt(variance), report.misfit, third, flags)
+
+
+def _by_codes(
+    values: Samples, masks: Masks, series: Series, report: ResidualReport, rows: Indices, flags: Ints
+) -> Indices:
+    """Which of some records only a converter spoils; the report and the flags then say so."""
+    found = []
+    for row in map(int, rows):
+        left, mask = _valid_left(values, masks, series, row), masks.of_one(row)
+        level = values[row] if mask is None else values[row, mask > 0]
+        size = by_code(left, level - left)
+        if size is not None:
+            # it adds to the real part of rho, and to its size by as much as rho is real
+            share = abs(np.cos(np.angle(series.ratio[row] / series.first[row])))
+            report.misfit[row] = size / abs(series.first[row]) * max(share, 0.1)
+            report.excess[row] = 1.0
+            flags[row] &= ~int(Flag.MISFIT | Flag.COLOURED_NOISE)
+            found.append(row)
+    return np.array(found, dtype=np.intp)
 
 
 def _look_closer(

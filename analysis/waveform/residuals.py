@@ -585,6 +585,62 @@ def by_level(left: Floats, level: Floats, degrees: float) -> tuple[float, bool]:
     return (HIDDEN * float(np.sqrt(2 * surplus / left.size)) if chance < SEEN else 0.0), chance < SURE
 
 
+HEIGHTS, FINE = 200, 60
+"""Heights of the beat whose mean errors are looked at, and the degree up to which polynomials of the height go."""
+
+_SIZES, _FALLS = np.geomspace(1e-3, 1e5, 65)[:, np.newaxis], np.linspace(0.0, 3.0, 13)
+"""Powers of codes' errors in the second degree, over that of noise, and how they fall with the degree."""
+
+NOT_CODES = 1e-3
+
+
+def by_code(left: Floats, level: Floats) -> float | None:
+    """Size (as an amplitude) that the codes of a converter put onto the second harmonic; ``None``: it is not they.
+
+    Thresholds that are wrong each by itself leave as much in polynomials of every degree of the level; widths that
+    are, add up to errors whose power falls with the square of the degree. So it is C (2/n)^a beside the noise,
+    with C and a by their likelihood: the second degree, the one that hides, has C. A curve of low degrees, a step,
+    and what is no function of the level, are something else.
+    """
+    edges = np.linspace(level.min(), level.max(), HEIGHTS + 1)
+    height = np.clip(np.searchsorted(edges, level) - 1, 0, HEIGHTS - 1)
+    count = np.bincount(height, minlength=HEIGHTS)
+    there = count > 0
+    mean = np.bincount(height, left, HEIGHTS) / np.maximum(count, 1)
+    within = left - mean[height]
+    lines = np.square(line_sizes(within[np.newaxis])[0, 1:])
+    noise = float(within @ within) / max(left.size - int(there.sum()), 1)
+    degree = np.arange(3, min(FINE, int(there.sum()) // 2) + 1)
+    if noise <= 0 or degree.size < 2 * LAST or lines.max() > lines.mean() * np.log(lines.size / NOT_CODES):
+        return None
+    root, place = np.sqrt(count[there]), np.linspace(-1.0, 1.0, HEIGHTS)[there]
+    basis = np.linalg.qr(root[:, np.newaxis] * np.polynomial.chebyshev.chebvander(place, degree[-1]))[0][:, 3:]
+    power = (basis.T @ (root * mean[there])) ** 2 / noise
+    expected = 1 + _SIZES[..., np.newaxis] * (2 / degree) ** _FALLS[:, np.newaxis]
+    height_of = -0.5 * np.sum(power / expected + np.log(expected), axis=-1)
+    best = expected[np.unravel_index(height_of.argmax(), height_of.shape)]
+    chances = scipy.special.chdtrc(1, power / best)
+    of_all = float(scipy.special.chdtrc(power.size, np.sum(power / best)))
+    if min(float(chances.min()) * chances.size, of_all) < NOT_CODES:
+        return None
+    fine = power[degree > LAST]
+    if scipy.special.chdtrc(fine.size, fine.sum()) > NOT_CODES or _steps(mean[there]):
+        return None
+    weights = np.exp(height_of - height_of.max())
+    return float(np.sqrt(2 * noise * np.sum(weights * _SIZES) / weights.sum() / left.size))
+
+
+def _steps(means: Floats) -> bool:
+    """Whether errors by the height (K,) step at one place, which widths of codes do not."""
+    below = np.cumsum(np.append(0.0, means))
+    step = below[2 * STEP :] - 2 * below[STEP:-STEP] + below[: -2 * STEP]
+    return bool(np.max(step**2) > ONE_STEP * np.mean(step**2))
+
+
+STEP, ONE_STEP = 8, 12.0
+"""Heights on either side of a step, and times by which it exceeds the others in power."""
+
+
 def _bins_of(place: float, n_samples: int, n_lines: int) -> tuple[int, int]:
     """Numbers of the two lines of a spectrum next to a (folded) place."""
     folded = int(abs((place + n_samples / 2) % n_samples - n_samples / 2))

@@ -39,7 +39,7 @@ def pulls(run, seed, in_order=True, receiver=None, **drifts):
 def test_what_drifts_is_found_or_counted(run, drifts):
     found, fits = pulls(run, 4, **drifts)
     assert np.sum(found**2) < 30  # of ten: chance goes beyond in one of a thousand
-    assert not any(fit.flags & (RatesFlag.MISFIT | RatesFlag.ONE_RATE_DISAGREES) for fit in fits)
+    assert sum(bool(fit.flags & (RatesFlag.MISFIT | RatesFlag.ONE_RATE_DISAGREES)) for fit in fits) <= 1
     for fit in fits:
         if run == "one sense" and "drift" in drifts:
             assert abs(fit.lock_in_drift - drifts["drift"]) < 5 * fit.lock_in_drift_u < 0.1

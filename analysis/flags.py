@@ -31,6 +31,8 @@ class Flag(IntFlag):
     BEAT_WANDERS = 1 << 23
     PHASE_TURNS = 1 << 24
     COPY = 1 << 25
+    MAINS = 1 << 26
+    MAINS_BESIDE = 1 << 27
 
 
 FATAL = Flag.NO_BEAT | Flag.CONSTANT | Flag.TOO_FEW_SAMPLES | Flag.NOT_LOCK_IN_LIKE | Flag.COPY
@@ -38,7 +40,7 @@ FATAL = Flag.NO_BEAT | Flag.CONSTANT | Flag.TOO_FEW_SAMPLES | Flag.NOT_LOCK_IN_L
 
 DOUBTFUL = (
     Flag.MISFIT | Flag.AMPLITUDE_LOST | Flag.PARTS_DIFFER | Flag.FEW_PERIODS | Flag.FEW_LEVELS | Flag.RATE_MISMATCH
-)
+) | Flag.MAINS
 """With any of these the record was not what the estimate rests on: the number may be off by more than u."""
 
 _SENTENCES = {
@@ -77,6 +79,10 @@ _SENTENCES = {
     "a known rate does: look at the records one by one for a table that stopped, or a bench that was restarted.",
     Flag.PHASE_TURNS: "The backscatter phase turned between the records: their sizes were averaged, not their "
     "complex values. Wait until mirrors and frame are warm, or take the records faster.",
+    Flag.MAINS: "A beat at the frequency of the mains with next to no second harmonic: hum looks like that. Take "
+    "a rate whose beat lies elsewhere, and see that the beat follows the rate.",
+    Flag.MAINS_BESIDE: "A harmonic of the mains lies so close to the second harmonic of the beat that hum on it "
+    "cannot be told from lock-in: change the rate a little, or take a longer record.",
     Flag.COPY: "The record is the copy of another one and was left out: name each record once.",
 }
 

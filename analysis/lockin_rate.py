@@ -33,6 +33,7 @@ def estimate_lock_in(
     clipped: ArrayLike | None = None,
     full_amplitude: ArrayLike | None = None,
     nan_policy: NanPolicy = "raise",
+    mains_hz: float | None = None,
 ) -> LockInEstimate:
     """Lock-in rate from each record of the beat.
 
@@ -62,6 +63,8 @@ def estimate_lock_in(
         flagged.
     nan_policy : {"raise", "omit"}
         Whether nan in `volts` is an error, or a missing sample that is left out.
+    mains_hz : float, optional
+        Frequency of the mains; without it both 50 and 60 Hz are thought of.
 
     Returns
     -------
@@ -97,6 +100,7 @@ def estimate_lock_in(
             clipped=None if mask is None else mask[rows],
             full_amplitude=None if full_amplitude is None else full_amplitude[rows],
             nan_policy=nan_policy,
+            mains_hz=mains_hz,
         )[0].reshaped(*stack.shape)
     fit = fit_waveform(stack, mask)
     third, third_u = third_harmonic(fit, stack.n_samples)
@@ -114,6 +118,7 @@ def estimate_lock_in(
             relation,
         )
     flags = flags | beat_flags(beat, flags, stack.n_samples)
+    flags |= mains_flags(beat, MAINS_HZ if mains_hz is None else (mains_hz,))
     few = of_few_levels(stack.volts, beat.amplitude, fit.noise_rms, fewest_levels(beat, third, third_u))
     flags[few] |= Flag.FEW_LEVELS
     if full_amplitude is not None:
@@ -409,6 +414,33 @@ def beat_flags(beat: Beat, fit_flags: Ints, n_samples: int) -> Ints:
     # A gyro that swings inside lock-in leaves such a curve.
     flags[moved & silent & (beat.periods < FEW_FOR_A_MOTION)] |= Flag.MISFIT
     return flags
+
+
+def mains_flags(beat: Beat, mains_hz: tuple[float, ...]) -> Ints:
+    """Where a beat (R,) may be hum, and where hum may stand on its second harmonic."""
+    flags = np.zeros(beat.size.shape, dtype=np.int64)
+    for mains in mains_hz:
+        order = np.rint(beat.frequency / mains)
+        hums = np.abs(beat.frequency - order * mains) < MAINS_WANDERS * beat.frequency
+        hums &= (order >= 1) & (order <= 2) & (beat.ratio < SMALL_RATIO) & (beat.periods > FEWEST_PERIODS)
+        flags[hums] |= Flag.MAINS
+        flags[hums & ~(beat.size > SIGNIFICANT * beat.ratio_u)] |= Flag.NO_BEAT
+        order = np.clip(np.rint(2 * beat.frequency / mains), 1, MAINS_ORDERS)
+        width = beat.frequency / beat.periods  # 1/T
+        beside = np.abs(2 * beat.frequency - order * mains) < width + MAINS_WANDERS * order * mains
+        flags[beside & ~hums] |= Flag.MAINS_BESIDE
+    return flags
+
+
+MAINS_HZ = (50.0, 60.0)
+MAINS_WANDERS = 0.005
+"""Share by which the frequency of the mains is off at most."""
+
+MAINS_ORDERS = 6
+"""Harmonics of the mains that are strong enough to matter on a bench."""
+
+SMALL_RATIO = 0.02
+"""Second harmonic over the fundamental up to which a beat at the mains may be hum."""
 
 
 def is_weaker(beat: Beat, fit: WaveformFit, full: Floats, n_samples: int) -> Bools:

@@ -202,6 +202,7 @@ class SiteSettings(SettingsSection):
     """Where the bench stands."""
 
     latitude_deg: Annotated[float, Field(ge=-90, le=90)]
+    mains_hz: Annotated[float, Field(ge=10, le=1000)] | None = None  # not stated: 50 or 60
 
 
 class OutputSettings(SettingsSection):

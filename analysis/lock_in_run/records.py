@@ -133,6 +133,7 @@ class Method:
     scale_factor: float  # k, pulses per degree
     relation: Relation = "exact"  # {"exact", "paper-13", "paper-10"}
     input_rate: float | None = None  # rate on the gyro's axis in deg/s; ``None``: each record is its own reference
+    mains_hz: float | None = None  # ``None``: 50 or 60
 
 
 def estimate_records(records: RecordArrays, method: Method) -> LockInEstimate:
@@ -147,6 +148,7 @@ def estimate_records(records: RecordArrays, method: Method) -> LockInEstimate:
             relation=method.relation,
             clipped=batch.clipped[0],
             nan_policy="omit",
+            mains_hz=method.mains_hz,
         )
         parts.append(estimate)
         rows.append(batch.rows)

@@ -272,7 +272,8 @@ def method_of(source: Source, choices: Mapping[str, Any]) -> Method:
         if not isinstance(known, int | float) or not known > 0:
             raise UsageError(f"{source.name}: does not say how many pulses per degree: give --scale-factor")
         wanted["scale_factor"] = float(known)
-    return Method(**wanted)
+    mains = source.facts.settings.get("site", {}).get("mains_hz") if source.is_run else None
+    return Method(**{"mains_hz": mains, **wanted})
 
 
 def about(source: Source) -> dict[str, str | None]:

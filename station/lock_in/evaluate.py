@@ -50,7 +50,8 @@ def evaluate_records(
 ) -> LockInEvaluation:
     """Evaluate the records that a run took at its slow rate, or at its slow rates; their samples are not held."""
     source = source_of(run)
-    chosen = {"scale_factor": settings.gyro.scale_factor_pulses_per_deg, **choices}
+    stated = {"scale_factor": settings.gyro.scale_factor_pulses_per_deg, "mains_hz": settings.site.mains_hz}
+    chosen: dict[str, Any] = {**stated, **choices}
     gathered = _read_pairs(source, chosen) if settings.scope.quadrature_channel else None
     paired = gathered is not None
     if gathered is None:

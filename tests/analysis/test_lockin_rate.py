@@ -376,6 +376,111 @@ def test_scatter_beyond_the_noise_enlarges_the_uncertainty():
     assert float(c.lock_in_rate_u) == pytest.approx(0.01 / np.sqrt(15), rel=0.5)
 
 
+def turning(phases, frequencies=None, noise=0.5):
+    """Records of WL/W = 0.1 at 2 kHz/deg and 0.05 deg/s, each with its own backscatter phase and rate."""
+    rng = np.random.default_rng(40)
+    rates = 0.05 * np.ones(len(phases)) if frequencies is None else np.asarray(frequencies)
+    volts = beat_signal(
+        N * 4e-4,
+        scale_factor=2000,
+        input_rate=rates,
+        lock_in_rate=0.005,
+        amplitude=90,
+        backscatter_phase=np.asarray(phases),
+        initial_phase=rng.uniform(0, 6, len(phases)),
+    )
+    return estimate_lock_in(volts + rng.normal(scale=noise, size=volts.shape), 4e-4, scale_factor=2000)
+
+
+def test_sizes_are_averaged_where_phases_turn():
+    """Complex values that turn by a radian would give 16 % less."""
+    together = combine_estimates(turning(np.linspace(0, 2.0, 10)))
+    assert abs(float(together.lock_in_rate) - 0.005) < 4 * float(together.lock_in_rate_u) < 1e-4
+    assert "phase_turns" in flag_names(int(together.flags)) and not int(together.flags) & Flag.MISFIT
+    steady = combine_estimates(turning(np.full(10, 0.7)))
+    assert "phase_turns" not in flag_names(int(steady.flags))
+    # phases that single records do not show are no phases
+    weak = combine_estimates(turning(np.linspace(0, 3.0, 10), noise=60.0))
+    assert "phase_turns" not in flag_names(int(weak.flags))
+
+
+def test_the_scatter_of_beats_belongs_to_their_mean():
+    rates = [0.05] * 22 + [0.0491] * 8  # a bench that was restarted
+    together = combine_estimates(turning(np.zeros(30), rates))
+    assert "beat_wanders" in flag_names(int(together.flags))
+    assert float(together.beat_frequency_u) == pytest.approx(2000 * 0.0009 * np.sqrt(22 * 8 / 30**3), rel=0.1)
+    # each record is its own reference: that is no uncertainty of the lock-in rate
+    assert float(together.lock_in_rate_u) < 1e-5
+    known = combine_estimates(turning(np.zeros(30), rates), np.array(rates))
+    assert "beat_wanders" not in flag_names(int(known.flags))
+
+
+@pytest.mark.parametrize("copies", [2, 10])
+def test_copies_count_once(copies):
+    one, other = turning([0.3, 0.3])[0:1], turning([0.3, 0.3])
+    many = combine_estimates(other[np.tile([0, 1], copies)])
+    assert (int(many.records), int(many.records_rejected)) == (2, 2 * copies - 2)
+    assert float(many.lock_in_rate_u) == float(combine_estimates(other).lock_in_rate_u)
+    alone = combine_estimates(one[np.zeros(copies, dtype=int)])
+    assert float(alone.lock_in_rate_u) == float(one.lock_in_rate_u[0])
+
+
+@pytest.mark.parametrize("hertz", [49.9, 60.1, 100.0])
+def test_mains_hum_is_no_beat(hertz):
+    rng, times = np.random.default_rng(41), N * 2e-4
+    hum = np.rint(90 * np.sin(2 * np.pi * hertz * times) + rng.normal(scale=0.5, size=2500))
+    assert {"no_beat", "mains"} <= set(flag_names(int(estimate_lock_in(hum, 2e-4, scale_factor=2000).flags)))
+    elsewhere = estimate_lock_in(hum, 2e-4, scale_factor=2000, mains_hz=400.0)
+    assert not int(elsewhere.flags) & (Flag.NO_BEAT | Flag.MAINS)
+    # a gyro whose beat happens to lie there has a second harmonic
+    near = beat_signal(times, scale_factor=2000, input_rate=hertz / 2000 / 0.995, lock_in_rate=0.1 * hertz / 1990)
+    found = estimate_lock_in(np.rint(90 * near + rng.normal(scale=0.5, size=2500)), 2e-4, scale_factor=2000)
+    assert {"mains_beside"} <= set(flag_names(int(found.flags))) and not int(found.flags) & Flag.MAINS
+
+
+@pytest.mark.parametrize("contrast", [0.5, 0.99])
+def test_shot_noise_is_no_damage(contrast):
+    """More light, more noise: by a factor of ten between the dark and the bright part of the beat."""
+    rng = np.random.default_rng(42)
+    waves = [
+        beat_signal(N, scale_factor=0.02, input_rate=1.0, lock_in_rate=0.1, initial_phase=a) for a in range(60)
+    ]
+    photons = rng.poisson(1e4 * (1 + contrast * np.array(waves))) / 1e4
+    codes = np.rint(80 / contrast * (photons - 1) + rng.normal(scale=0.3, size=photons.shape))
+    flags = estimate_lock_in(codes, 1.0, scale_factor=0.02).flags
+    assert not np.any(flags & (Flag.DAMAGED | Flag.MISFIT))
+
+
+@pytest.mark.parametrize(("kind", "size"), [("thresholds", 0.3), ("widths", 0.3)])
+def test_the_codes_of_a_converter_count_by_what_they_show(kind, size):
+    """DNL of 0.3 levels in another converter each time: no misfit, and an uncertainty of the size of the error."""
+    rng, z = np.random.default_rng(43), []
+    doubtful = 0
+    for _ in range(60):
+        x, noise, phase = 10 ** rng.uniform(-1.3, -0.4), rng.uniform(0.3, 1.5), rng.uniform(0, 6)
+        k = rng.uniform(8, 120) / 2500 / np.sqrt(1 - x * x)
+        wave = beat_signal(
+            N,
+            scale_factor=k,
+            input_rate=1.0,
+            lock_in_rate=x,
+            amplitude=95,
+            initial_phase=phase,
+            readout_phase=phase,
+        )
+        steps = size * rng.normal(size=254)
+        if kind == "widths":
+            steps = np.cumsum(steps)
+            steps -= np.linspace(steps[0], steps[-1], 254)
+        edges = np.sort(np.arange(-127, 127) + 0.5 + steps)
+        codes = np.searchsorted(edges, wave + rng.normal(scale=noise, size=2500)) - 127.0
+        found = estimate_lock_in(codes, 1.0, scale_factor=k)
+        z.append((float(found.ratio) - float(harmonic_ratio(x))) / float(found.ratio_u))
+        doubtful += bool(int(found.flags) & Flag.MISFIT)
+    assert doubtful <= 9  # all but a few of the widths were, and u ten times the error
+    assert 0.4 < np.sqrt(np.mean(np.square(z))) < 1.5
+
+
 def test_records_of_both_senses_combine_when_the_rate_is_given():
     senses = np.array([0.2, -0.2, 0.2, -0.2])
     rng = np.random.default_rng(31)

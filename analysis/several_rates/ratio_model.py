@@ -1,6 +1,6 @@
 """The complex harmonic ratio as a function of rate: lock-in, laser and receiver; its least squares.
 
-    rho = L rho0 + D a [1 - r^2 - 2i rho0 Im rho0] + H a^2 [2i rho0 Im rho0^2 - (1 - r^2) rho0*]       (1)
+    rho = L {rho0 + D a [1 - r^2 - 2i rho0 Im rho0] + H a^2 [2i rho0 Im rho0^2 - (1 - r^2) rho0*]}     (1)
     rho0 = q G |c|/c,     q = -r e^(+i b)  W > 0,     q = +r e^(-i b)  W < 0
 
 A mirror that moves by a tenth of a micrometre turns b by radians, and WL drifts as a laser warms up. So
@@ -9,8 +9,8 @@ b = b0 + s/2 in the positive sense, b0 - s/2 in the negative one, and with t the
 
     b0 = b00 + d1 t + d2 (6 t^2 - 1/2),     WL = WL0 (1 + v t)                                          (2)
 
-r harmonic ratio of the lock-in equation, b backscatter phase less readout phase, a amplitude of the record over
-the mean of all. D and H, second- and third-order distortion of the receiver: the second and third harmonic that it
+r harmonic ratio of the lock-in equation, b backscatter phase less readout phase, a amplitude of the record, before
+the pole of L, over the mean of all. D and H, second- and third-order distortion of the receiver: the second and third harmonic that it
 makes of a pure sine of that mean amplitude, over its fundamental. The brackets are what a square and a cubic law
 make of the ratio of the geometric series that fits the distorted signal best, to first order in D and H
 (docs/several_rates.md); `beyond_first_order` has the rest for H.
@@ -125,11 +125,12 @@ def predicted(parameters: Floats, data: RatioData) -> tuple[Complexes, Floats]:
     distortion, lag_square, third_order = (parameters[..., k, np.newaxis] for k in (2, 4, 5))
     own = ratio_of_light(parameters, data)
     share = np.minimum(np.abs(own) ** 2, _LARGEST_SQUARE)
-    ratio = own * low_pass_factor(share, data.angular**2 * lag_square)
-    ratio = ratio + distortion * data.amplitude * (1 - share - 2j * own * own.imag)
-    size = third_order * data.amplitude**2
-    ratio = ratio + size * by_cubic_law(own)
-    third = size * third_harmonic_share(share) + (own**2 * _third_by_low_pass(data.angular**2 * lag_square)).real
+    lag = data.angular**2 * lag_square
+    amplitude = data.amplitude * np.sqrt(1 + np.maximum(lag, 0.0))  # before the pole
+    size = third_order * amplitude**2
+    distorted = own + distortion * amplitude * (1 - share - 2j * own * own.imag) + size * by_cubic_law(own)
+    ratio = distorted * low_pass_factor(share, lag)
+    third = (size * third_harmonic_share(share) * _third_behind_pole(lag) + own**2 * _third_by_low_pass(lag)).real
     return np.asarray(ratio), np.asarray(third)
 
 
@@ -268,6 +269,13 @@ def third_order_by_third_harmonic(parameters: Floats, data: RatioData) -> tuple[
     weight = data.third_weight**2
     power = float(np.sum(weight * share**2))
     return (float(np.sum(weight * share * data.third)) / power, power**-0.5) if power > 0 else (0.0, np.inf)
+
+
+def _third_behind_pole(lag: Floats) -> Complexes:
+    """What one pole makes of a third harmonic, over the fundamental: H(3f) |H(f)|^2/H(f)^3."""
+    x = 1j * np.sqrt(np.abs(lag))
+    passed = (1 + x) ** 3 / ((1 + 3 * x) * np.abs(1 + x) ** 2)
+    return np.asarray(np.where(lag < 0, 2 - passed, passed))
 
 
 def _third_by_low_pass(lag: Floats) -> Complexes:

@@ -165,21 +165,16 @@ def _common_flags(flags: Ints) -> int:
 
 @dataclass(frozen=True)
 class _CoherentMean:
-    """Weighted mean of the complex lock-in rates, and what their scatter says.
-
-    rate_u, across_u : standard uncertainty along its own direction, and across it from noise alone
-    stretch : factor for the 95 % interval
-    unequal, phases_differ : whether they scatter by more than their uncertainty explains, along and across
-    by_sizes : whether each record shows its phase by itself, so that the mean is that of their sizes
-    """
+    """Weighted mean of the complex lock-in rates, and what their scatter says."""
 
     mean: complex
     weights: Floats
-    rate_u: float
+    rate_u: float  # standard uncertainty along its own direction, and across it from noise alone
     across_u: float
-    stretch: float
-    unequal: bool
+    stretch: float  # factor for the 95 % interval
+    unequal: bool  # whether they scatter by more than their uncertainty explains, along and across
     phases_differ: bool
+    # whether each record shows its phase by itself, so that the mean is that of their sizes
     by_sizes: bool = False
 
 

@@ -38,22 +38,15 @@ class Signal:
 
 @dataclass(frozen=True)
 class ControlChart:
-    """Values in the order in which they were found, against what those of the baseline do by chance.
+    """Values in the order in which they were found, against what those of the baseline do by chance."""
 
-    values, moving_range : (n,) the second is the distance from the value before, nan for the first
-    centre, sigma : of the baseline: mean, and mean moving range over 1.128; nan with fewer than eight values
-    range_limit : upper limit of the moving range
-    baseline : how many values, from the first, the limits rest on
-    signals : in the order of their places; each value at most once for each rule
-    """
-
-    values: Floats
+    values: Floats  # (n,) the second is the distance from the value before, nan for the first
     moving_range: Floats
-    centre: float
+    centre: float  # of the baseline: mean, and mean moving range over 1.128; nan with fewer than eight values
     sigma: float
-    range_limit: float
-    baseline: int
-    signals: tuple[Signal, ...]
+    range_limit: float  # upper limit of the moving range
+    baseline: int  # how many values, from the first, the limits rest on
+    signals: tuple[Signal, ...]  # in the order of their places; each value at most once for each rule
 
     @property
     def has_limits(self) -> bool:

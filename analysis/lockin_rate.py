@@ -118,7 +118,7 @@ def estimate_lock_in(
             relation,
         )
     flags = flags | beat_flags(beat, flags, stack.n_samples)
-    flags |= mains_flags(beat, MAINS_HZ if mains_hz is None else (mains_hz,))
+    flags |= mains_flags(beat, flags, mains_hz)
     few = of_few_levels(stack.volts, beat.amplitude, fit.noise_rms, fewest_levels(beat, third, third_u))
     flags[few] |= Flag.FEW_LEVELS
     if full_amplitude is not None:
@@ -416,10 +416,14 @@ def beat_flags(beat: Beat, fit_flags: Ints, n_samples: int) -> Ints:
     return flags
 
 
-def mains_flags(beat: Beat, mains_hz: tuple[float, ...]) -> Ints:
-    """Where a beat (R,) may be hum, and where hum may stand on its second harmonic."""
+def mains_flags(beat: Beat, others: Ints, mains_hz: float | None) -> Ints:
+    """Where a beat (R,) may be hum, and where hum may stand on its second harmonic; with its other flags (R,).
+
+    Where nobody stated the mains the second is told of records only that show something beside the beat.
+    """
     flags = np.zeros(beat.size.shape, dtype=np.int64)
-    for mains in mains_hz:
+    spoiled = (others & int(Flag.MISFIT | Flag.COLOURED_NOISE)) != 0
+    for mains in MAINS_HZ if mains_hz is None else (mains_hz,):
         order = np.rint(beat.frequency / mains)
         hums = np.abs(beat.frequency - order * mains) < MAINS_WANDERS * beat.frequency
         hums &= (order >= 1) & (order <= 2) & (beat.ratio < SMALL_RATIO) & (beat.periods > FEWEST_PERIODS)
@@ -428,7 +432,7 @@ def mains_flags(beat: Beat, mains_hz: tuple[float, ...]) -> Ints:
         order = np.clip(np.rint(2 * beat.frequency / mains), 1, MAINS_ORDERS)
         width = beat.frequency / beat.periods  # 1/T
         beside = np.abs(2 * beat.frequency - order * mains) < width + MAINS_WANDERS * order * mains
-        flags[beside & ~hums] |= Flag.MAINS_BESIDE
+        flags[beside & ~hums & (spoiled | (mains_hz is not None))] |= Flag.MAINS_BESIDE
     return flags
 
 

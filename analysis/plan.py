@@ -442,26 +442,25 @@ DEFAULT_RECORDS = 3
 def run_order(rates: Sequence[float]) -> tuple[tuple[float, bool], ...]:
     """Signed rates in the order in which a run goes to them, and whether it has been there before.
 
-    What drifts evenly over a run must not look like a change with the rate or with the sense: the slow rates,
-    which carry the lock-in rate, stand in its middle, and what came first comes once more at the end, unless the
-    other sense stands for it. Two visits of a rate share its records.
+    What drifts evenly over a run must not look like a change with the rate or with the sense. With several rates
+    in both senses the slow ones, which carry the lock-in rate, stand in the middle; with one rate, or in one
+    sense, the run goes the whole way back and ends where it began. Two visits of a rate share its records.
 
     Examples
     --------
     >>> run_order([3.0, 30.0])
     ((30.0, False), (3.0, False), (30.0, True))
-    >>> run_order([3.0, 30.0, -3.0, -30.0])
-    ((30.0, False), (3.0, False), (-3.0, False), (-30.0, False))
     >>> run_order([8.0, -8.0])
     ((8.0, False), (-8.0, False), (8.0, True))
+    >>> [rate for rate, _ in run_order([3.0, 10.0, -3.0, -10.0])]
+    [10.0, 3.0, -3.0, -10.0]
     """
     first = 1.0 if max(rates) > 0 else -1.0
     down = sorted({rate for rate in rates if rate * first > 0}, key=abs, reverse=True)
     up = sorted({rate for rate in rates if rate * first < 0}, key=abs)
-    once = tuple((rate, False) for rate in [*down, *up])
-    if len(down) > 1 and up:
-        return once
-    return (*once, *((rate, True) for rate in (down if up else down[-2::-1])))
+    once = [*down, *up]
+    back = [] if up and len(down) > 1 else once[-2::-1]
+    return (*((rate, False) for rate in once), *((rate, True) for rate in back))
 
 
 def default_rates(

@@ -205,15 +205,11 @@ _HANN_BANDWIDTH = 1.5
 
 @dataclass(frozen=True)
 class Cause:
-    """One cause at each rate, relative errors of the lock-in rate, (n,).
-
-    rms : over phases, places in the bin, azimuths or noise
-    largest : of noise and tilt, which have no largest, that of 95 %
-    """
+    """One cause at each rate, relative errors of the lock-in rate, (n,)."""
 
     name: str
-    rms: Floats
-    largest: Floats
+    rms: Floats  # over phases, places in the bin, azimuths or noise
+    largest: Floats  # of noise and tilt, which have no largest, that of 95 %
 
 
 @dataclass(frozen=True)

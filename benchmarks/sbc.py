@@ -2,8 +2,8 @@
 
 Simulation-based calibration: every unknown of a bench is drawn from what is stated of it, or from its bound where
 nothing is; its records are made (beat, gain saturation, distortion, one pole, noise, rounding) and evaluated as
-`gyrolock measure` does. Then the place of the true lock-in rate in the answer is uniform: the Kolmogorov-Smirnov test
-says with which chance, beside pull (rms of error over u), coverage of the 95 % interval and doubtful results.
+`gyrolock measure` does. Then the place of the true lock-in rate in the answer is uniform: the Kolmogorov-Smirnov
+test says with which chance, beside pull (rms of error over u), coverage of the 95 % interval and doubtful results.
 
 `--drift` lets phase and lock-in rate go by so much of their bounds (1) over each run.
 """
@@ -101,7 +101,8 @@ def outcome(plan: Plan, drift: float, seed: int) -> Outcome:
         turns = beat * stretch * interval * np.arange(SAMPLES)
         turning = rng.uniform(0, 2 * np.pi) + 2 * np.pi * math.copysign(1.0, rate) * turns
         volts = detector_signal(gyro, seen, np.full(SAMPLES, rate), turning) + NOISE * rng.normal(size=SAMPLES)
-        volts = np.rint(volts / LEVEL) * LEVEL
+        seen_by_scope = LEVEL / math.hypot(1.0, beat / pole)  # what is weaker behind the pole is shown larger
+        volts = np.rint(volts / seen_by_scope) * seen_by_scope
         clipped = np.zeros((1, 1, SAMPLES), dtype=bool)
         batches.append(Batch(np.array([row]), interval, volts[np.newaxis, np.newaxis], clipped))
     table = np.array(rates)

@@ -30,7 +30,7 @@ from station.lock_in.rate_plan import rate_plan, records_at_each
 from station.lock_in.result import budget_document
 from station.lock_in.settings import Settings, bench_knowledge
 from station.measurements import measurement
-from station.report.figure import ACCENT, INK, SECOND, SOFT, THIRD, legend_above, svg_element, write_picture
+from station.report.figure import ACCENT, INK, SECOND, SOFT, THIRD, legend_above, write_picture
 from station.results.numbers import BEAT_FREQUENCY, INPUT_RATE, LOCK_IN_RATE, NOISE_RMS, SCALE_FACTOR
 from station.results.result import with_prefix
 from station.scope.autoset import oscilloscope_steps
@@ -473,11 +473,6 @@ def _warnings(plan: Plan) -> list[str]:
 _SIZE = (8.4, 4.8)
 _DEPTH = 12.0
 """The plot reaches this factor below the smallest uncertainty."""
-
-
-def plan_svg(planned: PlannedMeasurement) -> str:
-    """Draw the curve of a plan as an SVG element."""
-    return svg_element("plan", _SIZE, lambda figure: _draw(figure, planned))
 
 
 def write_plan_plot(path: Path, planned: PlannedMeasurement) -> None:

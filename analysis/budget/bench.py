@@ -66,6 +66,10 @@ warms up by a kelvin, moves one by some tens."""
 LOCK_IN_DRIFT_LIMIT = 0.03
 """Largest relative change of the lock-in rate during a run: that of a laser which is still warming up."""
 
+PROBE_LIMIT, PROBE_HZ = 0.03, 1500.0
+"""Error of the compensation of a 10X probe, as a share of the gain, and the frequency about which it shows: 9 MOhm
+beside 12 pF. A square wave shows less than that by eye only when somebody looks for it."""
+
 SCALE_FACTOR_LIMIT = 0.01
 """Relative error of a scale factor that stands on a data sheet or a type plate: rounded, and of another unit."""
 
@@ -203,6 +207,7 @@ class BenchKnowledge:
     gain: ResponseCorner = field(default_factory=ResponseCorner)
     # relative, of a measured response of the channel at 2f over that at f that the ratio was freed of
     response_u: float = math.nan
+    probe_limit: float = 0.0  # largest error of the compensation of a probe that divides, as a share of the gain
     # for the rate as reference; without one nobody said how well the rate is known
     table: TableGeometry | None = None
 

@@ -79,20 +79,7 @@ class NoiseFit:
 
 
 def fit_noise(words: ArrayLike, interval_s: float, *, temperature: ArrayLike | None = None) -> NoiseFit:
-    """Fit the noise model to words at rest.
-
-    Parameters
-    ----------
-    words : (n,)
-        Means of the rate over each interval, deg/s; nan where one is missing. Outliers are left out.
-    temperature : (n,), optional
-        Its drift is taken out; nan as above.
-
-    Raises
-    ------
-    ValueError
-        Fewer than 512 words, a fifth of them missing, or words that do not move.
-    """
+    """Fit the noise model to words at rest."""
     values = np.array(words, dtype=np.float64)
     if values.size < _FEWEST_WORDS:
         raise ValueError(f"a noise model needs at least {_FEWEST_WORDS} output words, not {values.size}")
@@ -631,15 +618,7 @@ class AllanCurve:
 def allan_curve(
     words: ArrayLike, interval_s: float, coefficients: Mapping[str, float] | None = None
 ) -> AllanCurve:
-    """Overlapping Allan deviation at times spaced evenly in their logarithm, up to a quarter of the record.
-
-    Parameters
-    ----------
-    words : (n,)
-        nan where one is missing.
-    coefficients : mapping of str to float, optional
-        Of the noise model: by it missing words and outliers are put in. Without it nothing may be missing.
-    """
+    """Overlapping Allan deviation at times spaced evenly in their logarithm, up to a quarter of the record."""
     import allantools  # type: ignore[import-untyped]
 
     values = np.asarray(words, dtype=np.float64)

@@ -223,17 +223,6 @@ def residual_pattern(
     them lie off by more than their noise too, in both parts alike: a part is a pattern only if a smooth curve
     (w^3, |w|) is significant against what it leaves, or if the part exceeds the other one. The points near zero
     are compared with a curve 1, w, |w|, w^3 through the others: an asymmetry does not look like a dead zone.
-
-    Parameters
-    ----------
-    rates_dps, outputs, outputs_u : array_like, shape (n,)
-    near_zero : float, optional
-        Rates below this part of the largest are near zero.
-
-    Raises
-    ------
-    ValueError
-        Fewer than three points away from zero.
     """
     rate, output, u = (np.asarray(v, dtype=np.float64) for v in (rates_dps, outputs, outputs_u))
     away = np.abs(rate) > near_zero * np.abs(rate).max()

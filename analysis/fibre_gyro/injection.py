@@ -84,14 +84,7 @@ def _superposed_u(multiples: Floats, differences: RateDifferences) -> Floats:
 
 
 def scaled_numbers(rates_dps: ArrayLike, scale_factor: float, scale_factor_u: float = 0.0) -> InjectionPlan:
-    """Numbers of rates as a scale factor times the rate.
-
-    Parameters
-    ----------
-    rates_dps : array_like, shape (n,)
-    scale_factor, scale_factor_u : float
-        Counts per deg/s.
-    """
+    """Numbers of rates as a scale factor times the rate."""
     rates = np.atleast_1d(np.asarray(rates_dps, dtype=np.float64))
     return InjectionPlan(rates, scale_factor * rates, np.abs(scale_factor_u * rates), np.zeros((rates.size, 0)))
 
@@ -138,15 +131,7 @@ class NetOutputs:
 def net_outputs(
     mean: ArrayLike, mean_u: ArrayLike, before: tuple[float, float], after: tuple[float, float]
 ) -> NetOutputs:
-    """Subtract the static output.
-
-    Parameters
-    ----------
-    mean, mean_u : array_like, shape (n,)
-        Mean output of every injected step, counts.
-    before, after : tuple of float
-        Mean static output and its standard uncertainty, before and after the steps.
-    """
+    """Subtract the static output."""
     static, u = (before[0] + after[0]) / 2, float(np.hypot(before[1], after[1]))
     means = np.asarray(mean, dtype=np.float64)
     return NetOutputs(means - static, np.asarray(mean_u, dtype=np.float64), static, u / 2, after[0] - before[0], u)
@@ -184,17 +169,6 @@ def fit_slope(rates_dps: ArrayLike, outputs: ArrayLike, outputs_u: ArrayLike | N
     [sum w^2 - (1/M) (sum w)^2] and F_0 = mean F - K mean w. Given uncertainties make weights 1/u^2; the standard
     errors then grow by sqrt(chi^2/degrees of freedom) where the residuals exceed them. Without them the residuals
     give the standard errors.
-
-    Parameters
-    ----------
-    rates_dps, outputs : array_like, shape (n,)
-    outputs_u : array_like, shape (n,), optional
-        Standard uncertainties, counts.
-
-    Raises
-    ------
-    ValueError
-        Fewer than three points, or all at one rate.
     """
     rate, output = (np.asarray(v, dtype=np.float64) for v in (rates_dps, outputs))
     if rate.size < 3 or float(np.ptp(rate)) == 0:
@@ -241,20 +215,7 @@ class ScaleComparison:
 def compare_scale(
     self_fit: SlopeFit, excess: SlopeFit, table: tuple[float, float], *, numbers_u: float = 0.0
 ) -> ScaleComparison:
-    """Compare the slope of the outputs with the table's scale factor and with the slope of the numbers.
-
-    Parameters
-    ----------
-    self_fit : SlopeFit
-        Of the net outputs.
-    excess : SlopeFit
-        Of the net outputs less the injected numbers, with the same weights: it does not matter there that numbers
-        rounded to what can be injected do not lie on a line.
-    table : tuple of float
-        K of the rate table, counts per deg/s, and its standard uncertainty.
-    numbers_u : float, optional
-        Standard uncertainty of the slope of the numbers, counts per deg/s: how well they stand for the rates.
-    """
+    """Compare the slope of the outputs with the table's scale factor and with the slope of the numbers."""
     ratio, relative_u = self_fit.slope / table[0], self_fit.slope_u / abs(self_fit.slope)
     numbers = self_fit.slope - excess.slope
     return ScaleComparison(

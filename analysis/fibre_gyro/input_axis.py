@@ -46,22 +46,7 @@ class InputAxisTilt:
 def input_axis_tilt(
     sines: ArrayLike, sines_u: ArrayLike, horizontal_counts: float, *, freedom: float = 1e6
 ) -> InputAxisTilt:
-    """Angle between input axis and table axis from the once-per-turn sines of several windows.
-
-    Parameters
-    ----------
-    sines, sines_u : (n,)
-        Complex amplitudes, counts, and the standard uncertainty of each of their two parts.
-    horizontal_counts : float
-        What the horizontal earth rate would be along the input axis, counts.
-    freedom : float, optional
-        Degrees of freedom of the uncertainties, which have one cause: the noise is known as well as that.
-
-    Raises
-    ------
-    ValueError
-        No window has an uncertainty, or there is no horizontal earth rate.
-    """
+    """Angle between input axis and table axis from the once-per-turn sines of several windows."""
     amplitude, u = np.abs(np.asarray(sines)), np.asarray(sines_u, dtype=np.float64)
     if not horizontal_counts > 0:
         raise ValueError("the horizontal earth rate is zero at the pole: a tilt of the input axis does not show")
@@ -123,32 +108,7 @@ def fit_three_axes(
     table_rate_u_ppm: float = 0.0,
     slow: Sequence[Floats | None] = (),
 ) -> ThreeAxes:
-    """Fit the matrix of scale factors and misalignments to all runs.
-
-    Parameters
-    ----------
-    gyros : sequence of str
-        Names of the gyros.
-    turned : sequence of str, length n
-        Which body axis was along the table's axis in each run.
-    rate_dps : (n,)
-        Signed rate of the table.
-    means, means_u : (n, gyros)
-        Means over whole turns, counts.
-    end_up : (n,), optional
-        +1 or -1.
-    at_s : (n,), optional
-        Middle of each window: a drift of each bias is fitted where the runs can bear it.
-    irreproducibility_ppm, table_rate_u_ppm : optional
-        As for one axis.
-    slow : sequence of ndarray or None, optional
-        Generalised covariance of the slow noise of each gyro, counts^2, (n, n).
-
-    Raises
-    ------
-    ValueError
-        An axis was turned in one sense only, or not all runs hold all gyros.
-    """
+    """Fit the matrix of scale factors and misalignments to all runs."""
     rates = np.asarray(rate_dps, dtype=np.float64)
     ends = np.broadcast_to(np.asarray(end_up, dtype=np.float64), rates.shape)
     mean, u = np.asarray(means, dtype=np.float64), np.asarray(means_u, dtype=np.float64)

@@ -84,18 +84,6 @@ def fit_axis(
     Weights are 1/u^2 with u the noise of the mean and, in quadrature, the irreproducibility of the run, stated or
     as the residuals show it. All uncertainties count the scatter that the residuals allow (`scatter`); 1.96 of
     them are half a 95 % interval. The drift is fitted where three degrees of freedom are left with it.
-
-    Parameters
-    ----------
-    irreproducibility_ppm : float or None, optional
-        Known standard deviation of scale factor and table rate from run to run, ppm.
-    table_rate_u_ppm : float, optional
-        Standard uncertainty of the table's rate that is common to all runs, ppm.
-
-    Raises
-    ------
-    ValueError
-        All runs are in one sense.
     """
     if not (np.any(runs.rate_dps > 0) and np.any(runs.rate_dps < 0)):
         raise ValueError("the scale factor needs runs in both senses")
@@ -150,13 +138,7 @@ def fit_axis(
 
 
 def correlation_with_numbers(fit: AxisFit, factors: Floats) -> Floats:
-    """Correlation of K and of numbers of small rates that come from the same runs, shape (1 + k, 1 + k).
-
-    Parameters
-    ----------
-    factors : ndarray, shape (k, n)
-        Of :class:`RateDifferences`.
-    """
+    """Correlation of K and of numbers of small rates that come from the same runs, shape (1 + k, 1 + k)."""
     both = np.vstack([fit.factors, factors])
     covariance = both @ fit.covariance @ both.T
     size = np.sqrt(np.diag(covariance))
@@ -238,17 +220,7 @@ class OddEven:
 
 
 def odd_even_parts(runs: TableRuns, *, end_up: int = 1) -> OddEven:
-    """Odd and even parts of the runs with one end of the axis up; several runs of a kind are averaged.
-
-    Parameters
-    ----------
-    end_up : {1, -1}, optional
-
-    Raises
-    ------
-    ValueError
-        A rate was run in one sense only; the text names it.
-    """
+    """Odd and even parts of the runs with one end of the axis up; several runs of a kind are averaged."""
     chosen = _of_end(runs, end_up)
     if alone := missing_senses(chosen):
         names = ", ".join(f"{rate:+g} deg/s" for rate in alone)
@@ -468,13 +440,7 @@ def table_runs(
     at_s: ArrayLike = np.nan,
     slow: Floats | None = None,
 ) -> TableRuns:
-    """Put the means of one axis together; the fields are those of :class:`TableRuns`.
-
-    Raises
-    ------
-    ValueError
-        Shapes that do not fit, a rate of zero, or an uncertainty that is not positive.
-    """
+    """Put the means of one axis together; the fields are those of :class:`TableRuns`."""
     nominal = np.atleast_1d(np.asarray(nominal_dps, dtype=np.float64))
     given = (nominal if rate_dps is None else rate_dps, mean, mean_u, duration_s, at_s)
     rate, means, u, duration, at = (np.broadcast_to(np.asarray(v, dtype=np.float64), nominal.shape) for v in given)

@@ -84,13 +84,7 @@ class RunScatter:
         return np.asarray(np.diag(self.noise + self.stated) + self.slow, dtype=np.float64)
 
     def estimator(self, design: Floats, *, by_known: bool = False) -> Floats:
-        """Factors of the means in each parameter by weighted least squares, shape (p, n).
-
-        Parameters
-        ----------
-        by_known : bool, optional
-            Weights by what is known alone, else with the scatter that the residuals show.
-        """
+        """Factors of the means in each parameter by weighted least squares, shape (p, n)."""
         root = np.linalg.cholesky(self.known_covariance() if by_known else self.mean_covariance())
         weighted = np.asarray(scipy.linalg.solve_triangular(root, design, lower=True))
         # columns are scaled first, the rates and the ones differ
@@ -99,13 +93,7 @@ class RunScatter:
         return np.asarray(scipy.linalg.solve_triangular(root, factors.T, lower=True, trans="T").T)
 
     def standard_u(self, combination: Floats) -> float:
-        """Standard uncertainty of a combination of the means: 1.96 of it are the half width of the 95 % interval.
-
-        Parameters
-        ----------
-        combination : ndarray, shape (n,)
-            Factor of each mean.
-        """
+        """Standard uncertainty of a combination of the means: half the 95 % interval is 1.96 of it."""
         sigma = np.sqrt(self.variance @ combination**2 + combination @ self.slow @ combination)
         low, high = 0.0, 60.0 * float(sigma.max()) + 1e-300
         sigma = np.maximum(sigma, 1e-300)
@@ -135,21 +123,7 @@ def find_run_scatter(
     slow: Floats | None = None,
     by_model: bool = False,
 ) -> RunScatter:
-    """Weigh the scatter that the residuals of the runs allow.
-
-    Parameters
-    ----------
-    design : ndarray, shape (n, p)
-        Of the parameters that are fitted to the means.
-    mean, noise_u : ndarray, shape (n,)
-        Counts.
-    stated : float or None
-        Relative standard deviation of scale factor and table from run to run, where it is known.
-    slow : ndarray, shape (n, n), optional
-        Generalised covariance of slow noise, counts^2: `window_covariance`, less what is in `noise_u`.
-    by_model : bool, optional
-        Whether `slow` is that of a noise model: then a scatter beyond all that is known is less likely.
-    """
+    """Weigh the scatter that the residuals of the runs allow."""
     noise, irreproducible = noise_u**2, ((stated or 0.0) * mean) ** 2
     known = noise + irreproducible
     covariance = np.zeros((mean.size, mean.size)) if slow is None else _about_its_mean(slow)

@@ -137,25 +137,7 @@ def witness_staircase(
     gain_u: float = 0.0,
     time_base_u: float = 0.0,
 ) -> StaircaseWitness:
-    """Measure the staircase in a record.
-
-    Parameters
-    ----------
-    volts : (n,)
-        nan marks a missing sample.
-    sample_interval : float
-        Seconds.
-    step_time : float, optional
-        In seconds, right to 2 %, if it is known: the transit time of the coil. Needed only where single steps
-        hardly stand out of the noise.
-    gain_u, time_base_u : float
-        Relative standard uncertainties of the oscilloscope's volts and seconds; they enter every result.
-
-    Raises
-    ------
-    ValueError
-        If there is no staircase in the record, or not one that can be told; says why and what to change.
-    """
+    """Measure the staircase in a record."""
     record = _checked(volts, sample_interval)
     cut = find_cut(record, None if step_time is None else step_time / sample_interval)
     check_period(cut.period, len(record))

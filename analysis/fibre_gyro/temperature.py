@@ -383,26 +383,7 @@ def _mixture(fits: Sequence[_Fit], weight: Floats, count: int) -> Mixture:
 def temperature_course(
     times: ArrayLike, temperature: ArrayLike, at_s: ArrayLike, *, window_s: float
 ) -> tuple[Floats, Floats, Floats]:
-    """Temperature at some times, its change in time, and the noise of that; by lines through a window about each.
-
-    Parameters
-    ----------
-    times, temperature : (n,)
-        s and deg C, as the gyro gives them: rounded, with noise. nan where one is missing.
-    at_s : (m,)
-    window_s : float
-        Whole width of the window; near an end of the record it is moved inwards.
-
-    Returns
-    -------
-    temperature, rate, rate_u : ndarray, shape (m,)
-        deg C, kelvin per minute.
-
-    Raises
-    ------
-    ValueError
-        Fewer than three temperatures.
-    """
+    """Temperature at some times, its change, and the noise of that; by lines through a window about each."""
     when, warm, wanted = (np.asarray(v, dtype=np.float64) for v in (times, temperature, at_s))
     there = np.isfinite(warm)
     when, warm = when[there], warm[there]

@@ -138,28 +138,7 @@ def responses(
     reference_dps: float = 0.0,
     unseen_dps: ArrayLike = 0.0,
 ) -> Responses:
-    """Ratios of found to expected changes of the output, the output at the reference interpolated in time.
-
-    Parameters
-    ----------
-    inputs_dps : (n,)
-        True input rates about the axis.
-    at : (n,)
-        Times, in the unit of those of the references.
-    outputs, outputs_u : (n,)
-        Counts.
-    scale_factor : float
-        Counts per deg/s.
-    reference_dps : float, optional
-        Input at the references. Where it is not zero the gyro must be linear there: r is that of the input.
-    unseen_dps : (n,) or float, optional
-        Standard uncertainty of the input beside what the table reads.
-
-    Raises
-    ------
-    ValueError
-        There is no reference, or an input of zero.
-    """
+    """Ratios of found to expected changes of the output, the output at the reference interpolated in time."""
     values = (np.asarray(one, dtype=np.float64) for one in (inputs_dps, at, outputs, outputs_u))
     size, when, output, output_u = values
     if np.any(size == 0):

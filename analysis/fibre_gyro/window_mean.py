@@ -137,19 +137,7 @@ def mean_over_turns(
 def mean_at_rest(
     counts: ArrayLike, sample_interval_s: float, *, blocks: int = 20, resolution: float = 0.0
 ) -> WindowMean:
-    """Sum and mean of a record that is no whole turns; parameters as :func:`mean_over_turns`.
-
-    Parameters
-    ----------
-    counts : (n,)
-    blocks : int, optional
-        The uncertainty comes from the scatter of so many block means: slow noise counts in it.
-
-    Raises
-    ------
-    ValueError
-        Fewer than two samples, or too many are missing.
-    """
+    """Sum and mean of a record that is no whole turns; parameters as :func:`mean_over_turns`."""
     values = np.asarray(counts, dtype=np.float64)
     if values.size < 2:
         raise ValueError(f"a mean with an uncertainty needs at least 2 samples, not {values.size}")
@@ -174,10 +162,6 @@ def pooled_noise(means: Sequence[WindowMean]) -> Floats:
     """Standard uncertainty of each mean by the noise of all of them: each alone knows it badly, from a few blocks.
 
     One whose own noise is far beyond that of the others (once in a thousand times) keeps its own.
-
-    Returns
-    -------
-    ndarray, shape (n,)
     """
     u = np.array([one.mean_u for one in means], dtype=np.float64)
     duration = np.array([one.duration_s for one in means], dtype=np.float64)
@@ -193,20 +177,7 @@ def pooled_noise(means: Sequence[WindowMean]) -> Floats:
 
 
 def noise_of_means(means: Sequence[WindowMean], expected_u: ArrayLike | None = None) -> tuple[Floats, bool]:
-    """Standard uncertainty of each mean by the noise within the windows: as a noise model expects it, or as it is.
-
-    Parameters
-    ----------
-    expected_u : (n,), optional
-        By a noise model. It is better known than the noise of the words, unless these scatter by more.
-
-    Returns
-    -------
-    ndarray, shape (n,)
-        Counts; words without any scatter (a simulation without noise) still have a weight.
-    bool
-        Whether it is that of the noise model.
-    """
+    """Standard uncertainty of each mean by the noise within the windows: by a noise model, or as it is."""
     floor = np.array([1e-12 * abs(one.mean) + 1e-12 for one in means])
     seen = np.maximum(pooled_noise(means), floor)
     if expected_u is None:

@@ -61,7 +61,6 @@ from analysis.lockin_rate import LockInEstimate, size_interval
 from analysis.quadratures import QuadratureEstimate, QuadratureFlag, estimate_quadratures
 from analysis.rotation import earth_rate_on_axis
 from analysis.several_rates import Model, RatesFit, RatesFlag, ReceiverKnowledge, Reference, fit_again, fit_rates
-from analysis.several_rates.ratio_model import DRIFT, SENSES
 
 CANCEL_IN_THE_CHECK = ("noise", "scale_factor", "time_base")
 """Inputs of the budget that the check by the table has counted already, or that the tilt absorbs in it."""
@@ -612,20 +611,8 @@ def _hardly_seen(fit: RatesFit, receiver: ReceiverKnowledge, slowest_beat_hz: fl
         ("gain corner", receiver.gain_corner.hz, fit.gain_time_u, prior[3]),
         ("bandwidth", receiver.bandwidth.hz, fit.lag_square_u, prior[4]),
         ("third order", receiver.third_order_limit, fit.third_order_u, prior[5]),
-        *_hardly_drifting(fit, receiver, prior),
     )
     return [name for name, stated, u, before in unknowns if math.isnan(stated) and u > _HARDLY * before]
-
-
-def _hardly_drifting(
-    fit: RatesFit, receiver: ReceiverKnowledge, before: Floats
-) -> Iterator[tuple[str, float, float, float]]:
-    """What may change over a run, where the records were taken so that it could be seen."""
-    phase, drift = receiver.phase_change_limit, receiver.lock_in_drift_limit
-    if fit.phase_between_senses_u > 0:
-        yield "phase between the senses", phase, fit.phase_between_senses_u, before[SENSES]
-    if fit.lock_in_drift_u > 0:
-        yield "drift of the lock-in rate", drift, fit.lock_in_drift_u, before[DRIFT]
 
 
 def _from_fit(fit: RatesFit, samples: int, hardly_seen: list[str]) -> Iterator[BudgetInput]:

@@ -340,19 +340,14 @@ class _Some:
 
 @dataclass(frozen=True)
 class TableReading:
-    """Records of the table, slow and then fast (n,): Hz, and which of them beat; the rest is read some at a time.
-
-    frequency, frequency_u, beating : (n,)
-    settings : (s,) rates of the table at which records beat, deg/s, rising
-    blind : (s,) whether the azimuth of some record there is not known
-    """
+    """Records of the table, slow and then fast (n,): Hz, and which beat; the rest is read some at a time."""
 
     run: RunArrays
-    frequency: Floats
+    frequency: Floats  # (n,)
     frequency_u: Floats
     beating: Bools
-    settings: Floats
-    blind: Bools
+    settings: Floats  # (s,) rates of the table at which records beat, deg/s, rising
+    blind: Bools  # (s,) whether the azimuth of some record there is not known
     north_deg: float
 
     @classmethod
@@ -403,21 +398,15 @@ class TableReading:
 
 @dataclass(frozen=True)
 class Stated:
-    """What enters the curve from elsewhere.
+    """What enters the curve from elsewhere."""
 
-    earth, earth_u : P and Q with the scale factor, north and latitude that are stated, Hz
-    vertical, horizontal : of the earth rate, deg/s; latitude_u relative, of the second
-    bias_u : of B, Hz
-    table_u, scale_u : relative
-    """
-
-    earth: tuple[float, float]
+    earth: tuple[float, float]  # P and Q with the scale factor, north and latitude that are stated, Hz
     earth_u: tuple[float, float]
-    vertical: float
+    vertical: float  # of the earth rate, deg/s; latitude_u relative, of the second
     horizontal: float
     latitude_u: float
-    bias_u: float
-    table_u: float
+    bias_u: float  # of B, Hz
+    table_u: float  # relative
     scale_u: float
 
     @property
@@ -483,16 +472,12 @@ class Spread:
 
 @dataclass(frozen=True)
 class Curve:
-    """A, P, Q, h^2 and what else was fitted, with their covariance.
-
-    still : covariance if nothing moved from one setting of the table to the next
-    degrees : of freedom that the size of that motion was found with
-    """
+    """A, P, Q, h^2 and what else was fitted, with their covariance."""
 
     values: Floats
     covariance: Floats
-    still: Floats
-    degrees: int
+    still: Floats  # covariance if nothing moved from one setting of the table to the next
+    degrees: int  # of freedom that the size of that motion was found with
 
     def u(self, place: int) -> float:
         """Standard uncertainty of one value."""
@@ -560,12 +545,11 @@ class _TableEquations:
     """The triangle that stands for the equations of all records, over their noise; right side in its last column.
 
     It comes out of a QR decomposition, some records at a time: those of a million need no room.
-
-    moments : (6, s) sums over the records of a setting, by which they scatter about a mean: the distance to the
-        power 0, 1 and 2, each over the noise to the power 2 and 4
     """
 
     triangle: Floats
+    # (6, s) sums over the records of a setting, by which they scatter about a mean: the distance to the power 0, 1
+    # and 2, each over the noise to the power 2 and 4
     moments: Floats
 
     @staticmethod

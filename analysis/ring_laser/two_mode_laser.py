@@ -100,16 +100,11 @@ def symmetric_laser(
 
 @dataclass(frozen=True)
 class SteadyBeat:
-    """Periodic signals of a laser turning at constant rate, as harmonics: x = Re sum c_n exp(2 pi i n f t).
+    """Periodic signals of a laser turning at constant rate, as harmonics: x = Re sum c_n exp(2 pi i n f t)."""
 
-    frequency : Hz, positive
-    beat : (n,) of sqrt(I1 I2) exp(i psi), two-sided, order -n/2 .. n/2 - 1
-    beams : (2, n) of I1 and I2, the same order
-    """
-
-    frequency: float
-    beat: Complexes
-    beams: Complexes
+    frequency: float  # Hz, positive
+    beat: Complexes  # (n,) of sqrt(I1 I2) exp(i psi), two-sided, order -n/2 .. n/2 - 1
+    beams: Complexes  # (2, n) of I1 and I2, the same order
 
 
 def steady_beat(laser: TwoModeLaser, input_rate: float) -> SteadyBeat:

@@ -84,8 +84,8 @@ MORE_RECORDS = "take the other sense of rotation as well, or rates that differ b
 
 ENLARGED = "; enlarged to the scatter between records, which is more than that noise explains"
 UNLIKELY = 0.001
-CONTRADICTED = 25.0
-"""What somebody stated is not used where chi-square is higher by more with it: five standard deviations."""
+CONTRADICTED = 15.0
+"""What somebody stated is not used where chi-square is higher by more with it: nearly four standard deviations."""
 
 
 def fit_rates(
@@ -149,10 +149,16 @@ def fit_rates(
         return _fit(records, rate_u, reference, model, receiver)
 
     found = fit(bool(in_order))
-    if in_order is None and found.flags & RatesFlag.MISFIT:
+    if in_order is None and _scatters(found):
         drifting = fit(True)
         return found if drifting.flags & RatesFlag.MISFIT else drifting
     return found
+
+
+def _scatters(fit: RatesFit) -> bool:
+    """Whether records of one rate and sense differ by more than their noise: something may have drifted."""
+    scatter, degrees = gather(fit.each.records).scatter(fit.each.parameters)
+    return degrees > 0 and float(scipy.special.chdtrc(degrees, scatter)) < UNLIKELY
 
 
 def fit_again(
@@ -302,6 +308,9 @@ def _beyond_first_order(points: Points, found: RatioFit, prior: Prior, most: flo
 
 _SEEN, _PASSES = 5.0, 2
 
+_HARDLY = 0.7
+"""Share of its uncertainty beforehand that the gain time has left, if the records hardly show it."""
+
 _MAYBE = 2.0
 """Standard uncertainties beyond which a drift of the lock-in rate may be there."""
 
@@ -375,7 +384,8 @@ def _result(
     said = answer(found, widen, freedom)
     if np.unique(np.sign(points.points.rate)).size == 1:
         said = by_profile(said, found, points.points, prior, widen, freedom, most)
-    if chosen == "all" and prior.sd[3] > 0 and _left_over(points, prior) <= 0:
+    hardly_seen = fit.covariance[0, 3, 3] > (_HARDLY * prior.sd[3]) ** 2
+    if chosen == "all" and prior.sd[3] > 0 and (hardly_seen or _left_over(points, prior) <= 0):
         said = over_gain_times(said, found, points.points, prior, widen)
     mismatch = rate_mismatch(records, said.value, float(fit.parameters[0, DRIFT]))
     common, differ = _rates_differ(points.records, said, mismatch, bool(np.ptp(points.rate_group)))
@@ -559,7 +569,14 @@ def leave_out(points: Points, fit: RatioFit, prior: Prior) -> WithoutOneRate:
     if n_groups < 2:
         return WithoutOneRate(empty, empty, empty, empty, empty)
     kept = (group != np.arange(n_groups)[:, np.newaxis]).astype(float)
-    others = fit_ratios(data.weighted(kept), prior, np.repeat(fit.parameters, n_groups, axis=0))
+    start, rest = np.repeat(fit.parameters, n_groups, axis=0), data.weighted(kept)
+    # a rate that is wrong may have led the fit of all astray
+    tried = [fit_ratios(rest, prior, each) for each in (start, with_distortion_alone(start, rest, prior))]
+    better = np.flatnonzero(tried[1].chi_square < tried[0].chi_square)
+    both = RatioFit(*(np.concatenate(pair) for pair in zip(*(each.fields for each in tried), strict=True)))
+    place = np.arange(n_groups)
+    place[better] += n_groups
+    others = both[place]
     along = fit.parameters[0, :2] / max(float(np.hypot(*fit.parameters[0, :2])), 1e-300)
     value = np.hypot(others.parameters[:, 0], others.parameters[:, 1])
     u = np.sqrt(np.einsum("i,bij,j->b", along, others.covariance[:, :2, :2], along))

@@ -45,27 +45,18 @@ _FAST = 0.5
 
 @dataclass(frozen=True)
 class RatioBlock:
-    """Some records, arrays of one value each; nan where a record has no beat.
+    """Some records, arrays of one value each; nan where a record has no beat."""
 
-    rate : deg/s, signed
-    beat_frequency, beat_frequency_u : Hz; 0 where there is no beat
-    ratio, covariance : rho (m,) and that of its two parts (m, 2, 2)
-    amplitude : any unit; those that :class:`RatioRecords` gives are over the mean of its usable records
-    when : place in the run, from -1/2 to 1/2; 0 where nobody knows it
-    third, third_u : third harmonic beyond the waveform in phase with distortion, over the amplitude; inf: unknown
-    misfit : records whose waveform is not the lock-in one within its noise
-    """
-
-    rate: Floats
-    beat_frequency: Floats
+    rate: Floats  # deg/s, signed
+    beat_frequency: Floats  # Hz; 0 where there is no beat
     beat_frequency_u: Floats
-    ratio: Complexes
+    ratio: Complexes  # rho (m,) and that of its two parts (m, 2, 2)
     covariance: Floats
-    amplitude: Floats
-    when: Floats
-    third: Floats
+    amplitude: Floats  # any unit; those that :class:`RatioRecords` gives are over the mean of its usable records
+    when: Floats  # place in the run, from -1/2 to 1/2; 0 where nobody knows it
+    third: Floats  # third harmonic beyond the waveform in phase with distortion, over the amplitude; inf: unknown
     third_u: Floats
-    misfit: Bools
+    misfit: Bools  # records whose waveform is not the lock-in one within its noise
 
     def __getitem__(self, rows: slice | Bools | Indices) -> RatioBlock:
         return RatioBlock(*(getattr(self, field.name)[rows] for field in fields(self)))
@@ -85,27 +76,18 @@ class RatioBlock:
 
 @dataclass(frozen=True)
 class RatioRecords:
-    """n records, of which little is held: the rest is read some records at a time.
+    """n records, of which little is held: the rest is read some records at a time."""
 
-    rate : (n,) deg/s, signed
-    usable, locked : (n,) records with a ratio; records that show no beat
-    mean_amplitude : of the usable records
-    scale_factor : pulses per degree
-    noise_model : what the uncertainties rest on
-    rate_of_beat : whether the rates are those that the records themselves gave, and test no beat
-    visits : place in the run at which each visit of a rate begins, rising; one value where no order is known
-    read : gives some of the records
-    """
-
-    rate: Floats
-    usable: Bools
+    rate: Floats  # (n,) deg/s, signed
+    usable: Bools  # (n,) records with a ratio; records that show no beat
     locked: Bools
-    mean_amplitude: float
-    scale_factor: float
-    noise_model: str
-    rate_of_beat: bool
+    mean_amplitude: float  # of the usable records
+    scale_factor: float  # pulses per degree
+    noise_model: str  # what the uncertainties rest on
+    rate_of_beat: bool  # whether the rates are those that the records themselves gave, and test no beat
+    # place in the run at which each visit of a rate begins, rising; one value where no order is known
     visits: Floats
-    read: Callable[[slice], RatioBlock]
+    read: Callable[[slice], RatioBlock]  # gives some of the records
 
     def blocks(self) -> Iterator[tuple[slice, RatioBlock]]:
         """All records in their order: which they are, and they."""
@@ -363,8 +345,9 @@ def place_in_run(count: int) -> Floats:
 def visits_of_rates(rate: Floats) -> Indices:
     """First record of each visit of a rate, rising; what drifts differs between visits.
 
-    A long visit is cut in two, and where there are few settings any is cut in four, so that it shows by itself
-    what drifts. Where the rates (n,) change all the time the quarters of the run are the visits.
+    A long visit is cut in two, and where there are few settings or one sense any is, so that it shows by itself
+    what drifts; few and long ones are cut in four. Where the rates (n,) change all the time its quarters are the
+    visits.
 
     Examples
     --------
@@ -382,12 +365,13 @@ def visits_of_rates(rate: Floats) -> Indices:
     if first.size > MOST_VISITS * settings:
         return np.unique(rate.size * np.arange(4) // 4)
     length = np.diff(np.append(first, rate.size))
-    pieces = np.full(first.size, 4) if settings <= FEW_SETTINGS else np.where(length >= LONG_VISIT, 2, 1)
+    few = settings <= FEW_SETTINGS or np.all(rate > 0) or np.all(rate < 0)
+    pieces = np.where(length >= LONG_VISIT, 4, 2) if few else np.where(length >= LONG_VISIT, 2, 1)
     begins = [first + length * np.minimum(piece, pieces - 1) // pieces for piece in range(4)]
     return np.unique(np.concatenate(begins))
 
 
-MOST_VISITS, LONG_VISIT, FEW_SETTINGS = 4, 8, 5
+MOST_VISITS, LONG_VISIT, FEW_SETTINGS = 4, 8, 3
 
 
 def _read(estimate: LockInEstimate, run: Run, some: slice) -> RatioBlock:
@@ -447,21 +431,12 @@ SAME_AMPLITUDE = 0.05
 
 @dataclass(frozen=True)
 class UsedRecords:
-    """The records of a fit.
+    """The records of a fit."""
 
-    records : RatioRecords
-        All n that there are.
-    used : (n,)
-        Which of them are fitted.
-    rate_u : (n,)
-        deg/s, standard uncertainty of each rate.
-    reference : {"rate", "beat"}
-    """
-
-    records: RatioRecords
-    used: Bools
-    rate_u: Floats
-    reference: Reference
+    records: RatioRecords  # RatioRecords All n that there are.
+    used: Bools  # (n,) Which of them are fitted.
+    rate_u: Floats  # (n,) deg/s, standard uncertainty of each rate.
+    reference: Reference  # {"rate", "beat"}
 
     def blocks(self) -> Iterator[tuple[Indices, RatioBlock]]:
         """Some of them at a time, and which they are."""
@@ -499,17 +474,12 @@ class UsedRecords:
 
 @dataclass(frozen=True)
 class Places:
-    """Which point a record belongs to: by its rate, its sense, its amplitude and the visit.
+    """Which point a record belongs to: by its rate, its sense, its amplitude and the visit."""
 
-    rates, amplitudes : least |W| and least amplitude of each group of them, rising
-    visits : place in the run at which each visit begins, rising
-    keys : rate, sense, amplitude and visit of each point as one number, rising
-    """
-
-    rates: Floats
+    rates: Floats  # least |W| and least amplitude of each group of them, rising
     amplitudes: Floats
-    visits: Floats
-    keys: Indices
+    visits: Floats  # place in the run at which each visit begins, rising
+    keys: Indices  # rate, sense, amplitude and visit of each point as one number, rising
 
     @classmethod
     def of(cls, records: UsedRecords) -> Places:
@@ -545,21 +515,12 @@ class Places:
 
 @dataclass(frozen=True)
 class Points:
-    """Records gathered into points.
+    """Records gathered into points."""
 
-    records : UsedRecords
-    places : Places
-        Of the records among the points.
-    points : RatioData
-        One set of p means.
-    rate_group : (p,)
-        Which of the different |W| each point has.
-    """
-
-    records: UsedRecords
-    places: Places
-    points: RatioData
-    rate_group: Indices
+    records: UsedRecords  # UsedRecords
+    places: Places  # Places Of the records among the points.
+    points: RatioData  # RatioData One set of p means.
+    rate_group: Indices  # (p,) Which of the different |W| each point has.
 
     @property
     def settings(self) -> int:

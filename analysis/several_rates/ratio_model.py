@@ -10,10 +10,10 @@ b = b0 + s/2 in the positive sense, b0 - s/2 in the negative one, and with t the
     b0 = b00 + d1 t + d2 (6 t^2 - 1/2),     WL = WL0 (1 + v t)                                          (2)
 
 r harmonic ratio of the lock-in equation, b backscatter phase less readout phase, a amplitude of the record, before
-the pole of L, over the mean of all. D and H, second- and third-order distortion of the receiver: the second and third harmonic that it
-makes of a pure sine of that mean amplitude, over its fundamental. The brackets are what a square and a cubic law
-make of the ratio of the geometric series that fits the distorted signal best, to first order in D and H
-(docs/several_rates.md); `beyond_first_order` has the rest for H.
+the pole of L, over the mean of all. D and H, second- and third-order distortion of the receiver: the second and
+third harmonic that it makes of a pure sine of that mean amplitude, over its fundamental. The brackets are what a
+square and a cubic law make of the ratio of the geometric series that fits the distorted signal best, to first
+order in D and H (docs/several_rates.md); `beyond_first_order` has the rest for H.
 
 G and c are what the time T = 1/g_c does that the gain needs to follow the intensity: 1 for fast gain, and F =
 1/(1 + 2 pi i f T) and 1 far above lock-in. `gain_factors` has them at any rate: with equal backscatter of both
@@ -41,6 +41,7 @@ from analysis.budget import BenchKnowledge, ResponseCorner
 from analysis.budget.bench import (
     LOCK_IN_DRIFT_LIMIT,
     PHASE_CHANGE_LIMIT,
+    PROBE_HZ,
     SECOND_ORDER_LIMIT,
     THIRD_ORDER_LIMIT,
     lowest_bandwidth,
@@ -58,26 +59,17 @@ SENSES, PHASES, DRIFT = 6, slice(6, 9), 9
 
 @dataclass(frozen=True)
 class RatioData:
-    """Complex ratios of B sets of n points each; all fields broadcast to (B, n).
+    """Complex ratios of B sets of n points each; all fields broadcast to (B, n)."""
 
-    rate : deg/s, signed; with reference "beat" only its sign is used
-    beat_rate : deg/s, f/K
-    angular : rad/s, 2 pi f
-    ratio : rho
-    whitening : (B, n, 2, 2) lower factor C with C C^T = inverse covariance; zero leaves a point out
-    amplitude : of the point, over that to which D and H refer
-    when : place in the run, from -1/2 to 1/2; 0 of all where nobody knows it
-    third, third_weight : third harmonic beyond the waveform in phase with distortion, over the amplitude, and the
-        reciprocal of its standard uncertainty, 0 where it is not known
-    """
-
-    rate: Floats
-    beat_rate: Floats
-    angular: Floats
-    ratio: Complexes
-    whitening: Floats
-    amplitude: Floats
-    when: Floats
+    rate: Floats  # deg/s, signed; with reference "beat" only its sign is used
+    beat_rate: Floats  # deg/s, f/K
+    angular: Floats  # rad/s, 2 pi f
+    ratio: Complexes  # rho
+    whitening: Floats  # (B, n, 2, 2) lower factor C with C C^T = inverse covariance; zero leaves a point out
+    amplitude: Floats  # of the point, over that to which D and H refer
+    when: Floats  # place in the run, from -1/2 to 1/2; 0 of all where nobody knows it
+    # third harmonic beyond the waveform in phase with distortion, over the amplitude, and the reciprocal of its
+    # standard uncertainty, 0 where it is not known
     third: Floats
     third_weight: Floats
     reference: Reference
@@ -579,6 +571,7 @@ class ReceiverKnowledge:
     # largest change of the backscatter phase, rad, and of the lock-in rate, relative, during a run
     phase_change_limit: float = math.nan
     lock_in_drift_limit: float = math.nan
+    probe_limit: float = 0.0  # of a probe's compensation, as a share of the gain
 
     @staticmethod
     def of(bench: BenchKnowledge) -> ReceiverKnowledge:
@@ -590,6 +583,7 @@ class ReceiverKnowledge:
             gain_corner=bench.gain,
             phase_change_limit=bench.phase_change_limit,
             lock_in_drift_limit=bench.lock_in_drift_limit,
+            probe_limit=bench.probe_limit,
         )
 
     def prior(self, slowest_beat_hz: float) -> Prior:
@@ -601,7 +595,9 @@ class ReceiverKnowledge:
         second, third = self.second_order_limit, self.third_order_limit
         sd[2] = WEAK * SECOND_ORDER_LIMIT if math.isnan(second) else second / _RECTANGLE
         mean[3], sd[3] = self._gain_time(slowest_beat_hz)
-        sd[4] = self._lag_square_u(slowest_beat_hz)
+        # far below its corner a probe that is off by a share e does what a pole of tau^2 = 2 e tau_probe^2 does
+        by_probe = 2 * self.probe_limit * _time(PROBE_HZ) ** 2 / _RECTANGLE
+        sd[4] = math.hypot(self._lag_square_u(slowest_beat_hz), by_probe)
         sd[5] = (THIRD_ORDER_LIMIT if math.isnan(third) else third) / _RECTANGLE
         phase, drift = self.phase_change_limit, self.lock_in_drift_limit
         sd[PHASES] = (PHASE_CHANGE_LIMIT if math.isnan(phase) else phase) / _RECTANGLE

@@ -65,50 +65,35 @@ class ModelFit:
 
 @dataclass(frozen=True)
 class Alternative:
-    """Another minimum of chi-square, not unlikely enough to be left out.
+    """Another minimum of chi-square, not unlikely enough to be left out."""
 
-    lock_in_rate, lock_in_rate_u, lock_in_rate_low_95, lock_in_rate_high_95 : deg/s, of this minimum alone
-    distortion : D there
-    chi_square : above that of the best
-    """
-
-    lock_in_rate: float
+    lock_in_rate: float  # deg/s, of this minimum alone
     lock_in_rate_u: float
     lock_in_rate_low_95: float
     lock_in_rate_high_95: float
-    distortion: float
-    chi_square: float
+    distortion: float  # D there
+    chi_square: float  # above that of the best
 
 
 @dataclass(frozen=True)
 class WithoutOneRate:
-    """The fit repeated without each rate in turn; arrays of one value a rate.
+    """The fit repeated without each rate in turn; arrays of one value a rate."""
 
-    rate : |W|, deg/s, mean of the records left out
-    lock_in_rate, lock_in_rate_u : deg/s, from the others
-    deviation : from the value of all, in standard uncertainties of that difference
-    p_value : chance that all is well and the rate left out fits the others no better, with as many tests as rates
-    """
-
-    rate: Floats
-    lock_in_rate: Floats
+    rate: Floats  # |W|, deg/s, mean of the records left out
+    lock_in_rate: Floats  # deg/s, from the others
     lock_in_rate_u: Floats
-    deviation: Floats
+    deviation: Floats  # from the value of all, in standard uncertainties of that difference
+    # chance that all is well and the rate left out fits the others no better, with as many tests as rates
     p_value: Floats
 
 
 @dataclass(frozen=True, eq=False)
 class FittedRecords:
-    """The n records of a fit and what it says of each, worked out when asked for: a million take much memory.
+    """The n records of a fit and what it says of each, worked out when asked for: a million take much memory."""
 
-    records : UsedRecords
-    parameters : (1, N_PARAMETERS) of the fit
-    lock_in_rate : deg/s
-    """
-
-    records: UsedRecords = field(repr=False)
-    parameters: Floats
-    lock_in_rate: float
+    records: UsedRecords = field(repr=False)  # UsedRecords
+    parameters: Floats  # (1, N_PARAMETERS) of the fit
+    lock_in_rate: float  # deg/s
 
     @property
     def rate(self) -> Floats:

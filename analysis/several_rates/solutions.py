@@ -12,7 +12,7 @@ import scipy.special
 from analysis.arrays import Floats
 from analysis.lockin_rate import size_interval
 from analysis.several_rates.points import Points
-from analysis.several_rates.ratio_model import N_PARAMETERS, SENSES, Prior, RatioData, RatioFit, profile
+from analysis.several_rates.ratio_model import N_PARAMETERS, PHASES, SENSES, Prior, RatioData, RatioFit, profile
 from analysis.several_rates.result import Alternative
 
 POSSIBLE = 9.0
@@ -36,12 +36,12 @@ def answer(found: RatioFit, widen: float, degrees: int) -> RatesAnswer:
     above = (found.chi_square - found.chi_square[0]) / widen
     possible = found[np.flatnonzero(above <= POSSIBLE)]
     each = [_size(possible[row : row + 1], widen, degrees) for row in range(possible.chi_square.size)]
-    others = tuple(
-        Alternative(*one, float(possible.parameters[row, 2]), float(above[above <= POSSIBLE][row]))
-        for row, one in enumerate(each)
-        if row
-    )
     values, us = (np.array([one[k] for one in each]) for k in (0, 1))
+    # where phases turn there may be several ways to one lock-in rate
+    others = tuple(
+        Alternative(*each[row], float(possible.parameters[row, 2]), float(above[above <= POSSIBLE][row]))
+        for row in np.flatnonzero(np.abs(values - values[0]) > _ANOTHER * us)
+    )
     # By Laplace: the share of the probability under each minimum goes with its height and its volume.
     weights = minimum_volumes(possible) * np.exp(-0.5 * above[above <= POSSIBLE])
     weights = weights / weights.sum()
@@ -66,6 +66,9 @@ def up_to(found: RatioFit, most: float) -> RatioFit:
     """The minima whose lock-in rate is not above `most`, deg/s."""
     return found[np.flatnonzero(np.hypot(found.parameters[:, 0], found.parameters[:, 1]) <= most)]
 
+
+_ANOTHER = 0.5
+"""Standard uncertainties by which another solution differs at least."""
 
 _SAME_RATE, _OTHER_RATE = 0.1, 1.5
 """Shares by which a rate may be off and still be that of its beat, and a factor by which none is off."""
@@ -193,7 +196,11 @@ def _size(fit: RatioFit, widen: float, degrees: int) -> tuple[float, float, floa
     """Value freed of the bias that noise gives to the size of a complex number, its u and 95 % interval."""
     covariance = polar_covariance(fit) * widen
     size = float(np.hypot(*fit.parameters[0, :2]))
-    across = size**2 * float(covariance[1, 1])
+    # a phase that turns makes the angle uncertain, and the size none the larger
+    turns = PHASES.start + np.flatnonzero(np.diagonal(covariance)[PHASES] > 0)
+    shared = covariance[turns, 1:2]
+    by_turns = float(np.vecdot(shared[:, 0], np.linalg.solve(covariance[np.ix_(turns, turns)], shared)[:, 0]))
+    across = size**2 * max(float(covariance[1, 1]) - by_turns, 0.0)
     u = float(np.sqrt(covariance[0, 0]))
     student = float(scipy.special.stdtrit(degrees, 0.975)) / 1.96 if degrees else 1.0
     low, high = size_interval(size / (u * student))

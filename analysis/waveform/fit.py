@@ -68,25 +68,18 @@ FEWEST_SAMPLES = 12
 
 @dataclass(frozen=True)
 class WaveformFit:
-    """Fit of a stack of records.
+    """Fit of a stack of records."""
 
-    series : parameters (volts), phases from the middle of the record; the offset is less the record's mean
-    covariance : (R, 6, 6) for white noise, order c0, Re H, Im H, Re q, Im q, w (rad at the record's ends)
-    excess : (R, 3) variance factors of frequency, ratio size and ratio phase where the noise is not white
-    noise_rms : (R,) volts
-    misfit : (R,) standard uncertainty of the ratio by what is no noise
-    third : (R,) volts, complex: what the waveform leaves at three times the beat, its phase that in the middle of
-        the record; nan where samples are missing or something moved
-    flags : (R,)
-    """
-
+    # parameters (volts), phases from the middle of the record; the offset is less the record's mean
     series: Series
-    covariance: Floats
-    excess: Floats
-    noise_rms: Floats
-    misfit: Floats
+    covariance: Floats  # (R, 6, 6) for white noise, order c0, Re H, Im H, Re q, Im q, w (rad at the record's ends)
+    excess: Floats  # (R, 3) variance factors of frequency, ratio size and ratio phase where the noise is not white
+    noise_rms: Floats  # (R,) volts
+    misfit: Floats  # (R,) standard uncertainty of the ratio by what is no noise
+    # (R,) volts, complex: what the waveform leaves at three times the beat, its phase that in the middle of the
+    # record; nan where samples are missing or something moved
     third: Complexes
-    flags: Ints
+    flags: Ints  # (R,)
 
     def take(self, part: Indices) -> WaveformFit:
         """Some of the records."""

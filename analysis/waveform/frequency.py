@@ -47,15 +47,11 @@ class Spectra:
     """Spectra of centred records.
 
     Single precision: they only start the fits, and eight-bit samples do not fill its 24 bits.
-
-    lines : (R, N//2 + 1) complex64
-    strongest : (R,) bin of the strongest line beside the mean value
-    n_samples : N
     """
 
-    lines: NDArray[np.complex64]
-    strongest: Indices
-    n_samples: int
+    lines: NDArray[np.complex64]  # (R, N//2 + 1) complex64
+    strongest: Indices  # (R,) bin of the strongest line beside the mean value
+    n_samples: int  # N
 
     @staticmethod
     def of(values: Samples) -> Spectra:

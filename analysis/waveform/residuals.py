@@ -175,17 +175,12 @@ GROSS_MISFIT_OF_A_CURVE = 0.002
 
 @dataclass(frozen=True)
 class Residual:
-    """What a series leaves of (R,) records, without the samples themselves.
+    """What a series leaves of (R,) records, without the samples themselves."""
 
-    power, largest : (R,) sum of squares and largest size
-    lines : (R, N//2 + 1) sizes of the lines of its spectrum
-    third : (R,) complex amplitude at three times the beat, its phase that in the middle of the record
-    """
-
-    power: Floats
+    power: Floats  # (R,) sum of squares and largest size
     largest: Samples
-    lines: Sizes
-    third: Complexes
+    lines: Sizes  # (R, N//2 + 1) sizes of the lines of its spectrum
+    third: Complexes  # (R,) complex amplitude at three times the beat, its phase that in the middle of the record
 
     @staticmethod
     def of(samples: Samples, omega: Floats) -> Residual:
@@ -427,14 +422,10 @@ def _local_level(sizes: Sizes, omega: Floats, n_samples: int, most: int = NEIGHB
 
 @dataclass(frozen=True)
 class Masks:
-    """Masks of (R,) records.
+    """Masks of (R,) records."""
 
-    place : (R,) of a record in `known`, -1 where all its samples count
-    known : (M, N) 1 where a sample counts, 0 where it is left out; in the precision of the samples
-    """
-
-    place: Indices
-    known: Samples
+    place: Indices  # (R,) of a record in `known`, -1 where all its samples count
+    known: Samples  # (M, N) 1 where a sample counts, 0 where it is left out; in the precision of the samples
 
     @staticmethod
     def of(values: Samples, weights: Samples | None) -> Masks:

@@ -189,16 +189,11 @@ so they must be small indeed."""
 
 @dataclass(frozen=True)
 class SeriesSums:
-    """Sums over the samples of (R,) records, of which the normal equations are made.
+    """Sums over the samples of (R,) records, of which the normal equations are made."""
 
-    counts : (R, 3) of t^p
-    of_g : (R, 3, 4) of t^p g^j, j = 1..4
-    of_data : (R, 2, 2) of v t^p g^j, j = 1, 2
-    """
-
-    counts: Floats
-    of_g: Phasors
-    of_data: Phasors
+    counts: Floats  # (R, 3) of t^p
+    of_g: Phasors  # (R, 3, 4) of t^p g^j, j = 1..4
+    of_data: Phasors  # (R, 2, 2) of v t^p g^j, j = 1, 2
 
     @staticmethod
     def zeros(n_records: int) -> SeriesSums:

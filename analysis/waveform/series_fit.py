@@ -204,15 +204,11 @@ ROUNDING = {np.dtype(np.float32): 3e-6, np.dtype(np.float64): 1e-12}
 
 @dataclass(frozen=True)
 class Task:
-    """Records to fit.
+    """Records to fit."""
 
-    values : (R, N) centred, 0 where missing; weights : (R, N) or None, of the same precision
-    power, total : (R,) sums of squares, and of the samples
-    """
-
-    values: Samples
+    values: Samples  # (R, N) centred, 0 where missing; weights : (R, N) or None, of the same precision
     weights: Samples | None
-    power: Floats
+    power: Floats  # (R,) sums of squares, and of the samples
     total: Floats
 
     @staticmethod
@@ -344,16 +340,13 @@ def levenberg_marquardt(task: Task, start: Series) -> SeriesFit:
 
 @dataclass(frozen=True)
 class RecordSums:
-    """What a fit needs to know of the records at one frequency each.
+    """What a fit needs to know of the records at one frequency each."""
 
-    data : (R, 2, 2K+1) two-sided sums of v and v t;  power : (R,) sum of v^2;  count : (R,) valid samples;
-    gram : three (R, 2K+1, 2K+1) Toeplitz matrices of t^0, t^1 and t^2.
-    """
-
+    # (R, 2, 2K+1) two-sided sums of v and v t;  power : (R,) sum of v^2;  count : (R,) valid samples;
     data: Complexes
     power: Floats
     count: Floats
-    gram: tuple[Complexes, Complexes, Complexes]
+    gram: tuple[Complexes, Complexes, Complexes]  # three (R, 2K+1, 2K+1) Toeplitz matrices of t^0, t^1 and t^2.
 
 
 def record_sums(volts: Floats, omega: Floats, n_harmonics: int, weights: Floats | None) -> RecordSums:

@@ -42,14 +42,10 @@ LOCKED_AT_MOST = 50.0
 
 @dataclass(frozen=True)
 class TrajectorySteps:
-    """What each of (N - 1,) steps does.
+    """What each of (N - 1,) steps does."""
 
-    advance : rad, phase gained
-    by_phase, by_rate, by_sine, by_cosine : derivatives of the phase at its end by that at its start, by a, s and c
-    """
-
-    advance: Floats
-    by_phase: Floats
+    advance: Floats  # rad, phase gained
+    by_phase: Floats  # derivatives of the phase at its end by that at its start, by a, s and c
     by_rate: Floats
     by_sine: Floats
     by_cosine: Floats
@@ -124,20 +120,16 @@ RIDGE = 1e-12
 
 @dataclass(frozen=True)
 class Terms:
-    """How many terms rate, amplitude and offset have, polynomials unless said otherwise.
-
-    step : first sample behind a step of the offset, which is then one term more
-    jump : number of the step from sample to sample in which the rate jumps; its last two terms are then the jump,
-        and what it does in that step
-    stretched : whether s and c jump with it, as where the time base does
-    """
+    """How many terms rate, amplitude and offset have, polynomials unless said otherwise."""
 
     rate: int
     amplitude: int
     offset: int
-    step: int | None = None
+    step: int | None = None  # first sample behind a step of the offset, which is then one term more
+    # number of the step from sample to sample in which the rate jumps; its last two terms are then the jump, and
+    # what it does in that step
     jump: int | None = None
-    stretched: bool = False
+    stretched: bool = False  # whether s and c jump with it, as where the time base does
 
     @property
     def count(self) -> int:
@@ -194,26 +186,17 @@ def rate_columns(n_samples: int, terms: Terms) -> tuple[Floats, Floats]:
 
 @dataclass(frozen=True)
 class Fitted:
-    """A trajectory with what is known of it at the minimum.
-
-    cost : the sum that was minimised, in squared units of the samples
-    degrees : samples less parameters
-    normal : (P, P) normal matrix of the parameters, phases eliminated
-    evidence : -2 log of the restricted likelihood, without a constant, its noise at its best
-    left : (N,) residuals of the samples
-    moved : (N - 1,) rad, residuals of the steps: what moves the phase beside the equation
-    converged : whether the last step gained next to nothing
-    """
+    """A trajectory with what is known of it at the minimum."""
 
     trajectory: Trajectory
     looseness: float
-    cost: float
-    degrees: float
-    normal: Floats
-    evidence: float
-    left: Floats
-    moved: Floats
-    converged: bool
+    cost: float  # the sum that was minimised, in squared units of the samples
+    degrees: float  # samples less parameters
+    normal: Floats  # (P, P) normal matrix of the parameters, phases eliminated
+    evidence: float  # -2 log of the restricted likelihood, without a constant, its noise at its best
+    left: Floats  # (N,) residuals of the samples
+    moved: Floats  # (N - 1,) rad, residuals of the steps: what moves the phase beside the equation
+    converged: bool  # whether the last step gained next to nothing
 
     @property
     def variance(self) -> float:
@@ -549,15 +532,11 @@ HIGHEST = 260
 
 @dataclass(frozen=True)
 class Polynomials:
-    """P_0 .. P_HIGHEST on the samples; time runs from -1 to 1 over the record.
+    """P_0 .. P_HIGHEST on the samples; time runs from -1 to 1 over the record."""
 
-    values, integrals : (HIGHEST + 1, N) P_j, and its integral over the samples
-    means : (HIGHEST + 1, N - 1) mean of P_j between neighbouring samples
-    """
-
-    values: Floats
+    values: Floats  # (HIGHEST + 1, N) P_j, and its integral over the samples
     integrals: Floats
-    means: Floats
+    means: Floats  # (HIGHEST + 1, N - 1) mean of P_j between neighbouring samples
 
 
 @lru_cache(maxsize=4)

@@ -72,36 +72,25 @@ WEAKEST = 0.3
 
 @dataclass(frozen=True)
 class MovingFit:
-    """One record, and the beat that a gyro at its mean rate would have shown.
+    """One record, and the beat that a gyro at its mean rate would have shown."""
 
-    offset, first, ratio, omega : c0, H, q and w of that beat, phases from the middle of the record, w in rad per
-        sample
-    covariance : (6, 6) in the order c0, Re H, Im H, Re q, Im q, w (rad at the record's ends)
-    variance : of the noise of a sample
-    degrees : samples less parameters
-    left : (N,) residual
-    flags : what moved
-    walk : rad, rms, by which noise of the rate moved the phase over the record; 0 where there is none
-    vibrates : whether that noise holds a line, which no noise has, or has taken up all there is
-    drift, drift_chance : change of the size of the ratio from the middle of the record to its end if the lock-in
-        rate drifted, and the share of records in which noise alone shows so much
-    stepped_u : standard uncertainty of the size of the ratio where the rate stepped, because the time base may
-        have stepped instead
-    """
-
-    offset: float
+    offset: float  # c0, H, q and w of that beat, phases from the middle of the record, w in rad per sample
     first: complex
     ratio: complex
     omega: float
-    covariance: Floats
-    variance: float
-    degrees: float
-    left: Floats
-    flags: int
-    walk: float
-    vibrates: bool
+    covariance: Floats  # (6, 6) in the order c0, Re H, Im H, Re q, Im q, w (rad at the record's ends)
+    variance: float  # of the noise of a sample
+    degrees: float  # samples less parameters
+    left: Floats  # (N,) residual
+    flags: int  # what moved
+    walk: float  # rad, rms, by which noise of the rate moved the phase over the record; 0 where there is none
+    vibrates: bool  # whether that noise holds a line, which no noise has, or has taken up all there is
+    # change of the size of the ratio from the middle of the record to its end if the lock-in rate drifted, and the
+    # share of records in which noise alone shows so much
     drift: float
     drift_chance: float
+    # standard uncertainty of the size of the ratio where the rate stepped, because the time base may have stepped
+    # instead
     stepped_u: float
 
 
@@ -453,17 +442,13 @@ NOT_APART = 1e-9
 
 @dataclass(frozen=True)
 class FirstPhase:
-    """phase (N,) rad; amplitude, offset (N,) as low polynomials of time, the offset with its step.
-
-    trusted : (N,) samples at which the step, if there is one, leaves no doubt about the phase
-    step : number of the first sample behind a step of the offset, or None
-    """
+    """phase (N,) rad; amplitude, offset (N,) as low polynomials of time, the offset with its step."""
 
     phase: Floats
     amplitude: Floats
     offset: Floats
-    trusted: Bools
-    step: int | None
+    trusted: Bools  # (N,) samples at which the step, if there is one, leaves no doubt about the phase
+    step: int | None  # number of the first sample behind a step of the offset, or None
 
 
 def first_phase(values: Floats, mask: Floats) -> FirstPhase | None:

@@ -81,8 +81,8 @@ class Scenario:
         rng, made = np.random.default_rng(1), []
         visits, records = self.rates, self.records
         if any(again for _, again in run_order(visits)):
-            down = [rate for rate, again in run_order(visits) if not again]
-            visits, records = (*down, *down[::-1]), records // 2
+            once = [rate for rate, again in run_order(visits) if not again]
+            visits, records = (*once, *once[::-1]), records // 2
         for _ in range(trials):
             phase = rng.uniform(0, 2 * np.pi)
             sizes = {

@@ -211,13 +211,7 @@ class FrameFormat:
         return next((entry for entry in self.fields if entry.cycle), None)
 
     def output_of(self, axis: str = "") -> str:
-        """Column with the output of an axis; of a gyro with one output that one, whatever its axis is called.
-
-        Raises
-        ------
-        SettingError
-            The frames hold no output of this axis.
-        """
+        """Column with the output of an axis; of a gyro with one output that one, whatever its axis is called."""
         if len(self.outputs) == 1:
             return self.outputs[0]
         name = f"{COUNTS}_{axis.lower()}" if axis else self.outputs[0]
@@ -297,20 +291,7 @@ _LEAST_EVIDENCE = 5  # bits of a frame without a header that are not free: fewer
 
 
 def parse_frame_format(entries: Mapping[str, object], where: str = "") -> FrameFormat:
-    """Read the description of a gyro's frames.
-
-    Parameters
-    ----------
-    entries : mapping
-        As a TOML reader gives it.
-    where : str
-        Name of that table in its file, for error texts.
-
-    Raises
-    ------
-    FrameFormatError
-        In one sentence: which entry, what is wrong, what is right.
-    """
+    """Read the description of a gyro's frames."""
     table = Description(entries, where)
     kind = table.choice("kind", ("ascii", "binary"))
     binary = kind == "binary"

@@ -254,24 +254,7 @@ class FibreGyroLink:
     # ------------------------------------------------------------------ commands
 
     def inject(self, step_codes: float) -> float:
-        """Inject a staircase.
-
-        Parameters
-        ----------
-        step_codes : float
-            Height of a step per transit time in codes of the modulator's converter.
-
-        Returns
-        -------
-        float
-            The step that was sent: `step_codes` rounded to what the format can express.
-
-        Raises
-        ------
-        SettingError
-            If the step is beyond the converter or the format, or the gyro has no such command.
-        CommandRefused, NoAcknowledgement, LinkError
-        """
+        """Inject a staircase."""
         lowest, highest = self.layout.step_range
         if not lowest <= step_codes <= highest:
             raise SettingError(

@@ -104,21 +104,7 @@ class GyroLog:
 
 
 def read_log(path: str | os.PathLike[str], choices: LogChoices | None = None) -> GyroLog:
-    """Read a log.
-
-    Parameters
-    ----------
-    path : path-like
-        Columns are separated by a comma, semicolon, tab or spaces; lines that begin with ``#``, ``%``, ``!`` or
-        ``//``, empty lines and text above the numbers are passed over.
-
-    Raises
-    ------
-    FileFormatError
-        Names the file, the line and what is wrong there.
-    OSError
-        If it cannot be read.
-    """
+    """Read a log."""
     file = Path(path)
     try:
         with open_plain_file(file) as stream:
@@ -139,27 +125,7 @@ def read_gyro_log(
     axis: str = "",
     counts_per_dps: float | None = None,
 ) -> Recording:
-    """Read a log of one gyro, or one axis of it, as a recording.
-
-    Parameters
-    ----------
-    columns, time_unit, interval_s, units
-        As in `LogChoices`.
-    axis, counts_per_dps
-        As in `GyroLog.recording`.
-
-    Returns
-    -------
-    Recording
-        `times` begin at 0 with the first row.
-
-    Raises
-    ------
-    FileFormatError
-        Names the file, the line and what is wrong there.
-    OSError
-        If it cannot be read.
-    """
+    """Read a log of one gyro, or one axis of it, as a recording."""
     log = read_log(path, LogChoices(columns, time_unit or "", units or "", interval_s))
     try:
         return log.recording(axis, counts_per_dps=counts_per_dps)

@@ -61,15 +61,7 @@ class SimulatedTDS2014(ScopeState):
         return command_set(self.model)[1]
 
     def execute(self, message: bytes, *, stream: bool = False) -> Iterator[bytes | None]:
-        """Carry out one program message; `stream` tells that it came without a message end.
-
-        Yields
-        ------
-        None
-            As often as the instrument has to wait; go on when the clock has moved.
-        bytes
-            At the end, the answer without terminator, if there is one.
-        """
+        """Carry out one program message; `stream` tells that it came without a message end."""
         self.clock.sleep(self.message_time)
         self.message_clock.hold()  # a busy computer makes no difference to what happens within a message
         try:

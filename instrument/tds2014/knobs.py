@@ -479,13 +479,7 @@ class Screen:
 
 
 def png_from_bmp(bmp: bytes) -> bytes:
-    """Turn an uncompressed BMP file of 1, 4, 8 or 24 bits a pixel into a PNG file of the same pixels.
-
-    Raises
-    ------
-    TransferError
-        If it is not such a file, or is cut.
-    """
+    """Turn an uncompressed BMP file of 1, 4, 8 or 24 bits a pixel into a PNG file of the same pixels."""
     try:
         width, bits, compression = struct.unpack_from("<18xi4x2xHI16x", bmp)
     except struct.error:

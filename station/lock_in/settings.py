@@ -16,7 +16,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Discriminator, Field, Tag
 
-from analysis.budget import FRONT_END_LIMIT, LATITUDE_LIMIT_DEG, BenchKnowledge, ResponseCorner
+from analysis.budget import FRONT_END_LIMIT, LATITUDE_LIMIT_DEG, PROBE_LIMIT, BenchKnowledge, ResponseCorner
 from analysis.channel import ChannelResponse
 from analysis.lock_in_run import Method, RunKnowledge
 from station.controllers import ControllersSettings, with_controllers
@@ -351,6 +351,7 @@ def bench_knowledge(settings: Settings) -> BenchKnowledge:
         bandwidth=bandwidth,
         high_pass=coupling,
         gain=ResponseCorner(stated.gain_corner_hz or math.nan),
+        probe_limit=PROBE_LIMIT if scope.probe > 1 and math.isnan(measured) else 0.0,
         response_u=measured,
     )
 

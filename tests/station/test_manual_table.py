@@ -108,7 +108,7 @@ def test_by_default_the_operator_is_asked_for_five_rates_in_both_senses(tmp_path
     cosine = math.cos(math.radians(88.693))
     vertical = 15.041 / 3600 * math.sin(math.radians(28.2)) * cosine
     over_lock_in = [(one * cosine + vertical) / 0.01 for one in led.asked[2:]]
-    assert over_lock_in == pytest.approx([30, 17, 9.5, 5.3, 3, -30, -17, -9.5, -5.3, -3], rel=0.01)
+    assert over_lock_in == pytest.approx([30, 17, 9.5, 5.3, 3, -3, -5.3, -9.5, -17, -30], rel=0.01)
     assert led.run.results is not None
     result = led.run.results
     assert result["lock_in_rate_low_95_dps"] < 0.01 < result["lock_in_rate_high_95_dps"]

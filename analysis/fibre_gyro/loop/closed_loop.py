@@ -162,15 +162,7 @@ class ClosedLoop:
         injected_step: float = 0.0,
         closed: bool | None = None,
     ) -> LoopTrace:
-        """Signals of the first gyro at every transit time, for a plot; the gyro goes on as in :meth:`run`.
-
-        Parameters
-        ----------
-        n_samples : int
-            Made even: samples come in pairs.
-        rate_dps, injected_step, closed
-            As in :meth:`run`, constant.
-        """
+        """Signals of the first gyro at every transit time, for a plot; the gyro goes on as in :meth:`run`."""
         chunk = _Chunk(np.zeros(1, dtype=np.intp), np.array([(n_samples + 1) // 2]))
         steps = self.design.injected_units(np.full((self.runs, 1), float(injected_step)))
         first = self._clock.pairs

@@ -135,13 +135,7 @@ class LoopDesign:
         return 2.0 ** (self.adc_bits - 1)
 
     def injected_units(self, steps: ArrayLike) -> Ints:
-        """Injected steps, given in codes, in whole units of 2^-fractional_bits codes.
-
-        Raises
-        ------
-        ValueError
-            A step beyond half of the converter's range.
-        """
+        """Injected steps, given in codes, in whole units of 2^-fractional_bits codes."""
         codes = np.asarray(steps, dtype=np.float64)
         beyond = codes[~(np.abs(codes) <= self.largest_step)]
         if beyond.size:
@@ -152,12 +146,7 @@ class LoopDesign:
         return np.rint(codes * 2.0**self.fractional_bits).astype(np.int64)
 
     def converter_phase(self) -> Floats:
-        """Modulator phase of every code in turns, without the 2 pi error; the bias reaches up to 5/4 of the range.
-
-        Returns
-        -------
-        ndarray, shape (codes * 3/2,)
-        """
+        """Modulator phase of every code, turns, without the 2 pi error; the bias reaches to 5/4 of the range."""
         code = np.arange(self.codes + self.codes // 2)
         x = code / self.codes - 0.5
         bow = (self.inl_quadratic + self.inl_cubic * x) * (x * x - 0.25)

@@ -422,7 +422,7 @@ def mains_flags(beat: Beat, others: Ints, mains_hz: float | None) -> Ints:
     Where nobody stated the mains the second is told of records only that show something beside the beat.
     """
     flags = np.zeros(beat.size.shape, dtype=np.int64)
-    spoiled = (others & int(Flag.MISFIT | Flag.COLOURED_NOISE)) != 0
+    spoiled = (others & int(Flag.MISFIT)) != 0
     for mains in MAINS_HZ if mains_hz is None else (mains_hz,):
         order = np.rint(beat.frequency / mains)
         hums = np.abs(beat.frequency - order * mains) < MAINS_WANDERS * beat.frequency

@@ -64,12 +64,21 @@ def conduct(
         return _Conducting(plan, progress, operator, note, before, kept).conduct()
 
 
+def _as_now(step: PlannedStep) -> PlannedStep:
+    """A step of an earlier version, with the settings that this one has beside its own."""
+    try:
+        settings = measurement(step.measurement).kind.model.model_validate(dict(step.settings))
+    except ValueError:
+        return step
+    return replace(step, settings=settings.model_dump(mode="json"))
+
+
 def to_go_on_with(directory: Path, plan: CampaignPlan) -> Written:
     """Return what a test holds that is to be gone on with by this plan."""
     before = read_journal(directory)
     if before.plan.unit != plan.unit:
         raise UsageError(f"{directory}: is a test of {before.plan.unit}, not of {plan.unit}")
-    if before.plan.steps != plan.steps:
+    if tuple(map(_as_now, before.plan.steps)) != plan.steps:
         raise UsageError(
             f"{directory}: cannot be gone on with: {plan.file} has other steps, settings or limits now; "
             f"{directory / 'campaign.toml'} is the campaign that it was begun with"

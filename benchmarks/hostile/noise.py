@@ -34,6 +34,17 @@ def nothing(rng: np.random.Generator) -> HostileRecord:
     return recorded(rng, gyro, beat(gyro, steady(gyro)))
 
 
+def shot(rng: np.random.Generator) -> HostileRecord:
+    """Photons: the noise goes with the root of the light, and the beat takes up to 99 % of it."""
+    gyro = draw_gyro(rng)
+    wave = levels_of(gyro, beat(gyro, steady(gyro)))
+    swing = float(np.ptp(wave)) / 2
+    mean = swing / rng.uniform(0.3, 0.99)
+    per_level = mean / gyro.noise**2 / 2
+    photons = rng.poisson(np.maximum(mean + wave - (wave.max() + wave.min()) / 2, 0.0) * per_level)
+    return record_of(gyro, converted(photons / per_level - mean))
+
+
 def coloured(rng: np.random.Generator) -> HostileRecord:
     """Noise with a memory of some samples, which the estimator allows for."""
     gyro = draw_gyro(rng)
@@ -92,6 +103,7 @@ def telegraph(rng: np.random.Generator) -> HostileRecord:
 CLASSES = (
     RecordClass("nothing is wrong", "ideal", nothing),
     RecordClass("coloured noise", "ideal", coloured),
+    RecordClass("shot noise", "ideal", shot),
     RecordClass("1/f noise", "detect", pink),
     RecordClass("spike train", "detect", spike_train),
     RecordClass("mains hum", "detect", mains_hum),

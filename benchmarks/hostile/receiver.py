@@ -73,6 +73,23 @@ def stuck_bit(rng: np.random.Generator) -> HostileRecord:
     return _through(rng, converter)
 
 
+def uneven_thresholds(rng: np.random.Generator) -> HostileRecord:
+    """Every threshold of the converter is off by itself, by up to 0.3 levels rms."""
+    off = rng.uniform(0.05, 0.3) * rng.normal(size=2 * LAST_CODE + 1)
+    return _through(rng, lambda levels: _by_thresholds(levels, off))
+
+
+def uneven_widths(rng: np.random.Generator) -> HostileRecord:
+    """Every code is too wide or too narrow, by up to 0.3 levels rms (DNL): the errors of its thresholds add up."""
+    off = np.cumsum(rng.uniform(0.05, 0.3) * rng.normal(size=2 * LAST_CODE + 1))
+    return _through(rng, lambda levels: _by_thresholds(levels, off - np.linspace(off[0], off[-1], off.size)))
+
+
+def _by_thresholds(levels: Floats, off: Floats) -> Floats:
+    thresholds = np.sort(np.arange(-LAST_CODE, LAST_CODE + 1) - 0.5 + off)
+    return np.searchsorted(thresholds, levels) - LAST_CODE - 1.0
+
+
 def step_in_the_codes(rng: np.random.Generator) -> HostileRecord:
     """A major carry is wrong: above some code all codes are 1 to 12 too high, or too low."""
     at, step = rng.uniform(-60, 60), rng.integers(1, 13) * rng.choice([-1, 1])
@@ -144,6 +161,8 @@ def aliased(rng: np.random.Generator) -> HostileRecord:
 
 CLASSES = (
     RecordClass("missing codes", "detect", missing_codes),
+    RecordClass("uneven thresholds", "detect", uneven_thresholds),
+    RecordClass("uneven widths of codes", "detect", uneven_widths),
     RecordClass("stuck bit", "detect", stuck_bit),
     RecordClass("step in the codes", "detect", step_in_the_codes),
     RecordClass("soft clipping", "detect", soft_clipping),

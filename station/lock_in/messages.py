@@ -452,6 +452,12 @@ _WAYS = {
 }
 
 
+ALIAS = (
+    "Nothing here tells the beat from an alias of one above half the sampling rate: give the rate, or compare with "
+    "a record at a faster time base."
+)
+
+
 def table_sentences(found: LockInEvaluation) -> list[str]:
     """Say whether beat, harmonics and table fit together, and whether anything tests the scale factor."""
     check = found.table_check

@@ -10,6 +10,7 @@ from analysis.budget import Budget
 from analysis.lock_in_run import SeveralRates
 from station.lock_in.evaluate import LockInEvaluation
 from station.lock_in.messages import (
+    ALIAS,
     beat_over_table_words,
     by_table_words,
     describe_frequencies,
@@ -51,6 +52,9 @@ def result(found: LockInEvaluation, run: SavedRun | None = None, settings: Setti
     document = _document(found)
     budget = [] if found.budget is None else budget_sentences(found.budget)
     tables: tuple[TextTable, ...] = ()
+    # of a run the autoset has looked at faster time bases
+    alone = run is None and found.usable and found.several is None and found.table_check is None
+    alias = (ALIAS,) if alone and found.method.input_rate is None else ()
     if found.several is not None:
         tables = (rates_table(found.several),)
     elif len(found.names) > 1:
@@ -62,7 +66,13 @@ def result(found: LockInEvaluation, run: SavedRun | None = None, settings: Setti
         quantities=QUANTITIES,
         lines=tuple(_lines(found)),
         summary=_summary(found),
-        sentences=(*rates_sentences(found), *table_sentences(found), *quadrature_sentences(found), *budget),
+        sentences=(
+            *rates_sentences(found),
+            *table_sentences(found),
+            *quadrature_sentences(found),
+            *alias,
+            *budget,
+        ),
         to_watch=tuple(flag_sentences(found)),
         flags=tuple(found.flags),
         tables=tables,

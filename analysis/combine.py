@@ -286,10 +286,8 @@ def _interval(size: float, rate_u: float, stretch: float) -> tuple[float, float]
 
 
 def _mean_ratio(used: LockInEstimate, weights: Floats) -> tuple[Floats, Floats, Complexes, Floats]:
-    """Coherent mean of rho: its size freed of bias, uncertainty of the size, the mean and its covariance.
-
-    Where both senses are there, records of the negative one count with the value that the positive would give.
-    """
+    """Coherent mean of rho: its size freed of bias, uncertainty of the size, the mean and its covariance."""
+    # Where both senses are there, records of the negative one count with the value that the positive would give.
     rate = used.input_rate
     mixed = used.rate_given and bool((rate < 0).any() and not (rate < 0).all())
     mean, covariance = 0j, np.zeros((2, 2))

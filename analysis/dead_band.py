@@ -78,10 +78,8 @@ def rounded_pulse_rate(
 
 
 def _slip_rate(drive: Floats, lock: Floats) -> Floats:
-    """<d(phi)/dt>/D for a/D and b/D (R,), by the continued fraction of the stationary density's harmonics.
-
-    With p_n = <exp(-i n phi)> the density obeys (n + i a/D) p_n = (b/2D)(p_(n-1) - p_(n+1)).
-    """
+    """<d(phi)/dt>/D for a/D and b/D (R,), by the continued fraction of the stationary density's harmonics."""
+    # With p_n = <exp(-i n phi)> the density obeys (n + i a/D) p_n = (b/2D)(p_(n-1) - p_(n+1)).
     orders = int(60 + 12 * np.sqrt(np.max(lock, initial=0.0)))
     ratio, half, turning = np.zeros(drive.shape, dtype=np.complex128), lock / 2, 1j * drive
     for n in range(orders, 0, -1):
@@ -229,10 +227,8 @@ class Corner:
 
 
 def fit_whole_corner(swept: Sweep, start: float) -> Corner:
-    """Fit the steps below three times the lock-in rate `start`, deg/s; all nan where they are too few.
-
-    Drift and hysteresis are fitted where the steps go both ways.
-    """
+    """Fit the steps below three times the lock-in rate `start`, deg/s; all nan where they are too few."""
+    # Drift and hysteresis are fitted where the steps go both ways.
     from scipy.optimize import least_squares  # costs more to import than all else here
 
     near = np.abs(swept.rates) < _NEAR * start
@@ -285,14 +281,11 @@ def fit_whole_corner(swept: Sweep, start: float) -> Corner:
 
 
 def _known_from_few(weights: Floats, spread: Floats) -> Floats:
-    """Standard uncertainties of parameters (P,), made of steps (n,) by `weights` (P, n).
-
-    `spread` : (n,) variances of the steps.
-
-    Each of these is that of a single residual, and where slips are strong few steps at the corner count. The sum
-    of their shares then has few degrees of freedom (Satterthwaite; the square of a squared residual is three times
-    that of its mean): the uncertainty is enlarged to what Student's distribution asks for.
-    """
+    """Standard uncertainties of parameters (P,), made of steps (n,) by `weights` (P, n)."""
+    # `spread` : (n,) variances of the steps.
+    # Each of these is that of a single residual, and where slips are strong few steps at the corner count. The sum
+    # of their shares then has few degrees of freedom (Satterthwaite; the square of a squared residual is three
+    # times that of its mean): the uncertainty is enlarged to what Student's distribution asks for.
     shares = weights**2 * spread
     total = shares.sum(axis=1)
     squares = np.maximum(np.sum(shares**2, axis=1), 1e-300)
@@ -579,10 +572,8 @@ def _slips_u(swept: Sweep, corner: Corner) -> Floats:
 
 
 def _shared(edges: Floats, us: Floats) -> float:
-    """Standard uncertainty of the mean of two edges in one sense, or of one.
-
-    Where they lie apart, the true one is where both gaps overlap, or else the gaps are two: independent.
-    """
+    """Standard uncertainty of the mean of two edges in one sense, or of one."""
+    # Where they lie apart, the true one is where both gaps overlap, or else the gaps are two: independent.
     if edges.size < 2:
         return _mean(us)
     apart = abs(float(edges[0] - edges[1])) / 2 / np.sqrt(3)

@@ -104,10 +104,8 @@ def _detected(n: Floats, d: Floats, amplitude: Floats, turn: Floats) -> Floats:
 
 
 def _half_angle_propagator(t: Floats, a: Floats, b: Floats) -> tuple[Floats, Floats]:
-    """Coefficients of I and of M in exp(M t), up to a common positive factor; a = pi K W, b = pi K WL.
-
-    The common factor cancels in N/D. Dividing by cosh keeps a locked gyro finite for any time.
-    """
+    """Coefficients of I and of M in exp(M t), up to a common positive factor; a = pi K W, b = pi K WL."""
+    # The common factor cancels in N/D. Dividing by cosh keeps a locked gyro finite for any time.
     square = (a - b) * (a + b)
     root = np.sqrt(np.abs(square))
     angle = root * t
@@ -162,10 +160,8 @@ def rate_varying_beat(
 
 
 def _chained(even: Floats, down: Floats, up: Floats, n0: Floats, d0: Floats) -> tuple[Floats, Floats]:
-    """(N, D) after each of a chain of steps [[even - down, up], [-up, even + down]], and before the first.
-
-    The chain is cut into runs. All runs are multiplied out at the same time, step by step; then they are joined.
-    """
+    """(N, D) after each of a chain of steps [[even - down, up], [-up, even + down]], and before the first."""
+    # The chain is cut into runs. All runs are multiplied out at the same time, step by step; then they are joined.
     n_steps = up.shape[-1]
     length = math.isqrt(max(n_steps - 1, 0)) + 1
     products = _products_in_runs(even, down, up, length)

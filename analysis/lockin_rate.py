@@ -379,11 +379,9 @@ class Beat:
 
 
 def _jacobian(first: Complexes, q: Complexes, hertz: float) -> Floats:
-    """Derivatives (R, 3, 6) of frequency and of the ratio along and across its direction by the fit's parameters.
-
-    The part across is that of rho = q exp(-i arg H), so the phase of H enters it; the size of the ratio does not
-    know H.
-    """
+    """Derivatives (R, 3, 6) of frequency, and of the ratio along and across its direction, by the parameters."""
+    # The part across is that of rho = q exp(-i arg H), so the phase of H enters it; the size of the ratio does not
+    # know H.
     size = np.abs(q)
     unit = np.where(size > 0, q / np.where(size > 0, size, 1.0), 1.0)
     jacobian = np.zeros((q.size, 3, 6))
@@ -417,10 +415,8 @@ def beat_flags(beat: Beat, fit_flags: Ints, n_samples: int) -> Ints:
 
 
 def mains_flags(beat: Beat, others: Ints, mains_hz: float | None) -> Ints:
-    """Where a beat (R,) may be hum, and where hum may stand on its second harmonic; with its other flags (R,).
-
-    Where nobody stated the mains the second is told of records only that show something beside the beat.
-    """
+    """Where a beat (R,) may be hum, and where hum may stand on its second harmonic; with its other flags (R,)."""
+    # Where nobody stated the mains the second is told of records only that show something beside the beat.
     flags = np.zeros(beat.size.shape, dtype=np.int64)
     spoiled = (others & int(Flag.MISFIT)) != 0
     for mains in MAINS_HZ if mains_hz is None else (mains_hz,):
@@ -494,10 +490,8 @@ def rate_of_ratio(
 
 
 def _variance_along(x: Floats, y: Floats, covariance: Floats) -> Floats:
-    """Variance (...) of x a + y b, from the covariance (..., 2, 2) of a and b.
-
-    Written out: the order in which `einsum` adds depends on how many records there are.
-    """
+    """Variance (...) of x a + y b, from the covariance (..., 2, 2) of a and b."""
+    # Written out: the order in which `einsum` adds depends on how many records there are.
     both = covariance[..., 0, 1] + covariance[..., 1, 0]
     return np.asarray(x * x * covariance[..., 0, 0] + x * y * both + y * y * covariance[..., 1, 1])
 

@@ -40,10 +40,8 @@ class OscilloscopeSteps:
     levels_per_division: int = 25
 
     def time_base(self, frequency: float, periods_min: float, samples_per_period_min: float) -> float:
-        """The fastest step that holds so many periods of the beat, s/div.
-
-        Where that would leave too few samples in a period it is the slowest step that leaves enough.
-        """
+        """The fastest step that holds so many periods of the beat, s/div."""
+        # Where that would leave too few samples in a period it is the slowest step that leaves enough.
         slowest = self.samples / (self.divisions * frequency * samples_per_period_min)
         sampled = [base for base in self.time_bases if base <= slowest * (1 + 1e-9)] or [self.time_bases[0]]
         enough = periods_min / (self.divisions * frequency)
@@ -185,11 +183,9 @@ class Plan:
 
 
 def plan_measurement(request: PlanRequest) -> Plan:
-    """Plan a measurement.
-
-    Without rates in the request the rate is the one that needs the fewest records, or, where no number of them
-    is enough, the one with the smallest uncertainty that remains.
-    """
+    """Plan a measurement."""
+    # Without rates in the request the rate is the one that needs the fewest records, or, where no number of them
+    # is enough, the one with the smallest uncertainty that remains.
     chosen = request.rates_over_lock_in or (_best_rate(request),)
     return _planned(request, chosen)
 
@@ -363,11 +359,9 @@ def expected_joint_u(
     receiver: ReceiverKnowledge | None = None,
     all_else_known: bool = False,
 ) -> float:
-    """Standard uncertainty of the lock-in rate that all rates give together, deg/s: that of `fit_rates`.
-
-    It counts the noise of the records, and what they do not tell of distortion, bandwidth and gain corner. Few
-    rates in one sense may have a second solution; then it is that of both together.
-    """
+    """Standard uncertainty of the lock-in rate that all rates give together, deg/s: that of `fit_rates`."""
+    # It counts the noise of the records, and what they do not tell of distortion, bandwidth and gain corner. Few
+    # rates in one sense may have a second solution; then it is that of both together.
     phases = np.array([phase]) if np.isfinite(phase) else np.arange(_PHASES) * (2 * np.pi / _PHASES)
     given = np.asarray(input_rates, dtype=np.float64)
     if np.unique(given).size < 2:

@@ -166,10 +166,8 @@ def _mean_frequency(sine: LockInEstimate, cosine: LockInEstimate) -> tuple[Float
 
 
 def _lines_at(volts: NDArray[np.generic], omega: Floats) -> Complexes:
-    """Complex amplitudes (R, HARMONICS) by least squares at a known frequency; phases from the middle.
-
-    More harmonics are fitted than are wanted: in a short record those left out would leak into the others.
-    """
+    """Complex amplitudes (R, HARMONICS) by least squares at a known frequency; phases from the middle."""
+    # More harmonics are fitted than are wanted: in a short record those left out would leak into the others.
     values = np.asarray(volts, dtype=np.float64).reshape(-1, volts.shape[-1])
     lines = np.full((len(values), HARMONICS), np.nan, dtype=np.complex128)
     rows = np.flatnonzero(np.isfinite(omega))
@@ -271,10 +269,8 @@ def _bracket(rho: Complexes) -> Complexes:
 
 
 def _without_distortion(pair: _Pair) -> tuple[Complexes, Floats, Floats]:
-    """rho of the sine channel, (R, 2) the distortion of sine and cosine, and the angle between the channels.
-
-    Equation (1), solved for D_s and D_c.
-    """
+    """rho of the sine channel, (R, 2) the distortion of sine and cosine, and the angle between the channels."""
+    # Equation (1), solved for D_s and D_c.
     angle, inner = pair.angle, pair.ratio
     for _ in range(4):
         turn = np.exp(1j * angle)
@@ -328,10 +324,8 @@ def _propagated(pair: _Pair) -> tuple[Floats, Floats, Floats, Floats]:
 
 
 def _sizes_with(row: Floats, pair: _Pair) -> Floats:
-    """Covariance (R,) of the ratio of the fundamentals' sizes with a function of both rho, of given derivatives.
-
-    The size of a fundamental is as uncertain as its phase and enters rho by its inverse.
-    """
+    """Covariance (R,) of the ratio of both fundamentals with a function of both rho, of given derivatives."""
+    # The size of a fundamental is as uncertain as its phase and enters rho by its inverse.
     total = np.zeros(len(row))
     for k, sign in enumerate((1.0, -1.0)):
         size_u2 = (pair.lines_u[k] / np.abs(pair.lines[k][:, 0])) ** 2

@@ -401,10 +401,8 @@ def errors_by_peaks(
 
 
 def errors_by_fit(gyros: Gyros, samples: int = OSCILLOSCOPE_SAMPLES) -> Floats:
-    """Relative error of the lock-in rate by the waveform's fit and the exact relation, rate given.
-
-    The first samples of the same records are enough: as many as the oscilloscope holds, 1/24 of them.
-    """
+    """Relative error of the lock-in rate by the waveform's fit and the exact relation, rate given."""
+    # The first samples of the same records are enough: as many as the oscilloscope holds, 1/24 of them.
     found = np.empty(gyros.input_rate.size)
     for where, some in gyros.parts():
         estimate = estimate_lock_in(

@@ -72,10 +72,8 @@ class Claim:
 
 
 def claim(name: str, doing: str = "", *, means: str = "") -> Claim:
-    """Keep other programs of this computer from a link. The same process may do so more than once.
-
-    Where no file can be locked (no directory that takes one) nobody is kept from anything.
-    """
+    """Keep other programs of this computer from a link. The same process may do so more than once."""
+    # Where no file can be locked (no directory that takes one) nobody is kept from anything.
     link = link_of(means or name)
     if not link:
         return Claim(None)

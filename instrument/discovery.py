@@ -85,10 +85,8 @@ def _is_pyvisa_py(manager: pyvisa.ResourceManager) -> bool:
 
 
 def _names_by_pyvisa_py(*, lan: bool) -> list[str]:
-    """Resources that PyVISA-py sees; the kinds of links at the same time, and no longer than is reasonable.
-
-    It would itself ask one kind after the other, and wait a second and more for each that is on the network.
-    """
+    """Resources that PyVISA-py sees; the kinds of links at the same time, and no longer than is reasonable."""
+    # It would itself ask one kind after the other, and wait a second and more for each that is on the network.
     sessions = importlib.import_module("pyvisa_py.sessions")
     found: dict[str, list[str]] = {}
     failed: list[Exception] = []

@@ -68,10 +68,8 @@ def adapter_of(resource: MessageBasedResource) -> GpibAdapter | None:
 
 
 def forget_adapter(interface_name: str) -> None:
-    """Make an adapter that could not be opened unknown again.
-
-    PyVISA-py enters it before it is open and leaves it there, socket and all: every GPIB name would go to it.
-    """
+    """Make an adapter that could not be opened unknown again."""
+    # PyVISA-py enters it before it is open and leaves it there, socket and all: every GPIB name would go to it.
     session = _adapters().pop(_board(interface_name), None)
     if session is not None:
         with contextlib.suppress(Exception):
@@ -112,10 +110,8 @@ def socket_of(holder: object | None) -> socket.socket | None:
 
 
 def keep_to_oneself(resource: MessageBasedResource) -> bool:
-    """Keep other programs from an opened instrument, where the link can do that; False if one of them has it.
-
-    A vendor's VISA locks the resource; PyVISA-py does not, but a serial port of POSIX can be locked.
-    """
+    """Keep other programs from an opened instrument, where the link can do that; False if one of them has it."""
+    # A vendor's VISA locks the resource; PyVISA-py does not, but a serial port of POSIX can be locked.
     port: Any = getattr(session_of(resource), "interface", None)
     if hasattr(port, "exclusive"):
         try:
@@ -133,10 +129,8 @@ def keep_to_oneself(resource: MessageBasedResource) -> bool:
 
 
 def claim_instrument(name: str, manager: pyvisa.ResourceManager | None) -> Claim:
-    """Keep other programs from the link of a name, before anything is sent; LinkError says which one has it.
-
-    An instrument that is simulated within this program is nobody else's.
-    """
+    """Keep other programs from the link of a name, before anything is sent; LinkError says which one has it."""
+    # An instrument that is simulated within this program is nobody else's.
     manager = _manager(name, manager)
     return (
         Claim(None)

@@ -116,11 +116,9 @@ def block_start(message: bytes | bytearray, position: int = 0) -> int:
 
 
 def bytes_missing(message: bytes | bytearray, *, longest: int, blocks: int = 1) -> int:
-    """How many bytes must still come before a message with binary blocks is complete.
-
-    Counts the line feed behind the last block. 0 means complete; where the length is not known yet, the answer
-    is the number of bytes that are needed to know more.
-    """
+    """How many bytes must still come before a message with binary blocks is complete."""
+    # Counts the line feed behind the last block. 0 means complete; where the length is not known yet, the answer
+    # is the number of bytes that are needed to know more.
     position = 0
     for _ in range(blocks):
         start = block_start(message, position)
@@ -137,10 +135,8 @@ def bytes_missing(message: bytes | bytearray, *, longest: int, blocks: int = 1) 
 
 
 def blocks_begun(message: bytes | bytearray, *, longest: int) -> tuple[int, int]:
-    """Number of blocks that have begun, and how many bytes the last of them still lacks.
-
-    The second number is 0 right behind that block and negative in the text after it; 0 without a block.
-    """
+    """Number of blocks that have begun, and how many bytes the last of them still lacks."""
+    # The second number is 0 right behind that block and negative in the text after it; 0 without a block.
     begun = position = 0
     while (start := block_start(message, position)) >= 0 and not _header_bytes_missing(message, start):
         _, position = _block_span(message, start, longest)
@@ -151,12 +147,10 @@ def blocks_begun(message: bytes | bytearray, *, longest: int) -> tuple[int, int]
 def split_blocks(
     message: bytes, *, longest: int, blocks: int = 1, terminated: bool = True
 ) -> tuple[list[tuple[str, bytes]], str]:
-    """Separate a complete answer into its binary blocks, each with the text before it, and the text behind them.
-
-    A block is cut by its own length, so data may hold any byte. Behind it only a ``;`` or the line end may
-    follow, and on a link one of them must: without it the last byte of the data would be the line end, and one
-    byte before it lost.
-    """
+    """Separate a complete answer into its binary blocks, each with the text before it, and the text behind."""
+    # A block is cut by its own length, so data may hold any byte. Behind it only a ``;`` or the line end may
+    # follow, and on a link one of them must: without it the last byte of the data would be the line end, and one
+    # byte before it lost.
     pieces: list[tuple[str, bytes]] = []
     position = 0
     while len(pieces) < blocks and (start := block_start(message, position)) >= 0:

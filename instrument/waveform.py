@@ -271,12 +271,10 @@ class Waveform:
 
 
 def decode_curve(data: bytes, preamble: Preamble) -> Waveform:
-    """Turn the data of ``CURVe?`` into a waveform, whatever the transfer format.
-
-    Codes and preamble come out as one signed byte a point: positive integers are shifted to signed ones and
-    the empty low byte of two-byte points is dropped, with `yoff` and `ymult` changed to fit, so that the
-    volts are the same.
-    """
+    """Turn the data of ``CURVe?`` into a waveform, whatever the transfer format."""
+    # Codes and preamble come out as one signed byte a point: positive integers are shifted to signed ones and the
+    # empty low byte of two-byte points is dropped, with `yoff` and `ymult` changed to fit, so that the volts are
+    # the same.
     values = _ascii_codes(data, preamble) if preamble.encdg == "ASC" else _binary_codes(data, preamble)
     if len(values) != preamble.nr_pt:
         raise TransferError(f"{len(values)} points came where the preamble announces {preamble.nr_pt}; ask again")
@@ -395,10 +393,8 @@ def waveform_svg(
     screen: tuple[float, float],
     units: tuple[str, str],
 ) -> str:
-    """The curve over the divisions of the screen, with the values at its edges.
-
-    A column of the picture shows the lowest and the highest of its points, as the scope's own screen does.
-    """
+    """The curve over the divisions of the screen, with the values at its edges."""
+    # A column of the picture shows the lowest and the highest of its points, as the scope's own screen does.
     across = np.linspace(_LEFT, _LEFT + _WIDTH, DIVISIONS + 1)
     up = np.linspace(_MARGIN, _MARGIN + _HEIGHT, VERTICAL_DIVISIONS + 1)
     grid = "".join(

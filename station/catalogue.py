@@ -252,10 +252,8 @@ class Entry:
 
 
 def read_entry(file: Path, name: str) -> Entry | None:
-    """Look at a run without opening a record; ``None`` for a database of somebody else.
-
-    A run that is written at this moment is not disturbed, and what is found is what is on the disk.
-    """
+    """Look at a run without opening a record; ``None`` for a database of somebody else."""
+    # A run that is written at this moment is not disturbed, and what is found is what is on the disk.
     try:
         remarks, problem = read_remarks(file), ""
     except RunError as error:

@@ -70,11 +70,9 @@ _KEPT_BYTES, _GIVEN_BACK_BYTES = 1 << 25, 1 << 20
 
 
 def keep_for_batches() -> None:
-    """Let this process keep the memory of its arrays for the next ones, which are as large.
-
-    Returned to the system, its pages are cleared anew for the batch that follows, which takes as long as the
-    estimates.
-    """
+    """Let this process keep the memory of its arrays for the next ones, which are as large."""
+    # Returned to the system, its pages are cleared anew for the batch that follows, which takes as long as the
+    # estimates.
     _set_limits(_KEPT_BYTES)
 
 

@@ -148,11 +148,9 @@ class ControlSeries:
 
 
 def courses(tests: Sequence[PastTest], *, baseline: int = BASELINE) -> list[ControlSeries]:
-    """Return every number that is followed: those of the bench first, then by type of unit.
-
-    A test without a verdict counts; one that was aborted, or that the bench spoilt, does not. Simulated benches
-    are not mixed with real ones.
-    """
+    """Return every number that is followed: those of the bench first, then by type of unit."""
+    # A test without a verdict counts; one that was aborted, or that the bench spoilt, does not. Simulated benches
+    # are not mixed with real ones.
     counted = [one for one in tests if one.verdict not in ("ABORTED", "ERROR")]
     groups: dict[str, list[PastTest]] = {}
     for one in sorted(counted, key=lambda test: not test.is_reference):

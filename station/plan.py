@@ -184,10 +184,8 @@ def _given(option: float | None, default: float) -> float:
 def _measured_rates(
     settings: Settings, options: PlanOptions, lock_in_rate: float, scale_factor: float
 ) -> tuple[tuple[float, ...], bool]:
-    """W/WL of the rates that a measurement of such a gyro goes to, and whether in both senses.
-
-    Where the table turns already, a measurement has no choice, and the advice is the best rate to turn it at.
-    """
+    """W/WL of the rates that a measurement of such a gyro goes to, and whether in both senses."""
+    # Where the table turns already, a measurement has no choice, and the advice is the best rate to turn it at.
     if settings.table.kind == "none" and not settings.named_rates:
         return (), False
     gyro = {"expected_lock_in_rate_dps": lock_in_rate, SCALE_FACTOR.key(): scale_factor}

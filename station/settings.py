@@ -310,10 +310,8 @@ def saved_settings(kind: SettingsKind[S], values: Mapping[str, Any], place: str)
 def settings_to_resume(
     kind: SettingsKind[S], saved: S, path: Path | None, overrides: Values | None, run: Path
 ) -> S:
-    """Return the settings of a run that is gone on with, with what a file knows of the bench now.
-
-    What is given must not change what is measured.
-    """
+    """Return the settings of a run that is gone on with, with what a file knows of the bench now."""
+    # What is given must not change what is measured.
     if path is not None or overrides:
         load(kind, path, overrides)  # its mistakes come first
     before = dict(_flat(saved.model_dump(mode="json")))

@@ -240,12 +240,13 @@ def operating_point(
     noise = float(np.sqrt(np.mean(used.noise_rms**2)))
     rounding = level_spacing**2 / 12 / noise**2 if noise > 0 else 0.0
     input_rate = float(combined.input_rate)
-    slope = ratio_slope(min(rate, abs(input_rate)), abs(input_rate), combined.rate_given)
+    # at the very edge of lock-in their noise may exchange the two
+    possible = min(rate, abs(input_rate) * (1 - 1e-9))
+    slope = ratio_slope(possible, abs(input_rate), combined.rate_given)
     return OperatingPoint(
         scale_factor=combined.scale_factor,
         input_rate=input_rate,
-        # at the very edge of lock-in their noise may exchange the two
-        lock_in_rate=min(rate, abs(input_rate) * (1 - 1e-9)),
+        lock_in_rate=possible,
         ratio_u=noise_u / slope,
         # each record is its own reference: that their rates differ does not enter
         beat_frequency_u=float(1 / np.sqrt(np.sum(1 / np.maximum(used.beat_frequency_u**2, 1e-300)))),

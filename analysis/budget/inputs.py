@@ -221,11 +221,9 @@ def response_input(response_u: float, sensitivity: float) -> BudgetInput:
 
 
 def distortion_input(point: OperatingPoint, known: Bounded, slope: float) -> BudgetInput:
-    """Second-order distortion d, a real number within its limit.
-
-    A square law adds d to rho = -r exp(-i phase); what it makes of the higher harmonics takes r^2 of it away.
-    Where d is not small against r the effect is no straight line: the deviation is taken over the distribution.
-    """
+    """Second-order distortion d, a real number within its limit."""
+    # A square law adds d to rho = -r exp(-i phase); what it makes of the higher harmonics takes r^2 of it away.
+    # Where d is not small against r the effect is no straight line: the deviation is taken over the distribution.
     name, quantity, limit = "distortion", "second-order distortion d", known.knowledge.distortion_limit
     if name in known.knowledge.separated:
         return separated_input(name, quantity)
@@ -275,10 +273,8 @@ def _phase_lost(point: OperatingPoint) -> bool:
 
 
 def _weight_of_distortion(point: OperatingPoint, limit: float) -> float:
-    """Root mean square of what d within its limit makes of r, over that of d itself; signed as its slope.
-
-    At a right angle between the phases d turns rho and makes it longer: the slope is zero, the effect is not.
-    """
+    """Root mean square of what d within its limit makes of r, over that of d itself; signed as its slope."""
+    # At a right angle between the phases d turns rho and makes it longer: the slope is zero, the effect is not.
     if _phase_lost(point):
         phases: Floats = np.arange(_PHASES, dtype=np.float64) * (2 * np.pi / _PHASES)
         weights: Floats = np.full(_PHASES, 1 / _PHASES)
@@ -338,11 +334,9 @@ def _corner(
 
 
 def _relative_slope(response: Factor, frequency: float, corner: ResponseCorner) -> float:
-    """Relative change of the response by the corner, per Hz, such that this times u is the standard deviation.
-
-    The effect goes with the square of the corner: over an uncertainty of a tenth its slope is not constant, so the
-    deviation is taken over the distribution (three-point Gauss-Hermite rule; JCGM 100, 5.1.3 allows it).
-    """
+    """Relative change of the response by the corner, per Hz, such that this times u is the standard deviation."""
+    # The effect goes with the square of the corner: over an uncertainty of a tenth its slope is not constant, so
+    # the deviation is taken over the distribution (three-point Gauss-Hermite rule; JCGM 100, 5.1.3 allows it).
     reach = math.sqrt(3) * corner.u_hz if corner.u_hz > 0 else 1e-4 * corner.hz
     low, middle, high = (float(abs(response(frequency, corner.hz + side * reach))) for side in (-1, 0, 1))
     mean = (low + 4 * middle + high) / 6

@@ -108,10 +108,8 @@ def fit_noise(words: ArrayLike, interval_s: float, *, temperature: ArrayLike | N
 
 
 def _with_gaps_filled(values: Floats, interval_s: float) -> _Likelihood:
-    """Likelihood of the words with the missing ones put in, by the model of all terms that it gives itself.
-
-    What one round leaves of the step of the round before is the share of the information that is missing.
-    """
+    """Likelihood of the words with the missing ones put in, by the model of all terms that it gives itself."""
+    # What one round leaves of the step of the round before is the share of the information that is missing.
     seen = _Likelihood(on_lines(values), interval_s, None)
     if not fillable(values).any():
         return seen
@@ -271,10 +269,8 @@ class _Likelihood:
         return value, u, low, high
 
     def _bound(self, model: Model, name: str) -> float:
-        """Upper end of the 95 % interval of a term that may be 0: the size that would hardly show so little.
-
-        The square of a random term scatters the more the larger it is; so its uncertainty is that at the bound.
-        """
+        """Upper end of the 95 % interval of a term that may be 0: the size that would hardly show so little."""
+        # The square of a random term scatters the more the larger it is; so its uncertainty is that at the bound.
         part = self._parts_of(model, 1.0)[name]
         if name == _RAMP:
             return part.value + NORMAL_95 * part.u

@@ -215,15 +215,14 @@ class ResidualPattern:
 def residual_pattern(
     rates_dps: ArrayLike, outputs: ArrayLike, outputs_u: ArrayLike, *, near_zero: float = 0.01
 ) -> ResidualPattern:
-    """Find out whether the deviations are odd in the rate, even, or stand near zero.
-
-    Away from zero the outputs at +w and -w give an odd part [F(w) - F(-w)]/2, which a straight line through zero
-    is fitted to, and an even part [F(w) + F(-w)]/2, which a constant is fitted to. What is left of each is tested
-    with chi-square, one degree of freedom less than there are pairs. Outputs whose bias or rate changes between
-    them lie off by more than their noise too, in both parts alike: a part is a pattern only if a smooth curve
-    (w^3, |w|) is significant against what it leaves, or if the part exceeds the other one. The points near zero
-    are compared with a curve 1, w, |w|, w^3 through the others: an asymmetry does not look like a dead zone.
-    """
+    """Find out whether the deviations are odd in the rate, even, or stand near zero."""
+    # Away from zero the outputs at +w and -w give an odd part [F(w) - F(-w)]/2, which a straight line through zero
+    # is fitted to, and an even part [F(w) + F(-w)]/2, which a constant is fitted to. What is left of each is
+    # tested with chi-square, one degree of freedom less than there are pairs. Outputs whose bias or rate changes
+    # between them lie off by more than their noise too, in both parts alike: a part is a pattern only if a smooth
+    # curve (w^3, |w|) is significant against what it leaves, or if the part exceeds the other one. The points near
+    # zero are compared with a curve 1, w, |w|, w^3 through the others: an asymmetry does not look like a dead
+    # zone.
     rate, output, u = (np.asarray(v, dtype=np.float64) for v in (rates_dps, outputs, outputs_u))
     away = np.abs(rate) > near_zero * np.abs(rate).max()
     if int(away.sum()) < 3:

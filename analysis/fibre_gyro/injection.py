@@ -163,13 +163,11 @@ class SlopeFit:
 
 
 def fit_slope(rates_dps: ArrayLike, outputs: ArrayLike, outputs_u: ArrayLike | None = None) -> SlopeFit:
-    """Fit K and F_0 by least squares.
-
-    With equal weights these are the sums of the patent: with M points, K = [sum w F - (1/M) sum w sum F] /
-    [sum w^2 - (1/M) (sum w)^2] and F_0 = mean F - K mean w. Given uncertainties make weights 1/u^2; the standard
-    errors then grow by sqrt(chi^2/degrees of freedom) where the residuals exceed them. Without them the residuals
-    give the standard errors.
-    """
+    """Fit K and F_0 by least squares."""
+    # With equal weights these are the sums of the patent: with M points, K = [sum w F - (1/M) sum w sum F] / [sum
+    # w^2 - (1/M) (sum w)^2] and F_0 = mean F - K mean w. Given uncertainties make weights 1/u^2; the standard
+    # errors then grow by sqrt(chi^2/degrees of freedom) where the residuals exceed them. Without them the
+    # residuals give the standard errors.
     rate, output = (np.asarray(v, dtype=np.float64) for v in (rates_dps, outputs))
     if rate.size < 3 or float(np.ptp(rate)) == 0:
         raise ValueError("a slope with its standard error needs three points at two or more rates")

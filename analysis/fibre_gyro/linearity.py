@@ -65,10 +65,8 @@ class Linearity:
 
 
 def scale_linearity(runs: TableRuns, *, irreproducibility_ppm: float | None = None) -> Linearity | None:
-    """Fit the scale-factor error over the rates of all runs; ``None`` where they are no ladder.
-
-    A ladder has three rates or more, the largest at least twice the smallest, and runs in both senses.
-    """
+    """Fit the scale-factor error over the rates of all runs; ``None`` where they are no ladder."""
+    # A ladder has three rates or more, the largest at least twice the smallest, and runs in both senses.
     sizes = distinct_rates(np.abs(runs.nominal_dps))
     if len(sizes) < 3 or sizes[-1] < _RANGE * sizes[0] or np.unique(np.sign(runs.rate_dps)).size < 2:
         return None

@@ -79,12 +79,10 @@ class AxisFit:
 def fit_axis(
     runs: TableRuns, *, irreproducibility_ppm: float | None = None, table_rate_u_ppm: float = 0.0
 ) -> AxisFit:
-    """Fit scale factor, earth rate, bias and its drift of one axis to all runs.
-
-    Weights are 1/u^2 with u the noise of the mean and, in quadrature, the irreproducibility of the run, stated or
-    as the residuals show it. All uncertainties count the scatter that the residuals allow (`scatter`); 1.96 of
-    them are half a 95 % interval. The drift is fitted where three degrees of freedom are left with it.
-    """
+    """Fit scale factor, earth rate, bias and its drift of one axis to all runs."""
+    # Weights are 1/u^2 with u the noise of the mean and, in quadrature, the irreproducibility of the run, stated
+    # or as the residuals show it. All uncertainties count the scatter that the residuals allow (`scatter`); 1.96
+    # of them are half a 95 % interval. The drift is fitted where three degrees of freedom are left with it.
     if not (np.any(runs.rate_dps > 0) and np.any(runs.rate_dps < 0)):
         raise ValueError("the scale factor needs runs in both senses")
     plain = design_of(runs)

@@ -207,11 +207,9 @@ def _check_steps(levels: Levels) -> None:
 
 
 def _count_wraps(levels: Levels) -> tuple[Ints, float]:
-    """Resets before each level, (K,), and the sign of the staircase.
-
-    Levels with and without the bias are followed separately; how far the two are apart is told only up to whole
-    resets, and the smallest distance is taken.
-    """
+    """Resets before each level, (K,), and the sign of the staircase."""
+    # Levels with and without the bias are followed separately; how far the two are apart is told only up to whole
+    # resets, and the smallest distance is taken.
     numbers, heights = levels.numbers, levels.heights
     pairs = [np.flatnonzero(numbers % 2 == parity) for parity in (0, 1)]
     rises = [np.diff(heights[p]) / np.diff(numbers[p]) for p in pairs]
@@ -286,10 +284,8 @@ def _check_heights(fit: RoundedFit, heights: Floats) -> None:
 
 
 def _fit_times(record: Floats, cut: Cut, levels: Levels) -> tuple[float, float, float]:
-    """Samples per step, its standard uncertainty, and position of edge 0.
-
-    An edge stands where the area under the signal says, so that its shape shifts all edges by the same time.
-    """
+    """Samples per step, its standard uncertainty, and position of edge 0."""
+    # An edge stands where the area under the signal says, so that its shape shifts all edges by the same time.
     period, start, period_u = cut.period, cut.start, 0.5 / max(float(np.ptp(levels.numbers)), 1.0)
     for _ in range(3):
         edges = _edges(record, Cut(period, start), levels)
@@ -477,10 +473,8 @@ def _candidates(volts: Floats) -> list[float]:
 
 
 def _scatter(volts: Floats, cut: Cut) -> float:
-    """Variance about the pieces of a cut, of the nine tenths of samples that lie nearest.
-
-    The rest may hold samples on the wrong side of an edge, each of which would outweigh all others.
-    """
+    """Variance about the pieces of a cut, of the nine tenths of samples that lie nearest."""
+    # The rest may hold samples on the wrong side of an edge, each of which would outweigh all others.
     number = cut.index(np.arange(len(volts), dtype=np.float64))
     numbers, _, heights = piece_means(volts, number, np.ones(len(volts), bool))
     squares = (volts - heights[np.searchsorted(numbers, number)]) ** 2
@@ -624,10 +618,8 @@ def read_levels(volts: Floats, cut: Cut) -> Levels:
 
 
 def _disturbed(volts: Floats, period: float, number: Ints, phase: Floats) -> tuple[float, float, bool]:
-    """Samples after and before an edge that do not belong to its levels, and whether a level settles at all.
-
-    The mean response to a jump, as a part of the jump, follows from all edges together; the resets weigh most.
-    """
+    """Samples after and before an edge that do not belong to its levels, and whether a level settles at all."""
+    # The mean response to a jump, as a part of the jump, follows from all edges together; the resets weigh most.
     valid = np.isfinite(volts)
     late = valid & (phase > period / 2) & (period - phase > max(_SHY, 0.15 * period))
     numbers, _, heights = piece_means(volts, number, late)

@@ -66,10 +66,8 @@ class Mixture:
     covariance: Floats  # (m, p, p)
 
     def standard_u(self, combinations: Floats, about: Floats) -> Floats:
-        """Standard uncertainty of combinations of coefficients: 1.96 of it on both sides hold 95 %.
-
-        Shapes: combinations (n, p), about (p,).
-        """
+        """Standard uncertainty of combinations of coefficients: 1.96 of it on both sides hold 95 %."""
+        # Shapes: combinations (n, p), about (p,).
         off = (self.mean - about) @ combinations.T
         sigma = np.sqrt(np.einsum("ni,mij,nj->mn", combinations, self.covariance, combinations, optimize=True))
         sigma = np.maximum(sigma, 1e-300)

@@ -159,10 +159,8 @@ def mean_at_rest(
 
 
 def pooled_noise(means: Sequence[WindowMean]) -> Floats:
-    """Standard uncertainty of each mean by the noise of all of them: each alone knows it badly, from a few blocks.
-
-    One whose own noise is far beyond that of the others (once in a thousand times) keeps its own.
-    """
+    """Standard uncertainty of each mean by the noise of all: each alone knows it badly, from a few blocks."""
+    # One whose own noise is far beyond that of the others (once in a thousand times) keeps its own.
     u = np.array([one.mean_u for one in means], dtype=np.float64)
     duration = np.array([one.duration_s for one in means], dtype=np.float64)
     freedom = np.array([max(one.freedom, 1) for one in means], dtype=np.float64)

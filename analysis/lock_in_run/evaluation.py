@@ -363,13 +363,10 @@ def estimate_pairs(
 
 
 def equalised(volts: Floats, sample_interval: float, response: ChannelResponse) -> Floats:
-    """Give the harmonics of records the size and phase that they had before the channel; noise stays as it is.
-
-    For two channels that are corrected with each other: distortion arises before the filters, and is a real share
-    of the beat only there.
-
-    Shapes: volts (n_records, n_samples).
-    """
+    """Give the harmonics of records the size and phase that they had before the channel; noise stays as it is."""
+    # For two channels that are corrected with each other: distortion arises before the filters, and is a real
+    # share of the beat only there.
+    # Shapes: volts (n_records, n_samples).
     fit = fit_harmonics(volts, sample_interval, harmonics=_HARMONICS, nan_policy="omit")
     beating = np.isfinite(fit.frequency)
     frequency = np.where(beating, fit.frequency, 1.0)

@@ -179,10 +179,8 @@ def without_channel(each: LockInEstimate, response: ChannelResponse) -> LockInEs
 
 
 def without_channel_model(each: LockInEstimate) -> str:
-    """What the uncertainties rest on where the channel is taken out.
-
-    That of the response is not among it: all records share it, so it stands in the budget.
-    """
+    """What the uncertainties rest on where the channel is taken out."""
+    # That of the response is not among it: all records share it, so it stands in the budget.
     return f"{noise_model(each.flags)}; corrected for the response of the channel"
 
 
@@ -249,11 +247,9 @@ class PreliminaryLockIn:
 
 
 def preliminary_lock_in(records: RecordArrays, scale_factor: float) -> PreliminaryLockIn | None:
-    """Say what records at one rate say of the lock-in rate; ``None`` if they show none.
-
-    Distortion and a gain corner of which nobody knows anything count in it: the first adds to the second harmonic
-    or takes from it, the second takes from it where the beat is fast.
-    """
+    """Say what records at one rate say of the lock-in rate; ``None`` if they show none."""
+    # Distortion and a gain corner of which nobody knows anything count in it: the first adds to the second
+    # harmonic or takes from it, the second takes from it where the beat is fast.
     mean = combine_estimates(only_beats(estimate_records(records, Method(scale_factor))))
     rate, rate_u = float(mean.lock_in_rate), float(mean.lock_in_rate_u)
     if int(mean.flags) & int(FATAL) or not (rate > 0 and math.isfinite(rate_u)):

@@ -484,10 +484,8 @@ class Curve:
         return math.sqrt(self.covariance[place, place])
 
     def spread(self, slope: Floats) -> Spread:
-        """Of a number with this slope by the first values.
-
-        By Welch and Satterthwaite: the noise is known, what moves between settings is found from few of them.
-        """
+        """Of a number with this slope by the first values."""
+        # By Welch and Satterthwaite: the noise is known, what moves between settings is found from few of them.
         first = slope.size
         variance, still = (float(slope @ c[:first, :first] @ slope) for c in (self.covariance, self.still))
         share = max(1 - still / variance, 0.0) if variance > 0 else 0.0
@@ -497,14 +495,12 @@ class Curve:
 def fitted_curve(
     seen: TableReading, start: Floats, known: dict[int, float], stated: Stated, *, rate_moves: bool = False
 ) -> Curve:
-    """Fit the curve by least squares; `known` holds the standard uncertainties of start values that are known.
-
-    Every setting of the table has an error of its own, and where nobody knows the azimuth, an earth rate of its
-    own. A scatter beyond the noise of the frequencies enlarges that noise; with `rate_moves` it is the same in Hz
-    for all (Paule and Mandel, J. Res. NBS 87, 377). What the records of a setting have in common beyond that, as a
-    ripple in step with them makes it, or coupling at a slow rate, is as large in Hz at every setting; its size is
-    found in the same way.
-    """
+    """Fit the curve by least squares; `known` holds the standard uncertainties of start values that are known."""
+    # Every setting of the table has an error of its own, and where nobody knows the azimuth, an earth rate of its
+    # own. A scatter beyond the noise of the frequencies enlarges that noise; with `rate_moves` it is the same in
+    # Hz for all (Paule and Mandel, J. Res. NBS 87, 377). What the records of a setting have in common beyond that,
+    # as a ripple in step with them makes it, or coupling at a slow rate, is as large in Hz at every setting; its
+    # size is found in the same way.
     settings = seen.settings.size
     values = np.concatenate([start, np.zeros(2 * settings)])
     moving, stretch = 0.0, 1.0
@@ -601,10 +597,8 @@ class _System:
         return np.asarray(np.linalg.qr(np.concatenate([self._rows(common), self.of_records]), mode="r"))
 
     def common_to_a_setting(self, within: float, degrees: int) -> float:
-        """Standard deviation, Hz, of what the records of a setting have in common.
-
-        Chi-square beyond that `within` the settings is then as expected for so many degrees of freedom.
-        """
+        """Standard deviation, Hz, of what the records of a setting have in common."""
+        # Chi-square beyond that `within` the settings is then as expected for so many degrees of freedom.
         least, most = (share * self.swing for share in (_STILL, 1 / _STILL))
         if not least > 0:
             return 0.0

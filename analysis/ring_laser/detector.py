@@ -96,10 +96,8 @@ class Detector:
 
 
 def detector_signal(gyro: Gyro, detector: Detector, axis_rate: Floats, beat_phase: Floats) -> Floats:
-    """Volts at the detector for given rate on the axis and slow beat phase.
-
-    Shapes: axis_rate (n,), beat_phase (n,).
-    """
+    """Volts at the detector for given rate on the axis and slow beat phase."""
+    # Shapes: axis_rate (n,), beat_phase (n,).
     if not detector.filtered and gyro.winking is None:
         return detector.volts(gyro.fringe(axis_rate, beat_phase), gyro.backscatter_phase)
     locked, senses = gyro.locked(axis_rate), np.sign(axis_rate)
@@ -153,10 +151,8 @@ def _by_harmonics(gyro: Gyro, detector: Detector, rates: Floats, phases: Floats,
 
 
 def amplitudes_at(gyro: Gyro, detector: Detector, axis_rate: float) -> Complexes:
-    """Complex amplitudes of the harmonics 0, 1, ... behind the filters, V, at a rate beyond lock-in in deg/s.
-
-    That of the nearest point of the finer grid, a four thousandth of the rate away at most.
-    """
+    """Complex amplitudes of the harmonics 0, 1, ... behind the filters, V, at a rate beyond lock-in in deg/s."""
+    # That of the nearest point of the finer grid, a four thousandth of the rate away at most.
     place = float(grid_place(np.array([abs(axis_rate)]), gyro.lock_in_rate)[0])
     return _between(gyro, detector, round(place * FINER), 1 if axis_rate > 0 else -1)
 
@@ -236,10 +232,8 @@ _SHARPEST = 0.9  # ratio of successive harmonics
 
 
 def beat_signal_on_table(gyro: Gyro, detector: Detector, motion: Sequence[RateMotion], times: Floats) -> Floats:
-    """Volts at the detector while the table moves.
-
-    Shapes: times (n,).
-    """
+    """Volts at the detector while the table moves."""
+    # Shapes: times (n,).
     segments, volts = tuple(motion), np.empty_like(times)
     for number, inside in split(segments, times):
         resting = _resting_volts(gyro, detector, segments[number])
@@ -269,10 +263,8 @@ def _resting_volts(gyro: Gyro, detector: Detector, segment: RateMotion) -> float
 def smooth_interval(
     gyro: Gyro, detector: Detector, motion: Sequence[RateMotion], start: float, stop: float
 ) -> float:
-    """Distance in s of points between which polynomials of the fifth degree give the signal of the detector.
-
-    They leave 1e-4 of its amplitude. 0 where the gyro locks or unlocks: there are no such points then.
-    """
+    """Distance in s of points between which polynomials of the fifth degree give the signal of the detector."""
+    # They leave 1e-4 of its amplitude. 0 where the gyro locks or unlocks: there are no such points then.
     segments = tuple(motion)
     pieces = split(segments, np.array([start, stop]))
     reached = segments[pieces[0][0] : pieces[-1][0] + 1]
@@ -329,10 +321,8 @@ def _bounds(gyro: Gyro, detector: Detector, segment: RateMotion) -> tuple[float,
 def signal_above(
     gyro: Gyro, detector: Detector, motion: Sequence[RateMotion], corner_hz: float, start: float, stop: float
 ) -> Callable[[Floats], Floats] | None:
-    """The signal behind an AC coupling of one pole, between two absolute times in s.
-
-    Light and rate that swing a little do not show in what the coupling does: their share of it is left out.
-    """
+    """The signal behind an AC coupling of one pole, between two absolute times in s."""
+    # Light and rate that swing a little do not show in what the coupling does: their share of it is left out.
     segments = tuple(motion)
     pieces = split(segments, np.array([start, stop]))
     if len(pieces) > 1 or not _coupling_shows_no_swing(gyro, detector, segments[pieces[0][0]], corner_hz):
@@ -452,10 +442,8 @@ def mean_beat_on_table(
     corner_hz: float = 0.0,
     settling_s: float = 0.0,
 ) -> Floats | None:
-    """Mean over several starts of the volts at the detector at some times behind each.
-
-    Shapes: starts (k,), times (n,).
-    """
+    """Mean over several starts of the volts at the detector at some times behind each."""
+    # Shapes: starts (k,), times (n,).
     segments, span = tuple(motion), float(times[-1])
     first, last = float(starts[0]), float(starts[-1]) + span
     steady = [piece for piece in segments if piece.start <= last]

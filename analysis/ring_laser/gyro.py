@@ -76,10 +76,8 @@ class Gyro:
         return lockin_equation.harmonic_ratio(over_rate)
 
     def fringe(self, axis_rate: Floats, beat_phase: Floats) -> Complexes:
-        """exp(i (phi + beta)) for given rate on the axis and slow beat phase.
-
-        Shapes: axis_rate (...), beat_phase (...).
-        """
+        """exp(i (phi + beta)) for given rate on the axis and slow beat phase."""
+        # Shapes: axis_rate (...), beat_phase (...).
         ratio = self.harmonic_ratio(axis_rate)
         rotating = np.exp(1j * np.where(axis_rate < 0, -beat_phase, beat_phase))
         denominator = 1.0 - ratio * rotating
@@ -134,10 +132,8 @@ _TO_SERIES = np.linalg.inv(chebyshev.chebvander(_NODES, 11)).T
 
 
 def beat_phase_on_table(gyro: Gyro, motion: Sequence[RateMotion], times: Floats) -> tuple[Floats, Floats]:
-    """Rate on the axis and phase of the beat while the table moves.
-
-    Shapes: times (n,).
-    """
+    """Rate on the axis and phase of the beat while the table moves."""
+    # Shapes: times (n,).
     segments = tuple(motion)
     start_phases = _start_phases(gyro, segments)
     rates, phases = np.empty_like(times), np.empty_like(times)
@@ -156,11 +152,9 @@ def axis_rate_on_table(gyro: Gyro, motion: Sequence[RateMotion], times: Floats) 
 
 
 def _rate_and_advance(gyro: Gyro, motion: tuple[RateMotion, ...], number: int, times: Floats) -> Floats:
-    """Rate on the axis and advance of psi since the start of a segment, (2, n).
-
-    Both follow the turn of the table and the ripple, far slower than the samples of a record: they are worked out
-    at a few Chebyshev points of pieces of time, once, and interpolated, to rounding.
-    """
+    """Rate on the axis and advance of psi since the start of a segment, (2, n)."""
+    # Both follow the turn of the table and the ripple, far slower than the samples of a record: they are worked
+    # out at a few Chebyshev points of pieces of time, once, and interpolated, to rounding.
     segment = motion[number]
     length = _piece_length(gyro, segment)
     if not length:
@@ -200,10 +194,8 @@ def _exactly(gyro: Gyro, motion: tuple[RateMotion, ...], number: int, times: Flo
 
 
 def _pieces(gyro: Gyro, segment: RateMotion, first: int, last: int) -> tuple[Floats, Floats]:
-    """Straight lines (2, 2, n) and Chebyshev series (order, 2, n) of what is left, of n pieces of time.
-
-    Without the line what is left is small, and so is its rounding.
-    """
+    """Straight lines (2, 2, n) and Chebyshev series (order, 2, n) of what is left, of n pieces of time."""
+    # Without the line what is left is small, and so is its rounding.
     known = _known_pieces(gyro, segment)
     missing = [piece for piece in range(first, last + 1) if piece not in known]
     if missing:
@@ -376,10 +368,8 @@ Inside = NDArray[np.intp] | slice
 
 
 def split(motion: tuple[RateMotion, ...], times: Array) -> list[tuple[int, Inside]]:
-    """Sort times into pieces: number of the piece, and the indices of the times that fall into it.
-
-    Shapes: times (n,).
-    """
+    """Sort times into pieces: number of the piece, and the indices of the times that fall into it."""
+    # Shapes: times (n,).
     if times.size == 0:
         return []
     starts = [piece.start for piece in motion]

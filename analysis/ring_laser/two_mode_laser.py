@@ -314,10 +314,8 @@ def rate_at(point: int, lock_in_rate: float) -> float:
 
 
 def interpolate(rates: Floats, lock_in_rate: float, at_point: Callable[[int, Indices], Floats | float]) -> Floats:
-    """Interpolate between the points of the grid, by polynomials of the fifth degree.
-
-    Shapes: rates (n,).
-    """
+    """Interpolate between the points of the grid, by polynomials of the fifth degree."""
+    # Shapes: rates (n,).
     place = grid_place(np.abs(rates), lock_in_rate)
     cells = np.floor(place).astype(np.intp)
     values = np.empty(rates.shape)

@@ -288,10 +288,8 @@ def _fit(
 
 
 def _beyond_first_order(points: Points, found: RatioFit, prior: Prior, most: float) -> tuple[Points, RatioFit]:
-    """Points and minima, freed of what (1) leaves of third-order distortion, where the third harmonic shows it.
-
-    Ratios alone do not: what misfits looks like it.
-    """
+    """Points and minima, freed of what (1) leaves of third-order distortion, where the third harmonic shows it."""
+    # Ratios alone do not: what misfits looks like it.
     data = points.points
     alone, alone_u = third_order_by_third_harmonic(found.parameters[:1], data)
     third_order_u = np.sqrt(found.covariance[0, 5, 5])
@@ -330,10 +328,8 @@ _SHOWN = 0.3
 
 
 def _with_table_noise(points: Points, found: RatioFit, prior: Prior, most: float) -> tuple[Points, RatioFit]:
-    """Points and minima, with what the beats say of the errors of the rates.
-
-    Where the ratios do not fit with it either, something else moves the beats: then nothing changes.
-    """
+    """Points and minima, with what the beats say of the errors of the rates."""
+    # Where the ratios do not fit with it either, something else moves the beats: then nothing changes.
     share = 0.0 if points.records.records.rate_of_beat else table_noise(points, found)
     if share == 0:
         return points, found
@@ -446,11 +442,9 @@ def _result(
 
 
 def _test(fit: RatioFit, points: Points, degrees: int) -> tuple[float, float, float, int]:
-    """Chi-square of the means, the smaller chance of it and of the scatter about them, and what follows.
-
-    The last two: the factor by which the variances grow where chance does not explain it, and the degrees of
-    freedom of that factor, 0 where it is 1.
-    """
+    """Chi-square of the means, the smaller chance of it and of the scatter about them, and what follows."""
+    # The last two: the factor by which the variances grow where chance does not explain it, and the degrees of
+    # freedom of that factor, 0 where it is 1.
     chi_square = float(fit.chi_square[0])
     scatter, scatter_degrees = points.scatter(fit.parameters)
     tests = [(chi_square, degrees), (scatter, scatter_degrees)]
@@ -471,10 +465,8 @@ def _degrees(fit: RatioFit, points: Points, prior: Prior) -> int:
 
 
 def _left_over(points: Points, prior: Prior, count: int | None = None) -> int:
-    """Two values of every setting and their third harmonics, less all unknowns: what tests the model by itself.
-
-    `count`: of all visits in the place of settings. What changes over a run is tested by them alone, if at all.
-    """
+    """Two values of every setting and their third harmonics, less all unknowns: what tests the model by itself."""
+    # `count`: of all visits in the place of settings. What changes over a run is tested by them alone, if at all.
     has_thirds = prior.sd[5] > 0 and np.any(points.points.third_weight > 0)
     unknowns = np.sum(prior.sd > 0) if count is not None else np.sum(prior.sd[:SENSES] > 0)
     return int((3 if has_thirds else 2) * (count or points.settings) - unknowns)
@@ -511,10 +503,8 @@ def _at_least(records: RatioRecords, high: float) -> float:
 
 
 def _rates_differ(of: UsedRecords, said: RatesAnswer, mismatch: Floats, several: bool) -> tuple[float, bool]:
-    """What beats at several rates have in common against them, and whether some depart from their rates beside it.
-
-    Beats that all depart alike show a wrong scale factor, others coupling without loss.
-    """
+    """What all beats have in common against their rates, and whether some depart from theirs beside it."""
+    # Beats that all depart alike show a wrong scale factor, others coupling without loss.
     rate = of.records.rate
     if np.any(of.records.usable & (np.abs(rate) <= said.value)):
         return 0.0, True
@@ -523,11 +513,9 @@ def _rates_differ(of: UsedRecords, said: RatesAnswer, mismatch: Floats, several:
 
 
 def _by_other_reference(points: RatioData, lock_in_rate: float, common: float) -> float:
-    """Largest relative change of the lock-in rate of any point with the other reference, beside what is common.
-
-    Where beats are not those of their rates, and the ratios do not fit either or test nothing, nobody knows which
-    of the two is right.
-    """
+    """Largest relative change of the lock-in rate of any point with the other reference, beside what is common."""
+    # Where beats are not those of their rates, and the ratios do not fit either or test nothing, nobody knows
+    # which of the two is right.
     rate, beat_rate = np.abs(points.rate), points.beat_rate / (1 + common)
     if points.reference == "beat":
         changed = rate / np.hypot(beat_rate, lock_in_rate)
@@ -558,11 +546,9 @@ EXPLAINED = 5.0
 
 
 def leave_out(points: Points, fit: RatioFit, prior: Prior) -> WithoutOneRate:
-    """The fit without each rate in turn, from the solution of all.
-
-    A rate disagrees where chi-square falls by more without it than its own values explain: that takes all its
-    values together, with their covariance and that of the fit.
-    """
+    """The fit without each rate in turn, from the solution of all."""
+    # A rate disagrees where chi-square falls by more without it than its own values explain: that takes all its
+    # values together, with their covariance and that of the fit.
     data, group = points.points, points.rate_group
     n_groups = int(group.max()) + 1
     empty = np.empty(0)
@@ -599,11 +585,9 @@ def leave_out(points: Points, fit: RatioFit, prior: Prior) -> WithoutOneRate:
 
 
 def scale_factor_of_rates(scale_factor: float, points: Points, fit: RatioFit) -> tuple[float, float]:
-    """K that beats and rates given ask for, pulses per degree: f/W freed of lock-in by r of the fit.
-
-    The uncertainty is that of the mean of all points, from their scatter; an error that all rates share is not in
-    it.
-    """
+    """K that beats and rates given ask for, pulses per degree: f/W freed of lock-in by r of the fit."""
+    # The uncertainty is that of the mean of all points, from their scatter; an error that all rates share is not
+    # in it.
     data = points.points
     size = float(np.hypot(*fit.parameters[0, :2])) * (1 + fit.parameters[0, DRIFT] * data.when)
     base = np.abs(data.rate) if data.reference == "rate" else data.beat_rate
@@ -669,11 +653,9 @@ _INTERVAL, _TAILS, _STEPS = (0.025, 0.975), 6.0, 4001
 def over_gain_times(
     said: RatesAnswer, found: RatioFit, data: RatioData, prior: Prior, widen: float
 ) -> RatesAnswer:
-    """The same value with what any gain time within its bound may make of it.
-
-    The bench may have no gain time to speak of, as `said` takes it, or one anywhere within the bound: both count
-    half, so that u is the root of the mean of both squares. The interval holds that of either.
-    """
+    """The same value with what any gain time within its bound may make of it."""
+    # The bench may have no gain time to speak of, as `said` takes it, or one anywhere within the bound: both count
+    # half, so that u is the root of the mean of both squares. The interval holds that of either.
     times = _gain_times(found, prior, widen)
     if times.size < 2:
         return said
@@ -768,12 +750,10 @@ _NORMAL_95 = 1.959964
 
 
 def table_noise(points: Points, fit: RatioFit) -> float:
-    """Relative standard uncertainty of the rates of the points, beyond what was stated, as their beats show it.
-
-    0 where that is chance or does not matter. 0 as well where it is more than `MISMATCH`: no table is that bad,
-    some rate is another one, or coupling moves the beats; the tests of the fit then say which. From few points it
-    is larger, by Student's factor.
-    """
+    """Relative standard uncertainty of the rates of the points, beyond what was stated, as their beats show it."""
+    # 0 where that is chance or does not matter. 0 as well where it is more than `MISMATCH`: no table is that bad,
+    # some rate is another one, or coupling moves the beats; the tests of the fit then say which. From few points
+    # it is larger, by Student's factor.
     data, records = points.points, points.records
     mean, rate = float(np.hypot(*fit.parameters[0, :2])), np.abs(data.rate)
     freedom, size = rate.size - 1, mean * (1 + fit.parameters[0, DRIFT] * data.when)

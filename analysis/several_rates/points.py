@@ -234,12 +234,10 @@ _THE_SAME = 1e-9
 
 
 def common_mismatch(records: RatioRecords) -> float:
-    """What all beats have in common against their rates: f/(K W), freed of lock-in by each record's own ratio.
-
-    At least 1 where that is near 1, within `FASTER_THAN_POSSIBLE` and what distortion may do to those ratios; nan
-    without a usable record. Anything else is a wrong scale factor, or an error that all rates share. The fast
-    records say it, whose own ratio matters least.
-    """
+    """What all beats have in common against their rates: f/(K W), freed of lock-in by each record's own ratio."""
+    # At least 1 where that is near 1, within `FASTER_THAN_POSSIBLE` and what distortion may do to those ratios;
+    # nan without a usable record. Anything else is a wrong scale factor, or an error that all rates share. The
+    # fast records say it, whose own ratio matters least.
     if not records.usable.any():
         return float("nan")
     smallest = min(float(np.abs(block.ratio).min()) for block in _usable(records))
@@ -300,10 +298,8 @@ def rates_differ(
 
 
 def mismatch_of_all(rate: Floats, size: float, u: float, mismatch: Floats) -> float:
-    """What all beats have in common against their rates (n,), by the fast ones; 0 where that may be chance.
-
-    Less than what `rates_differ` asks of a single record is enough. nan where no mismatch is known.
-    """
+    """What all beats have in common against their rates (n,), by the fast ones; 0 where that may be chance."""
+    # Less than what `rates_differ` asks of a single record is enough. nan where no mismatch is known.
     fastest = 0.0
     for some in in_blocks(rate.size):
         known = np.isfinite(mismatch[some])
@@ -409,11 +405,10 @@ def _together(estimates: Sequence[LockInEstimate], run: Run) -> RatioBlock:
 
 
 def _as_measured(estimate: LockInEstimate) -> tuple[Complexes, Floats]:
-    """rho and its covariance as the record has them; a mean of records in the negative sense is turned back.
-
-    Such a mean holds the value of the positive sense. Which of the two it is shows in the backscatter phase, which
-    is the same in both senses: the angle of -rho in the positive one, the negative angle of rho in the other.
-    """
+    """rho and its covariance as the record has them; a mean of records in the negative sense is turned back."""
+    # Such a mean holds the value of the positive sense. Which of the two it is shows in the backscatter phase,
+    # which is the same in both senses: the angle of -rho in the positive one, the negative angle of rho in the
+    # other.
     rho, phase = estimate.complex_ratio, np.exp(1j * estimate.backscatter_phase)
     size = np.maximum(np.abs(rho), 1e-300)
     with np.errstate(invalid="ignore"):  # records without a beat are nan
@@ -588,10 +583,8 @@ def gather(records: UsedRecords) -> Points:
 
 
 def at_mean_times(points: Points, parameters: Floats) -> Points:
-    """The points with every record as it would be at the middle of its visit, by the drifts of a fit.
-
-    The mean of ratios that turn while they are taken is smaller than they are.
-    """
+    """The points with every record as it would be at the middle of its visit, by the drifts of a fit."""
+    # The mean of ratios that turn while they are taken is smaller than they are.
     places, means = points.places, points.points
     moved = np.zeros((3, len(places)))
     for _, data, _ in points.records.data():
@@ -611,10 +604,8 @@ def with_rate_noise(points: Points, share: float) -> Points:
 
 
 def _by_rate(ratio: Complexes, relative: Floats | float) -> Floats:
-    """Covariance (..., 2, 2) of ratios (...) by the relative u of their rates.
-
-    d ln r = -(1 + r^2)/(1 - r^2) d ln W.
-    """
+    """Covariance (..., 2, 2) of ratios (...) by the relative u of their rates."""
+    # d ln r = -(1 + r^2)/(1 - r^2) d ln W.
     square = np.minimum(np.abs(ratio) ** 2, _LARGEST_SQUARE)
     # far from lock-in the factor is 1 to 8 % of that u, and saved runs give what they gave
     steeper = np.where(square > _NEAR, (1 + square) / (1 - square), 1.0)

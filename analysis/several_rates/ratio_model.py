@@ -155,12 +155,10 @@ _LARGEST_SQUARE = 0.99
 
 
 def gain_factors(fast_ratio: Complexes, slowness: Floats) -> tuple[Complexes, Complexes]:
-    """What slow gain makes of the ratio q that a laser with fast gain has: G and |c|/c of equation (1).
-
-    With F = 1/(1 + i w T) and q e^(...) of size r, the lines of the beat stay a geometric series, of ratio p = r G
-    with |p|/(1 + |p|^2) = |F| r/(1 + r^2) and the phase of F. Its image makes the fundamental
-    c = (1 - r^2 G)^2 + q^2 (1 - G)^2.
-    """
+    """What slow gain makes of the ratio q that a laser with fast gain has: G and |c|/c of equation (1)."""
+    # With F = 1/(1 + i w T) and q e^(...) of size r, the lines of the beat stay a geometric series, of ratio p = r
+    # G with |p|/(1 + |p|^2) = |F| r/(1 + r^2) and the phase of F. Its image makes the fundamental c = (1 - r^2
+    # G)^2 + q^2 (1 - G)^2.
     square = np.abs(fast_ratio) ** 2
     follow = 1 / (1 + 1j * slowness)
     steepness = 4 * square * np.abs(follow) ** 2 / (1 + square) ** 2
@@ -190,16 +188,13 @@ def by_cubic_law(own: Complexes) -> Complexes:
 
 
 def beyond_first_order(parameters: Floats, data: RatioData) -> tuple[Complexes, Floats]:
-    """What a cubic law adds to the ratio and to the third harmonic beside what (1) says of it.
-
-    (1) is of first order in H, and takes the light to be as large at every phase of the beat. Slow gain leaves it
-    to wink: with q e^(...) of size r, the light of the fringes is (z - r)^2/[(1 - p z)(z - p*)], p = r G, and the
-    cube of what the receiver sees of it has three times the winking in its fundamental.
-
-    The lines d_n of the distorted signal come from one period of it. With D(w) = sum d_n w^(n-1), the geometric
-    series nearest to them has the ratio w* where (1 - |w|^2) |D(w)|^2 is largest, D'/D = w*/(1 - |w|^2), and the
-    fundamental (1 - |w|^2) D(w).
-    """
+    """What a cubic law adds to the ratio and to the third harmonic beside what (1) says of it."""
+    # (1) is of first order in H, and takes the light to be as large at every phase of the beat. Slow gain leaves
+    # it to wink: with q e^(...) of size r, the light of the fringes is (z - r)^2/[(1 - p z)(z - p*)], p = r G, and
+    # the cube of what the receiver sees of it has three times the winking in its fundamental.
+    # The lines d_n of the distorted signal come from one period of it. With D(w) = sum d_n w^(n-1), the geometric
+    # series nearest to them has the ratio w* where (1 - |w|^2) |D(w)|^2 is largest, D'/D = w*/(1 - |w|^2), and the
+    # fundamental (1 - |w|^2) D(w).
     fast, slowness = _of_fast_gain(parameters, data)
     gain, turn = gain_factors(fast, slowness)
     own = fast * gain * turn
@@ -246,11 +241,9 @@ def _polynomial(lines: Complexes, w: Complexes) -> tuple[Complexes, Complexes]:
 
 
 def third_harmonic_share(square: Floats) -> Floats:
-    """Third harmonic that third-order distortion leaves beyond the nearest geometric series, over H; of r^2.
-
-    With Y the beat as a function of its phase, the distortion is H Re Y^3 and what is left of it H (1 - r^2) s
-    Y^2/(1 - q s), whose third coefficient this is.
-    """
+    """Third harmonic that third-order distortion leaves beyond the nearest geometric series, over H; of r^2."""
+    # With Y the beat as a function of its phase, the distortion is H Re Y^3 and what is left of it H (1 - r^2) s
+    # Y^2/(1 - q s), whose third coefficient this is.
     rest = 1 - square
     return np.asarray(rest * (rest**2 - 4 * rest * square + square**2))
 
@@ -390,11 +383,9 @@ class _Linearised:
 
 
 def all_solutions(data: RatioData, prior: Prior) -> RatioFit:
-    """Every minimum that is found from many starts, for one set of data; the best first.
-
-    Lock-in rate and phase are tried on a grid, and the gain time where it is free, with the best distortion for
-    each; the lowest points of that map are the starts.
-    """
+    """Every minimum that is found from many starts, for one set of data; the best first."""
+    # Lock-in rate and phase are tried on a grid, and the gain time where it is free, with the best distortion for
+    # each; the lowest points of that map are the starts.
     tried = _minimised(data, prior, _starts(data, prior), _FIRST_ITERATIONS)
     tried = _apart(tried, np.zeros(len(tried.chi_square)))[:_FINISHED]
     near = _minimised(data, prior, _around(tried.parameters, data, prior), _FIRST_ITERATIONS)
@@ -587,10 +578,8 @@ class ReceiverKnowledge:
         )
 
     def prior(self, slowest_beat_hz: float) -> Prior:
-        """Mean and standard deviation of every parameter of the fit before there are data.
-
-        Limits count as rectangular: half width over the root of three.
-        """
+        """Mean and standard deviation of every parameter of the fit before there are data."""
+        # Limits count as rectangular: half width over the root of three.
         mean, sd = np.zeros(N_PARAMETERS), np.full(N_PARAMETERS, np.inf)
         second, third = self.second_order_limit, self.third_order_limit
         sd[2] = WEAK * SECOND_ORDER_LIMIT if math.isnan(second) else second / _RECTANGLE

@@ -50,11 +50,9 @@ def answer(found: RatioFit, widen: float, degrees: int) -> RatesAnswer:
 
 
 def largest_possible(found: RatioFit, data: RatioData) -> float:
-    """Lock-in rate beyond which beats would contradict their rates, deg/s; inf where they say nothing.
-
-    A gyro that beats turns faster than its lock-in rate. That holds if the rates given are those at which the
-    records were taken, and not just senses: if they agree with the beats for one of the minima found.
-    """
+    """Lock-in rate beyond which beats would contradict their rates, deg/s; inf where they say nothing."""
+    # A gyro that beats turns faster than its lock-in rate. That holds if the rates given are those at which the
+    # records were taken, and not just senses: if they agree with the beats for one of the minima found.
     rate, sizes = np.abs(data.rate), np.hypot(found.parameters[:, 0], found.parameters[:, 1])
     off = np.abs(np.hypot(data.beat_rate, sizes[:, np.newaxis]) / rate - 1)
     if not np.any(np.all(off < _SAME_RATE, axis=-1)):
@@ -77,12 +75,10 @@ _SAME_RATE, _OTHER_RATE = 0.1, 1.5
 def by_profile(
     said: RatesAnswer, found: RatioFit, data: RatioData, prior: Prior, widen: float, degrees: int, most: float
 ) -> RatesAnswer:
-    """The interval from chi-square itself, and an uncertainty to match, where straight lines would not do.
-
-    In one sense distortion and gain corner together bend the valley in which the answer lies. The interval holds
-    every lock-in rate for which chi-square is above the best by no more than 95 % allow, the rest being free, and
-    which is not above `most`.
-    """
+    """The interval from chi-square itself, and an uncertainty to match, where straight lines would not do."""
+    # In one sense distortion and gain corner together bend the valley in which the answer lies. The interval holds
+    # every lock-in rate for which chi-square is above the best by no more than 95 % allow, the rest being free,
+    # and which is not above `most`.
     if not said.value > _WELL_KNOWN * said.u:
         return said
     student = float(scipy.special.stdtrit(degrees, 0.975)) if degrees else _NORMAL_95
@@ -131,16 +127,13 @@ _REFINEMENTS, _FINER = 1, 6
 def with_coupling(
     said: RatesAnswer, fit: RatioFit, scale_factor: float, *, failed: bool, by_beats: CouplingSeen | None
 ) -> RatesAnswer:
-    """The answer with what coupling without loss may do to it, for a gain corner that is seen.
-
-    The ratios do not show that coupling: it counts with the angle that it may have where all fits, and with twice
-    that angle where the model failed, or the beats are not those of the rates; but with no more than beats and
-    rates allow.
-
-    With an angle between the backscatter of the two beams WL comes out too high by up to (B_s/g_d)^2, B_s = 2 pi K
-    WL tan(eps/2) and g_d a third of g_c for a cross saturation of half the self saturation
-    (docs/several_rates.md).
-    """
+    """The answer with what coupling without loss may do to it, for a gain corner that is seen."""
+    # The ratios do not show that coupling: it counts with the angle that it may have where all fits, and with
+    # twice that angle where the model failed, or the beats are not those of the rates; but with no more than beats
+    # and rates allow.
+    # With an angle between the backscatter of the two beams WL comes out too high by up to (B_s/g_d)^2, B_s = 2 pi
+    # K WL tan(eps/2) and g_d a third of g_c for a cross saturation of half the self saturation
+    # (docs/several_rates.md).
     gain_time, u = float(fit.parameters[0, 3]), float(np.sqrt(fit.covariance[0, 3, 3]))
     if not gain_time > _SEEN * u:
         return said

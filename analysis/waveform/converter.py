@@ -190,11 +190,9 @@ HEIGHTS = 8
 
 
 def is_a_piece(found: Bools, suspect: Bools) -> bool:
-    """Whether outliers (N,) stand closer together than spikes do, or go on in what is `suspect` (N,) there.
-
-    Where they stand in the very first samples only they are the end of something that dies away, as a gyro that
-    settles does.
-    """
+    """Whether outliers (N,) stand closer together than spikes do, or go on in what is `suspect` (N,) there."""
+    # Where they stand in the very first samples only they are the end of something that dies away, as a gyro that
+    # settles does.
     if found[0] and not found[SETTLING:].any():
         return True
     edges = np.flatnonzero(np.diff(suspect, prepend=False, append=False)).reshape(-1, 2)
@@ -324,23 +322,19 @@ def mean_rounding(model: Samples, values: Samples, spacing: Floats, residual_rms
 
 
 def repetition(lines: Sizes) -> Floats:
-    """How many times over the same errors occur in a residual, from its lines, (R, L) -> (R,): 1 for white noise.
-
-    Where the sampling is locked to the beat, a few rounding errors repeat over the whole record. Their spectrum is
-    then a few lines, while the lines of white noise scatter as much as their mean.
-    """
+    """How many times the same errors occur in a residual, from its lines, (R, L) -> (R,): 1 for white noise."""
+    # Where the sampling is locked to the beat, a few rounding errors repeat over the whole record. Their spectrum
+    # is then a few lines, while the lines of white noise scatter as much as their mean.
     power = np.square(lines[:, 1:], dtype=np.float64)
     total = np.maximum(power.sum(axis=-1), 1e-300)
     return np.asarray(np.vecdot(power, power) * power.shape[1] / (2 * total**2))
 
 
 def locked_to_the_beat(omega: Floats, repeated: Floats, n_samples: int) -> Bools:
-    """Whether a residual that repeats (R,) does so because the sampling is locked to the beat.
-
-    After some number of samples the beat must stand at the same phase again, all through the record; its errors
-    can then repeat no more often than the record holds such cycles. A waveform of another shape repeats too, but
-    with every beat, and so more often.
-    """
+    """Whether a residual that repeats (R,) does so because the sampling is locked to the beat."""
+    # After some number of samples the beat must stand at the same phase again, all through the record; its errors
+    # can then repeat no more often than the record holds such cycles. A waveform of another shape repeats too, but
+    # with every beat, and so more often.
     locked = repeated > LOCKED
     cycles = np.arange(2, n_samples // 2)
     turns = omega[locked, np.newaxis] / (2 * np.pi) * cycles
@@ -352,11 +346,10 @@ def locked_to_the_beat(omega: Floats, repeated: Floats, n_samples: int) -> Bools
 
 
 def leftover_excess(residual: Residual, n_samples: int, spacing: Floats) -> Floats:
-    """Factor by which the variance of the estimates exceeds that of white noise of the residual's strength, (R,).
-
-    What the correction leaves of the rounding error is not white noise: it sits on the few samples next to a
-    change of level, and follows the waveform. The factor is calibrated on random records (`benchmarks.estimator`).
-    """
+    """Factor (R,) by which the variance of the estimates exceeds that of white noise as strong as the residual."""
+    # What the correction leaves of the rounding error is not white noise: it sits on the few samples next to a
+    # change of level, and follows the waveform. The factor is calibrated on random records
+    # (`benchmarks.estimator`).
     rms = np.sqrt(residual.power / n_samples) / spacing
     along = 1 + LEFTOVER * np.exp((LEAST_RMS - rms) / LEFTOVER_FALL)
     silent = np.flatnonzero(rms < SILENT)

@@ -188,10 +188,8 @@ def _fit_alike(records: Records, clipped: Bools | None) -> WaveformFit:
 def _take_out_rounding(
     values: Samples, masks: Masks, fit: SeriesFit, left: Residual, count: Floats
 ) -> tuple[Floats, Bools]:
-    """Fit quiet records again with the mean rounding error taken out; fit and left are changed.
-
-    Returns the factor (R,) of the variance by what is left of the rounding, and where it repeats with the beat.
-    """
+    """Fit quiet records again with the mean rounding error taken out; fit and left are changed."""
+    # Returns the factor (R,) of the variance by what is left of the rounding, and where it repeats with the beat.
     rms = np.sqrt(left.power / np.maximum(count - N_PARAMETERS, 1))
     spacing = level_spacing(values, rms)
     quiet, excess = np.flatnonzero(spacing), np.ones(len(values))
@@ -337,11 +335,9 @@ def _look_closer(
     at_rest: Bools,
     flags: Ints,
 ) -> None:
-    """What shows in the samples only: harmonics too weak for lines, and a ratio that drifts.
-
-    The report's misfit and the flags are changed. variance (R,): of the noise of a sample, as strong as it is at
-    the harmonics.
-    """
+    """What shows in the samples only: harmonics too weak for lines, and a ratio that drifts."""
+    # The report's misfit and the flags are changed. variance (R,): of the noise of a sample, as strong as it is at
+    # the harmonics.
 
     def taken(chosen: Bools) -> tuple[Indices, Samples, Samples | None, Series]:
         rows = never_alone(np.flatnonzero(chosen))
@@ -390,11 +386,9 @@ def _moving_fit(records: Records, masks: Masks, series: Series, row: int, fatal:
 def _fit_between_limits(
     values: Samples, weights: Samples, undamaged: Samples, limits: Floats
 ) -> tuple[SeriesFit, Samples]:
-    """Fit clipped records without their clipped samples.
-
-    Which samples are left out must not depend on their own noise, or the mean of the others is biased near the
-    limits. So after a first fit the model, not the sample, says what is too near to a limit.
-    """
+    """Fit clipped records without their clipped samples."""
+    # Which samples are left out must not depend on their own noise, or the mean of the others is biased near the
+    # limits. So after a first fit the model, not the sample, says what is too near to a limit.
     fit = fit_series(values * undamaged, undamaged)
     kept = undamaged
     for _ in range(2):
@@ -469,11 +463,9 @@ SMOOTH = 3.0
 
 
 def passing_power(left: Floats) -> float:
-    """Sum of squares of a curve in one part of a residual (N,), beyond its steady noise; 0 where there is none.
-
-    The power of a part of m samples has as many degrees of freedom as its noise has independent values: m for
-    white noise, and m (mean S)^2/mean(S^2) for one of the spectrum S, which the residual itself shows.
-    """
+    """Sum of squares of a curve in one part of a residual (N,), beyond its steady noise; 0 where there is none."""
+    # The power of a part of m samples has as many degrees of freedom as its noise has independent values: m for
+    # white noise, and m (mean S)^2/mean(S^2) for one of the spectrum S, which the residual itself shows.
     if left.size < PARTS:
         return 0.0
     if far := _power_of_runs(left):
@@ -511,11 +503,9 @@ def _power_of_runs(left: Floats) -> float:
 
 
 def slow_curve_power(left: Floats) -> float:
-    """Sum of squares of a curve in a residual (N,) whose lowest lines have the phases of one event; 0 without.
-
-    So have the lines of noise that is louder for a while: they must be stronger than all others are. And so have
-    the feet of a line that lies among them: the strongest must be one of the first.
-    """
+    """Sum of squares of a curve in a residual (N,) whose lowest lines have the phases of one event; 0 without."""
+    # So have the lines of noise that is louder for a while: they must be stronger than all others are. And so have
+    # the feet of a line that lies among them: the strongest must be one of the first.
     spectrum = np.fft.rfft(left)[1:]
     lines, power = spectrum[: LINES + 1], np.abs(spectrum) ** 2
     steps = lines[1:] * np.conj(lines[:-1])

@@ -79,11 +79,9 @@ class Spectra:
         return SpectralStart(line * (2 * np.pi / n), _amplitude(seen, bins - line[:, np.newaxis], n), second)
 
     def candidates(self, n_candidates: int) -> Floats:
-        """Frequencies of the strongest lines, for records in which the strongest may not be the fundamental.
-
-        Close to lock-in the harmonics are nearly as strong as the fundamental, and where few samples fall into a
-        period several of them fold onto one line.
-        """
+        """Frequencies of the strongest lines, for records in which the strongest may not be the fundamental."""
+        # Close to lock-in the harmonics are nearly as strong as the fundamental, and where few samples fall into a
+        # period several of them fold onto one line.
         remaining, strongest = self.lines.copy(), self.strongest
         bins = np.arange(remaining.shape[1])
         found = np.empty((len(remaining), n_candidates))
@@ -195,10 +193,8 @@ def records_at_once(n_samples: int, precision: DTypeLike) -> int:
 
 
 def sums(values: Samples) -> Floats:
-    """Sum over the last axis, (R, N) -> (R,); a product with ones is several times faster than `np.sum`.
-
-    One product for each record: in a product of the whole matrix the last digits depend on the place in it.
-    """
+    """Sum over the last axis, (R, N) -> (R,); a product with ones is several times faster than `np.sum`."""
+    # One product for each record: in a product of the whole matrix the last digits depend on the place in it.
     return np.asarray(np.vecdot(values, np.ones(values.shape[1], dtype=values.dtype)).astype(np.float64))
 
 
@@ -208,11 +204,10 @@ def sums_of_squares(values: Samples) -> Floats:
 
 
 def never_alone(rows: Indices) -> Indices:
-    """The rows, a single one twice.
-
-    NumPy multiplies one complex number by itself in another way than several, so that the last digits of a record
-    would depend on whether others are fitted with it. What is found twice is the same and is put to one place.
-    """
+    """The rows, a single one twice."""
+    # NumPy multiplies one complex number by itself in another way than several, so that the last digits of a
+    # record would depend on whether others are fitted with it. What is found twice is the same and is put to one
+    # place.
     return np.repeat(rows, 2) if rows.size == 1 else rows
 
 

@@ -77,10 +77,8 @@ def surroundings(power: Samples) -> Floats:
 
 
 def line_stands_out(power: Samples, *, few_lines: bool = False) -> bool:
-    """Whether a line of a spectrum (L,) stands out of its neighbours, as hardly any does in noise of any colour.
-
-    `few_lines` is the answer where there are too few lines to have neighbours.
-    """
+    """Whether a line of a spectrum (L,) stands out of its neighbours, as hardly any does in any noise."""
+    # `few_lines` is the answer where there are too few lines to have neighbours.
     if power.size < 2 * (2 * NEIGHBOURS + 1):
         return few_lines
     strongest = float((power / np.maximum(surroundings(power), 1e-300)).max())
@@ -133,11 +131,9 @@ def pedestal_power(power: Samples, line: float) -> float:
 
 
 def left_over(power: Samples) -> float:
-    """Power (the sum of lines) that a moving phase leaves beyond the noise; 0 where that may be chance.
-
-    A moving phase that is the right one leaves noise. The noise is read where the spectrum (L,) is lowest, since
-    what is wrong stands about the harmonics, often as wide as they are apart.
-    """
+    """Power (the sum of lines) that a moving phase leaves beyond the noise; 0 where that may be chance."""
+    # A moving phase that is the right one leaves noise. The noise is read where the spectrum (L,) is lowest, since
+    # what is wrong stands about the harmonics, often as wide as they are apart.
     parts = np.array_split(power.astype(np.float64), FLOOR_PARTS)
     floor = float(np.sort([np.median(part) for part in parts])[1]) / math.log(2)
     surplus = float(power.sum()) - floor * power.size
@@ -373,14 +369,12 @@ def _neighbours_agree(sizes: Samples) -> float:
 
 
 def _low_levels(power: Samples, line: float) -> Floats:
-    """Noise level at half a line of few periods, at the line and at its double, (3,).
-
-    Near zero frequency the noise may change within a few bins, so that an average over neighbours would not do.
-    Instead its logarithm is fitted by a parabola in the logarithm of the frequency, by maximum likelihood: the
-    power of each bin scatters about the level as an exponential variable. White and 1/f noise are exact cases.
-    The bins of the lines themselves are left out: the fit has emptied them. A level that rests on few bins is
-    raised by what Student's distribution asks for. Where none is left the noise counts as white.
-    """
+    """Noise level at half a line of few periods, at the line and at its double, (3,)."""
+    # Near zero frequency the noise may change within a few bins, so that an average over neighbours would not do.
+    # Instead its logarithm is fitted by a parabola in the logarithm of the frequency, by maximum likelihood: the
+    # power of each bin scatters about the level as an exponential variable. White and 1/f noise are exact cases.
+    # The bins of the lines themselves are left out: the fit has emptied them. A level that rests on few bins is
+    # raised by what Student's distribution asks for. Where none is left the noise counts as white.
     bins = np.arange(1, min(int(4 * line) + 12, power.size) + 1)
     free = (np.abs(bins - line) > 1.5) & (np.abs(bins - 2 * line) > 1.5)
     if not free.any():
@@ -559,11 +553,9 @@ def repeating(power: Samples, line: float, n_samples: int) -> tuple[float, bool]
 
 
 def by_level(left: Floats, level: Floats, degrees: float) -> tuple[float, bool]:
-    """Size (as an amplitude) that may hide on the second harmonic behind what follows the level in a residual.
-
-    Where rate or baseline moves, what a curved or damaged characteristic leaves has no frequency of its own. It is
-    a function of the level yet, and polynomials of that take it up.
-    """
+    """Size (as an amplitude) that may hide on the second harmonic behind what follows the level in a residual."""
+    # Where rate or baseline moves, what a curved or damaged characteristic leaves has no frequency of its own. It
+    # is a function of the level yet, and polynomials of that take it up.
     lowest, highest = float(level.min()), float(level.max())
     place = (2 * level - lowest - highest) / max(highest - lowest, NOTHING)
     # offset and amplitude are fitted
@@ -586,13 +578,11 @@ NOT_CODES = 1e-3
 
 
 def by_code(left: Floats, level: Floats) -> float | None:
-    """Size (as an amplitude) that the codes of a converter put onto the second harmonic; ``None``: it is not they.
-
-    Thresholds that are wrong each by itself leave as much in polynomials of every degree of the level; widths that
-    are, add up to errors whose power falls with the square of the degree. So it is C (2/n)^a beside the noise,
-    with C and a by their likelihood: the second degree, the one that hides, has C. A curve of low degrees, a step,
-    and what is no function of the level, are something else.
-    """
+    """Size (an amplitude) that the codes of a converter put onto the second harmonic; ``None``: not they."""
+    # Thresholds that are wrong each by itself leave as much in polynomials of every degree of the level; widths
+    # that are, add up to errors whose power falls with the square of the degree. So it is C (2/n)^a beside the
+    # noise, with C and a by their likelihood: the second degree, the one that hides, has C. A curve of low
+    # degrees, a step, and what is no function of the level, are something else.
     edges = np.linspace(level.min(), level.max(), HEIGHTS + 1)
     height = np.clip(np.searchsorted(edges, level) - 1, 0, HEIGHTS - 1)
     count = np.bincount(height, minlength=HEIGHTS)

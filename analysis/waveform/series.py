@@ -135,10 +135,8 @@ def _in_closed_form(series: Series, n_samples: int, precision: np.dtype[Any]) ->
 
 
 def _sides(series: Series, n_samples: int, precision: np.dtype[Any], n_harmonics: int) -> tuple[Samples, Samples]:
-    """Two real matrices per record, (R, rows, 2K + 2) and (R, 2K + 2, length), whose product is the waveform.
-
-    The real parts of K complex products of a coarse and a fine phasor, and the offset.
-    """
+    """Two real matrices per record, (R, rows, 2K + 2) and (R, 2K + 2, length), whose product is the waveform."""
+    # The real parts of K complex products of a coarse and a fine phasor, and the offset.
     outer, inner = record_grid(n_samples)
     coarse, fine = phasors(series.omega, outer, precision), phasors(series.omega, inner, precision)
     first, ratio = (p.astype(coarse.dtype)[:, np.newaxis] for p in (series.first, series.ratio))
@@ -318,10 +316,8 @@ def equations_by_samples(values: Samples, weights: Samples | None, series: Serie
 
 
 def drift_by_samples(values: Samples, weights: Samples | None, series: Series) -> tuple[Floats, Floats]:
-    """By how much the complex ratio of fitted records would change from the middle to the end if it drifted.
-
-    The amplitude may drift beside it, by any share. One step from the minimum of a fit without.
-    """
+    """By how much the complex ratio of fitted records would change from the middle to the end if it drifted."""
+    # The amplitude may drift beside it, by any share. One step from the minimum of a fit without.
     change, covariance = _step(*_tangents(values, weights, series, drifting=True)).solve_and_invert()
     return change[:, 7:], covariance[:, 7:, 7:]
 
@@ -445,11 +441,10 @@ class Step:
 
 
 def _invert(matrix: Floats) -> None:
-    """Replace positive definite matrices with a unit diagonal, (P, P, R), by their inverses.
-
-    Gauss-Jordan elimination of all records in step: for many small matrices it is several times faster than a
-    call of LAPACK for each, and for few it must give the same digits. Positive definite matrices need no pivoting.
-    """
+    """Replace positive definite matrices with a unit diagonal, (P, P, R), by their inverses."""
+    # Gauss-Jordan elimination of all records in step: for many small matrices it is several times faster than a
+    # call of LAPACK for each, and for few it must give the same digits. Positive definite matrices need no
+    # pivoting.
     for row in range(len(matrix)):
         reciprocal = 1 / np.maximum(matrix[row, row], RIDGE / 10)
         column = matrix[:, row].copy()
@@ -493,10 +488,8 @@ def harmonic_powers(turn: Phasors, highest: int, lowest: int = 0, axis: int = -1
 
 
 def phasors(omega: Floats, index: Floats, precision: np.dtype[Any]) -> Phasors:
-    """exp(i w m), (R,) or (R, C) and (L,) -> (R, L) or (R, L, C), in single or double precision.
-
-    The angle may be thousands of turns: it is reduced in double precision before it is rounded to single.
-    """
+    """exp(i w m), (R,) or (R, C) and (L,) -> (R, L) or (R, L, C), in single or double precision."""
+    # The angle may be thousands of turns: it is reduced in double precision before it is rounded to single.
     turn = np.empty((len(omega), index.size, *omega.shape[1:]), dtype=np.result_type(precision, np.complex64))
     # before the middle of the record stand the conjugates of what stands behind it, to the last bit
     half = index.size // 2 if index[0] == -index[-1] else 0
@@ -580,10 +573,8 @@ def _grid_powers(
 
 
 def uniform_kernels(omega: Floats, n_samples: int, n_orders: int) -> Floats:
-    """`data_sums` of a record of ones, p = 0, 1, 2, in closed form (Dirichlet kernel and its derivatives).
-
-    The sums are real for p = 0 and 2, and imaginary for p = 1: the factor i is left out there.
-    """
+    """`data_sums` of a record of ones, p = 0, 1, 2, in closed form (Dirichlet kernel and its derivatives)."""
+    # The sums are real for p = 0 and 2, and imaginary for p = 1: the factor i is left out there.
     n = n_samples
     half = harmonic_powers(np.exp(0.5j * omega), n_orders, 1)
     many = harmonic_powers(np.exp(0.5j * n * omega), n_orders, 1)
@@ -609,10 +600,8 @@ def uniform_kernels(omega: Floats, n_samples: int, n_orders: int) -> Floats:
 
 
 def _near_a_constant(half_angle: Floats, sign: Floats, n: int) -> tuple[Floats, Floats, Floats]:
-    """The kernel and its two derivatives by their power series, at angles close to a multiple of 2 pi.
-
-    `sign` is what the kernel takes on from there to here: D(angle + 2 pi) = (-1)^(N-1) D(angle).
-    """
+    """The kernel and its two derivatives by their power series, at angles close to a multiple of 2 pi."""
+    # `sign` is what the kernel takes on from there to here: D(angle + 2 pi) = (-1)^(N-1) D(angle).
     e = 2 * half_angle
     e2 = e * e
     s2, s4, s6 = _power_sums(n)

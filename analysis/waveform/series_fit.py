@@ -143,12 +143,10 @@ class _Search:
 def _equation_error_fit(
     omega: Floats, ones: Complexes, of_values: Complexes, of_squares: Complexes
 ) -> tuple[Series, Floats]:
-    """Start values from a linear fit that needs no harmonics and no first guess of q, and what it leaves.
-
-    Multiplied by |1 - q e|^2 the waveform becomes linear in its unknowns:
-    v = a + Re(b e) + v Re(s e), with s = 2q/(1 + |q|^2), whose size is WL/W itself. All inner products are sums
-    of 1, v and v^2 times exp(-i k w m), k = 0, 1, 2: the arguments, (R, 3) each.
-    """
+    """Start values from a linear fit that needs no harmonics and no first guess of q, and what it leaves."""
+    # Multiplied by |1 - q e|^2 the waveform becomes linear in its unknowns: v = a + Re(b e) + v Re(s e), with s =
+    # 2q/(1 + |q|^2), whose size is WL/W itself. All inner products are sums of 1, v and v^2 times exp(-i k w m), k
+    # = 0, 1, 2: the arguments, (R, 3) each.
     normal = np.empty((omega.size, 5, 5))
     normal[:, :3, :3] = _products(ones)
     normal[:, :3, 3:] = _products(of_values)[:, :, 1:]

@@ -265,10 +265,8 @@ class SampledRecord:
         )
 
     def drift_of_pull(self, fitted: Fitted) -> tuple[Floats, Floats]:
-        """What s and c would gain from the middle of the record to its end if they drifted evenly.
-
-        One step from the minimum of a fit without such a drift.
-        """
+        """What s and c would gain from the middle of the record to its end if they drifted evenly."""
+        # One step from the minimum of a fit without such a drift.
         at, model = fitted.trajectory, self._model(fitted.trajectory)
         equations = _Equations.of(self, at, model, fitted.looseness, drifting=True)
         # the two of the drift last
@@ -437,11 +435,10 @@ class Stepped:
 
 
 def with_rate_step(record: SampledRecord, fitted: Fitted, looseness: float) -> Stepped | None:
-    """The fit with two rates instead, where they explain the record better than `fitted` does with what it has.
-
-    Where a(t) steps, W may have stepped, or the time base. Then b steps too, and the lock-in rate is that of one
-    part or the other, in units of the time base that is stated. Both are tried, and each is as likely as it fits.
-    """
+    """The fit with two rates instead, where they explain the record better than `fitted` does with what it has."""
+    # Where a(t) steps, W may have stepped, or the time base. Then b steps too, and the lock-in rate is that of one
+    # part or the other, in units of the time base that is stated. Both are tried, and each is as likely as it
+    # fits.
     found = _found_step(fitted)
     if found is None:
         return None

@@ -173,10 +173,8 @@ def _with_step_moved(record: SampledRecord, trajectory: Trajectory, seen: FirstP
 
 
 def _with_noise_of_the_rate(record: SampledRecord, fitted: Fitted) -> tuple[Fitted, Terms]:
-    """The fit at the looseness of greatest likelihood, and the terms that are needed beside such noise.
-
-    No more of them are kept: the noise takes up what they leave.
-    """
+    """The fit at the looseness of greatest likelihood, and the terms that are needed beside such noise."""
+    # No more of them are kept: the noise takes up what they leave.
     width = float(np.log(LOOSENESS[0] / LOOSENESS[1])) / 2
     roughly = _likeliest(record, fitted, width, COARSEST)
     needed = terms_needed(roughly, record.count)
@@ -593,13 +591,11 @@ ONE_SIDED = 6.0
 
 
 def may_be_motion(left: Floats, omega: float, first: complex, ratio: float) -> bool:
-    """Whether what the fit at a steady rate leaves is that of a moving phase, amplitude or baseline.
-
-    Distortion leaves harmonics, which no motion would mend. A wander of s rad wanders by k s at the k-th harmonic,
-    so its sidebands there have k^2 r^(2k-2) of the power of those about the fundamental; the ratio found at a
-    steady rate is too small, which the power 1.5 allows for. Noise of whatever colour moves phase and amplitude
-    alike, a motion of the rate the phase alone, one of the intensity the amplitude.
-    """
+    """Whether what the fit at a steady rate leaves is that of a moving phase, amplitude or baseline."""
+    # Distortion leaves harmonics, which no motion would mend. A wander of s rad wanders by k s at the k-th
+    # harmonic, so its sidebands there have k^2 r^(2k-2) of the power of those about the fundamental; the ratio
+    # found at a steady rate is too small, which the power 1.5 allows for. Noise of whatever colour moves phase and
+    # amplitude alike, a motion of the rate the phase alone, one of the intensity the amplitude.
     power = np.abs(np.fft.rfft(left)[1:]) ** 2
     if _repeats(left, omega, power):
         return False

@@ -68,11 +68,9 @@ class WhoIsThere:
         raise problem
 
     def _read_to_marker(self) -> None:
-        """Read a stream up to the answer of a question that no earlier one can be mistaken for.
-
-        Two identities are alike, so an identity alone does not tell that it is the last one under way. A marker
-        asks for one setting several times over, and once more often for each marker that was not answered.
-        """
+        """Read a stream up to the answer of a question that no earlier one can be mistaken for."""
+        # Two identities are alike, so an identity alone does not tell that it is the last one under way. A marker
+        # asks for one setting several times over, and once more often for each marker that was not answered.
         self._markers_due += 1
         parts = 1 + self._markers_due
         self._link.write(";".join([_MARKER] * parts))

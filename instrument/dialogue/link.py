@@ -140,10 +140,8 @@ class Link:
                     resource.close()
 
     def reopen(self) -> None:
-        """Close what is left of a lost link, and open it anew. LinkError if that is not possible now.
-
-        Other programs are kept from it meanwhile.
-        """
+        """Close what is left of a lost link, and open it anew. LinkError if that is not possible now."""
+        # Other programs are kept from it meanwhile.
         self._hang_up()
         self._timeout = self._socket = self._line = None
         self._resource, self._beneath = open_instrument(self.name, self._manager, ANSWER_TIME)
@@ -181,19 +179,15 @@ class Link:
     def read_blocks(
         self, *, blocks: int = 1, wait: float = 0.0, longest: int
     ) -> tuple[list[tuple[str, bytes]], str]:
-        """Read one answer with `blocks` binary blocks of at most `longest` bytes each.
-
-        Returns what `scpi.split_blocks` does; there are fewer pieces if the answer ended before. Errors as
-        `read_text`.
-        """
+        """Read one answer with `blocks` binary blocks of at most `longest` bytes each."""
+        # Returns what `scpi.split_blocks` does; there are fewer pieces if the answer ended before. Errors as
+        # `read_text`.
         message = self._read_message(wait, longest, blocks=blocks)
         return scpi.split_blocks(message, longest=longest, blocks=blocks)
 
     def read_bitmap(self, *, wait: float = 0.0) -> bytes:
-        """Read a BMP file that comes without block header and line end; its own header tells its length.
-
-        Errors as `read_text`.
-        """
+        """Read a BMP file that comes without block header and line end; its own header tells its length."""
+        # Errors as `read_text`.
         if self.framed:
             picture = self._read_framed(wait, LONGEST_PICTURE)
             length = _bitmap_length(picture)
@@ -211,11 +205,9 @@ class Link:
         return picture[:length]
 
     def clear(self, silence: float | None = None) -> None:
-        """Bring both sides to rest: the instrument drops what it waits for, and late bytes are thrown away.
-
-        GPIB, USB and VXI-11 have a device clear. On RS-232 a break does the same, and the scope answers
-        ``DCL`` (071-1064-00, p. 142). A bare socket has nothing like it: there only late bytes are dropped.
-        """
+        """Bring both sides to rest: the instrument drops what it waits for, and late bytes are thrown away."""
+        # GPIB, USB and VXI-11 have a device clear. On RS-232 a break does the same, and the scope answers ``DCL``
+        # (071-1064-00, p. 142). A bare socket has nothing like it: there only late bytes are dropped.
         note(self.name, "clear")
         if self.on_bus:
             self._set_timeout(self.answer_time)
@@ -230,10 +222,8 @@ class Link:
             self.can_clear = True
 
     def drain(self, silence: float | None = None) -> bytes:
-        """Read a stream until it is silent for so many seconds, `PAUSE_TIME` by default; returns what came.
-
-        Raises LinkError if the other side keeps talking for longer than the longest answer could take.
-        """
+        """Read a stream until it is silent for so many seconds, `PAUSE_TIME` by default; returns what came."""
+        # Raises LinkError if the other side keeps talking for longer than the longest answer could take.
         late = bytearray()
         began = self.clock.now()
         longest = self.answer_time + self.line_time(16_384)

@@ -416,11 +416,9 @@ class FrameStream:
 
 
 def _is_distinct(layout: FrameFormat) -> bool:
-    """Whether a frame with one byte lost or inserted cannot put a header in its place.
-
-    So it is with a header of two bytes or more that does not begin anew within itself, and with one byte whose
-    highest bits no other byte of the frame can have.
-    """
+    """Whether a frame with one byte lost or inserted cannot put a header in its place."""
+    # So it is with a header of two bytes or more that does not begin anew within itself, and with one byte whose
+    # highest bits no other byte of the frame can have.
     header = layout.header
     if len(header) > 1:
         return header[:1] not in header[1:]

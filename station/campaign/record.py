@@ -256,10 +256,8 @@ def file_sha256(path: Path) -> str:
 
 
 def records_sha256(run: SavedRun) -> str:
-    """Return the SHA-256 of what was measured: command, settings, and of each record what makes it.
-
-    It stays the same when a result is computed again and saved, or the file is copied page by page.
-    """
+    """Return the SHA-256 of what was measured: command, settings, and of each record what makes it."""
+    # It stays the same when a result is computed again and saved, or the file is copied page by page.
     total = hashlib.sha256(canonical({"command": run.facts.command, "settings": run.facts.settings}))
     for one in run.records:
         head = [one.number, one.key, one.taken_at, one.purpose, one.header, one.conditions]
@@ -288,11 +286,9 @@ _NOT_IN_XML = re.compile("[\x00-\x08\x0b\x0c\x0e-\x1f\ud800-\udfff\ufffe\uffff]"
 
 
 def junit_xml(record: Mapping[str, Any]) -> str:
-    """Return the XML of a record of a test: a suite for each step, a case for each limit.
-
-    A FAIL is a failure; MARGINAL is one too, of the type ``MARGINAL``: a reader that knows no third verdict must
-    not take it for a pass. ERROR and ABORTED are errors, steps that were not begun are skipped.
-    """
+    """Return the XML of a record of a test: a suite for each step, a case for each limit."""
+    # A FAIL is a failure; MARGINAL is one too, of the type ``MARGINAL``: a reader that knows no third verdict must
+    # not take it for a pass. ERROR and ABORTED are errors, steps that were not begun are skipped.
     root = ET.Element("testsuites", {"name": _text(f"{record['campaign']['name']}: {record['unit']['serial']}")})
     for step in record["steps"]:
         _suite(root, step, record)

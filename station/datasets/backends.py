@@ -592,10 +592,8 @@ class ParquetTable:
                     yield texts[code], number
 
     def rows(self, first: int, last: int, numbers: range | None = None) -> Iterator[tuple[dict[str, Any], bytes]]:
-        """Yield rows from `first` up to, but not, `last`: what stands in the columns, and the bytes sent.
-
-        With `numbers` row groups in which none of these records can be are not read.
-        """
+        """Yield rows from `first` up to, but not, `last`: what stands in the columns, and the bytes sent."""
+        # With `numbers` row groups in which none of these records can be are not read.
         start = 0
         for group, size in enumerate(self._sizes):
             below, above = max(first - start, 0), min(last - start, size)

@@ -25,11 +25,9 @@ _SIDE_FILE = "gyrolock.toml"
 def write_tek_files(
     sources: Iterable[Source], folder: Path, *, replace: bool, left_out: list[ExcludedRecord] | None = None
 ) -> Exported:
-    """Write the records of sources as files ``ALL0000/F0000CH1.CSV``.
-
-    Several sources, or records of several purposes, get folders of their own. Beside them stands what such files
-    do not hold: ``gyrolock.toml`` with the scale factor of the gyro.
-    """
+    """Write the records of sources as files ``ALL0000/F0000CH1.CSV``."""
+    # Several sources, or records of several purposes, get folders of their own. Beside them stands what such files
+    # do not hold: ``gyrolock.toml`` with the scale factor of the gyro.
     done = Exported(left_out=[] if left_out is None else left_out)
     if not replace and folder.is_dir() and any(folder.iterdir()):
         raise UsageError(f"{folder}: holds files already: name another folder, or add --replace")

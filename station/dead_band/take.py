@@ -315,11 +315,9 @@ def sweep(settings: DeadBandSettings) -> list[SweepStep]:
 
 
 def time_base(step: SweepStep, settings: DeadBandSettings) -> float:
-    """Return the time base of a step, s/div.
-
-    A beat is never faster than scale factor times rate. Below the expected lock-in rate there may be none at all:
-    the record is then as long as one at lock-in, and what it shows is taken as it is.
-    """
+    """Return the time base of a step, s/div."""
+    # A beat is never faster than scale factor times rate. Below the expected lock-in rate there may be none at
+    # all: the record is then as long as one at lock-in, and what it shows is taken as it is.
     fastest = settings.gyro.scale_factor_pulses_per_deg * max(
         abs(step.rate_dps), settings.gyro.expected_lock_in_rate_dps
     )

@@ -188,12 +188,10 @@ def window_at_rest(segment: Segment, *, resolution: float) -> WindowMean:
 def window_of_any_length(
     segment: Segment, settings: FogSettings, *, turns: int, tilt_mrad: float | None = None
 ) -> WindowMean:
-    """Mean over whole turns, or where the record is shorter than one turn, of all of it.
-
-    Without whole turns a part of the horizontal earth rate stays in: what the input axis, tilted by
-    `tilt_mrad` (``figures.misalignment_mrad`` if not given), can see of it counts in the uncertainty. Errors as
-    :func:`window_over_turns`.
-    """
+    """Mean over whole turns, or where the record is shorter than one turn, of all of it."""
+    # Without whole turns a part of the horizontal earth rate stays in: what the input axis, tilted by `tilt_mrad`
+    # (``figures.misalignment_mrad`` if not given), can see of it counts in the uncertainty. Errors as
+    # :func:`window_over_turns`.
     recording, rate = checked(segment), float(segment.conditions["rate_dps"])
     resolution = settings.gyro.output_resolution
     turning = abs(float(segment.conditions.get("table_rate_dps", rate)))
@@ -207,10 +205,8 @@ def window_of_any_length(
 
 
 def begins_of(segments: Sequence[Segment]) -> list[float]:
-    """When each segment began, s: by the logs' own clock, by when it was saved, else one right after the other.
-
-    A clock counts if by it no segment begins before the one before has ended.
-    """
+    """When each segment began, s: by the logs' own clock, by when it was saved, else one right after the other."""
+    # A clock counts if by it no segment begins before the one before has ended.
     lengths = [one.recording.duration_s for one in segments]
     of_logs = [one.conditions.get("begin_s") for one in segments]
     if all(begin is not None for begin in of_logs) and _one_after_another(begins := np.array(of_logs), lengths):

@@ -162,10 +162,8 @@ def _together(table: AxisResult) -> TableTogether | None:
 def numbers_against_table_u(
     run: SavedRun, table: TableEvaluation | None, settings: FogSettings, rates_dps: Floats, weights: Floats
 ) -> float | None:
-    """Relative standard uncertainty of the slope of the numbers over the K of the table run that both come from.
-
-    Their errors have one source and cancel in part; ``None`` where nobody knows how.
-    """
+    """Relative standard uncertainty of the slope of the numbers over the K of the run that both come from."""
+    # Their errors have one source and cancel in part; ``None`` where nobody knows how.
     reference = reference_of(run, settings, table)
     own = table.of(settings.selfcal.axis) if table is not None else None
     if reference is None or settings.selfcal.numbers != "differences":
@@ -197,11 +195,9 @@ def _saved_differences(facts: Mapping[str, Any]) -> RateDifferences | None:
 
 
 def numbers_u_of(facts: Mapping[str, Any], settings: FogSettings) -> Callable[[float], float]:
-    """Return how well a number stands for a rate, counts, by the table run that the numbers of logs come from.
-
-    By the scale factor of the table where the numbers are made of it, else by its differences; without a table
-    run, and for numbers by design, nothing is known that would be uncertain.
-    """
+    """Return how well a number stands for a rate, counts, by the table run that the numbers of logs come from."""
+    # By the scale factor of the table where the numbers are made of it, else by its differences; without a table
+    # run, and for numbers by design, nothing is known that would be uncertain.
     reference, made = facts.get(REFERENCE), _saved_differences(facts)
     if reference is None or settings.selfcal.numbers == "nominal":
         return lambda rate: 0.0

@@ -279,11 +279,9 @@ class TimedSegment:
 
 
 def timed_segments(run: SavedRun, purpose: str, left_out: list[Excluded]) -> list[TimedSegment]:
-    """Return the segments that can be used, in the order of time; the others are added to `left_out`.
-
-    The time is that of the clock where they were taken, of the simulation, or of the list of logs. Where nobody
-    says it, or two would overlap, one follows the other.
-    """
+    """Return the segments that can be used, in the order of time; the others are added to `left_out`."""
+    # The time is that of the clock where they were taken, of the simulation, or of the list of logs. Where nobody
+    # says it, or two would overlap, one follows the other.
     taken = {one.key: one.taken_at for one in run.taken_for(purpose)}
     on_bench = not run.facts.simulated and not run.facts.sources
     found, clock = [], 0.0
@@ -363,10 +361,8 @@ class Blocks:
 
 
 def rest_blocks(segments: Sequence[TimedSegment], settings: FogSettings, remarks: list[str]) -> Blocks:
-    """Cut the outputs at rest into blocks of ``block_s`` or longer; each with the noise of all of them.
-
-    What was missing or far off is added to `remarks`.
-    """
+    """Cut the outputs at rest into blocks of ``block_s`` or longer; each with the noise of all of them."""
+    # What was missing or far off is added to `remarks`.
     whole = sum(one.segment.recording.duration_s for one in segments)
     block_s = max(_own(settings).block_s, whole / MOST_BLOCKS)
     means, rows = [], []

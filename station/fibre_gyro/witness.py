@@ -231,11 +231,9 @@ _TRACE_SAMPLES = 512
 
 
 def modulator_voltage(settings: FogSettings) -> Callable[[Floats], Floats]:
-    """Return the voltage on the modulator as a function of time, with the feedback held and a step injected.
-
-    The loop is computed at every transit time for a while and its staircase then continued with the same steps:
-    in open loop nothing else happens.
-    """
+    """Return the voltage on the modulator as a function of time, with the feedback held and a step injected."""
+    # The loop is computed at every transit time for a while and its staircase then continued with the same steps:
+    # in open loop nothing else happens.
     coil, loop = settings.coil, loop_settings(settings)
     gyro = ClosedLoop(coil, loop, settings.simulation.seed, kernel="numpy")
     gyro.clear_feedback()
@@ -402,10 +400,8 @@ def _found(
 
 
 def _mean(records: Sequence[WitnessedRecord], name: str) -> Uncertain:
-    """Weighted mean; where the records scatter by more than their uncertainties, those grow.
-
-    What rounding is wrong by is partly the same in every record, and does not average.
-    """
+    """Weighted mean; where the records scatter by more than their uncertainties, those grow."""
+    # What rounding is wrong by is partly the same in every record, and does not average.
     rows = np.array(
         [(getattr(one.found, name), getattr(one.found, f"{name}_u"), _shared(one)) for one in records],
         dtype=np.float64,

@@ -294,10 +294,8 @@ class Pairs:
 
 
 def whole_pairs(gathered: Gathered) -> Gathered | None:
-    """The records of which both are intact; ``None`` where one never had a second.
-
-    What is left out is counted as damaged, with the record that it belongs to.
-    """
+    """The records of which both are intact; ``None`` where one never had a second."""
+    # What is left out is counted as damaged, with the record that it belongs to.
     return None if (gathered.seconds == 0).any() else with_intact_seconds(gathered)
 
 

@@ -453,8 +453,8 @@ _WAYS = {
 
 
 ALIAS = (
-    "Nothing here tells the beat from an alias of one above half the sampling rate: give the rate, or compare with "
-    "a record at a faster time base."
+    "Nothing here tells the beat from an alias of one above half the sampling rate: give the rate, or compare "
+    "with a record at a faster time base."
 )
 
 

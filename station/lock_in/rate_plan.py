@@ -151,11 +151,9 @@ def changed_plan(
 def _chosen_rates(
     settings: Settings, lock_in_rate: float, tilt_deg: float, likely_factor: float = LIKELY_FACTOR
 ) -> tuple[float, ...]:
-    """Sizes of the rates on the axis, deg/s, for a lock-in rate that may be wrong by some factor.
-
-    The axis of a tilted gyro meets the horizontal earth rate at an azimuth that nobody knows: no rate is so slow
-    that it could stop or turn the gyro round.
-    """
+    """Sizes of the rates on the axis, deg/s, for a lock-in rate that may be wrong by some factor."""
+    # The axis of a tilted gyro meets the horizontal earth rate at an azimuth that nobody knows: no rate is so slow
+    # that it could stop or turn the gyro round.
     tilt = math.radians(tilt_deg)
     earth = EARTH_RATE_DPS * math.cos(math.radians(settings.site.latitude_deg)) * math.sin(tilt)
     clear = earth / lock_in_rate + likely_factor

@@ -380,10 +380,8 @@ def budget_document(budget: Budget) -> dict[str, Any]:
 
 
 def budget_rows(budget: Budget) -> list[tuple[str, ...]]:
-    """Return the lines of a budget as text under `BUDGET_COLUMNS`, the largest contribution first.
-
-    The last one is the combined uncertainty.
-    """
+    """Return the lines of a budget as text under `BUDGET_COLUMNS`, the largest contribution first."""
+    # The last one is the combined uncertainty.
     rows: list[tuple[str, ...]] = []
     for line in budget.inputs:
         unit = "" if line.unit == "1" else f" {line.unit}"

@@ -369,10 +369,8 @@ _NOTHING_KNOWN = BudgetSettings(
 
 
 def stated_of_files(config: Path | None) -> Settings | None:
-    """Settings in which nothing of the bench is known but what a file states; ``None`` without one.
-
-    What the shipped settings say of their simulated bench is not true of the one that the records come from.
-    """
+    """Settings in which nothing of the bench is known but what a file states; ``None`` without one."""
+    # What the shipped settings say of their simulated bench is not true of the one that the records come from.
     if config is None:
         return None
     nothing = default_settings().model_copy(update={"budget": _NOTHING_KNOWN})
@@ -402,11 +400,9 @@ def _amplitude(level_dbc: float) -> float:
 
 
 def channel_response(front_end: FrontEndSettings) -> ChannelResponse | None:
-    """Return the response that the settings describe; ``None`` if there is nothing to correct.
-
-    It has no uncertainties: what all records share does not average out, so it stands in the budget and not with
-    each record.
-    """
+    """Return the response that the settings describe; ``None`` if there is nothing to correct."""
+    # It has no uncertainties: what all records share does not average out, so it stands in the budget and not with
+    # each record.
     if not (front_end.low_pass_hz or front_end.ac_corner_hz or front_end.response):
         return None
     return ChannelResponse(

@@ -269,12 +269,10 @@ class RunRecords(Sequence[Record]):
         return data_frame(record.row() for record in self.records)
 
     def to_xarray(self) -> Any:
-        """Return all samples as an xarray.Dataset over record and sample; ImportError without xarray.
-
-        Records of an oscilloscope give ``volts`` and ``codes``, stretches of output ``counts``; ``time_s`` belongs
-        to them. Shorter ones are filled up with nan (codes with -128, "no data"). What is known of each record
-        is a coordinate.
-        """
+        """Return all samples as an xarray.Dataset over record and sample; ImportError without xarray."""
+        # Records of an oscilloscope give ``volts`` and ``codes``, stretches of output ``counts``; ``time_s``
+        # belongs to them. Shorter ones are filled up with nan (codes with -128, "no data"). What is known of each
+        # record is a coordinate.
         xarray = package("xarray")
         longest = max(map(len, self.records), default=0)
 

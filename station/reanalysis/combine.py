@@ -407,11 +407,9 @@ def tested_by(config: Path | None, said: Result) -> tuple[LimitOutcome, ...]:
 
 
 def scale_factor_of_files(config: Path | None, files: Sequence[Path | Source] = ()) -> float:
-    """Return the scale factor of the gyro whose records are files.
-
-    From a settings file, from ``gyrolock.toml`` beside the files or in the folder above, or asked for once. What
-    the shipped settings say of their simulated gyro is not true of another one.
-    """
+    """Return the scale factor of the gyro whose records are files."""
+    # From a settings file, from ``gyrolock.toml`` beside the files or in the folder above, or asked for once. What
+    # the shipped settings say of their simulated gyro is not true of another one.
     if config is not None and (stated := _stated_of_files(config)) is not None:
         return stated
     folders = dict.fromkeys(file.parent for file in files if isinstance(file, Path))

@@ -267,10 +267,8 @@ def limit_names(declared: Quantities) -> tuple[str, ...]:
 
 
 def value_at(document: Mapping[str, Any], place: str, declared: Quantities) -> Value | None:
-    """Any number of a result by its way in the JSON, ``"axes.1.scale_factor_counts_per_dps"``.
-
-    ``None`` where no object stands there; without uncertainty where the number is not declared.
-    """
+    """Any number of a result by its way in the JSON, ``"axes.1.scale_factor_counts_per_dps"``."""
+    # ``None`` where no object stands there; without uncertainty where the number is not declared.
     *way, key = place.split(".")
     inner: Any = document
     for step in way:

@@ -215,10 +215,8 @@ def number_words(number: str, measured: Value) -> str:
 def judged(
     result: Result, document: Mapping[str, Any], limits: Iterable[Limit], *, doubtful: str = "marginal"
 ) -> tuple[LimitOutcome, ...]:
-    """Judge a result by limits; one that is doubtful passes nothing, one that fails decides nothing.
-
-    `doubtful` is "as_it_is" where a doubtful result is judged like any other.
-    """
+    """Judge a result by limits; one that is doubtful passes nothing, one that fails decides nothing."""
+    # `doubtful` is "as_it_is" where a doubtful result is judged like any other.
     outcomes = []
     for limit in limits:
         values = values_of(result, document, limit.number)
@@ -247,10 +245,8 @@ def _instead(outcome: LimitOutcome, verdict: Verdict, why: str, reasons: Sequenc
 
 
 def limits_in(settings: Mapping[str, float | None], result: Result) -> Iterator[Limit]:
-    """Return the [limits] of settings that a result has the numbers of: on their sizes, with a guard band of U95.
-
-    What has no uncertainty, or is one itself, is decided by its value.
-    """
+    """Return the [limits] that a result has the numbers of: on their sizes, with a guard band of U95."""
+    # What has no uncertainty, or is one itself, is decided by its value.
     for name in dict.fromkeys(one.quantity.limit_name for one in result.measured):
         if (most := settings.get(name)) is not None:
             values = [one for one in result.measured if one.quantity.limit_name == name]

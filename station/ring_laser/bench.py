@@ -205,11 +205,9 @@ class Beats:
 
 
 def beats_at(settings: BenchSettings, table_rate_dps: float, tilt_deg: float | None) -> Beats:
-    """Return the beats that fit a rate of the table.
-
-    The earth rate on the axis depends on an azimuth that nobody knows, and how near lock-in is, nobody knows
-    either: both widen what fits. The sense of rotation shows in no single beat.
-    """
+    """Return the beats that fit a rate of the table."""
+    # The earth rate on the axis depends on an azimuth that nobody knows, and how near lock-in is, nobody knows
+    # either: both widen what fits. The sense of rotation shows in no single beat.
     scale_factor, latitude = settings.gyro.scale_factor_pulses_per_deg, math.radians(settings.site.latitude_deg)
     if tilt_deg is None:
         return Beats(0.0, scale_factor * (abs(table_rate_dps) * (1 + _TOLERANCE) + EARTH_RATE_DPS))

@@ -227,6 +227,8 @@ def read_facts(db: sqlite3.Connection) -> tuple[dict[str, Any], dict[str, str], 
         sums, unusable[SUMS] = {}, str(error)
     for name, text in db.execute("SELECT name, value FROM run WHERE name <> ?", (SUMS,)):
         try:
+            if not isinstance(name, str):
+                raise ValueError("has no name")
             if name in sums and sums[name] != _sum(text):
                 raise ValueError("is not what was once saved")
             known[name] = checked_fact(name, json.loads(text))
@@ -311,6 +313,9 @@ _FIBRE_GYRO = 0x47_59_4C_46  # "GYLF"; runs of the fibre gyro, once
 
 COLUMNS = ("number", "key", "taken_at", "purpose", "header", "payload", "sha256", "conditions")
 
+NUMBERED = "typeof(number) = 'integer'"
+"""What every record has: one in a damaged file that has none is missing."""
+
 
 @dataclass(frozen=True)
 class Layout:
@@ -327,12 +332,13 @@ class Layout:
     @property
     def select(self) -> str:
         """SQL that reads all records in the order in which they were taken."""
-        return f"SELECT {', '.join(self.columns)} FROM {self.table} ORDER BY number"
+        return f"SELECT {', '.join(self.columns)} FROM {self.table} WHERE {NUMBERED} ORDER BY number"
 
     @property
     def select_between(self) -> str:
         """The same for records from one number to another, its two parameters."""
-        return f"SELECT {', '.join(self.columns)} FROM {self.table} WHERE number BETWEEN ? AND ? ORDER BY number"
+        between = f"WHERE {NUMBERED} AND number BETWEEN ? AND ? ORDER BY number"
+        return f"SELECT {', '.join(self.columns)} FROM {self.table} {between}"
 
     @property
     def insert(self) -> str:
@@ -594,11 +600,9 @@ def _good_frames(content: bytes, page_size: int) -> int:
 
 
 def _summed(data: bytes, sums: tuple[int, int], order: str) -> tuple[int, int]:
-    """SQLite's running sums s0 += x[i] + s1, s1 += x[i+1] + s0, modulo 2^32.
-
-    Each sum is a word and the two sums before it: a word weighs in a later sum as the Fibonacci number of their
-    distance.
-    """
+    """SQLite's running sums s0 += x[i] + s1, s1 += x[i+1] + s0, modulo 2^32."""
+    # Each sum is a word and the two sums before it: a word weighs in a later sum as the Fibonacci number of their
+    # distance.
     words = np.frombuffer(data, dtype=f"{order}u4").astype(np.uint32)
     weights, count = _fibonacci(words.size + 1), words.size
     first = int(words[:-1] @ weights[count - 2 :: -1]) + sums[0] * int(weights[count - 2])

@@ -205,12 +205,10 @@ class _BeatSearch:
         )
 
     def _set_trigger(self) -> None:
-        """Trigger on the beat, at a slow time base on the mains.
-
-        There AUTO would scan, and its records be patched; and a trigger on a beat that is locked, or lies beside
-        the level, would be waited for in vain. A record that begins anywhere is as good. A scope that runs on
-        batteries knows no mains.
-        """
+        """Trigger on the beat, at a slow time base on the mains."""
+        # There AUTO would scan, and its records be patched; and a trigger on a beat that is locked, or lies beside
+        # the level, would be waited for in vain. A record that begins anywhere is as good. A scope that runs on
+        # batteries knows no mains.
         if self.base < SCAN_FROM or not self._by_mains:
             mode = "AUTO" if self.base < SCAN_FROM else "NORMAL"
             level = _level(self.vertical)

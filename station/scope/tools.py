@@ -302,10 +302,8 @@ class GrabbedTrace:
 
 
 def grab_traces(scope: TDS2014, channels: Sequence[str] = ()) -> list[GrabbedTrace]:
-    """The traces on the screen, or those that are named.
-
-    A scope that runs takes one record of all of them; one that is stopped keeps what it holds.
-    """
+    """The traces on the screen, or those that are named."""
+    # A scope that runs takes one record of all of them; one that is stopped keeps what it holds.
     shown = list(channels) or [name for name in scope.channels if scope.channel_settings(name).displayed]
     if not shown:
         return []
@@ -323,11 +321,9 @@ def _trace(scope: TDS2014, channel: str, waveform: Waveform) -> GrabbedTrace:
 
 
 def write_grab(folder: Path, name: str, traces: Sequence[GrabbedTrace], picture: bytes | None) -> list[Path]:
-    """Write `NAME.png`, `NAME.csv` (a column of times for each trace, and one of volts) and `NAME.npz`.
-
-    The NumPy file has `CH1_times`, `CH1_volts`, `CH1_codes` and `CH1_preamble` for each channel. A file that is
-    there already is not written over: CannotWrite.
-    """
+    """Write `NAME.png`, `NAME.csv` (a column of times for each trace, and one of volts) and `NAME.npz`."""
+    # The NumPy file has `CH1_times`, `CH1_volts`, `CH1_codes` and `CH1_preamble` for each channel. A file that is
+    # there already is not written over: CannotWrite.
     files: dict[str, bytes] = {} if picture is None else {"png": picture}
     if traces:
         files |= {"csv": _as_csv(traces), "npz": _as_numpy(traces)}

@@ -38,10 +38,8 @@ class Source(ABC):
         """Read the records in the order in which they were taken, one at a time, damaged ones too."""
 
     def stretches(self, numbers: range | None = None) -> Iterator[Stretch]:
-        """Read the same records, those together that lie one behind the other and are alike.
-
-        Errors are those of `records`; what could be read before comes first.
-        """
+        """Read the same records, those together that lie one behind the other and are alike."""
+        # Errors are those of `records`; what could be read before comes first.
         return stretches_of(self.records(numbers))
 
     def __str__(self) -> str:

@@ -11,7 +11,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, overload
 
-from station.runs.database import COLUMNS, TODAY, Layout, RunFacts, opened, read_facts, reading, told
+from station.runs.database import COLUMNS, NUMBERED, TODAY, Layout, RunFacts, opened, read_facts, reading, told
 from station.runs.store import SavedRecord, SavedRun, damaged_facts, missing_records, read_record, run_file
 from station.sources.batches import MOST_BYTES, MOST_RECORDS, Source, Stretch
 
@@ -47,7 +47,8 @@ class RunSource(Source):
     def _numbers(self) -> tuple[int | None, int | None, int]:
         """Least and largest number, and how many: found when it is asked for, since all records are counted."""
         with self._reading() as (db, layout):
-            found = db.execute(f"SELECT min(number), max(number), count(*) FROM {layout.table}").fetchone()
+            counted = f"SELECT min(number), max(number), count(*) FROM {layout.table} WHERE {NUMBERED}"
+            found = db.execute(counted).fetchone()
         return found[0], found[1], int(found[2])
 
     @cached_property
@@ -57,7 +58,9 @@ class RunSource(Source):
         gaps: tuple[str, ...] = ()
         if first is not None and (first, last) != (1, count):
             with self._reading() as (db, layout):
-                rows = db.execute(f"SELECT number FROM {layout.table} WHERE number > 0 ORDER BY number")
+                rows = db.execute(
+                    f"SELECT number FROM {layout.table} WHERE {NUMBERED} AND number > 0 ORDER BY number"
+                )
                 gaps = tuple(missing_records(number for (number,) in rows))
         return (*gaps, *damaged_facts(self.unusable))
 
@@ -101,7 +104,8 @@ class RunSource(Source):
             digest = self._of_facts()
             with self._reading() as (db, layout):
                 db.text_factory = bytes
-                for number, sum_ in db.execute(f"SELECT number, sha256 FROM {layout.table} ORDER BY number"):
+                of_each = f"SELECT number, sha256 FROM {layout.table} WHERE {NUMBERED} ORDER BY number"
+                for number, sum_ in db.execute(of_each):
                     digest.update(_line(number, sum_))
             self._sha256 = digest.hexdigest()
         return self._sha256
@@ -181,7 +185,7 @@ def _decoded(cell: bytes) -> str:
 def _conditions(cell: bytes) -> dict[str, Any] | None:
     try:
         found = json.loads(cell)
-    except (ValueError, RecursionError):
+    except (TypeError, ValueError, RecursionError):
         return None
     return found if isinstance(found, dict) else None
 

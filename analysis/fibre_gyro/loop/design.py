@@ -158,11 +158,9 @@ class LoopDesign:
         return round(per_count * 2.0 ** (self.fractional_bits + GUARD_BITS))
 
     def detector_noise(self, coil: FibreCoil) -> float:
-        """Standard deviation of one detector sample in ADC counts, from the angle random walk.
-
-        White phase noise sigma_phi per sample pair is a rate noise of sigma_phi/(sagnac factor), and pairs come
-        every 2 tau; the difference of two samples of noise sigma is 2 A sigma_phi.
-        """
+        """Standard deviation of one detector sample in ADC counts, from the angle random walk."""
+        # White phase noise sigma_phi per sample pair is a rate noise of sigma_phi/(sagnac factor), and pairs come
+        # every 2 tau; the difference of two samples of noise sigma is 2 A sigma_phi.
         walk = np.deg2rad(self.angle_random_walk_deg_per_sqrt_h) / 60.0
         per_pair = coil.sagnac_factor * walk / np.sqrt(2.0 * coil.transit_time)
         return float(np.sqrt(2.0) * self.adc_half_range * self.light_level * self.contrast * per_pair)

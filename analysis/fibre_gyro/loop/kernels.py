@@ -40,10 +40,8 @@ def run_pairs(
     sums: Ints,
     watch: Watch | None = None,
 ) -> None:
-    """Run the loops over all segments.
-
-    Shapes: converter_phase (codes * 3/2,), words (runs, 3), phases (runs, 3), sums (runs, segments, 4).
-    """
+    """Run the loops over all segments."""
+    # Shapes: converter_phase (codes * 3/2,), words (runs, 3), phases (runs, 3), sums (runs, segments, 4).
     loops = _Loops(constants, converter_phase, words, phases)
     runs, total = words.shape[0], int(drive.pairs.sum())
     # one row a pair, so that the loop only picks rows

@@ -171,11 +171,9 @@ class OutputModel:
         return _Fields(np.asarray(-feedback), normal, at_reset, resets)
 
     def _falls(self, ramp: _Ramp, step: Floats, pairs: Ints, wrap: float) -> tuple[Ints, Floats]:
-        """Signed falls of a staircase in each output, and how many of their pulses the loop has followed.
-
-        Each pulse is followed with the time constant of the loop. On a steady staircase the parts still to come
-        are a geometric series, whose sum is known from the time since the last fall.
-        """
+        """Signed falls of a staircase in each output, and how many of their pulses the loop has followed."""
+        # Each pulse is followed with the time constant of the loop. On a steady staircase the parts still to come
+        # are a geometric series, whose sum is known from the time since the last fall.
         rate = step / wrap
         place = ramp.place[:, None] + np.cumsum(rate * (2 * pairs), axis=1)
         turns = np.floor(place)
@@ -273,11 +271,9 @@ def _laws(coil: FibreCoil, design: LoopDesign) -> _Laws:
 
 
 def _noisy(mean: Floats, end: Floats, laws: _Laws, drive: _Drive, left: Floats) -> tuple[Floats, Floats]:
-    """Mean step with the noise of its pairs, and the step at the end of each output.
-
-    The step at the end is a low pass of the noise, of variance sigma^2 g/(2 - g), and holds part of the output's
-    own noise; the rest is independent.
-    """
+    """Mean step with the noise of its pairs, and the step at the end of each output."""
+    # The step at the end is a low pass of the noise, of variance sigma^2 g/(2 - g), and holds part of the output's
+    # own noise; the rest is independent.
     pairs, gain = drive.pairs * left, laws.gain
     last = laws.step_noise * np.sqrt(gain / (2.0 - gain)) * drive.noise[..., 0]
     regression = (2.0 - gain) / gain

@@ -267,10 +267,8 @@ class AcquisitionSystem:
         return int(self._panel.number("ACQUIRE:NUMAVG")) if averages else 1
 
     def _leave_out(self, at: float, now: float) -> bool:
-        """Arm for the acquisition that is under way now, if one at `at` was several ago; else do nothing.
-
-        Those between them are looked for when somebody asks for a record that is made of them.
-        """
+        """Arm for the acquisition that is under way now, if one at `at` was several ago; else do nothing."""
+        # Those between them are looked for when somebody asks for a record that is made of them.
         usual = min(self._cycle + AUTO_WAIT, self._cycle + self._usual_wait)
         count = int((now - at) / usual) - 1
         if count < 1 or self.single:
@@ -491,10 +489,8 @@ class Digitizer:
         return convert(self._mean(record, name, channel), channel, noise)
 
     def _smooth_mean(self, record: DigitizedRecord, name: str, channel: PanelChannel) -> Floats | None:
-        """Mean volts of the acquisitions of a record without noise: that of before, and what is new of it.
-
-        None where it takes a look at each of them.
-        """
+        """Mean volts of the acquisitions of a record without noise: that of before, and what is new of it."""
+        # None where it takes a look at each of them.
         times = record.xincr * np.arange(POINTS, dtype=np.float64)
         signal, settings = self._signal(name), (record.xincr, channel, len(record.starts))
         before = self._means.get(name)

@@ -38,15 +38,13 @@ def ground(times: Floats) -> Floats:
 
 
 def low_pass(signal: Signal, time_constant: float) -> Signal:
-    """The signal behind a single pole.
-
-    The pole is an average over the past with exponential weights. It is taken at 64 delays of equal weight, so
-    it costs 64 looks at the signal and needs no grid in time; the gain is right to 0.02 up to five times the
-    corner. A formula of two delays (Gauss and Laguerre) is tried first. Where the signal runs straight through
-    them, on both sides, it is smooth, and that formula is right to a hundredth of a level on a full screen.
-    Samples that lie close together are all taken the long way if one of them is: a short pulse may fall between
-    the looks.
-    """
+    """The signal behind a single pole."""
+    # The pole is an average over the past with exponential weights. It is taken at 64 delays of equal weight, so
+    # it costs 64 looks at the signal and needs no grid in time; the gain is right to 0.02 up to five times the
+    # corner. A formula of two delays (Gauss and Laguerre) is tried first. Where the signal runs straight through
+    # them, on both sides, it is smooth, and that formula is right to a hundredth of a level on a full screen.
+    # Samples that lie close together are all taken the long way if one of them is: a short pulse may fall between
+    # the looks.
     if time_constant == 0:
         return signal
     if isinstance(signal, CoarseLook) and (delayed := signal.behind_pole(time_constant)) is not None:
@@ -108,11 +106,9 @@ def _look_coupled(signal: Signal, channel: PanelChannel, start: float, stop: flo
 
 
 def mean_shown(signal: Signal, channel: PanelChannel, starts: Floats, times: Floats) -> Floats | None:
-    """Mean of what `shown_smooth` gives at `times` after each of the `starts`, all in s and rising.
-
-    From one look at the coarse grids of all: polynomials through the means are the mean of the polynomials.
-    None where the signal does not tell that this is right.
-    """
+    """Mean of what `shown_smooth` gives at `times` after each of the `starts`, all in s and rising."""
+    # From one look at the coarse grids of all: polynomials through the means are the mean of the polynomials. None
+    # where the signal does not tell that this is right.
     if channel.coupling == "GND" or not tells_its_noise(signal):
         return None
     span = float(times[-1])
@@ -149,13 +145,11 @@ def levels_per_volt(channel: PanelChannel) -> float:
 
 
 def slow_part(signal: Signal, times: Floats) -> Floats:
-    """What the AC coupling takes away: the signal through a one-pole low-pass of 10 Hz.
-
-    It is computed on grids of its own that begin before the record, and interpolated: the low-pass moves
-    slowly, so a record of microseconds needs no grid of microseconds. A signal whose frequency is that of one
-    grid looks constant there; the median of three grids does not fall for it. One grid is enough for a signal that
-    tells how fast it is.
-    """
+    """What the AC coupling takes away: the signal through a one-pole low-pass of 10 Hz."""
+    # It is computed on grids of its own that begin before the record, and interpolated: the low-pass moves slowly,
+    # so a record of microseconds needs no grid of microseconds. A signal whose frequency is that of one grid looks
+    # constant there; the median of three grids does not fall for it. One grid is enough for a signal that tells
+    # how fast it is.
     looked = look(signal, float(times[0]) - _SETTLING, float(times[-1]))
     if isinstance(looked, CoarseLook) and looked.interval > 0:
         return _slow_part_on_grid(looked, times, 1 / looked.interval)
@@ -325,10 +319,8 @@ class CoarseLook:
         return Between(first, last, self.smooth(grid - self.delay))(times)
 
     def grid(self, first: float, last: float, wanted: int) -> Floats | None:
-        """The times in s to look at instead of `wanted` ones; None where that is not worth it.
-
-        They do not leave the times asked for: nobody knows yet what comes after them.
-        """
+        """The times in s to look at instead of `wanted` ones; None where that is not worth it."""
+        # They do not leave the times asked for: nobody knows yet what comes after them.
         if self.interval <= 0 or last <= first:
             return None
         cells = max(5, math.ceil((last - first) / self.interval))

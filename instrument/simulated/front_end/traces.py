@@ -298,11 +298,9 @@ def fft_window(expression: str) -> Floats:
 
 
 def stretched_spectrum(samples: Floats) -> NDArray[np.complex128]:
-    """Sums of samples times exp(-2 pi i k n / 2048 / 0.99) for k = 0 to 1023.
-
-    The frequencies do not fall on those of an FFT, so the sum is written as a convolution with a chirp
-    (Bluestein), n k = (n**2 + k**2 - (k - n)**2) / 2.
-    """
+    """Sums of samples times exp(-2 pi i k n / 2048 / 0.99) for k = 0 to 1023."""
+    # The frequencies do not fall on those of an FFT, so the sum is written as a convolution with a chirp
+    # (Bluestein), n k = (n**2 + k**2 - (k - n)**2) / 2.
     step = 2 * math.pi / FFT_SAMPLES / _FFT_STRETCH
     n = np.arange(FFT_SAMPLES, dtype=np.float64)
     chirp = np.exp(-0.5j * step * n**2)

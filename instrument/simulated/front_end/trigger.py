@@ -459,11 +459,9 @@ class PulseSearch:
         return times, volts
 
     def _may_turn_about(self, above: Floats, noise: float, bend: float) -> Bools:
-        """In which cells between looks the signal may cross the level more than once, or touch it.
-
-        Where looks on the way from one side to the other only rise, or only fall, there is one edge, and to know
-        its place to a cell is enough.
-        """
+        """In which cells between looks the signal may cross the level more than once, or touch it."""
+        # Where looks on the way from one side to the other only rise, or only fall, there is one edge, and to know
+        # its place to a cell is enough.
         sure = self.hysteresis + noise + bend
         sides = np.where(above > sure, 1, np.where(above < -sure, -1, 0))
         known = np.flatnonzero(sides)
@@ -535,10 +533,8 @@ class PulseSearch:
         return refine(lambda when: sign * self._above(when), *edge)
 
     def _judge(self, began: Bracket, until: Bracket, *, ended: bool) -> float | None:
-        """The time at which a pulse triggers that has lasted to `until`; None if it does not (yet).
-
-        Its edges are only looked for where the brackets leave it open.
-        """
+        """The time at which a pulse triggers that has lasted to `until`; None if it does not (yet)."""
+        # Its edges are only looked for where the brackets leave it open.
         lasted_between = np.array([until[0] - began[1]]), np.array([until[1] - began[0]])
         if not self._possible(*lasted_between, ended=ended)[0]:
             return None

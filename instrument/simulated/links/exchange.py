@@ -40,10 +40,8 @@ class MessageExchange:
         self.output_dropped = False  # a server has to drop what it holds, too
 
     def receive(self, data: bytes, now: float | None = None) -> None:
-        """Take in bytes: a whole message where messages have ends, any piece of one on a stream.
-
-        `now` is the time in s for the pauses between pieces on RS-232, if not that of the instrument's clock.
-        """
+        """Take in bytes: a whole message where messages have ends, any piece of one on a stream."""
+        # `now` is the time in s for the pauses between pieces on RS-232, if not that of the instrument's clock.
         with self.scope.lock:
             if self.scope.faults.swallows(data):
                 return
@@ -190,10 +188,8 @@ class MessageExchange:
         return min(times)
 
     def wait_for_answer(self, timeout: float) -> bytes | None:
-        """The next answer, or None after `timeout` s on the instrument's clock.
-
-        Where messages have ends, asking for an answer to nothing posts event 420.
-        """
+        """The next answer, or None after `timeout` s on the instrument's clock."""
+        # Where messages have ends, asking for an answer to nothing posts event 420.
         clock = self.scope.clock
         deadline = clock.now() + timeout
         blamed = not self._message_ends

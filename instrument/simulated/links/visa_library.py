@@ -40,10 +40,8 @@ _LIBRARY_NUMBERS = itertools.count(1)
 
 
 def demonstration_signals() -> dict[int, Signal]:
-    """Two sines of 1 kHz, a quarter of a period apart, that fill half the screen with factory settings.
-
-    They have 0.2 V at the BNC: the factory settings expect a 10X probe, and show 2 V at 1 V/div.
-    """
+    """Two sines of 1 kHz, a quarter of a period apart, that fill half the screen with factory settings."""
+    # They have 0.2 V at the BNC: the factory settings expect a 10X probe, and show 2 V at 1 V/div.
 
     def sine(times: Floats) -> Floats:
         return np.asarray(0.2 * np.sin(2 * math.pi * 1000.0 * times), dtype=np.float64)

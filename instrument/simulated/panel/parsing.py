@@ -56,11 +56,9 @@ class Malformed:
 
 
 def block_end(data: bytes, start: int, *, final: bool) -> int | None:
-    """Index after the block that starts at `data[start] == b"#"`; None while bytes are missing.
-
-    What is not a sound definite block, or one longer than any this instrument takes, counts as plain text of
-    one character, so that a stray `#9` cannot swallow the messages after it.
-    """
+    """Index after the block that starts at `data[start] == b"#"`; None while bytes are missing."""
+    # What is not a sound definite block, or one longer than any this instrument takes, counts as plain text of one
+    # character, so that a stray `#9` cannot swallow the messages after it.
     match = _BLOCK.match(data, start)
     if match is None:
         return start + 1 if final or start + 1 < len(data) else None

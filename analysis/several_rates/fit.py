@@ -446,7 +446,10 @@ def _test(fit: RatioFit, points: Points, degrees: int) -> tuple[float, float, fl
     # The last two: the factor by which the variances grow where chance does not explain it, and the degrees of
     # freedom of that factor, 0 where it is 1.
     chi_square = float(fit.chi_square[0])
-    scatter, scatter_degrees = points.scatter(fit.parameters)
+    # a drift that is hardly determined says nothing of single records
+    steady, us = fit.parameters.copy(), np.sqrt(np.diagonal(fit.covariance[0]))
+    steady[0, SENSES + 1 :] *= np.abs(steady[0, SENSES + 1 :]) > SIGNIFICANT * us[SENSES + 1 :]
+    scatter, scatter_degrees = points.scatter(steady)
     tests = [(chi_square, degrees), (scatter, scatter_degrees)]
     chances = [float(scipy.special.chdtrc(n, value)) if n > 0 else float("nan") for value, n in tests]
     widen, freedom = 1.0, 0
@@ -646,7 +649,7 @@ def rates_flags(fit: RatesFit, records: RatioRecords, tested: int) -> int:
 _GAIN_TIME = 3
 _OF_THE_BOUND = np.concatenate([np.linspace(0.0, 1.0, 15), [1.2, 1.5, 2.0, 2.5]])
 _ABOUT_A_MINIMUM = np.linspace(-4.0, 4.0, 17)
-_SAME_SHARE, _SAME_U = 1e-3, 0.5
+_SAME_SHARE, _SAME_U, _ENDS = 1e-3, 0.5, 4.0
 _INTERVAL, _TAILS, _STEPS = (0.025, 0.975), 6.0, 4001
 
 
@@ -684,7 +687,8 @@ def _gain_times(found: RatioFit, prior: Prior, widen: float) -> Floats:
 def _shares(times: Floats, prior: Prior) -> Floats:
     """Probability beforehand about each gain time: of a bell where it is known, else of a rectangle."""
     mean, sd = prior.mean[_GAIN_TIME], prior.sd[_GAIN_TIME]
-    beyond = times - mean if mean > 0 else np.maximum(times - math.sqrt(3) * sd, 0.0)
+    # a bound ends much sooner than a bell
+    beyond = times - mean if mean > 0 else _ENDS * np.maximum(times - math.sqrt(3) * sd, 0.0)
     middles = (times[1:] + times[:-1]) / 2
     edges = np.concatenate([times[:1], middles, times[-1:]])
     return np.asarray(np.diff(edges) * np.exp(-0.5 * (beyond / sd) ** 2))

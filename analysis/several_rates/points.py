@@ -341,9 +341,8 @@ def place_in_run(count: int) -> Floats:
 def visits_of_rates(rate: Floats) -> Indices:
     """First record of each visit of a rate, rising; what drifts differs between visits.
 
-    A long visit is cut in two, and where there are few settings or one sense any is, so that it shows by itself
-    what drifts; few and long ones are cut in four. Where the rates (n,) change all the time its quarters are the
-    visits.
+    A long visit is cut in two, and with few settings or in one sense a shorter one is, so that it shows by itself
+    what drifts. Where the rates (n,) change all the time its quarters are the visits.
 
     Examples
     --------
@@ -361,13 +360,14 @@ def visits_of_rates(rate: Floats) -> Indices:
     if first.size > MOST_VISITS * settings:
         return np.unique(rate.size * np.arange(4) // 4)
     length = np.diff(np.append(first, rate.size))
-    few = settings <= FEW_SETTINGS or np.all(rate > 0) or np.all(rate < 0)
-    pieces = np.where(length >= LONG_VISIT, 4, 2) if few else np.where(length >= LONG_VISIT, 2, 1)
+    # the fewer settings, the more must the records of each say
+    few = 2 if np.all(rate > 0) or np.all(rate < 0) or settings < 4 else 1 if settings < 6 else 0
+    pieces = np.select([length >= LONG_VISIT, length >= LONG_VISIT >> few], [4 if few else 2, 2], 1)
     begins = [first + length * np.minimum(piece, pieces - 1) // pieces for piece in range(4)]
     return np.unique(np.concatenate(begins))
 
 
-MOST_VISITS, LONG_VISIT, FEW_SETTINGS = 4, 8, 3
+MOST_VISITS, LONG_VISIT = 4, 8
 
 
 def _read(estimate: LockInEstimate, run: Run, some: slice) -> RatioBlock:

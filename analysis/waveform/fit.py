@@ -292,8 +292,6 @@ def _judged(
             report.misfit[row] = np.hypot(report.misfit[row], turned_by(sidebands, abs(moved.ratio)))
     variance = power / np.maximum(free, 1)
     _look_closer(records.values, masks, series, report, variance * excess[:, 1], at_rest, flags)
-    seen_now = at_rest & ~fatal & ~asked & (report.misfit > 0)
-    _by_codes(records.values, masks, series, report, np.flatnonzero(seen_now), flags)
     at_rest[codes] = False
     for row in map(int, np.flatnonzero(at_rest & ((flags & int(SUSPECT)) != 0) & ~fatal)):
         left_over = _valid_left(records.values, masks, series, row)

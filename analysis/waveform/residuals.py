@@ -594,6 +594,8 @@ def by_code(left: Floats, level: Floats) -> float | None:
     degree = np.arange(3, min(FINE, int(there.sum()) // 2) + 1)
     if noise <= 0 or degree.size < 2 * LAST or lines.max() > lines.mean() * np.log(lines.size / NOT_CODES):
         return None
+    if scipy.special.chdtrc(int(there.sum()), float(count @ mean**2) / noise) > NOT_CODES:
+        return None
     root, place = np.sqrt(count[there]), np.linspace(-1.0, 1.0, HEIGHTS)[there]
     basis = np.linalg.qr(root[:, np.newaxis] * np.polynomial.chebyshev.chebvander(place, degree[-1]))[0][:, 3:]
     power = (basis.T @ (root * mean[there])) ** 2 / noise

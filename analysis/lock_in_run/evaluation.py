@@ -287,7 +287,7 @@ def combined_estimate(several: SeveralRates) -> LockInEstimate:
 
 def _flags(several: SeveralRates, fit: RatesFit) -> int:
     """Flags of the records, except those that the fit answers better than a record can."""
-    answered = int(Flag.MISFIT | Flag.RATIO_NOT_SIGNIFICANT | Flag.PHASE_TURNS | FATAL)
+    answered = int(Flag.MISFIT | Flag.RATIO_NOT_SIGNIFICANT | Flag.PHASE_TURNS | Flag.MAINS_BESIDE | FATAL)
     flags = 0
     for group in several.groups:
         flags |= int(group.combined.flags) & ~answered

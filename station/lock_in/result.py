@@ -100,8 +100,8 @@ def _document(found: LockInEvaluation) -> dict[str, Any]:
     return made
 
 
-_ANSWERED = {"coloured_noise", "rate_wander"}
-"""Flags of what the fit has taken into account: its uncertainty holds it."""
+_ANSWERED = {"coloured_noise", "rate_wander", "phase_turns", "beat_wanders", "copy"}
+"""Flags of what the fit has taken into account, or of what no record's own reference minds."""
 
 _FAILING = {"table_mismatch", "scale_factor_mismatch"}
 """Flags of checks that say that something does not fit together."""

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from analysis import RatesFlag
+from analysis import RatesFlag, beat_signal, estimate_lock_in, fit_rates
 from analysis.plan import run_order
 from analysis.several_rates import ReceiverKnowledge
 from benchmarks.several_rates.__main__ import DEFAULT, LOCK_IN, NOISE, drawn
@@ -73,3 +73,28 @@ def test_records_without_an_order_are_asked_for_drifts_only_where_they_do_not_fi
     found, fits = pulls("default", 7, in_order=False, turned=1.0)
     assert all(fit.flags & RatesFlag.MISFIT for fit in fits)  # plain arrays: taken at their word
     assert np.max(np.abs(found)) < 5  # and widened
+
+
+@pytest.mark.parametrize(("turned", "in_order"), [(1.0, None), (1.0, False), (0.0, None)])
+def test_estimates_whose_records_differ_are_asked_for_drifts(turned, in_order):
+    """Three rates in both senses, four records each, made as volts; the backscatter turns by so much over them."""
+    rng = np.random.default_rng(8)
+    rates = np.repeat([12, 6, 3, -3, -6, -12], 4) * 0.01
+    each = []
+    for rate, phase in zip(rates, np.linspace(0.3, 0.3 + turned, rates.size), strict=True):
+        interval = 20.3 / 2500 / (2000 * np.sqrt(rate**2 - 0.01**2))
+        beat = beat_signal(
+            np.arange(2500) * interval,
+            scale_factor=2000,
+            input_rate=rate,
+            lock_in_rate=0.01,
+            backscatter_phase=phase,
+            initial_phase=rng.uniform(0, 6),
+        )
+        volts = beat + 0.01 * rng.normal(size=2500)
+        each.append(estimate_lock_in(volts, interval, scale_factor=2000, input_rate=rate))
+    fit = fit_rates(each, in_order=in_order)
+    assert bool(fit.flags & RatesFlag.MISFIT) == (in_order is False)
+    if in_order is None:
+        assert abs(fit.lock_in_rate - 0.01) < 4 * fit.lock_in_rate_u < 1e-4
+        assert abs(fit.phase_drift - turned) < (5 * fit.phase_drift_u if turned else 1e-9)

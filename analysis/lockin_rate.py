@@ -591,6 +591,7 @@ def compare_pieces(
     flags = fit.flags
     louder = ((flags & int(Flag.COLOURED_NOISE)) != 0) & (fit.excess.max(axis=-1) > 1)
     suspect = (((flags & int(SUSPECT)) != 0) | louder) & ((flags & int(FATAL)) == 0)
+    suspect &= ~fit.compared
     pieces = np.minimum(np.minimum(beat.periods / PERIODS, stack.n_samples / SAMPLES), MOST_PIECES)
     number = np.where(suspect & np.isfinite(pieces), pieces, 0).astype(int)
     for n_pieces in range(2, MOST_PIECES + 1):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, fields
 
 import numpy as np
@@ -27,6 +28,7 @@ from analysis.waveform.residuals import (
     ResidualReport,
     by_code,
     by_level,
+    examine_lines,
     examine_residual,
     hidden_by_harmonics,
     left_by,
@@ -36,7 +38,14 @@ from analysis.waveform.residuals import (
 )
 from analysis.waveform.series import Series, drift_by_samples, sampled_series
 from analysis.waveform.series_fit import SeriesFit, Task, fit_series, fit_series_again, gauss_newton
-from analysis.waveform.varying_rate import MovingFit, fit_moving_rate, may_be_motion
+from analysis.waveform.varying_rate import (
+    MovingFits,
+    first_phase,
+    fit_moving_rate,
+    may_be_motion,
+    small_motions,
+    smooth_motions,
+)
 
 SINGLE_PRECISION_SWING = 1e-12, 1e12
 """Volts between which squares are safe in single precision."""
@@ -61,6 +70,12 @@ FEW_PERIODS = 7.5
 """A motion that is no smooth curve may leave less than the noise, and with few periods looks like a harmonic: the
 ratio's variance grows with the sixth power of this over the periods."""
 
+COLOURFUL = 2.0
+"""Variance factor from which on a smooth motion leaves so much about the beat that the exact one is asked too."""
+
+MOVING_AT_ONCE = 256
+"""Records with a motion that are worked on together."""
+
 N_PARAMETERS = 6
 FEWEST_SAMPLES = 12
 """Twice the number of parameters: with fewer valid samples the noise could not be told from the fit."""
@@ -79,6 +94,7 @@ class WaveformFit:
     # (R,) volts, complex: what the waveform leaves at three times the beat, its phase that in the middle of the
     # record; nan where samples are missing or something moved
     third: Complexes
+    compared: Bools  # (R,) whether the fit has asked already if the parts of the record agree
     flags: Ints  # (R,)
 
     def take(self, part: Indices) -> WaveformFit:
@@ -124,7 +140,9 @@ def _refused() -> WaveformFit:
     none: Complexes = np.zeros(1, dtype=np.complex128)
     series = Series(nothing, none, none.copy(), np.ones(1))
     flags = np.array([int(Flag.NOT_LOCK_IN_LIKE)])
-    return WaveformFit(series, np.full((1, 6, 6), np.nan), np.ones((1, 3)), unknown, unknown, unknown + 0j, flags)
+    return WaveformFit(
+        series, np.full((1, 6, 6), np.nan), np.ones((1, 3)), unknown, unknown, unknown + 0j, nothing > 0, flags
+    )
 
 
 def _fit_part(stack: Stack, part: slice, clipped: Bools | None) -> WaveformFit:
@@ -245,51 +263,36 @@ def _judged(
     repeated = (flags & int(Flag.ROUNDING_REPEATS)) != 0
     n_samples = records.values.shape[1]
     report = examine_residual(left, n_samples, count, series, repeated)
-    flags |= report.flags
     excess, third = report.excess, np.where(count < n_samples, np.nan, left.third)
-    # A residual as small as this cannot come from a motion that would move the ratio.
-    worth_it = power > TRACKED_FROM**2 * np.abs(series.first) ** 2 * count
     fatal = (report.flags & int(FATAL)) != 0
     beat_power = np.abs(series.first) ** 2 / 2 * count
-    at_rest = np.ones(len(count), dtype=bool)
-    asked = ~fatal & (report.uneven | (report.misfit > 0) | ((report.flags & int(Flag.MISFIT)) != 0))
+    at_rest, moving, compared = np.ones(len(count), dtype=bool), *np.zeros((2, len(count)), dtype=bool)
+    asked = report.uneven | ((report.flags & int(Flag.COLOURED_NOISE)) != 0)
+    # A residual as small as this cannot come from a motion that would move the ratio.
+    asked &= power > TRACKED_FROM**2 * np.abs(series.first) ** 2 * count
+    motions = _followed(
+        records, masks, series, covariance, np.flatnonzero(asked), fatal, repeated, power / np.maximum(free, 1)
+    )
+    for rows, moved, again, is_small, compared[rows] in motions:
+        sidebands = power[rows] / beat_power[rows]
+        series.put(rows, moved.series)
+        at_rest[rows], moving[rows], third[rows] = is_small, True, np.nan
+        covariance[rows] = moved.covariance / moved.variance[:, np.newaxis, np.newaxis]
+        free[rows], power[rows] = moved.degrees, moved.variance * moved.degrees
+        report.flags[rows], excess[rows] = again.flags | moved.flags, again.excess
+        # what noise hardly makes
+        drift = np.where(moved.drift_chance < RARE, HIDDEN * moved.drift, 0.0)
+        hidden, sure = _following_the_level(records.values[rows], masks, rows, moved)
+        turned = moved.vibrates * turned_by(sidebands, np.abs(moved.series.ratio))
+        every = again.misfit, drift, moved.stepped_u, hidden / np.abs(moved.series.first), turned
+        report.misfit[rows] = np.linalg.norm(every, axis=0)
+        report.flags[rows[moved.drift_chance < UNLIKELY]] |= Flag.PARTS_DIFFER
+        report.flags[rows[sure | moved.vibrates]] |= Flag.MISFIT
+    examine_lines(report, left, n_samples, series, ~moving)
+    flags |= report.flags
+    asked = ~moving & ~fatal & (report.uneven | (report.misfit > 0) | ((report.flags & int(Flag.MISFIT)) != 0))
     codes = _by_codes(records.values, masks, series, report, np.flatnonzero(asked), flags)
-    for values_of in (report.uneven, report.stronger, report.drifting):
-        values_of[codes] = False
-    for row in map(int, np.flatnonzero(report.uneven & worth_it)):
-        moved = _moving_fit(records, masks, series, row, bool(fatal[row]))
-        if moved is None or moved.variance > WORTH_MOVING * power[row] / free[row]:
-            continue
-        here = np.array([row])
-        beat = Series(*(np.array([getattr(moved, f.name)]) for f in fields(Series)))
-        # What noise of the rate leaves is white only together with that noise.
-        residual, white = Residual.of(moved.left[np.newaxis], beat.omega), moved.walk == 0
-        again = examine_residual(residual, n_samples, count[here], beat, repeated[here], moved=white)
-        # A motion takes noise from where it has its sidebands, and u knows of it: less there is no colour.
-        told, factors = int(again.flags[0]), np.maximum(again.excess[0], 1.0)
-        if not np.any(factors > 1.0):
-            told &= ~int(Flag.COLOURED_NOISE)
-        factors[1:] *= 1 + (FEW_PERIODS * 2 * np.pi / (n_samples * moved.omega)) ** 6
-        if fatal[row] and ((told | moved.flags) & int(FATAL | Flag.MISFIT) or moved.walk > MOST_WALK):
-            continue
-        series.put(here, beat)
-        at_rest[row], sidebands = False, float(power[row] / beat_power[row])
-        covariance[row], free[row], power[row] = moved.covariance, moved.degrees, moved.variance * moved.degrees
-        covariance[row] /= moved.variance
-        flags[row] = (flags[row] & ~report.flags[row]) | told | moved.flags
-        excess[row], report.misfit[row], third[row] = factors, again.misfit[0], np.nan
-        if moved.drift_chance < RARE:
-            report.misfit[row] = np.hypot(report.misfit[row], HIDDEN * moved.drift)
-        report.misfit[row] = np.hypot(report.misfit[row], moved.stepped_u)
-        if moved.drift_chance < UNLIKELY:
-            flags[row] |= Flag.PARTS_DIFFER
-        hidden, sure = _following_the_level(records.values[here], masks.of_one(row), moved)
-        report.misfit[row] = np.hypot(report.misfit[row], hidden / abs(moved.first))
-        if sure:
-            flags[row] |= Flag.MISFIT
-        if moved.vibrates:
-            flags[row] |= Flag.MISFIT
-            report.misfit[row] = np.hypot(report.misfit[row], turned_by(sidebands, abs(moved.ratio)))
+    report.stronger[codes] = report.drifting[codes] = False
     variance = power / np.maximum(free, 1)
     _look_closer(records.values, masks, series, report, variance * excess[:, 1], at_rest, flags)
     at_rest[codes] = False
@@ -302,7 +305,7 @@ def _judged(
     flags[records.constant] = Flag.CONSTANT
     flags[count < FEWEST_SAMPLES] |= Flag.TOO_FEW_SAMPLES
     covariance *= variance[:, np.newaxis, np.newaxis]
-    return WaveformFit(series, covariance, excess, np.sqrt(variance), report.misfit, third, flags)
+    return WaveformFit(series, covariance, excess, np.sqrt(variance), report.misfit, third, compared, flags)
 
 
 def _by_codes(
@@ -354,15 +357,97 @@ def _look_closer(
         flags[rows[sure]] |= Flag.PARTS_DIFFER
 
 
-def _following_the_level(values: Samples, mask: Samples | None, moved: MovingFit) -> tuple[float, bool]:
-    """What `by_level` says of one record (1, N); rounding without noise follows the level too, and is known."""
-    level = values - moved.left
-    left, rms = moved.left, np.array([np.sqrt(moved.variance)])
+def _followed(
+    records: Records,
+    masks: Masks,
+    series: Series,
+    covariance: Floats,
+    rows: Indices,
+    fatal: Bools,
+    repeated: Bools,
+    variance: Floats,
+) -> Iterator[tuple[Indices, MovingFits, ResidualReport, bool, bool]]:
+    """Those of some records that a motion explains, with what it leaves of them."""
+    # and whether it is so small that a steady rate is not far, and whether the parts have been compared
+    # variance (R,): that of a fit at a steady rate
+    n_samples = records.values.shape[1]
+
+    def left_by_motion(rows: Indices, moved: MovingFits) -> ResidualReport:
+        # What noise of the rate leaves is white only together with that noise.
+        residual, white = Residual.of(moved.left, moved.series.omega), not moved.walk.any()
+        count = moved.degrees + N_PARAMETERS
+        again = examine_residual(residual, n_samples, count, moved.series, repeated[rows], moved=white)
+        examine_lines(again, residual, n_samples, moved.series, np.ones(rows.size, dtype=bool), moved=white)
+        again.excess[:] = np.maximum(again.excess, 1.0)
+        again.flags[~np.any(again.excess > 1.0, axis=1)] &= ~int(Flag.COLOURED_NOISE)
+        again.excess[:, 1:] *= 1 + (FEW_PERIODS * 2 * np.pi / (n_samples * moved.series.omega))[:, np.newaxis] ** 6
+        return again
+
+    for first in range(0, rows.size, MOVING_AT_ONCE):
+        some = never_alone(rows[first : first + MOVING_AT_ONCE])
+        left = left_by(series.take(some), records.values[some], masks.of_any(some)).astype(np.float64)
+        asked = fatal[some] | may_be_motion(left, series.take(some))
+        quiet = never_alone(np.flatnonzero(asked & ~fatal[some] & masks.whole(some)))
+        if quiet.size:
+            here = some[quiet]
+            moved, small = small_motions(left[quiet], series.take(here), covariance[here])
+            again = left_by_motion(here, moved)
+            settled = never_alone(np.flatnonzero(small & (again.flags == 0)))
+            if settled.size:
+                yield here[settled], moved.take(settled), again.take(settled), True, True
+                asked[quiet[settled]] = False
+        some = never_alone(np.unique(some[asked]))
+        if not some.size:
+            continue
+        values, mask = records.values[some].astype(np.float64), masks.of_all(some).astype(np.float64)
+        phase: Floats | None = None
+        for by_crests in (False, True):
+            if by_crests:  # a motion so wide that the fundamental has no band of its own is read from them
+                seen = [first_phase(one, its_mask) for one, its_mask in zip(values, mask, strict=True)]
+                known = np.array([found is not None for found in seen], dtype=bool)
+                some, values, mask = some[known], values[known], mask[known]
+                phase = np.array([found.phase for found in seen if found])
+            if not some.size:
+                break
+            moved, is_smooth = smooth_motions(values, mask, phase)
+            again = left_by_motion(some, moved)
+            done = is_smooth & (((again.flags | moved.flags) & int(FATAL | Flag.MISFIT)) == 0)
+            coloured = (again.flags & int(Flag.COLOURED_NOISE)) != 0
+            done &= ~(coloured & (again.excess.max(axis=1) > COLOURFUL))
+            explained = (moved.flags & int(Flag.RATE_WANDER)) != 0
+            explained |= moved.variance <= WORTH_MOVING * variance[some]
+            taken = never_alone(np.flatnonzero(done & explained))
+            if taken.size:
+                yield some[taken], moved.take(taken), again.take(taken), False, True
+            undone = np.flatnonzero(~done)
+            undone = never_alone(undone[np.unique(some[undone], return_index=True)[1]])
+            some, values, mask = some[undone], values[undone], mask[undone]
+        for place in np.unique(some, return_index=True)[1]:
+            row = some[[place]]
+            exactly = fit_moving_rate(values[place], mask[place])
+            if exactly is None or exactly.variance[0] > WORTH_MOVING * variance[row[0]]:
+                continue
+            again = left_by_motion(row, exactly)
+            wrong = (again.flags[0] | exactly.flags[0]) & int(FATAL | Flag.MISFIT)
+            if not (fatal[row[0]] and (wrong or exactly.walk[0] > MOST_WALK)):
+                yield row, exactly, again, False, False
+
+
+def _following_the_level(values: Samples, masks: Masks, rows: Indices, moved: MovingFits) -> tuple[Floats, Bools]:
+    """What `by_level` says of records (r, N); rounding without noise follows the level too, and is known."""
+    level, rms = values - moved.left, np.sqrt(moved.variance)
     spacing = level_spacing(values, rms)
-    if spacing[0]:
-        left = left - mean_rounding(level, values, spacing, rms)[0]
-    valid = slice(None) if mask is None else mask > 0
-    return by_level(left[valid].astype(np.float64), level[0, valid], moved.degrees)
+    hidden, sure = np.zeros(rows.size), np.zeros(rows.size, dtype=bool)
+    for place, row in enumerate(rows):
+        here = slice(place, place + 1)
+        left = moved.left[here]
+        if spacing[place]:
+            left = left - mean_rounding(level[here], values[here], spacing[here], rms[here])
+        mask = masks.of_one(row)
+        valid = slice(None) if mask is None else mask > 0
+        degrees = float(moved.degrees[place])
+        hidden[place], sure[place] = by_level(left[0, valid].astype(np.float64), level[place, valid], degrees)
+    return hidden, sure
 
 
 def _valid_left(values: Samples, masks: Masks, series: Series, row: int) -> Floats:
@@ -371,14 +456,11 @@ def _valid_left(values: Samples, masks: Masks, series: Series, row: int) -> Floa
     return left if mask is None else left[mask > 0]
 
 
-def _moving_fit(records: Records, masks: Masks, series: Series, row: int, fatal: bool) -> MovingFit | None:
-    """The record fitted with a motion, where its residual may come from one."""
-    left = residual_samples(records.values, masks, series, row).astype(np.float64)
-    found = (float(series.omega[row]), complex(series.first[row]), float(np.abs(series.ratio[row])))
-    if not fatal and not may_be_motion(left, *found):
-        return None
-    values, mask = records.values[row].astype(np.float64), masks.of_one(row)
-    return fit_moving_rate(values, np.ones_like(values) if mask is None else mask.astype(np.float64))
+THIRD_DIFFERENCE = 0.6745 * np.sqrt(20)
+"""Median size of the third difference of white noise, over its rms."""
+
+STRAY = 2.0
+"""Residual over the noise of neighbouring samples from which on a model does not know where the limits are met."""
 
 
 def _fit_between_limits(
@@ -386,16 +468,20 @@ def _fit_between_limits(
 ) -> tuple[SeriesFit, Samples]:
     """Fit clipped records without their clipped samples."""
     # Which samples are left out must not depend on their own noise, or the mean of the others is biased near the
-    # limits. So after a first fit the model, not the sample, says what is too near to a limit.
+    # limits. So after a first fit the model, not the sample, says what is too near to a limit; but where it leaves
+    # far more than neighbouring samples differ by, as under a moving rate, it does not know.
     fit = fit_series(values * undamaged, undamaged)
+    whole = undamaged[:, 3:] * undamaged[:, 2:-1] * undamaged[:, 1:-2] * undamaged[:, :-3] > 0
+    rough = np.where(whole, np.abs(np.diff(values, 3, axis=1)), np.nan)
+    rough = np.nanmedian(np.where(whole.any(axis=1, keepdims=True), rough, np.inf), axis=1) / THIRD_DIFFERENCE
     kept = undamaged
     for _ in range(2):
         model = sampled_series(fit.series, values.shape[1], values.dtype)
         noise = np.sqrt(fit.residual_power / np.maximum(kept.sum(axis=-1) - N_PARAMETERS, 1))
         margin = 4 * noise[:, np.newaxis]
         inside = weights * ((model > limits[:, :1] + margin) & (model < limits[:, 1:] - margin))
-        enough = inside.sum(axis=-1, keepdims=True) > 0.2 * values.shape[1]
-        kept = np.where(enough, inside, undamaged).astype(values.dtype)
+        known = (inside.sum(axis=-1) > 0.2 * values.shape[1]) & (noise < STRAY * rough)
+        kept = np.where(known[:, np.newaxis], inside, undamaged).astype(values.dtype)
         fit = fit_series_again(values * kept, kept, fit.series)
     return fit, kept
 

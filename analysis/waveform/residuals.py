@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import itertools
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
+import scipy.linalg
 import scipy.special
 
 from analysis.arrays import Bools, Complexes, Floats, Indices, Ints, Samples
@@ -56,14 +57,6 @@ PEDESTAL = 6.0
 """Standard deviations by which the power about the fundamental must exceed that on its sides."""
 
 
-@dataclass(frozen=True)
-class Misfit:
-    """Variance of the frequency over that of white noise, and standard uncertainty of the ratio."""
-
-    frequency: float
-    ratio: float
-
-
 def surroundings(power: Samples) -> Floats:
     """Level of the noise about each line of a spectrum (L,), whatever lines stand in it."""
     from scipy.ndimage import median_filter  # takes longer to import than most that use this module would wait for
@@ -85,8 +78,10 @@ def line_stands_out(power: Samples, *, few_lines: bool = False) -> bool:
     return strongest > math.log(power.size / LINE_CHANCE)
 
 
-def misfit_of(power: Samples, n_samples: int, line: float, first: float, ratio: float, pedestal: float) -> Misfit:
-    """Judge the lines of one residual."""
+def misfit_of(
+    power: Samples, n_samples: int, line: float, first: float, ratio: float, pedestal: float
+) -> tuple[float, float]:
+    """Variance of the frequency over that of white noise, and standard uncertainty of the ratio, by residual lines."""
     mean = float(power.mean())
     beat = (first * n_samples / 2) ** 2
     around = surroundings(power) if power.size > 2 * NEIGHBOURS else np.full(power.size, mean)
@@ -97,13 +92,13 @@ def misfit_of(power: Samples, n_samples: int, line: float, first: float, ratio: 
     curved = CURVED**2 * np.max(feet[2:], axis=0)
     by_ratio = float(stands_out @ (ratio**2 * feet[0] + np.maximum(feet[1], curved)))
     lines = float(stands_out.sum()) * mean / beat
-    turned = 1.5 * ratio * pedestal / beat + turned_by(lines, ratio)
-    return Misfit(2 * by_frequency, math.sqrt(by_ratio * mean / beat + turned**2))
+    turned = 1.5 * ratio * pedestal / beat + float(turned_by(lines, ratio))
+    return 2 * by_frequency, math.sqrt(by_ratio * mean / beat + turned**2)
 
 
-def turned_by(sidebands: float, ratio: float) -> float:
+def turned_by(sidebands: float | Floats, ratio: float | Floats) -> Floats:
     """What a moving phase may do to a ratio, by the power of its sidebands over that of the fundamental."""
-    return 1.5 * ratio * sidebands + 0.25 * sidebands
+    return np.asarray(1.5 * ratio * sidebands + 0.25 * sidebands)
 
 
 def _folded(lines: Floats, n_samples: int) -> Floats:
@@ -134,6 +129,8 @@ def left_over(power: Samples) -> float:
     """Power (the sum of lines) that a moving phase leaves beyond the noise; 0 where that may be chance."""
     # A moving phase that is the right one leaves noise. The noise is read where the spectrum (L,) is lowest, since
     # what is wrong stands about the harmonics, often as wide as they are apart.
+    if power.size < FLOOR_PARTS:
+        return 0.0
     parts = np.array_split(power.astype(np.float64), FLOOR_PARTS)
     floor = float(np.sort([np.median(part) for part in parts])[1]) / math.log(2)
     surplus = float(power.sum()) - floor * power.size
@@ -230,8 +227,8 @@ class ResidualReport:
     """flags : (R,); excess : (R, 3) variance factors of frequency, ratio size and ratio phase over white noise;
     uneven : (R,) where the spectrum is not flat, by lines or by broad humps; mean : (R,) mean power of a line;
     misfit : (R,) standard uncertainty of the ratio by what is no noise;
-    stronger, drifting : (R,) for a closer look, where the noise is white but perhaps not all there is on the
-    harmonics, and where the ratio may drift.
+    repeats, stronger, drifting : (R,) for a closer look, where harmonics may be stronger than noise, the same where
+    the noise is white, and where the ratio may drift.
     """
 
     flags: Ints
@@ -239,8 +236,13 @@ class ResidualReport:
     uneven: Bools
     mean: Floats
     misfit: Floats
+    repeats: Bools
     stronger: Bools
     drifting: Bools
+
+    def take(self, part: Indices) -> ResidualReport:
+        """Some of the records."""
+        return ResidualReport(*(getattr(self, field.name)[part] for field in fields(self)))
 
 
 def examine_residual(
@@ -268,72 +270,82 @@ def examine_residual(
     rounding = residual_power <= ROUNDING * signal
     rounding |= repeated
     uneven = (line > expected) & ~rounding
-    misfit = uneven.copy()
-    for row in np.flatnonzero(uneven):
-        # So few periods leave a slow curve, which no neighbours tell from noise that rises to low frequencies.
-        few = omega[row] * n_samples < 2 * np.pi * FEW_PERIODS
-        misfit[row] = few or line_stands_out(np.square(sizes[row, 1:]), few_lines=True)
-    flags[misfit] |= Flag.MISFIT
     for row in np.flatnonzero(uneven):
         power = np.square(sizes[row, 1:])
         lines = power[power > mean[row] * expected].sum() * 2 / n_samples
         few = omega[row] * n_samples < 2 * np.pi * FEWEST_PERIODS
         if lines > (GROSS_MISFIT_OF_A_CURVE if few else GROSS_MISFIT) * signal[row]:
             flags[row] |= Flag.NOT_LOCK_IN_LIKE
-
     for row in np.flatnonzero((residual_power > LARGE * signal) & ~rounding):
         if _neighbours_agree(sizes[row]) > SMOOTH:
             flags[row] |= Flag.NOT_LOCK_IN_LIKE
             uneven[row] = True
 
-    excess = np.ones((n_records, 3))
-    at_first = _local_level(sizes, omega, n_samples) / mean
-    at_second = _local_level(sizes, 2 * omega, n_samples) / mean
-    coloured = (np.maximum(at_first, at_second) > 1.6) | (np.minimum(at_first, at_second) < 0.6)
+    levels = np.stack([_local_level(sizes, k * omega, n_samples) for k in (1, 2)], axis=1) / mean[:, np.newaxis]
+    coloured = levels.max(axis=1) > 1.6
+    if not moved:  # a motion takes noise from where it has its sidebands, and u knows of it
+        coloured |= levels.min(axis=1) < 0.6
     coloured &= ~rounding
     flags[coloured] |= Flag.COLOURED_NOISE
-    for row in np.flatnonzero(coloured):
-        first_level, second_level = float(at_first[row]), float(at_second[row])
-        if (line := omega[row] * n_samples / (2 * np.pi)) < 2 * NEIGHBOURS:
-            first_level, second_level = _levels_of_few_periods(np.square(sizes[row, 1:]) / mean[row], line)
-        # the ratio knows the noise of the fundamental too, less by the ratio itself
-        squared = float(np.abs(series.ratio[row])) ** 2
-        of_ratio = max(second_level, (second_level + squared * first_level) / (1 + squared))
-        excess[row] = first_level, of_ratio, of_ratio
-    ratio_u = np.zeros(n_records)
-    for row in np.flatnonzero(misfit | coloured):
-        power, beat = np.square(sizes[row, 1:]), (first[row] * n_samples / 2) ** 2
-        line = omega[row] * n_samples / (2 * np.pi)
-        pedestal = pedestal_power(power, line)
-        if pedestal:
-            flags[row] |= Flag.MISFIT
-        if flags[row] & Flag.MISFIT:
-            ratio = float(np.abs(series.ratio[row]))
-            found = misfit_of(power, n_samples, line, float(first[row]), ratio, pedestal)
-            excess[row, 0] += found.frequency
-            ratio_u[row] = found.ratio
-        surplus = left_over(power) if moved else 0.0
-        if surplus:
-            flags[row] |= Flag.MISFIT
-            ratio_u[row] = np.hypot(ratio_u[row], np.sqrt(surplus / beat))
-            if surplus > LEFT_BY_MOTION * beat:
-                flags[row] |= Flag.NOT_LOCK_IN_LIKE
+    excess, ratio_u = np.ones((n_records, 3)), np.zeros(n_records)
+    excess[coloured, :2] = levels[coloured]
     suspects, stronger, drifting = np.zeros((3, n_records), dtype=bool)
     if not moved:
         by_third, curved = _by_third_harmonic(residual, series, mean, uneven | coloured, n_samples)
-        ratio_u = np.maximum(ratio_u, np.where(rounding, 0.0, by_third))
+        ratio_u = np.where(rounding, 0.0, by_third)
         flags[curved & ~rounding] |= Flag.MISFIT
         suspects, stronger = (found & ~rounding for found in may_repeat(sizes, omega, mean, n_samples))
         stronger &= ~(uneven | coloured)
         drifting = uneven | coloured | (_local_level(sizes, 2 * omega, n_samples, 2) > ABOUT_SECOND * mean)
         drifting &= ~rounding
-    for row in np.flatnonzero(suspects):
-        beats = omega[row] * n_samples / (2 * np.pi)
-        surplus, sure = repeating(np.square(sizes[row, 1:]), beats, n_samples)
-        ratio_u[row] = np.hypot(ratio_u[row], HIDDEN * np.sqrt(surplus) / (first[row] * n_samples / 2))
+    return ResidualReport(flags, excess, uneven, mean, ratio_u, suspects, stronger, drifting)
+
+
+def examine_lines(
+    report: ResidualReport, residual: Residual, n_samples: int, series: Series, rows: Bools, *, moved: bool = False
+) -> None:
+    """What the lines of some spectra say more; the report is changed."""
+    sizes, omega, first = residual.lines, series.omega, np.abs(series.first)
+    lines = omega * n_samples / (2 * np.pi)
+    for row in np.flatnonzero(report.uneven & rows):
+        # So few periods leave a slow curve, which no neighbours tell from noise that rises to low frequencies.
+        few = lines[row] < FEW_PERIODS
+        if few or line_stands_out(np.square(sizes[row, 1:]), few_lines=True):
+            report.flags[row] |= Flag.MISFIT
+    coloured = (report.flags & int(Flag.COLOURED_NOISE)) != 0
+    for row in np.flatnonzero(coloured & rows):
+        first_level, second_level = (float(level) for level in report.excess[row, :2])
+        if lines[row] < 2 * NEIGHBOURS:
+            power = np.square(sizes[row, 1:]) / report.mean[row]
+            first_level, second_level = _levels_of_few_periods(power, float(lines[row]))
+        # the ratio knows the noise of the fundamental too, less by the ratio itself
+        squared = float(np.abs(series.ratio[row])) ** 2
+        of_ratio = max(second_level, (second_level + squared * first_level) / (1 + squared))
+        report.excess[row] = first_level, of_ratio, of_ratio
+    misfit = (report.flags & int(Flag.MISFIT)) != 0
+    for row in np.flatnonzero((misfit | coloured) & rows):
+        power, beat = np.square(sizes[row, 1:]), (first[row] * n_samples / 2) ** 2
+        pedestal = pedestal_power(power, lines[row])
+        ratio_u = 0.0
+        if pedestal:
+            report.flags[row] |= Flag.MISFIT
+        if report.flags[row] & Flag.MISFIT:
+            ratio = float(np.abs(series.ratio[row]))
+            by_frequency, ratio_u = misfit_of(power, n_samples, lines[row], float(first[row]), ratio, pedestal)
+            report.excess[row, 0] += by_frequency
+        surplus = left_over(power) if moved else 0.0
+        if surplus:
+            report.flags[row] |= Flag.MISFIT
+            ratio_u = math.hypot(ratio_u, math.sqrt(surplus / beat))
+            if surplus > LEFT_BY_MOTION * beat:
+                report.flags[row] |= Flag.NOT_LOCK_IN_LIKE
+        report.misfit[row] = max(report.misfit[row], ratio_u)
+    for row in np.flatnonzero(report.repeats & rows):
+        surplus, sure = repeating(np.square(sizes[row, 1:]), lines[row], n_samples)
+        hidden = HIDDEN * np.sqrt(surplus) / (first[row] * n_samples / 2)
+        report.misfit[row] = np.hypot(report.misfit[row], hidden)
         if sure:
-            flags[row] |= Flag.MISFIT
-    return ResidualReport(flags, excess, uneven, mean, ratio_u, stronger, drifting)
+            report.flags[row] |= Flag.MISFIT
 
 
 def _by_third_harmonic(
@@ -558,9 +570,11 @@ def by_level(left: Floats, level: Floats, degrees: float) -> tuple[float, bool]:
     # is a function of the level yet, and polynomials of that take it up.
     lowest, highest = float(level.min()), float(level.max())
     place = (2 * level - lowest - highest) / max(highest - lowest, NOTHING)
+    columns = np.polynomial.chebyshev.chebvander(place, LAST)
+    factor = np.linalg.cholesky(columns.T @ columns + NOTHING * np.eye(LAST + 1))
     # offset and amplitude are fitted
-    basis = np.linalg.qr(np.polynomial.chebyshev.chebvander(place, LAST))[0][:, 2:]
-    found, number = float(np.sum((basis.T @ left) ** 2)), basis.shape[1]
+    along = scipy.linalg.solve_triangular(factor, columns.T @ left, lower=True)[2:]
+    found, number = float(along @ along), along.size
     free = max(degrees - number, 1.0)
     variance = max(float(left @ left) - found, NOTHING) / free
     chance = float(scipy.special.fdtrc(number, free, found / number / variance))

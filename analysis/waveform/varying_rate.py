@@ -1,26 +1,26 @@
-"""Fit of one record whose rate moves, whose intensity drifts or whose baseline moves."""
+"""Records whose rate moves, whose intensity drifts or whose baseline moves: seen, and fitted one by one exactly."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from itertools import product
 
 import numpy as np
 import scipy.linalg
+from numpy.polynomial import legendre
 
-from analysis.arrays import Bools, Floats, Indices
+from analysis.arrays import Bools, Complexes, Floats, Indices, Ints, Samples
 from analysis.flags import Flag
 from analysis.waveform.residuals import line_stands_out
+from analysis.waveform.series import Series, data_sums
+from analysis.waveform.smooth_phase import AT_ENDS, OTHERS, Paths, fit_smooth_phase, knots_of
 from analysis.waveform.trajectory import (
     HIGHEST,
     Fitted,
     SampledRecord,
-    Stepped,
     Terms,
     Trajectory,
     polynomials,
-    rate_columns,
-    with_rate_step,
 )
 
 SLOW_TERMS = 4
@@ -59,8 +59,8 @@ SLOWEST = 1.02
 """Rate over lock-in rate down to which a motion is believed: below it the gyro creeps, and what was fitted there
 may be anything."""
 
-AT_ENDS = 0.01
-"""Share of the samples that may lie below: many polynomials are hardly known at the very ends of a record."""
+MOVES = 25.0
+"""Variances of a sample's noise that the samples must say against an even phase for the rate to have moved."""
 
 FEW_PERIODS, SLOWED = 10.0, 0.35
 """With fewer periods than that a rate that falls below this share of its mean is doubtful too: a gyro that comes
@@ -71,31 +71,33 @@ WEAKEST = 0.3
 
 
 @dataclass(frozen=True)
-class MovingFit:
-    """One record, and the beat that a gyro at its mean rate would have shown."""
+class MovingFits:
+    """(R,) records, and the beats that gyros at their mean rates would have shown."""
 
-    offset: float  # c0, H, q and w of that beat, phases from the middle of the record, w in rad per sample
-    first: complex
-    ratio: complex
-    omega: float
-    covariance: Floats  # (6, 6) in the order c0, Re H, Im H, Re q, Im q, w (rad at the record's ends)
-    variance: float  # of the noise of a sample
-    degrees: float  # samples less parameters
-    left: Floats  # (N,) residual
-    flags: int  # what moved
-    walk: float  # rad, rms, by which noise of the rate moved the phase over the record; 0 where there is none
-    vibrates: bool  # whether that noise holds a line, which no noise has, or has taken up all there is
+    series: Series  # phases from the middle of the record
+    covariance: Floats  # (R, 6, 6) in the order c0, Re H, Im H, Re q, Im q, w (rad at the record's ends)
+    variance: Floats  # of the noise of a sample
+    degrees: Floats  # samples less parameters
+    left: Samples  # (R, N) residuals
+    believed: Bools  # whether there is a beat at all
+    flags: Ints  # what moved
+    walk: Floats  # rad, rms, by which noise of the rate moved the phase over the record; 0 where there is none
+    vibrates: Bools  # whether that noise holds a line, which no noise has, or has taken up all there is
     # change of the size of the ratio from the middle of the record to its end if the lock-in rate drifted, and the
     # share of records in which noise alone shows so much
-    drift: float
-    drift_chance: float
+    drift: Floats
+    drift_chance: Floats
     # standard uncertainty of the size of the ratio where the rate stepped, because the time base may have stepped
     # instead
-    stepped_u: float
+    stepped_u: Floats
+
+    def take(self, part: Indices) -> MovingFits:
+        """Some of the records."""
+        return MovingFits(self.series.take(part), *(getattr(self, f.name)[part] for f in fields(self)[1:]))
 
 
-def fit_moving_rate(values: Floats, mask: Floats) -> MovingFit | None:
-    """Fit one record."""
+def fit_moving_rate(values: Floats, mask: Floats) -> MovingFits | None:
+    """Fit one record by the exact equation, whatever its rate does."""
     seen = first_phase(values, mask)
     if seen is None:
         return None
@@ -103,12 +105,14 @@ def fit_moving_rate(values: Floats, mask: Floats) -> MovingFit | None:
     try:
         with np.errstate(all="ignore"):  # a step too far gives nan, and is taken back
             fitted, needed, noisy = _fitted(record, seen)
-            stepped = None
-            if noisy or needed.rate > 1:
-                stepped = with_rate_step(record, fitted, EXACT / float(np.mean(seen.amplitude)) ** 2)
-            if stepped is None:
-                return _as_beat(record, fitted, noisy=noisy, moves=noisy or needed.rate > 1)
-            return _with_step(_as_beat(record, stepped.fitted, noisy=False, moves=True), stepped)
+            fits = as_beats(_path_of(record, fitted, moves=noisy or needed.rate > 1))
+            if noisy:
+                of_steps = np.abs(np.fft.rfft(fitted.moved)[1:]) ** 2
+                silent = fitted.variance < (SILENT * float(np.mean(seen.amplitude))) ** 2
+                walk = float(np.sqrt(fitted.looseness * fitted.variance * record.values.size))
+                vibrates = silent or line_stands_out(of_steps)
+                fits = replace(fits, walk=np.array([walk]), vibrates=np.array([vibrates]))
+            return fits if fits.believed[0] else None
     except np.linalg.LinAlgError:
         return None
 
@@ -195,92 +199,115 @@ def _likeliest(record: SampledRecord, fitted: Fitted, width: float, finest: floa
     return tried[middle]
 
 
-def _as_beat(record: SampledRecord, fitted: Fitted, *, noisy: bool, moves: bool) -> MovingFit | None:
-    """What a gyro at the mean rate would have shown; None where it would be locked."""
+FASTEST = 0.1
+"""Change of the rate in a radian of the beat, over the rate, up to which the smooth phase is exact enough."""
+
+NEAR_LOCK_IN, UNHURRIED = 1.5, 0.02
+"""Closer to lock-in than that, in lock-in rates, a motion must be so much slower."""
+
+
+def smooth_motions(values: Floats, mask: Floats, phase: Floats | None = None) -> tuple[MovingFits, Bools]:
+    """Records (R, N) fitted with a smooth phase, from a phase that is known roughly; and where that is enough."""
+    paths = fit_smooth_phase(values, mask, phase)
+    # the path has as many parameters as there are knots, and some
+    enough = values.shape[1] > 2 * (knots_of(paths.rate * values.shape[1] / (2 * np.pi)) + OTHERS)
+    near = paths.slowest < NEAR_LOCK_IN * np.hypot(*paths.pull.T)
+    with np.errstate(all="ignore"):  # what failed is nan
+        moved = as_beats(paths)
+        smooth = moved.believed & enough & (paths.fast < np.where(near, UNHURRIED, FASTEST))
+    return moved, smooth
+
+
+def _path_of(record: SampledRecord, fitted: Fitted, *, moves: bool) -> Paths:
+    """What a trajectory says of its record."""
     trajectory, terms, n_samples = fitted.trajectory, fitted.trajectory.terms, record.values.size
-    rate, pull = float(trajectory.rate[0]), complex(*trajectory.pull)
-    size = abs(pull)
-    x = size / rate
-    if not (np.isfinite(fitted.variance) and 0 < x < NEARLY_LOCKED):
-        return None
     to_amplitude, to_offset = record.columns(terms)
-    amplitude, offset = (
-        float(np.mean(c)) for c in (trajectory.amplitude @ to_amplitude, trajectory.offset @ to_offset)
-    )
-    root = np.sqrt((1 - x) * (1 + x))
-    ratio, omega = x / (1 + root), rate * root
-    turn = pull / size
+    height, offset = trajectory.amplitude @ to_amplitude, trajectory.offset @ to_offset
+    rates = trajectory.rate @ polynomials(n_samples).values[: terms.rate]
+    rate, pull = float(trajectory.rate[0]), trajectory.pull
+    size = float(np.hypot(*pull))
+    ratio = size / (rate + np.sqrt(max(rate**2 - size**2, 0.0)))
     middle = np.interp((n_samples - 1) / 2, np.arange(n_samples), trajectory.phase)
-    # exp(i psi) = i (r - u)/(1 - r u) with u the phasor of the beat, psi the phase less gamma
-    z = np.exp(1j * middle) / turn
-    u = (z - 1j * ratio) / (ratio * z - 1j)
-    q = ratio * u
-    # frequency, size of q, its direction, by a, s, c
-    jacobian = np.zeros((3, 3))
-    along, across = np.array([turn.real, turn.imag]), np.array([-turn.imag, turn.real])
-    jacobian[0, 0], jacobian[0, 1:] = rate / omega, -size / omega * along
-    jacobian[1, 0], jacobian[1, 1:] = -ratio / (root * rate), ratio / (root * size) * along
-    jacobian[2, 1:] = -across / size
-    to_parameters = np.zeros((6, 3))
-    to_parameters[3:5, 1] = u.real, u.imag
-    to_parameters[3:5, 2] = -q.imag, q.real
-    to_parameters[5, 0] = n_samples / 2
-    whole = to_parameters @ jacobian
+    z = np.exp(1j * middle) * size / complex(*pull)
     places = np.array([0, terms.rate, terms.rate + 1])
-    covariance = fitted.covariance[np.ix_(places, places)]
-    if not np.linalg.eigvalsh(covariance).min() > 0:
-        return None
-    flags = int(Flag.RATE_WANDER) if moves else 0
-    if _goes_too_far(trajectory, to_amplitude, n_samples):
-        flags |= int(Flag.MISFIT)
-    if _nearly_rests(trajectory):
-        flags |= int(Flag.PARTS_DIFFER)
-    silent = fitted.variance < (SILENT * amplitude) ** 2
     gain, gain_covariance = record.drift_of_pull(fitted)
     chi_square = float(gain @ np.linalg.solve(gain_covariance, gain))
-    return MovingFit(
-        offset=offset + amplitude * ratio * turn.real,
-        first=complex(-amplitude * turn * (1 - ratio**2) * u),
-        ratio=complex(q),
-        omega=omega,
-        covariance=whole @ covariance @ whole.T,
-        variance=fitted.variance,
-        degrees=fitted.degrees,
-        left=fitted.left,
-        flags=flags,
-        walk=float(np.sqrt(fitted.looseness * fitted.variance * n_samples)) if noisy else 0.0,
-        vibrates=noisy and (silent or line_stands_out(np.abs(np.fft.rfft(fitted.moved)[1:]) ** 2)),
-        drift=float(ratio / (root * size) * np.linalg.norm(gain)),
-        drift_chance=float(np.exp(-chi_square / 2)),
-        stepped_u=0.0,
+    even = np.ptp(rates) == 0
+    single = (
+        rate,
+        pull,
+        fitted.covariance[np.ix_(places, places)],
+        (z - 1j * ratio) / (ratio * z - 1j),  # exp(i psi) = i (r - u)/(1 - r u), psi the phase less gamma
+        float(np.mean(height)),
+        float(np.mean(offset)),
+        fitted.variance,
+        fitted.degrees,
+        fitted.left,
+        np.inf if moves else 0.0,
+        0.0,
+        np.inf if even else float(np.quantile(rates, AT_ENDS)),
+        height.min() / height.max(),
+        float(np.linalg.norm(gain)) / np.sqrt(3),
+        float(np.exp(-chi_square / 2)),
+        0.0,
+        False,
     )
+    return Paths(*(np.array([value]) for value in single))
 
 
-def _with_step(fit: MovingFit | None, stepped: Stepped) -> MovingFit | None:
-    """With what a step of the time base may have done to the ratio."""
-    if fit is None:
-        return None
-    trajectory, ratio = stepped.fitted.trajectory, abs(fit.ratio)
-    root = (1 - ratio**2) / (1 + ratio**2)
-    differ = int(Flag.PARTS_DIFFER) if stepped.stretched else 0
-    u = ratio / (root * float(np.hypot(*trajectory.pull))) * stepped.pull_u
-    return replace(fit, stepped_u=u, flags=fit.flags | differ)
-
-
-def _nearly_rests(trajectory: Trajectory) -> bool:
-    """Whether a rate of few periods falls to a small share of its mean."""
-    few = trajectory.phase[-1] - trajectory.phase[0] < 2 * np.pi * FEW_PERIODS
-    rate = trajectory.rate @ rate_columns(trajectory.phase.size, trajectory.terms)[0]
-    return bool(few and np.quantile(rate, AT_ENDS) < SLOWED * trajectory.rate[0])
-
-
-def _goes_too_far(trajectory: Trajectory, to_amplitude: Floats, n_samples: int) -> bool:
-    """Whether the gyro would have come close to lock-in, or the beam would have been lost, for a part."""
-    rate = trajectory.rate @ rate_columns(n_samples, trajectory.terms)[0]
-    height = trajectory.amplitude @ to_amplitude
-    moves = rate.max() > rate.min()
-    too_slow = moves and float(np.quantile(rate, AT_ENDS)) < SLOWEST * float(np.hypot(*trajectory.pull))
-    return bool(too_slow or height.min() < WEAKEST * height.max())
+def as_beats(paths: Paths) -> MovingFits:
+    """What gyros at the mean rates would have shown."""
+    n_records, n_samples = paths.left.shape
+    rate, size = paths.rate, np.hypot(*paths.pull.T)
+    x = size / rate
+    believed = np.isfinite(paths.variance) & (x > 0) & (x < NEARLY_LOCKED)
+    covariance = np.where(np.isfinite(paths.covariance), paths.covariance, 0.0)
+    believed &= np.linalg.eigvalsh(covariance).min(axis=1) > 0
+    root = np.sqrt(np.maximum((1 - x) * (1 + x), 1 - NEARLY_LOCKED))
+    ratio, omega = x / (1 + root), rate * root
+    turn = (paths.pull[:, 0] + 1j * paths.pull[:, 1]) / size
+    by_pull = ratio / (root * size)
+    u = paths.turned
+    q = ratio * u
+    # frequency, size of q, its direction, by a, s, c
+    jacobian = np.zeros((n_records, 3, 3))
+    along, across = np.stack([turn.real, turn.imag], axis=1), np.stack([-turn.imag, turn.real], axis=1)
+    jacobian[:, 0, 0], jacobian[:, 0, 1:] = 1 / root, (-size / omega)[:, np.newaxis] * along
+    jacobian[:, 1, 0], jacobian[:, 1, 1:] = -ratio / omega, by_pull[:, np.newaxis] * along
+    jacobian[:, 2, 1:] = -across / size[:, np.newaxis]
+    to_parameters = np.zeros((n_records, 6, 3))
+    to_parameters[:, 3, 1], to_parameters[:, 4, 1] = u.real, u.imag
+    to_parameters[:, 3, 2], to_parameters[:, 4, 2] = -q.imag, q.real
+    to_parameters[:, 5, 0] = n_samples / 2
+    whole = to_parameters @ jacobian
+    moves = paths.moves > MOVES
+    flags = np.where(moves, int(Flag.RATE_WANDER), 0)
+    # close to lock-in, or the beam lost, for a part
+    too_slow = moves & (paths.slowest < SLOWEST * size)
+    flags[too_slow | (paths.weakest < WEAKEST)] |= int(Flag.MISFIT)
+    few = rate * n_samples < 2 * np.pi * FEW_PERIODS
+    flags[few & (paths.slowest < SLOWED * rate)] |= int(Flag.PARTS_DIFFER)
+    flags[paths.stretched] |= int(Flag.PARTS_DIFFER)
+    nothing = np.zeros(n_records)
+    return MovingFits(
+        Series(
+            paths.offset + paths.amplitude * ratio * turn.real,
+            -paths.amplitude * turn * (1 - ratio**2) * u,
+            q,
+            omega,
+        ),
+        whole @ covariance @ whole.transpose(0, 2, 1),
+        paths.variance,
+        paths.degrees,
+        paths.left,
+        believed,
+        flags.astype(np.int64),
+        nothing,
+        nothing > 0,
+        by_pull * np.sqrt(3) * paths.drift,
+        paths.drift_chance,
+        by_pull * paths.stepped_u,
+    )
 
 
 # --------------------
@@ -586,49 +613,141 @@ MOST_REPEATING = 0.5
 
 HARMONICS = 8
 
-ONE_SIDED = 6.0
-"""Surplus of the stronger of phase and amplitude over the other, in its scatter for noise."""
+MOST_BESIDE = 64
+"""Lines on either side of the fundamental that are looked at."""
+
+ONE_SIDED, BANDS = 6.0, (2, 4, 8, 16)
+"""Surplus of the stronger of phase and amplitude over the other, in its scatter for noise; in the so many slowest
+lines of both, or in all."""
 
 
-def may_be_motion(left: Floats, omega: float, first: complex, ratio: float) -> bool:
-    """Whether what the fit at a steady rate leaves is that of a moving phase, amplitude or baseline."""
+def may_be_motion(left: Floats, series: Series) -> Bools:
+    """Whether what fits at steady rates leave (R, N) is that of a moving phase, amplitude or baseline."""
     # Distortion leaves harmonics, which no motion would mend. A wander of s rad wanders by k s at the k-th
     # harmonic, so its sidebands there have k^2 r^(2k-2) of the power of those about the fundamental; the ratio
     # found at a steady rate is too small, which the power 1.5 allows for. Noise of whatever colour moves phase and
     # amplitude alike, a motion of the rate the phase alone, one of the intensity the amplitude.
-    power = np.abs(np.fft.rfft(left)[1:]) ** 2
-    if _repeats(left, omega, power):
-        return False
-    if power.size > NEXT.stop and power[LOWEST].mean() > STEEP * np.median(power[NEXT]) / np.log(2):
-        return True
-    floor = float(np.median(power)) / np.log(2)
-    line = omega * left.size / (2 * np.pi)
-    bins = np.arange(1, power.size + 1)
-    beside = (bins > (1 - BESIDE) * line) & (bins < (1 + BESIDE) * line)
-    of_fundamental = (1 - ratio**2) ** 3 / (1 + ratio**2)
-    surplus, of_all = float((power[beside] - floor).sum()), float((power - floor).sum())
-    if not surplus > 0.5 * of_fundamental**1.5 * of_all:
-        return False
-    return bool(left @ left > LARGE * abs(first) ** 2 / 2 * left.size) or _has_direction(left, omega, first, line)
+    n_records, n_samples = left.shape
+    power = np.abs(np.fft.rfft(left)[:, 1:]) ** 2
+    floor = np.median(power, axis=1) / np.log(2)
+    of_samples = np.vecdot(left, left)
+    # harmonics; a folded one that falls onto another counts once
+    turns = series.omega[:, np.newaxis] / (2 * np.pi) * np.arange(1, HARMONICS + 1)
+    place = np.abs(turns - np.rint(turns)) * n_samples
+    apart = np.abs(place[:, :, np.newaxis] - place[:, np.newaxis])
+    twice = np.any(np.tril(apart < 1, -1), axis=2) | (place < 1)
+    lines = np.where(twice, 0.0, np.abs(data_sums(left, series.omega, HARMONICS, 0, lowest=1)[:, 0]) ** 2)
+    repeating = 2 * np.sum(lines - np.where(twice, 0.0, floor[:, np.newaxis]), axis=1) / n_samples
+    # what stands above the noise is itself known only to its scatter
+    scatter = floor * np.sqrt(2 / n_samples)
+    open_ = ~(repeating > MOST_REPEATING * (np.maximum(of_samples - floor, 0.0) + scatter))
+    steep = np.zeros(n_records, dtype=bool)
+    if power.shape[1] > NEXT.stop:
+        steep = power[:, LOWEST].mean(axis=1) > STEEP * np.median(power[:, NEXT], axis=1) / np.log(2)
+    line = series.omega * n_samples / (2 * np.pi)
+    bins = np.arange(1, power.shape[1] + 1)
+    beside = np.abs(bins - line[:, np.newaxis]) < BESIDE * line[:, np.newaxis]
+    surplus = power - floor[:, np.newaxis]
+    squared = np.abs(series.ratio) ** 2
+    of_fundamental = (1 - squared) ** 3 / (1 + squared)
+    inside, of_all = np.where(beside, surplus, 0.0).sum(axis=1), surplus.sum(axis=1)
+    of_all -= n_samples * scatter
+    about = (inside > 0.5 * of_fundamental**1.5 * of_all) & (inside > 0)
+    large = of_samples > LARGE * np.abs(series.first) ** 2 / 2 * n_samples
+    ask = np.flatnonzero(open_ & ~steep & about & ~large)
+    has_direction = np.zeros(n_records, dtype=bool)
+    if ask.size:
+        has_direction[ask] = _have_direction(left[ask], series.take(ask), line[ask], floor[ask])
+    return np.asarray(open_ & (steep | (about & (large | has_direction))))
 
 
-def _repeats(left: Floats, omega: float, power: Floats) -> bool:
-    """Whether most of what the fit leaves beside noise is harmonics of the beat, as a filter leaves them."""
-    time = np.arange(left.size) - (left.size - 1) / 2
-    turns = np.exp(1j * omega * np.outer(np.arange(1, HARMONICS + 1), time))
-    columns = np.concatenate([turns.real, turns.imag]).T
-    found, _, rank, _ = np.linalg.lstsq(columns, left, rcond=1e-6)
-    noise = float(np.median(power)) / np.log(2) / left.size  # variance of a sample
-    repeating = float(np.sum((columns @ found) ** 2)) - noise * int(rank)
-    return bool(repeating > MOST_REPEATING * (float(left @ left) - noise * left.size))
+def _have_direction(left: Floats, series: Series, line: Floats, floor: Floats) -> Bools:
+    """Whether residuals about the fundamental move its phase and its amplitude by different amounts."""
+    n_samples = left.shape[1]
+    of_amplitude, of_phase, reach = _about_beat(left, series, line)
+    n_lines = of_phase.shape[1]
+    found = np.zeros(len(left), dtype=bool)
+    slow = legendre.legvander(np.linspace(-1, 1, n_samples), SLOW_TERMS - 1)
+    drifts = np.linalg.qr(np.fft.rfft(slow, axis=0)[1 : n_lines + 1])[0]
+    along = (of_amplitude[:, np.newaxis] @ drifts.conj()) @ drifts.T
+    for amplitude in (of_amplitude, of_amplitude - along[:, 0]):
+        products = np.abs(amplitude) ** 2, np.abs(of_phase) ** 2, (amplitude * of_phase.conj()).real
+        a, p, ap = (np.cumsum(product, axis=1) for product in products)
+        for count in (*BANDS, n_lines):
+            last = np.minimum(np.minimum(count, reach), n_lines)
+            here = np.arange(len(left)), last - 1
+            mean, half = (a[here] + p[here]) / 2, np.hypot((a[here] - p[here]) / 2, ap[here])
+            least = np.maximum(mean - half, 2 * last * floor)
+            found |= mean + half > (1 + ONE_SIDED / np.sqrt(last)) * least
+    return found
 
 
-def _has_direction(left: Floats, omega: float, first: complex, line: float) -> bool:
-    """Whether the residual about the fundamental moves its phase and its amplitude by different amounts."""
-    time = np.arange(left.size) - (left.size - 1) / 2
-    lines = np.fft.fft(left * np.exp(-1j * omega * time) * np.conj(first))
-    reach = max(BESIDE * line, 1.0)
-    lines[np.abs(np.fft.fftfreq(left.size, 1 / left.size)) > reach] = 0.0
-    moved = np.fft.ifft(lines)
-    weaker, stronger = np.linalg.eigvalsh(np.cov(moved.real, moved.imag))
-    return bool(stronger > (1 + ONE_SIDED / np.sqrt(reach)) * weaker)
+def _about_beat(left: Floats, series: Series, line: Floats) -> tuple[Complexes, Complexes, Indices]:
+    """Lines of what moves amplitude and phase of the fundamental, (R, K) from the first on, and how many count."""
+    n_samples = left.shape[1]
+    time = np.arange(n_samples) - (n_samples - 1) / 2
+    unit = np.conj(series.first) / np.abs(series.first)
+    turned = np.fft.fft(left * np.exp(-1j * series.omega[:, np.newaxis] * time) * unit[:, np.newaxis])
+    number = np.arange(1, min(MOST_BESIDE, n_samples // 2 - 1) + 1)
+    above, below = turned[:, number], np.conj(turned[:, -number])
+    reach = np.maximum(BESIDE * line, 1.0).astype(np.intp)
+    inside = number <= reach[:, np.newaxis]
+    return np.where(inside, above + below, 0.0), np.where(inside, (above - below) / 1j, 0.0), reach
+
+
+# --------------------
+# A motion that is so small that no fit is worth it: the steady fit with a known correction.
+#
+# A phase that departs by s rad (rms) takes 3 s^2/2 of the ratio. Its sidebands end where the record does, and their
+# feet reach the second harmonic: there they add 0.2 to 0.4 s/periods (rms) to the ratio
+
+
+LARGEST_SMALL, FEET = 0.015, 0.35
+"""rad; foot on the second harmonic over s, times the periods."""
+
+HARMLESS = 0.35
+"""What that foot may be, in standard uncertainties of the ratio by noise."""
+
+STEADY_AMPLITUDE = 4.0
+"""Standard deviations of noise by which the amplitude may move."""
+
+
+def small_motions(left: Floats, series: Series, covariance: Floats) -> tuple[MovingFits, Bools]:
+    """Records by what steady fits leave of them (R, N), all samples of which count, and where that is enough."""
+    n_records, n_samples = left.shape
+    line = series.omega * n_samples / (2 * np.pi)
+    first, ratio = np.abs(series.first), np.abs(series.ratio)
+    floor = np.median(np.abs(np.fft.rfft(left)[:, 1:]) ** 2, axis=1) / np.log(2)
+    of_amplitude, of_phase, reach = _about_beat(left, series, line)
+    noise = 2 * np.minimum(reach, of_phase.shape[1]) * floor
+    power = np.sum(np.abs(of_phase) ** 2, axis=1)
+    square = 2 * np.maximum(power - noise, 0.0) / (n_samples * first) ** 2
+    foot = FEET * np.sqrt(square) / line
+    small = (square < LARGEST_SMALL**2) & (foot < HARMLESS * np.sqrt(2 * floor) / (n_samples * first))
+    small &= np.sum(np.abs(of_amplitude) ** 2, axis=1) < noise * (1 + STEADY_AMPLITUDE / np.sqrt(reach))
+    phase = np.zeros((n_records, n_samples // 2 + 1), dtype=np.complex128)
+    phase[:, 1 : of_phase.shape[1] + 1] = of_phase
+    moved = np.fft.irfft(phase, n_samples)
+    time = np.arange(n_samples) - (n_samples - 1) / 2
+    angle = series.omega[:, np.newaxis] * time + np.angle(series.first)[:, np.newaxis]
+    rest = left + moved * np.sin(angle)
+    degrees = np.asarray(n_samples - 6.0 - 2.0 * reach, dtype=np.float64)
+    variance = np.vecdot(rest, rest) / degrees
+    grown = Series(series.offset, series.first * (1 + square / 2), series.ratio * (1 + 1.5 * square), series.omega)
+    nothing = np.zeros(n_records)
+    wander: Ints = np.full(n_records, int(Flag.RATE_WANDER), dtype=np.int64)
+    fits = MovingFits(
+        grown,
+        covariance * variance[:, np.newaxis, np.newaxis],
+        variance,
+        degrees,
+        rest,
+        small,
+        wander,
+        nothing,
+        nothing > 0,
+        nothing,
+        nothing + 1,
+        np.hypot(foot, 1.5 * square * ratio),
+    )
+    return fits, small

@@ -168,7 +168,7 @@ def test_no_polynomials_are_kept_beside_noise_of_the_rate_that_would_lead_it_int
     k, codes, _ = moved_record(np.random.default_rng(87), 0.6, 8.1, 0.0, 1.0, walk=3.9)
     fit = fit_moving_rate(codes - codes.mean(), np.ones(N))
     assert fit.walk > 3
-    assert flag_names(fit.flags) == ["rate_wander"]
+    assert flag_names(int(fit.flags[0])) == ["rate_wander"]
     e = estimate_lock_in(codes, 1.0, scale_factor=k)
     assert abs(float(e.lock_in_rate) - 0.6) < 3 * float(e.lock_in_rate_u)
 
@@ -184,7 +184,7 @@ def test_a_lock_in_rate_that_drifts_is_seen_while_the_rate_moves(drift):
     intervals = gyro.sample_interval * (1 + drift * (2 * step_times() - 1))
     fit = fit_moving_rate(codes_of(rng, gyro, beat(gyro, rates, intervals)), np.ones(N))
     # d r = r/sqrt(1 - x^2) d(WL)/WL
-    expected = abs(fit.ratio) / np.sqrt(8 / 9) * drift
+    expected = abs(fit.series.ratio[0]) / np.sqrt(8 / 9) * drift
     assert fit.drift == pytest.approx(expected, rel=0.25, abs=4e-3)
     assert (fit.drift_chance < 1e-6) == (drift > 0)
 

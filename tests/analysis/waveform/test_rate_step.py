@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from analysis import estimate_lock_in, flag_names
-from analysis.waveform.trajectory import SampledRecord, Terms, Trajectory, with_rate_step
+from analysis.waveform.smooth_phase import fit_smooth_phase
 from benchmarks.hostile.gyro import N_SAMPLES, beat, converted, draw_gyro, levels_of, noisy, steady, step_times
 
 
@@ -24,7 +24,7 @@ def estimate(gyro, codes):
     return estimate_lock_in(codes, gyro.sample_interval, scale_factor=gyro.scale_factor)
 
 
-@pytest.mark.parametrize(("x", "rate"), [(3.0, 1.6), pytest.param(1.2, 2.3, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(("x", "rate"), [(3.0, 1.6), pytest.param(1.6, 1.5, marks=pytest.mark.slow)])
 def test_a_step_of_the_rate_costs_neither_bias_nor_u(x, rate):
     gyro, codes = stepped(60, 0.61, rate=rate, x=x, periods=30.3)
     found, at_rest = estimate(gyro, codes), estimate(*stepped(60, 0.61, x=x, periods=30.3))
@@ -50,15 +50,12 @@ def test_where_the_record_does_not_decide_u_holds_both():
     found = estimate(gyro, codes)
     assert flag_names(int(found.flags)) == ["rate_wander"]
     assert float(found.lock_in_rate_u) > 0.5 * abs(float(found.lock_in_rate) - gyro.lock_in_rate)
-    assert float(found.misfit_u) > 0.02 * float(found.ratio)
+    assert float(found.misfit_u) > 0.015 * float(found.ratio)
 
 
 def test_a_swing_is_no_step():
     rng = np.random.default_rng(63)
-    terms = Terms(rate=3, amplitude=1, offset=1)
     phase = 2 * np.pi * (20 * step_times()[::8] + np.sin(4 * np.pi * step_times()[::8]) / 4)
-    parameters = np.array([2 * np.pi * 20 / N_SAMPLES, 0.0, 0.0, 1e-3, 0.0, 90.0, 0.0])
-    values = 90 * np.sin(phase) + rng.normal(size=N_SAMPLES)
-    record = SampledRecord(values, np.ones(N_SAMPLES))
-    fitted = record.fit(Trajectory(phase, parameters, terms), 1e-2 / 90**2, 4)
-    assert with_rate_step(record, fitted, 1e-8 / 90**2) is None
+    values = 90 * np.sin(phase) + rng.normal(size=(1, N_SAMPLES))
+    fit = fit_smooth_phase(values - values.mean(), np.ones_like(values))
+    assert fit.moves[0] > 1e4 and fit.stepped_u[0] == 0 and not fit.stretched[0]

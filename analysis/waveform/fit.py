@@ -390,12 +390,14 @@ def _followed(
         quiet = never_alone(np.flatnonzero(asked & ~fatal[some] & masks.whole(some)))
         if quiet.size:
             here = some[quiet]
-            moved, small = small_motions(left[quiet], series.take(here), covariance[here])
-            again = left_by_motion(here, moved)
-            settled = never_alone(np.flatnonzero(small & (again.flags == 0)))
-            if settled.size:
-                yield here[settled], moved.take(settled), again.take(settled), True, True
-                asked[quiet[settled]] = False
+            moved, is_small = small_motions(left[quiet], series.take(here), covariance[here])
+            if (small := never_alone(np.flatnonzero(is_small))).size:
+                moved, here = moved.take(small), here[small]
+                again = left_by_motion(here, moved)
+                settled = never_alone(np.flatnonzero(again.flags == 0))
+                if settled.size:
+                    yield here[settled], moved.take(settled), again.take(settled), True, True
+                    asked[quiet[small[settled]]] = False
         some = never_alone(np.unique(some[asked]))
         if not some.size:
             continue

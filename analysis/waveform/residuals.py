@@ -81,7 +81,7 @@ def line_stands_out(power: Samples, *, few_lines: bool = False) -> bool:
 def misfit_of(
     power: Samples, n_samples: int, line: float, first: float, ratio: float, pedestal: float
 ) -> tuple[float, float]:
-    """Variance of the frequency over that of white noise, and standard uncertainty of the ratio, by residual lines."""
+    """Variance of the frequency over that of white noise, and u of the ratio, by residual lines."""
     mean = float(power.mean())
     beat = (first * n_samples / 2) ** 2
     around = surroundings(power) if power.size > 2 * NEIGHBOURS else np.full(power.size, mean)
@@ -227,8 +227,8 @@ class ResidualReport:
     """flags : (R,); excess : (R, 3) variance factors of frequency, ratio size and ratio phase over white noise;
     uneven : (R,) where the spectrum is not flat, by lines or by broad humps; mean : (R,) mean power of a line;
     misfit : (R,) standard uncertainty of the ratio by what is no noise;
-    repeats, stronger, drifting : (R,) for a closer look, where harmonics may be stronger than noise, the same where
-    the noise is white, and where the ratio may drift.
+    repeats, stronger, drifting : (R,) for a closer look, where harmonics may be stronger than noise, the same
+    where the noise is white, and where the ratio may drift.
     """
 
     flags: Ints

@@ -5,14 +5,15 @@
     chi = X + E Im(exp(iX) rho*) + (2 w''/(a w (1 - r^2)) - 3 E w'/w)/w Re(exp(iX) rho*),
     E = 2 w'/(a w (1 - r^2)),      w = X'
 
-a is 2 pi K W. The first line is the steady waveform with the ratio r = |rho| of the rate of each instant, which holds
-exactly with d(chi)/dt = w - 2 r'/(1 - r^2) sin; the rest is the second adiabatic order of that. So a sample depends
-on the phase X at its own time alone. With X a cubic spline on equal intervals and A and C low polynomials, the
-normal equations are a band of four beside an arrow of ten parameters, and nothing is integrated along the record.
+a is 2 pi K W. The first line is the steady waveform with the ratio r = |rho| of the rate of each instant, which
+holds exactly with d(chi)/dt = w - 2 r'/(1 - r^2) sin; the rest is the second adiabatic order of that. So a sample
+depends on the phase X at its own time alone. With X a cubic spline on equal intervals and A and C low
+polynomials, the normal equations are a band of four beside an arrow of ten parameters, and nothing is integrated
+along the record.
 
 How smooth X is, the record says: its differences of an order d from 2 to 4 are independent values of a variance
-that has the greatest restricted likelihood. The interval then counts every path that X may take between the samples,
-and 2 S(w)/N: the noise of the rate at the frequency of the beat itself, which no fit tells from lock-in.
+that has the greatest restricted likelihood. The interval then counts every path that X may take between the
+samples, and 2 S(w)/N: the noise of the rate at the frequency of the beat itself, which no fit tells from lock-in.
 
 Not for motions that are fast beside the beat: `Path.fast` says how fast, and who calls takes the exact fit
 (`trajectory`) instead.
@@ -78,10 +79,10 @@ class Paths:
     fast: Floats  # (R,) largest |w'|/w^2
     slowest: Floats  # (R,) lowest a but for a hundredth of the samples
     weakest: Floats  # (R,) smallest over largest amplitude
-    # (R,) rms by which s and c change along the record, and the share of records in which noise makes so much of it
+    # (R,) rms by which s and c change along the record, and the share of records in which noise makes as much
     drift: Floats
     drift_chance: Floats
-    # (R,) what b may be off by because the time base may have stepped where the rate did, and whether it surely has
+    # (R,) what b may be off by because the time base may have stepped with the rate, and whether it surely has
     stepped_u: Floats
     stretched: Bools
 
@@ -693,7 +694,7 @@ _LEVELS = np.arange(-6.0, 34.0)
 def _likeliest(
     equations: _PathEquations, count: Floats, path: Floats, orders: tuple[int, ...]
 ) -> tuple[Ints, Floats]:
-    """Order and weight (R,) by the path that the samples alone ask for, one band of frequencies after the other."""
+    """Order and weight (R,) by the path that the samples alone ask for, band by band of frequencies."""
     # Whittle's likelihood finds the weight, the restricted one at that weight the order.
     n_records, n, _ = equations.cross.shape
     band = equations.band

@@ -1,4 +1,4 @@
-"""Records whose rate moves, whose intensity drifts or whose baseline moves: seen, and fitted one by one exactly."""
+"""Records whose rate, intensity or baseline moves: seen, taken as smooth, or fitted one by one exactly."""
 
 from __future__ import annotations
 
@@ -686,8 +686,10 @@ def _about_beat(left: Floats, series: Series, line: Floats) -> tuple[Complexes, 
     """Lines of what moves amplitude and phase of the fundamental, (R, K) from the first on, and how many count."""
     n_samples = left.shape[1]
     time = np.arange(n_samples) - (n_samples - 1) / 2
-    unit = np.conj(series.first) / np.abs(series.first)
-    turned = np.fft.fft(left * np.exp(-1j * series.omega[:, np.newaxis] * time) * unit[:, np.newaxis])
+    angle = (series.omega[:, np.newaxis] * time + np.angle(series.first)[:, np.newaxis]).astype(np.float32)
+    samples = np.empty(left.shape, dtype=np.complex64)  # single precision is enough for what is left
+    samples.real, samples.imag = left * np.cos(angle), -left * np.sin(angle)
+    turned = np.fft.fft(samples)
     number = np.arange(1, min(MOST_BESIDE, n_samples // 2 - 1) + 1)
     above, below = turned[:, number], np.conj(turned[:, -number])
     reach = np.maximum(BESIDE * line, 1.0).astype(np.intp)
@@ -698,8 +700,8 @@ def _about_beat(left: Floats, series: Series, line: Floats) -> tuple[Complexes, 
 # --------------------
 # A motion that is so small that no fit is worth it: the steady fit with a known correction.
 #
-# A phase that departs by s rad (rms) takes 3 s^2/2 of the ratio. Its sidebands end where the record does, and their
-# feet reach the second harmonic: there they add 0.2 to 0.4 s/periods (rms) to the ratio
+# A phase that departs by s rad (rms) takes 3 s^2/2 of the ratio. Its sidebands end where the record does, and
+# their feet reach the second harmonic: there they add 0.2 to 0.4 s/periods (rms) to the ratio
 
 
 LARGEST_SMALL, FEET = 0.015, 0.35

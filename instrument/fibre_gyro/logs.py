@@ -23,6 +23,7 @@ from instrument.text_files import open_plain_file
 
 _DOUBLED = 0.02  # of the rows: more equal time stamps than these are coarse stamps, not doubled rows
 _OFTEN = 0.8
+_WORDS = (16, 20, 24, 32)  # bits
 
 
 @dataclass(frozen=True)
@@ -164,10 +165,11 @@ def _read(text: IO[str], choices: LogChoices) -> GyroLog:
     unit_of = {name: unit for name, unit in zip(names, units, strict=True) if name}
     outputs = {name: columns.pop(name) for name in list(columns) if is_output(name)}
     unit = _output_unit(outputs, unit_of, choices.units)
+    _check_words(outputs, table.lines)
     counter, status = columns.pop(COUNTER, None), columns.pop(STATUS, None)
     times = columns.pop(TIME, None)
     if times is not None:
-        times = times * seconds_of(choices.time_unit or unit_of[TIME] or "s")
+        times = times * seconds_of(choices.time_unit or unit_of[TIME] or _unit_of_epoch(times))
     clock, kind = _clock(times, counter, table, choices.interval_s)
     gaps = _gaps(clock)
     rest = Recording(
@@ -219,6 +221,29 @@ def _check_names(names: list[str], choices: LogChoices) -> None:
     )
 
 
+def _unit_of_epoch(times: Floats) -> str:
+    """Unit of stamps that do not give it: what would be 3000 years in seconds counts from 1970 in ms or us."""
+    largest = float(np.max(np.abs(times), initial=0.0))
+    return "s" if largest < 1e11 else "ms" if largest < 1e14 else "us"
+
+
+def _check_words(outputs: dict[str, Floats], lines: NDArray[np.int64]) -> None:
+    """FileFormatError where signed words were written as unsigned ones: negative ones stand at the other end."""
+    for name, words in outputs.items():
+        for bits in _WORDS:
+            highest = float(words.max(initial=0.0))
+            if words.min(initial=0.0) < 0 or highest >= 2.0**bits or highest < 0.9 * 2.0**bits:
+                continue
+            jumps = np.flatnonzero(np.abs(np.diff(words)) > 0.9 * 2.0**bits)
+            if jumps.size and not np.any((words > 0.1 * 2.0**bits) & (words < 0.9 * 2.0**bits)):
+                at = int(jumps[0])
+                raise FileFormatError(
+                    f"line {lines[at + 1]}: the {name} goes from {words[at]:.0f} to {words[at + 1]:.0f}: signed "
+                    f"words of {bits} bits were written without their sign; take 2^{bits} from those above "
+                    f"2^{bits - 1}"
+                )
+
+
 def _output_unit(outputs: dict[str, Floats], unit_of: dict[str, str], given: str) -> str:
     if given:
         return output_unit(given, "the output")
@@ -262,7 +287,11 @@ def _check_order(times: Floats, table: LogTable, *, coarse_allowed: bool) -> Non
     if not wrong.size:
         doubled = np.flatnonzero(steps == 0)
         wrong = doubled if coarse_allowed and 0 < doubled.size <= _DOUBLED * steps.size + 1 else wrong
-        if steps.size and doubled.size == steps.size:
+        # rows with one time stamp are coarse stamps where their outputs differ, and doubled where nothing does
+        equal = np.sum(table.values[1:] == table.values[:-1], axis=1) + (steps > 0) == table.values.shape[1]
+        others = np.count_nonzero(equal) - np.count_nonzero(equal[doubled])
+        often = 2 * np.count_nonzero(equal[doubled]) > doubled.size and 2 * others < steps.size - doubled.size
+        if doubled.size and (doubled.size == steps.size or often):
             wrong = doubled
     if wrong.size:
         at = int(wrong[0])
@@ -489,6 +518,14 @@ _LOCAL = 50  # rows among which the one before a missing one is looked for
 _COARSE = 0.05  # of an interval: with stamps rounded by more the places tell the time better
 _TOO_COARSE = 0.8  # of an interval: stamps rounded by more have no phase
 _STEPS = (1.0, 0.5, 0.2, 0.1)
+_LONGEST_STEP = 100_000  # of the stamps' grid, that an interval is looked for among
+_NO_CLOCK = (
+    "too many rows are missing, or the time stamps are too coarse, to tell the interval of the output: give its "
+    "rate with the option or setting output_rate_hz, or a counter beside the output"
+)
+_BEYOND_STEPS = 2.5  # of the stamps, by which a line through them may miss the stamps
+_FEW_STAIRS = 3  # places that are skipped evenly, from which on they are no missing rows
+_NO_CHANCE = 8.0  # logarithm by which a line in where they are exceeds what chance makes
 
 
 @dataclass(frozen=True)
@@ -538,9 +575,14 @@ def find_clock(times: Floats, interval_s: float | None) -> LogClock:
     """Find interval and missing rows."""
     rows = np.arange(times.size, dtype=np.int64)
     step = _rounding(times)
+    on_grid = _on_a_grid(times, step)
+    if on_grid is not None:
+        interval, places = on_grid
+        each = _rows_apart(interval, interval_s)
+        return LogClock(interval / each, each * places, False)
     slope = line_through(rows, times)
     off = float(np.ptp(times - times.mean() - slope * (rows - rows.mean())))
-    if off <= 1.02 * step + 1e-9 * slope:
+    if off <= 1.1 * step + 1e-9 * slope:  # a saw tooth about the line through it
         each = _rows_apart(slope, interval_s)
         return LogClock(slope / each, each * rows, bool(off > 1e-6 * slope and step > _COARSE * slope))
     found = _first_interval(times)
@@ -550,9 +592,15 @@ def find_clock(times: Floats, interval_s: float | None) -> LogClock:
         return LogClock(line_through(places.astype(np.int64), times), places.astype(np.int64), False)
     if step > _TOO_COARSE * found and abs(found / step - 1) > 1e-3:
         places = _within_bounds(times, step, found)
-        return LogClock(line_through(places, times) / each, each * places, True)
+        interval = line_through(places, times)
+        if float(np.ptp(times - interval * places)) > _BEYOND_STEPS * step:
+            raise FileFormatError(_NO_CLOCK)
+        return LogClock(interval / each, each * places, True)
     places = _in_phase(times, found / each)
     interval = line_through(places, times)
+    late = times - interval * places
+    if float(np.median(np.abs(late - np.median(late)))) > 0.5 * (step + interval):
+        raise FileFormatError(_NO_CLOCK)
     clear = step <= _COARSE * interval and float(np.abs(times - interval * places).max()) < 0.25 * interval
     return LogClock(interval, places, not clear)
 
@@ -566,6 +614,28 @@ def _rounding(times: Floats) -> float:
             if all(np.all(np.abs(some / step - np.round(some / step)) < 1e-3) for some in (sample, times)):
                 return step
     return 0.0
+
+
+def _on_a_grid(times: Floats, step: float) -> tuple[float, Places] | None:
+    """Interval and places where all stamps are whole multiples of the interval, and rows are missing."""
+    if not step:
+        return None
+    numbers = np.round(times / step).astype(np.int64)
+    steps = np.diff(numbers)
+    usual = int(np.bincount(np.clip(steps, 0, _LONGEST_STEP)).argmax())
+    if usual < 1 or steps.min() < 1 or np.any(steps % usual) or not np.mean(steps == usual) > 0.5:
+        return None
+    places = (numbers - numbers[0]) // usual
+    # An interval a little longer than the grid skips a place of it now and then, but as evenly as stairs; rows are
+    # missing here and there.
+    between = np.diff(places[1:][steps > usual])
+    even = between.size >= _FEW_STAIRS and np.mean(np.abs(between - np.median(between)) <= 1) > 0.5
+    skipped = np.ones(int(places[-1]) + 1)
+    skipped[places] = 0.0
+    lines = np.abs(np.fft.rfft(skipped)[1:]) ** 2 / max(skipped.sum(), 1.0)
+    if even or (lines.size and lines.max() > np.log(lines.size) + _NO_CHANCE):
+        return None
+    return usual * step, places
 
 
 def _first_interval(times: Floats) -> float:
@@ -615,7 +685,9 @@ def _within_bounds(times: Floats, step: float, first: float) -> Places:
     late = times - interval * np.arange(times.size)
     allowed = 1.02 * step + 1e-3 * interval
     begin = 0
-    while begin < times.size - 1:
+    # each row that is missing puts all behind it a step back; more of them than there is time for is no clock
+    most = int(np.ptp(times) / max(interval, step)) + times.size
+    while begin < times.size - 1 and missing.sum() < most:
         part = late[begin : begin + _REACH]
         above = part - np.minimum.accumulate(part) > allowed
         if not above.any():

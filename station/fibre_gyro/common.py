@@ -168,6 +168,23 @@ def small_ppm(value: float) -> str:
     return f"{value:+.2g} ppm" if abs(value) >= 0.01 else "less than 0.01 ppm"
 
 
+PLAUSIBLE = 0.05
+"""Share by which a scale factor may differ from that by design before something else must be wrong."""
+
+
+def far_from_design(scale_factor: float, settings: FogSettings) -> str:
+    """A sentence where a scale factor cannot be that of the gyro by its design; empty where it can."""
+    design = settings.nominal_scale_factor
+    off = scale_factor / design - 1
+    if abs(off) <= PLAUSIBLE:
+        return ""
+    sign = "its sign is that of the opposite sense: " if off < -1 else ""
+    return (
+        f"K = {scale_factor:.6g} {COUNTS_PER_DPS} is {100 * off:+.3g} % off the {design:.6g} by design; {sign}"
+        "look at senses and order of the rates, unit and width of the words, and gyro.* of the settings."
+    )
+
+
 def beyond_converter(step_codes: float, dac_bits: int) -> str:
     """Say that a step is beyond the converter."""
     return (

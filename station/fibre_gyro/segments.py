@@ -267,6 +267,46 @@ def remarks_on(segment: Segment, window: WindowMean) -> list[str]:
         said.append(
             f"{segment.key}: {words} up to {window.worst:.3g} counts off the mean, far from all others: left out."
         )
+    return said + [f"{segment.key}: {one}" for one in _not_steady(segment, window)]
+
+
+_BLOCKS, _FEWEST_IN_BLOCK = 20, 5  # of a window whose output should be steady, and words in each
+_JUMP = 12.0  # times by which one change from block to block exceeds the usual one, and no noise does
+_STUCK = 50, 0.1  # words in a row that are the same, and their share of the window, that no live output has
+
+
+def _not_steady(segment: Segment, window: WindowMean) -> list[str]:
+    """What an output does that is not that of a gyro at a steady rate; sentences."""
+    words = words_of(segment.recording)
+    words = words[np.isfinite(words)]
+    said, size = [], words.size // _BLOCKS
+    same = np.diff(np.flatnonzero(np.diff(words, prepend=np.nan, append=np.nan)))
+    longest = int(same.max(initial=0))
+    if longest >= max(_STUCK[0], _STUCK[1] * words.size) and longest < words.size:
+        usual = np.bincount(same)[:longest].nonzero()[0].max(initial=1)
+        if longest > 4 * usual:
+            begin = int(np.cumsum(same)[same.argmax()] - longest) * segment.recording.interval_s
+            said.append(
+                f"the output stands still for {longest} words from {begin:.4g} s on, at {words[0]:.6g} counts or "
+                "beside it: stuck, or not sent. The mean is wrong; take it again."
+            )
+    if size < _FEWEST_IN_BLOCK:
+        return said
+    blocks = words[: _BLOCKS * size].reshape(_BLOCKS, size)
+    means = np.median(blocks, axis=1) if window.outliers else blocks.mean(axis=1)
+    changes = np.diff(means)
+    white = float(np.median(np.abs(np.diff(words)))) / 0.95  # of two words' difference, over sqrt 2 their noise
+    usual_change = max(
+        1.48 * float(np.median(np.abs(changes))), white * math.sqrt(2 / size), 1e-12 * abs(means[0])
+    )
+    largest = int(np.abs(changes).argmax())
+    if abs(changes[largest]) > _JUMP * usual_change:
+        at = (largest + 1) * size * segment.recording.interval_s
+        said.append(
+            f"the output changes by {changes[largest]:+.4g} counts about {at:.4g} s after the begin, "
+            f"{abs(changes[largest]) / usual_change:.0f} times what it does elsewhere: the rate or the step was "
+            "not there all the time. The mean is wrong; wait longer before the log begins, and take it again."
+        )
     return said
 
 

@@ -41,6 +41,7 @@ from station.fibre_gyro.common import (
     COUNTS_PER_DPS,
     PPM,
     beyond_converter,
+    far_from_design,
     not_taken,
     reasons_of,
     small_ppm,
@@ -609,9 +610,43 @@ def _second_path_sentences(found: SelfcalEvaluation, *, gated: bool) -> list[str
     ]
 
 
+_FINDING = 4.0
+"""Standard uncertainties that K_self of the shared path may differ from the numbers before the test has failed."""
+
+_OFF_STEP = 6.0
+"""The same for one step among the others: there are many."""
+
+_IMPLAUSIBLE = 5e4
+"""ppm by which no second path differs."""
+
+
+def _finding(found: SelfcalEvaluation, *, shared: bool) -> str:
+    """That the test has failed, and by which steps; empty where it has not."""
+    share, compared = found.net.output / found.number, found.comparison
+    u = np.hypot(found.net.output_u, found.net.static_u) / np.abs(found.number)
+    usual = float(np.median(share))
+    scatter = np.hypot(u, 1.48 * float(np.median(np.abs(share - usual))))
+    off = np.flatnonzero(np.abs(share - usual) > _OFF_STEP * scatter)
+    allowed = _FINDING * compared.against_numbers_u_ppm if shared else _IMPLAUSIBLE
+    if not off.size and abs(compared.against_numbers_ppm) <= allowed:
+        return ""
+    where = f"The steps give {usual:.7g} times their numbers in the median"
+    if off.size:
+        where += ", but these not: " + ", ".join(f"{found.keys[at]} ({share[at]:.6g})" for at in off)
+    difference = ppm(compared.against_numbers_ppm, compared.against_numbers_u_ppm)
+    return (
+        f"The self-calibration FAILED: K_self differs from the slope of the numbers by {difference}. {where}. "
+        "Steps of another size, late, missing, exchanged; a converter, adder or output that wraps or saturates."
+    )
+
+
 def _to_watch(found: SelfcalEvaluation, settings: FogSettings) -> list[str]:
     net, fit = found.net, found.fit
     said = [f"{one.sentence}." for one in found.left_out]
+    if finding := _finding(found, shared=settings.selfcal.path == "shared"):
+        said.append(finding)
+    elif implausible := far_from_design(fit.slope, settings):
+        said.append(implausible)
     if found.static_missing:
         said.append(
             f"There is no static output {found.static_missing} the steps: a drift of the bias is not seen."

@@ -36,7 +36,7 @@ from analysis.fibre_gyro import (
 )
 from station.errors import NoUsableSignal
 from station.fibre_gyro.allan import NoiseModel, noise_of
-from station.fibre_gyro.common import COUNTS_PER_DPS, PPM, angle_clock_u, reasons_of
+from station.fibre_gyro.common import COUNTS_PER_DPS, PPM, angle_clock_u, far_from_design, reasons_of
 from station.fibre_gyro.segments import (
     Segment,
     begins_of,
@@ -406,6 +406,7 @@ def result(found: TableEvaluation, run: SavedRun, settings: FogSettings) -> Resu
     lines = (
         f"{COUNTS_PER_DPS}; by design {settings.nominal_scale_factor:.6f}.",
         f"From {sum(len(one.keys) for one in found.axes)} runs over whole turns, by least squares.",
+        *(() if settings.table.rate_u_ppm is not None else (IN_UNITS_OF_THE_TABLE,)),
     )
     watched = tuple(to_watch(found, settings))
     return Result(
@@ -559,8 +560,26 @@ def to_watch(found: TableEvaluation, settings: FogSettings) -> list[str]:
     return said
 
 
+IN_UNITS_OF_THE_TABLE = (
+    "In the table's own deg/s: what its rate is off by is in K and not in u (table.rate_u_ppm, not stated)."
+)
+
+OFF_THE_LINE = 5.0
+"""Times by which a run must lie further off the line than others do to be named."""
+
+
 def _to_watch_of(one: AxisResult, settings: FogSettings) -> list[str]:
     said, fit, made = [], one.fit, one.differences
+    if implausible := far_from_design(fit.scale_factor, settings):
+        said.append(f"{one.axis}: {implausible}")
+    outputs = np.array([window.mean for window in one.windows])
+    own = PPM * np.array([window.mean_u for window in one.windows]) / np.maximum(np.abs(outputs), 1e-300)
+    usual = np.hypot(own, 1.48 * np.median(np.abs(fit.residual_ppm)))
+    for place in np.flatnonzero(np.abs(fit.residual_ppm) > OFF_THE_LINE * usual):
+        said.append(
+            f"{one.axis}: {one.keys[place]} is {fit.residual_ppm[place]:+.3g} ppm off the line through all runs, "
+            f"others {np.median(np.abs(fit.residual_ppm)):.2g} ppm: look at it, or take it again."
+        )
     if made is not None:
         smallest = int(abs(made.delta_dps).argmin())
         delta, relative = float(made.delta_dps[smallest]), float(made.relative_u_ppm[smallest])

@@ -44,6 +44,15 @@ _RAMP = "rate_ramp"
 _SLOW = ("bias_instability", "rate_random_walk", _RAMP)  # one may be taken for another
 _OPEN = 0.1  # of the probability of the best model: what is like one that has so much is tried too
 _COUNTS = 1e-3  # of all
+_BESIDE = 12  # bins on either side of a line that tell the noise about it
+_LINE_CHANCE, _STANDS_OUT = 1e-6, 1.5  # of all spectra of noise with such a line; its power over that beside it
+_BANDS = 12
+_OFF, _OFF_AT_LEAST = 6.0, 0.03  # standard deviations, and share of the power, by which no model is off
+_SLOW_BANDS, _SLOW_CHANCE = 6, 1e-5
+_PARTS, _FEWEST_IN_PART = 8, 24
+_JUMP = 6.0  # standard deviations of one whitened increment of the blocks, that none of noise has
+_LOUDER = 0.25  # of the power, by which parts that differ matter
+_INDEPENDENT = 2 / 3  # of increments of white noise
 
 Model = frozenset[str]
 """Terms, the ramp among them."""
@@ -64,6 +73,14 @@ class NoiseFit:
     temperature_slope, temperature_slope_u : float
         deg/s per unit of the temperature; nan where it was not asked for.
     words, missing, outliers : int
+    lines_hz : tuple of float
+        Where a line stands in the spectrum that no noise has.
+    bands : tuple of (float, float, float)
+        Where the spectrum is not that of the model: from, to (Hz), and its power over the model's.
+    loudness : float
+        Power of the loudest of some parts of the record over that of all; nan where all are alike.
+    slow_loudness : float
+        The same of the slow noise.
     """
 
     coefficients: dict[str, float]
@@ -76,6 +93,10 @@ class NoiseFit:
     words: int
     missing: int
     outliers: int
+    lines_hz: tuple[float, ...] = ()
+    bands: tuple[tuple[float, float, float], ...] = ()
+    loudness: float = float("nan")
+    slow_loudness: float = float("nan")
 
 
 def fit_noise(words: ArrayLike, interval_s: float, *, temperature: ArrayLike | None = None) -> NoiseFit:
@@ -102,9 +123,28 @@ def fit_noise(words: ArrayLike, interval_s: float, *, temperature: ArrayLike | N
     found = seen.coefficients(models)
     value, u, low, high = ({name: spread * one for name, one in part.items()} for part in found)
     chosen = tuple(name for name in TERMS if name in next(iter(models)))
+    lines, bands = seen.misfit(next(iter(models)))
     return NoiseFit(
-        value, u, low, high, chosen, spread * slope, spread * slope_u, values.size, missing, int(far.sum())
-    )
+        value, u, low, high, chosen, spread * slope, spread * slope_u, values.size, missing, int(far.sum()),
+        tuple(one / interval_s for one in lines),
+        tuple((low / interval_s, high / interval_s, power) for low, high, power in bands),
+        loudest_part(np.diff(values), _INDEPENDENT),
+        loudest_part(seen.whitened(next(iter(models))), 1.0),
+    )  # fmt: skip
+
+
+def loudest_part(values: Floats, independent: float) -> float:
+    """Power of the loudest of some parts of noise over that of all; nan where chance makes such differences."""
+    # `independent`: share of the values (nan where missing) that are
+    parts = [part[np.isfinite(part)] for part in np.array_split(values, _PARTS)]
+    sizes = np.array([part.size for part in parts])
+    if sizes.min() < _FEWEST_IN_PART:
+        return float("nan")
+    power = np.array([float(np.mean(part**2)) for part in parts]) / float(np.nanmean(values**2))
+    if independent == 1.0 and float(np.nanmax(np.abs(values))) > _JUMP:
+        return float(power.max())
+    off = np.abs(np.log(np.maximum(power, 1e-300))) * np.sqrt(independent * sizes / 2)
+    return float(power.max()) if off.max() > _OFF and np.ptp(power) > _LOUDER else float("nan")
 
 
 def _with_gaps_filled(values: Floats, interval_s: float) -> _Likelihood:
@@ -181,7 +221,7 @@ class _Likelihood:
         self._known: dict[tuple[tuple[str, ...], tuple[str, ...]], tuple[dict[str, float], float]] = {}
         width = max(1, -(-values.size // _MOST_BLOCKS))
         count = values.size // width
-        self._block_s = width * interval_s
+        self._block_s, self._width = width * interval_s, width
         blocks = values[: count * width].reshape(count, width)
         there = np.mean(~np.isnan(blocks), axis=1) >= 0.5
         self._places = np.flatnonzero(there)
@@ -338,6 +378,49 @@ class _Likelihood:
         covariance = np.linalg.inv(design.T @ scipy.linalg.cho_solve(factor, design))
         slopes = covariance @ (design.T @ scipy.linalg.cho_solve(factor, self._increments))
         return np.asarray(slopes, dtype=np.float64), np.asarray(covariance, dtype=np.float64)
+
+    def whitened(self, model: Model) -> Floats:
+        """Increments of the block means, each with a variance of 1 and independent if the model holds."""
+        names, columns = _names_of(model)
+        squares = self._maximum(names, columns)[0]
+        left = self._increments
+        if columns:
+            left = left - self._regressors["ramp"] * self._regression(squares, columns)[0][0]
+        root = np.linalg.cholesky(self._total(squares))
+        return np.asarray(scipy.linalg.solve_triangular(root, left, lower=True))
+
+    def misfit(self, model: Model) -> tuple[list[float], list[tuple[float, float, float]]]:
+        """Lines, and bands in which the spectrum is not that of the model; frequencies in cycles a word."""
+        squares = self._maximum(*_names_of(model))[0]
+        ratio = self._power / np.asarray(sum(value * self._shapes[name] for name, value in squares.items()))
+        frequency, number = self._omega / (2 * np.pi), self._number
+        # a line stands alone: its neighbours say how much noise there is
+        around = np.array([np.median(ratio[max(0, i - _BESIDE) : i + _BESIDE + 1]) for i in range(ratio.size)])
+        chance = scipy.special.gammaincc(number, number * ratio / np.maximum(around, 1e-300))
+        lines = np.flatnonzero((chance < _LINE_CHANCE / ratio.size) & (ratio > _STANDS_OUT * around))
+        free = np.ones(ratio.size, dtype=bool)
+        for line in lines:
+            free[max(0, line - 1) : line + 2] = False
+        bands = []
+        for part in np.array_split(np.flatnonzero(free), _BANDS):
+            freedom = float(number[part].sum())
+            power = float(number[part] @ ratio[part]) / max(freedom, 1e-300)
+            if abs(power - 1) * np.sqrt(freedom) > _OFF and abs(power - 1) > _OFF_AT_LEAST:
+                bands.append((float(frequency[part[0]]), float(frequency[part[-1]]), power))
+        # below the blocks' own frequency: whitened increments have a flat spectrum
+        left = self.whitened(model)
+        lines_of_blocks = np.abs(np.fft.rfft(left)[1:]) ** 2 / left.size
+        edges = np.unique(np.geomspace(1, lines_of_blocks.size, _SLOW_BANDS + 1).astype(int)) - 1
+        for first, last in (*itertools.pairwise(edges), *((0, last) for last in edges[2:])):
+            power, freedom = float(lines_of_blocks[first:last].mean()), float(last - first)
+            tails = (
+                scipy.special.gammainc(freedom, freedom * power),
+                scipy.special.gammaincc(freedom, freedom * power),
+            )
+            if min(tails) < _SLOW_CHANCE:
+                whole = left.size * self._width
+                bands.append((float(first + 1) / whole, float(last) / whole, power))
+        return [float(frequency[line]) for line in lines], bands
 
     def _total(self, squares: dict[str, float]) -> Floats:
         return np.asarray(sum(value * self._parts[name] for name, value in squares.items()))

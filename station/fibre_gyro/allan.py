@@ -17,7 +17,7 @@ from instrument.text_files import read_small_file
 from station.errors import NoUsableSignal, UsageError
 from station.fibre_gyro.common import COLOURS, COUNTS_PER_DPS, reasons_of
 from station.fibre_gyro.logs import LogRow, NamedSegment, gyro_measurement, listed_logs, planned_segments
-from station.fibre_gyro.segments import PlannedSegment, Segment, checked, segments_of, words_of
+from station.fibre_gyro.segments import PlannedSegment, Segment, checked, segments_of, stuck_words, words_of
 from station.fibre_gyro.settings import FogSettings, Name, TestSettings
 from station.report.figure import INK, SOFT, WIDE, legend_above, svg_element
 from station.results.quantity import UNITS, Quantity, QuantityGroup, document, repeated
@@ -57,6 +57,8 @@ class NoiseOf:
     duration_s: float
     fit: NoiseFit
     curve: AllanCurve
+    mean_dph: float
+    remarks: tuple[str, ...]  # of what the words did
     by_design: bool  # whether the output came in counts, which only the scale factor by design turns into deg/s
 
 
@@ -93,11 +95,24 @@ def _noise_of(segment: Segment, settings: FogSettings) -> NoiseOf:
             recording.times - recording.times[0],
             recording.temperature,
         )
-    fit = fit_noise(words, recording.interval_s, temperature=temperature)
+    try:
+        fit = fit_noise(words, recording.interval_s, temperature=temperature)
+    except np.linalg.LinAlgError:
+        raise ValueError(
+            "the spectrum of its output is not that of noise: the output is filtered, or is no output at rest; "
+            "record it unfiltered"
+        ) from None
     shown = words if temperature is None else words - fit.temperature_slope * (temperature - temperature.mean())
     curve = allan_curve(shown, recording.interval_s, fit.coefficients)
     by_design = segment.conditions.get("output_unit", "counts") == "counts"
-    return NoiseOf(segment.key, words.size * recording.interval_s, fit, curve, by_design)
+    mean, remarks = 3600 * float(np.nanmean(words)), stuck_words(words, recording.interval_s)
+    levels = np.unique(words[np.isfinite(words)])
+    if float(np.nanstd(words)) < _STEPS_OF_NOISE * float(np.diff(levels).min()):
+        remarks.append(
+            "the output has hardly more noise than one of its steps: N is that of the rounding, not of the gyro. "
+            "Record it with more digits."
+        )
+    return NoiseOf(segment.key, words.size * recording.interval_s, fit, curve, mean, tuple(remarks), by_design)
 
 
 # --------------------
@@ -223,6 +238,45 @@ def _to_watch(found: AllanEvaluation) -> list[str]:
         if one.fit.outliers:
             words = "1 output word lies" if one.fit.outliers == 1 else f"{one.fit.outliers} output words lie"
             said.append(f"{one.key}: {words} far from all others: left out.")
+        said += [f"{one.key}: {sentence}" for sentence in _not_by_the_model(one)]
+    return said
+
+
+_STEPS_OF_NOISE = 0.6
+"""Smallest step of an output over its scatter, inverted: with less than that rounding is no noise of its own."""
+
+_AT_REST_DPH = 150.0
+"""Ten earth rates: a gyro whose mean output is more than that was turning."""
+
+
+def _not_by_the_model(one: NoiseOf) -> list[str]:
+    """What the output does that none of the five terms describes."""
+    fit, said = one.fit, list(one.remarks)
+    if abs(one.mean_dph) > _AT_REST_DPH:
+        said.append(
+            f"the mean output is {one.mean_dph:.4g} deg/h, more than ten earth rates: the gyro was turning, or "
+            "the scale factor is wrong."
+        )
+    if fit.lines_hz:
+        lines = ", ".join(f"{line:.4g}" for line in fit.lines_hz[:5])
+        more = f" and {len(fit.lines_hz) - 5} more" if len(fit.lines_hz) > 5 else ""
+        said.append(
+            f"a line stands in the spectrum at {lines} Hz{more}: a vibration or a pickup, which the model takes "
+            "for noise. Find it, and record again."
+        )
+    if fit.bands:
+        low, high, power = max(fit.bands, key=lambda band: abs(math.log(max(band[2], 1e-9))))
+        said.append(
+            f"between {low:.3g} and {high:.3g} Hz the output has {power:.2g} times the power of the model: its "
+            f"noise is not the sum of the five terms, and the coefficients are wrong. If it is "
+            "filtered, record it unfiltered."
+        )
+    if math.isfinite(fit.loudness) or math.isfinite(fit.slow_loudness):
+        kind, times = ("noise", fit.loudness) if math.isfinite(fit.loudness) else ("slow noise", fit.slow_loudness)
+        said.append(
+            f"the {kind} is not the same all the time: in its loudest eighth {times:.2g} times that of all. A "
+            "touch, a jump, a switch, or an output that stood still; use the part of the log that is steady."
+        )
     return said
 
 

@@ -275,21 +275,25 @@ _JUMP = 12.0  # times by which one change from block to block exceeds the usual 
 _STUCK = 50, 0.1  # words in a row that are the same, and their share of the window, that no live output has
 
 
+def stuck_words(words: Floats, interval_s: float) -> list[str]:
+    """A sentence where an output stands still for a part of its words; none where it does not."""
+    same = np.diff(np.flatnonzero(np.diff(words, prepend=np.nan, append=np.nan)))
+    longest = int(same.max(initial=0))
+    others = np.sort(same)[-2] if same.size > 1 else longest
+    if longest < max(_STUCK[0], _STUCK[1] * words.size) or longest == words.size or longest <= 4 * others:
+        return []
+    place = int(np.cumsum(same)[same.argmax()] - longest)
+    return [
+        f"the output stands still for {longest} words from {place * interval_s:.4g} s on: stuck, or not sent. "
+        "What is computed of it is wrong; take it again."
+    ]
+
+
 def _not_steady(segment: Segment, window: WindowMean) -> list[str]:
     """What an output does that is not that of a gyro at a steady rate; sentences."""
     words = words_of(segment.recording)
     words = words[np.isfinite(words)]
-    said, size = [], words.size // _BLOCKS
-    same = np.diff(np.flatnonzero(np.diff(words, prepend=np.nan, append=np.nan)))
-    longest = int(same.max(initial=0))
-    if longest >= max(_STUCK[0], _STUCK[1] * words.size) and longest < words.size:
-        usual = np.bincount(same)[:longest].nonzero()[0].max(initial=1)
-        if longest > 4 * usual:
-            begin = int(np.cumsum(same)[same.argmax()] - longest) * segment.recording.interval_s
-            said.append(
-                f"the output stands still for {longest} words from {begin:.4g} s on, at {words[0]:.6g} counts or "
-                "beside it: stuck, or not sent. The mean is wrong; take it again."
-            )
+    said, size = stuck_words(words, segment.recording.interval_s), words.size // _BLOCKS
     if size < _FEWEST_IN_BLOCK:
         return said
     blocks = words[: _BLOCKS * size].reshape(_BLOCKS, size)

@@ -1,0 +1,72 @@
+"""Outputs at rest whose noise is not that of the five terms: each is told, and one that is, is not."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.signal import butter, lfilter
+
+from station.errors import NoUsableSignal
+from tests.station.fibre_gyro.test_logs_as_they_come import Logs
+
+RATE, SECONDS, SIGMA = 100.0, 1200, 8e-4  # Hz, s, deg/s
+SIZE = int(RATE * SECONDS)
+TIME = np.arange(SIZE) / RATE
+
+Noise = Callable[[np.random.Generator, np.ndarray], np.ndarray]
+
+
+def said(folder: Path, noise: Noise, seed: int = 3) -> str:
+    """All that an evaluation says of an output at rest."""
+    rng = np.random.default_rng(seed)
+    words = noise(rng, SIGMA * rng.standard_normal(SIZE))
+    logs = Logs(folder, "file")
+    np.savetxt(
+        folder / "rest.csv", np.column_stack([TIME, words]), "%.9g", ",", header="time,gyro (deg/s)", comments=""
+    )
+    logs.rows.append("rest.csv")
+    try:
+        found = logs.evaluate("allan")
+    except NoUsableSignal as error:
+        return str(error)
+    return " ".join([*found["flags"], *(one["reason"] for one in found["left_out"])])
+
+
+def low_pass(hertz: float) -> Noise:
+    keep = np.exp(-2 * np.pi * hertz / RATE)
+    return lambda rng, white: np.asarray(lfilter([1 - keep], [1, -keep], white))
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_white_noise_says_nothing(tmp_path: Path, seed: int) -> None:
+    assert not said(tmp_path, lambda rng, white: white, seed)
+
+
+def test_noise_of_all_slow_terms_says_nothing(tmp_path: Path) -> None:
+    assert not said(tmp_path, lambda rng, white: white + 2e-6 * np.cumsum(rng.standard_normal(SIZE)))
+
+
+@pytest.mark.parametrize(
+    ("noise", "named"),
+    [
+        (low_pass(30.0), "filtered"),
+        (low_pass(10.0), "filtered"),
+        (lambda rng, white: np.convolve(white, np.ones(10) / 10)[:SIZE], "filtered"),
+        (lambda rng, white: np.convolve(white, np.ones(2) / 2)[:SIZE], "filtered"),
+        (lambda rng, white: np.asarray(lfilter(*butter(2, 0.4), white)), "filtered"),
+        (lambda rng, white: white + 0.5 * SIGMA * np.sin(2 * np.pi * 0.5 * TIME), "a line stands"),
+        (lambda rng, white: white + 0.2 * SIGMA * np.sin(2 * np.pi * 13.3 * TIME), "13.3"),
+        (lambda rng, white: white + np.where(abs(TIME - 300) < 10, 5 * white, 0), "not the same all the time"),
+        (lambda rng, white: np.where(TIME < SECONDS / 2, white, 2e-3), "stands still"),
+        (lambda rng, white: white + 3 * SIGMA * (TIME > 400), "not the same all the time"),
+        (lambda rng, white: white + 1.0, "was turning"),
+        (lambda rng, white: 4 * SIGMA * np.round(white / (4 * SIGMA) + 0.3), "more digits"),
+    ],
+    ids=[
+        "30 Hz", "10 Hz", "mean of 10", "mean of 2", "second order", "slow line", "line",
+        "touched", "stuck", "jump", "turning", "coarse",
+    ],
+)  # fmt: skip
+def test_what_is_no_noise_of_the_model_is_named(tmp_path: Path, noise: Noise, named: str) -> None:
+    assert named in said(tmp_path, noise)

@@ -9,10 +9,10 @@ from analysis.fibre_gyro.allan import (
     NoiseFit,
     allan_curve,
     allan_variance,
+    deviation_of_means,
     fit_noise,
     window_covariance,
 )
-from analysis.fibre_gyro.coil import FibreCoil
 from analysis.fibre_gyro.figures_of_merit import (
     ResidualPattern,
     ScaleFigures,
@@ -44,6 +44,7 @@ from analysis.fibre_gyro.injection import (
 from analysis.fibre_gyro.input_axis import InputAxisTilt, ThreeAxes, fit_three_axes, input_axis_tilt
 from analysis.fibre_gyro.linearity import LADDER_TERMS, Linearity, scale_linearity
 from analysis.fibre_gyro.loop import ClosedLoop, Kernel, LoopDesign, LoopTrace, OutputBlock, OutputModel
+from analysis.fibre_gyro.loop.design import FibreCoil
 from analysis.fibre_gyro.rate_table import (
     AxisFit,
     OddEven,
@@ -140,6 +141,7 @@ __all__ = [
     "compare_scale",
     "correlation_with_numbers",
     "describe_witness_flag",
+    "deviation_of_means",
     "drift_in_slope",
     "estimate_two_pi_error",
     "few_values_factor",

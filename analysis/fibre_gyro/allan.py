@@ -48,6 +48,7 @@ _BESIDE = 12  # bins on either side of a line that tell the noise about it
 _LINE_CHANCE, _STANDS_OUT = 1e-6, 1.5  # of all spectra of noise with such a line; its power over that beside it
 _BANDS = 12
 _OFF, _OFF_AT_LEAST = 6.0, 0.03  # standard deviations, and share of the power, by which no model is off
+_FEWEST_MEANS = 12
 _SLOW_BANDS, _SLOW_CHANCE = 6, 1e-5
 _PARTS, _FEWEST_IN_PART = 8, 24
 _JUMP = 6.0  # standard deviations of one whitened increment of the blocks, that none of noise has
@@ -692,6 +693,37 @@ class AllanCurve:
     tau_s: Floats
     deviation: Floats
     deviation_u: Floats
+
+    @property
+    def lowest(self) -> int:
+        """Place of the smallest deviation, among those that are known to a third."""
+        known = self.deviation_u < self.deviation / 3
+        return int(np.where(known, self.deviation, np.inf).argmin())
+
+
+def deviation_of_means(words: ArrayLike, interval_s: float, tau_s: float) -> tuple[float, float]:
+    """Standard deviation of means over `tau_s`, and its standard uncertainty; nan where they are fewer than 12.
+
+    It is what data sheets call bias stability (GJB 2426A), and grows with a record whose bias walks.
+    """
+    values, width = np.asarray(words, dtype=np.float64), round(tau_s / interval_s)
+    count = values.size // max(width, 1)
+    if width < 1 or count < _FEWEST_MEANS:
+        return float("nan"), float("nan")
+    blocks = values[: count * width].reshape(count, width)
+    there = np.mean(np.isfinite(blocks), axis=1) >= 0.5
+    means = np.nanmean(blocks[there], axis=1)
+    if means.size < _FEWEST_MEANS:
+        return float("nan"), float("nan")
+    deviation = float(np.std(means, ddof=1))
+    # Neighbours that are alike say less: the number of independent ones by the means' own correlations. These and
+    # the deviation are both low because the mean is that of the same values.
+    scatter = means - means.mean()
+    lags = np.correlate(scatter, scatter, "full")[means.size :] / max(float(scatter @ scatter), 1e-300)
+    kept = lags[: int(np.argmax(lags < 0)) if np.any(lags < 0) else lags.size]
+    low = min((1 + 2 * float(kept.sum())) / means.size, 0.5)
+    independent = max(means.size / (1 + 2 * float(np.sum((kept + low) ** 2))) - 2, 1.0)
+    return deviation / (1 - low) ** 0.5, deviation / (1 - low) ** 0.5 / (2 * independent) ** 0.5
 
 
 def allan_curve(

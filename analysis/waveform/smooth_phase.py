@@ -177,20 +177,22 @@ def _equations(
     """Of cut records (R, m, h); with what is left, and the rates w."""
     # `changing`: what s and c may do besides enters too, first of all behind s and c: they change as Legendre
     # polynomials from the first on, and grow at the place of the step
-    few = [slice(i, i + AT_ONCE) for i in range(0, len(path), AT_ONCE)]
-    parts = [
-        _equations_of_few(values[i], mask[i], path[i], others[i], place[i], basis, changing=changing) for i in few
-    ]
-    sums, left, rate = (np.concatenate([part[k] for part in parts]) for k in range(3))
-    n, p = basis.n_path, sums.shape[-1] - 5
-    band, cross, side = np.zeros((len(path), 5, n)), np.zeros((len(path), n, p)), np.zeros((len(path), n))
-    for i in range(4):
-        here = slice(i, i + basis.m)
-        for j in range(i, 4):
-            band[:, j - i, here] += sums[:, :, j, i]
-        cross[:, here] += sums[:, :, i, 4:-1]
-        side[:, here] += sums[:, :, i, -1]
-    whole = sums[:, :, 4:, 4:].sum(axis=1)
+    n_records, n = len(path), basis.n_path
+    p = others.shape[1] + (2 * SLOW - 1 if changing else 0)
+    band, cross, side = np.zeros((n_records, 5, n)), np.zeros((n_records, n, p)), np.zeros((n_records, n))
+    whole = np.empty((n_records, p + 1, p + 1))
+    left, rate = np.empty((2, *values.shape), dtype=np.float32)
+    for begin in range(0, n_records, AT_ONCE):
+        few = slice(begin, begin + AT_ONCE)
+        some = values[few], mask[few], path[few], others[few], place[few]
+        sums, left[few], rate[few] = _equations_of_few(*some, basis, changing=changing)
+        for i in range(4):
+            here = slice(i, i + basis.m)
+            for j in range(i, 4):
+                band[few, j - i, here] += sums[:, :, j, i]
+            cross[few, here] += sums[:, :, i, 4:-1]
+            side[few, here] += sums[:, :, i, -1]
+        whole[few] = sums[:, :, 4:, 4:].sum(axis=1)
     return _PathEquations(band, cross, whole[:, :-1, :-1], side, whole[:, :-1, -1], whole[:, -1, -1]), left, rate
 
 

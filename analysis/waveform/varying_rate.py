@@ -153,10 +153,10 @@ def _roughly(record: SampledRecord, seen: FirstPhase, scale: float) -> Fitted:
                 max(ENOUGH_TERMS, TERMS_FOR_A_THIRD * periods),
             )
         )
-        motion = matched_motion(phase, (amplitude @ of_amplitude) * np.cos(phase) * record.mask, most)
-        rate = np.zeros(min(int(ROOM * motion.rate.size) + ROOM_AT_LEAST, most))
-        rate[: motion.rate.size] = motion.rate
-        parameters = np.concatenate([rate, [motion.sine, motion.cosine], amplitude, offset])
+        motion, pull = matched_motion(phase, (amplitude @ of_amplitude) * np.cos(phase) * record.mask, most)
+        rate = np.zeros(min(int(ROOM * motion.size) + ROOM_AT_LEAST, most))
+        rate[: motion.size] = motion
+        parameters = np.concatenate([rate, pull, amplitude, offset])
         start = Trajectory(phase, parameters, replace(slow, rate=rate.size))
         fitted = record.fit(start, looseness / scale, ITERATIONS)
         phase, amplitude, offset = fitted.trajectory.phase, fitted.trajectory.amplitude, fitted.trajectory.offset
@@ -399,17 +399,9 @@ def _cost_of_dropping(normal: Floats, parameters: Floats) -> Floats:
 MATCHING_RIDGE = 1e-12
 
 
-@dataclass(frozen=True)
-class VaryingRate:
-    """rate (J,): Legendre coefficients of a(t), rad per sample; sine, cosine: s and c."""
-
-    rate: Floats
-    sine: float
-    cosine: float
-
-
-def matched_motion(phase: Floats, weights: Floats, terms: int) -> VaryingRate:
-    """Motion with as many polynomials as the phase asks for (Bayesian information criterion), at most `terms`."""
+def matched_motion(phase: Floats, weights: Floats, terms: int) -> tuple[Floats, Floats]:
+    """Coefficients of a, and s and c, with as many polynomials as the phase asks for, at most `terms`."""
+    # by the Bayesian information criterion
     others = [np.ones(phase.size), -_integral(np.sin(phase)), _integral(np.cos(phase))]
     columns = np.concatenate([others, polynomials(phase.size).integrals[:terms]])
     columns *= weights
@@ -427,7 +419,7 @@ def matched_motion(phase: Floats, weights: Floats, terms: int) -> VaryingRate:
     degree = int(np.argmin(count * np.log(left) + np.log(count) * np.arange(left.size)))
     size = degree + 4
     solution = scale[:size] * scipy.linalg.solve_triangular(factor[:size, :size].T, explained[:size])
-    return VaryingRate(solution[3:], float(solution[1]), float(solution[2]))
+    return solution[3:], solution[1:3]
 
 
 def _integral(values: Floats) -> Floats:

@@ -12,7 +12,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.fibre_gyro import AllanCurve, NoiseFit, allan_curve, allan_variance, fit_noise, window_covariance
+from analysis.fibre_gyro import (
+    AllanCurve,
+    NoiseFit,
+    allan_curve,
+    allan_variance,
+    deviation_of_means,
+    fit_noise,
+    window_covariance,
+)
 from instrument.text_files import read_small_file
 from station.errors import NoUsableSignal, UsageError
 from station.fibre_gyro.common import COLOURS, COUNTS_PER_DPS, reasons_of
@@ -57,6 +65,10 @@ class NoiseOf:
     duration_s: float
     fit: NoiseFit
     curve: AllanCurve
+    stability_10s: float  # deg/s, of means over so long
+    stability_10s_u: float
+    stability_100s: float
+    stability_100s_u: float
     mean_dph: float
     remarks: tuple[str, ...]  # of what the words did
     by_design: bool  # whether the output came in counts, which only the scale factor by design turns into deg/s
@@ -112,7 +124,11 @@ def _noise_of(segment: Segment, settings: FogSettings) -> NoiseOf:
             "the output has hardly more noise than one of its steps: N is that of the rounding, not of the gyro. "
             "Record it with more digits."
         )
-    return NoiseOf(segment.key, words.size * recording.interval_s, fit, curve, mean, tuple(remarks), by_design)
+    stability = [deviation_of_means(shown, recording.interval_s, tau) for tau in (10.0, 100.0)]
+    return NoiseOf(
+        segment.key, words.size * recording.interval_s, fit, curve, *stability[0], *stability[1], mean,
+        tuple(remarks), by_design,
+    )  # fmt: skip
 
 
 # --------------------
@@ -136,11 +152,28 @@ RECORD = (
     Quantity("missing", of="fit.missing"),
     Quantity("outliers", of="fit.outliers"),
     Quantity("tau", "s", "curve.tau_s", doc="averaging times of the Allan deviation"),
-    Quantity("allan_deviation", "dph", "curve.deviation", scale=3600.0),
+    Quantity("allan_deviation", "dph", "curve.deviation", u=True, scale=3600.0),
 )
+# what data sheets ask for first
+STABILITY = (
+    Quantity(
+        "bias_stability_10s", "dph", "stability_10s", u=True, scale=3600.0, limit=True, optional=True,
+        doc="1 sigma of means over 10 s",
+    ),
+    Quantity(
+        "bias_stability_100s", "dph", "stability_100s", u=True, scale=3600.0, limit=True, optional=True,
+        doc="1 sigma of means over 100 s",
+    ),
+    Quantity(
+        "allan_minimum", "dph", lambda one: one.curve.deviation[one.curve.lowest],
+        lambda one: one.curve.deviation_u[one.curve.lowest], scale=3600.0, limit=True,
+        doc="smallest Allan deviation that is known to a third",
+    ),
+    Quantity("allan_minimum_tau", "s", lambda one: one.curve.tau_s[one.curve.lowest], doc="where it is"),
+)  # fmt: skip
 QUANTITIES = (
-    QuantityGroup((*TERMS.values(), *RECORD), "records", "name", alone=False),
-    QuantityGroup(repeated(TERMS.values())),
+    QuantityGroup((*TERMS.values(), *STABILITY, *RECORD), "records", "name", alone=False),
+    QuantityGroup(repeated((*TERMS.values(), *STABILITY))),
 )
 _DESCRIBE = (
     "That is the shipped gyro: with another scale factor all numbers here are wrong by its ratio. Describe the "
@@ -161,6 +194,7 @@ def result(found: AllanEvaluation, run: SavedRun, settings: FogSettings) -> Resu
     lines = (
         f"{first.key}: {first.duration_s / 3600:.3g} h of output; by maximum likelihood, "
         f"in the model: {', '.join(TERMS[name].words for name in first.fit.chosen)}.",
+        _stability_line(first),
     )
     counts = not run.facts.simulated and any(one.by_design for one in found.records)
     design = _by_design(settings) if counts else ""
@@ -182,8 +216,24 @@ def result(found: AllanEvaluation, run: SavedRun, settings: FogSettings) -> Resu
     )
 
 
+def _stability_line(one: NoiseOf) -> str:
+    """Bias stability as data sheets give it."""
+    said = [
+        f"{with_uncertainty(3600 * value, 3600 * u)} deg/h (1 sigma of {tau} s)"
+        for tau, value, u in (
+            (10, one.stability_10s, one.stability_10s_u),
+            (100, one.stability_100s, one.stability_100s_u),
+        )
+        if math.isfinite(value)
+    ]
+    place = one.curve.lowest
+    lowest = with_uncertainty(3600 * one.curve.deviation[place], 3600 * one.curve.deviation_u[place])
+    said.append(f"lowest Allan deviation {lowest} deg/h at {one.curve.tau_s[place]:.3g} s")
+    return f"Bias stability: {', '.join(said)}."
+
+
 def _record(one: NoiseOf) -> dict[str, Any]:
-    fit, made = one.fit, {"name": one.key, "terms": one.fit.chosen, **document(one, RECORD)}
+    fit, made = one.fit, {"name": one.key, "terms": one.fit.chosen, **document(one, (*STABILITY, *RECORD))}
     for term, declared in TERMS.items():
         scale = declared.scale
         made[declared.key()] = scale * fit.coefficients.get(term, 0.0)

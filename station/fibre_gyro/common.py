@@ -172,11 +172,16 @@ PLAUSIBLE = 0.05
 """Share by which a scale factor may differ from that by design before something else must be wrong."""
 
 
+UNLIKE = 0.6
+"""Share from which on a gyro that nobody described is another one than the shipped."""
+
+
 def far_from_design(scale_factor: float, settings: FogSettings) -> str:
     """A sentence where a scale factor cannot be that of the gyro by its design; empty where it can."""
     design = settings.nominal_scale_factor
     off = scale_factor / design - 1
-    if abs(off) <= PLAUSIBLE:
+    described = settings.gyro_is_described or abs(off) < UNLIKE
+    if abs(off) <= PLAUSIBLE or (off > -1 and not described):
         return ""
     sign = "its sign is that of the opposite sense: " if off < -1 else ""
     return (

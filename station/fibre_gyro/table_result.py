@@ -564,6 +564,9 @@ IN_UNITS_OF_THE_TABLE = (
     "In the table's own deg/s: what its rate is off by is in K and not in u (table.rate_u_ppm, not stated)."
 )
 
+NO_LINE_PPM = 5e3
+"""Scatter of the runs that no gyro has."""
+
 OFF_THE_LINE = 5.0
 """Times by which a run must lie further off the line than others do to be named."""
 
@@ -572,6 +575,11 @@ def _to_watch_of(one: AxisResult, settings: FogSettings) -> list[str]:
     said, fit, made = [], one.fit, one.differences
     if implausible := far_from_design(fit.scale_factor, settings):
         said.append(f"{one.axis}: {implausible}")
+    if fit.scatter_ppm > NO_LINE_PPM:
+        said.append(
+            f"{one.axis}: the runs scatter by {fit.scatter_ppm / 1e4:.2g} % about the line: rates exchanged, of "
+            "another sense, or an output that wraps or saturates. K means nothing."
+        )
     outputs = np.array([window.mean for window in one.windows])
     own = PPM * np.array([window.mean_u for window in one.windows]) / np.maximum(np.abs(outputs), 1e-300)
     usual = np.hypot(own, 1.48 * np.median(np.abs(fit.residual_ppm)))

@@ -21,9 +21,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from analysis.arrays import Floats, Indices, Ints
-from analysis.fibre_gyro.coil import FibreCoil
 from analysis.fibre_gyro.loop import kernels
-from analysis.fibre_gyro.loop.design import LoopDesign, LoopTrace, OutputBlock, OutputClock
+from analysis.fibre_gyro.loop.design import FibreCoil, LoopDesign, LoopTrace, OutputBlock, OutputClock
 from analysis.fibre_gyro.loop.kernels import (
     NORMAL,
     PHASE,

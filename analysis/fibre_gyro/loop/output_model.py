@@ -20,8 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from analysis.arrays import Floats, Ints
-from analysis.fibre_gyro.coil import FibreCoil
-from analysis.fibre_gyro.loop.design import LoopDesign, OutputBlock, OutputClock
+from analysis.fibre_gyro.loop.design import FibreCoil, LoopDesign, OutputBlock, OutputClock
 
 Rate = ArrayLike | Callable[[Floats], ArrayLike]
 

@@ -79,7 +79,7 @@ def test_rates_in_another_order_are_seen(tmp_path: Path) -> None:
     def spoil(number: int, rate: float, words: np.ndarray) -> np.ndarray:
         return words - K * (rate - exchanged.get(number, rate))
 
-    assert any("% off" in one or "off the line" in one for one in table(tmp_path, spoil))
+    assert any("% off" in one or "scatter by" in one for one in table(tmp_path, spoil))
 
 
 def test_a_self_calibration_that_obeys_has_nothing_to_watch(tmp_path: Path) -> None:

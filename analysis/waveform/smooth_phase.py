@@ -326,8 +326,7 @@ def _fit_alike(values: Floats, mask: Floats, line: Floats, phase: Floats | None,
     paths = _paths(cut, cut_mask, count, path, others, place, weight, order, basis)
     # Where the rate takes two values the path needs a kink; and where b does too, it is the time base that steps.
     rows, at = np.flatnonzero(steps), np.arange(basis.n_path) - 1.0
-    line = path[rows] - bent[rows]
-    path, others = line, np.concatenate([others[rows], np.zeros((rows.size, 2))], axis=1)
+    line, others = path[rows] - bent[rows], np.concatenate([others[rows], np.zeros((rows.size, 2))], axis=1)
     others[:, OTHERS] = jump[rows] / basis.h
     ramp = others[:, OTHERS, np.newaxis] * np.maximum(at * basis.h - place[rows, np.newaxis], 0.0)
     path = line + _without_line(ramp) - ramp

@@ -229,7 +229,7 @@ def _unit_of_epoch(times: Floats) -> str:
 
 def _check_words(outputs: dict[str, Floats], lines: NDArray[np.int64]) -> None:
     """FileFormatError where signed words were written as unsigned ones: negative ones stand at the other end."""
-    for name, words in outputs.items():
+    for words in outputs.values():
         for bits in _WORDS:
             highest = float(words.max(initial=0.0))
             if words.min(initial=0.0) < 0 or highest >= 2.0**bits or highest < 0.9 * 2.0**bits:
@@ -238,7 +238,7 @@ def _check_words(outputs: dict[str, Floats], lines: NDArray[np.int64]) -> None:
             if jumps.size and not np.any((words > 0.1 * 2.0**bits) & (words < 0.9 * 2.0**bits)):
                 at = int(jumps[0])
                 raise FileFormatError(
-                    f"line {lines[at + 1]}: the {name} goes from {words[at]:.0f} to {words[at + 1]:.0f}: signed "
+                    f"line {lines[at + 1]}: the output goes from {words[at]:.0f} to {words[at + 1]:.0f}: signed "
                     f"words of {bits} bits were written without their sign; take 2^{bits} from those above "
                     f"2^{bits - 1}"
                 )
@@ -594,15 +594,24 @@ def find_clock(times: Floats, interval_s: float | None) -> LogClock:
         places = _within_bounds(times, step, found)
         interval = line_through(places, times)
         if float(np.ptp(times - interval * places)) > _BEYOND_STEPS * step:
-            raise FileFormatError(_NO_CLOCK)
+            return _by_stated_rate(times, interval_s)
         return LogClock(interval / each, each * places, True)
     places = _in_phase(times, found / each)
     interval = line_through(places, times)
     late = times - interval * places
     if float(np.median(np.abs(late - np.median(late)))) > 0.5 * (step + interval):
-        raise FileFormatError(_NO_CLOCK)
+        return _by_stated_rate(times, interval_s)
     clear = step <= _COARSE * interval and float(np.abs(times - interval * places).max()) < 0.25 * interval
     return LogClock(interval, places, not clear)
+
+
+def _by_stated_rate(times: Floats, interval_s: float | None) -> LogClock:
+    """Places by an interval that is stated, where the stamps do not tell it; FileFormatError without one."""
+    if interval_s is None:
+        raise FileFormatError(_NO_CLOCK)
+    rows = np.arange(times.size, dtype=np.int64)
+    ahead = np.round(times / interval_s).astype(np.int64) - rows
+    return LogClock(interval_s, np.maximum.accumulate(np.maximum(ahead, 0)) + rows, True)
 
 
 def _rounding(times: Floats) -> float:

@@ -315,7 +315,10 @@ def _not_by_the_model(one: NoiseOf) -> list[str]:
             "for noise. Find it, and record again."
         )
     if fit.bands:
-        low, high, power = max(fit.bands, key=lambda band: abs(math.log(max(band[2], 1e-9))))
+        # one that is wide says more than one of a few slow lines
+        widest = max(high - low for low, high, _ in fit.bands)
+        wide = [band for band in fit.bands if band[1] - band[0] > 0.3 * widest]
+        low, high, power = max(wide, key=lambda band: abs(math.log(max(band[2], 1e-9))))
         said.append(
             f"between {low:.3g} and {high:.3g} Hz the output has {power:.2g} times the power of the model: its "
             f"noise is not the sum of the five terms, and the coefficients are wrong. If it is "

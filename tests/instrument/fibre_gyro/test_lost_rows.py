@@ -35,6 +35,10 @@ def test_where_the_stamps_do_not_tell_it_is_said():
     times, _ = stamps(np.random.default_rng(6), 2000, 3600, 0.05, 1e-3)
     with pytest.raises(FileFormatError, match="output_rate_hz"):
         find_clock(times, None)
+    # what is asked for helps
+    clock = find_clock(times, 1 / 2000)
+    assert clock.interval_s == 1 / 2000
+    assert abs(clock.places[-1] / 2000 - times[-1]) < 2e-3 and np.all(np.diff(clock.places) >= 1)
 
 
 def test_doubled_rows_are_named_however_many_they_are():

@@ -12,6 +12,7 @@ from analysis.arrays import Complexes, Floats
 from analysis.budget import BenchKnowledge, Budget, BudgetInput, Reference, TableGeometry, lock_in_budget
 from analysis.budget.bench import RecordShape, expected_noise, expected_point
 from analysis.lockin_equation import beat_frequency, harmonic_ratio
+from analysis.lockin_rate import MAINS_ORDERS
 from analysis.rotation import earth_rate_on_axis
 from analysis.several_rates import COUNTED, RatioData, ReceiverKnowledge, predicted_ratio
 from analysis.several_rates.points import place_in_run
@@ -39,13 +40,20 @@ class OscilloscopeSteps:
     divisions: int = 10
     levels_per_division: int = 25
 
-    def time_base(self, frequency: float, periods_min: float, samples_per_period_min: float) -> float:
-        """The fastest step that holds so many periods of the beat, s/div."""
+    def time_base(
+        self,
+        frequency: float,
+        periods_min: float,
+        samples_per_period_min: float,
+        mains: Sequence[float] = (),
+    ) -> float:
+        """The fastest step that holds so many periods of the beat, s/div; or the next, if clear of the mains (Hz)."""
         # Where that would leave too few samples in a period it is the slowest step that leaves enough.
         slowest = self.samples / (self.divisions * frequency * samples_per_period_min)
         sampled = [base for base in self.time_bases if base <= slowest * (1 + 1e-9)] or [self.time_bases[0]]
         enough = periods_min / (self.divisions * frequency)
-        return next((base for base in sampled if base >= enough * (1 - 1e-9)), sampled[-1])
+        slow_enough = [base for base in sampled if base >= enough * (1 - 1e-9)] or sampled[-1:]
+        return max(slow_enough[:2], key=lambda base: mains_clearance(frequency, self.divisions * base, mains))
 
     def vertical_scale(self, amplitude: float, levels: float) -> float:
         """The most sensitive step, V/div, on which an amplitude in V stays within so many levels of the middle."""
@@ -58,6 +66,39 @@ class OscilloscopeSteps:
                 "use a probe that divides"
             )
         return found
+
+
+CLEAR_OF_MAINS = 3.0
+"""Widths of a line, 1/T, between a harmonic of the beat and one of the mains: from there on hum is seen as itself."""
+
+
+def mains_clearance(frequency: float, duration: float, mains: Sequence[float]) -> float:
+    """How far f, 2f and 3f of a beat (Hz) stay off the harmonics of the mains, in 1/T, `CLEAR_OF_MAINS` at most.
+
+    Hum on the second harmonic passes for lock-in; between one and three widths its foot still does. Where the mains
+    may be one of two only 2f is asked for: to keep all three off both would make most records four times as long.
+    """
+    hums = np.array([hum * order for hum in mains for order in range(1, MAINS_ORDERS + 1)])
+    harmonics = np.array([1.0, 2.0, 3.0] if len(mains) == 1 else [2.0])
+    apart = np.abs(frequency * harmonics[:, None] - hums) * duration
+    return float(np.min(apart, initial=CLEAR_OF_MAINS))
+
+
+MOVES_OFF_MAINS = tuple(sign * 0.02 * step for step in range(1, 9) for sign in (1, -1))
+
+
+def off_mains(beat: float, lock_in_rate: float, scale_factor: float, duration: float, mains: Sequence[float]) -> float:
+    """The smallest change of the rate, deg/s faster, that brings a beat (Hz) seen in records so long (s) off the mains.
+
+    0 where none within 16 % makes it better.
+    """
+    rate = math.hypot(beat / scale_factor, lock_in_rate)
+
+    def clearance(move: float) -> float:
+        squared = (rate * (1 + move)) ** 2 - lock_in_rate**2
+        return mains_clearance(scale_factor * math.sqrt(squared), duration, mains) if squared > 0 else 0.0
+
+    return rate * max((0.0, *MOVES_OFF_MAINS), key=clearance)
 
 
 @dataclass(frozen=True)

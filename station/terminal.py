@@ -21,6 +21,18 @@ _IN_MEMORY = 1 << 22
 """Characters."""
 
 
+PRINTS_ALL = "gyrolock prints all"
+"""Where a command keeps whether ``--full`` was given."""
+
+
+def prints_all() -> bool:
+    """Whether the user wants more than a short page."""
+    import click
+
+    context = click.get_current_context(silent=True)
+    return context is not None and bool(context.meta.get(PRINTS_ALL))
+
+
 def say(text: str) -> None:
     """Print lines to stdout."""
     sys.stdout.write(f"{visible(text)}\n")

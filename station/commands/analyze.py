@@ -297,13 +297,12 @@ def _no_result(problem: str) -> Failure | None:
 
 
 def _print(analyzed: Evaluated | AnalyzedFiles) -> None:
-    from station.report.show import print_result, print_tested, print_values
+    from station.report.show import print_result, print_values
     from station.shell.finish import Evaluated
 
     if isinstance(analyzed, Evaluated):
         print_result(analyzed)
         return
-    print_values(analyzed.result)
-    print_tested(analyzed.tested)
+    print_values(analyzed.result, analyzed.tested)
     for line in analyzed.taken_with():
         say(line)

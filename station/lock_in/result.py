@@ -5,7 +5,9 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from analysis import flag_names
+import numpy as np
+
+from analysis import Flag, flag_names
 from analysis.budget import Budget
 from analysis.lock_in_run import SeveralRates
 from station.lock_in.evaluate import LockInEvaluation
@@ -41,6 +43,7 @@ from station.results.result import (
     picked,
     with_prefix,
     with_uncertainty,
+    within,
 )
 from station.runs.store import SavedRun
 
@@ -66,6 +69,7 @@ def result(found: LockInEvaluation, run: SavedRun | None = None, settings: Setti
         quantities=QUANTITIES,
         lines=tuple(_lines(found)),
         summary=_summary(found),
+        brief=_brief(found),
         sentences=(
             *rates_sentences(found),
             *table_sentences(found),
@@ -142,6 +146,47 @@ def _lines(found: LockInEvaluation) -> list[str]:
 
 def _truth(found: LockInEvaluation) -> str:
     return f"the truth is {found.truth[LOCK_IN_RATE.key()]:.6g} deg/s" if found.truth is not None else ""
+
+
+def _brief(found: LockInEvaluation) -> Rows:
+    """The value, what was removed, what was checked, records, and what would help most: a line each."""
+    rows: list[tuple[str, str]] = []
+    if found.usable:
+        rate, (low, high) = found.lock_in_rate, found.interval_95
+        hourly = within(*(3600 * one for one in (rate, low, high)), "deg/h")
+        rows.append(("lock-in rate", f"{within(rate, low, high, 'deg/s')} = {hourly} (95 %)"))
+    several, check = found.several, found.table_check
+    fit = None if several is None else several.by_beat
+    if fit is not None and (said := separated_words(fit)):
+        rows.append(("removed", said.removesuffix(": found and removed")))
+    checks = []
+    if check is not None:
+        checks.append("beat and table DIFFER" if "table_mismatch" in found.flags else "beat and table agree")
+        other = "DIFFERS" if "scale_factor_mismatch" in found.flags else "agrees"
+        for one in check.scale_factors:
+            checks.append(f"K by the {one.by} {with_uncertainty(one.scale_factor, one.scale_factor_u)} {other}")
+    if several is not None and (frequencies := several.by_frequency) is not None:
+        value = with_uncertainty(frequencies.lock_in_rate, frequencies.lock_in_rate_u)
+        checks.append(f"without harmonics {value}")
+    if checks:
+        rows.append(("checks", "; ".join(checks)))
+    total, combined = len(found.waveforms) + len(found.damaged), found.combined
+    records = [f"{total - found.records_rejected} of {total} used"]
+    if several is not None:
+        senses = "both senses" if len({group.input_rate > 0 for group in several.groups}) > 1 else "one sense"
+        records.append(f"{len(several.groups)} rates, {senses}")
+    elif math.isfinite(combined.beat_frequency):
+        u = float(combined.beat_frequency_u)
+        records.append(f"beat {with_uncertainty(float(combined.beat_frequency), u, 'Hz')}")
+    if math.isfinite(combined.noise_rms):
+        records.append(f"noise {with_prefix(float(combined.noise_rms), 'V')} rms")
+    if moving := int(np.count_nonzero(found.each.flags & int(Flag.RATE_WANDER))):
+        records.append(f"the rate moved in {moving}")
+    rows.append(("records", ", ".join(records)))
+    rows.append(("scale factor", f"{found.method.scale_factor:.10g} pulses/deg"))
+    if found.budget is not None and (remedy := remedy_sentence(found.budget)):
+        rows.append(("improve", remedy))
+    return rows
 
 
 def _summary(found: LockInEvaluation) -> Rows:

@@ -12,8 +12,11 @@ from functools import partial
 from typing import Any
 
 from analysis.lock_in_run import PreliminaryLockIn
+from analysis.lockin_rate import MAINS_HZ
+from analysis.plan import off_mains
 from analysis.rotation import earth_rate_on_axis
 from instrument import ManualRateTable
+from instrument.scpi import DIVISIONS
 from station.errors import NoUsableSignal
 from station.lock_in.evaluate import fast_run_tilt, lock_in_so_far
 from station.lock_in.rate_plan import (
@@ -225,9 +228,12 @@ class _Taking:
             self.progress.note(f"slow rate {wanted:.4g} deg/s on the table")
             why = f"Here lock-in shows in the beat. Records that are taken then: {count - len(there)}."
             table_rate = self.bench.turn_table(wanted, settings.table.settle_s, why)
+        fits, mains = partial(beats_at, settings, tilt_deg=self.tilt_deg), self._mains
         begin = frequency if self.knobs is None else _for_frequency(self.knobs, frequency)
-        self.knobs = self._find_beat(begin, partial(beats_at, settings, tilt_deg=self.tilt_deg))
+        self.knobs = self._find_beat(begin, fits, mains)
         table_rate = None if table_rate is None else self._confirmed(table_rate)
+        if table_rate is not None and not there and settings.rates_are_chosen:
+            table_rate = self._off_mains(step, table_rate, fits)
         for channel in channels[1:]:
             fit_channel(self.bench.scope, channel, settings.scope, settings.measurement, self.knobs)
         now = {"scope_setting": asdict(self.knobs), "table_rate_dps": table_rate}
@@ -237,11 +243,37 @@ class _Taking:
         name = f"rate {step.sense * step.over_lock_in:+g}"
         self._take_records("measure", name, channels, len(there), count, table_rate, asked)
 
-    def _find_beat(self, start: KnobPositions | float, fits: Callable[[float], Beats] | None) -> KnobPositions:
+    @property
+    def _mains(self) -> tuple[float, ...]:
+        """What beats are to keep off, Hz: the mains as stated; at rates that the program chooses and sets 50 and 60."""
+        if (stated := self.settings.site.mains_hz) is not None:
+            return (stated,)
+        by_hand = isinstance(self.bench.table, ManualRateTable)
+        return MAINS_HZ if self.settings.rates_are_chosen and not by_hand else ()
+
+    def _off_mains(self, step: RateStep, table_rate: float, fits: Callable[[float], Beats]) -> float:
+        """The table's rate, moved a little where hum would stand beside a harmonic of the beat."""
+        assert self.knobs is not None
+        beat, duration = self.knobs.beat_frequency, DIVISIONS * self.knobs.seconds_per_division
+        gyro = self.settings.gyro
+        scale_factor, lock_in_rate = gyro.scale_factor_pulses_per_deg, gyro.expected_lock_in_rate_dps
+        faster = step.sense * off_mains(beat, lock_in_rate, scale_factor, duration, self._mains)
+        wanted = table_rate + faster / math.cos(math.radians(self.tilt_deg))
+        if not faster or abs(wanted) > self.settings.table.highest_rate_dps:
+            return table_rate
+        self.progress.note(f"{wanted:.4g} deg/s on the table: a beat of {beat:.4g} Hz stands beside the mains")
+        why = f"At {beat:.4g} Hz hum of the mains would stand beside a harmonic of the beat."
+        moved = self.bench.turn_table(wanted, self.settings.table.settle_s, why)
+        self.knobs = self._find_beat(self.knobs, fits, self._mains)
+        return self._confirmed(moved)
+
+    def _find_beat(
+        self, start: KnobPositions | float, fits: Callable[[float], Beats] | None, mains: tuple[float, ...] = ()
+    ) -> KnobPositions:
         """Find the beat; where an operator has set the table it has to fit the rate, else they are asked again."""
         settings, table = self.settings, self.bench.table
         while True:
-            knobs = find_beat(self.bench.scope, settings.scope, settings.measurement, start)
+            knobs = find_beat(self.bench.scope, settings.scope, settings.measurement, start, mains)
             if fits is None or not isinstance(table, ManualRateTable):
                 return knobs
             beats, frequency = fits(table.rate()), knobs.beat_frequency

@@ -18,7 +18,7 @@ from station.results.verdict import MARGINAL, LimitOutcome
 from station.runs.annotations import Remark, Remarks, read_remarks
 from station.runs.database import RunFacts
 from station.runs.store import REPORT_FILE, SavedRun
-from station.terminal import visible
+from station.terminal import prints_all, visible
 
 if TYPE_CHECKING:
     from station.results.result import TextTable
@@ -229,43 +229,59 @@ def text_table(table: TextTable, *, left: int = 0) -> Table:
 
 
 def print_result(evaluated: Shown) -> None:
-    """Print what a run says."""
-    facts = evaluated.run.facts
-    rows = [*((name, text) for name, text in facts.labels.items())]
-    if facts.resumed_at:
-        rows.append(("resumed", ", ".join(facts.resumed_at)))
+    """Print what a run says: a short page, or with ``--full`` everything."""
+    facts, result = evaluated.run.facts, evaluated.result
+    if prints_all():
+        rows = [*((name, text) for name, text in facts.labels.items())]
+        if facts.resumed_at:
+            rows.append(("resumed", ", ".join(facts.resumed_at)))
+        if facts.simulated:
+            known = (f"{name.replace('_', ' ')} {value:.9g}" for name, value in (facts.truth or {}).items())
+            told = result.truth or ", ".join(known) or "no truth is saved"
+            rows.append(("bench", f"simulated; {told}"))
+        print_values(result, evaluated.tested, rows)
+        return
+    labels = [text if name == "unit" else f"{name} {text}" for name, text in facts.labels.items()]
+    identity = facts.get("identity") or {}
+    about = [*labels, _time_of_day(facts.started_at) if facts.started_at else "", identity.get("model", "")]
     if facts.simulated:
-        known = (f"{name.replace('_', ' ')} {value:.9g}" for name, value in (facts.truth or {}).items())
-        told = evaluated.result.truth or ", ".join(known) or "no truth is saved"
-        rows.append(("bench", f"simulated; {told}"))
-    print_values(evaluated.result, rows)
-    print_tested(evaluated.tested)
+        about.append(f"simulated ({result.truth})" if result.truth else "simulated")
+    print_values(result, evaluated.tested, [("taken", ", ".join(filter(None, about)))])
 
 
-def print_tested(tested: Sequence[LimitOutcome]) -> None:
-    """Print a line for each limit."""
-    for one in tested:
-        stdout_console().print(
-            one.sentence, style="green" if one.passed else "yellow" if one.verdict == MARGINAL else "bold red"
-        )
+_MOST_LIMITS = 3
+"""Lines of a short page that limits take."""
 
 
-def print_values(result: Result, more: Rows = ()) -> None:
-    """Print a result without a run: tables, values, what they mean, what to watch."""
-    console = stdout_console()
-    for table in result.tables:
+def print_values(result: Result, tested: Sequence[LimitOutcome], about: Rows = ()) -> None:
+    """Print a result and its limits; `about` says what it is of."""
+    console, full = stdout_console(), prints_all()
+    tables = result.tables if full or not result.brief else ()
+    for table in tables:
         console.print(text_table(table))
-    summary = Table(box=None, show_header=False, pad_edge=False, padding=(0, 2, 0, 0))
-    summary.add_column(style="dim", no_wrap=True)
-    summary.add_column()
-    summary.add_row("", "")
+    rows = Table(box=None, show_header=False, pad_edge=False, padding=(0, 2, 0, 0))
+    rows.add_column(style="dim", no_wrap=True)
+    rows.add_column()
     style = f"bold {_COLOURS[result.standing.state]}"
-    summary.add_row(result.name, Text(visible(result.value), style=style))
-    for name, text in (*result.summary, *more):
-        summary.add_row(name, text)
-    console.print(summary)
-    for sentence in result.sentences:
-        console.print(f"• {sentence}")
-    shown = {*result.to_watch, result.problem}
-    for sentence in (*result.to_watch, *(one for one in result.standing.reasons if one not in shown)):
-        console.print(f"• {sentence}", style="red" if sentence in result.failures else "yellow")
+    value = (result.name, Text(visible(result.value), style=style))
+    if full:
+        rows.add_row("", "")
+        for name, text in (value, *result.summary, *about):
+            rows.add_row(name, text)
+    else:
+        for name, text in (*about, *(result.brief or (value, *result.summary))):
+            rows.add_row(name, text)
+        rows.add_row("quality", Text(visible(result.quality), style=style))
+    console.print(rows)
+    if full:
+        for sentence in result.sentences:
+            console.print(f"• {sentence}")
+        shown = {*result.to_watch, result.problem}
+        for sentence in (*result.to_watch, *(one for one in result.standing.reasons if one not in shown)):
+            console.print(f"• {sentence}", style="red" if sentence in result.failures else "yellow")
+    told = tested if full else sorted(tested, key=lambda one: one.passed)[:_MOST_LIMITS]
+    for one in told:
+        said = one.sentence if full else one.sentence.partition("; ")[0]
+        console.print(said, style="green" if one.passed else "yellow" if one.verdict == MARGINAL else "bold red")
+    if more := len(tested) - len(told):
+        console.print(f"and {more} limits more: --full")

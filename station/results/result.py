@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, is_dataclass
 from functools import cached_property
@@ -90,11 +91,12 @@ class Result:
     quantities: Quantities = ()  # what the numbers of the document are
     lines: tuple[str, ...] = ()  # below the value in the report
     summary: Rows = ()  # (str, str): Below the value on the terminal
+    brief: Rows = ()  # what a short page says in the place of value and summary
     sentences: tuple[str, ...] = ()  # what the result means
     to_watch: tuple[str, ...] = ()  # what spoils it or may spoil it
     flags: tuple[str, ...] = ()  # the same for programs
     left_out: tuple[Excluded, ...] = ()
-    tables: tuple[TextTable, ...] = ()  # above the value on the terminal
+    tables: tuple[TextTable, ...] = ()  # above the value on the terminal; on a short page where `brief` is empty
     problem: str = ""  # why there is no result; empty if there is one
     truth: str = ""  # truth of a simulated run, in words; empty: the run's facts tell it
     # what rules the result and is not known or not right; ``None``: whatever is `to_watch`
@@ -114,6 +116,17 @@ class Result:
         if failures:
             return Validity("fails", (*failures, *doubts))
         return Validity("doubtful", doubts) if doubts else Validity("stands")
+
+    @property
+    def quality(self) -> str:
+        """In one line whether it holds: ``"good"``, or the first sentence of what speaks against it."""
+        standing = self.standing
+        if standing.state == "stands":
+            return "good"
+        word = "DOUBTFUL" if standing.state == "doubtful" else "NO RESULT" if self.problem else "DOES NOT HOLD"
+        first, more = standing.reasons[0], len(standing.reasons) - 1
+        said = re.split(r"(?<=[a-z0-9)])[.:;] (?=\S)", first.removeprefix(f"no {self.name}: "))[0].rstrip(".")
+        return f"{word}: {said}" + (f" (and {more} more)" if more else "")
 
 
 # --------------------
@@ -141,6 +154,27 @@ def with_uncertainty(value: float, u: float, unit: str = "") -> str:
     if digits <= 0:
         return f"{value:.0f}({u:.0f}){tail}"
     return f"{value:.{digits}f}({round(u * 10.0**digits)}){tail}"
+
+
+def within(value: float, low: float, high: float, unit: str = "") -> str:
+    """Write a value with its 95 % interval, to two digits of its half width.
+
+    Examples
+    --------
+    >>> within(0.0099977, 0.0099879, 0.0100075, "deg/s"), within(0.0001, -0.0006, 0.00069)
+    ('0.0099977 ± 0.0000098 deg/s', 'below 0.00069')
+    >>> within(0.02, 0.011, 0.024, "deg/s")
+    '0.0200 (0.0110 to 0.0240) deg/s'
+    """
+    tail, half = f" {unit}" if unit else "", (high - low) / 2
+    if not (math.isfinite(value) and math.isfinite(half) and half > 0):
+        return f"{value:.6g}{tail}" if math.isfinite(value) else "none"
+    digits = max(0, decimals_of(half))
+    if low <= 0 <= value:
+        return f"below {high:.{digits}f}{tail}"
+    if abs((low + high) / 2 - value) > 0.1 * half:
+        return f"{value:.{digits}f} ({low:.{digits}f} to {high:.{digits}f}){tail}"
+    return f"{value:.{digits}f} ± {half:.{digits}f}{tail}"
 
 
 def with_prefix(value: float, unit: str) -> str:

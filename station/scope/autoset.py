@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -111,9 +112,13 @@ def next_vertical(
 
 
 def find_beat(
-    scope: TDS2014, settings: ScopeInput, measurement: ScreenShape, start: KnobPositions | float
+    scope: TDS2014,
+    settings: ScopeInput,
+    measurement: ScreenShape,
+    start: KnobPositions | float,
+    mains: Sequence[float] = (),
 ) -> KnobPositions:
-    """Set the scope so that a record shows the beat well."""
+    """Set the scope so that a record shows the beat well, and the mains (Hz) beside its harmonics as themselves."""
     search = _BeatSearch(scope, settings, measurement)
     highest = start.beat_frequency if isinstance(start, KnobPositions) else start
     slowest = max(_QUICK_S, _PERIODS_SEEN * _SLOWER_THAN_EXPECTED / highest / DIVISIONS)
@@ -132,7 +137,7 @@ def find_beat(
         if seen is None:
             search.set_time_base(_slower(search.base, slowest))
             continue
-        wanted = _STEPS.time_base(seen, measurement.periods_min, measurement.samples_per_period_min)
+        wanted = _STEPS.time_base(seen, measurement.periods_min, measurement.samples_per_period_min, mains)
         if math.isclose(wanted, search.base, rel_tol=1e-3):
             return search.found(seen)
         search.set_time_base(wanted)

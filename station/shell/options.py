@@ -17,7 +17,7 @@ from station.errors import EXIT_DEFECT, EXIT_OK, EXIT_USAGE, describe_failure
 from station.files import version
 from station.live.events import Events
 from station.runs.progress import Acknowledgement, Progress
-from station.terminal import remark, stepping_aside
+from station.terminal import PRINTS_ALL, remark, stepping_aside
 
 if TYPE_CHECKING:
     from station.runs.acquisition import Taken
@@ -271,9 +271,21 @@ def _exclude(given: Mapping[str, Any], places: Mapping[str, str], paths: tuple[P
 # Who reads the events of a command: the display that was asked for, a file, `gyrolock status`
 
 
+def full_option(function: F) -> F:
+    """Add ``--full``; :func:`station.terminal.prints_all` tells of it."""
+
+    def keep(context: click.Context, _: click.Parameter, value: bool) -> None:
+        context.meta[PRINTS_ALL] = value
+
+    return click.option(
+        "--full", is_flag=True, expose_value=False, callback=keep, help="Print everything, not the short page."
+    )(function)
+
+
 def display_options(function: F) -> F:
-    """Add ``--plain``, ``--quiet`` and ``--events``."""
+    """Add ``--full``, ``--plain``, ``--quiet`` and ``--events``."""
     options = (
+        full_option,
         click.option("--plain", is_flag=True, help="Progress as plain lines, also on a terminal."),
         click.option("--quiet", is_flag=True, help="No progress: the result and what went wrong only."),
         click.option(

@@ -35,6 +35,20 @@ def taken(folder: Path, progress: Progress | None = None, **sections: dict[str, 
     return open_run(start_run(MEASUREMENT, settings, progress or Progress(quiet=True)).path)
 
 
+def test_no_harmonic_of_a_beat_is_measured_beside_the_mains(gyrolock, tmp_path: Path) -> None:
+    # the slowest beats of this bench lie by 49 to 64 and by 97 to 112 Hz
+    (tmp_path / "my.toml").write_text("[site]\nmains_hz = 50.0\n[measurement]\nrecords = 1\n")
+    done = gyrolock("measure", "--config", "my.toml", "--seed", 2, "--json", "--no-report")
+    run = open_run(tmp_path / done.document["run"])
+    assert len(run.facts["rates"]) == 10
+    assert any(abs(one["scope_setting"]["beat_frequency"]) < 60 for one in run.facts["rates"])
+    for rate in run.facts["rates"]:
+        knobs = rate["scope_setting"]
+        for harmonic in (1, 2, 3):
+            apart = min(abs(harmonic * knobs["beat_frequency"] - 50 * order) for order in range(1, 7))
+            assert apart * 10 * knobs["seconds_per_division"] > 2.5  # aimed at 3, before the rate was gone to
+
+
 def test_rates_are_saved_fitted_and_told(gyrolock, tmp_path: Path) -> None:
     (tmp_path / "my.toml").write_text(PLAN + SPOILT)
     done = gyrolock("measure", "--config", "my.toml", "--json")

@@ -47,7 +47,7 @@ class OscilloscopeSteps:
         samples_per_period_min: float,
         mains: Sequence[float] = (),
     ) -> float:
-        """The fastest step that holds so many periods of the beat, s/div; or the next, if clear of the mains (Hz)."""
+        """The fastest step, s/div, that holds so many periods; the next where that is clear of the mains."""
         # Where that would leave too few samples in a period it is the slowest step that leaves enough.
         slowest = self.samples / (self.divisions * frequency * samples_per_period_min)
         sampled = [base for base in self.time_bases if base <= slowest * (1 + 1e-9)] or [self.time_bases[0]]
@@ -69,14 +69,14 @@ class OscilloscopeSteps:
 
 
 CLEAR_OF_MAINS = 3.0
-"""Widths of a line, 1/T, between a harmonic of the beat and one of the mains: from there on hum is seen as itself."""
+"""Widths of a line, 1/T, between a harmonic of the beat and one of the mains: from there on hum is itself."""
 
 
 def mains_clearance(frequency: float, duration: float, mains: Sequence[float]) -> float:
     """How far f, 2f and 3f of a beat (Hz) stay off the harmonics of the mains, in 1/T, `CLEAR_OF_MAINS` at most.
 
-    Hum on the second harmonic passes for lock-in; between one and three widths its foot still does. Where the mains
-    may be one of two only 2f is asked for: to keep all three off both would make most records four times as long.
+    Hum on the second harmonic passes for lock-in; between one and three widths its foot still does. Where the
+    mains may be one of two only 2f is asked for: all three off both would make most records four times as long.
     """
     hums = np.array([hum * order for hum in mains for order in range(1, MAINS_ORDERS + 1)])
     harmonics = np.array([1.0, 2.0, 3.0] if len(mains) == 1 else [2.0])
@@ -87,8 +87,10 @@ def mains_clearance(frequency: float, duration: float, mains: Sequence[float]) -
 MOVES_OFF_MAINS = tuple(sign * 0.02 * step for step in range(1, 9) for sign in (1, -1))
 
 
-def off_mains(beat: float, lock_in_rate: float, scale_factor: float, duration: float, mains: Sequence[float]) -> float:
-    """The smallest change of the rate, deg/s faster, that brings a beat (Hz) seen in records so long (s) off the mains.
+def off_mains(
+    beat: float, lock_in_rate: float, scale_factor: float, duration: float, mains: Sequence[float]
+) -> float:
+    """The least change of the rate, deg/s faster, that brings a beat (Hz) in records so long (s) off the mains.
 
     0 where none within 16 % makes it better.
     """

@@ -26,7 +26,7 @@ from station.errors import NoUsableSignal, RunError, UsageError
 from station.measurements import MEASUREMENTS, measurement
 from station.report.figure import ACCENT, INK, SECOND, THIRD, legend_above, write_picture
 from station.results.quantity import Value, headline_values
-from station.results.result import TextTable, with_uncertainty
+from station.results.result import TextTable
 from station.runs.annotations import Remarks, read_remarks, remarks_file
 from station.runs.database import COMPLETE, TAKEN, RunFacts, journal_of, read_facts, reading
 from station.runs.progress import Progress
@@ -197,14 +197,6 @@ def _prepare(db: sqlite3.Connection) -> None:
 # One run in the list of all: what it says of itself, its result, and what is said of it
 
 
-def value_text(value: Value) -> str:
-    """A number with what it is of, its uncertainty or its interval, and its unit."""
-    if math.isnan(value.u) and value.uncertain:
-        interval = " to ".join(value.digits(end) for end in (value.low_95, value.high_95))
-        return f"{value.of} {value.digits(value.value)} [{interval}] {value.unit}".strip()
-    return f"{value.of} {with_uncertainty(value.value, value.u, value.unit)}".strip()
-
-
 @dataclass(frozen=True)
 class Entry:
     """A run as the list of all runs knows it."""
@@ -248,7 +240,7 @@ class Entry:
         if self.problem and not self.values:
             return "damaged"
         ended = "not evaluated" if self.outcome in (COMPLETE, TAKEN) else self.outcome
-        return ", ".join(map(value_text, self.values)) or ended
+        return ", ".join(one.text for one in self.values) or ended
 
 
 def read_entry(file: Path, name: str) -> Entry | None:
@@ -392,7 +384,9 @@ def _notes(entry: Entry) -> str:
 
 
 SCHEMA = {"name": "gyrolock runs", "version": 1}
-_LONGEST_NOTE = 60
+_LONGEST_RESULT, _LONGEST_LINE, _SHORTEST_NOTE = 30, 120, 12  # letters
+QUALITY = {"stands": "good", "doubtful": "DOUBTFUL", "fails": "FAILS"}
+"""What a list says of a result in one word, by its standing."""
 
 COLUMNS = (
     "run", "command", "started_at", "ended_at", "unit", "operator", "gyro", "simulated", "records", "outcome",
@@ -403,23 +397,33 @@ COLUMNS = (
 
 def runs_table(entries: Sequence[Entry], directory: Path) -> TextTable:
     """Return the list as a person reads it; a column that nobody fills is left out."""
-    rows = [
+    # the year is told where there is more than one
+    when = 5 if len({entry.started_at[:4] for entry in entries}) == 1 else 0
+    rows: list[tuple[str, ...]] = [
         (
-            entry.started_at[:16].replace("T", " "),
+            entry.started_at[when:16].replace("T", " "),
             entry.command,
             entry.unit or "",
             entry.operator or "",
-            entry.result_text,
+            _shortened(entry.result_text, _LONGEST_RESULT),
+            QUALITY.get(entry.standing or "", "") if entry.values else "",
             entry.verdict or "",
             _mark(entry),
-            " ".join(entry.tags),
-            _shortened(_last_word(entry)),
+            _shortened(" ".join(entry.tags), 2 * _SHORTEST_NOTE),
+            _last_word(entry),
             _short_name(entry, directory),
         )
         for entry in entries
     ]
-    header = ("when (UTC)", "command", "unit", "operator", "result", "verdict", "mark", "tags", "note", "run")
+    header = (
+        "when (UTC)", "command", "unit", "operator", "result (95 %)", "quality", "verdict", "mark", "tags", "note",
+        "run",
+    )  # fmt: skip
     filled = [place for place, _ in enumerate(header) if place == 0 or any(row[place] for row in rows)]
+    note = header.index("note")
+    widths = (max(len(row[place]) for row in (header, *rows)) + 2 for place in filled if place != note)
+    room = max(_LONGEST_LINE - sum(widths), _SHORTEST_NOTE)
+    rows = [(*row[:note], _shortened(row[note], room), *row[note + 1 :]) for row in rows]
     return TextTable(
         tuple(header[place] for place in filled), tuple(tuple(row[place] for place in filled) for row in rows)
     )
@@ -466,9 +470,9 @@ def _last_word(entry: Entry) -> str:
     return entry.problem or next(reversed(notes), entry.note or "")
 
 
-def _shortened(text: str) -> str:
+def _shortened(text: str, longest: int) -> str:
     line = " ".join(text.split())
-    return line if len(line) <= _LONGEST_NOTE else f"{line[: _LONGEST_NOTE - 1]}…"
+    return line if len(line) <= longest else f"{line[: longest - 1]}…"
 
 
 def _short_name(entry: Entry, directory: Path) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from station.shell.options import CHANNELS, config_option, display_options, json_option, not_zero, positive, shown
-from station.terminal import JsonResults, print_failure, print_json, remark, say
+from station.terminal import JsonResults, print_failure, print_json, prints_all, remark, say, visible
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -220,6 +221,10 @@ class Analysis:
         from station.results.verdict import exit_code_of, worst
 
         exit_codes, verdicts = list[int](), list[Any]()
+        listed = answer.in_words and len(self.sources) > 1 and not prints_all()
+        tally = Counter[str]()
+        if listed:
+            say(f"{'source':32}  {'records':>9}  {'result (95 %)':36}  quality")
         with JsonResults(alone=len(self.sources) == 1) as results:
             for source in self.sources:
                 analyzed, failure = self._analyzed(source)
@@ -233,6 +238,10 @@ class Analysis:
                 elif answer.jsonl:
                     for row in analyzed.rows() if analyzed is not None else [document]:
                         print_json(row)
+                elif listed:
+                    say(_line(source, analyzed, failure))
+                    tally[_word(analyzed)] += 1
+                    continue  # the line says what failed
                 elif analyzed is not None:
                     say(f"{source}")
                     _print(analyzed)
@@ -240,6 +249,9 @@ class Analysis:
                     print_failure(failure)
             if answer.as_json:
                 results.print()
+        if listed:
+            said = ", ".join(f"{count} {word}" for word, count in tally.items())
+            say(f"{len(self.sources)} sources: {said}. Details: --full; one result: --combine; a table: --to FILE")
         # what could not be read at all (2) comes before what holds no result (4)
         return min(exit_codes, default=exit_code_of(worst(verdicts)))
 
@@ -294,6 +306,32 @@ def _no_result(problem: str) -> Failure | None:
     from station.errors import EXIT_NO_SIGNAL, Failure, NoUsableSignal
 
     return Failure(NoUsableSignal.kind, problem, EXIT_NO_SIGNAL) if problem else None
+
+
+_NAME, _VALUE, _WORDS = 32, 36, 32
+"""Letters that a line of the list has for a source, its value, and what rules it: 120 in all."""
+
+
+def _word(analyzed: Evaluated | AnalyzedFiles | None) -> str:
+    """The quality of a source in one word."""
+    return "not read" if analyzed is None else analyzed.result.quality.partition(":")[0]
+
+
+def _line(source: Path | Source, analyzed: Evaluated | AnalyzedFiles | None, failure: Failure | None) -> str:
+    """One source in one line: records, value, quality."""
+    from station.results.quantity import headline_values
+
+    name = str(source) if len(str(source)) <= _NAME else f"…{str(source)[1 - _NAME :]}"
+    if analyzed is None:
+        why = failure.message.removeprefix(f"{source}: ") if failure else ""
+        return visible(f"{name:{_NAME}}  {'':9}  {'-':{_VALUE}}  {why}"[: _NAME + _VALUE + _WORDS + 20])
+    result = analyzed.result
+    total, out = (result.document.get(key) for key in ("records", "records_rejected"))
+    used = "" if not isinstance(total, int) else f"{total - out}/{total}" if isinstance(out, int) else f"{total}"
+    values = headline_values(result.document, result.quantities)
+    value = ", ".join(one.text for one in values)[:_VALUE] if not result.problem else "-"
+    verdict = f" {analyzed.verdict}" if analyzed.verdict else ""
+    return visible(f"{name:{_NAME}}  {used:>9}  {value:{_VALUE}}  {result.quality[:_WORDS]}{verdict}")
 
 
 def _print(analyzed: Evaluated | AnalyzedFiles) -> None:

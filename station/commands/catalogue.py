@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,7 +19,24 @@ if TYPE_CHECKING:
 _SHOWN = 100  # on a terminal; nobody reads more
 
 
-_VERDICTS = ["PASS", "MARGINAL", "FAIL", "ERROR", "none"]
+def _day(_: click.Context, __: click.Parameter, value: str | None) -> str | None:
+    """A time as runs begin with it: of a date, a part of one, or an age; a `callback` of ``click.option``."""
+    if value is None:
+        return None
+    now = datetime.now(UTC)
+    if age := re.fullmatch(r"(\d{1,5})([hdw])", value):
+        hours = int(age[1]) * {"h": 1, "d": 24, "w": 168}[age[2]]
+        return (now - timedelta(hours=hours)).isoformat(timespec="seconds")[:19]
+    if value in ("today", "yesterday"):
+        return (now - timedelta(days=value == "yesterday")).isoformat()[:10]
+    try:
+        datetime.fromisoformat(value + "2026-01-01T00:00:00"[len(value) :])
+    except ValueError:
+        raise click.BadParameter(
+            f"{value!r} is no date: write 2026, 2026-11, 2026-11-21, 2026-11-21T06:05, today, yesterday, or "
+            "an age: 12h, 7d, 3w"
+        ) from None
+    return value
 
 
 @click.command("runs")
@@ -33,9 +52,12 @@ _VERDICTS = ["PASS", "MARGINAL", "FAIL", "ERROR", "none"]
 @click.option("--tag", "tags", multiple=True, metavar="TAG", help="With this tag; may be given several times.")
 @click.option("--text", metavar="TEXT", help="With these letters in a note.")
 @click.option(
-    "--since", metavar="DATE", help="From this day on, UTC: 2026, 2026-11, 2026-11-21, 2026-11-21T06:05."
+    "--since",
+    metavar="DATE",
+    callback=_day,
+    help="From this day on, UTC: 2026, 2026-11, 2026-11-21, 2026-11-21T06:05, yesterday, 7d.",
 )
-@click.option("--until", metavar="DATE", help="Up to this day, which counts too.")
+@click.option("--until", metavar="DATE", callback=_day, help="Up to this day, which counts too.")
 @click.option(
     "--sort",
     multiple=True,

@@ -582,6 +582,15 @@ def remedy_sentence(budget: Budget) -> str:
     )
 
 
+def short_remedy(budget: Budget) -> str:
+    """The same without what would be left."""
+    first = budget.inputs[0] if budget.inputs else None
+    if first is None or first.contribution == 0:
+        return ""
+    share = f"{100 * budget.share(first):.0f} % of the variance"
+    return f"{first.quantity} is {share}: {_REMEDIES.get(first.name, _TABLE).partition('; or ')[0]}"
+
+
 def _left_of(line: BudgetInput) -> float:
     return 0.5 if line.name in _HALVED else 0.0
 

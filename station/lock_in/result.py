@@ -27,6 +27,7 @@ from station.lock_in.messages import (
     rates_sentences,
     remedy_sentence,
     separated_words,
+    short_remedy,
     span_words,
     table_sentences,
     truth_is_missed,
@@ -35,6 +36,7 @@ from station.lock_in.messages import (
 from station.lock_in.quantities import QUANTITIES, result_document
 from station.lock_in.settings import Settings
 from station.results.numbers import LOCK_IN_RATE
+from station.results.quantity import within
 from station.results.result import (
     FactTable,
     Result,
@@ -43,7 +45,6 @@ from station.results.result import (
     picked,
     with_prefix,
     with_uncertainty,
-    within,
 )
 from station.runs.store import SavedRun
 
@@ -153,7 +154,7 @@ def _brief(found: LockInEvaluation) -> Rows:
     rows: list[tuple[str, str]] = []
     if found.usable:
         rate, (low, high) = found.lock_in_rate, found.interval_95
-        hourly = within(*(3600 * one for one in (rate, low, high)), "deg/h")
+        hourly = within(3600 * rate, 3600 * low, 3600 * high, "deg/h")
         rows.append(("lock-in rate", f"{within(rate, low, high, 'deg/s')} = {hourly} (95 %)"))
     several, check = found.several, found.table_check
     fit = None if several is None else several.by_beat
@@ -178,13 +179,11 @@ def _brief(found: LockInEvaluation) -> Rows:
     elif math.isfinite(combined.beat_frequency):
         u = float(combined.beat_frequency_u)
         records.append(f"beat {with_uncertainty(float(combined.beat_frequency), u, 'Hz')}")
-    if math.isfinite(combined.noise_rms):
-        records.append(f"noise {with_prefix(float(combined.noise_rms), 'V')} rms")
     if moving := int(np.count_nonzero(found.each.flags & int(Flag.RATE_WANDER))):
         records.append(f"the rate moved in {moving}")
+    records.append(f"K = {found.method.scale_factor:.10g} pulses/deg")
     rows.append(("records", ", ".join(records)))
-    rows.append(("scale factor", f"{found.method.scale_factor:.10g} pulses/deg"))
-    if found.budget is not None and (remedy := remedy_sentence(found.budget)):
+    if found.budget is not None and (remedy := short_remedy(found.budget)):
         rows.append(("improve", remedy))
     return rows
 

@@ -233,7 +233,7 @@ class _Taking:
         self.knobs = self._find_beat(begin, fits, mains)
         table_rate = None if table_rate is None else self._confirmed(table_rate)
         if table_rate is not None and not there and settings.rates_are_chosen:
-            table_rate = self._off_mains(step, table_rate, fits)
+            table_rate = self._off_mains(step, table_rate, fits, self.knobs)
         for channel in channels[1:]:
             fit_channel(self.bench.scope, channel, settings.scope, settings.measurement, self.knobs)
         now = {"scope_setting": asdict(self.knobs), "table_rate_dps": table_rate}
@@ -245,16 +245,17 @@ class _Taking:
 
     @property
     def _mains(self) -> tuple[float, ...]:
-        """What beats are to keep off, Hz: the mains as stated; at rates that the program chooses and sets 50 and 60."""
+        """What beats are to keep off, Hz: the mains as stated; at rates that the program sets itself 50 and 60."""
         if (stated := self.settings.site.mains_hz) is not None:
             return (stated,)
         by_hand = isinstance(self.bench.table, ManualRateTable)
         return MAINS_HZ if self.settings.rates_are_chosen and not by_hand else ()
 
-    def _off_mains(self, step: RateStep, table_rate: float, fits: Callable[[float], Beats]) -> float:
+    def _off_mains(
+        self, step: RateStep, table_rate: float, fits: Callable[[float], Beats], knobs: KnobPositions
+    ) -> float:
         """The table's rate, moved a little where hum would stand beside a harmonic of the beat."""
-        assert self.knobs is not None
-        beat, duration = self.knobs.beat_frequency, DIVISIONS * self.knobs.seconds_per_division
+        beat, duration = knobs.beat_frequency, DIVISIONS * knobs.seconds_per_division
         gyro = self.settings.gyro
         scale_factor, lock_in_rate = gyro.scale_factor_pulses_per_deg, gyro.expected_lock_in_rate_dps
         faster = step.sense * off_mains(beat, lock_in_rate, scale_factor, duration, self._mains)
@@ -264,7 +265,7 @@ class _Taking:
         self.progress.note(f"{wanted:.4g} deg/s on the table: a beat of {beat:.4g} Hz stands beside the mains")
         why = f"At {beat:.4g} Hz hum of the mains would stand beside a harmonic of the beat."
         moved = self.bench.turn_table(wanted, self.settings.table.settle_s, why)
-        self.knobs = self._find_beat(self.knobs, fits, self._mains)
+        self.knobs = self._find_beat(knobs, fits, self._mains)
         return self._confirmed(moved)
 
     def _find_beat(

@@ -249,29 +249,27 @@ def print_result(evaluated: Shown) -> None:
     print_values(result, evaluated.tested, [("taken", ", ".join(filter(None, about)))])
 
 
-_MOST_LIMITS = 3
-"""Lines of a short page that limits take."""
+_MOST_ROWS, _MOST_LIMITS = 4, 3
+"""Rows of a table, and limits, that a short page has room for."""
 
 
 def print_values(result: Result, tested: Sequence[LimitOutcome], about: Rows = ()) -> None:
     """Print a result and its limits; `about` says what it is of."""
     console, full = stdout_console(), prints_all()
-    tables = result.tables if full or not result.brief else ()
-    for table in tables:
+    short = () if result.brief else (table for table in result.tables if len(table.rows) <= _MOST_ROWS)
+    for table in result.tables if full else short:
         console.print(text_table(table))
     rows = Table(box=None, show_header=False, pad_edge=False, padding=(0, 2, 0, 0))
     rows.add_column(style="dim", no_wrap=True)
     rows.add_column()
     style = f"bold {_COLOURS[result.standing.state]}"
-    value = (result.name, Text(visible(result.value), style=style))
+    value = (result.name, result.value)
     if full:
-        rows.add_row("", "")
-        for name, text in (value, *result.summary, *about):
-            rows.add_row(name, text)
+        said = [("", ""), value, *result.summary, *about]
     else:
-        for name, text in (*about, *(result.brief or (value, *result.summary))):
-            rows.add_row(name, text)
-        rows.add_row("quality", Text(visible(result.quality), style=style))
+        said = [*about, *(result.brief or (value, *result.summary)), ("quality", result.quality)]
+    for name, text in said:
+        rows.add_row(name, Text(visible(text), style=style if name in (result.name, "quality") else ""))
     console.print(rows)
     if full:
         for sentence in result.sentences:
@@ -281,7 +279,7 @@ def print_values(result: Result, tested: Sequence[LimitOutcome], about: Rows = (
             console.print(f"• {sentence}", style="red" if sentence in result.failures else "yellow")
     told = tested if full else sorted(tested, key=lambda one: one.passed)[:_MOST_LIMITS]
     for one in told:
-        said = one.sentence if full else one.sentence.partition("; ")[0]
-        console.print(said, style="green" if one.passed else "yellow" if one.verdict == MARGINAL else "bold red")
+        words = one.sentence if full else one.sentence.partition("; ")[0]
+        console.print(words, style="green" if one.passed else "yellow" if one.verdict == MARGINAL else "bold red")
     if more := len(tested) - len(told):
         console.print(f"and {more} limits more: --full")

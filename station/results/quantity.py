@@ -163,6 +163,13 @@ class Value:
             return f"{number:.{significant}g}"
         return f"{number:.{self.decimals}f}"
 
+    @property
+    def text(self) -> str:
+        """What it is of, the number with its 95 % interval, and its unit."""
+        if not self.uncertain:
+            return f"{self.of} {self.digits(self.value)} {self.unit}".strip()
+        return f"{self.of} {within(self.value, self.low_95, self.high_95, self.unit)}".strip()
+
     def as_json(self) -> dict[str, Any]:
         """Return it as plain JSON; :meth:`from_json` is the way back."""
         numbers = {name: getattr(self, name) for name in _NUMBERS}
@@ -301,6 +308,27 @@ def decimals_of(u: float) -> int:
     """
     places = 1 - math.floor(math.log10(u))
     return places - (round(u * 10.0**places) >= 100)  # 0.0996 is written with the digits of 0.10
+
+
+def within(value: float, low: float, high: float, unit: str = "") -> str:
+    """Write a value with its 95 % interval, to two digits of its half width.
+
+    Examples
+    --------
+    >>> within(0.0099977, 0.0099879, 0.0100075, "deg/s"), within(0.0001, 0.0, 0.00069)
+    ('0.0099977 ± 0.0000098 deg/s', 'below 0.00069')
+    >>> within(0.02, 0.011, 0.024, "deg/s")
+    '0.0200 (0.0110 to 0.0240) deg/s'
+    """
+    tail, half = f" {unit}" if unit else "", (high - low) / 2
+    if not (math.isfinite(value) and math.isfinite(half) and half > 0):
+        return f"{value:.6g}{tail}" if math.isfinite(value) else "none"
+    digits = max(0, decimals_of(half))
+    if low == 0 or value == high:
+        return f"below {high:.{digits}f}{tail}"
+    if abs((low + high) / 2 - value) > 0.1 * half:
+        return f"{value:.{digits}f} ({low:.{digits}f} to {high:.{digits}f}){tail}"
+    return f"{value:.{digits}f} ± {half:.{digits}f}{tail}"
 
 
 def _got(evaluation: Any, at: Get) -> Any:

@@ -125,7 +125,7 @@ class Result:
             return "good"
         word = "DOUBTFUL" if standing.state == "doubtful" else "NO RESULT" if self.problem else "DOES NOT HOLD"
         first, more = standing.reasons[0], len(standing.reasons) - 1
-        said = re.split(r"(?<=[a-z0-9)])[.:;] (?=\S)", first.removeprefix(f"no {self.name}: "))[0].rstrip(".")
+        said = re.split(r"(?<=[a-z0-9)])[.;] (?=\S)", first.removeprefix(f"no {self.name}: "))[0].rstrip(".")
         return f"{word}: {said}" + (f" (and {more} more)" if more else "")
 
 
@@ -154,27 +154,6 @@ def with_uncertainty(value: float, u: float, unit: str = "") -> str:
     if digits <= 0:
         return f"{value:.0f}({u:.0f}){tail}"
     return f"{value:.{digits}f}({round(u * 10.0**digits)}){tail}"
-
-
-def within(value: float, low: float, high: float, unit: str = "") -> str:
-    """Write a value with its 95 % interval, to two digits of its half width.
-
-    Examples
-    --------
-    >>> within(0.0099977, 0.0099879, 0.0100075, "deg/s"), within(0.0001, -0.0006, 0.00069)
-    ('0.0099977 ± 0.0000098 deg/s', 'below 0.00069')
-    >>> within(0.02, 0.011, 0.024, "deg/s")
-    '0.0200 (0.0110 to 0.0240) deg/s'
-    """
-    tail, half = f" {unit}" if unit else "", (high - low) / 2
-    if not (math.isfinite(value) and math.isfinite(half) and half > 0):
-        return f"{value:.6g}{tail}" if math.isfinite(value) else "none"
-    digits = max(0, decimals_of(half))
-    if low <= 0 <= value:
-        return f"below {high:.{digits}f}{tail}"
-    if abs((low + high) / 2 - value) > 0.1 * half:
-        return f"{value:.{digits}f} ({low:.{digits}f} to {high:.{digits}f}){tail}"
-    return f"{value:.{digits}f} ± {half:.{digits}f}{tail}"
 
 
 def with_prefix(value: float, unit: str) -> str:

@@ -118,7 +118,7 @@ def find_beat(
     start: KnobPositions | float,
     mains: Sequence[float] = (),
 ) -> KnobPositions:
-    """Set the scope so that a record shows the beat well, and the mains (Hz) beside its harmonics as themselves."""
+    """Set the scope so that a record shows the beat well, and what the mains (Hz) do beside its harmonics."""
     search = _BeatSearch(scope, settings, measurement)
     highest = start.beat_frequency if isinstance(start, KnobPositions) else start
     slowest = max(_QUICK_S, _PERIODS_SEEN * _SLOWER_THAN_EXPECTED / highest / DIVISIONS)

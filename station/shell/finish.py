@@ -254,7 +254,7 @@ def finish(
     if as_json or (quiet and failure is not None):
         print_json(document if as_json else {"error": failure.as_json() if failure else None})
     elif not quiet:
-        say(f"\nsaved   {run.path}")
+        say(f"saved   {run.path}")
         if run.facts.link_faults is not None and not run.facts.link_faults.clean:
             say(f"link    {run.facts.link_faults}")
         if "report" in document:

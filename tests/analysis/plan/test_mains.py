@@ -80,7 +80,7 @@ def test_weak_hum_does_no_harm_beside_a_moved_rate() -> None:
             # dpsi/dt = 2 pi K (W - WL sin psi), solved for tan(psi/2)
             half = (WL + beat_hz / K * np.tan(math.pi * beat_hz * times + phase)) / rate
             beat = 2 * half / (1 + half**2)
-            hums = 0.003 * np.sin(2 * math.pi * 50 * times + hum) + 0.0015 * np.sin(2 * math.pi * 100 * times + hum)
+            hums = sum(0.003 / n * np.sin(2 * math.pi * 50 * n * times + hum) for n in (1, 2))
             volts = np.round(100 * (beat + hums + 0.01 * random.standard_normal(2500))) / 100
             found = estimate_lock_in(volts, duration / 2500, scale_factor=K, mains_hz=50.0)
             off.append((float(found.lock_in_rate) - WL) / WL)

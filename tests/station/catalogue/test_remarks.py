@@ -49,13 +49,13 @@ def test_the_list_shows_what_was_said_at_once(run: Path) -> None:
 
 
 def test_the_list_says_who_said_it_and_when(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    add_remark(run, note="the lamp was changed", mark="bad", by="Grace")
+    add_remark(run, note="the lamp was new", mark="bad", by="Grace")
     add_remark(run, tags=["seen"], by="Ada")
     day = read_remarks(run).said[0].at[:10]
     assert main(["runs", str(run.parents[1])]) == 0
     shown = capsys.readouterr().out
     assert f"bad, Grace {day}" in shown
-    assert f"{day} Grace: the lamp was changed" in shown
+    assert f"{day} Grace: the lamp was new" in shown
 
 
 def test_the_report_shows_what_was_said_and_by_whom(run: Path) -> None:

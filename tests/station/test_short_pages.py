@@ -1,0 +1,60 @@
+"""What a person reads first fits on a screen: a page of twelve lines, a list of one line a row."""
+
+import shutil
+from pathlib import Path
+
+import pytest
+
+from station.cli import main
+
+GOLDEN = sorted((Path(__file__).parents[1] / "golden").glob("[a-z]*.sqlite"))
+PAGE, WIDTH = 13, 120  # the name of the source and twelve lines
+
+
+@pytest.fixture
+def runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    for run in GOLDEN:
+        shutil.copy(run, tmp_path)
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+@pytest.mark.parametrize("run", [run.name for run in GOLDEN if run.stem != "locked"])
+def test_every_kind_of_run_is_told_on_a_short_page(
+    run: str, runs: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    code = main(["analyze", run])
+    short = capsys.readouterr().out.splitlines()
+    assert code in (0, 1, 6)
+    assert len(short) <= PAGE
+    assert max(map(len, short)) <= WIDTH
+    assert any(line.startswith("quality") for line in short)
+    assert main(["analyze", run, "--full"]) == code
+    assert len(capsys.readouterr().out.splitlines()) > len(short)
+
+
+def test_several_sources_take_a_line_each_with_their_quality(
+    runs: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    code = main(["analyze", "single.sqlite", "locked.sqlite", "deadband.sqlite", "default.sqlite", "nothing.csv"])
+    header, *lines, last = capsys.readouterr().out.splitlines()
+    assert code == 2
+    assert len(lines) == 5
+    assert max(len(line.rstrip()) for line in (header, *lines)) <= WIDTH
+    assert "6/6" in lines[0] and "± " in lines[0] and "good" in lines[0]
+    assert "no record" in lines[1]
+    assert "MARGINAL" in lines[2]
+    assert "40/40" in lines[3] and "PASS" in lines[3]
+    assert "nothing.csv" in lines[4] and "no such" in lines[4].lower()
+    assert last.startswith("5 sources: 3 good, 2 not read")
+
+
+def test_the_list_of_runs_has_one_line_a_run_and_a_word_of_quality(
+    runs: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["runs", "."]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert len(lines) == len(GOLDEN) + 1
+    assert max(len(line.rstrip()) for line in lines) <= WIDTH
+    (default,) = (line for line in lines if "default.sqlite" in line)
+    assert "± 0.0000096 deg/s" in default and " good " in default

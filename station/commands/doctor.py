@@ -23,8 +23,8 @@ from station.files import version
 from station.lock_in.settings import Settings, default_settings, load_settings
 from station.results.result import Check, guarded
 from station.settings import shipped_settings
-from station.shell.options import config_option, json_option, transcript_option
-from station.terminal import print_json, say
+from station.shell.options import config_option, full_option, json_option, transcript_option
+from station.terminal import print_json, prints_all, say
 
 if TYPE_CHECKING:
     pass
@@ -61,6 +61,7 @@ _TRANSCRIPT = "transcript.jsonl"
     metavar="FILE.zip",
     help="Pack versions, settings, findings and what was said to the instrument, for a bug report.",
 )
+@full_option
 @transcript_option
 @config_option
 @json_option
@@ -88,9 +89,22 @@ def doctor_command(
     if as_json:
         print_json({"ok": not bad, "checks": [asdict(check) for check in checks]})
     else:
-        for check in checks:
+        say(_ready(bad))
+        for check in checks if prints_all() else [check for check in checks if check.state != "ok"]:
             say(f"{check.state:<5}{check.name:<14}{check.text}")
     return EXIT_INSTRUMENT if bad else EXIT_OK
+
+
+def _ready(bad: list[Check]) -> str:
+    """What can be measured with, and what with nothing but a package more."""
+    from instrument.discovery import missing_transports
+
+    missing = missing_transports()
+    kinds = [kind for kind in ("RS-232", "TCP", "USB", "GPIB") if kind not in missing]
+    if bad:
+        return f"NOT READY: {', '.join(check.name for check in bad)}"
+    without = "".join(f". NOT for {kind}: {advice}" for kind, advice in missing.items())
+    return f"READY for simulated measurements, {', '.join(kinds)}{without}"
 
 
 def _pack(bundle: Path, settings: Settings, checks: list[Check], said: Path) -> None:
@@ -169,7 +183,7 @@ def _links() -> Check:
     missing = missing_transports()
     if not missing:
         return Check("links", "ok", "GPIB, USB, RS-232 and TCP can be used")
-    return Check("links", "note", "; ".join(f"no {kind}: {advice}" for kind, advice in missing.items()))
+    return Check("links", "ok", "; ".join(f"no {kind}: {advice}" for kind, advice in missing.items()))
 
 
 def _serial_ports() -> Check:

@@ -53,8 +53,12 @@ def list_command(lan: bool, config: Path | None, as_json: bool) -> int:
         return 0
     for one in found:
         say(f"{one.resource_name}\t{one.identity.text if one.identity else one.problem}")
-    if not found:
-        say("VISA sees no instrument. `gyrolock doctor` says which kinds of links can be used here.")
+    usable = sum(one.identity is not None for one in found)
+    looked = f"serial ports, USB and GPIB{' and the network' if lan else ''}"
+    hint = (
+        "" if usable else ". `gyrolock doctor` says which links can be used here; give others by --resource NAME"
+    )
+    say(f"{usable} of {len(found)} names on {looked} answer{hint}")
     return 0
 
 

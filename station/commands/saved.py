@@ -60,6 +60,8 @@ def report_command(
     shown = [item for path in paths for item in _found(path)]
     if output is not None and len(shown) > 1:
         raise click.UsageError("--output names one file: give one run")
+    if output is not None and output.suffix.lower() not in (".html", ".htm"):
+        raise click.UsageError(f"{output}: a report is HTML: name it .html, and let the browser print a PDF of it")
     for name, sources in shown:
         try:
             evaluated, place = _evaluated(sources, name, config, {"scale_factor": scale_factor}, channel)

@@ -289,72 +289,26 @@ def records_table(found: LockInEvaluation, most: int) -> TextTable:
 def fact_tables(found: LockInEvaluation, run: SavedRun, settings: Settings) -> list[FactTable]:
     """Return conditions and secondary results as small tables."""
     return [
-        FactTable("Result", _result_rows(found)),
-        FactTable("Rate", _rows_of_rates(found, run, settings)),
+        FactTable("Result", _result_rows(found, run, settings)),
         FactTable("Oscilloscope", _scope_rows(found, run, settings)),
     ]
 
 
-def _result_rows(found: LockInEvaluation) -> Rows:
-    combined = found.combined
-    counted = len(found.waveforms) + len(found.damaged)
-    rows = [
-        ("method", found.method_text),
-        ("scale factor K", f"{found.method.scale_factor:g} pulses/deg"),
-        ("noise model", combined.noise_model),
-        (
-            "uncertainty",
-            "standard (k = 1) in brackets, every input counted; of single records and rates their noise. The "
-            "interval covers 95 %",
-        ),
-        ("records", f"{counted}, left out {found.records_rejected}"),
-    ]
+def _result_rows(found: LockInEvaluation, run: SavedRun, settings: Settings) -> Rows:
+    combined, rows = found.combined, list(_summary(found))
     if found.usable:
-        if found.several is None:
-            rows.append(("ratio r = A2/A1", with_uncertainty(float(combined.ratio), float(combined.ratio_u))))
         rows += [
-            ("noise alone", f"{found.noise_u:.2g} deg/s of the lock-in rate (k = 1)"),
             ("backscatter less readout phase", f"{math.degrees(float(combined.backscatter_phase)):.1f}°"),
             ("amplitude", with_prefix(float(combined.amplitude), "V")),
-            ("noise in each sample", f"{with_prefix(float(combined.noise_rms), 'V')} rms"),
         ]
-    return rows
-
-
-def _rows_of_rates(found: LockInEvaluation, run: SavedRun, settings: Settings) -> Rows:
-    combined, several, rows = found.combined, found.several, []
-    if several is not None:
-        each = several.groups
-        rows += [
-            ("beat frequency", span_words((float(one.combined.beat_frequency) for one in each), "Hz")),
-            ("rate on the axis", span_words((one.input_rate for one in each), "deg/s")),
-            ("table rate", span_words((one.table_rate for one in each), "deg/s")),
-        ]
-    elif math.isfinite(combined.beat_frequency):
-        beat = with_uncertainty(float(combined.beat_frequency), float(combined.beat_frequency_u), "Hz")
-        rows.append(("beat frequency", beat))
-    if several is None and math.isfinite(combined.input_rate):
-        rows.append(("rate on the axis, by the beat", f"{float(combined.input_rate):.6f} deg/s"))
-    if (check := found.table_check) is not None:
-        rows += [
-            ("rate on the axis, by the table", f"{check.input_rate:.6f} deg/s"),
-            ("beat over table", f"{beat_over_table_words(check)} (K and tilt found with it cancel)"),
-            ("lock-in rate, by the table", by_table_words(check)),
-        ]
-    if several is None and (table_rate := run.facts.get("table_rate_dps")) is not None:
+    if found.several is not None:
+        rows.append(("table rate", span_words((one.table_rate for one in found.several.groups), "deg/s")))
+    elif (table_rate := run.facts.get("table_rate_dps")) is not None:
         rows.append(("table rate", f"{table_rate:.5f} deg/s"))
-    if found.tilt is not None:
-        rows.append(("tilt of the axis", with_uncertainty(found.tilt.tilt_deg, found.tilt.tilt_u_deg, "deg")))
     if found.table_check is not None:
-        rows += [
-            (
-                f"K by the {one.by}",
-                with_uncertainty(one.scale_factor, one.scale_factor_u, "pulses/deg"),
-            )
-            for one in found.table_check.scale_factors
-        ]
         rows.append(("latitude", f"{settings.site.latitude_deg:g}°"))
-    return rows
+    note = "standard (k = 1) in brackets, every input counted; of single records and rates their noise"
+    return [*rows, ("uncertainty", note)]
 
 
 def _scope_rows(found: LockInEvaluation, run: SavedRun, settings: Settings) -> Rows:

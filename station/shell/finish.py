@@ -99,8 +99,13 @@ class Evaluated:
         return dict(plain(document))
 
     def sections(self) -> list[Section]:
-        """Return figures and tables of the report."""
-        return self.kind.sections(self.found, self.run, self.settings, self.result)
+        """Return figures and tables of the report; nothing that is drawn ends a command."""
+        try:
+            return self.kind.sections(self.found, self.run, self.settings, self.result)
+        except Exception as error:
+            why = f"the pictures cannot be drawn ({type(error).__name__}: {one_line(error)}): a defect of gyrolock"
+            remark(f"{self.run.path}: {why}")
+            return [Section("Pictures", text=f"{why[0].upper()}{why[1:]}.")]
 
     def fact_tables(self) -> list[FactTable]:
         """Return settings and conditions, for the end of the report."""
@@ -275,25 +280,32 @@ def run_as_it_ends(taken: Taken) -> SavedRun:
 
 
 def keep(evaluated: Evaluated, *, report: bool) -> tuple[dict[str, Any], Failure | None]:
-    """Write the report if it is wanted, and save the result beside its records."""
+    """Save the result beside its records, and then write the report if it is wanted."""
     from station.report.show import write_report
-    from station.runs.database import save_result
 
-    document, lost, path = evaluated.document(), None, evaluated.run.path
-    told = dict(document)
+    document, path = evaluated.document(), evaluated.run.path
+    told, lost = dict(document), _saved(path, document)
     if report:
         try:
             told["report"] = str(write_report(evaluated))
         except OSError as error:
             reason = f"the report cannot be written ({one_line(error)})"
             text = f"{path.parent}: {reason}: `gyrolock report {path.parent}` makes it again"
-            lost = Failure(CannotWrite.kind, text, EXIT_OUTPUT)
+            lost = lost or Failure(CannotWrite.kind, text, EXIT_OUTPUT)
             document["outcome"] = told["outcome"] = text
+            _saved(path, document)
+    return told, lost
+
+
+def _saved(path: Path, document: dict[str, Any]) -> Failure | None:
+    """Save a result beside its records; what kept it from that."""
+    from station.runs.database import save_result
+
     try:
         save_result(path, document)
     except RunError as error:
-        lost = lost or describe_failure(error)
-    return told, lost
+        return describe_failure(error)
+    return None
 
 
 def tell_result(evaluated: Evaluated, events: Events) -> None:

@@ -1,11 +1,12 @@
 """Finding instruments, and one sentence about each that cannot be used."""
 
+import re
 from threading import Event
 
 import pytest
 from pyvisa.constants import InterfaceType
 
-from instrument import FoundResource, LinkError, find_resources
+from instrument import TDS2014, FoundResource, LinkError, find_resources
 from instrument.discovery import check_resource, missing_transports
 from instrument.simulated import Faults, SimulatedTDS2014, resource_manager
 
@@ -112,3 +113,17 @@ def test_missing_transports_name_the_remedy(monkeypatch):
     assert missing_transports()["USB"] == "install pyusb and libusb"
     monkeypatch.setattr("importlib.util.find_spec", lambda name: object())
     assert missing_transports() == {}
+
+
+@pytest.mark.parametrize(
+    ("name", "form"),
+    [
+        ("192.168.1.5", "TCPIP0::192.168.1.5::INSTR or TCPIP0::192.168.1.5::PORT::SOCKET"),
+        ("scope-2.lab", "TCPIP0::scope-2.lab::INSTR"),
+        ("/dev/ttyUSB9", "ASRL/dev/ttyUSB9::INSTR"),
+        ("COM7", "ASRLCOM7::INSTR"),
+    ],
+)
+def test_a_host_or_a_port_in_the_place_of_a_visa_name_is_told_its_right_form(name: str, form: str) -> None:
+    with pytest.raises(LinkError, match=re.escape(form)):
+        TDS2014(name)

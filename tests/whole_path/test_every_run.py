@@ -220,3 +220,27 @@ def test_every_measurement_of_the_list_is_there() -> None:
         kind = measurement(name)
         assert kind.name == name
         assert re.fullmatch(r"gyrolock( fog)? \w+", kind.command)
+
+
+@pytest.mark.parametrize("name", ["default", "fog_selfcal"])
+def test_nothing_that_is_drawn_ends_a_command(
+    name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def draw(*_: object, **__: object) -> None:
+        raise ZeroDivisionError("float division by zero")
+
+    run = saved(name, tmp_path)
+    monkeypatch.setattr("station.report.figure._drawn", draw)
+    assert main(["report", str(run)]) == 0
+    said = capsys.readouterr()
+    page = Path(said.out.strip()).read_text(encoding="utf-8")
+    assert "The pictures cannot be drawn (ZeroDivisionError: float division by zero)" in page
+    assert "the pictures cannot be drawn" in said.err
+    assert "95 %" in page or "K_self" in page  # the numbers stand there
+
+
+def test_a_report_is_html_or_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    run = saved("single", tmp_path)
+    assert main(["report", str(run), "--output", str(tmp_path / "one.pdf")]) == 2
+    assert ".html" in capsys.readouterr().err
+    assert not (tmp_path / "one.pdf").exists()

@@ -80,7 +80,7 @@ def test_a_result_that_is_not_read_to_its_end(tmp_path: Path) -> None:
 
 
 def test_an_encoding_that_lacks_letters_writes_others(tmp_path: Path) -> None:
-    done = run_shell(tmp_path, f"{MEASURE} --no-report --note Ωµ", PYTHONIOENCODING="ascii")
+    done = run_shell(tmp_path, f"{MEASURE} --full --no-report --note Ωµ", PYTHONIOENCODING="ascii")
     assert done.returncode == 0, done.stderr
     assert "\n- " in done.stdout
     assert r"\u03a9" in done.stdout

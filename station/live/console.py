@@ -120,6 +120,15 @@ class PlainConsole(Console):
         """Turn a text into what is shown."""
         return super().render_str(visible(text), **options)
 
+    def print(self, *objects: Any, **how: Any) -> None:
+        """Print; in a file or a pipe without the blanks that fill the width."""
+        if self.is_terminal or self.stderr:
+            super().print(*objects, **how)
+            return
+        with self.capture() as drawn:
+            super().print(*objects, **how)
+        self.file.write("".join(f"{line.rstrip()}\n" for line in drawn.get().splitlines()))
+
     def on_broken_pipe(self) -> None:
         """Say nothing more to a reader that has gone; the program goes on."""
         self.quiet = True

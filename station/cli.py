@@ -38,7 +38,7 @@ COMMANDS = {
     "deadband": ("commands.measure:deadband", "Search the dead band: sweep the rate through zero, up and down."),
     "analyze": (
         "commands.analyze:command",
-        "Evaluate saved runs of any kind again, and files of Tektronix oscilloscopes.",
+        "Evaluate saved runs again, and files of Tektronix oscilloscopes.",
     ),
     "compare": (
         "commands.saved:compare_command",
@@ -47,11 +47,11 @@ COMMANDS = {
     "report": ("commands.saved:report_command", "Write the HTML report of saved runs."),
     "runs": (
         "commands.catalogue:runs_command",
-        "List all runs below a folder: when, what, unit, operator, result, verdict.",
+        "List runs: when, what, unit, result, quality, verdict.",
     ),
     "annotate": (
         "commands.saved:annotate_command",
-        "Say something of saved runs afterwards: a note, tags, a good or bad mark.",
+        "Add notes, tags or a good or bad mark to saved runs.",
     ),
     "export": (
         "commands.saved:export_command",
@@ -59,7 +59,7 @@ COMMANDS = {
     ),
     "verify": (
         "commands.saved:verify_command",
-        "Prove that the record of a test and its raw runs belong together.",
+        "Check that the record of a test matches its raw runs.",
     ),
     "history": (
         "commands.catalogue:history_command",
@@ -67,10 +67,10 @@ COMMANDS = {
     ),
     "salvage": (
         "commands.saved:salvage_command",
-        "Get everything that can still be read out of a damaged run, into a new one.",
+        "Copy what can still be read of a damaged run into a new one.",
     ),
-    "status": ("commands.running:status", "Show how the measurements stand that run on this machine."),
-    "stop": ("commands.running:stop", "Stop a measurement or a station that runs: what it has taken is kept."),
+    "status": ("commands.running:status", "Show running measurements."),
+    "stop": ("commands.running:stop", "Stop a running measurement or station; its records are kept."),
     "grab": (
         "commands.instruments:grab_command",
         "Save the screen as PNG and the traces as CSV and NumPy.",
@@ -81,10 +81,10 @@ COMMANDS = {
     ),
     "station": (
         "commands.station:command",
-        "Test a unit as the campaign FILE says: every step, every limit, one verdict.",
+        "Test a unit by a campaign file: all steps, all limits, one verdict.",
     ),
     "fog": ("fibre_gyro.command:command", "Scale factor of a fibre gyro: rate table, self-calibration, ..."),
-    "study": ("commands.planning:study_command", "Compute the paper's simulations, with its method and exactly."),
+    "study": ("commands.planning:study_command", "Repeat the paper's simulations, by its method and exactly."),
     "simulate": (
         "commands.instruments:simulate_command",
         "Serve the simulated oscilloscope: TCP, HiSLIP, GPIB adapter, terminal.",
@@ -92,7 +92,7 @@ COMMANDS = {
     "list": ("commands.instruments:list_command", "List the instruments that VISA can see."),
     "doctor": (
         "commands.doctor:doctor_command",
-        "Check this installation, and say what to do about what is missing.",
+        "Check this installation; say what is missing.",
     ),
     "settings": ("commands.settings:command", "Print a commented settings file to copy."),
 }

@@ -42,15 +42,15 @@ def _day(_: click.Context, __: click.Parameter, value: str | None) -> str | None
 @click.command("runs")
 @click.argument("directory", default="runs", type=click.Path(path_type=Path), metavar="[DIR]")
 @click.option("--command", metavar="NAME", help="Of this measurement only: measure, deadband, table...")
-@click.option("--unit", metavar="TEXT", help="Of this unit; * and ? stand for other letters.")
-@click.option("--operator", metavar="TEXT", help="By this operator; * and ? stand for other letters.")
-@click.option("--gyro", metavar="TEXT", help="Of this gyro; * and ? stand for other letters.")
+@click.option("--unit", metavar="TEXT", help="Of this unit; wildcards * and ? allowed.")
+@click.option("--operator", metavar="TEXT", help="By this operator; wildcards * and ? allowed.")
+@click.option("--gyro", metavar="TEXT", help="Of this gyro; wildcards * and ? allowed.")
 @click.option(
     "--verdict", type=click.Choice(["PASS", "MARGINAL", "FAIL", "ERROR", "none"]), help="With this verdict."
 )
 @click.option("--mark", type=click.Choice(["good", "bad", "none"]), help="With this mark.")
-@click.option("--tag", "tags", multiple=True, metavar="TAG", help="With this tag; may be given several times.")
-@click.option("--text", metavar="TEXT", help="With these letters in a note.")
+@click.option("--tag", "tags", multiple=True, metavar="TAG", help="With this tag; may be repeated.")
+@click.option("--text", metavar="TEXT", help="Note contains TEXT.")
 @click.option(
     "--since",
     metavar="DATE",
@@ -62,11 +62,11 @@ def _day(_: click.Context, __: click.Parameter, value: str | None) -> str | None
     "--sort",
     multiple=True,
     metavar="KEY",
-    help="when, command, unit, operator, result, records, verdict or mark; -KEY turns it round; may be given "
-    "several times.  [default: when]",
+    help="when, command, unit, operator, result, records, verdict or mark; -KEY reverses the order; may be "
+    "repeated.  [default: when]",
 )
 @click.option(
-    "--limit", type=click.IntRange(min=0), metavar="N", help=f"The last N only; 0: all.  [{_SHOWN}, in words]"
+    "--limit", type=click.IntRange(min=0), metavar="N", help=f"Show the last N runs; 0: all.  [{_SHOWN}]"
 )
 @click.option(
     "--plot", type=click.Path(path_type=Path), metavar="FILE", help="Draw the results over time: .svg .png .pdf."

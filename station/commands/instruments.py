@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 @click.command("list")
-@click.option("--lan/--no-lan", default=True, help="Look on the network too, for two seconds.  [default: --lan]")
+@click.option("--lan/--no-lan", default=True, help="Search the network too, for two seconds.  [default: --lan]")
 @transcript_option
 @config_option
 @json_option
@@ -84,7 +84,7 @@ def list_command(lan: bool, config: Path | None, as_json: bool) -> int:
     "--watch",
     type=click.FloatRange(min=0.1),
     metavar="SECONDS",
-    help="Again and again, so far apart, until Ctrl-C.",
+    help="Repeat every SECONDS until Ctrl-C.",
 )
 @click.option("--numbers", "numbers_only", is_flag=True, help="Only show the numbers; write no files.")
 @transcript_option

@@ -25,7 +25,7 @@ _ASK_EVERY_S = 0.1
 @config_option
 @json_option
 def status(watched: bool, config: Path | None, as_json: bool) -> int:
-    """Show how the measurements stand that run on this machine, and those that were killed.
+    """Show running measurements, and those that were killed.
 
     It acts from any shell of the same user; `gyrolock stop` ends one. Exit codes: 0 something runs, 1 nothing
     does.
@@ -96,14 +96,14 @@ def _watch() -> None:
 
 @click.command("stop")
 @click.argument("which", required=False, metavar="[PID|RUN]")
-@click.option("--all", "everything", is_flag=True, help="Stop all that run.")
+@click.option("--all", "everything", is_flag=True, help="Stop all of them.")
 @click.option(
     "--wait",
     "wait_s",
     type=click.FloatRange(min=0),
     default=60.0,
     metavar="S",
-    help="Wait so long for the end [60].",
+    help="Seconds to wait for the end [60].",
 )
 @config_option
 @json_option

@@ -154,7 +154,7 @@ SCHEMA = {"name": "gyrolock export", "version": 1}
 @click.option(
     "--part-records", type=click.IntRange(min=1), metavar="N", help="Records in a part, about.  [default: 40000]"
 )
-@click.option("--replace", is_flag=True, help="Write over what is there.")
+@click.option("--replace", is_flag=True, help="Overwrite existing files.")
 @config_option
 @json_option
 def export_command(
@@ -237,7 +237,7 @@ def _opened(paths: tuple[str, ...], left_out: list[ExcludedRecord], progress: Pr
 @click.command("compare")
 @click.argument("first", metavar="A")
 @click.argument("second", metavar="B")
-@click.option("--a", "part_a", default="", metavar="TEXT", help="Of a table with several analyses: this one.")
+@click.option("--a", "part_a", default="", metavar="TEXT", help="Which analysis of a table with several.")
 @click.option("--b", "part_b", default="", metavar="TEXT", help="The same for B.")
 @click.option("--relation-a", type=click.Choice(["exact", "paper-13", "paper-10"]), help="For records of A.")
 @click.option("--relation-b", type=click.Choice(["exact", "paper-13", "paper-10"]), help="For records of B.")

@@ -526,7 +526,7 @@ def _scale_factor(one: ScaleFactorCheck, used: float) -> str:
 def _unseen(check: TableCheck) -> str:
     text = (
         "The tilt was found with the same scale factor, and an error of it is absorbed there: scale factor, tilt "
-        "and lock-in rate change together, and beat over table moves by what the earth's rate does not share only."
+        "and lock-in rate change together, so this check cannot test K."
     )
     if check.scale_factors:
         return f"{text} Only what is said above of the scale factor tests it."

@@ -138,7 +138,7 @@ def _lines(found: LockInEvaluation) -> list[str]:
     counted = len(found.waveforms) - int(found.combined.records_rejected)
     at = f" at {len(found.several.groups)} rates" if found.several is not None else ""
     lines = [
-        f"95 % interval {interval_words(found)}, every input counted, from {counted} "
+        f"95 % interval {interval_words(found)}, all uncertainties included, from {counted} "
         f"record{'s' if counted != 1 else ''}{at}; the noise of the records alone: {noise_words(found)}."
     ]
     missed = truth_is_missed(found)  # then it is said as what failed
@@ -192,7 +192,7 @@ def _summary(found: LockInEvaluation) -> Rows:
     """Below the value on the terminal."""
     combined, rows = found.combined, []
     if found.usable:
-        rows.append(("95 % interval", f"{interval_words(found)}, every input counted"))
+        rows.append(("95 % interval", f"{interval_words(found)}, all uncertainties included"))
         rows.append(("noise alone", noise_words(found)))
     fit = None if found.several is None else found.several.by_beat
     if fit is not None and (said := separated_words(fit)):
@@ -214,7 +214,7 @@ def _summary(found: LockInEvaluation) -> Rows:
         rows.append(("noise", f"{with_prefix(float(combined.noise_rms), 'V')} rms; {combined.noise_model}"))
     rows.append(("scale factor", f"{found.method.scale_factor:.10g} pulses/deg"))
     rows.append(("method", found.method_text))
-    rows.append(("records", f"{len(found.names)}, left out {found.records_rejected}"))
+    rows.append(("records", f"{len(found.names)}, rejected {found.records_rejected}"))
     return rows
 
 
@@ -261,7 +261,7 @@ def rates_table(several: SeveralRates) -> TextTable:
                 with_uncertainty(float(one.beat_frequency), float(one.beat_frequency_u)),
                 with_uncertainty(float(one.ratio), float(one.ratio_u)),
                 with_uncertainty(float(one.lock_in_rate), float(one.lock_in_rate_u)),
-                f"{len(group.rows)}, left out {left_out}" if left_out else f"{len(group.rows)}",
+                f"{len(group.rows)}, rejected {left_out}" if left_out else f"{len(group.rows)}",
             )
         )
     return TextTable(_RATES, tuple(rows))
@@ -307,7 +307,7 @@ def _result_rows(found: LockInEvaluation, run: SavedRun, settings: Settings) -> 
         rows.append(("table rate", f"{table_rate:.5f} deg/s"))
     if found.table_check is not None:
         rows.append(("latitude", f"{settings.site.latitude_deg:g}°"))
-    note = "standard (k = 1) in brackets, every input counted; of single records and rates their noise"
+    note = "standard (k = 1) in brackets, all uncertainties included; of single records and rates their noise"
     return [*rows, ("uncertainty", note)]
 
 
@@ -423,7 +423,7 @@ def budget_sentences(budget: Budget) -> list[str]:
     value = with_uncertainty(budget.lock_in_rate, budget.combined_u, "deg/s")
     percent = f" ({100 * budget.coverage_factor * budget.relative_u:.2g} %)" if budget.lock_in_rate > 0 else ""
     said = [
-        f"Lock-in rate {value}, every input counted; U95 = {budget.expanded_u_95:.2g} deg/s{percent} with "
+        f"Lock-in rate {value}, all uncertainties included; U95 = {budget.expanded_u_95:.2g} deg/s{percent} with "
         f"k = {budget.coverage_factor:.2f}."
     ]
     if remedy := remedy_sentence(budget):
@@ -438,7 +438,7 @@ def assumed_sentence(budget: Budget) -> str:
     parts = [f"{line.quantity} ({line.note.removeprefix('not stated: bound of ')})" for line in budget.not_stated]
     if not parts:
         return ""
-    return f"Nobody stated, so it counts with what it may be at worst: {'; '.join(parts)}."
+    return f"Not given, worst case assumed: {'; '.join(parts)}."
 
 
 def doubt_sentence(budget: Budget) -> str:
@@ -446,7 +446,7 @@ def doubt_sentence(budget: Budget) -> str:
     first = budget.inputs[0] if budget.inputs else None
     if first is None or first.stated or first.contribution == 0:
         return ""
-    return f"What rules the uncertainty is not known: {first.quantity}, {first.note}."
+    return f"The largest uncertainty is an assumption: {first.quantity}, {first.note}."
 
 
 def _percent(share: float) -> str:

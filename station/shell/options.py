@@ -65,7 +65,7 @@ class SuggestingGroup(click.Group):
 
 def json_option(function: F) -> F:
     """Add ``--json``."""
-    return click.option("--json", "as_json", is_flag=True, help="One JSON document on stdout, also for an error.")(
+    return click.option("--json", "as_json", is_flag=True, help="Print one JSON document, also for an error.")(
         function
     )
 
@@ -76,7 +76,7 @@ def config_option(function: F) -> F:
         "--config",
         type=click.Path(path_type=Path),
         metavar="FILE",
-        help="Settings file; it need only hold what differs from the default.",
+        help="Settings file; missing values take the defaults.",
     )(function)
 
 
@@ -99,7 +99,7 @@ def transcript_option(function: F) -> F:
         metavar="FILE",
         callback=start,
         expose_value=False,
-        help="Write each message to and from the instruments into this file.",
+        help="Write every message to and from the instruments to this file.",
     )(function)
 
 
@@ -117,14 +117,14 @@ def run_options(function: F) -> F:
             "--resume",
             type=click.Path(path_type=Path),
             metavar="RUN",
-            help="Go on with this run.",
+            help="Resume this run: what is there is kept.",
         ),
-        click.option("--unit", metavar="TEXT", help="Unit under test: stands in report and JSON."),
+        click.option("--unit", metavar="TEXT", help="Serial number of the unit under test."),
         click.option("--operator", metavar="TEXT", help="Who measures."),
-        click.option("--note", metavar="TEXT", help="What should be remembered of this run."),
+        click.option("--note", metavar="TEXT", help="A note to keep with the run."),
         click.option("--seed", type=click.IntRange(min=0), metavar="S", help="Seed of the simulated bench."),
         click.option("--out", type=click.Path(path_type=Path), metavar="DIR", help="Directory of runs [./runs]."),
-        click.option("--jsonl", is_flag=True, help="One line on stdout for each record, when it is on the disk."),
+        click.option("--jsonl", is_flag=True, help="Print one JSON line per saved record."),
         transcript_option,
         config_option,
         json_option,
@@ -287,12 +287,12 @@ def display_options(function: F) -> F:
     options = (
         full_option,
         click.option("--plain", is_flag=True, help="Progress as plain lines, also on a terminal."),
-        click.option("--quiet", is_flag=True, help="No progress: the result and what went wrong only."),
+        click.option("--quiet", is_flag=True, help="Print only the result and errors."),
         click.option(
             "--events",
             "events_to",
             metavar="FILE",
-            help="What happens as lines of JSON: to this file, pipe or open descriptor (a number).",
+            help="Write events as JSON lines to this file, pipe or open descriptor (a number).",
         ),
     )
     for option in reversed(options):

@@ -138,7 +138,7 @@ def test_budget_in_json_rows_and_bars() -> None:
     rows = budget_rows(budget)
     assert len(rows) == len(budget.inputs) + 1
     assert all(len(row) == len(BUDGET_COLUMNS) for row in rows)
-    assert "at worst: bandwidth of the channel" in budget_sentences(budget)[-1]
+    assert "worst case assumed: bandwidth of the channel" in budget_sentences(budget)[-1]
     picture = ElementTree.fromstring(budget_svg(budget))
     texts = "".join(picture.itertext())
     assert "second-order distortion d" in texts

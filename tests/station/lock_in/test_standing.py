@@ -76,7 +76,7 @@ def test_a_bound_that_nobody_stated_as_the_largest_part_is_amber(tmp_path: Path)
     document = one.document()
     assert document["standing"] == "doubtful"
     (reason,) = document["standing_reasons"]
-    assert reason.startswith("What rules the uncertainty is not known: second-order distortion")
+    assert reason.startswith("The largest uncertainty is an assumption: second-order distortion")
     assert reason in render_report(one)
     assert document["budget"]["largest_part"] == "distortion"
     assert "budget.distortion_limit_dbc" in document["budget"]["remedy"]
@@ -145,9 +145,9 @@ def test_noise_is_halved_by_four_times_as_many_records() -> None:
 def test_what_was_assumed_is_named_with_its_bound() -> None:
     unknown = line("bandwidth", 0.04, stated=False, note="not stated: bound of 10 kHz")
     ruled = Budget(1.0, "beat", (unknown, line("noise", 0.03)))
-    assert assumed_sentence(ruled).endswith("at worst: the bandwidth (10 kHz).")
+    assert assumed_sentence(ruled).endswith("worst case assumed: the bandwidth (10 kHz).")
     assert doubt_sentence(ruled) == (
-        "What rules the uncertainty is not known: the bandwidth, not stated: bound of 10 kHz."
+        "The largest uncertainty is an assumption: the bandwidth, not stated: bound of 10 kHz."
     )
     not_ruled = Budget(1.0, "beat", (unknown, line("noise", 0.05)))
     assert assumed_sentence(not_ruled)

@@ -61,43 +61,26 @@ Model = frozenset[str]
 
 @dataclass(frozen=True)
 class NoiseFit:
-    """Coefficients of the noise model, in deg and s.
+    """Coefficients of the noise model, in deg and s."""
 
-    Attributes
-    ----------
-    coefficients, coefficients_u : dict of str to float
-        Of the terms in the model; `TERMS` has their units. 1.96 of the uncertainty are half the 95 % interval.
-    low_95, high_95 : dict of str to float
-        Of every term; of one that is not in the model up to where it may be hidden, from 0.
-    chosen : tuple of str
-        Terms in the model.
-    temperature_slope, temperature_slope_u : float
-        deg/s per unit of the temperature; nan where it was not asked for.
-    words, missing, outliers : int
-    lines_hz : tuple of float
-        Where a line stands in the spectrum that no noise has.
-    bands : tuple of (float, float, float)
-        Where the spectrum is not that of the model: from, to (Hz), and its power over the model's.
-    loudness : float
-        Power of the loudest of some parts of the record over that of all; nan where all are alike.
-    slow_loudness : float
-        The same of the slow noise.
-    """
-
+    # of the terms in the model; `TERMS` has their units. 1.96 of the uncertainty are half the 95 % interval.
     coefficients: dict[str, float]
     coefficients_u: dict[str, float]
-    low_95: dict[str, float]
+    low_95: dict[str, float]  # of every term; of one that is not in the model up to where it may be hidden, from 0
     high_95: dict[str, float]
-    chosen: tuple[str, ...]
+    chosen: tuple[str, ...]  # terms in the model
+    # deg/s per unit of the temperature; nan where it was not asked for; with its uncertainty
     temperature_slope: float
     temperature_slope_u: float
     words: int
     missing: int
     outliers: int
-    lines_hz: tuple[float, ...] = ()
+    lines_hz: tuple[float, ...] = ()  # where a line stands in the spectrum that no noise has
+    # where the spectrum is not that of the model: from, to (Hz), and its power over the model's
     bands: tuple[tuple[float, float, float], ...] = ()
+    # power of the loudest of some parts of the record over that of all; nan where all are alike
     loudness: float = float("nan")
-    slow_loudness: float = float("nan")
+    slow_loudness: float = float("nan")  # the same of the slow noise
 
 
 def fit_noise(words: ArrayLike, interval_s: float, *, temperature: ArrayLike | None = None) -> NoiseFit:
@@ -682,15 +665,9 @@ _CURVE_POINTS = 60
 
 @dataclass(frozen=True)
 class AllanCurve:
-    """Overlapping Allan deviation.
+    """Overlapping Allan deviation."""
 
-    Attributes
-    ----------
-    tau_s, deviation, deviation_u : ndarray, shape (m,)
-        s, and the unit of the words; the uncertainty by the number of independent differences.
-    """
-
-    tau_s: Floats
+    tau_s: Floats  # (m,): s, and the unit of the words; the uncertainty by the number of independent differences
     deviation: Floats
     deviation_u: Floats
 

@@ -21,34 +21,19 @@ _SIGNIFICANT = 1e-3
 
 @dataclass(frozen=True)
 class ScaleFigures:
-    """Line through one run over the range, and how far the points lie from it.
+    """Line through one run over the range, and how far the points lie from it."""
 
-    Attributes
-    ----------
-    fit : SlopeFit
-        Over all rates.
-    scale_factor_positive, scale_factor_negative : float
-        K of the fits to the positive and to the negative rates alone, each with its own intercept; nan with fewer
-        than two rates in that sense.
-    deviation_of_full_scale_ppm : ndarray, shape (n,)
-        (fitted - measured) over the largest output of all points.
-    deviation_of_point_ppm : ndarray, shape (n,)
-        (measured - fitted) over the point's own fitted output without the intercept; nan at rate zero.
-    nonlinearity_ppm : float
-        Largest deviation, of full scale.
-    nonlinearity_of_point_ppm : float
-        Largest deviation, of the point.
-    nonlinearity_u_ppm : float
-        Standard uncertainty of the deviation that is the largest, of full scale; nan if none was given.
-    """
-
-    fit: SlopeFit
+    fit: SlopeFit  # over all rates
+    # K of the fits to the positive and to the negative rates alone, each with its own intercept; nan with fewer
+    # than two rates in that sense
     scale_factor_positive: float
     scale_factor_negative: float
-    deviation_of_full_scale_ppm: Floats
+    deviation_of_full_scale_ppm: Floats  # (n,): (fitted - measured) over the largest output of all points
+    # (n,): (measured - fitted) over the point's own fitted output without the intercept; nan at rate zero
     deviation_of_point_ppm: Floats
-    nonlinearity_ppm: float
-    nonlinearity_of_point_ppm: float
+    nonlinearity_ppm: float  # largest deviation, of full scale
+    nonlinearity_of_point_ppm: float  # largest deviation, of the point
+    # standard uncertainty of the deviation that is the largest, of full scale; nan if none was given
     nonlinearity_u_ppm: float
     asymmetry_ppm: float
     asymmetry_u_ppm: float
@@ -186,29 +171,20 @@ def temperature_coefficient_ppm(
 
 @dataclass(frozen=True)
 class ResidualPattern:
-    """Which shape the deviations from the line have; each part with the probability that noise alone makes it.
+    """Which shape the deviations from the line have; each part with the probability that noise alone makes it."""
 
-    Attributes
-    ----------
-    odd_ppm, even_ppm : float
-        Root mean square of the odd and of the even part of the residuals at paired rates away from zero, ppm of
-        full scale. Odd: cubic, from resets or converter. Even: asymmetry.
-    near_zero_ppm : float
-        Largest deviation of the points near zero from a smooth curve through the others, ppm of the point itself:
-        dead zone, lock-in.
-    odd_p, even_p, near_zero_p : float
-        nan where there are too few points to tell.
-    names : tuple of str
-        What is significant (p below 0.001), of "odd", "even", "near zero". "scatter" where the outputs lie off by
-        more than their noise, but neither a curve explains it nor one of the two parts stands out.
-    """
-
+    # root mean square of the odd and of the even part of the residuals at paired rates away from zero, ppm of full
+    # scale. Odd: cubic, from resets or converter. Even: asymmetry.
     odd_ppm: float
     even_ppm: float
+    # largest deviation of the points near zero from a smooth curve through the others, ppm of the point itself:
+    # dead zone, lock-in
     near_zero_ppm: float
-    odd_p: float
+    odd_p: float  # nan where there are too few points to tell
     even_p: float
     near_zero_p: float
+    # what is significant (p below 0.001), of "odd", "even", "near zero". "scatter" where the outputs lie off by
+    # more than their noise, but neither a curve explains it nor one of the two parts stands out.
     names: tuple[str, ...]
 
 

@@ -21,24 +21,13 @@ _MOST_FRACTION = 256
 
 @dataclass(frozen=True)
 class FixedPoint:
-    """Words of one width for several numbers.
+    """Words of one width for several numbers."""
 
-    Attributes
-    ----------
-    width, fraction : int
-        Bits of a word, and how many of them are behind the point.
-    words : tuple of int
-    values : ndarray, shape (n,)
-        What the words stand for: words 2^-fraction.
-    error, error_ppm : ndarray, shape (n,)
-        Rounded less exact number, in its unit and of the number itself; nan of zero.
-    """
-
-    width: int
+    width: int  # bits of a word, and how many of them are behind the point
     fraction: int
     words: tuple[int, ...]
-    values: Floats
-    error: Floats
+    values: Floats  # (n,): what the words stand for: words 2^-fraction
+    error: Floats  # (n,): rounded less exact number, in its unit and of the number itself; nan of zero
     error_ppm: Floats
 
     @property

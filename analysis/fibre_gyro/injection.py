@@ -25,23 +25,13 @@ _PPM = 1e6
 
 @dataclass(frozen=True)
 class InjectionPlan:
-    """Which step stands for which rate.
+    """Which step stands for which rate."""
 
-    Attributes
-    ----------
-    rate_dps : ndarray, shape (n,)
-    number : ndarray, shape (n,)
-        Step of the staircase each transit time, in counts of the output (codes times the output gain).
-    number_u : ndarray, shape (n,)
-        Standard uncertainty: how well the number stands for the rate.
-    multiples : ndarray, shape (n, k)
-        How often each difference is in each number; shape (n, 0) for numbers by scaling.
-    """
-
-    rate_dps: Floats
+    rate_dps: Floats  # (n,)
+    # (n,): step of the staircase each transit time, in counts of the output (codes times the output gain)
     number: Floats
-    number_u: Floats
-    multiples: Floats
+    number_u: Floats  # (n,): standard uncertainty: how well the number stands for the rate
+    multiples: Floats  # (n, k): how often each difference is in each number; shape (n, 0) for numbers by scaling
 
 
 def superposed_numbers(rates_dps: ArrayLike, differences: RateDifferences) -> InjectionPlan:
@@ -108,23 +98,13 @@ def steps_beyond_dac(codes: ArrayLike, dac_bits: int) -> Bools:
 
 @dataclass(frozen=True)
 class NetOutputs:
-    """Outputs with injection, less the static output.
+    """Outputs with injection, less the static output."""
 
-    Attributes
-    ----------
-    output, output_u : ndarray, shape (n,)
-        N_j = N_j0 - N_0, counts; the uncertainty is that of N_j0 alone, N_0 is common to all.
-    static, static_u : float
-        N_0: mean of the static outputs before and after.
-    drift, drift_u : float
-        Static output after less that before.
-    """
-
-    output: Floats
+    output: Floats  # (n,): N_j = N_j0 - N_0, counts; the uncertainty is that of N_j0 alone, N_0 is common to all
     output_u: Floats
-    static: float
+    static: float  # N_0: mean of the static outputs before and after; with its uncertainty
     static_u: float
-    drift: float
+    drift: float  # static output after less that before; with its uncertainty
     drift_u: float
 
 
@@ -139,26 +119,14 @@ def net_outputs(
 
 @dataclass(frozen=True)
 class SlopeFit:
-    """Straight line through outputs against rates.
+    """Straight line through outputs against rates."""
 
-    Attributes
-    ----------
-    slope, slope_u : float
-        K, counts per deg/s.
-    intercept, intercept_u : float
-        F_0, counts: the line at rate zero. Not the static mean.
-    residual : ndarray, shape (n,)
-        Output less line, counts.
-    chi_square : float
-        With the given uncertainties; nan without them.
-    """
-
-    slope: float
+    slope: float  # K, counts per deg/s; with its uncertainty
     slope_u: float
-    intercept: float
+    intercept: float  # F_0, counts: the line at rate zero. Not the static mean.; with its uncertainty
     intercept_u: float
-    residual: Floats
-    chi_square: float
+    residual: Floats  # (n,): output less line, counts
+    chi_square: float  # with the given uncertainties; nan without them
     degrees_of_freedom: int
 
 
@@ -194,18 +162,11 @@ def fit_slope(rates_dps: ArrayLike, outputs: ArrayLike, outputs_u: ArrayLike | N
 
 @dataclass(frozen=True)
 class ScaleComparison:
-    """Self-calibration against the rate table.
+    """Self-calibration against the rate table."""
 
-    Attributes
-    ----------
-    difference_ppm, difference_u_ppm : float
-        K_self/K_table - 1.
-    against_numbers_ppm, against_numbers_u_ppm : float
-        K_self over the slope of the injected numbers themselves, less 1: what the method really tests.
-    """
-
-    difference_ppm: float
+    difference_ppm: float  # K_self/K_table - 1
     difference_u_ppm: float
+    # K_self over the slope of the injected numbers themselves, less 1: what the method really tests
     against_numbers_ppm: float
     against_numbers_u_ppm: float
 
@@ -310,33 +271,18 @@ _SIGNIFICANT = 3.0
 
 @dataclass(frozen=True)
 class StaticLevel:
-    """Static output at the time of each point.
+    """Static output at the time of each point."""
 
-    Attributes
-    ----------
-    level, level_u : ndarray, shape (n,)
-        Counts.
-    mean, mean_u : float
-        Of the static outputs before and after.
-    drift, drift_u : float
-        Last static output less the first, counts; nan with one alone.
-    modelled : bool
-        Whether the level follows the static outputs in time.
-    unseen_slope_u : float
-        Standard uncertainty of a drift that is not modelled, counts per unit of the times; 0 where it is.
-    weights : ndarray, shape (n, m)
-        Factors of the static outputs in the level of each point.
-    """
-
-    level: Floats
+    level: Floats  # (n,): counts; with its uncertainty
     level_u: Floats
-    mean: float
+    mean: float  # of the static outputs before and after; with its uncertainty
     mean_u: float
-    drift: float
+    drift: float  # last static output less the first, counts; nan with one alone; with its uncertainty
     drift_u: float
-    modelled: bool
+    modelled: bool  # whether the level follows the static outputs in time
+    # standard uncertainty of a drift that is not modelled, counts per unit of the times; 0 where it is
     unseen_slope_u: float
-    weights: Floats
+    weights: Floats  # (n, m): factors of the static outputs in the level of each point
 
 
 def static_level(times: ArrayLike, static_times: ArrayLike, static: ArrayLike, static_u: ArrayLike) -> StaticLevel:

@@ -30,14 +30,9 @@ _RIGHT_ANGLE_MRAD = 500.0 * np.pi
 
 @dataclass(frozen=True)
 class InputAxisTilt:
-    """Angle between input axis and table axis.
+    """Angle between input axis and table axis."""
 
-    Attributes
-    ----------
-    tilt_mrad, low_95_mrad, high_95_mrad : float
-        0 where the sine does not stand out of its noise; the interval says up to where it may be hidden there.
-    """
-
+    # 0 where the sine does not stand out of its noise; the interval says up to where it may be hidden there
     tilt_mrad: float
     low_95_mrad: float
     high_95_mrad: float
@@ -65,31 +60,20 @@ def input_axis_tilt(
 
 @dataclass(frozen=True)
 class ThreeAxes:
-    """Scale factors and directions of gyros that were recorded at once.
+    """Scale factors and directions of gyros that were recorded at once."""
 
-    Attributes
-    ----------
-    gyros, turned : tuple of str
-        Gyros, and body axes that were brought to the table's axis.
-    matrix, matrix_u : ndarray, shape (gyros, turned)
-        S, counts per deg/s.
-    bias, bias_u : ndarray, shape (gyros,)
-        Counts.
-    scale_factor, scale_factor_u : ndarray, shape (gyros,)
-        Length of each row: along the input axis. nan unless all three axes were turned.
-    misalignment_mrad, misalignment_u_mrad : ndarray, shape (gyros, turned)
-        Direction of each input axis towards the other body axes: S_ib over S_ii; 0 towards its own. nan for a gyro
-        whose own axis was not turned.
-    """
-
-    gyros: tuple[str, ...]
+    gyros: tuple[str, ...]  # gyros, and body axes that were brought to the table's axis
     turned: tuple[str, ...]
-    matrix: Floats
+    matrix: Floats  # (gyros, turned): S, counts per deg/s; with its uncertainty
     matrix_u: Floats
-    bias: Floats
+    bias: Floats  # (gyros,): counts; with its uncertainty
     bias_u: Floats
+    # (gyros,): length of each row: along the input axis. nan unless all three axes were turned.; with its
+    # uncertainty
     scale_factor: Floats
     scale_factor_u: Floats
+    # (gyros, turned): direction of each input axis towards the other body axes: S_ib over S_ii; 0 towards its own.
+    # nan for a gyro whose own axis was not turned.
     misalignment_mrad: Floats
     misalignment_u_mrad: Floats
 

@@ -31,35 +31,23 @@ LADDER_TERMS = ("asymmetry", "quadratic", "linear", "quartic")
 
 @dataclass(frozen=True)
 class Linearity:
-    """What a ladder of rates says of the scale factor; ppm of the scale factor or of full scale.
+    """What a ladder of rates says of the scale factor; ppm of the scale factor or of full scale."""
 
-    Attributes
-    ----------
-    chosen : tuple of str
-        Terms of the polynomial that the data ask for.
-    value, value_u : dict of str to float
-        Of each term that the ladder can bear: of one that was chosen in the polynomial, of another beside it. ppm
-        of the scale factor at the largest rate.
-    rms_ppm, rms_low_95_ppm, rms_high_95_ppm : float
-        Nonlinearity freed of noise: root mean square of the deviations from the line, ppm of the largest output.
-    largest_ppm, largest_low_95_ppm, largest_high_95_ppm : float
-        The largest deviation of the polynomial, and between which values that of the true curve is.
-    rate_dps : ndarray, shape (m,)
-        Signed rates along the axis.
-    error_ppm, error_u_ppm : ndarray, shape (m,)
-        Scale-factor error of the polynomial at each rate, against its line; 0 where no term was chosen.
-    """
-
-    chosen: tuple[str, ...]
+    chosen: tuple[str, ...]  # terms of the polynomial that the data ask for
+    # of each term that the ladder can bear: of one that was chosen in the polynomial, of another beside it. ppm of
+    # the scale factor at the largest rate.; with its uncertainty
     value: dict[str, float]
     value_u: dict[str, float]
+    # nonlinearity freed of noise: root mean square of the deviations from the line, ppm of the largest output
     rms_ppm: float
     rms_low_95_ppm: float
     rms_high_95_ppm: float
+    # the largest deviation of the polynomial, and between which values that of the true curve is
     largest_ppm: float
     largest_low_95_ppm: float
     largest_high_95_ppm: float
-    rate_dps: Floats
+    rate_dps: Floats  # (m,): signed rates along the axis
+    # (m,): scale-factor error of the polynomial at each rate, against its line; 0 where no term was chosen
     error_ppm: Floats
     error_u_ppm: Floats
 

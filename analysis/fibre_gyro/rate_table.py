@@ -18,61 +18,35 @@ _PPM = 1e6
 
 @dataclass(frozen=True)
 class AxisFit:
-    """Scale factor of one axis.
+    """Scale factor of one axis."""
 
-    Attributes
-    ----------
-    scale_factor, scale_factor_u : float
-        K, counts per deg/s.
-    contributions : mapping of str to float
-        What each cause contributes to the uncertainty of K, counts per deg/s: "noise" within the runs, "slow
-        noise" by the noise model, "stated" irreproducibility, "scatter" beyond all of them, "table rate".
-    factors : ndarray, shape (n,)
-        Of the mean of each run in K, deg/s.
-    covariance : ndarray, shape (n, n)
-        Of the means, by noise and scatter, counts^2.
-    even, even_u : float
-        Even part, counts: K w_v + B with the axis up, B - K w_v with the axis down.
-    even_dph : tuple of float
-        The same as a rate, deg/h, and its standard uncertainty: vertical earth rate and bias together.
-    earth_rate_dph, bias_dph : tuple of float
-        Vertical earth rate and bias each by itself, with uncertainty; nan unless both ends were up in turn.
-    drift_dph_per_h : tuple of float
-        Drift of the bias that was taken out, and its uncertainty; nan where the runs are too few to show one.
-    drift_in_scale_factor : float
-        What the drift would have added to K, counts per deg/s.
-    end_up : int
-        Which end of the axis was up in all runs, 1 or -1; 0 if both were.
-    residual_ppm : ndarray, shape (n,)
-        Of every run, ppm of its own output.
-    chi_square : float
-        Of the residuals, with the uncertainties that were the weights.
-    scatter_ppm : float
-        Irreproducibility from run to run that the residuals show beyond noise, ppm; 0 where noise explains them.
-    scatter_assumed : bool
-        Whether the runs cannot show their irreproducibility and nobody states it: a bound is counted.
-    angle_random_walk : float
-        deg/sqrt(h), from the uncertainties of the means: the white noise that would explain them.
-    """
-
-    scale_factor: float
+    scale_factor: float  # K, counts per deg/s; with its uncertainty
     scale_factor_u: float
+    # what each cause contributes to the uncertainty of K, counts per deg/s: "noise" within the runs, "slow noise"
+    # by the noise model, "stated" irreproducibility, "scatter" beyond all of them, "table rate"
     contributions: Mapping[str, float]
-    factors: Floats
-    covariance: Floats
+    factors: Floats  # (n,): of the mean of each run in K, deg/s
+    covariance: Floats  # (n, n): of the means, by noise and scatter, counts^2
+    # even part, counts: K w_v + B with the axis up, B - K w_v with the axis down; with its uncertainty
     even: float
     even_u: float
+    # the same as a rate, deg/h, and its standard uncertainty: vertical earth rate and bias together
     even_dph: tuple[float, float]
+    # vertical earth rate and bias each by itself, with uncertainty; nan unless both ends were up in turn
     earth_rate_dph: tuple[float, float]
     bias_dph: tuple[float, float]
+    # drift of the bias that was taken out, and its uncertainty; nan where the runs are too few to show one
     drift_dph_per_h: tuple[float, float]
-    drift_in_scale_factor: float
-    end_up: int
-    residual_ppm: Floats
-    chi_square: float
+    drift_in_scale_factor: float  # what the drift would have added to K, counts per deg/s
+    end_up: int  # which end of the axis was up in all runs, 1 or -1; 0 if both were
+    residual_ppm: Floats  # (n,): of every run, ppm of its own output
+    chi_square: float  # of the residuals, with the uncertainties that were the weights
     degrees_of_freedom: int
+    # irreproducibility from run to run that the residuals show beyond noise, ppm; 0 where noise explains them
     scatter_ppm: float
+    # whether the runs cannot show their irreproducibility and nobody states it: a bound is counted
     scatter_assumed: bool
+    # deg/sqrt(h), from the uncertainties of the means: the white noise that would explain them
     angle_random_walk: float
 
 
@@ -195,26 +169,16 @@ def horizontal_earth_rate_dps(latitude_deg: float) -> float:
 
 @dataclass(frozen=True)
 class OddEven:
-    """Odd and even parts at each rate, in rising order of the rate.
+    """Odd and even parts at each rate, in rising order of the rate."""
 
-    Attributes
-    ----------
-    rate_dps : ndarray, shape (m,)
-        Mean size of the table's rate in both senses.
-    odd, odd_u : ndarray, shape (m,)
-        Half the difference of the senses, K Omega: free of bias and of the vertical earth rate. Counts.
-    even, even_u : ndarray, shape (m,)
-        Half their sum, K w_v + B. Counts.
-    duration_s : ndarray, shape (m,)
-        Mean window of the two senses.
-    """
-
-    rate_dps: Floats
+    rate_dps: Floats  # (m,): mean size of the table's rate in both senses
+    # (m,): half the difference of the senses, K Omega: free of bias and of the vertical earth rate. Counts.; with
+    # its uncertainty
     odd: Floats
     odd_u: Floats
-    even: Floats
+    even: Floats  # (m,): half their sum, K w_v + B. Counts.; with its uncertainty
     even_u: Floats
-    duration_s: Floats
+    duration_s: Floats  # (m,): mean window of the two senses
 
 
 def odd_even_parts(runs: TableRuns, *, end_up: int = 1) -> OddEven:
@@ -250,30 +214,17 @@ def _average(runs: TableRuns, nominal: float) -> tuple[float, float, float, floa
 
 @dataclass(frozen=True)
 class RateDifferences:
-    """Output of one axis for small rates, as differences of two large ones.
+    """Output of one axis for small rates, as differences of two large ones."""
 
-    Attributes
-    ----------
-    delta_dps : ndarray, shape (k,)
-    number : ndarray, shape (k,)
-        N(delta) = D(base + delta) - D(base), counts.
-    noise_u : ndarray, shape (k,)
-        Standard uncertainty from the scatter of the runs.
-    irreproducibility_u : ndarray, shape (k,)
-        From the irreproducibility of scale factor and table rate: about s base/delta of the number.
-    base_dps, base_u : float
-        The rate that is subtracted, and the uncertainty of its odd part from noise (it is in every number).
-    factors : ndarray, shape (k, n), or None
-        Of the mean of each run in each number, where the runs are known.
-    """
-
-    delta_dps: Floats
-    number: Floats
-    noise_u: Floats
+    delta_dps: Floats  # (k,)
+    number: Floats  # (k,): N(delta) = D(base + delta) - D(base), counts
+    noise_u: Floats  # (k,): standard uncertainty from the scatter of the runs
+    # (k,): from the irreproducibility of scale factor and table rate: about s base/delta of the number
     irreproducibility_u: Floats
+    # the rate that is subtracted, and the uncertainty of its odd part from noise (it is in every number)
     base_dps: float
     base_u: float
-    factors: Floats | None = None
+    factors: Floats | None = None  # (k, n): of the mean of each run in each number, where the runs are known
 
     @property
     def number_u(self) -> Floats:
@@ -383,33 +334,16 @@ _HOUR = 3600.0
 
 @dataclass(frozen=True)
 class TableRuns:
-    """Means over whole turns of one axis, one element a run.
+    """Means over whole turns of one axis, one element a run."""
 
-    Attributes
-    ----------
-    nominal_dps : ndarray, shape (n,)
-        Rate that was asked for, signed. Runs are paired by it.
-    rate_dps : ndarray, shape (n,)
-        Rate that the table had, signed.
-    mean, mean_u : ndarray, shape (n,)
-        Counts; the uncertainty is that of the noise within the run.
-    duration_s : ndarray, shape (n,)
-    end_up : ndarray of int, shape (n,)
-        +1 where the axis points up, -1 where it points down.
-    at_s : ndarray, shape (n,)
-        Middle of the window; nan where nobody knows it.
-    slow : ndarray, shape (n, n), or None
-        Generalised covariance of the slow noise by a noise model, counts^2.
-    """
-
-    nominal_dps: Floats
-    rate_dps: Floats
-    mean: Floats
+    nominal_dps: Floats  # (n,): rate that was asked for, signed. Runs are paired by it.
+    rate_dps: Floats  # (n,): rate that the table had, signed
+    mean: Floats  # (n,): counts; the uncertainty is that of the noise within the run
     mean_u: Floats
-    duration_s: Floats
-    end_up: Ints
-    at_s: Floats
-    slow: Floats | None = None
+    duration_s: Floats  # (n,)
+    end_up: Ints  # (n,): +1 where the axis points up, -1 where it points down
+    at_s: Floats  # (n,): middle of the window; nan where nobody knows it
+    slow: Floats | None = None  # (n, n): generalised covariance of the slow noise by a noise model, counts^2
 
     def chosen(self, kept: ArrayLike) -> TableRuns:
         """Some of the runs; `kept` is a mask, shape (n,)."""

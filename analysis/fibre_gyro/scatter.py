@@ -52,27 +52,15 @@ def few_values_factor(freedom: int) -> float:
 
 @dataclass(frozen=True)
 class RunScatter:
-    """Variances that the runs may have.
+    """Variances that the runs may have."""
 
-    Attributes
-    ----------
-    variance : ndarray, shape (h, n)
-        Of each run under each hypothesis, counts^2.
-    weight : ndarray, shape (h,)
-        Probability of each hypothesis.
-    assumed : bool
-        Whether the runs cannot show their scatter and nobody states it.
-    noise, stated : ndarray, shape (n,)
-        Parts of the variance that are known: noise within each run, and stated irreproducibility.
-    slow : ndarray, shape (n, n)
-        Covariance of slow noise by a noise model, about its mean over all runs; zeros without one.
-    """
-
-    variance: Floats
-    weight: Floats
-    assumed: bool
+    variance: Floats  # (h, n): of each run under each hypothesis, counts^2
+    weight: Floats  # (h,): probability of each hypothesis
+    assumed: bool  # whether the runs cannot show their scatter and nobody states it
+    # (n,): parts of the variance that are known: noise within each run, and stated irreproducibility
     noise: Floats
     stated: Floats
+    # (n, n): covariance of slow noise by a noise model, about its mean over all runs; zeros without one
     slow: Floats
 
     def mean_covariance(self) -> Floats:

@@ -45,51 +45,28 @@ _SENTENCES = {
 
 @dataclass(frozen=True, eq=False)
 class StaircaseWitness:
-    """What a record of the modulator staircase says; in V and s, `_u` are standard uncertainties (k = 1).
+    """What a record of the modulator staircase says; in V and s, `_u` are standard uncertainties (k = 1)."""
 
-    Attributes
-    ----------
-    step_height, step_height_u : float
-        Change from level to level, bias taken off; negative for a falling staircase.
-    reset_height, reset_height_u : float
-        The fall that is seen at a reset, positive; nan without one.
-    two_pi_voltage, two_pi_voltage_u : float
-        Fall and step together: what all codes of the converter span.
-    bias_height, bias_height_u : float
-        Of the square wave on top; 0 if there is none.
-    steps, resets : int
-        That the record holds.
-    noise_rms : float
-        Of one sample about its level.
-    level_spacing : float
-        Of the converter where rounding is not white, else 0.
-    settling_samples : int
-        After each edge that were not used.
-    times, levels, model : (K,)
-        Middle of each level from the first sample on, its height as read, and as fitted.
-    flags : tuple of str
-        `describe_witness_flag` says what they mean.
-    """
-
+    # change from level to level, bias taken off; negative for a falling staircase; with its uncertainty
     step_height: float
     step_height_u: float
     step_time: float
     step_time_u: float
-    reset_height: float
+    reset_height: float  # the fall that is seen at a reset, positive; nan without one; with its uncertainty
     reset_height_u: float
-    two_pi_voltage: float
+    two_pi_voltage: float  # fall and step together: what all codes of the converter span; with its uncertainty
     two_pi_voltage_u: float
-    bias_height: float
+    bias_height: float  # of the square wave on top; 0 if there is none; with its uncertainty
     bias_height_u: float
-    steps: int
+    steps: int  # that the record holds
     resets: int
-    noise_rms: float
-    level_spacing: float
-    settling_samples: int
-    times: Floats
+    noise_rms: float  # of one sample about its level
+    level_spacing: float  # of the converter where rounding is not white, else 0
+    settling_samples: int  # after each edge that were not used
+    times: Floats  # middle of each level from the first sample on, its height as read, and as fitted
     levels: Floats
     model: Floats
-    flags: tuple[str, ...]
+    flags: tuple[str, ...]  # `describe_witness_flag` says what they mean
 
 
 def describe_witness_flag(name: str) -> str:

@@ -81,47 +81,26 @@ class Mixture:
 
 @dataclass(frozen=True)
 class OverTemperature:
-    """Fitted model.
-
-    Attributes
-    ----------
-    order : int
-    with_rate : bool
-        Whether dT/dt is in it.
-    rate_known : bool
-        Whether the data can tell dT/dt from a polynomial in T.
-    reference : float
-        T_0, deg C.
-    coefficients, coefficients_u : ndarray, shape (order + 1,)
-        c_0, c_1, ...; unit of the values per kelvin to the power.
-    rate_coefficient, rate_coefficient_u : float
-        d, unit of the values per unit of dT/dt; 0 where it was not chosen, with what may be hidden.
-    lowest, highest : float
-        Measured range, deg C.
-    candidates : tuple of Candidate
-        All that were tried, the chosen one first.
-    residual : ndarray, shape (n,)
-    noise_u, slow : float
-        Mean noise of a value, and standard deviation of the slow noise (mean over what is likely).
-    slow_kind : str
-        The likeliest of `SLOW_NOISES`.
-    """
+    """Fitted model."""
 
     order: int
-    with_rate: bool
-    rate_known: bool
-    reference: float
+    with_rate: bool  # whether dT/dt is in it
+    rate_known: bool  # whether the data can tell dT/dt from a polynomial in T
+    reference: float  # T_0, deg C
+    # (order + 1,): c_0, c_1, ...; unit of the values per kelvin to the power; with its uncertainty
     coefficients: Floats
     coefficients_u: Floats
+    # d, unit of the values per unit of dT/dt; 0 where it was not chosen, with what may be hidden; with its
+    # uncertainty
     rate_coefficient: float
     rate_coefficient_u: float
-    lowest: float
+    lowest: float  # measured range, deg C
     highest: float
-    candidates: tuple[Candidate, ...]
-    residual: Floats
-    noise_u: float
+    candidates: tuple[Candidate, ...]  # all that were tried, the chosen one first
+    residual: Floats  # (n,)
+    noise_u: float  # mean noise of a value, and standard deviation of the slow noise (mean over what is likely)
     slow: float
-    slow_kind: str
+    slow_kind: str  # the likeliest of `SLOW_NOISES`
     legendre: Floats
     likely: Mixture
 

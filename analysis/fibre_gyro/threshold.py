@@ -37,19 +37,11 @@ _DRAWS = 300
 
 @dataclass(frozen=True)
 class Ladder:
-    """Sizes of the input, and how long each is recorded.
+    """Sizes of the input, and how long each is recorded."""
 
-    Attributes
-    ----------
-    rate_dps, seconds : ndarray, shape (n,)
-        Rising.
-    too_noisy : tuple of (float, float)
-        Sizes that are left out, and the seconds that each would take.
-    """
-
-    rate_dps: Floats
+    rate_dps: Floats  # (n,): rising
     seconds: Floats
-    too_noisy: tuple[tuple[float, float], ...]
+    too_noisy: tuple[tuple[float, float], ...]  # sizes that are left out, and the seconds that each would take
 
 
 def plan_ladder(
@@ -99,22 +91,13 @@ def _rounded(rate: float) -> float:
 
 @dataclass(frozen=True)
 class Responses:
-    """What the output makes of each input.
+    """What the output makes of each input."""
 
-    Attributes
-    ----------
-    input_dps : ndarray, shape (n,)
-        Change of the input against the reference, signed.
-    ratio, ratio_u : ndarray, shape (n,)
-        r, and its standard uncertainty.
-    wander : float
-        Standard deviation by which the output without input walks from one reference to the next, beyond its
-        noise; in the unit of the output.
-    """
-
-    input_dps: Floats
-    ratio: Floats
+    input_dps: Floats  # (n,): change of the input against the reference, signed
+    ratio: Floats  # (n,): r, and its standard uncertainty
     ratio_u: Floats
+    # standard deviation by which the output without input walks from one reference to the next, beyond its noise;
+    # in the unit of the output
     wander: float
 
 
@@ -170,22 +153,12 @@ def _wander(references: References) -> float:
 
 @dataclass(frozen=True)
 class Edge:
-    """Where the output begins.
+    """Where the output begins."""
 
-    Attributes
-    ----------
-    value : float
-        Median, deg/s; nan where only a bound is known.
-    low_95, high_95 : float
-        deg/s; 0 and a bound where the smallest rung passes already, infinite where the largest fails.
-    undecided_dps : tuple of float
-        Inputs whose r lies so near the limit that its 95 % interval holds it.
-    """
-
-    value: float
-    low_95: float
+    value: float  # median, deg/s; nan where only a bound is known
+    low_95: float  # deg/s; 0 and a bound where the smallest rung passes already, infinite where the largest fails
     high_95: float
-    undecided_dps: tuple[float, ...]
+    undecided_dps: tuple[float, ...]  # inputs whose r lies so near the limit that its 95 % interval holds it
 
     @property
     def seen(self) -> bool:
@@ -195,26 +168,15 @@ class Edge:
 
 @dataclass(frozen=True)
 class SmallRates:
-    """Threshold and dead zone, or the resolution as threshold of changes.
+    """Threshold and dead zone, or the resolution as threshold of changes."""
 
-    Attributes
-    ----------
-    senses : tuple of int
-        Those that were measured, 1 and -1.
-    threshold : Edge
-        Of the sense with the larger one.
-    rising, falling : Edge
-        Edges of the dead zone: of positive and of negative inputs, as sizes. Of a sense that was not measured
-        nothing is known.
-    width : Edge
-        Of the dead zone, both edges together.
-    """
-
-    senses: tuple[int, ...]
-    threshold: Edge
+    senses: tuple[int, ...]  # those that were measured, 1 and -1
+    threshold: Edge  # of the sense with the larger one
+    # edges of the dead zone: of positive and of negative inputs, as sizes. Of a sense that was not measured
+    # nothing is known.
     rising: Edge
     falling: Edge
-    width: Edge
+    width: Edge  # of the dead zone, both edges together
 
 
 def small_rates(found: Responses) -> SmallRates:

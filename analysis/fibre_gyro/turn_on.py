@@ -30,45 +30,23 @@ _SEED = 20_160_952
 
 @dataclass(frozen=True)
 class TurnOn:
-    """Transient after switching on.
+    """Transient after switching on."""
 
-    Attributes
-    ----------
-    exponentials : int
-        In the likeliest model.
-    final, final_u : float
-        B_end, unit of the values.
-    transient, transient_u, transient_low_95, transient_high_95 : float
-        B(0) - B_end.
-    time_constants_s : tuple of float
-        Of the likeliest model.
-    bound : float
-        That the warm-up time is for; unit of the values.
-    warm_up_s, warm_up_low_95_s, warm_up_high_95_s : float
-        0: within the bound from the begin on. Infinite: the record does not show its end.
-    ends : bool
-        Whether the transient ends within the record, for all that it shows.
-    noise_u : float
-        Of one value.
-    at_s, values, curve : ndarray, shape (n,)
-        What was fitted, and the likeliest model, which ends at `curve_end`.
-    """
-
-    exponentials: int
-    final: float
+    exponentials: int  # in the likeliest model
+    final: float  # B_end, unit of the values; with its uncertainty
     final_u: float
-    transient: float
+    transient: float  # B(0) - B_end
     transient_u: float
     transient_low_95: float
     transient_high_95: float
-    time_constants_s: tuple[float, ...]
-    bound: float
-    warm_up_s: float
+    time_constants_s: tuple[float, ...]  # of the likeliest model
+    bound: float  # that the warm-up time is for; unit of the values
+    warm_up_s: float  # 0: within the bound from the begin on. Infinite: the record does not show its end.
     warm_up_low_95_s: float
     warm_up_high_95_s: float
-    ends: bool
-    noise_u: float
-    at_s: Floats
+    ends: bool  # whether the transient ends within the record, for all that it shows
+    noise_u: float  # of one value
+    at_s: Floats  # (n,): what was fitted, and the likeliest model, which ends at `curve_end`
     values: Floats
     curve: Floats
     curve_end: float
@@ -262,23 +240,12 @@ def _last_outside(amplitudes: Floats, taus: Floats, bound: float, longest: float
 
 @dataclass(frozen=True)
 class Repeatability:
-    """Standard deviation from one switching on to the next.
+    """Standard deviation from one switching on to the next."""
 
-    Attributes
-    ----------
-    value : float
-        Standard deviation of the values as they are, Q - 1 in the denominator.
-    low_95, high_95 : float
-        Interval of what is left of it without the noise of each value; 0 where that alone may be all.
-    noise_u : float
-        Mean noise of a value.
-    count : int
-    """
-
-    value: float
-    low_95: float
+    value: float  # standard deviation of the values as they are, Q - 1 in the denominator
+    low_95: float  # interval of what is left of it without the noise of each value; 0 where that alone may be all
     high_95: float
-    noise_u: float
+    noise_u: float  # mean noise of a value
     count: int
 
 

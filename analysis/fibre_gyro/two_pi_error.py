@@ -28,30 +28,17 @@ _CONVERGED = 1e-9  # of the standard uncertainty
 
 @dataclass(frozen=True)
 class TwoPiError:
-    """Result of the fit.
+    """Result of the fit."""
 
-    Attributes
-    ----------
-    two_pi_error, two_pi_error_u : float
-        eps: the converter's range spans 2 pi (1 + eps).
-    amplitude, amplitude_u : float
-        A, in the unit of the errors.
-    rest_phase_rad, rest_phase_u_rad : float
-        phi_0: rotation, and the feedback step that was held.
-    degrees_of_freedom : int
-        Two errors a segment less the three parameters.
-    contributions : mapping of str to float
-        To the uncertainty of eps: "normal" and "reset" noise of either kind of pairs, "scatter" beyond both.
-    """
-
-    two_pi_error: float
+    two_pi_error: float  # eps: the converter's range spans 2 pi (1 + eps); with its uncertainty
     two_pi_error_u: float
-    amplitude: float
+    amplitude: float  # A, in the unit of the errors; with its uncertainty
     amplitude_u: float
-    rest_phase_rad: float
+    rest_phase_rad: float  # phi_0: rotation, and the feedback step that was held
     rest_phase_u_rad: float
     chi_square: float
-    degrees_of_freedom: int
+    degrees_of_freedom: int  # two errors a segment less the three parameters
+    # to the uncertainty of eps: "normal" and "reset" noise of either kind of pairs, "scatter" beyond both
     contributions: Mapping[str, float]
 
 

@@ -25,45 +25,22 @@ _MOST_MISSING = 0.2  # of the words of a window
 
 @dataclass(frozen=True)
 class WindowMean:
-    """Sum and mean of the output words of one window.
+    """Sum and mean of the output words of one window."""
 
-    Attributes
-    ----------
-    total, mean : float
-        Counts; where words are missing the sum is that of all, with the missing ones as fitted.
-    mean_u : float
-        Standard uncertainty of the mean, counts, from the scatter of the block means.
-    samples : int
-        Whole samples that the window spans; it may hold a part of one more.
-    turns : int
-        Whole turns in the window; 0 for a window that is no whole turns.
-    missing, outliers : int
-        Words that are not there, and words that were left out since they lie far off all others.
-    freedom : int
-        Degrees of freedom of the uncertainty.
-    worst : float
-        Largest distance of an outlier from the mean, counts.
-    sine : complex
-        Once-per-turn part c: the output holds Re[c exp(i angle)], angle the turn since the begin of the window.
-    sine_u : float
-        Standard uncertainty of each of its two parts; nan without whole turns.
-    sine_freedom : int
-        Degrees of freedom of that uncertainty.
-    """
-
-    total: float
+    total: float  # counts; where words are missing the sum is that of all, with the missing ones as fitted
     mean: float
-    mean_u: float
-    samples: int
+    mean_u: float  # standard uncertainty of the mean, counts, from the scatter of the block means
+    samples: int  # whole samples that the window spans; it may hold a part of one more
     duration_s: float
-    turns: int
-    missing: int = 0
+    turns: int  # whole turns in the window; 0 for a window that is no whole turns
+    missing: int = 0  # words that are not there, and words that were left out since they lie far off all others
     outliers: int = 0
-    freedom: int = 0
-    worst: float = 0.0
+    freedom: int = 0  # degrees of freedom of the uncertainty
+    worst: float = 0.0  # largest distance of an outlier from the mean, counts
+    # once-per-turn part c: the output holds Re[c exp(i angle)], angle the turn since the begin of the window
     sine: complex = 0j
-    sine_u: float = float("nan")
-    sine_freedom: int = 0
+    sine_u: float = float("nan")  # standard uncertainty of each of its two parts; nan without whole turns
+    sine_freedom: int = 0  # degrees of freedom of that uncertainty
 
 
 def mean_over_turns(

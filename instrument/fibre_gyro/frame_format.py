@@ -136,54 +136,28 @@ _LONGEST_NUMBER = 24  # characters of a number in text
 
 @dataclass(frozen=True)
 class FrameFormat:
-    """Frames, commands and line settings of one kind of gyro; made by `parse_frame_format`.
-
-    Attributes
-    ----------
-    output_rate_hz : float
-        Frames per second of the gyro's own clock.
-    header, ending : bytes
-        Begin and end of every frame; the ending of a line is its terminator.
-    separator : bytes
-        Between the fields of a line.
-    fields : tuple of Field
-        In the order in which they are sent, without the checksum.
-    commands : dict of str to Message
-        Of `COMMANDS` those that the gyro knows.
-    accepted, refused : Message or None
-        Answers to a command.
-    answer_time_s : float
-        Longest time until the gyro answers.
-    step_scale : float
-        Number that is sent for one code per transit time.
-    largest_step : float
-        Codes; no larger step is injected, in either direction.
-    parity : str
-        "N", "E" or "O" as pySerial has them.
-    poll : Message or None
-        What the gyro is asked with for each frame; None for one that sends by itself.
-    """
+    """Frames, commands and line settings of one kind of gyro; made by `parse_frame_format`."""
 
     kind: str
-    output_rate_hz: float
-    header: bytes
+    output_rate_hz: float  # frames per second of the gyro's own clock
+    header: bytes  # begin and end of every frame; the ending of a line is its terminator
     ending: bytes
-    separator: bytes
-    fields: tuple[Field, ...]
+    separator: bytes  # between the fields of a line
+    fields: tuple[Field, ...]  # in the order in which they are sent, without the checksum
     check: CheckRule | None = None
     counter: CounterRule | None = None
     status: StatusRule = ANY_STATUS
-    commands: dict[str, Message] = field(default_factory=dict)
-    accepted: Message | None = None
+    commands: dict[str, Message] = field(default_factory=dict)  # of `COMMANDS` those that the gyro knows
+    accepted: Message | None = None  # answers to a command
     refused: Message | None = None
-    answer_time_s: float = 0.5
-    step_scale: float = 1.0
-    largest_step: float = math.inf
+    answer_time_s: float = 0.5  # longest time until the gyro answers
+    step_scale: float = 1.0  # number that is sent for one code per transit time
+    largest_step: float = math.inf  # codes; no larger step is injected, in either direction
     baud_rate: int = 115_200
     data_bits: int = 8
     stop_bits: int = 1
-    parity: str = "N"
-    poll: Message | None = None
+    parity: str = "N"  # "N", "E" or "O" as pySerial has them
+    poll: Message | None = None  # what the gyro is asked with for each frame; None for one that sends by itself
 
     @property
     def interval_s(self) -> float:

@@ -28,47 +28,24 @@ _WORDS = (16, 20, 24, 32)  # bits
 
 @dataclass(frozen=True)
 class LogChoices:
-    """What is known of a log besides what it says itself.
+    """What is known of a log besides what it says itself."""
 
-    Attributes
-    ----------
-    columns : sequence of str or None
-        Names of the columns in their order; "" leaves a column out. None: those of the header, else time, counts,
-        temperature.
-    time_unit : str
-        "s", "ms", "us", "min" or "h"; "": what the header says, else s.
-    units : str
-        Of the output, a key of `OUTPUT_UNITS`; "": what the header says, else counts.
-    interval_s : float or None
-        Between two outputs; needed where there is no column of the time.
-    """
-
+    # names of the columns in their order; "" leaves a column out. None: those of the header, else time, counts,
+    # temperature.
     columns: Sequence[str] | None = None
-    time_unit: str = ""
-    units: str = ""
-    interval_s: float | None = None
+    time_unit: str = ""  # "s", "ms", "us", "min" or "h"; "": what the header says, else s
+    units: str = ""  # of the output, a key of `OUTPUT_UNITS`; "": what the header says, else counts
+    interval_s: float | None = None  # between two outputs; needed where there is no column of the time
 
 
 @dataclass(frozen=True, eq=False)
 class GyroLog:
-    """A log as it was read.
+    """A log as it was read."""
 
-    Attributes
-    ----------
-    begin_s : float
-        Time of the first row by the file's own column; 0 without one.
-    outputs : dict of str to (n,)
-        Columns with an output: "counts", "counts_x", ...
-    unit : str
-        Of all outputs, a key of `OUTPUT_UNITS`.
-    rest : Recording
-        Times, further columns and gaps; its counts are the first output's.
-    """
-
-    begin_s: float
-    outputs: dict[str, Floats]
-    unit: str
-    rest: Recording
+    begin_s: float  # time of the first row by the file's own column; 0 without one
+    outputs: dict[str, Floats]  # columns with an output: "counts", "counts_x",
+    unit: str  # of all outputs, a key of `OUTPUT_UNITS`
+    rest: Recording  # times, further columns and gaps; its counts are the first output's
 
     def recording(self, axis: str = "", *, counts_per_dps: float | None = None) -> Recording:
         """Return the output of one axis as a recording.

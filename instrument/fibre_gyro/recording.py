@@ -255,25 +255,14 @@ _ANOTHER_DIGIT = 3 / 5
 
 @dataclass(frozen=True)
 class Gap:
-    """A place where outputs are missing.
+    """A place where outputs are missing."""
 
-    Attributes
-    ----------
-    after : int
-        Index of the last output before it, -1 if the first ones are missing.
-    start_s, duration_s : float
-        Time of the first output that is missing, and how long they would have lasted.
-    missing : int
-        Outputs that are missing.
-    cause : str
-        "frames lost"; "counter jump": the counter went on where it could not, its length is that of the host's
-        clock and approximate; "silence": frames are not counted, the length is approximate; "rows missing".
-    """
-
-    after: int
-    start_s: float
+    after: int  # index of the last output before it, -1 if the first ones are missing
+    start_s: float  # time of the first output that is missing, and how long they would have lasted
     duration_s: float
-    missing: int
+    missing: int  # outputs that are missing
+    # "frames lost"; "counter jump": the counter went on where it could not, its length is that of the host's clock
+    # and approximate; "silence": frames are not counted, the length is approximate; "rows missing"
     cause: str
 
     def describe(self) -> str:
@@ -285,30 +274,16 @@ class Gap:
 
 @dataclass(frozen=True)
 class Losses:
-    """What became of the frames of a recording or of a whole session.
+    """What became of the frames of a recording or of a whole session."""
 
-    Attributes
-    ----------
-    good : int
-        Frames that were used.
-    missing : int
-        Frames that the clock says were sent and that were not used; damaged and unusable ones are among them.
-    damaged : int
-        Frames that came damaged; in frame lengths where more than one in succession was unreadable.
-    unusable : int
-        Frames that came whole, but with a bad status, a value out of range or a counter that stood still.
-    discarded_bytes : int
-        Bytes that belong to no whole frame.
-    reasons : dict of str to int
-        Why frames were damaged or unusable.
-    """
-
-    good: int = 0
+    good: int = 0  # frames that were used
+    # frames that the clock says were sent and that were not used; damaged and unusable ones are among them
     missing: int = 0
-    damaged: int = 0
+    damaged: int = 0  # frames that came damaged; in frame lengths where more than one in succession was unreadable
+    # frames that came whole, but with a bad status, a value out of range or a counter that stood still
     unusable: int = 0
-    discarded_bytes: int = 0
-    reasons: dict[str, int] = field(default_factory=dict)
+    discarded_bytes: int = 0  # bytes that belong to no whole frame
+    reasons: dict[str, int] = field(default_factory=dict)  # why frames were damaged or unusable
 
     def __add__(self, other: Losses) -> Losses:
         """The losses of both."""
@@ -340,21 +315,13 @@ class Losses:
 
 @dataclass(frozen=True)
 class HostClock:
-    """The gyro's clock beside the computer's, over one recording.
+    """The gyro's clock beside the computer's, over one recording."""
 
-    Attributes
-    ----------
-    stated_s : float
-        Interval between two outputs by the description of the frames, or by the polls.
-    interval_s, interval_u_s : float
-        By the computer's clock, and its standard uncertainty, that of the computer's clock included.
-    used : bool
-        Whether `interval_s` is that of the recording: it differs by more than its uncertainty lets expect.
-    """
-
-    stated_s: float
+    stated_s: float  # interval between two outputs by the description of the frames, or by the polls
+    # by the computer's clock, and its standard uncertainty, that of the computer's clock included
     interval_s: float
     interval_u_s: float
+    # whether `interval_s` is that of the recording: it differs by more than its uncertainty lets expect
     used: bool
 
     @property
@@ -381,39 +348,21 @@ class HostClock:
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """Outputs of a gyro in the order in which they were made.
+    """Outputs of a gyro in the order in which they were made."""
 
-    Attributes
-    ----------
-    times : (n,)
-        s since the begin of the recording by the gyro's own clock, gaps included.
-    counts : (n,)
-        The output as the gyro gives it.
-    temperature : (n,) or None
-        As the format scales it, usually deg C.
-    extra : dict of str to (n,)
-        Further columns by name.
-    interval_s : float
-        Time between two outputs.
-    clock : str
-        What `times` rests on: "counter", "frames" (arrival of frames without a counter, gaps approximate), "polls"
-        (the computer asked for each output) or "time column".
-    host_clock : HostClock or None
-        None where nothing was recorded live, or for too short a time.
-    doubts : tuple of str
-        What of the numbers shows that the description of the frames may be wrong; sentences.
-    """
-
-    times: Floats
-    counts: Floats
-    temperature: Floats | None
+    times: Floats  # s since the begin of the recording by the gyro's own clock, gaps included
+    counts: Floats  # the output as the gyro gives it
+    temperature: Floats | None  # as the format scales it, usually deg C
     status: NDArray[np.int64] | None
-    extra: dict[str, Floats]
+    extra: dict[str, Floats]  # further columns by name
     gaps: tuple[Gap, ...]
     losses: Losses
-    interval_s: float
+    interval_s: float  # time between two outputs
+    # what `times` rests on: "counter", "frames" (arrival of frames without a counter, gaps approximate), "polls"
+    # (the computer asked for each output) or "time column"
     clock: str
-    host_clock: HostClock | None = None
+    host_clock: HostClock | None = None  # none where nothing was recorded live, or for too short a time
+    # what of the numbers shows that the description of the frames may be wrong; sentences
     doubts: tuple[str, ...] = ()
 
     @property

@@ -37,39 +37,22 @@ _BLOCK_LENGTH = re.compile(rb"#([1-9])(\d+)")
 
 @dataclass(frozen=True)
 class Fault:
-    """One fault and the answers that it meets.
+    """One fault and the answers that it meets."""
 
-    Attributes
-    ----------
-    kind : str
-        One of FaultKind. "link closed" and "power off" happen after the first `bytes_sent` bytes of the answer. A
-        knob is turned behind an answer, or "within" a message, before a query of it. A locked panel has no knobs.
-    answer : int, optional
-        Number of the answer, counted from 1 since the fault was added. None: any answer. A "lost message" and
-        errors of the RS-232 input ("parity error" and the two after it) count the pieces received instead, a knob
-        turned within messages counts queries.
-    probability : float
-        Chance that an answer that fits is hit.
-    in_answer : bytes
-        Only answers that hold this, for instance b"#42500"; within messages, only queries that hold it.
-    shortest : int
-        Only answers with at least so many bytes: 1000 picks the curves.
-    bytes_sent : int, optional
-        Where the answer is hit; None: anywhere in it.
-    seconds : float
-        Delay of a late answer.
-    command : str
-        What the hand on the knob does, as a program message: `"CH1:SCALE 2"`.
-    """
-
+    # one of FaultKind. "link closed" and "power off" happen after the first `bytes_sent` bytes of the answer. A
+    # knob is turned behind an answer, or "within" a message, before a query of it. A locked panel has no knobs.
     kind: FaultKind
+    # number of the answer, counted from 1 since the fault was added. None: any answer. A "lost message" and errors
+    # of the RS-232 input ("parity error" and the two after it) count the pieces received instead, a knob turned
+    # within messages counts queries.
     answer: int | None = None
-    probability: float = 1.0
+    probability: float = 1.0  # chance that an answer that fits is hit
+    # only answers that hold this, for instance b"#42500"; within messages, only queries that hold it
     in_answer: bytes = b""
-    shortest: int = 0
-    bytes_sent: int | None = None
-    seconds: float = 1.0
-    command: str = ""
+    shortest: int = 0  # only answers with at least so many bytes: 1000 picks the curves
+    bytes_sent: int | None = None  # where the answer is hit; None: anywhere in it
+    seconds: float = 1.0  # delay of a late answer
+    command: str = ""  # what the hand on the knob does, as a program message: `"CH1:SCALE 2"`
 
 
 @dataclass(frozen=True)

@@ -678,25 +678,13 @@ AUTO_DELAY = 0.05
 
 @dataclass(frozen=True)
 class AcquisitionTime:
-    """The settings that an acquisition's duration follows from.
-
-    Attributes
-    ----------
-    acquisitions : int
-        Number of averages; 1 in Sample and Peak Detect.
-    automatic : bool
-        Trigger mode AUTO.
-    holdoff : float
-        Trigger holdoff in s.
-    mains : bool
-        Triggered by the mains, which are always there.
-    """
+    """The settings that an acquisition's duration follows from."""
 
     seconds_per_division: float
-    acquisitions: int = 1
-    automatic: bool = True
-    holdoff: float = 0.0
-    mains: bool = False
+    acquisitions: int = 1  # number of averages; 1 in Sample and Peak Detect
+    automatic: bool = True  # trigger mode AUTO
+    holdoff: float = 0.0  # trigger holdoff in s
+    mains: bool = False  # triggered by the mains, which are always there
 
     @property
     def record_time(self) -> float:

@@ -31,11 +31,6 @@ LIGHT_SPEED = 299_792_458.0
 class FibreCoil:
     """A coil of fibre and the light in it.
 
-    Attributes
-    ----------
-    group_index : float
-        About 1.46 to 1.47 for silica.
-
     Raises
     ------
     ValueError
@@ -51,7 +46,7 @@ class FibreCoil:
     length_m: float = 1000.0
     diameter_m: float = 0.1
     wavelength_m: float = 1.55e-6
-    group_index: float = 1.468
+    group_index: float = 1.468  # about 1.46 to 1.47 for silica
 
     def __post_init__(self) -> None:
         for name in ("length_m", "diameter_m", "wavelength_m", "group_index"):
@@ -115,76 +110,39 @@ GUARD_BITS = 16
 class LoopDesign:
     """Design of the electronics; the errors are those of the real hardware, unknown to the digital part.
 
-    Attributes
-    ----------
-    dac_bits : int
-        N of the phase converter.
-    fractional_bits : int
-        Bits of the step below one code.
-    adc_bits : int
-        The detector's converter; its range is the full fringe of a contrast of 1.
-    adc_offset : float
-        Mean light level above a threshold of that converter, in its steps. At 0.5 it lies in the middle of a step,
-        and without noise small errors are not seen at all.
-    loop_gain : float
-        Part of the phase error that one sample pair takes away; stable between 0 and 2, time constant about
-        2 tau/loop_gain.
-    two_pi_error : float
-        eps of equation (15).
-    gated : bool
-        Sample pairs with a reset are left out of the loop; else all of them enter.
-    bias_in_wrap : bool
-        The square-wave bias is added before the modulo, so that the converter needs no codes beyond 2 pi.
-    inl_quadratic : float
-        Bow of the converter, inl (x^2 - 1/4) of full scale, x = code/2^N - 1/2.
-    inl_cubic : float
-        S-shape of the converter, inl x (x^2 - 1/4) of full scale.
-    injection_path : {"shared", "separate"}
-        The injected staircase goes through the feedback's own adder and converter, or through a second electrode
-        with a converter of its own.
-    injection_two_pi_error : float
-        eps of that second path.
-    closed : bool
-        The feedback follows the error; else its step stays as it is.
-    angle_random_walk_deg_per_sqrt_h : float
-        White noise of the detector.
-    bias_dph : float
-        Constant false rate of the optics, deg/h.
-    contrast : float
-        Of the fringe, 0 to 1.
-    light_level : float
-        Peak intensity over the one that the loop gain was set for.
-    two_pi_loop_gain : float
-        Second loop: part of the 2 pi error that one reset takes away, by trimming the converter's reference;
-        0: off.
-    wrap_codes : int, optional
-        Codes at which the staircase falls back; 2^N if not given.
-
     Raises
     ------
     ValueError
         A setting is out of its range.
     """
 
-    dac_bits: int = 16
-    fractional_bits: int = 14
-    adc_bits: int = 14
+    dac_bits: int = 16  # N of the phase converter
+    fractional_bits: int = 14  # bits of the step below one code
+    adc_bits: int = 14  # the detector's converter; its range is the full fringe of a contrast of 1
+    # mean light level above a threshold of that converter, in its steps. At 0.5 it lies in the middle of a step,
+    # and without noise small errors are not seen at all.
     adc_offset: float = 0.0
+    # part of the phase error that one sample pair takes away; stable between 0 and 2, time constant about 2
+    # tau/loop_gain
     loop_gain: float = 0.2
-    two_pi_error: float = 0.0
-    gated: bool = True
+    two_pi_error: float = 0.0  # eps of equation (15)
+    gated: bool = True  # sample pairs with a reset are left out of the loop; else all of them enter
+    # the square-wave bias is added before the modulo, so that the converter needs no codes beyond 2 pi
     bias_in_wrap: bool = False
-    inl_quadratic: float = 0.0
-    inl_cubic: float = 0.0
+    inl_quadratic: float = 0.0  # bow of the converter, inl (x^2 - 1/4) of full scale, x = code/2^N - 1/2
+    inl_cubic: float = 0.0  # S-shape of the converter, inl x (x^2 - 1/4) of full scale
+    # {"shared", "separate"}: the injected staircase goes through the feedback's own adder and converter, or
+    # through a second electrode with a converter of its own
     injection_path: InjectionPath = "shared"
-    injection_two_pi_error: float = 0.0
-    closed: bool = True
-    angle_random_walk_deg_per_sqrt_h: float = 0.005
-    bias_dph: float = 0.0
-    contrast: float = 1.0
-    light_level: float = 1.0
+    injection_two_pi_error: float = 0.0  # eps of that second path
+    closed: bool = True  # the feedback follows the error; else its step stays as it is
+    angle_random_walk_deg_per_sqrt_h: float = 0.005  # white noise of the detector
+    bias_dph: float = 0.0  # constant false rate of the optics, deg/h
+    contrast: float = 1.0  # of the fringe, 0 to 1
+    light_level: float = 1.0  # peak intensity over the one that the loop gain was set for
+    # second loop: part of the 2 pi error that one reset takes away, by trimming the converter's reference; 0: off
     two_pi_loop_gain: float = 0.0
-    wrap_codes: int | None = None
+    wrap_codes: int | None = None  # codes at which the staircase falls back; 2^N if not given
 
     def __post_init__(self) -> None:
         for name, lowest, highest in _RANGES:
@@ -318,58 +276,29 @@ class OutputClock:
 
 @dataclass(frozen=True)
 class OutputBlock:
-    """Consecutive output words; shape (n,), or (runs, n) of several gyros side by side.
+    """Consecutive output words; shape (n,), or (runs, n) of several gyros side by side."""
 
-    Attributes
-    ----------
-    times_s : ndarray, shape (n,)
-        End of each output period since the start of the gyro.
-    counts : ndarray
-        Mean feedback step over the period with its sign reversed, codes each transit time.
-    normal_error, reset_error : ndarray
-        Mean demodulated error, counts of the detector's converter, of the sample pairs without and with a 2 pi
-        reset; nan where there was none.
-    reset_pairs : ndarray of int
-        Number of sample pairs with a reset.
-    """
-
-    times_s: Floats
+    times_s: Floats  # (n,): end of each output period since the start of the gyro
     interval_s: float
-    counts: Floats
+    counts: Floats  # mean feedback step over the period with its sign reversed, codes each transit time
+    # mean demodulated error, counts of the detector's converter, of the sample pairs without and with a 2 pi
+    # reset; nan where there was none
     normal_error: Floats
     reset_error: Floats
-    reset_pairs: Ints
+    reset_pairs: Ints  # number of sample pairs with a reset
 
 
 @dataclass(frozen=True)
 class LoopTrace:
-    """The signals of one gyro at every transit time; shape (n,) each.
+    """The signals of one gyro at every transit time; shape (n,) each."""
 
-    Attributes
-    ----------
-    times_s : ndarray
-        Since the start of the gyro.
-    staircase : ndarray of int
-        The staircase in whole codes, without the bias.
-    code : ndarray of int
-        What the converter gets: staircase and bias.
-    modulator_rad : ndarray
-        Phase of the modulator, with the errors of converter and 2 pi voltage, without a second electrode.
-    difference_rad : ndarray
-        Phase difference of the two beams: Sagnac phase and modulator now less modulator one transit time ago.
-    intensity : ndarray
-        At the detector without noise; 1 is the peak of the fringe.
-    adc : ndarray of int
-        As converted, with noise.
-    reset : ndarray of bool
-        The staircase or the code wrapped since the sample before.
-    """
-
-    times_s: Floats
-    staircase: Ints
-    code: Ints
+    times_s: Floats  # since the start of the gyro
+    staircase: Ints  # the staircase in whole codes, without the bias
+    code: Ints  # what the converter gets: staircase and bias
+    # phase of the modulator, with the errors of converter and 2 pi voltage, without a second electrode
     modulator_rad: Floats
+    # phase difference of the two beams: Sagnac phase and modulator now less modulator one transit time ago
     difference_rad: Floats
-    intensity: Floats
-    adc: Ints
-    reset: Bools
+    intensity: Floats  # at the detector without noise; 1 is the peak of the fringe
+    adc: Ints  # as converted, with noise
+    reset: Bools  # the staircase or the code wrapped since the sample before

@@ -23,6 +23,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from station.errors import NoUsableSignal, RunError, UsageError
+from station.files import inert
 from station.measurements import MEASUREMENTS, measurement
 from station.report.figure import ACCENT, INK, SECOND, THIRD, legend_above, write_picture
 from station.results.quantity import Value, headline_values
@@ -450,7 +451,8 @@ def runs_csv(entries: Iterable[Entry]) -> str:
             }
             for one in entry.values
         ]
-        writer.writerows({**known, **value} for value in values or [{}])
+        rows = ({**known, **value} for value in values or [{}])
+        writer.writerows({name: inert(f"{cell}") for name, cell in row.items()} for row in rows)
     return text.getvalue()
 
 

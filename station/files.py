@@ -1,10 +1,12 @@
-"""Which program, on which Python, from which source, made a number; memory given back."""
+"""Which program, on which Python, from which source, made a number; memory given back; texts in cells."""
 
 from __future__ import annotations
 
 import ctypes
 import importlib.metadata
+import math
 import platform
+import re
 import shutil
 import subprocess
 from collections.abc import Iterator
@@ -12,6 +14,28 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 _PACKAGES = ("numpy", "scipy", "pyvisa", "pyvisa-py", "pyserial")
+
+
+_ACTS = re.compile(r"'*[=+\-@\t\r]")
+
+
+def inert(text: str) -> str:
+    """A text as a cell that no spreadsheet carries out (OWASP, CSV injection); :func:`alive` is the way back.
+
+    >>> inert("=1+1"), inert("-0.5"), alive(inert("'=1")), inert("RLG-7")
+    ("'=1+1", '-0.5', "'=1", 'RLG-7')
+    """
+    if not _ACTS.match(text):
+        return text
+    try:
+        return text if math.isfinite(float(text)) else f"'{text}"
+    except ValueError:
+        return f"'{text}"
+
+
+def alive(cell: str) -> str:
+    """The text of a cell that :func:`inert` made."""
+    return cell[1:] if cell[:1] == "'" and _ACTS.match(cell) else cell
 
 
 def provenance() -> dict[str, object]:

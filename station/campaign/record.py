@@ -18,7 +18,7 @@ from typing import Any
 
 from station.campaign.journal import CampaignOutcome, InstrumentCard, StepOutcome
 from station.errors import CannotWrite, StationError, one_line
-from station.files import provenance, version
+from station.files import inert, provenance, version
 from station.report.figure import renamed
 from station.report.show import render_page, write_page
 from station.results.result import FactTable, Rows, Section, plain
@@ -360,7 +360,7 @@ def _count(element: ET.Element) -> None:
 
 
 def _text(text: str) -> str:
-    return _NOT_IN_XML.sub("\N{REPLACEMENT CHARACTER}", text)
+    return inert(_NOT_IN_XML.sub("\N{REPLACEMENT CHARACTER}", text))
 
 
 # --------------------
@@ -421,8 +421,7 @@ def _cell(value: object) -> object:
     if value is None:
         return ""
     if isinstance(value, str):
-        # a spreadsheet carries out a text that begins like this; no unit and no sentence of ours does
-        return f"'{value}" if value[:1] in "=+-@\t\r" and value[:1] else value
+        return inert(value)
     return repr(value) if isinstance(value, float) else value
 
 

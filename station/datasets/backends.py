@@ -36,6 +36,7 @@ from station.datasets.rows import (
     rows_with,
 )
 from station.errors import RunError, StationError, UsageError
+from station.files import alive, inert
 
 _MARK = f"{SCHEMA['name']} {SCHEMA['version']}"
 _FIRST = "schema"
@@ -111,7 +112,7 @@ class CsvTable:
             self._next += 1
             if self._next <= first:
                 continue
-            row: dict[str, Any] = {name: cells[name] for name in _TOLD}
+            row: dict[str, Any] = {name: alive(cells[name]) for name in _TOLD}
             try:
                 row["number"] = int(cells["number"])
                 if cells.get(OUTPUTS[0]):
@@ -221,7 +222,7 @@ def _schema_of(mark: str) -> dict[str, Any] | None:
 def _cell(value: Any) -> str:
     if isinstance(value, float):
         return "" if math.isnan(value) else repr(value)
-    return str(value)
+    return inert(str(value))
 
 
 def _numbers_cell(values: Floats) -> str:

@@ -25,7 +25,7 @@ from analysis import flag_names
 from analysis.lock_in_run import by_themselves
 from instrument.claims import lock
 from station.errors import CannotWrite, RunError, StationError
-from station.files import program
+from station.files import alive, inert, program
 from station.lock_in.estimate import COLUMNS, Gathered, Piece, columns_of, estimate_pieces
 from station.lock_in.evaluate import describe_method
 from station.lock_in.settings import RING_LASER, FrontEndSettings, channel_response
@@ -440,7 +440,8 @@ class Csv(DelimitedTable):
     @staticmethod
     def _lines(rows: Iterable[tuple[Any, ...]]) -> str:
         text = io.StringIO()
-        csv.writer(text, lineterminator="\n").writerows(rows)
+        told = ([inert(cell) if isinstance(cell, str) else cell for cell in row] for row in rows)
+        csv.writer(text, lineterminator="\n").writerows(told)
         return text.getvalue()
 
 
@@ -455,7 +456,7 @@ def _csv_value(name: str, text: str) -> Any:
     if not text:
         return None
     if name in TEXTS:
-        return text
+        return alive(text)
     return int(text) if name in INTEGERS else float(text)
 
 

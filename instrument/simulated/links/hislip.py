@@ -90,6 +90,11 @@ class HislipServer(StreamServer):
             if other is not None and other is not port:
                 self._drop(other)
 
+    def _heard_at(self, port: Port) -> float:
+        session = self._sessions.get(port)
+        channels = (port,) if session is None else (session.sync, session.asynchronous)
+        return max(channel.heard_at for channel in channels if channel is not None)
+
     def _refuse(self, port: Port, reason: Fatal, now: float) -> None:
         port.outgoing.put(fatal(reason).encoded(), now)
         self._leaving.add(port)
@@ -184,7 +189,8 @@ class HislipServer(StreamServer):
         if not (name.startswith(_NAME) and digits.isdigit() and int(digits) < len(self.scopes)):
             self._refuse(port, Fatal.BAD_INITIALIZATION, now)
             return
-        if len(set(self._sessions.values())) >= _CLIENTS or not self.scopes[int(digits)].powered:
+        full = len(set(self._sessions.values())) >= _CLIENTS and not self._make_room()
+        if full or not self.scopes[int(digits)].powered:
             self._refuse(port, Fatal.TOO_MANY_CLIENTS, now)
             return
         taken = {session.number for session in self._sessions.values()}
@@ -438,15 +444,15 @@ class Mistake(IntEnum):
     TOO_LARGE = 4
 
 
-_WORDS: dict[IntEnum, bytes] = {
-    Fatal.POOR_HEADER: b"Poorly formed message header",
-    Fatal.CHANNEL_MISSING: b"Attempt to use connection without both channels established",
-    Fatal.BAD_INITIALIZATION: b"Invalid initialization sequence",
-    Fatal.TOO_MANY_CLIENTS: b"Server refused connection due to maximum number of clients exceeded",
-    Mistake.UNKNOWN_KIND: b"Unrecognized message type",
-    Mistake.UNKNOWN_CONTROL_CODE: b"Unrecognized control code",
-    Mistake.UNKNOWN_VENDOR_KIND: b"Unrecognized vendor defined message",
-    Mistake.TOO_LARGE: b"Message too large",
+_WORDS = {  # by name: the numbers of both are the same
+    "POOR_HEADER": b"Poorly formed message header",
+    "CHANNEL_MISSING": b"Attempt to use connection without both channels established",
+    "BAD_INITIALIZATION": b"Invalid initialization sequence",
+    "TOO_MANY_CLIENTS": b"Server refused connection due to maximum number of clients exceeded",
+    "UNKNOWN_KIND": b"Unrecognized message type",
+    "UNKNOWN_CONTROL_CODE": b"Unrecognized control code",
+    "UNKNOWN_VENDOR_KIND": b"Unrecognized vendor defined message",
+    "TOO_LARGE": b"Message too large",
 }
 
 
@@ -478,12 +484,12 @@ class HislipFrame:
 
 def fatal(reason: Fatal) -> HislipFrame:
     """The last frame of a connection."""
-    return HislipFrame(MessageType.FATAL_ERROR, reason, 0, _WORDS[reason])
+    return HislipFrame(MessageType.FATAL_ERROR, reason, 0, _WORDS[reason.name])
 
 
 def mistake(reason: Mistake) -> HislipFrame:
     """The answer to a frame that is not carried out."""
-    return HislipFrame(MessageType.ERROR, reason, 0, _WORDS[reason])
+    return HislipFrame(MessageType.ERROR, reason, 0, _WORDS[reason.name])
 
 
 class HislipReader:

@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 
 from instrument.simulated.links.exchange import MessageExchange
 from instrument.simulated.links.stream_server import FULL, LOOK_UP, Line, Port, StreamServer
+from instrument.simulated.panel.parsing import LONGEST_MESSAGE
 from instrument.simulated.scope import SimulatedTDS2014
 
 _TURN = 4  # messages of one client before the next one has its turn
@@ -292,15 +293,16 @@ class GpibAdapterServer(StreamServer):
         """Cut what came into lines at unshielded ends, and carry them out one by one."""
         for byte in port.incoming.take(now):
             if client.escaped:
-                client.buffer += bytes([_ESCAPE, byte])
                 client.escaped = False
+                if len(client.buffer) <= LONGEST_MESSAGE:
+                    client.buffer += bytes([_ESCAPE, byte])
             elif byte == _ESCAPE:
                 client.escaped = True
             elif byte in (_LINE_FEED, _RETURN):
                 line, client.buffer = bytes(client.buffer), bytearray()
                 if line:
                     self._carry_out(port, client, line, now)
-            else:
+            elif len(client.buffer) <= LONGEST_MESSAGE:  # the rest of a line without end is lost
                 client.buffer.append(byte)
 
     def _carry_out(self, port: Port, client: _Client, line: bytes, now: float) -> None:

@@ -24,6 +24,7 @@ FULL = 1 << 20
 """Bytes of unread answers at which no more questions are taken."""
 
 _CLIENTS = 16  # connections at once on one server
+_IDLE_S = 60.0  # of silence, after which a connection gives way to a new one
 _UNTAKEN = 4 * CHUNK  # bytes of a client that have not been taken yet, at which it is not listened to
 _NO_DESCRIPTOR = (errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM)
 _DEAF_S = 1.0  # after the system had no descriptor left for a client
@@ -79,6 +80,7 @@ class Port:
     incoming: Line = field(default_factory=Line)
     outgoing: Line = field(default_factory=Line)
     heard: bool = True
+    heard_at: float = field(default_factory=time.monotonic)  # when the last byte of it came
 
 
 class StreamServer(ABC):
@@ -89,7 +91,7 @@ class StreamServer(ABC):
         self.ended = threading.Event()
         self._selector = selectors.DefaultSelector()
         self._ports: list[Port] = []
-        self.clients = _CLIENTS
+        self.clients, self.idle_s = _CLIENTS, _IDLE_S
         self._held = contextlib.ExitStack()  # what is open besides the ports
         self._closing = False
         self._listener: socket.socket | None = None
@@ -132,6 +134,18 @@ class StreamServer(ABC):
     def _welcomes(self) -> bool:
         """Whether one more client may connect now."""
         return True
+
+    def _make_room(self) -> bool:
+        """Hang up on the client that has been silent longest, and for long; tell whether there is one."""
+        longest = min(self._ports, key=self._heard_at, default=None)
+        if longest is None or time.monotonic() - self._heard_at(longest) < self.idle_s:
+            return False
+        self._drop(longest)
+        return True
+
+    def _heard_at(self, port: Port) -> float:
+        """When the client of a port was heard for the last time."""
+        return port.heard_at
 
     def _add(self, port: Port) -> None:
         """A client is there."""
@@ -191,7 +205,10 @@ class StreamServer(ABC):
                 self._selector.unregister(listener)
                 self._deaf_until = time.monotonic() + _DEAF_S
             return
-        if len(self._ports) >= self.clients or not self._welcomes():
+        full = len(self._ports) >= self.clients and not self._make_room()
+        if full or not self._welcomes():
+            with contextlib.suppress(OSError):
+                client.send(f"{self.clients} connections are open: close one\n".encode() if full else b"")
             client.close()
             return
         client.setblocking(False)
@@ -249,7 +266,8 @@ class StreamServer(ABC):
         except OSError:
             data = b""
         if data:
-            port.incoming.put(data, time.monotonic())
+            port.heard_at = time.monotonic()
+            port.incoming.put(data, port.heard_at)
         else:
             self._drop(port)
 

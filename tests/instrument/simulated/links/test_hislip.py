@@ -286,7 +286,9 @@ def test_frames_that_are_not_carried_out(wire, channel, kind, control, payload, 
 def test_connections_that_begin_wrongly_are_told_and_hung_up_on(server, first, code):
     channel = Wire.connected(server)
     channel.sendall(first)
-    assert Wire.receive(channel)[:2] == (FATAL, code)
+    kind, told, _, words = Wire.receive(channel)
+    assert (kind, told) == (FATAL, code)
+    assert {1: b"header", 2: b"both channels", 3: b"initialization"}[code] in words
     assert channel.recv(1) == b""
     channel.close()
 

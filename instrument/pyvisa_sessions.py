@@ -176,10 +176,10 @@ def open_instrument(
             beneath.close()
         elif (names := behind_adapter(name)) is not None:
             forget_adapter(names[0])
-        if "::" not in name:  # no alias of this VISA either
+        if name and "::" not in name:  # no alias of this VISA either
             port = name.startswith("/dev/") or name.upper().startswith("COM")
             form = f"ASRL{name}::INSTR" if port else f"TCPIP0::{name}::INSTR or TCPIP0::{name}::PORT::SOCKET"
-            raise LinkError(f"{name!r} is no VISA name: write {form}; 'gyrolock list' shows others") from error
+            raise LinkError(f"cannot open {name}, which is no VISA name: write {form}") from error
         reason = _reason(error)
         raise LinkError(f"cannot open {name}: {reason}{advice(name, reason)}") from error
     if not isinstance(resource, MessageBasedResource):

@@ -89,15 +89,17 @@ def mistakes(path: Path, error: ValidationError, model: type[BaseModel]) -> str:
     every = error.errors(include_url=False, include_context=False)
     for mistake in every[:_TOLD]:
         place = [str(part) for part in mistake["loc"]]
-        if mistake["type"] == "extra_forbidden":
-            text = f"no such setting{_meant(place, model)}"
-        else:
-            text = f"{mistake['msg'][0].lower()}{mistake['msg'][1:]}, not {_shown(mistake['input'])}"
+        unknown = mistake["type"] == "extra_forbidden"
+        text = f"no such setting{_meant(place, model)}" if unknown else _told(mistake)
         line = line_of(path, place)
         found.append(f"{'.'.join(place)}{f' (line {line})' if line else ''}: {text}")
     if len(every) > _TOLD:
         found.append(f"and {len(every) - _TOLD} more")
     return f"{path}: " + "; ".join(found)
+
+
+def _told(mistake: Mapping[str, Any]) -> str:
+    return f"{mistake['msg'][0].lower()}{mistake['msg'][1:]}, not {_shown(mistake['input'])}"
 
 
 def _shown(value: object) -> str:
@@ -294,7 +296,7 @@ def load(kind: SettingsKind[S], path: Path | None = None, overrides: Values | No
     shipped = shipped_settings(kind.shipped(given))
     values = merged(read_toml(shipped), given)
     kind.adapt(values)
-    return kind.check(_validated(kind, values, path or shipped), path or shipped)
+    return kind.check(_validated(kind, values, path or shipped, overrides or {}), path or shipped)
 
 
 def saved_settings(kind: SettingsKind[S], values: Mapping[str, Any], place: str) -> S:
@@ -334,10 +336,14 @@ def _given(path: Path | None, overrides: Values | None) -> dict[str, Any]:
     return merged(user, stated)
 
 
-def _validated(kind: SettingsKind[S], values: Mapping[str, Any], path: Path) -> S:
+def _validated(kind: SettingsKind[S], values: Mapping[str, Any], path: Path, overrides: Values) -> S:
     try:
         return kind.model.model_validate(dict(values))
     except ValidationError as error:
+        for mistake in error.errors():
+            section, name, *_ = *map(str, mistake["loc"]), "", ""
+            if name in (overrides.get(section) or {}):
+                raise SettingsError(f"{section}.{name}: {_told(mistake)}") from None
         raise SettingsError(mistakes(path, error, kind.model)) from None
 
 

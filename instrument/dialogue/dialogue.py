@@ -568,6 +568,12 @@ class Dialogue(Exchange):
             if missing is not None:
                 self._raise_not_displayed(missing)
             waveforms = wanted.decode(texts, curves)
+            for name, waveform in zip(sources, waveforms, strict=True):
+                if waveform.preamble.nr_pt != POINTS and name != "MATH":  # a spectrum is shorter
+                    raise TransferError(
+                        f"{waveform.preamble.nr_pt} points of {name} came where {POINTS} were asked for: another "
+                        "program has set DATA:START or DATA:STOP; ask again"
+                    )
         except TransferError as error:
             raise self.after_damage(error) from error
         self.source = sources[-1]

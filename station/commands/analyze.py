@@ -10,7 +10,16 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from station.shell.options import CHANNELS, config_option, display_options, json_option, not_zero, positive, shown
+from station.shell.options import (
+    CHANNELS,
+    RUN,
+    config_option,
+    display_options,
+    json_option,
+    not_zero,
+    positive,
+    shown,
+)
 from station.terminal import JsonResults, print_failure, print_json, prints_all, remark, say, visible
 
 if TYPE_CHECKING:
@@ -28,7 +37,7 @@ _METHOD = ("scale_factor", "input_rate", "relation")
 
 
 @click.command("analyze")
-@click.argument("paths", nargs=-1, required=True, metavar="PATH...")
+@click.argument("paths", nargs=-1, required=True, type=RUN, metavar="PATH...")
 @click.option(
     "--scale-factor",
     type=float,

@@ -10,6 +10,7 @@ import click
 
 from station.shell.options import (
     CHANNELS,
+    RUN_PATH,
     overrides,
     positive,
     report_option,
@@ -17,6 +18,7 @@ from station.shell.options import (
     run_options,
     shown_for,
     take_measurement,
+    told_as_options,
 )
 from station.terminal import print_failure, print_json, say
 
@@ -137,7 +139,8 @@ def _with_scale_factor(given: dict[str, Any]) -> dict[str, Any]:
 
     if given["resume"] is not None:
         return given
-    settings = load_settings(given["config"], overrides=overrides(given, _PLACES))
+    with told_as_options(_PLACES):
+        settings = load_settings(given["config"], overrides=overrides(given, _PLACES))
     if settings.gyro.scale_factor_pulses_per_deg:
         return given
     return given | {"scale_factor": ask_scale_factor()}
@@ -157,7 +160,7 @@ _DEADBAND_PLACES = {
 
 
 @click.command("deadband")
-@click.argument("paths", nargs=-1, type=click.Path(path_type=Path), metavar="[RUN]")
+@click.argument("paths", nargs=-1, type=RUN_PATH, metavar="[RUN]")
 @click.option(
     "--resource", metavar="NAME", help="VISA name of the oscilloscope. Without one the bench is simulated."
 )

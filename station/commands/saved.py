@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from station.errors import EXIT_FAIL, EXIT_OK
-from station.shell.options import CHANNELS, config_option, json_option, positive
+from station.shell.options import CHANNELS, RUN, RUN_PATH, config_option, json_option, positive
 from station.terminal import print_failure, print_json, remark, say
 
 if TYPE_CHECKING:
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 @click.command("report")
-@click.argument("paths", nargs=-1, required=True, metavar="PATH...")
+@click.argument("paths", nargs=-1, required=True, type=RUN, metavar="PATH...")
 @click.option(
     "--output",
     "-o",
@@ -138,7 +138,7 @@ SCHEMA = {"name": "gyrolock export", "version": 1}
 
 
 @click.command("export")
-@click.argument("paths", nargs=-1, required=True, metavar="PATH...")
+@click.argument("paths", nargs=-1, required=True, type=RUN, metavar="PATH...")
 @click.option(
     "--to",
     metavar="FILE",
@@ -235,8 +235,8 @@ def _opened(paths: tuple[str, ...], left_out: list[ExcludedRecord], progress: Pr
 
 
 @click.command("compare")
-@click.argument("first", metavar="A")
-@click.argument("second", metavar="B")
+@click.argument("first", type=RUN, metavar="A")
+@click.argument("second", type=RUN, metavar="B")
 @click.option("--a", "part_a", default="", metavar="TEXT", help="Which analysis of a table with several.")
 @click.option("--b", "part_b", default="", metavar="TEXT", help="The same for B.")
 @click.option("--relation-a", type=click.Choice(["exact", "paper-13", "paper-10"]), help="For records of A.")
@@ -299,7 +299,7 @@ def compare_command(first: str, second: str, config: Path | None, as_json: bool,
 
 
 @click.command("annotate")
-@click.argument("paths", nargs=-1, required=True, type=click.Path(path_type=Path), metavar="RUN...")
+@click.argument("paths", nargs=-1, required=True, type=RUN_PATH, metavar="RUN...")
 @click.option("--note", default="", metavar="TEXT", help="What should be remembered.")
 @click.option("--tag", "tags", multiple=True, metavar="TAG", help="Add this word; may be given several times.")
 @click.option("--untag", "untagged", multiple=True, metavar="TAG", help="Take this word away.")
@@ -361,7 +361,7 @@ def annotate_command(
 
 
 @click.command("salvage")
-@click.argument("path", type=click.Path(path_type=Path), metavar="RUN")
+@click.argument("path", type=RUN_PATH, metavar="RUN")
 @click.option("--out", type=click.Path(path_type=Path), metavar="DIR", help="Directory of runs [that of RUN].")
 @config_option
 @json_option

@@ -14,6 +14,7 @@ from station.errors import EXIT_NO_SIGNAL, EXIT_OK
 from station.measurements import FIBRE_GYRO_TESTS
 from station.shell.options import (
     CHANNELS,
+    RUN_PATH,
     SuggestingGroup,
     config_option,
     hold_a_run,
@@ -87,7 +88,7 @@ def _is_port(source: str, path: Path) -> bool:
 
 
 @click.command("constants")
-@click.argument("run", type=click.Path(path_type=Path), metavar="RUN")
+@click.argument("run", type=RUN_PATH, metavar="RUN")
 @click.option("--vhdl", type=click.Path(path_type=Path), metavar="FILE", help="Write a VHDL package.")
 @click.option("--c", "c", type=click.Path(path_type=Path), metavar="FILE", help="Write a C header.")
 @click.option("--csv", type=click.Path(path_type=Path), metavar="FILE", help="Write a table.")
@@ -196,7 +197,7 @@ command.add_command(constants)
 
 
 def _options(function: F) -> F:
-    paths = click.argument("paths", nargs=-1, type=click.Path(path_type=Path), metavar="[PATH...]")
+    paths = click.argument("paths", nargs=-1, type=RUN_PATH, metavar="[PATH...]")
     port = click.option("--port", metavar="NAME", help="Serial port of the gyro. Without one it is simulated.")
     return paths(port(_log_options(run_options(report_option(function)))))
 
@@ -243,7 +244,7 @@ def _run(name: str, paths: tuple[Path, ...], given: dict[str, Any], **more: Any)
 
 _noise_option = click.option(
     "--noise",
-    type=click.Path(path_type=Path),
+    type=RUN_PATH,
     metavar="RUN|FILE",
     help="Noise model to count: a run of `fog allan`, its JSON, or a JSON file with the numbers of a data sheet.",
 )
@@ -273,7 +274,7 @@ def table(paths: tuple[Path, ...], noise: Path | None, **given: Any) -> int:
 @click.option(
     "--table",
     "table_run",
-    type=click.Path(path_type=Path),
+    type=RUN_PATH,
     metavar="RUN",
     help="Rate-table run that gives the numbers, and the K to compare with.",
 )
@@ -303,7 +304,7 @@ def allan(paths: tuple[Path, ...], **given: Any) -> int:
 
 
 @_test("witness")
-@click.argument("paths", nargs=-1, type=click.Path(path_type=Path), metavar="[PATH...]")
+@click.argument("paths", nargs=-1, type=RUN_PATH, metavar="[PATH...]")
 @click.option("--resource", metavar="NAME", help="VISA name of the oscilloscope. Without one it is simulated.")
 @click.option("--channel", type=CHANNELS, metavar="CHn", help="Input channel, CH1 to CH4.")
 @click.option("--records", type=click.IntRange(1, 10_000), metavar="N", help="Records.")

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
-from station.errors import EXIT_DEFECT, EXIT_OK, EXIT_USAGE, describe_failure
+from station.errors import EXIT_DEFECT, EXIT_OK, EXIT_USAGE, SettingsError, describe_failure
 from station.files import version
 from station.live.events import Events
 from station.runs.progress import Acknowledgement, Progress
@@ -24,6 +24,28 @@ if TYPE_CHECKING:
 
 F = TypeVar("F", bound=Callable[..., Any])
 
+
+class RunName(click.ParamType[Any]):
+    """A run as a person names it: its path, ``last``, or the beginning of a name in ./runs that no other has."""
+
+    name = "run"
+
+    def __init__(self, kind: type[str] | type[Path]) -> None:
+        self._kind = kind
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Find the run; what is none of these is left to who opens it."""
+        text = str(value)
+        if text and not os.path.exists(text) and "/" not in text:
+            names = sorted(one.name for one in Path("runs").glob("[!.]*") if one.is_dir())
+            found = names[-1:] if text == "last" else [name for name in names if name.startswith(text)]
+            if len(found) > 1:
+                self.fail(f"{len(found)} runs begin with {text!r}, such as {found[-1]}", param, ctx)
+            value = Path("runs", found[0]) if found else value
+        return self._kind(value)
+
+
+RUN, RUN_PATH = RunName(str), RunName(Path)
 CHANNELS = click.Choice(["CH1", "CH2", "CH3", "CH4"], case_sensitive=False)
 
 
@@ -115,7 +137,7 @@ def run_options(function: F) -> F:
     options = (
         click.option(
             "--resume",
-            type=click.Path(path_type=Path),
+            type=RUN_PATH,
             metavar="RUN",
             help="Resume this run: what is there is kept.",
         ),
@@ -149,6 +171,19 @@ def overrides(given: Mapping[str, Any], places: Mapping[str, str]) -> dict[str, 
             section, _, key = place.partition(".")
             chosen.setdefault(section, {})[key] = str(value) if isinstance(value, Path) else value
     return chosen
+
+
+@contextmanager
+def told_as_options(places: Mapping[str, str]) -> Iterator[None]:
+    """Tell a setting that is wrong, and was given by an option, as that option."""
+    try:
+        yield
+    except SettingsError as error:
+        place, _, why = str(error).partition(": ")
+        option = next((name for name, setting in places.items() if setting == place), "")
+        if not option:
+            raise
+        raise click.UsageError(f"--{option.replace('_', '-')}: {why}") from None
 
 
 # --------------------
@@ -252,7 +287,8 @@ def _taken(
     if given["resume"] is not None:
         changes = {"config": config, "overrides": chosen, "labels": labels}
         return resume_run(given["resume"], progress, kind=kind, **changes, acknowledge=told)
-    settings = load(kind.kind, config, chosen)
+    with told_as_options(_PLACES | dict(places)):
+        settings = load(kind.kind, config, chosen)
     if given["seed"] is not None and not kind.simulated(settings):
         raise click.UsageError("--seed belongs to a simulated bench; a real one has none")
     return start_run(kind, settings, progress, labels=labels, paths=paths, known=known, acknowledge=told)

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import pytest
 
+from station.cli import main
 from station.errors import SettingsError
 from station.lock_in.settings import default_settings, load_settings
 from station.settings import shipped_settings
@@ -113,3 +114,11 @@ def test_a_missing_file_and_a_directory_are_told(tmp_path: Path) -> None:
 def test_settings_cannot_be_changed() -> None:
     with pytest.raises(ValueError, match="frozen"):
         default_settings().measurement.records = 3
+
+
+@pytest.mark.parametrize("rates", ["1.02", "3,-8", "8,nan", "1e9"])
+def test_a_wrong_option_is_told_as_that_option(rates: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["measure", "--rates", rates]) == 2
+    said = capsys.readouterr().err
+    assert said.startswith("gyrolock: --rates: ")
+    assert ".toml" not in said

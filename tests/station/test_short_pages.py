@@ -58,3 +58,22 @@ def test_the_list_of_runs_has_one_line_a_run_and_a_word_of_quality(
     assert max(len(line.rstrip()) for line in lines) <= WIDTH
     (default,) = (line for line in lines if "default.sqlite" in line)
     assert "± 0.0000096 deg/s" in default and " good " in default
+
+
+def test_a_run_is_named_by_its_path_a_beginning_or_as_the_last_one(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    for name, golden in (("2026-11-23T101500Z_001", "single"), ("2026-11-24T090000Z_001", "fog_eps")):
+        (tmp_path / "runs" / name).mkdir(parents=True)
+        shutil.copy(GOLDEN[0].with_stem(golden), tmp_path / "runs" / name / "run.sqlite")
+    assert main(["analyze", "last"]) == 0
+    assert "eps" in capsys.readouterr().out
+    assert main(["analyze", "2026-11-23"]) == 0
+    assert "lock-in rate" in capsys.readouterr().out
+    assert main(["report", "last"]) == 0
+    assert "2026-11-24T090000Z_001" in capsys.readouterr().out
+    assert main(["analyze", "2026-11"]) == 2
+    assert "2 runs begin with '2026-11', such as 2026-11-24T090000Z_001" in capsys.readouterr().err
+    assert main(["analyze", "2027"]) == 2
+    assert "2027" in capsys.readouterr().err

@@ -1,7 +1,9 @@
 """Several channels of one acquisition, and records one after the other."""
 
 import itertools
+import socket
 
+import numpy as np
 import pytest
 
 from instrument import TDS2014, ExecutionError, NoTrigger, SettingError, TransferError
@@ -186,3 +188,21 @@ def test_damaged_record_is_taken_anew(bench, bench_scope):
     with pytest.raises(TransferError):
         list(bench.records(1, 2, attempts=2))
     assert len(bench_scope.faults.happened) == 3
+
+
+@pytest.mark.parametrize("command", [b"DATA:START 100\n", b"DATA:STOP 2000\n", b"DATA:START 1477\n"])
+def test_a_record_that_another_program_has_cut_short_is_told_and_taken_again(command: bytes) -> None:
+    """Two programs on one port: what one sets of the transfer holds for the other."""
+    simulated = SimulatedTDS2014({1: lambda times: np.sin(6283 * times)})
+    with TcpServer(simulated) as server, TDS2014(server.resource_name) as scope:
+        assert len(scope.acquire("CH1")) == 2500
+        with socket.create_connection((server.host, server.port), 10.0) as other:
+            other.sendall(command + b"*OPC?\n")
+            assert other.recv(100)
+            with pytest.raises(TransferError, match=r"another program has set DATA:START"):
+                scope.acquire("CH1")
+            assert len(scope.acquire("CH1")) == 2500  # the transfer is as it was again
+            other.sendall(command + b"*OPC?\n")
+            assert other.recv(100)
+            (record,) = scope.records("CH1", 1)
+            assert len(record) == 2500

@@ -87,7 +87,7 @@ _METHOD = ("scale_factor", "input_rate", "relation")
 @config_option
 @json_option
 def command(paths: tuple[str, ...], config: Path | None, **given: Any) -> int:
-    """Evaluate saved runs of any kind again, and files of Tektronix oscilloscopes.
+    """Evaluate saved runs again, and files of Tektronix oscilloscopes.
 
     PATH is a run (its directory or its file), a CSV or ISF file that the scope or its PC software wrote, a data
     set of `gyrolock export`, or a folder: a memory card, or a tree of all of these. Each gives its result; with
@@ -185,7 +185,7 @@ class Analysis:
     def combined(self, channel: str | None, rates: Path | None, report: Path | None, answer: AnalyzeAnswer) -> int:
         """Make one result of all records."""
         from station.errors import EXIT_OUTPUT, EXIT_USAGE, CannotWrite, Failure
-        from station.reanalysis.combine import FilesReport, combine, said_of
+        from station.reanalysis.combine import combine, said_of
         from station.report.show import write_report
         from station.results.verdict import exit_code_of
 
@@ -203,7 +203,7 @@ class Analysis:
         document, failure = found.document(), _no_result(found.result.problem)
         if report is not None:
             try:
-                document["report"] = str(write_report(FilesReport(found), report))
+                document["report"] = str(write_report(found, report))
             except OSError as error:  # the result is there all the same
                 problem = f"{report}: the report cannot be written ({error.strerror or error})"
                 failure = failure or Failure(CannotWrite.kind, problem, EXIT_OUTPUT)
@@ -248,9 +248,8 @@ class Analysis:
                     for row in analyzed.rows() if analyzed is not None else [document]:
                         print_json(row)
                 elif listed:
-                    say(_line(source, analyzed, failure))
+                    say(_line(source, analyzed))
                     tally[_word(analyzed)] += 1
-                    continue  # the line says what failed
                 elif analyzed is not None:
                     say(f"{source}")
                     _print(analyzed)
@@ -326,14 +325,13 @@ def _word(analyzed: Evaluated | AnalyzedFiles | None) -> str:
     return "not read" if analyzed is None else analyzed.result.quality.partition(":")[0]
 
 
-def _line(source: Path | Source, analyzed: Evaluated | AnalyzedFiles | None, failure: Failure | None) -> str:
+def _line(source: Path | Source, analyzed: Evaluated | AnalyzedFiles | None) -> str:
     """One source in one line: records, value, quality."""
     from station.results.quantity import headline_values
 
     name = str(source) if len(str(source)) <= _NAME else f"…{str(source)[1 - _NAME :]}"
     if analyzed is None:
-        why = failure.message.removeprefix(f"{source}: ") if failure else ""
-        return visible(f"{name:{_NAME}}  {'':9}  {'-':{_VALUE}}  {why}"[: _NAME + _VALUE + _WORDS + 20])
+        return visible(f"{name:{_NAME}}  {'':9}  {'-':{_VALUE}}  not read")
     result = analyzed.result
     total, out = (result.document.get(key) for key in ("records", "records_rejected"))
     used = "" if not isinstance(total, int) else f"{total - out}/{total}" if isinstance(out, int) else f"{total}"

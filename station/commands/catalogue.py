@@ -84,7 +84,7 @@ def runs_command(
     as_json: bool,
     **wanted: Any,
 ) -> int:
-    """List all runs below a folder: when, what, unit, operator, result, verdict, mark, note.
+    """List runs: when, what, unit, result, quality, verdict.
 
     DIR is a folder of runs [./runs]. No record is opened, and a run that is written at this moment is not
     disturbed. An index in the folder (.gyrolock-index.sqlite) makes the next list fast; it may be deleted at any

@@ -68,7 +68,7 @@ _TRANSCRIPT = "transcript.jsonl"
 def doctor_command(
     resource: str | None, station: Path | None, bundle: Path | None, config: Path | None, as_json: bool
 ) -> int:
-    """Check this installation, and say what to do about what is missing.
+    """Check this installation; say what is missing.
 
     With --station the bench of a campaign is opened and looked at too: instruments and their calibration dates,
     disk, clock, rate table, level, trigger and noise. Exit code 3 if something must be mended.

@@ -185,7 +185,7 @@ def _print(planned: PlannedMeasurement, sentences: list[str], plot: Path | None)
 def study_command(
     figures: tuple[int, ...], out: Path | None, kind: str, config: Path | None, as_json: bool
 ) -> int:
-    """Compute the paper's simulations, its Figs. 2 to 6, with its method and with the exact one.
+    """Repeat the paper's simulations, by its method and exactly: Figs. 2 to 6.
 
     Zhan et al., Acta Optica Sinica 29, 960 (2009): K = 2000 pulses per degree, 20 kHz, 3 s. Without --figure the
     bias of its formulas and the causes of its error are told as well. Nothing in a settings file changes this.

@@ -108,7 +108,7 @@ def _watch() -> None:
 @config_option
 @json_option
 def stop(which: str | None, everything: bool, wait_s: float, config: Path | None, as_json: bool) -> int:
-    """Stop a measurement or a station that runs: what is being done ends, and everything taken is kept.
+    """Stop a running measurement or station; its records are kept.
 
     It is what Ctrl-C does in its own terminal: the front panel is put back, the table stopped, the outcome saved;
     --resume goes on. Without PID or RUN the only one that runs is meant. Exit codes: 0 it has ended, 1 it has not

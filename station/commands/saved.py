@@ -100,7 +100,7 @@ def _evaluated(
     sources: list[Path | Source], name: str, config: Path | None, choices: dict[str, Any], channel: str | None
 ) -> tuple[Shown, Path | None]:
     """What a report shows, and where it goes; ``None``: beside the run."""
-    from station.reanalysis.combine import FilesReport, combine, said_of, scale_factor_of_files
+    from station.reanalysis.combine import combine, said_of, scale_factor_of_files
     from station.runs.progress import Progress
     from station.runs.store import REPORT_FILE
     from station.shell.finish import evaluate_saved
@@ -120,7 +120,7 @@ def _evaluated(
     for line in said_of(found.left_out):
         remark(line)
     folder = Path(name) if Path(name).is_dir() else Path(name).parent
-    return FilesReport(found), folder / REPORT_FILE
+    return found, folder / REPORT_FILE
 
 
 def _beside(source: Source) -> Path:
@@ -319,7 +319,7 @@ def annotate_command(
     config: Path | None,
     as_json: bool,
 ) -> int:
-    """Say something of saved runs afterwards: a note, tags, a good or bad mark; without any, show what was said.
+    """Add notes, tags or a good or bad mark to saved runs; without any, show what was said.
 
     RUN is the directory of a run or its file. What is said is added to a text file beside the run, with name and
     time; the measurement itself stays as it is. `gyrolock runs` shows it and chooses by it.
@@ -366,7 +366,7 @@ def annotate_command(
 @config_option
 @json_option
 def salvage_command(path: Path, out: Path | None, config: Path | None, as_json: bool) -> int:
-    """Get everything that can still be read out of a damaged run, into a new one.
+    """Copy what can still be read of a damaged run into a new one.
 
     RUN stays as it is. A record is taken over if it is byte for byte what was once saved; those that are lost are
     named. `gyrolock analyze` reads the new run, --resume goes on with it. A settings file changes nothing here.
@@ -401,7 +401,7 @@ _SCHEMA = {"name": "gyrolock verify", "version": 1}
 @config_option
 @json_option
 def verify_command(paths: tuple[Path, ...], config: Path | None, as_json: bool) -> int:
-    """Prove that the record of a test and its raw runs belong together, and compute the result again.
+    """Check that the record of a test matches its raw runs, and compute the result again.
 
     RECORD is a record.json, or the folder that it lies in. Looked at are the record itself, the raw records of
     every run by their SHA-256, the numbers that they give now, and the verdicts. Exit codes: 0 everything holds, 1

@@ -39,7 +39,7 @@ _LATEST = "latest"
 @transcript_option
 @json_option
 def command(file: Path, **given: Any) -> int:
-    """Test a unit as the campaign FILE says: every step, every limit, one verdict.
+    """Test a unit by a campaign file: all steps, all limits, one verdict.
 
     A step that the bench fails is tried again and then reported, and the rest goes on. What was measured survives
     whatever ends the program; --resume goes on at the same step. `gyrolock settings campaign` prints an example.

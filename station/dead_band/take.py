@@ -25,7 +25,7 @@ from station.ring_laser.records import Bench, acquisition_records, set_up, take_
 from station.ring_laser.settings import RingLaserSettings, ScopeSettings, SimulationSettings
 from station.runs.acquisition import Acquisition
 from station.runs.store import NewRecord, RunWriter
-from station.scope.autoset import KnobPositions, find_beat, oscilloscope_steps
+from station.scope.autoset import KnobPositions, TrialShape, find_beat, oscilloscope_steps
 from station.settings import (
     Finite,
     Limits,
@@ -130,15 +130,6 @@ _LARGE = 0.5  # of the beat that the vertical scale was fitted to: what is no no
 _FASTER_THAN_RATE = 2.0  # the bias may add to the first rate, but the gyro sees no more than so many times it
 
 
-@dataclass(frozen=True)
-class _SweepShape:
-    """Trial records of few periods: a slower time base would need a trigger, and wait for it."""
-
-    fill_levels: float
-    periods_min: float = 5.0
-    samples_per_period_min: float = 20.0
-
-
 def take(settings: DeadBandSettings, session: Acquisition) -> None:
     """Sweep and save; of a run that was cut short, what is missing."""
     take_on(open_for(session, settings), settings, session)
@@ -222,7 +213,8 @@ def _knobs(
     session.progress.note(f"looking for the beat at {first.rate_dps:+.4g} deg/s")
     _turn(bench, first, settings)
     fastest = _FASTER_THAN_RATE * settings.gyro.scale_factor_pulses_per_deg * abs(first.rate_dps)
-    shape = _SweepShape(settings.sweep.fill_levels)
+    # few periods: a slower time base would need a trigger, and wait for it
+    shape = TrialShape(settings.sweep.fill_levels, periods_min=5.0)
     try:
         knobs = find_beat(bench.scope, settings.scope, shape, fastest)
         while answers.doubted(first, knobs.beat_frequency):

@@ -49,7 +49,7 @@ from station.results.result import (
 )
 from station.runs.acquisition import Acquisition
 from station.runs.store import NewRecord, SavedRecord, SavedRun
-from station.scope.autoset import KnobPositions, fit_channel, oscilloscope_steps
+from station.scope.autoset import KnobPositions, TrialShape, fit_channel, oscilloscope_steps
 from station.scope.tools import open_scope, serve
 from station.settings import Finite, NotNegative
 
@@ -82,16 +82,8 @@ _own = WitnessSettings.of
 _SETTING = "scope_setting"
 
 
-@dataclass(frozen=True)
-class _Shape:
-    """What a record shall hold: at least so many steps, if each has at least so many samples."""
-
-    periods_min: float = 80.0
-    samples_per_period_min: float = 20.0
-    fill_levels: float = 100.0
-
-
-_SHAPE = _Shape()
+_SHAPE = TrialShape(periods_min=80.0)
+"""At least so many steps in a record, if each has at least so many samples."""
 
 
 def is_simulated(settings: FogSettings) -> bool:

@@ -340,7 +340,7 @@ SIDE_FILE = "gyrolock.toml"
 
 @dataclass(frozen=True)
 class AnalyzedFiles:
-    """One file, or several as records at one rate, and what they say."""
+    """One file, or several as records at one rate, and what they say; see `station.report.show.Shown`."""
 
     paths: tuple[Path, ...]
     found: LockInEvaluation
@@ -354,6 +354,34 @@ class AnalyzedFiles:
     def verdict(self) -> Verdict | None:
         """The worst of all limits; without limits ``None``."""
         return worst(one.verdict for one in self.tested)
+
+    @property
+    def heading(self) -> str:
+        """What was measured."""
+        return f"Lock-in rate: {len(self.paths)} files" if len(self.paths) > 1 else "Lock-in rate"
+
+    @property
+    def run(self) -> SavedRun:
+        """A run that holds nothing but where the files are."""
+        return SavedRun(self.paths[0], RunFacts({"command": "analyze", "outcome": COMPLETE}), (), None)
+
+    def sections(self) -> list[Section]:
+        """Figures and tables."""
+        return sections(self.found, self.result)
+
+    def fact_tables(self) -> list[FactTable]:
+        """Method, files, and what they say of the oscilloscope."""
+        names = [(f"{number}", str(path)) for number, path in enumerate(self.paths[:40], start=1)]
+        if len(self.paths) > len(names):
+            names.append(("", f"and {len(self.paths) - len(names)} more"))
+        missing = [(str(Path(one.source).name), one.reason) for one in self.left_out[:40]]
+        said = [(first, rest) for first, _, rest in (line.partition("   ") for line in self.taken_with())]
+        return [
+            FactTable("Result", self.result.summary),
+            FactTable("Oscilloscope", said),
+            FactTable("Files", names),
+            FactTable("Left out", missing),
+        ]
 
     def document(self) -> dict[str, Any]:
         """Return the result as plain JSON; of one file with its harmonics."""
@@ -484,65 +512,3 @@ def _harmonics_table(harmonics: list[dict[str, float]]) -> TextTable:
         for one in harmonics
     )
     return TextTable(("harmonic", "frequency", "amplitude", "of the first"), rows)
-
-
-# --------------------
-# The report of files: what a run's report shows, without a run
-
-
-@dataclass(frozen=True)
-class FilesReport:
-    """Files as the report needs them; see `station.report.show.Shown`."""
-
-    files: AnalyzedFiles
-
-    @property
-    def tested(self) -> Sequence[LimitOutcome]:
-        """Numbers against their limits."""
-        return self.files.tested
-
-    @property
-    def verdict(self) -> Verdict | None:
-        """The worst of all limits; without limits ``None``."""
-        return self.files.verdict
-
-    @property
-    def heading(self) -> str:
-        """What was measured."""
-        return f"Lock-in rate: {len(self.files.paths)} files" if len(self.files.paths) > 1 else "Lock-in rate"
-
-    @property
-    def run(self) -> SavedRun:
-        """A run that holds nothing but where the files are."""
-        return SavedRun(self.files.paths[0], RunFacts({"command": "analyze", "outcome": COMPLETE}), (), None)
-
-    @property
-    def result(self) -> Result:
-        """Values and sentences."""
-        return self.files.result
-
-    def sections(self) -> list[Section]:
-        """Figures and tables."""
-        return sections(self.files.found, self.result)
-
-    def fact_tables(self) -> list[FactTable]:
-        """Method, files, and what they say of the oscilloscope."""
-        found = self.files.found
-        rows = [
-            ("method", found.method_text),
-            ("scale factor K", f"{found.method.scale_factor:g} pulses/deg"),
-            ("noise model", found.combined.noise_model),
-            ("records", f"{len(found.names)}, left out {found.records_rejected}"),
-        ]
-        names = [(f"{number}", str(path)) for number, path in enumerate(self.files.paths[:40], start=1)]
-        if len(self.files.paths) > len(names):
-            names.append(("", f"and {len(self.files.paths) - len(names)} more"))
-        missing = [(str(Path(one.source).name), one.reason) for one in self.files.left_out[:40]]
-        scopes = [tuple(line.split("   ", 1)) for line in self.files.taken_with()]
-        said = [(first, rest) for first, rest in scopes]
-        return [
-            FactTable("Result", rows),
-            FactTable("Oscilloscope", said),
-            FactTable("Files", names),
-            FactTable("Left out", missing),
-        ]

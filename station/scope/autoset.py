@@ -64,6 +64,15 @@ class ScreenShape(Protocol):
 
 
 @dataclass(frozen=True)
+class TrialShape:
+    """The shape of records that are not measured by settings of their own."""
+
+    fill_levels: float = 100.0
+    periods_min: float = 15.0
+    samples_per_period_min: float = 20.0
+
+
+@dataclass(frozen=True)
 class KnobPositions:
     """How the scope was set to see the beat."""
 

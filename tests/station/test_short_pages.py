@@ -37,15 +37,16 @@ def test_several_sources_take_a_line_each_with_their_quality(
     runs: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     code = main(["analyze", "single.sqlite", "locked.sqlite", "deadband.sqlite", "default.sqlite", "nothing.csv"])
-    header, *lines, last = capsys.readouterr().out.splitlines()
+    said = capsys.readouterr()
+    header, *lines, last = said.out.splitlines()
     assert code == 2
     assert len(lines) == 5
     assert max(len(line.rstrip()) for line in (header, *lines)) <= WIDTH
     assert "6/6" in lines[0] and "± " in lines[0] and "good" in lines[0]
-    assert "no record" in lines[1]
+    assert "not read" in lines[1] and "holds no record" in said.err
     assert "MARGINAL" in lines[2]
     assert "40/40" in lines[3] and "PASS" in lines[3]
-    assert "nothing.csv" in lines[4] and "no such" in lines[4].lower()
+    assert "nothing.csv" in lines[4] and "nothing.csv: No such" in said.err
     assert last.startswith("5 sources: 3 good, 2 not read")
 
 

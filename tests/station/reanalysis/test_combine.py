@@ -10,7 +10,7 @@ from instrument import Preamble, Waveform
 from instrument.tek_files import csv_text
 from station.cli import main
 from station.errors import NoUsableSignal, RunError, UsageError
-from station.reanalysis.combine import AnalyzedFiles, FilesReport, analyze_file, combine, scale_factor_of_files
+from station.reanalysis.combine import AnalyzedFiles, analyze_file, combine, scale_factor_of_files
 from station.report.show import render_report
 from station.runs.progress import Progress
 from station.runs.store import NewRecord, RunWriter, open_run
@@ -57,7 +57,7 @@ def test_a_card_gives_one_result_with_budget_and_report(tmp_path: Path) -> None:
     # the setup beside the files says how the channel was coupled
     coupling = next(one for one in document["budget"]["inputs"] if "coupling" in one["quantity"])
     assert coupling["contribution_dps"] == 0
-    page = render_report(FilesReport(found))
+    page = render_report(found)
     assert "Uncertainty budget" in page
     assert "serial C042203" in page
     assert "F0002CH1.CSV" in page
@@ -132,7 +132,7 @@ def test_files_are_judged_by_the_limits_of_a_settings_file(
             f"[gyro]\nscale_factor_pulses_per_deg = {K}\n[limits]\nlock_in_rate_high_95_dps = {limit}\n"
         )
         assert analyze_file(file, settings, {}).document()["verdict"] == verdict
-        assert FilesReport(combined(file, config=settings)).verdict == verdict
+        assert combined(file, config=settings).verdict == verdict
         for how in ([], ["--combine"]):
             assert main(["analyze", str(file), "--config", str(settings), *how]) == exit_code
             assert f"{verdict} lock-in rate high 95" in capsys.readouterr().out

@@ -102,10 +102,11 @@ def nobody_known(link: Link, error: InstrumentError, attempts: int) -> Instrumen
 # Which oscilloscope is it: the answer to ``*IDN?`` and what the model name says about the unit
 
 
-FAMILY = "TDS1000/TDS2000 (also B and C) or TPS2000"
+FAMILY = "TDS1000/TDS2000 (also B and C), TPS2000 or TBS1000 (also B)"
 
 # A blank stands between letters and number in *IDN?, and none in the files that the scopes write.
-_FAMILY_MODEL = re.compile(r"(TDS|TPS) ?([12]\d{3})([BC]?)")
+# TBS1000C and TBS2000 are other scopes: longer records, other commands.
+_FAMILY_MODEL = re.compile(r"(TDS|TPS) ?[12]\d{3}[BC]?|TBS ?1\d{3}B?(-EDU)?")
 
 
 @dataclass(frozen=True)

@@ -55,7 +55,7 @@ COMMANDS = {
     ),
     "export": (
         "commands.saved:export_command",
-        "Write the records of runs and files to a data set: CSV, Parquet, HDF5, NumPy.",
+        "Write records to a data set: CSV, Parquet, HDF5, NumPy.",
     ),
     "verify": (
         "commands.saved:verify_command",
@@ -63,7 +63,7 @@ COMMANDS = {
     ),
     "history": (
         "commands.catalogue:history_command",
-        "Show tested units and control charts: of a type of unit, of the bench.",
+        "Show tested units and control charts.",
     ),
     "salvage": (
         "commands.saved:salvage_command",
@@ -77,17 +77,17 @@ COMMANDS = {
     ),
     "plan": (
         "commands.planning:plan_command",
-        "Plan a measurement: rate, scale and records for a wanted uncertainty.",
+        "Plan a measurement: records for a wanted uncertainty.",
     ),
     "station": (
         "commands.station:command",
-        "Test a unit by a campaign file: all steps, all limits, one verdict.",
+        "Test a unit by a campaign file: one verdict.",
     ),
     "fog": ("fibre_gyro.command:command", "Scale factor of a fibre gyro: rate table, self-calibration, ..."),
     "study": ("commands.planning:study_command", "Repeat the paper's simulations, by its method and exactly."),
     "simulate": (
         "commands.instruments:simulate_command",
-        "Serve the simulated oscilloscope: TCP, HiSLIP, GPIB adapter, terminal.",
+        "Serve the simulated oscilloscope: TCP, HiSLIP, GPIB, terminal.",
     ),
     "list": ("commands.instruments:list_command", "List the instruments that VISA can see."),
     "doctor": (
@@ -96,6 +96,16 @@ COMMANDS = {
     ),
     "settings": ("commands.settings:command", "Print a commented settings file to copy."),
 }
+
+
+GROUPS = {
+    "Measure": ("measure", "deadband", "fog", "station"),
+    "Look": ("status", "runs", "report", "history"),
+    "Judge": ("analyze", "compare", "plan"),
+    "Keep": ("export", "annotate"),
+    "Bench": ("doctor", "settings", "simulate"),
+}
+"""What `gyrolock --help` explains; the other commands are named."""
 
 
 class _LazyGroup(SuggestingGroup):
@@ -112,8 +122,12 @@ class _LazyGroup(SuggestingGroup):
         return command
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        with formatter.section("Commands"):
-            formatter.write_dl([(name, text) for name, (_, text) in COMMANDS.items()])
+        for heading, names in GROUPS.items():
+            with formatter.section(heading):
+                formatter.write_dl([(name, COMMANDS[name][1]) for name in names])
+        shown = {name for names in GROUPS.values() for name in names}
+        with formatter.section("More"):
+            formatter.write_text(", ".join(name for name in COMMANDS if name not in shown))
 
 
 @click.group(cls=_LazyGroup, context_settings={"help_option_names": ["-h", "--help"]})
@@ -121,11 +135,11 @@ class _LazyGroup(SuggestingGroup):
 def gyrolock() -> None:
     """Lock-in rate of a ring laser gyro from the records of a bench oscilloscope.
 
-    Without an instrument, `gyrolock measure` shows the whole measurement on a simulated bench.
+    `gyrolock measure` alone shows a whole measurement on a simulated bench. RUN is a path, the beginning of a name
+    in ./runs, or `last`.
 
-    Exit codes: 0 done, 1 FAIL against a limit or a wanted uncertainty out of reach, 2 usage or settings,
-    3 instrument or link, 4 no usable signal, 5 the output could not be written (records are kept), 6 MARGINAL,
-    130 interrupted, 143 terminated.
+    Exit codes: 0 done, 1 FAIL, 2 usage or settings, 3 instrument or link, 4 no usable signal, 5 output not written
+    (records are kept), 6 MARGINAL, 130 interrupted.
     """
 
 

@@ -166,7 +166,7 @@ def export_command(
     config: Path | None,
     as_json: bool,
 ) -> int:
-    """Write the records of runs and files to a data set: Parquet, HDF5, NumPy or CSV.
+    """Write records to a data set: Parquet, HDF5, NumPy or CSV.
 
     PATH is a run of any kind, a file of an oscilloscope, a data set, or a folder of them. One row is one record:
     codes as they were sent, and what is known of them; `gyrolock.read` and `gyrolock analyze` read it back and

@@ -16,7 +16,6 @@ from analysis.fibre_gyro.allan import (
 from analysis.fibre_gyro.figures_of_merit import (
     ResidualPattern,
     ScaleFigures,
-    repeatability_ppm,
     residual_pattern,
     scale_figures,
     temperature_coefficient_ppm,
@@ -168,7 +167,6 @@ __all__ = [
     "rate_differences",
     "refined",
     "repeatability",
-    "repeatability_ppm",
     "residual_pattern",
     "responses",
     "round_to_words",

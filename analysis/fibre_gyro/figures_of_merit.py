@@ -37,6 +37,7 @@ class ScaleFigures:
     nonlinearity_u_ppm: float
     asymmetry_ppm: float
     asymmetry_u_ppm: float
+    slope_noise_u: float  # of K over all rates by the outputs' own uncertainties; nan if none were given
 
 
 def scale_figures(rates_dps: ArrayLike, outputs: ArrayLike, outputs_u: ArrayLike | None = None) -> ScaleFigures:
@@ -95,46 +96,21 @@ def scale_figures(rates_dps: ArrayLike, outputs: ArrayLike, outputs_u: ArrayLike
         nonlinearity_u_ppm=float("nan") if u is None else _PPM * float(u[worst]) / full_scale,
         asymmetry_ppm=_PPM * abs(positive - negative) / abs(mean),
         asymmetry_u_ppm=_PPM * float(np.hypot(positive_u, negative_u)) / abs(mean),
+        slope_noise_u=float("nan") if u is None else _slope_of(rate, output, u, np.isfinite(rate))[1],
     )
 
 
 def _slope_of(rate: Floats, output: Floats, u: Floats | None, kept: Bools) -> tuple[float, float]:
-    """Slope of some of the points and its standard uncertainty; two points give no uncertainty of their own."""
+    """Slope of some of the points, and its u by theirs; by their scatter where they have none."""
     nan = float("nan")
     if np.unique(rate[kept]).size < 2:
         return nan, nan
-    if int(kept.sum()) == 2:
-        run = float(np.ptp(rate[kept]))
-        (first, last) = np.argsort(rate[kept])
-        slope = float(output[kept][last] - output[kept][first]) / run
-        return slope, nan if u is None else float(np.hypot(*u[kept])) / run
-    fit = fit_slope(rate[kept], output[kept])
-    return fit.slope, fit.slope_u
-
-
-def repeatability_ppm(scale_factors: ArrayLike) -> float:
-    """Repeatability of the scale factor over Q runs with switching off and cooling between, ppm.
-
-    GJB style: K_r = (1/K) sqrt[ sum (K_i - K)^2 / (Q - 1) ],  K the mean of the K_i.
-
-    Parameters
-    ----------
-    scale_factors : array_like, shape (q,)
-
-    Raises
-    ------
-    ValueError
-        Fewer than two runs.
-
-    Examples
-    --------
-    >>> round(repeatability_ppm([100.0, 100.001, 99.999]), 6)
-    10.0
-    """
-    k = np.asarray(scale_factors, dtype=np.float64)
-    if k.size < 2:
-        raise ValueError("repeatability needs at least two runs")
-    return _PPM * float(np.std(k, ddof=1) / abs(np.mean(k)))
+    apart = rate[kept] - rate[kept].mean()
+    slope = float(apart @ output[kept] / (apart @ apart))
+    if u is not None:
+        # a curve of the points is no noise: it is the same in both senses, or it is the asymmetry itself
+        return slope, float(np.sqrt(apart**2 @ u[kept] ** 2) / (apart @ apart))
+    return slope, nan if int(kept.sum()) == 2 else fit_slope(rate[kept], output[kept]).slope_u
 
 
 def temperature_coefficient_ppm(

@@ -22,7 +22,6 @@ from analysis.fibre_gyro import (
     horizontal_earth_rate_dps,
     pooled_noise,
     repeatability,
-    repeatability_ppm,
     residual_pattern,
     scale_figures,
     static_level,
@@ -112,9 +111,15 @@ class AxisMerit:
     nonlinearity_ppm: float  # the largest of the runs; nan where no run gives one
     nonlinearity_of_point_ppm: float
     asymmetry_ppm: float
-    repeatability_ppm: float  # nan where there are too few runs
-    temperature_coefficient_ppm: float
+    scatter: Repeatability | None  # of K from one switching on to the next, ppm; ``None`` with one run
+    temperature_coefficient_ppm: float  # nan without a run at another temperature
+    temperature_coefficient_u_ppm: float
     bias: Repeatability | None  # of the bias from one switching on to the next, deg/h; ``None`` with one run
+
+    @property
+    def repeatability_ppm(self) -> float:
+        """Standard deviation of K over the runs from cold starts."""
+        return math.nan if self.scatter is None else self.scatter.value
 
     @property
     def bias_repeatability_dph(self) -> float:
@@ -189,17 +194,21 @@ def _one_axis(
     k = np.array([one.figures.fit.slope for one in runs])
     each = [one.figures for one in runs]
     clock_u = angle_clock_u([segment for of_run in by_run.values() for segment in of_run])
+    middle, noise = float(k.mean()), np.array([one.slope_noise_u for one in each])
+    scatter = repeatability(PPM * k / middle, PPM * noise / middle) if k.size > 1 else None
+    coefficient, coefficient_u = _temperature_coefficient(runs, others, scatter)
     return AxisMerit(
         axis=axis,
         runs=runs,
         at_temperatures=others,
-        scale_factor=float(k.mean()),
-        scale_factor_u=math.hypot(_scale_u(k, each[0]), clock_u * float(k.mean())),
+        scale_factor=middle,
+        scale_factor_u=math.hypot(_scale_u(k, each[0]), clock_u * middle),
         nonlinearity_ppm=_largest([one.nonlinearity_ppm for one in each]),
         nonlinearity_of_point_ppm=_largest([one.nonlinearity_of_point_ppm for one in each]),
         asymmetry_ppm=_largest([one.asymmetry_ppm for one in each]),
-        repeatability_ppm=repeatability_ppm(k) if k.size > 1 else math.nan,
-        temperature_coefficient_ppm=_temperature_coefficient(runs, others),
+        scatter=scatter,
+        temperature_coefficient_ppm=coefficient,
+        temperature_coefficient_u_ppm=coefficient_u,
         bias=_bias_repeatability(runs, settings),
     )
 
@@ -225,17 +234,20 @@ def _largest(values: Sequence[float]) -> float:
     return max(known, default=math.nan)
 
 
-def _temperature_coefficient(runs: Sequence[MeritRun], others: Sequence[MeritRun]) -> float:
-    known = [one for one in others if math.isfinite(one.temperature_c)]
+def _temperature_coefficient(
+    runs: Sequence[MeritRun], others: Sequence[MeritRun], scatter: Repeatability | None
+) -> tuple[float, float]:
+    """The largest change of K per kelvin and its u, ppm: every start scatters as the runs do."""
     middle = float(np.mean([one.temperature_c for one in runs]))
-    if not known or not math.isfinite(middle):
-        return math.nan
-    reference = (float(np.mean([one.figures.fit.slope for one in runs])), middle)
-    slopes, temperatures = [one.figures.fit.slope for one in known], [one.temperature_c for one in known]
-    try:
-        return temperature_coefficient_ppm(slopes, temperatures, reference=reference)
-    except ValueError:
-        return math.nan
+    k, noise = np.mean([[one.figures.fit.slope, one.figures.slope_noise_u] for one in runs], axis=0).tolist()
+    found = [(math.nan, math.nan)]
+    for one in others:
+        if (apart := abs(one.temperature_c - middle)) > 0:  # and known
+            value = temperature_coefficient_ppm([one.figures.fit.slope], [middle + apart], reference=(k, middle))
+            u = PPM * math.hypot(one.figures.slope_noise_u, noise / math.sqrt(len(runs))) / k
+            spread = 0.0 if scatter is None else scatter.value * math.sqrt(1 + 1 / len(runs))
+            found.append((value, math.hypot(u, spread) / apart))
+    return max(found, key=lambda one: -1.0 if math.isnan(one[0]) else one[0])
 
 
 def _one_run(
@@ -389,8 +401,20 @@ FIGURES = (
     _figure("nonlinearity", "ppm", "nonlinearity_u_ppm", doc="of full scale"),
     _figure("nonlinearity_of_point", "ppm", doc="of each output"),
     _figure("asymmetry", "ppm", "asymmetry_u_ppm", doc="between the senses"),
-    _figure("repeatability", "ppm", doc="of K from one cold start to the next"),
-    _figure("temperature_coefficient", "ppm", doc="largest change of K per kelvin"),
+    _figure(
+        "repeatability",
+        "ppm",
+        interval=("scatter.low_95", "scatter.high_95"),
+        doc="of K from one cold start to the next",
+    ),
+    Quantity(
+        "temperature_coefficient",
+        "ppm",
+        "temperature_coefficient_ppm",
+        u="temperature_coefficient_u_ppm",
+        limit=True,
+        doc="largest change of K per kelvin",
+    ),
     _figure("bias_repeatability", "dph", interval=("bias.low_95", "bias.high_95")),
     _figure("turn_on_transient", "dph", doc="bias just after switching on less the final one"),
     _figure("warm_up", "s", interval=("slowest.warm_up_low_95_s", "slowest.warm_up_high_95_s")),
@@ -463,9 +487,14 @@ def result(found: FiguresEvaluation, run: SavedRun, settings: FogSettings) -> Re
 
 def _lines(one: AxisMerit, *, several: bool) -> tuple[str, ...]:
     begin = f"Axis {one.axis}: nonlinearity {_ppm(one.nonlinearity_ppm)}, asymmetry" if several else "Asymmetry"
+    runs, coefficient = f"{len(one.runs)} runs", f"{_ppm(one.temperature_coefficient_ppm)}/K"
+    if one.scatter is not None:
+        runs = f"95 %: {one.scatter.low_95:.3g} to {one.scatter.high_95:.3g}, {runs}"
+    if math.isfinite(u := one.temperature_coefficient_u_ppm):
+        coefficient = with_uncertainty(one.temperature_coefficient_ppm, u, "ppm/K")
     return (
-        f"{begin} {_ppm(one.asymmetry_ppm)}, repeatability {_ppm(one.repeatability_ppm)} "
-        f"({len(one.runs)} runs), temperature coefficient {_ppm(one.temperature_coefficient_ppm)}/K.",
+        f"{begin} {_ppm(one.asymmetry_ppm)}, repeatability {_ppm(one.repeatability_ppm)} ({runs}), temperature "
+        f"coefficient {coefficient}.",
         f"{f'K({one.axis})' if several else 'K'} = {with_uncertainty(one.scale_factor, one.scale_factor_u)} "
         f"{COUNTS_PER_DPS}.",
         *_bias_lines(one, several=several),

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from analysis.fibre_gyro import repeatability_ppm, residual_pattern, scale_figures, temperature_coefficient_ppm
+from analysis.fibre_gyro import repeatability, residual_pattern, scale_figures, temperature_coefficient_ppm
 
 RATES = np.array([-100, -50, -20, -10, -5, -2, -0.5, -0.1, 0.1, 0.5, 2, 5, 10, 20, 50, 100.0])
 
@@ -42,9 +42,9 @@ def test_figures_are_those_of_polyfit() -> None:
 
 def test_repeatability_and_temperature_coefficient_by_hand() -> None:
     # 99, 100, 101: standard deviation 1, mean 100
-    assert repeatability_ppm([99.0, 100.0, 101.0]) == pytest.approx(10_000)
-    with pytest.raises(ValueError, match="two runs"):
-        repeatability_ppm([1.0])
+    assert repeatability([99.0, 100.0, 101.0], [0.0, 0.0, 0.0]).value == pytest.approx(1.0)
+    with pytest.raises(ValueError, match="two switchings"):
+        repeatability([1.0], [0.0])
     # 40 ppm in 20 K and 90 ppm in 30 K
     k, t = [100.004, 100.0, 99.991], [-5.0, 15.0, 45.0]
     assert temperature_coefficient_ppm(k, t, reference=(100.0, 15.0)) == pytest.approx(3.0)
@@ -79,3 +79,17 @@ def test_points_in_one_sense_give_no_odd_or_even_part() -> None:
     assert np.isnan(pattern.odd_ppm)
     assert np.isnan(pattern.odd_p)
     assert pattern.names == ()
+
+
+def test_the_u_of_an_asymmetry_is_that_of_the_noise_and_no_curve_widens_it() -> None:
+    """Runs with a cubic curve 30 times the noise: the same in both senses, so it is none of the asymmetry."""
+    rng = np.random.default_rng(7)
+    off = []
+    for _ in range(300):
+        asymmetry, cubic = rng.uniform(-3e-6, 3e-6), rng.uniform(-5e-9, 5e-9)
+        u = rng.uniform(0.02, 0.08, RATES.size)
+        outputs = 246.0 * (1 + asymmetry * np.sign(RATES) / 2) * RATES + 246 * cubic * RATES**3 + rng.normal(0, u)
+        figures = scale_figures(RATES, outputs, u)
+        signed = 1e6 * (figures.scale_factor_positive - figures.scale_factor_negative) / 246
+        off.append((signed - 1e6 * asymmetry) / figures.asymmetry_u_ppm)
+    assert 0.9 < np.sqrt(np.mean(np.square(off))) < 1.1

@@ -172,6 +172,9 @@ def test_figures_of_merit_of_a_gyro_with_known_faults(taken) -> None:
     assert found["repeatability_ppm"] == pytest.approx(10, rel=0.7)
     # 60 K below the reference and 40 K above, each switched on once: 10 ppm in 40 K
     assert found["temperature_coefficient_ppm"] == pytest.approx(3.0, abs=0.6)
+    assert found["repeatability_low_95_ppm"] < 10 < found["repeatability_high_95_ppm"]
+    assert abs(found["temperature_coefficient_ppm"] - 3.0) < 3 * found["temperature_coefficient_u_ppm"] < 2
+    assert abs(found["asymmetry_ppm"] - 40) < 4 * found["asymmetry_u_ppm"] < 8
     assert all("even" in run["pattern"] and "odd" not in run["pattern"] for run in found["runs"])
     assert "even in the rate (asymmetry)" in result.result.sentences[0]
 

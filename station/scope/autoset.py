@@ -10,11 +10,13 @@ from typing import Protocol
 
 import numpy as np
 
-from analysis import FATAL, Flag, estimate_lock_in
+from analysis import FATAL, Flag, estimate_lock_in, fit_harmonics
+from analysis.lockin_rate import MAINS_HZ
 from analysis.plan import OscilloscopeSteps
 from instrument import TDS2014, NoTrigger, ScopeEvent, SettingError, Waveform
 from instrument.scpi import DIVISIONS, LEVELS_PER_DIVISION, POINTS, SCAN_FROM, TIME_BASES, VERTICAL_SCALES
 from station.errors import NoUsableSignal
+from station.results.result import with_prefix
 
 _TRIALS_MAX = 30
 # The slowest time base, s/div, at which a trial costs next to nothing. Where the beat is not expected to be slow,
@@ -31,6 +33,11 @@ def oscilloscope_steps(probe: float = 1.0) -> OscilloscopeSteps:
     scales = tuple(scale * probe for scale in VERTICAL_SCALES)
     return OscilloscopeSteps(TIME_BASES, scales, POINTS, DIVISIONS, LEVELS_PER_DIVISION)
 
+
+_LOOKED_AT = 2.5e-5, 2.5e-3, 5e-2
+"""Time bases, s/div, at which is looked what there is instead of a beat; the fast one first, for aliases."""
+
+_FLAT_LEVELS = 5
 
 _STEPS = oscilloscope_steps()
 
@@ -144,14 +151,21 @@ def find_beat(
         if waveform is not None and (seen is not None or waveform.clipped) and search.improve_vertical(waveform):
             continue
         if seen is None:
-            search.set_time_base(_slower(search.base, slowest))
+            slower = next((step for step in TIME_BASES if step >= search.base * 4), math.inf)
+            if search.base >= slowest or not math.isfinite(slower):
+                raise NoUsableSignal(
+                    f"no beat on the scope at any time base ({search.what_is_there()}): "
+                    "is the gyro running, the table turning, the cable on this channel?"
+                )
+            last = next(step for step in TIME_BASES if step >= min(slowest, TIME_BASES[-1]))
+            search.set_time_base(min(slower, last))
             continue
         wanted = _STEPS.time_base(seen, measurement.periods_min, measurement.samples_per_period_min, mains)
         if math.isclose(wanted, search.base, rel_tol=1e-3):
             return search.found(seen)
         search.set_time_base(wanted)
     raise NoUsableSignal(
-        f"no steady beat on {settings.channel} after {_TRIALS_MAX} trial records: "
+        f"no steady beat on {settings.channel} after {_TRIALS_MAX} trial records ({search.what_is_there()}): "
         "is the gyro running and the table turning?"
     )
 
@@ -212,6 +226,22 @@ class _BeatSearch:
         self.base = self._scope.set_timebase(base, position=0.0)
         self._set_trigger()
 
+    def what_is_there(self) -> str:
+        """In words what stands on the channel, and on the others that are displayed, at three time bases."""
+        channel, scope = self._settings.channel.upper(), self._scope
+        others = [name for name in scope.channels if name != channel and scope.channel_settings(name).displayed]
+        told: dict[str, str] = {}
+        periodic: set[str] = set()
+        for base in _LOOKED_AT:
+            self.set_time_base(base)
+            with contextlib.suppress(NoTrigger):
+                for name, waveform in zip((channel, *others), scope.acquire((channel, *others)), strict=True):
+                    if name not in periodic:
+                        told[name], repeats = signal_words(name, waveform)
+                        periodic |= {name} if repeats else set()
+        hint = next((f" ({name} may be it: --channel {name})" for name in others if name in periodic), "")
+        return f"{'; '.join(told.values())}{hint}"
+
     def found(self, frequency: float) -> KnobPositions:
         """Return the knobs as they stand now."""
         return KnobPositions(
@@ -244,15 +274,23 @@ def _beat_frequency(waveform: Waveform) -> float | None:
     return float(estimate.beat_frequency)
 
 
-def _slower(base: float, slowest: float) -> float:
-    """The next time base to try, s/div; NoUsableSignal beyond the slowest at which a beat would show."""
-    slower = next((step for step in TIME_BASES if step >= base * 4), math.inf)
-    if base >= slowest or not math.isfinite(slower):
-        raise NoUsableSignal(
-            "no beat on the scope at any time base: "
-            "is the gyro running, the table turning, the cable on this channel?"
-        )
-    return min(slower, next(step for step in TIME_BASES if step >= min(slowest, TIME_BASES[-1])))
+def signal_words(name: str, waveform: Waveform) -> tuple[str, bool]:
+    """What stands on a channel, and whether it is periodic: at least three periods of one frequency."""
+    volts = waveform.volts[np.isfinite(waveform.volts)]
+    span = float(np.ptp(volts)) if volts.size else 0.0
+    if span < _FLAT_LEVELS * abs(waveform.preamble.ymult):
+        return f"{name}: flat at {with_prefix(float(volts.mean()) if volts.size else 0.0, 'V')}", False
+    fit = fit_harmonics(waveform.volts, waveform.sample_interval, nan_policy="omit")
+    frequency, (first, second, third) = float(fit.frequency), np.abs(fit.amplitudes).tolist()
+    periods = frequency * waveform.sample_interval * len(waveform)
+    if not (periods >= 3 and first**2 > np.var(volts)):  # half of the power and more
+        return f"{name}: {with_prefix(span, 'V')} peak to peak, no steady frequency", False
+    text = f"{name}: {with_prefix(span, 'V')} peak to peak at {with_prefix(frequency, 'Hz')}"
+    if third > 0.2 * first and second < 0.1 * first:
+        text += ", odd harmonics only: a logic output?"
+    elif any(abs(frequency - order * mains) < 0.01 * frequency for mains in MAINS_HZ for order in (1, 2)):
+        text += ": hum of the mains?"
+    return text, True
 
 
 def _set_vertical(

@@ -79,6 +79,34 @@ def test_no_beat_is_told() -> None:
     manager.close()
 
 
+def square(times: np.ndarray) -> np.ndarray:
+    return 0.25 * np.sign(np.sin(2 * np.pi * 151 * times))
+
+
+@pytest.mark.parametrize(
+    ("signals", "words"),
+    [
+        ({1: np.zeros_like}, ["CH1: flat at"]),
+        ({1: square}, ["peak to peak at 151", "odd harmonics only: a logic output?"]),
+        ({1: lambda times: 0.3 * np.sin(2 * np.pi * 300e3 * times)}, ["CH1", "at 300 kHz"]),
+        ({1: lambda times: 0.3 * np.sin(2 * np.pi * 50 * times)}, ["at 50", "hum of the mains?"]),
+        (
+            {1: np.zeros_like, 2: lambda times: 0.3 * np.sin(2 * np.pi * 151.5 * times)},
+            ["CH1: flat", "CH2", "at 151", "CH2 may be it: --channel CH2"],
+        ),
+    ],
+)
+def test_what_stands_there_instead_of_a_beat_is_told(signals: dict[int, Any], words: list[str]) -> None:
+    manager = resource_manager(scopes={NAME: SimulatedTDS2014(signals, clock=VirtualClock())})
+    with TDS2014(NAME, resource_manager=manager) as scope:
+        for channel in signals:
+            scope.set_channel(channel, probe=1, scale=0.1, displayed=True)
+        with pytest.raises(NoUsableSignal, match=r"no .*beat") as told:
+            find_beat(scope, SETTINGS.scope, SETTINGS.measurement, start=150.0)
+    manager.close()
+    assert [word for word in words if word not in str(told.value)] == []
+
+
 def beat(frequency: float, depth: float = 0.4) -> Callable[[np.ndarray], np.ndarray]:
     def signal(times: np.ndarray) -> np.ndarray:
         phase = 2 * np.pi * frequency * times

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
 
 import numpy as np
 
@@ -69,21 +68,6 @@ def truth_is_missed(found: LockInEvaluation) -> bool:
         return False
     low, high = found.interval_95
     return not low <= found.truth[LOCK_IN_RATE.key()] <= high
-
-
-def span_words(values: Iterable[float], unit: str = "") -> str:
-    """Return the sizes of what several rates have each for itself.
-
-    Examples
-    --------
-    >>> span_words([0.03, -0.3, float("nan")], "deg/s"), span_words([0.5])
-    ('0.03 to 0.3 deg/s', '0.5')
-    """
-    sizes = [abs(value) for value in values if math.isfinite(value)]
-    if not sizes:
-        return "none"
-    ends = dict.fromkeys(f"{size:.4g}" for size in (min(sizes), max(sizes)))
-    return f"{' to '.join(ends)} {unit}".rstrip()
 
 
 def flag_sentence(evaluation: LockInEvaluation, name: str) -> str:

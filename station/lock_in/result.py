@@ -28,7 +28,6 @@ from station.lock_in.messages import (
     remedy_sentence,
     separated_words,
     short_remedy,
-    span_words,
     table_sentences,
     truth_is_missed,
     truth_sentence,
@@ -197,7 +196,14 @@ def _summary(found: LockInEvaluation) -> Rows:
     fit = None if found.several is None else found.several.by_beat
     if fit is not None and (said := separated_words(fit)):
         rows.append(("besides lock-in", said))
-    rows += _rate_rows(found)
+    if found.several is None:
+        if found.usable:
+            rows.append(("r = A2/A1", with_uncertainty(float(combined.ratio), float(combined.ratio_u))))
+        if math.isfinite(combined.beat_frequency):
+            beat = with_uncertainty(float(combined.beat_frequency), float(combined.beat_frequency_u), "Hz")
+            rows.append(("beat", beat))
+        if math.isfinite(combined.input_rate):
+            rows.append(("rate on the axis", f"{float(combined.input_rate):.6f} deg/s"))
     if found.tilt is not None:
         rows.append(("tilt of the axis", with_uncertainty(found.tilt.tilt_deg, found.tilt.tilt_u_deg, "deg")))
     if (check := found.table_check) is not None:
@@ -215,26 +221,6 @@ def _summary(found: LockInEvaluation) -> Rows:
     rows.append(("scale factor", f"{found.method.scale_factor:.10g} pulses/deg"))
     rows.append(("method", found.method_text))
     rows.append(("records", f"{len(found.names)}, rejected {found.records_rejected}"))
-    return rows
-
-
-def _rate_rows(found: LockInEvaluation) -> Rows:
-    """Ratio, beat and rate; of several rates where they go from and to."""
-    if found.several is not None:
-        each = [group.combined for group in found.several.groups]
-        return [
-            ("r = A2/A1", f"{span_words(float(one.ratio) for one in each)} at {len(each)} rates, see the table"),
-            ("beat", span_words((float(one.beat_frequency) for one in each), "Hz")),
-            ("rate on the axis", span_words((group.input_rate for group in found.several.groups), "deg/s")),
-        ]
-    combined, rows = found.combined, []
-    if found.usable:
-        rows.append(("r = A2/A1", with_uncertainty(float(combined.ratio), float(combined.ratio_u))))
-    if math.isfinite(combined.beat_frequency):
-        beat = with_uncertainty(float(combined.beat_frequency), float(combined.beat_frequency_u), "Hz")
-        rows.append(("beat", beat))
-    if math.isfinite(combined.input_rate):
-        rows.append(("rate on the axis", f"{float(combined.input_rate):.6f} deg/s"))
     return rows
 
 
@@ -301,9 +287,7 @@ def _result_rows(found: LockInEvaluation, run: SavedRun, settings: Settings) -> 
             ("backscatter less readout phase", f"{math.degrees(float(combined.backscatter_phase)):.1f}°"),
             ("amplitude", with_prefix(float(combined.amplitude), "V")),
         ]
-    if found.several is not None:
-        rows.append(("table rate", span_words((one.table_rate for one in found.several.groups), "deg/s")))
-    elif (table_rate := run.facts.get("table_rate_dps")) is not None:
+    if found.several is None and (table_rate := run.facts.get("table_rate_dps")) is not None:
         rows.append(("table rate", f"{table_rate:.5f} deg/s"))
     if found.table_check is not None:
         rows.append(("latitude", f"{settings.site.latitude_deg:g}°"))

@@ -342,7 +342,7 @@ def _validated(kind: SettingsKind[S], values: Mapping[str, Any], path: Path, ove
     except ValidationError as error:
         for mistake in error.errors():
             section, name, *_ = *map(str, mistake["loc"]), "", ""
-            if name in (overrides.get(section) or {}):
+            if name in (overrides.get(section) or {}) and mistake["type"] != "extra_forbidden":
                 raise SettingsError(f"{section}.{name}: {_told(mistake)}") from None
         raise SettingsError(mistakes(path, error, kind.model)) from None
 

@@ -319,14 +319,12 @@ def _suite(root: ET.Element, step: Mapping[str, Any], record: Mapping[str, Any])
         "run_sha256": (step["run"] or {}).get("sha256"),
         "simulated": str(record["simulated"]).lower(),
     }
-    properties = ET.SubElement(suite, "properties")
-    for name, value in known.items():
-        if value is not None:
-            ET.SubElement(properties, "property", {"name": name, "value": _text(str(value))})
+    _properties(suite, known)
     seconds = f"{step['elapsed_s']:.3f}"
     for place, limit in enumerate(step["limits"]):
         # the time of the step belongs to all of its limits together
         case = _case(suite, step["key"], limit["name"], seconds if place == 0 else "0")
+        _properties(case, {name: limit[name] for name in _OF_CASE})
         _say(case, limit["verdict"], limit["sentence"])
     broken = step["failure"] is not None
     if broken or not step["limits"]:
@@ -335,6 +333,16 @@ def _suite(root: ET.Element, step: Mapping[str, Any], record: Mapping[str, Any])
     _count(suite)
     if step["remarks"]:
         ET.SubElement(suite, "system-out").text = _text("\n".join(step["remarks"]))
+
+
+_OF_CASE = ("value", "low_95", "high_95", "unit", "at_least", "at_most", "verdict")
+
+
+def _properties(element: ET.Element, known: Mapping[str, Any]) -> None:
+    told = ET.SubElement(element, "properties")
+    for name, value in known.items():
+        if value is not None:
+            ET.SubElement(told, "property", {"name": name, "value": _text(str(value))})
 
 
 def _case(suite: ET.Element, step: str, name: str, seconds: str) -> ET.Element:

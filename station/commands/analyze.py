@@ -249,7 +249,8 @@ class Analysis:
                         print_json(row)
                 elif listed:
                     say(_line(source, analyzed))
-                    tally[_word(analyzed)] += 1
+                    word = "not read" if analyzed is None else analyzed.result.quality.partition(":")[0]
+                    tally[word] += 1
                 elif analyzed is not None:
                     say(f"{source}")
                     _print(analyzed)
@@ -318,11 +319,6 @@ def _no_result(problem: str) -> Failure | None:
 
 _NAME, _VALUE, _WORDS = 32, 36, 32
 """Letters that a line of the list has for a source, its value, and what rules it: 120 in all."""
-
-
-def _word(analyzed: Evaluated | AnalyzedFiles | None) -> str:
-    """The quality of a source in one word."""
-    return "not read" if analyzed is None else analyzed.result.quality.partition(":")[0]
 
 
 def _line(source: Path | Source, analyzed: Evaluated | AnalyzedFiles | None) -> str:

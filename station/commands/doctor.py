@@ -13,7 +13,6 @@ import zipfile
 from contextlib import ExitStack, nullcontext
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
@@ -25,10 +24,6 @@ from station.results.result import Check, guarded
 from station.settings import shipped_settings
 from station.shell.options import config_option, full_option, json_option, transcript_option
 from station.terminal import print_json, prints_all, say
-
-if TYPE_CHECKING:
-    pass
-
 
 _PACKAGES = (
     "numpy",

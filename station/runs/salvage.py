@@ -61,7 +61,9 @@ def _opened(file: Path) -> SavedRun | None:
 def _scanned(content: bytes, journal: bytes) -> tuple[dict[int, SavedRecord], dict[str, Any]]:
     """Records and facts out of all pages of a file and its journal; what was written later counts."""
     size = page_size_of(content)
-    pages = {1 + start // size: content[start : start + size] for start in range(0, len(content) - size + 1, size)}
+    # of a page that is cut, or was not written to its end, the rows in front are there: their checksums say which
+    whole = content.ljust(-(-len(content) // size) * size, b"\0")
+    pages = {1 + start // size: whole[start : start + size] for start in range(0, len(whole), size)}
     images = [*pages.items(), *frames_of(journal, size)]
     pages |= dict(images[len(pages) :])
     records: dict[int, SavedRecord] = {}

@@ -168,6 +168,24 @@ def test_what_can_be_read_is_got_out(tmp_path: Path, size: int, first: int, leng
     assert path.read_bytes() == content
 
 
+@pytest.mark.parametrize("records", [8, 20])
+@pytest.mark.parametrize("share", [0.55, 0.75, 0.85, 0.97])
+def test_of_a_page_that_is_cut_the_rows_in_front_are_got_out(tmp_path: Path, records: int, share: float) -> None:
+    path = new_run(tmp_path, records)
+    content = path.read_bytes()
+    cut = content[: int(share * len(content))]
+    # a row takes 3 kB at most: of whom the codes stand in front of the last 3 kB, the whole row does
+    ends = {n: cut.find(record(n).payload) + 3000 for n in range(1, records + 1)}
+    whole = {n for n, end in ends.items() if end > 3000 and end < len(cut)}
+    path.write_bytes(cut)
+    if not whole:
+        pytest.skip("the cut lies before the first record")
+    run = open_run(salvage(path, tmp_path / "other").path)
+    found = {int(one.key.rpartition(" ")[2]) for one in run.records}
+    assert whole <= found
+    assert all(one.payload == record(int(one.key.rpartition(" ")[2])).payload for one in run.records)
+
+
 def test_the_command_names_what_is_lost(tmp_path: Path, capsys) -> None:
     path = new_run(tmp_path, 5)
     damage(path, "UPDATE record SET payload = zeroblob(2500) WHERE number = 2")

@@ -82,6 +82,13 @@ def test_junit_is_read_by_another_program(tested: TestedUnit) -> None:
     known = {one.name: one.value for one in suite.properties()}
     assert known["unit"] == "SN <7> & Söhne"
     assert known["run_sha256"] == tested.record["steps"][0]["run"]["sha256"]
+    limit = tested.record["steps"][0]["limits"][0]
+    of_case = {one.name: one.value for one in next(iter(suite)).child(junitparser.Properties)}
+    assert float(of_case["value"]) == limit["value"]
+    assert (of_case["unit"], of_case["verdict"]) == (limit["unit"], "PASS")
+    assert (
+        float(of_case["low_95"]) < float(of_case["value"]) < float(of_case["high_95"]) < float(of_case["at_most"])
+    )
 
 
 @pytest.mark.parametrize(("verdict", "kind"), [("FAIL", "Failure"), ("MARGINAL", "Failure"), ("ERROR", "Error")])

@@ -84,9 +84,6 @@ def mains_clearance(frequency: float, duration: float, mains: Sequence[float]) -
     return float(np.min(apart, initial=CLEAR_OF_MAINS))
 
 
-MOVES_OFF_MAINS = tuple(sign * 0.02 * step for step in range(1, 9) for sign in (1, -1))
-
-
 def off_mains(
     beat: float, lock_in_rate: float, scale_factor: float, duration: float, mains: Sequence[float]
 ) -> float:
@@ -100,7 +97,7 @@ def off_mains(
         squared = (rate * (1 + move)) ** 2 - lock_in_rate**2
         return mains_clearance(scale_factor * math.sqrt(squared), duration, mains) if squared > 0 else 0.0
 
-    return rate * max((0.0, *MOVES_OFF_MAINS), key=clearance)
+    return rate * max((0.0, *(sign * 0.02 * step for step in range(1, 9) for sign in (1, -1))), key=clearance)
 
 
 @dataclass(frozen=True)

@@ -178,6 +178,7 @@ def export_command(
     from station.errors import EXIT_OK, EXIT_USAGE
     from station.settings import read_toml
     from station.shell.options import shown
+    from station.sources.batches import NO_RECORD
 
     if (to is None) == (tek_csv is None):
         raise click.UsageError("give --to FILE or --tek-csv DIR")
@@ -211,7 +212,7 @@ def export_command(
             done.files[0] if len(done.files) == 1 else f"{len(done.files)} files, {done.files[0]} and following"
         )
         say(f"saved   {done.records} records of {done.sources} sources in {where}")
-    return EXIT_USAGE if left_out else EXIT_OK
+    return EXIT_USAGE if any(one.reason != NO_RECORD for one in left_out) else EXIT_OK
 
 
 def _opened(paths: tuple[str, ...], left_out: list[ExcludedRecord], progress: Progress) -> Iterator[Source]:

@@ -28,7 +28,7 @@ from station.datasets.rows import AT_ONCE, Rows, described, joined_rows, package
 from station.errors import CannotWrite, RunError, StationError, UsageError, one_line
 from station.runs.database import RunFacts, checked_fact
 from station.runs.store import SavedRecord, SavedRun, damage_of, damaged_facts, missing_records, open_run
-from station.sources.batches import ExcludedRecord, Source
+from station.sources.batches import NO_RECORD, ExcludedRecord, Source
 from station.sources.run import HeldRun, RunSource
 
 PARTS = "part-*.parquet"
@@ -319,7 +319,7 @@ def _all_rows(sources: Iterable[Source], done: Exported) -> Iterator[Rows]:
         try:
             records = len(source)
             if not records:
-                done.left_out.append(ExcludedRecord(source.name, None, "holds no record"))
+                done.left_out.append(ExcludedRecord(source.name, None, NO_RECORD))
                 continue
             yield from rows_of(source, described(source, records), source.records())
             done.sources += 1

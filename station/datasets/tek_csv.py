@@ -16,7 +16,7 @@ from station.errors import CannotWrite, StationError, UsageError
 from station.results.numbers import SCALE_FACTOR
 from station.runs.database import RunFacts
 from station.runs.store import SavedRecord
-from station.sources.batches import ExcludedRecord, Source
+from station.sources.batches import NO_RECORD, ExcludedRecord, Source
 
 _SECOND = "quadrature"  # of the same acquisition as the record before it
 _SIDE_FILE = "gyrolock.toml"
@@ -67,6 +67,8 @@ def _write(source: Source, folder: Path, done: Exported, taken: Counter[Path]) -
     except (StationError, InstrumentError) as error:
         done.left_out.append(ExcludedRecord(source.name, None, str(error).removeprefix(f"{source.name}: ")))
         return
+    if not records:
+        done.left_out.append(ExcludedRecord(source.name, None, NO_RECORD))
     keys = _keys(source.facts)
     purposes = dict.fromkeys(record.purpose for record in records if record.purpose != _SECOND)
     below = folder

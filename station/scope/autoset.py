@@ -37,8 +37,6 @@ def oscilloscope_steps(probe: float = 1.0) -> OscilloscopeSteps:
 _LOOKED_AT = 2.5e-5, 2.5e-3, 5e-2
 """Time bases, s/div, at which is looked what there is instead of a beat; the fast one first, for aliases."""
 
-_FLAT_LEVELS = 5
-
 _STEPS = oscilloscope_steps()
 
 
@@ -278,7 +276,7 @@ def signal_words(name: str, waveform: Waveform) -> tuple[str, bool]:
     """What stands on a channel, and whether it is periodic: at least three periods of one frequency."""
     volts = waveform.volts[np.isfinite(waveform.volts)]
     span = float(np.ptp(volts)) if volts.size else 0.0
-    if span < _FLAT_LEVELS * abs(waveform.preamble.ymult):
+    if span < 5 * abs(waveform.preamble.ymult):  # levels
         return f"{name}: flat at {with_prefix(float(volts.mean()) if volts.size else 0.0, 'V')}", False
     fit = fit_harmonics(waveform.volts, waveform.sample_interval, nan_policy="omit")
     frequency, (first, second, third) = float(fit.frequency), np.abs(fit.amplitudes).tolist()

@@ -72,6 +72,9 @@ AT_ONCE = 1000
 """Records in a batch: 2.5 MB of codes. Results do not depend on it."""
 
 
+NO_RECORD = "holds no record"  # why a source that can be read is left out
+
+
 @dataclass(frozen=True)
 class ExcludedRecord:
     """Something that could not be read: a whole source, or one record of it."""

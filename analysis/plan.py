@@ -89,7 +89,7 @@ def off_mains(
 ) -> float:
     """The least change of the rate, deg/s faster, that brings a beat (Hz) in records so long (s) off the mains.
 
-    0 where none within 16 % makes it better.
+    0 where none makes it better: up to 16 % faster, and 6 % slower, since a gyro locks where it is slow.
     """
     rate = math.hypot(beat / scale_factor, lock_in_rate)
 
@@ -97,7 +97,8 @@ def off_mains(
         squared = (rate * (1 + move)) ** 2 - lock_in_rate**2
         return mains_clearance(scale_factor * math.sqrt(squared), duration, mains) if squared > 0 else 0.0
 
-    return rate * max((0.0, *(sign * 0.02 * step for step in range(1, 9) for sign in (1, -1))), key=clearance)
+    nearest = sorted((0.02 * step for step in range(-3, 9)), key=abs)
+    return rate * max(nearest, key=clearance)
 
 
 @dataclass(frozen=True)

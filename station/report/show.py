@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
@@ -245,7 +246,7 @@ def print_result(evaluated: Shown) -> None:
     identity = facts.get("identity") or {}
     about = [*labels, _time_of_day(facts.started_at) if facts.started_at else "", identity.get("model", "")]
     if facts.simulated:
-        about.append(f"simulated ({result.truth})" if result.truth else "simulated")
+        about.append("simulated")
     print_values(result, evaluated.tested, [("taken", ", ".join(filter(None, about)))])
 
 
@@ -267,7 +268,8 @@ def print_values(result: Result, tested: Sequence[LimitOutcome], about: Rows = (
     if full:
         said = [("", ""), value, *result.summary, *about]
     else:
-        said = [*about, *(result.brief or (value, *result.summary)), ("quality", result.quality)]
+        quality = f"{result.quality}; {result.truth}" if result.truth else result.quality
+        said = [*about, *(result.brief or (value, *result.summary)), ("quality", quality)]
     for name, text in said:
         rows.add_row(name, Text(visible(text), style=style if name in (result.name, "quality") else ""))
     console.print(rows)
@@ -279,7 +281,8 @@ def print_values(result: Result, tested: Sequence[LimitOutcome], about: Rows = (
             console.print(f"• {sentence}", style="red" if sentence in result.failures else "yellow")
     told = tested if full else sorted(tested, key=lambda one: one.passed)[:_MOST_LIMITS]
     for one in told:
-        words = one.sentence if full else one.sentence.partition("; ")[0]
+        # the interval stands above already
+        words = one.sentence if full else re.sub(r" \[[^]]*\]", "", one.sentence.partition("; ")[0])
         console.print(words, style="green" if one.passed else "yellow" if one.verdict == MARGINAL else "bold red")
     if more := len(tested) - len(told):
         console.print(f"and {more} limits more: --full")

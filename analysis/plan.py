@@ -97,8 +97,7 @@ def off_mains(
         squared = (rate * (1 + move)) ** 2 - lock_in_rate**2
         return mains_clearance(scale_factor * math.sqrt(squared), duration, mains) if squared > 0 else 0.0
 
-    nearest = sorted((0.02 * step for step in range(-3, 9)), key=abs)
-    return rate * max(nearest, key=clearance)
+    return rate * max(sorted((0.02 * step for step in range(-3, 9)), key=abs), key=clearance)
 
 
 @dataclass(frozen=True)

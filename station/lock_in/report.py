@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis import RatesFit, fit_harmonics
-from analysis.budget import Budget, BudgetInput
+from analysis.budget import Budget
 from analysis.lock_in_run import RateGroup, SeveralRates
 from analysis.lockin_equation import beat_frequency, lock_in_from_rate
 from analysis.several_rates import RatioData, predicted_ratio
@@ -61,10 +61,13 @@ def sections(found: LockInEvaluation, result: Result) -> list[Section]:
 
 
 def _budget(budget: Budget) -> Section:
-    figure = PlacedFigure(budget_svg(budget), "What each input gives to the standard uncertainty.")
-    shown = [budget_rows(budget)[-1], *budget_rows(budget)[:-1]]
+    figure = PlacedFigure(budget_svg(budget), "What each input gives to the variance.")
+    *rows, combined = budget_rows(budget)
+    shown = [combined, *(row for line, row in zip(budget.inputs, rows, strict=True) if line.contribution > 0)]
+    none = [line.quantity for line in budget.inputs if line.contribution == 0]
+    said = (*budget_sentences(budget), *([f"Without weight here: {', '.join(none)}."] if none else []))
     table = TextTable(BUDGET_COLUMNS, tuple(shown))
-    return Section("Uncertainty budget", figures=(figure,), sentences=tuple(budget_sentences(budget)), table=table)
+    return Section("Uncertainty budget", figures=(figure,), sentences=said, table=table)
 
 
 def _several_rates(found: LockInEvaluation, several: SeveralRates) -> Section:
@@ -492,37 +495,25 @@ _SMALLEST_SHOWN = 1e-4
 
 
 def budget_svg(budget: Budget, name: str = "budget") -> str:
-    """Draw the contributions of a budget in percent of the lock-in rate."""
+    """Draw what each input of a budget gives to the variance."""
+    least = _SMALLEST_SHOWN * budget.combined_u
+    lines = [line for line in budget.inputs if line.contribution > least][:_LINES_SHOWN]
 
     def draw(figure: Figure) -> None:
-        draw_budget(figure.add_subplot(), budget)
+        axes = figure.add_subplot()
+        # noise may leave a lock-in rate of zero, of which nothing is a percentage
+        unit, scale = ("%", 100 / budget.lock_in_rate) if budget.lock_in_rate > 0 else ("deg/s", 1.0)
+        shares = [100 * budget.share(line) for line in lines]
+        sizes = [f"{scale * line.contribution:.2g} {unit}" for line in lines]
+        told = [f"{share:.1f} %  (u {size})" for share, size in zip(shares, sizes, strict=True)]
+        places = list(range(len(lines), 0, -1))
+        bars = axes.barh(places, shares, height=0.62, color=ACCENT)
+        axes.bar_label(bars, told, padding=4, color=INK, fontsize=8.5)
+        axes.set_yticks(places, [line.quantity for line in lines], color=INK)
+        axes.tick_params(axis="y", length=0)
+        axes.grid(visible=False, axis="y")
+        axes.set_xlim(0, 125)
+        axes.set_xticks(range(0, 101, 20))
+        axes.set_xlabel(f"share of the variance, %; combined u = {scale * budget.combined_u:.2g} {unit}")
 
-    return svg_element(name, (10.0, budget_height(budget)), draw)
-
-
-def budget_height(budget: Budget) -> float:
-    """Height in inches that the bars of a budget need."""
-    return 1.0 + 0.29 * (len(_shown(budget)) + 1)
-
-
-def draw_budget(axes: Axes, budget: Budget) -> None:
-    """Draw the bars on given axes."""
-    lines = _shown(budget)
-    labels = ["combined", *(line.quantity for line in lines)]
-    # noise may leave a lock-in rate of zero, of which nothing is a percentage
-    unit, scale = ("%", 100 / budget.lock_in_rate) if budget.lock_in_rate > 0 else ("deg/s", 1.0)
-    sizes = [scale * u for u in (budget.combined_u, *(line.contribution for line in lines))]
-    places = list(range(len(labels), 0, -1))
-    bars = axes.barh(places, sizes, height=0.62, color=[SECOND, *[ACCENT] * len(lines)])
-    axes.bar_label(bars, labels=[f"{size:.2g} {unit}" for size in sizes], padding=4, color=INK, fontsize=8.5)
-    axes.set_yticks(places, labels, color=INK)
-    axes.tick_params(axis="y", length=0)
-    axes.grid(visible=False, axis="y")
-    axes.set_xscale("log")
-    axes.set_xlim(min(sizes) * 0.4, max(sizes) * 4)
-    axes.set_xlabel(f"standard uncertainty, {'% of the lock-in rate' if unit == '%' else unit}")
-
-
-def _shown(budget: Budget) -> list[BudgetInput]:
-    least = _SMALLEST_SHOWN * budget.combined_u
-    return [line for line in budget.inputs if line.contribution > least][:_LINES_SHOWN]
+    return svg_element(name, (10.0, 1.0 + 0.29 * len(lines)), draw)

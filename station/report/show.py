@@ -82,7 +82,7 @@ def render_report(evaluated: Shown) -> str:
         value=f"{evaluated.verdict} · {result.value}" if evaluated.verdict else result.value,
         lines=(*result.lines, *(f"{one.sentence}." for one in evaluated.tested)),
         reasons=_reasons(result),
-        labels=_labels(facts, remarks),
+        labels=[("quality", result.quality.partition(":")[0]), *_labels(facts, remarks)],
         sections=sections,
         fact_columns=[tables[:middle], tables[middle:]],
         footer=_footer(evaluated),
@@ -130,6 +130,9 @@ def _labels(facts: RunFacts, remarks: Remarks) -> Rows:
         rows.append(("tags", " ".join(remarks.tags)))
     if facts.started_at:
         rows.append(("taken", _time_of_day(facts.started_at)))
+    if identity := facts.get("identity"):
+        serial = identity.get("serial") or ""
+        rows.append(("instrument", f"{identity.get('model', '')} {serial.strip('0') and serial}".strip()))
     if facts.resumed_at:
         rows.append(("resumed", f"{len(facts.resumed_at)} times" if len(facts.resumed_at) > 1 else "once"))
     return rows

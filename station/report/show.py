@@ -288,4 +288,4 @@ def print_values(result: Result, tested: Sequence[LimitOutcome], about: Rows = (
         words = one.sentence if full else re.sub(r" \[[^]]*\]", "", one.sentence.partition("; ")[0])
         console.print(words, style="green" if one.passed else "yellow" if one.verdict == MARGINAL else "bold red")
     if more := len(tested) - len(told):
-        console.print(f"and {more} limits more: --full")
+        console.print(f"and {more} more limit{'s' if more > 1 else ''}: --full")

@@ -321,8 +321,10 @@ def within(value: float, low: float, high: float, unit: str = "") -> str:
     '0.0200 (0.0110 to 0.0240) deg/s'
     """
     tail, half = f" {unit}" if unit else "", (high - low) / 2
-    if not (math.isfinite(value) and math.isfinite(half) and half > 0):
-        return f"{value:.6g}{tail}" if math.isfinite(value) else "none"
+    if not math.isfinite(value):
+        return "none"
+    if not (math.isfinite(half) and half > 0):
+        return f"{value:.6g}{tail}{'' if half == 0 else ', interval not known'}"
     digits = max(0, decimals_of(half))
     if low == 0 or value == high:
         return f"below {high:.{digits}f}{tail}"

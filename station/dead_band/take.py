@@ -25,7 +25,7 @@ from station.ring_laser.records import Bench, acquisition_records, set_up, take_
 from station.ring_laser.settings import RingLaserSettings, ScopeSettings, SimulationSettings
 from station.runs.acquisition import Acquisition
 from station.runs.store import NewRecord, RunWriter
-from station.scope.autoset import KnobPositions, TrialShape, find_beat, oscilloscope_steps
+from station.scope.autoset import KnobPositions, ScreenShape, find_beat, oscilloscope_steps
 from station.settings import (
     Finite,
     Limits,
@@ -214,7 +214,7 @@ def _knobs(
     _turn(bench, first, settings)
     fastest = _FASTER_THAN_RATE * settings.gyro.scale_factor_pulses_per_deg * abs(first.rate_dps)
     # few periods: a slower time base would need a trigger, and wait for it
-    shape = TrialShape(settings.sweep.fill_levels, periods_min=5.0)
+    shape = ScreenShape(settings.sweep.fill_levels, periods_min=5.0)
     try:
         knobs = find_beat(bench.scope, settings.scope, shape, fastest)
         while answers.doubted(first, knobs.beat_frequency):

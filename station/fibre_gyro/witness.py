@@ -49,7 +49,7 @@ from station.results.result import (
 )
 from station.runs.acquisition import Acquisition
 from station.runs.store import NewRecord, SavedRecord, SavedRun
-from station.scope.autoset import KnobPositions, TrialShape, fit_channel, oscilloscope_steps
+from station.scope.autoset import KnobPositions, ScreenShape, fit_channel, oscilloscope_steps
 from station.scope.tools import open_scope, serve
 from station.settings import Finite, NotNegative
 
@@ -82,7 +82,7 @@ _own = WitnessSettings.of
 _SETTING = "scope_setting"
 
 
-_SHAPE = TrialShape(periods_min=80.0)
+_SHAPE = ScreenShape(periods_min=80.0)
 """At least so many steps in a record, if each has at least so many samples."""
 
 

@@ -34,7 +34,7 @@ from station.ring_laser.records import Bench, acquisition_records, set_up, take_
 from station.runs.acquisition import Acquisition
 from station.runs.progress import Progress
 from station.runs.store import RunWriter, SavedRecord
-from station.scope.autoset import KnobPositions, find_beat, fit_channel
+from station.scope.autoset import KnobPositions, ScreenShape, find_beat, fit_channel
 
 _EAST = 90.0
 """Azimuth at which the earth rate on the axis has its vertical part only."""
@@ -235,13 +235,18 @@ class _Taking:
         if table_rate is not None and not there and settings.rates_are_chosen:
             table_rate = self._off_mains(step, table_rate, fits, self.knobs)
         for channel in channels[1:]:
-            fit_channel(self.bench.scope, channel, settings.scope, settings.measurement, self.knobs)
+            fit_channel(self.bench.scope, channel, settings.scope, self._shape, self.knobs)
         now = {"scope_setting": asdict(self.knobs), "table_rate_dps": table_rate}
         asked = {"over_lock_in": step.over_lock_in}
         self.rates.append({**asked, **now})
         self.writer.save_facts({"rates": self.rates, **now})
         name = f"rate {step.sense * step.over_lock_in:+g}"
         self._take_records("measure", name, channels, len(there), count, table_rate, asked)
+
+    @property
+    def _shape(self) -> ScreenShape:
+        wanted = self.settings.measurement
+        return ScreenShape(wanted.fill_levels, wanted.periods_min, wanted.samples_per_period_min)
 
     @property
     def _mains(self) -> tuple[float, ...]:
@@ -274,7 +279,7 @@ class _Taking:
         """Find the beat; where an operator has set the table it has to fit the rate, else they are asked again."""
         settings, table = self.settings, self.bench.table
         while True:
-            knobs = find_beat(self.bench.scope, settings.scope, settings.measurement, start, mains)
+            knobs = find_beat(self.bench.scope, settings.scope, self._shape, start, mains)
             if fits is None or not isinstance(table, ManualRateTable):
                 return knobs
             beats, frequency = fits(table.rate()), knobs.beat_frequency

@@ -17,7 +17,7 @@ from station.results.result import Check
 from station.ring_laser.records import Bench, set_up, take_record
 from station.ring_laser.settings import BenchSettings
 from station.runs.acquisition import Acquisition
-from station.scope.autoset import TrialShape, find_beat
+from station.scope.autoset import ScreenShape, find_beat
 from station.scope.tools import open_scope
 
 
@@ -148,7 +148,7 @@ def _beat(bench: Bench, settings: BenchSettings, rate_dps: float) -> Iterator[Ch
         yield Check("beat", "bad", "the scale factor is not given: gyro.scale_factor_pulses_per_deg")
         return
     set_up(bench, settings.scope, [channel])
-    knobs = find_beat(bench.scope, settings.scope, TrialShape(), scale_factor * abs(rate_dps))
+    knobs = find_beat(bench.scope, settings.scope, ScreenShape(), scale_factor * abs(rate_dps))
     (waveform, *_), _ = take_record(bench, (channel,))
     base = knobs.seconds_per_division
     yield Check("trigger", "ok", f"{channel} triggers at {knobs.trigger_level:.3g} V, time base {base:g} s/div")

@@ -52,28 +52,12 @@ class ScopeInput(Protocol):
         """1, 10, 100 or 1000."""
 
 
-class ScreenShape(Protocol):
+@dataclass(frozen=True)
+class ScreenShape:
     """What a record shall look like."""
 
-    @property
-    def periods_min(self) -> float:
-        """Periods of the beat in a record, at least."""
-
-    @property
-    def samples_per_period_min(self) -> float:
-        """Goes before the periods."""
-
-    @property
-    def fill_levels(self) -> float:
-        """Levels that the signal shall reach on both sides of the screen's centre."""
-
-
-@dataclass(frozen=True)
-class TrialShape:
-    """The shape of records that are not measured by settings of their own."""
-
-    fill_levels: float = 100.0
-    periods_min: float = 15.0
+    fill_levels: float = 100.0  # that the signal shall reach on both sides of the screen's centre
+    periods_min: float = 15.0  # of the beat in a record; the next goes before it
     samples_per_period_min: float = 20.0
 
 

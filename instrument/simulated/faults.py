@@ -67,29 +67,16 @@ class Delivery:
 
 
 class Faults:
-    """The faults of one instrument; change the attributes at any time, also while it is served.
-
-    Attributes
-    ----------
-    stuck_busy : bool
-        BUSY? answers 1 and *OPC? nothing for ever.
-    no_trigger : bool
-        The trigger never comes (NORMAL waits, AUTO runs free).
-    identity : str or None
-        Another unit answers `*IDN?` with this.
-    unplugged : bool
-        The cable is pulled: no byte arrives on either side, and nobody is told.
-    hung : bool
-        The instrument takes everything in and carries nothing out.
-    no_flow_control : bool
-        On RS-232 the cable or the program heeds neither RTS nor XOFF, so that bursts overrun the input.
-    """
+    """The faults of one instrument; change the attributes at any time, also while it is served."""
 
     def __init__(self, *faults: Fault, seed: int = 0) -> None:
-        self.stuck_busy = False
-        self.no_trigger = False
-        self.identity: str | None = None
-        self.no_flow_control = self.unplugged = self.hung = False
+        self.stuck_busy = False  # BUSY? answers 1 and *OPC? nothing for ever
+        self.no_trigger = False  # the trigger never comes (NORMAL waits, AUTO runs free)
+        self.identity: str | None = None  # another unit answers `*IDN?` with this
+        # on RS-232 the cable or the program heeds neither RTS nor XOFF, so that bursts overrun the input
+        self.no_flow_control = False
+        self.unplugged = False  # no byte arrives on either side, and nobody is told
+        self.hung = False  # everything is taken in and nothing carried out
         self.happened: list[Fault] = []
         self._rng = np.random.default_rng([seed, 0xFA17])
         self._armed: list[tuple[Fault, int]] = []

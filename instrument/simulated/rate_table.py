@@ -54,12 +54,6 @@ class SimulatedRateTable:
     azimuth : float
         Azimuth in deg at the beginning.
 
-    Attributes
-    ----------
-    motion : tuple of Motion
-        How the table has turned and will turn, in order of time; the first piece also holds before its start, the
-        last one for ever.
-
     Examples
     --------
     >>> from instrument.simulated.clock import VirtualClock

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import platform
+import re
 import shutil
 import sqlite3
 import sys
@@ -12,6 +13,7 @@ import tempfile
 import zipfile
 from contextlib import ExitStack, nullcontext
 from dataclasses import asdict
+from importlib.metadata import requires
 from pathlib import Path
 
 import click
@@ -22,23 +24,11 @@ from station.files import version
 from station.lock_in.settings import Settings, default_settings, load_settings
 from station.results.result import Check, guarded
 from station.settings import shipped_settings
-from station.shell.options import config_option, full_option, json_option, transcript_option
+from station.shell.options import CHANNELS, config_option, full_option, json_option, transcript_option
 from station.terminal import print_json, prints_all, say
 
-_PACKAGES = (
-    "numpy",
-    "scipy",
-    "pyvisa",
-    "pyvisa-py",
-    "pyserial",
-    "matplotlib",
-    "jinja2",
-    "pydantic",
-    "click",
-    "rich",
-)
+_PACKAGES = [re.split(r"[^\w-]", one)[0] for one in requires("gyrolock") or () if "extra ==" not in one]
 _DISK_LOW = 200 * 2**20
-_ANY_UNIT = "any unit"
 _TRANSCRIPT = "transcript.jsonl"
 
 
@@ -56,15 +46,24 @@ _TRANSCRIPT = "transcript.jsonl"
     metavar="FILE.zip",
     help="Pack versions, settings, findings and what was said to the instrument, for a bug report.",
 )
+@click.option(
+    "--probe", "probed", type=CHANNELS, metavar="CHn", help="Look at the PROBE COMP output on this input."
+)
 @full_option
 @transcript_option
 @config_option
 @json_option
 def doctor_command(
-    resource: str | None, station: Path | None, bundle: Path | None, config: Path | None, as_json: bool
+    resource: str | None,
+    station: Path | None,
+    bundle: Path | None,
+    probed: str | None,
+    config: Path | None,
+    as_json: bool,
 ) -> int:
     """Check this installation; say what is missing.
 
+    With --probe the scope's own square wave (PROBE COMP) says whether a 10X probe is compensated.
     With --station the bench of a campaign is opened and looked at too: instruments and their calibration dates,
     disk, clock, rate table, level, trigger and noise. Exit code 3 if something must be mended.
     """
@@ -72,12 +71,17 @@ def doctor_command(
     with ExitStack() as stack:
         said = Path(stack.enter_context(tempfile.TemporaryDirectory())) / _TRANSCRIPT
         with recorded(said) if bundle is not None else nullcontext():
-            checks = examine(settings, resource or settings.scope.resource or None)
+            named = resource or settings.scope.resource or None
+            checks = examine(settings, named)
+            if probed is not None:
+                if named is None:
+                    raise click.UsageError("--probe looks at an oscilloscope: name it by --resource")
+                checks.append(guarded("probe", lambda: _probe(named, probed, settings)))
             if station is not None:
                 from station.campaign.bench import examine_campaign
                 from station.campaign.file import read_campaign
 
-                checks += examine_campaign(read_campaign(station, _ANY_UNIT))
+                checks += examine_campaign(read_campaign(station, "any unit"))
         if bundle is not None:
             _pack(bundle, settings, checks, said)
     bad = [check for check in checks if check.state == "bad"]
@@ -129,7 +133,7 @@ def examine(settings: Settings, resource: str | None = None) -> list[Check]:
         _links(),
         _serial_ports(),
         _disk(settings),
-        _sqlite(),
+        Check("SQLite", "ok", sqlite3.sqlite_version),
     ]
     checks.append(guarded("test record", _test_record))
     if resource:
@@ -204,10 +208,6 @@ def _disk(settings: Settings) -> Check:
     return Check("disk", "ok", text) if free > _DISK_LOW else Check("disk", "bad", f"{text}: make room")
 
 
-def _sqlite() -> Check:
-    return Check("SQLite", "ok", sqlite3.sqlite_version)
-
-
 def _test_record() -> Check:
     """Send one record of the simulated scope through a real link, the store and the analysis."""
     from station.lock_in.evaluate import evaluate_records
@@ -239,3 +239,37 @@ def _resource(name: str, settings: Settings) -> Check:
     if found.identity is None:
         return Check("resource", "bad", f"{name}: {found.problem}")
     return Check("resource", "ok", f"{name}: {found.identity.text}")
+
+
+def _probe(resource: str, channel: str, settings: Settings) -> Check:
+    """How flat the scope's own square wave of 1 kHz comes through a probe."""
+    import numpy as np
+
+    from analysis import fit_harmonics
+    from station.scope.tools import open_scope
+
+    with open_scope(resource, settings.scope.baud_rate) as scope:
+        scope.set_channel(channel, probe=settings.scope.probe, scale=1.0, position=-2.5, displayed=True)
+        scope.set_timebase(5e-4, position=0.0)
+        scope.set_trigger(source=channel, level=2.5, slope="RISE", mode="AUTO")
+        waveform = scope.acquire(channel)
+    volts, period = waveform.volts, 1 / float(fit_harmonics(waveform.volts, waveform.sample_interval).frequency)
+    middle = (np.nanmin(volts) + np.nanmax(volts)) / 2
+    edges = np.flatnonzero((volts[1:] > middle) != (volts[:-1] > middle))
+    none = Check("probe", "bad", f"{channel}: no square wave of 1 kHz: put the probe on PROBE COMP")
+    if not 0.8e-3 < period < 1.2e-3:
+        return none
+    half = round(period / 2 / waveform.sample_interval)
+    tops = [(volts[edge + 1 : edge + half] - middle) * np.sign(volts[edge + 2] - middle) for edge in edges[:-1]]
+    top = np.mean([one for one in tops if len(one) == half - 1] or [np.zeros(half)], axis=0)
+    early, late = top[half // 50 : half // 15].mean(), top[-half // 5 :].mean()
+    if not late > 0.8 * top[half // 2] > 0:
+        return none
+    # of the top, not of half the swing; what has died away in the first 20 us of 100 is put back
+    error = 1.25 * (early - late) / (2 * late)
+    if abs(error) < 0.005:
+        return Check("probe", "ok", f"{channel}: compensated within 0.5 % (1 kHz, {2 * late:.3g} V)")
+    way = "too high" if error > 0 else "too low"
+    return Check(
+        "probe", "bad", f"{channel}: the edge is {abs(error):.1%} {way}: turn the probe's trimmer until it is flat"
+    )

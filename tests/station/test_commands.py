@@ -1,11 +1,14 @@
 """The command line itself: help, version, list, doctor, and how numbers are written."""
 
 import json
+import re
 import subprocess
 import sys
 
+import numpy as np
 import pytest
 
+from instrument.simulated import SimulatedTDS2014, TcpServer
 from station import cli
 from station.cli import main
 from station.commands.doctor import examine
@@ -110,3 +113,34 @@ def test_a_group_alone_shows_its_help(group: list[str], capsys: pytest.CaptureFi
     said = capsys.readouterr()
     assert len(said.out.splitlines()) > 10
     assert said.err == ""
+
+
+FLAT = 9.0
+
+
+@pytest.mark.parametrize(
+    ("error", "state"), [(0.0, "ok"), (0.04, "bad"), (-0.1, "bad"), (0.015, "bad"), (None, "bad"), (FLAT, "bad")]
+)
+def test_doctor_sees_a_probe_that_is_not_compensated(
+    error: float | None, state: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def comp(times: np.ndarray) -> np.ndarray:
+        """PROBE COMP, 5 V at 1 kHz, through a divider whose capacitors are off: the edge dies away in 100 us."""
+        if error is None:
+            return np.sin(2e3 * np.pi * times)
+        if error == FLAT:
+            return np.zeros_like(times)
+        into, sign = np.mod(times, 5e-4), 1 - 2 * (np.floor(times / 5e-4) % 2)
+        # of the periodic answer to a step of 5 V
+        return 2.5 + sign * (2.5 + 5 * error * np.exp(-into / 1e-4) / (1 + np.exp(-5.0)))
+
+    with TcpServer(SimulatedTDS2014({1: comp}, noise_levels=0.3, seed=4)) as server:
+        code = main(["doctor", "--resource", server.resource_name, "--probe", "CH1", "--json"])
+    checks = {one["name"]: one for one in json.loads(capsys.readouterr().out)["checks"]}
+    assert (checks["probe"]["state"], code) == (state, 3 if state == "bad" else 0)
+    if error in (None, FLAT):
+        assert "PROBE COMP" in checks["probe"]["text"]
+    elif error:
+        told = float(re.search(r"edge is ([\d.]+)%", checks["probe"]["text"])[1])
+        assert told == pytest.approx(100 * abs(error), rel=0.15, abs=0.3)
+        assert ("too high" in checks["probe"]["text"]) == (error > 0)

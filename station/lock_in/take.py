@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from typing import Any
 
@@ -229,7 +229,7 @@ class _Taking:
             why = f"Here lock-in shows in the beat. Records that are taken then: {count - len(there)}."
             table_rate = self.bench.turn_table(wanted, settings.table.settle_s, why)
         fits, mains = partial(beats_at, settings, tilt_deg=self.tilt_deg), self._mains
-        begin = frequency if self.knobs is None else _for_frequency(self.knobs, frequency)
+        begin = frequency if self.knobs is None else replace(self.knobs, beat_frequency=frequency)
         self.knobs = self._find_beat(begin, fits, mains)
         table_rate = None if table_rate is None else self._confirmed(table_rate)
         if table_rate is not None and not there and settings.rates_are_chosen:
@@ -328,7 +328,3 @@ class _Taking:
             if (one := record.conditions).get("over_lock_in", step.over_lock_in) == step.over_lock_in
             and (one.get("table_rate_dps") or step.sense) * step.sense > 0
         )
-
-
-def _for_frequency(knobs: KnobPositions, frequency: float) -> KnobPositions:
-    return KnobPositions(**{**asdict(knobs), "beat_frequency": frequency})

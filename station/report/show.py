@@ -81,7 +81,7 @@ def render_report(evaluated: Shown) -> str:
         state=_state(evaluated),
         value=f"{evaluated.verdict} · {result.value}" if evaluated.verdict else result.value,
         lines=(*result.lines, *(f"{one.sentence}." for one in evaluated.tested)),
-        reasons=_reasons(result),
+        reasons=[reason for reason in result.standing.reasons if reason != result.problem],  # that stands above
         labels=[("quality", result.quality.partition(":")[0]), *_labels(facts, remarks)],
         sections=sections,
         fact_columns=[tables[:middle], tables[middle:]],
@@ -95,11 +95,6 @@ def _state(evaluated: Shown) -> str:
     if state == "fails" or evaluated.verdict in ("FAIL", "ERROR"):
         return "bad"
     return "good" if state == "stands" and evaluated.verdict != MARGINAL else "doubtful"
-
-
-def _reasons(result: Result) -> tuple[str, ...]:
-    """Why the box is not green, beside what stands in it already."""
-    return tuple(reason for reason in result.standing.reasons if reason != result.problem)
 
 
 def _remarks(run: Path) -> Remarks:

@@ -45,8 +45,16 @@ class RunName(click.ParamType[Any]):
         return self._kind(value)
 
 
+class ChannelName(click.Choice[str]):
+    """``CH1``, ``ch1`` or ``1``."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Write it as the scope does."""
+        return super().convert(f"CH{value}" if str(value).isdigit() else str(value).upper(), param, ctx)
+
+
 RUN, RUN_PATH = RunName(str), RunName(Path)
-CHANNELS = click.Choice(["CH1", "CH2", "CH3", "CH4"], case_sensitive=False)
+CHANNELS = ChannelName(["CH1", "CH2", "CH3", "CH4"])
 
 
 def positive(_: click.Context, __: click.Parameter, value: float | None) -> float | None:

@@ -5,6 +5,7 @@ import re
 import subprocess
 import sys
 
+import click
 import numpy as np
 import pytest
 
@@ -14,6 +15,7 @@ from station.cli import main
 from station.commands.doctor import examine
 from station.lock_in.settings import default_settings
 from station.results.result import with_prefix, with_uncertainty
+from station.shell.options import CHANNELS
 
 HEAVY = ("numpy", "scipy", "pyvisa", "matplotlib", "pydantic", "rich", "jinja2")
 
@@ -144,3 +146,14 @@ def test_doctor_sees_a_probe_that_is_not_compensated(
         told = float(re.search(r"edge is ([\d.]+)%", checks["probe"]["text"])[1])
         assert told == pytest.approx(100 * abs(error), rel=0.15, abs=0.3)
         assert ("too high" in checks["probe"]["text"]) == (error > 0)
+
+
+@pytest.mark.parametrize(
+    ("name", "taken"), [("CH2", "CH2"), ("ch3", "CH3"), ("1", "CH1"), ("CH5", None), ("0", None)]
+)
+def test_a_channel_is_named_as_people_write_it(name: str, taken: str | None) -> None:
+    if taken is None:
+        with pytest.raises(click.BadParameter, match="'CH1', 'CH2', 'CH3', 'CH4'"):
+            CHANNELS.convert(name, None, None)
+    else:
+        assert CHANNELS.convert(name, None, None) == taken

@@ -7,6 +7,10 @@ READY  := $(VENV)/.ready
 LOWEST := .venv-lowest
 SEED   ?= $(shell date +%s)
 PIP    := -m pip install --quiet --disable-pip-version-check
+define NEW_VENV
+$(PYTHON) -c 'import sys; v = sys.version_info; sys.exit(0 if v >= (3, 11) else "Python 3.11 or newer is needed, this is %d.%d: try make PYTHON=python3.12" % v[:2])'
+$(PYTHON) -m venv $(VENV)
+endef
 
 .PHONY: measure test test-slow test-lowest explore golden lint docs site clean
 
@@ -50,16 +54,16 @@ site: $(READY)
 	$(BIN)/python $(PIP) --editable '.[docs]'
 	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict --quiet
 
-# What `gyrolock` runs with; the tests and their tools come on top of it.
+# What `gyrolock` runs with. The tests and their tools are more; who has them has this too.
 $(RUNS): pyproject.toml
-	$(PYTHON) -c 'import sys; v = sys.version_info; sys.exit(0 if v >= (3, 11) else "Python 3.11 or newer is needed, this is %d.%d: try make PYTHON=python3.12" % v[:2])'
-	$(PYTHON) -m venv $(VENV)
+	$(NEW_VENV)
 	$(BIN)/python $(PIP) --editable .
 	touch $(RUNS)
 
-$(READY): $(RUNS)
+$(READY): pyproject.toml
+	$(NEW_VENV)
 	$(BIN)/python $(PIP) --editable '.[dev]'
-	touch $(READY)
+	touch $(RUNS) $(READY)
 
 $(LOWEST)/.ready: pyproject.toml
 	$(PYTHON) -m venv --clear $(LOWEST)

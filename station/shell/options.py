@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 F = TypeVar("F", bound=Callable[..., Any])
 
 
-class RunName(click.ParamType[Any]):
+class RunName(click.ParamType):  # type: ignore[type-arg]  # generic from click 8.2 on only
     """A run as a person names it: its path, ``last``, or the beginning of a name in ./runs that no other has."""
 
     name = "run"
@@ -45,7 +45,7 @@ class RunName(click.ParamType[Any]):
         return self._kind(value)
 
 
-class ChannelName(click.Choice[str]):
+class ChannelName(click.Choice):  # type: ignore[type-arg]
     """``CH1``, ``ch1`` or ``1``."""
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:

@@ -5,15 +5,19 @@ nothing is; its records are made (beat, gain saturation, distortion, one pole, n
 `gyrolock measure` does. Then the place of the true lock-in rate in the answer is uniform: the Kolmogorov-Smirnov
 test says with which chance, beside pull (rms of error over u), coverage of the 95 % interval and doubtful results.
 
-`--drift` lets phase and lock-in rate go by so much of their bounds (1) over each run.
+`--drift` lets phase and lock-in rate go by so much of their bounds (1) over each run. `--faults` takes runs with
+something wrong instead that nobody stated: of each kind how many miss without a word, by 1.96 and by 5 u.
 """
 
 from __future__ import annotations
 
 import argparse
 import math
+import multiprocessing
+import os
 import sys
-from concurrent.futures import ProcessPoolExecutor
+from collections.abc import Callable
+from concurrent.futures import Executor, ProcessPoolExecutor
 from dataclasses import dataclass
 from functools import partial
 
@@ -21,10 +25,12 @@ import numpy as np
 import scipy.special
 import scipy.stats
 
+from analysis.arrays import Complexes, Floats
 from analysis.budget import BenchKnowledge, ResponseCorner
 from analysis.budget.bench import (
     LOCK_IN_DRIFT_LIMIT,
     PHASE_CHANGE_LIMIT,
+    PROBE_HZ,
     SECOND_ORDER_LIMIT,
     THIRD_ORDER_LIMIT,
     lowest_bandwidth,
@@ -32,12 +38,13 @@ from analysis.budget.bench import (
 )
 from analysis.flags import DOUBTFUL
 from analysis.lock_in_run import AxisRates, Batch, Method, RecordArrays, RunArrays, RunKnowledge, evaluate
-from analysis.plan import default_rates, run_order
+from analysis.plan import default_rates, off_mains, run_order
 from analysis.ring_laser import Detector, Gyro, Winking, detector_signal
 
-K, WL, SAMPLES, PERIODS = 2000.0, 0.01, 2500, 20.3
+K, WL, SAMPLES, PERIODS, HUM_HZ = 2000.0, 0.01, 2500, 20.3, 50.0
 LATITUDE, NOISE, LEVEL = 28.2, 0.01, 0.01
 SCALE_FACTOR_U_PPM, TIME_BASE_PPM, STATED_HZ = 50.0, 50.0, 30e3
+POINTS = 1024  # of a period, from which its harmonics are taken
 
 
 @dataclass(frozen=True)
@@ -60,6 +67,66 @@ PLANS = {
 }
 
 
+Channel = Callable[[Floats], Complexes]
+"""Gain at frequencies in Hz."""
+
+
+@dataclass(frozen=True)
+class Fault:
+    """What is wrong with a run; sizes are drawn between two bounds, with either sign."""
+
+    plan: str = "default run"
+    between: tuple[float, float] | None = None  # phase between the senses, rad
+    turns: tuple[float, float] = (0.0, 0.0)  # change of the phase over the run, rad
+    grows: tuple[float, float] = (0.0, 0.0)  # change of WL over the run, relative
+    channel: Callable[[np.random.Generator], Channel] | None = None  # instead of the stated pole
+    hum: tuple[float, float] = (0.0, 0.0)  # harmonics of the mains, each over the beat
+    shot_noise: bool = False
+    widths: tuple[float, float] = (0.0, 0.0)  # of the converter's codes, rms error in levels
+    copies: int = 1  # of every record
+
+
+def _one_pole(corner: float) -> Channel:
+    return lambda hz: np.asarray(1 / (1 + 1j * hz / corner), dtype=np.complex128)
+
+
+def _probe(rng: np.random.Generator) -> Channel:
+    """A 10X probe whose compensation is off by 2 to 10 %."""
+    x = 1j / (PROBE_HZ * math.exp(rng.uniform(-0.3, 0.3)))
+    off = 1 + _either(rng, (0.02, 0.1))
+    return lambda hz: np.asarray((1 + off * x * hz) / (1 + x * hz), dtype=np.complex128)
+
+
+def _tail(rng: np.random.Generator) -> Channel:
+    """A thermal tail of 0.2 to 1 % after 0.3 to 3 ms."""
+    x, size = 2j * np.pi * math.exp(rng.uniform(math.log(3e-4), math.log(3e-3))), _either(rng, (0.002, 0.01))
+    return lambda hz: np.asarray(1 + size / (1 + x * hz))
+
+
+def _two_poles(rng: np.random.Generator) -> Channel:
+    """Poles at about 5 and 8 kHz."""
+    first, second = np.array([5e3, 8e3]) * np.exp(rng.uniform(-0.2, 0.2, 2))
+    return lambda hz: np.asarray(1 / ((1 + 1j * hz / first) * (1 + 1j * hz / second)))
+
+
+FAULTS = {
+    "0.05 rad between the senses, one rate": Fault("one rate in both senses", between=(0.05, 0.05)),
+    "0.2 rad": Fault("one rate in both senses", between=(0.2, 0.2)),
+    "1 rad": Fault("one rate in both senses", between=(1.0, 1.0)),
+    "phase drifts by 0.5 to 2 rad": Fault(turns=(0.5, 2.0)),
+    "WL drifts by 1 to 2 %": Fault(grows=(0.01, 0.02)),
+    "WL drifts by 1 to 2 %, one sense": Fault("one sense", grows=(0.01, 0.02)),
+    "10X probe off by 2 to 10 %": Fault(channel=_probe),
+    "thermal tail of 0.2 to 1 %": Fault(channel=_tail),
+    "poles at 5 and 8 kHz": Fault(channel=_two_poles),
+    "hum of 0.2 to 2 %": Fault(hum=(0.002, 0.02)),
+    "shot noise": Fault(shot_noise=True),
+    "codes uneven by 0.05 to 0.3 levels": Fault(widths=(0.05, 0.3)),
+    "every record ten times": Fault(copies=10),
+}
+"""Every kind that a bench may have and nobody states. All else is as in the calibration, drifts a tenth of it."""
+
+
 @dataclass(frozen=True)
 class Outcome:
     """One bench: error over u, place of the truth in the answer, coverage, relative u, doubt."""
@@ -71,9 +138,10 @@ class Outcome:
     doubtful: bool
 
 
-def outcome(plan: Plan, drift: float, seed: int) -> Outcome:
+def outcome(plan: Plan, drift: float, fault: Fault | None, seed: int) -> Outcome:
     """Draw a bench, take its run, evaluate it."""
     rng = np.random.default_rng(seed)
+    fault = fault or Fault()
     slowest = K * WL * math.sqrt(min(abs(rate) for rate in plan.rates) ** 2 - 1)
     longest = 1 / (2 * np.pi * (STATED_HZ if plan.stated else lowest_bandwidth(slowest)))
     pole = 1 / (2 * np.pi * longest * math.sqrt(rng.uniform(1e-6, 1)))  # P = tau^2 is what is bounded
@@ -81,31 +149,46 @@ def outcome(plan: Plan, drift: float, seed: int) -> Outcome:
     true_k = K * (1 + 1e-6 * SCALE_FACTOR_U_PPM * rng.normal())
     stretch = 1 + 1e-6 * rng.uniform(-TIME_BASE_PPM, TIME_BASE_PPM)
     second, third = rng.uniform(-SECOND_ORDER_LIMIT, SECOND_ORDER_LIMIT), rng.uniform(-1, 1) * THIRD_ORDER_LIMIT
-    phases = drift * PHASE_CHANGE_LIMIT * rng.uniform(-1, 1, 2)
-    grows = drift * LOCK_IN_DRIFT_LIMIT * rng.uniform(-1, 1)
+    between, turns = drift * PHASE_CHANGE_LIMIT * rng.uniform(-1, 1, 2) + (0, _either(rng, fault.turns))
+    between = between if fault.between is None else _either(rng, fault.between)
+    grows = drift * LOCK_IN_DRIFT_LIMIT * rng.uniform(-1, 1) + _either(rng, fault.grows)
     start, readout = rng.uniform(0, 2 * np.pi, 2)
+    receiver = Detector(start, second_order=2 * second, third_order=4 * third)
+    channel: Channel = fault.channel(rng) if fault.channel else _one_pole(pole)
+    hums = [_either(rng, fault.hum) * np.exp(2j * np.pi * rng.uniform()) for _ in range(6)]
+    widths = _either(rng, fault.widths) * rng.normal(size=300)
 
     visits = run_order(plan.rates)
     shared = {rate for rate, again in visits if again}
-    rates = [rate * WL for rate, _ in visits for _ in range(plan.records // (2 if rate in shared else 1))]
+    counts = [fault.copies * (plan.records // (2 if rate in shared else 1)) for rate, _ in visits]
+    rates = [WL * rate + (_moved(rate) if fault.hum[1] else 0.0) for rate, _ in visits]
+    when = np.arange(sum(counts)) / (sum(counts) - 1) - 0.5
     batches = []
-    for row, rate in enumerate(rates):
-        when = row / (len(rates) - 1) - 0.5
-        phase = readout + phases[0] * math.copysign(0.5, rate) + phases[1] * when
-        then = WL * (1 + grows * when)
+    for rate, end, count in zip(rates, np.cumsum(counts), counts, strict=True):
+        rows = np.arange(end - count, end)
+        then = WL * (1 + grows * when[rows].mean())
         winking = Winking(true_k, then, gain_hz)
-        gyro = Gyro(true_k, then, phase, 0.0, 0.0, winking=winking)
-        seen = Detector(start, second_order=2 * second, third_order=4 * third, low_pass_hz=pole)
         beat = true_k * math.sqrt(rate**2 - then**2) * float(winking.frequency_factor(np.array([abs(rate)]))[0])
-        interval = PERIODS / (K * math.sqrt(rate**2 - WL**2)) / SAMPLES
-        turns = beat * stretch * interval * np.arange(SAMPLES)
-        turning = rng.uniform(0, 2 * np.pi) + 2 * np.pi * math.copysign(1.0, rate) * turns
-        volts = detector_signal(gyro, seen, np.full(SAMPLES, rate), turning) + NOISE * rng.normal(size=SAMPLES)
-        seen_by_scope = LEVEL / math.hypot(1.0, beat / pole)  # what is weaker behind the pole is shown larger
-        volts = np.rint(volts / seen_by_scope) * seen_by_scope
-        clipped = np.zeros((1, 1, SAMPLES), dtype=bool)
-        batches.append(Batch(np.array([row]), interval, volts[np.newaxis, np.newaxis], clipped))
-    table = np.array(rates)
+        interval = _interval(rate)
+        level = LEVEL * abs(channel(np.array([beat]))[0])  # what is weaker behind the channel is shown larger
+        times = stretch * interval * np.arange(float(SAMPLES))
+        records: list[Floats] = []
+        for row in rows:
+            if len(records) % fault.copies:
+                records.append(records[-1])
+                continue
+            phase = readout + between * math.copysign(0.5, rate) + turns * when[row]
+            gyro = Gyro(true_k, then, phase, 0.0, 0.0, winking=winking)
+            seen = _signal(gyro, receiver, channel, rate, np.asarray(rng.uniform() + beat * times), beat)
+            # the light of a beat is never less than nothing: half of the noise is that of a contrast of 0.9
+            noise = NOISE * np.sqrt(1 + seen / 1.1) if fault.shot_noise else NOISE
+            volts = np.asarray(seen + noise * rng.normal(size=SAMPLES))
+            shift = rng.uniform(0, 1 / HUM_HZ)
+            for order, hum in enumerate(hums, 1):
+                volts += (hum * np.exp(2j * np.pi * order * HUM_HZ * (times + shift))).real
+            records.append(level * _codes(volts / level, widths))
+        batches.append(Batch(rows, interval, np.array([records]), np.zeros((1, count, SAMPLES), dtype=bool)))
+    table = np.repeat(rates, counts)
     unknown = np.full(table.size, np.nan)
     slow = RecordArrays(
         batches, 1, np.full(table.size, SAMPLES), np.full(table.size, LEVEL), table, unknown, unknown, unknown
@@ -128,28 +211,84 @@ def outcome(plan: Plan, drift: float, seed: int) -> Outcome:
     )
 
 
+def _signal(gyro: Gyro, receiver: Detector, channel: Channel, rate: float, turns: Floats, beat: float) -> Floats:
+    """What leaves the channel at so many turns of the beat; its harmonics are taken from one period."""
+    turning = math.copysign(2 * np.pi, rate) * np.arange(POINTS) / POINTS
+    volts = detector_signal(gyro, receiver, np.full(POINTS, rate), np.asarray(turning))
+    lines = np.fft.rfft(volts) / POINTS
+    lines = lines[: 1 + np.flatnonzero(np.abs(lines) > 1e-7)[-1]]
+    lines[0] /= 2
+    lines = lines * channel(beat * np.arange(float(lines.size)))
+    return np.asarray(2 * np.polynomial.polynomial.polyval(np.exp(2j * np.pi * turns), lines).real)
+
+
+def _codes(levels: Floats, widths: Floats) -> Floats:
+    """Codes of a converter whose codes are too wide by so many levels each."""
+    off = np.cumsum(widths)
+    off -= np.linspace(off[0], off[-1], off.size)
+    middle = off.size // 2
+    return np.asarray(np.searchsorted(np.sort(np.arange(off.size) - middle - 0.5 + off), levels) - 1.0 - middle)
+
+
+def _either(rng: np.random.Generator, bounds: tuple[float, float]) -> float:
+    """A size between two bounds, of either sign."""
+    return float(rng.uniform(*bounds) * rng.choice([-1, 1]))
+
+
+def _interval(rate: float) -> float:
+    """Sample interval of the records at a rate (deg/s), s."""
+    return PERIODS / (K * math.sqrt(rate**2 - WL**2)) / SAMPLES
+
+
+def _moved(rate: float) -> float:
+    """The change of a rate (lock-in rates) that keeps it off the mains, deg/s."""
+    duration = _interval(WL * rate) * SAMPLES
+    return math.copysign(off_mains(PERIODS / duration, WL, K, duration, (HUM_HZ,)), rate)
+
+
 def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--benches", type=int, default=200)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--drift", type=float, default=1.0)
+    parser.add_argument("--faults", action="store_true")
     parser.add_argument("--only", default="", metavar="TEXT")
     asked = parser.parse_args()
+    os.environ["OPENBLAS_NUM_THREADS"] = "1"  # for the workers, which begin afresh: each has a core
+    seeds = range(asked.seed * 100_000, asked.seed * 100_000 + asked.benches)
+    with ProcessPoolExecutor(mp_context=multiprocessing.get_context("spawn")) as workers:
+        if asked.faults:
+            _faults(workers, seeds, asked.only)
+        else:
+            _plans(workers, seeds, asked.only, asked.drift)
+
+
+def _plans(workers: Executor, seeds: range, only: str, drift: float) -> None:
     sys.stdout.write(f"{'run':28s}{'pull':>6s}{'covered':>9s}{'u, %':>8s}{'doubtful':>10s}{'KS p':>8s}\n")
-    with ProcessPoolExecutor() as workers:
-        for name, plan in PLANS.items():
-            if asked.only not in name:
-                continue
-            seeds = range(asked.seed * 100_000, asked.seed * 100_000 + asked.benches)
-            found = list(workers.map(partial(outcome, plan, asked.drift), seeds))
-            pull = math.sqrt(np.mean([each.pull**2 for each in found]))
-            covered, doubtful = (np.mean([getattr(e, f) for e in found]) for f in ("covered", "doubtful"))
-            u = 100 * np.median([each.relative_u for each in found])
-            chance = scipy.stats.kstest([each.place for each in found], "uniform").pvalue
-            row = f"{name:28s}{pull:6.2f}{covered:9.3f}{u:8.3f}{doubtful:10.3f}{chance:8.3f}\n"
-            sys.stdout.write(row)
-            sys.stdout.flush()
+    for name in (name for name in PLANS if only in name):
+        found = list(workers.map(partial(outcome, PLANS[name], drift, None), seeds))
+        pull = math.sqrt(np.mean([each.pull**2 for each in found]))
+        covered, doubtful = (np.mean([getattr(e, f) for e in found]) for f in ("covered", "doubtful"))
+        u = 100 * np.median([each.relative_u for each in found])
+        chance = scipy.stats.kstest([each.place for each in found], "uniform").pvalue
+        sys.stdout.write(f"{name:28s}{pull:6.2f}{covered:9.3f}{u:8.3f}{doubtful:10.3f}{chance:8.3f}\n")
+        sys.stdout.flush()
+
+
+def _faults(workers: Executor, seeds: range, only: str) -> None:
+    sys.stdout.write(f"{len(seeds)} runs of each kind, seeds from {seeds[0]} on.\n\n")
+    sys.stdout.write("| what is wrong | unflagged, > 1.96 u | > 5 u | covered | doubtful | pull | u, % |\n")
+    sys.stdout.write("| --- | --- | --- | --- | --- | --- | --- |\n")
+    for name in (name for name in FAULTS if only in name):
+        found = list(workers.map(partial(outcome, PLANS[FAULTS[name].plan], 0.1, FAULTS[name]), seeds))
+        pulls = np.abs([each.pull for each in found])
+        silent = np.array([not each.doubtful for each in found])
+        cells = [f"{100 * np.mean(silent & (pulls > limit)):.1f} %" for limit in (1.96, 5.0)]
+        cells += [f"{100 * np.mean([getattr(e, f) for e in found]):.0f} %" for f in ("covered", "doubtful")]
+        cells += [f"{math.sqrt(np.mean(pulls**2)):.2f}", f"{100 * np.median([e.relative_u for e in found]):.2g}"]
+        sys.stdout.write(f"| {name} | {' | '.join(cells)} |\n")
+        sys.stdout.flush()
 
 
 if __name__ == "__main__":

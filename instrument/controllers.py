@@ -454,11 +454,6 @@ class ControllerTemplate(TemplateSection):
         names = ("rate", "position", "temperature", "humidity", "voltage", "current")
         return {name: found for name in names if (found := getattr(self, name)) is not None}
 
-    @property
-    def stops_by(self) -> Lines:
-        """Lines that stop a table."""
-        return self.actions.stop or (self.rate.set if self.rate is not None else ())
-
 
 def parse_template(values: Mapping[str, Any], where: str) -> ControllerTemplate:
     """Read a template."""

@@ -111,22 +111,6 @@ def read_gyro_log(
         raise FileFormatError(f"{Path(path)}: {error}") from None
 
 
-def parse_gyro_log(
-    text: str,
-    *,
-    columns: Sequence[str] | None = None,
-    time_unit: str | None = None,
-    interval_s: float | None = None,
-    units: str | None = None,
-    axis: str = "",
-    counts_per_dps: float | None = None,
-) -> Recording:
-    """Read the text of a log. Parameters and errors as `read_gyro_log`."""
-    stream = io.StringIO(text.removeprefix("\ufeff").replace("\r\n", "\n"))
-    log = _read(stream, LogChoices(columns, time_unit or "", units or "", interval_s))
-    return log.recording(axis, counts_per_dps=counts_per_dps)
-
-
 def _read(text: IO[str], choices: LogChoices) -> GyroLog:
     if choices.interval_s is not None and not choices.interval_s > 0:
         raise FileFormatError(f"the interval of the output must be positive, not {choices.interval_s:g} s")

@@ -2,10 +2,11 @@
 
 import numpy as np
 import pytest
+from log_text import parse_gyro_log
 
 from instrument import FileFormatError
 from instrument.fibre_gyro import LogChoices, read_gyro_log, read_log
-from instrument.fibre_gyro.logs import clock_of_counter, find_clock, parse_gyro_log
+from instrument.fibre_gyro.logs import clock_of_counter, find_clock
 
 LOST = [500, 501, 502, 2000, 3500, 3501, 4000]
 

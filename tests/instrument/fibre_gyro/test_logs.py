@@ -1,24 +1,13 @@
 """Logs as other programs write them, and what is said about a bad one."""
 
-import tempfile
-from pathlib import Path
-
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from log_text import parse_gyro_log
 
 from instrument import FileFormatError
 from instrument.fibre_gyro import Gap, Losses, Recording, read_gyro_log, write_gyro_log
-
-
-def parse_gyro_log(text, **choices):
-    """Read the text of a log from a file."""
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "log.csv"
-        path.write_text(text, "utf-8", newline="")
-        return read_gyro_log(path, **choices)
-
 
 PLAIN = "0.00,10,25.1\n0.01,11,25.2\n0.02,-12,25.3\n"
 

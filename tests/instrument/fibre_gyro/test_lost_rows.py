@@ -2,9 +2,10 @@
 
 import numpy as np
 import pytest
+from log_text import parse_gyro_log
 
 from instrument.errors import FileFormatError
-from instrument.fibre_gyro.logs import find_clock, parse_gyro_log
+from instrument.fibre_gyro.logs import find_clock
 
 
 def stamps(rng, rate, count, lost, step):

@@ -268,7 +268,7 @@ def level_spacing(values: Samples, residual_rms: Floats) -> Floats:
         suspects = suspects[~((differences > tiny) & (differences < limit)).any(axis=-1)]
     spacing = np.zeros(len(values))
     if suspects.size:
-        exact = exact_spacing(values[suspects])
+        exact = _exact_spacing(values[suspects])
         spacing[suspects] = np.where(residual_rms[suspects] < QUIET * exact, exact, 0.0)
     return spacing
 
@@ -289,7 +289,7 @@ def of_few_levels(volts: Samples, amplitude: Floats, residual_rms: Floats, fewes
     return few
 
 
-def exact_spacing(values: Samples) -> Floats:
+def _exact_spacing(values: Samples) -> Floats:
     """Spacing of equidistant levels, 0 where the values do not lie on such; (R, N) -> (R,)."""
     lowest = values.min(axis=-1, keepdims=True)
     span = (values.max(axis=-1, keepdims=True) - lowest).astype(np.float64)

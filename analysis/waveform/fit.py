@@ -13,7 +13,6 @@ from analysis.flags import FATAL, Flag
 from analysis.waveform.converter import (
     FEW_ERRORS,
     SILENT,
-    exact_spacing,
     find_damage,
     leftover_excess,
     level_spacing,
@@ -317,7 +316,7 @@ def _by_codes(
     for row in map(int, rows):
         left, mask = _valid_left(values, masks, series, row), masks.of_one(row)
         level = values[row] if mask is None else values[row, mask > 0]
-        size = by_code(left, level - left, float(exact_spacing(level[np.newaxis])[0]))
+        size = by_code(left, level - left)
         if size is not None:
             # it adds to the real part of rho, and to its size by as much as rho is real
             share = abs(np.cos(np.angle(series.ratio[row] / series.first[row])))

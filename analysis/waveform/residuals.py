@@ -588,11 +588,10 @@ HEIGHTS, FINE = 200, 60
 _SIZES, _FALLS = np.geomspace(1e-3, 1e5, 65)[:, np.newaxis], np.linspace(0.0, 3.0, 13)
 """Powers of codes' errors in the second degree, over that of noise, and how they fall with the degree."""
 
-NOT_CODES, BENT = 1e-3, 1.0
-"""Chance below which it is not the codes, and levels (rms) of bend below which a curve need not be a fault."""
+NOT_CODES = 1e-3
 
 
-def by_code(left: Floats, level: Floats, spacing: float) -> float | None:
+def by_code(left: Floats, level: Floats) -> float | None:
     """Size (an amplitude) that the codes of a converter put onto the second harmonic; ``None``: not they."""
     # Thresholds that are wrong each by itself leave as much in polynomials of every degree of the level; widths
     # that are, add up to errors whose power falls with the square of the degree. So it is C (2/n)^a beside the
@@ -609,12 +608,11 @@ def by_code(left: Floats, level: Floats, spacing: float) -> float | None:
     degree = np.arange(3, min(FINE, int(there.sum()) // 2) + 1)
     if noise <= 0 or degree.size < 2 * LAST or lines.max() > lines.mean() * np.log(lines.size / NOT_CODES):
         return None
+    if scipy.special.chdtrc(int(there.sum()), float(count @ mean**2) / noise) > NOT_CODES:
+        return None
     root, place = np.sqrt(count[there]), np.linspace(-1.0, 1.0, HEIGHTS)[there]
     basis = np.linalg.qr(root[:, np.newaxis] * np.polynomial.chebyshev.chebvander(place, degree[-1]))[0][:, 3:]
     power = (basis.T @ (root * mean[there])) ** 2 / noise
-    at_heights, low = float(count @ mean**2) / noise, power[degree <= LAST]
-    if min(scipy.special.chdtrc(there.sum(), at_heights), scipy.special.chdtrc(low.size, low.sum())) > NOT_CODES:
-        return None
     expected = 1 + _SIZES[..., np.newaxis] * (2 / degree) ** _FALLS[:, np.newaxis]
     height_of = -0.5 * np.sum(power / expected + np.log(expected), axis=-1)
     best = expected[np.unravel_index(height_of.argmax(), height_of.shape)]
@@ -622,10 +620,8 @@ def by_code(left: Floats, level: Floats, spacing: float) -> float | None:
     of_all = float(scipy.special.chdtrc(power.size, np.sum(power / best)))
     if min(float(chances.min()) * chances.size, of_all) < NOT_CODES:
         return None
-    # fine errors tell codes from a curve; which of them bends by less than a level need not be known
-    fine, bent = power[degree > LAST], np.sqrt(np.maximum(np.sum(power - 1), 0.0) * noise / left.size)
-    coarse = scipy.special.chdtrc(fine.size, fine.sum()) > NOT_CODES
-    if bent > BENT * spacing and (coarse or _steps(mean[there])):
+    fine = power[degree > LAST]
+    if scipy.special.chdtrc(fine.size, fine.sum()) > NOT_CODES or _steps(mean[there]):
         return None
     weights = np.exp(height_of - height_of.max())
     return float(np.sqrt(2 * noise * np.sum(weights * _SIZES) / weights.sum() / left.size))

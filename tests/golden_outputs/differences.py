@@ -2,11 +2,13 @@
 
 A number stands beside its uncertainty by its name: ``ratio`` and ``ratio_u``, ``lock_in_rate_dps`` and
 ``lock_in_rate_noise_u_dps`` or ``lock_in_rate_low_95_dps`` and ``lock_in_rate_high_95_dps``. One that has none may
-move by 1e-6 of itself.
+move by 1e-6 of itself. A sum of squares of what is measured in uncertainties, S, moves by 2e-3 sqrt(S) when one of
+them moves by 1e-3, and its chance by 4e-4, which is 1e-3 times the greatest height of a normal density.
 """
 
 from __future__ import annotations
 
+import ast
 import csv
 import io
 import json
@@ -32,7 +34,10 @@ ABSOLUTE = {
     "deviation_in_u": 1e-3,
     "_ppm": 1e-6,
     "share_of_variance": 1e-6,
-    "_rad": 1e-6,
+    "_rad": 1e-5,  # a phase of the ratio of one record is known to some milliradians at best
+    "p_value": 4e-4,
+    "p_value_by_all": 4e-4,
+    "least_error_seen": 1e-6,
     "_re": 1e-6,
     "_im": 1e-6,
 }
@@ -52,9 +57,13 @@ def uncertainties(numbers: Mapping[str, Any]) -> dict[str, float]:
         if isinstance(value, float) and "u" in name.split("_") and math.isfinite(value):
             found[stem(name)] = max(found.get(stem(name), 0.0), abs(value))
     for name, low in numbers.items():
-        high = numbers.get(name.replace("_low_95", "_high_95")) if "_low_95" in name else None
-        if isinstance(low, float) and isinstance(high, float) and math.isfinite(high - low):
+        if "_low_95" not in name or not isinstance(low, float):
+            continue
+        high, value = numbers.get(name.replace("_low_95", "_high_95")), numbers.get(stem(name))
+        if isinstance(high, float) and math.isfinite(high - low):
             found.setdefault(stem(name), abs(high - low) / 4)
+        elif high is None and isinstance(value, float):
+            found.setdefault(stem(name), abs(value - low) / 2)
     return found
 
 
@@ -85,8 +94,12 @@ def differences(then: Any, now: Any, place: str = "", u: float | list[float] = 0
         ]
     if isinstance(then, float) and isinstance(now, int | float) and not isinstance(u, list):
         least = next((small for end, small in ABSOLUTE.items() if place.endswith(end)), 1e-15)
+        if place.endswith("chi_square"):
+            least = 2 * OF_U * math.sqrt(abs(then))
         same = math.isclose(then, now, rel_tol=OF_ITSELF, abs_tol=max(least, OF_U * u)) or then is now
         same = same or (math.isnan(then) and math.isnan(now))
+    elif isinstance(then, str) and isinstance(now, str) and " " in then:
+        return differences_of_text(place, then, now)
     else:
         same = then == now
     return [] if same else [f"{place}: {then!r} became {now!r}"]
@@ -106,7 +119,12 @@ def differences_of_output(name: str, then: str, now: str) -> list[str]:
 
 
 def _numbers(row: Mapping[str, str]) -> dict[str, Any]:
-    return {name: float(text) if _NUMBER.fullmatch(text or "") else text for name, text in row.items()}
+    def cell(text: str) -> Any:
+        if (text or "").startswith("{'"):
+            return ast.literal_eval("[" + text.replace("} {", "}, {") + "]")
+        return float(text) if _NUMBER.fullmatch(text or "") else text
+
+    return {name: cell(text) for name, text in row.items()}
 
 
 def differences_of_text(name: str, then: str, now: str) -> list[str]:

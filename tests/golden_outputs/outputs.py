@@ -1,7 +1,8 @@
 """Everything that the commands print and write of the golden runs: what a moved wall must not change.
 
-``outputs.py FOLDER`` writes it, ``outputs.py --store`` into ``stored`` (``make golden``); ``compare.py`` beside it
-compares with what another commit writes, byte for byte. Only the command line is used, in any state of the house.
+``outputs.py FOLDER [GROUP [PATTERN]]`` writes it, ``outputs.py --store`` into ``stored`` (``make golden``);
+``compare.py`` beside it compares with what another commit writes, byte for byte. Only the command line is used, in
+any state of the house.
 """
 
 from __future__ import annotations
@@ -37,6 +38,9 @@ _TIME = re.compile(r"20\d\d-\d\d-\d\d[T ]\d\d:?\d\d(:?\d\d)?(\.\d+)?Z?")
 _EACH_TIME = re.compile(
     r'(?<="elapsed_s": )[\d.]+|(?<= time=")[\d.]+|(?<=hostname=")[^"]*|(?<=\W)[0-9a-f]{64}(?=\W)'
 )
+
+
+_VERSION = re.compile(r"\b(numpy|scipy|pyvisa|pyvisa-py|pyserial) \d+(?:\.\w+)+|\d+\.\d+\.\w+ on [\w.+-]+")
 
 
 @dataclass(frozen=True)
@@ -156,8 +160,9 @@ def without_now(text: str, begun: datetime) -> str:
 
     for state in _states_of_source():
         text = text.replace(f" {state}", "").replace(state, "COMMIT")
-    text = _TIME.sub(time, text.replace(str(Path.cwd()), "FOLDER"))
-    return text
+    return _VERSION.sub(
+        lambda found: f"{found[1] or 'python'} VERSION", _TIME.sub(time, text.replace(str(Path.cwd()), "FOLDER"))
+    )
 
 
 @cache
@@ -194,10 +199,10 @@ def without_pictures(text: str) -> str:
     return re.sub(r"(?s)<svg.*?</svg>", "<svg/>", text)
 
 
-def main(folder: Path, *, store: bool) -> None:
-    """Write every output into a folder of its own; those that are stored without pictures."""
+def main(folder: Path, *, store: bool = False, groups: Sequence[str] = GROUPS, only: str = "") -> None:
+    """Write outputs into a folder of their own; those that are stored without pictures."""
     shutil.rmtree(folder, ignore_errors=True)
-    for name, text in write_outputs(folder / "work").items():
+    for name, text in write_outputs(folder / "work", groups, only).items():
         if not (store and name.endswith(".svg")):
             (folder / name).write_text(without_pictures(text) if store else text, encoding="utf-8")
     shutil.rmtree(folder / "work")
@@ -207,4 +212,4 @@ if __name__ == "__main__":
     if "--store" in sys.argv:
         main(Path(__file__).parent / "stored", store=True)
     else:
-        main(Path(sys.argv[1]), store=False)
+        main(Path(sys.argv[1]), groups=sys.argv[2:3] or GROUPS, only="".join(sys.argv[3:4]))

@@ -4,6 +4,9 @@
 one printed: keys may be added to it, what was there keeps its name and its value.
 """
 
+import os
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +14,7 @@ import pytest
 
 from instrument import Waveform
 from station.lock_in import estimate
+from tests.golden_outputs import outputs
 from tests.golden_outputs.differences import differences, differences_of_output, differences_of_text
 from tests.golden_outputs.outputs import FOG, GROUPS, commands, without_pictures, write_outputs
 
@@ -52,6 +56,22 @@ def test_nothing_is_stored_that_no_command_gives() -> None:
     assert set(EARLY) <= {f"{name}.out" for name in given}
 
 
+def test_a_processor_with_fewer_instructions_changes_nothing(tmp_path: Path) -> None:
+    """NumPy and BLAS as an old processor runs them: no number moves by a thousandth of its uncertainty."""
+    found = np.show_config(mode="dicts")["SIMD Extensions"]["found"]
+    old = {
+        "NPY_DISABLE_CPU_FEATURES": " ".join(found),
+        "OPENBLAS_CORETYPE": "Nehalem",
+        "OPENBLAS_NUM_THREADS": "1",
+    }
+    program = [sys.executable, str(Path(outputs.__file__)), str(tmp_path / "told"), "ring_laser", "json"]
+    where = {"PYTHONPATH": os.pathsep.join(sys.path)}
+    subprocess.run(program, env=os.environ | old | where, check=True, capture_output=True)
+    told = {path.name: path.read_text(encoding="utf-8") for path in (tmp_path / "told").iterdir()}
+    assert len(told) > 20
+    assert check(told) == []
+
+
 def test_rounding_as_of_another_processor_changes_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Volts changed by 1e-12 of themselves: no number moves by a thousandth of its uncertainty."""
     shaken = []
@@ -90,4 +110,11 @@ def test_the_comparison_can_fail() -> None:
     )
     assert differences_of_text("t", "WL 0.0100(12) deg/s", "WL 0.0101(12) deg/s") == []
     assert differences_of_text("t", "WL 0.0100(12) deg/s", "WL 0.0102(12) deg/s")
+    assert differences({"chi_square": 4.0}, {"chi_square": 4.01}) and differences(
+        {"p_value": 0.5}, {"p_value": 0.501}
+    )
+    assert differences({"b_hz": 9.0, "b_low_95_hz": 5.0}, {"b_hz": 9.001, "b_low_95_hz": 5.0}) == []
+    assert differences({"b_hz": 9.0, "b_low_95_hz": 5.0}, {"b_hz": 9.003, "b_low_95_hz": 5.0})
+    assert differences({"a": "WL is 0.10 deg/s"}, {"a": "WL is 0.11 deg/s"}) == []
+    assert differences({"a": "WL is 0.10 deg/s"}, {"a": "WL is 0.12 deg/s"})
     assert differences_of_text("t", "PASS 3", "FAIL 3")

@@ -275,7 +275,8 @@ def coupling_seen(beats: Floats, lock_in_u: float) -> CouplingSeen | None:
     left = aim - scaled @ found
     scatter = max(float(left @ left) / free, 1.0)
     u = float(np.sqrt(inverse[0, 0] * scatter)) / size[0]
-    return CouplingSeen(float(found[0] / size[0]), u, float(scipy.special.stdtrit(free, 0.975)))
+    # what each beat is known to was stated, and is good for as much as some more beats would tell of it
+    return CouplingSeen(float(found[0] / size[0]), u, float(scipy.special.stdtrit(free + _STATED, 0.975)))
 
 
 def said_by_beats(rate: Floats, mismatch: Floats, mismatch_u: Floats, square: Floats, slowness: Floats) -> Floats:
@@ -302,5 +303,5 @@ def beats_of_rates(points: Points, mismatch: Floats, lock_in_rate: float, gain_t
     return np.stack([np.bincount(place, column) for column in sums[:, there]])
 
 
-_ALIKE = 1e6
-"""Condition number from which on the unknowns are not told apart."""
+_ALIKE, _STATED = 1e6, 4
+"""Condition number from which on the unknowns are not told apart; degrees of freedom of uncertainties stated."""

@@ -6,6 +6,7 @@ RUNS   := $(VENV)/.runs
 READY  := $(VENV)/.ready
 LOWEST := .venv-lowest
 SEED   ?= $(shell date +%s)
+ORDER  ?= $(SEED)
 PIP    := -m pip install --quiet --disable-pip-version-check
 define NEW_VENV
 $(PYTHON) -c 'import sys; v = sys.version_info; sys.exit(0 if v >= (3, 11) else "Python 3.11 or newer is needed, this is %d.%d: try make PYTHON=python3.12" % v[:2])'
@@ -18,8 +19,9 @@ measure: $(RUNS)
 	$(BIN)/gyrolock measure
 
 # Four at once on two cores: many wait for an instrument. Who is done takes over what others still have before them.
+# In another order each time; `make test ORDER=...` goes through them in the same again.
 test: $(READY)
-	$(BIN)/python -m pytest -n 4 --dist worksteal
+	$(BIN)/python -m pytest -n 4 --dist worksteal --randomly-seed $(ORDER)
 
 # All tests with the lowest versions that pyproject.toml states.
 test-lowest: $(LOWEST)/.ready

@@ -147,8 +147,6 @@ class ChannelResponse:
 def ratio_factor(response: ChannelResponse, frequency: ArrayLike, ratio: ArrayLike = 0.0) -> Complexes:
     """Measured over true rho of a beat that went through the channel.
 
-    Examples
-    --------
     One pole at five times the beat takes 5.3 % off, AC coupling at a fifth of it adds 1.5 %.
 
     >>> factors = [ratio_factor(ChannelResponse(low_pass_hz=[5.0]), 1.0),

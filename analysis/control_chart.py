@@ -62,8 +62,6 @@ class ControlChart:
 def control_chart(values: ArrayLike, *, baseline: int = 25) -> ControlChart:
     """Draw up the chart of values in the order of time.
 
-    Examples
-    --------
     >>> chart = control_chart([10, 11, 10, 9, 10, 11, 9, 10, 10, 16])
     >>> chart.signals[0].place, chart.last_is_in_control
     (9, False)

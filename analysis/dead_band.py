@@ -54,8 +54,6 @@ def rounded_pulse_rate(
 ) -> Floats:
     """Mean pulse rate, Hz, with the sign of the rate: equation (1). Arguments broadcast.
 
-    Examples
-    --------
     At the corner itself noise gives pulses, where there should be none.
 
     >>> rounded_pulse_rate([0.05, 0.2], scale_factor=2000, lock_in_rate=0.05, random_walk=1e-4).round(2).tolist()

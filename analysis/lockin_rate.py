@@ -712,8 +712,6 @@ TABLE_END = 9.0
 def size_interval(size: ArrayLike) -> tuple[Floats, Floats]:
     """Lower and upper 95 % limit of a true size, given the observed one, both in standard uncertainties.
 
-    Examples
-    --------
     >>> low, high = size_interval([0.5, 20.0])
     >>> [round(float(v), 1) for v in (*low, *high)]
     [0.0, 18.0, 2.0, 21.9]

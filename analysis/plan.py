@@ -323,11 +323,6 @@ def _rate(request: PlanRequest, ratio: float, sense: int, records: int) -> Plann
     )
 
 
-def _separated(rates: tuple[PlannedRate, ...]) -> frozenset[str]:
-    """What the records will show: a third harmonic always; the fit to several rates counts all of it."""
-    return frozenset(COUNTED) if len(rates) > 1 else frozenset({"third_order"})
-
-
 def _budget(request: PlanRequest, rates: tuple[PlannedRate, ...]) -> Budget:
     """Budget at the slowest rate, where most of what is known comes from, with the noise of all rates."""
     slowest = rates[0]
@@ -341,7 +336,7 @@ def _budget(request: PlanRequest, rates: tuple[PlannedRate, ...]) -> Budget:
     )
     knowledge = replace(
         request.knowledge,
-        separated=_separated(rates),
+        separated=(frozenset(COUNTED) if len(rates) > 1 else frozenset({"third_order"})),
         table=request.table.at(slowest.input_rate) if request.table is not None else None,
     )
     if len(rates) == 1:
@@ -480,8 +475,6 @@ def run_order(rates: Sequence[float]) -> tuple[tuple[float, bool], ...]:
     in both senses the slow ones, which carry the lock-in rate, stand in the middle; with one rate, or in one
     sense, the run goes the whole way back and ends where it began. Two visits of a rate share its records.
 
-    Examples
-    --------
     >>> run_order([3.0, 30.0])
     ((30.0, False), (3.0, False), (30.0, True))
     >>> run_order([8.0, -8.0])
@@ -511,8 +504,6 @@ def default_rates(
     scale; closer together where table or receiver do not go so far, and fewer where less than a quarter would lie
     between two.
 
-    Examples
-    --------
     >>> default_rates(0.01, 2000.0)
     (3.0, 5.3, 9.5, 17.0, 30.0)
     """

@@ -235,8 +235,6 @@ def link_of(name: str) -> str:
     An adapter is one link, whatever is behind it: two programs that send it to two instruments spoil both. What
     never leaves the process (pySerial's ``loop://``) has no link: an empty text.
 
-    Examples
-    --------
     >>> link_of("TCPIP0::127.0.0.1::4001::SOCKET"), link_of("socket://127.0.0.2:4001")
     ('tcp 127.0.0.1 4001', 'tcp 127.0.0.1 4001')
     >>> link_of("USB0::0x0699::0x0368::C012345::INSTR"), link_of("GPIB::7")
@@ -350,8 +348,6 @@ _DENIED = ("permission", "access denied", "errno 13")
 def visa_name(name: str) -> str:
     """The VISA name of a serial port that is given by its plain name; any other name as it is.
 
-    Examples
-    --------
     >>> visa_name("COM3"), visa_name("/dev/ttyUSB0"), visa_name("GPIB0::1::INSTR")
     ('ASRL3::INSTR', 'ASRL/dev/ttyUSB0::INSTR', 'GPIB0::1::INSTR')
     """
@@ -364,8 +360,6 @@ def visa_name(name: str) -> str:
 def behind_adapter(name: str) -> tuple[str, str] | None:
     """The names of adapter and instrument in a name that holds both; None if it does not.
 
-    Examples
-    --------
     >>> behind_adapter("PRLGX-TCPIP1::10.0.0.5::1234::GPIB::7::INSTR")
     ('PRLGX-TCPIP1::10.0.0.5::1234::INTFC', 'GPIB1::7::INSTR')
     """
@@ -378,8 +372,6 @@ def behind_adapter(name: str) -> tuple[str, str] | None:
 def advice(name: str, problem: str) -> str:
     """What to do about a name that cannot be opened, as the end of a sentence; empty where nothing is known.
 
-    Examples
-    --------
     >>> "0699" in advice("USB0::0x0699::0x0368::C1::INSTR", "[Errno 13] Access denied")
     True
     """

@@ -337,8 +337,6 @@ class ActionsSection(TemplateSection):
 class InUnit:
     """Names in a file for the attributes of a quantity: those of numbers have its unit.
 
-    Examples
-    --------
     >>> InUnit("dps")("change_per_s"), InUnit("v")("highest"), InUnit("v")("ask")
     ('change_dps_per_s', 'highest_v', 'ask')
     """

@@ -74,8 +74,6 @@ class Transcript:
 def as_text(data: bytes) -> dict[str, str]:
     r"""Bytes as JSON can hold them: `text` where they are plain ASCII, else `base64`.
 
-    Examples
-    --------
     >>> as_text(b"*IDN?\n"), as_text(b"\x80\x81")
     ({'text': '*IDN?\n'}, {'base64': 'gIE='})
     """

@@ -15,6 +15,9 @@ EXIT_MARGINAL = 6  # a limit lies within the uncertainty: neither PASS nor FAIL
 EXIT_DEFECT = 70
 EXIT_INTERRUPTED = 130  # 128 and the number of the signal, as shells count: 129 hung up, 143 terminated
 
+DAMAGE = (ArithmeticError, AttributeError, LookupError, RecursionError, TypeError, ValueError)
+"""What values of a file raise that no file of ours ever holds."""
+
 
 class StationError(Exception):
     """Base of the errors of this package; its text is one clear sentence for the user."""

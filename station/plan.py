@@ -325,8 +325,6 @@ def rate_words(rate: PlannedRate) -> tuple[str, ...]:
 def duration_words(seconds: float) -> str:
     """Write a duration.
 
-    Examples
-    --------
     >>> duration_words(3.44), duration_words(200.0), duration_words(9000.0)
     ('3 s', '3 min 20 s', '2 h 30 min')
     """

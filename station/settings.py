@@ -67,8 +67,6 @@ def _deeper(value: object, levels: int) -> bool:
 def merged(below: Mapping[str, Any], above: Mapping[str, Any]) -> dict[str, Any]:
     """Lay one tree of values over another; neither is changed.
 
-    Examples
-    --------
     >>> merged({"a": {"b": 1, "c": 2}}, {"a": {"c": 3}})
     {'a': {'b': 1, 'c': 3}}
     """

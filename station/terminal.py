@@ -272,8 +272,6 @@ _UNSEEN = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u200e\u200f\u2028-\u202e\u206
 def visible(text: str) -> str:
     r"""Return a text in which every character that is not seen, but does something, is written out.
 
-    Examples
-    --------
     >>> visible("RLG \x1b[2J7")
     'RLG \\x1b[2J7'
     """

@@ -97,8 +97,6 @@ FRONT_END_LIMIT = 0.1
 def lowest_bandwidth(slowest_beat_hz: float) -> float:
     """Lowest -3 dB bandwidth of a channel of which nobody said anything, Hz.
 
-    Examples
-    --------
     >>> lowest_bandwidth(160.0)
     800.0
     """
@@ -108,8 +106,6 @@ def lowest_bandwidth(slowest_beat_hz: float) -> float:
 def lowest_gain_corner(slowest_beat_hz: float) -> float:
     """Lowest corner of the laser's gain of which nobody said anything, Hz.
 
-    Examples
-    --------
     >>> lowest_gain_corner(160.0), lowest_gain_corner(4000.0)
     (480.0, 5000.0)
     """

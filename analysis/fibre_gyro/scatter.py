@@ -196,8 +196,6 @@ def signal_interval(power: float, own: float, freedom: float) -> tuple[float, fl
     Power over the variance of the noise is chi-square with the signal's power over the same variance as
     noncentrality; the variance is the one that was measured times `freedom` over chi-square.
 
-    Examples
-    --------
     >>> [round(end) for end in signal_interval(4.0, 10.0, 1e6)]
     [0, 5]
     >>> [round(end) for end in signal_interval(1000.0, 10.0, 1e6)]
@@ -298,8 +296,6 @@ _FEW = 0.002  # of all words, or three
 def outliers(words: ArrayLike) -> Bools:
     """Tell which words are outliers; nan is none.
 
-    Examples
-    --------
     >>> outliers([5.0, 5.1, 4.9, 5.0, 1e6, 5.1, 4.9, 5.0]).tolist().index(True)
     4
     """

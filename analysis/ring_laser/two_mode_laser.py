@@ -145,7 +145,7 @@ def _periodic(laser: TwoModeLaser, input_rate: float, start: Floats) -> Floats |
         if n >= POINTS or np.max(lines[:, -n // 8 :]) < NEGLIGIBLE_LINE:
             return values
         n = 2 * n - 1
-        start = _resampled(values, n)
+        start = np.asarray(np.fft.irfft(np.fft.rfft(values), n) * n / values.shape[1])
     return None
 
 
@@ -210,11 +210,6 @@ def _derivative(n: int) -> Floats:
         matrix = 0.5 * np.where(steps % 2 == 0, 1.0, -1.0) / np.sin(np.pi * steps / n)
     np.fill_diagonal(matrix, 0.0)
     return np.asarray(matrix)
-
-
-def _resampled(values: Floats, n: int) -> Floats:
-    """The same trigonometric polynomial at n even steps, n no smaller than before."""
-    return np.asarray(np.fft.irfft(np.fft.rfft(values), n) * n / values.shape[1])
 
 
 def _harmonics(laser: TwoModeLaser, input_rate: float, values: Floats) -> SteadyBeat:

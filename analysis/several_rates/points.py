@@ -344,8 +344,6 @@ def visits_of_rates(rate: Floats) -> Indices:
     A long visit is cut in two, and with few settings or in one sense a shorter one is, so that it shows by itself
     what drifts. Where the rates (n,) change all the time its quarters are the visits.
 
-    Examples
-    --------
     >>> visits_of_rates(np.repeat([3.0, 1.0, 3.0], [1, 8, 2]))
     array([ 0,  1,  3,  5,  7,  9, 10])
     """
@@ -630,8 +628,6 @@ def rate_groups(rate: Floats) -> Indices:
 def first_of_groups(sizes: Iterable[Floats], share: float) -> Floats:
     """Least value of each group, rising, where neighbours within a share of each other belong to one group.
 
-    Examples
-    --------
     >>> first_of_groups([np.array([1.0, 2.0]), np.array([2.01, 1.009, 1.018])], 0.01)
     array([1., 2.])
     """

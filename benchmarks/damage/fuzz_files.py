@@ -2,12 +2,17 @@
 
 CSV and ISF files of an oscilloscope, settings in TOML, and saved runs are changed at random: bytes flipped, cut,
 doubled and put in, numbers replaced by wild ones, brackets nested, cells of a run's tables overwritten. Each file
-must give its result or a declared error, at once and in little memory.
+must give its result or a declared error, at once and in little memory. ``commands`` takes saved runs of every
+kind, spoils a page, a cell or a value inside one (also of layouts without checksums), and gives them to commands.
 """
 
 from __future__ import annotations
 
 import argparse
+import contextlib
+import io
+import json
+import math
 import random
 import re
 import resource
@@ -22,8 +27,10 @@ from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 from instrument import Preamble, Waveform, read_waveform
+from station import cli
 from station.errors import describe_failure
 from station.measurements import MEASUREMENTS, measurement
 from station.reanalysis.combine import analyze_file
@@ -34,7 +41,7 @@ from station.runs.store import open_run
 from station.settings import load, shipped_settings
 from station.shell.finish import evaluate_run, start_run
 
-COUNTS = {"csv": 5000, "isf": 5000, "toml": 5000, "runs": 2000}
+COUNTS = {"csv": 5000, "isf": 5000, "toml": 5000, "runs": 2000, "commands": 5000}
 LONGEST_S = 20
 """Seconds after which a file counts as one that hangs; the slowest takes some tenths."""
 MEMORY = 300 << 20
@@ -170,6 +177,8 @@ def _makers(kind: str, folder: Path, source: random.Random) -> list[Maker]:
     """What makes a damaged file, and what reads it."""
     if kind == "runs":
         return _damaged_runs(folder, source)
+    if kind == "commands":
+        return [lambda: _spoiled_run(folder, source)]
     if kind == "toml":
         names = dict.fromkeys(("simulated", "bench", "dead_band", "fibre_gyro", "fibre_gyro_serial"))
         kinds = [measurement(name).kind for name in MEASUREMENTS]
@@ -216,6 +225,91 @@ def _damaged_runs(folder: Path, source: random.Random) -> list[Maker]:
         return copy
 
     return [lambda: (_written(copy, mutated(content, source)), read), lambda: (spoiled(), read)]
+
+
+GOLDEN = Path(__file__).resolve().parents[2] / "tests" / "golden"
+COMMANDS = (
+    *("analyze {run}", "analyze {run} --json", "analyze {run} --full", "report {run} --to {folder}/a.html"),
+    *("export {run} --to {folder}/a.csv --replace", "runs {folder}", "runs {folder} --json", "salvage {run}"),
+    *("compare {run} {whole}", "annotate {run} --note seen"),
+)
+SPOILT = (None, 0, -1, 1.5, math.nan, 1e308, "", "x", [], {}, [1], {"a": 1}, True, 10**400, -5e-324)
+PAGE = 4096
+
+
+def _spoiled_run(folder: Path, source: random.Random) -> tuple[Path, Callable[[Path], object]]:
+    shutil.rmtree(folder / "runs", ignore_errors=True)
+    (folder / "runs").mkdir()
+    whole = source.choice(sorted(GOLDEN.glob("*.sqlite")))
+    run = folder / "runs" / whole.name
+    if source.random() < 0.4:
+        _written(run, _with_a_spoilt_page(whole.read_bytes(), source))
+    else:
+        shutil.copy(whole, run)
+        _spoil_inside_a_cell(run, source)
+    line = source.choice(COMMANDS).format(run=run, folder=folder / "runs", whole=whole)
+
+    def read(path: Path) -> None:
+        out, err = io.StringIO(), io.StringIO()
+        with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+            code = cli.main(line.split())
+        if code not in (0, 1, 2, 4, 6):
+            raise AssertionError(f"{line}: exit {code}: {err.getvalue().strip()[-200:]}")
+
+    return run, read
+
+
+def _with_a_spoilt_page(content: bytes, source: random.Random) -> bytes:
+    first, other = (PAGE * source.randrange(len(content) // PAGE) for _ in range(2))
+    behind = content[first + PAGE :]
+    return source.choice(
+        (
+            content[:first],
+            content[: source.randrange(len(content))],
+            content[:first] + bytes(PAGE) + behind,
+            content[:first] + source.randbytes(PAGE) + behind,
+            content[:first] + content[other : other + PAGE] + behind,
+        )
+    )
+
+
+def _spoil_inside_a_cell(run: Path, source: random.Random) -> None:
+    """Put a value of another kind into a cell, or anywhere inside its JSON, past all that SQLite would refuse."""
+    with closing(sqlite3.connect(run)) as db, db:
+        db.execute("PRAGMA writable_schema = 1")
+        db.execute("UPDATE sqlite_master SET sql = replace(sql, 'NOT NULL', '')")
+    with closing(sqlite3.connect(run)) as db, db:
+        tables = [name for (name,) in db.execute("SELECT name FROM sqlite_master WHERE type = 'table'")]
+        table = source.choice(tables)
+        columns = [row[1] for row in db.execute(f"PRAGMA table_info({table})")]
+        keys, column = db.execute(f"SELECT {columns[0]} FROM {table}").fetchall(), source.choice(columns)
+        if not keys:
+            return
+        of_key = (f"{table} WHERE {columns[0]} = ?", source.choice(keys))
+        (held,) = db.execute(f"SELECT {column} FROM {of_key[0]}", of_key[1]).fetchone()
+        value = source.choice(
+            (None, 0, -1, 1.5, math.inf, 1 << 62, "", "x", "[" * 5000, "{}", "1e999", b"\xff\x00")
+        )
+        if isinstance(held, str) and held[:1] in ("[", "{") and source.random() < 0.8:
+            inside = json.loads(held)
+            places = list(_places(inside))
+            if places:
+                of, place = source.choice(places)
+                of[place] = source.choice(SPOILT)
+                if isinstance(of, dict) and source.random() < 0.1:
+                    del of[place]
+                value = json.dumps(inside)
+        with suppress(sqlite3.Error):
+            db.execute(f"UPDATE {table} SET {column} = ? WHERE {columns[0]} = ?", (value, *of_key[1]))
+
+
+def _places(value: Any) -> Iterator[tuple[Any, Any]]:
+    """Every place inside a JSON value: what holds it, and its name or number there."""
+    for place in (
+        value if isinstance(value, dict) else range(min(len(value), 3)) if isinstance(value, list) else ()
+    ):
+        yield value, place
+        yield from _places(value[place])
 
 
 def _written(path: Path, content: bytes) -> Path:

@@ -153,8 +153,6 @@ def crc(
 ) -> Checksum:
     """A CRC by the parameters of the usual catalogue (R. N. Williams, "A painless guide to CRC", 1993).
 
-    Examples
-    --------
     >>> hex(crc(32, 0x04C11DB7, initial=0xFFFFFFFF).compute(b"123456789"))  # CRC-32/MPEG-2
     '0x376e6e7'
     """

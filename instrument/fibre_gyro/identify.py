@@ -358,8 +358,6 @@ def poll_of(layout: FrameFormat) -> bytes:
 def line_of(layout: FrameFormat) -> str:
     """How a format sets the port.
 
-    Examples
-    --------
     >>> from instrument.fibre_gyro import parse_frame_format
     >>> fields = [{"name": "counts", "bytes": 4}]
     >>> line_of(parse_frame_format({"kind": "binary", "output_rate_hz": 1, "header": "55", "fields": fields}))

@@ -501,8 +501,6 @@ class LogClock:
 def clock_of_counter(counter: Floats) -> Places:
     """Intervals since the first row by a counter, over its wraps; ValueError with the row where it stands still.
 
-    Examples
-    --------
     >>> clock_of_counter(np.array([126.0, 127.0, 0.0, 3.0])).tolist()
     [0, 1, 2, 5]
     """
@@ -722,8 +720,6 @@ _UNIT_WORDS = {
 def axis_column(axis: str) -> str:
     """Name of the column with the output of one axis.
 
-    Examples
-    --------
     >>> axis_column("Z")
     'counts_z'
     """
@@ -739,8 +735,6 @@ def default_names(width: int) -> list[str]:
 def named_columns(header: Sequence[str]) -> tuple[list[str], list[str]]:
     """Our names of the columns of a header, and the units that it gives ("" where it gives none).
 
-    Examples
-    --------
     >>> named_columns(["Time [ms]", "Gyro X (deg/h)", "T_C", "hot"])
     (['time', 'counts_x', 'temperature', 'hot'], ['ms', 'deg/h', '', ''])
     """

@@ -67,8 +67,6 @@ class VirtualClock:
 class HeldClock:
     """Another clock that stands still while it is held: what one message asks for happens at one moment.
 
-    Examples
-    --------
     >>> real = VirtualClock()
     >>> clock = HeldClock(real)
     >>> clock.hold()

@@ -199,7 +199,7 @@ def command_set(model: Model) -> tuple[CommandTree, Mapping[str, Action]]:
         **setup_status.STATUS_ACTIONS,
         **acquisition.ACQUISITION_ACTIONS,
         **setup_status.SETUP_ACTIONS,
-        **acquisition.MEASUREMENT_ACTIONS,
+        **acquisition.CURSOR_ACTIONS,
         **setup_status.HARD_COPY_ACTIONS,
         **waveform.actions(model),
         **acquisition.actions(model),

@@ -164,7 +164,7 @@ class CampaignOutcome:
     def verdict(self) -> Verdict | None:
         """The worst of all steps; ABORTED where it was ended from outside; ``None`` without limits."""
         if self.failure is not None:
-            return ABORTED if _from_outside(self.failure) else ERROR
+            return ABORTED if (self.failure.exit_code >= EXIT_INTERRUPTED - 1) else ERROR
         return worst(one.verdict for one in self.steps if one.verdict is not None)
 
     @property
@@ -187,11 +187,6 @@ class CampaignOutcome:
             f"{one.step.name}: {one.message}" for one in self.steps if one.verdict == self.verdict and one.message
         )
         return next(said, "")
-
-
-def _from_outside(failure: Failure) -> bool:
-    """Whether a person or the system ended it: a signal, or Ctrl-C."""
-    return failure.exit_code >= EXIT_INTERRUPTED - 1
 
 
 JOURNAL = "test.jsonl"
@@ -326,13 +321,8 @@ def to_repeat(outcome: StepOutcome) -> bool:
     return outcome.verdict == ERROR and outcome.failure is not None
 
 
-def read_test(directory: Path) -> CampaignOutcome:
-    """Return how a test has ended, from its folder; also of one whose program was killed."""
-    return read_journal(directory).outcome()
-
-
 def read_journal(directory: Path) -> Written:
-    """Read the journal of a test. Raises as :func:`read_test`."""
+    """Read the journal of a test from its folder; also of one whose program was killed."""
     path = directory / JOURNAL
     try:
         lines = list(_lines(path.read_text(encoding="utf-8", errors="replace")))

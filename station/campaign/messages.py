@@ -48,8 +48,6 @@ MEANING = {
 def large(word: str) -> list[str]:
     r"""Return a word in letters five lines high; lines of one length.
 
-    Examples
-    --------
     >>> print("\n".join(line.rstrip() for line in large("FAIL")))
     #####   ###   ###  #
     #      #   #   #   #
@@ -85,8 +83,6 @@ def _limit_row(step: StepOutcome, one: LimitOutcome) -> tuple[str, ...]:
 def risk_words(risk: float) -> str:
     """Say a risk in percent: of a wrong decision.
 
-    Examples
-    --------
     >>> risk_words(0.12), risk_words(3e-9)
     ('12 %', '< 0.01 %')
     """
@@ -288,8 +284,6 @@ def print_dry_run(
 def time_words(seconds: float) -> str:
     """Say a time.
 
-    Examples
-    --------
     >>> time_words(42.0), time_words(600.0), time_words(8000.0)
     ('42 s', '10 min', '2 h 13 min')
     """

@@ -21,8 +21,10 @@ if TYPE_CHECKING:
 @click.command("report")
 @click.argument("paths", nargs=-1, required=True, type=RUN, metavar="PATH...")
 @click.option(
+    "--to",
     "--output",
     "-o",
+    "output",
     type=click.Path(path_type=Path),
     metavar="FILE",
     help="[report.html beside the run, or in the folder of the files]",
@@ -52,20 +54,25 @@ def report_command(
     bench, and the limits, are those of FILE.
     """
     from instrument import InstrumentError
-    from station.errors import StationError, describe_failure
-    from station.report.show import write_report
+    from station.errors import CannotWrite, StationError, describe_failure, one_line
+    from station.report.show import render_report, write_page
 
     documents: list[dict[str, Any]] = []
     exit_codes = []
     shown = [item for path in paths for item in _found(path)]
     if output is not None and len(shown) > 1:
-        raise click.UsageError("--output names one file: give one run")
+        raise click.UsageError("--to names one file: give one run")
     if output is not None and output.suffix.lower() not in (".html", ".htm"):
         raise click.UsageError(f"{output}: a report is HTML: name it .html, and let the browser print a PDF of it")
     for name, sources in shown:
         try:
             evaluated, place = _evaluated(sources, name, config, {"scale_factor": scale_factor}, channel)
-            written = write_report(evaluated, output or place)
+            page, to = render_report(evaluated), output or place
+            try:
+                written = write_page(to, page)
+            except OSError as error:
+                reason = f"the report cannot be written ({error.strerror or one_line(error)})"
+                raise CannotWrite(f"{to}: {reason}: --to FILE writes it elsewhere") from None
         except (InstrumentError, StationError, OSError) as error:
             failure = describe_failure(error)
             if failure is None or len(shown) == 1:
@@ -98,8 +105,8 @@ def _found(path: str) -> Iterator[tuple[str, list[Path | Source]]]:
 
 def _evaluated(
     sources: list[Path | Source], name: str, config: Path | None, choices: dict[str, Any], channel: str | None
-) -> tuple[Shown, Path | None]:
-    """What a report shows, and where it goes; ``None``: beside the run."""
+) -> tuple[Shown, Path]:
+    """What a report shows, and where it goes."""
     from station.reanalysis.combine import combine, said_of, scale_factor_of_files
     from station.runs.progress import Progress
     from station.runs.store import REPORT_FILE
@@ -110,7 +117,7 @@ def _evaluated(
     first, workers, quiet = sources[0], ThisProcess(), Progress(quiet=True)
     if is_run(first):
         evaluated = evaluate_saved(first, workers, quiet, config=config, choices={})
-        return evaluated, None if isinstance(first, Path) else _beside(first)
+        return evaluated, evaluated.run.path.parent / REPORT_FILE if isinstance(first, Path) else _beside(first)
     given = sources
     if len(sources) == 1:
         sources = [open_source(first)]  # what cannot be read is told before a scale factor is asked for

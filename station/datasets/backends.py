@@ -189,8 +189,6 @@ def codes_of(cells: bytes) -> bytes:
 
     They are taken apart all at once: one by one they would take as long as their estimates, ten times over.
 
-    Examples
-    --------
     >>> np.frombuffer(codes_of(b"-128,0,7,127"), np.int8).tolist()
     [-128, 0, 7, 127]
     """

@@ -273,8 +273,6 @@ _PER_LINE = 4
 def vhdl_text(constants: Constants) -> str:
     """Return a VHDL package.
 
-    Examples
-    --------
     The name of a package and of its constants holds what they are of.
 
     >>> identifier("0.01"), identifier("-20"), identifier("Z axis")

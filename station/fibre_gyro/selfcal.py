@@ -495,15 +495,10 @@ def _document(found: SelfcalEvaluation, settings: FogSettings) -> dict[str, Any]
         "compared_with": "table" if reference else "design",
         "table_source": reference.source if reference else None,
         "noise_model": None if found.noise is None else found.noise.source,
-        "budget": budget_document(against, _budget(found), _u_ppm(found)),
+        "budget": budget_document(against, _budget(found), (found.comparison.difference_u_ppm)),
         "points": rows(found, POINTS),
         "left_out": found.left_out,
     }
-
-
-def _u_ppm(found: SelfcalEvaluation) -> float:
-    """Standard uncertainty of K_self against the scale factor that it is compared with, ppm."""
-    return found.comparison.difference_u_ppm
 
 
 def _budget(found: SelfcalEvaluation) -> list[Contribution]:

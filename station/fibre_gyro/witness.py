@@ -22,7 +22,7 @@ from analysis.fibre_gyro import (
     two_pi_error_of_drive,
     witness_staircase,
 )
-from instrument import TDS2014, ManualRateTable, Preamble, TransferError, Waveform, read_waveform
+from instrument import TDS2014, InstrumentError, ManualRateTable, Preamble, Waveform, read_waveform
 from instrument.fibre_gyro import FibreGyroLink
 from instrument.simulated import SimulatedTDS2014, VirtualClock
 from station.errors import NoUsableSignal, UsageError
@@ -322,7 +322,7 @@ def evaluate(run: SavedRun, settings: FogSettings, choices: Mapping[str, Any]) -
         name = str(saved.conditions.get("file") or f"record {saved.number}")
         try:
             records.append(_witnessed(name, saved, settings))
-        except (ValueError, TransferError) as error:
+        except (ValueError, InstrumentError) as error:
             left_out.append(Excluded(name, str(error)))
     if not records:
         reasons = "; ".join(dict.fromkeys(one.reason for one in left_out)) or "there are no records"

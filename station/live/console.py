@@ -58,8 +58,6 @@ class PlainLines:
 def duration(seconds: float) -> str:
     """Write a time as a person says it.
 
-    Examples
-    --------
     >>> duration(12.4), duration(200), duration(9000)
     ('12 s', '3 min 20 s', '2 h 30 min')
     """

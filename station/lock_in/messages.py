@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from analysis import FATAL, Flag, FrequencyFit, QuadratureFlag, RatesFit, RatesFlag, describe_flag, flag_names
-from analysis.budget import Budget, BudgetInput
+from analysis.budget import Budget
 from analysis.frequency_method import FrequencyFlag
 from analysis.lock_in_run import ScaleFactorCheck, TableCheck
 from station.lock_in.evaluate import LockInEvaluation
@@ -557,7 +557,7 @@ def remedy_sentence(budget: Budget) -> str:
     first = budget.inputs[0] if budget.inputs else None
     if first is None or first.contribution == 0:
         return ""
-    after = budget.with_line(first, _left_of(first)).expanded_u_95
+    after = budget.with_line(first, (0.5 if first.name in _HALVED else 0.0)).expanded_u_95
     now = budget.expanded_u_95
     return (
         f"The largest part is {first.quantity} ({100 * budget.share(first):.0f} % of the variance"
@@ -573,10 +573,6 @@ def short_remedy(budget: Budget) -> str:
         return ""
     share = f"{100 * budget.share(first):.0f} % of the variance"
     return f"{first.quantity} is {share}: {_REMEDIES.get(first.name, _TABLE).partition('; or ')[0]}"
-
-
-def _left_of(line: BudgetInput) -> float:
-    return 0.5 if line.name in _HALVED else 0.0
 
 
 def _percent(u_95: float, budget: Budget) -> str:

@@ -337,8 +337,6 @@ class RunRecords(Sequence[Record]):
 def html_table(caption: str, rows: Rows) -> str:
     """Return names and values as a table of HTML.
 
-    Examples
-    --------
     >>> html_table("run", [("unit", "<7>")])
     '<table><caption>run</caption><tr><th>unit</th><td>&lt;7&gt;</td></tr></table>'
     """

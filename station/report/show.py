@@ -5,13 +5,14 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
 from rich.table import Table
 from rich.text import Text
 
-from station.errors import RunError
+from station.errors import DAMAGE, RunError
 from station.files import version
 from station.live.console import stdout_console
 from station.results.result import FactTable, Result, Rows, Section
@@ -63,7 +64,14 @@ def write_report(evaluated: Shown, path: Path | None = None) -> Path:
 def render_report(evaluated: Shown) -> str:
     """Return the report as HTML text."""
     facts, result = evaluated.run.facts, evaluated.result
-    tables = [*evaluated.fact_tables(), *_common_tables(evaluated)]
+    tables: list[FactTable] = []
+    for part in (evaluated.fact_tables, lambda: _common_tables(evaluated)):
+        try:
+            tables += part()
+        except DAMAGE as error:
+            if evaluated.run.protected and not evaluated.run.damaged:
+                raise
+            tables.append(FactTable("Damaged", [("unreadable", f"{type(error).__name__}: {error}")]))
     tables = [table for table in tables if table.rows]
     middle = (len(tables) + 1) // 2
     sections = evaluated.sections()
@@ -205,7 +213,8 @@ def write_page(path: Path, text: str) -> Path:
             os.fsync(file.fileno())
         draft.replace(path)
     finally:
-        draft.unlink(missing_ok=True)
+        with suppress(OSError):
+            draft.unlink(missing_ok=True)
     return path
 
 

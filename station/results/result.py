@@ -136,8 +136,6 @@ class Result:
 def with_uncertainty(value: float, u: float, unit: str = "") -> str:
     """Write a value with its standard uncertainty in the last digits.
 
-    Examples
-    --------
     >>> with_uncertainty(0.0100023, 0.0000121, "deg/s")
     '0.010002(12) deg/s'
     >>> with_uncertainty(159.9912, 0.25, "Hz")
@@ -159,8 +157,6 @@ def with_uncertainty(value: float, u: float, unit: str = "") -> str:
 def with_prefix(value: float, unit: str) -> str:
     """Write a value with the unit prefix that fits.
 
-    Examples
-    --------
     >>> with_prefix(0.025, "s/div")
     '25 ms/div'
     >>> with_prefix(0.000004, "s")
@@ -185,8 +181,6 @@ def with_prefix(value: float, unit: str) -> str:
 def ppm(value: float, u: float = math.nan) -> str:
     """Write a signed value in ppm with its uncertainty.
 
-    Examples
-    --------
     >>> ppm(999.9213, 0.43), ppm(float("nan"))
     ('+999.92(43) ppm', 'none')
     """

@@ -88,8 +88,6 @@ def worst(verdicts: Iterable[Verdict]) -> Verdict | None:
 
     ERROR outranks FAIL: what failed on a bench that failed too has to be measured again.
 
-    Examples
-    --------
     >>> worst(["PASS", "FAIL", "MARGINAL"]), worst(["FAIL", "ERROR"]), worst([])
     ('FAIL', 'ERROR', None)
     """

@@ -5,13 +5,14 @@ from __future__ import annotations
 import functools
 import hashlib
 import json
+import math
 import os
 import shutil
 import sqlite3
 import stat
 import struct
 import tempfile
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, closing, contextmanager, suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -231,7 +232,7 @@ def read_facts(db: sqlite3.Connection) -> tuple[dict[str, Any], dict[str, str], 
                 raise ValueError("has no name")
             if name in sums and sums[name] != _sum(text):
                 raise ValueError("is not what was once saved")
-            known[name] = checked_fact(name, json.loads(text))
+            known[name] = checked_fact(name, STRICT_JSON.decode(text))
         except (ValueError, TypeError, AttributeError, RecursionError) as error:
             unusable[str(name)] = str(error)
     lost = sums.keys() - known.keys() - unusable.keys()
@@ -442,7 +443,39 @@ def checked_fact(name: str, value: Any) -> Any:
     kind = _KINDS.get(name)
     if kind is not None and value is not None and not isinstance(value, kind):
         raise ValueError(f"holds {type(value).__name__}, which it never does")
+    if name == "truth" and not _are_numbers((value or {}).values()):
+        raise ValueError("holds what is no number")
     return value
+
+
+def conditions_of(cell: str | bytes) -> dict[str, Any] | None:
+    """Return what was noted beside a record; ``None`` if it is of a kind that it never is."""
+    try:
+        found = STRICT_JSON.decode(cell if isinstance(cell, str) else cell.decode())
+        truth = found.get("truth") or {}
+        plain = (value for name, value in found.items() if name != "truth" and not isinstance(value, str))
+        return found if _are_numbers(truth.values()) and _are_numbers(plain) else None
+    except (TypeError, ValueError, AttributeError, RecursionError):
+        return None
+
+
+def _are_numbers(values: Iterable[Any]) -> bool:
+    return all(value is None or isinstance(value, int | float) for value in values)
+
+
+def _number(text: str) -> float:
+    value = float(text)
+    if not math.isfinite(value):
+        raise ValueError("holds a number that is none")
+    return value
+
+
+def _whole(text: str) -> int:
+    return int(text) if _number(text) else 0
+
+
+STRICT_JSON = json.JSONDecoder(parse_float=_number, parse_int=_whole, parse_constant=_number)
+"""JSON as it was written: without infinities."""
 
 
 class RunFacts(Mapping[str, Any]):

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import hashlib
-import json
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from station.errors import RunError
-from station.runs.database import COLUMNS, LAYOUTS, SUMS, checked_fact, frames_of, journal_of
+from station.runs.database import COLUMNS, LAYOUTS, STRICT_JSON, SUMS, checked_fact, frames_of, journal_of
 from station.runs.store import NewRecord, RunWriter, SavedRecord, SavedRun, open_run, read_record, run_file
 
 _COMMIT = 100  # records that are saved at once
@@ -107,7 +106,7 @@ def _facts(texts: dict[str, list[str]]) -> Iterator[tuple[str, Any]]:
 
 def _json(text: str) -> Any:
     try:
-        return json.loads(text)
+        return STRICT_JSON.decode(text)
     except (ValueError, RecursionError):
         return None
 

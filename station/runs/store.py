@@ -24,6 +24,7 @@ from station.runs.database import (
     DatabaseWriter,
     Layout,
     RunFacts,
+    conditions_of,
     create_database,
     new_run_directory,
     read_facts,
@@ -173,11 +174,11 @@ def open_run(path: Path) -> SavedRun:
 def read_record(row: Sequence[Any], layout: Layout) -> SavedRecord:
     """Return a record from its cells, as `layout` selects them; a cell that is none costs this record only."""
     cells = dict(zip(COLUMNS, row, strict=True))
+    conditions = conditions_of(cells["conditions"])
     try:
-        intact = layout.checksum(cells) == cells["sha256"]
-        conditions = json.loads(cells["conditions"])
-    except (TypeError, AttributeError, ValueError, RecursionError):
-        intact, conditions = False, {}
+        intact = conditions is not None and layout.checksum(cells) == cells["sha256"]
+    except (TypeError, AttributeError, ValueError):
+        intact = False
     key, taken_at, purpose, header = (
         cells[name] if isinstance(cells[name], str) else "" for name in ("key", "taken_at", "purpose", "header")
     )
@@ -188,8 +189,8 @@ def read_record(row: Sequence[Any], layout: Layout) -> SavedRecord:
         purpose=purpose,
         header=header,
         payload=cells["payload"] if isinstance(cells["payload"], bytes) else b"",
-        intact=intact and isinstance(conditions, dict) and bool(key and header),
-        conditions=conditions if isinstance(conditions, dict) else {},
+        intact=intact and bool(key and header),
+        conditions=conditions or {},
     )
 
 

@@ -185,8 +185,6 @@ class ShownSignal:
 def parse_signal(text: str) -> ShownSignal:
     """Read `[CHn=]gyro`, `[CHn=]sine[:Hz[:V[:offset V]]]`, the same with `square`, or `[CHn=]FILE`.
 
-    Examples
-    --------
     >>> parse_signal("CH2=sine:50:0.5").signal(np.array([0.005])).round(6).tolist()
     [0.5]
     >>> parse_signal("gyro")
@@ -262,8 +260,6 @@ _DEFAULT_CHANCE = 0.01
 def parse_fault(text: str) -> Fault:
     """Read `KIND`, `KIND:CHANCE` or `knob turned:CHANCE:COMMAND`; without a chance, one answer in a hundred.
 
-    Examples
-    --------
     >>> parse_fault("cut answer:0.05").probability
     0.05
     """

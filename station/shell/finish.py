@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from station.datasets.data_set import whole
 from station.errors import (
+    DAMAGE,
     EXIT_NO_SIGNAL,
     EXIT_OUTPUT,
     CannotWrite,
@@ -38,8 +39,6 @@ if TYPE_CHECKING:
     from station.live.events import Events
 
 SCHEMA_VERSION = 2
-DAMAGE = (ArithmeticError, AttributeError, LookupError, RecursionError, TypeError, ValueError)
-"""What values raise that no run ever holds."""
 
 
 @dataclass(frozen=True)

@@ -168,8 +168,6 @@ def run_options(function: F) -> F:
 def overrides(given: Mapping[str, Any], places: Mapping[str, str]) -> dict[str, dict[str, object]]:
     """Turn options of the command line into settings; what was not given is left out.
 
-    Examples
-    --------
     >>> overrides({"seed": 3, "channel": None}, {"seed": "simulation.seed", "channel": "scope.channel"})
     {'simulation': {'seed': 3}}
     """

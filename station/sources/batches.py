@@ -137,7 +137,7 @@ def batches_of(
                         yield _collected(open_batches.pop(shape))
                     held = 0
         except (StationError, InstrumentError, OSError) as error:
-            left_out(ExcludedRecord(source.name, None, _without_name(str(error), source.name)))
+            left_out(ExcludedRecord(source.name, None, (str(error).removeprefix(f"{source.name}: "))))
     for batch in open_batches.values():
         yield _collected(batch)
 
@@ -196,10 +196,6 @@ def codes_of(payloads: Sequence[bytes], preamble: Preamble) -> NDArray[np.int8] 
     codes: NDArray[Any] = np.frombuffer(b"".join(payloads), ">i2" if wide else np.int8)
     codes = codes.reshape(len(payloads), preamble.nr_pt)
     return codes.astype(np.int16) if wide else codes
-
-
-def _without_name(text: str, name: str) -> str:
-    return text.removeprefix(f"{name}: ")
 
 
 # --------------------

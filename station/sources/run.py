@@ -11,7 +11,18 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, overload
 
-from station.runs.database import COLUMNS, NUMBERED, TODAY, Layout, RunFacts, opened, read_facts, reading, told
+from station.runs.database import (
+    COLUMNS,
+    NUMBERED,
+    TODAY,
+    Layout,
+    RunFacts,
+    conditions_of,
+    opened,
+    read_facts,
+    reading,
+    told,
+)
 from station.runs.store import SavedRecord, SavedRun, damaged_facts, missing_records, read_record, run_file
 from station.sources.batches import MOST_BYTES, MOST_RECORDS, Source, Stretch
 
@@ -122,7 +133,7 @@ class RunSource(Source):
 
 def _stretches(rows: Iterable[tuple[Any, ...]], layout: Layout) -> Iterator[tuple[Stretch, list[Any]]]:
     """Stretches of the rows of a run, and the saved checksum of each record; on an error, what came before it."""
-    texts, parsed = _Cache(_decoded), _Cache(_conditions)
+    texts, parsed = _Cache(_decoded), _Cache(conditions_of)
     waiting, sums, alike, room = None, list[Any](), None, 0
     try:
         for row in rows:
@@ -180,14 +191,6 @@ def _text(cell: Any, place: int) -> Any:
 
 def _decoded(cell: bytes) -> str:
     return cell.decode("utf-8", errors="replace")
-
-
-def _conditions(cell: bytes) -> dict[str, Any] | None:
-    try:
-        found = json.loads(cell)
-    except (TypeError, ValueError, RecursionError):
-        return None
-    return found if isinstance(found, dict) else None
 
 
 class _Cache(dict[bytes, Any]):

@@ -92,11 +92,6 @@ class ClosedLoop:
         return self._clock.time
 
     @property
-    def injection_resolution(self) -> float:
-        """Smallest injected step, codes."""
-        return self.design.step_resolution
-
-    @property
     def largest_step(self) -> float:
         """Largest injected step, codes."""
         return self.design.largest_step

@@ -78,8 +78,6 @@ class FibreCoil:
     def fringe_limit_dps(self) -> float:
         """Rate with a Sagnac phase of pi: above it a loop that starts from rest settles on another fringe, deg/s.
 
-        Examples
-        --------
         >>> round(FibreCoil().fringe_limit_dps, 1)
         133.1
         """
@@ -92,8 +90,6 @@ class FibreCoil:
     def scaled(self, factor: float) -> FibreCoil:
         """Coil whose L D/lambda is `factor` times this one's and whose transit time is the same.
 
-        Examples
-        --------
         >>> round(FibreCoil().scaled(1.0001).nominal_scale(16) / FibreCoil().nominal_scale(16) - 1, 9)
         0.0001
         """
@@ -238,8 +234,6 @@ _RANGES = (
 class OutputClock:
     """Time and sample pairs since the start of a gyro.
 
-    Examples
-    --------
     >>> clock = OutputClock(FibreCoil())
     >>> ends, pairs = clock.next_outputs(3, 0.01)
     >>> ends.tolist(), pairs.tolist()

@@ -169,8 +169,6 @@ class _Loops:
 def cosine_of_turns(turns: Floats, out: Floats, u: Floats, w: Floats) -> None:
     """cos(2 pi t) to 1e-13 into `out`, by the same operations as the scalar kernel; `u` and `w` are scratch.
 
-    Examples
-    --------
     >>> turns = np.array([0.0, 0.125, 0.5, -3.25])
     >>> result, u, w = np.empty((3, 4))
     >>> cosine_of_turns(turns, result, u, w)

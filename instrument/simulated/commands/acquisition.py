@@ -5,10 +5,12 @@ Source: programmer manual 071-1075-04, pp. 2-45 to 2-52 and 2-221 to 2-239.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
+from numpy.typing import NDArray
 
 from instrument.scpi import NO_DATA
 from instrument.simulated.commands.tree import Action, Order, Query, answer, no_argument, one_argument
@@ -190,12 +192,7 @@ def _horizontal_bar_units(state: ScopeState) -> str:
     return spelled.upper()
 
 
-_BRANCHES = ("MEASUrement:IMMed", *(f"MEASUrement:MEAS{number}" for number in range(1, 6)))
-
-MEASUREMENT_ACTIONS = {
-    **{f"{branch}:VALue": Action(_value(branch), waits=lambda s: s.awaits_record()) for branch in _BRANCHES},
-    **{branch: Action(_branch(branch)) for branch in _BRANCHES},
-    **{f"{branch}:UNIts": Action(_units(branch)) for branch in _BRANCHES},
+CURSOR_ACTIONS = {
     "CURSor:HBArs:DELTa": Action(_cursor_delta("HBArs")),
     "CURSor:HBArs:UNIts": Action(answer("CURSor:HBArs:UNIts", _horizontal_bar_units)),
     "CURSor:VBArs:DELTa": Action(_cursor_delta("VBArs")),
@@ -273,6 +270,59 @@ def _bar_answer(leaf: str) -> Query:
         "HPOS2": lambda state: _height(state, 2),
         "SLOPE": _slope,
     }[leaf]
+    return _or_invalid(f"CURSor:VBArs:{leaf}", compute)
+
+
+# The power key of a TPS: what its queries are called below their first word, and how they compute, are guesses
+
+
+_POWER = {
+    "HARmonics": ("FREQuency", "RMS", "PERCent", "PHAse", "THDF", "THDR"),
+    "POWerANALYSIS": ("TRUEpower", "APParentpower", "PFActor"),
+    "SWLoss": ("TOTAL:POWer", "TOTAL:ENERGY"),
+    "WAVEFORMANALYSIS": ("FREQuency", "RMS", "CFActor"),
+}
+
+
+def _volts(state: ScopeState, source: str) -> tuple[NDArray[np.float64], NDArray[np.floating]]:
+    """A trace, and the turns of its fundamental that have passed."""
+    trace = state.trace(source)
+    if trace is None:
+        raise Refusal(_SOURCE_OFF)
+    volts = (trace.codes.astype(np.float64) - trace.yoff) * trace.ymult + trace.yzero
+    return volts, np.arange(len(volts)) * trace.xincr * _measured(state, "FREQUENCY", source)
+
+
+def _power(state: ScopeState, branch: str, leaf: str) -> float:
+    """One number of the power key."""
+    pair, key = branch in ("POWerANALYSIS", "SWLoss"), branch.upper()
+    source = state.panel.text(f"{key}:SOURCE{'S' if pair else ''}")
+    volts, turns = _volts(state, source[:3])
+    frequency, rms = _measured(state, "FREQUENCY", source[:3]), float(np.sqrt(np.mean(volts**2)))
+    if pair:
+        amperes = _volts(state, source[3:])[0]
+        watts, apparent = float(np.mean(volts * amperes)), rms * float(np.sqrt(np.mean(amperes**2)))
+        seconds = float(turns[-1]) / frequency
+        others = {"APParentpower": apparent, "PFActor": watts / apparent, "TOTAL:ENERGY": watts * seconds}
+        return others.get(leaf, watts)
+    if branch == "WAVEFORMANALYSIS":
+        return {"FREQuency": frequency, "RMS": rms}.get(leaf, float(np.abs(volts).max()) / rms)
+    whole = turns < max(np.floor(turns[-1]), 1)
+    waves = np.exp(-2j * np.pi * np.arange(1, 51)[:, np.newaxis] * turns[whole])
+    found, number = 2 * (waves @ volts[whole]) / whole.sum(), round(state.panel.number(f"{key}:SELECT"))
+    sizes = np.abs(found)
+    return {
+        "FREQuency": number * frequency,
+        "RMS": float(sizes[number - 1] / np.sqrt(2)),
+        "PERCent": float(100 * sizes[number - 1] / sizes[0]),
+        "PHAse": float(np.angle(found[number - 1], deg=True)),
+        "THDF": float(100 * np.linalg.norm(sizes[1:]) / sizes[0]),
+        "THDR": float(100 * np.linalg.norm(sizes[1:]) / np.linalg.norm(sizes)),
+    }[leaf]
+
+
+def _or_invalid(header: str, compute: Callable[[ScopeState], float]) -> Query:
+    """9.9E37 and an event where there is no such number."""
 
     def value(state: ScopeState) -> str:
         try:
@@ -281,7 +331,7 @@ def _bar_answer(leaf: str) -> Query:
             state.status.post(refusal.event)
             return nr3(INVALID)
 
-    return answer(f"CURSor:VBArs:{leaf}", value)
+    return answer(header, value)
 
 
 def _constant(header: str, text: str) -> Action:
@@ -300,6 +350,14 @@ def _printer_defaults() -> Order:
 def actions(model: Model) -> Mapping[str, Action]:
     """Those that a model has."""
     table: dict[str, Action] = {}
+    for branch in ("IMMed", *(f"MEAS{number}" for number in range(1, model.measurements + 1))):
+        branch = f"MEASUrement:{branch}"
+        table[f"{branch}:VALue"] = Action(_value(branch), waits=lambda s: s.awaits_record())
+        table |= {branch: Action(_branch(branch)), f"{branch}:UNIts": Action(_units(branch))}
+    if model.has_power_key:
+        for branch, leaf in ((branch, leaf) for branch, leaves in _POWER.items() for leaf in leaves):
+            header = f"{branch}:{leaf}"
+            table[header] = Action(_or_invalid(header, partial(_power, branch=branch, leaf=leaf)))
     if model.letter_series:
         leaves = ("HDELTa", "VDELTa", "HPOS1", "HPOS2", *(("SLOPE",) if model.has_power_key else ()))
         table |= {f"CURSor:VBArs:{leaf}": Action(_bar_answer(leaf)) for leaf in leaves}

@@ -103,6 +103,8 @@ def _autoset(state: ScopeState, arguments: tuple[Argument, ...]) -> None:
     """Choose scales, time base and trigger for the signals at the displayed channels."""
     _EXECUTE.read(one_argument(arguments))
     panel = state.panel
+    if not panel.values.get("AUTOSET:ENABLE", 1):
+        raise Refusal(221)
     names = [name for name in panel.model.channel_names if name in panel.displayed] or ["CH1"]
     times = state.clock.now() - _AUTOSET_LOOK * (1 - np.arange(_AUTOSET_POINTS) / _AUTOSET_POINTS)
     frequencies: dict[str, float] = {}
@@ -215,8 +217,6 @@ _OUT_OF_RANGE = 200  # *SRE and its like out of range: an execution error, p. 2-
 def tek_identity(identity: str) -> str:
     """The older `ID?` form of an answer to `*IDN?`, p. 2-142.
 
-    Examples
-    --------
     >>> tek_identity("TEKTRONIX,TDS 2014,0,CF:91.1CT FV:v4.12 TDS2CM:CMV:v1.04")
     'ID TEK/TDS 2014,CF:91.1CT,FV:v4.12 TDS2CM:CMV:v1.04'
     """

@@ -174,8 +174,6 @@ def smoothed(values: Floats, gain: float, first: float) -> Floats:
 
     In a block, y[n] / (1 - gain)**n is a running sum; a block is as long as the powers stay within e**20.
 
-    Examples
-    --------
     >>> smoothed(np.array([1.0, 1.0, 0.0]), 0.5, 0.0).tolist()
     [0.5, 0.75, 0.375]
     """
@@ -193,8 +191,6 @@ def smoothed(values: Floats, gain: float, first: float) -> Floats:
 def convert(volts: Floats, channel: PanelChannel, noise: Floats | float = 0.0) -> Codes:
     """Codes of the converter: 25 levels a division around the centre, rounded, clipped at +-127.
 
-    Examples
-    --------
     >>> channel = PanelChannel(0.5, 1.0, "DC", 1.0, limited=False, inverted=False)
     >>> convert(np.array([0.0, 0.5, 9.0, -9.0]), channel).tolist()
     [25, 50, 127, -127]

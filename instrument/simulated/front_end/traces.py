@@ -232,8 +232,6 @@ def multiply(first: Trace, second: Trace, scale: float, position: float) -> Trac
 def visible_part(horizontal_zoom: float, position: float) -> slice:
     """The points of a spectrum that the screen shows: zoomed about a position in percent of the whole.
 
-    Examples
-    --------
     >>> visible_part(1, 50), visible_part(2, 50), visible_part(10, 0)
     (slice(0, 1024, None), slice(256, 768, None), slice(0, 102, None))
     """
@@ -402,8 +400,6 @@ def phase(first: Trace, second: Trace) -> float:
 def middle_crossings(volts: Floats) -> Edges:
     """Crossings of the middle in samples, with a hysteresis of a tenth of the height.
 
-    Examples
-    --------
     >>> edges = middle_crossings(np.array([0.0, 0.0, 1.0, 1.0, 0.0, 0.0]))
     >>> edges.times.tolist(), edges.rising.tolist()
     ([1.5, 3.5], [True, False])

@@ -380,11 +380,6 @@ Bracket = tuple[float, float]
 Bools = NDArray[np.bool_]
 
 
-def _last_so_far(found: Bools) -> NDArray[np.intp]:
-    """Place of the last one that is true, at each place; -1 where there is none yet."""
-    return np.maximum.accumulate(np.where(found, np.arange(len(found)), -1))
-
-
 @dataclass
 class PulseSearch:
     """A search for a pulse of the wanted width that goes on where it stopped."""
@@ -492,7 +487,9 @@ class PulseSearch:
         known = np.flatnonzero(sides)
         previous = np.concatenate([[self.state], sides[known]])
         changes = known[(previous[1:] != previous[:-1]) & (previous[:-1] != 0)]
-        last_below, last_over = (_last_so_far(side) for side in (above < 0, above > 0))
+        last_below, last_over = (
+            (np.maximum.accumulate(np.where(side, np.arange(len(side)), -1))) for side in (above < 0, above > 0)
+        )
         if len(changes):
             rising = sides[changes] > 0
             last = np.where(rising, last_below[changes], last_over[changes])

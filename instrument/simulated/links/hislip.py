@@ -473,8 +473,6 @@ class HislipFrame:
     def encoded(self) -> bytes:
         """The bytes that travel.
 
-        Examples
-        --------
         >>> HislipFrame(MessageType.DATA_END, 0, 0xFFFFFF00, b"*IDN?").encoded().hex(" ", -4)
         '48530700 ffffff00 00000000 00000005 2a49444e 3f'
         """
@@ -550,8 +548,6 @@ class _Request:
 class Locks:
     """The locks of one instrument. Clients are anything hashable; the empty key asks for the exclusive lock.
 
-    Examples
-    --------
     >>> locks = Locks()
     >>> locks.request("a", b"", 0.0), locks.request("b", b"", 10.0), locks.may_talk("b")
     (<LockAnswer.EXCLUSIVE: 1>, None, False)

@@ -80,14 +80,9 @@ def resource_manager(
         inputs = {1: signals} if callable(signals) else signals
         scope = SimulatedTDS2014(demonstration_signals() if inputs is None else inputs, **scope_options)
         scopes = dict.fromkeys(DEFAULT_NAMES, scope)
-    library = SimulatedVisaLibrary(_library_path())
+    library = SimulatedVisaLibrary(LibraryPath(f"gyrolock-simulated-{next(_LIBRARY_NUMBERS)}", "simulated"))
     library.connect(scopes)
     return pyvisa.ResourceManager(library)
-
-
-def _library_path() -> LibraryPath:
-    """A path of its own for each library: PyVISA shares those of the same path."""
-    return LibraryPath(f"gyrolock-simulated-{next(_LIBRARY_NUMBERS)}", "simulated")
 
 
 @dataclass

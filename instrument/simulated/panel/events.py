@@ -183,8 +183,6 @@ PON, URQ, CME, EXE, DDE, QYE, RQC, OPC = 128, 64, 32, 16, 8, 4, 2, 1
 def status_bit(code: int) -> int:
     """Bit of the standard event status register that an event sets; 0 for those that set none, pp. 3-10 ff.
 
-    Examples
-    --------
     >>> status_bit(113) == CME, status_bit(2244) == EXE, status_bit(420) == QYE, status_bit(350)
     (True, True, True, 0)
     """
@@ -286,8 +284,6 @@ class Status:
 def event_text(code: int, command: str = "") -> str:
     """Text of an event with the offending command; a long command loses its beginning.
 
-    Examples
-    --------
     >>> event_text(401), event_text(113, "FOO?")
     ('Power on; ', 'Undefined header; FOO?')
     """

@@ -51,6 +51,11 @@ class Model:
         return "TPS2PWR1" in self.identity
 
     @cached_property
+    def measurements(self) -> int:
+        """How many stand on the screen at once."""
+        return 6 if self.name.startswith("TBS") and self.name.endswith("B") else 5
+
+    @cached_property
     def channel_names(self) -> Mnemonics:
         """`CH1` and so on."""
         return tuple(f"CH{number}" for number in range(1, self.channels + 1))

@@ -80,8 +80,6 @@ def block_end(data: bytes, start: int, *, final: bool) -> int | None:
 class StreamSplitter:
     r"""Cuts a stream of bytes into program messages at LF or CR, but not inside a block.
 
-    Examples
-    --------
     >>> splitter = StreamSplitter()
     >>> splitter.feed(b"*IDN?\r\nCURVE #13"), splitter.feed(b"\n\n\n\n")
     ([b'*IDN?'], [b'CURVE #13\n\n\n'])
@@ -128,8 +126,6 @@ def parse_message(message: bytes, *, stream: bool = False) -> tuple[Command | Ma
 
     On a stream nothing marks the end of an indefinite block, so it is refused there (event 161, p. 2-13).
 
-    Examples
-    --------
     >>> [c.header for c in parse_message(b" data:source ch1 ; width 1;; :CH1:SCALE? ")]
     ['data:source', 'width', ':CH1:SCALE']
     """
@@ -236,8 +232,6 @@ def nr3(value: float, digits: int = 7) -> str:
 
     One digit, a point, at least one more digit, and an exponent without plus sign or leading zeros.
 
-    Examples
-    --------
     >>> nr3(0), nr3(5e-4), nr3(1), nr3(-11008), nr3(3.852921)
     ('0.0E0', '5.0E-4', '1.0E0', '-1.1008E4', '3.852921E0')
     """
@@ -255,8 +249,6 @@ def nr3(value: float, digits: int = 7) -> str:
 def quoted(text: str) -> str:
     """Put a string in double quotes, doubling those inside it.
 
-    Examples
-    --------
     >>> print(quoted('a "b" c'))
     "a ""b"" c"
     """
@@ -278,8 +270,6 @@ def block(data: bytes) -> bytes:
 def spell(mnemonic: str, verbose: bool) -> str:
     """Long or short form of a mnemonic spelled as in the manual (`ACQuire`).
 
-    Examples
-    --------
     >>> spell("ACQuire", True), spell("ACQuire", False), spell("BYT_Nr", False)
     ('ACQUIRE', 'ACQ', 'BYT_N')
     """
@@ -291,8 +281,6 @@ def spell(mnemonic: str, verbose: bool) -> str:
 def abbreviations(mnemonic: str) -> list[str]:
     """Every accepted spelling from the short to the long form, in capitals; a trailing digit stays.
 
-    Examples
-    --------
     >>> abbreviations("COUPling")
     ['COUP', 'COUPL', 'COUPLI', 'COUPLIN', 'COUPLING']
     >>> abbreviations("MEAS1"), abbreviations("SOUrce1")
@@ -312,8 +300,6 @@ def join_leaves(leaves: Iterable[Leaf], *, header: bool, verbose: bool) -> str:
     The first leaf carries its full path. A leaf below the branch of the one before it is written relative to
     that branch, any other with `:` and its full path.
 
-    Examples
-    --------
     >>> leaves = [(("HORizontal", "VIEW"), "MAIN"), (("HORizontal", "MAIn", "SCAle"), "5.0E-4"),
     ...           (("HORizontal", "MAIn", "POSition"), "0.0E0"), (("HORizontal", "DELay", "SCAle"), "5.0E-5")]
     >>> join_leaves(leaves, header=True, verbose=True)

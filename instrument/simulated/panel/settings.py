@@ -247,8 +247,6 @@ class Row:
 def time_steps(fastest: float) -> tuple[float, ...]:
     """The 1-2.5-5 sequence of s/div from the fastest sweep to 50 s/div.
 
-    Examples
-    --------
     >>> time_steps(5e-9)[:4], time_steps(5e-9)[-1]
     ((5e-09, 1e-08, 2.5e-08, 5e-08), 50.0)
     """
@@ -275,7 +273,7 @@ def setting_rows(model: Model) -> tuple[Row, ...]:
         *limit_test(model),
         *_hard_copy_and_links(model),
         *picture_printer(model),
-        *battery(model),
+        *battery_and_power(model),
     )
 
 
@@ -388,7 +386,7 @@ def _measurement_and_math(model: Model) -> Iterator[Row]:
     if model.has_power_key:
         types = (*types, "PHAse")
     sources = Words(*model.channel_names, *(("MATH",) if model.letter_series else ()))
-    for number in range(1, 6):
+    for number in range(1, model.measurements + 1):
         yield Row(f"MEASUrement:MEAS{number}:TYPe", Words(*types, "NONe"), "NONE")
         yield Row(f"MEASUrement:MEAS{number}:SOUrce", sources, "CH1")
     if model.has_rms:
@@ -411,6 +409,8 @@ def _measurement_and_math(model: Model) -> Iterator[Row]:
     yield Row("MATH:FFT:VERtical:SCAle", Steps((0.5, 1, 2, 5, 10)), 1.0)
     if model.letter_series:
         yield Row("AUTORange:STATE", Switch(), 0, in_set=False)
+        if model.series != "TPS":
+            yield Row("AUTOSet:ENABLE", Switch(), 1, kept=True, in_set=False)
         yield Row("AUTORange:SETTings", Words("HORizontal", "VERTical", "BOTH"), "BOTH")
 
 
@@ -456,10 +456,22 @@ def picture_printer(model: Model) -> Iterator[Row]:
         yield Row(f"PICTBridge:{leaf}", Words(*words), "DEFLT", kept=True, in_set=False)
 
 
-def battery(model: Model) -> Iterator[Row]:
-    """What POWer? of a TPS answers besides the state of its batteries."""
+def battery_and_power(model: Model) -> Iterator[Row]:
+    """Settings of a TPS besides its batteries' state. Those of its key for power are guesses."""
     if model.series == "TPS":
         yield Row("POWer:BUTTONLIGHT", Switch(), 1, kept=True, in_set=False)
+    if model.has_power_key:
+        pair = Words("CH1CH2", *(("CH3CH4",) if model.channels == 4 else ()))
+        one = Words(*model.channel_names)
+        for header, words, first in (
+            ("HARmonics:SOUrce", one, "CH1"),
+            ("HARmonics:SETUp", Words("ALL", "ODD", "EVEN"), "ALL"),
+            ("HARmonics:SELect", Whole(1, 50), 1),
+            ("POWerANALYSIS:SOUrces", pair, "CH1CH2"),
+            ("SWLoss:SOUrces", pair, "CH1CH2"),
+            ("WAVEFORMANALYSIS:SOUrce", one, "CH1"),
+        ):
+            yield Row(header, words, first, in_set=False, in_file=False)
 
 
 def _hard_copy_and_links(model: Model) -> Iterator[Row]:
@@ -537,8 +549,6 @@ class MathExpression:
 def operands(expression: str) -> list[str]:
     """Channels of an expression.
 
-    Examples
-    --------
     >>> operands("CH1 - CH2"), operands("FFT(CH3,HANNING)")
     (['CH1', 'CH2'], ['CH3'])
     """

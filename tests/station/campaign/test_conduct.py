@@ -15,7 +15,7 @@ from station.campaign import journal
 from station.campaign.bench import bench_in_use
 from station.campaign.conduct import conduct
 from station.campaign.file import read_campaign
-from station.campaign.journal import JOURNAL, CampaignOutcome, Journal, read_test
+from station.campaign.journal import JOURNAL, CampaignOutcome, Journal, read_journal
 from station.cli import main
 from station.controllers import served_controllers
 from station.errors import CannotWrite, UsageError
@@ -54,7 +54,7 @@ def test_good_at_the_limit_and_bad(
     assert first.run is not None
     run = open_run(first.run)
     assert run.facts.complete and run.facts.labels == {"unit": unit, "operator": "Li"}
-    again = read_test(outcome.directory)
+    again = read_journal(outcome.directory).outcome()
     assert again.plan == outcome.plan
     assert [one.limits for one in again.steps] == [one.limits for one in outcome.steps]
     assert (again.verdict, again.exit_code) == (verdict, code)
@@ -116,7 +116,7 @@ def test_a_bench_that_cannot_be_opened_is_an_error_of_every_step(campaign: Write
     )
     assert (outcome.verdict, outcome.exit_code) == ("ERROR", 3)
     assert [(step.attempts, step.run, len(step.remarks)) for step in outcome.steps] == 2 * [(3, None, 2)]
-    assert read_test(outcome.directory).steps == outcome.steps
+    assert read_journal(outcome.directory).outcome().steps == outcome.steps
 
 
 def test_an_interrupted_test_is_aborted_and_goes_on(campaign: Write, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -158,7 +158,7 @@ def test_a_killed_test_goes_on_at_the_same_step(campaign: Write, capsys: pytest.
     killed = subprocess.run([sys.executable, "-c", KILLED, "7", *arguments], capture_output=True, timeout=100)
     assert killed.returncode == -9, killed.stderr
     (directory,) = journal.tests_of(Path("tests"), "BAD")
-    cut = read_test(directory)
+    cut = read_journal(directory).outcome()
     assert cut.verdict == "ABORTED" and [step.verdict for step in cut.steps] == ["FAIL"]
     with (directory / JOURNAL).open("ab") as lines:
         lines.write(b'{"kind": "step_en')  # what a power failure leaves of a line

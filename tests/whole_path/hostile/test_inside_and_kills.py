@@ -32,7 +32,9 @@ def test_kill_9_loses_no_acknowledged_record() -> None:
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="limits of memory are those of Linux")
-@pytest.mark.parametrize(("kind", "count"), [("csv", 60), ("isf", 150), ("toml", 80), ("runs", 40)])
+@pytest.mark.parametrize(
+    ("kind", "count"), [("csv", 60), ("isf", 150), ("toml", 80), ("runs", 40), ("commands", 60)]
+)
 def test_a_damaged_file_is_read_or_refused(kind: str, count: int) -> None:
     """In a process of its own: it limits its memory."""
     code = f"from benchmarks.damage import fuzz_files as f; print(f.try_files({kind!r}, {count}, 3).failures)"

@@ -86,6 +86,10 @@ def test_cursors_of_later_models_stand_on_the_waveform(make_bench):
         ("TPS2014", "POWER:BATTERY1:STATUS?", "FULLYCHARGED"),
         ("TPS2014", "POWER:BUTTONLIGHT OFF;BUTTONLIGHT?", "0"),
         ("TPS2014", "DISPLAY:BRIGHTNESS 40;BRIGHTNESS?", "45"),
+        ("TPS2012", "HARMONICS:SELECT 3;SELECT?", "3"),
+        ("TPS2012", "SWLOSS:SOURCES CH1CH2;SOURCES?", "CH1CH2"),
+        ("TBS1072B", "MEASUREMENT:MEAS6:TYPE PK2PK;TYPE?", "PK2PK"),
+        ("TDS2002B", "AUTOSET:ENABLE OFF;ENABLE?", "0"),
         ("TDS2014B", "PICTBRIDGE:PAPERSIZE A4;PAPERSIZE?;:PICTBRIDGE:DEF;PAPERSIZE?", "A4;DEFLT"),
         ("TDS2014C", "HARDCOPY:BUTTON PRINTS;BUTTON?", "PRINTS"),
     ],
@@ -94,6 +98,41 @@ def test_commands_of_one_series(make_bench, fresh, model, message, answer):
     assert make_bench(model=model).ask(message) == answer
     fresh.write(message.split(";")[0])
     assert fresh.events() == [401, 113]
+
+
+def test_the_power_key_of_a_tps(make_bench):
+    """A voltage with a third harmonic of a fifth, and a current that lags by 60 degrees: by hand."""
+    turns = 2 * np.pi * 1e3
+    volts = {1: lambda t: 3 * np.sin(turns * t) + 0.6 * np.sin(3 * turns * t)}
+    volts[2] = lambda t: 2 * np.sin(turns * t - np.pi / 3)
+    bench = make_bench(volts, model="TPS2012", noise_levels=0.0)
+    bench.write("CH1:PROBE 1;SCALE 1;:CH2:PROBE 1;SCALE 1;:HOR:SCALE 1E-3;:SELECT:CH2 ON")
+    bench.single()
+    bench.write("HARMONICS:SELECT 3")
+    expected = {
+        "HARMONICS:FREQUENCY": 3e3,
+        "HARMONICS:PERCENT": 20.0,
+        "HARMONICS:RMS": 0.6 / 2**0.5,
+        "HARMONICS:THDF": 20.0,
+        "HARMONICS:THDR": 20 / 1.04**0.5,
+        "WAVEFORMANALYSIS:RMS": (4.5 + 0.18) ** 0.5,
+        "POWERANALYSIS:TRUEPOWER": 1.5,  # the third harmonic carries none
+        "POWERANALYSIS:APPARENTPOWER": ((4.5 + 0.18) * 2) ** 0.5,
+        "SWLOSS:TOTAL:ENERGY": 1.5 * 10e-3,
+    }
+    for header, value in expected.items():
+        assert float(bench.ask(f"{header}?")) == pytest.approx(value, rel=0.03), header
+    bench.events()
+    bench.write("SELECT:CH2 OFF")
+    assert bench.ask("POWERANALYSIS:PFACTOR?") == "9.9E37"
+    assert bench.events() == [2303]
+
+
+def test_autoset_can_be_locked_away(make_bench):
+    bench = make_bench(model="TDS2012C")
+    bench.events()
+    bench.write("AUTOSET:ENABLE 0;:AUTOSET EXECUTE")
+    assert bench.events() == [221]
 
 
 @pytest.mark.parametrize(("message", "answer"), [("ACQ:STATE OFF;:TRIG:STATE?", ":TRIG:STATE SAV")])

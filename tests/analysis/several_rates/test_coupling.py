@@ -44,6 +44,15 @@ def test_coupling_that_the_beats_show_counts_with_its_size(phase_sum, reference)
     assert 0.5 * share < fit.lock_in_rate_u / WL < 0.85 * share + 0.002
 
 
+def test_four_beats_of_stated_uncertainty_rule_out_most_of_it():
+    """Two rates in both senses leave one degree of freedom; that alone would make u three times the error."""
+    fits = [fitted(0.0, rates=both_senses(3, 9.5), seed=seed) for seed in range(8)]
+    u = np.array([fit.lock_in_rate_u for fit in fits]) / WL
+    error = np.array([fit.lock_in_rate for fit in fits]) / WL - 1
+    assert u.max() < 0.001
+    assert 0.5 < np.sqrt(np.mean((error / u) ** 2)) < 1.4
+
+
 def test_the_size_of_the_coupling_is_found():
     """By the pattern of the beats alone, beside a wrong scale factor and a rate that is there all the time."""
     rate, _, beat = ratios_of_slow_gain(RATES, CORNER, np.deg2rad(40))

@@ -117,11 +117,11 @@ class Outcome:
 
     @property
     def flat(self) -> bool:
-        """Whether descriptors, threads and memory stay what they are after the first tenth of the days."""
-        first = len(self.memory_mb) // 10
+        """Whether descriptors, threads and memory stay what they are after the first tenth of the days, a day at least."""
+        first = max(len(self.memory_mb) // 10, 1)
         grown = self.memory_mb[-1] - self.memory_mb[first]
         counts = (self.descriptors, self.threads)
-        return grown < 20.0 and all(max(found[first:]) <= found[first] + 2 for found in counts)
+        return grown < 2.0 and all(max(found[first:]) <= found[first] + 2 for found in counts)
 
 
 class Pacing(Progress):

@@ -157,7 +157,7 @@ def amplitudes_at(gyro: Gyro, detector: Detector, axis_rate: float) -> Complexes
     return _between(gyro, detector, round(place * FINER), 1 if axis_rate > 0 else -1)
 
 
-@lru_cache(maxsize=8192)
+@lru_cache(maxsize=512)
 def _either_side(gyro: Gyro, detector: Detector, finer: int, sense: int) -> Complexes:
     """Harmonics (order, 2, 1) at a point of the finer grid and at the next."""
     low, high = (_between(gyro, detector, point, sense) for point in (finer, finer + 1))
@@ -166,7 +166,7 @@ def _either_side(gyro: Gyro, detector: Detector, finer: int, sense: int) -> Comp
     return both
 
 
-@lru_cache(maxsize=8192)
+@lru_cache(maxsize=512)
 def _between(gyro: Gyro, detector: Detector, finer: int, sense: int) -> Complexes:
     """Harmonics at a point of the finer grid."""
     found = [(_harmonics(gyro, detector, point, sense), weight) for point, weight in weights_at(finer / FINER)]
@@ -185,7 +185,7 @@ def _real_series(amplitudes: Complexes, turning: Complexes) -> Floats:
     return np.ascontiguousarray(total.real)
 
 
-@lru_cache(maxsize=4096)
+@lru_cache(maxsize=512)
 def _harmonics(gyro: Gyro, detector: Detector, point: int, sense: int) -> Complexes:
     """Complex amplitudes of the harmonics 0, 1, ... behind the filters, V, at one point of the grid."""
     volts = _one_period(gyro, detector, point, sense)
@@ -249,7 +249,7 @@ def beat_signal_on_table(gyro: Gyro, detector: Detector, motion: Sequence[RateMo
     return np.asarray(volts * detector.swing(times)) if detector.pump_ripple else volts
 
 
-@lru_cache(maxsize=64)
+@lru_cache(maxsize=16)
 def _resting_volts(gyro: Gyro, detector: Detector, segment: RateMotion) -> float | None:
     """The constant of a locked gyro on a table at rest; ``None`` where the beat moves."""
     if segment.rate_dps or segment.acceleration_dps2 or gyro.ripple_dps:
@@ -271,7 +271,7 @@ def smooth_interval(
     return min(_smooth_interval(gyro, detector, segment) for segment in reached)
 
 
-@lru_cache(maxsize=64)
+@lru_cache(maxsize=16)
 def _smooth_interval(gyro: Gyro, detector: Detector, segment: RateMotion) -> float:
     """Of one piece of motion: polynomials are off by that of their nodes times the sixth derivative over 6!."""
     if _resting_volts(gyro, detector, segment) is not None:
@@ -304,7 +304,7 @@ def signal_bounds(
     return min(low for low, _ in bounds), max(high for _, high in bounds)
 
 
-@lru_cache(maxsize=64)
+@lru_cache(maxsize=16)
 def _bounds(gyro: Gyro, detector: Detector, segment: RateMotion) -> tuple[float, float]:
     """Of one piece of motion."""
     low, high = -math.inf, math.inf
@@ -341,7 +341,7 @@ def signal_above(
     return volts
 
 
-@lru_cache(maxsize=64)
+@lru_cache(maxsize=16)
 def _coupling_shows_no_swing(gyro: Gyro, detector: Detector, segment: RateMotion, corner_hz: float) -> bool:
     """Whether a beat goes on steadily enough to know it behind an AC coupling."""
     if not _smooth_interval(gyro, detector, segment):

@@ -222,7 +222,7 @@ def _pieces(gyro: Gyro, segment: RateMotion, first: int, last: int) -> tuple[Flo
     return np.concatenate([line for line, _ in found], axis=-1), np.concatenate([one for _, one in found], axis=-1)
 
 
-@lru_cache(maxsize=64)
+@lru_cache(maxsize=8)
 def _known_pieces(gyro: Gyro, segment: RateMotion) -> dict[int, tuple[Floats, Floats]]:
     """Those that were worked out already, by their number."""
     return {}
@@ -243,7 +243,7 @@ def _rate(gyro: Gyro, segment: RateMotion, times: Floats) -> Floats:
     return gyro.axis_rate(segment.rate_at(times), segment.azimuth_at(times), gyro.ripple_phase(times))
 
 
-@lru_cache(maxsize=64)
+@lru_cache(maxsize=16)
 def _start_phases(gyro: Gyro, motion: tuple[RateMotion, ...]) -> tuple[float, ...]:
     """Return psi at the start of each segment."""
     phases = [gyro.start_phase]
@@ -316,7 +316,7 @@ def _frequency_series(
     return float(spectrum[0, 0].real), orders, np.asarray(2.0 * spectrum[kept])
 
 
-@lru_cache(maxsize=64)
+@lru_cache(maxsize=8)
 def _slew_phase(gyro: Gyro, segment: RateMotion, end: float) -> tuple[Floats, Floats]:
     """Times in a slew and psi since its start: cumulative trapezoidal rule; nobody measures in a slew."""
     grid = np.linspace(segment.start, end, _SLEW_POINTS)

@@ -137,7 +137,7 @@ def _parsed(message: bytes, stream: bool) -> tuple[Command | Malformed, ...]:
     return tuple(_parse_command(unit, stream) for unit in _split(message, 0x3B) if _trim(unit))
 
 
-_remembered = lru_cache(maxsize=1024)(_parsed)
+_remembered = lru_cache(maxsize=128)(_parsed)
 
 
 def _trim(piece: bytes) -> str:

@@ -342,6 +342,10 @@ def _horizontal(model: Model) -> Iterator[Row]:
     yield Row(f"{main}:POSition", Real(-200, 50), 0.0, aliases=("HORizontal:POSition",))
     yield Row(f"{delay}:SCAle", steps, 5e-5, aliases=(f"{delay}:SECdiv",))
     yield Row(f"{delay}:POSition", Real(-200, 50), 0.0)
+    if model.measurements == 6:  # TBS1000B; what stands below the first word is a guess
+        yield Row("ZOOm:STATE", Switch(), 0, in_set=False)
+        yield Row("ZOOm:SCAle", steps, 5e-5, in_set=False)
+        yield Row("ZOOm:POSition", Real(0, 100), 50.0, in_set=False)
 
 
 def _trigger(model: Model) -> Iterator[Row]:
